@@ -40,7 +40,7 @@ KERNELS: dict[str, tuple[Any, tuple[str, ...]]] = {
     "riccati structured": (riccati.riccati_structured, (_TABLE, "float64", "float64")),
     "riccati dense bounded": (bounded.riccati_dense_bounded, (_TABLE, "float64", "float64", "boolean")),
     "riccati structured bounded": (bounded.riccati_structured_bounded, (_TABLE, "float64", "float64", "boolean")),
-    "choose held": (active_set.choose_held, (_TABLE, "float64")),
+    "choose active": (active_set.choose_active, (_TABLE, "float64", "boolean")),
     "gradients": (quadratic.gradients, (_TABLE,)),
     "begin following": (following.begin_following, (_TABLE, _TABLE)),
     "keep followed": (following.keep_followed, (_TABLE, _TABLE)),

@@ -1,19 +1,21 @@
-"""Bounded controls of the whole LQ problem: the set of those at their bounds, found by Newton's method.
+"""The LQ problem with bounds of controls and hinges of states: which hold and which pull, found by Newton's method.
 
 A box in each stage (see box) knows no deviation of the state: where bounds hold many stages, later ones would leave
 theirs in what the sweep promises, and steps are short. Here a set of controls is held at chosen bounds, a sweep solves
 what is left, and the linear motion that follows tells the next set:
 
     a free control that would leave its bounds is held at the one it crosses,
-    a held one whose multiplier pulls it inwards is freed.
+    a held one whose multiplier pulls it inwards is freed,
 
-A set that tells itself is the solution (primal-dual active sets; Hintermueller, Ito and Kunisch 2002). It mostly takes
+and likewise whether a deviation is inside its range, where its hinge is zero, or outside, where it is a parabola. A
+set that tells itself is the solution (primal-dual active sets; Hintermueller, Ito and Kunisch 2002). It mostly takes
 one sweep where the last iteration's set still holds, and few where it does not. It may also cycle, then the box is left.
 """
 
 from __future__ import annotations
 
 from planner.kernels.lq.along_bounds import moved
+from planner.kernels.lq.quadratic import hinges_of
 from planner.kernels.lq.riccati import advance
 from planner.kernels.lq.workspace import W
 from planner.kernels.numba.jit import inline, jit
@@ -83,16 +85,84 @@ def _chosen(w, i, side, du, dx, floor, ceiling):
     return 0.0 if side * _multiplier(w, i, du, dx) > 0.0 else side
 
 
+@inline
+def _choose_held(w, n, du, dx):
+    """The next set of held controls of stage n; by how many it differs."""
+    nu, held, servo, changes = w[W.nu], at(floats(w, W.held_at), n * w[W.nu]), 0, 0
+    for a in range(nu):
+        floor, ceiling = 0.0, 0.0
+        if servo < w[W.servos] and load(integers(w, W.servo_control), servo) == a:
+            floor = moved(w, n, servo, floats(w, W.lower_share), dx)
+            ceiling = moved(w, n, servo, floats(w, W.upper_share), dx)
+            servo += 1
+        side = load(held, a)
+        now = _chosen(w, n * nu + a, side, du, dx, floor, ceiling)
+        if now != side:
+            changes += 1
+            store(held, a, now)
+    return changes
+
+
+@inline
+def _side(e, low, high, slack):
+    """At which side of its range a deviation e is."""
+    return 1.0 if e > high + slack else -1.0 if e < low - slack else 0.0
+
+
+@inline
+def _choose_hinges(w, n, dx):
+    """The next set of hinges of knot n that pull: by how many it differs; how far its cost and slope are off.
+
+    Its parabolas stand for hinges that are still within their ranges, and what these cost now is none of the model's.
+    """
+    o, changes, cost, slope = n * w[W.hinges], 0, 0.0, 0.0
+    for t in range(hinges_of(w, n)):
+        i, k = load(integers(w, W.hinge_dx), t), o + t
+        low, high = load(floats(w, W.hinge_lower), k), load(floats(w, W.hinge_upper), k)
+        if low == high or load(integers(w, W.ball), i) >= 0:  # it always pulls; or is a rotation's
+            continue
+        e, weight, side = load(floats(w, W.hinge_e), k), load(floats(w, W.hinge_weight), k), load(floats(w, W.hinge_side), k)
+        d = load(dx, i)
+        slack = ROUNDING * (1.0 + abs(e))
+        now = _side(e + d, low, high, slack if side == 0.0 else -slack)
+        real = 1.0 if e >= high else -1.0 if e < low else 0.0
+        pulls = weight * (e - (high if side > 0.0 else low)) if side != 0.0 else 0.0
+        if now != side:
+            changes += 1
+            next_pull = weight * (e - (high if now > 0.0 else low)) if now != 0.0 else 0.0
+            l = at(floats(w, W.l), n * w[W.width] + w[W.first])
+            store(l, i, load(l, i) + next_pull - pulls)
+            store(floats(w, W.hinge_active), k, weight if now != 0.0 else 0.0)
+            store(floats(w, W.hinge_side), k, now)
+        if side != real:
+            really = weight * (e - (high if real > 0.0 else low)) if real != 0.0 else 0.0
+            slope += (really - pulls) * d
+            cost += 0.5 * (pulls * pulls - really * really) / weight
+    return changes, cost, slope
+
+
 @jit
-def choose_held(w, dt):
-    """The next set of held controls, in W.held_at, and by how many it differs from that of the last sweep."""
+def choose_active(w, dt, none):
+    """The next set of held controls (W.held_at) and of hinges that pull, as the last sweep's linear motion tells it.
+
+    With `none` there is no motion: hinges pull where they do.
+
+    Returns:
+        By how many the set differs from that of the sweep; by how much more than the cost the model costs where it
+        begins; and by how much the slope of the cost along the motion is above the model's.
+    """
     w = pointer(w)
     ndx, nu, width, first = w[W.ndx], w[W.nu], w[W.width], w[W.first]
-    K, k, held = floats(w, W.K), floats(w, W.k), floats(w, W.held_at)
-    dus, dx, changes = floats(w, W.dus), floats(w, W.dx), 0
+    K, k = floats(w, W.K), floats(w, W.k)
+    dus, dx = floats(w, W.dus), floats(w, W.dx)
+    changes, cost, slope = 0, 0.0, 0.0
     for i in range(ndx):
         store(dx, i, 0.0)
-    for n in range(w[W.N]):
+    for n in range(w[W.N] + 1):
+        more, c, s = _choose_hinges(w, n, dx)
+        changes, cost, slope = changes + more, cost + c, slope + s
+        if n == w[W.N] or none:
+            continue
         du = at(dus, n * nu)
         for a in range(nu):
             i = n * nu + a
@@ -100,19 +170,9 @@ def choose_held(w, dt):
             for j in range(ndx):
                 total += load(K, i * width + first + j) * load(dx, j)
             store(du, a, total)
-        servo = 0
-        for a in range(nu):
-            i, floor, ceiling = n * nu + a, 0.0, 0.0
-            if servo < w[W.servos] and load(integers(w, W.servo_control), servo) == a:
-                floor = moved(w, n, servo, floats(w, W.lower_share), dx)
-                ceiling = moved(w, n, servo, floats(w, W.upper_share), dx)
-                servo += 1
-            side = load(held, i)
-            now = _chosen(w, i, side, du, dx, floor, ceiling)
-            if now != side:
-                changes += 1
-                store(held, i, now)
+        if w[W.bounded] > 0:
+            changes += _choose_held(w, n, du, dx)
         advance(w, n, dt, du, dx, at(dx, ndx))
         for i in range(ndx):
             store(dx, i, load(dx, ndx + i))
-    return changes
+    return changes, cost, slope

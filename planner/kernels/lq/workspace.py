@@ -26,7 +26,7 @@ W = Layout(
     "gradient H G S h costate dx trial_x trial_u deviations lower upper box hinge_dx hinge_lower hinge_upper "
     "hinge_weight hinge_active T costates residual_hessian residual_active range_lower range_upper servo_control "
     "servo_start servo_x servo_dx servo_now servo_late servo_low servo_high lower_share upper_share gaps values dxs "
-    "held_at held_row held_slope",
+    "held_at held_row held_slope hinge_e hinge_side",
 )
 _K = W.K
 # Rows of the line search's array: step lengths, costs, slopes, the bracket, and what it is given: cost, slope, dt.
@@ -131,6 +131,7 @@ class Workspace:
             "lower": self.lower, "upper": self.upper, "box": np.zeros(nu * (nu + 6)),
             "hinge_dx": np.array(hinge_dx, dtype=np.int64), "hinge_lower": self.hinge_lower,
             "hinge_upper": self.hinge_upper, "hinge_weight": self.hinge_weight, "hinge_active": active,
+            "hinge_e": np.zeros_like(active), "hinge_side": np.zeros_like(active),
         }  # fmt: skip
         self.held_at = np.zeros_like(lower)
         rows = 0 if bounds is None else N * nu * width
