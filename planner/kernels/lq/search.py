@@ -20,11 +20,13 @@ from planner.kernels.numba.jit import jit, part
 ARMIJO, EXACT, WOLFE, GOLDSTEIN = 0, 1, 2, 3
 TRY = -2  # no search either: candidates of the lengths that are there, none of which is taken
 CLOSING = 4  # Armijo's rule with one batch: where gaps are open, a short step closes them with no gain
+LONGER = 5  # Armijo's rule from a step of four, and the best of the lanes: where the last full step gained too much
 START = -1  # no search: one rollout at step length 0, which is taken as it is
 SUFFICIENT = 1e-4  # c1 of Armijo and Wolfe (Nocedal & Wright, section 3.1)
 CURVATURE = 0.9  # c2 of Wolfe for Newton-like directions (same)
 GOLDSTEIN_C = 0.25  # below 1/2, so that the full step of a quadratic passes (same)
 FAR_LESS = 0.25  # of the decrease that the parabola of J0, S0 and J(1) = J0 + S0 / 2 promises: a shorter step gains more
+LONGEST = 4.0
 EXACT_WIDTH = 1e-6  # J is flat to rounding within about 1e-8 of its minimum
 ARMIJO_BATCHES, BRACKET_BATCHES = 6, 32  # of candidates, before the search gives up
 
@@ -40,6 +42,8 @@ def ladder(rule, alpha, bracket):
             continue
         elif rule in (ARMIJO, CLOSING):
             alpha[i] = 0.5**i
+        elif rule == LONGER:
+            alpha[i] = LONGEST * 0.5**i
         elif i % 2 == 1:  # the bracketing rules may also lengthen the step: 1, 1/2, 2, 1/4, 4, ...
             alpha[i] = 0.5 ** ((i + 1) // 2)
         else:
@@ -51,7 +55,7 @@ def batches(rule):
     """How many batches of candidates a rule may ask for."""
     if rule in (TRY, CLOSING):
         return 1
-    return ARMIJO_BATCHES if rule == ARMIJO else BRACKET_BATCHES
+    return ARMIJO_BATCHES if rule in (ARMIJO, LONGER) else BRACKET_BATCHES
 
 
 @part
@@ -91,10 +95,10 @@ def _choose_exact(alpha, J, J0, bracket):
 
 
 @part
-def _better(alpha, J, J0, S0, i):
+def _better(rule, alpha, J, J0, S0, i):
     """The lane to take in place of lane i, which gains too little for its length, or i."""
     best = i
-    if J0 - J[i] < -FAR_LESS * alpha[i] * (1.0 - 0.5 * alpha[i]) * S0:
+    if rule == LONGER or J0 - J[i] < -FAR_LESS * alpha[i] * (1.0 - 0.5 * alpha[i]) * S0:
         for k in range(i + 1, alpha.shape[0]):
             if J[k] < J[best]:
                 best = k
@@ -114,7 +118,7 @@ def choose(rule, alpha, J, S, J0, S0, bracket):
         if _too_long(rule, alpha[i], J[i], S[i], J0, S0):
             bracket[1] = min(bracket[1], alpha[i])
         elif not _too_short(rule, alpha[i], J[i], S[i], J0, S0):
-            return _better(alpha, J, J0, S0, i) if rule == ARMIJO else i
+            return _better(rule, alpha, J, J0, S0, i) if rule in (ARMIJO, LONGER) else i
     for i in range(alpha.shape[0]):  # what is too short beyond a hill does not count
         if alpha[i] < bracket[1]:
             bracket[0] = max(bracket[0], alpha[i])
@@ -130,7 +134,7 @@ def refine(rule, alpha, bracket):
     low, high, best = bracket[0], bracket[1], bracket[2]
     before = lanes // 2  # of the exact rule's candidates, so many between low and best
     for i in range(lanes):
-        if rule == ARMIJO:
+        if rule in (ARMIJO, LONGER):
             alpha[i] *= 0.5**lanes
         elif high == np.inf:
             alpha[i] = max(low, best) * 2.0 ** (i if rule == EXACT else i + 1)

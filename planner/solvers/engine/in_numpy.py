@@ -161,6 +161,8 @@ class NumpyEngine(Engine):
         if slope >= 0.0:  # clipping may undo a direction
             return Outcome(NO_STEP, self._norm, slope, 0.0, -sweep.value, cost)
         self._dus = sweep.k if feedback else lq.direction(self._A, self._B, sweep, moves)[1]
+        if rule == search.LONGER and not self._together:
+            rule = search.ARMIJO
         alpha = np.empty(WIDTH if self._together or rule != search.ARMIJO else 1)
         bracket = self._bracket
         search.ladder(rule, alpha, bracket)
