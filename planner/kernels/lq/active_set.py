@@ -78,7 +78,8 @@ def _chosen(w, i, side, du, dx, floor, ceiling):
     """Where control i of all, with the stage's du and dx, is to be held: -1, 0 or 1."""
     u = load(floats(w, W.us), i)
     if side == 0.0:
-        after, slack = u + load(du, i % w[W.nu]), ROUNDING * (1.0 + abs(u))
+        step = load(du, i % w[W.nu])
+        after, slack = u + step, ROUNDING * (1.0 + abs(step))
         if after < load(floats(w, W.lower), i) + floor - slack:
             return -1.0
         return 1.0 if after > load(floats(w, W.upper), i) + ceiling + slack else 0.0
@@ -121,7 +122,11 @@ def _choose_hinges(w, n, dx):
         low, high = load(floats(w, W.hinge_lower), k), load(floats(w, W.hinge_upper), k)
         if low == high or load(integers(w, W.ball), i) >= 0:  # it always pulls; or is a rotation's
             continue
-        e, weight, side = load(floats(w, W.hinge_e), k), load(floats(w, W.hinge_weight), k), load(floats(w, W.hinge_side), k)
+        e, weight, side = (
+            load(floats(w, W.hinge_e), k),
+            load(floats(w, W.hinge_weight), k),
+            load(floats(w, W.hinge_side), k),
+        )
         d = load(dx, i)
         slack = ROUNDING * (1.0 + abs(e))
         now = _side(e + d, low, high, slack if side == 0.0 else -slack)

@@ -150,7 +150,7 @@ class CompiledEngine(Engine):
         if self._exact or self.hold > 0.0 or w.table[_EXACT]:
             self._hold()
         self._boxed()
-        norm, slope, value, definite = self._solve_lq(mu)
+        norm, slope, value, definite = self._solve_lq(mu, decrease_tolerance < math.inf)
         if not definite:
             return Outcome(INDEFINITE, norm, 0.0, 0.0, 0.0, cost)
         if norm <= gradient_tolerance or -value <= decrease_tolerance:
@@ -162,31 +162,40 @@ class CompiledEngine(Engine):
             return Outcome(NO_STEP, norm, slope, 0.0, -value, cost)
         return Outcome(ACCEPTED, norm, slope, step, promised(slope, value, step), after)
 
-    def _solve_lq(self, mu: float) -> tuple[float, float, float, bool]:
+    def _solve_lq(self, mu: float, settle: bool) -> tuple[float, float, float, bool]:
         """Sweep: the gradient's norm, the slope of J, the model's value at its minimum, and whether it is definite.
 
-        Where no set of bounds and hinges settles, each stage has its box, and hinges pull where they do now.
+        With `settle` until the set of bounds and hinges is found that the motion tells. Where none is, or without, each
+        stage has its box, and hinges pull where they do now.
         """
         w, dt, bounded = self._w, self._dynamics.dt, self._bounds is not None
-        boxed = (True,) if bounded else ()
-        if (bounded or self._hinged) and self._settling.due():
-            first = math.nan
-            for _ in range(MOST_SETS):
-                norm, value, definite = self._riccati(w.table, mu, dt, *boxed)
-                first = norm if math.isnan(first) else first
-                if not definite:
-                    break
-                changes, more_cost, more_slope = choose_active(w.table, dt, False)
-                if changes == 0:
-                    self._settling.found()
-                    slope = bounded_direction(w.table, dt) if bounded else value
-                    return first, slope + more_slope, (value if bounded else 0.5 * value) + more_cost, True
-            self._settling.missed()
+        if settle and (bounded or self._hinged) and self._settling.due():
+            found = self._settled(mu)
             choose_active(w.table, dt, True)
+            if found is not None:
+                return found
         norm, value, definite = self._riccati(w.table, mu, dt, *([False] if bounded else []))
         if not bounded:
             return norm, value, 0.5 * value, definite
         return norm, bounded_direction(w.table, dt) if definite else 0.0, value, definite
+
+    def _settled(self, mu: float) -> tuple[float, float, float, bool] | None:
+        """What _solve_lq returns, of a set that tells itself; None where none is found."""
+        w, dt, bounded = self._w, self._dynamics.dt, self._bounds is not None
+        gradient_norm = 0.0
+        for sets in range(MOST_SETS):
+            norm, value, definite = self._riccati(w.table, mu, dt, *([True] if bounded else []))
+            if not definite:
+                break
+            if sets == 0:
+                gradient_norm = norm  # the next ones have other hinges
+            changes, more_cost, more_slope = choose_active(w.table, dt, False)
+            if changes == 0:
+                self._settling.found()
+                slope = bounded_direction(w.table, dt) if bounded else value
+                return gradient_norm, slope + more_slope, (value if bounded else 0.5 * value) + more_cost, True
+        self._settling.missed()
+        return None
 
     def _linearize(self, second: bool) -> None:
         """What the sweep needs along the trajectory, with second-order terms or without."""
