@@ -8,8 +8,9 @@
 Where shapes are kept apart, bounds of stages rise on which they come too near between the knots, and it goes on.
 
 The first round has no hinges, and is all where nothing is violated. The second takes its weights from what the first
-found, as ALGENCAN does (Birgin and Martinez 2014): the hinges then cost about what J does, those of ranges more. Only what keeps shapes apart
-has hinges from the beginning, since a motion that went through an obstacle does not find the way around it any more.
+found, as ALGENCAN does (Birgin and Martinez 2014): the hinges then cost about what J does, and those of ranges more.
+Only what keeps shapes apart has hinges from the beginning, since a motion that went through an obstacle does not find
+the way around it any more.
 
 Rounds far from the tolerance end before their minimum (inexact augmented Lagrangian; Bertsekas 1982, section 2.5): what
 is left of them moves the states by little of the violation that they are to reach.

@@ -1,15 +1,16 @@
 """The LQ problem with bounds of controls and hinges of states: which hold and which pull, found by Newton's method.
 
 A box in each stage (see box) knows no deviation of the state: where bounds hold many stages, later ones would leave
-theirs in what the sweep promises, and steps are short. Here a set of controls is held at chosen bounds, a sweep solves
-what is left, and the linear motion that follows tells the next set:
+theirs in what the sweep promises, and steps are short. So do hinges of ranges that the motion has yet to reach. Here a
+sweep has a chosen set of held controls and of hinges that pull, and its linear motion tells the next set:
 
     a free control that would leave its bounds is held at the one it crosses,
     a held one whose multiplier pulls it inwards is freed,
+    a hinge is a parabola where the deviation will be outside of its range, and zero where it will be inside.
 
-and likewise whether a deviation is inside its range, where its hinge is zero, or outside, where it is a parabola. A
-set that tells itself is the solution (primal-dual active sets; Hintermueller, Ito and Kunisch 2002). It mostly takes
-one sweep where the last iteration's set still holds, and few where it does not. It may also cycle, then the box is left.
+A set that tells itself is the solution (primal-dual active sets; Hintermueller, Ito and Kunisch 2002). It mostly takes
+one sweep where the last iteration's set still holds, and few where it does not. It may also cycle: then each stage has
+its box, and hinges pull where they do now.
 """
 
 from __future__ import annotations
