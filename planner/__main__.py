@@ -22,7 +22,10 @@ def main(argv: Sequence[str] | None = None) -> int:
         from planner.cli.commands import command
     finally:
         signal.signal(signal.SIGINT, before)
-    return command(list(sys.argv[1:] if argv is None else argv))
+    code = command(list(sys.argv[1:] if argv is None else argv))
+    if argv is None and before is signal.default_int_handler:  # all is written: Ctrl-C ends the rest without a traceback
+        signal.signal(signal.SIGINT, signal.SIG_DFL)
+    return code
 
 
 def _leave(*_: object) -> NoReturn:

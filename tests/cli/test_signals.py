@@ -135,7 +135,22 @@ def test_ctrl_c_while_libraries_are_imported_is_one_sentence(tmp_path):
     assert (child.returncode, err) == (130, "planner: interrupted; nothing was written.\n")
 
 
-UP = "import sys; print('up', flush=True); from planner.__main__ import main; sys.exit(main(sys.argv[1:]))"
+def test_ctrl_c_while_python_ends_prints_no_traceback(tmp_path):
+    code = (
+        "import atexit, sys, time; atexit.register(lambda: (print('ending', flush=True), time.sleep(60)));"
+        "from planner.__main__ import main; sys.argv[1:] = ['--version']; sys.exit(main())"
+    )
+    child = subprocess.Popen(
+        [sys.executable, "-c", code], cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    )
+    assert child.stdout is not None
+    assert any(line == "ending\n" for line in child.stdout)
+    child.send_signal(signal.SIGINT)
+    _, err = child.communicate(timeout=60)
+    assert (child.returncode, err) == (-signal.SIGINT, "")
+
+
+UP = "import sys; print('up', flush=True); from planner.__main__ import main; sys.exit(main())"
 
 
 def whole(folder):
