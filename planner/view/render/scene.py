@@ -66,7 +66,7 @@ class Scene:
         self._mujoco = mujoco
         self._film, self._appearance, self._ghost = film, film.appearance, ghost
         self._width, self._height = width, height
-        model = visible_model(film) if model is None else model
+        model = visible_model([film]) if model is None else model
         # The frame buffer that the model asks for may be smaller than the picture.
         columns, rows = round(oversize * width), round(oversize * height)
         model.vis.quality.offsamples = 0
