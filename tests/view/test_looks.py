@@ -9,8 +9,10 @@ from planner.base.gl import load_mujoco
 from planner.model.mechanism import Mechanism
 from planner.problem.appearance import Appearance, GoalMark
 from planner.problem.default_appearance import MOST, small_multiples
+from planner.view.render.camera import swept_box, whole_motion
 from planner.view.render.film import Film
 from planner.view.render.looks import drawn
+from planner.view.render.scene import Scene
 from planner.view.render.setting import visible_model
 from planner.view.render.sticks import Sticks
 from planner.view.render.video import render_poses
@@ -123,6 +125,39 @@ def test_no_film_of_a_plan_goes_through_the_floor_and_none_is_laid_under_one_tha
     text = made.mjcf.replace('<joint name="a" axis="0 1 0"/>', '<joint name="a" type="slide" axis="0 0 1"/>')
     fallen = replace(made, mjcf=text, path_qpos=np.array([[0.0, 0.0], [-1e4, 0.0]]))
     assert floor_of(visible_model([replace(made, mjcf=text), fallen])) is None
+
+
+def test_a_wall_far_away_does_not_move_the_camera_nor_make_marks_larger():
+    """It carries nothing that moves; a base that does belongs to the machine."""
+    made, model = film(upper=box("a", 0, SEEN), fore=box("b", 0, SEEN))
+    wall = '<body name="wall" pos="9 0 0"><geom type="box" size=".1 1 1"/></body>'
+    walled = film(world=wall, upper=box("a", 0, SEEN), fore=box("b", 0, SEEN))[1]
+    none = np.zeros(model.nbody, bool), np.zeros(walled.nbody, bool)
+    poses = made.path_qpos
+    near, far = (swept_box(one, poses, hidden) for one, hidden in zip((model, walled), none, strict=True))
+    np.testing.assert_allclose(far.high - far.low, near.high - near.low)
+
+
+def test_a_strip_has_no_words_and_its_motion_fills_it():
+    made, model = film(poses=((0.0, 0.0), (1.0, 0.5)), upper=box("a", 0, SEEN), fore=box("b", 0, SEEN))
+    (middle, near), (raised, far) = (
+        whole_motion([made], model, made.appearance, 1.5, False, words=words) for words in (False, True)
+    )
+    assert near < 0.95 * far
+    assert raised[2] >= middle[2]
+
+
+@pytest.mark.render
+def test_a_goals_ball_can_be_seen_however_small_the_machine_is_in_the_picture():
+    """0.8 m of machine in a picture of 17 m: in its own size the ball would be a seventh of a pixel wide."""
+    made, _ = film(upper=box("a", 0, SEEN), fore=box("b", 0, SEEN))
+    stage = Appearance(title="", distance=20.0, azimuth=90.0, elevation=0.0)
+    mark = GoalMark("fore", 0.0, position=(3.0, 0.0, 3.0))
+    pictures = []
+    for seen in (stage, replace(stage, goals=(mark,))):
+        with Scene(replace(made, appearance=seen), 160, 90, ghost=False) as scene:
+            pictures.append(scene.draw(0).astype(int))
+    assert np.sum(np.abs(pictures[0] - pictures[1]).max(axis=-1) > 8) > 25
 
 
 @pytest.mark.render

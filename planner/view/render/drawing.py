@@ -197,7 +197,7 @@ def _draw_poses(film: Film, width: int, height: int) -> np.ndarray:
     strip = np.full((height, width, 3), 255, np.uint8)
     # Both sides share the remainder of the division.
     left = (width - tile * columns - gap * (columns - 1)) // 2
-    with Scene(film, tile, high - band, ghost=False, model=model) as scene:
+    with Scene(film, tile, high - band, ghost=False, words=False, model=model) as scene:
         for frame, t in enumerate(film.t):
             row, column = (frame // columns) * (high + gap), left + (frame % columns) * (tile + gap)
             words = film.words[frame] if film.words else overlay.time_words(t, unstable=t >= film.unstable)
