@@ -176,4 +176,6 @@ def completed(proof: Proof, rollouts: int, console: Console, **options: Any) -> 
     if not rollouts:
         return proof
     console.note("\nThe verdict is known. What is measured now is shown beside it:")
-    return with_rollouts(with_shown(proof, console.note), rollouts, progress=console.progress("rollouts"), **options)
+    return with_rollouts(
+        with_shown(proof, console.note), rollouts, progress=console.progress("perturbed simulations"), **options
+    )

@@ -286,4 +286,6 @@ def _reason(passed: bool, judged: tuple[Section, ...], steps: list[Section], run
     measured = [one for section in steps for one in section.measured if one.bound]
     worst = max(measured, key=lambda one: one.value / (one.bound or 1.0))
     how = "with the plan's gains" if run.feedback else "open loop"
-    return f"MuJoCo repeats the plan {how} at a step of {run.timestep:.3g} s; nearest to its bound: {worst}."
+    return (
+        f"MuJoCo repeats the plan {how} at a step of {run.timestep:.3g} s; nearest to its bound: {worst.beside_bound}."
+    )

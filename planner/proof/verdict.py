@@ -2,11 +2,12 @@
 
 The line says three things and what was not looked at:
 
-    PASS (open-loop), without contacts of 1 pair; feasible, optimal, robust
+    PASS (open-loop), without contacts of 1 pair; feasible, optimal, robust with its gains
 
 feasible: MuJoCo repeats the plan and ends at its goal, in the mode in brackets. optimal: the solve converged. robust or
-fragile: how often it still succeeds on a machine that differs from the planned one; "robustness: counting" until that
-is known. "without ...": what the user's model has and the plan's does not.
+fragile with its gains: how often it still succeeds with them on a machine that differs from the planned one, whatever
+it does open loop; "robustness: counting" until that is known. "without ...": what the user's model has and the plan's
+does not.
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ from planner.proof.hold import Held
 from planner.proof.order import Order
 from planner.proof.replays.replaying import Replay
 from planner.proof.robustness.perturbation import Perturbation
-from planner.proof.robustness.perturbed import Perturbed
+from planner.proof.robustness.perturbed import JUDGED, Perturbed
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,12 +71,16 @@ class Proof(Filmed):
 
     @property
     def robustness(self) -> str:
-        """The word "robust" or "fragile", "robustness: counting", or "" where no rollouts were asked for."""
+        """The word "robust" or "fragile", of the rollouts with gains; "robustness: counting"; "" without rollouts."""
+        return self._robustness("")
+
+    def _robustness(self, judged: str) -> str:
+        """The word about robustness, and behind it which mode was judged."""
         if self.monte_carlo is None:
             return "robustness: counting" if self.asked.get("rollouts") else ""
         word, drawn = self.monte_carlo.robustness, self.monte_carlo.perturbation
         other = "" if drawn == Perturbation.usual(self.replay.plan.problem) else " at other than the standard errors"
-        return f"robustness: {word}{other}" if word == "counting" else f"{word}{other}"
+        return f"robustness: {word}{other}" if word == "counting" else f"{word}{judged}{other}"
 
     @property
     def headline(self) -> str:
@@ -83,7 +88,7 @@ class Proof(Filmed):
         mode = f" ({self.mode})" if self.passed and self.mode else ""
         without = "".join(f", {phrase}" for phrase in self.not_checked)
         words = ["feasible" if self.feasible else "not feasible", "optimal" if self.optimal else "not optimal"]
-        return f"{self.verdict}{mode}{without}; {', '.join([*words, *filter(None, [self.robustness])])}"
+        return f"{self.verdict}{mode}{without}; {', '.join([*words, *filter(None, [self._robustness(JUDGED)])])}"
 
     @property
     def passed(self) -> bool:

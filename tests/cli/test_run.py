@@ -189,7 +189,7 @@ def test_the_verdict_is_printed_before_what_is_only_shown(tmp_path, capsys, monk
     places = [[i for i, line in enumerate(seen) if line.startswith(start)] for start in starts]
     assert [len(found) for found in places[1:5]] == [1, 1, 1, 1]
     assert places[0][0] < places[1][0] < places[2][0] < places[3][0] < places[4][0] < places[5][-1]
-    assert "rollouts: " in capsys.readouterr().err
+    assert "perturbed simulations: " in capsys.readouterr().err
 
 
 def test_without_rollouts_nothing_is_waited_for(tmp_path, capsys):
