@@ -2,12 +2,14 @@
 
 The line says three things and what was not looked at:
 
-    PASS (open-loop), without contacts of 1 pair; feasible, optimal, robust with its gains
+    PASS (open-loop), planned without contacts of 1 pair (tested in your file); feasible, optimal, robust with its gains
 
 feasible: MuJoCo repeats the plan and ends at its goal, in the mode in brackets. optimal: the solve converged. robust or
 fragile with its gains: how often it still succeeds with them on a machine that differs from the planned one, whatever
-it does open loop; "robustness: counting" until that is known. "without ...": what the user's model has and the plan's
-does not.
+it does open loop; "robustness: counting" until that is known.
+
+"planned without ..." is what the user's file has and the plan's model does not; step 6 replayed the plan with it.
+"without ..." is what no replay had: pairs that overlap at the start, or all of it where the file was not replayed.
 """
 
 from __future__ import annotations
@@ -24,6 +26,8 @@ from planner.proof.order import Order
 from planner.proof.replays.replaying import Replay
 from planner.proof.robustness.perturbation import Perturbation
 from planner.proof.robustness.perturbed import JUDGED, Perturbed
+
+TESTED = "tested in your file"
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,7 +47,9 @@ class Proof(Filmed):
         held: The motion behind `hold`, or None.
         monte_carlo: The rollouts behind `perturbed`, or None.
         asked: The arguments of prove() that prove the same again, without another model.
-        not_checked: What the user's model has and the plan's does not, and goals that nobody judged; a phrase each.
+        planned_without: What the user's file has and the plan's model does not, and the replay in the file had: step 6.
+            A phrase each.
+        not_checked: What no replay had of the user's file, and goals that nobody judged; a phrase each.
     """
 
     verdict: str
@@ -57,6 +63,7 @@ class Proof(Filmed):
     held: Held | None = None
     monte_carlo: Perturbed | None = None
     asked: dict[str, Any] = field(default_factory=dict)
+    planned_without: tuple[str, ...] = ()
     not_checked: tuple[str, ...] = ()
 
     @property
@@ -86,7 +93,8 @@ class Proof(Filmed):
     def headline(self) -> str:
         """The verdict, what it is without, and whether the plan is feasible, optimal and robust."""
         mode = f" ({self.mode})" if self.passed and self.mode else ""
-        without = "".join(f", {phrase}" for phrase in self.not_checked)
+        tested = f", planned without {' and '.join(self.planned_without)} ({TESTED})" if self.planned_without else ""
+        without = tested + "".join(f", {phrase}" for phrase in self.not_checked)
         words = ["feasible" if self.feasible else "not feasible", "optimal" if self.optimal else "not optimal"]
         return f"{self.verdict}{mode}{without}; {', '.join([*words, *filter(None, [self._robustness(JUDGED)])])}"
 
@@ -132,7 +140,7 @@ class Proof(Filmed):
         found = None if self.monte_carlo is None else self.monte_carlo.to_dict()
         head = {
             "verdict": self.verdict, "mode": self.mode, "headline": self.headline, "feasible": self.feasible,
-            "optimal": self.optimal, "robustness": self.robustness, "not_checked": list(self.not_checked),
-            "reason": self.reason,
+            "optimal": self.optimal, "robustness": self.robustness,
+            "planned_without": list(self.planned_without), "not_checked": list(self.not_checked), "reason": self.reason,
         }  # fmt: skip
         return {**head, **dicts_of(self.sections), "asked": self.asked, "monte_carlo": found, "simulator": simulator}
