@@ -83,14 +83,15 @@ class Iteration(NamedTuple):
     regularisation: float  # Added to the diagonal of R + B'PB
 
     def __str__(self) -> str:
-        return (
+        row = (
             f"{self.iteration:5d}  {self.cost:15.8g}  {self.gradient_norm:9.2e}  {self.step:9.3g}  "
             f"{self.expected:9.2e}  {self.actual:9.2e}  {self.regularisation:9.2e}"
         )
+        return row if self.iteration else f"{self.header()}\n{row}"
 
     @staticmethod
     def header() -> str:
-        """The heading over the lines that str() makes."""
+        """The heading over the lines that str() makes; it is above the first one."""
         return f"{'iter':>5}  {'cost':>15}  {'|grad|':>9}  {'step':>9}  {'expected':>9}  {'actual':>9}  {'regular.':>9}"
 
 
@@ -109,11 +110,12 @@ class Start(NamedTuple):
         return self.status is not Status.CONVERGED, self.score if math.isfinite(self.score) else math.inf, self.number
 
     def __str__(self) -> str:
-        return f"{self.number:5d}  {self.cost:15.8g}  {self.iterations:10d}  {self.status.name}"
+        row = f"{self.number:5d}  {self.cost:15.8g}  {self.iterations:10d}  {self.status.name}"
+        return row if self.number else f"{self.header()}\n{row}"
 
     @staticmethod
     def header() -> str:
-        """The heading over the lines that str() makes."""
+        """The heading over the lines that str() makes; it is above the first one."""
         return f"{'start':>5}  {'cost':>15}  {'iterations':>10}  status"
 
 
