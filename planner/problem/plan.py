@@ -17,6 +17,7 @@ from __future__ import annotations
 
 import io
 import math
+import warnings
 from dataclasses import dataclass, field
 from enum import StrEnum
 from pathlib import Path
@@ -24,6 +25,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from planner.base.files import printable
 from planner.base.shown import Shown
 from planner.base.versions import installed_versions
 from planner.model.space import StateSpace, euclidean, space_of
@@ -37,7 +39,7 @@ from planner.problem.export.keyframes import write_keyframes
 from planner.problem.export.sampled import Samples, sampled
 from planner.problem.export.table import frame_of, write_csv
 from planner.problem.motion import Motion, pulls_of, rates_of
-from planner.problem.parts import in_parts
+from planner.problem.parts import beyond_a_file, in_parts
 from planner.problem.problem import Problem
 from planner.problem.recipe import Built, Recipe
 from planner.problem.state_ranges import Hinges
@@ -264,10 +266,20 @@ class Plan(Built, Shown):
     def save(self, path: str | Path) -> Path:
         """Write the plan as .npz, atomically and without pickle.
 
+        A problem with a function or class of your own in it, a cost or a constraint for example, is not in the file; a
+        warning says so. load_plan(path, problem=problem) puts the two together again.
+
         Raises:
             FileError: The file cannot be written.
         """
-        write_archive(plan_name(path), *self._contents())
+        arrays, meta = self._contents()
+        write_archive(plan_name(path), arrays, meta)
+        if meta["recipe"] is None and self.problem is not None:
+            warnings.warn(
+                f"{printable(path)} has the plan without its problem: a file cannot hold "
+                f"{beyond_a_file(plain(self.problem))}. load_plan(path, problem=problem) puts the two together.",
+                stacklevel=2,
+            )
         return Path(path)
 
     def to_bytes(self) -> bytes:
