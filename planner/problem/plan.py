@@ -41,7 +41,7 @@ from planner.problem.export.table import frame_of, write_csv
 from planner.problem.motion import Motion, pulls_of, rates_of
 from planner.problem.parts import beyond_a_file, in_parts
 from planner.problem.problem import Problem
-from planner.problem.recipe import Built, Recipe
+from planner.problem.recipe import PROBLEM_FILE, Built, Recipe
 from planner.problem.state_ranges import Hinges
 
 
@@ -214,6 +214,14 @@ class Plan(Built, Shown):
         return min(self.starts, key=lambda start: start.rank).number if self.starts else 0
 
     @property
+    def name(self) -> str:
+        """The case, or of other problems the title, which is that of their file or the name of their model."""
+        if self.case not in (None, PROBLEM_FILE):
+            return str(self.case)
+        appearance = None if self.problem is None else self.problem.appearance
+        return (appearance.title if appearance is not None else "") or self.case or ""
+
+    @property
     def versions(self) -> dict[str, str]:
         """Versions of the software that made the plan."""
         return installed_versions() if self.made_with is None else self.made_with
@@ -258,7 +266,7 @@ class Plan(Built, Shown):
         return self.motion.stretched(duration)
 
     def __str__(self) -> str:
-        name = f"{self.recipe.name}: " if self.recipe is not None else ""
+        name = f"{self.name}: " if self.name else ""
         return f"Plan({self.status.name}: {name}{self.nit} iterations, cost {self.cost:.6g}, N = {self.N})"
 
     __repr__ = __str__
