@@ -241,7 +241,10 @@ def _problem(table: dict[str, Any], mechanism: Mechanism, where: str) -> Problem
     if avoid is not None and way is not None and any(one.last for one in way.task.goals):  # its pose is known now
         apart = avoid.constraint(mechanism, x0, way.rows[-1])
     if apart is not None:
-        reasons["avoid"] = " ".join(apart.notes)
+        told, *details = apart.notes
+        reasons["avoid"] = f"{told.removesuffix('.')}; the report names them." if details else told
+        if details:
+            reasons["avoid, details"] = " ".join(details)
     table = _resolved(table, dynamics, x0, goal, reasons, way, limits)
     weights = table[RESOLVED]["weights"]
     wanted = None
