@@ -17,6 +17,7 @@ from __future__ import annotations
 
 import io
 import math
+import warnings
 from dataclasses import dataclass, field
 from enum import StrEnum
 from pathlib import Path
@@ -24,6 +25,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from planner.base.files import printable
 from planner.base.shown import Shown
 from planner.base.versions import installed_versions
 from planner.model.space import StateSpace, euclidean, space_of
@@ -37,9 +39,9 @@ from planner.problem.export.keyframes import write_keyframes
 from planner.problem.export.sampled import Samples, sampled
 from planner.problem.export.table import frame_of, write_csv
 from planner.problem.motion import Motion, pulls_of, rates_of
-from planner.problem.parts import in_parts
+from planner.problem.parts import beyond_a_file, in_parts
 from planner.problem.problem import Problem
-from planner.problem.recipe import Built, Recipe
+from planner.problem.recipe import PROBLEM_FILE, Built, Recipe
 from planner.problem.state_ranges import Hinges
 
 
@@ -83,14 +85,15 @@ class Iteration(NamedTuple):
     regularisation: float  # Added to the diagonal of R + B'PB
 
     def __str__(self) -> str:
-        return (
+        row = (
             f"{self.iteration:5d}  {self.cost:15.8g}  {self.gradient_norm:9.2e}  {self.step:9.3g}  "
             f"{self.expected:9.2e}  {self.actual:9.2e}  {self.regularisation:9.2e}"
         )
+        return row if self.iteration else f"{self.header()}\n{row}"
 
     @staticmethod
     def header() -> str:
-        """The heading over the lines that str() makes."""
+        """The heading over the lines that str() makes; it is above the first one."""
         return f"{'iter':>5}  {'cost':>15}  {'|grad|':>9}  {'step':>9}  {'expected':>9}  {'actual':>9}  {'regular.':>9}"
 
 
@@ -109,11 +112,12 @@ class Start(NamedTuple):
         return self.status is not Status.CONVERGED, self.score if math.isfinite(self.score) else math.inf, self.number
 
     def __str__(self) -> str:
-        return f"{self.number:5d}  {self.cost:15.8g}  {self.iterations:10d}  {self.status.name}"
+        row = f"{self.number:5d}  {self.cost:15.8g}  {self.iterations:10d}  {self.status.name}"
+        return row if self.number else f"{self.header()}\n{row}"
 
     @staticmethod
     def header() -> str:
-        """The heading over the lines that str() makes."""
+        """The heading over the lines that str() makes; it is above the first one."""
         return f"{'start':>5}  {'cost':>15}  {'iterations':>10}  status"
 
 
@@ -210,6 +214,14 @@ class Plan(Built, Shown):
         return min(self.starts, key=lambda start: start.rank).number if self.starts else 0
 
     @property
+    def name(self) -> str:
+        """The case, or of other problems the title, which is that of their file or the name of their model."""
+        if self.case not in (None, PROBLEM_FILE):
+            return str(self.case)
+        appearance = None if self.problem is None else self.problem.appearance
+        return (appearance.title if appearance is not None else "") or self.case or ""
+
+    @property
     def versions(self) -> dict[str, str]:
         """Versions of the software that made the plan."""
         return installed_versions() if self.made_with is None else self.made_with
@@ -254,7 +266,7 @@ class Plan(Built, Shown):
         return self.motion.stretched(duration)
 
     def __str__(self) -> str:
-        name = f"{self.recipe.name}: " if self.recipe is not None else ""
+        name = f"{self.name}: " if self.name else ""
         return f"Plan({self.status.name}: {name}{self.nit} iterations, cost {self.cost:.6g}, N = {self.N})"
 
     __repr__ = __str__
@@ -262,10 +274,20 @@ class Plan(Built, Shown):
     def save(self, path: str | Path) -> Path:
         """Write the plan as .npz, atomically and without pickle.
 
+        A problem with a function or class of your own in it, a cost or a constraint for example, is not in the file; a
+        warning says so. load_plan(path, problem=problem) puts the two together again.
+
         Raises:
             FileError: The file cannot be written.
         """
-        write_archive(plan_name(path), *self._contents())
+        arrays, meta = self._contents()
+        write_archive(plan_name(path), arrays, meta)
+        if meta["recipe"] is None and self.problem is not None:
+            warnings.warn(
+                f"{printable(path)} has the plan without its problem: a file cannot hold "
+                f"{beyond_a_file(plain(self.problem))}. load_plan(path, problem=problem) puts the two together.",
+                stacklevel=2,
+            )
         return Path(path)
 
     def to_bytes(self) -> bytes:

@@ -4,6 +4,9 @@ import numpy as np
 import pytest
 
 import planner
+from planner.cases.problem_file.keys import GOAL as GOAL_KEYS
+from planner.problem.goals import goals_of
+from planner.problem.tasks.timetable import USUAL
 
 CART = """<mujoco><worldbody><body><joint name="rail" type="slide" axis="1 0 0" range="-1 3"/>
   <geom type="box" size=".1 .1 .1" mass="2" contype="0" conaffinity="0"/></body></worldbody>
@@ -56,3 +59,22 @@ def test_a_plan_in_place_of_a_problem_is_told_how_to_be_given():
     plan = planner.solve(asked())
     with pytest.raises(planner.PlannerError, match=r"write Controller\(plan\.problem, plan=plan\)"):
         planner.Controller(plan)
+
+
+@pytest.mark.parametrize(
+    ("words", "goal"),
+    [
+        ("joints = {rail = 1.0}", planner.Goal(joints={"rail": 1.0})),
+        ('frame = "box"\nposition = [1.0, 0.0, 0.0]', planner.Goal(frame="box", position=[1.0, 0.0, 0.0])),
+    ],
+)
+def test_a_goal_has_the_same_tolerances_in_a_file_and_in_python(words, goal, tmp_path):
+    """Both are those of timetable.USUAL, which the words about the key name too."""
+    (tmp_path / "cart.xml").write_text(CART.replace("<body>", '<body name="box">'))
+    (tmp_path / "p.toml").write_text(f'model = "cart.xml"\nstart = {{}}\nduration = 1.0\n[[goal]]\n{words}\n')
+    cart = planner.Mechanism.from_mjcf(tmp_path / "cart.xml")
+    problems = planner.load_problem(tmp_path / "p.toml"), planner.task(cart, cart.home, goal, duration=1.0)
+    found = [[(one.name, one.tolerance) for one in goals_of(problem)] for problem in problems]
+    assert found[0] == found[1]
+    assert {tolerance for _, tolerance in found[0]} == {USUAL["position"], USUAL["velocity"]}
+    assert GOAL_KEYS["tolerance"].endswith("by default 5 mm, 0.02 rad, 0.05 m/s")

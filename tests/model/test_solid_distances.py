@@ -154,7 +154,8 @@ def test_pairs_that_can_come_near_are_kept_apart(survey):
     assert {"base", "hand"} not in found
     notes = " ".join(near.notes)
     assert "since the model excludes them: base and hand" in notes
-    assert "1 shapes are fitted" in notes
+    assert "1 shape is fitted" in notes
+    assert near.notes[0] == f"{len(near.pairs)} pairs of shapes are kept 0.02 m apart (left out: 2)."
     assert "geom 'base' and geom 'arm'" in notes  # drawn into each other: the base does not move
     own = near_pairs(survey, {"start": np.array([1.0, 0.5, 0.0])}, 0.02, world=False)
     assert named(survey, own) < found

@@ -3,9 +3,12 @@
 import numpy as np
 import pytest
 from gantries import gantry
+from places import ROOT
 
 import planner
 from planner.base.errors import PlannerError
+from planner.cases.problem_file import load
+from planner.cases.problem_file.chosen import chosen
 from planner.problem.avoid import Avoid
 from planner.problem.constraints.apart import Apart, apart_of
 from planner.problem.free_poses import FreePoses
@@ -59,7 +62,7 @@ def test_a_stored_plan_knows_what_it_keeps_apart(problem_of, tmp_path):
     assert again.problem.parameters["avoid"] == {"clearance": 0.03}
     one, other = (apart_of(p.constraints) for p in (plan.problem, again.problem))
     np.testing.assert_array_equal(one.least, other.least)
-    assert "1 pair of shapes are kept 0.03 m apart." in plan.problem.parameters["resolved"]["reasons"]["avoid"]
+    assert plan.problem.parameters["resolved"]["reasons"]["avoid"] == "1 pair of shapes are kept 0.03 m apart."
 
 
 def test_what_is_kept_apart_at_knots_is_kept_apart_between_them(problem_of, monkeypatch):
@@ -158,3 +161,13 @@ def test_a_touch_is_answered_with_more_room(problem_of):
     again = with_more_room(with_more_room(problem, {name: 0.01}), {name: 0.02})  # of a file: its table says so
     assert again.parameters["avoid"]["more"] == pytest.approx({name: 0.03})
     assert apart_of(again.constraints).least[0] == pytest.approx(0.06)
+
+
+def test_what_is_printed_of_avoid_is_one_sentence_and_the_report_has_the_names():
+    asked = load(ROOT / "examples" / "tasks" / "around_a_post.toml")
+    (told,) = [note for note in asked.notes if "apart" in note]
+    assert told == (
+        "49 pairs of shapes are kept 0.02 m apart (nearer at the start or goal: 1; fits that overlap there: 1); the "
+        "report names them."
+    )
+    assert "geom 'link1' and geom 'base'" in chosen(asked.problem.parameters)["avoid, details"]

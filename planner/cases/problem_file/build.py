@@ -93,10 +93,10 @@ from planner.problem.free_poses import FreePoses
 from planner.problem.joint_limits import leaning, off_stops
 from planner.problem.limits import Limits
 from planner.problem.problem import Problem
-from planner.problem.recipe import Recipe
+from planner.problem.recipe import PROBLEM_FILE, Recipe
 from planner.problem.tasks.marks import with_marks
 
-NAME = "problem-file"
+NAME = PROBLEM_FILE
 GAIN = 1e-4  # of the cost, by an iteration at kinks of contact, where more are worth nothing
 TOLD = ("contacts", "closed", "settle", "stops", "avoid", "dt", "substeps")  # of what is done by itself: told at once
 # Of the cost, which is about 1: what an iteration gains below it shows in no picture of the motion. Of closed chains it
@@ -241,7 +241,10 @@ def _problem(table: dict[str, Any], mechanism: Mechanism, where: str) -> Problem
     if avoid is not None and way is not None and any(one.last for one in way.task.goals):  # its pose is known now
         apart = avoid.constraint(mechanism, x0, way.rows[-1])
     if apart is not None:
-        reasons["avoid"] = " ".join(apart.notes)
+        told, *details = apart.notes
+        reasons["avoid"] = f"{told.removesuffix('.')}; the report names them." if details else told
+        if details:
+            reasons["avoid, details"] = " ".join(details)
     table = _resolved(table, dynamics, x0, goal, reasons, way, limits)
     weights = table[RESOLVED]["weights"]
     wanted = None

@@ -247,16 +247,21 @@ def _notes(
     survey: Survey, pairs: list[NearPair], drawn: list[tuple[int, int]], unknown: list[tuple[int, int]],
     close: list[NearPair], lifted: list[NearPair], clearance: float,
 ) -> tuple[str, ...]:  # fmt: skip
-    """What is kept apart and what is not, each named once."""
+    """One sentence about what is kept apart, in numbers, then the names of what is not, or not so far."""
     model = survey.model
     names = [" and ".join(shape_name(model, geom) for geom in pair) for pair in drawn]
     fits = {solid.geom: solid for pair in pairs for solid in pair[:2] if solid.excess > 0.0}
-    notes = [f"{len(pairs)} pair{'s' * (len(pairs) != 1)} of shapes are kept {clearance:g} m apart."]
+    left = len(drawn) + len(model.exclude_signature) + len(unknown)
+    counted = {"nearer at the start or goal": len(close), "fits that overlap there": len(lifted), "left out": left}
+    few = "; ".join(f"{words}: {number}" for words, number in counted.items() if number)
+    more = f" ({few})" if few else ""
+    notes = [f"{len(pairs)} pair{'s' * (len(pairs) != 1)} of shapes are kept {clearance:g} m apart{more}."]
     if fits:
         most = max(fits.values(), key=lambda solid: solid.excess)
+        fitted = "1 shape is" if len(fits) == 1 else f"{len(fits)} shapes are"
         notes.append(
-            f"{len(fits)} shapes are fitted by capsules or round boxes, which reach up to {most.excess:.2g} m beyond "
-            f"them ({most.name})."
+            f"{fitted} fitted by capsules or round boxes, which reach up to {most.excess:.2g} m beyond them "
+            f"({most.name})."
         )
     if drawn:
         notes.append(f"Not kept apart, since they overlap at the start: {_some(names)}.")
