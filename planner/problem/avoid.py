@@ -47,7 +47,7 @@ class Avoid:
         self: Whether shapes of the machine are kept from each other.
         world: Whether they are kept from what is at rest.
         clearance: m between their surfaces.
-        more: m beyond that, by the names of a pair ("geom 'hand' and geom 'post'").
+        more: m beyond that, by the names of a pair ("geom 'hand' and geom 'post'"); negative for nearer.
     """
 
     self: bool = True
@@ -66,7 +66,7 @@ class Avoid:
             raise PlannerError(f"more of avoid is {shown(more)}, expected a table of m by the names of pairs.")
         set_fields(
             a, clearance=number("clearance of avoid", a.clearance, above=0.0),
-            more={name: number(f"more of {name}", value, least=0.0) for name, value in more.items()},
+            more={name: number(f"more of {name}", value) for name, value in more.items()},
         )  # fmt: skip
 
     def constraint(
@@ -75,7 +75,12 @@ class Avoid:
         start: Any,
         goal: Any = None,
     ) -> KeptApart:
-        """The constraint for a motion of a mechanism from a start (nx,) to a goal (nx,), and what to know of it.
+        """The constraint for a motion of a mechanism from a start to goals, and what to know of it.
+
+        Args:
+            mechanism: The machine, read from a file.
+            start: (nx,) state or (nq,) positions.
+            goal: The same of its end, or several by name ("goal 1 (hand)"); None where no pose is known.
 
         Raises:
             PlannerError: The mechanism has no model, nothing can touch, or a pose is in collision or too near.
@@ -83,7 +88,8 @@ class Avoid:
         if not mechanism.mjcf:
             raise PlannerError("avoid needs the shapes of a model, expected a mechanism that was read from a file.")
         survey = survey_of(mechanism)
-        poses = {"start": start} | ({} if goal is None else {"goal": goal})
+        goals = {} if goal is None else goal if isinstance(goal, Mapping) else {"the goal": goal}
+        poses = {"the start": start, **goals}
         poses = {name: np.asarray(x)[: mechanism.nq] for name, x in poses.items()}
         near = near_pairs(survey, poses, a.clearance, own=a.self, world=a.world, known=_known(mechanism, survey))
         if not near.pairs:

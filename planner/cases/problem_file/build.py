@@ -89,7 +89,6 @@ from planner.problem.avoid import Avoid
 from planner.problem.criteria import with_objective
 from planner.problem.default_appearance import default_appearance
 from planner.problem.default_weights import default_weights, weighed
-from planner.problem.free_poses import FreePoses
 from planner.problem.joint_limits import leaning, off_stops
 from planner.problem.limits import Limits
 from planner.problem.problem import Problem
@@ -233,13 +232,10 @@ def _problem(table: dict[str, Any], mechanism: Mechanism, where: str) -> Problem
         reasons["stops"] = " ".join(stops)
     limits = Limits.from_dict(table["limits"]) if table.get("limits") else None
     avoid = Avoid(**table["avoid"]) if "avoid" in table else None
-    apart = None if avoid is None else avoid.constraint(mechanism, x0, None if tasked else goal)
-    way = None
-    if tasked:
-        free = None if apart is None else FreePoses(apart.constraint.of, mechanism)
-        way = made(table, dynamics, x0, N, limits, free)
-    if avoid is not None and way is not None and any(one.last for one in way.task.goals):  # its pose is known now
-        apart = avoid.constraint(mechanism, x0, way.rows[-1])
+    way = made(table, dynamics, x0, N, limits, avoid) if tasked else None
+    apart = None if way is None else way.apart
+    if avoid is not None and way is None:
+        apart = avoid.constraint(mechanism, x0, goal)
     if apart is not None:
         reasons["avoid"] = " ".join(apart.notes)
     table = _resolved(table, dynamics, x0, goal, reasons, way, limits)

@@ -142,8 +142,6 @@ def _pose(
         q = assembled(mechanism, x, asked.joints)[: len(q)]
     short = None if free is None else free.short
     if not asked.targets:
-        if free is not None and stage is not None:
-            _check_free(free, q, here)
         return q
 
     def tried(
@@ -159,8 +157,6 @@ def _pose(
         return found.q, found.residual
 
     best, residual = tried(asked.targets, asked.joints, short)
-    if residual <= 1.0 and free is not None and stage is not None:
-        _check_free(free, best, here)
     if residual <= 1.0 or stage is None:
         return best
     within = " within the ranges of the joints" if np.isfinite(ranges).any() else ""
@@ -186,17 +182,6 @@ def _pose(
         f"{' and '.join([*asked.labels, *others])} contradict each other at {stage * task.dt:.4g} s{within}: together "
         f"they are missed by at least {residual:.2g} tolerances; move one, or give it another time."
     )
-
-
-def _check_free(free: FreePoses, q: np.ndarray, here: Sequence[Timed]) -> None:
-    """Refuse goals that no pose reaches without a collision. Points of a path are not goals."""
-    pair, distance = free.tightest(q)
-    if here and distance <= 0.0:
-        asked = " and ".join(one.label for one in here)
-        raise PlannerError(
-            f"{asked} leads to a collision: {pair} overlap by {-distance:.3g} m in the best pose that was found; "
-            "move the goal, or exclude the pair in the model (<contact><exclude>)."
-        )
 
 
 def _missed(task: Task, q: np.ndarray, target: Target) -> tuple[float, float]:
