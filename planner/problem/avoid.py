@@ -7,13 +7,13 @@ are fitted (planner.model.contact.fitted). MuJoCo's own collision judges the pla
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Any, NamedTuple
 from weakref import WeakKeyDictionary
 
 import numpy as np
 
-from planner.base.arguments import number, set_fields, shown
+from planner.base.arguments import array, number, numbers, set_fields, shown
 from planner.base.errors import PlannerError
 from planner.model.lying import lying_bodies
 from planner.model.mechanism import SCREW, Mechanism
@@ -69,6 +69,10 @@ class Avoid:
             more={name: number(f"more of {name}", value) for name, value in more.items()},
         )  # fmt: skip
 
+    def to_dict(a) -> dict[str, Any]:  # pyright: ignore[reportSelfClsParameterName]
+        """As a table [avoid]."""
+        return {one.name: getattr(a, one.name) for one in fields(a) if getattr(a, one.name) != one.default}
+
     def constraint(
         a,  # pyright: ignore[reportSelfClsParameterName]
         mechanism: Mechanism,
@@ -79,7 +83,7 @@ class Avoid:
 
         Args:
             mechanism: The machine, read from a file.
-            start: (nx,) state or (nq,) positions.
+            start: (nx,) state or (nq,) positions, or a keyframe's name.
             goal: The same of its end, or several by name ("goal 1 (hand)"); None where no pose is known.
 
         Raises:
@@ -90,11 +94,20 @@ class Avoid:
         survey = survey_of(mechanism)
         goals = {} if goal is None else goal if isinstance(goal, Mapping) else {"the goal": goal}
         poses = {"the start": start, **goals}
-        poses = {name: np.asarray(x)[: mechanism.nq] for name, x in poses.items()}
+        poses = {name: _positions(name, x, mechanism) for name, x in poses.items()}
         near = near_pairs(survey, poses, a.clearance, own=a.self, world=a.world, known=_known(mechanism, survey))
         if not near.pairs:
             raise PlannerError("avoid has nothing to keep apart: no shapes of the model can touch; leave it out.")
         return KeptApart(_constraint(near, a.clearance, a.more), near.notes)
+
+
+def _positions(name: str, given: Any, mechanism: Mechanism) -> np.ndarray:
+    """(nq,) of a state (nx,) or positions (nq,)."""
+    x = numbers(name, mechanism.keyframe(given) if isinstance(given, str) else given)
+    if x.shape not in ((mechanism.nq,), (mechanism.space.nx,)):
+        wanted = f"({mechanism.nq},), its positions, or ({mechanism.space.nx},), its state"
+        raise PlannerError(f"{name} has shape {x.shape}, expected a keyframe, or {wanted}.")
+    return array(name, x[: mechanism.nq], (mechanism.nq,))
 
 
 def survey_of(mechanism: Mechanism) -> Survey:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -16,6 +17,7 @@ from planner.dynamics import RigidBodyDynamics
 from planner.model.mechanism import Mechanism
 from planner.problem.avoid import Avoid, KeptApart
 from planner.problem.closed_way import closed_way
+from planner.problem.constraints.constraint import Constraint
 from planner.problem.costs.terms import Cost
 from planner.problem.costs.wanted import Wanted
 from planner.problem.default_weights import DefaultWeights, default_weights
@@ -26,6 +28,7 @@ from planner.problem.tasks.cost import task_cost, task_wanted
 from planner.problem.tasks.detours import with_detours
 from planner.problem.tasks.follow import Follow, follow_of, with_points
 from planner.problem.tasks.goal import Goal, goal_of
+from planner.problem.tasks.keeping import KeptPoses
 from planner.problem.tasks.motion import controls, rows_of, way_of
 from planner.problem.tasks.poses import Poses, is_screws, poses_of
 from planner.problem.tasks.timetable import Task, task_of
@@ -89,12 +92,12 @@ def with_files(table: dict[str, Any], folder: Path) -> dict[str, Any]:
 
 def made(
     table: dict[str, Any], dynamics: RigidBodyDynamics, x0: np.ndarray, N: int, limits: Limits | None,
-    avoid: Avoid | None = None,
+    avoid: Avoid | None = None, constraints: Sequence[Constraint] = (),
 ) -> Made:  # fmt: skip
     """The task of a table and its poses; those of a stored plan are not refused again.
 
     Raises:
-        PlannerError: What cannot be meant, or not be reached, or only in collision.
+        PlannerError: What cannot be meant, or not be reached, or only in collision or against a constraint.
     """
     objective = table.get("objective", {})
     goals = [goal_of(goal, f"goal {k}") for k, goal in enumerate(table.get("goal", []), 1)]
@@ -108,7 +111,8 @@ def made(
     ranges = np.tile([-np.inf, np.inf], (dynamics.mechanism.nv, 1))
     if limits is not None:
         ranges = limits.position_ranges(dynamics)
-    search = partial(poses_of, task, dynamics, x0, ranges, seed=table["seed"], check=RESOLVED not in table)
+    kept = KeptPoses(constraints, dynamics, x0, N) if constraints else None
+    search = partial(poses_of, task, dynamics, x0, ranges, seed=table["seed"], check=RESOLVED not in table, kept=kept)
     if avoid is None:
         poses, apart = search(), None
     else:
