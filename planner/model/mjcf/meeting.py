@@ -1,7 +1,8 @@
 """Which pairs of shapes of a file can meet, wherever its joints go within their ranges.
 
 Balls around shapes say it of all pairs at once: can_meet. Of a pair with one or two joints between its shapes, poses on
-a grid over these joints say how near it comes: nearest_anywhere.
+a grid over these joints say how near it comes: nearest_anywhere. Random poses say whether a machine can leave what it
+overlaps: can_leave.
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ from planner.base.gl import load_mujoco
 from planner.model.mjcf.survey import Survey
 
 GRIDS = {1: 65, 2: 17}  # poses of each joint, by the number of joints between two shapes
+TRIED = 20  # poses, to find one in which a pair is apart
 FAR = 10.0  # m, of which MuJoCo measures less
 
 
@@ -45,10 +47,7 @@ def nearest_anywhere(survey: Survey, pair: tuple[int, int], poses: Collection[np
         pair: The geoms.
         poses: qpos (nq,); the grid reaches as far as they do, where that is outside of the joints' ranges.
     """
-    model, kinds = survey.model, load_mujoco().mjtJoint
-    first, count = model.body_jntadr, model.body_jntnum
-    joints = [int(first[body]) + k
-              for bodies in _bodies_between(model, pair) for body in bodies for k in range(count[body])]  # fmt: skip
+    model, kinds, joints = survey.model, load_mujoco().mjtJoint, _joints_between(survey.model, pair)
     if len(joints) not in GRIDS:
         return -np.inf
     axes = []
@@ -67,6 +66,34 @@ def nearest_anywhere(survey: Survey, pair: tuple[int, int], poses: Collection[np
     found = np.array(found).reshape([len(axis) for axis in axes])
     steps = [float(np.abs(np.diff(found, axis=k)).max()) for k in range(found.ndim)]
     return float(found.min()) - 0.5 * sum(steps)
+
+
+def is_own(model: Any, pair: tuple[int, int]) -> bool:
+    """Whether a pair is of one machine, its base included, or of two things that move."""
+    bodies = model.geom_bodyid[list(pair)]
+    root = model.body_rootid[bodies]
+    return bool((root[0] == root[1] and root[0] > 0) or np.all(model.body_weldid[bodies] > 0))
+
+
+def can_leave(survey: Survey, pair: tuple[int, int], qpos: np.ndarray, apart: float) -> bool:
+    """Whether a pair is of a machine and something at rest that its joints can take further apart than that, m.
+
+    What turns on a base that is drawn into the world cannot leave it: the pair is as near in all its poses.
+    """
+    model, kinds = survey.model, load_mujoco().mjtJoint
+    if is_own(model, pair):
+        return False
+    joints, rng = _joints_between(model, pair), np.random.default_rng(0)
+    for _ in range(TRIED):
+        pose = np.array(qpos)
+        for joint in joints:
+            if model.jnt_type[joint] not in (int(kinds.mjJNT_HINGE), int(kinds.mjJNT_SLIDE)):
+                return True
+            low, high = model.jnt_range[joint] if model.jnt_limited[joint] else (-np.pi, np.pi)
+            pose[model.jnt_qposadr[joint]] = rng.uniform(low, high)
+        if distances_in(model, pose, [pair], apart + 1.0)[pair] > apart:
+            return True
+    return False
 
 
 def distances_in(
@@ -90,6 +117,13 @@ def _bodies_between(model: Any, pair: tuple[int, int]) -> tuple[list[int], list[
     chains = [_chain(model, int(model.geom_bodyid[geom])) for geom in pair]
     common = set(chains[0]) & set(chains[1])
     return tuple([body for body in chain if body not in common] for chain in chains)  # pyright: ignore
+
+
+def _joints_between(model: Any, pair: tuple[int, int]) -> list[int]:
+    """The joints that move the geoms of a pair against each other."""
+    first, count = model.body_jntadr, model.body_jntnum
+    bodies = [body for chain in _bodies_between(model, pair) for body in chain]
+    return [int(first[body]) + k for body in bodies for k in range(count[body])]
 
 
 def _chain(model: Any, body: int) -> list[int]:

@@ -10,20 +10,19 @@ nearer.
 from __future__ import annotations
 
 from collections.abc import Collection
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from planner.base.errors import PlannerError
 from planner.base.gl import load_mujoco
 from planner.model.contact.solids import MEASURES, Solid, in_order, kind_of, placed
-from planner.model.mjcf.meeting import can_meet, distances_in, nearest_anywhere
+from planner.model.mjcf.meeting import can_leave, can_meet, distances_in, is_own, nearest_anywhere
 from planner.model.mjcf.overlaps import FLUSH
 from planner.model.mjcf.solids import has_solid, shape_name, solids_of
 from planner.model.mjcf.survey import Survey, contact_pairs
 
 MOST_NAMED = 3
-TRIED = 20  # poses of what turns on a base
 SLIGHT = 0.02  # of the clearance, by which a distance that no joint changes may change by rounding
 SLACK = 1e-6  # m by which a pair that starts nearer than the clearance may come nearer still: rounding
 
@@ -77,13 +76,13 @@ def near_pairs(
     """
     model = survey.model
     asked = [pair for pair in contact_pairs(model) if frozenset(pair) not in known]
-    asked = [pair for pair in asked if (own if _is_own(model, pair) else world)]
+    asked = [pair for pair in asked if (own if is_own(model, pair) else world)]
     unknown = [pair for pair in asked if not all(has_solid(model, geom) for geom in pair)]
     found = [pair for pair in asked if pair not in unknown and can_meet(survey, pair, clearance)]
     at = {name: distances_in(model, qpos, found, 2.0 * clearance) for name, qpos in poses.items()}
     start = next(iter(poses))
     flush = FLUSH * min(1.0, float(model.stat.extent))
-    drawn = [pair for pair in found if at[start][pair] <= flush and not _is_met(survey, pair, poses[start], flush)]
+    drawn = [pair for pair in found if at[start][pair] <= flush and not can_leave(survey, pair, poses[start], flush)]
     found = [pair for pair in found if pair not in drawn]
     for name, distances in at.items():
         _check(survey, name, poses[name], {pair: distances[pair] for pair in found}, clearance)
@@ -122,37 +121,6 @@ def _between(survey: Survey, qpos: np.ndarray, a: Solid, b: Solid) -> float:
     return float(MEASURES[kind_of(a, b)](one, other).distance[0])
 
 
-def _is_own(model: Any, pair: tuple[int, int]) -> bool:
-    """Whether a pair is of one machine, its base included, or of two things that move."""
-    bodies = model.geom_bodyid[list(pair)]
-    root = model.body_rootid[bodies]
-    return bool((root[0] == root[1] and root[0] > 0) or np.all(model.body_weldid[bodies] > 0))
-
-
-def _is_met(survey: Survey, pair: tuple[int, int], qpos: np.ndarray, apart: float) -> bool:
-    """Whether a pair is of a machine and something at rest that its joints can take further apart.
-
-    What turns on a base that is drawn into the world cannot leave it: the pair is as near in all its poses.
-    """
-    model, kinds = survey.model, load_mujoco().mjtJoint
-    if _is_own(model, pair):
-        return False
-    body = int(model.body_weldid[model.geom_bodyid[list(pair)]].max())
-    if int(model.body_weldid[model.body_parentid[body]]) != 0:
-        return True
-    first, rng = int(model.body_jntadr[body]), np.random.default_rng(0)
-    for _ in range(TRIED):
-        pose = np.array(qpos)
-        for joint in range(first, first + int(model.body_jntnum[body])):
-            if model.jnt_type[joint] not in (int(kinds.mjJNT_HINGE), int(kinds.mjJNT_SLIDE)):
-                return True
-            low, high = model.jnt_range[joint] if model.jnt_limited[joint] else (-np.pi, np.pi)
-            pose[model.jnt_qposadr[joint]] = rng.uniform(low, high)
-        if distances_in(model, pose, [pair], apart + 1.0)[pair] > apart:
-            return True
-    return False
-
-
 def _check(
     survey: Survey, name: str, qpos: np.ndarray, distances: dict[tuple[int, int], float], clearance: float
 ) -> None:
@@ -168,7 +136,7 @@ def _check(
             "touches; move one of the two, or exclude the pair in the model (<contact><exclude>)."
         )
     met = {pair: distance for pair, distance in distances.items()
-           if distance < clearance and _is_met(survey, pair, qpos, clearance)}  # fmt: skip
+           if distance < clearance and can_leave(survey, pair, qpos, clearance)}  # fmt: skip
     if met:
         pair = min(met, key=lambda pair: met[pair])
         names = " and ".join(shape_name(model, geom) for geom in pair)
