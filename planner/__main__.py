@@ -23,7 +23,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     finally:
         signal.signal(signal.SIGINT, before)
     code = command(list(sys.argv[1:] if argv is None else argv))
-    if argv is None and before is signal.default_int_handler:  # all is written: Ctrl-C ends the rest without a traceback
+    if (
+        argv is None and before is signal.default_int_handler
+    ):  # all is written: Ctrl-C ends the rest without a traceback
         signal.signal(signal.SIGINT, signal.SIG_DFL)
     return code
 

@@ -138,7 +138,7 @@ def show_plan(plan: Plan, seconds: float | None, console: Console, which: str = 
     if plan.starts:
         converged = sum(start.status is Status.CONVERGED for start in plan.starts)
         console.say(f"start {plan.start} of {len(plan.starts)} is the best; {converged} converged")
-    if not plan.success:
+    if not plan.success or plan.missed:
         console.say(plan.message)
     for key in ("first_guess", "not_finite"):  # what became of a guess that ran away
         if key in plan.options:

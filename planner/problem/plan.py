@@ -38,6 +38,7 @@ from planner.problem.export.joint_trajectory import joint_trajectory
 from planner.problem.export.keyframes import write_keyframes
 from planner.problem.export.sampled import Samples, sampled
 from planner.problem.export.table import frame_of, write_csv
+from planner.problem.goals import goal_missed
 from planner.problem.motion import Motion, pulls_of, rates_of
 from planner.problem.parts import beyond_a_file, in_parts
 from planner.problem.problem import Problem
@@ -186,7 +187,9 @@ class Plan(Built, Shown):
 
     @property
     def message(self) -> str:
-        """The status in a sentence (as in SciPy); of a solve that hangs on its limits, on which."""
+        """The status in a sentence (as in SciPy); on which limits a solve hangs, and which goal is missed."""
+        if self.problem is not None and self.missed:
+            return f"{self.status.value[:-1]}, but {self.missed}."
         if self.problem is None or self.status not in _ON_LIMITS:
             return self.status.value
         outside = state_outside(self.problem, self.xs, self.t)
@@ -200,6 +203,13 @@ class Plan(Built, Shown):
         if not held or (self.status is Status.MAX_ITERATIONS and not stalled(self.history, self.cost)):
             return self.status.value
         return f"The solve stalls between bounds: {held}; give the motion more time or wider limits."
+
+    @property
+    def missed(self) -> str:
+        """Which goal a converged plan misses, and what to do; "" for none, and for a plan without its problem."""
+        if self.problem is None or self.status is not Status.CONVERGED:
+            return ""
+        return goal_missed(self.problem, self.t, self.xs)
 
     @property
     def space(self) -> StateSpace:

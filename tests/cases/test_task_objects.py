@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from gantries import gantry
 
 import planner
 from planner.cases.problem_file.keys import GOAL as GOAL_KEYS
@@ -78,3 +79,34 @@ def test_a_goal_has_the_same_tolerances_in_a_file_and_in_python(words, goal, tmp
     assert found[0] == found[1]
     assert {tolerance for _, tolerance in found[0]} == {USUAL["position"], USUAL["velocity"]}
     assert GOAL_KEYS["tolerance"].endswith("by default 5 mm, 0.02 rad, 0.05 m/s")
+
+
+def test_avoid_and_one_constraint_may_be_objects_or_tables():
+    machine = planner.Mechanism.from_mjcf(gantry(), contacts="avoid")
+    goal = planner.Goal(joints={"x": 0.5, "z": 0.1})
+    by_object, by_table = (
+        planner.task(machine, "left", goal, duration=2.0, dt=0.05, avoid=avoid)
+        for avoid in (planner.constraints.Avoid(clearance=0.03), {"clearance": 0.03})
+    )
+    assert by_object.parameters["avoid"]["clearance"] == 0.03
+    np.testing.assert_array_equal(by_object.first_guess, by_table.first_guess)
+    one = {"frame": "tool", "along": "z", "most": 1.5}
+    assert len(planner.task(machine, "left", goal, duration=2.0, constraint=one).constraints) == 1
+
+
+@pytest.mark.parametrize(
+    ("start", "expected"),
+    [
+        ([0.0], r"the start has shape \(1,\), expected a keyframe, or \(2,\), its positions, or \(4,\), its state"),
+        ("home", "keyframe is 'home', expected one of: left, right"),
+        ([np.nan, 0.0], r"the start\[0\] is nan, expected finite numbers"),
+        ("text", "keyframe is 'text'"),
+        ({}, "the start is {}, expected numbers"),
+    ],
+)
+def test_a_wrong_start_of_avoid_is_one_sentence(start, expected):
+    machine = planner.Mechanism.from_mjcf(gantry(), contacts="avoid")
+    with pytest.raises(planner.PlannerError, match=expected):
+        planner.constraints.Avoid(clearance=0.03).constraint(machine, start)
+    named, given = (planner.constraints.Avoid().constraint(machine, x).notes for x in ("left", [-0.5, 0.1]))
+    assert named == given
