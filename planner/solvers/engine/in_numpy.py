@@ -19,7 +19,7 @@ from planner.problem.problem import Problem
 from planner.problem.state_ranges import Hinges
 from planner.solvers import lq
 from planner.solvers.engine.moved import Trajectory, move
-from planner.solvers.engine.protocol import Crossing, Engine, Outcome, promised, state_weights
+from planner.solvers.engine.protocol import Crossing, Engine, Outcome, check_shapes, promised, state_weights
 
 
 class NumpyEngine(Engine):
@@ -72,7 +72,7 @@ class NumpyEngine(Engine):
         xs, J = self._rollout(x0, first, None, us)  # no gains yet
         self._nominal = xs[:, 0].copy(), first[:, 0].copy()
         if np.isfinite(J[0]):
-            _check_shapes(self._cost.quadratize(*self._nominal), *self._gains)
+            check_shapes(self._cost.quadratize(*self._nominal), *self._gains)
             model = self._cost.quadratize(*self._nominal)
             self.largest_control_weight = float(np.abs(model.R).max()) or 1.0
             tracking = tracking_of(self._cost)
@@ -258,14 +258,3 @@ def _check_jacobians(A: np.ndarray, B: np.ndarray, N: int, nu: int, ndx: int) ->
     for name, have, shape in (("A", np.shape(A), (N, ndx, ndx)), ("B", np.shape(B), (N, ndx, nu))):
         if have != shape:
             raise PlannerError(f"the dynamics' linearize gives {name} of shape {have}, expected {shape}.")
-
-
-def _check_shapes(model: Quadratic, N: int, nu: int, ndx: int) -> None:
-    """A wrong shape from a user's cost could broadcast into a wrong gradient."""
-    expected = {"Q": (N + 1, ndx, ndx), "q": (N + 1, ndx), "R": (N, nu, nu), "r": (N, nu)}
-    if getattr(model, "S", None) is not None:
-        expected["S"] = (N, nu, ndx)
-    for name, shape in expected.items():
-        have = np.shape(getattr(model, name))
-        if have != shape:
-            raise PlannerError(f"the cost's quadratize gives {name} of shape {have}, expected {shape}.")
