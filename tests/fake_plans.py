@@ -105,8 +105,8 @@ def proof_of(verdict="PASS", mode="open-loop", **sections):
         "refined_feedback": Section("refined, with feedback", (Measured("growth_rate", 1.5, "1/s"),)),
         "goal": Section("goal", (Measured("height_error", 0.1, "%", 0.2),)),
     } | sections
-    words = f"{verdict} ({mode}), without friction loss; feasible, optimal, robust with its gains"
+    words = f"{verdict} ({mode}), without friction loss; feasible, optimal, robust"
     return SimpleNamespace(
         verdict=verdict, mode=mode, reason="Within every bound.", sections=every, replay=None, headline=words,
-        planned_without=(), not_checked=("without friction loss",), monte_carlo=None, held=None, replays={},
+        not_checked=("without friction loss",), monte_carlo=None, held=None, replays={},
     )  # fmt: skip

@@ -30,7 +30,6 @@ import numpy as np
 from planner.base.arguments import choice, count, number, shown
 from planner.base.errors import PlannerError
 from planner.base.executors import checked_executor
-from planner.kernels.lq.search import LONGER
 from planner.kernels.lq.workspace import ACCEPTED, CONVERGED, INDEFINITE
 from planner.model.space import space_of
 from planner.problem.criteria import solver_problem
@@ -54,8 +53,6 @@ LINE_SEARCHES = ("armijo", "exact", "wolfe", "goldstein")  # in the order of ker
 DECREASE = 1e-10  # decrease_tolerance where neither the call nor the problem sets one
 
 KINKED = 1e-5  # gain_tolerance of machines with friction loss where neither the call nor the problem sets one
-FAR_MORE = 1.5  # of the decrease that a full step promises: a longer one gains more
-
 _SLOW = 2  # iterations in a row of the plain model that gain less than gain_tolerance end a solve
 _SLOWER = 8  # the same with KINKED: while joints change the sign of their friction little is gained, then more
 
@@ -261,8 +258,7 @@ def _minimise(
             # A regularised model promises too little: only the plain one may say that nothing is left to gain.
             mu = regularisation.mu
             promise = max(loose, descent.decrease_tolerance * max(1.0, abs(cost))) if regularisation.plain else -1.0
-            rule = LONGER if _too_short(history, descent) else descent.rule
-            done = engine.iterate(descent.feedback, rule, mu, fresh, cost, descent.gradient_tolerance, promise)
+            done = engine.iterate(descent.feedback, descent.rule, mu, fresh, cost, descent.gradient_tolerance, promise)
             if done.kind == INDEFINITE and regularisation.leave_second_order():
                 fresh = False
                 continue
@@ -306,17 +302,6 @@ def _minimise(
     plan = _plan(problem, xs, us, K, cost, history[-1].gradient_norm, status, history)
     give_back(problem, engine, descent.rule)
     return plan
-
-
-def _too_short(history: list[Iteration], descent: _Descent) -> bool:
-    """Whether the last step gained far more than a parabola that is least at the full one, as far from it it does.
-
-    The Hessian of Gauss and Newton is then larger than that of the cost, and full steps would converge slowly.
-    """
-    if not history or LINE_SEARCHES[descent.rule] != "armijo":
-        return False
-    last = history[-1]
-    return last.step >= 1.0 and last.regularisation == 0.0 and last.actual > FAR_MORE * last.expected
 
 
 def _stalled(history: list[Iteration], descent: _Descent) -> bool:

@@ -235,10 +235,8 @@ def test_an_objective_stays():
 
 def test_interruption_keeps_the_best():
     def once(line):
-        heading, row = str(line).splitlines()
-        assert row.split()[0] == "0" == str(line.number)
-        assert heading == Pass.header()
-        assert len(heading) <= len(row)
+        assert str(line).split()[0] == "0" == str(line.number)
+        assert len(Pass.header()) <= len(str(line))
         raise StopIteration
 
     plan = solve_periodic(swinging(), callback=once)

@@ -4,8 +4,7 @@
 lane order is the order of preference and the first lane that satisfies the rule wins, so the result does not
 depend on which lanes are computed together. J0 and S0 are the cost and its slope at step length 0 (S0 < 0).
 
-    armijo     J(a) <= J0 + c1 a S0                                  halving from 1; where that gains far less than
-                                                                     promised, the best of the lanes beside it
+    armijo     J(a) <= J0 + c1 a S0                                  halving from 1
     goldstein  J0 + (1 - c) a S0 <= J(a) <= J0 + c a S0              bracketing
     wolfe      armijo, and |J'(a)| <= c2 |S0|                        bracketing
     exact      argmin J(a) over a > 0 (Theorem 2)                    bracketing, to a relative width of 1e-6
@@ -20,13 +19,10 @@ from planner.kernels.numba.jit import jit, part
 ARMIJO, EXACT, WOLFE, GOLDSTEIN = 0, 1, 2, 3
 TRY = -2  # no search either: candidates of the lengths that are there, none of which is taken
 CLOSING = 4  # Armijo's rule with one batch: where gaps are open, a short step closes them with no gain
-LONGER = 5  # Armijo's rule from a step of four, and the best of the lanes: where the last full step gained too much
 START = -1  # no search: one rollout at step length 0, which is taken as it is
 SUFFICIENT = 1e-4  # c1 of Armijo and Wolfe (Nocedal & Wright, section 3.1)
 CURVATURE = 0.9  # c2 of Wolfe for Newton-like directions (same)
 GOLDSTEIN_C = 0.25  # below 1/2, so that the full step of a quadratic passes (same)
-FAR_LESS = 0.25  # of the decrease that a step promises, by the parabola of J0, S0 and J(1) = J0 + S0 / 2
-LONGEST = 4.0  # the first step of LONGER
 EXACT_WIDTH = 1e-6  # J is flat to rounding within about 1e-8 of its minimum
 ARMIJO_BATCHES, BRACKET_BATCHES = 6, 32  # of candidates, before the search gives up
 
@@ -42,8 +38,6 @@ def ladder(rule, alpha, bracket):
             continue
         elif rule in (ARMIJO, CLOSING):
             alpha[i] = 0.5**i
-        elif rule == LONGER:
-            alpha[i] = LONGEST * 0.5**i
         elif i % 2 == 1:  # the bracketing rules may also lengthen the step: 1, 1/2, 2, 1/4, 4, ...
             alpha[i] = 0.5 ** ((i + 1) // 2)
         else:
@@ -55,7 +49,7 @@ def batches(rule):
     """How many batches of candidates a rule may ask for."""
     if rule in (TRY, CLOSING):
         return 1
-    return ARMIJO_BATCHES if rule in (ARMIJO, LONGER) else BRACKET_BATCHES
+    return ARMIJO_BATCHES if rule == ARMIJO else BRACKET_BATCHES
 
 
 @part
@@ -94,17 +88,6 @@ def _choose_exact(alpha, J, J0, bracket):
     return best if bracket[1] - bracket[0] <= EXACT_WIDTH * alpha[best] else -1
 
 
-@part
-def _better(rule, alpha, J, J0, S0, i):
-    """The lane to take in place of lane i, which gains too little for its length, or i."""
-    best = i
-    if rule == LONGER or J0 - J[i] < -FAR_LESS * alpha[i] * (1.0 - 0.5 * alpha[i]) * S0:
-        for k in range(i + 1, alpha.shape[0]):
-            if J[k] < J[best]:
-                best = k
-    return best
-
-
 @jit
 def choose(rule, alpha, J, S, J0, S0, bracket):
     """The lane to take, or -1; narrows the bracket."""
@@ -118,7 +101,7 @@ def choose(rule, alpha, J, S, J0, S0, bracket):
         if _too_long(rule, alpha[i], J[i], S[i], J0, S0):
             bracket[1] = min(bracket[1], alpha[i])
         elif not _too_short(rule, alpha[i], J[i], S[i], J0, S0):
-            return _better(rule, alpha, J, J0, S0, i) if rule in (ARMIJO, LONGER) else i
+            return i
     for i in range(alpha.shape[0]):  # what is too short beyond a hill does not count
         if alpha[i] < bracket[1]:
             bracket[0] = max(bracket[0], alpha[i])
@@ -134,7 +117,7 @@ def refine(rule, alpha, bracket):
     low, high, best = bracket[0], bracket[1], bracket[2]
     before = lanes // 2  # of the exact rule's candidates, so many between low and best
     for i in range(lanes):
-        if rule in (ARMIJO, LONGER):
+        if rule == ARMIJO:
             alpha[i] *= 0.5**lanes
         elif high == np.inf:
             alpha[i] = max(low, best) * 2.0 ** (i if rule == EXACT else i + 1)

@@ -9,9 +9,8 @@ from dataclasses import dataclass
 from typing import Any
 
 from planner.problem.problem import Problem
-from planner.problem.recipe import PROBLEM_FILE
 
-FILE = PROBLEM_FILE
+FILE = "problem-file"  # the recipe of a problem.toml
 ITERATIONS = "max_iterations"
 TABLES = ("weights", "limits")
 FLAGS = (ITERATIONS, "starts")  # of solve() and the command line, for all problems

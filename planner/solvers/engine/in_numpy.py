@@ -18,10 +18,8 @@ from planner.problem.costs.tracking import tracking_of
 from planner.problem.problem import Problem
 from planner.problem.state_ranges import Hinges
 from planner.solvers import lq
-from planner.solvers.active_set import Pulling, settled
 from planner.solvers.engine.moved import Trajectory, move
 from planner.solvers.engine.protocol import Crossing, Engine, Outcome, promised, state_weights
-from planner.solvers.engine.settling import MOST_SETS, Settling
 
 
 class NumpyEngine(Engine):
@@ -38,7 +36,6 @@ class NumpyEngine(Engine):
         self.largest_control_weight, self.hold = 1.0, 0.0
         self._sweep: lq.Sweep | None = None
         self._exact, self._swept, self._second = False, False, None
-        self._settling, self._held = Settling(), np.zeros((problem.N, problem.dynamics.nu))
         self._space = space_of(problem.dynamics)
         self._gains = (problem.N, problem.dynamics.nu, self._space.ndx)
         # One attribute, so that an interrupt never leaves states of one trajectory with controls of another.
@@ -70,7 +67,7 @@ class NumpyEngine(Engine):
                 "second_order(xs, us, costates) (see planner.dynamics.Dynamics)."
             )
         self._exact = self._swept = exact
-        self.hold, self._settling, self._held = 0.0, Settling(), np.zeros(us.shape)
+        self.hold = 0.0
         first = us[:, None, :].copy()
         xs, J = self._rollout(x0, first, None, us)  # no gains yet
         self._nominal = xs[:, 0].copy(), first[:, 0].copy()
@@ -155,7 +152,7 @@ class NumpyEngine(Engine):
             self._linearize()
             self._second = self._second_order(xs0, us0) if self._exact else None
         moves = self._moves(xs0, us0)
-        sweep = self._solve_lq(mu, moves, decrease_tolerance < np.inf)
+        sweep = lq.riccati(self._A, self._B, self._model, mu, moves, self._added())
         if sweep is None:
             return Outcome(INDEFINITE, self._norm, 0.0, 0.0, 0.0, cost)
         self._sweep, slope = sweep, sweep.slope
@@ -164,8 +161,6 @@ class NumpyEngine(Engine):
         if slope >= 0.0:  # clipping may undo a direction
             return Outcome(NO_STEP, self._norm, slope, 0.0, -sweep.value, cost)
         self._dus = sweep.k if feedback else lq.direction(self._A, self._B, sweep, moves)[1]
-        if rule == search.LONGER and not self._together:
-            rule = search.ARMIJO
         alpha = np.empty(WIDTH if self._together or rule != search.ARMIJO else 1)
         bracket = self._bracket
         search.ladder(rule, alpha, bracket)
@@ -185,26 +180,6 @@ class NumpyEngine(Engine):
                 return Outcome(ACCEPTED, self._norm, slope, step, expected, float(J[lane]))
             search.refine(rule, alpha, bracket)
         return Outcome(NO_STEP, self._norm, slope, 0.0, -sweep.value, cost)
-
-    def _solve_lq(self, mu: float, moves: Moves | None, settle: bool) -> lq.Sweep | None:
-        """As the compiled engine's."""
-        kept, hinges, xs = self._kept, self._hinges, self._nominal[0]
-        pulling = None
-        if kept is not None and hinges is not None and kept.ranges is not None:
-            of_ranges = kept.of_ranges(hinges)
-            pulling = Pulling(kept.ranges, of_ranges, xs) if of_ranges.weight.any() else None
-        if settle and (moves is not None or pulling is not None) and self._settling.due():
-            sweep, self._held = settled(
-                self._A, self._B, self._model, mu, moves, self._added(), pulling, self._held, MOST_SETS
-            )
-            if sweep is not None:
-                self._settling.found()
-                return sweep
-            self._settling.missed()
-        sweep = lq.riccati(self._A, self._B, self._model, mu, moves, self._added())
-        if sweep is not None and sweep.held is not None:
-            self._held = sweep.held
-        return sweep
 
     def _linearize(self) -> None:
         xs0, us0 = self._nominal

@@ -124,6 +124,5 @@ def state_weights(Q: np.ndarray, control_weight: float) -> np.ndarray:
 
 
 def promised(slope: float, value: float, step: float) -> float:
-    """The decrease that a parabola of given slope at 0 and value at 1 promises for a step, up to the full one."""
-    step = min(step, 1.0)
+    """The decrease that a parabola promises for a step: its slope at 0 and its value at 1 are given."""
     return -step * (slope + step * (value - slope))
