@@ -20,7 +20,7 @@ class Next(NamedTuple):
     Attributes:
         tasks: Their numbers.
         controls: (N, nu) of the neighbour before the first of them, or None.
-        alone: Whether a worker has ended with this one task before.
+        alone: Whether a worker has ended with this one task before. It is then worked on while no other batch is.
     """
 
     tasks: list[int]

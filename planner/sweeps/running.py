@@ -71,11 +71,18 @@ def run(
     if work.timeout is None or hasattr(executor, "tells_begin"):
         width *= 2  # one batch waits while another is worked on; else its time would run while it waits
     flights: dict[Future[Batch], _Flight] = {}
+    waiting: Next | None = None  # a batch that is to be worked on with no other in flight
     mean = None  # s of a task
     try:
         while True:
             size = 1 if mean is None else max(1, min(MOST, int(SECONDS / mean)))
-            while len(flights) < width and (batch := queue.take(size)) is not None:
+            while len(flights) < width and not any(flight.batch.alone for flight in flights.values()):
+                batch, waiting = waiting or queue.take(size), None
+                if batch is None:
+                    break
+                if batch.alone and flights:  # beside another one it could be lost with that one's worker
+                    waiting = batch
+                    break
                 flights[_submitted(executor, work, queue, batch)] = _Flight(batch, mean)
             if not flights:
                 return

@@ -1,15 +1,18 @@
 """Several starts, perturbed rollouts and stored plans on an executor: the same bits, and what goes wrong."""
 
+import csv
 import json
 import os
 import signal
+import threading
 import time
-from concurrent.futures import BrokenExecutor, ThreadPoolExecutor
+from concurrent.futures import BrokenExecutor, Executor, Future, ThreadPoolExecutor
 from functools import partial
 from pathlib import Path
 
 import numpy as np
 import pytest
+from troubled_problems import troubled
 
 import planner
 from planner.base.executors import in_turn
@@ -19,6 +22,7 @@ from planner.proof.robustness.perturbed import Trials, perturbed
 from planner.sweeps.executors import executor_of
 from planner.sweeps.processes import LocalProcesses
 from planner.sweeps.stored_plans import check, stored_proof
+from planner.sweeps.sweeping import sweep
 
 
 @pytest.fixture(scope="module")
@@ -149,3 +153,41 @@ def test_an_executor_is_asked_for_by_workers_or_by_an_address():
         with pytest.raises(planner.PlannerError, match=r"executor is 3, expected a concurrent\.futures\.Executor"):
             wrong(planner.cases.hopper(horizon=20) if wrong is planner.solve else planner.solve(
                 planner.cases.hopper(horizon=20)), executor=3)  # fmt: skip
+
+
+class OneWorker(Executor):
+    """All that waits is on one worker, which ends as soon as the task that ends workers is there."""
+
+    width = 2
+
+    def __init__(self, bad):
+        self._bad, self._waiting, self._lock = bad, [], threading.Lock()
+
+    def submit(self, fn, /, *args, **kwargs):
+        future = Future()
+        with self._lock:
+            self._waiting.append((future, fn, args))
+        threading.Timer(0.05, self._work).start()
+        return future
+
+    def end(self, future):
+        """It never hangs."""
+
+    def _work(self):
+        with self._lock:
+            waiting, self._waiting = self._waiting, []
+        ends = any(self._bad in args[1] for _, _, args in waiting)
+        for future, fn, args in waiting:
+            if ends:
+                future.set_exception(BrokenExecutor("killed"))
+            else:
+                future.set_result(fn(*args))
+
+
+def test_what_was_lost_beside_the_task_that_ends_workers_is_not_blamed(tmp_path):
+    """A task is blamed when its worker ends twice: the second time no other batch may be on it."""
+    sweep(troubled, {"height": [1, 2, 3, 4, 5, 6]}, out=tmp_path, executor=OneWorker(2))
+    with open(tmp_path / "table.csv", encoding="utf-8", newline="") as file:
+        found = {float(row["height"]): row["status"] for row in csv.DictReader(file)}
+    assert {height for height, status in found.items() if status == "WORKER_LOST"} == {3}
+    assert set(found) == {1, 2, 3, 4, 5, 6}
