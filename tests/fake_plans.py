@@ -38,7 +38,7 @@ def make_plan():
     t = np.linspace(0.0, N * DT, N + 1)
     problem = SimpleNamespace(
         appearance=APPEARANCE, dynamics=SimpleNamespace(nx=3, coordinates=COORDINATES), bounds=None, ranges=None,
-        limits=None, kept=None,
+        limits=None, kept=None, periodic=None, requirements=None, wanted=(), tolerance=None, x0=np.zeros(3),
     )  # fmt: skip
     history = [Iteration(n, 5.0 + 10.0 ** (2 - n), 10.0 ** (1 - n), 1.0, 1.0, 1.0, 0.0) for n in range(6)]
     history.append(Iteration(6, 5.0, 1e-6, 0.0, 0.0, 0.0, 0.0))
@@ -105,8 +105,8 @@ def proof_of(verdict="PASS", mode="open-loop", **sections):
         "refined_feedback": Section("refined, with feedback", (Measured("growth_rate", 1.5, "1/s"),)),
         "goal": Section("goal", (Measured("height_error", 0.1, "%", 0.2),)),
     } | sections
-    words = f"{verdict} ({mode}), without friction loss; feasible, optimal, robust"
+    words = f"{verdict} ({mode}), without friction loss; feasible, optimal, robust with its gains"
     return SimpleNamespace(
         verdict=verdict, mode=mode, reason="Within every bound.", sections=every, replay=None, headline=words,
-        not_checked=("without friction loss",), monte_carlo=None, held=None, replays={},
+        planned_without=(), not_checked=("without friction loss",), monte_carlo=None, held=None, replays={},
     )  # fmt: skip

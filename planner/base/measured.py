@@ -37,6 +37,15 @@ class Measured:
         bound = "" if self.bound is None else f" (bound {self.bound:.3g})"
         return f"{self.name.replace('_', ' ')} {self.value:.5g} {self.unit}".rstrip() + bound
 
+    @property
+    def beside_bound(self) -> str:
+        """The name, the value and the share of its bound: "path angle error 0.97 rad (97 % of its bound 1)"."""
+        assert self.bound
+        share = 100.0 * self.value / self.bound
+        part = "less than 0.1" if share < 0.1 else f"{share:.0f}" if share >= 9.5 else f"{share:.1g}"
+        value = f"{self.name.replace('_', ' ')} {self.value:.5g} {self.unit}".rstrip()
+        return f"{value} ({part} % of its bound {self.bound:.3g})"
+
     def to_dict(self) -> dict[str, Any]:
         """The value and its bound as JSON values; null where they are not finite."""
         return {

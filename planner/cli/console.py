@@ -100,15 +100,11 @@ class Console:
     def iteration(self, line: Iteration) -> None:
         """Print a line of the table of iterations: every one on a terminal, fewer in a log."""
         i = line.iteration
-        if i == 0:
-            self.note(line.header())
         if self._live or i < 10 or (i < 100 and i % 10 == 0) or i % 100 == 0:
             self.note(str(line))
 
     def row(self, line: Start | Tried | Pass) -> None:
         """Print a line of the table of starts, of durations or of passes."""
-        if line.number == 0:
-            self.note(line.header())
         self.note(str(line))
 
     def progress(self, work: str) -> Callable[[int, int], None]:

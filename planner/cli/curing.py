@@ -96,7 +96,8 @@ class _Trial:
                 self.console.say(f"tried in vain ({error}): {found}")
                 return None
         starts = problem.parameters["starts"]
-        other, _ = solved(self.asked._replace(problem=problem, starts=starts), given, self.console, end=self.end)
+        other, _ = solved(self.asked._replace(problem=problem, starts=starts), given, self.console, end=self.end,
+                          why=", a trial of this cure")  # fmt: skip
         if not other.success:
             if other.status is Status.INTERRUPTED and time.monotonic() <= self.end:
                 raise KeyboardInterrupt

@@ -42,7 +42,7 @@ def mended(
     if better is not None:
         plan, proof, path = *better, ()
         keep(plan, path)
-        results.show_plan(plan, None, console)
+        results.show_plan(plan, None, console, "mended")
     if proof is not None and not proof.passed:
         left = max(0.0, end - time.monotonic())
         wider = kept_wider(plan, proof, seconds=left, prove=judge, max_iterations=arguments.max_iterations)
@@ -50,7 +50,7 @@ def mended(
             plan, proof, path = wider.plan, wider.proof, ()
             console.say("\n".join(f"planned again: {note}" for note in wider.notes))
             keep(plan, path)
-            results.show_plan(plan, None, console)
+            results.show_plan(plan, None, console, "wider")
     return plan, proof, path
 
 
@@ -84,5 +84,5 @@ def _refined(
     if done.plan.status is Status.INTERRUPTED:
         raise KeyboardInterrupt  # the next run begins an interrupted refinement again
     console.say(f"refinements: {len(done.path) - 1}, in {time.monotonic() - began:.1f} s; {done.reason}")
-    results.show_plan(done.plan, None, console)
+    results.show_plan(done.plan, None, console, "refined")
     return done.plan, done.proof, done.path

@@ -109,14 +109,18 @@ def solved(
     console: Console,
     executor: Executor | None = None,
     end: float = math.inf,
+    why: str = "",
 ) -> tuple[Plan, float]:
-    """The plan and the time of its solve, s; it ends at `end`, a time of time.monotonic()."""
+    """The plan and the time of its solve, s; it ends at `end`, a time of time.monotonic().
+
+    `why` says what a solve after the first is for, as its table is printed too.
+    """
     problem = asked.problem
     solve(problem, hessian=arguments.hessian, max_iterations=1)  # compiles outside of the measured time
     several = f", {asked.starts} starts" if asked.starts > 1 else ""
     for note in asked.notes:
         console.note(note)
-    console.note(f"planning {name_of(arguments)}: {problem.N} stages of {problem.dynamics.dt:.4g} s{several}")
+    console.note(f"planning {name_of(arguments)}: {problem.N} stages of {problem.dynamics.dt:.4g} s{several}{why}")
     began = time.perf_counter()
     options = {
         "update": arguments.update, "line_search": arguments.line_search, "hessian": arguments.hessian,

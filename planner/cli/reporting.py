@@ -27,9 +27,9 @@ def report_plan(arguments: argparse.Namespace, console: Console) -> int:
             proof = completed(proof, arguments.rollouts, console)
         plan.save(staged / "plan.npz")
         write_proof(plan, proof, staged, plan_digest(staged / "plan.npz"))
+        if proof is not None:
+            show_proof(proof, console)
         draw_results(plan, proof, staged, not arguments.no_video, console, films=films)
-    if proof is not None:
-        show_proof(proof, console)
     console.say(f"\n{Path(arguments.out) / 'report.html'}")
     passed = plan.success and proof is not None and proof.passed
     return console.finish("report", 0 if passed else 1, folder=arguments.out)

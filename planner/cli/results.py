@@ -127,16 +127,18 @@ def plan_facts(plan: Plan) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def show_plan(plan: Plan, seconds: float | None, console: Console) -> None:
-    """Print the solve in two lines."""
+def show_plan(plan: Plan, seconds: float | None, console: Console, which: str = "") -> None:
+    """Print the solve in two lines; `which` names a plan that takes the place of the first, "refined" say."""
     took = "" if seconds is None else f", {1e3 * seconds:.3g} ms"
+    which = f"{which} plan, " if which else ""
     console.say(
-        f"{plan.status.name}: {plan.nit} iterations, cost {plan.cost:.8g}, |gradient| {plan.gradient_norm:.2e}{took}"
+        f"{which}{plan.status.name}: {plan.nit} iterations, cost {plan.cost:.8g}, "
+        f"|gradient| {plan.gradient_norm:.2e}{took}"
     )
     if plan.starts:
         converged = sum(start.status is Status.CONVERGED for start in plan.starts)
         console.say(f"start {plan.start} of {len(plan.starts)} is the best; {converged} converged")
-    if not plan.success:
+    if not plan.success or plan.missed:
         console.say(plan.message)
     for key in ("first_guess", "not_finite"):  # what became of a guess that ran away
         if key in plan.options:
@@ -168,12 +170,16 @@ def show_cures(plan: Plan, proof: Proof | None, console: Console) -> None:
 
 
 def completed(proof: Proof, rollouts: int, console: Console, **options: Any) -> Proof:
-    """Print the verdict at once, then measure what does not change it, with so many rollouts.
+    """Note the verdict at once, then measure what does not change it, with so many rollouts.
 
-    `options` are those of planner.proof.steps.with_rollouts(). No rollouts leave the proof as it is.
+    `options` are those of planner.proof.steps.with_rollouts(). No rollouts leave the proof as it is. show_proof() is to
+    follow: the verdict is printed there, once.
     """
-    show_verdict(replace(proof, asked=proof.asked | {"rollouts": rollouts}), console)  # robustness is not known yet
     if not rollouts:
         return proof
-    console.note("\nThe verdict is known. What is measured now is shown beside it:")
-    return with_rollouts(with_shown(proof, console.note), rollouts, progress=console.progress("rollouts"), **options)
+    early = replace(proof, asked=proof.asked | {"rollouts": rollouts})  # robustness is not known yet
+    console.note(f"\nbefore the perturbed simulations: {early.headline}\n{early.reason}")
+    console.note("What is measured now does not change PASS or FAIL and is shown beside it:")
+    return with_rollouts(
+        with_shown(proof, console.note), rollouts, progress=console.progress("perturbed simulations"), **options
+    )

@@ -24,4 +24,6 @@ def solve_case(arguments: argparse.Namespace, console: Console) -> int:
     show_cures(plan, None, console)
     console.say(str(out))
     facts = plan_facts(plan)
-    return console.finish("solve", 0 if plan.success else 1, plan=facts, solve_seconds=seconds, file=str(out))
+    return console.finish(
+        "solve", 0 if plan.success and not plan.missed else 1, plan=facts, solve_seconds=seconds, file=str(out)
+    )

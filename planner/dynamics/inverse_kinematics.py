@@ -5,8 +5,8 @@
 by SciPy's least_squares with our own Jacobian. r has a position error / metre_scale, a rotation vector log(R_ref' R) /
 turn_scale or, for a direction, the chord between two unit vectors / turn_scale. Of many configurations the little
 weight of the way takes one near the start. The search begins at the start, then at random configurations. Closed chains
-are rows too, over CLOSED, and where the search ends they are put together. A caller may want more of a configuration
-(`short`): of those that reach all targets, the one that falls least short of that is taken.
+are rows too, over CLOSED, and where the search ends they are put together. A caller may want more of a configuration:
+rows of its own (`missing`), and of those that reach all targets the one that falls least `short` of something.
 """
 
 from __future__ import annotations
@@ -59,6 +59,7 @@ def inverse_kinematics(
     mechanism: Mechanism, targets: Sequence[Target], q: Any, *, ranges: np.ndarray | None = None,
     free: np.ndarray | None = None, starts: int | None = None, seed: int = 0,
     short: Callable[[np.ndarray], float] | None = None,
+    missing: Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]] | None = None,
 ) -> Found:  # fmt: skip
     """A configuration with frames at targets, near q.
 
@@ -72,6 +73,7 @@ def inverse_kinematics(
             MORE_STARTS with `short`.
         seed: Of the random configurations.
         short: How far a configuration (nq,) falls short of what else is wanted, 0 where it does not.
+        missing: What else a configuration (nq,) lacks, over what may be: r (R,) and its derivatives (R, nv).
 
     Returns:
         The best configuration, whether it reaches the targets or not.
@@ -87,8 +89,9 @@ def inverse_kinematics(
     closed = np.flatnonzero(~free) if mechanism.loops or mechanism.cams else None
 
     def reached(begin: np.ndarray) -> Found:
-        found = _from(mechanism, targets, q, begin, B, dofs, (low, high), closed)
-        return found if short is None else found._replace(short=short(found.q))
+        found = _from(mechanism, targets, q, begin, B, dofs, (low, high), closed, missing)
+        lacks = 0.0 if missing is None else max(0.0, float(np.abs(missing(found.q)[0]).max(initial=0.0)) - 1.0)
+        return found._replace(short=lacks + (0.0 if short is None else short(found.q)))
 
     found = reached(q)
     rng = np.random.default_rng(count("seed", seed, least=0))
@@ -137,6 +140,7 @@ def _directions(mechanism: Mechanism, free: np.ndarray) -> tuple[np.ndarray, np.
 def _from(
     mechanism: Mechanism, targets: Sequence[Target], q: np.ndarray, begin: np.ndarray, B: np.ndarray, dofs: np.ndarray,
     ranges: tuple[np.ndarray, np.ndarray], closed: np.ndarray | None,
+    missing: Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]] | None,
 ) -> Found:  # fmt: skip
     """The minimum to which one start leads; deviations are taken from q. `closed`: what chains to close leave alone."""
     space, pad = mechanism.space, np.zeros(mechanism.space.ndx - mechanism.nv)
@@ -152,15 +156,20 @@ def _from(
         if closed is not None:
             r, J = np.append(r, loops.misses(mechanism, at)), np.vstack([J, loops.jacobian(mechanism, at)])
             size = np.append(size, np.full(len(r) - len(size), CLOSED))
+        if missing is not None:
+            lacks, by_e = missing(at)
+            r, J, size = np.append(r, lacks), np.vstack([J, by_e]), np.append(size, np.ones(len(lacks)))
         own = np.linalg.inv(space.difference_jacobian(np.concatenate([e, pad]))[: mechanism.nv, : mechanism.nv])
         return r / size, (J @ own @ B) / size[:, None]
 
     def largest(y: np.ndarray) -> Found:
         at = moved(mechanism, q, B @ y)
-        if closed is None:
+        if closed is None and missing is None:
             return Found(at, float(np.abs(stacked(y)[0]).max()))
         try:
-            at = assembled(mechanism, np.concatenate([at, pad, np.zeros(mechanism.nv)])[: space.nx], closed)[: len(at)]
+            if closed is not None:
+                at = assembled(mechanism, np.concatenate([at, pad, np.zeros(mechanism.nv)])[: space.nx], closed)
+                at = at[: mechanism.nq]
         except PlannerError:
             return Found(at, np.inf)
         rows = [residuals(mechanism, at, target) for target in targets]

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any
 
 from planner.kernels.hopper import second as hopper_second
 from planner.kernels.hopper import step as hopper
-from planner.kernels.lq import bounded, following, quadratic, riccati, second_order
+from planner.kernels.lq import active_set, bounded, following, quadratic, riccati, second_order
 from planner.kernels.numba.jit import announce, arguments_of, cache_is_shared, is_warm
 from planner.kernels.tree import batch as tree_batch
 from planner.kernels.tree import linearize as tree_linearize
@@ -38,8 +38,9 @@ _SEARCH = (_ROWS, "int64", "boolean")
 KERNELS: dict[str, tuple[Any, tuple[str, ...]]] = {
     "riccati dense": (riccati.riccati_dense, (_TABLE, "float64", "float64")),
     "riccati structured": (riccati.riccati_structured, (_TABLE, "float64", "float64")),
-    "riccati dense bounded": (bounded.riccati_dense_bounded, (_TABLE, "float64", "float64")),
-    "riccati structured bounded": (bounded.riccati_structured_bounded, (_TABLE, "float64", "float64")),
+    "riccati dense bounded": (bounded.riccati_dense_bounded, (_TABLE, "float64", "float64", "boolean")),
+    "riccati structured bounded": (bounded.riccati_structured_bounded, (_TABLE, "float64", "float64", "boolean")),
+    "choose active": (active_set.choose_active, (_TABLE, "float64", "boolean")),
     "gradients": (quadratic.gradients, (_TABLE,)),
     "begin following": (following.begin_following, (_TABLE, _TABLE)),
     "keep followed": (following.keep_followed, (_TABLE, _TABLE)),
@@ -82,8 +83,8 @@ for _name in ("tree search", "tree search external"):  # the last arguments are 
 # Kernels that have parts in common: one process compiles them, and the parts once.
 _FAMILIES = (
     (
-        "riccati dense", "riccati structured", "riccati dense bounded", "riccati structured bounded", "gradients",
-        "begin following", "keep followed",
+        "riccati dense", "riccati structured", "riccati dense bounded", "riccati structured bounded", "choose active",
+        "gradients", "begin following", "keep followed",
     ),
     (
         "tree search", "tree search external", "tree search residuals", "tree search external residuals",

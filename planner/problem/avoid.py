@@ -7,13 +7,13 @@ are fitted (planner.model.contact.fitted). MuJoCo's own collision judges the pla
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Any, NamedTuple
 from weakref import WeakKeyDictionary
 
 import numpy as np
 
-from planner.base.arguments import number, set_fields, shown
+from planner.base.arguments import array, number, numbers, set_fields, shown
 from planner.base.errors import PlannerError
 from planner.model.lying import lying_bodies
 from planner.model.mechanism import SCREW, Mechanism
@@ -47,7 +47,7 @@ class Avoid:
         self: Whether shapes of the machine are kept from each other.
         world: Whether they are kept from what is at rest.
         clearance: m between their surfaces.
-        more: m beyond that, by the names of a pair ("geom 'hand' and geom 'post'").
+        more: m beyond that, by the names of a pair ("geom 'hand' and geom 'post'"); negative for nearer.
     """
 
     self: bool = True
@@ -66,8 +66,12 @@ class Avoid:
             raise PlannerError(f"more of avoid is {shown(more)}, expected a table of m by the names of pairs.")
         set_fields(
             a, clearance=number("clearance of avoid", a.clearance, above=0.0),
-            more={name: number(f"more of {name}", value, least=0.0) for name, value in more.items()},
+            more={name: number(f"more of {name}", value) for name, value in more.items()},
         )  # fmt: skip
+
+    def to_dict(a) -> dict[str, Any]:  # pyright: ignore[reportSelfClsParameterName]
+        """As a table [avoid]."""
+        return {one.name: getattr(a, one.name) for one in fields(a) if getattr(a, one.name) != one.default}
 
     def constraint(
         a,  # pyright: ignore[reportSelfClsParameterName]
@@ -75,7 +79,12 @@ class Avoid:
         start: Any,
         goal: Any = None,
     ) -> KeptApart:
-        """The constraint for a motion of a mechanism from a start (nx,) to a goal (nx,), and what to know of it.
+        """The constraint for a motion of a mechanism from a start to goals, and what to know of it.
+
+        Args:
+            mechanism: The machine, read from a file.
+            start: (nx,) state or (nq,) positions, or a keyframe's name.
+            goal: The same of its end, or several by name ("goal 1 (hand)"); None where no pose is known.
 
         Raises:
             PlannerError: The mechanism has no model, nothing can touch, or a pose is in collision or too near.
@@ -83,12 +92,22 @@ class Avoid:
         if not mechanism.mjcf:
             raise PlannerError("avoid needs the shapes of a model, expected a mechanism that was read from a file.")
         survey = survey_of(mechanism)
-        poses = {"start": start} | ({} if goal is None else {"goal": goal})
-        poses = {name: np.asarray(x)[: mechanism.nq] for name, x in poses.items()}
+        goals = {} if goal is None else goal if isinstance(goal, Mapping) else {"the goal": goal}
+        poses = {"the start": start, **goals}
+        poses = {name: _positions(name, x, mechanism) for name, x in poses.items()}
         near = near_pairs(survey, poses, a.clearance, own=a.self, world=a.world, known=_known(mechanism, survey))
         if not near.pairs:
             raise PlannerError("avoid has nothing to keep apart: no shapes of the model can touch; leave it out.")
         return KeptApart(_constraint(near, a.clearance, a.more), near.notes)
+
+
+def _positions(name: str, given: Any, mechanism: Mechanism) -> np.ndarray:
+    """(nq,) of a state (nx,) or positions (nq,)."""
+    x = numbers(name, mechanism.keyframe(given) if isinstance(given, str) else given)
+    if x.shape not in ((mechanism.nq,), (mechanism.space.nx,)):
+        wanted = f"({mechanism.nq},), its positions, or ({mechanism.space.nx},), its state"
+        raise PlannerError(f"{name} has shape {x.shape}, expected a keyframe, or {wanted}.")
+    return array(name, x[: mechanism.nq], (mechanism.nq,))
 
 
 def survey_of(mechanism: Mechanism) -> Survey:

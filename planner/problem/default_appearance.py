@@ -103,11 +103,28 @@ def _view(mechanism: Mechanism) -> tuple[float, float]:
         R[i] = (np.eye(3) if parent < 0 else R[parent]) @ mechanism.T_home[i, :3, :3]
     angular, linear = (np.einsum("iab,ib->ia", R, mechanism.S[:, part]) for part in (slice(3), slice(3, 6)))
     turns = np.any(angular != 0.0, axis=1)
-    if not np.any(mechanism.kind == BALL):
-        for normal, view in ((1, (90.0, -8.0)), (0, (180.0, -8.0)), (2, (90.0, -89.0))):
-            across = np.eye(3)[normal]
-            if np.all(np.abs(np.cross(angular[turns], across)) < _PARALLEL) and np.all(
-                np.abs(linear[~turns] @ across) < _PARALLEL
-            ):
-                return view
-    return 130.0, -18.0
+    normal = None if np.any(mechanism.kind == BALL) else _normal(angular[turns], linear[~turns])
+    return (130.0, -18.0) if normal is None else _across(normal)
+
+
+def _normal(axes: np.ndarray, ways: np.ndarray) -> np.ndarray | None:
+    """(3,) the normal of the plane of all motion, for axes (A, 3) of hinges and ways (W, 3) of slides, or None."""
+    slides = [np.cross(a, b) for a, b in itertools.combinations(ways, 2)]
+    for one in (*np.eye(3)[[1, 0, 2]], *axes[:1], *slides):
+        normal = one / max(float(np.linalg.norm(one)), _PARALLEL)
+        parallel = np.all(np.abs(np.cross(axes, normal)) < _PARALLEL)
+        if parallel and np.any(normal) and np.all(np.abs(ways @ normal) < _PARALLEL):
+            return normal
+    return None
+
+
+def _across(normal: np.ndarray) -> tuple[float, float]:
+    """Azimuth and elevation, degrees, of a camera that looks along a normal (3,): x to the right, or y, or from above.
+
+    Across the plane nothing is tilted: angles and lengths in it are seen as they are.
+    """
+    x, y, z = (np.where(np.abs(normal) < _PARALLEL, 0.0, normal) + 0.0).tolist()
+    if (-z, y, -x) < (0.0, 0.0, 0.0):
+        x, y, z = 0.0 - x, 0.0 - y, 0.0 - z  # -x would make a negative zero
+    azimuth = np.degrees(np.arctan2(y, x)) if x or y else 90.0
+    return float(azimuth), float(np.degrees(np.arcsin(np.clip(z, -1.0, 1.0))))

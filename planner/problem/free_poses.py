@@ -40,12 +40,6 @@ class FreePoses:
         """By how much a pose (nq,) has a pair nearer than it may be, m; 0 for a free one."""
         return float(np.max(self._apart.least - self.distances(q[None], self._apart.least)[0], initial=0.0))
 
-    def tightest(self, q: np.ndarray) -> tuple[str, float]:
-        """The names of the pair that is worst in a pose (nq,), and its distance, m."""
-        distances = self.distances(q[None])[0]
-        worst = int(np.argmin(distances - self._apart.least))
-        return self._apart.pairs[worst].names, float(distances[worst])
-
     def way(self, start: np.ndarray, goal: np.ndarray, seed: int = 0) -> np.ndarray | None:
         """Poses (K, nq) from start to goal (nq,) on which nothing is nearer than it may be; None where none was found.
 

@@ -79,6 +79,25 @@ def goals_of(problem: Problem, xs: np.ndarray | None = None) -> tuple[Goal, ...]
     return tuple(goals)
 
 
+def goal_missed(problem: Problem, t: np.ndarray, xs: np.ndarray) -> str:
+    """Which goal a motion xs (N+1, nx) misses most, by how much, and what to do; "" for none.
+
+    Machines with a rule of their own for what they achieve are judged by their proof alone.
+    """
+    if problem.periodic is not None or (problem.requirements is not None and problem.requirements.goal is not None):
+        return ""
+    goals = [one for one in goals_of(problem, xs) if np.isfinite(one.tolerance) and one.tolerance > 0.0]
+    over = {one.name: one.miss(t, xs) / one.tolerance for one in goals}
+    worst = max(goals, key=lambda one: over[one.name], default=None)
+    if worst is None or not over[worst.name] > 1.0:
+        return ""
+    miss = over[worst.name] * worst.tolerance
+    return (
+        f"{worst.name} is missed by {miss:.3g} {worst.unit}, and {worst.tolerance:.3g} pass; weigh the goal more, give "
+        "it more time, or widen what holds the motion off"
+    )
+
+
 def wanted_of(problem: Problem) -> tuple[Wanted, ...]:
     """What a problem's task asks for, else what the terms of its cost ask of its end."""
     if problem.wanted is not None:

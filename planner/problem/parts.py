@@ -30,14 +30,9 @@ ARRAYS = (*_COST, "x0", "us")
 
 def in_parts(problem: Problem) -> tuple[Recipe, dict[str, np.ndarray]] | None:
     """A recipe and arrays by name that a file can hold; None where they cannot describe the whole problem."""
-    dynamics, twin = problem.dynamics, problem.twin
-    if type(dynamics) is not RigidBodyDynamics or type(problem.cost) is not TrackingCost:
+    dynamics = problem.dynamics
+    if beyond_a_file(problem) or not isinstance(dynamics, RigidBodyDynamics):
         return None
-    if problem.requirements is not None or problem.constraints or twin is None:
-        return None
-    own = twin_of(dynamics.mechanism, dynamics.prescribed)
-    if any(getattr(twin, part) != getattr(own, part) for part in ("mjcf", "source", "curves")):
-        return None  # the twin is not the mechanism's own
     facts: dict[str, Any] = {"dt": dynamics.dt, "integrator": dynamics.integrator}
     if dynamics.prescribed:
         facts["prescribed"] = list(dynamics.prescribed)
@@ -48,6 +43,23 @@ def in_parts(problem: Problem) -> tuple[Recipe, dict[str, np.ndarray]] | None:
     arrays = {name: getattr(problem.cost, name) for name in _COST} | {"x0": problem.x0, "us": problem.first_guess}
     arrays = {name: np.ascontiguousarray(value, dtype=np.float64) for name, value in arrays.items()}
     return Recipe(NAME, facts), arrays
+
+
+def beyond_a_file(problem: Problem) -> str:
+    """What of a problem without a recipe no file can hold, in words; "" where all of it can be held."""
+    dynamics, twin = problem.dynamics, problem.twin
+    if type(dynamics) is not RigidBodyDynamics:
+        return f"its dynamics ({type(dynamics).__name__})"
+    if type(problem.cost) is not TrackingCost:
+        return f"its cost ({type(problem.cost).__name__})"
+    if problem.requirements is not None:
+        return "its own rule of success"
+    if problem.constraints:
+        return f"its constraints ({', '.join(one.name for one in problem.constraints)})"
+    own = twin_of(dynamics.mechanism, dynamics.prescribed)
+    if twin is None or any(getattr(twin, part) != getattr(own, part) for part in ("mjcf", "source", "curves")):
+        return "its model in MuJoCo, which is not the mechanism's own"
+    return ""
 
 
 def of_parts(facts: dict[str, Any], arrays: dict[str, np.ndarray], twin: Twin | None) -> Problem:

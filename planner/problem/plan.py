@@ -17,6 +17,7 @@ from __future__ import annotations
 
 import io
 import math
+import warnings
 from dataclasses import dataclass, field
 from enum import StrEnum
 from pathlib import Path
@@ -24,6 +25,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from planner.base.files import printable
 from planner.base.shown import Shown
 from planner.base.versions import installed_versions
 from planner.model.space import StateSpace, euclidean, space_of
@@ -36,10 +38,11 @@ from planner.problem.export.joint_trajectory import joint_trajectory
 from planner.problem.export.keyframes import write_keyframes
 from planner.problem.export.sampled import Samples, sampled
 from planner.problem.export.table import frame_of, write_csv
+from planner.problem.goals import goal_missed
 from planner.problem.motion import Motion, pulls_of, rates_of
-from planner.problem.parts import in_parts
+from planner.problem.parts import beyond_a_file, in_parts
 from planner.problem.problem import Problem
-from planner.problem.recipe import Built, Recipe
+from planner.problem.recipe import PROBLEM_FILE, Built, Recipe
 from planner.problem.state_ranges import Hinges
 
 
@@ -83,14 +86,15 @@ class Iteration(NamedTuple):
     regularisation: float  # Added to the diagonal of R + B'PB
 
     def __str__(self) -> str:
-        return (
+        row = (
             f"{self.iteration:5d}  {self.cost:15.8g}  {self.gradient_norm:9.2e}  {self.step:9.3g}  "
             f"{self.expected:9.2e}  {self.actual:9.2e}  {self.regularisation:9.2e}"
         )
+        return row if self.iteration else f"{self.header()}\n{row}"
 
     @staticmethod
     def header() -> str:
-        """The heading over the lines that str() makes."""
+        """The heading over the lines that str() makes; it is above the first one."""
         return f"{'iter':>5}  {'cost':>15}  {'|grad|':>9}  {'step':>9}  {'expected':>9}  {'actual':>9}  {'regular.':>9}"
 
 
@@ -109,11 +113,12 @@ class Start(NamedTuple):
         return self.status is not Status.CONVERGED, self.score if math.isfinite(self.score) else math.inf, self.number
 
     def __str__(self) -> str:
-        return f"{self.number:5d}  {self.cost:15.8g}  {self.iterations:10d}  {self.status.name}"
+        row = f"{self.number:5d}  {self.cost:15.8g}  {self.iterations:10d}  {self.status.name}"
+        return row if self.number else f"{self.header()}\n{row}"
 
     @staticmethod
     def header() -> str:
-        """The heading over the lines that str() makes."""
+        """The heading over the lines that str() makes; it is above the first one."""
         return f"{'start':>5}  {'cost':>15}  {'iterations':>10}  status"
 
 
@@ -182,7 +187,9 @@ class Plan(Built, Shown):
 
     @property
     def message(self) -> str:
-        """The status in a sentence (as in SciPy); of a solve that hangs on its limits, on which."""
+        """The status in a sentence (as in SciPy); on which limits a solve hangs, and which goal is missed."""
+        if self.problem is not None and self.missed:
+            return f"{self.status.value[:-1]}, but {self.missed}."
         if self.problem is None or self.status not in _ON_LIMITS:
             return self.status.value
         outside = state_outside(self.problem, self.xs, self.t)
@@ -198,6 +205,13 @@ class Plan(Built, Shown):
         return f"The solve stalls between bounds: {held}; give the motion more time or wider limits."
 
     @property
+    def missed(self) -> str:
+        """Which goal a converged plan misses, and what to do; "" for none, and for a plan without its problem."""
+        if self.problem is None or self.status is not Status.CONVERGED:
+            return ""
+        return goal_missed(self.problem, self.t, self.xs)
+
+    @property
     def space(self) -> StateSpace:
         """The space of the states: of the problem's dynamics, or from the file."""
         if self.problem is not None:
@@ -208,6 +222,14 @@ class Plan(Built, Shown):
     def start(self) -> int:
         """Which of the starts this plan is; 0 is the problem's own first guess."""
         return min(self.starts, key=lambda start: start.rank).number if self.starts else 0
+
+    @property
+    def name(self) -> str:
+        """The case, or of other problems the title, which is that of their file or the name of their model."""
+        if self.case not in (None, PROBLEM_FILE):
+            return str(self.case)
+        appearance = None if self.problem is None else self.problem.appearance
+        return (appearance.title if appearance is not None else "") or self.case or ""
 
     @property
     def versions(self) -> dict[str, str]:
@@ -254,7 +276,7 @@ class Plan(Built, Shown):
         return self.motion.stretched(duration)
 
     def __str__(self) -> str:
-        name = f"{self.recipe.name}: " if self.recipe is not None else ""
+        name = f"{self.name}: " if self.name else ""
         return f"Plan({self.status.name}: {name}{self.nit} iterations, cost {self.cost:.6g}, N = {self.N})"
 
     __repr__ = __str__
@@ -262,10 +284,20 @@ class Plan(Built, Shown):
     def save(self, path: str | Path) -> Path:
         """Write the plan as .npz, atomically and without pickle.
 
+        A problem with a function or class of your own in it, a cost or a constraint for example, is not in the file; a
+        warning says so. load_plan(path, problem=problem) puts the two together again.
+
         Raises:
             FileError: The file cannot be written.
         """
-        write_archive(plan_name(path), *self._contents())
+        arrays, meta = self._contents()
+        write_archive(plan_name(path), arrays, meta)
+        if meta["recipe"] is None and self.problem is not None:
+            warnings.warn(
+                f"{printable(path)} has the plan without its problem: a file cannot hold "
+                f"{beyond_a_file(plain(self.problem))}. load_plan(path, problem=problem) puts the two together.",
+                stacklevel=2,
+            )
         return Path(path)
 
     def to_bytes(self) -> bytes:

@@ -20,6 +20,8 @@ from planner.model.coordinates import Coordinate
 from planner.model.space import StateSpace
 from planner.problem.costs.terms import Quadratic
 
+ROUNDING = 1e-9  # of a deviation: how far one may be beyond its bound and still count as within
+
 
 class Hinges(NamedTuple):
     """Shifted bounds and weights of each component's range, as a plan keeps them."""
@@ -73,10 +75,40 @@ class StateRanges:
 
     def added(self, hinges: Hinges, model: Quadratic, xs: np.ndarray) -> Quadratic:
         """The quadratic model of a cost along xs (N+1, nx) with that of the hinges."""
+        return self._with(model, xs, *_pulls(hinges, e := self.deviations(xs), sides_of(hinges, e)))
+
+    def next_sides(self, hinges: Hinges, e: np.ndarray, dxs: np.ndarray, sides: np.ndarray) -> np.ndarray:
+        """Where deviations e (N+1, H) are, in terms of sides_of, when the states have moved by dxs (N+1, ndx).
+
+        Exact goals and rotations stay where they are (see kernels.lq.active_set).
+        """
+        slack = np.where(sides == 0.0, 1.0, -1.0) * ROUNDING * (1.0 + np.abs(e))
+        after = e + dxs[:, self.component]
+        moved = np.where(after > hinges.upper + slack, 1.0, np.where(after < hinges.lower - slack, -1.0, 0.0))
+        rotations = [j + i for _, j in self.space.quaternions for i in range(3)]
+        return np.where((hinges.lower == hinges.upper) | np.isin(self.component, rotations), sides, moved)
+
+    def switched(
+        self, hinges: Hinges, model: Quadratic, xs: np.ndarray, sides: np.ndarray, dxs: np.ndarray
+    ) -> tuple[Quadratic, float, float]:
+        """A model along xs with the hinges' own parabolas replaced by those of other sides.
+
+        Returns:
+            The model; by how much more than the cost it costs where it begins; and by how much the slope of the cost
+            along dxs (N+1, ndx) is above its own.
+        """
         e = self.deviations(xs)
-        above, below = self._beyond(hinges, xs)
-        slope = hinges.weight * (above - below)  # (N+1, H)
-        curvature = hinges.weight * ((e >= hinges.upper).astype(float) + (e < hinges.lower))
+        (pull, own), (curvature, own_curvature) = zip(
+            _pulls(hinges, e, sides), _pulls(hinges, e, sides_of(hinges, e)), strict=True
+        )
+        rows = self.space.difference_jacobian(self.space.difference(xs, self.reference))[:, self.component]
+        weight = np.where(hinges.weight > 0.0, hinges.weight, 1.0)
+        more_slope = np.einsum("nh,nhi,ni->", own - pull, rows, dxs)
+        more_cost = 0.5 * np.sum((pull**2 - own**2) / weight)
+        return self._with(model, xs, pull - own, curvature - own_curvature), float(more_cost), float(more_slope)
+
+    def _with(self, model: Quadratic, xs: np.ndarray, slope: np.ndarray, curvature: np.ndarray) -> Quadratic:
+        """A model with first and second derivatives (N+1, H) by the deviations added."""
         rows = self.space.difference_jacobian(self.space.difference(xs, self.reference))[:, self.component]
         q = model.q + np.einsum("nhi,nh->ni", rows, slope)
         return model._replace(Q=model.Q + np.einsum("nhi,nh,nhj->nij", rows, curvature, rows), q=q)
@@ -84,3 +116,14 @@ class StateRanges:
     def _beyond(self, hinges: Hinges, xs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         e = self.deviations(xs)
         return np.maximum(e - hinges.upper, 0.0), np.maximum(hinges.lower - e, 0.0)
+
+
+def sides_of(hinges: Hinges, e: np.ndarray) -> np.ndarray:
+    """Where deviations e (N+1, H) are: above 1, below -1, within 0."""
+    return np.where(e >= hinges.upper, 1.0, np.where(e < hinges.lower, -1.0, 0.0))
+
+
+def _pulls(hinges: Hinges, e: np.ndarray, sides: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """First and second derivatives (N+1, H) of the parabolas of these sides at deviations e."""
+    bound = np.where(sides > 0.0, hinges.upper, np.where(sides < 0.0, hinges.lower, e))
+    return hinges.weight * (e - bound), hinges.weight * np.abs(sides)

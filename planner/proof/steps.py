@@ -32,9 +32,9 @@ from planner.proof.consistency import consistency, optimality, recomputed
 from planner.proof.gain_rates import controller_section, slowest_rate
 from planner.proof.growth import growth
 from planner.proof.hold import Held, hold_gain, hold_section, replay_hold
-from planner.proof.left_out import left_out
+from planner.proof.left_out import lacking
 from planner.proof.order import order
-from planner.proof.replays.compiled_twin import CompiledTwin, another_model
+from planner.proof.replays.compiled_twin import another_model
 from planner.proof.replays.replaying import Replay, replay_in
 from planner.proof.replays.sampled_gains import sampling_of
 from planner.proof.robustness.perturbation import Perturbation
@@ -120,7 +120,7 @@ def prove(
     judged = {"open-loop": [*steps["open-loop"], convergence.section], "feedback": steps["feedback"]}
     sound = all(section.passed for section in required.values())
     converged, goals = optimality(plan, problem, now), goals_of(problem, plan.xs)
-    given, _ = your_file(plan, problem, goals, open_loop=runs["open-loop"], mjcf=mjcf, twin=twin)
+    given, replayed = your_file(plan, problem, goals, open_loop=runs["open-loop"], mjcf=mjcf, twin=twin)
     # A plan that your file follows only with its gains is no open-loop plan.
     lost = any(one.name == OPEN_LOOP_MISSES and one.value for one in given.measured)
     modes = MODES[1:] if lost else MODES
@@ -155,6 +155,8 @@ def prove(
         "seed": seed, "rollouts": rollouts, "hold_seconds": hold_seconds, "optimal": optimal, "perturbation": None,
         "another_model": compiled.twin is not plan.twin,
     }  # fmt: skip
+    lacks = lacking(problem, compiled)
+    tested, untested = (lacks.in_the_file, lacks.overlapping_phrases) if replayed else ((), lacks.phrases)
     proof = Proof(
         verdict="PASS" if passed else "FAIL", mode=mode,
         reason=_reason(
@@ -162,7 +164,8 @@ def prove(
             [*steps[seen], given], runs[seen],
         ),
         sections=sections, replay=runs[seen], replays=runs, errors=errors, convergence=convergence, asked=asked,
-        not_checked=(*_without(problem, compiled), *_unjudged(plan, problem)),
+        planned_without=tested,
+        not_checked=(*([f"without {' and '.join(untested)}"] if untested else []), *_unjudged(plan, problem)),
     )  # fmt: skip
     if hold_seconds:
         proof = _held(proof, replay_hold(runs["feedback"], hold_gain(problem), hold_seconds))
@@ -233,12 +236,6 @@ def _held(proof: Proof, held: Held) -> Proof:
     return replace(proof, verdict="FAIL", mode=None, reason=reason)
 
 
-def _without(problem: Problem, compiled: CompiledTwin) -> tuple[str, ...]:
-    """What the user's file has and the plan's model lacks."""
-    phrases = left_out(problem, compiled)
-    return (f"without {' and '.join(phrases)}",) if phrases else ()
-
-
 def _stands_at_goal(plan: Plan, problem: Problem) -> bool:
     """Whether a plan that stays where it is would pass, though its goal is elsewhere."""
     goals = [one for one in goals_of(problem, plan.xs) if np.isfinite(one.tolerance)]
@@ -286,4 +283,6 @@ def _reason(passed: bool, judged: tuple[Section, ...], steps: list[Section], run
     measured = [one for section in steps for one in section.measured if one.bound]
     worst = max(measured, key=lambda one: one.value / (one.bound or 1.0))
     how = "with the plan's gains" if run.feedback else "open loop"
-    return f"MuJoCo repeats the plan {how} at a step of {run.timestep:.3g} s; nearest to its bound: {worst}."
+    return (
+        f"MuJoCo repeats the plan {how} at a step of {run.timestep:.3g} s; nearest to its bound: {worst.beside_bound}."
+    )

@@ -2,11 +2,14 @@
 
 The line says three things and what was not looked at:
 
-    PASS (open-loop), without contacts of 1 pair; feasible, optimal, robust
+    PASS (open-loop), planned without contacts of 1 pair (tested in your file); feasible, optimal, robust with its gains
 
 feasible: MuJoCo repeats the plan and ends at its goal, in the mode in brackets. optimal: the solve converged. robust or
-fragile: how often it still succeeds on a machine that differs from the planned one; "robustness: counting" until that
-is known. "without ...": what the user's model has and the plan's does not.
+fragile with its gains: how often it still succeeds with them on a machine that differs from the planned one, whatever
+it does open loop; "robustness: counting" until that is known.
+
+"planned without ..." is what the user's file has and the plan's model does not; step 6 replayed the plan with it.
+"without ..." is what no replay had: pairs that overlap at the start, or all of it where the file was not replayed.
 """
 
 from __future__ import annotations
@@ -22,7 +25,9 @@ from planner.proof.hold import Held
 from planner.proof.order import Order
 from planner.proof.replays.replaying import Replay
 from planner.proof.robustness.perturbation import Perturbation
-from planner.proof.robustness.perturbed import Perturbed
+from planner.proof.robustness.perturbed import JUDGED, Perturbed
+
+TESTED = "tested in your file"
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,7 +47,9 @@ class Proof(Filmed):
         held: The motion behind `hold`, or None.
         monte_carlo: The rollouts behind `perturbed`, or None.
         asked: The arguments of prove() that prove the same again, without another model.
-        not_checked: What the user's model has and the plan's does not, and goals that nobody judged; a phrase each.
+        planned_without: What the user's file has and the plan's model does not, and the replay in the file had: step 6.
+            A phrase each.
+        not_checked: What no replay had of the user's file, and goals that nobody judged; a phrase each.
     """
 
     verdict: str
@@ -56,6 +63,7 @@ class Proof(Filmed):
     held: Held | None = None
     monte_carlo: Perturbed | None = None
     asked: dict[str, Any] = field(default_factory=dict)
+    planned_without: tuple[str, ...] = ()
     not_checked: tuple[str, ...] = ()
 
     @property
@@ -70,20 +78,25 @@ class Proof(Filmed):
 
     @property
     def robustness(self) -> str:
-        """The word "robust" or "fragile", "robustness: counting", or "" where no rollouts were asked for."""
+        """The word "robust" or "fragile", of the rollouts with gains; "robustness: counting"; "" without rollouts."""
+        return self._robustness("")
+
+    def _robustness(self, judged: str) -> str:
+        """The word about robustness, and behind it which mode was judged."""
         if self.monte_carlo is None:
             return "robustness: counting" if self.asked.get("rollouts") else ""
         word, drawn = self.monte_carlo.robustness, self.monte_carlo.perturbation
         other = "" if drawn == Perturbation.usual(self.replay.plan.problem) else " at other than the standard errors"
-        return f"robustness: {word}{other}" if word == "counting" else f"{word}{other}"
+        return f"robustness: {word}{other}" if word == "counting" else f"{word}{judged}{other}"
 
     @property
     def headline(self) -> str:
         """The verdict, what it is without, and whether the plan is feasible, optimal and robust."""
         mode = f" ({self.mode})" if self.passed and self.mode else ""
-        without = "".join(f", {phrase}" for phrase in self.not_checked)
+        tested = f", planned without {' and '.join(self.planned_without)} ({TESTED})" if self.planned_without else ""
+        without = tested + "".join(f", {phrase}" for phrase in self.not_checked)
         words = ["feasible" if self.feasible else "not feasible", "optimal" if self.optimal else "not optimal"]
-        return f"{self.verdict}{mode}{without}; {', '.join([*words, *filter(None, [self.robustness])])}"
+        return f"{self.verdict}{mode}{without}; {', '.join([*words, *filter(None, [self._robustness(JUDGED)])])}"
 
     @property
     def passed(self) -> bool:
@@ -127,7 +140,7 @@ class Proof(Filmed):
         found = None if self.monte_carlo is None else self.monte_carlo.to_dict()
         head = {
             "verdict": self.verdict, "mode": self.mode, "headline": self.headline, "feasible": self.feasible,
-            "optimal": self.optimal, "robustness": self.robustness, "not_checked": list(self.not_checked),
-            "reason": self.reason,
+            "optimal": self.optimal, "robustness": self.robustness,
+            "planned_without": list(self.planned_without), "not_checked": list(self.not_checked), "reason": self.reason,
         }  # fmt: skip
         return {**head, **dicts_of(self.sections), "asked": self.asked, "monte_carlo": found, "simulator": simulator}

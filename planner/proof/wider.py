@@ -1,8 +1,9 @@
-"""Plan again with more room where shapes touched in MuJoCo that the plan keeps apart.
+"""Plan again with more room where shapes touched in MuJoCo that the plan keeps apart, and with less where none do.
 
 What stands for a mesh or a cylinder is fitted around it, but where fits overlap at the start of a motion and the shapes
 do not, that is let pass (planner.model.mjcf.near_pairs), and then a plan may come too near. MuJoCo's collision tells;
-the pair is kept apart by as much more as it went in, and half of the clearance.
+the pair is kept apart by as much more as it went in, and half of the clearance. And where no plan keeps two fits apart
+whose shapes are far from each other by MuJoCo's distances, the fits may come nearer by that.
 """
 
 from __future__ import annotations
@@ -15,6 +16,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from planner.model.mjcf.meeting import FAR, distances_in
+from planner.problem.avoid import survey_of
 from planner.problem.constraints.apart import Apart, apart_of
 from planner.problem.goals import goals_of
 from planner.problem.plan import Plan, Status
@@ -30,7 +33,7 @@ ROOM = 0.5  # of what a pair is kept apart by, beside the depth
 
 
 class Wider(NamedTuple):
-    """The last plan that was proved, and a sentence for each time that it was planned with more room."""
+    """The last plan that was proved, and a sentence for each time that it was planned with more room, or less."""
 
     plan: Plan
     proof: Proof
@@ -41,7 +44,7 @@ def kept_wider(
     plan: Plan, proof: Proof, *, limit: int = MOST, seconds: float = 60.0, prove: Callable[[Plan], Proof] | None = None,
     **options: Any,
 ) -> Wider:  # fmt: skip
-    """Solve and prove again with a larger clearance of the pairs that touched, while that is why a proof fails.
+    """Solve and prove again with another clearance of the pairs that touched or are far, while that is why it fails.
 
     Args:
         plan: A plan whose problem keeps shapes apart (planner.constraints.Avoid).
@@ -53,16 +56,14 @@ def kept_wider(
     """
     prove, end, notes = prove or partial(full_proof, rollouts=0), time.monotonic() + seconds, list[str]()
     while len(notes) < limit and time.monotonic() < end:
-        more = _touched(plan, proof)
+        more = _touched(plan, proof) or _far(plan, proof)
         if plan.problem is None or not more:
             break
         problem = with_more_room(plan.problem, more)
         better = solve(replace(problem, us=warm_start(plan, problem)), **options)
         if better.status is Status.NOT_FINITE:
             break
-        notes.append(
-            "; ".join(f"{names} touch and are kept {100.0 * m:.2g} cm further apart" for names, m in more.items())
-        )
+        notes.append("; ".join(_told(names, m) for names, m in more.items()))
         plan, proof = better, prove(better)
         if plan.status is Status.INTERRUPTED:
             break
@@ -87,6 +88,33 @@ def _touched(plan: Plan, proof: Proof) -> dict[str, float]:
         if depth > 0.0:
             found[pair.names] = max(found.get(pair.names, 0.0), depth + ROOM * pair.least)
     return found
+
+
+def _far(plan: Plan, proof: Proof) -> dict[str, float]:
+    """By how much (m, negative) fits may be nearer whose shapes are further apart than asked, by the pairs' names."""
+    problem = plan.problem
+    apart = None if problem is None else apart_of(problem.constraints)
+    if apart is None or problem is None or proof.passed:
+        return {}
+    allowed = next(one.allowed() for one in problem.constraints if one.of is apart)
+    measure, found = apart.measure(problem.dynamics, problem.N), {}
+    model, short = survey_of(measure.mechanism).model, measure.short(problem.dynamics, plan.xs, plan.us)
+    for k in np.flatnonzero(short.max(axis=0) > allowed):
+        pair, n = apart.pairs[k], np.flatnonzero(short[:, k] > allowed)
+        geoms = (pair.a.geom, pair.b.geom)
+        xs = plan.xs[np.union1d(n, n + 1)]
+        real = np.array([distances_in(model, x[: model.nq], [geoms], FAR)[geoms] for x in xs])
+        beyond = float(np.min(real - measure.shown(xs, plan.us[:0], n)[:, k]))
+        nearer = measure.least[k] - (pair.least - beyond)
+        if nearer > allowed and real.min() > pair.least:
+            found[pair.names] = -nearer
+    return found
+
+
+def _told(names: str, more: float) -> str:
+    if more > 0.0:
+        return f"{names} touch and are kept {100.0 * more:.2g} cm further apart"
+    return f"the fits of {names} may come {-100.0 * more:.2g} cm nearer, since the shapes are that much further apart"
 
 
 def with_more_room(problem: Problem, more: dict[str, float]) -> Problem:

@@ -8,8 +8,9 @@
 Where shapes are kept apart, bounds of stages rise on which they come too near between the knots, and it goes on.
 
 The first round has no hinges, and is all where nothing is violated. The second takes its weights from what the first
-found, as ALGENCAN does (Birgin and Martinez 2014): the hinges then cost about what J does. Only what keeps shapes apart
-has hinges from the beginning, since a motion that went through an obstacle does not find the way around it any more.
+found, as ALGENCAN does (Birgin and Martinez 2014): the hinges then cost about what J does, and those of ranges more.
+Only what keeps shapes apart has hinges from the beginning, since a motion that went through an obstacle does not find
+the way around it any more.
 
 Rounds far from the tolerance end before their minimum (inexact augmented Lagrangian; Bertsekas 1982, section 2.5): what
 is left of them moves the states by little of the violation that they are to reach.
@@ -30,6 +31,7 @@ MOST_ROUNDS = 30
 NEARER = 0.25  # of the last violation: what must be reached for the weight to stay
 RAISED = 10.0
 DEAREST = 1e6  # a first guess by whose cost hinges are weighed
+STIFFER = 100.0  # times that weight, of ranges: the LQ problem knows which will pull (kernels.lq.active_set)
 MOST_IN_VAIN = 6  # rounds, with dearer hinges, within which the least violation must fall below LESS of that before
 LESS = 0.5
 MOST_RAISED = 5  # times that bounds rise for what comes too near between knots
@@ -156,6 +158,7 @@ def _begun(kept: Kept, plan: Plan, first: Hinges) -> Hinges:
     outside = float(np.sum(np.where(had, 0.0, beyond) ** 2))
     weight = 2.0 * max(abs(plan.cost), np.finfo(float).tiny) / outside if outside else 0.0
     used = (np.isfinite(kept.lower) | np.isfinite(kept.upper)).astype(float)
+    used[:, : kept.split] *= STIFFER
     begun = Hinges(kept.lower.copy(), kept.upper.copy(), weight * used)
     if not had.any():
         return begun

@@ -62,14 +62,15 @@ class Tried(NamedTuple):
     status: Status
 
     def __str__(self) -> str:
-        return (
+        row = (
             f"{self.number:5d}  {self.duration:12.6g}  {self.cost:15.8g}  {self.violation:9.2e}  "
             f"{self.iterations:10d}  {self.status.name}"
         )
+        return row if self.number else f"{self.header()}\n{row}"
 
     @staticmethod
     def header() -> str:
-        """The heading over the lines that str() makes."""
+        """The heading over the lines that str() makes; it is above the first one."""
         return f"{'tried':>5}  {'duration, s':>12}  {'cost':>15}  {'outside':>9}  {'iterations':>10}  status"
 
 

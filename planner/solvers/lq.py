@@ -34,6 +34,8 @@ class Sweep(NamedTuple):
     s: np.ndarray  # (N+1, ndx)
     slope: float  # of J along the direction (Eq. 42); without bounds minus twice the decrease promised
     value: float  # of the LQ model at its minimum: minus the decrease promised
+    held: np.ndarray | None = None  # (N, nu) controls at their lower (-1) and upper (1) bounds; None without bounds
+    rows: tuple[np.ndarray, ...] = ()  # Hessians (N, nu, nu), (N, nu, ndx) and gradients (N, nu) of controls, with held
 
 
 def costates(A: np.ndarray, quadratic: Quadratic) -> np.ndarray:
@@ -87,6 +89,7 @@ def riccati(
     bounds: Moves | None = None,
     second: np.ndarray | None = None,
     gaps: np.ndarray | None = None,
+    held: np.ndarray | None = None,
 ) -> Sweep | None:
     """Backward sweep, Eq. 31-34 with a Cholesky factorisation of R + B'PB + mu I instead of Eq. 31's inverse.
 
@@ -101,15 +104,19 @@ def riccati(
         bounds: Of k.
         second: (N, ndx+nu, ndx+nu) second-order terms of the dynamics in z = (x, u), added to each stage's Hessian.
         gaps: (N, ndx) between the stages; none by default. With them slope and value are no longer those of J.
+        held: (N, nu) controls that are held at their lower (-1) and upper (1) bounds while the others are free, in
+            place of the box of each stage (see solvers.active_set).
 
     Returns:
         The solution, or None when R + B'PB + mu I (with the control block of second) is not positive definite.
     """
     N, ndx, nu = B.shape
-    K, k = np.empty((N, nu, ndx)), np.empty((N, nu))
+    K, k = np.empty((N, nu, ndx)), np.zeros((N, nu))
     P, s = np.empty((N + 1, ndx, ndx)), np.empty((N + 1, ndx))
     P[N], s[N] = quadratic.Q[N], quadratic.q[N]  # Eq. 29
     slope, value, none = 0.0, 0.0, np.zeros((ndx + nu, ndx + nu))
+    rows = np.zeros((N, nu, nu)), np.zeros((N, nu, ndx)), np.zeros((N, nu))
+    now = np.zeros((N, nu))
     for n in reversed(range(N)):
         BtP = B[n].T @ P[n + 1]
         T = none if second is None else second[n]
@@ -121,13 +128,21 @@ def riccati(
         s_x, follows, more = quadratic.q[n] + A[n].T @ s_end, None, 0.0
         try:
             if bounds is not None:
-                k[n], clamped = box_minimum(H, h, bounds.lower[n], bounds.upper[n])
+                if held is None:
+                    k[n], clamped = box_minimum(H, h, bounds.lower[n], bounds.upper[n])
+                else:
+                    k[n], clamped = (
+                        np.select([held[n] < 0, held[n] > 0], [bounds.lower[n], bounds.upper[n]]),
+                        held[n] != 0,
+                    )
+                    rows[0][n], rows[1][n], rows[2][n] = H, H_ux, h
+                now[n] = np.where(clamped, np.where(k[n] <= bounds.lower[n], -1.0, 1.0), 0.0)
                 value += float(h @ k[n] + 0.5 * k[n] @ H @ k[n])
                 kc = np.where(clamped, k[n], 0.0)  # a constant to what is left
                 h, s_x = h + H @ kc, s_x + H_ux.T @ kc
                 if bounds.lower_by_x is not None and bounds.upper_by_x is not None:  # the bounds move with the state
-                    rows = np.where((k[n] <= bounds.lower[n])[:, None], bounds.lower_by_x[n], bounds.upper_by_x[n])
-                    follows = np.where(clamped[:, None], rows, 0.0)
+                    along = np.where((k[n] <= bounds.lower[n])[:, None], bounds.lower_by_x[n], bounds.upper_by_x[n])
+                    follows = np.where(clamped[:, None], along, 0.0)
                     along = follows.T @ H_ux
                     s_x, more = s_x + follows.T @ h, along + along.T + follows.T @ H @ follows
                     H_ux = H_ux + H @ follows
@@ -144,8 +159,10 @@ def riccati(
         K[n] = -np.linalg.solve(U, Y)
         if follows is not None:
             K[n] += follows
-        if bounds is None:
-            k[n] = -np.linalg.solve(U, y)
+        if bounds is None or held is not None:
+            k[n] -= np.linalg.solve(U, y)
+        if held is not None:
+            value -= 0.5 * float(y @ y)
         P[n] = quadratic.Q[n] + A[n].T @ P[n + 1] @ A[n] + T[:ndx, :ndx] - Y.T @ Y  # Eq. 33
         P[n] += more
         P[n] = 0.5 * (P[n] + P[n].T)
@@ -154,7 +171,8 @@ def riccati(
     if bounds is None or gaps is not None:
         return Sweep(K, k, P, s, slope, 0.5 * slope if bounds is None else value)
     _, dus = direction(A, B, Sweep(K, k, P, s, slope, value), bounds)
-    return Sweep(K, k, P, s, float(np.sum(gradient(A, B, quadratic) * dus)), value)
+    slope = float(np.sum(gradient(A, B, quadratic) * dus))
+    return Sweep(K, k, P, s, slope, value, now, rows if held is not None else ())
 
 
 def direction(

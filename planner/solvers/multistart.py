@@ -6,6 +6,8 @@ Start 0 is the problem's own first guess; start k adds a smooth random change, d
 
 with an RMS of 1 expected of the sum, and a scale per control: the RMS of the guess, or of what five iterations from
 it have made of it, whichever is larger. So it is in the control's own units, also where the guess is zero.
+Where the cost asks for a whole state at the end, starts from 1 on begin with the straight line to it beside these
+controls (solvers.shooting): a rollout of random controls goes far astray, and few solves find back.
 Starts run on threads, or on the executor that is given, and which of them wins does not depend on when each ends. Plans
 are ranked one at a time, in the caller's thread.
 """
@@ -43,7 +45,7 @@ Descend = Callable[[np.ndarray, int, Callable[[Iteration], object] | None], Plan
 def best_of(
     guess: np.ndarray, descend: Descend, max_iterations: int, starts: int, seed: int, spread: float,
     callback: Callable[[Start], object] | None, rank: Callable[[Plan], float] | None = None,
-    sizing: Descend | None = None, executor: Executor | None = None,
+    sizing: Descend | None = None, others: Descend | None = None, executor: Executor | None = None,
 ) -> Plan:  # fmt: skip
     """The plan of least rank among the converged of several starts, else among all.
 
@@ -57,13 +59,14 @@ def best_of(
         callback: Called with each Start, in order, as soon as it and those before it have ended.
         rank: Of a Plan, the less the better; its cost by default.
         sizing: The solve whose first iterations give the controls their size; `descend` by default.
+        others: One solve from a changed guess; `descend` by default.
         executor: Where starts are solved; by default threads, one a processor.
     """
     pilot = (sizing or descend)(guess, min(_PILOT, max_iterations), None)
     if pilot.status is Status.INTERRUPTED:
         return replace(pilot, starts=(_summary(0, pilot, pilot.cost),))
     stop = _Stop()
-    run = partial(_run, descend, guess, spread * _sizes(guess, pilot.us), seed, max_iterations, stop)
+    run = partial(_run, descend, others or descend, guess, spread * _sizes(guess, pilot.us), seed, max_iterations, stop)
     ended: list[Start] = []
     best: Plan | None = None
     waiting: deque[tuple[int, Future[Plan]]] = deque()
@@ -114,11 +117,13 @@ class _Stop:
 
 
 def _run(
-    descend: Descend, guess: np.ndarray, scale: np.ndarray, seed: int, max_iterations: int, stop: _Stop, number: int
-) -> Plan:
+    descend: Descend, others: Descend, guess: np.ndarray, scale: np.ndarray, seed: int, max_iterations: int,
+    stop: _Stop, number: int,
+) -> Plan:  # fmt: skip
     """One start."""
-    first = guess if number == 0 else guess + scale * smooth(np.random.default_rng([seed, number]), guess.shape)
-    return descend(first, max_iterations, stop)
+    if number == 0:
+        return descend(guess, max_iterations, stop)
+    return others(guess + scale * smooth(np.random.default_rng([seed, number]), guess.shape), max_iterations, stop)
 
 
 def smooth(rng: np.random.Generator, shape: tuple[int, ...]) -> np.ndarray:

@@ -57,14 +57,15 @@ class Pass(NamedTuple):
     status: Status
 
     def __str__(self) -> str:
-        return (
+        row = (
             f"{self.number:5d}  {self.cost:15.8g}  {self.miss:14.3g}  {self.left:9.2e}  {self.iterations:10d}  "
             f"{self.status.name}"
         )
+        return row if self.number else f"{self.header()}\n{row}"
 
     @staticmethod
     def header() -> str:
-        """The heading over the lines that str() makes."""
+        """The heading over the lines that str() makes; it is above the first one."""
         return f"{'pass':>5}  {'cost':>15}  {'gap/tolerance':>14}  {'left':>9}  {'iterations':>10}  status"
 
 

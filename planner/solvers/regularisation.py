@@ -1,8 +1,9 @@
 """Regularisation: what a solve adds to its LQ problems so that sweeps are definite and searches find a step.
 
-Gauss-Newton from controls adds mu to R + B'PB, and only after a failure. A solve with exact Hessians, or from states,
-weighs changes of the states instead (Engine.hold), and more as soon as steps are short: its gains then keep the rollout
-near the trajectory, which a weight on the controls' steps gives up (Tassa, Erez and Todorov 2012).
+Gauss-Newton from controls adds mu to R + B'PB, and only after a failure. A solve with exact Hessians, from states, or
+with bounds of controls weighs changes of the states instead (Engine.hold), and more as soon as steps are short: its
+gains then keep the rollout near the trajectory, which a weight on the controls' steps gives up (Tassa, Erez and Todorov
+2012). Where controls are at their bounds a direction may be far too long, and hold for hundreds of iterations.
 """
 
 from __future__ import annotations
@@ -12,8 +13,6 @@ from planner.solvers.engine import Engine, Outcome
 
 # Of mu, relative to the largest entry of R: raised and lowered tenfold, zero below its least value.
 LEAST, MOST, FACTOR = 1e-6, 1e10, 10.0
-# With bounds, what they undo of a direction can be all of its decrease, until mu outweighs B'PB and not only R.
-MOST_BOUNDED = 1e16
 # Of the weight that holds the states, and the step below which it is raised. Failures raise it by the factor's square.
 HELD_MOST, HELD_FACTOR = 1e12, 5.0
 SHORT = 0.2
@@ -28,8 +27,8 @@ class Regularisation:
     Args:
         engine: Of the solve, after its start.
         exact: Whether its Hessians are exact.
-        holds: Whether states are held.
-        bounded: Whether its controls have bounds.
+        holds: Whether states are held where steps are short.
+        bounded: Whether they are where steps are short and controls are at their bounds.
 
     Attributes:
         mu: In the units of R; zero for the plain model of Eq. 31, and where states are held.
@@ -37,8 +36,8 @@ class Regularisation:
     """
 
     def __init__(self, engine: Engine, exact: bool, holds: bool = False, bounded: bool = False) -> None:
-        self._most = HELD_MOST if holds else MOST_BOUNDED if bounded else MOST
-        self._engine, self._exact, self._holds = engine, exact, holds
+        self._most = HELD_MOST if holds or bounded else MOST
+        self._engine, self._exact, self._holds, self._always = engine, exact, holds or bounded, holds
         self._relative, self._tried_plain, self._second_order = 0.0, False, exact
         self._given_up = 0.0  # the weight that a kink set to zero
 
@@ -80,7 +79,8 @@ class Regularisation:
             self._given_up = self._relative  # if the plain model fails there is no need to climb up again
             self._set(0.0)
         elif self._holds:
-            self._set(max(LEAST, HELD_FACTOR * self._relative) if step < SHORT else self._relative)
+            more = step < SHORT and (self._always or self._engine.clamped)
+            self._set(max(LEAST, HELD_FACTOR * self._relative) if more else self._relative)
 
     def try_plain(self, accepted: bool, flat: bool) -> bool:
         """Drop the weight once where the model promises next to nothing (`flat`): Newton steps outrun it.

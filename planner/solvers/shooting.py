@@ -63,6 +63,17 @@ def guessed_states(problem: Problem, states: np.ndarray | str | None) -> np.ndar
     return line_of_states(space, problem.x0, tracking.x_ref[-1], problem.duration, problem.N)
 
 
+def line_to_the_end(problem: Problem) -> np.ndarray | None:
+    """The straight line (N+1, nx) to the state that a cost asks for at the end; None where it does not ask for all.
+
+    Nor where constraints are kept: what stands between start and goal would be crossed.
+    """
+    tracking = tracking_of(problem.cost)
+    if tracking is None or problem.constraints or problem.periodic is not None:
+        return None
+    return guessed_states(problem, "line") if np.all(np.diagonal(tracking.Q[-1]) > 0.0) else None
+
+
 def close_gaps(
     problem: Problem, engine: Engine, exact: bool, xs: np.ndarray, us: np.ndarray, most: int,
     callback: Callable[[Iteration], object] | None, hinges: Hinges | None = None,

@@ -30,6 +30,7 @@ import numpy as np
 from planner.base.arguments import choice, count, number, shown
 from planner.base.errors import PlannerError
 from planner.base.executors import checked_executor
+from planner.kernels.lq.search import LONGER
 from planner.kernels.lq.workspace import ACCEPTED, CONVERGED, INDEFINITE
 from planner.model.space import space_of
 from planner.problem.criteria import solver_problem
@@ -42,7 +43,7 @@ from planner.solvers.augmented import within_ranges
 from planner.solvers.engine import Engine, borrow, give_back
 from planner.solvers.multistart import MOST_STARTS, best_of
 from planner.solvers.regularisation import Regularisation, plain_sweep
-from planner.solvers.shooting import close_gaps, guessed_states
+from planner.solvers.shooting import close_gaps, guessed_states, line_to_the_end
 from planner.solvers.steadied import runs_away, steadied
 from planner.solvers.warm_start import followed
 
@@ -53,6 +54,8 @@ LINE_SEARCHES = ("armijo", "exact", "wolfe", "goldstein")  # in the order of ker
 DECREASE = 1e-10  # decrease_tolerance where neither the call nor the problem sets one
 
 KINKED = 1e-5  # gain_tolerance of machines with friction loss where neither the call nor the problem sets one
+FAR_MORE = 1.5  # of the decrease that a full step promises: a longer one gains more
+
 _SLOW = 2  # iterations in a row of the plain model that gain less than gain_tolerance end a solve
 _SLOWER = 8  # the same with KINKED: while joints change the sign of their friction little is gained, then more
 
@@ -102,8 +105,9 @@ def solve(
             iterations for machines with friction loss, which has such kinks too, else 0 (never).
         callback: Called with each Iteration, or with several starts with each Start as it ends; print makes a table.
             It may raise StopIteration to end the solve.
-        starts: Number of first guesses: the problem's own, and smooth random changes of it. They run on all
-            processors. The number of processors does not change the plan.
+        starts: Number of first guesses: the problem's own, and smooth random changes of its controls, beside the
+            straight line of states where `states` is None and the cost asks for a whole state at the end. They run on
+            all processors. The number of processors does not change the plan.
         seed: Seed of the random changes.
         spread: Size of the random changes, relative to the controls of the first guess, or to those that five
             iterations make of it if these are larger.
@@ -173,8 +177,12 @@ def solve(
     def solved(guess: np.ndarray) -> Plan:
         if starts == 1:
             return descend(guess, max_iterations, callback)
-        sizing = partial(_descend, core, descent, None, None)
-        return best_of(guess, descend, max_iterations, starts, seed, spread, callback, ranking, sizing, executor)
+        sizing, others = partial(_descend, core, descent, None, None), descend
+        if states is None and (line := line_to_the_end(core)) is not None:
+            others = partial(_descend, core, descent, line, hinges)
+        return best_of(
+            guess, descend, max_iterations, starts, seed, spread, callback, ranking, sizing, others, executor
+        )
 
     best = solved(core.first_guess)
     if best.status is Status.NOT_FINITE and not best.history:  # it had no first rollout
@@ -258,7 +266,8 @@ def _minimise(
             # A regularised model promises too little: only the plain one may say that nothing is left to gain.
             mu = regularisation.mu
             promise = max(loose, descent.decrease_tolerance * max(1.0, abs(cost))) if regularisation.plain else -1.0
-            done = engine.iterate(descent.feedback, descent.rule, mu, fresh, cost, descent.gradient_tolerance, promise)
+            rule = LONGER if _too_short(history, descent) else descent.rule
+            done = engine.iterate(descent.feedback, rule, mu, fresh, cost, descent.gradient_tolerance, promise)
             if done.kind == INDEFINITE and regularisation.leave_second_order():
                 fresh = False
                 continue
@@ -292,8 +301,8 @@ def _minimise(
         cost = problem.cost.value(xs, us)
         last = plain_sweep(engine)
         history.append(Iteration(first_line + len(history), cost, last.gradient_norm, 0.0, last.expected, 0.0, 0.0))
-    elif holds or not regularisation.plain:  # the gains of a plan are those of the plain model of Eq. 31
-        plain_sweep(engine)
+    elif holds or problem.bounds is not None or not regularisation.plain:
+        plain_sweep(engine)  # the gains of a plan are those of the plain model of Eq. 31
     if hinges is not None:  # the cost of a plan is that of its problem
         cost = problem.cost.value(xs, us)
     K = engine.gains()
@@ -302,6 +311,17 @@ def _minimise(
     plan = _plan(problem, xs, us, K, cost, history[-1].gradient_norm, status, history)
     give_back(problem, engine, descent.rule)
     return plan
+
+
+def _too_short(history: list[Iteration], descent: _Descent) -> bool:
+    """Whether the last step gained far more than a parabola that is least at the full one, as far from it it does.
+
+    The Hessian of Gauss and Newton is then larger than that of the cost, and full steps would converge slowly.
+    """
+    if not history or LINE_SEARCHES[descent.rule] != "armijo":
+        return False
+    last = history[-1]
+    return last.step >= 1.0 and last.regularisation == 0.0 and last.actual > FAR_MORE * last.expected
 
 
 def _stalled(history: list[Iteration], descent: _Descent) -> bool:

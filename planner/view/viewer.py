@@ -115,7 +115,7 @@ class Shown:
         """Take the films of the replays without and with gains; `perturbed` makes poses (F, nq) one by one."""
         mujoco = load_mujoco()
         self._films, self._perturbed, self._rollouts = films, perturbed, list[np.ndarray]()
-        self.model = visible_model(films[0])
+        self.model = visible_model(films)
         self.data, self._other = mujoco.MjData(self.model), mujoco.MjData(self.model)
         self._option, self._perturb = mujoco.MjvOption(), mujoco.MjvPerturb()
         seen = films[0].appearance

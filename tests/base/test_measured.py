@@ -2,6 +2,8 @@
 
 import math
 
+import pytest
+
 from planner.base.measured import Measured, Section, beyond_bounds
 
 
@@ -15,3 +17,14 @@ def test_the_worst_failure_counts_over_its_bound():
 def test_what_is_no_number_or_may_not_be_at_all_is_furthest():
     assert beyond_bounds([Section("a", (Measured("x", math.nan, "", 1.0),))]) == math.inf
     assert beyond_bounds([Section("a", (Measured("warnings", 1.0, "", 0.0),))]) == math.inf
+
+
+@pytest.mark.parametrize(
+    ("value", "words"),
+    [
+        (0.97, "path angle error 0.97 rad (97 % of its bound 1)"), (0.0123, "path angle error 0.0123 rad (1 % of its "
+        "bound 1)"), (1e-9, "path angle error 1e-09 rad (less than 0.1 % of its bound 1)"),
+    ],
+)  # fmt: skip
+def test_a_value_says_what_share_of_its_bound_it_is(value, words):
+    assert Measured("path_angle_error", value, "rad", 1.0).beside_bound == words

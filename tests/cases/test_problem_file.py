@@ -52,6 +52,8 @@ def test_a_plan_needs_neither_file(tmp_path, monkeypatch):
         shutil.copy(EXAMPLES / name, tmp_path)
     plan = planner.solve(load(tmp_path / "crane.toml").problem)
     plan.save(tmp_path / "plan.npz")
+    assert f"CONVERGED: {plan.problem.appearance.title}: " in repr(planner.load_plan(tmp_path / "plan.npz"))
+    assert "problem-file" not in repr(plan)
     (tmp_path / "crane.toml").unlink()
     (tmp_path / "crane.xml").unlink()
     (tmp_path / "elsewhere").mkdir()

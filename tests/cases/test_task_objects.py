@@ -2,8 +2,12 @@
 
 import numpy as np
 import pytest
+from gantries import gantry
 
 import planner
+from planner.cases.problem_file.keys import GOAL as GOAL_KEYS
+from planner.problem.goals import goals_of
+from planner.problem.tasks.timetable import USUAL
 
 CART = """<mujoco><worldbody><body><joint name="rail" type="slide" axis="1 0 0" range="-1 3"/>
   <geom type="box" size=".1 .1 .1" mass="2" contype="0" conaffinity="0"/></body></worldbody>
@@ -56,3 +60,53 @@ def test_a_plan_in_place_of_a_problem_is_told_how_to_be_given():
     plan = planner.solve(asked())
     with pytest.raises(planner.PlannerError, match=r"write Controller\(plan\.problem, plan=plan\)"):
         planner.Controller(plan)
+
+
+@pytest.mark.parametrize(
+    ("words", "goal"),
+    [
+        ("joints = {rail = 1.0}", planner.Goal(joints={"rail": 1.0})),
+        ('frame = "box"\nposition = [1.0, 0.0, 0.0]', planner.Goal(frame="box", position=[1.0, 0.0, 0.0])),
+    ],
+)
+def test_a_goal_has_the_same_tolerances_in_a_file_and_in_python(words, goal, tmp_path):
+    """Both are those of timetable.USUAL, which the words about the key name too."""
+    (tmp_path / "cart.xml").write_text(CART.replace("<body>", '<body name="box">'))
+    (tmp_path / "p.toml").write_text(f'model = "cart.xml"\nstart = {{}}\nduration = 1.0\n[[goal]]\n{words}\n')
+    cart = planner.Mechanism.from_mjcf(tmp_path / "cart.xml")
+    problems = planner.load_problem(tmp_path / "p.toml"), planner.task(cart, cart.home, goal, duration=1.0)
+    found = [[(one.name, one.tolerance) for one in goals_of(problem)] for problem in problems]
+    assert found[0] == found[1]
+    assert {tolerance for _, tolerance in found[0]} == {USUAL["position"], USUAL["velocity"]}
+    assert GOAL_KEYS["tolerance"].endswith("by default 5 mm, 0.02 rad, 0.05 m/s")
+
+
+def test_avoid_and_one_constraint_may_be_objects_or_tables():
+    machine = planner.Mechanism.from_mjcf(gantry(), contacts="avoid")
+    goal = planner.Goal(joints={"x": 0.5, "z": 0.1})
+    by_object, by_table = (
+        planner.task(machine, "left", goal, duration=2.0, dt=0.05, avoid=avoid)
+        for avoid in (planner.constraints.Avoid(clearance=0.03), {"clearance": 0.03})
+    )
+    assert by_object.parameters["avoid"]["clearance"] == 0.03
+    np.testing.assert_array_equal(by_object.first_guess, by_table.first_guess)
+    one = {"frame": "tool", "along": "z", "most": 1.5}
+    assert len(planner.task(machine, "left", goal, duration=2.0, constraint=one).constraints) == 1
+
+
+@pytest.mark.parametrize(
+    ("start", "expected"),
+    [
+        ([0.0], r"the start has shape \(1,\), expected a keyframe, or \(2,\), its positions, or \(4,\), its state"),
+        ("home", "keyframe is 'home', expected one of: left, right"),
+        ([np.nan, 0.0], r"the start\[0\] is nan, expected finite numbers"),
+        ("text", "keyframe is 'text'"),
+        ({}, "the start is {}, expected numbers"),
+    ],
+)
+def test_a_wrong_start_of_avoid_is_one_sentence(start, expected):
+    machine = planner.Mechanism.from_mjcf(gantry(), contacts="avoid")
+    with pytest.raises(planner.PlannerError, match=expected):
+        planner.constraints.Avoid(clearance=0.03).constraint(machine, start)
+    named, given = (planner.constraints.Avoid().constraint(machine, x).notes for x in ("left", [-0.5, 0.1]))
+    assert named == given

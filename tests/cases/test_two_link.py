@@ -105,6 +105,7 @@ def test_several_starts_find_less_effort(plan):
     best = planner.solve(planner.cases.two_link(), starts=8)
     assert best.success
     assert best.cost < min(9.9, 0.6 * plan.cost)
+    assert {start.status for start in best.starts} == {planner.Status.CONVERGED}  # by the line of states
 
 
 def test_the_miss_is_the_price_of_a_radian_over_the_weight():

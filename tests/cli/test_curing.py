@@ -35,7 +35,7 @@ def attempt(monkeypatch, order):
             curing, "longer", lambda problem, one: replace(one, value=1.5 * one.value, sentence=f"{1.5 * one.value} s")
         )  # fmt: skip
         monkeypatch.setattr(curing, "written", lambda problem, cure: Namespace(parameters={"starts": 1}))
-        monkeypatch.setattr(curing, "solved", lambda *_, end: (other, 0.0))
+        monkeypatch.setattr(curing, "solved", lambda *_, end, why: (other, 0.0))
         return curing.cured(asked, plan, None, end, Namespace(), Console(), judge), other
 
     return attempted

@@ -2,10 +2,12 @@
 
 import json
 
+import numpy as np
 import pytest
 from commands import refused, run
 from urdfs import inertial, joint, link
 
+import planner
 from planner.base.gl import backend
 from planner.cases.problem_file import load
 
@@ -60,6 +62,29 @@ GRIPPER = """<mujoco model="gripper"><compiler angle="radian"/><worldbody>
     <geom size=".02" mass=".1"/></body></worldbody>
   <actuator><motor name="squeeze" joint="left" ctrlrange="-9 9"/></actuator>
   <equality><joint joint1="right" joint2="left"/></equality></mujoco>"""
+
+
+LIGHT = """<mujoco><worldbody><body><joint name="a" axis="0 0 1" damping="2" range="-120 120"/>
+  <geom type="capsule" fromto="0 0 0 .3 0 0" size=".02" mass=".2"/></body></worldbody>
+  <actuator><motor joint="a" ctrlrange="-20 20"/></actuator></mujoco>"""
+
+
+def test_the_gentler_objective_that_is_written_as_a_comment_loads_and_is_gentler(tmp_path):
+    """Of a light arm in strong dampers, least effort takes half of its speed in three stages."""
+    (tmp_path / "light.xml").write_text(LIGHT)
+    run("model", "light.xml", "--no-picture", "--write", "first.toml", cwd=tmp_path)
+    text = (tmp_path / "first.toml").read_text()
+    assert text.count('# objective = "jerk"') == 1
+    (tmp_path / "gentle.toml").write_text(text.replace("# objective", "objective"))
+    shares = []
+    for name, objective in (("first", None), ("gentle", "jerk")):
+        asked = load(tmp_path / f"{name}.toml")
+        assert (asked.objective is None) == (objective is None)
+        plan = planner.solve(asked.problem) if objective is None else planner.solve_for(asked.problem, objective)
+        speed = np.abs(plan.xs[:, 1])
+        shares.append(speed[3] / speed.max())
+    assert shares[0] > 0.5
+    assert shares[1] < 0.1
 
 
 def test_what_is_written_is_accepted(folder):

@@ -119,7 +119,7 @@ def test_descent_identity(seed, mu, N, nx, nu):
 def test_regularisation_is_a_heavier_control_weight(seed, mu, N, nx, nu):
     A, B, m = random_problem(seed, N, nx, nu)
     heavier = m._replace(R=m.R + mu * np.eye(nu))
-    for ours, theirs in zip(lq.riccati(A, B, m, mu), lq.riccati(A, B, heavier), strict=True):
+    for ours, theirs in zip(lq.riccati(A, B, m, mu)[:6], lq.riccati(A, B, heavier)[:6], strict=True):
         assert_close(ours, theirs, 11)
 
 

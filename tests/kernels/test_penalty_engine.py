@@ -219,7 +219,8 @@ def test_a_plan_is_stored_and_proved_with_its_problem(dynamics, tmp_path):
     proof = planner.prove(plan, rollouts=0)
     assert proof.passed, proof
     assert planner.proof.proven_cost(plan) == pytest.approx(plan.cost, rel=0.05)
-    plan.save(tmp_path / "plan.npz")
+    with pytest.warns(UserWarning, match="has the plan without its problem"):
+        plan.save(tmp_path / "plan.npz")
     again = planner.load_plan(tmp_path / "plan.npz", problem=task)
     assert str(planner.prove(again, rollouts=0)) == str(proof)
 

@@ -19,7 +19,7 @@ from planner.kernels.lq import search
 from planner.model.space import log_jacobian
 from planner.problem.costs.residuals.cost import ResidualCost
 from planner.problem.discretisation import finer
-from planner.solvers.engine import CompiledEngine, NumpyEngine, borrow, compiled_costs
+from planner.solvers.engine import AddedEngine, CompiledEngine, NumpyEngine, borrow, compiled_costs
 
 BALL = """
 <mujoco>
@@ -189,7 +189,7 @@ def test_costs_without_tracking_are_compiled(arm):
     assert planner.solve(task, max_iterations=20).cost < costs[0]
 
 
-def test_a_users_own_term_goes_to_numpy(arm):
+def test_a_users_own_term_is_added_in_numpy(arm):
     class Own:
         def value(self, xs, us):
             return 0.0
@@ -198,7 +198,7 @@ def test_a_users_own_term_goes_to_numpy(arm):
             return held(arm).quadratize(0.0 * xs, 0.0 * us)._replace(Q=np.zeros((N + 1, 4, 4)), R=np.zeros((N, 2, 2)))
 
     task = Problem(arm, reach(arm).cost + Own(), np.zeros(4), horizon=N)
-    assert isinstance(borrow(task), NumpyEngine)
+    assert isinstance(borrow(task), AddedEngine)
     assert planner.solve(task).cost == pytest.approx(planner.solve(reach(arm)).cost, rel=1e-8)
 
 

@@ -9,7 +9,8 @@ from planner.base.errors import PlannerError
 from planner.model.contact import distances
 from planner.model.contact.distances import Placed
 from planner.model.contact.fitted import fitted, rim_points, round_points, sphere
-from planner.model.mjcf.near_pairs import can_meet, distances_in, near_pairs
+from planner.model.mjcf.meeting import FAR, can_meet, distances_in, nearest_anywhere
+from planner.model.mjcf.near_pairs import near_pairs
 from planner.model.mjcf.survey import Survey, contact_pairs
 
 SIZES = {"sphere": (0.1,), "capsule": (0.05, 0.3), "box": (0.1, 0.2, 0.3), "plane": (1.0, 1.0, 1.0)}
@@ -146,7 +147,7 @@ def named(survey, near):
 
 
 def test_pairs_that_can_come_near_are_kept_apart(survey):
-    near = near_pairs(survey, {"start": np.array([1.0, 0.5, 0.0])}, 0.02)
+    near = near_pairs(survey, {"the start": np.array([1.0, 0.5, 0.0])}, 0.02)
     found = named(survey, near)
     assert {"near", "hand"} in found
     assert {"arm", "hand"} in found
@@ -154,12 +155,13 @@ def test_pairs_that_can_come_near_are_kept_apart(survey):
     assert {"base", "hand"} not in found
     notes = " ".join(near.notes)
     assert "since the model excludes them: base and hand" in notes
-    assert "1 shapes are fitted" in notes
+    assert "1 shape is fitted" in notes
+    assert near.notes[0] == f"{len(near.pairs)} pairs of shapes are kept 0.02 m apart (left out: 2)."
     assert "geom 'base' and geom 'arm'" in notes  # drawn into each other: the base does not move
-    own = near_pairs(survey, {"start": np.array([1.0, 0.5, 0.0])}, 0.02, world=False)
+    own = near_pairs(survey, {"the start": np.array([1.0, 0.5, 0.0])}, 0.02, world=False)
     assert named(survey, own) < found
     assert not any({"near", "floor"} & pair for pair in named(survey, own))
-    rest = near_pairs(survey, {"start": np.array([1.0, 0.5, 0.0])}, 0.02, own=False)
+    rest = near_pairs(survey, {"the start": np.array([1.0, 0.5, 0.0])}, 0.02, own=False)
     assert named(survey, rest) | named(survey, own) == found
 
 
@@ -176,10 +178,40 @@ def test_what_is_said_to_be_out_of_reach_is(survey):
 
 def test_a_start_in_collision_or_too_near_is_refused(survey):
     with pytest.raises(PlannerError) as error:
-        near_pairs(survey, {"start": np.zeros(3)}, 0.02)
+        near_pairs(survey, {"the start": np.zeros(3)}, 0.02)
     assert str(error.value).startswith("the start is in collision: geom 'near' and geom ")
-    assert "overlap by 0.1 m, expected a start where nothing touches" in str(error.value)
+    assert "overlap by 0.1 m, expected a pose where nothing touches" in str(error.value)
     with pytest.raises(PlannerError) as error:
-        near_pairs(survey, {"start": np.array([1.0, 0.0, 0.0]), "goal": np.array([0.0, 0.42, 0.0])}, 0.1)
+        near_pairs(survey, {"the start": np.array([1.0, 0.0, 0.0]), "the goal": np.array([0.0, 0.42, 0.0])}, 0.1)
     assert str(error.value).startswith("the goal has geom 'near' and geom ")
     assert "write clearance = 0.0" in str(error.value)
+
+
+# Two short cylinders, one above the other, which turn against each other about one axis: no pose brings them nearer.
+STACKED = """<mujoco><worldbody>
+  <body name="base"><geom name="base" type="cylinder" size="0.08 0.08"/>
+    <body name="turret"><joint name="turn" axis="0 0 1" range="-170 170"/>
+      <geom type="sphere" size="0.01" pos="0.3 0 0.3"/>
+      <body name="drum" pos="0 0 0.162"><joint name="roll" axis="{axis}" range="-170 170"/>
+        <geom name="drum" type="cylinder" size="0.08 0.08"/></body></body></body>
+</worldbody></mujoco>"""
+
+
+@pytest.mark.parametrize(("axis", "kept"), [("0 0 1", False), ("0 1 0", True)])
+def test_fits_that_overlap_are_let_be_where_no_pose_brings_the_shapes_nearer(axis, kept):
+    survey = Survey(mujoco.MjModel.from_xml_string(STACKED.format(axis=axis)))
+    near = near_pairs(survey, {"the start": np.zeros(2)}, 0.01)
+    assert (frozenset(("base", "drum")) in named(survey, near)) == kept
+    notes = " ".join(near.notes)
+    assert ("no pose brings the shapes nearer, though their fits overlap: geom 'base' and geom 'drum'" in notes) != kept
+
+
+def test_how_near_a_pair_comes_in_any_pose_is_not_above_what_random_poses_say(survey):
+    model, rng = survey.model, np.random.default_rng(1)
+    pairs = [pair for pair in contact_pairs(model) if can_meet(survey, pair, 0.02)]
+    poses = rng.uniform(*model.jnt_range.T, size=(300, model.nq))
+    least = {pair: min(distances_in(model, qpos, [pair], FAR)[pair] for qpos in poses) for pair in pairs}
+    known = {pair: nearest_anywhere(survey, pair, [poses[0]]) for pair in pairs}
+    assert sum(np.isfinite(value) for value in known.values()) >= 4  # with one or two joints between their shapes
+    for pair in pairs:
+        assert known[pair] <= least[pair] + 1e-9

@@ -3,9 +3,12 @@
 import numpy as np
 import pytest
 from gantries import gantry
+from places import ROOT
 
 import planner
 from planner.base.errors import PlannerError
+from planner.cases.problem_file import load
+from planner.cases.problem_file.chosen import chosen
 from planner.problem.avoid import Avoid
 from planner.problem.constraints.apart import Apart, apart_of
 from planner.problem.free_poses import FreePoses
@@ -59,7 +62,7 @@ def test_a_stored_plan_knows_what_it_keeps_apart(problem_of, tmp_path):
     assert again.problem.parameters["avoid"] == {"clearance": 0.03}
     one, other = (apart_of(p.constraints) for p in (plan.problem, again.problem))
     np.testing.assert_array_equal(one.least, other.least)
-    assert "1 pair of shapes are kept 0.03 m apart." in plan.problem.parameters["resolved"]["reasons"]["avoid"]
+    assert plan.problem.parameters["resolved"]["reasons"]["avoid"] == "1 pair of shapes are kept 0.03 m apart."
 
 
 def test_what_is_kept_apart_at_knots_is_kept_apart_between_them(problem_of, monkeypatch):
@@ -120,10 +123,10 @@ def test_a_way_that_is_free_is_straight():
         ("[avoid]\nself = false\nworld = false\n", {}, "self and world of avoid are false, expected one of them true."),
         ("[avoid]\nmore = 1\n", {}, "more of avoid is 1, expected a table of m by the names of pairs."),
         (AVOID, {"wall": 'type="box" size="0.5 0.5 0.3"'},
-         "the start is in collision: geom 'wall' and geom 'tool' overlap by 0.05 m, expected a start where nothing"),
+         "the start is in collision: geom 'wall' and geom 'tool' overlap by 0.05 m, expected a pose where nothing"),
         (AVOID, {"wall": 'type="box" size="0.44 0.5 0.3"'},
          "the start has geom 'wall' and geom 'tool' 0.01 m apart, expected at least the clearance 0.03 m: write "
-         "clearance = 0.008 in [avoid], or another start."),
+         "clearance = 0.008 in [avoid], or move one of the two."),
         (AVOID, {"wall": 'type="box" size="0.05 0.5 0.3" contype="0" conaffinity="0"'},
          "avoid has nothing to keep apart: no shapes of the model can touch; leave it out."),
         (AVOID, {"others": '<geom name="box" type="box" size=".1 .1 .1" pos=".5 0 .1"/>'},
@@ -158,3 +161,42 @@ def test_a_touch_is_answered_with_more_room(problem_of):
     again = with_more_room(with_more_room(problem, {name: 0.01}), {name: 0.02})  # of a file: its table says so
     assert again.parameters["avoid"]["more"] == pytest.approx({name: 0.03})
     assert apart_of(again.constraints).least[0] == pytest.approx(0.06)
+
+
+def test_what_is_printed_of_avoid_is_one_sentence_and_the_report_has_the_names():
+    asked = load(ROOT / "examples" / "tasks" / "around_a_post.toml")
+    (told,) = [note for note in asked.notes if "apart" in note]
+    assert told == "48 pairs of shapes are kept 0.02 m apart; the report names them."
+    details = chosen(asked.problem.parameters)["avoid, details"]
+    assert "no pose brings the shapes nearer, though their fits overlap: geom 'link1' and geom 'base'" in details
+
+
+# What stands for a cylinder as wide as high is a ball, 4 cm larger than its side.
+DRUM = 'type="cylinder" size="0.1 0.1"'
+
+
+def test_a_goal_at_which_only_fits_overlap_is_no_collision(problem_of):
+    machine = planner.Mechanism.from_mjcf(gantry(tool=DRUM), contacts="avoid")
+    goal = planner.Goal(joints={"x": -0.19, "z": 0.1})  # its side is 4 cm from the wall, its ball in it
+    problem = planner.task(machine, "left", [goal], duration=2.0, dt=0.05, avoid={"clearance": 0.03})
+    details = problem.parameters["resolved"]["reasons"]["avoid, details"]
+    assert "Fits overlap at the start or goal where shapes do not" in details
+    plan = planner.solve(problem)
+    assert plan.success
+    assert planner.prove(plan, rollouts=0).passed
+    with pytest.raises(PlannerError, match=r"goal 1 \(joints\) is in collision: geom 'wall' and geom 'tool' overlap"):
+        planner.task(machine, "left", [planner.Goal(joints={"x": -0.14})], duration=2.0, avoid={"clearance": 0.03})
+
+
+def test_fits_that_no_plan_keeps_apart_may_come_nearer_where_the_shapes_are_far(problem_of):
+    """A drum that passes below a beam, with room for it, and not for the ball that stands for it."""
+    from planner.proof.wider import kept_wider
+
+    more = "[avoid]\nclearance = 0.02\n[limits.position]\nz = [0.08, 0.12]\n"
+    beam = 'type="box" size="0.05 0.5 2" pos="0 0 2.23"'
+    plan = planner.solve(problem_of(more, tool=DRUM, wall=beam), max_iterations=100)
+    proof = planner.prove(plan, rollouts=0)
+    assert "clearance violation" in proof.reason
+    wider = kept_wider(plan, proof)
+    assert wider.proof.passed
+    assert "the fits of geom 'tool' and geom 'wall' may come 3 cm nearer" in wider.notes[0]

@@ -30,7 +30,7 @@ def bounded():
 
 @pytest.fixture(scope="module")
 def plan():
-    return planner.solve(bounded())
+    return planner.solve(bounded(), decrease_tolerance=1e-12)  # by default gradients are left of 1.4e-4 of their size
 
 
 def by_active_sets(H, h, lower, upper):
@@ -120,16 +120,11 @@ def test_the_slope_is_that_of_the_clipped_rollout():
     problem = bounded()
     engine = NumpyEngine(problem)
     cost = engine.start(problem.x0, 3.0 * np.sin(np.arange(2 * problem.N)).reshape(-1, 2) * 4.0)
-    done = engine.iterate(True, 0, 1.0, True, cost, 0.0, -1.0)
-    engine = NumpyEngine(problem)
-    engine.start(problem.x0, 3.0 * np.sin(np.arange(2 * problem.N)).reshape(-1, 2) * 4.0)
     xs, us = engine.trajectory()
-    A, B = problem.dynamics.linearize(xs, us)
-    sweep = lq.riccati(A, B, problem.cost.quadratize(xs, us), 1.0, engine._moves(xs, us))
-    step = 1e-7
+    done, step = engine.iterate(True, 0, 1.0, True, cost, 0.0, -1.0), 1e-7
+    sweep = engine._sweep
     _, J = engine._rollout(problem.x0, (us + step * sweep.k)[:, None], sweep.K, xs)
-    assert (J[0] - cost) / step == pytest.approx(sweep.slope, rel=1e-4)
-    assert done.slope == pytest.approx(sweep.slope)
+    assert (J[0] - cost) / step == pytest.approx(done.slope, rel=1e-4)
 
 
 def test_the_hinge_and_its_derivatives():

@@ -103,7 +103,8 @@ def test_unfinished_plans_are_saved_too(tmp_path):
     wild = planner.Problem(problem.dynamics, problem.cost, [0.0, 1e307, 0.0], us=np.zeros((20, 1)))
     wild = planner.solve(wild)
     assert wild.status is planner.Status.NOT_FINITE
-    back = planner.load_plan(wild.save(tmp_path / "wild.npz"))
+    with pytest.warns(UserWarning, match="has the plan without its problem"):
+        back = planner.load_plan(wild.save(tmp_path / "wild.npz"))
     assert np.isnan(back.cost)
     assert back.status is planner.Status.NOT_FINITE
 
@@ -112,7 +113,9 @@ def test_users_own_problem_comes_back_without_problem(tmp_path):
     dynamics = planner.FunctionDynamics(lambda x, u: u, 1, 1, 0.1, "euler")
     cost = planner.TrackingCost.reach([1.0], 5, final=1.0, effort=1.0)
     plan = planner.solve(planner.Problem(dynamics, cost, [0.0]))
-    back = planner.load_plan(plan.save(tmp_path / "own.npz"))
+    words = r"cannot hold its dynamics \(FunctionDynamics\)\. load_plan\(path, problem=problem\) puts"
+    with pytest.warns(UserWarning, match=words):
+        back = planner.load_plan(plan.save(tmp_path / "own.npz"))
     assert back.problem is None
     assert back.case is None
     with pytest.raises(planner.PlannerError, match="comes without its problem"):

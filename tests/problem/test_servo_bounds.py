@@ -130,19 +130,16 @@ def test_the_reduced_gradient_is_that_of_a_motion_along_its_bounds():
 
 def test_the_slope_is_that_of_the_clipped_rollout():
     problem = arm()
-    for engine in (NumpyEngine(problem), CompiledEngine(problem, problem.dynamics, problem.cost)):
-        cost = engine.start(problem.x0, np.tile([1.5, 0.3], (40, 1)))
-        done = engine.iterate(True, 0, 1e-2, True, cost, 0.0, -1.0)
-        assert done.kind == 0
-        again = NumpyEngine(problem)
-        again.start(problem.x0, np.tile([1.5, 0.3], (40, 1)))
-        xs, us = again.trajectory()
-        A, B = problem.dynamics.linearize(xs, us)
-        sweep = lq.riccati(A, B, problem.cost.quadratize(xs, us), 1e-2, again._moves(xs, us))
-        step = 1e-7
-        _, J = again._rollout(problem.x0, (us + step * sweep.k)[:, None], sweep.K, xs)
-        assert (J[0] - cost) / step == pytest.approx(sweep.slope, rel=1e-3)
-        assert done.slope == pytest.approx(sweep.slope, rel=1e-6)
+    twin, engine = NumpyEngine(problem), CompiledEngine(problem, problem.dynamics, problem.cost)
+    cost = twin.start(problem.x0, np.tile([1.5, 0.3], (40, 1)))
+    (xs, us), step = twin.trajectory(), 1e-7
+    slow = twin.iterate(True, 0, 1e-2, True, cost, 0.0, -1.0)
+    _, J = twin._rollout(problem.x0, (us + step * twin._sweep.k)[:, None], twin._sweep.K, xs)
+    assert (J[0] - cost) / step == pytest.approx(slow.slope, rel=1e-3)
+    engine.start(problem.x0, np.tile([1.5, 0.3], (40, 1)))
+    fast = engine.iterate(True, 0, 1e-2, True, cost, 0.0, -1.0)
+    assert fast.kind == slow.kind == 0
+    assert fast.slope == pytest.approx(slow.slope, rel=1e-6)
 
 
 @pytest.mark.parametrize("integrator", ["semi-implicit-euler", "rk4"])

@@ -6,6 +6,7 @@ from gantries import gantry
 import planner
 from planner.base.errors import PlannerError
 from planner.problem.guess import rolled
+from planner.proof.cures import cures
 
 # There, beside the wall, and back: each straight way leads through it.
 THERE_AND_BACK = """model = "gantry.xml"
@@ -66,9 +67,28 @@ def test_an_elbow_bends_the_way_that_is_free(tmp_path):
 
 def test_a_goal_inside_of_a_thing_is_refused_with_its_name(tmp_path):
     inside = THERE_AND_BACK.replace("x = 0.5, z = 0.1", "x = 0.0, z = 0.1")
-    with pytest.raises(
-        PlannerError, match=r"goal 1 \(joints at 2 s\) leads to a collision: geom 'tool' and geom 'wall'"
-    ):
+    with pytest.raises(PlannerError, match=r"goal 1 \(joints at 2 s\) is in collision: geom 'wall' and geom 'tool'"):
         loaded(tmp_path, "gantry.xml", gantry(), inside)
-    with pytest.raises(PlannerError, match=r"goal 1 \(hand\) leads to a collision: geom 'fore' and geom 'block'"):
+    with pytest.raises(PlannerError, match=r"goal 1 \(hand\) is in collision: geom 'block' and geom 'fore'"):
         loaded(tmp_path, "elbow.xml", ELBOW, REACH.replace("0.8, 0.0, {z}", "0.5, 0.0, -0.35") + "[avoid]\n")
+
+
+def test_a_start_inside_of_a_thing_fails_though_nothing_is_avoided(tmp_path):
+    """What is drawn into its base is let pass; this tool could be elsewhere."""
+    inside = gantry(wall='type="box" size="0.05 0.5 0.3" pos="-0.43 0 0"')
+    toml = THERE_AND_BACK.split("[avoid]")[0] + "[[goal]]\njoints = { x = 0.5 }\n"
+    plan = planner.solve(loaded(tmp_path, "gantry.xml", inside, toml))
+    proof = planner.prove(plan, rollouts=0)
+    assert not proof.passed
+    assert "geom 'wall' and geom 'tool' overlap by 0.03 m at the start and press on each other" in proof.reason
+    said = " ".join(str(one) for one in cures(plan, proof))
+    assert "Another `start` is needed" in said
+    assert "in each other" in said
+
+
+def test_a_goal_inside_of_a_thing_is_told_what_to_write(tmp_path):
+    reach = REACH.replace("0.8, 0.0, {z}", "0.8, 0.0, -0.2")
+    plan = planner.solve(loaded(tmp_path, "elbow.xml", ELBOW, reach))
+    proof = planner.prove(plan, rollouts=0)
+    assert not proof.passed
+    assert "`avoid = {}`" in str(cures(plan, proof)[0])

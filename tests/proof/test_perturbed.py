@@ -205,6 +205,21 @@ def test_rollouts_repeat_by_their_seed(arm):
     assert not np.array_equal(ends(other)[:, :12], ends(first))
 
 
+def test_what_is_robust_says_with_what_and_how_many_rollouts_it_took(arm):
+    """All succeed with gains: 32 is the first look at which this settles their rate within 7 %."""
+    found = perturbed(arm, coarse(arm), Trials(64))
+    assert found.done == 32
+    lines = found.lines()
+    assert "robustness: robust with its gains" in lines
+    assert lines[0] == ("perturbed: 64 rollouts were asked for, 32 were run: by then the rate with gains is settled.")
+    proof = replace(planner.prove(arm, rollouts=0), monte_carlo=found)
+    assert proof.headline.endswith("; feasible, optimal, robust with its gains")
+    assert proof.robustness == "robust"
+    few = perturbed(arm, coarse(arm), Trials(4))
+    assert few.notes == ()
+    assert "robustness: counting" in few.lines()
+
+
 def test_gains_of_the_wrong_sign_fail(arm):
     twin = coarse(arm)
     good = perturbed(arm, twin, Trials(16))

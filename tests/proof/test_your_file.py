@@ -69,6 +69,10 @@ def test_an_arm_that_stays_clear_of_the_wall_passes_and_says_what_it_lacks():
     assert section.passed
     assert left_out(plan.problem) == ("contacts of 1 pair",)
     assert pairs_left_out(plan.problem) == ("geom 'wall' and geom 'arm'",)
+    proof = planner.prove(plan, rollouts=0)
+    assert ", planned without contacts of 1 pair (tested in your file)" in proof.headline
+    assert not any("contacts" in phrase for phrase in proof.not_checked)  # the wall was there, and was not touched
+    assert proof.to_dict()["planned_without"] == ["contacts of 1 pair"]
 
 
 def test_a_plan_from_its_file_says_the_same(through, tmp_path):
@@ -161,6 +165,9 @@ def test_shapes_that_overlap_at_the_start_are_left_out_and_named():
     assert section.passed, failed
     assert left_out(plan.problem)[1] == "contact of base and arm, which overlap at the start"
     model = run.compiled.model
+    proof = planner.prove(plan, rollouts=0)  # the arm meets the wall in no replay but that of the file
+    assert proof.planned_without == ("contacts of 1 pair",)
+    assert proof.not_checked[0] == "without contact of base and arm, which overlap at the start"
     names = {frozenset(model.geom(i).name for i in pair) for pair in contact_pairs(model)}
     assert names == {frozenset(("wall", "arm"))}  # the arm goes on to meet all others, with the law that it had
     np.testing.assert_array_equal(model.pair_solref, [[0.02, 1.0]])

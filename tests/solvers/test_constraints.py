@@ -180,7 +180,8 @@ def test_what_cannot_be_kept_ends_with_its_name_and_a_plan(tmp_path):
     assert "the constraint 'wall' is broken by" in plan.message
     assert "the constraint 'there' is broken by" in plan.message
     assert "at t = 1.5 s" in plan.message
-    plan.save(tmp_path / "plan.npz")
+    with pytest.warns(UserWarning, match="without its problem"):
+        plan.save(tmp_path / "plan.npz")
     again = planner.load_plan(tmp_path / "plan.npz", problem=plan.problem)
     assert again.message == plan.message
 

@@ -32,7 +32,15 @@ def test_lines_stand_under_their_header(problem):
     assert len(ends(header)) == len(Iteration._fields)
     lines = [*planner.solve(problem).history, Iteration(99999, -1.2345678e-100, 1e100, 1e-7, 1e100, -1e10, 1e10)]
     for line in lines:
-        assert ends(str(line)) == ends(header)
+        assert ends(str(line).splitlines()[-1]) == ends(header)
+
+
+def test_a_table_that_print_makes_has_its_heading_once(capsys):
+    planner.solve(swing(), callback=print)
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[0] == Iteration.header()
+    assert sum("cost" in line for line in lines) == 1
+    assert lines[1].split()[0] == "0"
 
 
 def sentence(error):

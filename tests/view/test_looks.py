@@ -7,15 +7,17 @@ import pytest
 
 from planner.base.gl import load_mujoco
 from planner.model.mechanism import Mechanism
-from planner.problem.appearance import Appearance
+from planner.problem.appearance import Appearance, GoalMark
 from planner.problem.default_appearance import MOST, small_multiples
+from planner.view.render.camera import swept_box, whole_motion
 from planner.view.render.film import Film
 from planner.view.render.looks import drawn
+from planner.view.render.scene import Scene
 from planner.view.render.setting import visible_model
 from planner.view.render.sticks import Sticks
 from planner.view.render.video import render_poses
 
-ARM = """<mujoco><worldbody>{world}<body name="upper" pos="0 0 .5"><joint name="a" axis="0 1 0"/>{upper}
+ARM = """<mujoco><worldbody>{world}<body name="upper" pos="0 0 {height}"><joint name="a" axis="0 1 0"/>{upper}
   <body name="fore" pos="0 0 .4"><joint name="b" axis="0 1 0"/>{fore}</body></body></worldbody></mujoco>"""
 BOX = '<geom name="{}" type="box" size="{size} {size} .2" pos="0 0 .2" mass="1" group="{}" {}/>'
 MASS = '<inertial pos="0 0 .2" mass="1" diaginertia=".01 .01 .01"/>'
@@ -27,11 +29,11 @@ def box(name, group, options, size=0.05):
 
 
 def film(poses=((0.0, 0.0),), scenery=(), **parts):
-    text = ARM.format(**{"world": "", "upper": MASS, "fore": MASS} | parts)
+    text = ARM.format(**{"world": "", "upper": MASS, "fore": MASS, "height": 0.5} | parts)
     mechanism = Mechanism.from_mjcf(text, contacts="off")
     made = Film.of_poses(mechanism, {str(k): np.array(pose) for k, pose in enumerate(poses)})
     made = replace(made, mjcf=text, appearance=Appearance(title="", scenery=scenery))
-    return made, visible_model(made)
+    return made, visible_model([made])
 
 
 def shown(model):
@@ -90,14 +92,18 @@ def test_links_without_shapes_are_sticks_from_joint_to_joint():
     assert len(Sticks(film(upper=box("a", 0, SEEN), fore=box("b", 0, SEEN))[1]).ends(data)) == 0
 
 
-def test_the_floor_is_just_under_the_lowest_pose_and_only_where_there_is_none():
+def test_the_floor_is_below_the_lowest_pose_or_at_zero_and_only_where_there_is_none():
+    """The machine is 0.8 m long and hangs or stands at a joint at 0.5 m."""
     made = {"upper": box("a", 0, SEEN), "fore": box("b", 0, SEEN)}
     hanging = floor_of(film(poses=((0.0, 0.0), (np.pi, 0.0)), **made)[1])
     assert hanging is not None
-    assert -0.32 < hanging < -0.3  # 0.8 m below a joint at 0.5 m, and a little
+    assert -0.3 - 0.2 < hanging < -0.3 - 0.1  # a visible gap below the lowest point
     standing = floor_of(film(**made)[1])
     assert standing is not None
-    assert 0.49 < standing < 0.5
+    assert -0.01 < standing < 0.0
+    high = floor_of(film(**made, height=5.5)[1])
+    assert high is not None
+    assert 5.3 < high < 5.5  # the height 0 would be out of the picture
     plane = '<geom type="plane" size="{}" rgba=".2 .2 .2 {}"/>'
     assert floor_of(film(world=plane.format("0 0 1", 1), **made)[1]) is None
     assert floor_of(film(world=plane.format("0 0 1", 0), **made)[1]) is not None  # one that cannot be seen
@@ -106,11 +112,59 @@ def test_the_floor_is_just_under_the_lowest_pose_and_only_where_there_is_none():
     assert floor_of(film(world=wall, **made)[1]) is not None
 
 
+def test_no_film_of_a_plan_goes_through_the_floor_and_none_is_laid_under_one_that_fell_away():
+    made, _ = film(upper=box("a", 0, SEEN), fore=box("b", 0, SEEN))
+    missed = replace(made, path_qpos=np.array([[0.0, 0.0], [np.pi, 0.0], [0.0, 0.0]]))
+    floor = floor_of(visible_model([made, missed]))
+    assert floor is not None
+    assert floor < -0.3  # the replay that missed hangs 0.8 m below the joint, and nothing else does
+    mark = GoalMark("fore", 0.0, position=(0.0, 0.0, -2.0))
+    marked = floor_of(visible_model([replace(made, appearance=replace(made.appearance, goals=(mark,)))]))
+    assert marked is not None
+    assert marked < -2.0
+    text = made.mjcf.replace('<joint name="a" axis="0 1 0"/>', '<joint name="a" type="slide" axis="0 0 1"/>')
+    fallen = replace(made, mjcf=text, path_qpos=np.array([[0.0, 0.0], [-1e4, 0.0]]))
+    assert floor_of(visible_model([replace(made, mjcf=text), fallen])) is None
+
+
+def test_a_wall_far_away_does_not_move_the_camera_nor_make_marks_larger():
+    """It carries nothing that moves; a base that does belongs to the machine."""
+    made, model = film(upper=box("a", 0, SEEN), fore=box("b", 0, SEEN))
+    wall = '<body name="wall" pos="9 0 0"><geom type="box" size=".1 1 1"/></body>'
+    walled = film(world=wall, upper=box("a", 0, SEEN), fore=box("b", 0, SEEN))[1]
+    none = np.zeros(model.nbody, bool), np.zeros(walled.nbody, bool)
+    poses = made.path_qpos
+    near, far = (swept_box(one, poses, hidden) for one, hidden in zip((model, walled), none, strict=True))
+    np.testing.assert_allclose(far.high - far.low, near.high - near.low)
+
+
+def test_a_strip_has_no_words_and_its_motion_fills_it():
+    made, model = film(poses=((0.0, 0.0), (1.0, 0.5)), upper=box("a", 0, SEEN), fore=box("b", 0, SEEN))
+    (middle, near), (raised, far) = (
+        whole_motion([made], model, made.appearance, 1.5, False, words=words) for words in (False, True)
+    )
+    assert near < 0.95 * far
+    assert raised[2] >= middle[2]
+
+
+@pytest.mark.render
+def test_a_goals_ball_can_be_seen_however_small_the_machine_is_in_the_picture():
+    """0.8 m of machine in a picture of 17 m: in its own size the ball would be a seventh of a pixel wide."""
+    made, _ = film(upper=box("a", 0, SEEN), fore=box("b", 0, SEEN))
+    stage = Appearance(title="", distance=20.0, azimuth=90.0, elevation=0.0)
+    mark = GoalMark("fore", 0.0, position=(3.0, 0.0, 3.0))
+    pictures = []
+    for seen in (stage, replace(stage, goals=(mark,))):
+        with Scene(replace(made, appearance=seen), 160, 90, ghost=False) as scene:
+            pictures.append(scene.draw(0).astype(int))
+    assert np.sum(np.abs(pictures[0] - pictures[1]).max(axis=-1) > 8) > 25
+
+
 @pytest.mark.render
 def test_keyframes_are_drawn_side_by_side_with_their_names(tmp_path):
     from PIL import Image
 
-    mechanism = Mechanism.from_mjcf(ARM.format(world="", upper=box("a", 0, SEEN), fore=box("b", 0, SEEN)))
+    mechanism = Mechanism.from_mjcf(ARM.format(height=0.5, world="", upper=box("a", 0, SEEN), fore=box("b", 0, SEEN)))
     poses = {"up": np.zeros(2), "bent": np.array([0.5, 1.0])}
     picture = np.asarray(Image.open(render_poses(mechanism, poses, tmp_path / "p.png", width=320, height=120)))
     assert picture.shape == (120, 320, 3)

@@ -72,7 +72,7 @@ def test_the_verdict_comes_first_then_pictures_figures_parameters(plan, tmp_path
     Image.new("RGB", (4, 4)).save(tmp_path / "strip.png")
     text = page_of(plan, proof_of(), tmp_path, "Not asked for.").text
     expected = (
-        "PASS", "(open-loop), without friction loss; feasible, optimal, robust", "Within every bound.",
+        "PASS", "(open-loop), without friction loss; feasible, optimal, robust with its gains", "Within every bound.",
         "Not checked: without friction loss.", "Video", "Not asked for.", "Pictures", "Proof", "Code verification",
         "Mass matrix", "3e-14", "≤ 1e-10", "pass", "Contact <is> solved otherwise.", "Solution verification",
         "0.002 in", "1.5 1/s", "shown", "Validation", "No experiment was made", "Solver",
@@ -128,7 +128,8 @@ def test_all_text_is_escaped(plan, tmp_path):
     marked = replace(
         plan, recipe=Recipe(evil, {evil: evil, "list": [evil]}), made_with={evil: evil},
         problem=SimpleNamespace(
-            appearance=Appearance(evil), bounds=None, kept=None, ranges=None, limits=None,
+            appearance=Appearance(evil), bounds=None, kept=None, ranges=None, limits=None, periodic=None,
+            requirements=None, wanted=(), tolerance=None, x0=np.zeros(3),
             dynamics=SimpleNamespace(nx=3, coordinates=((evil, "m"), ("b", evil), ("c", "m"))),
         ),
         twin=replace(plan.twin, mjcf=evil),

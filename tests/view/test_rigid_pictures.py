@@ -12,7 +12,7 @@ from planner.model.mjcf.text import edited
 from planner.model.space import exp_quaternion
 from planner.problem.appearance import Appearance
 from planner.problem.default_appearance import default_appearance
-from planner.view.render.camera import Box, below_words, standing_back
+from planner.view.render.camera import Box, below_words, directions, standing_back
 from planner.view.render.film import Film
 from planner.view.render.scene import Scene
 
@@ -37,8 +37,30 @@ def test_a_stage_nobody_wrote_names_joints_and_looks_across_the_plane():
     # 3 of the root, 3 of the wrist, hip, knee and one more: too many for one panel, and none is left out
     assert [panel.title for panel in turning] == ["Angular velocities, 1 to 4 of 9", "Angular velocities, 5 to 9 of 9"]
     assert len({index for panel in turning for index, _ in panel.states}) == 9
-    lying = default_appearance(Mechanism.from_mjcf(LIMITED.replace("0 -1 0", "0 0 1")))
-    assert lying.elevation < -80.0
+
+
+@pytest.mark.parametrize(
+    ("axis", "view"),
+    [
+        ("0 -1 0", (90.0, 0.0)), ("0 1 0", (90.0, 0.0)), ("1 0 0", (180.0, 0.0)), ("0 0 1", (90.0, -90.0)),
+        ("1 1 0", (45.0, 0.0)), ("1 -1 0", (135.0, 0.0)), ("0 1 1", (-90.0, -45.0)),
+    ],
+)  # fmt: skip
+def test_a_planar_machine_is_seen_along_the_normal_of_its_plane(axis, view):
+    """A camera that looks down on a vertical plane shows its angles tilted."""
+    stage = default_appearance(Mechanism.from_mjcf(LIMITED.replace("0 -1 0", axis)))
+    assert (stage.azimuth, stage.elevation) == pytest.approx(view)
+    along = np.cross([float(part) for part in axis.split()], directions(stage.azimuth, stage.elevation)[0])
+    np.testing.assert_allclose(along, 0.0, atol=1e-12)
+
+
+def test_slides_have_a_plane_too():
+    slides = """<mujoco><worldbody><body><joint type="slide" axis="{}"/><geom size=".1" mass="1"/><body>
+      <joint type="slide" axis="{}"/><geom size=".1" mass="1"/></body></body></worldbody></mujoco>"""
+    found = [default_appearance(Mechanism.from_mjcf(slides.format(*axes))) for axes in (
+        ("1 0 0", "0 0 1"), ("0 1 0", "0 0 1"), ("1 0 0", "0 1 0"), ("1 1 0", "0 0 1"))]  # fmt: skip
+    views = [(stage.azimuth, stage.elevation) for stage in found]
+    np.testing.assert_allclose(views, [(90.0, 0.0), (180.0, 0.0), (90.0, -90.0), (135.0, 0.0)], atol=1e-9)
 
 
 @pytest.mark.render

@@ -177,3 +177,35 @@ def test_a_tolerance_at_one_time_is_a_mark_and_decades_are_logarithmic():
     assert drawn(panel(np.linspace(0.02, 0.05, 30), most=most, decades=True)).get_yscale() == "linear"
     met = drawn(panel(np.linspace(0.0, 1.0, 30), least=most, most=most))
     assert "ring" in met.get_ylabel()
+
+
+def test_a_penetration_is_seen_on_a_scale_over_decades():
+    """A log scale has no place for -0.002 m, which is just what a clearance is drawn for."""
+    values = np.concatenate([np.geomspace(0.9, 0.001, 20), [-0.002], np.geomspace(0.001, 0.9, 9)])
+    for deepest in (-0.002, -0.4):
+        values[20] = deepest
+        axes = drawn(panel(values, least=0.02, decades=True))
+        assert axes.get_yscale() == "symlog"
+        assert axes.get_ylim()[0] < deepest
+        assert any(line.get_ydata()[20] == deepest for line in axes.lines if len(line.get_ydata()) == 30)
+    assert drawn(panel(np.abs(values), least=0.02, decades=True)).get_yscale() == "log"
+
+
+def test_long_names_are_broken_into_lines_and_not_cut():
+    one = panel(np.stack([np.linspace(0.2, 0.9, 30)] * 2, axis=1), least=0.1, R=2)
+    names = ("geom 'left_finger_pad_collision', table", "post, hand")
+    legend = drawn(replace(one, names=names)).get_legend()
+    words = [text.get_text() for text in legend.get_texts()]
+    assert [" ".join(word.split()).replace("_ ", "_") for word in words] == list(names)
+    assert max(len(line) for word in words for line in word.splitlines()) <= 22
+    box = legend.get_window_extent()
+    assert box.x1 <= legend.figure.bbox.x1  # all of it is in the picture
+
+
+def test_lines_of_bounds_are_named_below_all_panels(run):
+    """The red line that most curves share, and the dotted ones of single curves."""
+    kept = planner.Constraint(lambda xs: xs[:, :1], least=-5.0, most=5.0)
+    figure = draw_plan(replace(run.plan, problem=replace(run.plan.problem, constraints=(kept,))), None)
+    words = [text.get_text() for text in figure.legends[0].get_texts()]
+    assert "bound" in words
+    assert not any("bound" in one.get_text() for one in draw_plan(run.plan, None).legends[0].get_texts())

@@ -86,17 +86,17 @@ from planner.model.mechanism import Mechanism
 from planner.model.mjcf.attached import stored_attachments
 from planner.model.twin import Twin
 from planner.problem.avoid import Avoid
+from planner.problem.constraints.constraint import Constraint
 from planner.problem.criteria import with_objective
 from planner.problem.default_appearance import default_appearance
 from planner.problem.default_weights import default_weights, weighed
-from planner.problem.free_poses import FreePoses
 from planner.problem.joint_limits import leaning, off_stops
 from planner.problem.limits import Limits
 from planner.problem.problem import Problem
-from planner.problem.recipe import Recipe
+from planner.problem.recipe import PROBLEM_FILE, Recipe
 from planner.problem.tasks.marks import with_marks
 
-NAME = "problem-file"
+NAME = PROBLEM_FILE
 GAIN = 1e-4  # of the cost, by an iteration at kinks of contact, where more are worth nothing
 TOLD = ("contacts", "closed", "settle", "stops", "avoid", "dt", "substeps")  # of what is done by itself: told at once
 # Of the cost, which is about 1: what an iteration gains below it shows in no picture of the motion. Of closed chains it
@@ -188,16 +188,19 @@ def load_problem(path: str | Path) -> Problem:
     return load(path).problem if named is None else cases.build(named[0], **named[1])
 
 
-def again(mechanism: Mechanism, **table: Any) -> Problem:
-    """The problem of a table and a machine that was read already.
+def again(mechanism: Mechanism, *constraints: Constraint, **table: Any) -> Problem:
+    """The problem of a table and a machine that was read already, and constraints beside those of the table.
 
     Raises:
         PlannerError: A key is unknown, missing or wrong.
     """
-    return _problem(with_defaults(table, "the problem file", stored=True), mechanism, "the problem file")
+    table = with_defaults(table, "the problem file", stored=True)
+    return _problem(table, mechanism, "the problem file", constraints)
 
 
-def _problem(table: dict[str, Any], mechanism: Mechanism, where: str) -> Problem:
+def _problem(
+    table: dict[str, Any], mechanism: Mechanism, where: str, constraints: tuple[Constraint, ...] = ()
+) -> Problem:
     for key in (*REQUIRED, *(() if "follow" in table else ("goal",))):
         if key not in table:
             wanted = "a number of seconds" if key == "duration" else states_of(mechanism)
@@ -233,15 +236,16 @@ def _problem(table: dict[str, Any], mechanism: Mechanism, where: str) -> Problem
         reasons["stops"] = " ".join(stops)
     limits = Limits.from_dict(table["limits"]) if table.get("limits") else None
     avoid = Avoid(**table["avoid"]) if "avoid" in table else None
-    apart = None if avoid is None else avoid.constraint(mechanism, x0, None if tasked else goal)
-    way = None
-    if tasked:
-        free = None if apart is None else FreePoses(apart.constraint.of, mechanism)
-        way = made(table, dynamics, x0, N, limits, free)
-    if avoid is not None and way is not None and any(one.last for one in way.task.goals):  # its pose is known now
-        apart = avoid.constraint(mechanism, x0, way.rows[-1])
+    asked = constraints_of(table.get("constraint", []))
+    way = made(table, dynamics, x0, N, limits, avoid, (*asked, *constraints)) if tasked else None
+    apart = None if way is None else way.apart
+    if avoid is not None and way is None:
+        apart = avoid.constraint(mechanism, x0, goal)
     if apart is not None:
-        reasons["avoid"] = " ".join(apart.notes)
+        told, *details = apart.notes
+        reasons["avoid"] = f"{told.removesuffix('.')}; the report names them." if details else told
+        if details:
+            reasons["avoid, details"] = " ".join(details)
     table = _resolved(table, dynamics, x0, goal, reasons, way, limits)
     weights = table[RESOLVED]["weights"]
     wanted = None
@@ -250,11 +254,11 @@ def _problem(table: dict[str, Any], mechanism: Mechanism, where: str) -> Problem
         cost = weighed(dynamics, x0, goal, N, weights, straight=straight)
     else:
         cost, wanted = cost_of(way, dynamics, weights)
-    kept = (*constraints_of(table.get("constraint", [])), *(() if apart is None else (apart.constraint,)))
+    kept = (*asked, *(() if apart is None else (apart.constraint,)), *constraints)
     appearance = default_appearance(mechanism, prescribed)
     appearance = with_marks(appearance, None if way is None else way.task, kept)
     problem = Problem(
-        dynamics, cost, x0, recipe=Recipe(NAME, table, partial(again, mechanism)),
+        dynamics, cost, x0, recipe=Recipe(NAME, table, partial(again, mechanism, *constraints)),
         appearance=replace(appearance, title=table["title"] or appearance.title),
         limits=limits, constraints=kept, wanted=wanted,
         tolerance=None if tasked else table["tolerance"], decrease_tolerance=DECREASE,

@@ -75,7 +75,9 @@ def first_problem(model: str, name: str, file: Opened, known: Description) -> st
     if known.name:
         lines += _line("title", json.dumps(known.name), KEYS["title"])
     lines += [
-        "", "# [weights]  numbers, or tables by joint (effort: by actuator); `planner list` names them all",
+        "# Least effort, the default, may reach its speed within a few stages. This starts and stops gently:",
+        '# objective = "jerk"', "",
+        "# [weights]  numbers, or tables by joint (effort: by actuator); `planner list` names them all",
         "# [limits]   bounds of controls, positions and velocities, exact goals", "",
     ]  # fmt: skip
     return "\n".join(lines)

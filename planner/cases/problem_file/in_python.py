@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -13,6 +12,7 @@ from planner.base.errors import PlannerError
 from planner.cases.problem_file.build import again
 from planner.cases.problem_file.table import with_model_limits
 from planner.model.mechanism import Mechanism
+from planner.problem.avoid import Avoid
 from planner.problem.constraints.constraint import Constraint
 from planner.problem.limits import Limits
 from planner.problem.problem import Problem
@@ -37,7 +37,7 @@ def task(
         duration: s.
         follow: Paths to keep to.
         keys: Others of a problem.toml: dt, limits, weights, tolerance, objective, guess, ... Limits may be a Limits,
-            and constraint a Constraint or a list of some, in place of tables.
+            avoid an Avoid, and constraint a Constraint or a list of some, in place of tables.
 
     Raises:
         PlannerError: A goal out of reach (how far, and the nearest point), an unknown frame, times out of order, goals
@@ -56,12 +56,14 @@ def task(
     table.setdefault("contacts", mechanism.contacts_mode or "off")
     if isinstance(table.get("limits"), Limits):
         table["limits"] = table["limits"].to_dict()
+    if isinstance(table.get("avoid"), Avoid):
+        table["avoid"] = table["avoid"].to_dict()
     kept = table.get("constraint", [])
-    given = [one for one in ([kept] if isinstance(kept, Constraint) else kept) if isinstance(one, Constraint)]
-    if given:
-        table["constraint"] = [] if isinstance(kept, Constraint) else [one for one in kept if one not in given]
-    problem = again(mechanism, **with_model_limits(table))
-    return replace(problem, constraints=(*problem.constraints, *given)) if given else problem
+    kept = [kept] if isinstance(kept, (Constraint, dict)) else kept
+    given = [one for one in kept if isinstance(one, Constraint)]
+    if "constraint" in table:
+        table["constraint"] = [one for one in kept if not isinstance(one, Constraint)] if given else kept
+    return again(mechanism, *given, **with_model_limits(table))
 
 
 def _several(name: str, value: Any, kind: type) -> list[Any]:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -13,7 +15,9 @@ from planner.cases.problem_file.guess import Way
 from planner.cases.problem_file.keys import GOAL, RESOLVED
 from planner.dynamics import RigidBodyDynamics
 from planner.model.mechanism import Mechanism
+from planner.problem.avoid import Avoid, KeptApart
 from planner.problem.closed_way import closed_way
+from planner.problem.constraints.constraint import Constraint
 from planner.problem.costs.terms import Cost
 from planner.problem.costs.wanted import Wanted
 from planner.problem.default_weights import DefaultWeights, default_weights
@@ -24,6 +28,7 @@ from planner.problem.tasks.cost import task_cost, task_wanted
 from planner.problem.tasks.detours import with_detours
 from planner.problem.tasks.follow import Follow, follow_of, with_points
 from planner.problem.tasks.goal import Goal, goal_of
+from planner.problem.tasks.keeping import KeptPoses
 from planner.problem.tasks.motion import controls, rows_of, way_of
 from planner.problem.tasks.poses import Poses, is_screws, poses_of
 from planner.problem.tasks.timetable import Task, task_of
@@ -38,6 +43,7 @@ class Made(NamedTuple):
     task: Task
     poses: Poses
     rows: np.ndarray  # (N+1, nx) the states of the motion through them
+    apart: KeptApart | None  # What is kept apart
 
 
 def is_task(table: dict[str, Any], mechanism: Mechanism) -> bool:
@@ -86,12 +92,12 @@ def with_files(table: dict[str, Any], folder: Path) -> dict[str, Any]:
 
 def made(
     table: dict[str, Any], dynamics: RigidBodyDynamics, x0: np.ndarray, N: int, limits: Limits | None,
-    free: FreePoses | None = None,
+    avoid: Avoid | None = None, constraints: Sequence[Constraint] = (),
 ) -> Made:  # fmt: skip
     """The task of a table and its poses; those of a stored plan are not refused again.
 
     Raises:
-        PlannerError: What cannot be meant, or not be reached.
+        PlannerError: What cannot be meant, or not be reached, or only in collision or against a constraint.
     """
     objective = table.get("objective", {})
     goals = [goal_of(goal, f"goal {k}") for k, goal in enumerate(table.get("goal", []), 1)]
@@ -105,10 +111,27 @@ def made(
     ranges = np.tile([-np.inf, np.inf], (dynamics.mechanism.nv, 1))
     if limits is not None:
         ranges = limits.position_ranges(dynamics)
-    poses = poses_of(task, dynamics, x0, ranges, seed=table["seed"], check=RESOLVED not in table, free=free)
-    if free is not None and not _is_direct(task) and is_screws(task):
-        poses = with_detours(poses, free, table["seed"])
-    return Made(task, poses, rows_of(task, poses, x0))
+    kept = KeptPoses(constraints, dynamics, x0, N) if constraints else None
+    search = partial(poses_of, task, dynamics, x0, ranges, seed=table["seed"], check=RESOLVED not in table, kept=kept)
+    if avoid is None:
+        poses, apart = search(), None
+    else:
+        free = partial(FreePoses, mechanism=dynamics.mechanism)
+        poses = search(free=free(avoid.constraint(dynamics.mechanism, x0).constraint.of))
+        apart = avoid.constraint(dynamics.mechanism, x0, _of_goals(task, poses))  # they are known now
+        if not _is_direct(task) and is_screws(task):
+            poses = with_detours(poses, free(apart.constraint.of), table["seed"])
+    return Made(task, poses, rows_of(task, poses, x0), apart)
+
+
+def _of_goals(task: Task, poses: Poses) -> dict[str, np.ndarray]:
+    """The poses at which there are goals, by the goals' names. Points of a path are not goals."""
+    found = {}
+    for stage, q in zip(poses.stages, poses.q, strict=True):
+        if here := [one for one in task.goals if one.stage == stage]:
+            chosen = "the best pose that was found for " if any(one.goal.frame for one in here) else ""
+            found[chosen + " and ".join(one.label for one in here)] = q
+    return found
 
 
 def weights_of(

@@ -36,7 +36,7 @@ def _slope(w, n, servo, share, t):
 
 
 @inline
-def _moved(w, n, servo, share, dx):
+def moved(w, n, servo, share, dx):
     """By how much a deviation dx (ndx) moves a servo's bound at stage n."""
     start, entry, total = integers(w, W.servo_start), integers(w, W.servo_dx), 0.0
     for t in range(load(start, servo), load(start, servo + 1)):
@@ -119,8 +119,8 @@ def along_bounds(w, n, dx):
         for j in range(w[W.ndx]):
             du += load(K, i * w[W.width] + j) * load(dx, j)
         low, high = at_lower(us, lower, i), at_upper(us, upper, i)
-        floor = _moved(w, n, servo, floats(w, W.lower_share), dx)
-        ceiling = _moved(w, n, servo, floats(w, W.upper_share), dx)
+        floor = moved(w, n, servo, floats(w, W.lower_share), dx)
+        ceiling = moved(w, n, servo, floats(w, W.upper_share), dx)
         if low and du < floor:
             du = floor
         if high and du > ceiling:

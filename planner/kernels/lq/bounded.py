@@ -5,6 +5,8 @@ left as a constant, h += H_c k_c, and leaves it: its row and column become those
 sweep's own steps go on (see riccati), and give a clamped control no gains: feedback does not ask for more than there
 is. Of the others the gains are those of the plain sweep.
 
+Or the set of clamped controls is chosen, for all stages together (see active_set).
+
 A servo that is clamped by a bound of its own follows it, u = k + K dx (see along_bounds).
 
 Compiled apart from the plain sweep, so that a problem without bounds pays nothing.
@@ -14,6 +16,7 @@ from __future__ import annotations
 
 import math
 
+from planner.kernels.lq.active_set import held_minimum
 from planner.kernels.lq.along_bounds import along_bounds, at_lower, at_upper, follow, gains_along, push_along
 from planner.kernels.lq.box import box_minimum
 from planner.kernels.lq.gaps import across_gap
@@ -69,31 +72,48 @@ def _clamp(w, mu, n):
 
 
 @inline
-def _finish_bounded(w, mu, n):
+def _keep_clamped(w, n):
+    """Which controls of stage n are clamped, and where: the first set to choose from."""
+    nu, k, held = w[W.nu], floats(w, W.box), at(floats(w, W.held_at), n * w[W.nu])
+    for a in range(nu):
+        low = load(k, a) <= load(floats(w, W.lower), n * nu + a) - load(floats(w, W.us), n * nu + a)
+        store(held, a, 0.0 if load(k, nu + a) == 0.0 else -1.0 if low else 1.0)
+
+
+@inline
+def _finish_bounded(w, mu, n, chosen):
     """As riccati's, with the controls of stage n in their box; the model's value in place of the slope."""
     nu = w[W.nu]
     add_weights(w, floats(w, W.H), n)
     if w[W.exact]:
         add_second(w, floats(w, W.H), n)
     norm2 = _projected(w, n)
-    value, definite = box_minimum(w, mu, n)
+    if chosen:
+        value, definite = held_minimum(w, mu, n), True
+    else:
+        value, definite = box_minimum(w, mu, n)
+        _keep_clamped(w, n)
     if definite:
         _clamp(w, mu, n)
-        _, definite = factorize(w, mu)
+        part, definite = factorize(w, mu)
+        value += 0.5 * part if chosen else 0.0
     if definite:
         next_value(w)
         gains(w, n)
         k, box = at(floats(w, W.k), n * nu), floats(w, W.box)
         for a in range(nu):
-            store(k, a, load(box, a))
+            if not chosen or load(box, nu + a) > 0.0:
+                store(k, a, load(box, a))
         if w[W.servos] > 0:
             gains_along(w, n)
     return norm2, value, definite
 
 
 @jit
-def riccati_dense_bounded(w, mu, dt):
+def riccati_dense_bounded(w, mu, dt, chosen):
     """Sweep backward with F = (B | A) and bounds. Fills the gains, the gradient and the value function.
+
+    With `chosen` the controls in W.held_at are held at their bounds and the others free, else each stage has its box.
 
     Returns:
         (norm of the projected gradient, value of the LQ model at its minimum, minus the decrease that it promises;
@@ -106,7 +126,7 @@ def riccati_dense_bounded(w, mu, dt):
         if w[W.gapped]:
             across_gap(w, n)
         dense_stage(w, n, dt)
-        norm2, part, definite = _finish_bounded(w, mu, n)
+        norm2, part, definite = _finish_bounded(w, mu, n, chosen)
         total += norm2
         if not definite:
             return math.sqrt(total), 0.0, False
@@ -115,7 +135,7 @@ def riccati_dense_bounded(w, mu, dt):
 
 
 @jit
-def riccati_structured_bounded(w, mu, dt):
+def riccati_structured_bounded(w, mu, dt, chosen):
     """The same for semi-implicit Euler, whose F holds accelerations only."""
     w = pointer(w)
     begin(w)
@@ -124,7 +144,7 @@ def riccati_structured_bounded(w, mu, dt):
         if w[W.gapped]:
             across_gap(w, n)
         structured_stage(w, n, dt)
-        norm2, part, definite = _finish_bounded(w, mu, n)
+        norm2, part, definite = _finish_bounded(w, mu, n, chosen)
         total += norm2
         if not definite:
             return math.sqrt(total), 0.0, False

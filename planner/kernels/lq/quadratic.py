@@ -70,6 +70,8 @@ def _add_hinges(w, n, hinged, e, l):
     for t in range(hinged):
         i = load(component, t)
         d, low, high, factor = load(e, i), load(lower, t), load(upper, t), load(weight, t)
+        store(floats(w, W.hinge_e), o + t, d)
+        store(floats(w, W.hinge_side), o + t, 1.0 if d >= high else -1.0 if d < low else 0.0)
         slope, curvature = 0.0, 0.0
         if d >= high:
             slope, curvature = factor * (d - high), factor

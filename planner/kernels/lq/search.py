@@ -4,7 +4,8 @@
 lane order is the order of preference and the first lane that satisfies the rule wins, so the result does not
 depend on which lanes are computed together. J0 and S0 are the cost and its slope at step length 0 (S0 < 0).
 
-    armijo     J(a) <= J0 + c1 a S0                                  halving from 1
+    armijo     J(a) <= J0 + c1 a S0                                  halving from 1; where that gains far less than
+                                                                     promised, on as long as J falls
     goldstein  J0 + (1 - c) a S0 <= J(a) <= J0 + c a S0              bracketing
     wolfe      armijo, and |J'(a)| <= c2 |S0|                        bracketing
     exact      argmin J(a) over a > 0 (Theorem 2)                    bracketing, to a relative width of 1e-6
@@ -19,10 +20,13 @@ from planner.kernels.numba.jit import jit, part
 ARMIJO, EXACT, WOLFE, GOLDSTEIN = 0, 1, 2, 3
 TRY = -2  # no search either: candidates of the lengths that are there, none of which is taken
 CLOSING = 4  # Armijo's rule with one batch: where gaps are open, a short step closes them with no gain
+LONGER = 5  # Armijo's rule from a step of four, and on as long as J falls: where the last full step gained too much
 START = -1  # no search: one rollout at step length 0, which is taken as it is
 SUFFICIENT = 1e-4  # c1 of Armijo and Wolfe (Nocedal & Wright, section 3.1)
 CURVATURE = 0.9  # c2 of Wolfe for Newton-like directions (same)
 GOLDSTEIN_C = 0.25  # below 1/2, so that the full step of a quadratic passes (same)
+FAR_LESS = 0.25  # of the decrease that a step promises, by the parabola of J0, S0 and J(1) = J0 + S0 / 2
+LONGEST = 4.0  # the first step of LONGER
 EXACT_WIDTH = 1e-6  # J is flat to rounding within about 1e-8 of its minimum
 ARMIJO_BATCHES, BRACKET_BATCHES = 6, 32  # of candidates, before the search gives up
 
@@ -38,6 +42,8 @@ def ladder(rule, alpha, bracket):
             continue
         elif rule in (ARMIJO, CLOSING):
             alpha[i] = 0.5**i
+        elif rule == LONGER:
+            alpha[i] = LONGEST * 0.5**i
         elif i % 2 == 1:  # the bracketing rules may also lengthen the step: 1, 1/2, 2, 1/4, 4, ...
             alpha[i] = 0.5 ** ((i + 1) // 2)
         else:
@@ -49,7 +55,7 @@ def batches(rule):
     """How many batches of candidates a rule may ask for."""
     if rule in (TRY, CLOSING):
         return 1
-    return ARMIJO_BATCHES if rule == ARMIJO else BRACKET_BATCHES
+    return ARMIJO_BATCHES if rule in (ARMIJO, LONGER) else BRACKET_BATCHES
 
 
 @part
@@ -88,6 +94,33 @@ def _choose_exact(alpha, J, J0, bracket):
     return best if bracket[1] - bracket[0] <= EXACT_WIDTH * alpha[best] else -1
 
 
+@part
+def _gains_enough(rule, alpha, J, J0, S0):
+    """Whether to take this step, which passes, with no look at shorter ones."""
+    return rule == CLOSING or (rule == ARMIJO and -FAR_LESS * alpha * (1.0 - 0.5 * alpha) * S0 <= J0 - J)
+
+
+@part
+def _lowest_from(rule, alpha, J, J0, S0, first, known):
+    """From a lane that passes on to the last of the known ones up to which J falls."""
+    best = first
+    if not _gains_enough(rule, alpha[first], J[first], J0, S0):
+        while best + 1 < known and J[best + 1] < J[best]:
+            best += 1
+    return best
+
+
+@jit
+def decided(rule, alpha, J, J0, S0, known):
+    """Whether the first `known` lanes tell which one `choose` takes, for callers that try one after the other."""
+    if rule in (ARMIJO, CLOSING, LONGER):
+        for i in range(known):
+            if not _too_long(rule, alpha[i], J[i], 0.0, J0, S0):
+                enough = _gains_enough(rule, alpha[i], J[i], J0, S0)
+                return enough or _lowest_from(rule, alpha, J, J0, S0, i, known) + 1 < known
+    return known == alpha.shape[0]
+
+
 @jit
 def choose(rule, alpha, J, S, J0, S0, bracket):
     """The lane to take, or -1; narrows the bracket."""
@@ -101,6 +134,8 @@ def choose(rule, alpha, J, S, J0, S0, bracket):
         if _too_long(rule, alpha[i], J[i], S[i], J0, S0):
             bracket[1] = min(bracket[1], alpha[i])
         elif not _too_short(rule, alpha[i], J[i], S[i], J0, S0):
+            if rule in (ARMIJO, CLOSING, LONGER):
+                return _lowest_from(rule, alpha, J, J0, S0, i, alpha.shape[0])
             return i
     for i in range(alpha.shape[0]):  # what is too short beyond a hill does not count
         if alpha[i] < bracket[1]:
@@ -117,7 +152,7 @@ def refine(rule, alpha, bracket):
     low, high, best = bracket[0], bracket[1], bracket[2]
     before = lanes // 2  # of the exact rule's candidates, so many between low and best
     for i in range(lanes):
-        if rule == ARMIJO:
+        if rule in (ARMIJO, LONGER):
             alpha[i] *= 0.5**lanes
         elif high == np.inf:
             alpha[i] = max(low, best) * 2.0 ** (i if rule == EXACT else i + 1)

@@ -25,7 +25,8 @@ W = Layout(
     "final_row final_column final_value control_row control_column control_value error turn l F transport K k dus "
     "gradient H G S h costate dx trial_x trial_u deviations lower upper box hinge_dx hinge_lower hinge_upper "
     "hinge_weight hinge_active T costates residual_hessian residual_active range_lower range_upper servo_control "
-    "servo_start servo_x servo_dx servo_now servo_late servo_low servo_high lower_share upper_share gaps values dxs",
+    "servo_start servo_x servo_dx servo_now servo_late servo_low servo_high lower_share upper_share gaps values dxs "
+    "held_at held_row held_slope hinge_e hinge_side",
 )
 _K = W.K
 # Rows of the line search's array: step lengths, costs, slopes, the bracket, and what it is given: cost, slope, dt.
@@ -74,6 +75,7 @@ class Workspace:
         upper: (N, nu).
         lower_share: (N, nu, 2) the parts of a servo's two lines that bound it at the nominal states, 0 for numbers.
         upper_share: (N, nu, 2).
+        held_at: (N, nu) the controls that a sweep with a chosen set holds, at the lower bound -1, at the upper one 1.
     """
 
     def __init__(
@@ -129,7 +131,11 @@ class Workspace:
             "lower": self.lower, "upper": self.upper, "box": np.zeros(nu * (nu + 6)),
             "hinge_dx": np.array(hinge_dx, dtype=np.int64), "hinge_lower": self.hinge_lower,
             "hinge_upper": self.hinge_upper, "hinge_weight": self.hinge_weight, "hinge_active": active,
+            "hinge_e": np.zeros_like(active), "hinge_side": np.zeros_like(active),
         }  # fmt: skip
+        self.held_at = np.zeros_like(lower)
+        rows = 0 if bounds is None else N * nu * width
+        self._arrays |= {"held_at": self.held_at, "held_row": np.zeros(rows), "held_slope": np.zeros_like(lower)}
         self._arrays |= {"range_lower": lower, "range_upper": upper, **_servo_arrays(servos)}
         self._arrays |= {"lower_share": self.lower_share, "upper_share": self.upper_share}
         self.T, self.costates = np.zeros((0, width, width)), np.zeros((0, width))

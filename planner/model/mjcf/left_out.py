@@ -39,12 +39,14 @@ class LeftOut:
         pairs: Pairs of geoms that may touch in the file alone, e.g. "geom 'arm' and geom 'wall'".
         known: The pairs that the plan's model has.
         overlaps: Pairs of the file alone that overlap at the start, e.g. "base and link1": see model.mjcf.overlaps.
+        overlapping: How many of `pairs` these are; several geoms may share a name in `overlaps`.
     """
 
     elements: tuple[Refusal, ...] = ()
     pairs: tuple[str, ...] = ()
     known: frozenset[frozenset[GeomName]] = frozenset()
     overlaps: tuple[str, ...] = ()
+    overlapping: int = 0
 
     @property
     def kinds(self) -> frozenset[str]:
@@ -55,13 +57,25 @@ class LeftOut:
     @property
     def phrases(self) -> tuple[str, ...]:
         """Short phrases with counts: "contacts of 12 pairs", "friction loss of 2 joints", "1 equality"."""
-        found = [f"contacts of {_counted(len(self.pairs), 'pair')}"] if self.pairs else []
+        return (*self._counted(len(self.pairs)), *self.overlapping_phrases)
+
+    @property
+    def in_the_file(self) -> tuple[str, ...]:
+        """The phrases about what a replay in the file has: all but pairs that overlap at the start."""
+        return self._counted(len(self.pairs) - self.overlapping)
+
+    @property
+    def overlapping_phrases(self) -> tuple[str, ...]:
+        """A phrase about the pairs that overlap at the start, if there are any."""
+        if not self.overlaps:
+            return ()
+        more = f" and {len(self.overlaps) - MOST_NAMED} more pairs" if len(self.overlaps) > MOST_NAMED else ""
+        return (f"contact of {', '.join(self.overlaps[:MOST_NAMED])}{more}, which overlap at the start",)
+
+    def _counted(self, pairs: int) -> tuple[str, ...]:
+        found = [f"contacts of {_counted(pairs, 'pair')}"] if pairs else []
         for (head, noun), number in Counter(map(_words, self.elements)).items():
             found.append(" of ".join(filter(None, (head, _counted(number, noun)))) if noun else head)
-        if self.overlaps:
-            more = f" and {len(self.overlaps) - MOST_NAMED} more pairs" if len(self.overlaps) > MOST_NAMED else ""
-            pairs = ", ".join(self.overlaps[:MOST_NAMED]) + more
-            found.append(f"contact of {pairs}, which overlap at the start")
         return tuple(found)
 
 
@@ -86,12 +100,12 @@ def left_out(
     pairs = pairs_by_name(given)
     unknown = [pair for key, pair in pairs.items() if key not in known]
     names = tuple(" and ".join(named(given, "geom", geom) for geom in pair) for pair in unknown)
-    overlaps: list[str] = []
+    overlaps: list[str] = []  # one for each pair
     if start is not None and unknown and len(start) == given.nq:
         found = [tuple(sorted(pair)) for pair in overlapping(given, start)]
         overlaps = [" and ".join(_shape(given, geom) for geom in pair) for pair in found
                     if names_of(given, pair) not in known]  # fmt: skip
-    return LeftOut(elements, names, frozenset(known), tuple(dict.fromkeys(overlaps)))
+    return LeftOut(elements, names, frozenset(known), tuple(dict.fromkeys(overlaps)), len(overlaps))
 
 
 def _shape(model: Any, geom: int) -> str:

@@ -2,6 +2,7 @@
 
 Models of others draw a base into the link that turns on it, and MuJoCo presses the two apart. Nobody means that, so
 these pairs are left out of the user's file and named; each shape goes on to touch all others, with the law that it had.
+A link that starts inside of a thing at rest which it can leave is in collision: that is no way of drawing.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ import numpy as np
 from planner.base.gl import load_mujoco
 from planner.model.mjcf.contact_choice import falling_trees
 from planner.model.mjcf.contact_edits import elements_of_geoms
+from planner.model.mjcf.meeting import can_leave
 from planner.model.mjcf.survey import Survey
 from planner.model.mjcf.text import written
 
@@ -25,11 +27,12 @@ GeomPair = frozenset[int]
 
 
 def overlapping(model: Any, qpos: np.ndarray) -> list[GeomPair]:
-    """The pairs of geoms that overlap or lie flush at qpos, but for what would fall without the contact."""
-    mujoco, falling = load_mujoco(), falling_trees(Survey(model))
+    """The pairs of geoms that overlap or lie flush at qpos, but for what falls without the contact, or can leave it."""
+    mujoco, survey = load_mujoco(), Survey(model)
+    falling, flush = falling_trees(survey), FLUSH * min(1.0, float(model.stat.extent))
     model = copy.copy(model)
-    model.geom_margin += FLUSH * min(1.0, float(model.stat.extent))
-    model.pair_margin += FLUSH * min(1.0, float(model.stat.extent))
+    model.geom_margin += flush
+    model.pair_margin += flush
     data = mujoco.MjData(model)
     data.qpos[:] = qpos
     mujoco.mj_fwdPosition(model, data)
@@ -38,6 +41,8 @@ def overlapping(model: Any, qpos: np.ndarray) -> list[GeomPair]:
         contact = data.contact[c]
         geoms = [int(geom) for geom in contact.geom]
         if min(geoms) < 0 or contact.includemargin < contact.dist:
+            continue
+        if contact.dist < -flush and can_leave(survey, (geoms[0], geoms[1]), qpos, flush):
             continue
         roots = set(model.body_rootid[model.geom_bodyid[geoms]].tolist())
         if len(roots) == 1 or falling.keys().isdisjoint(roots):

@@ -45,6 +45,9 @@ class Apart:
     def __str__(self) -> str:
         return "clearance"
 
+    def __repr__(self) -> str:
+        return f"Apart({len(self.pairs)} pairs)"
+
     @property
     def least(self) -> np.ndarray:
         """(P,) m, how far each pair is kept apart."""

@@ -33,6 +33,7 @@ class Kept:
     Attributes:
         lower: (N+1, H) of all columns.
         upper: (N+1, H).
+        split: How many columns are ranges.
     """
 
     def __init__(self, ranges: StateRanges | None, rows: Rows | None, tolerance: float) -> None:
@@ -40,7 +41,7 @@ class Kept:
         parts = [part for part in (ranges, rows) if part is not None]
         self.lower = np.concatenate([part.lower for part in parts], axis=1)
         self.upper = np.concatenate([part.upper for part in parts], axis=1)
-        self._split = 0 if ranges is None else ranges.lower.shape[1]
+        self.split = 0 if ranges is None else ranges.lower.shape[1]
 
     @property
     def size(self) -> int:
@@ -64,7 +65,7 @@ class Kept:
         if self.rows is None:
             return []
         return [
-            (part.measure, slice(self._split + part.columns.start, self._split + part.columns.stop),
+            (part.measure, slice(self.split + part.columns.start, self.split + part.columns.stop),
              self.rows.scale[part.columns])
             for part in self.rows.parts if isinstance(part.measure, ApartMeasure)
         ]  # fmt: skip
@@ -94,11 +95,11 @@ class Kept:
 
     def of_ranges(self, hinges: Hinges) -> Hinges:
         """The columns of ranges."""
-        return hinges if self.rows is None else Hinges(*(part[:, : self._split] for part in hinges))
+        return hinges if self.rows is None else Hinges(*(part[:, : self.split] for part in hinges))
 
     def of_rows(self, hinges: Hinges) -> Hinges:
         """The columns of constraints."""
-        return Hinges(*(part[:, self._split :] for part in hinges))
+        return Hinges(*(part[:, self.split :] for part in hinges))
 
     def deviations(self, xs: np.ndarray, us: np.ndarray) -> np.ndarray:
         """Returns e (N+1, H) of states xs (N+1, nx) and controls us (N, nu)."""

@@ -16,9 +16,11 @@ from planner.model.mechanism import SCREW
 from planner.model.mjcf.driven import driven_dofs
 from planner.problem.free_poses import FreePoses
 from planner.problem.tasks.follow import Follow
-from planner.problem.tasks.timetable import Task, Timed
+from planner.problem.tasks.keeping import KeptPoses, Missing
+from planner.problem.tasks.timetable import Task, Timed, unit_of
 
 MOST = 60  # configurations along a path: between them joints move on a spline
+ALONG = 2  # starts of the search on a path that a constraint holds off: the pose before is near
 
 
 class Poses(NamedTuple):
@@ -27,6 +29,17 @@ class Poses(NamedTuple):
     stages: np.ndarray  # (E,)
     q: np.ndarray  # (E, nq)
     stops: np.ndarray  # (E,) True where the machine stands still
+
+
+class _Search(NamedTuple):
+    """How configurations are sought: the arguments of poses_of."""
+
+    dynamics: RigidBodyDynamics
+    ranges: np.ndarray
+    seed: int
+    check: bool
+    free: FreePoses | None
+    kept: KeptPoses | None
 
 
 class _Asked(NamedTuple):
@@ -39,7 +52,7 @@ class _Asked(NamedTuple):
 
 def poses_of(
     task: Task, dynamics: RigidBodyDynamics, x0: np.ndarray, ranges: np.ndarray, seed: int = 0, check: bool = True,
-    free: FreePoses | None = None,
+    free: FreePoses | None = None, kept: KeptPoses | None = None,
 ) -> Poses:  # fmt: skip
     """The configurations of a task, one after the other, each near the one before.
 
@@ -51,13 +64,15 @@ def poses_of(
         seed: Of the random starts of the search.
         check: Whether to refuse what cannot be reached.
         free: Which poses touch nothing, where something is avoided.
+        kept: Which poses keep the constraints, where there are some.
 
     Raises:
-        PlannerError: A goal out of reach or in collision, goals that contradict each other, or a path that begins
+        PlannerError: A goal out of reach, goals that contradict each other or a constraint, or a path that begins
             elsewhere.
     """
     mechanism = task.mechanism
     q = x0[: mechanism.nq]
+    search = _Search(dynamics, ranges, seed, check, free, kept)
     stages, found, stops = [0], [q], [not np.any(x0[mechanism.nq : mechanism.nq + mechanism.nv])]
     if check:
         for path in task.follows:
@@ -67,7 +82,7 @@ def poses_of(
         if check and stage < task.N:  # ends are judged by the limits
             _check_joints(task, here, ranges)
         asked = _asked(task, stage, here)
-        q = _pose(task, dynamics, q, asked, ranges, seed, stage if check else None, here, free)
+        q = _pose(task, search, q, asked, stage, here)
         stages.append(stage)
         found.append(q)
         stops.append(any(not one.goal.through for one in here) if stage < task.N else task.rests)
@@ -127,11 +142,10 @@ def _asked(task: Task, stage: int, here: Sequence[Timed]) -> _Asked:
 
 
 def _pose(
-    task: Task, dynamics: RigidBodyDynamics, q: np.ndarray, asked: _Asked, ranges: np.ndarray, seed: int,
-    stage: int | None, here: Sequence[Timed], free: FreePoses | None,
+    task: Task, search: _Search, q: np.ndarray, asked: _Asked, stage: int, here: Sequence[Timed]
 ) -> np.ndarray:  # fmt: skip
-    """The configuration (nq,) at a stage; a stage of None refuses nothing."""
-    mechanism = task.mechanism
+    """The configuration (nq,) at a stage."""
+    mechanism, ranges = task.mechanism, search.ranges
     q = q.copy()
     for dof, value in asked.joints.items():
         q[mechanism.q_address[dof]] = value
@@ -140,18 +154,23 @@ def _pose(
     if mechanism.loops or mechanism.cams:
         x = np.concatenate([q, np.zeros(mechanism.space.nx - len(q))])
         q = assembled(mechanism, x, asked.joints)[: len(q)]
-    short = None if free is None else free.short
+    short = None if search.free is None else search.free.short
+    missing = None if search.kept is None else search.kept.at(stage)
     if not asked.targets:
-        if free is not None and stage is not None:
-            _check_free(free, q, here)
+        if search.check and missing is not None:
+            _check_kept(task, search, q, stage, here)
         return q
 
     def tried(
-        targets: list[Target], joints: dict[int, float], short: Callable[[np.ndarray], float] | None = None
-    ) -> tuple[np.ndarray, float]:
+        targets: list[Target], joints: dict[int, float], short: Callable[[np.ndarray], float] | None = None,
+        missing: Missing | None = None,
+    ) -> tuple[np.ndarray, float]:  # fmt: skip
         found = None
-        for mask in _masks(dynamics, joints):
-            other = inverse_kinematics(mechanism, targets, q, ranges=ranges, free=mask, seed=seed, short=short)
+        for mask in _masks(search.dynamics, joints):
+            other = inverse_kinematics(
+                mechanism, targets, q, ranges=ranges, free=mask, seed=search.seed, short=short, missing=missing,
+                starts=None if here or missing is None else ALONG,
+            )  # fmt: skip
             found = other if found is None or other.rank < found.rank else found
             if found.residual <= 1.0:
                 break
@@ -159,9 +178,23 @@ def _pose(
         return found.q, found.residual
 
     best, residual = tried(asked.targets, asked.joints, short)
-    if residual <= 1.0 and free is not None and stage is not None:
-        _check_free(free, best, here)
-    if residual <= 1.0 or stage is None:
+    broken = None if missing is None or search.kept is None else search.kept.broken(stage, best)
+    if residual <= 1.0 and broken is not None and search.kept is not None:
+        other, residual = tried(asked.targets, asked.joints, short, missing)
+        if residual <= 1.0 and search.kept.broken(stage, other) is None:
+            return other
+        if search.check:
+            missed = [_missed(task, other, target) for target in asked.targets]
+            over = [max(way / target.metre_scale, turn / target.turn_scale)
+                    for target, (way, turn) in zip(asked.targets, missed, strict=True)]  # fmt: skip
+            k = int(np.argmax(over))
+            target, label, (way, turn) = asked.targets[k], asked.labels[k], missed[k]
+            away = f"{way:.3g} m" if way / target.metre_scale >= turn / target.turn_scale else f"{turn:.3g} rad"
+            raise PlannerError(
+                f"{label} contradicts {broken.constraint}: where that is kept {target.frame} is at best {away} away; "
+                "move the goal, or widen the constraint."
+            )
+    if residual <= 1.0 or not search.check:
         return best
     within = " within the ranges of the joints" if np.isfinite(ranges).any() else ""
     for target, label in zip(asked.targets, asked.labels, strict=True):
@@ -169,7 +202,7 @@ def _pose(
             near, alone = tried([target._replace(orientation=None, pointing=None)], {})
             if alone > 1.0:
                 point = frame_pose(mechanism, near, target.frame)[:3, 3]
-                words = ", ".join(f"{float(value):.4g}" for value in point)
+                words = ", ".join(f"{float(value):.4g}" for value in np.round(point, 9) + 0.0)
                 away = float(np.linalg.norm(point - target.position))
                 raise PlannerError(
                     f"{label} is out of reach by {away:.3g} m{within}: the nearest point is [{words}] m."
@@ -188,15 +221,21 @@ def _pose(
     )
 
 
-def _check_free(free: FreePoses, q: np.ndarray, here: Sequence[Timed]) -> None:
-    """Refuse goals that no pose reaches without a collision. Points of a path are not goals."""
-    pair, distance = free.tightest(q)
-    if here and distance <= 0.0:
+def _check_kept(task: Task, search: _Search, q: np.ndarray, stage: int, here: Sequence[Timed]) -> None:
+    """Refuse goals of joints at which a constraint is broken by more than their tolerances make of it."""
+    assert search.kept is not None
+    broken, missing = search.kept.broken(stage, q), search.kept.at(stage)
+    if broken is None or missing is None or not here:
+        return
+    r, J = missing(q)
+    own = np.zeros(task.mechanism.nv)
+    for one in here:
+        for dof in one.joints:
+            own[dof] = one.tolerances["position" if unit_of(task.mechanism, dof) == "m" else "orientation"]
+    others = np.any(J[:, own == 0.0] != 0.0, axis=1)  # joints that have no goal may mend these
+    if np.any((np.abs(r) - np.abs(J) @ own > 1.0) & ~others):
         asked = " and ".join(one.label for one in here)
-        raise PlannerError(
-            f"{asked} leads to a collision: {pair} overlap by {-distance:.3g} m in the best pose that was found; "
-            "move the goal, or exclude the pair in the model (<contact><exclude>)."
-        )
+        raise PlannerError(f"{asked} contradicts {broken.constraint}: move the goal, or widen the constraint.")
 
 
 def _missed(task: Task, q: np.ndarray, target: Target) -> tuple[float, float]:

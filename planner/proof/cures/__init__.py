@@ -37,7 +37,7 @@ def cures(plan: Plan, proof: Proof | None = None) -> tuple[Cure, ...]:
         plan: With its problem.
         proof: Of the plan; None for a plan that was not replayed.
     """
-    done = plan.status in (Status.CONVERGED, Status.GIVEN, Status.INTERRUPTED)
+    done = plan.status in (Status.CONVERGED, Status.GIVEN, Status.INTERRUPTED) and not plan.missed
     if done if proof is None else proof.verdict == "PASS":
         return ()
     if plan.problem is None or plan.problem.periodic is not None:

@@ -9,8 +9,9 @@ from dataclasses import dataclass
 from typing import Any
 
 from planner.problem.problem import Problem
+from planner.problem.recipe import PROBLEM_FILE
 
-FILE = "problem-file"  # the recipe of a problem.toml
+FILE = PROBLEM_FILE
 ITERATIONS = "max_iterations"
 TABLES = ("weights", "limits")
 FLAGS = (ITERATIONS, "starts")  # of solve() and the command line, for all problems

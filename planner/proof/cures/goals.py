@@ -24,8 +24,10 @@ def larger_weights(plan: Plan, problem: Problem, proof: Proof | None) -> list[Cu
     A final weight W leaves a miss e of a way d, as a spring of stiffness W against one of stiffness c = e W / (d - e)
     does; so the miss e' needs the weight c (d - e') / e'.
     """
-    if proof is None or (problem.requirements is not None and problem.requirements.goal is not None):
+    if problem.requirements is not None and problem.requirements.goal is not None:
         return []
+    if proof is None:
+        return _of_task(plan, problem)
     cost = tracking_of(problem.cost)
     missed = [one for one in proof.goal.failures if one.name.startswith(("planned", "replayed"))]
     followed = proof.refined_open_loop.passed or proof.refined_feedback.passed

@@ -10,7 +10,8 @@ from planner.base.errors import PlannerError
 from planner.base.gl import load_mujoco
 from planner.model.mechanism import Mechanism
 from planner.model.mjcf.left_out import names_of
-from planner.model.mjcf.survey import named
+from planner.model.mjcf.meeting import can_leave
+from planner.model.mjcf.survey import Survey, named
 from planner.problem.costs.tracking import tracking_of
 from planner.problem.plan import Plan
 from planner.problem.problem import Problem
@@ -40,16 +41,24 @@ def out_of_touch(plan: Plan, problem: Problem, proof: Proof | None) -> list[Cure
     except PlannerError:  # a file that is driven
         return []
     start, goal = (twin.sim_of(x)[: mechanism.nq] for x in (problem.x0, cost.x_ref[-1]))
-    shapes.at_start = set(shapes.depths(start))
+    began = shapes.depths(start)
+    shapes.at_start = set(began)
     met = {pair: None for q in (start, *_knots(plan, mechanism)) for pair in shapes.touching(q)}
     floor = [pair for pair in met if shapes.is_ground(pair)]
     if floor and problem.case == FILE and problem.parameters.get("contacts") == "off" and shapes.floats:
         why = f'{shapes.names(floor[0])} touch, and contacts = "off" takes the ground away'
         return [cure(problem, "contacts", "ground", why)]
+    survey = Survey(shapes.model)
+    if inside := {pair: depth for pair, depth in began.items() if can_leave(survey, pair, start, CLEAR)}:
+        pair = max(inside, key=lambda pair: inside[pair])
+        why = f"at the start {shapes.names(pair)} are {inside[pair]:.2g} m in each other"
+        return [no_cure("start", f"Another `start` is needed, or a model that leaves the pair out: {why}.")]
     at_goal = shapes.depths(goal)
     if at_goal:
         pair = max(at_goal, key=lambda pair: at_goal[pair])
         why = f"in the goal itself {shapes.names(pair)} are {at_goal[pair]:.2g} m in each other"
+        if problem.case == FILE and problem.wanted is not None and "avoid" not in problem.parameters:
+            return [cure(problem, "avoid", {}, f"{why}; with it another pose of the goal is sought")]
         free = shapes.freed(goal, mechanism)
         if free is None or problem.case != FILE:
             return [no_cure("goal", f"Another `goal` is needed: {why}.")]

@@ -29,6 +29,7 @@ from planner.proof.robustness.success_rate import Rate
 from planner.proof.robustness.success_rule import Rule, end_errors, rule_of
 
 PERCENTILES = (5, 25, 50, 75, 95)
+JUDGED = " with its gains"  # a plan may be robust with them and succeed open loop in no rollout
 _WORST = 5
 _PIECES = 6  # batches that a budget has time for, if the estimate of their time is right
 
@@ -99,7 +100,8 @@ class Perturbed:
     def lines(self) -> list[str]:
         """The rates with their intervals, and which rollouts ended farthest off."""
         lines = [f"perturbed: {note}" for note in self.notes]
-        lines += [f"robustness: {self.robustness}"] if self.done else []
+        word = self.robustness
+        lines += [f"robustness: {word}{'' if word == 'counting' else JUDGED}"] if self.done else []
         for mode, rate in self.rates.items() if self.done else ():
             worst = ", ".join(map(str, self.worst[mode]))
             how = "open loop" if mode == "open-loop" else "with gains"
@@ -165,6 +167,9 @@ def perturbed(
         )  # fmt: skip
         try:
             campaign.run()
+            if campaign.done < trials.rollouts:
+                asked = f"{trials.rollouts} rollouts were asked for"
+                notes.append(f"{asked}, {campaign.done} were run: by then the rate with gains is settled.")
         except OutOfTime:
             notes.append(f"Stopped after {budget:g} s: how many rollouts there are depends on this computer.")
         return _result(campaign, trials, perturbation, tuple(notes))

@@ -12,15 +12,26 @@ from planner.kernels.lq import search
 from planner.model.space import space_of
 from planner.problem.costs.residuals.arrays import ResidualArrays, joined
 from planner.problem.costs.residuals.cost import ResidualCost
-from planner.problem.costs.terms import SumCost
+from planner.problem.costs.terms import Cost, SumCost
 from planner.problem.costs.tracking import TrackingCost
 from planner.problem.problem import Problem
+from planner.solvers.engine.added import AddedEngine
 from planner.solvers.engine.compiled import CompiledEngine, NoTracking
 from planner.solvers.engine.in_numpy import NumpyEngine
 from planner.solvers.engine.protocol import Crossing, Engine, Outcome
 from planner.solvers.engine.with_rows import RowsEngine
 
-__all__ = ["CompiledEngine", "Crossing", "Engine", "NumpyEngine", "Outcome", "RowsEngine", "borrow", "give_back"]
+__all__ = [
+    "AddedEngine",
+    "CompiledEngine",
+    "Crossing",
+    "Engine",
+    "NumpyEngine",
+    "Outcome",
+    "RowsEngine",
+    "borrow",
+    "give_back",
+]
 
 # Engines that no solve is using, so that a warm solve allocates nothing but its result. They must not refer to their
 # problem, or no problem would ever be freed.
@@ -33,13 +44,14 @@ def borrow(problem: Problem, rule: int = search.ARMIJO) -> Engine:
         return _idle_of(problem, rule).pop()
     except IndexError:
         pass
-    dynamics, costs = problem.dynamics, compiled_costs(problem)
-    if costs is not None and isinstance(dynamics, CompiledDynamics) and _has(dynamics, problem, rule):
+    dynamics, (known, own) = problem.dynamics, _split(problem)
+    costs = _compiled(problem, known)
+    if costs is not None and isinstance(dynamics, CompiledDynamics) and _has(dynamics, problem, rule, bool(own)):
         kept = problem.kept
         if kept is None or kept.rows is None:
-            return CompiledEngine(problem, dynamics, *costs)
+            return AddedEngine(problem, dynamics, *costs, own) if own else CompiledEngine(problem, dynamics, *costs)
         if hasattr(dynamics, "nominal_jacobians"):
-            return RowsEngine(problem, kept, dynamics, *costs)
+            return RowsEngine(problem, kept, dynamics, *costs, own)
     return NumpyEngine(problem)
 
 
@@ -48,9 +60,11 @@ def _idle_of(problem: Problem, rule: int) -> list[Engine]:
     return _idle.setdefault(problem, {}).setdefault(rule == search.WOLFE, [])
 
 
-def _has(dynamics: CompiledDynamics, problem: Problem, rule: int) -> bool:
-    """Whether the rollouts of compiled dynamics give what the problem's ranges and the line search need."""
+def _has(dynamics: CompiledDynamics, problem: Problem, rule: int, own: bool) -> bool:
+    """Whether the rollouts of compiled dynamics give what ranges, own costs and the line search need."""
     if problem.ranges is not None and not getattr(dynamics, "has_ranges", True):
+        return False
+    if own and (rule == search.WOLFE or not hasattr(dynamics, "take")):  # own costs have no slope at a candidate
         return False
     # A clipped control does not change with the step length, which the slopes of the kernels do not know.
     return rule != search.WOLFE or (dynamics.has_slopes and problem.bounds is None)
@@ -58,12 +72,24 @@ def _has(dynamics: CompiledDynamics, problem: Problem, rule: int) -> bool:
 
 def compiled_costs(problem: Problem) -> tuple[TrackingCost | NoTracking, ResidualArrays | None] | None:
     """The TrackingCost and the residuals that a cost is the sum of, if it is and kernels have them all."""
+    known, own = _split(problem)
+    return None if own else _compiled(problem, known)
+
+
+def _split(problem: Problem) -> tuple[list[Cost], list[Cost]]:
+    """The terms of a cost of kinds that kernels may know, and others: a user's own."""
     terms = problem.cost.costs if isinstance(problem.cost, SumCost) else (problem.cost,)
+    known: list[Cost] = [term for term in terms if isinstance(term, (TrackingCost, ResidualCost))]
+    return known, [term for term in terms if not isinstance(term, (TrackingCost, ResidualCost))]
+
+
+def _compiled(problem: Problem, terms: list[Cost]) -> tuple[TrackingCost | NoTracking, ResidualArrays | None] | None:
+    """The TrackingCost and the residuals that terms are; None where there are none or kernels lack one."""
     tracking = [term for term in terms if isinstance(term, TrackingCost)]
     residuals = [term for term in terms if isinstance(term, ResidualCost)]
-    if len(tracking) > 1 or len(terms) != len(tracking) + len(residuals):
-        return None
     dynamics = problem.dynamics
+    if not terms or len(tracking) > 1:
+        return None
     if not residuals:
         return tracking[0], None
     if isinstance(dynamics, ResidualDynamics) and all(term.mechanism is dynamics.mechanism for term in residuals):

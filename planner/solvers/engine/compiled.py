@@ -9,6 +9,7 @@ import numpy as np
 
 from planner.dynamics import CompiledDynamics, ResidualDynamics
 from planner.kernels.lq import search
+from planner.kernels.lq.active_set import choose_active
 from planner.kernels.lq.bounded import bounded_direction, riccati_dense_bounded, riccati_structured_bounded
 from planner.kernels.lq.quadratic import gradients
 from planner.kernels.lq.riccati import direction, riccati_dense, riccati_structured
@@ -23,6 +24,7 @@ from planner.problem.state_ranges import Hinges
 from planner.solvers.engine.followed import Followed
 from planner.solvers.engine.moved import Trajectory
 from planner.solvers.engine.protocol import Crossing, Engine, Outcome, promised, state_weights
+from planner.solvers.engine.settling import MOST_SETS, Settling
 
 _EXACT = W.exact
 
@@ -60,6 +62,7 @@ class CompiledEngine(Engine):
         # A plan that is followed and the next one, by turns: nothing of their gains is copied.
         self._followed: tuple[Followed, Followed] | None = None
         self._riccati = (free if problem.bounds is None else boxed)[dynamics.structured]
+        self._settling, self._hinged = Settling(), False
         self._memory = dynamics.memory(problem.N)
         self._with_residuals = dynamics if residuals is not None and isinstance(dynamics, ResidualDynamics) else None
         if self._with_residuals is not None:
@@ -79,6 +82,7 @@ class CompiledEngine(Engine):
             self._w.hinge_weight[:] = 0.0
         else:
             self._w.hinge_lower[:], self._w.hinge_upper[:], self._w.hinge_weight[:] = hinges
+        self._hinged = bool(self._w.hinge_weight.any())
 
     def start(self, x0: np.ndarray, us: np.ndarray, exact: bool = False) -> float:
         """Roll out the first guess, within its bounds; its cost."""
@@ -89,15 +93,22 @@ class CompiledEngine(Engine):
         self._w.use_gaps(False)
         sweep = "riccati structured" if self._dynamics.structured else "riccati dense"
         sweep += "" if self._bounds is None else " bounded"
+        active = () if self._bounds is None and not len(self._w.hinge_weight.T) else ("choose active",)
         more = self._dynamics.second_order_kernels if exact else ()
         kernels = self._dynamics.kernels
         if self._with_residuals is not None:
             kernels = self._with_residuals.residual_kernels(self._w.residuals.solids)
-        compile_together((sweep, "gradients", *kernels, *more))
+        compile_together((sweep, "gradients", *active, *kernels, *more))
+        self._settling, self._w.held_at[:] = Settling(), 0.0
         self._w.xs[0] = x0
         self._w.us[:] = us if self._bounds is None else self._bounds.clip(slice(None), us, None)
         self._w.dus[:] = 0.0
         return self._search(search.START, False, math.inf, 0.0)[1]
+
+    @property
+    def clamped(self) -> bool:
+        """Whether the last sweep held controls at their bounds."""
+        return bool(self._w.held_at.any())
 
     def follow(self, x0: np.ndarray, trajectory: Trajectory, stages: float = 0.0) -> float:
         """Roll out u = us + K (x - xs) of a trajectory, some stages on, from x0 (nx,), and take it; its cost."""
@@ -143,19 +154,53 @@ class CompiledEngine(Engine):
             self._linearize(self._exact)
         if self._exact or self.hold > 0.0 or w.table[_EXACT]:
             self._hold()
-        if self._bounds is not None:
-            return self._iterate_bounded(feedback, rule, mu, cost, gradient_tolerance, decrease_tolerance)
-        norm, slope, definite = self._riccati(w.table, mu, dynamics.dt)
+        self._boxed()
+        norm, slope, value, definite = self._solve_lq(mu, decrease_tolerance < math.inf)
         if not definite:
             return Outcome(INDEFINITE, norm, 0.0, 0.0, 0.0, cost)
-        if norm <= gradient_tolerance or -0.5 * slope <= decrease_tolerance:
-            return Outcome(CONVERGED, norm, slope, 0.0, -0.5 * slope, cost)
-        if not feedback:
+        if norm <= gradient_tolerance or -value <= decrease_tolerance:
+            return Outcome(CONVERGED, norm, slope, 0.0, -value, cost)
+        if not feedback and self._bounds is None:
             direction(w.table, dynamics.dt)
-        step, after = self._search(rule, feedback, cost, slope)  # Eq. 36
+        step, after = self._search(rule, feedback, cost, slope) if slope < 0.0 else (0.0, cost)  # Eq. 36
         if step == 0.0:
-            return Outcome(NO_STEP, norm, slope, 0.0, -0.5 * slope, cost)
-        return Outcome(ACCEPTED, norm, slope, step, -slope * step * (1.0 - 0.5 * step), after)
+            return Outcome(NO_STEP, norm, slope, 0.0, -value, cost)
+        return Outcome(ACCEPTED, norm, slope, step, promised(slope, value, step), after)
+
+    def _solve_lq(self, mu: float, settle: bool) -> tuple[float, float, float, bool]:
+        """Sweep: the gradient's norm, the slope of J, the model's value at its minimum, and whether it is definite.
+
+        With `settle` until the set of bounds and hinges is found that the motion tells. Where none is, or without, each
+        stage has its box, and hinges pull where they do now.
+        """
+        w, dt, bounded = self._w, self._dynamics.dt, self._bounds is not None
+        if settle and (bounded or self._hinged) and self._settling.due():
+            found = self._settled(mu)
+            choose_active(w.table, dt, True)
+            if found is not None:
+                return found
+        norm, value, definite = self._riccati(w.table, mu, dt, *([False] if bounded else []))
+        if not bounded:
+            return norm, value, 0.5 * value, definite
+        return norm, bounded_direction(w.table, dt) if definite else 0.0, value, definite
+
+    def _settled(self, mu: float) -> tuple[float, float, float, bool] | None:
+        """What _solve_lq returns, of a set that tells itself; None where none is found."""
+        w, dt, bounded = self._w, self._dynamics.dt, self._bounds is not None
+        gradient_norm = 0.0
+        for sets in range(MOST_SETS):
+            norm, value, definite = self._riccati(w.table, mu, dt, *([True] if bounded else []))
+            if not definite:
+                break
+            if sets == 0:
+                gradient_norm = norm  # the next ones have other hinges
+            changes, more_cost, more_slope = choose_active(w.table, dt, False)
+            if changes == 0:
+                self._settling.found()
+                slope = bounded_direction(w.table, dt) if bounded else value
+                return gradient_norm, slope + more_slope, (value if bounded else 0.5 * value) + more_cost, True
+        self._settling.missed()
+        return None
 
     def _linearize(self, second: bool) -> None:
         """What the sweep needs along the trajectory, with second-order terms or without."""
@@ -193,7 +238,8 @@ class CompiledEngine(Engine):
         self._boxed()
         w.use_gaps(True)
         w.gaps[:] = gaps
-        norm, _, definite = self._riccati(w.table, 0.0, dt)
+        boxed = () if self._bounds is None else (False,)
+        norm, _, definite = self._riccati(w.table, 0.0, dt, *boxed)
         if definite:
             direction(w.table, dt)
         w.use_gaps(False)
@@ -207,23 +253,6 @@ class CompiledEngine(Engine):
     def close(self, cost: float, slope: float) -> tuple[float, float]:
         """Close the gaps by a rollout with the gains of `cross`, if Armijo's rule takes one of the first steps."""
         return self._search(search.CLOSING, True, cost, slope)
-
-    def _iterate_bounded(
-        self, feedback: bool, rule: int, mu: float, cost: float, gradient_tolerance: float, decrease_tolerance: float
-    ) -> Outcome:
-        """The sweep and search of iterate, with bounds."""
-        w, dynamics = self._w, self._dynamics
-        self._boxed()
-        norm, value, definite = self._riccati(w.table, mu, dynamics.dt)
-        if not definite:
-            return Outcome(INDEFINITE, norm, 0.0, 0.0, 0.0, cost)
-        if norm <= gradient_tolerance or -value <= decrease_tolerance:
-            return Outcome(CONVERGED, norm, 2.0 * value, 0.0, -value, cost)
-        slope = bounded_direction(w.table, dynamics.dt)
-        step, after = self._search(rule, feedback, cost, slope) if slope < 0.0 else (0.0, cost)
-        if step == 0.0:
-            return Outcome(NO_STEP, norm, slope, 0.0, -value, cost)
-        return Outcome(ACCEPTED, norm, slope, step, promised(slope, value, step), after)
 
     def _search(self, rule: int, feedback: bool, cost: float, slope: float) -> tuple[float, float]:
         """The step that is taken and the cost after it."""

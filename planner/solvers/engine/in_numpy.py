@@ -18,8 +18,10 @@ from planner.problem.costs.tracking import tracking_of
 from planner.problem.problem import Problem
 from planner.problem.state_ranges import Hinges
 from planner.solvers import lq
+from planner.solvers.active_set import Pulling, settled
 from planner.solvers.engine.moved import Trajectory, move
-from planner.solvers.engine.protocol import Crossing, Engine, Outcome, promised, state_weights
+from planner.solvers.engine.protocol import Crossing, Engine, Outcome, check_shapes, promised, state_weights
+from planner.solvers.engine.settling import MOST_SETS, Settling
 
 
 class NumpyEngine(Engine):
@@ -30,12 +32,14 @@ class NumpyEngine(Engine):
         self._dynamics, self._cost, self._bounds = problem.dynamics, problem.cost, problem.bounds
         self._kept = problem.kept
         self._hinges: Hinges | None = None
-        # Where eight candidates cost as much as eight rollouts, Armijo tries them one by one, the longest first.
+        # Where eight candidates cost as much as eight rollouts, Armijo tries them one by one, the longest first. Its
+        # step is the same.
         self._together = bool(getattr(problem.dynamics, "batched", True))
         self._bracket = np.empty(3)
         self.largest_control_weight, self.hold = 1.0, 0.0
         self._sweep: lq.Sweep | None = None
         self._exact, self._swept, self._second = False, False, None
+        self._settling, self._held = Settling(), np.zeros((problem.N, problem.dynamics.nu))
         self._space = space_of(problem.dynamics)
         self._gains = (problem.N, problem.dynamics.nu, self._space.ndx)
         # One attribute, so that an interrupt never leaves states of one trajectory with controls of another.
@@ -67,18 +71,23 @@ class NumpyEngine(Engine):
                 "second_order(xs, us, costates) (see planner.dynamics.Dynamics)."
             )
         self._exact = self._swept = exact
-        self.hold = 0.0
+        self.hold, self._settling, self._held = 0.0, Settling(), np.zeros(us.shape)
         first = us[:, None, :].copy()
         xs, J = self._rollout(x0, first, None, us)  # no gains yet
         self._nominal = xs[:, 0].copy(), first[:, 0].copy()
         if np.isfinite(J[0]):
-            _check_shapes(self._cost.quadratize(*self._nominal), *self._gains)
+            check_shapes(self._cost.quadratize(*self._nominal), *self._gains)
             model = self._cost.quadratize(*self._nominal)
             self.largest_control_weight = float(np.abs(model.R).max()) or 1.0
             tracking = tracking_of(self._cost)
             Q = model.Q if tracking is None else tracking.Q  # as the kernels', which no rotation turns
             self._state_weights = state_weights(Q, self.largest_control_weight)
         return float(J[0])
+
+    @property
+    def clamped(self) -> bool:
+        """Whether the last sweep held controls at their bounds."""
+        return bool(self._held.any())
 
     def follow(self, x0: np.ndarray, trajectory: Trajectory, stages: float = 0.0) -> float:
         """Roll out u = us + K (x - xs) of a trajectory, some stages on, from x0 (nx,), and take it; its cost."""
@@ -152,7 +161,7 @@ class NumpyEngine(Engine):
             self._linearize()
             self._second = self._second_order(xs0, us0) if self._exact else None
         moves = self._moves(xs0, us0)
-        sweep = lq.riccati(self._A, self._B, self._model, mu, moves, self._added())
+        sweep = self._solve_lq(mu, moves, decrease_tolerance < np.inf)
         if sweep is None:
             return Outcome(INDEFINITE, self._norm, 0.0, 0.0, 0.0, cost)
         self._sweep, slope = sweep, sweep.slope
@@ -161,14 +170,20 @@ class NumpyEngine(Engine):
         if slope >= 0.0:  # clipping may undo a direction
             return Outcome(NO_STEP, self._norm, slope, 0.0, -sweep.value, cost)
         self._dus = sweep.k if feedback else lq.direction(self._A, self._B, sweep, moves)[1]
-        alpha = np.empty(WIDTH if self._together or rule != search.ARMIJO else 1)
+        alpha, J = np.empty(WIDTH), np.empty(WIDTH)
+        xs, us = np.empty((len(xs0), WIDTH, xs0.shape[1])), np.empty((len(us0), WIDTH, us0.shape[1]))
         bracket = self._bracket
         search.ladder(rule, alpha, bracket)
         slopes = np.zeros_like(alpha)
-        # One candidate at a time must be allowed as many tries as several.
-        for _ in range(search.batches(rule) * (WIDTH // len(alpha))):
-            us = us0[:, None, :] + alpha[:, None] * self._dus[:, None, :]  # Eq. 36
-            xs, J = self._rollout(xs0[0], us, sweep.K if feedback else None, xs0)
+        one_by_one = not self._together and rule in (search.ARMIJO, search.LONGER)
+        lanes = [slice(c, c + 1) for c in range(WIDTH)] if one_by_one else [slice(0, WIDTH)]
+        for _ in range(search.batches(rule)):
+            J[:] = np.nan
+            for some in lanes:
+                us[:, some] = us0[:, None, :] + alpha[some, None] * self._dus[:, None, :]  # Eq. 36
+                xs[:, some], J[some] = self._rollout(xs0[0], us[:, some], sweep.K if feedback else None, xs0)
+                if search.decided(rule, alpha, J, cost, slope, some.stop):
+                    break
             if rule == search.WOLFE:
                 for c in np.flatnonzero(np.isfinite(J)):
                     slopes[c] = self._slope(xs[:, c], us[:, c], sweep.K if feedback else None)
@@ -180,6 +195,26 @@ class NumpyEngine(Engine):
                 return Outcome(ACCEPTED, self._norm, slope, step, expected, float(J[lane]))
             search.refine(rule, alpha, bracket)
         return Outcome(NO_STEP, self._norm, slope, 0.0, -sweep.value, cost)
+
+    def _solve_lq(self, mu: float, moves: Moves | None, settle: bool) -> lq.Sweep | None:
+        """As the compiled engine's."""
+        kept, hinges, xs = self._kept, self._hinges, self._nominal[0]
+        pulling = None
+        if kept is not None and hinges is not None and kept.ranges is not None:
+            of_ranges = kept.of_ranges(hinges)
+            pulling = Pulling(kept.ranges, of_ranges, xs) if of_ranges.weight.any() else None
+        if settle and (moves is not None or pulling is not None) and self._settling.due():
+            sweep, self._held = settled(
+                self._A, self._B, self._model, mu, moves, self._added(), pulling, self._held, MOST_SETS
+            )
+            if sweep is not None:
+                self._settling.found()
+                return sweep
+            self._settling.missed()
+        sweep = lq.riccati(self._A, self._B, self._model, mu, moves, self._added())
+        if sweep is not None and sweep.held is not None:
+            self._held = sweep.held
+        return sweep
 
     def _linearize(self) -> None:
         xs0, us0 = self._nominal
@@ -258,14 +293,3 @@ def _check_jacobians(A: np.ndarray, B: np.ndarray, N: int, nu: int, ndx: int) ->
     for name, have, shape in (("A", np.shape(A), (N, ndx, ndx)), ("B", np.shape(B), (N, ndx, nu))):
         if have != shape:
             raise PlannerError(f"the dynamics' linearize gives {name} of shape {have}, expected {shape}.")
-
-
-def _check_shapes(model: Quadratic, N: int, nu: int, ndx: int) -> None:
-    """A wrong shape from a user's cost could broadcast into a wrong gradient."""
-    expected = {"Q": (N + 1, ndx, ndx), "q": (N + 1, ndx), "R": (N, nu, nu), "r": (N, nu)}
-    if getattr(model, "S", None) is not None:
-        expected["S"] = (N, nu, ndx)
-    for name, shape in expected.items():
-        have = np.shape(getattr(model, name))
-        if have != shape:
-            raise PlannerError(f"the cost's quadratize gives {name} of shape {have}, expected {shape}.")

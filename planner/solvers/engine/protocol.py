@@ -7,7 +7,9 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 
+from planner.base.errors import PlannerError
 from planner.kernels.lq import search
+from planner.problem.costs.terms import Quadratic
 from planner.problem.state_ranges import Hinges
 from planner.solvers.engine.moved import Trajectory
 
@@ -67,6 +69,11 @@ class Engine(Protocol):
         """Linearise (if `fresh`), sweep, search, accept."""
         ...
 
+    @property
+    def clamped(self) -> bool:
+        """Whether the last sweep held controls at their bounds."""
+        ...
+
     def follow(self, x0: np.ndarray, trajectory: Trajectory, stages: float = 0.0) -> float:
         """Roll out u = us + K (x - xs) of a trajectory, some stages on, from x0 (nx,), and take it; its cost.
 
@@ -124,5 +131,17 @@ def state_weights(Q: np.ndarray, control_weight: float) -> np.ndarray:
 
 
 def promised(slope: float, value: float, step: float) -> float:
-    """The decrease that a parabola promises for a step: its slope at 0 and its value at 1 are given."""
+    """The decrease that a parabola of given slope at 0 and value at 1 promises for a step, up to the full one."""
+    step = min(step, 1.0)
     return -step * (slope + step * (value - slope))
+
+
+def check_shapes(model: Quadratic, N: int, nu: int, ndx: int) -> None:
+    """A wrong shape from a user's cost could broadcast into a wrong gradient."""
+    expected = {"Q": (N + 1, ndx, ndx), "q": (N + 1, ndx), "R": (N, nu, nu), "r": (N, nu)}
+    if getattr(model, "S", None) is not None:
+        expected["S"] = (N, nu, ndx)
+    for name, shape in expected.items():
+        have = np.shape(getattr(model, name))
+        if have != shape:
+            raise PlannerError(f"the cost's quadratize gives {name} of shape {have}, expected {shape}.")

@@ -2,6 +2,9 @@
 
 A bound that most curves share is a red line, with what is outside shaded; a bound of a curve's own is dotted, in its
 hue. What is asked at one time alone is a triangle whose tip is the bound, or a ring where a value is to be met.
+
+Values over decades have a log scale; where some are negative (a penetration is a negative clearance) it is linear about
+zero, so that they are seen.
 """
 
 from __future__ import annotations
@@ -15,7 +18,7 @@ import numpy as np
 from planner.problem.pictures import Bounded
 from planner.proof.replays.replaying import Replay
 from planner.view.plots.motions import ASTRAY, line_of, name_curves, range_of, until_astray
-from planner.view.plots.style import DASHED, HUES, RED, drawable, dress, positive
+from planner.view.plots.style import DASHED, HUES, INK, RED, drawable, dress, positive
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -24,6 +27,7 @@ _OUTSIDE = 0.07  # opacity of what is outside
 _DECADES = 30.0  # largest over smallest value, from which a log scale is
 _BELOW = 30.0  # the least bound over the smallest value that a log scale shows
 _ROOM = 0.06
+SHARED, OWN = "_shared bound", "_own bound"  # labels of lines, for a legend below all panels
 _UP, _DOWN = 6, 7  # matplotlib's triangles whose tips are at the point
 
 
@@ -60,12 +64,12 @@ def _draw_bounds(axes: Axes, panel: Bounded, single: tuple[np.ndarray, np.ndarra
         together = 2 * int(shared.sum()) > len(shared) or len(shared) == 1
         line = along[:, int(np.argmax(shared))]
         if together and np.isfinite(line).any():
-            axes.plot(panel.t, line, color=RED, lw=1.0, scaley=False, zorder=2.5)
+            axes.plot(panel.t, line, color=RED, lw=1.0, scaley=False, zorder=2.5, label=SHARED)
             if not met.any():
                 axes.fill_between(panel.t, line, edge, color=RED, alpha=_OUTSIDE, lw=0, zorder=0)
         for column, hue in zip(range(side.shape[1]), cycle(HUES), strict=False):
             if not (together and shared[column]) and np.isfinite(along[:, column]).any():
-                axes.plot(panel.t, along[:, column], color=hue[0], lw=1.1, ls=":", scaley=False, zorder=2.5)
+                axes.plot(panel.t, along[:, column], color=hue[0], lw=1.1, ls=":", scaley=False, zorder=2.5, label=OWN)
             for asked, style in (
                 (alone[:, column] & ~met[:, column], {"marker": marker, "color": hue[0], "mec": "white", "mew": 0.6}),
                 (alone[:, column] & met[:, column], {"marker": "o", "color": "none", "mec": hue[0], "mew": 1.4}),
@@ -97,6 +101,10 @@ def _keep_in_view(axes: Axes, panel: Bounded) -> bool:
         seen = positive(np.concatenate([panel.motions[0].ravel(), *bounds]))
         smallest, edge = float(np.nanmin(seen)), min(float(one.min()) for one in bounds if len(one))
         smallest = max(smallest, edge / _BELOW) if edge > 0.0 else smallest
+        lowest, _ = range_of(panel.motions)
+        if high > _DECADES * smallest and lowest < 0.0:
+            _show_negative(axes, lowest, high, edge)
+            return False
         if high > _DECADES * smallest:
             axes.set_yscale("log")
             axes.set_ylim(smallest / 1.5, 1.5 * high)
@@ -108,3 +116,11 @@ def _keep_in_view(axes: Axes, panel: Bounded) -> bool:
         low, high = low - 1.0, high + 1.0
     axes.set_ylim(low - _ROOM * (high - low), high + _ROOM * (high - low))
     return False
+
+
+def _show_negative(axes: Axes, lowest: float, high: float, edge: float) -> None:
+    """A scale that is linear from -edge, the least bound, to edge, and logarithmic beyond: with a line at zero."""
+    linear = edge if edge > 0.0 else high / _DECADES
+    axes.set_yscale("symlog", linthresh=linear)
+    axes.set_ylim(max(1.5 * lowest - 0.2 * linear, -1.5 * high), 1.5 * high)
+    axes.axhline(0.0, color=INK, lw=0.6, zorder=1)

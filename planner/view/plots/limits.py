@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 SHADE = 0.13  # opacity, so that curves at their bounds at the same time can both be told
-LABEL = "at a bound (dotted)"
+LABEL = "at its bound"
 
 
 def limited(plan: Plan) -> bool:

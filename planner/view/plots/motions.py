@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import textwrap
 from collections.abc import Sequence
 from itertools import cycle
 from typing import TYPE_CHECKING, Any
@@ -16,7 +17,7 @@ if TYPE_CHECKING:
 
 BESIDE = 3  # curves, above which their names stand beside the panel and not in it
 ASTRAY = 1.5  # how far a replay that runs away may widen an axis, in parts of the range of the other curves
-_LONGEST = 22  # characters of a name beside a panel
+_LONGEST = 22  # characters of a line of a name beside a panel
 
 
 def line_of(replay: Replay, hue: tuple[str, str, str]) -> dict[str, Any]:
@@ -47,7 +48,7 @@ def name_curves(axes: Axes, labels: Sequence[str], beside: float, *, most: int =
     handles = [Line2D([], [], color=dark, lw=2.0) for (dark, _, _), _ in zip(cycle(HUES), labels, strict=False)]
     style: dict[str, Any] = {"framealpha": 0.85, "edgecolor": "none", "borderpad": 0.3, "handlelength": 1.4}
     if len(labels) > most:
-        names = [label if len(label) <= _LONGEST else f"{label[:9]}…{label[-12:]}" for label in labels]
+        names = [textwrap.fill(label, _LONGEST) for label in labels]
         legend = axes.legend(handles, names, fontsize=7, loc="center left", bbox_to_anchor=(beside, 0.5), **style)
     else:
         legend = axes.legend(handles, labels, fontsize=8, loc="upper left", ncols=len(labels), **style)

@@ -17,7 +17,7 @@ from planner.problem.appearance import Panel
 from planner.problem.default_appearance import appearance_of
 from planner.problem.plan import Plan
 from planner.proof.replays.replaying import Replay
-from planner.view.plots.bounded import draw_bounded
+from planner.view.plots.bounded import OWN, SHARED, draw_bounded
 from planner.view.plots.limits import LABEL, SHADE, draw_control_bounds, draw_state_range, limited
 from planner.view.plots.motions import ASTRAY, BESIDE, line_of, name_curves, range_of, until_astray
 from planner.view.plots.over_time import Curve, curves_of, panels_of, replays_of, tasks_of, to_the_end, unit_of
@@ -83,7 +83,7 @@ def draw_plan(plan: Plan, shown: Proof | Replay | None) -> Figure:
                 color=STANCE, lw=0, zorder=0,
             )  # fmt: skip
     draw_convergence(figure.add_subplot(cells[-1]), plan)
-    _head(figure, plan, replays, shaded)
+    _head(figure, plan, replays, shaded, {str(line.get_label()) for axes in timed for line in axes.get_lines()})
     return figure
 
 
@@ -207,8 +207,8 @@ def _draw_chains(figure: Figure, cell: SubplotSpec, unit: str, curves: dict[str,
     return axes
 
 
-def _head(figure: Figure, plan: Plan, replays: list[Replay], touched: bool) -> None:
-    """Draw the title and one legend for all panels."""
+def _head(figure: Figure, plan: Plan, replays: list[Replay], touched: bool, lines: set[str]) -> None:
+    """Draw the title and one legend for all panels, which have lines with these labels."""
     from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
 
@@ -219,9 +219,13 @@ def _head(figure: Figure, plan: Plan, replays: list[Replay], touched: bool) -> N
         handles.append(Line2D([], [], **line_of(replay, GREYS), label=f"replay in MuJoCo, {words}"))
     if touched:
         handles.append(Patch(facecolor=STANCE, edgecolor="#cfc8b8", lw=0.5, label="stance (contact force > 0)"))
+    if SHARED in lines:
+        handles.append(Line2D([], [], color=RED, lw=1.0, label="bound"))
+    if OWN in lines or limited(plan):
+        handles.append(Line2D([], [], color=INK, lw=1.0, ls=":", label="bound of the curve in its colour"))
     if limited(plan):
         handles.append(Patch(facecolor=INK, alpha=SHADE, label=LABEL))
-    legend_below(figure, handles)
+    legend_below(figure, handles, 4)
 
 
 def _power_of_thousand(values: np.ndarray) -> int:

@@ -14,7 +14,7 @@ from planner.view.render.film import Film
 from planner.view.render.looks import drawn, geom_boxes, moving
 from planner.view.render.sticks import Sticks
 
-_MARGIN = 1.12  # the picture's half sizes over the motion's
+_MARGIN, _NARROW_MARGIN = 1.12, 1.02  # the picture's half sizes over the motion's, with words around it and without
 _LOWER = 0.2  # of half the picture's height: how far a motion is put below its middle, where there is room
 ROOM = 0.05  # around what moves, in parts of its largest side
 _ASTRAY = 0.5  # how far a replay that leaves the plan is followed, in largest sides of the plan's box
@@ -37,11 +37,13 @@ class Box(NamedTuple):
 
 
 def whole_motion(
-    films: Sequence[Film], model: Any, appearance: Appearance, aspect: float, ghost: bool, room: float = 1.0
-) -> tuple[np.ndarray, float]:
+    films: Sequence[Film], model: Any, appearance: Appearance, aspect: float, ghost: bool, room: float = 1.0,
+    *, words: bool = True,
+) -> tuple[np.ndarray, float]:  # fmt: skip
     """Point (3,) and distance (m) at which a camera sees all of some films of one plan, and its goals.
 
-    `aspect` is width over height; `room` is the part of the height that words leave free. A replay that runs away is
+    `aspect` is width over height; `room` is the part of the height that words leave free; without any `words` the
+    motion fills the picture. A replay that runs away is
     followed only near the plan.
     """
     scenery = scenery_of(model, appearance)[0]
@@ -56,8 +58,8 @@ def whole_motion(
         if len(places):
             box = box.joined(Box(places.min(axis=0), places.max(axis=0)), np.inf)
     angles = appearance.azimuth, appearance.elevation, model.vis.global_.fovy
-    distance = standing_back(box, *angles, aspect, room)
-    above = below_words(box, *angles, distance) if room == 1.0 else 0.0
+    distance = standing_back(box, *angles, aspect, room, _MARGIN if words else _NARROW_MARGIN)
+    above = below_words(box, *angles, distance) if room == 1.0 and words else 0.0
     return 0.5 * (box.low + box.high) + above, distance
 
 
@@ -78,12 +80,15 @@ def scenery_of(model: Any, appearance: Appearance) -> tuple[np.ndarray, np.ndarr
 
 
 def swept_box(model: Any, path: np.ndarray, scenery: np.ndarray) -> Box:
-    """The box around everything that moves, but for the bodies (nbody,) of the scenery, over the poses path (P, nq)."""
+    """The box around everything that moves and carries it, without the scenery (nbody,), over the poses path (P, nq).
+
+    Bodies at rest that carry nothing, a wall for example, may be anywhere: no camera goes back to see them.
+    """
     mujoco = load_mujoco()
     data = mujoco.MjData(model)
     moved = moving(model) & ~scenery[model.geom_bodyid]
     seen = np.flatnonzero(moved & drawn(model) if np.any(moved & drawn(model)) else moved)
-    shown, sticks = np.flatnonzero(~scenery)[1:], Sticks(model)
+    shown, sticks = np.flatnonzero(~scenery & _carrying(model))[1:], Sticks(model)
     low, high = np.full(3, np.inf), np.full(3, -np.inf)
     for qpos in path:
         data.qpos[:] = qpos
@@ -97,8 +102,17 @@ def swept_box(model: Any, path: np.ndarray, scenery: np.ndarray) -> Box:
     return Box(low - least, high + least)
 
 
+def _carrying(model: Any) -> np.ndarray:
+    """Mask (nbody,) of the bodies that move or carry one that moves."""
+    carrying = model.body_weldid != 0
+    for body in range(model.nbody - 1, 0, -1):  # children come after their parents
+        carrying[model.body_parentid[body]] |= carrying[body]
+    return carrying
+
+
 def standing_back(
-    box: Box, azimuth: float, elevation: float, fovy: float, aspect: float, room: float = 1.0
+    box: Box, azimuth: float, elevation: float, fovy: float, aspect: float, room: float = 1.0,
+    margin: float = _MARGIN,
 ) -> float:  # fmt: skip
     """Distance from the box's centre at which a camera, angles in degrees, sees all of the box; see whole_motion()."""
     ahead, right, up = directions(azimuth, elevation)
@@ -106,7 +120,7 @@ def standing_back(
     corners = half * np.array(np.meshgrid([-1, 1], [-1, 1], [-1, 1])).reshape(3, -1).T
     tangent = np.tan(0.5 * np.radians(fovy))
     needed = np.maximum(np.abs(corners @ up) / (tangent * room), np.abs(corners @ right) / (tangent * aspect))
-    return float(np.max(_MARGIN * needed - corners @ ahead))
+    return float(np.max(margin * needed - corners @ ahead))
 
 
 def below_words(box: Box, azimuth: float, elevation: float, fovy: float, distance: float) -> np.ndarray:

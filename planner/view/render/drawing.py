@@ -113,7 +113,7 @@ def _tiles(films: Sequence[Film], job: Job, scenes: ExitStack) -> list[list[_Til
     if len(films) > 1:
         seen = [list(row) for row in zip(*seen, strict=True)]
     widths, heights = _shares(job.width, len(seen[0])), _shares(job.height, len(seen))
-    largest, model = np.max([film.largest for film in films], axis=0), visible_model(films[0])
+    largest, model = np.max([film.largest for film in films], axis=0), visible_model(films)
     tiles: list[list[_Tile]] = []
     for i, row in enumerate(seen):
         tiles.append([])
@@ -187,7 +187,7 @@ def _draw_strip(film: Film, job: Job) -> np.ndarray:
 def _draw_poses(film: Film, width: int, height: int) -> np.ndarray:
     """All poses from one camera: (height, width, 3)."""
     gap = max(1, round(height / 270))
-    model = visible_model(film)
+    model = visible_model([film])
     rows = best_rows(film, model, width, height)
     columns = math.ceil(len(film) / rows)
     tile = (width - gap * (columns - 1)) // columns
@@ -197,7 +197,7 @@ def _draw_poses(film: Film, width: int, height: int) -> np.ndarray:
     strip = np.full((height, width, 3), 255, np.uint8)
     # Both sides share the remainder of the division.
     left = (width - tile * columns - gap * (columns - 1)) // 2
-    with Scene(film, tile, high - band, ghost=False, model=model) as scene:
+    with Scene(film, tile, high - band, ghost=False, words=False, model=model) as scene:
         for frame, t in enumerate(film.t):
             row, column = (frame // columns) * (high + gap), left + (frame % columns) * (tile + gap)
             words = film.words[frame] if film.words else overlay.time_words(t, unstable=t >= film.unstable)

@@ -48,14 +48,16 @@ class Scene:
 
     def __init__(
         self, film: Film, width: int, height: int, *, ghost: bool = True, oversize: float = 2.0,
-        beside: Sequence[Film] = (), narrow: bool = False, quick: bool = False, model: Any = None,
+        beside: Sequence[Film] = (), narrow: bool = False, quick: bool = False, words: bool = True,
+        model: Any = None,
     ) -> None:  # fmt: skip
         """Open the model and an OpenGL context for a picture of width x height pixels.
 
         The picture is drawn `oversize` times larger in both directions, then shrunk: in software this costs no more
         than OpenGL's own multisampling, and smooths the edges of shadows too. The camera must also suit the films
         `beside` this one, of the same plan. `narrow` says that the picture is a part of a larger one, `quick` that it
-        is one of many. `model` is the film's visible_model(), where there is one already; it is changed.
+        is one of many, `words` that some are written on it. `model` is the film's visible_model(), where there is one
+        already; it is changed.
 
         Raises:
             ModelError: MuJoCo refuses the model's text.
@@ -66,7 +68,7 @@ class Scene:
         self._mujoco = mujoco
         self._film, self._appearance, self._ghost = film, film.appearance, ghost
         self._width, self._height = width, height
-        model = visible_model(film) if model is None else model
+        model = visible_model([film]) if model is None else model
         # The frame buffer that the model asks for may be smaller than the picture.
         columns, rows = round(oversize * width), round(oversize * height)
         model.vis.quality.offsamples = 0
@@ -87,7 +89,7 @@ class Scene:
         # An appearance's own camera is for wide pictures, unless it goes with the machine or is one of several.
         placed = not beside or self._appearance.accompany is not None or bool(self._appearance.views)
         self._fixed = self._appearance.distance is not None and placed
-        self._look_at, self._camera.distance = self._place(width / height, beside, narrow)
+        self._look_at, self._camera.distance = self._place(width / height, beside, narrow, words)
         self._camera.azimuth, self._camera.elevation = self._appearance.azimuth, self._appearance.elevation
         # A floor has nothing below it to shade, and would speckle itself where the shadow map is coarse.
         is_plane = model.geom_type == mujoco.mjtGeom.mjGEOM_PLANE
@@ -200,7 +202,7 @@ class Scene:
         self._mujoco.mj_camlight(model, data)
         self._mujoco.mj_tendon(model, data)
 
-    def _place(self, aspect: float, beside: Sequence[Film], narrow: bool) -> tuple[np.ndarray, float]:
+    def _place(self, aspect: float, beside: Sequence[Film], narrow: bool, words: bool) -> tuple[np.ndarray, float]:
         """The point (3,) that the camera looks at, before any displacement, and its distance from there."""
         appearance = self._appearance
         if self._fixed and appearance.distance is not None:
@@ -208,7 +210,8 @@ class Scene:
             aside = 0.0 if self._ghost else 0.5 * np.asarray(appearance.ghost_offset)
             return np.asarray(appearance.look_at) - aside, appearance.distance
         room = _ROOM if narrow else 1.0
-        look_at, distance = whole_motion([self._film, *beside], self._model, appearance, aspect, self._ghost, room)
+        films = [self._film, *beside]
+        look_at, distance = whole_motion(films, self._model, appearance, aspect, self._ghost, room, words=words)
         extent, planes = self._model.stat.extent, self._model.vis.map
         planes.zfar = max(planes.zfar, 4.0 * distance / extent)
         planes.znear = min(planes.znear, 0.05 * distance / extent)
@@ -244,7 +247,7 @@ def best_rows(film: Film, model: Any, width: int, height: int) -> int:
 
     def size(rows: int) -> float:
         columns, high = -(-len(film) // rows), height / rows
-        return high / whole_motion([film], model, film.appearance, width / columns / high, ghost=False)[1]
+        return high / whole_motion([film], model, film.appearance, width / columns / high, False, words=False)[1]
 
     return max(range(1, 1 + min(3, len(film))), key=size)
 

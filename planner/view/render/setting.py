@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+from collections.abc import Sequence
 from typing import Any
 from xml.etree import ElementTree
 
@@ -10,17 +11,19 @@ import numpy as np
 
 from planner.base import gl
 from planner.model.mjcf.survey import compile_model
-from planner.view.render.camera import ROOM, scenery_of, swept_box
+from planner.view.render.camera import ROOM, Box, scenery_of, swept_box
 from planner.view.render.film import Film
 from planner.view.render.looks import drawn, geom_boxes, moving, paint_links, show_one_shape_for_each_part
 
 _CELL = 0.125  # of the machine's size, about: the side of the floor's squares
-_BELOW = 2e-3  # of the machine's size: how far our floor is below the lowest shape, or the two would flicker
+_BELOW = 2e-3  # of the machine's size: how far our floor is below a shape that stands on it, or the two would flicker
+_GAP = 0.08  # of the machine's size: how far it is below a machine that does not stand on it, so that this is seen
+_STANDS = 0.01  # of the machine's size: how far a machine that stands at the height 0 may sink below it
+_GONE = 10.0  # sizes of the machine: no floor is laid under a replay that fell as far
 _LEVEL = 0.7  # upward part of the normal of a floor
 _LAMP_REACH = 3.0  # distance of our lamp, in sizes of the machine
 _LIT_BY_OTHERS, _GLOW = 0.6, 0.3  # brightness of our floor in others' light, which may glare, and without any
 _COARSE = 10.0  # sizes of the machine: in a model as large as that, MuJoCo's map of shadows is too coarse for it
-_POSES = 32  # of a film, under which the floor is laid
 
 _OURS = "planner {}"
 """A name in the model for what is added; a user's name would hardly have a space."""
@@ -33,12 +36,12 @@ _PLANE = {"type": "plane", "size": "0 0 1", "contype": "0", "conaffinity": "0", 
 _LAMP = {"dir": "-0.35 0.45 -1", "diffuse": "0.45 0.45 0.45", "specular": "0.1 0.1 0.1", "castshadow": "true"}
 
 
-def visible_model(film: Film) -> Any:
-    """The film's model as it is drawn; ModelError where MuJoCo refuses its text."""
-    model, ours = _furnished(film)
+def visible_model(films: Sequence[Film]) -> Any:
+    """The model of films of one plan as it is drawn; ModelError where MuJoCo refuses its text."""
+    model, ours = _furnished(films[0])
     paint_links(model)
     show_one_shape_for_each_part(model)
-    _lay_floor(model, film, ours)
+    _lay_floor(model, films, ours)
     return model
 
 
@@ -77,25 +80,28 @@ def _part(root: ElementTree.Element, name: str) -> ElementTree.Element:
     return ElementTree.SubElement(root, name) if found is None else found
 
 
-def _lay_floor(model: Any, film: Film, ours: int) -> None:
-    """Put our floor under all poses of the ghost, or hide it where the model has one of its own.
+def _lay_floor(model: Any, films: Sequence[Film], ours: int) -> None:
+    """Put our floor under all poses of all films, or hide it where the model has one of its own.
 
-    Replays side by side have the same ghost, so that a machine that misses its plan misses the floor, too.
+    No file has this floor, so nothing may touch it or go through it. A machine that stays above the height 0 has it
+    there.
     """
     mujoco = gl.load_mujoco()
-    planned = film.path_ghost_qpos
-    scenery, poses = scenery_of(model, film.appearance)[0], planned[:: max(1, len(planned) // _POSES)]
-    box = swept_box(model, poses, scenery)
+    data, scenery = mujoco.MjData(model), scenery_of(model, films[0].appearance)[0]
+    box = swept_box(model, films[0].path_ghost_qpos, scenery)
     size, middle = float(np.max(box.high - box.low)), 0.5 * (box.low + box.high)
-    data = mujoco.MjData(model)
+    planned = _lowest(box)
+    lowest = min(planned, _lowest_mark(films[0]), *(_lowest(swept_box(model, one.path_qpos, scenery)) for one in films))
+    gone = not lowest > planned - _GONE * size
     mujoco.mj_kinematics(model, data)
-    moves = box.low[2] + size * ROOM / (1.0 + 2.0 * ROOM)  # without the room around it
     rests = drawn(model) & ~moving(model) & (model.geom_type != mujoco.mjtGeom.mjGEOM_PLANE)
-    lowest = float(geom_boxes(model, data, np.flatnonzero(rests))[0][:, 2].min(initial=moves))
+    lowest = float(geom_boxes(model, data, np.flatnonzero(rests))[0][:, 2].min(initial=lowest))
+    stands = -_STANDS * size <= lowest <= size
+    height = min(lowest, 0.0) - _BELOW * size if stands else lowest - _GAP * size
     g = model.opt.gravity
     level = not np.any(g) or g[2] < -_LEVEL * np.linalg.norm(g)
-    if level and np.isfinite(lowest) and not _has_floor(model, data, ours, scenery, size):
-        model.geom_pos[ours, 2] = lowest - _BELOW * size
+    if level and not gone and not _has_floor(model, data, ours, scenery, size):
+        model.geom_pos[ours, 2] = height
         model.geom_sameframe[ours] = 0  # or MuJoCo would leave it in the world's origin
         power, rest = divmod(np.log10(_CELL * size), 1.0)
         cell = 10.0**power * next(k for k in (5.0, 2.0, 1.0) if np.log10(k) <= rest)
@@ -106,6 +112,18 @@ def _lay_floor(model: Any, film: Film, ours: int) -> None:
     if lamp >= 0:
         model.light_pos[lamp] = middle - _LAMP_REACH * size * model.light_dir[lamp]
         model.light_castshadow[lamp] = model.stat.extent < _COARSE * size
+
+
+def _lowest(box: Box) -> float:
+    """The height of the lowest point in a swept box, m, without the room around it."""
+    return float(box.low[2] + ROOM / (1.0 + 2.0 * ROOM) * np.max(box.high - box.low))
+
+
+def _lowest_mark(film: Film) -> float:
+    """The height of the lowest goal or path, m; infinite where there is none."""
+    goals = [one.position for one in film.appearance.goals if one.position is not None]
+    return min((float(np.min(places[:, 2])) for places in (np.reshape(goals, (-1, 3)), *film.appearance.paths)
+                if len(places)), default=np.inf)  # fmt: skip
 
 
 def _has_floor(model: Any, data: Any, ours: int, scenery: np.ndarray, size: float) -> bool:

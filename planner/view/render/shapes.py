@@ -18,6 +18,7 @@ _ARROW = 0.007
 _SLIM = 0.045  # largest radius of an arrow's shaft, in parts of its length: a thicker one would be all head
 _LEAST_ARROW = 0.015  # length of the shortest arrow that can be seen
 _DASHES = 24
+_LEAST_BALL = 7.0  # pixels of the picture before it is shrunk: radius of the smallest ball
 _AXES = ((0.83, 0.16, 0.15), (0.16, 0.58, 0.22), (0.13, 0.36, 0.82))  # x, y and z
 
 
@@ -38,7 +39,11 @@ class Shapes:
     def __init__(self, scene: Any, eye: np.ndarray, distance: float, pixel: float) -> None:
         """Add to MuJoCo's `scene`, seen from `eye` (3,) at `distance`, where a pixel has such a size."""
         self._mujoco, self._scene, self._distance = load_mujoco(), scene, distance
-        self._eye, self._line = eye, 2.0 * _TRAIL * distance / pixel  # the width of a trail, in pixels
+        self._eye, self._least_ball, self._line = (
+            eye,
+            _LEAST_BALL * pixel,
+            2.0 * _TRAIL * distance / pixel,
+        )  # the width of a trail, in pixels
 
     def trail(self, points: np.ndarray, paint: Paint, part: float = 1.0, behind: float = 0.0) -> None:
         """A line through points (P, 3), its thickness a part of a trail's; `behind` moves it away from the camera.
@@ -57,8 +62,8 @@ class Shapes:
             self._connect(self._mujoco.mjtGeom.mjGEOM_CAPSULE, _DASH * self._distance, a, b, paint)
 
     def ball(self, centre: np.ndarray, radius: float, paint: Paint) -> None:
-        """A ball at a point (3,)."""
-        self._connect(self._mujoco.mjtGeom.mjGEOM_SPHERE, radius, centre, centre, paint)
+        """A ball at a point (3,), large enough to be seen."""
+        self._connect(self._mujoco.mjtGeom.mjGEOM_SPHERE, max(radius, self._least_ball), centre, centre, paint)
 
     def axes(self, origin: np.ndarray, R: np.ndarray, rod: Rod, opacity: float = 1.0) -> None:
         """The axes of a frame at a point (3,), the columns of R (3, 3): red, green and blue."""

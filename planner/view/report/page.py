@@ -118,9 +118,12 @@ def _to_pass(cures: Sequence[Cure]) -> str:
 
 
 def _unchecked(proof: Proof | None) -> str:
-    """What the verdict does not speak of."""
-    phrases = () if proof is None else proof.not_checked
-    return f"<p>Not checked: {escape('; '.join(phrases))}.</p>" if phrases else ""
+    """What the plan's model left out, and what the verdict does not speak of."""
+    left, phrases = ((), ()) if proof is None else (proof.planned_without, proof.not_checked)
+    tested = f"The plan was made without {' and '.join(left)}; the replay in your file (step 6) had all of it."
+    said = [tested] if left else []
+    said += [f"Not checked: {'; '.join(phrases)}."] if phrases else []
+    return "".join(f"<p>{escape(sentence)}</p>" for sentence in said)
 
 
 def _film(plan: Plan, folder: Path, note: str) -> str:
