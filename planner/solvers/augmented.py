@@ -13,7 +13,7 @@ Only what keeps shapes apart has hinges from the beginning, since a motion that 
 the way around it any more.
 
 Rounds far from the tolerance end before their minimum (inexact augmented Lagrangian; Bertsekas 1982, section 2.5): what
-is left of them moves the states by little of the violation that they are to reach.
+is left of them moves the states by little of the violation that they are to reach. So does the first.
 """
 
 from __future__ import annotations
@@ -38,10 +38,11 @@ MOST_RAISED = 5  # times that bounds rise for what comes too near between knots
 STEEPEST = 1e12  # beyond which weights drown the cost in rounding
 
 INEXACT = 0.1  # of the violation that a round is to reach: how far a minimum left early may be from the exact one
-NEAR = 100.0  # tolerances, up to which rounds are solved exactly
+ROUGH = 1e-2  # of the cost: what is left to gain where the first round ends, if much is violated
+NEAR = 10.0  # tolerances, up to which rounds are solved exactly
 
-# One solve from first controls (N, nu) with hinges: an iteration limit, the number of the first line, and the promised
-# decrease below which it may end.
+# One solve from first controls (N, nu) with hinges: an iteration limit, the number of the first line, and the share of
+# the cost below which it may end where no more is left to gain.
 Minimise = Callable[[np.ndarray, Hinges | None, int, int, float], Plan]
 
 
@@ -93,7 +94,7 @@ def within_ranges(
             return replace(plan, history=tuple(history), status=Status.MAX_ITERATIONS, hinges=hinges)
         hinges = _begun(kept, plan, hinges) if round_ == 0 else _updated(kept, hinges, plan, error, before)
         before = error.max(axis=0)
-        loose = _loose(hinges, error) if error.max() > NEAR * tolerance else 0.0
+        loose = _loose(hinges, error) / max(1.0, abs(plan.cost)) if error.max() > NEAR * tolerance else 0.0
         plan = minimise(plan.us, hinges, max_iterations + 1 - len(history), len(history), loose)
         history += plan.history
         if loose and len(history) <= max_iterations and _error(kept, hinges, plan).max() <= tolerance:
@@ -113,8 +114,12 @@ def _begin(
     """
     first = kept.first()
     if first is None:
-        plan = minimise(first_guess, None, max_iterations, first_line, 0.0)
-        return plan, list(plan.history), None
+        plan = minimise(first_guess, None, max_iterations, first_line, ROUGH)
+        history, near = list(plan.history), kept.beyond(plan.xs, plan.us).max(initial=0.0) <= NEAR * kept.tolerance
+        if near and plan.status is Status.CONVERGED and len(history) <= max_iterations:
+            plan = minimise(plan.us, None, max_iterations + 1 - len(history), first_line + len(history), 0.0)
+            history += plan.history
+        return plan, history, None
     cost = minimise(first_guess, None, 0, first_line, 0.0).cost
     if 1.0 < cost < DEAREST:
         first = first._replace(weight=cost * first.weight)

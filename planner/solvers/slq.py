@@ -244,7 +244,8 @@ def _minimise(
 ) -> Plan:  # fmt: skip
     """A minimum of the cost, and of hinges where there are any; only a solve's first line looks at states.
 
-    It also ends where less than `loose` is promised, which is no minimum yet.
+    It also ends where less than `loose` times max(1, J) is left to gain, which is no minimum yet: so much is promised,
+    or a full step has gained what was promised of it to within so much.
     """
     engine = borrow(problem, descent.rule)
     if problem.kept is not None:
@@ -260,12 +261,13 @@ def _minimise(
 
     regularisation = Regularisation(engine, descent.exact, holds, problem.bounds is not None)
     kinked = problem.limits is not None or problem.kept is not None
-    fresh, at_minimum, status = True, False, Status.INTERRUPTED if interrupted else Status.MAX_ITERATIONS
+    fresh, at_minimum, near, status = True, False, False, Status.INTERRUPTED if interrupted else Status.MAX_ITERATIONS
     try:
         while len(history) < max_iterations and not interrupted:
             # A regularised model promises too little: only the plain one may say that nothing is left to gain.
             mu = regularisation.mu
-            promise = max(loose, descent.decrease_tolerance * max(1.0, abs(cost))) if regularisation.plain else -1.0
+            tolerance = max(loose, descent.decrease_tolerance)
+            promise = tolerance * max(1.0, abs(cost)) if regularisation.plain else -1.0
             rule = LONGER if _too_short(history, descent) else descent.rule
             done = engine.iterate(descent.feedback, rule, mu, fresh, cost, descent.gradient_tolerance, promise)
             if done.kind == INDEFINITE and regularisation.leave_second_order():
@@ -278,11 +280,11 @@ def _minimise(
             if callback is not None:
                 callback(line)
 
-            at_minimum = done.kind == CONVERGED
-            if at_minimum or _stalled(history, descent):
+            at_minimum, near = done.kind == CONVERGED, _as_promised(line, loose)
+            if at_minimum or near or _stalled(history, descent):
                 status = Status.CONVERGED
                 break
-            little = max(loose, descent.decrease_tolerance * max(1.0, abs(cost)))
+            little = tolerance * max(1.0, abs(cost))
             flat = done.kind != INDEFINITE and -0.5 * done.slope <= little
             if regularisation.try_plain(fresh, flat):
                 continue
@@ -297,18 +299,21 @@ def _minimise(
         status = Status.INTERRUPTED
 
     xs, us = engine.trajectory()
-    if not at_minimum:  # the last line and the gains belong to an earlier trajectory
-        cost = problem.cost.value(xs, us)
-        last = plain_sweep(engine)
-        history.append(Iteration(first_line + len(history), cost, last.gradient_norm, 0.0, last.expected, 0.0, 0.0))
-    elif holds or problem.bounds is not None or not regularisation.plain:
-        plain_sweep(engine)  # the gains of a plan are those of the plain model of Eq. 31
+    if at_minimum:
+        gradient_norm = history[-1].gradient_norm
+        if holds or problem.bounds is not None or not regularisation.plain:
+            plain_sweep(engine)  # the gains of a plan are those of the plain model of Eq. 31
+    else:  # gains and gradient belong to an earlier trajectory
+        cost, last = problem.cost.value(xs, us), plain_sweep(engine)
+        gradient_norm = last.gradient_norm
+        if not near:  # the next round has the line of this trajectory
+            history.append(Iteration(first_line + len(history), cost, gradient_norm, 0.0, last.expected, 0.0, 0.0))
     if hinges is not None:  # the cost of a plan is that of its problem
         cost = problem.cost.value(xs, us)
     K = engine.gains()
-    if status is not Status.INTERRUPTED and not (math.isfinite(history[-1].gradient_norm) and np.isfinite(K).all()):
+    if status is not Status.INTERRUPTED and not (math.isfinite(gradient_norm) and np.isfinite(K).all()):
         status = Status.NOT_FINITE  # stages so unstable that costates overflow; their model promises nothing
-    plan = _plan(problem, xs, us, K, cost, history[-1].gradient_norm, status, history)
+    plan = _plan(problem, xs, us, K, cost, gradient_norm, status, history)
     give_back(problem, engine, descent.rule)
     return plan
 
@@ -322,6 +327,12 @@ def _too_short(history: list[Iteration], descent: _Descent) -> bool:
         return False
     last = history[-1]
     return last.step >= 1.0 and last.regularisation == 0.0 and last.actual > FAR_MORE * last.expected
+
+
+def _as_promised(line: Iteration, loose: float) -> bool:
+    """Whether a full step of the plain model gained what it promised to within loose max(1, J)."""
+    off = abs(line.actual - line.expected)
+    return line.step == 1.0 and line.regularisation == 0.0 and off < loose * max(1.0, abs(line.cost))
 
 
 def _stalled(history: list[Iteration], descent: _Descent) -> bool:

@@ -61,7 +61,14 @@ def test_a_given_guess_that_runs_away_is_replaced():
     assert "first_guess" not in planner.solve(quiet).options
 
 
-def test_all_of_several_starts_run_away():
+def test_of_several_starts_those_on_a_line_do_not_run_away():
+    plan = planner.solve(moved(*MACHINES["pushed away, upright"]), starts=2)
+    assert plan.success
+    assert [start.status for start in plan.starts] == [planner.Status.NOT_FINITE, planner.Status.CONVERGED]
+
+
+def test_all_of_several_starts_run_away(monkeypatch):
+    monkeypatch.setattr("planner.solvers.slq.line_to_the_end", lambda problem: None)
     problem = moved(*MACHINES["pushed away, upright"])
     plan = planner.solve(problem, starts=2)
     assert plan.success
