@@ -140,14 +140,15 @@ def test_armijo_is_the_first_power_of_a_half_that_passes(make, scale, height):
     assert len(asked_of_one) == asked_of_all  # alone, no candidate is rolled out that need not be
 
 
+def promised(df, a):
+    """What the parabola with the slope at 0 that is least at 1 falls by."""
+    return -a * (1.0 - 0.5 * a) * df(0.0)
+
+
 def power_of_a_half(f, df):
     """What Armijo takes, word for word: the step, and how many are looked at."""
-
-    def promised(a):  # by the parabola with the slope at 0 that is least at 1
-        return -a * (1.0 - 0.5 * a) * df(0.0)
-
     i = next(i for i in range(48) if f(0.5**i) <= f(0.0) + 1e-4 * 0.5**i * df(0.0))
-    if f(0.0) - f(0.5**i) >= 0.25 * promised(0.5**i):
+    if f(0.0) - f(0.5**i) >= search.FAR_LESS * promised(df, 0.5**i):
         return 0.5**i, i + 1
     while (i + 1) % WIDTH and f(0.5 ** (i + 1)) < f(0.5**i):  # up to the last of a batch
         i += 1
@@ -211,7 +212,7 @@ def test_bad_lanes_do_not_hide_good_ones(rule, where, bad):
         return True
 
     expected = next((i for i in range(WIDTH) if passes(i)), -1)
-    if rule == ARMIJO and expected in (0, 1):  # these lie beyond twice the minimum, or nearly: shorter ones gain more
+    if rule == ARMIJO and expected >= 0 and f(0.0) - J[expected] < search.FAR_LESS * promised(df, alpha[expected]):
         while expected + 1 < WIDTH and J[expected + 1] < J[expected]:
             expected += 1
     assert taken == expected

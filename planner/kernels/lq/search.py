@@ -25,7 +25,7 @@ START = -1  # no search: one rollout at step length 0, which is taken as it is
 SUFFICIENT = 1e-4  # c1 of Armijo and Wolfe (Nocedal & Wright, section 3.1)
 CURVATURE = 0.9  # c2 of Wolfe for Newton-like directions (same)
 GOLDSTEIN_C = 0.25  # below 1/2, so that the full step of a quadratic passes (same)
-FAR_LESS = 0.25  # of the decrease that a step promises, by the parabola of J0, S0 and J(1) = J0 + S0 / 2
+FAR_LESS = 0.2  # of the decrease that a step promises, by the parabola of J0, S0 and J(1) = J0 + S0 / 2
 LONGEST = 4.0  # the first step of LONGER
 EXACT_WIDTH = 1e-6  # J is flat to rounding within about 1e-8 of its minimum
 ARMIJO_BATCHES, BRACKET_BATCHES = 6, 32  # of candidates, before the search gives up
