@@ -1,0 +1,50 @@
+"""Iterations with limits and constraints beside those without: `python benchmarks/iterations.py`.
+
+The target is twice as many. Torques and speeds of the two-link arm are bounded by shares of the largest ones of its
+free plan, from the case's own first guess and from the straight line of states. Iterations do not depend on the machine.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import planner
+from planner import Limits
+
+TASKS = Path(__file__).parents[1] / "examples" / "tasks"
+FILES = ("reach_within_limits", "swing_up", "reach_upright_cup", "around_a_post", "through_a_window")
+SHARES = (0.6, 0.7, 0.75, 0.8, 0.85, 0.9, 0.95)
+
+
+def line(name: str, free: planner.Plan, held: planner.Plan) -> None:
+    """One row."""
+    met = held.success and held.nit <= 2 * free.nit
+    print(f"{name:44s}{free.nit:6d}{held.nit:8d}  {held.status.name:14s}{held.cost:12.6g}  {'met' if met else 'missed'}")
+
+
+def main() -> None:
+    """One row a problem."""
+    print(f"{'':44s}{'free':>6s}{'held':>8s}  {'status':14s}{'cost':>12s}  twice")
+    for name in FILES:
+        problem = planner.load_problem(TASKS / f"{name}.toml")
+        line(name, planner.solve(replace(problem, limits=None, constraints=())), planner.solve(problem))
+    problem = planner.cases.two_link(horizon=100)
+    guesses: tuple[dict[str, Any], ...] = ({}, {"states": "line"})
+    for guess in guesses:
+        free = planner.solve(problem, **guess)
+        torques, speeds = np.abs(free.us).max(axis=0), np.abs(free.xs[:, 2:]).max(axis=0)
+        for share in SHARES:
+            bounded = {"torque": Limits(control=(-share * torques, share * torques))}
+            names = problem.dynamics.mechanism.joint_names
+            bounded["speed"] = Limits(velocity=dict(zip(names, share * speeds, strict=True)))
+            for kind, limits in bounded.items():
+                held = planner.solve(replace(problem, limits=limits), **guess)
+                line(f"two-link, {kind}s at {share:g}{', from a line' if guess else ''}", free, held)
+
+
+if __name__ == "__main__":
+    main()
