@@ -23,7 +23,9 @@ SHARES = (0.6, 0.7, 0.75, 0.8, 0.85, 0.9, 0.95)
 def line(name: str, free: planner.Plan, held: planner.Plan) -> None:
     """One row."""
     met = held.success and held.nit <= 2 * free.nit
-    print(f"{name:44s}{free.nit:6d}{held.nit:8d}  {held.status.name:14s}{held.cost:12.6g}  {'met' if met else 'missed'}")
+    print(
+        f"{name:44s}{free.nit:6d}{held.nit:8d}  {held.status.name:14s}{held.cost:12.6g}  {'met' if met else 'missed'}"
+    )
 
 
 def main() -> None:

@@ -214,6 +214,12 @@ def _rubs(problem: Problem) -> bool:
     return mechanism is not None and bool(np.any(mechanism.friction_loss))
 
 
+def _touches(problem: Problem) -> bool:
+    """Whether the machine has contacts."""
+    mechanism = getattr(problem.dynamics, "mechanism", None)
+    return mechanism is not None and bool(mechanism.contacts or mechanism.body_contacts)
+
+
 class _Descent(NamedTuple):
     """How a solve goes down: the checked arguments of solve()."""
 
@@ -259,7 +265,8 @@ def _minimise(
     if not math.isfinite(cost) or runs_away(engine.trajectory()[0]).any():
         return _not_finite(problem, engine, cost)
 
-    regularisation = Regularisation(engine, descent.exact, holds, problem.bounds is not None)
+    bounded = problem.bounds is not None and not _touches(problem)  # at kinks of contact states are held in vain
+    regularisation = Regularisation(engine, descent.exact, holds, bounded)
     kinked = problem.limits is not None or problem.kept is not None
     fresh, at_minimum, near, status = True, False, False, Status.INTERRUPTED if interrupted else Status.MAX_ITERATIONS
     try:
@@ -301,7 +308,7 @@ def _minimise(
     xs, us = engine.trajectory()
     if at_minimum:
         gradient_norm = history[-1].gradient_norm
-        if holds or problem.bounds is not None or not regularisation.plain:
+        if holds or bounded or not regularisation.plain:
             plain_sweep(engine)  # the gains of a plan are those of the plain model of Eq. 31
     else:  # gains and gradient belong to an earlier trajectory
         cost, last = problem.cost.value(xs, us), plain_sweep(engine)
