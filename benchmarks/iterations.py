@@ -1,7 +1,7 @@
 """Iterations with limits and constraints beside those without: `python benchmarks/iterations.py`.
 
 The target is twice as many. Torques and speeds of the two-link arm are bounded by shares of the largest ones of its
-free plan, from the case's own first guess and from the straight line of states. Iterations do not depend on the machine.
+free plan, from the case's own first guess and from the straight line of states. Counts do not depend on the computer.
 """
 
 from __future__ import annotations
