@@ -84,6 +84,16 @@ def test_bounds_hold_exactly_and_the_end_is_stationary(plan):
     assert np.all(plan.K[low | high] == 0.0) or np.abs(gradient[low | high]).min() < 1e-4 * scale
 
 
+@pytest.mark.parametrize("share", [0.6, 0.7, 0.75, 0.8, 0.9])
+def test_less_torque_than_a_free_plan_has_is_planned_with(share):
+    """Without states held at short steps three of these crept along their bounds to the limit of 1000 iterations."""
+    free = planner.solve(two_link())
+    most = share * np.abs(free.us).max(axis=0)
+    plan = planner.solve(two_link(Limits(control=(-most, most))))
+    assert plan.success
+    assert plan.nit < 300
+
+
 def test_bounds_far_away_change_nothing():
     free, far = planner.solve(two_link()), planner.solve(two_link(Limits(control=1e6)))
     assert far.nit == free.nit
