@@ -11,7 +11,7 @@ Every weight makes its term a number without unit that is about 1:
     position        1 / (KEPT tolerances)^2 beside the straight line to the goal, of machines that stand on the ground:
                     their gains must hold a pose all along; none for others, which find their own way
     final_position  4 / tolerance^2, so that an error of the tolerance costs 2, more than the whole effort
-    final_velocity  10 / tolerance^2
+    final_velocity  10 / tolerance^2; both times what the least jerk of the way costs, where jerk is the objective
     hold            of machines that stand, in place of the two: what it costs to stay at the goal for HOLD
 
 The effort of a servo, whose control is a position, and of machines that stand is counted from the control that holds
@@ -60,7 +60,7 @@ class DefaultWeights:
 def default_weights(
     dynamics: RigidBodyDynamics, x0: np.ndarray, goal: np.ndarray, duration: float, *,
     tolerance: float | Mapping[str, float] | None = None, effort_alone: bool = False, stays: bool = True,
-    way: np.ndarray | None = None, most: np.ndarray | None = None,
+    way: np.ndarray | None = None, most: np.ndarray | None = None, jerk: float = 0.0,
 ) -> DefaultWeights:  # fmt: skip
     """The weights of a motion from x0 (nx,) to a goal (nx,) within a duration, s.
 
@@ -74,6 +74,7 @@ def default_weights(
         stays: Whether a machine on the ground is kept beside the straight line, and its end weighed by staying there.
         way: (nv,) how far each degree of freedom goes; by default that from x0 to the goal.
         most: (nu,) how large each control may be where the model says nothing; infinite or None for no bound.
+        jerk: The weight of jerk in the objective.
     """
     mechanism = dynamics.mechanism
     nv = mechanism.nv
@@ -90,7 +91,8 @@ def default_weights(
     kept = KEPT * position if stands else None
     effort, control, known = _effort(dynamics, x0, goal, duration, way, kept, most)
     stays_put = lying_dofs(mechanism) & (way == 0.0) & (x0[mechanism.nq : mechanism.nq + nv] == 0.0)
-    ends = (not stands) * ~stays_put
+    dear = max(1.0, jerk * least_jerk(way, duration))
+    ends = dear * (not stands) * ~stays_put
     weights = {
         "effort": effort, "control": control, "velocity": velocity,
         "position": stands * ~stays_put / (KEPT * position) ** 2,
@@ -98,6 +100,7 @@ def default_weights(
         "hold": np.array(HOLD * stands),
     }  # fmt: skip
     staying = "none: the weight is that of staying at the goal"
+    times = f", times {dear:.3g}, which the least jerk of the way costs" if dear > 1.0 else ""
     return DefaultWeights(weights, {
         "effort": "1 / limit^2 of each control" + ("" if all(known) else ", where the model has no limit from the "
                   "force that holds the machine and moves its inertia") + (
@@ -107,10 +110,18 @@ def default_weights(
                     "must be free",
         "position": f"1 / ({KEPT:g} tolerances)^2 beside the straight line: the machine stands on the ground"
                     if stands else "none on the way",
-        "final_position": staying if stands else f"{POSITION:g} / tolerance^2",
-        "final_velocity": staying if stands else f"{VELOCITY:g} / tolerance^2",
+        "final_position": staying if stands else f"{POSITION:g} / tolerance^2{times}",
+        "final_velocity": staying if stands else f"{VELOCITY:g} / tolerance^2{times}",
         "hold": f"what it costs to stay at the goal for {HOLD:g} s" if stands else "none: the machine need not stand",
     })  # fmt: skip
+
+
+def least_jerk(way: np.ndarray, duration: float) -> float:
+    """Half the integral of the squared jerk of a quintic from rest to rest over a way (nv,): 360 way^2 / T^5.
+
+    No motion from rest to rest has less (Flash and Hogan 1985).
+    """
+    return 360.0 * float(np.sum(way**2)) / duration**5
 
 
 def default_cost(

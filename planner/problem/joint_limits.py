@@ -47,7 +47,10 @@ class Range(NamedTuple):
         name, unit = coordinate
         nearest = self.least if value < self.least else self.most
         said = f", expected {self.least:g} ... {self.most:g} {unit}".rstrip() + f": write {nearest:.6g}"
-        return said + (f', or limits.position = {{ {name} = "off" }}.' if self.of_model else ".")
+        said += f', or limits.position = {{ {name} = "off" }}.' if self.of_model else "."
+        if unit == "rad" and abs(value) > 2.0 * np.pi:
+            said += f" Angles are in rad: {value:g} deg are {np.radians(value):.6g}."
+        return said
 
 
 def model_ranges(mechanism: Mechanism, margin: Any) -> dict[int, Range]:

@@ -3,6 +3,7 @@
 import pytest
 from carts import CART, refuse, write
 
+import planner
 from planner import PlannerError
 from planner.cases.problem_file import load
 from planner.cli.flags import PROBLEM_FILE
@@ -201,3 +202,33 @@ def test_a_goal_of_what_nothing_drives_or_holds_is_refused(tmp_path):
     assert load(tmp_path / "reach.toml").problem.N > 0  # it comes to rest on the floor
     (tmp_path / "cube.xml").write_text(CUBE.format("").replace("<worldbody>", '<option gravity="0 0 0"/><worldbody>'))
     assert load(tmp_path / "reach.toml").problem.N > 0  # it stays where it is
+
+
+ARM = """<mujoco><worldbody><body><joint name="shoulder" axis="0 1 0" range="-180 180"/>
+  <geom type="capsule" fromto="0 0 0 0 0 -.4" size=".03"/></body></worldbody>
+  <actuator><motor joint="shoulder" ctrlrange="-40 40"/></actuator></mujoco>"""
+
+
+def of_arm(folder, start, goal, more=""):
+    (folder / "arm.xml").write_text(ARM, encoding="utf-8")
+    path = folder / "arm.toml"
+    path.write_text(f'model = "arm.xml"\nstart = {start}\ngoal = {goal}\nduration = 1.0\n{more}', encoding="utf-8")
+    return path
+
+
+def test_a_keyframe_of_a_model_without_any_gets_what_to_write(tmp_path):
+    refuse(of_arm(tmp_path, '"home"', "{ shoulder = 1.0 }"), "start is 'home'", "The model has no keyframe; start = {}")
+
+
+def test_degrees_in_place_of_radians_get_the_radians(tmp_path):
+    refuse(of_arm(tmp_path, "{}", "{ shoulder = 60.0 }"), "3.14159 rad", "60 deg are 1.0472.")
+
+
+def test_a_motion_of_least_jerk_meets_its_goal(tmp_path):
+    """360 way^2 / T^5 of a radian in half a second are 11,520: by far more than ends weigh beside least effort."""
+    path = of_arm(tmp_path, "{}", "{ shoulder = 1.0 }", 'objective = "jerk"\n')
+    problem = load(path.rename(tmp_path / "gentle.toml")).problem
+    plan = planner.solve(problem)
+    assert plan.success
+    assert abs(plan.xs[-1, 0] - 1.0) < 0.002
+    assert abs(plan.xs[-1, 1]) < 0.02

@@ -109,6 +109,7 @@ def test_what_cannot_be_described_is_one_sentence(folder):
     refused(run("model", "nowhere.xml", cwd=folder), "nowhere.xml")
     refused(run("model", "lift.xml", "--out", "", cwd=folder), "--out is empty")
     refused(run("model", "lift.xml", "--write", "first.txt", cwd=folder), ".toml")
+    refused(run("model", "lift.xml", "--write", "none/first.toml", cwd=folder), "make none first")
     refused(run("model", cwd=folder), "FILE")
 
 

@@ -36,6 +36,8 @@ def write_first_problem(path: PathLike, model: PathLike, file: Opened, known: De
     path = Path(path)
     if path.suffix != ".toml":
         raise PlannerError(f"--write is {path}, expected a name ending in .toml.")
+    if not path.parent.is_dir():
+        raise FileError(f"--write is {path}, expected a folder that is there: make {path.parent} first.")
     if path.exists():
         raise FileError(f"{path} is there already, expected a new name: nothing is overwritten.")
     text = first_problem(os.path.relpath(model, path.parent), str(path), file, known)

@@ -41,6 +41,8 @@ def state_of(
     if isinstance(value, str):
         if value not in mechanism.keyframes:
             hint = did_you_mean(value, mechanism.keyframes)
+            if not mechanism.keyframes:
+                hint = f" The model has no keyframe; {name} = {{}} is the pose in which the file draws it."
             raise PlannerError(f"{name} is {shown(value)}, expected {states_of(mechanism)}.{hint}")
         x, most = mechanism.keyframe(value), SOFT
     elif isinstance(value, list) and not any(isinstance(part, (list, dict)) for part in value):

@@ -20,11 +20,11 @@ from planner.problem.closed_way import closed_way
 from planner.problem.constraints.constraint import Constraint
 from planner.problem.costs.terms import Cost
 from planner.problem.costs.wanted import Wanted
-from planner.problem.default_weights import DefaultWeights, default_weights
+from planner.problem.default_weights import DefaultWeights, default_weights, least_jerk
 from planner.problem.free_poses import FreePoses
 from planner.problem.goals import ROUNDING, staying
 from planner.problem.limits import Limits
-from planner.problem.tasks.cost import task_cost, task_wanted
+from planner.problem.tasks.cost import WEIGHT, task_cost, task_wanted
 from planner.problem.tasks.detours import with_detours
 from planner.problem.tasks.follow import Follow, follow_of, with_points
 from planner.problem.tasks.goal import Goal, goal_of
@@ -141,12 +141,14 @@ def weights_of(
     bounds = None if limits is None else limits.bounds(dynamics, way.task.N)
     most = None if bounds is None else np.maximum(np.abs(bounds.lower), np.abs(bounds.upper)).max(axis=0)
     there = way_of(way.task, way.poses)
-    alone = "objective" in table
+    alone, jerk = "objective" in table, table.get("objective", {}).get("jerk", 0.0)
     found = default_weights(
-        dynamics, x0, way.rows[-1], table["duration"], effort_alone=alone, stays=False, way=there, most=most
+        dynamics, x0, way.rows[-1], table["duration"], effort_alone=alone, stays=False, way=there, most=most, jerk=jerk
     )
     weights = {name: weight for name, weight in found.weights.items() if name not in _OF_GOALS}
     reasons = {name: reason for name, reason in found.reasons.items() if name not in _OF_GOALS}
+    if jerk:
+        weights["goal"] = np.array(WEIGHT * max(1.0, jerk * least_jerk(there, table["duration"])))
     return DefaultWeights(weights, reasons)
 
 
