@@ -42,7 +42,7 @@ def settled(
         The sweep, with the slope of the cost along its direction and what the cost falls by in its value; None where
         no set settles or a model is not definite. And the last set of held controls.
     """
-    model, more_cost, more_slope, sides = quadratic, 0.0, 0.0, None
+    model, more_cost, more_slope, e, sides = quadratic, 0.0, 0.0, None, None
     if pulling is not None:
         e = pulling.ranges.deviations(pulling.xs)
         sides = sides_of(pulling.hinges, e)
@@ -53,7 +53,7 @@ def settled(
         dxs, dus = _motion(A, B, sweep)
         after = held if bounds is None else _held(sweep, bounds, held, dxs, dus)
         same = np.array_equal(after, held)
-        if pulling is not None and sides is not None:
+        if pulling is not None and e is not None and sides is not None:
             after_sides = pulling.ranges.next_sides(pulling.hinges, e, dxs, sides)
             same = same and np.array_equal(after_sides, sides)
             _, more_cost, more_slope = pulling.ranges.switched(pulling.hinges, quadratic, pulling.xs, sides, dxs)
