@@ -30,7 +30,6 @@ import numpy as np
 from planner.base.arguments import choice, count, number, shown
 from planner.base.errors import PlannerError
 from planner.base.executors import checked_executor
-from planner.kernels.lq.search import LONGER
 from planner.kernels.lq.workspace import ACCEPTED, CONVERGED, INDEFINITE
 from planner.model.space import space_of
 from planner.problem.criteria import solver_problem
@@ -39,8 +38,9 @@ from planner.problem.motion import Motion
 from planner.problem.plan import Iteration, Plan, Status
 from planner.problem.problem import Problem
 from planner.problem.state_ranges import Hinges
+from planner.solvers.acceleration import Acceleration
 from planner.solvers.augmented import within_ranges
-from planner.solvers.engine import Engine, borrow, give_back
+from planner.solvers.engine import Engine, Outcome, borrow, give_back
 from planner.solvers.multistart import MOST_STARTS, best_of
 from planner.solvers.regularisation import Regularisation, plain_sweep
 from planner.solvers.shooting import close_gaps, guessed_states, line_to_the_end
@@ -54,7 +54,6 @@ LINE_SEARCHES = ("armijo", "exact", "wolfe", "goldstein")  # in the order of ker
 DECREASE = 1e-10  # decrease_tolerance where neither the call nor the problem sets one
 
 KINKED = 1e-5  # gain_tolerance of machines with friction loss where neither the call nor the problem sets one
-FAR_MORE = 1.5  # of the decrease that a full step promises: a longer one gains more
 
 _SLOW = 2  # iterations in a row of the plain model that gain less than gain_tolerance end a solve
 _SLOWER = 8  # the same with KINKED: while joints change the sign of their friction little is gained, then more
@@ -266,7 +265,7 @@ def _minimise(
         return _not_finite(problem, engine, cost)
 
     bounded = problem.bounds is not None and not _touches(problem)  # at kinks of contact states are held in vain
-    regularisation = Regularisation(engine, descent.exact, holds, bounded)
+    regularisation, acceleration = Regularisation(engine, descent.exact, holds, bounded), Acceleration(problem, engine)
     kinked = problem.limits is not None or problem.kept is not None
     fresh, at_minimum, near, status = True, False, False, Status.INTERRUPTED if interrupted else Status.MAX_ITERATIONS
     try:
@@ -275,19 +274,21 @@ def _minimise(
             mu = regularisation.mu
             tolerance = max(loose, descent.decrease_tolerance)
             promise = tolerance * max(1.0, abs(cost)) if regularisation.plain else -1.0
-            rule = LONGER if _too_short(history, descent) else descent.rule
-            done = engine.iterate(descent.feedback, rule, mu, fresh, cost, descent.gradient_tolerance, promise)
+            tolerances = descent.gradient_tolerance, promise
+            done = engine.iterate(descent.feedback, descent.rule, mu, fresh, cost, *tolerances)
             if done.kind == INDEFINITE and regularisation.leave_second_order():
                 fresh = False
                 continue
-            i, decrease, shown = first_line + len(history), cost - done.cost, regularisation.shown
-            line = Iteration(i, cost, done.gradient_norm, done.step, done.expected, decrease, shown)
+            fresh, near = done.kind == ACCEPTED, _as_promised(done, cost, regularisation.plain, loose)
+            after = acceleration.after(cost, done) if fresh and not near and descent.feedback else done.cost
+            i, shown = first_line + len(history), regularisation.shown
+            line = Iteration(i, cost, done.gradient_norm, done.step, done.expected, cost - after, shown)
             history.append(line)
-            cost, fresh = done.cost, done.kind == ACCEPTED
+            cost = after
             if callback is not None:
                 callback(line)
 
-            at_minimum, near = done.kind == CONVERGED, _as_promised(line, loose)
+            at_minimum = done.kind == CONVERGED
             if at_minimum or near or _stalled(history, descent):
                 status = Status.CONVERGED
                 break
@@ -325,21 +326,10 @@ def _minimise(
     return plan
 
 
-def _too_short(history: list[Iteration], descent: _Descent) -> bool:
-    """Whether the last step gained far more than a parabola that is least at the full one, as far from it it does.
-
-    The Hessian of Gauss and Newton is then larger than that of the cost, and full steps would converge slowly.
-    """
-    if not history or LINE_SEARCHES[descent.rule] != "armijo":
-        return False
-    last = history[-1]
-    return last.step >= 1.0 and last.regularisation == 0.0 and last.actual > FAR_MORE * last.expected
-
-
-def _as_promised(line: Iteration, loose: float) -> bool:
+def _as_promised(done: Outcome, cost: float, plain: bool, loose: float) -> bool:
     """Whether a full step of the plain model gained what it promised to within loose max(1, J)."""
-    off = abs(line.actual - line.expected)
-    return line.step == 1.0 and line.regularisation == 0.0 and off < loose * max(1.0, abs(line.cost))
+    off = abs(cost - done.cost - done.expected)
+    return done.step == 1.0 and plain and off < loose * max(1.0, abs(cost))
 
 
 def _stalled(history: list[Iteration], descent: _Descent) -> bool:

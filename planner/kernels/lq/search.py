@@ -20,13 +20,11 @@ from planner.kernels.numba.jit import jit, part
 ARMIJO, EXACT, WOLFE, GOLDSTEIN = 0, 1, 2, 3
 TRY = -2  # no search either: candidates of the lengths that are there, none of which is taken
 CLOSING = 4  # Armijo's rule with one batch: where gaps are open, a short step closes them with no gain
-LONGER = 5  # Armijo's rule from a step of four, and on as long as J falls: where the last full step gained too much
 START = -1  # no search: one rollout at step length 0, which is taken as it is
 SUFFICIENT = 1e-4  # c1 of Armijo and Wolfe (Nocedal & Wright, section 3.1)
 CURVATURE = 0.9  # c2 of Wolfe for Newton-like directions (same)
 GOLDSTEIN_C = 0.25  # below 1/2, so that the full step of a quadratic passes (same)
 FAR_LESS = 0.2  # of the decrease that a step promises, by the parabola of J0, S0 and J(1) = J0 + S0 / 2
-LONGEST = 4.0  # the first step of LONGER
 EXACT_WIDTH = 1e-6  # J is flat to rounding within about 1e-8 of its minimum
 ARMIJO_BATCHES, BRACKET_BATCHES = 6, 32  # of candidates, before the search gives up
 
@@ -42,8 +40,6 @@ def ladder(rule, alpha, bracket):
             continue
         elif rule in (ARMIJO, CLOSING):
             alpha[i] = 0.5**i
-        elif rule == LONGER:
-            alpha[i] = LONGEST * 0.5**i
         elif i % 2 == 1:  # the bracketing rules may also lengthen the step: 1, 1/2, 2, 1/4, 4, ...
             alpha[i] = 0.5 ** ((i + 1) // 2)
         else:
@@ -55,7 +51,7 @@ def batches(rule):
     """How many batches of candidates a rule may ask for."""
     if rule in (TRY, CLOSING):
         return 1
-    return ARMIJO_BATCHES if rule in (ARMIJO, LONGER) else BRACKET_BATCHES
+    return ARMIJO_BATCHES if rule == ARMIJO else BRACKET_BATCHES
 
 
 @part
@@ -113,7 +109,7 @@ def _lowest_from(rule, alpha, J, J0, S0, first, known):
 @jit
 def decided(rule, alpha, J, J0, S0, known):
     """Whether the first `known` lanes tell which one `choose` takes, for callers that try one after the other."""
-    if rule in (ARMIJO, CLOSING, LONGER):
+    if rule in (ARMIJO, CLOSING):
         for i in range(known):
             if not _too_long(rule, alpha[i], J[i], 0.0, J0, S0):
                 enough = _gains_enough(rule, alpha[i], J[i], J0, S0)
@@ -134,7 +130,7 @@ def choose(rule, alpha, J, S, J0, S0, bracket):
         if _too_long(rule, alpha[i], J[i], S[i], J0, S0):
             bracket[1] = min(bracket[1], alpha[i])
         elif not _too_short(rule, alpha[i], J[i], S[i], J0, S0):
-            if rule in (ARMIJO, CLOSING, LONGER):
+            if rule in (ARMIJO, CLOSING):
                 return _lowest_from(rule, alpha, J, J0, S0, i, alpha.shape[0])
             return i
     for i in range(alpha.shape[0]):  # what is too short beyond a hill does not count
@@ -152,7 +148,7 @@ def refine(rule, alpha, bracket):
     low, high, best = bracket[0], bracket[1], bracket[2]
     before = lanes // 2  # of the exact rule's candidates, so many between low and best
     for i in range(lanes):
-        if rule in (ARMIJO, LONGER):
+        if rule == ARMIJO:
             alpha[i] *= 0.5**lanes
         elif high == np.inf:
             alpha[i] = max(low, best) * 2.0 ** (i if rule == EXACT else i + 1)

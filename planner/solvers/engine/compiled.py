@@ -122,6 +122,15 @@ class CompiledEngine(Engine):
         next_one.use(w)
         return cost
 
+    def approach(self, us: np.ndarray, xs: np.ndarray | None = None) -> float:
+        """Roll out controls us (N, nu), or us + K (x - xs) with the gains of the last sweep, and take it; its cost."""
+        w, feedback = self._w, xs is not None
+        w.us[:] = us
+        if feedback:
+            w.xs[1:] = xs[1:]
+        (w.k if feedback else w.dus).fill(0.0)
+        return self._search(search.START, feedback, math.inf, 0.0)[1]
+
     def cost_arrays(self) -> dict[str, np.ndarray]:
         """The weights, references and bounds as kernels read them, which may change between iterations."""
         return self._w._arrays

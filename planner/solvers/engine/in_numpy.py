@@ -98,6 +98,14 @@ class NumpyEngine(Engine):
         self._nominal = states[:, 0].copy(), first[:, 0].copy()
         return float(J[0])
 
+    def approach(self, us: np.ndarray, xs: np.ndarray | None = None) -> float:
+        """Roll out controls us (N, nu), or us + K (x - xs) with the gains of the last sweep, and take it; its cost."""
+        x0, first = self._nominal[0][0], us[:, None, :].copy()
+        gains = None if xs is None or self._sweep is None else self._sweep.K
+        states, J = self._rollout(x0, first, gains, us if xs is None else xs)
+        self._nominal = states[:, 0].copy(), first[:, 0].copy()
+        return float(J[0])
+
     def weigh(self, cost: Cost) -> None:
         """Have another cost of the same shapes from the next rollout on."""
         self._cost = cost
@@ -175,7 +183,7 @@ class NumpyEngine(Engine):
         bracket = self._bracket
         search.ladder(rule, alpha, bracket)
         slopes = np.zeros_like(alpha)
-        one_by_one = not self._together and rule in (search.ARMIJO, search.LONGER)
+        one_by_one = not self._together and rule == search.ARMIJO
         lanes = [slice(c, c + 1) for c in range(WIDTH)] if one_by_one else [slice(0, WIDTH)]
         for _ in range(search.batches(rule)):
             J[:] = np.nan

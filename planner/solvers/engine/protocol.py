@@ -81,6 +81,10 @@ class Engine(Protocol):
         """
         ...
 
+    def approach(self, us: np.ndarray, xs: np.ndarray | None = None) -> float:
+        """Roll out controls us (N, nu), or us + K (x - xs) with the gains of the last sweep, and take it; its cost."""
+        ...
+
     def place(self, xs: np.ndarray, us: np.ndarray) -> np.ndarray:
         """Take states (N+1, nx) and controls (N, nu) as the trajectory, after a start; its gaps (N, ndx)."""
         ...

@@ -1,0 +1,53 @@
+"""Where steps converge slowly, the last ones tell where they lead; a guess that costs more leaves no trace."""
+
+import numpy as np
+import pytest
+
+import planner
+from planner.solvers.acceleration import Acceleration
+
+CASES = ("two-link", "high-dive")
+
+
+@pytest.fixture(scope="module", params=CASES)
+def problem(request):
+    return planner.cases.build(request.param)
+
+
+def plain(monkeypatch, problem, **options):
+    """The plan of steps alone."""
+    with monkeypatch.context() as without:
+        without.setattr(Acceleration, "after", lambda _, cost, done: done.cost)
+        return planner.solve(problem, **options)
+
+
+def test_slow_steps_need_fewer(monkeypatch, problem):
+    slow, fast = plain(monkeypatch, problem), planner.solve(problem)
+    assert slow.success
+    assert fast.success
+    assert fast.nit < slow.nit
+    # Both ended where less than 1e-10 of the cost is promised, and Gauss and Newton's promise is off by some factor.
+    assert fast.cost == pytest.approx(slow.cost, rel=1e-8)
+
+
+def test_a_guess_that_costs_more_leaves_no_trace(monkeypatch, problem):
+    """The trajectory that the step led to is rolled out again to the last bit."""
+    tried = []
+
+    def astray(self):
+        tried.append(self)
+        xs, us = self._steps[-1].end
+        return xs, us + 10.0
+
+    slow = plain(monkeypatch, problem)
+    monkeypatch.setattr(Acceleration, "_guess", astray)
+    after = planner.solve(problem)
+    assert tried
+    assert after.nit == slow.nit
+    for one, other in ((after.xs, slow.xs), (after.us, slow.us), (after.K, slow.K)):
+        np.testing.assert_array_equal(one, other)
+
+
+def test_open_loop_updates_are_the_papers(monkeypatch, problem):
+    slow = plain(monkeypatch, problem, update="open-loop", max_iterations=10)
+    np.testing.assert_array_equal(slow.us, planner.solve(problem, update="open-loop", max_iterations=10).us)
