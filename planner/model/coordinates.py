@@ -6,11 +6,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from planner.model.actuators import DIRECT
+from planner.model.actuators import DIRECT, INTEGRATOR
 from planner.model.mechanism import SCREW, Mechanism
 from planner.model.space import space_of
 
 ANGLE, LENGTH = "rad", "m"
+MOMENT, FORCE = "N m", "N"
 RATES = ("rad/s", "m/s")
 
 
@@ -57,3 +58,24 @@ def coordinates_of_mechanism(mechanism: Mechanism) -> tuple[Coordinate, ...]:
     active = np.flatnonzero(actuators.dynamics != DIRECT)
     names = [actuators.names[a] or f"actuator {a}" for a in active]
     return (*positions, *rates, *(Coordinate(f"activation of {name}", "") for name in names))
+
+
+def controls_of_mechanism(mechanism: Mechanism) -> tuple[Coordinate, ...]:
+    """The controls (nu,) of the actuators.
+
+    A motor's unit is that of its joint's force, where it is geared one to one; a position servo's that of its joint.
+    Others have no unit of their own, "".
+    """
+    actuators, turns = mechanism.actuators, np.any(mechanism.S[:, :3] != 0.0, axis=1)
+    controls = []
+    for a, name in enumerate(actuators.names):
+        moment, gain, bias = actuators.moment[a], actuators.gain[a], actuators.bias[a]
+        joints, unit = np.flatnonzero(moment), ""
+        if len(joints) == 1 and actuators.dynamics[a] != INTEGRATOR:
+            turn = turns[joints[0]]
+            if abs(gain * moment[joints[0]]) == 1.0 and not bias.any():
+                unit = MOMENT if turn else FORCE
+            elif gain and abs(moment[joints[0]]) == 1.0 and bias[1] == -gain:
+                unit = ANGLE if turn else LENGTH
+        controls.append(Coordinate(name or f"actuator {a}", unit))
+    return tuple(controls)

@@ -10,11 +10,16 @@ from xml.etree import ElementTree
 
 import numpy as np
 
+from planner.model.coordinates import ANGLE, FORCE, LENGTH, MOMENT, controls_of_mechanism
 from planner.model.mechanism import BALL, SCREW, Mechanism
 from planner.problem.appearance import Appearance, Panel, Readout
 
 MOST = 8  # curves that can be told apart in one panel
 _READOUTS = 4
+_CONTROLS = {
+    MOMENT: ("Controls: torques", "torque, N m"), FORCE: ("Controls: forces", "force, N"),
+    ANGLE: ("Controls: targets of servos", "angle, rad"), LENGTH: ("Controls: targets of servos", "position, m"),
+}  # fmt: skip
 _PARALLEL = 1e-6
 
 Curves = list[tuple[int, str]]
@@ -37,10 +42,11 @@ def default_appearance(mechanism: Mechanism, prescribed: Collection[str] = ()) -
     azimuth, elevation = _view(mechanism)
     name = re.search(r"<mujoco[^>]*\bmodel=[\"']([^\"']+)[\"']", mechanism.mjcf)
     angles, lengths, turning, moving = _curves(mechanism)
-    controls = [(i, name or f"control {i}") for i, name in enumerate(mechanism.actuators.names)]
+    controls = [(i, one.name, one.unit) for i, one in enumerate(controls_of_mechanism(mechanism))]
     for joint, links in zip(mechanism.joint_names, mechanism.joint_links, strict=True):
         if joint in prescribed:
-            controls += [(len(controls) + k, f"acceleration of {joint}") for k in range(links.stop - links.start)]
+            accelerations = range(len(controls), len(controls) + links.stop - links.start)
+            controls += [(i, f"acceleration of {joint}", "") for i in accelerations]
     panels = (
         ("Joint angles", "angle, rad", angles), ("Positions", "position, m", lengths),
         ("Angular velocities", "angular velocity, rad/s", turning), ("Velocities", "velocity, m/s", moving),
@@ -50,7 +56,10 @@ def default_appearance(mechanism: Mechanism, prescribed: Collection[str] = ()) -
         for title, unit, part in panels
         for words, curves in small_multiples(title, part)
     ]
-    plots += [Panel(words, "control", controls=curves) for words, curves in small_multiples("Controls", controls)]
+    for unit in dict.fromkeys(unit for _, _, unit in controls):
+        of_unit = [(i, name) for i, name, own in controls if own == unit]
+        title, label = _CONTROLS.get(unit, ("Controls", "control"))
+        plots += [Panel(words, label, controls=curves) for words, curves in small_multiples(title, of_unit)]
     readouts = [*((i, label, "m") for i, label in lengths), *((i, label, "rad") for i, label in angles)]
     shown = tuple(Readout(label, i, unit) for i, label, unit in readouts[:_READOUTS])
     return Appearance(

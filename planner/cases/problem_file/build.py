@@ -98,7 +98,16 @@ from planner.problem.tasks.marks import with_marks
 
 NAME = PROBLEM_FILE
 GAIN = 1e-4  # of the cost, by an iteration at kinks of contact, where more are worth nothing
-TOLD = ("contacts", "closed", "settle", "stops", "avoid", "dt", "substeps")  # of what is done by itself: told at once
+TOLD = (
+    "contacts",
+    "goal",
+    "closed",
+    "settle",
+    "stops",
+    "avoid",
+    "dt",
+    "substeps",
+)  # of what is done by itself: told at once
 # Of the cost, which is about 1: what an iteration gains below it shows in no picture of the motion. Of closed chains it
 # counts what is gained, not only what is promised: towards the end less than a hundredth of the promise comes, perhaps
 # because Gauss-Newton leaves out how the forces of chains turn.
@@ -228,6 +237,8 @@ def _problem(
         reasons["contacts"] = f"{mechanism.contacts_choice}."
     if tasked:
         notes = tuple(note for note in notes if not note.startswith("goal "))  # it has none of the whole machine
+    elif table["goal"] == {}:
+        reasons["goal"] = "goal names no joint, so that the machine is to end where it starts."
     if closed:
         reasons["closed"] = " ".join(closed)
     if notes:

@@ -21,6 +21,7 @@ from planner.problem.limits import Limits
 from planner.problem.objective import checked_durations, weights_of
 from planner.solvers.multistart import MOST_STARTS
 
+_FEW = 8  # keys that are listed before the nearest one is suggested
 LONGEST = 2**20  # characters; guesses and weights are short, models are files of their own
 MOST_DOTS = 20
 _PART = r"""(?:"[^"\n]*"|'[^'\n]*'|[\w-]+)"""
@@ -95,8 +96,10 @@ def check_keys(table: dict[str, Any], keys: Collection[str], where: str) -> None
     """Refuse a key that is unknown, and suggest the nearest known one."""
     for key in table:
         if key not in keys:
-            hint = did_you_mean(key, keys)
-            raise PlannerError(f"{where} has the key {shown(key)}, expected some of: {', '.join(keys)}.{hint}")
+            hint, known = did_you_mean(key, keys), ", ".join(keys)
+            if hint and len(keys) > _FEW:  # the cure first: nobody reads on after thirty names
+                raise PlannerError(f"{where} has no key {shown(key)}.{hint} Its keys are: {known}.")
+            raise PlannerError(f"{where} has the key {shown(key)}, expected some of: {known}.{hint}")
 
 
 def checked_values(table: dict[str, Any]) -> tuple[dict[str, Any], int]:

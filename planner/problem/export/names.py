@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from planner.model.coordinates import Coordinate, coordinates_of
+from planner.model.coordinates import Coordinate, controls_of_mechanism, coordinates_of
 from planner.model.mechanism import Mechanism
 from planner.model.mjcf.driven import in_order
 from planner.problem.export.sampled import Motion
@@ -37,13 +37,11 @@ def control_names(plan: Motion) -> tuple[Coordinate, ...]:
     nu = plan.us.shape[1]
     dynamics = getattr(plan.problem, "dynamics", None)
     mechanism = getattr(dynamics, "mechanism", None)
-    names: list[str] = []
+    controls: list[Coordinate] = []
     if isinstance(mechanism, Mechanism):
-        names = [name or f"actuator {i}" for i, name in enumerate(mechanism.actuators.names)]
+        controls += controls_of_mechanism(mechanism)
         for joint in in_order(mechanism, getattr(dynamics, "prescribed", ())):
             links = mechanism.joint(joint)
             axes = [""] if links.stop - links.start == 1 else [f" {i}" for i in range(links.stop - links.start)]
-            names += [f"acceleration of {joint}{axis}" for axis in axes]
-    if len(names) != nu:
-        names = [f"u[{i}]" for i in range(nu)]
-    return tuple(Coordinate(name, "") for name in names)
+            controls += [Coordinate(f"acceleration of {joint}{axis}", "") for axis in axes]
+    return tuple(controls) if len(controls) == nu else tuple(Coordinate(f"u[{i}]", "") for i in range(nu))

@@ -18,7 +18,7 @@ from planner.problem.default_appearance import appearance_of
 from planner.problem.plan import Plan
 from planner.proof.replays.replaying import Replay
 from planner.view.plots.bounded import OWN, SHARED, draw_bounded
-from planner.view.plots.limits import LABEL, SHADE, draw_control_bounds, draw_state_range, limited
+from planner.view.plots.limits import LABEL, SHADE, draw_bounds, limited
 from planner.view.plots.motions import ASTRAY, BESIDE, line_of, name_curves, range_of, until_astray
 from planner.view.plots.over_time import Curve, curves_of, panels_of, replays_of, tasks_of, to_the_end, unit_of
 from planner.view.plots.solver import draw_convergence
@@ -118,7 +118,7 @@ def _draw_panel(figure: Figure, cell: SubplotSpec, panel: Panel, plan: Plan, rep
             curve.plan[0], drawable(curve.plan[1]), color=hue[0], lw=1.2, ls=DASHED, drawstyle=steps,
             label=curve.label, zorder=3, scaley=False,
         )  # fmt: skip
-        (draw_control_bounds if curve.held else draw_state_range)(on, plan, curve.index, hue[0])
+        draw_bounds(on, plan, curve.index, hue[0], held=curve.held)
     if len(curves) > 1:
         name_curves(right or axes, [curve.label for curve in curves], 1.0 if right is None else _PAST_AXIS)
     if beneath is None or first is None:

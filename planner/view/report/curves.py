@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from planner.problem.default_appearance import appearance_of
+from planner.view.plots.limits import sides_of
 from planner.view.plots.motions import ASTRAY, range_of, until_astray
 from planner.view.plots.over_time import curves_of, panels_of, replays_of, tasks_of, unit_of
 from planner.view.plots.style import HUES, MINUS, MODE_WORDS, RED, drawable
@@ -99,6 +100,10 @@ def _charts(plan: Plan, replays: Sequence[Replay]) -> list[Chart]:
             for curve, hue in zip([one for one in curves if one.held == held], cycle(HUES), strict=False):
                 for kind, (t, values) in zip(["plan", *kinds], (curve.plan, *curve.replays), strict=False):
                     lines.append(Line(curve.label, kind, t, values, _colour(kind, hue), held))
+                sides = sides_of(plan, curve.index, held=held)
+                for side in () if sides is None else sides[:2]:
+                    if np.isfinite(side).any():
+                        lines.append(Line(curve.label, "bound", plan.t, side, hue[0], held))
             ylabel = ", ".join(label for _, label in panel.controls) if mixed and held else panel.ylabel
             if lines:
                 charts.append(Chart(panel.title, ylabel, tuple(lines)))

@@ -58,7 +58,7 @@ svg .cursor { stroke: #d0021b; stroke-width: 1; visibility: hidden; }
 .keys { font-size: .85rem; color: var(--soft); }
 .key { display: inline-block; width: 1.6rem; vertical-align: middle; border-top: 4px solid #ccc; }
 .key.gains { border-top: 3px solid #8a8a8a; } .key.plan { border-top: 2px dashed currentColor; }
-.key.bound { border-top: 2px dotted #b2182b; }
+.key.bound { border-top: 2px dotted #555; }
 .bar { display: flex; gap: .8rem; align-items: center; position: sticky; top: 0; background: var(--paper); z-index: 1; }
 .bar input { flex: 1; } #now { min-width: 7rem; font-variant-numeric: tabular-nums; }
 """
