@@ -18,6 +18,7 @@ from planner import Limits
 TASKS = Path(__file__).parents[1] / "examples" / "tasks"
 FILES = ("reach_within_limits", "swing_up", "reach_upright_cup", "around_a_post", "through_a_window")
 SHARES = (0.6, 0.7, 0.75, 0.8, 0.85, 0.9, 0.95)
+STARTS = 40
 
 
 def line(name: str, free: planner.Plan, held: planner.Plan) -> None:
@@ -25,6 +26,18 @@ def line(name: str, free: planner.Plan, held: planner.Plan) -> None:
     met = held.success and held.nit <= 2 * free.nit
     print(
         f"{name:44s}{free.nit:6d}{held.nit:8d}  {held.status.name:14s}{held.cost:12.6g}  {'met' if met else 'missed'}"
+    )
+
+
+def from_random_starts(problem: planner.Problem, torques: np.ndarray, twice: int, share: float) -> None:
+    """One row of many solves."""
+    limited = replace(problem, limits=Limits(control=(-share * torques, share * torques)))
+    starts = planner.solve(limited, starts=STARTS, seed=1, max_iterations=1000).starts
+    counts = np.array([start.iterations for start in starts])
+    within = int(np.sum(counts <= twice))
+    print(
+        f"two-link, torques at {share:g}, {STARTS} random starts: median {np.median(counts):g}, most {counts.max()}, "
+        f"{within} within {twice}"
     )
 
 
@@ -46,6 +59,9 @@ def main() -> None:
             for kind, limits in bounded.items():
                 held = planner.solve(replace(problem, limits=limits), **guess)
                 line(f"two-link, {kind}s at {share:g}{', from a line' if guess else ''}", free, held)
+    free = planner.solve(problem)
+    for share in SHARES:
+        from_random_starts(problem, np.abs(free.us).max(axis=0), 2 * free.nit, share)
 
 
 if __name__ == "__main__":

@@ -15,7 +15,7 @@ from planner.model.mechanism import BALL, SCREW, Mechanism
 from planner.problem.appearance import Appearance, Panel, Readout
 
 MOST = 8  # curves that can be told apart in one panel
-_READOUTS = 4
+_READOUTS = 8
 _CONTROLS = {
     MOMENT: ("Controls: torques", "torque, N m"), FORCE: ("Controls: forces", "force, N"),
     ANGLE: ("Controls: targets of servos", "angle, rad"), LENGTH: ("Controls: targets of servos", "position, m"),

@@ -22,7 +22,7 @@ from planner.model.space import space_of
 from planner.problem.problem import Problem
 from planner.solvers.engine import Engine, Outcome
 
-STEPS = 6  # that are remembered: more are of a motion too far away
+STEPS = 5  # that are remembered: more are of a motion too far away
 NEAR = 1e-2  # of the cost: steps that gain more are far from a minimum, and tell nothing of it
 SLOW = 0.1  # of the last gain: steps that gain less converge fast by themselves
 DEPENDENT = 1e-8  # of the largest singular value: changes of the direction that are rounding

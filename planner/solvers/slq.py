@@ -230,6 +230,11 @@ class _Descent(NamedTuple):
     gain_tolerance: float = 0.0
     slow: int = _SLOW  # iterations in a row that gain less end a solve
 
+    @property
+    def accelerated(self) -> bool:
+        """Whether steps that converge slowly are; what the paper and its theorems are about is left as it is."""
+        return self.feedback and LINE_SEARCHES[self.rule] == "armijo"
+
 
 def _descend(
     problem: Problem, descent: _Descent, states: np.ndarray | None, hinges: Hinges | None, first_guess: np.ndarray,
@@ -280,7 +285,7 @@ def _minimise(
                 fresh = False
                 continue
             fresh, near = done.kind == ACCEPTED, _as_promised(done, cost, regularisation.plain, loose)
-            after = acceleration.after(cost, done) if fresh and not near and descent.feedback else done.cost
+            after = acceleration.after(cost, done) if fresh and not near and descent.accelerated else done.cost
             i, shown = first_line + len(history), regularisation.shown
             line = Iteration(i, cost, done.gradient_norm, done.step, done.expected, cost - after, shown)
             history.append(line)
