@@ -355,5 +355,7 @@ def test_a_file_that_is_not_there_is_answered_with_the_nearest_one(tmp_path):
     (tmp_path / "robot.xml").write_text("<mujoco/>")
     with pytest.raises(FileError, match=r"No such file or directory, expected .* write .*/robot\.xml\.$"):
         read_text(tmp_path / "robt.xml", "the model")
+    with pytest.raises(FileError, match=r"expected a file that is there: .* has robot\.xml\.$"):  # no slip of the pen
+        read_text(tmp_path / "reach.xml", "the model")
     with pytest.raises(FileError, match=r"there is no .*/arms, write a path from "):
         read_text(tmp_path / "arms" / "robot.xml", "the model")

@@ -17,7 +17,6 @@ from planner.solvers import lq
 from planner.solvers.box import box_minimum
 from planner.solvers.engine import CompiledEngine, NumpyEngine
 
-
 TOLERANCE = 1e-14  # of the cost, that the last model promises
 
 

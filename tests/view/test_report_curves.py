@@ -4,12 +4,15 @@ import json
 import re
 import shutil
 import subprocess
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from fake_plans import make_plan, make_proof
 
+import planner
+from planner.view.plots.limits import sides_of
 from planner.view.render.encode import Encoder
 from planner.view.report import page as page_module
 from planner.view.report import write_report
@@ -61,6 +64,20 @@ def test_the_pictures_show_the_values_without_a_script():
     assert np.corrcoef(xy[:, 1], value)[0, 1] < -0.999
     assert "height (in)" in html
     assert "time, s" in html
+
+
+def test_bounds_are_drawn_where_the_plan_comes_near_them():
+    """Of a torque that needs most of what it may, and not of one that needs a tenth."""
+    free = planner.solve(planner.cases.two_link(horizon=50))
+    most = np.abs(free.us).max(axis=0) * [0.9, 10.0]
+    plan = planner.solve(replace(free.problem, limits=planner.Limits(control=(-most, most))))
+    assert np.abs(plan.us[:, 0]).max() > 0.7 * most[0]
+    assert 'class="bound"' not in interactive(free, None)
+    at = [sides_of(plan, index, held=True) for index in range(2)]
+    assert np.isfinite(at[0].lower).all() or np.isfinite(at[0].upper).all()
+    assert np.isnan(at[1][:2]).all()
+    drawn = interactive(plan, None).count('class="bound"')
+    assert drawn == sum(np.isfinite(side).any() for side in at[0][:2])
 
 
 def test_names_cannot_end_the_block_or_the_page():
