@@ -7,14 +7,15 @@ least direction, min |d - Y c|, is then
     U + d - (S + Y) c,
 
 which is the step of a quasi-Newton method with several secants, without any second derivative. The states are guessed
-in the same way, and a rollout with the gains of the last sweep keeps near them. It is taken only if it costs less than
-where the step led; else that is rolled out again, bit for bit.
+in the same way, and rollouts with the gains of the last sweep keep near them. The guess is taken, or a half or less of
+the way to it, if that costs less than where the step led.
 """
 
 from __future__ import annotations
 
+import contextlib
+import math
 from collections import deque
-from typing import NamedTuple
 
 import numpy as np
 
@@ -23,19 +24,11 @@ from planner.problem.problem import Problem
 from planner.solvers.engine import Engine, Outcome
 
 STEPS = 5  # that are remembered: more are of a motion too far away
-NEAR = 1e-2  # of the cost: steps that gain more are far from a minimum, and tell nothing of it
-SLOW = 0.1  # of the last gain: steps that gain less converge fast by themselves
-DEPENDENT = 1e-8  # of the largest singular value: changes of the direction that are rounding
+NEAR = 1e-3  # of the cost: steps that gain more are far from a minimum, and tell nothing of it
+PROMISED = 0.1  # of its promise: a full step whose gain is off by less has a right model, and converges fast by itself
+DEPENDENT = 1e-12  # of the largest eigenvalue of Y'Y: changes of the direction that are rounding
 
 Motion = tuple[np.ndarray, np.ndarray]  # xs (N+1, nx), us (N, nu)
-
-
-class _Step(NamedTuple):
-    """Where an iteration began, where it led, and the share of its direction that was taken."""
-
-    begin: Motion
-    end: Motion
-    share: float
 
 
 class Acceleration:
@@ -48,52 +41,46 @@ class Acceleration:
 
     def __init__(self, problem: Problem, engine: Engine) -> None:
         self._engine, self._space = engine, space_of(problem.dynamics)
-        self._steps: deque[_Step] = deque(maxlen=STEPS)
         self._begin: Motion | None = None  # of the next iteration
-        self._gained = 0.0
+        self._before: Motion | None = None  # of the one before it
+        # Changes of controls and states: directions, and ways from where one iteration began to where the next did.
+        self._directions: deque[np.ndarray] = deque(maxlen=STEPS)
+        self._ways: deque[np.ndarray] = deque(maxlen=STEPS - 1)
 
     def after(self, cost: float, done: Outcome) -> float:
         """The cost after a step from this cost: the step's, or that of a guess that the engine then has."""
-        gained, before = cost - done.cost, self._gained
-        self._gained = gained
+        gained = cost - done.cost
         if gained > NEAR * max(1.0, abs(done.cost)):
-            self._steps.clear()
-            self._begin = None
+            self._directions.clear()
+            self._ways.clear()
+            self._begin = self._before = None
             return done.cost
-        begin, end = self._begin, self._engine.trajectory()
-        self._begin = end
+        end = self._engine.trajectory()
+        begin, self._begin = self._begin, end
         if begin is None:
             return done.cost
-        self._steps.append(_Step(begin, end, done.step))
-        if len(self._steps) < 2 or gained < SLOW * before:
+        self._directions.append(self._change(begin, end) / done.step)
+        if self._before is not None:
+            self._ways.append(self._change(self._before, begin))
+        self._before = begin
+        right = done.step == 1.0 and abs(gained - done.expected) < PROMISED * done.expected
+        if right or not self._ways:
             return done.cost
-        guessed = np.inf
-        try:
-            xs, us = self._guess()
-            guessed = self._engine.approach(us, xs)
-        finally:  # also where Ctrl-C came in between
-            if not guessed < done.cost:
-                self._engine.approach(end[1])
-        if not guessed < done.cost:
-            return done.cost
-        self._begin = self._engine.trajectory()
-        return guessed
+        step, after = self._engine.advance(*self._guess(us=end[1].shape, share=done.step), done.cost)
+        if step > 0.0:
+            self._begin = self._engine.trajectory()
+        return after
 
-    def _guess(self) -> Motion:
-        """Where the steps lead."""
-        (xs, us), difference = self._steps[-1].begin, self._space.difference
-        begins = np.stack([_flat(difference(step.begin[0], xs), step.begin[1] - us) for step in self._steps])
-        moves = np.stack([
-            _flat(difference(step.end[0], step.begin[0]), step.end[1] - step.begin[1]) / step.share
-            for step in self._steps
-        ])  # fmt: skip
-        S, Y, d = np.diff(begins, axis=0), np.diff(moves, axis=0), moves[-1]
-        controls = slice(0, us.size)
-        c = np.linalg.lstsq(Y[:, controls].T, d[controls], rcond=DEPENDENT)[0]
-        way = d - c @ (S + Y)
-        return self._space.integrate(xs, way[us.size :].reshape(len(xs), -1)), us + way[controls].reshape(us.shape)
+    def _change(self, begin: Motion, end: Motion) -> np.ndarray:
+        """Of the controls, then of the states, as one vector."""
+        return np.concatenate([(end[1] - begin[1]).ravel(), self._space.difference(end[0], begin[0]).ravel()])
 
-
-def _flat(dxs: np.ndarray, dus: np.ndarray) -> np.ndarray:
-    """Changes of the controls, then of the states, as one vector."""
-    return np.concatenate([dus.ravel(), dxs.ravel()])
+    def _guess(self, us: tuple[int, ...], share: float) -> Motion:
+        """Changes of states and controls from where the last step led, after this share, to where the steps lead."""
+        directions, size = np.stack(self._directions), math.prod(us)
+        d, Y, S = directions[-1], np.diff(directions, axis=0), np.stack(self._ways)
+        by_controls, c = Y[:, :size], np.zeros(len(Y))
+        with contextlib.suppress(np.linalg.LinAlgError):  # of motions so far away that squares overflow
+            c = np.linalg.lstsq(by_controls @ by_controls.T, by_controls @ d[:size], rcond=DEPENDENT)[0]
+        way = (1.0 - share) * d - c @ (S + Y)
+        return way[size:].reshape(us[0] + 1, -1), way[:size].reshape(us)

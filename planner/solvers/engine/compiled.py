@@ -122,14 +122,11 @@ class CompiledEngine(Engine):
         next_one.use(w)
         return cost
 
-    def approach(self, us: np.ndarray, xs: np.ndarray | None = None) -> float:
-        """Roll out controls us (N, nu), or us + K (x - xs) with the gains of the last sweep, and take it; its cost."""
-        w, feedback = self._w, xs is not None
-        w.us[:] = us
-        if feedback:
-            w.xs[1:] = xs[1:]
-        (w.k if feedback else w.dus).fill(0.0)
-        return self._search(search.START, feedback, math.inf, 0.0)[1]
+    def advance(self, dxs: np.ndarray, dus: np.ndarray, cost: float) -> tuple[float, float]:
+        """Take the longest part of a change that lowers the cost: which, 0 for none, and the cost after it."""
+        w = self._w
+        w.k[:] = dus - np.einsum("nij,nj->ni", w.K[:, :, w.first : w.first + w.ndx], dxs[:-1])
+        return self._search(search.CLOSING, True, cost, 0.0)
 
     def cost_arrays(self) -> dict[str, np.ndarray]:
         """The weights, references and bounds as kernels read them, which may change between iterations."""

@@ -98,13 +98,11 @@ class NumpyEngine(Engine):
         self._nominal = states[:, 0].copy(), first[:, 0].copy()
         return float(J[0])
 
-    def approach(self, us: np.ndarray, xs: np.ndarray | None = None) -> float:
-        """Roll out controls us (N, nu), or us + K (x - xs) with the gains of the last sweep, and take it; its cost."""
-        x0, first = self._nominal[0][0], us[:, None, :].copy()
-        gains = None if xs is None or self._sweep is None else self._sweep.K
-        states, J = self._rollout(x0, first, gains, us if xs is None else xs)
-        self._nominal = states[:, 0].copy(), first[:, 0].copy()
-        return float(J[0])
+    def advance(self, dxs: np.ndarray, dus: np.ndarray, cost: float) -> tuple[float, float]:
+        """Take the longest part of a change that lowers the cost: which, 0 for none, and the cost after it."""
+        assert self._sweep is not None
+        k = dus - np.einsum("nij,nj->ni", self._sweep.K, dxs[:-1])
+        return self._search_once(k, cost, 0.0)
 
     def weigh(self, cost: Cost) -> None:
         """Have another cost of the same shapes from the next rollout on."""
@@ -266,10 +264,15 @@ class NumpyEngine(Engine):
     def close(self, cost: float, slope: float) -> tuple[float, float]:
         """Close the gaps by a rollout with the gains of `cross`, if Armijo's rule takes one of the first steps."""
         assert self._sweep is not None
+        return self._search_once(self._sweep.k, cost, slope)
+
+    def _search_once(self, k: np.ndarray, cost: float, slope: float) -> tuple[float, float]:
+        """The step along controls k (N, nu), with the gains of the last sweep, of one batch, and the cost after it."""
+        assert self._sweep is not None
         xs0, us0 = self._nominal
         alpha = np.empty(WIDTH)
         search.ladder(search.CLOSING, alpha, self._bracket)
-        us = us0[:, None, :] + alpha[:, None] * self._sweep.k[:, None, :]
+        us = us0[:, None, :] + alpha[:, None] * k[:, None, :]
         xs, J = self._rollout(xs0[0], us, self._sweep.K, xs0)
         lane = search.choose(search.CLOSING, alpha, J, np.zeros_like(alpha), cost, slope, self._bracket)
         if lane < 0:

@@ -81,8 +81,14 @@ class Engine(Protocol):
         """
         ...
 
-    def approach(self, us: np.ndarray, xs: np.ndarray | None = None) -> float:
-        """Roll out controls us (N, nu), or us + K (x - xs) with the gains of the last sweep, and take it; its cost."""
+    def advance(self, dxs: np.ndarray, dus: np.ndarray, cost: float) -> tuple[float, float]:
+        """Take the longest part of a change (N+1, ndx) of states and (N, nu) of controls that lowers the cost.
+
+        Rolled out with the gains of the last sweep, about the trajectory that there is.
+
+        Returns:
+            The part, 0 for none, and the cost after.
+        """
         ...
 
     def place(self, xs: np.ndarray, us: np.ndarray) -> np.ndarray:
