@@ -1,11 +1,15 @@
-"""Iterations with limits and constraints beside those without: `python benchmarks/iterations.py`.
+"""Iterations with limits and constraints beside those without: `python benchmarks/iterations.py [--robots FOLDER]`.
 
 The target is twice as many. Torques and speeds of the two-link arm are bounded by shares of the largest ones of its
-free plan, from the case's own first guess and from the straight line of states. Counts do not depend on the computer.
+free plan, from the case's own first guess, from the straight line of states and from random starts. With the
+site-packages that have example-robot-data, a Panda goes from one end of its ranges to the other within its limits.
+Counts do not depend on the computer.
 """
 
 from __future__ import annotations
 
+import argparse
+import tempfile
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -41,12 +45,35 @@ def from_random_starts(problem: planner.Problem, torques: np.ndarray, twice: int
     )
 
 
+def panda(folder: Path) -> planner.Problem:
+    """From a twentieth of its ranges to nineteen, within its torques, ranges and speeds."""
+    model = folder / "cmeel.prefix/share/example-robot-data/robots/panda_description/urdf/panda.urdf"
+    mechanism = planner.Mechanism.from_urdf(model)
+    lower, upper = mechanism.joint_range[:7].T
+    start, goal = 0.95 * lower + 0.05 * upper, 0.05 * lower + 0.95 * upper
+    ends = (
+        ", ".join(f"{name} = {q:.4f}" for name, q in zip(mechanism.joint_names, end, strict=False))
+        for end in (start, goal)
+    )
+    with tempfile.TemporaryDirectory() as place:
+        file = Path(place) / "panda.toml"
+        lines = [f"{key} = {{ {end} }}" for key, end in zip(("start", "goal"), ends, strict=True)]
+        file.write_text("\n".join([f'model = "{model}"', *lines, "duration = 2.6", "dt = 0.02"]), encoding="utf-8")
+        return planner.load_problem(file)
+
+
 def main() -> None:
     """One row a problem."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--robots", metavar="SITE_PACKAGES", type=Path, help="folder that has example-robot-data")
+    robots = parser.parse_args().robots
     print(f"{'':44s}{'free':>6s}{'held':>8s}  {'status':14s}{'cost':>12s}  twice")
     for name in FILES:
         problem = planner.load_problem(TASKS / f"{name}.toml")
         line(name, planner.solve(replace(problem, limits=None, constraints=())), planner.solve(problem))
+    if robots is not None:
+        problem = panda(robots)
+        line("a Panda from end to end", planner.solve(replace(problem, limits=None)), planner.solve(problem))
     problem = planner.cases.two_link(horizon=100)
     guesses: tuple[dict[str, Any], ...] = ({}, {"states": "line"})
     for guess in guesses:
