@@ -13,7 +13,7 @@ from planner.cases.hopper import PAPER
 from planner.view.plots.style import DASHED, HUES, INK, RED, SOFT, dress, grid_of, save
 
 PLAN, MUJOCO = HUES[0][0], HUES[1][1]
-ITERATIONS = (1, 3, 10, 24)  # of the two-link arm, which ends with the last
+ITERATIONS = (1, 3, 10, 22)  # of the two-link arm, which ends with the last
 SHOWN = 7.2, 2.7  # inches
 
 

@@ -165,9 +165,10 @@ class _Search:
         plan = None
         if self.plans:
             near = min(self.plans, key=lambda T: abs(math.log(T / duration)))
-            problem = replace(problem, us=warm_start(_at_pace(self.plans[near], near / duration), problem))
             if self.alone:
                 plan = self._first_look(problem, self.plans[near].stretched(duration), options)
+            if plan is None:
+                problem = replace(problem, us=warm_start(_at_pace(self.plans[near], near / duration), problem))
         elif problem.bounds is not None or set(self.rest) != {"effort"}:
             free = solve(replace(plain(problem), limits=None, constraints=()), **_single(options))
             problem = replace(problem, us=warm_start(free, problem))
