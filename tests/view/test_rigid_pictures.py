@@ -24,7 +24,7 @@ def changed(a, b):
 def test_a_stage_nobody_wrote_names_joints_and_looks_across_the_plane():
     stage = default_appearance(acrobot())
     assert (stage.title, stage.azimuth) == ("acrobot scene", 90.0)
-    assert [panel.title for panel in stage.plots] == ["Joint angles", "Angular velocities", "Controls"]
+    assert [panel.title for panel in stage.plots] == ["Joint angles", "Angular velocities", "Controls: torques"]
     assert stage.plots[0].states == ((0, "shoulder"), (1, "elbow"))
     assert stage.plots[1].states == ((2, "shoulder"), (3, "elbow"))
     tree = Mechanism.from_mjcf(TREE)
