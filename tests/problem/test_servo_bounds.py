@@ -252,5 +252,5 @@ def test_the_figure_shows_bounds_along_the_plan(plan):
 
     figure = draw_plan(plan, None)
     dotted = [line for axes in figure.axes for line in axes.lines if line.get_linestyle() == ":"]
-    assert len({line.axes for line in dotted}) == 2  # of the servo and of the motor, but those that the plan stays far from
+    assert len({line.axes for line in dotted}) == 2  # of servo and motor, but those far away
     assert max(np.ptp(line.get_ydata()) for line in dotted) > 0.1
