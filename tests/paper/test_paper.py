@@ -26,12 +26,16 @@ def test_the_papers_problem_is_the_papers():
 
 
 def test_high_hops_need_many_more_iterations(results):
-    """The paper: 3 at height 1 to 166 at height 50. Ours: some ten up to 30, 49 and more at 40 and 50."""
+    """The paper: 3 at height 1 to 166 at height 50. Ours by its update: some ten up to 30, 49 and more at 40 and 50.
+
+    Those with feedback are accelerated and need 23 and more there.
+    """
     assert PAPER_ITERATIONS == {1.0: 3, 50.0: 166}
-    for counts in results["iterations"].values():
+    for update, counts in results["iterations"].items():
         counts = dict(zip(HEIGHTS, counts, strict=True))
-        assert max(counts[h] for h in (1.0, 5.0, 10.0, 20.0, 30.0)) < 30
-        assert min(counts[40.0], counts[50.0]) > 40
+        low = [counts[h] for h in (1.0, 5.0, 10.0, 20.0, 30.0)]
+        assert max(low) < 30
+        assert min(counts[40.0], counts[50.0]) > (40 if update == "open-loop" else max(low))
 
 
 def test_a_larger_flow_weight_converges_faster_where_it_is_hard(results):
