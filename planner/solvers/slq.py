@@ -9,6 +9,7 @@
 
 Two updates. "open-loop" is the paper's, U + alpha dU. "feedback" rolls out u = us + alpha k + K (x - xs): the same
 direction to first order, and it stays near the trajectory where the dynamics are unstable.
+With "feedback" and Armijo's rule, the default, steps that converge slowly are accelerated (see solvers.acceleration).
 
 With limits (see problem.limits) the controls stay within their bounds all along, and for ranges of the states
 and constraints (see problem.constraints) this is done several times over (see solvers.augmented).
