@@ -57,14 +57,14 @@ def shortest(calls: dict[str, Callable[[], float]]) -> dict[str, float]:
 def engine_of(mechanism: Any, x0: np.ndarray, u: np.ndarray) -> Any:
     """An engine after its first sweep, from constant controls, of a cost that weighs all states and controls."""
     from planner import Problem, RigidBodyDynamics, TrackingCost
-    from planner.solvers.engine import borrow
+    from planner.solvers.engine import acquire_engine
 
     dynamics = RigidBodyDynamics(mechanism, DT)
     weights = {"effort": 1e-3, "position": 1.0, "velocity": 0.1, "final_position": 10.0, "final_velocity": 1.0}
     cost = TrackingCost.joints(dynamics, x0, N, **weights)
     problem = Problem(dynamics, cost, x0, us=np.tile(u, (N, 1)))
-    engine = borrow(problem)
-    engine.start(problem.x0, problem.first_guess)
+    engine = acquire_engine(problem)
+    engine.start_from_controls(problem.x0, problem.first_guess)
     engine.sweep(0.0, True)
     return engine
 
@@ -89,13 +89,13 @@ def beside_open() -> bool:
     """Our examples beside their open trees."""
     from planner import Mechanism
     from planner.dynamics import assembled
-    from planner.problem.guess import holding_controls
+    from planner.problem.guess import quasi_static_controls
 
     fine = True
     for path in sorted(EXAMPLES.glob("*.xml")):
         closed = Mechanism.from_mjcf(path)
         x0 = assembled(closed, closed.home)
-        u = holding_controls(closed, x0)
+        u = quasi_static_controls(closed, x0)
         machines = {"closed": closed, "open": replace(closed, loops=(), cams=())}
         times = shortest({name: iteration(engine_of(m, x0, u)) for name, m in machines.items()})
         ratio = times["closed"] / times["open"]
@@ -109,12 +109,12 @@ def beside_crocoddyl(python: str) -> bool:
     """A pinned arm beside Crocoddyl."""
     from planner import Mechanism
     from planner.dynamics import assembled
-    from planner.model.loops import RATE
-    from planner.problem.guess import holding_controls
+    from planner.model.loops import BAUMGARTE_RATE
+    from planner.problem.guess import quasi_static_controls
 
     m, rng = Mechanism.from_mjcf(arm()), np.random.default_rng(0)
     x0 = assembled(m, m.home + np.append(0.2 * rng.normal(size=7), np.zeros(7)))
-    u, probe = holding_controls(m, x0), rng.normal(size=7)
+    u, probe = quasi_static_controls(m, x0), rng.normal(size=7)
     engine = engine_of(m, x0, u)
     ours = engine._dynamics.rates(x0[None], probe[None])[0, 7:]
     with tempfile.TemporaryDirectory() as folder:
@@ -123,7 +123,7 @@ def beside_crocoddyl(python: str) -> bool:
         place = [float(x) for x in (engine._dynamics.mechanism.loops[0].frames[1][:3, 3])]
         worker = Worker(python, "closed_chains_crocoddyl.py", SINGLE_THREAD, "Crocoddyl")
         theirs = worker.ask("load", model=str(path), x0=x0.tolist(), u=u.tolist(), probe=probe.tolist(), N=N, dt=DT,
-                            rate=RATE, place=place)  # fmt: skip
+                            rate=BAUMGARTE_RATE, place=place)  # fmt: skip
         if "failed" in theirs:
             print(f"Crocoddyl: {theirs['failed']}")
             return False

@@ -15,7 +15,7 @@ import planner
 from planner.cases.human_step.case import Phase, human_step
 from planner.cases.human_step.gait import NORMAL_GAIT
 from planner.cases.human_step.measures import measures, robot
-from planner.cases.human_step.phase import SWING, Step
+from planner.cases.human_step.phase import SWING, GaitPhase
 from planner.cases.human_step.tracking import judge_tracking
 from planner.cases.human_step.walker import SIDES, Walker
 
@@ -48,7 +48,7 @@ def row(phase: Phase, given: dict[str, Any]) -> list[str]:
     walker = Walker(
         legs=SIDES if cycle else ("right",), belt=cycle, motors="pelvis" in given, jerked=given.get("jerk", 0.0) > 0.0
     )
-    step = Step(walker, NORMAL_GAIT, 1.2, 0.0 if cycle else SWING[0], plan.N, problem.dynamics.dt)
+    step = GaitPhase(walker, NORMAL_GAIT, 1.2, 0.0 if cycle else SWING[0], plan.N, problem.dynamics.dt)
     found, does = measures(step, plan.xs), robot(problem.dynamics, plan.xs, plan.us)  # type: ignore[arg-type]
     errors = [judge_tracking(step, planner.replay(plan, feedback=feedback)).measured[0].value for feedback in (0, 1)]  # type: ignore[arg-type]
     return [

@@ -18,7 +18,7 @@ from robots_problems import problem_text
 
 import planner
 from planner.control.judging import judge
-from planner.control.simulating import Loop
+from planner.control.simulating import ClosedLoopRun
 
 ROOT = Path(__file__).parent.parent
 LATE = 0.01  # s
@@ -29,7 +29,7 @@ LEGS = {f"{side}_{part}": 0.2 for side in ("right", "left") for part in ("thigh"
 class Driven(NamedTuple):
     """One loop, how long it took, s, and whether its plan succeeds with the gains alone, where that was tried."""
 
-    loop: Loop
+    loop: ClosedLoopRun
     took: float
     alone: bool | None = None
 

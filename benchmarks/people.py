@@ -18,11 +18,11 @@ from typing import Any
 import numpy as np
 
 import planner
-from planner.base.executors import in_turn
+from planner.base.executors import ordered_map
 from planner.cases.human_step.case import human_step
 from planner.cases.human_step.gait import NORMAL_GAIT
 from planner.cases.human_step.measures import CLEAR, measures
-from planner.cases.human_step.phase import SWING, Step
+from planner.cases.human_step.phase import SWING, GaitPhase
 from planner.cases.human_step.tracking import judge_tracking
 from planner.cases.human_step.walker import SIDES, Walker
 from planner.proof.replays.replaying import replay
@@ -48,7 +48,7 @@ def attempt(person: dict[str, float], phase: str, proof: bool = True) -> dict[st
     cycle = phase == "cycle"
     walker = Walker(person["mass"], person["height"], legs=SIDES if cycle else ("right",), belt=cycle)
     begin = 0.0 if cycle else SWING[0]
-    step = Step(walker, NORMAL_GAIT, person["cycle_time"], begin, plan.N, problem.dynamics.dt)
+    step = GaitPhase(walker, NORMAL_GAIT, person["cycle_time"], begin, plan.N, problem.dynamics.dt)
     clear = {side: 1e3 * least for side, least in measures(step, plan.xs).clearance.items()}
     reasons = [] if plan.success else [plan.status.name]
     reasons += [f"{side} foot clears the belt by {mm:.1f} mm" for side, mm in clear.items() if mm < 1e3 * CLEAR]
@@ -100,7 +100,7 @@ def main() -> None:
     rows = []
     work = partial(attempt, phase=given.phase, proof=not given.no_proof)
     with executor_of(given.workers, given.scheduler) as executor:
-        for row in in_turn(executor, work, people(given.count, given.seed)):
+        for row in ordered_map(executor, work, people(given.count, given.seed)):
             rows.append(row)
             print(json.dumps(row), flush=True)
     print(json.dumps(summary(rows)), flush=True)

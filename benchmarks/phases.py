@@ -15,7 +15,7 @@ from collections.abc import Callable
 import planner
 from planner.kernels.lq.quadratic import gradients
 from planner.kernels.lq.riccati import riccati_dense, riccati_structured
-from planner.solvers.engine import CompiledEngine, borrow
+from planner.solvers.engine import CompiledEngine, acquire_engine
 
 REPEATS = 200
 
@@ -33,7 +33,7 @@ def shortest(call: Callable[[], object]) -> float:
 def phases(name: str) -> dict[str, float]:
     """Times of the pieces of an iteration from the case's first guess, and of the whole."""
     problem = planner.cases.build(name)
-    engine = borrow(problem)
+    engine = acquire_engine(problem)
     assert isinstance(engine, CompiledEngine)
     engine.start(problem.x0, problem.first_guess)
     engine.sweep(0.0, True)

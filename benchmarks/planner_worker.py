@@ -45,18 +45,18 @@ class Case:
     """One problem as this package has it."""
 
     def __init__(self, problem: dict[str, Any]) -> None:
-        from planner.solvers.engine import borrow
+        from planner.solvers.engine import acquire_engine
 
         self.problem = posed(problem)
         # The same stop for all: solve() multiplies its tolerance by the cost where that is above 1.
         self.stop, self.enough, self.iterations = problem["stop"], problem["enough"], problem["max_iterations"]
-        self.engine = borrow(self.problem)
+        self.engine = acquire_engine(self.problem)
         self.rewind()
         self.outcome = self.iterate()
 
     def rewind(self) -> None:
         """Back to the first trajectory."""
-        self.cost = self.engine.start(self.problem.x0, self.problem.first_guess)
+        self.cost = self.engine.start_from_controls(self.problem.x0, self.problem.first_guess)
 
     def iterate(self) -> Any:
         """Linearise, sweep, search, accept: feedback, Armijo, no regularisation, no tolerance that could end it."""
@@ -122,7 +122,7 @@ def solve(repeats: int, seconds: float) -> Answer:
 def judge(us: list[list[float]]) -> Answer:
     """The cost of anybody's controls, rolled out here."""
     case = _cases["now"]
-    return {"cost": case.engine.start(case.problem.x0, np.array(us))}
+    return {"cost": case.engine.start_from_controls(case.problem.x0, np.array(us))}
 
 
 def registers() -> Answer:

@@ -23,7 +23,7 @@ import planner
 from planner.base.gl import load_mujoco, load_rollout
 from planner.proof.replays.compiled_twin import CompiledTwin
 from planner.proof.robustness.perturbation import Perturbation, draw
-from planner.proof.robustness.rollouts import MODES, Batch, Rollouts
+from planner.proof.robustness.rollouts import MODES, RolloutBatch, Rollouts
 
 CASES = ("two-link", "acrobot", "hopper")
 ROLLOUTS = 512
@@ -37,7 +37,7 @@ def first_stages(plan: planner.Plan, stages: int) -> planner.Plan:
     return replace(plan, t=plan.t[: stages + 1], xs=plan.xs[: stages + 1], us=plan.us[:stages], K=plan.K[:stages])
 
 
-def bare(simulator: Rollouts, batches: list[Batch]) -> Callable[[], Any]:
+def bare(simulator: Rollouts, batches: list[RolloutBatch]) -> Callable[[], Any]:
     """mujoco.rollout at its best: every array ready, one call per batch for all steps."""
     mujoco, model = load_mujoco(), simulator.nominal.model
     data = [mujoco.MjData(model) for _ in simulator._data]
@@ -72,7 +72,7 @@ def measure(name: str) -> dict[str, Any]:
     with Rollouts(plan, CompiledTwin(whole.twin)) as simulator:
         sizes, size = simulator.nominal.sizes, simulator.batch_size
         draws = [draw(Perturbation(), 0, k, sizes) for k in range(ROLLOUTS)]
-        batches: list[Batch] = []
+        batches: list[RolloutBatch] = []
         making = seconds(lambda: batches.extend(simulator.batch(draws[k : k + size]) for k in range(0, ROLLOUTS, size)))
         runs = {"bare": bare(simulator, batches)}
         for mode in MODES:

@@ -25,7 +25,7 @@ from rigid_body_problems import EULER, INTEGRATORS, SHORT, scaling_problem
 import planner
 from planner.kernels.lq.workspace import ACCEPTED
 from planner.kernels.numba.lanes import WIDTH
-from planner.solvers.engine import borrow
+from planner.solvers.engine import acquire_engine
 from planner.view.plots.style import HUES, dress, grid_of, legend_below, save, title_above
 
 KINDS: dict[str, Callable[[int], Chain]] = {"serial chain": mechanisms.serial, "random tree": mechanisms.random_tree}
@@ -48,7 +48,7 @@ class Point:
         self.joints = len(chain["joints"])
         self._best = dict.fromkeys(("both", "sweep", "search"), np.inf)
         self._problem = posed(scaling_problem(chain, N, integrator))
-        self._engine = borrow(self._problem)
+        self._engine = acquire_engine(self._problem)
         self.turn()  # compiles
         self._best = dict.fromkeys(self._best, np.inf)
 
@@ -61,7 +61,7 @@ class Point:
     def turn(self) -> None:
         """Time each part once."""
         engine = self._engine
-        cost = engine.start(self._problem.x0, self._problem.first_guess)
+        cost = engine.start_from_controls(self._problem.x0, self._problem.first_guess)
         self._timed("both", engine.sweep, 0.0, True)
         self._timed("sweep", engine.sweep, 0.0, False)
         outcome = self._timed("search", engine.iterate, True, 0, 0.0, False, cost, 0.0, -1.0)

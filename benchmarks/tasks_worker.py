@@ -23,7 +23,7 @@ class Ours:
     def __init__(self, task: Task) -> None:
         import planner
         from planner.costs import CenterOfMassCost
-        from planner.solvers.engine import borrow
+        from planner.solvers.engine import acquire_engine
 
         base = "free" if task["free"] else "fixed"
         self.mechanism = planner.Mechanism.from_urdf(task["urdf"], base=base)
@@ -55,7 +55,7 @@ class Ours:
             limits = planner.Limits(control=(-most, most))
         self.problem = planner.Problem(dynamics, cost, x0, us, limits=limits)
         self.stop, self.iterations = task["stop"], 1000
-        self.engine = borrow(self.problem)
+        self.engine = acquire_engine(self.problem)
         self.rewind()
         self.first = self.cost
         outcome = self.iterate()
@@ -99,7 +99,7 @@ class Ours:
 
     def rewind(self) -> None:
         """Back to the first trajectory."""
-        self.cost = self.engine.start(self.problem.x0, self.problem.first_guess)
+        self.cost = self.engine.start_from_controls(self.problem.x0, self.problem.first_guess)
 
     def iterate(self) -> Any:
         """Linearise, sweep, search, accept: feedback, Armijo, no regularisation, no tolerance that could end it."""

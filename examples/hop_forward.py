@@ -19,7 +19,7 @@ import numpy as np
 from scipy.interpolate import BPoly
 
 import planner
-from planner.problem.guess import holding_controls
+from planner.problem.guess import quasi_static_controls
 
 G = 9.81
 STAND, REST = 0.2, 1.0  # s: before the centre of mass moves, and after
@@ -204,7 +204,7 @@ def problem(
         dynamics, None, len(drawn) - 1, reference=drawn, effort=effort,
         # Rest costs nothing, and the end asks for no place that feet on the ground cannot reach: a plan that is pulled
         # to one throws itself there in its last moments, where no gain is left to repeat that in the simulator.
-        control=holding_controls(machine, drawn[0]),
+        control=quasi_static_controls(machine, drawn[0]),
         final_position={j: 100.0 for j in machine.joint_names if j != "rootx"}, final_velocity=30.0,
         position={j: position.get(j, hopper.joints) for j in machine.joint_names},
         velocity={j: 10.0 if j in ("rootx", "rootz") else 2.0 for j in machine.joint_names},
@@ -233,7 +233,7 @@ def hop(hopper: Hopper, report: bool = False) -> tuple[planner.Plan, dict[str, f
     drawn = reference(hopper, machine, x0)
     callback = print if report else None
     helped = held(machine)
-    us, helped_ones = np.tile(holding_controls(helped, x0), (len(drawn) - 1, 1)), []
+    us, helped_ones = np.tile(quasi_static_controls(helped, x0), (len(drawn) - 1, 1)), []
     for hand in FADE:
         eased = planner.solve(problem(hopper, helped, drawn, us, hand), max_iterations=200, callback=callback)
         helped_ones.append(eased)

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from planner import Mechanism
-from planner.model.loops import Cam, Loop
+from planner.model.loops import PolynomialCoupling, LoopClosure
 from planner.model.mechanism import SCREW
 from planner.model.space import exp_quaternion
 from tests.trees import actuated
@@ -59,14 +59,14 @@ def random_chain(text, rng, loops=2, cams=1):
         frames = np.tile(np.eye(4), (2, 1, 1))
         frames[:, :3, 3] = 0.3 * rng.normal(size=(2, 3))
         frames[:, :3, :3] = [rotation(rng) for _ in range(2)]
-        closed.append(Loop(f"equality {k}", (int(first), int(second)), frames, bool(rng.random() < 0.4)))
+        closed.append(LoopClosure(f"equality {k}", (int(first), int(second)), frames, bool(rng.random() < 0.4)))
     screws = np.array([i for i in np.flatnonzero(m.kind == SCREW) if not _of_free(m, i)])
     following = []
     if len(screws) > 1:
         for k in range(cams):
             follower, leader = map(int, rng.permutation(screws)[:2])
             numbers = tuple(0.3 * rng.normal(size=5))
-            following.append(Cam(f"cam {k}", follower, leader, tuple(0.3 * rng.normal(size=2)), numbers))
+            following.append(PolynomialCoupling(f"cam {k}", follower, leader, tuple(0.3 * rng.normal(size=2)), numbers))
     return replace(m, loops=tuple(closed), cams=tuple(following))
 
 

@@ -4,17 +4,17 @@ from types import SimpleNamespace
 
 import numpy as np
 
-from planner.base.measured import Measured, Section
+from planner.base.measured import Measurement, Section
 from planner.model.twin import Twin
 from planner.problem.appearance import Appearance, Panel
 from planner.problem.plan import Iteration, Plan, Status
 from planner.problem.recipe import Recipe
-from planner.proof.growth import Growth
-from planner.proof.order import Order
+from planner.proof.growth import ErrorPropagation
+from planner.proof.order import StepConvergence
 from planner.proof.replays.compiled_twin import CompiledTwin
 from planner.proof.replays.replaying import Replay
 from planner.proof.robustness.perturbation import Perturbation
-from planner.proof.robustness.perturbed import Perturbed
+from planner.proof.robustness.perturbed import RobustnessResult
 
 MODES = ("open-loop", "feedback")
 APPEARANCE = Appearance(
@@ -68,7 +68,7 @@ def make_perturbed(N_=N, done=40, errors=(0.5, 0.01)):
     t = np.linspace(0.0, N_ * DT, N_ + 1)
     spread = np.array([-2.0, -1.0, 0.0, 1.0, 2.0])[:, None, None] * t[:, None] * np.array([1.0, 0.1, 0.01])
     end_error = {mode: e * np.linspace(0.1, 2.0, done) for mode, e in zip(MODES, errors, strict=True)}
-    return Perturbed(
+    return RobustnessResult(
         perturbation=Perturbation(), seed=7, asked=done, done=done, step=0.01, control_step=0.02, tolerance=0.1,
         end_error=end_error, success={mode: values <= 0.1 for mode, values in end_error.items()},
         margin=dict.fromkeys(MODES, 0.01), per_level=5, t=t,
@@ -81,9 +81,9 @@ def make_proof(plan, open_error=1e-3, gains_error=1e-4):
     replays = {"open-loop": make_replay(plan, False, open_error), "feedback": make_replay(plan, True, gains_error)}
     measured = {mode: np.abs(run.error[::SUBSTEPS]).max(axis=1) for mode, run in replays.items()}
     zeros = dict.fromkeys(MODES, np.zeros(N + 1))
-    errors = Growth(plan.t, zeros, {mode: 1.1 * values for mode, values in measured.items()}, measured, False)
+    errors = ErrorPropagation(plan.t, zeros, {mode: 1.1 * values for mode, values in measured.items()}, measured, False)
     steps = DT / 2.0 ** np.arange(5)
-    order = Order(
+    order = StepConvergence(
         steps, np.zeros((5, 3)), np.full(5, 5.0), steps[:-1] ** 4, 100.0 * steps[:-1] ** 4, 4.0, 4.01, "", 5.0123, 1e-6,
         1e-7, 5.0, 5.0, True,
     )  # fmt: skip
@@ -99,11 +99,11 @@ def make_proof(plan, open_error=1e-3, gains_error=1e-4):
 
 def proof_of(verdict="PASS", mode="open-loop", **sections):
     every = {
-        "parity": Section("parity", (Measured("mass_matrix", 3e-14, "", 1e-10, "256 states"),)),
+        "parity": Section("parity", (Measurement("mass_matrix", 3e-14, "", 1e-10, "256 states"),)),
         "same_step": Section("same step", not_applicable="Contact <is> solved otherwise."),
-        "refined_open_loop": Section("refined, open loop", (Measured("end_state", 2e-3, "in", 1e-2),)),
-        "refined_feedback": Section("refined, with feedback", (Measured("growth_rate", 1.5, "1/s"),)),
-        "goal": Section("goal", (Measured("height_error", 0.1, "%", 0.2),)),
+        "refined_open_loop": Section("refined, open loop", (Measurement("end_state", 2e-3, "in", 1e-2),)),
+        "refined_feedback": Section("refined, with feedback", (Measurement("growth_rate", 1.5, "1/s"),)),
+        "goal": Section("goal", (Measurement("height_error", 0.1, "%", 0.2),)),
     } | sections
     words = f"{verdict} ({mode}), without friction loss; feasible, optimal, robust with its gains"
     return SimpleNamespace(

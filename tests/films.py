@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import imageio_ffmpeg
 import numpy as np
 
-from planner.base.measured import Measured, Section
+from planner.base.measured import Measurement, Section
 from planner.model.mjcf.text import model_path, model_text
 from planner.model.twin import Twin
 from planner.problem.appearance import Appearance, Readout
@@ -65,7 +65,7 @@ def decode(path, width, height):
 
 def make_proof(open_loop, gains, mode="feedback"):
     def section(replay, passed):
-        return Section("refined", (Measured("end_state_error", 0.0 if passed else 1.0, "", 0.5),))
+        return Section("refined", (Measurement("end_state_error", 0.0 if passed else 1.0, "", 0.5),))
 
     return SimpleNamespace(
         mode=mode, replay=gains, replays={"open-loop": open_loop, "feedback": gains},

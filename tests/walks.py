@@ -1,10 +1,10 @@
 """The two motions of the human step, without a problem around them."""
 
 from planner.cases.human_step.gait import NORMAL_GAIT
-from planner.cases.human_step.phase import Step
+from planner.cases.human_step.phase import GaitPhase
 from planner.cases.human_step.walker import Walker
 
-SWING = Step(Walker(legs=("right",), belt=False), NORMAL_GAIT, 1.2, 0.62, 114, 0.004)
+SWING = GaitPhase(Walker(legs=("right",), belt=False), NORMAL_GAIT, 1.2, 0.62, 114, 0.004)
 
 
-CYCLE = Step(Walker(), NORMAL_GAIT, 1.2, 0.0, 240, 0.005)
+CYCLE = GaitPhase(Walker(), NORMAL_GAIT, 1.2, 0.0, 240, 0.005)

@@ -17,7 +17,7 @@ _LARGEST_COUNT = 2**63 - 1  # largest integer of the kernels
 _LONGEST_TEXT = 100
 
 
-def shown(value: Any) -> str:
+def short_repr(value: Any) -> str:
     """A value for a message: its repr in one line, cut to 100 characters."""
     try:
         text = " ".join(repr(value).split())
@@ -50,7 +50,7 @@ def number(
     if too_small or (most is not None and result > most) or not math.isfinite(result):
         bounds = ((" greater than", above), (" of at least", least), (" and at most", most))
         expected = "".join(f"{words} {bound:g}" for words, bound in bounds if bound is not None)
-        raise PlannerError(f"{name} is {shown(value)}, expected a finite number{expected}.")
+        raise PlannerError(f"{name} is {short_repr(value)}, expected a finite number{expected}.")
     return result
 
 
@@ -63,7 +63,7 @@ def count(name: str, value: Any, *, least: int = 1, most: int | None = None) -> 
     largest = _LARGEST_COUNT if most is None else most
     if result is None or not least <= result <= largest:
         upper = f" and at most {largest}" if result is not None and result > largest else ""
-        raise PlannerError(f"{name} is {shown(value)}, expected a whole number of at least {least}{upper}.")
+        raise PlannerError(f"{name} is {short_repr(value)}, expected a whole number of at least {least}{upper}.")
     return result
 
 
@@ -72,7 +72,7 @@ def choice(name: str, value: Any, choices: Collection[str]) -> str:
     if isinstance(value, str) and value in choices:
         return value
     hint = did_you_mean(value, choices)
-    raise PlannerError(f"{name} is {shown(value)}, expected one of: {', '.join(choices)}.{hint}")
+    raise PlannerError(f"{name} is {short_repr(value)}, expected one of: {', '.join(choices)}.{hint}")
 
 
 def did_you_mean(value: Any, known: Collection[str]) -> str:
@@ -90,7 +90,7 @@ def numbers(name: str, value: Any) -> np.ndarray:
     try:
         return _floats(value)
     except (TypeError, ValueError, OverflowError):
-        raise PlannerError(f"{name} is {shown(value)}, expected numbers.") from None
+        raise PlannerError(f"{name} is {short_repr(value)}, expected numbers.") from None
 
 
 def _floats(value: Any) -> np.ndarray:

@@ -13,7 +13,7 @@ from concurrent.futures import BrokenExecutor, Executor, Future
 from itertools import islice
 from typing import Any, TypeVar
 
-from planner.base.arguments import shown
+from planner.base.arguments import short_repr
 from planner.base.errors import PlannerError
 
 Item = TypeVar("Item")
@@ -29,7 +29,7 @@ def checked_executor(executor: Any) -> Executor | None:
         PlannerError: It is neither.
     """
     if executor is not None and not callable(getattr(executor, "submit", None)):
-        raise PlannerError(f"executor is {shown(executor)}, expected a concurrent.futures.Executor.")
+        raise PlannerError(f"executor is {short_repr(executor)}, expected a concurrent.futures.Executor.")
     return executor
 
 
@@ -38,7 +38,7 @@ def width_of(executor: Executor) -> int:
     return int(getattr(executor, "width", getattr(executor, "_max_workers", None) or 1))
 
 
-def in_turn(
+def ordered_map(
     executor: Executor | None, call: Callable[[Item], Result], items: Iterable[Item]
 ) -> Iterator[Result]:  # fmt: skip
     """The results of call(item) in the order of the items; without an executor from this process, one by one.
@@ -57,15 +57,15 @@ def in_turn(
             if not waiting:
                 return
             item, future = waiting[0]
-            result = answer(executor, future, call, item)
+            result = result_or_retry(executor, future, call, item)
             waiting.popleft()
             yield result
     finally:  # on an error or Ctrl-C
         for _, future in waiting:
-            give_up(executor, future)
+            cancel_or_end(executor, future)
 
 
-def answer(executor: Executor, future: Future[Result], call: Callable[..., Result], *arguments: Any) -> Result:
+def result_or_retry(executor: Executor, future: Future[Result], call: Callable[..., Result], *arguments: Any) -> Result:
     """The result of a call that was submitted; the call is made once more where its worker ended.
 
     Raises:
@@ -88,7 +88,7 @@ def answer(executor: Executor, future: Future[Result], call: Callable[..., Resul
         raise PlannerError("a worker ended twice in the middle of the same work: killed, or out of memory.") from None
 
 
-def give_up(executor: Executor, future: Future[Any]) -> bool:
+def cancel_or_end(executor: Executor, future: Future[Any]) -> bool:
     """Take a call back, with its worker where it is being worked on; False where it goes on to its end."""
     if future.cancel():
         return True

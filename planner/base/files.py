@@ -17,7 +17,7 @@ from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-from planner.base.arguments import shown
+from planner.base.arguments import short_repr
 from planner.base.errors import FileError, PlannerError
 
 PathLike = str | os.PathLike[str]
@@ -106,7 +106,7 @@ def as_path(path: PathLike) -> Path:
         FileError: It is no path.
     """
     if not isinstance(path, (str, os.PathLike)):
-        raise FileError(f"cannot write to {shown(path)}: expected the path of a file.")
+        raise FileError(f"cannot write to {short_repr(path)}: expected the path of a file.")
     return Path(path)
 
 
@@ -172,7 +172,7 @@ def open_folder(folder: Path, outputs: Iterable[str]) -> tuple[Path, list[Path]]
 
 
 @contextmanager
-def held(folder: Path) -> Iterator[None]:
+def folder_lock(folder: Path) -> Iterator[None]:
     """Hold a folder, so that the files of two processes do not mix; the system lets it go when a process is killed.
 
     Raises:
@@ -223,10 +223,10 @@ def staged_folder(path: PathLike, outputs: Iterable[str] = ()) -> Iterator[Path]
     folder, outputs = Path(path), tuple(outputs)
     staging, created = open_folder(folder, outputs)
     try:
-        with held(folder):  # another writer is found out before any work
+        with folder_lock(folder):  # another writer is found out before any work
             pass
         yield staging
-        with held(folder):
+        with folder_lock(folder):
             _publish(staging, folder, outputs)
     except BaseException as error:
         complaint = None

@@ -11,7 +11,7 @@ from planner.base.jsonable import finite
 
 
 @dataclass(frozen=True)
-class Measured:
+class Measurement:
     """One measured number.
 
     Attributes:
@@ -68,7 +68,7 @@ class Section:
     """
 
     title: str
-    measured: tuple[Measured, ...] = ()
+    measured: tuple[Measurement, ...] = ()
     not_applicable: str = ""
 
     @property
@@ -77,7 +77,7 @@ class Section:
         return not self.failures
 
     @property
-    def failures(self) -> tuple[Measured, ...]:
+    def failures(self) -> tuple[Measurement, ...]:
         """The values beyond their bounds."""
         return tuple(one for one in self.measured if not one.passed)
 
@@ -102,7 +102,7 @@ class Section:
         }
 
 
-def beyond_bounds(sections: Iterable[Section]) -> float:
+def bound_excess(sections: Iterable[Section]) -> float:
     """The largest value beyond its bound, over the bound: how far sections are from passing. 0 where all pass."""
     failures = [one for section in sections for one in section.failures]
     return max((_over(one.value, one.bound) for one in failures), default=0.0)

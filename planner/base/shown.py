@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 DRAWN_BY = "planner.view.results"
 
 
-class Shown:
+class Plottable:
     """A result with pictures."""
 
     def plot(self) -> Figure:
@@ -28,7 +28,7 @@ class Shown:
         return import_module(DRAWN_BY).html_of(self)
 
 
-class Paged:
+class Reportable:
     """Results in a folder, with a page of their own."""
 
     def page(self) -> Path:
@@ -44,7 +44,7 @@ class Paged:
         return import_module(DRAWN_BY).html_of_sweep(self)
 
 
-class Filmed(Shown):
+class Renderable(Plottable):
     """A result with a film too."""
 
     def film(self, path: str | Path, **options: Any) -> Path:

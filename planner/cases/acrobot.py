@@ -34,7 +34,7 @@ from planner.dynamics import RigidBodyDynamics
 from planner.dynamics.algorithms import rnea
 from planner.model.mechanism import Mechanism
 from planner.model.twin import Twin
-from planner.problem.guess import rolled
+from planner.problem.guess import rollout_states
 from planner.problem.problem import Problem
 from planner.problem.recipe import Recipe
 
@@ -106,6 +106,6 @@ def _held_elbow(mechanism: Mechanism, x0: np.ndarray, dt: float, N: int) -> np.n
     """Elbow torques (N, 1) that let the arm fall like a rigid pendulum, computed in the middle of each stage."""
     held = RigidBodyDynamics(mechanism, dt, prescribed=("elbow",))
     us = np.zeros((N, held.nu))
-    middle = held.step(rolled(held, x0, us)[:-1], us, np.full(N, 0.5 * dt))
+    middle = held.step(rollout_states(held, x0, us)[:-1], us, np.full(N, 0.5 * dt))
     q, qd = middle[:, :2], middle[:, 2:]
     return rnea(mechanism, q, qd, held.rates(middle, us)[:, 2:])[:, 1:]

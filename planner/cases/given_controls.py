@@ -30,7 +30,7 @@ from planner.model.mechanism import SCREW, Mechanism
 from planner.model.mjcf.refuse import KINDS
 from planner.model.urdf.read import read_model
 from planner.problem.costs.tracking import TrackingCost
-from planner.problem.guess import follow, rolled
+from planner.problem.guess import inverse_dynamics_controls, rollout_states
 from planner.problem.plan import Plan, Status
 from planner.problem.problem import Problem
 from planner.solvers import lq
@@ -74,7 +74,7 @@ def plan_of_controls(
     else:
         us = np.zeros((len(table), mechanism.nu))
         us[:, actuators] = table[:, 1:]
-        xs, K = rolled(dynamics, x0, us), np.zeros((len(us), mechanism.nu, dynamics.ndx))
+        xs, K = rollout_states(dynamics, x0, us), np.zeros((len(us), mechanism.nu, dynamics.ndx))
     if not np.isfinite(xs).all():
         raise PlannerError(f"the controls of {path} lead to infinite states, expected those of this model.")
     return _planned(dynamics, xs, us, K, goal, tolerance, moving=bool(joints) and not asked)
@@ -194,7 +194,7 @@ def _followed(
     t = dt * np.arange(N + 1)
     spline = make_interp_spline(t, q, k=5)
     middle = t[:-1] + 0.5 * dt  # where a control that is held over a stage is best taken
-    us = follow(mechanism, spline(middle), spline(middle, 1), spline(middle, 2))
+    us = inverse_dynamics_controls(mechanism, spline(middle), spline(middle, 1), spline(middle, 2))
     wanted = np.concatenate([q, spline(t, 1)], axis=1)
     A, B = dynamics.linearize(wanted, us)
     size = np.maximum(np.abs(us).max(axis=0), np.finfo(float).tiny)

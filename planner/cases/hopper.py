@@ -27,7 +27,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from planner.base.arguments import choice, number
-from planner.base.measured import Measured, Section
+from planner.base.measured import Measurement, Section
 from planner.cases.horizon import LARGEST, stages
 from planner.dynamics import INTEGRATORS, HopperDynamics
 from planner.model.mjcf.text import edited, model_path, model_text, written
@@ -193,13 +193,13 @@ def judge_tracking(replay: Replay, goal: float, smoothing: float) -> Section:
     simulated = crossings(replay.t, replay.xs, smoothing)
     timing, sharp = match_crossings(planned, simulated, grazing)
     return Section(replay.title, (
-        Measured("rms_height_error", rms, "% of hop height", TRACKING_BOUND, "at the knots, MuJoCo against plan"),
-        Measured("final_height_error", final, "% of hop height", FINAL_BOUND, "MuJoCo against the plan"),
-        Measured("worst_event_error", 1e3 * timing, "ms", EVENT_BOUND,
+        Measurement("rms_height_error", rms, "% of hop height", TRACKING_BOUND, "at the knots, MuJoCo against plan"),
+        Measurement("final_height_error", final, "% of hop height", FINAL_BOUND, "MuJoCo against the plan"),
+        Measurement("worst_event_error", 1e3 * timing, "ms", EVENT_BOUND,
                  f"{sharp} touchdowns and lift-offs faster than {grazing:.3g} in/s, by crossings of the compression"),
-        Measured("max_height_error", float(np.max(np.abs(error))), "in", None, "at the knots"),
-        Measured("final_height", float(replay.xs[-1, 0]), "in", None, "in MuJoCo"),
-        Measured("final_rate", float(replay.xs[-1, 1]), "in/s", None, "in MuJoCo"),
+        Measurement("max_height_error", float(np.max(np.abs(error))), "in", None, "at the knots"),
+        Measurement("final_height", float(replay.xs[-1, 0]), "in", None, "in MuJoCo"),
+        Measurement("final_rate", float(replay.xs[-1, 1]), "in/s", None, "in MuJoCo"),
     ))  # fmt: skip
 
 
@@ -208,10 +208,10 @@ def judge_goal(replay: Replay, goal: float, gravity: float) -> Section:
     planned, reached = (100.0 * abs(float(xs[-1, 0]) - goal) / goal for xs in (replay.plan.xs, replay.xs))
     rise = 100.0 * float(replay.xs[-1, 1]) ** 2 / (2.0 * gravity) / goal
     return Section("goal", (
-        Measured("planned_goal_error", planned, "% of hop height", GOAL_BOUND, "the plan's final height"),
-        Measured("replayed_goal_error", reached, "% of hop height", GOAL_BOUND + FINAL_BOUND,
+        Measurement("planned_goal_error", planned, "% of hop height", GOAL_BOUND, "the plan's final height"),
+        Measurement("replayed_goal_error", reached, "% of hop height", GOAL_BOUND + FINAL_BOUND,
                  "MuJoCo's final height; the sum of the bounds on the plan and on its replay"),
-        Measured("final_speed_as_height", rise, "% of hop height", GOAL_BOUND,
+        Measurement("final_speed_as_height", rise, "% of hop height", GOAL_BOUND,
                  "v^2 / 2g of MuJoCo's final rate v: how much further this speed carries the mass"),
     ))  # fmt: skip
 

@@ -19,12 +19,12 @@ from planner.model.space import space_of
 from planner.model.twin import Twin
 from planner.problem import parts
 from planner.problem.archive import FILE, HINGES, PART, read_archive
-from planner.problem.criteria import plain, with_objective
+from planner.problem.criteria import base_problem, with_objective
 from planner.problem.limits import Limits
 from planner.problem.plan import Iteration, Plan, Start, Status
 from planner.problem.problem import Problem
 from planner.problem.recipe import Recipe
-from planner.problem.state_ranges import Hinges
+from planner.problem.state_ranges import BoundPenalties
 
 
 def load_plan(path: str | Path, *, problem: Problem | None = None) -> Plan:
@@ -73,7 +73,7 @@ def _plan(arrays: dict[str, np.ndarray], meta: dict[str, Any]) -> Plan:
         stored_space=meta["space"],
         options=meta["options"],
         changed=meta["changed"],
-        hinges=Hinges(*(arrays[name] for name in HINGES)) if HINGES[0] in arrays else None,
+        bound_penalties=BoundPenalties(*(arrays[name] for name in HINGES)) if HINGES[0] in arrays else None,
     )
 
 
@@ -84,7 +84,7 @@ def _problem(plan: Plan, arrays: dict[str, np.ndarray], meta: dict[str, Any]) ->
     name, parameters = plan.recipe.name, plan.recipe.parameters
     if name == parts.NAME:
         own = {part.removeprefix(PART): array for part, array in arrays.items() if part.startswith(PART)}
-        problem = parts.of_parts(parameters, own, plan.twin)
+        problem = parts.from_arrays(parameters, own, plan.twin)
     elif name == problem_file.NAME:
         problem = problem_file.of_table(parameters, plan.twin)
     else:
@@ -93,7 +93,7 @@ def _problem(plan: Plan, arrays: dict[str, np.ndarray], meta: dict[str, Any]) ->
         missing = sorted(set(problem.recipe.parameters) - set(parameters))
         raise PlannerError(f"its parameters are not complete (missing: {', '.join(missing) or 'none, but changed'}).")
     limits = problem.limits if meta["limits"] is None else Limits.from_dict(meta["limits"])
-    problem = replace(plain(problem), limits=limits, tolerance=meta["tolerance"])
+    problem = replace(base_problem(problem), limits=limits, tolerance=meta["tolerance"])
     return problem if meta["objective"] is None else with_objective(problem, meta["objective"])
 
 
@@ -101,7 +101,7 @@ def _fitting(plan: Plan, problem: Problem) -> Problem:
     """The problem, when a plan's arrays and maps are of its sizes."""
     if plan.stored_space != space_of(problem.dynamics) or plan.us.shape != (problem.N, problem.dynamics.nu):
         raise PlannerError(f"its arrays do not fit its {f'case {plan.recipe.name!r}' if plan.recipe else 'problem'}.")
-    if plan.hinges is not None and (problem.kept is None or plan.hinges.weight.shape[1] != problem.kept.size):
+    if plan.bound_penalties is not None and (problem.trajectory_constraints is None or plan.bound_penalties.weight.shape[1] != problem.trajectory_constraints.size):
         raise PlannerError("the penalties of its ranges and constraints do not fit those of its problem.")
     if plan.twin is not None and len(plan.twin.to_x) != problem.dynamics.nx:
         raise PlannerError(f"its twin is of {len(plan.twin.to_x)} states, expected {problem.dynamics.nx}.")

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from planner.base.arguments import choice, number
-from planner.base.measured import Measured
+from planner.base.measured import Measurement
 from planner.cases.horizon import LARGEST
 from planner.dynamics import INTEGRATORS, RigidBodyDynamics
 from planner.model.mechanism import Mechanism
@@ -132,11 +132,11 @@ def ends_of(replay: Replay) -> dict[str, np.ndarray]:
     return {"planned": replay.plan.xs[-1], "replayed": replay.xs[-1]}
 
 
-def end_misses(who: str, x: np.ndarray, goal: np.ndarray, tolerance: float, why: str) -> list[Measured]:
+def end_misses(who: str, x: np.ndarray, goal: np.ndarray, tolerance: float, why: str) -> list[Measurement]:
     """Distances of an end x (2 n,), "planned" or "replayed", from a goal (2 n,) at rest; n angles, then n rates."""
     whose = "the plan's end" if who == "planned" else "MuJoCo's end"
     angle, rate = np.abs(x - goal).reshape(2, -1).max(axis=1).tolist()
     return [
-        Measured(f"{who}_angle_miss", angle, "rad", tolerance, f"{whose} from the goal, largest joint; {why}"),
-        Measured(f"{who}_rate_miss", rate, "rad/s", tolerance, f"{whose} from rest, largest joint"),
+        Measurement(f"{who}_angle_miss", angle, "rad", tolerance, f"{whose} from the goal, largest joint; {why}"),
+        Measurement(f"{who}_rate_miss", rate, "rad/s", tolerance, f"{whose} from rest, largest joint"),
     ]

@@ -31,7 +31,7 @@ import numpy as np
 from numpy.polynomial import Polynomial
 
 from planner.base.arguments import choice, number
-from planner.base.measured import Measured, Section
+from planner.base.measured import Measurement, Section
 from planner.cases.horizon import LARGEST, stages
 from planner.cases.planar_arm import end_misses, ends_of
 from planner.dynamics import INTEGRATORS, RigidBodyDynamics
@@ -41,7 +41,7 @@ from planner.model.mjcf.text import edited, model_path, model_text, written
 from planner.model.twin import Twin
 from planner.problem.appearance import Appearance, Panel, Readout
 from planner.problem.costs.tracking import TrackingCost
-from planner.problem.guess import follow, quintic
+from planner.problem.guess import inverse_dynamics_controls, quintic
 from planner.problem.limits import Limits
 from planner.problem.problem import Problem, Requirements
 from planner.problem.recipe import Recipe
@@ -167,7 +167,7 @@ def first_lift(mechanism: Mechanism, style: str, duration: float, N: int) -> np.
     s = (np.arange(N)[:, None] + 0.5) / N
     bulge = Polynomial([0.0, 0.0, 0.0, 64.0, -192.0, 192.0, -64.0])  # (4 s (1 - s))^3: at rest at both ends
     size = np.array([_BULGES[style].get(joint, 0.0) for joint in JOINTS])
-    return follow(
+    return inverse_dynamics_controls(
         mechanism, q + bulge(s) * size, qd + bulge.deriv()(s) * size / duration,
         qdd + bulge.deriv(2)(s) * size / duration**2,
     )  # fmt: skip
@@ -181,7 +181,7 @@ def judge_lift(replay: Replay, goal: np.ndarray, limits: np.ndarray) -> Section:
         share = np.max(np.abs(us) / limits, axis=0)
         note = f"largest torque over its limit, at the {JOINTS[int(np.argmax(share))]}"
         measured += end_misses(who, x, goal, TOLERANCE, why)
-        measured.append(Measured(f"{who}_torque_share", float(share.max()), "", 1.0 + ROUNDING, note))
+        measured.append(Measurement(f"{who}_torque_share", float(share.max()), "", 1.0 + ROUNDING, note))
     return Section("goal", tuple(measured))
 
 

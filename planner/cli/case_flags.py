@@ -10,7 +10,7 @@ from typing import Any, get_args, get_type_hints
 
 from planner.cases import CASES
 from planner.cases.problem_file import keys as problem_keys
-from planner.cli.flags import OUTPUT, PROBLEM_FILE, Flags, add, number, one_of, switch, takes, whole
+from planner.cli.flags import OUTPUT, PROBLEM_FILE, Flags, add, number, choice_flag, boolean_flag, value_flag, whole
 from planner.dynamics import INTEGRATORS
 from planner.problem.objective import OBJECTIVES
 from planner.solvers.slq import HESSIANS, LINE_SEARCHES, UPDATES
@@ -18,27 +18,27 @@ from planner.solvers.slq import HESSIANS, LINE_SEARCHES, UPDATES
 _OWN = "A machine of your own: an MJCF file, a start, a goal, weights (docs/own-machine.md)."
 
 _LIMITS: Flags = {
-    "--control-limit": takes("X", "Largest magnitude of every control.", kind=number),
-    "--exact-goal": switch("Reach the goal to 1e-4 instead of weighing the distance to it."),
+    "--control-limit": value_flag("X", "Largest magnitude of every control.", kind=number),
+    "--exact-goal": boolean_flag("Reach the goal to 1e-4 instead of weighing the distance to it."),
 }
 _SOLVER: Flags = {
-    "--update": one_of(UPDATES, "New controls: feedback, us + step k + K (x - xs), or open-loop, the paper's Eq. 36.",
+    "--update": choice_flag(UPDATES, "New controls: feedback, us + step k + K (x - xs), or open-loop, the paper's Eq. 36.",
                         "feedback"),
-    "--line-search": one_of(LINE_SEARCHES, "Rule that accepts a step length.", "armijo"),
-    "--hessian": one_of(HESSIANS, "exact adds second derivatives of the dynamics (hinges, slides, hopper).",
+    "--line-search": choice_flag(LINE_SEARCHES, "Rule that accepts a step length.", "armijo"),
+    "--hessian": choice_flag(HESSIANS, "exact adds second derivatives of the dynamics (hinges, slides, hopper).",
                          "gauss-newton"),
-    "--max-iterations": takes("N", "Largest number of iterations of the solver.", 1000, whole),
-    "--starts": takes("N", "Number of first guesses to try: the problem's own and smooth random changes of it; the "
+    "--max-iterations": value_flag("N", "Largest number of iterations of the solver.", 1000, whole),
+    "--starts": value_flag("N", "Number of first guesses to try: the problem's own and smooth random changes of it; the "
                             "best plan wins. Default: 1.", kind=whole),
-    "--seed": takes("N", "Seed of the random first guesses. Default: 0.", kind=whole),
-    "--rank": one_of(("cost", "proven-cost"), "Rank starts by cost of the plan, or of its replay in MuJoCo.",
+    "--seed": value_flag("N", "Seed of the random first guesses. Default: 0.", kind=whole),
+    "--rank": choice_flag(("cost", "proven-cost"), "Rank starts by cost of the plan, or of its replay in MuJoCo.",
                       "cost"),
-    "--objective": takes("NAME", f"Minimize one of {', '.join(OBJECTIVES)}, or weights, e.g. effort=1,time=2. "
+    "--objective": value_flag("NAME", f"Minimize one of {', '.join(OBJECTIVES)}, or weights, e.g. effort=1,time=2. "
                                   "Default: effort."),
-    "--durations": takes("A,B", "Shortest and longest duration, s, for an objective with time."),
+    "--durations": value_flag("A,B", "Shortest and longest duration, s, for an objective with time."),
 }  # fmt: skip
 _URDF: Flags = {
-    "--package-path": takes("DIR", "Folder of the packages that the file's URDF names, instead of its package_path."),
+    "--package-path": value_flag("DIR", "Folder of the packages that the file's URDF names, instead of its package_path."),
 }
 
 

@@ -6,14 +6,14 @@ import argparse
 
 from planner.cli.console import Console, shown
 from planner.sweeps.executors import executor_of
-from planner.sweeps.stored_plans import Checked, check
+from planner.sweeps.stored_plans import PlanComparison, check
 
 
 def check_plans(arguments: argparse.Namespace, console: Console) -> int:
     """Prove stored plans again and print a table of the numbers that changed."""
 
-    def show(one: Checked) -> None:
-        console.note(f"{one.plan}: {'as stored' if one.passed else 'regressed'}")
+    def show(one: PlanComparison) -> None:
+        console.write_progress(f"{one.plan}: {'as stored' if one.passed else 'regressed'}")
 
     with executor_of(arguments.workers, arguments.scheduler) as executor:
         done = check(
@@ -21,7 +21,7 @@ def check_plans(arguments: argparse.Namespace, console: Console) -> int:
         )  # fmt: skip
     for one in done:
         if one.problem:
-            console.say(f"{one.plan} is not compared: {one.problem}")
+            console.write_result(f"{one.plan} is not compared: {one.problem}")
     rows = [
         (str(one.plan), f"{change.step} {change.name}".replace("_", " ").strip(),
          shown(change.stored), shown(change.now), shown(change.bound), change.word)
@@ -34,7 +34,7 @@ def check_plans(arguments: argparse.Namespace, console: Console) -> int:
     counts = {"proved": len(done), "regressed": bad, "moved": moved, "as stored": len(done) - bad - moved}
     if arguments.update:
         counts["updated"] = sum(one.updated for one in done)
-    console.say(f"plans {', '.join(f'{word}: {count}' for word, count in counts.items())}")
+    console.write_result(f"plans {', '.join(f'{word}: {count}' for word, count in counts.items())}")
     plans = [
         {
             "plan": str(one.plan), "passed": one.passed, "problem": one.problem,

@@ -12,7 +12,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from planner.base.arguments import shown
+from planner.base.arguments import short_repr
 from planner.base.errors import PlannerError
 from planner.base.versions import installed_versions
 from planner.cli import parser
@@ -52,14 +52,14 @@ def _run(words: list[str], console: Console) -> int:
         arguments = parser.parse(words)
         if arguments.version:
             versions = {"planner": "", **installed_versions()}  # planner first
-            console.say("  ".join(f"{name} {version}" for name, version in versions.items()))
+            console.write_result("  ".join(f"{name} {version}" for name, version in versions.items()))
             return 0
         if arguments.command is None:
             parser.build(()).print_help()
             return 0
         code = _function(arguments.command)(arguments, console)
         if console.lost:
-            console.complain(f"the results could not be printed: {console.lost}.")
+            console.write_error(f"the results could not be printed: {console.lost}.")
             return 2
         return code
     except PlannerError as error:
@@ -71,13 +71,13 @@ def _run(words: list[str], console: Console) -> int:
     except Exception as error:
         if os.environ.get(TRACEBACK):
             for line in traceback.format_exc().splitlines():
-                console.complain(line)
-        kind = f"{type(error).__name__}: {shown(str(error))}"
+                console.write_error(line)
+        kind = f"{type(error).__name__}: {short_repr(str(error))}"
         how = f"please report it, with the command and what {TRACEBACK}=1 makes it print"
         return _refuse(console, f"this is an error of the planner itself ({kind}); {how}.", INTERNAL)
 
 
 def _refuse(console: Console, sentence: str, code: int) -> int:
-    console.complain(sentence)
+    console.write_error(sentence)
     console.document({"error": sentence, "exit_code": code})
     return code

@@ -26,5 +26,5 @@ def warmup(arguments: argparse.Namespace, console: Console) -> int:
         parity(problem)  # rates, or every term of the mechanics
     seconds = time.perf_counter() - began
     if cold:
-        console.say(f"compiled in {seconds:.1f} s")
+        console.write_result(f"compiled in {seconds:.1f} s")
     return console.finish("warmup", 0, compiled=cold, seconds=seconds)

@@ -33,7 +33,7 @@ def print_completion(arguments: argparse.Namespace, console: Console) -> int:
     script = shtab.complete(parser, shell=arguments.shell)
     if arguments.shell == "bash":  # files, where no word fits
         script = re.sub(r"^complete -o", "complete -o default -o", script, flags=re.M)
-    console.say(script)
+    console.write_result(script)
     return console.finish("completion", 0, shell=arguments.shell, script=script)
 
 

@@ -14,8 +14,8 @@ from planner.base.jsonable import finite
 
 if TYPE_CHECKING:
     from planner.problem.plan import Iteration, Start
-    from planner.solvers.free_time import Tried
-    from planner.solvers.periodic import Pass
+    from planner.solvers.free_time import DurationTrial
+    from planner.solvers.periodic import PeriodicPass
 
 _LONGEST = 1000  # characters of a sentence that quotes what it was given
 
@@ -57,16 +57,16 @@ class Console:
             if result:
                 self.lost = "" if isinstance(error, BrokenPipeError) else str(error.strerror)
 
-    def say(self, text: str = "") -> None:
+    def write_result(self, text: str = "") -> None:
         """Print a line of the result; with --json it goes to stderr."""
         self._print(text, result=not self.as_json)
 
-    def note(self, text: str) -> None:
+    def write_progress(self, text: str) -> None:
         """Print a line about the work in progress."""
         if not self.quiet:
             self._print(text, result=False)
 
-    def complain(self, text: str) -> None:
+    def write_error(self, text: str) -> None:
         """Print an error, one sentence."""
         if len(text) > _LONGEST:
             text = f"{text[: _LONGEST // 2]} ... {text[-_LONGEST // 2 :]}"
@@ -95,17 +95,17 @@ class Console:
             ]
         widths = [max(map(len, column)) for column in zip(heads, *cells, strict=True)]
         for row in (list(heads), ["-" * width for width in widths], *cells):
-            self.say("  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip())
+            self.write_result("  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip())
 
     def iteration(self, line: Iteration) -> None:
         """Print a line of the table of iterations: every one on a terminal, fewer in a log."""
         i = line.iteration
         if self._live or i < 10 or (i < 100 and i % 10 == 0) or i % 100 == 0:
-            self.note(str(line))
+            self.write_progress(str(line))
 
-    def row(self, line: Start | Tried | Pass) -> None:
+    def row(self, line: Start | DurationTrial | PeriodicPass) -> None:
         """Print a line of the table of starts, of durations or of passes."""
-        self.note(str(line))
+        self.write_progress(str(line))
 
     def progress(self, work: str) -> Callable[[int, int], None]:
         """A callback (done, total) that prints a counter: updated on a terminal, a line at the end elsewhere."""

@@ -22,13 +22,13 @@ from planner.problem.problem import Problem
 from planner.proof import Proof
 from planner.proof.cures import Cure, cures, in_order, longer
 
-OWN = ("dt", "substeps", "integrator", "guess", "starts", "limits.margin", "max_iterations")
+AUTOMATIC_KEYS = ("dt", "substeps", "integrator", "guess", "starts", "limits.margin", "max_iterations")
 """Keys about how a motion is computed, beside the weights. What the motion is to be stays the user's to say."""
 READ_AGAIN = ("contacts", "ignore", "model", "start")  # keys for which the file would have to be read again
 LADDER = 6  # durations, each half as long again: up to 7.6 times
 
 
-def cured(
+def apply_fixes(
     asked: ProblemOf, plan: Plan, proof: Proof | None, end: float, arguments: argparse.Namespace, console: Console,
     prove: Callable[[Plan], Proof],
 ) -> tuple[Plan, Proof] | None:  # fmt: skip
@@ -47,13 +47,13 @@ def cured(
         if one.key in READ_AGAIN:
             continue
         if time.monotonic() > end:
-            console.say(f"not tried, for want of time: {one}")
+            console.write_result(f"not tried, for want of time: {one}")
             break
         passed, better = trial.passing(one)
         if better is None:
             vain.append(one)
         elif _is_own(one.key):
-            console.say(f"written by itself: {passed}")
+            console.write_result(f"written by itself: {passed}")
             return better
         else:
             passed = replace(passed, sentence=f"{passed.sentence} (tried: with it the plan passes)")
@@ -84,7 +84,7 @@ class _Trial:
         return cure, None
 
     def _tried(self, found: Cure) -> tuple[Plan, Proof] | None:
-        self.console.note(f"the plan does not pass; trying {found}")
+        self.console.write_progress(f"the plan does not pass; trying {found}")
         problem, given = self.asked.problem, self.arguments
         if found.key == "max_iterations":
             given = copy(given)
@@ -93,7 +93,7 @@ class _Trial:
             try:
                 problem = written(problem, found)
             except PlannerError as error:
-                self.console.say(f"tried in vain ({error}): {found}")
+                self.console.write_result(f"tried in vain ({error}): {found}")
                 return None
         starts = problem.parameters["starts"]
         other, _ = solved(self.asked._replace(problem=problem, starts=starts), given, self.console, end=self.end,
@@ -102,12 +102,12 @@ class _Trial:
             if other.status is Status.INTERRUPTED and time.monotonic() <= self.end:
                 raise KeyboardInterrupt
             late = "the time for it was over" if other.status is Status.INTERRUPTED else other.status.name
-            self.console.say(f"tried in vain ({late}): {found}")
+            self.console.write_result(f"tried in vain ({late}): {found}")
             return None
         again = self.prove(other)
         if not again.passed:
             first, *more = again.reason.split("; ")
-            self.console.say(f"tried in vain ({first}{' ...' if more else ''}): {found}")
+            self.console.write_result(f"tried in vain ({first}{' ...' if more else ''}): {found}")
             return None
         return other, again
 
@@ -125,4 +125,4 @@ def written(problem: Problem, cure: Cure) -> Problem:
 
 
 def _is_own(key: str) -> bool:
-    return key in OWN or key.startswith("weights.")
+    return key in AUTOMATIC_KEYS or key.startswith("weights.")

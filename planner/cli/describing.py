@@ -40,12 +40,12 @@ def describe_model(arguments: argparse.Namespace, console: Console) -> int:
         written = write_first_problem(arguments.write, arguments.model, file, known)
     _show(arguments.model, known, console)
     if written is not None:
-        console.say(f"\n{written}: a problem to start from; planner run {written}")
+        console.write_result(f"\n{written}: a problem to start from; planner run {written}")
     picture, note = (None, "") if arguments.no_picture else _picture(arguments, known)
     if picture is not None:
-        console.say(f"\n{picture}: {'its keyframes' if known.keyframes else 'its home pose'}")
+        console.write_result(f"\n{picture}: {'its keyframes' if known.keyframes else 'its home pose'}")
     elif note:
-        console.say(f"\nno picture: {note}")
+        console.write_result(f"\nno picture: {note}")
     return console.finish(
         "model", 0, file=str(arguments.model), **known.to_dict(), picture=None if picture is None else str(picture),
         picture_note=note, written=None if written is None else str(written),
@@ -75,7 +75,7 @@ def _picture(arguments: argparse.Namespace, known: Description) -> tuple[Path | 
 def _show(path: str, known: Description, console: Console) -> None:
     size = f"{known.degrees_of_freedom} degree{'s' * (known.degrees_of_freedom != 1)} of freedom"
     name = f"{path}{f' ({known.name})' if known.name else ''}"
-    console.say(f"{name}: {size}, {len(known.actuators)} actuators, {known.mass:.4g} kg that move")
+    console.write_result(f"{name}: {size}, {len(known.actuators)} actuators, {known.mass:.4g} kg that move")
     rows = [
         (one["name"] or one["label"], one["kind"], _range(one["range"], one["unit"]),
          *(shown(one[key]) for key in ("damping", "armature", "friction_loss")), _spring(one),
@@ -113,7 +113,7 @@ def _show(path: str, known: Description, console: Console) -> None:
         facts.append(("needs", ", ".join(f"{key} = {json.dumps(value)}" for key, value in known.loaded.keys.items())))
     facts += [("refused", known.loaded.refusal)] if known.loaded.mechanism is None else []
     facts += [("problem", f"{one.problem}; write {one.mend}") for one in known.troubles]
-    console.say()
+    console.write_result()
     console.table(("fact", ""), facts, COLUMNS)
 
 
@@ -122,7 +122,7 @@ def _table(console: Console, heads: tuple[str, ...], rows: list[tuple[str, ...]]
     if not rows:
         return
     used = [k for k in range(len(heads)) if k == 0 or any(row[k] for row in rows)]
-    console.say()
+    console.write_result()
     console.table([heads[k] for k in used], [[row[k] for k in used] for row in rows])
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from planner.base.arguments import count, number, shown
+from planner.base.arguments import count, number, short_repr
 from planner.base.errors import PlannerError, RenderingUnavailable
 from planner.base.files import open_folder, remove_empty
 from planner.base.jsonable import write_json
@@ -52,7 +52,7 @@ def drive(arguments: argparse.Namespace, console: Console) -> int:
         plan, seconds = solved(asked, arguments, console)
         show_plan(plan, seconds, console)
         controller = Controller(problem, plan=plan, **given)
-        console.note(f"driving {name_of(arguments)}: {controller}")
+        console.write_progress(f"driving {name_of(arguments)}: {controller}")
         loop = simulate(
             controller, duration=arguments.seconds, latency=latency, pushes=pushes, mass=arguments.heavier,
             friction=arguments.rubbing, noise=arguments.noise, encoders=arguments.encoders, compiled=compiled,
@@ -73,9 +73,9 @@ def drive(arguments: argparse.Namespace, console: Console) -> int:
     write_loop_page(verdict, place, note)
     _show(verdict, console)
     files = [name for name in OUTPUTS if (place / name).is_file()]
-    console.say(f"\n{place}: {', '.join(files)}")
+    console.write_result(f"\n{place}: {', '.join(files)}")
     if note and not arguments.no_video:
-        console.say(f"no video: {note}")
+        console.write_result(f"no video: {note}")
     code = 0 if verdict.passed else 1
     return console.finish("drive", code, **verdict.to_dict(), folder=str(place), files=files, video_note=note)
 
@@ -94,11 +94,11 @@ def _film(arguments: argparse.Namespace, loop: object, place: Path, console: Con
 
 
 def _show(verdict: LoopVerdict, console: Console) -> None:
-    console.say()
+    console.write_result()
     console.table(("step", "measured", "value", "bound", ""), verdict.rows())
     for event in verdict.loop.events[:10]:
-        console.say(event)
-    console.say(f"\n{verdict.headline}")
+        console.write_result(event)
+    console.write_result(f"\n{verdict.headline}")
 
 
 def seconds_of(text: str) -> float:
@@ -108,4 +108,4 @@ def seconds_of(text: str) -> float:
     try:
         return number("latency", float(word.removesuffix(unit)) * _UNITS.get(unit, 1.0), least=0.0)
     except ValueError:
-        raise PlannerError(f"--latency is {shown(text)}, expected a time such as 4ms or 0.004s.") from None
+        raise PlannerError(f"--latency is {short_repr(text)}, expected a time such as 4ms or 0.004s.") from None

@@ -34,6 +34,6 @@ def export_plan(arguments: argparse.Namespace, console: Console) -> int:
         plan.to_joint_trajectory(out, rate)
         missing = left_out(plan)
     if missing:
-        console.say(f"left out, since the message has hinges and slides alone: {', '.join(missing)}")
-    console.say(f"{out}: {rows} {'keyframes' if form == 'keyframes' else 'rows' if form == 'csv' else 'points'}")
+        console.write_result(f"left out, since the message has hinges and slides alone: {', '.join(missing)}")
+    console.write_result(f"{out}: {rows} {'keyframes' if form == 'keyframes' else 'rows' if form == 'csv' else 'points'}")
     return console.finish("export", 0, file=str(out), form=form, samples=rows, left_out=list(missing))

@@ -23,7 +23,7 @@ class _Stopped(Exception):
     """The film is no longer wanted."""
 
 
-class Filming:
+class BackgroundRender:
     """Strip and film of a proof on their way into a folder; a context manager, at whose end nothing draws any more."""
 
     def __init__(self, proof: Proof, folder: Path, keep: Collection[str], console: Console) -> None:
@@ -53,7 +53,7 @@ class Filming:
         if self._done[1]:
             show(*self._done)
 
-    def __enter__(self) -> Filming:
+    def __enter__(self) -> BackgroundRender:
         return self
 
     def __exit__(

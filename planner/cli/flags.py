@@ -6,7 +6,7 @@ import argparse
 from collections.abc import Callable, Sequence
 from typing import Any
 
-from planner.base.arguments import shown
+from planner.base.arguments import short_repr
 
 PROBLEM_FILE = "PROBLEM.toml"
 """Stands for any problem file where a case may be named."""
@@ -21,7 +21,7 @@ def _word_as(parse: Callable[[str], Any], expected: str) -> Callable[[str], Any]
         try:
             return parse(text)
         except ValueError:
-            raise argparse.ArgumentTypeError(f"{shown(text)} is not {expected}") from None
+            raise argparse.ArgumentTypeError(f"{short_repr(text)} is not {expected}") from None
 
     return convert
 
@@ -35,41 +35,41 @@ number, whole = _word_as(float, "a number"), _word_as(int, "a whole number")
 size = _word_as(_width_and_height, "a size like 1280x720")
 
 
-def takes(metavar: str, text: str, default: Any = None, kind: Callable[[str], Any] = str) -> dict[str, Any]:
+def value_flag(metavar: str, text: str, default: Any = None, kind: Callable[[str], Any] = str) -> dict[str, Any]:
     """Options of add_argument() for a flag with a value."""
     told = text if default is None else f"{text} Default: {default}."
     return {"metavar": metavar, "help": told, "default": default, "type": kind}
 
 
-def one_of(choices: Sequence[str], text: str, default: str) -> dict[str, Any]:
+def choice_flag(choices: Sequence[str], text: str, default: str) -> dict[str, Any]:
     """Options of add_argument() for a flag with one of some words."""
     return {"choices": choices, "default": default, "help": f"{text} Default: {default}."}
 
 
-def switch(text: str) -> dict[str, Any]:
+def boolean_flag(text: str) -> dict[str, Any]:
     """Options of add_argument() for a flag without a value."""
     return {"action": "store_true", "help": text}
 
 
 WORKERS: Flags = {
-    "--workers": takes("N", "Number of processes. Default: for sweep and paper one per processor, else threads of one "
+    "--workers": value_flag("N", "Number of processes. Default: for sweep and paper one per processor, else threads of one "
                              "process.", kind=whole),
-    "--scheduler": takes("ADDRESS", "Use the workers of a Dask scheduler, tcp://HOST:8786, or of a new cluster on this "
+    "--scheduler": value_flag("ADDRESS", "Use the workers of a Dask scheduler, tcp://HOST:8786, or of a new cluster on this "
                                     "machine: local."),
 }  # fmt: skip
 PROOF: Flags = {
-    "--rollouts": takes("N", "Number of perturbed simulations, 0 for none; `run` stops them after 20 s.", 512, whole),
-    "--hold": takes("S", "Also hold the goal for S seconds after the end, by an infinite-horizon LQR.", 0.0, number),
+    "--rollouts": value_flag("N", "Number of perturbed simulations, 0 for none; `run` stops them after 20 s.", 512, whole),
+    "--hold": value_flag("S", "Also hold the goal for S seconds after the end, by an infinite-horizon LQR.", 0.0, number),
 }
 ROLLOUT: Flags = {
-    "--replay-case": takes("K", "Show perturbed simulation K in detail.", kind=whole),
-    "--mode": one_of(("feedback", "open-loop"), "Simulate it with the plan's gains or open loop.", "feedback"),
-    "--seed": takes("N", "Seed of the perturbations.", 0, whole),
+    "--replay-case": value_flag("K", "Show perturbed simulation K in detail.", kind=whole),
+    "--mode": choice_flag(("feedback", "open-loop"), "Simulate it with the plan's gains or open loop.", "feedback"),
+    "--seed": value_flag("N", "Seed of the perturbations.", 0, whole),
     "--perturb": {"action": "append", "metavar": "NAME=X",
                   "help": "Size of a perturbation, e.g. mass=0.1 or delay=0 (docs/proof.md). May be repeated."},
 }  # fmt: skip
-NO_VIDEO = {"--no-video": switch("Make no video and no strip of poses (drawing needs OpenGL).")}
-OUTPUT: Flags = {"--json": switch("Print one JSON document on stdout."), "--quiet": switch("Print no progress.")}
+NO_VIDEO = {"--no-video": boolean_flag("Make no video and no strip of poses (drawing needs OpenGL).")}
+OUTPUT: Flags = {"--json": boolean_flag("Print one JSON document on stdout."), "--quiet": boolean_flag("Print no progress.")}
 
 
 def add(parser: argparse.ArgumentParser, *groups: Flags) -> None:

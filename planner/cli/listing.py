@@ -31,15 +31,15 @@ def list_cases(arguments: argparse.Namespace, console: Console) -> int:
         width = max(map(len, (*shown, PROBLEM_FILE)))
         for row in (*document, {"case": PROBLEM_FILE, "summary": _OWN}):
             text = textwrap.shorten(row["summary"], COLUMNS - width - 2, placeholder=" ...")
-            console.say(f"{row['case']:{width}}  {text}")
-        console.say(
+            console.write_result(f"{row['case']:{width}}  {text}")
+        console.write_result(
             f"\nplanner list NAME shows the flags of one, planner list {PROBLEM_FILE} the keys of a problem file."
         )
     elif name in shown:
         _show_flags(name, console)
     keys = _keys()
     if name == PROBLEM_FILE:
-        console.say(f"{PROBLEM_FILE}: {_OWN}; see docs/own-machine.md")
+        console.write_result(f"{PROBLEM_FILE}: {_OWN}; see docs/own-machine.md")
         defaults = problem_keys.DEFAULTS
         lines = [(f"  {key}", json.dumps(defaults[key]) if key in defaults else "", text) for key, text in keys.items()]
         console.table(("  key", "default", ""), lines, COLUMNS)
@@ -59,13 +59,13 @@ def _flags(case: Any) -> list[inspect.Parameter]:
 def _show_flags(name: str, console: Console) -> None:
     case = cases.CASES[name]
     texts = documented_arguments(case)
-    console.say(textwrap.fill(f"{name}: {summary(case)}", COLUMNS))
+    console.write_result(textwrap.fill(f"{name}: {summary(case)}", COLUMNS))
     rows = []
     for parameter in _flags(case):
         default = "" if parameter.default is None else str(parameter.default)
         rows.append((f"  --{parameter.name.replace('_', '-')}", default, texts.get(parameter.name, "")))
     console.table(("  flag", "default", ""), rows, COLUMNS)
-    console.say(f"\nplanner run {name} --help shows the solver's flags too.")
+    console.write_result(f"\nplanner run {name} --help shows the solver's flags too.")
 
 
 def _keys() -> dict[str, str]:

@@ -9,19 +9,19 @@ from functools import partial
 
 from planner.cli import results
 from planner.cli.console import Console
-from planner.cli.curing import cured
+from planner.cli.curing import apply_fixes
 from planner.cli.problems import ProblemOf
 from planner.problem.plan import Plan, Status
 from planner.proof import Proof, prove
 from planner.proof.cures.balance import standing_goal
 from planner.proof.refinement import Refinement, refine
-from planner.proof.wider import kept_wider
+from planner.proof.wider import refine_clearance
 
 SECONDS = 40.0  # for all that is tried after a FAIL; a proof is never cut
 Keep = Callable[[Plan, tuple[Refinement, ...]], None]
 
 
-def mended(
+def auto_repair(
     asked: ProblemOf, plan: Plan, proof: Proof | None, path: tuple[Refinement, ...], arguments: argparse.Namespace,
     console: Console, *, resumed: bool, keep: Keep,
 ) -> tuple[Plan, Proof | None, tuple[Refinement, ...]]:  # fmt: skip
@@ -38,17 +38,17 @@ def mended(
             keep(plan, path)
     if resumed or (proof is not None and proof.passed):
         return plan, proof, path
-    better = cured(asked, plan, proof, end, arguments, console, judge)
+    better = apply_fixes(asked, plan, proof, end, arguments, console, judge)
     if better is not None:
         plan, proof, path = *better, ()
         keep(plan, path)
         results.show_plan(plan, None, console, "mended")
     if proof is not None and not proof.passed:
         left = max(0.0, end - time.monotonic())
-        wider = kept_wider(plan, proof, seconds=left, prove=judge, max_iterations=arguments.max_iterations)
+        wider = refine_clearance(plan, proof, seconds=left, prove=judge, max_iterations=arguments.max_iterations)
         if wider.notes:
             plan, proof, path = wider.plan, wider.proof, ()
-            console.say("\n".join(f"planned again: {note}" for note in wider.notes))
+            console.write_result("\n".join(f"planned again: {note}" for note in wider.notes))
             keep(plan, path)
             results.show_plan(plan, None, console, "wider")
     return plan, proof, path
@@ -70,10 +70,10 @@ def _refined(
     def show(line: Refinement) -> None:
         lines.append(line)
         if len(lines) == 2:  # the first is the failed plan
-            console.note("the proof fails at a finer step; solving again with dt / 2")
-            console.note(f"{Refinement.header()}\n{lines[0]}")
+            console.write_progress("the proof fails at a finer step; solving again with dt / 2")
+            console.write_progress(f"{Refinement.header()}\n{lines[0]}")
         if len(lines) > 1:
-            console.note(str(line))
+            console.write_progress(str(line))
 
     began = time.monotonic()
     done = refine(plan, proof, seconds=max(0.0, end - began), callback=show, update=arguments.update, prove=judge,
@@ -83,6 +83,6 @@ def _refined(
         return plan, proof, ()
     if done.plan.status is Status.INTERRUPTED:
         raise KeyboardInterrupt  # the next run begins an interrupted refinement again
-    console.say(f"refinements: {len(done.path) - 1}, in {time.monotonic() - began:.1f} s; {done.reason}")
+    console.write_result(f"refinements: {len(done.path) - 1}, in {time.monotonic() - began:.1f} s; {done.reason}")
     results.show_plan(done.plan, None, console, "refined")
     return done.plan, done.proof, done.path

@@ -68,7 +68,7 @@ def _all(at: Path, pictures: Path, executor: AbstractContextManager[Executor | N
     with staged_folder(pictures, [*files, *stale, NUMBERS]) as shown, staged_folder(at, [PAGE]) as text:
         began = time.perf_counter()
         with executor as pool:
-            done = run_studies(STUDIES, shown, console.note, pool)
+            done = run_studies(STUDIES, shown, console.write_progress, pool)
         rows = table_rows(done)
         way = "" if at == pictures else f"{Path(os.path.relpath(pictures, at)).as_posix()}/"
         (text / PAGE).write_text(page(done, rows, way, time.perf_counter() - began), encoding="utf-8")
@@ -79,7 +79,7 @@ def _all(at: Path, pictures: Path, executor: AbstractContextManager[Executor | N
         (shown / NUMBERS).write_text(json_text(summary), encoding="utf-8")
     code = 0 if complete(done, rows) else 1
     console.table(("where", "the paper says", "we get"), [row[:3] for row in rows])
-    console.say(f"{at / PAGE}: {len(rows)} rows; {pictures}: {', '.join([*files, NUMBERS])}")
+    console.write_result(f"{at / PAGE}: {len(rows)} rows; {pictures}: {', '.join([*files, NUMBERS])}")
     names = [str(at / PAGE), *(str(pictures / name) for name in (*files, NUMBERS))]
     return console.finish("paper", code, **summary, files=names)
 
@@ -92,15 +92,15 @@ def _some(
     files = [name for study in studies for name in (f"{study.name}.md", f"{study.name}.json", *study.pictures)]
     with staged_folder(folder, files) as staged:
         with executor as pool:
-            done = run_studies(studies, staged, console.note, pool)
+            done = run_studies(studies, staged, console.write_progress, pool)
         for one in done:
             _write_results(one, staged)
             if one.results is None:
                 raise PlannerError(f"the study {one.study.name} failed: {one.problem}")
             text = one.study.page(one.results)
             (staged / f"{one.study.name}.md").write_text(text, encoding="utf-8")
-            console.say(text)
-    console.say(f"{folder}: {', '.join(files)}")
+            console.write_result(text)
+    console.write_result(f"{folder}: {', '.join(files)}")
     results: dict[str, Any] = {one.study.name: one.results for one in done}
     alone = (done[0].results or {}) if len(done) == 1 else {}
     rows = table_rows(done)
@@ -138,10 +138,10 @@ def _proofs(folder: Path, console: Console) -> int:
     """The table of proofs, PASS and FAIL."""
     names = ("proofs.md", "proofs.json")
     with staged_folder(folder, names) as staged:
-        rows = proofs(progress=lambda name: console.note(f"planning and proving {name}"))
+        rows = proofs(progress=lambda name: console.write_progress(f"planning and proving {name}"))
         text = proofs_markdown(rows)
         (staged / "proofs.md").write_text(text, encoding="utf-8")
         (staged / "proofs.json").write_text(json_text({"proofs": rows}), encoding="utf-8")
-    console.say(text)
-    console.say(f"{folder}: {', '.join(names)}")
+    console.write_result(text)
+    console.write_result(f"{folder}: {', '.join(names)}")
     return console.finish("paper", 0, proofs=rows, folder=str(folder), files=list(names))

@@ -12,7 +12,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any, NoReturn
 
-from planner.base.arguments import choice, shown
+from planner.base.arguments import choice, short_repr
 from planner.base.errors import PlannerError
 from planner.cli.flags import (
     NO_VIDEO,
@@ -25,8 +25,8 @@ from planner.cli.flags import (
     add,
     number,
     size,
-    switch,
-    takes,
+    boolean_flag,
+    value_flag,
     whole,
 )
 
@@ -37,15 +37,15 @@ _PLAN: Flags = {"plan": {"metavar": "PLAN", "help": "A plan.npz."}}
 _DRIVE: Flags = {
     "--push": {"action": "append", "metavar": "BODY=FORCE@TIME", "default": [],
                "help": "A push: torso=50N@1.0s is along x, torso=0,50,0N@1.0s/0.2s lasts 0.2 s. May be repeated."},
-    "--latency": takes("TIME", "From the measurement until the new plan acts, e.g. 4ms. Default: as measured here."),
-    "--rate": takes("HZ", "Plans per second. Default: one per stage.", kind=number),
-    "--iterations": takes("N", "Iterations of each plan.", 1, whole),
-    "--stages": takes("N", "Stages that each plan looks ahead. Default: those of the problem.", kind=whole),
-    "--seconds": takes("S", "Length of the run. Default: the task's and two seconds more.", kind=number),
-    "--heavier": takes("X", "All bodies are heavier by this share, e.g. 0.2.", 0.0, number),
-    "--rubbing": takes("X", "Dry friction in each joint, as a share of its largest force.", 0.0, number),
-    "--noise": takes("X", "Standard deviation of the noise on each measured number.", 0.0, number),
-    "--encoders": switch("Measure positions by encoders of 17 bits, and speeds by their differences."),
+    "--latency": value_flag("TIME", "From the measurement until the new plan acts, e.g. 4ms. Default: as measured here."),
+    "--rate": value_flag("HZ", "Plans per second. Default: one per stage.", kind=number),
+    "--iterations": value_flag("N", "Iterations of each plan.", 1, whole),
+    "--stages": value_flag("N", "Stages that each plan looks ahead. Default: those of the problem.", kind=whole),
+    "--seconds": value_flag("S", "Length of the run. Default: the task's and two seconds more.", kind=number),
+    "--heavier": value_flag("X", "All bodies are heavier by this share, e.g. 0.2.", 0.0, number),
+    "--rubbing": value_flag("X", "Dry friction in each joint, as a share of its largest force.", 0.0, number),
+    "--noise": value_flag("X", "Standard deviation of the noise on each measured number.", 0.0, number),
+    "--encoders": boolean_flag("Measure positions by encoders of 17 bits, and speeds by their differences."),
     "--map": {"metavar": "BODY", "help": "Also find the largest push at this body, the largest latency and the largest "
                                          "mass with which it still arrives, beside the plan with its gains alone."},
 }  # fmt: skip
@@ -54,13 +54,13 @@ _SWEEP: Flags = {
               "help": "Values of a parameter: a range START:STOP:COUNT, e.g. height=1:60:60, or a list, e.g. "
                       "duration=0.8,1. A problem file's parameters are its keys, e.g. weights.effort=0.1,1. Given "
                       "several times: all combinations."},
-    "--out": takes("DIR", "Folder of the table, the plans and the page. Default: renders/sweep-CASE."),
-    "--continue": takes("NAME", "Start each problem from the controls of its neighbour along this parameter.")
+    "--out": value_flag("DIR", "Folder of the table, the plans and the page. Default: renders/sweep-CASE."),
+    "--continue": value_flag("NAME", "Start each problem from the controls of its neighbour along this parameter.")
                   | {"dest": "along"},
-    "--timeout": takes("S", "Longest time of one solve, s.", kind=number),
-    "--prove": switch("Prove each plan."),
-    "--rollouts": takes("N", "Number of perturbed simulations of each proof.", 0, whole),
-    "--resume": switch("Go on with the sweep in the folder: tasks without a row, tasks that lost their worker, and, if "
+    "--timeout": value_flag("S", "Longest time of one solve, s.", kind=number),
+    "--prove": boolean_flag("Prove each plan."),
+    "--rollouts": value_flag("N", "Number of perturbed simulations of each proof.", 0, whole),
+    "--resume": boolean_flag("Go on with the sweep in the folder: tasks without a row, tasks that lost their worker, and, if "
                         "--timeout is longer now, tasks that took too long."),
 }  # fmt: skip
 
@@ -94,9 +94,9 @@ def _model(parser: argparse.ArgumentParser) -> None:
     add(
         parser,
         {"model": {"metavar": "FILE", "help": "An MJCF or URDF file."},
-         "--write": takes("FILE", "Also write a problem file to start from, which runs as it is."),
-         "--out": takes("DIR", "Folder of the picture of its keyframes. Default: renders/MODEL."),
-         "--no-picture": switch("Draw no picture (drawing needs OpenGL).")},
+         "--write": value_flag("FILE", "Also write a problem file to start from, which runs as it is."),
+         "--out": value_flag("DIR", "Folder of the picture of its keyframes. Default: renders/MODEL."),
+         "--no-picture": boolean_flag("Draw no picture (drawing needs OpenGL).")},
         OUTPUT,
     )  # fmt: skip
 
@@ -116,26 +116,26 @@ def _prove(parser: argparse.ArgumentParser) -> None:
     add(
         parser,
         {"plan": {"metavar": "PLAN", "nargs": "?", "help": "A plan.npz; leave it out with --controls."},
-         "--controls": takes("FILE", "Instead of a plan: a CSV of times and controls, or of joint positions."),
-         "--model": takes("FILE", "The MJCF or URDF that the controls are for."),
-         "--start": takes("STATE", "With --controls, the start: a keyframe, numbers 0,1.57 or joints elbow=0.3."),
-         "--goal": takes("STATE", "With --controls, the goal, in the same form."),
-         "--save": takes("FILE", "With --controls, save them as a plan, e.g. for planner render."),
-         "--feasible": switch("Judge feasibility alone: a solve that did not converge may pass.")},
-        {"--mjcf": takes("FILE", "Replay in this model instead of the plan's own."),
+         "--controls": value_flag("FILE", "Instead of a plan: a CSV of times and controls, or of joint positions."),
+         "--model": value_flag("FILE", "The MJCF or URDF that the controls are for."),
+         "--start": value_flag("STATE", "With --controls, the start: a keyframe, numbers 0,1.57 or joints elbow=0.3."),
+         "--goal": value_flag("STATE", "With --controls, the goal, in the same form."),
+         "--save": value_flag("FILE", "With --controls, save them as a plan, e.g. for planner render."),
+         "--feasible": boolean_flag("Judge feasibility alone: a solve that did not converge may pass.")},
+        {"--mjcf": value_flag("FILE", "Replay in this model instead of the plan's own."),
          "--engine": {"action": "append", "metavar": "NAME", "choices": ENGINES, "default": [],
                       "help": f"Also repeat the plan in {' or '.join(ENGINES)}. May be given twice."},
-         "--out": takes("FILE", "Write the proof to this JSON file.")}, PROOF, ROLLOUT, WORKERS, OUTPUT,
+         "--out": value_flag("FILE", "Write the proof to this JSON file.")}, PROOF, ROLLOUT, WORKERS, OUTPUT,
     )  # fmt: skip
 
 
 def _render(parser: argparse.ArgumentParser) -> None:
     add(
         parser, _PLAN,
-        {"--out": takes("FILE", "A name ending in .mp4 makes a video, in .png a strip of poses.", "video.mp4"),
-         "--size": takes("WxH", "Size in pixels. Default: 1280x720, for a strip 1920x540.", kind=size),
-         "--fps": takes("N", "Frames per second.", 30, whole),
-         "--speed": takes("X", "Playback speed, e.g. 0.25. Default: the case's.", kind=number)},
+        {"--out": value_flag("FILE", "A name ending in .mp4 makes a video, in .png a strip of poses.", "video.mp4"),
+         "--size": value_flag("WxH", "Size in pixels. Default: 1280x720, for a strip 1920x540.", kind=size),
+         "--fps": value_flag("N", "Frames per second.", 30, whole),
+         "--speed": value_flag("X", "Playback speed, e.g. 0.25. Default: the case's.", kind=number)},
         ROLLOUT, OUTPUT,
     )  # fmt: skip
 
@@ -144,13 +144,13 @@ def _view(parser: argparse.ArgumentParser) -> None:
     add(
         parser,
         {"plan": {"metavar": "PLAN", "help": "A plan.npz, or a folder of planner run."},
-         "--rollouts": takes("N", "Number of perturbed simulations that key 7 shows.", 8, whole),
-         "--speed": takes("X", "Playback speed, e.g. 0.25. Default: the case's.", kind=number)}, OUTPUT,
+         "--rollouts": value_flag("N", "Number of perturbed simulations that key 7 shows.", 8, whole),
+         "--speed": value_flag("X", "Playback speed, e.g. 0.25. Default: the case's.", kind=number)}, OUTPUT,
     )  # fmt: skip
 
 
 def _report(parser: argparse.ArgumentParser) -> None:
-    add(parser, _PLAN, NO_VIDEO, {"--out": takes("DIR", "Folder of the results.", "report")}, PROOF, OUTPUT)
+    add(parser, _PLAN, NO_VIDEO, {"--out": value_flag("DIR", "Folder of the results.", "report")}, PROOF, OUTPUT)
 
 
 def _export(parser: argparse.ArgumentParser) -> None:
@@ -161,9 +161,9 @@ def _export(parser: argparse.ArgumentParser) -> None:
         parser, _PLAN,
         {"--to": {"choices": FORMATS, "required": True,
                   "help": "csv: a table; json, yaml: ROS 2's JointTrajectory; keyframes: an MJCF to include."},
-         "--rate": takes("HZ", "Samples per second. Default: the plan's own knots.", kind=number),
+         "--rate": value_flag("HZ", "Samples per second. Default: the plan's own knots.", kind=number),
          "--only": {"choices": PARTS, "help": "Write only these columns of a csv. Default: both."},
-         "--out": takes("FILE", "The file to write. Default: PLAN with the ending of the format.")}, OUTPUT,
+         "--out": value_flag("FILE", "The file to write. Default: PLAN with the ending of the format.")}, OUTPUT,
     )  # fmt: skip
 
 
@@ -171,8 +171,8 @@ def _check(parser: argparse.ArgumentParser) -> None:
     add(
         parser,
         {"paths": {"metavar": "DIR", "nargs": "+", "help": "Folders of plans, or plan files."},
-         "--update": switch("Store the new numbers where they differ."),
-         "--tolerance": takes("X", "Report numbers whose relative change is larger.", 0.05, number)},
+         "--update": boolean_flag("Store the new numbers where they differ."),
+         "--tolerance": value_flag("X", "Report numbers whose relative change is larger.", 0.05, number)},
         WORKERS, OUTPUT,
     )  # fmt: skip
 
@@ -185,8 +185,8 @@ def _paper(parser: argparse.ArgumentParser) -> None:
         parser,
         {"studies": {"metavar": "STUDY", "nargs": "*",
                      "help": f"Studies to compute, each on a page of its own: {names}. Default: all."},
-         "--proofs": switch("Write the table of proofs of all machines instead."),
-         "--out": takes("DIR", "Folder of the results. Default: paper, in a checkout docs and renders/gallery/paper; "
+         "--proofs": boolean_flag("Write the table of proofs of all machines instead."),
+         "--out": value_flag("DIR", "Folder of the results. Default: paper, in a checkout docs and renders/gallery/paper; "
                                "for single studies and for --proofs renders/paper.")},
         WORKERS, OUTPUT,
     )  # fmt: skip
@@ -197,19 +197,19 @@ def _completion(parser: argparse.ArgumentParser) -> None:
 
 
 def _warmup(parser: argparse.ArgumentParser) -> None:
-    add(parser, {"--all": switch("Also compile the kernels that only --hessian exact needs.")}, OUTPUT)
+    add(parser, {"--all": boolean_flag("Also compile the kernels that only --hessian exact needs.")}, OUTPUT)
 
 
 _COMMANDS: dict[str, tuple[str, Callable[[argparse.ArgumentParser], None]]] = {
     "list": ("List the machines, a line each, or the flags of one.", _list),
     "model": ("Describe a model of your own: its joints, actuators and contacts, and what looks wrong.", _model),
     "run": ("Plan, prove, plot and film a case or a problem file.", _with_cases(
-        {"--no-refine": switch("Do not solve a failed plan again at a finer step.")}, PROOF, NO_VIDEO,
-        {"--out": takes("DIR", "Folder of the results. Default: renders/CASE.")}, WORKERS)),
+        {"--no-refine": boolean_flag("Do not solve a failed plan again at a finer step.")}, PROOF, NO_VIDEO,
+        {"--out": value_flag("DIR", "Folder of the results. Default: renders/CASE.")}, WORKERS)),
     "drive": ("Plan again and again in the loop with MuJoCo, and judge the loop.", _with_cases(
-        _DRIVE, NO_VIDEO, {"--out": takes("DIR", "Folder of the results. Default: renders/CASE-loop.")})),
+        _DRIVE, NO_VIDEO, {"--out": value_flag("DIR", "Folder of the results. Default: renders/CASE-loop.")})),
     "solve": ("Plan a case or a problem file and save the plan.", _with_cases(
-        {"--out": takes("FILE", "The plan's file.", "plan.npz")}, WORKERS)),
+        {"--out": value_flag("FILE", "The plan's file.", "plan.npz")}, WORKERS)),
     "sweep": ("Plan a case or a problem file at many parameters, into one table.", _with_cases(_SWEEP, WORKERS)),
     "prove": ("Replay a stored plan, or controls of your own, in MuJoCo and judge them.", _prove),
     "render": ("Film the replay of a stored plan.", _render),
@@ -267,4 +267,4 @@ def parse(argv: list[str]) -> argparse.Namespace:
     near = difflib.get_close_matches(word.split("=")[0], known, n=1)
     hint = f"Did you mean {near[0]}?" if near else f"See {where} --help."
     kind = "flag" if word.startswith("-") else "argument"
-    raise PlannerError(f"{where!r} has no {kind} {shown(word)}. {hint}")
+    raise PlannerError(f"{where!r} has no {kind} {short_repr(word)}. {hint}")

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from planner import cases
-from planner.base.arguments import count, number, shown
+from planner.base.arguments import count, number, short_repr
 from planner.base.errors import PlannerError
 from planner.cases.problem_file import case_in, load
 from planner.cli.console import Console
@@ -85,7 +85,7 @@ def objective_of(text: str) -> dict[str, float]:
         try:
             weights[name.strip()] = float(value)
         except ValueError:
-            raise PlannerError(f"--objective has {shown(word)}, expected NAME=WEIGHT, e.g. effort=1,time=2.") from None
+            raise PlannerError(f"--objective has {short_repr(word)}, expected NAME=WEIGHT, e.g. effort=1,time=2.") from None
     return weights_of(weights)
 
 
@@ -94,7 +94,7 @@ def durations_of(text: str) -> list[float]:
     try:
         shortest, longest = map(float, text.split(","))
     except ValueError:
-        raise PlannerError(f"--durations is {shown(text)}, expected SHORTEST,LONGEST in s, e.g. 0.5,3.") from None
+        raise PlannerError(f"--durations is {short_repr(text)}, expected SHORTEST,LONGEST in s, e.g. 0.5,3.") from None
     return [shortest, longest]
 
 
@@ -119,8 +119,8 @@ def solved(
     solve(problem, hessian=arguments.hessian, max_iterations=1)  # compiles outside of the measured time
     several = f", {asked.starts} starts" if asked.starts > 1 else ""
     for note in asked.notes:
-        console.note(note)
-    console.note(f"planning {name_of(arguments)}: {problem.N} stages of {problem.dynamics.dt:.4g} s{several}{why}")
+        console.write_progress(note)
+    console.write_progress(f"planning {name_of(arguments)}: {problem.N} stages of {problem.dynamics.dt:.4g} s{several}{why}")
     began = time.perf_counter()
     options = {
         "update": arguments.update, "line_search": arguments.line_search, "hessian": arguments.hessian,

@@ -8,7 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from planner.base.arguments import choice, count
-from planner.base.arguments import shown as quoted
+from planner.base.arguments import short_repr as quoted
 from planner.base.errors import PlannerError
 from planner.base.files import write_atomically
 from planner.base.jsonable import json_text
@@ -22,7 +22,7 @@ from planner.proof import prove
 from planner.proof.engines.section import NOTES, another_engine, require
 from planner.proof.replays.compiled_twin import CompiledTwin
 from planner.proof.replays.replaying import Replay
-from planner.proof.robustness.case_replay import replay_case
+from planner.proof.robustness.case_replay import replay_rollout
 from planner.proof.robustness.perturbation import Perturbation
 from planner.proof.robustness.success_rule import end_errors
 from planner.proof.scales import worst_by_unit
@@ -58,7 +58,7 @@ def prove_plan(arguments: argparse.Namespace, console: Console) -> int:
             )  # fmt: skip
         sections = {}
         for name in engines:
-            console.note(f"the engine {name}")
+            console.write_progress(f"the engine {name}")
             sections[name] = another_engine(plan, name, twin=proof.replay.twin, seed=arguments.seed)
         others = {name: section.to_dict() for name, section in sections.items()}
         found = proof.to_dict() | ({"engines": others} if others else {})
@@ -68,9 +68,9 @@ def prove_plan(arguments: argparse.Namespace, console: Console) -> int:
     for section in sections.values():
         for one in section.measured:
             if one.name in NOTES and one.note:
-                console.say(f"{section.title}, {one.name.replace('_', ' ')}: {one.note}")
+                console.write_result(f"{section.title}, {one.name.replace('_', ' ')}: {one.note}")
     if arguments.out is not None:
-        console.say(arguments.out)
+        console.write_result(arguments.out)
     return console.finish("prove", 0 if proof.passed else 1, plan=plan_facts(plan), proof=found)
 
 
@@ -113,7 +113,7 @@ def rollout_of(plan: Plan, arguments: argparse.Namespace) -> Replay:
         raise PlannerError("the plan holds no MuJoCo model, expected a plan of a Problem with a twin.")
     number = count("replay-case", arguments.replay_case, least=0)
     compiled, feedback = CompiledTwin(plan.twin), arguments.mode == "feedback"
-    return replay_case(plan, compiled, number, seed=arguments.seed, perturbation=perturbation, feedback=feedback)
+    return replay_rollout(plan, compiled, number, seed=arguments.seed, perturbation=perturbation, feedback=feedback)
 
 
 def _perturbation(plan: Plan, arguments: argparse.Namespace) -> Perturbation:
@@ -144,5 +144,5 @@ def _show_rollout(plan: Plan, arguments: argparse.Namespace, console: Console) -
     told = facts | {name: f"{one.value:.5g} {one.unit}, {one.name}" for name, one in errors}
     told["end_error"] = f"{facts['end_error']:.5g} of its range of motion"
     console.table(("rollout", "value"), [(name.replace("_", " "), shown(value)) for name, value in told.items()])
-    console.say(f"film: planner render {arguments.plan} --replay-case {arguments.replay_case} --mode {arguments.mode}")
+    console.write_result(f"film: planner render {arguments.plan} --replay-case {arguments.replay_case} --mode {arguments.mode}")
     return console.finish("prove", 0, replay_case=facts)

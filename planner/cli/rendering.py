@@ -29,5 +29,5 @@ def render_plan(arguments: argparse.Namespace, console: Console) -> int:
     else:
         progress = console.progress("video")
         render_video(shown, out, fps=arguments.fps, speed=arguments.speed, progress=progress, **size)
-    console.say(str(out))
+    console.write_result(str(out))
     return console.finish("render", 0, file=str(out))

@@ -9,7 +9,7 @@ from pathlib import Path
 from planner.base.files import staged_folder
 from planner.cases.plan_file import load_plan
 from planner.cli.console import Console
-from planner.cli.filming import Filming
+from planner.cli.filming import BackgroundRender
 from planner.cli.results import OUTPUTS, completed, draw_results, is_finite, show_proof, write_proof
 from planner.problem.archive import plan_digest
 from planner.proof import prove
@@ -23,13 +23,13 @@ def report_plan(arguments: argparse.Namespace, console: Console) -> int:
         if is_finite(plan):
             proof = prove(plan, rollouts=0, hold_seconds=arguments.hold)
             if not arguments.no_video:
-                films = drawing.enter_context(Filming(proof, staged, (), console))
+                films = drawing.enter_context(BackgroundRender(proof, staged, (), console))
             proof = completed(proof, arguments.rollouts, console)
         plan.save(staged / "plan.npz")
         write_proof(plan, proof, staged, plan_digest(staged / "plan.npz"))
         if proof is not None:
             show_proof(proof, console)
         draw_results(plan, proof, staged, not arguments.no_video, console, films=films)
-    console.say(f"\n{Path(arguments.out) / 'report.html'}")
+    console.write_result(f"\n{Path(arguments.out) / 'report.html'}")
     passed = plan.success and proof is not None and proof.passed
     return console.finish("report", 0 if passed else 1, folder=arguments.out)

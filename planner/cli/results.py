@@ -13,11 +13,11 @@ from planner.base.errors import RenderingUnavailable
 from planner.base.files import file_error
 from planner.base.jsonable import write_json
 from planner.cli.console import Console
-from planner.cli.filming import Filming
+from planner.cli.filming import BackgroundRender
 from planner.problem.plan import Plan, Status
 from planner.proof import Proof
 from planner.proof.cures import cures
-from planner.proof.steps import with_rollouts, with_shown
+from planner.proof.steps import with_rollouts, with_informative_sections
 from planner.view.plots import CASE_PICTURES, case_pictures, draw_case_picture, draw_plan, draw_proof, save
 from planner.view.report import NAME as REPORT
 from planner.view.report import write_report
@@ -61,7 +61,7 @@ def draw_results(
     path: Sequence[Refinement] = (),
     keep: Collection[str] = frozenset(),
     options: Mapping[str, Any] | None = None,
-    films: Filming | None = None,
+    films: BackgroundRender | None = None,
 ) -> str:
     """Draw the pictures and the report into a folder; returns why there is no video, or "".
 
@@ -131,42 +131,42 @@ def show_plan(plan: Plan, seconds: float | None, console: Console, which: str = 
     """Print the solve in two lines; `which` names a plan that takes the place of the first, "refined" say."""
     took = "" if seconds is None else f", {1e3 * seconds:.3g} ms"
     which = f"{which} plan, " if which else ""
-    console.say(
+    console.write_result(
         f"{which}{plan.status.name}: {plan.nit} iterations, cost {plan.cost:.8g}, "
         f"|gradient| {plan.gradient_norm:.2e}{took}"
     )
     if plan.starts:
         converged = sum(start.status is Status.CONVERGED for start in plan.starts)
-        console.say(f"start {plan.start} of {len(plan.starts)} is the best; {converged} converged")
+        console.write_result(f"start {plan.start} of {len(plan.starts)} is the best; {converged} converged")
     if not plan.success or plan.missed:
-        console.say(plan.message)
+        console.write_result(plan.message)
     for key in ("first_guess", "not_finite"):  # what became of a guess that ran away
         if key in plan.options:
-            console.say(f"{key.replace('_', ' ')}: {plan.options[key]}")
+            console.write_result(f"{key.replace('_', ' ')}: {plan.options[key]}")
 
 
 def show_proof(proof: Proof, console: Console) -> None:
     """Print every measured number beside its bound, then the verdict."""
-    console.say()
+    console.write_result()
     console.table(("step", "measured", "value", "bound", ""), proof.rows())
     for section in proof.sections.values():
         if section.not_applicable:
-            console.say(f"{section.title}: not applicable, {section.not_applicable}")
+            console.write_result(f"{section.title}: not applicable, {section.not_applicable}")
     for line in proof.monte_carlo.lines() if proof.monte_carlo is not None else ():
-        console.say(line)
+        console.write_result(line)
     show_verdict(proof, console)
 
 
 def show_verdict(proof: Proof, console: Console) -> None:
     """Print the first line of a proof, and below it its reason."""
-    console.say(f"\n{proof.headline}\n{proof.reason}")
+    console.write_result(f"\n{proof.headline}\n{proof.reason}")
     show_cures(proof.replay.plan, proof, console)
 
 
 def show_cures(plan: Plan, proof: Proof | None, console: Console) -> None:
     """Print what to write so that a plan passes, the most likely first."""
     for i, one in enumerate(cures(plan, proof)):
-        console.say(f"{'or' if i else 'to pass'}: {one}")
+        console.write_result(f"{'or' if i else 'to pass'}: {one}")
 
 
 def completed(proof: Proof, rollouts: int, console: Console, **options: Any) -> Proof:
@@ -178,8 +178,8 @@ def completed(proof: Proof, rollouts: int, console: Console, **options: Any) -> 
     if not rollouts:
         return proof
     early = replace(proof, asked=proof.asked | {"rollouts": rollouts})  # robustness is not known yet
-    console.note(f"\nbefore the perturbed simulations: {early.headline}\n{early.reason}")
-    console.note("What is measured now does not change PASS or FAIL and is shown beside it:")
+    console.write_progress(f"\nbefore the perturbed simulations: {early.headline}\n{early.reason}")
+    console.write_progress("What is measured now does not change PASS or FAIL and is shown beside it:")
     return with_rollouts(
-        with_shown(proof, console.note), rollouts, progress=console.progress("perturbed simulations"), **options
+        with_informative_sections(proof, console.write_progress), rollouts, progress=console.progress("perturbed simulations"), **options
     )

@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from planner.base.files import PathLike, file_error, held, open_folder, remove_empty, write_atomically
+from planner.base.files import PathLike, file_error, folder_lock, open_folder, remove_empty, write_atomically
 from planner.base.jsonable import finite, json_text
 
 MARK = ".planner-unfinished.json"
@@ -67,7 +67,7 @@ def run_folder(path: PathLike, outputs: Iterable[str], asked: dict[str, Any]) ->
     probe, created = open_folder(place, folder.outputs)
     try:
         probe.rmdir()
-        with held(place):
+        with folder_lock(place):
             mark = _mark(place / MARK)
             if mark.get("run") == run and (place / folder.outputs[0]).is_file():
                 folder.began, folder.notes = True, mark.get("notes", {})

@@ -17,8 +17,8 @@ from planner.base.versions import installed_versions
 from planner.cases.plan_file import load_plan
 from planner.cli import results
 from planner.cli.console import Console
-from planner.cli.filming import Filming
-from planner.cli.mending import mended
+from planner.cli.filming import BackgroundRender
+from planner.cli.mending import auto_repair
 from planner.cli.problems import ProblemOf, asked_problem, name_of, solved
 from planner.cli.run_folder import ROLLOUTS, RunFolder, run_folder
 from planner.problem.archive import plan_digest
@@ -55,7 +55,7 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
             if not folder.began:
                 raise
             finished = ", ".join(sorted(folder.finished))
-            console.complain(f"interrupted; {place} holds {finished}, and the same command continues from there.")
+            console.write_error(f"interrupted; {place} holds {finished}, and the same command continues from there.")
             return INTERRUPTED
     return console.finish("run", code, **document, folder=str(place))
 
@@ -82,7 +82,7 @@ def _run(
         plan, seconds = solved(asked, arguments, console, executor)
         folder.begin("plan.npz", plan.save, seconds=seconds)
     else:
-        console.note(f"continuing {folder.path}, which holds {', '.join(sorted(folder.finished))}")
+        console.write_progress(f"continuing {folder.path}, which holds {', '.join(sorted(folder.finished))}")
         resumed, plan, seconds = True, stored, float(folder.notes.get("seconds", 0.0))
         path = tuple(Refinement(**{**row, "status": Status[row["status"]]}) for row in folder.notes.get("path", []))
     results.show_plan(plan, seconds, console)
@@ -93,14 +93,14 @@ def _run(
         folder.begin("plan.npz", better.save, seconds=seconds, **notes)
 
     if not (arguments.no_refine or plan.status is Status.INTERRUPTED or (proof is not None and proof.passed)):
-        plan, proof, path = mended(asked, plan, proof, path, arguments, console, resumed=resumed, keep=keep)
+        plan, proof, path = auto_repair(asked, plan, proof, path, arguments, console, resumed=resumed, keep=keep)
     digest = plan_digest(folder.path / "plan.npz")
     results.write_proof(plan, proof, folder.path, digest, path)  # without the rollouts, which may be interrupted
     films = None
     with ExitStack() as drawing:
         if proof is not None:
             if not arguments.no_video:  # beside the rollouts, which know nothing of it
-                films = drawing.enter_context(Filming(proof, folder.path, folder.finished, console))
+                films = drawing.enter_context(BackgroundRender(proof, folder.path, folder.finished, console))
             proof = results.completed(
                 proof, arguments.rollouts, console, budget=BUDGET, partial=folder.path / ROLLOUTS, executor=executor,
             )  # fmt: skip
@@ -116,9 +116,9 @@ def _run(
         raise KeyboardInterrupt
     folder.end()
     files = [name for name in results.OUTPUTS if (folder.path / name).is_file()]
-    console.say(f"\n{folder.path}: {', '.join(files)}")
+    console.write_result(f"\n{folder.path}: {', '.join(files)}")
     if note and not arguments.no_video:
-        console.say(f"no video: {note}")
+        console.write_result(f"no video: {note}")
     return 0 if plan.success and proof is not None and proof.passed else 1, {
         "plan": results.plan_facts(plan), "solve_seconds": seconds, "proof": None if proof is None else proof.to_dict(),
         "refinement": [results.refinement_row(line) for line in path], "resumed": resumed, "files": files,

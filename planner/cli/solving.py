@@ -22,7 +22,7 @@ def solve_case(arguments: argparse.Namespace, console: Console) -> int:
         plan.save(unfinished)
     show_plan(plan, seconds, console)
     show_cures(plan, None, console)
-    console.say(str(out))
+    console.write_result(str(out))
     facts = plan_facts(plan)
     return console.finish(
         "solve", 0 if plan.success and not plan.missed else 1, plan=facts, solve_seconds=seconds, file=str(out)

@@ -23,23 +23,23 @@ from typing import Any
 
 import numpy as np
 
-from planner.base.arguments import array, count, number, shown
+from planner.base.arguments import array, count, number, short_repr
 from planner.base.errors import PlannerError
-from planner.control.doing import Doing, Event
+from planner.control.doing import ControllerStatus, Event
 from planner.control.goal_states import goal_states, goal_stays
-from planner.control.holding import Holding, keeping
-from planner.control.timing import LITTLE, after, horizon_and_rate
-from planner.control.window import Window
+from planner.control.holding import FallbackControl, equilibrium_control
+from planner.control.timing import LITTLE, state_after, horizon_and_rate
+from planner.control.window import RecedingHorizonProblem
 from planner.kernels.lq.search import ARMIJO
 from planner.kernels.lq.workspace import ACCEPTED, CONVERGED, INDEFINITE
 from planner.model.space import space_of
 from planner.problem.costs.tracking import states
 from planner.problem.plan import Plan
 from planner.problem.problem import Problem
-from planner.solvers.engine.moved import Trajectory
+from planner.solvers.engine.moved import TrajectoryArrays
 from planner.solvers.regularisation import FACTOR, LEAST, MOST
 from planner.solvers.slq import DECREASE, solve
-from planner.solvers.steadied import RUNAWAY
+from planner.solvers.steadied import DIVERGENCE_FACTOR
 
 PATIENCE = 10  # failures in a row after which it holds
 SOLVED = 0.1  # of the cost: a plan that might fall by more tells nothing of multipliers yet
@@ -90,10 +90,10 @@ class Controller:
         self.latency = number("latency", latency, least=0.0)
         self._dt, self._space, self._bounds = dt, space_of(problem.dynamics), problem.bounds
         # Past its end the goal of a task stays, if some control keeps it.
-        self._window, self._holding = Window(problem, H, keeps=goal_stays(problem)), Holding(problem)
+        self._window, self._holding = RecedingHorizonProblem(problem, H, keeps=goal_stays(problem)), FallbackControl(problem)
         self._engine = self._window.engine
         if plan is not None and (not isinstance(plan, Plan) or plan.us.shape != (problem.N, problem.dynamics.nu)):
-            raise PlannerError(f"plan is {shown(plan)}, expected a Plan of the problem, or None.")
+            raise PlannerError(f"plan is {short_repr(plan)}, expected a Plan of the problem, or None.")
         self.plan = self._solved(problem.x0) if plan is None else plan
         self.keeps_goal = self._window.keeps
         self._goal: Any = None
@@ -119,18 +119,18 @@ class Controller:
         if x0 is not None:
             self.plan = self._solved(states("x0", x0, self._space, ()))
         self._xs, self._us, self._K = self._plan_now = self._first_plan(0)
-        self._window.hinge(self.plan, self.problem.kept)  # multipliers that calls have changed begin again
+        self._window.hinge(self.plan, self.problem.trajectory_constraints)  # multipliers that calls have changed begin again
         self._window.slide(0)
-        self._engine.start(self.problem.x0, self._us)
+        self._engine.start_from_controls(self.problem.x0, self._us)
         self._begin, self._made, self._asked = math.nan, math.nan, -math.inf
         self._mu, self._in_a_row, self._cost = 0.0, 0, math.inf
-        self.status, self.events = Doing.PLANNING, list[Event]()
+        self.status, self.events = ControllerStatus.PLANNING, list[Event]()
         self.failures = self.plans = self.stalls = 0
         self.planned, self.seconds = False, 0.0
         self._acting = self._us[0].copy()
         if self._goal is None:
             end = self.plan.xs[-1] if self._window.frames else self._window.x_ref[-1]
-            self._rest = keeping(self.problem, end, self.plan.us[-1])
+            self._rest = equilibrium_control(self.problem, end, self.plan.us[-1])
             self._window.rest(self._rest)
 
     @property
@@ -164,10 +164,10 @@ class Controller:
             began = time.perf_counter()
             self._asked = t
             if self.latency:
-                t, x = t + self.latency, after(self.problem, x, self._acting, self.latency)
+                t, x = t + self.latency, state_after(self.problem, x, self._acting, self.latency)
             self.make_plan(t, x)
             self.planned, self.seconds = True, time.perf_counter() - began
-            if self.status is Doing.PLANNING:
+            if self.status is ControllerStatus.PLANNING:
                 self._acting = self._us[0].copy()
                 return self._acting
         self._acting = self.control(t, x)
@@ -180,7 +180,7 @@ class Controller:
         stage = int((t - self._begin) / self._dt + LITTLE)
         if self._new_goal is not None:
             last = np.atleast_2d(self._new_goal)[-1]
-            self._rest = keeping(self.problem, last, self._us[-1] if self._rest is None else self._rest)
+            self._rest = equilibrium_control(self.problem, last, self._us[-1] if self._rest is None else self._rest)
             self._window.aim(self._new_goal, self._rest, stage)
             self._new_goal = None
         self._window.slide(stage)
@@ -190,21 +190,21 @@ class Controller:
             return False
         if self._in_a_row:
             self._say(t, f"a solve succeeded after {self._in_a_row} that failed.")
-        self._made, self._in_a_row, self.status = t, 0, Doing.PLANNING
+        self._made, self._in_a_row, self.status = t, 0, ControllerStatus.PLANNING
         self.plans += 1
         return True
 
     def _solve(self, t: float, x: np.ndarray) -> str:
         """Moves the plan on to (t, x) and improves it; "" or why it could not."""
         engine, began = self._engine, time.perf_counter()
-        cost = engine.follow(x, self._plan_now, (t - self._made) / self._dt)
+        cost = engine.start_from_trajectory(x, self._plan_now, (t - self._made) / self._dt)
         if not cost <= THROWN * self._cost and self._has_way_back(x):
             cost = self._back(t, x, cost)
         if not math.isfinite(cost) and not np.isfinite(x).all():
             return "the measured state is not finite"
-        if not math.isfinite(cost) and self.status is Doing.HOLDING:  # what was planned long ago leads nowhere
+        if not math.isfinite(cost) and self.status is ControllerStatus.HOLDING:  # what was planned long ago leads nowhere
             held = self._holding(x, self._us[-1])
-            cost = engine.start(x, np.tile(held, (self.horizon, 1)))
+            cost = engine.start_from_controls(x, np.tile(held, (self.horizon, 1)))
         if not math.isfinite(cost):
             return "the plan before, followed from here, runs away"
         fresh, kind, done, slope = True, CONVERGED, 0, 0.0
@@ -225,7 +225,7 @@ class Controller:
         if not math.isfinite(slope):
             return "the gains are not finite"
         self.stalls += kind not in (ACCEPTED, CONVERGED)  # no step lowers the cost: the plan before, from here
-        plan = engine.read(RUNAWAY) if math.isfinite(cost) else None
+        plan = engine.read(DIVERGENCE_FACTOR) if math.isfinite(cost) else None
         if plan is None:
             return "the plan is not finite"
         self._xs, self._us, self._K = self._plan_now = plan
@@ -241,15 +241,15 @@ class Controller:
         """Follow the first plan from here where that costs less than to follow the last one; the cost of the better."""
         engine, last = self._engine, [part.copy() for part in self._plan_now]  # whose memory is needed
         first = self._first_plan(self._window.stage)
-        back = engine.follow(x, first)
+        back = engine.start_from_trajectory(x, first)
         if not math.isfinite(back) or back >= cost:
             self._xs, self._us, self._K = self._plan_now = last[0], last[1], last[2]
-            return engine.follow(x, self._plan_now, (t - self._made) / self._dt)
+            return engine.start_from_trajectory(x, self._plan_now, (t - self._made) / self._dt)
         self._xs, self._us, self._K = self._plan_now = first
         self._made = t
         return back
 
-    def _first_plan(self, stage: int) -> Trajectory:
+    def _first_plan(self, stage: int) -> TrajectoryArrays:
         """The window of the first plan that begins at a stage of the task; past its end it stays there."""
         plan, n = self.plan, stage + np.arange(self.horizon + 1)
         before = np.minimum(n[:-1], plan.N - 1)
@@ -261,18 +261,18 @@ class Controller:
 
     def _failed(self, t: float, trouble: str) -> None:
         self.failures, self._in_a_row = self.failures + 1, self._in_a_row + 1
-        if self.status is not Doing.HOLDING:
-            self.status = Doing.LAST_PLAN
+        if self.status is not ControllerStatus.HOLDING:
+            self.status = ControllerStatus.LAST_PLAN
         if self._in_a_row == 1:
             self._say(t, f"a solve failed, {trouble}; it goes on with the plan before.")
         if self._in_a_row == self.patience:
             self._hold(t, f"{self.patience} solves failed in a row")
 
     def _hold(self, t: float, why: str) -> None:
-        if self.status is not Doing.HOLDING:
+        if self.status is not ControllerStatus.HOLDING:
             how = "by gravity compensation and damping" if self._holding.known else "by the last control of its plan"
             self._say(t, f"{why}; it holds the machine {how}.")
-        self.status = Doing.HOLDING
+        self.status = ControllerStatus.HOLDING
 
     def _say(self, t: float, words: str) -> None:
         if len(self.events) < _MOST_EVENTS:
@@ -284,12 +284,12 @@ class Controller:
             raise PlannerError("the controller has not planned yet, expected controller(t, x) before control(t, x).")
         stages = max((t - self._made) / self._dt, 0.0)
         n = int(stages + LITTLE)
-        if n >= self.horizon and self.status is not Doing.PLANNING:
+        if n >= self.horizon and self.status is not ControllerStatus.PLANNING:
             self._hold(t, "the plan has ended")
         at = min(int((t - self._begin) / self._dt + LITTLE), self.problem.N - 1)
         if not math.isfinite(x.dot(x)):  # nothing is known of such a state
             u = self._acting
-        elif self.status is Doing.HOLDING:
+        elif self.status is ControllerStatus.HOLDING:
             u = self._holding(x, self._us[-1])
         else:
             n = min(n, self.horizon - 1)

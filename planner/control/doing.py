@@ -6,7 +6,7 @@ from enum import StrEnum
 from typing import NamedTuple
 
 
-class Doing(StrEnum):
+class ControllerStatus(StrEnum):
     """What a controller is doing, in a sentence."""
 
     PLANNING = "It follows the plan that it has just made."

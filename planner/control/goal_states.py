@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from planner.base.arguments import shown
+from planner.base.arguments import short_repr
 from planner.base.errors import PlannerError
 from planner.model.space import space_of
 from planner.problem.costs.residuals.cost import ResidualCost
@@ -21,7 +21,7 @@ def goal_states(problem: Problem, goal: Any, horizon: int) -> np.ndarray:
     mechanism, space = getattr(problem.dynamics, "mechanism", None), space_of(problem.dynamics)
     if isinstance(goal, str):
         if mechanism is None:
-            raise PlannerError(f"goal is {shown(goal)}, expected a state: the machine has no keyframes.")
+            raise PlannerError(f"goal is {short_repr(goal)}, expected a state: the machine has no keyframes.")
         return mechanism.keyframe(goal)
     if mechanism is not None and np.shape(goal) == (mechanism.nq,) != (space.nx,):
         goal = np.concatenate([np.asarray(goal, dtype=float), np.zeros(space.nx - mechanism.nq)])

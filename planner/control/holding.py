@@ -22,7 +22,7 @@ _NEWTON = 3
 _KEPT = 1e-9  # in each coordinate's unit, of one stage
 
 
-class Holding:
+class FallbackControl:
     """The control that holds a machine where it is."""
 
     def __init__(self, problem: Problem) -> None:
@@ -62,7 +62,7 @@ def _single(mechanism: Mechanism, q: np.ndarray) -> np.ndarray:
     return np.where(mechanism.kind == SCREW, q[mechanism.q_address], 0.0)
 
 
-def keeping(problem: Problem, x: np.ndarray, u: np.ndarray) -> np.ndarray | None:
+def equilibrium_control(problem: Problem, x: np.ndarray, u: np.ndarray) -> np.ndarray | None:
     """The control (nu,) that keeps a state x (nx,), sought from u; None where there is none within the bounds."""
     dynamics, space = problem.dynamics, space_of(problem.dynamics)
     first = space.difference(dynamics.step(x[None], np.zeros((1, dynamics.nu)))[0], x)

@@ -18,15 +18,15 @@ from typing import Any
 
 import numpy as np
 
-from planner.base.arguments import shown
+from planner.base.arguments import short_repr
 from planner.base.errors import PlannerError
-from planner.base.measured import Measured, Section, dicts_of, rows_of
+from planner.base.measured import Measurement, Section, dicts_of, rows_of
 from planner.control.goal_states import goal_states
-from planner.control.simulating import LATE, STAYS, Loop
+from planner.control.simulating import LATE, STAYS, ClosedLoopRun
 from planner.dynamics.kinematics import frame_pose
 from planner.model.coordinates import coordinates_of
-from planner.problem.goals import LEAST, Goal, goals_of
-from planner.proof.robustness.success_rule import GOAL_TOLERANCES, OF_RANGE, Rule, rule_of
+from planner.problem.goals import LEAST, GoalCheck, goals_of
+from planner.proof.robustness.success_rule import GOAL_TOLERANCES, OF_RANGE, SuccessRule, rule_of
 from planner.proof.tracking import misses, word_of, worst_of
 
 
@@ -42,8 +42,8 @@ class LoopVerdict:
     """
 
     sections: dict[str, Section]
-    loop: Loop
-    maps: dict[str, np.ndarray] = field(default_factory=dict)
+    loop: ClosedLoopRun
+    robustness_maps: dict[str, np.ndarray] = field(default_factory=dict)
     times: np.ndarray = field(default_factory=lambda: np.zeros(0))
 
     @property
@@ -92,11 +92,11 @@ class LoopVerdict:
             "verdict": self.verdict, "headline": self.headline,
             **dicts_of(self.sections),
             "asked": run.errors, "events": list(run.events),
-            "map": {"times": self.times.tolist(), **{who: values.tolist() for who, values in self.maps.items()}},
+            "map": {"times": self.times.tolist(), **{who: values.tolist() for who, values in self.robustness_maps.items()}},
         }  # fmt: skip
 
 
-def judge(loop: Loop) -> LoopVerdict:
+def judge(loop: ClosedLoopRun) -> LoopVerdict:
     """Whether a loop arrived and stayed, or followed the goal that moved, by the rules at the head of this file.
 
     How far ranges and constraints were left is measured and has no bound: a push may leave no other way.
@@ -104,10 +104,10 @@ def judge(loop: Loop) -> LoopVerdict:
     Raises:
         PlannerError: It is no loop of simulate().
     """
-    if not isinstance(loop, Loop):
-        raise PlannerError(f"loop is {shown(loop)}, expected what planner.simulate returns.")
+    if not isinstance(loop, ClosedLoopRun):
+        raise PlannerError(f"loop is {short_repr(loop)}, expected what planner.simulate returns.")
     goals = () if loop.goal is not None else _goals(loop)
-    warned = Measured("simulator_warnings", float(len(loop.warnings)), "", 0.0, " ".join(loop.warnings))
+    warned = Measurement("simulator_warnings", float(len(loop.warnings)), "", 0.0, " ".join(loop.warnings))
     sections = {"arrives": _arrives(loop, goals), "stays": _stays(loop, goals)}
     if loop.goal is not None:
         sections = {"follows": _follows(loop)}
@@ -115,21 +115,21 @@ def judge(loop: Loop) -> LoopVerdict:
     return LoopVerdict(sections, loop)
 
 
-def _goals(loop: Loop) -> tuple[Goal, ...]:
+def _goals(loop: ClosedLoopRun) -> tuple[GoalCheck, ...]:
     """The goals of the task, with five times their tolerance where the machine is not as planned."""
     goals = goals_of(loop.controller.problem, loop.controller.plan.xs)
     wider = GOAL_TOLERANCES if loop.perturbed else 1.0
     return tuple(replace(one, tolerance=wider * one.tolerance) for one in goals)
 
 
-def _arrives(loop: Loop, goals: Sequence[Goal]) -> Section:
+def _arrives(loop: ClosedLoopRun, goals: Sequence[GoalCheck]) -> Section:
     """When every goal of the end is within its tolerance first, and how far those at their times are missed."""
     rule = _own_rule(loop)
     if rule is not None:
         late = not loop.t[-1] >= loop.controller.problem.duration - 1e-9
         if late:
             return Section("arrives", not_applicable="the loop ends before the task does")
-        missed = Measured("missed", float(not _won(loop, rule)), "", 0.0, f"{rule.words}: 0 where it does")
+        missed = Measurement("missed", float(not _won(loop, rule)), "", 0.0, f"{rule.words}: 0 where it does")
         return Section("arrives", (missed,))
     if not goals:
         return Section("arrives", not_applicable="no goal was asked for")
@@ -142,17 +142,17 @@ def _arrives(loop: Loop, goals: Sequence[Goal]) -> Section:
         note = (
             f"when every goal of the end is within its tolerance first; the task ends at {T:.4g} s, and one second more"
         )
-        found.append(Measured("arrived_at", first, "s", T + LATE, note))
+        found.append(Measurement("arrived_at", first, "s", T + LATE, note))
     return Section("arrives", tuple(found))
 
 
-def _near(loop: Loop, goals: Sequence[Goal]) -> np.ndarray:
+def _near(loop: ClosedLoopRun, goals: Sequence[GoalCheck]) -> np.ndarray:
     """(M+1,) whether every goal is within its tolerance."""
     with np.errstate(invalid="ignore"):
         return np.all([one.missed(loop.xs) <= one.tolerance for one in goals], axis=0)
 
 
-def _stays(loop: Loop, goals: Sequence[Goal]) -> Section:
+def _stays(loop: ClosedLoopRun, goals: Sequence[GoalCheck]) -> Section:
     """The largest misses of the end's goals over the last second."""
     end = [one for one in goals if one.times is None and np.isfinite(one.tolerance)]
     if not end:
@@ -166,11 +166,11 @@ def _stays(loop: Loop, goals: Sequence[Goal]) -> Section:
         of_unit = [one for one in end if one.unit == unit]
         value, worst = worst_of(of_unit, [float(np.max(one.missed(loop.xs[last]))) for one in of_unit])
         note = f"largest over the last {STAYS:g} s, {worst.name}"
-        found.append(Measured(f"stayed_{word_of(unit)}_miss", value, unit, worst.tolerance, note))
+        found.append(Measurement(f"stayed_{word_of(unit)}_miss", value, unit, worst.tolerance, note))
     return Section("stays", tuple(found))
 
 
-def _follows(loop: Loop) -> Section:
+def _follows(loop: ClosedLoopRun) -> Section:
     """How far the machine is from a goal that moves, over the second half.
 
     It follows within a tenth of the range over which the goal moves, as a perturbed rollout must follow its plan; of a
@@ -190,8 +190,8 @@ def _follows(loop: Loop) -> Section:
             bound = _near_moving(float(np.linalg.norm(np.ptp(there, axis=0))), "m")
             note = "largest over the second half; bound: a tenth of the goal's own way"
             found += [
-                Measured(f"{frame}_from_its_goal", float(off.max()), "m", bound, note),
-                Measured(f"{frame}_from_its_goal_on_average", float(off.mean()), "m", None, "over the second half"),
+                Measurement(f"{frame}_from_its_goal", float(off.max()), "m", bound, note),
+                Measurement(f"{frame}_from_its_goal_on_average", float(off.mean()), "m", None, "over the second half"),
             ]
         return Section("follows", tuple(found))
     H = loop.controller.horizon
@@ -203,7 +203,7 @@ def _follows(loop: Loop) -> Section:
         way = loop.plan.space.difference(there, there[:1])[:, columns]
         bound = _near_moving(float(np.ptp(way, axis=0).max()), unit)
         note = "largest over the second half; bound: a tenth of the goal's own range"
-        found.append(Measured(f"{word_of(unit)}_from_its_goal", float(off[:, columns].max()), unit, bound, note))
+        found.append(Measurement(f"{word_of(unit)}_from_its_goal", float(off[:, columns].max()), unit, bound, note))
     return Section("follows", tuple(found))
 
 
@@ -212,57 +212,57 @@ def _near_moving(way: float, unit: str) -> float:
     return max(OF_RANGE * way, GOAL_TOLERANCES * LEAST.get(unit, 0.0))
 
 
-def _kept(loop: Loop) -> Section:
+def _kept(loop: ClosedLoopRun) -> Section:
     """How far ranges and constraints are left during the task."""
     problem = loop.controller.problem
     M = problem.N * loop.substeps
     if problem.kept is None or len(loop.xs) <= M or not np.isfinite(loop.xs).all():
         return Section("kept", not_applicable="no ranges and no constraints, or no whole task")
-    found, xs, us = list[Measured](), loop.xs[: M + 1], loop.ctrl[:M]
+    found, xs, us = list[Measurement](), loop.xs[: M + 1], loop.ctrl[:M]
     if problem.ranges is not None:
         beyond = problem.ranges.beyond(xs).max(axis=0)
         on_way = problem.ranges.coordinates[: len(beyond) - problem.ranges.at_end]
         for unit in dict.fromkeys(one.unit for one in on_way):
             value, name = max((float(b), one.name) for b, one in zip(beyond, on_way, strict=False) if one.unit == unit)
-            found.append(Measured(f"{word_of(unit)}_beyond_its_range", value, unit, None, f"largest, of {name}"))
+            found.append(Measurement(f"{word_of(unit)}_beyond_its_range", value, unit, None, f"largest, of {name}"))
     if problem.kept.rows is not None and us.shape[1] == problem.dynamics.nu:
         for one in problem.kept.rows.violations(xs, us):
             note = f"{one.constraint.name}: largest at any step of the task"
-            found.append(Measured("constraint_violation", one.value, one.constraint.unit, None, note))
+            found.append(Measurement("constraint_violation", one.value, one.constraint.unit, None, note))
     return Section("kept", tuple(found))
 
 
-def _calls(loop: Loop) -> Section:
+def _calls(loop: ClosedLoopRun) -> Section:
     """How long the calls that planned took on this computer, and what failed."""
     controller, seconds = loop.controller, loop.call_seconds
     if not len(seconds):
         return Section("calls", not_applicable="nothing was planned again")
     latency = loop.errors["latency"]
     how = "stated" if latency is not None else "measured"
-    late = Measured(
+    late = Measurement(
         "latency", latency if latency is not None else float(np.median(seconds)), "s", None, f"{how}; it acted"
     )
     return Section("calls", (
-        Measured("plans", float(len(seconds)), "", None, "solves on the way"),
-        Measured("failed", float(controller.failures), "", None, "the plan before went on"),
-        Measured("median_call", float(np.median(seconds)), "s", None, "from a state to a plan, on this computer"),
-        Measured("call_99_percentile", float(np.percentile(seconds, 99.0)), "s", None, "likewise"),
+        Measurement("plans", float(len(seconds)), "", None, "solves on the way"),
+        Measurement("failed", float(controller.failures), "", None, "the plan before went on"),
+        Measurement("median_call", float(np.median(seconds)), "s", None, "from a state to a plan, on this computer"),
+        Measurement("call_99_percentile", float(np.percentile(seconds, 99.0)), "s", None, "likewise"),
         late,
     ))  # fmt: skip
 
 
-def survives(loop: Loop) -> bool:
+def passes_disturbed(loop: ClosedLoopRun) -> bool:
     """Whether a loop succeeds by the rule of a proof's perturbed rollouts: near every goal, or the case's own."""
     return _won(loop, rule_of(loop.controller.plan))
 
 
-def _own_rule(loop: Loop) -> Rule | None:
+def _own_rule(loop: ClosedLoopRun) -> SuccessRule | None:
     """The case's own rule for machines that are not as planned, or None."""
     own = loop.controller.problem.requirements
     return None if own is None or (own.success is None and own.follows is None) else rule_of(loop.controller.plan)
 
 
-def _won(loop: Loop, rule: Rule) -> bool:
+def _won(loop: ClosedLoopRun, rule: SuccessRule) -> bool:
     """Whether a loop succeeds by a rule: the way at the stages of the task, or its end.
 
     Where the goal stays the end is the loop's, else the task's.

@@ -11,23 +11,23 @@ from typing import Any
 import numpy as np
 
 from planner.base.errors import PlannerError
-from planner.control.holding import Holding
+from planner.control.holding import FallbackControl
 from planner.problem.plan import Plan
-from planner.proof.hold import Hold, hold_gain
+from planner.proof.hold import GoalRegulator, hold_gain
 from planner.proof.replays.replaying import problem_of
 
 _LITTLE = 1e-6  # of a stage
 
 
-class PlanGains:
+class FixedPlanController:
     """u = us[n] + K[n] (x - x_plan(t)), then the goal is held."""
 
     planned, seconds = False, 0.0
 
     def __init__(self, plan: Plan) -> None:
         self.plan, self.problem = plan, problem_of(plan)
-        self._hold: Hold | None = None
-        self._holding = Holding(self.problem)
+        self._hold: GoalRegulator | None = None
+        self._holding = FallbackControl(self.problem)
         try:
             self._hold = hold_gain(self.problem)
         except PlannerError:

@@ -7,11 +7,11 @@ from dataclasses import replace
 import numpy as np
 
 from planner.base.errors import PlannerError
-from planner.control.window import Window
+from planner.control.window import RecedingHorizonProblem
 from planner.problem.plan import Plan, Status
 
 
-def over(plan: Plan, xs: np.ndarray, us: np.ndarray) -> Plan:
+def executed_plan(plan: Plan, xs: np.ndarray, us: np.ndarray) -> Plan:
     """A plan of another length with these states (N+1, nx) and controls (N, nu), GIVEN, without gains.
 
     Its problem is that of the loop: the task, and the goal kept after its end. Where a problem of that length cannot be
@@ -22,7 +22,7 @@ def over(plan: Plan, xs: np.ndarray, us: np.ndarray) -> Plan:
     longer = problem
     if N != problem.N:
         try:
-            longer = replace(Window(problem, N).problem, appearance=problem.appearance)
+            longer = replace(RecedingHorizonProblem(problem, N).problem, appearance=problem.appearance)
         except PlannerError:
             longer = problem
     K = np.zeros((*us.shape, plan.space.ndx))

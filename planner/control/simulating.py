@@ -16,11 +16,11 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from planner.base.arguments import count, number, shown
+from planner.base.arguments import count, number, short_repr
 from planner.base.errors import PlannerError
 from planner.control.controller import Controller
-from planner.control.plan_gains import PlanGains
-from planner.control.reference import over
+from planner.control.plan_gains import FixedPlanController
+from planner.control.reference import executed_plan
 from planner.problem.plan import Plan
 from planner.problem.problem import Problem
 from planner.proof.replays.compiled_twin import CompiledTwin
@@ -38,7 +38,7 @@ Goal = Callable[[float], Any]
 LATE, STAYS = 1.0, 1.0  # s after the task: in which it may still arrive, and over which it must then stay
 
 
-class Asked(Protocol):
+class ControllerProtocol(Protocol):
     """What simulate() asks: a Controller, or a plan with its gains."""
 
     problem: Problem
@@ -52,7 +52,7 @@ class Asked(Protocol):
 
 
 @dataclass(frozen=True, eq=False)
-class Loop(Replay):
+class ClosedLoopRun(Replay):
     """A replay of a loop: beside MuJoCo's motion, what its controller did.
 
     The plan of it is what the controller expected, stage by stage, with the controls that were applied.
@@ -98,7 +98,7 @@ def simulate(
     pushes: Push | Sequence[Push] = (), mass: Mass = 0.0, friction: float = 0.0,
     contact_friction: float = 0.0, noise: float = 0.0, encoders: bool = False, goal: Goal | None = None,
     start: Any = None, seed: int = 0, compiled: CompiledTwin | None = None,
-) -> Loop:  # fmt: skip
+) -> ClosedLoopRun:  # fmt: skip
     """Run a controller in MuJoCo, in the model that the problem brings, with errors.
 
     Args:
@@ -123,9 +123,9 @@ def simulate(
     Raises:
         PlannerError: A body that does not exist, a number out of range, a problem without a MuJoCo model.
     """
-    asked: Asked = PlanGains(controller) if isinstance(controller, Plan) else controller
-    if not isinstance(asked, (Controller, PlanGains)):
-        raise PlannerError(f"controller is {shown(controller)}, expected a planner.Controller or a Plan.")
+    asked: ControllerProtocol = FixedPlanController(controller) if isinstance(controller, Plan) else controller
+    if not isinstance(asked, (Controller, FixedPlanController)):
+        raise PlannerError(f"controller is {short_repr(controller)}, expected a planner.Controller or a Plan.")
     problem = asked.problem
     if problem.twin is None:
         raise PlannerError("the problem has no MuJoCo model to be simulated in, expected a Problem with a twin.")
@@ -137,7 +137,7 @@ def simulate(
     noise = number("noise", noise, least=0.0)
     pushes = (pushes,) if isinstance(pushes, Push) else tuple(pushes)
     if not all(isinstance(push, Push) for push in pushes):
-        raise PlannerError(f"pushes is {shown(pushes)}, expected a list of planner.Push.")
+        raise PlannerError(f"pushes is {short_repr(pushes)}, expected a list of planner.Push.")
     stages, tick = max(math.ceil(duration / dt - 1e-9), 1), sampling_in(dt)
     n = _substeps(problem, compiled, tick.in_stages(dt).denominator)
     held, M = max(round(tick.in_stages(dt) * n), 1), stages * n
@@ -168,8 +168,8 @@ def simulate(
         "mass": dict(mass) if isinstance(mass, Mapping) else mass, "friction": friction,
         "contact_friction": contact_friction, "noise": noise, "encoders": encoders, "seed": seed,
     }  # fmt: skip
-    plan = over(asked.plan, expected[::n], us.reshape(stages, n, -1).mean(axis=1))
-    return Loop(
+    plan = executed_plan(asked.plan, expected[::n], us.reshape(stages, n, -1).mean(axis=1))
+    return ClosedLoopRun(
         plan=plan, compiled=compiled, feedback=True, integrator=integrator, t=t, qpos=qpos, qvel=qvel, act=act,
         ctrl=us, xs=compiled.twin.x_of(w), plan_xs=expected, contact_force=recorder.force,
         contact_point=recorder.point, substeps=n, warnings=warnings, contacts=recorder.history(t),
@@ -191,7 +191,7 @@ class _Asking:
     """The controls of a loop, from states that are met one tick after another."""
 
     def __init__(
-        self, asked: Asked, compiled: CompiledTwin, step: float, held: int, latency: float | None, noise: float,
+        self, asked: ControllerProtocol, compiled: CompiledTwin, step: float, held: int, latency: float | None, noise: float,
         seed: int, goal: Goal | None, encoders: float | None,
     ) -> None:  # fmt: skip
         self._asked, self._compiled, self._step, self._held = asked, compiled, step, held

@@ -12,9 +12,9 @@ from typing import Any
 
 import numpy as np
 
-from planner.base.measured import Measured, Section
+from planner.base.measured import Measurement, Section
 from planner.control.controller import Controller
-from planner.control.judging import survives
+from planner.control.judging import passes_disturbed
 from planner.control.simulating import LATE, STAYS, simulate
 from planner.problem.plan import Plan
 from planner.proof.replays.compiled_twin import CompiledTwin
@@ -25,7 +25,7 @@ from planner.proof.robustness.pushes import DURATION, Push
 PUSHES = (1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0, 200.0, 500.0, 1000.0)  # N
 LATENCIES = (0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2)  # s
 TIMES = 20
-ALONE = "plan with its gains alone"
+FIXED_PLAN = "plan with its gains alone"
 
 
 def margins(
@@ -68,7 +68,7 @@ def margins(
             given: dict[str, Any] = {"latency": latency} | errors
             if isinstance(party, Controller) and known:  # it was told its latency: it is told this one
                 party.latency = given["latency"]
-            return survives(simulate(party, duration=duration, compiled=compiled, **given))
+            return passes_disturbed(simulate(party, duration=duration, compiled=compiled, **given))
 
         near = None
         for k, t in enumerate(at.tolist()):
@@ -83,14 +83,14 @@ def margins(
         told()
         mass = _largest(LEVELS, lambda error, run=run: run(mass=error))
         told()
-        words = "" if who == "loop" else f"; {ALONE}"
+        words = "" if who == "loop" else f"; {FIXED_PLAN}"
         measured += [
-            Measured(f"{who}_least_push", float(maps[who].min()), "N", None, f"{body}, at any of {times} times{words}"),
-            Measured(f"{who}_median_push", float(np.median(maps[who])), "N", None, f"of these times{words}"),
-            Measured(f"{who}_mass_margin", mass, "", None, f"all bodies heavier by this share{words}"),
+            Measurement(f"{who}_least_push", float(maps[who].min()), "N", None, f"{body}, at any of {times} times{words}"),
+            Measurement(f"{who}_median_push", float(np.median(maps[who])), "N", None, f"of these times{words}"),
+            Measurement(f"{who}_mass_margin", mass, "", None, f"all bodies heavier by this share{words}"),
         ]  # fmt: skip
         if who == "loop":
-            measured.append(Measured("loop_latency_margin", late, "s", None, "from asking for a plan until it acts"))
+            measured.append(Measurement("loop_latency_margin", late, "s", None, "from asking for a plan until it acts"))
     controller.latency = known
     return Section("survives", tuple(measured)), maps, at
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from planner.base.arguments import count, number, shown
+from planner.base.arguments import count, number, short_repr
 from planner.base.errors import PlannerError
 from planner.problem.plan import Plan
 from planner.problem.problem import Problem
@@ -16,7 +16,7 @@ def horizon_and_rate(problem: Problem, horizon: int | None = None, rate: float |
     """The stages and the rate of a controller with these arguments; a PlannerError for what does not fit."""
     if not isinstance(problem, Problem):
         more = "; write Controller(plan.problem, plan=plan)" if isinstance(problem, Plan) else ""
-        raise PlannerError(f"problem is {shown(problem)}, expected a Problem{more}.")
+        raise PlannerError(f"problem is {short_repr(problem)}, expected a Problem{more}.")
     dt = problem.dynamics.dt
     H = problem.N if horizon is None else count("horizon", horizon)
     rate = 1.0 / dt if rate is None else number("rate", rate, above=0.0)
@@ -33,7 +33,7 @@ def horizon_and_rate(problem: Problem, horizon: int | None = None, rate: float |
     return H, rate
 
 
-def after(problem: Problem, x: np.ndarray, u: np.ndarray, seconds: float) -> np.ndarray:
+def state_after(problem: Problem, x: np.ndarray, u: np.ndarray, seconds: float) -> np.ndarray:
     """Where a control u (nu,) that is held takes a state x (nx,) in the problem's own dynamics."""
     left, dt = seconds, problem.dynamics.dt
     while left > LITTLE * dt:

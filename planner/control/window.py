@@ -23,7 +23,7 @@ from planner.control.window_parts import (
     frame_rows,
     lengthened,
     parts_of,
-    settling,
+    holding_stage_weights,
     updated_rows,
 )
 from planner.dynamics import ResidualDynamics
@@ -35,12 +35,12 @@ from planner.problem.costs.terms import Cost, SumCost
 from planner.problem.costs.tracking import TrackingCost
 from planner.problem.plan import Plan
 from planner.problem.problem import Problem
-from planner.problem.state_ranges import Hinges
-from planner.solvers.augmented import shifted
-from planner.solvers.engine import CompiledEngine, NumpyEngine, borrow
+from planner.problem.state_ranges import BoundPenalties
+from planner.solvers.augmented import shifted_bounds
+from planner.solvers.engine import CompiledEngine, NumpyEngine, acquire_engine
 
 
-class Window:
+class RecedingHorizonProblem:
     """The window of a problem and the engine that plans in it.
 
     Args:
@@ -66,7 +66,7 @@ class Window:
         dt, before = problem.dynamics.dt, np.minimum(self._at, N - 1)
         past = (np.arange(N + H + 1) > N)[:, None, None]  # the end itself weighs what it does in a plan
         self.x_ref, self.u_ref = tracking.x_ref[self._at].copy(), tracking.u_ref[before].copy()
-        resting = keeps * settling((tracking.Q[N - 1] if N > 1 else 0.0) + dt * tracking.Q[N])
+        resting = keeps * holding_stage_weights((tracking.Q[N - 1] if N > 1 else 0.0) + dt * tracking.Q[N])
         self._Q, self._R = np.where(past, resting, tracking.Q[self._at]), tracking.R[before]
         self._final, self._last = tracking.Q[N], keeps * tracking.Q[N - 1]
         self.keeps = keeps
@@ -86,8 +86,8 @@ class Window:
             problem, cost=cost, horizon=H, us=np.zeros((H, problem.dynamics.nu)), limits=limits, objective=None,
             recipe=None, wanted=None, requirements=None, periodic=None, tolerance="soft",
         )  # fmt: skip
-        self.engine, self._residual_costs = borrow(self.problem), residuals
-        self._hinges: Hinges | None = None
+        self.engine, self._residual_costs = acquire_engine(self.problem), residuals
+        self._hinges: BoundPenalties | None = None
         self._rows, self._columns = updated_rows(self.problem)
         self._kept = np.zeros((0, 0)), np.zeros((0, 0))  # bounds that no multiplier has moved, as those of the hinges
         self._lay_out(problem)
@@ -132,12 +132,12 @@ class Window:
         """
         if kept is None:
             return
-        weight = np.zeros_like(kept.lower) if plan.hinges is None else plan.hinges.weight
-        lower, upper = (kept.lower, kept.upper) if plan.hinges is None else plan.hinges[:2]
+        weight = np.zeros_like(kept.lower) if plan.bound_penalties is None else plan.bound_penalties.weight
+        lower, upper = (kept.lower, kept.upper) if plan.bound_penalties is None else plan.bound_penalties[:2]
         most = np.tile(weight.max(axis=0), (len(self._at), 1))
         past = (self._at == self.N)[:, None]
         self._kept = kept.lower[self._at], kept.upper[self._at]
-        self._hinges = Hinges(
+        self._hinges = BoundPenalties(
             np.where(past, kept.lower[self._at], lower[self._at]),
             np.where(past, kept.upper[self._at], upper[self._at]), most,
         )  # fmt: skip
@@ -182,7 +182,7 @@ class Window:
             self._stale = True
         kept = [side[here, columns] for side in self._kept]
         if solved and (broken.any() or np.any(lower != kept[0]) or np.any(upper != kept[1])):
-            self._hinges.lower[here, columns], self._hinges.upper[here, columns] = shifted(kept[0], kept[1], low, high)
+            self._hinges.lower[here, columns], self._hinges.upper[here, columns] = shifted_bounds(kept[0], kept[1], low, high)
             self._stale = True
 
     def _advance(self, stages: int) -> None:
@@ -263,13 +263,13 @@ class Window:
             engine.weigh(self.cost_at(stage))
         if self._hinges is not None:
             last = [*range(stage, stage + H), self.N]
-            hinges = Hinges(*(part[last] for part in self._hinges))
+            hinges = BoundPenalties(*(part[last] for part in self._hinges))
             ranges = self.problem.ranges
             if ranges is not None:  # the bounds of the end are of the deviation from the window's own
                 away = self._space.difference(self.x_ref[stage + H], self.x_ref[self.N])[ranges.component]
                 for side in hinges[:2]:
                     side[-1, : len(away)] -= away
-            engine.hinge(hinges)
+            engine.set_penalties(hinges)
 
     def _weight_at_end(self, stage: int) -> np.ndarray:
         """The weight of the window's end."""

@@ -8,8 +8,8 @@ from dataclasses import fields, replace
 import numpy as np
 
 from planner.base.errors import PlannerError
-from planner.problem.constraints.apart import ApartMeasure
-from planner.problem.constraints.rows import Rows
+from planner.problem.constraints.apart import PairClearanceFunction
+from planner.problem.constraints.rows import ConstraintStack
 from planner.problem.costs.residuals.arrays import ResidualArrays
 from planner.problem.costs.residuals.cost import ResidualCost
 from planner.problem.costs.tracking import TrackingCost
@@ -17,7 +17,7 @@ from planner.problem.goals import terms_of
 from planner.problem.limits import Limits
 from planner.problem.problem import Problem
 
-SETTLES = 0.5  # s
+SETTLING_TIME = 0.5  # s
 AIMED = "position of "
 """How the goals of frames begin that controller.goal can move (planner.problem.costs.frame)."""
 
@@ -76,7 +76,7 @@ def first_stages(limits: Limits | None, H: int, N: int) -> Limits | None:
     return replace(limits, control=tuple(sides))
 
 
-def settling(Q: np.ndarray) -> np.ndarray:
+def holding_stage_weights(Q: np.ndarray) -> np.ndarray:
     """Weights (ndx, ndx) of a stage that keeps a goal, from those that ask for it at the end of a task.
 
     At an end speeds weigh for themselves. Over time they slow the way back: under a position weighed by q and its speed
@@ -85,18 +85,18 @@ def settling(Q: np.ndarray) -> np.ndarray:
     ndx = len(Q)
     q, v = np.split(np.diag(Q)[: ndx // 2 * 2], 2)
     factor, both = np.ones(ndx), (q > 0.0) & (v > 0.0)
-    factor[len(q) : 2 * len(q)][both] = np.minimum(1.0, SETTLES * np.sqrt(q[both] / v[both]))
+    factor[len(q) : 2 * len(q)][both] = np.minimum(1.0, SETTLING_TIME * np.sqrt(q[both] / v[both]))
     return Q * factor[:, None] * factor
 
 
-def updated_rows(problem: Problem) -> tuple[Rows | None, np.ndarray]:
+def updated_rows(problem: Problem) -> tuple[ConstraintStack | None, np.ndarray]:
     """The constraints whose multipliers a window updates, and their columns among all that is kept, ranges first."""
-    kept = problem.kept
+    kept = problem.trajectory_constraints
     if kept is None:
         return None, np.zeros(0, dtype=int)
     ranges = 0 if problem.ranges is None else len(problem.ranges.component)
     columns = [np.arange(ranges)]
     if kept.rows is None:
         return None, columns[0]
-    rows, which = kept.rows.only([part for part in kept.rows.parts if not isinstance(part.measure, ApartMeasure)])
+    rows, which = kept.rows.only([part for part in kept.rows.parts if not isinstance(part.measure, PairClearanceFunction)])
     return (rows if rows.parts else None), np.concatenate([*columns, ranges + which])

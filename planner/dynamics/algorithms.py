@@ -22,7 +22,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from planner.base.errors import PlannerError
-from planner.dynamics.batch import Batch, kernel_model
+from planner.dynamics.batch import KernelCall, kernel_model
 from planner.kernels.tree import batch as tree_batch
 from planner.kernels.tree.model import Model
 from planner.model.mechanism import Mechanism
@@ -51,20 +51,20 @@ def forward_dynamics(mechanism: Mechanism, q: Any, qd: Any, tau: Any) -> np.ndar
     Raises:
         PlannerError: A wrong shape or a number that is not finite; closed chains.
     """
-    b = Batch(mechanism, q=q, qd=qd, tau=tau)
+    b = KernelCall(mechanism, q=q, qd=qd, tau=tau)
     _check_tree(mechanism)
     return b.out(_accelerations(b))
 
 
 def _check_tree(mechanism: Mechanism) -> None:
-    if mechanism.loops or mechanism.cams:
+    if mechanism.loops or mechanism.polynomial_couplings:
         raise PlannerError(
-            f"the mechanism has {(*mechanism.loops, *mechanism.cams)[0].name}, which closes a chain, and these are "
+            f"the mechanism has {(*mechanism.loops, *mechanism.polynomial_couplings)[0].name}, which closes a chain, and these are "
             "dynamics of a tree, expected planner.dynamics.closed_dynamics, or RigidBodyDynamics(...).rates."
         )
 
 
-def _accelerations(b: Batch) -> np.ndarray:
+def _accelerations(b: KernelCall) -> np.ndarray:
     """Of forward_dynamics, with couplings."""
     if b.mechanism.reduction is None:
         return _forward(b, kernel_model(b.mechanism), b["tau"])[0]
@@ -81,7 +81,7 @@ def reduced_inverse(mechanism: Mechanism, M: np.ndarray) -> np.ndarray:
     return G @ np.linalg.inv(G.T @ M @ G) @ G.T
 
 
-def _forward(b: Batch, model: Model, inputs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _forward(b: KernelCall, model: Model, inputs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     qdd, tau = np.empty_like(inputs), np.empty_like(inputs)
     b.call(tree_batch.forward, model, b["qd"], inputs, qdd, tau)
     return qdd, tau
@@ -105,7 +105,7 @@ def hybrid_dynamics(
     Raises:
         PlannerError: A wrong shape or a number that is not finite; no such joint; couplings.
     """
-    b = Batch(mechanism, q=q, qd=qd, inputs=inputs)
+    b = KernelCall(mechanism, q=q, qd=qd, inputs=inputs)
     mask = _prescribed(mechanism, prescribed)
     qdd, tau = _forward(b, kernel_model(mechanism, mask), b["inputs"])
     return b.out(qdd), b.out(tau)
@@ -141,11 +141,11 @@ def rnea(mechanism: Mechanism, q: Any, qd: Any, qdd: Any) -> np.ndarray:
     Raises:
         PlannerError: A wrong shape or a number that is not finite.
     """
-    b = Batch(mechanism, q=q, qd=qd, qdd=qdd)
+    b = KernelCall(mechanism, q=q, qd=qd, qdd=qdd)
     return b.out(_inverse(b, b["qd"], b["qdd"]))
 
 
-def _inverse(b: Batch, qd: np.ndarray, qdd: np.ndarray) -> np.ndarray:
+def _inverse(b: KernelCall, qd: np.ndarray, qdd: np.ndarray) -> np.ndarray:
     tau = np.empty_like(qdd)
     b.call(tree_batch.inverse, kernel_model(b.mechanism), qd, qdd, tau)
     return tau
@@ -165,7 +165,7 @@ def bias(mechanism: Mechanism, q: Any, qd: Any) -> np.ndarray:
     Raises:
         PlannerError: A wrong shape or a number that is not finite.
     """
-    b = Batch(mechanism, q=q, qd=qd)
+    b = KernelCall(mechanism, q=q, qd=qd)
     return b.out(_inverse(b, b["qd"], np.zeros_like(b["qd"])))
 
 
@@ -182,19 +182,19 @@ def mass_matrix(mechanism: Mechanism, q: Any) -> np.ndarray:
     Raises:
         PlannerError: A wrong shape or a number that is not finite.
     """
-    b = Batch(mechanism, q=q)
+    b = KernelCall(mechanism, q=q)
     zero = np.zeros((b.K, mechanism.nv))
     return b.out(_inverse_derivatives(b, zero, zero)[2])
 
 
-def _inverse_derivatives(b: Batch, qd: np.ndarray, qdd: np.ndarray) -> Derivatives:
+def _inverse_derivatives(b: KernelCall, qd: np.ndarray, qdd: np.ndarray) -> Derivatives:
     nv = b.mechanism.nv
     M, Dq, Dv = (np.empty((b.K, nv, nv)) for _ in range(3))
     b.call(tree_batch.derivatives, kernel_model(b.mechanism), qd, qdd, M, Dq, Dv, linearizing=True)
     return Derivatives(Dq, Dv, M)
 
 
-def _outs(b: Batch, *values: np.ndarray) -> Derivatives:
+def _outs(b: KernelCall, *values: np.ndarray) -> Derivatives:
     return Derivatives(*(b.out(value) for value in values))
 
 
@@ -213,7 +213,7 @@ def rnea_derivatives(mechanism: Mechanism, q: Any, qd: Any, qdd: Any) -> Derivat
     Raises:
         PlannerError: A wrong shape or a number that is not finite.
     """
-    b = Batch(mechanism, q=q, qd=qd, qdd=qdd)
+    b = KernelCall(mechanism, q=q, qd=qd, qdd=qdd)
     return _outs(b, *_inverse_derivatives(b, b["qd"], b["qdd"]))
 
 
@@ -231,7 +231,7 @@ def bias_derivatives(mechanism: Mechanism, q: Any, qd: Any) -> tuple[np.ndarray,
     Raises:
         PlannerError: A wrong shape or a number that is not finite.
     """
-    b = Batch(mechanism, q=q, qd=qd)
+    b = KernelCall(mechanism, q=q, qd=qd)
     result = _inverse_derivatives(b, b["qd"], np.zeros_like(b["qd"]))
     return b.out(result.q), b.out(result.qd)
 
@@ -249,9 +249,9 @@ def mass_matrix_derivatives(mechanism: Mechanism, q: Any) -> np.ndarray:
     Raises:
         PlannerError: A wrong shape or a number that is not finite.
     """
-    b = Batch(mechanism, q=q)
+    b = KernelCall(mechanism, q=q)
     nv = mechanism.nv
-    many = Batch(mechanism, q=np.repeat(b["q"], nv + 1, axis=0))
+    many = KernelCall(mechanism, q=np.repeat(b["q"], nv + 1, axis=0))
     qdd = np.tile(np.concatenate([np.zeros((1, nv)), np.eye(nv)]), (b.K, 1))
     forces = _inverse_derivatives(many, np.zeros_like(qdd), qdd).q.reshape(b.K, nv + 1, nv, nv)
     return b.out(np.swapaxes(forces[:, 1:] - forces[:, :1], 1, 2))  # M is linear in qdd: column k belongs to e_k
@@ -273,7 +273,7 @@ def forward_dynamics_derivatives(mechanism: Mechanism, q: Any, qd: Any, tau: Any
     Raises:
         PlannerError: A wrong shape or a number that is not finite; closed chains.
     """
-    b = Batch(mechanism, q=q, qd=qd, tau=tau)
+    b = KernelCall(mechanism, q=q, qd=qd, tau=tau)
     _check_tree(mechanism)
     qdd = _accelerations(b)
     by_q, by_qd, M = _inverse_derivatives(b, b["qd"], qdd)
@@ -301,7 +301,7 @@ def hybrid_dynamics_derivatives(
     Raises:
         PlannerError: A wrong shape or a number that is not finite; no such joint.
     """
-    b = Batch(mechanism, q=q, qd=qd, inputs=inputs)
+    b = KernelCall(mechanism, q=q, qd=qd, inputs=inputs)
     mask = _prescribed(mechanism, prescribed)
     qdd, _ = _forward(b, kernel_model(mechanism, mask), b["inputs"])
     by_q, by_qd, M = _inverse_derivatives(b, b["qd"], qdd)

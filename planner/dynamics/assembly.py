@@ -35,7 +35,7 @@ def assembled(mechanism: Mechanism, x: np.ndarray, given: Collection[int] = (), 
         PlannerError: No motion of the other joints closes the chains; with the state's name.
     """
     x = closed_state(mechanism, x, given)
-    if not (mechanism.loops or mechanism.cams):
+    if not (mechanism.loops or mechanism.polynomial_couplings):
         return x
     nq, nv, space = mechanism.nq, mechanism.nv, mechanism.space
     free = _free(mechanism, given)
@@ -66,7 +66,7 @@ def assembled(mechanism: Mechanism, x: np.ndarray, given: Collection[int] = (), 
     return x
 
 
-def carried(
+def assembled_along(
     mechanism: Mechanism, base: np.ndarray, x: np.ndarray, given: Collection[int], name: str = "the pose"
 ) -> np.ndarray:
     """The state (nx,) to which a machine comes from `base` when the joints that are given move to where x has them.
@@ -77,7 +77,7 @@ def carried(
     Raises:
         PlannerError: As assembled.
     """
-    if mechanism.loops or mechanism.cams:
+    if mechanism.loops or mechanism.polynomial_couplings:
         way = mechanism.space.difference(x, base)
         parts = int(np.ceil(np.abs(way).max() / _CARRIED))
         stay = np.setdiff1d(np.arange(mechanism.nv), [*given])
@@ -102,7 +102,7 @@ def _free(mechanism: Mechanism, given: Collection[int]) -> np.ndarray:
     return G[:, ~np.any(G[stay] != 0.0, axis=0)]
 
 
-def directions(mechanism: Mechanism, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def feasible_directions(mechanism: Mechanism, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Z (nv, n), the directions that couplings and closed chains leave at q (nq,), and n coordinates that lead them.
 
     In the leading coordinates Z is 1: a velocity on the constraints is Z qd[leading].
@@ -110,7 +110,7 @@ def directions(mechanism: Mechanism, q: np.ndarray) -> tuple[np.ndarray, np.ndar
     reduction = mechanism.reduction
     G = np.eye(mechanism.nv) if reduction is None else reduction.G
     leading = np.arange(mechanism.nv) if reduction is None else reduction.independent
-    if not (mechanism.loops or mechanism.cams):
+    if not (mechanism.loops or mechanism.polynomial_couplings):
         return G, leading
     from scipy.linalg import null_space, qr  # a fifth of a second that `import planner` does not pay
 
@@ -121,7 +121,7 @@ def directions(mechanism: Mechanism, q: np.ndarray) -> tuple[np.ndarray, np.ndar
     return G @ N @ np.linalg.inv(N[chosen]), leading[chosen]
 
 
-def lost_ranks(mechanism: Mechanism, qs: np.ndarray) -> np.ndarray:
+def relative_min_singular_value(mechanism: Mechanism, qs: np.ndarray) -> np.ndarray:
     """How far closed chains are from losing an equation, (K,) for configurations qs (K, nq).
 
     The least singular value of J that is not of a redundant equation, over the largest. At zero a chain
@@ -132,12 +132,12 @@ def lost_ranks(mechanism: Mechanism, qs: np.ndarray) -> np.ndarray:
     return shares[:, int(np.count_nonzero(shares > _WEAK, axis=1).max()) - 1]
 
 
-def tangents(mechanism: Mechanism, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def tangent_basis(mechanism: Mechanism, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """T (ndx, n), the directions of states (dq, dv, dact) on the constraints at x (nx,), and where T is 1.
 
     A deviation dx on the constraints is T dx[places].
     """
-    Z, leading = directions(mechanism, x[: mechanism.nq])
+    Z, leading = feasible_directions(mechanism, x[: mechanism.nq])
     (nv, n), na = Z.shape, mechanism.na
     T = np.zeros((2 * nv + na, 2 * n + na))
     T[:nv, :n] = T[nv : 2 * nv, n : 2 * n] = Z
@@ -148,7 +148,7 @@ def tangents(mechanism: Mechanism, x: np.ndarray) -> tuple[np.ndarray, np.ndarra
 def check_assembled(name: str, x: np.ndarray, mechanism: Mechanism, most: float = CLOSED) -> None:
     """Raise a PlannerError unless a state (nx,) misses no coupling and no closed chain by more than `most`."""
     check_closed(name, x, mechanism, most)
-    if not (mechanism.loops or mechanism.cams):
+    if not (mechanism.loops or mechanism.polynomial_couplings):
         return
     q, qd = x[: mechanism.nq], x[mechanism.nq : mechanism.nq + mechanism.nv]
     miss = misses(mechanism, q)
@@ -167,7 +167,7 @@ def check_assembled(name: str, x: np.ndarray, mechanism: Mechanism, most: float 
 
 def _apart(mechanism: Mechanism, miss: np.ndarray) -> str:
     """Which equality misses most, and by how much, as the rest of a sentence."""
-    owners = [loop.name for loop in mechanism.loops for _ in range(loop.rows)] + [cam.name for cam in mechanism.cams]
+    owners = [loop.name for loop in mechanism.loops for _ in range(loop.rows)] + [cam.name for cam in mechanism.polynomial_couplings]
     worst = int(np.argmax(np.abs(miss)))
     return f"misses {owners[worst]} by {abs(miss[worst]):.3g} {_unit(mechanism, worst)}"
 
@@ -178,4 +178,4 @@ def _unit(mechanism: Mechanism, row: int) -> str:
         if row < loop.rows:
             return "m" if row < 3 else "rad"
         row -= loop.rows
-    return "rad" if np.any(mechanism.S[mechanism.cams[row].follower, :3] != 0.0) else "m"
+    return "rad" if np.any(mechanism.S[mechanism.polynomial_couplings[row].follower, :3] != 0.0) else "m"

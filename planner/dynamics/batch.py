@@ -7,7 +7,7 @@ from weakref import WeakKeyDictionary
 
 import numpy as np
 
-from planner.base.arguments import array, shown
+from planner.base.arguments import array, short_repr
 from planner.base.errors import PlannerError
 from planner.kernels.integrators import EULER
 from planner.kernels.numba.jit import announce
@@ -28,12 +28,12 @@ def kernel_model(mechanism: Mechanism, prescribed: np.ndarray | None = None) -> 
     return known[key]
 
 
-class Batch:
+class KernelCall:
     """Arguments as (K, n) arrays, and whether there was only one state."""
 
     def __init__(self, mechanism: Mechanism, **given: Any) -> None:
         if not isinstance(mechanism, Mechanism):
-            raise PlannerError(f"mechanism is {shown(mechanism)}, expected a Mechanism.")
+            raise PlannerError(f"mechanism is {short_repr(mechanism)}, expected a Mechanism.")
         self.mechanism = mechanism
         sizes = {"q": mechanism.nq}
         self.single = all(_dimensions(value) <= 1 for value in given.values())

@@ -35,7 +35,7 @@ def constraint_forces(dynamics: RigidBodyDynamics, xs: Any, us: Any) -> np.ndarr
     Raises:
         PlannerError: The machine has no closed chains, or a wrong shape.
     """
-    if not isinstance(dynamics, RigidBodyDynamics) or not (dynamics.mechanism.loops or dynamics.mechanism.cams):
+    if not isinstance(dynamics, RigidBodyDynamics) or not (dynamics.mechanism.loops or dynamics.mechanism.polynomial_couplings):
         raise PlannerError("the dynamics have no closed chains, expected RigidBodyDynamics of a machine with some.")
     us = array("us", us, ("K", dynamics.nu))
     xs = array("xs", xs, (len(us), dynamics.nx))
@@ -61,7 +61,7 @@ def constraint_jacobians(m: Mechanism, q: np.ndarray) -> np.ndarray:
     for loop in m.loops:
         first, second = (jacobian(m, q, Frame(i, T)) for i, T in zip(loop.links, loop.frames, strict=True))
         parts.append((first - second)[:, : loop.rows])
-    for cam in m.cams:
+    for cam in m.polynomial_couplings:
         row, p = np.zeros((len(q), 1, m.nv)), np.polynomial.Polynomial(cam.coefficients)
         row[:, 0, cam.follower] = 1.0
         row[:, 0, cam.leader] = -p.deriv()(q[:, m.q_address[cam.leader]] - cam.offsets[1])
@@ -75,7 +75,7 @@ def constraint_names(mechanism: Mechanism) -> tuple[Coordinate, ...]:
     for loop in mechanism.loops:
         rows += [Coordinate(f"{loop.name} {axis}", "N") for axis in "xyz"]
         rows += [Coordinate(f"{loop.name} about {axis}", "N m") for axis in "xyz"] if loop.rigid else []
-    for cam in mechanism.cams:
+    for cam in mechanism.polynomial_couplings:
         turns = np.any(mechanism.S[cam.follower, :3] != 0.0)
         rows.append(Coordinate(cam.name, "N m" if turns else "N"))
     return tuple(rows)

@@ -7,15 +7,15 @@ from typing import Any
 
 import numpy as np
 
-from planner.dynamics.batch import Batch
+from planner.dynamics.batch import KernelCall
 from planner.dynamics.kinematics import link_places
 from planner.kernels.tree.model import chain_of
-from planner.model.contact.distances import Placed
-from planner.model.contact.solids import MEASURES, Solid, kind_of
+from planner.model.contact.distances import PlacedShapes
+from planner.model.contact.solids import MEASURES, CollisionShape, kind_of
 from planner.model.mechanism import Mechanism
 
 
-class Clearances:
+class SignedDistances:
     """Signed distances of pairs of solids of a machine and its world, m.
 
     Args:
@@ -23,7 +23,7 @@ class Clearances:
         pairs: (P) solids in the order of model.contact.solids.in_order.
     """
 
-    def __init__(self, mechanism: Mechanism, pairs: Sequence[tuple[Solid, Solid]]) -> None:
+    def __init__(self, mechanism: Mechanism, pairs: Sequence[tuple[CollisionShape, CollisionShape]]) -> None:
         self.mechanism = mechanism
         solids = list({id(solid): solid for pair in pairs for solid in pair}.values())
         place = {id(solid): i for i, solid in enumerate(solids)}
@@ -46,12 +46,12 @@ class Clearances:
 
         What is above `beyond` (P,) need not be known: it may be the distance of the balls around both, which is less.
         """
-        T = self._places(link_places(Batch(self.mechanism, q=q))[0])
+        T = self._places(link_places(KernelCall(self.mechanism, q=q))[0])
         return self._measured(T, beyond)[0]
 
     def derivatives(self, q: Any, beyond: np.ndarray | float = np.inf) -> tuple[np.ndarray, np.ndarray]:
         """Distances (K, P) and their derivatives by motion (K, P, nv), which are zero above `beyond`."""
-        T, screws, origin = link_places(Batch(self.mechanism, q=q))
+        T, screws, origin = link_places(KernelCall(self.mechanism, q=q))
         values, n, p = self._measured(self._places(T), beyond)
         arms = p[:, :, None] - origin[:, None]  # (K, P, nv, 3)
         moments = np.cross(arms, n[:, :, None])
@@ -64,7 +64,7 @@ class Clearances:
         By a screw of unit speed no point of a ball around a solid moves faster. A plane has no ball, so what moves it
         is seen from the other's.
         """
-        T, screws, origin = link_places(Batch(self.mechanism, q=q))
+        T, screws, origin = link_places(KernelCall(self.mechanism, q=q))
         centres = self._places(T)[..., :3, 3]
         found = np.zeros((len(T), len(self._pairs)))
         for k, (a, b) in enumerate(self._pairs):
@@ -95,11 +95,11 @@ class Clearances:
                 values[k, i], n[k, i], p[k, i] = measure(self._placed(T, k, a[i]), self._placed(T, k, b[i]))
         return values, n, p
 
-    def _placed(self, T: np.ndarray, k: np.ndarray, s: np.ndarray) -> Placed:
-        return Placed(T[k, s, :3, :3], T[k, s, :3, 3], self._half[s], self._radius[s])
+    def _placed(self, T: np.ndarray, k: np.ndarray, s: np.ndarray) -> PlacedShapes:
+        return PlacedShapes(T[k, s, :3, :3], T[k, s, :3, 3], self._half[s], self._radius[s])
 
 
-def lowest(values: np.ndarray, moved: np.ndarray) -> np.ndarray:
+def distance_lower_bound(values: np.ndarray, moved: np.ndarray) -> np.ndarray:
     """The least distances (K-1, P) that pairs can have had between poses, from those there (K, P) and how they moved.
 
     A distance changes no faster than its pair moves: between two poses that are `moved` (K-1, P) m apart it is at least

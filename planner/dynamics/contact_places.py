@@ -56,7 +56,7 @@ def closest_points(D: np.ndarray, a1: np.ndarray, a2: np.ndarray, half: tuple[fl
     return ClosestPoints(np.stack([s1, s2], axis=1), inverse, D + s1[:, None] * a1 - s2[:, None] * a2)
 
 
-class BodyPlace:
+class BodyContactKinematics:
     """How the first body of a contact meets the second at K states.
 
     Attributes:
@@ -75,11 +75,11 @@ class BodyPlace:
         parts = (contact.first, contact.second)
         self._axes = [np.zeros_like(a) if part.length == 0.0 else a for a, part in zip(self._axes, parts, strict=True)]
         lengths = (parts[0].length, parts[1].length)
-        self._closest = closest_points(m[0] - m[1], self._axes[0], self._axes[1], lengths, contact.blunt)
+        self._closest = closest_points(m[0] - m[1], self._axes[0], self._axes[1], lengths, contact.axis_regularization)
         self._s = [self._closest.s[:, k, None] * self._axes[k] for k in range(2)]  # from the middles
         self._distance = np.hypot(np.linalg.norm(self._closest.D, axis=1), _NO_DIRECTION)
         self.n = self._closest.D / self._distance[:, None]
-        self.e = parts[0].radius + parts[1].radius + contact.law.lift - self._distance
+        self.e = parts[0].radius + parts[1].radius + contact.law.surface_offset - self._distance
         self._shift = 0.5 * (parts[0].radius - parts[1].radius)
         x = [m[k] + self._s[k] for k in range(2)]
         self.p = 0.5 * (x[0] + x[1]) - self._shift * self.n

@@ -17,10 +17,10 @@ import numpy as np
 
 from planner.base.arguments import array
 from planner.dynamics import kinematics
-from planner.dynamics.contact_places import BodyPlace
+from planner.dynamics.contact_places import BodyContactKinematics
 from planner.model.contact.between_bodies import BodyContact
 from planner.model.contact.laws import Contact, ContactLaw, Law, slide_direction
-from planner.model.joint_curves import curve_torque_derivatives, curve_torques
+from planner.model.joint_curves import curve_torque_derivatives, exponential_joint_torques
 from planner.model.mechanism import Frame, Mechanism
 
 
@@ -50,14 +50,14 @@ def contact_forces(mechanism: Mechanism, q: Any, qd: Any) -> ContactForces:
     points = centres + (0.5 * (e - lifts) - radii)[..., None] * normals
     forces = np.zeros_like(points)
     for k in np.flatnonzero((e > 0.0).any(axis=0)):  # most are in the air
-        forces[:, k] = _force(PlanePlace(mechanism, contacts[k], q, qd))[0]
+        forces[:, k] = _force(PlaneContactKinematics(mechanism, contacts[k], q, qd))[0]
     return ContactForces(*(value[0] if single else value for value in (points, e - lifts, forces)))
 
 
 def _numbers(mechanism: Mechanism) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Lifts (P,), radii (P,) and normals (P, 3) of a mechanism's contacts with planes."""
     contacts = mechanism.contacts
-    lifts, radii = ([one.law.lift for one in contacts], [one.radius for one in contacts])
+    lifts, radii = ([one.law.surface_offset for one in contacts], [one.radius for one in contacts])
     return np.array(lifts), np.array(radii), np.array([one.plane.normal for one in contacts]).reshape(-1, 3)
 
 
@@ -76,11 +76,11 @@ def _penetrations(mechanism: Mechanism, q: np.ndarray) -> tuple[np.ndarray, np.n
 def body_contact_forces(mechanism: Mechanism, q: Any, qd: Any) -> ContactForces:
     """Where and with what force two bodies touch, in the order of body_contacts; arguments as of contact_forces."""
     q, qd, single = _states(mechanism, q, qd)
-    places = [BodyPlace(mechanism, contact, q, qd) for contact in mechanism.body_contacts]
+    places = [BodyContactKinematics(mechanism, contact, q, qd) for contact in mechanism.body_contacts]
     K, n = len(q), len(places)
     points, depths, forces = np.zeros((K, n, 3)), np.zeros((K, n)), np.zeros((K, n, 3))
     for k, place in enumerate(places):
-        points[:, k], depths[:, k] = place.p, place.e - place.contact.law.lift
+        points[:, k], depths[:, k] = place.p, place.e - place.contact.law.surface_offset
         forces[:, k] = _force(place)[0]
     return ContactForces(*(value[0] if single else value for value in (points, depths, forces)))
 
@@ -95,19 +95,19 @@ def contact_jacobians(mechanism: Mechanism, q: Any, which: Any = None) -> np.nda
     contacts = mechanism.contacts if which is None else [mechanism.contacts[k] for k in which]
     J = np.zeros((len(q), len(contacts), 3, mechanism.nv))
     for k, contact in enumerate(contacts):
-        J[:, k] = PlanePlace(mechanism, contact, q, np.zeros((len(q), mechanism.nv))).J
+        J[:, k] = PlaneContactKinematics(mechanism, contact, q, np.zeros((len(q), mechanism.nv))).J
     return J[0] if single else J
 
 
 def generalized_forces(mechanism: Mechanism, q: Any, qd: Any) -> np.ndarray:
     """The applied force tau (..., nv) of all contacts, stops and curves at q (..., nq), qd (..., nv)."""
     q, qd, single = _states(mechanism, q, qd)
-    tau = curve_torques(mechanism, q)
+    tau = exponential_joint_torques(mechanism, q)
     for place in _places(mechanism, q, qd):
         tau += np.einsum("kaj,ka->kj", place.J, _force(place)[0])
     for stop in mechanism.stops:
         e, opening = stop_state(mechanism, stop, q, qd)
-        tau[:, stop.dof] -= stop.side * one_sided(stop.law, e, opening)[0]
+        tau[:, stop.dof] -= stop.side * unilateral_force(stop.law, e, opening)[0]
     return tau[0] if single else tau
 
 
@@ -126,7 +126,7 @@ def generalized_force_derivatives(mechanism: Mechanism, q: Any, qd: Any) -> tupl
         by_qd += np.swapaxes(J, 1, 2) @ f_v @ J
     for stop in mechanism.stops:
         e, opening = stop_state(mechanism, stop, q, qd)
-        _, by_e, by_opening = one_sided(stop.law, e, opening)
+        _, by_e, by_opening = unilateral_force(stop.law, e, opening)
         by_q[:, stop.dof, stop.dof] -= by_e
         by_qd[:, stop.dof, stop.dof] += by_opening
     return (by_q[0], by_qd[0]) if single else (by_q, by_qd)
@@ -139,22 +139,22 @@ def _states(mechanism: Mechanism, q: Any, qd: Any) -> tuple[np.ndarray, np.ndarr
     return np.atleast_2d(q), np.atleast_2d(qd), single
 
 
-def _places(mechanism: Mechanism, q: np.ndarray, qd: np.ndarray) -> list[PlanePlace | BodyPlace]:
+def _places(mechanism: Mechanism, q: np.ndarray, qd: np.ndarray) -> list[PlaneContactKinematics | BodyContactKinematics]:
     """Of all contacts, but for those with planes that are in the air at every state."""
     touching = (_penetrations(mechanism, q)[1] > 0.0).any(axis=0)
     near = [mechanism.contacts[k] for k in np.flatnonzero(touching)]
-    return [place_of(mechanism, contact, q, qd) for contact in (*near, *mechanism.body_contacts)]
+    return [contact_kinematics(mechanism, contact, q, qd) for contact in (*near, *mechanism.body_contacts)]
 
 
-def place_of(
+def contact_kinematics(
     mechanism: Mechanism, contact: Contact | BodyContact, q: np.ndarray, qd: np.ndarray
-) -> PlanePlace | BodyPlace:
+) -> PlaneContactKinematics | BodyContactKinematics:
     """Where a contact is at K states, q (K, nq) and qd (K, nv)."""
-    kind = PlanePlace if isinstance(contact, Contact) else BodyPlace
+    kind = PlaneContactKinematics if isinstance(contact, Contact) else BodyContactKinematics
     return kind(mechanism, contact, q, qd)  # type: ignore[arg-type]
 
 
-class PlanePlace:
+class PlaneContactKinematics:
     """Where a contact is at K states: as BodyPlace, for a sphere and a plane."""
 
     def __init__(self, mechanism: Mechanism, contact: Contact, q: np.ndarray, qd: np.ndarray) -> None:
@@ -163,8 +163,8 @@ class PlanePlace:
         self.mechanism, self.contact, self.frame = mechanism, contact, Frame(contact.link, T)
         n, law = contact.plane.normal, contact.law
         centre = kinematics.frame_pose(mechanism, q, self.frame)[:, :3, 3]
-        self.e = contact.radius + law.lift + contact.plane.offset - centre @ n
-        self.arm = (0.5 * self.e - contact.radius - 0.5 * law.lift)[:, None] * n  # from the centre
+        self.e = contact.radius + law.surface_offset + contact.plane.offset - centre @ n
+        self.arm = (0.5 * self.e - contact.radius - 0.5 * law.surface_offset)[:, None] * n  # from the centre
         self.p = centre + self.arm
         J = kinematics.jacobian(mechanism, q, self.frame)
         self.at_centre, self.angular = J[:, :3], J[:, 3:]
@@ -203,7 +203,7 @@ def smoothstep(e: np.ndarray, a: float) -> tuple[np.ndarray, np.ndarray]:
     return t**2 * (3.0 - 2.0 * t), 6.0 * t * (1.0 - t) / a
 
 
-def _raw(law: Law, e: np.ndarray, opening: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _unclamped_force(law: Law, e: np.ndarray, opening: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """K ramp(e) - B s(e) v_n, which may pull, and its derivatives by e and v_n."""
     (r, dr), (s, ds) = ramp(e, law.ramp), smoothstep(e, law.ramp)
     return (
@@ -213,14 +213,14 @@ def _raw(law: Law, e: np.ndarray, opening: np.ndarray) -> tuple[np.ndarray, np.n
     )
 
 
-def one_sided(law: Law, e: np.ndarray, opening: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def unilateral_force(law: Law, e: np.ndarray, opening: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """The force of the law, and its derivatives by e and v_n."""
-    g, by_e, by_opening = _raw(law, e, opening)
+    g, by_e, by_opening = _unclamped_force(law, e, opening)
     force, slope = ramp(g, float(law.force_ramp or 0.0))
     return force, slope * by_e, slope * by_opening
 
 
-def _force(place: PlanePlace | BodyPlace) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _force(place: PlaneContactKinematics | BodyContactKinematics) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Force (K, 3), and its derivatives by the penetration (K, 3) and by the relative velocity (K, 3, 3)."""
     return contact_force(place.contact.law, place.n, place.e, place.v)
 
@@ -244,7 +244,7 @@ def contact_force(
     s, ds = smoothstep(e, law.ramp)
     c, dc = law.slip_damping * s, law.slip_damping * ds
     slip = c * speed
-    g, g_e, g_n = _raw(law, e, opening)
+    g, g_e, g_n = _unclamped_force(law, e, opening)
     # gradients of scalars by (e, v): the slip force, the normal force, friction
     e_axis = np.array([1.0, 0.0, 0.0, 0.0])
     dslip = (dc * speed)[:, None] * e_axis + np.hstack([np.zeros_like(e)[:, None], c[:, None] * d])

@@ -13,7 +13,7 @@ import numpy as np
 
 from planner.dynamics.algorithms import mass_matrix
 from planner.dynamics.contacts import contact_forces, contact_jacobians
-from planner.dynamics.statics import along_ground, undriven
+from planner.dynamics.statics import along_ground, unactuated_basis
 from planner.model.mechanism import Mechanism
 
 TURNS = 5  # of taking J midway again; each is nearer by the square of the way
@@ -21,7 +21,7 @@ SAME = 1e-9  # m or rad
 RANK = 1e-6  # of the largest: what feet leave free
 
 
-def carried_along(mechanism: Mechanism, start: np.ndarray, goal: np.ndarray, kept: np.ndarray) -> np.ndarray:
+def goal_without_foot_slip(mechanism: Mechanism, start: np.ndarray, goal: np.ndarray, kept: np.ndarray) -> np.ndarray:
     """The goal (nx,) moved along the ground to where its feet slide least on the way from the start (nx,).
 
     Args:
@@ -38,7 +38,7 @@ def carried_along(mechanism: Mechanism, start: np.ndarray, goal: np.ndarray, kep
     normals = np.array([contact.plane.normal for contact in mechanism.contacts])
     loads = [np.einsum("ka,ka->k", normals, contact_forces(mechanism, x[:nq], still).forces) for x in (start, goal)]
     carry = np.flatnonzero((loads[0] > 0.0) & (loads[1] > 0.0))
-    free = undriven(mechanism)
+    free = unactuated_basis(mechanism)
     free = free[:, ~np.any(free[kept] != 0.0, axis=0)]
     if not carry.size or not free.shape[1]:
         return goal
@@ -62,7 +62,7 @@ def carried_along(mechanism: Mechanism, start: np.ndarray, goal: np.ndarray, kep
     return goal
 
 
-def inertia_on_feet(mechanism: Mechanism, q: np.ndarray) -> np.ndarray:
+def stance_inertia(mechanism: Mechanism, q: np.ndarray) -> np.ndarray:
     """The inertia (nv,) that each degree of freedom moves while what carries the machine at q (nq,) stays in place.
 
     kg m^2 or kg: 1 / A_ii of A = Z (Z' M Z)^-1 Z', Z a basis of the velocities with J Z = 0. An ankle in the air moves

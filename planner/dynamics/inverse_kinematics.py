@@ -24,7 +24,7 @@ from planner.dynamics.kinematics import frame_pose, jacobian
 from planner.model.mechanism import SCREW, Frame, Mechanism
 from planner.model.space import hat, log_jacobian
 
-LEAN = 0.1  # of a radian or metre, over a residual of 1: it moves the end by some 1e-4 of what passes
+POSTURE_WEIGHT = 0.1  # of a radian or metre, over a residual of 1: it moves the end by some 1e-4 of what passes
 REACHED = 0.1  # of the scales: a residual below it ends the search
 CLOSED = 1e-3  # m or rad that a closed chain misses weigh as a residual of 1: a tenth makes the search slow
 STARTS = 8
@@ -42,7 +42,7 @@ class Target(NamedTuple):
     turn_scale: float = 0.02  # rad
 
 
-class Found(NamedTuple):
+class IKSolution(NamedTuple):
     """The configuration that is nearest to all targets."""
 
     q: np.ndarray  # (nq,)
@@ -60,7 +60,7 @@ def inverse_kinematics(
     free: np.ndarray | None = None, starts: int | None = None, seed: int = 0,
     short: Callable[[np.ndarray], float] | None = None,
     missing: Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]] | None = None,
-) -> Found:  # fmt: skip
+) -> IKSolution:  # fmt: skip
     """A configuration with frames at targets, near q.
 
     Args:
@@ -86,9 +86,9 @@ def inverse_kinematics(
     free = np.ones(mechanism.nv, dtype=bool) if free is None else np.asarray(free, dtype=bool)
     B, dofs = _directions(mechanism, free)
     low, high = (mechanism.joint_range if ranges is None else ranges).T
-    closed = np.flatnonzero(~free) if mechanism.loops or mechanism.cams else None
+    closed = np.flatnonzero(~free) if mechanism.loops or mechanism.polynomial_couplings else None
 
-    def reached(begin: np.ndarray) -> Found:
+    def reached(begin: np.ndarray) -> IKSolution:
         found = _from(mechanism, targets, q, begin, B, dofs, (low, high), closed, missing)
         lacks = 0.0 if missing is None else max(0.0, float(np.abs(missing(found.q)[0]).max(initial=0.0)) - 1.0)
         return found._replace(short=lacks + (0.0 if short is None else short(found.q)))
@@ -141,7 +141,7 @@ def _from(
     mechanism: Mechanism, targets: Sequence[Target], q: np.ndarray, begin: np.ndarray, B: np.ndarray, dofs: np.ndarray,
     ranges: tuple[np.ndarray, np.ndarray], closed: np.ndarray | None,
     missing: Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]] | None,
-) -> Found:  # fmt: skip
+) -> IKSolution:  # fmt: skip
     """The minimum to which one start leads; deviations are taken from q. `closed`: what chains to close leave alone."""
     space, pad = mechanism.space, np.zeros(mechanism.space.ndx - mechanism.nv)
 
@@ -162,23 +162,23 @@ def _from(
         own = np.linalg.inv(space.difference_jacobian(np.concatenate([e, pad]))[: mechanism.nv, : mechanism.nv])
         return r / size, (J @ own @ B) / size[:, None]
 
-    def largest(y: np.ndarray) -> Found:
+    def largest(y: np.ndarray) -> IKSolution:
         at = moved(mechanism, q, B @ y)
         if closed is None and missing is None:
-            return Found(at, float(np.abs(stacked(y)[0]).max()))
+            return IKSolution(at, float(np.abs(stacked(y)[0]).max()))
         try:
             if closed is not None:
                 at = assembled(mechanism, np.concatenate([at, pad, np.zeros(mechanism.nv)])[: space.nx], closed)
                 at = at[: mechanism.nq]
         except PlannerError:
-            return Found(at, np.inf)
+            return IKSolution(at, np.inf)
         rows = [residuals(mechanism, at, target) for target in targets]
         scales = [np.where(row[2], one.turn_scale, one.metre_scale) for row, one in zip(rows, targets, strict=True)]
-        return Found(at, float(max(np.abs(row[0] / size).max() for row, size in zip(rows, scales, strict=True))))
+        return IKSolution(at, float(max(np.abs(row[0] / size).max() for row, size in zip(rows, scales, strict=True))))
 
     if not len(dofs):
         return largest(np.zeros(0))
-    lean = LEAN * np.eye(len(dofs))
+    lean = POSTURE_WEIGHT * np.eye(len(dofs))
     low, high = _bounds(mechanism, q, dofs, ranges)
     x = np.concatenate([begin, np.zeros(space.nx - mechanism.nq)])
     x0 = np.concatenate([q, np.zeros(space.nx - mechanism.nq)])
@@ -194,7 +194,7 @@ def _from(
     from scipy.optimize import least_squares  # 0.4 s that `planner run` need not pay
 
     done = least_squares(
-        lambda y: np.concatenate([both(y)[0], LEAN * y]), y, lambda y: np.concatenate([both(y)[1], lean]),  # pyright: ignore
+        lambda y: np.concatenate([both(y)[0], POSTURE_WEIGHT * y]), y, lambda y: np.concatenate([both(y)[1], lean]),  # pyright: ignore
         bounds=(low, high), xtol=1e-9, ftol=1e-9, gtol=1e-9, max_nfev=100,
     )  # fmt: skip
     return largest(done.x)

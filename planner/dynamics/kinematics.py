@@ -9,14 +9,14 @@ from typing import Any
 
 import numpy as np
 
-from planner.dynamics.batch import Batch, kernel_model
+from planner.dynamics.batch import KernelCall, kernel_model
 from planner.kernels.tree import batch as tree_batch
 from planner.kernels.tree.model import chain_of
 from planner.model.mechanism import Frame, Mechanism
 from planner.model.space import cross, hat
 
 
-def link_places(b: Batch) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def link_places(b: KernelCall) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Per link: pose (K, nv, 4, 4) in the world, screws (K, nv, 6) about an origin, and that origin (K, nv, 3)."""
     model, nv = kernel_model(b.mechanism), b.mechanism.nv
     records = np.empty((b.K, nv, 18))
@@ -54,7 +54,7 @@ def forward_kinematics(mechanism: Mechanism, q: Any) -> np.ndarray:
     Raises:
         PlannerError: A wrong shape or a number that is not finite.
     """
-    b = Batch(mechanism, q=q)
+    b = KernelCall(mechanism, q=q)
     T = link_places(b)[0]
     poses = [frame.T if frame.link < 0 else T[:, frame.link] @ frame.T for frame in mechanism.bodies]
     return b.out(np.stack([np.broadcast_to(pose, (b.K, 4, 4)) for pose in poses], axis=1))
@@ -74,7 +74,7 @@ def frame_pose(mechanism: Mechanism, q: Any, frame: str | Frame) -> np.ndarray:
     Raises:
         PlannerError: A wrong shape or a number that is not finite; no such frame.
     """
-    b, f = Batch(mechanism, q=q), _framed(mechanism, frame)
+    b, f = KernelCall(mechanism, q=q), _framed(mechanism, frame)
     if f.link < 0:
         return b.out(np.tile(f.T, (b.K, 1, 1)))
     return b.out(link_places(b)[0][:, f.link] @ f.T)
@@ -99,7 +99,7 @@ def jacobian(mechanism: Mechanism, q: Any, frame: str | Frame) -> np.ndarray:
     Raises:
         PlannerError: A wrong shape or a number that is not finite; no such frame.
     """
-    b, f = Batch(mechanism, q=q), _framed(mechanism, frame)
+    b, f = KernelCall(mechanism, q=q), _framed(mechanism, frame)
     T, screws, origin = link_places(b)
     J = np.zeros((b.K, 6, mechanism.nv))
     if f.link >= 0:
@@ -123,7 +123,7 @@ def points_of(
         offsets: (P, 3) m, in the links' frames.
         moving: Whether Jacobians are wanted; else they are empty.
     """
-    b = Batch(mechanism, q=q)
+    b = KernelCall(mechanism, q=q)
     T, screws, origin = link_places(b)
     T = np.concatenate([T, np.tile(np.eye(4), (b.K, 1, 1, 1))], axis=1)  # the last one is the world's
     T = T[:, links]
@@ -151,7 +151,7 @@ def forward_kinematics_derivatives(mechanism: Mechanism, q: Any) -> np.ndarray:
     Raises:
         PlannerError: A wrong shape or a number that is not finite.
     """
-    b = Batch(mechanism, q=q)
+    b = KernelCall(mechanism, q=q)
     J = [jacobian(mechanism, b["q"], frame) for frame in mechanism.bodies]
     return b.out(np.stack(J, axis=1))
 
@@ -170,7 +170,7 @@ def jacobian_derivatives(mechanism: Mechanism, q: Any, frame: str | Frame) -> np
     Raises:
         PlannerError: A wrong shape or a number that is not finite; no such frame.
     """
-    b, f = Batch(mechanism, q=q), _framed(mechanism, frame)
+    b, f = KernelCall(mechanism, q=q), _framed(mechanism, frame)
     D = np.zeros((b.K, 6, mechanism.nv, mechanism.nv))
     if f.link < 0:
         return b.out(D)

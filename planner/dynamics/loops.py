@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from planner.dynamics.poe import Ad, ad, bias, mass_matrix, twists, world_poses
-from planner.model.loops import RATE, Cam, Loop
+from planner.model.loops import BAUMGARTE_RATE, PolynomialCoupling, LoopClosure
 from planner.model.mechanism import Mechanism
 
 _WEAK = 1e-9  # of the largest singular value: redundant equations
@@ -22,11 +22,11 @@ def misses(mechanism: Mechanism, q: np.ndarray) -> np.ndarray:
     """Phi (rows,) at q (nq,): m of places, rad of rotations and hinges."""
     G = world_poses(mechanism, q)
     parts = [_miss(loop, G) for loop in mechanism.loops]
-    parts += [np.array([_follower(mechanism, cam, q) - _polynomial(mechanism, cam, q)[0]]) for cam in mechanism.cams]
+    parts += [np.array([_follower(mechanism, cam, q) - _polynomial(mechanism, cam, q)[0]]) for cam in mechanism.polynomial_couplings]
     return np.concatenate(parts)
 
 
-def _miss(loop: Loop, G: np.ndarray) -> np.ndarray:
+def _miss(loop: LoopClosure, G: np.ndarray) -> np.ndarray:
     first, second = (G[link] @ T for link, T in zip(loop.links, loop.frames, strict=True))
     place = first[:3, 3] - second[:3, 3]
     if not loop.rigid:
@@ -39,11 +39,11 @@ def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     return np.array([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])
 
 
-def _follower(mechanism: Mechanism, cam: Cam, q: np.ndarray) -> Any:
+def _follower(mechanism: Mechanism, cam: PolynomialCoupling, q: np.ndarray) -> Any:
     return q[mechanism.q_address[cam.follower]] - cam.offsets[0]
 
 
-def _polynomial(mechanism: Mechanism, cam: Cam, q: np.ndarray) -> tuple[Any, Any, Any]:
+def _polynomial(mechanism: Mechanism, cam: PolynomialCoupling, q: np.ndarray) -> tuple[Any, Any, Any]:
     """The value to follow and its first two derivatives by the leader's coordinate."""
     p = np.polynomial.Polynomial(cam.coefficients)
     s = q[mechanism.q_address[cam.leader]] - cam.offsets[1]
@@ -58,7 +58,7 @@ def jacobian(mechanism: Mechanism, q: np.ndarray) -> np.ndarray:
     for loop in mechanism.loops:
         ends = [_moves(mechanism, G, screws, link, T) for link, T in zip(loop.links, loop.frames, strict=True)]
         rows.append((ends[0] - ends[1])[: loop.rows])
-    for cam in mechanism.cams:
+    for cam in mechanism.polynomial_couplings:
         row = np.zeros((1, mechanism.nv), dtype=G.dtype)
         row[0, cam.follower], row[0, cam.leader] = 1.0, -_polynomial(mechanism, cam, q)[1]
         rows.append(row)
@@ -76,7 +76,7 @@ def _moves(mechanism: Mechanism, G: np.ndarray, screws: np.ndarray, link: int, T
     return J
 
 
-def drifts(mechanism: Mechanism, q: np.ndarray, qd: np.ndarray) -> np.ndarray:
+def closure_bias(mechanism: Mechanism, q: np.ndarray, qd: np.ndarray) -> np.ndarray:
     """Jdot qd (rows,): the accelerations of what is to be zero when no joint accelerates."""
     n, S = mechanism.nv, mechanism.S
     X, V, V_base = twists(mechanism, q, qd)
@@ -88,7 +88,7 @@ def drifts(mechanism: Mechanism, q: np.ndarray, qd: np.ndarray) -> np.ndarray:
     for loop in mechanism.loops:
         ends = [_acceleration(G[i], V[i], Vd[i], T) for i, T in zip(loop.links, loop.frames, strict=True)]
         parts.append((ends[0] - ends[1])[: loop.rows])
-    parts += [np.array([-_polynomial(mechanism, cam, q)[2] * qd[cam.leader] ** 2]) for cam in mechanism.cams]
+    parts += [np.array([-_polynomial(mechanism, cam, q)[2] * qd[cam.leader] ** 2]) for cam in mechanism.polynomial_couplings]
     return np.concatenate(parts)
 
 
@@ -109,12 +109,12 @@ def closed_dynamics(
     J, G = jacobian(mechanism, q), np.eye(mechanism.nv) if mechanism.reduction is None else mechanism.reduction.G
     W = G @ np.linalg.solve(G.T @ mass_matrix(mechanism, q) @ G, G.T)
     free = W @ (tau - bias(mechanism, q, qd))
-    wanted = -drifts(mechanism, q, qd) - 2.0 * RATE * (J @ qd) - RATE**2 * misses(mechanism, q)
+    wanted = -closure_bias(mechanism, q, qd) - 2.0 * BAUMGARTE_RATE * (J @ qd) - BAUMGARTE_RATE**2 * misses(mechanism, q)
     f = _pseudo_inverse(J @ W @ J.T) @ (wanted - J @ free)
     return free + W @ J.T @ f, f
 
 
-def stepped_back(mechanism: Mechanism, q: np.ndarray, qd: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def projected_state(mechanism: Mechanism, q: np.ndarray, qd: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Positions q (nq,) and velocities (nv,) where a stage of RK4 leaves them: kernels.tree.loop_projection.
 
     The smallest steps that close the chains to first order; couplings keep what they couple.

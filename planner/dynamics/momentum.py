@@ -12,9 +12,9 @@ from typing import Any
 
 import numpy as np
 
-from planner.base.arguments import shown
+from planner.base.arguments import short_repr
 from planner.base.errors import PlannerError
-from planner.dynamics.batch import Batch
+from planner.dynamics.batch import KernelCall
 from planner.dynamics.kinematics import link_places, points_of
 from planner.model.mechanism import Mechanism
 
@@ -46,7 +46,7 @@ def angular_momentum(mechanism: Mechanism, q: Any, qd: Any) -> np.ndarray:
         PlannerError: A wrong shape, a number that is not finite, or a machine without mass.
     """
     masses, offsets, links = _massive(mechanism)
-    b = Batch(mechanism, q=q, qd=qd)
+    b = KernelCall(mechanism, q=q, qd=qd)
     T, screws, origin = link_places(b)
     twists = screws * b["qd"][:, :, None]  # of each link, relative to the one that carries it
     for i, parent in enumerate(mechanism.parent):
@@ -65,7 +65,7 @@ def angular_momentum(mechanism: Mechanism, q: Any, qd: Any) -> np.ndarray:
 def _massive(mechanism: Mechanism) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """The links with mass: kg (L,), centre of mass (L, 3) in the link's frame, and which (L,)."""
     if not isinstance(mechanism, Mechanism):
-        raise PlannerError(f"mechanism is {shown(mechanism)}, expected a Mechanism.")
+        raise PlannerError(f"mechanism is {short_repr(mechanism)}, expected a Mechanism.")
     links = np.flatnonzero(mechanism.mass > 0.0)
     if not len(links):
         raise PlannerError("the mechanism has no mass, expected at least one link that has.")

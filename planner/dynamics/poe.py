@@ -143,8 +143,8 @@ def compensation(mechanism: Mechanism, q: np.ndarray) -> np.ndarray:
     for i in range(m.nv):
         up[i] = X[i] @ up[m.parent[i]]
     for i in reversed(range(m.nv)):
-        F[i, :3] += hat(m.lifted_moment[i]) @ up[i, 3:]
-        F[i, 3:] += m.lifted_mass[i] * up[i, 3:]
+        F[i, :3] += hat(m.gravcomp_first_moment[i]) @ up[i, 3:]
+        F[i, 3:] += m.gravcomp_mass[i] * up[i, 3:]
         tau[i] = m.S[i] @ F[i]
         F[m.parent[i]] += X[i].T @ F[i]
     return tau

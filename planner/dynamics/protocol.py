@@ -85,7 +85,7 @@ class CompiledDynamics(Protocol):
         """Fill w.F along w.xs, w.us."""
         ...
 
-    def ends(self, w: Workspace, memory: Any) -> np.ndarray:
+    def stage_ends(self, w: Workspace, memory: Any) -> np.ndarray:
         """The ends (N, nx) of the stages from w.xs, w.us; linearize_nominal may follow, as after a search."""
         ...
 

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from planner.base.arguments import array, choice, count, number, shown
+from planner.base.arguments import array, choice, count, number, short_repr
 from planner.base.errors import PlannerError
 from planner.kernels.integrators import SEMI_IMPLICIT_EULER, TREE_INTEGRATORS
 from planner.kernels.lq.workspace import Workspace
@@ -54,7 +54,7 @@ class RigidBodyDynamics:
         substeps: int = 1,
     ) -> None:  # fmt: skip
         if not isinstance(mechanism, Mechanism):
-            raise PlannerError(f"mechanism is {shown(mechanism)}, expected a Mechanism.")
+            raise PlannerError(f"mechanism is {short_repr(mechanism)}, expected a Mechanism.")
         self.mechanism, self.dt = mechanism, number("dt", dt, above=0.0)
         self.integrator = choice("integrator", integrator, TREE_INTEGRATORS)
         self.substeps = count("substeps", substeps, most=MOST_SUBSTEPS)
@@ -64,7 +64,7 @@ class RigidBodyDynamics:
                 f'"{WITH_SUBSTEPS[0]}" or "{WITH_SUBSTEPS[1]}", or substeps = 1.'
             )
         if not isinstance(prescribed, (str, Collection)):
-            raise PlannerError(f"prescribed is {shown(prescribed)}, expected names of joints.")
+            raise PlannerError(f"prescribed is {short_repr(prescribed)}, expected names of joints.")
         self.prescribed = (prescribed,) if isinstance(prescribed, str) else tuple(prescribed)
         self.space: StateSpace = mechanism.space
         self.nx, self.ndx = self.space.nx, self.space.ndx
@@ -92,7 +92,7 @@ class RigidBodyDynamics:
                     "no equality couples."
                 )
         implicit = self.integrator == "rosenbrock"
-        if implicit and (self.mechanism.loops or self.mechanism.cams):
+        if implicit and (self.mechanism.loops or self.mechanism.polynomial_couplings):
             raise PlannerError(
                 'the integrator "rosenbrock" keeps no closed chains and this machine has some, expected "rk4", or less '
                 "damping."
@@ -247,7 +247,7 @@ class RigidBodyDynamics:
                 'hessian="exact" has no second derivatives of coupled joints and this machine has '
                 f'{self.mechanism.couplings[0].name}, expected hessian="gauss-newton".'
             )
-        if self.mechanism.loops or self.mechanism.cams:
+        if self.mechanism.loops or self.mechanism.polynomial_couplings:
             raise PlannerError(
                 'hessian="exact" has no second derivatives of closed chains and this machine has some, expected '
                 'hessian="gauss-newton".'

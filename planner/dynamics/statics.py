@@ -18,7 +18,7 @@ import numpy as np
 from planner.base.arguments import array
 from planner.base.errors import PlannerError
 from planner.dynamics.algorithms import mass_matrix
-from planner.dynamics.assembly import directions
+from planner.dynamics.assembly import feasible_directions
 from planner.dynamics.contacts import contact_forces, contact_jacobians, generalized_forces
 from planner.dynamics.kinematics import jacobian
 from planner.dynamics.momentum import center_of_mass
@@ -29,13 +29,13 @@ from planner.model.mechanism import Frame, Mechanism
 STEPS = 200
 FIRST_STEP, LONGEST_STEP = 0.02, 0.2  # m or rad, downhill: contacts come and go within millimetres
 SHORTEST_STEP = 1e-9  # m or rad: what cannot go downhill by as much does not rest
-TIPPED = 0.5  # m or rad, from the pose that was asked for: what moved as far has fallen over
+MAX_SHIFT = 0.5  # m or rad, from the pose that was asked for: what moved as far has fallen over
 AT_REST = 1e-9  # of the weight: what is left of it
 FLAT = 1e-6  # of the largest, m or rad per m or rad: how little a motion along the ground may lift or tilt
 DIFFERENCE = 1e-6  # m or rad, for slopes of forces, on which only the number of steps depends
 MANY = 20  # contacts that tell which way is up
 UPWARDS = 0.8  # of a plane's normal, against gravity: less is a wall
-LAW_SHARE = 1e-3  # how much less it matters that a force is the law's than that it holds the pose
+FORCE_FIT_WEIGHT = 1e-3  # how much less it matters that a force is the law's than that it holds the pose
 
 
 def settled(mechanism: Mechanism, x: Any) -> np.ndarray:
@@ -64,10 +64,10 @@ def settled(mechanism: Mechanism, x: Any) -> np.ndarray:
         raise PlannerError(
             "the mechanism has no contacts, expected some: Mechanism.from_mjcf(..., contacts=ContactLaw(...))."
         )
-    free = undriven(mechanism)
+    free = unactuated_basis(mechanism)
     if not free.shape[1]:
         raise PlannerError("every joint is driven, expected some that are not: the ground carries nothing here.")
-    start = lowered(mechanism, x)
+    start = lowered_to_ground(mechanism, x)
     x, rests = _downhill(mechanism, start, free)
     if rests:
         return x
@@ -79,13 +79,13 @@ def settled(mechanism: Mechanism, x: Any) -> np.ndarray:
     )
 
 
-def lowered(mechanism: Mechanism, x: np.ndarray) -> np.ndarray:
+def lowered_to_ground(mechanism: Mechanism, x: np.ndarray) -> np.ndarray:
     """A pose (nx,) moved along the ground's normals until the lowest contact of each tree sinks in by its weight.
 
     Raises:
         PlannerError: No tree with contacts moves up and down as a whole.
     """
-    q, free, root = x[: mechanism.nq], undriven(mechanism), roots(mechanism)
+    q, free, root = x[: mechanism.nq], unactuated_basis(mechanism), roots(mechanism)
     g = float(np.linalg.norm(mechanism.gravity))
     normals = np.array([contact.plane.normal for contact in mechanism.contacts])
     up = -mechanism.gravity / g if g > 0.0 else np.zeros(3)
@@ -108,7 +108,7 @@ def lowered(mechanism: Mechanism, x: np.ndarray) -> np.ndarray:
     return x
 
 
-def undriven(mechanism: Mechanism) -> np.ndarray:
+def unactuated_basis(mechanism: Mechanism) -> np.ndarray:
     """The directions (nv, n) that no actuator moves: degrees of freedom, and what follows them."""
     G = np.eye(mechanism.nv) if mechanism.reduction is None else mechanism.reduction.G
     return G[:, ~np.any(mechanism.actuators.moment @ G != 0.0, axis=0)]
@@ -120,7 +120,7 @@ def clearance(mechanism: Mechanism, x: np.ndarray) -> float:
     return -float(np.max(depths, initial=-np.inf))
 
 
-def supported(mechanism: Mechanism, q: np.ndarray, reach: np.ndarray, tau: np.ndarray) -> np.ndarray:
+def supporting_controls(mechanism: Mechanism, q: np.ndarray, reach: np.ndarray, tau: np.ndarray) -> np.ndarray:
     """Controls (nu,) that together with the ground give a generalized force.
 
     Contacts near the ground push as they must, within their cones of friction (pyramids of four edges); where several
@@ -143,14 +143,14 @@ def supported(mechanism: Mechanism, q: np.ndarray, reach: np.ndarray, tau: np.nd
     edges = [_edges(mechanism.contacts[k]) for k in near]
     columns = [reach, *(Jk.T @ edge for Jk, edge in zip(J, edges, strict=True))]
     rows, wanted = [np.hstack(columns)], [tau]
-    Z = directions(mechanism, q)[0]  # couplings and closed chains give what they must
+    Z = feasible_directions(mechanism, q)[0]  # couplings and closed chains give what they must
     rows, wanted = [Z.T @ rows[0]], [Z.T @ wanted[0]]
     at = nu
     for k, edge in zip(near, edges, strict=True):
         row = np.zeros((3, rows[0].shape[1]))
-        row[:, at : at + edge.shape[1]] = LAW_SHARE * edge
+        row[:, at : at + edge.shape[1]] = FORCE_FIT_WEIGHT * edge
         rows.append(row)
-        wanted.append(LAW_SHARE * law.forces[k])
+        wanted.append(FORCE_FIT_WEIGHT * law.forces[k])
         at += edge.shape[1]
     least = np.where(np.arange(at) < nu, -np.inf, 0.0)
     return lsq_linear(np.vstack(rows), np.concatenate(wanted), (least, np.inf), method="bvls").x[:nu]
@@ -200,7 +200,7 @@ def _downhill(mechanism: Mechanism, x: np.ndarray, free: np.ndarray) -> tuple[np
         right = abs(found - expected) < 0.3 * abs(expected)
         longest = min(LONGEST_STEP, 2.0 * longest) if right else max(0.5 * longest, 1e-3 * FIRST_STEP)
         x, uphill = there, further
-        if np.abs(space.difference(x, start)).max() > TIPPED:
+        if np.abs(space.difference(x, start)).max() > MAX_SHIFT:
             break
     return x, False
 

@@ -28,10 +28,10 @@ from planner.model.mechanism import Mechanism
 
 # |lambda| h of a substep that is aimed at: RK4 lets a fast motion die out by exp(-0.7) to 0.3 %, so that a replay at
 # finer steps is the same to a fraction of what passes. At 1 it is 2 %, at 2 it is 0.33 in place of 0.14.
-AIM = 0.7
+TARGET_RATE_STEP = 0.7
 # The most, which 16 substeps may take. Of the 2.61 above a quarter is left, for states on the way whose rates are
 # higher than those asked about.
-REACH = 2.0
+MAX_RATE_STEP = 2.0
 IMPLICIT = 1e-3
 """How much two stages of half the length may change a stage's A, of positions and of velocities times the stage, for
 its damping to be taken implicitly: a tenth of what passes of a path."""
@@ -40,16 +40,16 @@ _SAME = 1e-6  # relative: eigenvalues that are one
 _ROUNDING = 1e-9  # relative
 
 
-class Fastest(NamedTuple):
+class FastestMode(NamedTuple):
     """The fastest rate of a machine."""
 
     rate: float  # 1/s
     joint: str  # Whose motion it is, or the activation
 
 
-def fastest(
+def fastest_mode(
     mechanism: Mechanism, states: np.ndarray | Iterable[np.ndarray], prescribed: Collection[str] = ()
-) -> Fastest:
+) -> FastestMode:
     """The largest rate, 1/s, of a machine at states (K, nx) or (nx,), and the joint that it belongs to.
 
     Friction loss holds a joint at rest like an armature; a light joint is faster once it slips, so both are looked at.
@@ -62,7 +62,7 @@ def fastest(
     Raises:
         PlannerError: Nothing drives the mechanism, or a prescribed joint is unknown.
     """
-    xs, found = _rows(states), Fastest(0.0, "")
+    xs, found = _rows(states), FastestMode(0.0, "")
     for one in _held_and_slipping(mechanism):
         dynamics = RigidBodyDynamics(one, _TINY, "euler", prescribed)
         A, _ = dynamics.linearize(np.vstack([xs, xs[-1:]]), np.zeros((len(xs), dynamics.nu)))
@@ -73,7 +73,7 @@ def fastest(
             k = int(np.argmax(np.abs(values)))
             rate = float(abs(values[k]))
             if rate > found.rate:
-                found = Fastest(rate, _joint(mechanism, slopes, values[k], right[:, k]))
+                found = FastestMode(rate, _joint(mechanism, slopes, values[k], right[:, k]))
     return found
 
 
@@ -115,20 +115,20 @@ def substeps_for(
     Raises:
         PlannerError: It takes more than 16; the sentence has the joint, its rate and the stage that it needs.
     """
-    return substeps_of(fastest(mechanism, states, prescribed), dt)
+    return substeps_of(fastest_mode(mechanism, states, prescribed), dt)
 
 
-def substeps_of(found: Fastest, dt: float) -> int:
+def substeps_of(found: FastestMode, dt: float) -> int:
     """The substeps, 1 to 16, of a stage of dt s for this fastest rate; a PlannerError where they are more."""
-    if found.rate * dt > MOST_SUBSTEPS * REACH * (1.0 + _ROUNDING):
-        substeps = math.ceil(found.rate * dt / REACH)
-        longest = MOST_SUBSTEPS * REACH / found.rate
+    if found.rate * dt > MOST_SUBSTEPS * MAX_RATE_STEP * (1.0 + _ROUNDING):
+        substeps = math.ceil(found.rate * dt / MAX_RATE_STEP)
+        longest = MOST_SUBSTEPS * MAX_RATE_STEP / found.rate
         raise PlannerError(
             f"{found.joint} has a rate of {found.rate:.4g} per s, which takes {substeps} substeps in a stage of "
             f"{dt:g} s and {MOST_SUBSTEPS} are the most, expected dt = {_round_down(longest):g}, or less damping or "
             "gain there."
         )
-    return min(max(math.ceil(found.rate * dt / AIM - _ROUNDING), 1), MOST_SUBSTEPS)
+    return min(max(math.ceil(found.rate * dt / TARGET_RATE_STEP - _ROUNDING), 1), MOST_SUBSTEPS)
 
 
 def implicit_error(
@@ -152,7 +152,7 @@ def implicit_error(
     return change
 
 
-def reason(found: Fastest, substeps: int) -> str:
+def reason(found: FastestMode, substeps: int) -> str:
     """The sentence of a count of substeps."""
     steps = "1 step a stage is enough:" if substeps == 1 else f"{substeps} substeps a stage, because"
     return f"{steps} {found.joint} has the highest rate, {found.rate:.4g} per s."

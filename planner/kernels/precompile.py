@@ -40,10 +40,10 @@ KERNELS: dict[str, tuple[Any, tuple[str, ...]]] = {
     "riccati structured": (riccati.riccati_structured, (_TABLE, "float64", "float64")),
     "riccati dense bounded": (bounded.riccati_dense_bounded, (_TABLE, "float64", "float64", "boolean")),
     "riccati structured bounded": (bounded.riccati_structured_bounded, (_TABLE, "float64", "float64", "boolean")),
-    "choose active": (active_set.choose_active, (_TABLE, "float64", "boolean")),
+    "choose active": (active_set.update_active_set, (_TABLE, "float64", "boolean")),
     "gradients": (quadratic.gradients, (_TABLE,)),
-    "begin following": (following.begin_following, (_TABLE, _TABLE)),
-    "keep followed": (following.keep_followed, (_TABLE, _TABLE)),
+    "begin following": (following.load_tracked, (_TABLE, _TABLE)),
+    "keep followed": (following.store_tracked, (_TABLE, _TABLE)),
     "costates": (second_order.costates, (_TABLE, "float64")),
     "tree second order": (
         tree_second.second_order,

@@ -12,7 +12,7 @@ from planner.model.contact.laws import slide_direction
 from planner.model.joint_curves import check_curve
 
 
-def check_parts(mechanism: Any) -> None:
+def validate_mechanism(mechanism: Any) -> None:
     """Raise a sentence for the first part of a mechanism that is wrong.
 
     Raises:

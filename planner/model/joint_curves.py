@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from planner.base.arguments import count, number, set_fields, shown
+from planner.base.arguments import count, number, set_fields, short_repr
 from planner.base.errors import PlannerError
 
 LARGEST = 700.0  # an exponent beyond which a torque grows no further: e^709 is the last finite number
@@ -44,10 +44,10 @@ class ExponentialTorque:
         try:
             pairs = [(one, other) for one, other in given]
         except (TypeError, ValueError):
-            raise PlannerError(f"slopes is {shown(self.slopes)}, expected numbers by degree of freedom.") from None
+            raise PlannerError(f"slopes is {short_repr(self.slopes)}, expected numbers by degree of freedom.") from None
         slopes = {count("slopes: dof", j, least=0): number(f"slopes[{j}]", slope) for j, slope in pairs}
         if len(slopes) < len(pairs):
-            raise PlannerError(f"slopes is {shown(self.slopes)}, expected each degree of freedom once.")
+            raise PlannerError(f"slopes is {short_repr(self.slopes)}, expected each degree of freedom once.")
         set_fields(self, slopes=tuple(sorted(slopes.items())), dof=count("dof", self.dof, least=0))
         set_fields(self, **{name: number(name, getattr(self, name)) for name in ("amplitude", "constant")})
 
@@ -64,7 +64,7 @@ class ExponentialTorque:
 def check_curve(curve: Any, turning: np.ndarray, name: str) -> None:
     """Raise a PlannerError unless a torque acts on hinges and slides of a machine, `turning` (nv,) bool, alone."""
     if not isinstance(curve, ExponentialTorque):
-        raise PlannerError(f"{name} is {shown(curve)}, expected an ExponentialTorque.")
+        raise PlannerError(f"{name} is {short_repr(curve)}, expected an ExponentialTorque.")
     for dof in curve.dofs:
         if not (dof < len(turning) and turning[dof]):
             raise PlannerError(f"{name} is of dof {dof}, expected those of hinges or slides, below {len(turning)}.")
@@ -78,7 +78,7 @@ def one_torque(curve: ExponentialTorque, address: Sequence[int] | np.ndarray, q:
     return curve.amplitude * np.exp(np.clip(exponent, -LARGEST, LARGEST))
 
 
-def curve_torques(mechanism: Any, q: np.ndarray) -> np.ndarray:
+def exponential_joint_torques(mechanism: Any, q: np.ndarray) -> np.ndarray:
     """The applied force tau (..., nv) of all curves of a mechanism at q (..., nq)."""
     tau = np.zeros((*np.shape(q)[:-1], mechanism.nv))
     for curve in mechanism.curves:

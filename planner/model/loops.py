@@ -23,11 +23,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-RATE = 20.0  # 1/s: a miss falls to a hundredth within a third of a second, and a stage of 0.1 s is still stable by RK4
+BAUMGARTE_RATE = 20.0  # 1/s: a miss falls to a hundredth within a third of a second, and a stage of 0.1 s is still stable by RK4
 
 
 @dataclass(frozen=True, eq=False)
-class Loop:
+class LoopClosure:
     """Two frames that are held together."""
 
     name: str  # in a sentence, e.g. "equality 'coupler'"
@@ -42,7 +42,7 @@ class Loop:
 
 
 @dataclass(frozen=True)
-class Cam:
+class PolynomialCoupling:
     """A joint that follows another one by a polynomial."""
 
     name: str
@@ -57,6 +57,6 @@ class Cam:
         return self.follower, self.leader
 
 
-def pull() -> float:
+def baumgarte_rate() -> float:
     """The rate, 1/s, by which kernels pull states back onto the constraints; a number of their tables."""
-    return RATE
+    return BAUMGARTE_RATE

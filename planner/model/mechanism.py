@@ -33,12 +33,12 @@ import numpy as np
 from planner.base.arguments import choice
 from planner.base.errors import PlannerError
 from planner.model.actuators import Actuators
-from planner.model.check_parts import check_parts
+from planner.model.check_parts import validate_mechanism
 from planner.model.contact.between_bodies import BodyContact
 from planner.model.contact.laws import Contact, ContactLaw, Stop
 from planner.model.couplings import Coupling, Reduction, reduce
 from planner.model.joint_curves import ExponentialTorque
-from planner.model.loops import Cam, Loop
+from planner.model.loops import PolynomialCoupling, LoopClosure
 from planner.model.space import StateSpace
 from planner.model.tendons import FixedTendon
 from planner.model.urdf.as_mjcf import as_mjcf
@@ -86,8 +86,8 @@ class Mechanism:
     friction_loss: np.ndarray  # (nv,) N m or N, the largest friction; see planner.dynamics.friction
     friction_inertia: np.ndarray  # (nv,) kg m^2 or kg, by which friction holds it below that
     friction_rate: np.ndarray  # (nv,) 1/s, of the damper beside that inertia
-    lifted_mass: np.ndarray  # (nv,) kg of a link whose weight gravity compensation carries
-    lifted_moment: np.ndarray  # (nv, 3) its first moment in the link's frame, kg m
+    gravcomp_mass: np.ndarray  # (nv,) kg of a link whose weight gravity compensation carries
+    gravcomp_first_moment: np.ndarray  # (nv, 3) its first moment in the link's frame, kg m
     body_names: tuple[str, ...]  # MuJoCo's bodies in order, the world first
     bodies: tuple[Frame, ...]  # Their frames
     contacts: tuple[Contact, ...] = ()  # Spheres and points that touch planes of the world
@@ -102,13 +102,13 @@ class Mechanism:
     curves: tuple[ExponentialTorque, ...] = ()  # Of coordinates; the file knows nothing of them
     tendons: tuple[FixedTendon, ...] = ()  # Fixed tendons with a force or a range
     couplings: tuple[Coupling, ...] = ()  # Equations that are linear in hinge and slide coordinates, kept exactly
-    loops: tuple[Loop, ...] = ()  # Frames that are held together, so that chains close
-    cams: tuple[Cam, ...] = ()  # Joints that follow others by polynomials
+    loops: tuple[LoopClosure, ...] = ()  # Frames that are held together, so that chains close
+    polynomial_couplings: tuple[PolynomialCoupling, ...] = ()  # Joints that follow others by polynomials
     contacts_mode: str = ""  # "model", "ground", "avoid", "off" or "law"; "" where no shapes can touch
     contacts_choice: str = ""  # A sentence about it, without a full stop; "" where there is nothing to say
 
     def __post_init__(self) -> None:
-        check_parts(self)
+        validate_mechanism(self)
         if self.couplings:
             _ = self.reduction  # a contradiction is told now
         self._protect()

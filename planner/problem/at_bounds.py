@@ -65,7 +65,7 @@ def state_outside(problem: Problem, xs: np.ndarray, t: np.ndarray) -> str:
 
 def constraints_broken(problem: Problem, xs: np.ndarray, us: np.ndarray, t: np.ndarray) -> str:
     """The constraints that states xs (N+1, nx) and controls us (N, nu) break, how far and when; "" where none is."""
-    rows = None if problem.kept is None else problem.kept.rows
+    rows = None if problem.trajectory_constraints is None else problem.trajectory_constraints.rows
     if rows is None or not np.isfinite(xs).all():
         return ""
     broken = [one for one in rows.violations(xs, us) if not one.value <= one.constraint.allowed()]

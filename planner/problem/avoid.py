@@ -13,26 +13,26 @@ from weakref import WeakKeyDictionary
 
 import numpy as np
 
-from planner.base.arguments import array, number, numbers, set_fields, shown
+from planner.base.arguments import array, number, numbers, set_fields, short_repr
 from planner.base.errors import PlannerError
-from planner.model.lying import lying_bodies
+from planner.model.lying import stationary_object_bodies
 from planner.model.mechanism import SCREW, Mechanism
 from planner.model.mjcf.left_out import pairs_by_name
-from planner.model.mjcf.near_pairs import Near, near_pairs
-from planner.model.mjcf.survey import Survey, compile_model
-from planner.problem.constraints.apart import Apart
+from planner.model.mjcf.near_pairs import CollisionPairs, select_collision_pairs
+from planner.model.mjcf.survey import ModelIndex, compile_model
+from planner.problem.constraints.apart import PairClearance
 from planner.problem.constraints.constraint import Constraint
-from planner.problem.free_poses import FreePoses
-from planner.problem.guess import follow
+from planner.problem.free_poses import CollisionChecker
+from planner.problem.guess import inverse_dynamics_controls
 from planner.problem.way_around import along
 
 EXACT = 0.02  # of the clearance: how far below it passes
 SOFT = 0.1  # of the clearance, see Apart.soft
 
-_surveys: WeakKeyDictionary[Mechanism, Survey] = WeakKeyDictionary()
+_surveys: WeakKeyDictionary[Mechanism, ModelIndex] = WeakKeyDictionary()
 
 
-class KeptApart(NamedTuple):
+class AvoidanceConstraint(NamedTuple):
     """The constraint that keeps shapes apart, and sentences about them."""
 
     constraint: Constraint
@@ -58,12 +58,12 @@ class Avoid:
     def __post_init__(a) -> None:  # pyright: ignore[reportSelfClsParameterName] - a field is called self
         for name in ("self", "world"):
             if not isinstance(getattr(a, name), bool):
-                raise PlannerError(f"{name} of avoid is {shown(getattr(a, name))}, expected true or false.")
+                raise PlannerError(f"{name} of avoid is {short_repr(getattr(a, name))}, expected true or false.")
         if not (a.self or a.world):
             raise PlannerError("self and world of avoid are false, expected one of them true.")
         more = {} if a.more is None else a.more
         if not isinstance(more, Mapping):
-            raise PlannerError(f"more of avoid is {shown(more)}, expected a table of m by the names of pairs.")
+            raise PlannerError(f"more of avoid is {short_repr(more)}, expected a table of m by the names of pairs.")
         set_fields(
             a, clearance=number("clearance of avoid", a.clearance, above=0.0),
             more={name: number(f"more of {name}", value) for name, value in more.items()},
@@ -78,7 +78,7 @@ class Avoid:
         mechanism: Mechanism,
         start: Any,
         goal: Any = None,
-    ) -> KeptApart:
+    ) -> AvoidanceConstraint:
         """The constraint for a motion of a mechanism from a start to goals, and what to know of it.
 
         Args:
@@ -95,10 +95,10 @@ class Avoid:
         goals = {} if goal is None else goal if isinstance(goal, Mapping) else {"the goal": goal}
         poses = {"the start": start, **goals}
         poses = {name: _positions(name, x, mechanism) for name, x in poses.items()}
-        near = near_pairs(survey, poses, a.clearance, own=a.self, world=a.world, known=_known(mechanism, survey))
+        near = select_collision_pairs(survey, poses, a.clearance, own=a.self, world=a.world, known=_known(mechanism, survey))
         if not near.pairs:
             raise PlannerError("avoid has nothing to keep apart: no shapes of the model can touch; leave it out.")
-        return KeptApart(_constraint(near, a.clearance, a.more), near.notes)
+        return AvoidanceConstraint(_constraint(near, a.clearance, a.more), near.notes)
 
 
 def _positions(name: str, given: Any, mechanism: Mechanism) -> np.ndarray:
@@ -110,31 +110,31 @@ def _positions(name: str, given: Any, mechanism: Mechanism) -> np.ndarray:
     return array(name, x[: mechanism.nq], (mechanism.nq,))
 
 
-def survey_of(mechanism: Mechanism) -> Survey:
+def survey_of(mechanism: Mechanism) -> ModelIndex:
     """The user's file of a mechanism, compiled once."""
     if mechanism not in _surveys:
-        _surveys[mechanism] = Survey(compile_model(mechanism.original or mechanism.mjcf, mechanism.assets))
+        _surveys[mechanism] = ModelIndex(compile_model(mechanism.original or mechanism.mjcf, mechanism.assets))
     return _surveys[mechanism]
 
 
-def _known(mechanism: Mechanism, survey: Survey) -> Collection[frozenset[int]]:
+def _known(mechanism: Mechanism, survey: ModelIndex) -> Collection[frozenset[int]]:
     """The pairs whose contact the plan's own model has, and those of objects with what they lie on."""
     model, named = survey.model, pairs_by_name(survey.model)
     own = {}
     if mechanism.contacts or mechanism.body_contacts:
         own = pairs_by_name(compile_model(mechanism.mjcf, mechanism.assets))
-    beside = (lying_bodies(mechanism) | (model.body_weldid == 0))[model.geom_bodyid]
+    beside = (stationary_object_bodies(mechanism) | (model.body_weldid == 0))[model.geom_bodyid]
     return {frozenset(pair) for name, pair in named.items() if name in own or np.all(beside[list(pair)])}
 
 
-def _constraint(near: Near, clearance: float, more: Mapping[str, float]) -> Constraint:
+def _constraint(near: CollisionPairs, clearance: float, more: Mapping[str, float]) -> Constraint:
     added = np.array([min(more.get(pair.names, 0.0), pair.room) for pair in near.pairs])
-    apart = Apart(near.pairs, added, SOFT * clearance)
+    apart = PairClearance(near.pairs, added, SOFT * clearance)
     return Constraint(apart, least=apart.least, tolerance=EXACT * clearance, name="clearance")
 
 
-def motion_around(
-    apart: Apart, mechanism: Mechanism, x0: np.ndarray, goal: np.ndarray, duration: float, N: int, seed: int = 0
+def collision_free_motion(
+    apart: PairClearance, mechanism: Mechanism, x0: np.ndarray, goal: np.ndarray, duration: float, N: int, seed: int = 0
 ) -> tuple[np.ndarray, np.ndarray] | None:
     """States (N+1, nx) along a way on which nothing is too near, and controls (N, nu) by inverse dynamics.
 
@@ -144,12 +144,12 @@ def motion_around(
     moving = np.concatenate([x0[nq : nq + nv], goal[nq : nq + nv]])
     if np.any(mechanism.kind != SCREW) or mechanism.contacts or mechanism.body_contacts or np.any(moving):
         return None
-    way = FreePoses(apart, mechanism).way(x0[:nq], goal[:nq], seed)
+    way = CollisionChecker(apart, mechanism).way(x0[:nq], goal[:nq], seed)
     if way is None:
         return None
     xs = np.tile(x0, (N + 1, 1))
     xs[:, :nq], xs[:, nq : nq + nv], _ = along(way, duration, np.arange(N + 1) / N)
     try:
-        return xs, follow(mechanism, *along(way, duration, (np.arange(N) + 0.5) / N))
+        return xs, inverse_dynamics_controls(mechanism, *along(way, duration, (np.arange(N) + 0.5) / N))
     except PlannerError:  # the actuators do not reach every joint
         return None

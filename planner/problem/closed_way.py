@@ -18,23 +18,23 @@ import numpy as np
 from planner.base.errors import PlannerError
 from planner.dynamics.assembly import assembled
 from planner.model.mechanism import Mechanism
-from planner.problem.guess import follow, quintic_shares
+from planner.problem.guess import inverse_dynamics_controls, quintic_shares
 
 STEP = 0.05  # rad or m of the joint that moves most, between poses that are closed
 LEAST, MOST = 25, 100  # of them between two poses that are left and reached at rest, and between any two
 JUMP = 10.0  # times STEP, or the way between two poses if it is more: the chains were put together otherwise
 
 
-class ClosedWay(NamedTuple):
+class ClosedChainReference(NamedTuple):
     """A way in time."""
 
     rows: np.ndarray  # (N+1, nx) states
     controls: np.ndarray | None  # (N, nu); None where the actuators do not reach every direction that chains leave
 
 
-def closed_way(
+def closed_chain_reference(
     mechanism: Mechanism, x0: np.ndarray, stages: np.ndarray, q: np.ndarray, stops: np.ndarray, dt: float
-) -> ClosedWay | None:
+) -> ClosedChainReference | None:
     """The way through poses q (E, nq) at stages (E,), the first that of x0 (nx,); None where there is none.
 
     Args:
@@ -76,9 +76,9 @@ def closed_way(
     at = space.integrate(rows[:-1], half)[:, :nq]
     rows[:, nq : nq + nv] = speeds
     try:
-        return ClosedWay(rows, follow(mechanism, at, middle, np.diff(speeds, axis=0) / dt))
+        return ClosedChainReference(rows, inverse_dynamics_controls(mechanism, at, middle, np.diff(speeds, axis=0) / dt))
     except PlannerError:  # the actuators do not reach every direction
-        return ClosedWay(rows, None)
+        return ClosedChainReference(rows, None)
 
 
 def _closed(mechanism: Mechanism, poses: np.ndarray, stages: np.ndarray, alone: bool) -> tuple[np.ndarray, np.ndarray]:

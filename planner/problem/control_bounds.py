@@ -17,7 +17,7 @@ import numpy as np
 AT_BOUND = 1e-11  # as in kernels.lq.bounded
 
 
-class Moves(NamedTuple):
+class StepBounds(NamedTuple):
     """How far each control may change at a trajectory, and how its bounds change with the state."""
 
     lower: np.ndarray  # (N, nu) at most 0
@@ -85,7 +85,7 @@ class ControlBounds:
         nearly = 0.0 if self.servos is None else AT_BOUND * np.maximum(1.0, np.abs(us))
         return (us <= lower + nearly) | (us >= upper - nearly)
 
-    def moved(self, us: np.ndarray, xs: np.ndarray, to: np.ndarray) -> np.ndarray:
+    def shifted_with_bounds(self, us: np.ndarray, xs: np.ndarray, to: np.ndarray) -> np.ndarray:
         """Controls us (N, nu) at bounds along the states xs (N+1, nx), moved as their bounds are along `to`."""
         if self.servos is None:
             return us
@@ -93,17 +93,17 @@ class ControlBounds:
         low = us - lower < upper - us
         return us + np.where(low, after[0] - lower, after[1] - upper)
 
-    def moves(self, xs: np.ndarray, us: np.ndarray) -> Moves:
+    def step_bounds(self, xs: np.ndarray, us: np.ndarray) -> StepBounds:
         """How far controls us (N, nu) along the states xs (N+1, nx) may change."""
         if self.servos is None:
-            return Moves(self.lower - us, self.upper - us)
+            return StepBounds(self.lower - us, self.upper - us)
         lower, upper, *shares = self.shares(xs, us)
         servos, by_x = self.servos, [np.zeros((*us.shape, self.servos.ndx)) for _ in range(2)]
         for rows, share in zip(by_x, shares, strict=True):
             of_servos = share[:, servos.control]
             slopes = -(of_servos[..., :1] * servos.now + of_servos[..., 1:] * servos.late)  # (N, S, M)
             rows[:, servos.control[:, None], servos.in_dx] = slopes
-        return Moves(lower - us, upper - us, *by_x)
+        return StepBounds(lower - us, upper - us, *by_x)
 
     def shares(self, xs: np.ndarray, us: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """Bounds (N, nu) along states xs (N+1, nx), and the parts (N, nu, 2) of both lines; 0 where a number bounds.

@@ -10,7 +10,7 @@ import numpy as np
 from planner.model.space import space_of
 from planner.problem.costs.energy import EnergyCost
 from planner.problem.costs.jerk import JerkCost, with_acceleration
-from planner.problem.costs.terms import SumCost, remade
+from planner.problem.costs.terms import SumCost, call_if_supported
 from planner.problem.costs.time import TimeCost
 from planner.problem.costs.tracking import tracking_of
 from planner.problem.objective import EFFORT_SHARE, Objective, weights_of
@@ -29,9 +29,9 @@ def with_objective(problem: Problem, objective: str | Mapping[str, float]) -> Pr
         PlannerError: An unknown name or a negative weight; a machine without actuators or joints to speak of.
     """
     weights = {"effort": EFFORT_SHARE} | weights_of(objective)
-    problem = plain(problem)
+    problem = base_problem(problem)
     base, dynamics = problem.cost, problem.dynamics
-    terms = [base if weights["effort"] == 1.0 else remade(base, "with_effort", weights["effort"])]
+    terms = [base if weights["effort"] == 1.0 else call_if_supported(base, "with_effort", weights["effort"])]
     if "energy" in weights:
         terms.append(EnergyCost(dynamics, weights["energy"]))
     if "jerk" in weights:
@@ -52,7 +52,7 @@ def _jerk(problem: Problem, weight: float) -> JerkCost:
     return JerkCost(problem.dynamics, problem.N, weight, goal.R, from_rest=not problem.x0[q].any(), to_rest=stops)
 
 
-def plain(problem: Problem) -> Problem:
+def base_problem(problem: Problem) -> Problem:
     """The problem without an objective, with the cost that it had before."""
     return problem if problem.objective is None else replace(problem, cost=problem.objective.base, objective=None)
 

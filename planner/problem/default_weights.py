@@ -28,23 +28,23 @@ import numpy as np
 
 from planner.dynamics import RigidBodyDynamics
 from planner.dynamics.algorithms import bias, mass_matrix
-from planner.dynamics.assembly import directions
-from planner.dynamics.footing import inertia_on_feet
+from planner.dynamics.assembly import feasible_directions
+from planner.dynamics.footing import stance_inertia
 from planner.model.coordinates import coordinates_of_mechanism
-from planner.model.lying import lying_dofs
+from planner.model.lying import stationary_object_dofs
 from planner.model.mechanism import Mechanism
-from planner.model.mjcf.driven import driven_dofs
+from planner.model.mjcf.driven import prescribed_dofs_of
 from planner.problem.costs.tracking import TrackingCost
 from planner.problem.goals import LEAST, least_share
-from planner.problem.guess import holding_controls
-from planner.problem.staying import staying
+from planner.problem.guess import quasi_static_controls
+from planner.problem.staying import terminal_holding_cost
 
 LEAST_SPEED = {"rad": 0.5, "m": 0.1}  # rad/s, m/s: a joint that stays may move so fast at the price of one that goes
 LEAST_WAY = {"rad": 0.25, "m": 0.05}  # rad, m: what a motor without limits is taken to move at least
 MOVING = 0.75  # of the duration: in the rest a machine that stands comes to rest on a ground that is not the plan's
-KEPT = 2.0  # tolerances of the goal: 0.04 rad, 10 mm
-HOLD = 1.0  # s: longer than what a machine that stands takes to come to rest
-SWIFT = 60.0  # 1/s: gains that correct faster wrestle with a ground that is not the plan's, and with stages of 10 ms
+STANCE_TOLERANCES = 2.0  # tolerances of the goal: 0.04 rad, 10 mm
+HOLD_SECONDS = 1.0  # s: longer than what a machine that stands takes to come to rest
+MAX_CORRECTION_RATE = 60.0  # 1/s: gains that correct faster wrestle with a ground that is not the plan's, and with stages of 10 ms
 POSITION, VELOCITY = 4.0, 10.0  # over the square of a goal's tolerance
 SOFTEST_EFFORT = 1e-12  # a limit of a million of its unit, or one that means none, still leaves a definite weight
 
@@ -60,7 +60,7 @@ class DefaultWeights:
 def default_weights(
     dynamics: RigidBodyDynamics, x0: np.ndarray, goal: np.ndarray, duration: float, *,
     tolerance: float | Mapping[str, float] | None = None, effort_alone: bool = False, stays: bool = True,
-    way: np.ndarray | None = None, most: np.ndarray | None = None, jerk: float = 0.0,
+    displacement: np.ndarray | None = None, most: np.ndarray | None = None, jerk: float = 0.0,
 ) -> DefaultWeights:  # fmt: skip
     """The weights of a motion from x0 (nx,) to a goal (nx,) within a duration, s.
 
@@ -79,44 +79,44 @@ def default_weights(
     mechanism = dynamics.mechanism
     nv = mechanism.nv
     units = [one.unit for one in coordinates_of_mechanism(mechanism)[: 2 * nv]]
-    way = np.abs(mechanism.space.difference(x0, goal)[:nv]) if way is None else way
-    speed = np.maximum(2.0 * way / duration, [LEAST_SPEED[unit] for unit in units[:nv]])
+    displacement = np.abs(mechanism.space.difference(x0, goal)[:nv]) if displacement is None else displacement
+    speed = np.maximum(2.0 * displacement / duration, [LEAST_SPEED[unit] for unit in units[:nv]])
     velocity = np.zeros(nv)
-    reach = reaches_all(dynamics)
+    reach = fully_actuated(dynamics)
     stands = bool(mechanism.contacts) and stays and not effort_alone
     if (reach or bool(mechanism.contacts)) and not effort_alone:
         velocity = 1.0 / speed**2
-    share = least_share(zip(way.tolist(), units, strict=False))
+    share = least_share(zip(displacement.tolist(), units, strict=False))
     position, rate = _tolerances(mechanism, [share * LEAST[unit] for unit in units], tolerance)
-    kept = KEPT * position if stands else None
-    effort, control, known = _effort(dynamics, x0, goal, duration, way, kept, most)
-    stays_put = lying_dofs(mechanism) & (way == 0.0) & (x0[mechanism.nq : mechanism.nq + nv] == 0.0)
-    dear = max(1.0, jerk * least_jerk(way, duration))
+    kept = STANCE_TOLERANCES * position if stands else None
+    effort, control, known = _effort(dynamics, x0, goal, duration, displacement, kept, most)
+    stays_put = stationary_object_dofs(mechanism) & (displacement == 0.0) & (x0[mechanism.nq : mechanism.nq + nv] == 0.0)
+    dear = max(1.0, jerk * min_jerk_cost(displacement, duration))
     ends = dear * (not stands) * ~stays_put
     weights = {
         "effort": effort, "control": control, "velocity": velocity,
-        "position": stands * ~stays_put / (KEPT * position) ** 2,
+        "position": stands * ~stays_put / (STANCE_TOLERANCES * position) ** 2,
         "final_position": ends * POSITION / position**2, "final_velocity": ends * VELOCITY / rate**2,
-        "hold": np.array(HOLD * stands),
+        "hold": np.array(HOLD_SECONDS * stands),
     }  # fmt: skip
     staying = "none: the weight is that of staying at the goal"
     times = f", times {dear:.3g}, which the least jerk of the way costs" if dear > 1.0 else ""
     return DefaultWeights(weights, {
         "effort": "1 / limit^2 of each control" + ("" if all(known) else ", where the model has no limit from the "
                   "force that holds the machine and moves its inertia") + (
-                  f", at most what corrects {KEPT:g} tolerances within 1 / {SWIFT:g} s" if stands else ""),
+                  f", at most what corrects {STANCE_TOLERANCES:g} tolerances within 1 / {MAX_CORRECTION_RATE:g} s" if stands else ""),
         "velocity": "1 / v^2 of each joint, v = 2 way / duration" if np.any(velocity) else
                     "none: the objective is named" if reach else "none: not every joint has an actuator, and a swing "
                     "must be free",
-        "position": f"1 / ({KEPT:g} tolerances)^2 beside the straight line: the machine stands on the ground"
+        "position": f"1 / ({STANCE_TOLERANCES:g} tolerances)^2 beside the straight line: the machine stands on the ground"
                     if stands else "none on the way",
         "final_position": staying if stands else f"{POSITION:g} / tolerance^2{times}",
         "final_velocity": staying if stands else f"{VELOCITY:g} / tolerance^2{times}",
-        "hold": f"what it costs to stay at the goal for {HOLD:g} s" if stands else "none: the machine need not stand",
+        "hold": f"what it costs to stay at the goal for {HOLD_SECONDS:g} s" if stands else "none: the machine need not stand",
     })  # fmt: skip
 
 
-def least_jerk(way: np.ndarray, duration: float) -> float:
+def min_jerk_cost(way: np.ndarray, duration: float) -> float:
     """Half the integral of the squared jerk of a quintic from rest to rest over a way (nv,): 360 way^2 / T^5.
 
     No motion from rest to rest has less (Flash and Hogan 1985).
@@ -161,7 +161,7 @@ def weighed(
     hold = chosen.pop("hold", 0.0)
     if straight:
         chosen.setdefault("reference", straight_reference(dynamics, x0, goal, horizon))
-    return staying(dynamics, TrackingCost.joints(dynamics, goal, horizon, **chosen), hold)
+    return terminal_holding_cost(dynamics, TrackingCost.joints(dynamics, goal, horizon, **chosen), hold)
 
 
 def straight_reference(dynamics: RigidBodyDynamics, x0: np.ndarray, goal: np.ndarray, N: int) -> np.ndarray:
@@ -179,38 +179,38 @@ def straight_reference(dynamics: RigidBodyDynamics, x0: np.ndarray, goal: np.nda
     return xs
 
 
-def reaches_all(dynamics: RigidBodyDynamics) -> bool:
+def fully_actuated(dynamics: RigidBodyDynamics) -> bool:
     """Whether actuators and prescribed joints can accelerate every joint as they like."""
-    mechanism, driven = dynamics.mechanism, driven_dofs(dynamics)
+    mechanism, driven = dynamics.mechanism, prescribed_dofs_of(dynamics)
     moment = mechanism.actuators.moment * (mechanism.actuators.gain[:, None] != 0.0)
-    own, Z = np.eye(mechanism.nv)[driven], directions(mechanism, mechanism.qpos0)[0]
-    Z = Z[:, ~np.any(Z[lying_dofs(mechanism)], axis=0)]  # an object beside it need not be moved
+    own, Z = np.eye(mechanism.nv)[driven], feasible_directions(mechanism, mechanism.qpos0)[0]
+    Z = Z[:, ~np.any(Z[stationary_object_dofs(mechanism)], axis=0)]  # an object beside it need not be moved
     return bool(np.linalg.matrix_rank(np.vstack([moment, own]) @ Z) == Z.shape[1])
 
 
 def _effort(
-    dynamics: RigidBodyDynamics, x0: np.ndarray, goal: np.ndarray, duration: float, way: np.ndarray,
+    dynamics: RigidBodyDynamics, x0: np.ndarray, goal: np.ndarray, duration: float, displacement: np.ndarray,
     kept: np.ndarray | None, most: np.ndarray | None,
 ) -> tuple[np.ndarray, np.ndarray, list[bool]]:  # fmt: skip
     """Weights and zero of the controls (nu,), and whether the model limits each.
 
     `kept` (nv,) are the errors that a machine that stands corrects within 1 / SWIFT; None for any other machine.
     """
-    mechanism, driven = dynamics.mechanism, driven_dofs(dynamics)
+    mechanism, driven = dynamics.mechanism, prescribed_dofs_of(dynamics)
     actuators, nq = mechanism.actuators, mechanism.nq
     units = [one.unit for one in coordinates_of_mechanism(mechanism)[: mechanism.nv]]
-    swift = 4.0 * np.maximum(way, [LEAST_WAY[unit] for unit in units]) / duration**2  # of a triangle of speed
+    swift = 4.0 * np.maximum(displacement, [LEAST_WAY[unit] for unit in units]) / duration**2  # of a triangle of speed
     still = np.zeros(mechanism.nv)
     held = np.maximum(*(np.abs(bias(mechanism, x[:nq], still)) for x in (x0, goal)))
     inertia = np.diagonal(mass_matrix(mechanism, x0[:nq]))
     force = held + inertia * swift
-    if mechanism.loops or mechanism.cams:  # what leads a chain carries what follows
-        Z, leading = directions(mechanism, x0[:nq])
+    if mechanism.loops or mechanism.polynomial_couplings:  # what leads a chain carries what follows
+        Z, leading = feasible_directions(mechanism, x0[:nq])
         carried = np.abs(Z).T @ (held + np.abs(mass_matrix(mechanism, x0[:nq])) @ swift)
         force[leading] = np.maximum(force[leading], carried)
     corrects = np.full(mechanism.nv, np.inf)
     if kept is not None:
-        corrects = np.maximum(inertia, inertia_on_feet(mechanism, goal[:nq])) * SWIFT**2 * kept
+        corrects = np.maximum(inertia, stance_inertia(mechanism, goal[:nq])) * MAX_CORRECTION_RATE**2 * kept
     limits, known = np.empty(dynamics.nu), []
     servo = actuators.bias[:, 1] != 0.0
     for a in range(mechanism.nu):
@@ -225,7 +225,7 @@ def _effort(
     limits[mechanism.nu :] = swift[driven]
     control = np.zeros(dynamics.nu)
     if np.any(servo) or kept is not None:
-        control[: mechanism.nu] = np.where(servo | (kept is not None), holding_controls(mechanism, goal), 0.0)
+        control[: mechanism.nu] = np.where(servo | (kept is not None), quasi_static_controls(mechanism, goal), 0.0)
     return np.maximum(1.0 / limits**2, SOFTEST_EFFORT), control, known
 
 

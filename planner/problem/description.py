@@ -22,11 +22,11 @@ from planner.model.mjcf.facts import (
     joint_records,
     moving_mass,
 )
-from planner.model.mjcf.left_out import LeftOut
-from planner.model.mjcf.opened import Opened
+from planner.model.mjcf.left_out import UnmodelledFeatures
+from planner.model.mjcf.opened import ModelFile
 from planner.model.mjcf.read import read_opened
-from planner.model.mjcf.refuse import KINDS, unmodelled
-from planner.problem.troubles import Trouble, troubles_of
+from planner.model.mjcf.refuse import KINDS, unsupported_elements
+from planner.problem.troubles import ModelWarning, lint_model
 
 
 class Loaded(NamedTuple):
@@ -72,7 +72,7 @@ class Description:
     left_out: list[str]
     loaded: Loaded
     poses: dict[str, np.ndarray]
-    troubles: list[Trouble]
+    troubles: list[ModelWarning]
     frames: dict[str, list[float]]
 
     @property
@@ -98,7 +98,7 @@ HOME = "home"
 """The name of the pose in which a file without keyframes puts the joints."""
 
 
-def describe(file: Opened, keys: dict[str, Any] | None = None) -> Description:
+def describe(file: ModelFile, keys: dict[str, Any] | None = None) -> Description:
     """Describe a machine, whether a plan can be made with it or not; `keys` of a problem file were needed to open it.
 
     Raises:
@@ -121,7 +121,7 @@ def describe(file: Opened, keys: dict[str, Any] | None = None) -> Description:
         contacts=_contacts(file, mechanism), gravity=[float(g) for g in gravity_of(model)], mass=moving_mass(model),
         free_bases=free_bases(model), degrees_of_freedom=int(model.nv), planned=_planned(mechanism, joints),
         left_out=_left_out(file, mechanism), loaded=loaded, poses=poses,
-        troubles=troubles_of(model, mechanism, joints, keyframes), frames=_frames(model, mechanism, poses),
+        troubles=lint_model(model, mechanism, joints, keyframes), frames=_frames(model, mechanism, poses),
     )  # fmt: skip
 
 
@@ -135,9 +135,9 @@ def _frames(model: Any, mechanism: Mechanism | None, poses: dict[str, np.ndarray
     return {name: np.round(frame_pose(mechanism, q, name)[:3, 3], 4).tolist() for name in names}
 
 
-def load_somehow(file: Opened) -> Loaded:
+def load_somehow(file: ModelFile) -> Loaded:
     """Load the machine as it is, else without what is refused."""
-    kinds, refusal = {one.kind for one in unmodelled(file.survey.model)}, ""
+    kinds, refusal = {one.kind for one in unsupported_elements(file.survey.model)}, ""
     for keys in ({}, {"ignore": [kind for kind in KINDS if kind in kinds]}):
         try:
             return Loaded(read_opened(lambda: file, ignore=keys.get("ignore", ())), keys, refusal)
@@ -146,7 +146,7 @@ def load_somehow(file: Opened) -> Loaded:
     return Loaded(None, {}, refusal)
 
 
-def _contacts(file: Opened, mechanism: Mechanism | None) -> Record:
+def _contacts(file: ModelFile, mechanism: Mechanism | None) -> Record:
     model, pairs = file.survey.model, file.survey.pairs
     return {
         "pairs": len(pairs), "mode": "" if mechanism is None else mechanism.contacts_mode,
@@ -167,27 +167,27 @@ def _planned(mechanism: Mechanism | None, joints: list[Record]) -> list[str]:
         (len(mechanism.stops), "spring", " at ends of joint ranges"),
         (len(mechanism.couplings), "coupling", " of joints"),
         (len(mechanism.loops), "closed chain", ""),
-        (len(mechanism.cams), "polynomial coupling", " of two joints"), (len(mechanism.tendons), "fixed tendon", ""),
+        (len(mechanism.polynomial_couplings), "polynomial coupling", " of two joints"), (len(mechanism.tendons), "fixed tendon", ""),
         (len(mechanism.contacts), "contact", " with the ground"),
         (len(mechanism.body_contacts), "contact", " between bodies"),
     ]  # fmt: skip
     phrases = [f"{count} {noun}{'s' * (count != 1)}{more}" for count, noun, more in counts if count]
     arrays = [(name.replace("_", " "), np.asarray(getattr(mechanism, name))) for name in _FORCES]
     phrases += [f"{name} of {_joints(int(np.count_nonzero(values)))}" for name, values in arrays if np.any(values)]
-    return [*phrases, *(["gravity compensation"] if np.any(mechanism.lifted_mass) else [])]
+    return [*phrases, *(["gravity compensation"] if np.any(mechanism.gravcomp_mass) else [])]
 
 
 def _joints(number: int) -> str:
     return f"{number} joint{'s' * (number != 1)}"
 
 
-def _left_out(file: Opened, mechanism: Mechanism | None) -> list[str]:
+def _left_out(file: ModelFile, mechanism: Mechanism | None) -> list[str]:
     """What acts in the file and not in the plan."""
-    refused = tuple(unmodelled(file.survey.model))
+    refused = tuple(unsupported_elements(file.survey.model))
     if mechanism is None:
-        return list(LeftOut(refused).phrases)
+        return list(UnmodelledFeatures(refused).phrases)
     pairs = len(file.survey.pairs)
     contacts = [f"contacts of all {pairs} pairs of shapes that may touch"] if "contacts" in mechanism.ignored else []
     refused = tuple(one for one in refused if one.phrase in mechanism.ignored)
     told = {"contacts", *(one.phrase for one in refused)}
-    return [*contacts, *LeftOut(refused).phrases, *(phrase for phrase in mechanism.ignored if phrase not in told)]
+    return [*contacts, *UnmodelledFeatures(refused).phrases, *(phrase for phrase in mechanism.ignored if phrase not in told)]

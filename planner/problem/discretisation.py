@@ -14,10 +14,10 @@ import numpy as np
 
 from planner.base.errors import PlannerError
 from planner.dynamics import RigidBodyDynamics
-from planner.dynamics.stiffness import REACH, fastest, reason, substeps_of
-from planner.problem.costs.terms import remade
+from planner.dynamics.stiffness import MAX_RATE_STEP, fastest_mode, reason, substeps_of
+from planner.problem.costs.terms import call_if_supported
 from planner.problem.costs.tracking import tracking_of
-from planner.problem.criteria import plain, with_objective
+from planner.problem.criteria import base_problem, with_objective
 from planner.problem.problem import Problem
 
 MOST_STAGES = 100_000
@@ -37,7 +37,7 @@ def finer(problem: Problem) -> Problem:
         PlannerError: Parts without with_step and resampled, or more than 100 000 stages.
     """
     if problem.objective is not None:
-        return with_objective(finer(plain(problem)), problem.objective.weights)
+        return with_objective(finer(base_problem(problem)), problem.objective.weights)
     parts = 1 if getattr(problem.dynamics, "integrator", None) in FIRST_ORDER else 2
     if parts * problem.N > MOST_STAGES:
         raise PlannerError(f"half the stage makes {parts * problem.N} stages, expected at most {MOST_STAGES}.")
@@ -46,12 +46,12 @@ def finer(problem: Problem) -> Problem:
     limits = None if problem.limits is None else problem.limits.repeated(parts)
     if problem.recipe is not None and "integrator" in problem.recipe.parameters:
         step = {"dt": dt} if "dt" in problem.recipe.parameters else {"horizon": parts * problem.N}
-        return replace(plain(problem.recipe.rebuilt(integrator=finest, **step)), limits=limits)
+        return replace(base_problem(problem.recipe.rebuilt(integrator=finest, **step)), limits=limits)
     return replace(
         problem, dynamics=_with_step(problem.dynamics, dt, finest), horizon=parts * problem.N,
         us=np.repeat(problem.first_guess, parts, axis=0), limits=limits,
         constraints=[one.resampled(parts) for one in problem.constraints],
-        cost=problem.cost if parts == 1 else remade(problem.cost, "resampled", parts, 1.0 / parts),
+        cost=problem.cost if parts == 1 else call_if_supported(problem.cost, "resampled", parts, 1.0 / parts),
     )  # fmt: skip
 
 
@@ -62,14 +62,14 @@ def retimed(problem: Problem, duration: float) -> Problem:
         PlannerError: Parts without with_step and resampled.
     """
     if problem.objective is not None:
-        return with_objective(retimed(plain(problem), duration), problem.objective.weights)
+        return with_objective(retimed(base_problem(problem), duration), problem.objective.weights)
     dt = duration / problem.N
     if problem.recipe is not None and "duration" in problem.recipe.parameters:
         step = {"dt": dt} if "dt" in problem.recipe.parameters else {}
-        new = plain(problem.recipe.rebuilt(duration=duration, **step))
+        new = base_problem(problem.recipe.rebuilt(duration=duration, **step))
         return replace(new, limits=problem.limits, us=problem.first_guess, twin=problem.twin)
     dynamics = _with_step(problem.dynamics, dt, getattr(problem.dynamics, "integrator", None))
-    return replace(problem, dynamics=dynamics, cost=remade(problem.cost, "resampled", 1, dt / problem.dynamics.dt))
+    return replace(problem, dynamics=dynamics, cost=call_if_supported(problem.cost, "resampled", 1, dt / problem.dynamics.dt))
 
 
 def substeps_reason(problem: Problem) -> str:
@@ -78,17 +78,17 @@ def substeps_reason(problem: Problem) -> str:
     if not isinstance(dynamics, RigidBodyDynamics) or dynamics.integrator != "rk4":
         return ""
     states = [problem.x0, dynamics.mechanism.home, *([] if goal is None else [goal.x_ref[-1]])]
-    return reason(fastest(dynamics.mechanism, states, dynamics.prescribed), dynamics.substeps)
+    return reason(fastest_mode(dynamics.mechanism, states, dynamics.prescribed), dynamics.substeps)
 
 
-def too_long(problem: Problem) -> str:
+def stage_too_long(problem: Problem) -> str:
     """What to write where a step of the problem is too long for its machine's fastest motion; "" where it is not."""
     dynamics = problem.dynamics
     if not isinstance(dynamics, RigidBodyDynamics) or dynamics.integrator == IMPLICIT:
         return ""
-    found = fastest(dynamics.mechanism, [problem.x0, dynamics.mechanism.home], dynamics.prescribed)
+    found = fastest_mode(dynamics.mechanism, [problem.x0, dynamics.mechanism.home], dynamics.prescribed)
     step = dynamics.dt / dynamics.substeps
-    if found.rate * step <= REACH:
+    if found.rate * step <= MAX_RATE_STEP:
         return ""
     try:
         wanted = f'integrator="rk4", substeps={substeps_of(found, dynamics.dt)}'

@@ -28,7 +28,7 @@ _SHORTEST, _LONGEST = 1.0, 20.0  # s
 _TIPPING = 2.0  # s, at least, where joints that nothing drives have to be balanced
 
 
-class FirstMove(NamedTuple):
+class ExampleTask(NamedTuple):
     """A motion to begin with."""
 
     keyframe: str  # Where it starts, "" where `start` says so
@@ -38,22 +38,22 @@ class FirstMove(NamedTuple):
     duration: float  # s, a multiple of 0.1
 
 
-def first_move(model: Any, mechanism: Mechanism, joints: list[Record]) -> FirstMove:
+def example_task(model: Any, mechanism: Mechanism, joints: list[Record]) -> ExampleTask:
     """A start within all ranges and a goal that moves every driven joint by the same part of its range."""
     keyframe, start = _start(model, mechanism, joints)
     moved = {j: float(start[one["position"]]) for j, one in enumerate(joints)
              if one["unit"] and start[one["position"]] != model.qpos0[one["position"]]}  # fmt: skip
-    driven = _of_their_own(mechanism, driven_joints(mechanism))
+    driven = _of_their_own(mechanism, actuated_joints(mechanism))
     standing = bool(free_bases(model))
     ways = {j: (_WAY_ON_FEET if standing else _WAY) * _room(model, joints[j]) for j in driven}
     ways = _off_tendons(mechanism, start, ways)
     goal = _allowed(model, mechanism, joints, start, ways)
     if not standing:
         goal = _with_balance(mechanism, start, goal)
-    return FirstMove(keyframe, start, {} if keyframe else moved, goal, _duration(mechanism, start, goal))
+    return ExampleTask(keyframe, start, {} if keyframe else moved, goal, _duration(mechanism, start, goal))
 
 
-def driven_joints(mechanism: Mechanism) -> list[int]:
+def actuated_joints(mechanism: Mechanism) -> list[int]:
     """Hinges and slides that an actuator moves, or all of them where there is no actuator, by number."""
     reached = np.any(mechanism.actuators.moment != 0.0, axis=0) | (mechanism.nu == 0)
     return [
@@ -64,7 +64,7 @@ def driven_joints(mechanism: Mechanism) -> list[int]:
 
 def _of_their_own(mechanism: Mechanism, driven: list[int]) -> list[int]:
     """The joints that couplings let move by themselves: of a finger whose joints all follow one, that one."""
-    cams = {dof for cam in mechanism.cams for dof in cam.dofs}
+    cams = {dof for cam in mechanism.polynomial_couplings for dof in cam.dofs}
     driven = [j for j in driven if mechanism.joint_links[j].start not in cams]
     if mechanism.reduction is None:
         return driven

@@ -7,10 +7,10 @@ from weakref import WeakKeyDictionary
 
 import numpy as np
 
-from planner.dynamics.clearances import Clearances
+from planner.dynamics.clearances import SignedDistances
 from planner.model.mechanism import Mechanism
-from planner.problem.constraints.apart import Apart
-from planner.problem.way_around import way_around
+from planner.problem.constraints.apart import PairClearance
+from planner.problem.way_around import rrt_connect
 
 ROOM = 0.5  # of the clearance beyond which a way keeps apart, where it can
 CUT = 0.1  # of the clearance that it keeps where its corners are rounded
@@ -19,7 +19,7 @@ _ways: WeakKeyDictionary[Mechanism, dict[bytes, np.ndarray | None]] = WeakKeyDic
 """Ways that were found: a problem is built again for every finer step."""
 
 
-class FreePoses:
+class CollisionChecker:
     """Which poses keep the pairs of a constraint apart.
 
     Args:
@@ -27,9 +27,9 @@ class FreePoses:
         mechanism: Whose poses.
     """
 
-    def __init__(self, apart: Apart, mechanism: Mechanism) -> None:
+    def __init__(self, apart: PairClearance, mechanism: Mechanism) -> None:
         self._apart, self._mechanism = apart, mechanism
-        self._clearances = Clearances(mechanism, [pair[:2] for pair in apart.pairs])
+        self._clearances = SignedDistances(mechanism, [pair[:2] for pair in apart.pairs])
         self._lift = np.array([pair.lift for pair in apart.pairs])
 
     def distances(self, q: np.ndarray, beyond: np.ndarray | float = np.inf) -> np.ndarray:
@@ -64,7 +64,7 @@ class FreePoses:
                 return np.all(self.distances(q, least) >= least, axis=1)
 
             nearly = partial(free, least=np.minimum(CUT * self._apart.least, least))
-            way = way_around(free, start, goal, low, high, seed, nearly)
+            way = rrt_connect(free, start, goal, low, high, seed, nearly)
             if way is not None:
                 return way
         return None

@@ -19,7 +19,7 @@ import numpy as np
 from planner.base.arguments import choice
 from planner.model.coordinates import coordinates_of
 from planner.problem.costs.terms import SumCost
-from planner.problem.costs.wanted import Wanted
+from planner.problem.costs.wanted import GoalSpec
 from planner.problem.problem import Problem
 
 SHARE = 0.02  # of the way, or of a velocity's peak
@@ -29,7 +29,7 @@ KINDS = ("position", "velocity")
 
 
 @dataclass(frozen=True, eq=False)
-class Goal:
+class GoalCheck:
     """One thing that the end of a cost asks for, or a task at its times.
 
     Attributes:
@@ -54,10 +54,10 @@ class Goal:
 
     def miss_at(self, x: np.ndarray) -> float:
         """The largest distance of a machine that stays at x (nx,)."""
-        return staying(self, x)
+        return static_error(self, x)
 
 
-def goals_of(problem: Problem, xs: np.ndarray | None = None) -> tuple[Goal, ...]:
+def goals_of(problem: Problem, xs: np.ndarray | None = None) -> tuple[GoalCheck, ...]:
     """The goals of a problem; empty where its cost has no final weight.
 
     Args:
@@ -69,17 +69,17 @@ def goals_of(problem: Problem, xs: np.ndarray | None = None) -> tuple[Goal, ...]
     """
     wanted = wanted_of(problem)
     asked = _asked(problem.tolerance, [one.name for one in wanted])
-    ways = [(staying(one, problem.x0), one.unit) for one in wanted]
+    ways = [(static_error(one, problem.x0), one.unit) for one in wanted]
     goals, share = [], least_share(ways)
     for one in wanted:
         kind = KINDS[one.unit.endswith("/s")]
         given = asked.get(one.name, asked.get(kind) if one.tolerance is None else one.tolerance)
         tolerance = _usual(one, problem.x0, xs, share) if given is None else given
-        goals.append(Goal(one.name, one.unit, tolerance, one.missed, one.times, one.tolerance is not None))
+        goals.append(GoalCheck(one.name, one.unit, tolerance, one.missed, one.times, one.tolerance is not None))
     return tuple(goals)
 
 
-def goal_missed(problem: Problem, t: np.ndarray, xs: np.ndarray) -> str:
+def missed_goal_message(problem: Problem, t: np.ndarray, xs: np.ndarray) -> str:
     """Which goal a motion xs (N+1, nx) misses most, by how much, and what to do; "" for none.
 
     Machines with a rule of their own for what they achieve are judged by their proof alone.
@@ -98,7 +98,7 @@ def goal_missed(problem: Problem, t: np.ndarray, xs: np.ndarray) -> str:
     )
 
 
-def wanted_of(problem: Problem) -> tuple[Wanted, ...]:
+def wanted_of(problem: Problem) -> tuple[GoalSpec, ...]:
     """What a problem's task asks for, else what the terms of its cost ask of its end."""
     if problem.wanted is not None:
         return problem.wanted
@@ -107,11 +107,11 @@ def wanted_of(problem: Problem) -> tuple[Wanted, ...]:
     if problem.periodic is None:
         return found
     # What is to come back has no goal of its own: its reference at the end is a multiplier (planner.solvers.periodic).
-    returning = {one for one, closes in zip(coordinates, problem.periodic.closes, strict=True) if closes}
+    returning = {one for one, closes in zip(coordinates, problem.periodic.periodic_mask, strict=True) if closes}
     return tuple(one for one in found if (one.name, one.unit) not in returning)
 
 
-def unjudged_ends(problem: Problem, xs: np.ndarray, us: np.ndarray) -> tuple[str, ...]:
+def unchecked_goals(problem: Problem, xs: np.ndarray, us: np.ndarray) -> tuple[str, ...]:
     """The terms with a final part that do not say what they ask for, by their type: a user's own costs."""
     found = []
     for term in () if problem.wanted is not None else terms_of(problem.cost):
@@ -135,7 +135,7 @@ def between(t: np.ndarray, xs: np.ndarray, times: np.ndarray) -> np.ndarray:
     return np.where(share > 1.0 - 1e-9, xs[..., i, :], (1.0 - share) * xs[..., i - 1, :] + share * xs[..., i, :])
 
 
-def staying(one: Wanted | Goal, x: np.ndarray) -> float:
+def static_error(one: GoalSpec | GoalCheck, x: np.ndarray) -> float:
     """The largest distance of a machine that stays at x (nx,) from what is asked for."""
     return float(np.max(one.missed(np.tile(x, (1 if one.times is None else len(one.times), 1)))))
 
@@ -145,7 +145,7 @@ def terms_of(cost: Any) -> tuple[Any, ...]:
     return cost.costs if isinstance(cost, SumCost) else (cost,)
 
 
-def _nothing(_: Any) -> tuple[Wanted, ...]:
+def _nothing(_: Any) -> tuple[GoalSpec, ...]:
     return ()
 
 
@@ -156,7 +156,7 @@ def least_share(ways: Iterable[tuple[float, str]]) -> float:
     return 0.1 * largest if 0.0 < largest <= 1.0 else 1.0
 
 
-def _usual(one: Wanted, x0: np.ndarray, xs: np.ndarray | None, share: float) -> float:
+def _usual(one: GoalSpec, x0: np.ndarray, xs: np.ndarray | None, share: float) -> float:
     """The tolerance of a goal for which the problem states none."""
     of_path = one.unit not in ("rad", "m")  # an unknown unit may be a velocity
     states = x0[None] if xs is None or not of_path else np.concatenate([x0[None], xs])

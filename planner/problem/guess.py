@@ -10,12 +10,12 @@ from planner.base.arguments import array
 from planner.base.errors import PlannerError
 from planner.dynamics import Dynamics
 from planner.dynamics.algorithms import bias, rnea
-from planner.dynamics.assembly import directions
+from planner.dynamics.assembly import feasible_directions
 from planner.dynamics.chain_forces import constraint_jacobians
 from planner.dynamics.friction import friction_forces
-from planner.dynamics.statics import supported
+from planner.dynamics.statics import supporting_controls
 from planner.model.actuators import DIRECT, INTEGRATOR
-from planner.model.lying import lying_dofs
+from planner.model.lying import stationary_object_dofs
 from planner.model.mechanism import SCREW, Mechanism
 from planner.model.space import StateSpace
 
@@ -23,7 +23,7 @@ _REDUNDANT = 1e-9  # of the largest singular value of J: equations that say the 
 _WEAK = 1e-6  # of what an actuator reaches most: ways in which a machine can hardly be moved
 
 
-def holding_controls(mechanism: Mechanism, x: np.ndarray) -> np.ndarray:
+def quasi_static_controls(mechanism: Mechanism, x: np.ndarray) -> np.ndarray:
     """Controls (nu,) that keep the pose of a state x (nx,) against gravity and springs, as far as the actuators can.
 
     The smallest least-squares solution: zero for joints that no actuator reaches. An actuator whose activation
@@ -39,12 +39,12 @@ def holding_controls(mechanism: Mechanism, x: np.ndarray) -> np.ndarray:
     missing = bias(mechanism, q, np.zeros(mechanism.nv)) - actuators.moment.T @ force
     reach = actuators.moment.T * np.where(keeps, 0.0, actuators.gain)
     if mechanism.contacts:
-        return supported(mechanism, q, reach, missing)
-    Z = directions(mechanism, q)[0]
+        return supporting_controls(mechanism, q, reach, missing)
+    Z = feasible_directions(mechanism, q)[0]
     return np.linalg.lstsq(Z.T @ reach, Z.T @ missing, rcond=None)[0]
 
 
-def follow(mechanism: Mechanism, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray) -> np.ndarray:
+def inverse_dynamics_controls(mechanism: Mechanism, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray) -> np.ndarray:
     """Controls (N, nu) along a motion by inverse dynamics, M(q) qdd + bias(q, qd) = tau + J'f (Eq. 6).
 
     The motion is q (N, nq), qd and qdd (N, nv), and keeps couplings and closed chains; actuators have no activations
@@ -54,9 +54,9 @@ def follow(mechanism: Mechanism, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray)
     """
     actuators = mechanism.actuators
     G = np.eye(mechanism.nv) if mechanism.reduction is None else mechanism.reduction.G
-    G = G[:, ~np.any(G[lying_dofs(mechanism)], axis=0)]
+    G = G[:, ~np.any(G[stationary_object_dofs(mechanism)], axis=0)]
     reach = G.T @ (actuators.moment.T * actuators.gain)
-    closed = bool(mechanism.loops or mechanism.cams)
+    closed = bool(mechanism.loops or mechanism.polynomial_couplings)
     if np.any(actuators.dynamics != DIRECT) or (not closed and np.linalg.matrix_rank(reach) < len(reach)):
         raise PlannerError("the actuators do not reach every joint directly, expected a fully actuated machine.")
     lengths, speeds = _lengths(mechanism, q), qd @ actuators.moment.T
@@ -83,15 +83,15 @@ def straight_line(mechanism: Mechanism, x0: np.ndarray, goal: np.ndarray, durati
     """
     nq, nv = mechanism.nq, mechanism.nv
     moving = np.concatenate([x0[nq : nq + nv], goal[nq : nq + nv]])
-    closed = mechanism.loops or mechanism.cams
-    lies = lying_dofs(mechanism)
+    closed = mechanism.loops or mechanism.polynomial_couplings
+    lies = stationary_object_dofs(mechanism)
     if np.any(mechanism.kind[~lies] != SCREW) or np.any(mechanism.space.difference(goal, x0)[:nv][lies]):
         return None
     if mechanism.contacts or mechanism.body_contacts or closed or np.any(moving):
         return None
     q, *rates = quintic(x0[:nq], goal[:nq], duration, N)
     try:
-        return follow(mechanism, q, *(np.where(lies, 0.0, rate[:, mechanism.q_address]) for rate in rates))
+        return inverse_dynamics_controls(mechanism, q, *(np.where(lies, 0.0, rate[:, mechanism.q_address]) for rate in rates))
     except PlannerError:  # the actuators do not reach every joint
         return None
 
@@ -117,7 +117,7 @@ def quintic_shares(s: np.ndarray) -> np.ndarray:
     return 10.0 * s**3 - 15.0 * s**4 + 6.0 * s**5
 
 
-def line_of_states(space: StateSpace, x0: np.ndarray, goal: np.ndarray, duration: float, N: int) -> np.ndarray:
+def interpolated_states(space: StateSpace, x0: np.ndarray, goal: np.ndarray, duration: float, N: int) -> np.ndarray:
     """States (N+1, nx) along the straight line from x0 to goal, both (nx,), at the pace of `quintic`.
 
     Of a machine's states the velocities are those of that motion where x holds positions and as many velocities; other
@@ -132,7 +132,7 @@ def line_of_states(space: StateSpace, x0: np.ndarray, goal: np.ndarray, duration
     return space.integrate(x0, dxs)
 
 
-def rolled(dynamics: Dynamics, x0: np.ndarray, us: np.ndarray) -> np.ndarray:
+def rollout_states(dynamics: Dynamics, x0: np.ndarray, us: np.ndarray) -> np.ndarray:
     """The states (N+1, nx) to which controls (N, nu) lead from x0 (nx,), step by step."""
     xs = np.empty((len(us) + 1, dynamics.nx))
     xs[0] = x0

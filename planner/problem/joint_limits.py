@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from planner.base.arguments import choice, number, shown
+from planner.base.arguments import choice, number, short_repr
 from planner.base.errors import PlannerError
 from planner.model.coordinates import ANGLE, LENGTH, Coordinate
 from planner.model.mechanism import SCREW, Mechanism
@@ -24,8 +24,8 @@ class Range(NamedTuple):
 
     low: float
     high: float
-    least: float  # The ends of the model's own range, where low and high are nearer to each other by the margin
-    most: float
+    model_lower: float  # The ends of the model's own range, where low and high are nearer to each other by the margin
+    model_upper: float
     of_model: bool = False
 
     @classmethod
@@ -33,20 +33,20 @@ class Range(NamedTuple):
         """A range without a margin."""
         return cls(low, high, low, high)
 
-    def met(self, value: float) -> Range | None:
+    def widened_to(self, value: float) -> Range | None:
         """The range with room for a value in the margin; None where the value is outside of the model's range too."""
-        width = self.most - self.least
+        width = self.model_upper - self.model_lower
         slack = ROUNDING * width if np.isfinite(width) else 0.0
-        if not self.least - slack <= value <= self.most + slack:
+        if not self.model_lower - slack <= value <= self.model_upper + slack:
             return None
-        inside = min(max(value, self.least), self.most)
+        inside = min(max(value, self.model_lower), self.model_upper)
         return self._replace(low=min(self.low, inside), high=max(self.high, inside))
 
     def refusal(self, coordinate: Coordinate, value: float) -> str:
         """The end of a sentence about a value outside."""
         name, unit = coordinate
-        nearest = self.least if value < self.least else self.most
-        said = f", expected {self.least:g} ... {self.most:g} {unit}".rstrip() + f": write {nearest:.6g}"
+        nearest = self.model_lower if value < self.model_lower else self.model_upper
+        said = f", expected {self.model_lower:g} ... {self.model_upper:g} {unit}".rstrip() + f": write {nearest:.6g}"
         said += f', or limits.position = {{ {name} = "off" }}.' if self.of_model else "."
         if unit == "rad" and abs(value) > 2.0 * np.pi:
             said += f" Angles are in rad: {value:g} deg are {np.radians(value):.6g}."
@@ -67,7 +67,7 @@ def model_ranges(mechanism: Mechanism, margin: Any) -> dict[int, Range]:
     return found
 
 
-def off_stops(mechanism: Mechanism, what: str, x: np.ndarray, limited: Collection[str]) -> tuple[np.ndarray, str]:
+def moved_inside_limits(mechanism: Mechanism, what: str, x: np.ndarray, limited: Collection[str]) -> tuple[np.ndarray, str]:
     """A state (nx,) whose joints lie outside of the model's ranges by no more than a margin, at their ends instead.
 
     A stop acts from a little before its end on, by its own margin: what begins or ends there is pushed to where the
@@ -82,8 +82,8 @@ def off_stops(mechanism: Mechanism, what: str, x: np.ndarray, limited: Collectio
     moved, names, most = x.copy(), [], 0.0
     for i, kept in model_ranges(mechanism, None).items():
         name, address = mechanism.joint_names[_place(mechanism, i)], int(mechanism.q_address[i])
-        off = min(OFF, SHARE * (kept.most - kept.least)) if what == "start" else 0.0
-        end = min(max(x[address], kept.least + off), kept.most - off)
+        off = min(OFF, SHARE * (kept.model_upper - kept.model_lower)) if what == "start" else 0.0
+        end = min(max(x[address], kept.model_lower + off), kept.model_upper - off)
         way = abs(end - x[address])
         if 0.0 < way <= off + _margin(mechanism, name, i, None) and i not in coupled and name not in limited:
             moved[address] = end
@@ -95,7 +95,7 @@ def off_stops(mechanism: Mechanism, what: str, x: np.ndarray, limited: Collectio
     return moved, f"the {what} has {names[0]}{others} at a stop and is put off it, by up to {most:.2g} rad or m."
 
 
-def leaning(mechanism: Mechanism, what: str, x: np.ndarray, limited: Collection[str]) -> str:
+def starts_at_limit(mechanism: Mechanism, what: str, x: np.ndarray, limited: Collection[str]) -> str:
     """A sentence about joints that nothing drives and that are at a stop in a state (nx,); "" where there are none.
 
     What moves beside them pushes them into it. In MuJoCo it holds them, and a plan has no such force.
@@ -104,8 +104,8 @@ def leaning(mechanism: Mechanism, what: str, x: np.ndarray, limited: Collection[
     driven, names = np.any(mechanism.actuators.moment, axis=0), []
     for i, kept in model_ranges(mechanism, None).items():
         value, name = float(x[mechanism.q_address[i]]), mechanism.joint_names[_place(mechanism, i)]
-        free = not driven[i] and i not in tied and name not in limited and not (mechanism.loops or mechanism.cams)
-        if free and min(value - kept.least, kept.most - value) <= _margin(mechanism, name, i, None):
+        free = not driven[i] and i not in tied and name not in limited and not (mechanism.loops or mechanism.polynomial_couplings)
+        if free and min(value - kept.model_lower, kept.model_upper - value) <= _margin(mechanism, name, i, None):
             names.append(mechanism.joint_of(i))
     if not names:
         return ""
@@ -130,7 +130,7 @@ def check_margin(mechanism: Mechanism, margin: Any) -> None:
             number(f"the margin of {joint!r}", value, least=0.0)
     elif margin is not None:
         if isinstance(margin, str):
-            raise PlannerError(f"the limits' margin is {shown(margin)}, expected a number or a table by joint.")
+            raise PlannerError(f"the limits' margin is {short_repr(margin)}, expected a number or a table by joint.")
         number("the limits' margin", margin, least=0.0)
 
 

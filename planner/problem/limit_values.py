@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from planner.base.arguments import array, number, numbers, shown
+from planner.base.arguments import array, number, numbers, short_repr
 from planner.base.errors import PlannerError
 from planner.model.mechanism import Mechanism
 
@@ -25,7 +25,7 @@ def with_names(mechanism: Mechanism | None, what: str) -> Mechanism:
 def table_of(name: str, value: Any) -> Mapping[Any, Any]:
     """A limit that must be a table."""
     if not isinstance(value, Mapping):
-        raise PlannerError(f"the limits' {name} is {shown(value)}, expected a table of (lower, upper).")
+        raise PlannerError(f"the limits' {name} is {short_repr(value)}, expected a table of (lower, upper).")
     return value
 
 
@@ -33,7 +33,7 @@ def component_of(name: str, value: Any, ndx: int) -> int:
     """The index of a component of the deviation, 0 to ndx - 1."""
     value = int(value) if isinstance(value, str) and value.isdigit() else value  # a key of JSON
     if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or not 0 <= value < ndx:
-        raise PlannerError(f"the limits' {name} has {shown(value)}, expected an index of 0 to {ndx - 1}.")
+        raise PlannerError(f"the limits' {name} has {short_repr(value)}, expected an index of 0 to {ndx - 1}.")
     return int(value)
 
 
@@ -48,16 +48,16 @@ def pair_of(name: str, value: Any) -> Pair:
         return -np.inf, np.inf
     if isinstance(value, (Sequence, np.ndarray)) and not isinstance(value, str):
         if len(value) != 2:
-            raise PlannerError(f"{name} is {shown(value)}, expected (lower, upper).")
+            raise PlannerError(f"{name} is {short_repr(value)}, expected (lower, upper).")
         sides = sides_of(name, value)
         if any(side.ndim for side in sides):
-            raise PlannerError(f"{name} is {shown(value)}, expected (lower, upper).")
+            raise PlannerError(f"{name} is {short_repr(value)}, expected (lower, upper).")
         low, high = map(float, sides)
     else:
         high = number(name, value, above=0.0)
         low = -high
     if not low <= high or low == np.inf or high == -np.inf:
-        raise PlannerError(f"{name} is {shown(value)}, expected a lower bound below the upper.")
+        raise PlannerError(f"{name} is {short_repr(value)}, expected a lower bound below the upper.")
     return low, high
 
 

@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from planner.base.arguments import choice, number, shown
+from planner.base.arguments import choice, number, short_repr
 from planner.base.errors import PlannerError
 from planner.dynamics import Dynamics
 from planner.model.coordinates import coordinates_of
@@ -41,7 +41,7 @@ from planner.problem.limit_values import (
     table_of,
     with_names,
 )
-from planner.problem.state_ranges import StateRanges
+from planner.problem.state_ranges import StateBounds
 from planner.problem.tendon_ranges import kept_tendon, tendon_ranges
 
 TOLERANCE = 1e-4  # rad, m, rad/s, m/s
@@ -124,7 +124,7 @@ class Limits:
         """
         names = list(cls.__dataclass_fields__)
         if not isinstance(table, Mapping):
-            raise PlannerError(f"limits is {shown(table)}, expected a table with some of: {', '.join(names)}.")
+            raise PlannerError(f"limits is {short_repr(table)}, expected a table with some of: {', '.join(names)}.")
         return cls(**{choice("the key in [limits]", name, names): value for name, value in table.items()})
 
     def bounds(self, dynamics: Dynamics, N: int) -> ControlBounds | None:
@@ -179,7 +179,7 @@ class Limits:
                 found[i] = kept.low, kept.high
         return found
 
-    def ranges(self, dynamics: Dynamics, cost: Cost, x0: np.ndarray, N: int) -> StateRanges | None:
+    def ranges(self, dynamics: Dynamics, cost: Cost, x0: np.ndarray, N: int) -> StateBounds | None:
         """The ranges of the states, and exact goals; None where there are none.
 
         Raises:
@@ -212,7 +212,7 @@ class Limits:
                 raise PlannerError(f"{name} is an orientation, expected ranges of hinges, slides or velocities.")
             aims = wanted[i] or (kept.of_model and weighed[i])
             for what, value in (("start", start[i]), *((("goal", offset[-1, i]),) if aims else ())):
-                room = kept.met(float(value))
+                room = kept.widened_to(float(value))
                 if room is None:
                     raise PlannerError(
                         f"the {what} has {name} at {value:.6g} {unit}".rstrip() + kept.refusal(coordinates[i], value)
@@ -222,7 +222,7 @@ class Limits:
         lower[N, len(found) :] = upper[N, len(found) :] = 0.0
         limited = tuple(coordinates[i] for i in (*found, *at_end))
         component = np.array([*found, *at_end], dtype=np.int64)
-        return StateRanges(space, np.asarray(reference), component, lower, upper, len(at_end), limited)
+        return StateBounds(space, np.asarray(reference), component, lower, upper, len(at_end), limited)
 
     def tendons(self, dynamics: Dynamics, cost: Cost, x0: np.ndarray) -> tuple[Constraint, ...]:
         """The ranges of fixed tendons.
@@ -260,7 +260,7 @@ class Limits:
                 choice("the limits' position", self.position, (MODEL, OFF))
             found = model_ranges(machine, self.margin)
             if is_word(self.position, MODEL) and machine.couplings:
-                wide = np.array([[one.least, one.most] if (one := found.get(i)) else [-np.inf, np.inf]
+                wide = np.array([[one.model_lower, one.model_upper] if (one := found.get(i)) else [-np.inf, np.inf]
                                  for i in range(machine.nv)])  # fmt: skip
                 if said := contradiction(machine, wide):
                     raise PlannerError(said)
@@ -313,7 +313,7 @@ class Limits:
                 raise PlannerError("no final weight is above 0, expected one where the goal is to be met exactly.")
             return at_end
         if not isinstance(self.final, Sequence) or not self.final:
-            raise PlannerError(f"final is {shown(self.final)}, expected 'exact', or a list of joints or of indices.")
+            raise PlannerError(f"final is {short_repr(self.final)}, expected 'exact', or a list of joints or of indices.")
         at_end = []
         for part in self.final:
             if isinstance(part, str):

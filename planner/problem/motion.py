@@ -9,37 +9,37 @@ import numpy as np
 
 from planner.base.arguments import number
 from planner.model.space import StateSpace
-from planner.problem.constraints.kept import Kept
-from planner.problem.state_ranges import Hinges
+from planner.problem.constraints.kept import TrajectoryConstraints
+from planner.problem.state_ranges import BoundPenalties
 
 
-class Pulls(NamedTuple):
+class ScaledMultipliers(NamedTuple):
     """By how much the multipliers of ranges and constraints shift the bounds of hinges inwards, and their weights."""
 
     low: np.ndarray  # (N+1, H)
     high: np.ndarray  # (N+1, H)
     weight: np.ndarray  # (N+1, H)
 
-    def hinges(self, kept: Kept) -> Hinges | None:
+    def hinges(self, kept: TrajectoryConstraints) -> BoundPenalties | None:
         """Those of another problem with as many ranges and knots; None where it has others."""
         if self.weight.shape != kept.lower.shape:
             return None
         used = np.isfinite(kept.lower) | np.isfinite(kept.upper)
-        return Hinges(kept.lower + self.low, kept.upper - self.high, np.where(used, self.weight, 0.0))
+        return BoundPenalties(kept.lower + self.low, kept.upper - self.high, np.where(used, self.weight, 0.0))
 
 
-def pulls_of(kept: Kept | None, hinges: Hinges | None) -> Pulls | None:
+def scaled_multipliers(kept: TrajectoryConstraints | None, hinges: BoundPenalties | None) -> ScaledMultipliers | None:
     """Of what is kept and the hinges that a plan ended with; None where it has none."""
     if kept is None or hinges is None:
         return None
     with np.errstate(invalid="ignore"):  # of bounds that are infinite
         shifts = hinges.lower - kept.lower, kept.upper - hinges.upper
     low, high = (np.nan_to_num(shift, nan=0.0) for shift in shifts)
-    return Pulls(low, high, hinges.weight)
+    return ScaledMultipliers(low, high, hinges.weight)
 
 
 @dataclass(frozen=True, eq=False)
-class Motion:
+class Trajectory:
     """States and controls over time with the gains that hold them: a first guess for solve(warm_start=...).
 
     Attributes:
@@ -58,9 +58,9 @@ class Motion:
     K: np.ndarray
     space: StateSpace
     rates: slice
-    pulls: Pulls | None = None
+    pulls: ScaledMultipliers | None = None
 
-    def shifted(self, seconds: float) -> Motion:
+    def shifted(self, seconds: float) -> Trajectory:
         """The same `seconds` earlier: what is left of it from then on; at its end it stays where it is.
 
         Negative seconds wait at the start as long.
@@ -70,7 +70,7 @@ class Motion:
         """
         return replace(self, t=self.t - number("seconds", seconds))
 
-    def stretched(self, duration: float) -> Motion:
+    def stretched(self, duration: float) -> Trajectory:
         """The same states in another duration, s, with velocities of that pace; controls as they are.
 
         Raises:
@@ -81,7 +81,7 @@ class Motion:
         xs[:, self.rates] /= ratio
         return replace(self, t=self.t[0] + ratio * (self.t - self.t[0]), xs=xs)
 
-    def at(self, t: np.ndarray) -> Motion:
+    def at(self, t: np.ndarray) -> Trajectory:
         """The same at other knots t (M+1,): states between its own are interpolated, at rest before and after it.
 
         Controls and gains of a stage are those in its middle.
@@ -104,7 +104,7 @@ class Motion:
             near[-1] = len(self.us)
             out[-1] = False
             inside = ~out[:, None]
-            pulls = Pulls(pulls.low[near] * inside, pulls.high[near] * inside, pulls.weight[near])
+            pulls = ScaledMultipliers(pulls.low[near] * inside, pulls.high[near] * inside, pulls.weight[near])
         return replace(self, t=t, xs=xs, us=self.us[held], K=self.K[held], pulls=pulls)
 
 

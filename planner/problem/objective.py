@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from planner.base.arguments import choice, number, shown
+from planner.base.arguments import choice, number, short_repr
 from planner.base.errors import PlannerError
 from planner.problem.costs.terms import Cost
 
@@ -45,7 +45,7 @@ def weights_of(objective: Any) -> dict[str, float]:
         return {choice("objective", objective, OBJECTIVES): 1.0}
     if not isinstance(objective, Mapping):
         expected = f"expected one of {', '.join(OBJECTIVES)}, or weights by these names"
-        raise PlannerError(f"objective is {shown(objective)}, {expected}.")
+        raise PlannerError(f"objective is {short_repr(objective)}, {expected}.")
     given = {choice("objective", name, OBJECTIVES): weight for name, weight in objective.items()}
     weights = {name: number(f"the weight of {name}", weight, least=0.0) for name, weight in given.items()}
     weights = {name: weights[name] for name in OBJECTIVES if weights.get(name)}
@@ -58,11 +58,11 @@ def checked_durations(durations: Any, weights: Mapping[str, float]) -> tuple[flo
     """The shortest and the longest duration, s, which an objective with time needs and any other refuses."""
     if "time" not in weights:
         if durations is not None:
-            raise PlannerError(f"durations are {shown(durations)}, expected none without time in the objective.")
+            raise PlannerError(f"durations are {short_repr(durations)}, expected none without time in the objective.")
         return None
     pair = isinstance(durations, (Sequence, np.ndarray)) and not isinstance(durations, str) and len(durations) == 2
     if not pair:
-        raise PlannerError(f"durations is {shown(durations)}, expected (shortest, longest) in s, which time needs.")
+        raise PlannerError(f"durations is {short_repr(durations)}, expected (shortest, longest) in s, which time needs.")
     shortest, longest = (number("a duration", value, above=0.0) for value in durations)
     if not shortest < longest:
         raise PlannerError(f"durations are {shortest:g} and {longest:g} s, expected the shortest before the longest.")

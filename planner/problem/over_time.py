@@ -12,8 +12,8 @@ from typing import Any
 
 import numpy as np
 
-from planner.problem.constraints.rows import Part
-from planner.problem.pictures import Bounded
+from planner.problem.constraints.rows import StackEntry
+from planner.problem.pictures import BoundedPanel
 from planner.problem.problem import Problem
 
 MOST = 8  # curves of a panel
@@ -21,7 +21,7 @@ _GOALS = {"m": "distance", "rad": "angle", "m/s": "speed"}
 Motion = tuple[np.ndarray, np.ndarray]  # states (N+1, nx) and controls (N, nu)
 
 
-def task_panels(problem: Problem, t: np.ndarray, motions: Sequence[Motion]) -> list[Bounded]:
+def task_panels(problem: Problem, t: np.ndarray, motions: Sequence[Motion]) -> list[BoundedPanel]:
     """Panels of goals and constraints; none for a problem without either.
 
     Args:
@@ -32,7 +32,7 @@ def task_panels(problem: Problem, t: np.ndarray, motions: Sequence[Motion]) -> l
     return [*_of_goals(problem, t, motions), *_of_constraints(problem, t, motions)]
 
 
-def _of_goals(problem: Problem, t: np.ndarray, motions: Sequence[Motion]) -> list[Bounded]:
+def _of_goals(problem: Problem, t: np.ndarray, motions: Sequence[Motion]) -> list[BoundedPanel]:
     """By unit: the miss of each goal of a task, and its tolerance when it is asked for."""
     units: dict[str, dict[bytes, tuple[list[str], np.ndarray, np.ndarray]]] = {}
     for one in problem.wanted or ():
@@ -57,15 +57,15 @@ def _of_goals(problem: Problem, t: np.ndarray, motions: Sequence[Motion]) -> lis
             moved = np.stack([values for _, values, _ in few], axis=2)
             title = f"Goals: {what or _GOALS.get(unit, 'miss')}"
             panels.append(
-                Bounded(title, f"miss, {unit}", t, names, tuple(moved), np.full_like(most, -np.inf), most, decades=True)
+                BoundedPanel(title, f"miss, {unit}", t, names, tuple(moved), np.full_like(most, -np.inf), most, decades=True)
             )
     return panels
 
 
-def _of_constraints(problem: Problem, t: np.ndarray, motions: Sequence[Motion]) -> list[Bounded]:
+def _of_constraints(problem: Problem, t: np.ndarray, motions: Sequence[Motion]) -> list[BoundedPanel]:
     """The rows of each constraint; those of one row and the same bounds share a panel."""
-    rows = None if problem.kept is None else problem.kept.rows
-    alike: dict[Any, list[tuple[Part, np.ndarray, np.ndarray]]] = {}
+    rows = None if problem.trajectory_constraints is None else problem.trajectory_constraints.rows
+    alike: dict[Any, list[tuple[StackEntry, np.ndarray, np.ndarray]]] = {}
     for k, part in enumerate(() if rows is None else rows.parts):
         if part.at_end:  # values at the ends of stages are those at the starts but for a control
             continue
@@ -88,7 +88,7 @@ def _of_constraints(problem: Problem, t: np.ndarray, motions: Sequence[Motion]) 
     return panels
 
 
-def _values(part: Part, xs: np.ndarray, us: np.ndarray) -> np.ndarray:
+def _values(part: StackEntry, xs: np.ndarray, us: np.ndarray) -> np.ndarray:
     """(N+1, R) of a constraint; a control's last stage is seen at its end too. NaN where a motion ran away."""
     n = np.arange(len(xs))
     last = np.minimum(n, len(us) - 1)
@@ -104,7 +104,7 @@ def _values(part: Part, xs: np.ndarray, us: np.ndarray) -> np.ndarray:
 def _nearest(
     unit: str, what: str, t: np.ndarray, names: tuple[str, ...], values: np.ndarray, least: np.ndarray,
     most: np.ndarray,
-) -> Bounded:  # fmt: skip
+) -> BoundedPanel:  # fmt: skip
     """The panel of values (motions, K, R): of many rows those that come nearest to a bound in the plan."""
     margin = np.minimum(np.nan_to_num(values[0], nan=np.inf) - least, most - np.nan_to_num(values[0], nan=-np.inf))
     margin = np.where(np.isfinite(margin), margin, np.inf).min(axis=0)
@@ -115,10 +115,10 @@ def _nearest(
         title += f", the {MOST} nearest to their bound of {len(asked)}"
     least, most, values = least[:, shown], most[:, shown], values[..., shown]
     apart = not np.isfinite(most).any() and bool(np.all(least[np.isfinite(least)] > 0.0))
-    return Bounded(title, unit or "h", t, tuple(names[k] for k in shown), tuple(values), least, most, decades=apart)
+    return BoundedPanel(title, unit or "h", t, tuple(names[k] for k in shown), tuple(values), least, most, decades=apart)
 
 
-def _names(part: Part) -> tuple[str, ...]:
+def _names(part: StackEntry) -> tuple[str, ...]:
     """Of a constraint's rows."""
     own, R = tuple(getattr(part.constraint.of, "names", ())), part.measure.rows
     if R == 1:

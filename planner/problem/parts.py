@@ -28,10 +28,10 @@ _COST = ("Q", "R", "x_ref", "u_ref")
 ARRAYS = (*_COST, "x0", "us")
 
 
-def in_parts(problem: Problem) -> tuple[Recipe, dict[str, np.ndarray]] | None:
+def to_arrays(problem: Problem) -> tuple[Recipe, dict[str, np.ndarray]] | None:
     """A recipe and arrays by name that a file can hold; None where they cannot describe the whole problem."""
     dynamics = problem.dynamics
-    if beyond_a_file(problem) or not isinstance(dynamics, RigidBodyDynamics):
+    if unstorable_part(problem) or not isinstance(dynamics, RigidBodyDynamics):
         return None
     facts: dict[str, Any] = {"dt": dynamics.dt, "integrator": dynamics.integrator}
     if dynamics.prescribed:
@@ -45,7 +45,7 @@ def in_parts(problem: Problem) -> tuple[Recipe, dict[str, np.ndarray]] | None:
     return Recipe(NAME, facts), arrays
 
 
-def beyond_a_file(problem: Problem) -> str:
+def unstorable_part(problem: Problem) -> str:
     """What of a problem without a recipe no file can hold, in words; "" where all of it can be held."""
     dynamics, twin = problem.dynamics, problem.twin
     if type(dynamics) is not RigidBodyDynamics:
@@ -62,7 +62,7 @@ def beyond_a_file(problem: Problem) -> str:
     return ""
 
 
-def of_parts(facts: dict[str, Any], arrays: dict[str, np.ndarray], twin: Twin | None) -> Problem:
+def from_arrays(facts: dict[str, Any], arrays: dict[str, np.ndarray], twin: Twin | None) -> Problem:
     """The problem that in_parts() described."""
     missing = [name for name in ARRAYS if name not in arrays]
     if twin is None or missing:

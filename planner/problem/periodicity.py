@@ -49,21 +49,21 @@ class Periodic:
         return replace(self, tolerance=np.broadcast_to(self.tolerance, ndx))
 
     @property
-    def closes(self) -> np.ndarray:
+    def periodic_mask(self) -> np.ndarray:
         """(ndx,) bool: the components that return."""
         return np.isfinite(self.tolerance)
 
-    def gap(self, space: StateSpace, xs: np.ndarray) -> np.ndarray:
+    def closure_error(self, space: StateSpace, xs: np.ndarray) -> np.ndarray:
         """(ndx,) how far the end of states (N+1, nx) is from their start; zero for components that need not return."""
-        return np.where(self.closes, space.difference(xs[-1], xs[0]), 0.0)
+        return np.where(self.periodic_mask, space.difference(xs[-1], xs[0]), 0.0)
 
     def miss(self, space: StateSpace, xs: np.ndarray) -> float:
         """The largest gap, as a multiple of its tolerance: at most 1 when states (N+1, nx) are periodic."""
-        return float(np.max(np.abs(self.gap(space, xs)) / self.tolerance))
+        return float(np.max(np.abs(self.closure_error(space, xs)) / self.tolerance))
 
     def brought(self, space: StateSpace, x: np.ndarray, end: np.ndarray) -> np.ndarray:
         """State x (nx,) with its returning components taken from another state `end` (nx,)."""
-        return space.integrate(x, np.where(self.closes, space.difference(end, x), 0.0))
+        return space.integrate(x, np.where(self.periodic_mask, space.difference(end, x), 0.0))
 
     def to_dict(self) -> dict[str, Any]:
         """As JSON values; what is infinite is None."""

@@ -22,7 +22,7 @@ class Stick:
 
 
 @dataclass(frozen=True, eq=False)
-class Motion:
+class PoseSequence:
     """A motion of points."""
 
     label: str  # For the legend
@@ -38,7 +38,7 @@ class Trace(NamedTuple):
     dashed: bool = False  # Drawn dashed and grey: what others are held to
 
 
-class Curve(NamedTuple):
+class CurveData(NamedTuple):
     """One quantity over time."""
 
     label: str  # For the legend; the same label in another chart has the same colour there
@@ -64,7 +64,7 @@ class Chart:
 
     title: str  # Above it
     ylabel: str  # With the unit
-    curves: Sequence[Curve] = ()  # The lines of the panel
+    curves: Sequence[CurveData] = ()  # The lines of the panel
     band: Band | None = None  # Behind them, or None
     # (start, end) of times that are shaded: stance, for example.
     spans: Sequence[tuple[float, float]] = field(default=())
@@ -75,7 +75,7 @@ class StickFigures:
     """A picture of poses, see view.plots.stick_figures."""
 
     caption: str  # Under it, on a page
-    motions: Sequence[Motion]  # Over the same time
+    motions: Sequence[PoseSequence]  # Over the same time
     sticks: Sequence[Stick]  # Lines that join the points
     times: tuple[str, ...]  # One for each pose, written under it
     ground: float | None = None  # m, height of a line under the feet; None for none
@@ -104,7 +104,7 @@ class Paths:
 
 
 @dataclass(frozen=True, eq=False)
-class Bounded:
+class BoundedPanel:
     """Quantities of a motion over time beside their bounds: one panel of plots.png, see view.plots.bounded."""
 
     title: str  # Above it

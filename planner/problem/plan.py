@@ -26,24 +26,24 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from planner.base.files import printable
-from planner.base.shown import Shown
+from planner.base.shown import Plottable
 from planner.base.versions import installed_versions
 from planner.model.space import StateSpace, euclidean, space_of
 from planner.model.twin import Twin
 from planner.problem.archive import FILE, HINGES, PART, digest_of, pack, plan_name, write_archive
 from planner.problem.at_bounds import constraints_broken, control_at_bound, stalled, state_outside
 from planner.problem.costs.wanted import stored_tolerance
-from planner.problem.criteria import plain
+from planner.problem.criteria import base_problem
 from planner.problem.export.joint_trajectory import joint_trajectory
 from planner.problem.export.keyframes import write_keyframes
 from planner.problem.export.sampled import Samples, sampled
 from planner.problem.export.table import frame_of, write_csv
-from planner.problem.goals import goal_missed
-from planner.problem.motion import Motion, pulls_of, rates_of
-from planner.problem.parts import beyond_a_file, in_parts
+from planner.problem.goals import missed_goal_message
+from planner.problem.motion import Trajectory, scaled_multipliers, rates_of
+from planner.problem.parts import unstorable_part, to_arrays
 from planner.problem.problem import Problem
 from planner.problem.recipe import PROBLEM_FILE, Built, Recipe
-from planner.problem.state_ranges import Hinges
+from planner.problem.state_ranges import BoundPenalties
 
 
 class Status(StrEnum):
@@ -123,7 +123,7 @@ class Start(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class Plan(Built, Shown):
+class Plan(Built, Plottable):
     """An optimized motion with the gains that hold it.
 
     Attributes:
@@ -163,7 +163,7 @@ class Plan(Built, Shown):
     stored_space: StateSpace | None = None
     options: dict[str, Any] = field(default_factory=dict)
     changed: tuple[str, ...] = ()
-    hinges: Hinges | None = None
+    bound_penalties: BoundPenalties | None = None
 
     @property
     def N(self) -> int:
@@ -209,7 +209,7 @@ class Plan(Built, Shown):
         """Which goal a converged plan misses, and what to do; "" for none, and for a plan without its problem."""
         if self.problem is None or self.status is not Status.CONVERGED:
             return ""
-        return goal_missed(self.problem, self.t, self.xs)
+        return missed_goal_message(self.problem, self.t, self.xs)
 
     @property
     def space(self) -> StateSpace:
@@ -252,14 +252,14 @@ class Plan(Built, Shown):
         return np.concatenate([inside.reshape(-1, nx), self.xs[-1:]])
 
     @property
-    def motion(self) -> Motion:
+    def motion(self) -> Trajectory:
         """What the plan does, apart from its problem."""
         rates, pulls = slice(0, 0), None
         if self.problem is not None:
-            rates, pulls = rates_of(self.problem.dynamics), pulls_of(self.problem.kept, self.hinges)
-        return Motion(self.t, self.xs, self.us, self.K, self.space, rates, pulls)
+            rates, pulls = rates_of(self.problem.dynamics), scaled_multipliers(self.problem.trajectory_constraints, self.bound_penalties)
+        return Trajectory(self.t, self.xs, self.us, self.K, self.space, rates, pulls)
 
-    def shifted(self, seconds: float) -> Motion:
+    def shifted(self, seconds: float) -> Trajectory:
         """A first guess for the same task `seconds` later: solve(..., warm_start=plan.shifted(0.1)). See Motion.
 
         Raises:
@@ -267,7 +267,7 @@ class Plan(Built, Shown):
         """
         return self.motion.shifted(seconds)
 
-    def stretched(self, duration: float) -> Motion:
+    def stretched(self, duration: float) -> Trajectory:
         """A first guess for the same task in another duration (s): solve(..., warm_start=plan.stretched(2.0)).
 
         Raises:
@@ -295,7 +295,7 @@ class Plan(Built, Shown):
         if meta["recipe"] is None and self.problem is not None:
             warnings.warn(
                 f"{printable(path)} has the plan without its problem: a file cannot hold "
-                f"{beyond_a_file(plain(self.problem))}. load_plan(path, problem=problem) puts the two together.",
+                f"{unstorable_part(base_problem(self.problem))}. load_plan(path, problem=problem) puts the two together.",
                 stacklevel=2,
             )
         return Path(path)
@@ -310,7 +310,7 @@ class Plan(Built, Shown):
         """The arrays and the meta of its file."""
         recipe, parts = self.recipe, {}
         if recipe is None and self.problem is not None:
-            recipe, parts = in_parts(plain(self.problem)) or (None, {})
+            recipe, parts = to_arrays(base_problem(self.problem)) or (None, {})
         objective = None if self.problem is None else self.problem.objective
         files = {} if self.twin is None else self.twin.assets
         names = {name: digest_of(content) for name, content in files.items()}
@@ -327,8 +327,8 @@ class Plan(Built, Shown):
         }  # fmt: skip
         history = np.array(self.history, dtype=float).reshape(-1, len(Iteration._fields))
         arrays = {"t": self.t, "xs": self.xs, "us": self.us, "K": self.K, "history": history}
-        if self.hinges is not None:
-            arrays |= dict(zip(HINGES, self.hinges, strict=True))
+        if self.bound_penalties is not None:
+            arrays |= dict(zip(HINGES, self.bound_penalties, strict=True))
         for name, content in files.items():
             arrays[FILE + names[name]] = np.frombuffer(content, np.uint8)
         for name, part in parts.items():

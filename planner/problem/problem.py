@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from planner.base.arguments import LONGEST_HORIZON, array, count, number, shown
+from planner.base.arguments import LONGEST_HORIZON, array, count, number, short_repr
 from planner.base.errors import PlannerError
 from planner.base.measured import Section
 from planner.dynamics import Dynamics, RigidBodyDynamics
@@ -18,17 +18,17 @@ from planner.model.space import space_of
 from planner.model.twin import Twin
 from planner.problem.appearance import Appearance
 from planner.problem.constraints.constraint import Constraint
-from planner.problem.constraints.kept import Kept
-from planner.problem.constraints.rows import Rows
+from planner.problem.constraints.kept import TrajectoryConstraints
+from planner.problem.constraints.rows import ConstraintStack
 from planner.problem.control_bounds import ControlBounds
 from planner.problem.costs.terms import Cost, check_cost
 from planner.problem.costs.tracking import states, tracking_of
-from planner.problem.costs.wanted import Wanted, checked_tolerance
+from planner.problem.costs.wanted import GoalSpec, checked_tolerance
 from planner.problem.limits import TOLERANCE, Limits
 from planner.problem.objective import Objective
 from planner.problem.periodicity import Periodic
 from planner.problem.recipe import Built, Recipe
-from planner.problem.state_ranges import StateRanges
+from planner.problem.state_ranges import StateBounds
 
 
 @dataclass(frozen=True)
@@ -105,10 +105,10 @@ class Problem(Built):
     tolerance: float | Mapping[str, float] | None = None
     decrease_tolerance: float | None = None
     gain_tolerance: float = 0.0
-    wanted: tuple[Wanted, ...] | None = None
+    wanted: tuple[GoalSpec, ...] | None = None
     bounds: ControlBounds | None = field(init=False, default=None)
-    ranges: StateRanges | None = field(init=False, default=None)
-    kept: Kept | None = field(init=False, default=None)
+    ranges: StateBounds | None = field(init=False, default=None)
+    trajectory_constraints: TrajectoryConstraints | None = field(init=False, default=None)
 
     def __post_init__(self) -> None:
         self._check_parts()
@@ -162,11 +162,11 @@ class Problem(Built):
         missing = [name for name in ("nx", "nu", "dt", "step", "linearize") if not hasattr(self.dynamics, name)]
         if missing:
             what = f"expected dynamics with nx, nu, dt, step and linearize (no {missing[0]} there)"
-            raise PlannerError(f"dynamics is {shown(self.dynamics)}, {what}.")
+            raise PlannerError(f"dynamics is {short_repr(self.dynamics)}, {what}.")
         check_cost("cost", self.cost)
         given = self.constraints
         if not isinstance(given, Sequence) or not all(isinstance(one, Constraint) for one in given):
-            raise PlannerError(f"constraints is {shown(given)}, expected a list of planner.Constraint.")
+            raise PlannerError(f"constraints is {short_repr(given)}, expected a list of planner.Constraint.")
         object.__setattr__(self, "constraints", tuple(given))
         parts = (
             ("twin", Twin), ("appearance", Appearance), ("requirements", Requirements), ("limits", Limits),
@@ -175,7 +175,7 @@ class Problem(Built):
         for name, kind in parts:
             part = getattr(self, name)
             if part is not None and not isinstance(part, kind):
-                raise PlannerError(f"{name} is {shown(part)}, expected {kind.__name__} or None.")
+                raise PlannerError(f"{name} is {short_repr(part)}, expected {kind.__name__} or None.")
 
     def _keep(self, us: np.ndarray) -> None:
         """Set what a plan keeps: ranges of the limits, and constraints."""
@@ -183,9 +183,9 @@ class Problem(Built):
         goal = tracking_of(self.cost) or self.cost
         tendons = () if self.limits is None else self.limits.tendons(self.dynamics, goal, self.x0)
         kept = (*self.constraints, *tendons)
-        rows = Rows(kept, self.dynamics, self.x0, us, tolerance) if kept else None
+        rows = ConstraintStack(kept, self.dynamics, self.x0, us, tolerance) if kept else None
         if rows is not None or self.ranges is not None:
-            object.__setattr__(self, "kept", Kept(self.ranges, rows, tolerance))
+            object.__setattr__(self, "kept", TrajectoryConstraints(self.ranges, rows, tolerance))
 
     def __repr__(self) -> str:
         title = "" if self.appearance is None else self.appearance.title

@@ -23,7 +23,7 @@ from planner.problem.costs.terms import Quadratic
 ROUNDING = 1e-9  # of a deviation: how far one may be beyond its bound and still count as within
 
 
-class Hinges(NamedTuple):
+class BoundPenalties(NamedTuple):
     """Shifted bounds and weights of each component's range, as a plan keeps them."""
 
     lower: np.ndarray  # (N+1, H)
@@ -32,7 +32,7 @@ class Hinges(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class StateRanges:
+class StateBounds:
     """H components of the deviations from a reference, and their ranges."""
 
     space: StateSpace  # Of the states
@@ -43,9 +43,9 @@ class StateRanges:
     at_end: int  # How many of them, the last ones, are exact goals: for the end alone
     coordinates: tuple[Coordinate, ...]  # (H,) their names and units
 
-    def free(self) -> Hinges:
+    def free(self) -> BoundPenalties:
         """Hinges that weigh nothing."""
-        return Hinges(self.lower.copy(), self.upper.copy(), np.zeros_like(self.lower))
+        return BoundPenalties(self.lower.copy(), self.upper.copy(), np.zeros_like(self.lower))
 
     def deviations(self, xs: np.ndarray) -> np.ndarray:
         """The components (N+1, H) of states xs (N+1, nx)."""
@@ -68,28 +68,28 @@ class StateRanges:
         e = self.deviations(xs)
         return (e >= self.upper - tolerance) | (e <= self.lower + tolerance)
 
-    def value(self, hinges: Hinges, xs: np.ndarray) -> float:
+    def value(self, bound_penalties: BoundPenalties, xs: np.ndarray) -> float:
         """The cost that hinges add for states xs (N+1, nx)."""
-        above, below = self._beyond(hinges, xs)
-        return 0.5 * float(np.sum(hinges.weight * (above**2 + below**2)))
+        above, below = self._beyond(bound_penalties, xs)
+        return 0.5 * float(np.sum(bound_penalties.weight * (above**2 + below**2)))
 
-    def added(self, hinges: Hinges, model: Quadratic, xs: np.ndarray) -> Quadratic:
+    def added(self, bound_penalties: BoundPenalties, model: Quadratic, xs: np.ndarray) -> Quadratic:
         """The quadratic model of a cost along xs (N+1, nx) with that of the hinges."""
-        return self._with(model, xs, *_pulls(hinges, e := self.deviations(xs), sides_of(hinges, e)))
+        return self._with(model, xs, *_penalty_gradients(bound_penalties, e := self.deviations(xs), sides_of(bound_penalties, e)))
 
-    def next_sides(self, hinges: Hinges, e: np.ndarray, dxs: np.ndarray, sides: np.ndarray) -> np.ndarray:
+    def next_sides(self, bound_penalties: BoundPenalties, e: np.ndarray, dxs: np.ndarray, sides: np.ndarray) -> np.ndarray:
         """Where deviations e (N+1, H) are, in terms of sides_of, when the states have moved by dxs (N+1, ndx).
 
         Exact goals and rotations stay where they are (see kernels.lq.active_set).
         """
         slack = np.where(sides == 0.0, 1.0, -1.0) * ROUNDING * (1.0 + np.abs(e))
         after = e + dxs[:, self.component]
-        moved = np.where(after > hinges.upper + slack, 1.0, np.where(after < hinges.lower - slack, -1.0, 0.0))
+        moved = np.where(after > bound_penalties.upper + slack, 1.0, np.where(after < bound_penalties.lower - slack, -1.0, 0.0))
         rotations = [j + i for _, j in self.space.quaternions for i in range(3)]
-        return np.where((hinges.lower == hinges.upper) | np.isin(self.component, rotations), sides, moved)
+        return np.where((bound_penalties.lower == bound_penalties.upper) | np.isin(self.component, rotations), sides, moved)
 
     def switched(
-        self, hinges: Hinges, model: Quadratic, xs: np.ndarray, sides: np.ndarray, dxs: np.ndarray
+        self, bound_penalties: BoundPenalties, model: Quadratic, xs: np.ndarray, sides: np.ndarray, dxs: np.ndarray
     ) -> tuple[Quadratic, float, float]:
         """A model along xs with the hinges' own parabolas replaced by those of other sides.
 
@@ -99,10 +99,10 @@ class StateRanges:
         """
         e = self.deviations(xs)
         (pull, own), (curvature, own_curvature) = zip(
-            _pulls(hinges, e, sides), _pulls(hinges, e, sides_of(hinges, e)), strict=True
+            _penalty_gradients(bound_penalties, e, sides), _penalty_gradients(bound_penalties, e, sides_of(bound_penalties, e)), strict=True
         )
         rows = self.space.difference_jacobian(self.space.difference(xs, self.reference))[:, self.component]
-        weight = np.where(hinges.weight > 0.0, hinges.weight, 1.0)
+        weight = np.where(bound_penalties.weight > 0.0, bound_penalties.weight, 1.0)
         more_slope = np.einsum("nh,nhi,ni->", own - pull, rows, dxs)
         more_cost = 0.5 * np.sum((pull**2 - own**2) / weight)
         return self._with(model, xs, pull - own, curvature - own_curvature), float(more_cost), float(more_slope)
@@ -113,17 +113,17 @@ class StateRanges:
         q = model.q + np.einsum("nhi,nh->ni", rows, slope)
         return model._replace(Q=model.Q + np.einsum("nhi,nh,nhj->nij", rows, curvature, rows), q=q)
 
-    def _beyond(self, hinges: Hinges, xs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def _beyond(self, bound_penalties: BoundPenalties, xs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         e = self.deviations(xs)
-        return np.maximum(e - hinges.upper, 0.0), np.maximum(hinges.lower - e, 0.0)
+        return np.maximum(e - bound_penalties.upper, 0.0), np.maximum(bound_penalties.lower - e, 0.0)
 
 
-def sides_of(hinges: Hinges, e: np.ndarray) -> np.ndarray:
+def sides_of(bound_penalties: BoundPenalties, e: np.ndarray) -> np.ndarray:
     """Where deviations e (N+1, H) are: above 1, below -1, within 0."""
-    return np.where(e >= hinges.upper, 1.0, np.where(e < hinges.lower, -1.0, 0.0))
+    return np.where(e >= bound_penalties.upper, 1.0, np.where(e < bound_penalties.lower, -1.0, 0.0))
 
 
-def _pulls(hinges: Hinges, e: np.ndarray, sides: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _penalty_gradients(bound_penalties: BoundPenalties, e: np.ndarray, sides: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """First and second derivatives (N+1, H) of the parabolas of these sides at deviations e."""
-    bound = np.where(sides > 0.0, hinges.upper, np.where(sides < 0.0, hinges.lower, e))
-    return hinges.weight * (e - bound), hinges.weight * np.abs(sides)
+    bound = np.where(sides > 0.0, bound_penalties.upper, np.where(sides < 0.0, bound_penalties.lower, e))
+    return bound_penalties.weight * (e - bound), bound_penalties.weight * np.abs(sides)

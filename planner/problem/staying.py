@@ -21,12 +21,12 @@ from planner.base.arguments import number
 from planner.dynamics import RigidBodyDynamics
 from planner.model.mechanism import Mechanism
 from planner.problem.costs.tracking import TrackingCost
-from planner.problem.guess import holding_controls
+from planner.problem.guess import quasi_static_controls
 
 LARGEST = 1e12  # of a weight: more is of a goal from which the machine falls at once
 
 
-def staying(dynamics: RigidBodyDynamics, cost: TrackingCost, seconds: Any) -> TrackingCost:
+def terminal_holding_cost(dynamics: RigidBodyDynamics, cost: TrackingCost, seconds: Any) -> TrackingCost:
     """A cost with what it costs to stay at its goal for so many seconds added to its final weights.
 
     Nothing is added for a goal at which the linearised machine runs away.
@@ -63,5 +63,5 @@ def _holding(dynamics: RigidBodyDynamics, goal: np.ndarray) -> np.ndarray:
     """(nu,) what holds the goal; prescribed joints do not accelerate."""
     mechanism: Mechanism = dynamics.mechanism
     u = np.zeros(dynamics.nu)
-    u[: mechanism.nu] = holding_controls(mechanism, goal)
+    u[: mechanism.nu] = quasi_static_controls(mechanism, goal)
     return u

@@ -75,7 +75,7 @@ def kept_tendon(length: TendonLength, kept: Range, start: np.ndarray, goal: np.n
         if x is None:
             continue
         value = float(length.of(x[None])[0])
-        room = kept.met(value)
+        room = kept.widened_to(value)
         if room is None:
             scaled = Range(*(end * length.scale for end in kept[:4]), of_model=kept.of_model)
             own, said = value * length.scale, f"the {what} has {length} at {value * length.scale:.6g}"

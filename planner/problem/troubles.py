@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from planner.dynamics.algorithms import bias
-from planner.dynamics.assembly import directions
+from planner.dynamics.assembly import feasible_directions
 from planner.model.actuators import INTEGRATOR
 from planner.model.coupled_ranges import contradiction, narrowed
 from planner.model.mechanism import Mechanism
@@ -26,16 +26,16 @@ _SPARE = 1.5  # times what holds: the range that is proposed
 _MOST = 4  # of a kind that are told one by one
 
 
-class Trouble(NamedTuple):
+class ModelWarning(NamedTuple):
     """Something that looks wrong."""
 
     problem: str  # One sentence
     mend: str  # The key or edit
 
 
-def troubles_of(
+def lint_model(
     model: Any, mechanism: Mechanism | None, joints: list[Record], keyframes: dict[str, np.ndarray]
-) -> list[Trouble]:
+) -> list[ModelWarning]:
     """What looks wrong in a compiled model: in a fixed order, the most serious first."""
     found = [*_actuation(model, joints), *_surroundings(model), *_narrow(joints), *_light(joints)]
     found += _outside(joints, np.array(model.qpos0), "the start that the file describes", _to_start)
@@ -48,51 +48,51 @@ def troubles_of(
     return found
 
 
-def _actuation(model: Any, joints: list[Record]) -> list[Trouble]:
-    found: list[Trouble] = []
+def _actuation(model: Any, joints: list[Record]) -> list[ModelWarning]:
+    found: list[ModelWarning] = []
     single = [joint["name"] for joint in joints if joint["unit"] and joint["name"]]
     if model.nu == 0:
         motors = f'<actuator><motor joint="{single[0] if single else "..."}" ctrlrange="-10 10"/></actuator>'
         prescribed = f", or prescribed = {_listed(single)} to plan accelerations" if single else ""
-        found.append(Trouble("there are no actuators, so nothing moves the machine", f"add {motors}{prescribed}"))
+        found.append(ModelWarning("there are no actuators, so nothing moves the machine", f"add {motors}{prescribed}"))
     unnamed = [joint["label"] for joint in joints if not joint["name"]]
     if unnamed:
         which = f"{_few(unnamed)} {'has' if len(unnamed) == 1 else 'have'} no name"
-        found.append(Trouble(
+        found.append(ModelWarning(
             f"{which}, so a table of joints cannot name {'it' if len(unnamed) == 1 else 'them'}",
             'name="..." in the file, or start and goal as lists of all positions',
         ))  # fmt: skip
     return found
 
 
-def _surroundings(model: Any) -> list[Trouble]:
-    found: list[Trouble] = []
+def _surroundings(model: Any) -> list[ModelWarning]:
+    found: list[ModelWarning] = []
     if not np.any(gravity_of(model)):
-        found.append(Trouble("gravity is 0", '<option gravity="0 0 -9.81"/>, unless that is meant'))
+        found.append(ModelWarning("gravity is 0", '<option gravity="0 0 -9.81"/>, unless that is meant'))
     elif (free := free_bases(model)) and not has_ground(model):
         floor = '<geom name="floor" type="plane" size="0 0 1"/> in <worldbody>'
-        found.append(Trouble(f"{_few(free)} hangs on nothing and there is no floor, so it falls for ever", floor))
+        found.append(ModelWarning(f"{_few(free)} hangs on nothing and there is no floor, so it falls for ever", floor))
     return found
 
 
-def _narrow(joints: list[Record]) -> list[Trouble]:
+def _narrow(joints: list[Record]) -> list[ModelWarning]:
     """Ranges that were meant in radians and are read as degrees, as MuJoCo does unless it is told."""
     widths = [joint["range"][1] - joint["range"][0] for joint in joints if joint["unit"] == "rad" and joint["range"]]
     if not widths or max(widths) > _DEGREES:
         return []
     words = f"no hinge may turn by more than {max(widths):.3g} rad, as if its range in radians were read as degrees"
-    return [Trouble(words, '<compiler angle="radian"/>, if that is so')]
+    return [ModelWarning(words, '<compiler angle="radian"/>, if that is so')]
 
 
-def _light(joints: list[Record]) -> list[Trouble]:
+def _light(joints: list[Record]) -> list[ModelWarning]:
     """Joints about which next to nothing turns, against the others of their kind."""
-    found: list[Trouble] = []
+    found: list[ModelWarning] = []
     for unit, quantity in (("rad", "kg m^2"), ("m", "kg")):
         alike = [joint for joint in joints if joint["unit"] == unit]
         median = float(np.median([joint["inertia"] for joint in alike])) if alike else 0.0
         tiny = [joint for joint in alike if joint["inertia"] < _LIGHT * median]
         for joint in tiny[:_MOST]:
-            found.append(Trouble(
+            found.append(ModelWarning(
                 f"the inertia at {joint['label']} is {joint['inertia']:.2g} {quantity}, "
                 f"{joint['inertia'] / median:.1g} of the median joint's, so its motion is very stiff",
                 f'armature="{_MENDED * median:.2g}" at the joint',
@@ -100,16 +100,16 @@ def _light(joints: list[Record]) -> list[Trouble]:
     return found
 
 
-def _outside(joints: list[Record], qpos: np.ndarray, whose: str, mend: Any) -> list[Trouble]:
+def _outside(joints: list[Record], qpos: np.ndarray, whose: str, mend: Any) -> list[ModelWarning]:
     """Hinges and slides that a pose puts outside of their ranges."""
-    found: list[Trouble] = []
+    found: list[ModelWarning] = []
     for joint in joints:
         if joint["range"] is None or not joint["unit"]:
             continue
         (low, high), q = joint["range"], float(qpos[joint["position"]])
         if not low - 1e-9 <= q <= high + 1e-9:
             nearest = min(max(q, low), high)
-            found.append(Trouble(
+            found.append(ModelWarning(
                 f"{whose} has {joint['label']} at {q:.4g} {joint['unit']}, outside of its range {low:.4g} to "
                 f"{high:.4g}",
                 mend(joint, nearest),
@@ -126,14 +126,14 @@ def _to_key(joint: Record, nearest: float) -> str:
     return f"{nearest:.4g} for it in the keyframe's qpos, or another start"
 
 
-def _more(rest: list[Trouble]) -> list[Trouble]:
-    return [Trouble(f"so have {len(rest)} more joints", "the same")] if rest else []
+def _more(rest: list[ModelWarning]) -> list[ModelWarning]:
+    return [ModelWarning(f"so have {len(rest)} more joints", "the same")] if rest else []
 
 
-def _overlapping(model: Any) -> list[Trouble]:
+def _overlapping(model: Any) -> list[ModelWarning]:
     deep = [one for one in overlaps(model, model.qpos0) if one.depth > _SHALLOW * float(model.stat.extent)]
     found = [
-        Trouble(
+        ModelWarning(
             f"{one.shapes} are {1000.0 * one.depth:.3g} mm within each other at the start",
             f'<contact><exclude body1="{one.bodies[0]}" body2="{one.bodies[1]}"/></contact>, or another start'
             if all(one.bodies) and "world" not in one.bodies else "a start in which they are apart",
@@ -141,27 +141,27 @@ def _overlapping(model: Any) -> list[Trouble]:
         for one in deep[:_MOST]
     ]  # fmt: skip
     more = len(deep) - _MOST
-    return found + ([Trouble(f"so are {more} more pairs of bodies", "the same")] if more > 0 else [])
+    return found + ([ModelWarning(f"so are {more} more pairs of bodies", "the same")] if more > 0 else [])
 
 
-def _coupled(mechanism: Mechanism) -> list[Trouble]:
+def _coupled(mechanism: Mechanism) -> list[ModelWarning]:
     """Joints that equalities and ranges together leave no way, or no place at all."""
     if not mechanism.couplings:
         return []
     ranges = np.array(mechanism.joint_range)
     if said := contradiction(mechanism, ranges):
         problem, _, mend = said.rstrip(".").partition(": write ")
-        return [Trouble(problem, mend or "wider ranges in the file")]
+        return [ModelWarning(problem, mend or "wider ranges in the file")]
     left = narrowed(mechanism, ranges)
     held = (np.ptp(left, axis=1) < _HELD) & (np.ptp(ranges, axis=1) > _HELD)
     names = [mechanism.joint_of(int(i)) for i in np.flatnonzero(held)]
     words = f"equalities and ranges together hold {_few(names)} at one place, so nothing moves there"
-    return [Trouble(words, "a wider range in the file, or goals that leave them there")] if names else []
+    return [ModelWarning(words, "a wider range in the file, or goals that leave them there")] if names else []
 
 
-def _weak(mechanism: Mechanism, qpos: np.ndarray) -> list[Trouble]:
+def _weak(mechanism: Mechanism, qpos: np.ndarray) -> list[ModelWarning]:
     """Actuators whose ranges cannot hold a pose (nq,) of a machine with a fixed base against gravity and springs."""
-    found: list[Trouble] = []
+    found: list[ModelWarning] = []
     needed, actuators = holding(mechanism, qpos), mechanism.actuators
     for name, u, force, controls, forces in zip(
         actuators.names, *needed, actuators.control_range, actuators.force_range, strict=True
@@ -170,7 +170,7 @@ def _weak(mechanism: Mechanism, qpos: np.ndarray) -> list[Trouble]:
             if within(value, low, high):
                 continue
             wide = min(low, _SPARE * value), max(high, _SPARE * value)
-            found.append(Trouble(
+            found.append(ModelWarning(
                 f"actuator {name!r} needs {value:.3g} to hold the start against gravity, and its {attribute} is "
                 f"{low:.3g} to {high:.3g}",
                 f'{attribute}="{wide[0]:.3g} {wide[1]:.3g}", or a start that takes less to hold',
@@ -186,8 +186,8 @@ def holding(mechanism: Mechanism, qpos: np.ndarray) -> tuple[np.ndarray, np.ndar
     actuators = mechanism.actuators
     driven = np.any(actuators.moment != 0.0, axis=0)
     tau, moment = bias(mechanism, qpos, np.zeros(mechanism.nv)), actuators.moment.T
-    if mechanism.loops or mechanism.cams:
-        Z = directions(mechanism, qpos)[0]  # what closed chains carry by themselves needs no holding
+    if mechanism.loops or mechanism.polynomial_couplings:
+        Z = feasible_directions(mechanism, qpos)[0]  # what closed chains carry by themselves needs no holding
         tau, moment = Z.T @ tau, Z.T @ moment
     else:
         tau, moment = tau[driven], moment[driven]

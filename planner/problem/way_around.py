@@ -32,7 +32,7 @@ Free = Callable[[np.ndarray], np.ndarray]
 """Whether poses (K, n) are free, (K,)."""
 
 
-def way_around(
+def rrt_connect(
     free: Free, start: np.ndarray, goal: np.ndarray, lower: np.ndarray, upper: np.ndarray, seed: int = 0,
     nearly: Free | None = None,
 ) -> np.ndarray | None:  # fmt: skip

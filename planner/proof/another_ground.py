@@ -22,7 +22,7 @@ import numpy as np
 
 from planner.base.gl import load_mujoco
 from planner.base.jsonable import finite
-from planner.base.measured import Measured, Section
+from planner.base.measured import Measurement, Section
 from planner.dynamics import kinematics
 from planner.model.contact.laws import Contact
 from planner.model.mechanism import Frame, Mechanism
@@ -44,7 +44,7 @@ SOLREF, SOLIMP, SLIDING, CONDIM = (0.02, 1.0), (0.9, 0.95, 0.001, 0.5, 2.0), 1.0
 
 
 @dataclass(frozen=True)
-class GroundRow:
+class ContactVariant:
     """What one ground makes of a plan.
 
     Attributes:
@@ -70,7 +70,7 @@ class GroundRow:
 class GroundTable:
     """A plan on several grounds: a row for each ground and mode, or the reason why there are none."""
 
-    rows: tuple[GroundRow, ...] = ()
+    rows: tuple[ContactVariant, ...] = ()
     not_applicable: str = ""
 
     def to_dict(self) -> dict[str, Any]:
@@ -87,7 +87,7 @@ class GroundTable:
         return Section(TITLE, tuple(one for row in self.rows for one in _measured(row)))
 
 
-def another_ground(
+def contact_sensitivity(
     plan: Plan, compiled: CompiledTwin, *, units: Iterable[str] | None = None,
     runs: Mapping[str, Replay] | None = None, replay: Callable[..., Replay] = replay_in,
 ) -> Section:  # fmt: skip
@@ -163,9 +163,9 @@ def _components(plan: Plan, units: Iterable[str] | None) -> dict[str, np.ndarray
     return {unit: np.flatnonzero(of == unit) for unit in dict.fromkeys(every)}
 
 
-def _row(ground: str, mode: str, run: Replay, by_unit: dict[str, np.ndarray]) -> GroundRow:
+def _row(ground: str, mode: str, run: Replay, by_unit: dict[str, np.ndarray]) -> ContactVariant:
     error = np.nan_to_num(np.abs(run.error), nan=np.inf)  # of a motion that ran away
-    return GroundRow(
+    return ContactVariant(
         ground, mode, {unit: float(error[-1, which].max()) for unit, which in by_unit.items()},
         {unit: float(error[:, which].max()) for unit, which in by_unit.items()},
         _feet(run), float(np.nanmax(run.contact_force)), run.warnings,
@@ -192,7 +192,7 @@ def _centre(contact: Contact) -> Frame:
     return Frame(contact.link, T)
 
 
-def _measured(row: GroundRow) -> Iterator[Measured]:
+def _measured(row: ContactVariant) -> Iterator[Measurement]:
     """A row without its velocities, which the table has."""
     note = " ".join((f"{row.ground}, {row.mode}; shown, not judged.", *row.warnings))
     ground, mode = (re.sub(r"\W+", "_", part) for part in (row.ground, row.mode))
@@ -200,10 +200,10 @@ def _measured(row: GroundRow) -> Iterator[Measured]:
         for unit, value in errors.items():
             if not unit.endswith("/s"):
                 kind = f"{_KINDS[unit]}_" if unit in _KINDS else ""
-                yield Measured(f"{ground}_{where}_{kind}error_{mode}", value, unit, None, note)
+                yield Measurement(f"{ground}_{where}_{kind}error_{mode}", value, unit, None, note)
     if np.isfinite(row.feet) or np.isinf(row.feet):
-        yield Measured(f"{ground}_feet_error_{mode}", row.feet, "m", None, note)
-    yield Measured(f"{ground}_peak_force_{mode}", row.peak_force, "N", None, note)
+        yield Measurement(f"{ground}_feet_error_{mode}", row.feet, "m", None, note)
+    yield Measurement(f"{ground}_peak_force_{mode}", row.peak_force, "N", None, note)
 
 
 def _default(model: Any) -> None:

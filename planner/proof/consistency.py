@@ -11,16 +11,16 @@ from typing import NamedTuple
 
 import numpy as np
 
-from planner.base.measured import Measured, Section
-from planner.dynamics.assembly import lost_ranks
+from planner.base.measured import Measurement, Section
+from planner.dynamics.assembly import relative_min_singular_value
 from planner.problem.costs.jerk import JerkCost
 from planner.problem.costs.terms import Quadratic
 from planner.problem.goals import terms_of
 from planner.problem.plan import Plan, Status
 from planner.problem.problem import Problem
 from planner.proof.constraints import planned_violations
-from planner.proof.more_steps import STEPS, more_steps
-from planner.proof.scales import COST_BOUND, has_kinks, judged_cost, limit_violations
+from planner.proof.more_steps import STEPS, remaining_decrease
+from planner.proof.scales import COST_BOUND, is_nonsmooth, judged_cost, limit_violations
 from planner.solvers import lq
 from planner.solvers.slq import DECREASE
 
@@ -38,7 +38,7 @@ _LEAST = 1e-3  # of the cost of errors that pass: costs smaller than that are as
 class Recomputed(NamedTuple):
     """What a plan's states and controls say of it."""
 
-    missed: np.ndarray  # (N, ndx) of each state from one stage of the last
+    defects: np.ndarray  # (N, ndx) of each state from one stage of the last
     cost: float
     gradient_norm: float  # Eq. 19, projected where controls are at their bounds
     terms: float  # the size of what the gradient is the sum of
@@ -53,9 +53,9 @@ def recomputed(
         missed = plan.space.difference(problem.dynamics.step(xs[:-1], us), xs[1:])
         A, B = problem.dynamics.linearize(xs, us)
         quadratic: Quadratic = problem.cost.quadratize(xs, us)
-        if plan.hinges is not None and problem.kept is not None:
-            quadratic = problem.kept.added(plan.hinges, quadratic, xs, us, A, B)
-        moves = None if problem.bounds is None else problem.bounds.moves(xs, us)
+        if plan.bound_penalties is not None and problem.trajectory_constraints is not None:
+            quadratic = problem.trajectory_constraints.added(plan.bound_penalties, quadratic, xs, us, A, B)
+        moves = None if problem.bounds is None else problem.bounds.step_bounds(xs, us)
         norm = float(np.linalg.norm(lq.projected(lq.reduced_gradient(A, B, quadratic, moves), moves)))
         known = np.isfinite(A).all() and np.isfinite(B).all() and quadratic.finite
         rounded = (A, B) if rng is None else (_with_wrong_digits(rng, A), _with_wrong_digits(rng, B))
@@ -73,11 +73,11 @@ def consistency(plan: Plan, problem: Problem, now: Recomputed) -> Section:
         t = problem.dynamics.dt * np.arange(plan.N + 1)
         exact = {
             "start_state_error": (_largest(plan.xs[0] - problem.x0) / largest, "first state against the problem's x0"),
-            "stage_error": (_largest(now.missed) / largest, "each state against one stage from the last"),
+            "stage_error": (_largest(now.defects) / largest, "each state against one stage from the last"),
             "cost_error": (abs(now.cost - plan.cost) / scale, "the cost recomputed"),
             "time_error": (_largest(plan.t - t) / problem.duration, "the knots against n dt"),
         }
-        measured = [Measured(n, float(e), "", BOUND, f"{note}, relative") for n, (e, note) in exact.items()]
+        measured = [Measurement(n, float(e), "", BOUND, f"{note}, relative") for n, (e, note) in exact.items()]
         gradient = abs(now.gradient_norm - plan.gradient_norm) / size
         gains = _gain_errors(plan.K, now.sweep)
         gains = 0.0 * plan.t[:-1] if plan.status is Status.GIVEN else gains  # they are its maker's
@@ -88,48 +88,48 @@ def consistency(plan: Plan, problem: Problem, now: Recomputed) -> Section:
     gradient_bound, gain_bound = max(BOUND, min(_MARGIN * moved[0], _MOST)), float(by_stage[worst])
     why = "; the bound is what rounding makes of it here"
     note = "the norm of Eq. 19 recomputed, relative" + (why if gradient_bound > BOUND else "")
-    measured.insert(3, Measured("gradient_error", float(gradient), "", gradient_bound, note))
+    measured.insert(3, Measurement("gradient_error", float(gradient), "", gradient_bound, note))
     note = "the gains against the last Riccati sweep (Eq. 31-33), relative to the largest"
     note += f"; of stage {worst}{why}" if gain_bound > GAIN_BOUND else ""
     if now.sweep is None:
         note = "R + B'PB is not positive definite along the plan: its gains are those of a regularised model"
-    measured.append(Measured("gain_error", float(gains[worst]), "", gain_bound, note))
+    measured.append(Measurement("gain_error", float(gains[worst]), "", gain_bound, note))
     note = f"changed after the file was written: {', '.join(plan.changed)}" if plan.changed else "of the plan's file"
-    measured.append(Measured("changed_parts", float(len(plan.changed)), "", 0.0, note))
+    measured.append(Measurement("changed_parts", float(len(plan.changed)), "", 0.0, note))
     measured += limit_violations(problem, plan.xs, plan.us, "at the plan's knots")
     measured += planned_violations(plan, problem)
     measured += _nearest_to_singular(plan, problem)
     return Section("plan", tuple(measured))
 
 
-def _nearest_to_singular(plan: Plan, problem: Problem) -> list[Measured]:
+def _nearest_to_singular(plan: Plan, problem: Problem) -> list[Measurement]:
     """How far closed chains are from a pose that they could leave in two ways, where they are nearest to one."""
     mechanism = getattr(problem.dynamics, "mechanism", None)
     if mechanism is None or not mechanism.loops or not np.isfinite(plan.xs).all():
         return []
-    shares = lost_ranks(mechanism, plan.xs[:, : mechanism.nq])
+    shares = relative_min_singular_value(mechanism, plan.xs[:, : mechanism.nq])
     worst = int(np.argmin(shares))
     note = f"least singular value of the closed chains' Jacobian over its largest, at {plan.t[worst]:.3g} s"
     if shares[worst] < SINGULAR:
         note += ": a chain lies nearly in line there, could go on in more than one way and takes large forces"
-    return [Measured("nearest_to_singular", float(shares[worst]), "", None, note)]
+    return [Measurement("nearest_to_singular", float(shares[worst]), "", None, note)]
 
 
 def optimality(plan: Plan, problem: Problem, now: Recomputed) -> Section:
     """Whether the solve converged, and whether another step of it would still lower the cost."""
     ended = 0.0 if plan.success else 1.0
-    measured = [Measured("not_converged", ended, "", 0.0, plan.message)]
+    measured = [Measurement("not_converged", ended, "", 0.0, plan.message)]
     if now.sweep is not None:
         scale = max(abs(plan.cost), judged_cost(problem).scale(plan, problem), _unseen(plan, problem))
         left = max(0.0, -now.sweep.value)
         note = "of the cost: what one more step of SLQ promises"
         if left <= DECREASE * max(1.0, abs(plan.cost)) and plan.success:  # of a light machine the cost may be 1e-10
             left, note = 0.0, f"{note}; {left:.3g} of {plan.cost:.3g} is less than what a solve goes on for"
-        if 100.0 * left > COST_BOUND * scale and (has_kinks(problem) or _approximate(problem)):
+        if 100.0 * left > COST_BOUND * scale and (is_nonsmooth(problem) or _approximate(problem)):
             note = f"of the cost: what {STEPS} more steps of SLQ gain; the next promises {100.0 * left / scale:.3g} %"
-            left = more_steps(plan, problem)
+            left = remaining_decrease(plan, problem)
         left *= 100.0 / scale
-        measured.append(Measured("decrease_left", left, "%", COST_BOUND, note))
+        measured.append(Measurement("decrease_left", left, "%", COST_BOUND, note))
     return Section("optimal", tuple(measured))
 
 
@@ -158,7 +158,7 @@ def _moved(plan: Plan, problem: Problem, now: Recomputed, size: float) -> tuple[
         xs, us = (_with_wrong_digits(rng, x) for x in (plan.xs, plan.us))
         if problem.bounds is not None:
             at_bound = problem.bounds.at_bound(plan.xs, plan.us)
-            held = problem.bounds.moved(plan.us, plan.xs, xs)
+            held = problem.bounds.shifted_with_bounds(plan.us, plan.xs, xs)
             us = np.where(at_bound, held, us)
         other = recomputed(plan, problem, xs, us, rng)
         gradient = max(gradient, abs(other.gradient_norm - now.gradient_norm) / size)

@@ -12,18 +12,18 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from planner.base.measured import Measured
+from planner.base.measured import Measurement
 from planner.problem.constraints.constraint import Constraint
-from planner.problem.constraints.rows import Rows
+from planner.problem.constraints.rows import ConstraintStack
 from planner.problem.plan import Plan
 from planner.problem.problem import Problem
 from planner.proof.replays.replaying import Replay
-from planner.proof.scales import path_bounds
+from planner.proof.scales import path_error_bounds
 
 CORRECTION = 0.01  # of the largest |h| along the plan, of what takes controls
 
 
-def planned_violations(plan: Plan, problem: Problem) -> list[Measured]:
+def planned_violations(plan: Plan, problem: Problem) -> list[Measurement]:
     """The largest violation of each constraint at the plan's knots."""
     rows = _rows(problem)
     if rows is None:
@@ -32,7 +32,7 @@ def planned_violations(plan: Plan, problem: Problem) -> list[Measured]:
     return _measured(rows, plan.xs, plan.us, plan.t, allowed)
 
 
-def replayed_violations(run: Replay, problem: Problem, among: Sequence[Constraint] | None = None) -> list[Measured]:
+def replayed_violations(run: Replay, problem: Problem, among: Sequence[Constraint] | None = None) -> list[Measurement]:
     """The largest violation of each constraint in a replay, at any of its steps; of all, or of those `among`."""
     rows = _rows(problem)
     if rows is None:
@@ -48,13 +48,13 @@ def replayed_violations(run: Replay, problem: Problem, among: Sequence[Constrain
     return _measured(rows, run.xs, us, run.t, {key: bound for key, bound in allowed.items() if key in wanted})
 
 
-def _rows(problem: Problem) -> Rows | None:
-    return None if problem.kept is None else problem.kept.rows
+def _rows(problem: Problem) -> ConstraintStack | None:
+    return None if problem.trajectory_constraints is None else problem.trajectory_constraints.rows
 
 
-def _reach(rows: Rows, plan: Plan) -> dict[int, float]:
+def _reach(rows: ConstraintStack, plan: Plan) -> dict[int, float]:
     """How far errors of the path that pass move each constraint, at the knots where it is asked for."""
-    found, bounds = dict[int, float](), path_bounds(plan)
+    found, bounds = dict[int, float](), path_error_bounds(plan)
     us = np.concatenate([plan.us, plan.us[-1:]])
     for part in rows.parts:
         columns = part.columns
@@ -69,8 +69,8 @@ def _reach(rows: Rows, plan: Plan) -> dict[int, float]:
 
 
 def _measured(
-    rows: Rows, xs: np.ndarray, us: np.ndarray, t: np.ndarray, allowed: dict[int, tuple[float, str]]
-) -> list[Measured]:
+    rows: ConstraintStack, xs: np.ndarray, us: np.ndarray, t: np.ndarray, allowed: dict[int, tuple[float, str]]
+) -> list[Measurement]:
     measured, used = [], set[str]()
     known = bool(np.isfinite(xs).all() and np.isfinite(us).all())
     parts = {id(part.constraint): part.constraint for part in rows.parts if id(part.constraint) in allowed}
@@ -81,7 +81,7 @@ def _measured(
         bound, note = allowed[key]
         when = f" at t = {t[at]:.4g} s" if 0.0 < value < np.inf else ""
         name = _key(constraint, used)
-        measured.append(Measured(name, value, constraint.unit, bound, f"{constraint.name}: largest{when}, {note}"))
+        measured.append(Measurement(name, value, constraint.unit, bound, f"{constraint.name}: largest{when}, {note}"))
     return measured
 
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from planner.base.measured import Measured, Section
+from planner.base.measured import Measurement, Section
 from planner.problem.plan import Plan
 from planner.proof.replays.compiled_twin import CompiledTwin
 from planner.proof.replays.replaying import Replay, problem_of, replay_in
@@ -19,7 +19,7 @@ _LEVELS = 10  # 500 Hz to 1 Hz
 
 
 @dataclass(frozen=True, eq=False)
-class RateTried:
+class FeedbackRateTrial:
     """A replay with the gains at one rate."""
 
     sampling: Sampling  # When the gains acted
@@ -28,11 +28,11 @@ class RateTried:
 
 
 @dataclass(frozen=True, eq=False)
-class Rates:
+class FeedbackRates:
     """The rates that were tried, each half of the one before, and once a stage."""
 
-    tried: tuple[RateTried, ...]  # The last one may be one that did not pass
-    once_a_stage: RateTried
+    tried: tuple[FeedbackRateTrial, ...]  # The last one may be one that did not pass
+    once_a_stage: FeedbackRateTrial
 
     @property
     def slowest(self) -> Sampling | None:
@@ -41,13 +41,13 @@ class Rates:
         return passed[-1] if passed else None
 
 
-def controller_section(rates: Rates, encoded: Replay) -> Section:
+def controller_section(rates: FeedbackRates, encoded: Replay) -> Section:
     """The rates that pass and the errors with encoders, shown."""
     slowest = rates.slowest
     tried = ", ".join(f"{one.sampling.rate:.4g} Hz {'passes' if one.passed else 'fails'}" for one in rates.tried)
     measured = [
-        Measured("slowest_rate", slowest.rate if slowest else math.inf, "Hz", None, f"one period late; {tried}"),
-        Measured(
+        Measurement("slowest_rate", slowest.rate if slowest else math.inf, "Hz", None, f"one period late; {tried}"),
+        Measurement(
             f"once_a_stage_{'passes' if rates.once_a_stage.passed else 'fails'}", rates.once_a_stage.sampling.rate,
             "Hz", None, "gains once a stage, one stage late",
         ),
@@ -55,11 +55,11 @@ def controller_section(rates: Rates, encoded: Replay) -> Section:
     for part, along in (("end", encoded.error[-1:]), ("path", encoded.error)):
         for one in worst_by_unit(encoded.plan, along):
             note = f"of {one.name}, with encoders of 17 bits and 1 um, velocities by difference, not filtered"
-            measured.append(Measured(f"encoders_{part}_{one.word}_error", one.value, one.unit, None, note))
+            measured.append(Measurement(f"encoders_{part}_{one.word}_error", one.value, one.unit, None, note))
     return Section("controller", tuple(measured))
 
 
-def slowest_rate(plan: Plan, compiled: CompiledTwin, passes: Callable[[Replay], bool]) -> Rates:
+def slowest_rate(plan: Plan, compiled: CompiledTwin, passes: Callable[[Replay], bool]) -> FeedbackRates:
     """Replay a plan at half the rate again and again, from that of a proof on, until a replay does not pass.
 
     It ends after ten rates, or where the period is half of the motion. `passes` judges a replay.
@@ -69,13 +69,13 @@ def slowest_rate(plan: Plan, compiled: CompiledTwin, passes: Callable[[Replay], 
     """
     problem, sampling = problem_of(plan), sampling_of(plan)
 
-    def at(sampling: Sampling) -> RateTried:
+    def at(sampling: Sampling) -> FeedbackRateTrial:
         run = replay_in(compiled, plan, feedback=True, sampling=sampling)
-        return RateTried(sampling, bool(passes(run)), np.abs(run.error).max(axis=0))
+        return FeedbackRateTrial(sampling, bool(passes(run)), np.abs(run.error).max(axis=0))
 
     tried = [at(sampling)]
     while tried[-1].passed and len(tried) < _LEVELS and 4.0 * sampling.period <= problem.duration:
         sampling = replace(sampling, period=2.0 * sampling.period)
         tried.append(at(sampling))
     known = [one for one in tried if np.isclose(one.sampling.period, problem.dynamics.dt, rtol=1e-9)]
-    return Rates(tuple(tried), known[0] if known else at(Sampling(problem.dynamics.dt)))
+    return FeedbackRates(tuple(tried), known[0] if known else at(Sampling(problem.dynamics.dt)))

@@ -17,14 +17,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from planner.base.measured import Measured, Section
+from planner.base.measured import Measurement, Section
 from planner.dynamics import RigidBodyDynamics
-from planner.model.mjcf.driven import HEAVY
+from planner.model.mjcf.driven import PRESCRIBED_ARMATURE
 from planner.problem.plan import Plan
 from planner.problem.problem import Problem
 from planner.proof.compare.driven_parity import forces_of_prescribed
 from planner.proof.replays.replaying import REFINEMENT, Replay
-from planner.proof.scales import path_bounds, shares_of_bounds
+from planner.proof.scales import path_error_bounds, shares_of_bounds
 
 SMALL = 3.0  # bounds, 3 % of a range of motion: beyond, a linear prediction is none
 FACTOR = 10.0  # between prediction and measurement, where both mean something
@@ -32,7 +32,7 @@ _ROUNDING = 1e-8  # bounds, 1e-10 of a range of motion: errors below are not of 
 
 
 @dataclass(frozen=True, eq=False)
-class Growth:
+class ErrorPropagation:
     """Growth of errors along a plan. Modes are "open-loop" and "feedback"."""
 
     t: np.ndarray  # (N+1,) s
@@ -60,30 +60,30 @@ class Growth:
             how = "open loop" if mode == "open-loop" else "with the gains"
             norm = self.transition[mode][-1]
             note = f"an error at the start becomes up to 10^{norm:.1f} times as large by the end, {how}"
-            measured.append(Measured(f"growth_rate_{words}", self.rate(mode), "1/s", None, note))
+            measured.append(Measurement(f"growth_rate_{words}", self.rate(mode), "1/s", None, note))
             note = f"largest over the path, by the linearised plan {how}; measured {self.measured[mode].max():.2e}"
             largest = float(self.predicted[mode].max())
-            measured.append(Measured(f"predicted_over_bound_{words}", largest, "", None, note))
+            measured.append(Measurement(f"predicted_over_bound_{words}", largest, "", None, note))
             ratio = self.ratio(mode)
             if ratio is not None:
                 note = f"a factor of {FACTOR:g} either way is the same error; more is another model"
-                measured.append(Measured(f"measured_over_predicted_{words}", ratio, "", None, note))
+                measured.append(Measurement(f"measured_over_predicted_{words}", ratio, "", None, note))
         return Section("growth", tuple(measured))
 
 
-def growth(plan: Plan, problem: Problem, runs: dict[str, Replay]) -> Growth:
+def propagate_errors(plan: Plan, problem: Problem, runs: dict[str, Replay]) -> ErrorPropagation:
     """Predict the replay errors of a plan, beside those of its replays by mode."""
     with np.errstate(all="ignore"):
         A, B = problem.dynamics.linearize(plan.xs, plan.us)
         missed = _missed(plan, problem) + _left_by_motors(plan, problem, B)
         stages = {"open-loop": A, "feedback": A + B @ plan.K}
-        bounds = path_bounds(plan)
+        bounds = path_error_bounds(plan)
         found = {mode: _propagated(F * bounds / bounds[:, None], missed / bounds) for mode, F in stages.items()}
         measured = {mode: shares_of_bounds(plan, run.error[:: run.substeps]) for mode, run in runs.items()}
     forces = [run.contact_force > 0.0 for run in runs.values()]
     transition, predicted = ({mode: pair[k] for mode, pair in found.items()} for k in (0, 1))
     switches = any(bool(np.any(touching != touching[0])) for touching in forces)
-    return Growth(plan.t, transition, predicted, measured, switches)
+    return ErrorPropagation(plan.t, transition, predicted, measured, switches)
 
 
 def _missed(plan: Plan, problem: Problem) -> np.ndarray:
@@ -102,7 +102,7 @@ def _left_by_motors(plan: Plan, problem: Problem, B: np.ndarray) -> np.ndarray |
         return 0.0
     m, xs = dynamics.mechanism, plan.xs[:-1]
     qdd = dynamics.rates(xs, plan.us)[:, m.nv : 2 * m.nv]
-    short = forces_of_prescribed(m, dynamics.prescribed, xs, qdd) / HEAVY
+    short = forces_of_prescribed(m, dynamics.prescribed, xs, qdd) / PRESCRIBED_ARMATURE
     return -np.einsum("nij,nj->ni", B[:, :, m.nu :], short)
 
 

@@ -17,8 +17,8 @@ import numpy as np
 
 from planner.base.arguments import number
 from planner.base.errors import PlannerError
-from planner.base.measured import Measured, Section
-from planner.dynamics.assembly import tangents
+from planner.base.measured import Measurement, Section
+from planner.dynamics.assembly import tangent_basis
 from planner.dynamics.protocol import Dynamics
 from planner.model.coordinates import coordinates_of
 from planner.model.mechanism import Mechanism
@@ -39,7 +39,7 @@ _NEWTON = 20  # iterations
 
 
 @dataclass(frozen=True, eq=False)
-class Hold:
+class GoalRegulator:
     """The regulator u = u_goal + K difference(x, x_goal)."""
 
     x_goal: np.ndarray  # (nx,) the equilibrium that is held: the goal where the cost's final weight acts
@@ -52,7 +52,7 @@ class Hold:
         return self.u_goal + self.K @ self.space.difference(x, self.x_goal)
 
 
-def hold_gain(problem: Problem) -> Hold:
+def hold_gain(problem: Problem) -> GoalRegulator:
     """The regulator that holds the goal of a problem.
 
     Args:
@@ -87,7 +87,7 @@ def hold_gain(problem: Problem) -> Hold:
         )
     gains = np.zeros((len(K), len(T)))
     gains[:, places] = K
-    return Hold(x, u, gains, space_of(problem.dynamics))
+    return GoalRegulator(x, u, gains, space_of(problem.dynamics))
 
 
 def _directions(dynamics: Dynamics, x: np.ndarray, ndx: int) -> tuple[np.ndarray, np.ndarray]:
@@ -95,7 +95,7 @@ def _directions(dynamics: Dynamics, x: np.ndarray, ndx: int) -> tuple[np.ndarray
     mechanism = getattr(dynamics, "mechanism", None)
     if not isinstance(mechanism, Mechanism) or mechanism.space.ndx != ndx:
         return np.eye(ndx), np.arange(ndx)
-    return tangents(mechanism, x)
+    return tangent_basis(mechanism, x)
 
 
 def _equilibrium(problem: Problem, x: np.ndarray, free: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -148,11 +148,11 @@ def _weights(problem: Problem, x: np.ndarray, u: np.ndarray) -> tuple[np.ndarray
 
 
 @dataclass(frozen=True, eq=False)
-class Held:
+class RegulatedRun:
     """MuJoCo's motion after a replay, with a regulator acting at every step."""
 
     plan: Plan  # Whose replay it goes on from
-    hold: Hold  # The regulator
+    hold: GoalRegulator  # The regulator
     t: np.ndarray  # (M+1,) s; goes on from the replay's
     qpos: np.ndarray  # (M+1, nq)
     qvel: np.ndarray  # (M+1, nv)
@@ -168,7 +168,7 @@ class Held:
         return self.hold.space.difference(self.xs, self.hold.x_goal)
 
 
-def replay_hold(replay: Replay, hold: Hold, seconds: float = 10.0) -> Held:
+def simulate_regulator(replay: Replay, hold: GoalRegulator, seconds: float = 10.0) -> RegulatedRun:
     """MuJoCo goes on from the end of a replay, at its step and with its integrator, and a regulator holds the goal."""
     steps = number("seconds", seconds, above=0.0) / replay.timestep
     if not 0.5 < steps < MOST_STEPS + 0.5:  # infinite, perhaps
@@ -182,10 +182,10 @@ def replay_hold(replay: Replay, hold: Hold, seconds: float = 10.0) -> Held:
     with curves_acting(twin, model):
         w, warnings = simulate(model, arrived, ctrl, control=lambda _, w: hold.control(twin.x_of(w)), start=float(t[0]))
     qpos, qvel, act = np.split(w, [model.nq, model.nq + model.nv], axis=1)
-    return Held(replay.plan, hold, t, qpos, qvel, act, ctrl, twin.x_of(w), warnings)
+    return RegulatedRun(replay.plan, hold, t, qpos, qvel, act, ctrl, twin.x_of(w), warnings)
 
 
-def hold_section(held: Held) -> Section:
+def hold_section(held: RegulatedRun) -> Section:
     """Whether the goal was held: the largest deviations over the last second by unit, beside what passes of a path."""
     last = held.t >= held.t[-1] - 1.0
     lasting = f"over the last second of {held.t[-1] - held.t[0]:.4g} s"
@@ -194,11 +194,11 @@ def hold_section(held: Held) -> Section:
         ("final_held", held.deviation[-1:], "at the end"), ("largest_held", held.deviation, "on the way"),
     )  # fmt: skip
     measured = [
-        Measured(
+        Measurement(
             f"{part}_{one.word}_deviation", one.value, one.unit, one.bound if part == "held" else None,
             f"of {one.name} from the goal, {words}",
         )
         for part, deviation, words in parts for one in worst_by_unit(held.plan, deviation)
     ]  # fmt: skip
-    warned = Measured("simulator_warnings", float(len(held.warnings)), "", 0.0, " ".join(held.warnings))
+    warned = Measurement("simulator_warnings", float(len(held.warnings)), "", 0.0, " ".join(held.warnings))
     return Section("hold", (*measured, warned))

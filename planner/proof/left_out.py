@@ -5,12 +5,12 @@ from __future__ import annotations
 from weakref import WeakKeyDictionary
 
 from planner.model.mechanism import Mechanism
-from planner.model.mjcf.left_out import LeftOut
-from planner.model.mjcf.left_out import left_out as compare
+from planner.model.mjcf.left_out import UnmodelledFeatures
+from planner.model.mjcf.left_out import unmodelled_features as compare
 from planner.problem.problem import Problem
 from planner.proof.replays.compiled_twin import CompiledTwin
 
-_found: WeakKeyDictionary[Problem, LeftOut] = WeakKeyDictionary()
+_found: WeakKeyDictionary[Problem, UnmodelledFeatures] = WeakKeyDictionary()
 
 
 def left_out(problem: Problem, compiled: CompiledTwin | None = None) -> tuple[str, ...]:
@@ -25,7 +25,7 @@ def left_out(problem: Problem, compiled: CompiledTwin | None = None) -> tuple[st
     Raises:
         ModelError: MuJoCo refuses one of the two texts.
     """
-    return lacking(problem, compiled).phrases
+    return unmodelled_of(problem, compiled).phrases
 
 
 def pairs_left_out(problem: Problem) -> tuple[str, ...]:
@@ -34,14 +34,14 @@ def pairs_left_out(problem: Problem) -> tuple[str, ...]:
     Raises:
         ModelError: MuJoCo refuses one of the two texts.
     """
-    return lacking(problem).pairs
+    return unmodelled_of(problem).pairs
 
 
-def lacking(problem: Problem, compiled: CompiledTwin | None = None) -> LeftOut:
+def unmodelled_of(problem: Problem, compiled: CompiledTwin | None = None) -> UnmodelledFeatures:
     """Everything that a problem's model lacks of the user's file; nothing for dynamics that are not a mechanism's."""
     twin, mechanism = problem.twin, getattr(problem.dynamics, "mechanism", None)
     if twin is None or not isinstance(mechanism, Mechanism):
-        return LeftOut()
+        return UnmodelledFeatures()
     if problem not in _found:
         model = compiled.model if compiled is not None and compiled.twin.mjcf == twin.mjcf else None
         given = compiled.model if compiled is not None and compiled.twin.mjcf == twin.original else None

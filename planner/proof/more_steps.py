@@ -17,16 +17,16 @@ _HALVINGS = 12  # step lengths 1, 1/2, ... that are tried
 
 
 @np.errstate(all="ignore")  # a long step may run away: then it gains nothing
-def more_steps(plan: Plan, problem: Problem) -> float:
+def remaining_decrease(plan: Plan, problem: Problem) -> float:
     """The decrease of a plan's cost in at most STEPS steps, each the best of several lengths; 0 where none is lower."""
     xs, us = plan.xs, plan.us
     first = cost = _cost(plan, problem, xs, us)
     for _ in range(STEPS):
         A, B = problem.dynamics.linearize(xs, us)
         quadratic = problem.cost.quadratize(xs, us)
-        if plan.hinges is not None and problem.kept is not None:
-            quadratic = problem.kept.added(plan.hinges, quadratic, xs, us, A, B)
-        moves = None if problem.bounds is None else problem.bounds.moves(xs, us)
+        if plan.bound_penalties is not None and problem.trajectory_constraints is not None:
+            quadratic = problem.trajectory_constraints.added(plan.bound_penalties, quadratic, xs, us, A, B)
+        moves = None if problem.bounds is None else problem.bounds.step_bounds(xs, us)
         sweep = lq.riccati(A, B, quadratic, bounds=moves)
         if sweep is None:
             break
@@ -60,6 +60,6 @@ def _cost(plan: Plan, problem: Problem, xs: np.ndarray, us: np.ndarray) -> float
     if not np.isfinite(xs).all():
         return np.inf
     cost = float(problem.cost.value(xs, us))
-    if plan.hinges is not None and problem.kept is not None:
-        cost += problem.kept.value(plan.hinges, xs, us)
+    if plan.bound_penalties is not None and problem.trajectory_constraints is not None:
+        cost += problem.trajectory_constraints.value(plan.bound_penalties, xs, us)
     return cost

@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from planner.base.measured import Measured, Section
+from planner.base.measured import Measurement, Section
 from planner.model.tendons import slack_tendons
 from planner.problem.plan import Plan
 from planner.problem.problem import Problem
@@ -40,7 +40,7 @@ _SAFETY = 1.25  # Roache's factor for three grids and more
 
 
 @dataclass(frozen=True, eq=False)
-class Order:
+class StepConvergence:
     """Replays of one plan at halved steps."""
 
     steps: np.ndarray  # (L,) s, halved from one to the next
@@ -65,29 +65,29 @@ class Order:
             change = 100.0 * abs(self.extrapolated_cost - self.plan_cost) / self.scale
         steps = f"{self.steps[0]:.3g} to {self.steps[-1]:.3g} s"
         measured = [
-            Measured(
+            Measurement(
                 "cost_change", change, "%", COST_BOUND if self.whole else None,
                 f"plan {self.plan_cost:.6g}, extrapolated to a step of zero {self.extrapolated_cost:.6g} "
                 f"+- {self.cost_uncertainty:.1e}",
             ),
-            Measured(
+            Measurement(
                 "end_state_uncertainty", 100.0 * self.end_uncertainty, "%", None,
                 f"of what passes of a path, of the extrapolated end, steps {steps}",
             ),
         ]  # fmt: skip
         if self.observed is not None:
             note = f"end state over halvings from {steps}, nominal {self.nominal:g}"
-            measured.append(Measured("observed_order", self.observed, "", None, note))
+            measured.append(Measurement("observed_order", self.observed, "", None, note))
             bound = None if self.judged else ORDER_BOUND
             note = self.judged or "nominal order less the observed one; a smooth machine shows its integrator's order"
-            measured.append(Measured("order_shortfall", self.nominal - self.observed, "", bound, note))
+            measured.append(Measurement("order_shortfall", self.nominal - self.observed, "", bound, note))
         else:
             note = f"changes are below {_SEEN:g} at all steps from {steps}: no order can be seen"
-            measured.append(Measured("observed_order", np.nan, "", None, note))
+            measured.append(Measurement("observed_order", np.nan, "", None, note))
         return Section("order, open loop", tuple(measured))
 
 
-def order(problem: Problem, run: Replay) -> Order:
+def step_convergence(problem: Problem, run: Replay) -> StepConvergence:
     """Replay a plan open loop at halved steps, in the model of its refined replay."""
     plan, cost = run.plan, judged_cost(problem)
     integrator = getattr(problem.dynamics, "integrator", "rk4")
@@ -121,7 +121,7 @@ def order(problem: Problem, run: Replay) -> Order:
             factor, uncertainty = _uncertainty(levels, nominal, observed)
         ends, costs = np.array([end for end, _ in levels]), np.array([cost for _, cost in levels])
         shares = shares_of_bounds(plan, plan.space.difference(ends[1:], ends[:-1]))
-    return Order(
+    return StepConvergence(
         steps=problem.dynamics.dt / np.array(substeps), ends=ends, costs=costs, changes=changes, shares=shares,
         nominal=nominal, observed=observed, judged=why,
         extrapolated_cost=float(costs[-1] + (costs[-1] - costs[-2]) / factor),

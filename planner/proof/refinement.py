@@ -18,7 +18,7 @@ from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any, NamedTuple
 
-from planner.base.arguments import count, number, shown
+from planner.base.arguments import count, number, short_repr
 from planner.base.errors import PlannerError
 from planner.problem.discretisation import finer
 from planner.problem.plan import Plan, Status
@@ -128,9 +128,9 @@ def refine(
         PlannerError: A wrong argument; or a plan on the way cannot be replayed at all.
     """
     if not isinstance(plan, Plan) or plan.problem is None:
-        raise PlannerError(f"plan is {shown(plan)}, expected a Plan with its problem.")
+        raise PlannerError(f"plan is {short_repr(plan)}, expected a Plan with its problem.")
     if not isinstance(proof, Proof):
-        raise PlannerError(f"proof is {shown(proof)}, expected the Proof of the plan.")
+        raise PlannerError(f"proof is {short_repr(proof)}, expected the Proof of the plan.")
     count("limit", limit, least=0)
     end = time.monotonic() + number("seconds", seconds, least=0.0)
     prove = prove or partial(full_proof, rollouts=0)

@@ -22,9 +22,9 @@ from typing import Any
 import numpy as np
 
 from planner.base.gl import load_mujoco
-from planner.base.measured import Measured, Section
+from planner.base.measured import Measurement, Section
 from planner.model.mechanism import Mechanism
-from planner.model.mjcf.driven import driven_dofs
+from planner.model.mjcf.driven import prescribed_dofs_of
 from planner.model.space import StateSpace
 from planner.model.twin import Twin
 from planner.problem.plan import Plan
@@ -70,7 +70,7 @@ def same_step(plan: Plan, problem: Problem, compiled: CompiledTwin) -> Section:
     integrator = getattr(problem.dynamics, "integrator", "")
     substeps = getattr(problem.dynamics, "substeps", 1)
     constrained = mechanism is not None and (mechanism.couplings or mechanism.loops or mechanism.cams)
-    dt, driven = problem.dynamics.dt / substeps, driven_dofs(problem.dynamics)
+    dt, driven = problem.dynamics.dt / substeps, prescribed_dofs_of(problem.dynamics)
     damping = damping_of(problem.dynamics)
     found = stage_function(integrator, dt, model, twin, space, driven, mechanism if constrained else None, damping)
     if found is None:
@@ -102,8 +102,8 @@ def same_step(plan: Plan, problem: Problem, compiled: CompiledTwin) -> Section:
     note = f"{how} at the plan's step, largest component over the path, relative to the largest state"
     if bound > PATH_BOUND:
         note += f"; the bound is what rounding becomes, since this path amplifies it {amplification:.1e} times"
-    along = Measured("state_error", errors[0], "", bound, note)
-    alone = Measured("stage_error", errors[1], "", STAGE_BOUND, "the same, each stage begun at the plan's own knot")
+    along = Measurement("state_error", errors[0], "", bound, note)
+    alone = Measurement("stage_error", errors[1], "", STAGE_BOUND, "the same, each stage begun at the plan's own knot")
     return Section("same step", (along, alone))
 
 

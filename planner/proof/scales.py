@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from planner.base.measured import Measured
+from planner.base.measured import Measurement
 from planner.model.coordinates import ANGLE, LENGTH, Coordinate, coordinates_of
 from planner.problem.control_bounds import AT_BOUND
 from planner.problem.goals import goals_of, terms_of
@@ -33,9 +33,9 @@ WORDS = {
 }  # fmt: skip
 
 
-def path_bounds(plan: Plan) -> np.ndarray:
+def path_error_bounds(plan: Plan) -> np.ndarray:
     """(ndx,) the largest error of each coordinate that passes, in its unit."""
-    return (SMOOTHED if has_kinks(plan.problem) else SHARE) * ranges_of_motion(plan)
+    return (SMOOTHED if is_nonsmooth(plan.problem) else SHARE) * ranges_of_motion(plan)
 
 
 def ranges_of_motion(plan: Plan) -> np.ndarray:
@@ -44,11 +44,11 @@ def ranges_of_motion(plan: Plan) -> np.ndarray:
     own = np.ptp(plan.space.difference(plan.xs, plan.xs[0]), axis=0)
     units = np.array([one.unit for one in coordinates_of(plan.problem.dynamics)])
     largest = np.array([own[units == unit].max() for unit in units])
-    least = np.where(units == LENGTH, max(LEAST_RANGE, sinking(plan.problem)), LEAST_RANGE)
+    least = np.where(units == LENGTH, max(LEAST_RANGE, contact_penetration(plan.problem)), LEAST_RANGE)
     return np.maximum(np.maximum(own, OF_LARGEST * largest), least)
 
 
-def sinking(problem: Problem | None) -> float:
+def contact_penetration(problem: Problem | None) -> float:
     """How deep a plan's machine sinks into its ground on one contact, m; 0 without contacts."""
     mechanism = getattr(getattr(problem, "dynamics", None), "mechanism", None)
     if mechanism is None or not mechanism.contacts:
@@ -57,16 +57,16 @@ def sinking(problem: Problem | None) -> float:
     return weight / max(contact.law.stiffness for contact in mechanism.contacts)
 
 
-def touches(problem: Problem | None) -> bool:
+def has_contacts(problem: Problem | None) -> bool:
     """Whether a plan's mechanism has contacts or stops of its own."""
     mechanism = getattr(getattr(problem, "dynamics", None), "mechanism", None)
     return mechanism is not None and bool(mechanism.contacts or mechanism.body_contacts or mechanism.stops)
 
 
-def has_kinks(problem: Problem | None) -> bool:
+def is_nonsmooth(problem: Problem | None) -> bool:
     """Whether a plan's mechanism has forces so steep that the LQ model holds for no step: of contacts, or friction."""
     mechanism = getattr(getattr(problem, "dynamics", None), "mechanism", None)
-    return touches(problem) or (mechanism is not None and bool(np.any(mechanism.friction_loss)))
+    return has_contacts(problem) or (mechanism is not None and bool(np.any(mechanism.friction_loss)))
 
 
 def by_unit(problem: Problem) -> Iterator[tuple[str, str, np.ndarray, list[str]]]:
@@ -95,7 +95,7 @@ class Worst(NamedTuple):
 def worst_by_unit(plan: Plan, errors: np.ndarray) -> Iterator[Worst]:
     """Of errors (K, ndx) of a plan's coordinates, the one of each unit that is nearest to its bound."""
     assert plan.problem is not None  # its dynamics know the units
-    most, bounds = np.abs(errors).max(axis=0), path_bounds(plan)
+    most, bounds = np.abs(errors).max(axis=0), path_error_bounds(plan)
     most = np.where(np.isfinite(most), most, np.inf)
     for word, unit, which, names in by_unit(plan.problem):
         worst = int(np.argmax(most[which] / bounds[which]))
@@ -104,7 +104,7 @@ def worst_by_unit(plan: Plan, errors: np.ndarray) -> Iterator[Worst]:
 
 def shares_of_bounds(plan: Plan, errors: np.ndarray) -> np.ndarray:
     """(K,) the largest of errors (K, ndx) of a plan's coordinates, each over what passes: 1 is the bound."""
-    return (np.abs(errors) / path_bounds(plan)).max(axis=1)
+    return (np.abs(errors) / path_error_bounds(plan)).max(axis=1)
 
 
 def word_of(unit: str) -> str:
@@ -132,7 +132,7 @@ class JudgedCost(NamedTuple):
         """What errors are relative to: its value on the plan, or that of an error at its bound where it is smaller."""
         quadratic = problem.cost.quadratize(plan.xs, plan.us)
         weights = np.abs(np.diagonal(quadratic.Q[:-1] if self.final else quadratic.Q, axis1=1, axis2=2))
-        of_errors = 0.5 * float(np.sum(weights @ path_bounds(plan) ** 2))
+        of_errors = 0.5 * float(np.sum(weights @ path_error_bounds(plan) ** 2))
         return max(abs(self(problem, plan.xs, plan.us)), of_errors, np.finfo(float).tiny)
 
 
@@ -147,7 +147,7 @@ def judged_cost(problem: Problem) -> JudgedCost:
 
 def limit_violations(
     problem: Problem, xs: np.ndarray, us: np.ndarray | None, whose: str, tolerances: np.ndarray | None = None
-) -> list[Measured]:
+) -> list[Measurement]:
     """The largest violation of each kind of limit; nothing where there are none.
 
     Of states at the knots (N+1, nx), or of a replay (N k + 1, nx), and of controls (N, nu), where they are asked about;
@@ -161,7 +161,7 @@ def limit_violations(
         outside = float(np.maximum(lower - us - nearly, us - upper - nearly).max())
         active = int(np.sum((us <= lower + nearly) | (us >= upper - nearly)))
         note = f"largest, {whose}; {active} of {us.size} controls at a bound"
-        measured.append(Measured("control_violation", max(outside, 0.0), "", 0.0, note))
+        measured.append(Measurement("control_violation", max(outside, 0.0), "", 0.0, note))
     ranges, limits = problem.ranges, problem.limits
     if ranges is None or limits is None:
         return measured
@@ -178,7 +178,7 @@ def limit_violations(
             worst = which[int(np.argmax(np.where(np.isfinite(most), most / allowed[which], np.inf)))]
             value, (name, unit) = float(beyond[:, worst].max()), ranges.coordinates[worst]
             note = f"largest, {whose}: {name}"
-            measured.append(Measured(f"{kind}_violation", value, unit, float(allowed[worst]), note))
+            measured.append(Measurement(f"{kind}_violation", value, unit, float(allowed[worst]), note))
     return measured
 
 

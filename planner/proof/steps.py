@@ -17,28 +17,28 @@ from pathlib import Path
 
 import numpy as np
 
-from planner.base.arguments import count, number, shown
+from planner.base.arguments import count, number, short_repr
 from planner.base.errors import PlannerError
 from planner.base.executors import checked_executor
-from planner.base.measured import Section, beyond_bounds
+from planner.base.measured import Section, bound_excess
 from planner.model.coordinates import coordinates_of
 from planner.model.twin import Twin
-from planner.problem.goals import goals_of, unjudged_ends
+from planner.problem.goals import goals_of, unchecked_goals
 from planner.problem.plan import Plan
 from planner.problem.problem import Problem
-from planner.proof.another_ground import another_ground
+from planner.proof.another_ground import contact_sensitivity
 from planner.proof.compare.model_parity import parity_in
 from planner.proof.consistency import consistency, optimality, recomputed
 from planner.proof.gain_rates import controller_section, slowest_rate
-from planner.proof.growth import growth
-from planner.proof.hold import Held, hold_gain, hold_section, replay_hold
-from planner.proof.left_out import lacking
-from planner.proof.order import order
+from planner.proof.growth import propagate_errors
+from planner.proof.hold import RegulatedRun, hold_gain, hold_section, simulate_regulator
+from planner.proof.left_out import unmodelled_of
+from planner.proof.order import step_convergence
 from planner.proof.replays.compiled_twin import another_model
 from planner.proof.replays.replaying import Replay, replay_in
 from planner.proof.replays.sampled_gains import sampling_of
 from planner.proof.robustness.perturbation import Perturbation
-from planner.proof.robustness.perturbed import Trials, perturbed
+from planner.proof.robustness.perturbed import MonteCarloSettings, perturbed
 from planner.proof.robustness.rollouts import MODES
 from planner.proof.same_step import same_step
 from planner.proof.scales import worst_by_unit
@@ -81,7 +81,7 @@ def prove(
         PlannerError: The plan cannot be replayed at all; a plan that replays badly gets FAIL.
     """
     if not isinstance(plan, Plan):
-        raise PlannerError(f"plan is {shown(plan)}, expected a Plan.")
+        raise PlannerError(f"plan is {short_repr(plan)}, expected a Plan.")
     problem = plan.problem
     if problem is None:
         raise PlannerError(
@@ -90,9 +90,9 @@ def prove(
         )
     for name, value, kind in (("twin", twin, Twin), ("perturbation", perturbation, Perturbation)):
         if value is not None and not isinstance(value, kind):
-            raise PlannerError(f"{name} is {shown(value)}, expected a {kind.__name__} or None.")
+            raise PlannerError(f"{name} is {short_repr(value)}, expected a {kind.__name__} or None.")
     if not isinstance(optimal, bool):
-        raise PlannerError(f"optimal is {shown(optimal)}, expected True or False.")
+        raise PlannerError(f"optimal is {short_repr(optimal)}, expected True or False.")
     count("seed", seed, least=0)
     count("rollouts", rollouts, least=0)
     checked_executor(executor)
@@ -114,8 +114,8 @@ def prove(
         # Step 2: MuJoCo with the plan's own integrator and step: proves the transcription, nothing else.
         "same_step": same_step(plan, problem, compiled),
     }
-    errors = growth(plan, problem, runs)
-    convergence = order(problem, runs["open-loop"])
+    errors = propagate_errors(plan, problem, runs)
+    convergence = step_convergence(problem, runs["open-loop"])
     steps = {mode: [tracking(run, problem), goal(run, problem)] for mode, run in runs.items()}
     judged = {"open-loop": [*steps["open-loop"], convergence.section], "feedback": steps["feedback"]}
     sound = all(section.passed for section in required.values())
@@ -126,7 +126,7 @@ def prove(
     modes = MODES[1:] if lost else MODES
     mode = next((m for m in modes if sound and all(step.passed for step in judged[m])), None)
     broken = [m for m in MODES if not all(step.passed for step in judged[m])]
-    seen = mode or min(broken, key=lambda m: beyond_bounds(judged[m]), default="open-loop")
+    seen = mode or min(broken, key=lambda m: bound_excess(judged[m]), default="open-loop")
     repeated = mode is not None
     mode = mode if given.passed else None
     passed = mode is not None and (converged.passed or not optimal)
@@ -155,7 +155,7 @@ def prove(
         "seed": seed, "rollouts": rollouts, "hold_seconds": hold_seconds, "optimal": optimal, "perturbation": None,
         "another_model": compiled.twin is not plan.twin,
     }  # fmt: skip
-    lacks = lacking(problem, compiled)
+    lacks = unmodelled_of(problem, compiled)
     tested, untested = (lacks.in_the_file, lacks.overlapping_phrases) if replayed else ((), lacks.phrases)
     proof = Proof(
         verdict="PASS" if passed else "FAIL", mode=mode,
@@ -168,16 +168,16 @@ def prove(
         not_checked=(*([f"without {' and '.join(untested)}"] if untested else []), *_unjudged(plan, problem)),
     )  # fmt: skip
     if hold_seconds:
-        proof = _held(proof, replay_hold(runs["feedback"], hold_gain(problem), hold_seconds))
+        proof = _held(proof, simulate_regulator(runs["feedback"], hold_gain(problem), hold_seconds))
     if not rollouts:
         return proof
     return with_rollouts(
-        with_shown(proof), rollouts, seed=seed, perturbation=perturbation, budget=budget, partial=partial,
+        with_informative_sections(proof), rollouts, seed=seed, perturbation=perturbation, budget=budget, partial=partial,
         progress=progress, executor=executor,
     )  # fmt: skip
 
 
-def with_shown(proof: Proof, note: Callable[[str], object] = lambda _: None) -> Proof:
+def with_informative_sections(proof: Proof, note: Callable[[str], object] = lambda _: None) -> Proof:
     """A proof with the steps that are only shown: what slow gains and encoders change, and another ground.
 
     `note` is called with a line before each.
@@ -199,7 +199,7 @@ def with_shown(proof: Proof, note: Callable[[str], object] = lambda _: None) -> 
         units = [one.unit for one in coordinates_of(problem.dynamics)]
         note("another ground")
         as_judged = functools.partial(replay_in, sampling=sampling_of(plan), planned=planned)
-        ground = another_ground(plan, compiled, units=units, runs=runs, replay=as_judged)
+        ground = contact_sensitivity(plan, compiled, units=units, runs=runs, replay=as_judged)
     shown = {"controller": controller_section(rates, encoded), "another_ground": ground}
     return replace(proof, sections=proof.sections | shown)
 
@@ -210,7 +210,7 @@ def with_rollouts(
     executor: Executor | None = None,
 ) -> Proof:  # fmt: skip
     """A proof with step 5 added; the arguments are those of prove()."""
-    run, trials = proof.replay, Trials(rollouts, seed, perturbation)
+    run, trials = proof.replay, MonteCarloSettings(rollouts, seed, perturbation)
     found = perturbed(
         run.plan, run.compiled, trials, budget=budget, partial=partial, progress=progress, executor=executor
     )  # fmt: skip
@@ -218,7 +218,7 @@ def with_rollouts(
     return replace(proof, sections=proof.sections | {"perturbed": found.section}, monte_carlo=found, asked=asked)
 
 
-def _held(proof: Proof, held: Held) -> Proof:
+def _held(proof: Proof, held: RegulatedRun) -> Proof:
     """The proof with the hold step added: a machine that was to stay at the goal and does not, fails."""
     section = hold_section(held)
     proof = replace(proof, sections=proof.sections | {"hold": section}, held=held)
@@ -248,7 +248,7 @@ def _unjudged(plan: Plan, problem: Problem) -> tuple[str, ...]:
     """What the cost asks for and nobody judged."""
     if problem.requirements is not None and problem.requirements.goal is not None:
         return ()
-    unjudged = unjudged_ends(problem, plan.xs, plan.us)
+    unjudged = unchecked_goals(problem, plan.xs, plan.us)
     phrases = [f"the end of {name} was not judged" for name in unjudged]
     if _stands_at_goal(plan, problem):
         phrases.append("the start is within the goal's tolerance")

@@ -12,9 +12,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from planner.base.measured import Measured, Section
+from planner.base.measured import Measurement, Section
 from planner.problem.costs.tracking import TrackingCost
-from planner.problem.goals import Goal, goals_of, terms_of
+from planner.problem.goals import GoalCheck, goals_of, terms_of
 from planner.problem.problem import Problem
 from planner.proof.constraints import replayed_violations
 from planner.proof.replays.replaying import Replay
@@ -23,11 +23,11 @@ from planner.proof.scales import (
     SHARE,
     SMOOTHED,
     by_unit,
-    has_kinks,
+    is_nonsmooth,
     judged_cost,
     limit_violations,
-    path_bounds,
-    touches,
+    path_error_bounds,
+    has_contacts,
     word_of,
 )
 
@@ -38,9 +38,9 @@ def tracking(run: Replay, problem: Problem) -> Section:
     """Compare one replay with the plan."""
     path = path_errors(run, problem)
     common = (
-        Measured("simulator_warnings", float(len(run.warnings)), "", 0.0, " ".join(run.warnings)),
-        Measured("ranges_reached", float(len(run.reached)), "", None, " ".join(run.reached) or _NO_RANGES),
-        *limit_violations(problem, run.xs, _controls(run), "of the replay", path_bounds(run.plan)),
+        Measurement("simulator_warnings", float(len(run.warnings)), "", 0.0, " ".join(run.warnings)),
+        Measurement("ranges_reached", float(len(run.reached)), "", None, " ".join(run.reached) or _NO_RANGES),
+        *limit_violations(problem, run.xs, _controls(run), "of the replay", path_error_bounds(run.plan)),
         *replayed_violations(run, problem),
     )
     if problem.requirements is not None and problem.requirements.tracking is not None:
@@ -49,9 +49,9 @@ def tracking(run: Replay, problem: Problem) -> Section:
     return Section(run.title, (*path, cost_error(run, problem), *common))
 
 
-def path_errors(run: Replay, problem: Problem) -> tuple[Measured, ...]:
+def path_errors(run: Replay, problem: Problem) -> tuple[Measurement, ...]:
     """The errors at the end and over the path by unit, each of the coordinate that is nearest to its bound."""
-    error, bounds, measured, smoothed = np.abs(run.error), path_bounds(run.plan), [], has_kinks(problem)
+    error, bounds, measured, smoothed = np.abs(run.error), path_error_bounds(run.plan), [], is_nonsmooth(problem)
     share = f"{100.0 * (SMOOTHED if smoothed else SHARE):g} %"
     for part, along in (("end", error[-1:]), ("path", error)):
         for word, unit, which, names in by_unit(problem):
@@ -59,14 +59,14 @@ def path_errors(run: Replay, problem: Problem) -> tuple[Measured, ...]:
             worst = int(np.argmax(np.where(np.isfinite(most), most / bounds[which], np.inf)))
             value, bound = float(most[worst]), float(bounds[which[worst]])
             when = f" at t = {run.t[int(np.argmax(along[:, which[worst]]))]:.4g} s" if part == "path" else ""
-            jumps = part == "path" and touches(problem) and unit.endswith("/s")
+            jumps = part == "path" and has_contacts(problem) and unit.endswith("/s")
             why = "velocities jump at contacts: not judged" if jumps else f"the bound is {share} of its range of motion"
             note = f"of {names[worst]}{when}; {why}"
-            measured.append(Measured(f"{part}_{word}_error", value, unit, None if jumps else bound, note))
+            measured.append(Measurement(f"{part}_{word}_error", value, unit, None if jumps else bound, note))
     return tuple(measured)
 
 
-def cost_error(run: Replay, problem: Problem) -> Measured:
+def cost_error(run: Replay, problem: Problem) -> Measurement:
     """The cost that MuJoCo reaches beside the plan's, in % of the plan's."""
     cost, plan = judged_cost(problem), run.plan
     planned, scale = cost(problem, plan.xs, plan.us), cost.scale(plan, problem)
@@ -78,7 +78,7 @@ def cost_error(run: Replay, problem: Problem) -> Measured:
         note += "; what the end costs is judged as the goal"
     if scale > abs(planned):
         note += f"; relative to {scale:.3g}, what errors at their bounds cost"
-    return Measured("cost_error", error, "%", 100.0 * SMOOTHED if has_kinks(problem) else COST_BOUND, note)
+    return Measurement("cost_error", error, "%", 100.0 * SMOOTHED if is_nonsmooth(problem) else COST_BOUND, note)
 
 
 def _controls(run: Replay) -> np.ndarray | None:
@@ -104,18 +104,18 @@ def goal(run: Replay, problem: Problem) -> Section:
     return Section("goal", (*missed, *_return(run, problem)))
 
 
-def _return(run: Replay, problem: Problem) -> tuple[Measured, ...]:
+def _return(run: Replay, problem: Problem) -> tuple[Measurement, ...]:
     """How nearly a motion that is to be periodic comes back; that of MuJoCo is judged by its path."""
     if problem.periodic is None:
         return ()
     space, note = run.plan.space, "from the end of a cycle to its start, as a multiple of the tolerance"
     return tuple(
-        Measured(f"{who}_return_miss", problem.periodic.miss(space, xs), "", bound, note)
+        Measurement(f"{who}_return_miss", problem.periodic.miss(space, xs), "", bound, note)
         for who, xs, bound in (("planned", run.plan.xs, 1.0), ("replayed", run.xs, None))
     )
 
 
-def misses(who: str, t: np.ndarray, xs: np.ndarray, goals: tuple[Goal, ...]) -> list[Measured]:
+def misses(who: str, t: np.ndarray, xs: np.ndarray, goals: tuple[GoalCheck, ...]) -> list[Measurement]:
     """How far a motion, states xs (M, nx) at times t (M,), is from goals.
 
     Those with a tolerance of their own are listed one by one; of the others the one of each unit that is nearest to
@@ -129,18 +129,18 @@ def misses(who: str, t: np.ndarray, xs: np.ndarray, goals: tuple[Goal, ...]) -> 
             note = f"{whose} from {one.name}{when}"
             if one.times is not None and len(one.times) > 1:
                 note = f"largest, {whose} from {one.name}, {one.times[0]:g} to {one.times[-1]:g} s"
-            measured.append(Measured(f"{who}_{key}_miss", one.miss(t, xs), one.unit, _bound(one), note))
+            measured.append(Measurement(f"{who}_{key}_miss", one.miss(t, xs), one.unit, _bound(one), note))
     shared = [one for one in goals if not one.alone]
     for unit in dict.fromkeys(one.unit for one in shared):
         judged = [one for one in shared if one.unit == unit and math.isfinite(one.tolerance)]
         of_unit = judged or [one for one in shared if one.unit == unit]
         value, most = worst_of(of_unit, [one.miss(t, xs) for one in of_unit])
         note = f"{whose}'s end from the goal, {most.name}" + ("" if judged else "; a soft goal is not judged")
-        measured.append(Measured(f"{who}_{word_of(unit)}_miss", value, unit, _bound(most), note))
+        measured.append(Measurement(f"{who}_{word_of(unit)}_miss", value, unit, _bound(most), note))
     return measured
 
 
-def worst_of(goals: Sequence[Goal], missed: Sequence[float]) -> tuple[float, Goal]:
+def worst_of(goals: Sequence[GoalCheck], missed: Sequence[float]) -> tuple[float, GoalCheck]:
     """The goal that is nearest to its tolerance, or beyond it by the most, and by how much it is missed.
 
     Of goals without a tolerance that which is missed most; what is no number is the worst.
@@ -151,5 +151,5 @@ def worst_of(goals: Sequence[Goal], missed: Sequence[float]) -> tuple[float, Goa
     return missed[worst], goals[worst]
 
 
-def _bound(goal: Goal) -> float | None:
+def _bound(goal: GoalCheck) -> float | None:
     return goal.tolerance if math.isfinite(goal.tolerance) else None

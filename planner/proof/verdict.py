@@ -19,19 +19,19 @@ from typing import Any
 
 from planner.base.gl import load_mujoco
 from planner.base.measured import Section, dicts_of, rows_of
-from planner.base.shown import Filmed
-from planner.proof.growth import Growth
-from planner.proof.hold import Held
-from planner.proof.order import Order
+from planner.base.shown import Renderable
+from planner.proof.growth import ErrorPropagation
+from planner.proof.hold import RegulatedRun
+from planner.proof.order import StepConvergence
 from planner.proof.replays.replaying import Replay
 from planner.proof.robustness.perturbation import Perturbation
-from planner.proof.robustness.perturbed import JUDGED, Perturbed
+from planner.proof.robustness.perturbed import JUDGED, RobustnessResult
 
 TESTED = "tested in your file"
 
 
 @dataclass(frozen=True, eq=False)
-class Proof(Filmed):
+class Proof(Renderable):
     """The simulator's judgement of a plan, step by step.
 
     Attributes:
@@ -58,10 +58,10 @@ class Proof(Filmed):
     sections: dict[str, Section]
     replay: Replay
     replays: dict[str, Replay]
-    errors: Growth
-    convergence: Order
-    held: Held | None = None
-    monte_carlo: Perturbed | None = None
+    errors: ErrorPropagation
+    convergence: StepConvergence
+    held: RegulatedRun | None = None
+    monte_carlo: RobustnessResult | None = None
     asked: dict[str, Any] = field(default_factory=dict)
     planned_without: tuple[str, ...] = ()
     not_checked: tuple[str, ...] = ()

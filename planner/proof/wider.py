@@ -18,7 +18,7 @@ import numpy as np
 
 from planner.model.mjcf.meeting import FAR, distances_in
 from planner.problem.avoid import survey_of
-from planner.problem.constraints.apart import Apart, apart_of
+from planner.problem.constraints.apart import PairClearance, pair_clearance_of
 from planner.problem.goals import goals_of
 from planner.problem.plan import Plan, Status
 from planner.problem.problem import Problem
@@ -32,7 +32,7 @@ MOST = 3  # times
 ROOM = 0.5  # of what a pair is kept apart by, beside the depth
 
 
-class Wider(NamedTuple):
+class ClearanceRefinement(NamedTuple):
     """The last plan that was proved, and a sentence for each time that it was planned with more room, or less."""
 
     plan: Plan
@@ -40,10 +40,10 @@ class Wider(NamedTuple):
     notes: tuple[str, ...]
 
 
-def kept_wider(
+def refine_clearance(
     plan: Plan, proof: Proof, *, limit: int = MOST, seconds: float = 60.0, prove: Callable[[Plan], Proof] | None = None,
     **options: Any,
-) -> Wider:  # fmt: skip
+) -> ClearanceRefinement:  # fmt: skip
     """Solve and prove again with another clearance of the pairs that touched or are far, while that is why it fails.
 
     Args:
@@ -67,13 +67,13 @@ def kept_wider(
         plan, proof = better, prove(better)
         if plan.status is Status.INTERRUPTED:
             break
-    return Wider(plan, proof, tuple(notes))
+    return ClearanceRefinement(plan, proof, tuple(notes))
 
 
 def _touched(plan: Plan, proof: Proof) -> dict[str, float]:
     """By how much more (m) pairs are to be kept apart that touch in the user's file, by their names."""
     problem = plan.problem
-    apart = None if problem is None else apart_of(problem.constraints)
+    apart = None if problem is None else pair_clearance_of(problem.constraints)
     if apart is None or problem is None or proof.passed:
         return {}
     if not any(one.name == "unknown_contacts" for one in proof.your_file.failures):
@@ -93,7 +93,7 @@ def _touched(plan: Plan, proof: Proof) -> dict[str, float]:
 def _far(plan: Plan, proof: Proof) -> dict[str, float]:
     """By how much (m, negative) fits may be nearer whose shapes are further apart than asked, by the pairs' names."""
     problem = plan.problem
-    apart = None if problem is None else apart_of(problem.constraints)
+    apart = None if problem is None else pair_clearance_of(problem.constraints)
     if apart is None or problem is None or proof.passed:
         return {}
     allowed = next(one.allowed() for one in problem.constraints if one.of is apart)
@@ -126,7 +126,7 @@ def with_more_room(problem: Problem, more: dict[str, float]) -> Problem:
         return problem.recipe.rebuilt(avoid=table | {"more": both})
     changed = []
     for one in problem.constraints:
-        if isinstance(one.of, Apart):
+        if isinstance(one.of, PairClearance):
             pairs = one.of.pairs
             added = one.of.more + np.array([more.get(pair.names, 0.0) for pair in pairs])
             apart = replace(one.of, more=np.minimum(added, [pair.room for pair in pairs]))

@@ -24,45 +24,45 @@ import numpy as np
 
 from planner.base.errors import ModelError
 from planner.base.gl import load_mujoco
-from planner.base.measured import Measured, Section
-from planner.model.lying import lying_bodies, lying_dofs
+from planner.base.measured import Measurement, Section
+from planner.model.lying import stationary_object_bodies, stationary_object_dofs
 from planner.model.mechanism import SCREW, Mechanism
-from planner.model.mjcf.driven import driven, in_order
+from planner.model.mjcf.driven import prescribe_joints, in_order
 from planner.model.mjcf.left_out import names_of
-from planner.model.mjcf.overlaps import overlapping, without_pairs
-from planner.model.mjcf.refuse import unmodelled
+from planner.model.mjcf.overlaps import initial_overlaps, without_pairs
+from planner.model.mjcf.refuse import unsupported_elements
 from planner.model.mjcf.survey import named
 from planner.model.twin import Twin
-from planner.problem.goals import Goal
+from planner.problem.goals import GoalCheck
 from planner.problem.plan import Plan
 from planner.problem.problem import Problem
 from planner.proof.constraints import replayed_violations
-from planner.proof.left_out import lacking
+from planner.proof.left_out import unmodelled_of
 from planner.proof.replays.compiled_twin import CompiledTwin, with_model
 from planner.proof.replays.curve_callback import curves_acting
 from planner.proof.replays.implicit_steps import NATIVE, damping_of
 from planner.proof.replays.limits_hit import clamps_hit, stops_hit
 from planner.proof.replays.replaying import Replay, replay_in
 from planner.proof.replays.simulation import simulate
-from planner.proof.scales import path_bounds, worst_by_unit
+from planner.proof.scales import path_error_bounds, worst_by_unit
 from planner.proof.tracking import misses
 
 TITLE = "your file"
 OPEN_LOOP_MISSES = "open_loop_goals_missed"
 MOST_NAMED = 3  # pairs, joints or actuators in a sentence
-RUBS = 1e-3  # of the machine's weight: shapes that are flush and press with less do not matter
-FELT = 0.02  # of a control's largest value: more than that is what the gains must not need to add
-GRAZE = 1e-6  # of a machine of 1 m or more, m: shapes that are drawn flush overlap by rounding
+NEGLIGIBLE_FORCE = 1e-3  # of the machine's weight: shapes that are flush and press with less do not matter
+MAX_GAIN_EFFORT = 0.02  # of a control's largest value: more than that is what the gains must not need to add
+PENETRATION_TOLERANCE = 1e-6  # of a machine of 1 m or more, m: shapes that are drawn flush overlap by rounding
 DEEPER = 1e-3, 0.1  # m (as GRAZE) or part of the depth at the start: how much deeper shapes may go that overlap there
 
 
-class Undriven(ModelError):
+class PrescriptionError(ModelError):
     """The file's joints cannot be driven as the plan prescribes."""
 
 
 @np.errstate(all="ignore")  # a motion may run away: a NaN passes no bound
 def your_file(
-    plan: Plan, problem: Problem, goals: Sequence[Goal], *, open_loop: Replay | None = None,
+    plan: Plan, problem: Problem, goals: Sequence[GoalCheck], *, open_loop: Replay | None = None,
     mjcf: str | Path | None = None, twin: Twin | None = None,
 ) -> tuple[Section, Replay | None]:  # fmt: skip
     """Replay a plan with its gains in the model as the user gave it, and judge what the plan did not know.
@@ -87,7 +87,7 @@ def your_file(
         return Section(TITLE, not_applicable="the plan has no MuJoCo model to be replayed in"), None
     try:
         given = as_given(problem, twin, mjcf)
-    except Undriven as error:
+    except PrescriptionError as error:
         return Section(TITLE, not_applicable=str(error)), None
     if open_loop is not None and _same_model(open_loop.twin, given.twin):
         given = open_loop.compiled  # compiled already
@@ -108,7 +108,7 @@ def your_file(
     return first
 
 
-def _measured(run: Replay, problem: Problem, goals: Sequence[Goal]) -> list[Measured]:
+def _measured(run: Replay, problem: Problem, goals: Sequence[GoalCheck]) -> list[Measurement]:
     """Everything that is judged and shown of a replay with gains."""
     touching, overlaps = _touches(run, problem)
     sentences = {
@@ -118,10 +118,10 @@ def _measured(run: Replay, problem: Problem, goals: Sequence[Goal]) -> list[Meas
         "simulator_warnings": (list(run.warnings), "MuJoCo's complaints"),
     }
     judged = [
-        Measured(name, float(len(found)), "", 0.0, _together(found) or meaning)
+        Measurement(name, float(len(found)), "", 0.0, _together(found) or meaning)
         for name, (found, meaning) in sentences.items()
     ]
-    step = Measured("timestep", run.timestep, "s", None, f"of MuJoCo's {run.integrator}, for this step of the proof")
+    step = Measurement("timestep", run.timestep, "s", None, f"of MuJoCo's {run.integrator}, for this step of the proof")
     kept = replayed_violations(run, problem, problem.constraints)  # ranges have stops in the file, which are looked at
     return [
         *judged,
@@ -143,13 +143,13 @@ def as_given(problem: Problem, twin: Twin, mjcf: str | Path | None = None) -> Co
     given = with_model(twin, mjcf) if mjcf is not None else replace(twin, mjcf=twin.original)
     compiled = CompiledTwin(given)
     model = compiled.model
-    unused = [one.index for one in unmodelled(model) if one.kind == "actuator"]
+    unused = [one.index for one in unsupported_elements(model) if one.kind == "actuator"]
     prescribed = getattr(problem.dynamics, "prescribed", ())
     if prescribed and model.nu - len(unused) == mechanism.nu:  # else they are driven already
         try:
-            text = driven(given.mjcf, given.assets, model, in_order(mechanism, prescribed))
+            text = prescribe_joints(given.mjcf, given.assets, model, in_order(mechanism, prescribed))
         except ModelError as error:
-            raise Undriven(f"the plan prescribes joints that cannot be driven in the file: {error}") from None
+            raise PrescriptionError(f"the plan prescribes joints that cannot be driven in the file: {error}") from None
         given = replace(given, mjcf=text)
     used = CompiledTwin(_with_idle_states(given, model, unused), unused)
     if given.mjcf == compiled.twin.mjcf:
@@ -161,11 +161,11 @@ def _without_overlaps(problem: Problem, compiled: CompiledTwin) -> CompiledTwin:
     """The file without contacts of pairs that overlap at the start and that the plan does not know."""
     if not isinstance(getattr(problem.dynamics, "mechanism", None), Mechanism):
         return compiled
-    model, known = compiled.model, lacking(problem, compiled).known
+    model, known = compiled.model, unmodelled_of(problem, compiled).known
     start = compiled.twin.sim_of(problem.x0)
     if len(start) != model.nq + model.nv + model.na:
         return compiled  # of another machine: the check before a replay says so
-    pairs = [pair for pair in overlapping(model, start[: model.nq]) if names_of(model, pair) not in known]
+    pairs = [pair for pair in initial_overlaps(model, start[: model.nq]) if names_of(model, pair) not in known]
     if not pairs:
         return compiled
     try:
@@ -202,18 +202,18 @@ def _touches(run: Replay, problem: Problem) -> tuple[list[str], list[str]]:
     if not isinstance(mechanism, Mechanism):
         return wrong, overlaps  # nobody can tell what other dynamics know
     beside = model.body_weldid == 0  # what the controls do not move: the world, and objects that lie on it
-    beside |= lying_bodies(mechanism) if len(mechanism.bodies) == model.nbody else False
-    known = lacking(problem, run.compiled).known
+    beside |= stationary_object_bodies(mechanism) if len(mechanism.bodies) == model.nbody else False
+    known = unmodelled_of(problem, run.compiled).known
     scale = min(1.0, float(model.stat.extent))
-    rubs = RUBS * float(model.body_mass.sum()) * float(np.linalg.norm(model.opt.gravity) or 1.0)
+    rubs = NEGLIGIBLE_FORCE * float(model.body_mass.sum()) * float(np.linalg.norm(model.opt.gravity) or 1.0)
     for touch in run.touches:
         if np.all(beside[model.geom_bodyid[list(touch.geoms)]]):
             continue
-        grazes, presses = touch.deepest <= GRAZE * scale, touch.force > rubs
+        grazes, presses = touch.deepest <= PENETRATION_TOLERANCE * scale, touch.force > rubs
         if names_of(model, touch.geoms) in known or (grazes and not presses):
             continue
         pair = " and ".join(named(model, "geom", geom) for geom in sorted(touch.geoms))
-        overlap = touch.at_start > GRAZE * scale
+        overlap = touch.at_start > PENETRATION_TOLERANCE * scale
         if presses and (grazes or (overlap and _pushed(run))):  # shapes that overlap may carry load all the same
             how = f"overlap by {touch.at_start:.3g} m at the start" if overlap else "lie flush"
             when = f"from t = {run.t[touch.first]:.4g} s"
@@ -231,8 +231,8 @@ def _pushed(run: Replay) -> bool:
     """Whether forces that the plan does not know are felt: off the path, or in what gains must add to stay on it."""
     us = np.repeat(run.plan.us, run.substeps, axis=0)
     size = np.abs(us).max(axis=0)
-    added = np.abs(run.ctrl - us).max(axis=0) > FELT * np.maximum(size, FELT * size.max(initial=0.0))
-    return bool(np.any(added)) or not bool(np.all(np.abs(run.error) <= path_bounds(run.plan)))
+    added = np.abs(run.ctrl - us).max(axis=0) > MAX_GAIN_EFFORT * np.maximum(size, MAX_GAIN_EFFORT * size.max(initial=0.0))
+    return bool(np.any(added)) or not bool(np.all(np.abs(run.error) <= path_error_bounds(run.plan)))
 
 
 def _together(sentences: list[str]) -> str:
@@ -241,56 +241,56 @@ def _together(sentences: list[str]) -> str:
     return " ".join([*sentences[:MOST_NAMED], *more])
 
 
-def _goals(run: Replay, problem: Problem, goals: Sequence[Goal]) -> Sequence[Measured]:
+def _goals(run: Replay, problem: Problem, goals: Sequence[GoalCheck]) -> Sequence[Measurement]:
     """How far the end is from each goal, or what the machine's own rule says of it."""
     if problem.requirements is not None and problem.requirements.goal is not None:
         return problem.requirements.goal(run).measured
     return misses("replayed", run.t, run.xs, tuple(goals))
 
 
-def _path(run: Replay) -> list[Measured]:
+def _path(run: Replay) -> list[Measurement]:
     """The largest deviation from the plan at any step, of each unit."""
     return [
-        Measured(f"largest_{one.word}_error", one.value, one.unit, None, f"of {one.name} from the plan, at any step")
+        Measurement(f"largest_{one.word}_error", one.value, one.unit, None, f"of {one.name} from the plan, at any step")
         for one in worst_by_unit(run.plan, run.error)
     ]
 
 
-def _objects(run: Replay, problem: Problem) -> list[Measured]:
+def _objects(run: Replay, problem: Problem) -> list[Measurement]:
     """How far objects move in the file that the plan keeps at their start."""
     mechanism = getattr(problem.dynamics, "mechanism", None)
-    lies = lying_dofs(mechanism) if isinstance(mechanism, Mechanism) else np.zeros(0, dtype=bool)
+    lies = stationary_object_dofs(mechanism) if isinstance(mechanism, Mechanism) else np.zeros(0, dtype=bool)
     if not np.any(lies):
         return []
     assert isinstance(mechanism, Mechanism)
     places = mechanism.q_address[lies & (mechanism.kind == SCREW)]
     most = float(np.abs(run.xs[:, places] - run.xs[0, places]).max())
-    return [Measured("objects_moved", most, "m", None, "at most, by themselves: the plan keeps them at the start")]
+    return [Measurement("objects_moved", most, "m", None, "at most, by themselves: the plan keeps them at the start")]
 
 
-def _forces(run: Replay, overlaps: list[str]) -> list[Measured]:
+def _forces(run: Replay, overlaps: list[str]) -> list[Measurement]:
     """What acts in the file beside the plan's own forces."""
     model = run.compiled.model
     loss, largest = model.dof_frictionloss, float(np.nanmax(run.contact_force, initial=0.0))
     return [
-        Measured("overlaps_at_the_start", float(len(overlaps)), "", None, _together(overlaps)),
-        Measured("largest_contact_force", largest, "N", None, "sum of the normal forces of all contacts"),
-        Measured("friction_loss", float(loss.max(initial=0.0)), "N m, N", None,
+        Measurement("overlaps_at_the_start", float(len(overlaps)), "", None, _together(overlaps)),
+        Measurement("largest_contact_force", largest, "N", None, "sum of the normal forces of all contacts"),
+        Measurement("friction_loss", float(loss.max(initial=0.0)), "N m, N", None,
                  f"largest, of {np.count_nonzero(loss)} of {len(loss)} degrees of freedom"),
     ]  # fmt: skip
 
 
-def _open_loop(plan: Plan, t: np.ndarray, xs: np.ndarray, goals: Sequence[Goal]) -> list[Measured]:
+def _open_loop(plan: Plan, t: np.ndarray, xs: np.ndarray, goals: Sequence[GoalCheck]) -> list[Measurement]:
     """How far the file's motion xs (M, nx) without gains ends from the plan, and how many goals it misses so."""
     error = plan.space.difference(xs[-1], plan.xs[-1])[None]
     own_rule = plan.problem is not None and plan.problem.requirements is not None and plan.problem.requirements.goal
     missed = [] if own_rule else [one for one in misses("open loop", t, xs, tuple(goals)) if not one.passed]
     note = "; ".join(map(str, missed)) or "without gains"
     ends = [
-        Measured(f"open_loop_end_{one.word}_error", one.value, one.unit, None, f"of {one.name} from the plan's end")
+        Measurement(f"open_loop_end_{one.word}_error", one.value, one.unit, None, f"of {one.name} from the plan's end")
         for one in worst_by_unit(plan, error)
     ]
-    return [Measured(OPEN_LOOP_MISSES, float(len(missed)), "", None, note), *ends]
+    return [Measurement(OPEN_LOOP_MISSES, float(len(missed)), "", None, note), *ends]
 
 
 def _without_gains(run: Replay) -> tuple[np.ndarray, np.ndarray]:

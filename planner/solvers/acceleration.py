@@ -21,7 +21,7 @@ import numpy as np
 
 from planner.model.space import space_of
 from planner.problem.problem import Problem
-from planner.solvers.engine import Engine, Outcome
+from planner.solvers.engine import Engine, IterationResult
 
 STEPS = 5  # that are remembered: more are of a motion too far away
 NEAR = 1e-3  # of the cost: steps that gain more are far from a minimum, and tell nothing of it
@@ -31,7 +31,7 @@ DEPENDENT = 1e-12  # of the largest eigenvalue of Y'Y: changes of the direction 
 Motion = tuple[np.ndarray, np.ndarray]  # xs (N+1, nx), us (N, nu)
 
 
-class Acceleration:
+class AndersonAcceleration:
     """The last steps of one solve.
 
     Args:
@@ -47,7 +47,7 @@ class Acceleration:
         self._directions: deque[np.ndarray] = deque(maxlen=STEPS)
         self._ways: deque[np.ndarray] = deque(maxlen=STEPS - 1)
 
-    def after(self, cost: float, done: Outcome) -> float:
+    def after(self, cost: float, done: IterationResult) -> float:
         """The cost after a step from this cost: the step's, or that of a guess that the engine then has."""
         gained = cost - done.cost
         if gained > NEAR * max(1.0, abs(done.cost)):
@@ -66,7 +66,7 @@ class Acceleration:
         right = done.step == 1.0 and abs(gained - done.expected) < PROMISED * done.expected
         if right or not self._ways:
             return done.cost
-        step, after = self._engine.advance(*self._guess(us=end[1].shape, share=done.step), done.cost)
+        step, after = self._engine.backtrack_along(*self._guess(us=end[1].shape, share=done.step), done.cost)
         if step > 0.0:
             self._begin = self._engine.trajectory()
         return after

@@ -7,23 +7,23 @@ from typing import NamedTuple
 import numpy as np
 
 from planner.kernels.lq.active_set import LITTLE, ROUNDING
-from planner.problem.control_bounds import Moves
+from planner.problem.control_bounds import StepBounds
 from planner.problem.costs.terms import Quadratic
-from planner.problem.state_ranges import Hinges, StateRanges, sides_of
+from planner.problem.state_ranges import BoundPenalties, StateBounds, sides_of
 from planner.solvers import lq
 
 
-class Pulling(NamedTuple):
+class StatePenalties(NamedTuple):
     """Hinges of ranges along a trajectory."""
 
-    ranges: StateRanges
-    hinges: Hinges
+    ranges: StateBounds
+    hinges: BoundPenalties
     xs: np.ndarray  # (N+1, nx)
 
 
-def settled(
-    A: np.ndarray, B: np.ndarray, quadratic: Quadratic, mu: float, bounds: Moves | None, second: np.ndarray | None,
-    pulling: Pulling | None, held: np.ndarray, most: int,
+def solve_active_set(
+    A: np.ndarray, B: np.ndarray, quadratic: Quadratic, mu: float, bounds: StepBounds | None, second: np.ndarray | None,
+    pulling: StatePenalties | None, held: np.ndarray, most: int,
 ) -> tuple[lq.Sweep | None, np.ndarray]:  # fmt: skip
     """The sweep whose own linear motion tells the set of held controls and of hinges that it has.
 
@@ -75,7 +75,7 @@ def _motion(A: np.ndarray, B: np.ndarray, sweep: lq.Sweep) -> tuple[np.ndarray, 
     return dxs, dus
 
 
-def _held(sweep: lq.Sweep, bounds: Moves, held: np.ndarray, dxs: np.ndarray, dus: np.ndarray) -> np.ndarray:
+def _held(sweep: lq.Sweep, bounds: StepBounds, active_bounds: np.ndarray, dxs: np.ndarray, dus: np.ndarray) -> np.ndarray:
     """The next set of held controls (N, nu): -1 at the lower bound, 1 at the upper one, 0 free."""
     lower, upper = bounds.lower, bounds.upper
     if bounds.lower_by_x is not None and bounds.upper_by_x is not None:
@@ -86,5 +86,5 @@ def _held(sweep: lq.Sweep, bounds: Moves, held: np.ndarray, dxs: np.ndarray, dus
     size = sum(np.abs(part).sum(axis=2) for part in parts)
     slack = ROUNDING * (1.0 + np.abs(dus))
     free = np.where(dus < lower - slack, -1.0, np.where(dus > upper + slack, 1.0, 0.0))
-    wrong = (np.abs(multiplier) > LITTLE * size) & (held * multiplier > 0.0)
-    return np.where(held == 0.0, free, np.where(wrong, 0.0, held))
+    wrong = (np.abs(multiplier) > LITTLE * size) & (active_bounds * multiplier > 0.0)
+    return np.where(active_bounds == 0.0, free, np.where(wrong, 0.0, active_bounds))

@@ -23,32 +23,32 @@ from dataclasses import replace
 
 import numpy as np
 
-from planner.problem.constraints.kept import Kept
+from planner.problem.constraints.kept import TrajectoryConstraints
 from planner.problem.plan import Iteration, Plan, Status
-from planner.problem.state_ranges import Hinges
+from planner.problem.state_ranges import BoundPenalties
 
 MOST_ROUNDS = 30
-NEARER = 0.25  # of the last violation: what must be reached for the weight to stay
-RAISED = 10.0
-DEAREST = 1e6  # a first guess by whose cost hinges are weighed
-STIFFER = 100.0  # times that weight, of ranges: the LQ problem knows which will pull (kernels.lq.active_set)
-MOST_IN_VAIN = 6  # rounds, with dearer hinges, within which the least violation must fall below LESS of that before
-LESS = 0.5
-MOST_RAISED = 5  # times that bounds rise for what comes too near between knots
-STEEPEST = 1e12  # beyond which weights drown the cost in rounding
+REQUIRED_VIOLATION_RATIO = 0.25  # of the last violation: what must be reached for the weight to stay
+PENALTY_GROWTH = 10.0
+MAX_SCALING_COST = 1e6  # a first guess by whose cost hinges are weighed
+STATE_BOUND_PENALTY_FACTOR = 100.0  # times that weight, of ranges: the LQ problem knows which will pull (kernels.lq.active_set)
+MAX_STALLED_ROUNDS = 6  # rounds, with dearer hinges, within which the least violation must fall below LESS of that before
+STALL_RATIO = 0.5
+MAX_TIGHTENINGS = 5  # times that bounds rise for what comes too near between knots
+MAX_PENALTY = 1e12  # beyond which weights drown the cost in rounding
 
-INEXACT = 0.1  # of the violation that a round is to reach: how far a minimum left early may be from the exact one
-ROUGH = 1e-2  # of the cost: what is left to gain where the first round ends, if much is violated
+INNER_ACCURACY = 0.1  # of the violation that a round is to reach: how far a minimum left early may be from the exact one
+FIRST_ROUND_TOLERANCE = 1e-2  # of the cost: what is left to gain where the first round ends, if much is violated
 NEAR = 10.0  # tolerances, up to which rounds are solved exactly
 
 # One solve from first controls (N, nu) with hinges: an iteration limit, the number of the first line, and the share of
 # the cost below which it may end where no more is left to gain.
-Minimise = Callable[[np.ndarray, Hinges | None, int, int, float], Plan]
+Minimise = Callable[[np.ndarray, BoundPenalties | None, int, int, float], Plan]
 
 
-def within_ranges(
-    kept: Kept, tolerance: float, minimise: Minimise, first_guess: np.ndarray, max_iterations: int,
-    given: Hinges | None = None,
+def augmented_lagrangian(
+    kept: TrajectoryConstraints, tolerance: float, minimise: Minimise, first_guess: np.ndarray, max_iterations: int,
+    given: BoundPenalties | None = None,
 ) -> Plan:  # fmt: skip
     """The plan of a problem with ranges of its states or constraints; its history counts the iterations of all rounds.
 
@@ -61,7 +61,7 @@ def within_ranges(
         given: Hinges of the first round, of a motion nearby; None for those of a motion that nothing is known of.
     """
     if given is None:
-        plan, history, first = _begin(kept, minimise, first_guess, max_iterations, 0)
+        plan, history, first = _first_round(kept, minimise, first_guess, max_iterations, 0)
     else:
         plan, first = minimise(first_guess, given, max_iterations, 0, 0.0), given
         history = list(plan.history)
@@ -74,25 +74,25 @@ def within_ranges(
         if plan.status is Status.INTERRUPTED:
             return replace(plan, history=tuple(history), hinges=hinges if round_ else first)
         if error.max(initial=0.0) <= tolerance:
-            more, through = _short(kept, plan)
-            if raised == MOST_RAISED or not more.any():
+            more, through = _between_knots(kept, plan)
+            if raised == MAX_TIGHTENINGS or not more.any():
                 status = Status.OUTSIDE_LIMITS if more.any() else plan.status
                 return replace(plan, history=tuple(history), status=status, hinges=hinges if round_ else first)
             kept, raised = kept.raised(more), raised + 1
             if through:
                 left = max_iterations + 1 - len(history)
-                plan, more_lines, again = _begin(kept, minimise, first_guess, left, len(history))
+                plan, more_lines, again = _first_round(kept, minimise, first_guess, left, len(history))
                 hinges, history = again or kept.free(), history + more_lines
             else:
                 hinges = hinges._replace(lower=hinges.lower + more)
             error, before = _error(kept, hinges, plan), np.full(kept.size, np.inf)
             worst = []
         worst.append(float(error.max()))
-        if len(worst) > MOST_IN_VAIN and not min(worst[-MOST_IN_VAIN:]) < LESS * min(worst[:-MOST_IN_VAIN]):
+        if len(worst) > MAX_STALLED_ROUNDS and not min(worst[-MAX_STALLED_ROUNDS:]) < STALL_RATIO * min(worst[:-MAX_STALLED_ROUNDS]):
             break
         if len(history) > max_iterations:
             return replace(plan, history=tuple(history), status=Status.MAX_ITERATIONS, hinges=hinges)
-        hinges = _begun(kept, plan, hinges) if round_ == 0 else _updated(kept, hinges, plan, error, before)
+        hinges = _first_penalties(kept, plan, hinges) if round_ == 0 else _updated_penalties(kept, hinges, plan, error, before)
         before = error.max(axis=0)
         loose = _loose(hinges, error) / max(1.0, abs(plan.cost)) if error.max() > NEAR * tolerance else 0.0
         plan = minimise(plan.us, hinges, max_iterations + 1 - len(history), len(history), loose)
@@ -104,9 +104,9 @@ def within_ranges(
     return replace(plan, history=tuple(history), status=status, hinges=hinges)
 
 
-def _begin(
-    kept: Kept, minimise: Minimise, first_guess: np.ndarray, max_iterations: int, first_line: int
-) -> tuple[Plan, list[Iteration], Hinges | None]:
+def _first_round(
+    kept: TrajectoryConstraints, minimise: Minimise, first_guess: np.ndarray, max_iterations: int, first_line: int
+) -> tuple[Plan, list[Iteration], BoundPenalties | None]:
     """The first solve, its iterations, and the hinges that it had; None for none.
 
     Where a motion starts with hinges they weigh as much more as its first guess costs above 1: or it would pay to leave
@@ -114,42 +114,42 @@ def _begin(
     """
     first = kept.first()
     if first is None:
-        plan = minimise(first_guess, None, max_iterations, first_line, ROUGH)
+        plan = minimise(first_guess, None, max_iterations, first_line, FIRST_ROUND_TOLERANCE)
         history, near = list(plan.history), kept.beyond(plan.xs, plan.us).max(initial=0.0) <= NEAR * kept.tolerance
         if near and plan.status is Status.CONVERGED and len(history) <= max_iterations:
             plan = minimise(plan.us, None, max_iterations + 1 - len(history), first_line + len(history), 0.0)
             history += plan.history
         return plan, history, None
     cost = minimise(first_guess, None, 0, first_line, 0.0).cost
-    if 1.0 < cost < DEAREST:
+    if 1.0 < cost < MAX_SCALING_COST:
         first = first._replace(weight=cost * first.weight)
     plan = minimise(first_guess, first, max_iterations, first_line, 0.0)
     return plan, list(plan.history), first
 
 
-def _short(kept: Kept, plan: Plan) -> tuple[np.ndarray, bool]:
+def _between_knots(kept: TrajectoryConstraints, plan: Plan) -> tuple[np.ndarray, bool]:
     """See Kept.short_between."""
     assert plan.problem is not None  # the solver's own
     return kept.short_between(plan.problem.dynamics, plan.xs, plan.us)
 
 
-def _loose(hinges: Hinges, error: np.ndarray) -> float:
+def _loose(hinges: BoundPenalties, error: np.ndarray) -> float:
     """The promised decrease below which a round may end whose last one left the errors (N+1, H).
 
     A model that promises less than 1/2 w d^2 moves a component by less than d. Early multipliers are estimates, so d
     is a small part of the violation that the round is to reach.
     """
-    return float(0.5 * (INEXACT * NEARER) ** 2 * np.sum(hinges.weight * error**2))
+    return float(0.5 * (INNER_ACCURACY * REQUIRED_VIOLATION_RATIO) ** 2 * np.sum(hinges.weight * error**2))
 
 
-def _multipliers(kept: Kept, hinges: Hinges) -> tuple[np.ndarray, np.ndarray]:
+def _multipliers(kept: TrajectoryConstraints, hinges: BoundPenalties) -> tuple[np.ndarray, np.ndarray]:
     """Over the weight: by how much (N+1, H) the bounds are shifted, inwards."""
     with np.errstate(invalid="ignore"):
         shifts = hinges.lower - kept.lower, kept.upper - hinges.upper
     return np.nan_to_num(shifts[0], nan=0.0), np.nan_to_num(shifts[1], nan=0.0)
 
 
-def _error(kept: Kept, hinges: Hinges, plan: Plan) -> np.ndarray:
+def _error(kept: TrajectoryConstraints, hinges: BoundPenalties, plan: Plan) -> np.ndarray:
     """(N+1, H) how far states are outside, or from a bound that still pulls them."""
     e, (low, high) = kept.deviations(plan.xs, plan.us), _multipliers(kept, hinges)
     above, below = np.maximum(e - kept.upper, -high), np.maximum(kept.lower - e, -low)
@@ -157,30 +157,30 @@ def _error(kept: Kept, hinges: Hinges, plan: Plan) -> np.ndarray:
     return np.where(exact, np.abs(e - np.where(exact, kept.upper, 0.0)), np.maximum(np.abs(above), np.abs(below)))
 
 
-def _begun(kept: Kept, plan: Plan, first: Hinges) -> Hinges:
+def _first_penalties(kept: TrajectoryConstraints, plan: Plan, first: BoundPenalties) -> BoundPenalties:
     """Weights from what a solve without hinges cost and how far it was outside; multipliers of what had hinges."""
     had, beyond = first.weight > 0.0, kept.beyond(plan.xs, plan.us)
     outside = float(np.sum(np.where(had, 0.0, beyond) ** 2))
     weight = 2.0 * max(abs(plan.cost), np.finfo(float).tiny) / outside if outside else 0.0
     used = (np.isfinite(kept.lower) | np.isfinite(kept.upper)).astype(float)
-    used[:, : kept.split] *= STIFFER
-    begun = Hinges(kept.lower.copy(), kept.upper.copy(), weight * used)
+    used[:, : kept.split] *= STATE_BOUND_PENALTY_FACTOR
+    begun = BoundPenalties(kept.lower.copy(), kept.upper.copy(), weight * used)
     if not had.any():
         return begun
-    updated = _updated(kept, first, plan, beyond, np.full(kept.size, np.inf))
-    return Hinges(*(np.where(had, new, other) for new, other in zip(updated, begun, strict=True)))
+    updated = _updated_penalties(kept, first, plan, beyond, np.full(kept.size, np.inf))
+    return BoundPenalties(*(np.where(had, new, other) for new, other in zip(updated, begun, strict=True)))
 
 
-def _updated(kept: Kept, hinges: Hinges, plan: Plan, error: np.ndarray, before: np.ndarray) -> Hinges:
+def _updated_penalties(kept: TrajectoryConstraints, hinges: BoundPenalties, plan: Plan, error: np.ndarray, before: np.ndarray) -> BoundPenalties:
     """Multipliers after a solve, and weights raised where it brought little."""
     e, weight = kept.deviations(plan.xs, plan.us), hinges.weight
     low, high = np.maximum(hinges.lower - e, 0.0), np.maximum(e - hinges.upper, 0.0)  # multipliers over the weight
-    raised = np.where(error.max(axis=0) > NEARER * before, RAISED, 1.0)
-    raised = np.where(weight.max(axis=0) * raised > STEEPEST, 1.0, raised)
-    return Hinges(*shifted(kept.lower, kept.upper, low / raised, high / raised), weight * raised)
+    raised = np.where(error.max(axis=0) > REQUIRED_VIOLATION_RATIO * before, PENALTY_GROWTH, 1.0)
+    raised = np.where(weight.max(axis=0) * raised > MAX_PENALTY, 1.0, raised)
+    return BoundPenalties(*shifted_bounds(kept.lower, kept.upper, low / raised, high / raised), weight * raised)
 
 
-def shifted(lower: np.ndarray, upper: np.ndarray, low: np.ndarray, high: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def shifted_bounds(lower: np.ndarray, upper: np.ndarray, low: np.ndarray, high: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Bounds moved inwards by multipliers over the weight, of the lower and of the upper ones."""
     exact = lower == upper
     shift = np.where(exact, high - low, 0.0)  # one multiplier of either sign

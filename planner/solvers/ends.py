@@ -29,12 +29,12 @@ from planner.base.errors import PlannerError
 from planner.model.space import space_of
 from planner.problem.costs.terms import SumCost
 from planner.problem.costs.tracking import TrackingCost, tracking_of
-from planner.problem.criteria import plain, with_objective
+from planner.problem.criteria import base_problem, with_objective
 from planner.problem.periodicity import Periodic
 from planner.problem.plan import Plan
 from planner.problem.problem import Problem
 from planner.solvers import lq
-from planner.solvers.warm_start import roll_out
+from planner.solvers.warm_start import feedback_rollout
 
 PARAMETER = "ends"
 """Parameter of a case that can be made with other ends: start and goal, (2, nx) as lists; None for its own."""
@@ -47,14 +47,14 @@ _PARTS = (0.5, 0.25, 0.125, 0.0625)  # of the gap to close, where closing all of
 _SINGULAR = 1e-10
 
 
-class Ends(NamedTuple):
+class BoundaryStates(NamedTuple):
     """Where a motion starts, and what its final cost draws it to: states (nx,)."""
 
     start: np.ndarray
     goal: np.ndarray
 
 
-class EndsStep(NamedTuple):
+class BoundaryStep(NamedTuple):
     """Changes (ndx,) of start and goal, and the decrease of L that they promise beside what closing the gap costs."""
 
     dx: np.ndarray
@@ -62,7 +62,7 @@ class EndsStep(NamedTuple):
     decrease: float
 
 
-class Response(NamedTuple):
+class BoundarySensitivity(NamedTuple):
     """Residuals of the two equations at a plan, and how the plan answers to its ends.
 
     Attributes:
@@ -91,7 +91,7 @@ class Response(NamedTuple):
     K: np.ndarray
     F: np.ndarray
 
-    def step(self, mu: float, part: float = 1.0) -> EndsStep:
+    def step(self, mu: float, part: float = 1.0) -> BoundaryStep:
         """The step damped by mu, which closes a part of the gap."""
         c, m, I = self.closes, len(self.closes), np.eye(len(self.W))
         scale = np.sqrt(np.diag(self.W)[c])  # makes lengths of steps roots of J's unit
@@ -109,7 +109,7 @@ class Response(NamedTuple):
         w = -np.linalg.lstsq(along + mu * np.eye(m), pull, rcond=_SINGULAR)[0]
         change = np.zeros(2 * len(I))
         change[both] = shrink * (least + Z @ w)
-        return EndsStep(change[: len(I)], change[len(I) :], float(-(pull @ w) - 0.5 * w @ along @ w))
+        return BoundaryStep(change[: len(I)], change[len(I) :], float(-(pull @ w) - 0.5 * w @ along @ w))
 
     def _running(self) -> tuple[np.ndarray, np.ndarray]:
         """Hessian and gradient by (dx0, dr) of the LQ problem's J without what draws its end to the goal."""
@@ -133,7 +133,7 @@ def tracking(problem: Problem) -> TrackingCost:
     Raises:
         PlannerError: There is none, or more than one.
     """
-    found = tracking_of(plain(problem).cost)
+    found = tracking_of(base_problem(problem).cost)
     if found is None:
         raise PlannerError("the cost has no one TrackingCost with a final weight, which a periodic motion needs.")
     return found
@@ -146,17 +146,17 @@ def periodic_problem(plan: Plan) -> tuple[Problem, Periodic]:
     return plan.problem, plan.problem.periodic
 
 
-def ends_of(problem: Problem) -> Ends:
+def ends_of(problem: Problem) -> BoundaryStates:
     """The start and the goal of a problem."""
-    return Ends(problem.x0, tracking(problem).x_ref[-1])
+    return BoundaryStates(problem.x0, tracking(problem).x_ref[-1])
 
 
-def with_ends(problem: Problem, ends: Ends, us: np.ndarray) -> Problem:
+def with_ends(problem: Problem, ends: BoundaryStates, us: np.ndarray) -> Problem:
     """The problem with another start and goal, and first controls us (N, nu).
 
     A case that has a parameter for them is made anew from its parameters, so that plans of it can be stored.
     """
-    old = plain(problem)
+    old = base_problem(problem)
     if old.recipe is not None and PARAMETER in old.recipe.parameters:
         built = old.recipe.rebuilt(**{PARAMETER: [end.tolist() for end in ends]})
         new = replace(built, limits=old.limits, us=us)
@@ -168,14 +168,14 @@ def with_ends(problem: Problem, ends: Ends, us: np.ndarray) -> Problem:
     return new if problem.objective is None else with_objective(new, problem.objective.weights)
 
 
-def response(plan: Plan) -> Response:
+def response(plan: Plan) -> BoundarySensitivity:
     """Of the plan of a problem with `periodic`.
 
     Raises:
         PlannerError: What must come back has no final weight.
     """
     problem, periodic = periodic_problem(plan)
-    closes = np.flatnonzero(periodic.closes)
+    closes = np.flatnonzero(periodic.periodic_mask)
     W = tracking(problem).Q[-1]
     if np.linalg.eigvalsh(W[np.ix_(closes, closes)]).min() <= 0.0:
         raise PlannerError("what must come back has no final weight in the cost, expected one above 0 on all of it.")
@@ -195,19 +195,19 @@ def response(plan: Plan) -> Response:
         Phi = Phi @ (A[n] + B[n] @ sweep.K[n])
     space = space_of(problem.dynamics)
     drawn = W @ space.difference(plan.xs[-1], tracking(problem).x_ref[-1])
-    gap, costate = periodic.gap(space, plan.xs), lq.costates(A, model)[0]
-    return Response(plan, closes, W, gap, costate, drawn, sweep.P[0], Phi, G, sweep.K, F)
+    gap, costate = periodic.closure_error(space, plan.xs), lq.costates(A, model)[0]
+    return BoundarySensitivity(plan, closes, W, gap, costate, drawn, sweep.P[0], Phi, G, sweep.K, F)
 
 
 def _free(problem: Problem, plan: Plan, B: np.ndarray, gradient: np.ndarray) -> np.ndarray:
     """B without the controls that their bounds hold."""
     if problem.bounds is None:
         return B
-    held = lq.projected(gradient, problem.bounds.moves(plan.xs, plan.us)) != gradient
+    held = lq.projected(gradient, problem.bounds.step_bounds(plan.xs, plan.us)) != gradient
     return np.where(held[:, None, :], 0.0, B)
 
 
-def moved(found: Response, close: bool = False) -> Problem | None:
+def improved_boundary(found: BoundarySensitivity, close: bool = False) -> Problem | None:
     """The problem with ends nearer to a periodic motion of least cost, and the motion there as its first guess.
 
     The step is as little damped as the LQ problem is to be trusted: what its controls cost in the problem itself tells.
@@ -225,15 +225,15 @@ def moved(found: Response, close: bool = False) -> Problem | None:
         *((_DAMPINGS[-1], part) for part in _PARTS),
     ):
         step = found.step(mu, part)
-        there = Ends(space.integrate(ends.start, step.dx), space.integrate(ends.goal, step.dr))
+        there = BoundaryStates(space.integrate(ends.start, step.dx), space.integrate(ends.goal, step.dr))
         new = with_ends(problem, there, plan.us)
-        cost, us = roll_out(new, plan.us + found.F @ step.dr, found.K, plan.xs)
-        if abs(cost - found.promised(step.dx, step.dr)) <= TRUST * (plan.cost - drawn(plan)):
+        cost, us = feedback_rollout(new, plan.us + found.F @ step.dr, found.K, plan.xs)
+        if abs(cost - found.promised(step.dx, step.dr)) <= TRUST * (plan.cost - terminal_goal_cost(plan)):
             return replace(new, us=us)
     return None
 
 
-def drawn(plan: Plan) -> float:
+def terminal_goal_cost(plan: Plan) -> float:
     """The terminal goal term of the plan's cost."""
     cost = tracking(periodic_problem(plan)[0])
     away = plan.space.difference(plan.xs[-1], cost.x_ref[-1])

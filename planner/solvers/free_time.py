@@ -22,12 +22,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from planner.base.arguments import number, shown
+from planner.base.arguments import number, short_repr
 from planner.base.errors import PlannerError
-from planner.problem.criteria import plain, with_objective
+from planner.problem.criteria import base_problem, with_objective
 from planner.problem.discretisation import retimed
 from planner.problem.limits import EXACT, Limits
-from planner.problem.motion import Motion
+from planner.problem.motion import Trajectory
 from planner.problem.objective import checked_durations, weights_of
 from planner.problem.plan import Plan, Status
 from planner.problem.problem import Problem
@@ -42,7 +42,7 @@ FAR = 1000.0  # tolerances outside: at 100 a duration of two-link was called too
 _SHRINK = 0.85  # from one duration to the next on the way down: a motion changes little, and fifteen span a decade
 
 
-class Tried(NamedTuple):
+class DurationTrial(NamedTuple):
     """A duration that was tried.
 
     Attributes:
@@ -100,19 +100,19 @@ def solve_for(
     """
     weights = weights_of(objective)
     if not isinstance(problem, Problem):
-        raise PlannerError(f"problem is {shown(problem)}, expected a Problem.")
+        raise PlannerError(f"problem is {short_repr(problem)}, expected a Problem.")
     between = checked_durations(durations, weights)
     if between is None:
         wanted = with_objective(problem, weights)
         if set(weights) != {"effort"}:
-            wanted = replace(wanted, us=solve(plain(problem), **_single(options)).us)
+            wanted = replace(wanted, us=solve(base_problem(problem), **_single(options)).us)
         return solve(wanted, callback=callback, **options)
     shortest, longest = between
     number("tolerance", tolerance, above=0.0)
     alone = set(weights) == {"time"}
     if alone:
         problem = _exact(problem)
-    search = _Search(problem, weights, options, callback)
+    search = _DurationSearch(problem, weights, options, callback)
     if alone:
         _least(search, shortest, longest, tolerance)
     else:
@@ -135,7 +135,7 @@ def _single(options: dict[str, Any]) -> dict[str, Any]:
     return {name: value for name, value in options.items() if name not in SEVERAL}
 
 
-class _Search:
+class _DurationSearch:
     """Solves at several durations, each from the nearest that succeeded, and the best of them.
 
     Args:
@@ -147,20 +147,20 @@ class _Search:
 
     def __init__(
         self, problem: Problem, weights: dict[str, float], options: dict[str, Any],
-        callback: Callable[[Tried], object] | None,
+        callback: Callable[[DurationTrial], object] | None,
     ) -> None:  # fmt: skip
         self.problem, self.weights, self.options, self.callback = problem, weights, options, callback
         rest = {name: weight for name, weight in weights.items() if name != "time"}
         self.rest, self.alone = rest or {"effort": 1.0}, not rest
-        self.tried: list[Tried] = []
+        self.tried: list[DurationTrial] = []
         self.plans: dict[float, Plan] = {}  # those that succeeded, by duration
         self.last: Plan | None = None
         self.best: tuple[float, float] | None = None  # the value, and its duration
 
-    def at(self, duration: float, value: Callable[[Tried], float]) -> float:
+    def at(self, duration: float, value: Callable[[DurationTrial], float]) -> float:
         """Solve at a duration; its value, infinite where the limits are not met."""
         duration = float(duration)
-        problem = with_objective(retimed(plain(self.problem), duration), self.rest)
+        problem = with_objective(retimed(base_problem(self.problem), duration), self.rest)
         options = _single(self.options) if self.tried else self.options
         plan = None
         if self.plans:
@@ -170,11 +170,11 @@ class _Search:
             if plan is None:
                 problem = replace(problem, us=warm_start(_at_pace(self.plans[near], near / duration), problem))
         elif problem.bounds is not None or set(self.rest) != {"effort"}:
-            free = solve(replace(plain(problem), limits=None, constraints=()), **_single(options))
+            free = solve(replace(base_problem(problem), limits=None, constraints=()), **_single(options))
             problem = replace(problem, us=warm_start(free, problem))
         plan = self.last = solve(problem, **options) if plan is None else plan
         outside = _outside(problem, plan)
-        line = Tried(len(self.tried), duration, plan.cost, outside, plan.nit, plan.status)
+        line = DurationTrial(len(self.tried), duration, plan.cost, outside, plan.nit, plan.status)
         self.tried.append(line)
         if self.callback is not None:
             self.callback(line)
@@ -189,7 +189,7 @@ class _Search:
             self.best = worth, duration
         return worth
 
-    def _first_look(self, problem: Problem, motion: Motion, options: dict[str, Any]) -> Plan | None:
+    def _first_look(self, problem: Problem, motion: Trajectory, options: dict[str, Any]) -> Plan | None:
         """A solve from a motion of another duration with its multipliers; None for one that is not found, but near.
 
         From nearby a motion is found in some dozens of iterations, if there is one. What is then FAR outside is too
@@ -213,10 +213,10 @@ class _Search:
 
 def _outside(problem: Problem, plan: Plan) -> float:
     """How far a plan is outside of its limits and constraints: the largest, rad, m, rad/s, m/s."""
-    return 0.0 if problem.kept is None else float(np.max(problem.kept.beyond(plan.xs, plan.us), initial=0.0))
+    return 0.0 if problem.trajectory_constraints is None else float(np.max(problem.trajectory_constraints.beyond(plan.xs, plan.us), initial=0.0))
 
 
-def _least(search: _Search, shortest: float, longest: float, tolerance: float) -> None:
+def _least(search: _DurationSearch, shortest: float, longest: float, tolerance: float) -> None:
     """The least duration at which the limits can be met: down in steps until they cannot, then bisection."""
 
     def misses(duration: float) -> bool:
@@ -237,7 +237,7 @@ def _least(search: _Search, shortest: float, longest: float, tolerance: float) -
         low, high = (middle, high) if misses(middle) else (low, middle)
 
 
-def _cheapest(search: _Search, shortest: float, longest: float, tolerance: float) -> None:
+def _cheapest(search: _DurationSearch, shortest: float, longest: float, tolerance: float) -> None:
     """The duration of the least sum: the best of a ladder of durations, then Brent's search between its neighbours."""
     own = float(np.clip(search.problem.duration, shortest, longest))
     down, up = [own], [own]

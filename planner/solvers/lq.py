@@ -20,7 +20,7 @@ from typing import NamedTuple
 import numpy as np
 
 from planner.kernels.lq.along_bounds import AT_BOUND
-from planner.problem.control_bounds import Moves
+from planner.problem.control_bounds import StepBounds
 from planner.problem.costs.terms import Quadratic
 from planner.solvers.box import box_minimum
 
@@ -52,7 +52,7 @@ def gradient(A: np.ndarray, B: np.ndarray, quadratic: Quadratic) -> np.ndarray:
     return quadratic.r + np.einsum("nxu,nx->nu", B, costates(A, quadratic)[1:])  # Eq. 18
 
 
-def reduced_gradient(A: np.ndarray, B: np.ndarray, quadratic: Quadratic, bounds: Moves | None) -> np.ndarray:
+def reduced_gradient(A: np.ndarray, B: np.ndarray, quadratic: Quadratic, bounds: StepBounds | None) -> np.ndarray:
     """The gradient (N, nu) where controls that their bounds hold move along them as the state does.
 
     It is that of Eq. 18 but for bounds that depend on the state: the costate gains d bound/dx times what pushes.
@@ -73,7 +73,7 @@ def _pushing(lower: np.ndarray, upper: np.ndarray, gradient: np.ndarray) -> tupl
     return (lower >= -AT_BOUND) & (gradient > 0.0), (upper <= AT_BOUND) & (gradient < 0.0)
 
 
-def projected(gradient: np.ndarray, bounds: Moves | None) -> np.ndarray:
+def projected(gradient: np.ndarray, bounds: StepBounds | None) -> np.ndarray:
     """A gradient (N, nu) without what pushes against a bound that the control is at: zero at a minimum."""
     if bounds is None:
         return gradient
@@ -86,7 +86,7 @@ def riccati(
     B: np.ndarray,
     quadratic: Quadratic,
     mu: float = 0.0,
-    bounds: Moves | None = None,
+    bounds: StepBounds | None = None,
     second: np.ndarray | None = None,
     gaps: np.ndarray | None = None,
     held: np.ndarray | None = None,
@@ -176,7 +176,7 @@ def riccati(
 
 
 def direction(
-    A: np.ndarray, B: np.ndarray, sweep: Sweep, bounds: Moves | None = None, gaps: np.ndarray | None = None
+    A: np.ndarray, B: np.ndarray, sweep: Sweep, bounds: StepBounds | None = None, gaps: np.ndarray | None = None
 ) -> tuple[np.ndarray, np.ndarray]:
     """The LQ problem's own forward pass: dxs (N+1, ndx), dus (N, nu), Eq. 25, 30.
 

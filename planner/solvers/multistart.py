@@ -25,9 +25,9 @@ from threading import Event
 
 import numpy as np
 
-from planner.base.arguments import shown
+from planner.base.arguments import short_repr
 from planner.base.errors import PlannerError
-from planner.base.executors import answer, give_up
+from planner.base.executors import result_or_retry, cancel_or_end
 from planner.base.processors import processors
 from planner.problem.plan import Iteration, Plan, Start, Status
 
@@ -79,7 +79,7 @@ def best_of(
                     while submitted < starts and not interrupted:
                         waiting.append((submitted, pool.submit(run, submitted)))
                         submitted += 1
-                    number, plan = waiting[0][0], answer(pool, waiting[0][1], run, waiting[0][0])
+                    number, plan = waiting[0][0], result_or_retry(pool, waiting[0][1], run, waiting[0][0])
                     if executor is not None:  # what comes from another process has a copy of the problem
                         plan = replace(plan, problem=pilot.problem)
                     summary = _summary(number, plan, _score(rank, plan))
@@ -92,11 +92,11 @@ def best_of(
                 except (KeyboardInterrupt, StopIteration):
                     interrupted = True
                     stop.event.set()  # those that run end with their next iteration; the others never begin
-                    waiting = deque((k, future) for k, future in waiting if not give_up(pool, future))
+                    waiting = deque((k, future) for k, future in waiting if not cancel_or_end(pool, future))
         finally:  # also on an error, the user's own for example
             stop.event.set()
             for _, future in waiting:
-                give_up(pool, future)
+                cancel_or_end(pool, future)
     if best is None:  # interrupted before any start began
         best, ended = pilot, [_summary(0, pilot, pilot.cost)]
     return replace(best, starts=tuple(ended), status=Status.INTERRUPTED if interrupted else best.status)
@@ -151,7 +151,7 @@ def _score(rank: Callable[[Plan], float] | None, plan: Plan) -> float:
     try:
         return float(value) if math.isfinite(value) else math.inf
     except (TypeError, ValueError):
-        raise PlannerError(f"rank gave {shown(value)}, expected a number.") from None
+        raise PlannerError(f"rank gave {short_repr(value)}, expected a number.") from None
 
 
 def _summary(number: int, plan: Plan, score: float) -> Start:

@@ -21,13 +21,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from planner.base.arguments import choice, count, shown
+from planner.base.arguments import choice, count, short_repr
 from planner.base.errors import PlannerError
 from planner.base.jsonable import finite
 from planner.problem.periodicity import STEPS
 from planner.problem.plan import Plan, Status
 from planner.problem.problem import Problem
-from planner.solvers.ends import Ends, drawn, ends_of, moved, periodic_problem, response, tracking, with_ends
+from planner.solvers.ends import BoundaryStates, terminal_goal_cost, ends_of, improved_boundary, periodic_problem, response, tracking, with_ends
 from planner.solvers.multistart import SEVERAL
 from planner.solvers.slq import solve
 from planner.solvers.warm_start import warm_start
@@ -37,7 +37,7 @@ LEFT = 1e-4
 _TO_CLOSE = 2  # passes kept for the end, which only close the gap
 
 
-class Pass(NamedTuple):
+class PeriodicPass(NamedTuple):
     """One solve of a periodic motion.
 
     Attributes:
@@ -71,7 +71,7 @@ class Pass(NamedTuple):
 
 def solve_periodic(
     problem: Problem, *, passes: int | None = None, step: str | None = None,
-    callback: Callable[[Pass], object] | None = None, **options: Any,
+    callback: Callable[[PeriodicPass], object] | None = None, **options: Any,
 ) -> Plan:  # fmt: skip
     """Optimize a motion that ends where it began.
 
@@ -92,11 +92,11 @@ def solve_periodic(
         PlannerError: As solve; a problem without `periodic` or such a cost; "newton" with ranges of states.
     """
     if not isinstance(problem, Problem) or problem.periodic is None:
-        raise PlannerError(f"problem is {shown(problem)}, expected a Problem with periodic=Periodic(tolerance).")
+        raise PlannerError(f"problem is {short_repr(problem)}, expected a Problem with periodic=Periodic(tolerance).")
     passes = problem.periodic.passes if passes is None else count("passes", passes)
     step = problem.periodic.step if step is None else choice("step", step, STEPS)
     by_newton = step == "newton"
-    if by_newton and problem.kept is not None:
+    if by_newton and problem.trajectory_constraints is not None:
         raise PlannerError(
             'ranges of states and constraints are no part of the step "newton", expected step="follow" with them.'
         )
@@ -122,12 +122,12 @@ class _Search:
     """
 
     def __init__(
-        self, problem: Problem, by_newton: bool, passes: int, callback: Callable[[Pass], object] | None,
+        self, problem: Problem, by_newton: bool, passes: int, callback: Callable[[PeriodicPass], object] | None,
         options: dict[str, Any],
     ) -> None:  # fmt: skip
         self.next: Problem | None = problem
         self.by_newton, self.passes, self.callback, self.options = by_newton, passes, callback, options
-        self.lines: list[Pass] = []
+        self.lines: list[PeriodicPass] = []
         self.interrupted = False
         self.best: tuple[tuple[bool, float], Plan] | None = None  # how far it is from the wanted, and the plan
 
@@ -140,8 +140,8 @@ class _Search:
         miss = periodic.miss(plan.space, plan.xs) if ran else math.inf
         answer = response(plan) if self.by_newton and ran else None
         left = math.nan if answer is None else answer.step(0.0).decrease
-        cost = plan.cost - drawn(plan)
-        line = Pass(len(self.lines), cost, miss, left, plan.nit, plan.status)
+        cost = plan.cost - terminal_goal_cost(plan)
+        line = PeriodicPass(len(self.lines), cost, miss, left, plan.nit, plan.status)
         self.lines.append(line)
         open_ = plan.status is not Status.CONVERGED or miss > 1.0
         rank = open_, miss if open_ or not self.by_newton else cost
@@ -156,7 +156,7 @@ class _Search:
         if not ran or (little and not open_):
             self.next = None
         else:
-            self.next = _followed(plan) if answer is None else moved(answer, close=steady or (open_ and self._is_late))
+            self.next = _followed(plan) if answer is None else improved_boundary(answer, close=steady or (open_ and self._is_late))
 
     @property
     def _is_late(self) -> bool:
@@ -180,6 +180,6 @@ class _Search:
 def _followed(plan: Plan) -> Problem:
     """The problem with start and goal where the motion arrived."""
     problem, periodic = periodic_problem(plan)
-    ends = Ends(*(periodic.brought(plan.space, old, plan.xs[-1]) for old in ends_of(problem)))
+    ends = BoundaryStates(*(periodic.brought(plan.space, old, plan.xs[-1]) for old in ends_of(problem)))
     changed = with_ends(problem, ends, plan.us)
     return replace(changed, us=warm_start(plan, changed))

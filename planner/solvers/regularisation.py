@@ -9,12 +9,12 @@ gains then keep the rollout near the trajectory, which a weight on the controls'
 from __future__ import annotations
 
 from planner.kernels.lq.workspace import CONVERGED
-from planner.solvers.engine import Engine, Outcome
+from planner.solvers.engine import Engine, IterationResult
 
 # Of mu, relative to the largest entry of R: raised and lowered tenfold, zero below its least value.
 LEAST, MOST, FACTOR = 1e-6, 1e10, 10.0
 # Of the weight that holds the states, and the step below which it is raised. Failures raise it by the factor's square.
-HELD_MOST, HELD_FACTOR = 1e12, 5.0
+MAX_STATE_WEIGHT, STATE_WEIGHT_FACTOR = 1e12, 5.0
 SHORT = 0.2
 
 
@@ -37,7 +37,7 @@ class Regularisation:
     """
 
     def __init__(self, engine: Engine, exact: bool, holds: bool = False, bounded: bool = False) -> None:
-        self._most = HELD_MOST if holds or bounded else MOST
+        self._most = MAX_STATE_WEIGHT if holds or bounded else MOST
         self._engine, self._exact, self._holds, self._always = engine, exact, holds or bounded, holds
         self._relative, self._tried_plain, self._second_order = 0.0, False, exact
         self._given_up = 0.0  # the weight that a kink set to zero
@@ -56,41 +56,41 @@ class Regularisation:
         return self._relative > self._most
 
     @property
-    def plain(self) -> bool:
+    def unregularized(self) -> bool:
         """Whether the model is not regularised."""
         return self._relative == 0.0
 
-    def leave_second_order(self) -> bool:
+    def drop_second_order(self) -> bool:
         """Leave out the second-order terms until the weight is set again; False where there are none."""
         left, self._second_order = self._second_order, False
         self._engine.use_second_order(False)
         return left
 
-    def raise_(self) -> None:
+    def increase(self) -> None:
         """After a sweep or search that failed."""
-        self._set(max(LEAST, (HELD_FACTOR**2 if self._holds else FACTOR) * self._relative, self._given_up))
+        self._set(max(LEAST, (STATE_WEIGHT_FACTOR**2 if self._holds else FACTOR) * self._relative, self._given_up))
         self._given_up = 0.0
 
-    def lower(self, step: float, at_kink: bool) -> None:
+    def decrease(self, step: float, at_kink: bool) -> None:
         """After a step of this length; at a kink of bounds or hinges full steps may never come."""
         if step >= 1.0:
-            factor = HELD_FACTOR if self._holds else FACTOR
+            factor = STATE_WEIGHT_FACTOR if self._holds else FACTOR
             self._set(self._relative / factor if self._relative > LEAST else 0.0)
         elif at_kink:
             self._given_up = self._relative  # if the plain model fails there is no need to climb up again
             self._set(0.0)
         elif self._holds:
-            more = step < SHORT and (self._always or self._engine.clamped)
-            self._set(max(LEAST, HELD_FACTOR * self._relative) if more else self._relative)
+            more = step < SHORT and (self._always or self._engine.has_active_bounds)
+            self._set(max(LEAST, STATE_WEIGHT_FACTOR * self._relative) if more else self._relative)
 
-    def try_plain(self, accepted: bool, flat: bool) -> bool:
+    def try_unregularized(self, accepted: bool, flat: bool) -> bool:
         """Drop the weight once where the model promises next to nothing (`flat`): Newton steps outrun it.
 
         `accepted` says whether the last iteration took a step. Only where states are held.
         """
         if accepted and not flat:
             self._tried_plain = False
-        if not (self._holds and flat and not self.plain and not self._tried_plain):
+        if not (self._holds and flat and not self.unregularized and not self._tried_plain):
             return False
         self._set(0.0)
         self._tried_plain = True
@@ -99,20 +99,20 @@ class Regularisation:
     def _set(self, relative: float) -> None:
         self._relative = relative
         if self._holds:
-            self._engine.hold = relative
+            self._engine.state_regularization = relative
         if self._exact and not self._second_order:
             self._second_order = True
             self._engine.use_second_order(True)
 
 
-def plain_sweep(engine: Engine) -> Outcome:
+def plain_sweep(engine: Engine) -> IterationResult:
     """Linearise and sweep by Gauss-Newton, without a search, with the least regularisation that makes it definite."""
     engine.use_second_order(False)  # Gauss-Newton's gains are stabilising also away from a minimum
-    engine.hold = 0.0
+    engine.state_regularization = 0.0
     regularisation, fresh = Regularisation(engine, False), True
     while True:
         done = engine.sweep(regularisation.mu, fresh)
         if done.kind == CONVERGED or regularisation.exhausted:
             return done
-        regularisation.raise_()
+        regularisation.increase()
         fresh = False

@@ -22,21 +22,21 @@ import numpy as np
 
 from planner.base.arguments import choice
 from planner.base.errors import PlannerError
-from planner.kernels.lq.search import SUFFICIENT
+from planner.kernels.lq.search import ARMIJO_C1
 from planner.model.space import space_of
 from planner.problem.costs.tracking import states as checked_states
 from planner.problem.costs.tracking import tracking_of
-from planner.problem.guess import line_of_states
+from planner.problem.guess import interpolated_states
 from planner.problem.plan import Iteration
 from planner.problem.problem import Problem
-from planner.problem.state_ranges import Hinges
-from planner.solvers.engine import Crossing, Engine
+from planner.problem.state_ranges import BoundPenalties
+from planner.solvers.engine import DefectStep, Engine
 from planner.solvers.regularisation import Regularisation
 
 ABOVE = 2.0  # nu over the largest multiplier, when it is set
 STALE = 8.0  # nu over the largest multiplier, from which on it is set again
 HALVINGS = 12  # of a step, before the states are held more
-HELD = 0.01  # the weight on changes of the states, relative to the cost's, beyond which it only keeps gaps open
+MAX_STATE_REGULARIZATION = 0.01  # the weight on changes of the states, relative to the cost's, beyond which it only keeps gaps open
 SHARE, SHARES = 0.25, 6  # of the first controls, whenever states and controls are too far apart; then none of them
 MOST = 60  # iterations across gaps; who needs more is better off with the rollout of the controls so far
 
@@ -60,7 +60,7 @@ def guessed_states(problem: Problem, states: np.ndarray | str | None) -> np.ndar
         raise PlannerError(
             "states is 'line' and the cost has no reference state at the end, expected an array of states (N+1, nx)."
         )
-    return line_of_states(space, problem.x0, tracking.x_ref[-1], problem.duration, problem.N)
+    return interpolated_states(space, problem.x0, tracking.x_ref[-1], problem.duration, problem.N)
 
 
 def line_to_the_end(problem: Problem) -> np.ndarray | None:
@@ -74,9 +74,9 @@ def line_to_the_end(problem: Problem) -> np.ndarray | None:
     return guessed_states(problem, "line") if np.all(np.diagonal(tracking.Q[-1]) > 0.0) else None
 
 
-def close_gaps(
+def close_defects(
     problem: Problem, engine: Engine, exact: bool, xs: np.ndarray, us: np.ndarray, most: int,
-    callback: Callable[[Iteration], object] | None, hinges: Hinges | None = None,
+    callback: Callable[[Iteration], object] | None, hinges: BoundPenalties | None = None,
 ) -> tuple[float, list[Iteration], bool]:  # fmt: skip
     """Take steps across gaps until a rollout closes them, or for the first MOST iterations.
 
@@ -99,21 +99,21 @@ def close_gaps(
     xs, history, J = np.concatenate([problem.x0[None], xs[1:]]), list[Iteration](), partial(_value, problem, hinges)
     rolled, most, interrupted = list[tuple[float, float]](), min(most, MOST), False
     for share in [SHARE**k for k in range(SHARES)] + [0.0]:
-        cost = engine.start(problem.x0, share * us, exact)
+        cost = engine.start_from_controls(problem.x0, share * us, exact)
         rolled.append((cost if math.isfinite(cost) else math.inf, share))
         try:
-            closed = _across(problem, engine, J, xs, share * us, (most, cost), history, callback)
+            closed = _defect_iterations(problem, engine, J, xs, share * us, (most, cost), history, callback)
         except (KeyboardInterrupt, StopIteration):
             interrupted = True
             break
         if closed is not None:
             engine.use_second_order(exact)
-            engine.hold = 0.0
+            engine.state_regularization = 0.0
             return closed, history, False
-    return engine.start(problem.x0, min(rolled)[1] * us, exact), history, interrupted
+    return engine.start_from_controls(problem.x0, min(rolled)[1] * us, exact), history, interrupted
 
 
-def _across(
+def _defect_iterations(
     problem: Problem, engine: Engine, value: Value, xs: np.ndarray, us: np.ndarray, most: tuple[int, float],
     history: list[Iteration], callback: Callable[[Iteration], object] | None,
 ) -> float | None:  # fmt: skip
@@ -124,16 +124,16 @@ def _across(
     space, bounds = space_of(problem.dynamics), problem.bounds
     us = us if bounds is None else bounds.clip(slice(None), us, xs[:-1])
     regularisation, nu, fresh = Regularisation(engine, False, holds=True), np.zeros(space.ndx), True
-    gaps, cost = engine.place(xs, us), value(xs, us)
-    while len(history) < most[0] and engine.hold <= HELD and math.isfinite(cost):
-        way = engine.cross(gaps, fresh)
+    gaps, cost = engine.set_trajectory(xs, us), value(xs, us)
+    while len(history) < most[0] and engine.state_regularization <= MAX_STATE_REGULARIZATION and math.isfinite(cost):
+        way = engine.defect_direction(gaps, fresh)
         if way is None:
             break
         largest = np.abs(way.multipliers).max(axis=0)
         nu = np.where((nu < 1.1 * largest) | (nu > STALE * largest), ABOVE * largest, nu)
         merit = cost + float(nu @ np.abs(gaps).sum(axis=0))
         slope = way.slope - (merit - cost)
-        step, after = engine.close(min(merit, most[1]) if math.isfinite(most[1]) else merit, slope)
+        step, after = engine.rollout_closing_defects(min(merit, most[1]) if math.isfinite(most[1]) else merit, slope)
         closed = step > 0.0
         if not closed:
             step, xs, us, gaps, after = _step(problem, value, xs, us, way, nu, merit, slope, gaps)
@@ -145,16 +145,16 @@ def _across(
             return after
         fresh = step > 0.0
         if fresh:
-            regularisation.lower(step, False)
-            engine.place(xs, us)
+            regularisation.decrease(step, False)
+            engine.set_trajectory(xs, us)
         else:
-            regularisation.raise_()
+            regularisation.increase()
         cost = after
     return None
 
 
 def _step(
-    problem: Problem, value: Value, xs: np.ndarray, us: np.ndarray, way: Crossing, nu: np.ndarray, merit: float,
+    problem: Problem, value: Value, xs: np.ndarray, us: np.ndarray, way: DefectStep, nu: np.ndarray, merit: float,
     slope: float, gaps: np.ndarray,
 ) -> tuple[float, np.ndarray, np.ndarray, np.ndarray, float]:  # fmt: skip
     """The longest step along a direction that lowers the merit enough, or 0: states, controls, gaps and cost after."""
@@ -167,13 +167,13 @@ def _step(
             J = value(trial_x, trial_u)
             open_ = space.difference(problem.dynamics.step(trial_x[:-1], trial_u), trial_x[1:])
             trial = J + float(nu @ np.abs(open_).sum(axis=0))
-        if trial <= merit + SUFFICIENT * step * slope:
+        if trial <= merit + ARMIJO_C1 * step * slope:
             return step, trial_x, trial_u, open_, J
         step *= 0.5
     return 0.0, xs, us, gaps, value(xs, us)
 
 
-def _value(problem: Problem, hinges: Hinges | None, xs: np.ndarray, us: np.ndarray) -> float:
+def _value(problem: Problem, hinges: BoundPenalties | None, xs: np.ndarray, us: np.ndarray) -> float:
     """The cost with that of hinges."""
     J = problem.cost.value(xs, us)
-    return J if hinges is None or problem.kept is None else J + problem.kept.value(hinges, xs, us)
+    return J if hinges is None or problem.trajectory_constraints is None else J + problem.trajectory_constraints.value(hinges, xs, us)

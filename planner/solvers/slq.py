@@ -28,25 +28,25 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from planner.base.arguments import choice, count, number, shown
+from planner.base.arguments import choice, count, number, short_repr
 from planner.base.errors import PlannerError
 from planner.base.executors import checked_executor
 from planner.kernels.lq.workspace import ACCEPTED, CONVERGED, INDEFINITE
 from planner.model.space import space_of
 from planner.problem.criteria import solver_problem
-from planner.problem.discretisation import too_long
-from planner.problem.motion import Motion
+from planner.problem.discretisation import stage_too_long
+from planner.problem.motion import Trajectory
 from planner.problem.plan import Iteration, Plan, Status
 from planner.problem.problem import Problem
-from planner.problem.state_ranges import Hinges
-from planner.solvers.acceleration import Acceleration
-from planner.solvers.augmented import within_ranges
-from planner.solvers.engine import Engine, Outcome, borrow, give_back
+from planner.problem.state_ranges import BoundPenalties
+from planner.solvers.acceleration import AndersonAcceleration
+from planner.solvers.augmented import augmented_lagrangian
+from planner.solvers.engine import Engine, IterationResult, acquire_engine, release_engine
 from planner.solvers.multistart import MOST_STARTS, best_of
 from planner.solvers.regularisation import Regularisation, plain_sweep
-from planner.solvers.shooting import close_gaps, guessed_states, line_to_the_end
-from planner.solvers.steadied import runs_away, steadied
-from planner.solvers.warm_start import followed
+from planner.solvers.shooting import close_defects, guessed_states, line_to_the_end
+from planner.solvers.steadied import has_diverged, stabilizing_guess
+from planner.solvers.warm_start import tracked_warm_start
 
 UPDATES = ("feedback", "open-loop")
 HESSIANS = ("gauss-newton", "exact")
@@ -54,7 +54,7 @@ LINE_SEARCHES = ("armijo", "exact", "wolfe", "goldstein")  # in the order of ker
 
 DECREASE = 1e-10  # decrease_tolerance where neither the call nor the problem sets one
 
-KINKED = 1e-5  # gain_tolerance of machines with friction loss where neither the call nor the problem sets one
+NONSMOOTH_REDUCTION_TOLERANCE = 1e-5  # gain_tolerance of machines with friction loss where neither the call nor the problem sets one
 
 _SLOW = 2  # iterations in a row of the plain model that gain less than gain_tolerance end a solve
 _SLOWER = 8  # the same with KINKED: while joints change the sign of their friction little is gained, then more
@@ -67,7 +67,7 @@ def solve(
     line_search: str = "armijo",
     hessian: str = "gauss-newton",
     states: np.ndarray | str | None = None,
-    warm_start: Plan | Motion | None = None,
+    warm_start: Plan | Trajectory | None = None,
     max_iterations: int = 1000,
     gradient_tolerance: float = 1e-8,
     decrease_tolerance: float | None = None,
@@ -125,14 +125,14 @@ def solve(
         PlannerError: An argument that is none of the choices or out of range.
     """
     if not isinstance(problem, Problem):
-        raise PlannerError(f"problem is {shown(problem)}, expected a Problem.")
+        raise PlannerError(f"problem is {short_repr(problem)}, expected a Problem.")
     if decrease_tolerance is None:
         decrease_tolerance = DECREASE if problem.decrease_tolerance is None else problem.decrease_tolerance
     slow = _SLOW
     if gain_tolerance is None:
-        gain_tolerance = problem.gain_tolerance or (KINKED if _rubs(problem) else 0.0)
+        gain_tolerance = problem.gain_tolerance or (NONSMOOTH_REDUCTION_TOLERANCE if _has_friction_loss(problem) else 0.0)
         slow = _SLOW if problem.gain_tolerance else _SLOWER
-    descent = _Descent(
+    descent = _Settings(
         choice("update", update, UPDATES) == "feedback",
         LINE_SEARCHES.index(choice("line_search", line_search, LINE_SEARCHES)),
         choice("hessian", hessian, HESSIANS) == "exact",
@@ -147,18 +147,18 @@ def solve(
     number("spread", spread, above=0.0)
     checked_executor(executor)
     if callback is not None and not callable(callback):
-        raise PlannerError(f"callback is {shown(callback)}, expected a function of one line of progress.")
+        raise PlannerError(f"callback is {short_repr(callback)}, expected a function of one line of progress.")
     if rank is not None and not callable(rank):
-        raise PlannerError(f"rank is {shown(rank)}, expected a function of a Plan, e.g. planner.proof.proven_cost.")
+        raise PlannerError(f"rank is {short_repr(rank)}, expected a function of a Plan, e.g. planner.proof.proven_cost.")
 
     beside = hinges = None
     if warm_start is not None:
-        us, beside, hinges = followed(problem, warm_start)
+        us, beside, hinges = tracked_warm_start(problem, warm_start)
         problem = replace(problem, us=us)
     core = solver_problem(problem)
     if states is None and beside is not None and core.dynamics.nx == problem.dynamics.nx:  # jerk has more
         states = beside
-    descend = partial(_descend, core, descent, guessed_states(core, states), hinges)
+    descend = partial(_solve_from_guess, core, descent, guessed_states(core, states), hinges)
     options: dict[str, Any] = {
         "update": update, "line_search": line_search, "hessian": hessian, "max_iterations": max_iterations,
         "gradient_tolerance": gradient_tolerance, "decrease_tolerance": decrease_tolerance,
@@ -177,23 +177,23 @@ def solve(
     def solved(guess: np.ndarray) -> Plan:
         if starts == 1:
             return descend(guess, max_iterations, callback)
-        sizing, others = partial(_descend, core, descent, None, None), descend
+        sizing, others = partial(_solve_from_guess, core, descent, None, None), descend
         if states is None and (line := line_to_the_end(core)) is not None:
-            others = partial(_descend, core, descent, line, hinges)
+            others = partial(_solve_from_guess, core, descent, line, hinges)
         return best_of(
             guess, descend, max_iterations, starts, seed, spread, callback, ranking, sizing, others, executor
         )
 
     best = solved(core.first_guess)
     if best.status is Status.NOT_FINITE and not best.history:  # it had no first rollout
-        steady = steadied(core)
+        steady = stabilizing_guess(core)
         if steady is not None:
             options["first_guess"] = (
-                f"It runs away at t = {best.t[np.argmax(runs_away(best.xs))]:.4g} s, so it was replaced by controls "
+                f"It runs away at t = {best.t[np.argmax(has_diverged(best.xs))]:.4g} s, so it was replaced by controls "
                 "that hold or brake the machine with feedback."
             )
             best = solved(steady)
-    if best.status is Status.NOT_FINITE and (cure := too_long(problem)):
+    if best.status is Status.NOT_FINITE and (cure := stage_too_long(problem)):
         options["not_finite"] = cure
     return replace(as_user_plan(problem, best), options=options)
 
@@ -202,25 +202,25 @@ def as_user_plan(problem: Problem, plan: Plan) -> Plan:
     """A plan of its solver_problem as one of the problem itself: its states, its cost, its gains."""
     if plan.problem is problem:
         return plan
-    own = _minimise(problem, _Descent(), None, None, plan.us, plan.hinges, 0, 0)
+    own = _inner_solve(problem, _Settings(), None, None, plan.us, plan.bound_penalties, 0, 0)
     more = own.cost - plan.cost  # of terms that no control changes
     history = tuple(line._replace(cost=line.cost + more) for line in plan.history)
-    return replace(own, status=plan.status, history=history, starts=plan.starts, hinges=plan.hinges)
+    return replace(own, status=plan.status, history=history, starts=plan.starts, hinges=plan.bound_penalties)
 
 
-def _rubs(problem: Problem) -> bool:
+def _has_friction_loss(problem: Problem) -> bool:
     """Whether joints of the machine have friction loss."""
     mechanism = getattr(problem.dynamics, "mechanism", None)
     return mechanism is not None and bool(np.any(mechanism.friction_loss))
 
 
-def _touches(problem: Problem) -> bool:
+def _has_contacts(problem: Problem) -> bool:
     """Whether the machine has contacts."""
     mechanism = getattr(problem.dynamics, "mechanism", None)
     return mechanism is not None and bool(mechanism.contacts or mechanism.body_contacts)
 
 
-class _Descent(NamedTuple):
+class _Settings(NamedTuple):
     """How a solve goes down: the checked arguments of solve()."""
 
     feedback: bool = True
@@ -237,20 +237,20 @@ class _Descent(NamedTuple):
         return self.feedback and LINE_SEARCHES[self.rule] == "armijo"
 
 
-def _descend(
-    problem: Problem, descent: _Descent, states: np.ndarray | None, hinges: Hinges | None, first_guess: np.ndarray,
+def _solve_from_guess(
+    problem: Problem, descent: _Settings, states: np.ndarray | None, hinges: BoundPenalties | None, first_guess: np.ndarray,
     max_iterations: int, callback: Callable[[Iteration], object] | None,
 ) -> Plan:  # fmt: skip
     """One solve from one first guess (N, nu), and of states (N+1, nx) or None, and of hinges or None."""
-    minimise = partial(_minimise, problem, descent, callback, states)
-    if problem.kept is None:
+    minimise = partial(_inner_solve, problem, descent, callback, states)
+    if problem.trajectory_constraints is None:
         return minimise(first_guess, None, max_iterations, 0)
-    return within_ranges(problem.kept, problem.kept.tolerance, minimise, first_guess, max_iterations, hinges)
+    return augmented_lagrangian(problem.trajectory_constraints, problem.trajectory_constraints.tolerance, minimise, first_guess, max_iterations, hinges)
 
 
-def _minimise(
-    problem: Problem, descent: _Descent, callback: Callable[[Iteration], object] | None, states: np.ndarray | None,
-    first_guess: np.ndarray, hinges: Hinges | None, max_iterations: int, first_line: int,
+def _inner_solve(
+    problem: Problem, descent: _Settings, callback: Callable[[Iteration], object] | None, states: np.ndarray | None,
+    first_guess: np.ndarray, hinges: BoundPenalties | None, max_iterations: int, first_line: int,
     loose: float = 0.0,
 ) -> Plan:  # fmt: skip
     """A minimum of the cost, and of hinges where there are any; only a solve's first line looks at states.
@@ -258,34 +258,34 @@ def _minimise(
     It also ends where less than `loose` times max(1, J) is left to gain, which is no minimum yet: so much is promised,
     or a full step has gained what was promised of it to within so much.
     """
-    engine = borrow(problem, descent.rule)
-    if problem.kept is not None:
-        engine.hinge(hinges)
+    engine = acquire_engine(problem, descent.rule)
+    if problem.trajectory_constraints is not None:
+        engine.set_penalties(hinges)
     history, holds, interrupted = list[Iteration](), descent.exact or states is not None, False
     if states is not None and first_line == 0:
-        closed = close_gaps(problem, engine, descent.exact, states, first_guess, max_iterations, callback, hinges)
+        closed = close_defects(problem, engine, descent.exact, states, first_guess, max_iterations, callback, hinges)
         cost, history, interrupted = closed
     else:
-        cost = engine.start(problem.x0, first_guess, descent.exact)
-    if not math.isfinite(cost) or runs_away(engine.trajectory()[0]).any():
+        cost = engine.start_from_controls(problem.x0, first_guess, descent.exact)
+    if not math.isfinite(cost) or has_diverged(engine.trajectory()[0]).any():
         return _not_finite(problem, engine, cost)
 
-    bounded = problem.bounds is not None and not _touches(problem)  # at kinks of contact states are held in vain
-    regularisation, acceleration = Regularisation(engine, descent.exact, holds, bounded), Acceleration(problem, engine)
-    kinked = problem.limits is not None or problem.kept is not None
+    bounded = problem.bounds is not None and not _has_contacts(problem)  # at kinks of contact states are held in vain
+    regularisation, acceleration = Regularisation(engine, descent.exact, holds, bounded), AndersonAcceleration(problem, engine)
+    kinked = problem.limits is not None or problem.trajectory_constraints is not None
     fresh, at_minimum, near, status = True, False, False, Status.INTERRUPTED if interrupted else Status.MAX_ITERATIONS
     try:
         while len(history) < max_iterations and not interrupted:
             # A regularised model promises too little: only the plain one may say that nothing is left to gain.
             mu = regularisation.mu
             tolerance = max(loose, descent.decrease_tolerance)
-            promise = tolerance * max(1.0, abs(cost)) if regularisation.plain else -1.0
+            promise = tolerance * max(1.0, abs(cost)) if regularisation.unregularized else -1.0
             tolerances = descent.gradient_tolerance, promise
             done = engine.iterate(descent.feedback, descent.rule, mu, fresh, cost, *tolerances)
-            if done.kind == INDEFINITE and regularisation.leave_second_order():
+            if done.kind == INDEFINITE and regularisation.drop_second_order():
                 fresh = False
                 continue
-            fresh, near = done.kind == ACCEPTED, _as_promised(done, cost, regularisation.plain, loose)
+            fresh, near = done.kind == ACCEPTED, _as_promised(done, cost, regularisation.unregularized, loose)
             after = acceleration.after(cost, done) if fresh and not near and descent.accelerated else done.cost
             i, shown = first_line + len(history), regularisation.shown
             line = Iteration(i, cost, done.gradient_norm, done.step, done.expected, cost - after, shown)
@@ -300,12 +300,12 @@ def _minimise(
                 break
             little = tolerance * max(1.0, abs(cost))
             flat = done.kind != INDEFINITE and -0.5 * done.slope <= little
-            if regularisation.try_plain(fresh, flat):
+            if regularisation.try_unregularized(fresh, flat):
                 continue
             if fresh:
-                regularisation.lower(done.step, kinked and done.expected <= little)
+                regularisation.decrease(done.step, kinked and done.expected <= little)
                 continue
-            regularisation.raise_()
+            regularisation.increase()
             if regularisation.exhausted:
                 status = Status.NO_DESCENT
                 break
@@ -315,7 +315,7 @@ def _minimise(
     xs, us = engine.trajectory()
     if at_minimum:
         gradient_norm = history[-1].gradient_norm
-        if holds or bounded or not regularisation.plain:
+        if holds or bounded or not regularisation.unregularized:
             plain_sweep(engine)  # the gains of a plan are those of the plain model of Eq. 31
     else:  # gains and gradient belong to an earlier trajectory
         cost, last = problem.cost.value(xs, us), plain_sweep(engine)
@@ -328,17 +328,17 @@ def _minimise(
     if status is not Status.INTERRUPTED and not (math.isfinite(gradient_norm) and np.isfinite(K).all()):
         status = Status.NOT_FINITE  # stages so unstable that costates overflow; their model promises nothing
     plan = _plan(problem, xs, us, K, cost, gradient_norm, status, history)
-    give_back(problem, engine, descent.rule)
+    release_engine(problem, engine, descent.rule)
     return plan
 
 
-def _as_promised(done: Outcome, cost: float, plain: bool, loose: float) -> bool:
+def _as_promised(done: IterationResult, cost: float, plain: bool, inexact_tolerance: float) -> bool:
     """Whether a full step of the plain model gained what it promised to within loose max(1, J)."""
     off = abs(cost - done.cost - done.expected)
-    return done.step == 1.0 and plain and off < loose * max(1.0, abs(cost))
+    return done.step == 1.0 and plain and off < inexact_tolerance * max(1.0, abs(cost))
 
 
-def _stalled(history: list[Iteration], descent: _Descent) -> bool:
+def _stalled(history: list[Iteration], descent: _Settings) -> bool:
     """Whether the last iterations of the plain model have each gained less than the tolerance."""
     least = descent.gain_tolerance
     return (

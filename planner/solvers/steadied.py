@@ -21,7 +21,7 @@ from planner.problem.guess import quintic
 from planner.problem.problem import Problem
 from planner.solvers import lq
 
-RUNAWAY = 1e10  # times the start, at least 1: what MuJoCo too takes for an unstable simulation
+DIVERGENCE_FACTOR = 1e10  # times the start, at least 1: what MuJoCo too takes for an unstable simulation
 _STAGES = 100  # of the LQ problem, by which its gains have become constant
 _AGAIN = 10  # stages after which a machine that brakes is linearised again
 _WEAKEST = 1e-9  # of the largest weight of a control: of one that moves nothing
@@ -29,13 +29,13 @@ _WEAKEST = 1e-9  # of the largest weight of a control: of one that moves nothing
 Control = Callable[[int, np.ndarray], np.ndarray]
 
 
-def runs_away(xs: np.ndarray) -> np.ndarray:
+def has_diverged(xs: np.ndarray) -> np.ndarray:
     """(N+1,) whether each state of a rollout xs (N+1, nx) is not finite, or so large that it soon will be."""
     with np.errstate(invalid="ignore"):
-        return np.asarray(~(np.abs(xs) < RUNAWAY * max(1.0, float(np.abs(xs[0]).max(initial=0.0)))).all(axis=1))
+        return np.asarray(~(np.abs(xs) < DIVERGENCE_FACTOR * max(1.0, float(np.abs(xs[0]).max(initial=0.0)))).all(axis=1))
 
 
-def steadied(problem: Problem) -> np.ndarray | None:
+def stabilizing_guess(problem: Problem) -> np.ndarray | None:
     """Controls (N, nu) whose rollout stays finite: they hold the start, or brake; None where neither helps."""
     with np.errstate(all="ignore"):  # they may run away too
         for way in (_holding, _braking):
@@ -45,13 +45,13 @@ def steadied(problem: Problem) -> np.ndarray | None:
     return None
 
 
-def led(problem: Problem, goal: np.ndarray) -> np.ndarray | None:
+def line_tracking_controls(problem: Problem, goal: np.ndarray) -> np.ndarray | None:
     """Controls (N, nu) of gains that lead a machine along the straight line to a goal (nx,); None if it runs away."""
     with np.errstate(all="ignore"):
         return _written_down(problem, _leading(problem, _straight(problem, goal)))
 
 
-def led_along(problem: Problem, xs: np.ndarray, us: np.ndarray | None = None) -> np.ndarray | None:
+def tracking_controls(problem: Problem, xs: np.ndarray, us: np.ndarray | None = None) -> np.ndarray | None:
     """Controls (N, nu) of gains that lead a machine along states xs (N+1, nx); None if it runs away.
 
     The gains act about us (N, nu), where these are known to move it so: alone they may not keep an unstable machine
@@ -70,7 +70,7 @@ def _written_down(problem: Problem, control: Control) -> np.ndarray | None:
         if problem.bounds is not None:
             us[n] = problem.bounds.clip(n, us[n], xs[n])
         xs[n + 1] = problem.dynamics.step(xs[n : n + 1], us[n : n + 1])[0]
-        if runs_away(xs[[0, n + 1]]).any() or not np.isfinite(us[n]).all():
+        if has_diverged(xs[[0, n + 1]]).any() or not np.isfinite(us[n]).all():
             return None
     return us if np.isfinite(problem.cost.value(xs, us)) else None
 

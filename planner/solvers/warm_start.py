@@ -12,17 +12,17 @@ import math
 
 import numpy as np
 
-from planner.base.arguments import shown
+from planner.base.arguments import short_repr
 from planner.base.errors import PlannerError
 from planner.model.space import space_of
 from planner.problem.costs.terms import Quadratic
-from planner.problem.motion import Motion
+from planner.problem.motion import Trajectory
 from planner.problem.plan import Plan
 from planner.problem.problem import Problem
-from planner.problem.state_ranges import Hinges
+from planner.problem.state_ranges import BoundPenalties
 from planner.solvers import lq
 
-STRAYS = 2.0  # times what the motion costs: a rollout beyond has left it, and states without one are the better guess
+MAX_COST_RATIO = 2.0  # times what the motion costs: a rollout beyond has left it, and states without one are the better guess
 _WEAKEST = 1e-6  # weight on following what the cost leaves free, relative to the largest
 
 
@@ -36,11 +36,11 @@ def warm_start(plan: Plan, problem: Problem) -> np.ndarray:
     parts = problem.N // plan.N
     us, K = np.repeat(plan.us, parts, axis=0), np.repeat(plan.K, parts, axis=0)
     xs = plan.xs if parts == 1 else plan.between_knots(parts)  # a discrete map has nothing between
-    tries = [roll_out(problem, problem.first_guess), *_ways(problem, xs, us, K)]
+    tries = [feedback_rollout(problem, problem.first_guess), *_ways(problem, xs, us, K)]
     return min(tries, key=lambda one: one[0])[1]
 
 
-def followed(problem: Problem, given: Plan | Motion) -> tuple[np.ndarray, np.ndarray | None, Hinges | None]:
+def tracked_warm_start(problem: Problem, given: Plan | Trajectory) -> tuple[np.ndarray, np.ndarray | None, BoundPenalties | None]:
     """A first guess from a motion of any duration and step, as the problem's knots sample it.
 
     Returns:
@@ -51,9 +51,9 @@ def followed(problem: Problem, given: Plan | Motion) -> tuple[np.ndarray, np.nda
         PlannerError: Neither a Plan nor a Motion, or of another machine.
     """
     motion = given.motion if isinstance(given, Plan) else given
-    if not isinstance(motion, Motion):
+    if not isinstance(motion, Trajectory):
         raise PlannerError(
-            f"warm_start is {shown(given)}, expected a Plan, or what plan.shifted(seconds) or plan.stretched(duration) "
+            f"warm_start is {short_repr(given)}, expected a Plan, or what plan.shifted(seconds) or plan.stretched(duration) "
             "returns."
         )
     own, nx, nu = problem.dynamics, motion.xs.shape[1], motion.us.shape[1]
@@ -62,22 +62,22 @@ def followed(problem: Problem, given: Plan | Motion) -> tuple[np.ndarray, np.nda
             f"warm_start has {nx} states and {nu} controls, expected {own.nx} and {own.nu}: a plan of the same machine."
         )
     there = motion.at(own.dt * np.arange(problem.N + 1))
-    hinges = None if there.pulls is None or problem.kept is None else there.pulls.hinges(problem.kept)
-    xs, us, near = there.xs, there.us, STRAYS * problem.cost.value(there.xs, there.us)
-    cost, found = min(roll_out(problem, us), roll_out(problem, us, there.K, xs), key=lambda one: one[0])
+    hinges = None if there.pulls is None or problem.trajectory_constraints is None else there.pulls.hinges(problem.trajectory_constraints)
+    xs, us, near = there.xs, there.us, MAX_COST_RATIO * problem.cost.value(there.xs, there.us)
+    cost, found = min(feedback_rollout(problem, us), feedback_rollout(problem, us, there.K, xs), key=lambda one: one[0])
     retuned = None if cost <= near else _gains(problem, xs, us)
     if retuned is not None:
-        cost, found = roll_out(problem, us, retuned, xs)
+        cost, found = feedback_rollout(problem, us, retuned, xs)
     return (found, None, hinges) if cost <= near else (us, xs, hinges)
 
 
 def _ways(problem: Problem, xs: np.ndarray, us: np.ndarray, K: np.ndarray) -> list[tuple[float, np.ndarray]]:
     """Costs and controls of us as they are, and of two ways to follow xs: by gains K, and by gains along xs."""
-    ways, retuned = [roll_out(problem, us), roll_out(problem, us, K, xs)], _gains(problem, xs, us)
-    return ways if retuned is None else [*ways, roll_out(problem, us, retuned, xs)]
+    ways, retuned = [feedback_rollout(problem, us), feedback_rollout(problem, us, K, xs)], _gains(problem, xs, us)
+    return ways if retuned is None else [*ways, feedback_rollout(problem, us, retuned, xs)]
 
 
-def roll_out(
+def feedback_rollout(
     problem: Problem, us: np.ndarray, K: np.ndarray | None = None, about: np.ndarray | None = None
 ) -> tuple[float, np.ndarray]:
     """The cost, infinite where it is no number, and the controls (N, nu) of u = us + K difference(x, about)."""

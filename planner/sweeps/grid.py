@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from planner.base.arguments import did_you_mean, shown
+from planner.base.arguments import did_you_mean, short_repr
 from planner.base.errors import PlannerError
 
 MOST_POINTS = 10_000_000
@@ -77,13 +77,13 @@ def grid_of(given: Mapping[str, Any] | Sequence[str] | Grid) -> Grid:
                 raise PlannerError(f"{name} is given twice in the grid, expected each parameter once.")
             rows[name] = values
     else:
-        raise PlannerError(f"grid is {shown(given)}, expected a table of values by parameter.")
+        raise PlannerError(f"grid is {short_repr(given)}, expected a table of values by parameter.")
     if not rows:
         raise PlannerError("the grid is empty, expected at least one parameter with its values.")
     for name, values in rows.items():
         twice = [value for i, value in enumerate(values) if value in values[:i]] if len(values) < 1000 else []
         if twice:
-            raise PlannerError(f"{name} has the value {shown(twice[0])} twice, expected each value once.")
+            raise PlannerError(f"{name} has the value {short_repr(twice[0])} twice, expected each value once.")
     grid = Grid(rows)
     if len(grid) > MOST_POINTS:
         raise PlannerError(f"the grid has {len(grid)} points, expected at most {MOST_POINTS}.")
@@ -107,14 +107,14 @@ def _parsed(text: Any) -> tuple[str, tuple[Value, ...]]:
     name, values = name.strip(), values.strip()
     if not equals or not name or not values:
         raise PlannerError(
-            f"{shown(text)} is no part of a grid, expected NAME=START:STOP:COUNT or NAME=VALUE,VALUE, "
+            f"{short_repr(text)} is no part of a grid, expected NAME=START:STOP:COUNT or NAME=VALUE,VALUE, "
             "e.g. height=1:60:60."
         )
     if ":" in values:
         return name, _evenly(name, values)
     words = [word.strip() for word in values.split(",")]
     if not all(words):
-        raise PlannerError(f"{name} has an empty value in {shown(values)}, expected VALUE,VALUE.")
+        raise PlannerError(f"{name} has an empty value in {short_repr(values)}, expected VALUE,VALUE.")
     return name, _listed(name, [_value(word) for word in words])
 
 
@@ -130,7 +130,7 @@ def _evenly(name: str, text: str) -> tuple[Value, ...]:
             raise ValueError(text)
     except (TypeError, ValueError):
         raise PlannerError(
-            f"{name} is {shown(text)}, expected START:STOP:COUNT of two numbers and a count, e.g. 1:60:60."
+            f"{name} is {short_repr(text)}, expected START:STOP:COUNT of two numbers and a count, e.g. 1:60:60."
         ) from None
     values = [float(value) for value in np.linspace(first, last, count)]
     if whole and all(value.is_integer() for value in values):
@@ -153,13 +153,13 @@ def _value(word: str) -> Value:
 def _listed(name: str, given: Any) -> tuple[Value, ...]:
     """Plain values of a list, an array or a range."""
     if isinstance(given, (str, bytes)) or not hasattr(given, "__iter__"):
-        raise PlannerError(f"the values of {name} are {shown(given)}, expected a list of them.")
+        raise PlannerError(f"the values of {name} are {short_repr(given)}, expected a list of them.")
     values = tuple(value.item() if isinstance(value, np.generic) else value for value in given)
     if not values or len(values) > MOST_VALUES:
         raise PlannerError(f"{name} has {len(values)} values, expected 1 to {MOST_VALUES}.")
     for value in values:
         if not isinstance(value, (bool, int, float, str)):
-            raise PlannerError(f"{name} has the value {shown(value)}, expected numbers, words, True or False.")
+            raise PlannerError(f"{name} has the value {short_repr(value)}, expected numbers, words, True or False.")
         if isinstance(value, float) and not math.isfinite(value):
             raise PlannerError(f"{name} has the value {value}, expected finite numbers.")
     return values

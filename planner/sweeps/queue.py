@@ -14,7 +14,7 @@ from typing import NamedTuple, Protocol
 import numpy as np
 
 
-class Next(NamedTuple):
+class QueuedBatch(NamedTuple):
     """Tasks to do together, in this order.
 
     Attributes:
@@ -33,20 +33,20 @@ class Queue(Protocol):
 
     continued: bool  # whether each task starts from the one before it in its batch
 
-    def take(self, size: int) -> Next | None:
+    def take(self, size: int) -> QueuedBatch | None:
         """At most so many tasks; None where there are none at the moment."""
         ...
 
-    def ended(self, batch: Next, controls: np.ndarray | None) -> None:
+    def ended(self, batch: QueuedBatch, controls: np.ndarray | None) -> None:
         """A batch is done; `controls` are of its last task."""
         ...
 
-    def lost(self, batch: Next) -> None:
+    def lost(self, batch: QueuedBatch) -> None:
         """A batch is to be done again, one task at a time."""
         ...
 
 
-class Loose:
+class IndependentTasks:
     """Tasks that do not depend on each other."""
 
     continued = False
@@ -55,22 +55,22 @@ class Loose:
         self._tasks = iter(tasks)
         self._alone: deque[int] = deque()
 
-    def take(self, size: int) -> Next | None:
+    def take(self, size: int) -> QueuedBatch | None:
         """At most so many tasks, those that are to be done alone first."""
         if self._alone:
-            return Next([self._alone.popleft()], alone=True)
+            return QueuedBatch([self._alone.popleft()], alone=True)
         tasks = list(islice(self._tasks, size))
-        return Next(tasks) if tasks else None
+        return QueuedBatch(tasks) if tasks else None
 
-    def ended(self, batch: Next, controls: np.ndarray | None) -> None:
+    def ended(self, batch: QueuedBatch, controls: np.ndarray | None) -> None:
         """Nothing waits for a batch."""
 
-    def lost(self, batch: Next) -> None:
+    def lost(self, batch: QueuedBatch) -> None:
         """Each task of it alone."""
         self._alone.extend(batch.tasks)
 
 
-class Chains:
+class ContinuationChains:
     """Chains of neighbours.
 
     Args:
@@ -98,7 +98,7 @@ class Chains:
             if done < len(chain):
                 yield chain[done:], None if done == 0 else controls_of(chain[done - 1]), 0
 
-    def take(self, size: int) -> Next | None:
+    def take(self, size: int) -> QueuedBatch | None:
         """The next tasks of a chain that waits for no other."""
         following = self._ready.popleft() if self._ready else next(self._fresh, None)
         if following is None:
@@ -106,15 +106,15 @@ class Chains:
         tasks, controls, alone = following
         count = 1 if alone else size
         self._running[tasks[0]] = tasks[count:], max(alone - 1, 0)
-        return Next(tasks[:count], controls, alone > 0)
+        return QueuedBatch(tasks[:count], controls, alone > 0)
 
-    def ended(self, batch: Next, controls: np.ndarray | None) -> None:
+    def ended(self, batch: QueuedBatch, controls: np.ndarray | None) -> None:
         """The rest of its chain may go on."""
         rest, alone = self._running.pop(batch.tasks[0])
         if rest:
             self._ready.append((rest, controls, alone))
 
-    def lost(self, batch: Next) -> None:
+    def lost(self, batch: QueuedBatch) -> None:
         """The chain begins again at the batch, one task at a time."""
         rest, alone = self._running.pop(batch.tasks[0])
         self._ready.appendleft((batch.tasks + rest, batch.controls, len(batch.tasks) + alone))

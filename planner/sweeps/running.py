@@ -17,9 +17,9 @@ from typing import Any
 
 from planner.base.errors import PlannerError
 from planner.base.executors import width_of
-from planner.sweeps.queue import Next, Queue
+from planner.sweeps.queue import QueuedBatch, Queue
 from planner.sweeps.store import Store
-from planner.sweeps.work import LOST, TIMEOUT, Batch, Work, do, failed, reason_of
+from planner.sweeps.work import LOST, TIMEOUT, BatchResult, Work, run_batch, failed, reason_of
 
 SECONDS = 0.5  # that a batch should take
 MOST = 500  # tasks of a batch
@@ -29,15 +29,15 @@ _LOOK = 0.2  # s between looks for tasks that take too long
 
 
 @dataclass
-class _Flight:
+class _PendingBatch:
     """A batch on its way."""
 
-    batch: Next
+    batch: QueuedBatch
     mean: float | None  # s of a task, as was known when it was sent
     latest: float = math.inf  # time.monotonic() after which its worker is ended
     ended: bool = False  # whether that was done
 
-    def late(self, work: Work, future: Future[Batch]) -> bool:
+    def late(self, work: Work, future: Future[BatchResult]) -> bool:
         """Whether it takes longer than it may. A wrong guess for several tasks does no harm: they are done again."""
         if work.timeout is None:
             return False
@@ -70,8 +70,8 @@ def run(
     width = width_of(executor)
     if work.timeout is None or hasattr(executor, "tells_begin"):
         width *= 2  # one batch waits while another is worked on; else its time would run while it waits
-    flights: dict[Future[Batch], _Flight] = {}
-    waiting: Next | None = None  # a batch that is to be worked on with no other in flight
+    flights: dict[Future[BatchResult], _PendingBatch] = {}
+    waiting: QueuedBatch | None = None  # a batch that is to be worked on with no other in flight
     mean = None  # s of a task
     try:
         while True:
@@ -83,7 +83,7 @@ def run(
                 if batch.alone and flights:  # beside another one it could be lost with that one's worker
                     waiting = batch
                     break
-                flights[_submitted(executor, work, queue, batch)] = _Flight(batch, mean)
+                flights[_submitted(executor, work, queue, batch)] = _PendingBatch(batch, mean)
             if not flights:
                 return
             done, _ = wait(flights, _LOOK if work.timeout is not None else None, FIRST_COMPLETED)
@@ -105,15 +105,15 @@ def run(
             future.cancel()
 
 
-def _submitted(executor: Executor, work: Work, queue: Queue, batch: Next) -> Future[Batch]:
+def _submitted(executor: Executor, work: Work, queue: Queue, batch: QueuedBatch) -> Future[BatchResult]:
     try:
-        return executor.submit(do, work, batch.tasks, queue.continued, batch.controls)
+        return executor.submit(run_batch, work, batch.tasks, queue.continued, batch.controls)
     except (BrokenExecutor, RuntimeError) as error:
         raise PlannerError(f"the executor takes no more work ({reason_of(error)}); resume goes on.") from None
 
 
 def _taken(
-    work: Work, future: Future[Batch], flight: _Flight, queue: Queue, store: Store, executor: Executor
+    work: Work, future: Future[BatchResult], flight: _PendingBatch, queue: Queue, store: Store, executor: Executor
 ) -> float | None:
     """Store what a batch gave, or why it gave nothing; the mean time of its tasks, s, or None."""
     batch = flight.batch
@@ -126,9 +126,9 @@ def _taken(
         if len(batch.tasks) > 1 or not (batch.alone or (late and hasattr(executor, "tells_begin"))):
             queue.lost(batch)
             return None
-        found = Batch([failed(work, batch.tasks[0], *_why(work, late))], None)
+        found = BatchResult([failed(work, batch.tasks[0], *_why(work, late))], None)
     except Exception as error:  # of what travels: a problem that cannot be pickled, say
-        found = Batch([failed(work, task, "FAILED", reason_of(error)) for task in batch.tasks], None)
+        found = BatchResult([failed(work, task, "FAILED", reason_of(error)) for task in batch.tasks], None)
     store.append(found.done)
     queue.ended(batch, found.controls)
     seconds = [sum(one.row.get(name, 0.0) for name in ("solve_seconds", "prove_seconds")) for one in found.done]
@@ -142,7 +142,7 @@ def _why(work: Work, late: bool) -> tuple[str, str]:
     return LOST, "Its worker ended in the middle, twice: killed, or out of memory."
 
 
-def _store_what_ended(flights: dict[Future[Any], _Flight], store: Store) -> None:
+def _store_what_ended(flights: dict[Future[Any], _PendingBatch], store: Store) -> None:
     for future in list(flights):
         if future.done() and not future.cancelled() and future.exception() is None:
             with suppress(PlannerError):

@@ -23,7 +23,7 @@ from typing import Any, NamedTuple
 
 from planner.base.arguments import count, number
 from planner.base.errors import FileError, PlannerError
-from planner.base.executors import checked_executor, in_turn
+from planner.base.executors import checked_executor, ordered_map
 from planner.base.files import printable, read_text
 from planner.base.jsonable import write_json
 from planner.cases.plan_file import load_plan
@@ -39,7 +39,7 @@ MOST_ROLLOUTS = 1_000_000
 _RANK = {("PASS", "open-loop"): 2, ("PASS", "feedback"): 1}
 
 
-class Change(NamedTuple):
+class NumberChange(NamedTuple):
     """A number that differs from the stored one.
 
     Attributes:
@@ -69,7 +69,7 @@ class Change(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class Checked:
+class PlanComparison:
     """One stored plan proved again.
 
     Attributes:
@@ -81,7 +81,7 @@ class Checked:
     """
 
     plan: Path
-    changes: tuple[Change, ...] = ()
+    changes: tuple[NumberChange, ...] = ()
     problem: str = ""
     proof: Proof | None = None
     updated: bool = False
@@ -98,8 +98,8 @@ class Checked:
 
 def check(
     *paths: str | Path, tolerance: float = TOLERANCE, update: bool = False,
-    callback: Callable[[Checked], object] | None = None, executor: Executor | None = None,
-) -> list[Checked]:  # fmt: skip
+    callback: Callable[[PlanComparison], object] | None = None, executor: Executor | None = None,
+) -> list[PlanComparison]:  # fmt: skip
     """Prove stored plans again and compare.
 
     Args:
@@ -118,7 +118,7 @@ def check(
     number("tolerance", tolerance, above=0.0)
     done = []
     work = partial(_checked, tolerance=tolerance, update=update)
-    for one in in_turn(checked_executor(executor), work, _plans(paths)):
+    for one in ordered_map(checked_executor(executor), work, _plans(paths)):
         done.append(one)
         if callback is not None:
             callback(done[-1])
@@ -147,7 +147,7 @@ def _plans(paths: tuple[str | Path, ...]) -> list[Path]:
     return list(plans)
 
 
-def _checked(path: Path, tolerance: float, update: bool) -> Checked:
+def _checked(path: Path, tolerance: float, update: bool) -> PlanComparison:
     file = stored_proof(path)
     try:
         plan = load_plan(path)
@@ -159,18 +159,18 @@ def _checked(path: Path, tolerance: float, update: bool) -> Checked:
             raise FileError(f"{file.name} is the proof of another plan file, {wanted}.")
         proof = _proved_as(plan, stored)
     except PlannerError as error:
-        return Checked(path, problem=str(error))
+        return PlanComparison(path, problem=str(error))
     now = proof.to_dict() | {"plan_digest": digest}
     if stored is None or foreign:
         if not update:
             problem = f"it has no stored numbers, expected {file.name} beside it; --update writes it."
-            return Checked(path, problem=problem, proof=proof)
+            return PlanComparison(path, problem=problem, proof=proof)
         write_json(file, now)
-        return Checked(path, proof=proof, updated=True)
+        return PlanComparison(path, proof=proof, updated=True)
     changes = tuple(_changes(stored, now, tolerance))
     if update and changes:
         write_json(file, now | ({"refinement": stored["refinement"]} if "refinement" in stored else {}))
-    return Checked(path, changes, proof=proof, updated=update and bool(changes))
+    return PlanComparison(path, changes, proof=proof, updated=update and bool(changes))
 
 
 def _read(file: Path) -> dict[str, Any]:
@@ -198,11 +198,11 @@ def _proved_as(plan: Plan, stored: dict[str, Any] | None) -> Proof:
     return prove(plan, perturbation=perturbation, **wanted)
 
 
-def _changes(stored: dict[str, Any], now: dict[str, Any], tolerance: float) -> Iterator[Change]:
+def _changes(stored: dict[str, Any], now: dict[str, Any], tolerance: float) -> Iterator[NumberChange]:
     verdicts = [f"{one['verdict']} ({one.get('mode')})" for one in (stored, now)]
     ranks = [_RANK.get((one["verdict"], str(one.get("mode"))), 0) for one in (stored, now)]
     if verdicts[0] != verdicts[1]:
-        yield Change("verdict", "", verdicts[0], verdicts[1], None, ranks[1] < ranks[0])
+        yield NumberChange("verdict", "", verdicts[0], verdicts[1], None, ranks[1] < ranks[0])
     yield from _words(stored, now)
     for step, section in now.items():
         before = stored.get(step)
@@ -213,19 +213,19 @@ def _changes(stored: dict[str, Any], now: dict[str, Any], tolerance: float) -> I
             yield from _change(step, name, old.get(name), new.get(name), tolerance)
 
 
-def _words(stored: dict[str, Any], now: dict[str, Any]) -> Iterator[Change]:
+def _words(stored: dict[str, Any], now: dict[str, Any]) -> Iterator[NumberChange]:
     """Changes of the words of the first line; a proof of an older version has none of them."""
     for word in ("feasible", "optimal"):
         if isinstance(was := stored.get(word), bool) and was is not now[word]:
-            yield Change("headline", word, _yes(was), _yes(now[word]), None, was)
+            yield NumberChange("headline", word, _yes(was), _yes(now[word]), None, was)
     was, robustness = stored.get("robustness"), now["robustness"]
     if isinstance(was, str) and was != robustness:
-        yield Change("headline", "robustness", was, robustness, None, was == "robust")
+        yield NumberChange("headline", "robustness", was, robustness, None, was == "robust")
     unchecked = stored.get("not_checked")
     if isinstance(unchecked, list) and unchecked != now["not_checked"]:
         less = not set(now["not_checked"]) <= set(map(str, unchecked))
         before, after = ("; ".join(map(str, one)) or None for one in (unchecked, now["not_checked"]))
-        yield Change("headline", "not checked", before, after, None, less)
+        yield NumberChange("headline", "not checked", before, after, None, less)
 
 
 def _yes(value: bool) -> str:
@@ -239,11 +239,11 @@ def _numbers(figures: Any) -> dict[str, dict[str, Any]]:
     return {name: row for name, row in rows if isinstance(row, dict) and isinstance(row.get("value"), kinds)}
 
 
-def _change(step: str, name: str, old: Any, new: Any, tolerance: float) -> Iterator[Change]:
+def _change(step: str, name: str, old: Any, new: Any, tolerance: float) -> Iterator[NumberChange]:
     """The change of one number, if it counts. A value that is not finite is stored as null."""
     if not isinstance(old, dict) or not isinstance(new, dict):
         before, now = (one.get("value") if isinstance(one, dict) else None for one in (old, new))
-        yield Change(step, name, before, now, None, regressed=not isinstance(new, dict))
+        yield NumberChange(step, name, before, now, None, regressed=not isinstance(new, dict))
         return
     bound = new.get("bound")
     a, b = (math.inf if one.get("value") is None else float(one["value"]) for one in (old, new))
@@ -254,4 +254,4 @@ def _change(step: str, name: str, old: Any, new: Any, tolerance: float) -> Itera
     if not failed and abs(b - a) <= max(tolerance * abs(a), least):
         return
     worse = b < a if any(word in name for word in ("success", "margin")) else b > a and bound is not None
-    yield Change(step, name, old.get("value"), new.get("value"), bound, failed or worse)
+    yield NumberChange(step, name, old.get("value"), new.get("value"), bound, failed or worse)

@@ -20,9 +20,9 @@ from planner import cases
 from planner.base.arguments import choice, count, number
 from planner.base.errors import FileError
 from planner.base.executors import checked_executor
-from planner.base.files import file_error, held
+from planner.base.files import file_error, folder_lock
 from planner.base.processors import processors
-from planner.base.shown import Paged
+from planner.base.shown import Reportable
 from planner.base.versions import installed_versions
 from planner.cases.problem_file import case_in
 from planner.cases.problem_file.keys import KEYS
@@ -34,7 +34,7 @@ from planner.solvers.slq import HESSIANS, LINE_SEARCHES, UPDATES
 from planner.sweeps.executors import MOST_WORKERS
 from planner.sweeps.grid import Grid, check_names, grid_of
 from planner.sweeps.processes import LocalProcesses
-from planner.sweeps.queue import Chains, Loose, Queue
+from planner.sweeps.queue import ContinuationChains, IndependentTasks, Queue
 from planner.sweeps.running import run
 from planner.sweeps.shards import plan_place
 from planner.sweeps.store import HEAD, Store, read_head, write_head
@@ -51,7 +51,7 @@ SOLVE: dict[str, Callable[[str, Any], Any]] = {
 """Arguments of solve() that a sweep passes on, and how each is checked before any task fails by it."""
 
 
-class Sweep(Paged):
+class Sweep(Reportable):
     """What a sweep has written.
 
     Attributes:
@@ -149,7 +149,7 @@ def sweep(
     width = processors() if workers is None else count("workers", workers, most=MOST_WORKERS)
     folder, head = Path(out), _head(work, continued)
     before = _claim(folder, head, resume)
-    with held(folder):
+    with folder_lock(folder):
         if before != head:
             write_head(folder, head)
         store = Store(folder, len(grid))
@@ -286,8 +286,8 @@ def _queue(store: Store, grid: Grid, continued: str | None) -> Queue:
         return bool(store.places[task] >= 0)
 
     if continued is None:
-        return Loose(task for task in range(len(grid)) if not finished(task))
-    return Chains(grid.chains(continued), finished, store.controls)
+        return IndependentTasks(task for task in range(len(grid)) if not finished(task))
+    return ContinuationChains(grid.chains(continued), finished, store.controls)
 
 
 __all__ = ["SOLVE", "Sweep", "plan_place", "read_sweep", "sweep"]

@@ -18,7 +18,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from planner import cases
-from planner.base.arguments import shown
+from planner.base.arguments import short_repr
 from planner.base.errors import PlannerError
 from planner.cases.problem_file import ProblemFile, case_in, loaded
 from planner.cases.problem_file.table import read_table
@@ -75,7 +75,7 @@ class Work:
         if callable(self.source):
             built = self.source(**self.fixed, **point)
             if not isinstance(built, Problem):
-                raise PlannerError(f"the function that builds returned {shown(built)}, expected a Problem.")
+                raise PlannerError(f"the function that builds returned {short_repr(built)}, expected a Problem.")
             file = ProblemFile(built, 1, 0, None, None)
         elif isinstance(self.source, Path):
             file = _of_file(self.source, self.fixed | point)
@@ -100,7 +100,7 @@ class Done(NamedTuple):
     plan: bytes | None
 
 
-class Batch(NamedTuple):
+class BatchResult(NamedTuple):
     """Some tasks that are done.
 
     Attributes:
@@ -112,7 +112,7 @@ class Batch(NamedTuple):
     controls: np.ndarray | None
 
 
-def do(work: Work, tasks: list[int], continued: bool = False, controls: np.ndarray | None = None) -> Batch:
+def run_batch(work: Work, tasks: list[int], continued: bool = False, controls: np.ndarray | None = None) -> BatchResult:
     """Do some tasks one after the other.
 
     Args:
@@ -126,7 +126,7 @@ def do(work: Work, tasks: list[int], continued: bool = False, controls: np.ndarr
         one, plan = _done(work, task, last if continued else None)
         done.append(one)
         last = plan.us if plan is not None and plan.success else None
-    return Batch(done, last)
+    return BatchResult(done, last)
 
 
 def warm(work: Work) -> None:
@@ -184,7 +184,7 @@ def _planned(work: Work, task: int, controls: np.ndarray | None) -> tuple[Done, 
         "task": task, **work.grid.point(task), "status": TIMEOUT if late else plan.status.name,
         "reason": f"It was not done after {work.timeout:g} s." if late else "" if plan.success else plan.message,
         "cost": float(plan.cost), "iterations": plan.nit, "gradient_norm": float(plan.gradient_norm),
-        "guess": "neighbour" if neighbour else "own", "start": plan.start, "print": _print(plan),
+        "guess": "neighbour" if neighbour else "own", "start": plan.start, "print": _trajectory_signature(plan),
         "solve_seconds": solved - began,
     }  # fmt: skip
     if work.proved is not None and plan.status is not Status.NOT_FINITE:
@@ -217,7 +217,7 @@ def _from_neighbour(problem: Problem, controls: np.ndarray | None) -> tuple[Prob
     return replace(problem, us=controls[stages]), True
 
 
-def _print(plan: Plan) -> list[float]:
+def _trajectory_signature(plan: Plan) -> list[float]:
     """Some numbers of the motion, by which two of them are told apart."""
     knots = [int(part * plan.N) for part in _PRINTS]
     return [float(value) for value in plan.xs[knots, :_MOST_PRINTS].ravel()]

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from planner.control.judging import judge
-from planner.control.simulating import Loop
+from planner.control.simulating import ClosedLoopRun
 from planner.problem.plan import Plan
 from planner.proof import Proof
 from planner.proof.replays.replaying import Replay
@@ -32,7 +32,7 @@ def figure_of(result: Plan | Replay | Proof) -> Figure:
     """States, controls and convergence of a plan; a replay beside its plan; a loop; what a proof measured."""
     if isinstance(result, Proof):
         return draw_proof(result)
-    if isinstance(result, Loop):
+    if isinstance(result, ClosedLoopRun):
         return draw_loop(judge(result))
     return draw_plan(result.plan, result) if isinstance(result, Replay) else draw_plan(result, None)
 
@@ -42,7 +42,7 @@ def html_of(result: Plan | Replay | Proof) -> str:
     if isinstance(result, Proof):
         word, colour, rest = result.verdict, _GREEN if result.passed else _RED, result.headline[len(result.verdict) :]
         text, figure = result.reason, draw_plan(result.replay.plan, result)
-    elif isinstance(result, Loop):
+    elif isinstance(result, ClosedLoopRun):
         said = judge(result)
         word, colour, rest = said.verdict, _GREEN if said.passed else _RED, said.headline[len(said.verdict) :]
         text, figure = " ".join([said.reason, *result.events[:3]]).strip(), draw_loop(said)

@@ -23,15 +23,15 @@ from planner.problem.default_appearance import appearance_of
 from planner.problem.plan import Plan
 from planner.proof.replays.compiled_twin import CompiledTwin
 from planner.proof.replays.replaying import replay_in
-from planner.proof.robustness.case_replay import replay_case
+from planner.proof.robustness.case_replay import replay_rollout
 from planner.view.playing import Player
-from planner.view.render.apart import Outline, apart, behind, visibility
+from planner.view.render.apart import Outline, screen_difference, behind, visibility
 from planner.view.render.camera import directions, scenery_of, whole_motion
 from planner.view.render.film import Film
 from planner.view.render.marks import Marks
 from planner.view.render.scene import ghost_paint
 from planner.view.render.setting import visible_model
-from planner.view.render.shapes import Paint, Shapes, without_shadow
+from planner.view.render.shapes import Paint, SceneGeoms, without_shadow
 from planner.view.render.sticks import Sticks
 
 ROLLOUTS = 8
@@ -62,7 +62,7 @@ def view(plan: Plan, *, rollouts: int = ROLLOUTS, speed: float | None = None,
     replays = [replay_in(compiled, plan, feedback=feedback) for feedback in (False, True)]
     start, end = float(plan.t[0]), float(plan.t[-1])
     t = np.linspace(start, end, min(_SAMPLES, max(2, len(replays[0].t))))
-    shown = Shown([Film.of(replay, t) for replay in replays], _perturbed(plan, compiled, t, rollouts))
+    shown = ViewerScene([Film.of(replay, t) for replay in replays], _perturbed(plan, compiled, t, rollouts))
     player = Player(end - start, appearance_of(plan.problem).speed if speed is None else speed)
     viewer, others = importlib.import_module("mujoco.viewer"), set(threading.enumerate())
     try:
@@ -108,7 +108,7 @@ def require_display() -> None:
             raise RenderingUnavailable(f"planner view cannot open a window on the display {where}; {_CURE}.")
 
 
-class Shown:
+class ViewerScene:
     """Replays, ghost and perturbed simulations as MuJoCo draws them at a time."""
 
     def __init__(self, films: Sequence[Film], perturbed: Iterator[np.ndarray]) -> None:
@@ -147,7 +147,7 @@ class Shown:
             self._rollouts += [poses for poses in [next(self._perturbed, None)] if poses is not None]  # one a picture
             for poses in self._rollouts:
                 self._add(scene, eye, _at(t, film.t, poses), _ROLLOUT, np.zeros(3))
-        marks.add(Shapes(scene, eye, self._distance, self._pixel), self.data, float(t))
+        marks.add(SceneGeoms(scene, eye, self._distance, self._pixel), self.data, float(t))
         mujoco.mj_comPos(self.model, self.data)
 
     def _pose(self, data: Any, qpos: np.ndarray) -> None:
@@ -165,7 +165,7 @@ class Shown:
         self._pose(self._other, qpos)
         back = 0.0
         if not np.any(offset):
-            away = apart(self._outline.points(self.data), self._outline.points(self._other))
+            away = screen_difference(self._outline.points(self.data), self._outline.points(self._other))
             back, paint = behind(away, self._distance), (*paint[:3], paint[3] * visibility(away / self._pixel))
         if paint[3] == 0.0:
             return
@@ -187,5 +187,5 @@ def _at(t: float, times: np.ndarray, poses: np.ndarray) -> np.ndarray:
 def _perturbed(plan: Plan, compiled: CompiledTwin, t: np.ndarray, number: int) -> Iterator[np.ndarray]:
     """Poses (F, nq) of perturbed simulations with gains, at times t (F,), s, each computed when it is asked for."""
     for k in range(number):
-        run = replay_case(plan, compiled, k)
+        run = replay_rollout(plan, compiled, k)
         yield np.stack([np.interp(t, run.t, column) for column in run.qpos.T], axis=-1)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from planner import PlannerError
-from planner.base.arguments import array, choice, count, number, numbers, shown
+from planner.base.arguments import array, choice, count, number, numbers, short_repr
 
 NO_NUMBERS = [
     True,
@@ -56,17 +56,17 @@ def refused(check, *given, **options):
     return message
 
 
-@pytest.mark.parametrize("value", [*NO_NUMBERS, np.nan, np.inf, [1.0], np.ones((30, 30))], ids=shown)
+@pytest.mark.parametrize("value", [*NO_NUMBERS, np.nan, np.inf, [1.0], np.ones((30, 30))], ids=short_repr)
 def test_values_that_are_no_numbers_are_refused(value):
     assert "expected a finite number" in refused(number, value)
 
 
-@pytest.mark.parametrize("value", [*NO_NUMBERS, 1.0, -1, [1], np.array([1, 2]), 2**63], ids=shown)
+@pytest.mark.parametrize("value", [*NO_NUMBERS, 1.0, -1, [1], np.array([1, 2]), 2**63], ids=short_repr)
 def test_values_that_are_no_counts_are_refused(value):
     assert "expected a whole number of at least 0" in refused(count, value, least=0)
 
 
-@pytest.mark.parametrize("value", NO_ARRAYS, ids=shown)
+@pytest.mark.parametrize("value", NO_ARRAYS, ids=short_repr)
 def test_values_that_are_no_arrays_are_refused(value):
     assert refused(array, value, (2,)) == "x is not an array of numbers, expected shape (2,)."
     assert "expected numbers" in refused(numbers, value)
@@ -118,6 +118,6 @@ def test_counts_are_read():
 
 
 def test_long_values_are_cut():
-    assert shown(np.ones((3, 3))) == "array([[1., 1., 1.], [1., 1., 1.], [1., 1., 1.]])"
-    assert len(shown("x" * 1000)) == 100
+    assert short_repr(np.ones((3, 3))) == "array([[1., 1., 1.], [1., 1., 1.], [1., 1., 1.]])"
+    assert len(short_repr("x" * 1000)) == 100
     assert len(refused(choice, "x" * 1000, ("a", "b"))) < 300

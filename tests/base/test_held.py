@@ -5,19 +5,19 @@ from threading import Thread
 import pytest
 
 from planner.base.errors import FileError
-from planner.base.files import held, staged_folder
+from planner.base.files import folder_lock, staged_folder
 
 
 def test_a_folder_is_held_by_one_writer_and_free_after_a_kill(tmp_path):
-    with held(tmp_path):
-        with pytest.raises(FileError, match="another planner is writing into it") as error, held(tmp_path):
+    with folder_lock(tmp_path):
+        with pytest.raises(FileError, match="another planner is writing into it") as error, folder_lock(tmp_path):
             pass
         assert ".planner-" not in str(error.value)  # the hidden names are our business
         with pytest.raises(FileError, match="another planner is writing into it"), staged_folder(tmp_path):
             pytest.fail("it began to work")
     assert list(tmp_path.iterdir()) == []
     (tmp_path / ".planner-lock").touch()  # of a killed process: the file stays, its lock does not
-    with held(tmp_path):
+    with folder_lock(tmp_path):
         pass
     assert list(tmp_path.iterdir()) == []
 
@@ -29,7 +29,7 @@ def test_of_many_writers_one_holds_the_folder_at_a_time(tmp_path):
     def work():
         for _ in range(200):
             try:
-                with held(tmp_path):
+                with folder_lock(tmp_path):
                     inside.append(1)
                     most.append(len(inside))
                     inside.pop()

@@ -4,19 +4,19 @@ import math
 
 import pytest
 
-from planner.base.measured import Measured, Section, beyond_bounds
+from planner.base.measured import Measurement, Section, bound_excess
 
 
 def test_the_worst_failure_counts_over_its_bound():
-    passing = Section("a", (Measured("x", 0.5, "", 1.0), Measured("y", 9.0)))
-    failing = Section("b", (Measured("x", 3.0, "", 2.0), Measured("z", 5.0, "", 2.0)))
-    assert beyond_bounds([passing]) == 0.0
-    assert beyond_bounds([passing, failing]) == 2.5
+    passing = Section("a", (Measurement("x", 0.5, "", 1.0), Measurement("y", 9.0)))
+    failing = Section("b", (Measurement("x", 3.0, "", 2.0), Measurement("z", 5.0, "", 2.0)))
+    assert bound_excess([passing]) == 0.0
+    assert bound_excess([passing, failing]) == 2.5
 
 
 def test_what_is_no_number_or_may_not_be_at_all_is_furthest():
-    assert beyond_bounds([Section("a", (Measured("x", math.nan, "", 1.0),))]) == math.inf
-    assert beyond_bounds([Section("a", (Measured("warnings", 1.0, "", 0.0),))]) == math.inf
+    assert bound_excess([Section("a", (Measurement("x", math.nan, "", 1.0),))]) == math.inf
+    assert bound_excess([Section("a", (Measurement("warnings", 1.0, "", 0.0),))]) == math.inf
 
 
 @pytest.mark.parametrize(
@@ -27,4 +27,4 @@ def test_what_is_no_number_or_may_not_be_at_all_is_furthest():
     ],
 )  # fmt: skip
 def test_a_value_says_what_share_of_its_bound_it_is(value, words):
-    assert Measured("path_angle_error", value, "rad", 1.0).beside_bound == words
+    assert Measurement("path_angle_error", value, "rad", 1.0).beside_bound == words

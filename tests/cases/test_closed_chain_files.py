@@ -13,7 +13,7 @@ from planner.cases.problem_file import load
 from planner.constraints import ChainForce, Constraint
 from planner.dynamics import constraint_forces, loops
 from planner.problem.goals import goals_of
-from planner.problem.guess import holding_controls
+from planner.problem.guess import quasi_static_controls
 
 FOLDER = ROOT / "examples" / "closed_chains"
 
@@ -46,8 +46,8 @@ def test_neither_arm_holds_the_bar_alone():
     m = Mechanism.from_mjcf((FOLDER / "two_arms.xml").read_text(encoding="utf-8"))
     goal = load(FOLDER / "two_arms.toml").problem.cost.x_ref[-1]
     most = m.actuators.control_range[:, 1]
-    assert np.all(np.abs(holding_controls(m, goal)) < 0.9 * most)
-    assert np.abs(holding_controls(replace(m, loops=()), goal)[0]) > 1.2 * most[0]
+    assert np.all(np.abs(quasi_static_controls(m, goal)) < 0.9 * most)
+    assert np.abs(quasi_static_controls(replace(m, loops=()), goal)[0]) > 1.2 * most[0]
 
 
 def four_bar(folder, **changed):

@@ -140,11 +140,11 @@ def test_a_gait_returns_to_its_accelerations():
     """What must come back is all but the belt, the accelerations among it; a pass answers to them as to the rest."""
     problem = human_step(phase="gait", jerk=1.0)
     assert problem.periodic is not None
-    assert np.flatnonzero(~problem.periodic.closes).tolist() == [0, 17]
+    assert np.flatnonzero(~problem.periodic.periodic_mask).tolist() == [0, 17]
     plan = planner.solve_periodic(problem, passes=3)
-    closed = problem.periodic.gap(plan.space, plan.xs)[-6:]
+    closed = problem.periodic.closure_error(plan.space, plan.xs)[-6:]
     first = planner.solve(problem)
-    assert np.abs(closed).max() < np.abs(problem.periodic.gap(first.space, first.xs)[-6:]).max()
+    assert np.abs(closed).max() < np.abs(problem.periodic.closure_error(first.space, first.xs)[-6:]).max()
 
 
 # force

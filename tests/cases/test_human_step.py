@@ -132,7 +132,7 @@ def test_contact_and_stops_have_the_same_law_for_everybody(walker):
     for stop in straight:
         assert stop.law.stiffness == pytest.approx(STOP.stiffness)
         assert stop.law.damping == pytest.approx(STOP.damping)
-        assert stop.end == pytest.approx(STOP.lift)  # begins where the knee is straight
+        assert stop.end == pytest.approx(STOP.surface_offset)  # begins where the knee is straight
 
 
 def test_passive_joints():

@@ -16,8 +16,8 @@ from planner.model.mjcf.text import edited, written
 from planner.proof.compare.model_parity import parity
 from planner.proof.replays.compiled_twin import CompiledTwin
 from planner.proof.replays.replaying import replay
-from planner.proof.robustness.perturbation import Perturbation, Sizes, draw
-from planner.proof.robustness.perturbed import Trials, perturbed
+from planner.proof.robustness.perturbation import Perturbation, SampleShape, draw
+from planner.proof.robustness.perturbed import MonteCarloSettings, perturbed
 
 NOTHING = dict.fromkeys(Perturbation().to_dict(), 0.0)
 
@@ -78,7 +78,7 @@ def test_three_cycles_with_a_heavier_and_a_stiffer_patient():
 
 def test_a_patient_is_drawn_as_a_whole():
     """One factor for all bodies, one for all springs; whatever else is drawn stays as it was."""
-    sizes = Sizes(nbody=5, nv=4, ndx=8, N=3, nu=2, njnt=4)
+    sizes = SampleShape(nbody=5, nv=4, ndx=8, N=3, nu=2, njnt=4)
     bare = draw(Perturbation(), 0, 7, sizes)
     both = draw(Perturbation(common_mass=0.1, common_stiffness=0.2), 0, 7, sizes)
     for name in vars(bare):
@@ -123,12 +123,12 @@ def test_monte_carlo_over_patients(swing):
     assert Perturbation.usual(swing.problem, common_mass=0.3).common_mass == 0.3
     text = swing.twin.mjcf.replace('timestep="0.0005"', 'timestep="0.001"')
     coarse = CompiledTwin(replace(swing.twin, mjcf=text))
-    found = perturbed(swing, coarse, Trials(8), threads=1)
+    found = perturbed(swing, coarse, MonteCarloSettings(8), threads=1)
     assert found.perturbation == usual
     assert np.isnan(found.tolerance)
     assert found.rates["feedback"].value == 1.0
     assert found.margin["feedback"] >= 0.1
-    stiff = perturbed(swing, coarse, Trials(8, perturbation=Perturbation(**NOTHING | {"stiffness": 0.99})), threads=1)
+    stiff = perturbed(swing, coarse, MonteCarloSettings(8, perturbation=Perturbation(**NOTHING | {"stiffness": 0.99})), threads=1)
     assert stiff.rates["open-loop"].value < 1.0
 
 

@@ -6,7 +6,7 @@ import pytest
 
 from planner.cases.human_step.cost import FASTER, SLOWER, USUAL, wishes
 from planner.cases.human_step.gait import NORMAL_GAIT
-from planner.cases.human_step.phase import Step
+from planner.cases.human_step.phase import GaitPhase
 from planner.cases.human_step.walker import Walker
 
 
@@ -25,7 +25,7 @@ def test_random_people_swing(person):
 
 
 def step(duration):
-    return Step(Walker(), NORMAL_GAIT, duration, 0.0, 240, duration / 240)
+    return GaitPhase(Walker(), NORMAL_GAIT, duration, 0.0, 240, duration / 240)
 
 
 @pytest.mark.parametrize(("duration", "powers"), [(2.0 * USUAL, SLOWER), (0.5 * USUAL, FASTER)])

@@ -16,7 +16,7 @@ from planner.cases.problem_file import load, of_table
 from planner.cases.problem_file.keys import ATTACH, DEFAULTS, FOLLOW, GOAL, KEYS, WEIGHTS
 from planner.dynamics.stiffness import substeps_for
 from planner.problem.discretisation import finer
-from planner.problem.guess import follow, holding_controls
+from planner.problem.guess import inverse_dynamics_controls, quasi_static_controls
 
 EXAMPLES = ROOT / "examples"
 
@@ -157,9 +157,9 @@ def test_hold_holds():
     """A pose that the actuators can hold does not move; what they cannot reach is left alone."""
     arm = planner.cases.two_link().dynamics
     x = np.array([0.7, -0.4, 0.0, 0.0])
-    np.testing.assert_allclose(arm.rates(x[None], holding_controls(arm.mechanism, x)[None]), 0.0, atol=1e-12)
+    np.testing.assert_allclose(arm.rates(x[None], quasi_static_controls(arm.mechanism, x)[None]), 0.0, atol=1e-12)
     crane = planner.Mechanism.from_mjcf(EXAMPLES / "crane.xml", contacts="off")
-    assert holding_controls(crane, np.array([0.0, 0.5, 0.0, 0.0])) == pytest.approx(0.0, abs=1e-12)
+    assert quasi_static_controls(crane, np.array([0.0, 0.5, 0.0, 0.0])) == pytest.approx(0.0, abs=1e-12)
 
 
 SERVOS = """
@@ -184,10 +184,10 @@ def test_hold_and_follow_know_servos():
     servos = planner.Mechanism.from_mjcf(text)
     dynamics = planner.RigidBodyDynamics(servos, 0.01)
     x = np.array([[0.3, -0.8, 0.0, 0.0]])
-    np.testing.assert_allclose(dynamics.rates(x, holding_controls(servos, x[0])[None]), 0.0, atol=1e-11)
+    np.testing.assert_allclose(dynamics.rates(x, quasi_static_controls(servos, x[0])[None]), 0.0, atol=1e-11)
     rng = np.random.default_rng(0)
     q, qd, qdd = rng.normal(size=(3, 20, 2))
-    us = follow(servos, q, qd, qdd)
+    us = inverse_dynamics_controls(servos, q, qd, qdd)
     np.testing.assert_allclose(dynamics.rates(np.hstack([q, qd]), us)[:, 2:], qdd, atol=1e-9)
 
 
@@ -195,13 +195,13 @@ def test_hold_leaves_integrators_and_fills_filters():
     actuators = '<intvelocity joint="a" kp="50"/><general joint="b" dyntype="filter" dynprm="0.1" gainprm="4"/>'
     servos = planner.Mechanism.from_mjcf(SERVOS.format(actuators=actuators))
     x = np.zeros(6)
-    u = holding_controls(servos, x)
+    u = quasi_static_controls(servos, x)
     assert u[0] == 0.0
     x[5] = u[1]  # once the filter has filled
     held = planner.dynamics.bias(servos, x[:2], x[2:4])[1]
     assert 4.0 * x[5] == pytest.approx(held)
     with pytest.raises(planner.PlannerError, match="fully actuated"):
-        follow(servos, *np.zeros((3, 5, 2)))
+        inverse_dynamics_controls(servos, *np.zeros((3, 5, 2)))
 
 
 def test_every_key_is_described_and_documented():

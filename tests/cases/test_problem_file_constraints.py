@@ -26,7 +26,7 @@ def test_a_cup_stays_upright():
     problem = load_problem(CUP)
     plan = planner.solve(problem)
     assert plan.success, plan.message
-    rows = problem.kept.rows
+    rows = problem.trajectory_constraints.rows
     (upright,) = rows.violations(plan.xs, plan.us)
     assert upright.constraint.name == "cup upright"
     assert upright.value <= 1e-4

@@ -10,7 +10,7 @@ from planner.cases.puma import torque_limits as limits_for
 from planner.model.mjcf.text import model_path
 from planner.paper.methods.payload import largest_payload, static_limit
 from planner.paper.studies import puma as puma_study
-from planner.problem.guess import follow, quintic
+from planner.problem.guess import inverse_dynamics_controls, quintic
 
 mujoco = load_mujoco()
 
@@ -133,7 +133,7 @@ def test_a_slow_straight_motion_reaches_the_static_limit():
     for payload, low, high in ((RATED, 0.98, 1.01), (1.05 * RATED, 1.01, 1.06)):
         mechanism = puma_mechanism(payload)
         ends = straight_lift(2)
-        torques = follow(mechanism, *quintic(ends[0], ends[1], 60.0, 600))
+        torques = inverse_dynamics_controls(mechanism, *quintic(ends[0], ends[1], 60.0, 600))
         assert low < np.max(np.abs(torques) / limits_for()) < high
 
 

@@ -11,7 +11,7 @@ from planner.base.errors import PlannerError
 from planner.cases import human_step
 from planner.cases.human_step.gait import NORMAL_GAIT
 from planner.cases.human_step.measures import measures
-from planner.cases.human_step.phase import Step
+from planner.cases.human_step.phase import GaitPhase
 from planner.cases.human_step.riener_edrich import CURVED, SIGNS, TERMS
 from planner.cases.human_step.walker import BRACES, PASSIVE, SIDES, Walker
 from planner.dynamics.contacts import generalized_forces
@@ -83,7 +83,7 @@ def test_the_swing_is_the_studys(swing):
     assert swing.status is planner.Status.CONVERGED
     assert swing.nit <= 11
     assert swing.cost == pytest.approx(20.0, abs=0.05)
-    found = measures(Step(WALKER, NORMAL_GAIT, 1.2, 0.62, 114, 0.004), swing.xs)
+    found = measures(GaitPhase(WALKER, NORMAL_GAIT, 1.2, 0.62, 114, 0.004), swing.xs)
     np.testing.assert_allclose(list(found.rms.values()), [5.6, 7.9, 2.9, 12.4, 19.4], atol=0.051)
     assert found.hip_lift["right"] == pytest.approx(0.068, abs=1e-3)
 

@@ -14,9 +14,9 @@ import planner
 from planner.base.gl import load_mujoco
 from planner.cases.problem_file import load
 from planner.problem.discretisation import finer
-from planner.problem.goals import Goal as Judged
-from planner.problem.goals import between, goals_of, staying
-from planner.problem.guess import rolled
+from planner.problem.goals import GoalCheck as Judged
+from planner.problem.goals import between, goals_of, static_error
+from planner.problem.guess import rollout_states
 from planner.problem.tasks.motion import controls
 from planner.problem.tasks.poses import poses_of
 from planner.problem.tasks.timetable import task_of
@@ -302,7 +302,7 @@ def test_a_guess_through_poses_stays_on_its_way_where_the_machine_is_unstable(tm
     up = "[[goal]]\njoints = { shoulder = 2.9, elbow = 0.0 }\ntime = 0.8\n"
     up += "[[goal]]\njoints = { shoulder = 2.8, elbow = 0.5 }\n"
     long = load(write(tmp_path, up, duration=6.0, start="[2.5, 0.5]")).problem
-    falls, stays = (rolled(long.dynamics, long.x0, us) for us in (line_of(long), long.first_guess))
+    falls, stays = (rollout_states(long.dynamics, long.x0, us) for us in (line_of(long), long.first_guess))
     assert np.abs(falls[-1, :2] - [2.8, 0.5]).max() > 0.5
     assert np.abs(stays[-1, :2] - [2.8, 0.5]).max() < 0.1
 
@@ -360,7 +360,7 @@ def test_states_between_are_on_lines_and_at_knots_the_knots():
 def test_a_goal_over_times_counts_its_largest_miss():
     goal = Judged("path", "m", 1.0, lambda xs: np.abs(xs[:, 0] - [1.0, 2.0]), (0.1, 0.2))
     assert goal.miss(np.array([0.0, 0.1, 0.2]), np.array([[0.0], [1.5], [2.1]])) == pytest.approx(0.5)
-    assert staying(goal, np.array([0.0])) == 2.0
+    assert static_error(goal, np.array([0.0])) == 2.0
 
 
 def test_orientations_are_given_by_quaternions_or_in_degrees():

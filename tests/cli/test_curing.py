@@ -36,7 +36,7 @@ def attempt(monkeypatch, order):
         )  # fmt: skip
         monkeypatch.setattr(curing, "written", lambda problem, cure: Namespace(parameters={"starts": 1}))
         monkeypatch.setattr(curing, "solved", lambda *_, end, why: (other, 0.0))
-        return curing.cured(asked, plan, None, end, Namespace(), Console(), judge), other
+        return curing.apply_fixes(asked, plan, None, end, Namespace(), Console(), judge), other
 
     return attempted
 

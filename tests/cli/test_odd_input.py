@@ -57,7 +57,7 @@ def test_long_and_unprintable_words_are_cut_and_escaped(words, capsys):
 
 
 def test_what_a_terminal_obeys_is_escaped_in_results(capsys):
-    Console().say("hip\x1b[2J\x9bé\ttwo\nlines")
+    Console().write_result("hip\x1b[2J\x9bé\ttwo\nlines")
     assert capsys.readouterr().out == "hip\\x1b[2J\\x9bé\ttwo\nlines\n"
 
 

@@ -7,10 +7,10 @@ import pytest
 from scipy.linalg import solve_discrete_are
 
 import planner
-from planner.control.doing import Doing
-from planner.control.holding import Holding, keeping
+from planner.control.doing import ControllerStatus
+from planner.control.holding import FallbackControl, equilibrium_control
 from planner.control.judging import judge
-from planner.control.window_parts import SETTLES, settling
+from planner.control.window_parts import SETTLING_TIME, holding_stage_weights
 
 N = 40  # of conftest.py
 
@@ -32,7 +32,7 @@ def test_undisturbed_it_follows_the_plan_to_its_end_and_stays(problem, controlle
     apart = np.abs(xs[:N] - controller.plan.xs[:N]).max()  # a window asks for what comes after the end, too
     assert apart < 0.05 * np.abs(controller.plan.xs).max()
     assert np.abs(xs[N:] - [np.pi / 2, 0, 0, 0]).max() < 0.05
-    assert (controller.failures, controller.plans, controller.status) == (0, 2 * N, Doing.PLANNING)
+    assert (controller.failures, controller.plans, controller.status) == (0, 2 * N, ControllerStatus.PLANNING)
 
 
 def test_after_a_jump_it_comes_back(controller):
@@ -84,17 +84,17 @@ def test_a_failed_solve_goes_on_with_the_last_plan_then_holds_and_recovers(probl
     c(0.0, x)
     expected = c.expected(dt)
     assert not c.make_plan(dt, nothing)
-    assert c.status is Doing.LAST_PLAN
+    assert c.status is ControllerStatus.LAST_PLAN
     np.testing.assert_allclose(c.control(dt, expected), c._us[1])
     for n in range(2, 5):
         c.make_plan(n * dt, nothing)
-    assert c.status is Doing.HOLDING
+    assert c.status is ControllerStatus.HOLDING
     assert c.failures == 4
     assert "not finite" in str(c.events[0])
     assert "gravity compensation" in str(c.events[1])
-    np.testing.assert_allclose(c.control(5 * dt, x), Holding(problem)(x, None))
+    np.testing.assert_allclose(c.control(5 * dt, x), FallbackControl(problem)(x, None))
     assert c.make_plan(6 * dt, x)
-    assert c.status is Doing.PLANNING
+    assert c.status is ControllerStatus.PLANNING
     assert "succeeded after 4" in str(c.events[-1])
 
 
@@ -105,12 +105,12 @@ def test_after_the_last_plans_end_it_holds(problem):
     for n in range(1, 5):
         c.make_plan(n * dt, np.full(4, np.nan))
         c.control(n * dt, problem.x0)
-    assert c.status is Doing.HOLDING
+    assert c.status is ControllerStatus.HOLDING
     assert "the plan has ended" in str(c.events[-1])
 
 
 def test_holding_stands_against_gravity_and_brakes(problem):
-    hold, x, dynamics = Holding(problem), np.array([0.3, -0.4, 0.0, 0.0]), problem.dynamics
+    hold, x, dynamics = FallbackControl(problem), np.array([0.3, -0.4, 0.0, 0.0]), problem.dynamics
     np.testing.assert_allclose(dynamics.rates(x[None], hold(x, None)[None])[0], 0.0, atol=1e-10)
     x[2:] = 1.0, -2.0
     slower = np.abs(x[2:])
@@ -121,9 +121,9 @@ def test_holding_stands_against_gravity_and_brakes(problem):
 
 def test_the_control_that_keeps_a_state(problem):
     x = np.array([0.3, -0.4, 0.0, 0.0])
-    u = keeping(problem, x, np.zeros(2))
+    u = equilibrium_control(problem, x, np.zeros(2))
     np.testing.assert_allclose(problem.dynamics.step(x[None], u[None])[0], x, atol=1e-9)
-    assert keeping(problem, np.array([0.0, 0.0, 1.0, 0.0]), np.zeros(2)) is None
+    assert equilibrium_control(problem, np.array([0.0, 0.0, 1.0, 0.0]), np.zeros(2)) is None
 
 
 def test_a_goal_that_moves_is_reached(problem):
@@ -199,7 +199,7 @@ def test_limits_that_no_plan_met_yet_are_kept_when_the_goal_moves(problem, itera
     fastest = 1.02 * np.abs(planner.solve(problem).xs[:, 2:]).max(axis=0)
     speeds = {name: (-most, most) for name, most in zip(("shoulder", "elbow"), fastest, strict=True)}
     c = planner.Controller(replace(problem, limits=planner.Limits(velocity=speeds)), iterations=iterations)
-    assert c.plan.hinges is None
+    assert c.plan.bound_penalties is None
     c.goal = [1.0, -7.0]
     xs = driven(c, 2 * N)
     assert np.abs(xs[-1] - [1.0, -7.0, 0, 0]).max() < 0.05
@@ -216,7 +216,7 @@ def test_constraints_that_no_plan_met_yet_are_kept_when_the_goal_moves(problem, 
     fastest = 1.02 * float(np.abs(planner.solve(problem).xs[:, 3]).max())
     kept = planner.Constraint(elbow_speed, least=-fastest, most=fastest, tolerance=1e-3)
     c = planner.Controller(replace(problem, constraints=[kept]), iterations=iterations)
-    assert c.plan.hinges is None
+    assert c.plan.bound_penalties is None
     c.goal = [1.0, -7.0]
     xs = driven(c, 2 * N)
     assert np.abs(xs[-1] - [1.0, -7.0, 0, 0]).max() < 0.05
@@ -259,12 +259,12 @@ def test_a_plan_that_a_push_throws_off_its_way_is_led_back_by_the_first_one():
 def test_speeds_are_weighed_so_that_the_machine_settles():
     Q = np.diag([200.0, 0.0, 200.0, 30.0])
     Q[0, 2] = Q[2, 0] = 100.0
-    found = settling(Q)
-    assert found[2, 2] == pytest.approx(200.0 * SETTLES**2)
+    found = holding_stage_weights(Q)
+    assert found[2, 2] == pytest.approx(200.0 * SETTLING_TIME**2)
     assert (found[0, 0], found[3, 3]) == (200.0, 30.0)  # a speed alone keeps its weight
     assert np.linalg.eigvalsh(found).min() >= 0.0
     A, B = np.array([[1.0, 0.01], [0.0, 1.0]]), np.array([[0.0], [0.01]])
-    for weights, slowest in ((np.diag([2.0, 2.0]), 1.0), (settling(np.diag([2.0, 2.0])), 1.0 / SETTLES)):
+    for weights, slowest in ((np.diag([2.0, 2.0]), 1.0), (holding_stage_weights(np.diag([2.0, 2.0])), 1.0 / SETTLING_TIME)):
         P = solve_discrete_are(A, B, weights, np.array([[1e-9]]))
         K = np.linalg.solve(1e-9 + B.T @ P @ B, B.T @ P @ A)
         rate = -np.log(np.abs(np.linalg.eigvals(A - B @ K)).max()) / 0.01

@@ -11,7 +11,7 @@ from places import ROOT
 
 import planner
 from planner.base.errors import PlannerError
-from planner.control.judging import judge, survives
+from planner.control.judging import judge, passes_disturbed
 from planner.control.surviving import margins
 from planner.model.mjcf.survey import compile_model
 from planner.proof.robustness.pushes import Push, pushed_step
@@ -95,7 +95,7 @@ def test_the_loop_stands_a_push_and_says_so_and_a_hopeless_one_fails(controller)
     assert judge(planner.simulate(controller, latency=0.004, pushes=[Push("forearm", 10.0, 1.0)])).passed
     hopeless = planner.simulate(controller, latency=0.004, pushes=[Push("forearm", 300.0, 2.5, 0.5)])
     assert not judge(hopeless).passed
-    assert not survives(hopeless)
+    assert not passes_disturbed(hopeless)
 
 
 def test_a_plan_with_its_gains_alone_holds_its_goal(controller):
@@ -147,7 +147,7 @@ def test_another_start(controller):
     own = planner.Controller(controller.problem)
     loop = planner.simulate(own, latency=0.0, start=[0.5, 0.5, 0.0, 0.0])
     np.testing.assert_allclose(loop.xs[0], [0.5, 0.5, 0.0, 0.0])
-    assert survives(loop)
+    assert passes_disturbed(loop)
 
 
 @pytest.mark.slow

@@ -11,7 +11,7 @@ import numpy as np
 import planner
 from planner import FrameCost, Limits, Mechanism, Plan, Problem, RigidBodyDynamics, TrackingCost
 from planner.dynamics.algorithms import mass_matrix
-from planner.problem.guess import holding_controls
+from planner.problem.guess import quasi_static_controls
 
 Rng = np.random.Generator
 MEMBERS: dict[str, Callable[[Rng], Plan]] = {}
@@ -62,7 +62,7 @@ def reach(
     )  # fmt: skip
     whole = cost if more is None else cost + more(dynamics)
     if guess is None and not prescribed and not m.na:  # what holds the start, as far as the motors can
-        guess = holding_controls(m, x0)
+        guess = quasi_static_controls(m, x0)
     us = None if guess is None else np.broadcast_to(guess, (N, dynamics.nu)).copy()
     return Problem(dynamics, whole, x0, us=us, horizon=N, limits=limits, tolerance=tolerance)
 
@@ -93,4 +93,4 @@ def placed(m: Mechanism, start: np.ndarray, final: float = 1e3, **target: Any) -
     dynamics = RigidBodyDynamics(m, 0.01)
     still = TrackingCost.joints(dynamics, m.home, 100, effort=0.001, final_velocity=10.0)
     there = FrameCost(dynamics, "hand", **target, **{f"final_{name}_weight": final for name in target})
-    return Problem(dynamics, still + there, start, us=np.tile(holding_controls(m, start), (100, 1)))
+    return Problem(dynamics, still + there, start, us=np.tile(quasi_static_controls(m, start), (100, 1)))

@@ -11,7 +11,7 @@ from trees import actuated, driven, machines, random_state, relative_error
 from planner.base.errors import PlannerError
 from planner.dynamics import RigidBodyDynamics, poe
 from planner.dynamics import algorithms as rigid_body
-from planner.dynamics.contact_places import BodyPlace, closest_points
+from planner.dynamics.contact_places import BodyContactKinematics, closest_points
 from planner.dynamics.contacts import body_contact_forces, generalized_force_derivatives, generalized_forces
 from planner.dynamics.momentum import angular_momentum, center_of_mass
 from planner.model.contact.between_bodies import BodyContact, Capsule
@@ -52,7 +52,7 @@ def test_blunt_points_are_little_farther_apart():
     """The bound of planner.model.contact.between_bodies: ramp^2 / 2|D|, at any angle, parallel ones among them."""
     rng, K = np.random.default_rng(1), 400
     contact = BodyContact(Capsule(0, np.zeros(3), [0.3, 0, 0], 0.05), Capsule(1, np.zeros(3), [0, 0.2, 0], 0.0), SOFT)
-    half, b = (contact.first.length, contact.second.length), contact.blunt
+    half, b = (contact.first.length, contact.second.length), contact.axis_regularization
     assert b == pytest.approx((SOFT.ramp / 0.5) ** 2)
     D, a1 = unit_rows(rng, K) * 0.1, unit_rows(rng, K)
     a2 = a1 + unit_rows(rng, K) * 10.0 ** rng.uniform(-9, 0, size=(K, 1))
@@ -76,7 +76,7 @@ def meeting(m, x, touch, rng, count=4):
             Capsule(int(link), rng.normal(size=3) * 0.3, rng.normal(size=3) * 0.2 * (long > k), 0.05 + 0.1 * k)
             for k, link in enumerate(links)
         )
-        above = BodyPlace(m, BodyContact(first, second, touch), x[None, : m.nq], np.zeros((1, m.nv))).e[0]
+        above = BodyContactKinematics(m, BodyContact(first, second, touch), x[None, : m.nq], np.zeros((1, m.nv))).e[0]
         radius = second.radius - above + rng.choice(law_states(touch, rng)[0])
         contacts.append(BodyContact(first, dataclasses.replace(second, radius=max(radius, 0.0)), touch))
     return dataclasses.replace(m, body_contacts=tuple(contacts))

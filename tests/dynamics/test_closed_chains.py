@@ -19,11 +19,11 @@ from planner.dynamics import (
     loops,
     poe,
 )
-from planner.dynamics.assembly import check_assembled, directions, lost_ranks
+from planner.dynamics.assembly import check_assembled, feasible_directions, relative_min_singular_value
 from planner.dynamics.friction import friction_forces
 from planner.model.coupled_states import closed_state
 from planner.model.couplings import Coupling
-from planner.model.loops import RATE
+from planner.model.loops import BAUMGARTE_RATE
 from planner.model.mechanism import SCREW, Mechanism
 from planner.model.mjcf.couplings import set_hard
 from planner.proof.compare.rigid_parity import rigid_parity
@@ -83,16 +83,16 @@ def test_what_is_to_be_zero_moves_as_its_jacobian_says(text, seed):
     """Places and cams by a complex step; Jdot qd by a complex step of J qd along qd."""
     rng = np.random.default_rng(seed)
     m = random_chain(text, rng)
-    if not (m.loops or m.cams):
+    if not (m.loops or m.polynomial_couplings):
         return
     q, qd = split(m, random_state(m.space, rng, unnormalised=False))
     h = 1e-30
     there = stepped(m, q, qd, 1j * h)
-    turning = np.concatenate([*(np.arange(loop.rows) >= 3 for loop in m.loops), np.zeros(len(m.cams), dtype=bool)])
+    turning = np.concatenate([*(np.arange(loop.rows) >= 3 for loop in m.loops), np.zeros(len(m.polynomial_couplings), dtype=bool)])
     moved, J = loops.misses(m, there).imag / h, loops.jacobian(m, q)
     np.testing.assert_allclose(moved[~turning], (J @ qd)[~turning], rtol=0.0, atol=1e-12 * (1.0 + np.abs(J @ qd).max()))
     drift = (loops.jacobian(m, there) @ qd).imag / h
-    np.testing.assert_allclose(loops.drifts(m, q, qd), drift, rtol=0.0, atol=1e-11 * (1.0 + np.abs(drift).max()))
+    np.testing.assert_allclose(loops.closure_bias(m, q, qd), drift, rtol=0.0, atol=1e-11 * (1.0 + np.abs(drift).max()))
 
 
 @machines(12, max_dofs=14)
@@ -173,7 +173,7 @@ def test_a_stage_ends_where_the_slow_twin_has_it(text, seed):
     if not well_closed(m, q, G):
         return
     end = RigidBodyDynamics(m, 1e-14).step(x[None], np.zeros((1, m.nu)))[0]
-    places, speeds = loops.stepped_back(m, q, qd)
+    places, speeds = loops.projected_state(m, q, qd)
     J = loops.jacobian(m, places) @ G
     if np.linalg.cond(J.T) > 1e3:
         return
@@ -194,7 +194,7 @@ def test_redundant_equations_change_nothing():
 def test_directions_are_those_that_keep_the_chain_closed():
     m = four_bar()
     q = assembled(m, np.array([0.4, 0.0, 0.0, 0.0, 0.0, 0.0]), given=(0,))[:3]
-    Z, leading = directions(m, q)
+    Z, leading = feasible_directions(m, q)
     assert leading.tolist() == [0]  # the one with a motor
     assert Z[0, 0] == pytest.approx(1.0, abs=1e-14)
     assert np.abs(loops.jacobian(m, q) @ Z).max() < 1e-12
@@ -223,7 +223,7 @@ def test_the_algorithms_of_trees_refuse_closed_chains():
 
 def test_a_stage_of_a_tenth_of_a_second_is_stable():
     """RK4 takes rates up to 2.7 / dt; the pull back onto the constraints has two of RATE."""
-    assert RATE * 0.1 < 2.7
+    assert BAUMGARTE_RATE * 0.1 < 2.7
 
 
 def everything(text, rng):
@@ -232,7 +232,7 @@ def everything(text, rng):
     m, screws = random_chain(rough, rng, loops=1), []
     for i in np.flatnonzero(m.kind == SCREW):
         links = m.joint_links[m.joint_names.index(m.joint_of(int(i)).split("'")[1])]
-        if links.stop - links.start == 1 and not any(i in cam.dofs for cam in m.cams):
+        if links.stop - links.start == 1 and not any(i in cam.dofs for cam in m.polynomial_couplings):
             screws.append(int(i))
     screws = rng.permutation(screws)
     prescribed = [m.joint_of(int(i)).split("'")[1] for i in screws[:1]] if len(screws) > 4 else []
@@ -269,8 +269,8 @@ def test_chains_beside_friction_couplings_and_prescribed_joints(text, seed):
     scale = np.abs(poe.mass_matrix(m, q)).sum(axis=1).max() * (np.abs(qdd).max() + 1.0) + np.abs(tau).max()
     left = poe.rnea(m, q, qd, qdd) - tau - friction_forces(m, qd, qdd)[0] - J.T @ f
     assert np.abs(Z.T @ left).max() <= 1e-9 * scale  # cond(J)^2 times rounding, and some tens of operations
-    lacks = J @ qdd + loops.drifts(m, q, qd) + 2.0 * RATE * (J @ qd) + RATE**2 * loops.misses(m, q)
-    assert np.abs(lacks).max() <= 1e-9 * (np.abs(J).sum(axis=1).max() * np.abs(qdd).max() + RATE**2)
+    lacks = J @ qdd + loops.closure_bias(m, q, qd) + 2.0 * BAUMGARTE_RATE * (J @ qd) + BAUMGARTE_RATE**2 * loops.misses(m, q)
+    assert np.abs(lacks).max() <= 1e-9 * (np.abs(J).sum(axis=1).max() * np.abs(qdd).max() + BAUMGARTE_RATE**2)
 
 
 @pytest.mark.parametrize("integrator", ["rk4", "semi-implicit-euler"])
@@ -309,7 +309,7 @@ def test_a_parallelogram_that_folds_flat_goes_through():
         x = dynamics.step(x[None], np.zeros((1, 1)))[0]
     assert x[0] > 2.0  # beyond it
     np.testing.assert_allclose(x[:3], x[0] * np.array([1.0, -1.0, 1.0]), atol=1e-6)
-    first, last = lost_ranks(m, np.array([0.5 * flat, flat]))
+    first, last = relative_min_singular_value(m, np.array([0.5 * flat, flat]))
     assert first > 0.1
     assert last < 1e-9
 

@@ -61,7 +61,7 @@ def test_the_smooth_law_and_its_slope_are_continuous():
 def test_deep_inside_the_force_is_that_of_a_spring_on_the_real_surface():
     """The lift makes up for both ramps: K (e - a/2) - f/2 at e = depth + lift is K depth."""
     depth = np.array([0.02, 0.03])
-    f = contact_force(SOFT, UP, depth + SOFT.lift, np.zeros((2, 3)))[0]
+    f = contact_force(SOFT, UP, depth + SOFT.surface_offset, np.zeros((2, 3)))[0]
     np.testing.assert_allclose(f[:, 2], SOFT.stiffness * depth, rtol=1e-12)
     assert Law(1e3, ramp=2e-3).force_ramp == pytest.approx(0.2 * 1e3 * 2e-3)
 
@@ -91,7 +91,7 @@ def touching(m, x, qd, touch, rng, count=5):
         law = Law(1000.0, 10.0, 0.03, 1.0)  # the step study's knee
         side = int(rng.choice([-1, 1]))
         beyond = rng.choice([-0.001, 0.001, 0.029, 0.031, 0.2])
-        stops.append(Stop(int(i), q[m.q_address[i]] - side * (beyond - law.lift), side, law))
+        stops.append(Stop(int(i), q[m.q_address[i]] - side * (beyond - law.surface_offset), side, law))
     return dataclasses.replace(m, contacts=tuple(contacts), stops=tuple(stops))
 
 

@@ -16,7 +16,7 @@ from planner.model.contact.laws import ContactLaw
 from planner.model.coupled_states import closed_state
 from planner.model.couplings import Coupling
 from planner.model.mechanism import SCREW
-from planner.problem.guess import follow, holding_controls, quintic
+from planner.problem.guess import inverse_dynamics_controls, quasi_static_controls, quintic
 from tests.trees import actuated, machines, random_state, relative_error, stepped
 
 
@@ -184,11 +184,11 @@ def test_what_holds_a_pose_and_follows_a_motion():
     m = Mechanism.from_mjcf(ARM)
     x = closed_state(m, np.array([0.4, -0.3, 0.01, 0, 0, 0, 0, 0.0]))
     dynamics = RigidBodyDynamics(m, 0.01)
-    rates = dynamics.rates(x[None], holding_controls(m, x)[None])
+    rates = dynamics.rates(x[None], quasi_static_controls(m, x)[None])
     assert np.abs(rates).max() < 1e-11
     goal = closed_state(m, np.array([0.1, 0.5, 0.02, 0, 0, 0, 0, 0.0]))
     N = 100
-    us = follow(m, *quintic(x[: m.nq], goal[: m.nq], 1.0, N))
+    us = inverse_dynamics_controls(m, *quintic(x[: m.nq], goal[: m.nq], 1.0, N))
     for u in us:
         x = dynamics.step(x[None], u[None])[0]
     assert np.abs(x - goal).max() < 1e-3  # of second order in dt
@@ -213,7 +213,7 @@ def test_the_ground_carries_what_the_couplings_leave():
     x = settled(m, m.home)
     np.testing.assert_array_equal(closed_state(m, x), x)
     assert contact_forces(m, x[: m.nq], np.zeros(m.nv)).forces[0, 2] == pytest.approx(2.0 * 9.81, rel=1e-6)
-    u = holding_controls(m, x)
+    u = quasi_static_controls(m, x)
     assert u == pytest.approx([9.81])
     assert np.abs(RigidBodyDynamics(m, 0.01).rates(x[None], u[None])).max() < 1e-6
 

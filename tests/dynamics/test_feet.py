@@ -12,8 +12,8 @@ from planner.dynamics.momentum import center_of_mass
 from planner.dynamics.statics import settled
 from planner.model.contact.laws import ContactLaw
 from planner.model.mechanism import Mechanism
-from planner.model.mjcf.ground_law import DAMPING, SINK
-from planner.problem.guess import holding_controls
+from planner.model.mjcf.ground_law import DAMPING, REST_PENETRATION
+from planner.problem.guess import quasi_static_controls
 
 others = pytest.mark.skipif(None in PLACES.values(), reason="no models of others")
 
@@ -72,7 +72,7 @@ def test_a_settled_pose_is_at_rest_and_hold_holds_it(height):
     assert forces.min() > 0.0
     assert forces.sum() == pytest.approx(MASS * G, rel=1e-8)
     assert forces @ at.points[:, 0] / forces.sum() == pytest.approx(center_of_mass(m, x[:4])[0], abs=1e-8)
-    u = holding_controls(m, x)
+    u = quasi_static_controls(m, x)
     rates = planner.RigidBodyDynamics(m, dt=1e-3).rates(x[None], u[None])
     np.testing.assert_allclose(rates, 0.0, atol=1e-6)
 
@@ -80,14 +80,14 @@ def test_a_settled_pose_is_at_rest_and_hold_holds_it(height):
 def test_hold_knows_the_ground_without_the_exact_depth():
     m = monoped()
     x = settled(m, np.array([0.0, 0.0, 0.0, 0.1]))
-    u = holding_controls(m, x)
+    u = quasi_static_controls(m, x)
     for moved in (-2e-3, 2e-3):
         y = x.copy()
         y[1] += moved
-        np.testing.assert_allclose(holding_controls(m, y), u, atol=1e-5)
+        np.testing.assert_allclose(quasi_static_controls(m, y), u, atol=1e-5)
     x[1] += 1.0  # in the air: as a machine without contacts
     free = Mechanism.from_mjcf(MONOPED, contacts="off")
-    np.testing.assert_allclose(holding_controls(m, x), holding_controls(free, x), atol=1e-9)
+    np.testing.assert_allclose(quasi_static_controls(m, x), quasi_static_controls(free, x), atol=1e-9)
 
 
 def test_jacobians_of_contacts_are_those_of_differences():
@@ -133,7 +133,7 @@ def written(tmp_path, contacts, more="settle = true"):
 @pytest.mark.parametrize(
     ("contacts", "law"),
     [
-        ('"ground"', ContactLaw.resting(MASS, sink=SINK, damping_ratio=DAMPING)),
+        ('"ground"', ContactLaw.resting(MASS, sink=REST_PENETRATION, damping_ratio=DAMPING)),
         ("{ sink = 0.01, friction = 0.7 }", ContactLaw.resting(MASS, sink=0.01, friction=0.7)),
         (
             "{ stiffness = 1e4, damping = 100, ramp = 1e-3, slip_damping = 200, friction = 0.5 }",
@@ -201,7 +201,7 @@ def test_models_of_others_stand_up_and_mujoco_repeats_it(name):
         position=free, velocity=1.0,
     )  # fmt: skip
     problem = planner.Problem(
-        dynamics, cost, start, us=np.tile(holding_controls(m, start), (N, 1)), twin=planner.Twin.of(m),
+        dynamics, cost, start, us=np.tile(quasi_static_controls(m, start), (N, 1)), twin=planner.Twin.of(m),
         limits=planner.Limits(control="model"),
         tolerance={"velocity": 0.3},  # its file has MuJoCo's own contact, on which it still rocks by 0.17 rad/s
     )  # fmt: skip

@@ -9,7 +9,7 @@ from planner import PlannerError, Problem, Status, TrackingCost
 from planner.cases.plan_file import load_plan
 from planner.model.space import StateSpace, exp_quaternion, product
 from planner.solvers import lq
-from planner.solvers.engine import NumpyEngine, borrow
+from planner.solvers.engine import NumpyEngine, acquire_engine
 
 INERTIA = np.diag([1.0, 2.0, 3.5])
 TURN = exp_quaternion(np.array([0.4, -1.1, 0.3]))
@@ -64,7 +64,7 @@ def rollout(problem, us, plan=None, x0=None):
 @every_way
 def test_a_body_is_turned_to_its_goal(update, line_search):
     problem = turn()
-    assert isinstance(borrow(problem), NumpyEngine)
+    assert isinstance(acquire_engine(problem), NumpyEngine)
     plan = planner.solve(problem, update=update, line_search=line_search)
     assert plan.status is Status.CONVERGED
     xs, _ = rollout(problem, plan.us)

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 import planner
-from planner.dynamics.footing import inertia_on_feet
+from planner.dynamics.footing import stance_inertia
 from planner.model.mechanism import Mechanism
-from planner.problem.default_weights import KEPT, SWIFT, default_weights
+from planner.problem.default_weights import STANCE_TOLERANCES, MAX_CORRECTION_RATE, default_weights
 from planner.problem.goals import LEAST
 
 BODY, FOOT, HEIGHT = 10.0, 0.5, 0.8  # kg, kg, m from the ankle to the centre of the body
@@ -30,7 +30,7 @@ def test_an_ankle_moves_what_stands_on_it():
     m, x = standing()
     ankle = m.joint("ankle").start
     about = BODY * HEIGHT**2 + 0.4 * BODY * SIZE**2
-    assert inertia_on_feet(m, x[: m.nq])[ankle] == pytest.approx(about, rel=1e-9)
+    assert stance_inertia(m, x[: m.nq])[ankle] == pytest.approx(about, rel=1e-9)
 
 
 def test_by_a_small_push():
@@ -41,16 +41,16 @@ def test_by_a_small_push():
     J = np.vstack([planner.dynamics.contacts.contact_jacobians(m, q, carry)]).reshape(-1, m.nv)
     M = planner.dynamics.mass_matrix(m, q)
     saddle = np.block([[M, J.T], [J, np.zeros((len(J), len(J)))]])
-    for i in np.flatnonzero(inertia_on_feet(m, q)):
+    for i in np.flatnonzero(stance_inertia(m, q)):
         push = np.concatenate([np.eye(m.nv)[i], np.zeros(len(J))])
         moved = np.linalg.lstsq(saddle, push, rcond=1e-10)[0][i]
-        assert inertia_on_feet(m, q)[i] == pytest.approx(1.0 / moved, rel=1e-6)
+        assert stance_inertia(m, q)[i] == pytest.approx(1.0 / moved, rel=1e-6)
 
 
 def test_in_the_air_nothing_is_carried():
     m, x = standing()
     x[1] += 0.5
-    np.testing.assert_array_equal(inertia_on_feet(m, x[: m.nq]), np.zeros(m.nv))
+    np.testing.assert_array_equal(stance_inertia(m, x[: m.nq]), np.zeros(m.nv))
 
 
 def test_an_ankle_may_push_as_what_it_carries_asks():
@@ -62,7 +62,7 @@ def test_an_ankle_may_push_as_what_it_carries_asks():
     goal[m.joint("tilt").start] -= 0.4
     goal[1] -= HEIGHT * (1.0 - np.cos(0.4))  # the foot stays flat on the ground
     weights = default_weights(dynamics, x, goal, 1.0)
-    carried = inertia_on_feet(m, goal[: m.nq])[m.joint("ankle").start] * SWIFT**2 * KEPT * LEAST["rad"]
-    alone = planner.dynamics.mass_matrix(m, goal[: m.nq])[-1, -1] * SWIFT**2 * KEPT * LEAST["rad"]
+    carried = stance_inertia(m, goal[: m.nq])[m.joint("ankle").start] * MAX_CORRECTION_RATE**2 * STANCE_TOLERANCES * LEAST["rad"]
+    alone = planner.dynamics.mass_matrix(m, goal[: m.nq])[-1, -1] * MAX_CORRECTION_RATE**2 * STANCE_TOLERANCES * LEAST["rad"]
     limit = 1.0 / np.sqrt(weights.weights["effort"][0])
     assert alone < limit <= carried * (1.0 + 1e-9)

@@ -9,7 +9,7 @@ from trees import driven, machines, relative_error
 
 from planner import Mechanism, RigidBodyDynamics
 from planner.base.errors import PlannerError
-from planner.dynamics.stiffness import AIM, Fastest, fastest, reason, substeps_for, substeps_of
+from planner.dynamics.stiffness import TARGET_RATE_STEP, FastestMode, fastest_mode, reason, substeps_for, substeps_of
 
 SLIDES = """
 <mujoco><worldbody>
@@ -29,7 +29,7 @@ def slides(damping=40, first="left", second="right"):
 
 def test_the_rate_of_a_damper_is_damping_over_mass():
     m = slides(damping=200)
-    found = fastest(m, m.home)
+    found = fastest_mode(m, m.home)
     assert found.rate == pytest.approx(400.0, rel=1e-9)
     assert found.joint == "right"
 
@@ -37,19 +37,19 @@ def test_the_rate_of_a_damper_is_damping_over_mass():
 def test_the_rate_of_a_servo_is_its_frequency():
     m = slides(damping=1)
     servo = Mechanism.from_mjcf(SLIDES.format(damping=1, first="a", second="b").replace('damping="40"', 'damping="1"'))
-    assert fastest(servo, m.home).rate == pytest.approx(np.sqrt(5000.0 / 2.0), rel=1e-9)  # |lambda| = sqrt(k / m)
-    assert fastest(servo, m.home).joint == "slow"
+    assert fastest_mode(servo, m.home).rate == pytest.approx(np.sqrt(5000.0 / 2.0), rel=1e-9)  # |lambda| = sqrt(k / m)
+    assert fastest_mode(servo, m.home).joint == "slow"
 
 
 def test_two_that_are_alike_are_one_of_them():
-    assert fastest(slides(), slides().home).joint in ("left", "right")
+    assert fastest_mode(slides(), slides().home).joint in ("left", "right")
 
 
 def test_a_rate_is_the_largest_at_any_of_the_states():
     m = Mechanism.from_mjcf(FAST)
     rng = np.random.default_rng(0)
     states = rng.normal(size=(5, 4))
-    assert fastest(m, states).rate == pytest.approx(max(fastest(m, x).rate for x in states), rel=1e-9)
+    assert fastest_mode(m, states).rate == pytest.approx(max(fastest_mode(m, x).rate for x in states), rel=1e-9)
 
 
 @machines(8, max_dofs=8)
@@ -63,15 +63,15 @@ def test_rates_are_eigenvalues_of_the_differences_of_the_rates(text, seed):
         columns.append((dynamics.rates(ahead[None], 0.0 * us) - dynamics.rates(back[None], 0.0 * us))[0] / 2e-5)
     rate = np.abs(np.linalg.eigvals(np.stack(columns, axis=1))).max()
     # a double eigenvalue moves by the root of the differences' error of 1e-9
-    assert relative_error(np.array([fastest(m, x).rate]), np.array([rate])) < 1e-3
+    assert relative_error(np.array([fastest_mode(m, x).rate]), np.array([rate])) < 1e-3
 
 
 def test_substeps_keep_the_fastest_motion_stable():
     m = Mechanism.from_mjcf(FAST)
-    rate = fastest(m, m.home).rate
+    rate = fastest_mode(m, m.home).rate
     for dt in (1e-4, 1e-3, 5e-3):
         substeps = substeps_for(m, dt, m.home)
-        assert (substeps - 1) * AIM < rate * dt <= substeps * AIM
+        assert (substeps - 1) * TARGET_RATE_STEP < rate * dt <= substeps * TARGET_RATE_STEP
         A, _ = RigidBodyDynamics(m, dt, substeps=substeps).linearize(np.stack([m.home, m.home]), np.zeros((1, 2)))
         assert np.abs(np.linalg.eigvals(A[0])).max() <= 1.0
 
@@ -86,12 +86,12 @@ def test_what_needs_more_has_the_joint_its_rate_and_the_stage():
 @pytest.mark.parametrize(("rate", "dt"), [(4000.0, 0.005), (3200.0, 0.01), (1e6, 2e-5), (32.0, 1.0), (31.9, 1.0)])
 def test_the_stage_of_the_sentence_is_enough(rate, dt):
     with pytest.raises(PlannerError, match=f"expected dt = {dt:g},"):
-        substeps_of(Fastest(rate, "x"), 1.01 * 32.0 / rate)
-    assert substeps_of(Fastest(rate, "x"), dt) <= 16
+        substeps_of(FastestMode(rate, "x"), 1.01 * 32.0 / rate)
+    assert substeps_of(FastestMode(rate, "x"), dt) <= 16
 
 
 def test_the_reason_is_a_sentence():
-    assert reason(Fastest(382.44, "wrist"), 4) == (
+    assert reason(FastestMode(382.44, "wrist"), 4) == (
         "4 substeps a stage, because wrist has the highest rate, 382.4 per s."
     )
-    assert reason(Fastest(3.0, "wrist"), 1) == "1 step a stage is enough: wrist has the highest rate, 3 per s."
+    assert reason(FastestMode(3.0, "wrist"), 1) == "1 step a stage is enough: wrist has the highest rate, 3 per s."

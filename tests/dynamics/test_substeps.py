@@ -13,7 +13,7 @@ from trees import CHAINS, actuated, driven, machines, relative_error
 import planner
 from planner import Mechanism, RigidBodyDynamics
 from planner.base.errors import PlannerError
-from planner.solvers.engine import borrow
+from planner.solvers.engine import acquire_engine
 from planner.solvers.engine.in_numpy import NumpyEngine
 
 
@@ -67,8 +67,8 @@ def reach(substeps, N=30, dt=0.01):
 
 def test_a_solve_with_substeps_is_the_numpy_engines():
     problem = reach(6)
-    engines = borrow(problem, 0), NumpyEngine(problem)
-    costs = [engine.start(problem.x0, problem.first_guess) for engine in engines]
+    engines = acquire_engine(problem, 0), NumpyEngine(problem)
+    costs = [engine.start_from_controls(problem.x0, problem.first_guess) for engine in engines]
     assert costs[0] == pytest.approx(costs[1], rel=1e-12)
     for _ in range(3):
         done = [engine.iterate(True, 0, 0.0, True, costs[k], 0.0, 0.0) for k, engine in enumerate(engines)]

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 import planner
-from planner.solvers.engine import borrow
-from planner.solvers.engine.followed import Followed
+from planner.solvers.engine import acquire_engine
+from planner.solvers.engine.followed import TrackedTrajectory
 
 FREE = """<mujoco><worldbody><body name="base"><freejoint/><inertial pos="0.1 0 0" mass="1" diaginertia="1 2 2.5"/>
 <body pos="0 0 0.2"><joint name="arm" axis="0 1 0"/><inertial pos="0 0 0.2" mass="0.5" diaginertia="0.1 0.1 0.02"/>
@@ -20,8 +20,8 @@ def engine():
     x0[3], x0[12] = 1.0, 0.5
     cost = planner.TrackingCost(np.eye(14) * np.ones((N + 1, 1, 1)), np.ones((N, 1, 1)), x0, 0.0, space=mechanism.space)
     problem = planner.Problem(planner.RigidBodyDynamics(mechanism, 0.02), cost, x0, 0.3 * np.ones((N, 1)))
-    engine = borrow(problem)
-    cost = engine.start(problem.x0, problem.first_guess)
+    engine = acquire_engine(problem)
+    cost = engine.start_from_controls(problem.x0, problem.first_guess)
     engine.iterate(True, 0, 0.0, True, cost, 0.0, -1.0)
     return engine
 
@@ -30,7 +30,7 @@ def engine():
 def test_moved_by_whole_stages(engine, stages):
     w, space = engine._w, engine._space
     rng = np.random.default_rng(stages)
-    plan = Followed(w, space)
+    plan = TrackedTrajectory(w, space)
     xs = space.integrate(w.xs, 0.3 * rng.standard_normal((N + 1, 14)))
     plan.take((xs, rng.standard_normal((N, 1)), rng.standard_normal((N, 1, 14))))
     x0 = space.integrate(xs[min(stages, N)], 0.2 * rng.standard_normal(14))

@@ -15,7 +15,7 @@ from planner.dynamics.protocol import INTEGRATORS
 from planner.kernels.lq import search
 from planner.problem.costs.residuals.cost import ResidualCost
 from planner.problem.discretisation import finer
-from planner.solvers.engine import CompiledEngine, NumpyEngine, borrow, compiled_costs
+from planner.solvers.engine import CompiledEngine, NumpyEngine, acquire_engine, compiled_costs
 
 
 def some_point(rng, m, N):
@@ -149,7 +149,7 @@ def arm(dynamics, bound=-1.3, **more):
 @pytest.mark.parametrize("line_search", ["armijo", "wolfe", "exact"])
 def test_whole_solves(dynamics, line_search):
     task = arm(dynamics)
-    assert isinstance(borrow(task), CompiledEngine)
+    assert isinstance(acquire_engine(task), CompiledEngine)
     plan = planner.solve(task, line_search=line_search)
     assert plan.status is Status.CONVERGED
     assert_consistent(task, plan)
@@ -176,7 +176,7 @@ def test_ranges_and_bounds_hold_beside_penalties(dynamics):
     assert np.abs(free.xs[:, 3]).max() > 4.1
     assert np.abs(free.us[:, 1]).max() > 7.1
     task = arm(dynamics, limits=limits)
-    assert isinstance(borrow(task), CompiledEngine)
+    assert isinstance(acquire_engine(task), CompiledEngine)
     plan = planner.solve(task)
     assert plan.success
     assert np.abs(plan.xs[:, 3]).max() < 4.0 + 1e-3
@@ -204,7 +204,7 @@ def test_a_leg_on_the_floor():
     gaps = PenaltyCost(dynamics, 40, [Gap("foot", least=up, tolerance=2e-3, weight=10.0),
                                       Gap("foot", most=down, tolerance=2e-3, weight=10.0)])  # fmt: skip
     task = Problem(dynamics, hold + gaps, x0)
-    assert isinstance(borrow(task), CompiledEngine)
+    assert isinstance(acquire_engine(task), CompiledEngine)
     plan, twin = planner.solve(task), planner.solve(numpy_twin(task))
     assert plan.success
     assert plan.cost == pytest.approx(twin.cost, rel=1e-6)
@@ -230,7 +230,7 @@ def test_the_same_problem_at_half_the_stage(dynamics):
     moving = np.linspace(-1.3, -1.2, N + 1)
     task = arm(dynamics, moving)
     fine = finer(task)
-    assert isinstance(borrow(fine), CompiledEngine)
+    assert isinstance(acquire_engine(fine), CompiledEngine)
     plan, better = planner.solve(task), planner.solve(fine)
     assert better.status is Status.CONVERGED
     assert better.cost == pytest.approx(plan.cost, rel=0.02)
@@ -250,7 +250,7 @@ def test_penalties_unknown_to_the_kernels_go_to_numpy(dynamics):
     other = PenaltyCost(Mechanism.from_mjcf(ARM), N, [Height(Point("tip"), least=-1.3, tolerance=0.01)], dt=0.025)
     for cost in (tracking + other, tracking + low + tracking):
         assert compiled_costs(Problem(dynamics, cost, task.x0, horizon=N)) is None
-    assert isinstance(borrow(Problem(dynamics, tracking + other, task.x0)), NumpyEngine)
+    assert isinstance(acquire_engine(Problem(dynamics, tracking + other, task.x0)), NumpyEngine)
     hopper = planner.cases.hopper(height=1.0)
     assert compiled_costs(hopper) == (hopper.cost, None)
 

@@ -19,7 +19,7 @@ from planner.kernels.lq import search
 from planner.model.space import log_jacobian
 from planner.problem.costs.residuals.cost import ResidualCost
 from planner.problem.discretisation import finer
-from planner.solvers.engine import AddedEngine, CompiledEngine, NumpyEngine, borrow, compiled_costs
+from planner.solvers.engine import HybridEngine, CompiledEngine, NumpyEngine, acquire_engine, compiled_costs
 
 BALL = """
 <mujoco>
@@ -151,7 +151,7 @@ def reach(dynamics, **more):
 
 def test_whole_solves_agree_with_the_twins(arm):
     task = reach(arm)
-    assert isinstance(borrow(task), CompiledEngine)
+    assert isinstance(acquire_engine(task), CompiledEngine)
     plan, twin = planner.solve(task), planner.solve(numpy_twin(task))
     assert plan.status is Status.CONVERGED
     assert_consistent(task, plan)
@@ -183,7 +183,7 @@ def test_costs_without_tracking_are_compiled(arm):
     ours, twin = engines(task)
     costs = [engine.start(task.x0, task.first_guess) for engine in (ours, twin)]
     assert costs[0] == pytest.approx(costs[1], rel=1e-12)
-    assert isinstance(borrow(task), CompiledEngine)
+    assert isinstance(acquire_engine(task), CompiledEngine)
     a, b = (engine.sweep(1e-3, True) for engine in (ours, twin))
     assert a.gradient_norm == pytest.approx(b.gradient_norm, rel=1e-9)
     assert planner.solve(task, max_iterations=20).cost < costs[0]
@@ -198,7 +198,7 @@ def test_a_users_own_term_is_added_in_numpy(arm):
             return held(arm).quadratize(0.0 * xs, 0.0 * us)._replace(Q=np.zeros((N + 1, 4, 4)), R=np.zeros((N, 2, 2)))
 
     task = Problem(arm, reach(arm).cost + Own(), np.zeros(4), horizon=N)
-    assert isinstance(borrow(task), AddedEngine)
+    assert isinstance(acquire_engine(task), HybridEngine)
     assert planner.solve(task).cost == pytest.approx(planner.solve(reach(arm)).cost, rel=1e-8)
 
 
@@ -253,7 +253,7 @@ def test_bounds_of_controls_hold_beside_residuals(arm):
 
 def test_the_same_problem_at_half_the_stage(arm):
     fine = finer(reach(arm))
-    assert isinstance(borrow(fine), CompiledEngine)
+    assert isinstance(acquire_engine(fine), CompiledEngine)
     assert planner.solve(fine).cost == pytest.approx(planner.solve(reach(arm)).cost, rel=0.02)
 
 

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from scipy.optimize import minimize_scalar
 
 from planner.kernels.lq import search
-from planner.kernels.lq.search import ARMIJO, CLOSING, EXACT, GOLDSTEIN, WOLFE
+from planner.kernels.lq.search import ARMIJO, DEFECT_STEP, EXACT, GOLDSTEIN, WOLFE
 from planner.kernels.numba.lanes import WIDTH
 
 RULES = {"armijo": ARMIJO, "exact": EXACT, "wolfe": WOLFE, "goldstein": GOLDSTEIN}
@@ -20,7 +20,7 @@ def find(rule, f, df, lanes=WIDTH):
     The loop is that of the engines, which may try some lanes first and the others only where they must.
     """
     alpha, bracket = np.empty(WIDTH), np.empty(3)
-    search.ladder(rule, alpha, bracket)
+    search.first_step_lengths(rule, alpha, bracket)
     asked = []
     for _ in range(search.batches(rule)):
         J, S = np.full(WIDTH, np.nan), np.full(WIDTH, np.nan)
@@ -148,7 +148,7 @@ def promised(df, a):
 def power_of_a_half(f, df):
     """What Armijo takes, word for word: the step, and how many are looked at."""
     i = next(i for i in range(48) if f(0.5**i) <= f(0.0) + 1e-4 * 0.5**i * df(0.0))
-    if f(0.0) - f(0.5**i) >= search.FAR_LESS * promised(df, 0.5**i):
+    if f(0.0) - f(0.5**i) >= search.SMALL_REDUCTION * promised(df, 0.5**i):
         return 0.5**i, i + 1
     while (i + 1) % WIDTH and f(0.5 ** (i + 1)) < f(0.5**i):  # up to the last of a batch
         i += 1
@@ -160,7 +160,7 @@ def test_armijo_asks_for_a_share_of_the_promise(beyond, enough):
     """A quadratic whose minimum lies at (1 + e) / 2: step 1 gains 4e of its height h, and c1 = 1e-4 asks for 4e-4 h."""
     f, df = quadratic(0.5 * (1.0 + beyond), 3.0)
     assert (f(1.0) < f(0.0)) is (beyond > 0.0)
-    a, _ = find(CLOSING, f, df)  # of Armijo's rule the one that never looks further
+    a, _ = find(DEFECT_STEP, f, df)  # of Armijo's rule the one that never looks further
     assert a == (1.0 if enough else 0.5)
 
 
@@ -194,7 +194,7 @@ def test_bad_lanes_do_not_hide_good_ones(rule, where, bad):
     """Candidates of the first batch that run away leave the choice to the others, in the order of preference."""
     f, df = quadratic(0.3, 2.0)
     alpha, bracket = np.empty(WIDTH), np.empty(3)
-    search.ladder(rule, alpha, bracket)
+    search.first_step_lengths(rule, alpha, bracket)
     J, S = np.array([f(a) for a in alpha]), np.array([df(a) for a in alpha])
     J[list(where)] = bad
     taken = search.choose(rule, alpha, J, S, f(0.0), df(0.0), bracket)
@@ -212,7 +212,7 @@ def test_bad_lanes_do_not_hide_good_ones(rule, where, bad):
         return True
 
     expected = next((i for i in range(WIDTH) if passes(i)), -1)
-    if rule == ARMIJO and expected >= 0 and f(0.0) - J[expected] < search.FAR_LESS * promised(df, alpha[expected]):
+    if rule == ARMIJO and expected >= 0 and f(0.0) - J[expected] < search.SMALL_REDUCTION * promised(df, alpha[expected]):
         while expected + 1 < WIDTH and J[expected + 1] < J[expected]:
             expected += 1
     assert taken == expected

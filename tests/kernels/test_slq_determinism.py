@@ -18,7 +18,7 @@ from solves import (
 
 import planner
 from planner.kernels.lq.workspace import ACCEPTED
-from planner.solvers.engine import borrow
+from planner.solvers.engine import acquire_engine
 from planner.solvers.slq import LINE_SEARCHES, UPDATES
 
 FRESH = """
@@ -84,8 +84,8 @@ def test_compiled_iterations_allocate_nothing(statistics, update, line_search):
     """Whatever N and however many batches; arrays that enter get no handles, as kernels count no references."""
     for N in (10, 300):
         problem = planner.cases.hopper(horizon=N)
-        engine, rule = borrow(problem), LINE_SEARCHES.index(line_search)
-        cost = engine.start(problem.x0, problem.first_guess)
+        engine, rule = acquire_engine(problem), LINE_SEARCHES.index(line_search)
+        cost = engine.start_from_controls(problem.x0, problem.first_guess)
         for _ in range(4):
             before = statistics()
             done = engine.iterate(update == "feedback", rule, 0.0, True, cost, 0.0, 0.0)

@@ -6,11 +6,11 @@ from gantries import gantry
 from scipy.spatial.transform import Rotation
 
 from planner import Mechanism, Problem, RigidBodyDynamics, TrackingCost
-from planner.dynamics.clearances import Clearances, lowest
-from planner.model.contact.solids import Solid
+from planner.dynamics.clearances import SignedDistances, distance_lower_bound
+from planner.model.contact.solids import CollisionShape
 from planner.problem.costs.penalty import PenaltyCost
 from planner.problem.costs.penalty_terms import Clearance
-from planner.solvers.engine import borrow
+from planner.solvers.engine import acquire_engine
 
 ARM = """<mujoco><worldbody><body name="a"><joint name="a" axis="0 0 1"/><geom size=".1" mass="1"/>
   <body name="b" pos=".3 0 0"><joint name="b" axis="0 1 0"/><geom size=".1" mass="1"/>
@@ -24,7 +24,7 @@ def solid(link, seed, half=(0.0, 0.0, 0.0), radius=0.0, plane=False):
     T = np.eye(4)
     T[:3, :3] = Rotation.random(random_state=seed).as_matrix()
     T[:3, 3] = 0.1 * np.random.default_rng(seed).normal(size=3)
-    return Solid(f"solid {seed}", 0, link, T, np.array(half), radius, plane)
+    return CollisionShape(f"solid {seed}", 0, link, T, np.array(half), radius, plane)
 
 
 LINE, BALL, BOX, PLANE = (
@@ -60,7 +60,7 @@ def states(machine, rng):
 
 def test_derivatives_are_differences_of_the_distances(machine):
     xs, h, space = states(machine, np.random.default_rng(0)), 1e-6, machine.space
-    clearances = Clearances(machine, list(PAIRS.values()))
+    clearances = SignedDistances(machine, list(PAIRS.values()))
     values, rows = clearances.derivatives(xs[:, : machine.nq])
     assert (values < -0.1).any(axis=0)[-3:-1].all()  # some lie deep in each other
     for i in range(machine.nv):
@@ -77,8 +77,8 @@ def test_terms_are_the_same_compiled_and_in_numpy(machine):
         term = Clearance(a=a, b=b, lift=0.003, least=0.3 * np.arange(N + 1) % 1.0, tolerance=0.1)
         penalty = PenaltyCost(dynamics, N, [term])
         problem = Problem(dynamics, tracking + penalty, machine.home)
-        engine = borrow(problem)
-        cost = engine.start(problem.x0, us)
+        engine = acquire_engine(problem)
+        cost = engine.start_from_controls(problem.x0, us)
         w = engine._w
         assert cost == pytest.approx(problem.cost.value(w.xs, us), rel=1e-12), name
         w.xs[:], w.l[:] = xs, 0.0
@@ -100,10 +100,10 @@ def test_distances_do_not_change_faster_than_pairs_move():
         np.random.default_rng(0),
     )
     tool = solid(1, 3, half=(0.05, 0.02, 0.1))
-    clearances = Clearances(machine, [(tool, solid(-1, 4, **PLANE)), (tool, solid(-1, 5, **BOX))])
+    clearances = SignedDistances(machine, [(tool, solid(-1, 4, **PLANE)), (tool, solid(-1, 5, **BOX))])
     q = np.cumsum(0.05 * rng.normal(size=(40, 2)), axis=0)
     moved = clearances.moved(q[:-1], np.diff(q, axis=0))
     fine = np.array([clearances.values(q[:-1] + s * np.diff(q, axis=0)) for s in np.linspace(0.0, 1.0, 21)]).min(axis=0)
-    bound = lowest(clearances.values(q), moved)
+    bound = distance_lower_bound(clearances.values(q), moved)
     assert np.all(bound <= fine + 1e-12)
     assert np.mean(fine - bound) < 0.5 * np.mean(moved)

@@ -21,7 +21,7 @@ from planner.kernels.lq import search
 from planner.kernels.lq.workspace import ACCEPTED, CONVERGED, INDEFINITE
 from planner.model.mechanism import Mechanism
 from planner.solvers import lq
-from planner.solvers.engine import CompiledEngine, NumpyEngine, _idle, borrow, give_back
+from planner.solvers.engine import CompiledEngine, NumpyEngine, _idle, acquire_engine, release_engine
 
 each_integrator = pytest.mark.parametrize("integrator", INTEGRATORS)
 each_update = pytest.mark.parametrize("update", ["feedback", "open-loop"])
@@ -87,7 +87,7 @@ def test_a_second_sweep_over_the_same_jacobians(text, seed, integrator):
 @pytest.mark.parametrize("name", CHAINS)
 def test_whole_solves(name, update, line_search):
     task = example(name)
-    assert isinstance(borrow(task), CompiledEngine)
+    assert isinstance(acquire_engine(task), CompiledEngine)
     plan = planner.solve(task, update=update, line_search=line_search)
     assert plan.status is Status.CONVERGED
     assert_consistent(task, plan)
@@ -185,8 +185,8 @@ def test_several_starts_give_the_same_bits():
 def test_many_solves_take_no_more_memory_than_one():
     task = example("body in space")
     planner.solve(task)
-    engine = borrow(task)
-    give_back(task, engine)
+    engine = acquire_engine(task)
+    release_engine(task, engine)
     gc.collect()
     tracemalloc.start()
     before = tracemalloc.get_traced_memory()[0]
@@ -217,8 +217,8 @@ def test_iterations_allocate_nothing():
     try:
         for N in (12, 120):
             task = example("body in space", "rk4", N)
-            engine = borrow(task)
-            cost = engine.start(task.x0, task.first_guess)
+            engine = acquire_engine(task)
+            cost = engine.start_from_controls(task.x0, task.first_guess)
             for rule, feedback in ((search.ARMIJO, True), (search.EXACT, False)):
                 before = rtsys.get_allocation_stats()
                 outcome = engine.iterate(feedback, rule, 0.0, True, cost, 0.0, 0.0)
@@ -252,12 +252,12 @@ def test_a_candidate_that_runs_away_is_not_taken():
 
 def test_sweeps_say_when_nothing_is_definite():
     task = example("arm")
-    engine = borrow(task)
-    engine.start(task.x0, task.first_guess)
+    engine = acquire_engine(task)
+    engine.start_from_controls(task.x0, task.first_guess)
     assert engine.sweep(0.0, True).kind == CONVERGED
     assert engine.sweep(-1e6, False).kind == INDEFINITE
 
 
 def test_a_cost_of_ones_own_takes_the_numpy_engine():
     task = example("arm")
-    assert isinstance(borrow(Problem(task.dynamics, Plain(task.cost), task.x0, horizon=task.N)), NumpyEngine)
+    assert isinstance(acquire_engine(Problem(task.dynamics, Plain(task.cost), task.x0, horizon=task.N)), NumpyEngine)

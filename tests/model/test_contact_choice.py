@@ -7,7 +7,7 @@ from legs import leg
 from planner.base.errors import ModelError
 from planner.model.contact.laws import ContactLaw
 from planner.model.mechanism import Mechanism
-from planner.model.mjcf.ground_law import DAMPING, SINK
+from planner.model.mjcf.ground_law import DAMPING, REST_PENETRATION
 
 FLOOR = '<geom name="floor" type="plane" size="0 0 1"/>'
 ARM = """<body name="arm"><joint name="hinge" axis="0 0 1"/>
@@ -60,7 +60,7 @@ def test_the_choice(text, mode):
 
 def test_a_ground_is_for_the_mass_that_stands_on_it():
     _, m = chosen(walker())
-    law = ContactLaw.resting(8.0, sink=SINK, damping_ratio=DAMPING)
+    law = ContactLaw.resting(8.0, sink=REST_PENETRATION, damping_ratio=DAMPING)
     assert len(m.contacts) == 4  # the ends of two legs
     assert m.body_contacts == ()  # the legs must not touch each other
     for contact in m.contacts:
@@ -84,7 +84,7 @@ def test_an_object_lies_on_what_is_under_it():
     table = '<geom name="table" type="box" size=".5 .5 .1" pos="0 2 .3"/>'
     _, m = chosen(model(FLOOR, table, ARM, CUBE.format(z=0.45)))
     assert sorted({round(c.plane.offset, 9) for c in m.contacts}) == [0.0, 0.4]
-    assert {round(c.law.stiffness, 6) for c in m.contacts} == {round(ContactLaw.resting(0.2, sink=SINK).stiffness, 6)}
+    assert {round(c.law.stiffness, 6) for c in m.contacts} == {round(ContactLaw.resting(0.2, sink=REST_PENETRATION).stiffness, 6)}
     beside, m = chosen(model(table, ARM, CUBE.format(z=0.2)))  # the table's top is above it: no ground
     assert beside == "avoid"
     assert "body 'cube' stays at the start, since nothing drives it" in m.contacts_choice

@@ -5,7 +5,7 @@ import pytest
 
 from planner import Limits, Mechanism, PlannerError, Problem, RigidBodyDynamics, costs
 from planner.model.coupled_ranges import contradiction, narrowed
-from planner.model.mjcf.opened import opened
+from planner.model.mjcf.opened import open_model_file
 from planner.problem.description import describe
 
 TWO = """
@@ -39,5 +39,5 @@ def test_a_file_without_a_pose_is_refused_with_the_range_that_would_do():
 
 
 def test_joints_that_are_held_at_one_place_are_told():
-    known = describe(opened(two("0 1", "0 1", 0.0, -1.0)))
+    known = describe(open_model_file(two("0 1", "0 1", 0.0, -1.0)))
     assert any("hold joint 'a', joint 'b' at one place" in one.problem for one in known.troubles)

@@ -5,11 +5,11 @@ import pytest
 
 from planner import Mechanism
 from planner.dynamics.statics import settled
-from planner.dynamics.stiffness import fastest
+from planner.dynamics.stiffness import fastest_mode
 from planner.model.contact.laws import ContactLaw
-from planner.model.mjcf.ground_law import DAMPING, FASTEST, LOAD, SINK
-from planner.model.mjcf.sinking import depth_at_rest
-from planner.model.mjcf.survey import Survey, compile_model
+from planner.model.mjcf.ground_law import DAMPING, FASTEST, LOAD, REST_PENETRATION
+from planner.model.mjcf.sinking import rest_penetration
+from planner.model.mjcf.survey import ModelIndex, compile_model
 
 # A trunk of 20 kg on a foot of `foot` kg, a plate on an ankle that a motor holds.
 HOPPER = """<mujoco><worldbody><geom name="floor" type="plane" size="0 0 1"/>
@@ -27,7 +27,7 @@ def laws(foot, contact=""):
 
 def test_a_foot_that_is_not_light_has_the_damping_of_the_whole_machine():
     _, law = laws(40.0)
-    whole = ContactLaw.resting(60.0, sink=SINK, damping_ratio=DAMPING)
+    whole = ContactLaw.resting(60.0, sink=REST_PENETRATION, damping_ratio=DAMPING)
     assert law.stiffness == pytest.approx(whole.stiffness, rel=1e-9)
     assert law.slip_damping == pytest.approx(whole.slip_damping, rel=1e-9)
 
@@ -35,10 +35,10 @@ def test_a_foot_that_is_not_light_has_the_damping_of_the_whole_machine():
 @pytest.mark.parametrize("foot", [0.5, 0.05])
 def test_light_feet_come_to_rest_no_faster_than_a_plan_follows(foot):
     m, law = laws(foot)
-    whole = ContactLaw.resting(20.0 + foot, sink=SINK, damping_ratio=DAMPING)
+    whole = ContactLaw.resting(20.0 + foot, sink=REST_PENETRATION, damping_ratio=DAMPING)
     assert law.damping < 0.5 * whole.damping
     # The whole box lies flat, so its lowest four corners are those of the law; damping and friction add up.
-    assert fastest(m, settled(m, m.home)).rate < 2.0 * FASTEST
+    assert fastest_mode(m, settled(m, m.home)).rate < 2.0 * FASTEST
 
 
 def test_rubber_feet_sink_in_as_they_do_in_the_file():
@@ -46,7 +46,7 @@ def test_rubber_feet_sink_in_as_they_do_in_the_file():
     m, law = laws(2.0, rubber)
     model = compile_model(HOPPER.format(foot=2.0, contact=rubber))
     weight = 22.0 * 9.81
-    depth, _ = depth_at_rest(model, Survey(model).pairs[-1], LOAD * weight)
-    assert depth > LOAD * SINK
+    depth, _ = rest_penetration(model, ModelIndex(model).pairs[-1], LOAD * weight)
+    assert depth > LOAD * REST_PENETRATION
     assert law.stiffness == pytest.approx(LOAD * weight / depth, rel=1e-6)
     assert np.all([contact.law == law for contact in m.contacts if "box" in contact.name or contact is m.contacts[-1]])

@@ -6,9 +6,9 @@ import pytest
 import planner
 from planner.base.errors import PlannerError
 from planner.cases.problem_file.build import load
-from planner.model.lying import lying_bodies, lying_dofs
+from planner.model.lying import stationary_object_bodies, stationary_object_dofs
 from planner.model.mechanism import Mechanism
-from planner.problem.constraints.apart import apart_of
+from planner.problem.constraints.apart import pair_clearance_of
 
 TABLE = '<geom name="table" type="cylinder" size=".3 .1" pos="0 .5 .1"/>'  # its top is no ground that is planned
 CUBE = (
@@ -37,16 +37,16 @@ def test_an_object_on_a_thing_without_a_law_floats_in_the_plan():
     m = Mechanism.from_mjcf(text())
     assert m.contacts_mode == "avoid"
     assert "body 'cube' stays at the start" in m.contacts_choice
-    np.testing.assert_array_equal(lying_dofs(m), [True] * 6 + [False])
-    np.testing.assert_array_equal(lying_bodies(m), [False, True, False])
+    np.testing.assert_array_equal(stationary_object_dofs(m), [True] * 6 + [False])
+    np.testing.assert_array_equal(stationary_object_bodies(m), [False, True, False])
     dynamics = planner.RigidBodyDynamics(m, dt=0.01)
     np.testing.assert_array_equal(dynamics.step(m.home[None], np.zeros((1, 1)))[0], m.home)  # nothing moves at all
 
 
 def test_what_is_driven_or_meets_nothing_does_not_lie():
     driven = '<motor joint="arm"/><motor joint="cube" gear="0 0 1 0 0 0"/>'
-    assert not lying_dofs(Mechanism.from_mjcf(text(actuator=driven))).any()
-    assert not lying_dofs(Mechanism.from_mjcf(text(table=""))).any()
+    assert not stationary_object_dofs(Mechanism.from_mjcf(text(actuator=driven))).any()
+    assert not stationary_object_dofs(Mechanism.from_mjcf(text(table=""))).any()
 
 
 def test_an_arm_beside_an_object_is_planned_along_a_line_and_passes(tmp_path):
@@ -68,7 +68,7 @@ def test_a_touch_of_the_object_fails(tmp_path):
 
 def test_an_object_is_kept_clear_of_but_its_table_is_not(tmp_path):
     with_avoid = reach(tmp_path, more="[avoid]\n").problem
-    names = [pair.names for pair in apart_of(with_avoid.constraints).pairs]
+    names = [pair.names for pair in pair_clearance_of(with_avoid.constraints).pairs]
     assert any("cube" in name and "arm" in name for name in names)
     assert not any("cube" in name and "table" in name for name in names)
 

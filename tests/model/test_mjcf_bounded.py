@@ -112,11 +112,11 @@ def test_a_child_that_knows_a_file_compiles_the_next_text_to_the_same_bits():
     import numpy as np
 
     text, files = meshes(1, 7)
-    bounded.compiled(text, files, "the model")
+    bounded.compile_in_subprocess(text, files, "the model")
     child = bounded._kept[0]
     text, more = meshes(1, 3)  # a file that it knows, and another one under a name that it knows
     more["0.obj"] = files["0.obj"]
-    model, here = bounded.compiled(text, more, "the model"), mujoco.MjModel.from_xml_string(text, more)
+    model, here = bounded.compile_in_subprocess(text, more, "the model"), mujoco.MjModel.from_xml_string(text, more)
     assert bounded._kept == [child]
     both = [np.empty(mujoco.mj_sizeModel(one), dtype=np.uint8) for one in (model, here)]
     for one, content in zip((model, here), both, strict=True):
@@ -126,11 +126,11 @@ def test_a_child_that_knows_a_file_compiles_the_next_text_to_the_same_bits():
 
 def test_a_child_that_is_gone_is_replaced():
     text, files = meshes(1)
-    bounded.compiled(text, files, "the model")
+    bounded.compile_in_subprocess(text, files, "the model")
     child = bounded._kept[0]
     os.kill(child._pid, signal.SIGKILL)
     os.waitid(os.P_PID, child._pid, os.WEXITED | os.WNOWAIT)
-    assert bounded.compiled(text, files, "the model").nmesh == 1
+    assert bounded.compile_in_subprocess(text, files, "the model").nmesh == 1
     assert bounded._kept[0]._pid != child._pid
 
 
@@ -138,16 +138,16 @@ def test_a_child_has_new_limits_for_each_text(monkeypatch):
     """A text that takes too long after one that did not is stopped as ever; what it did before is no excuse."""
     monkeypatch.setattr(bounded, "SECONDS", 1)
     text, files = meshes(1)
-    bounded.compiled(text, files, "the model")
+    bounded.compile_in_subprocess(text, files, "the model")
     with pytest.raises(ModelError, match="takes more than 1 s"):
-        bounded.compiled(text.replace("<asset>", '<size nkey="200000000"/><asset>'), files, "the model")
+        bounded.compile_in_subprocess(text.replace("<asset>", '<size nkey="200000000"/><asset>'), files, "the model")
     assert not bounded._kept
 
 
 def test_a_child_holds_nothing_open_of_its_parent():
     """A lock that the parent gives up, or a pipe that it closes, would stay until the child ends."""
     reader, writer = os.pipe()
-    bounded.compiled(*meshes(1), "the model")
+    bounded.compile_in_subprocess(*meshes(1), "the model")
     os.close(writer)
     assert os.read(reader, 1) == b""  # the end, at once
     os.close(reader)

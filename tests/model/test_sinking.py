@@ -3,8 +3,8 @@
 import mujoco
 import pytest
 
-from planner.model.mjcf.sinking import DEEPEST, depth_at_rest
-from planner.model.mjcf.survey import Survey, compile_model
+from planner.model.mjcf.sinking import DEEPEST, rest_penetration
+from planner.model.mjcf.survey import ModelIndex, compile_model
 
 BALL = """<mujoco><option cone="{cone}" impratio="{impratio}" timestep=".001"/><worldbody>
   <geom type="plane" size="0 0 1"/><body pos="0 0 .1"><freejoint/>
@@ -30,7 +30,7 @@ def test_a_ball_sinks_in_as_deep_as_the_formula_says(cone, condim, mu, solref, s
     for _ in range(4000):
         mujoco.mj_step(model, data)
     # What is left of its fall after 4 s is below a nanometre.
-    depth, _ = depth_at_rest(model, Survey(model).pairs[0], WEIGHT)
+    depth, _ = rest_penetration(model, ModelIndex(model).pairs[0], WEIGHT)
     assert depth == pytest.approx(0.1 - data.qpos[2], abs=1e-9)
 
 
@@ -38,4 +38,4 @@ def test_what_carries_nothing_is_as_deep_as_can_be():
     model = compile_model(
         BALL.format(cone="elliptic", condim=1, mu=1, solref="-1 -1", solimp=".1 .1 .01 .5 2", impratio=1)
     )
-    assert depth_at_rest(model, Survey(model).pairs[0], WEIGHT)[0] == pytest.approx(DEEPEST)
+    assert rest_penetration(model, ModelIndex(model).pairs[0], WEIGHT)[0] == pytest.approx(DEEPEST)

@@ -7,17 +7,17 @@ from scipy.spatial.transform import Rotation
 
 from planner.base.errors import PlannerError
 from planner.model.contact import distances
-from planner.model.contact.distances import Placed
-from planner.model.contact.fitted import fitted, rim_points, round_points, sphere
-from planner.model.mjcf.meeting import FAR, can_meet, distances_in, nearest_anywhere
-from planner.model.mjcf.near_pairs import near_pairs
-from planner.model.mjcf.survey import Survey, contact_pairs
+from planner.model.contact.distances import PlacedShapes
+from planner.model.contact.fitted import fit_bounding_shape, rim_points, round_points, sphere
+from planner.model.mjcf.meeting import FAR, may_collide, distances_in, min_distance_over_ranges
+from planner.model.mjcf.near_pairs import select_collision_pairs
+from planner.model.mjcf.survey import ModelIndex, contact_pairs
 
 SIZES = {"sphere": (0.1,), "capsule": (0.05, 0.3), "box": (0.1, 0.2, 0.3), "plane": (1.0, 1.0, 1.0)}
 PAIRS = {
-    ("sphere", "sphere"): distances.of_lines, ("sphere", "capsule"): distances.of_lines,
-    ("capsule", "capsule"): distances.of_lines, ("sphere", "box"): distances.line_and_box,
-    ("capsule", "box"): distances.line_and_box, ("box", "box"): distances.of_boxes,
+    ("sphere", "sphere"): distances.segment_segment, ("sphere", "capsule"): distances.segment_segment,
+    ("capsule", "capsule"): distances.segment_segment, ("sphere", "box"): distances.segment_box,
+    ("capsule", "box"): distances.segment_box, ("box", "box"): distances.of_boxes,
     ("sphere", "plane"): distances.from_plane, ("capsule", "plane"): distances.from_plane,
     ("box", "plane"): distances.from_plane,
 }  # fmt: skip
@@ -36,7 +36,7 @@ def poses(seed=0):
 
 
 def measured(kinds, R, x):
-    placed = [Placed(R[:, i], x[:, i], *core(kind)) for i, kind in enumerate(kinds)]
+    placed = [PlacedShapes(R[:, i], x[:, i], *core(kind)) for i, kind in enumerate(kinds)]
     return PAIRS[kinds](*placed)
 
 
@@ -65,14 +65,14 @@ def test_exact_shapes_are_as_far_apart_as_mujoco_measures(kinds):
 def test_a_line_in_a_box_is_as_deep_as_a_box_without_width():
     R, x = poses(1)
     x = 0.4 * x  # most overlap
-    line, thin = (Placed(R[:, 0], x[:, 0], core("capsule")[0], np.zeros(K)) for _ in range(2))
-    box = Placed(R[:, 1], x[:, 1], *core("box"))
-    a, b = distances.line_and_box(line, box), distances.of_boxes(thin, box)
+    line, thin = (PlacedShapes(R[:, 0], x[:, 0], core("capsule")[0], np.zeros(K)) for _ in range(2))
+    box = PlacedShapes(R[:, 1], x[:, 1], *core("box"))
+    a, b = distances.segment_box(line, box), distances.of_boxes(thin, box)
     assert np.sum(a.distance < 0.0) > 0.5 * K
     np.testing.assert_allclose(a.distance, b.distance, rtol=0, atol=1e-12)
-    out = Placed(R[:, 0], x[:, 0] - a.distance[:, None] * a.n, core("capsule")[0], np.zeros(K))
+    out = PlacedShapes(R[:, 0], x[:, 0] - a.distance[:, None] * a.n, core("capsule")[0], np.zeros(K))
     deep = a.distance < 0.0
-    np.testing.assert_allclose(distances.line_and_box(out, box).distance[deep], 0.0, atol=1e-9)  # the way leads out
+    np.testing.assert_allclose(distances.segment_box(out, box).distance[deep], 0.0, atol=1e-9)  # the way leads out
 
 
 @pytest.mark.parametrize("kinds", PAIRS, ids="-".join)
@@ -110,7 +110,7 @@ def test_directions_are_differences_of_the_distance(kinds):
     ids=["cylinder", "sphere", "capsule", "box"],
 )  # fmt: skip
 def test_fits_hold_all_points_and_say_how_far_they_reach_beyond(points, most):
-    fit = fitted(points)
+    fit = fit_bounding_shape(points)
     local = (points - fit.T[:3, 3]) @ fit.T[:3, :3]
     assert np.linalg.norm(local - np.clip(local, -fit.half, fit.half), axis=1).max() <= fit.radius + 1e-12
     n = Rotation.random(3000, random_state=0).as_matrix()[:, 0]
@@ -139,7 +139,7 @@ SCENE = """<mujoco><worldbody>
 
 @pytest.fixture(scope="module")
 def survey():
-    return Survey(mujoco.MjModel.from_xml_string(SCENE))
+    return ModelIndex(mujoco.MjModel.from_xml_string(SCENE))
 
 
 def named(survey, near):
@@ -147,7 +147,7 @@ def named(survey, near):
 
 
 def test_pairs_that_can_come_near_are_kept_apart(survey):
-    near = near_pairs(survey, {"the start": np.array([1.0, 0.5, 0.0])}, 0.02)
+    near = select_collision_pairs(survey, {"the start": np.array([1.0, 0.5, 0.0])}, 0.02)
     found = named(survey, near)
     assert {"near", "hand"} in found
     assert {"arm", "hand"} in found
@@ -158,17 +158,17 @@ def test_pairs_that_can_come_near_are_kept_apart(survey):
     assert "1 shape is fitted" in notes
     assert near.notes[0] == f"{len(near.pairs)} pairs of shapes are kept 0.02 m apart (left out: 2)."
     assert "geom 'base' and geom 'arm'" in notes  # drawn into each other: the base does not move
-    own = near_pairs(survey, {"the start": np.array([1.0, 0.5, 0.0])}, 0.02, world=False)
+    own = select_collision_pairs(survey, {"the start": np.array([1.0, 0.5, 0.0])}, 0.02, world=False)
     assert named(survey, own) < found
     assert not any({"near", "floor"} & pair for pair in named(survey, own))
-    rest = near_pairs(survey, {"the start": np.array([1.0, 0.5, 0.0])}, 0.02, own=False)
+    rest = select_collision_pairs(survey, {"the start": np.array([1.0, 0.5, 0.0])}, 0.02, own=False)
     assert named(survey, rest) | named(survey, own) == found
 
 
 def test_what_is_said_to_be_out_of_reach_is(survey):
     rng, model = np.random.default_rng(0), survey.model
     pairs = contact_pairs(model)
-    out = [pair for pair in pairs if not can_meet(survey, pair, 0.02)]
+    out = [pair for pair in pairs if not may_collide(survey, pair, 0.02)]
     assert {frozenset(model.geom(geom).name for geom in pair) for pair in out} >= {frozenset(("far", "arm"))}
     low, high = model.jnt_range.T
     for _ in range(200):
@@ -178,11 +178,11 @@ def test_what_is_said_to_be_out_of_reach_is(survey):
 
 def test_a_start_in_collision_or_too_near_is_refused(survey):
     with pytest.raises(PlannerError) as error:
-        near_pairs(survey, {"the start": np.zeros(3)}, 0.02)
+        select_collision_pairs(survey, {"the start": np.zeros(3)}, 0.02)
     assert str(error.value).startswith("the start is in collision: geom 'near' and geom ")
     assert "overlap by 0.1 m, expected a pose where nothing touches" in str(error.value)
     with pytest.raises(PlannerError) as error:
-        near_pairs(survey, {"the start": np.array([1.0, 0.0, 0.0]), "the goal": np.array([0.0, 0.42, 0.0])}, 0.1)
+        select_collision_pairs(survey, {"the start": np.array([1.0, 0.0, 0.0]), "the goal": np.array([0.0, 0.42, 0.0])}, 0.1)
     assert str(error.value).startswith("the goal has geom 'near' and geom ")
     assert "write clearance = 0.0" in str(error.value)
 
@@ -199,8 +199,8 @@ STACKED = """<mujoco><worldbody>
 
 @pytest.mark.parametrize(("axis", "kept"), [("0 0 1", False), ("0 1 0", True)])
 def test_fits_that_overlap_are_let_be_where_no_pose_brings_the_shapes_nearer(axis, kept):
-    survey = Survey(mujoco.MjModel.from_xml_string(STACKED.format(axis=axis)))
-    near = near_pairs(survey, {"the start": np.zeros(2)}, 0.01)
+    survey = ModelIndex(mujoco.MjModel.from_xml_string(STACKED.format(axis=axis)))
+    near = select_collision_pairs(survey, {"the start": np.zeros(2)}, 0.01)
     assert (frozenset(("base", "drum")) in named(survey, near)) == kept
     notes = " ".join(near.notes)
     assert ("no pose brings the shapes nearer, though their fits overlap: geom 'base' and geom 'drum'" in notes) != kept
@@ -208,10 +208,10 @@ def test_fits_that_overlap_are_let_be_where_no_pose_brings_the_shapes_nearer(axi
 
 def test_how_near_a_pair_comes_in_any_pose_is_not_above_what_random_poses_say(survey):
     model, rng = survey.model, np.random.default_rng(1)
-    pairs = [pair for pair in contact_pairs(model) if can_meet(survey, pair, 0.02)]
+    pairs = [pair for pair in contact_pairs(model) if may_collide(survey, pair, 0.02)]
     poses = rng.uniform(*model.jnt_range.T, size=(300, model.nq))
     least = {pair: min(distances_in(model, qpos, [pair], FAR)[pair] for qpos in poses) for pair in pairs}
-    known = {pair: nearest_anywhere(survey, pair, [poses[0]]) for pair in pairs}
+    known = {pair: min_distance_over_ranges(survey, pair, [poses[0]]) for pair in pairs}
     assert sum(np.isfinite(value) for value in known.values()) >= 4  # with one or two joints between their shapes
     for pair in pairs:
         assert known[pair] <= least[pair] + 1e-9

@@ -9,13 +9,13 @@ import planner
 from planner import TrackingCost, cases
 from planner.paper.methods.curvature import curvature, hamiltonian_hessians
 from planner.paper.studies.many_starts import from_many, is_minimum
-from planner.problem.guess import rolled
+from planner.problem.guess import rollout_states
 from planner.solvers import lq
 from planner.solvers.slq import solve
 
 
 def gradient(problem, us):
-    xs = rolled(problem.dynamics, problem.x0, us)
+    xs = rollout_states(problem.dynamics, problem.x0, us)
     A, B = problem.dynamics.linearize(xs, us)
     return lq.gradient(A, B, problem.cost.quadratize(xs, us))
 
@@ -33,7 +33,7 @@ def test_stages_have_the_dynamics_own_second_derivatives():
     """Differences of the Hamiltonian's gradient against the compiled second derivatives, off any minimum."""
     problem = cases.two_link(horizon=30)
     us = np.random.default_rng(0).normal(size=(30, 2))
-    xs = rolled(problem.dynamics, problem.x0, us)
+    xs = rollout_states(problem.dynamics, problem.x0, us)
     A, _ = problem.dynamics.linearize(xs, us)
     model = problem.cost.quadratize(xs, us)
     T = problem.dynamics.second_order(xs, us, lq.costates(A, model))
@@ -49,7 +49,7 @@ def test_negative_eigenvalues_are_those_of_the_whole_hessian(seed):
     """By the sweep, and by eigenvalues of the Hessian over all 40 controls, where whirling arms have many."""
     problem = cases.two_link(horizon=20)
     us = 5.0 * np.random.default_rng(seed).normal(size=(20, 2))
-    found = curvature(problem, rolled(problem.dynamics, problem.x0, us), us)
+    found = curvature(problem, rollout_states(problem.dynamics, problem.x0, us), us)
     H = hessian(problem, us)
     assert found.negative == int(np.sum(np.linalg.eigvalsh(H) < 0.0)) > 0
     assert found.promised == np.inf

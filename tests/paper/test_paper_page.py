@@ -19,7 +19,7 @@ from planner.paper.studies.study import Row, Study
 from planner.paper.studies.table_1 import random_lq, table_one, table_results
 from planner.paper.studies.theorem import STUDY as THEOREMS
 from planner.paper.studies.theorem import Family, identity_errors, random_identity
-from planner.paper.studies.watched import watched
+from planner.paper.studies.watched import record_solve
 from planner.solvers import lq
 from planner.sweeps.processes import LocalProcesses
 from tests.solves import hopper, swing
@@ -200,7 +200,7 @@ def test_eq_42_and_that_it_can_fail():
     assert found["largest_slope"] < 0.0
     assert max(found["gradient_error"], found["sweep_error"]) < 1e-10
     problem = cases.two_link(horizon=40)
-    plan, steps = watched(problem)
+    plan, steps = record_solve(problem)
     assert len(steps) == sum(line.step > 0.0 for line in plan.history)
     assert plan.cost == pytest.approx(cost_of(problem, plan.us), rel=1e-12)
     step = steps[0]
@@ -212,7 +212,7 @@ def test_eq_42_and_that_it_can_fail():
     assert max(by_gradient, by_sweep) < 1e-8
     assert identity_errors(A, B, model, step._replace(gradient=1.01 * step.gradient))[1] == pytest.approx(0.01, rel=0.1)
     with pytest.raises(PlannerError, match="not compiled"):
-        watched(swing())
+        record_solve(swing())
 
 
 def cost_of(problem, us):

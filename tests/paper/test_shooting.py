@@ -6,7 +6,7 @@ import pytest
 import planner
 from planner.cases import hopper, two_link
 from planner.dynamics import FunctionDynamics
-from planner.paper.methods.rates import Rates
+from planner.paper.methods.rates import ContinuousDynamics
 from planner.paper.methods.shooting import HamiltonianFlow, shoot
 from planner.paper.studies.shooting import shooting_jacobian
 from planner.solvers.lq import costates
@@ -22,7 +22,7 @@ def pendulum():
     "dynamics", [two_link().dynamics, hopper().dynamics, pendulum()], ids=lambda d: type(d).__name__
 )
 def test_partial_derivatives_of_rates_are_exact(dynamics):
-    rates, rng = Rates(dynamics), np.random.default_rng(2)
+    rates, rng = ContinuousDynamics(dynamics), np.random.default_rng(2)
     x, u = rng.normal(size=rates.nx), rng.normal(size=rates.nu)
     x[-1] += 5.0  # the hopper's piston: well in contact, where its spring is smooth
     f_x, f_u = rates.partials(x, u)
@@ -36,7 +36,7 @@ def test_partial_derivatives_of_rates_are_exact(dynamics):
 def test_rates_are_those_of_a_small_step():
     d = two_link(horizon=20_000).dynamics
     x, u = np.array([0.1, 0.4, -1.0, 2.0]), np.array([0.3, -0.2])
-    assert np.allclose(Rates(d)(x, u), (d.step(x[None], u[None])[0] - x) / d.dt, atol=1e-2)
+    assert np.allclose(ContinuousDynamics(d)(x, u), (d.step(x[None], u[None])[0] - x) / d.dt, atol=1e-2)
 
 
 @pytest.mark.slow

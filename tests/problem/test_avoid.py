@@ -10,12 +10,12 @@ from places import ROOT
 import planner
 from planner.base.errors import PlannerError
 from planner.cases.problem_file import load
-from planner.cases.problem_file.chosen import chosen
+from planner.cases.problem_file.chosen import resolved_defaults
 from planner.problem.avoid import Avoid
-from planner.problem.constraints.apart import Apart, apart_of
-from planner.problem.free_poses import FreePoses
+from planner.problem.constraints.apart import PairClearance, pair_clearance_of
+from planner.problem.free_poses import CollisionChecker
 from planner.problem.problem import Problem
-from planner.problem.way_around import way_around
+from planner.problem.way_around import rrt_connect
 from planner.solvers import augmented
 
 TOML = """model = "gantry.xml"
@@ -38,7 +38,7 @@ def problem_of(tmp_path):
 
 
 def distances(problem, plan, parts=8):
-    apart = apart_of(problem.constraints)
+    apart = pair_clearance_of(problem.constraints)
     measure = apart.measure(problem.dynamics, problem.N)
     return measure._clearances.values(plan.between_knots(parts)[:, :2])
 
@@ -53,7 +53,7 @@ def test_a_plan_goes_around_a_wall_that_it_would_go_through(problem_of):
     assert planner.prove(around, rollouts=0).passed
     problem = around.problem
     assert problem.constraints[0].name == "clearance"
-    least = apart_of(problem.constraints).least
+    least = pair_clearance_of(problem.constraints).least
     assert distances(problem, around).min() > least.min() - problem.constraints[0].tolerance - 1e-9
     assert around.xs[:, 1].max() > 0.38  # over the wall of 0.3, with the tool of 0.05 and the clearance
 
@@ -62,7 +62,7 @@ def test_a_stored_plan_knows_what_it_keeps_apart(problem_of, tmp_path):
     plan = planner.solve(problem_of(AVOID), max_iterations=3)
     again = planner.load_plan(plan.save(tmp_path / "plan.npz"))
     assert again.problem.parameters["avoid"] == {"clearance": 0.03}
-    one, other = (apart_of(p.constraints) for p in (plan.problem, again.problem))
+    one, other = (pair_clearance_of(p.constraints) for p in (plan.problem, again.problem))
     np.testing.assert_array_equal(one.least, other.least)
     assert plan.problem.parameters["resolved"]["reasons"]["avoid"] == "1 pair of shapes are kept 0.03 m apart."
 
@@ -75,7 +75,7 @@ def test_what_is_kept_apart_at_knots_is_kept_apart_between_them(problem_of, monk
     def nearest():
         problem = problem_of(AVOID, **scene)
         plan = planner.solve(problem)
-        return distances(problem, plan, 16).min() - apart_of(problem.constraints).least.min()
+        return distances(problem, plan, 16).min() - pair_clearance_of(problem.constraints).least.min()
 
     monkeypatch.setitem(globals(), "TOML", text)
     assert nearest() > -0.0006 - 1e-6  # the tolerance, 2 % of the clearance
@@ -85,7 +85,7 @@ def test_what_is_kept_apart_at_knots_is_kept_apart_between_them(problem_of, monk
 
 def test_what_passes_a_thin_thing_between_two_knots_is_seen(problem_of):
     problem = problem_of(AVOID, wall='type="box" size="0.002 0.5 0.3"', tool='type="sphere" size="0.02"')
-    measure = apart_of(problem.constraints).measure(problem.dynamics, problem.N)
+    measure = pair_clearance_of(problem.constraints).measure(problem.dynamics, problem.N)
     xs = np.zeros((problem.N + 1, 4))
     xs[:, 0], xs[:, 2] = np.where(np.arange(problem.N + 1) < 20, -0.2, 0.2), 8.0  # 0.4 m in a stage of 0.05 s
     assert measure.values(xs, problem.first_guess, None).min() > 0.1
@@ -100,19 +100,19 @@ def test_python_says_the_same():
     start, goal = machine.keyframe("left"), machine.keyframe("right")
     kept, notes = Avoid(clearance=0.03).constraint(machine, start, goal)
     assert notes[0] == "1 pair of shapes are kept 0.03 m apart."
-    assert isinstance(kept.of, Apart)
+    assert isinstance(kept.of, PairClearance)
     problem = Problem(dynamics, planner.costs.default_cost(dynamics, start, goal, 40), start, constraints=[kept])
-    assert problem.kept.first() is not None
-    way = FreePoses(kept.of, machine).way(start[:2], goal[:2])
+    assert problem.trajectory_constraints.first() is not None
+    way = CollisionChecker(kept.of, machine).way(start[:2], goal[:2])
     np.testing.assert_allclose(way[[0, -1]], [start[:2], goal[:2]], rtol=0, atol=1e-12)
     assert way[:, 1].max() > 0.38
 
 
 def test_a_way_that_is_free_is_straight():
     start, goal = np.zeros(3), np.ones(3)
-    way = way_around(lambda q: np.ones(len(q), dtype=bool), start, goal, -np.ones(3), 2.0 * np.ones(3))
+    way = rrt_connect(lambda q: np.ones(len(q), dtype=bool), start, goal, -np.ones(3), 2.0 * np.ones(3))
     np.testing.assert_allclose(way, np.linspace(0.0, 1.0, len(way))[:, None] * np.ones(3), atol=1e-12)
-    blocked = way_around(lambda q: np.abs(q[:, 0] - 0.5) > 0.1, start, goal, -np.ones(3), 2.0 * np.ones(3))
+    blocked = rrt_connect(lambda q: np.abs(q[:, 0] - 0.5) > 0.1, start, goal, -np.ones(3), 2.0 * np.ones(3))
     assert blocked is None  # a wall without an end
 
 
@@ -146,7 +146,7 @@ def test_a_touch_is_answered_with_more_room(problem_of):
     """A fit that says it is further away than it is, as one that overlaps at the start may: MuJoCo sees the touch."""
     from dataclasses import replace
 
-    from planner.proof.wider import kept_wider, with_more_room
+    from planner.proof.wider import refine_clearance, with_more_room
 
     problem = problem_of(AVOID)
     one = problem.constraints[0]
@@ -154,22 +154,22 @@ def test_a_touch_is_answered_with_more_room(problem_of):
     plan = planner.solve(replace(problem, constraints=[replace(one, of=lying)]))
     proof = planner.prove(plan, rollouts=0)
     assert not proof.passed
-    wider = kept_wider(plan, proof)
+    wider = refine_clearance(plan, proof)
     assert wider.proof.passed
     assert len(wider.notes) == 1
     assert wider.notes[0].startswith("geom 'tool' and geom 'wall' touch and are kept ")
-    assert kept_wider(wider.plan, wider.proof).notes == ()
+    assert refine_clearance(wider.plan, wider.proof).notes == ()
     name = problem.constraints[0].of.pairs[0].names
     again = with_more_room(with_more_room(problem, {name: 0.01}), {name: 0.02})  # of a file: its table says so
     assert again.parameters["avoid"]["more"] == pytest.approx({name: 0.03})
-    assert apart_of(again.constraints).least[0] == pytest.approx(0.06)
+    assert pair_clearance_of(again.constraints).least[0] == pytest.approx(0.06)
 
 
 def test_what_is_printed_of_avoid_is_one_sentence_and_the_report_has_the_names():
     asked = load(ROOT / "examples" / "tasks" / "around_a_post.toml")
     (told,) = [note for note in asked.notes if "apart" in note]
     assert told == "48 pairs of shapes are kept 0.02 m apart; the report names them."
-    details = chosen(asked.problem.parameters)["avoid, details"]
+    details = resolved_defaults(asked.problem.parameters)["avoid, details"]
     assert "no pose brings the shapes nearer, though their fits overlap: geom 'link1' and geom 'base'" in details
 
 
@@ -192,13 +192,13 @@ def test_a_goal_at_which_only_fits_overlap_is_no_collision(problem_of):
 
 def test_fits_that_no_plan_keeps_apart_may_come_nearer_where_the_shapes_are_far(problem_of):
     """A drum that passes below a beam, with room for it, and not for the ball that stands for it."""
-    from planner.proof.wider import kept_wider
+    from planner.proof.wider import refine_clearance
 
     more = "[avoid]\nclearance = 0.02\n[limits.position]\nz = [0.08, 0.12]\n"
     beam = 'type="box" size="0.05 0.5 2" pos="0 0 2.23"'
     plan = planner.solve(problem_of(more, tool=DRUM, wall=beam), max_iterations=100)
     proof = planner.prove(plan, rollouts=0)
     assert "clearance violation" in proof.reason
-    wider = kept_wider(plan, proof)
+    wider = refine_clearance(plan, proof)
     assert wider.proof.passed
     assert re.search(r"the fits of geom 'tool' and geom 'wall' may come [\d.]+ cm nearer", wider.notes[0])

@@ -9,9 +9,9 @@ from places import ROOT
 from planner import Mechanism, Problem, RigidBodyDynamics, TrackingCost
 from planner.dynamics import assembled
 from planner.dynamics.loops import misses
-from planner.problem.closed_way import closed_way
-from planner.problem.guess import rolled
-from planner.solvers.steadied import led_along
+from planner.problem.closed_way import closed_chain_reference
+from planner.problem.guess import rollout_states
+from planner.solvers.steadied import tracking_controls
 
 EXAMPLES = ROOT / "examples" / "closed_chains"
 MOVED = {"four_bar": {0: 1.0}, "two_arms": {0: 0.8}, "stewart": {0: 0.05, 2: 0.08}}
@@ -27,7 +27,7 @@ def way_of(name, N, duration=2.0, change=None):
     goal = assembled(m, goal, tuple(MOVED[name]))
     poses = np.stack([x0, goal])[:, : m.nq]
     dt = duration / N
-    return m, RigidBodyDynamics(m, dt), closed_way(m, x0, np.array([0, N]), poses, np.array([True, True]), dt), goal
+    return m, RigidBodyDynamics(m, dt), closed_chain_reference(m, x0, np.array([0, N]), poses, np.array([True, True]), dt), goal
 
 
 @pytest.mark.parametrize("name", MOVED)
@@ -56,9 +56,9 @@ def test_gains_along_it_keep_a_platform_that_would_fall_off():
     problem = Problem(dynamics, TrackingCost.joints(dynamics, goal, 200, effort=1e-3), x0)
 
     def strays(us):
-        return np.abs(m.space.difference(rolled(dynamics, x0, us), way.rows))[:, : m.nv].max()
+        return np.abs(m.space.difference(rollout_states(dynamics, x0, us), way.rows))[:, : m.nv].max()
 
-    assert strays(led_along(problem, way.rows, way.controls)) < 0.005 < 0.1 < strays(way.controls)
+    assert strays(tracking_controls(problem, way.rows, way.controls)) < 0.005 < 0.1 < strays(way.controls)
 
 
 def test_there_are_no_controls_where_actuators_do_not_move_every_way():

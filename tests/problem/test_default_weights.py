@@ -5,7 +5,7 @@ import pytest
 
 import planner
 from planner.costs import default_cost
-from planner.problem.default_weights import default_weights, reaches_all
+from planner.problem.default_weights import default_weights, fully_actuated
 
 ARM = """
 <mujoco>
@@ -61,11 +61,11 @@ def test_speed_is_twice_the_mean_one():
 
 def test_a_machine_with_a_free_joint_keeps_its_swing():
     one_motor = arm(actuators='<motor name="two" joint="elbow"/>')
-    assert not reaches_all(one_motor)
+    assert not fully_actuated(one_motor)
     found = chosen(one_motor, [1.0, 0.0])
     assert not np.any(found.weights["velocity"])
     assert "swing" in found.reasons["velocity"]
-    assert reaches_all(planner.RigidBodyDynamics(one_motor.mechanism, 0.01, prescribed=["shoulder"]))
+    assert fully_actuated(planner.RigidBodyDynamics(one_motor.mechanism, 0.01, prescribed=["shoulder"]))
 
 
 def test_effort_alone_leaves_velocities_free():

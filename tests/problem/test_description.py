@@ -6,11 +6,11 @@ import pytest
 from planner.base.errors import ModelError
 from planner.base.gl import load_mujoco
 from planner.cases.problem_file import load_problem
-from planner.cases.problem_file.first import first_problem
+from planner.cases.problem_file.first import starter_text
 from planner.dynamics.algorithms import bias
-from planner.model.mjcf.opened import opened
+from planner.model.mjcf.opened import open_model_file
 from planner.problem.description import HOME, describe
-from planner.problem.first_move import first_move
+from planner.problem.first_move import example_task
 from planner.problem.troubles import holding
 
 ARM = """<mujoco model="arm"><compiler angle="radian"/>{head}<worldbody>{world}
@@ -24,7 +24,7 @@ MOTORS = '<motor name="m1" joint="shoulder" ctrlrange="-40 40"/><motor name="m2"
 
 def arm(**parts):
     parts = {"head": "", "world": "", "elbow": "-1 1", "more": "", "motors": MOTORS, "tail": ""} | parts
-    return opened(ARM.format(**parts))
+    return open_model_file(ARM.format(**parts))
 
 
 def problems(file):
@@ -75,7 +75,7 @@ def test_what_no_plan_can_be_made_with_is_described_too():
             assert known.loaded.refusal
             assert known.left_out
     with pytest.raises(ModelError, match="no joints"):
-        describe(opened("<mujoco><worldbody/></mujoco>"))
+        describe(open_model_file("<mujoco><worldbody/></mujoco>"))
 
 
 WEDGE = '<asset><mesh name="wedge" vertex="0 0 0 .1 0 0 0 .1 0 0 0 .1"/></asset>'
@@ -138,17 +138,17 @@ def test_a_start_at_the_end_of_a_range_is_no_problem_for_rounding_and_names_are_
     servo = '<position name="p" joint="shoulder" kp="50" ctrlrange="0 2"/>'
     assert problems(arm(motors=servo, head='<option gravity="0 0 -1e-17"/>')) == {}
     text = ARM.format(head="", world="", elbow="0.4 1", more="", motors=MOTORS, tail="")
-    assert only(problems(opened(text.replace('"elbow"', '"left/elbow"')))) == 'start = { "left/elbow" = 0.4 }'
+    assert only(problems(open_model_file(text.replace('"elbow"', '"left/elbow"')))) == 'start = { "left/elbow" = 0.4 }'
 
 
 def test_what_falls_for_ever_and_what_has_no_name_is_told():
     text = '<mujoco><worldbody>{}<body name="b"><{}/><geom size=".1"/></body></worldbody>{}</mujoco>'
     motor = '<actuator><motor joint="j" gear="1 0 0 0 0 0"/></actuator>'
     falling = text.format("", 'joint name="j" type="free"', motor)
-    assert 'type="plane"' in only(problems(opened(falling)), "no floor")
+    assert 'type="plane"' in only(problems(open_model_file(falling)), "no floor")
     floor = '<geom type="plane" size="0 0 1" pos="0 0 -.1"/>'
-    assert problems(opened(text.format(floor, 'joint name="j" type="free"', motor))) == {}
-    found = problems(opened(text.format("", 'joint type="slide" axis="1 0 0"', "")))
+    assert problems(open_model_file(text.format(floor, 'joint name="j" type="free"', motor))) == {}
+    found = problems(open_model_file(text.format("", 'joint type="slide" axis="1 0 0"', "")))
     assert any("no name" in sentence for sentence in found)
 
 
@@ -168,7 +168,7 @@ def test_what_holds_a_pose_is_what_gravity_asks_of_the_driven_joints():
 def moved(file):
     known = describe(file)
     assert known.loaded.mechanism is not None
-    return known, first_move(file.survey.model, known.loaded.mechanism, known.joints)
+    return known, example_task(file.survey.model, known.loaded.mechanism, known.joints)
 
 
 def test_the_first_move_takes_15_percent_of_each_range_towards_the_roomier_side():
@@ -215,7 +215,7 @@ def test_the_written_problem_file_can_be_loaded(tmp_path, parts):
     (tmp_path / "arm.xml").write_text(ARM.format(
         **{"head": "", "world": "", "elbow": "-1 1", "more": "", "motors": MOTORS, "tail": ""} | parts
     ))  # fmt: skip
-    (tmp_path / "p.toml").write_text(first_problem("arm.xml", "p.toml", file, known))
+    (tmp_path / "p.toml").write_text(starter_text("arm.xml", "p.toml", file, known))
     problem = load_problem(tmp_path / "p.toml")
     model = file.survey.model
     data = load_mujoco().MjData(model)
@@ -229,6 +229,6 @@ def test_joints_without_names_are_written_as_lists(tmp_path):
     parts = {"head": "", "world": "", "elbow": "-1 1", "more": "", "tail": ""}
     motor = '<motor name="m1" joint="shoulder" ctrlrange="-40 40"/>'
     (tmp_path / "arm.xml").write_text(text.format(motors=motor, **parts))
-    file = opened(tmp_path / "arm.xml")
-    (tmp_path / "p.toml").write_text(first_problem("arm.xml", "p.toml", file, describe(file)))
+    file = open_model_file(tmp_path / "arm.xml")
+    (tmp_path / "p.toml").write_text(starter_text("arm.xml", "p.toml", file, describe(file)))
     assert load_problem(tmp_path / "p.toml").x0.shape == (4,)

@@ -13,7 +13,7 @@ import planner
 from planner.cases.problem_file import load
 from planner.problem.costs.drive import DriveCost
 from planner.problem.discretisation import finer
-from planner.solvers.warm_start import roll_out, warm_start
+from planner.solvers.warm_start import feedback_rollout, warm_start
 
 
 @pytest.mark.parametrize("case", ["two-link", "acrobot", "hopper"])
@@ -143,12 +143,12 @@ def test_another_integrator_needs_no_other_cost():
 def test_the_way_that_costs_least_is_taken():
     plan = planner.solve(planner.cases.two_link(horizon=50, integrator="semi-implicit-euler"))
     fine = finer(plan.problem)
-    chosen = roll_out(fine, warm_start(plan, fine))[0]
+    chosen = feedback_rollout(fine, warm_start(plan, fine))[0]
     others = [(fine.first_guess,), (plan.us,), (plan.us, plan.K, plan.xs)]
     # none of these stays near the old motion; gains of the new dynamics do
-    assert chosen < 0.1 * min(roll_out(fine, *other)[0] for other in others)
+    assert chosen < 0.1 * min(feedback_rollout(fine, *other)[0] for other in others)
     for K in (0.0 * plan.K, np.full_like(plan.K, np.nan)):  # whatever the plan's gains are
-        assert roll_out(fine, warm_start(replace(plan, K=K), fine))[0] == chosen
+        assert feedback_rollout(fine, warm_start(replace(plan, K=K), fine))[0] == chosen
 
 
 def test_every_way_may_be_the_best():
@@ -162,5 +162,5 @@ def test_every_way_may_be_the_best():
 def test_a_runaway_costs_infinitely_much():
     problem = planner.cases.hopper(horizon=20)
     with np.errstate(all="ignore"):
-        cost, _ = roll_out(problem, np.full((20, 1), 1e308), np.full((20, 1, 3), 1e308), np.zeros((21, 3)))
+        cost, _ = feedback_rollout(problem, np.full((20, 1), 1e308), np.full((20, 1, 3), 1e308), np.zeros((21, 3)))
     assert cost == np.inf

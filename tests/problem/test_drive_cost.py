@@ -12,7 +12,7 @@ import planner
 from planner import Mechanism, PlannerError, RigidBodyDynamics, TrackingCost
 from planner.dynamics.algorithms import rnea
 from planner.dynamics.contacts import generalized_forces
-from planner.model.mjcf.driven import HEAVY, twin_of
+from planner.model.mjcf.driven import PRESCRIBED_ARMATURE, twin_of
 from planner.model.mjcf.survey import compile_model
 from planner.model.twin import Twin
 from planner.problem.costs.drive import DriveCost
@@ -140,7 +140,7 @@ def test_accelerations_become_states():
     jerks = np.linspace(-1.0, 1.0, 6)[:, None]
     found = jerked.rates(np.hstack([xs, us[:, 2:]]), np.hstack([us[:, :2], jerks]))
     force = DriveCost(led, 6, 1.0).forces(xs, us)
-    np.testing.assert_allclose(found[:, :6], led.rates(xs, us), atol=20.0 * np.abs(force).max() / HEAVY)  # type: ignore[attr-defined]
+    np.testing.assert_allclose(found[:, :6], led.rates(xs, us), atol=20.0 * np.abs(force).max() / PRESCRIBED_ARMATURE)  # type: ignore[attr-defined]
     np.testing.assert_array_equal(found[:, 6:], jerks)
 
 

@@ -256,7 +256,7 @@ def test_a_file_keeps_limits_and_hinges(tmp_path):
     again = planner.load_plan(plan.save(tmp_path / "plan.npz"))
     assert again.changed == ()
     assert again.problem.limits.to_dict() == plan.problem.limits.to_dict()
-    for ours, theirs in zip(again.hinges, plan.hinges, strict=True):
+    for ours, theirs in zip(again.bound_penalties, plan.bound_penalties, strict=True):
         np.testing.assert_array_equal(ours, theirs)
     np.testing.assert_array_equal(planner.solve(again.problem).us, plan.us)
 

@@ -11,8 +11,8 @@ import planner
 from planner import PlannerError, RigidBodyDynamics, cases
 from planner.cases.problem_file import load
 from planner.costs import EnergyCost, JerkCost
-from planner.problem.costs.jerk import JerkDynamics, RememberedJerkCost
-from planner.problem.criteria import plain, with_objective
+from planner.problem.costs.jerk import JerkDynamics, AugmentedStateJerkCost
+from planner.problem.criteria import base_problem, with_objective
 from planner.problem.objective import EFFORT_SHARE, weights_of
 from planner.proof.consistency import consistency, recomputed
 from planner.solvers import lq
@@ -46,7 +46,7 @@ def test_jerk_gradients_are_differences_of_the_value(name, prescribe):
     assert_gradients(cost, dynamics.space, xs, us)
     lifted = JerkDynamics(dynamics)
     ys = np.concatenate([xs, rng.normal(size=(4, dynamics.mechanism.nv))], axis=1)
-    assert_gradients(RememberedJerkCost(cost, lifted.space), lifted.space, ys, us)
+    assert_gradients(AugmentedStateJerkCost(cost, lifted.space), lifted.space, ys, us)
 
 
 def test_an_added_state_is_the_same_cost():
@@ -58,7 +58,7 @@ def test_an_added_state_is_the_same_cost():
         ys.append(lifted.step(ys[-1][None], u[None])[0])
     ys = np.array(ys)
     own = JerkCost(dynamics, 6, 0.5)
-    assert RememberedJerkCost(own, lifted.space).value(ys, us) == pytest.approx(own.value(ys[:, : dynamics.nx], us))
+    assert AugmentedStateJerkCost(own, lifted.space).value(ys, us) == pytest.approx(own.value(ys[:, : dynamics.nx], us))
 
 
 def test_added_state_jacobians():
@@ -163,7 +163,7 @@ def test_files_hold_the_objective(tmp_path, objective):
     assert back.problem.objective.weights == plan.problem.objective.weights
     assert not back.changed
     assert back.problem.cost.value(back.xs, back.us) == pytest.approx(plan.cost, rel=1e-12)
-    np.testing.assert_array_equal(plain(back.problem).cost.R, plain(plan.problem).cost.R)
+    np.testing.assert_array_equal(base_problem(back.problem).cost.R, base_problem(plan.problem).cost.R)
 
 
 def test_finer_steps_keep_the_objective():

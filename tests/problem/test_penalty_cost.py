@@ -215,7 +215,7 @@ def test_gradients_are_differences_of_the_value(machine, name):
         residual = {"target": 1.0}.get(TERMS[name].wanted)
         if residual and g.any():
             e = value - np.broadcast_to(TERMS[name].target, 4)[n]
-            np.testing.assert_allclose(H * e**2 * cost.measures.weight[0, n], np.outer(g, g), atol=1e-10)
+            np.testing.assert_allclose(H * e**2 * cost.residual_arrays.weight[0, n], np.outer(g, g), atol=1e-10)
 
 
 def test_all_terms_are_the_sum(machine):

@@ -14,7 +14,7 @@ import planner
 from planner import cases
 from planner.costs import EnergyCost, FrameCost, Height, JerkCost, PenaltyCost, Point, TrackingCost, with_objective
 from planner.proof.replays.compiled_twin import CompiledTwin
-from planner.proof.robustness.case_replay import replay_case
+from planner.proof.robustness.case_replay import replay_rollout
 
 WAYS = {"pickle": lambda thing: pickle.loads(pickle.dumps(thing)), "deepcopy": copy.deepcopy, "copy": copy.copy}
 
@@ -87,7 +87,7 @@ def test_plan_proof_and_replays_are_copied(way):
     assert copied.parity == proof.parity
     again = planner.prove(copied.replay.plan, rollouts=4)
     assert again.to_dict() == proof.to_dict()
-    run, other = (replay_case(of.replay.plan, of.replay.compiled, 1) for of in (proof, copied))
+    run, other = (replay_rollout(of.replay.plan, of.replay.compiled, 1) for of in (proof, copied))
     assert run.xs.tobytes() == other.xs.tobytes()
 
 

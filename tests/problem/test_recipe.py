@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import planner
-from planner.problem.criteria import plain, with_objective
+from planner.problem.criteria import base_problem, with_objective
 
 
 @pytest.fixture
@@ -34,7 +34,7 @@ SAME_PROBLEMS = {
     "objective": lambda p: with_objective(p, "energy"),
     "objectives in turn": lambda p: with_objective(with_objective(p, {"effort": 1.0, "jerk": 1e-3}), "energy"),
     "objective and limits": lambda p: replace(with_objective(p, "jerk"), limits=planner.Limits(control=50.0)),
-    "objective taken back": lambda p: plain(with_objective(p, "energy")),
+    "objective taken back": lambda p: base_problem(with_objective(p, "energy")),
 }
 
 
@@ -59,7 +59,7 @@ def test_the_same_task_keeps_its_recipe(problem, name):
     assert changed.case == "two-link"
     assert changed.parameters == problem.parameters
     again = changed.recipe.rebuilt()
-    np.testing.assert_array_equal(again.cost.Q, plain(changed).cost.Q)
+    np.testing.assert_array_equal(again.cost.Q, base_problem(changed).cost.Q)
     np.testing.assert_array_equal(again.x0, changed.x0)
 
 

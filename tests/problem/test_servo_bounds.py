@@ -85,13 +85,13 @@ def test_a_held_servo_follows_its_bound(plan):
 def test_derivatives_of_the_bounds_are_their_differences():
     problem, rng, step = arm(), np.random.default_rng(1), 1e-6
     xs, us = rng.normal(size=(41, 4)), rng.normal(size=(40, 2))
-    moves = problem.bounds.moves(xs, us)
+    moves = problem.bounds.step_bounds(xs, us)
     for i in range(4):
         ends = []
         for sign in (1.0, -1.0):
             moved = xs.copy()
             moved[:, i] += sign * step
-            ends.append(problem.bounds.moves(moved, us))
+            ends.append(problem.bounds.step_bounds(moved, us))
         for side, rows in ((0, moves.lower_by_x), (1, moves.upper_by_x)):
             difference = (ends[0][side] - ends[1][side]) / (2 * step)
             np.testing.assert_allclose(difference, rows[:, :, i], atol=1e-7)  # lines: rounding over the step
@@ -104,7 +104,7 @@ def test_the_reduced_gradient_is_that_of_a_motion_along_its_bounds():
     engine.start(problem.x0, np.tile([5.0, 0.3], (12, 1)))
     xs, us = engine.trajectory()
     A, B = problem.dynamics.linearize(xs, us)
-    moves = problem.bounds.moves(xs, us)
+    moves = problem.bounds.step_bounds(xs, us)
     gradient = lq.reduced_gradient(A, B, problem.cost.quadratize(xs, us), moves)
     assert (moves.upper[:, 0] <= 1e-11).any()
     assert np.abs(gradient - lq.gradient(A, B, problem.cost.quadratize(xs, us))).max() > 1e-3 * np.abs(gradient).max()
@@ -167,7 +167,7 @@ def test_a_force_that_ctrlrange_cannot_reach_takes_its_nearest_end():
     far = np.array([4.0, 0.0, 0.0, 0.0])  # 1.5 * 4 rad: even 2 asks for 20 * 2 + 0.3 - 120 = -80 N m
     lower, upper = bounds.at(0, far)
     assert lower[0] == upper[0] == 2.0
-    moves = bounds.moves(np.tile(far, (41, 1)), np.zeros((40, 2)))
+    moves = bounds.step_bounds(np.tile(far, (41, 1)), np.zeros((40, 2)))
     assert not moves.lower_by_x.any()
     assert not moves.upper_by_x.any()
 

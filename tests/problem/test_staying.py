@@ -6,7 +6,7 @@ import pytest
 import planner
 from planner.base.errors import PlannerError
 from planner.problem.costs.tracking import TrackingCost
-from planner.problem.staying import staying
+from planner.problem.staying import terminal_holding_cost
 from planner.solvers.slq import solve
 
 # A pendulum that stands on its head: unstable, so its end needs gains.
@@ -33,7 +33,7 @@ def test_it_is_the_value_of_the_stages_that_follow(dynamics):
     x0 = np.array([1e-4, 0.0])  # where the dynamics are their linearisation at the goal
     problem, longer = (
         planner.Problem(dynamics, cost, x0)
-        for cost in (staying(dynamics, cost_of(dynamics, 50), 0.5), cost_of(dynamics, 100, **LAST))
+        for cost in (terminal_holding_cost(dynamics, cost_of(dynamics, 50), 0.5), cost_of(dynamics, 100, **LAST))
     )
     short, long = solve(problem), solve(longer)
     # The longer one ends with the weights of a stage, as staying begins with them.
@@ -42,14 +42,14 @@ def test_it_is_the_value_of_the_stages_that_follow(dynamics):
 
 def test_its_weights_are_added_to_the_final_ones(dynamics):
     plain, kept = cost_of(dynamics, 20), cost_of(dynamics, 20, final_position=100.0)
-    P = staying(dynamics, plain, 1.0).Q[-1]
-    np.testing.assert_array_equal(staying(dynamics, kept, 1.0).Q[-1], P + np.diag([100.0, 0.0]))
+    P = terminal_holding_cost(dynamics, plain, 1.0).Q[-1]
+    np.testing.assert_array_equal(terminal_holding_cost(dynamics, kept, 1.0).Q[-1], P + np.diag([100.0, 0.0]))
     assert np.linalg.eigvalsh(P).min() > 0.0
-    assert staying(dynamics, plain, 0.0) is plain
+    assert terminal_holding_cost(dynamics, plain, 0.0) is plain
 
 
 def test_it_is_a_number_of_seconds(dynamics):
     with pytest.raises(PlannerError, match="hold is -1, expected a finite number of at least 0"):
-        staying(dynamics, cost_of(dynamics, 20), -1)
+        terminal_holding_cost(dynamics, cost_of(dynamics, 20), -1)
     with pytest.raises(PlannerError, match="hold is 'long', expected a finite number"):
-        staying(dynamics, cost_of(dynamics, 20), "long")
+        terminal_holding_cost(dynamics, cost_of(dynamics, 20), "long")

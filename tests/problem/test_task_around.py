@@ -5,7 +5,7 @@ from gantries import gantry
 
 import planner
 from planner.base.errors import PlannerError
-from planner.problem.guess import rolled
+from planner.problem.guess import rollout_states
 from planner.proof.cures import cures
 
 # There, beside the wall, and back: each straight way leads through it.
@@ -59,7 +59,7 @@ def test_an_elbow_bends_the_way_that_is_free(tmp_path):
     at_end = {}
     for more in ("", "[avoid]\nclearance = 0.01\n"):
         problem = loaded(tmp_path, "elbow.xml", ELBOW, REACH.format(z=-0.2) + more)
-        at_end[more] = rolled(problem.dynamics, problem.x0, problem.first_guess)[-1, :2]
+        at_end[more] = rollout_states(problem.dynamics, problem.x0, problem.first_guess)[-1, :2]
     blind, free = at_end.values()
     assert blind[1] == pytest.approx(-free[1], abs=1e-3)  # the two elbows of one point
     assert blind[1] > 0.0 > free[1]  # the start's is the nearer one; its links are in the block

@@ -10,8 +10,8 @@ from planner.base.errors import PlannerError
 from planner.cases.problem_file import load
 from planner.constraints import Along, Place, Tilt
 from planner.dynamics.kinematics import frame_pose
-from planner.problem.guess import rolled
-from planner.problem.tasks.keeping import KeptPoses
+from planner.problem.guess import rollout_states
+from planner.problem.tasks.keeping import PoseConstraints
 
 GOAL = '[[goal]]\nframe = "hand"\nposition = [0.3, 0.0, -0.2]\n'
 BELOW = '[[constraint]]\nframe = "hand"\nalong = "z"\nmost = {most}\n'
@@ -55,7 +55,7 @@ def test_the_elbow_bends_the_way_that_a_constraint_asks():
     ends = []
     for kept in ([], [planner.Constraint(Along("lower"), least=-0.3, when="end")]):
         problem = planner.task(mechanism(), START, goal, duration=1.0, constraint=kept)
-        ends.append(rolled(problem.dynamics, problem.x0, problem.first_guess)[-1, :2])
+        ends.append(rollout_states(problem.dynamics, problem.x0, problem.first_guess)[-1, :2])
     places = [float(frame_pose(mechanism(), q, "lower")[0, 3]) for q in ends]
     np.testing.assert_allclose(places, [0.017, 0.4], rtol=0, atol=0.005)
     plan = planner.solve(problem)
@@ -72,7 +72,7 @@ def test_derivatives_of_what_is_missing_are_those_of_differences():
         planner.Constraint(Place("hand"), equal=(0.1, 0.0, 0.2), when="end"),
         planner.Constraint(Tilt("hand"), most=0.1, when=(0.5, 1.0)),
     ]
-    kept = KeptPoses(asked, dynamics, x0, 50)
+    kept = PoseConstraints(asked, dynamics, x0, 50)
     assert kept.at(10) is None
     q, h = np.array([0.3, 0.8]), 1e-6
     missing = kept.at(50)

@@ -5,9 +5,9 @@ import pytest
 from arms import START, mechanism
 
 import planner
-from planner.problem.guess import quintic, rolled
+from planner.problem.guess import quintic, rollout_states
 from planner.problem.tasks.goal import Goal
-from planner.problem.tasks.motion import controls, motion, rows_of, way_of
+from planner.problem.tasks.motion import controls, interpolate, reference_states, joint_displacement
 from planner.problem.tasks.poses import Poses, poses_of
 from planner.problem.tasks.timetable import task_of
 
@@ -30,18 +30,18 @@ def way():
 
 def test_it_is_at_every_goal_in_time_and_stops_where_it_is_not_passed(way):
     task, poses, _, x0 = way
-    xs = rows_of(task, poses, x0)
+    xs = reference_states(task, poses, x0)
     np.testing.assert_allclose(xs[[0, 30, 50, 100], :2], [[0.5, -1.0], [1.0, -0.5], [1.2, 0.5], [0.0, 0.0]], atol=1e-12)
     np.testing.assert_allclose(xs[[0, 50, 100], 2:], 0.0, atol=1e-12)
     assert np.abs(xs[30, 2:]).min() > 0.1
-    np.testing.assert_allclose(way_of(task, poses), [0.7 + 1.2, 1.5 + 0.5])
+    np.testing.assert_allclose(joint_displacement(task, poses), [0.7 + 1.2, 1.5 + 0.5])
 
 
 def test_velocities_and_accelerations_are_differences_of_the_positions(way):
     task, poses, _, x0 = way
     t = np.array([0.31, 0.73, 1.4])
     h = 1e-5
-    before, here, after = (motion(task, poses, x0, t + s * h) for s in (-1, 0, 1))
+    before, here, after = (interpolate(task, poses, x0, t + s * h) for s in (-1, 0, 1))
     np.testing.assert_allclose((after[0] - before[0]) / (2 * h), here[1], atol=1e-7)  # h^2 and 1e-16 / h
     np.testing.assert_allclose((after[1] - before[1]) / (2 * h), here[2], atol=1e-6)
 
@@ -52,7 +52,7 @@ def test_between_two_poses_at_rest_it_is_the_straight_line_of_all_guesses():
     poses = Poses(np.array([0, N]), np.array([[0.0, 0.0], [0.5, -1.0]]), np.array([True, True]))
     t = DT * (np.arange(N) + 0.5)
     for got, wanted in zip(
-        motion(task, poses, np.zeros(4), t), quintic(np.zeros(2), np.array([0.5, -1.0]), N * DT, N), strict=True
+        interpolate(task, poses, np.zeros(4), t), quintic(np.zeros(2), np.array([0.5, -1.0]), N * DT, N), strict=True
     ):
         np.testing.assert_allclose(got, wanted, atol=1e-12)
 
@@ -60,13 +60,13 @@ def test_between_two_poses_at_rest_it_is_the_straight_line_of_all_guesses():
 def test_its_controls_move_the_machine_along_it(way):
     task, poses, dynamics, x0 = way
     us = controls(task, poses, dynamics, x0)
-    xs = rolled(dynamics, x0, us)
+    xs = rollout_states(dynamics, x0, us)
     # Controls are held over a stage: of second order in dt, so a fifth of dt brings the end 25 times nearer.
-    away = np.abs(xs - rows_of(task, poses, x0))[:, :2].max()
+    away = np.abs(xs - reference_states(task, poses, x0))[:, :2].max()
     fine = task_of(dynamics.mechanism, GOALS, [], 5 * N, DT / 5)
     finer = planner.RigidBodyDynamics(dynamics.mechanism, DT / 5)
     poses = poses_of(fine, finer, x0, dynamics.mechanism.joint_range)
-    near = np.abs(rolled(finer, x0, controls(fine, poses, finer, x0)) - rows_of(fine, poses, x0))[:, :2].max()
+    near = np.abs(rollout_states(finer, x0, controls(fine, poses, finer, x0)) - reference_states(fine, poses, x0))[:, :2].max()
     assert away < 0.02
     assert near < away / 15.0
 
@@ -80,7 +80,7 @@ def test_a_machine_with_a_ball_joint_has_states_but_no_controls():
     dynamics = planner.RigidBodyDynamics(machine, DT)
     task = task_of(machine, [Goal(frame="foot", position=(0.3, 0.2, -1.7))], [], N, DT)
     poses = poses_of(task, dynamics, machine.home, machine.joint_range)
-    xs = rows_of(task, poses, machine.home)
+    xs = reference_states(task, poses, machine.home)
     assert controls(task, poses, dynamics, machine.home) is None
     foot = planner.dynamics.frame_pose(machine, xs[-1, : machine.nq], "foot")[:3, 3]
     np.testing.assert_allclose(foot, [0.3, 0.2, -1.7], atol=5e-4)

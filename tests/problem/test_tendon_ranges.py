@@ -105,8 +105,8 @@ def test_a_start_or_goal_outside_is_refused_in_one_sentence(states, what):
 def test_joints_that_keep_a_tendon_within_its_range_leave_it_no_row():
     ranges = FINGER.replace('damping="0.3"', 'damping="0.3" limited="true" range="-5 5"')  # degrees: 0.17 rad apart
     problem = bent(goal=(0.05, 0.05), text=ranges)
-    assert problem.kept.rows is None
-    assert bent().kept.rows.names == ("range of tendon 'tie'",)
+    assert problem.trajectory_constraints.rows is None
+    assert bent().trajectory_constraints.rows.names == ("range of tendon 'tie'",)
 
 
 def test_a_length_that_an_equality_holds_is_no_matter_of_the_plan():
@@ -114,7 +114,7 @@ def test_a_length_that_an_equality_holds_is_no_matter_of_the_plan():
     held = FINGER.replace("<actuator>", '<equality><tendon tendon1="tie"/></equality><actuator>')
     held = held.replace('range="-0.02 0.02"', 'range="0 0.1"')
     problem = bent(text=held)
-    assert problem.kept is None or problem.kept.rows is None
+    assert problem.trajectory_constraints is None or problem.trajectory_constraints.rows is None
     assert planner.prove(planner.solve(problem), rollouts=0).passed
     with pytest.raises(PlannerError, match="tendon 'tie' at 0"):  # a range that the equality leaves
         bent(text=held.replace('range="0 0.1"', 'range="0.1 0.2"'))
@@ -122,7 +122,7 @@ def test_a_length_that_an_equality_holds_is_no_matter_of_the_plan():
 
 def test_the_derivative_of_a_tendon_is_that_of_differences():
     problem = bent()
-    part, rng = problem.kept.rows.parts[0], np.random.default_rng(3)
+    part, rng = problem.trajectory_constraints.rows.parts[0], np.random.default_rng(3)
     xs, us, n, e = rng.normal(size=(4, 4)), np.zeros((4, 2)), np.arange(4), 1e-6
     by_x, by_u = part.measure.derivatives(xs, us, n)
     ahead, back = (

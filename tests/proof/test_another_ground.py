@@ -9,7 +9,7 @@ from rolled_out_plans import acrobot, problem_of, rolled_out
 
 import planner
 from planner.model.mechanism import Mechanism
-from planner.proof.another_ground import GROUNDS, PLAN, another_ground, ground_table
+from planner.proof.another_ground import GROUNDS, PLAN, contact_sensitivity, ground_table
 from planner.proof.compare.contact_parity import contact_parity
 from planner.proof.replays.compiled_twin import CompiledTwin, with_model
 from planner.proof.replays.replaying import replay_in
@@ -124,7 +124,7 @@ def test_given_replays_units_and_another_way_to_replay(landing):
 
     runs = {mode: replay_in(compiled, landing, feedback=mode == "feedback") for mode in MODES}
     names = ["in"] * 4 + ["in/s"] * 4
-    section = another_ground(landing, compiled, units=names, runs=runs, replay=counted)
+    section = contact_sensitivity(landing, compiled, units=names, runs=runs, replay=counted)
     assert len(asked) == 2 * len(GROUNDS)
     assert not any(own for own, _ in asked)
     units = {one.name: one.unit for one in section.measured}
@@ -133,12 +133,12 @@ def test_given_replays_units_and_another_way_to_replay(landing):
 
 def test_nothing_touches():
     plan = rolled_out(problem_of(acrobot(), 0.02, 10))
-    assert another_ground(plan, CompiledTwin(plan.twin)).not_applicable == "nothing touches"
+    assert contact_sensitivity(plan, CompiledTwin(plan.twin)).not_applicable == "nothing touches"
 
 
 def test_a_light_foot_does_not_stand_on_default_contact():
     plan = planner.solve(planner.cases.hopper(height=5.0, duration=0.3))
-    section = another_ground(plan, CompiledTwin(plan.twin))
+    section = contact_sensitivity(plan, CompiledTwin(plan.twin))
     assert section.not_applicable.startswith("foot, which touches, has 0.001 % of the mass that it carries")
     assert section.measured == ()
 

@@ -11,7 +11,7 @@ from trees import mujoco
 import planner
 from planner.base.errors import ModelError
 from planner.dynamics import RigidBodyDynamics
-from planner.dynamics.contact_places import BodyPlace
+from planner.dynamics.contact_places import BodyContactKinematics
 from planner.dynamics.contacts import body_contact_forces, contact_forces
 from planner.model.contact.laws import ContactLaw
 from planner.model.mechanism import Mechanism
@@ -53,7 +53,7 @@ def test_mujocos_forces_are_the_laws(name):
     qs[:, 7:10] = np.array([0.0, 0.0, 0.5]) + 0.2 * qs[:, 7:10]
     for address, _ in m.quaternions:
         qs[:, address : address + 4] /= np.linalg.norm(qs[:, address : address + 4], axis=1)[:, None]
-    place, depths = BodyPlace(m, contact, qs, qds), 10 ** rng.uniform(-4, -2.3, size=100)
+    place, depths = BodyContactKinematics(m, contact, qs, qds), 10 ** rng.uniform(-4, -2.3, size=100)
     qs[:, 7:10] -= (place.e - depths)[:, None] * place.n  # the first is the raft: now they touch that deep
     ours = body_contact_forces(m, qs, qds)
     np.testing.assert_allclose(ours.depths[:, 0], depths, atol=1e-8)

@@ -6,7 +6,7 @@ import pytest
 import planner
 from planner.model.coupled_states import closed_state
 from planner.proof.engines.section import _reason
-from planner.proof.hold import hold_gain, hold_section, replay_hold
+from planner.proof.hold import hold_gain, hold_section, simulate_regulator
 from planner.proof.replays.compiled_twin import CompiledTwin
 from planner.proof.replays.replaying import replay_in
 
@@ -102,7 +102,7 @@ def test_the_goal_is_held(proven):
     reduction = plan.problem.dynamics.mechanism.reduction
     assert not np.any(hold.K[:, reduction.dependent])
     run = replay_in(CompiledTwin(plan.twin), plan, feedback=True)
-    assert hold_section(replay_hold(run, hold, 2.0)).passed
+    assert hold_section(simulate_regulator(run, hold, 2.0)).passed
 
 
 def test_other_engines_are_not_asked(proven):

@@ -9,7 +9,7 @@ import planner
 from planner import Problem, cases
 from planner.proof.growth import FACTOR, SMALL
 from planner.proof.order import ORDER_BOUND, _level, _observed
-from planner.proof.scales import path_bounds, shares_of_bounds
+from planner.proof.scales import path_error_bounds, shares_of_bounds
 
 
 def proof_of(problem, **options):
@@ -71,7 +71,7 @@ def test_the_transition_is_the_product_of_the_stages(proofs):
     plan = proof.replay.plan
     A, B = plan.problem.dynamics.linearize(plan.xs, plan.us)
     for mode, stages in (("open-loop", A), ("feedback", A + B @ plan.K)):
-        bounds = path_bounds(plan)  # errors are shares of these
+        bounds = path_error_bounds(plan)  # errors are shares of these
         phi = np.linalg.multi_dot(list(stages[::-1])) * bounds / bounds[:, None]
         norm = np.linalg.norm(phi, 2)
         assert proof.errors.transition[mode][-1] == pytest.approx(np.log10(norm))

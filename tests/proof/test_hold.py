@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 import planner
-from planner.proof.hold import Hold, hold_gain, hold_section, replay_hold
-from planner.proof.scales import path_bounds
+from planner.proof.hold import GoalRegulator, hold_gain, hold_section, simulate_regulator
+from planner.proof.scales import path_error_bounds
 
 BALL = """
 <mujoco model="trunk">
@@ -46,7 +46,7 @@ def linear(A, B, goal, dt=0.1, nu=1):
 
 def test_the_acrobot_stays_up_for_ten_seconds(arrived):
     regulator = hold_gain(arrived.plan.problem)
-    held = replay_hold(arrived, regulator, 10.0)
+    held = simulate_regulator(arrived, regulator, 10.0)
     section = hold_section(held)
     assert section.passed, section.failures
     np.testing.assert_array_equal(held.xs[0], arrived.xs[-1])
@@ -57,7 +57,7 @@ def test_the_acrobot_stays_up_for_ten_seconds(arrived):
     np.testing.assert_allclose(regulator.u_goal, 0.0, atol=1e-12)
     np.testing.assert_array_equal(held.hold.K, regulator.K)
     np.testing.assert_allclose(held.deviation[-1], held.xs[-1] - UPRIGHT)
-    last, bounds = held.deviation[held.t >= held.t[-1] - 1.0], path_bounds(arrived.plan)
+    last, bounds = held.deviation[held.t >= held.t[-1] - 1.0], path_error_bounds(arrived.plan)
     for word, unit, which in (("angle", "rad", slice(2)), ("angular_velocity", "rad/s", slice(2, 4))):
         one, largest = (figure(section, f"{part}_{word}_deviation") for part in ("held", "largest_held"))
         assert (one.unit, largest.bound) == (unit, None)
@@ -69,18 +69,18 @@ def test_the_acrobot_stays_up_for_ten_seconds(arrived):
 def test_without_gains_it_falls(arrived):
     """The bound can be missed, and the goal does not hold itself."""
     regulator = hold_gain(arrived.plan.problem)
-    section = hold_section(replay_hold(arrived, replace(regulator, K=0.0 * regulator.K), 3.0))
+    section = hold_section(simulate_regulator(arrived, replace(regulator, K=0.0 * regulator.K), 3.0))
     assert [bad.name for bad in section.failures] == ["held_angle_deviation", "held_angular_velocity_deviation"]
     assert figure(section, "held_angle_deviation").value > 1.0  # rad
 
 
 def test_a_runaway_fails(arrived):
     regulator = hold_gain(arrived.plan.problem)
-    away = replay_hold(arrived, replace(regulator, K=-1e6 * regulator.K), 1.0)
+    away = simulate_regulator(arrived, replace(regulator, K=-1e6 * regulator.K), 1.0)
     assert not hold_section(away).passed
     assert figure(hold_section(away), "held_angle_deviation").value == np.inf
     nowhere = replace(arrived, qpos=np.full_like(arrived.qpos, np.nan))
-    assert figure(hold_section(replay_hold(nowhere, regulator, 1.0)), "held_angle_deviation").value == np.inf
+    assert figure(hold_section(simulate_regulator(nowhere, regulator, 1.0)), "held_angle_deviation").value == np.inf
 
 
 def test_the_gains_are_the_limit_of_the_riccati_recursion():
@@ -122,7 +122,7 @@ def test_an_orientation_is_held_on_the_group():
     regulator = hold_gain(plan.problem)
     assert regulator.K.shape == (3, 6)
     assert np.abs(regulator.u_goal).max() > 1.0  # gravity
-    held = replay_hold(planner.replay(plan, feedback=True), regulator, 3.0)
+    held = simulate_regulator(planner.replay(plan, feedback=True), regulator, 3.0)
     section = hold_section(held)
     assert section.passed, section.failures
     assert held.deviation.shape[1] == 6
@@ -160,9 +160,9 @@ def test_goals_that_cannot_be_held_are_refused(problem, fragment):
 
 def test_wrong_times_to_hold_are_refused(arrived):
     with pytest.raises(planner.PlannerError, match="seconds is -1"):
-        replay_hold(arrived, hold_gain(arrived.plan.problem), -1.0)
+        simulate_regulator(arrived, hold_gain(arrived.plan.problem), -1.0)
     with pytest.raises(planner.PlannerError, match="expected 1 to 5000000"):
-        replay_hold(arrived, hold_gain(arrived.plan.problem), 1e9)
-    other = Hold(np.zeros(4), np.zeros(2), np.zeros((2, 4)), arrived.plan.space)
+        simulate_regulator(arrived, hold_gain(arrived.plan.problem), 1e9)
+    other = GoalRegulator(np.zeros(4), np.zeros(2), np.zeros((2, 4)), arrived.plan.space)
     with pytest.raises(planner.PlannerError, match="the gains have shape"):
-        replay_hold(arrived, other)
+        simulate_regulator(arrived, other)

@@ -10,14 +10,14 @@ import planner
 from planner.base.errors import PlannerError
 from planner.base.gl import load_mujoco
 from planner.model.mechanism import Mechanism
-from planner.problem.goals import Goal
+from planner.problem.goals import GoalCheck
 from planner.problem.problem import Requirements
 from planner.proof.replays.compiled_twin import CompiledTwin
 from planner.proof.replays.replaying import replay
-from planner.proof.robustness.campaign import LEVELS, Campaign
-from planner.proof.robustness.case_replay import replay_case
+from planner.proof.robustness.campaign import LEVELS, MonteCarlo
+from planner.proof.robustness.case_replay import replay_rollout
 from planner.proof.robustness.perturbation import Perturbation, draw
-from planner.proof.robustness.perturbed import Trials, perturbed
+from planner.proof.robustness.perturbed import MonteCarloSettings, perturbed
 from planner.proof.robustness.rollouts import MODES, Rollouts
 from planner.proof.robustness.success_rule import end_errors, ranges_of_motion, rule_of, within_goals
 
@@ -55,10 +55,10 @@ def test_the_margin_is_the_largest_level_that_is_kept(arm, monkeypatch, top):
         ran.append(level)
         self._store.arrays[f"{part} {mode} won"] = np.arange(wanted) >= (1 if level <= top else 2)
 
-    monkeypatch.setattr(Campaign, "_extend", extend)
+    monkeypatch.setattr(MonteCarlo, "_extend", extend)
     follows = replace(rule_of(arm), follows=lambda xs, plan_xs, knots: np.ones(len(xs), dtype=bool))
     with Rollouts(arm, coarse(arm), 1) as simulator:
-        campaign = Campaign(simulator, follows, NONE, 0, 64)
+        campaign = MonteCarlo(simulator, follows, NONE, 0, 64)
         assert campaign.per_level == 20
         assert campaign._margin("feedback", 0) == (LEVELS[top] if top >= 0 else 0.0)
     assert len(ran) <= 4
@@ -76,7 +76,7 @@ def test_rollouts_are_drawn_until_the_rate_with_gains_is_settled(arm, monkeypatc
         return xs
 
     monkeypatch.setattr(Rollouts, "run", run)
-    result = perturbed(arm, coarse(arm), Trials(512))
+    result = perturbed(arm, coarse(arm), MonteCarloSettings(512))
     assert (result.robustness, result.done, result.asked) == (word, done, 512)
     assert result.rates["open-loop"].of == done
     assert result.to_dict()["robustness"] == word
@@ -98,7 +98,7 @@ def test_without_goals_each_coordinate_has_a_tenth_of_its_range(arm, monkeypatch
 
 
 def test_with_goals_each_may_be_missed_by_five_tolerances(arm):
-    goals = [Goal("x", "m", 0.1, lambda xs: np.abs(xs[:, 0])), Goal("y", "m", 2.0, lambda xs: np.abs(xs[:, 1]))]
+    goals = [GoalCheck("x", "m", 0.1, lambda xs: np.abs(xs[:, 0])), GoalCheck("y", "m", 2.0, lambda xs: np.abs(xs[:, 1]))]
     rule = within_goals(goals)
     ends = np.array([[0.5, 10.0], [0.51, 0.0], [0.0, 10.1], [np.inf, 0.0]])
     np.testing.assert_array_equal(rule.won(ends), [True, False, False, False])
@@ -128,7 +128,7 @@ def test_a_case_in_detail_is_the_rollout(name, mode, request):
     twin, feedback = coarse(plan), mode == "feedback"
     xs = run(plan, twin, drawn(range(4)))[mode]
     for k in range(4):
-        one = replay_case(plan, twin, k, seed=3, feedback=feedback)
+        one = replay_rollout(plan, twin, k, seed=3, feedback=feedback)
         np.testing.assert_array_equal(one.xs[:: one.substeps], xs[k])
         np.testing.assert_array_equal(one.plan_xs[:: one.substeps], plan.xs)
 
@@ -140,7 +140,7 @@ def test_the_hopper_in_detail_is_the_rollout():
     twin = CompiledTwin(plan.twin)
     xs = run(plan, twin, drawn([0, 1]))
     for feedback in (False, True):
-        one = replay_case(plan, twin, 1, seed=3, feedback=feedback)
+        one = replay_rollout(plan, twin, 1, seed=3, feedback=feedback)
         np.testing.assert_array_equal(one.xs[:: one.substeps], xs[MODES[feedback]][1])
         assert one.contact_force.max() > 100.0
         assert one.integrator == "EULER"
@@ -159,7 +159,7 @@ def test_euler_takes_the_place_of_rk4_only_where_it_agrees(monkeypatch):
 def test_without_errors_it_is_the_replay(arm, mode):
     """Open loop at any step; with gains where every simulator step is a control step."""
     twin = coarse(arm)
-    result = perturbed(arm, twin, Trials(2, perturbation=NONE))
+    result = perturbed(arm, twin, MonteCarloSettings(2, perturbation=NONE))
     own = replay(arm, twin=twin.twin, substeps=CONTROL_STEPS, feedback=mode == "feedback")
     assert result.step == pytest.approx(own.timestep)
     np.testing.assert_allclose(result.end_error[mode], end_errors(arm, own.xs[-1:])[0], rtol=1e-6)
@@ -171,14 +171,14 @@ def test_without_errors_it_is_the_replay(arm, mode):
 def test_delay_is_a_shift_by_whole_steps(arm):
     twin = coarse(arm)
     late = Perturbation(**{**NOTHING, "delay": 0.05})
-    one = replay_case(arm, twin, 2, perturbation=late, feedback=False)
-    none = replay_case(arm, twin, 2, perturbation=NONE, feedback=False)
+    one = replay_rollout(arm, twin, 2, perturbation=late, feedback=False)
+    none = replay_rollout(arm, twin, 2, perturbation=NONE, feedback=False)
     with Rollouts(arm, twin) as rollouts:
         steps = round(draw(late, 0, 2, rollouts.nominal.sizes).delay / rollouts.step)
     assert steps > 1
     np.testing.assert_array_equal(one.ctrl[steps:], none.ctrl[:-steps])
     np.testing.assert_array_equal(one.ctrl[:steps], np.broadcast_to(none.ctrl[0], (steps, 2)))
-    back = replay_case(arm, twin, 2, perturbation=late, feedback=True)  # the first command, held
+    back = replay_rollout(arm, twin, 2, perturbation=late, feedback=True)  # the first command, held
     np.testing.assert_array_equal(back.ctrl[: steps + 1], np.broadcast_to(back.ctrl[0], (steps + 1, 2)))
     w = np.hstack([back.qpos, back.qvel])
     i = 40
@@ -189,7 +189,7 @@ def test_delay_is_a_shift_by_whole_steps(arm):
 
 
 def test_a_delay_beyond_the_end_holds_the_first_control(arm):
-    one = replay_case(arm, coarse(arm), 0, perturbation=Perturbation(**{**NOTHING, "delay": 10.0}))
+    one = replay_rollout(arm, coarse(arm), 0, perturbation=Perturbation(**{**NOTHING, "delay": 10.0}))
     np.testing.assert_array_equal(one.ctrl, np.broadcast_to(one.ctrl[0], one.ctrl.shape))
 
 
@@ -198,16 +198,16 @@ def test_a_delay_beyond_the_end_holds_the_first_control(arm):
 
 def test_rollouts_repeat_by_their_seed(arm):
     twin = coarse(arm)
-    first, again = perturbed(arm, twin, Trials(12, seed=4)), perturbed(arm, twin, Trials(12, seed=4), threads=1)
+    first, again = perturbed(arm, twin, MonteCarloSettings(12, seed=4)), perturbed(arm, twin, MonteCarloSettings(12, seed=4), threads=1)
     np.testing.assert_array_equal(ends(first), ends(again))
     assert first.to_dict() == again.to_dict()
-    other = perturbed(arm, twin, Trials(14, seed=5))
+    other = perturbed(arm, twin, MonteCarloSettings(14, seed=5))
     assert not np.array_equal(ends(other)[:, :12], ends(first))
 
 
 def test_what_is_robust_says_with_what_and_how_many_rollouts_it_took(arm):
     """All succeed with gains: 32 is the first look at which this settles their rate within 7 %."""
-    found = perturbed(arm, coarse(arm), Trials(64))
+    found = perturbed(arm, coarse(arm), MonteCarloSettings(64))
     assert found.done == 32
     lines = found.lines()
     assert "robustness: robust with its gains" in lines
@@ -215,15 +215,15 @@ def test_what_is_robust_says_with_what_and_how_many_rollouts_it_took(arm):
     proof = replace(planner.prove(arm, rollouts=0), monte_carlo=found)
     assert proof.headline.endswith("; feasible, optimal, robust with its gains")
     assert proof.robustness == "robust"
-    few = perturbed(arm, coarse(arm), Trials(4))
+    few = perturbed(arm, coarse(arm), MonteCarloSettings(4))
     assert few.notes == ()
     assert "robustness: counting" in few.lines()
 
 
 def test_gains_of_the_wrong_sign_fail(arm):
     twin = coarse(arm)
-    good = perturbed(arm, twin, Trials(16))
-    bad = perturbed(replace(arm, K=-arm.K), twin, Trials(16))
+    good = perturbed(arm, twin, MonteCarloSettings(16))
+    bad = perturbed(replace(arm, K=-arm.K), twin, MonteCarloSettings(16))
     assert good.rates["feedback"].value == 1.0
     assert (good.robustness, bad.robustness) == ("robust", "fragile")
     assert bad.rates["feedback"].value < 0.2
@@ -232,7 +232,7 @@ def test_gains_of_the_wrong_sign_fail(arm):
 
 
 def test_the_acrobot_needs_its_gains(acrobot):
-    result = perturbed(acrobot, coarse(acrobot), Trials(32, perturbation=SLIGHT))
+    result = perturbed(acrobot, coarse(acrobot), MonteCarloSettings(32, perturbation=SLIGHT))
     rates = result.rates
     assert rates["feedback"].value > 0.8
     assert rates["open-loop"].interval[1] < rates["feedback"].interval[0]
@@ -249,7 +249,7 @@ def test_a_requirement_may_say_what_success_is(arm):
     own = Requirements(success=lambda xs: np.arange(len(xs)) % 2 == 0)
     problem = planner.cases.two_link(horizon=100)
     object.__setattr__(problem, "requirements", own)
-    result = perturbed(replace(arm, problem=problem), coarse(arm), Trials(10))
+    result = perturbed(replace(arm, problem=problem), coarse(arm), MonteCarloSettings(10))
     assert result.rates["feedback"].successes == 5
 
 
@@ -258,9 +258,9 @@ def test_a_model_that_ignores_friction_is_noted(arm):
     text = twin.twin.mjcf.replace('contact="disable"', 'contact="disable" frictionloss="disable"')
     assert text != twin.twin.mjcf
     without = CompiledTwin(replace(twin.twin, mjcf=text))
-    assert not perturbed(arm, twin, Trials(1)).notes
-    assert "friction does nothing" in perturbed(arm, without, Trials(1)).notes[0]
-    assert not perturbed(arm, without, Trials(1, perturbation=NONE)).notes
+    assert not perturbed(arm, twin, MonteCarloSettings(1)).notes
+    assert "friction does nothing" in perturbed(arm, without, MonteCarloSettings(1)).notes[0]
+    assert not perturbed(arm, without, MonteCarloSettings(1, perturbation=NONE)).notes
 
 
 EXPLOSIVE = LIMITED.replace('damping="0.1" range="-1 1"', 'damping="0.1"')
@@ -277,7 +277,7 @@ def explosive():
 
 
 def test_rollouts_that_explode_are_failures(explosive):
-    result = perturbed(explosive, CompiledTwin(explosive.twin), Trials(8))
+    result = perturbed(explosive, CompiledTwin(explosive.twin), MonteCarloSettings(8))
     assert result.rates["feedback"].value == 0.0
     assert np.all(np.isinf(result.end_error["feedback"]))
     assert np.all(np.isfinite(result.end_error["open-loop"]))
@@ -286,13 +286,13 @@ def test_rollouts_that_explode_are_failures(explosive):
     assert np.all(np.isfinite(result.fans["feedback"][:, :50]))
     assert np.all(np.isnan(result.fans["feedback"][:, -1]))
     assert result.section.measured
-    one = replay_case(explosive, CompiledTwin(explosive.twin), 0, feedback=True)
+    one = replay_rollout(explosive, CompiledTwin(explosive.twin), 0, feedback=True)
     assert np.isnan(one.error[-1]).all()
     assert np.isfinite(one.error[10]).all()
 
 
 def test_arguments_are_checked(arm):
-    for wrong in (lambda: Trials(0), lambda: Trials(seed=-1)):
+    for wrong in (lambda: MonteCarloSettings(0), lambda: MonteCarloSettings(seed=-1)):
         with pytest.raises(PlannerError):
             wrong()
     with pytest.raises(PlannerError):

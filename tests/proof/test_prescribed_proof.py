@@ -16,13 +16,13 @@ from planner.cases.problem_file import load
 from planner.dynamics.contacts import contact_forces, generalized_forces
 from planner.model.mechanism import Mechanism
 from planner.model.mjcf import driven as driven_twin
-from planner.model.mjcf.driven import HEAVY, twin_of
+from planner.model.mjcf.driven import PRESCRIBED_ARMATURE, twin_of
 from planner.model.mjcf.survey import compile_model
 from planner.model.mjcf.text import edited
 from planner.model.twin import Twin
 from planner.problem.discretisation import finer
 from planner.proof.compare.driven_parity import driven_parity
-from planner.proof.robustness.perturbation import Nominal, Perturbation, Sizes, draw
+from planner.proof.robustness.perturbation import Nominal, Perturbation, SampleShape, draw
 
 
 @pytest.fixture(scope="module")
@@ -73,7 +73,7 @@ def test_the_motors_fall_short_by_the_force_over_the_armature(cart):
     mujoco.mj_inverse(bare, inverse)
     damping = 0.02 * x[3]  # of every joint: the plan's cart has none
     limit = inverse.qfrc_constraint[0]
-    assert short * HEAVY == pytest.approx(inverse.qfrc_inverse[0] + limit - damping, rel=1e-6)
+    assert short * PRESCRIBED_ARMATURE == pytest.approx(inverse.qfrc_inverse[0] + limit - damping, rel=1e-6)
     assert m.stiffness[0] == 40.0
 
 
@@ -87,7 +87,7 @@ def test_elements_on_a_prescribed_joint_are_taken_out_of_the_replay():
     assert not model.actuator_gear[0].any()
     assert [model.actuator(i).name for i in range(3)] == ["servo", "motor", "acceleration of cart"]
     assert not model.actuator_ctrllimited[2]
-    assert (model.actuator_gear[1, 0], model.actuator_gear[2, 0], model.dof_armature[0]) == (3.0, HEAVY, HEAVY)
+    assert (model.actuator_gear[1, 0], model.actuator_gear[2, 0], model.dof_armature[0]) == (3.0, PRESCRIBED_ARMATURE, PRESCRIBED_ARMATURE)
     np.testing.assert_array_equal(model.key_ctrl, [[0.1, 0.2, 0.0]])
     assert twin.source == m.mjcf
     assert twin_of(m, ()).mjcf == m.mjcf
@@ -128,7 +128,7 @@ def test_friction_loss_that_the_plan_lacks_fails_parity(cart):
 
 
 def test_a_wrong_gear_of_the_motors_fails(cart):
-    text = edited(cart.twin.mjcf, {"actuator/motor[@joint='cart']": {"gear": repr(1.001 * HEAVY)}})
+    text = edited(cart.twin.mjcf, {"actuator/motor[@joint='cart']": {"gear": repr(1.001 * PRESCRIBED_ARMATURE)}})
     section = planner.parity(cart.problem, text)
     assert not section.passed
     assert not figure(section, "driven_acceleration_error").passed
@@ -173,12 +173,12 @@ def test_contacts_and_stops_keep_their_force(monkeypatch):
     text, m = sharp_leg()
     accelerations = 3.0 * np.random.default_rng(4).normal(size=(100, len(PELVIS)))
     assert error_of_forces(text, m, accelerations) < 5e-3
-    assert error_of_forces(driven_twin.driven(m.mjcf, {}, compile_model(m.mjcf), PELVIS), m, accelerations) < 5e-3
+    assert error_of_forces(driven_twin.prescribe_joints(m.mjcf, {}, compile_model(m.mjcf), PELVIS), m, accelerations) < 5e-3
     for part in ("keep_law", "_keep_stops"):  # each is needed
         with monkeypatch.context() as patch:
             patch.setattr(driven_twin, part, lambda *_: None)
             assert (
-                error_of_forces(driven_twin.driven(m.mjcf, {}, compile_model(m.mjcf), PELVIS), m, accelerations) > 1e-2
+                error_of_forces(driven_twin.prescribe_joints(m.mjcf, {}, compile_model(m.mjcf), PELVIS), m, accelerations) > 1e-2
             )
 
 
@@ -249,13 +249,13 @@ def test_prescribed_joints_have_no_drag_and_no_friction(cart):
     np.testing.assert_array_equal(nominal.driven, [0])
     errors = draw(Perturbation(drag=1.0, friction=0.1), 0, 1, nominal.sizes)
     other = nominal.with_errors(errors, mujoco.MjData(model))
-    assert (other.dof_damping[0], other.dof_frictionloss[0], other.dof_armature[0]) == (0.0, 0.0, HEAVY)
+    assert (other.dof_damping[0], other.dof_frictionloss[0], other.dof_armature[0]) == (0.0, 0.0, PRESCRIBED_ARMATURE)
     assert other.dof_damping[1] > model.dof_damping[1]
     assert other.dof_frictionloss[1] > 0.0
 
 
 def test_stiffness_varies_and_leaves_the_other_draws_alone(cart):
-    sizes = Sizes(nbody=4, nv=3, ndx=6, N=10, nu=3, njnt=3)
+    sizes = SampleShape(nbody=4, nv=3, ndx=6, N=10, nu=3, njnt=3)
     without, given = (draw(Perturbation(stiffness=value), 5, 2, sizes) for value in (0.0, 0.3))
     for name, value in vars(without).items():
         if name != "stiffness":

@@ -8,7 +8,7 @@ import pytest
 from swings import mechanism, quick, solved, strange, swing
 
 import planner
-from planner.base.measured import Measured, Section
+from planner.base.measured import Measurement, Section
 from planner.problem.plan import Status
 from planner.proof import refinement
 from planner.proof.refinement import Refinement, refine
@@ -93,7 +93,7 @@ def test_a_plan_that_passes_is_left_alone():
 
 
 def section(title, name="an_error", value=1.0):
-    return Section(title, (Measured(name, value, "rad", 0.1),))
+    return Section(title, (Measurement(name, value, "rad", 0.1),))
 
 
 @pytest.mark.parametrize(

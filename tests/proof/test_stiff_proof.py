@@ -11,9 +11,9 @@ from fingers import FAST
 import planner
 from planner import Mechanism, RigidBodyDynamics
 from planner.cases.problem_file import load
-from planner.dynamics.stiffness import REACH, fastest, substeps_for
+from planner.dynamics.stiffness import MAX_RATE_STEP, fastest_mode, substeps_for
 from planner.problem.discretisation import finer, substeps_reason
-from planner.proof.order import order
+from planner.proof.order import step_convergence
 from planner.proof.replays.compiled_twin import CompiledTwin
 from planner.proof.replays.replaying import replay_in
 from planner.proof.robustness.perturbation import Perturbation, draw
@@ -27,7 +27,7 @@ LEAST_RATE = 2.78 / DT  # 1/s, above which one step a stage is unstable
 @pytest.fixture(scope="module")
 def plan():
     m = Mechanism.from_mjcf(FAST)
-    assert fastest(m, m.home).rate > 3.0 * LEAST_RATE
+    assert fastest_mode(m, m.home).rate > 3.0 * LEAST_RATE
     dynamics = RigidBodyDynamics(m, DT, substeps=substeps_for(m, DT, m.home))
     goal = np.array([0.8, 0.4, 0.0, 0.0])
     cost = planner.TrackingCost.joints(dynamics, goal, N, effort=0.01, final_position=1e3, final_velocity=1e3)
@@ -52,7 +52,7 @@ def test_the_refined_replay_is_finer_than_the_substeps(plan):
     assert not run.warnings
     longer = replay_in(CompiledTwin(plan.twin), plan, substeps=2)  # as the plan would be without substeps
     assert longer.warnings
-    found = order(plan.problem, run)
+    found = step_convergence(plan.problem, run)
     assert found.steps[0] == pytest.approx(DT / plan.problem.dynamics.substeps)
     assert np.isfinite(found.ends).all()
     assert found.section.passed
@@ -91,7 +91,7 @@ def hand(tmp_path_factory):
 
 def test_damping_that_rk4_does_not_follow_is_taken_implicitly(hand):
     dynamics = hand.problem.dynamics
-    assert fastest(dynamics.mechanism, hand.problem.x0).rate > 1e5 > 16 * REACH / 5e-4
+    assert fastest_mode(dynamics.mechanism, hand.problem.x0).rate > 1e5 > 16 * MAX_RATE_STEP / 5e-4
     assert (dynamics.integrator, dynamics.dt, dynamics.substeps) == ("rosenbrock", 0.01, 16)
     assert "damping is taken implicitly" in hand.problem.recipe.parameters["resolved"]["reasons"]["substeps"]
     half = finer(hand.problem).dynamics
@@ -128,4 +128,4 @@ def test_a_joint_that_slips_is_faster_than_one_that_is_held():
     light = HAND.replace('damping="1" range', 'damping="0.01" frictionloss="0.1" range')
     m = Mechanism.from_mjcf(light)
     slipping = replace(m, friction_loss=np.zeros(2))
-    assert fastest(m, m.home).rate == fastest(slipping, m.home).rate > 500.0
+    assert fastest_mode(m, m.home).rate == fastest_mode(slipping, m.home).rate > 500.0

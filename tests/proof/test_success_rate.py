@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from planner.proof.robustness.success_rate import LOOKS, Rate, enough, next_look
+from planner.proof.robustness.success_rate import LOOKS, SuccessRate, enough, next_look
 
 
 @pytest.mark.parametrize(
@@ -11,17 +11,17 @@ from planner.proof.robustness.success_rate import LOOKS, Rate, enough, next_look
     [(8, 10, 0.4902, 0.9433), (0, 10, 0.0, 0.2775), (10, 10, 0.7225, 1.0), (1, 29, 0.0061, 0.1718)],
 )
 def test_success_has_wilsons_interval(successes, of, low, high):
-    np.testing.assert_allclose(Rate(successes, of).interval, (low, high), atol=6e-5)
+    np.testing.assert_allclose(SuccessRate(successes, of).interval, (low, high), atol=6e-5)
 
 
 def test_a_rate_of_nothing_says_nothing():
-    assert Rate(0, 0).interval == (0.0, 1.0)
+    assert SuccessRate(0, 0).interval == (0.0, 1.0)
 
 
 def test_wilson_covers_the_true_rate():
     """Of many samples, about 95 % have the true rate within."""
     wins = np.random.default_rng(0).binomial(60, 0.9, size=2000)
-    inside = [low <= 0.9 <= high for low, high in (Rate(int(w), 60).interval for w in wins)]
+    inside = [low <= 0.9 <= high for low, high in (SuccessRate(int(w), 60).interval for w in wins)]
     assert 0.93 < np.mean(inside) < 0.98
 
 
@@ -38,12 +38,12 @@ def test_wilson_covers_the_true_rate():
     ],
 )  # fmt: skip
 def test_a_rate_becomes_a_word(successes, of, word, settled):
-    rate = Rate(successes, of)
+    rate = SuccessRate(successes, of)
     assert (rate.word, rate.settled) == (word, settled)
 
 
 def test_every_rate_is_settled_at_the_last_look():
-    assert all(Rate(k, LOOKS[-1]).settled for k in range(LOOKS[-1] + 1))
+    assert all(SuccessRate(k, LOOKS[-1]).settled for k in range(LOOKS[-1] + 1))
 
 
 def test_counting_ends_at_the_look_that_settles_it():

@@ -13,7 +13,7 @@ from planner.model.coordinates import coordinates_of
 from planner.problem.goals import LEAST, SHARE, goals_of
 from planner.proof.consistency import recomputed
 from planner.proof.scales import SHARE as OF_RANGE
-from planner.proof.scales import path_bounds
+from planner.proof.scales import path_error_bounds
 
 PENDULUM = """
 <mujoco>
@@ -168,7 +168,7 @@ def test_the_cost_error_does_not_follow_the_final_weights():
 
 def test_the_path_is_judged_between_the_knots_and_in_each_coordinates_own_range():
     plan = planner.solve(pendulum())
-    bounds = path_bounds(plan)
+    bounds = path_error_bounds(plan)
     assert bounds == pytest.approx(OF_RANGE * np.ptp(plan.xs, axis=0))
     section = proof_of(plan).refined_open_loop
     assert {"path_angle_error", "path_angular_velocity_error"} <= set(measured(section))
@@ -178,7 +178,7 @@ def test_the_path_is_judged_between_the_knots_and_in_each_coordinates_own_range(
 def test_the_path_of_a_small_machine_has_a_small_bound():
     """A plan that goes 1 mm is not repeated by a replay that goes half of it."""
     plan = planner.solve(replace(cart(), x0=[0.999, 0.0]))
-    assert path_bounds(plan)[0] == pytest.approx(1e-5, rel=0.01)
+    assert path_error_bounds(plan)[0] == pytest.approx(1e-5, rel=0.01)
 
 
 def test_coordinates_have_names_and_units():

@@ -9,7 +9,7 @@ from planner.cases.plan_file import load_plan
 from planner.contact import ContactLaw
 from planner.model.mjcf.survey import contact_pairs
 from planner.model.mjcf.text import edited
-from planner.problem.goals import Goal
+from planner.problem.goals import GoalCheck
 from planner.proof.left_out import left_out, pairs_left_out
 from planner.proof.replays.compiled_twin import CompiledTwin
 from planner.proof.replays.replaying import replay_in
@@ -29,7 +29,7 @@ WALLED = ARM.format(shape="box", size="0.05 0.05 0.2")
 
 def end(wanted, tolerance=0.02):
     """The hinge's angle at the end."""
-    return Goal("hinge", "rad", tolerance, lambda xs: np.abs(xs[:, 0] - wanted))
+    return GoalCheck("hinge", "rad", tolerance, lambda xs: np.abs(xs[:, 0] - wanted))
 
 
 def problem(text, goal, **reading):

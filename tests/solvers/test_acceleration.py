@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import planner
-from planner.solvers.acceleration import Acceleration
+from planner.solvers.acceleration import AndersonAcceleration
 
 CASES = ("two-link", "high-dive")
 
@@ -17,7 +17,7 @@ def problem(request):
 def plain(monkeypatch, problem, **options):
     """The plan of steps alone."""
     with monkeypatch.context() as without:
-        without.setattr(Acceleration, "after", lambda _, cost, done: done.cost)
+        without.setattr(AndersonAcceleration, "after", lambda _, cost, done: done.cost)
         return planner.solve(problem, **options)
 
 
@@ -39,7 +39,7 @@ def test_a_guess_that_costs_more_leaves_no_trace(monkeypatch, problem):
         return np.zeros((us[0] + 1, self._space.ndx)), np.full(us, 1e4)
 
     slow = plain(monkeypatch, problem)
-    monkeypatch.setattr(Acceleration, "_guess", astray)
+    monkeypatch.setattr(AndersonAcceleration, "_guess", astray)
     after = planner.solve(problem)
     assert tried
     assert after.nit == slow.nit

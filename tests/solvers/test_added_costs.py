@@ -13,7 +13,7 @@ from planner import Constraint, FrameCost, Limits, Problem
 from planner.costs import Quadratic
 from planner.dynamics.protocol import INTEGRATORS
 from planner.kernels.lq import search
-from planner.solvers.engine import AddedEngine, NumpyEngine, RowsEngine, borrow
+from planner.solvers.engine import HybridEngine, NumpyEngine, ConstrainedEngine, acquire_engine
 
 
 class Own:
@@ -56,8 +56,8 @@ def test_both_engines_do_the_same(text, seed, integrator, full):
     limits = Limits(control=2.0) if rng.random() < 0.3 else None
     kept = [Constraint(lambda xs: xs[:, -1], least=-1.0, when=(task.dynamics.dt, 1e9))] if rng.random() < 0.3 else ()
     task = Problem(dynamics, task.cost + own, task.x0, task.first_guess, limits=limits, constraints=kept)
-    ours, twin = borrow(task), NumpyEngine(task)
-    assert isinstance(ours, RowsEngine if kept else AddedEngine)
+    ours, twin = acquire_engine(task), NumpyEngine(task)
+    assert isinstance(ours, ConstrainedEngine if kept else HybridEngine)
     costs = [engine.start(task.x0, task.first_guess) for engine in (ours, twin)]
     assert costs[0] == pytest.approx(costs[1], rel=1e-10)
     assert ours.largest_control_weight == pytest.approx(twin.largest_control_weight, rel=1e-12)
@@ -101,7 +101,7 @@ class Elbow:
 @pytest.mark.parametrize("line_search", ["armijo", "exact", "goldstein", "wolfe"])
 def test_a_solve_ends_where_that_in_numpy_ends(hessian, line_search, monkeypatch):
     task = arm(Elbow())
-    assert isinstance(borrow(task, search.WOLFE), NumpyEngine)  # it needs slopes of what it has no slope of
+    assert isinstance(acquire_engine(task, search.WOLFE), NumpyEngine)  # it needs slopes of what it has no slope of
     ours = planner.solve(task, hessian=hessian, line_search=line_search)
     monkeypatch.setattr("planner.solvers.slq.borrow", lambda problem, rule: NumpyEngine(problem))
     twin = planner.solve(arm(Elbow()), hessian=hessian, line_search=line_search)

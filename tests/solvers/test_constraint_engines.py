@@ -11,8 +11,8 @@ from planner.costs import Distance, Height, Point, Segment, Velocity
 from planner.dynamics.protocol import INTEGRATORS
 from planner.kernels.lq import search
 from planner.problem.constraints.measures import measure_of
-from planner.problem.state_ranges import Hinges
-from planner.solvers.engine import NumpyEngine, RowsEngine, borrow
+from planner.problem.state_ranges import BoundPenalties
+from planner.solvers.engine import NumpyEngine, ConstrainedEngine, acquire_engine
 
 TOLERANCE = {"tolerance": 1e-3}
 
@@ -58,7 +58,7 @@ def hinged(rng, kept):
     lower, upper = kept.lower - 0.1 * rng.random(kept.lower.shape), kept.upper + 0.1 * rng.random(kept.lower.shape)
     exact = kept.lower == kept.upper
     weight = rng.random(lower.shape) * (np.isfinite(lower) | np.isfinite(upper))
-    return Hinges(np.where(exact, upper, lower), upper, weight)
+    return BoundPenalties(np.where(exact, upper, lower), upper, weight)
 
 
 @machines(16, max_dofs=12, max_bodies=4, integrator=st.sampled_from(INTEGRATORS), full=st.booleans())
@@ -67,8 +67,8 @@ def test_both_engines_do_the_same(text, seed, integrator, full):
     limits = Limits(control=2.0) if rng.random() < 0.3 else None
     constraints = later(of_all_kinds(rng, task.dynamics), task)
     task = Problem(task.dynamics, task.cost, task.x0, task.first_guess, limits=limits, constraints=constraints)
-    hinges, ours, twin = hinged(rng, task.kept), borrow(task), NumpyEngine(task)
-    assert isinstance(ours, RowsEngine)
+    hinges, ours, twin = hinged(rng, task.trajectory_constraints), acquire_engine(task), NumpyEngine(task)
+    assert isinstance(ours, ConstrainedEngine)
     costs = []
     for engine in (ours, twin):
         engine.hinge(hinges)

@@ -89,7 +89,7 @@ def test_scipy_finds_no_better_plan_that_keeps_the_constraints(task):
 def test_conditions_of_karush_kuhn_and_tucker(task):
     problem = point(TASKS[task])
     plan = solve(problem)
-    rows, multipliers = problem.kept.rows, problem.kept.multipliers(plan.hinges, plan.xs, plan.us)
+    rows, multipliers = problem.trajectory_constraints.rows, problem.trajectory_constraints.multipliers(plan.bound_penalties, plan.xs, plan.us)
     together = np.concatenate(multipliers, axis=1) / rows.scale  # J per scaled row, in the order of the columns
     h = 1e-6
 
@@ -110,14 +110,14 @@ def test_conditions_of_karush_kuhn_and_tucker(task):
     assert np.isfinite(rows.upper[above]).all()
     assert np.isfinite(rows.lower[below]).all()
     # a bound that pulls is one that the motion is at
-    assert np.all(np.abs(e - rows.upper)[above] <= 1.5 * problem.kept.tolerance)
-    assert np.all(np.abs(e - rows.lower)[below] <= 1.5 * problem.kept.tolerance)
+    assert np.all(np.abs(e - rows.upper)[above] <= 1.5 * problem.trajectory_constraints.tolerance)
+    assert np.all(np.abs(e - rows.lower)[below] <= 1.5 * problem.trajectory_constraints.tolerance)
 
 
 def test_a_multiplier_is_what_a_looser_bound_saves():
     tight, loose = (point([Constraint(post, least=radius, name="post")]) for radius in (0.3, 0.299))
     plan, other = solve(tight), solve(loose)
-    price = -sum(float(one.sum()) for one in tight.kept.multipliers(plan.hinges, plan.xs, plan.us))
+    price = -sum(float(one.sum()) for one in tight.trajectory_constraints.multipliers(plan.bound_penalties, plan.xs, plan.us))
     # a step of 1e-3 is a hundred times the tolerance that the motion of the two may be off by, and curvature is small
     assert plan.cost - other.cost == pytest.approx(1e-3 * price, rel=0.15)
     assert price > 0.0
@@ -145,7 +145,7 @@ def test_free_where_it_is_not_asked_for():
 
 def test_nothing_violated_costs_nothing():
     free, kept = solve(point()), solve(point([Constraint(post, least=0.01)]))
-    assert kept.hinges is None
+    assert kept.bound_penalties is None
     assert np.array_equal(free.us, kept.us)
 
 
@@ -221,13 +221,13 @@ def test_power_of_a_motor_is_kept_and_proved():
 def test_an_objective_of_jerk_keeps_them():
     """Its states are longer by the last accelerations."""
     problem = with_objective(arm([Constraint(Power("elbow"), most=1.0)]), {"effort": 1.0, "jerk": 1e-5})
-    hinges = problem.kept.free()
+    hinges = problem.trajectory_constraints.free()
     longer = solver_problem(problem)
     assert longer.dynamics.nx == 6
     xs = np.concatenate([solve(arm([])).xs, np.zeros((problem.N + 1, 2))], axis=1)
     A, B = longer.dynamics.linearize(xs, problem.first_guess)
     weighed = hinges._replace(weight=np.isfinite(hinges.upper).astype(float))
-    n, by_z, _, _ = longer.kept.pull_of_rows(weighed, xs, problem.first_guess, A, B)
+    n, by_z, _, _ = longer.trajectory_constraints.pull_of_rows(weighed, xs, problem.first_guess, A, B)
     assert len(n) > 0
     assert by_z.shape[2] == 8
     assert not by_z[:, 0, 4:6].any()  # the power at the start of a stage knows nothing of the last acceleration

@@ -13,8 +13,8 @@ from planner.cli.problems import asked_problem
 from planner.model.space import StateSpace, euclidean
 from planner.problem.periodicity import Periodic
 from planner.problem.recipe import Recipe
-from planner.solvers.ends import Ends, response, with_ends
-from planner.solvers.periodic import Pass, solve_periodic
+from planner.solvers.ends import BoundaryStates, response, with_ends
+from planner.solvers.periodic import PeriodicPass, solve_periodic
 from planner.view.report.reproduce import command
 
 N, CYCLE = 60, 2.0
@@ -104,7 +104,7 @@ def test_a_plan_answers_to_its_ends_as_it_says():
     rng = np.random.default_rng(0)
     for _ in range(4):
         d, dr = rng.normal(size=(2, 3)) * [1.0, 1.0, 0.0]
-        moved = with_ends(problem, Ends(problem.x0 + d, problem.cost.x_ref[-1] + dr), found.plan.us)
+        moved = with_ends(problem, BoundaryStates(problem.x0 + d, problem.cost.x_ref[-1] + dr), found.plan.us)
         other = response(planner.solve(moved, **exact))
         assert other.plan.cost == pytest.approx(found.promised(d, dr), rel=1e-9)
         np.testing.assert_allclose(
@@ -237,7 +237,7 @@ def test_interruption_keeps_the_best():
     def once(line):
         heading, row = str(line).splitlines()
         assert row.split()[0] == "0" == str(line.number)
-        assert heading == Pass.header()
+        assert heading == PeriodicPass.header()
         assert len(heading) <= len(row)
         raise StopIteration
 
@@ -256,7 +256,7 @@ def test_gaps_are_deviations():
     space = StateSpace(5, 4, ((0, 0),))
     periodic = Periodic([0.1, 0.1, 0.1, np.inf])
     xs = np.stack([[1.0, 0.0, 0.0, 0.0, 0.0], turned])
-    np.testing.assert_allclose(periodic.gap(space, xs), [0.2, 0.0, 0.0, 0.0], atol=1e-15)
+    np.testing.assert_allclose(periodic.closure_error(space, xs), [0.2, 0.0, 0.0, 0.0], atol=1e-15)
     assert periodic.miss(space, xs) == pytest.approx(2.0)
     np.testing.assert_allclose(periodic.brought(space, xs[0], turned), [*turned[:4], 0.0])
     assert Periodic(0.5).of_size(2).miss(euclidean(2), np.array([[0.0, 0.0], [0.1, 0.2]])) == pytest.approx(0.4)

@@ -46,24 +46,24 @@ def test_it_ends_after_rounds_that_come_no_nearer(errors):
         xs[-1, :2] = 1.0 + error
         return dataclasses.replace(plan, xs=xs, history=plan.history[:1])
 
-    ended = augmented.within_ranges(problem.kept, problem.kept.tolerance, minimise, plan.us, 1000)
+    ended = augmented.augmented_lagrangian(problem.trajectory_constraints, problem.trajectory_constraints.tolerance, minimise, plan.us, 1000)
     assert ended.status is Status.OUTSIDE_LIMITS
-    nearest = int(np.argmin(errors)) if errors[1] < augmented.LESS * errors[0] else 0
-    assert len(solved) == nearest + 1 + augmented.MOST_IN_VAIN
+    nearest = int(np.argmin(errors)) if errors[1] < augmented.STALL_RATIO * errors[0] else 0
+    assert len(solved) == nearest + 1 + augmented.MAX_STALLED_ROUNDS
 
 
 def test_a_weight_that_a_kink_set_to_zero_comes_back_at_once():
     engine = SimpleNamespace(largest_control_weight=1.0)
     regularisation = Regularisation(engine, exact=False)
     for _ in range(5):
-        regularisation.raise_()
+        regularisation.increase()
     before = regularisation.mu
     assert before == pytest.approx(LEAST * FACTOR**4)
-    regularisation.lower(0.5, at_kink=True)
-    assert regularisation.plain
-    regularisation.raise_()
+    regularisation.decrease(0.5, at_kink=True)
+    assert regularisation.unregularized
+    regularisation.increase()
     assert regularisation.mu == before
-    regularisation.raise_()
+    regularisation.increase()
     assert regularisation.mu == pytest.approx(FACTOR * before)
 
 

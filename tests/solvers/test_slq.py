@@ -23,7 +23,7 @@ from solves import (
 import planner
 from planner import FunctionDynamics, Problem, Status
 from planner.solvers import lq
-from planner.solvers.engine import CompiledEngine, NumpyEngine, borrow
+from planner.solvers.engine import CompiledEngine, NumpyEngine, acquire_engine
 
 # What the paper proves
 
@@ -130,8 +130,8 @@ def test_a_solve_goes_on_from_a_plans_controls(engine):
 @pytest.mark.parametrize("name", ["short", "semi-implicit", "paper 1"])
 def test_engines_agree_line_by_line(name, update, line_search):
     problem = hopper(name)
-    assert isinstance(borrow(problem), CompiledEngine)
-    assert isinstance(borrow(numpy_twin(problem)), NumpyEngine)
+    assert isinstance(acquire_engine(problem), CompiledEngine)
+    assert isinstance(acquire_engine(numpy_twin(problem)), NumpyEngine)
     ours = planner.solve(problem, update=update, line_search=line_search)
     theirs = planner.solve(numpy_twin(problem), update=update, line_search=line_search)
     # The exact search finds a flat minimum to half of the digits at best, and other steps lead elsewhere: its first

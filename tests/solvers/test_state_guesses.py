@@ -11,10 +11,10 @@ from planner import Constraint, Limits, PlannerError, Problem, TrackingCost
 from planner.dynamics import RigidBodyDynamics
 from planner.model.mechanism import Mechanism
 from planner.problem.costs.terms import Quadratic
-from planner.problem.guess import line_of_states
+from planner.problem.guess import interpolated_states
 from planner.solvers import lq
-from planner.solvers.engine import CompiledEngine, NumpyEngine, RowsEngine
-from planner.solvers.shooting import close_gaps
+from planner.solvers.engine import CompiledEngine, NumpyEngine, ConstrainedEngine
+from planner.solvers.shooting import close_defects
 
 
 def with_defects(A, B, m, gaps):
@@ -57,7 +57,7 @@ def guessed(name, integrator, limits=None, constraints=()):
     goal = m.space.integrate(m.home, 0.4 * rng.normal(size=m.space.ndx))
     cost = TrackingCost.reach(goal, 12, final=100.0, running=1.0, effort=0.1, dt=0.03, nu=m.nu, space=m.space)
     problem = Problem(dynamics, cost, m.home, limits=limits, constraints=constraints)
-    xs = line_of_states(m.space, m.home, goal, 0.36, 12)
+    xs = interpolated_states(m.space, m.home, goal, 0.36, 12)
     xs[1:] = m.space.integrate(xs[1:], 0.1 * rng.normal(size=(12, m.space.ndx)))
     us = rng.normal(size=(12, m.nu))
     return problem, xs, us if problem.bounds is None else problem.bounds.clip(slice(None), us, xs[:-1])
@@ -74,7 +74,7 @@ def test_both_engines_cross_gaps_alike(name, integrator, limits):
         for engine in (ours, twin):
             engine.start(problem.x0, us)
             gaps = engine.place(xs, us)
-            engine.hold = hold
+            engine.state_regularization = hold
             ways.append(engine.cross(gaps, True))
         assert np.abs(gaps).max() > 0.01
         for a, b in zip(*ways, strict=True):
@@ -90,20 +90,20 @@ def test_rows_of_constraints_stand_beside_gaps_and_what_holds_states(exact):
     """A user's own function goes to the sweep by the same array as second derivatives and weights on the states."""
     power = Constraint(lambda xs, us: us[:, 0] * xs[:, -1], most=0.01, name="power")
     problem, xs, us = guessed("arm", "rk4", constraints=[power])
-    hinges = problem.kept.free()
-    hinges.weight[:] = 50.0 * np.isfinite(problem.kept.upper)
-    engines = RowsEngine(problem, problem.kept, problem.dynamics, problem.cost), NumpyEngine(problem)
+    hinges = problem.trajectory_constraints.free()
+    hinges.weight[:] = 50.0 * np.isfinite(problem.trajectory_constraints.upper)
+    engines = ConstrainedEngine(problem, problem.trajectory_constraints, problem.dynamics, problem.cost), NumpyEngine(problem)
     ways, gains = [], []
     for engine in engines:
         engine.hinge(hinges)
         engine.start(problem.x0, us, exact)
         gaps = engine.place(xs, us)
-        engine.hold = 0.3
+        engine.state_regularization = 0.3
         ways.append(engine.cross(gaps, True))
         engine.close(np.inf, 0.0)
         engine.use_second_order(exact)
         for hold, second in ((0.3, exact), (0.2, False), (0.0, exact)):
-            engine.hold = hold
+            engine.state_regularization = hold
             engine.use_second_order(second)
             engine.sweep(1.0, hold == 0.3)
             gains.append(engine.gains())
@@ -118,7 +118,7 @@ def test_states_lead_to_a_minimum_within_constraints():
     free, plan = planner.solve(problem), planner.solve(problem, states=xs)
     assert free.success
     assert plan.success
-    assert problem.kept.beyond(plan.xs, plan.us).max() <= problem.kept.tolerance
+    assert problem.trajectory_constraints.beyond(plan.xs, plan.us).max() <= problem.trajectory_constraints.tolerance
     assert plan.cost == pytest.approx(free.cost, rel=1e-4)  # both within tolerances, not on the bound
 
 
@@ -126,17 +126,17 @@ def test_hinges_of_a_first_solve_count_in_the_merit():
     """What keeps shapes apart has hinges from the beginning: its engine's costs are those of the lines across gaps."""
     high = Constraint(lambda xs: xs[:, 0], least=0.5, when="end")
     problem, xs, us = guessed("arm", "rk4", constraints=[high])
-    hinges = problem.kept.free()
-    hinges.weight[:] = 50.0 * np.isfinite(problem.kept.lower)
-    engine = RowsEngine(problem, problem.kept, problem.dynamics, problem.cost)
+    hinges = problem.trajectory_constraints.free()
+    hinges.weight[:] = 50.0 * np.isfinite(problem.trajectory_constraints.lower)
+    engine = ConstrainedEngine(problem, problem.trajectory_constraints, problem.dynamics, problem.cost)
     engine.hinge(hinges)
-    cost, lines, _ = close_gaps(problem, engine, False, xs, us, 100, None, hinges)
+    cost, lines, _ = close_defects(problem, engine, False, xs, us, 100, None, hinges)
     begun = np.concatenate([problem.x0[None], xs[1:]])
-    pull = problem.kept.value(hinges, begun, us)
+    pull = problem.trajectory_constraints.value(hinges, begun, us)
     assert pull > 1e-3
     assert lines[0].cost == pytest.approx(problem.cost.value(begun, us) + pull, rel=1e-12)
     xs, us = engine.trajectory()
-    assert cost == pytest.approx(problem.cost.value(xs, us) + problem.kept.value(hinges, xs, us), rel=1e-12)
+    assert cost == pytest.approx(problem.cost.value(xs, us) + problem.trajectory_constraints.value(hinges, xs, us), rel=1e-12)
 
 
 @pytest.mark.parametrize("integrator", ["rk4", "semi-implicit-euler"])
@@ -156,7 +156,7 @@ def test_holding_states_is_a_heavier_weight_on_them():
     problem, _, us = guessed("arm", "rk4")
     engine = NumpyEngine(problem)
     engine.start(problem.x0, us)
-    engine.hold = 0.7
+    engine.state_regularization = 0.7
     engine.sweep(0.0, True)
     Q = engine._model.Q.copy()
     mean = np.abs(np.diagonal(problem.cost.Q, axis1=1, axis2=2)).sum(axis=0) / problem.N
@@ -209,8 +209,8 @@ def test_steps_across_gaps_lower_the_merit_and_close():
     problem = planner.cases.build("two-link", horizon=60)
     engine, rng = NumpyEngine(numpy_twin(problem)), np.random.default_rng(0)
     us = problem.first_guess + 20.0 * rng.normal(size=problem.first_guess.shape)
-    xs = line_of_states(problem.dynamics.space, problem.x0, problem.cost.x_ref[-1], problem.duration, problem.N)
-    cost, lines, interrupted = close_gaps(problem, engine, False, xs, us, 100, None)
+    xs = interpolated_states(problem.dynamics.space, problem.x0, problem.cost.x_ref[-1], problem.duration, problem.N)
+    cost, lines, interrupted = close_defects(problem, engine, False, xs, us, 100, None)
     assert not interrupted
     assert 0 < len(lines) <= 60
     assert np.abs(engine.place(*engine.trajectory())).max() == 0.0

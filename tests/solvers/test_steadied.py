@@ -9,10 +9,10 @@ import pytest
 
 import planner
 from planner import FunctionDynamics, Mechanism, Problem, RigidBodyDynamics, Status, TrackingCost
-from planner.dynamics.stiffness import Fastest, fastest, substeps_of
+from planner.dynamics.stiffness import FastestMode, fastest_mode, substeps_of
 from planner.problem.limits import Limits
-from planner.solvers.steadied import runs_away, steadied
-from planner.solvers.warm_start import roll_out
+from planner.solvers.steadied import has_diverged, stabilizing_guess
+from planner.solvers.warm_start import feedback_rollout
 
 CART = """
 <mujoco><option gravity="0 0 -9.81" timestep="0.001" integrator="RK4"/><worldbody>
@@ -43,7 +43,7 @@ def moved(bias, x0, duration=5.0, dt=0.02, substeps=1, **rest):
 @pytest.mark.parametrize("name", MACHINES)
 def test_a_machine_that_runs_away_from_its_start_is_held(name):
     problem = moved(*MACHINES[name])
-    cost, _ = roll_out(problem, problem.first_guess)
+    cost, _ = feedback_rollout(problem, problem.first_guess)
     assert not cost < 1e20  # the guess is as bad as it is said to be
     plan = planner.solve(problem)
     assert plan.success
@@ -78,10 +78,10 @@ def test_all_of_several_starts_run_away(monkeypatch):
 
 def test_the_new_guess_stays_within_bounds():
     problem = replace(moved("0 50 5", np.array([0.0, 0.1, 0.0, 0.0]), 3.0), limits=Limits(control=(-30.0, 30.0)))
-    us = steadied(problem)
+    us = stabilizing_guess(problem)
     assert us is not None
     assert np.abs(us).max() <= 30.0
-    assert roll_out(problem, us)[0] < 1e6
+    assert feedback_rollout(problem, us)[0] < 1e6
 
 
 def test_ranges_of_states_do_not_hide_a_guess_that_runs_away():
@@ -99,13 +99,13 @@ def test_own_dynamics_are_held_too():
 
 def test_a_motion_that_no_control_reaches_is_not_held():
     dynamics = FunctionDynamics(lambda x, u: x**3 + 0.0 * u, 1, 1, 0.1, "euler")
-    assert steadied(Problem(dynamics, TrackingCost.reach([0.0], 60, final=1.0, effort=1.0), [2.0])) is None
+    assert stabilizing_guess(Problem(dynamics, TrackingCost.reach([0.0], 60, final=1.0, effort=1.0), [2.0])) is None
 
 
 def test_large_units_are_no_runaway():
     xs = np.array([[1.5e11, 0.0], [1.6e11, 3e4]])  # m and m/s of a planet
-    assert not runs_away(xs).any()
-    assert runs_away(np.array([[1.0, 0.0], [np.nan, 0.0], [0.0, 1e11]])).tolist() == [False, True, True]
+    assert not has_diverged(xs).any()
+    assert has_diverged(np.array([[1.0, 0.0], [np.nan, 0.0], [0.0, 1e11]])).tolist() == [False, True, True]
 
 
 @pytest.mark.parametrize("duration", [2.0, 8.0])
@@ -127,6 +127,6 @@ def test_a_solve_whose_gradient_overflows_is_not_finite():
     assert not np.isfinite(plan.gradient_norm)
     assert plan.status is Status.NOT_FINITE
     m = still.dynamics.mechanism
-    rate = fastest(m, [still.x0, m.home]).rate
-    expected = f'expected integrator="rk4", substeps={substeps_of(Fastest(rate, ""), still.dynamics.dt)}.'
+    rate = fastest_mode(m, [still.x0, m.home]).rate
+    expected = f'expected integrator="rk4", substeps={substeps_of(FastestMode(rate, ""), still.dynamics.dt)}.'
     assert plan.options["not_finite"] == f"cart has a rate of {rate:.4g} per s and a step takes 0.02 s, {expected}"

@@ -15,10 +15,10 @@ import pytest
 from troubled_problems import troubled
 
 import planner
-from planner.base.executors import in_turn
+from planner.base.executors import ordered_map
 from planner.proof.replays.compiled_twin import CompiledTwin
 from planner.proof.robustness import batches
-from planner.proof.robustness.perturbed import Trials, perturbed
+from planner.proof.robustness.perturbed import MonteCarloSettings, perturbed
 from planner.sweeps.executors import executor_of
 from planner.sweeps.processes import LocalProcesses
 from planner.sweeps.stored_plans import check, stored_proof
@@ -52,20 +52,20 @@ def killed(value, bad, once=None):
 
 
 def test_results_come_in_the_order_of_the_items(processes):
-    assert list(in_turn(processes, square, range(50))) == [value * value for value in range(50)]
-    assert list(in_turn(None, square, range(3))) == [0, 1, 4]
+    assert list(ordered_map(processes, square, range(50))) == [value * value for value in range(50)]
+    assert list(ordered_map(None, square, range(3))) == [0, 1, 4]
 
 
 def test_few_calls_are_on_their_way_at_a_time():
     taken = []
     with ThreadPoolExecutor(2) as executor:
-        for value in in_turn(executor, square, (taken.append(k) or k for k in range(100))):
+        for value in ordered_map(executor, square, (taken.append(k) or k for k in range(100))):
             assert len(taken) <= value**0.5 + 9
 
 
 def test_a_call_whose_process_is_killed_is_made_once_more(processes, tmp_path):
     work = partial(killed, bad=7, once=str(tmp_path / "killed"))
-    assert list(in_turn(processes, work, range(20))) == list(range(20))
+    assert list(ordered_map(processes, work, range(20))) == list(range(20))
     assert (tmp_path / "killed").exists()
 
 
@@ -74,12 +74,12 @@ def test_a_call_that_always_kills_is_a_sentence_and_costs_no_other(processes):
     found = [None if isinstance(future.exception(), BrokenExecutor) else future.result() for future in futures]
     assert found == [0, 1, 2, None, *range(4, 12)]
     with pytest.raises(planner.PlannerError, match="ended twice in the middle of the same work"):
-        list(in_turn(processes, partial(killed, bad=1), range(4)))
+        list(ordered_map(processes, partial(killed, bad=1), range(4)))
 
 
 def test_what_cannot_be_sent_is_a_sentence(processes):
     with pytest.raises(planner.PlannerError, match="cannot be sent to processes"):
-        list(in_turn(processes, lambda value: value, range(3)))
+        list(ordered_map(processes, lambda value: value, range(3)))
 
 
 def test_a_context_left_by_an_error_ends_its_processes_at_once():
@@ -111,12 +111,12 @@ def test_ctrl_c_between_starts_keeps_the_best_so_far(processes):
     assert plan.status is planner.Status.INTERRUPTED
     assert len(seen) == 1
     assert np.isfinite(plan.cost)
-    assert list(in_turn(processes, square, range(3))) == [0, 1, 4]  # the executor goes on
+    assert list(ordered_map(processes, square, range(3))) == [0, 1, 4]  # the executor goes on
 
 
 def test_rollouts_are_the_same_to_the_last_bit(processes, plan, monkeypatch):
     """Whatever the batches and the workers; threads of one process have a simulator each."""
-    trials, compiled = Trials(40), CompiledTwin(plan.twin)
+    trials, compiled = MonteCarloSettings(40), CompiledTwin(plan.twin)
     here = perturbed(plan, compiled, trials)
     monkeypatch.setattr(batches, "_FEWEST", 3)
     with ThreadPoolExecutor(3) as threads:

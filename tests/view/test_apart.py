@@ -8,7 +8,7 @@ from films import APPEARANCE, changed, make_replay
 
 from planner.base.errors import RenderingUnavailable
 from planner.view.render import children
-from planner.view.render.apart import SAME, apart, behind, visibility
+from planner.view.render.apart import SAME, screen_difference, behind, visibility
 from planner.view.render.children import drawn_by_children
 from planner.view.render.drawing import Job, carry_out, draw_frames
 from planner.view.render.film import Film
@@ -24,9 +24,9 @@ def film_of(offset=0.0, appearance=IN_PLACE, times=(0.1,)):
 
 def test_distances_are_those_of_the_farthest_point():
     one = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0]])
-    assert apart(one, one + np.array([0.0, 0.3, 0.4])) == pytest.approx(0.5)
-    assert apart(one, one * [3.0, 1.0, 1.0]) == pytest.approx(2.0)
-    assert apart(np.empty((0, 3)), np.empty((0, 3))) == 0.0
+    assert screen_difference(one, one + np.array([0.0, 0.3, 0.4])) == pytest.approx(0.5)
+    assert screen_difference(one, one * [3.0, 1.0, 1.0]) == pytest.approx(2.0)
+    assert screen_difference(np.empty((0, 3)), np.empty((0, 3))) == 0.0
 
 
 def test_a_ghost_shows_the_more_the_farther_it_is():

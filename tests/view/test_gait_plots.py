@@ -7,7 +7,7 @@ from legs import leg
 from planner.base.errors import FileError, PlannerError
 from planner.model.mechanism import Mechanism
 from planner.problem.appearance import View
-from planner.problem.pictures import Band, Chart, Charts, Curve, Motion, Paths, Stick, StickFigures, Trace
+from planner.problem.pictures import Band, Chart, Charts, CurveData, PoseSequence, Paths, Stick, StickFigures, Trace
 from planner.view.plots import draw_charts, draw_paths, draw_stick_figures, save
 from planner.view.plots.projection import FRONT, SIDE, TOP, axes_of, frame_points, projected
 
@@ -19,7 +19,7 @@ def walk(label="planned", dashed=False, lift=0.0, samples=11):
     s = np.linspace(0.0, 1.0, samples)
     foot = np.stack([0.5 * s, 0.2 * (1.0 - s), np.full(samples, lift)], axis=1)
     hip = foot + np.array([0.0, 0.0, 1.0])
-    return Motion(label, np.stack([hip, foot], axis=1), dashed)
+    return PoseSequence(label, np.stack([hip, foot], axis=1), dashed)
 
 
 def poses(motions, sticks=(LEG,), count=2, ground=0.0):
@@ -95,7 +95,7 @@ def test_no_ground_is_drawn_from_above():
 
 
 def test_a_stick_figure_that_stands_still_can_be_drawn(tmp_path):
-    still = Motion("still", np.zeros((1, 2, 3)))
+    still = PoseSequence("still", np.zeros((1, 2, 3)))
     save(draw_stick_figures(StickFigures("", [still], [LEG], ("0 %", "100 %"), title="still")), tmp_path / "still.png")
     assert (tmp_path / "still.png").stat().st_size > 1000
 
@@ -107,9 +107,9 @@ def test_a_stick_figure_that_stands_still_can_be_drawn(tmp_path):
         ([walk()], [Stick((-1, 0))], 2, "expected 0 to 1"),
         ([walk()], [LEG], 1, "poses"),
         ([], [LEG], 2, "nothing to draw"),
-        ([Motion("flat", np.zeros((5, 2)))], [LEG], 2, r"points of 'flat' has shape \(5, 2\)"),
-        ([Motion("none", np.zeros((0, 2, 3)))], [LEG], 2, "'none' has no samples"),
-        ([Motion("lost", np.full((2, 2, 3), np.nan))], [LEG], 2, "expected finite"),
+        ([PoseSequence("flat", np.zeros((5, 2)))], [LEG], 2, r"points of 'flat' has shape \(5, 2\)"),
+        ([PoseSequence("none", np.zeros((0, 2, 3)))], [LEG], 2, "'none' has no samples"),
+        ([PoseSequence("lost", np.full((2, 2, 3), np.nan))], [LEG], 2, "expected finite"),
     ],
 )
 def test_wrong_stick_figures_are_refused(motions, sticks, count, words):
@@ -149,10 +149,10 @@ def test_a_path_that_is_a_point_can_be_drawn(tmp_path):
 def test_charts_share_colours_and_one_legend():
     t = np.linspace(0.0, 100.0, 5)
     knee = Chart(
-        "knee", "deg", [Curve("right", t), Curve("left", -t), Curve("right, planned", t + 1.0, True, of="right")],
+        "knee", "deg", [CurveData("right", t), CurveData("left", -t), CurveData("right, planned", t + 1.0, True, of="right")],
         Band("normal", np.zeros(5), 5.0), [(0.0, 60.0)],
     )  # fmt: skip
-    force = Chart("force", "N", [Curve("left", np.array([0.0, 1.0, np.nan, 1e80, 0.0]))])
+    force = Chart("force", "N", [CurveData("left", np.array([0.0, 1.0, np.nan, 1e80, 0.0]))])
     figure = draw_charts(Charts("", t, [knee, force], "% of cycle", span_label="stance"))
     first, second = figure.axes
     colour = {line.get_label(): line.get_color() for line in first.get_lines()}
@@ -168,7 +168,7 @@ def test_charts_share_colours_and_one_legend():
 
 def test_a_curve_may_have_times_of_its_own(tmp_path):
     t, own = np.linspace(0.0, 1.0, 3), np.linspace(0.0, 1.0, 7)
-    figure = draw_charts(Charts("", t, [Chart("a", "N", [Curve("replay", own, t=own)])], title="a"))
+    figure = draw_charts(Charts("", t, [Chart("a", "N", [CurveData("replay", own, t=own)])], title="a"))
     np.testing.assert_array_equal(figure.axes[0].get_lines()[0].get_xdata(), own)
     save(figure, tmp_path / "charts.png")
     assert (tmp_path / "charts.png").exists()
@@ -178,10 +178,10 @@ def test_a_curve_may_have_times_of_its_own(tmp_path):
     ("charts", "words"),
     [
         ([], "0 charts"),
-        ([Chart("a", "N", [Curve("short", np.zeros(2))])], r"values of 'short' has shape \(2,\), expected \(3,\)"),
+        ([Chart("a", "N", [CurveData("short", np.zeros(2))])], r"values of 'short' has shape \(2,\), expected \(3,\)"),
         ([Chart("a", "N", [], Band("normal", np.zeros(4), 1.0))], "band of 'a'"),
         ([Chart("a", "N", [], Band("normal", np.zeros(3), np.zeros(4)))], "spread"),
-        ([Chart("a", "N", [Curve(str(i), np.zeros(3)) for i in range(9)])], "9 curves, expected at most 8"),
+        ([Chart("a", "N", [CurveData(str(i), np.zeros(3)) for i in range(9)])], "9 curves, expected at most 8"),
     ],
 )
 def test_wrong_charts_are_refused(charts, words):

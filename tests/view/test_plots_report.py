@@ -10,10 +10,10 @@ from fake_plans import APPEARANCE, MODES, N, make_perturbed, make_plan, make_pro
 from PIL import Image
 
 from planner.base.errors import FileError
-from planner.base.measured import Measured, Section
-from planner.proof.hold import Held, Hold
+from planner.base.measured import Measurement, Section
+from planner.proof.hold import RegulatedRun, GoalRegulator
 from planner.proof.replays.sampled_gains import Sampling
-from planner.proof.scales import path_bounds
+from planner.proof.scales import path_error_bounds
 from planner.view.plots import draw_plan, draw_proof, save
 
 
@@ -243,7 +243,7 @@ def test_path_errors_are_shares_of_their_bounds_by_unit_and_name_the_coordinate(
     axes = panel(draw_proof(proof), "Errors of the replay, open loop")
     (height,) = lines_of(axes, "height, in")
     run = proof.replays["open-loop"]
-    bound = path_bounds(run.plan)[0]
+    bound = path_error_bounds(run.plan)[0]
     np.testing.assert_allclose(height.get_ydata()[10:], np.abs(run.error[10:, 0]) / bound)
     assert bound == pytest.approx(0.01 * np.ptp(run.plan.xs[:, 0]))
     assert set(lines_of(axes, "bound")[0].get_ydata()) == {1.0}
@@ -279,18 +279,18 @@ def test_titles_and_labels_do_not_run_into_the_next_panel(proof):
 
 def test_the_hold_of_the_goal_is_a_panel(plan, proof):
     space = plan.space
-    hold = Hold(np.zeros(3), np.zeros(1), np.zeros((1, 3)), space)
+    hold = GoalRegulator(np.zeros(3), np.zeros(1), np.zeros((1, 3)), space)
     t, xs = np.linspace(2.0, 3.0, 11), 0.01 * np.ones((11, 3))
-    proof.held = Held(plan, hold, t, xs[:, :2], xs[:, :2], xs[:, 2:], np.zeros((10, 1)), xs, ())
+    proof.held = RegulatedRun(plan, hold, t, xs[:, :2], xs[:, :2], xs[:, 2:], np.zeros((10, 1)), xs, ())
     axes = panel(draw_proof(proof), "Deviations from the goal")
     assert axes.get_xlim() == (2.0, 3.0)
     (rate,) = lines_of(axes, "velocity of height, in/s")
-    np.testing.assert_allclose(rate.get_ydata(), 0.01 / path_bounds(plan)[1])
+    np.testing.assert_allclose(rate.get_ydata(), 0.01 / path_error_bounds(plan)[1])
 
 
 def test_other_grounds_are_bars_with_their_peak_forces(proof):
     measured = [
-        Measured(f"{ground}_{part}_{mode}", value, unit)
+        Measurement(f"{ground}_{part}_{mode}", value, unit)
         for ground, error in (("planned_contact", 0.01), ("default_contact", math.inf))
         for mode in ("open_loop", "feedback")
         for part, value, unit in (

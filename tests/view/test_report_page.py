@@ -16,7 +16,7 @@ from PIL import Image
 
 from planner import cases
 from planner.base.errors import FileError
-from planner.base.measured import Measured, Section
+from planner.base.measured import Measurement, Section
 from planner.cases.problem_file import load
 from planner.model.mechanism import Mechanism
 from planner.problem.appearance import Appearance
@@ -86,7 +86,7 @@ def test_the_verdict_comes_first_then_pictures_figures_parameters(plan, tmp_path
 
 
 def test_a_figure_beyond_its_bound_is_marked_by_word_and_colour(plan, tmp_path):
-    section = Section("goal", (Measured("height_error", math.inf, "%", 0.2), Measured("speed", math.nan, "", 1.0)))
+    section = Section("goal", (Measurement("height_error", math.inf, "%", 0.2), Measurement("speed", math.nan, "", 1.0)))
     page = write_report(plan, proof_of("FAIL", None, goal=section), tmp_path).read_text(encoding="utf-8")
     assert page.count('<span class="word fail">FAIL</span>') == 3  # the section and both measured
     assert '<div class="verdict fail"' in page
@@ -122,7 +122,7 @@ def test_pictures_and_video_are_embedded_byte_for_byte(plan, tmp_path):
 
 def test_all_text_is_escaped(plan, tmp_path):
     evil = '<script>alert("1")</script>&amp;'
-    section = Section(evil, (Measured(evil, 1.0, evil, 2.0, evil),))
+    section = Section(evil, (Measurement(evil, 1.0, evil, 2.0, evil),))
     proof = proof_of("PASS", evil, goal=section, same_step=Section(evil, not_applicable=evil))
     proof.reason = evil
     marked = replace(
@@ -157,9 +157,9 @@ def test_a_missing_folder_is_one_sentence(plan, tmp_path):
 
 def test_the_proof_is_told_in_the_three_parts_of_an_assessment(plan, tmp_path):
     """Every figure is in one part, and each part says what was done, what it does not cover and what it is for."""
-    order = Section("order, open loop", (Measured("observed_order", 4.0), Measured("cost_change", 0.1, "%", 1.0)))
-    given = Section("your file", (Measured("unknown_contacts", 0.0, "", 0.0),))
-    proof = proof_of(order=order, your_file=given, drake=Section("drake", (Measured("acceleration_error", 1e-9),)))
+    order = Section("order, open loop", (Measurement("observed_order", 4.0), Measurement("cost_change", 0.1, "%", 1.0)))
+    given = Section("your file", (Measurement("unknown_contacts", 0.0, "", 0.0),))
+    proof = proof_of(order=order, your_file=given, drake=Section("drake", (Measurement("acceleration_error", 1e-9),)))
     text = page_of(plan, proof, tmp_path).text
     code, rest = text.split("Code verification")[1].split("Solution verification")
     solution, rest = rest.split("Validation", 1)

@@ -12,7 +12,7 @@ from rolled_out_plans import LIMITED, problem_of, rolled_out
 import planner
 from planner.model.mechanism import Mechanism
 from planner.problem.appearance import Appearance, GoalMark
-from planner.problem.pictures import Bounded
+from planner.problem.pictures import BoundedPanel
 from planner.view.plots import draw_plan
 from planner.view.plots.bounded import draw_bounded
 from planner.view.plots.style import panels_of
@@ -137,7 +137,7 @@ def test_a_ghost_where_the_machine_is_does_not_flicker(run):
 def panel(values, least=-np.inf, most=np.inf, decades=False, R=1):
     t = np.linspace(0.0, 1.0, len(values))
     sides = [np.broadcast_to(np.asarray(side, float), (len(values), R)) for side in (least, most)]
-    return Bounded("title", "m", t, tuple("ab"[:R]), (np.reshape(values, (-1, R)),), *sides, decades=decades)
+    return BoundedPanel("title", "m", t, tuple("ab"[:R]), (np.reshape(values, (-1, R)),), *sides, decades=decades)
 
 
 def drawn(one):

@@ -15,7 +15,7 @@ from planner.__main__ import main
 from planner.base.gl import load_mujoco
 from planner.view.playing import DOWN, END, HOME, KEYS, LEFT, RIGHT, SPACE, UP, Player
 from planner.view.render.film import Film
-from planner.view.viewer import Shown
+from planner.view.viewer import ViewerScene
 
 XVFB = shutil.which("Xvfb")
 
@@ -68,7 +68,7 @@ def test_ghost_rollouts_and_pose_are_drawn_at_the_players_time():
     mujoco = load_mujoco()
     film = Film.of(make_replay(APPEARANCE, plan_offset=3.0), np.linspace(0.0, 0.2, 101))
     other = film.qpos + 9.0
-    shown = Shown([film, film], iter([other, other]))
+    shown = ViewerScene([film, film], iter([other, other]))
     scene, camera = mujoco.MjvScene(shown.model, 2000), mujoco.MjvCamera()
     shown.place(camera)
     player = Player(end=0.2, speed=1.0, t=0.1, ghost=False)

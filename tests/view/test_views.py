@@ -21,7 +21,7 @@ from planner.proof.replays.contact_history import ContactRecorder
 from planner.view.render.drawing import Job, carry_out
 from planner.view.render.film import Film
 from planner.view.render.scene import Scene
-from planner.view.render.shapes import Shapes
+from planner.view.render.shapes import SceneGeoms
 from planner.view.render.video import render_frame, render_strip, render_video
 
 AT = np.array([0.0, 0.39])
@@ -299,7 +299,7 @@ def test_short_arrows_are_slim_and_none_is_a_speck():
     mujoco = gl.load_mujoco()
     model = compile_model("<mujoco/>")
     scene = mujoco.MjvScene(model, 10)
-    shapes = Shapes(scene, eye=np.array([0.0, -1.0, 0.0]), distance=1.0, pixel=1e-3)
+    shapes = SceneGeoms(scene, eye=np.array([0.0, -1.0, 0.0]), distance=1.0, pixel=1e-3)
     foot, up, paint = np.zeros(3), np.array([0.0, 0.0, 1.0]), (1.0, 0.0, 0.0, 1.0)
     for length, drawn in ((0.001, 0), (np.nan, 0), (0.05, 1), (1.0, 2)):
         shapes.arrow(foot, length * up, paint)

@@ -30,7 +30,7 @@ import numpy as np
 
 from planner.base.arguments import choice, number
 from planner.base.errors import PlannerError
-from planner.base.measured import Measured, Section
+from planner.base.measured import Measurement, Section
 from planner.cases.high_dive.diver import Diver
 from planner.cases.high_dive.flight import Dive, Weights
 from planner.cases.horizon import LARGEST, stages
@@ -137,10 +137,10 @@ def judge_entry(replay: Replay, entry: np.ndarray) -> Section:
     for who, xs, whose in (("planned", replay.plan.xs, "the plan's"), ("replayed", replay.xs, "MuJoCo's")):
         turn, angle, rate = (float(values[0]) for values in misses(xs[-1:], entry))
         measured += [
-            Measured(f"{who}_turn_miss", turn, "rad", TOLERANCE, f"{whose} pelvis from its goal at the entry"),
-            Measured(f"{who}_joint_miss", angle, "rad", TOLERANCE, f"{whose} joints from straight, the largest"),
-            Measured(f"{who}_joint_rate", rate, "rad/s", RATE_TOLERANCE, f"{whose} joints from rest, the largest"),
-            Measured(f"{who}_momentum_drift", momentum_drift(mechanism, xs), "", DRIFT_BOUND,
+            Measurement(f"{who}_turn_miss", turn, "rad", TOLERANCE, f"{whose} pelvis from its goal at the entry"),
+            Measurement(f"{who}_joint_miss", angle, "rad", TOLERANCE, f"{whose} joints from straight, the largest"),
+            Measurement(f"{who}_joint_rate", rate, "rad/s", RATE_TOLERANCE, f"{whose} joints from rest, the largest"),
+            Measurement(f"{who}_momentum_drift", momentum_drift(mechanism, xs), "", DRIFT_BOUND,
                      f"largest change of {whose} angular momentum about the centre of mass, over that at take-off"),
         ]  # fmt: skip
     return Section("goal", tuple(measured))

@@ -22,7 +22,7 @@ from planner.dynamics import RigidBodyDynamics
 from planner.dynamics.algorithms import rnea
 from planner.model.space import exp_quaternion, product
 from planner.problem.costs.tracking import TrackingCost
-from planner.problem.guess import rolled
+from planner.problem.guess import rollout_states
 from planner.problem.plan import Plan
 from planner.problem.problem import Problem
 from planner.solvers.slq import solve
@@ -134,6 +134,6 @@ def _stiff_controls(dive: Dive, dynamics: RigidBodyDynamics, N: int) -> np.ndarr
     mechanism = dynamics.mechanism
     held = RigidBodyDynamics(mechanism, dynamics.dt, prescribed=mechanism.joint_names[1:])
     still = np.zeros((N, held.nu))
-    xs = rolled(held, dive.start, still)[:-1]
+    xs = rollout_states(held, dive.start, still)[:-1]
     nq, nv = mechanism.nq, mechanism.nv
     return rnea(mechanism, xs[:, :nq], xs[:, nq:], held.rates(xs, still)[:, nv:])[:, 6:]

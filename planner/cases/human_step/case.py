@@ -28,11 +28,11 @@ import numpy as np
 from planner.base.arguments import array, choice, count, number
 from planner.base.errors import PlannerError
 from planner.cases.human_step.cost import step_cost, wishes
-from planner.cases.human_step.drive import Pelvis, Sparing, drive
+from planner.cases.human_step.drive import Pelvis, RobotWeights, drive
 from planner.cases.human_step.gait import NORMAL_GAIT, Gait
 from planner.cases.human_step.gait_file import read_gait
 from planner.cases.human_step.measures import PATIENT, closing, follows, judge_step
-from planner.cases.human_step.phase import SWING, Step
+from planner.cases.human_step.phase import SWING, GaitPhase
 from planner.cases.human_step.pictures import step_pictures
 from planner.cases.human_step.tracking import judge_tracking
 from planner.cases.human_step.walker import PELVIS, SIDES, Walker
@@ -104,7 +104,7 @@ def human_step(
         PlannerError: A parameter that is not finite, out of range or not a person's, or a file that is not a gait.
     """
     gait = NORMAL_GAIT if reference is None else read_gait(reference) if angles is None else Gait.from_dict(angles)
-    sparing = Sparing(pelvis, effort, jerk, force)
+    sparing = RobotWeights(pelvis, effort, jerk, force)
     step = _step(phase, cycles, cadence, gait, horizon, {
         "mass": mass, "height": height, "leg_mass": leg_mass, "stiffness": stiffness, "damping": damping,
         "brace": brace, "passive": passive,
@@ -144,7 +144,7 @@ def human_step(
     )  # fmt: skip
 
 
-def _step(phase: str, cycles: int, cadence: float, gait: Gait, horizon: int | None, person: dict[str, Any]) -> Step:
+def _step(phase: str, cycles: int, cadence: float, gait: Gait, horizon: int | None, person: dict[str, Any]) -> GaitPhase:
     """The checked step."""
     swings = choice("phase", phase, get_args(Phase)) == "swing"
     cycles = count("cycles", cycles, most=MOST_CYCLES)
@@ -160,10 +160,10 @@ def _step(phase: str, cycles: int, cadence: float, gait: Gait, horizon: int | No
         raise PlannerError(
             f"horizon is {N}, expected at least {least}: a stage of more than {LONGEST_STAGE:g} s skips contacts."
         )
-    return Step(walker, gait, duration, begin, N, part * duration / N)
+    return GaitPhase(walker, gait, duration, begin, N, part * duration / N)
 
 
-def _ends(step: Step, phase: str, ends: Any) -> tuple[np.ndarray, np.ndarray]:
+def _ends(step: GaitPhase, phase: str, ends: Any) -> tuple[np.ndarray, np.ndarray]:
     """The start state and the goal state of the end."""
     if ends is None:
         return step.states[0], step.states[-1]
@@ -173,7 +173,7 @@ def _ends(step: Step, phase: str, ends: Any) -> tuple[np.ndarray, np.ndarray]:
     return start, goal
 
 
-def _appearance(step: Step, tolerances: Mapping[str, float]) -> Appearance:
+def _appearance(step: GaitPhase, tolerances: Mapping[str, float]) -> Appearance:
     """The person on the belt beside the normal gait, seen from the right and from ahead."""
     names = step.walker.mechanism.joint_names
 

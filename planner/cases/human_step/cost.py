@@ -28,7 +28,7 @@ from typing import Any
 
 import numpy as np
 
-from planner.cases.human_step.phase import SWING, Step
+from planner.cases.human_step.phase import SWING, GaitPhase
 from planner.cases.human_step.walker import PELVIS
 from planner.dynamics import RigidBodyDynamics
 from planner.problem.costs.penalty import PenaltyCost
@@ -50,7 +50,7 @@ clearance leaves the promised one to people of 45 to 110 kg in cycles of 1.0 to 
 
 
 @dataclass(frozen=True)
-class Wishes:
+class StepTolerances:
     """Tolerances of a step, with a factor 1/2 on each squared term. A wish for a length of 0 is left out."""
 
     joints: dict[str, float]  # rad, of the legs, by joint
@@ -86,13 +86,13 @@ class Wishes:
 
 _DEGREES = {"hip_flexion": 5.0, "hip_adduction": 5.0, "hip_rotation": 10.0, "knee": 5.0, "ankle": 10.0}
 _JOINTS = {name: float(np.radians(degrees)) for name, degrees in _DEGREES.items()}
-STUDY_SWING = Wishes(
+STUDY_SWING = StepTolerances(
     joints=_JOINTS,
     final_joints={name: np.radians(4.0 if name == "ankle" else 2.0) for name in _JOINTS},
     final_place=0.02, final_turn=np.radians(5.0), final_speed=0.2, final_turn_rate=1.0, final_joint_rate=0.5,
     clear=(0.15, 0.10, *SWING),
 )  # fmt: skip
-STUDY_CYCLE = Wishes(
+STUDY_CYCLE = StepTolerances(
     joints=_JOINTS,
     final_joints={name: 0.5 * tolerance for name, tolerance in _JOINTS.items()},
     final_place=0.02, final_turn=np.radians(5.0), final_speed=0.5, final_turn_rate=2.0, final_joint_rate=1.0,
@@ -107,7 +107,7 @@ STANCE = {"heel": (0.04, 0.36), "toe": (0.10, 0.58)}  # parts of the cycle in wh
 STICKS = {"heel": (0.0, 0.36), "toe": (0.04, 0.60)}  # parts in which they must move with it, from before the contact
 
 
-def wishes(step: Step, cost: str, clearance: float | None, apart: float | None) -> Wishes:
+def wishes(step: GaitPhase, cost: str, clearance: float | None, apart: float | None) -> StepTolerances:
     """The tolerances of a step by the name of its cost, clearance and distance in m; see human_step()."""
     found = STUDY_CYCLE if step.walker.belt else STUDY_SWING
     if cost != "study":
@@ -126,7 +126,7 @@ def wishes(step: Step, cost: str, clearance: float | None, apart: float | None) 
 
 
 def step_cost(
-    dynamics: RigidBodyDynamics, step: Step, wish: Wishes, effort: Any, control: Any = 0.0,
+    dynamics: RigidBodyDynamics, step: GaitPhase, wish: StepTolerances, effort: Any, control: Any = 0.0,
     goal: np.ndarray | None = None, acceleration: Any = np.inf,
 ) -> SumCost:  # fmt: skip
     """The cost of a step.
@@ -149,14 +149,14 @@ def step_cost(
     return tracking + PenaltyCost(dynamics, step.N, _clearance(step, wish) + contact + _apart(step, wish))
 
 
-def _weights(step: Step, place: float, turn: float, joints: dict[str, float], period: float = 1.0) -> dict[str, float]:
+def _weights(step: GaitPhase, place: float, turn: float, joints: dict[str, float], period: float = 1.0) -> dict[str, float]:
     """1 / (period tolerance^2) by joint, of tolerances of the pelvis' place and turn and of the legs' joints."""
     tolerances = dict(zip(PELVIS, 3 * [place] + 3 * [turn], strict=True))
     tolerances |= {f"{side}_{name}": value for side in step.walker.legs for name, value in joints.items()}
     return {joint: 1.0 / (period * tolerance**2) for joint, tolerance in tolerances.items()}
 
 
-def _foot(side: str, end: str, wish: Wishes, tolerance: float, period: float, **bound: Any) -> Height:
+def _foot(side: str, end: str, wish: StepTolerances, tolerance: float, period: float, **bound: Any) -> Height:
     """The height of heel or toe, with a bound `least` or `most`."""
     return Height(Point(f"{side}_{end}_point"), tolerance=tolerance, ramp=wish.ramp, weight=1.0 / period, **bound)
 
@@ -166,7 +166,7 @@ def _during(t: np.ndarray, part: tuple[float, float], value: float) -> np.ndarra
     return np.where((t > part[0]) & (t < part[1]), value, np.nan)
 
 
-def _clearance(step: Step, wish: Wishes) -> list[Any]:
+def _clearance(step: GaitPhase, wish: StepTolerances) -> list[Any]:
     """Heel and toe of a swinging foot are at the wanted height."""
     if wish.clearance == 0.0:
         return []
@@ -185,7 +185,7 @@ def _clearance(step: Step, wish: Wishes) -> list[Any]:
     return terms
 
 
-def _standing(step: Step, wish: Wishes) -> list[Any]:
+def _standing(step: GaitPhase, wish: StepTolerances) -> list[Any]:
     """Heel and toe of a standing foot are on the belt."""
     terms = []
     for side in step.walker.legs:
@@ -198,7 +198,7 @@ def _standing(step: Step, wish: Wishes) -> list[Any]:
     return terms
 
 
-def _sticking(step: Step, wish: Wishes) -> list[Any]:
+def _sticking(step: GaitPhase, wish: StepTolerances) -> list[Any]:
     """Heel and toe of a standing foot move with the belt."""
     return [
         Velocity(Point(f"{side}_{end}_point"), direction, Point("belt"), tolerance=wish.slip, weight=1.0 / wish.period,
@@ -207,7 +207,7 @@ def _sticking(step: Step, wish: Wishes) -> list[Any]:
     ]  # fmt: skip
 
 
-def _reach(step: Step, wish: Wishes) -> list[Any]:
+def _reach(step: GaitPhase, wish: StepTolerances) -> list[Any]:
     """The hip of the standing leg is no farther from its ankle than the leg is long."""
     ankle = step.feet(step.motion.q)[:, 3]
     return [
@@ -216,7 +216,7 @@ def _reach(step: Step, wish: Wishes) -> list[Any]:
     ]  # fmt: skip
 
 
-def _apart(step: Step, wish: Wishes) -> list[Any]:
+def _apart(step: GaitPhase, wish: StepTolerances) -> list[Any]:
     """Shanks and feet of the two legs keep their distance."""
     shank, foot = _segments("right")
     if step.walker.belt:

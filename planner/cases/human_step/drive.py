@@ -22,13 +22,13 @@ import numpy as np
 
 from planner.base.arguments import choice, number
 from planner.base.errors import PlannerError
-from planner.cases.human_step.cost import Wishes
+from planner.cases.human_step.cost import StepTolerances
 from planner.cases.human_step.measures import robot_wrench
-from planner.cases.human_step.phase import Step
+from planner.cases.human_step.phase import GaitPhase
 from planner.cases.human_step.walker import FILE_MASS, PELVIS, Walker
 from planner.dynamics import RigidBodyDynamics
 from planner.problem.costs.drive import DriveCost
-from planner.problem.guess import rolled
+from planner.problem.guess import rollout_states
 
 Pelvis = Literal["motion", "force"]
 
@@ -38,7 +38,7 @@ LEAST_WEIGHT = 1e-3  # times the usual
 
 
 @dataclass(frozen=True)
-class Sparing:
+class RobotWeights:
     """The controls of a robot and the weights of their cost, with checked values."""
 
     pelvis: str = "motion"  # or "force"
@@ -63,7 +63,7 @@ class Sparing:
 
 
 @dataclass(frozen=True, eq=False)
-class Drive:
+class RobotControls:
     """A robot: the dynamics with it, the first guess, and the parts of its cost."""
 
     dynamics: RigidBodyDynamics
@@ -74,7 +74,7 @@ class Drive:
     forces: DriveCost | None = None  # cost of forces that are not controls
 
 
-def drive(step: Step, wish: Wishes, sparing: Sparing, integrator: str) -> Drive:
+def drive(step: GaitPhase, wish: StepTolerances, sparing: RobotWeights, integrator: str) -> RobotControls:
     """The robot of a step, whose walker has the motors that `sparing` needs."""
     walker, effort = step.walker, np.sqrt(sparing.effort)
     led = not (walker.motors or walker.jerked)
@@ -84,15 +84,15 @@ def drive(step: Step, wish: Wishes, sparing: Sparing, integrator: str) -> Drive:
     forces = np.repeat([share * FORCE, share * walker.scale * MOMENT], 3)
     carried, none = np.array([0.0, 0.0, weight(walker), 0.0, 0.0, 0.0]), np.zeros(len(PELVIS))
     if walker.motors:
-        return Drive(dynamics, forces_of(step, step.accelerations[: step.N]), carried, forces / effort)
+        return RobotControls(dynamics, forces_of(step, step.accelerations[: step.N]), carried, forces / effort)
     if walker.jerked:
         us = np.diff(step.accelerations, axis=0) / step.dt
         rates = accelerations / CHANGE / np.sqrt(sparing.jerk)
-        return Drive(dynamics, us, none, rates, accelerations / effort)
+        return RobotControls(dynamics, us, none, rates, accelerations / effort)
     spared = None
     if sparing.force:
         spared = DriveCost(dynamics, step.N, sparing.force / (wish.period * forces**2), carried)
-    return Drive(dynamics, step.accelerations[: step.N], none, accelerations / effort, forces=spared)
+    return RobotControls(dynamics, step.accelerations[: step.N], none, accelerations / effort, forces=spared)
 
 
 def weight(walker: Walker) -> float:
@@ -102,7 +102,7 @@ def weight(walker: Walker) -> float:
     return float(carried * np.linalg.norm(mechanism.gravity))
 
 
-def forces_of(step: Step, accelerations: np.ndarray) -> np.ndarray:
+def forces_of(step: GaitPhase, accelerations: np.ndarray) -> np.ndarray:
     """Forces and moments (N, 6) at the pelvis that give it accelerations (N, 6) while the legs hang; N and N m."""
     carried = RigidBodyDynamics(replace(step.walker, motors=False).mechanism, step.dt, prescribed=PELVIS)
-    return robot_wrench(carried, rolled(carried, step.states[0], accelerations), accelerations)
+    return robot_wrench(carried, rollout_states(carried, step.states[0], accelerations), accelerations)

@@ -31,7 +31,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from planner.base.arguments import array, number, shown
+from planner.base.arguments import array, number, short_repr
 from planner.base.errors import PlannerError
 
 HARMONICS = 6
@@ -107,7 +107,7 @@ class Gait:
             PlannerError: Not a table of the eight angles.
         """
         if not isinstance(table, Mapping) or set(table) != set(ANGLES):
-            raise PlannerError(f"a gait is {shown(table)}, expected a table of: {', '.join(ANGLES)}.")
+            raise PlannerError(f"a gait is {short_repr(table)}, expected a table of: {', '.join(ANGLES)}.")
         return cls(**table)
 
     def angles(self, t: np.ndarray, duration: float = 1.0) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -120,7 +120,7 @@ class Gait:
         return value, slope / duration, curvature / duration**2
 
 
-class Motion(NamedTuple):
+class GaitSamples(NamedTuple):
     """Positions, rates and accelerations of pelvis and legs, (K, 16) each; columns as COLUMNS."""
 
     q: np.ndarray
@@ -138,12 +138,12 @@ class Reference:
     height: tuple[float, float, float]  # m, of the pelvis: mean, cosine and sine of the second harmonic
     belt_speed: float  # m/s, backward
 
-    def at(self, t: np.ndarray) -> Motion:
+    def at(self, t: np.ndarray) -> GaitSamples:
         """The Motion at fractions t (K,) of the cycle; t may be beyond 0 .. 1."""
         t = np.asarray(t, dtype=float)
         right, left = self.gait.angles(t, self.duration), self.gait.angles(t + 0.5, self.duration)
         place = np.zeros((len(t), 3))
-        motion = Motion(*(np.hstack([place, a, b[:, len(PELVIS) :]]) for a, b in zip(right, left, strict=True)))
+        motion = GaitSamples(*(np.hstack([place, a, b[:, len(PELVIS) :]]) for a, b in zip(right, left, strict=True)))
         w = 2.0 * np.pi / self.duration
         c, s = np.cos(2.0 * np.pi * (t - MIDSTANCE)), np.sin(2.0 * np.pi * (t - MIDSTANCE))
         for part, wave in zip(motion, (c, -w * s, -(w**2) * c), strict=True):

@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from planner.base.measured import Measured, Section
-from planner.cases.human_step.phase import SWING, Step
+from planner.base.measured import Measurement, Section
+from planner.cases.human_step.phase import SWING, GaitPhase
 from planner.cases.human_step.walker import LEG, PELVIS
 from planner.dynamics import RigidBodyDynamics
 from planner.dynamics.algorithms import rnea
@@ -56,7 +56,7 @@ class Measures:
     pelvis: np.ndarray  # (6, 2) least and largest deviation from the normal gait, m and rad
 
 
-def measures(step: Step, xs: np.ndarray) -> Measures:
+def measures(step: GaitPhase, xs: np.ndarray) -> Measures:
     """Measure states (N+1, nx) at the knots."""
     m = step.walker.mechanism
     q, qd, sides = xs[:, : m.nq], xs[:, m.nq : m.nq + m.nv], step.walker.legs
@@ -81,43 +81,43 @@ def measures(step: Step, xs: np.ndarray) -> Measures:
 
 
 @lru_cache(maxsize=1)
-def _of_plan(step: Step, plan: Plan) -> Measures:
+def _of_plan(step: GaitPhase, plan: Plan) -> Measures:
     """Of a plan's states: each of its replays is set beside them."""
     return measures(step, plan.xs)
 
 
-def places(step: Step) -> tuple[dict[str, int], list[int]]:
+def places(step: GaitPhase) -> tuple[dict[str, int], list[int]]:
     """Columns of q: those of the legs' joints by name, and those of PELVIS."""
     m = step.walker.mechanism
     legs = {f"{side}_{joint}": m.joint(f"{side}_{joint}").start for side in step.walker.legs for joint in LEG}
     return legs, [m.joint(name).start for name in PELVIS]
 
 
-def height(step: Step, q: np.ndarray, site: str) -> np.ndarray:
+def height(step: GaitPhase, q: np.ndarray, site: str) -> np.ndarray:
     """Height (K,) of a site over the belt, m, at configurations q (K, nq)."""
     return frame_pose(step.walker.mechanism, q, site)[:, 2, 3]
 
 
-def normal_height(step: Step, site: str) -> np.ndarray:
+def normal_height(step: GaitPhase, site: str) -> np.ndarray:
     """Height (N+1,) of a site over the belt in the normal gait, m."""
     return height(step, step.states[:, : step.walker.mechanism.nq], site)
 
 
-def clearance(step: Step, q: np.ndarray, side: str) -> float:
+def clearance(step: GaitPhase, q: np.ndarray, side: str) -> float:
     """Least height of heel and toe in the middle of the swings, m, at the knots q (N+1, nq)."""
     middle = _swing(step, side, MIDDLE)
     points = [height(step, q[middle], f"{side}_{end}_point") for end in ("heel", "toe")]
     return float(np.min(points, initial=np.inf))
 
 
-def vertical_force(step: Step, q: np.ndarray, qd: np.ndarray, side: str) -> np.ndarray:
+def vertical_force(step: GaitPhase, q: np.ndarray, qd: np.ndarray, side: str) -> np.ndarray:
     """Upward force (K,) of the belt on a foot, N."""
     m = step.walker.mechanism
     found = contact_forces(m, q, qd).forces[:, :, 2]
     return found[:, [side in contact.name for contact in m.contacts]].sum(axis=1)
 
 
-def slip(step: Step, q: np.ndarray, qd: np.ndarray) -> float:
+def slip(step: GaitPhase, q: np.ndarray, qd: np.ndarray) -> float:
     """Speed of heels and toes along the belt, m/s: the mean over K states, weighted by the force of each contact."""
     m = step.walker.mechanism
     forces = contact_forces(m, q, qd).forces[:, :, 2]
@@ -145,7 +145,7 @@ def robot_wrench(dynamics: RigidBodyDynamics, xs: np.ndarray, us: np.ndarray) ->
 
 
 @dataclass(frozen=True)
-class Robot:
+class RobotLoads:
     """Forces and motion of the robot at the pelvis: RMS and maximum over the stages of the length of each vector."""
 
     force: tuple[float, float]  # N, weight included
@@ -156,17 +156,17 @@ class Robot:
     twitch: tuple[float, float]  # rad/s^3, from stage to stage
 
 
-def robot(dynamics: RigidBodyDynamics, xs: np.ndarray, us: np.ndarray) -> Robot:
+def robot(dynamics: RigidBodyDynamics, xs: np.ndarray, us: np.ndarray) -> RobotLoads:
     """Measure the robot along xs (N+1, nx), us (N, nu)."""
     m, wrench = dynamics.mechanism, robot_wrench(dynamics, xs, us)
     first = m.nv + m.joint(PELVIS[0]).start
     driven = dynamics.rates(xs[: len(us)], us)[:, first : first + len(PELVIS)]
     jerks = np.diff(driven, axis=0) / dynamics.dt
     lengths = [np.linalg.norm(of[:, i : i + 3], axis=1) for of in (wrench, driven, jerks) for i in (0, 3)]
-    return Robot(*((float(np.sqrt(np.mean(length**2))), float(length.max())) for length in lengths))
+    return RobotLoads(*((float(np.sqrt(np.mean(length**2))), float(length.max())) for length in lengths))
 
 
-def closing(step: Step) -> Periodic:
+def closing(step: GaitPhase) -> Periodic:
     """Bounds on the difference between start and end of a gait; the belt has none."""
     names = step.walker.mechanism.joint_names
     sides = [
@@ -177,7 +177,7 @@ def closing(step: Step) -> Periodic:
     return Periodic(np.concatenate([*sides, accelerations]), passes=PASSES, cost_tolerance=COST_TOLERANCE)
 
 
-def judge_step(step: Step, run: Replay, promised: bool, closes: bool = False) -> Section:
+def judge_step(step: GaitPhase, run: Replay, promised: bool, closes: bool = False) -> Section:
     """Measure the plan and MuJoCo's replay; `promised`: check the clearance, `closes`: check the end of a gait."""
     measured = []
     motions = {"planned": run.plan.xs, "replayed": run.xs[:: run.substeps]}
@@ -186,15 +186,15 @@ def judge_step(step: Step, run: Replay, promised: bool, closes: bool = False) ->
         least = min(found.clearance.values())
         note = f"how far heel or toe is below {1e3 * CLEAR:g} mm in mid-swing; the least height is {1e3 * least:.1f} mm"
         measured += [
-            Measured(f"{who}_clearance_missed", max(0.0, CLEAR - least), "m", 0.0 if promised else None, note),
-            Measured(f"{who}_hip_lift", max(found.hip_lift.values()), "m", None, "of the swinging hip above normal"),
-            Measured(f"{who}_from_normal", _mean_rms(found), "deg", None, "RMS over the legs' joints"),
+            Measurement(f"{who}_clearance_missed", max(0.0, CLEAR - least), "m", 0.0 if promised else None, note),
+            Measurement(f"{who}_hip_lift", max(found.hip_lift.values()), "m", None, "of the swinging hip above normal"),
+            Measurement(f"{who}_from_normal", _mean_rms(found), "deg", None, "RMS over the legs' joints"),
         ]  # fmt: skip
         if step.walker.belt:
             measured += [
-                Measured(f"{who}_slip", found.slip, "m/s", None, "along the belt, mean weighted by contact force"),
-                Measured(f"{who}_depth", found.depth, "m", None, "of heel or toe in the belt"),
-                *(Measured(f"{who}_{side}_in_stance", 100.0 * share, "%", None, "of stance, with the foot on the belt")
+                Measurement(f"{who}_slip", found.slip, "m/s", None, "along the belt, mean weighted by contact force"),
+                Measurement(f"{who}_depth", found.depth, "m", None, "of heel or toe in the belt"),
+                *(Measurement(f"{who}_{side}_in_stance", 100.0 * share, "%", None, "of stance, with the foot on the belt")
                   for side, share in found.in_stance.items()),
             ]  # fmt: skip
         if closes:
@@ -202,11 +202,11 @@ def judge_step(step: Step, run: Replay, promised: bool, closes: bool = False) ->
     assert run.plan.problem is not None  # whose requirements these are
     drive = robot(run.plan.problem.dynamics, run.plan.xs, run.plan.us)  # pyright: ignore[reportArgumentType]
     for name, (rms, most), unit in (("force", drive.force, "N"), ("moment", drive.moment, "N m")):
-        measured.append(Measured(f"planned_robot_{name}", most, unit, None, f"largest; RMS {rms:.4g} {unit}"))
+        measured.append(Measurement(f"planned_robot_{name}", most, unit, None, f"largest; RMS {rms:.4g} {unit}"))
     return Section("goal", tuple(measured))
 
 
-def _gaps(step: Step, xs: np.ndarray, who: str) -> list[Measured]:
+def _gaps(step: GaitPhase, xs: np.ndarray, who: str) -> list[Measurement]:
     """Differences between start and end of a gait: only the plan's have bounds, the replay adds its own errors."""
     legs, pelvis = places(step)
     gap = np.abs(xs[-1] - xs[0])
@@ -214,13 +214,13 @@ def _gaps(step: Step, xs: np.ndarray, who: str) -> list[Measured]:
     place, turn, joint = (CLOSED_PLACE, CLOSED_TURN, float(np.degrees(CLOSED_TURN))) if who == "planned" else [None] * 3
     note = f"from start to end, {who}"
     return [
-        Measured(f"{who}_place_gap", float(gap[pelvis[:3]].max()), "m", place, note),
-        Measured(f"{who}_turn_gap", float(gap[pelvis[3:]].max()), "rad", turn, note),
-        Measured(f"{who}_joint_gap", joints, "deg", joint, f"{note}, RMS over the legs' joints"),
+        Measurement(f"{who}_place_gap", float(gap[pelvis[:3]].max()), "m", place, note),
+        Measurement(f"{who}_turn_gap", float(gap[pelvis[3:]].max()), "rad", turn, note),
+        Measurement(f"{who}_joint_gap", joints, "deg", joint, f"{note}, RMS over the legs' joints"),
     ]
 
 
-def follows(step: Step, xs: np.ndarray, plan_xs: np.ndarray, knots: np.ndarray, clear: bool) -> np.ndarray:
+def follows(step: GaitPhase, xs: np.ndarray, plan_xs: np.ndarray, knots: np.ndarray, clear: bool) -> np.ndarray:
     """Which perturbed patients (K,), of states (K, T, nx) at knots (T,), walk as the plan, of states (T, nx).
 
     Their legs must be near the plan's; with `clear`, heel and toe must be above the belt in the middle of a swing.
@@ -243,12 +243,12 @@ def _mean_rms(found: Measures) -> float:
     return float(np.sqrt(np.mean(np.square(list(found.rms.values())))))
 
 
-def _swing(step: Step, side: str, within: tuple[float, float] = (0.0, 1.0)) -> np.ndarray:
+def _swing(step: GaitPhase, side: str, within: tuple[float, float] = (0.0, 1.0)) -> np.ndarray:
     """Whether a leg is in a part of its swing: (N+1,)."""
     part = (step.leg_time(side) - SWING[0]) / (SWING[1] - SWING[0])
     return (part >= within[0]) & (part <= within[1])
 
 
-def _stands(step: Step, side: str) -> np.ndarray:
+def _stands(step: GaitPhase, side: str) -> np.ndarray:
     t = step.leg_time(side)
     return (t >= STANDS[0]) | (t <= STANDS[1])

@@ -12,7 +12,7 @@ from functools import cached_property, lru_cache
 
 import numpy as np
 
-from planner.cases.human_step.gait import COLUMNS, SINK, SWAY, Gait, Motion, Reference, reference
+from planner.cases.human_step.gait import COLUMNS, SINK, SWAY, Gait, GaitSamples, Reference, reference
 from planner.cases.human_step.walker import PELVIS, SIDES, Walker
 from planner.dynamics.kinematics import frame_pose
 from planner.model.mechanism import Mechanism
@@ -23,7 +23,7 @@ FEET = tuple(f"{side}_{point}" for side in SIDES for point in ("ankle_centre", "
 
 
 @dataclass(frozen=True)
-class Step:
+class GaitPhase:
     """A walker, a gait, and the planned part of its cycles."""
 
     walker: Walker
@@ -55,7 +55,7 @@ class Step:
         return np.stack([frame_pose(self.whole, q, name)[:, :3, 3] for name in FEET], axis=1)
 
     @cached_property
-    def motion(self) -> Motion:
+    def motion(self) -> GaitSamples:
         """The normal gait at the knots: q, qd, qdd, (N+1, 16) each."""
         return self.normal.at(self.t)
 

@@ -13,11 +13,11 @@ import numpy as np
 
 from planner.cases.human_step.gait import COLUMNS
 from planner.cases.human_step.measures import height, normal_height, robot_wrench, vertical_force
-from planner.cases.human_step.phase import SWING, Step
+from planner.cases.human_step.phase import SWING, GaitPhase
 from planner.cases.human_step.walker import LEG, PELVIS
 from planner.dynamics import RigidBodyDynamics
 from planner.dynamics.kinematics import frame_pose
-from planner.problem.pictures import Band, CasePicture, Chart, Charts, Curve, Motion, Paths, Stick, StickFigures, Trace
+from planner.problem.pictures import Band, CasePicture, Chart, Charts, CurveData, PoseSequence, Paths, Stick, StickFigures, Trace
 
 if TYPE_CHECKING:
     from planner.problem.plan import Plan
@@ -31,13 +31,13 @@ PLACES, TURNS = ("x", "y", "z"), ("tilt", "list", "rotation")
 
 
 def step_pictures(
-    step: Step, tolerances: Mapping[str, float], plan: Plan, replay: Replay | None
+    step: GaitPhase, tolerances: Mapping[str, float], plan: Plan, replay: Replay | None
 ) -> tuple[CasePicture, ...]:
     """Poses, measures and the path of the pelvis; the cost's tolerances are by joint of a leg, rad."""
     return poses(step, plan), measured(step, tolerances, plan, replay), pelvis_path(step, plan, replay)
 
 
-def poses(step: Step, plan: Plan) -> StickFigures:
+def poses(step: GaitPhase, plan: Plan) -> StickFigures:
     """Stick figures as in the paper's Fig. 5: optimized motion solid, normal gait dashed."""
     frames, sticks = ["right_hip", "left_hip"], [Stick((0, 1))]
     for hue, side in enumerate(step.walker.legs):
@@ -46,7 +46,7 @@ def poses(step: Step, plan: Plan) -> StickFigures:
         hip, knee, ankle, heel, toe = frames.index(f"{side}_hip"), *range(first, first + 4)
         sticks.append(Stick((hip, knee, ankle, heel, toe, ankle), f"{side} leg", hue))
     motions = [
-        Motion(label, _points(step, xs, frames), dashed)
+        PoseSequence(label, _points(step, xs, frames), dashed)
         for label, xs, dashed in (("optimized", plan.xs, False), (NORMAL, step.states, True))
     ]
     times = tuple(f"{100.0 * t:.0f} %" for t in np.linspace(step.t[0], step.t[-1], POSES))
@@ -56,7 +56,7 @@ def poses(step: Step, plan: Plan) -> StickFigures:
     )  # fmt: skip
 
 
-def pelvis_path(step: Step, plan: Plan, replay: Replay | None) -> Paths:
+def pelvis_path(step: GaitPhase, plan: Plan, replay: Replay | None) -> Paths:
     """The path of the point between the hips."""
     start = step.walker.mechanism.joint(PELVIS[0]).start
     place = slice(start, start + 3)
@@ -66,7 +66,7 @@ def pelvis_path(step: Step, plan: Plan, replay: Replay | None) -> Paths:
     return Paths("The path of the pelvis, where the hips are; a dot is where it begins", traces, "Path of the pelvis")
 
 
-def measured(step: Step, tolerances: Mapping[str, float], plan: Plan, replay: Replay | None) -> Charts:
+def measured(step: GaitPhase, tolerances: Mapping[str, float], plan: Plan, replay: Replay | None) -> Charts:
     """Charts of joints, heights, forces, the pelvis and the robot's wrench."""
     motions: Motions = [("", step.t, plan.xs)]
     if replay is not None:
@@ -100,7 +100,7 @@ def by_cycle(t: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]
     return np.insert(percent, at, np.tile([100.0, 100.0, 0.0], len(ends))), np.insert(values, at, gap)
 
 
-def _joint(step: Step, joint: str, tolerance: float, motions: Motions, normal: np.ndarray) -> Chart:
+def _joint(step: GaitPhase, joint: str, tolerance: float, motions: Motions, normal: np.ndarray) -> Chart:
     columns = {side: step.walker.mechanism.joint(f"{side}_{joint}").start for side in step.walker.legs}
     curves = _of_legs(step, motions, lambda side, t, xs: np.degrees(xs[:, columns[side]]))
     mean = np.degrees(normal[:, COLUMNS.index(f"right_{joint}")])
@@ -108,7 +108,7 @@ def _joint(step: Step, joint: str, tolerance: float, motions: Motions, normal: n
     return Chart(joint.replace("_", " ").capitalize(), "angle, deg", curves, band, _swing(step))
 
 
-def _hip_height(step: Step, motions: Motions) -> Chart:
+def _hip_height(step: GaitPhase, motions: Motions) -> Chart:
     """Height of each hip over that of the normal gait."""
 
     def lift(side: str, t: np.ndarray, xs: np.ndarray) -> np.ndarray:
@@ -118,7 +118,7 @@ def _hip_height(step: Step, motions: Motions) -> Chart:
     return Chart("Hip over the normal gait's", "height, mm", _of_legs(step, motions, lift), None, _swing(step))
 
 
-def _foot_height(step: Step, motions: Motions, grid: np.ndarray) -> Chart:
+def _foot_height(step: GaitPhase, motions: Motions, grid: np.ndarray) -> Chart:
     def lowest(side: str, t: np.ndarray, xs: np.ndarray) -> np.ndarray:
         return 1e3 * np.minimum(*(height(step, _q(step, xs), f"{side}_{end}_point") for end in ("heel", "toe")))
 
@@ -128,7 +128,7 @@ def _foot_height(step: Step, motions: Motions, grid: np.ndarray) -> Chart:
     return Chart("Foot, the lower of heel and toe", "height, mm", curves, band, _swing(step))
 
 
-def _foot_force(step: Step, motions: Motions) -> Chart:
+def _foot_force(step: GaitPhase, motions: Motions) -> Chart:
     m = step.walker.mechanism
 
     def upward(side: str, t: np.ndarray, xs: np.ndarray) -> np.ndarray:
@@ -137,7 +137,7 @@ def _foot_force(step: Step, motions: Motions) -> Chart:
     return Chart("Belt on a foot, upwards", "force, N", _of_legs(step, motions, upward), None, _swing(step))
 
 
-def _pelvis(step: Step, motions: Motions) -> list[Chart]:
+def _pelvis(step: GaitPhase, motions: Motions) -> list[Chart]:
     """Place of the pelvis, from the mean of the normal gait, and its turn."""
     first = step.walker.mechanism.joint(PELVIS[0]).start
     driven = slice(first, first + len(PELVIS))
@@ -150,7 +150,7 @@ def _pelvis(step: Step, motions: Motions) -> list[Chart]:
     )  # fmt: skip
 
 
-def _wrench(step: Step, plan: Plan) -> list[Chart]:
+def _wrench(step: GaitPhase, plan: Plan) -> list[Chart]:
     """Forces and moments of the robot on the pelvis."""
     assert plan.problem is not None  # the pictures belong to a problem
     dynamics = plan.problem.dynamics
@@ -167,32 +167,32 @@ def _by_axis(motions: Motions, *heads: tuple[str, str]) -> list[Chart]:
         for k, name in enumerate(names):
             for label, t, values in motions:
                 percent, ys = by_cycle(t, values[:, offset + k])
-                curves.append(Curve(label or name, ys, bool(label), name if label else "", percent))
+                curves.append(CurveData(label or name, ys, bool(label), name if label else "", percent))
         charts.append(Chart(title, unit, curves, None))
     return charts
 
 
 def _of_legs(
-    step: Step, motions: Motions, values: Callable[[str, np.ndarray, np.ndarray], np.ndarray]
-) -> list[Curve]:  # fmt: skip
+    step: GaitPhase, motions: Motions, values: Callable[[str, np.ndarray, np.ndarray], np.ndarray]
+) -> list[CurveData]:  # fmt: skip
     """A curve of every motion and leg over the leg's cycle; `values` of (side, t, xs) are its (K,) values."""
     curves = []
     for label, t, xs in motions:
         for side in step.walker.legs:
             percent, ys = by_cycle(t + (0.0 if side == "right" else 0.5), values(side, t, xs))
-            curves.append(Curve(label or side, ys, bool(label), side if label else "", percent))
+            curves.append(CurveData(label or side, ys, bool(label), side if label else "", percent))
     return curves
 
 
-def _swing(step: Step) -> tuple[tuple[float, float], ...]:
+def _swing(step: GaitPhase) -> tuple[tuple[float, float], ...]:
     return ((100.0 * SWING[0], 100.0 * SWING[1]),) if step.walker.belt else ()
 
 
-def _q(step: Step, xs: np.ndarray) -> np.ndarray:
+def _q(step: GaitPhase, xs: np.ndarray) -> np.ndarray:
     return xs[:, : step.walker.mechanism.nq]
 
 
-def _points(step: Step, xs: np.ndarray, frames: list[str]) -> np.ndarray:
+def _points(step: GaitPhase, xs: np.ndarray, frames: list[str]) -> np.ndarray:
     """Places (K, P, 3) of frames, m."""
     q = _q(step, xs)
     return np.stack([frame_pose(step.walker.mechanism, q, frame)[:, :3, 3] for frame in frames], axis=1)

@@ -17,14 +17,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from planner.base.measured import Measured, Section
+from planner.base.measured import Measurement, Section
 from planner.cases.human_step.measures import places
-from planner.cases.human_step.phase import Step
+from planner.cases.human_step.phase import GaitPhase
 from planner.cases.human_step.walker import IMPRATIO
 from planner.dynamics import RigidBodyDynamics
 from planner.model.contact.laws import ContactLaw, Law
 from planner.model.mechanism import Mechanism
-from planner.problem.guess import rolled
+from planner.problem.guess import rollout_states
 
 if TYPE_CHECKING:
     from planner.problem.plan import Plan
@@ -54,10 +54,10 @@ def without_smoothing(plan: Plan, parts: int) -> np.ndarray:
     plain = RigidBodyDynamics(
         unsmoothed(dynamics.mechanism), dynamics.dt / parts, "rk4", prescribed=dynamics.prescribed
     )  # fmt: skip
-    return rolled(plain, plan.xs[0], np.repeat(plan.us, parts, axis=0))[::parts]
+    return rollout_states(plain, plan.xs[0], np.repeat(plan.us, parts, axis=0))[::parts]
 
 
-def judge_tracking(step: Step, run: Replay) -> Section:
+def judge_tracking(step: GaitPhase, run: Replay) -> Section:
     """Compare MuJoCo's legs with the plan's: RMS over all joints."""
     legs, pelvis = places(step)
     joints = list(legs.values())
@@ -68,16 +68,16 @@ def judge_tracking(step: Step, run: Replay) -> Section:
     place, turn = (float(np.abs(run.error[:, part]).max()) for part in (pelvis[:3], pelvis[3:]))
     bound, how = min(TIMES * expected + BESIDE, MOST), "with the plan's gains" if run.feedback else "without feedback"
     measured = [
-        Measured("joint_error", _rms(away), "deg", bound, f"RMS over the legs' joints, {how}"),
-        Measured("largest_joint_error", float(np.abs(away).max()), "deg", None, "over the replay"),
-        Measured("predicted_joint_error", expected, "deg", None,
+        Measurement("joint_error", _rms(away), "deg", bound, f"RMS over the legs' joints, {how}"),
+        Measurement("largest_joint_error", float(np.abs(away).max()), "deg", None, "over the replay"),
+        Measurement("predicted_joint_error", expected, "deg", None,
                  "RMS, open loop, by the plan's own law without its smoothing; the bound is twice this"),
-        Measured("pelvis_error", place, "m", None, "largest, of its place"),
-        Measured("pelvis_turn_error", turn, "rad", None, "largest"),
+        Measurement("pelvis_error", place, "m", None, "largest, of its place"),
+        Measurement("pelvis_turn_error", turn, "rad", None, "largest"),
     ]  # fmt: skip
     if not run.feedback:
         left = _rms(np.degrees(run.xs[:: run.substeps] - plain)[:, joints])
-        measured.append(Measured("unexplained_joint_error", left, "deg", None, "RMS, MuJoCo from the predicted motion"))
+        measured.append(Measurement("unexplained_joint_error", left, "deg", None, "RMS, MuJoCo from the predicted motion"))
     return Section(run.title, tuple(measured))
 
 

@@ -161,7 +161,7 @@ class Walker:
             knee = stop_attributes(STOP.stiffness, STOP.damping, weights.of_joint(f"{side}_knee"))
             if "knee" not in self.curved:
                 # MuJoCo's plain spring begins where the smooth stop reaches the same force
-                bent, straight = KNEE_RANGE[0] - STOP.lift, KNEE_RANGE[1] + STOP.lift
+                bent, straight = KNEE_RANGE[0] - STOP.surface_offset, KNEE_RANGE[1] + STOP.surface_offset
                 edits[f".//joint[@name='{side}_knee']"] = {**knee, "range": written(bent, straight)}
             for end in ("heel", "toe") if self.belt else ():
                 edits[f"contact/pair[@geom2='{side}_{end}']"] = contact_attributes(

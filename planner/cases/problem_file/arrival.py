@@ -7,15 +7,15 @@ import numpy as np
 from planner.base.errors import PlannerError
 from planner.dynamics import RigidBodyDynamics
 from planner.model.lying import roots
-from planner.model.mjcf.driven import driven_dofs
+from planner.model.mjcf.driven import prescribed_dofs_of
 from planner.model.space import space_of
 from planner.problem.costs.tracking import tracking_of
 from planner.problem.goals import ROUNDING, goals_of
-from planner.problem.guess import rolled
+from planner.problem.guess import rollout_states
 from planner.problem.problem import Problem
 
 
-def check_departure(problem: Problem) -> None:
+def check_goal_differs(problem: Problem) -> None:
     """Refuse a problem that doing nothing solves, unless start and goal are equal: then to stay is the task."""
     cost, x0 = tracking_of(problem.cost), problem.x0
     assert cost is not None  # a problem file has one
@@ -35,16 +35,16 @@ def check_departure(problem: Problem) -> None:
         raise PlannerError("no weight is above 0 where start and goal differ, expected one: nothing would move.")
 
 
-def check_arrival(problem: Problem) -> None:
+def check_goal_controllable(problem: Problem) -> None:
     """Refuse goals of what nothing drives and nothing touches in the plan: it moves alike whatever the controls do."""
     dynamics, cost = problem.dynamics, tracking_of(problem.cost)
     assert isinstance(dynamics, RigidBodyDynamics)  # a problem file has them
     assert cost is not None
-    loose = _loose(dynamics)
+    loose = _uncontrolled_dofs(dynamics)
     if not np.any(loose):
         return
     space, mechanism = dynamics.space, dynamics.mechanism
-    end = rolled(dynamics, problem.x0, problem.first_guess)[-1]
+    end = rollout_states(dynamics, problem.x0, problem.first_guess)[-1]
     theirs = np.concatenate([loose, loose, np.zeros(mechanism.na, dtype=bool)])
     reached = space.integrate(cost.x_ref[-1], np.where(theirs, space.difference(end, cost.x_ref[-1]), 0.0))
     for goal in goals_of(problem):
@@ -58,15 +58,15 @@ def check_arrival(problem: Problem) -> None:
             )
 
 
-def _loose(dynamics: RigidBodyDynamics) -> np.ndarray:
+def _uncontrolled_dofs(dynamics: RigidBodyDynamics) -> np.ndarray:
     """(nv,) the degrees of freedom of trees that no actuator, contact, coupling, tendon or closed chain reaches."""
     mechanism = dynamics.mechanism
     root = roots(mechanism)
     reached = set(np.flatnonzero(np.any(mechanism.actuators.moment != 0.0, axis=0)).tolist())
-    reached |= {*map(int, driven_dofs(dynamics)), *(contact.link for contact in mechanism.contacts)}
+    reached |= {*map(int, prescribed_dofs_of(dynamics)), *(contact.link for contact in mechanism.contacts)}
     reached |= {shape.link for pair in mechanism.body_contacts for shape in (pair.first, pair.second)} - {-1}
     reached |= {dof for one in (*mechanism.couplings, *mechanism.tendons) for dof in one.dofs}
-    for first, second in (*(loop.links for loop in mechanism.loops), *(cam.dofs for cam in mechanism.cams)):
+    for first, second in (*(loop.links for loop in mechanism.loops), *(cam.dofs for cam in mechanism.polynomial_couplings)):
         if -1 in (first, second):
             reached.add(max(first, second))  # the world holds it
         else:

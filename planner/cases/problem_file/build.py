@@ -53,14 +53,14 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from planner import cases
-from planner.base.arguments import choice, count, shown
+from planner.base.arguments import choice, count, short_repr
 from planner.base.errors import PlannerError
-from planner.cases.problem_file.arrival import check_arrival, check_departure
+from planner.cases.problem_file.arrival import check_goal_controllable, check_goal_differs
 from planner.cases.problem_file.constraints import constraints_of
 from planner.cases.problem_file.guess import first_guess
 from planner.cases.problem_file.keys import REQUIRED, RESOLVED
 from planner.cases.problem_file.machine import folders_of, machine_of, prescribed_of
-from planner.cases.problem_file.on_ground import on_ground
+from planner.cases.problem_file.on_ground import place_on_ground
 from planner.cases.problem_file.states import state_of, states_of
 from planner.cases.problem_file.step import with_step
 from planner.cases.problem_file.table import (
@@ -71,12 +71,12 @@ from planner.cases.problem_file.table import (
     with_model_limits,
 )
 from planner.cases.problem_file.tasks import (
-    Made,
+    ResolvedTask,
     check_task_departure,
     cost_of,
     guess_of,
     is_task,
-    made,
+    resolve_task,
     weights_of,
     with_files,
     with_tasks,
@@ -90,7 +90,7 @@ from planner.problem.constraints.constraint import Constraint
 from planner.problem.criteria import with_objective
 from planner.problem.default_appearance import default_appearance
 from planner.problem.default_weights import default_weights, weighed
-from planner.problem.joint_limits import leaning, off_stops
+from planner.problem.joint_limits import starts_at_limit, moved_inside_limits
 from planner.problem.limits import Limits
 from planner.problem.problem import Problem
 from planner.problem.recipe import PROBLEM_FILE, Recipe
@@ -145,7 +145,7 @@ def loaded(table: dict[str, Any], path: str | Path, **instead: Any) -> ProblemFi
     table = with_files(table, path.parent)
     table |= {name: value for name, value in instead.items() if value is not None}
     if not isinstance(table["model"], str) or not table["model"]:
-        raise PlannerError(f"model is {shown(table['model'])}, expected the name of an MJCF or URDF file.")
+        raise PlannerError(f"model is {short_repr(table['model'])}, expected the name of an MJCF or URDF file.")
     if "attach" in table:
         table["attach"] = stored_attachments(table["attach"], path.parent)
     folders = {"package_path": folders_of(path.parent, table["package_path"])} if "package_path" in table else {}
@@ -227,7 +227,7 @@ def _problem(
     goal = at_rest if tasked else state_of("goal", table["goal"], mechanism, at_rest, closed)
     if table["contacts"] == "auto" and mechanism.contacts_mode:
         table = table | {"contacts": mechanism.contacts_mode}  # a stored model has but one mode left
-    x0, goal, notes = on_ground(mechanism, table, x0, goal)
+    x0, goal, notes = place_on_ground(mechanism, table, x0, goal)
     x0, goal, stops = _off_stops(mechanism, table, x0, goal)
     prescribed = prescribed_of(table, mechanism)
     table, substeps, reasons = with_step(table, mechanism, prescribed, (x0, goal))
@@ -248,7 +248,7 @@ def _problem(
     limits = Limits.from_dict(table["limits"]) if table.get("limits") else None
     avoid = Avoid(**table["avoid"]) if "avoid" in table else None
     asked = constraints_of(table.get("constraint", []))
-    way = made(table, dynamics, x0, N, limits, avoid, (*asked, *constraints)) if tasked else None
+    way = resolve_task(table, dynamics, x0, N, limits, avoid, (*asked, *constraints)) if tasked else None
     apart = None if way is None else way.apart
     if avoid is not None and way is None:
         apart = avoid.constraint(mechanism, x0, goal)
@@ -273,13 +273,13 @@ def _problem(
         appearance=replace(appearance, title=table["title"] or appearance.title),
         limits=limits, constraints=kept, wanted=wanted,
         tolerance=None if tasked else table["tolerance"], decrease_tolerance=DECREASE,
-        gain_tolerance=GAIN if mechanism.contacts else DECREASE if mechanism.loops or mechanism.cams else 0.0,
+        gain_tolerance=GAIN if mechanism.contacts else DECREASE if mechanism.loops or mechanism.polynomial_couplings else 0.0,
     )  # fmt: skip
     along = None if way is None else guess_of(way, dynamics, x0)
     problem = replace(problem, us=first_guess(problem, table["guess"], goal, along))
     if way is None or wanted is None:
-        check_departure(problem)
-        check_arrival(problem)
+        check_goal_differs(problem)
+        check_goal_controllable(problem)
     else:
         check_task_departure(x0, wanted, way.task)
     return with_objective(problem, table["objective"]) if "objective" in table else problem
@@ -294,15 +294,15 @@ def _off_stops(
         return x0, goal, ()
     limited = kept if isinstance(kept, dict) else {}
     (x0, first), (goal, second) = (
-        off_stops(mechanism, what, x, limited) for what, x in (("start", x0), ("goal", goal))
+        moved_inside_limits(mechanism, what, x, limited) for what, x in (("start", x0), ("goal", goal))
     )
-    leans = "" if table.get("prescribed") else leaning(mechanism, "start", x0, limited)
+    leans = "" if table.get("prescribed") else starts_at_limit(mechanism, "start", x0, limited)
     return x0, goal, tuple(filter(None, (first, second, leans)))
 
 
 def _resolved(
     table: dict[str, Any], dynamics: RigidBodyDynamics, x0: np.ndarray, goal: np.ndarray, reasons: dict[str, str],
-    way: Made | None, limits: Limits | None,
+    way: ResolvedTask | None, limits: Limits | None,
 ) -> dict[str, Any]:  # fmt: skip
     """The table with what was chosen by itself: weights and their reasons. A stored plan has them already."""
     if RESOLVED in table:

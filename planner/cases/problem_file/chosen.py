@@ -10,7 +10,7 @@ import numpy as np
 from planner.cases.problem_file.keys import RESOLVED
 
 
-def chosen(parameters: Mapping[str, Any]) -> dict[str, str]:
+def resolved_defaults(parameters: Mapping[str, Any]) -> dict[str, str]:
     """A sentence for each thing that was chosen by itself, by its key; none for plans without a problem file."""
     resolved = parameters.get(RESOLVED, {})
     weights, reasons = resolved.get("weights", {}), resolved.get("reasons", {})

@@ -29,7 +29,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from planner.base.arguments import array, choice, number, shown
+from planner.base.arguments import array, choice, number, short_repr
 from planner.base.errors import PlannerError
 from planner.cases.problem_file.keys import CONSTRAINT
 from planner.problem.constraints.chain_force import ChainForce
@@ -50,7 +50,7 @@ def constraints_of(given: Any) -> list[Constraint]:
         PlannerError: It is no such list, a key is unknown, missing or wrong.
     """
     if not isinstance(given, list) or not all(isinstance(table, Mapping) for table in given):
-        raise PlannerError(f"constraint is {shown(given)}, expected tables [[constraint]].")
+        raise PlannerError(f"constraint is {short_repr(given)}, expected tables [[constraint]].")
     return [_constraint(f"[[constraint]] {i}", dict(table)) for i, table in enumerate(given, 1)]
 
 
@@ -103,13 +103,13 @@ def _along(where: str, table: dict[str, Any]) -> dict[str, Any]:
 
 def _power(where: str, table: dict[str, Any]) -> dict[str, Any]:
     if not isinstance(table["power"], str):
-        raise PlannerError(f"{where}'s power is {shown(table['power'])}, expected the name of an actuator.")
+        raise PlannerError(f"{where}'s power is {short_repr(table['power'])}, expected the name of an actuator.")
     return {"of": Power(table["power"]), **_between(where, table)}
 
 
 def _chain(where: str, table: dict[str, Any]) -> dict[str, Any]:
     if not isinstance(table["chain"], str):
-        raise PlannerError(f"{where}'s chain is {shown(table['chain'])}, expected the name of an equality.")
+        raise PlannerError(f"{where}'s chain is {short_repr(table['chain'])}, expected the name of an equality.")
     return {"of": ChainForce(table["chain"]), **_between(where, table)}
 
 
@@ -126,7 +126,7 @@ def _direction(name: str, value: Any) -> Any:
 
 def _frame(where: str, table: dict[str, Any]) -> str:
     if not isinstance(table["frame"], str):
-        raise PlannerError(f"{where}'s frame is {shown(table['frame'])}, expected the name of a site or body.")
+        raise PlannerError(f"{where}'s frame is {short_repr(table['frame'])}, expected the name of a site or body.")
     return table["frame"]
 
 

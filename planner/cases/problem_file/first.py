@@ -15,9 +15,9 @@ from planner.base.files import PathLike, write_atomically
 from planner.cases.problem_file.build import loaded
 from planner.cases.problem_file.keys import KEYS
 from planner.cases.problem_file.step import AUTO
-from planner.model.mjcf.opened import Opened
+from planner.model.mjcf.opened import ModelFile
 from planner.problem.description import Description
-from planner.problem.first_move import FirstMove, driven_joints, first_move
+from planner.problem.first_move import ExampleTask, actuated_joints, example_task
 from planner.problem.troubles import toml_key
 
 _SMALL, _PART = 0.05, 0.05  # rad or m: the tolerance is written for a shorter way, as this part of it
@@ -25,7 +25,7 @@ _WIDE = 100  # characters of a line
 _KEYFRAMES = 5  # that are named
 
 
-def write_first_problem(path: PathLike, model: PathLike, file: Opened, known: Description) -> Path:
+def write_first_problem(path: PathLike, model: PathLike, file: ModelFile, known: Description) -> Path:
     """Write a problem file for a model; returns the path.
 
     Raises:
@@ -40,7 +40,7 @@ def write_first_problem(path: PathLike, model: PathLike, file: Opened, known: De
         raise FileError(f"--write is {path}, expected a folder that is there: make {path.parent} first.")
     if path.exists():
         raise FileError(f"{path} is there already, expected a new name: nothing is overwritten.")
-    text = first_problem(os.path.relpath(model, path.parent), str(path), file, known)
+    text = starter_text(os.path.relpath(model, path.parent), str(path), file, known)
     try:
         loaded(tomllib.loads(text), path)
     except PlannerError as error:
@@ -50,7 +50,7 @@ def write_first_problem(path: PathLike, model: PathLike, file: Opened, known: De
     return path
 
 
-def first_problem(model: str, name: str, file: Opened, known: Description) -> str:
+def starter_text(model: str, name: str, file: ModelFile, known: Description) -> str:
     """The text of a problem file `name` for a model, named as seen from that file.
 
     Raises:
@@ -59,14 +59,14 @@ def first_problem(model: str, name: str, file: Opened, known: Description) -> st
     mechanism = known.loaded.mechanism
     if mechanism is None:
         raise PlannerError(f"there is nothing to write: {known.loaded.refusal}")
-    move = first_move(file.survey.model, mechanism, known.joints)
+    move = example_task(file.survey.model, mechanism, known.joints)
     if not move.goal:
         raise PlannerError("no hinge or slide is driven, expected one: no goal can be proposed.")
     named = all(joint["name"] for joint in known.joints if joint["unit"])
     lines = [f"# planner run {name}", "", *_line("model", json.dumps(Path(model).as_posix()), KEYS["model"])]
     lines += _keys(known)
     if mechanism.nu == 0:
-        everything = [known.joints[j]["name"] for j in driven_joints(mechanism)]
+        everything = [known.joints[j]["name"] for j in actuated_joints(mechanism)]
         lines += _line("prescribed", json.dumps(everything), "nothing drives these joints: plan their accelerations")
     lines += ["", *_start(move, known, named), *_goal(move, known, named)]
     lines += _line("duration", f"{move.duration:.1f}", KEYS["duration"])
@@ -93,7 +93,7 @@ def _keys(known: Description) -> list[str]:
     return lines
 
 
-def _start(move: FirstMove, known: Description, named: bool) -> list[str]:
+def _start(move: ExampleTask, known: Description, named: bool) -> list[str]:
     if move.keyframe:
         return _line("start", json.dumps(move.keyframe), "a keyframe of the model")
     if not named:
@@ -106,7 +106,7 @@ def _start(move: FirstMove, known: Description, named: bool) -> list[str]:
     )  # fmt: skip
 
 
-def _goal(move: FirstMove, known: Description, named: bool) -> list[str]:
+def _goal(move: ExampleTask, known: Description, named: bool) -> list[str]:
     units = sorted({known.joints[j]["unit"] for j in move.goal})
     words = f"{' and '.join(units)}; joints that are not named end where they started"
     if len(known.keyframes) > 1:

@@ -18,20 +18,20 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from planner.base.errors import PlannerError
-from planner.model.mjcf.driven import driven_dofs
+from planner.model.mjcf.driven import prescribed_dofs_of
 from planner.model.space import space_of
-from planner.problem.avoid import motion_around
-from planner.problem.closed_way import closed_way
-from planner.problem.constraints.apart import apart_of
-from planner.problem.guess import holding_controls, line_of_states, rolled, straight_line
+from planner.problem.avoid import collision_free_motion
+from planner.problem.closed_way import closed_chain_reference
+from planner.problem.constraints.apart import pair_clearance_of
+from planner.problem.guess import quasi_static_controls, interpolated_states, rollout_states, straight_line
 from planner.problem.problem import Problem
-from planner.solvers.steadied import led, led_along
+from planner.solvers.steadied import line_tracking_controls, tracking_controls
 
 STRAYS = 0.1  # of the largest motion: from there on gains keep a guess on its way
 GUESSES = ("auto", "line", "around", "led", "hold", "zero")
 
 
-class Way(NamedTuple):
+class ReferenceTrajectory(NamedTuple):
     """A way in place of the straight line to a goal."""
 
     line: np.ndarray | None  # (N, nu) controls along it by inverse dynamics; None where there are none
@@ -39,7 +39,7 @@ class Way(NamedTuple):
     direct: bool  # whether its end alone is asked for
 
 
-def first_guess(problem: Problem, kind: str, goal: np.ndarray, way: Way | None = None) -> np.ndarray | None:
+def first_guess(problem: Problem, kind: str, goal: np.ndarray, way: ReferenceTrajectory | None = None) -> np.ndarray | None:
     """Controls (N, nu) of a kind that lead towards a goal (nx,), or along a way; None for zero.
 
     Raises:
@@ -48,12 +48,12 @@ def first_guess(problem: Problem, kind: str, goal: np.ndarray, way: Way | None =
     if kind == "zero":
         return None
     dynamics: Any = problem.dynamics  # of a mechanism
-    apart = apart_of(problem.constraints)
+    apart = pair_clearance_of(problem.constraints)
     direct = way is None or way.direct
     if apart is not None and direct and kind in ("around", "auto") and not dynamics.prescribed:
         end = goal if way is None else way.rows[-1]
-        motion = motion_around(apart, dynamics.mechanism, problem.x0, end, problem.duration, problem.N)
-        found = None if motion is None else led_along(problem, *motion)
+        motion = collision_free_motion(apart, dynamics.mechanism, problem.x0, end, problem.duration, problem.N)
+        found = None if motion is None else tracking_controls(problem, *motion)
         if found is not None:
             return found
     if kind == "around":
@@ -75,15 +75,15 @@ def first_guess(problem: Problem, kind: str, goal: np.ndarray, way: Way | None =
     hold = np.tile(_holding(problem), (problem.N, 1))
     found = None
     if kind != "hold":
-        found = led(problem, goal) if way is None else led_along(problem, way.rows)
+        found = line_tracking_controls(problem, goal) if way is None else tracking_controls(problem, way.rows)
     if found is None and kind == "led":
         raise PlannerError("guess is 'led', expected 'hold' or 'zero': this machine runs away where gains lead it.")
-    if found is None or (kind == "auto" and not _price(problem, found) < _price(problem, hold)):
+    if found is None or (kind == "auto" and not _rollout_cost(problem, found) < _rollout_cost(problem, hold)):
         return hold
     return found
 
 
-def _closed(problem: Problem, goal: np.ndarray) -> Way | None:
+def _closed(problem: Problem, goal: np.ndarray) -> ReferenceTrajectory | None:
     """The way to a goal (nx,) that keeps chains closed; None for machines without any, and where there is none."""
     dynamics: Any = problem.dynamics
     mechanism = dynamics.mechanism
@@ -91,42 +91,42 @@ def _closed(problem: Problem, goal: np.ndarray) -> Way | None:
         return None
     poses = np.stack([problem.x0, goal])[:, : mechanism.nq]
     rest = ~np.any(np.stack([problem.x0, goal])[:, mechanism.nq : mechanism.nq + mechanism.nv], axis=1)
-    found = closed_way(mechanism, problem.x0, np.array([0, problem.N]), poses, rest, dynamics.dt)
-    return None if found is None else Way(found.controls, found.rows, direct=True)
+    found = closed_chain_reference(mechanism, problem.x0, np.array([0, problem.N]), poses, rest, dynamics.dt)
+    return None if found is None else ReferenceTrajectory(found.controls, found.rows, direct=True)
 
 
-def _straight(problem: Problem, goal: np.ndarray) -> Way:
+def _straight(problem: Problem, goal: np.ndarray) -> ReferenceTrajectory:
     """The straight line in joint space to a goal (nx,)."""
     dynamics: Any = problem.dynamics
     line = straight_line(dynamics.mechanism, problem.x0, goal, problem.duration, problem.N)
-    rows = line_of_states(space_of(dynamics), problem.x0, goal, problem.duration, problem.N)
-    return Way(line, rows, direct=True)
+    rows = interpolated_states(space_of(dynamics), problem.x0, goal, problem.duration, problem.N)
+    return ReferenceTrajectory(line, rows, direct=True)
 
 
-def _along(problem: Problem, way: Way) -> np.ndarray | None:
+def _along(problem: Problem, way: ReferenceTrajectory) -> np.ndarray | None:
     """The controls along a way; with gains where an unstable machine leaves it, and None where there are none."""
     if way.line is None:
         return None
     with np.errstate(all="ignore"):
-        away = space_of(problem.dynamics).difference(rolled(problem.dynamics, problem.x0, way.line), way.rows)
+        away = space_of(problem.dynamics).difference(rollout_states(problem.dynamics, problem.x0, way.line), way.rows)
     if np.abs(away).max(axis=0).max() < STRAYS * np.ptp(way.rows, axis=0).max():  # false of what is not finite
         return way.line
-    return led_along(problem, way.rows, way.line)
+    return tracking_controls(problem, way.rows, way.line)
 
 
-def _price(problem: Problem, us: np.ndarray) -> float:
+def _rollout_cost(problem: Problem, us: np.ndarray) -> float:
     """The cost of a rollout; infinite where it runs away."""
     with np.errstate(all="ignore"):
         us = us if problem.bounds is None else problem.bounds.clip(slice(None), us, None)
-        cost = problem.cost.value(rolled(problem.dynamics, problem.x0, us), us)
+        cost = problem.cost.value(rollout_states(problem.dynamics, problem.x0, us), us)
     return cost if np.isfinite(cost) else np.inf
 
 
 def _holding(problem: Problem) -> np.ndarray:
     """Controls (nu,) that hold the start as far as they can; prescribed joints are held by an acceleration of zero."""
     dynamics: Any = problem.dynamics
-    mechanism, driven = dynamics.mechanism, driven_dofs(dynamics)
+    mechanism, driven = dynamics.mechanism, prescribed_dofs_of(dynamics)
     moment = mechanism.actuators.moment.copy()
     moment[:, driven] = 0.0  # actuators do nothing there
     free = replace(mechanism, actuators=replace(mechanism.actuators, moment=moment))
-    return np.concatenate([holding_controls(free, problem.x0), np.zeros(len(driven))])
+    return np.concatenate([quasi_static_controls(free, problem.x0), np.zeros(len(driven))])

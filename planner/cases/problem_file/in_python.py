@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from planner.base.arguments import shown
+from planner.base.arguments import short_repr
 from planner.base.errors import PlannerError
 from planner.cases.problem_file.build import again
 from planner.cases.problem_file.table import with_model_limits
@@ -44,7 +44,7 @@ def task(
             that contradict each other, or a key that there is not.
     """
     if not isinstance(mechanism, Mechanism):
-        raise PlannerError(f"mechanism is {shown(mechanism)}, expected a Mechanism.")
+        raise PlannerError(f"mechanism is {short_repr(mechanism)}, expected a Mechanism.")
     for key in OWN:
         if key in keys:
             raise PlannerError(f"{key} is a key of a file, expected goals= and follow= beside the mechanism.")
@@ -69,7 +69,7 @@ def task(
 def _several(name: str, value: Any, kind: type) -> list[Any]:
     value = [value] if isinstance(value, (kind, dict)) else value
     if not isinstance(value, (list, tuple)):
-        raise PlannerError(f"{name} is {shown(value)}, expected a {kind.__name__}, or a list of them.")
+        raise PlannerError(f"{name} is {short_repr(value)}, expected a {kind.__name__}, or a list of them.")
     return list(value)
 
 

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from planner.base.arguments import choice, shown
+from planner.base.arguments import choice, short_repr
 from planner.base.errors import ModelError, PlannerError
 from planner.cases.problem_file.keys import GROUND, LAW, URDF
 from planner.cases.problem_file.table import check_keys
@@ -28,7 +28,7 @@ def machine_of(model: str | Path, table: dict[str, Any], assets: dict[str, bytes
     """
     ignore = table["ignore"]
     if not isinstance(ignore, list) or not all(isinstance(kind, str) for kind in ignore):
-        raise PlannerError(f"ignore is {shown(ignore)}, expected a list of some of: {', '.join(KINDS)}.")
+        raise PlannerError(f"ignore is {short_repr(ignore)}, expected a list of some of: {', '.join(KINDS)}.")
     of_urdf = {key: table[key] for key in URDF if key in table}
     attach = table.get("attach") if assets is None else None  # a stored model carries it already
     opened = partial(read_model, model, ignore=tuple(ignore), assets=assets, attach=attach, **of_urdf)
@@ -66,7 +66,7 @@ def folders_of(beside: Path, given: Any) -> list[str]:
     """Folders of packages, relative to the problem file."""
     folders = [given] if isinstance(given, str) else given
     if not isinstance(folders, list) or not all(isinstance(folder, str) for folder in folders):
-        raise PlannerError(f"package_path is {shown(given)}, expected a folder of packages, or a list of some.")
+        raise PlannerError(f"package_path is {short_repr(given)}, expected a folder of packages, or a list of some.")
     return [str(beside / folder) for folder in folders]
 
 
@@ -79,5 +79,5 @@ def prescribed_of(table: dict[str, Any], mechanism: Mechanism) -> tuple[str, ...
     names = table.get("prescribed", [])
     known = [name for name in mechanism.joint_names if name]
     if not isinstance(names, list):
-        raise PlannerError(f"prescribed is {shown(names)}, expected a list of some of: {', '.join(known)}.")
+        raise PlannerError(f"prescribed is {short_repr(names)}, expected a list of some of: {', '.join(known)}.")
     return tuple(choice("a joint in prescribed", name, known) for name in names)

@@ -6,17 +6,17 @@ from typing import Any
 
 import numpy as np
 
-from planner.base.arguments import shown
+from planner.base.arguments import short_repr
 from planner.base.errors import PlannerError
-from planner.dynamics.footing import carried_along
-from planner.dynamics.statics import lowered, settled
+from planner.dynamics.footing import goal_without_foot_slip
+from planner.dynamics.statics import lowered_to_ground, settled
 from planner.model.mechanism import Mechanism
 
 FAR = 0.05  # m or rad: who writes a pose puts feet down to some centimetres
 SAME = 1e-6  # m or rad: poses at rest are found as exactly as forces balance
 
 
-def on_ground(
+def place_on_ground(
     mechanism: Mechanism, table: dict[str, Any], start: np.ndarray, goal: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, tuple[str, ...]]:
     """Start and goal (nx,) as they are planned, and sentences about what was done to them.
@@ -29,15 +29,15 @@ def on_ground(
     """
     settle = table["settle"]
     if not (isinstance(settle, bool) or settle == "auto"):
-        raise PlannerError(f"settle is {shown(settle)}, expected true, false or 'auto'.")
+        raise PlannerError(f"settle is {short_repr(settle)}, expected true, false or 'auto'.")
     if settle is True:
         return _settled("start", start, mechanism), _settled("goal", goal, mechanism), ()
     if settle is False or table["contacts"] != "ground" or not mechanism.contacts:
         return start, goal, ()
     asked = np.abs(mechanism.space.difference(goal, start)[: mechanism.nv]) > SAME
-    start, note = _put_down("start", start, mechanism)
-    goal, other = _put_down("goal", goal, mechanism)
-    there = carried_along(mechanism, start, goal, asked)
+    start, note = _lower_to_ground("start", start, mechanism)
+    goal, other = _lower_to_ground("goal", goal, mechanism)
+    there = goal_without_foot_slip(mechanism, start, goal, asked)
     way = float(np.abs(mechanism.space.difference(there, goal)).max())
     if way > FAR:
         other += f" goal goes {way:.2g} m or rad along the ground, where feet that do not slide carry it."
@@ -54,14 +54,14 @@ def _settled(name: str, x: np.ndarray, mechanism: Mechanism) -> np.ndarray:
         raise PlannerError(f"settle of {name}: {error}") from None
 
 
-def _put_down(name: str, x: np.ndarray, mechanism: Mechanism) -> tuple[np.ndarray, str]:
+def _lower_to_ground(name: str, x: np.ndarray, mechanism: Mechanism) -> tuple[np.ndarray, str]:
     """The state on the ground, or as it is, and a sentence about it; "" where there is nothing to say."""
     if np.any(x[mechanism.nq : mechanism.nq + mechanism.nv]):
         return x, f"{name} is not put on the ground, since it moves."
     try:
         there = settled(mechanism, x)
     except PlannerError as error:
-        return lowered(mechanism, x), f"{name} is put on the ground, where it does not balance by itself: {error}"
+        return lowered_to_ground(mechanism, x), f"{name} is put on the ground, where it does not balance by itself: {error}"
     way = float(np.abs(mechanism.space.difference(there, x)).max())
     said = f"{name} is put on the ground, {way:.2g} m or rad from what was asked; settle = false leaves it there."
     return there, said if way > FAR else ""

@@ -6,9 +6,9 @@ from typing import Any
 
 import numpy as np
 
-from planner.base.arguments import array, choice, did_you_mean, number, shown
+from planner.base.arguments import array, choice, did_you_mean, number, short_repr
 from planner.base.errors import PlannerError
-from planner.dynamics.assembly import assembled, carried, check_assembled
+from planner.dynamics.assembly import assembled, assembled_along, check_assembled
 from planner.model.coordinates import coordinates_of_mechanism
 from planner.model.coupled_states import check_closed
 from planner.model.couplings import CLOSED
@@ -43,7 +43,7 @@ def state_of(
             hint = did_you_mean(value, mechanism.keyframes)
             if not mechanism.keyframes:
                 hint = f" The model has no keyframe; {name} = {{}} is the pose in which the file draws it."
-            raise PlannerError(f"{name} is {shown(value)}, expected {states_of(mechanism)}.{hint}")
+            raise PlannerError(f"{name} is {short_repr(value)}, expected {states_of(mechanism)}.{hint}")
         x, most = mechanism.keyframe(value), SOFT
     elif isinstance(value, list) and not any(isinstance(part, (list, dict)) for part in value):
         if len(value) not in (nq, nq + nv, len(x)):
@@ -59,15 +59,15 @@ def state_of(
             given.add(links.start)
             x[place : place + size] = array(label, position, (size,)) if size > 1 else number(label, position)
     else:
-        raise PlannerError(f"{name} is {shown(value)}, expected {states_of(mechanism)}.")
+        raise PlannerError(f"{name} is {short_repr(value)}, expected {states_of(mechanism)}.")
     if isinstance(value, dict):
-        x = carried(mechanism, base, x, given, name)
+        x = assembled_along(mechanism, base, x, given, name)
         check_assembled(name, x, mechanism, most)
     else:
         check_closed(name, x, mechanism, most)
         told, x = x, assembled(mechanism, x, name=name)
         moved = mechanism.space.difference(x, states(name, told, mechanism.space, ()))[:nv]
-        if notes is not None and (mechanism.loops or mechanism.cams) and np.abs(moved).max() > MOVED:
+        if notes is not None and (mechanism.loops or mechanism.polynomial_couplings) and np.abs(moved).max() > MOVED:
             most = int(np.argmax(np.abs(moved)))
             place = coordinates_of_mechanism(mechanism)[most]
             notes.append(f"{name} is moved so that its chains close, {place.name} by {moved[most]:.3g} {place.unit}.")

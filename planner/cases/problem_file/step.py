@@ -10,7 +10,7 @@ import numpy as np
 
 from planner.base.arguments import number
 from planner.dynamics.rigid_body import MOST_SUBSTEPS
-from planner.dynamics.stiffness import IMPLICIT, REACH, Fastest, fastest, implicit_error, reason, substeps_of
+from planner.dynamics.stiffness import IMPLICIT, MAX_RATE_STEP, FastestMode, fastest_mode, implicit_error, reason, substeps_of
 from planner.model.mechanism import Mechanism
 
 USUAL, SHORTEST = 0.01, 5e-4  # s: shorter ones are asked for, because a plan of them takes long
@@ -38,14 +38,14 @@ def with_step(
         return table, table["substeps"], {}
     if not mechanism.contacts:  # which may have home deep in the ground
         states = (*states, mechanism.home)
-    found = Fastest(0.0, "") if known else fastest(mechanism, states, prescribed)
+    found = FastestMode(0.0, "") if known else fastest_mode(mechanism, states, prescribed)
     reasons, dt, substeps, integrator = {}, table["dt"], table["substeps"], table["integrator"]
     most = substeps if isinstance(substeps, int) else MOST_SUBSTEPS
-    closed = bool(mechanism.loops or mechanism.cams)  # which the implicit method does not keep
+    closed = bool(mechanism.loops or mechanism.polynomial_couplings)  # which the implicit method does not keep
     if integrator == AUTO:
         integrator = "rk4"
         for longest in [USUAL * 0.5**k for k in range(HALVINGS + 1)] if dt == AUTO else [number("dt", dt, above=0.0)]:
-            if found.rate * longest <= most * REACH or closed:
+            if found.rate * longest <= most * MAX_RATE_STEP or closed:
                 break
             if substeps in (AUTO, MOST_SUBSTEPS) and implicit_error(mechanism, longest, states, prescribed) <= IMPLICIT:
                 integrator, dt = "rosenbrock", _whole(table["duration"], longest) if dt == AUTO else dt
@@ -55,7 +55,7 @@ def with_step(
                 )
                 break
     if dt == AUTO:
-        longest = min(USUAL, max(most * REACH / found.rate, SHORTEST)) if found.rate > 0.0 else USUAL
+        longest = min(USUAL, max(most * MAX_RATE_STEP / found.rate, SHORTEST)) if found.rate > 0.0 else USUAL
         dt = _whole(table["duration"], longest)
         if longest < USUAL:
             reasons["dt"] = f"{dt:.4g} s: {found.joint} has a rate of {found.rate:.4g} per s"

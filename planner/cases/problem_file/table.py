@@ -8,7 +8,7 @@ from collections.abc import Collection
 from pathlib import Path
 from typing import Any
 
-from planner.base.arguments import choice, count, did_you_mean, number, shown
+from planner.base.arguments import choice, count, did_you_mean, number, short_repr
 from planner.base.errors import FileError, PlannerError
 from planner.base.files import printable, read_text
 from planner.cases.problem_file.guess import GUESSES
@@ -59,7 +59,7 @@ def with_defaults(table: dict[str, Any], where: str, stored: bool = False) -> di
     ):  # fmt: skip
         part = table.get(name, {})
         if not isinstance(part, dict):
-            raise PlannerError(f"{name} is {shown(part)}, expected a table [{name}] with some of: {', '.join(keys)}.")
+            raise PlannerError(f"{name} is {short_repr(part)}, expected a table [{name}] with some of: {', '.join(keys)}.")
         check_keys(part, keys, f"[{name}] of {where}")
     if RESOLVED in table:
         _check_resolved(table[RESOLVED], where)
@@ -73,13 +73,13 @@ def _check_resolved(resolved: dict[str, Any], where: str) -> None:
     for name in ("weights", "reasons"):
         part = resolved.get(name)
         if not isinstance(part, dict):
-            raise PlannerError(f"{name} of [{RESOLVED}] is {shown(part)}, expected a table.")
+            raise PlannerError(f"{name} of [{RESOLVED}] is {short_repr(part)}, expected a table.")
     check_keys(resolved["weights"], (*WEIGHTS, "control"), f"[{RESOLVED}.weights] of {where}")
     if "effort" not in resolved["weights"]:
         raise PlannerError(f"[{RESOLVED}.weights] of {where} has no key 'effort', expected a weight of the controls.")
     for name, reason in resolved["reasons"].items():
         if not isinstance(reason, str):
-            raise PlannerError(f"the reason for {shown(name)} is {shown(reason)}, expected a sentence.")
+            raise PlannerError(f"the reason for {short_repr(name)} is {short_repr(reason)}, expected a sentence.")
 
 
 def with_model_limits(table: dict[str, Any]) -> dict[str, Any]:
@@ -88,7 +88,7 @@ def with_model_limits(table: dict[str, Any]) -> dict[str, Any]:
     if limits == OFF:
         limits = dict.fromkeys(MODEL_LIMITS, OFF)
     if not isinstance(limits, dict):
-        raise PlannerError(f"limits is {shown(limits)}, expected {OFF!r} or a table [limits].")
+        raise PlannerError(f"limits is {short_repr(limits)}, expected {OFF!r} or a table [limits].")
     return table | {"limits": MODEL_LIMITS | limits}
 
 
@@ -98,8 +98,8 @@ def check_keys(table: dict[str, Any], keys: Collection[str], where: str) -> None
         if key not in keys:
             hint, known = did_you_mean(key, keys), ", ".join(keys)
             if hint and len(keys) > _FEW:  # the cure first: nobody reads on after thirty names
-                raise PlannerError(f"{where} has no key {shown(key)}.{hint} Its keys are: {known}.")
-            raise PlannerError(f"{where} has the key {shown(key)}, expected some of: {known}.{hint}")
+                raise PlannerError(f"{where} has no key {short_repr(key)}.{hint} Its keys are: {known}.")
+            raise PlannerError(f"{where} has the key {short_repr(key)}, expected some of: {known}.{hint}")
 
 
 def checked_values(table: dict[str, Any]) -> tuple[dict[str, Any], int]:
@@ -113,7 +113,7 @@ def checked_values(table: dict[str, Any]) -> tuple[dict[str, Any], int]:
         "guess": choice("guess", table["guess"], GUESSES),
     }  # fmt: skip
     if not isinstance(table["title"], str):
-        raise PlannerError(f"title is {shown(table['title'])}, expected a text.")
+        raise PlannerError(f"title is {short_repr(table['title'])}, expected a text.")
     if table.get("limits"):
         table["limits"] = Limits.from_dict(table["limits"]).to_dict()
     if "objective" in table:

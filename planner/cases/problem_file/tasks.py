@@ -9,27 +9,27 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from planner.base.arguments import shown
+from planner.base.arguments import short_repr
 from planner.base.errors import PlannerError
-from planner.cases.problem_file.guess import Way
+from planner.cases.problem_file.guess import ReferenceTrajectory
 from planner.cases.problem_file.keys import GOAL, RESOLVED
 from planner.dynamics import RigidBodyDynamics
 from planner.model.mechanism import Mechanism
-from planner.problem.avoid import Avoid, KeptApart
-from planner.problem.closed_way import closed_way
+from planner.problem.avoid import Avoid, AvoidanceConstraint
+from planner.problem.closed_way import closed_chain_reference
 from planner.problem.constraints.constraint import Constraint
 from planner.problem.costs.terms import Cost
-from planner.problem.costs.wanted import Wanted
-from planner.problem.default_weights import DefaultWeights, default_weights, least_jerk
-from planner.problem.free_poses import FreePoses
-from planner.problem.goals import ROUNDING, staying
+from planner.problem.costs.wanted import GoalSpec
+from planner.problem.default_weights import DefaultWeights, default_weights, min_jerk_cost
+from planner.problem.free_poses import CollisionChecker
+from planner.problem.goals import ROUNDING, static_error
 from planner.problem.limits import Limits
 from planner.problem.tasks.cost import WEIGHT, task_cost, task_wanted
-from planner.problem.tasks.detours import with_detours
+from planner.problem.tasks.detours import with_via_poses
 from planner.problem.tasks.follow import Follow, follow_of, with_points
 from planner.problem.tasks.goal import Goal, goal_of
-from planner.problem.tasks.keeping import KeptPoses
-from planner.problem.tasks.motion import controls, rows_of, way_of
+from planner.problem.tasks.keeping import PoseConstraints
+from planner.problem.tasks.motion import controls, reference_states, joint_displacement
 from planner.problem.tasks.poses import Poses, is_screws, poses_of
 from planner.problem.tasks.timetable import Task, task_of
 
@@ -37,13 +37,13 @@ MOST = 1000  # goals
 _OF_GOALS = ("final_position", "hold")  # weights of an end in joints, which a task's goals take the place of
 
 
-class Made(NamedTuple):
+class ResolvedTask(NamedTuple):
     """A task and the poses on its way."""
 
     task: Task
     poses: Poses
     rows: np.ndarray  # (N+1, nx) the states of the motion through them
-    apart: KeptApart | None  # What is kept apart
+    apart: AvoidanceConstraint | None  # What is kept apart
 
 
 def is_task(table: dict[str, Any], mechanism: Mechanism) -> bool:
@@ -67,7 +67,7 @@ def with_tasks(table: dict[str, Any], mechanism: Mechanism) -> dict[str, Any]:
     follows = follows if isinstance(follows, list) else [follows]
     if not isinstance(goals, list) or len(goals) > MOST:
         keys = ", ".join(GOAL)
-        raise PlannerError(f"goal is {shown(goals)} beside follow, expected at most {MOST} tables [[goal]] of: {keys}.")
+        raise PlannerError(f"goal is {short_repr(goals)} beside follow, expected at most {MOST} tables [[goal]] of: {keys}.")
     checked = [goal_of(goal, f"goal {k}") for k, goal in enumerate(goals, 1)]
     paths = [follow_of(path, "follow") for path in follows]
     table = {name: value for name, value in table.items() if name not in ("goal", "follow")}
@@ -90,10 +90,10 @@ def with_files(table: dict[str, Any], folder: Path) -> dict[str, Any]:
     return table
 
 
-def made(
+def resolve_task(
     table: dict[str, Any], dynamics: RigidBodyDynamics, x0: np.ndarray, N: int, limits: Limits | None,
     avoid: Avoid | None = None, constraints: Sequence[Constraint] = (),
-) -> Made:  # fmt: skip
+) -> ResolvedTask:  # fmt: skip
     """The task of a table and its poses; those of a stored plan are not refused again.
 
     Raises:
@@ -111,17 +111,17 @@ def made(
     ranges = np.tile([-np.inf, np.inf], (dynamics.mechanism.nv, 1))
     if limits is not None:
         ranges = limits.position_ranges(dynamics)
-    kept = KeptPoses(constraints, dynamics, x0, N) if constraints else None
+    kept = PoseConstraints(constraints, dynamics, x0, N) if constraints else None
     search = partial(poses_of, task, dynamics, x0, ranges, seed=table["seed"], check=RESOLVED not in table, kept=kept)
     if avoid is None:
         poses, apart = search(), None
     else:
-        free = partial(FreePoses, mechanism=dynamics.mechanism)
+        free = partial(CollisionChecker, mechanism=dynamics.mechanism)
         poses = search(free=free(avoid.constraint(dynamics.mechanism, x0).constraint.of))
         apart = avoid.constraint(dynamics.mechanism, x0, _of_goals(task, poses))  # they are known now
         if not _is_direct(task) and is_screws(task):
-            poses = with_detours(poses, free(apart.constraint.of), table["seed"])
-    return Made(task, poses, rows_of(task, poses, x0), apart)
+            poses = with_via_poses(poses, free(apart.constraint.of), table["seed"])
+    return ResolvedTask(task, poses, reference_states(task, poses, x0), apart)
 
 
 def _of_goals(task: Task, poses: Poses) -> dict[str, np.ndarray]:
@@ -135,36 +135,36 @@ def _of_goals(task: Task, poses: Poses) -> dict[str, np.ndarray]:
 
 
 def weights_of(
-    table: dict[str, Any], dynamics: RigidBodyDynamics, x0: np.ndarray, way: Made, limits: Limits | None
+    table: dict[str, Any], dynamics: RigidBodyDynamics, x0: np.ndarray, way: ResolvedTask, limits: Limits | None
 ) -> DefaultWeights:
     """The default weights along the poses, by the controls' own limits; ends are weighed by the goals."""
     bounds = None if limits is None else limits.bounds(dynamics, way.task.N)
     most = None if bounds is None else np.maximum(np.abs(bounds.lower), np.abs(bounds.upper)).max(axis=0)
-    there = way_of(way.task, way.poses)
+    there = joint_displacement(way.task, way.poses)
     alone, jerk = "objective" in table, table.get("objective", {}).get("jerk", 0.0)
     found = default_weights(
-        dynamics, x0, way.rows[-1], table["duration"], effort_alone=alone, stays=False, way=there, most=most, jerk=jerk
+        dynamics, x0, way.rows[-1], table["duration"], effort_alone=alone, stays=False, displacement=there, most=most, jerk=jerk
     )
     weights = {name: weight for name, weight in found.weights.items() if name not in _OF_GOALS}
     reasons = {name: reason for name, reason in found.reasons.items() if name not in _OF_GOALS}
     if jerk:
-        weights["goal"] = np.array(WEIGHT * max(1.0, jerk * least_jerk(there, table["duration"])))
+        weights["goal"] = np.array(WEIGHT * max(1.0, jerk * min_jerk_cost(there, table["duration"])))
     return DefaultWeights(weights, reasons)
 
 
-def cost_of(way: Made, dynamics: RigidBodyDynamics, weights: dict[str, Any]) -> tuple[Cost, tuple[Wanted, ...]]:
+def cost_of(way: ResolvedTask, dynamics: RigidBodyDynamics, weights: dict[str, Any]) -> tuple[Cost, tuple[GoalSpec, ...]]:
     """The cost of a task and what its proof judges."""
     return task_cost(way.task, dynamics, way.rows, weights), task_wanted(way.task)
 
 
-def guess_of(way: Made, dynamics: RigidBodyDynamics, x0: np.ndarray) -> Way:
+def guess_of(way: ResolvedTask, dynamics: RigidBodyDynamics, x0: np.ndarray) -> ReferenceTrajectory:
     """What the first controls may be made of."""
     mechanism = dynamics.mechanism
-    if mechanism.loops or mechanism.cams:
-        found = closed_way(mechanism, x0, way.poses.stages, way.poses.q, way.poses.stops, dynamics.dt)
+    if mechanism.loops or mechanism.polynomial_couplings:
+        found = closed_chain_reference(mechanism, x0, way.poses.stages, way.poses.q, way.poses.at_rest, dynamics.dt)
         if found is not None:
-            return Way(None if dynamics.prescribed else found.controls, found.rows, _is_direct(way.task))
-    return Way(controls(way.task, way.poses, dynamics, x0), way.rows, _is_direct(way.task))
+            return ReferenceTrajectory(None if dynamics.prescribed else found.controls, found.rows, _is_direct(way.task))
+    return ReferenceTrajectory(controls(way.task, way.poses, dynamics, x0), way.rows, _is_direct(way.task))
 
 
 def _is_direct(task: Task) -> bool:
@@ -172,12 +172,12 @@ def _is_direct(task: Task) -> bool:
     return not task.follows and all(one.last for one in task.goals)
 
 
-def check_task_departure(x0: np.ndarray, wanted: tuple[Wanted, ...], task: Task) -> None:
+def check_task_departure(x0: np.ndarray, wanted: tuple[GoalSpec, ...], task: Task) -> None:
     """Refuse a task that doing nothing solves, unless its goals are at the start exactly: then to stay is the task."""
     asked = [one for one in wanted if one.tolerance is not None]
-    if task.follows or any(staying(one, x0) > (one.tolerance or 0.0) for one in asked):
+    if task.follows or any(static_error(one, x0) > (one.tolerance or 0.0) for one in asked):
         return
-    ways = {one.name: staying(one, x0) for one in asked}
+    ways = {one.name: static_error(one, x0) for one in asked}
     worst = max(asked, key=lambda one: ways[one.name] / (one.tolerance or 1.0))
     if ways[worst.name] > ROUNDING:
         raise PlannerError(

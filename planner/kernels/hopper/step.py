@@ -13,7 +13,7 @@ from __future__ import annotations
 from planner.kernels.algebra.ramp import ramp
 from planner.kernels.algebra.spatial import load3, store3, sub
 from planner.kernels.integrators import EULER, SEMI_IMPLICIT_EULER
-from planner.kernels.lq.search import WOLFE, batches, choose, ladder, refine
+from planner.kernels.lq.search import WOLFE, batches, choose, first_step_lengths, refine
 from planner.kernels.lq.workspace import ALPHA, BRACKET, COSTS, GIVEN, SLOPES, W, accept
 from planner.kernels.numba.jit import inline, jit, part
 from planner.kernels.numba.lanes import (
@@ -240,7 +240,7 @@ def search_step(integrator, dt, parameters, w, search, rule, feedback):
     w = pointer(w)
     alpha, costs, slopes, bracket = search[ALPHA], search[COSTS], search[SLOPES], search[BRACKET]
     cost, slope = search[GIVEN, 0], search[GIVEN, 1]
-    ladder(rule, alpha, bracket)
+    first_step_lengths(rule, alpha, bracket)
     for _ in range(batches(rule)):
         rollout(integrator, dt, parameters, w, search, feedback, rule == WOLFE)
         lane = choose(rule, alpha, costs, slopes, cost, slope, bracket)

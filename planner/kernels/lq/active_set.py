@@ -27,7 +27,7 @@ LITTLE = 1e-12  # of a multiplier's parts: what is rounding
 
 
 @inline
-def held_minimum(w, mu, n):
+def active_set_minimum(w, mu, n):
     """As box_minimum for the chosen set: k and what is clamped, in W.box; the value of these constants.
 
     Rows of the Hessian of held controls are kept for their multipliers.
@@ -148,7 +148,7 @@ def _choose_hinges(w, n, dx):
 
 
 @jit
-def choose_active(w, dt, none):
+def update_active_set(w, dt, none):
     """The next set of held controls (W.held_at) and of hinges that pull, as the last sweep's linear motion tells it.
 
     With `none` there is no motion: hinges pull where they do.

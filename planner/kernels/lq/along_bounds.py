@@ -45,7 +45,7 @@ def moved(w, n, servo, share, dx):
 
 
 @inline
-def push_along(w, n):
+def add_bound_costate(w, n):
     """The costate gains what a gradient that pushes against the bound of a servo does as this moves with the state."""
     nu, first, c = w[W.nu], w[W.first], floats(w, W.costate)
     us, lower, upper = floats(w, W.us), floats(w, W.lower), floats(w, W.upper)
@@ -70,7 +70,7 @@ def _clamped_share(w, n, a):
 
 
 @inline
-def follow(w, mu, n, servo):
+def substitute_bound_control(w, mu, n, servo):
     """Put u_c = k_c + K_c dx of a clamped servo into what is left of the quadratic; k_c is put in by _clamp."""
     nu, width, first, ndx = w[W.nu], w[W.width], w[W.first], w[W.ndx]
     M, s, c = floats(w, W.H), floats(w, W.h), load(integers(w, W.servo_control), servo)

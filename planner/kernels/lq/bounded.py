@@ -16,10 +16,10 @@ from __future__ import annotations
 
 import math
 
-from planner.kernels.lq.active_set import held_minimum
-from planner.kernels.lq.along_bounds import along_bounds, at_lower, at_upper, follow, gains_along, push_along
-from planner.kernels.lq.box import box_minimum
-from planner.kernels.lq.gaps import across_gap
+from planner.kernels.lq.active_set import active_set_minimum
+from planner.kernels.lq.along_bounds import along_bounds, at_lower, at_upper, substitute_bound_control, gains_along, add_bound_costate
+from planner.kernels.lq.box import solve_box_qp
+from planner.kernels.lq.gaps import add_defect
 from planner.kernels.lq.quadratic import add_weights
 from planner.kernels.lq.riccati import advance, begin, factorize, gains, next_value
 from planner.kernels.lq.second_order import add_second
@@ -42,7 +42,7 @@ def _projected(w, n):
         if not pushes:
             norm2 += g * g
     if w[W.servos] > 0:
-        push_along(w, n)
+        add_bound_costate(w, n)
     return norm2
 
 
@@ -55,7 +55,7 @@ def _clamp(w, mu, n):
     for c in range(nu):
         if servo < w[W.servos] and load(integers(w, W.servo_control), servo) == c:
             if load(clamped, c) > 0.0:
-                follow(w, mu, n, servo)
+                substitute_bound_control(w, mu, n, servo)
             servo += 1
         if load(clamped, c) > 0.0:
             kc = load(k, c)
@@ -89,9 +89,9 @@ def _finish_bounded(w, mu, n, chosen):
         add_second(w, floats(w, W.H), n)
     norm2 = _projected(w, n)
     if chosen:
-        value, definite = held_minimum(w, mu, n), True
+        value, definite = active_set_minimum(w, mu, n), True
     else:
-        value, definite = box_minimum(w, mu, n)
+        value, definite = solve_box_qp(w, mu, n)
         _keep_clamped(w, n)
     if definite:
         _clamp(w, mu, n)
@@ -124,7 +124,7 @@ def riccati_dense_bounded(w, mu, dt, chosen):
     total, value = 0.0, 0.0
     for n in range(w[W.N] - 1, -1, -1):
         if w[W.gapped]:
-            across_gap(w, n)
+            add_defect(w, n)
         dense_stage(w, n, dt)
         norm2, part, definite = _finish_bounded(w, mu, n, chosen)
         total += norm2
@@ -142,7 +142,7 @@ def riccati_structured_bounded(w, mu, dt, chosen):
     total, value = 0.0, 0.0
     for n in range(w[W.N] - 1, -1, -1):
         if w[W.gapped]:
-            across_gap(w, n)
+            add_defect(w, n)
         structured_stage(w, n, dt)
         norm2, part, definite = _finish_bounded(w, mu, n, chosen)
         total += norm2

@@ -64,7 +64,7 @@ def _multiply(M, width, mu, nu, x, y):
 
 
 @inline
-def box_minimum(w, mu, n):
+def solve_box_qp(w, mu, n):
     """The minimum k of stage n from its H and h, and which of its controls are clamped (1 or 0).
 
     All in W.box: k, then clamped, then the remaining gradient, nu numbers each. Returns the value

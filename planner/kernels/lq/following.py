@@ -32,7 +32,7 @@ def _moved(to, values, rows, size, stages, last):
 
 
 @jit
-def begin_following(w, f):
+def load_tracked(w, f):
     """Write the first guess into the memory of a solve w, from a plan f (FOLLOWED)."""
     w, f = pointer(w), pointer(f)
     N, nx, nu, first, m = w[W.N], w[W.nx], w[W.nu], w[W.first], f[FOLLOWED.stages]
@@ -55,7 +55,7 @@ def begin_following(w, f):
 
 
 @jit
-def keep_followed(w, f):
+def store_tracked(w, f):
     """Copy the trajectory of a solve w into a plan f; the square of the norm of its last state."""
     w, f = pointer(w), pointer(f)
     N, nx, nu = w[W.N], w[W.nx], w[W.nu]

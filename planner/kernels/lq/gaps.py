@@ -13,7 +13,7 @@ from planner.kernels.numba.lanes import at, floats, load, store
 
 
 @inline
-def across_gap(w, n):
+def add_defect(w, n):
     """Keep the value function (P | s) of the end of stage n, and take its gradient s across the gap."""
     ndx, width, first = w[W.ndx], w[W.width], w[W.first]
     P, s = at(floats(w, W.H), first * width + first), at(floats(w, W.h), first)
@@ -30,7 +30,7 @@ def across_gap(w, n):
 
 
 @inline
-def step_across(w, n, dx):
+def step_with_defect(w, n, dx):
     """Add the gap after stage n to the deviation dx (ndx) of its end, and keep it."""
     ndx = w[W.ndx]
     g, dxs = at(floats(w, W.gaps), n * ndx), at(floats(w, W.dxs), (n + 1) * ndx)

@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 
 from planner.kernels.algebra.tiles import four_rows, mirror, weighted_rows
-from planner.kernels.lq.gaps import across_gap, step_across
+from planner.kernels.lq.gaps import add_defect, step_with_defect
 from planner.kernels.lq.quadratic import add_weights
 from planner.kernels.lq.second_order import add_second
 from planner.kernels.lq.stage_hessian import dense_stage, structured_stage
@@ -220,7 +220,7 @@ def riccati_dense(w, mu, dt):
     total, slope = 0.0, 0.0
     for n in range(w[W.N] - 1, -1, -1):
         if w[W.gapped]:
-            across_gap(w, n)
+            add_defect(w, n)
         dense_stage(w, n, dt)
         norm2, part, definite = _finish(w, mu, n)
         total += norm2
@@ -238,7 +238,7 @@ def riccati_structured(w, mu, dt):
     total, slope = 0.0, 0.0
     for n in range(w[W.N] - 1, -1, -1):
         if w[W.gapped]:
-            across_gap(w, n)
+            add_defect(w, n)
         structured_stage(w, n, dt)
         norm2, part, definite = _finish(w, mu, n)
         total += norm2
@@ -295,6 +295,6 @@ def direction(w, dt):
             store(dus, n * nu + a, total)  # Eq. 25
         advance(w, n, dt, at(dus, n * nu), dx, at(dx, ndx))
         if w[W.gapped]:
-            step_across(w, n, at(dx, ndx))
+            step_with_defect(w, n, at(dx, ndx))
         for i in range(ndx):
             store(dx, i, load(dx, ndx + i))

@@ -18,27 +18,27 @@ import numpy as np
 from planner.kernels.numba.jit import jit, part
 
 ARMIJO, EXACT, WOLFE, GOLDSTEIN = 0, 1, 2, 3
-TRY = -2  # no search either: candidates of the lengths that are there, none of which is taken
-CLOSING = 4  # Armijo's rule with one batch: where gaps are open, a short step closes them with no gain
-START = -1  # no search: one rollout at step length 0, which is taken as it is
-SUFFICIENT = 1e-4  # c1 of Armijo and Wolfe (Nocedal & Wright, section 3.1)
-CURVATURE = 0.9  # c2 of Wolfe for Newton-like directions (same)
+EVALUATE_ONLY = -2  # no search either: candidates of the lengths that are there, none of which is taken
+DEFECT_STEP = 4  # Armijo's rule with one batch: where gaps are open, a short step closes them with no gain
+INITIAL_ROLLOUT = -1  # no search: one rollout at step length 0, which is taken as it is
+ARMIJO_C1 = 1e-4  # c1 of Armijo and Wolfe (Nocedal & Wright, section 3.1)
+WOLFE_C2 = 0.9  # c2 of Wolfe for Newton-like directions (same)
 GOLDSTEIN_C = 0.25  # below 1/2, so that the full step of a quadratic passes (same)
-FAR_LESS = 0.2  # of the decrease that a step promises, by the parabola of J0, S0 and J(1) = J0 + S0 / 2
+SMALL_REDUCTION = 0.2  # of the decrease that a step promises, by the parabola of J0, S0 and J(1) = J0 + S0 / 2
 EXACT_WIDTH = 1e-6  # J is flat to rounding within about 1e-8 of its minimum
 ARMIJO_BATCHES, BRACKET_BATCHES = 6, 32  # of candidates, before the search gives up
 
 
 @jit
-def ladder(rule, alpha, bracket):
+def first_step_lengths(rule, alpha, bracket):
     """The first candidates; bracket (3,) = (longest step known too short, shortest known too long, best)."""
     bracket[0], bracket[1], bracket[2] = 0.0, np.inf, 0.0
     for i in range(alpha.shape[0]):
-        if rule == START:
+        if rule == INITIAL_ROLLOUT:
             alpha[i] = 0.0
-        elif rule == TRY:
+        elif rule == EVALUATE_ONLY:
             continue
-        elif rule in (ARMIJO, CLOSING):
+        elif rule in (ARMIJO, DEFECT_STEP):
             alpha[i] = 0.5**i
         elif i % 2 == 1:  # the bracketing rules may also lengthen the step: 1, 1/2, 2, 1/4, 4, ...
             alpha[i] = 0.5 ** ((i + 1) // 2)
@@ -49,7 +49,7 @@ def ladder(rule, alpha, bracket):
 @jit
 def batches(rule):
     """How many batches of candidates a rule may ask for."""
-    if rule in (TRY, CLOSING):
+    if rule in (EVALUATE_ONLY, DEFECT_STEP):
         return 1
     return ARMIJO_BATCHES if rule == ARMIJO else BRACKET_BATCHES
 
@@ -57,10 +57,10 @@ def batches(rule):
 @part
 def _too_long(rule, alpha, J, S, J0, S0):
     """Whether the rule's steps lie before this one. A step must lower the cost, to a finite one."""
-    c = GOLDSTEIN_C if rule == GOLDSTEIN else SUFFICIENT
+    c = GOLDSTEIN_C if rule == GOLDSTEIN else ARMIJO_C1
     if not (J0 + c * alpha * S0 >= J and -np.inf < J < J0):  # also when J is NaN
         return True
-    return rule == WOLFE and not S <= -CURVATURE * S0
+    return rule == WOLFE and not S <= -WOLFE_C2 * S0
 
 
 @part
@@ -68,7 +68,7 @@ def _too_short(rule, alpha, J, S, J0, S0):
     """Whether the rule's steps lie beyond this one, which is not too long."""
     if rule == GOLDSTEIN:
         return J0 + (1.0 - GOLDSTEIN_C) * alpha * S0 > J
-    return rule == WOLFE and S < CURVATURE * S0
+    return rule == WOLFE and S < WOLFE_C2 * S0
 
 
 @part
@@ -93,7 +93,7 @@ def _choose_exact(alpha, J, J0, bracket):
 @part
 def _gains_enough(rule, alpha, J, J0, S0):
     """Whether to take this step, which passes, with no look at shorter ones."""
-    return rule == CLOSING or (rule == ARMIJO and -FAR_LESS * alpha * (1.0 - 0.5 * alpha) * S0 <= J0 - J)
+    return rule == DEFECT_STEP or (rule == ARMIJO and -SMALL_REDUCTION * alpha * (1.0 - 0.5 * alpha) * S0 <= J0 - J)
 
 
 @part
@@ -109,7 +109,7 @@ def _lowest_from(rule, alpha, J, J0, S0, first, known):
 @jit
 def decided(rule, alpha, J, J0, S0, known):
     """Whether the first `known` lanes tell which one `choose` takes, for callers that try one after the other."""
-    if rule in (ARMIJO, CLOSING):
+    if rule in (ARMIJO, DEFECT_STEP):
         for i in range(known):
             if not _too_long(rule, alpha[i], J[i], 0.0, J0, S0):
                 enough = _gains_enough(rule, alpha[i], J[i], J0, S0)
@@ -120,9 +120,9 @@ def decided(rule, alpha, J, J0, S0, known):
 @jit
 def choose(rule, alpha, J, S, J0, S0, bracket):
     """The lane to take, or -1; narrows the bracket."""
-    if rule == START:
+    if rule == INITIAL_ROLLOUT:
         return 0
-    if rule == TRY:
+    if rule == EVALUATE_ONLY:
         return -1
     if rule == EXACT:
         return _choose_exact(alpha, J, J0, bracket)
@@ -130,7 +130,7 @@ def choose(rule, alpha, J, S, J0, S0, bracket):
         if _too_long(rule, alpha[i], J[i], S[i], J0, S0):
             bracket[1] = min(bracket[1], alpha[i])
         elif not _too_short(rule, alpha[i], J[i], S[i], J0, S0):
-            if rule in (ARMIJO, CLOSING):
+            if rule in (ARMIJO, DEFECT_STEP):
                 return _lowest_from(rule, alpha, J, J0, S0, i, alpha.shape[0])
             return i
     for i in range(alpha.shape[0]):  # what is too short beyond a hill does not count
@@ -142,7 +142,7 @@ def choose(rule, alpha, J, S, J0, S0, bracket):
 @jit
 def refine(rule, alpha, bracket):
     """The next candidates: shorter by powers of two (armijo), else inside the bracket or beyond its open end."""
-    if rule == TRY:
+    if rule == EVALUATE_ONLY:
         return
     lanes = alpha.shape[0]
     low, high, best = bracket[0], bracket[1], bracket[2]

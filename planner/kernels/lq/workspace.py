@@ -133,17 +133,17 @@ class Workspace:
             "hinge_upper": self.hinge_upper, "hinge_weight": self.hinge_weight, "hinge_active": active,
             "hinge_e": np.zeros_like(active), "hinge_side": np.zeros_like(active),
         }  # fmt: skip
-        self.held_at = np.zeros_like(lower)
+        self.active_bounds = np.zeros_like(lower)
         rows = 0 if bounds is None else N * nu * width
-        self._arrays |= {"held_at": self.held_at, "held_row": np.zeros(rows), "held_slope": np.zeros_like(lower)}
+        self._arrays |= {"held_at": self.active_bounds, "held_row": np.zeros(rows), "held_slope": np.zeros_like(lower)}
         self._arrays |= {"range_lower": lower, "range_upper": upper, **_servo_arrays(servos)}
         self._arrays |= {"lower_share": self.lower_share, "upper_share": self.upper_share}
         self.T, self.costates = np.zeros((0, width, width)), np.zeros((0, width))
         self._arrays |= {"T": self.T, "costates": self.costates, "residual_hessian": np.zeros(0)}
         self._arrays |= {"residual_active": np.zeros(0)}
-        self.held = self.T
-        self.gaps, self.values, self.dxs = np.zeros((0, ndx)), np.zeros((0, ndx, ndx + 1)), np.zeros((0, ndx))
-        self._arrays |= {"gaps": self.gaps, "values": self.values, "dxs": self.dxs}
+        self.state_regularization = self.T
+        self.defects, self.values, self.dxs = np.zeros((0, ndx)), np.zeros((0, ndx, ndx + 1)), np.zeros((0, ndx))
+        self._arrays |= {"gaps": self.defects, "values": self.values, "dxs": self.dxs}
         self.residuals: Any = None
         sizes = {
             "N": N, "nx": nx, "ndx": ndx, "nu": nu, "width": width, "first": self.first, "structured": structured,
@@ -177,19 +177,19 @@ class Workspace:
             self.T, self.costates = lane_array(N + 1, width, width), rows[:-WIDTH].reshape(N + 1, width)
             self._arrays |= {"T": self.T, "costates": self.costates}
             self.table[W.costates] = self.costates.ctypes.data
-        if held and not len(self.held):
-            self._arrays["held"] = self.held = lane_array(N + 1, width, width)
+        if held and not len(self.state_regularization):
+            self._arrays["held"] = self.state_regularization = lane_array(N + 1, width, width)
         self.table[W.exact] = exact or held
-        self.table[W.T] = (self.held if held else self.T).ctypes.data
+        self.table[W.T] = (self.state_regularization if held else self.T).ctypes.data
 
-    def use_gaps(self, gapped: bool) -> None:
+    def use_defects(self, gapped: bool) -> None:
         """Whether the sweep and its direction have gaps; their memory is taken when it is first asked for."""
         self.table[W.gapped] = gapped
-        if gapped and not len(self.gaps):
+        if gapped and not len(self.defects):
             N, ndx = len(self.us), self.ndx
-            self.gaps, self.values, self.dxs = np.zeros((N, ndx)), np.zeros((N, ndx, ndx + 1)), np.zeros((N + 1, ndx))
-            self._arrays |= {"gaps": self.gaps, "values": self.values, "dxs": self.dxs}
-            self.table[[W.gaps, W.values, W.dxs]] = [array.ctypes.data for array in (self.gaps, self.values, self.dxs)]
+            self.defects, self.values, self.dxs = np.zeros((N, ndx)), np.zeros((N, ndx, ndx + 1)), np.zeros((N + 1, ndx))
+            self._arrays |= {"gaps": self.defects, "values": self.values, "dxs": self.dxs}
+            self.table[[W.gaps, W.values, W.dxs]] = [array.ctypes.data for array in (self.defects, self.values, self.dxs)]
 
     def use_residuals(self, residuals: Any) -> None:
         """Have the terms of a ResidualTable in every sweep and rollout."""

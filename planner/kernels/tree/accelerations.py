@@ -9,7 +9,7 @@ from planner.kernels.tree.contact import add_contact_wrenches, add_stops
 from planner.kernels.tree.couplings import accelerate_coupled
 from planner.kernels.tree.forces import applied_forces
 from planner.kernels.tree.friction import (  # fmt: skip
-    MET,
+    FRICTION_CONVERGED,
     MOST_ROUNDS,
     begin_friction,
     first_error,
@@ -107,7 +107,7 @@ def _accelerate_with_friction(m, r, q, v, tau, a):
     _accelerate_again(m, r, q, v, force, a, links, armature)
     error = first_error(m, v, tau, a, (own, armature), force, asked)
     for _ in range(MOST_ROUNDS):
-        if not any_less(MET, error):
+        if not any_less(FRICTION_CONVERGED, error):
             break
         linearise_friction(m, v, tau, a, (own, armature), force, before)
         move_links(m, q, v, links)

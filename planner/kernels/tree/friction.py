@@ -18,9 +18,9 @@ from planner.kernels.numba.lanes import any_less, floats, integers, load, maximu
 from planner.kernels.tree.model import TREE
 from planner.kernels.tree.own_forces import LOSS_SIZE
 
-BEND = 0.08  # as in planner.dynamics.friction; here too, because the cache's key covers the kernels' sources alone
+FRICTION_SMOOTHING = 0.08  # as in planner.dynamics.friction; here too, because the cache's key covers the kernels' sources alone
 MOST_ROUNDS = 30  # of Newton's method, which takes three or four
-MET = 1e-12  # of the loss: what is left of the law when a lane has met it
+FRICTION_CONVERGED = 1e-12  # of the loss: what is left of the law when a lane has met it
 HALVINGS = 12  # of the way to the next accelerations
 LOSS, INERTIA, RATE = range(LOSS_SIZE)  # offsets in the numbers of a joint's friction
 
@@ -31,10 +31,10 @@ def _friction(m, k, v, a):
     i, value, o = load(integers(m, TREE.loss_dof), k), floats(m, TREE.loss_value), LOSS_SIZE * k
     loss, inertia = load(value, o + LOSS), load(value, o + INERTIA)
     x = inertia / loss * (a + load(value, o + RATE) * load(v, i))
-    x = minimum(maximum(x, -1.0 - BEND), 1.0 + BEND)
-    above, below = maximum(x - (1.0 - BEND), 0.0), maximum(-1.0 * x - (1.0 - BEND), 0.0)
-    force = (-1.0 * loss) * (x - (above * above - below * below) * (0.25 / BEND))
-    return force, inertia * (1.0 - (above + below) * (0.5 / BEND))
+    x = minimum(maximum(x, -1.0 - FRICTION_SMOOTHING), 1.0 + FRICTION_SMOOTHING)
+    above, below = maximum(x - (1.0 - FRICTION_SMOOTHING), 0.0), maximum(-1.0 * x - (1.0 - FRICTION_SMOOTHING), 0.0)
+    force = (-1.0 * loss) * (x - (above * above - below * below) * (0.25 / FRICTION_SMOOTHING))
+    return force, inertia * (1.0 - (above + below) * (0.5 / FRICTION_SMOOTHING))
 
 
 @part
@@ -114,7 +114,7 @@ def next_error(m, v, tau, a, armatures, force, before, asked, error):
             slope = _uphill(m, v, tau, a, armatures, force, before, asked, middle)
             low, high = select(0.0, slope, low, middle), select(0.0, slope, middle, high)
         high = select(0.0, whole, high, 1.0)
-    high = select(MET, error, high, 0.0)
+    high = select(FRICTION_CONVERGED, error, high, 0.0)
     for k in range(m[TREE.losses]):
         store(asked, k, load(asked, k) + high * (_asked(m, k, tau, a, armatures, force) - load(asked, k)))
     for i in range(m[TREE.nv]):

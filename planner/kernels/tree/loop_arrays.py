@@ -12,7 +12,7 @@ import numpy as np
 
 from planner.kernels.numba.lanes import WIDTH
 from planner.model.couplings import Reduction
-from planner.model.loops import pull
+from planner.model.loops import baumgarte_rate
 from planner.model.mechanism import Mechanism
 
 JOINED_SIZE = 15  # of one of two frames that are joined: its place (3), its tree's origin (3), its three axes
@@ -36,7 +36,7 @@ def loop_arrays(
     return {
         "joined_link": link, "joined_value": value,
         "joined_address": np.where(link >= 0, tree["floating_address"][link], -1) if len(link) else link,
-        "loop_rigid": np.array([loop.rigid for loop in loops], dtype=np.int64), "loop_rate": np.array([pull()]),
+        "loop_rigid": np.array([loop.rigid for loop in loops], dtype=np.int64), "loop_rate": np.array([baumgarte_rate()]),
         "cam_dof": np.array([(cam.follower, cam.leader) for cam in cams], dtype=np.int64),
         "cam_value": np.array([(*cam.offsets, *cam.coefficients) for cam in cams], dtype=float),
         **_triples(loops, cams, chains, mechanism),

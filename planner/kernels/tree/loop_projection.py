@@ -26,7 +26,7 @@ from planner.kernels.tree.loop_rows import (
     constraint_rows,
     frame_axis,
     joined_frame,
-    misses,
+    closure_residual,
     times_rows,
 )
 from planner.kernels.tree.memory import MEMORY
@@ -113,7 +113,7 @@ def _open(m, r, q, v, which, whole):
     place_all(m, q, ws)
     constraint_rows(m, q, ws, J, ld)
     if which == POSITIONS:
-        misses(m, q, ws, lanes(r, MEMORY.loop_c))
+        closure_residual(m, q, ws, lanes(r, MEMORY.loop_c))
     else:
         times_rows(m, J, ld, v, lanes(r, MEMORY.loop_c))
     if whole is not None:
@@ -124,7 +124,7 @@ def _open(m, r, q, v, which, whole):
 
 
 @part
-def step_back(m, r, q, v, which, step):
+def project_to_closure(m, r, q, v, which, step):
     """The step (nv) of positions, or of velocities v, that closes the chains at q."""
     f = lanes(r, MEMORY.loop_f)
     _open(m, r, q, v, which, None)

@@ -92,7 +92,7 @@ def constraint_rows(m, q, ws, J, ld):
 
 
 @inline
-def misses(m, q, ws, c):
+def closure_residual(m, q, ws, c):
     """Phi (rows) of links that are placed: what is to be zero."""
     rigid, zero, row = integers(m, TREE.loop_rigid), spread(0.0), 0
     for k in range(m[TREE.loops]):

@@ -19,7 +19,7 @@ import numpy as np
 from planner.kernels.numba.lanes import WIDTH
 from planner.kernels.numba.layout import Layout
 from planner.kernels.tree.loop_arrays import loop_arrays, triples_of
-from planner.kernels.tree.own_forces import lifted_arrays, loss_arrays, tendon_arrays
+from planner.kernels.tree.own_forces import gravcomp_arrays, loss_arrays, tendon_arrays
 from planner.kernels.tree.touching import contact_arrays, pair_arrays, stop_arrays
 from planner.model.contact.between_bodies import common_carrier
 from planner.model.damping import implicit_damping
@@ -107,7 +107,7 @@ class Model:
             | stop_arrays(stops)
             | pair_arrays(pairs, mechanism.parent, arrays)
         )
-        arrays |= _curves(curves) | tendon_arrays(tendons) | lifted_arrays(mechanism, arrays["frames"])
+        arrays |= _curves(curves) | tendon_arrays(tendons) | gravcomp_arrays(mechanism, arrays["frames"])
         arrays |= loss_arrays(mechanism, losses) | _dependents(reduction)
         chains = [{i for link in loop.links for i in chain_of(mechanism.parent, link)} for loop in loops]
         arrays |= loop_arrays(loops, cams, chains, mechanism, arrays)

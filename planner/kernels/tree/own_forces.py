@@ -27,7 +27,7 @@ def loss_arrays(mechanism: Any, losses: np.ndarray) -> dict[str, np.ndarray]:
     return {"loss_dof": dof, "loss_value": value}
 
 
-def lifted_arrays(mechanism: Any, frames: np.ndarray) -> dict[str, np.ndarray]:
+def gravcomp_arrays(mechanism: Any, frames: np.ndarray) -> dict[str, np.ndarray]:
     """Per link: the mass that gravity compensation carries and its first moment (3) in the kernels' frames.
 
     And that mass of the link and all beyond it.

@@ -5,7 +5,7 @@ from __future__ import annotations
 from planner.kernels.algebra.rotations import difference
 from planner.kernels.integrators import RK4
 from planner.kernels.lq.quadratic import control_terms, hinges_of, state_terms
-from planner.kernels.lq.search import batches, choose, ladder, refine
+from planner.kernels.lq.search import batches, choose, first_step_lengths, refine
 from planner.kernels.lq.workspace import ALPHA, BRACKET, COSTS, GIVEN, SLOPES, W, accept, take_lane
 from planner.kernels.numba.jit import inline, jit, part
 from planner.kernels.numba.lanes import at, floats, integers, lanes, load, maximum, minimum, pointer, spread, store
@@ -198,7 +198,7 @@ def search_step(w, m, r, search, rule, feedback, external, p, solids):
     w, m, r = pointer(w), pointer(m), pointer(r)
     alpha, costs, slopes, bracket = search[ALPHA], search[COSTS], search[SLOPES], search[BRACKET]
     cost, slope, dt = search[GIVEN, 0], search[GIVEN, 1], search[GIVEN, 2]
-    ladder(rule, alpha, bracket)
+    first_step_lengths(rule, alpha, bracket)
     for _ in range(batches(rule)):
         rollout(w, m, r, pointer(search), dt, feedback, external, p, solids)
         lane = choose(rule, alpha, costs, slopes, cost, slope, bracket)

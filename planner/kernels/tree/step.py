@@ -29,7 +29,7 @@ from planner.kernels.numba.lanes import (
 )
 from planner.kernels.tree.accelerations import accelerations
 from planner.kernels.tree.forces import activation_rates
-from planner.kernels.tree.loop_projection import POSITIONS, VELOCITIES, step_back
+from planner.kernels.tree.loop_projection import POSITIONS, VELOCITIES, project_to_closure
 from planner.kernels.tree.memory import MEMORY
 from planner.kernels.tree.model import BALL, BALL_NEXT, TREE
 from planner.kernels.tree.rosenbrock import (
@@ -183,9 +183,9 @@ def _step(m, r, x, u, a, dt, x_next, external):
 def close_state(m, r, x):
     """A state x at the end of a stage goes back onto the closed chains (kernels.tree.loop_projection)."""
     theta, v = lanes(r, MEMORY.theta), at(x, m[TREE.nq])
-    step_back(m, r, x, v, POSITIONS, theta)
+    project_to_closure(m, r, x, v, POSITIONS, theta)
     moved(m, x, theta, x)
-    step_back(m, r, x, v, VELOCITIES, theta)
+    project_to_closure(m, r, x, v, VELOCITIES, theta)
     for i in range(m[TREE.nv]):
         store(v, i, load(v, i) + load(theta, i))
 

@@ -85,7 +85,7 @@ class BodyContact:
             raise PlannerError("first and second have radius 0, expected a radius above 0 of at least one.")
 
     @property
-    def blunt(self) -> float:
+    def axis_regularization(self) -> float:
         """The weight b of the positions along the axes in the minimised sum; 0 where one is a sphere."""
         first, second = self.first.length, self.second.length
         if first == 0.0 or second == 0.0:

@@ -25,7 +25,7 @@ PARALLEL = 1e-12  # of squared lengths: lines that are so nearly parallel have n
 TINY = 1e-300
 
 
-class Placed(NamedTuple):
+class PlacedShapes(NamedTuple):
     """Cores and radii of K solids, or of one at K poses."""
 
     axes: np.ndarray  # (K, 3, 3), one axis a column
@@ -34,7 +34,7 @@ class Placed(NamedTuple):
     radius: np.ndarray  # (K,) m
 
 
-class Near(NamedTuple):
+class DistanceResult(NamedTuple):
     """How far apart two solids are, where the first must go to get away, and where they are nearest."""
 
     distance: np.ndarray  # (K,) m
@@ -42,7 +42,7 @@ class Near(NamedTuple):
     p: np.ndarray  # (K, 3) m
 
 
-def of_lines(a: Placed, b: Placed) -> Near:
+def segment_segment(a: PlacedShapes, b: PlacedShapes) -> DistanceResult:
     """Two lines: the nearest points of the whole lines, then each in turn put back (Ericson, section 5.1.9)."""
     v, w, r = _along(a), _along(b), a.centre - b.centre
     vv, ww, vw, vr, wr = (np.sum(x * y, axis=-1) for x, y in ((v, v), (w, w), (v, w), (v, r), (w, r)))
@@ -53,17 +53,17 @@ def of_lines(a: Placed, b: Placed) -> Near:
     d = r + s[:, None] * v - u[:, None] * w
     length = np.sqrt(np.sum(d * d, axis=-1))
     n = d / (length + TINY)[:, None]
-    return Near(length - a.radius - b.radius, n, a.centre + s[:, None] * v)
+    return DistanceResult(length - a.radius - b.radius, n, a.centre + s[:, None] * v)
 
 
-def line_and_box(a: Placed, b: Placed) -> Near:
+def segment_box(a: PlacedShapes, b: PlacedShapes) -> DistanceResult:
     """A line and a box."""
     x, d = _into(b, a.centre - b.centre), _into(b, _along(a))
     e, at = _line_from_box(x, d, b.half)
     return _signed(a, b, e, at, lambda k: _line_in_box(x[k], d[k], b.half[k]))
 
 
-def of_boxes(a: Placed, b: Placed) -> Near:
+def of_boxes(a: PlacedShapes, b: PlacedShapes) -> DistanceResult:
     """Two boxes: outside of each other an edge of the first or a corner of the second is nearest."""
     x, h = _into(b, a.centre - b.centre), a.half
     R = np.swapaxes(b.axes, 1, 2) @ a.axes
@@ -84,37 +84,37 @@ def of_boxes(a: Placed, b: Placed) -> Near:
 
 
 def _signed(
-    a: Placed, b: Placed, e: np.ndarray, at: np.ndarray,
+    a: PlacedShapes, b: PlacedShapes, e: np.ndarray, at: np.ndarray,
     within: Callable[[np.ndarray], tuple[np.ndarray, np.ndarray, np.ndarray]],
-) -> Near:  # fmt: skip
+) -> DistanceResult:  # fmt: skip
     """The distance of cores that are e (K, 3) apart at a point, in the axes of b; by `within` for those that touch."""
     length = np.sqrt(np.sum(e * e, axis=-1))
     n, p = e / np.maximum(length, TOUCHING)[:, None], at.copy()
     touching = np.flatnonzero(length <= TOUCHING)
     if len(touching):
         length[touching], n[touching], p[touching] = within(touching)
-    return Near(length - a.radius - b.radius, *_out_of(b, n, p))
+    return DistanceResult(length - a.radius - b.radius, *_out_of(b, n, p))
 
 
-def from_plane(a: Placed, b: Placed) -> Near:
+def from_plane(a: PlacedShapes, b: PlacedShapes) -> DistanceResult:
     """A line or a box and the half space under a plane, which is through the centre of b across its third axis."""
     n = b.axes[:, :, 2]
     reach = a.half * np.einsum("nij,ni->nj", a.axes, n)
     p = a.centre - np.einsum("nij,nj->ni", a.axes, a.half * np.sign(reach))
     distance = np.sum(n * (a.centre - b.centre), axis=-1) - np.sum(np.abs(reach), axis=-1)
-    return Near(distance - a.radius - b.radius, n, p)
+    return DistanceResult(distance - a.radius - b.radius, n, p)
 
 
-def _along(line: Placed) -> np.ndarray:
+def _along(line: PlacedShapes) -> np.ndarray:
     return line.half[:, 2:] * line.axes[:, :, 2]
 
 
-def _into(b: Placed, v: np.ndarray) -> np.ndarray:
+def _into(b: PlacedShapes, v: np.ndarray) -> np.ndarray:
     """Vectors of the world (K, 3) in the axes of b."""
     return np.einsum("nji,nj->ni", b.axes, v)
 
 
-def _out_of(b: Placed, n: np.ndarray, p: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _out_of(b: PlacedShapes, n: np.ndarray, p: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """A direction and a point in the axes of b as those of the world."""
     return np.einsum("nij,nj->ni", b.axes, n), np.einsum("nij,nj->ni", b.axes, p) + b.centre
 

@@ -19,7 +19,7 @@ POWER = 4
 STEPS = 600  # of the search for a line or a box
 
 
-class Fit(NamedTuple):
+class BoundingFit(NamedTuple):
     """A core's pose and half lengths, m, the radius around it, and how far it reaches beyond the hull."""
 
     T: np.ndarray  # (4, 4)
@@ -28,13 +28,13 @@ class Fit(NamedTuple):
     excess: float
 
 
-def fitted(points: np.ndarray) -> Fit:
+def fit_bounding_shape(points: np.ndarray) -> BoundingFit:
     """The line around points (n, 3), or the box where it is tighter."""
     return _fitted(np.ascontiguousarray(points, dtype=float).tobytes())
 
 
 @lru_cache(maxsize=256)  # a problem is built again for every finer step
-def _fitted(points: bytes) -> Fit:
+def _fitted(points: bytes) -> BoundingFit:
     corners = _corners(np.frombuffer(points).reshape(-1, 3))
     line = min((_search(corners, start) for start in _starts(corners, lines=True)), key=lambda fit: fit.excess)
     box = min((_search(corners, start) for start in _starts(corners, lines=False)), key=lambda fit: fit.excess)
@@ -99,7 +99,7 @@ def _turn_of(axes: np.ndarray) -> np.ndarray:
     return Rotation.from_matrix(axes).as_rotvec()
 
 
-def _search(corners: np.ndarray, start: np.ndarray) -> Fit:
+def _search(corners: np.ndarray, start: np.ndarray) -> BoundingFit:
     from scipy.optimize import minimize
 
     scale = 0.5 * float(np.linalg.norm(np.ptp(corners, axis=0))) or 1.0
@@ -127,7 +127,7 @@ def _search(corners: np.ndarray, start: np.ndarray) -> Fit:
     T[:3, :3], T[:3, 3] = axes, centre
     seen = sphere(SEEN)
     gap = seen @ centre + np.abs(seen @ axes) @ half + radius - np.max(seen @ corners.T, axis=1)
-    return Fit(T, half, radius, float(gap.max()))
+    return BoundingFit(T, half, radius, float(gap.max()))
 
 
 def _core(z: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -63,7 +63,7 @@ class Law:
         set_fields(self, force_ramp=number("force_ramp", share, least=0.0))
 
     @property
-    def lift(self) -> float:
+    def surface_offset(self) -> float:
         """How far the law's surface is raised, m or rad, so that the force deep inside is stiffness times the depth."""
         return 0.5 * self.ramp + 0.5 * float(self.force_ramp or 0.0) / self.stiffness
 

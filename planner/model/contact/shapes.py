@@ -15,10 +15,10 @@ import numpy as np
 from planner.base.gl import load_mujoco
 from planner.model.contact.between_bodies import Capsule
 from planner.model.contact.laws import ALONG, Plane
-from planner.model.mjcf.survey import Survey
+from planner.model.mjcf.survey import ModelIndex
 
 
-def plane_of(survey: Survey, geom: int) -> Plane | None:
+def plane_of(survey: ModelIndex, geom: int) -> Plane | None:
     """The plane that spheres touch on a geom: a plane itself, or the uppermost face of a box, continued without end.
 
     None where it is neither, and where it moves, but on a slide along itself (a treadmill's belt).
@@ -72,7 +72,7 @@ def part_name(of: str, spheres: list[Sphere], k: int) -> str:
     return {1: of, 2: f"{of} end {k + 1}"}.get(len(spheres), f"{of} corner {k + 1}")
 
 
-def plane_and_spheres(survey: Survey, geoms: tuple[int, int]) -> tuple[Plane, list[Sphere]] | None:
+def plane_and_spheres(survey: ModelIndex, geoms: tuple[int, int]) -> tuple[Plane, list[Sphere]] | None:
     """The plane of two geoms and the spheres of the other that meet it; None for other shapes."""
     for flat, other in (geoms, geoms[::-1]):
         plane, spheres = plane_of(survey, flat), spheres_of(survey.model, other)
@@ -81,7 +81,7 @@ def plane_and_spheres(survey: Survey, geoms: tuple[int, int]) -> tuple[Plane, li
     return None
 
 
-def meets_plane(survey: Survey, geoms: tuple[int, int]) -> tuple[int, int] | None:
+def meets_plane(survey: ModelIndex, geoms: tuple[int, int]) -> tuple[int, int] | None:
     """A pair's geom that is a plane at rest, or the top of such a box, and the one that moves; None for others."""
     model = survey.model
     for flat, other in (geoms, geoms[::-1]):
@@ -97,7 +97,7 @@ def has_points(model: Any, geom: int) -> bool:
     return model.geom_type[geom] in [int(kinds.mjGEOM_CYLINDER), int(kinds.mjGEOM_MESH), int(kinds.mjGEOM_ELLIPSOID)]
 
 
-def capsule_of(survey: Survey, geom: int) -> Capsule:
+def capsule_of(survey: ModelIndex, geom: int) -> Capsule:
     """Convert a sphere or capsule to a part of a contact of two bodies."""
     model, T = survey.model, survey.geoms[geom]
     long = model.geom_type[geom] == int(load_mujoco().mjtGeom.mjGEOM_CAPSULE)

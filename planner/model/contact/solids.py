@@ -9,13 +9,13 @@ import numpy as np
 
 from planner.base.arguments import set_fields
 from planner.model.contact import distances
-from planner.model.contact.distances import Placed
+from planner.model.contact.distances import PlacedShapes
 
-LINE, BOX, PLANE = 0, 1, 2
+CAPSULE, BOX, PLANE = 0, 1, 2
 
 
 @dataclass(frozen=True, eq=False)
-class Solid:
+class CollisionShape:
     """A sphere, capsule, box or plane, or what stands for a cylinder, an ellipsoid or a mesh.
 
     Attributes:
@@ -45,7 +45,7 @@ class Solid:
     @property
     def kind(self) -> int:
         """LINE, BOX or PLANE."""
-        return PLANE if self.plane else BOX if np.any(self.half[:2] > 0.0) else LINE
+        return PLANE if self.plane else BOX if np.any(self.half[:2] > 0.0) else CAPSULE
 
     @property
     def reach(self) -> float:
@@ -53,22 +53,22 @@ class Solid:
         return float("inf") if self.plane else float(np.linalg.norm(self.half)) + self.radius
 
 
-def in_order(a: Solid, b: Solid) -> tuple[Solid, Solid]:
+def in_order(a: CollisionShape, b: CollisionShape) -> tuple[CollisionShape, CollisionShape]:
     """Two solids in the order in which distances are computed: a plane last, else a box last."""
     return (b, a) if a.kind > b.kind else (a, b)
 
 
-def placed(solids: Sequence[Solid], T: np.ndarray) -> Placed:
+def placed(solids: Sequence[CollisionShape], T: np.ndarray) -> PlacedShapes:
     """Solids whose links are at T (..., P, 4, 4), one after the other."""
     at = (T @ np.array([solid.T for solid in solids])).reshape(-1, 4, 4)
     count = len(at) // len(solids)
     half, radius = (np.array([getattr(solid, name) for solid in solids]) for name in ("half", "radius"))
-    return Placed(at[:, :3, :3], at[:, :3, 3], np.tile(half, (count, 1)), np.tile(radius, count))
+    return PlacedShapes(at[:, :3, :3], at[:, :3, 3], np.tile(half, (count, 1)), np.tile(radius, count))
 
 
-def kind_of(a: Solid, b: Solid) -> int:
+def kind_of(a: CollisionShape, b: CollisionShape) -> int:
     """The place in MEASURES of how two solids in their order are measured."""
     return 3 if b.kind == PLANE else a.kind + b.kind
 
 
-MEASURES = (distances.of_lines, distances.line_and_box, distances.of_boxes, distances.from_plane)
+MEASURES = (distances.segment_segment, distances.segment_box, distances.of_boxes, distances.from_plane)

@@ -18,11 +18,11 @@ from xml.etree import ElementTree
 
 import numpy as np
 
-from planner.base.arguments import array, choice, number, numbers, shown
+from planner.base.arguments import array, choice, number, numbers, short_repr
 from planner.base.errors import ModelError, PlannerError
 from planner.base.gl import load_mujoco
-from planner.model.mjcf.opened import Opened
-from planner.model.mjcf.survey import Survey, compile_model
+from planner.model.mjcf.opened import ModelFile
+from planner.model.mjcf.survey import ModelIndex, compile_model
 from planner.model.mjcf.text import is_text, model_tree, written
 
 ALUMINIUM = 2700.0  # kg/m^3
@@ -62,7 +62,7 @@ class Attachment:
             raise PlannerError("attach has neither mass nor model, or both: expected one of the two.")
         for key in ("frame", "name"):
             if not isinstance(getattr(self, key), str) or not getattr(self, key):
-                raise PlannerError(f"{key} of attach is {shown(getattr(self, key))}, expected a name.")
+                raise PlannerError(f"{key} of attach is {short_repr(getattr(self, key))}, expected a name.")
         array("com of attach", self.com, (3,))
         if self.mass is not None:
             number("mass of attach", self.mass, above=0.0)
@@ -76,7 +76,7 @@ class Attachment:
             return np.array([(3.0 * self.mass / (4.0 * np.pi * ALUMINIUM)) ** (1.0 / 3.0)])
         size = numbers("size of attach", self.size).ravel()
         if len(size) not in (1, 3) or not np.all(size > 0.0) or not np.isfinite(size).all():
-            raise PlannerError(f"size of attach is {shown(self.size)}, expected a radius or three edges above 0, m.")
+            raise PlannerError(f"size of attach is {short_repr(self.size)}, expected a radius or three edges above 0, m.")
         return size
 
     @property
@@ -90,13 +90,13 @@ class Attachment:
             return np.concatenate([self.mass * own, np.zeros(3)])
         given = numbers("inertia of attach", self.inertia).ravel()
         if len(given) not in (3, 6) or not np.isfinite(given).all():
-            raise PlannerError(f"inertia of attach is {shown(self.inertia)}, expected three or six numbers, kg m^2.")
+            raise PlannerError(f"inertia of attach is {short_repr(self.inertia)}, expected three or six numbers, kg m^2.")
         six = np.concatenate([given, np.zeros(6 - len(given))])
         xx, yy, zz, xy, xz, yz = six
         principal = np.linalg.eigvalsh([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
         if principal[0] <= 0.0 or principal[2] > (principal[0] + principal[1]) * (1.0 + 1e-9):
             raise PlannerError(
-                f"inertia of attach is {shown(self.inertia)}, which no body has: expected principal moments above 0, "
+                f"inertia of attach is {short_repr(self.inertia)}, which no body has: expected principal moments above 0, "
                 "none larger than the sum of the others."
             )
         return six
@@ -119,7 +119,7 @@ def attachments(value: Any) -> tuple[Attachment, ...]:
                 raise PlannerError("attach has no key 'frame', expected the name of a site or body.")
             one = Attachment(**given)
         if not isinstance(one, Attachment):
-            raise PlannerError(f"attach is {shown(one)}, expected a table with some of: {', '.join(keys)}.")
+            raise PlannerError(f"attach is {short_repr(one)}, expected a table with some of: {', '.join(keys)}.")
         found.append(one)
     return tuple(found)
 
@@ -140,7 +140,7 @@ def stored_attachments(value: Any, folder: Path) -> list[dict[str, Any]]:
     return tables
 
 
-def with_attached(file: Opened, given: Sequence[Attachment]) -> Opened:
+def with_attached(file: ModelFile, given: Sequence[Attachment]) -> ModelFile:
     """A file with payloads and tools in it, compiled again.
 
     Raises:
@@ -158,7 +158,7 @@ def with_attached(file: Opened, given: Sequence[Attachment]) -> Opened:
             _add_payload(body, one, at)
         else:
             _add_model(root, files, body, one, at)
-        survey = Survey(compile_model(root, files, file.name))
+        survey = ModelIndex(compile_model(root, files, file.name))
         file = file._replace(root=root, files=files, survey=survey, compiled=True)
     return file
 

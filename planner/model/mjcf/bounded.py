@@ -25,7 +25,7 @@ from contextlib import contextmanager, suppress
 from multiprocessing.connection import Pipe
 from typing import Any, NoReturn
 
-from planner.base.arguments import shown
+from planner.base.arguments import short_repr
 from planner.base.errors import ModelError
 from planner.base.gl import load_mujoco
 
@@ -38,7 +38,7 @@ _forking = threading.Lock()  # the filters of warnings are of the process, not o
 _kept: list[_Child] = []  # one at most: the child that compiled last, while nobody asks it
 
 
-def compiled(text: str, assets: dict[str, bytes], name: str) -> Any:
+def compile_in_subprocess(text: str, assets: dict[str, bytes], name: str) -> Any:
     """MuJoCo's MjModel of an MJCF text and its files; a message calls it `name`.
 
     Raises:
@@ -239,7 +239,7 @@ def _check_names(model: Any, name: str) -> None:
     for one in bytes(model.names).split(b"\0"):
         text = one.decode(errors="replace")
         if not text.isprintable():
-            raise ModelError(f"{name} has an element named {shown(text)}, expected a name of printable characters.")
+            raise ModelError(f"{name} has an element named {short_repr(text)}, expected a name of printable characters.")
 
 
 def _reason(error: Exception) -> str:

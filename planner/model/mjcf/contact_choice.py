@@ -22,7 +22,7 @@ from planner.model.contact.shapes import meets_plane, plane_of
 from planner.model.mjcf.contacts import is_modelled
 from planner.model.mjcf.ground_law import mass_of
 from planner.model.mjcf.refuse import no_compensation
-from planner.model.mjcf.survey import Pair, Survey, disabled, named
+from planner.model.mjcf.survey import Pair, ModelIndex, disabled, named
 
 MODES = ("auto", "avoid", "ground", "model", "off")
 LEVEL = 0.8  # of gravity, across a plane that carries
@@ -30,17 +30,17 @@ MOST_NAMED = 3  # objects in a sentence
 _STEEP = 1e-6  # of gravity, along a slide that is not level
 
 
-class Choice(NamedTuple):
+class ContactMode(NamedTuple):
     """A mode, and the sentence that says why."""
 
     mode: str  # "model", "ground" or "avoid"; "" where no shapes can touch
     phrase: str = ""
 
 
-def chosen(survey: Survey, asked: str = "auto") -> Choice:
+def select_contact_mode(survey: ModelIndex, asked: str = "auto") -> ContactMode:
     """The mode of contacts "auto", or of the mode that was asked for, with its sentence."""
     if not survey.pairs:
-        return Choice("")
+        return ContactMode("")
     falling = falling_trees(survey)
     standing = ground_pairs(survey)
     if asked == "auto":
@@ -48,18 +48,18 @@ def chosen(survey: Survey, asked: str = "auto") -> Choice:
             "model" if all(is_modelled(survey, pair) for pair in survey.pairs) else "ground" if standing else "avoid"
         )
     if asked == "model":
-        return Choice(asked, f"contacts of {_pairs(len(survey.pairs))} are planned with the file's own law")
-    kept = lying(survey)
+        return ContactMode(asked, f"contacts of {_pairs(len(survey.pairs))} are planned with the file's own law")
+    kept = stationary_roots(survey)
     if asked == "ground" and standing:
-        return Choice(asked, _of_ground(survey, standing) + _of_lying(survey, kept))
+        return ContactMode(asked, _of_ground(survey, standing) + _of_lying(survey, kept))
     phrase = "planned without contacts: shapes that touch in your file fail the proof" + _of_lying(survey, kept)
     unheld = [named(survey.model, "body", int(body)) for body in falling if body not in kept]
     if unheld:
         phrase += f"; {unheld[0]} falls in the plan: draw a plane or a box under it, or take its free joint out"
-    return Choice("avoid", phrase)
+    return ContactMode("avoid", phrase)
 
 
-def ground_pairs(survey: Survey) -> list[Pair]:
+def ground_pairs(survey: ModelIndex) -> list[Pair]:
     """The pairs of what can fall and a plane of the world, or the top of a box at rest that it lies above."""
     falling = falling_trees(survey)
     planes, boxes = [], []
@@ -80,7 +80,7 @@ def ground_pairs(survey: Survey) -> list[Pair]:
     return planes + [pair for root, pair in boxes if root not in on_planes or not falling[root]]
 
 
-def lying(survey: Survey) -> list[int]:
+def stationary_roots(survey: ModelIndex) -> list[int]:
     """The root bodies of objects that the plan keeps where they start.
 
     Nothing drives them, they begin with a free joint, and they lie on something at rest that gets no law of the ground.
@@ -97,7 +97,7 @@ def lying(survey: Survey) -> list[int]:
     return [body for body in objects if body in may_lie - carried]
 
 
-def _of_lying(survey: Survey, kept: Sequence[int]) -> str:
+def _of_lying(survey: ModelIndex, kept: Sequence[int]) -> str:
     names = [named(survey.model, "body", body) for body in kept]
     if not names:
         return ""
@@ -107,7 +107,7 @@ def _of_lying(survey: Survey, kept: Sequence[int]) -> str:
     return f"; {words} has no law in the plan"
 
 
-def _of_ground(survey: Survey, standing: Sequence[Pair]) -> str:
+def _of_ground(survey: ModelIndex, standing: Sequence[Pair]) -> str:
     masses = sorted({round(mass_of(survey, pair), 3) for pair in standing}, reverse=True)
     law = " and ".join(f"{mass:g} kg" for mass in masses[:3]) + (" and more" if len(masses) > 3 else "")
     others = len(survey.pairs) - len(standing)
@@ -119,7 +119,7 @@ def _pairs(number: int) -> str:
     return f"{number} pair{'s' * (number != 1)}"
 
 
-def falling_trees(survey: Survey) -> dict[int, bool]:
+def falling_trees(survey: ModelIndex) -> dict[int, bool]:
     """The root bodies of trees that can fall, and whether an actuator drives anything in them."""
     model, home, joints = survey.model, survey.home, load_mujoco().mjtJoint
     gravity = np.array(model.opt.gravity) * (not disabled(model, "gravity"))
@@ -158,13 +158,13 @@ def _driven(model: Any) -> np.ndarray:
     return driven
 
 
-def _is_ground(survey: Survey, flat: int) -> bool:
+def _is_ground(survey: ModelIndex, flat: int) -> bool:
     """Whether a plane is level enough to stand on; others are walls."""
     plane, gravity = plane_of(survey, flat), np.array(survey.model.opt.gravity)
     return plane is not None and bool(-plane.normal @ gravity > LEVEL * np.linalg.norm(gravity))
 
 
-def _lies_above(survey: Survey, flat: int, other: int) -> bool:
+def _lies_above(survey: ModelIndex, flat: int, other: int) -> bool:
     """Whether a geom is above the top of a box where the file puts it: beside a box its plane is no ground."""
     model, home, plane = survey.model, survey.home, plane_of(survey, flat)
     if plane is None:

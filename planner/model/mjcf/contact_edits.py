@@ -23,14 +23,14 @@ from planner.model.contact.laws import ContactLaw
 from planner.model.contact.shapes import meets_plane
 from planner.model.mjcf.contact_points import add_points
 from planner.model.mjcf.contacts import CONTACT_RAMP, contact_attributes, shapes_fit
-from planner.model.mjcf.survey import Pair, Survey, compile_model
+from planner.model.mjcf.survey import Pair, ModelIndex, compile_model
 from planner.model.mjcf.text import written
 
 IMPRATIO = 1000.0  # at which MuJoCo's friction is the law's to a thousandth; beyond, its own inertia shows
 
 
 def give_law(
-    root: ElementTree.Element, survey: Survey, law_of: Callable[[Pair], ContactLaw | None], smoothing: str,
+    root: ElementTree.Element, survey: ModelIndex, law_of: Callable[[Pair], ContactLaw | None], smoothing: str,
     recesses: Mapping[tuple[int, int], float] | None = None,
 ) -> list[Pair]:  # fmt: skip
     """Edit the XML so that its contacts have the laws of `law_of`; returns the contacts that are left out.
@@ -120,7 +120,7 @@ def let_float(root: ElementTree.Element, model: Any, trees: Collection[int]) -> 
             body.set("gravcomp", "1")
 
 
-def keep_law(root: ElementTree.Element, survey: Survey, weights: np.ndarray, still: np.ndarray) -> None:
+def keep_law(root: ElementTree.Element, survey: ModelIndex, weights: np.ndarray, still: np.ndarray) -> None:
     """Edit the XML so that its contacts keep their force when its bodies have other inertias, or their time constant.
 
     `weights` (nbody,) are body_invweight0[:, 0] of the model with the other inertias, 1/kg. What touches between two

@@ -29,8 +29,8 @@ from planner.base.gl import load_mujoco
 from planner.model.contact.between_bodies import BodyContact
 from planner.model.contact.laws import BEND, Contact, ContactLaw, Law, Stop
 from planner.model.contact.shapes import are_capsules, capsule_of, part_name, plane_and_spheres
-from planner.model.mjcf.refuse import Refusal
-from planner.model.mjcf.survey import Pair, Survey, disabled, named
+from planner.model.mjcf.refuse import UnsupportedElement
+from planner.model.mjcf.survey import Pair, ModelIndex, disabled, named
 
 SOFT = 1e-4  # the impedance d, the least that MuJoCo knows
 SOFTEST = 1e-3  # up to here R is still a thousand times A, and the forces differ by less than a percent
@@ -90,17 +90,17 @@ def _text(*values: float) -> str:
     return " ".join(repr(float(value)) for value in values)
 
 
-def shapes_fit(survey: Survey, pair: Pair) -> bool:
+def shapes_fit(survey: ModelIndex, pair: Pair) -> bool:
     """Whether the shapes of a pair are modelled, whatever their force."""
     return bool(plane_and_spheres(survey, pair.geoms)) or are_capsules(survey.model, pair.geoms)
 
 
-def is_modelled(survey: Survey, pair: Pair) -> bool:
+def is_modelled(survey: ModelIndex, pair: Pair) -> bool:
     """Whether the plan computes a pair's contact with the law that the file gives it."""
     return not _reason(survey, pair)
 
 
-def _reason(survey: Survey, pair: Pair) -> str:
+def _reason(survey: ModelIndex, pair: Pair) -> str:
     """The reason why a pair is not modelled; "" where it is."""
     model = survey.model
     if shapes_fit(survey, pair):
@@ -141,13 +141,13 @@ def _direct_reason(solref: np.ndarray, solimp: np.ndarray) -> str:
     return ""
 
 
-def contact_refusals(survey: Survey, all_of_them: bool = False) -> Iterator[Refusal]:
+def contact_refusals(survey: ModelIndex, all_of_them: bool = False) -> Iterator[UnsupportedElement]:
     """The contacts that are not modelled, or all of them, in one phrase."""
     reasons = {pair.geoms: "" if all_of_them else _reason(survey, pair) for pair in survey.pairs}
     wrong = [pair for pair in survey.pairs if all_of_them or reasons[pair.geoms]]
     if wrong:
         why = "" if all_of_them else f" ({reasons[wrong[0].geoms]})"
-        yield Refusal("contacts", f"{phrase_of(survey.model, wrong)}{why}")
+        yield UnsupportedElement("contacts", f"{phrase_of(survey.model, wrong)}{why}")
 
 
 def phrase_of(model: Any, pairs: Sequence[Pair]) -> str:
@@ -156,7 +156,7 @@ def phrase_of(model: Any, pairs: Sequence[Pair]) -> str:
     return f"contacts of {first}" + ("" if len(pairs) == 1 else f" and {len(pairs) - 1} more pairs")
 
 
-def read_contacts(survey: Survey) -> tuple[tuple[Contact, ...], tuple[BodyContact, ...]]:
+def read_contacts(survey: ModelIndex) -> tuple[tuple[Contact, ...], tuple[BodyContact, ...]]:
     """The contacts of a model with planes, and of spheres and capsules with each other, that are modelled."""
     model, links = survey.model, survey.carriers[0]
     with_planes, of_bodies = [], []

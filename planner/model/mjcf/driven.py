@@ -31,13 +31,13 @@ from planner.model.joint_curves import ExponentialTorque
 from planner.model.mechanism import BALL, Mechanism
 from planner.model.mjcf.contact_edits import joints_of, keep_law
 from planner.model.mjcf.edit import actuators_of
-from planner.model.mjcf.survey import Survey, compile_model, disabled
+from planner.model.mjcf.survey import ModelIndex, compile_model, disabled
 from planner.model.mjcf.text import parsed, written
 from planner.model.twin import Twin
 
 # kg or kg m^2. A machine that pushes with 1000 N is felt as 1e-5 m/s^2. From about 1e11 on MuJoCo's solver, whose
 # tolerance is relative to all inertias together, stops before the contacts of the rest are right.
-HEAVY = 1e8
+PRESCRIBED_ARMATURE = 1e8
 
 _twins: WeakKeyDictionary[Mechanism, dict[tuple[str, ...], Twin]] = WeakKeyDictionary()
 
@@ -49,7 +49,7 @@ def twin_of(mechanism: Mechanism, prescribed: Collection[str] = ()) -> Twin:
     names = in_order(mechanism, prescribed)
     known = _twins.setdefault(mechanism, {})
     if names not in known:
-        text = driven(mechanism.mjcf, mechanism.assets, compile_model(mechanism.mjcf, mechanism.assets), names)
+        text = prescribe_joints(mechanism.mjcf, mechanism.assets, compile_model(mechanism.mjcf, mechanism.assets), names)
         curves = _felt(mechanism, prescribed_dofs(mechanism, names))
         known[names] = replace(Twin.of(mechanism), mjcf=text, source=mechanism.mjcf, curves=curves)
     return known[names]
@@ -60,11 +60,11 @@ def _felt(mechanism: Mechanism, driven: np.ndarray) -> tuple[ExponentialTorque, 
     return tuple(curve for curve in mechanism.curves if curve.dof not in driven)
 
 
-def as_driven(twin: Twin, model: Any, mechanism: Mechanism, prescribed: Collection[str]) -> Twin:
+def prescribed_twin(twin: Twin, model: Any, mechanism: Mechanism, prescribed: Collection[str]) -> Twin:
     """A twin whose text compiles to `model`, with its prescribed joints driven, unless they are already."""
     if not prescribed or model.nu != mechanism.nu:
         return twin
-    return replace(twin, mjcf=driven(twin.mjcf, twin.assets, model, in_order(mechanism, prescribed)))
+    return replace(twin, mjcf=prescribe_joints(twin.mjcf, twin.assets, model, in_order(mechanism, prescribed)))
 
 
 def in_order(mechanism: Mechanism, prescribed: Collection[str]) -> tuple[str, ...]:
@@ -75,7 +75,7 @@ def in_order(mechanism: Mechanism, prescribed: Collection[str]) -> tuple[str, ..
 def heavy_joints(mechanism: Mechanism) -> list[str]:
     """Names of the joints that are made heavy already, their motion given by motors (planner.costs.driven_by_jerk)."""
     pairs = zip(mechanism.joint_names, mechanism.joint_links, strict=True)
-    return [name for name, dofs in pairs if np.any(mechanism.armature[dofs] >= HEAVY)]
+    return [name for name, dofs in pairs if np.any(mechanism.armature[dofs] >= PRESCRIBED_ARMATURE)]
 
 
 def prescribed_dofs(mechanism: Mechanism, prescribed: Collection[str]) -> np.ndarray:
@@ -85,15 +85,15 @@ def prescribed_dofs(mechanism: Mechanism, prescribed: Collection[str]) -> np.nda
     return np.concatenate([every[:0], *dofs])
 
 
-def driven_dofs(dynamics: Any) -> np.ndarray:
+def prescribed_dofs_of(dynamics: Any) -> np.ndarray:
     """(n,) the degrees of freedom that dynamics of any kind prescribe; none where they have no `prescribed`."""
     prescribed = getattr(dynamics, "prescribed", ())
     return prescribed_dofs(dynamics.mechanism, prescribed) if prescribed else np.zeros(0, dtype=int)
 
 
-def driven(mjcf: str, assets: dict[str, bytes], model: Any, prescribed: Collection[str]) -> str:
+def prescribe_joints(mjcf: str, assets: dict[str, bytes], model: Any, prescribed: Collection[str]) -> str:
     """An MJCF text that compiles to `model`, with some of its joints, in the order of qvel, driven by accelerations."""
-    root, survey = parsed(mjcf, "the model"), Survey(model)
+    root, survey = parsed(mjcf, "the model"), ModelIndex(model)
     known = [model.joint(j).name for j in range(model.njnt)]
     for name in prescribed:
         if name not in known:
@@ -127,7 +127,7 @@ def _release(element: ElementTree.Element, model: Any, joint: int) -> None:
         element.tag = "joint"
         element.set("type", "free")
     element.attrib.update(
-        armature=written(HEAVY), damping="0", stiffness="0", springdamper="0 0", frictionloss="0", limited="false"
+        armature=written(PRESCRIBED_ARMATURE), damping="0", stiffness="0", springdamper="0 0", frictionloss="0", limited="false"
     )
     if model.jnt_actfrclimited[joint]:
         element.set("actuatorfrclimited", "false")
@@ -157,7 +157,7 @@ def _add_motors(root: ElementTree.Element, model: Any, joints: list[int]) -> Non
     for j in joints:
         dofs = int(np.count_nonzero(model.dof_jntid == j))
         for axis in range(dofs):
-            gear = [HEAVY if k == axis else 0.0 for k in range(dofs)]
+            gear = [PRESCRIBED_ARMATURE if k == axis else 0.0 for k in range(dofs)]
             name = _motor(model.joint(j).name, axis, dofs)
             while name in taken:
                 name += "'"
@@ -194,7 +194,7 @@ def _still(model: Any, joints: list[int]) -> np.ndarray:
     return still
 
 
-def released(mechanism: Mechanism, prescribed: Collection[str]) -> Mechanism:
+def with_force_inputs(mechanism: Mechanism, prescribed: Collection[str]) -> Mechanism:
     """The mechanism of a driven twin but for its armature: the other half of a parity.
 
     Without armature, springs, dampers, friction, curves and actuators of the prescribed joints, and with a motor of
@@ -209,7 +209,7 @@ def released(mechanism: Mechanism, prescribed: Collection[str]) -> Mechanism:
     links = {name: mechanism.joint(name) for name in in_order(mechanism, prescribed)}
     sizes = {name: part.stop - part.start for name, part in links.items()}
     motors = {
-        "moment": HEAVY * np.eye(mechanism.nv)[dofs], "gain": np.ones(n), "bias": np.zeros((n, 3)),
+        "moment": PRESCRIBED_ARMATURE * np.eye(mechanism.nv)[dofs], "gain": np.ones(n), "bias": np.zeros((n, 3)),
         "dynamics": np.full(n, DIRECT), "activation": np.full(n, -1), "time_constant": np.ones(n),
         "control_range": free, "force_range": free, "activation_range": free,
     }  # fmt: skip

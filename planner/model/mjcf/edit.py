@@ -10,7 +10,7 @@ import numpy as np
 
 from planner.base.errors import ModelError
 from planner.model.mjcf.couplings import equalities_of, read_couplings
-from planner.model.mjcf.refuse import Refusal
+from planner.model.mjcf.refuse import UnsupportedElement
 from planner.model.mjcf.survey import field
 
 # Options and flags that switch a kind off.
@@ -28,7 +28,7 @@ _ATTRIBUTES = {
 _NO_TENDON = {"stiffness": "0", "damping": "0", "frictionloss": "0", "limited": "false"}
 
 
-def take_out(root: ElementTree.Element, refusals: Collection[Refusal], model: Any) -> None:
+def take_out(root: ElementTree.Element, refusals: Collection[UnsupportedElement], model: Any) -> None:
     """Edit the XML so that nothing of these refusals' kinds acts any more; `model` is compiled from it."""
     # Settings that come later replace earlier ones, whatever sections the file has.
     kinds = {one.kind for one in refusals}

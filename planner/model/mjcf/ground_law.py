@@ -25,10 +25,10 @@ from planner.base.gl import load_mujoco
 from planner.model.contact.laws import ContactLaw
 from planner.model.contact.shapes import meets_plane, plane_of, spheres_of
 from planner.model.mjcf.contact_points import points_of
-from planner.model.mjcf.sinking import depth_at_rest
-from planner.model.mjcf.survey import Pair, Survey
+from planner.model.mjcf.sinking import rest_penetration
+from planner.model.mjcf.survey import Pair, ModelIndex
 
-SINK = 3e-3  # m, of the whole machine on one contact: MuJoCo's default ground is stiffer still, but kinks want a ramp
+REST_PENETRATION = 3e-3  # m, of the whole machine on one contact: MuJoCo's default ground is stiffer still, but kinks want a ramp
 LOAD = 0.25  # of the weight, on one foot
 DAMPING = 1.0  # of critical, for that ground creeps back where it was pressed
 FASTEST = 2000.0  # 1/s: what 16 substeps of a stage of 10 ms follow, and some to spare for other poses
@@ -40,10 +40,10 @@ class Ground(NamedTuple):
     """The law of a pair of a plane and what stands on it."""
 
     law: ContactLaw
-    recess: float  # m, how much deeper than the shapes touch it begins
+    contact_offset: float  # m, how much deeper than the shapes touch it begins
 
 
-def laws_of_ground(survey: Survey, pairs: Iterable[Pair]) -> dict[tuple[int, int], Ground]:
+def laws_of_ground(survey: ModelIndex, pairs: Iterable[Pair]) -> dict[tuple[int, int], Ground]:
     """The law of each pair of a plane and what stands on it, by the pair's geoms."""
     laws, of_body = {}, dict[int, list[Pair]]()
     for pair in pairs:
@@ -64,12 +64,12 @@ def laws_of_ground(survey: Survey, pairs: Iterable[Pair]) -> dict[tuple[int, int
     return laws
 
 
-def _for_mass(survey: Survey, pair: Pair) -> Ground:
+def _for_mass(survey: ModelIndex, pair: Pair) -> Ground:
     """The law for the mass on a pair, as if its feet were not light."""
     model, mass, gravity = survey.model, mass_of(survey, pair), float(np.linalg.norm(survey.model.opt.gravity))
     weight = mass * gravity
-    depth, slope = depth_at_rest(model, pair, LOAD * weight)
-    usual = ContactLaw.resting(mass, gravity=gravity, sink=SINK, damping_ratio=DAMPING)
+    depth, slope = rest_penetration(model, pair, LOAD * weight)
+    usual = ContactLaw.resting(mass, gravity=gravity, sink=REST_PENETRATION, damping_ratio=DAMPING)
     if slope >= usual.stiffness:
         return Ground(usual, 0.0)
     recess, match = depth - LOAD * weight / slope, meets_plane(survey, pair.geoms)
@@ -82,19 +82,19 @@ def _for_mass(survey: Survey, pair: Pair) -> Ground:
     return Ground(law, recess)
 
 
-def _body_of(survey: Survey, pair: Pair) -> int:
+def _body_of(survey: ModelIndex, pair: Pair) -> int:
     """The body that stands, with what is welded to it; planes at rest are welded to body 0."""
     return int(survey.model.body_weldid[survey.model.geom_bodyid[list(pair.geoms)]].max())
 
 
-def mass_of(survey: Survey, pair: Pair) -> float:
+def mass_of(survey: ModelIndex, pair: Pair) -> float:
     """Of all that hangs together with the body that is not at rest, kg."""
     model = survey.model
     bodies = [int(model.geom_bodyid[geom]) for geom in pair.geoms]
     return float(max(model.body_subtreemass[model.body_rootid[body]] for body in bodies if model.body_weldid[body]))
 
 
-def _poses(survey: Survey) -> list[_Pose]:
+def _poses(survey: ModelIndex) -> list[_Pose]:
     """The file's own pose, its keyframes, and joints midway between the ends of their ranges."""
     model = survey.model
     middle = np.array(survey.home.qpos)
@@ -106,7 +106,7 @@ def _poses(survey: Survey) -> list[_Pose]:
 class _Pose:
     """A pose of the file in MuJoCo: what is read here is its mass matrix and where its points are."""
 
-    def __init__(self, survey: Survey, qpos: np.ndarray) -> None:
+    def __init__(self, survey: ModelIndex, qpos: np.ndarray) -> None:
         mujoco = load_mujoco()
         self._survey, self._model, self._data = survey, survey.model, mujoco.MjData(survey.model)
         self._data.qpos[:] = qpos

@@ -15,8 +15,8 @@ from typing import Any
 import numpy as np
 
 from planner.model.mjcf.contact_points import shape_of
-from planner.model.mjcf.overlaps import overlapping
-from planner.model.mjcf.refuse import Refusal, modelled, unmodelled
+from planner.model.mjcf.overlaps import initial_overlaps
+from planner.model.mjcf.refuse import UnsupportedElement, modelled, unsupported_elements
 from planner.model.mjcf.survey import compile_model, contact_pairs, named
 
 _OF = {"frictionloss": "friction loss", "gravcomp": "gravity compensation"}  # in words
@@ -31,7 +31,7 @@ GeomName = tuple[str, int] | str
 
 
 @dataclass(frozen=True)
-class LeftOut:
+class UnmodelledFeatures:
     """What a plan's model lacks of the user's file.
 
     Attributes:
@@ -42,7 +42,7 @@ class LeftOut:
         overlapping: How many of `pairs` these are; several geoms may share a name in `overlaps`.
     """
 
-    elements: tuple[Refusal, ...] = ()
+    elements: tuple[UnsupportedElement, ...] = ()
     pairs: tuple[str, ...] = ()
     known: frozenset[frozenset[GeomName]] = frozenset()
     overlaps: tuple[str, ...] = ()
@@ -79,10 +79,10 @@ class LeftOut:
         return tuple(found)
 
 
-def left_out(
+def unmodelled_features(
     original: str, planned: str, assets: dict[str, bytes], contacts: bool = True, compiled: Any = None,
     start: np.ndarray | None = None, given: Any = None,
-) -> LeftOut:  # fmt: skip
+) -> UnmodelledFeatures:  # fmt: skip
     """Compare the text of a file as the user gave it with the text that a plan's mechanism was read from.
 
     `contacts` tells whether the mechanism has any; one may have none though its text has some. `compiled` is the
@@ -96,16 +96,16 @@ def left_out(
     else:
         given = compile_model(original, assets) if given is None else given
         kept = set(modelled(own))
-        elements = (*(one for one in modelled(given) if one not in kept), *unmodelled(given))
+        elements = (*(one for one in modelled(given) if one not in kept), *unsupported_elements(given))
     pairs = pairs_by_name(given)
     unknown = [pair for key, pair in pairs.items() if key not in known]
     names = tuple(" and ".join(named(given, "geom", geom) for geom in pair) for pair in unknown)
     overlaps: list[str] = []  # one for each pair
     if start is not None and unknown and len(start) == given.nq:
-        found = [tuple(sorted(pair)) for pair in overlapping(given, start)]
+        found = [tuple(sorted(pair)) for pair in initial_overlaps(given, start)]
         overlaps = [" and ".join(_shape(given, geom) for geom in pair) for pair in found
                     if names_of(given, pair) not in known]  # fmt: skip
-    return LeftOut(elements, names, frozenset(known), tuple(dict.fromkeys(overlaps)), len(overlaps))
+    return UnmodelledFeatures(elements, names, frozenset(known), tuple(dict.fromkeys(overlaps)), len(overlaps))
 
 
 def _shape(model: Any, geom: int) -> str:
@@ -133,7 +133,7 @@ def _name_of(model: Any, geom: int) -> GeomName:
     return model.body(body).name or f"body number {body}", geom - int(model.body_geomadr[body])
 
 
-def _words(one: Refusal) -> tuple[str, str]:
+def _words(one: UnsupportedElement) -> tuple[str, str]:
     """The head and the noun of a phrase about several elements of the same kind; the noun is "" for the model's own."""
     if one.kind in _COUNTED:
         return "", one.kind

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from planner.base.gl import load_mujoco
-from planner.model.loops import Cam, Loop
+from planner.model.loops import PolynomialCoupling, LoopClosure
 from planner.model.mjcf.couplings import acting, is_linear
 from planner.model.mjcf.survey import named, pose
 
@@ -33,15 +33,15 @@ def _is_cam(model: Any, i: int) -> bool:
     return bool(joint and model.eq_obj2id[i] >= 0 and not is_linear(model, i))
 
 
-def read_loops(model: Any, links: np.ndarray, poses: np.ndarray) -> tuple[Loop, ...]:
+def read_loops(model: Any, links: np.ndarray, poses: np.ndarray) -> tuple[LoopClosure, ...]:
     """The loops that act; links (nbody,) and poses (nbody, 4, 4) are those that carry MuJoCo's bodies."""
     return tuple(_loop(model, i, links, poses) for i in acting(model) if joins(model, i))
 
 
-def _loop(model: Any, i: int, links: np.ndarray, poses: np.ndarray) -> Loop:
+def _loop(model: Any, i: int, links: np.ndarray, poses: np.ndarray) -> LoopClosure:
     bodies, frames, rigid = joined(model, i)
     carried = np.array([poses[body] @ T for body, T in zip(bodies, frames, strict=True)])
-    return Loop(named(model, "equality", i), (int(links[bodies[0]]), int(links[bodies[1]])), carried, rigid)
+    return LoopClosure(named(model, "equality", i), (int(links[bodies[0]]), int(links[bodies[1]])), carried, rigid)
 
 
 def joined(model: Any, i: int) -> tuple[list[int], list[np.ndarray], bool]:
@@ -58,15 +58,15 @@ def joined(model: Any, i: int) -> tuple[list[int], list[np.ndarray], bool]:
     return [*things], frames, bool(weld and data[10] != 0.0)
 
 
-def read_cams(model: Any) -> tuple[Cam, ...]:
+def read_cams(model: Any) -> tuple[PolynomialCoupling, ...]:
     """The cams that act."""
     return tuple(_cam(model, i) for i in acting(model) if _is_cam(model, i))
 
 
-def _cam(model: Any, i: int) -> Cam:
+def _cam(model: Any, i: int) -> PolynomialCoupling:
     joints = (int(model.eq_obj1id[i]), int(model.eq_obj2id[i]))
     dofs, offsets = model.jnt_dofadr[list(joints)], model.qpos0[model.jnt_qposadr[list(joints)]]
     coefficients = tuple(float(x) for x in model.eq_data[i, :5])
-    return Cam(
+    return PolynomialCoupling(
         named(model, "equality", i), int(dofs[0]), int(dofs[1]), (float(offsets[0]), float(offsets[1])), coefficients
     )

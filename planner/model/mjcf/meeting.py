@@ -14,14 +14,14 @@ from typing import Any
 import numpy as np
 
 from planner.base.gl import load_mujoco
-from planner.model.mjcf.survey import Survey
+from planner.model.mjcf.survey import ModelIndex
 
 GRIDS = {1: 65, 2: 17}  # poses of each joint, by the number of joints between two shapes
 TRIED = 20  # poses, to find one in which a pair is apart
 FAR = 10.0  # m, of which MuJoCo measures less
 
 
-def can_meet(survey: Survey, pair: tuple[int, int], clearance: float) -> bool:
+def may_collide(survey: ModelIndex, pair: tuple[int, int], clearance: float) -> bool:
     """Whether the bounding spheres of two geoms can come as near as the clearance, within the joints' ranges."""
     model, home = survey.model, survey.home
     balls = [_ball(survey, geom, bodies) for geom, bodies in zip(pair, _bodies_between(model, pair), strict=True)]
@@ -36,7 +36,7 @@ def can_meet(survey: Survey, pair: tuple[int, int], clearance: float) -> bool:
     return bool(np.linalg.norm(first - second) - r - s <= clearance)
 
 
-def nearest_anywhere(survey: Survey, pair: tuple[int, int], poses: Collection[np.ndarray]) -> float:
+def min_distance_over_ranges(survey: ModelIndex, pair: tuple[int, int], poses: Collection[np.ndarray]) -> float:
     """How near two geoms come in any pose of the hinges and slides between them, m: not above it, by all that is known.
 
     It is the least distance on a grid less half of the greatest change from a pose of the grid to the next. -inf where
@@ -75,7 +75,7 @@ def is_own(model: Any, pair: tuple[int, int]) -> bool:
     return bool((root[0] == root[1] and root[0] > 0) or np.all(model.body_weldid[bodies] > 0))
 
 
-def can_leave(survey: Survey, pair: tuple[int, int], qpos: np.ndarray, apart: float) -> bool:
+def can_separate(survey: ModelIndex, pair: tuple[int, int], qpos: np.ndarray, apart: float) -> bool:
     """Whether a pair is of a machine and something at rest that its joints can take further apart than that, m.
 
     What turns on a base that is drawn into the world cannot leave it: the pair is as near in all its poses.
@@ -133,7 +133,7 @@ def _chain(model: Any, body: int) -> list[int]:
     return chain
 
 
-def _ball(survey: Survey, geom: int, bodies: list[int]) -> tuple[np.ndarray, float]:
+def _ball(survey: ModelIndex, geom: int, bodies: list[int]) -> tuple[np.ndarray, float]:
     """A ball that holds a geom's, wherever the joints of some bodies, the innermost first, put it."""
     model, home, kinds = survey.model, survey.home, load_mujoco().mjtJoint
     centre, radius = np.array(home.geom_xpos[geom]), float(model.geom_rbound[geom])

@@ -16,18 +16,18 @@ import numpy as np
 
 from planner.base.errors import PlannerError
 from planner.base.gl import load_mujoco
-from planner.model.contact.solids import MEASURES, Solid, in_order, kind_of, placed
-from planner.model.mjcf.meeting import can_leave, can_meet, distances_in, is_own, nearest_anywhere
-from planner.model.mjcf.overlaps import FLUSH
+from planner.model.contact.solids import MEASURES, CollisionShape, in_order, kind_of, placed
+from planner.model.mjcf.meeting import can_separate, may_collide, distances_in, is_own, min_distance_over_ranges
+from planner.model.mjcf.overlaps import OVERLAP_TOLERANCE
 from planner.model.mjcf.solids import has_solid, shape_name, solids_of
-from planner.model.mjcf.survey import Survey, contact_pairs
+from planner.model.mjcf.survey import ModelIndex, contact_pairs
 
 MOST_NAMED = 3
 SLIGHT = 0.02  # of the clearance, by which a distance that no joint changes may change by rounding
 SLACK = 1e-6  # m by which a pair that starts nearer than the clearance may come nearer still: rounding
 
 
-class NearPair(NamedTuple):
+class CollisionPair(NamedTuple):
     """Two solids to keep apart, in the order of their distance.
 
     Attributes:
@@ -38,8 +38,8 @@ class NearPair(NamedTuple):
         room: m, by which they can be kept further apart than `least`: what the start and the goal leave.
     """
 
-    a: Solid
-    b: Solid
+    a: CollisionShape
+    b: CollisionShape
     least: float
     lift: float
     room: float
@@ -50,17 +50,17 @@ class NearPair(NamedTuple):
         return f"{self.a.name} and {self.b.name}"
 
 
-class Near(NamedTuple):
+class CollisionPairs(NamedTuple):
     """The pairs to keep apart, and sentences about those that are not, or not so far."""
 
-    pairs: tuple[NearPair, ...]
+    pairs: tuple[CollisionPair, ...]
     notes: tuple[str, ...]
 
 
-def near_pairs(
-    survey: Survey, poses: dict[str, np.ndarray], clearance: float, *, own: bool = True, world: bool = True,
+def select_collision_pairs(
+    survey: ModelIndex, poses: dict[str, np.ndarray], clearance: float, *, own: bool = True, world: bool = True,
     known: Collection[frozenset[int]] = (),
-) -> Near:  # fmt: skip
+) -> CollisionPairs:  # fmt: skip
     """The pairs of a file that a motion is to keep apart.
 
     Args:
@@ -78,11 +78,11 @@ def near_pairs(
     asked = [pair for pair in contact_pairs(model) if frozenset(pair) not in known]
     asked = [pair for pair in asked if (own if is_own(model, pair) else world)]
     unknown = [pair for pair in asked if not all(has_solid(model, geom) for geom in pair)]
-    found = [pair for pair in asked if pair not in unknown and can_meet(survey, pair, clearance)]
+    found = [pair for pair in asked if pair not in unknown and may_collide(survey, pair, clearance)]
     at = {name: distances_in(model, qpos, found, 2.0 * clearance) for name, qpos in poses.items()}
     start = next(iter(poses))
-    flush = FLUSH * min(1.0, float(model.stat.extent))
-    drawn = [pair for pair in found if at[start][pair] <= flush and not can_leave(survey, pair, poses[start], flush)]
+    flush = OVERLAP_TOLERANCE * min(1.0, float(model.stat.extent))
+    drawn = [pair for pair in found if at[start][pair] <= flush and not can_separate(survey, pair, poses[start], flush)]
     found = [pair for pair in found if pair not in drawn]
     for name, distances in at.items():
         _check(survey, name, poses[name], {pair: distances[pair] for pair in found}, clearance)
@@ -93,20 +93,20 @@ def near_pairs(
         a, b = in_order(solids[pair[0]], solids[pair[1]])
         apart = min(_between(survey, qpos, a, b) for qpos in poses.values())
         lift = max(0.0, least - apart)
-        if lift > SLACK and nearest_anywhere(survey, pair, poses.values()) > least - SLIGHT * clearance:
+        if lift > SLACK and min_distance_over_ranges(survey, pair, poses.values()) > least - SLIGHT * clearance:
             anyway.append((a, b))
             continue
-        pairs.append(NearPair(a, b, least, lift, max(0.0, apart + lift - least - SLACK)))
+        pairs.append(CollisionPair(a, b, least, lift, max(0.0, apart + lift - least - SLACK)))
         close += [pairs[-1]] if least < clearance else []
         lifted += [pairs[-1]] if lift > SLACK else []
     notes = _notes(survey, pairs, drawn, unknown, close, lifted, clearance)
     if anyway:
         names = _some([f"{a.name} and {b.name}" for a, b in anyway])
         notes += (f"Left out, since no pose brings the shapes nearer, though their fits overlap: {names}.",)
-    return Near(tuple(pairs), notes)
+    return CollisionPairs(tuple(pairs), notes)
 
 
-def _between(survey: Survey, qpos: np.ndarray, a: Solid, b: Solid) -> float:
+def _between(survey: ModelIndex, qpos: np.ndarray, a: CollisionShape, b: CollisionShape) -> float:
     """The distance of two solids in a pose of the file, m."""
     model = survey.model
     data = load_mujoco().MjData(model)
@@ -122,7 +122,7 @@ def _between(survey: Survey, qpos: np.ndarray, a: Solid, b: Solid) -> float:
 
 
 def _check(
-    survey: Survey, name: str, qpos: np.ndarray, distances: dict[tuple[int, int], float], clearance: float
+    survey: ModelIndex, name: str, qpos: np.ndarray, distances: dict[tuple[int, int], float], clearance: float
 ) -> None:
     """Refuse a pose in collision with the world or too near to it."""
     model = survey.model
@@ -136,7 +136,7 @@ def _check(
             "touches; move one of the two, or exclude the pair in the model (<contact><exclude>)."
         )
     met = {pair: distance for pair, distance in distances.items()
-           if distance < clearance and can_leave(survey, pair, qpos, clearance)}  # fmt: skip
+           if distance < clearance and can_separate(survey, pair, qpos, clearance)}  # fmt: skip
     if met:
         pair = min(met, key=lambda pair: met[pair])
         names = " and ".join(shape_name(model, geom) for geom in pair)
@@ -153,8 +153,8 @@ def _shorter(distance: float) -> str:
 
 
 def _notes(
-    survey: Survey, pairs: list[NearPair], drawn: list[tuple[int, int]], unknown: list[tuple[int, int]],
-    close: list[NearPair], lifted: list[NearPair], clearance: float,
+    survey: ModelIndex, pairs: list[CollisionPair], drawn: list[tuple[int, int]], unknown: list[tuple[int, int]],
+    close: list[CollisionPair], lifted: list[CollisionPair], clearance: float,
 ) -> tuple[str, ...]:  # fmt: skip
     """One sentence about what is kept apart, in numbers, then the names of what is not, or not so far."""
     model = survey.model

@@ -7,23 +7,23 @@ from typing import NamedTuple
 from xml.etree import ElementTree
 
 from planner.model.mjcf.meshes import coarsen_visual_meshes
-from planner.model.mjcf.survey import Survey, compile_model
+from planner.model.mjcf.survey import ModelIndex, compile_model
 from planner.model.mjcf.text import is_text, model_tree
 
 
-class Opened(NamedTuple):
+class ModelFile(NamedTuple):
     """A file as it was written; only its visual meshes are coarser, on which no fact of the survey depends."""
 
     root: ElementTree.Element  # Not to be changed
     files: dict[str, bytes]  # By the names that the text uses
-    survey: Survey  # Of the file with its own meshes
+    survey: ModelIndex  # Of the file with its own meshes
     name: str  # For a sentence
     compiled: bool  # Whether the survey's model is what root compiles to: no mesh is coarser
 
 
-def opened(
+def open_model_file(
     model: str | Path, assets: dict[str, bytes] | None = None, name: str = "", *, stored: bool = True
-) -> Opened:  # fmt: skip
+) -> ModelFile:  # fmt: skip
     """Read and compile a file or text; messages call it `name`, by default after its file.
 
     What is not to be stored keeps its visual meshes.
@@ -33,6 +33,6 @@ def opened(
     """
     name = name or ("the model" if is_text(model) else f"the model {model}")
     root, files = model_tree(model, assets, stored=assets is not None)
-    survey = Survey(compile_model(root, files, name))
+    survey = ModelIndex(compile_model(root, files, name))
     coarser = stored and coarsen_visual_meshes(root, files, survey.model)
-    return Opened(root, files, survey, name, not coarser)
+    return ModelFile(root, files, survey, name, not coarser)

@@ -18,18 +18,18 @@ import numpy as np
 from planner.base.gl import load_mujoco
 from planner.model.mjcf.contact_choice import falling_trees
 from planner.model.mjcf.contact_edits import elements_of_geoms
-from planner.model.mjcf.meeting import can_leave
-from planner.model.mjcf.survey import Survey
+from planner.model.mjcf.meeting import can_separate
+from planner.model.mjcf.survey import ModelIndex
 from planner.model.mjcf.text import written
 
-FLUSH = 1e-4  # of a machine of 1 m or more, m: shapes that are drawn flush touch as soon as anything moves
+OVERLAP_TOLERANCE = 1e-4  # of a machine of 1 m or more, m: shapes that are drawn flush touch as soon as anything moves
 GeomPair = frozenset[int]
 
 
-def overlapping(model: Any, qpos: np.ndarray) -> list[GeomPair]:
+def initial_overlaps(model: Any, qpos: np.ndarray) -> list[GeomPair]:
     """The pairs of geoms that overlap or lie flush at qpos, but for what falls without the contact, or can leave it."""
-    mujoco, survey = load_mujoco(), Survey(model)
-    falling, flush = falling_trees(survey), FLUSH * min(1.0, float(model.stat.extent))
+    mujoco, survey = load_mujoco(), ModelIndex(model)
+    falling, flush = falling_trees(survey), OVERLAP_TOLERANCE * min(1.0, float(model.stat.extent))
     model = copy.copy(model)
     model.geom_margin += flush
     model.pair_margin += flush
@@ -42,7 +42,7 @@ def overlapping(model: Any, qpos: np.ndarray) -> list[GeomPair]:
         geoms = [int(geom) for geom in contact.geom]
         if min(geoms) < 0 or contact.includemargin < contact.dist:
             continue
-        if contact.dist < -flush and can_leave(survey, (geoms[0], geoms[1]), qpos, flush):
+        if contact.dist < -flush and can_separate(survey, (geoms[0], geoms[1]), qpos, flush):
             continue
         roots = set(model.body_rootid[model.geom_bodyid[geoms]].tolist())
         if len(roots) == 1 or falling.keys().isdisjoint(roots):
@@ -58,7 +58,7 @@ def without_pairs(text: str, model: Any, pairs: Collection[GeomPair]) -> str:
     Raises:
         ModelError: The file has not all geoms of the model (<attach>, <replicate>).
     """
-    root, survey = ElementTree.fromstring(text), Survey(model)
+    root, survey = ElementTree.fromstring(text), ModelIndex(model)
     elements = elements_of_geoms(root, model)
     silent, left = set(), set(pairs)
     while left:

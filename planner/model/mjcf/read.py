@@ -17,13 +17,13 @@ from xml.etree import ElementTree
 
 import numpy as np
 
-from planner.base.arguments import choice, shown
+from planner.base.arguments import choice, short_repr
 from planner.base.errors import ModelError, PlannerError
 from planner.base.gl import load_mujoco
 from planner.model.contact.laws import ContactLaw
 from planner.model.mechanism import BALL, BALL_NEXT, SCREW, Frame, Mechanism
 from planner.model.mjcf.attached import attachments, with_attached
-from planner.model.mjcf.contact_choice import MODES, Choice, chosen, ground_pairs, lying
+from planner.model.mjcf.contact_choice import MODES, ContactMode, select_contact_mode, ground_pairs, stationary_roots
 from planner.model.mjcf.contact_edits import give_law, let_float
 from planner.model.mjcf.contacts import contact_refusals, phrase_of, read_contacts, read_stops
 from planner.model.mjcf.couplings import harden, read_couplings
@@ -32,16 +32,16 @@ from planner.model.mjcf.edit import take_out
 from planner.model.mjcf.friction import joint_friction
 from planner.model.mjcf.ground_law import laws_of_ground
 from planner.model.mjcf.loops import read_cams, read_loops
-from planner.model.mjcf.opened import Opened, opened
+from planner.model.mjcf.opened import ModelFile, open_model_file
 from planner.model.mjcf.read_actuators import actuators_of, armature_and_damping
 from planner.model.mjcf.refuse import (  # fmt: skip
     KINDS,
-    Refusal,
+    UnsupportedElement,
     modelled,
     no_compensation,
-    unmodelled,
+    unsupported_elements,
 )
-from planner.model.mjcf.survey import Pair, Survey, compile_model, disabled, field, names_of, pose, ranges_of
+from planner.model.mjcf.survey import Pair, ModelIndex, compile_model, disabled, field, names_of, pose, ranges_of
 from planner.model.mjcf.tendons import read_tendons
 from planner.model.space import unit
 
@@ -66,15 +66,15 @@ def read(
     With `assets` nothing is read from disk. Messages call the model `name`, by default after its file.
     """
     given = attachments(attach)
-    return read_opened(lambda: with_attached(opened(model, assets, name), given), ignore=ignore, contacts=contacts)
+    return read_opened(lambda: with_attached(open_model_file(model, assets, name), given), ignore=ignore, contacts=contacts)
 
 
 def read_opened(
-    file: Callable[[], Opened], *, ignore: Collection[str] | None = (), contacts: str | ContactLaw = "auto"
+    file: Callable[[], ModelFile], *, ignore: Collection[str] | None = (), contacts: str | ContactLaw = "auto"
 ) -> Mechanism:
     """A mechanism of a file that is opened once the other arguments are checked, or that was opened before."""
     if not isinstance(ignore, Collection | None):
-        raise PlannerError(f"ignore is {shown(ignore)}, expected some of: {', '.join(KINDS)}.")
+        raise PlannerError(f"ignore is {short_repr(ignore)}, expected some of: {', '.join(KINDS)}.")
     ignored = (ignore,) if isinstance(ignore, str) else tuple(ignore or ())
     for kind in ignored:
         choice("ignore", kind, KINDS)
@@ -83,13 +83,13 @@ def read_opened(
     given, files, survey, name, compiled = file()
     root = copy.deepcopy(given)
     original = ElementTree.tostring(root, encoding="unicode")
-    mode, phrase = chosen(survey, asked) if asked in ("auto", "ground", "avoid", "model") else Choice(asked)
+    mode, phrase = select_contact_mode(survey, asked) if asked in ("auto", "ground", "avoid", "model") else ContactMode(asked)
     if asked == "ground" and mode != "ground":
         words = f"contacts is 'ground', but nothing in {name} falls on a plane or box"
         raise ModelError(f'{words}: write contacts = "avoid".')
-    found = [*unmodelled(survey.model), *contact_refusals(survey, all_of_them=mode in ("off", "avoid"))]
+    found = [*unsupported_elements(survey.model), *contact_refusals(survey, all_of_them=mode in ("off", "avoid"))]
     left_out: list[Pair] = []
-    kept = lying(survey) if mode in ("avoid", "ground") else []
+    kept = stationary_roots(survey) if mode in ("avoid", "ground") else []
     if mode in ("law", "ground"):
         found = [one for one in found if one.kind != "contacts"]
         left_out = give_law(root, survey, *_laws(survey, law))
@@ -105,8 +105,8 @@ def read_opened(
         phrases.append(phrase_of(survey.model, left_out))
     if not compiled or ElementTree.tostring(root, encoding="unicode") != original:
         # Compiled once for coarser meshes and edits together, which may not do what they meant.
-        survey = Survey(compile_model(root, files, name))
-        _refuse([*unmodelled(survey.model), *contact_refusals(survey)], name, survey)
+        survey = ModelIndex(compile_model(root, files, name))
+        _refuse([*unsupported_elements(survey.model), *contact_refusals(survey)], name, survey)
     harden(root, survey.model)
     text = ElementTree.tostring(root, encoding="unicode")
     mechanism = _mechanism(survey, text, files, (*phrases_left_out(survey.model), *phrases), name)
@@ -121,18 +121,18 @@ def _renamed(contacts: object) -> object:
 
 
 def _laws(
-    survey: Survey, law: ContactLaw | None
+    survey: ModelIndex, law: ContactLaw | None
 ) -> tuple[Callable[[Pair], ContactLaw | None], str, dict[tuple[int, int], float] | None]:
     """The law of each pair, that of the ground by default, their smoothing and their recesses, for give_law."""
     if law is not None:
         return (lambda _: law), f"{law.ramp!r} {law.force_ramp!r} {law.bend!r}", None
     grounds = laws_of_ground(survey, ground_pairs(survey))
-    recesses = {geoms: ground.recess for geoms, ground in grounds.items()}
+    recesses = {geoms: ground.contact_offset for geoms, ground in grounds.items()}
     laws = {geoms: ground.law for geoms, ground in grounds.items()}
     return (lambda pair: laws.get(pair.geoms)), repr(next(iter(laws.values())).ramp), recesses
 
 
-def _refuse(found: list[Refusal], name: str, survey: Survey) -> None:
+def _refuse(found: list[UnsupportedElement], name: str, survey: ModelIndex) -> None:
     """Raise ModelError for what is not modelled, with the keys that load the model."""
     if not found:
         return
@@ -140,7 +140,7 @@ def _refuse(found: list[Refusal], name: str, survey: Survey) -> None:
     more = f" and {len(found) - MOST_PHRASES} more" if len(found) > MOST_PHRASES else ""
     options = [f'"{kind}"' for kind in kinds if kind in KINDS]
     ways = [f"ignore = [{', '.join(options)}]"] if options else []
-    ways += [f'contacts = "{chosen(survey).mode}"'] if "contacts" in kinds else []
+    ways += [f'contacts = "{select_contact_mode(survey).mode}"'] if "contacts" in kinds else []
     firm = [kind for kind in kinds if kind not in KINDS and kind != "contacts"]
     what = ", ".join(refusal.phrase for refusal in found[:MOST_PHRASES]) + more
     if firm:
@@ -151,10 +151,10 @@ def _refuse(found: list[Refusal], name: str, survey: Survey) -> None:
 
 def mechanism_of_model(model: Any) -> Mechanism:
     """Convert an MjModel to a Mechanism and ignore unsupported elements; `mjcf` stays empty."""
-    return _mechanism(Survey(model), "", {}, (), "the model")
+    return _mechanism(ModelIndex(model), "", {}, (), "the model")
 
 
-def _mechanism(survey: Survey, text: str, files: dict[str, bytes], ignored: tuple[str, ...], name: str) -> Mechanism:
+def _mechanism(survey: ModelIndex, text: str, files: dict[str, bytes], ignored: tuple[str, ...], name: str) -> Mechanism:
     model = survey.model
     if model.nv == 0:
         raise ModelError(f"{name} has no joints, expected at least one.")
@@ -199,7 +199,7 @@ def _mechanism(survey: Survey, text: str, files: dict[str, bytes], ignored: tupl
         bodies=tuple(Frame(int(link), T) for link, T in zip(links, poses, strict=True)),
         contacts=contacts, body_contacts=body_contacts, stops=read_stops(model), tendons=read_tendons(model),
         sites=sites, keyframes=keyframes, mjcf=text, assets=files, ignored=ignored, couplings=read_couplings(model),
-        loops=read_loops(model, links, poses), cams=read_cams(model),
+        loops=read_loops(model, links, poses), polynomial_couplings=read_cams(model),
     )  # fmt: skip
 
 

@@ -24,7 +24,7 @@ MODELLED = ("stiffness", "damping", "limit")  # of fixed tendons
 
 
 @dataclass(frozen=True)
-class Refusal:
+class UnsupportedElement:
     """One thing that is not modelled."""
 
     kind: str  # "contacts", one of KINDS, or another kind that nothing takes out
@@ -53,68 +53,68 @@ def _nonzero(model: Any, name: str, count: int) -> np.ndarray:
     return np.any(values != 0.0, axis=tuple(range(1, values.ndim)))
 
 
-def unmodelled(model: Any) -> Iterator[Refusal]:
+def unsupported_elements(model: Any) -> Iterator[UnsupportedElement]:
     """Everything in a compiled model but its contacts that acts and is not modelled, in a fixed order."""
     yield from _joints(model)
     yield from _bodies(model)
     yield from _of_tendons(model, modelled=False)
     for i in acting(model):
         if not (is_linear(model, i) or closes(model, i)):
-            yield Refusal("equality", f"{named(model, 'equality', i)} ({kind_of(model, i)})", i)
+            yield UnsupportedElement("equality", f"{named(model, 'equality', i)} ({kind_of(model, i)})", i)
     for i in range(len(model.actuator_trntype)):
         yield from _actuators(model, i)
     if model.opt.enableflags & flag_bit("Enable", "ENBL", "sleep"):
-        yield Refusal("sleep", "the sleep of what rests")
+        yield UnsupportedElement("sleep", "the sleep of what rests")
     for i in range(model.nflex):
-        yield Refusal("flex", named(model, "flex", i))
+        yield UnsupportedElement("flex", named(model, "flex", i))
 
 
-def modelled(model: Any) -> Iterator[Refusal]:
+def modelled(model: Any) -> Iterator[UnsupportedElement]:
     """What is modelled and that `ignore` takes out all the same: friction loss, compensation, fixed tendons, loops."""
     if not disabled(model, "constraint", "frictionloss"):
         for i in _joints_of(model, model.dof_frictionloss):
-            yield Refusal("frictionloss", f"frictionloss of {named(model, 'joint', i)}")
+            yield UnsupportedElement("frictionloss", f"frictionloss of {named(model, 'joint', i)}")
     for i in () if no_compensation(model) else np.flatnonzero(_compensated(model)):
-        yield Refusal("gravcomp", f"gravcomp of {named(model, 'body', int(i))}")
+        yield UnsupportedElement("gravcomp", f"gravcomp of {named(model, 'body', int(i))}")
     yield from _of_tendons(model, modelled=True)
     for i in acting(model):
         if closes(model, i):
-            yield Refusal("equality", f"{named(model, 'equality', i)} ({kind_of(model, i)})", i)
+            yield UnsupportedElement("equality", f"{named(model, 'equality', i)} ({kind_of(model, i)})", i)
 
 
-def _joints(model: Any) -> Iterator[Refusal]:
+def _joints(model: Any) -> Iterator[UnsupportedElement]:
     if not disabled(model, "spring", "passive"):
         for i in np.flatnonzero(_nonzero(model, "jnt_stiffnesspoly", model.njnt)):
-            yield Refusal("polynomial", f"polynomial stiffness of {named(model, 'joint', int(i))}")
+            yield UnsupportedElement("polynomial", f"polynomial stiffness of {named(model, 'joint', int(i))}")
         for i in np.flatnonzero(field(model, "jnt_springyield", model.njnt)):
-            yield Refusal("plasticity", f"plastic spring of {named(model, 'joint', int(i))}")
+            yield UnsupportedElement("plasticity", f"plastic spring of {named(model, 'joint', int(i))}")
     if not disabled(model, "damper", "passive"):
         for i in _joints_of(model, _nonzero(model, "dof_dampingpoly", model.nv)):
-            yield Refusal("polynomial", f"polynomial damping of {named(model, 'joint', i)}")
+            yield UnsupportedElement("polynomial", f"polynomial damping of {named(model, 'joint', i)}")
 
 
 def _joints_of(model: Any, dofs: np.ndarray) -> list[int]:
     return sorted({int(j) for j in model.dof_jntid[np.flatnonzero(dofs)]})
 
 
-def _bodies(model: Any) -> Iterator[Refusal]:
+def _bodies(model: Any) -> Iterator[UnsupportedElement]:
     if not no_compensation(model):
         clamped = np.zeros(model.njnt, dtype=bool)
         if np.any(_compensated(model)):  # then the force is an actuator's, which a clamp or a flag can take away
             clamped = np.asarray(field(model, "jnt_actgravcomp", model.njnt), dtype=bool)
             clamped &= np.asarray(model.jnt_actfrclimited, dtype=bool) | disabled(model, "actuation")
         for i in np.flatnonzero(clamped):
-            yield Refusal("gravcomp", f"clamped actuatorgravcomp of {named(model, 'joint', int(i))}")
+            yield UnsupportedElement("gravcomp", f"clamped actuatorgravcomp of {named(model, 'joint', int(i))}")
     if not passive_off(model):
         for name in ("density", "viscosity"):
             if getattr(model.opt, name) > 0.0:
-                yield Refusal("fluid", f"fluid {name}")
+                yield UnsupportedElement("fluid", f"fluid {name}")
     carries = set(model.body_weldid[model.dof_bodyid]) | set(model.body_rootid[model.dof_bodyid])
     for i in np.flatnonzero(model.body_mocapid >= 0):
         if int(i) in carries:
-            yield Refusal("mocap", f"mocap {named(model, 'body', int(i))}")
+            yield UnsupportedElement("mocap", f"mocap {named(model, 'body', int(i))}")
     for i in np.flatnonzero(model.body_plugin >= 0):
-        yield Refusal("plugin", f"plugin of {named(model, 'body', int(i))}")
+        yield UnsupportedElement("plugin", f"plugin of {named(model, 'body', int(i))}")
 
 
 def _effects(model: Any) -> dict[str, np.ndarray]:
@@ -133,7 +133,7 @@ def _effects(model: Any) -> dict[str, np.ndarray]:
     }  # fmt: skip
 
 
-def _of_tendons(model: Any, modelled: bool) -> Iterator[Refusal]:
+def _of_tendons(model: Any, modelled: bool) -> Iterator[UnsupportedElement]:
     """What acts along tendons and is modelled, or is not: of fixed tendons, only what is named here."""
     effects = _effects(model)
     held = held_tendons(model)
@@ -142,9 +142,9 @@ def _of_tendons(model: Any, modelled: bool) -> Iterator[Refusal]:
         effects["frictionloss"][i] &= i not in held  # what never slides does not rub
         has = [name for name, acts in effects.items() if acts[i] and (name in known) == modelled]
         if has == ["frictionloss"]:
-            yield Refusal("frictionloss", f"frictionloss of {named(model, 'tendon', i)}")
+            yield UnsupportedElement("frictionloss", f"frictionloss of {named(model, 'tendon', i)}")
         elif has:
-            yield Refusal("tendon", f"{', '.join(has)} of {named(model, 'tendon', i)}")
+            yield UnsupportedElement("tendon", f"{', '.join(has)} of {named(model, 'tendon', i)}")
 
 
 def actuator_disabled(model: Any, i: int) -> bool:
@@ -158,7 +158,7 @@ def adheres_to_nothing(model: Any, i: int) -> bool:
     return model.actuator_trntype[i] == load_mujoco().mjtTrn.mjTRN_BODY and disabled(model, "contact", "constraint")
 
 
-def _actuators(model: Any, i: int) -> Iterator[Refusal]:
+def _actuators(model: Any, i: int) -> Iterator[UnsupportedElement]:
     """An actuator's refusals. One that is disabled keeps its control, if it has one control and one state at most."""
     mujoco = load_mujoco()
     n = len(model.actuator_trntype)
@@ -181,11 +181,11 @@ def _actuators(model: Any, i: int) -> Iterator[Refusal]:
         if field(model, f"actuator_{own}", n)[i] != 0.0 and not at_joint:
             reasons.append(f"{own} of its own")
     if _nonzero(model, "actuator_dampingpoly", n)[i]:
-        yield Refusal("polynomial", f"polynomial damping of {name}")
+        yield UnsupportedElement("polynomial", f"polynomial damping of {name}")
     if reasons:
-        yield Refusal("actuator", f"{name} ({', '.join(reasons)})", i)
+        yield UnsupportedElement("actuator", f"{name} ({', '.join(reasons)})", i)
     elif model.actuator_actearly[i] and not actuator_disabled(model, i):
-        yield Refusal("actearly", f"actearly of {name}")
+        yield UnsupportedElement("actearly", f"actearly of {name}")
 
 
 def _is(value: int, *kinds: Any) -> bool:

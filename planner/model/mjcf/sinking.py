@@ -22,7 +22,7 @@ DEEPEST = 0.1  # m: what sinks in further does not stand
 _HALVINGS = 50
 
 
-def depth_at_rest(model: Any, pair: Pair, load: float) -> tuple[float, float]:
+def rest_penetration(model: Any, pair: Pair, load: float) -> tuple[float, float]:
     """How deep a pair's shapes sink into each other when they press with a load, N, and how stiff they are there.
 
     Returns:

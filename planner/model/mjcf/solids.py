@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 
 from planner.base.gl import load_mujoco
-from planner.model.contact.fitted import Fit, fitted, rim_points, round_points
-from planner.model.contact.solids import Solid
-from planner.model.mjcf.survey import Survey
+from planner.model.contact.fitted import BoundingFit, fit_bounding_shape, rim_points, round_points
+from planner.model.contact.solids import CollisionShape
+from planner.model.mjcf.survey import ModelIndex
 
 NO_SOLID = ("hfield", "sdf")
 
@@ -28,7 +28,7 @@ def has_solid(model: Any, geom: int) -> bool:
     return model.geom_type[geom] not in [int(getattr(kinds, f"mjGEOM_{kind.upper()}")) for kind in NO_SOLID]
 
 
-def solids_of(survey: Survey, geoms: list[int]) -> dict[int, Solid]:
+def solids_of(survey: ModelIndex, geoms: list[int]) -> dict[int, CollisionShape]:
     """The solids of geoms, by their numbers; each mesh is fitted once."""
     model, kinds = survey.model, load_mujoco().mjtGeom
     links, fits, found = survey.carriers[0], {}, {}
@@ -37,23 +37,23 @@ def solids_of(survey: Survey, geoms: list[int]) -> dict[int, Solid]:
         given = shape_name(model, geom), geom, int(links[model.geom_bodyid[geom]])
         T, none = survey.geoms[geom], np.zeros(3)
         if kind == int(kinds.mjGEOM_PLANE):
-            found[geom] = Solid(*given, T, none, 0.0, plane=True)
+            found[geom] = CollisionShape(*given, T, none, 0.0, plane=True)
         elif kind == int(kinds.mjGEOM_SPHERE):
-            found[geom] = Solid(*given, T, none, float(size[0]))
+            found[geom] = CollisionShape(*given, T, none, float(size[0]))
         elif kind == int(kinds.mjGEOM_CAPSULE):
-            found[geom] = Solid(*given, T, np.array([0.0, 0.0, size[1]]), float(size[0]))
+            found[geom] = CollisionShape(*given, T, np.array([0.0, 0.0, size[1]]), float(size[0]))
         elif kind == int(kinds.mjGEOM_BOX):
-            found[geom] = Solid(*given, T, size, 0.0)
+            found[geom] = CollisionShape(*given, T, size, 0.0)
         else:
             key = (kind, int(model.geom_dataid[geom]), size.tobytes() if kind != int(kinds.mjGEOM_MESH) else b"")
-            fit = fits.setdefault(key, None) or fitted(_points(model, geom))
+            fit = fits.setdefault(key, None) or fit_bounding_shape(_points(model, geom))
             fits[key] = fit
             found[geom] = _fit_at(given, T, fit)
     return found
 
 
-def _fit_at(given: tuple[str, int, int], T: np.ndarray, fit: Fit) -> Solid:
-    return Solid(*given, T @ fit.T, fit.half, fit.radius, excess=fit.excess)
+def _fit_at(given: tuple[str, int, int], T: np.ndarray, fit: BoundingFit) -> CollisionShape:
+    return CollisionShape(*given, T @ fit.T, fit.half, fit.radius, excess=fit.excess)
 
 
 def _points(model: Any, geom: int) -> np.ndarray:

@@ -16,7 +16,7 @@ import numpy as np
 
 from planner.base.errors import ModelError
 from planner.base.gl import load_mujoco
-from planner.model.mjcf.bounded import compiled
+from planner.model.mjcf.bounded import compile_in_subprocess
 
 MOST_TOUCHING = 5000  # geoms: a table of all pairs of them has some 100 MB
 MOST_PAIRS = 100_000
@@ -39,7 +39,7 @@ def compile_model(
     for known, its_files, model in RECENT:
         if known == text and its_files == files:
             return model
-    model = compiled(text, files, name)
+    model = compile_in_subprocess(text, files, name)
     RECENT.append((text, files, model))
     while len(RECENT) > 1 and sum(load_mujoco().mj_sizeModel(one) for _, _, one in RECENT) > MOST_KEPT:
         RECENT.popleft()
@@ -88,7 +88,7 @@ class Pair(NamedTuple):
     margin: float
 
 
-class Survey:
+class ModelIndex:
     """A compiled model and what is looked up in it, each part once, when it is first asked for."""
 
     def __init__(self, model: Any) -> None:

@@ -11,7 +11,7 @@ import xml.etree.ElementTree as ElementTree
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from planner.base.arguments import shown
+from planner.base.arguments import short_repr
 from planner.base.errors import ModelError
 from planner.base.files import printable, read_input, read_text
 from planner.model.mjcf.bounds import MOST_PARENTS, Budget, base, by_name, check_copies, check_levels, parsed
@@ -159,7 +159,7 @@ def _standing_alone(
             where = next((path for path in sought if os.path.isfile(path)), sought[0])
             content = assets.get(file) if reading.stored is None else reading.stored.get(base(file))
             if content is None and reading.stored is not None:
-                raise ModelError(f"the model names the file {shown(file)}, expected one that is stored with it.")
+                raise ModelError(f"the model names the file {short_repr(file)}, expected one that is stored with it.")
             if content is None and element.tag == "model":  # a model of its own, to be attached
                 part = _standing_alone(*_read(where, reading.budget, reading.parents), assets, files)
                 content = ElementTree.tostring(part)

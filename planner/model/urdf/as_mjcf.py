@@ -6,7 +6,7 @@ import os
 from collections.abc import Sequence
 from pathlib import Path
 
-from planner.base.arguments import choice, shown
+from planner.base.arguments import choice, short_repr
 from planner.base.errors import ModelError, PlannerError
 from planner.base.files import printable, read_text
 from planner.model.mjcf.text import is_text
@@ -34,11 +34,11 @@ def as_mjcf(
         choice("base", base, BASES)
     nearest = choice("inertia", inertia, INERTIAS) == "nearest"
     if not isinstance(floor, bool):
-        raise PlannerError(f"floor is {shown(floor)}, expected true or false.")
+        raise PlannerError(f"floor is {short_repr(floor)}, expected true or false.")
     paths = (package_path,) if isinstance(package_path, (str, os.PathLike)) else tuple(package_path)
     for path in paths:
         if not isinstance(path, (str, os.PathLike)) or not os.path.isdir(path):
-            raise PlannerError(f"package_path is {shown(path)}, expected a folder of packages, or a list of some.")
+            raise PlannerError(f"package_path is {short_repr(path)}, expected a folder of packages, or a list of some.")
     text, name, path = str(model), "the model", None
     if not is_text(model):
         path, name = Path(model), f"the model {printable(model)}"

@@ -11,7 +11,7 @@ from xml.etree import ElementTree
 
 import numpy as np
 
-from planner.base.arguments import shown
+from planner.base.arguments import short_repr
 from planner.base.errors import ModelError
 from planner.model.urdf.robot import KINDS, SCALAR, Inertial, Joint, Link, Numbers, Pose, Shape
 
@@ -75,7 +75,7 @@ def joint_of(element: ElementTree.Element, name: str) -> Joint:
     where = f"joint {joint!r} of {name}"
     kind = element.get("type", "")
     if kind not in KINDS:
-        raise ModelError(f"{where} has the type {shown(kind)}, expected one of: {', '.join(KINDS)}.")
+        raise ModelError(f"{where} has the type {short_repr(kind)}, expected one of: {', '.join(KINDS)}.")
     ends = []
     for end in ("parent", "child"):
         found = element.find(end)
@@ -110,7 +110,7 @@ def joint_of(element: ElementTree.Element, name: str) -> Joint:
 def _named(element: ElementTree.Element, kind: str, name: str) -> str:
     found = element.get("name", "")
     if not found.isprintable() or not found:
-        raise ModelError(f"{name} has a {kind} with the name {shown(found)}, expected printable characters.")
+        raise ModelError(f"{name} has a {kind} with the name {short_repr(found)}, expected printable characters.")
     return found
 
 
@@ -152,5 +152,5 @@ def _several(
         values = ()
     if len(values) != count or any(math.isnan(v) or (math.isinf(v) and not infinite) for v in values):
         wanted = "a number" if count == 1 else f"{count} numbers"
-        raise ModelError(f"{what} is {shown(text)}, expected {wanted}.")
+        raise ModelError(f"{what} is {short_repr(text)}, expected {wanted}.")
     return values

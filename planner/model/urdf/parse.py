@@ -6,7 +6,7 @@ import re
 from collections import Counter
 from xml.etree import ElementTree
 
-from planner.base.arguments import shown
+from planner.base.arguments import short_repr
 from planner.base.errors import ModelError
 from planner.model.mjcf.bounds import parsed
 from planner.model.urdf.elements import joint_of, link_of, rgba_of
@@ -70,12 +70,12 @@ def _check_references(joints: list[Joint], links: dict[str, Link], name: str) ->
     for joint in joints:
         for end in (joint.parent, joint.child):
             if end not in links:
-                raise ModelError(f"joint {joint.name!r} of {name} names the link {shown(end)}, which it does not have.")
+                raise ModelError(f"joint {joint.name!r} of {name} names the link {short_repr(end)}, which it does not have.")
         leader, seen = joint, {joint.name}
         while leader.mimic is not None:
             if leader.mimic[0] not in moving:
                 raise ModelError(
-                    f"joint {leader.name!r} of {name} mimics {shown(leader.mimic[0])}, expected the name of a "
+                    f"joint {leader.name!r} of {name} mimics {short_repr(leader.mimic[0])}, expected the name of a "
                     f"{', '.join(SCALAR[:-1])} or {SCALAR[-1]} joint."
                 )
             leader = moving[leader.mimic[0]]

@@ -10,7 +10,7 @@ from typing import Any
 from planner.base.errors import ModelError, PlannerError
 from planner.model.contact.laws import ContactLaw
 from planner.model.mechanism import Mechanism
-from planner.model.mjcf.opened import Opened, opened
+from planner.model.mjcf.opened import ModelFile, open_model_file
 from planner.model.mjcf.read import read
 from planner.model.urdf.as_mjcf import as_mjcf, is_urdf
 
@@ -51,17 +51,17 @@ def read_urdf(
     return read(mjcf, ignore=ignore, contacts=contacts, assets=assets, name=name, attach=attach)
 
 
-def opened_model(model: str | Path) -> tuple[Opened, dict[str, Any]]:
+def opened_model(model: str | Path) -> tuple[ModelFile, dict[str, Any]]:
     """A URDF or MJCF file, compiled, to be looked at, and the keys of a problem file without which it is refused.
 
     Raises:
         ModelError: It cannot be read, or MuJoCo refuses it.
     """
     if not is_urdf(model):
-        return opened(model, stored=False), {}
+        return open_model_file(model, stored=False), {}
     try:
-        return opened(*as_mjcf(model), stored=False), {}
+        return open_model_file(*as_mjcf(model), stored=False), {}
     except ModelError as refusal:
         with suppress(ModelError):
-            return opened(*as_mjcf(model, inertia="nearest"), stored=False), {"inertia": "nearest"}
+            return open_model_file(*as_mjcf(model, inertia="nearest"), stored=False), {"inertia": "nearest"}
         raise refusal

@@ -25,7 +25,7 @@ _GREY = (0.6, 0.6, 0.62, 1.0)
 
 
 @dataclass
-class Shapes:
+class GeomWriter:
     """The geoms of a model that is being written."""
 
     root: Element

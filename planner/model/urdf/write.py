@@ -20,7 +20,7 @@ from planner.model.mjcf.text import written
 from planner.model.urdf.masses import inertials, without_idle
 from planner.model.urdf.packages import Packages
 from planner.model.urdf.robot import SCALAR, Inertial, Joint, Pose, Robot
-from planner.model.urdf.shapes import Shapes, placed
+from planner.model.urdf.shapes import GeomWriter, placed
 
 _FAR = 1e10
 """rad or m, the end of a range that has only the other one."""
@@ -43,7 +43,7 @@ def mjcf_of(
     bodies_of, replaced = inertials(robot, joints, anchored, name, nearest=nearest)
     root = Element("mujoco", {"model": robot.name})
     SubElement(root, "compiler", {"angle": "radian", "eulerseq": "XYZ", "inertiafromgeom": "false"})
-    world, shapes = SubElement(root, "worldbody"), Shapes(root, packages)
+    world, shapes = SubElement(root, "worldbody"), GeomWriter(root, packages)
     if floor:
         attributes = {"name": "floor", "type": "plane", "size": "0 0 0.05", "rgba": "0.8 0.8 0.8 1"}
         SubElement(world, "geom", attributes)

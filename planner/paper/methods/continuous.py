@@ -11,7 +11,7 @@ import numpy as np
 
 from planner.base.errors import PlannerError
 from planner.paper.methods.adjoint import Partials
-from planner.paper.methods.rates import Rates
+from planner.paper.methods.rates import ContinuousDynamics
 from planner.problem.costs.tracking import TrackingCost
 from planner.problem.problem import Problem
 
@@ -34,7 +34,7 @@ class ContinuousProblem:
             if np.ptp(values, axis=0).max(initial=0.0) > 0.0:
                 raise PlannerError(f"{name} changes on the way, expected the same at every stage.")
         dt = problem.dynamics.dt
-        self.f = Rates(problem.dynamics)
+        self.f = ContinuousDynamics(problem.dynamics)
         self.nz, self.inputs = self.f.nx, self.f.nu
         self.x0, self.duration = problem.x0, problem.duration
         self.Q, self.R = cost.Q[0] / dt, cost.R[0] / dt  # (nx, nx), (nu, nu) weights on the way, per second

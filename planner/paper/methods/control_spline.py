@@ -13,13 +13,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from planner.base.arguments import choice, count, shown
+from planner.base.arguments import choice, count, short_repr
 from planner.base.errors import PlannerError
 from planner.paper.methods.adjoint import AdjointCost, Integration
 from planner.paper.methods.continuous import ContinuousProblem
 from planner.paper.methods.splines import DEGREE, SplineDescent, SplineSpace, bfgs, curve
 from planner.problem.problem import Problem
-from planner.solvers.engine import borrow, give_back
+from planner.solvers.engine import acquire_engine, release_engine
 from planner.solvers.lq import gradient as discrete_gradient
 
 if TYPE_CHECKING:
@@ -45,13 +45,13 @@ class SplineCost:
     """J of a Problem and its exact gradient as functions of amplitudes P (n, nu), all in a row."""
 
     def __init__(self, problem: Problem, basis: BSpline) -> None:
-        self._problem, self._engine = problem, borrow(problem)
+        self._problem, self._engine = problem, acquire_engine(problem)
         self.b = basis(problem.dynamics.dt * (np.arange(problem.N) + 0.5))  # (N, n), in the middle of each stage
 
     def __call__(self, free: np.ndarray) -> tuple[float, np.ndarray]:
         """J and its gradient."""
         us = self.b @ free.reshape(self.b.shape[1], -1)
-        J = self._engine.start(self._problem.x0, us)
+        J = self._engine.start_from_controls(self._problem.x0, us)
         if not np.isfinite(J):
             return np.inf, np.zeros_like(free)
         xs, us = self._engine.trajectory()
@@ -60,7 +60,7 @@ class SplineCost:
 
     def close(self) -> None:
         """Hand the engine back."""
-        give_back(self._problem, self._engine)
+        release_engine(self._problem, self._engine)
 
 
 def solve_by_splines(
@@ -86,7 +86,7 @@ def solve_by_splines(
             ContinuousProblem).
     """
     if not isinstance(problem, Problem):
-        raise PlannerError(f"problem is {shown(problem)}, expected a Problem.")
+        raise PlannerError(f"problem is {short_repr(problem)}, expected a Problem.")
     degree = count("degree", degree, most=9)
     coefficients = count("coefficients", coefficients, least=degree + 1, most=1000 + degree)
     basis = SplineSpace(coefficients - degree, degree).basis(problem.duration)

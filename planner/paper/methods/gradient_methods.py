@@ -18,13 +18,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from planner.base.arguments import choice, count, number, shown
+from planner.base.arguments import choice, count, number, short_repr
 from planner.base.errors import PlannerError
-from planner.kernels.lq.search import SUFFICIENT
+from planner.kernels.lq.search import ARMIJO_C1
 from planner.kernels.lq.workspace import INDEFINITE
 from planner.problem.plan import Status
 from planner.problem.problem import Problem
-from planner.solvers.engine import borrow, give_back
+from planner.solvers.engine import acquire_engine, release_engine
 
 METHODS = ("l-bfgs", "steepest-descent")
 
@@ -35,7 +35,7 @@ _STEEP = 4.0
 _MU_LEAST, _MU_MOST, _MU_FACTOR = 1e-6, 1e10, 10.0  # of a sweep, as in solve(); the gradient does not depend on it
 
 
-class Descent(NamedTuple):
+class GradientIteration(NamedTuple):
     """One iteration. Cost and gradient are those after it."""
 
     iteration: int  # counted from 0, the first guess
@@ -72,7 +72,7 @@ class Descended:
     cost: float
     gradient_norm: float
     status: Status
-    history: tuple[Descent, ...]
+    history: tuple[GradientIteration, ...]
     evaluations: int
 
     @property
@@ -99,13 +99,13 @@ def cost_and_gradient(problem: Problem, us: np.ndarray) -> tuple[float, np.ndarr
     objective = _Objective(problem)
     cost = objective.cost(us)
     gradient = objective.gradient() if math.isfinite(cost) else np.zeros_like(us)
-    give_back(problem, objective.engine)
+    release_engine(problem, objective.engine)
     return cost, gradient
 
 
 def minimize_by_gradient(
     problem: Problem, method: str = "l-bfgs", *, max_iterations: int = 1000, gradient_tolerance: float = 1e-6,
-    callback: Callable[[Descent], object] | None = None,
+    callback: Callable[[GradientIteration], object] | None = None,
 ) -> Descended:  # fmt: skip
     """Optimize a motion by its gradient alone, from the problem's first guess.
 
@@ -123,12 +123,12 @@ def minimize_by_gradient(
         PlannerError: An argument that is none of the choices or out of range.
     """
     if not isinstance(problem, Problem):
-        raise PlannerError(f"problem is {shown(problem)}, expected a Problem.")
+        raise PlannerError(f"problem is {short_repr(problem)}, expected a Problem.")
     search = _METHODS[choice("method", method, METHODS)]
     count("max_iterations", max_iterations)
     number("gradient_tolerance", gradient_tolerance, least=0.0)
     if callback is not None and not callable(callback):
-        raise PlannerError(f"callback is {shown(callback)}, expected a function of one line of progress.")
+        raise PlannerError(f"callback is {short_repr(callback)}, expected a function of one line of progress.")
     walk = _Walk(_Objective(problem), problem.first_guess, gradient_tolerance, callback)
     try:
         status = walk.begin() or search(walk, max_iterations)
@@ -136,7 +136,7 @@ def minimize_by_gradient(
         status = Status.INTERRUPTED
     walk.objective.cost(walk.us)
     xs, us = walk.objective.engine.trajectory()
-    give_back(problem, walk.objective.engine)
+    release_engine(problem, walk.objective.engine)
     last = walk.history[-1]
     return Descended(
         method, xs, us, last.cost, last.gradient_norm, status, tuple(walk.history), walk.objective.evaluations
@@ -147,12 +147,12 @@ class _Objective:
     """J and its gradient on an engine of its own, to be given back."""
 
     def __init__(self, problem: Problem) -> None:
-        self._x0, self.engine, self.evaluations = problem.x0, borrow(problem), 0
+        self._x0, self.engine, self.evaluations = problem.x0, acquire_engine(problem), 0
 
     def cost(self, us: np.ndarray) -> float:
         """J of controls (N, nu): one rollout."""
         self.evaluations += 1
-        return self.engine.start(self._x0, us)
+        return self.engine.start_from_controls(self._x0, us)
 
     def gradient(self) -> np.ndarray:
         """The gradient (N, nu) where cost() was asked last; of a sweep, only the costate is wanted."""
@@ -166,9 +166,9 @@ class _Walk:
     """Where a search is, and its history."""
 
     def __init__(
-        self, objective: _Objective, us: np.ndarray, tolerance: float, callback: Callable[[Descent], object] | None
+        self, objective: _Objective, us: np.ndarray, tolerance: float, callback: Callable[[GradientIteration], object] | None
     ) -> None:
-        self.objective, self.us, self.history = objective, us.copy(), list[Descent]()
+        self.objective, self.us, self.history = objective, us.copy(), list[GradientIteration]()
         self.cost = self.norm = math.nan
         self.gradient = np.zeros_like(us)
         self._tolerance, self._callback, self._began = tolerance, callback, time.perf_counter()
@@ -186,7 +186,7 @@ class _Walk:
         self.us, self.cost, self.gradient = us, cost, gradient
         self.norm = float(np.linalg.norm(gradient))
         seconds = time.perf_counter() - self._began
-        self.history.append(Descent(len(self.history), cost, self.norm, self.objective.evaluations, seconds))
+        self.history.append(GradientIteration(len(self.history), cost, self.norm, self.objective.evaluations, seconds))
         try:
             if self._callback is not None:
                 self._callback(self.history[-1])
@@ -204,7 +204,7 @@ def _steepest_descent(walk: _Walk, limit: int) -> Status:
         while True:
             us = walk.us - trial * walk.gradient
             cost = walk.objective.cost(us)
-            if -math.inf < cost <= walk.cost - SUFFICIENT * trial * walk.norm**2 and cost < walk.cost:  # Armijo
+            if -math.inf < cost <= walk.cost - ARMIJO_C1 * trial * walk.norm**2 and cost < walk.cost:  # Armijo
                 break
             trial *= 0.5
             if trial < shortest:

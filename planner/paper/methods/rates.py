@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from planner.base.arguments import shown
+from planner.base.arguments import short_repr
 from planner.base.errors import PlannerError
 from planner.dynamics import Dynamics, RigidBodyDynamics
 from planner.kernels.integrators import EULER
@@ -21,7 +21,7 @@ from planner.kernels.tree.model import Model
 from planner.model.space import space_of
 
 
-class Rates:
+class ContinuousDynamics:
     """f of Eq. 1 and its partial derivatives, of dynamics of any integrator and stage whose states are plain vectors.
 
     Raises:
@@ -37,7 +37,7 @@ class Rates:
         else:
             remake = getattr(dynamics, "with_step", None)
             if remake is None:
-                raise PlannerError(f"dynamics is {shown(dynamics)}, expected a machine with rates dx/dt = f(x, u).")
+                raise PlannerError(f"dynamics is {short_repr(dynamics)}, expected a machine with rates dx/dt = f(x, u).")
             self._own = _Stepped(remake(1.0, "euler"))
 
     def __call__(self, x: np.ndarray, u: np.ndarray) -> np.ndarray:

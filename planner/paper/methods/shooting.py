@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from planner.base.arguments import array, choice, count, number, shown
+from planner.base.arguments import array, choice, count, number, short_repr
 from planner.base.errors import PlannerError
 from planner.paper.methods.continuous import ContinuousProblem
 from planner.problem.problem import Problem
@@ -69,7 +69,7 @@ class HamiltonianFlow:
 
     def __init__(self, problem: Problem, tolerance: float = 1e-8) -> None:
         if not isinstance(problem, Problem):
-            raise PlannerError(f"problem is {shown(problem)}, expected a Problem.")
+            raise PlannerError(f"problem is {short_repr(problem)}, expected a Problem.")
         self.system = ContinuousProblem(problem)
         self._tolerance = number("tolerance", tolerance, least=3e-14, most=0.1)
         self._inverse = np.linalg.inv(self.system.R)

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from planner.base.arguments import array, count, number, shown
+from planner.base.arguments import array, count, number, short_repr
 from planner.base.errors import PlannerError
 from planner.dynamics.algorithms import rnea, rnea_derivatives
 from planner.model.mechanism import SCREW, Mechanism
@@ -56,7 +56,7 @@ class Boundary:
             PlannerError: A wrong shape, a duration out of range, or a joint that is neither hinge nor slide.
         """
         if not isinstance(mechanism, Mechanism):
-            raise PlannerError(f"mechanism is {shown(mechanism)}, expected a Mechanism.")
+            raise PlannerError(f"mechanism is {short_repr(mechanism)}, expected a Mechanism.")
         if np.any(mechanism.kind != SCREW):
             raise PlannerError("the mechanism has a ball or free joint, expected hinges and slides alone.")
         number("duration", self.duration, above=0.0)

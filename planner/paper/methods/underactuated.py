@@ -16,7 +16,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from planner.base.arguments import array, number, shown
+from planner.base.arguments import array, number, short_repr
 from planner.base.errors import PlannerError
 from planner.kernels.integrators import EULER
 from planner.kernels.numba.jit import announce
@@ -76,7 +76,7 @@ class DrivenSystem:
     ) -> None:
         self.start, self.goal = boundary.ends(mechanism)
         if not isinstance(driven, (str, Collection)):
-            raise PlannerError(f"driven is {shown(driven)}, expected names of joints.")
+            raise PlannerError(f"driven is {short_repr(driven)}, expected names of joints.")
         mask = np.zeros(mechanism.nv, dtype=bool)
         for name in (driven,) if isinstance(driven, str) else driven:
             mask[mechanism.joint(name)] = True

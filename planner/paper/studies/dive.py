@@ -18,7 +18,7 @@ from planner.dynamics import RigidBodyDynamics
 from planner.dynamics.momentum import angular_momentum
 from planner.paper.studies.records import plan_record, table
 from planner.paper.studies.study import Row, Study, timed
-from planner.problem.guess import rolled
+from planner.problem.guess import rollout_states
 from planner.problem.plan import Plan
 from planner.proof.replays.replaying import replay
 from planner.solvers.slq import solve
@@ -97,7 +97,7 @@ def _by_step(plan: Plan, integrator: str) -> dict[str, list[float]]:
     mechanism, whole, drifts = _mechanism(plan), plan.t[1], []
     for parts in PARTS:
         dynamics = RigidBodyDynamics(mechanism, whole / parts, integrator)
-        xs = rolled(dynamics, plan.xs[0], np.repeat(plan.us[: plan.N // 2], parts, axis=0))
+        xs = rollout_states(dynamics, plan.xs[0], np.repeat(plan.us[: plan.N // 2], parts, axis=0))
         drifts.append(momentum_drift(mechanism, xs))
     orders = np.log2(np.array(drifts[:-1]) / drifts[1:])
     return {"dt": [whole / parts for parts in PARTS], "change": drifts, "orders": orders.tolist()}

@@ -24,7 +24,7 @@ from planner.paper.studies.gradient_errors import draw_errors, errors_at, errors
 from planner.paper.studies.records import descent_record, plan_record, table
 from planner.paper.studies.study import Row, Study, timed
 from planner.problem.problem import Problem
-from planner.solvers.engine import borrow, give_back
+from planner.solvers.engine import acquire_engine, release_engine
 from planner.solvers.lq import gradient
 from planner.solvers.slq import solve
 from planner.view.plots.style import INK, dress, panels_of, save
@@ -70,15 +70,15 @@ def _descent(tolerance: float, iterations: int, first: np.ndarray | None = None)
 
 def discrete_error(problem: Problem, us: np.ndarray) -> dict[str, float]:
     """The costate gradient at controls us (N, nu) against differences of J along it, by Ridders' method."""
-    engine = borrow(problem)
-    J = engine.start(problem.x0, us)
+    engine = acquire_engine(problem)
+    J = engine.start_from_controls(problem.x0, us)
     xs, _ = engine.trajectory()
     A, B = problem.dynamics.linearize(xs, us)
     by_u = gradient(A, B, problem.cost.quadratize(xs, us))
     size = float(np.linalg.norm(by_u))
 
     def slope(h: float) -> float:
-        ends = [engine.start(problem.x0, us + side * h * by_u / size) for side in (1.0, -1.0)]
+        ends = [engine.start_from_controls(problem.x0, us + side * h * by_u / size) for side in (1.0, -1.0)]
         return (ends[0] - ends[1]) / (2.0 * h)
 
     best, least, row = np.inf, np.inf, [slope(_WIDEST)]
@@ -89,7 +89,7 @@ def discrete_error(problem: Problem, us: np.ndarray) -> dict[str, float]:
             doubt = max(abs(row[-1] - row[-2]), abs(row[-1] - before))
             if doubt < least:
                 best, least = row[-1], doubt
-    give_back(problem, engine)
+    release_engine(problem, engine)
     return {"cost": J, "gradient_norm": size, "relative_error": abs(best - size) / size}
 
 

@@ -23,7 +23,7 @@ from planner.model.mjcf.text import edited, written
 from planner.paper.methods.splines import Boundary, SplineMotion, minimize_effort
 from planner.paper.studies.records import plan_record, row_of, table
 from planner.paper.studies.study import Row, Study, timed
-from planner.problem.guess import follow, quintic
+from planner.problem.guess import inverse_dynamics_controls, quintic
 from planner.problem.problem import Problem
 from planner.solvers.slq import solve
 from planner.view.plots.style import HUES, INK, dress, panels_of, save
@@ -119,7 +119,7 @@ def slq_effort(arm: Arm, starts: int) -> dict[str, Any]:
     """SLQ with the cost of Eq. 5 on the same arm from the same first guess."""
     N = round(100 * DURATION)
     dynamics = RigidBodyDynamics(arm_mechanism(arm), DURATION / N)
-    us = follow(dynamics.mechanism, *quintic(np.zeros(2), UPRIGHT, DURATION, N))
+    us = inverse_dynamics_controls(dynamics.mechanism, *quintic(np.zeros(2), UPRIGHT, DURATION, N))
     plan = solve(Problem(dynamics, arm_cost(dynamics, N, 200.0, 200.0, 1.0), np.zeros(4), us), starts=starts)
     return {"effort": 0.5 * dynamics.dt * float(np.sum(plan.us**2)), **plan_record(plan)}
 

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from planner.base.errors import PlannerError
-from planner.base.executors import in_turn
+from planner.base.executors import ordered_map
 from planner.paper.studies.records import row_of
 from planner.paper.studies.study import Row, Study
 
@@ -49,7 +49,7 @@ def run_studies(
     `note` is called with a line for each study that is done.
     """
     done: dict[str, Finished] = {}
-    for one in in_turn(executor, run_study, sorted(studies, key=lambda study: -study.seconds)):
+    for one in ordered_map(executor, run_study, sorted(studies, key=lambda study: -study.seconds)):
         for name, content in one.pictures.items():
             (pictures / name).write_bytes(content)
         done[one.study.name] = one

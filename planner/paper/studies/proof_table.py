@@ -12,7 +12,7 @@ import numpy as np
 
 from planner import cases
 from planner.base.errors import PlannerError
-from planner.base.measured import Measured
+from planner.base.measured import Measurement
 from planner.dynamics import RigidBodyDynamics
 from planner.model.mechanism import Mechanism
 from planner.model.mjcf.text import edited
@@ -23,7 +23,7 @@ from planner.problem.plan import Plan
 from planner.problem.problem import Problem
 from planner.proof import Proof, prove
 from planner.proof.robustness.rollouts import MODES
-from planner.proof.robustness.success_rate import Rate
+from planner.proof.robustness.success_rate import SuccessRate
 from planner.proof.scales import ranges_of_motion
 from planner.solvers.slq import solve
 
@@ -35,7 +35,7 @@ HEADS = (
 
 
 @dataclass(frozen=True)
-class Exhibit:
+class ProofExample:
     """One row: a problem, and edits of the model before the proof."""
 
     name: str  # in the table
@@ -75,17 +75,17 @@ def _reach(dynamics: RigidBodyDynamics, x0: np.ndarray, goal: np.ndarray, second
 
 
 EXHIBITS = (
-    Exhibit("hopper", cases.hopper),
-    Exhibit("two-link", cases.two_link),
-    Exhibit("acrobot", cases.acrobot),
-    Exhibit("acrobot, from hanging", lambda: cases.acrobot(start="hanging")),
-    Exhibit("cart and pole of dm-control, 3 s", lambda: _cart_pole(3.0)),
-    Exhibit("double pendulum on a cart of Gymnasium", _double_pendulum),
-    Exhibit("cart and pole in 2 s: beyond its ctrlrange", lambda: _cart_pole(2.0)),
-    Exhibit("the paper's hopper: 50 steps of Euler", lambda: cases.hopper(integrator="euler", horizon=50)),
-    Exhibit("acrobot, semi-implicit Euler at 0.02 s",
+    ProofExample("hopper", cases.hopper),
+    ProofExample("two-link", cases.two_link),
+    ProofExample("acrobot", cases.acrobot),
+    ProofExample("acrobot, from hanging", lambda: cases.acrobot(start="hanging")),
+    ProofExample("cart and pole of dm-control, 3 s", lambda: _cart_pole(3.0)),
+    ProofExample("double pendulum on a cart of Gymnasium", _double_pendulum),
+    ProofExample("cart and pole in 2 s: beyond its ctrlrange", lambda: _cart_pole(2.0)),
+    ProofExample("the paper's hopper: 50 steps of Euler", lambda: cases.hopper(integrator="euler", horizon=50)),
+    ProofExample("acrobot, semi-implicit Euler at 0.02 s",
             lambda: cases.acrobot(integrator="semi-implicit-euler", horizon=150)),
-    Exhibit("two-link, forearm 1 % heavier than planned", cases.two_link,
+    ProofExample("two-link, forearm 1 % heavier than planned", cases.two_link,
             faults={".//body[@name='forearm']/inertial": {"mass": "0.505"}}),
 )  # fmt: skip
 
@@ -110,7 +110,7 @@ def proofs(
     return rows
 
 
-def _faulty(plan: Plan, exhibit: Exhibit) -> Twin | None:
+def _faulty(plan: Plan, exhibit: ProofExample) -> Twin | None:
     """The plan's twin with the exhibit's faults, None for the plan's own."""
     if exhibit.faults is None or plan.twin is None:
         return None
@@ -136,7 +136,7 @@ def _cells(proof: Proof) -> list[str]:
     ]
 
 
-def _of_bounds(measured: Iterable[Measured]) -> str:
+def _of_bounds(measured: Iterable[Measurement]) -> str:
     """The largest share of its bound that a measured value takes."""
     shares = [one.value / one.bound for one in measured if one.bound]
     return f"{_percent(max(shares))} of its tolerance" if shares else "not judged"
@@ -154,7 +154,7 @@ def _margin(margin: float) -> str:
     return f"{100.0 * margin:g} %" if np.isfinite(margin) else "no time"
 
 
-def _rate(rate: Rate | None) -> str:
+def _rate(rate: SuccessRate | None) -> str:
     if rate is None:
         return ""
     low, high = rate.interval

@@ -23,7 +23,7 @@ from planner.paper.studies.many_starts import LAST, LIMIT, SAME, TOLERANCE, from
 from planner.paper.studies.records import table
 from planner.paper.studies.study import Row, Study
 from planner.paper.studies.table_1 import random_lq, swept
-from planner.paper.studies.watched import Sweep, watched
+from planner.paper.studies.watched import RecordedSweep, record_solve
 from planner.problem.costs.terms import Quadratic
 from planner.problem.problem import Problem
 from planner.solvers import lq
@@ -79,7 +79,7 @@ def theorem_results(
     return {"random": random_identity(problems), "problems": problems, "starts": starts, "cases": found}
 
 
-def identity_errors(A: np.ndarray, B: np.ndarray, model: Quadratic, step: Sweep) -> tuple[float, float, float]:
+def identity_errors(A: np.ndarray, B: np.ndarray, model: Quadratic, step: RecordedSweep) -> tuple[float, float, float]:
     """Eq. 42 for one LQ problem: its right side, and the relative errors of grad . dU and of the sweep's slope.
 
     The step is the sweep's result for A (N, ndx, ndx), B (N, ndx, nu); its regularisation counts as part of R.
@@ -102,14 +102,14 @@ def random_identity(problems: int, seed: int = 0) -> dict[str, Any]:
         A, B, model = random_lq(rng)
         sweep = swept(A, B, model)
         empty = np.empty((0, 0))
-        step = Sweep(empty, empty, lq.gradient(A, B, model), sweep.K, sweep.k, sweep.slope, 0.0)
+        step = RecordedSweep(empty, empty, lq.gradient(A, B, model), sweep.K, sweep.k, sweep.slope, 0.0)
         errors.append(identity_errors(A, B, model, step))
     return _summary(errors)
 
 
 def _along(problem: Problem) -> dict[str, Any]:
     """Eq. 42 at every iterate that took a step, of a solve from the problem's own first guess."""
-    plan, steps = watched(problem)
+    plan, steps = record_solve(problem)
     errors = []
     for step in steps:
         A, B = problem.dynamics.linearize(step.xs, step.us)

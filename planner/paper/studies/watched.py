@@ -15,7 +15,7 @@ from planner.problem.problem import Problem
 from planner.solvers.slq import solve
 
 
-class Sweep(NamedTuple):
+class RecordedSweep(NamedTuple):
     """Result of the compiled sweep for one trajectory."""
 
     xs: np.ndarray  # (N+1, nx)
@@ -38,17 +38,17 @@ class _Watched:
             setattr(self, name, getattr(dynamics, name))
         self.space = space_of(dynamics)
         self._dynamics = dynamics
-        self.seen: list[Sweep] = []
+        self.seen: list[RecordedSweep] = []
 
     def search(self, w: Any, memory: Any, rule: int, feedback: bool, cost: float, slope: float) -> tuple[float, float]:
         """Line search from w.xs, w.us; see CompiledDynamics.search."""
         if np.isfinite(cost):  # which is not so where the first guess is rolled out
             K = w.K[:, :, w.first : w.first + w.ndx].copy()
-            self.seen.append(Sweep(w.xs.copy(), w.us.copy(), w.gradient.copy(), K, w.k.copy(), slope, 0.0))
+            self.seen.append(RecordedSweep(w.xs.copy(), w.us.copy(), w.gradient.copy(), K, w.k.copy(), slope, 0.0))
         return self._dynamics.search(w, memory, rule, feedback, cost, slope)
 
 
-def watched(problem: Problem, **options: Any) -> tuple[Plan, list[Sweep]]:
+def record_solve(problem: Problem, **options: Any) -> tuple[Plan, list[RecordedSweep]]:
     """Solve with options of solve(), and return with the plan the LQ problem of every step that was taken.
 
     The problem has compiled dynamics and a cost whose R + B'PB is positive definite throughout.

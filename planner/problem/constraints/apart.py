@@ -13,9 +13,9 @@ import numpy as np
 
 from planner.base.arguments import number, set_fields
 from planner.dynamics import Dynamics
-from planner.dynamics.clearances import Clearances, lowest
-from planner.model.mjcf.near_pairs import NearPair
-from planner.problem.constraints.of_terms import ResidualMeasure, machine_of
+from planner.dynamics.clearances import SignedDistances, distance_lower_bound
+from planner.model.mjcf.near_pairs import CollisionPair
+from planner.problem.constraints.of_terms import ResidualFunction, machine_of
 from planner.problem.costs.penalty_terms import Clearance
 from planner.problem.costs.residuals.of_penalties import measures_of
 
@@ -24,7 +24,7 @@ PARTS = 8  # of a stage, at which pairs are looked at between knots
 
 
 @dataclass(frozen=True, eq=False)
-class Apart:
+class PairClearance:
     """Distances of pairs of shapes, m.
 
     Attributes:
@@ -34,7 +34,7 @@ class Apart:
             then stays on the side of an obstacle on which its first guess is.
     """
 
-    pairs: tuple[NearPair, ...]
+    pairs: tuple[CollisionPair, ...]
     more: np.ndarray
     soft: float
     unit = "m"
@@ -58,22 +58,22 @@ class Apart:
         """(P,) of the pairs, short, for pictures."""
         return tuple(pair.names.replace("geom ", "").replace("'", "").replace(" and ", ", ") for pair in self.pairs)
 
-    def measure(self, dynamics: Dynamics, N: int) -> ApartMeasure:
+    def measure(self, dynamics: Dynamics, N: int) -> PairClearanceFunction:
         """Of a machine."""
-        return ApartMeasure(self, dynamics, N)
+        return PairClearanceFunction(self, dynamics, N)
 
 
-class ApartMeasure(ResidualMeasure):
+class PairClearanceFunction(ResidualFunction):
     """The rows of an Apart."""
 
-    def __init__(self, what: Apart, dynamics: Dynamics, N: int) -> None:
+    def __init__(self, what: PairClearance, dynamics: Dynamics, N: int) -> None:
         mechanism = machine_of(dynamics, what)
         terms = [
             Clearance(a=pair.a, b=pair.b, lift=pair.lift, least=least, tolerance=1.0)
             for pair, least in zip(what.pairs, what.least, strict=True)
         ]
         super().__init__(dynamics, what, measures_of(mechanism, N, terms, dynamics.dt))
-        self._clearances = Clearances(mechanism, [pair[:2] for pair in what.pairs])
+        self._clearances = SignedDistances(mechanism, [pair[:2] for pair in what.pairs])
         self.least = what.least
         self._lift = np.array([pair.lift for pair in what.pairs])
         self._known = KNOWN * np.abs(what.least) + what.soft - self._lift
@@ -109,13 +109,13 @@ class ApartMeasure(ResidualMeasure):
         way = self.mechanism.space.difference(states[1:, : self._nx], states[:-1, : self._nx])
         moved = self._clearances.moved(self._q(states[:-1]), way[:, : self.mechanism.nv])
         nearest = np.minimum(values[:-1], values[1:])
-        short = np.maximum(self.least - nearest, -lowest(values, moved))
+        short = np.maximum(self.least - nearest, -distance_lower_bound(values, moved))
         return short.reshape(N, PARTS, -1).max(axis=1)
 
     def _q(self, xs: np.ndarray) -> np.ndarray:
         return xs[:, : self.mechanism.nq]
 
 
-def apart_of(constraints: Sequence[object]) -> Apart | None:
+def pair_clearance_of(constraints: Sequence[object]) -> PairClearance | None:
     """The pairs that constraints keep apart; None for none."""
-    return next((one.of for one in constraints if isinstance(getattr(one, "of", None), Apart)), None)  # type: ignore[attr-defined]
+    return next((one.of for one in constraints if isinstance(getattr(one, "of", None), PairClearance)), None)  # type: ignore[attr-defined]

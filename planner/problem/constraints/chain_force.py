@@ -10,7 +10,7 @@ from planner.base.arguments import choice
 from planner.base.errors import PlannerError
 from planner.dynamics import Dynamics, RigidBodyDynamics, constraint_forces
 from planner.problem.constraints.constraint import Constraint
-from planner.problem.constraints.measures import FunctionMeasure
+from planner.problem.constraints.measures import UserFunction
 from planner.problem.constraints.of_terms import machine_of
 
 
@@ -28,7 +28,7 @@ class ChainForce:
     def __str__(self) -> str:
         return f"force of {self.equality}"
 
-    def measure(self, dynamics: Dynamics, N: int) -> FunctionMeasure:
+    def measure(self, dynamics: Dynamics, N: int) -> UserFunction:
         """Of a machine.
 
         Raises:
@@ -45,4 +45,4 @@ class ChainForce:
         def force(xs: np.ndarray, us: np.ndarray) -> np.ndarray:
             return np.linalg.norm(constraint_forces(dynamics, xs, us)[:, first : first + 3], axis=1)
 
-        return FunctionMeasure(Constraint(force, most=0.0), dynamics, mechanism.home, np.zeros(dynamics.nu))
+        return UserFunction(Constraint(force, most=0.0), dynamics, mechanism.home, np.zeros(dynamics.nu))

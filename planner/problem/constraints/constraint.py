@@ -21,7 +21,7 @@ from typing import Any
 
 import numpy as np
 
-from planner.base.arguments import number, numbers, set_fields, shown
+from planner.base.arguments import number, numbers, set_fields, short_repr
 from planner.base.errors import PlannerError
 from planner.problem.costs.penalty_terms import Penalty, Velocity
 from planner.problem.costs.terms import per_stage
@@ -68,12 +68,12 @@ class Constraint:
         term, quantity = isinstance(self.of, Penalty), hasattr(self.of, "measure")
         if not (term or quantity or callable(self.of)):
             raise PlannerError(
-                f"a constraint is of {shown(self.of)}, expected a term of planner.costs or planner.constraints, or a "
+                f"a constraint is of {short_repr(self.of)}, expected a term of planner.costs or planner.constraints, or a "
                 "function h(xs) or h(xs, us)."
             )
         for name in ("name", "unit"):
             if not isinstance(getattr(self, name), str):
-                raise PlannerError(f"a constraint's {name} is {shown(getattr(self, name))}, expected a text.")
+                raise PlannerError(f"a constraint's {name} is {short_repr(getattr(self, name))}, expected a text.")
         own = str(self.of) if term or quantity else getattr(self.of, "__name__", "h")
         set_fields(self, name=self.name or own.replace("<lambda>", "h"))
         unit = ("m/s" if isinstance(self.of, Velocity) else "m") if term else getattr(self.of, "unit", "")
@@ -86,12 +86,12 @@ class Constraint:
         if "equal" in given and len(given) > 1:
             raise PlannerError(f"{self} has equal and {given[1]}, expected equal alone, or least and most.")
         if self.derivatives is not None and (term or quantity or not callable(self.derivatives)):
-            raise PlannerError(f"{self} has derivatives={shown(self.derivatives)}, expected those of a function.")
+            raise PlannerError(f"{self} has derivatives={short_repr(self.derivatives)}, expected those of a function.")
         for name in given:
             bound = numbers(f"{self}'s {name}", getattr(self, name))
             if bound.ndim > 2 or np.isinf(bound).any():
                 raise PlannerError(
-                    f"{self} has {name} = {shown(getattr(self, name))}, expected finite numbers: one, (R,) or "
+                    f"{self} has {name} = {short_repr(getattr(self, name))}, expected finite numbers: one, (R,) or "
                     "(N+1, R), with NaN where it is not asked for."
                 )
             set_fields(self, **{name: bound})
@@ -111,7 +111,7 @@ class Constraint:
             if first <= last:
                 return first, last
         raise PlannerError(
-            f"{self} has when = {shown(self.when)}, expected {ALWAYS!r}, {END!r}, or (from, to) in s, which rise."
+            f"{self} has when = {short_repr(self.when)}, expected {ALWAYS!r}, {END!r}, or (from, to) in s, which rise."
         )
 
     @property

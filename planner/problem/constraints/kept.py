@@ -16,13 +16,13 @@ from copy import copy
 import numpy as np
 
 from planner.dynamics import Dynamics
-from planner.problem.constraints.apart import ApartMeasure
-from planner.problem.constraints.rows import Rows
+from planner.problem.constraints.apart import PairClearanceFunction
+from planner.problem.constraints.rows import ConstraintStack
 from planner.problem.costs.terms import Quadratic
-from planner.problem.state_ranges import Hinges, StateRanges
+from planner.problem.state_ranges import BoundPenalties, StateBounds
 
 
-class Kept:
+class TrajectoryConstraints:
     """Ranges and rows of constraints side by side.
 
     Args:
@@ -36,7 +36,7 @@ class Kept:
         split: How many columns are ranges.
     """
 
-    def __init__(self, ranges: StateRanges | None, rows: Rows | None, tolerance: float) -> None:
+    def __init__(self, ranges: StateBounds | None, rows: ConstraintStack | None, tolerance: float) -> None:
         self.ranges, self.rows, self.tolerance = ranges, rows, tolerance
         parts = [part for part in (ranges, rows) if part is not None]
         self.lower = np.concatenate([part.lower for part in parts], axis=1)
@@ -48,11 +48,11 @@ class Kept:
         """H, the number of columns."""
         return self.lower.shape[1]
 
-    def free(self) -> Hinges:
+    def free(self) -> BoundPenalties:
         """Hinges that weigh nothing."""
-        return Hinges(self.lower.copy(), self.upper.copy(), np.zeros_like(self.lower))
+        return BoundPenalties(self.lower.copy(), self.upper.copy(), np.zeros_like(self.lower))
 
-    def first(self) -> Hinges | None:
+    def first(self) -> BoundPenalties | None:
         """Hinges of the first solve, of what has weights before multipliers are known; None for none."""
         hinges = self.free()
         for measure, columns, scale in self._apart():
@@ -60,14 +60,14 @@ class Kept:
             hinges.weight[:, columns] = np.where(np.isfinite(self.lower[:, columns]), weight, 0.0)
         return hinges if hinges.weight.any() else None
 
-    def _apart(self) -> list[tuple[ApartMeasure, slice, np.ndarray]]:
+    def _apart(self) -> list[tuple[PairClearanceFunction, slice, np.ndarray]]:
         """What keeps shapes apart: its measure, its columns and what these are multiplied by."""
         if self.rows is None:
             return []
         return [
             (part.measure, slice(self.split + part.columns.start, self.split + part.columns.stop),
              self.rows.scale[part.columns])
-            for part in self.rows.parts if isinstance(part.measure, ApartMeasure)
+            for part in self.rows.parts if isinstance(part.measure, PairClearanceFunction)
         ]  # fmt: skip
 
     def short_between(self, dynamics: Dynamics, xs: np.ndarray, us: np.ndarray) -> tuple[np.ndarray, bool]:
@@ -87,19 +87,19 @@ class Kept:
             through |= bool(touched.any())
         return more, through
 
-    def raised(self, more: np.ndarray) -> Kept:
+    def raised(self, more: np.ndarray) -> TrajectoryConstraints:
         """The same with lower bounds (N+1, H) raised."""
         raised = copy(self)
         raised.lower = self.lower + more
         return raised
 
-    def of_ranges(self, hinges: Hinges) -> Hinges:
+    def of_ranges(self, hinges: BoundPenalties) -> BoundPenalties:
         """The columns of ranges."""
-        return hinges if self.rows is None else Hinges(*(part[:, : self.split] for part in hinges))
+        return hinges if self.rows is None else BoundPenalties(*(part[:, : self.split] for part in hinges))
 
-    def of_rows(self, hinges: Hinges) -> Hinges:
+    def of_rows(self, hinges: BoundPenalties) -> BoundPenalties:
         """The columns of constraints."""
-        return Hinges(*(part[:, self.split :] for part in hinges))
+        return BoundPenalties(*(part[:, self.split :] for part in hinges))
 
     def deviations(self, xs: np.ndarray, us: np.ndarray) -> np.ndarray:
         """Returns e (N+1, H) of states xs (N+1, nx) and controls us (N, nu)."""
@@ -115,13 +115,13 @@ class Kept:
         e = self.deviations(xs, us)
         return np.maximum(np.maximum(e - self.upper, self.lower - e), 0.0)
 
-    def value(self, hinges: Hinges, xs: np.ndarray, us: np.ndarray) -> float:
+    def value(self, hinges: BoundPenalties, xs: np.ndarray, us: np.ndarray) -> float:
         """The cost that hinges add."""
         J = 0.0 if self.ranges is None else self.ranges.value(self.of_ranges(hinges), xs)
         return J if self.rows is None else J + self.value_of_rows(self.of_rows(hinges), xs, us)
 
     def added(
-        self, hinges: Hinges, model: Quadratic, xs: np.ndarray, us: np.ndarray, A: np.ndarray, B: np.ndarray
+        self, hinges: BoundPenalties, model: Quadratic, xs: np.ndarray, us: np.ndarray, A: np.ndarray, B: np.ndarray
     ) -> Quadratic:
         """The quadratic model of a cost along xs (N+1, nx), us (N, nu) with that of the hinges; A and B of Eq. 35."""
         if self.ranges is not None:
@@ -140,7 +140,7 @@ class Kept:
         R, r, S = model.R + H[:-1, ndx:, ndx:], model.r + h[:-1, ndx:], H[:-1, ndx:, :ndx]
         return Quadratic(Q, q, R, r, S if model.S is None else model.S + S)
 
-    def value_of_rows(self, hinges: Hinges, xs: np.ndarray, us: np.ndarray) -> float:
+    def value_of_rows(self, hinges: BoundPenalties, xs: np.ndarray, us: np.ndarray) -> float:
         """The cost that hinges of constraints add."""
         assert self.rows is not None
         lower, upper, weight = hinges
@@ -153,7 +153,7 @@ class Kept:
         return 0.5 * float(np.sum(weight * (above**2 + below**2)))
 
     def pull_of_rows(
-        self, hinges: Hinges, xs: np.ndarray, us: np.ndarray, A: np.ndarray, B: np.ndarray
+        self, hinges: BoundPenalties, xs: np.ndarray, us: np.ndarray, A: np.ndarray, B: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """Where rows of constraints pull, and how.
 
@@ -172,7 +172,7 @@ class Kept:
             by_z[last, :, ndx:] = by_u[n[last]]
         return n, by_z, slope[n], curvature[n]
 
-    def _pull(self, hinges: Hinges, xs: np.ndarray, us: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def _pull(self, hinges: BoundPenalties, xs: np.ndarray, us: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """First and second derivatives (N+1, C) of the hinges of constraints by their rows."""
         assert self.rows is not None
         lower, upper, weight = hinges
@@ -182,7 +182,7 @@ class Kept:
         above, below = np.maximum(e - upper, 0.0), np.maximum(lower - e, 0.0)
         return weight * (above - below), weight * ((e >= upper).astype(float) + (e < lower))
 
-    def multipliers(self, hinges: Hinges, xs: np.ndarray, us: np.ndarray) -> tuple[np.ndarray, ...]:
+    def multipliers(self, hinges: BoundPenalties, xs: np.ndarray, us: np.ndarray) -> tuple[np.ndarray, ...]:
         """Of each constraint (N+1, rows): what the cost would fall by if the bound moved out by one unit, J per unit.
 
         Positive at an upper bound, negative at a lower one, and zero where neither holds the motion: with them and

@@ -12,7 +12,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from planner.base.arguments import shown
+from planner.base.arguments import short_repr
 from planner.base.errors import PlannerError
 from planner.dynamics import Dynamics
 from planner.model.space import space_of
@@ -23,7 +23,7 @@ from planner.problem.costs.penalty_terms import Penalty
 _DIFFERENCE = float(np.cbrt(np.finfo(float).eps))  # of a number, and of 1: where rounding and curvature are least
 
 
-class Measure(Protocol):
+class ConstraintFunction(Protocol):
     """R functions of a state, or of a state and a control."""
 
     rows: int
@@ -39,16 +39,16 @@ class Measure(Protocol):
         ...
 
 
-def measure_of(constraint: Constraint, dynamics: Dynamics, N: int, x0: np.ndarray, u0: np.ndarray) -> Measure:
+def measure_of(constraint: Constraint, dynamics: Dynamics, N: int, x0: np.ndarray, u0: np.ndarray) -> ConstraintFunction:
     """What a constraint is of, for N stages; a function is tried at the start x0 (nx,) and first control u0 (nu,)."""
     if isinstance(constraint.of, Penalty):
         return measure_of_term(constraint.of, dynamics, N)
     if hasattr(constraint.of, "measure"):
         return constraint.of.measure(dynamics, N)
-    return FunctionMeasure(constraint, dynamics, x0, u0)
+    return UserFunction(constraint, dynamics, x0, u0)
 
 
-def sides_of(constraint: Constraint, measure: Measure, N: int) -> tuple[np.ndarray, np.ndarray]:
+def sides_of(constraint: Constraint, measure: ConstraintFunction, N: int) -> tuple[np.ndarray, np.ndarray]:
     """Least and most (N+1, R), infinite or NaN where nothing is asked for."""
     given, R = constraint, measure.rows
     if isinstance(given.of, Penalty):
@@ -75,7 +75,7 @@ def _spread(constraint: Constraint, side: np.ndarray, R: int, N: int) -> np.ndar
     return np.array(np.broadcast_to(side, (N + 1, R)))
 
 
-class FunctionMeasure:
+class UserFunction:
     """A function of its maker's."""
 
     def __init__(self, constraint: Constraint, dynamics: Dynamics, x0: np.ndarray, u0: np.ndarray) -> None:
@@ -126,7 +126,7 @@ class FunctionMeasure:
             return by_x, by_u
         found = self._given(xs[:, : self._nx], us) if self.of_controls else (self._given(xs[:, : self._nx]),)
         if not isinstance(found, tuple) or len(found) != 1 + self.of_controls:
-            raise PlannerError(f"{self._constraint}'s derivatives give {shown(found)}, expected those by x and by u.")
+            raise PlannerError(f"{self._constraint}'s derivatives give {short_repr(found)}, expected those by x and by u.")
         for part, into in zip(found, (by_x, by_u), strict=False):
             part = np.asarray(part, dtype=float)
             own = (K, self.rows, part.shape[-1] if part.ndim == 3 and into is by_x else into.shape[2])

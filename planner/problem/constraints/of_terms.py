@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from planner.base.arguments import array, choice, set_fields, shown
+from planner.base.arguments import array, choice, set_fields, short_repr
 from planner.base.errors import PlannerError
 from planner.dynamics import Dynamics
 from planner.kernels.tree.residuals.table import HEIGHT, MASS_CENTRE, ORIENTATION, POSITION, TILT
@@ -29,11 +29,11 @@ from planner.problem.costs.residuals.arrays import ResidualArrays, ResidualList
 from planner.problem.costs.residuals.cost import measured, values_of
 from planner.problem.costs.residuals.frames import tilt_bend
 from planner.problem.costs.residuals.of_penalties import measures_of
-from planner.problem.costs.residuals.seen import Seen
+from planner.problem.costs.residuals.seen import KinematicsCache
 from planner.problem.costs.residuals.turns import rotation_of
 
 
-class ResidualMeasure:
+class ResidualFunction:
     """The rows of one term of ResidualArrays; its bounds and weights are not looked at."""
 
     of_controls = False
@@ -62,15 +62,15 @@ class ResidualMeasure:
         """
         found = np.zeros((len(xs), self._ndx, self._ndx))
         if TILT in self.arrays.kind:
-            bend, across = tilt_bend(Seen(self.mechanism, self.arrays.along(n), xs[:, : self._nx]), 0)
+            bend, across = tilt_bend(KinematicsCache(self.mechanism, self.arrays.along(n), xs[:, : self._nx]), 0)
             nv = across.shape[1]
             found[:, :nv, :nv] = np.einsum("k,ki,kj->kij", np.maximum(bend * pulls[:, 0], 0.0), across, across)
         return found
 
 
-def measure_of_term(term: Penalty, dynamics: Dynamics, N: int) -> ResidualMeasure:
+def measure_of_term(term: Penalty, dynamics: Dynamics, N: int) -> ResidualFunction:
     """Of a Height, Distance, Gap or Velocity."""
-    return ResidualMeasure(dynamics, term, measures_of(machine_of(dynamics, term), N, [term], dynamics.dt))
+    return ResidualFunction(dynamics, term, measures_of(machine_of(dynamics, term), N, [term], dynamics.dt))
 
 
 def machine_of(dynamics: Dynamics, what: Any) -> Mechanism:
@@ -83,18 +83,18 @@ def machine_of(dynamics: Dynamics, what: Any) -> Mechanism:
 
 def _measure(
     what: Any, dynamics: Dynamics, N: int, kind: int, turn: bool = False, own: Any = (), reference: Any = ()
-) -> ResidualMeasure:
+) -> ResidualFunction:
     """Of a frame, whose rotation in its link goes before a term's `own` constants or turns the first three."""
     mechanism, frame = machine_of(dynamics, what), what.frame
     if isinstance(frame, str):
         known = [*mechanism.sites, *filter(None, mechanism.body_names)]
         frame = mechanism.frame(choice("a constraint's frame", frame, known))
     elif not isinstance(frame, Frame):
-        raise PlannerError(f"a constraint's frame is {shown(frame)}, expected a Frame, or a site's or body's name.")
+        raise PlannerError(f"a constraint's frame is {short_repr(frame)}, expected a Frame, or a site's or body's name.")
     terms, R = ResidualList(N), frame.T[:3, :3]
     constant = (*R.ravel(), *own) if turn else (*(R @ own[:3]), *own[3:]) if kind == TILT else own
     terms.add(kind, 4 * [terms.point(frame.link, frame.T[:3, 3])], 0.0, constant=constant, reference=reference)
-    return ResidualMeasure(dynamics, what, terms.arrays())
+    return ResidualFunction(dynamics, what, terms.arrays())
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,7 +112,7 @@ class Place:
     def __str__(self) -> str:
         return f"position of {_name(self.frame)}"
 
-    def measure(self, dynamics: Dynamics, N: int) -> ResidualMeasure:
+    def measure(self, dynamics: Dynamics, N: int) -> ResidualFunction:
         """Of a machine."""
         return _measure(self, dynamics, N, POSITION)
 
@@ -136,7 +136,7 @@ class Along:
     def __str__(self) -> str:
         return f"place of {_name(self.frame)}"
 
-    def measure(self, dynamics: Dynamics, N: int) -> ResidualMeasure:
+    def measure(self, dynamics: Dynamics, N: int) -> ResidualFunction:
         """Of a machine."""
         return _measure(self, dynamics, N, HEIGHT, own=(*self.direction, 0.0))
 
@@ -161,7 +161,7 @@ class Turn:
     def __str__(self) -> str:
         return f"orientation of {_name(self.frame)}"
 
-    def measure(self, dynamics: Dynamics, N: int) -> ResidualMeasure:
+    def measure(self, dynamics: Dynamics, N: int) -> ResidualFunction:
         """Of a machine."""
         wanted = np.tile(rotation_of(self.orientation).reshape(9, 1), N + 1)
         return _measure(self, dynamics, N, ORIENTATION, turn=True, reference=wanted)
@@ -189,7 +189,7 @@ class Tilt:
     def __str__(self) -> str:
         return f"tilt of {_name(self.frame)}"
 
-    def measure(self, dynamics: Dynamics, N: int) -> ResidualMeasure:
+    def measure(self, dynamics: Dynamics, N: int) -> ResidualFunction:
         """Of a machine."""
         return _measure(self, dynamics, N, TILT, own=(*self.axis, *self.direction))
 
@@ -204,11 +204,11 @@ class MassCentre:
     def __str__(self) -> str:
         return "centre of mass"
 
-    def measure(self, dynamics: Dynamics, N: int) -> ResidualMeasure:
+    def measure(self, dynamics: Dynamics, N: int) -> ResidualFunction:
         """Of a machine."""
         terms = ResidualList(N)
         terms.add(MASS_CENTRE, [], 0.0)
-        return ResidualMeasure(dynamics, self, terms.arrays())
+        return ResidualFunction(dynamics, self, terms.arrays())
 
 
 def hinge_terms(arrays: ResidualArrays, sides: np.ndarray, N: int) -> ResidualArrays:

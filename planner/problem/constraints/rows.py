@@ -15,12 +15,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from planner.base.arguments import shown
+from planner.base.arguments import short_repr
 from planner.base.errors import PlannerError
 from planner.dynamics import Dynamics
 from planner.problem.constraints.constraint import Constraint
-from planner.problem.constraints.measures import Measure, measure_of, sides_of
-from planner.problem.constraints.of_terms import ResidualMeasure
+from planner.problem.constraints.measures import ConstraintFunction, measure_of, sides_of
+from planner.problem.constraints.of_terms import ResidualFunction
 
 
 class Violation(NamedTuple):
@@ -31,16 +31,16 @@ class Violation(NamedTuple):
     at: int  # number of the state
 
 
-class Part(NamedTuple):
+class StackEntry(NamedTuple):
     """A constraint and the columns of its rows."""
 
     constraint: Constraint
-    measure: Measure
+    measure: ConstraintFunction
     columns: slice
     at_end: bool  # of stages: of their end, with the control that was held
 
 
-class Rows:
+class ConstraintStack:
     """The rows of constraints along N stages.
 
     Args:
@@ -65,7 +65,7 @@ class Rows:
     def __init__(
         self, constraints: Sequence[Constraint], dynamics: Dynamics, x0: np.ndarray, us: np.ndarray, tolerance: float
     ) -> None:
-        self.N, self.parts, columns = len(us), list[Part](), 0
+        self.N, self.parts, columns = len(us), list[StackEntry](), 0
         least, most, scale, names, of_start = [], [], [], list[str](), []
         for constraint in constraints:
             measure = measure_of(constraint, dynamics, self.N, x0, us[0])
@@ -81,7 +81,7 @@ class Rows:
             if not (np.isfinite(low).any() or np.isfinite(high).any()):
                 raise PlannerError(f"{constraint} asks for nothing at any stage, expected a number at one.")
             for at_end in (False, True)[: 1 + measure.of_controls]:
-                self.parts.append(Part(constraint, measure, slice(columns, columns + measure.rows), at_end))
+                self.parts.append(StackEntry(constraint, measure, slice(columns, columns + measure.rows), at_end))
                 columns += measure.rows
                 least.append(low)
                 most.append(high)
@@ -104,7 +104,7 @@ class Rows:
             value = part.measure.values(x0[None], u0[None], np.zeros(1, dtype=int))[0]
             if not np.isfinite(value).all():
                 raise PlannerError(
-                    f"{part.constraint} is {shown(value.tolist())} at the start, expected finite numbers."
+                    f"{part.constraint} is {short_repr(value.tolist())} at the start, expected finite numbers."
                 )
             scale = self.scale[part.columns]
             low, high = self.least[0, part.columns] / scale, self.most[0, part.columns] / scale
@@ -121,7 +121,7 @@ class Rows:
 
     def _check_each_other(self, dt: float) -> None:
         """Refuse constraints of the same thing whose bounds leave nothing between them."""
-        seen: dict[Any, list[Part]] = {}
+        seen: dict[Any, list[StackEntry]] = {}
         for part in self.parts:
             seen.setdefault((part.measure.same, part.at_end), []).append(part)
         for alike in seen.values():
@@ -141,7 +141,7 @@ class Rows:
         """What the rows are of: a problem's own constraints, and the ranges of tendons."""
         return tuple({id(part.constraint): part.constraint for part in self.parts}.values())
 
-    def only(self, parts: Sequence[Part]) -> tuple[Rows, np.ndarray]:
+    def only(self, parts: Sequence[StackEntry]) -> tuple[ConstraintStack, np.ndarray]:
         """The rows of some of the parts, and which columns of these they are."""
         few, first, columns = copy(self), 0, [np.arange(len(self.scale))[part.columns] for part in parts]
         few.parts = []
@@ -191,7 +191,7 @@ class Rows:
         own = pulls * self.scale
         return sum(
             part.measure.bends(xs[n], n, own[:, part.columns])
-            for part in self.parts if isinstance(part.measure, ResidualMeasure)
+            for part in self.parts if isinstance(part.measure, ResidualFunction)
         )  # fmt: skip
 
     def beyond(self, xs: np.ndarray, us: np.ndarray) -> np.ndarray:

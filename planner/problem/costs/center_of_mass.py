@@ -7,8 +7,8 @@ from typing import Any
 from planner.base.errors import PlannerError
 from planner.kernels.tree.residuals.table import MASS_CENTRE
 from planner.problem.costs.residuals.arrays import ResidualList
-from planner.problem.costs.residuals.cost import Goal, ResidualCost
-from planner.problem.costs.residuals.per_stage import PerStage
+from planner.problem.costs.residuals.cost import GoalRows, ResidualCost
+from planner.problem.costs.residuals.per_stage import StageData
 from planner.problem.costs.tracking import mechanism_and_step
 
 
@@ -35,11 +35,11 @@ class CenterOfMassCost(ResidualCost):
         mechanism, dt = mechanism_and_step(machine, dt)
         if not mechanism.mass.sum() > 0.0:
             raise PlannerError("the mechanism has no mass, expected at least one link that has.")
-        stages = PerStage(dt)
+        stages = StageData(dt)
         asked = stages.asked("position", position, position_weight, final_position_weight, 3)
         if asked is None:
             raise PlannerError("position is None, expected where the centre of mass is to be.")
         measures = ResidualList(stages.horizon)
         measures.add(MASS_CENTRE, [], asked.weight, bound=stages.rows(asked.target).T)
-        goals = [Goal("position of the centre of mass", "m", 0)] if asked.final else []
+        goals = [GoalRows("position of the centre of mass", "m", 0)] if asked.final else []
         super().__init__(mechanism, measures.arrays(), stages.N, goals)

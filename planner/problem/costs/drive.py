@@ -18,10 +18,10 @@ from typing import Any
 
 import numpy as np
 
-from planner.base.arguments import LONGEST_HORIZON, array, count, numbers, shown
+from planner.base.arguments import LONGEST_HORIZON, array, count, numbers, short_repr
 from planner.base.errors import PlannerError
 from planner.dynamics import RigidBodyDynamics
-from planner.model.mjcf.driven import HEAVY, prescribed_dofs, released
+from planner.model.mjcf.driven import PRESCRIBED_ARMATURE, prescribed_dofs, with_force_inputs
 from planner.problem.costs.jerk import Accelerations
 from planner.problem.costs.terms import Quadratic, Term
 
@@ -41,7 +41,7 @@ class DriveCost(Term):
 
     def __init__(self, dynamics: Any, horizon: int, weight: Any, reference: Any = 0.0) -> None:
         if not isinstance(dynamics, RigidBodyDynamics) or not dynamics.prescribed:
-            raise PlannerError(f"the machine is {shown(dynamics)}, expected RigidBodyDynamics with prescribed joints.")
+            raise PlannerError(f"the machine is {short_repr(dynamics)}, expected RigidBodyDynamics with prescribed joints.")
         self.N = count("horizon", horizon, most=LONGEST_HORIZON)
         self.space, self.nu, self.dt = dynamics.space, dynamics.nu, dynamics.dt
         self.nx, self.ndx = dynamics.nx, dynamics.ndx
@@ -53,7 +53,7 @@ class DriveCost(Term):
             raise PlannerError(f"weight of a drive's force is {self.weight.min():g}, expected at least 0.")
         # What acts on a driven joint alone does nothing.
         stops = tuple(stop for stop in m.stops if stop.dof not in self.dofs)
-        with_motors = replace(released(m, dynamics.prescribed), contacts=m.contacts, stops=stops)
+        with_motors = replace(with_force_inputs(m, dynamics.prescribed), contacts=m.contacts, stops=stops)
         self._accelerations = Accelerations(RigidBodyDynamics(with_motors, dynamics.dt, "euler"))
 
     def resampled(self, parts: int, ratio: float) -> DriveCost:
@@ -74,7 +74,7 @@ class DriveCost(Term):
         lacking = us[:, first:] - self._accelerations(xs, controls)[:, self.dofs]
         G = self._accelerations.derivatives(xs, controls)[1][:, self.dofs, first:]
         controls[:, first:] = np.linalg.solve(G, lacking[..., None])[..., 0]
-        return HEAVY * controls[:, first:], controls  # the gear of the motors
+        return PRESCRIBED_ARMATURE * controls[:, first:], controls  # the gear of the motors
 
     def value(self, xs: np.ndarray, us: np.ndarray) -> float:
         """J of a trajectory xs (N+1, nx), us (N, nu)."""
@@ -90,7 +90,7 @@ class DriveCost(Term):
         by_x, by_u = (part[:, self.dofs] for part in self._accelerations.derivatives(xs[:N], controls))
         G, right = by_u[:, :, first:], np.concatenate([-by_x, -by_u], axis=2)
         right[:, :, ndx + first :] = np.eye(len(self.dofs))
-        J = HEAVY * np.linalg.solve(G, right)  # d tau_p / d(x, u)
+        J = PRESCRIBED_ARMATURE * np.linalg.solve(G, right)  # d tau_p / d(x, u)
         weighted = self.dt * self.weight[:, None] * J
         H = np.swapaxes(weighted, 1, 2) @ J
         gradient = np.einsum("naz,na->nz", weighted, forces - self.reference)

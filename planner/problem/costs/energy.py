@@ -22,7 +22,7 @@ from typing import Any
 
 import numpy as np
 
-from planner.base.arguments import number, shown
+from planner.base.arguments import number, short_repr
 from planner.base.errors import PlannerError
 from planner.dynamics import RigidBodyDynamics
 from planner.model.actuators import DIRECT
@@ -53,7 +53,7 @@ class EnergyCost(Term):
     def __init__(self, dynamics: Any, weight: float = 1.0, smoothing: float = SMOOTHING) -> None:
         if not isinstance(dynamics, RigidBodyDynamics):
             expected = "expected RigidBodyDynamics: energy is the work of actuators"
-            raise PlannerError(f"the machine is {shown(dynamics)}, {expected}.")
+            raise PlannerError(f"the machine is {short_repr(dynamics)}, {expected}.")
         if given := dynamics.prescribed or heavy_joints(dynamics.mechanism):
             expected = "expected a machine that its actuators alone move: energy is their work"
             raise PlannerError(f"the acceleration of {', '.join(given)} is prescribed, {expected}.")

@@ -6,13 +6,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from planner.base.arguments import array, numbers, shown
+from planner.base.arguments import array, numbers, short_repr
 from planner.base.errors import PlannerError
 from planner.kernels.tree.residuals.table import ANGULAR, LINEAR, ORIENTATION, POINTING, POSE, POSITION
 from planner.model.mechanism import Frame
 from planner.problem.costs.residuals.arrays import ResidualList
-from planner.problem.costs.residuals.cost import Goal, ResidualCost
-from planner.problem.costs.residuals.per_stage import Asked, PerStage
+from planner.problem.costs.residuals.cost import GoalRows, ResidualCost
+from planner.problem.costs.residuals.per_stage import WeightedTarget, StageData
 from planner.problem.costs.residuals.turns import rotation_of
 from planner.problem.costs.tracking import mechanism_and_step
 
@@ -73,12 +73,12 @@ class FrameCost(ResidualCost):
     ) -> None:  # fmt: skip
         mechanism, dt = mechanism_and_step(machine, dt)
         if not isinstance(frame, (str, Frame)):
-            raise PlannerError(f"frame is {shown(frame)}, expected a Frame or the name of a site or body.")
+            raise PlannerError(f"frame is {short_repr(frame)}, expected a Frame or the name of a site or body.")
         self.frame = mechanism.frame(frame) if isinstance(frame, str) else frame
         name = frame if isinstance(frame, str) else "the frame"
         if all(one is None for one in (position, orientation, pose, pointing, velocity, angular_velocity)):
             raise PlannerError("position and orientation are None, expected a target for the frame.")
-        stages = PerStage(dt)
+        stages = StageData(dt)
         axis, direction = _pointing(pointing)
         given = {
             "position": stages.asked("position", position, position_weight, final_position_weight, 3),
@@ -100,7 +100,7 @@ class FrameCost(ResidualCost):
             measures.add(kind.number, [point], asked.weight, **term)
             if asked.final:
                 number = measures.count - 1
-                goals += [Goal(f"{word} of {name}", unit, number, rows) for word, unit, rows in kind.goals]
+                goals += [GoalRows(f"{word} of {name}", unit, number, rows) for word, unit, rows in kind.goals]
         super().__init__(mechanism, measures.arrays(), stages.N, goals)
 
 
@@ -128,7 +128,7 @@ def _pointing(pointing: Any) -> tuple[np.ndarray, np.ndarray | None]:
         return np.zeros(3), None
     if not isinstance(pointing, (tuple, list)) or len(pointing) != 2:
         raise PlannerError(
-            f"pointing is {shown(pointing)}, expected the frame's own axis and the direction that it is to have, "
+            f"pointing is {short_repr(pointing)}, expected the frame's own axis and the direction that it is to have, "
             "e.g. pointing=([0, 0, 1], [0, 0, -1])."
         )
     axis = array("the axis of pointing", pointing[0], (3,))
@@ -140,7 +140,7 @@ def _pointing(pointing: Any) -> tuple[np.ndarray, np.ndarray | None]:
     return axis / np.linalg.norm(axis), direction / np.linalg.norm(direction, axis=-1, keepdims=True)
 
 
-def _term(kind: int, rotation: np.ndarray, axis: np.ndarray, asked: Asked, stages: PerStage) -> dict[str, Any]:
+def _term(kind: int, rotation: np.ndarray, axis: np.ndarray, asked: WeightedTarget, stages: StageData) -> dict[str, Any]:
     """What ResidualList.add needs of a term beside its weights."""
     target = stages.rows(asked.target)
     if kind not in (ORIENTATION, POSE):

@@ -29,11 +29,11 @@ from xml.etree import ElementTree
 
 import numpy as np
 
-from planner.base.arguments import array, number, shown
+from planner.base.arguments import array, number, short_repr
 from planner.base.errors import PlannerError
 from planner.dynamics import RigidBodyDynamics
 from planner.model.mechanism import Mechanism
-from planner.model.mjcf.driven import driven, heavy_joints, in_order, twin_of
+from planner.model.mjcf.driven import prescribe_joints, heavy_joints, in_order, twin_of
 from planner.model.mjcf.read import read
 from planner.model.mjcf.survey import compile_model
 from planner.model.space import StateSpace
@@ -46,7 +46,7 @@ class Accelerations:
 
     def __init__(self, dynamics: Any) -> None:
         if not isinstance(dynamics, RigidBodyDynamics):
-            raise PlannerError(f"the machine is {shown(dynamics)}, expected RigidBodyDynamics: jerk is that of joints.")
+            raise PlannerError(f"the machine is {short_repr(dynamics)}, expected RigidBodyDynamics: jerk is that of joints.")
         self.dynamics, self.nv = dynamics, dynamics.mechanism.nv
         # After one explicit Euler step of 1 s a velocity is v + qdd: its Jacobian less the identity is that of qdd.
         self._euler = RigidBodyDynamics(dynamics.mechanism, 1.0, "euler", dynamics.prescribed)
@@ -70,7 +70,7 @@ class JerkDynamics:
     def __init__(self, dynamics: RigidBodyDynamics) -> None:
         self.accelerations = Accelerations(dynamics)
         self.own, self.mechanism, self.prescribed = dynamics, dynamics.mechanism, dynamics.prescribed
-        self.space = extended(dynamics.space, self.mechanism.nv)
+        self.space = augmented(dynamics.space, self.mechanism.nv)
         self.nx, self.ndx, self.nu, self.dt = self.space.nx, self.space.ndx, dynamics.nu, dynamics.dt
         self.batched = True
 
@@ -120,9 +120,9 @@ class JerkCost(Term):
         self.counts = np.ones(horizon + 1)  # which changes of acceleration count
         self.counts[0], self.counts[-1] = from_rest, to_rest
 
-    def extended(self, own: StateSpace, space: StateSpace) -> RememberedJerkCost:
+    def extended(self, own: StateSpace, space: StateSpace) -> AugmentedStateJerkCost:
         """The same on states that remember the last acceleration."""
-        return RememberedJerkCost(self, space)
+        return AugmentedStateJerkCost(self, space)
 
     def jerks(self, xs: np.ndarray, us: np.ndarray) -> np.ndarray:
         """(N+1, nv) r_n; zero where none counts."""
@@ -145,7 +145,7 @@ class JerkCost(Term):
         return Quadratic(np.zeros((N + 1, ndx, ndx)), q, self.R, r)
 
 
-class RememberedJerkCost(Term):
+class AugmentedStateJerkCost(Term):
     """A JerkCost on states, of `space`, that remember the last acceleration: one stage each, Gauss-Newton."""
 
     def __init__(self, cost: JerkCost, space: StateSpace) -> None:
@@ -177,7 +177,7 @@ class RememberedJerkCost(Term):
         return Quadratic(weight * (Jt @ J), weight * q, weight * (Jut @ Ju), weight * r, weight * (Jut @ J[:N]))
 
 
-def extended(space: StateSpace, more: int) -> StateSpace:
+def augmented(space: StateSpace, more: int) -> StateSpace:
     """A space with `more` plain numbers at its end."""
     return StateSpace(space.nx + more, space.ndx + more, space.quaternions)
 
@@ -185,7 +185,7 @@ def extended(space: StateSpace, more: int) -> StateSpace:
 def with_acceleration(problem: Problem, **changes: Any) -> Problem:
     """The same problem, of RigidBodyDynamics, with the last acceleration as an added state, 0 at the start."""
     if not isinstance(problem.dynamics, RigidBodyDynamics):
-        raise PlannerError(f"the dynamics are {shown(problem.dynamics)}, expected RigidBodyDynamics for jerk.")
+        raise PlannerError(f"the dynamics are {short_repr(problem.dynamics)}, expected RigidBodyDynamics for jerk.")
     dynamics = JerkDynamics(problem.dynamics)
     x0 = np.concatenate([array("x0", problem.x0, ("nx",)), np.zeros(dynamics.mechanism.nv)])
     return replace(
@@ -215,15 +215,15 @@ def driven_by_jerk(mechanism: Mechanism, joints: Collection[str]) -> Mechanism:
         ModelError: As planner.model.mjcf.driven.twin_of.
     """
     if not isinstance(mechanism, Mechanism) or not mechanism.mjcf:
-        raise PlannerError(f"mechanism is {shown(mechanism)}, expected a Mechanism that was read from an MJCF.")
+        raise PlannerError(f"mechanism is {short_repr(mechanism)}, expected a Mechanism that was read from an MJCF.")
     if isinstance(joints, str) or not isinstance(joints, Collection) or not joints:
-        raise PlannerError(f"joints is {shown(joints)}, expected names of at least one joint.")
+        raise PlannerError(f"joints is {short_repr(joints)}, expected names of at least one joint.")
     twin = twin_of(mechanism, joints)
     machine = read(_integrating(twin.mjcf), assets=twin.assets).with_curves(twin.curves)
     if not mechanism.original:
         return machine
     given = compile_model(mechanism.original, mechanism.assets)
-    original = driven(mechanism.original, mechanism.assets, given, in_order(mechanism, joints))
+    original = prescribe_joints(mechanism.original, mechanism.assets, given, in_order(mechanism, joints))
     return replace(machine, original=_integrating(original))
 
 

@@ -12,10 +12,10 @@ from typing import Any
 
 import numpy as np
 
-from planner.base.arguments import LONGEST_HORIZON, count, shown
+from planner.base.arguments import LONGEST_HORIZON, count, short_repr
 from planner.base.errors import PlannerError
 from planner.kernels.tree.residuals.table import VELOCITY
-from planner.problem.costs.residuals.cost import Goal, ResidualCost
+from planner.problem.costs.residuals.cost import GoalRows, ResidualCost
 from planner.problem.costs.residuals.of_penalties import measures_of
 from planner.problem.costs.tracking import mechanism_and_step
 
@@ -42,14 +42,14 @@ class PenaltyCost(ResidualCost):
         mechanism, dt = mechanism_and_step(machine, dt)
         N = count("horizon", horizon, most=LONGEST_HORIZON)
         if not isinstance(terms, Sequence):
-            raise PlannerError(f"terms is {shown(terms)}, expected a list of Height, Distance, Gap and Velocity.")
+            raise PlannerError(f"terms is {short_repr(terms)}, expected a list of Height, Distance, Gap and Velocity.")
         self.names = tuple(str(term) for term in terms)
         measures = measures_of(mechanism, N, terms, dt)
         units = ["m/s" if kind == VELOCITY else "m" for kind in measures.kind]
         # without a final weight of its own a term only goes on until the end
         asked = [t for t, term in enumerate(terms) if getattr(term, "final_weight", None) is not None]
-        super().__init__(mechanism, measures, N, [Goal(self.names[t], units[t], t) for t in asked])
+        super().__init__(mechanism, measures, N, [GoalRows(self.names[t], units[t], t) for t in asked])
 
     def values(self, xs: np.ndarray) -> np.ndarray:
         """(N+1, T) m or m/s, the values of the terms along xs (N+1, nx), also where they are off."""
-        return self._values(self.measures, xs).T
+        return self._values(self.residual_arrays, xs).T

@@ -19,9 +19,9 @@ from typing import Any
 
 import numpy as np
 
-from planner.base.arguments import array, number, numbers, set_fields, shown
+from planner.base.arguments import array, number, numbers, set_fields, short_repr
 from planner.base.errors import PlannerError
-from planner.model.contact.solids import Solid
+from planner.model.contact.solids import CollisionShape
 from planner.model.mechanism import Frame
 
 WANTED = ("least", "most", "target")
@@ -45,7 +45,7 @@ class Point:
 
     def __post_init__(self) -> None:
         if not (self.frame is None or isinstance(self.frame, (str, Frame))):
-            raise PlannerError(f"frame is {shown(self.frame)}, expected a Frame, the name of a site or body, or None.")
+            raise PlannerError(f"frame is {short_repr(self.frame)}, expected a Frame, the name of a site or body, or None.")
         world = numbers("world", self.world)
         world = array("world", world, ("N+1", 3) if world.ndim == 2 else (3,))
         set_fields(self, offset=array("offset", self.offset, (3,)), share=number("share", self.share), world=world)
@@ -110,7 +110,7 @@ class Penalty:
             raise PlannerError(f"{given[0]} is infinite at a stage, expected finite numbers, or NaN where it is off.")
         weight = _per_stage("weight", self.weight)
         if not (np.isfinite(weight).all() and weight.min(initial=0.0) >= 0.0):
-            raise PlannerError(f"weight is {shown(self.weight)}, expected finite weights of at least 0.")
+            raise PlannerError(f"weight is {short_repr(self.weight)}, expected finite weights of at least 0.")
         if self.final_weight is not None:
             set_fields(self, final_weight=number("final_weight", self.final_weight, least=0.0))
         set_fields(self, tolerance=tolerance, ramp=ramp, weight=weight, **{given[0]: bound})
@@ -183,7 +183,7 @@ class Distance(Penalty):
         super().__post_init__()
         for name in ("a", "b"):
             if not isinstance(getattr(self, name), (Point, Segment)):
-                raise PlannerError(f"{name} is {shown(getattr(self, name))}, expected a Point or a Segment.")
+                raise PlannerError(f"{name} is {short_repr(getattr(self, name))}, expected a Point or a Segment.")
 
     def __str__(self) -> str:
         return f"distance of {self.a} and {self.b}"
@@ -213,15 +213,15 @@ class Clearance(Penalty):
         lift: m, added to the distance: what a fit overstates at the start.
     """
 
-    a: Solid
-    b: Solid
+    a: CollisionShape
+    b: CollisionShape
     lift: float = 0.0
 
     def __post_init__(self) -> None:
         super().__post_init__()
         for name in ("a", "b"):
-            if not isinstance(getattr(self, name), Solid):
-                raise PlannerError(f"{name} is {shown(getattr(self, name))}, expected a Solid.")
+            if not isinstance(getattr(self, name), CollisionShape):
+                raise PlannerError(f"{name} is {short_repr(getattr(self, name))}, expected a Solid.")
         if self.wanted != "least":
             raise PlannerError(f"{self.wanted} is given for a Clearance, expected least: the distance to be kept.")
 
@@ -231,7 +231,7 @@ class Clearance(Penalty):
 
 def _point(name: str, value: Any) -> Point:
     if not isinstance(value, Point):
-        raise PlannerError(f"{name} is {shown(value)}, expected a Point.")
+        raise PlannerError(f"{name} is {short_repr(value)}, expected a Point.")
     return value
 
 

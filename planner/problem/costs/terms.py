@@ -11,7 +11,7 @@ from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
-from planner.base.arguments import shown
+from planner.base.arguments import short_repr
 from planner.base.errors import PlannerError
 from planner.model.space import StateSpace
 
@@ -46,10 +46,10 @@ class Cost(Protocol):
 def check_cost(name: str, value: Any) -> None:
     """Raise a PlannerError unless a value has the two methods of a cost."""
     if not (callable(getattr(value, "value", None)) and callable(getattr(value, "quadratize", None))):
-        raise PlannerError(f"{name} is {shown(value)}, expected a cost with value() and quadratize().")
+        raise PlannerError(f"{name} is {short_repr(value)}, expected a cost with value() and quadratize().")
 
 
-def remade(cost: Any, method: str, *arguments: Any) -> Any:
+def call_if_supported(cost: Any, method: str, *arguments: Any) -> Any:
     """Call `resampled` or `with_effort` of a cost; a PlannerError where it has no such method."""
     if not callable(getattr(cost, method, None)):
         signature = {"resampled": "resampled(parts, ratio)", "with_effort": "with_effort(weight)"}[method]
@@ -65,7 +65,7 @@ def per_stage(rows: np.ndarray, parts: int) -> np.ndarray:
 def extended_cost(cost: Any, own: StateSpace, space: StateSpace) -> Any:
     """A cost of states in `own` as one of states in `space`, which are the same numbers and more behind them."""
     extend = getattr(cost, "extended", None)
-    return PartCost(cost, own.nx, own.ndx, space) if extend is None else extend(own, space)
+    return EmbeddedCost(cost, own.nx, own.ndx, space) if extend is None else extend(own, space)
 
 
 class Term:
@@ -82,7 +82,7 @@ class Term:
 
     def extended(self, own: StateSpace, space: StateSpace) -> Cost:
         """The same cost of the first numbers of a longer state; see extended_cost."""
-        return PartCost(self, own.nx, own.ndx, space)  # type: ignore[arg-type]
+        return EmbeddedCost(self, own.nx, own.ndx, space)  # type: ignore[arg-type]
 
     def __add__(self, other: Cost) -> SumCost:
         return SumCost(self, other)
@@ -122,11 +122,11 @@ class SumCost(Term):
 
     def resampled(self, parts: int, ratio: float) -> SumCost:
         """The sum of the costs over stages divided into parts; see Term."""
-        return SumCost(*(remade(cost, "resampled", parts, ratio) for cost in self.costs))
+        return SumCost(*(call_if_supported(cost, "resampled", parts, ratio) for cost in self.costs))
 
     def with_effort(self, weight: float) -> SumCost:
         """The sum with the weights of the controls multiplied."""
-        return SumCost(*(remade(cost, "with_effort", weight) for cost in self.costs))
+        return SumCost(*(call_if_supported(cost, "with_effort", weight) for cost in self.costs))
 
     def extended(self, own: StateSpace, space: StateSpace) -> SumCost:
         """The sum of the costs of the first numbers of a longer state."""
@@ -151,7 +151,7 @@ class SumCost(Term):
         return Quadratic(Q, q, R, r, np.sum(mixed, axis=0) if mixed else None)
 
 
-class PartCost(Term):
+class EmbeddedCost(Term):
     """A cost of the first nx numbers of an extended state (ndx of its deviation), which lies in `space`."""
 
     def __init__(self, cost: Cost, nx: int, ndx: int, space: StateSpace) -> None:

@@ -8,13 +8,13 @@ from typing import Any
 
 import numpy as np
 
-from planner.base.arguments import LONGEST_HORIZON, array, count, number, numbers, shown
+from planner.base.arguments import LONGEST_HORIZON, array, count, number, numbers, short_repr
 from planner.base.errors import PlannerError
 from planner.model.coordinates import Coordinate
 from planner.model.mechanism import Mechanism
 from planner.model.space import StateSpace, euclidean
 from planner.problem.costs.terms import Cost, Quadratic, Term, per_stage
-from planner.problem.costs.wanted import Wanted
+from planner.problem.costs.wanted import GoalSpec
 from planner.problem.costs.weights import diagonal, matrices, places
 
 
@@ -175,10 +175,10 @@ class TrackingCost(Term):
             )
         return TrackingCost(Q, R, x_ref, u_ref, self.space)
 
-    def wanted(self, coordinates: Sequence[Coordinate]) -> tuple[Wanted, ...]:
+    def wanted(self, coordinates: Sequence[Coordinate]) -> tuple[GoalSpec, ...]:
         """The reference at the end, in every component that the final weight acts on."""
         weighed = np.flatnonzero(np.any(self.Q[-1], axis=0))
-        return tuple(Wanted(*coordinates[i], partial(self._missed, i)) for i in weighed.tolist())
+        return tuple(GoalSpec(*coordinates[i], partial(self._missed, i)) for i in weighed.tolist())
 
     def _missed(self, i: int, xs: np.ndarray) -> np.ndarray:
         return np.abs(self.space.difference(xs, self.x_ref[-1])[..., i])
@@ -231,7 +231,7 @@ def mechanism_and_step(machine: Any, dt: float | None) -> tuple[Mechanism, float
     """The mechanism and the length of a stage of RigidBodyDynamics, or of a Mechanism with dt."""
     mechanism = getattr(machine, "mechanism", machine)
     if not isinstance(mechanism, Mechanism):
-        raise PlannerError(f"the machine is {shown(machine)}, expected RigidBodyDynamics or a Mechanism.")
+        raise PlannerError(f"the machine is {short_repr(machine)}, expected RigidBodyDynamics or a Mechanism.")
     dt = getattr(machine, "dt", None) if dt is None else dt
     if dt is None:
         raise PlannerError("dt is None, expected the length of a stage in s, since a Mechanism has none.")
@@ -240,7 +240,7 @@ def mechanism_and_step(machine: Any, dt: float | None) -> tuple[Mechanism, float
 
 def _space(value: Any) -> StateSpace:
     if not isinstance(value, StateSpace):
-        raise PlannerError(f"space is {shown(value)}, expected a StateSpace, e.g. dynamics.space.")
+        raise PlannerError(f"space is {short_repr(value)}, expected a StateSpace, e.g. dynamics.space.")
     return value
 
 

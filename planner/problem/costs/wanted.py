@@ -7,13 +7,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from planner.base.arguments import number, shown
+from planner.base.arguments import number, short_repr
 from planner.base.errors import PlannerError
 
 SOFT = "soft"  # the word for an infinite tolerance in files, which know no infinity
 
 
-class Wanted(NamedTuple):
+class GoalSpec(NamedTuple):
     """One thing that a term with a final weight asks of the end, or a task at its times.
 
     A term of a cost says it by `wanted(coordinates) -> tuple of Wanted`, with the planner.model.coordinates.Coordinate
@@ -36,7 +36,7 @@ def checked_tolerance(value: Any) -> float | dict[str, float] | None:
     if value is None:
         return None
     if isinstance(value, Mapping):
-        return {str(name): _one(f"the tolerance of {shown(name)}", one) for name, one in value.items()}
+        return {str(name): _one(f"the tolerance of {short_repr(name)}", one) for name, one in value.items()}
     return _one("tolerance", value)
 
 
@@ -54,6 +54,6 @@ def _one(name: str, value: Any) -> float:
         return number(name, value, above=0.0)
     except PlannerError:
         raise PlannerError(
-            f"{name} is {shown(value)}, expected a number above 0, 'soft' for a goal that is not judged, or a table "
+            f"{name} is {short_repr(value)}, expected a number above 0, 'soft' for a goal that is not judged, or a table "
             "such as {position = 0.02, velocity = 0.1}."
         ) from None

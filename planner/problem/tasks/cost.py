@@ -22,11 +22,11 @@ from planner.model.mechanism import Mechanism
 from planner.problem.costs.frame import FrameCost
 from planner.problem.costs.terms import SumCost
 from planner.problem.costs.tracking import TrackingCost
-from planner.problem.costs.wanted import Wanted
+from planner.problem.costs.wanted import GoalSpec
 from planner.problem.default_weights import VELOCITY
 from planner.problem.goals import LEAST
 from planner.problem.tasks.follow import Follow
-from planner.problem.tasks.timetable import Task, Timed, unit_of
+from planner.problem.tasks.timetable import Task, TimedGoal, unit_of
 
 WEIGHT = 4.0  # over the square of a goal's tolerance
 RATE = 25.0  # 1/s, of a path beside a goal
@@ -69,7 +69,7 @@ def task_cost(
     return SumCost(tracking, *terms) if terms else tracking
 
 
-def task_wanted(task: Task) -> tuple[Wanted, ...]:
+def task_wanted(task: Task) -> tuple[GoalSpec, ...]:
     """What the proof judges: every goal and path, and rest at the end."""
     mechanism, found = task.mechanism, []
     coordinates = coordinates_of_mechanism(mechanism)
@@ -78,7 +78,7 @@ def task_wanted(task: Task) -> tuple[Wanted, ...]:
         for dof, value in one.joints.items():
             name, unit = coordinates[dof]
             missed = partial(_off_joints, np.array([mechanism.q_address[dof]]), np.array([[value]]))
-            found.append(Wanted(name + one.when, unit, missed, times, tolerances[_part(unit)]))
+            found.append(GoalSpec(name + one.when, unit, missed, times, tolerances[_part(unit)]))
         if goal.frame is None:
             continue
         position = None if goal.position is None else np.asarray(goal.position, dtype=float)
@@ -87,10 +87,10 @@ def task_wanted(task: Task) -> tuple[Wanted, ...]:
             if value is not None:
                 missed = partial(_off_frame, mechanism, Target(goal.frame, **{part: value}))
                 unit = "m" if part == "position" else "rad"
-                found.append(Wanted(f"{part} of {goal.frame}{one.when}", unit, missed, times, tolerances[part]))
+                found.append(GoalSpec(f"{part} of {goal.frame}{one.when}", unit, missed, times, tolerances[part]))
         if not (goal.through or one.last):
             missed = partial(_speed, mechanism, goal.frame)
-            found.append(Wanted(f"speed of {goal.frame}{one.when}", "m/s", missed, times, tolerances["velocity"]))
+            found.append(GoalSpec(f"speed of {goal.frame}{one.when}", "m/s", missed, times, tolerances["velocity"]))
     for path in task.follows:
         stages = np.arange(task.span(path)[0], task.span(path)[1] + 1)
         points, times = task.place(path, stages), tuple((task.dt * stages).tolist())
@@ -98,14 +98,14 @@ def task_wanted(task: Task) -> tuple[Wanted, ...]:
             missed, unit = partial(_off_path, mechanism, path.frame, points), "m"
         else:
             missed, unit = partial(_off_joints, _addresses(mechanism, path), points), task.units(path)[0]
-        found.append(Wanted(f"path of {path.what}", unit, missed, times, task.tolerance(path)))
+        found.append(GoalSpec(f"path of {path.what}", unit, missed, times, task.tolerance(path)))
     if task.rests:
         nv, states = mechanism.nv, slice(mechanism.nq, mechanism.nq + mechanism.nv)
-        found += [Wanted(*coordinates[nv + i], partial(_moving, states.start + i)) for i in range(nv)]
+        found += [GoalSpec(*coordinates[nv + i], partial(_moving, states.start + i)) for i in range(nv)]
     return tuple(found)
 
 
-def _of_frame(task: Task, one: Timed, factor: float) -> FrameCost:
+def _of_frame(task: Task, one: TimedGoal, factor: float) -> FrameCost:
     """The term of a goal of a frame."""
     goal, at = one.goal, dict[str, Any]()
     for part, target in (("position", goal.position), ("orientation", goal.quaternion), ("pointing", goal.direction)):
@@ -114,7 +114,7 @@ def _of_frame(task: Task, one: Timed, factor: float) -> FrameCost:
     return FrameCost(task.mechanism, str(goal.frame), dt=task.dt, **at)
 
 
-def _at_stage(task: Task, one: Timed, name: str, weight: float) -> dict[str, Any]:
+def _at_stage(task: Task, one: TimedGoal, name: str, weight: float) -> dict[str, Any]:
     """Arguments of FrameCost for a weight at one stage."""
     if one.last:
         return {f"final_{name}": weight}
@@ -147,7 +147,7 @@ def _part(unit: str) -> str:
     return "position" if unit == "m" else "orientation"
 
 
-def _carrying(mechanism: Mechanism, one: Timed) -> list[int]:
+def _carrying(mechanism: Mechanism, one: TimedGoal) -> list[int]:
     """The degrees of freedom that move a goal's frame, or its joints."""
     if one.goal.frame is None:
         return list(one.joints)

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from planner.base.arguments import choice, number, numbers, shown
+from planner.base.arguments import choice, number, numbers, short_repr
 from planner.base.errors import FileError, PlannerError
 from planner.base.files import printable, read_text
 from planner.problem.tasks.goal import plain
@@ -44,11 +44,11 @@ class Follow:
         if (self.frame is None) == (self.joints is None):
             raise PlannerError("follow has neither frame nor joints, or both: expected one of the two.")
         if self.frame is not None and not isinstance(self.frame, str):
-            raise PlannerError(f"frame of follow is {shown(self.frame)}, expected the name of a site or body.")
+            raise PlannerError(f"frame of follow is {short_repr(self.frame)}, expected the name of a site or body.")
         if self.joints is not None and (
             not isinstance(self.joints, (list, tuple)) or not all(isinstance(name, str) for name in self.joints)
         ):
-            raise PlannerError(f"joints of follow is {shown(self.joints)}, expected a list of names of joints.")
+            raise PlannerError(f"joints of follow is {short_repr(self.joints)}, expected a list of names of joints.")
         if self.tolerance is not None:
             number("tolerance of follow", self.tolerance, above=0.0)
         given = numbers("points of follow", self.points)
@@ -111,7 +111,7 @@ def follow_of(value: Any, name: str) -> Follow:
         return value
     keys = [one.name for one in fields(Follow)]
     if not isinstance(value, Mapping):
-        raise PlannerError(f"{name} is {shown(value)}, expected a Follow or a table with some of: {', '.join(keys)}.")
+        raise PlannerError(f"{name} is {short_repr(value)}, expected a Follow or a table with some of: {', '.join(keys)}.")
     given = {choice(f"a key of {name}", key, (*keys, "file")): part for key, part in value.items()}
     if "points" not in given:
         raise PlannerError(f'{name} has no points, expected points = [[t, x, y, z], ...] or file = "path.csv".')
@@ -132,7 +132,7 @@ def with_points(table: Mapping[str, Any], folder: Path) -> dict[str, Any]:
     if "points" in table:
         raise PlannerError("follow has a file and points, expected one of the two.")
     if not isinstance(table["file"], str):
-        raise PlannerError(f"file of follow is {shown(table['file'])}, expected the name of a CSV file.")
+        raise PlannerError(f"file of follow is {short_repr(table['file'])}, expected the name of a CSV file.")
     path = folder / table["file"]
     heading, rows = read_rows(path)
     rest = {key: value for key, value in table.items() if key != "file"}

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from planner.base.arguments import array, choice, number, numbers, shown
+from planner.base.arguments import array, choice, number, numbers, short_repr
 from planner.base.errors import PlannerError
 
 AXES = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
@@ -56,7 +56,7 @@ class Goal:
         if (self.frame is None) == (self.joints is None):
             raise PlannerError("a goal has neither frame nor joints, or both: expected one of the two.")
         if self.frame is not None and not isinstance(self.frame, str):
-            raise PlannerError(f"frame of a goal is {shown(self.frame)}, expected the name of a site or body.")
+            raise PlannerError(f"frame of a goal is {short_repr(self.frame)}, expected the name of a site or body.")
         asked = [name for name in PARTS[:3] if getattr(self, name) is not None]
         if self.joints is not None and asked:
             raise PlannerError(f"a goal of joints has {asked[0]}, expected that beside a frame.")
@@ -69,7 +69,7 @@ class Goal:
                 "or a direction about which the frame may turn."
             )
         if not isinstance(self.through, bool):
-            raise PlannerError(f"through of a goal is {shown(self.through)}, expected true or false.")
+            raise PlannerError(f"through of a goal is {short_repr(self.through)}, expected true or false.")
         if self.time is not None:
             number("time of a goal", self.time, above=0.0)
         if self.position is not None:
@@ -137,7 +137,7 @@ def goal_of(value: Any, name: str) -> Goal:
         return value
     keys = [one.name for one in fields(Goal)]
     if not isinstance(value, Mapping):
-        raise PlannerError(f"{name} is {shown(value)}, expected a Goal or a table with some of: {', '.join(keys)}.")
+        raise PlannerError(f"{name} is {short_repr(value)}, expected a Goal or a table with some of: {', '.join(keys)}.")
     given = {choice(f"a key of {name}", key, keys): part for key, part in value.items()}
     try:
         return Goal(**given)

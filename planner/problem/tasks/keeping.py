@@ -10,17 +10,17 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from planner.dynamics import RigidBodyDynamics
-from planner.problem.constraints.apart import ApartMeasure
+from planner.problem.constraints.apart import PairClearanceFunction
 from planner.problem.constraints.constraint import Constraint
-from planner.problem.constraints.of_terms import ResidualMeasure
-from planner.problem.constraints.rows import Part, Rows
+from planner.problem.constraints.of_terms import ResidualFunction
+from planner.problem.constraints.rows import StackEntry, ConstraintStack
 from planner.problem.costs.penalty_terms import Velocity
 
 NEAR = 1e-3  # m or rad that a pose may break a constraint by, beside its tolerance: the search ends there
-Missing = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
+ResidualAndJacobian = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
 
 
-class KeptPoses:
+class PoseConstraints:
     """Which poses of a machine keep its constraints.
 
     Args:
@@ -34,15 +34,15 @@ class KeptPoses:
     """
 
     def __init__(self, constraints: Sequence[Constraint], dynamics: RigidBodyDynamics, x0: np.ndarray, N: int) -> None:
-        self._rows = Rows(constraints, dynamics, x0, np.zeros((N, dynamics.nu)), 1.0)
+        self._rows = ConstraintStack(constraints, dynamics, x0, np.zeros((N, dynamics.nu)), 1.0)
         self._x0, self._mechanism = x0, dynamics.mechanism
         self._parts = [
             part for part in self._rows.parts
-            if isinstance(part.measure, ResidualMeasure) and not isinstance(part.measure, ApartMeasure)
+            if isinstance(part.measure, ResidualFunction) and not isinstance(part.measure, PairClearanceFunction)
             and not isinstance(part.constraint.of, Velocity)
         ]  # fmt: skip
 
-    def at(self, stage: int) -> Missing | None:
+    def at(self, stage: int) -> ResidualAndJacobian | None:
         """Of poses q (nq,) at a stage what is missing, over what may be: r (R,) and J (R, nv). None for nothing."""
         parts = [part for part in self._parts if np.isfinite(self._bounds(part, stage)).any()]
         if not parts:
@@ -54,17 +54,17 @@ class KeptPoses:
 
         return missing
 
-    def broken(self, stage: int, q: np.ndarray) -> Part | None:
+    def broken(self, stage: int, q: np.ndarray) -> StackEntry | None:
         """The constraint that a pose (nq,) breaks most; None where it keeps all."""
         worst = max(self._parts, key=lambda part: float(np.abs(self._missing(part, stage, q)[0]).max()), default=None)
         return None if worst is None or np.abs(self._missing(worst, stage, q)[0]).max() <= 1.0 else worst
 
-    def _bounds(self, part: Part, stage: int) -> np.ndarray:
+    def _bounds(self, part: StackEntry, stage: int) -> np.ndarray:
         """(2, R) in the constraint's unit."""
         side = self._rows.least, self._rows.most
         return np.stack([one[stage, part.columns] / self._rows.scale[part.columns] for one in side])
 
-    def _missing(self, part: Part, stage: int, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def _missing(self, part: StackEntry, stage: int, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         (low, high), x, n = self._bounds(part, stage), self._x0.copy(), np.array([stage])
         x[: self._mechanism.nq], x[self._mechanism.nq : self._mechanism.nq + self._mechanism.nv] = q, 0.0
         value = part.measure.values(x[None], np.zeros((1, 0)), n)[0]

@@ -11,7 +11,7 @@ import numpy as np
 from planner.problem.appearance import Appearance, GoalMark
 from planner.problem.constraints.constraint import Constraint
 from planner.problem.tasks.follow import Follow
-from planner.problem.tasks.timetable import Task, Timed
+from planner.problem.tasks.timetable import Task, TimedGoal
 
 MOST = 64  # straight pieces of a path
 
@@ -34,7 +34,7 @@ def with_marks(appearance: Appearance, task: Task | None, constraints: Sequence[
     )  # fmt: skip
 
 
-def _mark(one: Timed, number: str) -> GoalMark:
+def _mark(one: TimedGoal, number: str) -> GoalMark:
     goal, turned = one.goal, one.goal.quaternion
     from scipy.spatial.transform import Rotation  # 0.4 s that `planner run` need not pay
 

@@ -12,24 +12,24 @@ import numpy as np
 
 from planner.base.errors import PlannerError
 from planner.dynamics import RigidBodyDynamics
-from planner.problem.guess import follow
+from planner.problem.guess import inverse_dynamics_controls
 from planner.problem.tasks.poses import Poses, is_screws
 from planner.problem.tasks.timetable import Task
 
 
-def motion(task: Task, poses: Poses, x0: np.ndarray, t: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def interpolate(task: Task, poses: Poses, x0: np.ndarray, t: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Positions (K, nq), velocities and accelerations (K, nv) at times t (K,), of a machine of hinges and slides."""
     from scipy.interpolate import BPoly, CubicSpline  # 0.4 s that `planner run` need not pay
 
     mechanism = task.mechanism
     nq = mechanism.nq
-    stops = [0, *(k for k in range(1, len(poses.q) - 1) if poses.stops[k]), len(poses.q) - 1]
+    stops = [0, *(k for k in range(1, len(poses.q) - 1) if poses.at_rest[k]), len(poses.q) - 1]
     found = np.zeros((3, len(t), nq))
     for a, b in itertools.pairwise(stops):
         at = task.dt * poses.stages[a : b + 1]
         q = poses.q[a : b + 1]
         first = x0[nq : nq + mechanism.nv] if a == 0 else np.zeros(nq)
-        last = np.zeros(nq) if poses.stops[b] else (q[-1] - q[-2]) / (at[-1] - at[-2])
+        last = np.zeros(nq) if poses.at_rest[b] else (q[-1] - q[-2]) / (at[-1] - at[-2])
         if len(q) == 2:
             zero = np.zeros(nq)
             curve = BPoly.from_derivatives(at, [[q[0], first, zero], [q[1], last, zero]])
@@ -41,13 +41,13 @@ def motion(task: Task, poses: Poses, x0: np.ndarray, t: np.ndarray) -> tuple[np.
     return found[0], found[1], found[2]
 
 
-def rows_of(task: Task, poses: Poses, x0: np.ndarray) -> np.ndarray:
+def reference_states(task: Task, poses: Poses, x0: np.ndarray) -> np.ndarray:
     """The states (N+1, nx) of the motion, activations as at the start."""
     mechanism, space = task.mechanism, task.mechanism.space
     nq, nv, t = mechanism.nq, mechanism.nv, task.dt * np.arange(task.N + 1)
     xs = np.tile(x0, (task.N + 1, 1))
     if is_screws(task):
-        q, qd, _ = motion(task, poses, x0, t)
+        q, qd, _ = interpolate(task, poses, x0, t)
         xs[:, :nq], xs[:, nq : nq + nv] = q, qd
         return xs
     xs[:, nq : nq + nv] = 0.0
@@ -72,12 +72,12 @@ def controls(task: Task, poses: Poses, dynamics: RigidBodyDynamics, x0: np.ndarr
         return None
     middle = task.dt * (np.arange(task.N) + 0.5)  # where a control that is held over a stage is best taken
     try:
-        return follow(mechanism, *motion(task, poses, x0, middle))
+        return inverse_dynamics_controls(mechanism, *interpolate(task, poses, x0, middle))
     except PlannerError:
         return None
 
 
-def way_of(task: Task, poses: Poses) -> np.ndarray:
+def joint_displacement(task: Task, poses: Poses) -> np.ndarray:
     """(nv,) how far each degree of freedom goes, there and back."""
     space = task.mechanism.space
     xs = np.tile(task.mechanism.home, (len(poses.q), 1))

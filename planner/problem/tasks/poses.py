@@ -13,11 +13,11 @@ from planner.dynamics.assembly import assembled
 from planner.dynamics.inverse_kinematics import Target, inverse_kinematics, residuals
 from planner.dynamics.kinematics import frame_pose
 from planner.model.mechanism import SCREW
-from planner.model.mjcf.driven import driven_dofs
-from planner.problem.free_poses import FreePoses
+from planner.model.mjcf.driven import prescribed_dofs_of
+from planner.problem.free_poses import CollisionChecker
 from planner.problem.tasks.follow import Follow
-from planner.problem.tasks.keeping import KeptPoses, Missing
-from planner.problem.tasks.timetable import Task, Timed, unit_of
+from planner.problem.tasks.keeping import PoseConstraints, ResidualAndJacobian
+from planner.problem.tasks.timetable import Task, TimedGoal, unit_of
 
 MOST = 60  # configurations along a path: between them joints move on a spline
 ALONG = 2  # starts of the search on a path that a constraint holds off: the pose before is near
@@ -28,7 +28,7 @@ class Poses(NamedTuple):
 
     stages: np.ndarray  # (E,)
     q: np.ndarray  # (E, nq)
-    stops: np.ndarray  # (E,) True where the machine stands still
+    at_rest: np.ndarray  # (E,) True where the machine stands still
 
 
 class _Search(NamedTuple):
@@ -38,8 +38,8 @@ class _Search(NamedTuple):
     ranges: np.ndarray
     seed: int
     check: bool
-    free: FreePoses | None
-    kept: KeptPoses | None
+    free: CollisionChecker | None
+    kept: PoseConstraints | None
 
 
 class _Asked(NamedTuple):
@@ -52,7 +52,7 @@ class _Asked(NamedTuple):
 
 def poses_of(
     task: Task, dynamics: RigidBodyDynamics, x0: np.ndarray, ranges: np.ndarray, seed: int = 0, check: bool = True,
-    free: FreePoses | None = None, kept: KeptPoses | None = None,
+    free: CollisionChecker | None = None, kept: PoseConstraints | None = None,
 ) -> Poses:  # fmt: skip
     """The configurations of a task, one after the other, each near the one before.
 
@@ -91,7 +91,7 @@ def poses_of(
     return Poses(np.array(stages), np.array(found), np.array(stops))
 
 
-def _check_joints(task: Task, here: Sequence[Timed], ranges: np.ndarray) -> None:
+def _check_joints(task: Task, here: Sequence[TimedGoal], ranges: np.ndarray) -> None:
     """Refuse goals of joints outside of their ranges."""
     for one in here:
         for dof, value in one.joints.items():
@@ -112,7 +112,7 @@ def _stages(task: Task) -> list[int]:
     return sorted(stages - {0})
 
 
-def _asked(task: Task, stage: int, here: Sequence[Timed]) -> _Asked:
+def _asked(task: Task, stage: int, here: Sequence[TimedGoal]) -> _Asked:
     targets, labels, joints = [], [], {}
     for one in here:
         goal = one.goal
@@ -142,7 +142,7 @@ def _asked(task: Task, stage: int, here: Sequence[Timed]) -> _Asked:
 
 
 def _pose(
-    task: Task, search: _Search, q: np.ndarray, asked: _Asked, stage: int, here: Sequence[Timed]
+    task: Task, search: _Search, q: np.ndarray, asked: _Asked, stage: int, here: Sequence[TimedGoal]
 ) -> np.ndarray:  # fmt: skip
     """The configuration (nq,) at a stage."""
     mechanism, ranges = task.mechanism, search.ranges
@@ -151,7 +151,7 @@ def _pose(
         q[mechanism.q_address[dof]] = value
     if mechanism.reduction is not None:
         q = mechanism.reduction.closed(q, np.zeros(mechanism.nv), mechanism.q_address)[0]
-    if mechanism.loops or mechanism.cams:
+    if mechanism.loops or mechanism.polynomial_couplings:
         x = np.concatenate([q, np.zeros(mechanism.space.nx - len(q))])
         q = assembled(mechanism, x, asked.joints)[: len(q)]
     short = None if search.free is None else search.free.short
@@ -163,7 +163,7 @@ def _pose(
 
     def tried(
         targets: list[Target], joints: dict[int, float], short: Callable[[np.ndarray], float] | None = None,
-        missing: Missing | None = None,
+        missing: ResidualAndJacobian | None = None,
     ) -> tuple[np.ndarray, float]:  # fmt: skip
         found = None
         for mask in _masks(search.dynamics, joints):
@@ -221,7 +221,7 @@ def _pose(
     )
 
 
-def _check_kept(task: Task, search: _Search, q: np.ndarray, stage: int, here: Sequence[Timed]) -> None:
+def _check_kept(task: Task, search: _Search, q: np.ndarray, stage: int, here: Sequence[TimedGoal]) -> None:
     """Refuse goals of joints at which a constraint is broken by more than their tolerances make of it."""
     assert search.kept is not None
     broken, missing = search.kept.broken(stage, q), search.kept.at(stage)
@@ -250,10 +250,10 @@ def _masks(dynamics: RigidBodyDynamics, joints: dict[int, float]) -> list[np.nda
     """
     mechanism = dynamics.mechanism
     driven = np.any(mechanism.actuators.moment * mechanism.actuators.gain[:, None] != 0.0, axis=0)
-    driven[driven_dofs(dynamics)] = True
+    driven[prescribed_dofs_of(dynamics)] = True
     everything = np.ones(mechanism.nv, dtype=bool)
     masks = [driven] if mechanism.contacts or driven.all() else [driven, everything]
-    masks = [everything] if mechanism.loops or mechanism.cams else masks
+    masks = [everything] if mechanism.loops or mechanism.polynomial_couplings else masks
     for mask in masks:
         mask[list(joints)] = False
     return masks

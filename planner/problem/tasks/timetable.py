@@ -19,7 +19,7 @@ PATH = {"m": 2.0 * LEAST["m"], "rad": 2.0 * LEAST["rad"]}  # the usual tolerance
 
 
 @dataclass(frozen=True)
-class Timed:
+class TimedGoal:
     """A goal at its stage."""
 
     goal: Goal
@@ -41,7 +41,7 @@ class Task:
     """Goals in the order of their times, and paths, of a machine in N stages of dt."""
 
     mechanism: Mechanism
-    goals: tuple[Timed, ...]
+    goals: tuple[TimedGoal, ...]
     follows: tuple[Follow, ...]
     N: int
     dt: float
@@ -114,7 +114,7 @@ def task_of(
         if goal.frame is not None:
             mechanism.frame(goal.frame)  # refuses a name that there is not, and says which there are
         timed.append(
-            Timed(goal, stage, stage * dt, stage == N, label, goal.tolerances(usual), joints_of(mechanism, goal, label))
+            TimedGoal(goal, stage, stage * dt, stage == N, label, goal.tolerances(usual), joints_of(mechanism, goal, label))
         )
     for path in follows:
         _check_path(mechanism, path, N * dt)

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from planner.base.gl import load_mujoco
-from planner.model.loops import RATE, Cam
+from planner.model.loops import BAUMGARTE_RATE, PolynomialCoupling
 from planner.model.mechanism import Mechanism
 from planner.model.mjcf.loops import joined, joins
 from planner.model.space import cross
@@ -27,7 +27,7 @@ _APART = 1e-3  # of the largest singular value of J: of equations that a step ba
 
 def constrained_acceleration(model: Any, data: Any, mechanism: Mechanism) -> np.ndarray:
     """(nv,) of what mj_forward left in data; qacc_smooth for a tree. The mechanism was read from the model."""
-    if not (mechanism.couplings or mechanism.loops or mechanism.cams):
+    if not (mechanism.couplings or mechanism.loops or mechanism.polynomial_couplings):
         return data.qacc_smooth.copy()
     mass = np.empty((model.nv, model.nv))
     for row, axis in zip(mass, np.eye(model.nv), strict=True):
@@ -35,10 +35,10 @@ def constrained_acceleration(model: Any, data: Any, mechanism: Mechanism) -> np.
     G = np.eye(model.nv) if mechanism.reduction is None else mechanism.reduction.G
     W = G @ np.linalg.solve(G.T @ mass @ G, G.T)
     free = W @ data.qfrc_smooth
-    if not (mechanism.loops or mechanism.cams):
+    if not (mechanism.loops or mechanism.polynomial_couplings):
         return free
-    J, drift, phi = _rows(model, data, mechanism.cams)
-    lacks = drift + 2.0 * RATE * (J @ data.qvel) + RATE**2 * phi
+    J, drift, phi = _rows(model, data, mechanism.polynomial_couplings)
+    lacks = drift + 2.0 * BAUMGARTE_RATE * (J @ data.qvel) + BAUMGARTE_RATE**2 * phi
     values, vectors = np.linalg.eigh(J @ W @ J.T)
     keep = values > _WEAK * values.max()
     forces = -vectors[:, keep] @ ((vectors[:, keep].T @ (lacks + J @ free)) / values[keep])
@@ -54,7 +54,7 @@ def steps_back(model: Any, data: Any, mechanism: Mechanism, held: Sequence[int] 
     G = G[:, ~np.any(G[np.asarray(held, dtype=int)] != 0.0, axis=0)]
     for of_positions in (True, False):
         load_mujoco().mj_fwdPosition(model, data)
-        J, _, phi = _rows(model, data, mechanism.cams)
+        J, _, phi = _rows(model, data, mechanism.polynomial_couplings)
         step = -G @ np.linalg.lstsq(J @ G, phi if of_positions else J @ data.qvel, rcond=_APART)[0]
         if of_positions:
             load_mujoco().mj_integratePos(model, data.qpos, step, 1.0)
@@ -62,7 +62,7 @@ def steps_back(model: Any, data: Any, mechanism: Mechanism, held: Sequence[int] 
             data.qvel += step
 
 
-def _rows(model: Any, data: Any, cams: tuple[Cam, ...]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _rows(model: Any, data: Any, cams: tuple[PolynomialCoupling, ...]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """J (rows, nv), Jdot qd and phi (rows,) of all equalities that close chains.
 
     Also where a flag keeps MuJoCo's own from acting.
@@ -94,7 +94,7 @@ def _held(model: Any, data: Any, i: int) -> tuple[np.ndarray, np.ndarray, np.nda
     return J, drift, np.concatenate([apart, turn])
 
 
-def _cam(model: Any, data: Any, cam: Cam) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _cam(model: Any, data: Any, cam: PolynomialCoupling) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """The same of an equality of joints that is not linear."""
     p = np.polynomial.Polynomial(cam.coefficients)
     follower, leader = (

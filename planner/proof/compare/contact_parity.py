@@ -23,20 +23,20 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from planner.base.gl import load_mujoco
-from planner.base.measured import Measured
-from planner.dynamics.contacts import contact_force, one_sided, stop_state
+from planner.base.measured import Measurement
+from planner.dynamics.contacts import contact_force, unilateral_force, stop_state
 from planner.dynamics.hopper import HopperDynamics
 from planner.model.contact.laws import Contact, Stop
 from planner.model.mechanism import Mechanism
 from planner.model.mjcf.contact_points import shape_of
-from planner.model.mjcf.driven import driven_dofs
-from planner.model.mjcf.survey import Survey
+from planner.model.mjcf.driven import prescribed_dofs_of
+from planner.model.mjcf.survey import ModelIndex
 from planner.problem.problem import Problem
 from planner.proof.compare.differences import joint_of
 from planner.proof.compare.hopper_ground import hopper_ground
-from planner.proof.compare.pressing import AnyContact, Pressing, beyond_ramps
+from planner.proof.compare.pressing import AnyContact, ContactStateSampler, beyond_ramps
 from planner.proof.compare.rigid_parity import random_states
-from planner.proof.compare.touching import Shapes, contact_name, force_between, shapes_of
+from planner.proof.compare.touching import ContactGeoms, contact_name, force_between, shapes_of
 from planner.proof.replays.compiled_twin import CompiledTwin
 from planner.proof.replays.simulation import set_state
 
@@ -80,7 +80,7 @@ def compared(kind: str, pair: str, theirs: float, ours: float, matters: float) -
 
 
 @np.errstate(all="ignore")  # what is no number fails
-def contact_parity(problem: Problem, compiled: CompiledTwin, seed: int = 0) -> tuple[Measured, ...]:
+def contact_parity(problem: Problem, compiled: CompiledTwin, seed: int = 0) -> tuple[Measurement, ...]:
     """Compare the coefficients of a plan's contacts and stops with those of MuJoCo's forces.
 
     Args:
@@ -100,12 +100,12 @@ def contact_parity(problem: Problem, compiled: CompiledTwin, seed: int = 0) -> t
         return ()
     if not (mechanism.contacts or mechanism.body_contacts or mechanism.stops):
         return ()
-    bench = _Bench(mechanism, compiled, driven_dofs(dynamics))
+    bench = _Bench(mechanism, compiled, prescribed_dofs_of(dynamics))
     found = [*bench.contacts(*_starts(problem, mechanism, seed)), *bench.stops(problem.x0)]
     return _measured(found, seed, bench.unreached)
 
 
-def _measured(found: list[Coefficient], seed: int, unreached: list[str] | None = None) -> tuple[Measured, ...]:
+def _measured(found: list[Coefficient], seed: int, unreached: list[str] | None = None) -> tuple[Measurement, ...]:
     measured, pairs = [], {}
     for one in found:
         pairs.setdefault(one.kind, set()).add(one.pair)
@@ -115,10 +115,10 @@ def _measured(found: list[Coefficient], seed: int, unreached: list[str] | None =
         bound = INERTIA_BOUND if kind == "contact_inertia" else BOUND
         note = f"largest of {len(names)}, at {worst.pair}" if error <= bound else str(worst)
         note += f", at seeded states outside the ramps (seed {seed}), relative to the plan's"
-        measured.append(Measured(f"{kind}_error", error, "%", bound, note))
+        measured.append(Measurement(f"{kind}_error", error, "%", bound, note))
     if unreached:
         note = f"not compared, since no state that was tried brings them together: {', '.join(unreached)}"
-        measured.append(Measured("contacts_not_reached", float(len(unreached)), "", None, note))
+        measured.append(Measurement("contacts_not_reached", float(len(unreached)), "", None, note))
     return tuple(measured)
 
 
@@ -138,7 +138,7 @@ class _Bench:
         self._mechanism, self._twin, self._fixed = mechanism, compiled.twin, fixed
         self._model = compiled.copy()
         self._model.opt.enableflags &= ~int(self._mujoco.mjtEnableBit.mjENBL_INVDISCRETE)
-        self._survey, self._data = Survey(compiled.model), self._mujoco.MjData(self._model)
+        self._survey, self._data = ModelIndex(compiled.model), self._mujoco.MjData(self._model)
         self._points: Counter[tuple] = Counter()  # how many of a shape's points with the same numbers were looked at
         self._seen: dict[tuple[int, int], str] = {}  # of each pair of geoms a part that was not reached, "" for none
 
@@ -157,7 +157,7 @@ class _Bench:
         """Every coefficient of every contact, from states near the start, or anywhere."""
         m = self._mechanism
         for contact, shapes in zip((*m.contacts, *m.body_contacts), shapes_of(m, self._survey), strict=True):
-            pressing = Pressing(m, contact)
+            pressing = ContactStateSampler(m, contact)
             if not pressing.matters(anywhere, self._fixed):  # no force of it changes the motion
                 continue
             if shapes is None:
@@ -190,7 +190,7 @@ class _Bench:
             else:
                 self._seen.setdefault((shapes.own, shapes.other), shapes.name)
 
-    def _is_like_others(self, contact: AnyContact, shapes: Shapes) -> bool:
+    def _is_like_others(self, contact: AnyContact, shapes: ContactGeoms) -> bool:
         """Whether it is a point where the plan has it, of a shape of which enough with its numbers were pressed."""
         model, survey = self._model, self._survey
         shape = shape_of(model.geom(shapes.own).name)
@@ -203,13 +203,13 @@ class _Bench:
         there = off <= _SAME and abs(model.geom_size[shapes.own, 0] - contact.radius) <= _SAME
         return bool(there) and self._points[shape, shapes.other, numbers] > POINTS
 
-    def _middle(self, contact: AnyContact, shapes: Shapes) -> np.ndarray | None:
+    def _middle(self, contact: AnyContact, shapes: ContactGeoms) -> np.ndarray | None:
         """(3,) where the file puts a box that a contact touches; None for what has no end."""
         box = self._model.geom_type[shapes.other] == int(self._mujoco.mjtGeom.mjGEOM_BOX)
         return self._survey.home.geom_xpos[shapes.other].copy() if box and isinstance(contact, Contact) else None
 
     def _force(
-        self, pressing: Pressing, shapes: Shapes, x: np.ndarray, place: Any, qacc: np.ndarray | None = None
+        self, pressing: ContactStateSampler, shapes: ContactGeoms, x: np.ndarray, place: Any, qacc: np.ndarray | None = None
     ) -> np.ndarray:
         """MuJoCo's force (3,) on the contact's first or only body."""
         self._hold(x, qacc)
@@ -217,11 +217,11 @@ class _Bench:
             return force_between(self._model, self._data, shapes)
         return force_between(self._model, self._data, shapes, place.p[0], 0.25 * pressing.spacing)
 
-    def _touches(self, pressing: Pressing, shapes: Shapes, x: np.ndarray) -> bool:
+    def _touches(self, pressing: ContactStateSampler, shapes: ContactGeoms, x: np.ndarray) -> bool:
         return bool(np.isfinite(self._force(pressing, shapes, x, pressing.place(x[None]))).all())
 
     def _both(
-        self, pressing: Pressing, shapes: Shapes, x: np.ndarray, place: Any, velocity: np.ndarray | None = None
+        self, pressing: ContactStateSampler, shapes: ContactGeoms, x: np.ndarray, place: Any, velocity: np.ndarray | None = None
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """The plan's force (3,) and MuJoCo's where the contact moves by about a velocity (3,), and how it does move."""
         m, v = self._mechanism, place.v[0]
@@ -231,13 +231,13 @@ class _Bench:
         ours = contact_force(pressing.contact.law, place.n, place.e, v[None])[0][0]
         return ours, self._force(pressing, shapes, x, place), v
 
-    def _coefficients(self, pressing: Pressing, shapes: Shapes, x: np.ndarray) -> Iterator[Coefficient]:
+    def _coefficients(self, pressing: ContactStateSampler, shapes: ContactGeoms, x: np.ndarray) -> Iterator[Coefficient]:
         law, name, depth = pressing.contact.law, shapes.name, pressing.depth
         deeper = pressing.pressed(x[None], 2.0 * depth)[0]
         if not len(deeper):
             return
         place, below = pressing.place(x[None]), pressing.place(deeper)
-        n, e, further = place.n[0], float(place.e[0]) - law.lift, float(below.e[0] - place.e[0])
+        n, e, further = place.n[0], float(place.e[0]) - law.surface_offset, float(below.e[0] - place.e[0])
         rest, more = self._both(pressing, shapes, x, place)[:2], self._both(pressing, shapes, deeper[0], below)[:2]
         K = [(f @ below.n[0] - f0 @ n) / further for f0, f in zip(rest, more, strict=True)]
         yield compared("contact_stiffness", name, K[1], K[0], law.stiffness)
@@ -252,7 +252,7 @@ class _Bench:
         yield self._inertia(pressing, shapes, x, place, rest[1])
 
     def _friction(
-        self, pressing: Pressing, shapes: Shapes, x: np.ndarray, place: Any, rest: tuple[np.ndarray, ...]
+        self, pressing: ContactStateSampler, shapes: ContactGeoms, x: np.ndarray, place: Any, rest: tuple[np.ndarray, ...]
     ) -> Iterator[Coefficient]:
         """Friction while it slips, along and across, and its damping; nothing where the contact cannot slide."""
         law, n = pressing.contact.law, place.n[0]
@@ -285,7 +285,7 @@ class _Bench:
                 friction, _, speed = rubbed(way, _SLOW * slips)
                 yield compared("slip_damping", shapes.name, friction[1] / speed, friction[0] / speed, law.slip_damping)
 
-    def _inertia(self, pressing: Pressing, shapes: Shapes, x: np.ndarray, place: Any, rest: np.ndarray) -> Coefficient:
+    def _inertia(self, pressing: ContactStateSampler, shapes: ContactGeoms, x: np.ndarray, place: Any, rest: np.ndarray) -> Coefficient:
         """How much less a contact pushes when the machine accelerates as by a tenth of its force, of that tenth."""
         push = 0.1 * float(rest @ place.n[0])
         self._hold(x)
@@ -311,7 +311,7 @@ class _Bench:
             x[m.q_address[stop.dof]] = stop.end + stop.side * deep
             x[m.nq : m.nq + m.nv] = 0.0
             x[m.nq + stop.dof] = stop.side * closing
-            ours = one_sided(law, *stop_state(m, stop, x[None, : m.nq], x[None, m.nq : m.nq + m.nv]))[0]
+            ours = unilateral_force(law, *stop_state(m, stop, x[None, : m.nq], x[None, m.nq : m.nq + m.nv]))[0]
             return ours[0], self._limit(x, stop)
 
         held, deeper = both(depth, 0.0), both(2.0 * depth, 0.0)
@@ -333,7 +333,7 @@ class _Bench:
 
 def _bluntness(contact: AnyContact) -> float:
     """How far the plan's closest points of two capsules may be from the true ones, m: see contact.between_bodies."""
-    if isinstance(contact, Contact) or contact.blunt == 0.0:
+    if isinstance(contact, Contact) or contact.axis_regularization == 0.0:
         return 0.0
     return 0.5 * contact.law.ramp**2 / (contact.first.radius + contact.second.radius)
 

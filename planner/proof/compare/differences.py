@@ -11,7 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from planner.model.loops import Cam, Loop
+from planner.model.loops import PolynomialCoupling, LoopClosure
 from planner.model.mechanism import Mechanism
 
 _ROUNDING = 1e-12  # relative, of numbers that went through a compiler
@@ -59,7 +59,7 @@ def _all(ours: Mechanism, theirs: Mechanism) -> Iterator[str]:
         "friction loss": (ours.friction_loss, theirs.friction_loss),
         "solimpfriction": (ours.friction_inertia, theirs.friction_inertia),
         "solreffriction": (ours.friction_rate, theirs.friction_rate),
-        "mass with gravity compensation": (ours.lifted_mass, theirs.lifted_mass),
+        "mass with gravity compensation": (ours.gravcomp_mass, theirs.gravcomp_mass),
     }  # fmt: skip
     for dof in range(ours.nv):
         for term, (one, other) in terms.items():
@@ -121,8 +121,8 @@ def _shown(values: np.ndarray) -> str:
     return flat[0] if len(flat) == 1 else f"({', '.join(flat)})"
 
 
-def _of_chain(chain: Loop | Cam) -> np.ndarray:
+def _of_chain(chain: LoopClosure | PolynomialCoupling) -> np.ndarray:
     """The numbers of a loop or a cam."""
-    if isinstance(chain, Cam):
+    if isinstance(chain, PolynomialCoupling):
         return np.array([chain.follower, chain.leader, *chain.offsets, *chain.coefficients], dtype=float)
     return np.array([*chain.links, chain.rigid, *chain.frames.ravel()], dtype=float)

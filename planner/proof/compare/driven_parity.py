@@ -20,11 +20,11 @@ import numpy as np
 
 from planner.base.errors import ModelError
 from planner.base.gl import load_mujoco
-from planner.base.measured import Measured, Section
+from planner.base.measured import Measurement, Section
 from planner.dynamics import algorithms as rigid_body
 from planner.dynamics.rigid_body import RigidBodyDynamics
 from planner.model.mechanism import Mechanism
-from planner.model.mjcf.driven import HEAVY, prescribed_dofs, released
+from planner.model.mjcf.driven import PRESCRIBED_ARMATURE, prescribed_dofs, with_force_inputs
 from planner.model.mjcf.read import mechanism_of_model
 from planner.proof.compare.constrained import constrained_acceleration
 from planner.proof.compare.differences import differences
@@ -41,37 +41,37 @@ def driven_parity(
 
     The model's ranges and contacts are switched off; `bound` is what passes, relative.
     """
-    dofs, free = prescribed_dofs(mechanism, prescribed), released(mechanism, prescribed)
+    dofs, free = prescribed_dofs(mechanism, prescribed), with_force_inputs(mechanism, prescribed)
     inertias = rigid_body.mass_matrix(free, mechanism.qpos0).diagonal()
     armature = free.armature.copy()
     armature[dofs] = inertias.max()  # a driven joint may carry next to nothing
     free = replace(free, armature=armature)
-    if model.nv != mechanism.nv or not np.all(model.dof_armature[dofs] == HEAVY):
+    if model.nv != mechanism.nv or not np.all(model.dof_armature[dofs] == PRESCRIBED_ARMATURE):
         raise ModelError(
-            f"the model does not drive {', '.join(prescribed)}, expected an armature of {HEAVY:g} there: it is another "
+            f"the model does not drive {', '.join(prescribed)}, expected an armature of {PRESCRIBED_ARMATURE:g} there: it is another "
             "machine."
         )
     model.dof_armature[dofs] = armature[dofs]
     losses = tuple(_losses(free, mechanism_of_model(model), bound))  # while its constraints are on
-    spread = np.where(np.arange(free.nu) < mechanism.nu, 1.0, 1.0 / HEAVY)  # forces of size one
+    spread = np.where(np.arange(free.nu) < mechanism.nu, 1.0, 1.0 / PRESCRIBED_ARMATURE)  # forces of size one
     section = rigid_parity(free, model, None, states, bound, seed, spread)
-    model.dof_armature[dofs] = HEAVY
+    model.dof_armature[dofs] = PRESCRIBED_ARMATURE
     measured = (*section.measured, *_driven(mechanism, prescribed, model, states, bound, seed))
     return replace(section, measured=(*measured, *losses))
 
 
-def _losses(ours: Mechanism, theirs: Mechanism, bound: float) -> Iterator[Measured]:
+def _losses(ours: Mechanism, theirs: Mechanism, bound: float) -> Iterator[Measurement]:
     """Friction losses beside each other; their slopes differ, for MuJoCo takes them from the driven model's inertia."""
     largest = np.maximum(ours.friction_loss, theirs.friction_loss)
     if np.any(largest):
         off = np.abs(theirs.friction_loss - ours.friction_loss) / np.where(largest > 0.0, largest, 1.0)
         note = "" if off.max() <= bound else f"{differences(ours, theirs)}, "
-        yield Measured("friction_loss_error", float(off.max()), "", bound, f"{note}of the loss, relative to it")
+        yield Measurement("friction_loss_error", float(off.max()), "", bound, f"{note}of the loss, relative to it")
 
 
 def _driven(
     mechanism: Mechanism, prescribed: Collection[str], model: Any, states: int, bound: float, seed: int
-) -> tuple[Measured, Measured]:
+) -> tuple[Measurement, Measurement]:
     """The error of the driven model's accelerations against the plan's dynamics, and how far its motors fall short."""
     smooth = replace(mechanism, contacts=(), stops=(), friction_loss=np.zeros(mechanism.nv))
     dynamics = RigidBodyDynamics(smooth, 1.0, prescribed=prescribed)
@@ -81,7 +81,7 @@ def _driven(
     accelerations = slice(mechanism.nv, 2 * mechanism.nv)
     asked, left = us.copy(), np.zeros((states, dynamics.nu - mechanism.nu))
     for _ in range(_ROUNDS):
-        left = forces_of_prescribed(smooth, prescribed, xs, dynamics.rates(xs, asked)[:, accelerations]) / HEAVY
+        left = forces_of_prescribed(smooth, prescribed, xs, dynamics.rates(xs, asked)[:, accelerations]) / PRESCRIBED_ARMATURE
         asked[:, mechanism.nu :] = us[:, mechanism.nu :] - left
     ours = dynamics.rates(xs, asked)[:, accelerations]
     theirs = _accelerations(model, mechanism_of_model(model), xs, us)
@@ -89,16 +89,16 @@ def _driven(
     scale = np.maximum(_rounded(smooth, prescribed, xs, theirs), speed2)
     error = float((np.abs(theirs - ours) / scale[:, None]).max())
     note = f"with the joints driven, at {states} random states (seed {seed}), relative to what it is made of at each"
-    judged = Measured("driven_acceleration_error", error, "", bound, note)
-    note = f"of a prescribed acceleration at these states, rad/s^2 or m/s^2: the force it takes over {HEAVY:g}"
-    return judged, Measured("left_by_the_motors", float(np.abs(left).max()), "", None, note)
+    judged = Measurement("driven_acceleration_error", error, "", bound, note)
+    note = f"of a prescribed acceleration at these states, rad/s^2 or m/s^2: the force it takes over {PRESCRIBED_ARMATURE:g}"
+    return judged, Measurement("left_by_the_motors", float(np.abs(left).max()), "", None, note)
 
 
 def _rounded(mechanism: Mechanism, prescribed: Collection[str], xs: np.ndarray, qdd: np.ndarray) -> np.ndarray:
     """(K,) what rounding makes of the driven model's accelerations (K, nv), per unit of rounding."""
-    heavy = released(mechanism, prescribed)
+    heavy = with_force_inputs(mechanism, prescribed)
     armature = heavy.armature.copy()
-    armature[prescribed_dofs(mechanism, prescribed)] = HEAVY
+    armature[prescribed_dofs(mechanism, prescribed)] = PRESCRIBED_ARMATURE
     heavy = replace(heavy, armature=armature)
     q, qd, _ = np.split(xs, [mechanism.nq, mechanism.nq + mechanism.nv], axis=1)
     return rounded(rigid_body.mass_matrix(heavy, q), rigid_body.bias(heavy, q, qd), qdd)
@@ -109,7 +109,7 @@ def forces_of_prescribed(
 ) -> np.ndarray:
     """The forces (K, n) that prescribed joints take, at xs (K, nx) with accelerations qdd (K, nv); without contacts."""
     q, qd, _ = np.split(xs, [mechanism.nq, mechanism.nq + mechanism.nv], axis=1)
-    return rigid_body.rnea(released(mechanism, prescribed), q, qd, qdd)[:, prescribed_dofs(mechanism, prescribed)]
+    return rigid_body.rnea(with_force_inputs(mechanism, prescribed), q, qd, qdd)[:, prescribed_dofs(mechanism, prescribed)]
 
 
 def _accelerations(model: Any, mechanism: Mechanism, xs: np.ndarray, us: np.ndarray) -> np.ndarray:

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from planner.base.gl import load_mujoco
-from planner.base.measured import Measured
+from planner.base.measured import Measurement
 from planner.dynamics.friction import BEND, friction_forces
 from planner.model.mechanism import Mechanism
 from planner.model.mjcf.read import mechanism_of_model
@@ -25,7 +25,7 @@ from planner.proof.replays.simulation import set_state
 _SPEEDS = np.geomspace(1e-4, 1.0, 8)  # of random velocities and accelerations, so that some joints are held, some slide
 
 
-def friction_parity(mechanism: Mechanism, model: Any, states: int, bound: float, seed: int) -> Iterator[Measured]:
+def friction_parity(mechanism: Mechanism, model: Any, states: int, bound: float, seed: int) -> Iterator[Measurement]:
     """Compare friction at random states, with `bound` relative to the loss; nothing where nothing rubs in either.
 
     The model's contacts, ranges and equalities are left aside.
@@ -59,6 +59,6 @@ def friction_parity(mechanism: Mechanism, model: Any, states: int, bound: float,
     error = float(max(difference[~bent].max(initial=0.0), beside))
     if not error <= bound and (named := differences(mechanism, read)):
         note = f"{named}, {note}"
-    yield Measured("friction_loss_error", error, "", bound, note)
+    yield Measurement("friction_loss_error", error, "", bound, note)
     note = f"between, where MuJoCo's is cut off and the plan's bends, {of}"
-    yield Measured("friction_loss_bend", float(difference[bent].max(initial=0.0)), "", None, note)
+    yield Measurement("friction_loss_bend", float(difference[bent].max(initial=0.0)), "", None, note)

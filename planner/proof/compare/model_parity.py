@@ -9,10 +9,10 @@ from weakref import WeakKeyDictionary
 
 import numpy as np
 
-from planner.base.arguments import shown
+from planner.base.arguments import short_repr
 from planner.base.errors import PlannerError
 from planner.base.gl import load_mujoco
-from planner.base.measured import Measured, Section
+from planner.base.measured import Measurement, Section
 from planner.model.mechanism import Mechanism
 from planner.model.twin import Twin
 from planner.problem.problem import Problem, Requirements
@@ -55,7 +55,7 @@ def parity(
     if isinstance(machine, Mechanism):
         return _of_mechanism(machine, None, CompiledTwin(with_model(twin or Twin.of(machine), mjcf)), seed)
     if not isinstance(machine, Problem):
-        raise PlannerError(f"parity() was given {shown(machine)}, expected a Mechanism or a Problem.")
+        raise PlannerError(f"parity() was given {short_repr(machine)}, expected a Mechanism or a Problem.")
     twin = twin or machine.twin
     if twin is None:
         if _nothing_to_compare(machine):
@@ -131,17 +131,17 @@ def _of_rates(problem: Problem, requirements: Requirements, compiled: CompiledTw
         theirs[i] = twin.to_x @ np.concatenate([data.qvel, data.qacc, data.act_dot])
     error = np.abs(theirs - ours).max(axis=0) / np.maximum(np.abs(ours).max(axis=0), 1e-300)
     note = f"dx/dt at {STATES} random states (seed {seed}), relative to the largest"
-    measured = (Measured("rate_error", float(error.max()), "", BOUND, note),)
+    measured = (Measurement("rate_error", float(error.max()), "", BOUND, note),)
     start = (_start(problem, twin, model, requirements.start),) if requirements.start else ()
     return Section("parity", (*measured, *start))
 
 
-def _start(problem: Problem, twin: Twin, model: Any, name: str) -> Measured:
+def _start(problem: Problem, twin: Twin, model: Any, name: str) -> Measurement:
     """Whether a keyframe of the model is the plan's own start."""
     note = f"keyframe {name!r} of the model against the plan's start, largest component"
     key = next((k for k in range(model.nkey) if model.key(k).name == name), None)
     if key is None:
-        return Measured("start_error", np.inf, "", BOUND, note)
+        return Measurement("start_error", np.inf, "", BOUND, note)
     w = np.concatenate([model.key_qpos[key], model.key_qvel[key], model.key_act[key]])
     error = float(np.max(np.abs(w - twin.sim_of(problem.x0))))
-    return Measured("start_error", error, "", BOUND, note)
+    return Measurement("start_error", error, "", BOUND, note)

@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from planner.dynamics.contact_places import BodyPlace
-from planner.dynamics.contacts import place_of
+from planner.dynamics.contact_places import BodyContactKinematics
+from planner.dynamics.contacts import contact_kinematics
 from planner.model.contact.between_bodies import BodyContact
 from planner.model.contact.laws import Contact, Law, slide_direction
 from planner.model.mechanism import Mechanism
@@ -23,7 +23,7 @@ _SHARE = 0.05  # of a radius: how deep shapes are pressed, unless the ramps ask 
 _POINT = 0.02  # of the distance between the corners of a box: the same
 
 
-class Pressing:
+class ContactStateSampler:
     """One contact of a mechanism, to be pressed.
 
     Attributes:
@@ -69,7 +69,7 @@ class Pressing:
     def place(self, x: np.ndarray) -> Any:
         """Where the contact is at states (K, nx)."""
         m = self.mechanism
-        return place_of(m, self.contact, x[:, : m.nq], x[:, m.nq : m.nq + m.nv])
+        return contact_kinematics(m, self.contact, x[:, : m.nq], x[:, m.nq : m.nq + m.nv])
 
     def matters(self, x: np.ndarray, fixed: np.ndarray) -> bool:
         """Whether any degree of freedom but the fixed ones changes the contact at states (K, nx)."""
@@ -110,7 +110,7 @@ class Pressing:
         place = self.place(x)
         there = (np.abs(self._missing(place, depth)) <= _ALMOST * depth) & np.all(np.abs(aside) <= 2.0 * depth, axis=1)
         x = x[there]
-        if isinstance(place, BodyPlace):  # where axes cross, closest points are sharp
+        if isinstance(place, BodyContactKinematics):  # where axes cross, closest points are sharp
             x = x[np.argsort(-place.crossing[there], kind="stable")]
         lowest = self._lowest(x) if self.lowest_only else np.ones(len(x), dtype=bool)
         order = np.argsort(~lowest, kind="stable")
@@ -118,13 +118,13 @@ class Pressing:
 
     def _missing(self, place: Any, depth: float) -> np.ndarray:
         """(K,) how much deeper a place is to be, m."""
-        return depth + self.contact.law.lift - place.e
+        return depth + self.contact.law.surface_offset - place.e
 
     def _lowest(self, x: np.ndarray) -> np.ndarray:
         m = self.mechanism
         q, qd = x[:, : m.nq], x[:, m.nq : m.nq + m.nv]
         own = self.place(x).e
-        others = [place_of(m, other, q, qd).e for other in self._others]
+        others = [contact_kinematics(m, other, q, qd).e for other in self._others]
         return np.all([own >= e - _ALMOST * self.depth for e in others], axis=0) if others else np.ones(len(x), bool)
 
     def moving(self, place: Any, velocity: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -136,7 +136,7 @@ class Pressing:
 
 def beyond_ramps(law: Law) -> float:
     """Twice the depth at which a law is a plain spring's, in m or rad."""
-    return 2.0 * max(law.ramp - law.lift, 0.5 * float(law.force_ramp or 0.0) / law.stiffness)
+    return 2.0 * max(law.ramp - law.surface_offset, 0.5 * float(law.force_ramp or 0.0) / law.stiffness)
 
 
 def _carried(mechanism: Mechanism, contact: Contact, x: np.ndarray, middle: np.ndarray) -> np.ndarray:

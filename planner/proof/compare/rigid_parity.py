@@ -25,15 +25,15 @@ import numpy as np
 
 from planner.base.errors import ModelError, PlannerError
 from planner.base.gl import load_mujoco
-from planner.base.measured import Measured, Section
+from planner.base.measured import Measurement, Section
 from planner.dynamics import algorithms as rigid_body
-from planner.dynamics.assembly import assembled, directions
+from planner.dynamics.assembly import assembled, feasible_directions
 from planner.dynamics.rigid_body import RigidBodyDynamics
-from planner.model.joint_curves import curve_torques, one_torque
+from planner.model.joint_curves import exponential_joint_torques, one_torque
 from planner.model.mechanism import SCREW, Mechanism
 from planner.model.mjcf.couplings import set_hard
 from planner.model.mjcf.read import mechanism_of_model
-from planner.model.mjcf.refuse import no_compensation, unmodelled
+from planner.model.mjcf.refuse import no_compensation, unsupported_elements
 from planner.model.mjcf.survey import field
 from planner.model.space import unit
 from planner.proof.compare.constrained import constrained_acceleration
@@ -70,11 +70,11 @@ def rigid_parity(
     _check_sizes(mechanism, model)
     left_out = _unmodelled(mechanism, model)
     read = mechanism_of_model(model)
-    named, constrained = differences(mechanism, read), bool(read.couplings or read.loops or read.cams)
+    named, constrained = differences(mechanism, read), bool(read.couplings or read.loops or read.polynomial_couplings)
     mechanism = replace(mechanism, friction_loss=np.zeros(mechanism.nv))
     rng = np.random.default_rng(seed)
     xs = random_states(mechanism, rng, states)
-    if mechanism.loops or mechanism.cams:
+    if mechanism.loops or mechanism.polynomial_couplings:
         xs = np.array([_nearest_assembled(mechanism, x) for x in xs])
     us = spread * rng.normal(size=(states, mechanism.nu))
     shown = [_soft(mechanism, model, dynamics, xs, us)] if constrained else []
@@ -99,17 +99,17 @@ def rigid_parity(
         note = f"at {states} random states (seed {seed}), relative to what it is made of at each"
         if not value <= bound:
             note = f"{named or _cause(term, mechanism, ours, theirs, relative, bound)}, {note}"
-        measured.append(Measured(names.get(term, f"{term}_error"), value, "", bound, note))
+        measured.append(Measurement(names.get(term, f"{term}_error"), value, "", bound, note))
     return Section("parity", (*measured, *shown, left_out) if left_out.passed else (left_out, *measured, *shown))
 
 
-def _unmodelled(mechanism: Mechanism, model: Any) -> Measured:
+def _unmodelled(mechanism: Mechanism, model: Any) -> Measurement:
     """Elements that act in the model and that the mechanism has not, without contacts, which a replay reports."""
-    phrases = [one.phrase for one in unmodelled(model)]
+    phrases = [one.phrase for one in unsupported_elements(model)]
     note = ", ".join(phrases) or "what changes the motion and is no part of the plan's dynamics"
     if phrases and mechanism.ignored:
         note += f" (the plan was made without {', '.join(mechanism.ignored)})"
-    return Measured("unmodelled_elements", float(len(phrases)), "", 0.0, note)
+    return Measurement("unmodelled_elements", float(len(phrases)), "", 0.0, note)
 
 
 def random_states(mechanism: Mechanism, rng: np.random.Generator, K: int) -> np.ndarray:
@@ -151,7 +151,7 @@ def _ours(mechanism: Mechanism, dynamics: RigidBodyDynamics | None, xs: np.ndarr
     q, qd, _ = np.split(xs, [mechanism.nq, mechanism.nq + mechanism.nv], axis=1)
     mass = rigid_body.mass_matrix(mechanism, q)
     rest, bias, back = (rigid_body.bias(mechanism, q, v) for v in (np.zeros_like(qd), qd, -qd))
-    held = curve_torques(mechanism, q)  # of the mechanism's own, but none of these functions'
+    held = exponential_joint_torques(mechanism, q)  # of the mechanism's own, but none of these functions'
     rest, bias, back = (value - held for value in (rest, bias, back))
     if mechanism.nu:
         dynamics = _smooth(mechanism, dynamics)
@@ -176,7 +176,7 @@ def _felt(mechanism: Mechanism, xs: np.ndarray, forces: np.ndarray) -> np.ndarra
     """Forces (K, nv) at xs (K, nx) as the leading coordinates feel them, Z' tau, and 0 for the others."""
     felt = np.zeros_like(forces)
     for own, x, tau in zip(felt, xs, forces, strict=True):
-        Z, leading = directions(mechanism, x[: mechanism.nq])
+        Z, leading = feasible_directions(mechanism, x[: mechanism.nq])
         own[leading] = tau @ Z
     return felt
 
@@ -195,7 +195,7 @@ def _nearest_assembled(mechanism: Mechanism, x: np.ndarray) -> np.ndarray:
 
 def _soft(
     mechanism: Mechanism, model: Any, dynamics: RigidBodyDynamics | None, xs: np.ndarray, us: np.ndarray
-) -> Measured:
+) -> Measurement:
     """How far MuJoCo's own accelerations are from ours at states on the couplings, its equalities as hard as it can.
 
     MuJoCo adds R = (1 - d) / d w to the diagonal of J W J', with the impedance d, 0.9999 at most, and a weight w that
@@ -221,7 +221,7 @@ def _soft(
         exact = constrained_acceleration(model, data, mechanism) if ours is None else ours[k]
         apart = max(apart, float(np.abs(data.qacc - exact).max() / max(np.abs(exact).max(), 1.0)))
     note = f"of MuJoCo's own, whose equalities are soft, at {len(xs)} states that obey them, relative to the largest"
-    return Measured("soft_acceleration_difference", apart, "", None, note)
+    return Measurement("soft_acceleration_difference", apart, "", None, note)
 
 
 def _theirs(mechanism: Mechanism, model: Any, read: Mechanism, xs: np.ndarray, us: np.ndarray) -> _Terms:
@@ -305,12 +305,12 @@ def rounded(mass: np.ndarray, bias: np.ndarray, acceleration: np.ndarray) -> np.
 
 def _rounded(mechanism: Mechanism, t: _Terms, xs: np.ndarray) -> np.ndarray:
     """The same of terms at xs (K, nx), on the directions Z that couplings and closed chains leave: Z (Z'MZ)^-1 Z'."""
-    if not (mechanism.couplings or mechanism.loops or mechanism.cams):
+    if not (mechanism.couplings or mechanism.loops or mechanism.polynomial_couplings):
         return rounded(t.mass, t.bias, t.acceleration)
     terms = np.einsum("kij,kj->ki", np.abs(t.mass), np.abs(t.acceleration)) + np.abs(t.bias)
     found = np.empty(len(xs))
     for k, x in enumerate(xs):
-        Z = directions(mechanism, x[: mechanism.nq])[0]
+        Z = feasible_directions(mechanism, x[: mechanism.nq])[0]
         inverse = np.abs(np.linalg.inv(Z.T @ t.mass[k] @ Z))
         found[k] = np.max(np.abs(Z) @ inverse @ np.abs(Z).T @ terms[k])
     return found

@@ -13,10 +13,10 @@ from planner.model.contact.between_bodies import BodyContact
 from planner.model.contact.laws import Contact
 from planner.model.contact.shapes import are_capsules, capsule_of, part_name, plane_and_spheres
 from planner.model.mechanism import Mechanism
-from planner.model.mjcf.survey import Survey, named
+from planner.model.mjcf.survey import ModelIndex, named
 
 
-class Shapes(NamedTuple):
+class ContactGeoms(NamedTuple):
     """The geoms of a model that meet at a contact of the plan."""
 
     own: int  # with the sphere, or the first body's
@@ -24,7 +24,7 @@ class Shapes(NamedTuple):
     name: str  # e.g. "left foot on floor"
 
 
-def shapes_of(mechanism: Mechanism, survey: Survey) -> list[Shapes | None]:
+def shapes_of(mechanism: Mechanism, survey: ModelIndex) -> list[ContactGeoms | None]:
     """The geoms of every contact of a mechanism, planes first; None where the model has no such pair.
 
     Names decide, and where they do not, places: a contact that is elsewhere is the same one, and differs.
@@ -36,13 +36,13 @@ def shapes_of(mechanism: Mechanism, survey: Survey) -> list[Shapes | None]:
 
 
 class _Candidate(NamedTuple):
-    shapes: Shapes
+    shapes: ContactGeoms
     links: tuple[int, ...]
     label: str  # as the plan's contacts are named
     place: np.ndarray  # numbers that are the same for the same shapes
 
 
-def _with_planes(survey: Survey) -> Iterator[_Candidate]:
+def _with_planes(survey: ModelIndex) -> Iterator[_Candidate]:
     model, links = survey.model, survey.carriers[0]
     for pair in survey.pairs:
         match = plane_and_spheres(survey, pair.geoms)
@@ -57,11 +57,11 @@ def _with_planes(survey: Survey) -> Iterator[_Candidate]:
             label = part_name(named(model, "geom", sphere.geom), spheres, k)
             place = np.array([*centre, sphere.radius, *plane.normal, plane.offset])
             yield _Candidate(
-                Shapes(sphere.geom, other, name), (int(links[model.geom_bodyid[sphere.geom]]),), label, place
+                ContactGeoms(sphere.geom, other, name), (int(links[model.geom_bodyid[sphere.geom]]),), label, place
             )
 
 
-def _of_bodies(survey: Survey) -> Iterator[_Candidate]:
+def _of_bodies(survey: ModelIndex) -> Iterator[_Candidate]:
     model = survey.model
     for pair in survey.pairs:
         if plane_and_spheres(survey, pair.geoms) is None and are_capsules(model, pair.geoms):
@@ -69,10 +69,10 @@ def _of_bodies(survey: Survey) -> Iterator[_Candidate]:
             label = " and ".join(named(model, "geom", geom) for geom in pair.geoms)
             name = " on ".join(shape_name(model, geom) for geom in pair.geoms)
             place = np.array([*first.middle, *second.middle, first.radius, second.radius])
-            yield _Candidate(Shapes(*pair.geoms, name), (first.link, second.link), label, place)
+            yield _Candidate(ContactGeoms(*pair.geoms, name), (first.link, second.link), label, place)
 
 
-def _nearest(contact: Contact | BodyContact, candidates: list[_Candidate]) -> Shapes | None:
+def _nearest(contact: Contact | BodyContact, candidates: list[_Candidate]) -> ContactGeoms | None:
     if isinstance(contact, Contact):
         links, plane = (contact.link,), contact.plane
         place = np.array([*contact.centre, contact.radius, *plane.normal, plane.offset])
@@ -95,7 +95,7 @@ def contact_name(contact: Contact | BodyContact) -> str:
 
 
 def force_between(
-    model: Any, data: Any, shapes: Shapes, at: np.ndarray | None = None, within: float = np.inf
+    model: Any, data: Any, shapes: ContactGeoms, at: np.ndarray | None = None, within: float = np.inf
 ) -> np.ndarray:
     """(3,) N on the own shape, as `data` has it; NaN where the shapes do not touch.
 

@@ -16,14 +16,14 @@ from planner.proof.cures.goals import larger_weights, without_ignored
 from planner.proof.cures.limits import left_no_room, not_driven, wider_margin, within_limits
 from planner.proof.cures.solving import first_guess, more_iterations, not_a_minimum, nothing_known, other_guesses
 from planner.proof.cures.stage import calmer_gains, shorter_stage
-from planner.proof.cures.straight import shorter_way
-from planner.proof.cures.touching import out_of_touch
+from planner.proof.cures.straight import penalize_velocity
+from planner.proof.cures.touching import avoid_contact
 from planner.proof.verdict import Proof
 
 __all__ = ["Cure", "cures", "in_order", "longer"]
 
 _CAUSES = (
-    standing_goal, first_guess, left_no_room, not_driven, out_of_touch, more_time, shorter_way, within_limits,
+    standing_goal, first_guess, left_no_room, not_driven, avoid_contact, more_time, penalize_velocity, within_limits,
     without_ignored, more_iterations, shorter_stage, calmer_gains, wider_margin, larger_weights, other_guesses, falling,
     not_a_minimum,
 )  # fmt: skip

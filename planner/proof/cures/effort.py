@@ -24,7 +24,7 @@ from planner.problem.at_bounds import control_at_bound, control_name, state_at_b
 from planner.problem.plan import Plan, Status
 from planner.problem.problem import Problem
 from planner.proof.cures.cure import Cure, cure, no_cure
-from planner.proof.cures.smooth import Smooth, machine_of, smooth_motion
+from planner.proof.cures.smooth import MinJerkMotion, machine_of, smooth_motion
 from planner.proof.verdict import Proof
 
 LONGEST = 10.0  # times the duration
@@ -97,7 +97,7 @@ def _of_bounds(plan: Plan, problem: Problem, proof: Proof | None) -> list[Cure]:
 def _at_goal(problem: Problem, machine: Mechanism) -> _Need:
     """The largest load of what stays at the end of the smooth motion."""
     motion = smooth_motion(problem, machine, STILL * problem.duration)
-    return max(_of_forces(problem, machine, Smooth(*(part[-1:] for part in motion))), key=lambda one: one.load)
+    return max(_of_forces(problem, machine, MinJerkMotion(*(part[-1:] for part in motion))), key=lambda one: one.load)
 
 
 def _need(problem: Problem, machine: Mechanism, duration: float) -> _Need:
@@ -107,7 +107,7 @@ def _need(problem: Problem, machine: Mechanism, duration: float) -> _Need:
     return max(needs, key=lambda one: one.load, default=_Need(0.0, ""))
 
 
-def _of_forces(problem: Problem, machine: Mechanism, motion: Smooth) -> list[_Need]:
+def _of_forces(problem: Problem, machine: Mechanism, motion: MinJerkMotion) -> list[_Need]:
     """Of every actuator: its force beside what forcerange, actuatorfrcrange and the bounds of its control leave."""
     acts, needs = machine.actuators, []
     for a in range(machine.nu):

@@ -6,7 +6,7 @@ import numpy as np
 
 from planner.model.coordinates import coordinates_of
 from planner.problem.costs.tracking import TrackingCost, tracking_of
-from planner.problem.goals import Goal, goals_of
+from planner.problem.goals import GoalCheck, goals_of
 from planner.problem.plan import Plan
 from planner.problem.problem import Problem
 from planner.problem.tasks.cost import WEIGHT
@@ -60,7 +60,7 @@ def _of_task(plan: Plan, problem: Problem) -> list[Cure]:
     return [cure(problem, "weights.goal", rounded_up(own * float(np.clip(over[worst.name] / AIM, LEAST, MOST))), why)]
 
 
-def _raised(problem: Problem, goal: Goal, miss: float) -> tuple[float, str]:
+def _raised(problem: Problem, goal: GoalCheck, miss: float) -> tuple[float, str]:
     """Times that a weight must be as large, and why."""
     aim, way = AIM * goal.tolerance, float(goal.missed(problem.x0[None])[0])
     raised = miss / aim

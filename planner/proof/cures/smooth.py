@@ -18,7 +18,7 @@ from planner.problem.guess import quintic
 from planner.problem.problem import Problem
 
 
-class Smooth(NamedTuple):
+class MinJerkMotion(NamedTuple):
     """In the middle of every stage; forces are those of the actuators."""
 
     q: np.ndarray  # (N, nq)
@@ -46,11 +46,11 @@ def machine_of(problem: Problem) -> Mechanism | None:
     return machine if np.linalg.matrix_rank(machine.actuators.moment) == machine.nv else None
 
 
-def smooth_motion(problem: Problem, machine: Mechanism, duration: float) -> Smooth:
+def smooth_motion(problem: Problem, machine: Mechanism, duration: float) -> MinJerkMotion:
     """The motion in this duration, with as many stages as the problem has."""
     cost, acts = tracking_of(problem.cost), machine.actuators
     assert cost is not None  # machine_of() asked
     q, qd, qdd = quintic(problem.x0[: machine.nq], cost.x_ref[-1][: machine.nq], duration, problem.N)
     forces = np.linalg.lstsq(acts.moment.T, rnea(machine, q, qd, qdd).T, rcond=None)[0].T
     bias = acts.bias[:, 0] + acts.bias[:, 1] * (q @ acts.moment.T) + acts.bias[:, 2] * (qd @ acts.moment.T)
-    return Smooth(q, qd, forces, bias)
+    return MinJerkMotion(q, qd, forces, bias)

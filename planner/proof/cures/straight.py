@@ -21,7 +21,7 @@ STRAIGHT = 10.0  # times the effort of the smooth motion: what its velocities ar
 AIM = 0.25  # of what passes: the miss that final weights leave
 
 
-def shorter_way(plan: Plan, problem: Problem, proof: Proof | None) -> list[Cure]:
+def penalize_velocity(plan: Plan, problem: Problem, proof: Proof | None) -> list[Cure]:
     """Weights for a plan that swings beyond its whole way, where that leaves a range or the solve came to no end."""
     machine, cost = machine_of(problem), tracking_of(problem.cost)
     if machine is None or cost is None or not np.isfinite(plan.xs).all():

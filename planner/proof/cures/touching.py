@@ -10,16 +10,16 @@ from planner.base.errors import PlannerError
 from planner.base.gl import load_mujoco
 from planner.model.mechanism import Mechanism
 from planner.model.mjcf.left_out import names_of
-from planner.model.mjcf.meeting import can_leave
-from planner.model.mjcf.survey import Survey, named
+from planner.model.mjcf.meeting import can_separate
+from planner.model.mjcf.survey import ModelIndex, named
 from planner.problem.costs.tracking import tracking_of
 from planner.problem.plan import Plan
 from planner.problem.problem import Problem
 from planner.proof.cures.cure import FILE, Cure, cure, no_cure
 from planner.proof.cures.straight import straightened
-from planner.proof.left_out import lacking
+from planner.proof.left_out import unmodelled_of
 from planner.proof.verdict import Proof
-from planner.proof.your_file import GRAZE, as_given
+from planner.proof.your_file import PENETRATION_TOLERANCE, as_given
 
 CLEAR = 5e-3  # m between shapes that are moved apart (of a machine of 1 m or more)
 _STEPS = 30  # to move them apart
@@ -29,7 +29,7 @@ _ALONG = 40  # poses on the straight way
 _SLIGHT = 1e-5  # rad or m, of differences
 
 
-def out_of_touch(plan: Plan, problem: Problem, proof: Proof | None) -> list[Cure]:
+def avoid_contact(plan: Plan, problem: Problem, proof: Proof | None) -> list[Cure]:
     """A law for the ground, a goal that is free, or a straight way to it."""
     if proof is None or not any(one.name == "unknown_contacts" for one in proof.your_file.failures):
         return []
@@ -48,8 +48,8 @@ def out_of_touch(plan: Plan, problem: Problem, proof: Proof | None) -> list[Cure
     if floor and problem.case == FILE and problem.parameters.get("contacts") == "off" and shapes.floats:
         why = f'{shapes.names(floor[0])} touch, and contacts = "off" takes the ground away'
         return [cure(problem, "contacts", "ground", why)]
-    survey = Survey(shapes.model)
-    if inside := {pair: depth for pair, depth in began.items() if can_leave(survey, pair, start, CLEAR)}:
+    survey = ModelIndex(shapes.model)
+    if inside := {pair: depth for pair, depth in began.items() if can_separate(survey, pair, start, CLEAR)}:
         pair = max(inside, key=lambda pair: inside[pair])
         why = f"at the start {shapes.names(pair)} are {inside[pair]:.2g} m in each other"
         return [no_cure("start", f"Another `start` is needed, or a model that leaves the pair out: {why}.")]
@@ -102,7 +102,7 @@ class _Shapes:
     def __init__(self, problem: Problem, model: Any) -> None:
         self._mujoco, self.model = load_mujoco(), model
         self._data = self._mujoco.MjData(model)
-        self._known = lacking(problem).known
+        self._known = unmodelled_of(problem).known
         self._scale = min(1.0, float(model.stat.extent))
         self.at_start: set[tuple[int, int]] = set()
         moment = self._moment()
@@ -132,7 +132,7 @@ class _Shapes:
         found: dict[tuple[int, int], float] = {}
         for contact in self._data.contact:
             pair = (int(min(contact.geom)), int(max(contact.geom)))
-            if -contact.dist > GRAZE * self._scale and names_of(self.model, pair) not in self._known:
+            if -contact.dist > PENETRATION_TOLERANCE * self._scale and names_of(self.model, pair) not in self._known:
                 found[pair] = max(found.get(pair, 0.0), -float(contact.dist))
         return found
 

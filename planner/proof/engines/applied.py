@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 
 from planner.model.actuators import DIRECT, INTEGRATOR
-from planner.model.joint_curves import curve_torques
+from planner.model.joint_curves import exponential_joint_torques
 from planner.model.mechanism import SCREW, Mechanism
 from planner.model.space import conjugate, log_quaternion, product
 from planner.model.tendons import tendon_forces
@@ -40,7 +40,7 @@ class Applied:
             turned = log_quaternion(product(conjugate(rest), q[address : address + 4]))
             tau[dof : dof + 3] -= stiffness * turned
         tau = tau + tendon_forces(m, q, v) if m.tendons else tau
-        return tau + curve_torques(m, q) if m.curves else tau
+        return tau + exponential_joint_torques(m, q) if m.curves else tau
 
     def activation_rates(self, act: np.ndarray, u: np.ndarray) -> np.ndarray:
         """The rates (na,) of the activations."""

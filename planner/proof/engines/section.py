@@ -15,13 +15,13 @@ from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
-from planner.base.arguments import choice, shown
+from planner.base.arguments import choice, short_repr
 from planner.base.errors import ModelError, PlannerError
-from planner.base.measured import Measured, Section
+from planner.base.measured import Measurement, Section
 from planner.dynamics import algorithms as rigid_body
 from planner.model.mechanism import Mechanism
 from planner.model.mjcf.read import mechanism_of_model
-from planner.model.mjcf.refuse import unmodelled
+from planner.model.mjcf.refuse import unsupported_elements
 from planner.model.twin import Twin
 from planner.problem.plan import Plan
 from planner.proof.compare.rigid_parity import random_states, rounded, turns
@@ -39,7 +39,7 @@ _OTHER = 0.5  # of an acceleration: what is less wrong is compared, what is more
 _STILL = 1e-9  # of our own acceleration at rest: less is no gravity
 
 
-class Engine(Protocol):
+class PhysicsEngine(Protocol):
     """A mechanism in another engine, in MuJoCo's coordinates."""
 
     version: str
@@ -54,7 +54,7 @@ class Engine(Protocol):
 class _Kind(NamedTuple):
     """How an engine is made, looked for and installed."""
 
-    make: Callable[[Prepared, Mechanism], Engine]
+    make: Callable[[Prepared, Mechanism], PhysicsEngine]
     load: Callable[[], Any]
     needs: str
 
@@ -93,7 +93,7 @@ def another_engine(plan: Plan, name: str, *, twin: Twin | None = None, seed: int
         ModelError: MuJoCo refuses the model, or it does not fit the plan.
     """
     if not isinstance(plan, Plan):
-        raise PlannerError(f"plan is {shown(plan)}, expected a Plan.")
+        raise PlannerError(f"plan is {short_repr(plan)}, expected a Plan.")
     dynamics: Any = problem_of(plan).dynamics
     twin = twin or plan.twin
     require(name)
@@ -122,8 +122,8 @@ def another_engine(plan: Plan, name: str, *, twin: Twin | None = None, seed: int
 
     added = [*applied.phrases(), *engine.settings]
     notes = (
-        Measured("forces_and_numbers_added", float(len(added)), "", None, "; ".join(added)),
-        Measured("changes_of_the_text", float(len(text.changes)), "", None, "; ".join(text.changes)),
+        Measurement("forces_and_numbers_added", float(len(added)), "", None, "; ".join(added)),
+        Measurement("changes_of_the_text", float(len(text.changes)), "", None, "; ".join(text.changes)),
     )
     return Section(name, (_parity(name, engine, dynamics, theirs, seed), *_errors(plan, theirs), *notes))
 
@@ -148,15 +148,15 @@ def _reason(dynamics: Any, model: Any) -> str:
     if mechanism.stops:
         stopped = joints_with(mechanism, np.isin(np.arange(mechanism.nv), [stop.dof for stop in mechanism.stops]))
         return f"the ends of range of {stopped} push back, and each engine has a law of its own"
-    if np.any(mechanism.lifted_mass) or np.any(mechanism.lifted_moment):
+    if np.any(mechanism.gravcomp_mass) or np.any(mechanism.gravcomp_first_moment):
         return "the model has gravity compensation, which the other engines are not given"
     if np.any(mechanism.friction_loss):
         return "the model has friction loss, which depends on accelerations, and the other engines are given forces"
-    extra = ", ".join(one.phrase for one in unmodelled(model))
+    extra = ", ".join(one.phrase for one in unsupported_elements(model))
     return f"the model has what the other engines are not given: {extra}" if extra else ""
 
 
-def _at_rest(name: str, engine: Engine, mechanism: Mechanism, seed: int) -> str:
+def _at_rest(name: str, engine: PhysicsEngine, mechanism: Mechanism, seed: int) -> str:
     """Why a machine that was read is none at all, or ""; what is a little wrong is seen in the accelerations.
 
     An engine that computes without gravity is refused, as other releases of Pinocchio were seen to do in silence.
@@ -180,7 +180,7 @@ def _at_rest(name: str, engine: Engine, mechanism: Mechanism, seed: int) -> str:
     return ""
 
 
-def _parity(name: str, engine: Engine, dynamics: Any, theirs: Rates, seed: int) -> Measured:
+def _parity(name: str, engine: PhysicsEngine, dynamics: Any, theirs: Rates, seed: int) -> Measurement:
     """The largest difference of accelerations at random states, relative to what they are computed from."""
     mechanism, rng = dynamics.mechanism, np.random.default_rng(seed)
     xs = random_states(mechanism, rng, STATES)
@@ -195,10 +195,10 @@ def _parity(name: str, engine: Engine, dynamics: Any, theirs: Rates, seed: int) 
     dof = int(relative.max(axis=0).argmax())
     on = joints_with(mechanism, np.arange(mechanism.nv) == dof)
     note = f"{name} {engine.version} at {STATES} random states (seed {seed}), relative to what they are made of"
-    return Measured("acceleration_difference", float(relative.max()), "", None, f"{note}; largest at {on}")
+    return Measurement("acceleration_difference", float(relative.max()), "", None, f"{note}; largest at {on}")
 
 
-def _errors(plan: Plan, theirs: Rates) -> Iterator[Measured]:
+def _errors(plan: Plan, theirs: Rates) -> Iterator[Measurement]:
     """The motion against the plan and against the plan's own dynamics, by kind of coordinate."""
     assert plan.problem is not None  # problem_of() has looked
     dynamics: Any = plan.problem.dynamics
@@ -217,13 +217,13 @@ def _errors(plan: Plan, theirs: Rates) -> Iterator[Measured]:
         for kind, unit, which in _kinds(mechanism):
             path, end = error[:, which].max(), error[-1, which].max()
             note = f"{how}, against the plan's own motion, largest"
-            yield Measured(f"{mode}_end_{kind}_error", float(end), unit, None, f"{note} at the end{away}")
-            yield Measured(f"{mode}_path_{kind}_error", float(path), unit, None, f"{note} over the path{away}")
+            yield Measurement(f"{mode}_end_{kind}_error", float(end), unit, None, f"{note} at the end{away}")
+            yield Measurement(f"{mode}_path_{kind}_error", float(path), unit, None, f"{note} over the path{away}")
         if mode == "open_loop":
             apart = _deviation(plan, found, own)
             for kind, unit, which in _kinds(mechanism):
                 note = "open loop over the path, against the plan's own dynamics by the same integrator"
-                yield Measured(f"{kind}_between_engines", float(apart[:, which].max()), unit, None, note)
+                yield Measurement(f"{kind}_between_engines", float(apart[:, which].max()), unit, None, note)
 
 
 def _deviation(plan: Plan, xs: np.ndarray, reference: np.ndarray) -> np.ndarray:

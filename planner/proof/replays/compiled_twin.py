@@ -20,11 +20,11 @@ from planner.base.gl import load_mujoco
 from planner.model.mechanism import Mechanism
 from planner.model.mjcf.contacts import contact_refusals
 from planner.model.mjcf.couplings import set_hard
-from planner.model.mjcf.driven import as_driven
+from planner.model.mjcf.driven import prescribed_twin
 from planner.model.mjcf.edit import take_out
-from planner.model.mjcf.left_out import left_out
-from planner.model.mjcf.refuse import modelled, unmodelled
-from planner.model.mjcf.survey import Survey, compile_model
+from planner.model.mjcf.left_out import unmodelled_features
+from planner.model.mjcf.refuse import modelled, unsupported_elements
+from planner.model.mjcf.survey import ModelIndex, compile_model
 from planner.model.mjcf.text import is_text, model_tree
 from planner.model.twin import Twin
 from planner.problem.problem import Problem
@@ -125,7 +125,7 @@ def another_model(problem: Problem, twin: Twin, mjcf: str | Path | None) -> Comp
         return compiled
     compiled = _without(mechanism, compiled)
     prescribed = getattr(problem.dynamics, "prescribed", ())
-    driven = as_driven(compiled.twin, compiled.model, mechanism, prescribed) if prescribed else compiled.twin
+    driven = prescribed_twin(compiled.twin, compiled.model, mechanism, prescribed) if prescribed else compiled.twin
     return compiled if driven is compiled.twin else CompiledTwin(driven)
 
 
@@ -133,9 +133,9 @@ def _without(mechanism: Mechanism, compiled: CompiledTwin) -> CompiledTwin:
     """The twin without the elements that were taken out of the mechanism's file."""
     if not mechanism.original:
         return compiled
-    survey = Survey(compiled.model)
-    found = [*unmodelled(survey.model), *modelled(survey.model), *contact_refusals(survey, all_of_them=True)]
-    lacks = left_out(mechanism.original, mechanism.mjcf, mechanism.assets).kinds
+    survey = ModelIndex(compiled.model)
+    found = [*unsupported_elements(survey.model), *modelled(survey.model), *contact_refusals(survey, all_of_them=True)]
+    lacks = unmodelled_features(mechanism.original, mechanism.mjcf, mechanism.assets).kinds
     kinds = lacks & {one.kind for one in found}
     if not kinds:
         return compiled

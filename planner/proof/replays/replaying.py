@@ -13,10 +13,10 @@ from typing import Any
 
 import numpy as np
 
-from planner.base.arguments import count, number, shown
+from planner.base.arguments import count, number, short_repr
 from planner.base.errors import PlannerError
 from planner.base.gl import load_mujoco
-from planner.base.shown import Filmed
+from planner.base.shown import Renderable
 from planner.model.twin import Twin
 from planner.problem.plan import Plan
 from planner.problem.problem import Problem
@@ -35,7 +35,7 @@ SUBSTEP_REFINEMENT = 5  # per substep of a plan that has several: its fastest mo
 
 
 @dataclass(frozen=True, eq=False)
-class Replay(Filmed):
+class Replay(Renderable):
     """MuJoCo's motion under a plan's controls, sampled at every simulator step.
 
     Attributes:
@@ -144,7 +144,7 @@ def replay(
         ModelError: MuJoCo refuses the model, or it does not fit the plan.
     """
     if not isinstance(plan, Plan):
-        raise PlannerError(f"plan is {shown(plan)}, expected a Plan.")
+        raise PlannerError(f"plan is {short_repr(plan)}, expected a Plan.")
     twin = twin or plan.twin
     if twin is None:
         raise PlannerError("the plan has no MuJoCo model to be replayed in, expected a Problem with a twin.")

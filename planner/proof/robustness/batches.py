@@ -12,10 +12,10 @@ from uuid import uuid4
 
 import numpy as np
 
-from planner.base.executors import in_turn, width_of
+from planner.base.executors import ordered_map, width_of
 from planner.problem.plan import Plan
 from planner.proof.replays.compiled_twin import CompiledTwin
-from planner.proof.robustness.perturbation import Draw
+from planner.proof.robustness.perturbation import PerturbationSample
 from planner.proof.robustness.rollouts import Rollouts
 
 _FEWEST = 8  # rollouts of a batch on an executor: what NumPy does for one batch takes as long for a few
@@ -36,7 +36,7 @@ class Batches:
         self.together = 0 if executor is None else _FEWEST * width_of(executor)  # rollouts that keep all workers busy
         self._mark = uuid4().hex
 
-    def run(self, draws: Sequence[Draw], mode: str, deadline: float = math.inf) -> Iterator[np.ndarray]:
+    def run(self, draws: Sequence[PerturbationSample], mode: str, deadline: float = math.inf) -> Iterator[np.ndarray]:
         """The states (K, T, nx) of each batch at the kept knots, in the order of the draws.
 
         Raises:
@@ -51,13 +51,13 @@ class Batches:
                 yield simulator.run(simulator.batch(batch), mode, deadline)
             return
         ends = time.time() + deadline - time.monotonic()  # as other machines have it
-        yield from in_turn(
+        yield from ordered_map(
             executor, partial(_run, self._mark, simulator.plan, simulator.compiled, mode, ends), batches
         )  # fmt: skip
 
 
 def _run(
-    mark: str, plan: Plan, compiled: CompiledTwin, mode: str, ends: float, draws: Sequence[Draw]
+    mark: str, plan: Plan, compiled: CompiledTwin, mode: str, ends: float, draws: Sequence[PerturbationSample]
 ) -> np.ndarray:  # fmt: skip
     """The states of one batch, by the simulator that this worker has of the plan."""
     if getattr(_kept, "mark", None) != mark:

@@ -18,11 +18,11 @@ import numpy as np
 
 from planner.proof.robustness.batches import Batches
 from planner.proof.robustness.levels import largest_survived
-from planner.proof.robustness.partial import Partial, fingerprint
-from planner.proof.robustness.perturbation import Draw, Perturbation, draw, draw_masses
+from planner.proof.robustness.partial import RolloutCheckpoint, fingerprint
+from planner.proof.robustness.perturbation import PerturbationSample, Perturbation, draw, draw_masses
 from planner.proof.robustness.rollouts import MODES, Rollouts
 from planner.proof.robustness.success_rate import LOOKS, enough, next_look
-from planner.proof.robustness.success_rule import Rule
+from planner.proof.robustness.success_rule import SuccessRule
 
 ENOUGH = 0.95  # of the rollouts must succeed for a mass error to be within the margin
 LEVELS = (0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5)  # mass errors, relative
@@ -31,11 +31,11 @@ _QUICK = 5  # rollouts of a level where not even the first look is asked for
 _MOST_LEVELS = 4  # that a bisection of nine asks for
 
 
-class Campaign:
+class MonteCarlo:
     """The rollouts of one plan, with one perturbation and seed."""
 
     def __init__(
-        self, simulator: Rollouts, rule: Rule, perturbation: Perturbation, seed: int, asked: int, *,
+        self, simulator: Rollouts, rule: SuccessRule, perturbation: Perturbation, seed: int, asked: int, *,
         partial: Path | None = None, most_at_once: int | None = None, deadline: float = math.inf,
         progress: Callable[[int, int], object] | None = None, executor: Executor | None = None,
     ) -> None:  # fmt: skip
@@ -44,7 +44,7 @@ class Campaign:
         self.margin = dict.fromkeys(MODES, math.nan)  # see Perturbed
         self._perturbation, self._seed, self._deadline, self._progress = perturbation, seed, deadline, progress
         self._batches = Batches(simulator, min(simulator.batch_size, most_at_once or simulator.batch_size), executor)
-        self._store = Partial(partial, fingerprint(simulator, perturbation, seed))
+        self._store = RolloutCheckpoint(partial, fingerprint(simulator, perturbation, seed))
         self._finished = self._total = 0  # simulations run here, and how many these and those to come are at most
 
     def run(self) -> None:
@@ -79,7 +79,7 @@ class Campaign:
         nothing = np.empty((0, len(self.simulator.knots), self.simulator.plan.space.ndx))
         return self._store.arrays.get(f"cases {mode} deviation", nothing)[: self.done]
 
-    def _case(self, k: int) -> Draw:
+    def _case(self, k: int) -> PerturbationSample:
         return draw(self._perturbation, self._seed, k, self.simulator.nominal.sizes)
 
     def _margin(self, mode: str, others: int) -> float:
@@ -105,7 +105,7 @@ class Campaign:
         ends = self._store.arrays.get(f"{part} {mode} end")
         return np.empty(0, dtype=bool) if ends is None else self.rule.won(ends)
 
-    def _extend(self, part: str, mode: str, wanted: int, draw_one: Callable[[int], Draw], to_come: int) -> None:
+    def _extend(self, part: str, mode: str, wanted: int, draw_one: Callable[[int], PerturbationSample], to_come: int) -> None:
         """Run the rollouts of a part that the store does not have, in batches; at most `to_come` are left after it."""
         simulator, plan = self.simulator, self.simulator.plan
         done = len(self._store.arrays.get(f"{part} {mode} end", ()))

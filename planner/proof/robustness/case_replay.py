@@ -16,7 +16,7 @@ from planner.proof.robustness.perturbation import Perturbation, draw
 from planner.proof.robustness.rollouts import MODES, Rollouts
 
 
-def replay_case(
+def replay_rollout(
     plan: Plan, compiled: CompiledTwin, k: int, *, seed: int = 0, perturbation: Perturbation | None = None,
     feedback: bool = True,
 ) -> Replay:  # fmt: skip

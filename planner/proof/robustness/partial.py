@@ -31,7 +31,7 @@ def fingerprint(rollouts: Rollouts, perturbation: Perturbation, seed: int) -> st
     return digest.hexdigest()
 
 
-class Partial:
+class RolloutCheckpoint:
     """Arrays of finished rollouts by name, kept in an .npz when there is a path."""
 
     def __init__(self, path: Path | None, mark: str) -> None:

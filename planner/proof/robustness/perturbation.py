@@ -16,7 +16,7 @@ import numpy as np
 from planner.base.arguments import number
 from planner.base.errors import PlannerError
 from planner.base.gl import load_mujoco
-from planner.model.mjcf.driven import HEAVY, driven_dofs
+from planner.model.mjcf.driven import PRESCRIBED_ARMATURE, prescribed_dofs_of
 from planner.model.twin import Twin
 from planner.problem.plan import Plan
 from planner.problem.problem import Problem
@@ -98,7 +98,7 @@ class Perturbation:
 
 
 @dataclass(frozen=True, eq=False)
-class Draw:
+class PerturbationSample:
     """The errors of one rollout."""
 
     mass: np.ndarray  # (nbody,) factors
@@ -114,7 +114,7 @@ class Draw:
 
 
 @dataclass(frozen=True)
-class Sizes:
+class SampleShape:
     """Sizes of the arrays of a Draw: nbody, nv and njnt are the model's, the others the plan's."""
 
     nbody: int
@@ -125,10 +125,10 @@ class Sizes:
     njnt: int = 0
 
 
-def draw(perturbation: Perturbation, seed: int, k: int, sizes: Sizes) -> Draw:
+def draw(perturbation: Perturbation, seed: int, k: int, sizes: SampleShape) -> PerturbationSample:
     """The errors of rollout k."""
     rng, p = np.random.default_rng([seed, k]), perturbation
-    own = Draw(
+    own = PerturbationSample(
         mass=1.0 + p.mass * rng.uniform(-1.0, 1.0, sizes.nbody),
         inertia=1.0 + p.inertia * rng.uniform(-1.0, 1.0, sizes.nbody),
         damping=1.0 + p.damping * rng.uniform(-1.0, 1.0, sizes.nv),
@@ -144,11 +144,11 @@ def draw(perturbation: Perturbation, seed: int, k: int, sizes: Sizes) -> Draw:
     return replace(own, mass=heavier * own.mass, stiffness=stiffer * own.stiffness)
 
 
-def draw_masses(error: float, seed: int, level: int, k: int, sizes: Sizes) -> Draw:
+def draw_masses(error: float, seed: int, level: int, k: int, sizes: SampleShape) -> PerturbationSample:
     """Masses (and inertias with them) wrong by plus or minus `error`, the signs at random; nothing else."""
     rng = np.random.default_rng([seed, k, 1 + level])  # not [.., 0]: NumPy takes that for [seed, k]
     none = draw(Perturbation(**dict.fromkeys((one.name for one in fields(Perturbation)), 0.0)), seed, k, sizes)
-    return Draw(**{**vars(none), "mass": 1.0 + error * rng.choice([-1.0, 1.0], sizes.nbody)})
+    return PerturbationSample(**{**vars(none), "mass": 1.0 + error * rng.choice([-1.0, 1.0], sizes.nbody)})
 
 
 @dataclass(frozen=True, eq=False)
@@ -158,15 +158,15 @@ class Nominal:
     model: Any  # MuJoCo's
     load: np.ndarray  # (nv,) the largest generalized force along the plan, N m or N
     control: np.ndarray  # (nu,) the largest magnitude of each control along the plan
-    sizes: Sizes  # Of a draw
+    sizes: SampleShape  # Of a draw
     # Degrees of freedom whose accelerations the plan prescribes.
     driven: np.ndarray = field(default_factory=lambda: np.zeros(0, dtype=int))
 
     @classmethod
     def of(cls, model: Any, plan: Plan, twin: Twin) -> Nominal:
         """From a plan and the model to simulate it in."""
-        sizes = Sizes(model.nbody, model.nv, plan.space.ndx, plan.N, model.nu, model.njnt)
-        control, driven = np.abs(plan.us).max(axis=0), driven_dofs(getattr(plan.problem, "dynamics", None))
+        sizes = SampleShape(model.nbody, model.nv, plan.space.ndx, plan.N, model.nu, model.njnt)
+        control, driven = np.abs(plan.us).max(axis=0), prescribed_dofs_of(getattr(plan.problem, "dynamics", None))
         return cls(model, _loads(model, plan, twin), control, sizes, driven)
 
     @cached_property
@@ -175,7 +175,7 @@ class Nominal:
         free = load_mujoco().mjtJoint.mjJNT_FREE
         bearings = self.model.jnt_type[self.model.dof_jntid] != free
         bearings[self.driven] = False
-        bearings[self.model.dof_armature == HEAVY] = False  # driven by jerk: as prescribed
+        bearings[self.model.dof_armature == PRESCRIBED_ARMATURE] = False  # driven by jerk: as prescribed
         return bearings.astype(float)
 
     @property
@@ -184,7 +184,7 @@ class Nominal:
         bits = load_mujoco().mjtDisableBit
         return bool(self.model.opt.disableflags & (bits.mjDSBL_FRICTIONLOSS | bits.mjDSBL_CONSTRAINT))
 
-    def with_errors(self, draw: Draw, data: Any) -> Any:
+    def with_errors(self, draw: PerturbationSample, data: Any) -> Any:
         """A copy of the model with these errors; `data` is overwritten."""
         mujoco, nominal = load_mujoco(), self.model
         moves = nominal.body_weldid != 0  # what is welded to the world has no inertia to speak of

@@ -19,14 +19,14 @@ import numpy as np
 
 from planner.base.arguments import count, number
 from planner.base.jsonable import finite
-from planner.base.measured import Measured, Section
+from planner.base.measured import Measurement, Section
 from planner.problem.plan import Plan
 from planner.proof.replays.compiled_twin import CompiledTwin
-from planner.proof.robustness.campaign import Campaign
+from planner.proof.robustness.campaign import MonteCarlo
 from planner.proof.robustness.perturbation import Perturbation
 from planner.proof.robustness.rollouts import MODES, OutOfTime, Rollouts
-from planner.proof.robustness.success_rate import Rate
-from planner.proof.robustness.success_rule import Rule, end_errors, rule_of
+from planner.proof.robustness.success_rate import SuccessRate
+from planner.proof.robustness.success_rule import SuccessRule, end_errors, rule_of
 
 PERCENTILES = (5, 25, 50, 75, 95)
 JUDGED = " with its gains"  # a plan may be robust with them and succeed open loop in no rollout
@@ -35,7 +35,7 @@ _PIECES = 6  # batches that a budget has time for, if the estimate of their time
 
 
 @dataclass(frozen=True, eq=False)
-class Perturbed:
+class RobustnessResult:
     """The findings of a Monte Carlo. Modes are "open-loop" and "feedback"."""
 
     perturbation: Perturbation  # The errors that were drawn
@@ -60,9 +60,9 @@ class Perturbed:
     notes: tuple[str, ...] = ()  # Remarks on how the rollouts were run, one sentence each
 
     @property
-    def rates(self) -> dict[str, Rate]:
+    def rates(self) -> dict[str, SuccessRate]:
         """Per mode, how many succeeded of how many."""
-        return {mode: Rate(int(won.sum()), len(won)) for mode, won in self.success.items()}
+        return {mode: SuccessRate(int(won.sum()), len(won)) for mode, won in self.success.items()}
 
     @property
     def robustness(self) -> str:
@@ -84,17 +84,17 @@ class Perturbed:
         if not self.done:
             return Section("perturbed", not_applicable=" ".join(self.notes) or "no rollout was run")
         varied = " ".join((f"varied: {self.perturbation}.", *self.notes))
-        measured = [Measured("rollouts", float(self.done), "", None, varied)]
+        measured = [Measurement("rollouts", float(self.done), "", None, varied)]
         for mode, rate in self.rates.items():
             name = mode.replace("-", "_")
             median = float(np.median(self.end_error[mode])) if rate.of else math.nan
             measured += [
-                Measured(f"{name}_success_rate", 100.0 * rate.value, "%", None, f"{rate} (Wilson), {self.rule}"),
-                Measured(f"{name}_median_end_error", 100.0 * median, "%", None, "largest, of the coordinate's range"),
+                Measurement(f"{name}_success_rate", 100.0 * rate.value, "%", None, f"{rate} (Wilson), {self.rule}"),
+                Measurement(f"{name}_median_end_error", 100.0 * median, "%", None, "largest, of the coordinate's range"),
             ]
             if math.isfinite(self.margin[mode]):
                 note = f"largest error of every body's mass at which 95 % of {self.per_level} succeed, by bisection"
-                measured.append(Measured(f"{name}_mass_margin", 100.0 * self.margin[mode], "%", None, note))
+                measured.append(Measurement(f"{name}_mass_margin", 100.0 * self.margin[mode], "%", None, note))
         return Section("perturbed", tuple(measured))
 
     def lines(self) -> list[str]:
@@ -127,13 +127,13 @@ class Perturbed:
 
 
 @dataclass(frozen=True)
-class Trials:
+class MonteCarloSettings:
     """The random machines of a Monte Carlo, and which of their motions count as successes."""
 
     rollouts: int = 512  # Most machines in each mode; the k-th is the same whatever their number
     seed: int = 0  # Of the random numbers, at least 0
     perturbation: Perturbation | None = None  # The errors drawn; None for Perturbation.usual() of the plan's problem
-    rule: Rule | None = None  # Which succeed; None for planner.proof.robustness.success_rule.rule_of() the plan
+    rule: SuccessRule | None = None  # Which succeed; None for planner.proof.robustness.success_rule.rule_of() the plan
 
     def __post_init__(self) -> None:
         count("rollouts", self.rollouts)
@@ -141,10 +141,10 @@ class Trials:
 
 
 def perturbed(
-    plan: Plan, compiled: CompiledTwin, trials: Trials | None = None, *, budget: float | None = None,
+    plan: Plan, compiled: CompiledTwin, trials: MonteCarloSettings | None = None, *, budget: float | None = None,
     partial: Path | None = None, progress: Callable[[int, int], object] | None = None, threads: int | None = None,
     executor: Executor | None = None,
-) -> Perturbed:  # fmt: skip
+) -> RobustnessResult:  # fmt: skip
     """Simulate a plan many times with errors drawn at random, with its gains and open loop.
 
     Rollouts are drawn until the 95 % interval of their rate of success with gains is within 7 %, or below 80 %, at most
@@ -153,14 +153,14 @@ def perturbed(
     finished and the most that all may be, those behind the margin included. Without an executor they run on MuJoCo's
     threads. No result depends on the number of threads or workers.
     """
-    trials = trials or Trials()
+    trials = trials or MonteCarloSettings()
     perturbation = trials.perturbation or Perturbation.usual(plan.problem)
     deadline = math.inf if budget is None else time.monotonic() + number("budget", budget, above=0.0)
     notes = []
     with Rollouts(plan, compiled, threads) as simulator:
         if perturbation.friction and simulator.nominal.ignores_friction:
             notes.append("Dry friction does nothing here: the model's flags switch it off.")
-        campaign = Campaign(
+        campaign = MonteCarlo(
             simulator, trials.rule or rule_of(plan), perturbation, trials.seed, trials.rollouts,
             partial=None if partial is None else Path(partial), deadline=deadline, progress=progress, executor=executor,
             most_at_once=None if budget is None else max(4, int(budget / _PIECES / simulator.seconds)),
@@ -175,10 +175,10 @@ def perturbed(
         return _result(campaign, trials, perturbation, tuple(notes))
 
 
-def _result(campaign: Campaign, trials: Trials, perturbation: Perturbation, notes: tuple[str, ...]) -> Perturbed:
+def _result(campaign: MonteCarlo, trials: MonteCarloSettings, perturbation: Perturbation, notes: tuple[str, ...]) -> RobustnessResult:
     """What is known of the rollouts that count."""
     simulator, rule = campaign.simulator, campaign.rule
-    return Perturbed(
+    return RobustnessResult(
         perturbation=perturbation, seed=trials.seed, asked=trials.rollouts, done=campaign.done, step=simulator.step,
         control_step=simulator.control_step, tolerance=rule.most,
         end_error={mode: end_errors(simulator.plan, campaign.ends(mode)) for mode in MODES},

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from planner.base.arguments import array, number, shown
+from planner.base.arguments import array, number, short_repr
 from planner.base.errors import PlannerError
 from planner.base.gl import load_mujoco
 from planner.proof.replays.implicit_steps import Step
@@ -55,7 +55,7 @@ class Push:
             time = float(found["time"])
         except ValueError:
             expected = "expected BODY=FORCE@TIME, e.g. torso=50N@1.0s, or torso=0,50,0N@1.0s/0.2s with its duration"
-            raise PlannerError(f"the push is {shown(text)}, {expected}.") from None
+            raise PlannerError(f"the push is {short_repr(text)}, {expected}.") from None
         return cls(found["body"], force[0] if len(force) == 1 else force, time, duration)
 
     def to_dict(self) -> dict[str, Any]:

@@ -25,7 +25,7 @@ from planner.base.arguments import number
 from planner.base.errors import PlannerError
 from planner.base.gl import load_mujoco, load_rollout
 from planner.base.processors import processors
-from planner.dynamics.assembly import tangents
+from planner.dynamics.assembly import tangent_basis
 from planner.model.mechanism import Mechanism
 from planner.problem.goals import stages_asked
 from planner.problem.plan import Plan
@@ -35,7 +35,7 @@ from planner.proof.replays.curve_callback import curves_acting
 from planner.proof.replays.implicit_steps import NATIVE, damping_of
 from planner.proof.replays.replaying import problem_of
 from planner.proof.replays.simulation import MOST_STEPS, RUNAWAY
-from planner.proof.robustness.perturbation import Draw, Nominal, Perturbation, draw
+from planner.proof.robustness.perturbation import PerturbationSample, Nominal, Perturbation, draw
 from planner.proof.robustness.success_rule import ranges_of_motion
 
 MODES = ("open-loop", "feedback")
@@ -51,7 +51,7 @@ class OutOfTime(Exception):
 
 
 @dataclass(frozen=True, eq=False)
-class Batch:
+class RolloutBatch:
     """Perturbed machines, ready to run."""
 
     models: list[Any]  # K of MuJoCo's
@@ -148,16 +148,16 @@ class Rollouts:
         own = model.nbuffer + 8 * (self.plan.N * model.nu + len(self.knots) * self.plan.space.ndx)
         return int(max(1, min(_MEMORY / own, np.clip(3.0 / self.seconds, 32, 512))))
 
-    def batch(self, draws: Sequence[Draw]) -> Batch:
+    def batch(self, draws: Sequence[PerturbationSample]) -> RolloutBatch:
         """The machines with these errors."""
         plan = self.plan
         joints = self.nominal.model.dof_jntid[[curve.dof for curve in self.twin.curves]]
         x0, mechanism = self._problem.x0, getattr(self._problem.dynamics, "mechanism", None)
         starts = [errors.start for errors in draws]
         if isinstance(mechanism, Mechanism):
-            T, places = tangents(mechanism, x0)
+            T, places = tangent_basis(mechanism, x0)
             starts = [T @ start[places] for start in starts]
-        return Batch(
+        return RolloutBatch(
             models=[self.nominal.with_errors(errors, self._scratch) for errors in draws],
             start=np.array([self.twin.sim_of(plan.space.integrate(x0, start)) for start in starts]),
             noise=np.array([errors.noise * self.nominal.control for errors in draws]),
@@ -165,11 +165,11 @@ class Rollouts:
             stiffness=np.array([errors.stiffness[joints] for errors in draws]),
         )
 
-    def curves(self, batch: Batch, data: Sequence[Any]) -> AbstractContextManager[None]:
+    def curves(self, batch: RolloutBatch, data: Sequence[Any]) -> AbstractContextManager[None]:
         """A context in which the twin's exponential torques act on a batch in these data, as stiff as drawn."""
         return curves_acting(self.twin, *batch.models, factors=batch.stiffness, data=data)
 
-    def run(self, batch: Batch, mode: str, deadline: float = math.inf) -> np.ndarray:
+    def run(self, batch: RolloutBatch, mode: str, deadline: float = math.inf) -> np.ndarray:
         """The states (K, T, nx) of a batch at self.knots; NaN from the segment on in which one explodes."""
         K, nw = batch.start.shape
         n, commands = self.pieces(batch, mode)
@@ -204,7 +204,7 @@ class Rollouts:
                     row[~sound], xs[~sound, here.start :] = first[~sound], np.nan
         return xs
 
-    def pieces(self, batch: Batch, mode: str) -> tuple[int, Callable[[int, int, np.ndarray], np.ndarray]]:
+    def pieces(self, batch: RolloutBatch, mode: str) -> tuple[int, Callable[[int, int, np.ndarray], np.ndarray]]:
         """Number of steps that run at a time, and the function (step i, n, w (K, nw)) -> their controls (K, n, nu)."""
         if mode == "open-loop":
             return self._segment, lambda i, n, w: self._held(batch, i, n)
@@ -218,7 +218,7 @@ class Rollouts:
         # NumPy may take another sine for a single number than for several, with another last bit.
         return self.plan.space.difference(np.repeat(x, 2, axis=0), x_plan)[:1]
 
-    def _held(self, batch: Batch, i: int, n: int) -> np.ndarray:
+    def _held(self, batch: RolloutBatch, i: int, n: int) -> np.ndarray:
         """The plan's controls over n steps, late and noisy."""
         steps, per_stage = np.arange(i, i + n), self.control_steps * self.substeps
         late = np.maximum(steps - batch.delay[:, None], 0) // per_stage
@@ -228,7 +228,7 @@ class Rollouts:
 class _Feedback:
     """u = us[n] + K[n] difference(x, x_plan(t)) of every rollout, once per control step; late and noisy."""
 
-    def __init__(self, rollouts: Rollouts, batch: Batch) -> None:
+    def __init__(self, rollouts: Rollouts, batch: RolloutBatch) -> None:
         K, c = len(batch.models), rollouts.substeps
         self._rollouts, self._noise = rollouts, batch.noise
         self._past = (np.arange(c) - batch.delay[:, None]) // c  # (K, c) the control step that acts, from this one

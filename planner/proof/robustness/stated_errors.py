@@ -12,7 +12,7 @@ from planner.base.errors import PlannerError
 from planner.base.gl import load_mujoco
 from planner.problem.plan import Plan
 from planner.proof.replays.compiled_twin import CompiledTwin
-from planner.proof.robustness.perturbation import Draw, Nominal
+from planner.proof.robustness.perturbation import PerturbationSample, Nominal
 from planner.proof.robustness.pushes import bodies_of
 
 Mass = float | Mapping[str, float]
@@ -48,7 +48,7 @@ def with_stated_errors(
     if np.all(factors == 1.0) and not friction and not change:
         return model
     one = np.ones(model.nv)
-    draw = Draw(
+    draw = PerturbationSample(
         mass=factors, inertia=np.ones(model.nbody), damping=one, drag=0.0 * one, friction=friction * one,
         contact_friction=1.0 + change, start=np.zeros(plan.space.ndx), noise=np.zeros((0, 0)), delay=0.0,
         stiffness=np.ones(model.njnt),

@@ -21,7 +21,7 @@ _Z = 1.959963984540054  # standard deviations: 95 % of a normal distribution lie
 
 
 @dataclass(frozen=True)
-class Rate:
+class SuccessRate:
     """Successes among rollouts."""
 
     successes: int  # How many there were
@@ -80,7 +80,7 @@ def enough(won: np.ndarray, most: int) -> int:
 def _looks(won: np.ndarray, most: int) -> Iterator[tuple[int, bool]]:
     """Each look up to the first that is settled or not there yet, and whether it is settled."""
     for look in (*(look for look in LOOKS if look < most), most):
-        settled = len(won) >= look and Rate(int(won[:look].sum()), look).settled
+        settled = len(won) >= look and SuccessRate(int(won[:look].sum()), look).settled
         if settled or len(won) < look:
             yield look, settled
             return

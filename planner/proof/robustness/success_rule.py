@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from planner.problem.goals import Goal, goals_of
+from planner.problem.goals import GoalCheck, goals_of
 from planner.problem.plan import Plan
 from planner.proof.scales import ranges_of_motion
 
@@ -26,7 +26,7 @@ _LEAST = 0.1  # rad, m, rad/s, m/s: the least range, of a machine that hardly mo
 
 
 @dataclass(frozen=True)
-class Rule:
+class SuccessRule:
     """Which rollouts succeed."""
 
     words: str
@@ -51,23 +51,23 @@ class Rule:
         return won
 
 
-def rule_of(plan: Plan) -> Rule:
+def rule_of(plan: Plan) -> SuccessRule:
     """The rule for a plan with its problem."""
     own, goals = (None, ()) if plan.problem is None else (plan.problem.requirements, goals_of(plan.problem, plan.xs))
-    near = Rule(
+    near = SuccessRule(
         f"ends within {100.0 * OF_RANGE:g} % of each coordinate's range of motion from the plan's end",
         lambda ends: end_errors(plan, ends) <= OF_RANGE, most=OF_RANGE,
     )  # fmt: skip
     if own is not None and own.follows is not None:
         return replace(near, words="by its own rule", follows=own.follows, most=math.nan)
     if own is not None and own.success is not None:
-        return Rule("by its own rule", own.success)
+        return SuccessRule("by its own rule", own.success)
     if any(one.times is not None for one in goals):
         return replace(_on_the_way(plan, goals), most=math.nan)
     return within_goals(goals) if goals else near
 
 
-def _on_the_way(plan: Plan, goals: Sequence[Goal]) -> Rule:
+def _on_the_way(plan: Plan, goals: Sequence[GoalCheck]) -> SuccessRule:
     """The same of goals at their times, with states between the kept knots on lines."""
 
     def follows(xs: np.ndarray, _: np.ndarray, stages: np.ndarray) -> np.ndarray:
@@ -79,7 +79,7 @@ def _on_the_way(plan: Plan, goals: Sequence[Goal]) -> Rule:
     return replace(within_goals(ends), words=words, follows=follows)
 
 
-def within_goals(goals: Sequence[Goal]) -> Rule:
+def within_goals(goals: Sequence[GoalCheck]) -> SuccessRule:
     """Succeed by missing every goal by at most five times its tolerance."""
 
     def succeeds(ends: np.ndarray) -> np.ndarray:
@@ -88,7 +88,7 @@ def within_goals(goals: Sequence[Goal]) -> Rule:
             won &= goal.missed(ends) <= GOAL_TOLERANCES * goal.tolerance
         return won
 
-    return Rule(f"ends within {GOAL_TOLERANCES:g} tolerances of every goal", succeeds)
+    return SuccessRule(f"ends within {GOAL_TOLERANCES:g} tolerances of every goal", succeeds)
 
 
 def end_errors(plan: Plan, ends: np.ndarray) -> np.ndarray:

@@ -15,22 +15,22 @@ from planner.problem.costs.residuals.cost import ResidualCost
 from planner.problem.costs.terms import Cost, SumCost
 from planner.problem.costs.tracking import TrackingCost
 from planner.problem.problem import Problem
-from planner.solvers.engine.added import AddedEngine
+from planner.solvers.engine.added import HybridEngine
 from planner.solvers.engine.compiled import CompiledEngine, NoTracking
 from planner.solvers.engine.in_numpy import NumpyEngine
-from planner.solvers.engine.protocol import Crossing, Engine, Outcome
-from planner.solvers.engine.with_rows import RowsEngine
+from planner.solvers.engine.protocol import DefectStep, Engine, IterationResult
+from planner.solvers.engine.with_rows import ConstrainedEngine
 
 __all__ = [
-    "AddedEngine",
+    "HybridEngine",
     "CompiledEngine",
-    "Crossing",
+    "DefectStep",
     "Engine",
     "NumpyEngine",
-    "Outcome",
-    "RowsEngine",
-    "borrow",
-    "give_back",
+    "IterationResult",
+    "ConstrainedEngine",
+    "acquire_engine",
+    "release_engine",
 ]
 
 # Engines that no solve is using, so that a warm solve allocates nothing but its result. They must not refer to their
@@ -38,7 +38,7 @@ __all__ = [
 _idle: WeakKeyDictionary[Problem, dict[bool, list[Engine]]] = WeakKeyDictionary()
 
 
-def borrow(problem: Problem, rule: int = search.ARMIJO) -> Engine:
+def acquire_engine(problem: Problem, rule: int = search.ARMIJO) -> Engine:
     """An engine for one solve of a problem: compiled if kernels have all of it and of the line search."""
     try:
         return _idle_of(problem, rule).pop()
@@ -47,11 +47,11 @@ def borrow(problem: Problem, rule: int = search.ARMIJO) -> Engine:
     dynamics, (known, own) = problem.dynamics, _split(problem)
     costs = _compiled(problem, known)
     if costs is not None and isinstance(dynamics, CompiledDynamics) and _has(dynamics, problem, rule, bool(own)):
-        kept = problem.kept
+        kept = problem.trajectory_constraints
         if kept is None or kept.rows is None:
-            return AddedEngine(problem, dynamics, *costs, own) if own else CompiledEngine(problem, dynamics, *costs)
+            return HybridEngine(problem, dynamics, *costs, own) if own else CompiledEngine(problem, dynamics, *costs)
         if hasattr(dynamics, "nominal_jacobians"):
-            return RowsEngine(problem, kept, dynamics, *costs, own)
+            return ConstrainedEngine(problem, kept, dynamics, *costs, own)
     return NumpyEngine(problem)
 
 
@@ -98,6 +98,6 @@ def _compiled(problem: Problem, terms: list[Cost]) -> tuple[TrackingCost | NoTra
     return None
 
 
-def give_back(problem: Problem, engine: Engine, rule: int = search.ARMIJO) -> None:
+def release_engine(problem: Problem, engine: Engine, rule: int = search.ARMIJO) -> None:
     """Keep an engine for the next solve of the same problem with the same line search."""
     _idle_of(problem, rule).append(engine)

@@ -22,7 +22,7 @@ from planner.solvers.engine.compiled import CompiledEngine
 from planner.solvers.engine.protocol import check_shapes
 
 
-class AddedEngine(CompiledEngine):
+class HybridEngine(CompiledEngine):
     """Compiled dynamics and costs, and other costs beside them.
 
     Args:
@@ -62,14 +62,14 @@ class AddedEngine(CompiledEngine):
 
     def _search(self, rule: int, feedback: bool, cost: float, slope: float) -> tuple[float, float]:
         w = self._w
-        if not self._adds or rule == search.START:
+        if not self._adds or rule == search.INITIAL_ROLLOUT:
             step, J = super()._search(rule, feedback, cost, slope)
             return step, J + self._value(w.xs, w.us) if self._adds and math.isfinite(J) else J
         alpha, costs, slopes = (w.search[row] for row in (ALPHA, COSTS, SLOPES))
         bracket = np.empty(3)  # a TRY begins another one in the memory of the search
-        search.ladder(rule, alpha, bracket)
+        search.first_step_lengths(rule, alpha, bracket)
         for _ in range(search.batches(rule)):
-            super()._search(search.TRY, feedback, cost, slope)
+            super()._search(search.EVALUATE_ONLY, feedback, cost, slope)
             for i in range(len(alpha)):  # one by one: Armijo need not know the cost of all
                 costs[i] += self._value(*w.trial(i)) if math.isfinite(costs[i]) else 0.0
                 if search.decided(rule, alpha, costs, cost, slope, i + 1):
@@ -136,6 +136,6 @@ class AddedEngine(CompiledEngine):
         if not self._adds:
             super()._hold()
             return
-        self._w.T[self._diagonals] = self._curvature + self.hold * self._state_weights
-        if self.hold > 0.0:
+        self._w.T[self._diagonals] = self._curvature + self.state_regularization * self._state_weights
+        if self.state_regularization > 0.0:
             self._touched = np.arange(len(self._w.T))

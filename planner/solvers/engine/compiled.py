@@ -9,7 +9,7 @@ import numpy as np
 
 from planner.dynamics import CompiledDynamics, ResidualDynamics
 from planner.kernels.lq import search
-from planner.kernels.lq.active_set import choose_active
+from planner.kernels.lq.active_set import update_active_set
 from planner.kernels.lq.bounded import bounded_direction, riccati_dense_bounded, riccati_structured_bounded
 from planner.kernels.lq.quadratic import gradients
 from planner.kernels.lq.riccati import direction, riccati_dense, riccati_structured
@@ -20,11 +20,11 @@ from planner.model.space import StateSpace, space_of
 from planner.problem.costs.residuals.arrays import ResidualArrays
 from planner.problem.costs.tracking import TrackingCost
 from planner.problem.problem import Problem
-from planner.problem.state_ranges import Hinges
-from planner.solvers.engine.followed import Followed
-from planner.solvers.engine.moved import Trajectory
-from planner.solvers.engine.protocol import Crossing, Engine, Outcome, promised, state_weights
-from planner.solvers.engine.settling import MOST_SETS, Settling
+from planner.problem.state_ranges import BoundPenalties
+from planner.solvers.engine.followed import TrackedTrajectory
+from planner.solvers.engine.moved import TrajectoryArrays
+from planner.solvers.engine.protocol import DefectStep, Engine, IterationResult, expected_reduction, state_weights
+from planner.solvers.engine.settling import MOST_SETS, ActiveSetSchedule
 
 _EXACT = W.exact
 
@@ -60,9 +60,9 @@ class CompiledEngine(Engine):
         free = (riccati_dense, riccati_structured)
         boxed = (riccati_dense_bounded, riccati_structured_bounded)
         # A plan that is followed and the next one, by turns: nothing of their gains is copied.
-        self._followed: tuple[Followed, Followed] | None = None
+        self._followed: tuple[TrackedTrajectory, TrackedTrajectory] | None = None
         self._riccati = (free if problem.bounds is None else boxed)[dynamics.structured]
-        self._settling, self._hinged = Settling(), False
+        self._settling, self._hinged = ActiveSetSchedule(), False
         self._memory = dynamics.memory(problem.N)
         self._with_residuals = dynamics if residuals is not None and isinstance(dynamics, ResidualDynamics) else None
         if self._with_residuals is not None:
@@ -73,10 +73,10 @@ class CompiledEngine(Engine):
         columns = self._w.first + np.arange(self._w.ndx)
         self._diagonals = slice(1, -1), columns, columns  # of the states in T, the start's and the end's aside
         self._second: Any = None
-        self._exact, self._swept, self.hold = False, False, 0.0
+        self._exact, self._swept, self.state_regularization = False, False, 0.0
         self._curvature = np.zeros((problem.N - 1, self._w.ndx))  # of T on these diagonals
 
-    def hinge(self, hinges: Hinges | None) -> None:
+    def hinge(self, hinges: BoundPenalties | None) -> None:
         """Have these hinges added to the cost from the next start on; None for none."""
         if hinges is None:
             self._w.hinge_weight[:] = 0.0
@@ -86,11 +86,11 @@ class CompiledEngine(Engine):
 
     def start(self, x0: np.ndarray, us: np.ndarray, exact: bool = False) -> float:
         """Roll out the first guess, within its bounds; its cost."""
-        self._exact, self._swept, self.hold = exact, exact, 0.0
+        self._exact, self._swept, self.state_regularization = exact, exact, 0.0
         if exact and self._second is None:
             self._second = self._dynamics.second_order_memory()
         self._w.use_second_order(exact)
-        self._w.use_gaps(False)
+        self._w.use_defects(False)
         sweep = "riccati structured" if self._dynamics.structured else "riccati dense"
         sweep += "" if self._bounds is None else " bounded"
         active = () if self._bounds is None and not len(self._w.hinge_weight.T) else ("choose active",)
@@ -99,26 +99,26 @@ class CompiledEngine(Engine):
         if self._with_residuals is not None:
             kernels = self._with_residuals.residual_kernels(self._w.residuals.solids)
         compile_together((sweep, "gradients", *active, *kernels, *more))
-        self._settling, self._w.held_at[:] = Settling(), 0.0
+        self._settling, self._w.active_bounds[:] = ActiveSetSchedule(), 0.0
         self._w.xs[0] = x0
         self._w.us[:] = us if self._bounds is None else self._bounds.clip(slice(None), us, None)
         self._w.dus[:] = 0.0
-        return self._search(search.START, False, math.inf, 0.0)[1]
+        return self._search(search.INITIAL_ROLLOUT, False, math.inf, 0.0)[1]
 
     @property
     def clamped(self) -> bool:
         """Whether the last sweep held controls at their bounds."""
-        return bool(self._w.held_at.any())
+        return bool(self._w.active_bounds.any())
 
-    def follow(self, x0: np.ndarray, trajectory: Trajectory, stages: float = 0.0) -> float:
+    def follow(self, x0: np.ndarray, trajectory: TrajectoryArrays, stages: float = 0.0) -> float:
         """Roll out u = us + K (x - xs) of a trajectory, some stages on, from x0 (nx,), and take it; its cost."""
         w = self._w
         if self._followed is None:
-            self._followed = Followed(w, self._space), Followed(w, self._space)
+            self._followed = TrackedTrajectory(w, self._space), TrackedTrajectory(w, self._space)
         plan, next_one = self._followed
         plan.take(trajectory)
         plan.begin(w, x0, stages)
-        cost = self._search(search.START, True, math.inf, 0.0)[1]
+        cost = self._search(search.INITIAL_ROLLOUT, True, math.inf, 0.0)[1]
         next_one.use(w)
         return cost
 
@@ -126,7 +126,7 @@ class CompiledEngine(Engine):
         """Take the longest part of a change that lowers the cost: which, 0 for none, and the cost after it."""
         w = self._w
         w.k[:] = dus - np.einsum("nij,nj->ni", w.K[:, :, w.first : w.first + w.ndx], dxs[:-1])
-        return self._search(search.CLOSING, True, cost, 0.0)
+        return self._search(search.DEFECT_STEP, True, cost, 0.0)
 
     def cost_arrays(self) -> dict[str, np.ndarray]:
         """The weights, references and bounds as kernels read them, which may change between iterations."""
@@ -143,35 +143,35 @@ class CompiledEngine(Engine):
 
     def _hold(self) -> None:
         """Put `hold` onto the diagonals of what the sweep adds to its Hessians; start and end are free of it."""
-        w, weights = self._w, self.hold * self._state_weights
-        w.use_second_order(self._swept, not self._swept and self.hold > 0.0)
+        w, weights = self._w, self.state_regularization * self._state_weights
+        w.use_second_order(self._swept, not self._swept and self.state_regularization > 0.0)
         if self._swept:
             w.T[self._diagonals] = self._curvature + weights
-        elif self.hold > 0.0:
-            w.held[self._diagonals] = weights
+        elif self.state_regularization > 0.0:
+            w.state_regularization[self._diagonals] = weights
 
     def iterate(
         self, feedback: bool, rule: int, mu: float, fresh: bool, cost: float,
         gradient_tolerance: float, decrease_tolerance: float,
-    ) -> Outcome:  # fmt: skip
+    ) -> IterationResult:  # fmt: skip
         """Linearise (if `fresh`), sweep, search, accept."""
         w, dynamics = self._w, self._dynamics
         if fresh:
             self._linearize(self._exact)
-        if self._exact or self.hold > 0.0 or w.table[_EXACT]:
+        if self._exact or self.state_regularization > 0.0 or w.table[_EXACT]:
             self._hold()
         self._boxed()
         norm, slope, value, definite = self._solve_lq(mu, decrease_tolerance < math.inf)
         if not definite:
-            return Outcome(INDEFINITE, norm, 0.0, 0.0, 0.0, cost)
+            return IterationResult(INDEFINITE, norm, 0.0, 0.0, 0.0, cost)
         if norm <= gradient_tolerance or -value <= decrease_tolerance:
-            return Outcome(CONVERGED, norm, slope, 0.0, -value, cost)
+            return IterationResult(CONVERGED, norm, slope, 0.0, -value, cost)
         if not feedback and self._bounds is None:
             direction(w.table, dynamics.dt)
         step, after = self._search(rule, feedback, cost, slope) if slope < 0.0 else (0.0, cost)  # Eq. 36
         if step == 0.0:
-            return Outcome(NO_STEP, norm, slope, 0.0, -value, cost)
-        return Outcome(ACCEPTED, norm, slope, step, promised(slope, value, step), after)
+            return IterationResult(NO_STEP, norm, slope, 0.0, -value, cost)
+        return IterationResult(ACCEPTED, norm, slope, step, expected_reduction(slope, value, step), after)
 
     def _solve_lq(self, mu: float, settle: bool) -> tuple[float, float, float, bool]:
         """Sweep: the gradient's norm, the slope of J, the model's value at its minimum, and whether it is definite.
@@ -182,7 +182,7 @@ class CompiledEngine(Engine):
         w, dt, bounded = self._w, self._dynamics.dt, self._bounds is not None
         if settle and (bounded or self._hinged) and self._settling.due():
             found = self._settled(mu)
-            choose_active(w.table, dt, True)
+            update_active_set(w.table, dt, True)
             if found is not None:
                 return found
         norm, value, definite = self._riccati(w.table, mu, dt, *([False] if bounded else []))
@@ -200,7 +200,7 @@ class CompiledEngine(Engine):
                 break
             if sets == 0:
                 gradient_norm = norm  # the next ones have other hinges
-            changes, more_cost, more_slope = choose_active(w.table, dt, False)
+            changes, more_cost, more_slope = update_active_set(w.table, dt, False)
             if changes == 0:
                 self._settling.found()
                 slope = bounded_direction(w.table, dt) if bounded else value
@@ -232,9 +232,9 @@ class CompiledEngine(Engine):
         """Take states (N+1, nx) and controls (N, nu) as the trajectory, after a start; its gaps (N, ndx)."""
         w = self._w
         w.xs[:], w.us[:] = xs, us
-        return self._space.difference(self._dynamics.ends(w, self._memory), w.xs[1:])
+        return self._space.difference(self._dynamics.stage_ends(w, self._memory), w.xs[1:])
 
-    def cross(self, gaps: np.ndarray, fresh: bool) -> Crossing | None:
+    def cross(self, gaps: np.ndarray, fresh: bool) -> DefectStep | None:
         """Linearise (if `fresh`) and sweep across these gaps; None where the sweep is not definite."""
         w, dt = self._w, self._dynamics.dt
         if fresh:
@@ -242,23 +242,23 @@ class CompiledEngine(Engine):
         self.use_second_order(False)
         self._hold()
         self._boxed()
-        w.use_gaps(True)
-        w.gaps[:] = gaps
+        w.use_defects(True)
+        w.defects[:] = gaps
         boxed = () if self._bounds is None else (False,)
         norm, _, definite = self._riccati(w.table, 0.0, dt, *boxed)
         if definite:
             direction(w.table, dt)
-        w.use_gaps(False)
+        w.use_defects(False)
         if not definite:
             return None
         nu, first, ndx = w.us.shape[1], w.first, w.ndx
         multipliers = np.einsum("nij,nj->ni", w.values[:, :, :ndx], w.dxs[1:]) + w.values[:, :, ndx]
         slope = float(np.sum(w.l[:-1, :nu] * w.dus) + np.sum(w.l[:, first : first + ndx] * w.dxs))
-        return Crossing(w.dxs.copy(), w.dus.copy(), multipliers, slope, norm)
+        return DefectStep(w.dxs.copy(), w.dus.copy(), multipliers, slope, norm)
 
     def close(self, cost: float, slope: float) -> tuple[float, float]:
         """Close the gaps by a rollout with the gains of `cross`, if Armijo's rule takes one of the first steps."""
-        return self._search(search.CLOSING, True, cost, slope)
+        return self._search(search.DEFECT_STEP, True, cost, slope)
 
     def _search(self, rule: int, feedback: bool, cost: float, slope: float) -> tuple[float, float]:
         """The step that is taken and the cost after it."""
@@ -283,13 +283,13 @@ class CompiledEngine(Engine):
         first = self._w.first
         return self._w.K[:, :, first : first + self._w.ndx].copy()
 
-    def read(self, most: float) -> Trajectory | None:
+    def read(self, most: float) -> TrajectoryArrays | None:
         """The trajectory and its gains, in memory that is another plan's when the next but one is read.
 
         None where the norm of its last state is not below `most`.
         """
         if self._followed is None:
-            self._followed = Followed(self._w, self._space), Followed(self._w, self._space)
+            self._followed = TrackedTrajectory(self._w, self._space), TrackedTrajectory(self._w, self._space)
             self._followed[1].K[:] = self.gains()
         plan, next_one = self._followed
         if not next_one.keep(self._w) < most**2:

@@ -4,16 +4,16 @@ from __future__ import annotations
 
 import numpy as np
 
-from planner.kernels.lq.following import FOLLOWED, begin_following, keep_followed
+from planner.kernels.lq.following import FOLLOWED, load_tracked, store_tracked
 from planner.kernels.lq.workspace import Workspace
 from planner.kernels.numba.lanes import lane_array
 from planner.model.space import StateSpace
-from planner.solvers.engine.moved import LITTLE, Trajectory, move
+from planner.solvers.engine.moved import LITTLE, TrajectoryArrays, shift_trajectory
 
 _STAGES = FOLLOWED.stages
 
 
-class Followed:
+class TrackedTrajectory:
     """A trajectory with gains, which have room after their end, so that they can be followed from any stage on.
 
     Attributes:
@@ -34,7 +34,7 @@ class Followed:
         arrays = {"x0": self._x0, "xs": self.xs, "us": self.us, "K": self._rows}
         self._table = FOLLOWED.table({"stages": 0}, arrays)
 
-    def take(self, trajectory: Trajectory) -> None:
+    def take(self, trajectory: TrajectoryArrays) -> None:
         """Copy a trajectory that is not this one already."""
         if trajectory[2] is not self.K:
             self.xs[:], self.us[:], self.K[:] = trajectory
@@ -47,13 +47,13 @@ class Followed:
         else:
             m = min(m, self._N)
             self._table[_STAGES], self._x0[:] = m, x0
-            begin_following(w.table, self._table)
+            load_tracked(w.table, self._table)
         w.use_gains(self._first, self._address + m * self._stride)
 
     def _between(self, w: Workspace, x0: np.ndarray, stages: float) -> int:
         """As begin_following, by any number of stages; the whole ones."""
         N = self._N
-        m = move((w.xs, w.us), (self.xs, self.us), stages, self._space)
+        m = shift_trajectory((w.xs, w.us), (self.xs, self.us), stages, self._space)
         self._rows[N : N + m] = self._rows[N - 1]
         w.k.fill(0.0)
         w.us[0] += self.K[min(m, N - 1)] @ self._space.single_difference(x0, w.xs[0])
@@ -66,4 +66,4 @@ class Followed:
 
     def keep(self, w: Workspace) -> float:
         """Copy the trajectory of a solve, whose gains are here already; the square of the norm of its last state."""
-        return keep_followed(w.table, self._table)
+        return store_tracked(w.table, self._table)

@@ -12,16 +12,16 @@ from planner.kernels.lq.workspace import ACCEPTED, CONVERGED, INDEFINITE, NO_STE
 from planner.kernels.numba.jit import announce
 from planner.kernels.numba.lanes import WIDTH
 from planner.model.space import space_of
-from planner.problem.control_bounds import Moves
+from planner.problem.control_bounds import StepBounds
 from planner.problem.costs.terms import Cost, Quadratic
 from planner.problem.costs.tracking import tracking_of
 from planner.problem.problem import Problem
-from planner.problem.state_ranges import Hinges
+from planner.problem.state_ranges import BoundPenalties
 from planner.solvers import lq
-from planner.solvers.active_set import Pulling, settled
-from planner.solvers.engine.moved import Trajectory, move
-from planner.solvers.engine.protocol import Crossing, Engine, Outcome, check_shapes, promised, state_weights
-from planner.solvers.engine.settling import MOST_SETS, Settling
+from planner.solvers.active_set import StatePenalties, solve_active_set
+from planner.solvers.engine.moved import TrajectoryArrays, shift_trajectory
+from planner.solvers.engine.protocol import DefectStep, Engine, IterationResult, check_shapes, expected_reduction, state_weights
+from planner.solvers.engine.settling import MOST_SETS, ActiveSetSchedule
 
 
 class NumpyEngine(Engine):
@@ -30,22 +30,22 @@ class NumpyEngine(Engine):
     def __init__(self, problem: Problem) -> None:
         announce(search.choose)
         self._dynamics, self._cost, self._bounds = problem.dynamics, problem.cost, problem.bounds
-        self._kept = problem.kept
-        self._hinges: Hinges | None = None
+        self._kept = problem.trajectory_constraints
+        self._hinges: BoundPenalties | None = None
         # Where eight candidates cost as much as eight rollouts, Armijo tries them one by one, the longest first. Its
         # step is the same.
         self._together = bool(getattr(problem.dynamics, "batched", True))
         self._bracket = np.empty(3)
-        self.largest_control_weight, self.hold = 1.0, 0.0
+        self.largest_control_weight, self.state_regularization = 1.0, 0.0
         self._sweep: lq.Sweep | None = None
         self._exact, self._swept, self._second = False, False, None
-        self._settling, self._held = Settling(), np.zeros((problem.N, problem.dynamics.nu))
+        self._settling, self._held = ActiveSetSchedule(), np.zeros((problem.N, problem.dynamics.nu))
         self._space = space_of(problem.dynamics)
         self._gains = (problem.N, problem.dynamics.nu, self._space.ndx)
         # One attribute, so that an interrupt never leaves states of one trajectory with controls of another.
         self._nominal = np.empty((0, problem.dynamics.nx)), np.empty((0, problem.dynamics.nu))
 
-    def hinge(self, hinges: Hinges | None) -> None:
+    def hinge(self, hinges: BoundPenalties | None) -> None:
         """Have these hinges added to the cost from the next start on; None for none."""
         self._hinges = hinges
 
@@ -59,9 +59,9 @@ class NumpyEngine(Engine):
             return model
         return self._kept.added(self._hinges, model, xs, us, A, B)
 
-    def _moves(self, xs: np.ndarray, us: np.ndarray) -> Moves | None:
+    def _moves(self, xs: np.ndarray, us: np.ndarray) -> StepBounds | None:
         """How far each control may change from us (N, nu) along the states xs (N+1, nx)."""
-        return None if self._bounds is None else self._bounds.moves(xs, us)
+        return None if self._bounds is None else self._bounds.step_bounds(xs, us)
 
     def start(self, x0: np.ndarray, us: np.ndarray, exact: bool = False) -> float:
         """Roll out the first guess, within its bounds; its cost."""
@@ -71,7 +71,7 @@ class NumpyEngine(Engine):
                 "second_order(xs, us, costates) (see planner.dynamics.Dynamics)."
             )
         self._exact = self._swept = exact
-        self.hold, self._settling, self._held = 0.0, Settling(), np.zeros(us.shape)
+        self.state_regularization, self._settling, self._held = 0.0, ActiveSetSchedule(), np.zeros(us.shape)
         first = us[:, None, :].copy()
         xs, J = self._rollout(x0, first, None, us)  # no gains yet
         self._nominal = xs[:, 0].copy(), first[:, 0].copy()
@@ -89,10 +89,10 @@ class NumpyEngine(Engine):
         """Whether the last sweep held controls at their bounds."""
         return bool(self._held.any())
 
-    def follow(self, x0: np.ndarray, trajectory: Trajectory, stages: float = 0.0) -> float:
+    def follow(self, x0: np.ndarray, trajectory: TrajectoryArrays, stages: float = 0.0) -> float:
         """Roll out u = us + K (x - xs) of a trajectory, some stages on, from x0 (nx,), and take it; its cost."""
         xs, us, K = np.empty_like(trajectory[0]), np.empty_like(trajectory[1]), trajectory[2]
-        m = move((xs, us), trajectory[:2], stages, self._space)
+        m = shift_trajectory((xs, us), trajectory[:2], stages, self._space)
         K, first = K[np.minimum(np.arange(m, m + len(K)), len(K) - 1)], us[:, None, :]
         states, J = self._rollout(x0, first, K, xs)
         self._nominal = states[:, 0].copy(), first[:, 0].copy()
@@ -160,7 +160,7 @@ class NumpyEngine(Engine):
     def iterate(
         self, feedback: bool, rule: int, mu: float, fresh: bool, cost: float,
         gradient_tolerance: float, decrease_tolerance: float,
-    ) -> Outcome:  # fmt: skip
+    ) -> IterationResult:  # fmt: skip
         """Linearise (if `fresh`), sweep, search, accept."""
         xs0, us0 = self._nominal
         if fresh:
@@ -169,17 +169,17 @@ class NumpyEngine(Engine):
         moves = self._moves(xs0, us0)
         sweep = self._solve_lq(mu, moves, decrease_tolerance < np.inf)
         if sweep is None:
-            return Outcome(INDEFINITE, self._norm, 0.0, 0.0, 0.0, cost)
+            return IterationResult(INDEFINITE, self._norm, 0.0, 0.0, 0.0, cost)
         self._sweep, slope = sweep, sweep.slope
         if self._norm <= gradient_tolerance or -sweep.value <= decrease_tolerance:
-            return Outcome(CONVERGED, self._norm, slope, 0.0, -sweep.value, cost)
+            return IterationResult(CONVERGED, self._norm, slope, 0.0, -sweep.value, cost)
         if slope >= 0.0:  # clipping may undo a direction
-            return Outcome(NO_STEP, self._norm, slope, 0.0, -sweep.value, cost)
+            return IterationResult(NO_STEP, self._norm, slope, 0.0, -sweep.value, cost)
         self._dus = sweep.k if feedback else lq.direction(self._A, self._B, sweep, moves)[1]
         alpha, J = np.empty(WIDTH), np.empty(WIDTH)
         xs, us = np.empty((len(xs0), WIDTH, xs0.shape[1])), np.empty((len(us0), WIDTH, us0.shape[1]))
         bracket = self._bracket
-        search.ladder(rule, alpha, bracket)
+        search.first_step_lengths(rule, alpha, bracket)
         slopes = np.zeros_like(alpha)
         one_by_one = not self._together and rule == search.ARMIJO
         lanes = [slice(c, c + 1) for c in range(WIDTH)] if one_by_one else [slice(0, WIDTH)]
@@ -197,20 +197,20 @@ class NumpyEngine(Engine):
             if lane >= 0:
                 self._nominal = xs[:, lane].copy(), us[:, lane].copy()
                 step = float(alpha[lane])
-                expected = promised(slope, sweep.value, step)
-                return Outcome(ACCEPTED, self._norm, slope, step, expected, float(J[lane]))
+                expected = expected_reduction(slope, sweep.value, step)
+                return IterationResult(ACCEPTED, self._norm, slope, step, expected, float(J[lane]))
             search.refine(rule, alpha, bracket)
-        return Outcome(NO_STEP, self._norm, slope, 0.0, -sweep.value, cost)
+        return IterationResult(NO_STEP, self._norm, slope, 0.0, -sweep.value, cost)
 
-    def _solve_lq(self, mu: float, moves: Moves | None, settle: bool) -> lq.Sweep | None:
+    def _solve_lq(self, mu: float, moves: StepBounds | None, settle: bool) -> lq.Sweep | None:
         """As the compiled engine's."""
         kept, hinges, xs = self._kept, self._hinges, self._nominal[0]
         pulling = None
         if kept is not None and hinges is not None and kept.ranges is not None:
             of_ranges = kept.of_ranges(hinges)
-            pulling = Pulling(kept.ranges, of_ranges, xs) if of_ranges.weight.any() else None
+            pulling = StatePenalties(kept.ranges, of_ranges, xs) if of_ranges.weight.any() else None
         if settle and (moves is not None or pulling is not None) and self._settling.due():
-            sweep, self._held = settled(
+            sweep, self._held = solve_active_set(
                 self._A, self._B, self._model, mu, moves, self._added(), pulling, self._held, MOST_SETS
             )
             if sweep is not None:
@@ -235,11 +235,11 @@ class NumpyEngine(Engine):
     def _added(self) -> np.ndarray | None:
         """What the sweep adds to the Hessians of the stages, (N, ndx+nu, ndx+nu); the start is free of `hold`."""
         second = self._second if self._swept else None
-        if self.hold == 0.0:
+        if self.state_regularization == 0.0:
             return second
         N, nu, ndx = self._gains
         added, i = np.zeros((N, ndx + nu, ndx + nu)) if second is None else second.copy(), np.arange(ndx)
-        added[1:, i, i] += self.hold * self._state_weights
+        added[1:, i, i] += self.state_regularization * self._state_weights
         return added
 
     def place(self, xs: np.ndarray, us: np.ndarray) -> np.ndarray:
@@ -247,7 +247,7 @@ class NumpyEngine(Engine):
         self._nominal = xs.copy(), us.copy()
         return self._space.difference(self._dynamics.step(xs[:-1], us), xs[1:])
 
-    def cross(self, gaps: np.ndarray, fresh: bool) -> Crossing | None:
+    def cross(self, gaps: np.ndarray, fresh: bool) -> DefectStep | None:
         """Linearise (if `fresh`) and sweep across these gaps; None where the sweep is not definite."""
         if fresh:
             self._linearize()
@@ -259,7 +259,7 @@ class NumpyEngine(Engine):
         self._sweep = sweep
         dxs, dus = lq.direction(A, B, sweep, None, gaps)
         multipliers = np.einsum("nij,nj->ni", sweep.P[1:], dxs[1:]) + sweep.s[1:]
-        return Crossing(dxs, dus, multipliers, float(np.sum(model.q * dxs) + np.sum(model.r * dus)), self._norm)
+        return DefectStep(dxs, dus, multipliers, float(np.sum(model.q * dxs) + np.sum(model.r * dus)), self._norm)
 
     def close(self, cost: float, slope: float) -> tuple[float, float]:
         """Close the gaps by a rollout with the gains of `cross`, if Armijo's rule takes one of the first steps."""
@@ -271,10 +271,10 @@ class NumpyEngine(Engine):
         assert self._sweep is not None
         xs0, us0 = self._nominal
         alpha = np.empty(WIDTH)
-        search.ladder(search.CLOSING, alpha, self._bracket)
+        search.first_step_lengths(search.DEFECT_STEP, alpha, self._bracket)
         us = us0[:, None, :] + alpha[:, None] * k[:, None, :]
         xs, J = self._rollout(xs0[0], us, self._sweep.K, xs0)
-        lane = search.choose(search.CLOSING, alpha, J, np.zeros_like(alpha), cost, slope, self._bracket)
+        lane = search.choose(search.DEFECT_STEP, alpha, J, np.zeros_like(alpha), cost, slope, self._bracket)
         if lane < 0:
             return 0.0, cost
         self._nominal = xs[:, lane].copy(), us[:, lane].copy()
@@ -293,7 +293,7 @@ class NumpyEngine(Engine):
         """A copy of K (N, nu, ndx)."""
         return self._sweep.K.copy() if self._sweep is not None else np.zeros(self._gains)
 
-    def read(self, most: float) -> Trajectory | None:
+    def read(self, most: float) -> TrajectoryArrays | None:
         """Copies of the trajectory and its gains; None where the norm of its last state is not below `most`."""
         xs, us = self.trajectory()
         return (xs, us, self.gains()) if xs[-1] @ xs[-1] < most**2 else None

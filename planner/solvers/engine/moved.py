@@ -6,13 +6,13 @@ import numpy as np
 
 from planner.model.space import StateSpace
 
-Trajectory = tuple[np.ndarray, np.ndarray, np.ndarray]  # xs (N+1, nx), us (N, nu), K (N, nu, ndx)
+TrajectoryArrays = tuple[np.ndarray, np.ndarray, np.ndarray]  # xs (N+1, nx), us (N, nu), K (N, nu, ndx)
 Motion = tuple[np.ndarray, np.ndarray]  # xs (N+1, nx), us (N, nu)
 
 LITTLE = 1e-6  # of a stage: instants that are nearer are the same
 
 
-def move(to: Motion, motion: Motion, stages: float, space: StateSpace) -> int:
+def shift_trajectory(to: Motion, motion: Motion, stages: float, space: StateSpace) -> int:
     """Write states and controls, moved on by some stages, which need not be whole; beyond the end the last repeats.
 
     Args:

@@ -10,11 +10,11 @@ import numpy as np
 from planner.base.errors import PlannerError
 from planner.kernels.lq import search
 from planner.problem.costs.terms import Quadratic
-from planner.problem.state_ranges import Hinges
-from planner.solvers.engine.moved import Trajectory
+from planner.problem.state_ranges import BoundPenalties
+from planner.solvers.engine.moved import TrajectoryArrays
 
 
-class Outcome(NamedTuple):
+class IterationResult(NamedTuple):
     """The result of one iteration."""
 
     kind: int  # ACCEPTED, CONVERGED, INDEFINITE or NO_STEP
@@ -25,7 +25,7 @@ class Outcome(NamedTuple):
     cost: float  # J after the step
 
 
-class Crossing(NamedTuple):
+class DefectStep(NamedTuple):
     """The direction of the LQ problem along states with gaps."""
 
     dxs: np.ndarray  # (N+1, ndx)
@@ -45,9 +45,9 @@ class Engine(Protocol):
     """
 
     largest_control_weight: float
-    hold: float
+    state_regularization: float
 
-    def hinge(self, hinges: Hinges | None) -> None:
+    def set_penalties(self, hinges: BoundPenalties | None) -> None:
         """Have these hinges added to the cost from the next start on; None for none."""
         ...
 
@@ -55,7 +55,7 @@ class Engine(Protocol):
         """Whether the next sweeps have the second-order terms, after start(exact=True)."""
         ...
 
-    def start(self, x0: np.ndarray, us: np.ndarray, exact: bool = False) -> float:
+    def start_from_controls(self, x0: np.ndarray, us: np.ndarray, exact: bool = False) -> float:
         """Roll out the first guess, within its bounds; its cost.
 
         With `exact` the Hessians have the dynamics' second-order terms.
@@ -65,23 +65,23 @@ class Engine(Protocol):
     def iterate(
         self, feedback: bool, rule: int, mu: float, fresh: bool, cost: float,
         gradient_tolerance: float, decrease_tolerance: float,
-    ) -> Outcome:  # fmt: skip
+    ) -> IterationResult:  # fmt: skip
         """Linearise (if `fresh`), sweep, search, accept."""
         ...
 
     @property
-    def clamped(self) -> bool:
+    def has_active_bounds(self) -> bool:
         """Whether the last sweep held controls at their bounds."""
         ...
 
-    def follow(self, x0: np.ndarray, trajectory: Trajectory, stages: float = 0.0) -> float:
+    def start_from_trajectory(self, x0: np.ndarray, trajectory: TrajectoryArrays, stages: float = 0.0) -> float:
         """Roll out u = us + K (x - xs) of a trajectory, some stages on, from x0 (nx,), and take it; its cost.
 
         After a start, with whose memory and terms it goes on.
         """
         ...
 
-    def advance(self, dxs: np.ndarray, dus: np.ndarray, cost: float) -> tuple[float, float]:
+    def backtrack_along(self, dxs: np.ndarray, dus: np.ndarray, cost: float) -> tuple[float, float]:
         """Take the longest part of a change (N+1, ndx) of states and (N, nu) of controls that lowers the cost.
 
         Rolled out with the gains of the last sweep, about the trajectory that there is.
@@ -91,15 +91,15 @@ class Engine(Protocol):
         """
         ...
 
-    def place(self, xs: np.ndarray, us: np.ndarray) -> np.ndarray:
+    def set_trajectory(self, xs: np.ndarray, us: np.ndarray) -> np.ndarray:
         """Take states (N+1, nx) and controls (N, nu) as the trajectory, after a start; its gaps (N, ndx)."""
         ...
 
-    def cross(self, gaps: np.ndarray, fresh: bool) -> Crossing | None:
+    def defect_direction(self, gaps: np.ndarray, fresh: bool) -> DefectStep | None:
         """Linearise (if `fresh`) and sweep across these gaps; None where the sweep is not definite."""
         ...
 
-    def close(self, cost: float, slope: float) -> tuple[float, float]:
+    def rollout_closing_defects(self, cost: float, slope: float) -> tuple[float, float]:
         """Close the gaps by a rollout with the gains of `cross`, if Armijo's rule takes one of the first steps.
 
         Returns:
@@ -107,7 +107,7 @@ class Engine(Protocol):
         """
         ...
 
-    def sweep(self, mu: float, fresh: bool) -> Outcome:
+    def sweep(self, mu: float, fresh: bool) -> IterationResult:
         """Linearise (if `fresh`) and sweep, without a search: CONVERGED, or INDEFINITE."""
         return self.iterate(True, search.ARMIJO, mu, fresh, 0.0, math.inf, math.inf)
 
@@ -123,7 +123,7 @@ class Engine(Protocol):
         """A copy of K (N, nu, ndx)."""
         ...
 
-    def read(self, most: float) -> Trajectory | None:
+    def read(self, most: float) -> TrajectoryArrays | None:
         """The trajectory and its gains, in memory that is another plan's when the next but one is read.
 
         None where the norm of its last state is not below `most`.
@@ -140,7 +140,7 @@ def state_weights(Q: np.ndarray, control_weight: float) -> np.ndarray:
     return np.where(mean > 0.0, mean, mean.max() or control_weight)
 
 
-def promised(slope: float, value: float, step: float) -> float:
+def expected_reduction(slope: float, value: float, step: float) -> float:
     """The decrease that a parabola of given slope at 0 and value at 1 promises for a step, up to the full one."""
     step = min(step, 1.0)
     return -step * (slope + step * (value - slope))

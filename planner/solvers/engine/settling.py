@@ -6,7 +6,7 @@ MOST_SETS = 20  # sweeps of one iteration; a set that settles does so in less th
 LONGEST = 16  # iterations that are left out
 
 
-class Settling:
+class ActiveSetSchedule:
     """Iterations that are left out after sets that did not settle, twice as many each time."""
 
     def __init__(self) -> None:

@@ -12,13 +12,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from planner.problem.constraints.kept import Kept
-from planner.problem.constraints.of_terms import ResidualMeasure, hinge_terms
+from planner.problem.constraints.kept import TrajectoryConstraints
+from planner.problem.constraints.of_terms import ResidualFunction, hinge_terms
 from planner.problem.costs.residuals.arrays import ResidualArrays, joined
 from planner.problem.costs.terms import Cost
 from planner.problem.problem import Problem
-from planner.problem.state_ranges import Hinges
-from planner.solvers.engine.added import AddedEngine
+from planner.problem.state_ranges import BoundPenalties
+from planner.solvers.engine.added import HybridEngine
 
 
 class _Bounds(NamedTuple):
@@ -29,16 +29,16 @@ class _Bounds(NamedTuple):
     lower: bool
 
 
-class RowsEngine(AddedEngine):
+class ConstrainedEngine(HybridEngine):
     """Compiled dynamics and costs, and rows of constraints."""
 
     def __init__(
-        self, problem: Problem, kept: Kept, dynamics: Any, cost: Any, residuals: ResidualArrays | None = None,
+        self, problem: Problem, kept: TrajectoryConstraints, dynamics: Any, cost: Any, residuals: ResidualArrays | None = None,
         own: Sequence[Cost] = (),
     ) -> None:  # fmt: skip
         assert kept.rows is not None
         rows = kept.rows
-        compiled = [part for part in rows.parts if isinstance(part.measure, ResidualMeasure)]
+        compiled = [part for part in rows.parts if isinstance(part.measure, ResidualFunction)]
         terms, self._bounds_of = [] if residuals is None else [residuals], list[_Bounds]()
         first = sum(len(part.weight) for part in terms)
         for part in compiled:
@@ -55,11 +55,11 @@ class RowsEngine(AddedEngine):
         super().__init__(problem, dynamics, cost, joined(terms) if terms else None, own)
         self._kept, self._scale = kept, rows.scale
         others, self._columns = rows.only([part for part in rows.parts if part not in compiled])
-        self._others = Kept(None, others, kept.tolerance) if others.parts else None
+        self._others = TrajectoryConstraints(None, others, kept.tolerance) if others.parts else None
         self._adds = self._adds or self._others is not None
-        self._hinges: Hinges | None = None  # of the others
+        self._hinges: BoundPenalties | None = None  # of the others
 
-    def hinge(self, hinges: Hinges | None) -> None:
+    def hinge(self, hinges: BoundPenalties | None) -> None:
         """Have these hinges added to the cost from the next start on; None for none."""
         kept = self._kept
         super().hinge(None if hinges is None or kept.ranges is None else kept.of_ranges(hinges))
@@ -76,7 +76,7 @@ class RowsEngine(AddedEngine):
                 self.residuals.weight[rows] = np.where(known, of_rows.weight[:, columns].T, 0.0) * scale**2
             self.residuals.changed()
         if self._others is not None:
-            self._hinges = None if hinges is None else Hinges(*(one[:, self._columns] for one in kept.of_rows(hinges)))
+            self._hinges = None if hinges is None else BoundPenalties(*(one[:, self._columns] for one in kept.of_rows(hinges)))
 
     def _value(self, xs: np.ndarray, us: np.ndarray) -> float:
         """The user's own costs, and the cost of the hinges of constraints that kernels do not know."""

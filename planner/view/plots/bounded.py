@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from planner.problem.pictures import Bounded
+from planner.problem.pictures import BoundedPanel
 from planner.proof.replays.replaying import Replay
 from planner.view.plots.motions import ASTRAY, line_of, name_curves, range_of, until_astray
 from planner.view.plots.style import DASHED, HUES, INK, RED, drawable, dress, positive
@@ -31,7 +31,7 @@ SHARED, OWN = "_shared bound", "_own bound"  # labels of lines, for a legend bel
 _UP, _DOWN = 6, 7  # matplotlib's triangles whose tips are at the point
 
 
-def draw_bounded(axes: Axes, panel: Bounded, replays: Sequence[Replay]) -> None:
+def draw_bounded(axes: Axes, panel: BoundedPanel, replays: Sequence[Replay]) -> None:
     """Draw a panel; `replays` are those whose motions follow the plan's in it."""
     dress(axes, panel.title, panel.ylabel, "time, s")
     single = _single(panel)
@@ -53,7 +53,7 @@ def draw_bounded(axes: Axes, panel: Bounded, replays: Sequence[Replay]) -> None:
         name_curves(axes, panel.names, 1.0, most=0)
 
 
-def _draw_bounds(axes: Axes, panel: Bounded, single: tuple[np.ndarray, np.ndarray]) -> None:
+def _draw_bounds(axes: Axes, panel: BoundedPanel, single: tuple[np.ndarray, np.ndarray]) -> None:
     met = _met(panel)
     for side, alone, marker, edge in (
         (panel.least, single[0], _UP, axes.get_ylim()[0]), (panel.most, single[1], _DOWN, axes.get_ylim()[1])
@@ -79,12 +79,12 @@ def _draw_bounds(axes: Axes, panel: Bounded, single: tuple[np.ndarray, np.ndarra
                     axes.plot(panel.t[asked], side[asked, column], ls="", **style, **on_top)
 
 
-def _met(panel: Bounded) -> np.ndarray:
+def _met(panel: BoundedPanel) -> np.ndarray:
     """(K, R) where a value is to be met."""
     return np.isfinite(panel.least) & (panel.least == panel.most)
 
 
-def _single(panel: Bounded) -> tuple[np.ndarray, np.ndarray]:
+def _single(panel: BoundedPanel) -> tuple[np.ndarray, np.ndarray]:
     """(K, R) where the least, and the most, is asked for at one time alone."""
     found = []
     for side in (panel.least, panel.most):
@@ -93,7 +93,7 @@ def _single(panel: Bounded) -> tuple[np.ndarray, np.ndarray]:
     return found[0], found[1]
 
 
-def _keep_in_view(axes: Axes, panel: Bounded) -> bool:
+def _keep_in_view(axes: Axes, panel: BoundedPanel) -> bool:
     """Set limits of the axis: the plan and all bounds, and what replays add; whether its scale is logarithmic."""
     bounds = [side[np.isfinite(side)] for side in (panel.least, panel.most)]
     low, high = range_of([panel.motions[0], *bounds])

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from planner.model.coordinates import coordinates_of
-from planner.problem.pictures import Chart, Charts, Curve
+from planner.problem.pictures import Chart, Charts, CurveData
 from planner.view.plots.charts import draw_charts
 from planner.view.plots.style import HUES
 
@@ -29,16 +29,16 @@ def draw_loop(verdict: LoopVerdict) -> Figure:
     charts = []
     for unit in dict.fromkeys(one.unit for one in coordinates):
         rows = [i for i, one in enumerate(coordinates) if one.unit == unit][:most]
-        curves = [Curve(coordinates[i].name.removeprefix("velocity of "), seen[:, i]) for i in rows]
-        curves += [Curve("expected", expected[:, i], dashed=True, of=curves[k].label) for k, i in enumerate(rows)]
+        curves = [CurveData(coordinates[i].name.removeprefix("velocity of "), seen[:, i]) for i in rows]
+        curves += [CurveData("expected", expected[:, i], dashed=True, of=curves[k].label) for k, i in enumerate(rows)]
         title = "Speeds" if unit.endswith("/s") else "Positions"
         charts.append(Chart(f"{title}, from the start", unit or "state", curves, spans=_pushes(verdict)))
     us = run.ctrl[np.minimum(few, len(run.ctrl) - 1)]
-    charts.append(Chart("Controls", "control", [Curve(f"u{a}", us[:, a]) for a in range(min(us.shape[1], most))]))
-    if verdict.maps:
+    charts.append(Chart("Controls", "control", [CurveData(f"u{a}", us[:, a]) for a in range(min(us.shape[1], most))]))
+    if verdict.robustness_maps:
         words = {"loop": "the loop", "gains": "its plan with the gains alone"}
         curves = [
-            Curve(words[who], values, dashed=who != "loop", t=verdict.times) for who, values in verdict.maps.items()
+            CurveData(words[who], values, dashed=who != "loop", t=verdict.times) for who, values in verdict.robustness_maps.items()
         ]
         charts.append(Chart("Largest push that is survived, by the time at which it begins", "N", curves))
     return draw_charts(Charts("", t, charts, title=verdict.headline, span_label="pushed"))

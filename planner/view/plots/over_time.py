@@ -15,7 +15,7 @@ from planner.model.coordinates import Coordinate, coordinates_of
 from planner.problem.appearance import Panel
 from planner.problem.default_appearance import appearance_of, small_multiples
 from planner.problem.over_time import task_panels
-from planner.problem.pictures import Bounded
+from planner.problem.pictures import BoundedPanel
 from planner.problem.plan import Plan
 from planner.problem.problem import Problem
 from planner.proof.replays.replaying import Replay
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class Curve:
+class TimeSeries:
     """One quantity over time: (t, values) of the plan and of each replay."""
 
     label: str
@@ -42,7 +42,7 @@ def replays_of(shown: Proof | Replay | None) -> list[Replay]:
     return [shown] if isinstance(shown, Replay) else sorted(shown.replays.values(), key=lambda replay: replay.feedback)
 
 
-def tasks_of(plan: Plan, replays: list[Replay]) -> list[Bounded]:
+def tasks_of(plan: Plan, replays: list[Replay]) -> list[BoundedPanel]:
     """Goals and constraints over time, at the knots; none for a problem without."""
     if not isinstance(plan.problem, Problem):
         return []
@@ -69,16 +69,16 @@ def panels_of(plan: Plan) -> tuple[Panel, ...]:
     return (*panels, *(Panel(title, "u", controls=curves) for title, curves in inputs))
 
 
-def curves_of(panel: Panel, plan: Plan, replays: list[Replay]) -> list[Curve]:
+def curves_of(panel: Panel, plan: Plan, replays: list[Replay]) -> list[TimeSeries]:
     """The curves of a panel: states first."""
     curves = []
     for index, label in panel.states:
         planned = (replays[0].t, replays[0].plan_xs[:, index]) if replays else (plan.t, plan.xs[:, index])
         simulated = tuple((replay.t, replay.xs[:, index]) for replay in replays)
-        curves.append(Curve(label, planned, simulated, held=False, index=index))
+        curves.append(TimeSeries(label, planned, simulated, held=False, index=index))
     for index, label in panel.controls:
         simulated = tuple((replay.t, to_the_end(replay.ctrl[:, index])) for replay in replays)
-        curves.append(Curve(label, (plan.t, to_the_end(plan.us[:, index])), simulated, held=True, index=index))
+        curves.append(TimeSeries(label, (plan.t, to_the_end(plan.us[:, index])), simulated, held=True, index=index))
     return curves
 
 

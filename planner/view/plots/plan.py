@@ -20,7 +20,7 @@ from planner.proof.replays.replaying import Replay
 from planner.view.plots.bounded import OWN, SHARED, draw_bounded
 from planner.view.plots.limits import LABEL, SHADE, draw_bounds, limited
 from planner.view.plots.motions import ASTRAY, BESIDE, line_of, name_curves, range_of, until_astray
-from planner.view.plots.over_time import Curve, curves_of, panels_of, replays_of, tasks_of, to_the_end, unit_of
+from planner.view.plots.over_time import TimeSeries, curves_of, panels_of, replays_of, tasks_of, to_the_end, unit_of
 from planner.view.plots.solver import draw_convergence
 from planner.view.plots.style import (
     DASHED,
@@ -129,7 +129,7 @@ def _draw_panel(figure: Figure, cell: SubplotSpec, panel: Panel, plan: Plan, rep
     return [axes, beneath]
 
 
-def _keep_in_view(axes: Axes, curves: list[Curve], room: float) -> None:
+def _keep_in_view(axes: Axes, curves: list[TimeSeries], room: float) -> None:
     """Set limits of the axis; a replay that runs away widens them by ASTRAY at most."""
     planned = [curve.plan[1] for curve in curves]
     low, high = range_of(planned)
@@ -143,7 +143,7 @@ def _keep_in_view(axes: Axes, curves: list[Curve], room: float) -> None:
     axes.set_ylim(bottom - room * (top - bottom), top + room * (top - bottom))
 
 
-def _draw_difference(axes: Axes, curve: Curve, replays: list[Replay], ylabel: str) -> None:
+def _draw_difference(axes: Axes, curve: TimeSeries, replays: list[Replay], ylabel: str) -> None:
     """Draw replays minus plan, in a power of a thousand of the unit."""
     t, planned = curve.plan
     # Replays of a plan whose stages are no whole number of periods of a controller have times of their own.
@@ -183,7 +183,7 @@ def _chains(plan: Plan) -> dict[str, dict[str, np.ndarray]]:
     """By unit and name the size (N,) of what holds each closed chain together, at the beginning of each stage."""
     dynamics = None if plan.problem is None else plan.problem.dynamics
     found: dict[str, dict[str, np.ndarray]] = {}
-    if not isinstance(dynamics, RigidBodyDynamics) or not (dynamics.mechanism.loops or dynamics.mechanism.cams):
+    if not isinstance(dynamics, RigidBodyDynamics) or not (dynamics.mechanism.loops or dynamics.mechanism.polynomial_couplings):
         return found
     forces, row = constraint_forces(dynamics, plan.xs[:-1], plan.us), 0
     names = constraint_names(dynamics.mechanism)

@@ -16,9 +16,9 @@ import numpy as np
 from planner.model.coordinates import coordinates_of
 from planner.problem.plan import Plan
 from planner.proof import Proof
-from planner.proof.growth import Growth
-from planner.proof.order import Order
-from planner.proof.robustness.perturbed import Perturbed
+from planner.proof.growth import ErrorPropagation
+from planner.proof.order import StepConvergence
+from planner.proof.robustness.perturbed import RobustnessResult
 from planner.proof.scales import ranges_of_motion
 from planner.view.plots.proof_paths import SHARE, draw_grounds, draw_hold, draw_path_errors
 from planner.view.plots.style import (
@@ -69,7 +69,7 @@ def draw_proof(proof: Proof) -> Figure:
     return figure
 
 
-def _draw_growth(axes: Axes, errors: Growth) -> None:
+def _draw_growth(axes: Axes, errors: ErrorPropagation) -> None:
     dress(axes, "Growth of errors: MuJoCo (solid), predicted from the plan (dashed)", f"largest {SHARE}", "time, s")
     drawn = []
     for mode, colour in MODE_COLOURS.items():
@@ -95,7 +95,7 @@ def _draw_growth(axes: Axes, errors: Growth) -> None:
     axes.legend(fontsize=7.5, loc="lower right", framealpha=0.85, edgecolor="none", ncols=2)
 
 
-def _draw_order(axes: Axes, order: Order) -> None:
+def _draw_order(axes: Axes, order: StepConvergence) -> None:
     """Draw the change of the end state from each step to half of it, and the slope of the integrator's order."""
     observed = "none to be seen" if order.observed is None else f"{order.observed:.3g}"
     with np.errstate(all="ignore"):  # at h = 0: Richardson's extrapolation, its grid convergence index
@@ -124,7 +124,7 @@ def _draw_order(axes: Axes, order: Order) -> None:
     axes.legend(fontsize=7.5, loc="upper left", framealpha=0.85, edgecolor="none")
 
 
-def _draw_fan(axes: Axes, rollouts: Perturbed, mode: str, plan: Plan) -> None:
+def _draw_fan(axes: Axes, rollouts: RobustnessResult, mode: str, plan: Plan) -> None:
     """Draw percentiles over time of the coordinate with the largest deviation in this mode."""
     fan = drawable(rollouts.fans[mode].astype(float))
     reach = np.nan_to_num(np.abs(fan), nan=0.0).max(axis=(0, 1), initial=0.0)  # of each component
@@ -152,7 +152,7 @@ def _draw_fan(axes: Axes, rollouts: Perturbed, mode: str, plan: Plan) -> None:
     axes.legend(fontsize=7.5, loc="upper left", framealpha=0.85, edgecolor="none", ncols=3)
 
 
-def _draw_ends(axes: Axes, rollouts: Perturbed) -> None:
+def _draw_ends(axes: Axes, rollouts: RobustnessResult) -> None:
     """Draw a histogram of the end errors in each mode, and the tolerance."""
     title = f"Monte Carlo: end errors of {rollouts.done} rollouts in each mode"
     dress(axes, title, "rollouts", "end error / range of motion")

@@ -12,9 +12,9 @@ import numpy as np
 
 from planner.base.measured import Section
 from planner.problem.plan import Plan
-from planner.proof.hold import Held
+from planner.proof.hold import RegulatedRun
 from planner.proof.replays.replaying import Replay
-from planner.proof.scales import by_unit, path_bounds, touches
+from planner.proof.scales import by_unit, path_error_bounds, has_contacts
 from planner.view.plots.style import (
     DASHED,
     HUES,
@@ -40,7 +40,7 @@ _GROUND = re.compile(r"(.+)_path_((?:.+_)?error)_(open_loop|feedback)")
 
 def draw_path_errors(axes: Axes, run: Replay) -> None:
     """The errors of a replay over time, of each unit the coordinate that is nearest to its bound."""
-    sampling, jumps = run.sampling, touches(run.plan.problem)
+    sampling, jumps = run.sampling, has_contacts(run.plan.problem)
     how = "" if sampling is None else f" at {sampling.rate:.4g} Hz, held, {_late(sampling.delay)}"
     words = MODE_WORDS["feedback" if run.feedback else "open-loop"]
     label = f"{SHARE}\n(dashed: not judged)" if jumps else SHARE
@@ -48,7 +48,7 @@ def draw_path_errors(axes: Axes, run: Replay) -> None:
     _draw_shares(axes, run.plan, run.t, run.error, jumps)
 
 
-def draw_hold(axes: Axes, held: Held) -> None:
+def draw_hold(axes: Axes, held: RegulatedRun) -> None:
     """The deviations from the goal while a regulator holds it."""
     dress(axes, "Deviations from the goal, held by a regulator", SHARE, "time, s")
     _draw_shares(axes, held.plan, held.t, held.deviation, jumps=False)
@@ -58,7 +58,7 @@ def _draw_shares(axes: Axes, plan: Plan, t: np.ndarray, errors: np.ndarray, jump
     """Errors (K, ndx) over their bounds by unit; velocities of a machine whose velocities jump are not judged."""
     every = slice(None, None, max(1, len(t) // _MOST))
     assert plan.problem is not None  # it was proved
-    shares, curves = np.abs(errors[every]) / path_bounds(plan), []
+    shares, curves = np.abs(errors[every]) / path_error_bounds(plan), []
     for k, (_, unit, which, names) in enumerate(by_unit(plan.problem)):
         of_unit = np.where(np.isfinite(shares[:, which]), shares[:, which], np.inf)
         judged = not (jumps and unit.endswith("/s"))

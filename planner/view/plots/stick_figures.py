@@ -13,7 +13,7 @@ import numpy as np
 from planner.base.arguments import array, count, number
 from planner.base.errors import PlannerError
 from planner.problem.appearance import View
-from planner.problem.pictures import Motion, Stick, StickFigures
+from planner.problem.pictures import PoseSequence, Stick, StickFigures
 from planner.view.plots.projection import FRONT, SIDE, axes_of, projected
 from planner.view.plots.style import HUES, INK, SOFT, blank, legend_below, title_above
 
@@ -60,7 +60,7 @@ def draw_stick_figures(picture: StickFigures, views: Sequence[View] = (SIDE, FRO
     return figure
 
 
-def _poses(motion: Motion, sticks: Sequence[Stick], poses: int) -> np.ndarray:
+def _poses(motion: PoseSequence, sticks: Sequence[Stick], poses: int) -> np.ndarray:
     """The motion's points (poses, P, 3) at equal times, linearly between its samples."""
     points = array(f"points of {motion.label!r}", motion.points, ("K", "P", 3))
     last = max((max(stick.points, default=-1) for stick in sticks), default=-1)
@@ -111,7 +111,7 @@ def _colour(stick: Stick, dashed: bool) -> str:
     return HUES[stick.hue % len(HUES)][1]
 
 
-def _legend(figure: Figure, motions: Sequence[Motion], sticks: Sequence[Stick]) -> None:
+def _legend(figure: Figure, motions: Sequence[PoseSequence], sticks: Sequence[Stick]) -> None:
     from matplotlib.lines import Line2D
 
     handles = [

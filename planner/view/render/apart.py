@@ -39,7 +39,7 @@ class Outline:
         return np.concatenate([shapes.reshape(-1, 3), data.xpos[self._bodies], self._sticks.ends(data)])
 
 
-def apart(one: np.ndarray, other: np.ndarray) -> float:
+def screen_difference(one: np.ndarray, other: np.ndarray) -> float:
     """The largest distance between points (C, 3) of two poses, in the model's unit of length."""
     return float(np.sqrt(np.max(np.sum((one - other) ** 2, axis=1), initial=0.0)))
 

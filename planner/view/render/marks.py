@@ -14,10 +14,10 @@ import numpy as np
 from planner.base.errors import PlannerError
 from planner.base.gl import load_mujoco
 from planner.problem.appearance import GoalMark
-from planner.view.render.apart import apart
+from planner.view.render.apart import screen_difference
 from planner.view.render.camera import scenery_of, swept_box
 from planner.view.render.film import Film
-from planner.view.render.shapes import Paint, Rod, Shapes
+from planner.view.render.shapes import Paint, Rod, SceneGeoms
 
 PUSH = (0.98, 0.85, 0.10, 1.0)
 TRAIL = (0.80, 0.25, 0.10, 1.0)
@@ -84,7 +84,7 @@ class Marks:
             box = swept_box(model, film.path_qpos[:1], scenery_of(model, seen)[0])
             self._size = float(np.max(box.high - box.low))
 
-    def add(self, shapes: Shapes, data: Any, t: float) -> None:
+    def add(self, shapes: SceneGeoms, data: Any, t: float) -> None:
         """Draw them at time t, s, where MuJoCo's data puts the machine."""
         for path in self._appearance.paths:
             shapes.trail(path, PATH, _PATH_LINE)
@@ -108,7 +108,7 @@ class Marks:
     def apart(self, other: Marks, t: float) -> float:
         """The largest distance between the trails of two films of one plan at time t, s, in the model's unit."""
         return max(
-            (apart(a.until(t), b.until(t)) for a, b in zip(self._trails, other._trails, strict=True)), default=0.0
+            (screen_difference(a.until(t), b.until(t)) for a, b in zip(self._trails, other._trails, strict=True)), default=0.0
         )
 
     def passed(self, mark: GoalMark, t: float) -> bool:

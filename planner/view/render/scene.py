@@ -15,12 +15,12 @@ from PIL import Image
 
 from planner.base import gl
 from planner.problem.appearance import Appearance
-from planner.view.render.apart import SAME, Outline, apart, behind, visibility
+from planner.view.render.apart import SAME, Outline, screen_difference, behind, visibility
 from planner.view.render.camera import directions, scenery_of, whole_motion
 from planner.view.render.film import Film
 from planner.view.render.marks import Marks
 from planner.view.render.setting import visible_model
-from planner.view.render.shapes import Paint, Shapes, without_shadow
+from planner.view.render.shapes import Paint, SceneGeoms, without_shadow
 from planner.view.render.sticks import Sticks
 
 GHOST = (0.05, 0.62, 0.48)
@@ -136,7 +136,7 @@ class Scene:
         self._sticks.add(self._data, scene)
         if self._ghost:
             self._add_ghost()
-        shapes = Shapes(scene, self._eye(), self._camera.distance, self._pixel * self._height / len(self._pixels))
+        shapes = SceneGeoms(scene, self._eye(), self._camera.distance, self._pixel * self._height / len(self._pixels))
         self._marks.add(shapes, self._data, float(self._film.t[frame]))
         for point, vector in zip(*self._arrows(frame), strict=True):
             shapes.arrow(point, vector, FORCE)
@@ -151,7 +151,7 @@ class Scene:
     @property
     def apart(self) -> float:
         """How far the machine is from its ghost in the frame drawn last, in the model's unit of length."""
-        return apart(self._points, self._ghost_points)
+        return screen_difference(self._points, self._ghost_points)
 
     def _eye(self) -> np.ndarray:
         """(3,) where the camera is."""
@@ -170,11 +170,11 @@ class Scene:
         other_feet, others = other._arrows(frame)
         return (
             (self._width, self._height) == (other._width, other._height)
-            and apart(self._points, other._points) < least
-            and apart(self._ghost_points, other._ghost_points) < least
-            and apart(np.asarray(self._camera.lookat)[None], np.asarray(other._camera.lookat)[None]) < least
-            and apart(arrows, others) < least
-            and (not self._appearance.force_scale or apart(np.nan_to_num(feet), np.nan_to_num(other_feet)) < least)
+            and screen_difference(self._points, other._points) < least
+            and screen_difference(self._ghost_points, other._ghost_points) < least
+            and screen_difference(np.asarray(self._camera.lookat)[None], np.asarray(other._camera.lookat)[None]) < least
+            and screen_difference(arrows, others) < least
+            and (not self._appearance.force_scale or screen_difference(np.nan_to_num(feet), np.nan_to_num(other_feet)) < least)
             and self._marks.apart(other._marks, float(self._film.t[frame])) < least
         )
 

@@ -33,7 +33,7 @@ class Rod(NamedTuple):
         return Rod(size * self.length, size * self.radius)
 
 
-class Shapes:
+class SceneGeoms:
     """Adds shapes to a scene that MuJoCo has just filled."""
 
     def __init__(self, scene: Any, eye: np.ndarray, distance: float, pixel: float) -> None:

@@ -44,7 +44,7 @@ class Line(NamedTuple):
     held: bool  # constant over a stage
 
 
-class Chart(NamedTuple):
+class InteractiveChart(NamedTuple):
     """Curves with one unit."""
 
     title: str
@@ -80,7 +80,7 @@ def interactive(plan: Plan, proof: Proof | None) -> str:
     )
 
 
-def _charts(plan: Plan, replays: Sequence[Replay]) -> list[Chart]:
+def _charts(plan: Plan, replays: Sequence[Replay]) -> list[InteractiveChart]:
     kinds = ["gains" if replay.feedback else "open" for replay in replays]
     charts = []
     for task in tasks_of(plan, list(replays)):
@@ -91,7 +91,7 @@ def _charts(plan: Plan, replays: Sequence[Replay]) -> list[Chart]:
             for side in (task.least, task.most):
                 if np.isfinite(side[:, k]).any():
                     lines.append(Line(name, "bound", task.t, side[:, k], RED, False))
-        charts.append(Chart(task.title, task.ylabel, tuple(lines)))
+        charts.append(InteractiveChart(task.title, task.ylabel, tuple(lines)))
     for panel in panels_of(plan):
         curves = curves_of(panel, plan, list(replays))
         mixed = bool(panel.states and panel.controls)
@@ -106,7 +106,7 @@ def _charts(plan: Plan, replays: Sequence[Replay]) -> list[Chart]:
                         lines.append(Line(curve.label, "bound", plan.t, side, hue[0], held))
             ylabel = ", ".join(label for _, label in panel.controls) if mixed and held else panel.ylabel
             if lines:
-                charts.append(Chart(panel.title, ylabel, tuple(lines)))
+                charts.append(InteractiveChart(panel.title, ylabel, tuple(lines)))
     return charts
 
 
@@ -137,7 +137,7 @@ def _short(value: float) -> float:
     return float(f"{value:.{_DIGITS}g}")
 
 
-def _figure(number: int, chart: Chart, start: float, end: float) -> str:
+def _figure(number: int, chart: InteractiveChart, start: float, end: float) -> str:
     low, high = _limits(chart)
     across, up = WIDTH - LEFT - RIGHT, HEIGHT - TOP - BOTTOM
 
@@ -186,7 +186,7 @@ def _path(xs: Sequence[float], ys: Sequence[float], held: bool) -> str:
     return " ".join(points)
 
 
-def _limits(chart: Chart) -> tuple[float, float]:
+def _limits(chart: InteractiveChart) -> tuple[float, float]:
     """Least and largest value of the axis: all of the plan and of the bounds, of replays what is not astray."""
     own = [line.values for line in chart.lines if line.kind in ("plan", "bound")]
     (low, high), (lowest, highest) = range_of(own), range_of([line.values for line in chart.lines])

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 from planner.base.files import PathLike, file_error, write_atomically
 from planner.cases import CASES
-from planner.cases.problem_file.chosen import chosen
+from planner.cases.problem_file.chosen import resolved_defaults
 from planner.cases.problem_file.keys import RESOLVED
 from planner.problem.default_appearance import appearance_of
 from planner.problem.plan import Plan
@@ -191,7 +191,7 @@ def _parameters(plan: Plan) -> str:
 
 def _chosen(plan: Plan) -> str:
     """What the problem file left to be chosen, with the reasons."""
-    reasons = chosen(plan.parameters)
+    reasons = resolved_defaults(plan.parameters)
     return f"<h2>Chosen by itself</h2>\n{table(reasons)}" if reasons else ""
 
 

@@ -8,7 +8,7 @@ import re
 from html import escape
 from typing import Any
 
-from planner.base.measured import Measured, Section
+from planner.base.measured import Measurement, Section
 
 NBSP = "\N{NO-BREAK SPACE}"
 
@@ -33,7 +33,7 @@ def _mark(section: Section) -> str:
     return _pass_or_fail(section.passed)
 
 
-def _row(one: Measured) -> str:
+def _row(one: Measurement) -> str:
     word = '<span class="word none">shown</span>' if one.bound is None else _pass_or_fail(one.passed)
     bound = "" if one.bound is None else f"≤{NBSP}{_quantity(one.bound, one.unit)}"
     note = f"<small>{escape(one.note)}</small>" if one.note else ""
@@ -78,7 +78,7 @@ def _quantity(value: float, unit: str) -> str:
     return escape(f"{number(value)}{NBSP}{unit}".rstrip())
 
 
-def _name(one: Measured) -> str:
+def _name(one: Measurement) -> str:
     """The key of a measured number in words."""
     return _capital(re.sub(r"\brms\b", "RMS", one.name.replace("_", " ")))
 

@@ -48,7 +48,7 @@ from planner.kernels.tree.residuals.table import (
     TILT_BEND,
     VELOCITY,
 )
-from planner.kernels.tree.residuals.turns import turn_rows, turn_value
+from planner.kernels.tree.residuals.turns import orientation_rows, orientation_value
 from planner.kernels.tree.step import gather
 
 
@@ -65,7 +65,7 @@ def _measure(m, p, q, ws, t, n, knots, solids):
     elif kind <= ANGULAR:
         frame_value(p, ws, t, kind)
     elif kind <= POSE:
-        turn_value(p, ws, t, kind, n, knots)
+        orientation_value(p, ws, t, kind, n, knots)
     elif kind == MASS_CENTRE:
         mass_centre_value(m, p, q, ws, t)
     elif kind == TILT:
@@ -89,7 +89,7 @@ def _differentiate(m, p, ws, t, solids):
     elif kind <= ANGULAR:
         speed_rows(m, p, ws, t, kind)
     elif kind <= POSE:
-        turn_rows(m, p, ws, t, kind)
+        orientation_rows(m, p, ws, t, kind)
     elif kind == MASS_CENTRE:
         mass_centre_rows(m, p, ws, t)
     elif kind == TILT:

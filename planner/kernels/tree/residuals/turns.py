@@ -69,7 +69,7 @@ def _log(a, b, c):
 
 
 @part
-def turn_value(p, ws, t, kind, n, knots):
+def orientation_value(p, ws, t, kind, n, knots):
     """The rotation vector of an orientation, or the logarithm of a pose; what the derivative needs goes to KEPT."""
     own, link, zero, kept = constants_of(p, t), link_of(p, t), spread(0.0), lanes(p, RESIDUALS.kept)
     h0, h1, h2 = load3(own, 0), load3(own, 3), load3(own, 6)
@@ -106,7 +106,7 @@ def turn_value(p, ws, t, kind, n, knots):
 
 
 @part
-def turn_rows(m, p, ws, t, kind):
+def orientation_rows(m, p, ws, t, kind):
     """The derivative of an orientation or pose, after its value."""
     parent, row, kept, j = integers(m, TREE.parent), lanes(p, RESIDUALS.row), lanes(p, RESIDUALS.kept), link_of(p, t)
     R, phi, f, slope, shift = load9(kept, _R), load3(kept, _PHI), load(kept, _F), load(kept, _SLOPE), load3(kept, _T)

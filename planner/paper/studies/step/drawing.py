@@ -10,7 +10,7 @@ import numpy as np
 from planner.cases.human_step.phase import SWING
 from planner.cases.human_step.walker import SIDES
 from planner.paper.studies.step.run import CYCLE_TIME, FRAMES
-from planner.problem.pictures import Motion, Stick, StickFigures
+from planner.problem.pictures import PoseSequence, Stick, StickFigures
 from planner.view.plots.stick_figures import draw_stick_figures
 from planner.view.plots.style import DASHED, HUES, SOFT, dress, panels_of, save
 
@@ -25,7 +25,7 @@ def draw_step(results: dict[str, Any], path: Path) -> None:
     motions = []
     for label, key in (("optimized", "planned"), ("normal", "normal")):
         points = np.array(drawn["points"][key])
-        motions.append(Motion(label, np.concatenate([points, standing], axis=1), dashed=key == "normal"))
+        motions.append(PoseSequence(label, np.concatenate([points, standing], axis=1), dashed=key == "normal"))
     leg = [names.index(name) for name in FRAMES if name.startswith("right") and name in names]
     hip, knee, ankle, heel, toe = leg
     other = names.index("left_hip")

@@ -22,17 +22,17 @@ from planner.cases.human_step.case import human_step
 from planner.cases.human_step.gait import NORMAL_GAIT
 from planner.cases.human_step.measures import Measures, measures, normal_height, robot_wrench, vertical_force
 from planner.cases.human_step.measures import height as height_of
-from planner.cases.human_step.phase import SWING, Step
+from planner.cases.human_step.phase import SWING, GaitPhase
 from planner.cases.human_step.walker import PELVIS, Walker
 from planner.paper.methods.control_spline import solve_by_splines
 from planner.paper.studies.records import descent_record, plan_record
 from planner.paper.studies.study import timed
-from planner.problem.guess import rolled
+from planner.problem.guess import rollout_states
 from planner.problem.plan import Plan
 from planner.problem.problem import Problem
 from planner.proof.replays.replaying import replay
 from planner.solvers import lq
-from planner.solvers.engine import borrow, give_back
+from planner.solvers.engine import acquire_engine, release_engine
 from planner.solvers.slq import solve
 from planner.view.plots.projection import frame_points
 
@@ -50,19 +50,19 @@ FRAMES = tuple(f"{side}_{point}" for side in ("right", "left")
                for point in ("hip", "knee_centre", "ankle_centre", "heel_point", "toe_point"))  # fmt: skip
 
 
-def step_of(problem: Problem) -> Step:
+def step_of(problem: Problem) -> GaitPhase:
     """The step of a problem of the default person and cadence."""
     swings = problem.parameters["phase"] == "swing"
     walker = Walker(legs=("right",), belt=False) if swings else Walker()
-    return Step(walker, NORMAL_GAIT, CYCLE_TIME, SWING[0] if swings else 0.0, problem.N, problem.dynamics.dt)
+    return GaitPhase(walker, NORMAL_GAIT, CYCLE_TIME, SWING[0] if swings else 0.0, problem.N, problem.dynamics.dt)
 
 
 def feedforward_alone(problem: Problem, iterations: int) -> list[float]:
     """J after every iteration of U + alpha k: Armijo's rule, and more regularisation where no alpha is good enough."""
-    engine, us = borrow(problem), problem.first_guess.copy()
-    costs, more = [engine.start(problem.x0, us)], 0.0
+    engine, us = acquire_engine(problem), problem.first_guess.copy()
+    costs, more = [engine.start_from_controls(problem.x0, us)], 0.0
     for _ in range(iterations):
-        engine.start(problem.x0, us)
+        engine.start_from_controls(problem.x0, us)
         xs = engine.trajectory()[0].copy()
         A, B = problem.dynamics.linearize(xs, us)
         model = problem.cost.quadratize(xs, us)
@@ -71,7 +71,7 @@ def feedforward_alone(problem: Problem, iterations: int) -> list[float]:
             sweep = lq.riccati(A, B, model._replace(R=(1.0 + more) * model.R))
             assert sweep is not None  # R is positive definite
             k, slope = sweep.k, float(np.sum(gradient * sweep.k))
-            tried = ((a, engine.start(problem.x0, us + a * k)) for a in 0.5 ** np.arange(9.0) if slope < 0.0)
+            tried = ((a, engine.start_from_controls(problem.x0, us + a * k)) for a in 0.5 ** np.arange(9.0) if slope < 0.0)
             good = next(((a, J) for a, J in tried if costs[-1] + 1e-4 * a * slope >= J), None)
             if good is not None:
                 alpha, cost = good
@@ -83,7 +83,7 @@ def feedforward_alone(problem: Problem, iterations: int) -> list[float]:
             break
         if alpha == 1.0:
             more = more / 5.0 if more > 1e-4 else 0.0
-    give_back(problem, engine)
+    release_engine(problem, engine)
     return costs
 
 
@@ -167,7 +167,7 @@ def _motion(plan: Plan) -> dict[str, Any]:
 
 def carried(problem: Problem) -> np.ndarray:
     """States (N+1, nx) of the first guess: the normal motion of the pelvis carries the passive legs."""
-    return rolled(problem.dynamics, problem.x0, problem.first_guess)
+    return rollout_states(problem.dynamics, problem.x0, problem.first_guess)
 
 
 def _summary(found: Measures) -> dict[str, Any]:

@@ -38,15 +38,15 @@ from planner.problem.costs.residuals.arrays import ResidualArrays, resampled
 from planner.problem.costs.residuals.frames import framed
 from planner.problem.costs.residuals.mass_centre import mass_centre
 from planner.problem.costs.residuals.scalars import scalar
-from planner.problem.costs.residuals.seen import Seen
+from planner.problem.costs.residuals.seen import KinematicsCache
 from planner.problem.costs.residuals.solids import apart
-from planner.problem.costs.residuals.turns import turned
+from planner.problem.costs.residuals.turns import orientation_residual
 from planner.problem.costs.terms import Quadratic, Term
-from planner.problem.costs.wanted import Wanted
+from planner.problem.costs.wanted import GoalSpec
 
-_MEASURES: dict[int, Callable[[Seen, int, bool], tuple[np.ndarray, np.ndarray]]] = {
+_MEASURES: dict[int, Callable[[KinematicsCache, int, bool], tuple[np.ndarray, np.ndarray]]] = {
     HEIGHT: scalar, DISTANCE: scalar, VELOCITY: scalar, POSITION: framed, POINTING: framed, LINEAR: framed,
-    ANGULAR: framed, ORIENTATION: turned, POSE: turned, MASS_CENTRE: mass_centre,
+    ANGULAR: framed, ORIENTATION: orientation_residual, POSE: orientation_residual, MASS_CENTRE: mass_centre,
     LINE_BOX: apart, BOXES: apart, OVER_PLANE: apart,
     TILT: framed,
 }  # fmt: skip
@@ -54,14 +54,14 @@ _MEASURES: dict[int, Callable[[Seen, int, bool], tuple[np.ndarray, np.ndarray]]]
 
 def values_of(mechanism: Mechanism, measures: ResidualArrays, xs: np.ndarray) -> np.ndarray:
     """(M, K) of all rows for states xs (K, nx), one for each stage of the measures."""
-    seen = Seen(mechanism, measures, xs)
+    seen = KinematicsCache(mechanism, measures, xs)
     values = [_MEASURES[int(kind)](seen, t, False)[0].T for t, kind in enumerate(measures.kind)]
     return np.concatenate([np.empty((0, len(xs))), *values])
 
 
 def measured(mechanism: Mechanism, measures: ResidualArrays, xs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Values (K, M) of all rows for states xs (K, nx), one for each stage, and their derivatives (K, M, ndx)."""
-    seen, M = Seen(mechanism, measures, xs), len(measures.weight)
+    seen, M = KinematicsCache(mechanism, measures, xs), len(measures.weight)
     values, by_x = np.empty((len(xs), M)), np.zeros((len(xs), M, mechanism.space.ndx))
     for t, kind in enumerate(measures.kind):
         value, J = _MEASURES[int(kind)](seen, t, True)
@@ -69,7 +69,7 @@ def measured(mechanism: Mechanism, measures: ResidualArrays, xs: np.ndarray) -> 
     return values, by_x
 
 
-class Goal(NamedTuple):
+class GoalRows(NamedTuple):
     """What rows of a term ask of the end."""
 
     name: str
@@ -89,15 +89,15 @@ class ResidualCost(Term):
     """
 
     def __init__(
-        self, mechanism: Mechanism, measures: ResidualArrays, N: int | None, goals: Sequence[Goal] = ()
+        self, mechanism: Mechanism, measures: ResidualArrays, N: int | None, goals: Sequence[GoalRows] = ()
     ) -> None:
-        self.mechanism, self.measures, self.N, self._goals = mechanism, measures, N, tuple(goals)
+        self.mechanism, self.residual_arrays, self.N, self._goals = mechanism, measures, N, tuple(goals)
         self.space = mechanism.space
         self.nx, self.ndx = self.space.nx, self.space.ndx
 
     def measures_for(self, N: int) -> ResidualArrays:
         """The terms for N stages."""
-        return self.measures if self.N is not None else resampled(self.measures, N, 1.0)
+        return self.residual_arrays if self.N is not None else resampled(self.residual_arrays, N, 1.0)
 
     def goal_rows(self) -> dict[str, np.ndarray]:
         """The numbers of the rows of each goal, by its name: "position of hand"."""
@@ -107,20 +107,20 @@ class ResidualCost(Term):
         """The same over stages divided into parts, with the weights on the way multiplied by ratio."""
         cost = copy(self)
         cost.N = None if self.N is None else parts * self.N
-        cost.measures = resampled(self.measures, 1 if self.N is None else parts, ratio)
+        cost.residual_arrays = resampled(self.residual_arrays, 1 if self.N is None else parts, ratio)
         return cost
 
-    def wanted(self, _: Sequence[Coordinate]) -> tuple[Wanted, ...]:
+    def wanted(self, _: Sequence[Coordinate]) -> tuple[GoalSpec, ...]:
         """What has a final weight of its own."""
         weighed = [goal for goal in self._goals if self._rows_of(goal)[1].any()]
-        return tuple(Wanted(goal.name, goal.unit, partial(self._missed, goal)) for goal in weighed)
+        return tuple(GoalSpec(goal.name, goal.unit, partial(self._missed, goal)) for goal in weighed)
 
-    def _rows_of(self, goal: Goal) -> tuple[np.ndarray, np.ndarray]:
+    def _rows_of(self, goal: GoalRows) -> tuple[np.ndarray, np.ndarray]:
         """The numbers of a goal's rows, and whether the end weighs them."""
-        rows = np.arange(len(self.measures.weight))[self.measures.rows(goal.term)][goal.rows]
-        return rows, self.measures.weight[rows, -1] > 0.0
+        rows = np.arange(len(self.residual_arrays.weight))[self.residual_arrays.rows(goal.term)][goal.rows]
+        return rows, self.residual_arrays.weight[rows, -1] > 0.0
 
-    def _missed(self, goal: Goal, xs: np.ndarray) -> np.ndarray:
+    def _missed(self, goal: GoalRows, xs: np.ndarray) -> np.ndarray:
         """(K,) the length of the residual along the rows that are weighed; infinite where a motion ran away."""
         known, missed = np.isfinite(xs).all(axis=1), np.full(len(xs), np.inf)
         rows, weighed = self._rows_of(goal)
@@ -129,11 +129,11 @@ class ResidualCost(Term):
 
     def final_cost(self, x: np.ndarray) -> float:
         """The part of the value that the end x (nx,) has."""
-        return 0.5 * float(self.measures.weight[:, -1] @ self._at_end(x[None])[:, 0] ** 2)
+        return 0.5 * float(self.residual_arrays.weight[:, -1] @ self._at_end(x[None])[:, 0] ** 2)
 
     def _at_end(self, xs: np.ndarray) -> np.ndarray:
         """(M, K) residuals of states (K, nx), each as the end."""
-        last = self.measures.along(np.full(len(xs), -1))
+        last = self.residual_arrays.along(np.full(len(xs), -1))
         return _residuals(last, self._values(last, xs))[0]
 
     def _values(self, measures: ResidualArrays, xs: np.ndarray) -> np.ndarray:
@@ -161,7 +161,7 @@ class ResidualCost(Term):
             np.zeros((N + 1, self.ndx, self.ndx)), np.zeros((N + 1, self.ndx)), np.zeros((N, nu, nu)), np.zeros((N, nu))
         )
         stages, measures = self._weighing(N)
-        seen = Seen(self.mechanism, measures, xs[stages])
+        seen = KinematicsCache(self.mechanism, measures, xs[stages])
         for t, kind in enumerate(measures.kind):
             value, J = _MEASURES[int(kind)](seen, t, True)
             rows, n = measures.rows(t), J.shape[2]

@@ -9,10 +9,10 @@ import numpy as np
 
 from planner.kernels.tree.residuals.table import ANGULAR, BLUNT, POINTING, POSITION, TILT, TINY
 from planner.model.space import cross
-from planner.problem.costs.residuals.seen import Seen
+from planner.problem.costs.residuals.seen import KinematicsCache
 
 
-def framed(seen: Seen, t: int, moving: bool) -> tuple[np.ndarray, np.ndarray]:
+def framed(seen: KinematicsCache, t: int, moving: bool) -> tuple[np.ndarray, np.ndarray]:
     """Value (K, 3) of term t, and its derivative (K, 3, nv or 2 nv) where asked."""
     kind, frame = seen.arrays.kind[t], seen.frame(int(seen.arrays.ends[t, 0]))
     if kind in (POSITION, POINTING):
@@ -30,14 +30,14 @@ def framed(seen: Seen, t: int, moving: bool) -> tuple[np.ndarray, np.ndarray]:
     return value, np.concatenate([seen.jacobian_rates(frame)[:, rows], J], axis=2) if moving else np.empty(0)
 
 
-def tilt_bend(seen: Seen, t: int) -> tuple[np.ndarray, np.ndarray]:
+def tilt_bend(seen: KinematicsCache, t: int) -> tuple[np.ndarray, np.ndarray]:
     """Of a tilt the second derivative (K,) by how far the axis moves across its arc, and that by q, (K, nv)."""
     frame = seen.frame(int(seen.arrays.ends[t, 0]))
     b, n, sine, cosine = _arc(seen, t)
     return cosine * sine / (sine**2 + BLUNT), np.einsum("na,nai->ni", cross(b, n), seen.jacobian(frame)[:, 3:])
 
 
-def _tilted(seen: Seen, t: int, moving: bool) -> tuple[np.ndarray, np.ndarray]:
+def _tilted(seen: KinematicsCache, t: int, moving: bool) -> tuple[np.ndarray, np.ndarray]:
     """The angle (K, 1) between a frame's axis and a direction, and its derivative (K, 1, nv)."""
     _, n, sine, cosine = _arc(seen, t)
     value = np.arctan2(sine, cosine)[:, None]
@@ -47,7 +47,7 @@ def _tilted(seen: Seen, t: int, moving: bool) -> tuple[np.ndarray, np.ndarray]:
     return value, -np.einsum("na,nai->ni", n, seen.jacobian(frame)[:, 3:])[:, None]
 
 
-def _arc(seen: Seen, t: int) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+def _arc(seen: KinematicsCache, t: int) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """The axis b (K, 3), the direction n (K, 3) about which it would turn to d, sine and cosine (K,) of the tilt."""
     own = seen.arrays.constant[t]
     b, d = seen.pose(seen.frame(int(seen.arrays.ends[t, 0])))[:, :3, :3] @ own[:3], own[3:6]

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from planner.dynamics.kinematics import points_of
-from planner.problem.costs.residuals.seen import Seen
+from planner.problem.costs.residuals.seen import KinematicsCache
 
 
-def mass_centre(seen: Seen, t: int, moving: bool) -> tuple[np.ndarray, np.ndarray]:
+def mass_centre(seen: KinematicsCache, t: int, moving: bool) -> tuple[np.ndarray, np.ndarray]:
     """Value (K, 3) m, and its derivative (K, 3, nv) where asked: the means of the links', weighed by their masses."""
     m = seen.mechanism
     links = np.flatnonzero(m.mass > 0.0)

@@ -7,11 +7,11 @@ from typing import Any
 
 import numpy as np
 
-from planner.base.arguments import choice, shown
+from planner.base.arguments import choice, short_repr
 from planner.base.errors import PlannerError
 from planner.kernels.tree.residuals.table import BOXES, DISTANCE, HEIGHT, LINE_BOX, OVER_PLANE, VELOCITY
 from planner.model.contact.laws import Contact
-from planner.model.contact.solids import BOX, LINE, PLANE
+from planner.model.contact.solids import BOX, CAPSULE, PLANE
 from planner.model.mechanism import Frame, Mechanism
 from planner.problem.costs.penalty_terms import Clearance, Distance, Gap, Height, Penalty, Point, Segment, Velocity
 from planner.problem.costs.residuals.arrays import ResidualArrays, ResidualList
@@ -54,14 +54,14 @@ def _measured(
         return DISTANCE, points, (0.0, 0.0, 0.0, sum(line.radius for line in lines))
     if isinstance(term, Clearance):
         return _of_solids(term, number)
-    raise PlannerError(f"{name} is {shown(term)}, expected a Height, Distance, Gap, Velocity or Clearance.")
+    raise PlannerError(f"{name} is {short_repr(term)}, expected a Height, Distance, Gap, Velocity or Clearance.")
 
 
 def _of_solids(term: Clearance, number: Callable[[Point], int]) -> tuple[int, list[int], tuple[float, ...]]:
     """Kind, points and constants of the distance of two solids; of two lines those of a Distance."""
     a, b = term.a, term.b
     level = a.radius + b.radius - term.lift
-    if b.kind == LINE:
+    if b.kind == CAPSULE:
         ends = [(solid, solid.T[:3, 3] + side * solid.half[2] * solid.T[:3, 2]) for solid in (a, b) for side in (-1, 1)]
         return DISTANCE, [number(Point(Frame(solid.link, np.eye(4)), at)) for solid, at in ends], (0.0, 0.0, 0.0, level)
     kind = OVER_PLANE if b.kind == PLANE else BOXES if a.kind == BOX else LINE_BOX
@@ -93,9 +93,9 @@ def _contact(mechanism: Mechanism, name: Any, term: str) -> Contact:
     """A contact by its name, or by that of its geom alone."""
     known = {contact.name: contact for contact in mechanism.contacts}
     if not known:
-        raise PlannerError(f"{term}'s contact is {shown(name)}, but the mechanism has no contacts.")
+        raise PlannerError(f"{term}'s contact is {short_repr(name)}, but the mechanism has no contacts.")
     if len(known) < len(mechanism.contacts):
-        raise PlannerError(f"{term}'s contact is {shown(name)}, but contacts of the mechanism share a name.")
+        raise PlannerError(f"{term}'s contact is {short_repr(name)}, but contacts of the mechanism share a name.")
     for full, contact in list(known.items()):
         known.setdefault(full.removeprefix("geom '").replace("'", ""), contact)
     return known[choice(f"{term}'s contact", name, known)]

@@ -12,14 +12,14 @@ from planner.base.errors import PlannerError
 
 
 @dataclass(frozen=True, eq=False)
-class Asked:
+class WeightedTarget:
     """A target that has weights."""
 
     target: np.ndarray  # (1 or N+1, size)
     way: np.ndarray  # (1 or N+1, rows), times dt
     end: np.ndarray  # (1, rows)
     final: bool  # whether the end has a weight of its own; what is only weighed on the way is no goal
-    stages: PerStage
+    stages: StageData
 
     @property
     def weight(self) -> np.ndarray:
@@ -29,7 +29,7 @@ class Asked:
         return weight.T
 
 
-class PerStage:
+class StageData:
     """The horizon that arguments agree on, None while nothing was given per stage.
 
     Args:
@@ -49,7 +49,7 @@ class PerStage:
         """(N+1, size) of (1 or N+1, size)."""
         return np.broadcast_to(given, (self.horizon + 1, given.shape[1]))
 
-    def asked(self, name: str, target: Any, way: Any, final: Any, rows: int, size: int | None = None) -> Asked | None:
+    def asked(self, name: str, target: Any, way: Any, final: Any, rows: int, size: int | None = None) -> WeightedTarget | None:
         """A target of some size (that of its rows by default) and its weights, checked; None for neither."""
         checked = None if target is None else self._target(name, target, size or rows)
         running, end = self._weights(f"{name}_weight", way, final, rows)
@@ -60,7 +60,7 @@ class PerStage:
             return None
         if not weighs:
             raise PlannerError(f"{name} has no weight, expected {name}_weight or final_{name}_weight above 0.")
-        return Asked(checked, running, end, final is not None, self)
+        return WeightedTarget(checked, running, end, final is not None, self)
 
     def _agree(self, name: str, given: np.ndarray) -> None:
         if given.ndim == 2:

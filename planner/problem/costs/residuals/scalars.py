@@ -11,10 +11,10 @@ from __future__ import annotations
 import numpy as np
 
 from planner.kernels.tree.residuals.table import HEIGHT, PARALLEL, TINY, VELOCITY
-from planner.problem.costs.residuals.seen import Seen
+from planner.problem.costs.residuals.seen import KinematicsCache
 
 
-def scalar(seen: Seen, t: int, moving: bool) -> tuple[np.ndarray, np.ndarray]:
+def scalar(seen: KinematicsCache, t: int, moving: bool) -> tuple[np.ndarray, np.ndarray]:
     """Value (K, 1) of term t, and its derivative (K, 1, nv or 2 nv) where asked."""
     m, fast = seen.arrays, seen.arrays.kind[t] == VELOCITY
     i, j, k, l = (int(end) for end in m.ends[t])

@@ -11,7 +11,7 @@ from planner.model.mechanism import Frame, Mechanism
 from planner.problem.costs.residuals.arrays import ResidualArrays
 
 
-class Seen:
+class KinematicsCache:
     """States xs (K, nx) of a mechanism as the terms of ResidualArrays of K stages see them."""
 
     def __init__(self, mechanism: Mechanism, arrays: ResidualArrays, xs: np.ndarray) -> None:

@@ -19,13 +19,13 @@ from planner.kernels.tree.residuals.table import (
     TAKEN_OFF,
 )
 from planner.model.contact import distances
-from planner.model.contact.distances import Placed
-from planner.problem.costs.residuals.seen import Seen
+from planner.model.contact.distances import PlacedShapes
+from planner.problem.costs.residuals.seen import KinematicsCache
 
-_MEASURES = {LINE_BOX: distances.line_and_box, BOXES: distances.of_boxes, OVER_PLANE: distances.from_plane}
+_MEASURES = {LINE_BOX: distances.segment_box, BOXES: distances.of_boxes, OVER_PLANE: distances.from_plane}
 
 
-def apart(seen: Seen, t: int, moving: bool) -> tuple[np.ndarray, np.ndarray]:
+def apart(seen: KinematicsCache, t: int, moving: bool) -> tuple[np.ndarray, np.ndarray]:
     """Value (K, 1) of term t, and its derivative (K, 1, nv) where asked."""
     constant, K = seen.arrays.constant[t], len(seen.q)
     frames = [
@@ -34,7 +34,7 @@ def apart(seen: Seen, t: int, moving: bool) -> tuple[np.ndarray, np.ndarray]:
     ]
     T = [seen.pose(frame) for frame in frames]
     half = [constant[first : first + 3] for first in (FIRST_HALF, SECOND_HALF)]
-    cores = [Placed(pose[:, :3, :3], pose[:, :3, 3], np.tile(h, (K, 1)), np.zeros(K))
+    cores = [PlacedShapes(pose[:, :3, :3], pose[:, :3, 3], np.tile(h, (K, 1)), np.zeros(K))
              for pose, h in zip(T, half, strict=True)]  # fmt: skip
     near = _MEASURES[int(seen.arrays.kind[t])](*cores)
     value = (near.distance - constant[TAKEN_OFF])[:, None]

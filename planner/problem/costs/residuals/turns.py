@@ -9,12 +9,12 @@ import numpy as np
 
 from planner.kernels.tree.residuals.table import POSE
 from planner.model.space import hat, log_jacobian, log_quaternion
-from planner.problem.costs.residuals.seen import Seen
+from planner.problem.costs.residuals.seen import KinematicsCache
 
 _NEAR = 0.04  # rad^2, below it a series: its next term is below rounding
 
 
-def turned(seen: Seen, t: int, moving: bool) -> tuple[np.ndarray, np.ndarray]:
+def orientation_residual(seen: KinematicsCache, t: int, moving: bool) -> tuple[np.ndarray, np.ndarray]:
     """Value (K, 3 or 6) of term t, and its derivative (K, 3 or 6, nv) where asked."""
     frame, reference = seen.frame_of(t), seen.arrays.references(t)
     T, R_ref = seen.pose(frame), reference[:, :9].reshape(-1, 3, 3)
