@@ -104,7 +104,7 @@ def crouched(hopper: Hopper, machine: planner.Mechanism) -> np.ndarray:
     q = machine.home[: machine.nq].copy()
     for joint, angle in hopper.crouch.items():
         q[machine.joint_names.index(joint)] = angle
-    return planner.dynamics.settled(machine, q)
+    return planner.dynamics.static_equilibrium(machine, q)
 
 
 def parabola(hopper: Hopper, t: np.ndarray) -> np.ndarray:

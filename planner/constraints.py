@@ -6,7 +6,7 @@ Beside these the terms of planner.costs (Height, Distance, Gap, Velocity) and an
 from planner.problem.avoid import Avoid
 from planner.problem.constraints.chain_force import ChainForce
 from planner.problem.constraints.constraint import Constraint
-from planner.problem.constraints.of_terms import Along, MassCentre, Place, Tilt, Turn
+from planner.problem.constraints.of_terms import FramePositionAlong, CenterOfMass, FramePosition, FrameAxisAngle, FrameOrientation
 from planner.problem.constraints.power import Power
 
-__all__ = ["Along", "Avoid", "ChainForce", "Constraint", "MassCentre", "Place", "Power", "Tilt", "Turn"]
+__all__ = ["FramePositionAlong", "Avoid", "ChainForce", "Constraint", "CenterOfMass", "FramePosition", "Power", "FrameAxisAngle", "FrameOrientation"]

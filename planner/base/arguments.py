@@ -39,31 +39,31 @@ def _no_number(value: Any) -> bool:
 
 
 def number(
-    name: str, value: Any, *, above: float | None = None, least: float | None = None, most: float | None = None
+    name: str, value: Any, *, greater_than: float | None = None, minimum: float | None = None, maximum: float | None = None
 ) -> float:
     """Return a finite float, greater than `above`, at least `least` and at most `most` where given."""
     try:
         result = math.nan if _no_number(value) else float(value)
     except (TypeError, ValueError, OverflowError):
         result = math.nan
-    too_small = (above is not None and result <= above) or (least is not None and result < least)
-    if too_small or (most is not None and result > most) or not math.isfinite(result):
-        bounds = ((" greater than", above), (" of at least", least), (" and at most", most))
+    too_small = (greater_than is not None and result <= greater_than) or (minimum is not None and result < minimum)
+    if too_small or (maximum is not None and result > maximum) or not math.isfinite(result):
+        bounds = ((" greater than", greater_than), (" of at least", minimum), (" and at most", maximum))
         expected = "".join(f"{words} {bound:g}" for words, bound in bounds if bound is not None)
         raise PlannerError(f"{name} is {short_repr(value)}, expected a finite number{expected}.")
     return result
 
 
-def count(name: str, value: Any, *, least: int = 1, most: int | None = None) -> int:
+def count(name: str, value: Any, *, minimum: int = 1, maximum: int | None = None) -> int:
     """Return an integer of at least `least` and at most `most`, by default the largest integer of the kernels."""
     try:
         result = None if _no_number(value) else operator.index(value)
     except TypeError:
         result = None
-    largest = _LARGEST_COUNT if most is None else most
-    if result is None or not least <= result <= largest:
+    largest = _LARGEST_COUNT if maximum is None else maximum
+    if result is None or not minimum <= result <= largest:
         upper = f" and at most {largest}" if result is not None and result > largest else ""
-        raise PlannerError(f"{name} is {short_repr(value)}, expected a whole number of at least {least}{upper}.")
+        raise PlannerError(f"{name} is {short_repr(value)}, expected a whole number of at least {minimum}{upper}.")
     return result
 
 

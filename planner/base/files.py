@@ -31,7 +31,7 @@ _NO_LOCKS = {errno.ENOLCK, errno.ENOSYS, errno.EOPNOTSUPP}  # of file systems th
 _FULL = 64 * 1024  # bytes: a disk with less is full; some libraries report a failed write without its cause
 
 _MOST_LISTED = 1000  # files of a folder that are compared with a name
-_NEAR = 0.7  # of the letters in common, from which a name is taken for a slip of the pen
+_SIMILARITY = 0.7  # of the letters in common, from which a name is taken for a slip of the pen
 _MOST_SHOWN = 5  # files of a folder that a message names
 
 # Errors of the device, which come without a file name.
@@ -77,7 +77,7 @@ def _instead(path: Path) -> str:
         if folder.is_dir():
             named = "this folder" if folder == Path() else printable(folder)
             names = sorted(one.name for one in folder.iterdir() if one.suffix == path.suffix)[:_MOST_LISTED]
-            near = difflib.get_close_matches(path.name, names, n=1, cutoff=_NEAR)
+            near = difflib.get_close_matches(path.name, names, n=1, cutoff=_SIMILARITY)
             if near:
                 return f", expected the name of a file that is there: write {printable(folder / near[0])}"
             few = ", ".join(printable(name) for name in names[:_MOST_SHOWN]) + ", ..." * (len(names) > _MOST_SHOWN)

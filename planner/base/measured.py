@@ -38,7 +38,7 @@ class Measurement:
         return f"{self.name.replace('_', ' ')} {self.value:.5g} {self.unit}".rstrip() + bound
 
     @property
-    def beside_bound(self) -> str:
+    def bound_share_text(self) -> str:
         """The name, the value and the share of its bound: "path angle error 0.97 rad (97 % of its bound 1)"."""
         assert self.bound
         share = 100.0 * self.value / self.bound

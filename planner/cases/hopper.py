@@ -79,14 +79,14 @@ def hopper(
     Raises:
         PlannerError: A parameter that is not finite or out of range.
     """
-    height = number("height", height, above=0.0, most=LARGEST)
+    height = number("height", height, greater_than=0.0, maximum=LARGEST)
     duration, N = stages(duration, horizon, per_second=200.0, least=200)
     choice("integrator", integrator, INTEGRATORS)
     weights = {
-        "final_weight": number("final_weight", final_weight, least=0.0),
-        "speed_weight": number("speed_weight", speed_weight, least=0.0),
-        "piston_weight": number("piston_weight", piston_weight, least=0.0),
-        "flow_weight": number("flow_weight", flow_weight, above=0.0),
+        "final_weight": number("final_weight", final_weight, minimum=0.0),
+        "speed_weight": number("speed_weight", speed_weight, minimum=0.0),
+        "piston_weight": number("piston_weight", piston_weight, minimum=0.0),
+        "flow_weight": number("flow_weight", flow_weight, greater_than=0.0),
     }
     dt = duration / N
     dynamics = HopperDynamics(dt, integrator, stiffness=stiffness, smoothing=smoothing, gravity=gravity)

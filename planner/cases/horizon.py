@@ -13,9 +13,9 @@ LARGEST = 1e6  # of sizes, weights and seconds
 
 def stages(duration: Any, horizon: Any, per_second: float = 100.0, least: int = 1) -> tuple[float, int]:
     """The checked duration, s, and N: the horizon, or without one `per_second` a second, but at least `least`."""
-    duration = number("duration", duration, above=0.0, most=LARGEST)
+    duration = number("duration", duration, greater_than=0.0, maximum=LARGEST)
     if horizon is not None:
-        return duration, count("horizon", horizon, most=MOST_STAGES)
+        return duration, count("horizon", horizon, maximum=MOST_STAGES)
     if per_second * duration > MOST_STAGES:
         longest = MOST_STAGES / per_second
         raise PlannerError(f"duration is {duration:g} s, expected at most {longest:g} s without a horizon.")

@@ -46,7 +46,7 @@ class Links:
     def __post_init__(self) -> None:
         for name, value in vars(self).copy().items():
             least = 0.0 if name == "gravity" else LIGHTEST
-            object.__setattr__(self, name, number(name, value, least=least, most=HEAVIEST))
+            object.__setattr__(self, name, number(name, value, minimum=least, maximum=HEAVIEST))
 
     @property
     def scale(self) -> float:
@@ -104,9 +104,9 @@ def arm_cost(
     """The cost of Eq. 5 with a factor 1/2 on every term, so that the final weights are twice the paper's c1 and c2."""
     return TrackingCost.joints(
         dynamics, np.concatenate([UPRIGHT, np.zeros(2)]), horizon,
-        final_position=number("position_weight", position_weight, least=0.0, most=LARGEST),
-        final_velocity=number("velocity_weight", velocity_weight, least=0.0, most=LARGEST),
-        effort=number("effort_weight", effort_weight, above=0.0, most=LARGEST),
+        final_position=number("position_weight", position_weight, minimum=0.0, maximum=LARGEST),
+        final_velocity=number("velocity_weight", velocity_weight, minimum=0.0, maximum=LARGEST),
+        effort=number("effort_weight", effort_weight, greater_than=0.0, maximum=LARGEST),
     )  # fmt: skip
 
 

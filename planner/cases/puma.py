@@ -96,16 +96,16 @@ def puma(
     Raises:
         PlannerError: A parameter that is not finite or out of range.
     """
-    payload, rated = (number(k, v, least=LIGHTEST, most=HEAVIEST) for k, v in (("payload", payload), ("rated", rated)))
+    payload, rated = (number(k, v, minimum=LIGHTEST, maximum=HEAVIEST) for k, v in (("payload", payload), ("rated", rated)))
     duration, N = stages(duration, horizon)
     mechanism = puma_mechanism(payload)
     limits = torque_limits(rated)
     dynamics = RigidBodyDynamics(mechanism, duration / N, choice("integrator", integrator, INTEGRATORS))
     weights = {
-        "position_weight": number("position_weight", position_weight, least=0.0, most=LARGEST),
-        "velocity_weight": number("velocity_weight", velocity_weight, least=0.0, most=LARGEST),
-        "effort_weight": number("effort_weight", effort_weight, above=0.0, most=LARGEST),
-        "wrist_weight": number("wrist_weight", wrist_weight, least=0.0, most=LARGEST),
+        "position_weight": number("position_weight", position_weight, minimum=0.0, maximum=LARGEST),
+        "velocity_weight": number("velocity_weight", velocity_weight, minimum=0.0, maximum=LARGEST),
+        "effort_weight": number("effort_weight", effort_weight, greater_than=0.0, maximum=LARGEST),
+        "wrist_weight": number("wrist_weight", wrist_weight, minimum=0.0, maximum=LARGEST),
     }
     start, goal = mechanism.keyframe("start"), mechanism.keyframe("goal")
     cost = TrackingCost.joints(
@@ -120,7 +120,7 @@ def puma(
     }  # fmt: skip
     bounds = (-limits, limits) if choice("torques", torques, get_args(Torques)) == "bounded" else None
     if speed_limit is not None:
-        speed_limit = number("speed_limit", speed_limit, above=0.0)
+        speed_limit = number("speed_limit", speed_limit, greater_than=0.0)
     limited = bounds is not None or speed_limit is not None
     return Problem(
         dynamics, cost, x0=start, us=us, twin=Twin.of(mechanism), appearance=_appearance(payload),

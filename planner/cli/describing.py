@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 PICTURE = "poses.png"
 COLUMNS = 120
 _POSES = 8  # in a row of the picture
-_MOST = 12  # phrases of a list
+_MAX_PHRASES = 12  # phrases of a list
 URDF_BASE = 'fixed to the world, which has no floor; a machine that walks wants base = "free" and floor = true'
 
 
@@ -112,7 +112,7 @@ def _show(path: str, known: Description, console: Console) -> None:
     if known.loaded.keys:
         facts.append(("needs", ", ".join(f"{key} = {json.dumps(value)}" for key, value in known.loaded.keys.items())))
     facts += [("refused", known.loaded.refusal)] if known.loaded.mechanism is None else []
-    facts += [("problem", f"{one.problem}; write {one.mend}") for one in known.troubles]
+    facts += [("problem", f"{one.problem}; write {one.fix}") for one in known.troubles]
     console.write_result()
     console.table(("fact", ""), facts, COLUMNS)
 
@@ -136,5 +136,5 @@ def _spring(joint: dict[str, object]) -> str:
 
 
 def _listed(phrases: list[str]) -> str:
-    more = len(phrases) - _MOST
-    return ", ".join(phrases[:_MOST]) + (f" and {more} more" if more > 0 else "")
+    more = len(phrases) - _MAX_PHRASES
+    return ", ".join(phrases[:_MAX_PHRASES]) + (f" and {more} more" if more > 0 else "")

@@ -33,7 +33,7 @@ def drive(arguments: argparse.Namespace, console: Console) -> int:
     pushes = [Push.parse(text) for text in arguments.push]
     latency = None if arguments.latency is None else seconds_of(arguments.latency)
     if arguments.seconds is not None:
-        number("seconds", arguments.seconds, above=0.0)
+        number("seconds", arguments.seconds, greater_than=0.0)
     asked = asked_problem(arguments)
     problem = asked.problem
     if problem.twin is None:
@@ -106,6 +106,6 @@ def seconds_of(text: str) -> float:
     word = text.strip().lower()
     unit = next((one for one in _UNITS if word.endswith(one)), "")
     try:
-        return number("latency", float(word.removesuffix(unit)) * _UNITS.get(unit, 1.0), least=0.0)
+        return number("latency", float(word.removesuffix(unit)) * _UNITS.get(unit, 1.0), minimum=0.0)
     except ValueError:
         raise PlannerError(f"--latency is {short_repr(text)}, expected a time such as 4ms or 0.004s.") from None

@@ -53,12 +53,12 @@ def asked_problem(arguments: argparse.Namespace) -> ProblemOf:
         return ProblemOf(*file)
     flags = {name[5:]: value for name, value in vars(arguments).items() if name.startswith("case_")}
     case, given, starts, seed = named or (arguments.case, flags, 1, 0)
-    starts = starts if arguments.starts is None else count("starts", arguments.starts, most=MOST_STARTS)
-    seed = seed if arguments.seed is None else count("seed", arguments.seed, least=0)
+    starts = starts if arguments.starts is None else count("starts", arguments.starts, maximum=MOST_STARTS)
+    seed = seed if arguments.seed is None else count("seed", arguments.seed, minimum=0)
     problem = cases.build(case, **given)
     limit = arguments.control_limit
     if limit is not None or arguments.exact_goal:
-        bound = None if limit is None else number("control-limit", limit, above=0.0)
+        bound = None if limit is None else number("control-limit", limit, greater_than=0.0)
         problem = replace(problem, limits=Limits(control=bound, final=EXACT if arguments.exact_goal else None))
     if durations is not None and problem.periodic is not None:
         raise PlannerError(

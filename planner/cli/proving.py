@@ -31,7 +31,7 @@ from planner.sweeps.executors import executor_of
 
 def prove_plan(arguments: argparse.Namespace, console: Console) -> int:
     """Replay a stored plan and judge it."""
-    count("rollouts", arguments.rollouts, least=0)
+    count("rollouts", arguments.rollouts, minimum=0)
     plan, digest = _plan_of(arguments)
     if arguments.replay_case is not None:
         for flag in ("mjcf", "out", "engine"):
@@ -111,7 +111,7 @@ def rollout_of(plan: Plan, arguments: argparse.Namespace) -> Replay:
     perturbation = _perturbation(plan, arguments)
     if plan.twin is None:
         raise PlannerError("the plan holds no MuJoCo model, expected a plan of a Problem with a twin.")
-    number = count("replay-case", arguments.replay_case, least=0)
+    number = count("replay-case", arguments.replay_case, minimum=0)
     compiled, feedback = CompiledTwin(plan.twin), arguments.mode == "feedback"
     return replay_rollout(plan, compiled, number, seed=arguments.seed, perturbation=perturbation, feedback=feedback)
 

@@ -41,8 +41,8 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
     """Plan, prove, plot and film a case or a problem file into a folder."""
     if arguments.out == "":
         raise PlannerError("--out is empty, expected the name of a folder.")
-    count("rollouts", arguments.rollouts, least=0)
-    number("hold", arguments.hold, least=0.0)
+    count("rollouts", arguments.rollouts, minimum=0)
+    number("hold", arguments.hold, minimum=0.0)
     asked = asked_problem(arguments)
     if arguments.hold:
         hold_gain(asked.problem)  # refuses a goal that cannot be held before any work

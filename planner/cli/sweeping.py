@@ -41,7 +41,7 @@ def _swept(arguments: argparse.Namespace, out: Path, console: Console) -> int:
         done = sweep(
             Path(arguments.problem) if arguments.case == PROBLEM_FILE else arguments.case, arguments.set,
             out=out, executor=executor, workers=arguments.workers, fixed=_fixed(arguments),
-            prove={"rollouts": count("rollouts", arguments.rollouts, least=0)} if arguments.prove else False,
+            prove={"rollouts": count("rollouts", arguments.rollouts, minimum=0)} if arguments.prove else False,
             continued=arguments.along, timeout=arguments.timeout, resume=arguments.resume,
             objective=None if arguments.objective is None else objective_of(arguments.objective),
             durations=None if arguments.durations is None else durations_of(arguments.durations),
@@ -69,7 +69,7 @@ def _limits(arguments: argparse.Namespace) -> Limits | None:
     bound = arguments.control_limit
     if bound is None and not arguments.exact_goal:
         return None
-    bound = None if bound is None else number("control-limit", bound, above=0.0)
+    bound = None if bound is None else number("control-limit", bound, greater_than=0.0)
     return Limits(control=bound, final=EXACT if arguments.exact_goal else None)
 
 

@@ -16,9 +16,9 @@ def view_plan(arguments: argparse.Namespace, console: Console) -> int:
     from planner.view.playing import KEYS
     from planner.view.viewer import require_display, view
 
-    count("rollouts", arguments.rollouts, least=0)
+    count("rollouts", arguments.rollouts, minimum=0)
     if arguments.speed is not None:
-        number("speed", arguments.speed, above=0.0)
+        number("speed", arguments.speed, greater_than=0.0)
     require_display()  # before the work
     path = Path(arguments.plan)
     plan = load_plan(path / "plan.npz" if path.is_dir() else path)

@@ -28,7 +28,7 @@ from planner.base.errors import PlannerError
 from planner.control.doing import ControllerStatus, Event
 from planner.control.goal_states import goal_states, goal_stays
 from planner.control.holding import FallbackControl, equilibrium_control
-from planner.control.timing import LITTLE, state_after, horizon_and_rate
+from planner.control.timing import TIME_TOLERANCE, state_after, horizon_and_rate
 from planner.control.window import RecedingHorizonProblem
 from planner.kernels.lq.search import ARMIJO
 from planner.kernels.lq.workspace import ACCEPTED, CONVERGED, INDEFINITE
@@ -85,9 +85,9 @@ class Controller:
         dt = problem.dynamics.dt
         self.problem, self.horizon, self.rate = problem, H, rate
         self.iterations = count("iterations", iterations)
-        self.budget = None if budget is None else number("budget", budget, above=0.0)
+        self.budget = None if budget is None else number("budget", budget, greater_than=0.0)
         self.patience = count("patience", patience)
-        self.latency = number("latency", latency, least=0.0)
+        self.latency = number("latency", latency, minimum=0.0)
         self._dt, self._space, self._bounds = dt, space_of(problem.dynamics), problem.bounds
         # Past its end the goal of a task stays, if some control keeps it.
         self._window, self._holding = RecedingHorizonProblem(problem, H, keeps=goal_stays(problem)), FallbackControl(problem)
@@ -160,7 +160,7 @@ class Controller:
         Time does not go back between resets. The state is MuJoCo's own, qpos, qvel and act, for a Mechanism.
         """
         self.planned, self.seconds = False, 0.0
-        if (t - self._asked) * self.rate >= 1.0 - LITTLE:
+        if (t - self._asked) * self.rate >= 1.0 - TIME_TOLERANCE:
             began = time.perf_counter()
             self._asked = t
             if self.latency:
@@ -177,7 +177,7 @@ class Controller:
         """Plan from x (nx,) at time t, s; whether it succeeded. `control` then follows it."""
         if math.isnan(self._begin):
             self._begin = self._made = t - self.latency
-        stage = int((t - self._begin) / self._dt + LITTLE)
+        stage = int((t - self._begin) / self._dt + TIME_TOLERANCE)
         if self._new_goal is not None:
             last = np.atleast_2d(self._new_goal)[-1]
             self._rest = equilibrium_control(self.problem, last, self._us[-1] if self._rest is None else self._rest)
@@ -283,10 +283,10 @@ class Controller:
         if math.isnan(self._made):
             raise PlannerError("the controller has not planned yet, expected controller(t, x) before control(t, x).")
         stages = max((t - self._made) / self._dt, 0.0)
-        n = int(stages + LITTLE)
+        n = int(stages + TIME_TOLERANCE)
         if n >= self.horizon and self.status is not ControllerStatus.PLANNING:
             self._hold(t, "the plan has ended")
-        at = min(int((t - self._begin) / self._dt + LITTLE), self.problem.N - 1)
+        at = min(int((t - self._begin) / self._dt + TIME_TOLERANCE), self.problem.N - 1)
         if not math.isfinite(x.dot(x)):  # nothing is known of such a state
             u = self._acting
         elif self.status is ControllerStatus.HOLDING:
@@ -299,10 +299,10 @@ class Controller:
     def expected(self, t: float) -> np.ndarray:
         """The state (nx,) of the plan at time t, s: its own integrator over a part of a stage."""
         stages = max((t - self._made) / self._dt, 0.0)
-        n = int(stages + LITTLE)
+        n = int(stages + TIME_TOLERANCE)
         if n >= self.horizon:
             return self._xs[-1].copy()
         part = stages - n
-        if part <= LITTLE:
+        if part <= TIME_TOLERANCE:
             return self._xs[n].copy()  # the memory is another plan's soon
         return self.problem.dynamics.step(self._xs[n : n + 1], self._us[n : n + 1], np.array([part * self._dt]))[0]

@@ -25,7 +25,7 @@ from planner.control.goal_states import goal_states
 from planner.control.simulating import LATE, STAYS, ClosedLoopRun
 from planner.dynamics.kinematics import frame_pose
 from planner.model.coordinates import coordinates_of
-from planner.problem.goals import LEAST, GoalCheck, goals_of
+from planner.problem.goals import MIN_TOLERANCES, GoalCheck, goals_of
 from planner.proof.robustness.success_rule import GOAL_TOLERANCES, OF_RANGE, SuccessRule, rule_of
 from planner.proof.tracking import misses, word_of, worst_of
 
@@ -149,7 +149,7 @@ def _arrives(loop: ClosedLoopRun, goals: Sequence[GoalCheck]) -> Section:
 def _near(loop: ClosedLoopRun, goals: Sequence[GoalCheck]) -> np.ndarray:
     """(M+1,) whether every goal is within its tolerance."""
     with np.errstate(invalid="ignore"):
-        return np.all([one.missed(loop.xs) <= one.tolerance for one in goals], axis=0)
+        return np.all([one.error(loop.xs) <= one.tolerance for one in goals], axis=0)
 
 
 def _stays(loop: ClosedLoopRun, goals: Sequence[GoalCheck]) -> Section:
@@ -164,7 +164,7 @@ def _stays(loop: ClosedLoopRun, goals: Sequence[GoalCheck]) -> Section:
     last, found = loop.t >= loop.t[-1] - STAYS, []
     for unit in dict.fromkeys(one.unit for one in end):
         of_unit = [one for one in end if one.unit == unit]
-        value, worst = worst_of(of_unit, [float(np.max(one.missed(loop.xs[last]))) for one in of_unit])
+        value, worst = worst_of(of_unit, [float(np.max(one.error(loop.xs[last]))) for one in of_unit])
         note = f"largest over the last {STAYS:g} s, {worst.name}"
         found.append(Measurement(f"stayed_{word_of(unit)}_miss", value, unit, worst.tolerance, note))
     return Section("stays", tuple(found))
@@ -209,7 +209,7 @@ def _follows(loop: ClosedLoopRun) -> Section:
 
 def _near_moving(way: float, unit: str) -> float:
     """How near a machine must be to a goal that moves over such a range."""
-    return max(OF_RANGE * way, GOAL_TOLERANCES * LEAST.get(unit, 0.0))
+    return max(OF_RANGE * way, GOAL_TOLERANCES * MIN_TOLERANCES.get(unit, 0.0))
 
 
 def _kept(loop: ClosedLoopRun) -> Section:
@@ -275,4 +275,4 @@ def _won(loop: ClosedLoopRun, rule: SuccessRule) -> bool:
     if rule.follows is not None:
         return bool(rule.followed(way[None], plan.xs[stages], stages)[0])
     stays = _own_rule(loop) is None and getattr(loop.controller, "keeps_goal", True)
-    return bool(rule.won(loop.xs[-1:] if stays else way[-1:])[0])
+    return bool(rule.succeeded(loop.xs[-1:] if stays else way[-1:])[0])

@@ -16,7 +16,7 @@ from planner.problem.plan import Plan
 from planner.proof.hold import GoalRegulator, hold_gain
 from planner.proof.replays.replaying import problem_of
 
-_LITTLE = 1e-6  # of a stage
+_TIME_TOLERANCE = 1e-6  # of a stage
 
 
 class FixedPlanController:
@@ -43,7 +43,7 @@ class FixedPlanController:
     def __call__(self, t: float, x: np.ndarray) -> np.ndarray:
         """The control (nu,) at time t, s, and state x (nx,)."""
         plan, bounds = self.plan, self.problem.bounds
-        n = int(t / self.problem.dynamics.dt + _LITTLE)
+        n = int(t / self.problem.dynamics.dt + _TIME_TOLERANCE)
         if n < plan.N:
             u = plan.us[n] + plan.K[n] @ plan.space.difference(x, self.expected(t))
         else:
@@ -54,12 +54,12 @@ class FixedPlanController:
         """The state (nx,) of the plan at time t, s."""
         plan, dynamics = self.plan, self.problem.dynamics
         stages = t / dynamics.dt
-        n = int(stages + _LITTLE)
+        n = int(stages + _TIME_TOLERANCE)
         if n >= plan.N:
             return plan.xs[-1] if self._hold is None else self._hold.x_goal
         part = max(stages - n, 0.0)
         return (
             dynamics.step(plan.xs[n : n + 1], plan.us[n : n + 1], np.array([part * dynamics.dt]))[0]
-            if part > _LITTLE
+            if part > _TIME_TOLERANCE
             else plan.xs[n]
         )

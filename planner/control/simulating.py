@@ -131,10 +131,10 @@ def simulate(
         raise PlannerError("the problem has no MuJoCo model to be simulated in, expected a Problem with a twin.")
     compiled = compiled or CompiledTwin(problem.twin)
     dt = problem.dynamics.dt
-    duration = problem.duration + LATE + STAYS if duration is None else number("duration", duration, above=0.0)
-    latency = None if latency is None else number("latency", latency, least=0.0)
-    seed = count("seed", seed, least=0)
-    noise = number("noise", noise, least=0.0)
+    duration = problem.duration + LATE + STAYS if duration is None else number("duration", duration, greater_than=0.0)
+    latency = None if latency is None else number("latency", latency, minimum=0.0)
+    seed = count("seed", seed, minimum=0)
+    noise = number("noise", noise, minimum=0.0)
     pushes = (pushes,) if isinstance(pushes, Push) else tuple(pushes)
     if not all(isinstance(push, Push) for push in pushes):
         raise PlannerError(f"pushes is {short_repr(pushes)}, expected a list of planner.Push.")
@@ -181,7 +181,7 @@ def simulate(
 def _substeps(problem: Problem, compiled: CompiledTwin, parts: int) -> int:
     """Simulator steps per stage, as of a replay, and a whole number for each part of a stage."""
     dt = problem.dynamics.dt
-    step = number("the model's timestep", compiled.model.opt.timestep, above=0.0)
+    step = number("the model's timestep", compiled.model.opt.timestep, greater_than=0.0)
     own = 1 if damping_of(problem.dynamics) is not None else int(getattr(problem.dynamics, "substeps", 1))
     n = max(REFINEMENT, SUBSTEP_REFINEMENT * own, math.ceil(min(dt / step, 1e12) - 1e-9))
     return n + -n % parts

@@ -9,7 +9,7 @@ from planner.base.errors import PlannerError
 from planner.problem.plan import Plan
 from planner.problem.problem import Problem
 
-LITTLE = 1e-6  # of a stage: instants that are nearer are the same
+TIME_TOLERANCE = 1e-6  # of a stage: instants that are nearer are the same
 
 
 def horizon_and_rate(problem: Problem, horizon: int | None = None, rate: float | None = None) -> tuple[int, float]:
@@ -19,7 +19,7 @@ def horizon_and_rate(problem: Problem, horizon: int | None = None, rate: float |
         raise PlannerError(f"problem is {short_repr(problem)}, expected a Problem{more}.")
     dt = problem.dynamics.dt
     H = problem.N if horizon is None else count("horizon", horizon)
-    rate = 1.0 / dt if rate is None else number("rate", rate, above=0.0)
+    rate = 1.0 / dt if rate is None else number("rate", rate, greater_than=0.0)
     if rate * dt > 1.0 + 1e-9:
         raise PlannerError(
             f"the rate is {rate:.6g} Hz and the horizon has stages of {dt:.4g} s, expected at most one plan per "
@@ -36,7 +36,7 @@ def horizon_and_rate(problem: Problem, horizon: int | None = None, rate: float |
 def state_after(problem: Problem, x: np.ndarray, u: np.ndarray, seconds: float) -> np.ndarray:
     """Where a control u (nu,) that is held takes a state x (nx,) in the problem's own dynamics."""
     left, dt = seconds, problem.dynamics.dt
-    while left > LITTLE * dt:
+    while left > TIME_TOLERANCE * dt:
         length = min(left, dt)
         left -= length
         x = problem.dynamics.step(x[None], u[None], np.array([length]))[0]

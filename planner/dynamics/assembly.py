@@ -23,7 +23,7 @@ _HALVINGS = 20  # of a step that would open the chains further
 _LARGEST = 0.5  # rad or m, of a step in one coordinate: longer ones lead to poses that are nowhere near
 _CARRIED = 0.1  # rad or m, of a step along a way: it does not turn a chain over
 _PREFERRED = 10.0  # coordinates with actuators lead where they move the chain at all
-_WEAK = 1e-9  # of the largest singular value: a direction that closes less closes nothing
+_RANK_TOLERANCE = 1e-9  # of the largest singular value: a direction that closes less closes nothing
 
 
 def assembled(mechanism: Mechanism, x: np.ndarray, given: Collection[int] = (), name: str = "the pose") -> np.ndarray:
@@ -44,7 +44,7 @@ def assembled(mechanism: Mechanism, x: np.ndarray, given: Collection[int] = (), 
         if np.abs(miss).max() <= _CLOSE:
             break
         step = np.zeros(space.ndx)
-        step[:nv] = -free @ np.linalg.lstsq(jacobian(mechanism, x[:nq]) @ free, miss, rcond=_WEAK)[0]
+        step[:nv] = -free @ np.linalg.lstsq(jacobian(mechanism, x[:nq]) @ free, miss, rcond=_RANK_TOLERANCE)[0]
         step *= _LARGEST / max(float(np.abs(step).max()), _LARGEST)
         for _ in range(_HALVINGS):
             candidate = space.integrate(x, step)
@@ -62,7 +62,7 @@ def assembled(mechanism: Mechanism, x: np.ndarray, given: Collection[int] = (), 
         )
     J = jacobian(mechanism, x[:nq]) @ free
     qd = x[nq : nq + nv]
-    x[nq : nq + nv] = qd - free @ np.linalg.lstsq(J, jacobian(mechanism, x[:nq]) @ qd, rcond=_WEAK)[0]
+    x[nq : nq + nv] = qd - free @ np.linalg.lstsq(J, jacobian(mechanism, x[:nq]) @ qd, rcond=_RANK_TOLERANCE)[0]
     return x
 
 
@@ -114,7 +114,7 @@ def feasible_directions(mechanism: Mechanism, q: np.ndarray) -> tuple[np.ndarray
         return G, leading
     from scipy.linalg import null_space, qr  # a fifth of a second that `import planner` does not pay
 
-    N = null_space(jacobian(mechanism, q) @ G, rcond=_WEAK)
+    N = null_space(jacobian(mechanism, q) @ G, rcond=_RANK_TOLERANCE)
     driven = np.any(mechanism.actuators.moment[:, leading] != 0.0, axis=0)
     order = qr(N.T * np.where(driven, _PREFERRED, 1.0), mode="r", pivoting=True)[-1]
     chosen = np.sort(order[: N.shape[1]])
@@ -129,7 +129,7 @@ def relative_min_singular_value(mechanism: Mechanism, qs: np.ndarray) -> np.ndar
     """
     values = np.array([np.linalg.svd(jacobian(mechanism, q), compute_uv=False) for q in qs])
     shares = values / values[:, :1]
-    return shares[:, int(np.count_nonzero(shares > _WEAK, axis=1).max()) - 1]
+    return shares[:, int(np.count_nonzero(shares > _RANK_TOLERANCE, axis=1).max()) - 1]
 
 
 def tangent_basis(mechanism: Mechanism, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

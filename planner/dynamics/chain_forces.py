@@ -24,7 +24,7 @@ from planner.dynamics.rigid_body import RigidBodyDynamics
 from planner.model.coordinates import Coordinate
 from planner.model.mechanism import Frame, Mechanism
 
-_WEAK = 1e-9  # of the largest eigenvalue of J W J': equations that say the same twice
+_RANK_TOLERANCE = 1e-9  # of the largest eigenvalue of J W J': equations that say the same twice
 
 
 def constraint_forces(dynamics: RigidBodyDynamics, xs: Any, us: Any) -> np.ndarray:
@@ -52,7 +52,7 @@ def constraint_forces(dynamics: RigidBodyDynamics, xs: Any, us: Any) -> np.ndarr
     W = G @ np.linalg.solve(G.T @ mass_matrix(tree, q) @ G, np.broadcast_to(G.T, (len(xs), *G.T.shape)))
     JW = constraint_jacobians(m, q) @ W
     S = JW @ constraint_jacobians(m, q).swapaxes(1, 2)
-    return (np.linalg.pinv(S, rcond=_WEAK, hermitian=True) @ (JW @ left[:, :, None]))[:, :, 0]
+    return (np.linalg.pinv(S, rcond=_RANK_TOLERANCE, hermitian=True) @ (JW @ left[:, :, None]))[:, :, 0]
 
 
 def constraint_jacobians(m: Mechanism, q: np.ndarray) -> np.ndarray:

@@ -58,7 +58,7 @@ class SignedDistances:
         along = np.einsum("kia,kpia->kpi", screws[..., :3], moments) + np.einsum("kia,kpa->kpi", screws[..., 3:], n)
         return values, self._sign * along
 
-    def moved(self, q: Any, dq: np.ndarray) -> np.ndarray:
+    def motion_bound(self, q: Any, dq: np.ndarray) -> np.ndarray:
         """How far at most (K, P) a motion dq (K, nv) moves any point of one of a pair relative to the other, m.
 
         By a screw of unit speed no point of a ball around a solid moves faster. A plane has no ball, so what moves it

@@ -17,7 +17,7 @@ from planner.dynamics.statics import along_ground, unactuated_basis
 from planner.model.mechanism import Mechanism
 
 TURNS = 5  # of taking J midway again; each is nearer by the square of the way
-SAME = 1e-9  # m or rad
+POSE_TOLERANCE = 1e-9  # m or rad
 RANK = 1e-6  # of the largest: what feet leave free
 
 
@@ -57,7 +57,7 @@ def goal_without_foot_slip(mechanism: Mechanism, start: np.ndarray, goal: np.nda
         step = np.zeros(space.ndx)
         step[:nv] = along @ part
         goal = space.integrate(goal, step)
-        if np.abs(step).max() < SAME:
+        if np.abs(step).max() < POSE_TOLERANCE:
             break
     return goal
 

@@ -51,7 +51,7 @@ class FunctionDynamics:
         if not callable(f):
             raise PlannerError(f"f is {f!r}, expected a function f(x, u).")
         self.nx, self.nu = count("nx", nx), count("nu", nu)
-        self.dt = number("dt", dt, above=0.0)
+        self.dt = number("dt", dt, greater_than=0.0)
         self.integrator = choice("integrator", integrator, (*INTEGRATORS, "discrete"))
         if self.integrator == "semi-implicit-euler" and self.nx % 2:
             raise PlannerError(

@@ -39,11 +39,11 @@ class HopperDynamics:
         self, dt: float, integrator: str = "rk4", *, stiffness: float = 100.0, smoothing: float = 0.1,
         gravity: float = 386.4,
     ) -> None:  # fmt: skip
-        self.dt = number("dt", dt, above=0.0)
+        self.dt = number("dt", dt, greater_than=0.0)
         self.integrator = choice("integrator", integrator, INTEGRATORS)
-        self.stiffness = number("stiffness", stiffness, above=0.0, most=1e9)
-        self.smoothing = number("smoothing", smoothing, above=0.0, most=1e9)
-        self.gravity = number("gravity", gravity, above=0.0, most=1e9)
+        self.stiffness = number("stiffness", stiffness, greater_than=0.0, maximum=1e9)
+        self.smoothing = number("smoothing", smoothing, greater_than=0.0, maximum=1e9)
+        self.gravity = number("gravity", gravity, greater_than=0.0, maximum=1e9)
         self._code = INTEGRATORS.index(self.integrator)
         self._parameters = np.array([self.stiffness, self.smoothing, self.gravity])
 

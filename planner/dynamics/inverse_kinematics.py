@@ -94,7 +94,7 @@ def inverse_kinematics(
         return found._replace(short=lacks + (0.0 if short is None else short(found.q)))
 
     found = reached(q)
-    rng = np.random.default_rng(count("seed", seed, least=0))
+    rng = np.random.default_rng(count("seed", seed, minimum=0))
     for _ in range(starts - 1 if len(dofs) else 0):
         if found.residual < REACHED and found.short <= 0.0:
             break

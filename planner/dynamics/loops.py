@@ -15,7 +15,7 @@ from planner.dynamics.poe import Ad, ad, bias, mass_matrix, twists, world_poses
 from planner.model.loops import BAUMGARTE_RATE, PolynomialCoupling, LoopClosure
 from planner.model.mechanism import Mechanism
 
-_WEAK = 1e-9  # of the largest singular value: redundant equations
+_RANK_TOLERANCE = 1e-9  # of the largest singular value: redundant equations
 
 
 def misses(mechanism: Mechanism, q: np.ndarray) -> np.ndarray:
@@ -121,11 +121,11 @@ def projected_state(mechanism: Mechanism, q: np.ndarray, qd: np.ndarray) -> tupl
     """
     G = np.eye(mechanism.nv) if mechanism.reduction is None else mechanism.reduction.G
     J = jacobian(mechanism, q) @ G
-    step = -G @ np.linalg.lstsq(J, misses(mechanism, q), rcond=_WEAK)[0]
+    step = -G @ np.linalg.lstsq(J, misses(mechanism, q), rcond=_RANK_TOLERANCE)[0]
     x = np.concatenate([q, np.zeros(mechanism.space.nx - len(q))])
     q = mechanism.space.integrate(x, np.append(step, np.zeros(mechanism.space.ndx - len(step))))[: len(q)]
     J = jacobian(mechanism, q)
-    return q, qd - G @ np.linalg.lstsq(J @ G, J @ qd, rcond=_WEAK)[0]
+    return q, qd - G @ np.linalg.lstsq(J @ G, J @ qd, rcond=_RANK_TOLERANCE)[0]
 
 
 def _pseudo_inverse(S: np.ndarray) -> np.ndarray:

@@ -55,9 +55,9 @@ class RigidBodyDynamics:
     ) -> None:  # fmt: skip
         if not isinstance(mechanism, Mechanism):
             raise PlannerError(f"mechanism is {short_repr(mechanism)}, expected a Mechanism.")
-        self.mechanism, self.dt = mechanism, number("dt", dt, above=0.0)
+        self.mechanism, self.dt = mechanism, number("dt", dt, greater_than=0.0)
         self.integrator = choice("integrator", integrator, TREE_INTEGRATORS)
-        self.substeps = count("substeps", substeps, most=MOST_SUBSTEPS)
+        self.substeps = count("substeps", substeps, maximum=MOST_SUBSTEPS)
         if self.substeps > 1 and self.integrator not in WITH_SUBSTEPS:
             raise PlannerError(
                 f"substeps is {self.substeps} and the integrator {self.integrator!r}, expected integrator = "

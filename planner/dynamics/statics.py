@@ -38,7 +38,7 @@ UPWARDS = 0.8  # of a plane's normal, against gravity: less is a wall
 FORCE_FIT_WEIGHT = 1e-3  # how much less it matters that a force is the law's than that it holds the pose
 
 
-def settled(mechanism: Mechanism, x: Any) -> np.ndarray:
+def static_equilibrium(mechanism: Mechanism, x: Any) -> np.ndarray:
     """The rest state near a pose: the ground carries the machine and its driven joints do not move.
 
     What no actuator drives (the place of a free trunk, a passive joint) goes downhill from the height at which the

@@ -35,8 +35,8 @@ MAX_RATE_STEP = 2.0
 IMPLICIT = 1e-3
 """How much two stages of half the length may change a stage's A, of positions and of velocities times the stage, for
 its damping to be taken implicitly: a tenth of what passes of a path."""
-_TINY = 1e-6  # s: A - 1 of an Euler step so short, over it, is d(dx/dt)/dx to its rounding, also of turning bodies
-_SAME = 1e-6  # relative: eigenvalues that are one
+_PROBE_STEP = 1e-6  # s: A - 1 of an Euler step so short, over it, is d(dx/dt)/dx to its rounding, also of turning bodies
+_EIGENVALUE_TOLERANCE = 1e-6  # relative: eigenvalues that are one
 _ROUNDING = 1e-9  # relative
 
 
@@ -64,9 +64,9 @@ def fastest_mode(
     """
     xs, found = _rows(states), FastestMode(0.0, "")
     for one in _held_and_slipping(mechanism):
-        dynamics = RigidBodyDynamics(one, _TINY, "euler", prescribed)
+        dynamics = RigidBodyDynamics(one, _PROBE_STEP, "euler", prescribed)
         A, _ = dynamics.linearize(np.vstack([xs, xs[-1:]]), np.zeros((len(xs), dynamics.nu)))
-        for slopes in (A - np.eye(dynamics.ndx)) / _TINY:
+        for slopes in (A - np.eye(dynamics.ndx)) / _PROBE_STEP:
             if not np.isfinite(slopes).all():
                 continue
             values, right = np.linalg.eig(slopes)
@@ -91,7 +91,7 @@ def _held_and_slipping(mechanism: Mechanism) -> tuple[Mechanism, ...]:
 def _joint(mechanism: Mechanism, slopes: np.ndarray, value: complex, right: np.ndarray) -> str:
     """The name of what participates most in an eigenvalue with this eigenvector (ndx,)."""
     values, left = np.linalg.eig(slopes.T)
-    same = np.abs(values - value) <= max(_SAME * abs(value), np.abs(values - value).min())
+    same = np.abs(values - value) <= max(_EIGENVALUE_TOLERANCE * abs(value), np.abs(values - value).min())
     share = np.abs(right) * np.abs(left[:, same]).sum(axis=1)
     nv = mechanism.nv
     joint = np.concatenate([share[:nv] + share[nv : 2 * nv], share[2 * nv :]])

@@ -24,7 +24,7 @@ from planner.base.errors import ModelError
 CLOSED = 1e-6  # rad or m: a state that misses a coupling by more is not on it
 _ROUNDING = 1e-12  # of a row's largest coefficient: what elimination leaves of nothing
 _CONTRADICTION = 1e-9  # rad or m, of what redundant equations ask
-_WEAK = 1e-3  # of a row's largest coefficient: a coordinate with less is not solved for, whatever else speaks for it
+_PIVOT_TOLERANCE = 1e-3  # of a row's largest coefficient: a coordinate with less is not solved for, whatever else speaks for it
 
 
 @dataclass(frozen=True)
@@ -86,7 +86,7 @@ def reduce(couplings: Sequence[Coupling], nv: int, keep: np.ndarray) -> Reductio
                     'equations that hold together: active="false" switches one off.'
                 )
             continue
-        strong = np.flatnonzero(size >= _WEAK * size.max())
+        strong = np.flatnonzero(size >= _PIVOT_TOLERANCE * size.max())
         pivot = min(map(int, strong), key=partial(_preference, coupling, keep))
         row /= row[pivot]
         row[pivot] = 1.0

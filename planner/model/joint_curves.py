@@ -45,10 +45,10 @@ class ExponentialTorque:
             pairs = [(one, other) for one, other in given]
         except (TypeError, ValueError):
             raise PlannerError(f"slopes is {short_repr(self.slopes)}, expected numbers by degree of freedom.") from None
-        slopes = {count("slopes: dof", j, least=0): number(f"slopes[{j}]", slope) for j, slope in pairs}
+        slopes = {count("slopes: dof", j, minimum=0): number(f"slopes[{j}]", slope) for j, slope in pairs}
         if len(slopes) < len(pairs):
             raise PlannerError(f"slopes is {short_repr(self.slopes)}, expected each degree of freedom once.")
-        set_fields(self, slopes=tuple(sorted(slopes.items())), dof=count("dof", self.dof, least=0))
+        set_fields(self, slopes=tuple(sorted(slopes.items())), dof=count("dof", self.dof, minimum=0))
         set_fields(self, **{name: number(name, getattr(self, name)) for name in ("amplitude", "constant")})
 
     @property

@@ -10,9 +10,9 @@ import numpy as np
 from planner.model.mechanism import Mechanism
 from planner.problem.problem import Problem
 
-_NEAR = 1e-6  # of a range: at its bound
+_AT_BOUND_SHARE = 1e-6  # of a range: at its bound
 _OFTEN = 0.1  # of the stages: then bounds are what a motion hangs on
-_MOST = 3  # constraints that are named
+_MAX_NAMED = 3  # constraints that are named
 _GAINED = 1e-3  # of the cost: a second half of a solve that gains less has stalled
 
 
@@ -29,7 +29,7 @@ def control_at_bound(problem: Problem, xs: np.ndarray, us: np.ndarray) -> str:
         return ""
     lower, upper = problem.bounds.at(slice(None), xs[: len(us)])
     with np.errstate(invalid="ignore"):
-        near = _NEAR * np.where(np.isfinite(upper - lower), upper - lower, 1.0)
+        near = _AT_BOUND_SHARE * np.where(np.isfinite(upper - lower), upper - lower, 1.0)
     stages = ((us <= lower + near) | (us >= upper - near)).sum(axis=0)
     worst = int(np.argmax(stages))
     if stages[worst] < max(1, _OFTEN * len(us)):
@@ -72,9 +72,9 @@ def constraints_broken(problem: Problem, xs: np.ndarray, us: np.ndarray, t: np.n
     broken.sort(key=lambda one: -one.value / one.constraint.allowed())
     said = [
         f"{one.constraint} is broken by {one.value:.3g} {one.constraint.unit}".rstrip() + f" at t = {t[one.at]:.3g} s"
-        for one in broken[:_MOST]
+        for one in broken[:_MAX_NAMED]
     ]
-    more = len(broken) - _MOST
+    more = len(broken) - _MAX_NAMED
     return ", ".join(said) + (f", and {more} more" if more > 0 else "")
 
 

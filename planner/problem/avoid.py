@@ -65,7 +65,7 @@ class Avoid:
         if not isinstance(more, Mapping):
             raise PlannerError(f"more of avoid is {short_repr(more)}, expected a table of m by the names of pairs.")
         set_fields(
-            a, clearance=number("clearance of avoid", a.clearance, above=0.0),
+            a, clearance=number("clearance of avoid", a.clearance, greater_than=0.0),
             more={name: number(f"more of {name}", value) for name, value in more.items()},
         )  # fmt: skip
 
@@ -128,7 +128,7 @@ def _known(mechanism: Mechanism, survey: ModelIndex) -> Collection[frozenset[int
 
 
 def _constraint(near: CollisionPairs, clearance: float, more: Mapping[str, float]) -> Constraint:
-    added = np.array([min(more.get(pair.names, 0.0), pair.room) for pair in near.pairs])
+    added = np.array([min(more.get(pair.names, 0.0), pair.spare_clearance) for pair in near.pairs])
     apart = PairClearance(near.pairs, added, SOFT * clearance)
     return Constraint(apart, least=apart.least, tolerance=EXACT * clearance, name="clearance")
 
@@ -144,7 +144,7 @@ def collision_free_motion(
     moving = np.concatenate([x0[nq : nq + nv], goal[nq : nq + nv]])
     if np.any(mechanism.kind != SCREW) or mechanism.contacts or mechanism.body_contacts or np.any(moving):
         return None
-    way = CollisionChecker(apart, mechanism).way(x0[:nq], goal[:nq], seed)
+    way = CollisionChecker(apart, mechanism).find_path(x0[:nq], goal[:nq], seed)
     if way is None:
         return None
     xs = np.tile(x0, (N + 1, 1))

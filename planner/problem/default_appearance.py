@@ -14,7 +14,7 @@ from planner.model.coordinates import ANGLE, FORCE, LENGTH, MOMENT, controls_of_
 from planner.model.mechanism import BALL, SCREW, Mechanism
 from planner.problem.appearance import Appearance, Panel, Readout
 
-MOST = 8  # curves that can be told apart in one panel
+MAX_CURVES = 8  # curves that can be told apart in one panel
 _READOUTS = 8
 _CONTROLS = {
     MOMENT: ("Controls: torques", "torque, N m"), FORCE: ("Controls: forces", "force, N"),
@@ -97,7 +97,7 @@ def _belts(mechanism: Mechanism) -> tuple[str, ...]:
 
 def small_multiples(title: str, curves: Curves) -> list[tuple[str, tuple[tuple[int, str], ...]]]:
     """Titles and curves of as few panels as can hold them all, none with more than can be told apart."""
-    panels = -(-len(curves) // MOST)
+    panels = -(-len(curves) // MAX_CURVES)
     ends = [round(k * len(curves) / panels) for k in range(panels + 1)] if panels else []
     parts = list(itertools.pairwise(ends))
     if len(parts) == 1:

@@ -35,7 +35,7 @@ from planner.model.lying import stationary_object_dofs
 from planner.model.mechanism import Mechanism
 from planner.model.mjcf.driven import prescribed_dofs_of
 from planner.problem.costs.tracking import TrackingCost
-from planner.problem.goals import LEAST, least_share
+from planner.problem.goals import MIN_TOLERANCES, least_share
 from planner.problem.guess import quasi_static_controls
 from planner.problem.staying import terminal_holding_cost
 
@@ -87,7 +87,7 @@ def default_weights(
     if (reach or bool(mechanism.contacts)) and not effort_alone:
         velocity = 1.0 / speed**2
     share = least_share(zip(displacement.tolist(), units, strict=False))
-    position, rate = _tolerances(mechanism, [share * LEAST[unit] for unit in units], tolerance)
+    position, rate = _tolerances(mechanism, [share * MIN_TOLERANCES[unit] for unit in units], tolerance)
     kept = STANCE_TOLERANCES * position if stands else None
     effort, control, known = _effort(dynamics, x0, goal, duration, displacement, kept, most)
     stays_put = stationary_object_dofs(mechanism) & (displacement == 0.0) & (x0[mechanism.nq : mechanism.nq + nv] == 0.0)
@@ -116,12 +116,12 @@ def default_weights(
     })  # fmt: skip
 
 
-def min_jerk_cost(way: np.ndarray, duration: float) -> float:
+def min_jerk_cost(displacement: np.ndarray, duration: float) -> float:
     """Half the integral of the squared jerk of a quintic from rest to rest over a way (nv,): 360 way^2 / T^5.
 
     No motion from rest to rest has less (Flash and Hogan 1985).
     """
-    return 360.0 * float(np.sum(way**2)) / duration**5
+    return 360.0 * float(np.sum(displacement**2)) / duration**5
 
 
 def default_cost(

@@ -15,7 +15,7 @@ from planner.problem.troubles import holding, within
 _WAY = 0.15  # of a joint's range
 _WAY_ON_FEET = 0.05  # of one that stands on the ground, which may tip over
 _TURN, _SLIDE = 0.5, 0.15  # rad, and in sizes of the machine: the way of a joint without a range
-_FAR = 4.0  # of these: the longest way of a joint with a range, which may be that of a vehicle in its hall
+_MAX_DISPLACEMENT_RATIO = 4.0  # of these: the longest way of a joint with a range, which may be that of a vehicle in its hall
 _INSIDE = 0.05  # of a range: how far a start is kept from its ends
 _TO_THE_MIDDLE = (0.0, 0.25, 0.5, 0.75)  # parts of the way there that are tried for a start
 _SMALLER = (1.0, 0.5, 0.25)  # parts of the way that are tried, until one touches nothing
@@ -119,7 +119,7 @@ def _start(model: Any, mechanism: Mechanism, joints: list[Record]) -> tuple[str,
 
 def _room(model: Any, joint: Record) -> float:
     usual = _TURN / _WAY if joint["unit"] == "rad" else _SLIDE / _WAY * float(model.stat.extent)
-    return usual if joint["range"] is None else min(joint["range"][1] - joint["range"][0], _FAR * usual)
+    return usual if joint["range"] is None else min(joint["range"][1] - joint["range"][0], _MAX_DISPLACEMENT_RATIO * usual)
 
 
 def _allowed(

@@ -12,7 +12,7 @@ from planner.model.mechanism import Mechanism
 from planner.problem.constraints.apart import PairClearance
 from planner.problem.way_around import rrt_connect
 
-ROOM = 0.5  # of the clearance beyond which a way keeps apart, where it can
+CLEARANCE_SHARE = 0.5  # of the clearance beyond which a way keeps apart, where it can
 CUT = 0.1  # of the clearance that it keeps where its corners are rounded
 
 _ways: WeakKeyDictionary[Mechanism, dict[bytes, np.ndarray | None]] = WeakKeyDictionary()
@@ -30,17 +30,17 @@ class CollisionChecker:
     def __init__(self, apart: PairClearance, mechanism: Mechanism) -> None:
         self._apart, self._mechanism = apart, mechanism
         self._clearances = SignedDistances(mechanism, [pair[:2] for pair in apart.pairs])
-        self._lift = np.array([pair.lift for pair in apart.pairs])
+        self._lift = np.array([pair.distance_offset for pair in apart.pairs])
 
     def distances(self, q: np.ndarray, beyond: np.ndarray | float = np.inf) -> np.ndarray:
         """(K, P) m, of poses (K, nq); what is above `beyond` (P,) may be less than it is."""
         return self._clearances.values(q, beyond - self._lift) + self._lift
 
-    def short(self, q: np.ndarray) -> float:
+    def clearance_violation(self, q: np.ndarray) -> float:
         """By how much a pose (nq,) has a pair nearer than it may be, m; 0 for a free one."""
         return float(np.max(self._apart.least - self.distances(q[None], self._apart.least)[0], initial=0.0))
 
-    def way(self, start: np.ndarray, goal: np.ndarray, seed: int = 0) -> np.ndarray | None:
+    def find_path(self, start: np.ndarray, goal: np.ndarray, seed: int = 0) -> np.ndarray | None:
         """Poses (K, nq) from start to goal (nq,) on which nothing is nearer than it may be; None where none was found.
 
         It keeps some room more where it can. At the ends pairs may be as near as they are there.
@@ -57,7 +57,7 @@ class CollisionChecker:
         first, last = np.minimum(start, goal), np.maximum(start, goal)
         low = np.minimum(np.where(np.isfinite(low), low, first - np.pi), first)
         high = np.maximum(np.where(np.isfinite(high), high, last + np.pi), last)
-        for room in (ROOM, 0.0):
+        for room in (CLEARANCE_SHARE, 0.0):
             least = np.minimum(self._apart.least * (1.0 + room), ends - 1e-9)
 
             def free(q: np.ndarray, least: np.ndarray = least) -> np.ndarray:

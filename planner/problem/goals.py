@@ -23,7 +23,7 @@ from planner.problem.costs.wanted import GoalSpec
 from planner.problem.problem import Problem
 
 SHARE = 0.02  # of the way, or of a velocity's peak
-LEAST = {"rad": 0.02, "m": 5e-3, "rad/s": 0.1, "m/s": 0.05}  # by unit; 0 for others
+MIN_TOLERANCES = {"rad": 0.02, "m": 5e-3, "rad/s": 0.1, "m/s": 0.05}  # by unit; 0 for others
 ROUNDING = 1e-11  # rad or m: a way no longer than that is none, and to stay is the task
 KINDS = ("position", "velocity")
 
@@ -44,13 +44,13 @@ class GoalCheck:
     name: str
     unit: str
     tolerance: float
-    missed: Callable[[np.ndarray], np.ndarray]
+    error: Callable[[np.ndarray], np.ndarray]
     times: tuple[float, ...] | None = None
     alone: bool = False
 
     def miss(self, t: np.ndarray, xs: np.ndarray) -> float:
         """The largest distance of a motion, states xs (M, nx) at rising times t (M,), from what is asked for."""
-        return float(np.max(self.missed(xs[-1:] if self.times is None else between(t, xs, np.array(self.times)))))
+        return float(np.max(self.error(xs[-1:] if self.times is None else between(t, xs, np.array(self.times)))))
 
     def miss_at(self, x: np.ndarray) -> float:
         """The largest distance of a machine that stays at x (nx,)."""
@@ -137,7 +137,7 @@ def between(t: np.ndarray, xs: np.ndarray, times: np.ndarray) -> np.ndarray:
 
 def static_error(one: GoalSpec | GoalCheck, x: np.ndarray) -> float:
     """The largest distance of a machine that stays at x (nx,) from what is asked for."""
-    return float(np.max(one.missed(np.tile(x, (1 if one.times is None else len(one.times), 1)))))
+    return float(np.max(one.error(np.tile(x, (1 if one.times is None else len(one.times), 1)))))
 
 
 def terms_of(cost: Any) -> tuple[Any, ...]:
@@ -151,8 +151,8 @@ def _nothing(_: Any) -> tuple[GoalSpec, ...]:
 
 def least_share(ways: Iterable[tuple[float, str]]) -> float:
     """The share of LEAST that goals with these ways, and units, have: less than 1 where doing nothing would pass."""
-    known = ((way, unit) for way, unit in ways if unit in LEAST and ROUNDING < way < np.inf)
-    largest = max((way / LEAST[unit] for way, unit in known), default=0.0)
+    known = ((way, unit) for way, unit in ways if unit in MIN_TOLERANCES and ROUNDING < way < np.inf)
+    largest = max((way / MIN_TOLERANCES[unit] for way, unit in known), default=0.0)
     return 0.1 * largest if 0.0 < largest <= 1.0 else 1.0
 
 
@@ -161,7 +161,7 @@ def _usual(one: GoalSpec, x0: np.ndarray, xs: np.ndarray | None, share: float) -
     of_path = one.unit not in ("rad", "m")  # an unknown unit may be a velocity
     states = x0[None] if xs is None or not of_path else np.concatenate([x0[None], xs])
     scale = float(np.max(one.missed(states), initial=0.0, where=np.isfinite(one.missed(states))))
-    return max(SHARE * scale, share * LEAST.get(one.unit, 1e-6))
+    return max(SHARE * scale, share * MIN_TOLERANCES.get(one.unit, 1e-6))
 
 
 def _asked(tolerance: Any, names: list[str]) -> dict[str, float]:

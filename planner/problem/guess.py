@@ -20,7 +20,7 @@ from planner.model.mechanism import SCREW, Mechanism
 from planner.model.space import StateSpace
 
 _REDUNDANT = 1e-9  # of the largest singular value of J: equations that say the same twice
-_WEAK = 1e-6  # of what an actuator reaches most: ways in which a machine can hardly be moved
+_WEAK_DIRECTION_RATIO = 1e-6  # of what an actuator reaches most: ways in which a machine can hardly be moved
 
 
 def quasi_static_controls(mechanism: Mechanism, x: np.ndarray) -> np.ndarray:
@@ -70,9 +70,9 @@ def inverse_dynamics_controls(mechanism: Mechanism, q: np.ndarray, qd: np.ndarra
     reach = P @ reach
     values = np.linalg.svd(reach, compute_uv=False)
     ways = round(float(np.trace(P, axis1=1, axis2=2).max()))
-    if np.count_nonzero(values > _WEAK * values.max(initial=0.0), axis=1).max() < ways:
+    if np.count_nonzero(values > _WEAK_DIRECTION_RATIO * values.max(initial=0.0), axis=1).max() < ways:
         raise PlannerError("the actuators do not move closed chains in every way, expected a fully actuated machine.")
-    return (np.linalg.pinv(reach, rcond=_WEAK) @ (P @ (tau @ G)[:, :, None]))[:, :, 0]
+    return (np.linalg.pinv(reach, rcond=_WEAK_DIRECTION_RATIO) @ (P @ (tau @ G)[:, :, None]))[:, :, 0]
 
 
 def straight_line(mechanism: Mechanism, x0: np.ndarray, goal: np.ndarray, duration: float, N: int) -> np.ndarray | None:

@@ -13,7 +13,7 @@ from planner.model.coordinates import ANGLE, LENGTH, Coordinate
 from planner.model.mechanism import SCREW, Mechanism
 
 SHARE = 0.01  # of a range, the margin by default
-LEAST = {ANGLE: 0.01, LENGTH: 1e-3}  # and at least so much: a held control bulges out by a dt^2 / 8 between knots
+MIN_MARGINS = {ANGLE: 0.01, LENGTH: 1e-3}  # and at least so much: a held control bulges out by a dt^2 / 8 between knots
 WIDEST = 0.1  # of a range: the fingers of a gripper move by few millimetres
 OFF = 1e-4  # rad or m, of a start at the end of a range: the tolerance of limits
 ROUNDING = 1e-6  # of a range: a start outside by less is at its end
@@ -127,11 +127,11 @@ def check_margin(mechanism: Mechanism, margin: Any) -> None:
         for joint, value in margin.items():
             known = (*mechanism.joint_names, *(tendon.name for tendon in mechanism.tendons))
             choice("the joint in the limits' margin", joint, [name for name in known if name])
-            number(f"the margin of {joint!r}", value, least=0.0)
+            number(f"the margin of {joint!r}", value, minimum=0.0)
     elif margin is not None:
         if isinstance(margin, str):
             raise PlannerError(f"the limits' margin is {short_repr(margin)}, expected a number or a table by joint.")
-        number("the limits' margin", margin, least=0.0)
+        number("the limits' margin", margin, minimum=0.0)
 
 
 def _margin(mechanism: Mechanism, name: str, i: int, margin: Any) -> float:
@@ -146,5 +146,5 @@ def margin_of(width: float, unit: str, given: float | None) -> float:
         return float(given)
     if not np.isfinite(width):
         width = 0.0
-    least = LEAST[unit]
+    least = MIN_MARGINS[unit]
     return max(SHARE * width, min(least, WIDEST * width) if width else least)

@@ -54,7 +54,7 @@ def pair_of(name: str, value: Any) -> Pair:
             raise PlannerError(f"{name} is {short_repr(value)}, expected (lower, upper).")
         low, high = map(float, sides)
     else:
-        high = number(name, value, above=0.0)
+        high = number(name, value, greater_than=0.0)
         low = -high
     if not low <= high or low == np.inf or high == -np.inf:
         raise PlannerError(f"{name} is {short_repr(value)}, expected a lower bound below the upper.")

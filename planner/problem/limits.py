@@ -90,7 +90,7 @@ class Limits:
         return cls(control=MODEL, position=MODEL, velocity=MODEL)
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "tolerance", number("the limits' tolerance", self.tolerance, above=0.0))
+        object.__setattr__(self, "tolerance", number("the limits' tolerance", self.tolerance, greater_than=0.0))
 
     def to_dict(self) -> dict[str, Any]:
         """As JSON values; what is infinite is None."""
@@ -155,7 +155,7 @@ class Limits:
         elif isinstance(self.control, Sequence) and len(self.control) == 2:
             lower, upper = sides_of("the limits' control", self.control)
         else:
-            upper = np.asarray(number("the limits' control", self.control, above=0.0))
+            upper = np.asarray(number("the limits' control", self.control, greater_than=0.0))
             lower = -upper
         lower, upper = spread(lower, N, nu), spread(upper, N, nu)
         wrong = np.argwhere(~(lower <= upper) | (lower == np.inf) | (upper == -np.inf))
@@ -287,7 +287,7 @@ class Limits:
         if isinstance(given, (str, Mapping)):
             found = {machine.nv + i: Range.of(-most, most) for i, most in enumerate(map(float, machine.velocity_limit))}
         else:
-            most, found = number("the limits' velocity", given, above=0.0), {}
+            most, found = number("the limits' velocity", given, greater_than=0.0), {}
             given = {name: most for name in machine.joint_names if name}
         if isinstance(given, str):
             choice("the limits' velocity", given, (MODEL, OFF))

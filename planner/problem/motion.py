@@ -76,7 +76,7 @@ class Trajectory:
         Raises:
             PlannerError: duration is not above 0.
         """
-        ratio = number("duration", duration, above=0.0) / float(self.t[-1] - self.t[0])
+        ratio = number("duration", duration, greater_than=0.0) / float(self.t[-1] - self.t[0])
         xs = self.xs.copy()
         xs[:, self.rates] /= ratio
         return replace(self, t=self.t[0] + ratio * (self.t - self.t[0]), xs=xs)

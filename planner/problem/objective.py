@@ -47,7 +47,7 @@ def weights_of(objective: Any) -> dict[str, float]:
         expected = f"expected one of {', '.join(OBJECTIVES)}, or weights by these names"
         raise PlannerError(f"objective is {short_repr(objective)}, {expected}.")
     given = {choice("objective", name, OBJECTIVES): weight for name, weight in objective.items()}
-    weights = {name: number(f"the weight of {name}", weight, least=0.0) for name, weight in given.items()}
+    weights = {name: number(f"the weight of {name}", weight, minimum=0.0) for name, weight in given.items()}
     weights = {name: weights[name] for name in OBJECTIVES if weights.get(name)}
     if not weights:
         raise PlannerError(f"no weight of the objective is above 0, expected some of {', '.join(OBJECTIVES)}.")
@@ -63,7 +63,7 @@ def checked_durations(durations: Any, weights: Mapping[str, float]) -> tuple[flo
     pair = isinstance(durations, (Sequence, np.ndarray)) and not isinstance(durations, str) and len(durations) == 2
     if not pair:
         raise PlannerError(f"durations is {short_repr(durations)}, expected (shortest, longest) in s, which time needs.")
-    shortest, longest = (number("a duration", value, above=0.0) for value in durations)
+    shortest, longest = (number("a duration", value, greater_than=0.0) for value in durations)
     if not shortest < longest:
         raise PlannerError(f"durations are {shortest:g} and {longest:g} s, expected the shortest before the longest.")
     return shortest, longest

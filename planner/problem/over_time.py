@@ -16,7 +16,7 @@ from planner.problem.constraints.rows import StackEntry
 from planner.problem.pictures import BoundedPanel
 from planner.problem.problem import Problem
 
-MOST = 8  # curves of a panel
+MAX_CURVES = 8  # curves of a panel
 _GOALS = {"m": "distance", "rad": "angle", "m/s": "speed"}
 Motion = tuple[np.ndarray, np.ndarray]  # states (N+1, nx) and controls (N, nu)
 
@@ -50,8 +50,8 @@ def _of_goals(problem: Problem, t: np.ndarray, motions: Sequence[Motion]) -> lis
     panels = []
     for unit, found in units.items():
         curves = list(found.values())
-        for first in range(0, len(curves), MOST):
-            few = curves[first : first + MOST]
+        for first in range(0, len(curves), MAX_CURVES):
+            few = curves[first : first + MAX_CURVES]
             what, names = _shared([_joined(names) for names, _, _ in few])
             most = np.stack([bound for _, _, bound in few], axis=1)
             moved = np.stack([values for _, values, _ in few], axis=2)
@@ -70,15 +70,15 @@ def _of_constraints(problem: Problem, t: np.ndarray, motions: Sequence[Motion]) 
         if part.at_end:  # values at the ends of stages are those at the starts but for a control
             continue
         assert rows is not None
-        least, most = (side[:, part.columns] / rows.scale[part.columns] for side in (rows.least, rows.most))
+        least, most = (side[:, part.columns] / rows.scale[part.columns] for side in (rows.specified_lower, rows.specified_upper))
         if part.measure.of_controls:
             least[-1], most[-1] = least[-2], most[-2]
         key = (part.constraint.unit, least.tobytes(), most.tobytes()) if part.measure.rows == 1 else k
         alike.setdefault(key, []).append((part, least, most))
     panels = []
     for found in alike.values():
-        for first in range(0, len(found), MOST):
-            few = found[first : first + MOST]
+        for first in range(0, len(found), MAX_CURVES):
+            few = found[first : first + MAX_CURVES]
             values = np.concatenate([[_values(part, *motion) for motion in motions] for part, _, _ in few], axis=2)
             least, most = (np.concatenate(side, axis=1) for side in list(zip(*few, strict=True))[1:])
             names = tuple(name for part, _, _ in few for name in _names(part))
@@ -109,10 +109,10 @@ def _nearest(
     margin = np.minimum(np.nan_to_num(values[0], nan=np.inf) - least, most - np.nan_to_num(values[0], nan=-np.inf))
     margin = np.where(np.isfinite(margin), margin, np.inf).min(axis=0)
     asked = np.flatnonzero((np.isfinite(least) | np.isfinite(most)).any(axis=0))
-    shown = np.sort(asked[np.argsort(margin[asked], kind="stable")[:MOST]])
+    shown = np.sort(asked[np.argsort(margin[asked], kind="stable")[:MAX_CURVES]])
     title = f"Constraint: {what}" if what else "Constraints"
     if len(shown) < len(asked):
-        title += f", the {MOST} nearest to their bound of {len(asked)}"
+        title += f", the {MAX_CURVES} nearest to their bound of {len(asked)}"
     least, most, values = least[:, shown], most[:, shown], values[..., shown]
     apart = not np.isfinite(most).any() and bool(np.all(least[np.isfinite(least)] > 0.0))
     return BoundedPanel(title, unit or "h", t, tuple(names[k] for k in shown), tuple(values), least, most, decades=apart)

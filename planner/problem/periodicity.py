@@ -37,7 +37,7 @@ class Periodic:
             )
         choice("step", self.step, STEPS)
         count("passes", self.passes)
-        number("cost_tolerance", self.cost_tolerance, least=0.0)
+        number("cost_tolerance", self.cost_tolerance, minimum=0.0)
         tolerance.flags.writeable = False
         object.__setattr__(self, "tolerance", tolerance)
 

@@ -122,7 +122,7 @@ class Problem(Built):
         N = next((number for number in told if number is not None), None)
         if N is None:
             raise PlannerError("the problem has no horizon, expected horizon=N or first controls us (N, nu).")
-        N = count("horizon", N, most=LONGEST_HORIZON)
+        N = count("horizon", N, maximum=LONGEST_HORIZON)
         us = np.zeros((N, nu)) if us is None else array("us", us, (N, nu))
         object.__setattr__(self, "horizon", N)
         object.__setattr__(self, "us", us)
@@ -142,8 +142,8 @@ class Problem(Built):
             cost = self.cost if self.objective is None else self.objective.base
             object.__setattr__(self, "recipe", self.recipe.of(self.dynamics, cost, self.x0, N, self.constraints))
         if self.decrease_tolerance is not None:
-            number("decrease_tolerance", self.decrease_tolerance, least=0.0)
-        number("gain_tolerance", self.gain_tolerance, least=0.0)
+            number("decrease_tolerance", self.decrease_tolerance, minimum=0.0)
+        number("gain_tolerance", self.gain_tolerance, minimum=0.0)
         object.__setattr__(self, "tolerance", checked_tolerance(self.tolerance))
         if self.periodic is not None:
             object.__setattr__(self, "periodic", self.periodic.of_size(space.ndx))

@@ -88,7 +88,7 @@ class StateBounds:
         rotations = [j + i for _, j in self.space.quaternions for i in range(3)]
         return np.where((bound_penalties.lower == bound_penalties.upper) | np.isin(self.component, rotations), sides, moved)
 
-    def switched(
+    def with_active_sides(
         self, bound_penalties: BoundPenalties, model: Quadratic, xs: np.ndarray, sides: np.ndarray, dxs: np.ndarray
     ) -> tuple[Quadratic, float, float]:
         """A model along xs with the hinges' own parabolas replaced by those of other sides.

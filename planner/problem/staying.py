@@ -39,7 +39,7 @@ def terminal_holding_cost(dynamics: RigidBodyDynamics, cost: TrackingCost, secon
     Raises:
         PlannerError: The seconds are less than 0 or no number.
     """
-    stages = round(number("hold", seconds, least=0.0) / dynamics.dt)
+    stages = round(number("hold", seconds, minimum=0.0) / dynamics.dt)
     if not stages:
         return cost
     goal, u = cost.x_ref[-1], _holding(dynamics, cost.x_ref[-1])

@@ -23,14 +23,14 @@ _DEGREES = math.radians(2.0 * math.pi)  # rad: a whole turn in radians, read as 
 _ROUNDING = 1e-9  # of a control or force, and of 1
 _HELD = 1e-6  # rad or m
 _SPARE = 1.5  # times what holds: the range that is proposed
-_MOST = 4  # of a kind that are told one by one
+_MAX_PER_KIND = 4  # of a kind that are told one by one
 
 
 class ModelWarning(NamedTuple):
     """Something that looks wrong."""
 
     problem: str  # One sentence
-    mend: str  # The key or edit
+    fix: str  # The key or edit
 
 
 def lint_model(
@@ -91,7 +91,7 @@ def _light(joints: list[Record]) -> list[ModelWarning]:
         alike = [joint for joint in joints if joint["unit"] == unit]
         median = float(np.median([joint["inertia"] for joint in alike])) if alike else 0.0
         tiny = [joint for joint in alike if joint["inertia"] < _LIGHT * median]
-        for joint in tiny[:_MOST]:
+        for joint in tiny[:_MAX_PER_KIND]:
             found.append(ModelWarning(
                 f"the inertia at {joint['label']} is {joint['inertia']:.2g} {quantity}, "
                 f"{joint['inertia'] / median:.1g} of the median joint's, so its motion is very stiff",
@@ -114,7 +114,7 @@ def _outside(joints: list[Record], qpos: np.ndarray, whose: str, mend: Any) -> l
                 f"{high:.4g}",
                 mend(joint, nearest),
             ))  # fmt: skip
-    return [*found[:_MOST], *_more(found[_MOST:])]
+    return [*found[:_MAX_PER_KIND], *_more(found[_MAX_PER_KIND:])]
 
 
 def _to_start(joint: Record, nearest: float) -> str:
@@ -138,9 +138,9 @@ def _overlapping(model: Any) -> list[ModelWarning]:
             f'<contact><exclude body1="{one.bodies[0]}" body2="{one.bodies[1]}"/></contact>, or another start'
             if all(one.bodies) and "world" not in one.bodies else "a start in which they are apart",
         )
-        for one in deep[:_MOST]
+        for one in deep[:_MAX_PER_KIND]
     ]  # fmt: skip
-    more = len(deep) - _MOST
+    more = len(deep) - _MAX_PER_KIND
     return found + ([ModelWarning(f"so are {more} more pairs of bodies", "the same")] if more > 0 else [])
 
 
@@ -175,7 +175,7 @@ def _weak(mechanism: Mechanism, qpos: np.ndarray) -> list[ModelWarning]:
                 f"{low:.3g} to {high:.3g}",
                 f'{attribute}="{wide[0]:.3g} {wide[1]:.3g}", or a start that takes less to hold',
             ))  # fmt: skip
-    return found[: 2 * _MOST]
+    return found[: 2 * _MAX_PER_KIND]
 
 
 def holding(mechanism: Mechanism, qpos: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -211,9 +211,9 @@ def toml_key(name: str) -> str:
 
 
 def _few(names: list[str]) -> str:
-    return ", ".join(names[:_MOST]) + (f" and {len(names) - _MOST} more" if len(names) > _MOST else "")
+    return ", ".join(names[:_MAX_PER_KIND]) + (f" and {len(names) - _MAX_PER_KIND} more" if len(names) > _MAX_PER_KIND else "")
 
 
 def _listed(names: list[str]) -> str:
     """Names as a TOML list, the first few of them."""
-    return "[" + ", ".join(f'"{name}"' for name in names[:_MOST]) + (", ...]" if len(names) > _MOST else "]")
+    return "[" + ", ".join(f'"{name}"' for name in names[:_MAX_PER_KIND]) + (", ...]" if len(names) > _MAX_PER_KIND else "]")

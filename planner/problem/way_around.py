@@ -14,7 +14,7 @@ import numpy as np
 
 STEP = 0.05  # rad or m of the joint that moves most, between poses that are looked at
 REACH = 10  # steps by which a tree grows at once
-MOST = 600  # poses tried
+MAX_POSES = 600  # poses tried
 NEAR, FAR = 0.1, 1.5  # rad or m from the straight way, in which poses are sought at first and at last
 SHORTCUTS = 200
 SAMPLES = 200  # of a way that is rounded
@@ -44,9 +44,9 @@ def rrt_connect(
         return _even(np.stack([start, goal]))
     rng = np.random.default_rng(seed)
     trees: list[tuple[list[np.ndarray], list[int]]] = [([start], [-1]), ([goal], [-1])]
-    for k in range(MOST):
+    for k in range(MAX_POSES):
         grown, other = trees
-        wide = NEAR * (FAR / NEAR) ** (k / MOST)
+        wide = NEAR * (FAR / NEAR) ** (k / MAX_POSES)
         to = np.clip(start + rng.uniform() * (goal - start) + wide * rng.normal(size=len(start)), lower, upper)
         new = _grow(free, *grown, to, REACH)
         if new is not None:

@@ -28,11 +28,11 @@ BOUND = 1e-9  # relative; a plan and its file agree to rounding
 GAIN_BOUND = 1e-6  # relative; what rounding becomes in a sweep over unstable stages
 _LAST_DIGITS = 1e-13  # relative errors of states and controls: what sums over a tree of links leave of 16 digits
 _MARGIN = 30.0  # between two such computations and the worst of many
-_MOST = 1e-3  # a plan whose numbers rounding moves by more than this is not known
+_MAX_ROUNDING_SHARE = 1e-3  # a plan whose numbers rounding moves by more than this is not known
 _MOST_GAINS = 0.1  # of one stage's gains: an LQ regulator has a gain margin of 2, and step 3 judges what they do
 SINGULAR = 0.02  # of the largest singular value of the closed chains' Jacobian: forces are some fifty times larger
 _DRAWS = 3  # of wrong last digits
-_LEAST = 1e-3  # of the cost of errors that pass: costs smaller than that are as good as zero
+_MIN_COST_SHARE = 1e-3  # of the cost of errors that pass: costs smaller than that are as good as zero
 
 
 class Recomputed(NamedTuple):
@@ -54,7 +54,7 @@ def recomputed(
         A, B = problem.dynamics.linearize(xs, us)
         quadratic: Quadratic = problem.cost.quadratize(xs, us)
         if plan.bound_penalties is not None and problem.trajectory_constraints is not None:
-            quadratic = problem.trajectory_constraints.added(plan.bound_penalties, quadratic, xs, us, A, B)
+            quadratic = problem.trajectory_constraints.with_penalties(plan.bound_penalties, quadratic, xs, us, A, B)
         moves = None if problem.bounds is None else problem.bounds.step_bounds(xs, us)
         norm = float(np.linalg.norm(lq.projected(lq.reduced_gradient(A, B, quadratic, moves), moves)))
         known = np.isfinite(A).all() and np.isfinite(B).all() and quadratic.finite
@@ -67,7 +67,7 @@ def consistency(plan: Plan, problem: Problem, now: Recomputed) -> Section:
     """Start, states, cost, gradient, gains and times recomputed from the plan's states and controls."""
     cost = judged_cost(problem)
     with np.errstate(all="ignore"):
-        scale = max(abs(plan.cost), _LEAST * cost.scale(plan, problem), np.finfo(float).tiny)
+        scale = max(abs(plan.cost), _MIN_COST_SHARE * cost.scale(plan, problem), np.finfo(float).tiny)
         size = max(now.terms, scale)
         largest = max(1.0, float(np.abs(plan.xs).max()))
         t = problem.dynamics.dt * np.arange(plan.N + 1)
@@ -85,7 +85,7 @@ def consistency(plan: Plan, problem: Problem, now: Recomputed) -> Section:
         moved = (0.0, np.zeros(plan.N)) if known else _moved(plan, problem, now, size)
         by_stage = np.clip(_MARGIN * moved[1], GAIN_BOUND, _MOST_GAINS)
         worst = int(np.argmax(np.where(np.isfinite(gains), gains / by_stage, np.inf)))
-    gradient_bound, gain_bound = max(BOUND, min(_MARGIN * moved[0], _MOST)), float(by_stage[worst])
+    gradient_bound, gain_bound = max(BOUND, min(_MARGIN * moved[0], _MAX_ROUNDING_SHARE)), float(by_stage[worst])
     why = "; the bound is what rounding makes of it here"
     note = "the norm of Eq. 19 recomputed, relative" + (why if gradient_bound > BOUND else "")
     measured.insert(3, Measurement("gradient_error", float(gradient), "", gradient_bound, note))

@@ -23,7 +23,7 @@ from planner.dynamics.protocol import Dynamics
 from planner.model.coordinates import coordinates_of
 from planner.model.mechanism import Mechanism
 from planner.model.space import StateSpace, space_of
-from planner.problem.goals import LEAST
+from planner.problem.goals import MIN_TOLERANCES
 from planner.problem.plan import Plan
 from planner.problem.problem import Problem
 from planner.proof.replays.curve_callback import curves_acting
@@ -122,7 +122,7 @@ def _check_equilibrium(A: np.ndarray, B: np.ndarray, drift: np.ndarray, dynamics
     z = np.linalg.lstsq(J, -drift, rcond=1e-10)[0]
     stands = np.abs(drift + J @ z).max() <= 1e-6 * np.abs(drift).max()
     coordinates = coordinates_of(dynamics)
-    near = EQUILIBRIUM * np.array([LEAST.get(one.unit, _UNKNOWN) for one in coordinates])
+    near = EQUILIBRIUM * np.array([MIN_TOLERANCES.get(one.unit, _UNKNOWN) for one in coordinates])
     if not (stands and np.all(np.abs(z[: len(A)]) <= near)):
         worst = int(np.argmax(np.abs(drift) / near))
         rate = f"{drift[worst] / dynamics.dt:.3g} {coordinates[worst].unit}".rstrip()
@@ -170,7 +170,7 @@ class RegulatedRun:
 
 def simulate_regulator(replay: Replay, hold: GoalRegulator, seconds: float = 10.0) -> RegulatedRun:
     """MuJoCo goes on from the end of a replay, at its step and with its integrator, and a regulator holds the goal."""
-    steps = number("seconds", seconds, above=0.0) / replay.timestep
+    steps = number("seconds", seconds, greater_than=0.0) / replay.timestep
     if not 0.5 < steps < MOST_STEPS + 0.5:  # infinite, perhaps
         raise PlannerError(f"{seconds:g} s are {steps:.3g} steps of the replay, expected 1 to {MOST_STEPS}.")
     if hold.K.shape != (replay.ctrl.shape[1], replay.plan.space.ndx):

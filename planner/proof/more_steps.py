@@ -25,7 +25,7 @@ def remaining_decrease(plan: Plan, problem: Problem) -> float:
         A, B = problem.dynamics.linearize(xs, us)
         quadratic = problem.cost.quadratize(xs, us)
         if plan.bound_penalties is not None and problem.trajectory_constraints is not None:
-            quadratic = problem.trajectory_constraints.added(plan.bound_penalties, quadratic, xs, us, A, B)
+            quadratic = problem.trajectory_constraints.with_penalties(plan.bound_penalties, quadratic, xs, us, A, B)
         moves = None if problem.bounds is None else problem.bounds.step_bounds(xs, us)
         sweep = lq.riccati(A, B, quadratic, bounds=moves)
         if sweep is None:

@@ -131,8 +131,8 @@ def refine(
         raise PlannerError(f"plan is {short_repr(plan)}, expected a Plan with its problem.")
     if not isinstance(proof, Proof):
         raise PlannerError(f"proof is {short_repr(proof)}, expected the Proof of the plan.")
-    count("limit", limit, least=0)
-    end = time.monotonic() + number("seconds", seconds, least=0.0)
+    count("limit", limit, minimum=0)
+    end = time.monotonic() + number("seconds", seconds, minimum=0.0)
     prove = prove or partial(full_proof, rollouts=0)
     path: list[Refinement] = []
 

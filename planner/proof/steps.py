@@ -93,10 +93,10 @@ def prove(
             raise PlannerError(f"{name} is {short_repr(value)}, expected a {kind.__name__} or None.")
     if not isinstance(optimal, bool):
         raise PlannerError(f"optimal is {short_repr(optimal)}, expected True or False.")
-    count("seed", seed, least=0)
-    count("rollouts", rollouts, least=0)
+    count("seed", seed, minimum=0)
+    count("rollouts", rollouts, minimum=0)
     checked_executor(executor)
-    number("hold_seconds", hold_seconds, least=0.0)
+    number("hold_seconds", hold_seconds, minimum=0.0)
     twin = twin or plan.twin
     if twin is None:
         raise PlannerError("the plan has no MuJoCo model to be replayed in, expected a Problem with a twin.")
@@ -284,5 +284,5 @@ def _reason(passed: bool, judged: tuple[Section, ...], steps: list[Section], run
     worst = max(measured, key=lambda one: one.value / (one.bound or 1.0))
     how = "with the plan's gains" if run.feedback else "open loop"
     return (
-        f"MuJoCo repeats the plan {how} at a step of {run.timestep:.3g} s; nearest to its bound: {worst.beside_bound}."
+        f"MuJoCo repeats the plan {how} at a step of {run.timestep:.3g} s; nearest to its bound: {worst.bound_share_text}."
     )

@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from planner.model.mjcf.meeting import FAR, distances_in
+from planner.model.mjcf.meeting import MAX_MUJOCO_DISTANCE, distances_in
 from planner.problem.avoid import survey_of
 from planner.problem.constraints.apart import PairClearance, pair_clearance_of
 from planner.problem.goals import goals_of
@@ -28,8 +28,8 @@ from planner.proof.your_file import your_file
 from planner.solvers.slq import solve
 from planner.solvers.warm_start import warm_start
 
-MOST = 3  # times
-ROOM = 0.5  # of what a pair is kept apart by, beside the depth
+MAX_REFINEMENTS = 3  # times
+CLEARANCE_SHARE = 0.5  # of what a pair is kept apart by, beside the depth
 
 
 class ClearanceRefinement(NamedTuple):
@@ -41,7 +41,7 @@ class ClearanceRefinement(NamedTuple):
 
 
 def refine_clearance(
-    plan: Plan, proof: Proof, *, limit: int = MOST, seconds: float = 60.0, prove: Callable[[Plan], Proof] | None = None,
+    plan: Plan, proof: Proof, *, limit: int = MAX_REFINEMENTS, seconds: float = 60.0, prove: Callable[[Plan], Proof] | None = None,
     **options: Any,
 ) -> ClearanceRefinement:  # fmt: skip
     """Solve and prove again with another clearance of the pairs that touched or are far, while that is why it fails.
@@ -86,7 +86,7 @@ def _touched(plan: Plan, proof: Proof) -> dict[str, float]:
     for pair in apart.pairs:
         depth = depths.get(frozenset((pair.a.geom, pair.b.geom)), 0.0)
         if depth > 0.0:
-            found[pair.names] = max(found.get(pair.names, 0.0), depth + ROOM * pair.least)
+            found[pair.names] = max(found.get(pair.names, 0.0), depth + CLEARANCE_SHARE * pair.required_clearance)
     return found
 
 
@@ -98,15 +98,15 @@ def _far(plan: Plan, proof: Proof) -> dict[str, float]:
         return {}
     allowed = next(one.allowed() for one in problem.constraints if one.of is apart)
     measure, found = apart.measure(problem.dynamics, problem.N), {}
-    model, short = survey_of(measure.mechanism).model, measure.short(problem.dynamics, plan.xs, plan.us)
+    model, short = survey_of(measure.mechanism).model, measure.clearance_violation(problem.dynamics, plan.xs, plan.us)
     for k in np.flatnonzero(short.max(axis=0) > allowed):
         pair, n = apart.pairs[k], np.flatnonzero(short[:, k] > allowed)
         geoms = (pair.a.geom, pair.b.geom)
         xs = plan.xs[np.union1d(n, n + 1)]
-        real = np.array([distances_in(model, x[: model.nq], [geoms], FAR)[geoms] for x in xs])
+        real = np.array([distances_in(model, x[: model.nq], [geoms], MAX_MUJOCO_DISTANCE)[geoms] for x in xs])
         beyond = float(np.min(real - measure.shown(xs, plan.us[:0], n)[:, k]))
-        nearer = measure.least[k] - (pair.least - beyond)
-        if nearer > allowed and real.min() > pair.least:
+        nearer = measure.least[k] - (pair.required_clearance - beyond)
+        if nearer > allowed and real.min() > pair.required_clearance:
             found[pair.names] = -nearer
     return found
 
@@ -129,7 +129,7 @@ def with_more_room(problem: Problem, more: dict[str, float]) -> Problem:
         if isinstance(one.of, PairClearance):
             pairs = one.of.pairs
             added = one.of.more + np.array([more.get(pair.names, 0.0) for pair in pairs])
-            apart = replace(one.of, more=np.minimum(added, [pair.room for pair in pairs]))
+            apart = replace(one.of, more=np.minimum(added, [pair.spare_clearance for pair in pairs]))
             one = replace(one, of=apart, least=apart.least)
         changed.append(one)
     return replace(problem, constraints=changed)

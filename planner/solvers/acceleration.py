@@ -24,7 +24,7 @@ from planner.problem.problem import Problem
 from planner.solvers.engine import Engine, IterationResult
 
 STEPS = 5  # that are remembered: more are of a motion too far away
-NEAR = 1e-3  # of the cost: steps that gain more are far from a minimum, and tell nothing of it
+MAX_REDUCTION = 1e-3  # of the cost: steps that gain more are far from a minimum, and tell nothing of it
 PROMISED = 0.1  # of its promise: a full step whose gain is off by less has a right model, and converges fast by itself
 DEPENDENT = 1e-12  # of the largest eigenvalue of Y'Y: changes of the direction that are rounding
 
@@ -50,7 +50,7 @@ class AndersonAcceleration:
     def after(self, cost: float, done: IterationResult) -> float:
         """The cost after a step from this cost: the step's, or that of a guess that the engine then has."""
         gained = cost - done.cost
-        if gained > NEAR * max(1.0, abs(done.cost)):
+        if gained > MAX_REDUCTION * max(1.0, abs(done.cost)):
             self._directions.clear()
             self._ways.clear()
             self._begin = self._before = None

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from planner.kernels.lq.active_set import LITTLE, ROUNDING
+from planner.kernels.lq.active_set import MULTIPLIER_ROUNDING, ROUNDING
 from planner.problem.control_bounds import StepBounds
 from planner.problem.costs.terms import Quadratic
 from planner.problem.state_ranges import BoundPenalties, StateBounds, sides_of
@@ -23,7 +23,7 @@ class StatePenalties(NamedTuple):
 
 def solve_active_set(
     A: np.ndarray, B: np.ndarray, quadratic: Quadratic, mu: float, bounds: StepBounds | None, second: np.ndarray | None,
-    pulling: StatePenalties | None, held: np.ndarray, most: int,
+    pulling: StatePenalties | None, active_bounds: np.ndarray, most: int,
 ) -> tuple[lq.Sweep | None, np.ndarray]:  # fmt: skip
     """The sweep whose own linear motion tells the set of held controls and of hinges that it has.
 
@@ -47,23 +47,23 @@ def solve_active_set(
         e = pulling.ranges.deviations(pulling.xs)
         sides = sides_of(pulling.hinges, e)
     for _ in range(most):
-        sweep = lq.riccati(A, B, model, mu, bounds, second, held=held if bounds is not None else None)
+        sweep = lq.riccati(A, B, model, mu, bounds, second, held=active_bounds if bounds is not None else None)
         if sweep is None:
-            return None, held
+            return None, active_bounds
         dxs, dus = _motion(A, B, sweep)
-        after = held if bounds is None else _held(sweep, bounds, held, dxs, dus)
-        same = np.array_equal(after, held)
+        after = active_bounds if bounds is None else _held(sweep, bounds, active_bounds, dxs, dus)
+        same = np.array_equal(after, active_bounds)
         if pulling is not None and e is not None and sides is not None:
             after_sides = pulling.ranges.next_sides(pulling.hinges, e, dxs, sides)
             same = same and np.array_equal(after_sides, sides)
-            _, more_cost, more_slope = pulling.ranges.switched(pulling.hinges, quadratic, pulling.xs, sides, dxs)
+            _, more_cost, more_slope = pulling.ranges.with_active_sides(pulling.hinges, quadratic, pulling.xs, sides, dxs)
             if not same:
                 sides = after_sides
-                model, _, _ = pulling.ranges.switched(pulling.hinges, quadratic, pulling.xs, sides, dxs)
+                model, _, _ = pulling.ranges.with_active_sides(pulling.hinges, quadratic, pulling.xs, sides, dxs)
         if same:
-            return sweep._replace(slope=sweep.slope + more_slope, value=sweep.value + more_cost), held
-        held = after
-    return None, held
+            return sweep._replace(slope=sweep.slope + more_slope, value=sweep.value + more_cost), active_bounds
+        active_bounds = after
+    return None, active_bounds
 
 
 def _motion(A: np.ndarray, B: np.ndarray, sweep: lq.Sweep) -> tuple[np.ndarray, np.ndarray]:
@@ -86,5 +86,5 @@ def _held(sweep: lq.Sweep, bounds: StepBounds, active_bounds: np.ndarray, dxs: n
     size = sum(np.abs(part).sum(axis=2) for part in parts)
     slack = ROUNDING * (1.0 + np.abs(dus))
     free = np.where(dus < lower - slack, -1.0, np.where(dus > upper + slack, 1.0, 0.0))
-    wrong = (np.abs(multiplier) > LITTLE * size) & (active_bounds * multiplier > 0.0)
+    wrong = (np.abs(multiplier) > MULTIPLIER_ROUNDING * size) & (active_bounds * multiplier > 0.0)
     return np.where(active_bounds == 0.0, free, np.where(wrong, 0.0, active_bounds))

@@ -39,7 +39,7 @@ MAX_PENALTY = 1e12  # beyond which weights drown the cost in rounding
 
 INNER_ACCURACY = 0.1  # of the violation that a round is to reach: how far a minimum left early may be from the exact one
 FIRST_ROUND_TOLERANCE = 1e-2  # of the cost: what is left to gain where the first round ends, if much is violated
-NEAR = 10.0  # tolerances, up to which rounds are solved exactly
+EXACT_ROUNDS_VIOLATION = 10.0  # tolerances, up to which rounds are solved exactly
 
 # One solve from first controls (N, nu) with hinges: an iteration limit, the number of the first line, and the share of
 # the cost below which it may end where no more is left to gain.
@@ -65,7 +65,7 @@ def augmented_lagrangian(
     else:
         plan, first = minimise(first_guess, given, max_iterations, 0, 0.0), given
         history = list(plan.history)
-    hinges, before = first or kept.free(), np.full(kept.size, np.inf)
+    hinges, before = first or kept.zero_penalties(), np.full(kept.size, np.inf)
     if plan.status is Status.NOT_FINITE:
         return plan
     raised, worst = 0, list[float]()  # the largest errors, since bounds rose
@@ -78,11 +78,11 @@ def augmented_lagrangian(
             if raised == MAX_TIGHTENINGS or not more.any():
                 status = Status.OUTSIDE_LIMITS if more.any() else plan.status
                 return replace(plan, history=tuple(history), status=status, hinges=hinges if round_ else first)
-            kept, raised = kept.raised(more), raised + 1
+            kept, raised = kept.tightened(more), raised + 1
             if through:
                 left = max_iterations + 1 - len(history)
                 plan, more_lines, again = _first_round(kept, minimise, first_guess, left, len(history))
-                hinges, history = again or kept.free(), history + more_lines
+                hinges, history = again or kept.zero_penalties(), history + more_lines
             else:
                 hinges = hinges._replace(lower=hinges.lower + more)
             error, before = _error(kept, hinges, plan), np.full(kept.size, np.inf)
@@ -94,7 +94,7 @@ def augmented_lagrangian(
             return replace(plan, history=tuple(history), status=Status.MAX_ITERATIONS, hinges=hinges)
         hinges = _first_penalties(kept, plan, hinges) if round_ == 0 else _updated_penalties(kept, hinges, plan, error, before)
         before = error.max(axis=0)
-        loose = _loose(hinges, error) / max(1.0, abs(plan.cost)) if error.max() > NEAR * tolerance else 0.0
+        loose = _loose(hinges, error) / max(1.0, abs(plan.cost)) if error.max() > EXACT_ROUNDS_VIOLATION * tolerance else 0.0
         plan = minimise(plan.us, hinges, max_iterations + 1 - len(history), len(history), loose)
         history += plan.history
         if loose and len(history) <= max_iterations and _error(kept, hinges, plan).max() <= tolerance:
@@ -112,10 +112,10 @@ def _first_round(
     Where a motion starts with hinges they weigh as much more as its first guess costs above 1: or it would pay to leave
     the way around for one that goes through.
     """
-    first = kept.first()
+    first = kept.initial_penalties()
     if first is None:
         plan = minimise(first_guess, None, max_iterations, first_line, FIRST_ROUND_TOLERANCE)
-        history, near = list(plan.history), kept.beyond(plan.xs, plan.us).max(initial=0.0) <= NEAR * kept.tolerance
+        history, near = list(plan.history), kept.violation(plan.xs, plan.us).max(initial=0.0) <= EXACT_ROUNDS_VIOLATION * kept.tolerance
         if near and plan.status is Status.CONVERGED and len(history) <= max_iterations:
             plan = minimise(plan.us, None, max_iterations + 1 - len(history), first_line + len(history), 0.0)
             history += plan.history
@@ -130,7 +130,7 @@ def _first_round(
 def _between_knots(kept: TrajectoryConstraints, plan: Plan) -> tuple[np.ndarray, bool]:
     """See Kept.short_between."""
     assert plan.problem is not None  # the solver's own
-    return kept.short_between(plan.problem.dynamics, plan.xs, plan.us)
+    return kept.violation_between_knots(plan.problem.dynamics, plan.xs, plan.us)
 
 
 def _loose(hinges: BoundPenalties, error: np.ndarray) -> float:
@@ -159,7 +159,7 @@ def _error(kept: TrajectoryConstraints, hinges: BoundPenalties, plan: Plan) -> n
 
 def _first_penalties(kept: TrajectoryConstraints, plan: Plan, first: BoundPenalties) -> BoundPenalties:
     """Weights from what a solve without hinges cost and how far it was outside; multipliers of what had hinges."""
-    had, beyond = first.weight > 0.0, kept.beyond(plan.xs, plan.us)
+    had, beyond = first.weight > 0.0, kept.violation(plan.xs, plan.us)
     outside = float(np.sum(np.where(had, 0.0, beyond) ** 2))
     weight = 2.0 * max(abs(plan.cost), np.finfo(float).tiny) / outside if outside else 0.0
     used = (np.isfinite(kept.lower) | np.isfinite(kept.upper)).astype(float)

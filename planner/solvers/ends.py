@@ -118,7 +118,7 @@ class BoundarySensitivity(NamedTuple):
         H = np.block([[self.P, -WPhi.T], [-WPhi, W - W @ self.G @ W]]) - to_goal.T @ W @ to_goal
         return H, np.concatenate([self.costate, -self.nu]) - to_goal.T @ self.nu
 
-    def promised(self, dx: np.ndarray, dr: np.ndarray) -> float:
+    def predicted_cost(self, dx: np.ndarray, dr: np.ndarray) -> float:
         """J of the LQ problem at changed ends."""
         Wdr = self.W @ dr
         slope = self.costate @ dx - self.nu @ dr
@@ -228,7 +228,7 @@ def improved_boundary(found: BoundarySensitivity, close: bool = False) -> Proble
         there = BoundaryStates(space.integrate(ends.start, step.dx), space.integrate(ends.goal, step.dr))
         new = with_ends(problem, there, plan.us)
         cost, us = feedback_rollout(new, plan.us + found.F @ step.dr, found.K, plan.xs)
-        if abs(cost - found.promised(step.dx, step.dr)) <= TRUST * (plan.cost - terminal_goal_cost(plan)):
+        if abs(cost - found.predicted_cost(step.dx, step.dr)) <= TRUST * (plan.cost - terminal_goal_cost(plan)):
             return replace(new, us=us)
     return None
 

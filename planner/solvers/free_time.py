@@ -38,7 +38,7 @@ from planner.solvers.warm_start import warm_start
 TOLERANCE = 1e-3
 """Of a duration, relative."""
 LOOK = 60  # iterations of a duration near one whose motion is known, after which it is told what is too short
-FAR = 1000.0  # tolerances outside: at 100 a duration of two-link was called too short that is not
+MAX_VIOLATION_RATIO = 1000.0  # tolerances outside: at 100 a duration of two-link was called too short that is not
 _SHRINK = 0.85  # from one duration to the next on the way down: a motion changes little, and fifteen span a decade
 
 
@@ -108,7 +108,7 @@ def solve_for(
             wanted = replace(wanted, us=solve(base_problem(problem), **_single(options)).us)
         return solve(wanted, callback=callback, **options)
     shortest, longest = between
-    number("tolerance", tolerance, above=0.0)
+    number("tolerance", tolerance, greater_than=0.0)
     alone = set(weights) == {"time"}
     if alone:
         problem = _exact(problem)
@@ -199,7 +199,7 @@ class _DurationSearch:
         most = min(LOOK, options.get("max_iterations", LOOK))
         plan = solve(problem, **options | {"warm_start": motion, "max_iterations": most})
         ended = plan.status in (Status.CONVERGED, Status.INTERRUPTED)
-        return plan if ended or not _outside(problem, plan) <= FAR * problem.limits.tolerance else None
+        return plan if ended or not _outside(problem, plan) <= MAX_VIOLATION_RATIO * problem.limits.tolerance else None
 
     def found(self, options: dict[str, Any]) -> Plan:
         """The best plan as one of the problem with its whole objective; the last where none met the limits."""
@@ -213,7 +213,7 @@ class _DurationSearch:
 
 def _outside(problem: Problem, plan: Plan) -> float:
     """How far a plan is outside of its limits and constraints: the largest, rad, m, rad/s, m/s."""
-    return 0.0 if problem.trajectory_constraints is None else float(np.max(problem.trajectory_constraints.beyond(plan.xs, plan.us), initial=0.0))
+    return 0.0 if problem.trajectory_constraints is None else float(np.max(problem.trajectory_constraints.violation(plan.xs, plan.us), initial=0.0))
 
 
 def _least(search: _DurationSearch, shortest: float, longest: float, tolerance: float) -> None:

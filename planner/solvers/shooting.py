@@ -38,7 +38,7 @@ STALE = 8.0  # nu over the largest multiplier, from which on it is set again
 HALVINGS = 12  # of a step, before the states are held more
 MAX_STATE_REGULARIZATION = 0.01  # the weight on changes of the states, relative to the cost's, beyond which it only keeps gaps open
 SHARE, SHARES = 0.25, 6  # of the first controls, whenever states and controls are too far apart; then none of them
-MOST = 60  # iterations across gaps; who needs more is better off with the rollout of the controls so far
+MAX_DEFECT_ITERATIONS = 60  # iterations across gaps; who needs more is better off with the rollout of the controls so far
 
 Value = Callable[[np.ndarray, np.ndarray], float]  # of states (N+1, nx) and controls (N, nu)
 
@@ -97,7 +97,7 @@ def close_defects(
         The cost afterwards; the lines, whose costs are those of states with gaps; whether this was interrupted.
     """
     xs, history, J = np.concatenate([problem.x0[None], xs[1:]]), list[Iteration](), partial(_value, problem, hinges)
-    rolled, most, interrupted = list[tuple[float, float]](), min(most, MOST), False
+    rolled, most, interrupted = list[tuple[float, float]](), min(most, MAX_DEFECT_ITERATIONS), False
     for share in [SHARE**k for k in range(SHARES)] + [0.0]:
         cost = engine.start_from_controls(problem.x0, share * us, exact)
         rolled.append((cost if math.isfinite(cost) else math.inf, share))

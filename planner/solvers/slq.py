@@ -136,15 +136,15 @@ def solve(
         choice("update", update, UPDATES) == "feedback",
         LINE_SEARCHES.index(choice("line_search", line_search, LINE_SEARCHES)),
         choice("hessian", hessian, HESSIANS) == "exact",
-        number("gradient_tolerance", gradient_tolerance, least=0.0),
-        number("decrease_tolerance", decrease_tolerance, least=0.0),
-        number("gain_tolerance", gain_tolerance, least=0.0),
+        number("gradient_tolerance", gradient_tolerance, minimum=0.0),
+        number("decrease_tolerance", decrease_tolerance, minimum=0.0),
+        number("gain_tolerance", gain_tolerance, minimum=0.0),
         slow,
     )
     count("max_iterations", max_iterations)
-    count("starts", starts, most=MOST_STARTS)
-    count("seed", seed, least=0)
-    number("spread", spread, above=0.0)
+    count("starts", starts, maximum=MOST_STARTS)
+    count("seed", seed, minimum=0)
+    number("spread", spread, greater_than=0.0)
     checked_executor(executor)
     if callback is not None and not callable(callback):
         raise PlannerError(f"callback is {short_repr(callback)}, expected a function of one line of progress.")
@@ -229,7 +229,7 @@ class _Settings(NamedTuple):
     gradient_tolerance: float = 0.0
     decrease_tolerance: float = 0.0
     gain_tolerance: float = 0.0
-    slow: int = _SLOW  # iterations in a row that gain less end a solve
+    max_slow_iterations: int = _SLOW  # iterations in a row that gain less end a solve
 
     @property
     def accelerated(self) -> bool:
@@ -251,7 +251,7 @@ def _solve_from_guess(
 def _inner_solve(
     problem: Problem, descent: _Settings, callback: Callable[[Iteration], object] | None, states: np.ndarray | None,
     first_guess: np.ndarray, hinges: BoundPenalties | None, max_iterations: int, first_line: int,
-    loose: float = 0.0,
+    inexact_tolerance: float = 0.0,
 ) -> Plan:  # fmt: skip
     """A minimum of the cost, and of hinges where there are any; only a solve's first line looks at states.
 
@@ -261,7 +261,7 @@ def _inner_solve(
     engine = acquire_engine(problem, descent.rule)
     if problem.trajectory_constraints is not None:
         engine.set_penalties(hinges)
-    history, holds, interrupted = list[Iteration](), descent.exact or states is not None, False
+    history, regularize_states, interrupted = list[Iteration](), descent.exact or states is not None, False
     if states is not None and first_line == 0:
         closed = close_defects(problem, engine, descent.exact, states, first_guess, max_iterations, callback, hinges)
         cost, history, interrupted = closed
@@ -271,22 +271,22 @@ def _inner_solve(
         return _not_finite(problem, engine, cost)
 
     bounded = problem.bounds is not None and not _has_contacts(problem)  # at kinks of contact states are held in vain
-    regularisation, acceleration = Regularisation(engine, descent.exact, holds, bounded), AndersonAcceleration(problem, engine)
-    kinked = problem.limits is not None or problem.trajectory_constraints is not None
-    fresh, at_minimum, near, status = True, False, False, Status.INTERRUPTED if interrupted else Status.MAX_ITERATIONS
+    regularisation, acceleration = Regularisation(engine, descent.exact, regularize_states, bounded), AndersonAcceleration(problem, engine)
+    has_inequalities = problem.limits is not None or problem.trajectory_constraints is not None
+    relinearize, at_minimum, inexactly_converged, status = True, False, False, Status.INTERRUPTED if interrupted else Status.MAX_ITERATIONS
     try:
         while len(history) < max_iterations and not interrupted:
             # A regularised model promises too little: only the plain one may say that nothing is left to gain.
             mu = regularisation.mu
-            tolerance = max(loose, descent.decrease_tolerance)
+            tolerance = max(inexact_tolerance, descent.decrease_tolerance)
             promise = tolerance * max(1.0, abs(cost)) if regularisation.unregularized else -1.0
             tolerances = descent.gradient_tolerance, promise
-            done = engine.iterate(descent.feedback, descent.rule, mu, fresh, cost, *tolerances)
+            done = engine.iterate(descent.feedback, descent.rule, mu, relinearize, cost, *tolerances)
             if done.kind == INDEFINITE and regularisation.drop_second_order():
-                fresh = False
+                relinearize = False
                 continue
-            fresh, near = done.kind == ACCEPTED, _as_promised(done, cost, regularisation.unregularized, loose)
-            after = acceleration.after(cost, done) if fresh and not near and descent.accelerated else done.cost
+            relinearize, inexactly_converged = done.kind == ACCEPTED, _as_promised(done, cost, regularisation.unregularized, inexact_tolerance)
+            after = acceleration.after(cost, done) if relinearize and not inexactly_converged and descent.accelerated else done.cost
             i, shown = first_line + len(history), regularisation.shown
             line = Iteration(i, cost, done.gradient_norm, done.step, done.expected, cost - after, shown)
             history.append(line)
@@ -295,15 +295,15 @@ def _inner_solve(
                 callback(line)
 
             at_minimum = done.kind == CONVERGED
-            if at_minimum or near or _stalled(history, descent):
+            if at_minimum or inexactly_converged or _stalled(history, descent):
                 status = Status.CONVERGED
                 break
-            little = tolerance * max(1.0, abs(cost))
-            flat = done.kind != INDEFINITE and -0.5 * done.slope <= little
-            if regularisation.try_unregularized(fresh, flat):
+            min_reduction = tolerance * max(1.0, abs(cost))
+            small_expected_reduction = done.kind != INDEFINITE and -0.5 * done.slope <= min_reduction
+            if regularisation.try_unregularized(relinearize, small_expected_reduction):
                 continue
-            if fresh:
-                regularisation.decrease(done.step, kinked and done.expected <= little)
+            if relinearize:
+                regularisation.decrease(done.step, has_inequalities and done.expected <= min_reduction)
                 continue
             regularisation.increase()
             if regularisation.exhausted:
@@ -315,12 +315,12 @@ def _inner_solve(
     xs, us = engine.trajectory()
     if at_minimum:
         gradient_norm = history[-1].gradient_norm
-        if holds or bounded or not regularisation.unregularized:
+        if regularize_states or bounded or not regularisation.unregularized:
             plain_sweep(engine)  # the gains of a plan are those of the plain model of Eq. 31
     else:  # gains and gradient belong to an earlier trajectory
         cost, last = problem.cost.value(xs, us), plain_sweep(engine)
         gradient_norm = last.gradient_norm
-        if not near:  # the next round has the line of this trajectory
+        if not inexactly_converged:  # the next round has the line of this trajectory
             history.append(Iteration(first_line + len(history), cost, gradient_norm, 0.0, last.expected, 0.0, 0.0))
     if hinges is not None:  # the cost of a plan is that of its problem
         cost = problem.cost.value(xs, us)
@@ -343,10 +343,10 @@ def _stalled(history: list[Iteration], descent: _Settings) -> bool:
     least = descent.gain_tolerance
     return (
         least > 0.0
-        and len(history) >= descent.slow
+        and len(history) >= descent.max_slow_iterations
         and all(
             line.step > 0.0 and line.regularisation == 0.0 and line.actual < least * max(1.0, abs(line.cost))
-            for line in history[-descent.slow :]
+            for line in history[-descent.max_slow_iterations :]
         )
     )
 

@@ -27,7 +27,7 @@ def executor_of(workers: int | None, scheduler: str | None) -> Iterator[Executor
         with dask_executor(scheduler) as executor:
             yield executor
     elif workers is not None:
-        with LocalProcesses(count("workers", workers, most=MOST_WORKERS)) as executor:
+        with LocalProcesses(count("workers", workers, maximum=MOST_WORKERS)) as executor:
             yield executor
     else:
         yield None

@@ -22,7 +22,7 @@ from planner.sweeps.store import Store
 from planner.sweeps.work import LOST, TIMEOUT, BatchResult, Work, run_batch, failed, reason_of
 
 SECONDS = 0.5  # that a batch should take
-MOST = 500  # tasks of a batch
+MAX_BATCH = 500  # tasks of a batch
 GRACE = 5.0  # s beyond its timeout after which a task's worker is ended
 _LATEST = 0.3  # weight of the last batch in the mean time of a task
 _LOOK = 0.2  # s between looks for tasks that take too long
@@ -75,7 +75,7 @@ def run(
     mean = None  # s of a task
     try:
         while True:
-            size = 1 if mean is None else max(1, min(MOST, int(SECONDS / mean)))
+            size = 1 if mean is None else max(1, min(MAX_BATCH, int(SECONDS / mean)))
             while len(flights) < width and not any(flight.batch.alone for flight in flights.values()):
                 batch, waiting = waiting or queue.take(size), None
                 if batch is None:

@@ -115,7 +115,7 @@ def check(
     Raises:
         PlannerError: A path does not exist, or holds no plan.
     """
-    number("tolerance", tolerance, above=0.0)
+    number("tolerance", tolerance, greater_than=0.0)
     done = []
     work = partial(_checked, tolerance=tolerance, update=update)
     for one in ordered_map(checked_executor(executor), work, _plans(paths)):
@@ -192,7 +192,7 @@ def _proved_as(plan: Plan, stored: dict[str, Any] | None) -> Proof:
         perturbation = Perturbation(**asked["perturbation"]) if asked.get("perturbation") else None
         wanted = {name: asked[name] for name in ("seed", "rollouts", "hold_seconds") if name in asked}
         wanted |= {"optimal": False} if asked.get("optimal") is False else {}
-        count("the rollouts of its proof", wanted.get("rollouts", 0), least=0, most=MOST_ROLLOUTS)
+        count("the rollouts of its proof", wanted.get("rollouts", 0), minimum=0, maximum=MOST_ROLLOUTS)
     except (TypeError, AttributeError):
         raise FileError("its proof has no usable 'asked', expected what planner prove wrote.") from None
     return prove(plan, perturbation=perturbation, **wanted)

@@ -41,12 +41,12 @@ from planner.sweeps.store import HEAD, Store, read_head, write_head
 from planner.sweeps.table import write_tables
 from planner.sweeps.work import LOST, TIMEOUT, Work, warm
 
-_TOLERANCE = partial(number, least=0.0)
+_TOLERANCE = partial(number, minimum=0.0)
 SOLVE: dict[str, Callable[[str, Any], Any]] = {
     "update": partial(choice, choices=UPDATES), "line_search": partial(choice, choices=LINE_SEARCHES),
     "hessian": partial(choice, choices=HESSIANS), "states": lambda _, value: value, "max_iterations": count,
     "gradient_tolerance": _TOLERANCE, "decrease_tolerance": _TOLERANCE, "gain_tolerance": _TOLERANCE,
-    "starts": partial(count, most=MOST_STARTS), "seed": partial(count, least=0), "spread": partial(number, above=0.0),
+    "starts": partial(count, maximum=MOST_STARTS), "seed": partial(count, minimum=0), "spread": partial(number, greater_than=0.0),
 }  # fmt: skip
 """Arguments of solve() that a sweep passes on, and how each is checked before any task fails by it."""
 
@@ -140,13 +140,13 @@ def sweep(
     grid = grid_of(grid)
     work = Work(
         grid, _source(build), dict(fixed or {}), _checked(options), objective, durations, limits, _proved(prove),
-        None if timeout is None else number("timeout", timeout, above=0.0),
+        None if timeout is None else number("timeout", timeout, greater_than=0.0),
     )  # fmt: skip
     check_names(grid, *_known(work))
     if continued is not None:
         choice("the parameter to continue along", continued, tuple(grid.values))
     checked_executor(executor)
-    width = processors() if workers is None else count("workers", workers, most=MOST_WORKERS)
+    width = processors() if workers is None else count("workers", workers, maximum=MOST_WORKERS)
     folder, head = Path(out), _head(work, continued)
     before = _claim(folder, head, resume)
     with folder_lock(folder):

@@ -111,7 +111,7 @@ def test_arrays_are_copies():
 
 
 def test_counts_are_read():
-    assert count("x", 3) == count("x", np.int32(3)) == count("x", 3, most=3) == 3
+    assert count("x", 3) == count("x", np.int32(3)) == count("x", 3, maximum=3) == 3
     assert count("x", 2**63 - 1) == 2**63 - 1
     assert refused(count, 4, most=3) == "x is 4, expected a whole number of at least 1 and at most 3."
     assert refused(count, 0) == "x is 0, expected a whole number of at least 1."

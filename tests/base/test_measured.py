@@ -27,4 +27,4 @@ def test_what_is_no_number_or_may_not_be_at_all_is_furthest():
     ],
 )  # fmt: skip
 def test_a_value_says_what_share_of_its_bound_it_is(value, words):
-    assert Measurement("path_angle_error", value, "rad", 1.0).beside_bound == words
+    assert Measurement("path_angle_error", value, "rad", 1.0).bound_share_text == words

@@ -128,7 +128,7 @@ def why_wrong(plan: Plan) -> str:
 def missed(plan: Plan, xs: np.ndarray) -> str:
     """The goals that the end of a motion misses."""
     goals = [one for one in goals_of(plan.problem, plan.xs) if math.isfinite(one.tolerance)]
-    ends = {one.name: float(one.missed(xs[-1:])[0]) for one in goals}
+    ends = {one.name: float(one.error(xs[-1:])[0]) for one in goals}
     return ", ".join(
         f"{g.name} misses by {ends[g.name]:.3g} {g.unit}" for g in goals if not ends[g.name] <= g.tolerance
     )

@@ -11,7 +11,7 @@ from planner.dynamics import algorithms as rb
 from planner.dynamics import poe
 from planner.dynamics.contacts import contact_forces
 from planner.dynamics.momentum import center_of_mass
-from planner.dynamics.statics import settled
+from planner.dynamics.statics import static_equilibrium
 from planner.model.contact.laws import ContactLaw
 from planner.model.coupled_states import closed_state
 from planner.model.couplings import Coupling
@@ -210,7 +210,7 @@ def test_the_ground_carries_what_the_couplings_leave():
     """A counterweight on a rope: the ground carries 3 + 1 - 2 kg, and nothing moves."""
     law = ContactLaw.resting(4.0)
     m = Mechanism.from_mjcf(STAND, contacts=law)
-    x = settled(m, m.home)
+    x = static_equilibrium(m, m.home)
     np.testing.assert_array_equal(closed_state(m, x), x)
     assert contact_forces(m, x[: m.nq], np.zeros(m.nv)).forces[0, 2] == pytest.approx(2.0 * 9.81, rel=1e-6)
     u = quasi_static_controls(m, x)

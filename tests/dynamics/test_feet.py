@@ -9,7 +9,7 @@ from planner.base.errors import PlannerError
 from planner.cases.problem_file import load
 from planner.dynamics.contacts import contact_forces, contact_jacobians
 from planner.dynamics.momentum import center_of_mass
-from planner.dynamics.statics import settled
+from planner.dynamics.statics import static_equilibrium
 from planner.model.contact.laws import ContactLaw
 from planner.model.mechanism import Mechanism
 from planner.model.mjcf.ground_law import DAMPING, REST_PENETRATION
@@ -50,7 +50,7 @@ def test_a_ground_by_what_it_does():
     ball = ball.replace('<joint name="tilt" axis="0 1 0"/>', "").replace('pos="-.1 0 -.4"', 'pos="0 0 -.4"')
     for sink, ramp in ((2e-3, None), (0.02, 1e-3)):
         m = Mechanism.from_mjcf(ball, contacts=ContactLaw.resting(MASS, sink=sink, ramp=ramp))
-        at_rest = contact_forces(m, settled(m, m.home)[:3], np.zeros(3))
+        at_rest = contact_forces(m, static_equilibrium(m, m.home)[:3], np.zeros(3))
         assert at_rest.depths[0] == pytest.approx(sink, rel=1e-9)
         assert at_rest.forces[0, 2] == pytest.approx(MASS * G, rel=1e-9)
     law = ContactLaw.resting(MASS, sink=0.01, damping_ratio=0.5, friction=0.6, slip=0.3)
@@ -64,7 +64,7 @@ def test_a_ground_by_what_it_does():
 def test_a_settled_pose_is_at_rest_and_hold_holds_it(height):
     """The ground's forces are those of statics: the weight, at the centre of mass."""
     m = monoped()
-    x = settled(m, np.array([0.3, height, 0.1, -0.1]))
+    x = static_equilibrium(m, np.array([0.3, height, 0.1, -0.1]))
     assert x[3] == -0.1
     assert x[0] == pytest.approx(0.3, abs=1e-12)  # neither what is driven nor what moves along the ground
     at = contact_forces(m, x[:4], x[4:])
@@ -79,7 +79,7 @@ def test_a_settled_pose_is_at_rest_and_hold_holds_it(height):
 
 def test_hold_knows_the_ground_without_the_exact_depth():
     m = monoped()
-    x = settled(m, np.array([0.0, 0.0, 0.0, 0.1]))
+    x = static_equilibrium(m, np.array([0.0, 0.0, 0.0, 0.1]))
     u = quasi_static_controls(m, x)
     for moved in (-2e-3, 2e-3):
         y = x.copy()
@@ -92,7 +92,7 @@ def test_hold_knows_the_ground_without_the_exact_depth():
 
 def test_jacobians_of_contacts_are_those_of_differences():
     m = monoped()
-    x = settled(m, np.array([0.0, 0.0, 0.0, 0.2]))
+    x = static_equilibrium(m, np.array([0.0, 0.0, 0.0, 0.2]))
     J, h = contact_jacobians(m, x[:4]), 1e-6
     for j in range(4):
         dq = h * np.eye(4)[j]
@@ -102,11 +102,11 @@ def test_jacobians_of_contacts_are_those_of_differences():
 
 def test_poses_that_cannot_rest():
     with pytest.raises(PlannerError, match="does not stay on the ground"):
-        settled(monoped(), np.array([0.0, 0.0, 0.0, 1.2]))
+        static_equilibrium(monoped(), np.array([0.0, 0.0, 0.0, 1.2]))
     with pytest.raises(PlannerError, match="has no contacts, expected"):
-        settled(Mechanism.from_mjcf(MONOPED, contacts="off"), np.zeros(4))
+        static_equilibrium(Mechanism.from_mjcf(MONOPED, contacts="off"), np.zeros(4))
     with pytest.raises(PlannerError, match="x has shape"):
-        settled(monoped(), np.zeros(3))
+        static_equilibrium(monoped(), np.zeros(3))
 
 
 TOML = """
@@ -193,7 +193,7 @@ def test_models_of_others_stand_up_and_mujoco_repeats_it(name):
     crouch, upright, dt = STANDS[name]
     mass = Mechanism.from_mjcf(path(name), contacts="off").mass.sum()
     m = Mechanism.from_mjcf(path(name), contacts=ContactLaw.resting(mass))
-    start, goal = settled(m, np.array(crouch)), settled(m, np.array(upright))
+    start, goal = static_equilibrium(m, np.array(crouch)), static_equilibrium(m, np.array(upright))
     dynamics, N = planner.RigidBodyDynamics(m, dt), round(1.0 / dt)
     free = {joint: 3.0 for joint in m.joint_names if joint != "rootx"}  # the feet are where they are
     cost = planner.TrackingCost.joints(

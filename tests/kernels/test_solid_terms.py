@@ -102,7 +102,7 @@ def test_distances_do_not_change_faster_than_pairs_move():
     tool = solid(1, 3, half=(0.05, 0.02, 0.1))
     clearances = SignedDistances(machine, [(tool, solid(-1, 4, **PLANE)), (tool, solid(-1, 5, **BOX))])
     q = np.cumsum(0.05 * rng.normal(size=(40, 2)), axis=0)
-    moved = clearances.moved(q[:-1], np.diff(q, axis=0))
+    moved = clearances.motion_bound(q[:-1], np.diff(q, axis=0))
     fine = np.array([clearances.values(q[:-1] + s * np.diff(q, axis=0)) for s in np.linspace(0.0, 1.0, 21)]).min(axis=0)
     bound = distance_lower_bound(clearances.values(q), moved)
     assert np.all(bound <= fine + 1e-12)

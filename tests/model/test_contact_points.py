@@ -6,7 +6,7 @@ from trees import mujoco
 
 import planner
 from planner import Mechanism, Problem, RigidBodyDynamics, TrackingCost
-from planner.model.mjcf.contact_points import MOST, RADIUS, RIM, points_of, shape_of, shortfall
+from planner.model.mjcf.contact_points import MAX_POINTS, RADIUS, RIM, points_of, shape_of, shortfall
 from planner.proof.compare.contact_parity import contact_parity
 from planner.proof.left_out import pairs_left_out
 from planner.proof.replays.compiled_twin import CompiledTwin
@@ -38,7 +38,7 @@ def test_points_lie_on_the_shape_and_span_it(shape):
         # an octagon in a circle, from between two corners: 1 - cos(pi / 8) of the radius, to the grid of directions
         assert shortfall(model, model.geom("shape").id) == pytest.approx(0.1 * (1.0 - np.cos(np.pi / 8)), rel=0.05)
     elif shape == "ellipsoid":
-        assert len(points) == MOST
+        assert len(points) == MAX_POINTS
         np.testing.assert_allclose(np.linalg.norm(points / (0.1, 0.06, 0.03), axis=1), 1.0, rtol=1e-12)
         assert 0.0 < shortfall(model, model.geom("shape").id) < 0.03
     else:

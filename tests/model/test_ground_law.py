@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from planner import Mechanism
-from planner.dynamics.statics import settled
+from planner.dynamics.statics import static_equilibrium
 from planner.dynamics.stiffness import fastest_mode
 from planner.model.contact.laws import ContactLaw
 from planner.model.mjcf.ground_law import DAMPING, FASTEST, LOAD, REST_PENETRATION
@@ -38,7 +38,7 @@ def test_light_feet_come_to_rest_no_faster_than_a_plan_follows(foot):
     whole = ContactLaw.resting(20.0 + foot, sink=REST_PENETRATION, damping_ratio=DAMPING)
     assert law.damping < 0.5 * whole.damping
     # The whole box lies flat, so its lowest four corners are those of the law; damping and friction add up.
-    assert fastest_mode(m, settled(m, m.home)).rate < 2.0 * FASTEST
+    assert fastest_mode(m, static_equilibrium(m, m.home)).rate < 2.0 * FASTEST
 
 
 def test_rubber_feet_sink_in_as_they_do_in_the_file():

@@ -9,7 +9,7 @@ from planner.base.errors import PlannerError
 from planner.model.contact import distances
 from planner.model.contact.distances import PlacedShapes
 from planner.model.contact.fitted import fit_bounding_shape, rim_points, round_points, sphere
-from planner.model.mjcf.meeting import FAR, may_collide, distances_in, min_distance_over_ranges
+from planner.model.mjcf.meeting import MAX_MUJOCO_DISTANCE, may_collide, distances_in, min_distance_over_ranges
 from planner.model.mjcf.near_pairs import select_collision_pairs
 from planner.model.mjcf.survey import ModelIndex, contact_pairs
 
@@ -116,8 +116,8 @@ def test_fits_hold_all_points_and_say_how_far_they_reach_beyond(points, most):
     n = Rotation.random(3000, random_state=0).as_matrix()[:, 0]
     beyond = n @ fit.T[:3, 3] + np.abs(n @ fit.T[:3, :3]) @ fit.half + fit.radius - np.max(n @ points.T, axis=1)
     assert beyond.min() > -1e-12
-    assert beyond.max() < fit.excess + 1e-3
-    assert fit.excess < most
+    assert beyond.max() < fit.overestimate + 1e-3
+    assert fit.overestimate < most
 
 
 # ---------------------------------------------------------------------------------------------------------- pairs
@@ -210,7 +210,7 @@ def test_how_near_a_pair_comes_in_any_pose_is_not_above_what_random_poses_say(su
     model, rng = survey.model, np.random.default_rng(1)
     pairs = [pair for pair in contact_pairs(model) if may_collide(survey, pair, 0.02)]
     poses = rng.uniform(*model.jnt_range.T, size=(300, model.nq))
-    least = {pair: min(distances_in(model, qpos, [pair], FAR)[pair] for qpos in poses) for pair in pairs}
+    least = {pair: min(distances_in(model, qpos, [pair], MAX_MUJOCO_DISTANCE)[pair] for qpos in poses) for pair in pairs}
     known = {pair: min_distance_over_ranges(survey, pair, [poses[0]]) for pair in pairs}
     assert sum(np.isfinite(value) for value in known.values()) >= 4  # with one or two joints between their shapes
     for pair in pairs:

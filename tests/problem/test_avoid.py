@@ -89,7 +89,7 @@ def test_what_passes_a_thin_thing_between_two_knots_is_seen(problem_of):
     xs = np.zeros((problem.N + 1, 4))
     xs[:, 0], xs[:, 2] = np.where(np.arange(problem.N + 1) < 20, -0.2, 0.2), 8.0  # 0.4 m in a stage of 0.05 s
     assert measure.values(xs, problem.first_guess, None).min() > 0.1
-    short = measure.short(problem.dynamics, xs, np.zeros((problem.N, 2)))
+    short = measure.clearance_violation(problem.dynamics, xs, np.zeros((problem.N, 2)))
     assert short[19].max() > 0.02  # it was in the wall, or may have been
     assert short[5].max() < 0.0 or xs[5, 2] > 0.0  # others drift, since the states are no rollout
 
@@ -102,8 +102,8 @@ def test_python_says_the_same():
     assert notes[0] == "1 pair of shapes are kept 0.03 m apart."
     assert isinstance(kept.of, PairClearance)
     problem = Problem(dynamics, planner.costs.default_cost(dynamics, start, goal, 40), start, constraints=[kept])
-    assert problem.trajectory_constraints.first() is not None
-    way = CollisionChecker(kept.of, machine).way(start[:2], goal[:2])
+    assert problem.trajectory_constraints.initial_penalties() is not None
+    way = CollisionChecker(kept.of, machine).find_path(start[:2], goal[:2])
     np.testing.assert_allclose(way[[0, -1]], [start[:2], goal[:2]], rtol=0, atol=1e-12)
     assert way[:, 1].max() > 0.38
 

@@ -28,7 +28,7 @@ def arm(**parts):
 
 
 def problems(file):
-    return {trouble.problem: trouble.mend for trouble in describe(file).troubles}
+    return {trouble.problem: trouble.fix for trouble in describe(file).troubles}
 
 
 def only(found, *fragments):

@@ -8,7 +8,7 @@ from commands import run
 import planner
 from planner.base.errors import PlannerError
 from planner.cases.problem_file import load
-from planner.constraints import Along, Place, Tilt
+from planner.constraints import FramePositionAlong, FramePosition, FrameAxisAngle
 from planner.dynamics.kinematics import frame_pose
 from planner.problem.guess import rollout_states
 from planner.problem.tasks.keeping import PoseConstraints
@@ -39,11 +39,11 @@ def test_what_the_tolerance_of_a_goal_allows_is_not_refused(tmp_path):
 
 
 def test_constraints_of_python_are_seen_too():
-    above = planner.Constraint(Along("hand"), most=-0.3)
+    above = planner.Constraint(FramePositionAlong("hand"), most=-0.3)
     goal = planner.Goal(frame="hand", position=(0.3, 0.0, -0.2))
     with pytest.raises(PlannerError, match=KEPT):
         planner.task(mechanism(), START, goal, duration=1.0, constraint=above)
-    later = planner.Constraint(Along("hand"), most=-0.3, when=(0.0, 0.5))
+    later = planner.Constraint(FramePositionAlong("hand"), most=-0.3, when=(0.0, 0.5))
     problem = planner.task(mechanism(), START, goal, duration=1.0, constraint=[later])
     assert problem.constraints == (later,)
     assert problem.recipe.rebuilt(duration=1.2).constraints == (later,)
@@ -53,7 +53,7 @@ def test_the_elbow_bends_the_way_that_a_constraint_asks():
     """Two poses reach the goal; the nearer one has the elbow where a constraint forbids it."""
     goal = planner.Goal(frame="hand", position=(0.3, 0.0, -0.3))
     ends = []
-    for kept in ([], [planner.Constraint(Along("lower"), least=-0.3, when="end")]):
+    for kept in ([], [planner.Constraint(FramePositionAlong("lower"), least=-0.3, when="end")]):
         problem = planner.task(mechanism(), START, goal, duration=1.0, constraint=kept)
         ends.append(rollout_states(problem.dynamics, problem.x0, problem.first_guess)[-1, :2])
     places = [float(frame_pose(mechanism(), q, "lower")[0, 3]) for q in ends]
@@ -68,9 +68,9 @@ def test_derivatives_of_what_is_missing_are_those_of_differences():
     dynamics = planner.RigidBodyDynamics(machine, 0.02)
     x0 = np.array([0.5, -1.0, 0.0, 0.0])
     asked = [
-        planner.Constraint(Along("hand"), most=-0.7, when=(0.5, 1.0)),
-        planner.Constraint(Place("hand"), equal=(0.1, 0.0, 0.2), when="end"),
-        planner.Constraint(Tilt("hand"), most=0.1, when=(0.5, 1.0)),
+        planner.Constraint(FramePositionAlong("hand"), most=-0.7, when=(0.5, 1.0)),
+        planner.Constraint(FramePosition("hand"), equal=(0.1, 0.0, 0.2), when="end"),
+        planner.Constraint(FrameAxisAngle("hand"), most=0.1, when=(0.5, 1.0)),
     ]
     kept = PoseConstraints(asked, dynamics, x0, 50)
     assert kept.at(10) is None

@@ -9,8 +9,8 @@ from scipy.spatial.transform import Rotation
 import planner
 from planner.dynamics.inverse_kinematics import Target, residuals
 from planner.problem.appearance import Appearance
-from planner.problem.constraints.of_terms import Along
-from planner.problem.over_time import MOST, task_panels
+from planner.problem.constraints.of_terms import FramePositionAlong
+from planner.problem.over_time import MAX_CURVES, task_panels
 from planner.problem.tasks.cost import _off_frame
 from planner.problem.tasks.marks import with_marks
 
@@ -70,7 +70,7 @@ def test_a_machine_without_a_task_is_shown_as_before():
     assert with_marks(appearance, None) is appearance
     power = planner.Constraint(lambda xs: xs[:, 0], most=1.0)
     assert with_marks(appearance, None, [power]) is appearance
-    kept = with_marks(appearance, None, [planner.Constraint(Along("hand"), most=1.0)])
+    kept = with_marks(appearance, None, [planner.Constraint(FramePositionAlong("hand"), most=1.0)])
     assert (kept.trail, kept.frames, kept.goals, kept.paths) == (("hand",), ("hand",), (), ())
 
 
@@ -132,7 +132,7 @@ def test_a_path_is_missed_while_it_lasts():
 
 
 def test_constraints_over_time_beside_their_bounds(problem):
-    height = planner.Constraint(Along("hand"), least=-2.0, most=2.0, when=(0.1, 0.3), name="height")
+    height = planner.Constraint(FramePositionAlong("hand"), least=-2.0, most=2.0, when=(0.1, 0.3), name="height")
     power = planner.Constraint(lambda xs, us: us[:, 0] * xs[:, 2], most=500.0, name="power", unit="W")
     kept = planner.Problem(problem.dynamics, problem.cost, problem.x0, us=problem.us, constraints=[height, power])
     plan = rolled_out(kept)
@@ -177,7 +177,7 @@ def test_of_many_rows_the_nearest_are_shown():
     kept = planner.Problem(base.dynamics, base.cost, base.x0, us=base.us, constraints=[apart])
     plan = rolled_out(kept)
     (panel,) = task_panels(kept, plan.t, [(plan.xs, plan.us)])
-    assert panel.title == f"Constraint: clearance, the {MOST} nearest to their bound of 12"
+    assert panel.title == f"Constraint: clearance, the {MAX_CURVES} nearest to their bound of 12"
     assert panel.names == tuple(f"pair {k}" for k in range(4, 12))
     np.testing.assert_allclose(panel.motions[0][0], 0.1 + 0.05 * np.arange(8)[::-1])
     np.testing.assert_allclose(panel.least, 0.02)

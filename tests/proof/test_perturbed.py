@@ -93,7 +93,7 @@ def test_without_goals_each_coordinate_has_a_tenth_of_its_range(arm, monkeypatch
     np.testing.assert_allclose(ranges, np.maximum(moved, floors))
     rule = rule_of(arm)
     ends = arm.xs[-1] + np.vstack([0.099 * np.diag(ranges), 0.101 * np.diag(ranges), np.full((1, 4), np.nan)])
-    np.testing.assert_array_equal(rule.won(ends), [True] * 4 + [False] * 5)
+    np.testing.assert_array_equal(rule.succeeded(ends), [True] * 4 + [False] * 5)
     np.testing.assert_allclose(end_errors(arm, ends), [0.099] * 4 + [0.101] * 4 + [np.inf])
 
 
@@ -101,7 +101,7 @@ def test_with_goals_each_may_be_missed_by_five_tolerances(arm):
     goals = [GoalCheck("x", "m", 0.1, lambda xs: np.abs(xs[:, 0])), GoalCheck("y", "m", 2.0, lambda xs: np.abs(xs[:, 1]))]
     rule = within_goals(goals)
     ends = np.array([[0.5, 10.0], [0.51, 0.0], [0.0, 10.1], [np.inf, 0.0]])
-    np.testing.assert_array_equal(rule.won(ends), [True, False, False, False])
+    np.testing.assert_array_equal(rule.succeeded(ends), [True, False, False, False])
     assert rule_of(arm).words == rule.words
 
 

@@ -39,11 +39,11 @@ def test_wilson_covers_the_true_rate():
 )  # fmt: skip
 def test_a_rate_becomes_a_word(successes, of, word, settled):
     rate = SuccessRate(successes, of)
-    assert (rate.word, rate.settled) == (word, settled)
+    assert (rate.word, rate.is_decided) == (word, settled)
 
 
 def test_every_rate_is_settled_at_the_last_look():
-    assert all(SuccessRate(k, LOOKS[-1]).settled for k in range(LOOKS[-1] + 1))
+    assert all(SuccessRate(k, LOOKS[-1]).is_decided for k in range(LOOKS[-1] + 1))
 
 
 def test_counting_ends_at_the_look_that_settles_it():

@@ -10,7 +10,7 @@ from rolled_out_plans import rolled_out
 import planner
 from planner import FrameCost, Mechanism, Problem, RigidBodyDynamics, TrackingCost, cases
 from planner.model.coordinates import coordinates_of
-from planner.problem.goals import LEAST, SHARE, goals_of
+from planner.problem.goals import MIN_TOLERANCES, SHARE, goals_of
 from planner.proof.consistency import recomputed
 from planner.proof.scales import SHARE as OF_RANGE
 from planner.proof.scales import path_error_bounds
@@ -114,7 +114,7 @@ def test_tolerances_are_2_per_cent_of_the_way_and_of_the_peak():
     angle, rate = goals_of(problem, plan.xs)
     assert (angle.name, angle.unit, rate.name, rate.unit) == ("hinge", "rad", "velocity of hinge", "rad/s")
     assert angle.tolerance == pytest.approx(SHARE * 1.5)
-    assert rate.tolerance == pytest.approx(max(SHARE * np.abs(plan.xs[:, 1]).max(), LEAST["rad/s"]))
+    assert rate.tolerance == pytest.approx(max(SHARE * np.abs(plan.xs[:, 1]).max(), MIN_TOLERANCES["rad/s"]))
     angle, rate = goals_of(replace(problem, tolerance={"hinge": 0.5, "velocity": float("inf")}))
     assert (angle.tolerance, rate.tolerance) == (0.5, np.inf)
 

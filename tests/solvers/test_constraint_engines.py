@@ -6,7 +6,7 @@ from hypothesis import strategies as st
 from trees import drawn, machines, relative_error
 
 from planner import Constraint, Limits, Mechanism, Problem, RigidBodyDynamics
-from planner.constraints import MassCentre, Place, Power, Tilt, Turn
+from planner.constraints import CenterOfMass, FramePosition, Power, FrameAxisAngle, FrameOrientation
 from planner.costs import Distance, Height, Point, Segment, Velocity
 from planner.dynamics.protocol import INTEGRATORS
 from planner.kernels.lq import search
@@ -35,11 +35,11 @@ def of_all_kinds(rng, dynamics):
         Constraint(Height(b, target=0.1, **TOLERANCE)),
         Constraint(Distance(a, Segment(b, c, radius=0.1), least=1.0, **TOLERANCE)),
         Constraint(Velocity(c, rng.normal(size=3), most=0.2, **TOLERANCE)),
-        Constraint(Place(frames[3]), least=-rng.random(3), most=rng.random(3)),
-        Constraint(Place(frames[4]), equal=np.zeros(3), when="end"),
-        Constraint(Turn(frames[5], rng.normal(size=4)), equal=0.0, when="end"),
-        Constraint(Tilt(frames[0], rng.normal(size=3), rng.normal(size=3)), most=0.7),
-        Constraint(MassCentre(), least=[np.nan, -0.2, 0.0]),
+        Constraint(FramePosition(frames[3]), least=-rng.random(3), most=rng.random(3)),
+        Constraint(FramePosition(frames[4]), equal=np.zeros(3), when="end"),
+        Constraint(FrameOrientation(frames[5], rng.normal(size=4)), equal=0.0, when="end"),
+        Constraint(FrameAxisAngle(frames[0], rng.normal(size=3), rng.normal(size=3)), most=0.7),
+        Constraint(CenterOfMass(), least=[np.nan, -0.2, 0.0]),
         Constraint(smooth, least=-0.1, most=0.1),
         Constraint(mixed, most=[0.1, 0.2]),
         *(Constraint(Power(name), least=-0.1, most=0.1) for name in names[:2]),
@@ -118,13 +118,13 @@ HINGE = """<mujoco><worldbody><body><joint name="turn" axis="0.6 0 0.8" range="-
 def test_the_bend_of_a_tilt_is_its_second_derivative(q):
     """Exactly so where one hinge turns an axis at a right angle to its own: nothing else is curved then."""
     dynamics = RigidBodyDynamics(Mechanism.from_mjcf(HINGE), 0.01)
-    measure, n, h = Tilt("cup", (0.1, -0.3, 0.5), (0.0, 1.0, 0.0)).measure(dynamics, 1), np.zeros(1, dtype=int), 1e-5
+    measure, n, h = FrameAxisAngle("cup", (0.1, -0.3, 0.5), (0.0, 1.0, 0.0)).measure(dynamics, 1), np.zeros(1, dtype=int), 1e-5
 
     def slope(at):
         return measure.derivatives(np.array([[at, 0.0]]), np.zeros((1, 1)), n)[0][0, 0, 0]
 
     second = (slope(q + h) - slope(q - h)) / (2.0 * h)
-    both = [measure.bends(np.array([[q, 0.0]]), n, np.array([[pull]]))[0] for pull in (1.0, -1.0)]
+    both = [measure.second_derivatives(np.array([[q, 0.0]]), n, np.array([[pull]]))[0] for pull in (1.0, -1.0)]
     # what keeps it finite at the kink is 1e-6 of the squared sine
     assert [one[0, 0] for one in both] == pytest.approx([max(second, 0.0), max(-second, 0.0)], rel=1e-4, abs=1e-6)
     assert max(np.abs(one).max() for one in both) > 0.01

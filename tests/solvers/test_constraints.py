@@ -9,7 +9,7 @@ from scipy.optimize import minimize
 import planner
 from planner import Constraint, FunctionDynamics, Limits, PlannerError, Problem, Status, TrackingCost, prove, solve
 from planner.cases import build
-from planner.constraints import Place, Power, Tilt
+from planner.constraints import FramePosition, Power, FrameAxisAngle
 from planner.costs import Height, Point, with_objective
 from planner.problem.criteria import solver_problem
 from planner.problem.discretisation import finer
@@ -221,13 +221,13 @@ def test_power_of_a_motor_is_kept_and_proved():
 def test_an_objective_of_jerk_keeps_them():
     """Its states are longer by the last accelerations."""
     problem = with_objective(arm([Constraint(Power("elbow"), most=1.0)]), {"effort": 1.0, "jerk": 1e-5})
-    hinges = problem.trajectory_constraints.free()
+    hinges = problem.trajectory_constraints.zero_penalties()
     longer = solver_problem(problem)
     assert longer.dynamics.nx == 6
     xs = np.concatenate([solve(arm([])).xs, np.zeros((problem.N + 1, 2))], axis=1)
     A, B = longer.dynamics.linearize(xs, problem.first_guess)
     weighed = hinges._replace(weight=np.isfinite(hinges.upper).astype(float))
-    n, by_z, _, _ = longer.trajectory_constraints.pull_of_rows(weighed, xs, problem.first_guess, A, B)
+    n, by_z, _, _ = longer.trajectory_constraints.penalty_derivatives(weighed, xs, problem.first_guess, A, B)
     assert len(n) > 0
     assert by_z.shape[2] == 8
     assert not by_z[:, 0, 4:6].any()  # the power at the start of a stage knows nothing of the last acceleration
@@ -267,8 +267,8 @@ def test_a_plan_that_breaks_a_constraint_fails():
         (lambda: point([Constraint(Power("elbow"), most=1.0)]), "expected dynamics with a mechanism"),
         (lambda: point([post]), "expected a list of planner.Constraint"),
         (lambda: arm([Constraint(Power("elbo"), most=1.0)]), "Did you mean 'elbow'"),
-        (lambda: arm([Constraint(Place("hand"), equal=0.0)]), "a constraint's frame is 'hand', expected one of"),
-        (lambda: Tilt("a", direction=[0.0, 0.0, 0.0]), "all zeros"),
+        (lambda: arm([Constraint(FramePosition("hand"), equal=0.0)]), "a constraint's frame is 'hand', expected one of"),
+        (lambda: FrameAxisAngle("a", direction=[0.0, 0.0, 0.0]), "all zeros"),
     ],
 )
 def test_what_is_asked_wrongly_is_one_sentence(make, words):

@@ -106,7 +106,7 @@ def test_a_plan_answers_to_its_ends_as_it_says():
         d, dr = rng.normal(size=(2, 3)) * [1.0, 1.0, 0.0]
         moved = with_ends(problem, BoundaryStates(problem.x0 + d, problem.cost.x_ref[-1] + dr), found.plan.us)
         other = response(planner.solve(moved, **exact))
-        assert other.plan.cost == pytest.approx(found.promised(d, dr), rel=1e-9)
+        assert other.plan.cost == pytest.approx(found.predicted_cost(d, dr), rel=1e-9)
         np.testing.assert_allclose(
             (other.plan.xs[-1] - found.plan.xs[-1])[:2], (found.Phi @ d + found.G @ found.W @ dr)[:2], atol=1e-8
         )

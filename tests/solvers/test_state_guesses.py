@@ -90,7 +90,7 @@ def test_rows_of_constraints_stand_beside_gaps_and_what_holds_states(exact):
     """A user's own function goes to the sweep by the same array as second derivatives and weights on the states."""
     power = Constraint(lambda xs, us: us[:, 0] * xs[:, -1], most=0.01, name="power")
     problem, xs, us = guessed("arm", "rk4", constraints=[power])
-    hinges = problem.trajectory_constraints.free()
+    hinges = problem.trajectory_constraints.zero_penalties()
     hinges.weight[:] = 50.0 * np.isfinite(problem.trajectory_constraints.upper)
     engines = ConstrainedEngine(problem, problem.trajectory_constraints, problem.dynamics, problem.cost), NumpyEngine(problem)
     ways, gains = [], []
@@ -118,7 +118,7 @@ def test_states_lead_to_a_minimum_within_constraints():
     free, plan = planner.solve(problem), planner.solve(problem, states=xs)
     assert free.success
     assert plan.success
-    assert problem.trajectory_constraints.beyond(plan.xs, plan.us).max() <= problem.trajectory_constraints.tolerance
+    assert problem.trajectory_constraints.violation(plan.xs, plan.us).max() <= problem.trajectory_constraints.tolerance
     assert plan.cost == pytest.approx(free.cost, rel=1e-4)  # both within tolerances, not on the bound
 
 
@@ -126,7 +126,7 @@ def test_hinges_of_a_first_solve_count_in_the_merit():
     """What keeps shapes apart has hinges from the beginning: its engine's costs are those of the lines across gaps."""
     high = Constraint(lambda xs: xs[:, 0], least=0.5, when="end")
     problem, xs, us = guessed("arm", "rk4", constraints=[high])
-    hinges = problem.trajectory_constraints.free()
+    hinges = problem.trajectory_constraints.zero_penalties()
     hinges.weight[:] = 50.0 * np.isfinite(problem.trajectory_constraints.lower)
     engine = ConstrainedEngine(problem, problem.trajectory_constraints, problem.dynamics, problem.cost)
     engine.hinge(hinges)

@@ -98,7 +98,7 @@ def test_what_is_left_of_a_motion_and_a_slower_one_converge_at_once():
         cold, warm = planner.solve(task), planner.solve(task, warm_start=motion)
         assert warm.success
         assert warm.nit < cold.nit  # 8 and 12 beside 13 and 14
-        assert task.trajectory_constraints.beyond(warm.xs, warm.us).max() <= task.trajectory_constraints.tolerance
+        assert task.trajectory_constraints.violation(warm.xs, warm.us).max() <= task.trajectory_constraints.tolerance
         assert warm.cost == pytest.approx(cold.cost, rel=1e-3)
 
 

@@ -8,7 +8,7 @@ from films import APPEARANCE, changed, make_replay
 
 from planner.base.errors import RenderingUnavailable
 from planner.view.render import children
-from planner.view.render.apart import SAME, screen_difference, behind, visibility
+from planner.view.render.apart import SAME_PICTURE_PIXELS, screen_difference, behind, visibility
 from planner.view.render.children import drawn_by_children
 from planner.view.render.drawing import Job, carry_out, draw_frames
 from planner.view.render.film import Film
@@ -68,7 +68,7 @@ def test_a_scene_takes_the_picture_of_another_only_where_it_would_be_its_own():
     with Scene(film_of(), 320, 180) as one:
         first = one.draw(0)
         pixel = one._pixel
-        for offset, taken in ((0.0, True), (0.8 * SAME * pixel, True), (1.2 * SAME * pixel, False), (3.0, False)):
+        for offset, taken in ((0.0, True), (0.8 * SAME_PICTURE_PIXELS * pixel, True), (1.2 * SAME_PICTURE_PIXELS * pixel, False), (3.0, False)):
             replay = make_replay(IN_PLACE)
             replay.qpos[:, 0] += offset
             with Scene(Film.of(replay, np.array([0.1])), 320, 180) as other:

@@ -8,7 +8,7 @@ import pytest
 from planner.base.gl import load_mujoco
 from planner.model.mechanism import Mechanism
 from planner.problem.appearance import Appearance, GoalMark
-from planner.problem.default_appearance import MOST, small_multiples
+from planner.problem.default_appearance import MAX_CURVES, small_multiples
 from planner.view.render.camera import swept_box, whole_motion
 from planner.view.render.film import Film
 from planner.view.render.looks import drawn
@@ -176,5 +176,5 @@ def test_panels_hold_every_curve_and_none_too_many():
     for number in (0, 1, 8, 9, 23, 64):
         panels = small_multiples("Angles", [(i, f"joint {i}") for i in range(number)])
         assert [index for _, curves in panels for index, _ in curves] == list(range(number))
-        assert all(0 < len(curves) <= MOST for _, curves in panels)
+        assert all(0 < len(curves) <= MAX_CURVES for _, curves in panels)
     assert [title for title, _ in small_multiples("Angles", [(0, "a"), (1, "b")])] == ["Angles"]

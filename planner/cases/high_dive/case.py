@@ -92,17 +92,17 @@ def high_dive(
     diver = Diver(mass, height, tower, gravity)
     somersaults = _turns("somersaults", somersaults, 0.5, "a half more than a whole number")
     twists = _turns("twists", twists, 0.0, "a multiple of a half")
-    up = number("take_off_speed", take_off_speed, least=0.0, most=LARGEST)
-    ahead = number("forward_speed", forward_speed, least=-LARGEST, most=LARGEST)
-    rate = number("somersault_rate", somersault_rate, least=0.0, most=1e3)
+    up = number("take_off_speed", take_off_speed, minimum=0.0, maximum=LARGEST)
+    ahead = number("forward_speed", forward_speed, minimum=-LARGEST, maximum=LARGEST)
+    rate = number("somersault_rate", somersault_rate, minimum=0.0, maximum=1e3)
     duration, N = stages(diver.flight(up) if duration is None else duration, horizon, per_second=120.0)
     choice("integrator", integrator, INTEGRATORS)
     weights = Weights(
-        number("final_weight", final_weight, least=0.0, most=LARGEST),
-        number("rate_weight", rate_weight, least=0.0, most=LARGEST),
-        number("effort_weight", effort_weight, above=0.0, most=LARGEST),
-        number("posture_weight", posture_weight, least=0.0, most=LARGEST),
-        number("calm_weight", calm_weight, least=0.0, most=LARGEST),
+        number("final_weight", final_weight, minimum=0.0, maximum=LARGEST),
+        number("rate_weight", rate_weight, minimum=0.0, maximum=LARGEST),
+        number("effort_weight", effort_weight, greater_than=0.0, maximum=LARGEST),
+        number("posture_weight", posture_weight, minimum=0.0, maximum=LARGEST),
+        number("calm_weight", calm_weight, minimum=0.0, maximum=LARGEST),
     )
     signed = float(np.copysign(rate, somersaults))
     dive = Dive(diver, up, ahead, signed, duration, somersaults, twists, weights)
@@ -123,7 +123,7 @@ def high_dive(
 
 def _turns(name: str, value: Any, beyond: float, expected: str) -> float:
     """The checked number of turns: `beyond` plus a whole number, or a multiple of a half where `beyond` is 0."""
-    turns = number(name, value, least=-MOST_TURNS, most=MOST_TURNS)
+    turns = number(name, value, minimum=-MOST_TURNS, maximum=MOST_TURNS)
     multiple = (turns - beyond) if beyond else 2.0 * turns
     if multiple != round(multiple):
         raise PlannerError(f"{name} is {turns:g}, expected {expected}.")

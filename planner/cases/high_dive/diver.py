@@ -30,7 +30,7 @@ RANGES = {
 shoulder to the side ends before the arm points sideways: there it is singular and the arm spins freely about itself."""
 
 FILE_HEIGHT = 1.75  # m, of the person that mjcf/high_dive/high_dive.xml is written for
-_MOST = 1e6  # of speeds and heights
+_MAX_VALUE = 1e6  # of speeds and heights
 
 
 @dataclass(frozen=True)
@@ -44,8 +44,8 @@ class Diver:
 
     def __post_init__(self) -> None:
         for name, least, most in (("mass", 1.0, 1e3), ("height", 0.1, 10.0), ("gravity", 1e-3, 1e3)):
-            object.__setattr__(self, name, number(name, getattr(self, name), least=least, most=most))
-        object.__setattr__(self, "tower", number("tower", self.tower, above=0.0, most=_MOST))
+            object.__setattr__(self, name, number(name, getattr(self, name), minimum=least, maximum=most))
+        object.__setattr__(self, "tower", number("tower", self.tower, greater_than=0.0, maximum=_MAX_VALUE))
 
     @cached_property
     def mechanism(self) -> Mechanism:

@@ -112,9 +112,9 @@ def human_step(
     })  # fmt: skip
     choice("cost", cost, get_args(Cost))
     if clearance is not None:
-        clearance = number("clearance", clearance, least=0.0, most=HIGHEST)
+        clearance = number("clearance", clearance, minimum=0.0, maximum=HIGHEST)
     if apart is not None:
-        apart = number("apart", apart, least=0.0, most=1.0)
+        apart = number("apart", apart, minimum=0.0, maximum=1.0)
     wish = wishes(step, cost, clearance, apart)
     promised = cost == "default" and wish.clearance >= PROMISED
     robot = drive(step, wish, sparing, choice("integrator", integrator, INTEGRATORS))
@@ -147,14 +147,14 @@ def human_step(
 def _step(phase: str, cycles: int, cadence: float, gait: Gait, horizon: int | None, person: dict[str, Any]) -> GaitPhase:
     """The checked step."""
     swings = choice("phase", phase, get_args(Phase)) == "swing"
-    cycles = count("cycles", cycles, most=MOST_CYCLES)
+    cycles = count("cycles", cycles, maximum=MOST_CYCLES)
     if swings and cycles != 1:
         raise PlannerError(f"cycles is {cycles}, expected 1 for phase='swing', which is a part of one.")
-    cadence = number("cadence", cadence, least=SLOWEST, most=FASTEST)
+    cadence = number("cadence", cadence, minimum=SLOWEST, maximum=FASTEST)
     walker = Walker(**person, legs=("right",) if swings else SIDES, belt=not swings)
     duration = 120.0 / cadence
     begin, part = (SWING[0], SWING[1] - SWING[0]) if swings else (0.0, float(cycles))
-    N = round(part * duration / STAGES[phase]) if horizon is None else count("horizon", horizon, most=MOST_STAGES)
+    N = round(part * duration / STAGES[phase]) if horizon is None else count("horizon", horizon, maximum=MOST_STAGES)
     if part * duration / N > LONGEST_STAGE:
         least = int(np.ceil(part * duration / LONGEST_STAGE))
         raise PlannerError(

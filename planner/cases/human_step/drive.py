@@ -48,9 +48,9 @@ class RobotWeights:
 
     def __post_init__(self) -> None:
         choice("pelvis", self.pelvis, get_args(Pelvis))
-        object.__setattr__(self, "effort", number("effort", self.effort, least=LEAST_WEIGHT, most=1.0 / LEAST_WEIGHT))
+        object.__setattr__(self, "effort", number("effort", self.effort, minimum=LEAST_WEIGHT, maximum=1.0 / LEAST_WEIGHT))
         for name in ("jerk", "force"):
-            value = number(name, getattr(self, name), least=0.0, most=1.0 / LEAST_WEIGHT)
+            value = number(name, getattr(self, name), minimum=0.0, maximum=1.0 / LEAST_WEIGHT)
             object.__setattr__(self, name, value)
             if 0.0 < value < LEAST_WEIGHT:
                 raise PlannerError(f"{name} is {value:g}, expected 0 or at least {LEAST_WEIGHT:g}.")

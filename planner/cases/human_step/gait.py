@@ -165,8 +165,8 @@ def reference(
     `foot_points` of q (K, 16), columns as COLUMNS, are the places (K, 6, 3) of ankle, heel and toe of the right foot,
     then of the left, m. The duration of a cycle is in s; sway and sink are those of a Reference, m.
     """
-    duration = number("duration", duration, above=0.0)
-    sway, sink = number("sway", sway, least=0.0), number("sink", sink, least=0.0)
+    duration = number("duration", duration, greater_than=0.0)
+    sway, sink = number("sway", sway, minimum=0.0), number("sink", sink, minimum=0.0)
     t = np.arange(SAMPLES) / SAMPLES
     q = Reference(gait, duration, sway, (0.0, 0.0, 0.0), 0.0).at(t).q
     points = array("foot_points", foot_points(q), (SAMPLES, 6, 3))

@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 
 TIMES = 2.0  # the predicted error
 BESIDE = 0.02  # deg, RMS: what smoothing does not explain, and all there is where nothing is smoothed
-MOST = 0.5  # deg, RMS over the joints of the legs, whatever is predicted
+MAX_ANGLE_ERROR = 0.5  # deg, RMS over the joints of the legs, whatever is predicted
 
 
 def unsmoothed(mechanism: Mechanism) -> Mechanism:
@@ -66,7 +66,7 @@ def judge_tracking(step: GaitPhase, run: Replay) -> Section:
     away = np.degrees(run.error[:, joints])
     expected = _rms(np.degrees(plain - run.plan.xs)[:, joints])
     place, turn = (float(np.abs(run.error[:, part]).max()) for part in (pelvis[:3], pelvis[3:]))
-    bound, how = min(TIMES * expected + BESIDE, MOST), "with the plan's gains" if run.feedback else "without feedback"
+    bound, how = min(TIMES * expected + BESIDE, MAX_ANGLE_ERROR), "with the plan's gains" if run.feedback else "without feedback"
     measured = [
         Measurement("joint_error", _rms(away), "deg", bound, f"RMS over the legs' joints, {how}"),
         Measurement("largest_joint_error", float(np.abs(away).max()), "deg", None, "over the replay"),

@@ -96,7 +96,7 @@ class Walker:
             "damping": (0.0, STIFFEST), "leg_mass": LEGS,
         }  # fmt: skip
         for name, (least, most) in ranges.items():
-            object.__setattr__(self, name, number(name, getattr(self, name), least=least, most=most))
+            object.__setattr__(self, name, number(name, getattr(self, name), minimum=least, maximum=most))
         if self.brace is not None:
             choice("brace", self.brace, BRACES)
         choice("passive", self.passive, RESISTANCES)

@@ -23,7 +23,7 @@ def check_goal_differs(problem: Problem) -> None:
     goals = [goal for goal in goals_of(problem) if np.isfinite(goal.tolerance)]
     if not goals or not np.any(way > ROUNDING):
         return
-    ways = {goal.name: float(goal.missed(x0[None])[0]) for goal in goals}
+    ways = {goal.name: float(goal.error(x0[None])[0]) for goal in goals}
     largest = max(goals, key=lambda goal: ways[goal.name])
     if ways[largest.name] > 0.0 and all(ways[goal.name] <= goal.tolerance for goal in goals):
         raise PlannerError(
@@ -48,7 +48,7 @@ def check_goal_controllable(problem: Problem) -> None:
     theirs = np.concatenate([loose, loose, np.zeros(mechanism.na, dtype=bool)])
     reached = space.integrate(cost.x_ref[-1], np.where(theirs, space.difference(end, cost.x_ref[-1]), 0.0))
     for goal in goals_of(problem):
-        miss = float(goal.missed(reached[None])[0])
+        miss = float(goal.error(reached[None])[0])
         if miss > goal.tolerance:
             first = mechanism.joint_of(int(np.flatnonzero(loose)[0]))
             raise PlannerError(

@@ -169,7 +169,7 @@ def case_in(path: str | Path) -> tuple[str, dict[str, Any], int, int] | None:
         raise PlannerError(f"{path} has both a case and a model, expected one of the two.")
     given = {name: value for name, value in table.items() if name not in ("case", "starts", "seed")}
     starts = checked_starts(table.get("starts", 1))
-    return choice("case", table["case"], cases.CASES), given, starts, count("seed", table.get("seed", 0), least=0)
+    return choice("case", table["case"], cases.CASES), given, starts, count("seed", table.get("seed", 0), minimum=0)
 
 
 def of_table(table: dict[str, Any], twin: Twin | None) -> Problem:

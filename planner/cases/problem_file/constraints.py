@@ -34,7 +34,7 @@ from planner.base.errors import PlannerError
 from planner.cases.problem_file.keys import CONSTRAINT
 from planner.problem.constraints.chain_force import ChainForce
 from planner.problem.constraints.constraint import END, Constraint
-from planner.problem.constraints.of_terms import Along, Place, Tilt, Turn
+from planner.problem.constraints.of_terms import FramePositionAlong, FramePosition, FrameAxisAngle, FrameOrientation
 from planner.problem.constraints.power import Power
 
 AXES = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
@@ -79,12 +79,12 @@ def _kind(where: str, table: dict[str, Any]) -> str:
 
 
 def _position(where: str, table: dict[str, Any]) -> dict[str, Any]:
-    return {"of": Place(_frame(where, table)), "equal": array(f"{where}'s position", table["position"], (3,))}
+    return {"of": FramePosition(_frame(where, table)), "equal": array(f"{where}'s position", table["position"], (3,))}
 
 
 def _orientation(where: str, table: dict[str, Any]) -> dict[str, Any]:
     wanted = array(f"{where}'s orientation", table["orientation"], (4,))
-    return {"of": Turn(_frame(where, table), wanted), "equal": 0.0}
+    return {"of": FrameOrientation(_frame(where, table), wanted), "equal": 0.0}
 
 
 def _pointing(where: str, table: dict[str, Any]) -> dict[str, Any]:
@@ -92,13 +92,13 @@ def _pointing(where: str, table: dict[str, Any]) -> dict[str, Any]:
     axis = _direction(f"{where}'s axis", table.get("axis", "z"))
     if "within" not in table:
         raise PlannerError(f"{where} has no key 'within', expected the largest angle in rad, e.g. within = 0.1.")
-    within = number(f"{where}'s within", table["within"], above=0.0)
-    return {"of": Tilt(_frame(where, table), direction, axis), "most": within}
+    within = number(f"{where}'s within", table["within"], greater_than=0.0)
+    return {"of": FrameAxisAngle(_frame(where, table), direction, axis), "most": within}
 
 
 def _along(where: str, table: dict[str, Any]) -> dict[str, Any]:
     direction = _direction(f"{where}'s along", table["along"])
-    return {"of": Along(_frame(where, table), direction), **_between(where, table)}
+    return {"of": FramePositionAlong(_frame(where, table), direction), **_between(where, table)}
 
 
 def _power(where: str, table: dict[str, Any]) -> dict[str, Any]:

@@ -34,8 +34,8 @@ GUESSES = ("auto", "line", "around", "led", "hold", "zero")
 class ReferenceTrajectory(NamedTuple):
     """A way in place of the straight line to a goal."""
 
-    line: np.ndarray | None  # (N, nu) controls along it by inverse dynamics; None where there are none
-    rows: np.ndarray  # (N+1, nx) its states
+    controls: np.ndarray | None  # (N, nu) controls along it by inverse dynamics; None where there are none
+    states: np.ndarray  # (N+1, nx) its states
     direct: bool  # whether its end alone is asked for
 
 
@@ -51,7 +51,7 @@ def first_guess(problem: Problem, kind: str, goal: np.ndarray, way: ReferenceTra
     apart = pair_clearance_of(problem.constraints)
     direct = way is None or way.direct
     if apart is not None and direct and kind in ("around", "auto") and not dynamics.prescribed:
-        end = goal if way is None else way.rows[-1]
+        end = goal if way is None else way.states[-1]
         motion = collision_free_motion(apart, dynamics.mechanism, problem.x0, end, problem.duration, problem.N)
         found = None if motion is None else tracking_controls(problem, *motion)
         if found is not None:
@@ -75,7 +75,7 @@ def first_guess(problem: Problem, kind: str, goal: np.ndarray, way: ReferenceTra
     hold = np.tile(_holding(problem), (problem.N, 1))
     found = None
     if kind != "hold":
-        found = line_tracking_controls(problem, goal) if way is None else tracking_controls(problem, way.rows)
+        found = line_tracking_controls(problem, goal) if way is None else tracking_controls(problem, way.states)
     if found is None and kind == "led":
         raise PlannerError("guess is 'led', expected 'hold' or 'zero': this machine runs away where gains lead it.")
     if found is None or (kind == "auto" and not _rollout_cost(problem, found) < _rollout_cost(problem, hold)):
@@ -105,13 +105,13 @@ def _straight(problem: Problem, goal: np.ndarray) -> ReferenceTrajectory:
 
 def _along(problem: Problem, way: ReferenceTrajectory) -> np.ndarray | None:
     """The controls along a way; with gains where an unstable machine leaves it, and None where there are none."""
-    if way.line is None:
+    if way.controls is None:
         return None
     with np.errstate(all="ignore"):
-        away = space_of(problem.dynamics).difference(rollout_states(problem.dynamics, problem.x0, way.line), way.rows)
-    if np.abs(away).max(axis=0).max() < STRAYS * np.ptp(way.rows, axis=0).max():  # false of what is not finite
-        return way.line
-    return tracking_controls(problem, way.rows, way.line)
+        away = space_of(problem.dynamics).difference(rollout_states(problem.dynamics, problem.x0, way.controls), way.states)
+    if np.abs(away).max(axis=0).max() < STRAYS * np.ptp(way.states, axis=0).max():  # false of what is not finite
+        return way.controls
+    return tracking_controls(problem, way.states, way.controls)
 
 
 def _rollout_cost(problem: Problem, us: np.ndarray) -> float:

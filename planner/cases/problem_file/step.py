@@ -44,7 +44,7 @@ def with_step(
     closed = bool(mechanism.loops or mechanism.polynomial_couplings)  # which the implicit method does not keep
     if integrator == AUTO:
         integrator = "rk4"
-        for longest in [USUAL * 0.5**k for k in range(HALVINGS + 1)] if dt == AUTO else [number("dt", dt, above=0.0)]:
+        for longest in [USUAL * 0.5**k for k in range(HALVINGS + 1)] if dt == AUTO else [number("dt", dt, greater_than=0.0)]:
             if found.rate * longest <= most * MAX_RATE_STEP or closed:
                 break
             if substeps in (AUTO, MOST_SUBSTEPS) and implicit_error(mechanism, longest, states, prescribed) <= IMPLICIT:
@@ -62,7 +62,7 @@ def with_step(
     if substeps == AUTO:
         substeps = MOST_SUBSTEPS if integrator == "rosenbrock" else 1
         if integrator == "rk4":
-            substeps = substeps_of(found, number("dt", dt, above=0.0))
+            substeps = substeps_of(found, number("dt", dt, greater_than=0.0))
             if substeps > 1:
                 reasons["substeps"] = reason(found, substeps)
     return table | {"dt": dt, "integrator": integrator}, substeps, reasons
@@ -70,5 +70,5 @@ def with_step(
 
 def _whole(duration: Any, longest: float) -> float:
     """The longest stage, s, no longer than this of which the duration is a whole number."""
-    duration = number("duration", duration, above=0.0)
+    duration = number("duration", duration, greater_than=0.0)
     return duration / max(math.ceil(duration / longest * (1.0 - 1e-9)), 1)

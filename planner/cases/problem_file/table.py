@@ -107,7 +107,7 @@ def checked_values(table: dict[str, Any]) -> tuple[dict[str, Any], int]:
     dt, N = _stages(table["duration"], table["dt"])
     table = table | {
         "duration": float(table["duration"]), "dt": dt, "starts": checked_starts(table["starts"]),
-        "seed": count("seed", table["seed"], least=0),
+        "seed": count("seed", table["seed"], minimum=0),
         "tolerance": stored_tolerance(checked_tolerance(table.get("tolerance"))),
         "substeps": _substeps(table["substeps"]),
         "guess": choice("guess", table["guess"], GUESSES),
@@ -124,16 +124,16 @@ def checked_values(table: dict[str, Any]) -> tuple[dict[str, Any], int]:
 
 
 def _substeps(value: Any) -> int | str:
-    return value if value == "auto" else count('substeps, unless "auto",', value, most=MOST_SUBSTEPS)
+    return value if value == "auto" else count('substeps, unless "auto",', value, maximum=MOST_SUBSTEPS)
 
 
 def checked_starts(starts: Any) -> int:
     """A number of first guesses."""
-    return count("starts", starts, most=MOST_STARTS)
+    return count("starts", starts, maximum=MOST_STARTS)
 
 
 def _stages(duration: Any, dt: Any) -> tuple[float, int]:
-    duration, dt = number("duration", duration, above=0.0), number("dt", dt, above=0.0)
+    duration, dt = number("duration", duration, greater_than=0.0), number("dt", dt, greater_than=0.0)
     if not duration / dt < MOST_STAGES + 0.5:
         raise PlannerError(f"duration / dt is {duration / dt:.4g}, expected at most {MOST_STAGES} stages.")
     N = round(duration / dt)

@@ -33,7 +33,7 @@ from planner.problem.tasks.motion import controls, reference_states, joint_displ
 from planner.problem.tasks.poses import Poses, is_screws, poses_of
 from planner.problem.tasks.timetable import Task, task_of
 
-MOST = 1000  # goals
+MAX_GOALS = 1000  # goals
 _OF_GOALS = ("final_position", "hold")  # weights of an end in joints, which a task's goals take the place of
 
 
@@ -65,9 +65,9 @@ def with_tasks(table: dict[str, Any], mechanism: Mechanism) -> dict[str, Any]:
     goals, follows = table.get("goal", []), table.get("follow", [])
     goals = [goals] if isinstance(goals, (dict, Goal)) else goals
     follows = follows if isinstance(follows, list) else [follows]
-    if not isinstance(goals, list) or len(goals) > MOST:
+    if not isinstance(goals, list) or len(goals) > MAX_GOALS:
         keys = ", ".join(GOAL)
-        raise PlannerError(f"goal is {short_repr(goals)} beside follow, expected at most {MOST} tables [[goal]] of: {keys}.")
+        raise PlannerError(f"goal is {short_repr(goals)} beside follow, expected at most {MAX_GOALS} tables [[goal]] of: {keys}.")
     checked = [goal_of(goal, f"goal {k}") for k, goal in enumerate(goals, 1)]
     paths = [follow_of(path, "follow") for path in follows]
     table = {name: value for name, value in table.items() if name not in ("goal", "follow")}

@@ -9,13 +9,13 @@ from planner.kernels.numba.jit import inline
 from planner.kernels.numba.lane_math import sincos, sqrt
 from planner.kernels.numba.lanes import WIDTH, as_floats, load, store
 
-_TINY = 1e-40  # added to squared angles, so that no angle is zero: sin(x)/x is then 1 to the last bit
+_MIN_SQUARED_ANGLE = 1e-40  # added to squared angles, so that no angle is zero: sin(x)/x is then 1 to the last bit
 
 
 @inline
 def turned(w, x, y, z, r):
     """Quaternion times the exponential of a rotation vector r, normalised (MuJoCo's mju_quatIntegrate)."""
-    half = 0.5 * sqrt(r[0] * r[0] + r[1] * r[1] + r[2] * r[2] + _TINY)
+    half = 0.5 * sqrt(r[0] * r[0] + r[1] * r[1] + r[2] * r[2] + _MIN_SQUARED_ANGLE)
     s, c = sincos(half)
     f = 0.5 * s / half
     a, b, d = f * r[0], f * r[1], f * r[2]
@@ -77,7 +77,7 @@ def _double_cross(r, v):
 @inline
 def right_jacobian_times(r, v):
     """Jr(r) v with exp(r + e) = exp(r) exp(Jr(r) e)."""
-    square = r[0] * r[0] + r[1] * r[1] + r[2] * r[2] + _TINY
+    square = r[0] * r[0] + r[1] * r[1] + r[2] * r[2] + _MIN_SQUARED_ANGLE
     half = 0.5 * sqrt(square)
     s, c = sincos(half)
     first = 2.0 * s * s / square
@@ -89,7 +89,7 @@ def right_jacobian_times(r, v):
 @inline
 def carried(r, v):
     """The vector exp(-r) v: a rotation at the start of a step seen at its end."""
-    square = r[0] * r[0] + r[1] * r[1] + r[2] * r[2] + _TINY
+    square = r[0] * r[0] + r[1] * r[1] + r[2] * r[2] + _MIN_SQUARED_ANGLE
     half = 0.5 * sqrt(square)
     s, c = sincos(half)
     return axpy(axpy(v, -1.0 * (s * c / half), cross(r, v)), 2.0 * s * s / square, _double_cross(r, v))
@@ -97,7 +97,7 @@ def carried(r, v):
 
 @inline
 def _inverse_right_jacobian(x, y, z):
-    square = x * x + y * y + z * z + _TINY
+    square = x * x + y * y + z * z + _MIN_SQUARED_ANGLE
     half = 0.5 * math.sqrt(square)
     f = (1.0 - half / math.tan(half)) / square
     if square < 1e-6:  # the series' next term is below rounding

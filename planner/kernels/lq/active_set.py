@@ -23,7 +23,7 @@ from planner.kernels.numba.jit import inline, jit
 from planner.kernels.numba.lanes import at, floats, integers, load, pointer, store
 
 ROUNDING = 1e-9  # of a control: how far one may be beyond its bound
-LITTLE = 1e-12  # of a multiplier's parts: what is rounding
+MULTIPLIER_ROUNDING = 1e-12  # of a multiplier's parts: what is rounding
 
 
 @inline
@@ -71,7 +71,7 @@ def _multiplier(w, i, du, dx):
         part = load(row, w[W.first] + j) * load(dx, j)
         total += part
         size += abs(part)
-    return total if abs(total) > LITTLE * size else 0.0
+    return total if abs(total) > MULTIPLIER_ROUNDING * size else 0.0
 
 
 @inline

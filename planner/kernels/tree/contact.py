@@ -29,7 +29,7 @@ from planner.kernels.tree.touching import CONTACT_SIZE, STOP_SIZE
 CENTRE, NORMAL, LEVEL, ARM, SURFACE, SLIDE, LAW = 0, 3, 6, 7, 8, 11, 14
 STIFFNESS, DAMPING, RAMP, PER_RAMP, FORCE, PER_FORCE, SLIP, FRICTION, RAISE, SHARE, BEND = range(11)
 SIDE, END, STOP_LAW = 0, 1, 2
-_TINY = 1e-40  # added to squares before their root, so that none is zero
+_MIN_SQUARE = 1e-40  # added to squares before their root, so that none is zero
 
 
 @inline
@@ -52,7 +52,7 @@ def _ramped(law, o, h):
 def _bent(law, o, slip, fn):
     """Slopes of friction by the slip force and the cone's limit, whose sum times these it is; the limit."""
     limit, bend = load(law, o + FRICTION) * fn, load(law, o + BEND)
-    t = clamp((slip - (1.0 - bend) * limit) / (2.0 * bend * limit + _TINY))
+    t = clamp((slip - (1.0 - bend) * limit) / (2.0 * bend * limit + _MIN_SQUARE))
     return 1.0 - t, t * (1.0 - bend + bend * t), limit
 
 
@@ -87,7 +87,7 @@ def contact_force(value, o, e, v, n):
     vt = axpy(v, spread(0.0) - opening, n)
     g, _, _, s, _ = _normal(value, o, e, opening)
     c = load(value, o + SLIP) * s
-    speed = sqrt(dot(vt, vt) + _TINY)
+    speed = sqrt(dot(vt, vt) + _MIN_SQUARE)
     slip = c * speed
     raised = load(value, o + SHARE) * (g + load(value, o + RAISE) * slip)
     fn, _ = _ramped(value, o, maximum(g, raised))
@@ -119,7 +119,7 @@ def differentiated(value, o, e, v, n):
     opening = dot(v, n)
     vt = axpy(v, spread(0.0) - opening, n)
     g, g_e, g_n, s, ds = _normal(value, o, e, opening)
-    speed = sqrt(dot(vt, vt) + _TINY)
+    speed = sqrt(dot(vt, vt) + _MIN_SQUARE)
     ct = load(value, o + SLIP)
     c, c_e = ct * s, ct * ds
     slip, slip_e = c * speed, c_e * speed

@@ -29,7 +29,7 @@ from planner.kernels.tree.touching import PAIR_LINKS_SIZE, PAIR_SIZE
 MIDDLE, AXIS, HALF, PART = 0, 3, 6, 7
 BETWEEN, REACH, SHIFT, BLUNT, PARALLEL, LAW = 14, 17, 18, 19, 20, 21
 COMMON, ADDRESS = 2, 3
-_TINY = 1e-24  # m^2, so that centres in one place have no direction rather than a wrong one
+_MIN_SQUARED_DISTANCE = 1e-24  # m^2, so that centres in one place have no direction rather than a wrong one
 
 
 @inline
@@ -84,7 +84,7 @@ def _met(m, k, q, ws):
         D = sub(D, load3(q, q2))
     s1, s2, free1, free2, determinant = _closest(value, o, D, a1, a2)
     D = axpy(axpy(D, s1, a1), spread(0.0) - s2, a2)
-    distance = sqrt(dot(D, D) + _TINY)
+    distance = sqrt(dot(D, D) + _MIN_SQUARED_DISTANCE)
     n = scaled(1.0 / distance, D)
     e, shift = load(value, o + REACH) - distance, load(value, o + SHIFT)
     x1, x2 = axpy(m1, s1, a1), axpy(m2, s2, a2)

@@ -47,7 +47,7 @@ class Capsule:
     radius: float
 
     def __post_init__(self) -> None:
-        link, radius = count("link", self.link, least=-1), number("radius", self.radius, least=0.0)
+        link, radius = count("link", self.link, minimum=-1), number("radius", self.radius, minimum=0.0)
         middle, half = array("middle", self.middle, (3,)), array("half", self.half, (3,))
         set_fields(self, link=link, middle=middle, half=half, radius=radius)
 

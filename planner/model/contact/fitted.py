@@ -25,7 +25,7 @@ class BoundingFit(NamedTuple):
     T: np.ndarray  # (4, 4)
     half: np.ndarray  # (3,)
     radius: float
-    excess: float
+    overestimate: float
 
 
 def fit_bounding_shape(points: np.ndarray) -> BoundingFit:
@@ -36,9 +36,9 @@ def fit_bounding_shape(points: np.ndarray) -> BoundingFit:
 @lru_cache(maxsize=256)  # a problem is built again for every finer step
 def _fitted(points: bytes) -> BoundingFit:
     corners = _corners(np.frombuffer(points).reshape(-1, 3))
-    line = min((_search(corners, start) for start in _starts(corners, lines=True)), key=lambda fit: fit.excess)
-    box = min((_search(corners, start) for start in _starts(corners, lines=False)), key=lambda fit: fit.excess)
-    return box if box.excess < TIGHTER * line.excess else line
+    line = min((_search(corners, start) for start in _starts(corners, lines=True)), key=lambda fit: fit.overestimate)
+    box = min((_search(corners, start) for start in _starts(corners, lines=False)), key=lambda fit: fit.overestimate)
+    return box if box.overestimate < TIGHTER * line.overestimate else line
 
 
 def round_points(sizes: np.ndarray) -> np.ndarray:

@@ -56,11 +56,11 @@ class Law:
     force_ramp: float | None = None
 
     def __post_init__(self) -> None:
-        set_fields(self, stiffness=number("stiffness", self.stiffness, above=0.0))
+        set_fields(self, stiffness=number("stiffness", self.stiffness, greater_than=0.0))
         for name in ("damping", "ramp"):
-            set_fields(self, **{name: number(name, getattr(self, name), least=0.0)})
+            set_fields(self, **{name: number(name, getattr(self, name), minimum=0.0)})
         share = FORCE_SHARE * self.stiffness * self.ramp if self.force_ramp is None else self.force_ramp
-        set_fields(self, force_ramp=number("force_ramp", share, least=0.0))
+        set_fields(self, force_ramp=number("force_ramp", share, minimum=0.0))
 
     @property
     def surface_offset(self) -> float:
@@ -88,10 +88,10 @@ class ContactLaw(Law):
     def __post_init__(self) -> None:
         super().__post_init__()
         for name in ("slip_damping", "friction"):
-            set_fields(self, **{name: number(name, getattr(self, name), least=0.0)})
-        set_fields(self, bend=number("bend", self.bend, least=0.0, most=1.0))
+            set_fields(self, **{name: number(name, getattr(self, name), minimum=0.0)})
+        set_fields(self, bend=number("bend", self.bend, minimum=0.0, maximum=1.0))
         if self.impratio != math.inf:
-            set_fields(self, impratio=number("impratio", self.impratio, above=0.0))
+            set_fields(self, impratio=number("impratio", self.impratio, greater_than=0.0))
 
     @classmethod
     def resting(
@@ -116,13 +116,13 @@ class ContactLaw(Law):
         Raises:
             PlannerError: A number that is not above 0.
         """
-        weight = number("mass", mass, above=0.0) * number("gravity", gravity, above=0.0)
-        stiffness = weight / number("sink", sink, above=0.0)
-        damping = 2.0 * number("damping_ratio", damping_ratio, least=0.0) * math.sqrt(stiffness * mass)
-        mu = number("friction", friction, least=0.0)
+        weight = number("mass", mass, greater_than=0.0) * number("gravity", gravity, greater_than=0.0)
+        stiffness = weight / number("sink", sink, greater_than=0.0)
+        damping = 2.0 * number("damping_ratio", damping_ratio, minimum=0.0) * math.sqrt(stiffness * mass)
+        mu = number("friction", friction, minimum=0.0)
         return cls(
             stiffness, damping, RAMP_SHARE * sink if ramp is None else ramp,
-            slip_damping=mu * weight / number("slip", slip, above=0.0), friction=mu,
+            slip_damping=mu * weight / number("slip", slip, greater_than=0.0), friction=mu,
         )  # fmt: skip
 
     @classmethod
@@ -156,7 +156,7 @@ class Plane:
             raise PlannerError("normal is (0, 0, 0), expected a direction.")
         normal /= length
         velocity -= normal * (normal @ velocity)
-        slide, offset = count("slide", self.slide, least=-1), number("offset", self.offset)
+        slide, offset = count("slide", self.slide, minimum=-1), number("offset", self.offset)
         set_fields(self, normal=normal, velocity=velocity, offset=offset, slide=slide)
 
 
@@ -193,7 +193,7 @@ class Contact:
     name: str = ""
 
     def __post_init__(self) -> None:
-        link, radius = count("link", self.link, least=0), number("radius", self.radius, least=0)
+        link, radius = count("link", self.link, minimum=0), number("radius", self.radius, minimum=0)
         set_fields(self, link=link, centre=array("centre", self.centre, (3,)), radius=radius)
 
 
@@ -214,6 +214,6 @@ class Stop:
     law: Law
 
     def __post_init__(self) -> None:
-        set_fields(self, dof=count("dof", self.dof, least=0), end=number("end", self.end))
+        set_fields(self, dof=count("dof", self.dof, minimum=0), end=number("end", self.end))
         if self.side not in (-1, 1):
             raise PlannerError(f"side is {self.side!r}, expected 1 or -1.")

@@ -65,7 +65,7 @@ class Attachment:
                 raise PlannerError(f"{key} of attach is {short_repr(getattr(self, key))}, expected a name.")
         array("com of attach", self.com, (3,))
         if self.mass is not None:
-            number("mass of attach", self.mass, above=0.0)
+            number("mass of attach", self.mass, greater_than=0.0)
             _ = self.shape, self.moments
 
     @property

@@ -21,7 +21,7 @@ from planner.model.mjcf.text import written
 
 RADIUS = 1e-4  # m: the excess of a point over its shape
 RIM = 8  # points of a circle: their octagon is 7.6 % of the radius inside it midway between two
-MOST = 12  # points of a mesh or an ellipsoid
+MAX_POINTS = 12  # points of a mesh or an ellipsoid
 CLOSE = 1e-3  # of a shape's size: what is missing of it then does not matter
 _DIRECTIONS = 400
 _NAME = re.compile(r"(.*) \(point \d+\)")
@@ -100,7 +100,7 @@ def _spanning(vertices: np.ndarray) -> np.ndarray:
     furthest, at = reach.max(axis=0), reach.argmax(axis=0)
     size = float(np.ptp(vertices, axis=0).max())
     kept = [int(at[int(np.argmax(furthest))])]
-    while len(kept) < MOST:
+    while len(kept) < MAX_POINTS:
         missing = furthest - reach[kept].max(axis=0)
         worst = int(np.argmax(missing))
         if missing[worst] <= CLOSE * size:

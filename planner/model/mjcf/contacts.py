@@ -57,7 +57,7 @@ def contact_attributes(
         PlannerError: A number that cannot be.
     """
     law = ContactLaw.exact(stiffness, damping, slip_damping, friction, impratio)
-    per = number("invweight", invweight, above=0.0) * (1.0 - SOFT)
+    per = number("invweight", invweight, greater_than=0.0) * (1.0 - SOFT)
     mu = law.friction
     if mu == 0.0 or law.slip_damping == 0.0:
         return {"condim": "1", **_direct(law, per, "")}
@@ -77,7 +77,7 @@ def stop_attributes(stiffness: float, damping: float, invweight: float) -> dict[
     Raises:
         PlannerError: A number that cannot be.
     """
-    per = number("invweight", invweight, above=0.0) * (1.0 - SOFT)
+    per = number("invweight", invweight, greater_than=0.0) * (1.0 - SOFT)
     return {"limited": "true", **_direct(Law(stiffness, damping), per, "limit")}
 
 

@@ -18,7 +18,7 @@ from planner.model.mjcf.survey import ModelIndex
 
 GRIDS = {1: 65, 2: 17}  # poses of each joint, by the number of joints between two shapes
 TRIED = 20  # poses, to find one in which a pair is apart
-FAR = 10.0  # m, of which MuJoCo measures less
+MAX_MUJOCO_DISTANCE = 10.0  # m, of which MuJoCo measures less
 
 
 def may_collide(survey: ModelIndex, pair: tuple[int, int], clearance: float) -> bool:
@@ -62,7 +62,7 @@ def min_distance_over_ranges(survey: ModelIndex, pair: tuple[int, int], poses: C
     data.qpos[:] = next(iter(poses))
     for at in itertools.product(*axes):
         data.qpos[model.jnt_qposadr[joints]] = at
-        found.append(_distances(model, data, [pair], FAR)[pair])
+        found.append(_distances(model, data, [pair], MAX_MUJOCO_DISTANCE)[pair])
     found = np.array(found).reshape([len(axis) for axis in axes])
     steps = [float(np.abs(np.diff(found, axis=k)).max()) for k in range(found.ndim)]
     return float(found.min()) - 0.5 * sum(steps)

@@ -40,9 +40,9 @@ class CollisionPair(NamedTuple):
 
     a: CollisionShape
     b: CollisionShape
-    least: float
-    lift: float
-    room: float
+    required_clearance: float
+    distance_offset: float
+    spare_clearance: float
 
     @property
     def names(self) -> str:
@@ -186,9 +186,9 @@ def _notes(
             f"Nearer than the clearance at the start or goal, and to come no nearer: {_some([p.names for p in close])}."
         )
     if lifted:
-        most = max(lifted, key=lambda pair: pair.lift)
+        most = max(lifted, key=lambda pair: pair.distance_offset)
         notes.append(
-            f"Fits overlap at the start or goal where shapes do not, which is let pass, by up to {most.lift:.2g} m: "
+            f"Fits overlap at the start or goal where shapes do not, which is let pass, by up to {most.distance_offset:.2g} m: "
             f"{_some([p.names for p in lifted])}."
         )
     return tuple(notes)

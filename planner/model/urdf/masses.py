@@ -15,7 +15,7 @@ import numpy as np
 from planner.base.errors import ModelError
 from planner.model.urdf.robot import SCALAR, Inertial, Joint, Robot
 
-LEAST = 1e-14
+MIN_MASS = 1e-14
 """kg and kg m^2; MuJoCo refuses less than 1e-15."""
 _NOTHING = 1e-11  # kg or kg m^2 that a joint moves: what it moves is lost in rounding
 _WATER = 1000.0  # kg/m^3, for a suggestion
@@ -111,17 +111,17 @@ def _change(body: Inertial) -> float:
 
 def _possible(body: Inertial) -> bool:
     size = np.linalg.norm(body.inertia)
-    return bool(size == 0.0 or _change(body) * size <= max(_ROUNDING * size, LEAST))
+    return bool(size == 0.0 or _change(body) * size <= max(_ROUNDING * size, MIN_MASS))
 
 
 def _accepted(body: Inertial) -> Inertial:
     """The body as MuJoCo takes it: unchanged, but for rounding, LEAST, and a tensor that no body has."""
     values = np.linalg.eigvalsh(body.inertia)
-    if values[0] >= LEAST and values[2] <= values[0] + values[1] and body.mass >= LEAST:
+    if values[0] >= MIN_MASS and values[2] <= values[0] + values[1] and body.mass >= MIN_MASS:
         return body
     inertia = _nearest(body.inertia)
-    inertia = inertia + (LEAST + 4.0 * np.finfo(float).eps * np.linalg.norm(inertia)) * np.eye(3)
-    return replace(body, mass=max(body.mass, LEAST), inertia=inertia)
+    inertia = inertia + (MIN_MASS + 4.0 * np.finfo(float).eps * np.linalg.norm(inertia)) * np.eye(3)
+    return replace(body, mass=max(body.mass, MIN_MASS), inertia=inertia)
 
 
 def _listed(links: list[str], kind: str = "link") -> str:

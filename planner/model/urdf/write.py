@@ -22,7 +22,7 @@ from planner.model.urdf.packages import Packages
 from planner.model.urdf.robot import SCALAR, Inertial, Joint, Pose, Robot
 from planner.model.urdf.shapes import GeomWriter, placed
 
-_FAR = 1e10
+_UNBOUNDED_RANGE = 1e10
 """rad or m, the end of a range that has only the other one."""
 
 
@@ -148,7 +148,7 @@ def _add_joint(body: Element, joint: Joint) -> None:
         if kind != "ball":
             attributes["axis"] = written(*direction)
         if np.any(np.isfinite(joint.range)):
-            attributes["range"] = written(*np.clip(joint.range, -_FAR, _FAR))
+            attributes["range"] = written(*np.clip(joint.range, -_UNBOUNDED_RANGE, _UNBOUNDED_RANGE))
         for key, value in (("damping", joint.damping), ("frictionloss", joint.friction)):
             if value:
                 attributes[key] = written(value)

@@ -45,7 +45,7 @@ class Integration:
     method: str = "RK45"
 
     def __post_init__(self) -> None:
-        number("tolerance", self.tolerance, least=TIGHTEST, most=1.0)
+        number("tolerance", self.tolerance, minimum=TIGHTEST, maximum=1.0)
         choice("method", self.method, METHODS)
 
     @property

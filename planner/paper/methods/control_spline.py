@@ -87,8 +87,8 @@ def solve_by_splines(
     """
     if not isinstance(problem, Problem):
         raise PlannerError(f"problem is {short_repr(problem)}, expected a Problem.")
-    degree = count("degree", degree, most=9)
-    coefficients = count("coefficients", coefficients, least=degree + 1, most=1000 + degree)
+    degree = count("degree", degree, maximum=9)
+    coefficients = count("coefficients", coefficients, minimum=degree + 1, maximum=1000 + degree)
     basis = SplineSpace(coefficients - degree, degree).basis(problem.duration)
     exact = SplineCost(problem, basis)
     first = np.linalg.lstsq(exact.b, problem.first_guess, rcond=None)[0].ravel()

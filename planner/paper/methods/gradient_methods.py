@@ -126,7 +126,7 @@ def minimize_by_gradient(
         raise PlannerError(f"problem is {short_repr(problem)}, expected a Problem.")
     search = _METHODS[choice("method", method, METHODS)]
     count("max_iterations", max_iterations)
-    number("gradient_tolerance", gradient_tolerance, least=0.0)
+    number("gradient_tolerance", gradient_tolerance, minimum=0.0)
     if callback is not None and not callable(callback):
         raise PlannerError(f"callback is {short_repr(callback)}, expected a function of one line of progress.")
     walk = _Walk(_Objective(problem), problem.first_guess, gradient_tolerance, callback)

@@ -158,9 +158,9 @@ def largest_payload(
     Raises:
         PlannerError: A parameter out of range, or no swing for the payload that a slow lift can do.
     """
-    duration = number("duration", duration, above=0.0)
-    resolution = number("resolution", resolution, above=0.0)
-    most = number("most", most, least=LIGHTEST, most=HEAVIEST)
+    duration = number("duration", duration, greater_than=0.0)
+    resolution = number("resolution", resolution, greater_than=0.0)
+    most = number("most", most, minimum=LIGHTEST, maximum=HEAVIEST)
     horizon = max(1, round(_STAGES * duration)) if horizon is None else count("horizon", horizon)
     for name in ("payload", "guess"):
         if name in parameters:

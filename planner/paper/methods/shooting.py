@@ -71,7 +71,7 @@ class HamiltonianFlow:
         if not isinstance(problem, Problem):
             raise PlannerError(f"problem is {short_repr(problem)}, expected a Problem.")
         self.system = ContinuousProblem(problem)
-        self._tolerance = number("tolerance", tolerance, least=3e-14, most=0.1)
+        self._tolerance = number("tolerance", tolerance, minimum=3e-14, maximum=0.1)
         self._inverse = np.linalg.inv(self.system.R)
         self.evaluations = 0  # flows integrated so far
         x, zero = self.system.x0, np.zeros(self.system.inputs)

@@ -59,7 +59,7 @@ class Boundary:
             raise PlannerError(f"mechanism is {short_repr(mechanism)}, expected a Mechanism.")
         if np.any(mechanism.kind != SCREW):
             raise PlannerError("the mechanism has a ball or free joint, expected hinges and slides alone.")
-        number("duration", self.duration, above=0.0)
+        number("duration", self.duration, greater_than=0.0)
         values = {name: getattr(self, name) for name in ("start", "start_velocity", "goal", "goal_velocity")}
         nv = mechanism.nv
         for name, value in values.items():
@@ -88,9 +88,9 @@ class SplineSpace:
         """
         from scipy.interpolate import BSpline
 
-        duration = number("duration", duration, above=0.0)
-        intervals = count("intervals", self.intervals, most=1000)
-        degree = count("degree", self.degree, least=least_degree, most=9)
+        duration = number("duration", duration, greater_than=0.0)
+        intervals = count("intervals", self.intervals, maximum=1000)
+        degree = count("degree", self.degree, minimum=least_degree, maximum=9)
         breaks = np.linspace(0.0, duration, intervals + 1)
         knots = np.concatenate([np.zeros(degree), breaks, np.full(degree, duration)])
         return BSpline(knots, np.eye(intervals + degree), degree)
@@ -157,7 +157,7 @@ def minimize_effort(
         PlannerError: An argument of a wrong shape or out of range, or a joint that is neither hinge nor slide.
     """
     ends, space = boundary.ends(mechanism), space or SplineSpace()
-    count("intervals", space.intervals, least=4, most=1000)
+    count("intervals", space.intervals, minimum=4, maximum=1000)
     quadrature = Quadrature(space.basis(boundary.duration, least_degree=3), nodes)
     basis, t = quadrature.basis, quadrature.t
     fixed = end_amplitudes(basis, *ends)
@@ -184,7 +184,7 @@ class Quadrature:
     """Gauss-Legendre nodes in every knot interval, and the basis functions there."""
 
     def __init__(self, basis: BSpline, nodes: int) -> None:
-        points, weights = np.polynomial.legendre.leggauss(count("nodes", nodes, most=64))
+        points, weights = np.polynomial.legendre.leggauss(count("nodes", nodes, maximum=64))
         breaks = basis.t[basis.k : -basis.k]
         half = 0.5 * (breaks[-1] - breaks[0]) / (len(breaks) - 1)
         self.basis = basis
@@ -248,7 +248,7 @@ def bfgs(
         found = minimize(
             scaled, first, jac=True, method="BFGS",
             callback=lambda intermediate_result: costs.append(scale * float(intermediate_result.fun)),
-            options={"gtol": number("gradient_tolerance", gradient_tolerance, above=0.0),
+            options={"gtol": number("gradient_tolerance", gradient_tolerance, greater_than=0.0),
                      "maxiter": count("max_iterations", max_iterations)},
         )  # fmt: skip
     return found.x, {

@@ -58,9 +58,9 @@ class DrivenWeights:
     effort: float = 1.0
 
     def __post_init__(self) -> None:
-        number("position weight", self.position, least=0.0)
-        number("velocity weight", self.velocity, least=0.0)
-        number("effort weight", self.effort, above=0.0)
+        number("position weight", self.position, minimum=0.0)
+        number("velocity weight", self.velocity, minimum=0.0)
+        number("effort weight", self.effort, greater_than=0.0)
 
 
 class DrivenSystem:

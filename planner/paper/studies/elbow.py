@@ -34,7 +34,7 @@ REFERENCE = Integration(1e-11, "DOP853")
 DESCENTS = ((1e-3, 40), (1e-4, 50))  # tolerance and iterations of BFGS from the first guess
 POLISH = (1e-5, 25)  # and from where the last of these gave up
 STAGES = (150, 300)  # of SLQ's discretisation
-NEAR = 2e-3  # of the first gradient: as small as that of Eq. 7 gets here
+GRADIENT_RATIO = 2e-3  # of the first gradient: as small as that of Eq. 7 gets here
 DURATION = 3.0  # s, that of our acrobot
 
 _WIDEST, _HALVINGS = 0.02, 16  # N m, the first of the differences, and how often it is halved
@@ -98,7 +98,7 @@ def _slq(stages: int) -> dict[str, Any]:
     solve(problem, max_iterations=1)  # compiled
     plan, seconds = timed(lambda: solve(problem))
     norms = np.array([line.gradient_norm for line in plan.history])
-    near = int(np.argmax(norms < NEAR * norms[0]))
+    near = int(np.argmax(norms < GRADIENT_RATIO * norms[0]))
     return {
         "stages": stages, "dt": problem.dynamics.dt, "seconds": seconds, **plan_record(plan),
         "first": discrete_error(problem, problem.first_guess),

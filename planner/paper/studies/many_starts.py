@@ -24,7 +24,7 @@ from planner.solvers.multistart import smooth
 from planner.solvers.slq import solve
 
 LIMIT = 2000  # iterations of every solve, after which it counts as not converged
-SAME = 1e-3  # costs that differ by less, relatively, count as one local minimum
+SAME_COST_TOLERANCE = 1e-3  # costs that differ by less, relatively, count as one local minimum
 TOLERANCE = 1e-6  # of a solve: the decrease promised, relative to J; three digits below SAME
 LAST = 20  # iterations of a solve that failed, whose steps say why
 
@@ -71,7 +71,7 @@ def from_many(
 def is_minimum(problem: Problem, plan: Plan) -> bool:
     """Whether the end of a solve is a local minimum to SAME of its cost."""
     near, hessian = minimum_near(problem, plan.us)
-    least = SAME * abs(plan.cost)
+    least = SAME_COST_TOLERANCE * abs(plan.cost)
     return hessian.negative == 0 and hessian.promised <= least and abs(near.cost - plan.cost) <= least
 
 
@@ -85,7 +85,7 @@ def local_minima(costs: list[float]) -> list[dict[str, float]]:
     """Costs that differ by less than SAME of themselves, as one; how many ended there, the lowest first."""
     found: list[dict[str, float]] = []
     for cost in sorted(costs):
-        if found and cost - found[-1]["highest"] <= SAME * abs(cost):
+        if found and cost - found[-1]["highest"] <= SAME_COST_TOLERANCE * abs(cost):
             found[-1]["count"] += 1
             found[-1]["highest"] = cost
         else:

@@ -19,7 +19,7 @@ import numpy as np
 
 from planner import cases
 from planner.cases.hopper import PAPER
-from planner.paper.studies.many_starts import LAST, LIMIT, SAME, TOLERANCE, from_many
+from planner.paper.studies.many_starts import LAST, LIMIT, SAME_COST_TOLERANCE, TOLERANCE, from_many
 from planner.paper.studies.records import table
 from planner.paper.studies.study import Row, Study
 from planner.paper.studies.table_1 import random_lq, swept
@@ -202,7 +202,7 @@ def _page(results: dict[str, Any]) -> list[str]:
         f"Smooth random controls (six cosines, seeds from 0 on) of a given RMS; at most {LIMIT} iterations for every",
         f"update and line search. A solve has converged when the LQ model promises less than {TOLERANCE:g} of J.",
         "An end counts as a local minimum where Newton's method, started there, comes to a stationary point of the",
-        f"same cost (to {100.0 * SAME:g} %) at which the exact Hessian of J over all controls, second derivatives of",
+        f"same cost (to {100.0 * SAME_COST_TOLERANCE:g} %) at which the exact Hessian of J over all controls, second derivatives of",
         "the dynamics included, has no negative eigenvalue; costs that differ by less are one minimum.",
         f"{_no_minima(results)}.", "",
         *table({

@@ -36,11 +36,11 @@ class PairClearance:
 
     pairs: tuple[CollisionPair, ...]
     more: np.ndarray
-    soft: float
+    penalty_length: float
     unit = "m"
 
     def __post_init__(self) -> None:
-        set_fields(self, pairs=tuple(self.pairs), soft=number("soft", self.soft, above=0.0))
+        set_fields(self, pairs=tuple(self.pairs), soft=number("soft", self.penalty_length, greater_than=0.0))
 
     def __str__(self) -> str:
         return "clearance"
@@ -51,7 +51,7 @@ class PairClearance:
     @property
     def least(self) -> np.ndarray:
         """(P,) m, how far each pair is kept apart."""
-        return np.array([pair.least for pair in self.pairs]) + self.more
+        return np.array([pair.required_clearance for pair in self.pairs]) + self.more
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -69,15 +69,15 @@ class PairClearanceFunction(ResidualFunction):
     def __init__(self, what: PairClearance, dynamics: Dynamics, N: int) -> None:
         mechanism = machine_of(dynamics, what)
         terms = [
-            Clearance(a=pair.a, b=pair.b, lift=pair.lift, least=least, tolerance=1.0)
+            Clearance(a=pair.a, b=pair.b, lift=pair.distance_offset, least=least, tolerance=1.0)
             for pair, least in zip(what.pairs, what.least, strict=True)
         ]
         super().__init__(dynamics, what, measures_of(mechanism, N, terms, dynamics.dt))
         self._clearances = SignedDistances(mechanism, [pair[:2] for pair in what.pairs])
         self.least = what.least
-        self._lift = np.array([pair.lift for pair in what.pairs])
-        self._known = KNOWN * np.abs(what.least) + what.soft - self._lift
-        self.first_weight = dynamics.dt / what.soft**2
+        self._lift = np.array([pair.distance_offset for pair in what.pairs])
+        self._known = KNOWN * np.abs(what.least) + what.penalty_length - self._lift
+        self.initial_penalty = dynamics.dt / what.penalty_length**2
 
     def values(self, xs: np.ndarray, us: np.ndarray, n: np.ndarray) -> np.ndarray:
         """(K, P); of pairs that are further than they need be, no more than their distance."""
@@ -94,7 +94,7 @@ class PairClearanceFunction(ResidualFunction):
         by_x[:, :, : own.shape[2]] = own
         return by_x, np.zeros((len(xs), self.rows, self._nu))
 
-    def short(self, dynamics: Dynamics, xs: np.ndarray, us: np.ndarray) -> np.ndarray:
+    def clearance_violation(self, dynamics: Dynamics, xs: np.ndarray, us: np.ndarray) -> np.ndarray:
         """By how much (N, P) m pairs come nearer than they may on each stage of a motion xs (N+1, nx), us (N, nu).
 
         At parts of the stage, by the plan's own integrator; and where pairs move so fast that they may have touched
@@ -107,7 +107,7 @@ class PairClearanceFunction(ResidualFunction):
         states = np.concatenate([inside, xs[-1:]])
         values = self.values(states, us, np.arange(len(states)))
         way = self.mechanism.space.difference(states[1:, : self._nx], states[:-1, : self._nx])
-        moved = self._clearances.moved(self._q(states[:-1]), way[:, : self.mechanism.nv])
+        moved = self._clearances.motion_bound(self._q(states[:-1]), way[:, : self.mechanism.nv])
         nearest = np.minimum(values[:-1], values[1:])
         short = np.maximum(self.least - nearest, -distance_lower_bound(values, moved))
         return short.reshape(N, PARTS, -1).max(axis=1)

@@ -28,7 +28,7 @@ from planner.problem.costs.terms import per_stage
 
 ALWAYS, END = "always", "end"
 RELATIVE = 1e-4  # of a bound, and of 1 in its unit: the tolerance where none is given
-_NEAR = 1e-9  # of a time: a knot that is nearer to an end of a span is in it
+_TIME_TOLERANCE = 1e-9  # of a time: a knot that is nearer to an end of a span is in it
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,7 +96,7 @@ class Constraint:
                 )
             set_fields(self, **{name: bound})
         if self.tolerance is not None:
-            set_fields(self, tolerance=number(f"{self}'s tolerance", self.tolerance, above=0.0))
+            set_fields(self, tolerance=number(f"{self}'s tolerance", self.tolerance, greater_than=0.0))
         set_fields(self, when=self._when())
 
     def __str__(self) -> str:
@@ -107,7 +107,7 @@ class Constraint:
             if self.when in (ALWAYS, END):
                 return self.when
         elif isinstance(self.when, (Sequence, np.ndarray)) and len(self.when) == 2:
-            first, last = (number(f"{self}'s when", one, least=0.0) for one in self.when)
+            first, last = (number(f"{self}'s when", one, minimum=0.0) for one in self.when)
             if first <= last:
                 return first, last
         raise PlannerError(
@@ -129,7 +129,7 @@ class Constraint:
         if isinstance(self.when, str):
             return np.ones(N + 1, dtype=bool) if self.when == ALWAYS else np.arange(N + 1) == N
         (first, last), t = self.when, dt * np.arange(N + 1)
-        within = (t >= first - _NEAR * dt * N) & (t <= last + _NEAR * dt * N)
+        within = (t >= first - _TIME_TOLERANCE * dt * N) & (t <= last + _TIME_TOLERANCE * dt * N)
         if not within.any():
             raise PlannerError(
                 f"{self} is from {first:g} to {last:g} s, expected a time with a knot: 0 to {dt * N:g} s in steps of "

@@ -48,15 +48,15 @@ class TrajectoryConstraints:
         """H, the number of columns."""
         return self.lower.shape[1]
 
-    def free(self) -> BoundPenalties:
+    def zero_penalties(self) -> BoundPenalties:
         """Hinges that weigh nothing."""
         return BoundPenalties(self.lower.copy(), self.upper.copy(), np.zeros_like(self.lower))
 
-    def first(self) -> BoundPenalties | None:
+    def initial_penalties(self) -> BoundPenalties | None:
         """Hinges of the first solve, of what has weights before multipliers are known; None for none."""
-        hinges = self.free()
+        hinges = self.zero_penalties()
         for measure, columns, scale in self._apart():
-            weight = measure.first_weight / scale**2
+            weight = measure.initial_penalty / scale**2
             hinges.weight[:, columns] = np.where(np.isfinite(self.lower[:, columns]), weight, 0.0)
         return hinges if hinges.weight.any() else None
 
@@ -70,7 +70,7 @@ class TrajectoryConstraints:
             for part in self.rows.parts if isinstance(part.measure, PairClearanceFunction)
         ]  # fmt: skip
 
-    def short_between(self, dynamics: Dynamics, xs: np.ndarray, us: np.ndarray) -> tuple[np.ndarray, bool]:
+    def violation_between_knots(self, dynamics: Dynamics, xs: np.ndarray, us: np.ndarray) -> tuple[np.ndarray, bool]:
         """By how much (N+1, H) lower bounds must rise, so that what is kept at knots is kept between them too.
 
         Those of both ends of a stage. Where a pair may have touched between two knots, those of all stages: the motion
@@ -78,7 +78,7 @@ class TrajectoryConstraints:
         """
         more, through = np.zeros_like(self.lower), False
         for measure, columns, scale in self._apart():
-            short = measure.short(dynamics, xs, us)
+            short = measure.clearance_violation(dynamics, xs, us)
             touched = (short > measure.least).any(axis=0)
             short = np.where(touched, short.max(axis=0), short) * scale
             short = np.where(short > self.tolerance, short, 0.0)
@@ -87,7 +87,7 @@ class TrajectoryConstraints:
             through |= bool(touched.any())
         return more, through
 
-    def raised(self, more: np.ndarray) -> TrajectoryConstraints:
+    def tightened(self, more: np.ndarray) -> TrajectoryConstraints:
         """The same with lower bounds (N+1, H) raised."""
         raised = copy(self)
         raised.lower = self.lower + more
@@ -108,7 +108,7 @@ class TrajectoryConstraints:
             parts.append(self.rows.values(xs, us))
         return parts[0] if len(parts) == 1 else np.concatenate(parts, axis=1)
 
-    def beyond(self, xs: np.ndarray, us: np.ndarray) -> np.ndarray:
+    def violation(self, xs: np.ndarray, us: np.ndarray) -> np.ndarray:
         """How far (N+1, H) the knots are outside; 0 within."""
         if self.rows is None and self.ranges is not None:
             return self.ranges.beyond(xs)
@@ -120,7 +120,7 @@ class TrajectoryConstraints:
         J = 0.0 if self.ranges is None else self.ranges.value(self.of_ranges(hinges), xs)
         return J if self.rows is None else J + self.value_of_rows(self.of_rows(hinges), xs, us)
 
-    def added(
+    def with_penalties(
         self, hinges: BoundPenalties, model: Quadratic, xs: np.ndarray, us: np.ndarray, A: np.ndarray, B: np.ndarray
     ) -> Quadratic:
         """The quadratic model of a cost along xs (N+1, nx), us (N, nu) with that of the hinges; A and B of Eq. 35."""
@@ -128,7 +128,7 @@ class TrajectoryConstraints:
             model = self.ranges.added(self.of_ranges(hinges), model, xs)
         if self.rows is None:
             return model
-        n, by_z, slope, curvature = self.pull_of_rows(self.of_rows(hinges), xs, us, A, B)
+        n, by_z, slope, curvature = self.penalty_derivatives(self.of_rows(hinges), xs, us, A, B)
         if not len(n):
             return model
         ndx, (N, nu) = A.shape[1], us.shape
@@ -152,7 +152,7 @@ class TrajectoryConstraints:
         above, below = np.maximum(e - upper, 0.0), np.maximum(lower - e, 0.0)
         return 0.5 * float(np.sum(weight * (above**2 + below**2)))
 
-    def pull_of_rows(
+    def penalty_derivatives(
         self, hinges: BoundPenalties, xs: np.ndarray, us: np.ndarray, A: np.ndarray, B: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """Where rows of constraints pull, and how.

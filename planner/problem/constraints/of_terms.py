@@ -55,7 +55,7 @@ class ResidualFunction:
         by_x[:, :, : own.shape[2]] = own
         return by_x, np.zeros((len(xs), self.rows, self._nu))
 
-    def bends(self, xs: np.ndarray, n: np.ndarray, pulls: np.ndarray) -> np.ndarray:
+    def second_derivatives(self, xs: np.ndarray, n: np.ndarray, pulls: np.ndarray) -> np.ndarray:
         """(K, ndx, ndx) what the rows' own second derivatives add to a Hessian, pulled (K, R) by the cost: of tilts.
 
         Only where that is positive; other terms add nothing, as of Gauss and Newton.
@@ -98,7 +98,7 @@ def _measure(
 
 
 @dataclass(frozen=True, eq=False)
-class Place:
+class FramePosition:
     """Where a frame is in the world, x, y, z in m.
 
     Attributes:
@@ -118,7 +118,7 @@ class Place:
 
 
 @dataclass(frozen=True, eq=False)
-class Along:
+class FramePositionAlong:
     """How far a frame is along a direction of the world, m.
 
     Attributes:
@@ -142,7 +142,7 @@ class Along:
 
 
 @dataclass(frozen=True, eq=False)
-class Turn:
+class FrameOrientation:
     """How a frame is turned from an orientation: a rotation vector in rad, in the axes of that orientation.
 
     Attributes:
@@ -168,7 +168,7 @@ class Turn:
 
 
 @dataclass(frozen=True, eq=False)
-class Tilt:
+class FrameAxisAngle:
     """The angle between an axis of a frame and a direction of the world, 0 to pi rad.
 
     Attributes:
@@ -195,7 +195,7 @@ class Tilt:
 
 
 @dataclass(frozen=True, eq=False)
-class MassCentre:
+class CenterOfMass:
     """Where the centre of mass is in the world, x, y, z in m."""
 
     unit = "m"

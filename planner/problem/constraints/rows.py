@@ -89,9 +89,9 @@ class ConstraintStack:
                 names += measure.rows * [constraint.name]
                 of_start += measure.rows * [measure.of_controls]
         self.names, self.scale, self.tolerance = tuple(names), np.array(scale), tolerance
-        self.least, self.most = (self.scale * np.concatenate(side, axis=1) for side in (least, most))
+        self.specified_lower, self.specified_upper = (self.scale * np.concatenate(side, axis=1) for side in (least, most))
         given = ~np.array(of_start)
-        self.lower, self.upper = self.least.copy(), self.most.copy()
+        self.lower, self.upper = self.specified_lower.copy(), self.specified_upper.copy()
         self.lower[0, given], self.upper[0, given] = -np.inf, np.inf
         self._check_each_other(dynamics.dt)  # first: no other start would mend that
         self._check_start(x0, us[0])
@@ -107,7 +107,7 @@ class ConstraintStack:
                     f"{part.constraint} is {short_repr(value.tolist())} at the start, expected finite numbers."
                 )
             scale = self.scale[part.columns]
-            low, high = self.least[0, part.columns] / scale, self.most[0, part.columns] / scale
+            low, high = self.specified_lower[0, part.columns] / scale, self.specified_upper[0, part.columns] / scale
             beyond = np.maximum(low - value, value - high)
             if beyond.max() > part.constraint.allowed():
                 r = int(np.argmax(beyond))
@@ -127,7 +127,7 @@ class ConstraintStack:
         for alike in seen.values():
             for a, b in itertools.permutations(alike, 2):
                 low, high = (side[:, part.columns] / self.scale[part.columns] for side, part in
-                             ((self.least, a), (self.most, b)))  # fmt: skip
+                             ((self.specified_lower, a), (self.specified_upper, b)))  # fmt: skip
                 apart = low - high > a.constraint.allowed() + b.constraint.allowed()
                 if apart.any():
                     n, r = map(int, np.argwhere(apart)[0])
@@ -150,8 +150,8 @@ class ConstraintStack:
             first += len(own)
         which = np.concatenate([np.empty(0, dtype=int), *columns])
         few.scale, few.names = self.scale[which], tuple(self.names[c] for c in which)
-        few.least, few.most, few.lower, few.upper = (
-            side[:, which] for side in (self.least, self.most, self.lower, self.upper)
+        few.specified_lower, few.specified_upper, few.lower, few.upper = (
+            side[:, which] for side in (self.specified_lower, self.specified_upper, self.lower, self.upper)
         )
         return few, which
 
@@ -190,7 +190,7 @@ class ConstraintStack:
         """(K, ndx, ndx) what the curvature of rows adds at knots n (K,), pulled (K, C) by the cost; 0 for nothing."""
         own = pulls * self.scale
         return sum(
-            part.measure.bends(xs[n], n, own[:, part.columns])
+            part.measure.second_derivatives(xs[n], n, own[:, part.columns])
             for part in self.parts if isinstance(part.measure, ResidualFunction)
         )  # fmt: skip
 
@@ -208,7 +208,7 @@ class ConstraintStack:
         later = np.minimum(n + 1, self.N)
         found = np.zeros((M + 1, len(self.scale)))
         for _, measure, columns, at_end in self.parts:
-            low, high = self.least[:, columns], self.most[:, columns]
+            low, high = self.specified_lower[:, columns], self.specified_upper[:, columns]
             if measure.of_controls:
                 stages = n[:-1]
                 value = measure.values(xs[1:] if at_end else xs[:-1], us, stages)

@@ -42,7 +42,7 @@ class DriveCost(Term):
     def __init__(self, dynamics: Any, horizon: int, weight: Any, reference: Any = 0.0) -> None:
         if not isinstance(dynamics, RigidBodyDynamics) or not dynamics.prescribed:
             raise PlannerError(f"the machine is {short_repr(dynamics)}, expected RigidBodyDynamics with prescribed joints.")
-        self.N = count("horizon", horizon, most=LONGEST_HORIZON)
+        self.N = count("horizon", horizon, maximum=LONGEST_HORIZON)
         self.space, self.nu, self.dt = dynamics.space, dynamics.nu, dynamics.dt
         self.nx, self.ndx = dynamics.nx, dynamics.ndx
         m = dynamics.mechanism

@@ -58,8 +58,8 @@ class EnergyCost(Term):
             expected = "expected a machine that its actuators alone move: energy is their work"
             raise PlannerError(f"the acceleration of {', '.join(given)} is prescribed, {expected}.")
         self.dynamics, self.mechanism, self.dt = dynamics, dynamics.mechanism, dynamics.dt
-        self.weight = number("the energy's weight", weight, least=0.0)
-        self.smoothing = number("the energy's smoothing", smoothing, above=0.0)
+        self.weight = number("the energy's weight", weight, minimum=0.0)
+        self.smoothing = number("the energy's smoothing", smoothing, greater_than=0.0)
         self.space, self.nx, self.ndx, self.nu = dynamics.space, dynamics.nx, dynamics.ndx, dynamics.nu
         acts = self.mechanism.actuators
         self._gain = np.where(acts.dynamics == DIRECT, acts.gain, 0.0)  # of the control itself

@@ -113,7 +113,7 @@ class JerkCost(Term):
                 f"the jerk of {', '.join(driven)} is the control already, expected it to be weighed as such, not as an "
                 "objective."
             )
-        self.weight, self.dt, self.N = number("the jerk's weight", weight, least=0.0), dynamics.dt, horizon
+        self.weight, self.dt, self.N = number("the jerk's weight", weight, minimum=0.0), dynamics.dt, horizon
         self.space, self.nu = dynamics.space, dynamics.nu
         self.nx, self.ndx = dynamics.nx, dynamics.ndx
         self.R = np.zeros((horizon, self.nu, self.nu)) if R is None else R

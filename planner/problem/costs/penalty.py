@@ -40,7 +40,7 @@ class PenaltyCost(ResidualCost):
 
     def __init__(self, machine: Any, horizon: int, terms: Sequence[Any], dt: float | None = None) -> None:
         mechanism, dt = mechanism_and_step(machine, dt)
-        N = count("horizon", horizon, most=LONGEST_HORIZON)
+        N = count("horizon", horizon, maximum=LONGEST_HORIZON)
         if not isinstance(terms, Sequence):
             raise PlannerError(f"terms is {short_repr(terms)}, expected a list of Height, Distance, Gap and Velocity.")
         self.names = tuple(str(term) for term in terms)

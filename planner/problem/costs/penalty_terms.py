@@ -71,7 +71,7 @@ class Segment:
     def __post_init__(self) -> None:
         for name in ("start", "end"):
             _point(name, getattr(self, name))
-        set_fields(self, radius=number("radius", self.radius, least=0.0))
+        set_fields(self, radius=number("radius", self.radius, minimum=0.0))
 
     def __str__(self) -> str:
         return f"{self.start} - {self.end}"
@@ -103,8 +103,8 @@ class Penalty:
         given = [name for name in WANTED if getattr(self, name) is not None]
         if len(given) != 1:
             raise PlannerError(f"{' and '.join(given) or 'none'} of {', '.join(WANTED)} given, expected just one.")
-        tolerance = number("tolerance", self.tolerance, above=0.0)
-        ramp = tolerance if self.ramp is None else number("ramp", self.ramp, above=0.0)
+        tolerance = number("tolerance", self.tolerance, greater_than=0.0)
+        ramp = tolerance if self.ramp is None else number("ramp", self.ramp, greater_than=0.0)
         bound = _per_stage(given[0], getattr(self, given[0]))
         if np.isinf(bound).any():
             raise PlannerError(f"{given[0]} is infinite at a stage, expected finite numbers, or NaN where it is off.")
@@ -112,7 +112,7 @@ class Penalty:
         if not (np.isfinite(weight).all() and weight.min(initial=0.0) >= 0.0):
             raise PlannerError(f"weight is {short_repr(self.weight)}, expected finite weights of at least 0.")
         if self.final_weight is not None:
-            set_fields(self, final_weight=number("final_weight", self.final_weight, least=0.0))
+            set_fields(self, final_weight=number("final_weight", self.final_weight, minimum=0.0))
         set_fields(self, tolerance=tolerance, ramp=ramp, weight=weight, **{given[0]: bound})
 
     @property

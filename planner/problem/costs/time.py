@@ -13,7 +13,7 @@ class TimeCost(Term):
     """weight N dt: the same for every motion of a duration (s)."""
 
     def __init__(self, duration: float, weight: float, space: StateSpace) -> None:
-        self.duration, self.weight = duration, number("the time's weight", weight, least=0.0)
+        self.duration, self.weight = duration, number("the time's weight", weight, minimum=0.0)
         self.space, self.nx, self.ndx = space, space.nx, space.ndx
 
     def value(self, xs: np.ndarray, us: np.ndarray) -> float:

@@ -76,9 +76,9 @@ class TrackingCost(Term):
             nu: Size of the control; needed when effort is a number and nu is not 1.
             space: Of the states; plain vectors by default.
         """
-        N = count("horizon", horizon, most=LONGEST_HORIZON)
+        N = count("horizon", horizon, maximum=LONGEST_HORIZON)
         x_ref = array("goal", goal, ("nx",) if space is None else (_space(space).nx,))
-        number("dt", dt, above=0.0)
+        number("dt", dt, greater_than=0.0)
         ndx = len(x_ref) if space is None else space.ndx
         size = (numbers("effort", effort).shape or (1,))[0] if nu is None else count("nu", nu)
         Q = dt * matrices("running", running, N + 1, ndx)
@@ -116,7 +116,7 @@ class TrackingCost(Term):
             PlannerError: A name that the machine does not have, a wrong shape, or a weight out of range.
         """
         mechanism, dt = mechanism_and_step(machine, dt)
-        N, nu = count("horizon", horizon, most=LONGEST_HORIZON), int(machine.nu)
+        N, nu = count("horizon", horizon, maximum=LONGEST_HORIZON), int(machine.nu)
         if goal is None and reference is None:
             raise PlannerError("goal is None and there is no reference, expected one of the two.")
         space = mechanism.space
@@ -235,7 +235,7 @@ def mechanism_and_step(machine: Any, dt: float | None) -> tuple[Mechanism, float
     dt = getattr(machine, "dt", None) if dt is None else dt
     if dt is None:
         raise PlannerError("dt is None, expected the length of a stage in s, since a Mechanism has none.")
-    return mechanism, number("dt", dt, above=0.0)
+    return mechanism, number("dt", dt, greater_than=0.0)
 
 
 def _space(value: Any) -> StateSpace:

@@ -51,7 +51,7 @@ def _one(name: str, value: Any) -> float:
     if value == SOFT or (isinstance(value, float) and value == np.inf):
         return float("inf")
     try:
-        return number(name, value, above=0.0)
+        return number(name, value, greater_than=0.0)
     except PlannerError:
         raise PlannerError(
             f"{name} is {short_repr(value)}, expected a number above 0, 'soft' for a goal that is not judged, or a table "

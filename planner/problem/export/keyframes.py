@@ -17,7 +17,7 @@ from planner.base.files import PathLike, write_atomically
 from planner.model.mjcf.survey import compile_model
 from planner.problem.export.sampled import Motion, sampled
 
-MOST = 10_000  # MuJoCo lists them all
+MAX_KEYFRAMES = 10_000  # MuJoCo lists them all
 
 
 def write_keyframes(plan: Motion, path: PathLike, rate: float | None = None) -> Path:
@@ -35,8 +35,8 @@ def write_keyframes(plan: Motion, path: PathLike, rate: float | None = None) -> 
     if plan.twin is None:
         raise PlannerError("keyframes need the states of a MuJoCo model, but the plan has none; write a CSV.")
     samples = sampled(plan, rate)
-    if len(samples.t) > MOST:
-        raise PlannerError(f"the plan makes {len(samples.t)} keyframes, expected at most {MOST}: lower the rate.")
+    if len(samples.t) > MAX_KEYFRAMES:
+        raise PlannerError(f"the plan makes {len(samples.t)} keyframes, expected at most {MAX_KEYFRAMES}: lower the rate.")
     model: Any = compile_model(plan.twin.mjcf, plan.twin.assets)
     qpos, qvel, act = np.split(plan.twin.sim_of(samples.xs), [model.nq, model.nq + model.nv], axis=1)
     rows = {"qpos": qpos, "qvel": qvel, "act": act}

@@ -61,7 +61,7 @@ def sampled(plan: Motion, rate: float | None = None) -> Samples:
     if rate is None:
         stages = np.minimum(np.arange(N + 1), N - 1)
         return Samples(plan.t.copy(), plan.xs.copy(), plan.us[stages], stages)
-    rate = number("rate", rate, above=0.0)
+    rate = number("rate", rate, greater_than=0.0)
     periods = float(plan.t[-1]) * rate
     if not periods < LONGEST_HORIZON:
         raise PlannerError(

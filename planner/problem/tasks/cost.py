@@ -24,7 +24,7 @@ from planner.problem.costs.terms import SumCost
 from planner.problem.costs.tracking import TrackingCost
 from planner.problem.costs.wanted import GoalSpec
 from planner.problem.default_weights import VELOCITY
-from planner.problem.goals import LEAST
+from planner.problem.goals import MIN_TOLERANCES
 from planner.problem.tasks.follow import Follow
 from planner.problem.tasks.timetable import Task, TimedGoal, unit_of
 
@@ -45,7 +45,7 @@ def task_cost(
     """
     mechanism, N = task.mechanism, task.N
     weights = dict(weights)
-    factor = number("weights.goal", weights.pop("goal", WEIGHT), above=0.0)
+    factor = number("weights.goal", weights.pop("goal", WEIGHT), greater_than=0.0)
     if not task.rests:
         weights["final_velocity"] = 0.0
     still = reference.copy()
@@ -60,7 +60,7 @@ def task_cost(
         if not (one.goal.through or one.last):
             for dof in _carrying(mechanism, one):
                 i = mechanism.nv + dof
-                Q[one.stage, i, i] += VELOCITY / LEAST[f"{unit_of(mechanism, dof)}/s"] ** 2
+                Q[one.stage, i, i] += VELOCITY / MIN_TOLERANCES[f"{unit_of(mechanism, dof)}/s"] ** 2
         if one.goal.frame is not None:
             terms.append(_of_frame(task, one, factor))
     for path in task.follows:

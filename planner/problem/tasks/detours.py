@@ -21,7 +21,7 @@ def with_via_poses(poses: Poses, free: CollisionChecker, seed: int = 0) -> Poses
     stages, found, stops = [int(poses.stages[0])], [poses.q[0]], [bool(poses.at_rest[0])]
     for k in range(1, len(poses.q)):
         a, b = int(poses.stages[k - 1]), int(poses.stages[k])
-        way = free.way(poses.q[k - 1], poses.q[k], seed) if b - a > PARTS else None
+        way = free.find_path(poses.q[k - 1], poses.q[k], seed) if b - a > PARTS else None
         straight = None if way is None else way[0] + np.linspace(0.0, 1.0, len(way))[:, None] * (way[-1] - way[0])
         if way is not None and np.abs(way - straight).max() > 1e-9:
             part = np.arange(1, PARTS) / PARTS

@@ -50,7 +50,7 @@ class Follow:
         ):
             raise PlannerError(f"joints of follow is {short_repr(self.joints)}, expected a list of names of joints.")
         if self.tolerance is not None:
-            number("tolerance of follow", self.tolerance, above=0.0)
+            number("tolerance of follow", self.tolerance, greater_than=0.0)
         given = numbers("points of follow", self.points)
         n = self.width
         if given.ndim != 2 or len(given) < 2 or given.shape[1] not in (n, n + 1):

@@ -71,7 +71,7 @@ class Goal:
         if not isinstance(self.through, bool):
             raise PlannerError(f"through of a goal is {short_repr(self.through)}, expected true or false.")
         if self.time is not None:
-            number("time of a goal", self.time, above=0.0)
+            number("time of a goal", self.time, greater_than=0.0)
         if self.position is not None:
             array("position of a goal", self.position, (3,))
         _ = self.quaternion, self.direction, self.tolerances({})
@@ -115,8 +115,8 @@ class Goal:
             return dict(usual)
         if isinstance(given, Mapping):
             own = {choice("a tolerance of a goal", name, PARTS): value for name, value in given.items()}
-            return {**usual, **{name: number(f"the {name} tolerance", value, above=0.0) for name, value in own.items()}}
-        return {**usual, **dict.fromkeys(PARTS[:3], number("tolerance of a goal", given, above=0.0))}
+            return {**usual, **{name: number(f"the {name} tolerance", value, greater_than=0.0) for name, value in own.items()}}
+        return {**usual, **dict.fromkeys(PARTS[:3], number("tolerance of a goal", given, greater_than=0.0))}
 
     def to_dict(self) -> dict[str, Any]:
         """As JSON values; what is at its default is left out."""

@@ -16,7 +16,7 @@ from planner.problem.constraints.of_terms import ResidualFunction
 from planner.problem.constraints.rows import StackEntry, ConstraintStack
 from planner.problem.costs.penalty_terms import Velocity
 
-NEAR = 1e-3  # m or rad that a pose may break a constraint by, beside its tolerance: the search ends there
+POSE_TOLERANCE = 1e-3  # m or rad that a pose may break a constraint by, beside its tolerance: the search ends there
 ResidualAndJacobian = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
 
 
@@ -61,7 +61,7 @@ class PoseConstraints:
 
     def _bounds(self, part: StackEntry, stage: int) -> np.ndarray:
         """(2, R) in the constraint's unit."""
-        side = self._rows.least, self._rows.most
+        side = self._rows.specified_lower, self._rows.specified_upper
         return np.stack([one[stage, part.columns] / self._rows.scale[part.columns] for one in side])
 
     def _missing(self, part: StackEntry, stage: int, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -70,5 +70,5 @@ class PoseConstraints:
         value = part.measure.values(x[None], np.zeros((1, 0)), n)[0]
         r = np.maximum(value - high, 0.0) - np.maximum(low - value, 0.0)
         J = part.measure.derivatives(x[None], np.zeros((1, 0)), n)[0][0][:, : self._mechanism.nv]
-        scale = NEAR + part.constraint.allowed()
+        scale = POSE_TOLERANCE + part.constraint.allowed()
         return r / scale, np.where(r[:, None] != 0.0, J, 0.0) / scale

@@ -13,7 +13,7 @@ from planner.problem.constraints.constraint import Constraint
 from planner.problem.tasks.follow import Follow
 from planner.problem.tasks.timetable import Task, TimedGoal
 
-MOST = 64  # straight pieces of a path
+MAX_SEGMENTS = 64  # straight pieces of a path
 
 
 def with_marks(appearance: Appearance, task: Task | None, constraints: Sequence[Constraint] = ()) -> Appearance:
@@ -47,8 +47,8 @@ def _mark(one: TimedGoal, number: str) -> GoalMark:
 def _line(path: Follow, duration: float) -> np.ndarray:
     """(K, 3) the corners of a path; of many, points at equal times."""
     t = path.times(duration)
-    if len(t) > MOST + 1:
-        t = np.linspace(t[0], t[-1], MOST + 1)
+    if len(t) > MAX_SEGMENTS + 1:
+        t = np.linspace(t[0], t[-1], MAX_SEGMENTS + 1)
     return path.at(t, duration)
 
 

@@ -19,7 +19,7 @@ from planner.problem.tasks.follow import Follow
 from planner.problem.tasks.keeping import PoseConstraints, ResidualAndJacobian
 from planner.problem.tasks.timetable import Task, TimedGoal, unit_of
 
-MOST = 60  # configurations along a path: between them joints move on a spline
+MAX_CONFIGURATIONS = 60  # configurations along a path: between them joints move on a spline
 ALONG = 2  # starts of the search on a path that a constraint holds off: the pose before is near
 
 
@@ -108,7 +108,7 @@ def _stages(task: Task) -> list[int]:
     stages = {one.stage for one in task.goals}
     for path in task.follows:
         first, last = task.span(path)
-        stages |= set(np.linspace(first, last, min(last - first, MOST) + 1).round().astype(int).tolist())
+        stages |= set(np.linspace(first, last, min(last - first, MAX_CONFIGURATIONS) + 1).round().astype(int).tolist())
     return sorted(stages - {0})
 
 
@@ -154,7 +154,7 @@ def _pose(
     if mechanism.loops or mechanism.polynomial_couplings:
         x = np.concatenate([q, np.zeros(mechanism.space.nx - len(q))])
         q = assembled(mechanism, x, asked.joints)[: len(q)]
-    short = None if search.free is None else search.free.short
+    short = None if search.free is None else search.free.clearance_violation
     missing = None if search.kept is None else search.kept.at(stage)
     if not asked.targets:
         if search.check and missing is not None:

@@ -10,12 +10,12 @@ import numpy as np
 from planner.base.arguments import choice, number
 from planner.base.errors import PlannerError
 from planner.model.mechanism import SCREW, Mechanism
-from planner.problem.goals import LEAST
+from planner.problem.goals import MIN_TOLERANCES
 from planner.problem.tasks.follow import Follow
 from planner.problem.tasks.goal import PARTS, Goal
 
-USUAL = {"position": LEAST["m"], "orientation": LEAST["rad"], "pointing": LEAST["rad"], "velocity": LEAST["m/s"]}
-PATH = {"m": 2.0 * LEAST["m"], "rad": 2.0 * LEAST["rad"]}  # the usual tolerance of a path
+USUAL = {"position": MIN_TOLERANCES["m"], "orientation": MIN_TOLERANCES["rad"], "pointing": MIN_TOLERANCES["rad"], "velocity": MIN_TOLERANCES["m/s"]}
+PATH = {"m": 2.0 * MIN_TOLERANCES["m"], "rad": 2.0 * MIN_TOLERANCES["rad"]}  # the usual tolerance of a path
 
 
 @dataclass(frozen=True)

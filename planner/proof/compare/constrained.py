@@ -21,7 +21,7 @@ from planner.model.mechanism import Mechanism
 from planner.model.mjcf.loops import joined, joins
 from planner.model.space import cross
 
-_WEAK = 1e-9  # of the largest eigenvalue of J W J': redundant equations
+_RANK_TOLERANCE = 1e-9  # of the largest eigenvalue of J W J': redundant equations
 _APART = 1e-3  # of the largest singular value of J: of equations that a step back heeds
 
 
@@ -40,7 +40,7 @@ def constrained_acceleration(model: Any, data: Any, mechanism: Mechanism) -> np.
     J, drift, phi = _rows(model, data, mechanism.polynomial_couplings)
     lacks = drift + 2.0 * BAUMGARTE_RATE * (J @ data.qvel) + BAUMGARTE_RATE**2 * phi
     values, vectors = np.linalg.eigh(J @ W @ J.T)
-    keep = values > _WEAK * values.max()
+    keep = values > _RANK_TOLERANCE * values.max()
     forces = -vectors[:, keep] @ ((vectors[:, keep].T @ (lacks + J @ free)) / values[keep])
     return free + W @ J.T @ forces
 

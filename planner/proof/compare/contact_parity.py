@@ -44,11 +44,11 @@ BOUND = 1.0  # %
 INERTIA_BOUND = 5.0  # %: laws are read from impedances up to 1e-3, where it is 0.1 % of A over MuJoCo's estimate of A
 STATES = 3  # of each contact
 POINTS = 2  # of a shape that touches by points of its own
-_NEAR = 4  # states near the start and as many all over the space, from which contacts are pressed
+_STATES_NEAR_START = 4  # states near the start and as many all over the space, from which contacts are pressed
 _CLOSING = 0.5  # of the spring's force: the damper's
 _FAST, _SLOW = 3.0, 1e-3  # of the speed at which friction slips
 _STUCK = 0.05  # of a velocity that is asked for: what cannot move so has no such coefficient
-_SAME = 1e-9  # m
+_POSITION_TOLERANCE = 1e-9  # m
 _NOTHING = 1e-6  # of what would matter: a coefficient below it is none
 _REST = 1e-2  # rad or m: how deep stops are pressed, unless their ramps ask for more
 
@@ -124,10 +124,10 @@ def _measured(found: list[Coefficient], seed: int, unreached: list[str] | None =
 
 def _starts(problem: Problem, mechanism: Mechanism, seed: int) -> tuple[np.ndarray, np.ndarray]:
     """States (K, nx) from which contacts are pressed: the start and some near it, and some all over the space."""
-    rng, change = np.random.default_rng(seed), np.zeros((_NEAR, mechanism.space.ndx))
-    change[1:, : mechanism.nv] = 0.1 * rng.normal(size=(_NEAR - 1, mechanism.nv))
-    near = mechanism.space.integrate(np.tile(problem.x0, (_NEAR, 1)), change)
-    return near, random_states(mechanism, rng, _NEAR)
+    rng, change = np.random.default_rng(seed), np.zeros((_STATES_NEAR_START, mechanism.space.ndx))
+    change[1:, : mechanism.nv] = 0.1 * rng.normal(size=(_STATES_NEAR_START - 1, mechanism.nv))
+    near = mechanism.space.integrate(np.tile(problem.x0, (_STATES_NEAR_START, 1)), change)
+    return near, random_states(mechanism, rng, _STATES_NEAR_START)
 
 
 class _Bench:
@@ -200,7 +200,7 @@ class _Bench:
         numbers = (pair.condim, *pair.friction, *pair.solref, *pair.solreffriction, *pair.solimp, pair.margin)
         self._points[shape, shapes.other, numbers] += 1
         off = np.abs(survey.geoms[shapes.own][:3, 3] - contact.centre).max()
-        there = off <= _SAME and abs(model.geom_size[shapes.own, 0] - contact.radius) <= _SAME
+        there = off <= _POSITION_TOLERANCE and abs(model.geom_size[shapes.own, 0] - contact.radius) <= _POSITION_TOLERANCE
         return bool(there) and self._points[shape, shapes.other, numbers] > POINTS
 
     def _middle(self, contact: AnyContact, shapes: ContactGeoms) -> np.ndarray | None:

@@ -16,7 +16,7 @@ from planner.model.mechanism import Mechanism
 
 _ROUNDING = 1e-12  # relative, of numbers that went through a compiler
 _OF_TENDONS = ("dofs", "coefficients", "stiffness", "rest", "damping")
-_MOST = 4  # differences named; further ones are counted
+_MAX_NAMED = 4  # differences named; further ones are counted
 
 
 def differences(ours: Mechanism, theirs: Mechanism) -> str:
@@ -25,8 +25,8 @@ def differences(ours: Mechanism, theirs: Mechanism) -> str:
     The other model has as many joints and actuators.
     """
     found = list(_all(ours, theirs))
-    more = [f"{len(found) - _MOST} more"] if len(found) > _MOST else []
-    return "; ".join([*found[:_MOST], *more])
+    more = [f"{len(found) - _MAX_NAMED} more"] if len(found) > _MAX_NAMED else []
+    return "; ".join([*found[:_MAX_NAMED], *more])
 
 
 def joint_of(mechanism: Mechanism, dof: int) -> str:

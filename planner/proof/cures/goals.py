@@ -13,7 +13,7 @@ from planner.problem.tasks.cost import WEIGHT
 from planner.proof.cures.cure import FILE, Cure, cure, rounded_up
 from planner.proof.verdict import Proof
 
-AIM = 0.5  # of what passes
+TARGET_SHARE = 0.5  # of what passes
 LEAST, MOST = 3.0, 1e6  # times a weight
 _WEIGHTS = ("final_position", "final_velocity")
 
@@ -39,7 +39,7 @@ def larger_weights(plan: Plan, problem: Problem, proof: Proof | None) -> list[Cu
         if goal.alone or (goal.name, goal.unit) not in coordinates or not np.isfinite(goal.tolerance):
             continue
         ends = (plan.xs[-1:], proof.replay.xs[-1:]) if followed else (plan.xs[-1:],)
-        miss = max(float(goal.missed(x)[0]) for x in ends)
+        miss = max(float(goal.error(x)[0]) for x in ends)
         if miss > goal.tolerance:
             key = _WEIGHTS[goal.unit.endswith("/s")]
             times[key][coordinates.index((goal.name, goal.unit))] = _raised(problem, goal, miss)
@@ -57,12 +57,12 @@ def _of_task(plan: Plan, problem: Problem) -> list[Cure]:
     own = float(problem.parameters["weights"].get("goal", WEIGHT))
     miss = over[worst.name] * worst.tolerance
     why = f"the plan is {miss:.3g} {worst.unit} from {worst.name}, and {worst.tolerance:.3g} pass"
-    return [cure(problem, "weights.goal", rounded_up(own * float(np.clip(over[worst.name] / AIM, LEAST, MOST))), why)]
+    return [cure(problem, "weights.goal", rounded_up(own * float(np.clip(over[worst.name] / TARGET_SHARE, LEAST, MOST))), why)]
 
 
 def _raised(problem: Problem, goal: GoalCheck, miss: float) -> tuple[float, str]:
     """Times that a weight must be as large, and why."""
-    aim, way = AIM * goal.tolerance, float(goal.missed(problem.x0[None])[0])
+    aim, way = TARGET_SHARE * goal.tolerance, float(goal.error(problem.x0[None])[0])
     raised = miss / aim
     if miss < way:
         raised = miss / (way - miss) * (way - aim) / aim

@@ -21,7 +21,7 @@ from planner.proof.verdict import Proof
 from planner.proof.your_file import OPEN_LOOP_MISSES
 
 SAFE = 0.5  # of what passes: the error that is aimed at
-MOST = 16  # times shorter: beyond, something else is wrong
+MAX_DIVISION = 16  # times shorter: beyond, something else is wrong
 LIVELY = 1.0  # of the fastest oscillation's rad/s times the stage: gains for a held control then act within its swing
 _SHORT = 1e-4  # of a stage
 _SLACK = 1.001  # a stage that is a tenth of a percent too long is not too long
@@ -46,8 +46,8 @@ def shorter_stage(plan: Plan, problem: Problem, proof: Proof | None) -> list[Cur
         return [cure(problem, "integrator", "rk4", why)]
     order = _order(proof, integrator)
     worst = max(one for one in (share, predicted, _cost_share(proof)) if math.isfinite(one) or one == predicted)
-    parts = (worst / SAFE) ** (1.0 / order) if math.isfinite(worst) else float(MOST)
-    value = rounded_step(problem.duration, dt / min(max(parts, 2.0), MOST))
+    parts = (worst / SAFE) ** (1.0 / order) if math.isfinite(worst) else float(MAX_DIVISION)
+    value = rounded_step(problem.duration, dt / min(max(parts, 2.0), MAX_DIVISION))
     why = (
         f"at {dt:.4g} s plan and MuJoCo part by {_of(worst)} what passes, an error that falls with the power "
         f"{order:.2g} of the stage"
@@ -64,7 +64,7 @@ def calmer_gains(plan: Plan, problem: Problem, proof: Proof | None) -> list[Cure
     dt = problem.dynamics.dt
     if missed != 0.0 or not LIVELY < swing * dt < math.inf:
         return []
-    value = rounded_step(problem.duration, max(LIVELY / swing, dt / MOST))
+    value = rounded_step(problem.duration, max(LIVELY / swing, dt / MAX_DIVISION))
     why = (
         "in your file the machine arrives without the plan's gains and not with them: they are made for controls that "
         f"are held for {dt:.4g} s, in which the machine swings through {swing * dt:.2g} rad"

@@ -16,9 +16,9 @@ from planner.proof.cures.cure import Cure, cure, rounded_up
 from planner.proof.cures.smooth import machine_of, smooth_motion
 from planner.proof.verdict import Proof
 
-FAR = 1.0  # times the longest way of a joint: as far beyond start and goal, a plan swings
+MAX_EXCURSION = 1.0  # times the longest way of a joint: as far beyond start and goal, a plan swings
 STRAIGHT = 10.0  # times the effort of the smooth motion: what its velocities are to cost
-AIM = 0.25  # of what passes: the miss that final weights leave
+TARGET_SHARE = 0.25  # of what passes: the miss that final weights leave
 
 
 def penalize_velocity(plan: Plan, problem: Problem, proof: Proof | None) -> list[Cure]:
@@ -31,7 +31,7 @@ def penalize_velocity(plan: Plan, problem: Problem, proof: Proof | None) -> list
     worst, way = int(np.argmax(beyond)), float(np.abs(ends[1] - ends[0]).max())
     low, high = machine.joint_range[:, 0], machine.joint_range[:, 1]
     outside = bool(np.any((q < low) | (q > high)))
-    if beyond[worst] <= FAR * way or (plan.success and not outside):
+    if beyond[worst] <= MAX_EXCURSION * way or (plan.success and not outside):
         return []
     name = machine.joint_names[worst] or f"joint {worst}"
     return straightened(problem, f"{name} swings {beyond[worst]:.3g} beyond both start and goal")
@@ -59,5 +59,5 @@ def straightened(problem: Problem, why: str) -> list[Cure]:
         passing = [one.tolerance for one in goals_of(problem) if one.unit.endswith("/s") == key.endswith("velocity")]
         least = min(passing, default=np.inf)
         if np.isfinite(least) and np.ptp(now) == 0.0:  # a miss of `least` is to cost as much as the way changes
-            value[key] = max(rounded_up(2.0 * running / (scale * AIM * least)), float(now[0]))
+            value[key] = max(rounded_up(2.0 * running / (scale * TARGET_SHARE * least)), float(now[0]))
     return [cure(problem, "weights", value, f"{why}, since only effort costs something on the way")]

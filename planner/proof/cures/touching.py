@@ -24,7 +24,7 @@ from planner.proof.your_file import PENETRATION_TOLERANCE, as_given
 CLEAR = 5e-3  # m between shapes that are moved apart (of a machine of 1 m or more)
 _STEPS = 30  # to move them apart
 _LONGEST = 0.1  # rad or m, of a step
-_FAR = 0.5  # rad or m: a goal that must move so far is another goal
+_MAX_GOAL_SHIFT = 0.5  # rad or m: a goal that must move so far is another goal
 _ALONG = 40  # poses on the straight way
 _SLIGHT = 1e-5  # rad or m, of differences
 
@@ -159,7 +159,7 @@ class _Shapes:
             distances = np.array([self._distance(q, pair) for pair in pairs])
             short = clear - distances
             if np.all(short <= 0.1 * clear):
-                return q if not self.depths(q) and np.abs(q - goal).max() < _FAR else None
+                return q if not self.depths(q) and np.abs(q - goal).max() < _MAX_GOAL_SHIFT else None
             rows = np.zeros((len(pairs), self.model.nv))
             for i in self._driven.tolist():
                 rows[:, i] = [

@@ -16,7 +16,7 @@ from planner.problem.plan import Plan
 PARTS = 4  # places of a stage at which the motion is compared
 RELATIVE, ABSOLUTE = 1e-10, 1e-12  # tolerances of the integrator
 RUNAWAY = 1e10  # beyond it there is no motion, as for MuJoCo
-_MOST = 500  # evaluations per stage, on the average; a stage of a hundredth of a second takes about twenty
+_MAX_EVALUATIONS = 500  # evaluations per stage, on the average; a stage of a hundredth of a second takes about twenty
 
 Rates = Callable[[np.ndarray, np.ndarray], np.ndarray]
 """(qvel, qacc, d act/dt), (2 nv + na,), at one state x (nx,) with the controls u (nu,)."""
@@ -44,7 +44,7 @@ def motion(plan: Plan, mechanism: Mechanism, x0: np.ndarray, rates: Rates, feedb
     def rate(t: float, x: np.ndarray, n: int) -> np.ndarray:
         nonlocal evaluations
         evaluations += 1
-        if evaluations > _MOST * plan.N or not np.all(np.abs(x) < RUNAWAY):
+        if evaluations > _MAX_EVALUATIONS * plan.N or not np.all(np.abs(x) < RUNAWAY):
             raise _RanAway
         x, u = normalised(mechanism, x), plan.us[n]
         if feedback:

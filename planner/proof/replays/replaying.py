@@ -166,7 +166,7 @@ def replay_in(
     sampling = sampling if feedback else None
     parts = 1 if sampling is None else sampling.in_stages(dt).denominator  # of a stage, at whose ends instants fall
     if substeps is None:
-        step = number("the model's timestep", compiled.model.opt.timestep, above=0.0)
+        step = number("the model's timestep", compiled.model.opt.timestep, greater_than=0.0)
         own = 1 if damping is not None else int(getattr(problem.dynamics, "substeps", 1))
         least = max(REFINEMENT, SUBSTEP_REFINEMENT * own)
         substeps = max(least, math.ceil(min(dt / step, 1e12) - 1e-9))

@@ -47,8 +47,8 @@ class Sampling:
     encoders: bool = False
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "period", number("Sampling: period", self.period, above=0.0))
-        object.__setattr__(self, "delay", count("Sampling: delay", self.delay, least=0))
+        object.__setattr__(self, "period", number("Sampling: period", self.period, greater_than=0.0))
+        object.__setattr__(self, "delay", count("Sampling: delay", self.delay, minimum=0))
 
     @property
     def rate(self) -> float:

@@ -103,7 +103,7 @@ class MonteCarlo:
         if self.rule.follows is not None:
             return self._store.arrays.get(f"{part} {mode} won", np.empty(0, dtype=bool))
         ends = self._store.arrays.get(f"{part} {mode} end")
-        return np.empty(0, dtype=bool) if ends is None else self.rule.won(ends)
+        return np.empty(0, dtype=bool) if ends is None else self.rule.succeeded(ends)
 
     def _extend(self, part: str, mode: str, wanted: int, draw_one: Callable[[int], PerturbationSample], to_come: int) -> None:
         """Run the rollouts of a part that the store does not have, in batches; at most `to_come` are left after it."""

@@ -25,7 +25,7 @@ def replay_rollout(
     The replay keeps the compiled model, with the errors in its motion alone. The perturbation is by default
     Perturbation.usual(plan.problem).
     """
-    k, seed = count("k", k, least=0), count("seed", seed, least=0)
+    k, seed = count("k", k, minimum=0), count("seed", seed, minimum=0)
     mujoco = load_mujoco()
     with Rollouts(plan, compiled, threads=1) as rollouts:
         errors = draw(perturbation or Perturbation.usual(plan.problem), seed, k, rollouts.nominal.sizes)

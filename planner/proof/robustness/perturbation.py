@@ -74,7 +74,7 @@ class Perturbation:
     def __post_init__(self) -> None:
         for one in fields(self):
             most = 0.99 if one.name in _FACTORS else _LARGEST[one.name]
-            value = number(f"Perturbation: {one.name}", getattr(self, one.name), least=0.0, most=most)
+            value = number(f"Perturbation: {one.name}", getattr(self, one.name), minimum=0.0, maximum=most)
             object.__setattr__(self, one.name, value)
 
     @classmethod

@@ -137,7 +137,7 @@ class MonteCarloSettings:
 
     def __post_init__(self) -> None:
         count("rollouts", self.rollouts)
-        count("seed", self.seed, least=0)
+        count("seed", self.seed, minimum=0)
 
 
 def perturbed(
@@ -155,7 +155,7 @@ def perturbed(
     """
     trials = trials or MonteCarloSettings()
     perturbation = trials.perturbation or Perturbation.usual(plan.problem)
-    deadline = math.inf if budget is None else time.monotonic() + number("budget", budget, above=0.0)
+    deadline = math.inf if budget is None else time.monotonic() + number("budget", budget, greater_than=0.0)
     notes = []
     with Rollouts(plan, compiled, threads) as simulator:
         if perturbation.friction and simulator.nominal.ignores_friction:

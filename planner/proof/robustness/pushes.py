@@ -40,8 +40,8 @@ class Push:
     def __post_init__(self) -> None:
         force = np.array([self.force, 0.0, 0.0]) if np.ndim(self.force) == 0 else self.force
         object.__setattr__(self, "force", array("the force of a push", force, (3,)))
-        object.__setattr__(self, "time", number("the time of a push", self.time, least=0.0))
-        object.__setattr__(self, "duration", number("the duration of a push", self.duration, above=0.0))
+        object.__setattr__(self, "time", number("the time of a push", self.time, minimum=0.0))
+        object.__setattr__(self, "duration", number("the duration of a push", self.duration, greater_than=0.0))
 
     @classmethod
     def parse(cls, text: str) -> Push:

@@ -71,7 +71,7 @@ class Rollouts:
         self.plan, self.twin, self.compiled = plan, twin, compiled
         self.control_steps = max(1, round(self._problem.dynamics.dt * CONTROL_RATE))  # per stage
         self.control_step = self._problem.dynamics.dt / self.control_steps  # s
-        own = number("the model's timestep", model.opt.timestep, above=0.0)
+        own = number("the model's timestep", model.opt.timestep, greater_than=0.0)
         finest = max(1, math.ceil(min(self.control_step / own, 1e12) - 1e-9))
         # Simulator steps per control step. Only contacts, and parts that the plan does not know of, ask for the model's
         # own step.

@@ -34,17 +34,17 @@ def with_stated_errors(
     Raises:
         PlannerError: A body that the model does not have, a mass that is not above zero.
     """
-    friction = number("friction", friction, least=0.0, most=1e3)
-    change = number("contact_friction", contact_friction, above=-1.0, most=1e3)
+    friction = number("friction", friction, minimum=0.0, maximum=1e3)
+    change = number("contact_friction", contact_friction, greater_than=-1.0, maximum=1e3)
     factors = np.ones(model.nbody)
     if isinstance(mass, Mapping):
         known = bodies_of(model)
         for body, error in mass.items():
             if body not in known:
                 raise PlannerError(f"mass names the body {body!r}, expected one of: {', '.join(known)}.")
-            factors[model.body(body).id] += number(f"the mass error of {body}", error, above=-1.0, most=1e3)
+            factors[model.body(body).id] += number(f"the mass error of {body}", error, greater_than=-1.0, maximum=1e3)
     else:
-        factors += number("mass", mass, above=-1.0, most=1e3)
+        factors += number("mass", mass, greater_than=-1.0, maximum=1e3)
     if np.all(factors == 1.0) and not friction and not change:
         return model
     one = np.ones(model.nv)

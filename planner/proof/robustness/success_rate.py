@@ -45,7 +45,7 @@ class SuccessRate:
         return low, 1.0 if self.successes == n else middle + half
 
     @property
-    def settled(self) -> bool:
+    def is_decided(self) -> bool:
         """Whether more rollouts are of no use: the interval is tight, or all of it is below ROBUST."""
         low, high = self.interval
         return 0.5 * (high - low) <= TIGHT or high < ROBUST
@@ -55,7 +55,7 @@ class SuccessRate:
         """The word "robust" for a lower end of at least ROBUST; else "fragile" where settled; else "counting"."""
         if self.interval[0] >= ROBUST:
             return "robust"
-        return "fragile" if self.settled else "counting"
+        return "fragile" if self.is_decided else "counting"
 
     def to_dict(self) -> dict[str, float | int]:
         """As JSON values."""
@@ -80,7 +80,7 @@ def enough(won: np.ndarray, most: int) -> int:
 def _looks(won: np.ndarray, most: int) -> Iterator[tuple[int, bool]]:
     """Each look up to the first that is settled or not there yet, and whether it is settled."""
     for look in (*(look for look in LOOKS if look < most), most):
-        settled = len(won) >= look and SuccessRate(int(won[:look].sum()), look).settled
+        settled = len(won) >= look and SuccessRate(int(won[:look].sum()), look).is_decided
         if settled or len(won) < look:
             yield look, settled
             return

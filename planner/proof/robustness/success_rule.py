@@ -22,7 +22,7 @@ from planner.proof.scales import ranges_of_motion
 
 GOAL_TOLERANCES = 5.0  # by which a perturbed machine may miss a goal
 OF_RANGE = 0.1  # of a coordinate's range of motion, where there is no goal
-_LEAST = 0.1  # rad, m, rad/s, m/s: the least range, of a machine that hardly moves
+_MIN_RANGE = 0.1  # rad, m, rad/s, m/s: the least range, of a machine that hardly moves
 
 
 @dataclass(frozen=True)
@@ -35,7 +35,7 @@ class SuccessRule:
     follows: Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray] | None = None
     most: float = math.nan  # Largest of end_errors() that succeeds; NaN where something else decides
 
-    def won(self, ends: np.ndarray) -> np.ndarray:
+    def succeeded(self, ends: np.ndarray) -> np.ndarray:
         """(K,) successes of end states (K, nx); none that has exploded is one."""
         sound, won = np.isfinite(ends).all(axis=1), np.zeros(len(ends), dtype=bool)
         if sound.any():
@@ -85,7 +85,7 @@ def within_goals(goals: Sequence[GoalCheck]) -> SuccessRule:
     def succeeds(ends: np.ndarray) -> np.ndarray:
         won = np.ones(len(ends), dtype=bool)
         for goal in goals:
-            won &= goal.missed(ends) <= GOAL_TOLERANCES * goal.tolerance
+            won &= goal.error(ends) <= GOAL_TOLERANCES * goal.tolerance
         return won
 
     return SuccessRule(f"ends within {GOAL_TOLERANCES:g} tolerances of every goal", succeeds)
@@ -97,7 +97,7 @@ def end_errors(plan: Plan, ends: np.ndarray) -> np.ndarray:
     Infinite for a simulation that exploded.
     """
     sound, errors = np.isfinite(ends).all(axis=1), np.full(len(ends), np.inf)
-    ranges = np.maximum(ranges_of_motion(plan), _LEAST)
+    ranges = np.maximum(ranges_of_motion(plan), _MIN_RANGE)
     away = np.abs(plan.space.difference(ends[sound], plan.xs[-1])) / ranges
     errors[sound] = away.max(axis=1, initial=0.0)
     return errors

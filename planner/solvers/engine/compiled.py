@@ -202,10 +202,10 @@ class CompiledEngine(Engine):
                 gradient_norm = norm  # the next ones have other hinges
             changes, more_cost, more_slope = update_active_set(w.table, dt, False)
             if changes == 0:
-                self._settling.found()
+                self._settling.record_convergence()
                 slope = bounded_direction(w.table, dt) if bounded else value
                 return gradient_norm, slope + more_slope, (value if bounded else 0.5 * value) + more_cost, True
-        self._settling.missed()
+        self._settling.record_cycle()
         return None
 
     def _linearize(self, second: bool) -> None:

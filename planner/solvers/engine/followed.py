@@ -8,7 +8,7 @@ from planner.kernels.lq.following import FOLLOWED, load_tracked, store_tracked
 from planner.kernels.lq.workspace import Workspace
 from planner.kernels.numba.lanes import lane_array
 from planner.model.space import StateSpace
-from planner.solvers.engine.moved import LITTLE, TrajectoryArrays, shift_trajectory
+from planner.solvers.engine.moved import TIME_TOLERANCE, TrajectoryArrays, shift_trajectory
 
 _STAGES = FOLLOWED.stages
 
@@ -41,8 +41,8 @@ class TrackedTrajectory:
 
     def begin(self, w: Workspace, x0: np.ndarray, stages: float) -> None:
         """Write it into the memory of a solve, some stages on and from x0 (nx,), and have its gains followed."""
-        m = int(stages + LITTLE)
-        if stages - m > LITTLE:
+        m = int(stages + TIME_TOLERANCE)
+        if stages - m > TIME_TOLERANCE:
             m = self._between(w, x0, stages)
         else:
             m = min(m, self._N)

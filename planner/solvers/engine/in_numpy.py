@@ -57,7 +57,7 @@ class NumpyEngine(Engine):
         model = self._cost.quadratize(xs, us)
         if self._hinges is None or self._kept is None:
             return model
-        return self._kept.added(self._hinges, model, xs, us, A, B)
+        return self._kept.with_penalties(self._hinges, model, xs, us, A, B)
 
     def _moves(self, xs: np.ndarray, us: np.ndarray) -> StepBounds | None:
         """How far each control may change from us (N, nu) along the states xs (N+1, nx)."""
@@ -214,9 +214,9 @@ class NumpyEngine(Engine):
                 self._A, self._B, self._model, mu, moves, self._added(), pulling, self._held, MOST_SETS
             )
             if sweep is not None:
-                self._settling.found()
+                self._settling.record_convergence()
                 return sweep
-            self._settling.missed()
+            self._settling.record_cycle()
         sweep = lq.riccati(self._A, self._B, self._model, mu, moves, self._added())
         if sweep is not None and sweep.held is not None:
             self._held = sweep.held

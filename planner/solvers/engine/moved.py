@@ -9,7 +9,7 @@ from planner.model.space import StateSpace
 TrajectoryArrays = tuple[np.ndarray, np.ndarray, np.ndarray]  # xs (N+1, nx), us (N, nu), K (N, nu, ndx)
 Motion = tuple[np.ndarray, np.ndarray]  # xs (N+1, nx), us (N, nu)
 
-LITTLE = 1e-6  # of a stage: instants that are nearer are the same
+TIME_TOLERANCE = 1e-6  # of a stage: instants that are nearer are the same
 
 
 def shift_trajectory(to: Motion, motion: Motion, stages: float, space: StateSpace) -> int:
@@ -25,7 +25,7 @@ def shift_trajectory(to: Motion, motion: Motion, stages: float, space: StateSpac
         The whole stages, by which gains move.
     """
     (xs, us), (own_xs, own_us) = to, motion
-    m = int(stages + LITTLE)
+    m = int(stages + TIME_TOLERANCE)
     part, m = stages - m, min(m, len(us))
     if m == 0:
         xs[:], us[:] = own_xs, own_us
@@ -33,6 +33,6 @@ def shift_trajectory(to: Motion, motion: Motion, stages: float, space: StateSpac
         left = len(us) - m
         xs[: left + 1], us[:left] = own_xs[m:], own_us[m:]
         xs[left + 1 :], us[left:] = own_xs[-1], own_us[-1]
-    if part > LITTLE:
+    if part > TIME_TOLERANCE:
         xs[:-1] = space.integrate(xs[:-1], part * space.difference(xs[1:], xs[:-1]))
     return m

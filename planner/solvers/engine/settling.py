@@ -17,10 +17,10 @@ class ActiveSetSchedule:
         self._left -= 1
         return self._left < 0
 
-    def found(self) -> None:
+    def record_convergence(self) -> None:
         """It settled."""
         self._next = 1
 
-    def missed(self) -> None:
+    def record_cycle(self) -> None:
         """It did not."""
         self._left, self._next = self._next, min(2 * self._next, LONGEST)

@@ -91,7 +91,7 @@ class ConstrainedEngine(HybridEngine):
         if others is None or self._hinges is None:
             return
         A, B = self._dynamics_of.nominal_jacobians(w)
-        n, by_z, slope, curvature = others.pull_of_rows(self._hinges, w.xs, w.us, A, B)
+        n, by_z, slope, curvature = others.penalty_derivatives(self._hinges, w.xs, w.us, A, B)
         if not len(n):
             return
         nu, first, ndx = w.us.shape[1], w.first, w.ndx

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 _OUTSIDE = 0.07  # opacity of what is outside
 _DECADES = 30.0  # largest over smallest value, from which a log scale is
 _BELOW = 30.0  # the least bound over the smallest value that a log scale shows
-_ROOM = 0.06
+_PADDING = 0.06
 SHARED, OWN = "_shared bound", "_own bound"  # labels of lines, for a legend below all panels
 _UP, _DOWN = 6, 7  # matplotlib's triangles whose tips are at the point
 
@@ -114,7 +114,7 @@ def _keep_in_view(axes: Axes, panel: BoundedPanel) -> bool:
     low, high = max(lowest, low - reach), min(highest, high + reach)
     if not high > low:
         low, high = low - 1.0, high + 1.0
-    axes.set_ylim(low - _ROOM * (high - low), high + _ROOM * (high - low))
+    axes.set_ylim(low - _PADDING * (high - low), high + _PADDING * (high - low))
     return False
 
 

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 _BAND = "#c6d2de"
 _SPAN = "#ece7dc"
-_MOST = len(HUES)  # curves in one chart that can be told apart
+_MAX_CURVES = len(HUES)  # curves in one chart that can be told apart
 
 
 def draw_charts(picture: Charts) -> Figure:
@@ -28,7 +28,7 @@ def draw_charts(picture: Charts) -> Figure:
             f"there are {len(charts)} charts over {len(t)} times, expected one or more over two or more."
         )
     labels = dict.fromkeys(curve.label for chart in charts for curve in chart.curves if not curve.of)
-    hues = {label: HUES[i % _MOST][1] for i, label in enumerate(labels)}
+    hues = {label: HUES[i % _MAX_CURVES][1] for i, label in enumerate(labels)}
     figure, panels = panels_of(len(charts))
     for chart, axes in zip(charts, panels, strict=True):
         dress(axes, chart.title, chart.ylabel, picture.xlabel)
@@ -37,8 +37,8 @@ def draw_charts(picture: Charts) -> Figure:
         if chart.band is not None:
             _draw_band(axes, t, chart.band, chart.title)
         own_hue = sum(not curve.of for curve in chart.curves)
-        if own_hue > _MOST:
-            raise PlannerError(f"chart {chart.title!r} has {own_hue} curves, expected at most {_MOST}.")
+        if own_hue > _MAX_CURVES:
+            raise PlannerError(f"chart {chart.title!r} has {own_hue} curves, expected at most {_MAX_CURVES}.")
         for curve in chart.curves:
             own = t if curve.t is None else array(f"t of {curve.label!r}", curve.t, ("K",))
             values = array(f"values of {curve.label!r}", curve.values, (len(own),), any_value=True)

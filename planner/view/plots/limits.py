@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 SHADE = 0.13  # opacity, so that curves at their bounds at the same time can both be told
 LABEL = "at its bound"
-FAR = 0.25  # of the way from one bound to the other: what comes no nearer to a bound is far from it
+DISTANT_BOUND_SHARE = 0.25  # of the way from one bound to the other: what comes no nearer to a bound is far from it
 
 
 def limited(plan: Plan) -> bool:
@@ -41,7 +41,7 @@ def sides_of(plan: Plan, index: int, *, held: bool) -> Sides | None:
     values = to_the_end(plan.us[:, index]) if held else plan.xs[:, index]
     width = sides.upper - sides.lower
     far = [
-        np.isfinite(width).all() and np.nanmin(gap) > FAR * np.nanmax(width)
+        np.isfinite(width).all() and np.nanmin(gap) > DISTANT_BOUND_SHARE * np.nanmax(width)
         for gap in (values - sides.lower, sides.upper - values)
     ]
     lower, upper = (

@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 SHARE = "error / bound"
 _DECADES = 6  # below the largest share that are drawn: what is smaller passes in any case
 _HIGHEST = 1e6  # the largest share that is drawn; beyond it a replay has long left the plan
-_MOST = 1500  # points of a curve
+_MAX_POINTS = 1500  # points of a curve
 _TURNING = "angle_error"  # drawn where there are errors of several units
 _GROUND = re.compile(r"(.+)_path_((?:.+_)?error)_(open_loop|feedback)")
 
@@ -56,7 +56,7 @@ def draw_hold(axes: Axes, held: RegulatedRun) -> None:
 
 def _draw_shares(axes: Axes, plan: Plan, t: np.ndarray, errors: np.ndarray, jumps: bool) -> None:
     """Errors (K, ndx) over their bounds by unit; velocities of a machine whose velocities jump are not judged."""
-    every = slice(None, None, max(1, len(t) // _MOST))
+    every = slice(None, None, max(1, len(t) // _MAX_POINTS))
     assert plan.problem is not None  # it was proved
     shares, curves = np.abs(errors[every]) / path_error_bounds(plan), []
     for k, (_, unit, which, names) in enumerate(by_unit(plan.problem)):

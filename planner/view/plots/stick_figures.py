@@ -29,7 +29,7 @@ _EMPTY = 0.08  # of the height, above and below
 
 def draw_stick_figures(picture: StickFigures, views: Sequence[View] = (SIDE, FRONT)) -> Figure:
     """A figure of poses at equal times, a row for each view; PlannerError where points do not fit the sticks."""
-    motions, sticks, poses = picture.motions, picture.sticks, count("poses", len(picture.times), least=2)
+    motions, sticks, poses = picture.motions, picture.sticks, count("poses", len(picture.times), minimum=2)
     shown = [_poses(motion, sticks, poses) for motion in motions]
     if not shown or not sticks or not views:
         raise PlannerError("there is nothing to draw, expected at least one motion, one stick and one view.")

@@ -14,9 +14,9 @@ import numpy as np
 from planner.view.render.looks import drawn, moving
 from planner.view.render.sticks import Sticks
 
-SAME = 0.5  # pixels: two pictures whose machines differ by less are drawn once
+SAME_PICTURE_PIXELS = 0.5  # pixels: two pictures whose machines differ by less are drawn once
 _UNSEEN, _SEEN = 1.0, 4.0  # pixels from which a ghost begins to show, and from which it shows in full
-_LEAST = 2e-3  # of its distance from the camera: how far a ghost in the machine is drawn behind it
+_GHOST_OFFSET = 2e-3  # of its distance from the camera: how far a ghost in the machine is drawn behind it
 _BEHIND, _MOST = 1.5, 0.03  # the same, in parts of what it differs by; and at most, before the two stand apart
 _CORNERS = np.stack(np.meshgrid([-1.0, 1.0], [-1.0, 1.0], [-1.0, 1.0]), axis=-1).reshape(8, 3)
 
@@ -56,4 +56,4 @@ def behind(difference: float, distance: float) -> float:
     It is so far behind that no two surfaces that belong together meet, and hardly where they are wide apart.
     """
     part = max(difference / distance, 1e-12)
-    return max(_LEAST, min(_BEHIND * part, _MOST**2 / (_BEHIND * part)))
+    return max(_GHOST_OFFSET, min(_BEHIND * part, _MOST**2 / (_BEHIND * part)))

@@ -16,7 +16,7 @@ from planner.view.render.sticks import Sticks
 
 _MARGIN, _NARROW_MARGIN = 1.12, 1.02  # the picture's half sizes over the motion's, with words around it and without
 _LOWER = 0.2  # of half the picture's height: how far a motion is put below its middle, where there is room
-ROOM = 0.05  # around what moves, in parts of its largest side
+MARGIN = 0.05  # around what moves, in parts of its largest side
 _ASTRAY = 0.5  # how far a replay that leaves the plan is followed, in largest sides of the plan's box
 
 
@@ -98,7 +98,7 @@ def swept_box(model: Any, path: np.ndarray, scenery: np.ndarray) -> Box:
             low, high = np.minimum(low, points.min(axis=0)), np.maximum(high, points.max(axis=0))
     if not np.isfinite(low).all():  # nothing but a world
         low, high = model.stat.center - model.stat.extent / 2, model.stat.center + model.stat.extent / 2
-    least = ROOM * max(float(np.max(high - low)), 1e-3)
+    least = MARGIN * max(float(np.max(high - low)), 1e-3)
     return Box(low - least, high + least)
 
 

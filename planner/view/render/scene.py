@@ -15,7 +15,7 @@ from PIL import Image
 
 from planner.base import gl
 from planner.problem.appearance import Appearance
-from planner.view.render.apart import SAME, Outline, screen_difference, behind, visibility
+from planner.view.render.apart import SAME_PICTURE_PIXELS, Outline, screen_difference, behind, visibility
 from planner.view.render.camera import directions, scenery_of, whole_motion
 from planner.view.render.film import Film
 from planner.view.render.marks import Marks
@@ -32,7 +32,7 @@ _FLOOR = 2.0  # camera distances: a shape as large as that is a floor
 # Of a film, where the picture is large and where it is small: pixels of the shadow map, and slices and stacks of a ball
 # or capsule. MuJoCo's own 4096, 28 and 16 take as long as all the rest of the picture and look the same.
 _LARGE, _SMALL, _FEW = (1024, 20, 12), (512, 14, 8), 400  # rows
-_ROOM = 0.7  # of the height of a picture beside another is free of words
+_CLEAR_SHARE = 0.7  # of the height of a picture beside another is free of words
 
 
 class Label(NamedTuple):
@@ -165,7 +165,7 @@ class Scene:
 
     def _is_like(self, other: Scene, frame: int) -> bool:
         """Whether the other scene's picture of this frame would do for this one."""
-        least = SAME * self._pixel
+        least = SAME_PICTURE_PIXELS * self._pixel
         feet, arrows = self._arrows(frame)
         other_feet, others = other._arrows(frame)
         return (
@@ -209,7 +209,7 @@ class Scene:
             # look_at stands for the pair; without the ghost the machine alone belongs in the middle.
             aside = 0.0 if self._ghost else 0.5 * np.asarray(appearance.ghost_offset)
             return np.asarray(appearance.look_at) - aside, appearance.distance
-        room = _ROOM if narrow else 1.0
+        room = _CLEAR_SHARE if narrow else 1.0
         films = [self._film, *beside]
         look_at, distance = whole_motion(films, self._model, appearance, aspect, self._ghost, room, words=words)
         extent, planes = self._model.stat.extent, self._model.vis.map

@@ -11,7 +11,7 @@ import numpy as np
 
 from planner.base import gl
 from planner.model.mjcf.survey import compile_model
-from planner.view.render.camera import ROOM, Box, scenery_of, swept_box
+from planner.view.render.camera import MARGIN, Box, scenery_of, swept_box
 from planner.view.render.film import Film
 from planner.view.render.looks import drawn, geom_boxes, moving, paint_links, show_one_shape_for_each_part
 
@@ -116,7 +116,7 @@ def _lay_floor(model: Any, films: Sequence[Film], ours: int) -> None:
 
 def _lowest(box: Box) -> float:
     """The height of the lowest point in a swept box, m, without the room around it."""
-    return float(box.low[2] + ROOM / (1.0 + 2.0 * ROOM) * np.max(box.high - box.low))
+    return float(box.low[2] + MARGIN / (1.0 + 2.0 * MARGIN) * np.max(box.high - box.low))
 
 
 def _lowest_mark(film: Film) -> float:

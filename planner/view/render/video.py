@@ -60,12 +60,12 @@ def render_video(
     """
     _check_suffix(path, ".mp4")
     _check_size(width, height, even=True)
-    number("fps", fps, above=0.0)
+    number("fps", fps, greater_than=0.0)
     replays: dict[Replay, Caption | None] = {shown: None} if isinstance(shown, Replay) else _captioned(shown)
     first = next(iter(replays))
     if speed is None:
         speed = appearance_of(first.plan.problem).speed
-    number("speed", speed, above=0.0)
+    number("speed", speed, greater_than=0.0)
     start, end = float(first.t[0]), float(first.t[-1])
     if not (end - start) * fps / speed < _LONGEST:
         raise PlannerError(
@@ -113,7 +113,7 @@ def render_strip(replay: Replay, path: PathLike, *, poses: int = 8, width: int =
     """
     _check_suffix(path, ".png")
     _check_size(width, height)
-    count("poses", poses, least=2, most=max(2, width // 16))  # 16 pixels each
+    count("poses", poses, minimum=2, maximum=max(2, width // 16))  # 16 pixels each
     film = Film.of(replay, np.linspace(replay.t[0], replay.t[-1], poses))
     gl.require_backend()
     _write_png(carry_out([film], Job("strip", width, height)), path)
@@ -142,7 +142,7 @@ def render_poses(
     """
     _check_suffix(path, ".png")
     _check_size(width, height)
-    count("poses", len(poses), most=max(1, width // 16))
+    count("poses", len(poses), maximum=max(1, width // 16))
     gl.require_backend()
     _write_png(carry_out([Film.of_poses(mechanism, poses)], Job("strip", width, height)), path)
     return Path(path)
@@ -187,5 +187,5 @@ def _check_suffix(path: PathLike, suffix: str) -> None:
 
 def _check_size(width: int, height: int, *, even: bool = False) -> None:
     for name, value in (("width", width), ("height", height)):
-        if count(name, value, least=16, most=_LARGEST) % 2 and even:
+        if count(name, value, minimum=16, maximum=_LARGEST) % 2 and even:
             raise PlannerError(f"{name} is {value!r}, expected an even number of pixels: H.264 films need it.")

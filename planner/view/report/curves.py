@@ -29,7 +29,7 @@ WIDTH, HEIGHT = 470, 230  # of a chart, in its own units
 LEFT, RIGHT, TOP, BOTTOM = 56, 10, 10, 36  # around the curves
 _PIECES = 120  # of time: two samples of a curve are kept in each
 _DIGITS = 5
-_ROOM = 0.06
+_PADDING = 0.06
 _TICKS = 5
 
 
@@ -194,7 +194,7 @@ def _limits(chart: InteractiveChart) -> tuple[float, float]:
     low, high = max(lowest, low - reach), min(highest, high + reach)
     if not high > low:
         low, high = low - 1.0, high + 1.0
-    return low - _ROOM * (high - low), high + _ROOM * (high - low)
+    return low - _PADDING * (high - low), high + _PADDING * (high - low)
 
 
 def _ticks(low: float, high: float) -> list[float]:

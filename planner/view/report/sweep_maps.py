@@ -18,8 +18,8 @@ from planner.sweeps.grid import Grid
 
 MOST_MAPS = 12
 MOST_CELLS = 20_000  # of all maps
-_FAR = 4.0  # times the larger of the changes beside it
-_LEAST = 0.1  # of the range over the map
+_OUTLIER_FACTOR = 4.0  # times the larger of the changes beside it
+_MIN_CHANGE = 0.1  # of the range over the map
 
 
 @dataclass
@@ -99,6 +99,6 @@ def _steps(values: np.ndarray, axis: int) -> Iterable[tuple[int, int]]:
     usual[1:] = change[:-1]
     usual[:-1] = np.fmax(usual[:-1], change[1:])
     with np.errstate(invalid="ignore"):
-        far = (change > _LEAST) & (change > _FAR * usual)
+        far = (change > _MIN_CHANGE) & (change > _OUTLIER_FACTOR * usual)
     marked = np.moveaxis(np.asarray(far.any(axis=-1)), 0, axis)
     return [(int(i), int(j)) for i, j in np.argwhere(marked)]

@@ -24,7 +24,7 @@ from planner.kernels.tree.residuals.table import MOST_ROWS, PLACE_SIZE, POSE, RE
 
 # Offsets in KEPT: the frame's rotation in the world (9), phi (3), f and its derivative by a^2, t (3).
 _R, _PHI, _F, _SLOPE, _T = 0, 9, 12, 13, 14
-_NEAR = 0.04  # rad^2, below it a series: its next term is below rounding
+_SERIES_THRESHOLD = 0.04  # rad^2, below it a series: its next term is below rounding
 
 
 @inline
@@ -64,7 +64,7 @@ def _log(a, b, c):
     s = square
     near = 1.0 / 12.0 + s * (1.0 / 720.0 + s * (1.0 / 30240.0 + s * (1.0 / 1209600.0 + s * (1.0 / 47900160.0))))
     near_slope = 1.0 / 720.0 + s * (1.0 / 15120.0 + s * (1.0 / 403200.0 + s * (1.0 / 11975040.0)))
-    f, slope = select(square, _NEAR, near, f), select(square, _NEAR, near_slope, slope)
+    f, slope = select(square, _SERIES_THRESHOLD, near, f), select(square, _SERIES_THRESHOLD, near_slope, slope)
     return (scale * x, scale * y, scale * z), f, slope
 
 

@@ -39,7 +39,7 @@ from planner.view.plots.projection import frame_points
 CYCLE_TIME = 1.2  # s, of the case's default cadence
 DEGREE = 3  # of the splines: with quintics 32 parameters for 6 controls are too few
 COEFFICIENTS = (5, 32)  # of each of 6 controls: 30 parameters, about the paper's 32; and 32 for each
-MOST = (1000, 100)  # iterations of BFGS: the second is to be seen beside the first, not to converge
+MAX_BFGS_ITERATIONS = (1000, 100)  # iterations of BFGS: the second is to be seen beside the first, not to converge
 GRADIENT = 1e-6  # where BFGS ends, relative to J of the guess
 LIMITS = {"feedback": 100, "open-loop": 100, "feedforward alone": 40}
 WITHIN = (0.05, 0.01, 0.001)  # of the end, whose first iteration is told
@@ -99,7 +99,7 @@ def step_results() -> dict[str, Any]:
     long = human_step(cost="study", cycles=CYCLES)
     return {
         "updates": updates,
-        "splines": [_splines(problems["swing"], n, most) for n, most in zip(COEFFICIENTS, MOST, strict=True)],
+        "splines": [_splines(problems["swing"], n, most) for n, most in zip(COEFFICIENTS, MAX_BFGS_ITERATIONS, strict=True)],
         "swing": _motion(plans["swing"]),
         "cycle": _motion(plans["cycle"]),
         "cycles": {"cycles": CYCLES, **_solved(long)[1]},

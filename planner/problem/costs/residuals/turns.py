@@ -11,7 +11,7 @@ from planner.kernels.tree.residuals.table import POSE
 from planner.model.space import hat, log_jacobian, log_quaternion
 from planner.problem.costs.residuals.seen import KinematicsCache
 
-_NEAR = 0.04  # rad^2, below it a series: its next term is below rounding
+_SERIES_THRESHOLD = 0.04  # rad^2, below it a series: its next term is below rounding
 
 
 def orientation_residual(seen: KinematicsCache, t: int, moving: bool) -> tuple[np.ndarray, np.ndarray]:
@@ -45,14 +45,14 @@ def _bent(phi: np.ndarray, t: np.ndarray) -> np.ndarray:
 
 def _factor(square: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """The f of (1 - hat/2 + f hat^2) and its derivative by the squared angle (K,)."""
-    s, half = square, 0.5 * np.sqrt(np.maximum(square, _NEAR))
+    s, half = square, 0.5 * np.sqrt(np.maximum(square, _SERIES_THRESHOLD))
     cot = 1.0 / np.tan(half)
     far = 4.0 * half**2
     f = (1.0 - half * cot) / far
     slope = ((half * (1.0 + cot * cot) - cot) / (8.0 * half) - f) / far
     near_f = 1.0 / 12.0 + s * (1.0 / 720.0 + s * (1.0 / 30240.0 + s * (1.0 / 1209600.0 + s / 47900160.0)))
     near_slope = 1.0 / 720.0 + s * (1.0 / 15120.0 + s * (1.0 / 403200.0 + s / 11975040.0))
-    return np.where(s < _NEAR, near_f, f), np.where(s < _NEAR, near_slope, slope)
+    return np.where(s < _SERIES_THRESHOLD, near_f, f), np.where(s < _SERIES_THRESHOLD, near_slope, slope)
 
 
 def rotation_of(quaternion: np.ndarray) -> np.ndarray:
