@@ -32,7 +32,7 @@ class Ours:
         """A whole solve."""
         import planner
 
-        self.plan = planner.solve(self.problem, decrease_tolerance=self.tolerance)
+        self.plan = planner.solve(self.problem, expected_reduction_tolerance=self.tolerance)
         self.tolerance = self.stop / max(1.0, self.plan.cost)
 
     def result(self) -> Answer:

@@ -4,7 +4,7 @@ python benchmarks/closed_chains.py [--crocoddyl ITS_PYTHON]
 
 Ratios of minima of processor time in one run, one thread, 100 stages of RK4. The open tree is the same machine without
 its equalities, from the same controls. Beside Crocoddyl: an arm of seven joints whose hand is pinned to the world, a
-contact in three directions (DifferentialActionModelContactFwdDynamics) with the same pull back. Both sides linearise,
+contact in three directions (DifferentialActionModelContactFwdDynamics) with the same pull back. Both sides linearize,
 sweep and roll out; Crocoddyl tries one step, we four.
 """
 
@@ -25,7 +25,7 @@ import numpy as np
 from problems import SINGLE_THREAD
 from serving import Worker
 
-MOST_OF_OPEN, LEAST_OF_PEER = 2.0, 4.0
+MAX_OF_OPEN, MIN_OF_PEER = 2.0, 4.0
 N, DT, ROUNDS, REPEATS = 100, 0.01, 10, 10
 EXAMPLES = Path(__file__).parents[1] / "examples" / "closed_chains"
 PINS = "pip install crocoddyl==3.2.1 pin==4.0.0 libpinocchio==4.0.0"
@@ -70,12 +70,12 @@ def engine_of(mechanism: Any, x0: np.ndarray, u: np.ndarray) -> Any:
 
 
 def iteration(engine: Any) -> Callable[[], float]:
-    """Linearise along the trajectory of the first controls, sweep, and four steps of the line search; in s."""
+    """Linearize along the trajectory of the first controls, sweep, and four steps of the line search; in s."""
     w, dynamics, memory = engine._w, engine._dynamics, engine._memory
     x0, us = w.xs[0].copy(), w.us.copy()
 
     def once() -> float:
-        engine.start(x0, us)  # an open tree falls apart: the search's trajectory is none to go on from
+        engine.start_from_controls(x0, us)  # an open tree falls apart: the search's trajectory is none to go on from
         began = time.process_time()
         dynamics.linearize_nominal(w, memory)
         engine.sweep(0.0, False)
@@ -89,7 +89,7 @@ def beside_open() -> bool:
     """Our examples beside their open trees."""
     from planner import Mechanism
     from planner.dynamics import assembled
-    from planner.problem.guess import quasi_static_controls
+    from planner.problem.initial_guess import quasi_static_controls
 
     fine = True
     for path in sorted(EXAMPLES.glob("*.xml")):
@@ -99,9 +99,9 @@ def beside_open() -> bool:
         machines = {"closed": closed, "open": replace(closed, loops=(), cams=())}
         times = shortest({name: iteration(engine_of(m, x0, u)) for name, m in machines.items()})
         ratio = times["closed"] / times["open"]
-        fine &= ratio <= MOST_OF_OPEN
+        fine &= ratio <= MAX_OF_OPEN
         print(f"{path.stem}: {times['closed']:.3g} ms closed, {times['open']:.3g} ms open, {ratio:.2f} times "
-              f"(at most {MOST_OF_OPEN:g})")  # fmt: skip
+              f"(at most {MAX_OF_OPEN:g})")  # fmt: skip
     return fine
 
 
@@ -110,7 +110,7 @@ def beside_crocoddyl(python: str) -> bool:
     from planner import Mechanism
     from planner.dynamics import assembled
     from planner.model.loops import BAUMGARTE_RATE
-    from planner.problem.guess import quasi_static_controls
+    from planner.problem.initial_guess import quasi_static_controls
 
     m, rng = Mechanism.from_mjcf(arm()), np.random.default_rng(0)
     x0 = assembled(m, m.home + np.append(0.2 * rng.normal(size=7), np.zeros(7)))
@@ -133,8 +133,8 @@ def beside_crocoddyl(python: str) -> bool:
             best[0] = min(best[0], shortest({"ours": iteration(engine)})["ours"])
             best[1] = min(best[1], 1e3 * min(worker.ask("iterate", repeats=REPEATS, seconds=5.0)["times"]))
     print(f"pinned arm: {best[0]:.3g} ms ours, {best[1]:.3g} ms Crocoddyl's, {best[1] / best[0]:.1f} times faster (at "
-          f"least {LEAST_OF_PEER:g}); accelerations agree to {apart:.1e}")  # fmt: skip
-    return bool(best[1] >= LEAST_OF_PEER * best[0] and apart < 1e-8)
+          f"least {MIN_OF_PEER:g}); accelerations agree to {apart:.1e}")  # fmt: skip
+    return bool(best[1] >= MIN_OF_PEER * best[0] and apart < 1e-8)
 
 
 def main() -> int:

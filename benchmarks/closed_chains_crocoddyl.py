@@ -73,7 +73,7 @@ def rewind() -> None:
 
 
 def once() -> None:
-    """Linearise, sweep, try the full step."""
+    """Linearize, sweep, try the full step."""
     _known["stepper"].calcDiff()
     _known["stepper"].backwardPass()
     _known["stepper"].tryStep(1.0)

@@ -141,7 +141,7 @@ class Case:
         return float(self.stepper.cost - improvement)
 
     def iterate(self) -> float:
-        """Linearise, sweep, try the full step; by how much that lowers the cost."""
+        """Linearize, sweep, try the full step; by how much that lowers the cost."""
         self.stepper.calcDiff()
         self.stepper.backwardPass()
         return self.stepper.tryStep(1.0)

@@ -74,7 +74,7 @@ def compiled(h: Hopper) -> tuple[Callable[[jax.Array], Any], jax.Array]:
         k, K, slope = sweep(xs, us, mu)
         xs_all, us_all, J_all = jax.vmap(rollout, (None, None, None, None, 0))(xs, us, k, K, alphas)
         passes = J_all <= J + SUFFICIENT * alphas * slope  # False where J is NaN
-        # Only a model without regularisation may say that nothing is left to gain.
+        # Only a model without regularization may say that nothing is left to gain.
         done = (-0.5 * slope <= DECREASE) & (mu == 0.0)
         take, i = jnp.any(passes) & ~done, jnp.argmax(passes)
         xs, us = jnp.where(take, xs_all[i], xs), jnp.where(take, us_all[i], us)

@@ -2,7 +2,7 @@
 
     python benchmarks/loop.py [--crocoddyl PYTHON] [--no-table] [--shown [NAME ...]] [--packages SITE_PACKAGES]
 
-A call plans once with one iteration: the plan before is rolled out from x with its gains, then linearised, swept and
+A call plans once with one iteration: the plan before is rolled out from x with its gains, then linearized, swept and
 searched. What it takes beside its kernels is counted within the same calls: the compiled calls are timed, and what is
 left of the whole is Python's.
 Crocoddyl has one iteration from a trajectory whose rollout it is given for nothing. One core each, by turns in one run,
@@ -30,14 +30,14 @@ from serving import Worker  # noqa: E402
 
 import planner  # noqa: E402
 from planner.dynamics import rigid_body  # noqa: E402
-from planner.solvers.engine import compiled, followed  # noqa: E402
+from planner.solvers.engine import compiled, tracked_trajectory  # noqa: E402
 
 REPEATS, ROUNDS = 60, 5
 SIZES = {"2r": 50, "cart-pole": 50, "arm7": 50, "humanoid": 40}
 # Where a plan's compiled calls are looked up.
 CALLED: list[tuple[Any, str]] = [
     (rigid_body.tree_search, "search_step"), (rigid_body.tree_linearize, "linearize_structured"),
-    (compiled, "gradients"), (followed, "begin_following"), (followed, "keep_followed"),
+    (compiled, "gradients"), (tracked_trajectory, "load_tracked"), (tracked_trajectory, "store_tracked"),
 ]  # fmt: skip
 
 

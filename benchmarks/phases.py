@@ -1,4 +1,4 @@
-"""Where the time of one iteration goes, per case: linearisation, gradients, Riccati sweep, rollouts, and the whole.
+"""Where the time of one iteration goes, per case: linearization, gradients, Riccati sweep, rollouts, and the whole.
 
 python benchmarks/phases.py [CASE ...]
 
@@ -35,7 +35,7 @@ def phases(name: str) -> dict[str, float]:
     problem = planner.cases.build(name)
     engine = acquire_engine(problem)
     assert isinstance(engine, CompiledEngine)
-    engine.start(problem.x0, problem.first_guess)
+    engine.start_from_controls(problem.x0, problem.first_guess)
     engine.sweep(0.0, True)
     w, dynamics, memory = engine._w, engine._dynamics, engine._memory
     sweep = riccati_structured if dynamics.structured else riccati_dense

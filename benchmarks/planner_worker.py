@@ -59,14 +59,14 @@ class Case:
         self.cost = self.engine.start_from_controls(self.problem.x0, self.problem.first_guess)
 
     def iterate(self) -> Any:
-        """Linearise, sweep, search, accept: feedback, Armijo, no regularisation, no tolerance that could end it."""
+        """Linearize, sweep, search, accept: feedback, Armijo, no regularization, no tolerance that could end it."""
         return self.engine.iterate(True, 0, 0.0, True, self.cost, 0.0, -1.0)
 
     def prepare_solve(self) -> None:
         """Iterations until the cost is low enough, if the problem says what is; and what the stop is relative to."""
         import planner
 
-        plan = planner.solve(self.problem, max_iterations=self.iterations, decrease_tolerance=self.stop)
+        plan = planner.solve(self.problem, max_iterations=self.iterations, expected_reduction_tolerance=self.stop)
         self.tolerance = self.stop / max(1.0, plan.cost)
         if self.enough is not None:
             reached = [i for i, line in enumerate(plan.history) if line.cost <= self.enough]
@@ -76,7 +76,7 @@ class Case:
         """A whole solve as a user calls it."""
         import planner
 
-        return planner.solve(self.problem, max_iterations=self.iterations, decrease_tolerance=self.tolerance)
+        return planner.solve(self.problem, max_iterations=self.iterations, expected_reduction_tolerance=self.tolerance)
 
 
 _cases: dict[str, Case] = {}

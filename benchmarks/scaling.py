@@ -1,6 +1,6 @@
 """How an iteration grows with joints and stages, and memory with solves: `python benchmarks/scaling.py`.
 
-The phases are told apart through the engine: a sweep with and without linearising, an iteration of which all but the
+The phases are told apart through the engine: a sweep with and without linearizing, an iteration of which all but the
 line search is done. Times are minima and hold the call from Python, some 10 us. Writes docs/scaling.png.
 """
 
@@ -29,7 +29,7 @@ from planner.solvers.engine import acquire_engine
 from planner.view.plots.style import HUES, dress, grid_of, legend_below, save, title_above
 
 KINDS: dict[str, Callable[[int], Chain]] = {"serial chain": mechanisms.serial, "random tree": mechanisms.random_tree}
-PHASES = {"linearise": 2.0, "riccati": 3.0, "rollout": 2.0}  # the power of n each may grow with
+PHASES = {"linearize": 2.0, "riccati": 3.0, "rollout": 2.0}  # the power of n each may grow with
 JOINTS = (2, 3, 4, 6, 8, 12, 16, 20, 24, 32, 40)
 STAGES = (50, 100, 200, 400, 800)
 BURST = 3  # turns of a point at a time: the first wakes the caches up
@@ -71,7 +71,7 @@ class Point:
     def phases(self) -> dict[str, float]:
         """Least microseconds of each phase."""
         both, sweep, search = self._best.values()
-        return {"linearise": both - sweep, "riccati": sweep, "rollout": search - sweep}
+        return {"linearize": both - sweep, "riccati": sweep, "rollout": search - sweep}
 
 
 def power(x: list[float], y: list[float]) -> float:

@@ -102,7 +102,7 @@ class Ours:
         self.cost = self.engine.start_from_controls(self.problem.x0, self.problem.first_guess)
 
     def iterate(self) -> Any:
-        """Linearise, sweep, search, accept: feedback, Armijo, no regularisation, no tolerance that could end it."""
+        """Linearize, sweep, search, accept: feedback, Armijo, no regularization, no tolerance that could end it."""
         return self.engine.iterate(True, 0, 0.0, True, self.cost, 0.0, -1.0)
 
     def until(self, enough: float | None) -> None:
@@ -117,7 +117,7 @@ class Ours:
         """A whole solve as a user calls it."""
         import planner
 
-        self.plan = planner.solve(self.problem, max_iterations=self.iterations, decrease_tolerance=self.stop)
+        self.plan = planner.solve(self.problem, max_iterations=self.iterations, expected_reduction_tolerance=self.stop)
         return self.plan
 
     def result(self) -> Answer:
@@ -238,7 +238,7 @@ class Theirs:
         return float(self.stepper.cost - improvement)
 
     def iterate(self) -> float:
-        """Linearise, sweep, try one step."""
+        """Linearize, sweep, try one step."""
         self.stepper.calcDiff()
         self.stepper.backwardPass()
         return self.stepper.tryStep(self.step)

@@ -19,7 +19,7 @@ import numpy as np
 from scipy.interpolate import BPoly
 
 import planner
-from planner.problem.guess import quasi_static_controls
+from planner.problem.initial_guess import quasi_static_controls
 
 G = 9.81
 STAND, REST = 0.2, 1.0  # s: before the centre of mass moves, and after
@@ -211,7 +211,7 @@ def problem(
     )  # fmt: skip
     return planner.Problem(
         dynamics, cost, drawn[0], us=us, twin=planner.Twin.of(machine), limits=planner.Limits(control="model"),
-        gain_tolerance=LATE if hand is None else EARLY,
+        actual_reduction_tolerance=LATE if hand is None else EARLY,
         tolerance={"position": 0.1, "velocity": 0.3},  # to land and to stand, also on the file's own contact
     )  # fmt: skip
 

@@ -6,7 +6,23 @@ Beside these the terms of planner.costs (Height, Distance, Gap, Velocity) and an
 from planner.problem.avoid import Avoid
 from planner.problem.constraints.chain_force import ChainForce
 from planner.problem.constraints.constraint import Constraint
-from planner.problem.constraints.of_terms import FramePositionAlong, CenterOfMass, FramePosition, FrameAxisAngle, FrameOrientation
 from planner.problem.constraints.power import Power
+from planner.problem.constraints.quantities import (
+    CenterOfMass,
+    FrameAxisAngle,
+    FrameOrientation,
+    FramePosition,
+    FramePositionAlong,
+)
 
-__all__ = ["FramePositionAlong", "Avoid", "ChainForce", "Constraint", "CenterOfMass", "FramePosition", "Power", "FrameAxisAngle", "FrameOrientation"]
+__all__ = [
+    "Avoid",
+    "CenterOfMass",
+    "ChainForce",
+    "Constraint",
+    "FrameAxisAngle",
+    "FrameOrientation",
+    "FramePosition",
+    "FramePositionAlong",
+    "Power",
+]

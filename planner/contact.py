@@ -5,9 +5,9 @@ A user writes a ContactLaw (`Mechanism.from_mjcf(..., contacts=law)`), Exponenti
 BodyContact, Capsule, Stop and its Law are read from an MJCF.
 """
 
-from planner.model.contact.between_bodies import BodyContact, Capsule
+from planner.model.contact.body_contact import BodyContact, Capsule
 from planner.model.contact.laws import Contact, ContactLaw, Law, Plane, Stop
-from planner.model.joint_curves import ExponentialTorque
+from planner.model.exponential_torques import ExponentialTorque
 from planner.model.mjcf.contacts import contact_attributes, stop_attributes
 
 __all__ = [

@@ -9,9 +9,9 @@ from planner.problem.costs.penalty import PenaltyCost
 from planner.problem.costs.penalty_terms import Clearance, Distance, Gap, Height, Point, Segment, Velocity
 from planner.problem.costs.terms import Cost, Quadratic, SumCost
 from planner.problem.costs.tracking import TrackingCost
-from planner.problem.criteria import with_objective
 from planner.problem.default_weights import default_cost
 from planner.problem.objective import Objective
+from planner.problem.objective_problem import with_objective
 
 __all__ = [
     "CenterOfMassCost",

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from planner import Mechanism
-from planner.model.loops import PolynomialCoupling, LoopClosure
+from planner.model.loops import LoopClosure, PolynomialCoupling
 from planner.model.mechanism import SCREW
 from planner.model.space import exp_quaternion
 from tests.trees import actuated
@@ -76,6 +76,6 @@ def _of_free(m, i):
 
 def rotation(rng):
     """A random rotation (3, 3)."""
-    from planner.dynamics.poe import rotation as of_quaternion
+    from planner.dynamics.product_of_exponentials import rotation as of_quaternion
 
     return of_quaternion(exp_quaternion(rng.normal(size=3)))

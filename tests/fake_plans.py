@@ -9,12 +9,12 @@ from planner.model.twin import Twin
 from planner.problem.appearance import Appearance, Panel
 from planner.problem.plan import Iteration, Plan, Status
 from planner.problem.recipe import Recipe
-from planner.proof.growth import ErrorPropagation
-from planner.proof.order import StepConvergence
+from planner.proof.error_propagation import ErrorPropagation
 from planner.proof.replays.compiled_twin import CompiledTwin
 from planner.proof.replays.replaying import Replay
 from planner.proof.robustness.perturbation import Perturbation
 from planner.proof.robustness.perturbed import RobustnessResult
+from planner.proof.step_convergence import StepConvergence
 
 MODES = ("open-loop", "feedback")
 APPEARANCE = Appearance(

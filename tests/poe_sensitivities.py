@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from planner.dynamics.poe import ad, hybrid_dynamics, inertias, twists
+from planner.dynamics.product_of_exponentials import ad, hybrid_dynamics, inertias, twists
 from planner.model.mechanism import BALL, BALL_NEXT, Mechanism
 from planner.model.space import conjugate, hat, log_jacobian, log_quaternion, product, unit
 

@@ -7,7 +7,7 @@ from legs import attributes
 
 from planner.base.gl import load_mujoco
 from planner.model.mjcf.contacts import contact_attributes
-from planner.model.mjcf.survey import compile_model
+from planner.model.mjcf.model_index import compile_model
 from planner.model.twin import Twin
 from planner.problem.appearance import Appearance, Readout, View
 from planner.problem.plan import Plan, Status

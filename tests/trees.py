@@ -181,19 +181,19 @@ def stepped(mechanism, q, direction, step):
     return result
 
 
-def random_state(space, rng, unnormalised=None):
+def random_state(space, rng, unnormalized=None):
     """A state x (nx,) of a mechanism's StateSpace: quaternions all over the group and near home, of length one or not.
 
     Args:
         space: Of the mechanism.
         rng: A generator.
-        unnormalised: Whether quaternions are stretched; None draws it.
+        unnormalized: Whether quaternions are stretched; None draws it.
     """
     x = rng.normal(size=space.nx)
     for i, _ in space.quaternions:
         size = rng.choice([1e-6, 0.3, 2.0])
         x[i : i + 4] = exp_quaternion(size * rng.normal(size=3))
-        if unnormalised or (unnormalised is None and rng.random() < 0.3):
+        if unnormalized or (unnormalized is None and rng.random() < 0.3):
             x[i : i + 4] *= rng.uniform(0.5, 2.0) * rng.choice([-1.0, 1.0])
     return x
 

@@ -13,7 +13,7 @@ import numpy as np
 from planner.base.errors import PlannerError
 
 LONGEST_HORIZON = 1_000_000  # stages; gains and models of more do not fit into memory
-_LARGEST_COUNT = 2**63 - 1  # largest integer of the kernels
+_MAX_COUNT = 2**63 - 1  # largest integer of the kernels
 _LONGEST_TEXT = 100
 
 
@@ -39,7 +39,12 @@ def _no_number(value: Any) -> bool:
 
 
 def number(
-    name: str, value: Any, *, greater_than: float | None = None, minimum: float | None = None, maximum: float | None = None
+    name: str,
+    value: Any,
+    *,
+    greater_than: float | None = None,
+    minimum: float | None = None,
+    maximum: float | None = None,
 ) -> float:
     """Return a finite float, greater than `above`, at least `least` and at most `most` where given."""
     try:
@@ -60,7 +65,7 @@ def count(name: str, value: Any, *, minimum: int = 1, maximum: int | None = None
         result = None if _no_number(value) else operator.index(value)
     except TypeError:
         result = None
-    largest = _LARGEST_COUNT if maximum is None else maximum
+    largest = _MAX_COUNT if maximum is None else maximum
     if result is None or not minimum <= result <= largest:
         upper = f" and at most {largest}" if result is not None and result > largest else ""
         raise PlannerError(f"{name} is {short_repr(value)}, expected a whole number of at least {minimum}{upper}.")

@@ -30,9 +30,9 @@ _LOCK = f"{_HIDDEN}lock"
 _NO_LOCKS = {errno.ENOLCK, errno.ENOSYS, errno.EOPNOTSUPP}  # of file systems that have none
 _FULL = 64 * 1024  # bytes: a disk with less is full; some libraries report a failed write without its cause
 
-_MOST_LISTED = 1000  # files of a folder that are compared with a name
+_MAX_LISTED = 1000  # files of a folder that are compared with a name
 _SIMILARITY = 0.7  # of the letters in common, from which a name is taken for a slip of the pen
-_MOST_SHOWN = 5  # files of a folder that a message names
+_MAX_SHOWN = 5  # files of a folder that a message names
 
 # Errors of the device, which come without a file name.
 _DEVICE = {errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EFBIG, errno.EIO, errno.ESTALE}
@@ -76,11 +76,11 @@ def _instead(path: Path) -> str:
     try:
         if folder.is_dir():
             named = "this folder" if folder == Path() else printable(folder)
-            names = sorted(one.name for one in folder.iterdir() if one.suffix == path.suffix)[:_MOST_LISTED]
+            names = sorted(one.name for one in folder.iterdir() if one.suffix == path.suffix)[:_MAX_LISTED]
             near = difflib.get_close_matches(path.name, names, n=1, cutoff=_SIMILARITY)
             if near:
                 return f", expected the name of a file that is there: write {printable(folder / near[0])}"
-            few = ", ".join(printable(name) for name in names[:_MOST_SHOWN]) + ", ..." * (len(names) > _MOST_SHOWN)
+            few = ", ".join(printable(name) for name in names[:_MAX_SHOWN]) + ", ..." * (len(names) > _MAX_SHOWN)
             there = f"has {few}" if names else f"has none that ends in {path.suffix or 'that'}"
             return f", expected a file that is there: {named} {there}"
         there = next(one for one in folder.parents if one.is_dir())

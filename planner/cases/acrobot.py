@@ -34,7 +34,7 @@ from planner.dynamics import RigidBodyDynamics
 from planner.dynamics.algorithms import rnea
 from planner.model.mechanism import Mechanism
 from planner.model.twin import Twin
-from planner.problem.guess import rollout_states
+from planner.problem.initial_guess import rollout_states
 from planner.problem.problem import Problem
 from planner.problem.recipe import Recipe
 

@@ -27,10 +27,10 @@ from planner.base.files import printable, read_text
 from planner.cases.problem_file.states import state_of
 from planner.dynamics import RigidBodyDynamics
 from planner.model.mechanism import SCREW, Mechanism
-from planner.model.mjcf.refuse import KINDS
+from planner.model.mjcf.unsupported import KINDS
 from planner.model.urdf.read import read_model
 from planner.problem.costs.tracking import TrackingCost
-from planner.problem.guess import inverse_dynamics_controls, rollout_states
+from planner.problem.initial_guess import inverse_dynamics_controls, rollout_states
 from planner.problem.plan import Plan, Status
 from planner.problem.problem import Problem
 from planner.solvers import lq

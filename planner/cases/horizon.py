@@ -6,7 +6,7 @@ from typing import Any
 
 from planner.base.arguments import count, number
 from planner.base.errors import PlannerError
-from planner.problem.discretisation import MOST_STAGES
+from planner.problem.rediscretize import MAX_STAGES
 
 LARGEST = 1e6  # of sizes, weights and seconds
 
@@ -15,8 +15,8 @@ def stages(duration: Any, horizon: Any, per_second: float = 100.0, least: int = 
     """The checked duration, s, and N: the horizon, or without one `per_second` a second, but at least `least`."""
     duration = number("duration", duration, greater_than=0.0, maximum=LARGEST)
     if horizon is not None:
-        return duration, count("horizon", horizon, maximum=MOST_STAGES)
-    if per_second * duration > MOST_STAGES:
-        longest = MOST_STAGES / per_second
+        return duration, count("horizon", horizon, maximum=MAX_STAGES)
+    if per_second * duration > MAX_STAGES:
+        longest = MAX_STAGES / per_second
         raise PlannerError(f"duration is {duration:g} s, expected at most {longest:g} s without a horizon.")
     return duration, max(least, round(per_second * duration))

@@ -17,14 +17,14 @@ from planner.base.files import printable
 from planner.cases import problem_file
 from planner.model.space import space_of
 from planner.model.twin import Twin
-from planner.problem import parts
+from planner.problem import stored_problem
 from planner.problem.archive import FILE, HINGES, PART, read_archive
-from planner.problem.criteria import base_problem, with_objective
 from planner.problem.limits import Limits
+from planner.problem.objective_problem import base_problem, with_objective
 from planner.problem.plan import Iteration, Plan, Start, Status
 from planner.problem.problem import Problem
 from planner.problem.recipe import Recipe
-from planner.problem.state_ranges import BoundPenalties
+from planner.problem.state_bounds import BoundPenalties
 
 
 def load_plan(path: str | Path, *, problem: Problem | None = None) -> Plan:
@@ -82,9 +82,9 @@ def _problem(plan: Plan, arrays: dict[str, np.ndarray], meta: dict[str, Any]) ->
     if plan.recipe is None:
         return None
     name, parameters = plan.recipe.name, plan.recipe.parameters
-    if name == parts.NAME:
+    if name == stored_problem.NAME:
         own = {part.removeprefix(PART): array for part, array in arrays.items() if part.startswith(PART)}
-        problem = parts.from_arrays(parameters, own, plan.twin)
+        problem = stored_problem.from_arrays(parameters, own, plan.twin)
     elif name == problem_file.NAME:
         problem = problem_file.of_table(parameters, plan.twin)
     else:
@@ -101,7 +101,10 @@ def _fitting(plan: Plan, problem: Problem) -> Problem:
     """The problem, when a plan's arrays and maps are of its sizes."""
     if plan.stored_space != space_of(problem.dynamics) or plan.us.shape != (problem.N, problem.dynamics.nu):
         raise PlannerError(f"its arrays do not fit its {f'case {plan.recipe.name!r}' if plan.recipe else 'problem'}.")
-    if plan.bound_penalties is not None and (problem.trajectory_constraints is None or plan.bound_penalties.weight.shape[1] != problem.trajectory_constraints.size):
+    if plan.bound_penalties is not None and (
+        problem.trajectory_constraints is None
+        or plan.bound_penalties.weight.shape[1] != problem.trajectory_constraints.size
+    ):
         raise PlannerError("the penalties of its ranges and constraints do not fit those of its problem.")
     if plan.twin is not None and len(plan.twin.to_x) != problem.dynamics.nx:
         raise PlannerError(f"its twin is of {len(plan.twin.to_x)} states, expected {problem.dynamics.nx}.")

@@ -93,7 +93,7 @@ def _sized(scale: float, *values: float) -> str:
 
 
 def arm_dynamics(model: str, links: Links, dt: float, integrator: str) -> RigidBodyDynamics:
-    """The discretised arm, read from the same text that the replay uses."""
+    """The discretized arm, read from the same text that the replay uses."""
     choice("integrator", integrator, INTEGRATORS)
     return RigidBodyDynamics(Mechanism.from_mjcf(arm_text(model, links)), dt, integrator)
 

@@ -41,7 +41,7 @@ from planner.model.mjcf.text import edited, model_path, model_text, written
 from planner.model.twin import Twin
 from planner.problem.appearance import Appearance, Panel, Readout
 from planner.problem.costs.tracking import TrackingCost
-from planner.problem.guess import inverse_dynamics_controls, quintic
+from planner.problem.initial_guess import inverse_dynamics_controls, quintic
 from planner.problem.limits import Limits
 from planner.problem.problem import Problem, Requirements
 from planner.problem.recipe import Recipe
@@ -96,7 +96,9 @@ def puma(
     Raises:
         PlannerError: A parameter that is not finite or out of range.
     """
-    payload, rated = (number(k, v, minimum=LIGHTEST, maximum=HEAVIEST) for k, v in (("payload", payload), ("rated", rated)))
+    payload, rated = (
+        number(k, v, minimum=LIGHTEST, maximum=HEAVIEST) for k, v in (("payload", payload), ("rated", rated))
+    )
     duration, N = stages(duration, horizon)
     mechanism = puma_mechanism(payload)
     limits = torque_limits(rated)

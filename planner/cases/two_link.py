@@ -28,7 +28,7 @@ from planner.base.arguments import choice
 from planner.cases.horizon import stages
 from planner.cases.planar_arm import UPRIGHT, Links, arm_appearance, arm_cost, arm_dynamics
 from planner.model.twin import Twin
-from planner.problem.guess import inverse_dynamics_controls, quintic
+from planner.problem.initial_guess import inverse_dynamics_controls, quintic
 from planner.problem.problem import Problem
 from planner.problem.recipe import Recipe
 
@@ -68,7 +68,11 @@ def two_link(
     choice("guess", guess, get_args(Guess))
     dynamics = arm_dynamics("two_link", links, duration / N, integrator)
     cost = arm_cost(dynamics, N, position_weight, velocity_weight, effort_weight)
-    us = inverse_dynamics_controls(dynamics.mechanism, *quintic(np.zeros(2), UPRIGHT, duration, N)) if guess == "paper" else None
+    us = (
+        inverse_dynamics_controls(dynamics.mechanism, *quintic(np.zeros(2), UPRIGHT, duration, N))
+        if guess == "paper"
+        else None
+    )
     parameters: dict[str, Any] = {
         "duration": duration, "horizon": N, "integrator": integrator, "guess": guess, **vars(links),
         "position_weight": float(position_weight), "velocity_weight": float(velocity_weight),

@@ -10,7 +10,7 @@ from typing import Any, get_args, get_type_hints
 
 from planner.cases import CASES
 from planner.cases.problem_file import keys as problem_keys
-from planner.cli.flags import OUTPUT, PROBLEM_FILE, Flags, add, number, choice_flag, boolean_flag, value_flag, whole
+from planner.cli.flags import OUTPUT, PROBLEM_FILE, Flags, add, boolean_flag, choice_flag, number, value_flag, whole
 from planner.dynamics import INTEGRATORS
 from planner.problem.objective import OBJECTIVES
 from planner.solvers.slq import HESSIANS, LINE_SEARCHES, UPDATES
@@ -38,7 +38,9 @@ _SOLVER: Flags = {
     "--durations": value_flag("A,B", "Shortest and longest duration, s, for an objective with time."),
 }  # fmt: skip
 _URDF: Flags = {
-    "--package-path": value_flag("DIR", "Folder of the packages that the file's URDF names, instead of its package_path."),
+    "--package-path": value_flag(
+        "DIR", "Folder of the packages that the file's URDF names, instead of its package_path."
+    ),
 }
 
 

@@ -6,7 +6,7 @@ import argparse
 
 from planner.cli.console import Console, shown
 from planner.sweeps.executors import executor_of
-from planner.sweeps.stored_plans import PlanComparison, check
+from planner.sweeps.regression import PlanComparison, check
 
 
 def check_plans(arguments: argparse.Namespace, console: Console) -> int:

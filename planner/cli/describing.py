@@ -35,7 +35,7 @@ def describe_model(arguments: argparse.Namespace, console: Console) -> int:
     known = describe(file, keys)
     written = None
     if arguments.write is not None:  # or one sentence, before anything is printed
-        from planner.cases.problem_file.first import write_first_problem
+        from planner.cases.problem_file.starter_file import write_first_problem
 
         written = write_first_problem(arguments.write, arguments.model, file, known)
     _show(arguments.model, known, console)

@@ -14,8 +14,8 @@ from planner.cli.problems import asked_problem, name_of, solved
 from planner.cli.results import show_plan
 from planner.control.controller import Controller
 from planner.control.judging import LoopVerdict, judge
+from planner.control.robustness_map import margins
 from planner.control.simulating import simulate
-from planner.control.surviving import margins
 from planner.control.timing import horizon_and_rate
 from planner.proof.replays.compiled_twin import CompiledTwin
 from planner.proof.robustness.pushes import Push, pushed_step

@@ -35,5 +35,7 @@ def export_plan(arguments: argparse.Namespace, console: Console) -> int:
         missing = left_out(plan)
     if missing:
         console.write_result(f"left out, since the message has hinges and slides alone: {', '.join(missing)}")
-    console.write_result(f"{out}: {rows} {'keyframes' if form == 'keyframes' else 'rows' if form == 'csv' else 'points'}")
+    console.write_result(
+        f"{out}: {rows} {'keyframes' if form == 'keyframes' else 'rows' if form == 'csv' else 'points'}"
+    )
     return console.finish("export", 0, file=str(out), form=form, samples=rows, left_out=list(missing))

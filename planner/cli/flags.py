@@ -58,18 +58,25 @@ WORKERS: Flags = {
                                     "machine: local."),
 }  # fmt: skip
 PROOF: Flags = {
-    "--rollouts": value_flag("N", "Number of perturbed simulations, 0 for none; `run` stops them after 20 s.", 512, whole),
-    "--hold": value_flag("S", "Also hold the goal for S seconds after the end, by an infinite-horizon LQR.", 0.0, number),
+    "--rollouts": value_flag(
+        "N", "Number of perturbed simulations, 0 for none; `run` stops them after 20 s.", 512, whole
+    ),
+    "--hold": value_flag(
+        "S", "Also hold the goal for S seconds after the end, by an infinite-horizon LQR.", 0.0, number
+    ),
 }
 ROLLOUT: Flags = {
-    "--replay-case": value_flag("K", "Show perturbed simulation K in detail.", kind=whole),
+    "--replay-rollout": value_flag("K", "Show perturbed simulation K in detail.", kind=whole),
     "--mode": choice_flag(("feedback", "open-loop"), "Simulate it with the plan's gains or open loop.", "feedback"),
     "--seed": value_flag("N", "Seed of the perturbations.", 0, whole),
     "--perturb": {"action": "append", "metavar": "NAME=X",
                   "help": "Size of a perturbation, e.g. mass=0.1 or delay=0 (docs/proof.md). May be repeated."},
 }  # fmt: skip
 NO_VIDEO = {"--no-video": boolean_flag("Make no video and no strip of poses (drawing needs OpenGL).")}
-OUTPUT: Flags = {"--json": boolean_flag("Print one JSON document on stdout."), "--quiet": boolean_flag("Print no progress.")}
+OUTPUT: Flags = {
+    "--json": boolean_flag("Print one JSON document on stdout."),
+    "--quiet": boolean_flag("Print no progress."),
+}
 
 
 def add(parser: argparse.ArgumentParser, *groups: Flags) -> None:

@@ -23,9 +23,9 @@ from planner.cli.flags import (
     WORKERS,
     Flags,
     add,
+    boolean_flag,
     number,
     size,
-    boolean_flag,
     value_flag,
     whole,
 )

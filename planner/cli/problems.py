@@ -16,14 +16,14 @@ from planner.base.errors import PlannerError
 from planner.cases.problem_file import case_in, load
 from planner.cli.console import Console
 from planner.cli.flags import PROBLEM_FILE
-from planner.problem.criteria import with_objective
 from planner.problem.limits import EXACT, Limits
 from planner.problem.objective import checked_durations, weights_of
+from planner.problem.objective_problem import with_objective
 from planner.problem.plan import Plan
 from planner.problem.problem import Problem
 from planner.proof.replays.replaying import proven_cost
 from planner.solvers.free_time import solve_for
-from planner.solvers.multistart import MOST_STARTS
+from planner.solvers.multistart import MAX_STARTS
 from planner.solvers.periodic import solve_periodic
 from planner.solvers.slq import solve
 
@@ -53,7 +53,7 @@ def asked_problem(arguments: argparse.Namespace) -> ProblemOf:
         return ProblemOf(*file)
     flags = {name[5:]: value for name, value in vars(arguments).items() if name.startswith("case_")}
     case, given, starts, seed = named or (arguments.case, flags, 1, 0)
-    starts = starts if arguments.starts is None else count("starts", arguments.starts, maximum=MOST_STARTS)
+    starts = starts if arguments.starts is None else count("starts", arguments.starts, maximum=MAX_STARTS)
     seed = seed if arguments.seed is None else count("seed", arguments.seed, minimum=0)
     problem = cases.build(case, **given)
     limit = arguments.control_limit
@@ -85,7 +85,9 @@ def objective_of(text: str) -> dict[str, float]:
         try:
             weights[name.strip()] = float(value)
         except ValueError:
-            raise PlannerError(f"--objective has {short_repr(word)}, expected NAME=WEIGHT, e.g. effort=1,time=2.") from None
+            raise PlannerError(
+                f"--objective has {short_repr(word)}, expected NAME=WEIGHT, e.g. effort=1,time=2."
+            ) from None
     return weights_of(weights)
 
 
@@ -120,7 +122,9 @@ def solved(
     several = f", {asked.starts} starts" if asked.starts > 1 else ""
     for note in asked.notes:
         console.write_progress(note)
-    console.write_progress(f"planning {name_of(arguments)}: {problem.N} stages of {problem.dynamics.dt:.4g} s{several}{why}")
+    console.write_progress(
+        f"planning {name_of(arguments)}: {problem.N} stages of {problem.dynamics.dt:.4g} s{several}{why}"
+    )
     began = time.perf_counter()
     options = {
         "update": arguments.update, "line_search": arguments.line_search, "hessian": arguments.hessian,

@@ -20,12 +20,12 @@ from planner.problem.archive import plan_digest
 from planner.problem.plan import Plan
 from planner.proof import prove
 from planner.proof.engines.section import NOTES, another_engine, require
+from planner.proof.error_scales import worst_by_unit
 from planner.proof.replays.compiled_twin import CompiledTwin
 from planner.proof.replays.replaying import Replay
-from planner.proof.robustness.case_replay import replay_rollout
 from planner.proof.robustness.perturbation import Perturbation
+from planner.proof.robustness.rollout_replay import replay_rollout
 from planner.proof.robustness.success_rule import end_errors
-from planner.proof.scales import worst_by_unit
 from planner.sweeps.executors import executor_of
 
 
@@ -33,11 +33,11 @@ def prove_plan(arguments: argparse.Namespace, console: Console) -> int:
     """Replay a stored plan and judge it."""
     count("rollouts", arguments.rollouts, minimum=0)
     plan, digest = _plan_of(arguments)
-    if arguments.replay_case is not None:
+    if arguments.replay_rollout is not None:
         for flag in ("mjcf", "out", "engine"):
             if getattr(arguments, flag):
                 raise PlannerError(
-                    f"--{flag} is given with --replay-case, which shows a simulation in the plan's own model, "
+                    f"--{flag} is given with --replay-rollout, which shows a simulation in the plan's own model, "
                     "expected one of the two flags."
                 )
         return _show_rollout(plan, arguments, console)
@@ -107,11 +107,11 @@ def _state(words: str) -> str | list[float] | dict[str, float]:
 
 
 def rollout_of(plan: Plan, arguments: argparse.Namespace) -> Replay:
-    """The perturbed simulation that --replay-case, --mode, --seed and --perturb name."""
+    """The perturbed simulation that --replay-rollout, --mode, --seed and --perturb name."""
     perturbation = _perturbation(plan, arguments)
     if plan.twin is None:
         raise PlannerError("the plan holds no MuJoCo model, expected a plan of a Problem with a twin.")
-    number = count("replay-case", arguments.replay_case, minimum=0)
+    number = count("replay-rollout", arguments.replay_rollout, minimum=0)
     compiled, feedback = CompiledTwin(plan.twin), arguments.mode == "feedback"
     return replay_rollout(plan, compiled, number, seed=arguments.seed, perturbation=perturbation, feedback=feedback)
 
@@ -136,7 +136,7 @@ def _show_rollout(plan: Plan, arguments: argparse.Namespace, console: Console) -
         for one in worst_by_unit(plan, along)
     ]  # fmt: skip
     facts = {
-        "case": arguments.replay_case, "seed": arguments.seed, "mode": arguments.mode,
+        "case": arguments.replay_rollout, "seed": arguments.seed, "mode": arguments.mode,
         "end_error": float(end_errors(plan, run.xs[-1:])[0]),  # over its range of motion, as the Monte Carlo has it
         **{name: one.value for name, one in errors}, "cost": run.cost, "timestep": run.timestep,
         "warnings": list(run.warnings), "reached": list(run.reached),
@@ -144,5 +144,7 @@ def _show_rollout(plan: Plan, arguments: argparse.Namespace, console: Console) -
     told = facts | {name: f"{one.value:.5g} {one.unit}, {one.name}" for name, one in errors}
     told["end_error"] = f"{facts['end_error']:.5g} of its range of motion"
     console.table(("rollout", "value"), [(name.replace("_", " "), shown(value)) for name, value in told.items()])
-    console.write_result(f"film: planner render {arguments.plan} --replay-case {arguments.replay_case} --mode {arguments.mode}")
-    return console.finish("prove", 0, replay_case=facts)
+    console.write_result(
+        f"film: planner render {arguments.plan} --replay-rollout {arguments.replay_rollout} --mode {arguments.mode}"
+    )
+    return console.finish("prove", 0, replay_rollout=facts)

@@ -22,7 +22,7 @@ def render_plan(arguments: argparse.Namespace, console: Console) -> int:
         raise PlannerError(f"cannot render to {out}: expected a name ending in .mp4 or .png.")
     plan = load_plan(arguments.plan)
     require_backend()
-    shown = prove(plan, rollouts=0) if arguments.replay_case is None else rollout_of(plan, arguments)
+    shown = prove(plan, rollouts=0) if arguments.replay_rollout is None else rollout_of(plan, arguments)
     size = {} if arguments.size is None else dict(zip(("width", "height"), arguments.size, strict=True))
     if out.suffix == ".png":
         render_strip(shown.replay if isinstance(shown, Proof) else shown, out, **size)

@@ -8,8 +8,8 @@ from pathlib import Path
 
 from planner.base.files import staged_folder
 from planner.cases.plan_file import load_plan
+from planner.cli.background_render import BackgroundRender
 from planner.cli.console import Console
-from planner.cli.filming import BackgroundRender
 from planner.cli.results import OUTPUTS, completed, draw_results, is_finite, show_proof, write_proof
 from planner.problem.archive import plan_digest
 from planner.proof import prove

@@ -16,9 +16,9 @@ from planner.base.errors import PlannerError
 from planner.base.versions import installed_versions
 from planner.cases.plan_file import load_plan
 from planner.cli import results
+from planner.cli.auto_repair import auto_repair
+from planner.cli.background_render import BackgroundRender
 from planner.cli.console import Console
-from planner.cli.filming import BackgroundRender
-from planner.cli.mending import auto_repair
 from planner.cli.problems import ProblemOf, asked_problem, name_of, solved
 from planner.cli.run_folder import ROLLOUTS, RunFolder, run_folder
 from planner.problem.archive import plan_digest
@@ -26,7 +26,7 @@ from planner.problem.plan import Plan, Status
 from planner.proof import prove
 from planner.proof.compare.model_parity import parity
 from planner.proof.cures import cures
-from planner.proof.hold import hold_gain
+from planner.proof.goal_regulator import hold_gain
 from planner.proof.refinement import Refinement
 from planner.sweeps.executors import executor_of
 

@@ -28,7 +28,9 @@ def sweep_case(arguments: argparse.Namespace, console: Console) -> int:
     except KeyboardInterrupt:  # a second time, while processes ended or tables were written
         if read_head(out) is None:
             raise
-        console.write_error(f"interrupted; what is done is in {out}, and --resume goes on with it and writes its tables.")
+        console.write_error(
+            f"interrupted; what is done is in {out}, and --resume goes on with it and writes its tables."
+        )
         return INTERRUPTED
 
 
@@ -51,7 +53,9 @@ def _swept(arguments: argparse.Namespace, out: Path, console: Console) -> int:
     console.table(("status", "tasks"), [(status, str(tasks)) for status, tasks in done.statuses.items()])
     console.write_result(str(page))
     if done.interrupted:
-        console.write_error(f"interrupted; {done.finished} of {len(done.grid)} are done, and --resume goes on with them.")
+        console.write_error(
+            f"interrupted; {done.finished} of {len(done.grid)} are done, and --resume goes on with them."
+        )
     converged = done.statuses.get("CONVERGED", 0)
     code = INTERRUPTED if done.interrupted else 0 if converged == len(done.grid) else 1
     facts = {"tasks": len(done.grid), "finished": done.finished, "statuses": done.statuses, "folder": str(out)}

@@ -10,7 +10,7 @@ from here, and what costs less is improved.
 
 A solve that fails changes nothing: the last plan goes on, and the controller says so. After the last stage of that
 plan, or after `patience` failures in a row, it holds: gravity compensation and damping within the bounds
-(planner.control.holding). It goes on trying, and says when a plan is found.
+(planner.control.fallback_control). It goes on trying, and says when a plan is found.
 """
 
 from __future__ import annotations
@@ -25,26 +25,26 @@ import numpy as np
 
 from planner.base.arguments import array, count, number, short_repr
 from planner.base.errors import PlannerError
-from planner.control.doing import ControllerStatus, Event
+from planner.control.controller_status import ControllerStatus, Event
+from planner.control.fallback_control import FallbackControl, equilibrium_control
 from planner.control.goal_states import goal_states, goal_stays
-from planner.control.holding import FallbackControl, equilibrium_control
-from planner.control.timing import TIME_TOLERANCE, state_after, horizon_and_rate
-from planner.control.window import RecedingHorizonProblem
-from planner.kernels.lq.search import ARMIJO
+from planner.control.receding_horizon import RecedingHorizonProblem
+from planner.control.timing import TIME_TOLERANCE, horizon_and_rate, state_after
+from planner.kernels.lq.line_search import ARMIJO
 from planner.kernels.lq.workspace import ACCEPTED, CONVERGED, INDEFINITE
 from planner.model.space import space_of
 from planner.problem.costs.tracking import states
 from planner.problem.plan import Plan
 from planner.problem.problem import Problem
-from planner.solvers.engine.moved import TrajectoryArrays
-from planner.solvers.regularisation import FACTOR, LEAST, MOST
+from planner.solvers.engine.warm_start_shift import TrajectoryArrays
+from planner.solvers.regularization import FACTOR, LEAST, MOST
 from planner.solvers.slq import DECREASE, solve
-from planner.solvers.steadied import DIVERGENCE_FACTOR
+from planner.solvers.stabilizing_guess import DIVERGENCE_FACTOR
 
 PATIENCE = 10  # failures in a row after which it holds
 SOLVED = 0.1  # of the cost: a plan that might fall by more tells nothing of multipliers yet
 THROWN = 2.0  # times the cost that was planned: the first plan may lead back better than the last one
-_MOST_EVENTS = 1000
+_MAX_EVENTS = 1000
 
 
 class Controller:
@@ -90,7 +90,10 @@ class Controller:
         self.latency = number("latency", latency, minimum=0.0)
         self._dt, self._space, self._bounds = dt, space_of(problem.dynamics), problem.bounds
         # Past its end the goal of a task stays, if some control keeps it.
-        self._window, self._holding = RecedingHorizonProblem(problem, H, keeps=goal_stays(problem)), FallbackControl(problem)
+        self._window, self._holding = (
+            RecedingHorizonProblem(problem, H, keeps=goal_stays(problem)),
+            FallbackControl(problem),
+        )
         self._engine = self._window.engine
         if plan is not None and (not isinstance(plan, Plan) or plan.us.shape != (problem.N, problem.dynamics.nu)):
             raise PlannerError(f"plan is {short_repr(plan)}, expected a Plan of the problem, or None.")
@@ -119,7 +122,9 @@ class Controller:
         if x0 is not None:
             self.plan = self._solved(states("x0", x0, self._space, ()))
         self._xs, self._us, self._K = self._plan_now = self._first_plan(0)
-        self._window.hinge(self.plan, self.problem.trajectory_constraints)  # multipliers that calls have changed begin again
+        self._window.set_penalties(
+            self.plan, self.problem.trajectory_constraints
+        )  # multipliers that calls have changed begin again
         self._window.slide(0)
         self._engine.start_from_controls(self.problem.x0, self._us)
         self._begin, self._made, self._asked = math.nan, math.nan, -math.inf
@@ -202,7 +207,9 @@ class Controller:
             cost = self._back(t, x, cost)
         if not math.isfinite(cost) and not np.isfinite(x).all():
             return "the measured state is not finite"
-        if not math.isfinite(cost) and self.status is ControllerStatus.HOLDING:  # what was planned long ago leads nowhere
+        if (
+            not math.isfinite(cost) and self.status is ControllerStatus.HOLDING
+        ):  # what was planned long ago leads nowhere
             held = self._holding(x, self._us[-1])
             cost = engine.start_from_controls(x, np.tile(held, (self.horizon, 1)))
         if not math.isfinite(cost):
@@ -275,7 +282,7 @@ class Controller:
         self.status = ControllerStatus.HOLDING
 
     def _say(self, t: float, words: str) -> None:
-        if len(self.events) < _MOST_EVENTS:
+        if len(self.events) < _MAX_EVENTS:
             self.events.append(Event(t, words))
 
     def control(self, t: float, x: np.ndarray) -> np.ndarray:

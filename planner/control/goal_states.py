@@ -13,7 +13,7 @@ from planner.problem.costs.residuals.cost import ResidualCost
 from planner.problem.costs.tracking import states, tracking_of
 from planner.problem.goals import terms_of
 from planner.problem.problem import Problem
-from planner.proof.hold import hold_gain
+from planner.proof.goal_regulator import hold_gain
 
 
 def goal_states(problem: Problem, goal: Any, horizon: int) -> np.ndarray:

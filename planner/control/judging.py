@@ -1,4 +1,4 @@
-"""The verdict of a loop: does it arrive and stay? What it bears is sought in planner.control.surviving.
+"""The verdict of a loop: does it arrive and stay? What it bears is sought in planner.control.robustness_map.
 
     arrives    every goal within its tolerance in time; paths and waypoints at their times
     stays      and over the last second
@@ -26,8 +26,8 @@ from planner.control.simulating import LATE, STAYS, ClosedLoopRun
 from planner.dynamics.kinematics import frame_pose
 from planner.model.coordinates import coordinates_of
 from planner.problem.goals import MIN_TOLERANCES, GoalCheck, goals_of
+from planner.proof.replay_errors import misses, word_of, worst_of
 from planner.proof.robustness.success_rule import GOAL_TOLERANCES, OF_RANGE, SuccessRule, rule_of
-from planner.proof.tracking import misses, word_of, worst_of
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,7 +92,8 @@ class LoopVerdict:
             "verdict": self.verdict, "headline": self.headline,
             **dicts_of(self.sections),
             "asked": run.errors, "events": list(run.events),
-            "map": {"times": self.times.tolist(), **{who: values.tolist() for who, values in self.robustness_maps.items()}},
+            "map": {"times": self.times.tolist(), **{who: values.tolist() for who, values in
+            self.robustness_maps.items()}},
         }  # fmt: skip
 
 

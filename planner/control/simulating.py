@@ -19,17 +19,17 @@ import numpy as np
 from planner.base.arguments import count, number, short_repr
 from planner.base.errors import PlannerError
 from planner.control.controller import Controller
-from planner.control.plan_gains import FixedPlanController
-from planner.control.reference import executed_plan
+from planner.control.executed_plan import executed_plan
+from planner.control.fixed_plan_controller import FixedPlanController
 from planner.problem.plan import Plan
 from planner.problem.problem import Problem
 from planner.proof.replays.compiled_twin import CompiledTwin
 from planner.proof.replays.contact_history import ContactRecorder
-from planner.proof.replays.curve_callback import curves_acting
 from planner.proof.replays.implicit_steps import damping_of, implicit_step
+from planner.proof.replays.passive_torque_callback import curves_acting
 from planner.proof.replays.replaying import PARTS, REFINEMENT, SUBSTEP_REFINEMENT, Replay
 from planner.proof.replays.sampled_gains import Encoders, sampling_in
-from planner.proof.replays.simulation import MOST_STEPS
+from planner.proof.replays.simulation import MAX_STEPS
 from planner.proof.replays.simulation import simulate as run_model
 from planner.proof.robustness.pushes import Push, pushed_step
 from planner.proof.robustness.stated_errors import Mass, with_stated_errors
@@ -141,8 +141,8 @@ def simulate(
     stages, tick = max(math.ceil(duration / dt - 1e-9), 1), sampling_in(dt)
     n = _substeps(problem, compiled, tick.in_stages(dt).denominator)
     held, M = max(round(tick.in_stages(dt) * n), 1), stages * n
-    if M > MOST_STEPS:
-        raise PlannerError(f"the loop would take {M} steps of {dt / n:.3g} s, expected at most {MOST_STEPS}.")
+    if M > MAX_STEPS:
+        raise PlannerError(f"the loop would take {M} steps of {dt / n:.3g} s, expected at most {MAX_STEPS}.")
     asked.reset(start)
     damping = damping_of(problem.dynamics)
     integrator = "RK4" if damping is None else "rosenbrock"
@@ -191,7 +191,8 @@ class _Asking:
     """The controls of a loop, from states that are met one tick after another."""
 
     def __init__(
-        self, asked: ControllerProtocol, compiled: CompiledTwin, step: float, held: int, latency: float | None, noise: float,
+        self, asked: ControllerProtocol, compiled: CompiledTwin, step: float, held: int, latency: float | None, noise:
+        float,
         seed: int, goal: Goal | None, encoders: float | None,
     ) -> None:  # fmt: skip
         self._asked, self._compiled, self._step, self._held = asked, compiled, step, held

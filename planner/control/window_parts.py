@@ -8,8 +8,8 @@ from dataclasses import fields, replace
 import numpy as np
 
 from planner.base.errors import PlannerError
-from planner.problem.constraints.apart import PairClearanceFunction
-from planner.problem.constraints.rows import ConstraintStack
+from planner.problem.constraints.clearance import PairClearanceFunction
+from planner.problem.constraints.constraint_stack import ConstraintStack
 from planner.problem.costs.residuals.arrays import ResidualArrays
 from planner.problem.costs.residuals.cost import ResidualCost
 from planner.problem.costs.tracking import TrackingCost
@@ -98,5 +98,7 @@ def updated_rows(problem: Problem) -> tuple[ConstraintStack | None, np.ndarray]:
     columns = [np.arange(ranges)]
     if kept.rows is None:
         return None, columns[0]
-    rows, which = kept.rows.only([part for part in kept.rows.parts if not isinstance(part.measure, PairClearanceFunction)])
+    rows, which = kept.rows.only(
+        [part for part in kept.rows.parts if not isinstance(part.measure, PairClearanceFunction)]
+    )
     return (rows if rows.parts else None), np.concatenate([*columns, ranges + which])

@@ -24,7 +24,7 @@ import numpy as np
 from planner.base.errors import PlannerError
 from planner.dynamics.batch import KernelCall, kernel_model
 from planner.kernels.tree import batch as tree_batch
-from planner.kernels.tree.model import Model
+from planner.kernels.tree.mechanism_table import Model
 from planner.model.mechanism import Mechanism
 
 

@@ -167,7 +167,9 @@ def check_assembled(name: str, x: np.ndarray, mechanism: Mechanism, most: float 
 
 def _apart(mechanism: Mechanism, miss: np.ndarray) -> str:
     """Which equality misses most, and by how much, as the rest of a sentence."""
-    owners = [loop.name for loop in mechanism.loops for _ in range(loop.rows)] + [cam.name for cam in mechanism.polynomial_couplings]
+    owners = [loop.name for loop in mechanism.loops for _ in range(loop.rows)] + [
+        cam.name for cam in mechanism.polynomial_couplings
+    ]
     worst = int(np.argmax(np.abs(miss)))
     return f"misses {owners[worst]} by {abs(miss[worst]):.3g} {_unit(mechanism, worst)}"
 

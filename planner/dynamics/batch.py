@@ -11,8 +11,8 @@ from planner.base.arguments import array, short_repr
 from planner.base.errors import PlannerError
 from planner.kernels.integrators import EULER
 from planner.kernels.numba.jit import announce
+from planner.kernels.tree.mechanism_table import Model
 from planner.kernels.tree.memory import TreeMemory
-from planner.kernels.tree.model import Model
 from planner.model.mechanism import Mechanism
 
 _models: WeakKeyDictionary[Mechanism, dict[bytes, Model]] = WeakKeyDictionary()

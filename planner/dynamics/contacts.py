@@ -17,10 +17,10 @@ import numpy as np
 
 from planner.base.arguments import array
 from planner.dynamics import kinematics
-from planner.dynamics.contact_places import BodyContactKinematics
-from planner.model.contact.between_bodies import BodyContact
+from planner.dynamics.contact_kinematics import BodyContactKinematics
+from planner.model.contact.body_contact import BodyContact
 from planner.model.contact.laws import Contact, ContactLaw, Law, slide_direction
-from planner.model.joint_curves import curve_torque_derivatives, exponential_joint_torques
+from planner.model.exponential_torques import curve_torque_derivatives, exponential_joint_torques
 from planner.model.mechanism import Frame, Mechanism
 
 
@@ -139,7 +139,9 @@ def _states(mechanism: Mechanism, q: Any, qd: Any) -> tuple[np.ndarray, np.ndarr
     return np.atleast_2d(q), np.atleast_2d(qd), single
 
 
-def _places(mechanism: Mechanism, q: np.ndarray, qd: np.ndarray) -> list[PlaneContactKinematics | BodyContactKinematics]:
+def _places(
+    mechanism: Mechanism, q: np.ndarray, qd: np.ndarray
+) -> list[PlaneContactKinematics | BodyContactKinematics]:
     """Of all contacts, but for those with planes that are in the air at every state."""
     touching = (_penetrations(mechanism, q)[1] > 0.0).any(axis=0)
     near = [mechanism.contacts[k] for k in np.flatnonzero(touching)]
@@ -155,7 +157,7 @@ def contact_kinematics(
 
 
 class PlaneContactKinematics:
-    """Where a contact is at K states: as BodyPlace, for a sphere and a plane."""
+    """Where a contact is at K states: as BodyContactKinematics, for a sphere and a plane."""
 
     def __init__(self, mechanism: Mechanism, contact: Contact, q: np.ndarray, qd: np.ndarray) -> None:
         T = np.eye(4)

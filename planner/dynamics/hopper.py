@@ -106,7 +106,7 @@ class HopperDynamics:
         """Fill w.F along w.xs, w.us."""
         kernel.linearize_nominal(self._code, self.dt, self._parameters, w.table)
 
-    def ends(self, w: Workspace, memory: None) -> np.ndarray:
+    def stage_ends(self, w: Workspace, memory: None) -> np.ndarray:
         """The ends (N, nx) of the stages from w.xs, w.us."""
         return self.step(w.xs[:-1], w.us)
 

@@ -1,6 +1,6 @@
 """Inverse kinematics: a configuration in which frames of a Mechanism are where they are asked to be.
 
-    minimise |r(q)|^2 + (LEAN |q - q_start|)^2   within the ranges of the joints
+    minimize |r(q)|^2 + (LEAN |q - q_start|)^2   within the ranges of the joints
 
 by SciPy's least_squares with our own Jacobian. r has a position error / metre_scale, a rotation vector log(R_ref' R) /
 turn_scale or, for a direction, the chord between two unit vectors / turn_scale. Of many configurations the little

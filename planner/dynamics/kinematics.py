@@ -11,7 +11,7 @@ import numpy as np
 
 from planner.dynamics.batch import KernelCall, kernel_model
 from planner.kernels.tree import batch as tree_batch
-from planner.kernels.tree.model import chain_of
+from planner.kernels.tree.mechanism_table import chain_of
 from planner.model.mechanism import Frame, Mechanism
 from planner.model.space import cross, hat
 

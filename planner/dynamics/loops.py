@@ -1,6 +1,7 @@
 """Closed chains for the reader and for one state: what is to be zero, its derivative, and the accelerations.
 
-The twin of kernels.tree.loop_accelerations, on Fig. 2's recursions (planner.dynamics.poe); planner.model.loops has the
+The twin of kernels.tree.loop_accelerations, on Fig. 2's recursions (planner.dynamics.product_of_exponentials);
+planner.model.loops has the
 equations. It is analytic as poe is: q, qd and tau may be complex. Rows are those of the loops in their order, then of
 the cams.
 """
@@ -11,8 +12,8 @@ from typing import Any
 
 import numpy as np
 
-from planner.dynamics.poe import Ad, ad, bias, mass_matrix, twists, world_poses
-from planner.model.loops import BAUMGARTE_RATE, PolynomialCoupling, LoopClosure
+from planner.dynamics.product_of_exponentials import Ad, ad, bias, mass_matrix, twists, world_poses
+from planner.model.loops import BAUMGARTE_RATE, LoopClosure, PolynomialCoupling
 from planner.model.mechanism import Mechanism
 
 _RANK_TOLERANCE = 1e-9  # of the largest singular value: redundant equations
@@ -22,7 +23,10 @@ def misses(mechanism: Mechanism, q: np.ndarray) -> np.ndarray:
     """Phi (rows,) at q (nq,): m of places, rad of rotations and hinges."""
     G = world_poses(mechanism, q)
     parts = [_miss(loop, G) for loop in mechanism.loops]
-    parts += [np.array([_follower(mechanism, cam, q) - _polynomial(mechanism, cam, q)[0]]) for cam in mechanism.polynomial_couplings]
+    parts += [
+        np.array([_follower(mechanism, cam, q) - _polynomial(mechanism, cam, q)[0]])
+        for cam in mechanism.polynomial_couplings
+    ]
     return np.concatenate(parts)
 
 
@@ -88,7 +92,9 @@ def closure_bias(mechanism: Mechanism, q: np.ndarray, qd: np.ndarray) -> np.ndar
     for loop in mechanism.loops:
         ends = [_acceleration(G[i], V[i], Vd[i], T) for i, T in zip(loop.links, loop.frames, strict=True)]
         parts.append((ends[0] - ends[1])[: loop.rows])
-    parts += [np.array([-_polynomial(mechanism, cam, q)[2] * qd[cam.leader] ** 2]) for cam in mechanism.polynomial_couplings]
+    parts += [
+        np.array([-_polynomial(mechanism, cam, q)[2] * qd[cam.leader] ** 2]) for cam in mechanism.polynomial_couplings
+    ]
     return np.concatenate(parts)
 
 
@@ -109,7 +115,9 @@ def closed_dynamics(
     J, G = jacobian(mechanism, q), np.eye(mechanism.nv) if mechanism.reduction is None else mechanism.reduction.G
     W = G @ np.linalg.solve(G.T @ mass_matrix(mechanism, q) @ G, G.T)
     free = W @ (tau - bias(mechanism, q, qd))
-    wanted = -closure_bias(mechanism, q, qd) - 2.0 * BAUMGARTE_RATE * (J @ qd) - BAUMGARTE_RATE**2 * misses(mechanism, q)
+    wanted = (
+        -closure_bias(mechanism, q, qd) - 2.0 * BAUMGARTE_RATE * (J @ qd) - BAUMGARTE_RATE**2 * misses(mechanism, q)
+    )
     f = _pseudo_inverse(J @ W @ J.T) @ (wanted - J @ free)
     return free + W @ J.T @ f, f
 

@@ -92,7 +92,7 @@ class CompiledDynamics(Protocol):
     def search(
         self, w: Workspace, memory: Any, rule: int, feedback: bool, cost: float, slope: float
     ) -> tuple[float, float]:
-        """Line search (see kernels.lq.search) from w.xs, w.us; takes the step there; (step or 0, cost after)."""
+        """Line search (see kernels.lq.line_search) from w.xs, w.us; takes the step there; (step or 0, cost after)."""
         ...
 
     def second_order_memory(self) -> Any:

@@ -1,4 +1,4 @@
-"""RigidBodyDynamics: a Mechanism, discretised. The rates are Fig. 2's, the Jacobians exact."""
+"""RigidBodyDynamics: a Mechanism, discretized. The rates are Fig. 2's, the Jacobians exact."""
 
 from __future__ import annotations
 
@@ -16,18 +16,18 @@ from planner.kernels.lq.workspace import Workspace
 from planner.kernels.numba.lanes import padded
 from planner.kernels.precompile import announce_named, variant
 from planner.kernels.tree import linearize as tree_linearize
-from planner.kernels.tree import search as tree_search
-from planner.kernels.tree import second as tree_second
 from planner.kernels.tree import step as tree_step
+from planner.kernels.tree import tree_line_search as tree_search
+from planner.kernels.tree import tree_second_order as tree_second
+from planner.kernels.tree.mechanism_table import Model
 from planner.kernels.tree.memory import TreeMemory
-from planner.kernels.tree.model import Model
 from planner.kernels.tree.residuals.evaluate import quadratize_residuals
 from planner.kernels.tree.residuals.table import ResidualTable
 from planner.model.mechanism import Mechanism
 from planner.model.space import StateSpace
 
 WITH_SUBSTEPS = ("rk4", "rosenbrock")
-MOST_SUBSTEPS = 16  # of a stage: more are a shorter stage's, whose controls may change as well
+MAX_SUBSTEPS = 16  # of a stage: more are a shorter stage's, whose controls may change as well
 ROUNDING = 1e-9  # relative, of a length divided by another
 
 
@@ -42,7 +42,7 @@ class RigidBodyDynamics:
         prescribed: Names of joints whose accelerations are inputs (the paper's Cases 2 and 3); their actuators do
             nothing.
         substeps: Equal steps of these two in a stage, 1 to 16, for machines whose fastest motions need them (see
-            planner.dynamics.stiffness). The control is held over all of them.
+            planner.dynamics.step_stability). The control is held over all of them.
 
     Raises:
         PlannerError: dt is not positive, no such integrator or joint, nothing drives the mechanism, substeps of an
@@ -57,7 +57,7 @@ class RigidBodyDynamics:
             raise PlannerError(f"mechanism is {short_repr(mechanism)}, expected a Mechanism.")
         self.mechanism, self.dt = mechanism, number("dt", dt, greater_than=0.0)
         self.integrator = choice("integrator", integrator, TREE_INTEGRATORS)
-        self.substeps = count("substeps", substeps, maximum=MOST_SUBSTEPS)
+        self.substeps = count("substeps", substeps, maximum=MAX_SUBSTEPS)
         if self.substeps > 1 and self.integrator not in WITH_SUBSTEPS:
             raise PlannerError(
                 f"substeps is {self.substeps} and the integrator {self.integrator!r}, expected integrator = "
@@ -128,10 +128,10 @@ class RigidBodyDynamics:
         substeps = 1
         if self.substeps > 1 and integrator == self.integrator:
             substeps = max(math.ceil(self.substeps * dt / self.dt - ROUNDING), 1)
-            if substeps > MOST_SUBSTEPS:
+            if substeps > MAX_SUBSTEPS:
                 raise PlannerError(
                     f"a stage of {dt:.4g} s needs {substeps} substeps as long as those of {self.dt:.4g} s, expected at "
-                    f"most {MOST_SUBSTEPS}: stages of at most {MOST_SUBSTEPS * self.dt / self.substeps:.4g} s."
+                    f"most {MAX_SUBSTEPS}: stages of at most {MAX_SUBSTEPS * self.dt / self.substeps:.4g} s."
                 )
         return RigidBodyDynamics(self.mechanism, dt, integrator, self.prescribed, substeps)
 
@@ -272,7 +272,7 @@ class RigidBodyDynamics:
         else:
             tree_linearize.linearize_dense(m, r, self.dt, w.xs, w.us, w.F, external)
 
-    def ends(self, w: Workspace, memory: TreeMemory) -> np.ndarray:
+    def stage_ends(self, w: Workspace, memory: TreeMemory) -> np.ndarray:
         """The ends (N, nx) of the stages from w.xs, w.us; linearize_nominal may follow."""
         announce_named(variant("tree steps", self._model))
         xs, lengths = w.xs[:-1], np.full(len(w.us), self.dt)

@@ -18,17 +18,17 @@ from typing import TYPE_CHECKING, Any
 
 from planner.kernels.hopper import second as hopper_second
 from planner.kernels.hopper import step as hopper
-from planner.kernels.lq import active_set, bounded, following, quadratic, riccati, second_order
+from planner.kernels.lq import active_set, bounded_riccati, quadratic, riccati, second_order, tracked_trajectory
 from planner.kernels.numba.jit import announce, arguments_of, cache_is_shared, is_warm
 from planner.kernels.tree import batch as tree_batch
 from planner.kernels.tree import linearize as tree_linearize
-from planner.kernels.tree import search as tree_search
-from planner.kernels.tree import second as tree_second
 from planner.kernels.tree import step as tree_step
+from planner.kernels.tree import tree_line_search as tree_search
+from planner.kernels.tree import tree_second_order as tree_second
 from planner.kernels.tree.residuals import evaluate as residuals
 
 if TYPE_CHECKING:
-    from planner.kernels.tree.model import Model
+    from planner.kernels.tree.mechanism_table import Model
 
 _TABLE, _ROWS, _BLOCKS = "int64[::1]", "float64[:, ::1]", "float64[:, :, ::1]"
 _HOPPER = ("int64", "float64", "float64[::1]")
@@ -38,12 +38,15 @@ _SEARCH = (_ROWS, "int64", "boolean")
 KERNELS: dict[str, tuple[Any, tuple[str, ...]]] = {
     "riccati dense": (riccati.riccati_dense, (_TABLE, "float64", "float64")),
     "riccati structured": (riccati.riccati_structured, (_TABLE, "float64", "float64")),
-    "riccati dense bounded": (bounded.riccati_dense_bounded, (_TABLE, "float64", "float64", "boolean")),
-    "riccati structured bounded": (bounded.riccati_structured_bounded, (_TABLE, "float64", "float64", "boolean")),
+    "riccati dense bounded": (bounded_riccati.riccati_dense_bounded, (_TABLE, "float64", "float64", "boolean")),
+    "riccati structured bounded": (
+        bounded_riccati.riccati_structured_bounded,
+        (_TABLE, "float64", "float64", "boolean"),
+    ),
     "choose active": (active_set.update_active_set, (_TABLE, "float64", "boolean")),
     "gradients": (quadratic.gradients, (_TABLE,)),
-    "begin following": (following.load_tracked, (_TABLE, _TABLE)),
-    "keep followed": (following.store_tracked, (_TABLE, _TABLE)),
+    "begin following": (tracked_trajectory.load_tracked, (_TABLE, _TABLE)),
+    "keep followed": (tracked_trajectory.store_tracked, (_TABLE, _TABLE)),
     "costates": (second_order.costates, (_TABLE, "float64")),
     "tree second order": (
         tree_second.second_order,

@@ -24,7 +24,9 @@ from planner.base.errors import ModelError
 CLOSED = 1e-6  # rad or m: a state that misses a coupling by more is not on it
 _ROUNDING = 1e-12  # of a row's largest coefficient: what elimination leaves of nothing
 _CONTRADICTION = 1e-9  # rad or m, of what redundant equations ask
-_PIVOT_TOLERANCE = 1e-3  # of a row's largest coefficient: a coordinate with less is not solved for, whatever else speaks for it
+_PIVOT_TOLERANCE = (
+    1e-3  # of a row's largest coefficient: a coordinate with less is not solved for, whatever else speaks for it
+)
 
 
 @dataclass(frozen=True)

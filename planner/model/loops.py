@@ -23,7 +23,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-BAUMGARTE_RATE = 20.0  # 1/s: a miss falls to a hundredth within a third of a second, and a stage of 0.1 s is still stable by RK4
+BAUMGARTE_RATE = (
+    20.0  # 1/s: a miss falls to a hundredth within a third of a second, and a stage of 0.1 s is still stable by RK4
+)
 
 
 @dataclass(frozen=True, eq=False)

@@ -33,15 +33,15 @@ import numpy as np
 from planner.base.arguments import choice
 from planner.base.errors import PlannerError
 from planner.model.actuators import Actuators
-from planner.model.check_parts import validate_mechanism
-from planner.model.contact.between_bodies import BodyContact
+from planner.model.contact.body_contact import BodyContact
 from planner.model.contact.laws import Contact, ContactLaw, Stop
 from planner.model.couplings import Coupling, Reduction, reduce
-from planner.model.joint_curves import ExponentialTorque
-from planner.model.loops import PolynomialCoupling, LoopClosure
+from planner.model.exponential_torques import ExponentialTorque
+from planner.model.loops import LoopClosure, PolynomialCoupling
 from planner.model.space import StateSpace
 from planner.model.tendons import FixedTendon
 from planner.model.urdf.as_mjcf import as_mjcf
+from planner.model.validate_mechanism import validate_mechanism
 
 SCREW, BALL, BALL_NEXT = 0, 1, 2
 

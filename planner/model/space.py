@@ -111,7 +111,7 @@ def space_of(dynamics: Any) -> StateSpace:
 
 
 def unit(quaternion: np.ndarray) -> np.ndarray:
-    """Normalised, as MuJoCo does before every use."""
+    """Normalized, as MuJoCo does before every use."""
     return quaternion / np.linalg.norm(quaternion, axis=-1, keepdims=True)
 
 

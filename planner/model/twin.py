@@ -23,7 +23,7 @@ import numpy as np
 
 from planner.base.arguments import array
 from planner.base.errors import PlannerError
-from planner.model.joint_curves import ExponentialTorque
+from planner.model.exponential_torques import ExponentialTorque
 
 if TYPE_CHECKING:
     from planner.model.mechanism import Mechanism
@@ -45,9 +45,10 @@ class Twin:
         to_sim: (K, nw, nx); K = 1 unless contacts are unilateral.
         to_sim_offset: (K, nw).
         assets: Files that the text names, meshes for example, by the name it uses.
-        source: The text that the plan's mechanism was read from, where it is another one: see model.mjcf.driven.
+        source: The text that the plan's mechanism was read from, where it is another one: see
+        model.mjcf.prescribed_joints.
         original: The text as the user gave it, where it was edited before planning; "" where it was not.
-        curves: Torques that act beside what the text says: see planner.proof.replays.curve_callback.
+        curves: Torques that act beside what the text says: see planner.proof.replays.passive_torque_callback.
     """
 
     mjcf: str

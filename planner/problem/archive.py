@@ -23,7 +23,7 @@ import numpy as np
 from planner.base.errors import FileError, ModelError
 from planner.base.files import printable, read_input, write_atomically
 from planner.base.jsonable import finite
-from planner.model.mjcf.bounds import check_stored
+from planner.model.mjcf.input_limits import check_stored
 from planner.model.space import StateSpace
 
 FORMAT_VERSION = 6
@@ -32,7 +32,7 @@ ARRAYS = ("t", "xs", "us", "K", "history")
 FILE = "file:"  # and a digest: the bytes of a file that the model's text names, as uint8
 HINGES = ("hinges_lower", "hinges_upper", "hinges_weight")  # all or none: what ranges of states added to the cost
 PART = "problem:"  # and a name: an array of the problem, where its recipe needs some
-_MOST_BYTES = 2**30  # of all arrays, unpacked: a plan of 100,000 stages of a humanoid has half of that
+_MAX_BYTES = 2**30  # of all arrays, unpacked: a plan of 100,000 stages of a humanoid has half of that
 
 _WORDS = {
     "t": "times t", "xs": "states xs", "us": "controls us", "K": "gains K", "history": "iterations",
@@ -108,8 +108,8 @@ def read_archive(path: Path, columns: int) -> tuple[dict[str, np.ndarray], dict[
         # Our own handle: np.load leaks its file when the archive is broken.
         with opened(path) as handle, np.load(handle, allow_pickle=False) as file:
             unpacked = sum(entry.file_size for entry in file.zip.infolist())
-            if unpacked > _MOST_BYTES:
-                raise FileError(f"{named} unpacks to {unpacked} bytes, expected a plan of at most {_MOST_BYTES}.")
+            if unpacked > _MAX_BYTES:
+                raise FileError(f"{named} unpacks to {unpacked} bytes, expected a plan of at most {_MAX_BYTES}.")
             more = [name for name in file.files if name.startswith((FILE, PART)) or name in HINGES]
             arrays = {name: np.asarray(file[name]) for name in (*ARRAYS, *more)}
             meta = json.loads(str(file["meta"]))

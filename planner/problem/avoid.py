@@ -1,7 +1,7 @@
 """Avoid: which shapes of a model a plan keeps apart, and how far.
 
 The shapes are those of the user's file, as MuJoCo collides them: spheres, capsules, boxes and planes are exact, others
-are fitted (planner.model.contact.fitted). MuJoCo's own collision judges the plan.
+are fitted (planner.model.contact.bounding_fit). MuJoCo's own collision judges the plan.
 """
 
 from __future__ import annotations
@@ -15,16 +15,16 @@ import numpy as np
 
 from planner.base.arguments import array, number, numbers, set_fields, short_repr
 from planner.base.errors import PlannerError
-from planner.model.lying import stationary_object_bodies
 from planner.model.mechanism import SCREW, Mechanism
-from planner.model.mjcf.left_out import pairs_by_name
-from planner.model.mjcf.near_pairs import CollisionPairs, select_collision_pairs
-from planner.model.mjcf.survey import ModelIndex, compile_model
-from planner.problem.constraints.apart import PairClearance
+from planner.model.mjcf.collision_pairs import CollisionPairs, select_collision_pairs
+from planner.model.mjcf.model_index import ModelIndex, compile_model
+from planner.model.mjcf.unmodelled_features import pairs_by_name
+from planner.model.stationary_objects import stationary_object_bodies
+from planner.problem.collision_checker import CollisionChecker
+from planner.problem.constraints.clearance import PairClearance
 from planner.problem.constraints.constraint import Constraint
-from planner.problem.free_poses import CollisionChecker
-from planner.problem.guess import inverse_dynamics_controls
-from planner.problem.way_around import along
+from planner.problem.initial_guess import inverse_dynamics_controls
+from planner.problem.rrt_connect import along
 
 EXACT = 0.02  # of the clearance: how far below it passes
 SOFT = 0.1  # of the clearance, see Apart.soft
@@ -95,7 +95,9 @@ class Avoid:
         goals = {} if goal is None else goal if isinstance(goal, Mapping) else {"the goal": goal}
         poses = {"the start": start, **goals}
         poses = {name: _positions(name, x, mechanism) for name, x in poses.items()}
-        near = select_collision_pairs(survey, poses, a.clearance, own=a.self, world=a.world, known=_known(mechanism, survey))
+        near = select_collision_pairs(
+            survey, poses, a.clearance, own=a.self, world=a.world, known=_known(mechanism, survey)
+        )
         if not near.pairs:
             raise PlannerError("avoid has nothing to keep apart: no shapes of the model can touch; leave it out.")
         return AvoidanceConstraint(_constraint(near, a.clearance, a.more), near.notes)

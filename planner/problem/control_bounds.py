@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-AT_BOUND = 1e-11  # as in kernels.lq.bounded
+AT_BOUND = 1e-11  # as in kernels.lq.bounded_riccati
 
 
 class StepBounds(NamedTuple):

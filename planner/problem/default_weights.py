@@ -6,7 +6,7 @@ Every weight makes its term a number without unit that is about 1:
                     machine and moves its inertia over the way in half of the time; of machines that stand no more
                     than what corrects an error that is kept to within 1 / SWIFT, of what a joint moves in the air or,
                     if that is more, of what it moves while the feet stay: an ankle carries the machine
-    velocity        1 / v^2 of each joint, v = 2 way / duration (a triangle's peak) but never less than LEAST_SPEED;
+    velocity        1 / v^2 of each joint, v = 2 way / duration (a triangle's peak) but never less than MIN_SPEED;
                     only of machines whose actuators reach every joint: another one needs its swing
     position        1 / (KEPT tolerances)^2 beside the straight line to the goal, of machines that stand on the ground:
                     their gains must hold a pose all along; none for others, which find their own way
@@ -29,22 +29,24 @@ import numpy as np
 from planner.dynamics import RigidBodyDynamics
 from planner.dynamics.algorithms import bias, mass_matrix
 from planner.dynamics.assembly import feasible_directions
-from planner.dynamics.footing import stance_inertia
+from planner.dynamics.stance import stance_inertia
 from planner.model.coordinates import coordinates_of_mechanism
-from planner.model.lying import stationary_object_dofs
 from planner.model.mechanism import Mechanism
-from planner.model.mjcf.driven import prescribed_dofs_of
+from planner.model.mjcf.prescribed_joints import prescribed_dofs_of
+from planner.model.stationary_objects import stationary_object_dofs
 from planner.problem.costs.tracking import TrackingCost
 from planner.problem.goals import MIN_TOLERANCES, least_share
-from planner.problem.guess import quasi_static_controls
-from planner.problem.staying import terminal_holding_cost
+from planner.problem.initial_guess import quasi_static_controls
+from planner.problem.terminal_holding_cost import terminal_holding_cost
 
-LEAST_SPEED = {"rad": 0.5, "m": 0.1}  # rad/s, m/s: a joint that stays may move so fast at the price of one that goes
-LEAST_WAY = {"rad": 0.25, "m": 0.05}  # rad, m: what a motor without limits is taken to move at least
+MIN_SPEED = {"rad": 0.5, "m": 0.1}  # rad/s, m/s: a joint that stays may move so fast at the price of one that goes
+MIN_WAY = {"rad": 0.25, "m": 0.05}  # rad, m: what a motor without limits is taken to move at least
 MOVING = 0.75  # of the duration: in the rest a machine that stands comes to rest on a ground that is not the plan's
 STANCE_TOLERANCES = 2.0  # tolerances of the goal: 0.04 rad, 10 mm
 HOLD_SECONDS = 1.0  # s: longer than what a machine that stands takes to come to rest
-MAX_CORRECTION_RATE = 60.0  # 1/s: gains that correct faster wrestle with a ground that is not the plan's, and with stages of 10 ms
+MAX_CORRECTION_RATE = (
+    60.0  # 1/s: gains that correct faster wrestle with a ground that is not the plan's, and with stages of 10 ms
+)
 POSITION, VELOCITY = 4.0, 10.0  # over the square of a goal's tolerance
 SOFTEST_EFFORT = 1e-12  # a limit of a million of its unit, or one that means none, still leaves a definite weight
 
@@ -80,7 +82,7 @@ def default_weights(
     nv = mechanism.nv
     units = [one.unit for one in coordinates_of_mechanism(mechanism)[: 2 * nv]]
     displacement = np.abs(mechanism.space.difference(x0, goal)[:nv]) if displacement is None else displacement
-    speed = np.maximum(2.0 * displacement / duration, [LEAST_SPEED[unit] for unit in units[:nv]])
+    speed = np.maximum(2.0 * displacement / duration, [MIN_SPEED[unit] for unit in units[:nv]])
     velocity = np.zeros(nv)
     reach = fully_actuated(dynamics)
     stands = bool(mechanism.contacts) and stays and not effort_alone
@@ -90,7 +92,9 @@ def default_weights(
     position, rate = _tolerances(mechanism, [share * MIN_TOLERANCES[unit] for unit in units], tolerance)
     kept = STANCE_TOLERANCES * position if stands else None
     effort, control, known = _effort(dynamics, x0, goal, duration, displacement, kept, most)
-    stays_put = stationary_object_dofs(mechanism) & (displacement == 0.0) & (x0[mechanism.nq : mechanism.nq + nv] == 0.0)
+    stays_put = (
+        stationary_object_dofs(mechanism) & (displacement == 0.0) & (x0[mechanism.nq : mechanism.nq + nv] == 0.0)
+    )
     dear = max(1.0, jerk * min_jerk_cost(displacement, duration))
     ends = dear * (not stands) * ~stays_put
     weights = {
@@ -104,7 +108,8 @@ def default_weights(
     return DefaultWeights(weights, {
         "effort": "1 / limit^2 of each control" + ("" if all(known) else ", where the model has no limit from the "
                   "force that holds the machine and moves its inertia") + (
-                  f", at most what corrects {STANCE_TOLERANCES:g} tolerances within 1 / {MAX_CORRECTION_RATE:g} s" if stands else ""),
+                  f", at most what corrects {STANCE_TOLERANCES:g} tolerances within 1 / {MAX_CORRECTION_RATE:g} s" if
+                  stands else ""),
         "velocity": "1 / v^2 of each joint, v = 2 way / duration" if np.any(velocity) else
                     "none: the objective is named" if reach else "none: not every joint has an actuator, and a swing "
                     "must be free",
@@ -199,7 +204,7 @@ def _effort(
     mechanism, driven = dynamics.mechanism, prescribed_dofs_of(dynamics)
     actuators, nq = mechanism.actuators, mechanism.nq
     units = [one.unit for one in coordinates_of_mechanism(mechanism)[: mechanism.nv]]
-    swift = 4.0 * np.maximum(displacement, [LEAST_WAY[unit] for unit in units]) / duration**2  # of a triangle of speed
+    swift = 4.0 * np.maximum(displacement, [MIN_WAY[unit] for unit in units]) / duration**2  # of a triangle of speed
     still = np.zeros(mechanism.nv)
     held = np.maximum(*(np.abs(bias(mechanism, x[:nq], still)) for x in (x0, goal)))
     inertia = np.diagonal(mass_matrix(mechanism, x0[:nq]))

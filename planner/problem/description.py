@@ -22,11 +22,11 @@ from planner.model.mjcf.facts import (
     joint_records,
     moving_mass,
 )
-from planner.model.mjcf.left_out import UnmodelledFeatures
-from planner.model.mjcf.opened import ModelFile
+from planner.model.mjcf.model_file import ModelFile
 from planner.model.mjcf.read import read_opened
-from planner.model.mjcf.refuse import KINDS, unsupported_elements
-from planner.problem.troubles import ModelWarning, lint_model
+from planner.model.mjcf.unmodelled_features import UnmodelledFeatures
+from planner.model.mjcf.unsupported import KINDS, unsupported_elements
+from planner.problem.model_lint import ModelWarning, lint_model
 
 
 class Loaded(NamedTuple):
@@ -190,4 +190,8 @@ def _left_out(file: ModelFile, mechanism: Mechanism | None) -> list[str]:
     contacts = [f"contacts of all {pairs} pairs of shapes that may touch"] if "contacts" in mechanism.ignored else []
     refused = tuple(one for one in refused if one.phrase in mechanism.ignored)
     told = {"contacts", *(one.phrase for one in refused)}
-    return [*contacts, *UnmodelledFeatures(refused).phrases, *(phrase for phrase in mechanism.ignored if phrase not in told)]
+    return [
+        *contacts,
+        *UnmodelledFeatures(refused).phrases,
+        *(phrase for phrase in mechanism.ignored if phrase not in told),
+    ]

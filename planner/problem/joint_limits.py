@@ -67,7 +67,9 @@ def model_ranges(mechanism: Mechanism, margin: Any) -> dict[int, Range]:
     return found
 
 
-def moved_inside_limits(mechanism: Mechanism, what: str, x: np.ndarray, limited: Collection[str]) -> tuple[np.ndarray, str]:
+def moved_inside_limits(
+    mechanism: Mechanism, what: str, x: np.ndarray, limited: Collection[str]
+) -> tuple[np.ndarray, str]:
     """A state (nx,) whose joints lie outside of the model's ranges by no more than a margin, at their ends instead.
 
     A stop acts from a little before its end on, by its own margin: what begins or ends there is pushed to where the
@@ -104,7 +106,12 @@ def starts_at_limit(mechanism: Mechanism, what: str, x: np.ndarray, limited: Col
     driven, names = np.any(mechanism.actuators.moment, axis=0), []
     for i, kept in model_ranges(mechanism, None).items():
         value, name = float(x[mechanism.q_address[i]]), mechanism.joint_names[_place(mechanism, i)]
-        free = not driven[i] and i not in tied and name not in limited and not (mechanism.loops or mechanism.polynomial_couplings)
+        free = (
+            not driven[i]
+            and i not in tied
+            and name not in limited
+            and not (mechanism.loops or mechanism.polynomial_couplings)
+        )
         if free and min(value - kept.model_lower, kept.model_upper - value) <= _margin(mechanism, name, i, None):
             names.append(mechanism.joint_of(i))
     if not names:

@@ -41,7 +41,7 @@ from planner.problem.limit_values import (
     table_of,
     with_names,
 )
-from planner.problem.state_ranges import StateBounds
+from planner.problem.state_bounds import StateBounds
 from planner.problem.tendon_ranges import kept_tendon, tendon_ranges
 
 TOLERANCE = 1e-4  # rad, m, rad/s, m/s
@@ -313,7 +313,9 @@ class Limits:
                 raise PlannerError("no final weight is above 0, expected one where the goal is to be met exactly.")
             return at_end
         if not isinstance(self.final, Sequence) or not self.final:
-            raise PlannerError(f"final is {short_repr(self.final)}, expected 'exact', or a list of joints or of indices.")
+            raise PlannerError(
+                f"final is {short_repr(self.final)}, expected 'exact', or a list of joints or of indices."
+            )
         at_end = []
         for part in self.final:
             if isinstance(part, str):

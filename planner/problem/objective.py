@@ -62,7 +62,9 @@ def checked_durations(durations: Any, weights: Mapping[str, float]) -> tuple[flo
         return None
     pair = isinstance(durations, (Sequence, np.ndarray)) and not isinstance(durations, str) and len(durations) == 2
     if not pair:
-        raise PlannerError(f"durations is {short_repr(durations)}, expected (shortest, longest) in s, which time needs.")
+        raise PlannerError(
+            f"durations is {short_repr(durations)}, expected (shortest, longest) in s, which time needs."
+        )
     shortest, longest = (number("a duration", value, greater_than=0.0) for value in durations)
     if not shortest < longest:
         raise PlannerError(f"durations are {shortest:g} and {longest:g} s, expected the shortest before the longest.")

@@ -25,25 +25,25 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from planner.base.display_mixins import Plottable
 from planner.base.files import printable
-from planner.base.shown import Plottable
 from planner.base.versions import installed_versions
 from planner.model.space import StateSpace, euclidean, space_of
 from planner.model.twin import Twin
 from planner.problem.archive import FILE, HINGES, PART, digest_of, pack, plan_name, write_archive
-from planner.problem.at_bounds import constraints_broken, control_at_bound, stalled, state_outside
-from planner.problem.costs.wanted import stored_tolerance
-from planner.problem.criteria import base_problem
+from planner.problem.bound_messages import constraints_broken, control_at_bound, stalled, state_outside
+from planner.problem.costs.goal_spec import stored_tolerance
 from planner.problem.export.joint_trajectory import joint_trajectory
 from planner.problem.export.keyframes import write_keyframes
 from planner.problem.export.sampled import Samples, sampled
 from planner.problem.export.table import frame_of, write_csv
 from planner.problem.goals import missed_goal_message
-from planner.problem.motion import Trajectory, scaled_multipliers, rates_of
-from planner.problem.parts import unstorable_part, to_arrays
+from planner.problem.objective_problem import base_problem
 from planner.problem.problem import Problem
 from planner.problem.recipe import PROBLEM_FILE, Built, Recipe
-from planner.problem.state_ranges import BoundPenalties
+from planner.problem.state_bounds import BoundPenalties
+from planner.problem.stored_problem import to_arrays, unstorable_part
+from planner.problem.trajectory import Trajectory, rates_of, scaled_multipliers
 
 
 class Status(StrEnum):
@@ -52,7 +52,7 @@ class Status(StrEnum):
     CONVERGED = "The gradient, the predicted or the actual decrease fell below its tolerance."
     MAX_ITERATIONS = "The iteration limit was reached; raise max_iterations, or start from this plan's controls."
     NO_DESCENT = (
-        "No step length lowered the cost, even strongly regularised; check the derivatives, "
+        "No step length lowered the cost, even strongly regularized; check the derivatives, "
         "smooth the dynamics or start from another guess."
     )
     NOT_FINITE = (
@@ -80,15 +80,15 @@ class Iteration(NamedTuple):
     iteration: int  # Counted from 0
     cost: float  # J of Eq. 9
     gradient_norm: float  # Euclidean norm of the gradient of J with respect to all controls (Eq. 19)
-    step: float  # Step length taken (Eq. 36); 0 when none was (converged, or regularisation was raised)
+    step: float  # Step length taken (Eq. 36); 0 when none was (converged, or regularization was raised)
     expected: float  # Decrease that the LQ model promised for that step
     actual: float  # Decrease that came
-    regularisation: float  # Added to the diagonal of R + B'PB
+    regularization: float  # Added to the diagonal of R + B'PB
 
     def __str__(self) -> str:
         row = (
             f"{self.iteration:5d}  {self.cost:15.8g}  {self.gradient_norm:9.2e}  {self.step:9.3g}  "
-            f"{self.expected:9.2e}  {self.actual:9.2e}  {self.regularisation:9.2e}"
+            f"{self.expected:9.2e}  {self.actual:9.2e}  {self.regularization:9.2e}"
         )
         return row if self.iteration else f"{self.header()}\n{row}"
 
@@ -141,7 +141,7 @@ class Plan(Built, Plottable):
         starts: How each start of a solve with several ended; empty for a single one.
         options: How it was solved: the arguments of solve(), the seed among them.
         changed: Parts of its file that were changed after it was written; empty for none, or for no file.
-        hinges: Terms that ranges of states and constraints added to the cost in the last round of the augmented
+        penalties: Terms that ranges of states and constraints added to the cost in the last round of the augmented
             Lagrangian: with them the gradient, its norm and the gains. None where nothing was added.
         space: Where the states lie.
         versions: Of the software that made the plan.
@@ -256,7 +256,10 @@ class Plan(Built, Plottable):
         """What the plan does, apart from its problem."""
         rates, pulls = slice(0, 0), None
         if self.problem is not None:
-            rates, pulls = rates_of(self.problem.dynamics), scaled_multipliers(self.problem.trajectory_constraints, self.bound_penalties)
+            rates, pulls = (
+                rates_of(self.problem.dynamics),
+                scaled_multipliers(self.problem.trajectory_constraints, self.bound_penalties),
+            )
         return Trajectory(self.t, self.xs, self.us, self.K, self.space, rates, pulls)
 
     def shifted(self, seconds: float) -> Trajectory:

@@ -13,22 +13,22 @@ from planner.base.errors import PlannerError
 from planner.base.measured import Section
 from planner.dynamics import Dynamics, RigidBodyDynamics
 from planner.dynamics.assembly import check_assembled
-from planner.model.mjcf.driven import twin_of
+from planner.model.mjcf.prescribed_joints import twin_of
 from planner.model.space import space_of
 from planner.model.twin import Twin
 from planner.problem.appearance import Appearance
 from planner.problem.constraints.constraint import Constraint
-from planner.problem.constraints.kept import TrajectoryConstraints
-from planner.problem.constraints.rows import ConstraintStack
+from planner.problem.constraints.constraint_stack import ConstraintStack
+from planner.problem.constraints.trajectory_constraints import TrajectoryConstraints
 from planner.problem.control_bounds import ControlBounds
+from planner.problem.costs.goal_spec import GoalSpec, checked_tolerance
 from planner.problem.costs.terms import Cost, check_cost
 from planner.problem.costs.tracking import states, tracking_of
-from planner.problem.costs.wanted import GoalSpec, checked_tolerance
 from planner.problem.limits import TOLERANCE, Limits
 from planner.problem.objective import Objective
 from planner.problem.periodicity import Periodic
 from planner.problem.recipe import Built, Recipe
-from planner.problem.state_ranges import StateBounds
+from planner.problem.state_bounds import StateBounds
 
 
 @dataclass(frozen=True)
@@ -60,19 +60,20 @@ class Problem(Built):
     Attributes:
         dynamics: f and its Jacobians.
         cost: phi and L.
-        x0: (nx,) start. Its quaternions are normalised; one of length zero is refused.
+        x0: (nx,) start. Its quaternions are normalized; one of length zero is refused.
         us: (N, nu) first guess of the controls; zero by default.
         horizon: N; needed only when neither us nor the cost tells it.
         twin: The MuJoCo model that a plan is replayed in; by default the MJCF that the dynamics' mechanism was read
-            from, its prescribed joints driven (planner.model.mjcf.driven); None when there is none.
+            from, its prescribed joints driven (planner.model.mjcf.prescribed_joints); None when there is none.
         appearance: How the machine is shown.
         requirements: The case's own rules for a proof; None for the general rules.
         limits: Bounds of the controls, ranges of the states, exact goals; None for none.
         constraints: planner.Constraint of terms or functions, which hold along the plan; () for none.
         objective: The weights of planner.costs.with_objective; None for a cost as it was given.
-        decrease_tolerance: Of planner.solve when it is given none, where a cost is flat towards its end and the last
+        expected_reduction_tolerance: Of planner.solve when it is given none, where a cost is flat towards its end and
+        the last
             digits of it are worth no iterations; None for solve's own.
-        gain_tolerance: The same, where a cost has kinks.
+        actual_reduction_tolerance: The same, where a cost has kinks.
         periodic: Components of the state that return at the end, for planner.solve_periodic; None for none.
         tolerance: How far the end may be from what the cost asks of it, for the proof: a number in rad, m, rad/s and
             m/s, infinite (or "soft") for no check, or a table of these by "position", "velocity" and the names of
@@ -103,8 +104,8 @@ class Problem(Built):
     objective: Objective | None = None
     periodic: Periodic | None = None
     tolerance: float | Mapping[str, float] | None = None
-    decrease_tolerance: float | None = None
-    gain_tolerance: float = 0.0
+    expected_reduction_tolerance: float | None = None
+    actual_reduction_tolerance: float = 0.0
     wanted: tuple[GoalSpec, ...] | None = None
     bounds: ControlBounds | None = field(init=False, default=None)
     ranges: StateBounds | None = field(init=False, default=None)
@@ -141,9 +142,9 @@ class Problem(Built):
         if self.recipe is not None:
             cost = self.cost if self.objective is None else self.objective.base
             object.__setattr__(self, "recipe", self.recipe.of(self.dynamics, cost, self.x0, N, self.constraints))
-        if self.decrease_tolerance is not None:
-            number("decrease_tolerance", self.decrease_tolerance, minimum=0.0)
-        number("gain_tolerance", self.gain_tolerance, minimum=0.0)
+        if self.expected_reduction_tolerance is not None:
+            number("expected_reduction_tolerance", self.expected_reduction_tolerance, minimum=0.0)
+        number("actual_reduction_tolerance", self.actual_reduction_tolerance, minimum=0.0)
         object.__setattr__(self, "tolerance", checked_tolerance(self.tolerance))
         if self.periodic is not None:
             object.__setattr__(self, "periodic", self.periodic.of_size(space.ndx))

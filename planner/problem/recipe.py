@@ -11,7 +11,7 @@ import numpy as np
 from planner.base.errors import PlannerError
 
 PROBLEM_FILE = "problem-file"  # the name of a problem.toml's recipe, whatever its machine
-ROUNDING = 1e-14  # quaternions that are normalised twice differ by as much
+ROUNDING = 1e-14  # quaternions that are normalized twice differ by as much
 
 
 class Built:

@@ -22,7 +22,7 @@ from planner.model.mechanism import Mechanism
 from planner.model.space import space_of
 from planner.model.tendons import FixedTendon
 from planner.problem.constraints.constraint import Constraint
-from planner.problem.constraints.of_terms import machine_of
+from planner.problem.constraints.quantities import machine_of
 from planner.problem.joint_limits import Range, margin_of
 
 _ROUNDING = 1e-9  # rad or m

@@ -1,6 +1,7 @@
 from planner.proof.compare.model_parity import parity as parity
-from planner.proof.gain_rates import slowest_rate as slowest_rate
-from planner.proof.hold import hold_gain as hold_gain
+from planner.proof.feedback_rate import slowest_rate as slowest_rate
+from planner.proof.goal_regulator import hold_gain as hold_gain
+from planner.proof.prove import prove as prove
 from planner.proof.refinement import Refined as Refined
 from planner.proof.refinement import Refinement as Refinement
 from planner.proof.refinement import refine as refine
@@ -11,5 +12,4 @@ from planner.proof.replays.replaying import replay as replay
 from planner.proof.replays.sampled_gains import Sampling as Sampling
 from planner.proof.replays.sampled_gains import sampling_of as sampling_of
 from planner.proof.robustness.perturbation import Perturbation as Perturbation
-from planner.proof.steps import prove as prove
 from planner.proof.verdict import Proof as Proof

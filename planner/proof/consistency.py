@@ -19,8 +19,8 @@ from planner.problem.goals import terms_of
 from planner.problem.plan import Plan, Status
 from planner.problem.problem import Problem
 from planner.proof.constraints import planned_violations
-from planner.proof.more_steps import STEPS, remaining_decrease
-from planner.proof.scales import COST_BOUND, is_nonsmooth, judged_cost, limit_violations
+from planner.proof.error_scales import COST_BOUND, is_nonsmooth, judged_cost, limit_violations
+from planner.proof.remaining_decrease import STEPS, remaining_decrease
 from planner.solvers import lq
 from planner.solvers.slq import DECREASE
 
@@ -29,7 +29,7 @@ GAIN_BOUND = 1e-6  # relative; what rounding becomes in a sweep over unstable st
 _LAST_DIGITS = 1e-13  # relative errors of states and controls: what sums over a tree of links leave of 16 digits
 _MARGIN = 30.0  # between two such computations and the worst of many
 _MAX_ROUNDING_SHARE = 1e-3  # a plan whose numbers rounding moves by more than this is not known
-_MOST_GAINS = 0.1  # of one stage's gains: an LQ regulator has a gain margin of 2, and step 3 judges what they do
+_MAX_GAINS = 0.1  # of one stage's gains: an LQ regulator has a gain margin of 2, and step 3 judges what they do
 SINGULAR = 0.02  # of the largest singular value of the closed chains' Jacobian: forces are some fifty times larger
 _DRAWS = 3  # of wrong last digits
 _MIN_COST_SHARE = 1e-3  # of the cost of errors that pass: costs smaller than that are as good as zero
@@ -83,7 +83,7 @@ def consistency(plan: Plan, problem: Problem, now: Recomputed) -> Section:
         gains = 0.0 * plan.t[:-1] if plan.status is Status.GIVEN else gains  # they are its maker's
         known = gradient <= BOUND and np.all(gains <= GAIN_BOUND)
         moved = (0.0, np.zeros(plan.N)) if known else _moved(plan, problem, now, size)
-        by_stage = np.clip(_MARGIN * moved[1], GAIN_BOUND, _MOST_GAINS)
+        by_stage = np.clip(_MARGIN * moved[1], GAIN_BOUND, _MAX_GAINS)
         worst = int(np.argmax(np.where(np.isfinite(gains), gains / by_stage, np.inf)))
     gradient_bound, gain_bound = max(BOUND, min(_MARGIN * moved[0], _MAX_ROUNDING_SHARE)), float(by_stage[worst])
     why = "; the bound is what rounding makes of it here"
@@ -92,7 +92,7 @@ def consistency(plan: Plan, problem: Problem, now: Recomputed) -> Section:
     note = "the gains against the last Riccati sweep (Eq. 31-33), relative to the largest"
     note += f"; of stage {worst}{why}" if gain_bound > GAIN_BOUND else ""
     if now.sweep is None:
-        note = "R + B'PB is not positive definite along the plan: its gains are those of a regularised model"
+        note = "R + B'PB is not positive definite along the plan: its gains are those of a regularized model"
     measured.append(Measurement("gain_error", float(gains[worst]), "", gain_bound, note))
     note = f"changed after the file was written: {', '.join(plan.changed)}" if plan.changed else "of the plan's file"
     measured.append(Measurement("changed_parts", float(len(plan.changed)), "", 0.0, note))

@@ -14,11 +14,11 @@ import numpy as np
 
 from planner.base.measured import Measurement
 from planner.problem.constraints.constraint import Constraint
-from planner.problem.constraints.rows import ConstraintStack
+from planner.problem.constraints.constraint_stack import ConstraintStack
 from planner.problem.plan import Plan
 from planner.problem.problem import Problem
+from planner.proof.error_scales import path_error_bounds
 from planner.proof.replays.replaying import Replay
-from planner.proof.scales import path_error_bounds
 
 CORRECTION = 0.01  # of the largest |h| along the plan, of what takes controls
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 from weakref import WeakKeyDictionary
 
 from planner.model.mechanism import Mechanism
-from planner.model.mjcf.left_out import UnmodelledFeatures
-from planner.model.mjcf.left_out import unmodelled_features as compare
+from planner.model.mjcf.unmodelled_features import UnmodelledFeatures
+from planner.model.mjcf.unmodelled_features import unmodelled_features as compare
 from planner.problem.problem import Problem
 from planner.proof.replays.compiled_twin import CompiledTwin
 

@@ -20,13 +20,13 @@ from typing import Any, NamedTuple
 
 from planner.base.arguments import count, number, short_repr
 from planner.base.errors import PlannerError
-from planner.problem.discretisation import finer
 from planner.problem.plan import Plan, Status
+from planner.problem.rediscretize import finer
 from planner.proof import Proof
 from planner.proof import prove as full_proof
-from planner.proof.growth import FACTOR
+from planner.proof.error_propagation import FACTOR
+from planner.proof.error_scales import shares_of_bounds
 from planner.proof.replays.replaying import reached_by_plan
-from planner.proof.scales import shares_of_bounds
 from planner.solvers.slq import solve
 from planner.solvers.warm_start import warm_start
 
@@ -117,8 +117,9 @@ def refine(
         prove: The function that judges the plans on the way; by default prove() without perturbed rollouts.
         callback: Called with each Refinement, that of the given plan included; print makes a table. It may raise
             StopIteration to end.
-        options: Of solve(): update, line_search, hessian, max_iterations, gradient_tolerance, decrease_tolerance,
-            gain_tolerance.
+        options: Of solve(): update, line_search, hessian, max_iterations, gradient_tolerance,
+        expected_reduction_tolerance,
+            actual_reduction_tolerance.
 
     Returns:
         The last plan that was proved, and why it is the last. That it never passed is its proof's verdict, not an

@@ -4,7 +4,8 @@ MuJoCo has the semi-implicit Euler method, and Runge-Kutta's where no orientatio
 method is of second order, a plan's is Munthe-Kaas's of fourth. Where MuJoCo does not have the plan's integrator, that
 integrator is applied here to MuJoCo's accelerations, mj_forward at each of its stages.
 
-So it is where joints are prescribed: their motors leave some 1e-7 of what is asked for (model.mjcf.driven), which is
+So it is where joints are prescribed: their motors leave some 1e-7 of what is asked for (model.mjcf.prescribed_joints),
+which is
 not the transcription's. Here they are asked again for what is missing. And so it is where joints are coupled or chains
 are closed: MuJoCo's equalities are soft, so here its accelerations are those of its own M and forces with the
 equalities kept exactly.
@@ -24,16 +25,16 @@ import numpy as np
 from planner.base.gl import load_mujoco
 from planner.base.measured import Measurement, Section
 from planner.model.mechanism import Mechanism
-from planner.model.mjcf.driven import prescribed_dofs_of
+from planner.model.mjcf.prescribed_joints import prescribed_dofs_of
 from planner.model.space import StateSpace
 from planner.model.twin import Twin
 from planner.problem.plan import Plan
 from planner.problem.problem import Problem
 from planner.proof.compare.constrained import constrained_acceleration, steps_back
 from planner.proof.replays.compiled_twin import CompiledTwin
-from planner.proof.replays.curve_callback import curves_acting
 from planner.proof.replays.implicit_steps import INTEGRATOR as IMPLICIT
 from planner.proof.replays.implicit_steps import damping_of, implicit_step
+from planner.proof.replays.passive_torque_callback import curves_acting
 from planner.proof.replays.simulation import set_state, state_of
 
 PATH_BOUND = 1e-8  # of the largest state

@@ -17,15 +17,15 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Any
 
+from planner.base.display_mixins import Renderable
 from planner.base.gl import load_mujoco
 from planner.base.measured import Section, dicts_of, rows_of
-from planner.base.shown import Renderable
-from planner.proof.growth import ErrorPropagation
-from planner.proof.hold import RegulatedRun
-from planner.proof.order import StepConvergence
+from planner.proof.error_propagation import ErrorPropagation
+from planner.proof.goal_regulator import RegulatedRun
 from planner.proof.replays.replaying import Replay
 from planner.proof.robustness.perturbation import Perturbation
 from planner.proof.robustness.perturbed import JUDGED, RobustnessResult
+from planner.proof.step_convergence import StepConvergence
 
 TESTED = "tested in your file"
 

@@ -1,4 +1,4 @@
-"""The LQ problem with bounds of controls and hinges of states, in NumPy: the twin of kernels.lq.active_set."""
+"""The LQ problem with bounds of controls and penalties of states, in NumPy: the twin of kernels.lq.active_set."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 from planner.kernels.lq.active_set import MULTIPLIER_ROUNDING, ROUNDING
 from planner.problem.control_bounds import StepBounds
 from planner.problem.costs.terms import Quadratic
-from planner.problem.state_ranges import BoundPenalties, StateBounds, sides_of
+from planner.problem.state_bounds import BoundPenalties, StateBounds, sides_of
 from planner.solvers import lq
 
 
@@ -17,7 +17,7 @@ class StatePenalties(NamedTuple):
     """Hinges of ranges along a trajectory."""
 
     ranges: StateBounds
-    hinges: BoundPenalties
+    penalties: BoundPenalties
     xs: np.ndarray  # (N+1, nx)
 
 
@@ -25,16 +25,16 @@ def solve_active_set(
     A: np.ndarray, B: np.ndarray, quadratic: Quadratic, mu: float, bounds: StepBounds | None, second: np.ndarray | None,
     pulling: StatePenalties | None, active_bounds: np.ndarray, most: int,
 ) -> tuple[lq.Sweep | None, np.ndarray]:  # fmt: skip
-    """The sweep whose own linear motion tells the set of held controls and of hinges that it has.
+    """The sweep whose own linear motion tells the set of held controls and of penalties that it has.
 
     Args:
         A: (N, ndx, ndx).
         B: (N, ndx, nu).
-        quadratic: Of the cost with its hinges as they pull now.
-        mu: Regularisation, added to R.
+        quadratic: Of the cost with its penalties as they pull now.
+        mu: Regularization, added to R.
         bounds: Of the controls, or None.
         second: (N, ndx+nu, ndx+nu) added to the Hessians, or None.
-        pulling: The hinges, or None.
+        pulling: The penalties, or None.
         held: (N, nu) the set to begin with.
         most: Sweeps.
 
@@ -45,7 +45,7 @@ def solve_active_set(
     model, more_cost, more_slope, e, sides = quadratic, 0.0, 0.0, None, None
     if pulling is not None:
         e = pulling.ranges.deviations(pulling.xs)
-        sides = sides_of(pulling.hinges, e)
+        sides = sides_of(pulling.penalties, e)
     for _ in range(most):
         sweep = lq.riccati(A, B, model, mu, bounds, second, held=active_bounds if bounds is not None else None)
         if sweep is None:
@@ -54,12 +54,14 @@ def solve_active_set(
         after = active_bounds if bounds is None else _held(sweep, bounds, active_bounds, dxs, dus)
         same = np.array_equal(after, active_bounds)
         if pulling is not None and e is not None and sides is not None:
-            after_sides = pulling.ranges.next_sides(pulling.hinges, e, dxs, sides)
+            after_sides = pulling.ranges.next_sides(pulling.penalties, e, dxs, sides)
             same = same and np.array_equal(after_sides, sides)
-            _, more_cost, more_slope = pulling.ranges.with_active_sides(pulling.hinges, quadratic, pulling.xs, sides, dxs)
+            _, more_cost, more_slope = pulling.ranges.with_active_sides(
+                pulling.penalties, quadratic, pulling.xs, sides, dxs
+            )
             if not same:
                 sides = after_sides
-                model, _, _ = pulling.ranges.with_active_sides(pulling.hinges, quadratic, pulling.xs, sides, dxs)
+                model, _, _ = pulling.ranges.with_active_sides(pulling.penalties, quadratic, pulling.xs, sides, dxs)
         if same:
             return sweep._replace(slope=sweep.slope + more_slope, value=sweep.value + more_cost), active_bounds
         active_bounds = after
@@ -75,7 +77,9 @@ def _motion(A: np.ndarray, B: np.ndarray, sweep: lq.Sweep) -> tuple[np.ndarray, 
     return dxs, dus
 
 
-def _held(sweep: lq.Sweep, bounds: StepBounds, active_bounds: np.ndarray, dxs: np.ndarray, dus: np.ndarray) -> np.ndarray:
+def _held(
+    sweep: lq.Sweep, bounds: StepBounds, active_bounds: np.ndarray, dxs: np.ndarray, dus: np.ndarray
+) -> np.ndarray:
     """The next set of held controls (N, nu): -1 at the lower bound, 1 at the upper one, 0 free."""
     lower, upper = bounds.lower, bounds.upper
     if bounds.lower_by_x is not None and bounds.upper_by_x is not None:

@@ -1,4 +1,4 @@
-"""The minimum of a quadratic over a box, in NumPy: the twin of kernels.lq.box.
+"""The minimum of a quadratic over a box, in NumPy: the twin of kernels.lq.box_qp.
 
 minimize 1/2 k'H k + h'k   over   lower <= k <= upper,   where lower <= 0 <= upper
 """
@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
-MOST_STEPS = 100
+MAX_STEPS = 100
 SHORTEST = 1e-10
 SUFFICIENT = 0.1
 
@@ -28,7 +28,7 @@ def box_minimum(H: np.ndarray, h: np.ndarray, lower: np.ndarray, upper: np.ndarr
         numpy.linalg.LinAlgError: H is not positive definite where k is free.
     """
     k, clamped, full = np.zeros_like(h), np.zeros(len(h), dtype=bool), False
-    for _ in range(MOST_STEPS):
+    for _ in range(MAX_STEPS):
         g = h + H @ k
         before, clamped = clamped, ((k <= lower) & (g > 0.0)) | ((k >= upper) & (g < 0.0))
         if full and np.array_equal(before, clamped):

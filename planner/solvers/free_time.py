@@ -3,7 +3,7 @@
 The number of stages stays and their length is the unknown, T = N dt. For every T there is a least J*(T), which SLQ
 finds; so what is left is a function of one variable:
 
-    minimise  time_weight T + J*(T)                                    over shortest <= T <= longest.
+    minimize  time_weight T + J*(T)                                    over shortest <= T <= longest.
 
 With time alone there is no J: the least T is wanted at which the bounds of the controls allow the goal to be met
 exactly. It is found by bisection, and of all motions that take so long the plan is the one with the least effort. Each
@@ -24,13 +24,13 @@ import numpy as np
 
 from planner.base.arguments import number, short_repr
 from planner.base.errors import PlannerError
-from planner.problem.criteria import base_problem, with_objective
-from planner.problem.discretisation import retimed
 from planner.problem.limits import EXACT, Limits
-from planner.problem.motion import Trajectory
 from planner.problem.objective import checked_durations, weights_of
+from planner.problem.objective_problem import base_problem, with_objective
 from planner.problem.plan import Plan, Status
 from planner.problem.problem import Problem
+from planner.problem.rediscretize import retimed
+from planner.problem.trajectory import Trajectory
 from planner.solvers.multistart import SEVERAL
 from planner.solvers.slq import as_user_plan, solve
 from planner.solvers.warm_start import warm_start
@@ -213,7 +213,11 @@ class _DurationSearch:
 
 def _outside(problem: Problem, plan: Plan) -> float:
     """How far a plan is outside of its limits and constraints: the largest, rad, m, rad/s, m/s."""
-    return 0.0 if problem.trajectory_constraints is None else float(np.max(problem.trajectory_constraints.violation(plan.xs, plan.us), initial=0.0))
+    return (
+        0.0
+        if problem.trajectory_constraints is None
+        else float(np.max(problem.trajectory_constraints.violation(plan.xs, plan.us), initial=0.0))
+    )
 
 
 def _least(search: _DurationSearch, shortest: float, longest: float, tolerance: float) -> None:

@@ -19,7 +19,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from planner.kernels.lq.along_bounds import AT_BOUND
+from planner.kernels.lq.state_dependent_bounds import AT_BOUND
 from planner.problem.control_bounds import StepBounds
 from planner.problem.costs.terms import Quadratic
 from planner.solvers.box import box_minimum
@@ -91,16 +91,16 @@ def riccati(
     gaps: np.ndarray | None = None,
     held: np.ndarray | None = None,
 ) -> Sweep | None:
-    """Backward sweep, Eq. 31-34 with a Cholesky factorisation of R + B'PB + mu I instead of Eq. 31's inverse.
+    """Backward sweep, Eq. 31-34 with a Cholesky factorization of R + B'PB + mu I instead of Eq. 31's inverse.
 
     With bounds each stage's k is the minimum over its box; clamped controls have no gains, or those that follow their
-    bounds where these depend on the state (see kernels.lq.bounded).
+    bounds where these depend on the state (see kernels.lq.bounded_riccati).
 
     Args:
         A: (N, ndx, ndx).
         B: (N, ndx, nu).
         quadratic: Of the cost.
-        mu: Regularisation, added to R.
+        mu: Regularization, added to R.
         bounds: Of k.
         second: (N, ndx+nu, ndx+nu) second-order terms of the dynamics in z = (x, u), added to each stage's Hessian.
         gaps: (N, ndx) between the stages; none by default. With them slope and value are no longer those of J.

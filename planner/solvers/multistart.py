@@ -7,7 +7,7 @@ Start 0 is the problem's own first guess; start k adds a smooth random change, d
 with an RMS of 1 expected of the sum, and a scale per control: the RMS of the guess, or of what five iterations from
 it have made of it, whichever is larger. So it is in the control's own units, also where the guess is zero.
 Where the cost asks for a whole state at the end, starts from 1 on begin with the straight line to it beside these
-controls (solvers.shooting): a rollout of random controls goes far astray, and few solves find back.
+controls (solvers.multiple_shooting): a rollout of random controls goes far astray, and few solves find back.
 Starts run on threads, or on the executor that is given, and which of them wins does not depend on when each ends. Plans
 are ranked one at a time, in the caller's thread.
 """
@@ -27,11 +27,11 @@ import numpy as np
 
 from planner.base.arguments import short_repr
 from planner.base.errors import PlannerError
-from planner.base.executors import result_or_retry, cancel_or_end
+from planner.base.executors import cancel_or_end, result_or_retry
 from planner.base.processors import processors
 from planner.problem.plan import Iteration, Plan, Start, Status
 
-MOST_STARTS = 10_000  # by far more than any machine's local minima; each is a whole solve
+MAX_STARTS = 10_000  # by far more than any machine's local minima; each is a whole solve
 SEVERAL = ("starts", "rank", "seed", "spread", "executor")
 """Options of solve() for several starts alone."""
 _MODES = 6  # cosines: from a constant to two and a half waves over the horizon

@@ -2,7 +2,8 @@
 
     repeat   solve from the start x0 with the final cost drawn to the goal r                          solvers.slq
              "newton": change x0 and r so that the gap closes and, where the gap leaves
-                       freedom, the cost falls, as the LQ problem tells                               solvers.ends
+                       freedom, the cost falls, as the LQ problem tells
+                       solvers.periodic_boundary
              "follow": start from where the motion arrived, and have it arrive there again
     until    the end is within the tolerance of the start (and, for "newton", little is left to gain).
 
@@ -27,8 +28,17 @@ from planner.base.jsonable import finite
 from planner.problem.periodicity import STEPS
 from planner.problem.plan import Plan, Status
 from planner.problem.problem import Problem
-from planner.solvers.ends import BoundaryStates, terminal_goal_cost, ends_of, improved_boundary, periodic_problem, response, tracking, with_ends
 from planner.solvers.multistart import SEVERAL
+from planner.solvers.periodic_boundary import (
+    BoundaryStates,
+    ends_of,
+    improved_boundary,
+    periodic_problem,
+    response,
+    terminal_goal_cost,
+    tracking,
+    with_ends,
+)
 from planner.solvers.slq import solve
 from planner.solvers.warm_start import warm_start
 
@@ -156,7 +166,11 @@ class _Search:
         if not ran or (little and not open_):
             self.next = None
         else:
-            self.next = _followed(plan) if answer is None else improved_boundary(answer, close=steady or (open_ and self._is_late))
+            self.next = (
+                _followed(plan)
+                if answer is None
+                else improved_boundary(answer, close=steady or (open_ and self._is_late))
+            )
 
     @property
     def _is_late(self) -> bool:

@@ -1,4 +1,4 @@
-"""First controls from a plan of another discretisation: the motion is known, only the controls that make it are new.
+"""First controls from a plan of another discretization: the motion is known, only the controls that make it are new.
 
 Where a motion is unstable, controls of another integrator lead elsewhere within a second, and SLQ from there ends in
 another local minimum, if in any. So the old motion is followed in the new dynamics, u = us + K (x - xs), with the
@@ -16,13 +16,15 @@ from planner.base.arguments import short_repr
 from planner.base.errors import PlannerError
 from planner.model.space import space_of
 from planner.problem.costs.terms import Quadratic
-from planner.problem.motion import Trajectory
 from planner.problem.plan import Plan
 from planner.problem.problem import Problem
-from planner.problem.state_ranges import BoundPenalties
+from planner.problem.state_bounds import BoundPenalties
+from planner.problem.trajectory import Trajectory
 from planner.solvers import lq
 
-MAX_COST_RATIO = 2.0  # times what the motion costs: a rollout beyond has left it, and states without one are the better guess
+MAX_COST_RATIO = (
+    2.0  # times what the motion costs: a rollout beyond has left it, and states without one are the better guess
+)
 _WEAKEST = 1e-6  # weight on following what the cost leaves free, relative to the largest
 
 
@@ -40,12 +42,14 @@ def warm_start(plan: Plan, problem: Problem) -> np.ndarray:
     return min(tries, key=lambda one: one[0])[1]
 
 
-def tracked_warm_start(problem: Problem, given: Plan | Trajectory) -> tuple[np.ndarray, np.ndarray | None, BoundPenalties | None]:
+def tracked_warm_start(
+    problem: Problem, given: Plan | Trajectory
+) -> tuple[np.ndarray, np.ndarray | None, BoundPenalties | None]:
     """A first guess from a motion of any duration and step, as the problem's knots sample it.
 
     Returns:
         Controls (N, nu) that follow it, of least cost. Its states (N+1, nx) beside its own controls in their place
-        where none stays near it, else None. Its hinges, None for none.
+        where none stays near it, else None. Its penalties, None for none.
 
     Raises:
         PlannerError: Neither a Plan nor a Motion, or of another machine.
@@ -62,13 +66,17 @@ def tracked_warm_start(problem: Problem, given: Plan | Trajectory) -> tuple[np.n
             f"warm_start has {nx} states and {nu} controls, expected {own.nx} and {own.nu}: a plan of the same machine."
         )
     there = motion.at(own.dt * np.arange(problem.N + 1))
-    hinges = None if there.pulls is None or problem.trajectory_constraints is None else there.pulls.hinges(problem.trajectory_constraints)
+    penalties = (
+        None
+        if there.pulls is None or problem.trajectory_constraints is None
+        else there.pulls.penalties(problem.trajectory_constraints)
+    )
     xs, us, near = there.xs, there.us, MAX_COST_RATIO * problem.cost.value(there.xs, there.us)
     cost, found = min(feedback_rollout(problem, us), feedback_rollout(problem, us, there.K, xs), key=lambda one: one[0])
     retuned = None if cost <= near else _gains(problem, xs, us)
     if retuned is not None:
         cost, found = feedback_rollout(problem, us, retuned, xs)
-    return (found, None, hinges) if cost <= near else (us, xs, hinges)
+    return (found, None, penalties) if cost <= near else (us, xs, penalties)
 
 
 def _ways(problem: Problem, xs: np.ndarray, us: np.ndarray, K: np.ndarray) -> list[tuple[float, np.ndarray]]:

@@ -11,7 +11,7 @@ from planner.base.errors import PlannerError
 from planner.sweeps.dask import dask_executor
 from planner.sweeps.processes import LocalProcesses
 
-MOST_WORKERS = 4096
+MAX_WORKERS = 4096
 
 
 @contextmanager
@@ -27,7 +27,7 @@ def executor_of(workers: int | None, scheduler: str | None) -> Iterator[Executor
         with dask_executor(scheduler) as executor:
             yield executor
     elif workers is not None:
-        with LocalProcesses(count("workers", workers, maximum=MOST_WORKERS)) as executor:
+        with LocalProcesses(count("workers", workers, maximum=MAX_WORKERS)) as executor:
             yield executor
     else:
         yield None

@@ -18,8 +18,8 @@ import numpy as np
 from planner.base.arguments import did_you_mean, short_repr
 from planner.base.errors import PlannerError
 
-MOST_POINTS = 10_000_000
-MOST_VALUES = 1_000_000  # of one parameter
+MAX_POINTS = 10_000_000
+MAX_VALUES = 1_000_000  # of one parameter
 
 Value = bool | int | float | str
 
@@ -85,8 +85,8 @@ def grid_of(given: Mapping[str, Any] | Sequence[str] | Grid) -> Grid:
         if twice:
             raise PlannerError(f"{name} has the value {short_repr(twice[0])} twice, expected each value once.")
     grid = Grid(rows)
-    if len(grid) > MOST_POINTS:
-        raise PlannerError(f"the grid has {len(grid)} points, expected at most {MOST_POINTS}.")
+    if len(grid) > MAX_POINTS:
+        raise PlannerError(f"the grid has {len(grid)} points, expected at most {MAX_POINTS}.")
     return grid
 
 
@@ -124,7 +124,7 @@ def _evenly(name: str, text: str) -> tuple[Value, ...]:
         start, stop, count = (_value(word) for word in text.split(":"))
         whole = isinstance(start, int) and isinstance(stop, int)
         first, last = float(start), float(stop)
-        if not isinstance(count, int) or isinstance(count, bool) or not 1 <= count <= MOST_VALUES:
+        if not isinstance(count, int) or isinstance(count, bool) or not 1 <= count <= MAX_VALUES:
             raise ValueError(text)
         if not (math.isfinite(first) and math.isfinite(last)) or (count == 1 and first != last):
             raise ValueError(text)
@@ -155,8 +155,8 @@ def _listed(name: str, given: Any) -> tuple[Value, ...]:
     if isinstance(given, (str, bytes)) or not hasattr(given, "__iter__"):
         raise PlannerError(f"the values of {name} are {short_repr(given)}, expected a list of them.")
     values = tuple(value.item() if isinstance(value, np.generic) else value for value in given)
-    if not values or len(values) > MOST_VALUES:
-        raise PlannerError(f"{name} has {len(values)} values, expected 1 to {MOST_VALUES}.")
+    if not values or len(values) > MAX_VALUES:
+        raise PlannerError(f"{name} has {len(values)} values, expected 1 to {MAX_VALUES}.")
     for value in values:
         if not isinstance(value, (bool, int, float, str)):
             raise PlannerError(f"{name} has the value {short_repr(value)}, expected numbers, words, True or False.")

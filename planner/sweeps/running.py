@@ -17,9 +17,9 @@ from typing import Any
 
 from planner.base.errors import PlannerError
 from planner.base.executors import width_of
-from planner.sweeps.queue import QueuedBatch, Queue
+from planner.sweeps.queue import Queue, QueuedBatch
 from planner.sweeps.store import Store
-from planner.sweeps.work import LOST, TIMEOUT, BatchResult, Work, run_batch, failed, reason_of
+from planner.sweeps.work import LOST, TIMEOUT, BatchResult, Work, failed, reason_of, run_batch
 
 SECONDS = 0.5  # that a batch should take
 MAX_BATCH = 500  # tasks of a batch

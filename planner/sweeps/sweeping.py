@@ -18,20 +18,20 @@ from typing import Any
 
 from planner import cases
 from planner.base.arguments import choice, count, number
+from planner.base.display_mixins import Reportable
 from planner.base.errors import FileError
 from planner.base.executors import checked_executor
 from planner.base.files import file_error, folder_lock
 from planner.base.processors import processors
-from planner.base.shown import Reportable
 from planner.base.versions import installed_versions
 from planner.cases.problem_file import case_in
 from planner.cases.problem_file.keys import KEYS
 from planner.problem.limits import Limits
 from planner.problem.plan import Plan
 from planner.problem.problem import Problem
-from planner.solvers.multistart import MOST_STARTS
+from planner.solvers.multistart import MAX_STARTS
 from planner.solvers.slq import HESSIANS, LINE_SEARCHES, UPDATES
-from planner.sweeps.executors import MOST_WORKERS
+from planner.sweeps.executors import MAX_WORKERS
 from planner.sweeps.grid import Grid, check_names, grid_of
 from planner.sweeps.processes import LocalProcesses
 from planner.sweeps.queue import ContinuationChains, IndependentTasks, Queue
@@ -45,8 +45,10 @@ _TOLERANCE = partial(number, minimum=0.0)
 SOLVE: dict[str, Callable[[str, Any], Any]] = {
     "update": partial(choice, choices=UPDATES), "line_search": partial(choice, choices=LINE_SEARCHES),
     "hessian": partial(choice, choices=HESSIANS), "states": lambda _, value: value, "max_iterations": count,
-    "gradient_tolerance": _TOLERANCE, "decrease_tolerance": _TOLERANCE, "gain_tolerance": _TOLERANCE,
-    "starts": partial(count, maximum=MOST_STARTS), "seed": partial(count, minimum=0), "spread": partial(number, greater_than=0.0),
+    "gradient_tolerance": _TOLERANCE, "expected_reduction_tolerance": _TOLERANCE, "actual_reduction_tolerance":
+    _TOLERANCE,
+    "starts": partial(count, maximum=MAX_STARTS), "seed": partial(count, minimum=0), "spread": partial(number,
+    greater_than=0.0),
 }  # fmt: skip
 """Arguments of solve() that a sweep passes on, and how each is checked before any task fails by it."""
 
@@ -146,7 +148,7 @@ def sweep(
     if continued is not None:
         choice("the parameter to continue along", continued, tuple(grid.values))
     checked_executor(executor)
-    width = processors() if workers is None else count("workers", workers, maximum=MOST_WORKERS)
+    width = processors() if workers is None else count("workers", workers, maximum=MAX_WORKERS)
     folder, head = Path(out), _head(work, continued)
     before = _claim(folder, head, resume)
     with folder_lock(folder):

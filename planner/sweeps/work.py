@@ -22,8 +22,8 @@ from planner.base.arguments import short_repr
 from planner.base.errors import PlannerError
 from planner.cases.problem_file import ProblemFile, case_in, loaded
 from planner.cases.problem_file.table import read_table
-from planner.problem.criteria import with_objective
 from planner.problem.limits import Limits
+from planner.problem.objective_problem import with_objective
 from planner.problem.plan import Plan, Status
 from planner.problem.problem import Problem
 from planner.proof import prove
@@ -36,7 +36,7 @@ FAILED, TIMEOUT, LOST = "FAILED", "TIMEOUT", "WORKER_LOST"
 """Statuses beside those of plans: it raised, it took too long, its worker ended."""
 
 _PRINTS = (0.25, 0.5, 0.75)  # parts of the horizon at which states are kept, to tell one motion from another
-_MOST_PRINTS = 8  # numbers of a state
+_MAX_PRINTS = 8  # numbers of a state
 
 
 @dataclass(frozen=True)
@@ -220,7 +220,7 @@ def _from_neighbour(problem: Problem, controls: np.ndarray | None) -> tuple[Prob
 def _trajectory_signature(plan: Plan) -> list[float]:
     """Some numbers of the motion, by which two of them are told apart."""
     knots = [int(part * plan.N) for part in _PRINTS]
-    return [float(value) for value in plan.xs[knots, :_MOST_PRINTS].ravel()]
+    return [float(value) for value in plan.xs[knots, :_MAX_PRINTS].ravel()]
 
 
 def _of_file(path: Path, values: dict[str, Any]) -> ProblemFile:

@@ -23,14 +23,14 @@ from planner.problem.default_appearance import appearance_of
 from planner.problem.plan import Plan
 from planner.proof.replays.compiled_twin import CompiledTwin
 from planner.proof.replays.replaying import replay_in
-from planner.proof.robustness.case_replay import replay_rollout
+from planner.proof.robustness.rollout_replay import replay_rollout
 from planner.view.playing import Player
-from planner.view.render.apart import Outline, screen_difference, behind, visibility
 from planner.view.render.camera import directions, scenery_of, whole_motion
+from planner.view.render.environment import visible_model
 from planner.view.render.film import Film
 from planner.view.render.marks import Marks
+from planner.view.render.pose_difference import Outline, behind, screen_difference, visibility
 from planner.view.render.scene import ghost_paint
-from planner.view.render.setting import visible_model
 from planner.view.render.shapes import Paint, SceneGeoms, without_shadow
 from planner.view.render.sticks import Sticks
 

@@ -13,7 +13,7 @@ from planner.cases.problem_file import load
 from planner.constraints import ChainForce, Constraint
 from planner.dynamics import constraint_forces, loops
 from planner.problem.goals import goals_of
-from planner.problem.guess import quasi_static_controls
+from planner.problem.initial_guess import quasi_static_controls
 
 FOLDER = ROOT / "examples" / "closed_chains"
 

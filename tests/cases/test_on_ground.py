@@ -83,7 +83,9 @@ def test_what_does_not_balance_is_put_down_as_it_is(tmp_path):
     file = load(tmp_path / "p.toml")
     assert "start is put on the ground, where it does not balance by itself: the pose does not stay" in file.notes[1]
     x = file.problem.x0
-    assert clearance(file.problem.dynamics.mechanism, x) == pytest.approx(-REST_PENETRATION, abs=1e-6)  # by its weight on one ball
+    assert clearance(file.problem.dynamics.mechanism, x) == pytest.approx(
+        -REST_PENETRATION, abs=1e-6
+    )  # by its weight on one ball
     np.testing.assert_allclose(x[3:7], [1, 0, 0, 0], atol=1e-12)
     (why,) = standing_goal(planner.Plan, file.problem, None)
     assert why.value is None

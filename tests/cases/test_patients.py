@@ -128,7 +128,9 @@ def test_monte_carlo_over_patients(swing):
     assert np.isnan(found.tolerance)
     assert found.rates["feedback"].value == 1.0
     assert found.margin["feedback"] >= 0.1
-    stiff = perturbed(swing, coarse, MonteCarloSettings(8, perturbation=Perturbation(**NOTHING | {"stiffness": 0.99})), threads=1)
+    stiff = perturbed(
+        swing, coarse, MonteCarloSettings(8, perturbation=Perturbation(**NOTHING | {"stiffness": 0.99})), threads=1
+    )
     assert stiff.rates["open-loop"].value < 1.0
 
 

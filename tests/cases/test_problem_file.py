@@ -14,9 +14,9 @@ from places import ROOT
 import planner
 from planner.cases.problem_file import load, of_table
 from planner.cases.problem_file.keys import ATTACH, DEFAULTS, FOLLOW, GOAL, KEYS, WEIGHTS
-from planner.dynamics.stiffness import substeps_for
-from planner.problem.discretisation import finer
-from planner.problem.guess import inverse_dynamics_controls, quasi_static_controls
+from planner.dynamics.step_stability import substeps_for
+from planner.problem.initial_guess import inverse_dynamics_controls, quasi_static_controls
+from planner.problem.rediscretize import finer
 
 EXAMPLES = ROOT / "examples"
 
@@ -41,7 +41,7 @@ def test_the_example_converges_passes_and_is_the_same_in_python():
             crane.home,
             us=problem.first_guess,
             limits=planner.Limits.of_model(),
-            decrease_tolerance=problem.decrease_tolerance,
+            expected_reduction_tolerance=problem.expected_reduction_tolerance,
         )
     )
     np.testing.assert_array_equal(by_hand.us, plan.us)

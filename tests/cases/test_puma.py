@@ -10,7 +10,7 @@ from planner.cases.puma import torque_limits as limits_for
 from planner.model.mjcf.text import model_path
 from planner.paper.methods.payload import largest_payload, static_limit
 from planner.paper.studies import puma as puma_study
-from planner.problem.guess import inverse_dynamics_controls, quintic
+from planner.problem.initial_guess import inverse_dynamics_controls, quintic
 
 mujoco = load_mujoco()
 

@@ -7,7 +7,7 @@ from gantries import gantry
 import planner
 from planner.cases.problem_file.keys import GOAL as GOAL_KEYS
 from planner.problem.goals import goals_of
-from planner.problem.tasks.timetable import USUAL
+from planner.problem.tasks.timed_task import USUAL
 
 CART = """<mujoco><worldbody><body><joint name="rail" type="slide" axis="1 0 0" range="-1 3"/>
   <geom type="box" size=".1 .1 .1" mass="2" contype="0" conaffinity="0"/></body></worldbody>

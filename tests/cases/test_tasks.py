@@ -13,18 +13,18 @@ from places import ROOT
 import planner
 from planner.base.gl import load_mujoco
 from planner.cases.problem_file import load
-from planner.problem.discretisation import finer
 from planner.problem.goals import GoalCheck as Judged
 from planner.problem.goals import between, goals_of, static_error
-from planner.problem.guess import rollout_states
-from planner.problem.tasks.motion import controls
+from planner.problem.initial_guess import rollout_states
+from planner.problem.rediscretize import finer
 from planner.problem.tasks.poses import poses_of
-from planner.problem.tasks.timetable import task_of
+from planner.problem.tasks.reference_motion import controls
+from planner.problem.tasks.timed_task import task_of
 from planner.proof.cures import cures
+from planner.proof.replay_errors import misses
 from planner.proof.replays.compiled_twin import CompiledTwin
 from planner.proof.robustness.rollouts import Rollouts
 from planner.proof.robustness.success_rule import rule_of
-from planner.proof.tracking import misses
 
 mujoco = load_mujoco()
 

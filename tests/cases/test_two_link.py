@@ -9,7 +9,7 @@ import planner
 from planner.base.gl import load_mujoco
 from planner.cases.planar_arm import UPRIGHT, Links, arm_text
 from planner.model.mjcf.text import model_path
-from planner.problem.guess import quintic
+from planner.problem.initial_guess import quintic
 
 mujoco = load_mujoco()
 

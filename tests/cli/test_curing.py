@@ -8,7 +8,7 @@ import pytest
 
 import planner
 from planner.cases.problem_file import NAME
-from planner.cli import curing
+from planner.cli import apply_fixes
 from planner.cli.console import Console
 from planner.proof.cures import Cure
 
@@ -29,14 +29,14 @@ def attempt(monkeypatch, order):
         plan = Namespace(case=NAME, status=planner.Status.CONVERGED, success=True)
         other = Namespace(case=NAME, status=status, success=status is planner.Status.CONVERGED)
         asked = Namespace(problem=Namespace(duration=1.0), _replace=lambda **_: None)
-        monkeypatch.setattr(curing, "cures", lambda plan, proof: cures)
-        monkeypatch.setattr(curing, "in_order", lambda plan, proof, found: order.extend(found))
+        monkeypatch.setattr(apply_fixes, "cures", lambda plan, proof: cures)
+        monkeypatch.setattr(apply_fixes, "in_order", lambda plan, proof, found: order.extend(found))
         monkeypatch.setattr(
-            curing, "longer", lambda problem, one: replace(one, value=1.5 * one.value, sentence=f"{1.5 * one.value} s")
+            apply_fixes, "longer", lambda problem, one: replace(one, value=1.5 * one.value, sentence=f"{1.5 * one.value} s")
         )  # fmt: skip
-        monkeypatch.setattr(curing, "written", lambda problem, cure: Namespace(parameters={"starts": 1}))
-        monkeypatch.setattr(curing, "solved", lambda *_, end, why: (other, 0.0))
-        return curing.apply_fixes(asked, plan, None, end, Namespace(), Console(), judge), other
+        monkeypatch.setattr(apply_fixes, "written", lambda problem, cure: Namespace(parameters={"starts": 1}))
+        monkeypatch.setattr(apply_fixes, "solved", lambda *_, end, why: (other, 0.0))
+        return apply_fixes.apply_fixes(asked, plan, None, end, Namespace(), Console(), judge), other
 
     return attempted
 
@@ -88,9 +88,9 @@ def test_a_solve_that_its_time_ends_is_no_ctrl_c(attempt, capsys):
     with pytest.raises(KeyboardInterrupt):
         attempt(time.monotonic() + 60.0, planner.Status.INTERRUPTED, fails)
     seconds = iter([0.0, 2.0, 2.0])
-    curing.time, clock = Namespace(monotonic=lambda: next(seconds)), curing.time
+    apply_fixes.time, clock = Namespace(monotonic=lambda: next(seconds)), apply_fixes.time
     try:
         assert attempt(1.0, planner.Status.INTERRUPTED, fails)[0] is None
     finally:
-        curing.time = clock
+        apply_fixes.time = clock
     assert "tried in vain (the time for it was over)" in capsys.readouterr().out

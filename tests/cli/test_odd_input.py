@@ -13,7 +13,7 @@ from carts import write as write_problem
 from planner.__main__ import main
 from planner.base.arguments import did_you_mean
 from planner.base.errors import FileError, PlannerError
-from planner.cases.human_step.gait_file import LARGEST as LARGEST_OF_GAIT
+from planner.cases.human_step.gait_file import LARGEST as MAX_OF_GAIT
 from planner.cases.human_step.gait_file import read_gait
 from planner.cases.problem_file.table import LONGEST, read_table
 from planner.cli import listing, parser
@@ -136,7 +136,7 @@ def test_a_gait_with_times_beyond_any_clock(tmp_path):
     names = "time,tilt_deg,list_deg,rotation_deg,hip_flexion_deg,hip_adduction_deg,hip_rotation_deg,knee_deg,ankle_deg"
     rows = [f"{-1e308 if i == 0 else i if i < 29 else 1e308},0,0,0,0,0,0,-10,0" for i in range(30)]
     (tmp_path / "gait.csv").write_text("\n".join([names, *rows]))
-    with pytest.raises(FileError, match=f"expected a number of at most {LARGEST_OF_GAIT:g}".replace("+", r"\+")):
+    with pytest.raises(FileError, match=f"expected a number of at most {MAX_OF_GAIT:g}".replace("+", r"\+")):
         read_gait(tmp_path / "gait.csv")
 
 

@@ -7,7 +7,7 @@ import pytest
 import planner
 from planner.__main__ import main
 from planner.cases.plan_file import load_plan
-from planner.cli import mending
+from planner.cli import auto_repair
 from planner.cli import running as run_command
 from planner.cli.run_folder import MARK, run_folder
 
@@ -56,7 +56,7 @@ def test_interrupted_pictures_are_drawn_by_the_next_run(tmp_path, capsys, monkey
 def test_a_refinement_that_was_interrupted_is_done_by_the_next_run(tmp_path, capsys, monkeypatch):
     words = [*EULER, "--rollouts", "0", "--json", "--out", str(tmp_path / "o")]
     with monkeypatch.context() as patch:
-        patch.setattr(mending, "refine", lambda *_, **__: (_ for _ in ()).throw(KeyboardInterrupt))
+        patch.setattr(auto_repair, "refine", lambda *_, **__: (_ for _ in ()).throw(KeyboardInterrupt))
         assert main(words) == 130
     capsys.readouterr()
     assert main(words) == 0
@@ -139,9 +139,9 @@ def test_one_rollout_is_shown(tmp_path, capsys):
     carlo = document(capsys)["proof"]["monte_carlo"]
     for mode, found in carlo["modes"].items():
         case = found["worst"][0]
-        words = ["prove", str(plan), "--replay-case", str(case), "--mode", mode, "--json"]
+        words = ["prove", str(plan), "--replay-rollout", str(case), "--mode", mode, "--json"]
         assert main(words) == 0
-        assert document(capsys)["replay_case"]["end_error"] == found["end_error"][case]
+        assert document(capsys)["replay_rollout"]["end_error"] == found["end_error"][case]
 
 
 @pytest.mark.parametrize(
@@ -151,7 +151,7 @@ def test_one_rollout_is_shown(tmp_path, capsys):
         (["--perturb", "mass=x"], "--perturb mass is 'x', expected a number"),
         (["--perturb", "mass=-1"], "mass"),
         (["--rollouts", "-1"], "rollouts is -1"),
-        (["--replay-case", "-1"], "replay-case is -1"),
+        (["--replay-rollout", "-1"], "replay-rollout is -1"),
         (["--hold", "-1"], "hold"),
         (["--mode", "closed"], "'closed'"),
     ],

@@ -7,8 +7,8 @@ import pytest
 from scipy.linalg import solve_discrete_are
 
 import planner
-from planner.control.doing import ControllerStatus
-from planner.control.holding import FallbackControl, equilibrium_control
+from planner.control.controller_status import ControllerStatus
+from planner.control.fallback_control import FallbackControl, equilibrium_control
 from planner.control.judging import judge
 from planner.control.window_parts import SETTLING_TIME, holding_stage_weights
 
@@ -187,7 +187,7 @@ def test_a_plan_stays_as_it_was_while_the_next_is_made(problem, controller):
     controller(0.0, problem.x0)
     kept = [part.copy() for part in (controller._xs, controller._us, controller._K)]
     controller(problem.dynamics.dt, np.full(problem.dynamics.nx, np.inf))  # fails
-    controller._engine.follow(problem.x0, (controller._xs, controller._us, controller._K), 2.0)
+    controller._engine.start_from_trajectory(problem.x0, (controller._xs, controller._us, controller._K), 2.0)
     controller._engine.sweep(0.0, True)
     for part, before in zip((controller._xs, controller._us, controller._K), kept, strict=True):
         np.testing.assert_array_equal(part, before)
@@ -236,7 +236,7 @@ def test_the_first_guess_of_compiled_calls_is_that_of_numpy(problem, controller)
     controller(0.0, problem.x0)
     engine, (xs, us, K) = controller._engine, [part.copy() for part in controller._plan_now]
     x = xs[2] + np.array([0.05, -0.02, 0.3, 0.1])
-    engine.follow(x, controller._plan_now, 2.0)
+    engine.start_from_trajectory(x, controller._plan_now, 2.0)
     found = engine.trajectory()
     dynamics, at = problem.dynamics, np.minimum(np.arange(2, N + 2), N - 1)
     expected = [x]
@@ -264,7 +264,10 @@ def test_speeds_are_weighed_so_that_the_machine_settles():
     assert (found[0, 0], found[3, 3]) == (200.0, 30.0)  # a speed alone keeps its weight
     assert np.linalg.eigvalsh(found).min() >= 0.0
     A, B = np.array([[1.0, 0.01], [0.0, 1.0]]), np.array([[0.0], [0.01]])
-    for weights, slowest in ((np.diag([2.0, 2.0]), 1.0), (holding_stage_weights(np.diag([2.0, 2.0])), 1.0 / SETTLING_TIME)):
+    for weights, slowest in (
+        (np.diag([2.0, 2.0]), 1.0),
+        (holding_stage_weights(np.diag([2.0, 2.0])), 1.0 / SETTLING_TIME),
+    ):
         P = solve_discrete_are(A, B, weights, np.array([[1e-9]]))
         K = np.linalg.solve(1e-9 + B.T @ P @ B, B.T @ P @ A)
         rate = -np.log(np.abs(np.linalg.eigvals(A - B @ K)).max()) / 0.01

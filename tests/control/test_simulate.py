@@ -12,8 +12,8 @@ from places import ROOT
 import planner
 from planner.base.errors import PlannerError
 from planner.control.judging import judge, passes_disturbed
-from planner.control.surviving import margins
-from planner.model.mjcf.survey import compile_model
+from planner.control.robustness_map import margins
+from planner.model.mjcf.model_index import compile_model
 from planner.proof.robustness.pushes import Push, pushed_step
 
 N = 40  # of conftest.py

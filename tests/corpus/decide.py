@@ -12,7 +12,7 @@ import numpy as np
 from scipy.integrate import DOP853
 
 from planner import Plan
-from planner.dynamics import poe
+from planner.dynamics import product_of_exponentials
 from planner.dynamics.contacts import generalized_forces
 from planner.model.actuators import DIRECT, INTEGRATOR
 from planner.model.coordinates import coordinates_of
@@ -25,7 +25,7 @@ PERIOD = 2e-3  # s
 SHARE = 0.01  # of a coordinate's range of motion: how far its path may be off, and how far outside of a limit
 SMOOTHED = 0.05  # the same where contacts are part of the plan
 LEAST = 1e-3  # rad, m, rad/s, m/s: of a range of motion
-MOST_STEPS = 200_000
+MAX_STEPS = 200_000
 
 
 class Lost(Exception):
@@ -49,7 +49,7 @@ def rates(dynamics: Any, x: np.ndarray, u: np.ndarray) -> np.ndarray:
     for name in dynamics.prescribed:
         given[m.joint(name)] = True
     inputs[given] = u[m.nu :]
-    qdd, _ = poe.hybrid_dynamics(m, q, qd, inputs, given)
+    qdd, _ = product_of_exponentials.hybrid_dynamics(m, q, qd, inputs, given)
     dq = np.zeros(m.nq)
     dq[m.q_address[screws]] = qd[screws]
     for i in np.flatnonzero(m.kind == BALL):
@@ -90,7 +90,7 @@ def motion(plan: Plan, *, gains: bool) -> tuple[np.ndarray, np.ndarray]:
         )  # fmt: skip
         while solver.status == "running":
             message, steps = solver.step(), steps + 1
-            if message or steps > MOST_STEPS or not np.isfinite(solver.y).all():
+            if message or steps > MAX_STEPS or not np.isfinite(solver.y).all():
                 raise Lost(f"at t = {solver.t:.4g} s")
             xs.append(solver.y.copy())
         x = solver.y.copy()

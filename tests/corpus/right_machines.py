@@ -152,7 +152,7 @@ def pushed(rng: Rng) -> Plan:
     mass = between(rng, 0.2, 5.0)
     m = Mechanism.from_mjcf(machines.pusher(rng, mass), contacts=ContactLaw.resting(mass, sink=0.01, friction=0.0))
     problem = reach(m, [0.5, 0.3, 0.0, 0.0], duration=1.5, N=300, tolerance="soft", final=10.0)
-    return planner.solve(replace(problem, us=np.full((300, 1), 0.5 * mass)), gain_tolerance=1e-6)
+    return planner.solve(replace(problem, us=np.full((300, 1), 0.5 * mass)), actual_reduction_tolerance=1e-6)
 
 
 # Other ways of asking

@@ -9,12 +9,12 @@ from hypothesis import strategies as st
 from trees import actuated, driven, machines, random_state, relative_error
 
 from planner.base.errors import PlannerError
-from planner.dynamics import RigidBodyDynamics, poe
+from planner.dynamics import RigidBodyDynamics, product_of_exponentials
 from planner.dynamics import algorithms as rigid_body
-from planner.dynamics.contact_places import BodyContactKinematics, closest_points
+from planner.dynamics.contact_kinematics import BodyContactKinematics, closest_points
 from planner.dynamics.contacts import body_contact_forces, generalized_force_derivatives, generalized_forces
 from planner.dynamics.momentum import angular_momentum, center_of_mass
-from planner.model.contact.between_bodies import BodyContact, Capsule
+from planner.model.contact.body_contact import BodyContact, Capsule
 from planner.model.contact.laws import ContactLaw
 from planner.model.mechanism import SCREW, Mechanism
 
@@ -49,7 +49,7 @@ def test_closest_points_are_closer_than_all_others():
 
 
 def test_blunt_points_are_little_farther_apart():
-    """The bound of planner.model.contact.between_bodies: ramp^2 / 2|D|, at any angle, parallel ones among them."""
+    """The bound of planner.model.contact.body_contact: ramp^2 / 2|D|, at any angle, parallel ones among them."""
     rng, K = np.random.default_rng(1), 400
     contact = BodyContact(Capsule(0, np.zeros(3), [0.3, 0, 0], 0.05), Capsule(1, np.zeros(3), [0, 0.2, 0], 0.0), SOFT)
     half, b = (contact.first.length, contact.second.length), contact.axis_regularization
@@ -86,7 +86,7 @@ def meeting(m, x, touch, rng, count=4):
 def test_derivatives_of_the_generalized_forces(text, seed, sharp):
     rng = np.random.default_rng(seed)
     m = Mechanism.from_mjcf(text)
-    x = random_state(m.space, rng, unnormalised=False)
+    x = random_state(m.space, rng, unnormalized=False)
     q, qd = x[: m.nq], x[m.nq : m.nq + m.nv]
     m = meeting(m, x, SHARP if sharp else SOFT, rng)
     by_q, by_qd = generalized_force_derivatives(m, q, qd)
@@ -113,7 +113,7 @@ def test_kernels_are_their_twin(text, seed, sharp):
     for name in prescribed:
         free[m.joint(name)] = False
     # M_ff dqdd_f = tau_f: what the twin's force adds to the accelerations
-    M, tau = poe.mass_matrix(m, q), generalized_forces(m, q, qd)
+    M, tau = product_of_exponentials.mass_matrix(m, q), generalized_forces(m, q, qd)
     more = np.zeros(m.nv)
     more[free] = np.linalg.solve(M[np.ix_(free, free)], tau[free])
     acceleration, without = (d.rates(x[None], us)[0, m.nv : 2 * m.nv] for d in (dynamics, bare))
@@ -139,7 +139,7 @@ def test_jacobians_of_a_stage(name, integrator):
     """A and B against differences, as near as their rounding and their own change with the step allow."""
     rng = np.random.default_rng(3)
     m = Mechanism.from_mjcf(actuated(MACHINES[name], rng))
-    x = random_state(m.space, rng, unnormalised=False)
+    x = random_state(m.space, rng, unnormalized=False)
     m = meeting(m, x, SOFT, rng)
     assert np.max(np.abs(body_contact_forces(m, x[: m.nq], x[m.nq : m.nq + m.nv]).forces)) > 1.0
     dynamics, space = RigidBodyDynamics(m, 1e-3, integrator), m.space

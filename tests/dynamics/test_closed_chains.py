@@ -17,7 +17,7 @@ from planner.dynamics import (
     constraint_names,
     forward_dynamics,
     loops,
-    poe,
+    product_of_exponentials,
 )
 from planner.dynamics.assembly import check_assembled, feasible_directions, relative_min_singular_value
 from planner.dynamics.friction import friction_forces
@@ -50,7 +50,7 @@ def rates(m, x, u):
 
 def bound_of(m, q, J):
     """What rounding does: the condition of the masses times that of the constraints in their metric."""
-    M = poe.mass_matrix(m, q)
+    M = product_of_exponentials.mass_matrix(m, q)
     values = np.linalg.eigvalsh(J @ np.linalg.solve(M, J.T))
     return 1e-14 * np.linalg.cond(M) * (values.max() / values.min())
 
@@ -60,14 +60,19 @@ def test_accelerations_are_those_of_multipliers(text, seed):
     """At any state: what lacks of the constraints is pulled back, and forces act along J' alone."""
     rng = np.random.default_rng(seed)
     m = random_chain(text, rng)
-    x, u = random_state(m.space, rng, unnormalised=False), rng.normal(size=m.nu)
+    x, u = random_state(m.space, rng, unnormalized=False), rng.normal(size=m.nu)
     q, qd = split(m, x)
     if not can_be_closed(m, q):
         return
-    tau = poe.rnea(m, q, qd, RigidBodyDynamics(without(m), 0.01).rates(x[None], u[None])[0, m.nv : 2 * m.nv])
+    tau = product_of_exponentials.rnea(
+        m, q, qd, RigidBodyDynamics(without(m), 0.01).rates(x[None], u[None])[0, m.nv : 2 * m.nv]
+    )
     J = loops.jacobian(m, q)
     qdd, f = closed_dynamics(m, q, qd, tau)
-    left, M = poe.rnea(m, q, qd, qdd) - tau - J.T @ f, np.abs(poe.mass_matrix(m, q))
+    left, M = (
+        product_of_exponentials.rnea(m, q, qd, qdd) - tau - J.T @ f,
+        np.abs(product_of_exponentials.mass_matrix(m, q)),
+    )
     scale = np.abs(qdd).max() + 1.0
     assert np.abs(left).max() <= bound_of(m, q, J) * (M.sum(axis=1).max() * scale + np.abs(tau).max())
     assert np.abs(rates(m, x, u) - qdd).max() <= 100.0 * bound_of(m, q, J) * scale
@@ -85,10 +90,12 @@ def test_what_is_to_be_zero_moves_as_its_jacobian_says(text, seed):
     m = random_chain(text, rng)
     if not (m.loops or m.polynomial_couplings):
         return
-    q, qd = split(m, random_state(m.space, rng, unnormalised=False))
+    q, qd = split(m, random_state(m.space, rng, unnormalized=False))
     h = 1e-30
     there = stepped(m, q, qd, 1j * h)
-    turning = np.concatenate([*(np.arange(loop.rows) >= 3 for loop in m.loops), np.zeros(len(m.polynomial_couplings), dtype=bool)])
+    turning = np.concatenate(
+        [*(np.arange(loop.rows) >= 3 for loop in m.loops), np.zeros(len(m.polynomial_couplings), dtype=bool)]
+    )
     moved, J = loops.misses(m, there).imag / h, loops.jacobian(m, q)
     np.testing.assert_allclose(moved[~turning], (J @ qd)[~turning], rtol=0.0, atol=1e-12 * (1.0 + np.abs(J @ qd).max()))
     drift = (loops.jacobian(m, there) @ qd).imag / h
@@ -100,7 +107,7 @@ def test_derivatives_are_those_of_a_complex_step(text, seed):
     """Along random directions of positions and velocities, of a machine with actuators of all kinds."""
     rng = np.random.default_rng(seed)
     m = random_chain(text, rng)
-    x, u = random_state(m.space, rng, unnormalised=False), rng.normal(size=m.nu)
+    x, u = random_state(m.space, rng, unnormalized=False), rng.normal(size=m.nu)
     q, qd = split(m, x)
     if not can_be_closed(m, q):
         return
@@ -123,7 +130,7 @@ def _forces(m, x, u, dq, dqd):
     A = tree.linearize(np.stack([x, x]), u[None])[0][0, m.nv : 2 * m.nv, : 2 * m.nv]
     moves = (A @ np.concatenate([dq, dqd]) - dqd) / 1e-3
     h = 1e-30
-    tau = poe.rnea(m, stepped(m, q, dq, 1j * h), qd + 1j * h * dqd, qdd + 1j * h * moves)
+    tau = product_of_exponentials.rnea(m, stepped(m, q, dq, 1j * h), qd + 1j * h * dqd, qdd + 1j * h * moves)
     return tau.real, tau.imag / h
 
 
@@ -147,8 +154,12 @@ def test_energy_is_kept_and_chains_stay_closed(dt, speed):
 
     def energy(x):
         q, qd = split(m, x)
-        places = [T @ np.append(com, 1.0) for T, com in zip(poe.world_poses(m, q), m.com, strict=False)]
-        return 0.5 * qd @ poe.mass_matrix(m, q) @ qd + 9.81 * sum(w * p[2] for w, p in zip(m.mass, places, strict=True))
+        places = [
+            T @ np.append(com, 1.0) for T, com in zip(product_of_exponentials.world_poses(m, q), m.com, strict=False)
+        ]
+        return 0.5 * qd @ product_of_exponentials.mass_matrix(m, q) @ qd + 9.81 * sum(
+            w * p[2] for w, p in zip(m.mass, places, strict=True)
+        )
 
     before, most, fastest = energy(x), 0.0, 0.0
     for _ in range(round(10.0 / dt)):
@@ -167,7 +178,7 @@ def test_a_stage_ends_where_the_slow_twin_has_it(text, seed):
     """From states off the chain: a stage that takes no time is the step back alone."""
     rng = np.random.default_rng(seed)
     m, _, _ = everything(text, rng)
-    x = closed_state(m, random_state(m.space, rng, unnormalised=False))
+    x = closed_state(m, random_state(m.space, rng, unnormalized=False))
     q, qd = split(m, x)
     G = np.eye(m.nv) if m.reduction is None else m.reduction.G
     if not well_closed(m, q, G):
@@ -258,18 +269,26 @@ def test_chains_beside_friction_couplings_and_prescribed_joints(text, seed):
     rng = np.random.default_rng(seed)
     m, prescribed, Z = everything(text, rng)
     dynamics = RigidBodyDynamics(m, 0.01, prescribed=prescribed)
-    x, u = closed_state(m, random_state(m.space, rng, unnormalised=False)), rng.normal(size=dynamics.nu)
+    x, u = closed_state(m, random_state(m.space, rng, unnormalized=False)), rng.normal(size=dynamics.nu)
     q, qd = split(m, x)
     if not well_closed(m, q, Z):
         return
     qdd = dynamics.rates(x[None], u[None])[0, m.nv : 2 * m.nv]
     tree = RigidBodyDynamics(replace(without(m), couplings=(), friction_loss=np.zeros(m.nv)), 0.01)
-    tau = poe.rnea(m, q, qd, tree.rates(x[None], u[None, : m.nu])[0, m.nv : 2 * m.nv])
+    tau = product_of_exponentials.rnea(m, q, qd, tree.rates(x[None], u[None, : m.nu])[0, m.nv : 2 * m.nv])
     f, J = constraint_forces(dynamics, x[None], u[None])[0], loops.jacobian(m, q)
-    scale = np.abs(poe.mass_matrix(m, q)).sum(axis=1).max() * (np.abs(qdd).max() + 1.0) + np.abs(tau).max()
-    left = poe.rnea(m, q, qd, qdd) - tau - friction_forces(m, qd, qdd)[0] - J.T @ f
+    scale = (
+        np.abs(product_of_exponentials.mass_matrix(m, q)).sum(axis=1).max() * (np.abs(qdd).max() + 1.0)
+        + np.abs(tau).max()
+    )
+    left = product_of_exponentials.rnea(m, q, qd, qdd) - tau - friction_forces(m, qd, qdd)[0] - J.T @ f
     assert np.abs(Z.T @ left).max() <= 1e-9 * scale  # cond(J)^2 times rounding, and some tens of operations
-    lacks = J @ qdd + loops.closure_bias(m, q, qd) + 2.0 * BAUMGARTE_RATE * (J @ qd) + BAUMGARTE_RATE**2 * loops.misses(m, q)
+    lacks = (
+        J @ qdd
+        + loops.closure_bias(m, q, qd)
+        + 2.0 * BAUMGARTE_RATE * (J @ qd)
+        + BAUMGARTE_RATE**2 * loops.misses(m, q)
+    )
     assert np.abs(lacks).max() <= 1e-9 * (np.abs(J).sum(axis=1).max() * np.abs(qdd).max() + BAUMGARTE_RATE**2)
 
 
@@ -279,7 +298,7 @@ def test_derivatives_of_stages_are_those_of_differences(integrator, text, seed):
     rng = np.random.default_rng(seed)
     m, prescribed, Z = everything(text, rng)
     dynamics, space = RigidBodyDynamics(m, 5e-3, integrator, prescribed), m.space
-    x, u = closed_state(m, random_state(m.space, rng, unnormalised=False)), rng.normal(size=dynamics.nu)
+    x, u = closed_state(m, random_state(m.space, rng, unnormalized=False)), rng.normal(size=dynamics.nu)
     if not well_closed(m, x[: m.nq], Z):
         return
     A, B = (part[0] for part in dynamics.linearize(np.stack([x, x]), u[None]))

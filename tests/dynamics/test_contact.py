@@ -11,7 +11,7 @@ from trees import CHAINS, actuated, driven, machines, random_state, relative_err
 
 from planner import dynamics as rigid_body
 from planner.base.errors import PlannerError
-from planner.dynamics import RigidBodyDynamics, poe
+from planner.dynamics import RigidBodyDynamics, product_of_exponentials
 from planner.dynamics.contacts import contact_force, contact_forces, generalized_force_derivatives, generalized_forces
 from planner.model.contact.laws import Contact, ContactLaw, Law, Plane, Stop
 from planner.model.mechanism import SCREW, Frame, Mechanism
@@ -82,7 +82,7 @@ def touching(m, x, qd, touch, rng, count=5):
         slide = int(rng.choice(slides))
         if slide >= 0:  # along itself
             normal = Plane(np.cross(normal, m.T_home[slide, :3, :3] @ m.S[slide, 3:])).normal
-        place = poe.world_poses(m, q)[link] @ np.append(centre, 1.0)
+        place = product_of_exponentials.world_poses(m, q)[link] @ np.append(centre, 1.0)
         offset = normal @ place[:3] - radius - touch.lift + float(rng.choice(e))
         plane = Plane(normal, offset, rng.normal(size=3), slide)
         contacts.append(Contact(link, centre, radius, plane, touch, f"point {k}"))
@@ -99,7 +99,7 @@ def touching(m, x, qd, touch, rng, count=5):
 def test_derivatives_of_the_generalized_forces(text, seed, sharp):
     rng = np.random.default_rng(seed)
     m = Mechanism.from_mjcf(text)
-    x = random_state(m.space, rng, unnormalised=False)
+    x = random_state(m.space, rng, unnormalized=False)
     q, qd = x[: m.nq], x[m.nq : m.nq + m.nv]
     m = touching(m, x, qd, SHARP if sharp else SOFT, rng)
     by_q, by_qd = generalized_force_derivatives(m, q, qd)
@@ -128,7 +128,7 @@ def test_kernels_are_their_twin(text, seed, sharp):
         mask[m.joint(name)] = True
     free = ~mask
     # M_ff dqdd_f = tau_f: what the twin's force adds to the accelerations
-    M, tau = poe.mass_matrix(m, q), generalized_forces(m, q, qd)
+    M, tau = product_of_exponentials.mass_matrix(m, q), generalized_forces(m, q, qd)
     more = np.zeros(m.nv)
     more[free] = np.linalg.solve(M[np.ix_(free, free)], tau[free])
     rates, without = dynamics.rates(x[None], us)[0], bare.rates(x[None], us)[0]
@@ -154,7 +154,7 @@ def test_kernels_are_their_twin(text, seed, sharp):
 def test_jacobians_of_a_stage_with_contacts(name, integrator):
     rng = np.random.default_rng(3)
     m = Mechanism.from_mjcf(actuated(MACHINES[name], rng))
-    x = random_state(m.space, rng, unnormalised=False)
+    x = random_state(m.space, rng, unnormalized=False)
     m = touching(m, x, x[m.nq : m.nq + m.nv], SOFT, rng)
     dynamics = RigidBodyDynamics(m, 1e-3, integrator)
     xs, us, space = x[None], rng.normal(size=(1, dynamics.nu)), m.space
@@ -187,7 +187,7 @@ def test_batches_are_their_states():
 def test_functions_of_applied_forces_leave_contacts_out():
     rng = np.random.default_rng(5)
     m = Mechanism.from_mjcf(CHAINS["body in space"])
-    x = random_state(m.space, rng, unnormalised=False)
+    x = random_state(m.space, rng, unnormalized=False)
     q, qd, tau = x[: m.nq], x[m.nq : m.nq + m.nv], rng.normal(size=m.nv)
     touched = touching(m, x, qd, SOFT, rng)
     assert np.max(np.abs(generalized_forces(touched, q, qd))) > 1.0

@@ -8,7 +8,7 @@ import pytest
 
 from planner import Mechanism, PlannerError, RigidBodyDynamics
 from planner.dynamics import algorithms as rb
-from planner.dynamics import poe
+from planner.dynamics import product_of_exponentials
 from planner.dynamics.contacts import contact_forces
 from planner.dynamics.momentum import center_of_mass
 from planner.dynamics.statics import static_equilibrium
@@ -16,7 +16,7 @@ from planner.model.contact.laws import ContactLaw
 from planner.model.coupled_states import closed_state
 from planner.model.couplings import Coupling
 from planner.model.mechanism import SCREW
-from planner.problem.guess import inverse_dynamics_controls, quasi_static_controls, quintic
+from planner.problem.initial_guess import inverse_dynamics_controls, quasi_static_controls, quintic
 from tests.trees import actuated, machines, random_state, relative_error, stepped
 
 
@@ -54,7 +54,7 @@ def scale(m, M, force):
 def test_accelerations_are_those_of_multipliers(text, seed):
     rng = np.random.default_rng(seed)
     m, _ = coupled(text, rng)
-    x = random_state(m.space, rng, unnormalised=False)
+    x = random_state(m.space, rng, unnormalized=False)
     q, qd, _ = np.split(x, [m.nq, m.nq + m.nv])
     tau = rng.normal(size=m.nv)
     M, force = rb.mass_matrix(m, q), tau - rb.bias(m, q, qd)
@@ -65,7 +65,7 @@ def test_accelerations_are_those_of_multipliers(text, seed):
     bound = 1e-12 * np.linalg.cond(M)
     assert np.all(np.abs(found - expected) <= bound * size)
     if m.couplings:
-        assert np.all(np.abs(poe.coupled_dynamics(m, q, qd, tau) - expected) <= bound * size)
+        assert np.all(np.abs(product_of_exponentials.coupled_dynamics(m, q, qd, tau) - expected) <= bound * size)
     rates = RigidBodyDynamics(m, 0.01).rates(x[None], np.zeros((1, m.nu)))[0]
     own = RigidBodyDynamics(replace(m, couplings=()), 0.01).rates(x[None], np.zeros((1, m.nu)))[0]
     force = M @ own[m.nv : 2 * m.nv]  # actuators and bias, by the tree's own recursion
@@ -81,7 +81,7 @@ def test_derivatives_are_those_of_differences(integrator, text, seed):
     rng = np.random.default_rng(seed)
     m, prescribed = coupled(text, rng, prescribe=True)
     dynamics = RigidBodyDynamics(m, 0.005, integrator, prescribed)
-    x, u = random_state(m.space, rng, unnormalised=False), rng.normal(size=dynamics.nu)
+    x, u = random_state(m.space, rng, unnormalized=False), rng.normal(size=dynamics.nu)
     A, B = dynamics.linearize(np.stack([x, x]), u[None])
     dx, du, h = rng.normal(size=m.space.ndx), rng.normal(size=dynamics.nu), 1e-3
     steps = h * np.array([-2.0, -1.0, 1.0, 2.0])
@@ -99,11 +99,13 @@ def test_derivatives_are_those_of_a_complex_step(text, seed):
     m, _ = coupled(text, rng)
     if not m.couplings:
         return
-    q, qd, _ = np.split(random_state(m.space, rng, unnormalised=False), [m.nq, m.nq + m.nv])
+    q, qd, _ = np.split(random_state(m.space, rng, unnormalized=False), [m.nq, m.nq + m.nv])
     tau, h = rng.normal(size=m.nv), 1e-30
     D = rb.forward_dynamics_derivatives(m, q, qd, tau)
     dq, dqd, dtau = rng.normal(size=(3, m.nv))
-    moved = poe.coupled_dynamics(m, stepped(m, q, dq, 1j * h), qd + 1j * h * dqd, tau + 1j * h * dtau)
+    moved = product_of_exponentials.coupled_dynamics(
+        m, stepped(m, q, dq, 1j * h), qd + 1j * h * dqd, tau + 1j * h * dtau
+    )
     M = rb.mass_matrix(m, q)
     bound = 1e-13 * np.linalg.cond(M)
     slope = moved.imag / h

@@ -13,7 +13,7 @@ from planner.dynamics.statics import static_equilibrium
 from planner.model.contact.laws import ContactLaw
 from planner.model.mechanism import Mechanism
 from planner.model.mjcf.ground_law import DAMPING, REST_PENETRATION
-from planner.problem.guess import quasi_static_controls
+from planner.problem.initial_guess import quasi_static_controls
 
 others = pytest.mark.skipif(None in PLACES.values(), reason="no models of others")
 

@@ -7,7 +7,7 @@ from rubbing import lifted
 
 import planner
 from planner.base.errors import PlannerError
-from planner.dynamics import algorithms, poe
+from planner.dynamics import algorithms, product_of_exponentials
 from planner.model.mechanism import SCREW, Mechanism
 from planner.model.space import product
 from planner.proof.compare.rigid_parity import random_states
@@ -34,16 +34,16 @@ def test_kernels_are_their_twin_and_their_derivatives_exact():
     np.testing.assert_allclose(algorithms.forward_dynamics(m, q, qd, tau), qdd, rtol=1e-8, atol=1e-9)
     for k in range(4):
         scale = np.abs(tau[k]).max()
-        assert np.abs(poe.rnea(m, q[k], qd[k], qdd[k]) - tau[k]).max() < 1e-12 * scale
+        assert np.abs(product_of_exponentials.rnea(m, q[k], qd[k], qdd[k]) - tau[k]).max() < 1e-12 * scale
         for j, e in enumerate(np.eye(m.nv)):
-            by_qd = poe.rnea(m, q[k], qd[k] + 1e-30j * e, qdd[k]).imag / 1e-30
+            by_qd = product_of_exponentials.rnea(m, q[k], qd[k] + 1e-30j * e, qdd[k]).imag / 1e-30
             assert np.abs(by_qd - derivatives.qd[k, :, j]).max() < 1e-12 * np.abs(derivatives.qd[k]).max()
             moved = q[k].astype(complex)
             for i in np.flatnonzero(m.kind == SCREW):
                 moved[m.q_address[i]] += 1e-30j * e[i]
             for a, i in m.quaternions:
                 moved[a : a + 4] += 1e-30j * product(q[k, a : a + 4], np.array([0.0, *(0.5 * e[i : i + 3])]))
-            by_q = poe.rnea(m, moved, qd[k], qdd[k]).imag / 1e-30
+            by_q = product_of_exponentials.rnea(m, moved, qd[k], qdd[k]).imag / 1e-30
             assert np.abs(by_q - derivatives.q[k, :, j]).max() < 1e-12 * np.abs(derivatives.q[k]).max()
 
 

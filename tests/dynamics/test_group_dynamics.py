@@ -105,7 +105,7 @@ def test_slopes_along_the_search_are_exact(feedback):
     """What Wolfe's rule asks for: dJ/dalpha of the update, also where the candidate is turned away from the nominal."""
     problem = turn(N=8)
     engine = NumpyEngine(problem)
-    cost = engine.start(problem.x0, np.random.default_rng(1).normal(size=(8, 3)))
+    cost = engine.start_from_controls(problem.x0, np.random.default_rng(1).normal(size=(8, 3)))
     engine.iterate(feedback, 0, 0.0, True, cost, 0.0, 0.0)
     (xs0, us0), sweep = engine.trajectory(), lq.riccati(engine._A, engine._B, engine._model)
     K = sweep.K if feedback else None
@@ -159,7 +159,7 @@ def test_the_plan_comes_back_from_its_file(tmp_path):
     np.testing.assert_array_equal(back.K, plan.K)
 
 
-def test_starts_are_normalised():
+def test_starts_are_normalized():
     problem = turn(start=(2.0, 0.0, 0.0, 2.0))
     np.testing.assert_allclose(problem.x0[:4], [np.sqrt(0.5), 0.0, 0.0, np.sqrt(0.5)])
 

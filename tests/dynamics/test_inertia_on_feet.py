@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 import planner
-from planner.dynamics.footing import stance_inertia
+from planner.dynamics.stance import stance_inertia
 from planner.model.mechanism import Mechanism
-from planner.problem.default_weights import STANCE_TOLERANCES, MAX_CORRECTION_RATE, default_weights
+from planner.problem.default_weights import MAX_CORRECTION_RATE, STANCE_TOLERANCES, default_weights
 from planner.problem.goals import MIN_TOLERANCES
 
 BODY, FOOT, HEIGHT = 10.0, 0.5, 0.8  # kg, kg, m from the ankle to the centre of the body
@@ -62,7 +62,17 @@ def test_an_ankle_may_push_as_what_it_carries_asks():
     goal[m.joint("tilt").start] -= 0.4
     goal[1] -= HEIGHT * (1.0 - np.cos(0.4))  # the foot stays flat on the ground
     weights = default_weights(dynamics, x, goal, 1.0)
-    carried = stance_inertia(m, goal[: m.nq])[m.joint("ankle").start] * MAX_CORRECTION_RATE**2 * STANCE_TOLERANCES * MIN_TOLERANCES["rad"]
-    alone = planner.dynamics.mass_matrix(m, goal[: m.nq])[-1, -1] * MAX_CORRECTION_RATE**2 * STANCE_TOLERANCES * MIN_TOLERANCES["rad"]
+    carried = (
+        stance_inertia(m, goal[: m.nq])[m.joint("ankle").start]
+        * MAX_CORRECTION_RATE**2
+        * STANCE_TOLERANCES
+        * MIN_TOLERANCES["rad"]
+    )
+    alone = (
+        planner.dynamics.mass_matrix(m, goal[: m.nq])[-1, -1]
+        * MAX_CORRECTION_RATE**2
+        * STANCE_TOLERANCES
+        * MIN_TOLERANCES["rad"]
+    )
     limit = 1.0 / np.sqrt(weights.weights["effort"][0])
     assert alone < limit <= carried * (1.0 + 1e-9)

@@ -19,10 +19,10 @@ from planner.contact import ExponentialTorque
 from planner.dynamics.algorithms import forward_dynamics
 from planner.dynamics.contacts import generalized_force_derivatives, generalized_forces
 from planner.kernels.tree import joint_curves as kernels
-from planner.model import joint_curves
-from planner.model.mjcf.survey import compile_model
+from planner.model import exponential_torques
+from planner.model.mjcf.model_index import compile_model
 from planner.proof.replays.compiled_twin import CompiledTwin
-from planner.proof.replays.curve_callback import curves_acting
+from planner.proof.replays.passive_torque_callback import curves_acting
 from planner.proof.robustness.perturbation import Perturbation, draw
 from planner.proof.robustness.rollouts import Rollouts
 
@@ -63,7 +63,7 @@ def states(m, K=7):
 
 
 def test_the_kernels_bound_of_an_exponent_is_the_models():
-    assert kernels.LARGEST == joint_curves.LARGEST
+    assert kernels.LARGEST == exponential_torques.LARGEST
 
 
 def test_a_torque_is_its_formula(arms):

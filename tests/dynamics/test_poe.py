@@ -16,7 +16,7 @@ from trees import (
     site_jacobian,
 )
 
-from planner.dynamics import poe
+from planner.dynamics import product_of_exponentials
 from planner.model.mechanism import SCREW, Mechanism
 from planner.model.space import conjugate, exp_quaternion, hat, log_quaternion, product
 
@@ -62,25 +62,30 @@ def columns(function, n):
 def test_dynamics_are_mujocos(text, seed):
     mechanism, q, qd, tau, _ = drawn(text, seed)
     theirs = simulated(mujoco.MjModel.from_xml_string(text), q, qd, tau)
-    assert relative_error(poe.mass_matrix(mechanism, q), theirs.M) < 1e-12
-    assert relative_error(poe.bias(mechanism, q, qd), theirs.bias) < 1e-12
-    assert relative_error(poe.forward_dynamics(mechanism, q, qd, tau), theirs.qacc) < 1e-10
+    assert relative_error(product_of_exponentials.mass_matrix(mechanism, q), theirs.M) < 1e-12
+    assert relative_error(product_of_exponentials.bias(mechanism, q, qd), theirs.bias) < 1e-12
+    assert relative_error(product_of_exponentials.forward_dynamics(mechanism, q, qd, tau), theirs.qacc) < 1e-10
 
 
 @machines(15)
 def test_inverse_dynamics_are_mujocos(text, seed):
     mechanism, q, qd, qdd, _ = drawn(text, seed)
     theirs = simulated_inverse(mujoco.MjModel.from_xml_string(text), q, qd, qdd)
-    assert relative_error(poe.rnea(mechanism, q, qd, qdd), theirs) < 1e-12
+    assert relative_error(product_of_exponentials.rnea(mechanism, q, qd, qdd), theirs) < 1e-12
 
 
 @machines(15)
 def test_kinematics_are_mujocos(text, seed):
     mechanism, q, qd, tau, _ = drawn(text, seed)
     model = mujoco.MjModel.from_xml_string(text)
-    assert relative_error(poe.forward_kinematics(mechanism, q), simulated(model, q, qd, tau).poses) < 1e-12
+    assert (
+        relative_error(product_of_exponentials.forward_kinematics(mechanism, q), simulated(model, q, qd, tau).poses)
+        < 1e-12
+    )
     for name, frame in mechanism.sites.items():
-        assert relative_error(poe.jacobian(mechanism, q, frame), site_jacobian(model, q, name)) < 1e-12
+        assert (
+            relative_error(product_of_exponentials.jacobian(mechanism, q, frame), site_jacobian(model, q, name)) < 1e-12
+        )
 
 
 # -------------------------------------------------------------------------------------------------- identities
@@ -89,30 +94,38 @@ def test_kinematics_are_mujocos(text, seed):
 @machines(10)
 def test_mass_matrix_is_symmetric_and_positive_definite(text, seed):
     mechanism, q, qd, qdd, _ = drawn(text, seed)
-    M = poe.mass_matrix(mechanism, q)
+    M = product_of_exponentials.mass_matrix(mechanism, q)
     np.testing.assert_array_equal(M, M.T)
     assert np.min(np.linalg.eigvalsh(M)) > 0.0
     # and it is what rnea multiplies accelerations with
-    assert relative_error(M @ qdd + poe.bias(mechanism, q, qd), poe.rnea(mechanism, q, qd, qdd)) < 1e-11
+    assert (
+        relative_error(
+            M @ qdd + product_of_exponentials.bias(mechanism, q, qd),
+            product_of_exponentials.rnea(mechanism, q, qd, qdd),
+        )
+        < 1e-11
+    )
 
 
 @machines(10)
 def test_inverse_dynamics_undo_forward_dynamics(text, seed):
     mechanism, q, qd, tau, _ = drawn(text, seed)
-    qdd = poe.forward_dynamics(mechanism, q, qd, tau)
-    assert relative_error(poe.rnea(mechanism, q, qd, qdd), tau) < 1e-9
+    qdd = product_of_exponentials.forward_dynamics(mechanism, q, qd, tau)
+    assert relative_error(product_of_exponentials.rnea(mechanism, q, qd, qdd), tau) < 1e-9
 
 
 @machines(15)
 def test_hybrid_dynamics_satisfy_the_inverse_dynamics(text, seed):
     mechanism, q, qd, inputs, rng = drawn(text, seed)
     prescribed = rng.random(mechanism.nv) < rng.choice([0.0, 0.5, 1.0])
-    qdd, tau = poe.hybrid_dynamics(mechanism, q, qd, inputs, prescribed)
+    qdd, tau = product_of_exponentials.hybrid_dynamics(mechanism, q, qd, inputs, prescribed)
     np.testing.assert_array_equal(qdd[prescribed], inputs[prescribed])
     np.testing.assert_array_equal(tau[~prescribed], inputs[~prescribed])
-    assert relative_error(poe.rnea(mechanism, q, qd, qdd), tau) < 1e-9
+    assert relative_error(product_of_exponentials.rnea(mechanism, q, qd, qdd), tau) < 1e-9
     # the other way round: hand in what came out
-    qdd_back, tau_back = poe.hybrid_dynamics(mechanism, q, qd, np.where(prescribed, tau, qdd), ~prescribed)
+    qdd_back, tau_back = product_of_exponentials.hybrid_dynamics(
+        mechanism, q, qd, np.where(prescribed, tau, qdd), ~prescribed
+    )
     assert relative_error(qdd_back, qdd) < 1e-9
     assert relative_error(tau_back, tau) < 1e-9
 
@@ -120,20 +133,20 @@ def test_hybrid_dynamics_satisfy_the_inverse_dynamics(text, seed):
 def energy(mechanism, q, qd):
     """Kinetic (armature included) and potential (springs included)."""
     m = mechanism
-    G = poe.world_poses(m, q)
+    G = product_of_exponentials.world_poses(m, q)
     centres = np.einsum("nij,nj->ni", G[:-1, :3, :3], m.com) + G[:-1, :3, 3]
     slides_and_hinges = np.where(m.kind == SCREW, q[m.q_address] - m.spring_rest, 0.0)
     springs = 0.5 * m.stiffness @ slides_and_hinges**2
     for (a, _), stiffness, rest in zip(m.quaternions, m.ball_stiffness, m.ball_rest, strict=True):
-        turned = poe.rotation_vector(product(conjugate(rest), q[a : a + 4]))
+        turned = product_of_exponentials.rotation_vector(product(conjugate(rest), q[a : a + 4]))
         springs += 0.5 * stiffness * turned @ turned
-    return 0.5 * qd @ poe.mass_matrix(m, q) @ qd - m.mass @ (centres @ m.gravity) + springs
+    return 0.5 * qd @ product_of_exponentials.mass_matrix(m, q) @ qd - m.mass @ (centres @ m.gravity) + springs
 
 
 @machines(10)
 def test_power_goes_into_energy_and_dampers(text, seed):
     mechanism, q, qd, tau, _ = drawn(text, seed)
-    qdd = poe.forward_dynamics(mechanism, q, qd, tau)
+    qdd = product_of_exponentials.forward_dynamics(mechanism, q, qd, tau)
     rate = energy(mechanism, stepped(mechanism, q, qd), qd + STEP * qdd).imag / STEP.imag
     power, lost = qd @ tau, qd @ (mechanism.damping * qd)
     assert abs(rate - (power - lost)) < 1e-9 * (abs(rate) + np.abs(qd) @ np.abs(tau) + lost)
@@ -147,11 +160,11 @@ def test_derivatives_of_inverse_dynamics(text, seed):
     mechanism, q, qd, qdd, _ = drawn(text, seed)
     dq, dqd, dqdd = poe_sensitivities.rnea_derivatives(mechanism, q, qd, qdd)
     n = mechanism.nv
-    exact = columns(lambda e: poe.rnea(mechanism, stepped(mechanism, q, e), qd, qdd), n)
+    exact = columns(lambda e: product_of_exponentials.rnea(mechanism, stepped(mechanism, q, e), qd, qdd), n)
     assert relative_error(dq, exact) < 1e-11
-    exact = columns(lambda e: poe.rnea(mechanism, q, qd + STEP * e, qdd), n)
+    exact = columns(lambda e: product_of_exponentials.rnea(mechanism, q, qd + STEP * e, qdd), n)
     assert relative_error(dqd, exact) < 1e-11
-    assert relative_error(dqdd, poe.mass_matrix(mechanism, q)) < 1e-11
+    assert relative_error(dqdd, product_of_exponentials.mass_matrix(mechanism, q)) < 1e-11
 
 
 @machines(8, max_dofs=20)
@@ -160,7 +173,7 @@ def test_derivatives_of_hybrid_dynamics(text, seed):
     n, prescribed = mechanism.nv, rng.random(mechanism.nv) < rng.choice([0.0, 0.5, 1.0])
 
     def both(q, qd, inputs):
-        return np.concatenate(poe.hybrid_dynamics(mechanism, q, qd, inputs, prescribed))
+        return np.concatenate(product_of_exponentials.hybrid_dynamics(mechanism, q, qd, inputs, prescribed))
 
     of_qdd, of_tau = poe_sensitivities.hybrid_dynamics_derivatives(mechanism, q, qd, inputs, prescribed)
     exact = [
@@ -185,14 +198,14 @@ def test_derivatives_of_forward_dynamics_by_differences_on_the_group(text, seed)
     def accelerations(step):
         dx = np.concatenate([step * direction, np.zeros(mechanism.na)])
         q, qd = np.split(mechanism.space.integrate(x, dx)[: mechanism.nq + n], [mechanism.nq])
-        return poe.forward_dynamics(mechanism, q, qd, tau)
+        return product_of_exponentials.forward_dynamics(mechanism, q, qd, tau)
 
     h = 2e-3  # error of sixth order: h^6 beside rounding / h
     weights = {1: 45.0, 2: -9.0, 3: 1.0}
     slope = sum(w * (accelerations(k * h) - accelerations(-k * h)) for k, w in weights.items()) / (60.0 * h)
     dq, dqd, dtau = poe_sensitivities.forward_dynamics_derivatives(mechanism, q, qd, tau)
     assert relative_error(dq @ direction[:n] + dqd @ direction[n:], slope) < 1e-7
-    assert relative_error(dtau, np.linalg.inv(poe.mass_matrix(mechanism, q))) < 1e-9
+    assert relative_error(dtau, np.linalg.inv(product_of_exponentials.mass_matrix(mechanism, q))) < 1e-9
 
 
 # ------------------------------------------------------------------------------------------------ group elements
@@ -211,7 +224,9 @@ def test_rotation_vector_is_the_log_of_quaternions(size):
     for vector in size * rng.normal(size=(20, 3)):
         quaternion = exp_quaternion(vector) * rng.uniform(-2.0, 2.0)
         expected = log_quaternion(quaternion)
-        np.testing.assert_allclose(poe.rotation_vector(quaternion), expected, rtol=1e-13, atol=1e-30)
+        np.testing.assert_allclose(
+            product_of_exponentials.rotation_vector(quaternion), expected, rtol=1e-13, atol=1e-30
+        )
 
 
 @pytest.mark.parametrize("revolute", [True, False])
@@ -221,9 +236,9 @@ def test_exp6_is_the_matrix_exponential(revolute):
         axis, point, q = rng.normal(size=3), rng.normal(size=3), rng.normal()
         axis /= np.linalg.norm(axis)
         S = np.array([*axis, *np.cross(point, axis)]) if revolute else np.array([0.0, 0.0, 0.0, *axis])
-        np.testing.assert_allclose(poe.exp6(S, q), expm(as_matrix(S) * q), atol=1e-14)
+        np.testing.assert_allclose(product_of_exponentials.exp6(S, q), expm(as_matrix(S) * q), atol=1e-14)
         if revolute:  # the points of the axis stay
-            np.testing.assert_allclose(poe.exp6(S, q)[:3] @ [*point, 1.0], point, atol=1e-14)
+            np.testing.assert_allclose(product_of_exponentials.exp6(S, q)[:3] @ [*point, 1.0], point, atol=1e-14)
 
 
 def test_adjoint_carries_twists_as_conjugation_does():
@@ -231,9 +246,13 @@ def test_adjoint_carries_twists_as_conjugation_does():
     rng = np.random.default_rng(2)
     S, U = rng.normal(size=(2, 6))
     S[:3] /= np.linalg.norm(S[:3])
-    T = poe.exp6(S, 0.7)
+    T = product_of_exponentials.exp6(S, 0.7)
 
-    np.testing.assert_allclose(as_matrix(poe.Ad(T) @ U), T @ as_matrix(U) @ poe.inverse(T), atol=1e-14)
-    rate = (poe.Ad(poe.exp6(S, STEP)) @ U).imag / STEP.imag
-    np.testing.assert_allclose(poe.ad(S) @ U, rate, atol=1e-14)
-    np.testing.assert_allclose(poe_sensitivities.ad_transposed_of(U) @ S, poe.ad(S).T @ U, atol=1e-14)
+    np.testing.assert_allclose(
+        as_matrix(product_of_exponentials.Ad(T) @ U), T @ as_matrix(U) @ product_of_exponentials.inverse(T), atol=1e-14
+    )
+    rate = (product_of_exponentials.Ad(product_of_exponentials.exp6(S, STEP)) @ U).imag / STEP.imag
+    np.testing.assert_allclose(product_of_exponentials.ad(S) @ U, rate, atol=1e-14)
+    np.testing.assert_allclose(
+        poe_sensitivities.ad_transposed_of(U) @ S, product_of_exponentials.ad(S).T @ U, atol=1e-14
+    )

@@ -16,7 +16,7 @@ from trees import (
 
 from planner import dynamics as rb
 from planner.base.errors import PlannerError
-from planner.dynamics import poe
+from planner.dynamics import product_of_exponentials
 from planner.model.mechanism import Mechanism
 
 STEP = 1e-30j  # imaginary: nothing cancels, so derivatives are exact to rounding
@@ -76,7 +76,7 @@ def test_kinematics_are_mujocos(text, seed):
 
 def poe_frame(m, q, name):
     frame = m.frame(name)
-    return poe.world_poses(m, q)[frame.link] @ frame.T
+    return product_of_exponentials.world_poses(m, q)[frame.link] @ frame.T
 
 
 # ------------------------------------------------------------------------------------------------- derivatives
@@ -87,12 +87,12 @@ def test_derivatives_of_inverse_dynamics(text, seed):
     m, q, qd, qdd, _ = drawn(text, seed)
     q, qd, qdd = q[0], qd[0], qdd[0]
     ours = rb.rnea_derivatives(m, q, qd, qdd)
-    exact = derivative(lambda e: poe.rnea(m, stepped(m, q, e, STEP), qd, qdd), m.nv)
+    exact = derivative(lambda e: product_of_exponentials.rnea(m, stepped(m, q, e, STEP), qd, qdd), m.nv)
     assert relative_error(ours.q, exact) < 1e-11
-    by_qd = derivative(lambda e: poe.rnea(m, q, qd + STEP * e, qdd), m.nv)
+    by_qd = derivative(lambda e: product_of_exponentials.rnea(m, q, qd + STEP * e, qdd), m.nv)
     assert relative_error(ours.qd, by_qd) < 1e-11
     np.testing.assert_array_equal(ours.input, rb.mass_matrix(m, q))
-    exact = derivative(lambda e: poe.bias(m, stepped(m, q, e, STEP), qd), m.nv)
+    exact = derivative(lambda e: product_of_exponentials.bias(m, stepped(m, q, e, STEP), qd), m.nv)
     by_q, by_speed = rb.bias_derivatives(m, q, qd)
     assert relative_error(by_q, exact) < 1e-11
     assert relative_error(by_speed, by_qd) < 1e-11  # forces depend on qd and qdd separately
@@ -114,23 +114,29 @@ def test_derivatives_of_forward_and_hybrid_dynamics(text, seed):
             assert relative_error(mine, exact) < 1e-9
 
     def hybrid(*state):
-        return poe.hybrid_dynamics(m, *state, mask)
+        return product_of_exponentials.hybrid_dynamics(m, *state, mask)
 
     of_qdd, of_tau = rb.hybrid_dynamics_derivatives(m, q, qd, inputs, names)
     check(of_qdd, hybrid, 0)
     check(of_tau, hybrid, 1)
-    check(rb.forward_dynamics_derivatives(m, q, qd, inputs), lambda *state: [poe.forward_dynamics(m, *state)], 0)
+    check(
+        rb.forward_dynamics_derivatives(m, q, qd, inputs),
+        lambda *state: [product_of_exponentials.forward_dynamics(m, *state)],
+        0,
+    )
 
 
 @machines(6, max_dofs=20)
 def test_derivatives_of_masses_and_places(text, seed):
     m, q, _, _, _ = drawn(text, seed)
     q = q[0]
-    exact = derivative(lambda e: poe.mass_matrix(m, stepped(m, q, e, STEP)), m.nv)
+    exact = derivative(lambda e: product_of_exponentials.mass_matrix(m, stepped(m, q, e, STEP)), m.nv)
     assert relative_error(rb.mass_matrix_derivatives(m, q), exact) < 1e-11
     for name in list(m.sites)[-3:]:
         frame = m.frame(name)
-        exact = derivative(lambda e, frame=frame: poe.jacobian(m, stepped(m, q, e, STEP), frame), m.nv)
+        exact = derivative(
+            lambda e, frame=frame: product_of_exponentials.jacobian(m, stepped(m, q, e, STEP), frame), m.nv
+        )
         assert relative_error(rb.jacobian_derivatives(m, q, name), exact) < 1e-11
     twists = rb.forward_kinematics_derivatives(m, q)
     for i, body in enumerate(m.bodies):

@@ -6,7 +6,7 @@ from hypothesis import assume
 from hypothesis import strategies as st
 from trees import CHAINS, actuated, data_at, driven, machines, mujoco, random_state, relative_error
 
-from planner.dynamics import RigidBodyDynamics, poe
+from planner.dynamics import RigidBodyDynamics, product_of_exponentials
 from planner.dynamics.protocol import INTEGRATORS
 from planner.model.actuators import FILTER
 from planner.model.mechanism import SCREW, Mechanism
@@ -50,7 +50,10 @@ def test_rates_are_hybrid_dynamics_under_the_actuators_forces(text, seed):
     inputs = a.moment.T @ (a.gain * given + a.bias[:, 0] + a.bias[:, 1] * length + a.bias[:, 2] * (a.moment @ qd))
     inputs[mask] = u[m.nu :]
     rate = dynamics.rates(xs, us)[0]
-    assert relative_error(rate[m.nv : 2 * m.nv], poe.hybrid_dynamics(m, q, qd, inputs, mask)[0]) < 1e-10
+    assert (
+        relative_error(rate[m.nv : 2 * m.nv], product_of_exponentials.hybrid_dynamics(m, q, qd, inputs, mask)[0])
+        < 1e-10
+    )
     np.testing.assert_array_equal(rate[m.nv : 2 * m.nv][mask], u[m.nu :])
     for k, s in enumerate(a.activation):
         if s >= 0:
@@ -90,7 +93,7 @@ def travelled(mechanism, integrator, steps, x, u, duration=0.4):
 @each_chain
 def test_the_integrators_have_their_order(name, integrator):
     m, rng = Mechanism.from_mjcf(actuated(CHAINS[name], np.random.default_rng(0))), np.random.default_rng(5)
-    x, u = random_state(m.space, rng, unnormalised=False), rng.normal(size=m.nu)
+    x, u = random_state(m.space, rng, unnormalized=False), rng.normal(size=m.nu)
     least = 32 if integrator == "rk4" else 128
     ends = [travelled(m, integrator, least * 2**k, x, u)[-1] for k in range(3)]
     coarse, fine = (np.linalg.norm(m.space.difference(ends[k], ends[k + 1])) for k in (0, 1))
@@ -116,7 +119,7 @@ def test_rk4_keeps_energy_to_its_order(name):
         mujoco.mj_energyVel(model, data)
         return data.energy.sum()
 
-    x = random_state(m.space, np.random.default_rng(6), unnormalised=False)
+    x = random_state(m.space, np.random.default_rng(6), unnormalized=False)
     drifts = []
     for steps in (32, 64, 128):
         ends = travelled(driven, "rk4", steps, x, np.zeros(driven.nu))

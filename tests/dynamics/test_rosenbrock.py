@@ -13,8 +13,8 @@ from trees import CHAINS, actuated, driven, machines, random_state
 
 from planner import Mechanism, RigidBodyDynamics
 from planner.base.errors import PlannerError
-from planner.dynamics import poe
-from planner.dynamics.stiffness import IMPLICIT, implicit_error
+from planner.dynamics import product_of_exponentials
+from planner.dynamics.step_stability import IMPLICIT, implicit_error
 from planner.model.couplings import Coupling
 from planner.model.damping import damping_matrix, implicit_damping
 from planner.proof.replays.implicit_steps import implicit_step
@@ -28,7 +28,8 @@ FINGER = """
 
 
 def twin(dynamics, x, u):
-    """The formulas of kernels.tree.rosenbrock with masses by poe.py and forces by the rates, one step."""
+    """The formulas of kernels.tree.rosenbrock with masses by product_of_exponentials.py and forces by the rates, one
+    step."""
     m, space, h = dynamics.mechanism, dynamics.space, dynamics.dt / dynamics.substeps
     nq, nv, added = m.nq, m.nv, GAMMA * h * implicit_damping(m)
     free = np.array([not any(m.joint(p).start <= i < m.joint(p).stop for p in dynamics.prescribed) for i in range(nv)])
@@ -36,7 +37,7 @@ def twin(dynamics, x, u):
     given[~free] = u[m.nu :][np.argsort(np.argsort(np.flatnonzero(~free)))]
 
     def accelerate(x, behind):
-        rates, M = dynamics.rates(x[None], u[None])[0], poe.mass_matrix(m, x[:nq])
+        rates, M = dynamics.rates(x[None], u[None])[0], product_of_exponentials.mass_matrix(m, x[:nq])
         a, heavier = rates[nv : 2 * nv].copy(), (M + np.diag(added))[np.ix_(free, free)]
         a[free] = np.linalg.solve(heavier, M[np.ix_(free, free)] @ a[free] + behind[free])
         return a, rates[2 * nv :]
@@ -59,7 +60,7 @@ def apart(m, found, wanted, x):
 def test_a_step_is_the_twins(text, seed):
     dynamics, _, us, rng = driven(text, seed, K=5)
     m = replace(dynamics.mechanism, damping=10.0 ** rng.uniform(-1, 4, dynamics.mechanism.nv))
-    xs = np.array([random_state(m.space, rng, unnormalised=False) for _ in us])
+    xs = np.array([random_state(m.space, rng, unnormalized=False) for _ in us])
     dynamics = RigidBodyDynamics(m, 0.02, "rosenbrock", dynamics.prescribed)
     ends = dynamics.step(xs, us)
     for x, u, end in zip(xs, us, ends, strict=True):
@@ -113,7 +114,7 @@ def test_derivatives_of_what_is_coupled_prescribed_or_rubs_are_those_of_differen
 def test_mujocos_forces_give_the_same_step(text, seed):
     dynamics, _, us, rng = driven(text, seed, K=1, prescribe=False)
     m = replace(dynamics.mechanism, damping=10.0 ** rng.uniform(-1, 4, dynamics.mechanism.nv))
-    x = random_state(m.space, rng, unnormalised=False)
+    x = random_state(m.space, rng, unnormalized=False)
     model = mujoco.MjModel.from_xml_string(m.mjcf)
     model.dof_damping[:] = m.damping
     model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONSTRAINT

@@ -11,7 +11,7 @@ from trees import CHAINS, actuated, driven, machines, relative_error
 import planner
 from planner import FunctionDynamics, PlannerError, Problem, TrackingCost
 from planner.dynamics import INTEGRATORS, HopperDynamics, RigidBodyDynamics
-from planner.kernels.lq import search
+from planner.kernels.lq import line_search
 from planner.kernels.lq.workspace import ACCEPTED, INDEFINITE
 from planner.solvers import lq
 from planner.solvers.engine import CompiledEngine, NumpyEngine
@@ -116,13 +116,13 @@ each_task = pytest.mark.parametrize("make", tasks().values(), ids=tasks())
 def test_both_engines_do_the_same(make, feedback):
     task = make()
     ours, twin = CompiledEngine(task, task.dynamics, task.cost), NumpyEngine(task)
-    costs = [engine.start(task.x0, task.first_guess, True) for engine in (ours, twin)]
+    costs = [engine.start_from_controls(task.x0, task.first_guess, True) for engine in (ours, twin)]
     first, accepted = None, 0
     for _ in range(4):
         mu, fresh = 0.0, True
         while True:
-            a = ours.iterate(feedback, search.ARMIJO, mu, fresh, costs[0], 0.0, -1.0)
-            b = twin.iterate(feedback, search.ARMIJO, mu, fresh, costs[1], 0.0, -1.0)
+            a = ours.iterate(feedback, line_search.ARMIJO, mu, fresh, costs[0], 0.0, -1.0)
+            b = twin.iterate(feedback, line_search.ARMIJO, mu, fresh, costs[1], 0.0, -1.0)
             assert a.kind == b.kind
             if a.kind != INDEFINITE:
                 break
@@ -143,7 +143,7 @@ def test_both_engines_do_the_same(make, feedback):
 def test_the_sweep_is_the_hessian_of_the_cost(make):
     """The curvature of J along the solution dU of the LQ problem.
 
-    At the minimum of the model, regularised by mu, dU' (H + mu) dU = -slope: so H dU may be compared with how the
+    At the minimum of the model, regularized by mu, dU' (H + mu) dU = -slope: so H dU may be compared with how the
     gradient of Eq. 19 changes along dU. The sweep of Gauss and Newton has another curvature.
     """
     task = make()
@@ -183,7 +183,9 @@ def test_newton_steps_converge_quadratically(integrator):
     """At the end a step squares the gradient, where Gauss and Newton's divide it by a constant."""
     orders = {}
     for hessian in ("exact", "gauss-newton"):
-        plan = planner.solve(arm(integrator), hessian=hessian, gradient_tolerance=1e-13, decrease_tolerance=0.0)
+        plan = planner.solve(
+            arm(integrator), hessian=hessian, gradient_tolerance=1e-13, expected_reduction_tolerance=0.0
+        )
         norms = np.array([line.gradient_norm for line in plan.history])
         relative = norms / norms[0]
         # between where the model begins to hold and where rounding does
@@ -207,11 +209,11 @@ def test_the_same_minimum_in_fewer_or_as_many_iterations(task):
     assert exact.cost == pytest.approx(problem.cost.value(xs, us), rel=1e-12)
 
 
-def test_steps_that_outrun_the_regularisation_end_converged():
+def test_steps_that_outrun_the_regularization_end_converged():
     """Newton steps reach the last digit of the cost while states are still held: the plain model is asked in time."""
     problem = planner.cases.build("two-link")
     plan = planner.solve(problem, hessian="exact")
-    assert any(line.regularisation > 0.0 for line in plan.history)
+    assert any(line.regularization > 0.0 for line in plan.history)
     assert plan.success
 
 

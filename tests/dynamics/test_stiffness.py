@@ -9,7 +9,14 @@ from trees import driven, machines, relative_error
 
 from planner import Mechanism, RigidBodyDynamics
 from planner.base.errors import PlannerError
-from planner.dynamics.stiffness import TARGET_RATE_STEP, FastestMode, fastest_mode, reason, substeps_for, substeps_of
+from planner.dynamics.step_stability import (
+    TARGET_RATE_STEP,
+    FastestMode,
+    fastest_mode,
+    reason,
+    substeps_for,
+    substeps_of,
+)
 
 SLIDES = """
 <mujoco><worldbody>

@@ -116,7 +116,7 @@ def test_descent_identity(seed, mu, N, nx, nu):
 
 @settings(max_examples=30, deadline=None)
 @given(seed=seeds, mu=st.floats(1e-6, 1e3), **sizes)
-def test_regularisation_is_a_heavier_control_weight(seed, mu, N, nx, nu):
+def test_regularization_is_a_heavier_control_weight(seed, mu, N, nx, nu):
     A, B, m = random_problem(seed, N, nx, nu)
     heavier = m._replace(R=m.R + mu * np.eye(nu))
     for ours, theirs in zip(lq.riccati(A, B, m, mu)[:6], lq.riccati(A, B, heavier)[:6], strict=True):
@@ -226,7 +226,7 @@ def test_an_indefinite_stage_is_found(stage):
 @pytest.mark.parametrize("where", [(0, 0), (1, 1), (0, 1)])
 @pytest.mark.parametrize("nu", [1, 2])
 def test_nan_is_not_positive_definite(nu, where):
-    """A weight that is not a number has no gains; LAPACK may factorise it without complaint."""
+    """A weight that is not a number has no gains; LAPACK may factorize it without complaint."""
     i, j = min(where[0], nu - 1), min(where[1], nu - 1)
     A, B, m = random_problem(6, 3, 3, nu)
     m.R[1, i, j] = m.R[1, j, i] = np.nan

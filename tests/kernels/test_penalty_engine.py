@@ -12,9 +12,9 @@ import planner
 from planner import Limits, Mechanism, PenaltyCost, Problem, RigidBodyDynamics, Status, TrackingCost
 from planner.costs import Distance, Gap, Height, Point, Segment, Velocity
 from planner.dynamics.protocol import INTEGRATORS
-from planner.kernels.lq import search
+from planner.kernels.lq import line_search
 from planner.problem.costs.residuals.cost import ResidualCost
-from planner.problem.discretisation import finer
+from planner.problem.rediscretize import finer
 from planner.solvers.engine import CompiledEngine, NumpyEngine, acquire_engine, compiled_costs
 
 
@@ -54,7 +54,7 @@ def some_terms(rng, m, N, count=6):
     return terms
 
 
-def penalised(text, seed, integrator, full=False, limits=False):
+def penalized(text, seed, integrator, full=False, limits=False):
     """A random problem with two PenaltyCosts in its cost, perhaps with bounds and ranges."""
     task = drawn(text, seed, integrator, full)
     rng, m, N = np.random.default_rng(seed + 1), task.dynamics.mechanism, task.N
@@ -74,16 +74,16 @@ def engines(task):
 
 @machines(24, max_dofs=14, max_bodies=5, integrator=st.sampled_from(INTEGRATORS), feedback=st.booleans())
 def test_both_engines_do_the_same(text, seed, integrator, feedback):
-    task = penalised(text, seed, integrator)
+    task = penalized(text, seed, integrator)
     ours, twin = engines(task)
-    costs = [engine.start(task.x0, task.first_guess) for engine in (ours, twin)]
+    costs = [engine.start_from_controls(task.x0, task.first_guess) for engine in (ours, twin)]
     assert costs[0] == pytest.approx(costs[1], rel=1e-11)
     a, b = (engine.sweep(0.0, True) for engine in (ours, twin))
     assert a.gradient_norm == pytest.approx(b.gradient_norm, rel=1e-9)
     assert relative_error(ours.gradient(), twin.gradient()) < 1e-10
     assert relative_error(ours.gains(), twin.gains()) < 1e-8
     a, b = (
-        engine.iterate(feedback, search.ARMIJO, 0.0, False, cost, 0.0, -1.0)
+        engine.iterate(feedback, line_search.ARMIJO, 0.0, False, cost, 0.0, -1.0)
         for engine, cost in zip((ours, twin), costs, strict=True)
     )
     assert (a.kind, a.step) == (b.kind, b.step)
@@ -95,7 +95,7 @@ def test_both_engines_do_the_same(text, seed, integrator, feedback):
 @machines(16, max_dofs=14, max_bodies=5)
 def test_the_kernels_model_is_the_costs(text, seed):
     """Gradients and Hessians of the stages themselves, to rounding."""
-    task = penalised(text, seed, "rk4")
+    task = penalized(text, seed, "rk4")
     ours, _ = engines(task)
     ours.start(task.x0, task.first_guess)
     ours.sweep(0.0, True)
@@ -113,12 +113,12 @@ def test_the_kernels_model_is_the_costs(text, seed):
 
 @machines(8, max_dofs=10, max_bodies=4, integrator=st.sampled_from(INTEGRATORS))
 def test_bounds_hold_beside_compiled_penalties(text, seed, integrator):
-    task = penalised(text, seed, integrator, limits=True)
+    task = penalized(text, seed, integrator, limits=True)
     ours, twin = engines(task)
-    costs = [engine.start(task.x0, task.first_guess) for engine in (ours, twin)]
+    costs = [engine.start_from_controls(task.x0, task.first_guess) for engine in (ours, twin)]
     assert costs[0] == pytest.approx(costs[1], rel=1e-11)
     a, b = (
-        engine.iterate(True, search.ARMIJO, 0.0, True, cost, 0.0, -1.0)
+        engine.iterate(True, line_search.ARMIJO, 0.0, True, cost, 0.0, -1.0)
         for engine, cost in zip((ours, twin), costs, strict=True)
     )
     assert (a.kind, a.step) == (b.kind, b.step)

@@ -15,11 +15,11 @@ from planner import Limits, Mechanism, PlannerError, Problem, RigidBodyDynamics,
 from planner.costs import CenterOfMassCost, FrameCost, Height, PenaltyCost, Point
 from planner.dynamics import center_of_mass
 from planner.dynamics.protocol import INTEGRATORS
-from planner.kernels.lq import search
+from planner.kernels.lq import line_search
 from planner.model.space import log_jacobian
 from planner.problem.costs.residuals.cost import ResidualCost
-from planner.problem.discretisation import finer
-from planner.solvers.engine import HybridEngine, CompiledEngine, NumpyEngine, acquire_engine, compiled_costs
+from planner.problem.rediscretize import finer
+from planner.solvers.engine import CompiledEngine, HybridEngine, NumpyEngine, acquire_engine, compiled_costs
 
 BALL = """
 <mujoco>
@@ -81,13 +81,13 @@ def engines(task):
 def test_both_engines_do_the_same(text, seed, integrator):
     task = task_with(text, seed, integrator)
     ours, twin = engines(task)
-    costs = [engine.start(task.x0, task.first_guess) for engine in (ours, twin)]
+    costs = [engine.start_from_controls(task.x0, task.first_guess) for engine in (ours, twin)]
     assert costs[0] == pytest.approx(costs[1], rel=1e-11)
     a, b = (engine.sweep(0.0, True) for engine in (ours, twin))
     assert a.gradient_norm == pytest.approx(b.gradient_norm, rel=1e-9)
     assert relative_error(ours.gradient(), twin.gradient()) < 1e-10
     a, b = (
-        engine.iterate(True, search.ARMIJO, 0.0, False, cost, 0.0, -1.0)
+        engine.iterate(True, line_search.ARMIJO, 0.0, False, cost, 0.0, -1.0)
         for engine, cost in zip((ours, twin), costs, strict=True)
     )
     assert (a.kind, a.step) == (b.kind, b.step)
@@ -176,12 +176,12 @@ def test_an_arm_points_its_forearm(arm):
 
 
 def test_costs_without_tracking_are_compiled(arm):
-    """Nothing weighs the controls but what they do: the sweep regularises, as for any cost without effort."""
+    """Nothing weighs the controls but what they do: the sweep regularizes, as for any cost without effort."""
     still = {"velocity": np.zeros(3), "velocity_weight": 1.0}
     path = FrameCost(arm, "tip", position=(0.2, 0.0, -1.9), position_weight=1.0, **still)
     task = Problem(arm, path, np.zeros(4), horizon=N)
     ours, twin = engines(task)
-    costs = [engine.start(task.x0, task.first_guess) for engine in (ours, twin)]
+    costs = [engine.start_from_controls(task.x0, task.first_guess) for engine in (ours, twin)]
     assert costs[0] == pytest.approx(costs[1], rel=1e-12)
     assert isinstance(acquire_engine(task), CompiledEngine)
     a, b = (engine.sweep(1e-3, True) for engine in (ours, twin))
@@ -208,7 +208,7 @@ def test_bounds_and_weights_may_change_between_iterations(arm):
     place = other.cost.costs[1].measures_for(N)
     ours, theirs = (engines(one)[0] for one in (task, other))
     for engine, one in ((ours, task), (theirs, other)):
-        engine.start(one.x0, one.first_guess)
+        engine.start_from_controls(one.x0, one.first_guess)
         engine.sweep(0.0, True)
     table = ours.residuals
     np.testing.assert_array_equal(table.weight, place.weight)
@@ -222,9 +222,9 @@ def test_bounds_and_weights_may_change_between_iterations(arm):
         final_position_weight=[1e3, 0.0, 1e3],
     )  # fmt: skip
     fresh = engines(Problem(arm, held(arm) + moved, np.zeros(4), horizon=N))[0]
-    costs = [engine.start(task.x0, task.first_guess) for engine in (ours, fresh)]
+    costs = [engine.start_from_controls(task.x0, task.first_guess) for engine in (ours, fresh)]
     assert costs[0] == pytest.approx(costs[1], rel=1e-13)
-    a, b = (engine.iterate(True, search.ARMIJO, 0.0, True, costs[0], 0.0, -1.0) for engine in (ours, fresh))
+    a, b = (engine.iterate(True, line_search.ARMIJO, 0.0, True, costs[0], 0.0, -1.0) for engine in (ours, fresh))
     assert a.cost == pytest.approx(b.cost, rel=1e-12)
     np.testing.assert_allclose(ours.gradient(), fresh.gradient(), rtol=0, atol=1e-12 * np.abs(fresh.gradient()).max())
 
@@ -237,7 +237,7 @@ def test_rows_may_be_one_sided_and_without_a_ramp(arm):
     side[0], side[2] = 1.0, -1.0  # x at most 0.9, z at least -1.2
     arrays = replace(arrays, side=side)
     engine = CompiledEngine(task, arm, task.cost.costs[0], arrays)
-    start = engine.start(task.x0, task.first_guess)  # hanging down: x = 0, z = -2
+    start = engine.start_from_controls(task.x0, task.first_guess)  # hanging down: x = 0, z = -2
     assert start == pytest.approx(0.5 * 1e3 * 0.8**2, rel=1e-12)
     twin = ResidualCost(arm.mechanism, arrays, N)
     assert twin.value(*engine.trajectory()) == pytest.approx(start, rel=1e-12)
@@ -279,14 +279,14 @@ def test_logarithms_at_every_angle(angle):
         xs = np.tile(x0, (2, 1))
         expected = 0.5 * (phi @ phi + rho @ rho)
         assert term.final_cost(x0) == pytest.approx(expected, rel=1e-11, abs=1e-15)
-        engine.start(x0, np.zeros((1, dynamics.nu)))
+        engine.start_from_controls(x0, np.zeros((1, dynamics.nu)))
         engine.sweep(1.0, True)
         xs, us = engine.trajectory()
         model, w = term.quadratize(xs, us), engine._w
         mine = w.l[-1, w.first : w.first + 3]
         # at the cut of the logarithm, at pi, both fall on one side or the other
         np.testing.assert_allclose(mine, model.q[-1, :3], rtol=0, atol=1e-12)
-        assert term.value(xs, us) == pytest.approx(engine.start(x0, us), rel=1e-12, abs=1e-15)
+        assert term.value(xs, us) == pytest.approx(engine.start_from_controls(x0, us), rel=1e-12, abs=1e-15)
 
 
 def test_the_centre_of_mass_is_that_of_the_dynamics(arm):
@@ -329,5 +329,5 @@ def test_what_acts_on_the_joints_leaves_the_frames_where_they_are(change):
     cost = cost + CenterOfMassCost(dynamics, np.zeros(3), position_weight=2.0)
     task = Problem(dynamics, cost, np.zeros(4), np.tile([3.0, -1.0], (N, 1)))
     ours, twin = engines(task)
-    costs = [engine.start(task.x0, task.first_guess) for engine in (ours, twin)]
+    costs = [engine.start_from_controls(task.x0, task.first_guess) for engine in (ours, twin)]
     assert costs[0] == pytest.approx(costs[1], rel=1e-10)

@@ -6,8 +6,8 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from scipy.optimize import minimize_scalar
 
-from planner.kernels.lq import search
-from planner.kernels.lq.search import ARMIJO, DEFECT_STEP, EXACT, GOLDSTEIN, WOLFE
+from planner.kernels.lq import line_search
+from planner.kernels.lq.line_search import ARMIJO, DEFECT_STEP, EXACT, GOLDSTEIN, WOLFE
 from planner.kernels.numba.lanes import WIDTH
 
 RULES = {"armijo": ARMIJO, "exact": EXACT, "wolfe": WOLFE, "goldstein": GOLDSTEIN}
@@ -20,20 +20,20 @@ def find(rule, f, df, lanes=WIDTH):
     The loop is that of the engines, which may try some lanes first and the others only where they must.
     """
     alpha, bracket = np.empty(WIDTH), np.empty(3)
-    search.first_step_lengths(rule, alpha, bracket)
+    line_search.first_step_lengths(rule, alpha, bracket)
     asked = []
-    for _ in range(search.batches(rule)):
+    for _ in range(line_search.batches(rule)):
         J, S = np.full(WIDTH, np.nan), np.full(WIDTH, np.nan)
         for first in range(0, WIDTH, lanes):
             some = slice(first, first + lanes)
             asked.extend(alpha[some].tolist())
             J[some], S[some] = [f(a) for a in alpha[some]], [df(a) for a in alpha[some]]
-            if search.decided(rule, alpha, J, f(0.0), df(0.0), first + lanes):
+            if line_search.decided(rule, alpha, J, f(0.0), df(0.0), first + lanes):
                 break
-        taken = search.choose(rule, alpha, J, S, f(0.0), df(0.0), bracket)
+        taken = line_search.choose(rule, alpha, J, S, f(0.0), df(0.0), bracket)
         if taken >= 0:
             return float(alpha[taken]), asked
-        search.refine(rule, alpha, bracket)
+        line_search.refine(rule, alpha, bracket)
     return None, asked
 
 
@@ -148,7 +148,7 @@ def promised(df, a):
 def power_of_a_half(f, df):
     """What Armijo takes, word for word: the step, and how many are looked at."""
     i = next(i for i in range(48) if f(0.5**i) <= f(0.0) + 1e-4 * 0.5**i * df(0.0))
-    if f(0.0) - f(0.5**i) >= search.SMALL_REDUCTION * promised(df, 0.5**i):
+    if f(0.0) - f(0.5**i) >= line_search.SMALL_REDUCTION * promised(df, 0.5**i):
         return 0.5**i, i + 1
     while (i + 1) % WIDTH and f(0.5 ** (i + 1)) < f(0.5**i):  # up to the last of a batch
         i += 1
@@ -194,10 +194,10 @@ def test_bad_lanes_do_not_hide_good_ones(rule, where, bad):
     """Candidates of the first batch that run away leave the choice to the others, in the order of preference."""
     f, df = quadratic(0.3, 2.0)
     alpha, bracket = np.empty(WIDTH), np.empty(3)
-    search.first_step_lengths(rule, alpha, bracket)
+    line_search.first_step_lengths(rule, alpha, bracket)
     J, S = np.array([f(a) for a in alpha]), np.array([df(a) for a in alpha])
     J[list(where)] = bad
-    taken = search.choose(rule, alpha, J, S, f(0.0), df(0.0), bracket)
+    taken = line_search.choose(rule, alpha, J, S, f(0.0), df(0.0), bracket)
     if rule == EXACT:  # narrows around the best finite candidate
         sound = [i for i in range(WIDTH) if i not in where and J[i] < f(0.0)]
         assert taken == -1
@@ -212,7 +212,11 @@ def test_bad_lanes_do_not_hide_good_ones(rule, where, bad):
         return True
 
     expected = next((i for i in range(WIDTH) if passes(i)), -1)
-    if rule == ARMIJO and expected >= 0 and f(0.0) - J[expected] < search.SMALL_REDUCTION * promised(df, alpha[expected]):
+    if (
+        rule == ARMIJO
+        and expected >= 0
+        and f(0.0) - J[expected] < line_search.SMALL_REDUCTION * promised(df, alpha[expected])
+    ):
         while expected + 1 < WIDTH and J[expected + 1] < J[expected]:
             expected += 1
     assert taken == expected

@@ -17,7 +17,7 @@ import planner
 from planner import Problem, Status, TrackingCost
 from planner.dynamics import RigidBodyDynamics
 from planner.dynamics.protocol import INTEGRATORS
-from planner.kernels.lq import search
+from planner.kernels.lq import line_search
 from planner.kernels.lq.workspace import ACCEPTED, CONVERGED, INDEFINITE
 from planner.model.mechanism import Mechanism
 from planner.solvers import lq
@@ -45,13 +45,13 @@ def example(name, integrator="semi-implicit-euler", N=12, seed=0):
 def test_both_engines_do_the_same(text, seed, integrator, full, feedback):
     task = drawn(text, seed, integrator, full)
     ours, twin = CompiledEngine(task, task.dynamics, task.cost), NumpyEngine(task)
-    costs = [engine.start(task.x0, task.first_guess) for engine in (ours, twin)]
+    costs = [engine.start_from_controls(task.x0, task.first_guess) for engine in (ours, twin)]
     assert costs[0] == pytest.approx(costs[1], rel=1e-11)
     assert ours.largest_control_weight == pytest.approx(twin.largest_control_weight)
     first = None
     for mu in (0.0, 0.1, 0.0):
-        a = ours.iterate(feedback, search.ARMIJO, mu, True, costs[0], 0.0, -1.0)
-        b = twin.iterate(feedback, search.ARMIJO, mu, True, costs[1], 0.0, -1.0)
+        a = ours.iterate(feedback, line_search.ARMIJO, mu, True, costs[0], 0.0, -1.0)
+        b = twin.iterate(feedback, line_search.ARMIJO, mu, True, costs[1], 0.0, -1.0)
         first = first or b
         # Gradients are small differences of large terms near a minimum: compared beside what they were at first.
         assert a.gradient_norm == pytest.approx(b.gradient_norm, rel=1e-8, abs=1e-9 * first.gradient_norm)
@@ -69,11 +69,11 @@ def test_both_engines_do_the_same(text, seed, integrator, full, feedback):
 
 @machines(8, max_dofs=14, max_bodies=5, integrator=st.sampled_from(INTEGRATORS))
 def test_a_second_sweep_over_the_same_jacobians(text, seed, integrator):
-    """As after a failure, when only the regularisation changes: nothing may have been overwritten."""
+    """As after a failure, when only the regularization changes: nothing may have been overwritten."""
     task = drawn(text, seed, integrator, full=True)
     ours, again = (CompiledEngine(task, task.dynamics, task.cost) for _ in range(2))
     for engine in (ours, again):
-        engine.start(task.x0, task.first_guess)
+        engine.start_from_controls(task.x0, task.first_guess)
     ours.sweep(0.0, True)
     ours.sweep(3.0, False)
     changed = ours.gains()
@@ -124,7 +124,7 @@ def test_gradient_and_slope_are_those_of_the_cost(text, seed, integrator, full):
     """Eq. 16-19 and 42, on the group, with references far enough from the states that every term counts."""
     task = drawn(text, seed, integrator, full)
     engine, us = CompiledEngine(task, task.dynamics, task.cost), task.first_guess
-    engine.start(task.x0, us)
+    engine.start_from_controls(task.x0, us)
     done = engine.sweep(0.0, True)
     xs, _ = rollout(task, us)
     for a, _ in task.dynamics.mechanism.quaternions:  # a difference of half a turn jumps
@@ -219,7 +219,7 @@ def test_iterations_allocate_nothing():
             task = example("body in space", "rk4", N)
             engine = acquire_engine(task)
             cost = engine.start_from_controls(task.x0, task.first_guess)
-            for rule, feedback in ((search.ARMIJO, True), (search.EXACT, False)):
+            for rule, feedback in ((line_search.ARMIJO, True), (line_search.EXACT, False)):
                 before = rtsys.get_allocation_stats()
                 outcome = engine.iterate(feedback, rule, 0.0, True, cost, 0.0, 0.0)
                 after, cost = rtsys.get_allocation_stats(), outcome.cost

@@ -10,11 +10,11 @@ import pytest
 import planner
 from planner import Mechanism, RigidBodyDynamics, TrackingCost
 from planner.contact import ContactLaw
-from planner.model.mjcf import survey
+from planner.model.mjcf import model_index
 from planner.model.mjcf.read import read
 from planner.model.mjcf.text import edited
+from planner.proof.prove import prove
 from planner.proof.replays.replaying import reached_by_plan
-from planner.proof.steps import prove
 
 ARM = """
 <mujoco><option gravity="0 0 -9.81"/><worldbody>
@@ -31,14 +31,14 @@ ON_FLOOR = ARM.format(friction="", floor='<geom name="floor" type="plane" pos="0
 @pytest.fixture
 def texts(monkeypatch):
     """The texts that MuJoCo has compiled, in order."""
-    seen, compiled = [], survey.compile_in_subprocess
+    seen, compiled = [], model_index.compile_in_subprocess
 
     def counted(text, *rest):
         seen.append(text)
         return compiled(text, *rest)
 
-    monkeypatch.setattr(survey, "compiled", counted)
-    monkeypatch.setattr(survey, "RECENT", deque(maxlen=8))
+    monkeypatch.setattr(model_index, "compiled", counted)
+    monkeypatch.setattr(model_index, "RECENT", deque(maxlen=8))
     return seen
 
 
@@ -124,19 +124,19 @@ def test_driving_joints_compiles_the_model_once_more(texts):
 def test_nobody_changes_a_model_that_others_are_given_too(texts):
     """Everything of a proof that changes a compiled model does so in a copy of its own."""
     mechanism = Mechanism.from_mjcf(PLAIN)
-    model = survey.compile_model(mechanism.mjcf, mechanism.assets)
+    model = model_index.compile_model(mechanism.mjcf, mechanism.assets)
     before = np.empty(mujoco.mj_sizeModel(model), dtype=np.uint8)
     after = before.copy()
     mujoco.mj_saveModel(model, None, before)
     prove(planner.solve(task(mechanism)), rollouts=8, hold_seconds=0.1)
-    assert survey.compile_model(mechanism.mjcf, mechanism.assets) is model
+    assert model_index.compile_model(mechanism.mjcf, mechanism.assets) is model
     mujoco.mj_saveModel(model, None, after)
     np.testing.assert_array_equal(after, before)
 
 
 def test_large_models_are_not_kept(texts, monkeypatch):
-    monkeypatch.setattr(survey, "MOST_KEPT", 0)
+    monkeypatch.setattr(model_index, "MAX_KEPT", 0)
     for text in (PLAIN, RUBBING, PLAIN):
-        survey.compile_model(text)
+        model_index.compile_model(text)
     assert len(texts) == 3
-    assert len(survey.RECENT) == 1
+    assert len(model_index.RECENT) == 1

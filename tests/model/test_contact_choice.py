@@ -84,7 +84,9 @@ def test_an_object_lies_on_what_is_under_it():
     table = '<geom name="table" type="box" size=".5 .5 .1" pos="0 2 .3"/>'
     _, m = chosen(model(FLOOR, table, ARM, CUBE.format(z=0.45)))
     assert sorted({round(c.plane.offset, 9) for c in m.contacts}) == [0.0, 0.4]
-    assert {round(c.law.stiffness, 6) for c in m.contacts} == {round(ContactLaw.resting(0.2, sink=REST_PENETRATION).stiffness, 6)}
+    assert {round(c.law.stiffness, 6) for c in m.contacts} == {
+        round(ContactLaw.resting(0.2, sink=REST_PENETRATION).stiffness, 6)
+    }
     beside, m = chosen(model(table, ARM, CUBE.format(z=0.2)))  # the table's top is above it: no ground
     assert beside == "avoid"
     assert "body 'cube' stays at the start, since nothing drives it" in m.contacts_choice

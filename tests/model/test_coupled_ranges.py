@@ -5,7 +5,7 @@ import pytest
 
 from planner import Limits, Mechanism, PlannerError, Problem, RigidBodyDynamics, costs
 from planner.model.coupled_ranges import contradiction, narrowed
-from planner.model.mjcf.opened import open_model_file
+from planner.model.mjcf.model_file import open_model_file
 from planner.problem.description import describe
 
 TWO = """

@@ -7,8 +7,8 @@ from mechanisms import passive, plain, state
 from planner.base.errors import PlannerError
 from planner.base.gl import load_mujoco
 from planner.model.mechanism import Mechanism
-from planner.model.mjcf.refuse import KINDS
-from planner.model.mjcf.survey import contact_pairs
+from planner.model.mjcf.model_index import contact_pairs
+from planner.model.mjcf.unsupported import KINDS
 
 mujoco = load_mujoco()
 

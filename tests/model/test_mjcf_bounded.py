@@ -12,9 +12,9 @@ from mechanisms import OBJ, plain
 
 from planner.base.errors import ModelError
 from planner.model.mechanism import Mechanism
-from planner.model.mjcf import bounded
-from planner.model.mjcf.read import LARGEST, MOST_DOFS, read
-from planner.model.mjcf.survey import MOST_PAIRS, MOST_TOUCHING, compile_model
+from planner.model.mjcf import compile_subprocess
+from planner.model.mjcf.model_index import MAX_PAIRS, MAX_TOUCHING, compile_model
+from planner.model.mjcf.read import LARGEST, MAX_DOFS, read
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="models are compiled in place here")
 WORLD = "<mujoco>{0}<asset>{1}</asset><worldbody>{2}</worldbody></mujoco>"
@@ -33,8 +33,8 @@ ARM = BODY.format(1, "")
         (WORLD.format("", "", BODY.format("1e308", "")), r"1e\+308 in body_mass, expected numbers of at most"),
         (WORLD.format("", "", BODY.format("1", "").replace("<joint/>", '<joint stiffness="1e100"/>')), "jnt_stiffness"),
         (WORLD.format('<option gravity="0 0 -1e300"/>', "", ARM), "gravity"),
-        (WORLD.format("", "", ARM * (MOST_DOFS + 1)),
-         f"at most {MOST_DOFS}"),
+        (WORLD.format("", "", ARM * (MAX_DOFS + 1)),
+         f"at most {MAX_DOFS}"),
     ],
     ids=["texture", "height field", "overflowing height field", "user data", "arena", "mass", "stiffness", "gravity",
          "joints"],
@@ -47,7 +47,7 @@ def test_models_without_bounds_are_one_sentence(text, words):
 
 def test_a_compiler_that_does_not_end_is_stopped(monkeypatch):
     """MuJoCo would fill so many keyframes for hours; the limit of processor time is a second, the least there is."""
-    monkeypatch.setattr(bounded, "SECONDS", 1)
+    monkeypatch.setattr(compile_subprocess, "SECONDS", 1)
     with pytest.raises(ModelError, match="takes more than 1 s to compile the model"):
         compile_model(WORLD.format('<size nkey="200000000"/>', "", ARM))
 
@@ -58,14 +58,14 @@ def test_an_interruption_ends_a_compilation():
     threading.Timer(0.3, lambda: signal.pthread_kill(main, signal.SIGINT)).start()
     with pytest.raises(KeyboardInterrupt):
         compile_model(WORLD.format('<size nkey="200000000"/>', "", ARM))
-    assert time.monotonic() - began < bounded.SECONDS / 2  # far less, but on a machine with other work
+    assert time.monotonic() - began < compile_subprocess.SECONDS / 2  # far less, but on a machine with other work
 
 
 def test_shapes_that_may_touch_are_bounded():
     ball = '<geom size=".1" mass="1"/>'
-    with pytest.raises(ModelError, match=f"geoms that may touch, expected at most {MOST_TOUCHING}"):
-        Mechanism.from_mjcf(WORLD.format("", "", f"<body><joint/>{ball * (MOST_TOUCHING + 1)}</body>"), contacts="off")
-    with pytest.raises(ModelError, match=f"pairs of geoms that may touch, expected at most {MOST_PAIRS}"):
+    with pytest.raises(ModelError, match=f"geoms that may touch, expected at most {MAX_TOUCHING}"):
+        Mechanism.from_mjcf(WORLD.format("", "", f"<body><joint/>{ball * (MAX_TOUCHING + 1)}</body>"), contacts="off")
+    with pytest.raises(ModelError, match=f"pairs of geoms that may touch, expected at most {MAX_PAIRS}"):
         Mechanism.from_mjcf(WORLD.format("", "", f"<body><joint/>{ball * 400}</body>{ball * 400}"), contacts="off")
 
 
@@ -112,12 +112,15 @@ def test_a_child_that_knows_a_file_compiles_the_next_text_to_the_same_bits():
     import numpy as np
 
     text, files = meshes(1, 7)
-    bounded.compile_in_subprocess(text, files, "the model")
-    child = bounded._kept[0]
+    compile_subprocess.compile_in_subprocess(text, files, "the model")
+    child = compile_subprocess._kept[0]
     text, more = meshes(1, 3)  # a file that it knows, and another one under a name that it knows
     more["0.obj"] = files["0.obj"]
-    model, here = bounded.compile_in_subprocess(text, more, "the model"), mujoco.MjModel.from_xml_string(text, more)
-    assert bounded._kept == [child]
+    model, here = (
+        compile_subprocess.compile_in_subprocess(text, more, "the model"),
+        mujoco.MjModel.from_xml_string(text, more),
+    )
+    assert compile_subprocess._kept == [child]
     both = [np.empty(mujoco.mj_sizeModel(one), dtype=np.uint8) for one in (model, here)]
     for one, content in zip((model, here), both, strict=True):
         mujoco.mj_saveModel(one, None, content)
@@ -126,28 +129,30 @@ def test_a_child_that_knows_a_file_compiles_the_next_text_to_the_same_bits():
 
 def test_a_child_that_is_gone_is_replaced():
     text, files = meshes(1)
-    bounded.compile_in_subprocess(text, files, "the model")
-    child = bounded._kept[0]
+    compile_subprocess.compile_in_subprocess(text, files, "the model")
+    child = compile_subprocess._kept[0]
     os.kill(child._pid, signal.SIGKILL)
     os.waitid(os.P_PID, child._pid, os.WEXITED | os.WNOWAIT)
-    assert bounded.compile_in_subprocess(text, files, "the model").nmesh == 1
-    assert bounded._kept[0]._pid != child._pid
+    assert compile_subprocess.compile_in_subprocess(text, files, "the model").nmesh == 1
+    assert compile_subprocess._kept[0]._pid != child._pid
 
 
 def test_a_child_has_new_limits_for_each_text(monkeypatch):
     """A text that takes too long after one that did not is stopped as ever; what it did before is no excuse."""
-    monkeypatch.setattr(bounded, "SECONDS", 1)
+    monkeypatch.setattr(compile_subprocess, "SECONDS", 1)
     text, files = meshes(1)
-    bounded.compile_in_subprocess(text, files, "the model")
+    compile_subprocess.compile_in_subprocess(text, files, "the model")
     with pytest.raises(ModelError, match="takes more than 1 s"):
-        bounded.compile_in_subprocess(text.replace("<asset>", '<size nkey="200000000"/><asset>'), files, "the model")
-    assert not bounded._kept
+        compile_subprocess.compile_in_subprocess(
+            text.replace("<asset>", '<size nkey="200000000"/><asset>'), files, "the model"
+        )
+    assert not compile_subprocess._kept
 
 
 def test_a_child_holds_nothing_open_of_its_parent():
     """A lock that the parent gives up, or a pipe that it closes, would stay until the child ends."""
     reader, writer = os.pipe()
-    bounded.compile_in_subprocess(*meshes(1), "the model")
+    compile_subprocess.compile_in_subprocess(*meshes(1), "the model")
     os.close(writer)
     assert os.read(reader, 1) == b""  # the end, at once
     os.close(reader)
@@ -157,8 +162,8 @@ def test_a_child_ends_with_its_parent():
     code = (
         "from planner.model.mjcf import bounded;"
         f"text, files = {meshes(1)!r};"
-        "bounded.compiled(text, files, 'the model');"
-        "print(bounded._kept[0]._pid)"
+        "compile_subprocess.compiled(text, files, 'the model');"
+        "print(compile_subprocess._kept[0]._pid)"
     )
     pid = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True).stdout
     with pytest.raises(ProcessLookupError):
@@ -169,7 +174,7 @@ def test_limits_hold_where_the_process_has_less():
     """A limit that is lower already is kept: nothing is raised."""
     code = (
         "import resource; resource.setrlimit(resource.RLIMIT_CPU, (60, 60));"
-        "from planner.model.mjcf.survey import compile_model;"
+        "from planner.model.mjcf.model_index import compile_model;"
         f"print(compile_model({WORLD.format('', '', ARM)!r}).nv)"
     )
     assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True).stdout == "1\n"

@@ -7,7 +7,7 @@ from mechanisms import OBJ, plain
 
 from planner.base.errors import ModelError
 from planner.model.mechanism import Mechanism
-from planner.model.mjcf.bounds import MOST_COPIES, MOST_ELEMENTS, MOST_FILES, MOST_LEVELS, check_stored
+from planner.model.mjcf.input_limits import MAX_COPIES, MAX_ELEMENTS, MAX_FILES, MAX_LEVELS, check_stored
 from planner.model.mjcf.text import model_text, model_tree
 
 WORLD = "<mujoco><worldbody>%s</worldbody></mujoco>"
@@ -87,11 +87,11 @@ def replicas(*counts):
     ids=["many", "signed", "endless", "nested", "deeply nested", "composite", "flexcomp"],
 )
 def test_too_many_replicas_are_refused_before_they_are_made(text):
-    refused(text, f"replicas and attached models make more than {MOST_COPIES} elements")
+    refused(text, f"replicas and attached models make more than {MAX_COPIES} elements")
 
 
 def test_some_replicas_and_what_mujoco_says_of_their_number():
-    model_tree(replicas(MOST_COPIES - 1))
+    model_tree(replicas(MAX_COPIES - 1))
     machine = plain().replace("<worldbody>", '<option><flag contact="disable"/></option><worldbody>')
     two = '<replicate count="%s" offset="1 0 0"><geom size="0.1"/></replicate></worldbody>'
     assert "replicate" in Mechanism.from_mjcf(machine.replace("</worldbody>", two % 100)).mjcf
@@ -127,15 +127,15 @@ def test_includes_of_includes_are_bounded(tmp_path):
     for number in range(40):
         (tmp_path / f"{number}.xml").write_text(f"<mujoco>{include.format(number + 1) * 2}</mujoco>")
     (tmp_path / "40.xml").write_text("<mujoco/>")
-    refused(tmp_path / "0.xml", f"reads more than {MOST_FILES} files")
+    refused(tmp_path / "0.xml", f"reads more than {MAX_FILES} files")
     with pytest.raises(ModelError, match="reads more than"):
         model_text(tmp_path / "0.xml")
     (tmp_path / "0.xml").write_text('<mujoco><asset><model file="1.xml"/></asset></mujoco>')
     refused(tmp_path / "0.xml", "reads more than")
 
-    (tmp_path / "large.xml").write_text(f"<mujoco>{'<a/>' * (MOST_ELEMENTS // 10)}</mujoco>")
+    (tmp_path / "large.xml").write_text(f"<mujoco>{'<a/>' * (MAX_ELEMENTS // 10)}</mujoco>")
     (tmp_path / "main.xml").write_text(f"<mujoco>{include.format('large') * 12}</mujoco>")
-    refused(tmp_path / "main.xml", f"more than {MOST_ELEMENTS} elements")
+    refused(tmp_path / "main.xml", f"more than {MAX_ELEMENTS} elements")
 
     for number in range(150):
         (tmp_path / f"{number}.xml").write_text(f'<mujoco><include file="{number + 1}.xml"/></mujoco>')
@@ -143,9 +143,9 @@ def test_includes_of_includes_are_bounded(tmp_path):
 
 
 def test_elements_and_levels_are_bounded():
-    refused(WORLD % (GEOM * MOST_ELEMENTS), f"more than {MOST_ELEMENTS} elements")
-    refused(WORLD % ("<body>" * MOST_LEVELS + "</body>" * MOST_LEVELS), "nested too deeply")
-    model_tree(WORLD % ("<body>" * (MOST_LEVELS - 50) + "</body>" * (MOST_LEVELS - 50)))
+    refused(WORLD % (GEOM * MAX_ELEMENTS), f"more than {MAX_ELEMENTS} elements")
+    refused(WORLD % ("<body>" * MAX_LEVELS + "</body>" * MAX_LEVELS), "nested too deeply")
+    model_tree(WORLD % ("<body>" * (MAX_LEVELS - 50) + "</body>" * (MAX_LEVELS - 50)))
 
 
 MESH = '<mujoco><asset><mesh name="m" file="{}"/></asset></mujoco>'

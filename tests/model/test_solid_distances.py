@@ -6,20 +6,25 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from planner.base.errors import PlannerError
-from planner.model.contact import distances
-from planner.model.contact.distances import PlacedShapes
-from planner.model.contact.fitted import fit_bounding_shape, rim_points, round_points, sphere
-from planner.model.mjcf.meeting import MAX_MUJOCO_DISTANCE, may_collide, distances_in, min_distance_over_ranges
-from planner.model.mjcf.near_pairs import select_collision_pairs
-from planner.model.mjcf.survey import ModelIndex, contact_pairs
+from planner.model.contact import signed_distance
+from planner.model.contact.bounding_fit import fit_bounding_shape, rim_points, round_points, sphere
+from planner.model.contact.signed_distance import PlacedShapes
+from planner.model.mjcf.collision_pairs import select_collision_pairs
+from planner.model.mjcf.model_index import ModelIndex, contact_pairs
+from planner.model.mjcf.reachable_collisions import (
+    MAX_MUJOCO_DISTANCE,
+    distances_in,
+    may_collide,
+    min_distance_over_ranges,
+)
 
 SIZES = {"sphere": (0.1,), "capsule": (0.05, 0.3), "box": (0.1, 0.2, 0.3), "plane": (1.0, 1.0, 1.0)}
 PAIRS = {
-    ("sphere", "sphere"): distances.segment_segment, ("sphere", "capsule"): distances.segment_segment,
-    ("capsule", "capsule"): distances.segment_segment, ("sphere", "box"): distances.segment_box,
-    ("capsule", "box"): distances.segment_box, ("box", "box"): distances.of_boxes,
-    ("sphere", "plane"): distances.from_plane, ("capsule", "plane"): distances.from_plane,
-    ("box", "plane"): distances.from_plane,
+    ("sphere", "sphere"): signed_distance.segment_segment, ("sphere", "capsule"): signed_distance.segment_segment,
+    ("capsule", "capsule"): signed_distance.segment_segment, ("sphere", "box"): signed_distance.segment_box,
+    ("capsule", "box"): signed_distance.segment_box, ("box", "box"): signed_distance.of_boxes,
+    ("sphere", "plane"): signed_distance.from_plane, ("capsule", "plane"): signed_distance.from_plane,
+    ("box", "plane"): signed_distance.from_plane,
 }  # fmt: skip
 K = 150
 
@@ -67,12 +72,14 @@ def test_a_line_in_a_box_is_as_deep_as_a_box_without_width():
     x = 0.4 * x  # most overlap
     line, thin = (PlacedShapes(R[:, 0], x[:, 0], core("capsule")[0], np.zeros(K)) for _ in range(2))
     box = PlacedShapes(R[:, 1], x[:, 1], *core("box"))
-    a, b = distances.segment_box(line, box), distances.of_boxes(thin, box)
+    a, b = signed_distance.segment_box(line, box), signed_distance.of_boxes(thin, box)
     assert np.sum(a.distance < 0.0) > 0.5 * K
     np.testing.assert_allclose(a.distance, b.distance, rtol=0, atol=1e-12)
     out = PlacedShapes(R[:, 0], x[:, 0] - a.distance[:, None] * a.n, core("capsule")[0], np.zeros(K))
     deep = a.distance < 0.0
-    np.testing.assert_allclose(distances.segment_box(out, box).distance[deep], 0.0, atol=1e-9)  # the way leads out
+    np.testing.assert_allclose(
+        signed_distance.segment_box(out, box).distance[deep], 0.0, atol=1e-9
+    )  # the way leads out
 
 
 @pytest.mark.parametrize("kinds", PAIRS, ids="-".join)
@@ -182,7 +189,9 @@ def test_a_start_in_collision_or_too_near_is_refused(survey):
     assert str(error.value).startswith("the start is in collision: geom 'near' and geom ")
     assert "overlap by 0.1 m, expected a pose where nothing touches" in str(error.value)
     with pytest.raises(PlannerError) as error:
-        select_collision_pairs(survey, {"the start": np.array([1.0, 0.0, 0.0]), "the goal": np.array([0.0, 0.42, 0.0])}, 0.1)
+        select_collision_pairs(
+            survey, {"the start": np.array([1.0, 0.0, 0.0]), "the goal": np.array([0.0, 0.42, 0.0])}, 0.1
+        )
     assert str(error.value).startswith("the goal has geom 'near' and geom ")
     assert "write clearance = 0.0" in str(error.value)
 
@@ -210,7 +219,9 @@ def test_how_near_a_pair_comes_in_any_pose_is_not_above_what_random_poses_say(su
     model, rng = survey.model, np.random.default_rng(1)
     pairs = [pair for pair in contact_pairs(model) if may_collide(survey, pair, 0.02)]
     poses = rng.uniform(*model.jnt_range.T, size=(300, model.nq))
-    least = {pair: min(distances_in(model, qpos, [pair], MAX_MUJOCO_DISTANCE)[pair] for qpos in poses) for pair in pairs}
+    least = {
+        pair: min(distances_in(model, qpos, [pair], MAX_MUJOCO_DISTANCE)[pair] for qpos in poses) for pair in pairs
+    }
     known = {pair: min_distance_over_ranges(survey, pair, [poses[0]]) for pair in pairs}
     assert sum(np.isfinite(value) for value in known.values()) >= 4  # with one or two joints between their shapes
     for pair in pairs:

@@ -8,7 +8,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from trees import mechanism_texts, mujoco, random_state
 
-from planner.dynamics.poe import rotation
+from planner.dynamics.product_of_exponentials import rotation
 from planner.model.mechanism import Mechanism
 from planner.model.space import (
     StateSpace,
@@ -59,7 +59,7 @@ def slope(function, h=1e-2):
 @settings(max_examples=50, deadline=None)
 def test_integrate_and_difference_are_inverse(seed):
     rng = np.random.default_rng(seed)
-    x_ref, x = random_state(SPACE, rng), random_state(SPACE, rng, unnormalised=False)
+    x_ref, x = random_state(SPACE, rng), random_state(SPACE, rng, unnormalized=False)
     back = SPACE.integrate(x_ref, SPACE.difference(x, x_ref))
     for i, _ in SPACE.quaternions:  # a quaternion and its negative are one orientation
         back[i : i + 4] *= np.sign(back[i : i + 4] @ x[i : i + 4])
@@ -74,7 +74,7 @@ def test_integrate_and_difference_are_mujocos(text, seed):
     model, rng, mechanism = mujoco.MjModel.from_xml_string(text), np.random.default_rng(seed), Mechanism.from_mjcf(text)
     space, nq, nv = mechanism.space, mechanism.nq, mechanism.nv
     assert (nq, nv) == (model.nq, model.nv)
-    x, other, dx = random_state(space, rng), random_state(space, rng, unnormalised=False), rng.normal(size=space.ndx)
+    x, other, dx = random_state(space, rng), random_state(space, rng, unnormalized=False), rng.normal(size=space.ndx)
     qpos = x[:nq].copy()
     mujoco.mj_integratePos(model, qpos, dx[:nv], 1.0)
     np.testing.assert_allclose(space.integrate(x, dx)[:nq], qpos, atol=1e-13)

@@ -8,8 +8,8 @@ import pytest
 from urdfs import ARM, BALL, inertial, joint, link, robot, shape
 
 from planner import Mechanism, PlannerError
-from planner.model.mjcf.survey import compile_model
-from planner.model.urdf.meshes import MOST_FACES, hull, mesh_triangles, on_grid, stl
+from planner.model.mjcf.model_index import compile_model
+from planner.model.urdf.meshes import MAX_FACES, hull, mesh_triangles, on_grid, stl
 from planner.model.urdf.packages import packages_of
 from planner.model.urdf.parse import robot_of
 from planner.model.urdf.write import mjcf_of
@@ -205,8 +205,8 @@ def test_large_meshes_are_stored_as_what_is_seen_and_what_touches(tmp_path):
 
 
 def test_meshes_have_no_more_faces_than_mujoco_reads():
-    with pytest.raises(PlannerError, match=f"{MOST_FACES + 4} faces"):
-        stl(np.repeat(TETRAHEDRON, MOST_FACES // 4 + 1, axis=0))
+    with pytest.raises(PlannerError, match=f"{MAX_FACES + 4} faces"):
+        stl(np.repeat(TETRAHEDRON, MAX_FACES // 4 + 1, axis=0))
 
 
 def test_scales_and_names_are_kept_apart(tmp_path):

@@ -5,8 +5,8 @@ import pytest
 
 import planner
 from planner.model.mjcf.meshes import LARGE
+from planner.model.mjcf.model_index import compile_model, pose
 from planner.model.mjcf.read import read
-from planner.model.mjcf.survey import compile_model, pose
 
 RINGS, CORNERS = 1000, 12
 

@@ -9,7 +9,7 @@ import planner
 from planner import TrackingCost, cases
 from planner.paper.methods.curvature import curvature, hamiltonian_hessians
 from planner.paper.studies.many_starts import from_many, is_minimum
-from planner.problem.guess import rollout_states
+from planner.problem.initial_guess import rollout_states
 from planner.solvers import lq
 from planner.solvers.slq import solve
 
@@ -59,7 +59,7 @@ def test_negative_eigenvalues_are_those_of_the_whole_hessian(seed):
 
 def test_a_solve_ends_at_a_minimum():
     problem = cases.two_link(horizon=50)
-    plan = solve(problem, decrease_tolerance=1e-12)
+    plan = solve(problem, expected_reduction_tolerance=1e-12)
     found = curvature(problem, plan.xs, plan.us)
     assert found.negative == 0
     assert found.promised < 1e-9 * plan.cost

@@ -10,13 +10,13 @@ from places import ROOT
 import planner
 from planner.base.errors import PlannerError
 from planner.cases.problem_file import load
-from planner.cases.problem_file.chosen import resolved_defaults
+from planner.cases.problem_file.resolved_defaults import resolved_defaults
 from planner.problem.avoid import Avoid
-from planner.problem.constraints.apart import PairClearance, pair_clearance_of
-from planner.problem.free_poses import CollisionChecker
+from planner.problem.collision_checker import CollisionChecker
+from planner.problem.constraints.clearance import PairClearance, pair_clearance_of
 from planner.problem.problem import Problem
-from planner.problem.way_around import rrt_connect
-from planner.solvers import augmented
+from planner.problem.rrt_connect import rrt_connect
+from planner.solvers import augmented_lagrangian
 
 TOML = """model = "gantry.xml"
 start = "left"
@@ -79,7 +79,7 @@ def test_what_is_kept_apart_at_knots_is_kept_apart_between_them(problem_of, monk
 
     monkeypatch.setitem(globals(), "TOML", text)
     assert nearest() > -0.0006 - 1e-6  # the tolerance, 2 % of the clearance
-    monkeypatch.setattr(augmented, "MOST_RAISED", 0)
+    monkeypatch.setattr(augmented_lagrangian, "MAX_TIGHTENINGS", 0)
     assert nearest() < -0.001
 
 
@@ -146,7 +146,7 @@ def test_a_touch_is_answered_with_more_room(problem_of):
     """A fit that says it is further away than it is, as one that overlaps at the start may: MuJoCo sees the touch."""
     from dataclasses import replace
 
-    from planner.proof.wider import refine_clearance, with_more_room
+    from planner.proof.clearance_refinement import refine_clearance, with_more_room
 
     problem = problem_of(AVOID)
     one = problem.constraints[0]
@@ -192,7 +192,7 @@ def test_a_goal_at_which_only_fits_overlap_is_no_collision(problem_of):
 
 def test_fits_that_no_plan_keeps_apart_may_come_nearer_where_the_shapes_are_far(problem_of):
     """A drum that passes below a beam, with room for it, and not for the ball that stands for it."""
-    from planner.proof.wider import refine_clearance
+    from planner.proof.clearance_refinement import refine_clearance
 
     more = "[avoid]\nclearance = 0.02\n[limits.position]\nz = [0.08, 0.12]\n"
     beam = 'type="box" size="0.05 0.5 2" pos="0 0 2.23"'

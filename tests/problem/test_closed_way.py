@@ -9,9 +9,9 @@ from places import ROOT
 from planner import Mechanism, Problem, RigidBodyDynamics, TrackingCost
 from planner.dynamics import assembled
 from planner.dynamics.loops import misses
-from planner.problem.closed_way import closed_chain_reference
-from planner.problem.guess import rollout_states
-from planner.solvers.steadied import tracking_controls
+from planner.problem.closed_chain_reference import closed_chain_reference
+from planner.problem.initial_guess import rollout_states
+from planner.solvers.stabilizing_guess import tracking_controls
 
 EXAMPLES = ROOT / "examples" / "closed_chains"
 MOVED = {"four_bar": {0: 1.0}, "two_arms": {0: 0.8}, "stewart": {0: 0.05, 2: 0.08}}
@@ -27,7 +27,12 @@ def way_of(name, N, duration=2.0, change=None):
     goal = assembled(m, goal, tuple(MOVED[name]))
     poses = np.stack([x0, goal])[:, : m.nq]
     dt = duration / N
-    return m, RigidBodyDynamics(m, dt), closed_chain_reference(m, x0, np.array([0, N]), poses, np.array([True, True]), dt), goal
+    return (
+        m,
+        RigidBodyDynamics(m, dt),
+        closed_chain_reference(m, x0, np.array([0, N]), poses, np.array([True, True]), dt),
+        goal,
+    )
 
 
 @pytest.mark.parametrize("name", MOVED)

@@ -233,7 +233,7 @@ def test_references_on_the_way_and_the_goal_at_the_end(machine):
     reference, goal = states(rng, machine.space, 4), states(rng, machine.space, 1)[0]
     given = reference.copy()
     along = TrackingCost.joints(machine, None, 3, effort=1.0, dt=0.1, reference=3.0 * reference)
-    for i, _ in machine.space.quaternions:  # normalised, the rest as given
+    for i, _ in machine.space.quaternions:  # normalized, the rest as given
         np.testing.assert_allclose(along.x_ref[:, i : i + 4], reference[:, i : i + 4], rtol=1e-14)
     ends = TrackingCost.joints(machine, goal, 3, effort=1.0, dt=0.1, reference=reference)
     np.testing.assert_allclose(ends.x_ref, [*reference[:3], goal], rtol=1e-14)

@@ -98,7 +98,7 @@ def test_arms_of_any_size_arrive_in_a_few_iterations(size):
     dynamics = arm(length=size, mass=mass, limited="false")
     goal = np.array([0.8, -0.6, 0.0, 0.0])
     cost = default_cost(dynamics, dynamics.mechanism.home, goal, 100)
-    plan = planner.solve(planner.Problem(dynamics, cost, dynamics.mechanism.home, decrease_tolerance=1e-7))
+    plan = planner.solve(planner.Problem(dynamics, cost, dynamics.mechanism.home, expected_reduction_tolerance=1e-7))
     assert plan.success
     assert plan.nit <= 20  # issue: 3 to 15 on nine arms of others
     assert planner.prove(plan, rollouts=0).passed

@@ -6,12 +6,12 @@ import pytest
 from planner.base.errors import ModelError
 from planner.base.gl import load_mujoco
 from planner.cases.problem_file import load_problem
-from planner.cases.problem_file.first import starter_text
+from planner.cases.problem_file.starter_file import starter_text
 from planner.dynamics.algorithms import bias
-from planner.model.mjcf.opened import open_model_file
+from planner.model.mjcf.model_file import open_model_file
 from planner.problem.description import HOME, describe
-from planner.problem.first_move import example_task
-from planner.problem.troubles import holding
+from planner.problem.example_task import example_task
+from planner.problem.model_lint import holding
 
 ARM = """<mujoco model="arm"><compiler angle="radian"/>{head}<worldbody>{world}
   <body name="upper" pos="0 0 1"><joint name="shoulder" axis="0 1 0" range="-2 2" limited="true" damping=".2"/>

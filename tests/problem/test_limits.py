@@ -32,7 +32,7 @@ def bounded():
 
 @pytest.fixture(scope="module")
 def plan():
-    return planner.solve(bounded(), states="line", decrease_tolerance=TOLERANCE)
+    return planner.solve(bounded(), states="line", expected_reduction_tolerance=TOLERANCE)
 
 
 def reduced_hessian(A, B, model):
@@ -131,8 +131,8 @@ def test_compiled_and_numpy_engines_take_the_same_steps(integrator, feedback):
     hinges = hinges._replace(weight=rng.uniform(1.0, 100.0, hinges.weight.shape))
     costs, us = [], rng.normal(size=(N, 2)) * 4.0
     for engine in engines:
-        engine.hinge(hinges)
-        costs.append(engine.start(problem.x0, us))
+        engine.set_penalties(hinges)
+        costs.append(engine.start_from_controls(problem.x0, us))
     assert costs[0] == pytest.approx(costs[1], rel=1e-12)
     cost = costs[0]
     for _ in range(4):
@@ -149,7 +149,7 @@ def test_the_slope_is_that_of_the_clipped_rollout():
     """Eq. 42's place with bounds: the cost of a short step falls as the slope says, from either side of a kink."""
     problem = bounded()
     engine = NumpyEngine(problem)
-    cost = engine.start(problem.x0, 3.0 * np.sin(np.arange(2 * problem.N)).reshape(-1, 2) * 4.0)
+    cost = engine.start_from_controls(problem.x0, 3.0 * np.sin(np.arange(2 * problem.N)).reshape(-1, 2) * 4.0)
     xs, us = engine.trajectory()
     done, step = engine.iterate(True, 0, 1.0, True, cost, 0.0, -1.0), 1e-7
     sweep = engine._sweep

@@ -11,16 +11,16 @@ import planner
 from planner import PlannerError, RigidBodyDynamics, cases
 from planner.cases.problem_file import load
 from planner.costs import EnergyCost, JerkCost
-from planner.problem.costs.jerk import JerkDynamics, AugmentedStateJerkCost
-from planner.problem.criteria import base_problem, with_objective
+from planner.problem.costs.jerk import AugmentedStateJerkCost, JerkDynamics
 from planner.problem.objective import EFFORT_SHARE, weights_of
+from planner.problem.objective_problem import base_problem, with_objective
 from planner.proof.consistency import consistency, recomputed
 from planner.solvers import lq
 
 
 def walk(dynamics, rng, N, size=0.3):
     """States (N+1, nx), each some way from the last, and controls (N, nu)."""
-    xs = [random_state(dynamics.space, rng, unnormalised=False)]
+    xs = [random_state(dynamics.space, rng, unnormalized=False)]
     for _ in range(N):
         xs.append(dynamics.space.integrate(xs[-1], size * rng.normal(size=dynamics.ndx)))
     return np.array(xs), rng.normal(size=(N, dynamics.nu))
@@ -32,7 +32,7 @@ def test_energy_gradients_are_differences_of_the_value(name):
     xs, us = walk(dynamics, rng, 3)
     for smoothing in (0.1, 10.0):
         model = assert_gradients(EnergyCost(dynamics, 2.0, smoothing), dynamics.space, xs, us)
-        for n in range(3):  # what SLQ minimises is bounded below
+        for n in range(3):  # what SLQ minimizes is bounded below
             H = np.block([[model.R[n], model.S[n]], [model.S[n].T, model.Q[n]]])
             assert np.linalg.eigvalsh(H).min() > -1e-10 * max(1.0, np.abs(H).max())
 
@@ -53,7 +53,7 @@ def test_an_added_state_is_the_same_cost():
     """Along a rollout the state remembers what the other cost looks up."""
     dynamics, _, _, rng = driven(CHAINS["balls"], 5, 1)
     lifted, us = JerkDynamics(dynamics), rng.normal(size=(6, dynamics.nu))
-    ys = [np.concatenate([random_state(dynamics.space, rng, unnormalised=False), np.zeros(dynamics.mechanism.nv)])]
+    ys = [np.concatenate([random_state(dynamics.space, rng, unnormalized=False), np.zeros(dynamics.mechanism.nv)])]
     for u in us:
         ys.append(lifted.step(ys[-1][None], u[None])[0])
     ys = np.array(ys)
@@ -64,7 +64,7 @@ def test_an_added_state_is_the_same_cost():
 def test_added_state_jacobians():
     dynamics, _, _, rng = driven(CHAINS["body in space"], 6, 1)
     lifted, h = JerkDynamics(dynamics), 1e-6
-    x, us = random_state(dynamics.space, rng, unnormalised=False), rng.normal(size=(1, dynamics.nu))
+    x, us = random_state(dynamics.space, rng, unnormalized=False), rng.normal(size=(1, dynamics.nu))
     ys = np.concatenate([x, rng.normal(size=dynamics.mechanism.nv)])[None].repeat(2, axis=0)
     A, B = lifted.linearize(ys, us)
     space = lifted.space
@@ -167,7 +167,7 @@ def test_files_hold_the_objective(tmp_path, objective):
 
 
 def test_finer_steps_keep_the_objective():
-    from planner.problem.discretisation import finer
+    from planner.problem.rediscretize import finer
 
     problem = with_objective(arm(20), {"effort": 1.0, "energy": 0.5})
     twice = finer(problem)

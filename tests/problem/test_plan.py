@@ -237,9 +237,9 @@ def test_an_older_format_says_what_to_do(saved):
 def test_a_file_that_unpacks_to_too_much_is_not_unpacked(saved, monkeypatch):
     with zipfile.ZipFile(saved) as file:
         size = sum(entry.file_size for entry in file.infolist())
-    monkeypatch.setattr(archive, "_MOST_BYTES", size)
+    monkeypatch.setattr(archive, "_MAX_BYTES", size)
     assert planner.load_plan(saved).nit > 0
-    monkeypatch.setattr(archive, "_MOST_BYTES", size - 1)
+    monkeypatch.setattr(archive, "_MAX_BYTES", size - 1)
     monkeypatch.setattr(np.lib.npyio.NpzFile, "__getitem__", lambda *_: pytest.fail("an array was unpacked"))
     with pytest.raises(FileError, match=f"unpacks to {size} bytes, expected a plan of at most {size - 1}"):
         planner.load_plan(saved)

@@ -13,7 +13,7 @@ import planner
 from planner.base.errors import FileError, ModelError
 from planner.cases import problem_file
 from planner.cases.plan_file import load_plan
-from planner.model.mjcf.survey import compile_model
+from planner.model.mjcf.model_index import compile_model
 
 CRANE = ROOT / "examples" / "crane.toml"
 

@@ -101,7 +101,7 @@ def test_the_reduced_gradient_is_that_of_a_motion_along_its_bounds():
     """Controls at a bound that their gradient pushes against move with it; by differences of the clipped rollout."""
     problem = arm(N=12)
     engine = NumpyEngine(problem)
-    engine.start(problem.x0, np.tile([5.0, 0.3], (12, 1)))
+    engine.start_from_controls(problem.x0, np.tile([5.0, 0.3], (12, 1)))
     xs, us = engine.trajectory()
     A, B = problem.dynamics.linearize(xs, us)
     moves = problem.bounds.step_bounds(xs, us)
@@ -136,7 +136,7 @@ def test_the_slope_is_that_of_the_clipped_rollout():
     slow = twin.iterate(True, 0, 1e-2, True, cost, 0.0, -1.0)
     _, J = twin._rollout(problem.x0, (us + step * twin._sweep.k)[:, None], twin._sweep.K, xs)
     assert (J[0] - cost) / step == pytest.approx(slow.slope, rel=1e-3)
-    engine.start(problem.x0, np.tile([1.5, 0.3], (40, 1)))
+    engine.start_from_controls(problem.x0, np.tile([1.5, 0.3], (40, 1)))
     fast = engine.iterate(True, 0, 1e-2, True, cost, 0.0, -1.0)
     assert fast.kind == slow.kind == 0
     assert fast.slope == pytest.approx(slow.slope, rel=1e-6)
@@ -148,7 +148,7 @@ def test_compiled_and_numpy_engines_take_the_same_steps(integrator, feedback):
     problem = arm(integrator)
     engines = CompiledEngine(problem, problem.dynamics, problem.cost), NumpyEngine(problem)
     us = np.random.default_rng(1).normal(size=(40, 2)) * 2.0
-    costs = [engine.start(problem.x0, us) for engine in engines]
+    costs = [engine.start_from_controls(problem.x0, us) for engine in engines]
     assert costs[0] == pytest.approx(costs[1], rel=1e-12)
     cost = costs[0]
     for _ in range(5):

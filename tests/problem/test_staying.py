@@ -6,7 +6,7 @@ import pytest
 import planner
 from planner.base.errors import PlannerError
 from planner.problem.costs.tracking import TrackingCost
-from planner.problem.staying import terminal_holding_cost
+from planner.problem.terminal_holding_cost import terminal_holding_cost
 from planner.solvers.slq import solve
 
 # A pendulum that stands on its head: unstable, so its end needs gains.
@@ -30,7 +30,7 @@ def cost_of(dynamics, N, **more):
 
 def test_it_is_the_value_of_the_stages_that_follow(dynamics):
     """Half a second to the goal and half a second of staying: the first controls are those of one second."""
-    x0 = np.array([1e-4, 0.0])  # where the dynamics are their linearisation at the goal
+    x0 = np.array([1e-4, 0.0])  # where the dynamics are their linearization at the goal
     problem, longer = (
         planner.Problem(dynamics, cost, x0)
         for cost in (terminal_holding_cost(dynamics, cost_of(dynamics, 50), 0.5), cost_of(dynamics, 100, **LAST))

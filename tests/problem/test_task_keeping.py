@@ -8,10 +8,10 @@ from commands import run
 import planner
 from planner.base.errors import PlannerError
 from planner.cases.problem_file import load
-from planner.constraints import FramePositionAlong, FramePosition, FrameAxisAngle
+from planner.constraints import FrameAxisAngle, FramePosition, FramePositionAlong
 from planner.dynamics.kinematics import frame_pose
-from planner.problem.guess import rollout_states
-from planner.problem.tasks.keeping import PoseConstraints
+from planner.problem.initial_guess import rollout_states
+from planner.problem.tasks.pose_constraints import PoseConstraints
 
 GOAL = '[[goal]]\nframe = "hand"\nposition = [0.3, 0.0, -0.2]\n'
 BELOW = '[[constraint]]\nframe = "hand"\nalong = "z"\nmost = {most}\n'

@@ -9,8 +9,8 @@ from scipy.spatial.transform import Rotation
 import planner
 from planner.dynamics.inverse_kinematics import Target, residuals
 from planner.problem.appearance import Appearance
-from planner.problem.constraints.of_terms import FramePositionAlong
-from planner.problem.over_time import MAX_CURVES, task_panels
+from planner.problem.constraints.quantities import FramePositionAlong
+from planner.problem.task_panels import MAX_CURVES, task_panels
 from planner.problem.tasks.cost import _off_frame
 from planner.problem.tasks.marks import with_marks
 

@@ -5,11 +5,11 @@ import pytest
 from arms import START, mechanism
 
 import planner
-from planner.problem.guess import quintic, rollout_states
+from planner.problem.initial_guess import quintic, rollout_states
 from planner.problem.tasks.goal import Goal
-from planner.problem.tasks.motion import controls, interpolate, reference_states, joint_displacement
 from planner.problem.tasks.poses import Poses, poses_of
-from planner.problem.tasks.timetable import task_of
+from planner.problem.tasks.reference_motion import controls, interpolate, joint_displacement, reference_states
+from planner.problem.tasks.timed_task import task_of
 
 N, DT = 100, 0.02
 GOALS = [
@@ -66,7 +66,9 @@ def test_its_controls_move_the_machine_along_it(way):
     fine = task_of(dynamics.mechanism, GOALS, [], 5 * N, DT / 5)
     finer = planner.RigidBodyDynamics(dynamics.mechanism, DT / 5)
     poses = poses_of(fine, finer, x0, dynamics.mechanism.joint_range)
-    near = np.abs(rollout_states(finer, x0, controls(fine, poses, finer, x0)) - reference_states(fine, poses, x0))[:, :2].max()
+    near = np.abs(rollout_states(finer, x0, controls(fine, poses, finer, x0)) - reference_states(fine, poses, x0))[
+        :, :2
+    ].max()
     assert away < 0.02
     assert near < away / 15.0
 

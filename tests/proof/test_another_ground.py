@@ -9,8 +9,8 @@ from rolled_out_plans import acrobot, problem_of, rolled_out
 
 import planner
 from planner.model.mechanism import Mechanism
-from planner.proof.another_ground import GROUNDS, PLAN, contact_sensitivity, ground_table
 from planner.proof.compare.contact_parity import contact_parity
+from planner.proof.contact_sensitivity import GROUNDS, PLAN, contact_sensitivity, ground_table
 from planner.proof.replays.compiled_twin import CompiledTwin, with_model
 from planner.proof.replays.replaying import replay_in
 from planner.proof.robustness.rollouts import MODES
@@ -147,7 +147,7 @@ def test_a_motion_that_runs_away_is_infinitely_wrong(landing, monkeypatch):
     def explosive(model):
         model.pair_solref[:] = -1e14, 0.0
 
-    monkeypatch.setattr("planner.proof.another_ground.GROUNDS", {"default contact": explosive})
+    monkeypatch.setattr("planner.proof.contact_sensitivity.GROUNDS", {"default contact": explosive})
     one = row(ground_table(landing, CompiledTwin(landing.twin)), "default contact")
     assert one.end["rad"] == np.inf
     assert one.feet == np.inf

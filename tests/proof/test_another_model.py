@@ -7,7 +7,7 @@ from mechanisms import OBJ
 import planner
 from planner.__main__ import main
 from planner.cases.problem_file import load
-from planner.model.mjcf.survey import compile_model
+from planner.model.mjcf.model_index import compile_model
 from planner.model.mjcf.text import edited
 from planner.model.twin import Twin
 from planner.proof.replays.compiled_twin import with_model

@@ -11,7 +11,7 @@ from trees import mujoco
 import planner
 from planner.base.errors import ModelError
 from planner.dynamics import RigidBodyDynamics
-from planner.dynamics.contact_places import BodyContactKinematics
+from planner.dynamics.contact_kinematics import BodyContactKinematics
 from planner.dynamics.contacts import body_contact_forces, contact_forces
 from planner.model.contact.laws import ContactLaw
 from planner.model.mechanism import Mechanism

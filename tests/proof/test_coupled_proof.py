@@ -6,7 +6,7 @@ import pytest
 import planner
 from planner.model.coupled_states import closed_state
 from planner.proof.engines.section import _reason
-from planner.proof.hold import hold_gain, hold_section, simulate_regulator
+from planner.proof.goal_regulator import hold_gain, hold_section, simulate_regulator
 from planner.proof.replays.compiled_twin import CompiledTwin
 from planner.proof.replays.replaying import replay_in
 

@@ -5,7 +5,7 @@ import pytest
 
 from planner.base.errors import PlannerError
 from planner.base.gl import load_mujoco
-from planner.model.mjcf.survey import compile_model
+from planner.model.mjcf.model_index import compile_model
 from planner.proof.robustness.perturbation import Nominal, Perturbation, draw, draw_masses
 
 NONE = Perturbation(**dict.fromkeys(Perturbation().to_dict(), 0.0))

@@ -286,4 +286,4 @@ def test_the_command_appends_engines_and_leaves_the_verdict(monkeypatch, tmp_pat
     assert proof["engines"]["drake"]["figures"]["open_loop_end_angle_error"]["value"] is None  # infinite
     printed = capsys.readouterr().out
     assert "pinocchio, forces and numbers added: forces of the actuators elbow; gravity" in printed
-    assert main(["prove", str(path), "--engine", "drake", "--replay-case", "0"]) == 2
+    assert main(["prove", str(path), "--engine", "drake", "--replay-rollout", "0"]) == 2

@@ -7,9 +7,9 @@ import pytest
 
 import planner
 from planner import Problem, cases
-from planner.proof.growth import FACTOR, SMALL
-from planner.proof.order import ORDER_BOUND, _level, _observed
-from planner.proof.scales import path_error_bounds, shares_of_bounds
+from planner.proof.error_propagation import FACTOR, SMALL
+from planner.proof.error_scales import path_error_bounds, shares_of_bounds
+from planner.proof.step_convergence import ORDER_BOUND, _level, _observed
 
 
 def proof_of(problem, **options):
@@ -35,7 +35,9 @@ def test_growth_is_told_in_shares_of_what_passes(proofs):
     knots = run.error[:: run.substeps]
     np.testing.assert_array_equal(proof.errors.measured["open-loop"], shares_of_bounds(run.plan, knots))
     assert proof.errors.measured["open-loop"].max() <= 1.0  # it passes
-    assert values(proof.growth)["predicted_over_bound_open_loop"] == proof.errors.predicted["open-loop"].max()
+    assert (
+        values(proof.growth)["predicted_over_bound_open_loop"] == proof.errors.predicted["open-loop"].max()
+    )
     np.testing.assert_allclose(
         proof.convergence.shares,
         shares_of_bounds(run.plan, run.plan.space.difference(proof.convergence.ends[1:], proof.convergence.ends[:-1])),
@@ -119,7 +121,7 @@ def test_semi_implicit_euler_is_of_first_order():
 
 def test_a_first_order_method_in_place_of_the_fourth_is_seen(monkeypatch):
     """MuJoCo's Euler where the plan says RK4: what `order_shortfall` is for."""
-    from planner.proof import order as module
+    from planner.proof import step_convergence as module
 
     own = module.advancing
     monkeypatch.setattr(module, "advancing", lambda name, *rest: own("semi-implicit-euler", *rest))

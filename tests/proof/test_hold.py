@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 import planner
-from planner.proof.hold import GoalRegulator, hold_gain, hold_section, simulate_regulator
-from planner.proof.scales import path_error_bounds
+from planner.proof.error_scales import path_error_bounds
+from planner.proof.goal_regulator import GoalRegulator, hold_gain, hold_section, simulate_regulator
 
 BALL = """
 <mujoco model="trunk">
@@ -150,7 +150,7 @@ def no_goal():
         (linear([[0, 0], [0, 1]], [[1], [0]], goal=[0.5, 0.0]), "cannot be held"),
         (no_goal(), "0 terms"),
     ],
-    ids=["in the air", "moving", "falling", "not stabilisable", "no goal"],
+    ids=["in the air", "moving", "falling", "not stabilizable", "no goal"],
 )
 def test_goals_that_cannot_be_held_are_refused(problem, fragment):
     with pytest.raises(planner.PlannerError, match=fragment) as caught:

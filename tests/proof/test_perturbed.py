@@ -14,10 +14,10 @@ from planner.problem.goals import GoalCheck
 from planner.problem.problem import Requirements
 from planner.proof.replays.compiled_twin import CompiledTwin
 from planner.proof.replays.replaying import replay
-from planner.proof.robustness.campaign import LEVELS, MonteCarlo
-from planner.proof.robustness.case_replay import replay_rollout
+from planner.proof.robustness.monte_carlo import LEVELS, MonteCarlo
 from planner.proof.robustness.perturbation import Perturbation, draw
 from planner.proof.robustness.perturbed import MonteCarloSettings, perturbed
+from planner.proof.robustness.rollout_replay import replay_rollout
 from planner.proof.robustness.rollouts import MODES, Rollouts
 from planner.proof.robustness.success_rule import end_errors, ranges_of_motion, rule_of, within_goals
 
@@ -98,7 +98,10 @@ def test_without_goals_each_coordinate_has_a_tenth_of_its_range(arm, monkeypatch
 
 
 def test_with_goals_each_may_be_missed_by_five_tolerances(arm):
-    goals = [GoalCheck("x", "m", 0.1, lambda xs: np.abs(xs[:, 0])), GoalCheck("y", "m", 2.0, lambda xs: np.abs(xs[:, 1]))]
+    goals = [
+        GoalCheck("x", "m", 0.1, lambda xs: np.abs(xs[:, 0])),
+        GoalCheck("y", "m", 2.0, lambda xs: np.abs(xs[:, 1])),
+    ]
     rule = within_goals(goals)
     ends = np.array([[0.5, 10.0], [0.51, 0.0], [0.0, 10.1], [np.inf, 0.0]])
     np.testing.assert_array_equal(rule.succeeded(ends), [True, False, False, False])
@@ -198,7 +201,10 @@ def test_a_delay_beyond_the_end_holds_the_first_control(arm):
 
 def test_rollouts_repeat_by_their_seed(arm):
     twin = coarse(arm)
-    first, again = perturbed(arm, twin, MonteCarloSettings(12, seed=4)), perturbed(arm, twin, MonteCarloSettings(12, seed=4), threads=1)
+    first, again = (
+        perturbed(arm, twin, MonteCarloSettings(12, seed=4)),
+        perturbed(arm, twin, MonteCarloSettings(12, seed=4), threads=1),
+    )
     np.testing.assert_array_equal(ends(first), ends(again))
     assert first.to_dict() == again.to_dict()
     other = perturbed(arm, twin, MonteCarloSettings(14, seed=5))

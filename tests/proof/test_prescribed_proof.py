@@ -15,12 +15,12 @@ from planner.base.errors import ModelError, PlannerError
 from planner.cases.problem_file import load
 from planner.dynamics.contacts import contact_forces, generalized_forces
 from planner.model.mechanism import Mechanism
-from planner.model.mjcf import driven as driven_twin
-from planner.model.mjcf.driven import PRESCRIBED_ARMATURE, twin_of
-from planner.model.mjcf.survey import compile_model
+from planner.model.mjcf import prescribed_joints as driven_twin
+from planner.model.mjcf.model_index import compile_model
+from planner.model.mjcf.prescribed_joints import PRESCRIBED_ARMATURE, twin_of
 from planner.model.mjcf.text import edited
 from planner.model.twin import Twin
-from planner.problem.discretisation import finer
+from planner.problem.rediscretize import finer
 from planner.proof.compare.driven_parity import driven_parity
 from planner.proof.robustness.perturbation import Nominal, Perturbation, SampleShape, draw
 
@@ -87,7 +87,11 @@ def test_elements_on_a_prescribed_joint_are_taken_out_of_the_replay():
     assert not model.actuator_gear[0].any()
     assert [model.actuator(i).name for i in range(3)] == ["servo", "motor", "acceleration of cart"]
     assert not model.actuator_ctrllimited[2]
-    assert (model.actuator_gear[1, 0], model.actuator_gear[2, 0], model.dof_armature[0]) == (3.0, PRESCRIBED_ARMATURE, PRESCRIBED_ARMATURE)
+    assert (model.actuator_gear[1, 0], model.actuator_gear[2, 0], model.dof_armature[0]) == (
+        3.0,
+        PRESCRIBED_ARMATURE,
+        PRESCRIBED_ARMATURE,
+    )
     np.testing.assert_array_equal(model.key_ctrl, [[0.1, 0.2, 0.0]])
     assert twin.source == m.mjcf
     assert twin_of(m, ()).mjcf == m.mjcf
@@ -173,12 +177,18 @@ def test_contacts_and_stops_keep_their_force(monkeypatch):
     text, m = sharp_leg()
     accelerations = 3.0 * np.random.default_rng(4).normal(size=(100, len(PELVIS)))
     assert error_of_forces(text, m, accelerations) < 5e-3
-    assert error_of_forces(driven_twin.prescribe_joints(m.mjcf, {}, compile_model(m.mjcf), PELVIS), m, accelerations) < 5e-3
+    assert (
+        error_of_forces(driven_twin.prescribe_joints(m.mjcf, {}, compile_model(m.mjcf), PELVIS), m, accelerations)
+        < 5e-3
+    )
     for part in ("keep_law", "_keep_stops"):  # each is needed
         with monkeypatch.context() as patch:
             patch.setattr(driven_twin, part, lambda *_: None)
             assert (
-                error_of_forces(driven_twin.prescribe_joints(m.mjcf, {}, compile_model(m.mjcf), PELVIS), m, accelerations) > 1e-2
+                error_of_forces(
+                    driven_twin.prescribe_joints(m.mjcf, {}, compile_model(m.mjcf), PELVIS), m, accelerations
+                )
+                > 1e-2
             )
 
 
@@ -212,7 +222,7 @@ def test_a_plan_is_proved_from_its_file(cart, tmp_path, capsys):
     assert main(["prove", str(file), "--rollouts", "0", "--json", "--quiet"]) == 0
     proof = json.loads(capsys.readouterr().out)["proof"]
     assert proof == json.loads(json.dumps(planner.prove(cart, rollouts=0).to_dict()))
-    assert main(["prove", str(file), "--replay-case", "1", "--perturb", "stiffness=0.2", "--quiet"]) in (0, 1)
+    assert main(["prove", str(file), "--replay-rollout", "1", "--perturb", "stiffness=0.2", "--quiet"]) in (0, 1)
     other = planner.Problem(cart.problem.dynamics, cart.problem.cost, cart.problem.x0, twin=Twin.of(Mechanism.from_mjcf(
         CART.replace("<actuator>", '<actuator><motor joint="hip"/>')
     )))  # fmt: skip

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from planner.base.gl import load_mujoco
-from planner.model.mjcf.survey import compile_model
+from planner.model.mjcf.model_index import compile_model
 from planner.proof.replays import contact_history, simulation
 from planner.proof.replays.contact_history import ContactRecorder
 from planner.proof.replays.simulation import simulate
@@ -57,7 +57,7 @@ def test_recording_contacts_changes_no_step(integrator):
 def test_contacts_are_summed_up_as_one_by_one(monkeypatch, at_once):
     """Two balls fall on a floor, a third falls on one of them and off it: the sums of a plain loop over contacts."""
     monkeypatch.setattr(contact_history, "_AT_ONCE", at_once)
-    monkeypatch.setattr(contact_history, "MOST_SAMPLES", 100)
+    monkeypatch.setattr(contact_history, "MAX_SAMPLES", 100)
     pile, steps = compile_model(PILE), 450
     recorder, data, w = ContactRecorder(pile, steps), load_mujoco().MjData(pile), np.zeros(6)
     force, moment, pairs, first = np.zeros(steps), np.zeros((steps, 3)), {}, None

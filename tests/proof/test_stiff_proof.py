@@ -11,23 +11,23 @@ from fingers import FAST
 import planner
 from planner import Mechanism, RigidBodyDynamics
 from planner.cases.problem_file import load
-from planner.dynamics.stiffness import MAX_RATE_STEP, fastest_mode, substeps_for
-from planner.problem.discretisation import finer, substeps_reason
-from planner.proof.order import step_convergence
+from planner.dynamics.step_stability import MAX_RATE_STEP, fastest_mode, substeps_for
+from planner.problem.rediscretize import finer, substeps_reason
 from planner.proof.replays.compiled_twin import CompiledTwin
 from planner.proof.replays.replaying import replay_in
 from planner.proof.robustness.perturbation import Perturbation, draw
 from planner.proof.robustness.rollouts import Rollouts
 from planner.proof.same_step import same_step
+from planner.proof.step_convergence import step_convergence
 
 DT, N = 0.02, 30
-LEAST_RATE = 2.78 / DT  # 1/s, above which one step a stage is unstable
+MIN_RATE = 2.78 / DT  # 1/s, above which one step a stage is unstable
 
 
 @pytest.fixture(scope="module")
 def plan():
     m = Mechanism.from_mjcf(FAST)
-    assert fastest_mode(m, m.home).rate > 3.0 * LEAST_RATE
+    assert fastest_mode(m, m.home).rate > 3.0 * MIN_RATE
     dynamics = RigidBodyDynamics(m, DT, substeps=substeps_for(m, DT, m.home))
     goal = np.array([0.8, 0.4, 0.0, 0.0])
     cost = planner.TrackingCost.joints(dynamics, goal, N, effort=0.01, final_position=1e3, final_velocity=1e3)

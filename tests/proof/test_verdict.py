@@ -12,8 +12,8 @@ from planner import FrameCost, Mechanism, Problem, RigidBodyDynamics, TrackingCo
 from planner.model.coordinates import coordinates_of
 from planner.problem.goals import MIN_TOLERANCES, SHARE, goals_of
 from planner.proof.consistency import recomputed
-from planner.proof.scales import SHARE as OF_RANGE
-from planner.proof.scales import path_error_bounds
+from planner.proof.error_scales import SHARE as OF_RANGE
+from planner.proof.error_scales import path_error_bounds
 
 PENDULUM = """
 <mujoco>

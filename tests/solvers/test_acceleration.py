@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import planner
-from planner.solvers.acceleration import AndersonAcceleration
+from planner.solvers.anderson import AndersonAcceleration
 
 CASES = ("two-link", "high-dive")
 

@@ -12,8 +12,8 @@ import planner
 from planner import Constraint, FrameCost, Limits, Problem
 from planner.costs import Quadratic
 from planner.dynamics.protocol import INTEGRATORS
-from planner.kernels.lq import search
-from planner.solvers.engine import HybridEngine, NumpyEngine, ConstrainedEngine, acquire_engine
+from planner.kernels.lq import line_search
+from planner.solvers.engine import ConstrainedEngine, HybridEngine, NumpyEngine, acquire_engine
 
 
 class Own:
@@ -58,12 +58,12 @@ def test_both_engines_do_the_same(text, seed, integrator, full):
     task = Problem(dynamics, task.cost + own, task.x0, task.first_guess, limits=limits, constraints=kept)
     ours, twin = acquire_engine(task), NumpyEngine(task)
     assert isinstance(ours, ConstrainedEngine if kept else HybridEngine)
-    costs = [engine.start(task.x0, task.first_guess) for engine in (ours, twin)]
+    costs = [engine.start_from_controls(task.x0, task.first_guess) for engine in (ours, twin)]
     assert costs[0] == pytest.approx(costs[1], rel=1e-10)
     assert ours.largest_control_weight == pytest.approx(twin.largest_control_weight, rel=1e-12)
     for feedback in (True, False):
         a, b = (
-            engine.iterate(feedback, search.ARMIJO, 0.0, True, cost, 0.0, -1.0)
+            engine.iterate(feedback, line_search.ARMIJO, 0.0, True, cost, 0.0, -1.0)
             for engine, cost in zip((ours, twin), costs, strict=True)
         )
         if abs(b.slope) < 1e-8 * (1.0 + abs(b.cost)):  # at the minimum, where rounding decides
@@ -101,7 +101,9 @@ class Elbow:
 @pytest.mark.parametrize("line_search", ["armijo", "exact", "goldstein", "wolfe"])
 def test_a_solve_ends_where_that_in_numpy_ends(hessian, line_search, monkeypatch):
     task = arm(Elbow())
-    assert isinstance(acquire_engine(task, search.WOLFE), NumpyEngine)  # it needs slopes of what it has no slope of
+    assert isinstance(
+        acquire_engine(task, line_search.WOLFE), NumpyEngine
+    )  # it needs slopes of what it has no slope of
     ours = planner.solve(task, hessian=hessian, line_search=line_search)
     monkeypatch.setattr("planner.solvers.slq.borrow", lambda problem, rule: NumpyEngine(problem))
     twin = planner.solve(arm(Elbow()), hessian=hessian, line_search=line_search)

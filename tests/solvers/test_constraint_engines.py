@@ -6,13 +6,13 @@ from hypothesis import strategies as st
 from trees import drawn, machines, relative_error
 
 from planner import Constraint, Limits, Mechanism, Problem, RigidBodyDynamics
-from planner.constraints import CenterOfMass, FramePosition, Power, FrameAxisAngle, FrameOrientation
+from planner.constraints import CenterOfMass, FrameAxisAngle, FrameOrientation, FramePosition, Power
 from planner.costs import Distance, Height, Point, Segment, Velocity
 from planner.dynamics.protocol import INTEGRATORS
-from planner.kernels.lq import search
-from planner.problem.constraints.measures import measure_of
-from planner.problem.state_ranges import BoundPenalties
-from planner.solvers.engine import NumpyEngine, ConstrainedEngine, acquire_engine
+from planner.kernels.lq import line_search
+from planner.problem.constraints.constraint_functions import measure_of
+from planner.problem.state_bounds import BoundPenalties
+from planner.solvers.engine import ConstrainedEngine, NumpyEngine, acquire_engine
 
 TOLERANCE = {"tolerance": 1e-3}
 
@@ -71,14 +71,14 @@ def test_both_engines_do_the_same(text, seed, integrator, full):
     assert isinstance(ours, ConstrainedEngine)
     costs = []
     for engine in (ours, twin):
-        engine.hinge(hinges)
-        costs.append(engine.start(task.x0, task.first_guess))
+        engine.set_penalties(hinges)
+        costs.append(engine.start_from_controls(task.x0, task.first_guess))
     assert costs[0] == pytest.approx(costs[1], rel=1e-10)
     a, b = (engine.sweep(0.0, True) for engine in (ours, twin))
     assert a.gradient_norm == pytest.approx(b.gradient_norm, rel=1e-8)
     assert relative_error(ours.gradient(), twin.gradient()) < 1e-9
     a, b = (
-        engine.iterate(True, search.ARMIJO, 0.0, True, cost, 0.0, -1.0)
+        engine.iterate(True, line_search.ARMIJO, 0.0, True, cost, 0.0, -1.0)
         for engine, cost in zip((ours, twin), costs, strict=True)
     )
     assert (a.kind, a.step) == (b.kind, b.step)
@@ -118,7 +118,11 @@ HINGE = """<mujoco><worldbody><body><joint name="turn" axis="0.6 0 0.8" range="-
 def test_the_bend_of_a_tilt_is_its_second_derivative(q):
     """Exactly so where one hinge turns an axis at a right angle to its own: nothing else is curved then."""
     dynamics = RigidBodyDynamics(Mechanism.from_mjcf(HINGE), 0.01)
-    measure, n, h = FrameAxisAngle("cup", (0.1, -0.3, 0.5), (0.0, 1.0, 0.0)).measure(dynamics, 1), np.zeros(1, dtype=int), 1e-5
+    measure, n, h = (
+        FrameAxisAngle("cup", (0.1, -0.3, 0.5), (0.0, 1.0, 0.0)).measure(dynamics, 1),
+        np.zeros(1, dtype=int),
+        1e-5,
+    )
 
     def slope(at):
         return measure.derivatives(np.array([[at, 0.0]]), np.zeros((1, 1)), n)[0][0, 0, 0]

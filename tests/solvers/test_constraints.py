@@ -9,10 +9,10 @@ from scipy.optimize import minimize
 import planner
 from planner import Constraint, FunctionDynamics, Limits, PlannerError, Problem, Status, TrackingCost, prove, solve
 from planner.cases import build
-from planner.constraints import FramePosition, Power, FrameAxisAngle
+from planner.constraints import FrameAxisAngle, FramePosition, Power
 from planner.costs import Height, Point, with_objective
-from planner.problem.criteria import solver_problem
-from planner.problem.discretisation import finer
+from planner.problem.objective_problem import solver_problem
+from planner.problem.rediscretize import finer
 
 DT, N = 0.1, 15
 
@@ -89,7 +89,10 @@ def test_scipy_finds_no_better_plan_that_keeps_the_constraints(task):
 def test_conditions_of_karush_kuhn_and_tucker(task):
     problem = point(TASKS[task])
     plan = solve(problem)
-    rows, multipliers = problem.trajectory_constraints.rows, problem.trajectory_constraints.multipliers(plan.bound_penalties, plan.xs, plan.us)
+    rows, multipliers = (
+        problem.trajectory_constraints.rows,
+        problem.trajectory_constraints.multipliers(plan.bound_penalties, plan.xs, plan.us),
+    )
     together = np.concatenate(multipliers, axis=1) / rows.scale  # J per scaled row, in the order of the columns
     h = 1e-6
 
@@ -117,7 +120,9 @@ def test_conditions_of_karush_kuhn_and_tucker(task):
 def test_a_multiplier_is_what_a_looser_bound_saves():
     tight, loose = (point([Constraint(post, least=radius, name="post")]) for radius in (0.3, 0.299))
     plan, other = solve(tight), solve(loose)
-    price = -sum(float(one.sum()) for one in tight.trajectory_constraints.multipliers(plan.bound_penalties, plan.xs, plan.us))
+    price = -sum(
+        float(one.sum()) for one in tight.trajectory_constraints.multipliers(plan.bound_penalties, plan.xs, plan.us)
+    )
     # a step of 1e-3 is a hundred times the tolerance that the motion of the two may be off by, and curvature is small
     assert plan.cost - other.cost == pytest.approx(1e-3 * price, rel=0.15)
     assert price > 0.0
@@ -267,7 +272,10 @@ def test_a_plan_that_breaks_a_constraint_fails():
         (lambda: point([Constraint(Power("elbow"), most=1.0)]), "expected dynamics with a mechanism"),
         (lambda: point([post]), "expected a list of planner.Constraint"),
         (lambda: arm([Constraint(Power("elbo"), most=1.0)]), "Did you mean 'elbow'"),
-        (lambda: arm([Constraint(FramePosition("hand"), equal=0.0)]), "a constraint's frame is 'hand', expected one of"),
+        (
+            lambda: arm([Constraint(FramePosition("hand"), equal=0.0)]),
+            "a constraint's frame is 'hand', expected one of",
+        ),
         (lambda: FrameAxisAngle("a", direction=[0.0, 0.0, 0.0]), "all zeros"),
     ],
 )

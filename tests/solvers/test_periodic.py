@@ -13,8 +13,8 @@ from planner.cli.problems import asked_problem
 from planner.model.space import StateSpace, euclidean
 from planner.problem.periodicity import Periodic
 from planner.problem.recipe import Recipe
-from planner.solvers.ends import BoundaryStates, response, with_ends
 from planner.solvers.periodic import PeriodicPass, solve_periodic
+from planner.solvers.periodic_boundary import BoundaryStates, response, with_ends
 from planner.view.report.reproduce import command
 
 N, CYCLE = 60, 2.0
@@ -99,7 +99,7 @@ def test_a_linear_problem_takes_one_step(final):
 def test_a_plan_answers_to_its_ends_as_it_says():
     """Differences of solves at other ends, and of what is left there; exact where the problem is linear."""
     problem, *_ = linear()
-    exact = {"gradient_tolerance": 1e-12, "decrease_tolerance": 0.0}
+    exact = {"gradient_tolerance": 1e-12, "expected_reduction_tolerance": 0.0}
     found = response(planner.solve(problem, **exact))
     rng = np.random.default_rng(0)
     for _ in range(4):

@@ -9,8 +9,8 @@ import pytest
 
 from planner import Constraint, FunctionDynamics, Limits, Problem, Status, TrackingCost, load_problem, solve
 from planner.cases import two_link
-from planner.solvers import augmented
-from planner.solvers.regularisation import FACTOR, LEAST, Regularisation
+from planner.solvers import augmented_lagrangian
+from planner.solvers.regularization import FACTOR, LEAST, Regularization
 
 N, DT = 15, 0.1
 
@@ -26,8 +26,8 @@ def test_early_rounds_left_early_lead_to_the_same_plan_sooner(monkeypatch):
     post = Constraint(lambda xs: np.hypot(xs[:, 0] - 0.5, xs[:, 1] - 0.4), least=0.3, name="post", unit="m")
     problem = point(post)
     plan = solve(problem)
-    monkeypatch.setattr(augmented, "INEXACT", 0.0)  # the twin: every round to its minimum
-    monkeypatch.setattr(augmented, "ROUGH", 0.0)
+    monkeypatch.setattr(augmented_lagrangian, "INEXACT", 0.0)  # the twin: every round to its minimum
+    monkeypatch.setattr(augmented_lagrangian, "ROUGH", 0.0)
     exact = solve(problem)
     assert plan.status is exact.status is Status.CONVERGED
     assert plan.nit <= 0.7 * exact.nit
@@ -39,32 +39,34 @@ def test_it_ends_after_rounds_that_come_no_nearer(errors):
     problem = point(Constraint(lambda xs: xs[:, :2], equal=[1.0, 1.0], when="end", name="there"))
     plan, solved = solve(problem), []
 
-    def minimise(us, hinges, max_iterations, first_line, loose):
+    def minimize(us, hinges, max_iterations, first_line, loose):
         error = errors[min(len(solved), len(errors) - 1)]
         solved.append(error)
         xs = plan.xs.copy()
         xs[-1, :2] = 1.0 + error
         return dataclasses.replace(plan, xs=xs, history=plan.history[:1])
 
-    ended = augmented.augmented_lagrangian(problem.trajectory_constraints, problem.trajectory_constraints.tolerance, minimise, plan.us, 1000)
+    ended = augmented_lagrangian.augmented_lagrangian(
+        problem.trajectory_constraints, problem.trajectory_constraints.tolerance, minimize, plan.us, 1000
+    )
     assert ended.status is Status.OUTSIDE_LIMITS
-    nearest = int(np.argmin(errors)) if errors[1] < augmented.STALL_RATIO * errors[0] else 0
-    assert len(solved) == nearest + 1 + augmented.MAX_STALLED_ROUNDS
+    nearest = int(np.argmin(errors)) if errors[1] < augmented_lagrangian.STALL_RATIO * errors[0] else 0
+    assert len(solved) == nearest + 1 + augmented_lagrangian.MAX_STALLED_ROUNDS
 
 
 def test_a_weight_that_a_kink_set_to_zero_comes_back_at_once():
     engine = SimpleNamespace(largest_control_weight=1.0)
-    regularisation = Regularisation(engine, exact=False)
+    regularization = Regularization(engine, exact=False)
     for _ in range(5):
-        regularisation.increase()
-    before = regularisation.mu
+        regularization.increase()
+    before = regularization.mu
     assert before == pytest.approx(LEAST * FACTOR**4)
-    regularisation.decrease(0.5, at_kink=True)
-    assert regularisation.unregularized
-    regularisation.increase()
-    assert regularisation.mu == before
-    regularisation.increase()
-    assert regularisation.mu == pytest.approx(FACTOR * before)
+    regularization.decrease(0.5, at_kink=True)
+    assert regularization.unregularized
+    regularization.increase()
+    assert regularization.mu == before
+    regularization.increase()
+    assert regularization.mu == pytest.approx(FACTOR * before)
 
 
 def test_a_narrow_cone_costs_few_iterations():

@@ -143,7 +143,7 @@ def test_engines_agree_line_by_line(name, update, line_search):
         assert a.cost == pytest.approx(b.cost, rel=1e-10)
         # In the last lines the gradient, and what is promised, are differences of rounded numbers.
         assert a.gradient_norm == pytest.approx(b.gradient_norm, rel=1e-8, abs=1e-9 * ours.history[0].gradient_norm)
-        assert a.regularisation == pytest.approx(b.regularisation, rel=1e-12)
+        assert a.regularization == pytest.approx(b.regularization, rel=1e-12)
         if a.expected > 1e-9 * a.cost:
             assert a.step == pytest.approx(b.step, rel=1e-6 if exact else 0.0)
             assert a.expected == pytest.approx(b.expected, rel=1e-6)

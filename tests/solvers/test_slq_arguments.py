@@ -6,7 +6,7 @@ from solves import each_engine, engines, flight, hopper, linear, same_bits, swin
 
 import planner
 from planner import PlannerError, Problem
-from planner.kernels.lq import search
+from planner.kernels.lq import line_search
 from planner.problem.plan import Iteration
 from planner.solvers.slq import LINE_SEARCHES
 
@@ -60,7 +60,10 @@ def sentence(error):
         ({"max_iterations": 0}, "max_iterations is 0, expected a whole number of at least 1."),
         ({"max_iterations": 10.0}, "max_iterations is 10.0, expected a whole number of at least 1."),
         ({"gradient_tolerance": -1e-9}, "gradient_tolerance is -1e-09, expected a finite number of at least 0."),
-        ({"decrease_tolerance": np.inf}, "decrease_tolerance is inf, expected a finite number of at least 0."),
+        (
+            {"expected_reduction_tolerance": np.inf},
+            "expected_reduction_tolerance is inf, expected a finite number of at least 0.",
+        ),
         ({"starts": 10_001}, "starts is 10001, expected a whole number of at least 1 and at most 10000."),
         ({"starts": True}, "starts is True, expected a whole number of at least 1."),
         ({"max_iterations": True}, "max_iterations is True, expected a whole number of at least 1."),
@@ -167,4 +170,4 @@ def test_a_problem_keeps_its_own_arrays():
 
 def test_rules_are_named_in_the_order_of_the_kernels():
     """solve() finds a rule's number by its place in LINE_SEARCHES."""
-    assert [getattr(search, name.upper()) for name in LINE_SEARCHES] == list(range(len(LINE_SEARCHES)))
+    assert [getattr(line_search, name.upper()) for name in LINE_SEARCHES] == list(range(len(LINE_SEARCHES)))

@@ -51,11 +51,15 @@ def test_iterations_that_gain_little_are_an_end(engine):
     """Two in a row, below what solve or the problem itself says; the plan is whole, and at 0 never."""
     problem = engines()[engine]
     most = planner.solve(problem)
-    plan = planner.solve(problem, gain_tolerance=1e3, decrease_tolerance=0.0, gradient_tolerance=0.0)
+    plan = planner.solve(
+        problem, actual_reduction_tolerance=1e3, expected_reduction_tolerance=0.0, gradient_tolerance=0.0
+    )
     assert plan.status is Status.CONVERGED
     assert plan.nit == 2 < most.nit
     assert_consistent(problem, plan)
-    same = planner.solve(replace(problem, gain_tolerance=1e3), decrease_tolerance=0.0, gradient_tolerance=0.0)
+    same = planner.solve(
+        replace(problem, actual_reduction_tolerance=1e3), expected_reduction_tolerance=0.0, gradient_tolerance=0.0
+    )
     np.testing.assert_array_equal(plan.us, same.us)
     np.testing.assert_array_equal(plan.K, planner.solve(problem, max_iterations=2).K)
 
@@ -164,15 +168,15 @@ def test_a_lying_gradient_ends_in_no_descent(cost, update, line_search):
     np.testing.assert_allclose(plan.us, problem.us, rtol=0, atol=1e-9)
     assert plan.cost == pytest.approx(plan.history[0].cost, rel=1e-14)
     assert np.isfinite(plan.K).all()
-    if cost is Flat:  # there is no digit to gain, and every line raises the regularisation tenfold
+    if cost is Flat:  # there is no digit to gain, and every line raises the regularization tenfold
         assert all(h.step == 0.0 and h.actual == 0.0 for h in plan.history)
-        np.testing.assert_allclose(np.diff(np.log10([h.regularisation for h in plan.history[1:-1]])), 1.0, rtol=1e-9)
+        np.testing.assert_allclose(np.diff(np.log10([h.regularization for h in plan.history[1:-1]])), 1.0, rtol=1e-9)
 
 
 @pytest.mark.parametrize("update", UPDATES)
 def test_a_solve_that_gains_nothing_more_ends(update):
     """With tolerances below rounding: no line of the table has a step that did not lower the cost."""
-    plan = planner.solve(hopper("paper 50"), update=update, gradient_tolerance=1e-12, decrease_tolerance=0.0)
+    plan = planner.solve(hopper("paper 50"), update=update, gradient_tolerance=1e-12, expected_reduction_tolerance=0.0)
     assert all(h.actual > 0.0 for h in plan.history if h.step > 0.0)
     assert plan.status is not Status.MAX_ITERATIONS
 
@@ -199,7 +203,7 @@ class Wavy:
     ],
     ids=["some", "all", "zero"],
 )
-def test_an_indefinite_control_weight_is_regularised(guess, update):
+def test_an_indefinite_control_weight_is_regularized(guess, update):
     dynamics = FunctionDynamics(lambda x, u: u - x, 1, 1, 0.1, "euler")
     problem = Problem(dynamics, Wavy(), [1.0], np.array(guess)[:, None], horizon=5)
     plan = planner.solve(problem, update=update)
@@ -209,7 +213,7 @@ def test_an_indefinite_control_weight_is_regularised(guess, update):
     lines = plan.history
     if min(np.cos(guess)) < -0.1:  # B'PB is of the order dt^2, and does not help
         assert lines[0].step == 0.0
-        assert max(h.regularisation for h in lines) > 0.0
+        assert max(h.regularization for h in lines) > 0.0
     assert all(h.actual > 0.0 for h in lines if h.step > 0.0)
 
 
@@ -233,5 +237,5 @@ def test_friction_between_two_signs_is_no_end(tmp_path):
     problem = planner.load_problem(tmp_path / "arm.toml")
     plan = planner.solve(problem)
     assert plan.success
-    assert plan.cost < 1.001 * planner.solve(problem, gain_tolerance=0.0).cost
+    assert plan.cost < 1.001 * planner.solve(problem, actual_reduction_tolerance=0.0).cost
     assert plan.nit < 100

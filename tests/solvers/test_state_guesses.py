@@ -11,10 +11,10 @@ from planner import Constraint, Limits, PlannerError, Problem, TrackingCost
 from planner.dynamics import RigidBodyDynamics
 from planner.model.mechanism import Mechanism
 from planner.problem.costs.terms import Quadratic
-from planner.problem.guess import interpolated_states
+from planner.problem.initial_guess import interpolated_states
 from planner.solvers import lq
-from planner.solvers.engine import CompiledEngine, NumpyEngine, ConstrainedEngine
-from planner.solvers.shooting import close_defects
+from planner.solvers.engine import CompiledEngine, ConstrainedEngine, NumpyEngine
+from planner.solvers.multiple_shooting import close_defects
 
 
 def with_defects(A, B, m, gaps):
@@ -72,14 +72,14 @@ def test_both_engines_cross_gaps_alike(name, integrator, limits):
     for hold in (0.0, 0.3):
         ways = []
         for engine in (ours, twin):
-            engine.start(problem.x0, us)
-            gaps = engine.place(xs, us)
+            engine.start_from_controls(problem.x0, us)
+            gaps = engine.set_trajectory(xs, us)
             engine.state_regularization = hold
-            ways.append(engine.cross(gaps, True))
+            ways.append(engine.defect_direction(gaps, True))
         assert np.abs(gaps).max() > 0.01
         for a, b in zip(*ways, strict=True):
             np.testing.assert_allclose(a, b, rtol=0.0, atol=1e-9 * max(1.0, np.abs(b).max()))  # sums in another order
-    steps = [engine.close(np.inf, 0.0) for engine in (ours, twin)]
+    steps = [engine.rollout_closing_defects(np.inf, 0.0) for engine in (ours, twin)]
     np.testing.assert_allclose(steps[0], steps[1], rtol=1e-8)
     assert steps[0][0] > 0.0
     assert np.abs(ours.place(*ours.trajectory())).max() < 1e-12  # a rollout has no gaps
@@ -92,15 +92,18 @@ def test_rows_of_constraints_stand_beside_gaps_and_what_holds_states(exact):
     problem, xs, us = guessed("arm", "rk4", constraints=[power])
     hinges = problem.trajectory_constraints.zero_penalties()
     hinges.weight[:] = 50.0 * np.isfinite(problem.trajectory_constraints.upper)
-    engines = ConstrainedEngine(problem, problem.trajectory_constraints, problem.dynamics, problem.cost), NumpyEngine(problem)
+    engines = (
+        ConstrainedEngine(problem, problem.trajectory_constraints, problem.dynamics, problem.cost),
+        NumpyEngine(problem),
+    )
     ways, gains = [], []
     for engine in engines:
-        engine.hinge(hinges)
-        engine.start(problem.x0, us, exact)
-        gaps = engine.place(xs, us)
+        engine.set_penalties(hinges)
+        engine.start_from_controls(problem.x0, us, exact)
+        gaps = engine.set_trajectory(xs, us)
         engine.state_regularization = 0.3
-        ways.append(engine.cross(gaps, True))
-        engine.close(np.inf, 0.0)
+        ways.append(engine.defect_direction(gaps, True))
+        engine.rollout_closing_defects(np.inf, 0.0)
         engine.use_second_order(exact)
         for hold, second in ((0.3, exact), (0.2, False), (0.0, exact)):
             engine.state_regularization = hold
@@ -129,14 +132,16 @@ def test_hinges_of_a_first_solve_count_in_the_merit():
     hinges = problem.trajectory_constraints.zero_penalties()
     hinges.weight[:] = 50.0 * np.isfinite(problem.trajectory_constraints.lower)
     engine = ConstrainedEngine(problem, problem.trajectory_constraints, problem.dynamics, problem.cost)
-    engine.hinge(hinges)
+    engine.set_penalties(hinges)
     cost, lines, _ = close_defects(problem, engine, False, xs, us, 100, None, hinges)
     begun = np.concatenate([problem.x0[None], xs[1:]])
     pull = problem.trajectory_constraints.value(hinges, begun, us)
     assert pull > 1e-3
     assert lines[0].cost == pytest.approx(problem.cost.value(begun, us) + pull, rel=1e-12)
     xs, us = engine.trajectory()
-    assert cost == pytest.approx(problem.cost.value(xs, us) + problem.trajectory_constraints.value(hinges, xs, us), rel=1e-12)
+    assert cost == pytest.approx(
+        problem.cost.value(xs, us) + problem.trajectory_constraints.value(hinges, xs, us), rel=1e-12
+    )
 
 
 @pytest.mark.parametrize("integrator", ["rk4", "semi-implicit-euler"])
@@ -145,7 +150,7 @@ def test_gaps_of_zero_change_no_bit(integrator):
     plain, engine = (CompiledEngine(problem, problem.dynamics, problem.cost) for _ in range(2))
     for each in (plain, engine):
         each.start(problem.x0, us)
-    engine.cross(np.zeros((12, problem.dynamics.ndx)), True)
+    engine.defect_direction(np.zeros((12, problem.dynamics.ndx)), True)
     plain.sweep(0.0, True)
     np.testing.assert_array_equal(engine.gains(), plain.gains())
     np.testing.assert_array_equal(engine.gradient(), plain.gradient())
@@ -155,7 +160,7 @@ def test_gaps_of_zero_change_no_bit(integrator):
 def test_holding_states_is_a_heavier_weight_on_them():
     problem, _, us = guessed("arm", "rk4")
     engine = NumpyEngine(problem)
-    engine.start(problem.x0, us)
+    engine.start_from_controls(problem.x0, us)
     engine.state_regularization = 0.7
     engine.sweep(0.0, True)
     Q = engine._model.Q.copy()
@@ -213,7 +218,7 @@ def test_steps_across_gaps_lower_the_merit_and_close():
     cost, lines, interrupted = close_defects(problem, engine, False, xs, us, 100, None)
     assert not interrupted
     assert 0 < len(lines) <= 60
-    assert np.abs(engine.place(*engine.trajectory())).max() == 0.0
+    assert np.abs(engine.set_trajectory(*engine.trajectory())).max() == 0.0
     assert cost == pytest.approx(problem.cost.value(*engine.trajectory()), rel=1e-12)
 
 

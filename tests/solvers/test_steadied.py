@@ -9,9 +9,9 @@ import pytest
 
 import planner
 from planner import FunctionDynamics, Mechanism, Problem, RigidBodyDynamics, Status, TrackingCost
-from planner.dynamics.stiffness import FastestMode, fastest_mode, substeps_of
+from planner.dynamics.step_stability import FastestMode, fastest_mode, substeps_of
 from planner.problem.limits import Limits
-from planner.solvers.steadied import has_diverged, stabilizing_guess
+from planner.solvers.stabilizing_guess import has_diverged, stabilizing_guess
 from planner.solvers.warm_start import feedback_rollout
 
 CART = """

@@ -7,7 +7,7 @@ import pytest
 
 import planner
 from planner import Limits, PlannerError
-from planner.problem.discretisation import retimed
+from planner.problem.rediscretize import retimed
 
 ARM = """<mujoco><worldbody>
   <body><joint name="a" axis="0 1 0" damping="1"/><geom type="capsule" fromto="0 0 0 0 0 -.4" size=".03"/>

@@ -9,8 +9,8 @@ import pytest
 import planner
 from planner.__main__ import main
 from planner.problem.plan import Status
-from planner.sweeps import stored_plans
-from planner.sweeps.stored_plans import check, stored_proof
+from planner.sweeps import regression
+from planner.sweeps.regression import check, stored_proof
 
 
 @pytest.fixture(scope="module")
@@ -124,7 +124,7 @@ def test_a_figure_that_is_no_longer_measured_is_a_regression(folder):
 )
 def test_a_damaged_plan_or_proof_is_a_regression_named_in_a_sentence(folder, monkeypatch, edit, words):
     prove = planner.prove
-    monkeypatch.setattr(stored_plans, "prove", lambda plan, **asked: prove(plan, **{"rollouts": 0} | asked))
+    monkeypatch.setattr(regression, "prove", lambda plan, **asked: prove(plan, **{"rollouts": 0} | asked))
     edit(folder)
     done = check(folder)
     assert words in done[0].problem

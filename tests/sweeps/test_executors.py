@@ -21,7 +21,7 @@ from planner.proof.robustness import batches
 from planner.proof.robustness.perturbed import MonteCarloSettings, perturbed
 from planner.sweeps.executors import executor_of
 from planner.sweeps.processes import LocalProcesses
-from planner.sweeps.stored_plans import check, stored_proof
+from planner.sweeps.regression import check, stored_proof
 from planner.sweeps.sweeping import sweep
 
 

@@ -7,12 +7,12 @@ import pytest
 from films import APPEARANCE, changed, make_replay
 
 from planner.base.errors import RenderingUnavailable
-from planner.view.render import children
-from planner.view.render.apart import SAME_PICTURE_PIXELS, screen_difference, behind, visibility
-from planner.view.render.children import drawn_by_children
+from planner.view.render import render_workers
 from planner.view.render.drawing import Job, carry_out, draw_frames
 from planner.view.render.film import Film
 from planner.view.render.overlay import distance_words
+from planner.view.render.pose_difference import SAME_PICTURE_PIXELS, behind, screen_difference, visibility
+from planner.view.render.render_workers import drawn_by_children
 from planner.view.render.scene import Scene
 
 IN_PLACE = replace(APPEARANCE, ghost_offset=(0.0, 0.0, 0.0))
@@ -68,7 +68,12 @@ def test_a_scene_takes_the_picture_of_another_only_where_it_would_be_its_own():
     with Scene(film_of(), 320, 180) as one:
         first = one.draw(0)
         pixel = one._pixel
-        for offset, taken in ((0.0, True), (0.8 * SAME_PICTURE_PIXELS * pixel, True), (1.2 * SAME_PICTURE_PIXELS * pixel, False), (3.0, False)):
+        for offset, taken in (
+            (0.0, True),
+            (0.8 * SAME_PICTURE_PIXELS * pixel, True),
+            (1.2 * SAME_PICTURE_PIXELS * pixel, False),
+            (3.0, False),
+        ):
             replay = make_replay(IN_PLACE)
             replay.qpos[:, 0] += offset
             with Scene(Film.of(replay, np.array([0.1])), 320, 180) as other:
@@ -102,7 +107,7 @@ def test_several_processes_draw_the_frames_in_their_order():
 
 @pytest.mark.render
 def test_a_child_that_dies_is_one_sentence(monkeypatch):
-    monkeypatch.setattr(children, "_DRAWING", "planner.view.render.nothing")
+    monkeypatch.setattr(render_workers, "_DRAWING", "planner.view.render.nothing")
     with pytest.raises(RenderingUnavailable, match=r"^The process that draws failed: .*nothing"):
         next(drawn_by_children([film_of()], Job("frame", 64, 36), 1))
 

@@ -7,7 +7,7 @@ from legs import leg
 from planner.base.errors import FileError, PlannerError
 from planner.model.mechanism import Mechanism
 from planner.problem.appearance import View
-from planner.problem.pictures import Band, Chart, Charts, CurveData, PoseSequence, Paths, Stick, StickFigures, Trace
+from planner.problem.pictures import Band, Chart, Charts, CurveData, Paths, PoseSequence, Stick, StickFigures, Trace
 from planner.view.plots import draw_charts, draw_paths, draw_stick_figures, save
 from planner.view.plots.projection import FRONT, SIDE, TOP, axes_of, frame_points, projected
 
@@ -149,7 +149,8 @@ def test_a_path_that_is_a_point_can_be_drawn(tmp_path):
 def test_charts_share_colours_and_one_legend():
     t = np.linspace(0.0, 100.0, 5)
     knee = Chart(
-        "knee", "deg", [CurveData("right", t), CurveData("left", -t), CurveData("right, planned", t + 1.0, True, of="right")],
+        "knee", "deg", [CurveData("right", t), CurveData("left", -t), CurveData("right, planned", t + 1.0, True,
+        of="right")],
         Band("normal", np.zeros(5), 5.0), [(0.0, 60.0)],
     )  # fmt: skip
     force = Chart("force", "N", [CurveData("left", np.array([0.0, 1.0, np.nan, 1e80, 0.0]))])

@@ -10,10 +10,10 @@ from planner.model.mechanism import Mechanism
 from planner.problem.appearance import Appearance, GoalMark
 from planner.problem.default_appearance import MAX_CURVES, small_multiples
 from planner.view.render.camera import swept_box, whole_motion
+from planner.view.render.environment import visible_model
 from planner.view.render.film import Film
 from planner.view.render.looks import drawn
 from planner.view.render.scene import Scene
-from planner.view.render.setting import visible_model
 from planner.view.render.sticks import Sticks
 from planner.view.render.video import render_poses
 

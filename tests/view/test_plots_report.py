@@ -11,9 +11,9 @@ from PIL import Image
 
 from planner.base.errors import FileError
 from planner.base.measured import Measurement, Section
-from planner.proof.hold import RegulatedRun, GoalRegulator
+from planner.proof.error_scales import path_error_bounds
+from planner.proof.goal_regulator import GoalRegulator, RegulatedRun
 from planner.proof.replays.sampled_gains import Sampling
-from planner.proof.scales import path_error_bounds
 from planner.view.plots import draw_plan, draw_proof, save
 
 

@@ -86,7 +86,9 @@ def test_the_verdict_comes_first_then_pictures_figures_parameters(plan, tmp_path
 
 
 def test_a_figure_beyond_its_bound_is_marked_by_word_and_colour(plan, tmp_path):
-    section = Section("goal", (Measurement("height_error", math.inf, "%", 0.2), Measurement("speed", math.nan, "", 1.0)))
+    section = Section(
+        "goal", (Measurement("height_error", math.inf, "%", 0.2), Measurement("speed", math.nan, "", 1.0))
+    )
     page = write_report(plan, proof_of("FAIL", None, goal=section), tmp_path).read_text(encoding="utf-8")
     assert page.count('<span class="word fail">FAIL</span>') == 3  # the section and both measured
     assert '<div class="verdict fail"' in page

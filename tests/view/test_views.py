@@ -13,7 +13,7 @@ from treadmills import APPEARANCE, BELT_SPEED, FRICTION, TREADMILL, WEIGHT, stan
 from planner.base import gl
 from planner.base.errors import PlannerError
 from planner.model.mechanism import Mechanism
-from planner.model.mjcf.survey import compile_model
+from planner.model.mjcf.model_index import compile_model
 from planner.problem.appearance import Appearance, Ghost, View
 from planner.problem.default_appearance import default_appearance
 from planner.proof.replays import contact_history
@@ -76,7 +76,7 @@ def test_forces_are_those_on_the_feet_whichever_shape_mujoco_names_first():
 
 
 def test_a_long_simulation_keeps_means(monkeypatch, replay):
-    monkeypatch.setattr(contact_history, "MOST_SAMPLES", 101)
+    monkeypatch.setattr(contact_history, "MAX_SAMPLES", 101)
     few, many = standing().contacts, replay.contacts
     assert len(few.t) == 101  # of 401 steps: four each, the last alone
     np.testing.assert_allclose(few.forces[:100], many.forces[:400].reshape(100, 4, 2, 3).mean(axis=1), atol=1e-9)
@@ -86,7 +86,7 @@ def test_a_long_simulation_keeps_means(monkeypatch, replay):
 
 
 def test_not_more_pairs_than_can_be_kept(monkeypatch):
-    monkeypatch.setattr(contact_history, "MOST_PAIRS", 1)
+    monkeypatch.setattr(contact_history, "MAX_PAIRS", 1)
     one = standing()
     assert one.contacts.names == ("left_foot on belt",)
     assert one.contact_force[300:].mean() == pytest.approx(WEIGHT, rel=0.02)  # the sum has all

@@ -55,7 +55,7 @@ after take-off and fades before the entry, where the body must be straight."""
 TOLERANCE, RATE_TOLERANCE = 0.05, 0.5  # rad, rad/s
 DRIFT_BOUND = 1e-3  # of the angular momentum, relative
 ENTRY = np.radians(10.0)  # success of a perturbed diver: largest angle from the vertical and of each joint
-MOST_TURNS = 4.5
+MAX_TURNS = 4.5
 
 
 def high_dive(
@@ -123,7 +123,7 @@ def high_dive(
 
 def _turns(name: str, value: Any, beyond: float, expected: str) -> float:
     """The checked number of turns: `beyond` plus a whole number, or a multiple of a half where `beyond` is 0."""
-    turns = number(name, value, minimum=-MOST_TURNS, maximum=MOST_TURNS)
+    turns = number(name, value, minimum=-MAX_TURNS, maximum=MAX_TURNS)
     multiple = (turns - beyond) if beyond else 2.0 * turns
     if multiple != round(multiple):
         raise PlannerError(f"{name} is {turns:g}, expected {expected}.")

@@ -22,7 +22,7 @@ from planner.dynamics import RigidBodyDynamics
 from planner.dynamics.algorithms import rnea
 from planner.model.space import exp_quaternion, product
 from planner.problem.costs.tracking import TrackingCost
-from planner.problem.guess import rollout_states
+from planner.problem.initial_guess import rollout_states
 from planner.problem.plan import Plan
 from planner.problem.problem import Problem
 from planner.solvers.slq import solve

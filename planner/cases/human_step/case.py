@@ -38,9 +38,9 @@ from planner.cases.human_step.tracking import judge_tracking
 from planner.cases.human_step.walker import PELVIS, SIDES, Walker
 from planner.dynamics import INTEGRATORS
 from planner.problem.appearance import Appearance, Ghost, Panel, Readout, View
-from planner.problem.discretisation import MOST_STAGES
 from planner.problem.problem import Problem, Requirements
 from planner.problem.recipe import Recipe
+from planner.problem.rediscretize import MAX_STAGES
 
 Phase = Literal["swing", "cycle", "gait"]
 States = tuple[tuple[float, ...], ...]
@@ -52,7 +52,7 @@ Passive = Literal["table", "riener-edrich"]
 SLOWEST, FASTEST = 30.0, 200.0  # steps per minute
 LONGEST_STAGE = 0.02  # s, that still resolves contact
 STAGES = {"swing": 4e-3, "cycle": 5e-3, "gait": 5e-3}  # s
-MOST_CYCLES = 20
+MAX_CYCLES = 20
 HIGHEST = 0.2  # m, of a foot over the belt
 PROMISED = 0.01  # m, least wanted clearance that the proof checks
 CYLINDERS = tuple(f"cylinder_{side}_{end}" for side in SIDES for end in ("high", "low", "across"))
@@ -133,7 +133,7 @@ def human_step(
     return Problem(
         robot.dynamics, whole, x0=start, us=robot.us,
         recipe=Recipe("human-step", parameters, human_step), appearance=_appearance(step, wish.joints),
-        decrease_tolerance=TOLERANCE[phase], gain_tolerance=TOLERANCE[phase],
+        expected_reduction_tolerance=TOLERANCE[phase], actual_reduction_tolerance=TOLERANCE[phase],
         periodic=closing(step) if phase == "gait" else None,
         requirements=Requirements(
             tracking=partial(judge_tracking, step),
@@ -144,17 +144,19 @@ def human_step(
     )  # fmt: skip
 
 
-def _step(phase: str, cycles: int, cadence: float, gait: Gait, horizon: int | None, person: dict[str, Any]) -> GaitPhase:
+def _step(
+    phase: str, cycles: int, cadence: float, gait: Gait, horizon: int | None, person: dict[str, Any]
+) -> GaitPhase:
     """The checked step."""
     swings = choice("phase", phase, get_args(Phase)) == "swing"
-    cycles = count("cycles", cycles, maximum=MOST_CYCLES)
+    cycles = count("cycles", cycles, maximum=MAX_CYCLES)
     if swings and cycles != 1:
         raise PlannerError(f"cycles is {cycles}, expected 1 for phase='swing', which is a part of one.")
     cadence = number("cadence", cadence, minimum=SLOWEST, maximum=FASTEST)
     walker = Walker(**person, legs=("right",) if swings else SIDES, belt=not swings)
     duration = 120.0 / cadence
     begin, part = (SWING[0], SWING[1] - SWING[0]) if swings else (0.0, float(cycles))
-    N = round(part * duration / STAGES[phase]) if horizon is None else count("horizon", horizon, maximum=MOST_STAGES)
+    N = round(part * duration / STAGES[phase]) if horizon is None else count("horizon", horizon, maximum=MAX_STAGES)
     if part * duration / N > LONGEST_STAGE:
         least = int(np.ceil(part * duration / LONGEST_STAGE))
         raise PlannerError(

@@ -149,7 +149,9 @@ def step_cost(
     return tracking + PenaltyCost(dynamics, step.N, _clearance(step, wish) + contact + _apart(step, wish))
 
 
-def _weights(step: GaitPhase, place: float, turn: float, joints: dict[str, float], period: float = 1.0) -> dict[str, float]:
+def _weights(
+    step: GaitPhase, place: float, turn: float, joints: dict[str, float], period: float = 1.0
+) -> dict[str, float]:
     """1 / (period tolerance^2) by joint, of tolerances of the pelvis' place and turn and of the legs' joints."""
     tolerances = dict(zip(PELVIS, 3 * [place] + 3 * [turn], strict=True))
     tolerances |= {f"{side}_{name}": value for side in step.walker.legs for name, value in joints.items()}

@@ -28,13 +28,13 @@ from planner.cases.human_step.phase import GaitPhase
 from planner.cases.human_step.walker import FILE_MASS, PELVIS, Walker
 from planner.dynamics import RigidBodyDynamics
 from planner.problem.costs.drive import DriveCost
-from planner.problem.guess import rollout_states
+from planner.problem.initial_guess import rollout_states
 
 Pelvis = Literal["motion", "force"]
 
 FORCE, MOMENT = 350.0, 100.0  # N and N m, of a robot for the person in the file
 CHANGE = 0.05  # s
-LEAST_WEIGHT = 1e-3  # times the usual
+MIN_WEIGHT = 1e-3  # times the usual
 
 
 @dataclass(frozen=True)
@@ -48,12 +48,12 @@ class RobotWeights:
 
     def __post_init__(self) -> None:
         choice("pelvis", self.pelvis, get_args(Pelvis))
-        object.__setattr__(self, "effort", number("effort", self.effort, minimum=LEAST_WEIGHT, maximum=1.0 / LEAST_WEIGHT))
+        object.__setattr__(self, "effort", number("effort", self.effort, minimum=MIN_WEIGHT, maximum=1.0 / MIN_WEIGHT))
         for name in ("jerk", "force"):
-            value = number(name, getattr(self, name), minimum=0.0, maximum=1.0 / LEAST_WEIGHT)
+            value = number(name, getattr(self, name), minimum=0.0, maximum=1.0 / MIN_WEIGHT)
             object.__setattr__(self, name, value)
-            if 0.0 < value < LEAST_WEIGHT:
-                raise PlannerError(f"{name} is {value:g}, expected 0 or at least {LEAST_WEIGHT:g}.")
+            if 0.0 < value < MIN_WEIGHT:
+                raise PlannerError(f"{name} is {value:g}, expected 0 or at least {MIN_WEIGHT:g}.")
             if value and self.pelvis != "motion":
                 raise PlannerError(
                     f"{name} is {value:g} with pelvis={self.pelvis!r}, expected 0: effort weighs the forces there."

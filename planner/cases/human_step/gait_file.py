@@ -49,13 +49,13 @@ ALSO = {
     "ankle": ("ankle_r", "ankle_angle_r", "ankle_angle", "ankle_dorsiflexion", "ankle_flexion"),
 }
 UNITS = {"deg": 1.0, "rad": math.degrees(1.0)}
-LEAST_ROWS = 20  # thirteen coefficients, and some more to check the fit
+MIN_ROWS = 20  # thirteen coefficients, and some more to check the fit
 WIDEST_GAP = 1.0 / (2 * HARMONICS)  # of the cycle: rows farther apart do not determine the harmonics
 LARGEST = 1e9  # of any number, s, percent or degrees
-LARGEST_RADIANS, LEAST_DEGREES = 3.0, 5.0  # of the largest angle of a walk; a value in between may be either
-LARGEST_JUMP = 5.0  # deg, between end and beginning of a cycle: the difference of two strides
-LARGEST_MISFIT = 3.0  # deg rms, of a column from its series; the higher harmonics of a walk are below one
-LARGEST_EXTENSION = 30.0  # deg, of a knee
+MAX_RADIANS, MIN_DEGREES = 3.0, 5.0  # of the largest angle of a walk; a value in between may be either
+MAX_JUMP = 5.0  # deg, between end and beginning of a cycle: the difference of two strides
+MAX_MISFIT = 3.0  # deg rms, of a column from its series; the higher harmonics of a walk are below one
+MAX_EXTENSION = 30.0  # deg, of a knee
 
 
 def read_gait(path: str | Path) -> Gait:
@@ -86,8 +86,8 @@ def _rows(text: str, what: str) -> tuple[list[str], list[list[str]]]:
     if not rows:
         raise FileError(f"{what} is empty, expected a header and rows of numbers.")
     header, rows = [name.strip().lower() for name in rows[0]], rows[1:]
-    if len(rows) < LEAST_ROWS:
-        raise FileError(f"{what} has {len(rows)} rows below its header, expected at least {LEAST_ROWS}.")
+    if len(rows) < MIN_ROWS:
+        raise FileError(f"{what} has {len(rows)} rows below its header, expected at least {MIN_ROWS}.")
     return header, rows
 
 
@@ -155,12 +155,12 @@ def _factor(units: list[str], values: np.ndarray, what: str) -> float:
     if units[0]:
         return UNITS[units[0]]
     largest = float(np.abs(values).max())
-    if LARGEST_RADIANS < largest < LEAST_DEGREES:
+    if MAX_RADIANS < largest < MIN_DEGREES:
         raise FileError(
             f"{what} has a largest angle of {largest:g}, which may be degrees or radians, "
             "expected names of columns that end in _deg or _rad."
         )
-    return UNITS["deg" if largest >= LEAST_DEGREES else "rad"]
+    return UNITS["deg" if largest >= MIN_DEGREES else "rad"]
 
 
 def _check_cycle(t: np.ndarray, degrees: np.ndarray, what: str) -> None:
@@ -175,16 +175,16 @@ def _check_cycle(t: np.ndarray, degrees: np.ndarray, what: str) -> None:
     if largest > HIGHEST:
         raise FileError(f"{what} has an angle of {largest:.4g} deg, expected at most {HIGHEST:g}.")
     # Between the last row and the next heel strike an angle may change as fast as it does anywhere in the cycle.
-    allowed = LARGEST_JUMP + np.abs(np.diff(degrees, axis=0) / np.diff(t)[:, None]).max(axis=0) * (t[0] + 1.0 - t[-1])
+    allowed = MAX_JUMP + np.abs(np.diff(degrees, axis=0) / np.diff(t)[:, None]).max(axis=0) * (t[0] + 1.0 - t[-1])
     jump = np.abs(degrees[-1] - degrees[0])
     if np.any(jump > allowed):
         worst = int(np.argmax(jump - allowed))
         raise FileError(
             f"{what} ends {jump[worst]:.3g} deg from where it begins in {ANGLES[worst]}, expected one cycle that comes "
-            f"back to within {LARGEST_JUMP:g}."
+            f"back to within {MAX_JUMP:g}."
         )
     extension = float(degrees[:, ANGLES.index("knee")].max())
-    if extension > LARGEST_EXTENSION:
+    if extension > MAX_EXTENSION:
         raise FileError(
             f"{what} has a knee that extends by {extension:.3g} deg, expected flexion to be negative, or a column "
             "knee_flexion where it is positive."
@@ -196,9 +196,9 @@ def _fitted(name: str, t: np.ndarray, degrees: np.ndarray, what: str) -> tuple[f
     functions = basis(t)[0]
     series = np.linalg.lstsq(functions, degrees, rcond=None)[0]
     misfit = float(np.sqrt(np.mean((functions @ series - degrees) ** 2)))
-    if misfit > LARGEST_MISFIT:
+    if misfit > MAX_MISFIT:
         raise FileError(
             f"{what} is {misfit:.3g} deg rms from any series of {HARMONICS} harmonics in {name}, expected one cycle of "
-            f"a walk, to {LARGEST_MISFIT:g}."
+            f"a walk, to {MAX_MISFIT:g}."
         )
     return tuple(np.where(used(name), series, 0.0).tolist())

@@ -17,7 +17,18 @@ from planner.cases.human_step.phase import SWING, GaitPhase
 from planner.cases.human_step.walker import LEG, PELVIS
 from planner.dynamics import RigidBodyDynamics
 from planner.dynamics.kinematics import frame_pose
-from planner.problem.pictures import Band, CasePicture, Chart, Charts, CurveData, PoseSequence, Paths, Stick, StickFigures, Trace
+from planner.problem.pictures import (
+    Band,
+    CasePicture,
+    Chart,
+    Charts,
+    CurveData,
+    Paths,
+    PoseSequence,
+    Stick,
+    StickFigures,
+    Trace,
+)
 
 if TYPE_CHECKING:
     from planner.problem.plan import Plan

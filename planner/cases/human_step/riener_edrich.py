@@ -23,7 +23,7 @@ from collections.abc import Collection, Iterator, Mapping
 
 import numpy as np
 
-from planner.model.joint_curves import ExponentialTorque
+from planner.model.exponential_torques import ExponentialTorque
 
 CURVED = ("hip_flexion", "knee", "ankle")
 SIGNS = {"hip_flexion": 1.0, "knee": -1.0, "ankle": -1.0}  # of our angles and moments, relative to the paper's

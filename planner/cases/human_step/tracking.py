@@ -24,7 +24,7 @@ from planner.cases.human_step.walker import IMPRATIO
 from planner.dynamics import RigidBodyDynamics
 from planner.model.contact.laws import ContactLaw, Law
 from planner.model.mechanism import Mechanism
-from planner.problem.guess import rollout_states
+from planner.problem.initial_guess import rollout_states
 
 if TYPE_CHECKING:
     from planner.problem.plan import Plan
@@ -66,7 +66,10 @@ def judge_tracking(step: GaitPhase, run: Replay) -> Section:
     away = np.degrees(run.error[:, joints])
     expected = _rms(np.degrees(plain - run.plan.xs)[:, joints])
     place, turn = (float(np.abs(run.error[:, part]).max()) for part in (pelvis[:3], pelvis[3:]))
-    bound, how = min(TIMES * expected + BESIDE, MAX_ANGLE_ERROR), "with the plan's gains" if run.feedback else "without feedback"
+    bound, how = (
+        min(TIMES * expected + BESIDE, MAX_ANGLE_ERROR),
+        "with the plan's gains" if run.feedback else "without feedback",
+    )
     measured = [
         Measurement("joint_error", _rms(away), "deg", bound, f"RMS over the legs' joints, {how}"),
         Measurement("largest_joint_error", float(np.abs(away).max()), "deg", None, "over the replay"),
@@ -77,7 +80,9 @@ def judge_tracking(step: GaitPhase, run: Replay) -> Section:
     ]  # fmt: skip
     if not run.feedback:
         left = _rms(np.degrees(run.xs[:: run.substeps] - plain)[:, joints])
-        measured.append(Measurement("unexplained_joint_error", left, "deg", None, "RMS, MuJoCo from the predicted motion"))
+        measured.append(
+            Measurement("unexplained_joint_error", left, "deg", None, "RMS, MuJoCo from the predicted motion")
+        )
     return Section(run.title, tuple(measured))
 
 

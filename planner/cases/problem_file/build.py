@@ -6,7 +6,7 @@
     duration = 4.0                      # s
     dt = 0.02                           # s
 
-    contacts = "ground"               # optional: chosen by itself (see planner.model.mjcf.contact_choice), as is settle
+    contacts = "ground"               # optional: chosen by itself (see planner.model.mjcf.contact_mode), as is settle
 
     [weights]                           # numbers, or tables by joint (effort: by actuator)
     effort = 0.01
@@ -55,12 +55,12 @@ import numpy as np
 from planner import cases
 from planner.base.arguments import choice, count, short_repr
 from planner.base.errors import PlannerError
-from planner.cases.problem_file.arrival import check_goal_controllable, check_goal_differs
 from planner.cases.problem_file.constraints import constraints_of
-from planner.cases.problem_file.guess import first_guess
+from planner.cases.problem_file.feasibility_checks import check_goal_controllable, check_goal_differs
+from planner.cases.problem_file.ground_placement import place_on_ground
 from planner.cases.problem_file.keys import REQUIRED, RESOLVED
 from planner.cases.problem_file.machine import folders_of, machine_of, prescribed_of
-from planner.cases.problem_file.on_ground import place_on_ground
+from planner.cases.problem_file.reference_guess import first_guess
 from planner.cases.problem_file.states import state_of, states_of
 from planner.cases.problem_file.step import with_step
 from planner.cases.problem_file.table import (
@@ -87,11 +87,11 @@ from planner.model.mjcf.attached import stored_attachments
 from planner.model.twin import Twin
 from planner.problem.avoid import Avoid
 from planner.problem.constraints.constraint import Constraint
-from planner.problem.criteria import with_objective
 from planner.problem.default_appearance import default_appearance
 from planner.problem.default_weights import default_weights, weighed
-from planner.problem.joint_limits import starts_at_limit, moved_inside_limits
+from planner.problem.joint_limits import moved_inside_limits, starts_at_limit
 from planner.problem.limits import Limits
+from planner.problem.objective_problem import with_objective
 from planner.problem.problem import Problem
 from planner.problem.recipe import PROBLEM_FILE, Recipe
 from planner.problem.tasks.marks import with_marks
@@ -272,8 +272,9 @@ def _problem(
         dynamics, cost, x0, recipe=Recipe(NAME, table, partial(again, mechanism, *constraints)),
         appearance=replace(appearance, title=table["title"] or appearance.title),
         limits=limits, constraints=kept, wanted=wanted,
-        tolerance=None if tasked else table["tolerance"], decrease_tolerance=DECREASE,
-        gain_tolerance=GAIN if mechanism.contacts else DECREASE if mechanism.loops or mechanism.polynomial_couplings else 0.0,
+        tolerance=None if tasked else table["tolerance"], expected_reduction_tolerance=DECREASE,
+        actual_reduction_tolerance=GAIN if mechanism.contacts else DECREASE if mechanism.loops or
+        mechanism.polynomial_couplings else 0.0,
     )  # fmt: skip
     along = None if way is None else guess_of(way, dynamics, x0)
     problem = replace(problem, us=first_guess(problem, table["guess"], goal, along))

@@ -34,8 +34,8 @@ from planner.base.errors import PlannerError
 from planner.cases.problem_file.keys import CONSTRAINT
 from planner.problem.constraints.chain_force import ChainForce
 from planner.problem.constraints.constraint import END, Constraint
-from planner.problem.constraints.of_terms import FramePositionAlong, FramePosition, FrameAxisAngle, FrameOrientation
 from planner.problem.constraints.power import Power
+from planner.problem.constraints.quantities import FrameAxisAngle, FrameOrientation, FramePosition, FramePositionAlong
 
 AXES = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
 _WHAT = ("position", "orientation", "pointing", "along")  # of a frame, one of them

@@ -6,7 +6,7 @@ from typing import Any
 
 from planner.kernels.integrators import TREE_INTEGRATORS
 from planner.problem.objective import OBJECTIVES
-from planner.problem.tasks.timetable import PATH, USUAL
+from planner.problem.tasks.timed_task import PATH, USUAL
 
 KEYS = {
     "model": "MJCF or URDF file, relative to this file",

@@ -15,8 +15,8 @@ from planner.cases.problem_file.keys import GROUND, LAW, URDF
 from planner.cases.problem_file.table import check_keys
 from planner.model.contact.laws import ContactLaw
 from planner.model.mechanism import Mechanism
-from planner.model.mjcf.contact_choice import MODES
-from planner.model.mjcf.refuse import KINDS
+from planner.model.mjcf.contact_mode import MODES
+from planner.model.mjcf.unsupported import KINDS
 from planner.model.urdf.read import read_model
 
 

@@ -9,8 +9,16 @@ from typing import Any
 import numpy as np
 
 from planner.base.arguments import number
-from planner.dynamics.rigid_body import MOST_SUBSTEPS
-from planner.dynamics.stiffness import IMPLICIT, MAX_RATE_STEP, FastestMode, fastest_mode, implicit_error, reason, substeps_of
+from planner.dynamics.rigid_body import MAX_SUBSTEPS
+from planner.dynamics.step_stability import (
+    IMPLICIT,
+    MAX_RATE_STEP,
+    FastestMode,
+    fastest_mode,
+    implicit_error,
+    reason,
+    substeps_of,
+)
 from planner.model.mechanism import Mechanism
 
 USUAL, SHORTEST = 0.01, 5e-4  # s: shorter ones are asked for, because a plan of them takes long
@@ -40,17 +48,19 @@ def with_step(
         states = (*states, mechanism.home)
     found = FastestMode(0.0, "") if known else fastest_mode(mechanism, states, prescribed)
     reasons, dt, substeps, integrator = {}, table["dt"], table["substeps"], table["integrator"]
-    most = substeps if isinstance(substeps, int) else MOST_SUBSTEPS
+    most = substeps if isinstance(substeps, int) else MAX_SUBSTEPS
     closed = bool(mechanism.loops or mechanism.polynomial_couplings)  # which the implicit method does not keep
     if integrator == AUTO:
         integrator = "rk4"
-        for longest in [USUAL * 0.5**k for k in range(HALVINGS + 1)] if dt == AUTO else [number("dt", dt, greater_than=0.0)]:
+        for longest in (
+            [USUAL * 0.5**k for k in range(HALVINGS + 1)] if dt == AUTO else [number("dt", dt, greater_than=0.0)]
+        ):
             if found.rate * longest <= most * MAX_RATE_STEP or closed:
                 break
-            if substeps in (AUTO, MOST_SUBSTEPS) and implicit_error(mechanism, longest, states, prescribed) <= IMPLICIT:
+            if substeps in (AUTO, MAX_SUBSTEPS) and implicit_error(mechanism, longest, states, prescribed) <= IMPLICIT:
                 integrator, dt = "rosenbrock", _whole(table["duration"], longest) if dt == AUTO else dt
                 reasons["substeps"] = (
-                    f"damping is taken implicitly in {MOST_SUBSTEPS} substeps a stage of {dt:.4g} s, because "
+                    f"damping is taken implicitly in {MAX_SUBSTEPS} substeps a stage of {dt:.4g} s, because "
                     f"{found.joint} has a rate of {found.rate:.4g} per s."
                 )
                 break
@@ -60,7 +70,7 @@ def with_step(
         if longest < USUAL:
             reasons["dt"] = f"{dt:.4g} s: {found.joint} has a rate of {found.rate:.4g} per s"
     if substeps == AUTO:
-        substeps = MOST_SUBSTEPS if integrator == "rosenbrock" else 1
+        substeps = MAX_SUBSTEPS if integrator == "rosenbrock" else 1
         if integrator == "rk4":
             substeps = substeps_of(found, number("dt", dt, greater_than=0.0))
             if substeps > 1:

@@ -11,21 +11,21 @@ from typing import Any
 from planner.base.arguments import choice, count, did_you_mean, number, short_repr
 from planner.base.errors import FileError, PlannerError
 from planner.base.files import printable, read_text
-from planner.cases.problem_file.guess import GUESSES
 from planner.cases.problem_file.keys import AVOID, DEFAULTS, KEYS, LIMITS, MODEL_LIMITS, RESOLVED, WEIGHTS
-from planner.dynamics.rigid_body import MOST_SUBSTEPS
-from planner.problem.costs.wanted import checked_tolerance, stored_tolerance
-from planner.problem.discretisation import MOST_STAGES
+from planner.cases.problem_file.reference_guess import GUESSES
+from planner.dynamics.rigid_body import MAX_SUBSTEPS
+from planner.problem.costs.goal_spec import checked_tolerance, stored_tolerance
 from planner.problem.limit_values import OFF
 from planner.problem.limits import Limits
 from planner.problem.objective import checked_durations, weights_of
-from planner.solvers.multistart import MOST_STARTS
+from planner.problem.rediscretize import MAX_STAGES
+from planner.solvers.multistart import MAX_STARTS
 
 _FEW = 8  # keys that are listed before the nearest one is suggested
 LONGEST = 2**20  # characters; guesses and weights are short, models are files of their own
-MOST_DOTS = 20
+MAX_DOTS = 20
 _PART = r"""(?:"[^"\n]*"|'[^'\n]*'|[\w-]+)"""
-_DEEP = re.compile(rf"(?:^|[\[{{,])[ \t]*(?:{_PART}[ \t]*\.[ \t]*){{{MOST_DOTS}}}", re.M)
+_DEEP = re.compile(rf"(?:^|[\[{{,])[ \t]*(?:{_PART}[ \t]*\.[ \t]*){{{MAX_DOTS}}}", re.M)
 """A dotted key of many parts, which takes tomllib the square of their number."""
 
 
@@ -36,7 +36,7 @@ def read_table(path: Path) -> dict[str, Any]:
         raise FileError(f"{printable(path)} has {len(text)} characters, expected a table of at most {LONGEST}.")
     if _DEEP.search(text):
         raise FileError(
-            f"{printable(path)} has a key of more than {MOST_DOTS} parts, expected some of KEY or TABLE.KEY."
+            f"{printable(path)} has a key of more than {MAX_DOTS} parts, expected some of KEY or TABLE.KEY."
         )
     try:
         return tomllib.loads(text)
@@ -59,7 +59,9 @@ def with_defaults(table: dict[str, Any], where: str, stored: bool = False) -> di
     ):  # fmt: skip
         part = table.get(name, {})
         if not isinstance(part, dict):
-            raise PlannerError(f"{name} is {short_repr(part)}, expected a table [{name}] with some of: {', '.join(keys)}.")
+            raise PlannerError(
+                f"{name} is {short_repr(part)}, expected a table [{name}] with some of: {', '.join(keys)}."
+            )
         check_keys(part, keys, f"[{name}] of {where}")
     if RESOLVED in table:
         _check_resolved(table[RESOLVED], where)
@@ -124,18 +126,18 @@ def checked_values(table: dict[str, Any]) -> tuple[dict[str, Any], int]:
 
 
 def _substeps(value: Any) -> int | str:
-    return value if value == "auto" else count('substeps, unless "auto",', value, maximum=MOST_SUBSTEPS)
+    return value if value == "auto" else count('substeps, unless "auto",', value, maximum=MAX_SUBSTEPS)
 
 
 def checked_starts(starts: Any) -> int:
     """A number of first guesses."""
-    return count("starts", starts, maximum=MOST_STARTS)
+    return count("starts", starts, maximum=MAX_STARTS)
 
 
 def _stages(duration: Any, dt: Any) -> tuple[float, int]:
     duration, dt = number("duration", duration, greater_than=0.0), number("dt", dt, greater_than=0.0)
-    if not duration / dt < MOST_STAGES + 0.5:
-        raise PlannerError(f"duration / dt is {duration / dt:.4g}, expected at most {MOST_STAGES} stages.")
+    if not duration / dt < MAX_STAGES + 0.5:
+        raise PlannerError(f"duration / dt is {duration / dt:.4g}, expected at most {MAX_STAGES} stages.")
     N = round(duration / dt)
     if N < 1 or abs(N * dt - duration) > 1e-9 * duration:
         near = max(N, 1) * dt

@@ -11,27 +11,27 @@ import numpy as np
 
 from planner.base.arguments import short_repr
 from planner.base.errors import PlannerError
-from planner.cases.problem_file.guess import ReferenceTrajectory
 from planner.cases.problem_file.keys import GOAL, RESOLVED
+from planner.cases.problem_file.reference_guess import ReferenceTrajectory
 from planner.dynamics import RigidBodyDynamics
 from planner.model.mechanism import Mechanism
 from planner.problem.avoid import Avoid, AvoidanceConstraint
-from planner.problem.closed_way import closed_chain_reference
+from planner.problem.closed_chain_reference import closed_chain_reference
+from planner.problem.collision_checker import CollisionChecker
 from planner.problem.constraints.constraint import Constraint
+from planner.problem.costs.goal_spec import GoalSpec
 from planner.problem.costs.terms import Cost
-from planner.problem.costs.wanted import GoalSpec
 from planner.problem.default_weights import DefaultWeights, default_weights, min_jerk_cost
-from planner.problem.free_poses import CollisionChecker
 from planner.problem.goals import ROUNDING, static_error
 from planner.problem.limits import Limits
 from planner.problem.tasks.cost import WEIGHT, task_cost, task_wanted
-from planner.problem.tasks.detours import with_via_poses
 from planner.problem.tasks.follow import Follow, follow_of, with_points
 from planner.problem.tasks.goal import Goal, goal_of
-from planner.problem.tasks.keeping import PoseConstraints
-from planner.problem.tasks.motion import controls, reference_states, joint_displacement
+from planner.problem.tasks.pose_constraints import PoseConstraints
 from planner.problem.tasks.poses import Poses, is_screws, poses_of
-from planner.problem.tasks.timetable import Task, task_of
+from planner.problem.tasks.reference_motion import controls, joint_displacement, reference_states
+from planner.problem.tasks.timed_task import Task, task_of
+from planner.problem.tasks.via_poses import with_via_poses
 
 MAX_GOALS = 1000  # goals
 _OF_GOALS = ("final_position", "hold")  # weights of an end in joints, which a task's goals take the place of
@@ -67,7 +67,9 @@ def with_tasks(table: dict[str, Any], mechanism: Mechanism) -> dict[str, Any]:
     follows = follows if isinstance(follows, list) else [follows]
     if not isinstance(goals, list) or len(goals) > MAX_GOALS:
         keys = ", ".join(GOAL)
-        raise PlannerError(f"goal is {short_repr(goals)} beside follow, expected at most {MAX_GOALS} tables [[goal]] of: {keys}.")
+        raise PlannerError(
+            f"goal is {short_repr(goals)} beside follow, expected at most {MAX_GOALS} tables [[goal]] of: {keys}."
+        )
     checked = [goal_of(goal, f"goal {k}") for k, goal in enumerate(goals, 1)]
     paths = [follow_of(path, "follow") for path in follows]
     table = {name: value for name, value in table.items() if name not in ("goal", "follow")}
@@ -143,7 +145,15 @@ def weights_of(
     there = joint_displacement(way.task, way.poses)
     alone, jerk = "objective" in table, table.get("objective", {}).get("jerk", 0.0)
     found = default_weights(
-        dynamics, x0, way.rows[-1], table["duration"], effort_alone=alone, stays=False, displacement=there, most=most, jerk=jerk
+        dynamics,
+        x0,
+        way.rows[-1],
+        table["duration"],
+        effort_alone=alone,
+        stays=False,
+        displacement=there,
+        most=most,
+        jerk=jerk,
     )
     weights = {name: weight for name, weight in found.weights.items() if name not in _OF_GOALS}
     reasons = {name: reason for name, reason in found.reasons.items() if name not in _OF_GOALS}
@@ -152,7 +162,9 @@ def weights_of(
     return DefaultWeights(weights, reasons)
 
 
-def cost_of(way: ResolvedTask, dynamics: RigidBodyDynamics, weights: dict[str, Any]) -> tuple[Cost, tuple[GoalSpec, ...]]:
+def cost_of(
+    way: ResolvedTask, dynamics: RigidBodyDynamics, weights: dict[str, Any]
+) -> tuple[Cost, tuple[GoalSpec, ...]]:
     """The cost of a task and what its proof judges."""
     return task_cost(way.task, dynamics, way.rows, weights), task_wanted(way.task)
 
@@ -163,7 +175,9 @@ def guess_of(way: ResolvedTask, dynamics: RigidBodyDynamics, x0: np.ndarray) -> 
     if mechanism.loops or mechanism.polynomial_couplings:
         found = closed_chain_reference(mechanism, x0, way.poses.stages, way.poses.q, way.poses.at_rest, dynamics.dt)
         if found is not None:
-            return ReferenceTrajectory(None if dynamics.prescribed else found.controls, found.rows, _is_direct(way.task))
+            return ReferenceTrajectory(
+                None if dynamics.prescribed else found.controls, found.rows, _is_direct(way.task)
+            )
     return ReferenceTrajectory(controls(way.task, way.poses, dynamics, x0), way.rows, _is_direct(way.task))
 
 

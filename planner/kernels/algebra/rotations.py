@@ -14,7 +14,7 @@ _MIN_SQUARED_ANGLE = 1e-40  # added to squared angles, so that no angle is zero:
 
 @inline
 def turned(w, x, y, z, r):
-    """Quaternion times the exponential of a rotation vector r, normalised (MuJoCo's mju_quatIntegrate)."""
+    """Quaternion times the exponential of a rotation vector r, normalized (MuJoCo's mju_quatIntegrate)."""
     half = 0.5 * sqrt(r[0] * r[0] + r[1] * r[1] + r[2] * r[2] + _MIN_SQUARED_ANGLE)
     s, c = sincos(half)
     f = 0.5 * s / half

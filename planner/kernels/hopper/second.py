@@ -5,7 +5,7 @@ z = (u | y, v, p); with mu_i the derivative of costate' x(n+1) by the accelerati
 
     T = sum_i mu_i F''(e_i)/m g_i g_i',      F''/m = stiffness / smoothing on the parabola, 0 elsewhere.
 
-mu goes backward as in kernels.tree.second, where da/dy = -s, the spring's slope, and da/dv = 0.
+mu goes backward as in kernels.tree.tree_second_order, where da/dy = -s, the spring's slope, and da/dv = 0.
 """
 
 from __future__ import annotations

@@ -13,7 +13,7 @@ from __future__ import annotations
 from planner.kernels.algebra.ramp import ramp
 from planner.kernels.algebra.spatial import load3, store3, sub
 from planner.kernels.integrators import EULER, SEMI_IMPLICIT_EULER
-from planner.kernels.lq.search import WOLFE, batches, choose, first_step_lengths, refine
+from planner.kernels.lq.line_search import WOLFE, batches, choose, first_step_lengths, refine
 from planner.kernels.lq.workspace import ALPHA, BRACKET, COSTS, GIVEN, SLOPES, W, accept
 from planner.kernels.numba.jit import inline, jit, part
 from planner.kernels.numba.lanes import (

@@ -1,8 +1,9 @@
-"""The LQ problem with bounds of controls and hinges of states: which hold and which pull, found by Newton's method.
+"""The LQ problem with bounds of controls and penalties of states: which hold and which pull, found by Newton's method.
 
 A box in each stage (see box) knows no deviation of the state: where bounds hold many stages, later ones would leave
-theirs in what the sweep promises, and steps are short. So do hinges of ranges that the motion has yet to reach. Here a
-sweep has a chosen set of held controls and of hinges that pull, and its linear motion tells the next set:
+theirs in what the sweep promises, and steps are short. So do penalties of ranges that the motion has yet to reach.
+Here a
+sweep has a chosen set of held controls and of penalties that pull, and its linear motion tells the next set:
 
     a free control that would leave its bounds is held at the one it crosses,
     a held one whose multiplier pulls it inwards is freed,
@@ -10,14 +11,14 @@ sweep has a chosen set of held controls and of hinges that pull, and its linear 
 
 A set that tells itself is the solution (primal-dual active sets; Hintermueller, Ito and Kunisch 2002). It mostly takes
 one sweep where the last iteration's set still holds, and few where it does not. It may also cycle: then each stage has
-its box, and hinges pull where they do now.
+its box, and penalties pull where they do now.
 """
 
 from __future__ import annotations
 
-from planner.kernels.lq.along_bounds import moved
-from planner.kernels.lq.quadratic import hinges_of
+from planner.kernels.lq.quadratic import penalties_of
 from planner.kernels.lq.riccati import advance
+from planner.kernels.lq.state_dependent_bounds import moved
 from planner.kernels.lq.workspace import W
 from planner.kernels.numba.jit import inline, jit
 from planner.kernels.numba.lanes import at, floats, integers, load, pointer, store
@@ -37,20 +38,20 @@ def active_set_minimum(w, mu, n):
     us, lower, upper = floats(w, W.us), floats(w, W.lower), floats(w, W.upper)
     value = 0.0
     for c in range(nu):
-        side, kc = load(floats(w, W.held_at), o + c), 0.0
+        side, kc = load(floats(w, W.active_bounds), o + c), 0.0
         if side != 0.0:
             kc = (load(lower, o + c) if side < 0.0 else load(upper, o + c)) - load(us, o + c)
         store(k, c, kc)
         store(k, nu + c, abs(side))
     for c in range(nu):
         if load(k, nu + c) > 0.0:
-            row, kc = at(floats(w, W.held_row), (o + c) * width), load(k, c)
+            row, kc = at(floats(w, W.active_row), (o + c) * width), load(k, c)
             for j in range(c):
                 store(row, j, load(M, j * width + c))
             for j in range(c, width):
                 store(row, j, load(M, c * width + j))
             store(row, c, load(row, c) + mu)
-            store(floats(w, W.held_slope), o + c, load(h, c))
+            store(floats(w, W.active_gradient), o + c, load(h, c))
             value += load(h, c) * kc
             for a in range(nu):
                 value += 0.5 * kc * load(row, a) * load(k, a)
@@ -61,7 +62,7 @@ def active_set_minimum(w, mu, n):
 def _multiplier(w, i, du, dx):
     """The slope of the LQ problem's cost by held control i of all, but for rounding."""
     nu, ndx, width = w[W.nu], w[W.ndx], w[W.width]
-    row, total = at(floats(w, W.held_row), i * width), load(floats(w, W.held_slope), i)
+    row, total = at(floats(w, W.active_row), i * width), load(floats(w, W.active_gradient), i)
     size = abs(total)
     for a in range(nu):
         part = load(row, a) * load(du, a)
@@ -90,7 +91,7 @@ def _chosen(w, i, side, du, dx, floor, ceiling):
 @inline
 def _choose_held(w, n, du, dx):
     """The next set of held controls of stage n; by how many it differs."""
-    nu, held, servo, changes = w[W.nu], at(floats(w, W.held_at), n * w[W.nu]), 0, 0
+    nu, held, servo, changes = w[W.nu], at(floats(w, W.active_bounds), n * w[W.nu]), 0, 0
     for a in range(nu):
         floor, ceiling = 0.0, 0.0
         if servo < w[W.servos] and load(integers(w, W.servo_control), servo) == a:
@@ -112,21 +113,22 @@ def _side(e, low, high, slack):
 
 
 @inline
-def _choose_hinges(w, n, dx):
-    """The next set of hinges of knot n that pull: by how many it differs; how far its cost and slope are off.
+def _choose_penalties(w, n, dx):
+    """The next set of penalties of knot n that pull: by how many it differs; how far its cost and slope are off.
 
-    Its parabolas stand for hinges that are still within their ranges, and what these cost now is none of the model's.
+    Its parabolas stand for penalties that are still within their ranges, and what these cost now is none of the
+    model's.
     """
-    o, changes, cost, slope = n * w[W.hinges], 0, 0.0, 0.0
-    for t in range(hinges_of(w, n)):
-        i, k = load(integers(w, W.hinge_dx), t), o + t
-        low, high = load(floats(w, W.hinge_lower), k), load(floats(w, W.hinge_upper), k)
+    o, changes, cost, slope = n * w[W.penalties], 0, 0.0, 0.0
+    for t in range(penalties_of(w, n)):
+        i, k = load(integers(w, W.penalty_dx), t), o + t
+        low, high = load(floats(w, W.penalty_lower), k), load(floats(w, W.penalty_upper), k)
         if low == high or load(integers(w, W.ball), i) >= 0:  # it always pulls; or is a rotation's
             continue
         e, weight, side = (
-            load(floats(w, W.hinge_e), k),
-            load(floats(w, W.hinge_weight), k),
-            load(floats(w, W.hinge_side), k),
+            load(floats(w, W.penalty_e), k),
+            load(floats(w, W.penalty_weight), k),
+            load(floats(w, W.penalty_side), k),
         )
         d = load(dx, i)
         slack = ROUNDING * (1.0 + abs(e))
@@ -138,8 +140,8 @@ def _choose_hinges(w, n, dx):
             next_pull = weight * (e - (high if now > 0.0 else low)) if now != 0.0 else 0.0
             l = at(floats(w, W.l), n * w[W.width] + w[W.first])
             store(l, i, load(l, i) + next_pull - pulls)
-            store(floats(w, W.hinge_active), k, weight if now != 0.0 else 0.0)
-            store(floats(w, W.hinge_side), k, now)
+            store(floats(w, W.penalty_active), k, weight if now != 0.0 else 0.0)
+            store(floats(w, W.penalty_side), k, now)
         if side != real:
             really = weight * (e - (high if real > 0.0 else low)) if real != 0.0 else 0.0
             slope += (really - pulls) * d
@@ -149,9 +151,10 @@ def _choose_hinges(w, n, dx):
 
 @jit
 def update_active_set(w, dt, none):
-    """The next set of held controls (W.held_at) and of hinges that pull, as the last sweep's linear motion tells it.
+    """The next set of held controls (W.active_bounds) and of penalties that pull, as the last sweep's linear motion
+    tells it.
 
-    With `none` there is no motion: hinges pull where they do.
+    With `none` there is no motion: penalties pull where they do.
 
     Returns:
         By how many the set differs from that of the sweep; by how much more than the cost the model costs where it
@@ -165,7 +168,7 @@ def update_active_set(w, dt, none):
     for i in range(ndx):
         store(dx, i, 0.0)
     for n in range(w[W.N] + 1):
-        more, c, s = _choose_hinges(w, n, dx)
+        more, c, s = _choose_penalties(w, n, dx)
         changes, cost, slope = changes + more, cost + c, slope + s
         if n == w[W.N] or none:
             continue

@@ -1,4 +1,6 @@
-"""The deviation of one state from another, in single numbers; in lanes it is `_deviations` of kernels.tree.search."""
+"""The deviation of one state from another, in single numbers; in lanes it is `_deviations` of
+kernels.tree.tree_line_search.
+"""
 
 from __future__ import annotations
 

@@ -4,8 +4,8 @@ With dx = x (-) x_ref and J = d dx / dx, the gradient is J' Q dx and the Hessian
 rotation vectors of quaternions. Weights are lists of their upper entries that are not zero, plain ones first, then
 those that touch a rotation.
 
-Ranges of the states come in as hinges, 1/2 w (max(0, e - upper)^2 + max(0, lower - e)^2) on single components of the
-deviation e (see planner.solvers.augmented); where both bounds are the same, that is 1/2 w (e - bound)^2.
+Ranges of the states come in as penalties, 1/2 w (max(0, e - upper)^2 + max(0, lower - e)^2) on single components of the
+deviation e (see planner.solvers.augmented_lagrangian); where both bounds are the same, that is 1/2 w (e - bound)^2.
 """
 
 from __future__ import annotations
@@ -56,22 +56,22 @@ def control_terms(w, n):
 
 
 @inline
-def hinges_of(w, n):
+def penalties_of(w, n):
     """How many components have a range at stage n, or at the end."""
-    return w[W.stage_hinges] if n < w[W.N] else w[W.hinges]
+    return w[W.stage_penalties] if n < w[W.N] else w[W.penalties]
 
 
 @inline
-def _add_hinges(w, n, hinged, e, l):
-    """Add the slopes of the hinges of stage n to l, and keep their second derivatives for add_weights."""
-    o, component = n * w[W.hinges], integers(w, W.hinge_dx)
-    lower, upper = at(floats(w, W.hinge_lower), o), at(floats(w, W.hinge_upper), o)
-    weight, active = at(floats(w, W.hinge_weight), o), at(floats(w, W.hinge_active), o)
-    for t in range(hinged):
+def _add_penalties(w, n, count, e, l):
+    """Add the slopes of the penalties of stage n to l, and keep their second derivatives for add_weights."""
+    o, component = n * w[W.penalties], integers(w, W.penalty_dx)
+    lower, upper = at(floats(w, W.penalty_lower), o), at(floats(w, W.penalty_upper), o)
+    weight, active = at(floats(w, W.penalty_weight), o), at(floats(w, W.penalty_active), o)
+    for t in range(count):
         i = load(component, t)
         d, low, high, factor = load(e, i), load(lower, t), load(upper, t), load(weight, t)
-        store(floats(w, W.hinge_e), o + t, d)
-        store(floats(w, W.hinge_side), o + t, 1.0 if d >= high else -1.0 if d < low else 0.0)
+        store(floats(w, W.penalty_e), o + t, d)
+        store(floats(w, W.penalty_side), o + t, 1.0 if d >= high else -1.0 if d < low else 0.0)
         slope, curvature = 0.0, 0.0
         if d >= high:
             slope, curvature = factor * (d - high), factor
@@ -98,16 +98,16 @@ def gradients(w):
             row, column, value, terms = control_terms(w, n)
             _add_gradient(row, column, value, terms, e, l)
         row, column, value, terms, _ = state_terms(w, n)
-        hinged = hinges_of(w, n)
-        if terms == 0 and hinged == 0:
+        count = penalties_of(w, n)
+        if terms == 0 and count == 0:
             continue
         J = at(turn, n * 9 * balls)
         deviation(w, at(floats(w, W.xs), n * nx), at(floats(w, W.x_ref), n * nx), e)
         _turns(w, e, J)
         g = at(l, first)
         _add_gradient(row, column, value, terms, e, g)
-        if hinged > 0:
-            _add_hinges(w, n, hinged, e, g)
+        if count > 0:
+            _add_penalties(w, n, count, e, g)
         for b in range(balls):
             k = load(integers(w, W.quaternion_dx), b)
             a0, a1, a2 = load(g, k), load(g, k + 1), load(g, k + 2)
@@ -163,10 +163,10 @@ def add_weights(w, M, n):
     turn = at(floats(w, W.turn), n * 9 * w[W.quaternions])
     for t in range(plain, terms):
         _add_turned(w, M, width, turn, load(row, t), load(column, t), load(value, t))
-    hinged = hinges_of(w, n)
-    if hinged > 0:
-        component, active = integers(w, W.hinge_dx), at(floats(w, W.hinge_active), n * w[W.hinges])
-        for t in range(hinged):
+    count = penalties_of(w, n)
+    if count > 0:
+        component, active = integers(w, W.penalty_dx), at(floats(w, W.penalty_active), n * w[W.penalties])
+        for t in range(count):
             q, i = load(active, t), load(component, t)
             if q > 0.0:
                 if load(integers(w, W.ball), i) >= 0:

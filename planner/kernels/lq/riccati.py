@@ -1,7 +1,7 @@
 """The backward sweep (Eq. 31-34) and the costate (Eq. 16-19), for one problem at a time.
 
 Each stage of the LQ problem is a quadratic in z = (u | x) with Hessian H and gradient h (see stage_hessian).
-Eliminating u by a Cholesky factorisation of its block R + B'PB leaves the Schur complement, which is the next
+Eliminating u by a Cholesky factorization of its block R + B'PB leaves the Schur complement, which is the next
 (P, s): Eq. 33 and 34, with the inverse of Eq. 31 never formed. P and s lie where x lies in H and h.
 """
 
@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 
 from planner.kernels.algebra.tiles import four_rows, mirror, weighted_rows
-from planner.kernels.lq.gaps import add_defect, step_with_defect
+from planner.kernels.lq.defects import add_defect, step_with_defect
 from planner.kernels.lq.quadratic import add_weights
 from planner.kernels.lq.second_order import add_second
 from planner.kernels.lq.stage_hessian import dense_stage, structured_stage
@@ -219,7 +219,7 @@ def riccati_dense(w, mu, dt):
     begin(w)
     total, slope = 0.0, 0.0
     for n in range(w[W.N] - 1, -1, -1):
-        if w[W.gapped]:
+        if w[W.has_defects]:
             add_defect(w, n)
         dense_stage(w, n, dt)
         norm2, part, definite = _finish(w, mu, n)
@@ -237,7 +237,7 @@ def riccati_structured(w, mu, dt):
     begin(w)
     total, slope = 0.0, 0.0
     for n in range(w[W.N] - 1, -1, -1):
-        if w[W.gapped]:
+        if w[W.has_defects]:
             add_defect(w, n)
         structured_stage(w, n, dt)
         norm2, part, definite = _finish(w, mu, n)
@@ -250,7 +250,7 @@ def riccati_structured(w, mu, dt):
 
 @inline
 def advance(w, n, dt, du, dx, dx_next):
-    """The linearised stage: dx_next = A dx + B du (Eq. 30)."""
+    """The linearized stage: dx_next = A dx + B du (Eq. 30)."""
     ndx, nu, width, first = w[W.ndx], w[W.nu], w[W.width], w[W.first]
     nv = ndx // 2
     rows = nv if w[W.structured] else ndx
@@ -294,7 +294,7 @@ def direction(w, dt):
                 total += load(K, (n * nu + a) * width + first + i) * load(dx, i)
             store(dus, n * nu + a, total)  # Eq. 25
         advance(w, n, dt, at(dus, n * nu), dx, at(dx, ndx))
-        if w[W.gapped]:
+        if w[W.has_defects]:
             step_with_defect(w, n, at(dx, ndx))
         for i in range(ndx):
             store(dx, i, load(dx, ndx + i))

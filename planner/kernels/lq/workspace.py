@@ -20,13 +20,13 @@ ACCEPTED, CONVERGED, INDEFINITE, NO_STEP = 0, 1, 2, 3
 
 W = Layout(
     "N nx ndx nu width first structured vectors quaternions stage_terms stage_plain final_terms final_plain "
-    "control_terms bounded stage_hinges hinges exact residual_columns servos gapped",
+    "control_terms bounded stage_penalties penalties exact residual_columns servos has_defects",
     "xs us x_ref u_ref vector_x vector_dx quaternion_x quaternion_dx ball stage_row stage_column stage_value "
     "final_row final_column final_value control_row control_column control_value error turn l F transport K k dus "
-    "gradient H G S h costate dx trial_x trial_u deviations lower upper box hinge_dx hinge_lower hinge_upper "
-    "hinge_weight hinge_active T costates residual_hessian residual_active range_lower range_upper servo_control "
-    "servo_start servo_x servo_dx servo_now servo_late servo_low servo_high lower_share upper_share gaps values dxs "
-    "held_at held_row held_slope hinge_e hinge_side",
+    "gradient H G S h costate dx trial_x trial_u deviations lower upper box penalty_dx penalty_lower penalty_upper "
+    "penalty_weight penalty_active T costates residual_hessian residual_active range_lower range_upper servo_control "
+    "servo_start servo_x servo_dx servo_at_start servo_at_end servo_low servo_high lower_share upper_share defects values dxs "
+    "active_bounds active_row active_gradient penalty_e penalty_side",
 )
 _K = W.K
 # Rows of the line search's array: step lengths, costs, slopes, the bracket, and what it is given: cost, slope, dt.
@@ -42,7 +42,7 @@ class Workspace:
         structured: F holds accelerations only, (N, nv, width), for semi-implicit Euler: x+ = E (x + [0; dt F z]),
             where E adds dt times the velocity to the position. Else F = (B | A), (N, ndx, width).
         bounds: Lower and upper bounds of the controls, (N, nu) each; None for none.
-        hinges: The components of deviations that have ranges (see quadratic), those of the end alone last, and how
+        penalties: The components of deviations that have ranges (see quadratic), those of the end alone last, and how
             many those are.
         servos: A planner.problem.control_bounds.Servos, or None.
 
@@ -60,11 +60,11 @@ class Workspace:
         transport: (N, quaternions, 18) T and J of E for each quaternion.
         l: (N+1, width) gradients of the stage costs.
         first: The first column of x.
-        hinge_lower: (N+1, hinges) of the deviation from x_ref.
-        hinge_upper: (N+1, hinges).
-        hinge_weight: (N+1, hinges) zero until a solve sets them.
+        penalty_lower: (N+1, penalties) of the deviation from x_ref.
+        penalty_upper: (N+1, penalties).
+        penalty_weight: (N+1, penalties) zero until a solve sets them.
         T: (N+1, width, width) the second-order terms of the dynamics, upper triangles, zero at the end, and what
-            rows of constraints add (solvers.engine.with_rows); empty until they are asked for.
+            rows of constraints add (solvers.engine.constrained_engine); empty until they are asked for.
         costates: (N+1, width) with Eq. 16 in the columns of x, from `first` on; empty until then.
         held: (N+1, width, width) what the sweep adds in place of T where it holds states (see use_second_order).
         gaps: (N, ndx) from the start of each stage's successor to its end (see gaps); empty until they are asked for.
@@ -75,12 +75,13 @@ class Workspace:
         upper: (N, nu).
         lower_share: (N, nu, 2) the parts of a servo's two lines that bound it at the nominal states, 0 for numbers.
         upper_share: (N, nu, 2).
-        held_at: (N, nu) the controls that a sweep with a chosen set holds, at the lower bound -1, at the upper one 1.
+        active_bounds: (N, nu) the controls that a sweep with a chosen set holds, at the lower bound -1, at the upper
+        one 1.
     """
 
     def __init__(
         self, cost: Any, space: Any, structured: bool, bounds: tuple[np.ndarray, np.ndarray] | None = None,
-        hinges: tuple[np.ndarray, int] | None = None, servos: Any = None,
+        penalties: tuple[np.ndarray, int] | None = None, servos: Any = None,
     ) -> None:  # fmt: skip
         Q, R = cost.Q, cost.R
         N, nu = R.shape[:2]
@@ -107,9 +108,9 @@ class Workspace:
         self.lower, self.upper = (lower, upper) if servos is None else (lower.copy(), upper.copy())
         shares = (N, nu, 2) if servos is not None else (0, nu, 2)
         self.lower_share, self.upper_share = np.zeros(shares), np.zeros(shares)
-        hinge_dx, at_end = (np.empty(0, dtype=np.int64), 0) if hinges is None else hinges
-        self.hinge_lower, self.hinge_upper, self.hinge_weight, active = (
-            np.zeros((N + 1, len(hinge_dx))) for _ in range(4)
+        penalty_dx, at_end = (np.empty(0, dtype=np.int64), 0) if penalties is None else penalties
+        self.penalty_lower, self.penalty_upper, self.penalty_weight, active = (
+            np.zeros((N + 1, len(penalty_dx))) for _ in range(4)
         )
         self._arrays: dict[str, np.ndarray] = {
             "xs": self.xs, "us": self.us, "x_ref": cost.x_ref.copy(), "u_ref": cost.u_ref.copy(),
@@ -129,13 +130,17 @@ class Workspace:
             "trial_x": lane_array((N + 1) * nx, WIDTH),
             "trial_u": lane_array(N * nu, WIDTH), "deviations": lane_array(2 * ndx + nu + 8, WIDTH),
             "lower": self.lower, "upper": self.upper, "box": np.zeros(nu * (nu + 6)),
-            "hinge_dx": np.array(hinge_dx, dtype=np.int64), "hinge_lower": self.hinge_lower,
-            "hinge_upper": self.hinge_upper, "hinge_weight": self.hinge_weight, "hinge_active": active,
-            "hinge_e": np.zeros_like(active), "hinge_side": np.zeros_like(active),
+            "penalty_dx": np.array(penalty_dx, dtype=np.int64), "penalty_lower": self.penalty_lower,
+            "penalty_upper": self.penalty_upper, "penalty_weight": self.penalty_weight, "penalty_active": active,
+            "penalty_e": np.zeros_like(active), "penalty_side": np.zeros_like(active),
         }  # fmt: skip
         self.active_bounds = np.zeros_like(lower)
         rows = 0 if bounds is None else N * nu * width
-        self._arrays |= {"held_at": self.active_bounds, "held_row": np.zeros(rows), "held_slope": np.zeros_like(lower)}
+        self._arrays |= {
+            "active_bounds": self.active_bounds,
+            "active_row": np.zeros(rows),
+            "active_gradient": np.zeros_like(lower),
+        }
         self._arrays |= {"range_lower": lower, "range_upper": upper, **_servo_arrays(servos)}
         self._arrays |= {"lower_share": self.lower_share, "upper_share": self.upper_share}
         self.T, self.costates = np.zeros((0, width, width)), np.zeros((0, width))
@@ -143,15 +148,16 @@ class Workspace:
         self._arrays |= {"residual_active": np.zeros(0)}
         self.state_regularization = self.T
         self.defects, self.values, self.dxs = np.zeros((0, ndx)), np.zeros((0, ndx, ndx + 1)), np.zeros((0, ndx))
-        self._arrays |= {"gaps": self.defects, "values": self.values, "dxs": self.dxs}
+        self._arrays |= {"defects": self.defects, "values": self.values, "dxs": self.dxs}
         self.residuals: Any = None
         sizes = {
             "N": N, "nx": nx, "ndx": ndx, "nu": nu, "width": width, "first": self.first, "structured": structured,
             "vectors": in_x.sum(), "quaternions": len(quaternions), "stage_terms": len(stage[0]),
             "stage_plain": stage[3], "final_terms": len(final[0]), "final_plain": final[3],
-            "control_terms": len(control[0]), "bounded": bounds is not None, "stage_hinges": len(hinge_dx) - at_end,
-            "hinges": len(hinge_dx), "exact": False, "residual_columns": 0,
-            "servos": 0 if servos is None else len(servos.control), "gapped": False,
+            "control_terms": len(control[0]), "bounded": bounds is not None, "stage_penalties": len(penalty_dx) -
+            at_end,
+            "penalties": len(penalty_dx), "exact": False, "residual_columns": 0,
+            "servos": 0 if servos is None else len(servos.control), "has_defects": False,
         }  # fmt: skip
         self._arrays = {name: np.ascontiguousarray(array) for name, array in self._arrays.items()}  # keeps all alive
         self.table = W.table(sizes, self._arrays)
@@ -178,18 +184,24 @@ class Workspace:
             self._arrays |= {"T": self.T, "costates": self.costates}
             self.table[W.costates] = self.costates.ctypes.data
         if held and not len(self.state_regularization):
-            self._arrays["held"] = self.state_regularization = lane_array(N + 1, width, width)
+            self._arrays["state_regularization"] = self.state_regularization = lane_array(N + 1, width, width)
         self.table[W.exact] = exact or held
         self.table[W.T] = (self.state_regularization if held else self.T).ctypes.data
 
-    def use_defects(self, gapped: bool) -> None:
+    def use_defects(self, has_defects: bool) -> None:
         """Whether the sweep and its direction have gaps; their memory is taken when it is first asked for."""
-        self.table[W.gapped] = gapped
-        if gapped and not len(self.defects):
+        self.table[W.has_defects] = has_defects
+        if has_defects and not len(self.defects):
             N, ndx = len(self.us), self.ndx
-            self.defects, self.values, self.dxs = np.zeros((N, ndx)), np.zeros((N, ndx, ndx + 1)), np.zeros((N + 1, ndx))
-            self._arrays |= {"gaps": self.defects, "values": self.values, "dxs": self.dxs}
-            self.table[[W.gaps, W.values, W.dxs]] = [array.ctypes.data for array in (self.defects, self.values, self.dxs)]
+            self.defects, self.values, self.dxs = (
+                np.zeros((N, ndx)),
+                np.zeros((N, ndx, ndx + 1)),
+                np.zeros((N + 1, ndx)),
+            )
+            self._arrays |= {"defects": self.defects, "values": self.values, "dxs": self.dxs}
+            self.table[[W.defects, W.values, W.dxs]] = [
+                array.ctypes.data for array in (self.defects, self.values, self.dxs)
+            ]
 
     def use_residuals(self, residuals: Any) -> None:
         """Have the terms of a ResidualTable in every sweep and rollout."""
@@ -202,14 +214,14 @@ class Workspace:
 def _servo_arrays(servos: Any) -> dict[str, np.ndarray]:
     """The lines that bound servos, as lists of their entries; a servo's begin at servo_start."""
     if servos is None:
-        empty = {name: np.empty(0) for name in ("servo_now", "servo_late", "servo_low", "servo_high")}
+        empty = {name: np.empty(0) for name in ("servo_at_start", "servo_at_end", "servo_low", "servo_high")}
         return empty | {f"servo_{name}": np.empty(0, dtype=np.int64) for name in ("control", "start", "x", "dx")}
     servo, entry = np.nonzero((servos.now != 0.0) | (servos.late != 0.0))
     return {
         "servo_control": np.array(servos.control, dtype=np.int64),
         "servo_start": np.searchsorted(servo, np.arange(len(servos.control) + 1)),
-        "servo_x": servos.in_x[entry], "servo_dx": servos.in_dx[entry], "servo_now": servos.now[servo, entry],
-        "servo_late": servos.late[servo, entry], "servo_low": servos.low, "servo_high": servos.high,
+        "servo_x": servos.in_x[entry], "servo_dx": servos.in_dx[entry], "servo_at_start": servos.now[servo, entry],
+        "servo_at_end": servos.late[servo, entry], "servo_low": servos.low, "servo_high": servos.high,
     }  # fmt: skip
 
 

@@ -125,7 +125,7 @@ _PASSES = (
 
 
 class _PartLibrary(JITCodeLibrary):
-    """Code that is optimised and turned into machine code only as a part of the kernels that link it."""
+    """Code that is optimized and turned into machine code only as a part of the kernels that link it."""
 
     def _optimize_final_module(self) -> None:
         pass

@@ -1,7 +1,7 @@
 """V4: four doubles that behave like one float in Numba.
 
 A kernel is written once, as if for one float, and runs on four knots or on four line-search candidates at once:
-LLVM lowers <4 x double> to one ymm or two xmm or NEON registers. A plain inner loop over four does not vectorise
+LLVM lowers <4 x double> to one ymm or two xmm or NEON registers. A plain inner loop over four does not vectorize
 (unknown aliasing), hence the explicit type. Four, not eight: with the 16 registers of AVX2 eight spill, and of eight
 step lengths the last four are hardly ever wanted.
 

@@ -10,17 +10,17 @@ from planner.kernels.tree.couplings import accelerate_coupled
 from planner.kernels.tree.forces import applied_forces
 from planner.kernels.tree.friction import (  # fmt: skip
     FRICTION_CONVERGED,
-    MOST_ROUNDS,
+    MAX_ROUNDS,
     begin_friction,
     first_error,
-    linearise_friction,
+    linearize_friction,
     next_error,
 )
 from planner.kernels.tree.gravity_compensation import add_compensation
 from planner.kernels.tree.joint_curves import add_curves
 from planner.kernels.tree.loop_accelerations import accelerate_closed
+from planner.kernels.tree.mechanism_table import TREE
 from planner.kernels.tree.memory import MEMORY
-from planner.kernels.tree.model import TREE
 from planner.kernels.tree.pair_contact import add_pair_wrenches
 from planner.kernels.tree.recursion import accelerate, move_links
 from planner.kernels.tree.tendons import add_tendons
@@ -106,10 +106,10 @@ def _accelerate_with_friction(m, r, q, v, tau, a):
     begin_friction(m, v, tau, own, armature, force)
     _accelerate_again(m, r, q, v, force, a, links, armature)
     error = first_error(m, v, tau, a, (own, armature), force, asked)
-    for _ in range(MOST_ROUNDS):
+    for _ in range(MAX_ROUNDS):
         if not any_less(FRICTION_CONVERGED, error):
             break
-        linearise_friction(m, v, tau, a, (own, armature), force, before)
+        linearize_friction(m, v, tau, a, (own, armature), force, before)
         move_links(m, q, v, links)
         _add_wrenches(m, q, links)
         _accelerate_again(m, r, q, v, force, a, links, armature)

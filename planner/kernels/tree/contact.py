@@ -20,10 +20,10 @@ from planner.kernels.algebra.spatial import add, axpy, cross, dot, load3, rotate
 from planner.kernels.numba.jit import inline, part
 from planner.kernels.numba.lane_math import sqrt
 from planner.kernels.numba.lanes import any_less, floats, integers, load, maximum, select, spread, store
-from planner.kernels.tree.model import TREE
+from planner.kernels.tree.contact_tables import CONTACT_SIZE, STOP_SIZE
+from planner.kernels.tree.mechanism_table import TREE
 from planner.kernels.tree.recursion import BIAS, PLACE, RECORD, SCREW_AXIS, TWIST
 from planner.kernels.tree.sensitivity import Y
-from planner.kernels.tree.touching import CONTACT_SIZE, STOP_SIZE
 
 # Offsets in a contact's and a stop's numbers, as `model` lays them out
 CENTRE, NORMAL, LEVEL, ARM, SURFACE, SLIDE, LAW = 0, 3, 6, 7, 8, 11, 14

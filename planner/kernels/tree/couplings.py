@@ -13,8 +13,8 @@ from __future__ import annotations
 from planner.kernels.algebra.spatial import add, add3, add6, axpy, dot, load3, load6, scaled, store3, symmetric
 from planner.kernels.numba.jit import inline, part
 from planner.kernels.numba.lanes import at, floats, integers, lanes, load, spread, store
+from planner.kernels.tree.mechanism_table import TREE
 from planner.kernels.tree.memory import MEMORY
-from planner.kernels.tree.model import TREE
 from planner.kernels.tree.recursion import ACCELERATION, ARTICULATED, BIAS, CORIOLIS, RECORD, SCREW_AXIS
 from planner.kernels.tree.sensitivity import invert
 

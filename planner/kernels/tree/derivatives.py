@@ -16,8 +16,8 @@ from planner.kernels.tree.friction import add_friction_derivatives
 from planner.kernels.tree.gravity_compensation import subtract_compensation_derivatives
 from planner.kernels.tree.joint_curves import subtract_curve_derivatives
 from planner.kernels.tree.loop_derivatives import close, close_derivatives, less_bound
+from planner.kernels.tree.mechanism_table import TREE
 from planner.kernels.tree.memory import MEMORY
-from planner.kernels.tree.model import TREE
 from planner.kernels.tree.pair_contact import subtract_pair_derivatives
 from planner.kernels.tree.rosenbrock import add_implicit
 from planner.kernels.tree.sensitivity import inverse_dynamics_derivatives, invert

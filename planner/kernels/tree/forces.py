@@ -8,7 +8,7 @@ from __future__ import annotations
 from planner.kernels.algebra.rotations import difference, inverse_right_jacobian
 from planner.kernels.numba.jit import inline, part
 from planner.kernels.numba.lanes import floats, integers, load, store
-from planner.kernels.tree.model import BALL, BALL_NEXT, TREE
+from planner.kernels.tree.mechanism_table import BALL, BALL_NEXT, TREE
 
 
 @part

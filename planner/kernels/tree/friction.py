@@ -15,11 +15,13 @@ from __future__ import annotations
 
 from planner.kernels.numba.jit import inline, part
 from planner.kernels.numba.lanes import any_less, floats, integers, load, maximum, minimum, select, spread, store
-from planner.kernels.tree.model import TREE
-from planner.kernels.tree.own_forces import LOSS_SIZE
+from planner.kernels.tree.mechanism_table import TREE
+from planner.kernels.tree.passive_force_arrays import LOSS_SIZE
 
-FRICTION_SMOOTHING = 0.08  # as in planner.dynamics.friction; here too, because the cache's key covers the kernels' sources alone
-MOST_ROUNDS = 30  # of Newton's method, which takes three or four
+FRICTION_SMOOTHING = (
+    0.08  # as in planner.dynamics.friction; here too, because the cache's key covers the kernels' sources alone
+)
+MAX_ROUNDS = 30  # of Newton's method, which takes three or four
 FRICTION_CONVERGED = 1e-12  # of the loss: what is left of the law when a lane has met it
 HALVINGS = 12  # of the way to the next accelerations
 LOSS, INERTIA, RATE = range(LOSS_SIZE)  # offsets in the numbers of a joint's friction
@@ -51,7 +53,7 @@ def begin_friction(m, v, tau, own, armature, force):
 
 
 @part
-def linearise_friction(m, v, tau, a, armatures, force, before):
+def linearize_friction(m, v, tau, a, armatures, force, before):
     """Armature and force of the next round; `before` keeps a. Armatures: without friction, and with it."""
     (own, armature), dof = armatures, integers(m, TREE.loss_dof)
     for i in range(m[TREE.nv]):

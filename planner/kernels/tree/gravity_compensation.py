@@ -16,8 +16,8 @@ from __future__ import annotations
 from planner.kernels.algebra.spatial import add3, axpy, cross, dot, load3, rotated, scaled, store3
 from planner.kernels.numba.jit import inline, part
 from planner.kernels.numba.lanes import floats, integers, load, spread, store
-from planner.kernels.tree.model import TREE
-from planner.kernels.tree.own_forces import LIFTED_SIZE
+from planner.kernels.tree.mechanism_table import TREE
+from planner.kernels.tree.passive_force_arrays import LIFTED_SIZE
 from planner.kernels.tree.recursion import PLACE, RECORD, SCREW_AXIS
 
 MOMENT = 81  # offset in a link's record, beyond those of kernels.tree.recursion and of sensitivity
@@ -50,7 +50,7 @@ def _base_acceleration(m):
 @part
 def add_compensation(m, ws, tau):
     """The force on the joints, of links whose poses and screws are known, onto tau (nv lanes)."""
-    g, mass = _base_acceleration(m), floats(m, TREE.lifted_mass)
+    g, mass = _base_acceleration(m), floats(m, TREE.gravcomp_mass)
     _gather_moments(m, ws)
     for i in range(m[TREE.nv]):
         b = i * RECORD
@@ -62,7 +62,7 @@ def add_compensation(m, ws, tau):
 @part
 def subtract_compensation_derivatives(m, Dq, ld, ws):
     """Subtract the derivatives of that force from dtau/dq of inverse dynamics, (nv, ld) lanes."""
-    g, mass = _base_acceleration(m), floats(m, TREE.lifted_mass)
+    g, mass = _base_acceleration(m), floats(m, TREE.gravcomp_mass)
     parent, first = integers(m, TREE.parent), integers(m, TREE.first)
     _gather_moments(m, ws)
     for i in range(m[TREE.nv]):

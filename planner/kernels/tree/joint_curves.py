@@ -1,13 +1,16 @@
-"""Torques that are exponentials of joint coordinates (planner.model.joint_curves), and their derivatives, on lanes."""
+"""Torques that are exponentials of joint coordinates (planner.model.exponential_torques), and their derivatives, on
+lanes.
+"""
 
 from __future__ import annotations
 
 from planner.kernels.numba.jit import inline, part
 from planner.kernels.numba.lane_math import exp
 from planner.kernels.numba.lanes import floats, integers, load, maximum, minimum, spread, store
-from planner.kernels.tree.model import TREE
+from planner.kernels.tree.mechanism_table import TREE
 
-LARGEST = 700.0  # as in planner.model.joint_curves; here too, because the cache's key covers the kernels' sources alone
+# as in planner.model.exponential_torques; here too, because the cache's key covers the kernels' sources alone
+LARGEST = 700.0
 
 
 @inline

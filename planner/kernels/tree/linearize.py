@@ -29,11 +29,18 @@ from planner.kernels.numba.lanes import (
     store,
     store4,
 )
-from planner.kernels.tree.chain import add_unit, add_unit_rows, euler, keep_turns, runge_kutta, turn_balls
 from planner.kernels.tree.derivatives import acceleration_derivatives
+from planner.kernels.tree.integrator_chain_rule import (
+    add_unit,
+    add_unit_rows,
+    euler,
+    keep_turns,
+    runge_kutta,
+    turn_balls,
+)
 from planner.kernels.tree.loop_projection import POSITIONS, VELOCITIES, step_derivatives
+from planner.kernels.tree.mechanism_table import TREE
 from planner.kernels.tree.memory import MEMORY
-from planner.kernels.tree.model import TREE
 from planner.kernels.tree.rosenbrock import (
     begin_implicit,
     behind_matrix,

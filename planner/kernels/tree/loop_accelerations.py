@@ -14,8 +14,8 @@ from planner.kernels.numba.lanes import floats, integers, lanes, load, spread, s
 from planner.kernels.tree.couplings import hold_prescribed, invert_coupled, mass_and_rest
 from planner.kernels.tree.loop_algebra import solve
 from planner.kernels.tree.loop_rows import LEADER, cam_polynomial, constraint_rows, frame_axis, joined_frame, projected
+from planner.kernels.tree.mechanism_table import TREE
 from planner.kernels.tree.memory import MEMORY
-from planner.kernels.tree.model import TREE
 from planner.kernels.tree.recursion import ACCELERATION, RECORD
 
 

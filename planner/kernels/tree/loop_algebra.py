@@ -11,8 +11,8 @@ from __future__ import annotations
 
 from planner.kernels.numba.jit import inline
 from planner.kernels.numba.lanes import integers, lanes, load, maximum, select, spread, store
+from planner.kernels.tree.mechanism_table import TREE
 from planner.kernels.tree.memory import MEMORY
-from planner.kernels.tree.model import TREE
 
 
 @inline

@@ -36,7 +36,8 @@ def loop_arrays(
     return {
         "joined_link": link, "joined_value": value,
         "joined_address": np.where(link >= 0, tree["floating_address"][link], -1) if len(link) else link,
-        "loop_rigid": np.array([loop.rigid for loop in loops], dtype=np.int64), "loop_rate": np.array([baumgarte_rate()]),
+        "loop_rigid": np.array([loop.rigid for loop in loops], dtype=np.int64), "loop_rate":
+        np.array([baumgarte_rate()]),
         "cam_dof": np.array([(cam.follower, cam.leader) for cam in cams], dtype=np.int64),
         "cam_value": np.array([(*cam.offsets, *cam.coefficients) for cam in cams], dtype=float),
         **_triples(loops, cams, chains, mechanism),

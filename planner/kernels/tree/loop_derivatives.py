@@ -18,8 +18,8 @@ from planner.kernels.numba.jit import inline, part
 from planner.kernels.numba.lanes import WIDTH, floats, integers, lanes, load, spread, store
 from planner.kernels.tree.loop_algebra import invert_independent, subtract, times_inverse
 from planner.kernels.tree.loop_rows import LEADER, cam_polynomial, constraint_rows, frame_axis, joined_frame, projected
+from planner.kernels.tree.mechanism_table import TREE
 from planner.kernels.tree.memory import MEMORY
-from planner.kernels.tree.model import TREE
 from planner.kernels.tree.recursion import ACCELERATION, RECORD, SCREW_AXIS, TWIST
 from planner.kernels.tree.sensitivity import YS, Y, Z
 

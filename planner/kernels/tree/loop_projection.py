@@ -23,14 +23,14 @@ from planner.kernels.tree.loop_derivatives import add_column, turn_forces
 from planner.kernels.tree.loop_rows import (
     LEADER,
     cam_polynomial,
+    closure_residual,
     constraint_rows,
     frame_axis,
     joined_frame,
-    closure_residual,
     times_rows,
 )
+from planner.kernels.tree.mechanism_table import TREE
 from planner.kernels.tree.memory import MEMORY
-from planner.kernels.tree.model import TREE
 from planner.kernels.tree.recursion import RECORD, SCREW_AXIS, TWIST, place_all
 from planner.kernels.tree.sensitivity import Y
 
@@ -213,7 +213,9 @@ def _add_turned(m, r, H, D):
 
 @part
 def step_derivatives(m, r, q, v, which, step, E):
-    """The step of step_back, and E (nv, columns), its derivatives by (u | q | v | act); velocities v take it."""
+    """The step of project_to_closure, and E (nv, columns), its derivatives by (u | q | v | act); velocities v take
+    it.
+    """
     nv, rows, ld, columns, at_q = m[TREE.nv], m[TREE.loop_rows], r[MEMORY.ld], r[MEMORY.columns], r[MEMORY.first]
     ws, J, N, H = lanes(r, MEMORY.links), lanes(r, MEMORY.loop_J), lanes(r, MEMORY.loop_N), lanes(r, MEMORY.Dq)
     c, f, D, width = lanes(r, MEMORY.loop_c), lanes(r, MEMORY.loop_f), lanes(r, MEMORY.loop_D), r[MEMORY.loop_width]

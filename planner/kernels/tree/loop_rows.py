@@ -7,8 +7,8 @@ from planner.kernels.numba.jit import inline
 from planner.kernels.numba.lanes import floats, integers, lanes, load, spread, store
 from planner.kernels.tree.loop_algebra import gram
 from planner.kernels.tree.loop_arrays import CAM_SIZE, JOINED_SIZE
+from planner.kernels.tree.mechanism_table import TREE
 from planner.kernels.tree.memory import MEMORY
-from planner.kernels.tree.model import TREE
 from planner.kernels.tree.recursion import PLACE, RECORD, SCREW_AXIS, TWIST
 
 POINT, ORIGIN, AXES = 0, 3, 6  # offsets in the numbers of one of two frames that are joined, as `model` lays them out

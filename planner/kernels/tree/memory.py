@@ -1,4 +1,4 @@
-"""Scratch memory of the tree kernels on lanes, and the accelerations that linearisation takes from rollouts."""
+"""Scratch memory of the tree kernels on lanes, and the accelerations that linearization takes from rollouts."""
 
 from __future__ import annotations
 

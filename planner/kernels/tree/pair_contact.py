@@ -1,6 +1,6 @@
 """Contact of two bodies on lanes: spheres and capsules, their forces and exact derivatives.
 
-model.contact.between_bodies has the geometry and model.contact.laws the law. Each body is about the origin of its own
+model.contact.body_contact has the geometry and model.contact.laws the law. Each body is about the origin of its own
 tree, so p is too. Only degrees of freedom that move one of the two bodies and not the other matter: what carries
 both feels nothing and changes nothing. With J_i = v_i + w_i x p for dof i of one of them ("own", the upper sign if
 it is the first) and the other one at rest,
@@ -20,10 +20,10 @@ from planner.kernels.numba.jit import inline, part
 from planner.kernels.numba.lane_math import sqrt
 from planner.kernels.numba.lanes import any_less, floats, integers, load, maximum, minimum, select, spread, store
 from planner.kernels.tree.contact import by_velocity, contact_force, differentiated
-from planner.kernels.tree.model import TREE
+from planner.kernels.tree.contact_tables import PAIR_LINKS_SIZE, PAIR_SIZE
+from planner.kernels.tree.mechanism_table import TREE
 from planner.kernels.tree.recursion import BIAS, PLACE, RECORD, SCREW_AXIS, TWIST
 from planner.kernels.tree.sensitivity import Y
-from planner.kernels.tree.touching import PAIR_LINKS_SIZE, PAIR_SIZE
 
 # Offsets in a pair's numbers, as `model` lays them out: of each part, then of both; and in its links
 MIDDLE, AXIS, HALF, PART = 0, 3, 6, 7

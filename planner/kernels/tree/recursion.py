@@ -28,7 +28,7 @@ from planner.kernels.algebra.spatial import (  # fmt: skip
 from planner.kernels.numba.jit import inline, part
 from planner.kernels.numba.lane_math import sincos
 from planner.kernels.numba.lanes import floats, integers, load, spread, store
-from planner.kernels.tree.model import BALL, BALL_NEXT, HOME_SIZE, INERTIA_SIZE, TREE
+from planner.kernels.tree.mechanism_table import BALL, BALL_NEXT, HOME_SIZE, INERTIA_SIZE, TREE
 
 RECORD = 88
 # Offsets in a record; the second group is the forward dynamics' own.
@@ -38,7 +38,7 @@ CORIOLIS, ARTICULATED, BIAS, U_SCREW, PIVOT, REST_FORCE = 30, 36, 57, 63, 69, 70
 
 @inline
 def quaternion_rows(w, x, y, z):
-    """The rows of the rotation of a quaternion, which need not be normalised."""
+    """The rows of the rotation of a quaternion, which need not be normalized."""
     s = 2.0 / (w * w + x * x + y * y + z * z)
     return (
         (1.0 - s * (y * y + z * z), s * (x * y - w * z), s * (x * z + w * y)),

@@ -23,7 +23,7 @@ from __future__ import annotations
 from planner.kernels.algebra.tiles import four_rows
 from planner.kernels.numba.jit import part
 from planner.kernels.numba.lanes import WIDTH, at, floats, integers, lanes, load, load4, spread, store, store4
-from planner.kernels.tree.chain import (
+from planner.kernels.tree.integrator_chain_rule import (
     activation_rows,
     add_activations,
     add_product,
@@ -37,8 +37,8 @@ from planner.kernels.tree.chain import (
     turn_balls,
     turn_columns,
 )
+from planner.kernels.tree.mechanism_table import TREE
 from planner.kernels.tree.memory import MEMORY
-from planner.kernels.tree.model import TREE
 
 GAMMA = 0.2928932188134524  # 1 - 1 / sqrt(2)
 

@@ -34,7 +34,7 @@ from planner.kernels.algebra.spatial import (  # fmt: skip
 )
 from planner.kernels.numba.jit import inline
 from planner.kernels.numba.lanes import floats, integers, load, spread, store
-from planner.kernels.tree.model import BALL, BALL_NEXT, INERTIA_SIZE, TREE
+from planner.kernels.tree.mechanism_table import BALL, BALL_NEXT, INERTIA_SIZE, TREE
 from planner.kernels.tree.recursion import ACCELERATION, RECORD, SCREW_AXIS, TWIST, moved_inertia, place, placement
 
 # Offsets in a link's record, beside those of kernels.tree

@@ -30,8 +30,8 @@ from planner.kernels.numba.lanes import (
 from planner.kernels.tree.accelerations import accelerations
 from planner.kernels.tree.forces import activation_rates
 from planner.kernels.tree.loop_projection import POSITIONS, VELOCITIES, project_to_closure
+from planner.kernels.tree.mechanism_table import BALL, BALL_NEXT, TREE
 from planner.kernels.tree.memory import MEMORY
-from planner.kernels.tree.model import BALL, BALL_NEXT, TREE
 from planner.kernels.tree.rosenbrock import (
     begin_implicit,
     end_displacement,

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from planner.kernels.numba.jit import inline, part
 from planner.kernels.numba.lanes import floats, integers, load, maximum, select, spread, store
-from planner.kernels.tree.model import TREE
-from planner.kernels.tree.own_forces import TENDON_SIZE
+from planner.kernels.tree.mechanism_table import TREE
+from planner.kernels.tree.passive_force_arrays import TENDON_SIZE
 
 STIFFNESS, LOW, HIGH, DAMPING = range(TENDON_SIZE)  # offsets in a tendon's numbers
 

@@ -13,9 +13,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from planner.base.gl import load_mujoco
-from planner.model.contact.between_bodies import Capsule
+from planner.model.contact.body_contact import Capsule
 from planner.model.contact.laws import ALONG, Plane
-from planner.model.mjcf.survey import ModelIndex
+from planner.model.mjcf.model_index import ModelIndex
 
 
 def plane_of(survey: ModelIndex, geom: int) -> Plane | None:

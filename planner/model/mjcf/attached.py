@@ -21,8 +21,8 @@ import numpy as np
 from planner.base.arguments import array, choice, number, numbers, short_repr
 from planner.base.errors import ModelError, PlannerError
 from planner.base.gl import load_mujoco
-from planner.model.mjcf.opened import ModelFile
-from planner.model.mjcf.survey import ModelIndex, compile_model
+from planner.model.mjcf.model_file import ModelFile
+from planner.model.mjcf.model_index import ModelIndex, compile_model
 from planner.model.mjcf.text import is_text, model_tree, written
 
 ALUMINIUM = 2700.0  # kg/m^3
@@ -76,7 +76,9 @@ class Attachment:
             return np.array([(3.0 * self.mass / (4.0 * np.pi * ALUMINIUM)) ** (1.0 / 3.0)])
         size = numbers("size of attach", self.size).ravel()
         if len(size) not in (1, 3) or not np.all(size > 0.0) or not np.isfinite(size).all():
-            raise PlannerError(f"size of attach is {short_repr(self.size)}, expected a radius or three edges above 0, m.")
+            raise PlannerError(
+                f"size of attach is {short_repr(self.size)}, expected a radius or three edges above 0, m."
+            )
         return size
 
     @property
@@ -90,7 +92,9 @@ class Attachment:
             return np.concatenate([self.mass * own, np.zeros(3)])
         given = numbers("inertia of attach", self.inertia).ravel()
         if len(given) not in (3, 6) or not np.isfinite(given).all():
-            raise PlannerError(f"inertia of attach is {short_repr(self.inertia)}, expected three or six numbers, kg m^2.")
+            raise PlannerError(
+                f"inertia of attach is {short_repr(self.inertia)}, expected three or six numbers, kg m^2."
+            )
         six = np.concatenate([given, np.zeros(6 - len(given))])
         xx, yy, zz, xy, xz, yz = six
         principal = np.linalg.eigvalsh([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])

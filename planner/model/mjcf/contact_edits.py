@@ -23,7 +23,7 @@ from planner.model.contact.laws import ContactLaw
 from planner.model.contact.shapes import meets_plane
 from planner.model.mjcf.contact_points import add_points
 from planner.model.mjcf.contacts import CONTACT_RAMP, contact_attributes, shapes_fit
-from planner.model.mjcf.survey import Pair, ModelIndex, compile_model
+from planner.model.mjcf.model_index import ModelIndex, Pair, compile_model
 from planner.model.mjcf.text import written
 
 IMPRATIO = 1000.0  # at which MuJoCo's friction is the law's to a thousandth; beyond, its own inertia shows

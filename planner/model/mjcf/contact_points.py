@@ -16,7 +16,7 @@ import numpy as np
 
 from planner.base.gl import load_mujoco
 from planner.model.contact.shapes import spheres_of
-from planner.model.mjcf.survey import pose
+from planner.model.mjcf.model_index import pose
 from planner.model.mjcf.text import written
 
 RADIUS = 1e-4  # m: the excess of a point over its shape

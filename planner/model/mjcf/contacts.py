@@ -26,15 +26,15 @@ import numpy as np
 from planner.base.arguments import number
 from planner.base.errors import ModelError
 from planner.base.gl import load_mujoco
-from planner.model.contact.between_bodies import BodyContact
+from planner.model.contact.body_contact import BodyContact
 from planner.model.contact.laws import BEND, Contact, ContactLaw, Law, Stop
 from planner.model.contact.shapes import are_capsules, capsule_of, part_name, plane_and_spheres
-from planner.model.mjcf.refuse import UnsupportedElement
-from planner.model.mjcf.survey import Pair, ModelIndex, disabled, named
+from planner.model.mjcf.model_index import ModelIndex, Pair, disabled, named
+from planner.model.mjcf.unsupported import UnsupportedElement
 
 SOFT = 1e-4  # the impedance d, the least that MuJoCo knows
 SOFTEST = 1e-3  # up to here R is still a thousand times A, and the forces differ by less than a percent
-LEAST_IMPRATIO = 100.0  # of smoothed friction, which knows no projection
+MIN_IMPRATIO = 100.0  # of smoothed friction, which knows no projection
 CONTACT_RAMP, STOP_RAMP = "contact_ramp", "stop_ramp"
 
 
@@ -128,8 +128,8 @@ def _law_reason(model: Any, pair: Pair) -> str:
     if np.any(pair.solreffriction) and not np.all(pair.solreffriction <= 0.0):
         return "solreffriction is a time constant, expected the direct format"
     ramp = _smoothing(model, CONTACT_RAMP)[0]
-    if ramp > 0.0 and model.opt.impratio < LEAST_IMPRATIO:
-        return f"impratio {model.opt.impratio:g}, expected at least {LEAST_IMPRATIO:g} for smoothed friction"
+    if ramp > 0.0 and model.opt.impratio < MIN_IMPRATIO:
+        return f"impratio {model.opt.impratio:g}, expected at least {MIN_IMPRATIO:g} for smoothed friction"
     return ""
 
 

@@ -14,7 +14,7 @@ import numpy as np
 
 from planner.base.gl import load_mujoco
 from planner.model.couplings import Coupling
-from planner.model.mjcf.survey import disabled, named
+from planner.model.mjcf.model_index import disabled, named
 from planner.model.mjcf.tendons import fixed, row_of
 
 _NOTHING = 1e-8  # s

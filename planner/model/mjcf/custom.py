@@ -16,7 +16,7 @@ import numpy as np
 
 from planner.base.errors import ModelError
 from planner.base.gl import load_mujoco
-from planner.model.mjcf.survey import named
+from planner.model.mjcf.model_index import named
 from planner.model.mjcf.text import written
 
 VELOCITY_LIMIT = "velocity_limit"

@@ -10,8 +10,8 @@ import numpy as np
 
 from planner.base.errors import ModelError
 from planner.model.mjcf.couplings import equalities_of, read_couplings
-from planner.model.mjcf.refuse import UnsupportedElement
-from planner.model.mjcf.survey import field
+from planner.model.mjcf.model_index import field
+from planner.model.mjcf.unsupported import UnsupportedElement
 
 # Options and flags that switch a kind off.
 _OPTIONS: dict[str, tuple[dict[str, str], dict[str, str]]] = {

@@ -9,8 +9,8 @@ import numpy as np
 from planner.base.gl import load_mujoco
 from planner.model.mjcf.couplings import acting
 from planner.model.mjcf.loops import joined, joins
-from planner.model.mjcf.refuse import actuator_disabled
-from planner.model.mjcf.survey import disabled, named
+from planner.model.mjcf.model_index import disabled, named
+from planner.model.mjcf.unsupported import actuator_disabled
 
 Record = dict[str, Any]
 _UPRIGHT = 0.7  # vertical part of a slide that gravity pulls down

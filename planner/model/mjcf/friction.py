@@ -1,6 +1,6 @@
 """Read friction loss of joints from a compiled model: the numbers of planner.dynamics.friction.
 
-MuJoCo's constraint has the regularisation R = (1 - d) w / d, with d the impedance of `solimpfriction` at 0 and w the
+MuJoCo's constraint has the regularization R = (1 - d) w / d, with d the impedance of `solimpfriction` at 0 and w the
 inverse inertia of the joint at qpos0, and the damping beta of `solreffriction`: 2 / (dmax timeconst), or
 -damping / dmax in the direct format. So D = 1 / R, and what slides alone decays at d beta per s, 95 by default.
 """
@@ -11,16 +11,16 @@ from typing import Any
 
 import numpy as np
 
-from planner.model.mjcf.survey import disabled
+from planner.model.mjcf.model_index import disabled
 
-LEAST_IMPEDANCE, MOST_IMPEDANCE = 1e-4, 0.9999  # MuJoCo's mjMINIMP, mjMAXIMP
+MIN_IMPEDANCE, MAX_IMPEDANCE = 1e-4, 0.9999  # MuJoCo's mjMINIMP, mjMAXIMP
 _MUJOCO_MIN_VALUE = 1e-15  # MuJoCo's mjMINVAL
 _DEFAULT = 0.02  # s, MuJoCo's time constant where solref has numbers of both formats
 
 
 def joint_friction(model: Any) -> dict[str, Any]:
     """Loss (nv,), N m or N, inertia (nv,), kg m^2 or kg, and rate (nv,), 1/s, of friction; zeros for none."""
-    ends = np.clip(model.dof_solimp[:, :2], LEAST_IMPEDANCE, MOST_IMPEDANCE)
+    ends = np.clip(model.dof_solimp[:, :2], MIN_IMPEDANCE, MAX_IMPEDANCE)
     flat = (ends[:, 0] == ends[:, 1]) | (model.dof_solimp[:, 2] <= _MUJOCO_MIN_VALUE)
     d = np.where(flat, ends.mean(axis=1), ends[:, 0])
     positive = model.dof_solref > 0.0

@@ -25,14 +25,16 @@ from planner.base.gl import load_mujoco
 from planner.model.contact.laws import ContactLaw
 from planner.model.contact.shapes import meets_plane, plane_of, spheres_of
 from planner.model.mjcf.contact_points import points_of
-from planner.model.mjcf.sinking import rest_penetration
-from planner.model.mjcf.survey import Pair, ModelIndex
+from planner.model.mjcf.model_index import ModelIndex, Pair
+from planner.model.mjcf.rest_penetration import rest_penetration
 
-REST_PENETRATION = 3e-3  # m, of the whole machine on one contact: MuJoCo's default ground is stiffer still, but kinks want a ramp
+REST_PENETRATION = (
+    3e-3  # m, of the whole machine on one contact: MuJoCo's default ground is stiffer still, but kinks want a ramp
+)
 LOAD = 0.25  # of the weight, on one foot
 DAMPING = 1.0  # of critical, for that ground creeps back where it was pressed
 FASTEST = 2000.0  # 1/s: what 16 substeps of a stage of 10 ms follow, and some to spare for other poses
-MOST_KEYFRAMES = 10
+MAX_KEYFRAMES = 10
 TOGETHER = 0.1  # of a foot's size: points that are no higher above its lowest one stand together
 
 
@@ -100,7 +102,7 @@ def _poses(survey: ModelIndex) -> list[_Pose]:
     middle = np.array(survey.home.qpos)
     hinges = np.flatnonzero((model.jnt_limited == 1) & (model.jnt_type >= int(load_mujoco().mjtJoint.mjJNT_SLIDE)))
     middle[model.jnt_qposadr[hinges]] = model.jnt_range[hinges].mean(axis=1)
-    return [_Pose(survey, qpos) for qpos in (survey.home.qpos, middle, *model.key_qpos[:MOST_KEYFRAMES])]
+    return [_Pose(survey, qpos) for qpos in (survey.home.qpos, middle, *model.key_qpos[:MAX_KEYFRAMES])]
 
 
 class _Pose:

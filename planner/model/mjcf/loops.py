@@ -12,9 +12,9 @@ from typing import Any
 import numpy as np
 
 from planner.base.gl import load_mujoco
-from planner.model.loops import PolynomialCoupling, LoopClosure
+from planner.model.loops import LoopClosure, PolynomialCoupling
 from planner.model.mjcf.couplings import acting, is_linear
-from planner.model.mjcf.survey import named, pose
+from planner.model.mjcf.model_index import named, pose
 
 
 def closes(model: Any, i: int) -> bool:

@@ -14,7 +14,7 @@ from xml.etree import ElementTree
 import numpy as np
 
 from planner.base.gl import load_mujoco
-from planner.model.mjcf.survey import pose
+from planner.model.mjcf.model_index import pose
 
 GRID = 200
 """Cells along the longest side of a mesh: where a link fills a film of 720 lines, one is some three pixels wide."""

@@ -23,8 +23,8 @@ from planner.base.gl import load_mujoco
 from planner.model.contact.laws import ContactLaw
 from planner.model.mechanism import BALL, BALL_NEXT, SCREW, Frame, Mechanism
 from planner.model.mjcf.attached import attachments, with_attached
-from planner.model.mjcf.contact_choice import MODES, ContactMode, select_contact_mode, ground_pairs, stationary_roots
 from planner.model.mjcf.contact_edits import give_law, let_float
+from planner.model.mjcf.contact_mode import MODES, ContactMode, ground_pairs, select_contact_mode, stationary_roots
 from planner.model.mjcf.contacts import contact_refusals, phrase_of, read_contacts, read_stops
 from planner.model.mjcf.couplings import harden, read_couplings
 from planner.model.mjcf.custom import phrases_left_out, velocity_limits
@@ -32,21 +32,21 @@ from planner.model.mjcf.edit import take_out
 from planner.model.mjcf.friction import joint_friction
 from planner.model.mjcf.ground_law import laws_of_ground
 from planner.model.mjcf.loops import read_cams, read_loops
-from planner.model.mjcf.opened import ModelFile, open_model_file
+from planner.model.mjcf.model_file import ModelFile, open_model_file
+from planner.model.mjcf.model_index import ModelIndex, Pair, compile_model, disabled, field, names_of, pose, ranges_of
 from planner.model.mjcf.read_actuators import actuators_of, armature_and_damping
-from planner.model.mjcf.refuse import (  # fmt: skip
+from planner.model.mjcf.tendons import read_tendons
+from planner.model.mjcf.unsupported import (  # fmt: skip
     KINDS,
     UnsupportedElement,
     modelled,
     no_compensation,
     unsupported_elements,
 )
-from planner.model.mjcf.survey import Pair, ModelIndex, compile_model, disabled, field, names_of, pose, ranges_of
-from planner.model.mjcf.tendons import read_tendons
 from planner.model.space import unit
 
-MOST_PHRASES = 30  # in one sentence
-MOST_DOFS = 1000  # gains of a stage have as many rows as columns, and a plan has hundreds of stages
+MAX_PHRASES = 30  # in one sentence
+MAX_DOFS = 1000  # gains of a stage have as many rows as columns, and a plan has hundreds of stages
 LARGEST = 1e15
 """Of the compiled numbers that a plan computes with, in SI units: their products must not overflow."""
 _NUMBERS = (
@@ -66,7 +66,9 @@ def read(
     With `assets` nothing is read from disk. Messages call the model `name`, by default after its file.
     """
     given = attachments(attach)
-    return read_opened(lambda: with_attached(open_model_file(model, assets, name), given), ignore=ignore, contacts=contacts)
+    return read_opened(
+        lambda: with_attached(open_model_file(model, assets, name), given), ignore=ignore, contacts=contacts
+    )
 
 
 def read_opened(
@@ -83,7 +85,9 @@ def read_opened(
     given, files, survey, name, compiled = file()
     root = copy.deepcopy(given)
     original = ElementTree.tostring(root, encoding="unicode")
-    mode, phrase = select_contact_mode(survey, asked) if asked in ("auto", "ground", "avoid", "model") else ContactMode(asked)
+    mode, phrase = (
+        select_contact_mode(survey, asked) if asked in ("auto", "ground", "avoid", "model") else ContactMode(asked)
+    )
     if asked == "ground" and mode != "ground":
         words = f"contacts is 'ground', but nothing in {name} falls on a plane or box"
         raise ModelError(f'{words}: write contacts = "avoid".')
@@ -137,12 +141,12 @@ def _refuse(found: list[UnsupportedElement], name: str, survey: ModelIndex) -> N
     if not found:
         return
     kinds = dict.fromkeys(refusal.kind for refusal in found)
-    more = f" and {len(found) - MOST_PHRASES} more" if len(found) > MOST_PHRASES else ""
+    more = f" and {len(found) - MAX_PHRASES} more" if len(found) > MAX_PHRASES else ""
     options = [f'"{kind}"' for kind in kinds if kind in KINDS]
     ways = [f"ignore = [{', '.join(options)}]"] if options else []
     ways += [f'contacts = "{select_contact_mode(survey).mode}"'] if "contacts" in kinds else []
     firm = [kind for kind in kinds if kind not in KINDS and kind != "contacts"]
-    what = ", ".join(refusal.phrase for refusal in found[:MOST_PHRASES]) + more
+    what = ", ".join(refusal.phrase for refusal in found[:MAX_PHRASES]) + more
     if firm:
         advice = f"nothing takes a {' or '.join(firm)} out"
         raise ModelError(f"{name} has what changes its motion and is not modelled: {what}; {advice}.")
@@ -154,7 +158,9 @@ def mechanism_of_model(model: Any) -> Mechanism:
     return _mechanism(ModelIndex(model), "", {}, (), "the model")
 
 
-def _mechanism(survey: ModelIndex, text: str, files: dict[str, bytes], ignored: tuple[str, ...], name: str) -> Mechanism:
+def _mechanism(
+    survey: ModelIndex, text: str, files: dict[str, bytes], ignored: tuple[str, ...], name: str
+) -> Mechanism:
     model = survey.model
     if model.nv == 0:
         raise ModelError(f"{name} has no joints, expected at least one.")
@@ -205,8 +211,8 @@ def _mechanism(survey: ModelIndex, text: str, files: dict[str, bytes], ignored: 
 
 def _check_sizes(model: Any, name: str) -> None:
     """Raise ModelError for more degrees of freedom or larger numbers than the plan's arithmetic has room for."""
-    if model.nv > MOST_DOFS:
-        raise ModelError(f"{name} has {model.nv} degrees of freedom, expected at most {MOST_DOFS}.")
+    if model.nv > MAX_DOFS:
+        raise ModelError(f"{name} has {model.nv} degrees of freedom, expected at most {MAX_DOFS}.")
     for field_name in _NUMBERS:
         values = np.abs(field(model, field_name, 0))
         if not np.all(values <= LARGEST):
@@ -263,7 +269,7 @@ def _lifted(model: Any, links: np.ndarray, poses: np.ndarray) -> dict[str, Any]:
         share = model.body_gravcomp[body] * model.body_mass[body]
         mass[links[body]] += share
         moment[links[body]] += share * (poses[body] @ np.append(model.body_ipos[body], 1.0))[:3]
-    return {"lifted_mass": mass, "lifted_moment": moment}
+    return {"gravcomp_mass": mass, "gravcomp_first_moment": moment}
 
 
 def _joint_ranges(model: Any) -> np.ndarray:

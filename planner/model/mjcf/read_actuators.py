@@ -8,9 +8,9 @@ import numpy as np
 
 from planner.base.gl import load_mujoco
 from planner.model.actuators import DIRECT, FILTER, INTEGRATOR, Actuators
-from planner.model.mjcf.refuse import actuator_disabled, adheres_to_nothing
-from planner.model.mjcf.survey import disabled, field, names_of, ranges_of
+from planner.model.mjcf.model_index import disabled, field, names_of, ranges_of
 from planner.model.mjcf.tendons import row_of
+from planner.model.mjcf.unsupported import actuator_disabled, adheres_to_nothing
 
 
 def actuators_of(model: Any) -> Actuators:

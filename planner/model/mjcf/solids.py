@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 
 from planner.base.gl import load_mujoco
-from planner.model.contact.fitted import BoundingFit, fit_bounding_shape, rim_points, round_points
-from planner.model.contact.solids import CollisionShape
-from planner.model.mjcf.survey import ModelIndex
+from planner.model.contact.bounding_fit import BoundingFit, fit_bounding_shape, rim_points, round_points
+from planner.model.contact.collision_shapes import CollisionShape
+from planner.model.mjcf.model_index import ModelIndex
 
 NO_SOLID = ("hfield", "sdf")
 

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from planner.base.gl import load_mujoco
-from planner.model.mjcf.survey import disabled
+from planner.model.mjcf.model_index import disabled
 from planner.model.tendons import FixedTendon
 
 

@@ -14,7 +14,7 @@ from pathlib import Path
 from planner.base.arguments import short_repr
 from planner.base.errors import ModelError
 from planner.base.files import printable, read_input, read_text
-from planner.model.mjcf.bounds import MOST_PARENTS, Budget, base, by_name, check_copies, check_levels, parsed
+from planner.model.mjcf.input_limits import MAX_PARENTS, Budget, base, by_name, check_copies, check_levels, parsed
 
 # In the wheel mjcf/ lies inside the package, in a checkout beside it.
 _FOLDERS = (Path(__file__).parents[2] / "mjcf", Path(__file__).parents[3] / "mjcf")
@@ -97,8 +97,8 @@ def _resolved(path: Path, parents: tuple[Path, ...], reading: _Reading) -> Eleme
     place = _place(path)
     if place in parents:
         raise ModelError(f"{printable(path)} includes itself.")
-    if len(parents) > MOST_PARENTS:
-        raise ModelError(f"{printable(path)} is nested too deeply, expected at most {MOST_PARENTS} files in files.")
+    if len(parents) > MAX_PARENTS:
+        raise ModelError(f"{printable(path)} is nested too deeply, expected at most {MAX_PARENTS} files in files.")
     root = parsed(read_text(path, "the model", raises=ModelError), printable(path), reading.budget)
     _resolve_below(root, path, (*parents, place), reading)
     return root

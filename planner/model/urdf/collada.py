@@ -11,8 +11,8 @@ import numpy as np
 
 from planner.base.errors import ModelError
 
-_MOST_NODES = 10_000
-_MOST_TRIANGLES = 1_000_000  # a few lines can name a mesh many times
+_MAX_NODES = 10_000
+_MAX_TRIANGLES = 1_000_000  # a few lines can name a mesh many times
 _FACES = ("triangles", "polylist", "polygons")
 _PLACES = ("matrix", "translate", "rotate", "scale")
 
@@ -42,7 +42,7 @@ def _placed(root: ElementTree.Element) -> np.ndarray:
     if not waiting:
         return np.concatenate([np.empty((0, 3, 3)), *geometries.values()])
     found = [np.empty((0, 3, 3))]
-    for _ in range(_MOST_NODES):
+    for _ in range(_MAX_NODES):
         if not waiting:
             return np.concatenate(found)
         node, T = waiting.pop()
@@ -51,10 +51,10 @@ def _placed(root: ElementTree.Element) -> np.ndarray:
             triangles = geometries[instance.get("url", "")[1:]]
             found.append(triangles @ T[:3, :3].T + T[:3, 3])
         inside = [*node.iterfind("node"), *(shared[i.get("url", "")[1:]] for i in node.iterfind("instance_node"))]
-        if sum(map(len, found)) > _MOST_TRIANGLES:
-            raise ModelError(f"it has more than {_MOST_TRIANGLES} triangles")
+        if sum(map(len, found)) > _MAX_TRIANGLES:
+            raise ModelError(f"it has more than {_MAX_TRIANGLES} triangles")
         waiting += [(child, T) for child in inside]
-    raise ModelError(f"it has more than {_MOST_NODES} nodes")
+    raise ModelError(f"it has more than {_MAX_NODES} nodes")
 
 
 def _triangles(geometry: ElementTree.Element) -> np.ndarray:

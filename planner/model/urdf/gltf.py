@@ -11,8 +11,8 @@ from planner.base.errors import ModelError
 
 _TYPES = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
 _TRIANGLES = 4
-_MOST_NODES = 10_000
-_MOST_TRIANGLES = 1_000_000  # a few lines can name a mesh many times
+_MAX_NODES = 10_000
+_MAX_TRIANGLES = 1_000_000  # a few lines can name a mesh many times
 
 
 def glb_triangles(content: bytes) -> np.ndarray:
@@ -33,7 +33,7 @@ def _placed(scene: dict[str, Any], data: bytes) -> np.ndarray:
     nodes, found = scene.get("nodes", []), [np.empty((0, 3, 3))]
     children = {child for node in nodes for child in node.get("children", [])}
     waiting = [(node, np.eye(4)) for node in range(len(nodes)) if node not in children]
-    for _ in range(_MOST_NODES):
+    for _ in range(_MAX_NODES):
         if not waiting:
             return np.concatenate(found)
         index, T = waiting.pop()
@@ -45,10 +45,10 @@ def _placed(scene: dict[str, Any], data: bytes) -> np.ndarray:
                     points = _array(scene, part["attributes"]["POSITION"], data).astype(float)
                     corners = points if "indices" not in part else points[_array(scene, part["indices"], data).ravel()]
                     found.append((corners @ T[:3, :3].T + T[:3, 3]).reshape(-1, 3, 3))
-        if sum(map(len, found)) > _MOST_TRIANGLES:
-            raise ModelError(f"it has more than {_MOST_TRIANGLES} triangles")
+        if sum(map(len, found)) > _MAX_TRIANGLES:
+            raise ModelError(f"it has more than {_MAX_TRIANGLES} triangles")
         waiting += [(child, T) for child in node.get("children", [])]
-    raise ModelError(f"it has more than {_MOST_NODES} nodes")
+    raise ModelError(f"it has more than {_MAX_NODES} nodes")
 
 
 def _transform(node: dict[str, Any]) -> np.ndarray:

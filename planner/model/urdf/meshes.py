@@ -17,7 +17,7 @@ from planner.model.mjcf.meshes import LARGE, coarse
 from planner.model.urdf.collada import collada_triangles
 from planner.model.urdf.gltf import glb_triangles
 
-MOST_FACES = 200_000
+MAX_FACES = 200_000
 """That MuJoCo reads from an STL file."""
 _FACET = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("more", "<u2")])
 _HEADER = 84  # bytes
@@ -43,8 +43,8 @@ def mesh_triangles(path: Path) -> np.ndarray:
 
 def stl(triangles: np.ndarray) -> bytes:
     """A binary STL of triangles (n, 3, 3)."""
-    if len(triangles) > MOST_FACES:
-        raise ModelError(f"it has {len(triangles)} faces, expected at most {MOST_FACES}")
+    if len(triangles) > MAX_FACES:
+        raise ModelError(f"it has {len(triangles)} faces, expected at most {MAX_FACES}")
     facets = np.zeros(len(triangles), dtype=_FACET)
     facets["corners"] = triangles
     return bytes(_HEADER - 4) + len(triangles).to_bytes(4, "little") + facets.tobytes()

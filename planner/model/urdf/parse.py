@@ -8,11 +8,11 @@ from xml.etree import ElementTree
 
 from planner.base.arguments import short_repr
 from planner.base.errors import ModelError
-from planner.model.mjcf.bounds import parsed
+from planner.model.mjcf.input_limits import parsed
 from planner.model.urdf.elements import joint_of, link_of, rgba_of
 from planner.model.urdf.robot import SCALAR, Joint, Link, Robot
 
-MOST_PREFIXES = 50
+MAX_PREFIXES = 50
 _PREFIX = re.compile(r"<([A-Za-z][\w.-]*):")
 
 
@@ -44,7 +44,7 @@ def _with_prefixes(text: str) -> str:
     """The text with all prefixes of elements declared: readers of URDF know no namespaces, so files do not do it."""
     start = text.find("<robot")
     undeclared = [prefix for prefix in dict.fromkeys(_PREFIX.findall(text)) if f"xmlns:{prefix}" not in text]
-    if start < 0 or len(undeclared) > MOST_PREFIXES:
+    if start < 0 or len(undeclared) > MAX_PREFIXES:
         return text
     names = "".join(f' xmlns:{prefix}="{prefix}"' for prefix in undeclared)
     return f"{text[: start + 6]}{names}{text[start + 6 :]}"
@@ -70,7 +70,9 @@ def _check_references(joints: list[Joint], links: dict[str, Link], name: str) ->
     for joint in joints:
         for end in (joint.parent, joint.child):
             if end not in links:
-                raise ModelError(f"joint {joint.name!r} of {name} names the link {short_repr(end)}, which it does not have.")
+                raise ModelError(
+                    f"joint {joint.name!r} of {name} names the link {short_repr(end)}, which it does not have."
+                )
         leader, seen = joint, {joint.name}
         while leader.mimic is not None:
             if leader.mimic[0] not in moving:

@@ -10,7 +10,7 @@ from typing import Any
 from planner.base.errors import ModelError, PlannerError
 from planner.model.contact.laws import ContactLaw
 from planner.model.mechanism import Mechanism
-from planner.model.mjcf.opened import ModelFile, open_model_file
+from planner.model.mjcf.model_file import ModelFile, open_model_file
 from planner.model.mjcf.read import read
 from planner.model.urdf.as_mjcf import as_mjcf, is_urdf
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from planner.base.errors import PlannerError
 from planner.paper.methods.adjoint import Partials
-from planner.paper.methods.rates import ContinuousDynamics
+from planner.paper.methods.continuous_dynamics import ContinuousDynamics
 from planner.problem.costs.tracking import TrackingCost
 from planner.problem.problem import Problem
 

@@ -112,7 +112,13 @@ def minimum_near(problem: Problem, us: np.ndarray, most: int = 300) -> tuple[Pla
     """
     near = replace(problem, us=us)
     try:
-        plan = solve(near, hessian="exact", max_iterations=most, decrease_tolerance=DONE, gain_tolerance=0.0)
+        plan = solve(
+            near,
+            hessian="exact",
+            max_iterations=most,
+            expected_reduction_tolerance=DONE,
+            actual_reduction_tolerance=0.0,
+        )
     except PlannerError:  # contacts and stops have none
-        plan = solve(near, max_iterations=most, decrease_tolerance=DONE, gain_tolerance=0.0)
+        plan = solve(near, max_iterations=most, expected_reduction_tolerance=DONE, actual_reduction_tolerance=0.0)
     return plan, curvature(problem, plan.xs, plan.us)

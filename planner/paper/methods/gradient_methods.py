@@ -20,7 +20,7 @@ import numpy as np
 
 from planner.base.arguments import choice, count, number, short_repr
 from planner.base.errors import PlannerError
-from planner.kernels.lq.search import ARMIJO_C1
+from planner.kernels.lq.line_search import ARMIJO_C1
 from planner.kernels.lq.workspace import INDEFINITE
 from planner.problem.plan import Status
 from planner.problem.problem import Problem
@@ -166,7 +166,11 @@ class _Walk:
     """Where a search is, and its history."""
 
     def __init__(
-        self, objective: _Objective, us: np.ndarray, tolerance: float, callback: Callable[[GradientIteration], object] | None
+        self,
+        objective: _Objective,
+        us: np.ndarray,
+        tolerance: float,
+        callback: Callable[[GradientIteration], object] | None,
     ) -> None:
         self.objective, self.us, self.history = objective, us.copy(), list[GradientIteration]()
         self.cost = self.norm = math.nan

@@ -23,7 +23,7 @@ from planner.problem.problem import Problem
 ROOTS = ("hybr", "lm", "krylov", "df-sane")  # of scipy.optimize.root
 FOUND = 1e-6  # of the scale: the residual of a costate that is said to be found
 _LARGEST = 1e8  # of any state or costate: a flow beyond has run away
-_MOST_RATES = 3_000  # of one flow
+_MAX_RATES = 3_000  # of one flow
 _DIFFERENCE = 1e-5  # of an initial costate, relative
 
 
@@ -102,7 +102,7 @@ class HamiltonianFlow:
         def rates(_: float, y: np.ndarray) -> np.ndarray:
             nonlocal calls
             calls += 1
-            if calls > _MOST_RATES or not np.abs(y).max() < _LARGEST:
+            if calls > _MAX_RATES or not np.abs(y).max() < _LARGEST:
                 raise _Away
             return self.rates(y)
 

@@ -231,7 +231,7 @@ def bfgs(
     cost: Callable[[np.ndarray], tuple[float, np.ndarray]], first: np.ndarray, gradient_tolerance: float,
     max_iterations: int, scale: float = 1.0,
 ) -> tuple[np.ndarray, dict[str, Any]]:  # fmt: skip
-    """Minimise J/scale by BFGS, and return the minimiser and the fields of a SplineDescent but its spline.
+    """Minimize J/scale by BFGS, and return the minimizer and the fields of a SplineDescent but its spline.
 
     The cost is a function of the free amplitudes that returns J and its gradient. BFGS ends when no component of the
     gradient of J/scale is larger than its tolerance.

@@ -21,8 +21,8 @@ from planner.base.errors import PlannerError
 from planner.kernels.integrators import EULER
 from planner.kernels.numba.jit import announce
 from planner.kernels.tree import batch as tree_batch
+from planner.kernels.tree.mechanism_table import Model
 from planner.kernels.tree.memory import TreeMemory
-from planner.kernels.tree.model import Model
 from planner.model.mechanism import Mechanism
 from planner.paper.methods.adjoint import AdjointCost, Integration, Partials
 from planner.paper.methods.splines import (

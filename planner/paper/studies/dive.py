@@ -18,7 +18,7 @@ from planner.dynamics import RigidBodyDynamics
 from planner.dynamics.momentum import angular_momentum
 from planner.paper.studies.records import plan_record, table
 from planner.paper.studies.study import Row, Study, timed
-from planner.problem.guess import rollout_states
+from planner.problem.initial_guess import rollout_states
 from planner.problem.plan import Plan
 from planner.proof.replays.replaying import replay
 from planner.solvers.slq import solve
@@ -27,7 +27,7 @@ from planner.view.plots.style import HUES, INK, dress, grid_of, legend_below, sa
 DIVES = ((1.5, 0.0, 4.0), (1.5, 1.0, 4.0), (2.5, 0.0, 6.0))  # somersaults, twists, rad/s at take-off
 SHOWN = 1  # the default one: it is drawn, and its momentum is followed
 PARTS = (1, 2, 4, 8)  # of the plan's stage
-MOST_ITERATIONS = 300
+MAX_ITERATIONS = 300
 
 
 def _run() -> dict[str, Any]:
@@ -35,12 +35,12 @@ def _run() -> dict[str, Any]:
     for somersaults, twists, rate in DIVES:
         plan, seconds = timed(lambda: solve(
             high_dive(somersaults, twists, somersault_rate=rate),  # noqa: B023
-            max_iterations=MOST_ITERATIONS,
+            max_iterations=MAX_ITERATIONS,
         ))  # fmt: skip
         plans.append(plan)
         dives.append(_dive(plan, seconds))
     plan = plans[SHOWN]
-    alone = solve(high_dive(twists=0.0, posture_weight=0.0, calm_weight=0.0), max_iterations=MOST_ITERATIONS)
+    alone = solve(high_dive(twists=0.0, posture_weight=0.0, calm_weight=0.0), max_iterations=MAX_ITERATIONS)
     mechanism, run = _mechanism(plan), replay(plan, feedback=True)
     names = mechanism.joint_names[1:]
     return {

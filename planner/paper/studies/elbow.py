@@ -33,7 +33,7 @@ TOLERANCES = (1e-3, 1e-4, 1e-5, 1e-6, 1e-8, 1e-10)
 REFERENCE = Integration(1e-11, "DOP853")
 DESCENTS = ((1e-3, 40), (1e-4, 50))  # tolerance and iterations of BFGS from the first guess
 POLISH = (1e-5, 25)  # and from where the last of these gave up
-STAGES = (150, 300)  # of SLQ's discretisation
+STAGES = (150, 300)  # of SLQ's discretization
 GRADIENT_RATIO = 2e-3  # of the first gradient: as small as that of Eq. 7 gets here
 DURATION = 3.0  # s, that of our acrobot
 
@@ -180,7 +180,7 @@ def _rows(results: dict[str, Any]) -> list[Row]:
         Row("2.2, Eq. 7", "Swing-up from q1 = -1.0 by splines, after tolerances were adjusted",
             f"J {last['cost']:.3g}, angles within {last['angle_miss']:.3f} rad; BFGS: {last['message']} "
             f"SLQ: J {plan['cost']:.3g}",
-            "masses and t_f are ours; another parametrisation, another local minimum"),
+            "masses and t_f are ours; another parametrization, another local minimum"),
         Row("2.2", "The acrobot takes about 5 minutes on a PIII-800 at best",
             f"{seconds:.1f} s by splines, {plan['seconds']:.3f} s by SLQ",
             "the splines integrate adaptively in Python around compiled dynamics; SLQ is compiled"),

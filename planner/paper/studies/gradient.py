@@ -160,7 +160,7 @@ def _rows(results: dict[str, Any]) -> list[Row]:
             "only tiny steps lower the cost"),
         Row("3.3, Eq. 37", "The LQ problem has the Hessian of the cost alone (Gauss-Newton)",
             f"with the dynamics' second derivatives too, {all_cases(exact)}",
-            "away from a minimum the exact Hessian is indefinite and needs regularisation: it pays where "
+            "away from a minimum the exact Hessian is indefinite and needs regularization: it pays where "
             "Gauss-Newton is slow, not here (docs/measured.md)"),
         Row("5", '"The algorithm converges quickly to the optimal solution"', all_cases(slq),
             "with the feedback update, to a local minimum; the paper gives neither counts nor times here"),

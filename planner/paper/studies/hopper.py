@@ -34,7 +34,7 @@ LIMIT = 2000  # iterations; a solve that needs more counts as failed
 def paper_plan(height: float, *, update: str = "open-loop", tolerance: float = 1e-10, **changes: float) -> Plan:
     """The paper's hopper problem for a height, solved by the paper's method or with changes."""
     problem = cases.build("hopper", height=height, **{**PAPER, **changes})
-    return solve(problem, update=update, max_iterations=LIMIT, decrease_tolerance=tolerance)
+    return solve(problem, update=update, max_iterations=LIMIT, expected_reduction_tolerance=tolerance)
 
 
 def _run() -> dict[str, Any]:

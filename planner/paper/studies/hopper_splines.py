@@ -1,6 +1,6 @@
 """The hopper by B-splines and BFGS (section 2.4), which the paper could not make converge.
 
-The problem is the paper's discretised one (explicit Euler, N = 50; see cases.hopper.PAPER). Once with the exact
+The problem is the paper's discretized one (explicit Euler, N = 50; see cases.hopper.PAPER). Once with the exact
 gradient of that very sum by the discrete costate (Eq. 16-19), once as in sections 2.2 and 2.3: J integrated
 adaptively and its gradient by Eq. 7. Both from controls of zero; SLQ beside them.
 """
@@ -121,7 +121,7 @@ def _page(results: dict[str, Any]) -> list[str]:
         "## The hopper by B-splines (section 2.4)", "",
         "The paper's problem (explicit Euler, N = 50, q_fin = 1000), u(t) a quintic B-spline, from zero, by BFGS.", "",
         "![cost by iteration, error of the gradient](hopper_splines.png)", "",
-        "With the exact gradient of the discretised J (Eq. 16-19 times the basis functions):", "",
+        "With the exact gradient of the discretized J (Eq. 16-19 times the basis functions):", "",
         *table({
             "height, in": "{height:g}", "coefficients": "{coefficients}", "J": "{cost:.1f}", "J of SLQ": "{slq:.1f}",
             "iterations": "{iterations}", "converged": "{ended}", "condition of the Hessian": "{conditioned}",
@@ -173,7 +173,7 @@ def _rows(results: dict[str, Any]) -> list[Row]:
                       f"{'converged' if r['success'] else 'not converged'}" for r in adjoint)
             + f" ({sum(r['seconds'] for r in adjoint):.0f} s)",
             _said(results)),
-        Row("2.4", "The same splines with the exact gradient of the discretised cost: not tried",
+        Row("2.4", "The same splines with the exact gradient of the discretized cost: not tried",
             f"{sum(r['success'] for r in exact)} of {len(exact)} converge, in "
             f"{min(r['iterations'] for r in exact)} to {max(r['iterations'] for r in exact)} iterations "
             f"({sum(r['seconds'] for r in exact):.0f} s)",

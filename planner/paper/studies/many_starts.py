@@ -44,7 +44,7 @@ def from_many(
         us = size * smooth(np.random.default_rng([0, number]), problem.first_guess.shape)
         return solve(
             replace(problem, us=us), update=update, line_search=search, max_iterations=LIMIT,
-            decrease_tolerance=TOLERANCE, gain_tolerance=0.0, callback=heed,
+            expected_reduction_tolerance=TOLERANCE, actual_reduction_tolerance=0.0, callback=heed,
         )  # fmt: skip
 
     pool = ThreadPoolExecutor(processors())

@@ -23,7 +23,7 @@ from planner.model.mjcf.text import edited, written
 from planner.paper.methods.splines import Boundary, SplineMotion, minimize_effort
 from planner.paper.studies.records import plan_record, row_of, table
 from planner.paper.studies.study import Row, Study, timed
-from planner.problem.guess import inverse_dynamics_controls, quintic
+from planner.problem.initial_guess import inverse_dynamics_controls, quintic
 from planner.problem.problem import Problem
 from planner.solvers.slq import solve
 from planner.view.plots.style import HUES, INK, dress, panels_of, save

@@ -13,7 +13,7 @@ import numpy as np
 
 from planner import cases
 from planner.dynamics import algorithms as rigid_body
-from planner.dynamics import poe
+from planner.dynamics import product_of_exponentials
 from planner.paper.studies.closed_chains import SECONDS, closed_form_error, drift
 from planner.paper.studies.masses import arm_mechanism, by_splines, with_first_effort
 from planner.paper.studies.records import plan_record, table
@@ -55,7 +55,7 @@ def inverse_dynamics_error(case: str, states: int = STATES) -> float:
     mechanism, rng = cases.build(case).dynamics.mechanism, np.random.default_rng(0)  # type: ignore[attr-defined]
     q, qd, qdd = rng.normal(size=(3, states, mechanism.nv))
     fast = rigid_body.rnea(mechanism, q, qd, qdd)
-    plain = np.array([poe.rnea(mechanism, *one) for one in zip(q, qd, qdd, strict=True)])
+    plain = np.array([product_of_exponentials.rnea(mechanism, *one) for one in zip(q, qd, qdd, strict=True)])
     return float(np.abs(fast - plain).max() / np.abs(plain).max())
 
 
@@ -139,7 +139,7 @@ def _rows(results: dict[str, Any]) -> list[Row]:
             "the paper's four, and two more: an arm for its reference [20], a diver for [16]. Its arm without a base "
             "motor is the acrobot"),
         Row("1.2, Fig. 2", "Recursive inverse dynamics by matrix exponentials",
-            f"as printed in poe.py, compiled: relative difference {results['inverse_dynamics_error']:.1e}",
+            f"as printed in product_of_exponentials.py, compiled: relative difference {results['inverse_dynamics_error']:.1e}",
             "it does not differ; gravity enters as acceleration of the base, which the figure leaves out"),
         Row("1.2", "The kinematics of closed chains by a set of algebraic constraints (no example)",
             f"a parallelogram against its closed form: relative difference {results['closed_form_error']:.1e}; open by "

@@ -25,7 +25,7 @@ DURATION = 2.0  # s, section 2.1
 HORIZONS = (0.1, 0.25, 0.5, 1.0, 2.0)  # s
 FROM_ZERO = (0.1, 0.25, 0.5)  # those of them on which shooting starts from zero
 TIMES = np.linspace(0.05, DURATION, 40)  # s, along the optimum of 2 s
-MOST_FLOWS = 60  # a root that takes more is not found
+MAX_FLOWS = 60  # a root that takes more is not found
 TOLERANCE = 1e-9  # of the flows whose differences are taken
 LOOSER = 1e-7  # of those of the root finder
 
@@ -48,7 +48,7 @@ def shooting_jacobian(flow: HamiltonianFlow, sensitivity: np.ndarray) -> np.ndar
 
 def _tried(duration: float, name: str, guess: np.ndarray, optimum: np.ndarray) -> dict[str, Any]:
     problem = two_link(duration=duration)
-    found, seconds = timed(lambda: shoot(problem, guess, max_evaluations=MOST_FLOWS, tolerance=LOOSER))
+    found, seconds = timed(lambda: shoot(problem, guess, max_evaluations=MAX_FLOWS, tolerance=LOOSER))
     return {
         "duration": duration, "guess": name, "success": found.success,
         "relative_residual": found.residual / found.scale,
@@ -97,7 +97,7 @@ def _page(results: dict[str, Any]) -> list[str]:
     return [
         "## Indirect shooting (section 2.1)", "",
         "Two-link arm, x and lambda integrated forward with H_u = 0 (Eq. 3, 4), lambda(0) by `scipy.optimize.root`;",
-        f"found means that lambda(t_f) is phi_x to 1e-6 of it. At most {MOST_FLOWS} flows.", "",
+        f"found means that lambda(t_f) is phi_x to 1e-6 of it. At most {MAX_FLOWS} flows.", "",
         "![sensitivity of the final costate](shooting_sensitivity.png)", "",
         *table({
             "t_f, s": "{duration:g}", "first guess of lambda(0)": "{guess}",

@@ -1,7 +1,7 @@
 """The paper's Table 1 as printed, beside the sweep that is used here, on random LQ problems.
 
 The table inverts I + B R^-1 B' P at every stage (Eq. 31) and gives controls through the costate (Eq. 25, 28, 30); the
-sweep factorises R + B'PB and gives gains. With gradients q, r in place of offsets: u_o = -R^-1 r, -Q x_o = q.
+sweep factorizes R + B'PB and gives gains. With gradients q, r in place of offsets: u_o = -R^-1 r, -Q x_o = q.
 """
 
 from __future__ import annotations

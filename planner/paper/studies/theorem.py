@@ -20,10 +20,10 @@ import numpy as np
 from planner import cases
 from planner.cases.hopper import PAPER
 from planner.paper.studies.many_starts import LAST, LIMIT, SAME_COST_TOLERANCE, TOLERANCE, from_many
+from planner.paper.studies.recorded_solve import RecordedSweep, record_solve
 from planner.paper.studies.records import table
 from planner.paper.studies.study import Row, Study
 from planner.paper.studies.table_1 import random_lq, swept
-from planner.paper.studies.watched import RecordedSweep, record_solve
 from planner.problem.costs.terms import Quadratic
 from planner.problem.problem import Problem
 from planner.solvers import lq
@@ -82,12 +82,12 @@ def theorem_results(
 def identity_errors(A: np.ndarray, B: np.ndarray, model: Quadratic, step: RecordedSweep) -> tuple[float, float, float]:
     """Eq. 42 for one LQ problem: its right side, and the relative errors of grad . dU and of the sweep's slope.
 
-    The step is the sweep's result for A (N, ndx, ndx), B (N, ndx, nu); its regularisation counts as part of R.
+    The step is the sweep's result for A (N, ndx, ndx), B (N, ndx, nu); its regularization counts as part of R.
     """
     ndx, nu = B.shape[1:]
     sweep = lq.Sweep(step.K, step.k, np.empty((0, ndx, ndx)), np.empty((0, ndx)), step.slope, 0.5 * step.slope)
     dxs, dus = lq.direction(A, B, sweep)
-    R = model.R + step.regularisation * np.eye(nu)
+    R = model.R + step.regularization * np.eye(nu)
     right = -float(np.einsum("ni,nij,nj->", dxs, model.Q, dxs) + np.einsum("ni,nij,nj->", dus, R, dus))
     left = float(np.sum(step.gradient * dus))  # Eq. 39
     scale = abs(right) or 1.0

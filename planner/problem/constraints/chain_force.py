@@ -10,8 +10,8 @@ from planner.base.arguments import choice
 from planner.base.errors import PlannerError
 from planner.dynamics import Dynamics, RigidBodyDynamics, constraint_forces
 from planner.problem.constraints.constraint import Constraint
-from planner.problem.constraints.measures import UserFunction
-from planner.problem.constraints.of_terms import machine_of
+from planner.problem.constraints.constraint_functions import UserFunction
+from planner.problem.constraints.quantities import machine_of
 
 
 @dataclass(frozen=True)

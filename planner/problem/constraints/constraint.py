@@ -2,7 +2,7 @@
 
     h(x, u) = equal,   or   least <= h(x, u) <= most,   one of the two sides or both
 
-to a tolerance, by the augmented Lagrangian of planner.solvers.augmented. What h is:
+to a tolerance, by the augmented Lagrangian of planner.solvers.augmented_lagrangian. What h is:
 
     a term of planner.costs (Height, Distance, Gap, Velocity, ...), which says itself what it wants
     a quantity of planner.constraints (Power, ...), which has `measure(dynamics, N)` (see measures)

@@ -11,7 +11,7 @@ from planner.dynamics import Dynamics
 from planner.model.actuators import DIRECT
 from planner.model.mechanism import SCREW, Mechanism
 from planner.model.space import space_of
-from planner.problem.constraints.of_terms import machine_of
+from planner.problem.constraints.quantities import machine_of
 from planner.problem.costs.weights import places
 
 

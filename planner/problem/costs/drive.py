@@ -21,7 +21,7 @@ import numpy as np
 from planner.base.arguments import LONGEST_HORIZON, array, count, numbers, short_repr
 from planner.base.errors import PlannerError
 from planner.dynamics import RigidBodyDynamics
-from planner.model.mjcf.driven import PRESCRIBED_ARMATURE, prescribed_dofs, with_force_inputs
+from planner.model.mjcf.prescribed_joints import PRESCRIBED_ARMATURE, prescribed_dofs, with_force_inputs
 from planner.problem.costs.jerk import Accelerations
 from planner.problem.costs.terms import Quadratic, Term
 
@@ -41,7 +41,9 @@ class DriveCost(Term):
 
     def __init__(self, dynamics: Any, horizon: int, weight: Any, reference: Any = 0.0) -> None:
         if not isinstance(dynamics, RigidBodyDynamics) or not dynamics.prescribed:
-            raise PlannerError(f"the machine is {short_repr(dynamics)}, expected RigidBodyDynamics with prescribed joints.")
+            raise PlannerError(
+                f"the machine is {short_repr(dynamics)}, expected RigidBodyDynamics with prescribed joints."
+            )
         self.N = count("horizon", horizon, maximum=LONGEST_HORIZON)
         self.space, self.nu, self.dt = dynamics.space, dynamics.nu, dynamics.dt
         self.nx, self.ndx = dynamics.nx, dynamics.ndx
@@ -84,7 +86,7 @@ class DriveCost(Term):
         return 0.5 * self.dt * float(np.sum(self.weight * away**2))
 
     def quadratize(self, xs: np.ndarray, us: np.ndarray) -> Quadratic:
-        """Gradients, and the Hessian of the linearised forces with its mixed part."""
+        """Gradients, and the Hessian of the linearized forces with its mixed part."""
         N, ndx, first = len(us), self.ndx, self.nu - len(self.dofs)
         forces, controls = self._forces(xs[:N], us)
         by_x, by_u = (part[:, self.dofs] for part in self._accelerations.derivatives(xs[:N], controls))

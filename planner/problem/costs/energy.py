@@ -12,7 +12,7 @@ SLQ needs a quadratic model. The gradient is e'(p) dp, and in place of the Hessi
 
     e'(p)/p dp dp',     e'(p)/p = 1 / sqrt(p^2 + s^2):
 
-the parabola through e(p) with its slope there that is nowhere below e (e is concave in p^2), of the power linearised
+the parabola through e(p) with its slope there that is nowhere below e (e is concave in p^2), of the power linearized
 along the dynamics, since it belongs to both ends of its stage. It has a mixed term S: power is force times speed.
 """
 
@@ -27,7 +27,7 @@ from planner.base.errors import PlannerError
 from planner.dynamics import RigidBodyDynamics
 from planner.model.actuators import DIRECT
 from planner.model.mechanism import SCREW, Mechanism
-from planner.model.mjcf.driven import heavy_joints
+from planner.model.mjcf.prescribed_joints import heavy_joints
 from planner.problem.costs.terms import Quadratic, Term
 
 SMOOTHING = 1.0

@@ -12,7 +12,7 @@ from planner.kernels.tree.residuals.table import ANGULAR, LINEAR, ORIENTATION, P
 from planner.model.mechanism import Frame
 from planner.problem.costs.residuals.arrays import ResidualList
 from planner.problem.costs.residuals.cost import GoalRows, ResidualCost
-from planner.problem.costs.residuals.per_stage import WeightedTarget, StageData
+from planner.problem.costs.residuals.per_stage import StageData, WeightedTarget
 from planner.problem.costs.residuals.turns import rotation_of
 from planner.problem.costs.tracking import mechanism_and_step
 
@@ -36,7 +36,7 @@ class FrameCost(ResidualCost):
         machine: RigidBodyDynamics or a Mechanism.
         frame: Name of a site or body, or a Frame.
         position: (3,) or (N+1, 3) m, in the world.
-        orientation: (4,) or (N+1, 4) quaternion, w first; normalised.
+        orientation: (4,) or (N+1, 4) quaternion, w first; normalized.
         pose: (7,) or (N+1, 7) position and quaternion. Where both count and the frame is far from its goal its
             logarithm leads there along a screw, position and orientation apart along a straight line.
         pointing: The frame's own axis (3,), and the direction (3,) or (N+1, 3) in the world that it is to have; a turn
@@ -140,7 +140,9 @@ def _pointing(pointing: Any) -> tuple[np.ndarray, np.ndarray | None]:
     return axis / np.linalg.norm(axis), direction / np.linalg.norm(direction, axis=-1, keepdims=True)
 
 
-def _term(kind: int, rotation: np.ndarray, axis: np.ndarray, asked: WeightedTarget, stages: StageData) -> dict[str, Any]:
+def _term(
+    kind: int, rotation: np.ndarray, axis: np.ndarray, asked: WeightedTarget, stages: StageData
+) -> dict[str, Any]:
     """What ResidualList.add needs of a term beside its weights."""
     target = stages.rows(asked.target)
     if kind not in (ORIENTATION, POSE):

@@ -33,9 +33,9 @@ from planner.base.arguments import array, number, short_repr
 from planner.base.errors import PlannerError
 from planner.dynamics import RigidBodyDynamics
 from planner.model.mechanism import Mechanism
-from planner.model.mjcf.driven import prescribe_joints, heavy_joints, in_order, twin_of
+from planner.model.mjcf.model_index import compile_model
+from planner.model.mjcf.prescribed_joints import heavy_joints, in_order, prescribe_joints, twin_of
 from planner.model.mjcf.read import read
-from planner.model.mjcf.survey import compile_model
 from planner.model.space import StateSpace
 from planner.problem.costs.terms import Quadratic, Term, extended_cost
 from planner.problem.problem import Problem
@@ -46,7 +46,9 @@ class Accelerations:
 
     def __init__(self, dynamics: Any) -> None:
         if not isinstance(dynamics, RigidBodyDynamics):
-            raise PlannerError(f"the machine is {short_repr(dynamics)}, expected RigidBodyDynamics: jerk is that of joints.")
+            raise PlannerError(
+                f"the machine is {short_repr(dynamics)}, expected RigidBodyDynamics: jerk is that of joints."
+            )
         self.dynamics, self.nv = dynamics, dynamics.mechanism.nv
         # After one explicit Euler step of 1 s a velocity is v + qdd: its Jacobian less the identity is that of qdd.
         self._euler = RigidBodyDynamics(dynamics.mechanism, 1.0, "euler", dynamics.prescribed)
@@ -164,7 +166,7 @@ class AugmentedStateJerkCost(Term):
         return 0.5 * self.cost.weight * self.cost.dt * float(np.sum(self._jerks(xs, us) ** 2))
 
     def quadratize(self, xs: np.ndarray, us: np.ndarray) -> Quadratic:
-        """Exact gradients, and the Hessian of the linearised jerks."""
+        """Exact gradients, and the Hessian of the linearized jerks."""
         own, (N, nu), nv = self.cost, us.shape, self.cost.accelerations.nv
         jerks, weight = self._jerks(xs, us), own.weight * own.dt
         J, Ju = np.zeros((N + 1, nv, self.ndx)), np.zeros((N, nv, nu))
@@ -199,7 +201,8 @@ def with_acceleration(problem: Problem, **changes: Any) -> Problem:
 def driven_by_jerk(mechanism: Mechanism, joints: Collection[str]) -> Mechanism:
     """A machine whose controls are the jerks of some of its joints.
 
-    It is the model in which MuJoCo replays prescribed joints, made heavy and pushed as hard (see model.mjcf.driven),
+    It is the model in which MuJoCo replays prescribed joints, made heavy and pushed as hard (see
+    model.mjcf.prescribed_joints),
     with motors that integrate. What the rest of the machine does to such a joint is felt as that force over HEAVY.
 
     Args:
@@ -212,7 +215,7 @@ def driven_by_jerk(mechanism: Mechanism, joints: Collection[str]) -> Mechanism:
 
     Raises:
         PlannerError: No joint, or one that the machine does not have.
-        ModelError: As planner.model.mjcf.driven.twin_of.
+        ModelError: As planner.model.mjcf.prescribed_joints.twin_of.
     """
     if not isinstance(mechanism, Mechanism) or not mechanism.mjcf:
         raise PlannerError(f"mechanism is {short_repr(mechanism)}, expected a Mechanism that was read from an MJCF.")

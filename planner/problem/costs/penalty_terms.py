@@ -21,7 +21,7 @@ import numpy as np
 
 from planner.base.arguments import array, number, numbers, set_fields, short_repr
 from planner.base.errors import PlannerError
-from planner.model.contact.solids import CollisionShape
+from planner.model.contact.collision_shapes import CollisionShape
 from planner.model.mechanism import Frame
 
 WANTED = ("least", "most", "target")
@@ -45,7 +45,9 @@ class Point:
 
     def __post_init__(self) -> None:
         if not (self.frame is None or isinstance(self.frame, (str, Frame))):
-            raise PlannerError(f"frame is {short_repr(self.frame)}, expected a Frame, the name of a site or body, or None.")
+            raise PlannerError(
+                f"frame is {short_repr(self.frame)}, expected a Frame, the name of a site or body, or None."
+            )
         world = numbers("world", self.world)
         world = array("world", world, ("N+1", 3) if world.ndim == 2 else (3,))
         set_fields(self, offset=array("offset", self.offset, (3,)), share=number("share", self.share), world=world)
@@ -209,7 +211,7 @@ class Clearance(Penalty):
 
     Attributes:
         a: The first Solid; planner.constraints.Avoid makes them of a model's shapes.
-        b: The second, in the order of model.contact.solids.in_order.
+        b: The second, in the order of model.contact.collision_shapes.in_order.
         lift: m, added to the distance: what a fit overstates at the start.
     """
 

@@ -13,8 +13,8 @@ from planner.base.errors import PlannerError
 from planner.model.coordinates import Coordinate
 from planner.model.mechanism import Mechanism
 from planner.model.space import StateSpace, euclidean
+from planner.problem.costs.goal_spec import GoalSpec
 from planner.problem.costs.terms import Cost, Quadratic, Term, per_stage
-from planner.problem.costs.wanted import GoalSpec
 from planner.problem.costs.weights import diagonal, matrices, places
 
 
@@ -27,7 +27,7 @@ class TrackingCost(Term):
     Args:
         Q: (N+1, ndx, ndx) state weights, symmetric positive semidefinite; the last is the final one.
         R: (N, nu, nu) control weights, symmetric positive definite.
-        x_ref: (N+1, nx), (nx,) or a number. Quaternions are normalised.
+        x_ref: (N+1, nx), (nx,) or a number. Quaternions are normalized.
         u_ref: (N, nu), (nu,) or a number.
         space: Of the states; plain vectors by default.
 
@@ -217,7 +217,7 @@ def tracking_of(cost: Any) -> TrackingCost | None:
 
 
 def states(name: str, value: Any, space: StateSpace, leading: tuple[int | str, ...] = ("N+1",)) -> np.ndarray:
-    """States (*leading, nx) that a caller hands in: finite, with quaternions normalised."""
+    """States (*leading, nx) that a caller hands in: finite, with quaternions normalized."""
     x = array(name, value, (*leading, space.nx))
     for i, _ in space.quaternions:
         length = np.linalg.norm(x[..., i : i + 4], axis=-1, keepdims=True)

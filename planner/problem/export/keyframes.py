@@ -14,7 +14,7 @@ import numpy as np
 
 from planner.base.errors import PlannerError
 from planner.base.files import PathLike, write_atomically
-from planner.model.mjcf.survey import compile_model
+from planner.model.mjcf.model_index import compile_model
 from planner.problem.export.sampled import Motion, sampled
 
 MAX_KEYFRAMES = 10_000  # MuJoCo lists them all
@@ -36,7 +36,9 @@ def write_keyframes(plan: Motion, path: PathLike, rate: float | None = None) -> 
         raise PlannerError("keyframes need the states of a MuJoCo model, but the plan has none; write a CSV.")
     samples = sampled(plan, rate)
     if len(samples.t) > MAX_KEYFRAMES:
-        raise PlannerError(f"the plan makes {len(samples.t)} keyframes, expected at most {MAX_KEYFRAMES}: lower the rate.")
+        raise PlannerError(
+            f"the plan makes {len(samples.t)} keyframes, expected at most {MAX_KEYFRAMES}: lower the rate."
+        )
     model: Any = compile_model(plan.twin.mjcf, plan.twin.assets)
     qpos, qvel, act = np.split(plan.twin.sim_of(samples.xs), [model.nq, model.nq + model.nv], axis=1)
     rows = {"qpos": qpos, "qvel": qvel, "act": act}

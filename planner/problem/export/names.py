@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from planner.model.coordinates import Coordinate, controls_of_mechanism, coordinates_of
 from planner.model.mechanism import Mechanism
-from planner.model.mjcf.driven import in_order
+from planner.model.mjcf.prescribed_joints import in_order
 from planner.problem.export.sampled import Motion
 
 POSITION = "position of "  # before a joint's name where an actuator is called the same

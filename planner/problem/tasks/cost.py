@@ -16,17 +16,17 @@ from planner.base.arguments import number
 from planner.dynamics import RigidBodyDynamics
 from planner.dynamics.inverse_kinematics import Target
 from planner.dynamics.kinematics import frame_pose, jacobian
-from planner.kernels.tree.model import chain_of
+from planner.kernels.tree.mechanism_table import chain_of
 from planner.model.coordinates import coordinates_of_mechanism
 from planner.model.mechanism import Mechanism
 from planner.problem.costs.frame import FrameCost
+from planner.problem.costs.goal_spec import GoalSpec
 from planner.problem.costs.terms import SumCost
 from planner.problem.costs.tracking import TrackingCost
-from planner.problem.costs.wanted import GoalSpec
 from planner.problem.default_weights import VELOCITY
 from planner.problem.goals import MIN_TOLERANCES
 from planner.problem.tasks.follow import Follow
-from planner.problem.tasks.timetable import Task, TimedGoal, unit_of
+from planner.problem.tasks.timed_task import Task, TimedGoal, unit_of
 
 WEIGHT = 4.0  # over the square of a goal's tolerance
 RATE = 25.0  # 1/s, of a path beside a goal

@@ -111,7 +111,9 @@ def follow_of(value: Any, name: str) -> Follow:
         return value
     keys = [one.name for one in fields(Follow)]
     if not isinstance(value, Mapping):
-        raise PlannerError(f"{name} is {short_repr(value)}, expected a Follow or a table with some of: {', '.join(keys)}.")
+        raise PlannerError(
+            f"{name} is {short_repr(value)}, expected a Follow or a table with some of: {', '.join(keys)}."
+        )
     given = {choice(f"a key of {name}", key, (*keys, "file")): part for key, part in value.items()}
     if "points" not in given:
         raise PlannerError(f'{name} has no points, expected points = [[t, x, y, z], ...] or file = "path.csv".')

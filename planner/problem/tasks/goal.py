@@ -115,7 +115,10 @@ class Goal:
             return dict(usual)
         if isinstance(given, Mapping):
             own = {choice("a tolerance of a goal", name, PARTS): value for name, value in given.items()}
-            return {**usual, **{name: number(f"the {name} tolerance", value, greater_than=0.0) for name, value in own.items()}}
+            return {
+                **usual,
+                **{name: number(f"the {name} tolerance", value, greater_than=0.0) for name, value in own.items()},
+            }
         return {**usual, **dict.fromkeys(PARTS[:3], number("tolerance of a goal", given, greater_than=0.0))}
 
     def to_dict(self) -> dict[str, Any]:
@@ -137,7 +140,9 @@ def goal_of(value: Any, name: str) -> Goal:
         return value
     keys = [one.name for one in fields(Goal)]
     if not isinstance(value, Mapping):
-        raise PlannerError(f"{name} is {short_repr(value)}, expected a Goal or a table with some of: {', '.join(keys)}.")
+        raise PlannerError(
+            f"{name} is {short_repr(value)}, expected a Goal or a table with some of: {', '.join(keys)}."
+        )
     given = {choice(f"a key of {name}", key, keys): part for key, part in value.items()}
     try:
         return Goal(**given)

@@ -11,7 +11,7 @@ import numpy as np
 from planner.problem.appearance import Appearance, GoalMark
 from planner.problem.constraints.constraint import Constraint
 from planner.problem.tasks.follow import Follow
-from planner.problem.tasks.timetable import Task, TimedGoal
+from planner.problem.tasks.timed_task import Task, TimedGoal
 
 MAX_SEGMENTS = 64  # straight pieces of a path
 

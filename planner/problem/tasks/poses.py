@@ -13,11 +13,11 @@ from planner.dynamics.assembly import assembled
 from planner.dynamics.inverse_kinematics import Target, inverse_kinematics, residuals
 from planner.dynamics.kinematics import frame_pose
 from planner.model.mechanism import SCREW
-from planner.model.mjcf.driven import prescribed_dofs_of
-from planner.problem.free_poses import CollisionChecker
+from planner.model.mjcf.prescribed_joints import prescribed_dofs_of
+from planner.problem.collision_checker import CollisionChecker
 from planner.problem.tasks.follow import Follow
-from planner.problem.tasks.keeping import PoseConstraints, ResidualAndJacobian
-from planner.problem.tasks.timetable import Task, TimedGoal, unit_of
+from planner.problem.tasks.pose_constraints import PoseConstraints, ResidualAndJacobian
+from planner.problem.tasks.timed_task import Task, TimedGoal, unit_of
 
 MAX_CONFIGURATIONS = 60  # configurations along a path: between them joints move on a spline
 ALONG = 2  # starts of the search on a path that a constraint holds off: the pose before is near

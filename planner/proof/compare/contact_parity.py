@@ -24,19 +24,19 @@ import numpy as np
 
 from planner.base.gl import load_mujoco
 from planner.base.measured import Measurement
-from planner.dynamics.contacts import contact_force, unilateral_force, stop_state
+from planner.dynamics.contacts import contact_force, stop_state, unilateral_force
 from planner.dynamics.hopper import HopperDynamics
 from planner.model.contact.laws import Contact, Stop
 from planner.model.mechanism import Mechanism
 from planner.model.mjcf.contact_points import shape_of
-from planner.model.mjcf.driven import prescribed_dofs_of
-from planner.model.mjcf.survey import ModelIndex
+from planner.model.mjcf.model_index import ModelIndex
+from planner.model.mjcf.prescribed_joints import prescribed_dofs_of
 from planner.problem.problem import Problem
+from planner.proof.compare.contact_states import AnyContact, ContactStateSampler, beyond_ramps
 from planner.proof.compare.differences import joint_of
 from planner.proof.compare.hopper_ground import hopper_ground
-from planner.proof.compare.pressing import AnyContact, ContactStateSampler, beyond_ramps
+from planner.proof.compare.matching_geoms import ContactGeoms, contact_name, force_between, shapes_of
 from planner.proof.compare.rigid_parity import random_states
-from planner.proof.compare.touching import ContactGeoms, contact_name, force_between, shapes_of
 from planner.proof.replays.compiled_twin import CompiledTwin
 from planner.proof.replays.simulation import set_state
 
@@ -200,7 +200,9 @@ class _Bench:
         numbers = (pair.condim, *pair.friction, *pair.solref, *pair.solreffriction, *pair.solimp, pair.margin)
         self._points[shape, shapes.other, numbers] += 1
         off = np.abs(survey.geoms[shapes.own][:3, 3] - contact.centre).max()
-        there = off <= _POSITION_TOLERANCE and abs(model.geom_size[shapes.own, 0] - contact.radius) <= _POSITION_TOLERANCE
+        there = (
+            off <= _POSITION_TOLERANCE and abs(model.geom_size[shapes.own, 0] - contact.radius) <= _POSITION_TOLERANCE
+        )
         return bool(there) and self._points[shape, shapes.other, numbers] > POINTS
 
     def _middle(self, contact: AnyContact, shapes: ContactGeoms) -> np.ndarray | None:
@@ -209,7 +211,12 @@ class _Bench:
         return self._survey.home.geom_xpos[shapes.other].copy() if box and isinstance(contact, Contact) else None
 
     def _force(
-        self, pressing: ContactStateSampler, shapes: ContactGeoms, x: np.ndarray, place: Any, qacc: np.ndarray | None = None
+        self,
+        pressing: ContactStateSampler,
+        shapes: ContactGeoms,
+        x: np.ndarray,
+        place: Any,
+        qacc: np.ndarray | None = None,
     ) -> np.ndarray:
         """MuJoCo's force (3,) on the contact's first or only body."""
         self._hold(x, qacc)
@@ -221,7 +228,12 @@ class _Bench:
         return bool(np.isfinite(self._force(pressing, shapes, x, pressing.place(x[None]))).all())
 
     def _both(
-        self, pressing: ContactStateSampler, shapes: ContactGeoms, x: np.ndarray, place: Any, velocity: np.ndarray | None = None
+        self,
+        pressing: ContactStateSampler,
+        shapes: ContactGeoms,
+        x: np.ndarray,
+        place: Any,
+        velocity: np.ndarray | None = None,
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """The plan's force (3,) and MuJoCo's where the contact moves by about a velocity (3,), and how it does move."""
         m, v = self._mechanism, place.v[0]
@@ -231,7 +243,9 @@ class _Bench:
         ours = contact_force(pressing.contact.law, place.n, place.e, v[None])[0][0]
         return ours, self._force(pressing, shapes, x, place), v
 
-    def _coefficients(self, pressing: ContactStateSampler, shapes: ContactGeoms, x: np.ndarray) -> Iterator[Coefficient]:
+    def _coefficients(
+        self, pressing: ContactStateSampler, shapes: ContactGeoms, x: np.ndarray
+    ) -> Iterator[Coefficient]:
         law, name, depth = pressing.contact.law, shapes.name, pressing.depth
         deeper = pressing.pressed(x[None], 2.0 * depth)[0]
         if not len(deeper):
@@ -252,7 +266,12 @@ class _Bench:
         yield self._inertia(pressing, shapes, x, place, rest[1])
 
     def _friction(
-        self, pressing: ContactStateSampler, shapes: ContactGeoms, x: np.ndarray, place: Any, rest: tuple[np.ndarray, ...]
+        self,
+        pressing: ContactStateSampler,
+        shapes: ContactGeoms,
+        x: np.ndarray,
+        place: Any,
+        rest: tuple[np.ndarray, ...],
     ) -> Iterator[Coefficient]:
         """Friction while it slips, along and across, and its damping; nothing where the contact cannot slide."""
         law, n = pressing.contact.law, place.n[0]
@@ -285,7 +304,9 @@ class _Bench:
                 friction, _, speed = rubbed(way, _SLOW * slips)
                 yield compared("slip_damping", shapes.name, friction[1] / speed, friction[0] / speed, law.slip_damping)
 
-    def _inertia(self, pressing: ContactStateSampler, shapes: ContactGeoms, x: np.ndarray, place: Any, rest: np.ndarray) -> Coefficient:
+    def _inertia(
+        self, pressing: ContactStateSampler, shapes: ContactGeoms, x: np.ndarray, place: Any, rest: np.ndarray
+    ) -> Coefficient:
         """How much less a contact pushes when the machine accelerates as by a tenth of its force, of that tenth."""
         push = 0.1 * float(rest @ place.n[0])
         self._hold(x)

@@ -1,4 +1,5 @@
-"""Parity of a machine with prescribed joints and of the model in which MuJoCo drives them (planner.model.mjcf.driven).
+"""Parity of a machine with prescribed joints and of the model in which MuJoCo drives them
+(planner.model.mjcf.prescribed_joints).
 
 Two comparisons at random states. First the machines with a moderate armature in place of the H that makes the driven
 joints heavy: mass matrix, bias and actuator forces, accelerations as of any mechanism, since beside H a wrong mass
@@ -24,7 +25,7 @@ from planner.base.measured import Measurement, Section
 from planner.dynamics import algorithms as rigid_body
 from planner.dynamics.rigid_body import RigidBodyDynamics
 from planner.model.mechanism import Mechanism
-from planner.model.mjcf.driven import PRESCRIBED_ARMATURE, prescribed_dofs, with_force_inputs
+from planner.model.mjcf.prescribed_joints import PRESCRIBED_ARMATURE, prescribed_dofs, with_force_inputs
 from planner.model.mjcf.read import mechanism_of_model
 from planner.proof.compare.constrained import constrained_acceleration
 from planner.proof.compare.differences import differences
@@ -81,7 +82,10 @@ def _driven(
     accelerations = slice(mechanism.nv, 2 * mechanism.nv)
     asked, left = us.copy(), np.zeros((states, dynamics.nu - mechanism.nu))
     for _ in range(_ROUNDS):
-        left = forces_of_prescribed(smooth, prescribed, xs, dynamics.rates(xs, asked)[:, accelerations]) / PRESCRIBED_ARMATURE
+        left = (
+            forces_of_prescribed(smooth, prescribed, xs, dynamics.rates(xs, asked)[:, accelerations])
+            / PRESCRIBED_ARMATURE
+        )
         asked[:, mechanism.nu :] = us[:, mechanism.nu :] - left
     ours = dynamics.rates(xs, asked)[:, accelerations]
     theirs = _accelerations(model, mechanism_of_model(model), xs, us)
@@ -109,7 +113,9 @@ def forces_of_prescribed(
 ) -> np.ndarray:
     """The forces (K, n) that prescribed joints take, at xs (K, nx) with accelerations qdd (K, nv); without contacts."""
     q, qd, _ = np.split(xs, [mechanism.nq, mechanism.nq + mechanism.nv], axis=1)
-    return rigid_body.rnea(with_force_inputs(mechanism, prescribed), q, qd, qdd)[:, prescribed_dofs(mechanism, prescribed)]
+    return rigid_body.rnea(with_force_inputs(mechanism, prescribed), q, qd, qdd)[
+        :, prescribed_dofs(mechanism, prescribed)
+    ]
 
 
 def _accelerations(model: Any, mechanism: Mechanism, xs: np.ndarray, us: np.ndarray) -> np.ndarray:

@@ -21,7 +21,7 @@ from planner.proof.compare.driven_parity import driven_parity
 from planner.proof.compare.friction_parity import friction_parity
 from planner.proof.compare.rigid_parity import rigid_parity
 from planner.proof.replays.compiled_twin import CompiledTwin, another_model, with_model
-from planner.proof.replays.curve_callback import curves_acting
+from planner.proof.replays.passive_torque_callback import curves_acting
 from planner.proof.replays.simulation import set_state
 
 STATES = 256

@@ -29,12 +29,12 @@ from planner.base.measured import Measurement, Section
 from planner.dynamics import algorithms as rigid_body
 from planner.dynamics.assembly import assembled, feasible_directions
 from planner.dynamics.rigid_body import RigidBodyDynamics
-from planner.model.joint_curves import exponential_joint_torques, one_torque
+from planner.model.exponential_torques import exponential_joint_torques, one_torque
 from planner.model.mechanism import SCREW, Mechanism
 from planner.model.mjcf.couplings import set_hard
+from planner.model.mjcf.model_index import field
 from planner.model.mjcf.read import mechanism_of_model
-from planner.model.mjcf.refuse import no_compensation, unsupported_elements
-from planner.model.mjcf.survey import field
+from planner.model.mjcf.unsupported import no_compensation, unsupported_elements
 from planner.model.space import unit
 from planner.proof.compare.constrained import constrained_acceleration
 from planner.proof.compare.differences import actuator_of, differences, joint_of

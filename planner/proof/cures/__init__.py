@@ -9,6 +9,7 @@ from __future__ import annotations
 from weakref import WeakKeyDictionary
 
 from planner.problem.plan import Plan, Status
+from planner.proof.cures.avoid_contact import avoid_contact
 from planner.proof.cures.balance import falling, standing_goal
 from planner.proof.cures.cure import Cure
 from planner.proof.cures.effort import longer, more_time
@@ -16,8 +17,7 @@ from planner.proof.cures.goals import larger_weights, without_ignored
 from planner.proof.cures.limits import left_no_room, not_driven, wider_margin, within_limits
 from planner.proof.cures.solving import first_guess, more_iterations, not_a_minimum, nothing_known, other_guesses
 from planner.proof.cures.stage import calmer_gains, shorter_stage
-from planner.proof.cures.straight import penalize_velocity
-from planner.proof.cures.touching import avoid_contact
+from planner.proof.cures.velocity_weight import penalize_velocity
 from planner.proof.verdict import Proof
 
 __all__ = ["Cure", "cures", "in_order", "longer"]

@@ -8,7 +8,9 @@ from planner.proof.cures.cure import FILE, Cure, no_cure
 from planner.proof.verdict import Proof
 
 FALLS_BY = 5.0  # in a motion an error grows by exp(5), 150 times: more than from a hundredth to all of it
-FALLS = "goal is put on the ground, where it does not balance by itself: "  # as cases.problem_file.on_ground says it
+FALLS = (
+    "goal is put on the ground, where it does not balance by itself: "  # as cases.problem_file.ground_placement says it
+)
 
 
 def standing_goal(plan: Plan, problem: Problem, proof: Proof | None) -> list[Cure]:
@@ -31,7 +33,9 @@ def loses_balance(proof: Proof) -> bool:
 
 def _growth(proof: Proof) -> float:
     """The rate at which errors grow without gains, 1/s; NaN where it is not known."""
-    return next((one.value for one in proof.growth.measured if one.name == "growth_rate_open_loop"), float("nan"))
+    return next(
+        (one.value for one in proof.growth.measured if one.name == "growth_rate_open_loop"), float("nan")
+    )
 
 
 def falling(plan: Plan, problem: Problem, proof: Proof | None) -> list[Cure]:

@@ -20,11 +20,11 @@ import numpy as np
 
 from planner.model.coordinates import coordinates_of
 from planner.model.mechanism import Mechanism
-from planner.problem.at_bounds import control_at_bound, control_name, state_at_bound, state_outside
+from planner.problem.bound_messages import control_at_bound, control_name, state_at_bound, state_outside
 from planner.problem.plan import Plan, Status
 from planner.problem.problem import Problem
 from planner.proof.cures.cure import Cure, cure, no_cure
-from planner.proof.cures.smooth import MinJerkMotion, machine_of, smooth_motion
+from planner.proof.cures.min_jerk import MinJerkMotion, machine_of, smooth_motion
 from planner.proof.verdict import Proof
 
 LONGEST = 10.0  # times the duration

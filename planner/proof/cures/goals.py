@@ -57,7 +57,11 @@ def _of_task(plan: Plan, problem: Problem) -> list[Cure]:
     own = float(problem.parameters["weights"].get("goal", WEIGHT))
     miss = over[worst.name] * worst.tolerance
     why = f"the plan is {miss:.3g} {worst.unit} from {worst.name}, and {worst.tolerance:.3g} pass"
-    return [cure(problem, "weights.goal", rounded_up(own * float(np.clip(over[worst.name] / TARGET_SHARE, LEAST, MOST))), why)]
+    return [
+        cure(
+            problem, "weights.goal", rounded_up(own * float(np.clip(over[worst.name] / TARGET_SHARE, LEAST, MOST))), why
+        )
+    ]
 
 
 def _raised(problem: Problem, goal: GoalCheck, miss: float) -> tuple[float, str]:

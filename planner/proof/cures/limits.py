@@ -21,7 +21,7 @@ from planner.proof.verdict import Proof
 
 ASIDE = 1.5  # times what a joint was beyond its range
 NO_ROOM = 1e-6  # rad or m
-MOST_NAMED = 3
+MAX_NAMED = 3
 SHARE, LEAST = 0.01, 0.01  # of a range, and rad: the margin that Limits keep by default
 
 
@@ -78,8 +78,8 @@ def left_no_room(plan: Plan, problem: Problem, proof: Proof | None) -> list[Cure
     if not len(stuck):
         return []
     coupling = next(one for one in mechanism.couplings if stuck[0] in one.dofs)
-    names = ", ".join(mechanism.joint_of(dof) for dof in stuck[:MOST_NAMED])
-    more = f" and {len(stuck) - MOST_NAMED} more" if len(stuck) > MOST_NAMED else ""
+    names = ", ".join(mechanism.joint_of(dof) for dof in stuck[:MAX_NAMED])
+    more = f" and {len(stuck) - MAX_NAMED} more" if len(stuck) > MAX_NAMED else ""
     why = (
         f"the file leaves {names}{more} one position alone, and MuJoCo's stops act there: {coupling.name} and the "
         "ranges of what it ties contradict each other; widen the ranges of the joints that follow in the file, or "

@@ -14,7 +14,7 @@ from planner.proof.verdict import Proof
 from planner.solvers.slq import DECREASE
 
 STABLE = 1.0  # of the fastest rate times the stage: RK4 is stable up to 2.8 and exact to a percent at 1
-MOST_TIMES = 30.0  # more iterations
+MAX_TIMES = 30.0  # more iterations
 STARTS = 8
 _FEW = 8  # lines of a history from which no trend is read
 _GAINED = 1e-3  # of the cost: what the second half of a solve must have gained for more of it to be worth it
@@ -74,7 +74,7 @@ def iterations_needed(lines: list[Iteration], cost: float) -> int | None:
     if slope >= 0.0:
         return 10 * len(lines) if gained > _GAINED * abs(cost) else None
     more = max(0.0, math.log(expected[-1] / enough) / -slope)
-    if more > MOST_TIMES * len(lines):
+    if more > MAX_TIMES * len(lines):
         return 10 * len(lines) if gained > _GAINED * abs(cost) else None
     return int(rounded_up(1.5 * more + len(lines)))
 

@@ -11,14 +11,14 @@ from typing import Any
 
 import numpy as np
 
-from planner.problem.discretisation import FIRST_ORDER
 from planner.problem.plan import Plan
 from planner.problem.problem import Problem
+from planner.problem.rediscretize import FIRST_ORDER
 from planner.proof.cures.cure import Cure, cure
-from planner.proof.growth import FACTOR
-from planner.proof.order import NOMINAL
+from planner.proof.error_propagation import FACTOR
+from planner.proof.original_model import OPEN_LOOP_MISSES
+from planner.proof.step_convergence import NOMINAL
 from planner.proof.verdict import Proof
-from planner.proof.your_file import OPEN_LOOP_MISSES
 
 SAFE = 0.5  # of what passes: the error that is aimed at
 MAX_DIVISION = 16  # times shorter: beyond, something else is wrong
@@ -73,7 +73,7 @@ def calmer_gains(plan: Plan, problem: Problem, proof: Proof | None) -> list[Cure
 
 
 def rates_at_start(problem: Problem) -> np.ndarray:
-    """The eigenvalues of the dynamics linearised at the start, 1/s, complex; infinite where there are none.
+    """The eigenvalues of the dynamics linearized at the start, 1/s, complex; infinite where there are none.
 
     The stage that they are taken from is so short that it is exp(h J) nearly.
     """

@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 
 from planner.model.actuators import DIRECT, INTEGRATOR
-from planner.model.joint_curves import exponential_joint_torques
+from planner.model.exponential_torques import exponential_joint_torques
 from planner.model.mechanism import SCREW, Mechanism
 from planner.model.space import conjugate, log_quaternion, product
 from planner.model.tendons import tendon_forces

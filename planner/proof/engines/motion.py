@@ -46,7 +46,7 @@ def motion(plan: Plan, mechanism: Mechanism, x0: np.ndarray, rates: Rates, feedb
         evaluations += 1
         if evaluations > _MAX_EVALUATIONS * plan.N or not np.all(np.abs(x) < RUNAWAY):
             raise _RanAway
-        x, u = normalised(mechanism, x), plan.us[n]
+        x, u = normalized(mechanism, x), plan.us[n]
         if feedback:
             wanted = dynamics.step(plan.xs[n : n + 1], plan.us[n : n + 1], np.array([t]))[0]
             u = plan.within_bounds(n, u + plan.K[n] @ space.difference(x, wanted), x)
@@ -61,12 +61,12 @@ def motion(plan: Plan, mechanism: Mechanism, x0: np.ndarray, rates: Rates, feedb
             break
         if not found.success or found.y.shape[1] != PARTS:
             break
-        rows = normalised(mechanism, found.y.T)
+        rows = normalized(mechanism, found.y.T)
         xs[n * PARTS + 1 : (n + 1) * PARTS + 1], x = rows, rows[-1]
     return xs
 
 
-def normalised(mechanism: Mechanism, x: np.ndarray) -> np.ndarray:
+def normalized(mechanism: Mechanism, x: np.ndarray) -> np.ndarray:
     """States (..., nx) with quaternions of length one."""
     if not mechanism.quaternions:
         return x

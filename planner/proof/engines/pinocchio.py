@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from planner.base.errors import ModelError
-from planner.dynamics.poe import rotation
+from planner.dynamics.product_of_exponentials import rotation
 from planner.model.mechanism import Mechanism
 from planner.model.space import cross
 from planner.proof.engines.applied import joints_with

@@ -21,7 +21,7 @@ from planner.base.measured import Measurement, Section
 from planner.dynamics import algorithms as rigid_body
 from planner.model.mechanism import Mechanism
 from planner.model.mjcf.read import mechanism_of_model
-from planner.model.mjcf.refuse import unsupported_elements
+from planner.model.mjcf.unsupported import unsupported_elements
 from planner.model.twin import Twin
 from planner.problem.plan import Plan
 from planner.proof.compare.rigid_parity import random_states, rounded, turns

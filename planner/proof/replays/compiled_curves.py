@@ -1,4 +1,5 @@
-"""The exponential torques of planner.proof.replays.curve_callback as a C function that MuJoCo calls without Python.
+"""The exponential torques of planner.proof.replays.passive_torque_callback as a C function that MuJoCo calls without
+Python.
 
 MuJoCo hands it the addresses of a model and of its data. What it needs to know of them is in one table of numbers:
 
@@ -21,7 +22,7 @@ from typing import Any
 
 import numpy as np
 
-from planner.model.joint_curves import LARGEST
+from planner.model.exponential_torques import LARGEST
 
 _place = np.zeros(1)  # the address of the table; the function is compiled once for wherever that is
 

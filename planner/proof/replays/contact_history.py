@@ -13,10 +13,10 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from planner.base.gl import load_mujoco
-from planner.model.mjcf.survey import named
+from planner.model.mjcf.model_index import named
 
-MOST_SAMPLES = 20_000  # 10 MB of arrays where a dozen pairs of shapes touch
-MOST_PAIRS = 32  # with a force of their own; a heap of blocks has hundreds
+MAX_SAMPLES = 20_000  # 10 MB of arrays where a dozen pairs of shapes touch
+MAX_PAIRS = 32  # with a force of their own; a heap of blocks has hundreds
 _AT_ONCE = 4096  # contacts that are summed up together: one by one they would take longer than MuJoCo's steps
 _CONTACT = np.dtype(
     [("step", int), ("geoms", int, 2), ("point", float, 3), ("frame", float, 9), ("wrench", float, 6),
@@ -63,7 +63,7 @@ class ContactRecorder:
         """For M steps of MuJoCo's model; `records` is False where nobody asks for contacts."""
         self._mujoco, self._model = load_mujoco(), model
         self.records = may_touch(model) if records is None else records  # whether there is anything to record
-        self._each = -(-(steps + 1) // MOST_SAMPLES)  # steps per sample
+        self._each = -(-(steps + 1) // MAX_SAMPLES)  # steps per sample
         # Of each pair of geoms (S, 7), by sample: the force's impulse (3,), the normal force, and its moment (3,).
         self._seen: dict[tuple[int, int], np.ndarray] = {}
         self._force = np.zeros(steps + 1)
@@ -176,7 +176,7 @@ class ContactRecorder:
         for k in np.argsort(firsts):
             pair = (int(found[k, 0]), int(found[k, 1]))
             if pair not in self._seen:
-                if len(self._seen) >= MOST_PAIRS:
+                if len(self._seen) >= MAX_PAIRS:
                     continue
                 self._seen[pair] = np.zeros((-(-len(self._force) // self._each), 7))
             own = which == k

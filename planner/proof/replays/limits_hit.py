@@ -14,7 +14,7 @@ from __future__ import annotations
 import numpy as np
 
 from planner.model.mechanism import Mechanism
-from planner.model.mjcf.survey import named
+from planner.model.mjcf.model_index import named
 from planner.proof.replays.ranges import Excess, efforts_in, joints_in, tendons_in
 from planner.proof.replays.replaying import Replay, stopped_dofs
 

@@ -14,20 +14,20 @@ from typing import Any
 import numpy as np
 
 from planner.base.arguments import count, number, short_repr
+from planner.base.display_mixins import Renderable
 from planner.base.errors import PlannerError
 from planner.base.gl import load_mujoco
-from planner.base.shown import Renderable
 from planner.model.twin import Twin
 from planner.problem.plan import Plan
 from planner.problem.problem import Problem
 from planner.proof.replays.compiled_twin import CompiledTwin
 from planner.proof.replays.contact_history import ContactHistory, ContactRecorder, Touch
-from planner.proof.replays.curve_callback import curves_acting
 from planner.proof.replays.implicit_steps import INTEGRATOR as IMPLICIT
 from planner.proof.replays.implicit_steps import damping_of, implicit_step
+from planner.proof.replays.passive_torque_callback import curves_acting
 from planner.proof.replays.ranges import ranges_reached
 from planner.proof.replays.sampled_gains import Gains, Sampling
-from planner.proof.replays.simulation import MOST_STEPS, simulate
+from planner.proof.replays.simulation import MAX_STEPS, simulate
 
 REFINEMENT = 20  # simulator steps per stage, at least
 PARTS = 8  # of a step where damping is implicit: after a jump the method is 1e-3 of it off at most, however fast it is
@@ -175,8 +175,8 @@ def replay_in(
     if n % parts:
         raise PlannerError(f"substeps is {n}, expected a multiple of {parts}: instants fall on ends of steps.")
     M = n * plan.N
-    if M > MOST_STEPS:
-        raise PlannerError(f"the replay would take {M} steps of {dt / n:.3g} s, expected at most {MOST_STEPS}.")
+    if M > MAX_STEPS:
+        raise PlannerError(f"the replay would take {M} steps of {dt / n:.3g} s, expected at most {MAX_STEPS}.")
     twin, model = compiled.twin, compiled.stepping(dt / n, integrator)
     plan_xs = planned if planned is not None and len(planned) == M + 1 else plan.between_knots(n)
     recorder = ContactRecorder(model, M)

@@ -11,11 +11,11 @@ from typing import Any
 import numpy as np
 
 from planner.base.gl import load_mujoco, load_rollout
-from planner.model.mjcf.survey import named
+from planner.model.mjcf.model_index import named
 from planner.proof.replays.contact_history import ContactRecorder
 from planner.proof.replays.implicit_steps import Step
 
-MOST_STEPS = 5_000_000  # some minutes and 1 GB
+MAX_STEPS = 5_000_000  # some minutes and 1 GB
 RUNAWAY = 1e10  # what MuJoCo takes for an unstable simulation
 _AT_ONCE = 50_000  # steps in C before Ctrl-C is heard
 

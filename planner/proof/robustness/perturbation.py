@@ -16,7 +16,7 @@ import numpy as np
 from planner.base.arguments import number
 from planner.base.errors import PlannerError
 from planner.base.gl import load_mujoco
-from planner.model.mjcf.driven import PRESCRIBED_ARMATURE, prescribed_dofs_of
+from planner.model.mjcf.prescribed_joints import PRESCRIBED_ARMATURE, prescribed_dofs_of
 from planner.model.twin import Twin
 from planner.problem.plan import Plan
 from planner.problem.problem import Problem
@@ -24,7 +24,7 @@ from planner.proof.replays.simulation import set_state
 
 _FACTORS = ("mass", "inertia", "damping", "stiffness", "contact_friction", "common_mass", "common_stiffness")
 _LARGEST = {"drag": 1e6, "friction": 1e3, "start": 1e3, "noise": 1e3, "delay": 10.0}  # far beyond what any plan bears
-_MOST_KNOTS = 200  # of the plan are asked for its largest forces
+_MAX_KNOTS = 200  # of the plan are asked for its largest forces
 
 
 @dataclass(frozen=True)
@@ -208,7 +208,7 @@ def _loads(model: Any, plan: Plan, twin: Twin) -> np.ndarray:
     """The largest force (nv,) of actuators, and of weight and Coriolis, at knots of the plan."""
     mujoco = load_mujoco()
     data, loads = mujoco.MjData(model), np.zeros(model.nv)
-    for n in np.unique(np.linspace(0, plan.N - 1, _MOST_KNOTS).round().astype(int)):
+    for n in np.unique(np.linspace(0, plan.N - 1, _MAX_KNOTS).round().astype(int)):
         set_state(model, data, twin.sim_of(plan.xs[n]))
         data.ctrl[:] = plan.us[n]
         mujoco.mj_forward(model, data)

@@ -22,7 +22,7 @@ from planner.base.jsonable import finite
 from planner.base.measured import Measurement, Section
 from planner.problem.plan import Plan
 from planner.proof.replays.compiled_twin import CompiledTwin
-from planner.proof.robustness.campaign import MonteCarlo
+from planner.proof.robustness.monte_carlo import MonteCarlo
 from planner.proof.robustness.perturbation import Perturbation
 from planner.proof.robustness.rollouts import MODES, OutOfTime, Rollouts
 from planner.proof.robustness.success_rate import SuccessRate
@@ -74,7 +74,7 @@ class RobustnessResult:
 
     @property
     def worst(self) -> dict[str, tuple[int, ...]]:
-        """Per mode, the numbers of the rollouts that ended farthest off, the worst first: see replay_case."""
+        """Per mode, the numbers of the rollouts that ended farthest off, the worst first: see replay_rollout."""
         order = {mode: np.argsort(-error, kind="stable") for mode, error in self.end_error.items()}
         return {mode: tuple(map(int, ks[:_WORST])) for mode, ks in order.items()}
 
@@ -90,7 +90,9 @@ class RobustnessResult:
             median = float(np.median(self.end_error[mode])) if rate.of else math.nan
             measured += [
                 Measurement(f"{name}_success_rate", 100.0 * rate.value, "%", None, f"{rate} (Wilson), {self.rule}"),
-                Measurement(f"{name}_median_end_error", 100.0 * median, "%", None, "largest, of the coordinate's range"),
+                Measurement(
+                    f"{name}_median_end_error", 100.0 * median, "%", None, "largest, of the coordinate's range"
+                ),
             ]
             if math.isfinite(self.margin[mode]):
                 note = f"largest error of every body's mass at which 95 % of {self.per_level} succeed, by bisection"
@@ -105,7 +107,7 @@ class RobustnessResult:
         for mode, rate in self.rates.items() if self.done else ():
             worst = ", ".join(map(str, self.worst[mode]))
             how = "open loop" if mode == "open-loop" else "with gains"
-            lines.append(f"perturbed, {how}: {rate} succeed; farthest off (--replay-case): {worst}")
+            lines.append(f"perturbed, {how}: {rate} succeed; farthest off (--replay-rollout): {worst}")
         return lines
 
     def to_dict(self) -> dict[str, Any]:
@@ -175,7 +177,9 @@ def perturbed(
         return _result(campaign, trials, perturbation, tuple(notes))
 
 
-def _result(campaign: MonteCarlo, trials: MonteCarloSettings, perturbation: Perturbation, notes: tuple[str, ...]) -> RobustnessResult:
+def _result(
+    campaign: MonteCarlo, trials: MonteCarloSettings, perturbation: Perturbation, notes: tuple[str, ...]
+) -> RobustnessResult:
     """What is known of the rollouts that count."""
     simulator, rule = campaign.simulator, campaign.rule
     return RobustnessResult(

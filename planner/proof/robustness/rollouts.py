@@ -31,17 +31,17 @@ from planner.problem.goals import stages_asked
 from planner.problem.plan import Plan
 from planner.proof.replays.compiled_twin import CompiledTwin
 from planner.proof.replays.contact_history import may_touch
-from planner.proof.replays.curve_callback import curves_acting
 from planner.proof.replays.implicit_steps import NATIVE, damping_of
+from planner.proof.replays.passive_torque_callback import curves_acting
 from planner.proof.replays.replaying import problem_of
-from planner.proof.replays.simulation import MOST_STEPS, RUNAWAY
-from planner.proof.robustness.perturbation import PerturbationSample, Nominal, Perturbation, draw
+from planner.proof.replays.simulation import MAX_STEPS, RUNAWAY
+from planner.proof.robustness.perturbation import Nominal, Perturbation, PerturbationSample, draw
 from planner.proof.robustness.success_rule import ranges_of_motion
 
 MODES = ("open-loop", "feedback")
 CONTROL_RATE = 500.0  # Hz, of a controller
 AGREES = 0.01  # of each coordinate's range of motion: by how much Euler may differ from RK4
-MOST_KNOTS = 200  # at which states are kept
+MAX_KNOTS = 200  # at which states are kept
 _SEGMENT = 16384  # numbers per rollout that MuJoCo hands back at a time
 _MEMORY = 256e6  # bytes that a batch's models may fill, and its states
 
@@ -79,13 +79,13 @@ class Rollouts:
         # A plan's own step is stable; half of it is for machines whose errors make them stiffer.
         stable = math.ceil(2.0 * getattr(self._problem.dynamics, "substeps", 1) / self.control_steps)
         self.substeps = max(finest if stiff else min(finest, 2), stable)
-        if self.steps > MOST_STEPS:
-            raise PlannerError(f"a rollout would take {self.steps} steps, expected at most {MOST_STEPS}.")
+        if self.steps > MAX_STEPS:
+            raise PlannerError(f"a rollout would take {self.steps} steps, expected at most {MAX_STEPS}.")
         implicit = damping_of(self._problem.dynamics) is not None
         model = compiled.stepping(self.step, NATIVE if implicit else "RK4")
         self.nominal = Nominal.of(model, plan, twin)
         # (T,) the stages at whose start (or end, the last) states are kept
-        spread = np.linspace(0, plan.N, min(plan.N, MOST_KNOTS) + 1).round().astype(int)
+        spread = np.linspace(0, plan.N, min(plan.N, MAX_KNOTS) + 1).round().astype(int)
         self.knots = np.union1d(spread, stages_asked(self._problem))
         self._plan_xs = plan.between_knots(self.control_steps)
         self.x_of = _affine(twin.to_x, twin.to_x_offset)  # simulator states (..., nw) as plan states (..., nx)

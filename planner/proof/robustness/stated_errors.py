@@ -12,7 +12,7 @@ from planner.base.errors import PlannerError
 from planner.base.gl import load_mujoco
 from planner.problem.plan import Plan
 from planner.proof.replays.compiled_twin import CompiledTwin
-from planner.proof.robustness.perturbation import PerturbationSample, Nominal
+from planner.proof.robustness.perturbation import Nominal, PerturbationSample
 from planner.proof.robustness.pushes import bodies_of
 
 Mass = float | Mapping[str, float]

@@ -18,7 +18,7 @@ import numpy as np
 
 from planner.problem.goals import GoalCheck, goals_of
 from planner.problem.plan import Plan
-from planner.proof.scales import ranges_of_motion
+from planner.proof.error_scales import ranges_of_motion
 
 GOAL_TOLERANCES = 5.0  # by which a perturbed machine may miss a goal
 OF_RANGE = 0.1  # of a coordinate's range of motion, where there is no goal

@@ -8,27 +8,27 @@ from __future__ import annotations
 from weakref import WeakKeyDictionary
 
 from planner.dynamics import CompiledDynamics, ResidualDynamics
-from planner.kernels.lq import search
+from planner.kernels.lq import line_search
 from planner.model.space import space_of
 from planner.problem.costs.residuals.arrays import ResidualArrays, joined
 from planner.problem.costs.residuals.cost import ResidualCost
 from planner.problem.costs.terms import Cost, SumCost
 from planner.problem.costs.tracking import TrackingCost
 from planner.problem.problem import Problem
-from planner.solvers.engine.added import HybridEngine
 from planner.solvers.engine.compiled import CompiledEngine, NoTracking
+from planner.solvers.engine.constrained_engine import ConstrainedEngine
+from planner.solvers.engine.hybrid_engine import HybridEngine
 from planner.solvers.engine.in_numpy import NumpyEngine
 from planner.solvers.engine.protocol import DefectStep, Engine, IterationResult
-from planner.solvers.engine.with_rows import ConstrainedEngine
 
 __all__ = [
-    "HybridEngine",
     "CompiledEngine",
+    "ConstrainedEngine",
     "DefectStep",
     "Engine",
-    "NumpyEngine",
+    "HybridEngine",
     "IterationResult",
-    "ConstrainedEngine",
+    "NumpyEngine",
     "acquire_engine",
     "release_engine",
 ]
@@ -38,8 +38,8 @@ __all__ = [
 _idle: WeakKeyDictionary[Problem, dict[bool, list[Engine]]] = WeakKeyDictionary()
 
 
-def acquire_engine(problem: Problem, rule: int = search.ARMIJO) -> Engine:
-    """An engine for one solve of a problem: compiled if kernels have all of it and of the line search."""
+def acquire_engine(problem: Problem, rule: int = line_search.ARMIJO) -> Engine:
+    """An engine for one solve of a problem: compiled if kernels have all of it and of the line line_search."""
     try:
         return _idle_of(problem, rule).pop()
     except IndexError:
@@ -57,17 +57,17 @@ def acquire_engine(problem: Problem, rule: int = search.ARMIJO) -> Engine:
 
 def _idle_of(problem: Problem, rule: int) -> list[Engine]:
     """Idle engines of a problem for a line search: those for the Wolfe rule may be others."""
-    return _idle.setdefault(problem, {}).setdefault(rule == search.WOLFE, [])
+    return _idle.setdefault(problem, {}).setdefault(rule == line_search.WOLFE, [])
 
 
 def _has(dynamics: CompiledDynamics, problem: Problem, rule: int, own: bool) -> bool:
     """Whether the rollouts of compiled dynamics give what ranges, own costs and the line search need."""
     if problem.ranges is not None and not getattr(dynamics, "has_ranges", True):
         return False
-    if own and (rule == search.WOLFE or not hasattr(dynamics, "take")):  # own costs have no slope at a candidate
+    if own and (rule == line_search.WOLFE or not hasattr(dynamics, "take")):  # own costs have no slope at a candidate
         return False
     # A clipped control does not change with the step length, which the slopes of the kernels do not know.
-    return rule != search.WOLFE or (dynamics.has_slopes and problem.bounds is None)
+    return rule != line_search.WOLFE or (dynamics.has_slopes and problem.bounds is None)
 
 
 def compiled_costs(problem: Problem) -> tuple[TrackingCost | NoTracking, ResidualArrays | None] | None:
@@ -98,6 +98,6 @@ def _compiled(problem: Problem, terms: list[Cost]) -> tuple[TrackingCost | NoTra
     return None
 
 
-def release_engine(problem: Problem, engine: Engine, rule: int = search.ARMIJO) -> None:
-    """Keep an engine for the next solve of the same problem with the same line search."""
+def release_engine(problem: Problem, engine: Engine, rule: int = line_search.ARMIJO) -> None:
+    """Keep an engine for the next solve of the same problem with the same line line_search."""
     _idle_of(problem, rule).append(engine)

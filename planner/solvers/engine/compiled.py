@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 
 from planner.dynamics import CompiledDynamics, ResidualDynamics
-from planner.kernels.lq import search
+from planner.kernels.lq import line_search
 from planner.kernels.lq.active_set import update_active_set
-from planner.kernels.lq.bounded import bounded_direction, riccati_dense_bounded, riccati_structured_bounded
+from planner.kernels.lq.bounded_riccati import bounded_direction, riccati_dense_bounded, riccati_structured_bounded
 from planner.kernels.lq.quadratic import gradients
 from planner.kernels.lq.riccati import direction, riccati_dense, riccati_structured
 from planner.kernels.lq.second_order import costates
@@ -20,11 +20,11 @@ from planner.model.space import StateSpace, space_of
 from planner.problem.costs.residuals.arrays import ResidualArrays
 from planner.problem.costs.tracking import TrackingCost
 from planner.problem.problem import Problem
-from planner.problem.state_ranges import BoundPenalties
-from planner.solvers.engine.followed import TrackedTrajectory
-from planner.solvers.engine.moved import TrajectoryArrays
+from planner.problem.state_bounds import BoundPenalties
+from planner.solvers.engine.active_set_schedule import MAX_SETS, ActiveSetSchedule
 from planner.solvers.engine.protocol import DefectStep, Engine, IterationResult, expected_reduction, state_weights
-from planner.solvers.engine.settling import MOST_SETS, ActiveSetSchedule
+from planner.solvers.engine.tracked_trajectory import TrackedTrajectory
+from planner.solvers.engine.warm_start_shift import TrajectoryArrays
 
 _EXACT = W.exact
 
@@ -52,11 +52,11 @@ class CompiledEngine(Engine):
     ) -> None:  # fmt: skip
         self._bounds, self._dynamics = problem.bounds, dynamics
         ranges = problem.ranges
-        hinges = None if ranges is None else (ranges.component, ranges.at_end)
+        penalties = None if ranges is None else (ranges.component, ranges.at_end)
         numbers = None if problem.bounds is None else (problem.bounds.lower, problem.bounds.upper)
         servos = None if problem.bounds is None else problem.bounds.servos
         self._space = space_of(dynamics)
-        self._w = Workspace(cost, self._space, dynamics.structured, numbers, hinges, servos)
+        self._w = Workspace(cost, self._space, dynamics.structured, numbers, penalties, servos)
         free = (riccati_dense, riccati_structured)
         boxed = (riccati_dense_bounded, riccati_structured_bounded)
         # A plan that is followed and the next one, by turns: nothing of their gains is copied.
@@ -76,15 +76,15 @@ class CompiledEngine(Engine):
         self._exact, self._swept, self.state_regularization = False, False, 0.0
         self._curvature = np.zeros((problem.N - 1, self._w.ndx))  # of T on these diagonals
 
-    def hinge(self, hinges: BoundPenalties | None) -> None:
-        """Have these hinges added to the cost from the next start on; None for none."""
-        if hinges is None:
-            self._w.hinge_weight[:] = 0.0
+    def set_penalties(self, penalties: BoundPenalties | None) -> None:
+        """Have these penalties added to the cost from the next start on; None for none."""
+        if penalties is None:
+            self._w.penalty_weight[:] = 0.0
         else:
-            self._w.hinge_lower[:], self._w.hinge_upper[:], self._w.hinge_weight[:] = hinges
-        self._hinged = bool(self._w.hinge_weight.any())
+            self._w.penalty_lower[:], self._w.penalty_upper[:], self._w.penalty_weight[:] = penalties
+        self._hinged = bool(self._w.penalty_weight.any())
 
-    def start(self, x0: np.ndarray, us: np.ndarray, exact: bool = False) -> float:
+    def start_from_controls(self, x0: np.ndarray, us: np.ndarray, exact: bool = False) -> float:
         """Roll out the first guess, within its bounds; its cost."""
         self._exact, self._swept, self.state_regularization = exact, exact, 0.0
         if exact and self._second is None:
@@ -93,7 +93,7 @@ class CompiledEngine(Engine):
         self._w.use_defects(False)
         sweep = "riccati structured" if self._dynamics.structured else "riccati dense"
         sweep += "" if self._bounds is None else " bounded"
-        active = () if self._bounds is None and not len(self._w.hinge_weight.T) else ("choose active",)
+        active = () if self._bounds is None and not len(self._w.penalty_weight.T) else ("choose active",)
         more = self._dynamics.second_order_kernels if exact else ()
         kernels = self._dynamics.kernels
         if self._with_residuals is not None:
@@ -103,14 +103,14 @@ class CompiledEngine(Engine):
         self._w.xs[0] = x0
         self._w.us[:] = us if self._bounds is None else self._bounds.clip(slice(None), us, None)
         self._w.dus[:] = 0.0
-        return self._search(search.INITIAL_ROLLOUT, False, math.inf, 0.0)[1]
+        return self._search(line_search.INITIAL_ROLLOUT, False, math.inf, 0.0)[1]
 
     @property
-    def clamped(self) -> bool:
+    def has_active_bounds(self) -> bool:
         """Whether the last sweep held controls at their bounds."""
         return bool(self._w.active_bounds.any())
 
-    def follow(self, x0: np.ndarray, trajectory: TrajectoryArrays, stages: float = 0.0) -> float:
+    def start_from_trajectory(self, x0: np.ndarray, trajectory: TrajectoryArrays, stages: float = 0.0) -> float:
         """Roll out u = us + K (x - xs) of a trajectory, some stages on, from x0 (nx,), and take it; its cost."""
         w = self._w
         if self._followed is None:
@@ -118,15 +118,15 @@ class CompiledEngine(Engine):
         plan, next_one = self._followed
         plan.take(trajectory)
         plan.begin(w, x0, stages)
-        cost = self._search(search.INITIAL_ROLLOUT, True, math.inf, 0.0)[1]
+        cost = self._search(line_search.INITIAL_ROLLOUT, True, math.inf, 0.0)[1]
         next_one.use(w)
         return cost
 
-    def advance(self, dxs: np.ndarray, dus: np.ndarray, cost: float) -> tuple[float, float]:
+    def backtrack_along(self, dxs: np.ndarray, dus: np.ndarray, cost: float) -> tuple[float, float]:
         """Take the longest part of a change that lowers the cost: which, 0 for none, and the cost after it."""
         w = self._w
         w.k[:] = dus - np.einsum("nij,nj->ni", w.K[:, :, w.first : w.first + w.ndx], dxs[:-1])
-        return self._search(search.DEFECT_STEP, True, cost, 0.0)
+        return self._search(line_search.DEFECT_STEP, True, cost, 0.0)
 
     def cost_arrays(self) -> dict[str, np.ndarray]:
         """The weights, references and bounds as kernels read them, which may change between iterations."""
@@ -152,19 +152,19 @@ class CompiledEngine(Engine):
 
     def iterate(
         self, feedback: bool, rule: int, mu: float, fresh: bool, cost: float,
-        gradient_tolerance: float, decrease_tolerance: float,
+        gradient_tolerance: float, expected_reduction_tolerance: float,
     ) -> IterationResult:  # fmt: skip
-        """Linearise (if `fresh`), sweep, search, accept."""
+        """Linearize (if `fresh`), sweep, search, accept."""
         w, dynamics = self._w, self._dynamics
         if fresh:
             self._linearize(self._exact)
         if self._exact or self.state_regularization > 0.0 or w.table[_EXACT]:
             self._hold()
         self._boxed()
-        norm, slope, value, definite = self._solve_lq(mu, decrease_tolerance < math.inf)
+        norm, slope, value, definite = self._solve_lq(mu, expected_reduction_tolerance < math.inf)
         if not definite:
             return IterationResult(INDEFINITE, norm, 0.0, 0.0, 0.0, cost)
-        if norm <= gradient_tolerance or -value <= decrease_tolerance:
+        if norm <= gradient_tolerance or -value <= expected_reduction_tolerance:
             return IterationResult(CONVERGED, norm, slope, 0.0, -value, cost)
         if not feedback and self._bounds is None:
             direction(w.table, dynamics.dt)
@@ -176,8 +176,9 @@ class CompiledEngine(Engine):
     def _solve_lq(self, mu: float, settle: bool) -> tuple[float, float, float, bool]:
         """Sweep: the gradient's norm, the slope of J, the model's value at its minimum, and whether it is definite.
 
-        With `settle` until the set of bounds and hinges is found that the motion tells. Where none is, or without, each
-        stage has its box, and hinges pull where they do now.
+        With `settle` until the set of bounds and penalties is found that the motion tells. Where none is, or without,
+        each
+        stage has its box, and penalties pull where they do now.
         """
         w, dt, bounded = self._w, self._dynamics.dt, self._bounds is not None
         if settle and (bounded or self._hinged) and self._settling.due():
@@ -194,12 +195,12 @@ class CompiledEngine(Engine):
         """What _solve_lq returns, of a set that tells itself; None where none is found."""
         w, dt, bounded = self._w, self._dynamics.dt, self._bounds is not None
         gradient_norm = 0.0
-        for sets in range(MOST_SETS):
+        for sets in range(MAX_SETS):
             norm, value, definite = self._riccati(w.table, mu, dt, *([True] if bounded else []))
             if not definite:
                 break
             if sets == 0:
-                gradient_norm = norm  # the next ones have other hinges
+                gradient_norm = norm  # the next ones have other penalties
             changes, more_cost, more_slope = update_active_set(w.table, dt, False)
             if changes == 0:
                 self._settling.record_convergence()
@@ -228,14 +229,14 @@ class CompiledEngine(Engine):
         if bounds is not None and bounds.servos is not None:
             w.lower[:], w.upper[:], w.lower_share[:], w.upper_share[:] = bounds.shares(w.xs, w.us)
 
-    def place(self, xs: np.ndarray, us: np.ndarray) -> np.ndarray:
+    def set_trajectory(self, xs: np.ndarray, us: np.ndarray) -> np.ndarray:
         """Take states (N+1, nx) and controls (N, nu) as the trajectory, after a start; its gaps (N, ndx)."""
         w = self._w
         w.xs[:], w.us[:] = xs, us
         return self._space.difference(self._dynamics.stage_ends(w, self._memory), w.xs[1:])
 
-    def cross(self, gaps: np.ndarray, fresh: bool) -> DefectStep | None:
-        """Linearise (if `fresh`) and sweep across these gaps; None where the sweep is not definite."""
+    def defect_direction(self, gaps: np.ndarray, fresh: bool) -> DefectStep | None:
+        """Linearize (if `fresh`) and sweep across these gaps; None where the sweep is not definite."""
         w, dt = self._w, self._dynamics.dt
         if fresh:
             self._linearize(False)
@@ -256,9 +257,9 @@ class CompiledEngine(Engine):
         slope = float(np.sum(w.l[:-1, :nu] * w.dus) + np.sum(w.l[:, first : first + ndx] * w.dxs))
         return DefectStep(w.dxs.copy(), w.dus.copy(), multipliers, slope, norm)
 
-    def close(self, cost: float, slope: float) -> tuple[float, float]:
+    def rollout_closing_defects(self, cost: float, slope: float) -> tuple[float, float]:
         """Close the gaps by a rollout with the gains of `cross`, if Armijo's rule takes one of the first steps."""
-        return self._search(search.DEFECT_STEP, True, cost, slope)
+        return self._search(line_search.DEFECT_STEP, True, cost, slope)
 
     def _search(self, rule: int, feedback: bool, cost: float, slope: float) -> tuple[float, float]:
         """The step that is taken and the cost after it."""

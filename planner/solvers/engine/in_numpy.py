@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from planner.base.errors import PlannerError
-from planner.kernels.lq import search
+from planner.kernels.lq import line_search
 from planner.kernels.lq.workspace import ACCEPTED, CONVERGED, INDEFINITE, NO_STEP
 from planner.kernels.numba.jit import announce
 from planner.kernels.numba.lanes import WIDTH
@@ -16,22 +16,29 @@ from planner.problem.control_bounds import StepBounds
 from planner.problem.costs.terms import Cost, Quadratic
 from planner.problem.costs.tracking import tracking_of
 from planner.problem.problem import Problem
-from planner.problem.state_ranges import BoundPenalties
+from planner.problem.state_bounds import BoundPenalties
 from planner.solvers import lq
 from planner.solvers.active_set import StatePenalties, solve_active_set
-from planner.solvers.engine.moved import TrajectoryArrays, shift_trajectory
-from planner.solvers.engine.protocol import DefectStep, Engine, IterationResult, check_shapes, expected_reduction, state_weights
-from planner.solvers.engine.settling import MOST_SETS, ActiveSetSchedule
+from planner.solvers.engine.active_set_schedule import MAX_SETS, ActiveSetSchedule
+from planner.solvers.engine.protocol import (
+    DefectStep,
+    Engine,
+    IterationResult,
+    check_shapes,
+    expected_reduction,
+    state_weights,
+)
+from planner.solvers.engine.warm_start_shift import TrajectoryArrays, shift_trajectory
 
 
 class NumpyEngine(Engine):
     """Any Dynamics and any Cost."""
 
     def __init__(self, problem: Problem) -> None:
-        announce(search.choose)
+        announce(line_search.choose)
         self._dynamics, self._cost, self._bounds = problem.dynamics, problem.cost, problem.bounds
         self._kept = problem.trajectory_constraints
-        self._hinges: BoundPenalties | None = None
+        self._penalties: BoundPenalties | None = None
         # Where eight candidates cost as much as eight rollouts, Armijo tries them one by one, the longest first. Its
         # step is the same.
         self._together = bool(getattr(problem.dynamics, "batched", True))
@@ -45,25 +52,25 @@ class NumpyEngine(Engine):
         # One attribute, so that an interrupt never leaves states of one trajectory with controls of another.
         self._nominal = np.empty((0, problem.dynamics.nx)), np.empty((0, problem.dynamics.nu))
 
-    def hinge(self, hinges: BoundPenalties | None) -> None:
-        """Have these hinges added to the cost from the next start on; None for none."""
-        self._hinges = hinges
+    def set_penalties(self, penalties: BoundPenalties | None) -> None:
+        """Have these penalties added to the cost from the next start on; None for none."""
+        self._penalties = penalties
 
     def _value(self, xs: np.ndarray, us: np.ndarray) -> float:
         J = self._cost.value(xs, us)
-        return J if self._hinges is None or self._kept is None else J + self._kept.value(self._hinges, xs, us)
+        return J if self._penalties is None or self._kept is None else J + self._kept.value(self._penalties, xs, us)
 
     def _quadratized(self, xs: np.ndarray, us: np.ndarray, A: np.ndarray, B: np.ndarray) -> Quadratic:
         model = self._cost.quadratize(xs, us)
-        if self._hinges is None or self._kept is None:
+        if self._penalties is None or self._kept is None:
             return model
-        return self._kept.with_penalties(self._hinges, model, xs, us, A, B)
+        return self._kept.with_penalties(self._penalties, model, xs, us, A, B)
 
     def _moves(self, xs: np.ndarray, us: np.ndarray) -> StepBounds | None:
         """How far each control may change from us (N, nu) along the states xs (N+1, nx)."""
         return None if self._bounds is None else self._bounds.step_bounds(xs, us)
 
-    def start(self, x0: np.ndarray, us: np.ndarray, exact: bool = False) -> float:
+    def start_from_controls(self, x0: np.ndarray, us: np.ndarray, exact: bool = False) -> float:
         """Roll out the first guess, within its bounds; its cost."""
         if exact and not callable(getattr(self._dynamics, "second_order", None)):
             raise PlannerError(
@@ -85,11 +92,11 @@ class NumpyEngine(Engine):
         return float(J[0])
 
     @property
-    def clamped(self) -> bool:
+    def has_active_bounds(self) -> bool:
         """Whether the last sweep held controls at their bounds."""
         return bool(self._held.any())
 
-    def follow(self, x0: np.ndarray, trajectory: TrajectoryArrays, stages: float = 0.0) -> float:
+    def start_from_trajectory(self, x0: np.ndarray, trajectory: TrajectoryArrays, stages: float = 0.0) -> float:
         """Roll out u = us + K (x - xs) of a trajectory, some stages on, from x0 (nx,), and take it; its cost."""
         xs, us, K = np.empty_like(trajectory[0]), np.empty_like(trajectory[1]), trajectory[2]
         m = shift_trajectory((xs, us), trajectory[:2], stages, self._space)
@@ -98,7 +105,7 @@ class NumpyEngine(Engine):
         self._nominal = states[:, 0].copy(), first[:, 0].copy()
         return float(J[0])
 
-    def advance(self, dxs: np.ndarray, dus: np.ndarray, cost: float) -> tuple[float, float]:
+    def backtrack_along(self, dxs: np.ndarray, dus: np.ndarray, cost: float) -> tuple[float, float]:
         """Take the longest part of a change that lowers the cost: which, 0 for none, and the cost after it."""
         assert self._sweep is not None
         k = dus - np.einsum("nij,nj->ni", self._sweep.K, dxs[:-1])
@@ -159,19 +166,19 @@ class NumpyEngine(Engine):
 
     def iterate(
         self, feedback: bool, rule: int, mu: float, fresh: bool, cost: float,
-        gradient_tolerance: float, decrease_tolerance: float,
+        gradient_tolerance: float, expected_reduction_tolerance: float,
     ) -> IterationResult:  # fmt: skip
-        """Linearise (if `fresh`), sweep, search, accept."""
+        """Linearize (if `fresh`), sweep, search, accept."""
         xs0, us0 = self._nominal
         if fresh:
             self._linearize()
             self._second = self._second_order(xs0, us0) if self._exact else None
         moves = self._moves(xs0, us0)
-        sweep = self._solve_lq(mu, moves, decrease_tolerance < np.inf)
+        sweep = self._solve_lq(mu, moves, expected_reduction_tolerance < np.inf)
         if sweep is None:
             return IterationResult(INDEFINITE, self._norm, 0.0, 0.0, 0.0, cost)
         self._sweep, slope = sweep, sweep.slope
-        if self._norm <= gradient_tolerance or -sweep.value <= decrease_tolerance:
+        if self._norm <= gradient_tolerance or -sweep.value <= expected_reduction_tolerance:
             return IterationResult(CONVERGED, self._norm, slope, 0.0, -sweep.value, cost)
         if slope >= 0.0:  # clipping may undo a direction
             return IterationResult(NO_STEP, self._norm, slope, 0.0, -sweep.value, cost)
@@ -179,39 +186,39 @@ class NumpyEngine(Engine):
         alpha, J = np.empty(WIDTH), np.empty(WIDTH)
         xs, us = np.empty((len(xs0), WIDTH, xs0.shape[1])), np.empty((len(us0), WIDTH, us0.shape[1]))
         bracket = self._bracket
-        search.first_step_lengths(rule, alpha, bracket)
+        line_search.first_step_lengths(rule, alpha, bracket)
         slopes = np.zeros_like(alpha)
-        one_by_one = not self._together and rule == search.ARMIJO
+        one_by_one = not self._together and rule == line_search.ARMIJO
         lanes = [slice(c, c + 1) for c in range(WIDTH)] if one_by_one else [slice(0, WIDTH)]
-        for _ in range(search.batches(rule)):
+        for _ in range(line_search.batches(rule)):
             J[:] = np.nan
             for some in lanes:
                 us[:, some] = us0[:, None, :] + alpha[some, None] * self._dus[:, None, :]  # Eq. 36
                 xs[:, some], J[some] = self._rollout(xs0[0], us[:, some], sweep.K if feedback else None, xs0)
-                if search.decided(rule, alpha, J, cost, slope, some.stop):
+                if line_search.decided(rule, alpha, J, cost, slope, some.stop):
                     break
-            if rule == search.WOLFE:
+            if rule == line_search.WOLFE:
                 for c in np.flatnonzero(np.isfinite(J)):
                     slopes[c] = self._slope(xs[:, c], us[:, c], sweep.K if feedback else None)
-            lane = search.choose(rule, alpha, J, slopes, cost, slope, bracket)
+            lane = line_search.choose(rule, alpha, J, slopes, cost, slope, bracket)
             if lane >= 0:
                 self._nominal = xs[:, lane].copy(), us[:, lane].copy()
                 step = float(alpha[lane])
                 expected = expected_reduction(slope, sweep.value, step)
                 return IterationResult(ACCEPTED, self._norm, slope, step, expected, float(J[lane]))
-            search.refine(rule, alpha, bracket)
+            line_search.refine(rule, alpha, bracket)
         return IterationResult(NO_STEP, self._norm, slope, 0.0, -sweep.value, cost)
 
     def _solve_lq(self, mu: float, moves: StepBounds | None, settle: bool) -> lq.Sweep | None:
         """As the compiled engine's."""
-        kept, hinges, xs = self._kept, self._hinges, self._nominal[0]
+        kept, penalties, xs = self._kept, self._penalties, self._nominal[0]
         pulling = None
-        if kept is not None and hinges is not None and kept.ranges is not None:
-            of_ranges = kept.of_ranges(hinges)
+        if kept is not None and penalties is not None and kept.ranges is not None:
+            of_ranges = kept.of_ranges(penalties)
             pulling = StatePenalties(kept.ranges, of_ranges, xs) if of_ranges.weight.any() else None
         if settle and (moves is not None or pulling is not None) and self._settling.due():
             sweep, self._held = solve_active_set(
-                self._A, self._B, self._model, mu, moves, self._added(), pulling, self._held, MOST_SETS
+                self._A, self._B, self._model, mu, moves, self._added(), pulling, self._held, MAX_SETS
             )
             if sweep is not None:
                 self._settling.record_convergence()
@@ -242,13 +249,13 @@ class NumpyEngine(Engine):
         added[1:, i, i] += self.state_regularization * self._state_weights
         return added
 
-    def place(self, xs: np.ndarray, us: np.ndarray) -> np.ndarray:
+    def set_trajectory(self, xs: np.ndarray, us: np.ndarray) -> np.ndarray:
         """Take states (N+1, nx) and controls (N, nu) as the trajectory, after a start; its gaps (N, ndx)."""
         self._nominal = xs.copy(), us.copy()
         return self._space.difference(self._dynamics.step(xs[:-1], us), xs[1:])
 
-    def cross(self, gaps: np.ndarray, fresh: bool) -> DefectStep | None:
-        """Linearise (if `fresh`) and sweep across these gaps; None where the sweep is not definite."""
+    def defect_direction(self, gaps: np.ndarray, fresh: bool) -> DefectStep | None:
+        """Linearize (if `fresh`) and sweep across these gaps; None where the sweep is not definite."""
         if fresh:
             self._linearize()
         self._swept = False
@@ -261,7 +268,7 @@ class NumpyEngine(Engine):
         multipliers = np.einsum("nij,nj->ni", sweep.P[1:], dxs[1:]) + sweep.s[1:]
         return DefectStep(dxs, dus, multipliers, float(np.sum(model.q * dxs) + np.sum(model.r * dus)), self._norm)
 
-    def close(self, cost: float, slope: float) -> tuple[float, float]:
+    def rollout_closing_defects(self, cost: float, slope: float) -> tuple[float, float]:
         """Close the gaps by a rollout with the gains of `cross`, if Armijo's rule takes one of the first steps."""
         assert self._sweep is not None
         return self._search_once(self._sweep.k, cost, slope)
@@ -271,10 +278,10 @@ class NumpyEngine(Engine):
         assert self._sweep is not None
         xs0, us0 = self._nominal
         alpha = np.empty(WIDTH)
-        search.first_step_lengths(search.DEFECT_STEP, alpha, self._bracket)
+        line_search.first_step_lengths(line_search.DEFECT_STEP, alpha, self._bracket)
         us = us0[:, None, :] + alpha[:, None] * k[:, None, :]
         xs, J = self._rollout(xs0[0], us, self._sweep.K, xs0)
-        lane = search.choose(search.DEFECT_STEP, alpha, J, np.zeros_like(alpha), cost, slope, self._bracket)
+        lane = line_search.choose(line_search.DEFECT_STEP, alpha, J, np.zeros_like(alpha), cost, slope, self._bracket)
         if lane < 0:
             return 0.0, cost
         self._nominal = xs[:, lane].copy(), us[:, lane].copy()

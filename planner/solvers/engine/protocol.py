@@ -8,10 +8,10 @@ from typing import NamedTuple, Protocol
 import numpy as np
 
 from planner.base.errors import PlannerError
-from planner.kernels.lq import search
+from planner.kernels.lq import line_search
 from planner.problem.costs.terms import Quadratic
-from planner.problem.state_ranges import BoundPenalties
-from planner.solvers.engine.moved import TrajectoryArrays
+from planner.problem.state_bounds import BoundPenalties
+from planner.solvers.engine.warm_start_shift import TrajectoryArrays
 
 
 class IterationResult(NamedTuple):
@@ -39,7 +39,7 @@ class Engine(Protocol):
     """One solve's memory. Not shared between threads.
 
     Attributes:
-        largest_control_weight: The largest magnitude in R, the measure of what regularises R + B'PB.
+        largest_control_weight: The largest magnitude in R, the measure of what regularizes R + B'PB.
         hold: Weight on changes of the states in the next sweeps, beside their own; relative to the mean of what the
             cost weighs them with. Zero after a start. It only pulls the direction towards the trajectory.
     """
@@ -47,8 +47,8 @@ class Engine(Protocol):
     largest_control_weight: float
     state_regularization: float
 
-    def set_penalties(self, hinges: BoundPenalties | None) -> None:
-        """Have these hinges added to the cost from the next start on; None for none."""
+    def set_penalties(self, penalties: BoundPenalties | None) -> None:
+        """Have these penalties added to the cost from the next start on; None for none."""
         ...
 
     def use_second_order(self, exact: bool) -> None:
@@ -64,9 +64,9 @@ class Engine(Protocol):
 
     def iterate(
         self, feedback: bool, rule: int, mu: float, fresh: bool, cost: float,
-        gradient_tolerance: float, decrease_tolerance: float,
+        gradient_tolerance: float, expected_reduction_tolerance: float,
     ) -> IterationResult:  # fmt: skip
-        """Linearise (if `fresh`), sweep, search, accept."""
+        """Linearize (if `fresh`), sweep, search, accept."""
         ...
 
     @property
@@ -96,7 +96,7 @@ class Engine(Protocol):
         ...
 
     def defect_direction(self, gaps: np.ndarray, fresh: bool) -> DefectStep | None:
-        """Linearise (if `fresh`) and sweep across these gaps; None where the sweep is not definite."""
+        """Linearize (if `fresh`) and sweep across these gaps; None where the sweep is not definite."""
         ...
 
     def rollout_closing_defects(self, cost: float, slope: float) -> tuple[float, float]:
@@ -108,8 +108,8 @@ class Engine(Protocol):
         ...
 
     def sweep(self, mu: float, fresh: bool) -> IterationResult:
-        """Linearise (if `fresh`) and sweep, without a search: CONVERGED, or INDEFINITE."""
-        return self.iterate(True, search.ARMIJO, mu, fresh, 0.0, math.inf, math.inf)
+        """Linearize (if `fresh`) and sweep, without a search: CONVERGED, or INDEFINITE."""
+        return self.iterate(True, line_search.ARMIJO, mu, fresh, 0.0, math.inf, math.inf)
 
     def gradient(self) -> np.ndarray:
         """A copy of the gradient (N, nu) of Eq. 19, as the last sweep found it."""

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from planner.problem.plan import Plan
-from planner.view.plots.over_time import to_the_end
+from planner.view.plots.time_series import to_the_end
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -38,7 +38,8 @@ def draw_loop(verdict: LoopVerdict) -> Figure:
     if verdict.robustness_maps:
         words = {"loop": "the loop", "gains": "its plan with the gains alone"}
         curves = [
-            CurveData(words[who], values, dashed=who != "loop", t=verdict.times) for who, values in verdict.robustness_maps.items()
+            CurveData(words[who], values, dashed=who != "loop", t=verdict.times)
+            for who, values in verdict.robustness_maps.items()
         ]
         charts.append(Chart("Largest push that is survived, by the time at which it begins", "N", curves))
     return draw_charts(Charts("", t, charts, title=verdict.headline, span_label="pushed"))

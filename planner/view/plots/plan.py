@@ -20,7 +20,6 @@ from planner.proof.replays.replaying import Replay
 from planner.view.plots.bounded import OWN, SHARED, draw_bounded
 from planner.view.plots.limits import LABEL, SHADE, draw_bounds, limited
 from planner.view.plots.motions import ASTRAY, BESIDE, line_of, name_curves, range_of, until_astray
-from planner.view.plots.over_time import TimeSeries, curves_of, panels_of, replays_of, tasks_of, to_the_end, unit_of
 from planner.view.plots.solver import draw_convergence
 from planner.view.plots.style import (
     DASHED,
@@ -37,6 +36,7 @@ from planner.view.plots.style import (
     right_axis,
     title_above,
 )
+from planner.view.plots.time_series import TimeSeries, curves_of, panels_of, replays_of, tasks_of, to_the_end, unit_of
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -183,7 +183,9 @@ def _chains(plan: Plan) -> dict[str, dict[str, np.ndarray]]:
     """By unit and name the size (N,) of what holds each closed chain together, at the beginning of each stage."""
     dynamics = None if plan.problem is None else plan.problem.dynamics
     found: dict[str, dict[str, np.ndarray]] = {}
-    if not isinstance(dynamics, RigidBodyDynamics) or not (dynamics.mechanism.loops or dynamics.mechanism.polynomial_couplings):
+    if not isinstance(dynamics, RigidBodyDynamics) or not (
+        dynamics.mechanism.loops or dynamics.mechanism.polynomial_couplings
+    ):
         return found
     forces, row = constraint_forces(dynamics, plan.xs[:-1], plan.us), 0
     names = constraint_names(dynamics.mechanism)

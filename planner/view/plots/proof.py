@@ -16,10 +16,10 @@ import numpy as np
 from planner.model.coordinates import coordinates_of
 from planner.problem.plan import Plan
 from planner.proof import Proof
-from planner.proof.growth import ErrorPropagation
-from planner.proof.order import StepConvergence
+from planner.proof.error_propagation import ErrorPropagation
+from planner.proof.error_scales import ranges_of_motion
 from planner.proof.robustness.perturbed import RobustnessResult
-from planner.proof.scales import ranges_of_motion
+from planner.proof.step_convergence import StepConvergence
 from planner.view.plots.proof_paths import SHARE, draw_grounds, draw_hold, draw_path_errors
 from planner.view.plots.style import (
     DASHED,

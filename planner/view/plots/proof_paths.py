@@ -1,6 +1,6 @@
 """Panels of a proof over its replays: errors as shares of what passes, the hold of the goal, and other grounds.
 
-A share of 1 is the bound of planner.proof.scales.path_bounds, whatever the unit of the coordinate.
+A share of 1 is the bound of planner.proof.error_scales.path_error_bounds, whatever the unit of the coordinate.
 """
 
 from __future__ import annotations
@@ -12,9 +12,9 @@ import numpy as np
 
 from planner.base.measured import Section
 from planner.problem.plan import Plan
-from planner.proof.hold import RegulatedRun
+from planner.proof.error_scales import by_unit, has_contacts, path_error_bounds
+from planner.proof.goal_regulator import RegulatedRun
 from planner.proof.replays.replaying import Replay
-from planner.proof.scales import by_unit, path_error_bounds, has_contacts
 from planner.view.plots.style import (
     DASHED,
     HUES,

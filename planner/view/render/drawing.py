@@ -24,17 +24,17 @@ import numpy as np
 from planner.base import gl
 from planner.base.errors import PlannerError
 from planner.view.render import overlay
-from planner.view.render.children import answer, drawn_by_children, usable_processors
 from planner.view.render.encode import Encoder
+from planner.view.render.environment import visible_model
 from planner.view.render.film import Film
+from planner.view.render.render_workers import answer, drawn_by_children, usable_processors
 from planner.view.render.scene import Scene, best_rows
-from planner.view.render.setting import visible_model
 
 Progress = Callable[[int, int], object]
 
 _HOLD = 1.0  # s, how long the last frame stays
 _VIDEO_OVERSIZE = 1.25  # a third of the time that 2 takes, and in motion nobody sees the difference
-_MOST_CHILDREN = 8  # beyond, they wait for the process that encodes
+_MAX_CHILDREN = 8  # beyond, they wait for the process that encodes
 _NICE = 5
 _WORTH_A_CHILD = 24  # frames: a child needs a second or two before its first
 
@@ -72,7 +72,7 @@ def carry_out(films: Sequence[Film], job: Job, progress: Progress | None = None)
 
 def _frames(films: Sequence[Film], job: Job) -> Generator[np.ndarray]:
     """All frames of a video: by several processes where there are many, or here."""
-    children = min(usable_processors(), _MOST_CHILDREN, len(films[0]) // _WORTH_A_CHILD)
+    children = min(usable_processors(), _MAX_CHILDREN, len(films[0]) // _WORTH_A_CHILD)
     if children > 1 or not gl.can_render_here():
         return drawn_by_children(films, job, max(1, children))
     return draw_frames(films, job)

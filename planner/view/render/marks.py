@@ -14,9 +14,9 @@ import numpy as np
 from planner.base.errors import PlannerError
 from planner.base.gl import load_mujoco
 from planner.problem.appearance import GoalMark
-from planner.view.render.apart import screen_difference
 from planner.view.render.camera import scenery_of, swept_box
 from planner.view.render.film import Film
+from planner.view.render.pose_difference import screen_difference
 from planner.view.render.shapes import Paint, Rod, SceneGeoms
 
 PUSH = (0.98, 0.85, 0.10, 1.0)
@@ -108,7 +108,8 @@ class Marks:
     def apart(self, other: Marks, t: float) -> float:
         """The largest distance between the trails of two films of one plan at time t, s, in the model's unit."""
         return max(
-            (screen_difference(a.until(t), b.until(t)) for a, b in zip(self._trails, other._trails, strict=True)), default=0.0
+            (screen_difference(a.until(t), b.until(t)) for a, b in zip(self._trails, other._trails, strict=True)),
+            default=0.0,
         )
 
     def passed(self, mark: GoalMark, t: float) -> bool:

@@ -15,11 +15,11 @@ from PIL import Image
 
 from planner.base import gl
 from planner.problem.appearance import Appearance
-from planner.view.render.apart import SAME_PICTURE_PIXELS, Outline, screen_difference, behind, visibility
 from planner.view.render.camera import directions, scenery_of, whole_motion
+from planner.view.render.environment import visible_model
 from planner.view.render.film import Film
 from planner.view.render.marks import Marks
-from planner.view.render.setting import visible_model
+from planner.view.render.pose_difference import SAME_PICTURE_PIXELS, Outline, behind, screen_difference, visibility
 from planner.view.render.shapes import Paint, SceneGeoms, without_shadow
 from planner.view.render.sticks import Sticks
 
@@ -174,7 +174,10 @@ class Scene:
             and screen_difference(self._ghost_points, other._ghost_points) < least
             and screen_difference(np.asarray(self._camera.lookat)[None], np.asarray(other._camera.lookat)[None]) < least
             and screen_difference(arrows, others) < least
-            and (not self._appearance.force_scale or screen_difference(np.nan_to_num(feet), np.nan_to_num(other_feet)) < least)
+            and (
+                not self._appearance.force_scale
+                or screen_difference(np.nan_to_num(feet), np.nan_to_num(other_feet)) < least
+            )
             and self._marks.apart(other._marks, float(self._film.t[frame])) < least
         )
 

@@ -16,9 +16,9 @@ _DASH = 0.0016
 _TRAIL = 0.002  # half of the width of a trail
 _ARROW = 0.007
 _SLIM = 0.045  # largest radius of an arrow's shaft, in parts of its length: a thicker one would be all head
-_LEAST_ARROW = 0.015  # length of the shortest arrow that can be seen
+_MIN_ARROW = 0.015  # length of the shortest arrow that can be seen
 _DASHES = 24
-_LEAST_BALL = 7.0  # pixels of the picture before it is shrunk: radius of the smallest ball
+_MIN_BALL = 7.0  # pixels of the picture before it is shrunk: radius of the smallest ball
 _AXES = ((0.83, 0.16, 0.15), (0.16, 0.58, 0.22), (0.13, 0.36, 0.82))  # x, y and z
 
 
@@ -41,7 +41,7 @@ class SceneGeoms:
         self._mujoco, self._scene, self._distance = load_mujoco(), scene, distance
         self._eye, self._least_ball, self._line = (
             eye,
-            _LEAST_BALL * pixel,
+            _MIN_BALL * pixel,
             2.0 * _TRAIL * distance / pixel,
         )  # the width of a trail, in pixels
 
@@ -74,7 +74,7 @@ class SceneGeoms:
     def arrow(self, foot: np.ndarray, vector: np.ndarray, paint: Paint) -> None:
         """An arrow from a point (3,) along a vector (3,); none where one of them is unknown or the arrow too short."""
         length = float(np.linalg.norm(vector))
-        if not np.isfinite(foot).all() or not length > _LEAST_ARROW * self._distance:
+        if not np.isfinite(foot).all() or not length > _MIN_ARROW * self._distance:
             return
         width = min(_ARROW * self._distance, _SLIM * length)
         # MuJoCo draws an arrow half as long as it is asked to.

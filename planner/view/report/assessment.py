@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING
 from planner.base.measured import Section
 from planner.model.mechanism import Mechanism
 from planner.problem.plan import Plan
-from planner.proof.scales import SHARE, SMOOTHED, is_nonsmooth, has_contacts
+from planner.proof.error_scales import SHARE, SMOOTHED, has_contacts, is_nonsmooth
 from planner.view.report.tables import measured_table
 
 if TYPE_CHECKING:

@@ -17,8 +17,8 @@ import numpy as np
 from planner.problem.default_appearance import appearance_of
 from planner.view.plots.limits import sides_of
 from planner.view.plots.motions import ASTRAY, range_of, until_astray
-from planner.view.plots.over_time import curves_of, panels_of, replays_of, tasks_of, unit_of
 from planner.view.plots.style import HUES, MINUS, MODE_WORDS, RED, drawable
+from planner.view.plots.time_series import curves_of, panels_of, replays_of, tasks_of, unit_of
 
 if TYPE_CHECKING:
     from planner.problem.plan import Plan

@@ -14,8 +14,8 @@ from typing import TYPE_CHECKING, Any
 
 from planner.base.files import PathLike, file_error, write_atomically
 from planner.cases import CASES
-from planner.cases.problem_file.chosen import resolved_defaults
 from planner.cases.problem_file.keys import RESOLVED
+from planner.cases.problem_file.resolved_defaults import resolved_defaults
 from planner.problem.default_appearance import appearance_of
 from planner.problem.plan import Plan
 from planner.view.plots import case_pictures

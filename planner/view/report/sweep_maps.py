@@ -16,8 +16,8 @@ import numpy as np
 
 from planner.sweeps.grid import Grid
 
-MOST_MAPS = 12
-MOST_CELLS = 20_000  # of all maps
+MAX_MAPS = 12
+MAX_CELLS = 20_000  # of all maps
 _OUTLIER_FACTOR = 4.0  # times the larger of the changes beside it
 _MIN_CHANGE = 0.1  # of the range over the map
 
@@ -56,7 +56,7 @@ def maps_of(grid: Grid) -> list[Map]:
         part = numbers[tuple(chosen.get(name, slice(None)) for name in axes)]
         rows = part[None] if not up else part if axes.index(up) < axes.index(across) else part.T
         cells += rows.size
-        if len(maps) == MOST_MAPS or (maps and cells > MOST_CELLS):
+        if len(maps) == MAX_MAPS or (maps and cells > MAX_CELLS):
             break
         maps.append(Map(across, up, {name: grid.values[name][index] for name, index in chosen.items()}, rows))
     return maps

@@ -32,6 +32,7 @@ from planner.kernels.tree.linearize import scatter_row
 from planner.kernels.tree.memory import MEMORY
 from planner.kernels.tree.residuals.frames import frame_value, place_rows, speed_rows, tilt_row, tilt_value
 from planner.kernels.tree.residuals.mass_centre import mass_centre_rows, mass_centre_value
+from planner.kernels.tree.residuals.orientation import orientation_rows, orientation_value
 from planner.kernels.tree.residuals.points import place_links, place_points
 from planner.kernels.tree.residuals.scalars import scalar_row, scalar_value, velocity_row
 from planner.kernels.tree.residuals.solids import solid_row, solid_value
@@ -40,7 +41,7 @@ from planner.kernels.tree.residuals.table import (
     LAW_SIZE,
     LINE_BOX,
     MASS_CENTRE,
-    MOST_ROWS,
+    MAX_ROWS,
     POINTING,
     POSE,
     RESIDUALS,
@@ -48,7 +49,6 @@ from planner.kernels.tree.residuals.table import (
     TILT_BEND,
     VELOCITY,
 )
-from planner.kernels.tree.residuals.turns import orientation_rows, orientation_value
 from planner.kernels.tree.step import gather
 
 
@@ -141,7 +141,7 @@ def _add_term(p, t, rows):
     g, H, ld, end = lanes(p, RESIDUALS.gradient), lanes(p, RESIDUALS.hessian), p[RESIDUALS.ld], load(start, t + 1)
     for k in range(load(start, t), end):
         i = load(dof, k)
-        u = at(row, MOST_ROWS * i)
+        u = at(row, MAX_ROWS * i)
         total = load(g, i)
         for r in range(rows):
             x = load(u, r)
@@ -151,12 +151,12 @@ def _add_term(p, t, rows):
         o = i * ld
         for l in range(k, end):
             j = load(dof, l)
-            v, total = at(row, MOST_ROWS * j), load(H, o + j)
+            v, total = at(row, MAX_ROWS * j), load(H, o + j)
             for r in range(rows):
                 total += load(scaled, r) * load(v, r)
             store(H, o + j, total)
     for k in range(load(start, t), end):
-        u = at(row, MOST_ROWS * load(dof, k))
+        u = at(row, MAX_ROWS * load(dof, k))
         for r in range(rows):
             store(u, r, 0.0)
 

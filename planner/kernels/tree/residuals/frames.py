@@ -24,14 +24,14 @@ from planner.kernels.algebra.spatial import add, cross, dot, load3, load9, rotat
 from planner.kernels.numba.jit import inline, part
 from planner.kernels.numba.lane_math import quarter_angle, sqrt
 from planner.kernels.numba.lanes import integers, lanes, load, select, spread, store
-from planner.kernels.tree.model import TREE
+from planner.kernels.tree.mechanism_table import TREE
 from planner.kernels.tree.recursion import RECORD, SCREW_AXIS, TWIST
 from planner.kernels.tree.residuals.points import constants_of, point_of
 from planner.kernels.tree.residuals.table import (
     ANGULAR,
     BLUNT,
     LINEAR,
-    MOST_ROWS,
+    MAX_ROWS,
     PLACE_SIZE,
     POINTING,
     RESIDUALS,
@@ -84,8 +84,8 @@ def tilt_row(m, p, ws, t):
     normal, across = load3(lanes(p, RESIDUALS.kept), 0), load3(lanes(p, RESIDUALS.kept), 3)
     while j >= 0:
         sw = load3(ws, j * RECORD + SCREW_AXIS)
-        store(row, MOST_ROWS * j, -1.0 * dot(sw, normal))
-        store(row, MOST_ROWS * j + 1, dot(sw, across))
+        store(row, MAX_ROWS * j, -1.0 * dot(sw, normal))
+        store(row, MAX_ROWS * j + 1, dot(sw, across))
         j = load(parent, j)
 
 
@@ -98,7 +98,7 @@ def place_rows(m, p, ws, t, kind):
         b = j * RECORD + SCREW_AXIS
         sw = load3(ws, b)
         turned = cross(sw, axis) if kind == POINTING else add(load3(ws, b + 3), cross(sw, c))
-        store3(row, MOST_ROWS * j, turned)
+        store3(row, MAX_ROWS * j, turned)
         j = load(parent, j)
 
 
@@ -120,6 +120,6 @@ def speed_rows(m, p, ws, t, kind):
         else:
             Yv = add(cross(bw, sv), cross(bv, sw))
             by_q, by_v = add(add(Yv, cross(Yw, c)), cross(sw, V)), add(sv, cross(sw, c))
-        store3(row, MOST_ROWS * j, by_q)
-        store3(row, MOST_ROWS * (nv + j), by_v)
+        store3(row, MAX_ROWS * j, by_q)
+        store3(row, MAX_ROWS * (nv + j), by_v)
         j = load(parent, j)

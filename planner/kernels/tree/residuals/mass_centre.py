@@ -11,10 +11,10 @@ from __future__ import annotations
 from planner.kernels.algebra.spatial import add, add3, axpy, cross, load3, load9, rotated, scaled, store3
 from planner.kernels.numba.jit import part
 from planner.kernels.numba.lanes import floats, integers, lanes, load, spread
-from planner.kernels.tree.model import INERTIA_SIZE, TREE
+from planner.kernels.tree.mechanism_table import INERTIA_SIZE, TREE
 from planner.kernels.tree.recursion import PLACE, RECORD, SCREW_AXIS
 from planner.kernels.tree.residuals.points import constants_of
-from planner.kernels.tree.residuals.table import MOST_ROWS, RESIDUALS
+from planner.kernels.tree.residuals.table import MAX_ROWS, RESIDUALS
 
 PER_MASS = 3  # offset in the constants, after where the trees stand
 
@@ -46,6 +46,6 @@ def mass_centre_rows(m, p, ws, t):
     for i in range(m[TREE.nv] - 1, -1, -1):
         b, h = i * RECORD + SCREW_AXIS, load3(moments, 3 * i)
         whole = axpy(cross(load3(ws, b), h), load(mass, i), load3(ws, b + 3))
-        store3(row, MOST_ROWS * i, scaled(per, whole))
+        store3(row, MAX_ROWS * i, scaled(per, whole))
         if load(parent, i) >= 0:
             add3(moments, 3 * load(parent, i), h)

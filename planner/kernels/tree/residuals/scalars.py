@@ -20,13 +20,13 @@ from planner.kernels.algebra.spatial import add, axpy, cross, dot, load3, scaled
 from planner.kernels.numba.jit import inline, part
 from planner.kernels.numba.lane_math import sqrt
 from planner.kernels.numba.lanes import floats, integers, lanes, load, spread, store
-from planner.kernels.tree.model import TREE
+from planner.kernels.tree.mechanism_table import TREE
 from planner.kernels.tree.recursion import RECORD, SCREW_AXIS, TWIST
 from planner.kernels.tree.residuals.points import constants_of, point_of
 from planner.kernels.tree.residuals.table import (
     DISTANCE,
     HEIGHT,
-    MOST_ROWS,
+    MAX_ROWS,
     PARALLEL,
     PLACE_SIZE,
     POINT_SIZE,
@@ -98,7 +98,7 @@ def scalar_row(m, p, ws, t, kind):
             g = scaled((load(value, POINT_SIZE * i + 3) if k < 2 else -load(value, POINT_SIZE * i + 3)) * factor, d)
             moment = cross(load3(places, PLACE_SIZE * i), g)
             while j >= 0:
-                b, o = j * RECORD + SCREW_AXIS, MOST_ROWS * j
+                b, o = j * RECORD + SCREW_AXIS, MAX_ROWS * j
                 store(row, o, load(row, o) + dot(load3(ws, b), moment) + dot(load3(ws, b + 3), g))
                 j = load(parent, j)
 
@@ -117,7 +117,7 @@ def velocity_row(m, p, ws, t):
             moment = cross(load3(lanes(p, RESIDUALS.places), o), g)
             turned = cross(load3(lanes(p, RESIDUALS.places), o + 6), g)
             while j >= 0:
-                b, e, f = j * RECORD + SCREW_AXIS, MOST_ROWS * j, MOST_ROWS * (nv + j)
+                b, e, f = j * RECORD + SCREW_AXIS, MAX_ROWS * j, MAX_ROWS * (nv + j)
                 sw, sv = load3(ws, b), load3(ws, b + 3)
                 by_q = dot(sw, turned)
                 if load(base, j) >= 0:

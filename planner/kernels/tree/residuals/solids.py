@@ -1,4 +1,4 @@
-"""Signed distances of round lines, round boxes and planes: one row each. The twin is model.contact.distances.
+"""Signed distances of round lines, round boxes and planes: one row each. The twin is model.contact.signed_distance.
 
 A term's constants are both solids' axes in their links' frames and half lengths, what is taken off the distance of the
 cores, and the radius of the balls around both together. With the direction n and the point p, which the value leaves in
@@ -26,14 +26,14 @@ from planner.kernels.numba.lanes import (
     spread,
     store,
 )
-from planner.kernels.tree.model import TREE
+from planner.kernels.tree.mechanism_table import TREE
 from planner.kernels.tree.recursion import RECORD, SCREW_AXIS
 from planner.kernels.tree.residuals.points import constants_of, point_of, stage_value
 from planner.kernels.tree.residuals.table import (
     FIRST_AXES,
     FIRST_HALF,
     LINE_BOX,
-    MOST_ROWS,
+    MAX_ROWS,
     OVER_PLANE,
     PLACE_SIZE,
     REACH,
@@ -319,6 +319,6 @@ def solid_row(m, p, ws, t):
             g = scaled(1.0 if k == 0 else -1.0, n)
             moment = cross(about, g)
             while j >= 0:
-                b, at = j * RECORD + SCREW_AXIS, MOST_ROWS * j
+                b, at = j * RECORD + SCREW_AXIS, MAX_ROWS * j
                 store(row, at, load(row, at) + dot(load3(ws, b), moment) + dot(load3(ws, b + 3), g))
                 j = load(parent, j)

@@ -3,7 +3,7 @@
 A term has a kind, up to four points, some constants, references per stage, and up to six rows. Each row is compared
 with a bound (or target) per stage, one-sided or not, and weighed per stage. What varies over the stages has them along
 its last axis, so that four knots are one load. Points and frames are given in the kernels' frames of their links and
-about the origins of their trees (see kernels.tree.model).
+about the origins of their trees (see kernels.tree.mechanism_table).
 
 To add a kind: a number and its rows here, a file with its value and its derivative beside this one, their two lines in
 `evaluate`, and the NumPy twin in problem.costs.residuals.
@@ -17,7 +17,7 @@ import numpy as np
 
 from planner.kernels.numba.lanes import WIDTH, lane_array, padded
 from planner.kernels.numba.layout import Layout
-from planner.kernels.tree.model import chain_of
+from planner.kernels.tree.mechanism_table import chain_of
 
 # Kinds of terms, those of one file next to each other: scalars, frames, turns, mass_centre; tilt (of frames); solids.
 HEIGHT, DISTANCE, VELOCITY, POSITION, POINTING, LINEAR, ANGULAR, ORIENTATION, POSE, MASS_CENTRE, TILT = range(11)
@@ -29,7 +29,7 @@ SOLIDS = (LINE_BOX, BOXES, OVER_PLANE)  # kinds of two solids
 FIRST_AXES, FIRST_HALF, SECOND_AXES, SECOND_HALF, TAKEN_OFF, REACH = 0, 9, 12, 21, 24, 25
 """Offsets in the constants of two solids: axes in their links and half lengths, what is taken off the distance of their
 cores, and the radius of the balls around both cores together (of a plane only the other's)."""
-MOST_ROWS = max(ROWS)
+MAX_ROWS = max(ROWS)
 PARALLEL = 1e-12
 """Share of the squared lengths that keeps the nearest points of parallel lines in their middles."""
 TINY = 1e-40  # added to squares before their root or a division by them: a distance of zero has no direction
@@ -56,7 +56,7 @@ class ResidualTable:
         bound: (M, N+1) of each row, a view of what the kernels read.
         weight: (M, N+1), likewise.
         columns: Of a row's derivative: nv, or 2 nv where velocities count.
-        hessian: (N+1, columns, ld) upper triangles, as the last quadratisation left them.
+        hessian: (N+1, columns, ld) upper triangles, as the last quadratization left them.
         solids: True where some terms are of two solids, else None: the kernels then do without their code.
     """
 
@@ -85,10 +85,10 @@ class ResidualTable:
             "start": np.cumsum([0, *(len(one) for one in dofs)]),
             "dof": np.array([dof for one in dofs for dof in one], dtype=np.int64),
             "tree_address": np.where(parent[:nv] < 0, model.floating_address, -1),
-            "places": lane_array(PLACE_SIZE * len(link), WIDTH), "value": lane_array(MOST_ROWS, WIDTH),
-            "kept": lane_array(KEPT_SIZE, WIDTH), "row": lane_array(MOST_ROWS * columns, WIDTH),
-            "factor": lane_array(MOST_ROWS, WIDTH), "curvature": lane_array(MOST_ROWS, WIDTH),
-            "scaled": lane_array(MOST_ROWS, WIDTH), "moments": lane_array(3 * nv if massive else 1, WIDTH),
+            "places": lane_array(PLACE_SIZE * len(link), WIDTH), "value": lane_array(MAX_ROWS, WIDTH),
+            "kept": lane_array(KEPT_SIZE, WIDTH), "row": lane_array(MAX_ROWS * columns, WIDTH),
+            "factor": lane_array(MAX_ROWS, WIDTH), "curvature": lane_array(MAX_ROWS, WIDTH),
+            "scaled": lane_array(MAX_ROWS, WIDTH), "moments": lane_array(3 * nv if massive else 1, WIDTH),
             "gradient": lane_array(columns, WIDTH), "hessian": lane_array(columns * ld, WIDTH),
         }  # fmt: skip
         # contiguous, and kept alive: the kernels have their addresses

@@ -26,7 +26,7 @@ def _rows(results: dict[str, Any]) -> list[Row]:
             )
             + f"; SLQ on the same problem: J {swing['feedback']['cost']:.4g}, "
             f"{swing['feedback']['iterations']} iterations, {swing['feedback']['seconds']:.2g} s",
-            "the gradient is the exact one of the discretised J (Eq. 16-19 times the basis) in place of Eq. 7, "
+            "the gradient is the exact one of the discretized J (Eq. 16-19 times the basis) in place of Eq. 7, "
             "so BFGS does converge. Our splines are six accelerations of the pelvis; the paper does not say which "
             "motions of the hip were its splines"),
         Row("2.3, Fig. 5",

@@ -27,7 +27,7 @@ from planner.cases.human_step.walker import PELVIS, Walker
 from planner.paper.methods.control_spline import solve_by_splines
 from planner.paper.studies.records import descent_record, plan_record
 from planner.paper.studies.study import timed
-from planner.problem.guess import rollout_states
+from planner.problem.initial_guess import rollout_states
 from planner.problem.plan import Plan
 from planner.problem.problem import Problem
 from planner.proof.replays.replaying import replay
@@ -58,7 +58,7 @@ def step_of(problem: Problem) -> GaitPhase:
 
 
 def feedforward_alone(problem: Problem, iterations: int) -> list[float]:
-    """J after every iteration of U + alpha k: Armijo's rule, and more regularisation where no alpha is good enough."""
+    """J after every iteration of U + alpha k: Armijo's rule, and more regularization where no alpha is good enough."""
     engine, us = acquire_engine(problem), problem.first_guess.copy()
     costs, more = [engine.start_from_controls(problem.x0, us)], 0.0
     for _ in range(iterations):
@@ -71,7 +71,9 @@ def feedforward_alone(problem: Problem, iterations: int) -> list[float]:
             sweep = lq.riccati(A, B, model._replace(R=(1.0 + more) * model.R))
             assert sweep is not None  # R is positive definite
             k, slope = sweep.k, float(np.sum(gradient * sweep.k))
-            tried = ((a, engine.start_from_controls(problem.x0, us + a * k)) for a in 0.5 ** np.arange(9.0) if slope < 0.0)
+            tried = (
+                (a, engine.start_from_controls(problem.x0, us + a * k)) for a in 0.5 ** np.arange(9.0) if slope < 0.0
+            )
             good = next(((a, J) for a, J in tried if costs[-1] + 1e-4 * a * slope >= J), None)
             if good is not None:
                 alpha, cost = good
@@ -99,7 +101,9 @@ def step_results() -> dict[str, Any]:
     long = human_step(cost="study", cycles=CYCLES)
     return {
         "updates": updates,
-        "splines": [_splines(problems["swing"], n, most) for n, most in zip(COEFFICIENTS, MAX_BFGS_ITERATIONS, strict=True)],
+        "splines": [
+            _splines(problems["swing"], n, most) for n, most in zip(COEFFICIENTS, MAX_BFGS_ITERATIONS, strict=True)
+        ],
         "swing": _motion(plans["swing"]),
         "cycle": _motion(plans["cycle"]),
         "cycles": {"cycles": CYCLES, **_solved(long)[1]},

@@ -34,15 +34,15 @@ from planner.kernels.tree.residuals.table import (
 )
 from planner.model.coordinates import Coordinate
 from planner.model.mechanism import Mechanism
+from planner.problem.costs.goal_spec import GoalSpec
 from planner.problem.costs.residuals.arrays import ResidualArrays, resampled
 from planner.problem.costs.residuals.frames import framed
+from planner.problem.costs.residuals.kinematics_cache import KinematicsCache
 from planner.problem.costs.residuals.mass_centre import mass_centre
 from planner.problem.costs.residuals.scalars import scalar
-from planner.problem.costs.residuals.seen import KinematicsCache
 from planner.problem.costs.residuals.solids import apart
 from planner.problem.costs.residuals.turns import orientation_residual
 from planner.problem.costs.terms import Quadratic, Term
-from planner.problem.costs.wanted import GoalSpec
 
 _MEASURES: dict[int, Callable[[KinematicsCache, int, bool], tuple[np.ndarray, np.ndarray]]] = {
     HEIGHT: scalar, DISTANCE: scalar, VELOCITY: scalar, POSITION: framed, POINTING: framed, LINEAR: framed,

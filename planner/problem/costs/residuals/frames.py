@@ -9,7 +9,7 @@ import numpy as np
 
 from planner.kernels.tree.residuals.table import ANGULAR, BLUNT, POINTING, POSITION, TILT, TINY
 from planner.model.space import cross
-from planner.problem.costs.residuals.seen import KinematicsCache
+from planner.problem.costs.residuals.kinematics_cache import KinematicsCache
 
 
 def framed(seen: KinematicsCache, t: int, moving: bool) -> tuple[np.ndarray, np.ndarray]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from planner.dynamics.kinematics import points_of
-from planner.problem.costs.residuals.seen import KinematicsCache
+from planner.problem.costs.residuals.kinematics_cache import KinematicsCache
 
 
 def mass_centre(seen: KinematicsCache, t: int, moving: bool) -> tuple[np.ndarray, np.ndarray]:

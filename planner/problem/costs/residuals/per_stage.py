@@ -49,7 +49,9 @@ class StageData:
         """(N+1, size) of (1 or N+1, size)."""
         return np.broadcast_to(given, (self.horizon + 1, given.shape[1]))
 
-    def asked(self, name: str, target: Any, way: Any, final: Any, rows: int, size: int | None = None) -> WeightedTarget | None:
+    def asked(
+        self, name: str, target: Any, way: Any, final: Any, rows: int, size: int | None = None
+    ) -> WeightedTarget | None:
         """A target of some size (that of its rows by default) and its weights, checked; None for neither."""
         checked = None if target is None else self._target(name, target, size or rows)
         running, end = self._weights(f"{name}_weight", way, final, rows)

@@ -11,7 +11,7 @@ from __future__ import annotations
 import numpy as np
 
 from planner.kernels.tree.residuals.table import HEIGHT, PARALLEL, TINY, VELOCITY
-from planner.problem.costs.residuals.seen import KinematicsCache
+from planner.problem.costs.residuals.kinematics_cache import KinematicsCache
 
 
 def scalar(seen: KinematicsCache, t: int, moving: bool) -> tuple[np.ndarray, np.ndarray]:

@@ -1,6 +1,7 @@
 """Signed distances of two solids: one row each. The readable twin of kernels.tree.residuals.solids.
 
-With the direction n and the point p of model.contact.distances the derivative is n'(J_1(p) - J_2(p)), J the Jacobians
+With the direction n and the point p of model.contact.signed_distance the derivative is n'(J_1(p) - J_2(p)), J the
+Jacobians
 of what is fixed to each link and at p.
 """
 
@@ -18,11 +19,15 @@ from planner.kernels.tree.residuals.table import (
     SECOND_HALF,
     TAKEN_OFF,
 )
-from planner.model.contact import distances
-from planner.model.contact.distances import PlacedShapes
-from planner.problem.costs.residuals.seen import KinematicsCache
+from planner.model.contact import signed_distance
+from planner.model.contact.signed_distance import PlacedShapes
+from planner.problem.costs.residuals.kinematics_cache import KinematicsCache
 
-_MEASURES = {LINE_BOX: distances.segment_box, BOXES: distances.of_boxes, OVER_PLANE: distances.from_plane}
+_MEASURES = {
+    LINE_BOX: signed_distance.segment_box,
+    BOXES: signed_distance.of_boxes,
+    OVER_PLANE: signed_distance.from_plane,
+}
 
 
 def apart(seen: KinematicsCache, t: int, moving: bool) -> tuple[np.ndarray, np.ndarray]:

@@ -1,6 +1,6 @@
 """How a frame stands against one that it should be: rotation vector, or logarithm of SE(3).
 
-The readable twin of kernels.tree.residuals.turns, which has the formulas.
+The readable twin of kernels.tree.residuals.orientation, which has the formulas.
 """
 
 from __future__ import annotations
@@ -9,7 +9,7 @@ import numpy as np
 
 from planner.kernels.tree.residuals.table import POSE
 from planner.model.space import hat, log_jacobian, log_quaternion
-from planner.problem.costs.residuals.seen import KinematicsCache
+from planner.problem.costs.residuals.kinematics_cache import KinematicsCache
 
 _SERIES_THRESHOLD = 0.04  # rad^2, below it a series: its next term is below rounding
 

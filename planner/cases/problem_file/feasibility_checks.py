@@ -1,0 +1,77 @@
+"""The goal of a problem.toml must be away from its start, and something must be able to bring the machine there."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from planner.base.errors import PlannerError
+from planner.dynamics import RigidBodyDynamics
+from planner.model.mjcf.prescribed_joints import prescribed_dofs_of
+from planner.model.space import space_of
+from planner.model.stationary_objects import roots
+from planner.problem.costs.tracking import tracking_of
+from planner.problem.goals import ROUNDING, goals_of
+from planner.problem.initial_guess import rollout_states
+from planner.problem.problem import Problem
+
+
+def check_goal_differs(problem: Problem) -> None:
+    """Refuse a problem that doing nothing solves, unless start and goal are equal: then to stay is the task."""
+    cost, x0 = tracking_of(problem.cost), problem.x0
+    assert cost is not None  # a problem file has one
+    way = np.abs(space_of(problem.dynamics).difference(x0, cost.x_ref[-1]))
+    goals = [goal for goal in goals_of(problem) if np.isfinite(goal.tolerance)]
+    if not goals or not np.any(way > ROUNDING):
+        return
+    ways = {goal.name: float(goal.error(x0[None])[0]) for goal in goals}
+    largest = max(goals, key=lambda goal: ways[goal.name])
+    if ways[largest.name] > 0.0 and all(ways[goal.name] <= goal.tolerance for goal in goals):
+        raise PlannerError(
+            f"the start is already within the tolerance {largest.tolerance:g} {largest.unit} of the goal (largest "
+            f"difference {ways[largest.name]:.3g} at {largest.name}), expected a smaller one, e.g. "
+            f"tolerance = {0.1 * ways[largest.name]:.1g}: a plan that does nothing would pass."
+        )
+    if ways[largest.name] == 0.0 and not np.any(np.abs(cost.Q).max(axis=(0, 1))[way > 0.0]):
+        raise PlannerError("no weight is above 0 where start and goal differ, expected one: nothing would move.")
+
+
+def check_goal_controllable(problem: Problem) -> None:
+    """Refuse goals of what nothing drives and nothing touches in the plan: it moves alike whatever the controls do."""
+    dynamics, cost = problem.dynamics, tracking_of(problem.cost)
+    assert isinstance(dynamics, RigidBodyDynamics)  # a problem file has them
+    assert cost is not None
+    loose = _uncontrolled_dofs(dynamics)
+    if not np.any(loose):
+        return
+    space, mechanism = dynamics.space, dynamics.mechanism
+    end = rollout_states(dynamics, problem.x0, problem.first_guess)[-1]
+    theirs = np.concatenate([loose, loose, np.zeros(mechanism.na, dtype=bool)])
+    reached = space.integrate(cost.x_ref[-1], np.where(theirs, space.difference(end, cost.x_ref[-1]), 0.0))
+    for goal in goals_of(problem):
+        miss = float(goal.error(reached[None])[0])
+        if miss > goal.tolerance:
+            first = mechanism.joint_of(int(np.flatnonzero(loose)[0]))
+            raise PlannerError(
+                f"nothing drives or holds {first} in the plan, so that {goal.name} ends {miss:.3g} {goal.unit} from "
+                "the goal whatever the controls do, expected a plane or a box under it, a goal where it gets by "
+                "itself, or a model without that joint."
+            )
+
+
+def _uncontrolled_dofs(dynamics: RigidBodyDynamics) -> np.ndarray:
+    """(nv,) the degrees of freedom of trees that no actuator, contact, coupling, tendon or closed chain reaches."""
+    mechanism = dynamics.mechanism
+    root = roots(mechanism)
+    reached = set(np.flatnonzero(np.any(mechanism.actuators.moment != 0.0, axis=0)).tolist())
+    reached |= {*map(int, prescribed_dofs_of(dynamics)), *(contact.link for contact in mechanism.contacts)}
+    reached |= {shape.link for pair in mechanism.body_contacts for shape in (pair.first, pair.second)} - {-1}
+    reached |= {dof for one in (*mechanism.couplings, *mechanism.tendons) for dof in one.dofs}
+    for first, second in (
+        *(loop.links for loop in mechanism.loops),
+        *(cam.dofs for cam in mechanism.polynomial_couplings),
+    ):
+        if -1 in (first, second):
+            reached.add(max(first, second))  # the world holds it
+        else:
+            root[root == root[first]] = root[second]  # what drives one tree drives the other
+    return ~np.isin(root, root[sorted(reached)])

@@ -1,0 +1,136 @@
+"""The first controls of a problem file: by the word that it has for them, or chosen by what they lead to.
+
+line   the straight line in joint space, or through the poses of a task, by inverse dynamics, for machines whose
+       actuators reach every joint; of closed chains the line that keeps them closed
+around a way in joint space on which nothing that the problem avoids comes too near, kept to by gains
+led    gains of a regulator that is led along that line, for any other machine
+hold   what holds the start against gravity, as far as the actuators can
+zero   nothing
+auto   around where something is avoided and there is such a way, line where there is one, else led where that ends
+       nearer to the goal than hold does, else hold
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from planner.base.errors import PlannerError
+from planner.model.mjcf.prescribed_joints import prescribed_dofs_of
+from planner.model.space import space_of
+from planner.problem.avoid import collision_free_motion
+from planner.problem.closed_chain_reference import closed_chain_reference
+from planner.problem.constraints.clearance import pair_clearance_of
+from planner.problem.initial_guess import interpolated_states, quasi_static_controls, rollout_states, straight_line
+from planner.problem.problem import Problem
+from planner.solvers.stabilizing_guess import line_tracking_controls, tracking_controls
+
+STRAYS = 0.1  # of the largest motion: from there on gains keep a guess on its way
+GUESSES = ("auto", "line", "around", "led", "hold", "zero")
+
+
+class ReferenceTrajectory(NamedTuple):
+    """A way in place of the straight line to a goal."""
+
+    controls: np.ndarray | None  # (N, nu) controls along it by inverse dynamics; None where there are none
+    states: np.ndarray  # (N+1, nx) its states
+    direct: bool  # whether its end alone is asked for
+
+
+def first_guess(
+    problem: Problem, kind: str, goal: np.ndarray, way: ReferenceTrajectory | None = None
+) -> np.ndarray | None:
+    """Controls (N, nu) of a kind that lead towards a goal (nx,), or along a way; None for zero.
+
+    Raises:
+        PlannerError: There is no line, or what is led runs away.
+    """
+    if kind == "zero":
+        return None
+    dynamics: Any = problem.dynamics  # of a mechanism
+    apart = pair_clearance_of(problem.constraints)
+    direct = way is None or way.direct
+    if apart is not None and direct and kind in ("around", "auto") and not dynamics.prescribed:
+        end = goal if way is None else way.states[-1]
+        motion = collision_free_motion(apart, dynamics.mechanism, problem.x0, end, problem.duration, problem.N)
+        found = None if motion is None else tracking_controls(problem, *motion)
+        if found is not None:
+            return found
+    if kind == "around":
+        raise PlannerError(
+            "guess is 'around', expected 'auto', 'line', 'led', 'hold' or 'zero': no way around was found; it is for "
+            "machines of hinges and slides that avoid something, at rest at both ends, with actuators for every joint."
+        )
+    if way is None and kind in ("line", "led", "auto"):
+        way = _closed(problem, goal)
+    if kind in ("line", "auto") and not dynamics.prescribed:
+        line = _along(problem, _straight(problem, goal) if way is None else way)
+        if line is not None:
+            return line
+    if kind == "line":
+        raise PlannerError(
+            "guess is 'line', expected 'led', 'hold' or 'zero': a line is for machines of hinges and slides that are "
+            "at rest at both ends, whose actuators reach every joint, without contacts."
+        )
+    hold = np.tile(_holding(problem), (problem.N, 1))
+    found = None
+    if kind != "hold":
+        found = line_tracking_controls(problem, goal) if way is None else tracking_controls(problem, way.states)
+    if found is None and kind == "led":
+        raise PlannerError("guess is 'led', expected 'hold' or 'zero': this machine runs away where gains lead it.")
+    if found is None or (kind == "auto" and not _rollout_cost(problem, found) < _rollout_cost(problem, hold)):
+        return hold
+    return found
+
+
+def _closed(problem: Problem, goal: np.ndarray) -> ReferenceTrajectory | None:
+    """The way to a goal (nx,) that keeps chains closed; None for machines without any, and where there is none."""
+    dynamics: Any = problem.dynamics
+    mechanism = dynamics.mechanism
+    if not (mechanism.loops or mechanism.cams):
+        return None
+    poses = np.stack([problem.x0, goal])[:, : mechanism.nq]
+    rest = ~np.any(np.stack([problem.x0, goal])[:, mechanism.nq : mechanism.nq + mechanism.nv], axis=1)
+    found = closed_chain_reference(mechanism, problem.x0, np.array([0, problem.N]), poses, rest, dynamics.dt)
+    return None if found is None else ReferenceTrajectory(found.controls, found.rows, direct=True)
+
+
+def _straight(problem: Problem, goal: np.ndarray) -> ReferenceTrajectory:
+    """The straight line in joint space to a goal (nx,)."""
+    dynamics: Any = problem.dynamics
+    line = straight_line(dynamics.mechanism, problem.x0, goal, problem.duration, problem.N)
+    rows = interpolated_states(space_of(dynamics), problem.x0, goal, problem.duration, problem.N)
+    return ReferenceTrajectory(line, rows, direct=True)
+
+
+def _along(problem: Problem, way: ReferenceTrajectory) -> np.ndarray | None:
+    """The controls along a way; with gains where an unstable machine leaves it, and None where there are none."""
+    if way.controls is None:
+        return None
+    with np.errstate(all="ignore"):
+        away = space_of(problem.dynamics).difference(
+            rollout_states(problem.dynamics, problem.x0, way.controls), way.states
+        )
+    if np.abs(away).max(axis=0).max() < STRAYS * np.ptp(way.states, axis=0).max():  # false of what is not finite
+        return way.controls
+    return tracking_controls(problem, way.states, way.controls)
+
+
+def _rollout_cost(problem: Problem, us: np.ndarray) -> float:
+    """The cost of a rollout; infinite where it runs away."""
+    with np.errstate(all="ignore"):
+        us = us if problem.bounds is None else problem.bounds.clip(slice(None), us, None)
+        cost = problem.cost.value(rollout_states(problem.dynamics, problem.x0, us), us)
+    return cost if np.isfinite(cost) else np.inf
+
+
+def _holding(problem: Problem) -> np.ndarray:
+    """Controls (nu,) that hold the start as far as they can; prescribed joints are held by an acceleration of zero."""
+    dynamics: Any = problem.dynamics
+    mechanism, driven = dynamics.mechanism, prescribed_dofs_of(dynamics)
+    moment = mechanism.actuators.moment.copy()
+    moment[:, driven] = 0.0  # actuators do nothing there
+    free = replace(mechanism, actuators=replace(mechanism.actuators, moment=moment))
+    return np.concatenate([quasi_static_controls(free, problem.x0), np.zeros(len(driven))])

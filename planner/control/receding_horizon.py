@@ -1,0 +1,321 @@
+"""Window: a problem over the next H stages, whose weights and references slide along with time.
+
+At stage s of its task the window has the stages s ... s+H-1 of the problem, and at its end the problem's final weight.
+Past the end of the task the goal stays: a stage weighs what the last one did and, per second, what the end does, but
+speeds no more than lets the machine settle (window_parts.settling). There the effort is counted from the controls that
+keep the goal.
+
+Everything is laid out once over the whole task and the window after it; to slide is to have an engine read its tables
+from another row on, or to copy a slice of them into its memory.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from planner.base.arguments import choice
+from planner.control.window_parts import (
+    at_stages,
+    first_stages,
+    frame_rows,
+    holding_stage_weights,
+    lengthened,
+    parts_of,
+    updated_rows,
+)
+from planner.dynamics import ResidualDynamics
+from planner.kernels.lq.workspace import W
+from planner.model.space import space_of
+from planner.problem.costs.residuals.arrays import ResidualArrays, joined
+from planner.problem.costs.residuals.cost import ResidualCost
+from planner.problem.costs.terms import Cost, SumCost
+from planner.problem.costs.tracking import TrackingCost
+from planner.problem.plan import Plan
+from planner.problem.problem import Problem
+from planner.problem.state_bounds import BoundPenalties
+from planner.solvers.augmented_lagrangian import shifted_bounds
+from planner.solvers.engine import CompiledEngine, NumpyEngine, acquire_engine
+
+
+class RecedingHorizonProblem:
+    """The window of a problem and the engine that plans in it.
+
+    Args:
+        problem: With a TrackingCost and costs of residuals (frames, penalties), as tasks and problem files have them.
+        H: Stages of the window.
+        keeps: Whether the goal stays past the end of the task. Where no control keeps it, the apex of a hop or the end
+            of a stride, the end of the task is weighed when it comes, and after it the effort alone.
+
+    Attributes:
+        problem: The window's own, of H stages from the start.
+        engine: That plans in it; made once.
+        keeps: See the argument.
+        stage: Where the window is: of its first stage in the task.
+
+    Raises:
+        PlannerError: A cost that does not say what it is past its end.
+    """
+
+    def __init__(self, problem: Problem, H: int, keeps: bool = True) -> None:
+        self.H, self.N, self._space = H, problem.N, space_of(problem.dynamics)
+        tracking, residuals = parts_of(problem)
+        N, self._at = self.N, np.minimum(np.arange(self.N + H + 1), self.N)
+        dt, before = problem.dynamics.dt, np.minimum(self._at, N - 1)
+        past = (np.arange(N + H + 1) > N)[:, None, None]  # the end itself weighs what it does in a plan
+        self.x_ref, self.u_ref = tracking.x_ref[self._at].copy(), tracking.u_ref[before].copy()
+        resting = keeps * holding_stage_weights((tracking.Q[N - 1] if N > 1 else 0.0) + dt * tracking.Q[N])
+        self._Q, self._R = np.where(past, resting, tracking.Q[self._at]), tracking.R[before]
+        self._final, self._last = tracking.Q[N], keeps * tracking.Q[N - 1]
+        self.keeps = keeps
+        self._own_x_ref = self.x_ref.copy()
+        self._to_goal = np.all(self.x_ref == self.x_ref[-1], axis=1)
+        self._end_rows = joined([cost.measures_for(N) for cost in residuals]) if residuals else None
+        self._residuals = None if self._end_rows is None else lengthened(self._end_rows, H, dt, keeps)
+        self._frames, self._points = frame_rows(residuals, N), dict[str, np.ndarray]()
+        Q = np.concatenate([self._Q[:H], self._final[None]])
+        Q[0] = self._Q.sum(axis=0)  # the kernels' tables have the entries that any stage ever weighs
+        cost: Any = TrackingCost(Q, self._R[:H], self.x_ref[: H + 1], self.u_ref[:H], self._space)
+        if residuals:
+            first = at_stages(self._residuals, slice(0, H + 1))
+            cost = SumCost(cost, *[_Measured(residuals, first)])
+        limits = first_stages(problem.limits, H, N)
+        self.problem = replace(
+            problem, cost=cost, horizon=H, us=np.zeros((H, problem.dynamics.nu)), limits=limits, objective=None,
+            recipe=None, wanted=None, requirements=None, periodic=None, tolerance="soft",
+        )  # fmt: skip
+        self.engine, self._residual_costs = acquire_engine(self.problem), residuals
+        self._hinges: BoundPenalties | None = None
+        self._rows, self._columns = updated_rows(self.problem)
+        self._kept = np.zeros((0, 0)), np.zeros((0, 0))  # bounds that no multiplier has moved, as those of the hinges
+        self._lay_out(problem)
+        self.stage, self._passed, self._stale = -1, -1, True
+
+    def _lay_out(self, problem: Problem) -> None:
+        """The tables of which slices go into the engine."""
+        engine = self.engine
+        if not isinstance(engine, CompiledEngine):
+            return
+        arrays = self._arrays = engine.cost_arrays()
+        rows = {
+            "x_ref": self.x_ref, "u_ref": self.u_ref,
+            "stage_value": self._Q[:, arrays["stage_row"], arrays["stage_column"]],
+            "control_value": self._R[:, arrays["control_row"], arrays["control_column"]],
+        }  # fmt: skip
+        self._tables = {name: np.ascontiguousarray(values) for name, values in rows.items()}
+        self.x_ref, self.u_ref = self._tables["x_ref"], self._tables["u_ref"]
+        self._entries = np.array([getattr(W, name) for name in rows])
+        self._addresses = np.array([values.ctypes.data for values in self._tables.values()])
+        self._strides = np.array([values.strides[0] for values in self._tables.values()])
+        at_end = arrays["final_row"], arrays["final_column"]
+        self._values_at_end, self._ends = [Q[at_end] for Q in (self._last, self._final)], -1
+        self._own_bounds: list[tuple[np.ndarray, np.ndarray]] = []
+        if problem.bounds is not None:
+            before = np.minimum(self._at, self.N - 1)
+            for side, names in (("lower", ("lower", "range_lower")), ("upper", ("upper", "range_upper"))):
+                values = getattr(problem.bounds, side)[before]
+                if not np.all(values == values[0]):
+                    self._own_bounds += [(arrays[name], values) for name in names]
+        self._table = engine.residuals
+        self._source = None
+        if self._residuals is not None and isinstance(problem.dynamics, ResidualDynamics):
+            self._source = problem.dynamics.residuals(self._residuals)
+
+    def set_penalties(self, plan: Plan, kept: Any) -> None:
+        """Keep ranges and constraints by the hinges that a plan of the whole task ended with; past its end unshifted.
+
+        Args:
+            plan: Of the problem, with its hinges or without any.
+            kept: The problem's.
+        """
+        if kept is None:
+            return
+        weight = np.zeros_like(kept.lower) if plan.bound_penalties is None else plan.bound_penalties.weight
+        lower, upper = (kept.lower, kept.upper) if plan.bound_penalties is None else plan.bound_penalties[:2]
+        most = np.tile(weight.max(axis=0), (len(self._at), 1))
+        past = (self._at == self.N)[:, None]
+        self._kept = kept.lower[self._at], kept.upper[self._at]
+        self._hinges = BoundPenalties(
+            np.where(past, kept.lower[self._at], lower[self._at]),
+            np.where(past, kept.upper[self._at], upper[self._at]), most,
+        )  # fmt: skip
+        self._move_ranges(self._own_x_ref)
+        self._stale = True
+
+    def _move_ranges(self, before: np.ndarray) -> None:
+        """Ranges are of the deviation from the reference: move them with it, from a reference before."""
+        ranges = self.problem.ranges
+        if self._hinges is None or ranges is None:
+            return
+        moved = self._space.difference(self.x_ref, before)[:, ranges.component]
+        for side in (*self._hinges[:2], *self._kept):
+            side[:, : moved.shape[1]] -= moved[: len(side)]
+
+    def update_hinges(self, xs: np.ndarray, us: np.ndarray, cost: float, solved: bool) -> None:
+        """After a plan: weights of what it breaks first and, if it is `solved`, the multipliers of its stages.
+
+        Multipliers are updated as by an augmented Lagrangian after a solve; those of a plan that is far from a minimum,
+        as after a push, would drive the machine. They belong to stages of the task, so that they slide with the window
+        as its controls do. Shapes that are kept apart have weights from the beginning, and their distances take too
+        long to be measured again at each call: their multipliers stay as the first plan left them.
+
+        Args:
+            xs: (H+1, nx) the states of the plan.
+            us: (H, nu) its controls.
+            cost: Of the plan.
+            solved: Whether it is near its minimum.
+        """
+        if self._hinges is None or not len(self._columns):
+            return
+        here, columns = slice(self.stage + 1, self.stage + self.H), self._columns  # the start is given
+        e = self._deviations(xs, us)[1:]
+        lower, upper, weight = (part[here, columns] for part in self._hinges)
+        low, high = np.maximum(lower - e, 0.0), np.maximum(e - upper, 0.0)  # multipliers over the weight
+        broken = np.any((low > 0.0) | (high > 0.0), axis=0)
+        new = broken & ~np.any(weight > 0.0, axis=0)
+        if new.any():
+            outside = float(np.sum((low**2 + high**2)[:, new]))
+            self._hinges.weight[:, columns[new]] = 2.0 * max(abs(cost), np.finfo(float).tiny) / outside
+            low[:, new] = high[:, new] = 0.0
+            self._stale = True
+        kept = [side[here, columns] for side in self._kept]
+        if solved and (broken.any() or np.any(lower != kept[0]) or np.any(upper != kept[1])):
+            self._hinges.lower[here, columns], self._hinges.upper[here, columns] = shifted_bounds(
+                kept[0], kept[1], low, high
+            )
+            self._stale = True
+
+    def _advance(self, stages: int) -> None:
+        """Multipliers past the end of the task, so many stages later; behind the window there are none."""
+        assert self._hinges is not None
+        past, m = slice(self.N + 1, None), min(stages, self.H)
+        for side, kept in zip(self._hinges[:2], self._kept, strict=True):
+            own, free = side[past], kept[past]
+            shift = np.where(np.isfinite(free), own - free, 0.0)
+            own[:-m], own[-m:] = free[:-m] + shift[m:], free[-m:]
+        self._stale = True
+
+    def _deviations(self, xs: np.ndarray, us: np.ndarray) -> np.ndarray:
+        """(H, columns) of the ranges and constraints whose multipliers are updated, at the starts of stages."""
+        ranges, found = self.problem.ranges, list[np.ndarray]()
+        if ranges is not None:
+            e = self._space.difference(xs[:-1], self.x_ref[self.stage : self.stage + self.H])
+            found.append(e[:, ranges.component])
+        if self._rows is not None:
+            found.append(self._rows.values(xs, us)[:-1])
+        return np.concatenate(found, axis=1)
+
+    def aim(self, goal: np.ndarray, control: np.ndarray | None, stage: int) -> None:
+        """Move the goal to another state (nx,), and count the effort past the end from a control (nu,) that keeps it.
+
+        States (H+1, nx) are where it will be at the stages of the window that begins at `stage`. The references on the
+        way that were the goal go with it.
+        """
+        goals, before = np.atleast_2d(goal), self.x_ref.copy()
+        first = min(max(stage, 0), self.N)
+        at = np.clip(np.arange(len(self.x_ref)) - first, 0, len(goals) - 1)
+        self.x_ref[self._to_goal] = goals[at[self._to_goal]]
+        self._move_ranges(before)
+        self.rest(control)
+
+    def rest(self, control: np.ndarray | None) -> None:
+        """Count the effort past the end of the task from a control (nu,)."""
+        if control is not None:
+            self.u_ref[self._at == self.N] = control
+        self._stale = True
+
+    def point(self, frame: str, places: np.ndarray) -> None:
+        """Move the goal of a frame, and the path that it follows, to a place (3,) in the world.
+
+        Places (H+1, 3) are where it will be at the stages of the next window.
+        """
+        choice("a frame of the goal", frame, self._frames)
+        self._points[frame] = np.atleast_2d(places)
+        self._stale = True
+
+    @property
+    def frames(self) -> tuple[str, ...]:
+        """The frames whose goal can be moved."""
+        return tuple(self._frames)
+
+    def slide(self, stage: int) -> None:
+        """Put the window at a stage of the task; past its end it stays as it is."""
+        if self._hinges is not None and stage > max(self._passed, self.N):  # where the tables end, multipliers go on
+            self._advance(stage - max(self._passed, self.N))
+        self._passed, stage = stage, min(max(stage, 0), self.N)
+        if stage == self.stage and not self._stale:
+            return
+        self.stage, self._stale = stage, False
+        H, here = self.H, slice(stage, stage + self.H)
+        engine = self.engine
+        if isinstance(engine, CompiledEngine):
+            arrays = self._arrays
+            engine.use_tables(self._entries, self._addresses + stage * self._strides)
+            ends = int(self.keeps or stage + H <= self.N)
+            if ends != self._ends:
+                self._ends, arrays["final_value"][:] = ends, self._values_at_end[ends]
+            for array, values in self._own_bounds:
+                if array.size:
+                    array[:] = values[here]
+            if self._source is not None:
+                self._slide_residuals(stage)
+        elif isinstance(engine, NumpyEngine):
+            engine.weigh(self.cost_at(stage))
+        if self._hinges is not None:
+            last = [*range(stage, stage + H), self.N]
+            hinges = BoundPenalties(*(part[last] for part in self._hinges))
+            ranges = self.problem.ranges
+            if ranges is not None:  # the bounds of the end are of the deviation from the window's own
+                away = self._space.difference(self.x_ref[stage + H], self.x_ref[self.N])[ranges.component]
+                for side in hinges[:2]:
+                    side[-1, : len(away)] -= away
+            engine.set_penalties(hinges)
+
+    def _weight_at_end(self, stage: int) -> np.ndarray:
+        """The weight of the window's end."""
+        return self._final if self.keeps or stage + self.H <= self.N else self._last
+
+    def _slide_residuals(self, stage: int) -> None:
+        H, here = self.H, slice(stage, stage + self.H + 1)
+        table, source, end = self._table, self._source, self._end_rows
+        assert table is not None
+        assert source is not None
+        assert end is not None
+        for name in ("world", "reference"):
+            own, values = table._arrays[name], source._arrays[name]
+            own[: len(values), ..., : H + 1] = values[..., here]
+        M = len(source.weight)
+        table.weight[:M], table.bound[:M] = source.weight[:, here], source.bound[:, here]
+        if self.keeps or stage + H <= self.N:
+            table.weight[:M, H] = end.weight[:, -1]
+        for frame, places in self._points.items():
+            table.bound[self._frames[frame], : H + 1] = places.T
+        table.changed()
+
+    def cost_at(self, stage: int) -> Cost:
+        """The cost of the window at a stage, for an engine in NumPy and for what a loop has cost."""
+        H, here = self.H, slice(stage, stage + self.H)
+        Q = np.concatenate([self._Q[here], self._weight_at_end(stage)[None]])
+        cost = object.__new__(TrackingCost)  # its parts were checked when the window was made
+        cost.Q, cost.R, cost.N, cost.nu = Q, self._R[here], H, self._R.shape[1]
+        cost.x_ref, cost.u_ref, cost.space = self.x_ref[stage : stage + H + 1], self.u_ref[here], self._space
+        cost.nx, cost.ndx = self._space.nx, self._space.ndx
+        if self._residuals is None or self._end_rows is None:
+            return cost
+        parts = at_stages(self._residuals, slice(stage, stage + H + 1))
+        bound, weight = np.array(parts.bound), np.array(parts.weight)
+        for frame, places in self._points.items():
+            bound[self._frames[frame]] = places.T
+        if self.keeps or stage + H <= self.N:
+            weight[:, -1] = self._end_rows.weight[:, -1]
+        parts = replace(parts, bound=bound, weight=weight)
+        return SumCost(cost, _Measured(self._residual_costs, parts))
+
+
+class _Measured(ResidualCost):
+    """The terms of several costs of residuals as one, over a window."""
+
+    def __init__(self, costs: list[ResidualCost], measures: ResidualArrays) -> None:
+        super().__init__(costs[0].mechanism, measures, measures.weight.shape[1] - 1)

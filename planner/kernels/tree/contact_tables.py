@@ -1,0 +1,82 @@
+"""The arrays of kernels.tree.mechanism_table for contacts of spheres with planes, stops of joints, and contacts of two
+bodies.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from planner.model.contact.body_contact import common_carrier
+from planner.model.contact.laws import slide_direction
+
+CONTACT_SIZE, STOP_SIZE = 25, 8  # numbers of a contact and of a stop: see contact_arrays
+PAIR_SIZE, PAIR_LINKS_SIZE = 32, 5  # numbers and links of a contact of two bodies: see pair_arrays
+
+
+def contact_arrays(contacts: Any, mechanism: Any, tree: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """Per contact: centre (3), normal (3), level, arm, surface velocity (3), slide (3), eleven numbers of its force.
+
+    With the centre c in the kernels' frames and about the tree's origin, e = level - n'c and p = c - (arm - e/2) n.
+    """
+    link = np.array([contact.link for contact in contacts], dtype=np.int64)
+    value = np.zeros((len(contacts), CONTACT_SIZE))
+    for row, contact in zip(value, contacts, strict=True):
+        plane, law, i = contact.plane, contact.law, contact.link
+        row[:3] = (np.linalg.inv(tree["frames"][i]) @ np.append(contact.centre, 1.0))[:3]
+        row[3:6], row[8:11] = plane.normal, plane.velocity
+        row[6] = contact.radius + law.lift + plane.offset - plane.normal @ tree["origin"][i]
+        row[7] = contact.radius + 0.5 * law.lift
+        row[11:14], row[14:] = slide_direction(mechanism, plane), _contact_law_numbers(law)
+    slide = np.array([contact.plane.slide for contact in contacts], dtype=np.int64)
+    address = tree["floating_address"][link]
+    return {"contact_link": link, "contact_address": address, "contact_slide": slide, "contact_value": value}
+
+
+def stop_arrays(stops: Any) -> dict[str, np.ndarray]:
+    """Per stop: its side, where it begins, and the six numbers of its force."""
+    rows = [[stop.side, stop.end - stop.side * stop.law.lift, *_law_numbers(stop.law)] for stop in stops]
+    return {
+        "stop_dof": np.array([stop.dof for stop in stops], dtype=np.int64),
+        "stop_value": np.array(rows, dtype=float).reshape(-1, STOP_SIZE),
+    }
+
+
+def pair_arrays(pairs: Any, parent: np.ndarray, tree: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """Per contact of two bodies: both links, their last common one, where qpos has their floating trees' places.
+
+    And of each part its middle (3), axis (3) and half length, then from the second's origin to the first's (3),
+    r_1 + r_2 + lift, (r_1 - r_2)/2, b, the determinant for parallel axes, eleven numbers of the force.
+    """
+    links = np.full((len(pairs), PAIR_LINKS_SIZE), -1, dtype=np.int64)
+    value = np.zeros((len(pairs), PAIR_SIZE))
+    for link, row, pair in zip(links, value, pairs, strict=True):
+        parts, b, origins = (pair.first, pair.second), pair.blunt, np.zeros((2, 3))
+        link[:3] = pair.first.link, pair.second.link, common_carrier(parent, pair)
+        for k, part in enumerate(parts):
+            own = np.linalg.inv(tree["frames"][part.link]) if part.link >= 0 else np.eye(4)
+            row[7 * k : 7 * k + 3] = (own @ np.append(part.middle, 1.0))[:3]
+            row[7 * k + 3 : 7 * k + 6], row[7 * k + 6] = own[:3, :3] @ part.axis, part.length
+            if part.link >= 0:
+                origins[k], link[3 + k] = tree["origin"][part.link], tree["floating_address"][part.link]
+        if link[3] == link[4]:  # of one tree
+            link[3:] = -1
+        radii = [part.radius for part in parts]
+        row[14:17] = origins[0] - origins[1]
+        row[17:21] = sum(radii) + pair.law.lift, 0.5 * (radii[0] - radii[1]), b, b * (2.0 + b) if b > 0.0 else 1.0
+        row[21:] = _contact_law_numbers(pair.law)
+    return {"pair_links": links, "pair_value": value}
+
+
+def _contact_law_numbers(law: Any) -> list[float]:
+    """Those of _law_numbers, and five of friction."""
+    raised = law.friction / law.impratio  # MuJoCo's projection, see planner.model.contact.laws
+    share = 1.0 / (1.0 + law.friction * raised)
+    return [*_law_numbers(law), law.slip_damping, law.friction, raised, share, law.bend]
+
+
+def _law_numbers(law: Any) -> list[float]:
+    """Stiffness, damping and the two ramps with their inverses, so large for none that all is beyond its end."""
+    ramps = (law.ramp, law.force_ramp)
+    return [law.stiffness, law.damping, *(x for a in ramps for x in (a, 1.0 / a if a > 0.0 else 1e300))]

@@ -1,0 +1,43 @@
+"""The arrays of kernels.tree.mechanism_table for fixed tendons, gravity compensation and friction loss."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+TENDON_SIZE, LIFTED_SIZE, LOSS_SIZE = 4, 4, 3  # numbers of a tendon, a link and a joint that rubs
+
+
+def tendon_arrays(tendons: Any) -> dict[str, np.ndarray]:
+    """Per tendon: its degrees of freedom with their factors from tendon_start on, and the four numbers of its force."""
+    numbers = [(tendon.stiffness, *tendon.rest, tendon.damping) for tendon in tendons]
+    return {
+        "tendon_start": np.cumsum([0, *(len(tendon.dofs) for tendon in tendons)]),
+        "tendon_dof": np.array([dof for tendon in tendons for dof in tendon.dofs], dtype=np.int64),
+        "tendon_factor": np.array([factor for tendon in tendons for factor in tendon.coefficients], dtype=float),
+        "tendon_value": np.array(numbers, dtype=float).reshape(-1, TENDON_SIZE),
+    }
+
+
+def loss_arrays(mechanism: Any, losses: np.ndarray) -> dict[str, np.ndarray]:
+    """Per joint that rubs: its degree of freedom, and loss, inertia and rate of its friction."""
+    dof = np.flatnonzero(losses)
+    value = np.column_stack([losses, mechanism.friction_inertia, mechanism.friction_rate])[dof]
+    return {"loss_dof": dof, "loss_value": value}
+
+
+def gravcomp_arrays(mechanism: Any, frames: np.ndarray) -> dict[str, np.ndarray]:
+    """Per link: the mass that gravity compensation carries and its first moment (3) in the kernels' frames.
+
+    And that mass of the link and all beyond it.
+    """
+    mass = mechanism.gravcomp_mass
+    moment = np.einsum(
+        "nji,nj->ni", frames[:, :3, :3], mechanism.gravcomp_first_moment - mass[:, None] * frames[:, :3, 3]
+    )
+    beyond = mass.copy()
+    for i in reversed(range(len(mass))):
+        if mechanism.parent[i] >= 0:
+            beyond[mechanism.parent[i]] += beyond[i]
+    return {"lifted_value": np.column_stack([mass, moment]), "gravcomp_mass": beyond}

@@ -1,0 +1,234 @@
+"""Name the elements of a compiled model that change its motion and are not modelled."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from planner.base.gl import load_mujoco
+from planner.model.mjcf.couplings import acting, held_tendons, is_linear, kind_of
+from planner.model.mjcf.loops import closes
+from planner.model.mjcf.model_index import disabled, field, flag_bit, named
+from planner.model.mjcf.tendons import fixed
+
+# Kinds that `ignore` may name.
+KINDS = (
+    "frictionloss", "equality", "tendon", "fluid", "gravcomp", "actuator", "actearly", "polynomial", "plasticity",
+    "mocap", "sleep",
+)  # fmt: skip
+
+MODELLED = ("stiffness", "damping", "limit")  # of fixed tendons
+
+
+@dataclass(frozen=True)
+class UnsupportedElement:
+    """One thing that is not modelled."""
+
+    kind: str  # "contacts", one of KINDS, or another kind that nothing takes out
+    phrase: str  # Its name for a sentence
+    index: int = -1  # Of an actuator or equality; -1 for other things
+
+
+def passive_off(model: Any) -> bool:
+    """Whether passive forces of all kinds are disabled: since MuJoCo 3.4 by two flags, before by one."""
+    return disabled(model, "passive") or (disabled(model, "spring") and disabled(model, "damper"))
+
+
+def no_compensation(model: Any) -> bool:
+    """Whether a flag keeps gravity compensation from acting, or there is no gravity."""
+    return passive_off(model) or disabled(model, "gravity") or not np.any(model.opt.gravity)
+
+
+def _compensated(model: Any) -> np.ndarray:
+    """(nbody,) whether a share of the weight of a body is carried, and that matters."""
+    return (model.body_gravcomp != 0.0) & (model.body_weldid != 0) & (model.body_mass > 0.0)
+
+
+def _nonzero(model: Any, name: str, count: int) -> np.ndarray:
+    """(count,) whether an element has any number other than 0 in a field, which may have several for each."""
+    values = field(model, name, count)
+    return np.any(values != 0.0, axis=tuple(range(1, values.ndim)))
+
+
+def unsupported_elements(model: Any) -> Iterator[UnsupportedElement]:
+    """Everything in a compiled model but its contacts that acts and is not modelled, in a fixed order."""
+    yield from _joints(model)
+    yield from _bodies(model)
+    yield from _of_tendons(model, modelled=False)
+    for i in acting(model):
+        if not (is_linear(model, i) or closes(model, i)):
+            yield UnsupportedElement("equality", f"{named(model, 'equality', i)} ({kind_of(model, i)})", i)
+    for i in range(len(model.actuator_trntype)):
+        yield from _actuators(model, i)
+    if model.opt.enableflags & flag_bit("Enable", "ENBL", "sleep"):
+        yield UnsupportedElement("sleep", "the sleep of what rests")
+    for i in range(model.nflex):
+        yield UnsupportedElement("flex", named(model, "flex", i))
+
+
+def modelled(model: Any) -> Iterator[UnsupportedElement]:
+    """What is modelled and that `ignore` takes out all the same: friction loss, compensation, fixed tendons, loops."""
+    if not disabled(model, "constraint", "frictionloss"):
+        for i in _joints_of(model, model.dof_frictionloss):
+            yield UnsupportedElement("frictionloss", f"frictionloss of {named(model, 'joint', i)}")
+    for i in () if no_compensation(model) else np.flatnonzero(_compensated(model)):
+        yield UnsupportedElement("gravcomp", f"gravcomp of {named(model, 'body', int(i))}")
+    yield from _of_tendons(model, modelled=True)
+    for i in acting(model):
+        if closes(model, i):
+            yield UnsupportedElement("equality", f"{named(model, 'equality', i)} ({kind_of(model, i)})", i)
+
+
+def _joints(model: Any) -> Iterator[UnsupportedElement]:
+    if not disabled(model, "spring", "passive"):
+        for i in np.flatnonzero(_nonzero(model, "jnt_stiffnesspoly", model.njnt)):
+            yield UnsupportedElement("polynomial", f"polynomial stiffness of {named(model, 'joint', int(i))}")
+        for i in np.flatnonzero(field(model, "jnt_springyield", model.njnt)):
+            yield UnsupportedElement("plasticity", f"plastic spring of {named(model, 'joint', int(i))}")
+    if not disabled(model, "damper", "passive"):
+        for i in _joints_of(model, _nonzero(model, "dof_dampingpoly", model.nv)):
+            yield UnsupportedElement("polynomial", f"polynomial damping of {named(model, 'joint', i)}")
+
+
+def _joints_of(model: Any, dofs: np.ndarray) -> list[int]:
+    return sorted({int(j) for j in model.dof_jntid[np.flatnonzero(dofs)]})
+
+
+def _bodies(model: Any) -> Iterator[UnsupportedElement]:
+    if not no_compensation(model):
+        clamped = np.zeros(model.njnt, dtype=bool)
+        if np.any(_compensated(model)):  # then the force is an actuator's, which a clamp or a flag can take away
+            clamped = np.asarray(field(model, "jnt_actgravcomp", model.njnt), dtype=bool)
+            clamped &= np.asarray(model.jnt_actfrclimited, dtype=bool) | disabled(model, "actuation")
+        for i in np.flatnonzero(clamped):
+            yield UnsupportedElement("gravcomp", f"clamped actuatorgravcomp of {named(model, 'joint', int(i))}")
+    if not passive_off(model):
+        for name in ("density", "viscosity"):
+            if getattr(model.opt, name) > 0.0:
+                yield UnsupportedElement("fluid", f"fluid {name}")
+    carries = set(model.body_weldid[model.dof_bodyid]) | set(model.body_rootid[model.dof_bodyid])
+    for i in np.flatnonzero(model.body_mocapid >= 0):
+        if int(i) in carries:
+            yield UnsupportedElement("mocap", f"mocap {named(model, 'body', int(i))}")
+    for i in np.flatnonzero(model.body_plugin >= 0):
+        yield UnsupportedElement("plugin", f"plugin of {named(model, 'body', int(i))}")
+
+
+def _effects(model: Any) -> dict[str, np.ndarray]:
+    """(ntendon,) bool by name: what acts along tendons."""
+    n = model.ntendon
+
+    def acts(name: str, *flags: str) -> np.ndarray:
+        return np.zeros(n, dtype=bool) if flags and disabled(model, *flags) else _nonzero(model, f"tendon_{name}", n)
+
+    return {
+        "stiffness": acts("stiffness", "spring", "passive"), "damping": acts("damping", "damper", "passive"),
+        "polynomial stiffness": acts("stiffnesspoly", "spring", "passive"),
+        "polynomial damping": acts("dampingpoly", "damper", "passive"), "armature": acts("armature"),
+        "frictionloss": acts("frictionloss", "constraint", "frictionloss"),
+        "limit": acts("limited", "constraint", "limit"),
+    }  # fmt: skip
+
+
+def _of_tendons(model: Any, modelled: bool) -> Iterator[UnsupportedElement]:
+    """What acts along tendons and is modelled, or is not: of fixed tendons, only what is named here."""
+    effects = _effects(model)
+    held = held_tendons(model)
+    for i in range(model.ntendon):
+        known = MODELLED if fixed(model, i) else ()
+        effects["frictionloss"][i] &= i not in held  # what never slides does not rub
+        has = [name for name, acts in effects.items() if acts[i] and (name in known) == modelled]
+        if has == ["frictionloss"]:
+            yield UnsupportedElement("frictionloss", f"frictionloss of {named(model, 'tendon', i)}")
+        elif has:
+            yield UnsupportedElement("tendon", f"{', '.join(has)} of {named(model, 'tendon', i)}")
+
+
+def actuator_disabled(model: Any, i: int) -> bool:
+    """Whether a flag or its group keeps an actuator from acting."""
+    group = int(model.actuator_group[i])
+    return disabled(model, "actuation") or bool(0 <= group <= 30 and model.opt.disableactuator & (1 << group))
+
+
+def adheres_to_nothing(model: Any, i: int) -> bool:
+    """Whether it is an adhesion actuator, which acts through contacts, of a model that has none."""
+    return model.actuator_trntype[i] == load_mujoco().mjtTrn.mjTRN_BODY and disabled(model, "contact", "constraint")
+
+
+def _actuators(model: Any, i: int) -> Iterator[UnsupportedElement]:
+    """An actuator's refusals. One that is disabled keeps its control, if it has one control and one state at most."""
+    mujoco = load_mujoco()
+    n = len(model.actuator_trntype)
+    name = named(model, "actuator", i)
+    several = (
+        field(model, "actuator_ctrlnum", 0).size and model.actuator_ctrlnum[i] != 1,
+        field(model, "actuator_outnum", 0).size and model.actuator_outnum[i] != 1,
+        model.actuator_actadr[i] >= 0 and model.actuator_actnum[i] != 1,
+        model.actuator_plugin[i] >= 0,
+    )
+    reasons: list[str] = []
+    if any(several) or not actuator_disabled(model, i):
+        reasons = [*_dynamics(model, i), *_force(model, i), *_transmission(model, i)]
+    if any(several) and not reasons:
+        reasons = ["several controls, forces or activations"]
+    if field(model, "actuator_delay", n)[i] > 0.0:
+        reasons.append("delay")
+    at_joint = _is(model.actuator_trntype[i], mujoco.mjtTrn.mjTRN_JOINT, mujoco.mjtTrn.mjTRN_JOINTINPARENT)
+    for own in ("damping", "armature"):
+        if field(model, f"actuator_{own}", n)[i] != 0.0 and not at_joint:
+            reasons.append(f"{own} of its own")
+    if _nonzero(model, "actuator_dampingpoly", n)[i]:
+        yield UnsupportedElement("polynomial", f"polynomial damping of {name}")
+    if reasons:
+        yield UnsupportedElement("actuator", f"{name} ({', '.join(reasons)})", i)
+    elif model.actuator_actearly[i] and not actuator_disabled(model, i):
+        yield UnsupportedElement("actearly", f"actearly of {name}")
+
+
+def _is(value: int, *kinds: Any) -> bool:
+    return any(value == kind for kind in kinds)  # MuJoCo's enumerations do not equal NumPy's integers from the left
+
+
+def _lower(kinds: Any, value: int) -> str:
+    return kinds(int(value)).name.split("_")[-1].lower()
+
+
+def _dynamics(model: Any, i: int) -> Iterator[str]:
+    kinds = load_mujoco().mjtDyn
+    # filterexact is the same differential equation as filter, solved better by MuJoCo's Euler steps
+    modelled = (kinds.mjDYN_NONE, kinds.mjDYN_INTEGRATOR, kinds.mjDYN_FILTER, kinds.mjDYN_FILTEREXACT)
+    if not _is(model.actuator_dyntype[i], *modelled):
+        yield f"{_lower(kinds, model.actuator_dyntype[i])} dynamics"
+
+
+def _force(model: Any, i: int) -> Iterator[str]:
+    gains, biases = load_mujoco().mjtGain, load_mujoco().mjtBias
+    gain, bias = model.actuator_gaintype[i], model.actuator_biastype[i]
+    fixed = gain == gains.mjGAIN_AFFINE and not np.any(model.actuator_gainprm[i, 1:3])
+    if gain != gains.mjGAIN_FIXED and not fixed:
+        yield f"{_lower(gains, gain)} gain"
+    if not _is(bias, biases.mjBIAS_NONE, biases.mjBIAS_AFFINE):
+        yield f"{_lower(biases, bias)} bias"
+
+
+def _transmission(model: Any, i: int) -> Iterator[str]:
+    """Reasons why an actuator's moment is not a constant row, or its length not that row times the joints."""
+    mujoco = load_mujoco()
+    kinds, joints = mujoco.mjtTrn, mujoco.mjtJoint
+    kind, target = model.actuator_trntype[i], model.actuator_trnid[i, 0]
+    has_length = model.actuator_biastype[i] == mujoco.mjtBias.mjBIAS_AFFINE and model.actuator_biasprm[i, 1] != 0.0
+    if _is(kind, kinds.mjTRN_JOINT, kinds.mjTRN_JOINTINPARENT):
+        joint = model.jnt_type[target]
+        if _is(joint, joints.mjJNT_BALL, joints.mjJNT_FREE) and kind == kinds.mjTRN_JOINTINPARENT:
+            yield "jointinparent of a ball or free joint"
+        elif joint == joints.mjJNT_BALL and has_length:
+            yield "force by the angle of a ball joint"
+    elif kind == kinds.mjTRN_TENDON:
+        first = model.wrap_type[model.tendon_adr[target]]
+        if first != mujoco.mjtWrap.mjWRAP_JOINT:
+            yield "spatial tendon"
+    elif not adheres_to_nothing(model, i):
+        yield f"{_lower(kinds, kind)} transmission"

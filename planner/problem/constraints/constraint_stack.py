@@ -1,0 +1,241 @@
+"""Rows: all constraints of a problem over its stages, in the unit of their tolerance.
+
+A row is one number that is kept. That of states is asked for at every knot but the start, which is given. That of
+states and controls is there twice, at the start of each stage and at its end, h(x(n), u(n)) and h(x(n+1), u(n)): the
+control is held, so between knots it is the state that changes it. The derivative of the second is that through the
+stage, by A and B of Eq. 35. Rows are multiplied by `scale`, so that one tolerance serves them all.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+from copy import copy
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from planner.base.arguments import short_repr
+from planner.base.errors import PlannerError
+from planner.dynamics import Dynamics
+from planner.problem.constraints.constraint import Constraint
+from planner.problem.constraints.constraint_functions import ConstraintFunction, measure_of, sides_of
+from planner.problem.constraints.quantities import ResidualFunction
+
+
+class Violation(NamedTuple):
+    """The row of a constraint that is furthest beyond its bounds."""
+
+    constraint: Constraint
+    value: float  # how far, in the constraint's unit
+    at: int  # number of the state
+
+
+class StackEntry(NamedTuple):
+    """A constraint and the columns of its rows."""
+
+    constraint: Constraint
+    measure: ConstraintFunction
+    columns: slice
+    at_end: bool  # of stages: of their end, with the control that was held
+
+
+class ConstraintStack:
+    """The rows of constraints along N stages.
+
+    Args:
+        constraints: Of the problem.
+        dynamics: Of the problem.
+        x0: (nx,) start.
+        us: (N, nu) first guess.
+        tolerance: What every row is within once it is kept.
+
+    Attributes:
+        names: (C,) of the rows.
+        scale: (C,) what a row is multiplied by.
+        least: (N+1, C) what is asked for, scaled; -inf where nothing is.
+        most: (N+1, C).
+        lower: (N+1, C) the same but for the start, of which only what controls change counts.
+        upper: (N+1, C).
+
+    Raises:
+        PlannerError: As Constraint; a start that breaks a constraint, constraints that contradict each other.
+    """
+
+    def __init__(
+        self, constraints: Sequence[Constraint], dynamics: Dynamics, x0: np.ndarray, us: np.ndarray, tolerance: float
+    ) -> None:
+        self.N, self.parts, columns = len(us), list[StackEntry](), 0
+        least, most, scale, names, of_start = [], [], [], list[str](), []
+        for constraint in constraints:
+            measure = measure_of(constraint, dynamics, self.N, x0, us[0])
+            asked = constraint.stages(self.N, dynamics.dt)
+            if measure.of_controls:
+                asked[-1] = False
+                if not asked.any():
+                    raise PlannerError(f"{constraint} is of controls at the end, where there are none, expected h(xs).")
+            low, high = (
+                np.where(asked[:, None] & ~np.isnan(side), side, none)
+                for side, none in zip(sides_of(constraint, measure, self.N), (-np.inf, np.inf), strict=True)
+            )
+            if not (np.isfinite(low).any() or np.isfinite(high).any()):
+                raise PlannerError(f"{constraint} asks for nothing at any stage, expected a number at one.")
+            for at_end in (False, True)[: 1 + measure.of_controls]:
+                self.parts.append(StackEntry(constraint, measure, slice(columns, columns + measure.rows), at_end))
+                columns += measure.rows
+                least.append(low)
+                most.append(high)
+                scale += measure.rows * [tolerance / constraint.allowed()]
+                names += measure.rows * [constraint.name]
+                of_start += measure.rows * [measure.of_controls]
+        self.names, self.scale, self.tolerance = tuple(names), np.array(scale), tolerance
+        self.specified_lower, self.specified_upper = (
+            self.scale * np.concatenate(side, axis=1) for side in (least, most)
+        )
+        given = ~np.array(of_start)
+        self.lower, self.upper = self.specified_lower.copy(), self.specified_upper.copy()
+        self.lower[0, given], self.upper[0, given] = -np.inf, np.inf
+        self._check_each_other(dynamics.dt)  # first: no other start would mend that
+        self._check_start(x0, us[0])
+
+    def _check_start(self, x0: np.ndarray, u0: np.ndarray) -> None:
+        """Refuse a start that no plan can mend."""
+        for part in self.parts:
+            if part.measure.of_controls:
+                continue
+            value = part.measure.values(x0[None], u0[None], np.zeros(1, dtype=int))[0]
+            if not np.isfinite(value).all():
+                raise PlannerError(
+                    f"{part.constraint} is {short_repr(value.tolist())} at the start, expected finite numbers."
+                )
+            scale = self.scale[part.columns]
+            low, high = self.specified_lower[0, part.columns] / scale, self.specified_upper[0, part.columns] / scale
+            beyond = np.maximum(low - value, value - high)
+            if beyond.max() > part.constraint.allowed():
+                r = int(np.argmax(beyond))
+                asked = f"at least {low[r]:.6g}" if low[r] > value[r] else f"at most {high[r]:.6g}"
+                asked = f"{high[r]:.6g}" if low[r] == high[r] else asked
+                unit = f" {part.constraint.unit}".rstrip()
+                raise PlannerError(
+                    f"the start breaks {part.constraint}: it is {value[r]:.6g}{unit} there, expected {asked}{unit}; "
+                    "start elsewhere, or ask for it later by when=(from, to)."
+                )
+
+    def _check_each_other(self, dt: float) -> None:
+        """Refuse constraints of the same thing whose bounds leave nothing between them."""
+        seen: dict[Any, list[StackEntry]] = {}
+        for part in self.parts:
+            seen.setdefault((part.measure.same, part.at_end), []).append(part)
+        for alike in seen.values():
+            for a, b in itertools.permutations(alike, 2):
+                low, high = (side[:, part.columns] / self.scale[part.columns] for side, part in
+                             ((self.specified_lower, a), (self.specified_upper, b)))  # fmt: skip
+                apart = low - high > a.constraint.allowed() + b.constraint.allowed()
+                if apart.any():
+                    n, r = map(int, np.argwhere(apart)[0])
+                    raise PlannerError(
+                        f"{a.constraint} asks for at least {low[n, r]:.6g} and {b.constraint} for at most "
+                        f"{high[n, r]:.6g} at t = {n * dt:.4g} s, expected bounds that leave something between them."
+                    )
+
+    @property
+    def constraints(self) -> tuple[Constraint, ...]:
+        """What the rows are of: a problem's own constraints, and the ranges of tendons."""
+        return tuple({id(part.constraint): part.constraint for part in self.parts}.values())
+
+    def only(self, parts: Sequence[StackEntry]) -> tuple[ConstraintStack, np.ndarray]:
+        """The rows of some of the parts, and which columns of these they are."""
+        few, first, columns = copy(self), 0, [np.arange(len(self.scale))[part.columns] for part in parts]
+        few.parts = []
+        for part, own in zip(parts, columns, strict=True):
+            few.parts.append(part._replace(columns=slice(first, first + len(own))))
+            first += len(own)
+        which = np.concatenate([np.empty(0, dtype=int), *columns])
+        few.scale, few.names = self.scale[which], tuple(self.names[c] for c in which)
+        few.specified_lower, few.specified_upper, few.lower, few.upper = (
+            side[:, which] for side in (self.specified_lower, self.specified_upper, self.lower, self.upper)
+        )
+        return few, which
+
+    def values(self, xs: np.ndarray, us: np.ndarray) -> np.ndarray:
+        """(N+1, C) scaled, of states xs (N+1, nx) and controls us (N, nu); 0 where a row has no stage."""
+        found, n = np.zeros((self.N + 1, len(self.scale))), np.arange(self.N + 1)
+        padded = np.concatenate([us, us[-1:]])
+        for measure, columns, at_end in ((part.measure, part.columns, part.at_end) for part in self.parts):
+            if measure.of_controls:
+                found[:-1, columns] = measure.values(xs[1:] if at_end else xs[:-1], us, n[:-1])
+            else:
+                found[:, columns] = measure.values(xs, padded, n)
+        return found * self.scale
+
+    def derivatives(
+        self, xs: np.ndarray, us: np.ndarray, A: np.ndarray, B: np.ndarray, wanted: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """(N+1, C, ndx) and (N, C, nu) of the rows, where they are wanted (N+1, C); zero elsewhere."""
+        N, nu = us.shape
+        by_x, by_u = np.zeros((N + 1, len(self.scale), A.shape[1])), np.zeros((N, len(self.scale), nu))
+        padded = np.concatenate([us, us[-1:]])
+        for _, measure, columns, at_end in self.parts:
+            n = np.flatnonzero(wanted[:, columns].any(axis=1))
+            if not len(n):
+                continue
+            Hx, Hu = measure.derivatives(xs[n + at_end], padded[n], n)
+            if at_end:
+                by_x[n, columns], by_u[n, columns] = Hx @ A[n], Hu + Hx @ B[n]
+            else:
+                by_x[n, columns] = Hx
+                if measure.of_controls:
+                    by_u[n, columns] = Hu
+        return by_x * self.scale[:, None], by_u * self.scale[:, None]
+
+    def bends(self, xs: np.ndarray, n: np.ndarray, pulls: np.ndarray) -> np.ndarray | float:
+        """(K, ndx, ndx) what the curvature of rows adds at knots n (K,), pulled (K, C) by the cost; 0 for nothing."""
+        own = pulls * self.scale
+        return sum(
+            part.measure.second_derivatives(xs[n], n, own[:, part.columns])
+            for part in self.parts if isinstance(part.measure, ResidualFunction)
+        )  # fmt: skip
+
+    def beyond(self, xs: np.ndarray, us: np.ndarray) -> np.ndarray:
+        """How far (M+1, C) is beyond, in the constraints' own units; 0 within. Of states (M+1, nx), controls (M, nu).
+
+        At the knots, or at equal parts of every stage too. Between two knots a constraint is kept that both ask for,
+        to the looser of the two.
+        """
+        M = len(us)
+        parts = M // self.N
+        at = np.arange(M + 1)
+        n = at // parts
+        inside = at % parts > 0
+        later = np.minimum(n + 1, self.N)
+        found = np.zeros((M + 1, len(self.scale)))
+        for _, measure, columns, at_end in self.parts:
+            low, high = self.specified_lower[:, columns], self.specified_upper[:, columns]
+            if measure.of_controls:
+                stages = n[:-1]
+                value = measure.values(xs[1:] if at_end else xs[:-1], us, stages)
+                own = value, low[stages], high[stages], slice(0, M)
+            else:
+                value = measure.values(xs, np.concatenate([us, us[-1:]]), n)
+                free = inside[:, None]
+                own = (
+                    value, np.where(free, np.minimum(low[n], low[later]), low[n]),
+                    np.where(free, np.maximum(high[n], high[later]), high[n]), slice(0, M + 1),
+                )  # fmt: skip
+            value, low, high, rows = own
+            scale = self.scale[columns]
+            found[rows, columns] = np.maximum(np.maximum(value - high / scale, low / scale - value), 0.0)
+        return found
+
+    def violations(self, xs: np.ndarray, us: np.ndarray) -> list[Violation]:
+        """Of each constraint the largest, along states xs (M+1, nx) and controls us (M, nu)."""
+        beyond, found = self.beyond(xs, us), dict[int, Violation]()
+        beyond = np.where(np.isfinite(beyond), beyond, np.inf)
+        for part in self.parts:
+            own = beyond[:, part.columns].max(axis=1)
+            at = int(np.argmax(own))
+            one = Violation(part.constraint, float(own[at]), at + part.at_end)
+            before = found.get(id(part.constraint))
+            if before is None or one.value > before.value:
+                found[id(part.constraint)] = one
+        return list(found.values())

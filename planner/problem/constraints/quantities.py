@@ -1,0 +1,231 @@
+"""What constraints measure of a machine by the terms that costs have too: kernels know them.
+
+A term of planner.costs (Height, Distance, Gap, Velocity), or one of a frame or of the mass:
+
+    Place       where a frame is, x, y, z                                              m
+    Along       how far it is along a direction of the world                           m
+    Turn        the rotation vector of a frame from an orientation, in its axes        rad
+    Tilt        the angle between an axis of a frame and a direction of the world      rad
+    CenterOfMass  where the centre of mass is                                            m
+
+An angle has a kink at 0, so bounds of a Tilt are above 0.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from planner.base.arguments import array, choice, set_fields, short_repr
+from planner.base.errors import PlannerError
+from planner.dynamics import Dynamics
+from planner.kernels.tree.residuals.table import HEIGHT, MASS_CENTRE, ORIENTATION, POSITION, TILT
+from planner.model.mechanism import Frame, Mechanism
+from planner.model.space import space_of
+from planner.problem.costs.penalty_terms import Penalty
+from planner.problem.costs.residuals.arrays import ResidualArrays, ResidualList
+from planner.problem.costs.residuals.cost import measured, values_of
+from planner.problem.costs.residuals.frames import tilt_bend
+from planner.problem.costs.residuals.kinematics_cache import KinematicsCache
+from planner.problem.costs.residuals.of_penalties import measures_of
+from planner.problem.costs.residuals.turns import rotation_of
+
+
+class ResidualFunction:
+    """The rows of one term of ResidualArrays; its bounds and weights are not looked at."""
+
+    of_controls = False
+
+    def __init__(self, dynamics: Dynamics, what: Any, arrays: ResidualArrays) -> None:
+        self.mechanism, self.arrays, self.rows = machine_of(dynamics, what), arrays, len(arrays.weight)
+        of = (getattr(arrays, name) for name in ("kind", "link", "offset", "share", "world", "constant", "reference"))
+        self.same = tuple(one.tobytes() for one in of)
+        self._ndx, self._nu, self._nx = space_of(dynamics).ndx, dynamics.nu, machine_of(dynamics, what).space.nx
+
+    def values(self, xs: np.ndarray, us: np.ndarray, n: np.ndarray) -> np.ndarray:
+        """(K, R)."""
+        return values_of(self.mechanism, self.arrays.along(n), xs[:, : self._nx]).T
+
+    def derivatives(self, xs: np.ndarray, us: np.ndarray, n: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """(K, R, ndx) and zeros (K, R, nu)."""
+        by_x = np.zeros((len(xs), self.rows, self._ndx))
+        own = measured(self.mechanism, self.arrays.along(n), xs[:, : self._nx])[1]
+        by_x[:, :, : own.shape[2]] = own
+        return by_x, np.zeros((len(xs), self.rows, self._nu))
+
+    def second_derivatives(self, xs: np.ndarray, n: np.ndarray, pulls: np.ndarray) -> np.ndarray:
+        """(K, ndx, ndx) what the rows' own second derivatives add to a Hessian, pulled (K, R) by the cost: of tilts.
+
+        Only where that is positive; other terms add nothing, as of Gauss and Newton.
+        """
+        found = np.zeros((len(xs), self._ndx, self._ndx))
+        if TILT in self.arrays.kind:
+            bend, across = tilt_bend(KinematicsCache(self.mechanism, self.arrays.along(n), xs[:, : self._nx]), 0)
+            nv = across.shape[1]
+            found[:, :nv, :nv] = np.einsum("k,ki,kj->kij", np.maximum(bend * pulls[:, 0], 0.0), across, across)
+        return found
+
+
+def measure_of_term(term: Penalty, dynamics: Dynamics, N: int) -> ResidualFunction:
+    """Of a Height, Distance, Gap or Velocity."""
+    return ResidualFunction(dynamics, term, measures_of(machine_of(dynamics, term), N, [term], dynamics.dt))
+
+
+def machine_of(dynamics: Dynamics, what: Any) -> Mechanism:
+    """The mechanism of some dynamics."""
+    mechanism = getattr(dynamics, "mechanism", None)
+    if not isinstance(mechanism, Mechanism):
+        raise PlannerError(f"the {what} is that of a machine, expected dynamics with a mechanism.")
+    return mechanism
+
+
+def _measure(
+    what: Any, dynamics: Dynamics, N: int, kind: int, turn: bool = False, own: Any = (), reference: Any = ()
+) -> ResidualFunction:
+    """Of a frame, whose rotation in its link goes before a term's `own` constants or turns the first three."""
+    mechanism, frame = machine_of(dynamics, what), what.frame
+    if isinstance(frame, str):
+        known = [*mechanism.sites, *filter(None, mechanism.body_names)]
+        frame = mechanism.frame(choice("a constraint's frame", frame, known))
+    elif not isinstance(frame, Frame):
+        raise PlannerError(
+            f"a constraint's frame is {short_repr(frame)}, expected a Frame, or a site's or body's name."
+        )
+    terms, R = ResidualList(N), frame.T[:3, :3]
+    constant = (*R.ravel(), *own) if turn else (*(R @ own[:3]), *own[3:]) if kind == TILT else own
+    terms.add(kind, 4 * [terms.point(frame.link, frame.T[:3, 3])], 0.0, constant=constant, reference=reference)
+    return ResidualFunction(dynamics, what, terms.arrays())
+
+
+@dataclass(frozen=True, eq=False)
+class FramePosition:
+    """Where a frame is in the world, x, y, z in m.
+
+    Attributes:
+        frame: Name of a site or body, or a Frame.
+    """
+
+    frame: str | Frame
+    unit = "m"
+    names = ("x", "y", "z")
+
+    def __str__(self) -> str:
+        return f"position of {_name(self.frame)}"
+
+    def measure(self, dynamics: Dynamics, N: int) -> ResidualFunction:
+        """Of a machine."""
+        return _measure(self, dynamics, N, POSITION)
+
+
+@dataclass(frozen=True, eq=False)
+class FramePositionAlong:
+    """How far a frame is along a direction of the world, m.
+
+    Attributes:
+        frame: Name of a site or body, or a Frame.
+        direction: (3,) of any length above 0; upwards by default.
+    """
+
+    frame: str | Frame
+    direction: Any = (0.0, 0.0, 1.0)
+    unit = "m"
+
+    def __post_init__(self) -> None:
+        set_fields(self, direction=_of_length_one("direction", self.direction, 3))
+
+    def __str__(self) -> str:
+        return f"place of {_name(self.frame)}"
+
+    def measure(self, dynamics: Dynamics, N: int) -> ResidualFunction:
+        """Of a machine."""
+        return _measure(self, dynamics, N, HEIGHT, own=(*self.direction, 0.0))
+
+
+@dataclass(frozen=True, eq=False)
+class FrameOrientation:
+    """How a frame is turned from an orientation: a rotation vector in rad, in the axes of that orientation.
+
+    Attributes:
+        frame: Name of a site or body, or a Frame.
+        orientation: (4,) quaternion, w first; normalized.
+    """
+
+    frame: str | Frame
+    orientation: Any
+    unit = "rad"
+    names = ("x", "y", "z")
+
+    def __post_init__(self) -> None:
+        set_fields(self, orientation=_of_length_one("orientation", self.orientation, 4))
+
+    def __str__(self) -> str:
+        return f"orientation of {_name(self.frame)}"
+
+    def measure(self, dynamics: Dynamics, N: int) -> ResidualFunction:
+        """Of a machine."""
+        wanted = np.tile(rotation_of(self.orientation).reshape(9, 1), N + 1)
+        return _measure(self, dynamics, N, ORIENTATION, turn=True, reference=wanted)
+
+
+@dataclass(frozen=True, eq=False)
+class FrameAxisAngle:
+    """The angle between an axis of a frame and a direction of the world, 0 to pi rad.
+
+    Attributes:
+        frame: Name of a site or body, or a Frame.
+        direction: (3,) of the world, of any length above 0; upwards by default.
+        axis: (3,) of the frame, likewise; its z by default.
+    """
+
+    frame: str | Frame
+    direction: Any = (0.0, 0.0, 1.0)
+    axis: Any = (0.0, 0.0, 1.0)
+    unit = "rad"
+
+    def __post_init__(self) -> None:
+        set_fields(self, direction=_of_length_one("direction", self.direction, 3))
+        set_fields(self, axis=_of_length_one("axis", self.axis, 3))
+
+    def __str__(self) -> str:
+        return f"tilt of {_name(self.frame)}"
+
+    def measure(self, dynamics: Dynamics, N: int) -> ResidualFunction:
+        """Of a machine."""
+        return _measure(self, dynamics, N, TILT, own=(*self.axis, *self.direction))
+
+
+@dataclass(frozen=True, eq=False)
+class CenterOfMass:
+    """Where the centre of mass is in the world, x, y, z in m."""
+
+    unit = "m"
+    names = ("x", "y", "z")
+
+    def __str__(self) -> str:
+        return "centre of mass"
+
+    def measure(self, dynamics: Dynamics, N: int) -> ResidualFunction:
+        """Of a machine."""
+        terms = ResidualList(N)
+        terms.add(MASS_CENTRE, [], 0.0)
+        return ResidualFunction(dynamics, self, terms.arrays())
+
+
+def hinge_terms(arrays: ResidualArrays, sides: np.ndarray, N: int) -> ResidualArrays:
+    """The rows of a measure with a side each (R,), without a ramp, and weights that are zero until they are set."""
+    stages = np.zeros((len(sides), N + 1))
+    return replace(arrays, side=sides, ramp=np.zeros(len(sides)), bound=stages, weight=stages.copy())
+
+
+def _name(frame: str | Frame) -> str:
+    return frame if isinstance(frame, str) else "a frame"
+
+
+def _of_length_one(name: str, value: Any, size: int) -> np.ndarray:
+    given = array(name, value, (size,))
+    length = float(np.linalg.norm(given))
+    if not length > 0.0:
+        raise PlannerError(f"{name} is all zeros, expected {'a direction' if size == 3 else 'a quaternion'}.")
+    return given / length

@@ -1,0 +1,239 @@
+"""Choose a start, a goal and a duration that are moderate for a machine that nobody has described to us."""
+
+from __future__ import annotations
+
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from planner.dynamics.algorithms import bias, bias_derivatives, mass_matrix
+from planner.model.mechanism import SCREW, Mechanism
+from planner.model.mjcf.facts import Record, free_bases, overlaps
+from planner.problem.model_lint import holding, within
+
+_WAY = 0.15  # of a joint's range
+_WAY_ON_FEET = 0.05  # of one that stands on the ground, which may tip over
+_TURN, _SLIDE = 0.5, 0.15  # rad, and in sizes of the machine: the way of a joint without a range
+_MAX_DISPLACEMENT_RATIO = (
+    4.0  # of these: the longest way of a joint with a range, which may be that of a vehicle in its hall
+)
+_INSIDE = 0.05  # of a range: how far a start is kept from its ends
+_TO_THE_MIDDLE = (0.0, 0.25, 0.5, 0.75)  # parts of the way there that are tried for a start
+_SMALLER = (1.0, 0.5, 0.25)  # parts of the way that are tried, until one touches nothing
+_ON_THE_WAY = 4  # poses that are looked at
+_PEAK_SPEED, _PEAK_FORCE = 15.0 / 8.0, 10.0 / math.sqrt(3.0)  # of the quintic, in way / T and way / T^2
+_SHARE = 0.3  # of the limits of speeds and forces that the move is to take
+_NEWTON, _FLAT = 20, 1e-9  # steps to a place of rest; directions that are flatter than the steepest by this stay
+_NEAR, _ROUND = 1.0, 1e-9  # rad or m from the start, at most; what is less has not moved
+_SHORTEST, _LONGEST = 1.0, 20.0  # s
+_TIPPING = 2.0  # s, at least, where joints that nothing drives have to be balanced
+
+
+class ExampleTask(NamedTuple):
+    """A motion to begin with."""
+
+    keyframe: str  # Where it starts, "" where `start` says so
+    start: np.ndarray  # (nq,)
+    moved: dict[int, float]  # Joints that do not start where the file puts them, by number: position
+    goal: dict[int, float]  # Joints that move, by number: position
+    duration: float  # s, a multiple of 0.1
+
+
+def example_task(model: Any, mechanism: Mechanism, joints: list[Record]) -> ExampleTask:
+    """A start within all ranges and a goal that moves every driven joint by the same part of its range."""
+    keyframe, start = _start(model, mechanism, joints)
+    moved = {j: float(start[one["position"]]) for j, one in enumerate(joints)
+             if one["unit"] and start[one["position"]] != model.qpos0[one["position"]]}  # fmt: skip
+    driven = _of_their_own(mechanism, actuated_joints(mechanism))
+    standing = bool(free_bases(model))
+    ways = {j: (_WAY_ON_FEET if standing else _WAY) * _room(model, joints[j]) for j in driven}
+    ways = _off_tendons(mechanism, start, ways)
+    goal = _allowed(model, mechanism, joints, start, ways)
+    if not standing:
+        goal = _with_balance(mechanism, start, goal)
+    return ExampleTask(keyframe, start, {} if keyframe else moved, goal, _duration(mechanism, start, goal))
+
+
+def actuated_joints(mechanism: Mechanism) -> list[int]:
+    """Hinges and slides that an actuator moves, or all of them where there is no actuator, by number."""
+    reached = np.any(mechanism.actuators.moment != 0.0, axis=0) | (mechanism.nu == 0)
+    return [
+        j for j, links in enumerate(mechanism.joint_links)
+        if links.stop - links.start == 1 and mechanism.kind[links.start] == SCREW and reached[links.start]
+    ]  # fmt: skip
+
+
+def _of_their_own(mechanism: Mechanism, driven: list[int]) -> list[int]:
+    """The joints that couplings let move by themselves: of a finger whose joints all follow one, that one."""
+    cams = {dof for cam in mechanism.polynomial_couplings for dof in cam.dofs}
+    driven = [j for j in driven if mechanism.joint_links[j].start not in cams]
+    if mechanism.reduction is None:
+        return driven
+    dof = {j: mechanism.joint_links[j].start for j in driven}
+    rows, kept = np.zeros((0, mechanism.reduction.G.shape[1])), list[int]()
+    for j in sorted(driven, key=lambda j: dof[j] not in mechanism.reduction.independent):  # pyright: ignore
+        more = np.vstack([rows, mechanism.reduction.G[dof[j]]])
+        if np.linalg.matrix_rank(more) > len(rows):
+            rows, kept = more, [*kept, j]
+    return sorted(kept)
+
+
+def _off_tendons(
+    mechanism: Mechanism, start: np.ndarray, ways: dict[int, float]
+) -> dict[int, float]:  # fmt: skip
+    """The ways without those that would take a fixed tendon out of its range, in either direction."""
+    number = {links.start: j for j, links in enumerate(mechanism.joint_links)}
+    for tendon in mechanism.tendons:
+        c, own = np.array(tendon.coefficients), [number[i] for i in tendon.dofs]
+        room = min(float(start[mechanism.q_address[list(tendon.dofs)]] @ c - tendon.range[0]),
+                   float(tendon.range[1] - start[mechanism.q_address[list(tendon.dofs)]] @ c))  # fmt: skip
+        if sum(abs(k) * ways.get(j, 0.0) for k, j in zip(c, own, strict=True)) > (1.0 - _INSIDE) * room:
+            ways = {j: way for j, way in ways.items() if j not in own}
+    return ways
+
+
+def _start(model: Any, mechanism: Mechanism, joints: list[Record]) -> tuple[str, np.ndarray]:
+    """The first keyframe within all ranges, else a pose within them: the file's own, or on the way to their middle.
+
+    The first of these in which no shapes of moving bodies are within each other; else the file's own.
+    """
+    for name, x in mechanism.keyframes.items():
+        if all(low <= x[one["position"]] <= high for one in joints for low, high in [one["range"] or (-np.inf, np.inf)]
+               if one["unit"]):  # fmt: skip
+            return name, x[: mechanism.nq].copy()
+    own, middle = np.array(model.qpos0), np.array(model.qpos0)
+    for one in joints:
+        if one["range"] is not None and one["unit"]:
+            (low, high), place = one["range"], one["position"]
+            room = _INSIDE * (high - low)
+            if not low <= own[place] <= high:
+                own[place] = _short(float(np.clip(own[place], low + room, high - room)))
+            middle[place] = 0.5 * (low + high)
+    if free_bases(model):  # its height above the ground is part of the pose
+        return "", own
+    for part in _TO_THE_MIDDLE:
+        start = own if part == 0.0 else np.array([_short(x) for x in own + part * (middle - own)])
+        if not any("world" not in one.bodies for one in overlaps(model, start)):
+            return "", start
+    return "", own
+
+
+def _room(model: Any, joint: Record) -> float:
+    usual = _TURN / _WAY if joint["unit"] == "rad" else _SLIDE / _WAY * float(model.stat.extent)
+    return (
+        usual if joint["range"] is None else min(joint["range"][1] - joint["range"][0], _MAX_DISPLACEMENT_RATIO * usual)
+    )
+
+
+def _allowed(
+    model: Any, mechanism: Mechanism, joints: list[Record], start: np.ndarray, ways: dict[int, float]
+) -> dict[int, float]:
+    """Goals on the side of each joint's range that has more room, as far as nothing new touches on the way."""
+    loose = bool(free_bases(model))
+    before = {frozenset(one.bodies) for one in overlaps(model, start)}
+    best: dict[int, float] = {}
+    full = {j: _goal(joints[j], start, way) for j, way in ways.items()}
+    for part in _SMALLER:
+        for turned in (1.0, -1.0):
+            goal = {j: _goal(joints[j], start, part * turned * way) for j, way in ways.items()}
+            poses = [_between(joints, start, goal, s / _ON_THE_WAY) for s in range(1, _ON_THE_WAY + 1)]
+            touches = any({frozenset(one.bodies) for one in overlaps(model, pose)} - before for pose in poses)
+            if not touches and (loose or _holds(mechanism, poses[-1])):
+                return goal
+            if not touches:
+                best = best or goal
+    return best or full
+
+
+def _goal(joint: Record, start: np.ndarray, way: float) -> float:
+    """The start and a way, towards the roomier side of the range (the other one for a negative way)."""
+    q = float(start[joint["position"]])
+    if joint["range"] is None:
+        return _short(q + way)
+    low, high = joint["range"]
+    room = _INSIDE * (high - low)
+    side = 1.0 if q <= 0.5 * (low + high) else -1.0
+    return _short(float(np.clip(q + side * way, low + room, high - room)))
+
+
+def _between(joints: list[Record], start: np.ndarray, goal: dict[int, float], s: float) -> np.ndarray:
+    pose = start.copy()
+    for j, end in goal.items():
+        place = joints[j]["position"]
+        pose[place] += s * (end - pose[place])
+    return pose
+
+
+def _holds(mechanism: Mechanism, pose: np.ndarray) -> bool:
+    """Whether the actuators can hold a pose (nq,)."""
+    actuators = mechanism.actuators
+    u, force = holding(mechanism, pose)
+    held = within(u, *actuators.control_range.T) & within(force, *actuators.force_range.T)
+    return bool(np.all(held))
+
+
+def _with_balance(mechanism: Mechanism, start: np.ndarray, goal: dict[int, float]) -> dict[int, float]:
+    """The goal with the joints that nothing drives where gravity and springs let them rest, by Newton's method.
+
+    Only hinges and slides without couplings; the goal itself where there is no such place near the start.
+    """
+    reached = np.any(mechanism.actuators.moment != 0.0, axis=0)
+    loose = np.flatnonzero(~reached)
+    if mechanism.nu == 0 or mechanism.couplings or not len(loose) or not np.all(mechanism.kind[loose] == SCREW):
+        return goal
+    pose, still = start.copy(), np.zeros(mechanism.nv)
+    number = {links.start: j for j, links in enumerate(mechanism.joint_links)}
+    for j, end in goal.items():
+        pose[mechanism.q_address[mechanism.joint_links[j].start]] = end
+    places = mechanism.q_address[loose]
+    for _ in range(_NEWTON):
+        pull = bias(mechanism, pose, still)[loose]
+        slope = bias_derivatives(mechanism, pose, still)[0][np.ix_(loose, loose)]
+        pose[places] -= np.linalg.lstsq(slope, pull, rcond=_FLAT)[0]
+    way = np.abs(pose - start)[places]
+    if not (np.abs(bias(mechanism, pose, still)[loose]) <= 1e-9 * _scale(mechanism)).all() or way.max() > _NEAR:
+        return goal
+    return goal | {number[int(i)]: _exact(float(pose[mechanism.q_address[i]])) for i in loose[way > _ROUND]}
+
+
+def _scale(mechanism: Mechanism) -> float:
+    """The weight of all that moves, N: moments are compared with it too, so lengths count as about a metre."""
+    return float(mechanism.mass.sum() * np.linalg.norm(mechanism.gravity)) or 1.0
+
+
+def _duration(mechanism: Mechanism, start: np.ndarray, goal: dict[int, float]) -> float:
+    """As long as the shortest quintic that takes a share of every limit of speed and force, in tenths of a second."""
+    driven = np.any(mechanism.actuators.moment != 0.0, axis=0)
+    duration = _SHORTEST if np.all(driven) else _TIPPING
+    inertia = np.diagonal(mass_matrix(mechanism, start))
+    most = _strongest(mechanism)
+    for j, end in goal.items():
+        i = mechanism.joint_links[j].start
+        way = abs(end - start[mechanism.q_address[i]])
+        duration = max(duration, _PEAK_SPEED * way / (_SHARE * mechanism.velocity_limit[i]))
+        if most[i] > 0.0:
+            duration = max(duration, math.sqrt(_PEAK_FORCE * way * inertia[i] / (_SHARE * most[i])))
+    return math.ceil(10.0 * min(duration, _LONGEST)) / 10.0
+
+
+def _strongest(mechanism: Mechanism) -> np.ndarray:
+    """(nv,) the largest generalized force of the actuators at each degree of freedom, infinite without limits."""
+    actuators = mechanism.actuators
+    control = np.abs(actuators.control_range).max(axis=1, initial=0.0)
+    motors = (actuators.bias[:, 1:] == 0.0).all(axis=1)  # a servo's force has no bound from its control
+    force = np.where(motors, np.abs(actuators.gain) * control, np.inf)
+    force = np.minimum(force, np.abs(actuators.force_range).max(axis=1, initial=0.0))
+    moment = np.abs(actuators.moment)
+    each = np.multiply(moment, force[:, None], out=np.zeros_like(moment), where=moment > 0.0)
+    return each.sum(axis=0)
+
+
+def _exact(value: float) -> float:
+    """A position in so many digits that it is a place to rest."""
+    return float(f"{value:.9g}")
+
+
+def _short(value: float) -> float:
+    """A position in few digits."""
+    return float(f"{value:.4g}")

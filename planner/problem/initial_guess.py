@@ -1,0 +1,152 @@
+"""First guesses: controls that hold a pose or follow a motion by inverse dynamics (Eq. 6), states along a line."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from planner.base.arguments import array
+from planner.base.errors import PlannerError
+from planner.dynamics import Dynamics
+from planner.dynamics.algorithms import bias, rnea
+from planner.dynamics.assembly import feasible_directions
+from planner.dynamics.constraint_forces import constraint_jacobians
+from planner.dynamics.friction import friction_forces
+from planner.dynamics.statics import supporting_controls
+from planner.model.actuators import DIRECT, INTEGRATOR
+from planner.model.mechanism import SCREW, Mechanism
+from planner.model.space import StateSpace
+from planner.model.stationary_objects import stationary_object_dofs
+
+_REDUNDANT = 1e-9  # of the largest singular value of J: equations that say the same twice
+_WEAK_DIRECTION_RATIO = 1e-6  # of what an actuator reaches most: ways in which a machine can hardly be moved
+
+
+def quasi_static_controls(mechanism: Mechanism, x: np.ndarray) -> np.ndarray:
+    """Controls (nu,) that keep the pose of a state x (nx,) against gravity and springs, as far as the actuators can.
+
+    The smallest least-squares solution: zero for joints that no actuator reaches. An actuator whose activation
+    integrates its control keeps its activation. Where contacts are near the ground it carries the machine as
+    far as it can (planner.dynamics.statics).
+    """
+    x = array("x", x, (mechanism.space.nx,))
+    q, act = x[: mechanism.nq], x[mechanism.nq + mechanism.nv :]
+    actuators = mechanism.actuators
+    keeps = actuators.dynamics == INTEGRATOR
+    force = actuators.bias[:, 0] + actuators.bias[:, 1] * _lengths(mechanism, q)
+    force[keeps] += actuators.gain[keeps] * act[actuators.activation[keeps]]
+    missing = bias(mechanism, q, np.zeros(mechanism.nv)) - actuators.moment.T @ force
+    reach = actuators.moment.T * np.where(keeps, 0.0, actuators.gain)
+    if mechanism.contacts:
+        return supporting_controls(mechanism, q, reach, missing)
+    Z = feasible_directions(mechanism, q)[0]
+    return np.linalg.lstsq(Z.T @ reach, Z.T @ missing, rcond=None)[0]
+
+
+def inverse_dynamics_controls(mechanism: Mechanism, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray) -> np.ndarray:
+    """Controls (N, nu) along a motion by inverse dynamics, M(q) qdd + bias(q, qd) = tau + J'f (Eq. 6).
+
+    The motion is q (N, nq), qd and qdd (N, nv), and keeps couplings and closed chains; actuators have no activations
+    and reach every way in which the machine can move, but for objects that lie beside it. Coupled joints share G' tau.
+    Forces f of closed chains take what they can. Where there are more actuators than ways to move, the controls are
+    the smallest.
+    """
+    actuators = mechanism.actuators
+    G = np.eye(mechanism.nv) if mechanism.reduction is None else mechanism.reduction.G
+    G = G[:, ~np.any(G[stationary_object_dofs(mechanism)], axis=0)]
+    reach = G.T @ (actuators.moment.T * actuators.gain)
+    closed = bool(mechanism.loops or mechanism.polynomial_couplings)
+    if np.any(actuators.dynamics != DIRECT) or (not closed and np.linalg.matrix_rank(reach) < len(reach)):
+        raise PlannerError("the actuators do not reach every joint directly, expected a fully actuated machine.")
+    lengths, speeds = _lengths(mechanism, q), qd @ actuators.moment.T
+    force = actuators.bias[:, 0] + actuators.bias[:, 1] * lengths + actuators.bias[:, 2] * speeds
+    tree = replace(mechanism, loops=(), cams=()) if closed else mechanism
+    tau = rnea(tree, q, qd, qdd) - friction_forces(mechanism, qd, qdd)[0] - force @ actuators.moment
+    if not closed:
+        return np.linalg.lstsq(reach, G.T @ tau.T, rcond=None)[0].T
+    JG = constraint_jacobians(mechanism, q) @ G
+    P = np.eye(G.shape[1]) - np.linalg.pinv(JG, rcond=_REDUNDANT) @ JG  # what the chains let through
+    reach = P @ reach
+    values = np.linalg.svd(reach, compute_uv=False)
+    ways = round(float(np.trace(P, axis1=1, axis2=2).max()))
+    if np.count_nonzero(values > _WEAK_DIRECTION_RATIO * values.max(initial=0.0), axis=1).max() < ways:
+        raise PlannerError("the actuators do not move closed chains in every way, expected a fully actuated machine.")
+    return (np.linalg.pinv(reach, rcond=_WEAK_DIRECTION_RATIO) @ (P @ (tau @ G)[:, :, None]))[:, :, 0]
+
+
+def straight_line(mechanism: Mechanism, x0: np.ndarray, goal: np.ndarray, duration: float, N: int) -> np.ndarray | None:
+    """Controls (N, nu) along the straight line in joint space from x0 to goal, both (nx,); None where there is no way.
+
+    There is one for a fully actuated tree of hinges and slides without contacts, from rest to rest. Objects that lie
+    beside it stay.
+    """
+    nq, nv = mechanism.nq, mechanism.nv
+    moving = np.concatenate([x0[nq : nq + nv], goal[nq : nq + nv]])
+    closed = mechanism.loops or mechanism.polynomial_couplings
+    lies = stationary_object_dofs(mechanism)
+    if np.any(mechanism.kind[~lies] != SCREW) or np.any(mechanism.space.difference(goal, x0)[:nv][lies]):
+        return None
+    if mechanism.contacts or mechanism.body_contacts or closed or np.any(moving):
+        return None
+    q, *rates = quintic(x0[:nq], goal[:nq], duration, N)
+    try:
+        return inverse_dynamics_controls(
+            mechanism, q, *(np.where(lies, 0.0, rate[:, mechanism.q_address]) for rate in rates)
+        )
+    except PlannerError:  # the actuators do not reach every joint
+        return None
+
+
+def quintic(start: np.ndarray, goal: np.ndarray, duration: float, N: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The motion from rest to rest of a polynomial of fifth order, in the middle of each of N stages.
+
+    The middle is where a control that is held over a stage is best taken: the guess is then of second order.
+
+    From start (n,) to goal (n,) in duration s: positions, velocities and accelerations, each (N, n).
+    """
+    s = (np.arange(N)[:, None] + 0.5) / N
+    way = goal - start
+    return (
+        start + quintic_shares(s) * way,
+        (30.0 * s**2 - 60.0 * s**3 + 30.0 * s**4) * way / duration,
+        (60.0 * s - 180.0 * s**2 + 120.0 * s**3) * way / duration**2,
+    )
+
+
+def quintic_shares(s: np.ndarray) -> np.ndarray:
+    """Which share of the way is behind the motion of `quintic` when the share s of its time is."""
+    return 10.0 * s**3 - 15.0 * s**4 + 6.0 * s**5
+
+
+def interpolated_states(space: StateSpace, x0: np.ndarray, goal: np.ndarray, duration: float, N: int) -> np.ndarray:
+    """States (N+1, nx) along the straight line from x0 to goal, both (nx,), at the pace of `quintic`.
+
+    Of a machine's states the velocities are those of that motion where x holds positions and as many velocities; other
+    entries go the same way in the same share.
+    """
+    s = np.linspace(0.0, 1.0, N + 1)[:, None]
+    way = space.difference(goal, x0)
+    share, rate = quintic_shares(s), (30.0 * s**2 - 60.0 * s**3 + 30.0 * s**4) / duration
+    dxs, nv = share * way, space.ndx // 2
+    if space.ndx == 2 * nv:
+        dxs[:, nv:] += rate * way[:nv]
+    return space.integrate(x0, dxs)
+
+
+def rollout_states(dynamics: Dynamics, x0: np.ndarray, us: np.ndarray) -> np.ndarray:
+    """The states (N+1, nx) to which controls (N, nu) lead from x0 (nx,), step by step."""
+    xs = np.empty((len(us) + 1, dynamics.nx))
+    xs[0] = x0
+    for n in range(len(us)):
+        xs[n + 1] = dynamics.step(xs[n : n + 1], us[n : n + 1])[0]
+    return xs
+
+
+def _lengths(mechanism: Mechanism, q: np.ndarray) -> np.ndarray:
+    """(..., nu) actuator lengths, over the hinge and slide joints."""
+    screws = np.zeros((mechanism.nu, mechanism.nq))
+    for i in range(mechanism.nv):
+        if mechanism.kind[i] == SCREW:
+            screws[:, mechanism.q_address[i]] += mechanism.actuators.moment[:, i]
+    return q @ screws.T

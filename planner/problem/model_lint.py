@@ -1,0 +1,225 @@
+"""Find what looks wrong in a machine of somebody's own, each with the key or edit that mends it."""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from planner.dynamics.algorithms import bias
+from planner.dynamics.assembly import feasible_directions
+from planner.model.actuators import INTEGRATOR
+from planner.model.coupled_ranges import contradiction, narrowed
+from planner.model.mechanism import Mechanism
+from planner.model.mjcf.facts import Record, free_bases, gravity_of, has_ground, overlaps
+
+_LIGHT = 1e-4  # of the median inertia of the joints of a kind: below it a machine is stiff
+_MENDED = 1e-2  # of that median: the armature that is proposed
+_SHALLOW = 1e-3  # of the machine's size: feet on the ground sink in about as far
+_DEGREES = math.radians(2.0 * math.pi)  # rad: a whole turn in radians, read as degrees
+_ROUNDING = 1e-9  # of a control or force, and of 1
+_HELD = 1e-6  # rad or m
+_SPARE = 1.5  # times what holds: the range that is proposed
+_MAX_PER_KIND = 4  # of a kind that are told one by one
+
+
+class ModelWarning(NamedTuple):
+    """Something that looks wrong."""
+
+    problem: str  # One sentence
+    fix: str  # The key or edit
+
+
+def lint_model(
+    model: Any, mechanism: Mechanism | None, joints: list[Record], keyframes: dict[str, np.ndarray]
+) -> list[ModelWarning]:
+    """What looks wrong in a compiled model: in a fixed order, the most serious first."""
+    found = [*_actuation(model, joints), *_surroundings(model), *_narrow(joints), *_light(joints)]
+    found += _outside(joints, np.array(model.qpos0), "the start that the file describes", _to_start)
+    for name, qpos in keyframes.items():
+        found += _outside(joints, qpos, f"keyframe {name!r}", _to_key)
+    found += _overlapping(model) + ([] if mechanism is None else _coupled(mechanism))
+    if mechanism is not None and not free_bases(model):
+        pose = next(iter(keyframes.values()), np.array(model.qpos0))
+        found += _weak(mechanism, pose)
+    return found
+
+
+def _actuation(model: Any, joints: list[Record]) -> list[ModelWarning]:
+    found: list[ModelWarning] = []
+    single = [joint["name"] for joint in joints if joint["unit"] and joint["name"]]
+    if model.nu == 0:
+        motors = f'<actuator><motor joint="{single[0] if single else "..."}" ctrlrange="-10 10"/></actuator>'
+        prescribed = f", or prescribed = {_listed(single)} to plan accelerations" if single else ""
+        found.append(ModelWarning("there are no actuators, so nothing moves the machine", f"add {motors}{prescribed}"))
+    unnamed = [joint["label"] for joint in joints if not joint["name"]]
+    if unnamed:
+        which = f"{_few(unnamed)} {'has' if len(unnamed) == 1 else 'have'} no name"
+        found.append(ModelWarning(
+            f"{which}, so a table of joints cannot name {'it' if len(unnamed) == 1 else 'them'}",
+            'name="..." in the file, or start and goal as lists of all positions',
+        ))  # fmt: skip
+    return found
+
+
+def _surroundings(model: Any) -> list[ModelWarning]:
+    found: list[ModelWarning] = []
+    if not np.any(gravity_of(model)):
+        found.append(ModelWarning("gravity is 0", '<option gravity="0 0 -9.81"/>, unless that is meant'))
+    elif (free := free_bases(model)) and not has_ground(model):
+        floor = '<geom name="floor" type="plane" size="0 0 1"/> in <worldbody>'
+        found.append(ModelWarning(f"{_few(free)} hangs on nothing and there is no floor, so it falls for ever", floor))
+    return found
+
+
+def _narrow(joints: list[Record]) -> list[ModelWarning]:
+    """Ranges that were meant in radians and are read as degrees, as MuJoCo does unless it is told."""
+    widths = [joint["range"][1] - joint["range"][0] for joint in joints if joint["unit"] == "rad" and joint["range"]]
+    if not widths or max(widths) > _DEGREES:
+        return []
+    words = f"no hinge may turn by more than {max(widths):.3g} rad, as if its range in radians were read as degrees"
+    return [ModelWarning(words, '<compiler angle="radian"/>, if that is so')]
+
+
+def _light(joints: list[Record]) -> list[ModelWarning]:
+    """Joints about which next to nothing turns, against the others of their kind."""
+    found: list[ModelWarning] = []
+    for unit, quantity in (("rad", "kg m^2"), ("m", "kg")):
+        alike = [joint for joint in joints if joint["unit"] == unit]
+        median = float(np.median([joint["inertia"] for joint in alike])) if alike else 0.0
+        tiny = [joint for joint in alike if joint["inertia"] < _LIGHT * median]
+        for joint in tiny[:_MAX_PER_KIND]:
+            found.append(ModelWarning(
+                f"the inertia at {joint['label']} is {joint['inertia']:.2g} {quantity}, "
+                f"{joint['inertia'] / median:.1g} of the median joint's, so its motion is very stiff",
+                f'armature="{_MENDED * median:.2g}" at the joint',
+            ))  # fmt: skip
+    return found
+
+
+def _outside(joints: list[Record], qpos: np.ndarray, whose: str, mend: Any) -> list[ModelWarning]:
+    """Hinges and slides that a pose puts outside of their ranges."""
+    found: list[ModelWarning] = []
+    for joint in joints:
+        if joint["range"] is None or not joint["unit"]:
+            continue
+        (low, high), q = joint["range"], float(qpos[joint["position"]])
+        if not low - 1e-9 <= q <= high + 1e-9:
+            nearest = min(max(q, low), high)
+            found.append(ModelWarning(
+                f"{whose} has {joint['label']} at {q:.4g} {joint['unit']}, outside of its range {low:.4g} to "
+                f"{high:.4g}",
+                mend(joint, nearest),
+            ))  # fmt: skip
+    return [*found[:_MAX_PER_KIND], *_more(found[_MAX_PER_KIND:])]
+
+
+def _to_start(joint: Record, nearest: float) -> str:
+    name = joint["name"]
+    return f"start = {{ {toml_key(name)} = {nearest:.4g} }}" if name else f"{nearest:.4g} for it in the list of start"
+
+
+def _to_key(joint: Record, nearest: float) -> str:
+    return f"{nearest:.4g} for it in the keyframe's qpos, or another start"
+
+
+def _more(rest: list[ModelWarning]) -> list[ModelWarning]:
+    return [ModelWarning(f"so have {len(rest)} more joints", "the same")] if rest else []
+
+
+def _overlapping(model: Any) -> list[ModelWarning]:
+    deep = [one for one in overlaps(model, model.qpos0) if one.depth > _SHALLOW * float(model.stat.extent)]
+    found = [
+        ModelWarning(
+            f"{one.shapes} are {1000.0 * one.depth:.3g} mm within each other at the start",
+            f'<contact><exclude body1="{one.bodies[0]}" body2="{one.bodies[1]}"/></contact>, or another start'
+            if all(one.bodies) and "world" not in one.bodies else "a start in which they are apart",
+        )
+        for one in deep[:_MAX_PER_KIND]
+    ]  # fmt: skip
+    more = len(deep) - _MAX_PER_KIND
+    return found + ([ModelWarning(f"so are {more} more pairs of bodies", "the same")] if more > 0 else [])
+
+
+def _coupled(mechanism: Mechanism) -> list[ModelWarning]:
+    """Joints that equalities and ranges together leave no way, or no place at all."""
+    if not mechanism.couplings:
+        return []
+    ranges = np.array(mechanism.joint_range)
+    if said := contradiction(mechanism, ranges):
+        problem, _, mend = said.rstrip(".").partition(": write ")
+        return [ModelWarning(problem, mend or "wider ranges in the file")]
+    left = narrowed(mechanism, ranges)
+    held = (np.ptp(left, axis=1) < _HELD) & (np.ptp(ranges, axis=1) > _HELD)
+    names = [mechanism.joint_of(int(i)) for i in np.flatnonzero(held)]
+    words = f"equalities and ranges together hold {_few(names)} at one place, so nothing moves there"
+    return [ModelWarning(words, "a wider range in the file, or goals that leave them there")] if names else []
+
+
+def _weak(mechanism: Mechanism, qpos: np.ndarray) -> list[ModelWarning]:
+    """Actuators whose ranges cannot hold a pose (nq,) of a machine with a fixed base against gravity and springs."""
+    found: list[ModelWarning] = []
+    needed, actuators = holding(mechanism, qpos), mechanism.actuators
+    for name, u, force, controls, forces in zip(
+        actuators.names, *needed, actuators.control_range, actuators.force_range, strict=True
+    ):
+        for value, (low, high), attribute in ((u, controls, "ctrlrange"), (force, forces, "forcerange")):
+            if within(value, low, high):
+                continue
+            wide = min(low, _SPARE * value), max(high, _SPARE * value)
+            found.append(ModelWarning(
+                f"actuator {name!r} needs {value:.3g} to hold the start against gravity, and its {attribute} is "
+                f"{low:.3g} to {high:.3g}",
+                f'{attribute}="{wide[0]:.3g} {wide[1]:.3g}", or a start that takes less to hold',
+            ))  # fmt: skip
+    return found[: 2 * _MAX_PER_KIND]
+
+
+def holding(mechanism: Mechanism, qpos: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Controls (nu,) and actuator forces (nu,) that hold the driven joints at a pose (nq,), and nothing else.
+
+    The smallest forces that do. An actuator that integrates its control, or has no gain, needs no control.
+    """
+    actuators = mechanism.actuators
+    driven = np.any(actuators.moment != 0.0, axis=0)
+    tau, moment = bias(mechanism, qpos, np.zeros(mechanism.nv)), actuators.moment.T
+    if mechanism.loops or mechanism.polynomial_couplings:
+        Z = feasible_directions(mechanism, qpos)[0]  # what closed chains carry by themselves needs no holding
+        tau, moment = Z.T @ tau, Z.T @ moment
+    else:
+        tau, moment = tau[driven], moment[driven]
+    force = np.linalg.lstsq(moment, tau, rcond=None)[0]
+    screws = np.flatnonzero(mechanism.kind == 0)
+    lengths = actuators.moment[:, screws] @ qpos[mechanism.q_address[screws]]
+    controlled = (actuators.dynamics != INTEGRATOR) & (actuators.gain != 0.0)
+    own = actuators.bias[:, 0] + actuators.bias[:, 1] * lengths
+    return np.where(controlled, (force - own) / np.where(actuators.gain == 0.0, 1.0, actuators.gain), 0.0), force
+
+
+def within(values: Any, low: Any, high: Any) -> Any:
+    """Whether values are within their ranges but for rounding; arrays of one shape, or numbers."""
+    room = _ROUNDING * np.maximum(np.abs(values), 1.0)
+    return (low - room <= values) & (values <= high + room)
+
+
+def toml_key(name: str) -> str:
+    """A name as a key of a TOML table."""
+    return name if re.fullmatch(r"[A-Za-z0-9_-]+", name) else json.dumps(name)
+
+
+def _few(names: list[str]) -> str:
+    return ", ".join(names[:_MAX_PER_KIND]) + (
+        f" and {len(names) - _MAX_PER_KIND} more" if len(names) > _MAX_PER_KIND else ""
+    )
+
+
+def _listed(names: list[str]) -> str:
+    """Names as a TOML list, the first few of them."""
+    return (
+        "["
+        + ", ".join(f'"{name}"' for name in names[:_MAX_PER_KIND])
+        + (", ...]" if len(names) > _MAX_PER_KIND else "]")
+    )

@@ -1,0 +1,108 @@
+"""The same problem with another step: finer, for a proof that failed, or of another duration.
+
+A problem with a recipe is built again from it, so that a plan's file can hold it. Any other is made of its own parts:
+`dynamics.with_step(dt, integrator)`, `cost.resampled(parts, ratio)`, and a first guess that is held over the parts of
+each stage. So a new cost or a new machine brings these two methods, and nothing here knows it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from planner.base.errors import PlannerError
+from planner.dynamics import RigidBodyDynamics
+from planner.dynamics.step_stability import MAX_RATE_STEP, fastest_mode, reason, substeps_of
+from planner.problem.costs.terms import call_if_supported
+from planner.problem.costs.tracking import tracking_of
+from planner.problem.objective_problem import base_problem, with_objective
+from planner.problem.problem import Problem
+
+MAX_STAGES = 100_000
+FINEST = "rk4"
+IMPLICIT = "rosenbrock"  # stays: no other one follows what it is chosen for
+FIRST_ORDER = ("euler", "semi-implicit-euler")
+
+
+def finer(problem: Problem) -> Problem:
+    """A problem with the next finer discretization.
+
+    An integrator of first order (both of Euler's) becomes RK4 at the same stage, which leaves the cost as it is. RK4
+    and the implicit method get stages of half the length: a stage weight becomes two of half its size, with the same
+    reference, and the final weight stays, so that the cost still approximates the same integral.
+
+    Raises:
+        PlannerError: Parts without with_step and resampled, or more than 100 000 stages.
+    """
+    if problem.objective is not None:
+        return with_objective(finer(base_problem(problem)), problem.objective.weights)
+    parts = 1 if getattr(problem.dynamics, "integrator", None) in FIRST_ORDER else 2
+    if parts * problem.N > MAX_STAGES:
+        raise PlannerError(f"half the stage makes {parts * problem.N} stages, expected at most {MAX_STAGES}.")
+    dt = problem.dynamics.dt / parts
+    finest = IMPLICIT if getattr(problem.dynamics, "integrator", None) == IMPLICIT else FINEST
+    limits = None if problem.limits is None else problem.limits.repeated(parts)
+    if problem.recipe is not None and "integrator" in problem.recipe.parameters:
+        step = {"dt": dt} if "dt" in problem.recipe.parameters else {"horizon": parts * problem.N}
+        return replace(base_problem(problem.recipe.rebuilt(integrator=finest, **step)), limits=limits)
+    return replace(
+        problem, dynamics=_with_step(problem.dynamics, dt, finest), horizon=parts * problem.N,
+        us=np.repeat(problem.first_guess, parts, axis=0), limits=limits,
+        constraints=[one.resampled(parts) for one in problem.constraints],
+        cost=problem.cost if parts == 1 else call_if_supported(problem.cost, "resampled", parts, 1.0 / parts),
+    )  # fmt: skip
+
+
+def retimed(problem: Problem, duration: float) -> Problem:
+    """The same task with as many stages in another time (s), its first controls as they are.
+
+    Raises:
+        PlannerError: Parts without with_step and resampled.
+    """
+    if problem.objective is not None:
+        return with_objective(retimed(base_problem(problem), duration), problem.objective.weights)
+    dt = duration / problem.N
+    if problem.recipe is not None and "duration" in problem.recipe.parameters:
+        step = {"dt": dt} if "dt" in problem.recipe.parameters else {}
+        new = base_problem(problem.recipe.rebuilt(duration=duration, **step))
+        return replace(new, limits=problem.limits, us=problem.first_guess, twin=problem.twin)
+    dynamics = _with_step(problem.dynamics, dt, getattr(problem.dynamics, "integrator", None))
+    return replace(
+        problem, dynamics=dynamics, cost=call_if_supported(problem.cost, "resampled", 1, dt / problem.dynamics.dt)
+    )
+
+
+def substeps_reason(problem: Problem) -> str:
+    """Why a stage has the substeps that it has, in a sentence; "" for dynamics without a mechanism or not of RK4."""
+    dynamics, goal = problem.dynamics, tracking_of(problem.cost)
+    if not isinstance(dynamics, RigidBodyDynamics) or dynamics.integrator != "rk4":
+        return ""
+    states = [problem.x0, dynamics.mechanism.home, *([] if goal is None else [goal.x_ref[-1]])]
+    return reason(fastest_mode(dynamics.mechanism, states, dynamics.prescribed), dynamics.substeps)
+
+
+def stage_too_long(problem: Problem) -> str:
+    """What to write where a step of the problem is too long for its machine's fastest motion; "" where it is not."""
+    dynamics = problem.dynamics
+    if not isinstance(dynamics, RigidBodyDynamics) or dynamics.integrator == IMPLICIT:
+        return ""
+    found = fastest_mode(dynamics.mechanism, [problem.x0, dynamics.mechanism.home], dynamics.prescribed)
+    step = dynamics.dt / dynamics.substeps
+    if found.rate * step <= MAX_RATE_STEP:
+        return ""
+    try:
+        wanted = f'integrator="rk4", substeps={substeps_of(found, dynamics.dt)}'
+    except PlannerError as error:
+        return str(error)
+    return f"{found.joint} has a rate of {found.rate:.4g} per s and a step takes {step:.3g} s, expected {wanted}."
+
+
+def _with_step(dynamics: Any, dt: float, integrator: str | None) -> Any:
+    if not callable(getattr(dynamics, "with_step", None)):
+        raise PlannerError(
+            f"the dynamics are of the type {type(dynamics).__name__}, expected dynamics with "
+            "with_step(dt, integrator): nothing else can be given another stage."
+        )
+    return dynamics.with_step(dt, integrator)

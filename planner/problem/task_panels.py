@@ -1,0 +1,155 @@
+"""What a problem asks of the way, over time: how far goals are missed, and what constraints are of. Data for pictures.
+
+A quantity of a constraint may give its rows `names`, and its measure may have `shown(xs, us, n) -> (K, R)`, values for
+pictures in place of those that the solver needs (see planner.problem.constraints.constraint_functions).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import takewhile
+from typing import Any
+
+import numpy as np
+
+from planner.problem.constraints.constraint_stack import StackEntry
+from planner.problem.pictures import BoundedPanel
+from planner.problem.problem import Problem
+
+MAX_CURVES = 8  # curves of a panel
+_GOALS = {"m": "distance", "rad": "angle", "m/s": "speed"}
+Motion = tuple[np.ndarray, np.ndarray]  # states (N+1, nx) and controls (N, nu)
+
+
+def task_panels(problem: Problem, t: np.ndarray, motions: Sequence[Motion]) -> list[BoundedPanel]:
+    """Panels of goals and constraints; none for a problem without either.
+
+    Args:
+        problem: Of the plan.
+        t: (N+1,) s, the knots.
+        motions: Of the plan, then of its replays, at the knots.
+    """
+    return [*_of_goals(problem, t, motions), *_of_constraints(problem, t, motions)]
+
+
+def _of_goals(problem: Problem, t: np.ndarray, motions: Sequence[Motion]) -> list[BoundedPanel]:
+    """By unit: the miss of each goal of a task, and its tolerance when it is asked for."""
+    units: dict[str, dict[bytes, tuple[list[str], np.ndarray, np.ndarray]]] = {}
+    for one in problem.wanted or ():
+        if one.tolerance is None:
+            continue
+        asked = np.array([problem.N] if one.times is None else np.round(np.array(one.times) / problem.dynamics.dt), int)
+        stages = np.arange(problem.N + 1) if len(asked) == 1 else asked
+        values, most = np.full((len(motions), len(t)), np.nan), np.full(len(t), np.inf)
+        values[:, stages] = [one.missed(xs[stages]) for xs, _ in motions]
+        most[asked] = one.tolerance
+        # A frame that stops twice has one speed, and the second goal at the same place the same distance.
+        names, _, bound = units.setdefault(one.unit, {}).setdefault(values[0].tobytes(), ([], values, most))
+        names.append(one.name)
+        bound[:] = np.minimum(bound, most)
+    panels = []
+    for unit, found in units.items():
+        curves = list(found.values())
+        for first in range(0, len(curves), MAX_CURVES):
+            few = curves[first : first + MAX_CURVES]
+            what, names = _shared([_joined(names) for names, _, _ in few])
+            most = np.stack([bound for _, _, bound in few], axis=1)
+            moved = np.stack([values for _, values, _ in few], axis=2)
+            title = f"Goals: {what or _GOALS.get(unit, 'miss')}"
+            panels.append(
+                BoundedPanel(
+                    title, f"miss, {unit}", t, names, tuple(moved), np.full_like(most, -np.inf), most, decades=True
+                )
+            )
+    return panels
+
+
+def _of_constraints(problem: Problem, t: np.ndarray, motions: Sequence[Motion]) -> list[BoundedPanel]:
+    """The rows of each constraint; those of one row and the same bounds share a panel."""
+    rows = None if problem.trajectory_constraints is None else problem.trajectory_constraints.rows
+    alike: dict[Any, list[tuple[StackEntry, np.ndarray, np.ndarray]]] = {}
+    for k, part in enumerate(() if rows is None else rows.parts):
+        if part.at_end:  # values at the ends of stages are those at the starts but for a control
+            continue
+        assert rows is not None
+        least, most = (
+            side[:, part.columns] / rows.scale[part.columns] for side in (rows.specified_lower, rows.specified_upper)
+        )
+        if part.measure.of_controls:
+            least[-1], most[-1] = least[-2], most[-2]
+        key = (part.constraint.unit, least.tobytes(), most.tobytes()) if part.measure.rows == 1 else k
+        alike.setdefault(key, []).append((part, least, most))
+    panels = []
+    for found in alike.values():
+        for first in range(0, len(found), MAX_CURVES):
+            few = found[first : first + MAX_CURVES]
+            values = np.concatenate([[_values(part, *motion) for motion in motions] for part, _, _ in few], axis=2)
+            least, most = (np.concatenate(side, axis=1) for side in list(zip(*few, strict=True))[1:])
+            names = tuple(name for part, _, _ in few for name in _names(part))
+            what = few[0][0].constraint.name if len(few) == 1 else _shared(names)[0]
+            names = names if len(few) == 1 or not what else _shared(names)[1]
+            panels.append(_nearest(few[0][0].constraint.unit, what, t, names, values, least, most))
+    return panels
+
+
+def _values(part: StackEntry, xs: np.ndarray, us: np.ndarray) -> np.ndarray:
+    """(N+1, R) of a constraint; a control's last stage is seen at its end too. NaN where a motion ran away."""
+    n = np.arange(len(xs))
+    last = np.minimum(n, len(us) - 1)
+    measure, u = part.measure, us[last]
+    found = np.full((len(xs), measure.rows), np.nan)
+    known = np.flatnonzero(np.isfinite(xs).all(axis=1) & np.isfinite(u).all(axis=1))
+    values = getattr(measure, "shown", measure.values)
+    if len(known):
+        found[known] = values(xs[known], u[known], (last if measure.of_controls else n)[known])
+    return found
+
+
+def _nearest(
+    unit: str, what: str, t: np.ndarray, names: tuple[str, ...], values: np.ndarray, least: np.ndarray,
+    most: np.ndarray,
+) -> BoundedPanel:  # fmt: skip
+    """The panel of values (motions, K, R): of many rows those that come nearest to a bound in the plan."""
+    margin = np.minimum(np.nan_to_num(values[0], nan=np.inf) - least, most - np.nan_to_num(values[0], nan=-np.inf))
+    margin = np.where(np.isfinite(margin), margin, np.inf).min(axis=0)
+    asked = np.flatnonzero((np.isfinite(least) | np.isfinite(most)).any(axis=0))
+    shown = np.sort(asked[np.argsort(margin[asked], kind="stable")[:MAX_CURVES]])
+    title = f"Constraint: {what}" if what else "Constraints"
+    if len(shown) < len(asked):
+        title += f", the {MAX_CURVES} nearest to their bound of {len(asked)}"
+    least, most, values = least[:, shown], most[:, shown], values[..., shown]
+    apart = not np.isfinite(most).any() and bool(np.all(least[np.isfinite(least)] > 0.0))
+    return BoundedPanel(
+        title, unit or "h", t, tuple(names[k] for k in shown), tuple(values), least, most, decades=apart
+    )
+
+
+def _names(part: StackEntry) -> tuple[str, ...]:
+    """Of a constraint's rows."""
+    own, R = tuple(getattr(part.constraint.of, "names", ())), part.measure.rows
+    if R == 1:
+        return (part.constraint.name,)
+    return own if len(own) == R else tuple(f"row {r}" for r in range(1, R + 1))
+
+
+def _joined(names: list[str]) -> str:
+    """One name for what several goals share: "speed of hand" for that at 1 s and that at 2 s."""
+    return names[0] if len(names) == 1 else _shared(names)[0]
+
+
+def _shared(names: Sequence[str]) -> tuple[str, tuple[str, ...]]:
+    """The words with which all names begin, and what is left of each: "position of hand" and "at 1 s"."""
+    if len(names) == 1:
+        return names[0], tuple(names)
+    common = _beginning(names)
+    rest = [name.split()[len(common) :] for name in names]
+    while common and common[-1] in ("of", "at"):
+        if common.pop() == "at":
+            rest = [["at", *words] for words in rest]
+    return " ".join(common), tuple(" ".join(words) or "at the end" for words in rest)
+
+
+def _beginning(names: Sequence[str]) -> list[str]:
+    """The words with which all names begin."""
+    columns = zip(*(name.split() for name in names), strict=False)
+    return [words[0] for words in takewhile(lambda words: len(set(words)) == 1, columns)]

@@ -1,0 +1,184 @@
+"""Task: the goals and paths of a problem, put on its stages and checked for what cannot be meant."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from planner.base.arguments import choice, number
+from planner.base.errors import PlannerError
+from planner.model.mechanism import SCREW, Mechanism
+from planner.problem.goals import MIN_TOLERANCES
+from planner.problem.tasks.follow import Follow
+from planner.problem.tasks.goal import PARTS, Goal
+
+USUAL = {
+    "position": MIN_TOLERANCES["m"],
+    "orientation": MIN_TOLERANCES["rad"],
+    "pointing": MIN_TOLERANCES["rad"],
+    "velocity": MIN_TOLERANCES["m/s"],
+}
+PATH = {"m": 2.0 * MIN_TOLERANCES["m"], "rad": 2.0 * MIN_TOLERANCES["rad"]}  # the usual tolerance of a path
+
+
+@dataclass(frozen=True)
+class TimedGoal:
+    """A goal at its stage."""
+
+    goal: Goal
+    stage: int  # 1 to N
+    time: float  # s, of the stage
+    last: bool  # Whether it is at the end
+    label: str  # For a sentence: "goal 2 (hand at 1 s)"
+    tolerances: dict[str, float]  # By PARTS
+    joints: dict[int, float] = field(default_factory=dict)  # Of a goal of joints: positions by degree of freedom
+
+    @property
+    def when(self) -> str:
+        """The time behind a name: " at 1 s", nothing for the end."""
+        return "" if self.last else f" at {self.time:.4g} s"
+
+
+@dataclass(frozen=True)
+class Task:
+    """Goals in the order of their times, and paths, of a machine in N stages of dt."""
+
+    mechanism: Mechanism
+    goals: tuple[TimedGoal, ...]
+    follows: tuple[Follow, ...]
+    N: int
+    dt: float
+
+    @property
+    def duration(self) -> float:
+        """S."""
+        return self.N * self.dt
+
+    @property
+    def rests(self) -> bool:
+        """Whether the machine is to stand still at the end: not where a goal is passed there, or a path with times."""
+        passed = any(one.goal.through for one in self.goals if one.last)
+        ends = any(np.shape(path.points)[1] > path.width and self.span(path)[1] == self.N for path in self.follows)
+        return not (passed or (ends and not any(one.last for one in self.goals)))
+
+    def span(self, path: Follow) -> tuple[int, int]:
+        """The first and the last stage of a path."""
+        times = path.times(self.duration)
+        return round(float(times[0]) / self.dt), round(float(times[-1]) / self.dt)
+
+    def place(self, path: Follow, stages: np.ndarray) -> np.ndarray:
+        """The points (K, n) of a path at stages (K,)."""
+        return path.at(self.dt * stages, self.duration)
+
+    def tolerance(self, path: Follow) -> float:
+        """How far from a path passes, in its unit."""
+        if path.tolerance is not None:
+            return path.tolerance
+        return min(PATH[unit] for unit in self.units(path))
+
+    def units(self, path: Follow) -> list[str]:
+        """The unit of each number of a path."""
+        if path.joints is None:
+            return ["m"] * 3
+        return [unit_of(self.mechanism, self.mechanism.joint(name).start) for name in path.joints]
+
+
+def task_of(
+    mechanism: Mechanism, goals: list[Goal], follows: list[Follow], N: int, dt: float, tolerance: Any = None
+) -> Task:
+    """The task of goals and paths.
+
+    Args:
+        mechanism: The machine.
+        goals: In the order of their times.
+        follows: Paths.
+        N: Stages.
+        dt: s, of a stage.
+        tolerance: Of goals that state none: a number, or a table by PARTS; None for the usual ones.
+
+    Raises:
+        PlannerError: A frame, joint or keyframe that the machine does not have; times out of order or outside of the
+            duration; a path that begins elsewhere.
+    """
+    usual = Goal(frame="", pointing=(0, 0, 1), tolerance=_of_parts(tolerance)).tolerances(USUAL)
+    timed, before = [], 0.0
+    for k, goal in enumerate(goals, 1):
+        time = N * dt if goal.time is None else float(goal.time)
+        name = goal.frame or "joints"
+        label = f"goal {k} ({name})" if goal.time is None else f"goal {k} ({name} at {time:g} s)"
+        if time > N * dt * (1.0 + 1e-9):
+            raise PlannerError(f"{label} is after the end, expected a time of at most the duration of {N * dt:g} s.")
+        if time < before - 1e-9:
+            raise PlannerError(
+                f"{label} comes before the one above it, which is at {before:g} s: expected goals in the order of "
+                "their times, and those without a time, which are at the end, last."
+            )
+        before, stage = time, max(round(time / dt), 1)
+        if goal.frame is not None:
+            mechanism.frame(goal.frame)  # refuses a name that there is not, and says which there are
+        timed.append(
+            TimedGoal(
+                goal, stage, stage * dt, stage == N, label, goal.tolerances(usual), joints_of(mechanism, goal, label)
+            )
+        )
+    for path in follows:
+        _check_path(mechanism, path, N * dt)
+    return Task(mechanism, tuple(timed), tuple(follows), N, dt)
+
+
+def _of_parts(tolerance: Any) -> Any:
+    """What a problem's tolerance says of goals: tables name joints and kinds of goals too."""
+    if isinstance(tolerance, dict):
+        return {name: value for name, value in tolerance.items() if name in PARTS and value != "soft"} or None
+    return None if tolerance == "soft" else tolerance
+
+
+def joints_of(mechanism: Mechanism, goal: Goal, label: str) -> dict[int, float]:
+    """Positions by degree of freedom of a goal of joints; empty for one of a frame."""
+    given = goal.joints
+    if given is None:
+        return {}
+    screws = [i for i in range(mechanism.nv) if mechanism.kind[i] == SCREW and _alone(mechanism, i)]
+    if isinstance(given, str):
+        given = mechanism.keyframe(given)[: mechanism.nq]
+    elif isinstance(given, dict):
+        found = {}
+        for name, value in given.items():
+            i = mechanism.joint(choice(f"a joint of {label}", name, [n for n in mechanism.joint_names if n])).start
+            if i not in screws:
+                raise PlannerError(f"{label} names {name!r}, a ball or free joint: expected hinges and slides.")
+            found[i] = number(f"{name} of {label}", value)
+        return found
+    given = np.asarray(given, dtype=float).ravel()
+    if len(given) != mechanism.nq or len(screws) != mechanism.nv:
+        names = ", ".join(name for name in mechanism.joint_names if name)
+        expected = f"expected a table of hinges and slides, or all {mechanism.nq} positions ({names})"
+        raise PlannerError(f"{label} has {len(given)} numbers, {expected}.")
+    return {i: float(given[mechanism.q_address[i]]) for i in screws}
+
+
+def _alone(mechanism: Mechanism, dof: int) -> bool:
+    links = next(one for one in mechanism.joint_links if one.start <= dof < one.stop)
+    return links.stop - links.start == 1
+
+
+def unit_of(mechanism: Mechanism, dof: int) -> str:
+    """The unit of a degree of freedom, "rad" or "m"."""
+    return "rad" if np.any(mechanism.S[dof, :3]) else "m"
+
+
+def _check_path(mechanism: Mechanism, path: Follow, duration: float) -> None:
+    if path.frame is not None:
+        mechanism.frame(path.frame)
+    for name in path.joints or ():
+        links = mechanism.joint(name)
+        if mechanism.kind[links.start] != SCREW or links.stop - links.start > 1:
+            raise PlannerError(f"follow names {name!r}, a ball or free joint: expected hinges and slides.")
+    first, last = path.times(duration)[[0, -1]]
+    if first < 0.0 or last > duration * (1.0 + 1e-9):
+        raise PlannerError(
+            f"the path of {path.what} is from {first:g} to {last:g} s, expected times between 0 and the duration of "
+            f"{duration:g} s."
+        )

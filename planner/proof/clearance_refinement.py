@@ -1,0 +1,137 @@
+"""Plan again with more room where shapes touched in MuJoCo that the plan keeps apart, and with less where none do.
+
+What stands for a mesh or a cylinder is fitted around it, but where fits overlap at the start of a motion and the shapes
+do not, that is let pass (planner.model.mjcf.collision_pairs), and then a plan may come too near. MuJoCo's collision
+tells;
+the pair is kept apart by as much more as it went in, and half of the clearance. And where no plan keeps two fits apart
+whose shapes are far from each other by MuJoCo's distances, the fits may come nearer by that.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from planner.model.mjcf.reachable_collisions import MAX_MUJOCO_DISTANCE, distances_in
+from planner.problem.avoid import survey_of
+from planner.problem.constraints.clearance import PairClearance, pair_clearance_of
+from planner.problem.goals import goals_of
+from planner.problem.plan import Plan, Status
+from planner.problem.problem import Problem
+from planner.proof import Proof
+from planner.proof import prove as full_proof
+from planner.proof.original_model import your_file
+from planner.solvers.slq import solve
+from planner.solvers.warm_start import warm_start
+
+MAX_REFINEMENTS = 3  # times
+CLEARANCE_SHARE = 0.5  # of what a pair is kept apart by, beside the depth
+
+
+class ClearanceRefinement(NamedTuple):
+    """The last plan that was proved, and a sentence for each time that it was planned with more room, or less."""
+
+    plan: Plan
+    proof: Proof
+    notes: tuple[str, ...]
+
+
+def refine_clearance(
+    plan: Plan, proof: Proof, *, limit: int = MAX_REFINEMENTS, seconds: float = 60.0, prove: Callable[[Plan], Proof] |
+    None = None,
+    **options: Any,
+) -> ClearanceRefinement:  # fmt: skip
+    """Solve and prove again with another clearance of the pairs that touched or are far, while that is why it fails.
+
+    Args:
+        plan: A plan whose problem keeps shapes apart (planner.constraints.Avoid).
+        proof: Of the plan.
+        limit: Most times.
+        seconds: After which no other solve begins.
+        prove: Judges the plans; by default without perturbed rollouts.
+        options: Of solve().
+    """
+    prove, end, notes = prove or partial(full_proof, rollouts=0), time.monotonic() + seconds, list[str]()
+    while len(notes) < limit and time.monotonic() < end:
+        more = _touched(plan, proof) or _far(plan, proof)
+        if plan.problem is None or not more:
+            break
+        problem = with_more_room(plan.problem, more)
+        better = solve(replace(problem, us=warm_start(plan, problem)), **options)
+        if better.status is Status.NOT_FINITE:
+            break
+        notes.append("; ".join(_told(names, m) for names, m in more.items()))
+        plan, proof = better, prove(better)
+        if plan.status is Status.INTERRUPTED:
+            break
+    return ClearanceRefinement(plan, proof, tuple(notes))
+
+
+def _touched(plan: Plan, proof: Proof) -> dict[str, float]:
+    """By how much more (m) pairs are to be kept apart that touch in the user's file, by their names."""
+    problem = plan.problem
+    apart = None if problem is None else pair_clearance_of(problem.constraints)
+    if apart is None or problem is None or proof.passed:
+        return {}
+    if not any(one.name == "unknown_contacts" for one in proof.your_file.failures):
+        return {}
+    _, run = your_file(plan, problem, goals_of(problem), mjcf=None)
+    if run is None:
+        return {}
+    depths = {frozenset(touch.geoms): touch.deepest for touch in run.touches}
+    found = {}
+    for pair in apart.pairs:
+        depth = depths.get(frozenset((pair.a.geom, pair.b.geom)), 0.0)
+        if depth > 0.0:
+            found[pair.names] = max(found.get(pair.names, 0.0), depth + CLEARANCE_SHARE * pair.required_clearance)
+    return found
+
+
+def _far(plan: Plan, proof: Proof) -> dict[str, float]:
+    """By how much (m, negative) fits may be nearer whose shapes are further apart than asked, by the pairs' names."""
+    problem = plan.problem
+    apart = None if problem is None else pair_clearance_of(problem.constraints)
+    if apart is None or problem is None or proof.passed:
+        return {}
+    allowed = next(one.allowed() for one in problem.constraints if one.of is apart)
+    measure, found = apart.measure(problem.dynamics, problem.N), {}
+    model, short = survey_of(measure.mechanism).model, measure.clearance_violation(problem.dynamics, plan.xs, plan.us)
+    for k in np.flatnonzero(short.max(axis=0) > allowed):
+        pair, n = apart.pairs[k], np.flatnonzero(short[:, k] > allowed)
+        geoms = (pair.a.geom, pair.b.geom)
+        xs = plan.xs[np.union1d(n, n + 1)]
+        real = np.array([distances_in(model, x[: model.nq], [geoms], MAX_MUJOCO_DISTANCE)[geoms] for x in xs])
+        beyond = float(np.min(real - measure.shown(xs, plan.us[:0], n)[:, k]))
+        nearer = measure.least[k] - (pair.required_clearance - beyond)
+        if nearer > allowed and real.min() > pair.required_clearance:
+            found[pair.names] = -nearer
+    return found
+
+
+def _told(names: str, more: float) -> str:
+    if more > 0.0:
+        return f"{names} touch and are kept {100.0 * more:.2g} cm further apart"
+    return f"the fits of {names} may come {-100.0 * more:.2g} cm nearer, since the shapes are that much further apart"
+
+
+def with_more_room(problem: Problem, more: dict[str, float]) -> Problem:
+    """The problem with pairs kept further apart (m), by their names; that of a file keeps its recipe."""
+    if problem.recipe is not None and "avoid" in problem.recipe.parameters:
+        table = problem.recipe.parameters["avoid"]
+        had = table.get("more") or {}
+        both = had | {name: had.get(name, 0.0) + m for name, m in more.items()}
+        return problem.recipe.rebuilt(avoid=table | {"more": both})
+    changed = []
+    for one in problem.constraints:
+        if isinstance(one.of, PairClearance):
+            pairs = one.of.pairs
+            added = one.of.more + np.array([more.get(pair.names, 0.0) for pair in pairs])
+            apart = replace(one.of, more=np.minimum(added, [pair.spare_clearance for pair in pairs]))
+            one = replace(one, of=apart, least=apart.least)
+        changed.append(one)
+    return replace(problem, constraints=changed)

@@ -1,0 +1,148 @@
+"""States at which one contact of a plan is pressed to a depth, and joint velocities with which it closes and slides."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from planner.dynamics.contact_kinematics import BodyContactKinematics
+from planner.dynamics.contacts import contact_kinematics
+from planner.model.contact.body_contact import BodyContact
+from planner.model.contact.laws import Contact, Law, slide_direction
+from planner.model.mechanism import Mechanism
+
+AnyContact = Contact | BodyContact
+
+_ITERATIONS, _STEP = 25, 0.5  # of Newton's method, and how far a joint goes at once, rad or m
+_ARRIVED, _ALMOST = 1e-6, 1e-3  # of the depth
+_ENOUGH = 3  # states that arrived: the others are left where they are
+_CORNERS = 4  # others that a box has at least, if it is one
+_SLIGHT = 1e-9  # of a Jacobian that is none, and m between places that are one
+_SHARE = 0.05  # of a radius: how deep shapes are pressed, unless the ramps ask for more
+_POINT = 0.02  # of the distance between the corners of a box: the same
+
+
+class ContactStateSampler:
+    """One contact of a mechanism, to be pressed.
+
+    Attributes:
+        depth: How deep, m: beyond the ramps of its law, else as the weight does but little of its shapes' size.
+        lowest_only: Whether MuJoCo may know but the lowest of a shape's parts: of the corners of a box, or on a box.
+        spacing: Least distance to another contact of the same link, m; infinite for a single one.
+    """
+
+    def __init__(self, mechanism: Mechanism, contact: AnyContact) -> None:
+        self.mechanism, self.contact = mechanism, contact
+        self._others = [one for one in mechanism.contacts if self._beside(one)]
+        away = [float(np.linalg.norm(one.centre - contact.centre)) for one in self._others]  # type: ignore[union-attr]
+        corner = isinstance(contact, Contact) and contact.radius == 0.0
+        self.lowest_only = corner and len(away) >= _CORNERS
+        self.spacing = min((distance for distance in away if distance > _SLIGHT), default=np.inf)
+        weight = self._mass() * float(np.linalg.norm(mechanism.gravity))
+        radius = contact.radius if isinstance(contact, Contact) else contact.first.radius + contact.second.radius
+        wishes = [weight / contact.law.stiffness, _SHARE * radius if radius > 0.0 else _POINT * self.spacing]
+        self.depth = max(beyond_ramps(contact.law), min(wish for wish in wishes if wish > 0.0))
+
+    def _beside(self, other: Contact) -> bool:
+        """Whether another contact is of the same shape, or may be: of the same link on the same plane."""
+        own = self.contact
+        return isinstance(own, Contact) and other is not own and other.link == own.link and (
+            other.plane.offset == own.plane.offset and bool(np.all(other.plane.normal == own.plane.normal))
+        )  # fmt: skip
+
+    def _mass(self) -> float:
+        """Of all that hangs together with the body that is pressed, kg."""
+        parent = self.mechanism.parent
+        root = np.arange(len(parent))
+        for i, above in enumerate(parent):
+            root[i] = root[above] if above >= 0 else i
+        own = self.contact
+        link = own.link if isinstance(own, Contact) else max(own.first.link, own.second.link)
+        return float(self.mechanism.mass[root == root[link]].sum())
+
+    @property
+    def speed(self) -> float:
+        """At which the mass bounces this deep, m/s."""
+        return self.depth * float(np.sqrt(self.contact.law.stiffness / self._mass()))
+
+    def place(self, x: np.ndarray) -> Any:
+        """Where the contact is at states (K, nx)."""
+        m = self.mechanism
+        return contact_kinematics(m, self.contact, x[:, : m.nq], x[:, m.nq : m.nq + m.nv])
+
+    def matters(self, x: np.ndarray, fixed: np.ndarray) -> bool:
+        """Whether any degree of freedom but the fixed ones changes the contact at states (K, nx)."""
+        J = np.abs(self.place(x).J).max(axis=(0, 1))
+        return bool(np.any(np.delete(J, fixed) > _SLIGHT * max(J.max(), 1.0)))
+
+    def pressed(
+        self, starts: np.ndarray, depth: float, middle: np.ndarray | None = None
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Move the joints of states (K, nx) until the contact is `depth` m deep, the machine at rest.
+
+        Newton's method with the least change of the joints. With `middle` (3,), a point of the plane's shape where the
+        file puts it, the contact is moved there along the plane too.
+
+        Returns:
+            The states (k, nx) that got there, and (k,) whether no other contact of the same link is deeper, where that
+            matters.
+        """
+        m, contact = self.mechanism, self.contact
+        x = starts.copy()
+        x[:, m.nq : m.nq + m.nv] = 0.0
+        aside = np.zeros((len(x), 3))
+        for _ in range(_ITERATIONS):
+            place = self.place(x)
+            rows, missing = -np.einsum("ka,kaj->kj", place.n, place.J)[:, None], self._missing(place, depth)[:, None]
+            if middle is not None and isinstance(contact, Contact):
+                across = np.eye(3) - np.outer(contact.plane.normal, contact.plane.normal)
+                aside = (_carried(m, contact, x, middle) - place.p) @ across
+                rows, missing = np.concatenate([rows, across @ place.J], 1), np.concatenate([missing, aside], 1)
+            arrived = (np.abs(missing[:, 0]) <= _ARRIVED * depth) & np.all(np.abs(aside) <= depth, axis=1)
+            if arrived.all() or (arrived.sum() >= _ENOUGH and not self.lowest_only):
+                break
+            step = np.einsum("kja,ka->kj", np.linalg.pinv(rows, rcond=1e-6), missing)
+            step *= np.minimum(1.0, _STEP / np.maximum(np.abs(step).max(axis=1, keepdims=True), _STEP))
+            change = np.zeros((len(x), m.space.ndx))
+            change[:, : m.nv] = step
+            x = m.space.integrate(x, change)
+        place = self.place(x)
+        there = (np.abs(self._missing(place, depth)) <= _ALMOST * depth) & np.all(np.abs(aside) <= 2.0 * depth, axis=1)
+        x = x[there]
+        if isinstance(place, BodyContactKinematics):  # where axes cross, closest points are sharp
+            x = x[np.argsort(-place.crossing[there], kind="stable")]
+        lowest = self._lowest(x) if self.lowest_only else np.ones(len(x), dtype=bool)
+        order = np.argsort(~lowest, kind="stable")
+        return x[order], lowest[order]
+
+    def _missing(self, place: Any, depth: float) -> np.ndarray:
+        """(K,) how much deeper a place is to be, m."""
+        return depth + self.contact.law.surface_offset - place.e
+
+    def _lowest(self, x: np.ndarray) -> np.ndarray:
+        m = self.mechanism
+        q, qd = x[:, : m.nq], x[:, m.nq : m.nq + m.nv]
+        own = self.place(x).e
+        others = [contact_kinematics(m, other, q, qd).e for other in self._others]
+        return np.all([own >= e - _ALMOST * self.depth for e in others], axis=0) if others else np.ones(len(x), bool)
+
+    def moving(self, place: Any, velocity: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """The least joint velocities (nv,) at a place of one state that come nearest to a velocity (3,), and theirs."""
+        drift = self.contact.plane.velocity if isinstance(self.contact, Contact) else np.zeros(3)
+        qd = np.linalg.pinv(place.J[0], rcond=1e-6) @ (velocity + drift)
+        return qd, place.J[0] @ qd - drift
+
+
+def beyond_ramps(law: Law) -> float:
+    """Twice the depth at which a law is a plain spring's, in m or rad."""
+    return 2.0 * max(law.ramp - law.surface_offset, 0.5 * float(law.force_ramp or 0.0) / law.stiffness)
+
+
+def _carried(mechanism: Mechanism, contact: Contact, x: np.ndarray, middle: np.ndarray) -> np.ndarray:
+    """(K, 3) a point of the plane, which may lie on a slide."""
+    i = contact.plane.slide
+    if i < 0:
+        return np.broadcast_to(middle, (len(x), 3))
+    address = mechanism.q_address[i]
+    return middle + (x[:, address] - mechanism.qpos0[address])[:, None] * slide_direction(mechanism, contact.plane)

@@ -1,0 +1,204 @@
+"""Hold the goal after arriving: an infinite-horizon regulator, and MuJoCo's motion under it from the end of a replay.
+
+A plan ends at its horizon, and most goals do not stand by themselves. Near one that is an equilibrium, x_g = f(x_g,
+u_g), the deviation e = x (-) x_g obeys e+ = A e + B (u - u_g), and
+
+    u = u_g + K e,    K = -(R + B'P B)^-1 B'P A,    P = Q + A'P A - A'P B (R + B'P B)^-1 B'P A
+
+keeps it there with the least sum of e'Q e + (u - u_g)'R (u - u_g) for all time. The weights are those of the cost's
+last stage, and its final weight per second: no new numbers.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from planner.base.arguments import number
+from planner.base.errors import PlannerError
+from planner.base.measured import Measurement, Section
+from planner.dynamics.assembly import tangent_basis
+from planner.dynamics.protocol import Dynamics
+from planner.model.coordinates import coordinates_of
+from planner.model.mechanism import Mechanism
+from planner.model.space import StateSpace, space_of
+from planner.problem.goals import MIN_TOLERANCES
+from planner.problem.plan import Plan
+from planner.problem.problem import Problem
+from planner.proof.error_scales import worst_by_unit
+from planner.proof.replay_errors import costs_with_goals
+from planner.proof.replays.passive_torque_callback import curves_acting
+from planner.proof.replays.replaying import Replay
+from planner.proof.replays.simulation import MAX_STEPS, simulate
+
+EQUILIBRIUM = 0.05  # of the least tolerance of a goal, by unit: how far from it the nearest equilibrium may be
+_UNKNOWN = 0.02  # that tolerance, for units that no goal knows
+_WEAKEST = 1e-6  # weight of what the cost leaves free, relative to the largest: it is held too, slowly
+_NEWTON = 20  # iterations
+
+
+@dataclass(frozen=True, eq=False)
+class GoalRegulator:
+    """The regulator u = u_goal + K difference(x, x_goal)."""
+
+    x_goal: np.ndarray  # (nx,) the equilibrium that is held: the goal where the cost's final weight acts
+    u_goal: np.ndarray  # (nu,) the control that keeps it
+    K: np.ndarray  # (nu, ndx)
+    space: StateSpace  # Of the states
+
+    def control(self, x: np.ndarray) -> np.ndarray:
+        """The control (nu,) at a state (nx,)."""
+        return self.u_goal + self.K @ self.space.difference(x, self.x_goal)
+
+
+def hold_gain(problem: Problem) -> GoalRegulator:
+    """The regulator that holds the goal of a problem.
+
+    Args:
+        problem: With a TrackingCost, alone or in a sum, that has a final weight.
+
+    Raises:
+        PlannerError: The cost has no goal state, or the goal is no equilibrium, or cannot be made stable.
+    """
+    from scipy.linalg import LinAlgError, solve_discrete_are  # a fifth of a second that `import planner` does not pay
+
+    costs = costs_with_goals(problem)
+    if len(costs) != 1:
+        has = f"the cost has {len(costs)} terms with a goal state"
+        raise PlannerError(f"{has}, expected one TrackingCost with a final weight.")
+    free = ~np.any(costs[0].Q[-1], axis=0)  # (ndx,) costs nothing at the end
+    x, u = _equilibrium(problem, costs[0].x_ref[-1].copy(), free)
+    T, places = _directions(problem.dynamics, x, len(free))
+    A, B, drift = _about(problem, x, u)
+    _check_equilibrium(A, B, drift, problem.dynamics)
+    Q, R = _weights(problem, x, u)
+    A, B, Q = (A @ T)[places], B[places], T.T @ Q @ T
+    try:
+        P = solve_discrete_are(A, B, Q, R)
+        K = -np.linalg.solve(R + B.T @ P @ B, B.T @ P @ A)
+        stable = np.abs(np.linalg.eigvals(A + B @ K)).max() < 1.0
+    except (LinAlgError, ValueError):
+        stable, K = False, np.empty((0, 0))
+    if not stable:
+        raise PlannerError(
+            "the goal cannot be held: no gains make the dynamics stable there, expected controls that reach every "
+            "motion that does not die out by itself."
+        )
+    gains = np.zeros((len(K), len(T)))
+    gains[:, places] = K
+    return GoalRegulator(x, u, gains, space_of(problem.dynamics))
+
+
+def _directions(dynamics: Dynamics, x: np.ndarray, ndx: int) -> tuple[np.ndarray, np.ndarray]:
+    """The deviations T (ndx, n) that a machine's constraints leave at x, dx = T dx[places], and these places."""
+    mechanism = getattr(dynamics, "mechanism", None)
+    if not isinstance(mechanism, Mechanism) or mechanism.space.ndx != ndx:
+        return np.eye(ndx), np.arange(ndx)
+    return tangent_basis(mechanism, x)
+
+
+def _equilibrium(problem: Problem, x: np.ndarray, free: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The state and control nearest to standing still: Gauss-Newton on f(x, u) (-) x, over u and what is free in x."""
+    space = space_of(problem.dynamics)
+    u = np.zeros(problem.dynamics.nu)
+    for _ in range(_NEWTON):
+        T, places = _directions(problem.dynamics, x, len(free))
+        T = T[:, free[places]]
+        A, B, drift = _about(problem, x, u)
+        J = np.concatenate([(A - np.eye(len(A))) @ T, B], axis=1)
+        step = np.linalg.lstsq(J, -drift, rcond=1e-10)[0]
+        if not np.isfinite(step).all():
+            break
+        x, u = space.integrate(x, T @ step[: T.shape[1]]), u + step[T.shape[1] :]
+        if np.abs(step).max(initial=0.0) < 1e-12:
+            break
+    return x, u
+
+
+def _check_equilibrium(A: np.ndarray, B: np.ndarray, drift: np.ndarray, dynamics: Dynamics) -> None:
+    """Raise unless an equilibrium is near: drift + (A - 1) dx + B du = 0 with a small dx."""
+    J = np.concatenate([A - np.eye(len(A)), B], axis=1)
+    z = np.linalg.lstsq(J, -drift, rcond=1e-10)[0]
+    stands = np.abs(drift + J @ z).max() <= 1e-6 * np.abs(drift).max()
+    coordinates = coordinates_of(dynamics)
+    near = EQUILIBRIUM * np.array([MIN_TOLERANCES.get(one.unit, _UNKNOWN) for one in coordinates])
+    if not (stands and np.all(np.abs(z[: len(A)]) <= near)):
+        worst = int(np.argmax(np.abs(drift) / near))
+        rate = f"{drift[worst] / dynamics.dt:.3g} {coordinates[worst].unit}".rstrip()
+        raise PlannerError(
+            f"the goal is no equilibrium: with the best control, {coordinates[worst].name} changes by {rate} per "
+            "second there, expected a goal that some control keeps."
+        )
+
+
+def _about(problem: Problem, x: np.ndarray, u: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """A (ndx, ndx), B (ndx, nu) and the drift f(x, u) (-) x (ndx,) at one state and control."""
+    A, B = problem.dynamics.linearize(np.stack([x, x]), u[None])
+    drift = space_of(problem.dynamics).difference(problem.dynamics.step(x[None], u[None])[0], x)
+    return A[0], B[0], drift
+
+
+def _weights(problem: Problem, x: np.ndarray, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Q (ndx, ndx) and R (nu, nu) of one stage of holding."""
+    N = problem.N
+    model = problem.cost.quadratize(np.tile(x, (N + 1, 1)), np.tile(u, (N, 1)))
+    Q = problem.dynamics.dt * model.Q[N] + (model.Q[N - 1] if N > 1 else 0.0)
+    return Q + _WEAKEST * np.abs(Q).max() * np.eye(len(Q)), model.R[N - 1]
+
+
+@dataclass(frozen=True, eq=False)
+class RegulatedRun:
+    """MuJoCo's motion after a replay, with a regulator acting at every step."""
+
+    plan: Plan  # Whose replay it goes on from
+    hold: GoalRegulator  # The regulator
+    t: np.ndarray  # (M+1,) s; goes on from the replay's
+    qpos: np.ndarray  # (M+1, nq)
+    qvel: np.ndarray  # (M+1, nv)
+    act: np.ndarray  # (M+1, na)
+    ctrl: np.ndarray  # (M, nu) what was applied
+    # (M+1, nx) the states in the plan's coordinates; the first is the replay's last. NaN after a runaway.
+    xs: np.ndarray
+    warnings: tuple[str, ...]  # MuJoCo's complaints, one sentence each
+
+    @property
+    def deviation(self) -> np.ndarray:
+        """(M+1, ndx) from the goal."""
+        return self.hold.space.difference(self.xs, self.hold.x_goal)
+
+
+def simulate_regulator(replay: Replay, hold: GoalRegulator, seconds: float = 10.0) -> RegulatedRun:
+    """MuJoCo goes on from the end of a replay, at its step and with its integrator, and a regulator holds the goal."""
+    steps = number("seconds", seconds, greater_than=0.0) / replay.timestep
+    if not 0.5 < steps < MAX_STEPS + 0.5:  # infinite, perhaps
+        raise PlannerError(f"{seconds:g} s are {steps:.3g} steps of the replay, expected 1 to {MAX_STEPS}.")
+    if hold.K.shape != (replay.ctrl.shape[1], replay.plan.space.ndx):
+        raise PlannerError(f"the gains have shape {hold.K.shape}, expected those of the plan's machine.")
+    steps = round(steps)
+    twin, model = replay.twin, replay.compiled.stepping(replay.timestep, replay.integrator)
+    t, ctrl = replay.t[-1] + replay.timestep * np.arange(steps + 1), np.zeros((steps, model.nu))
+    arrived = np.concatenate([replay.qpos[-1], replay.qvel[-1], replay.act[-1]])
+    with curves_acting(twin, model):
+        w, warnings = simulate(model, arrived, ctrl, control=lambda _, w: hold.control(twin.x_of(w)), start=float(t[0]))
+    qpos, qvel, act = np.split(w, [model.nq, model.nq + model.nv], axis=1)
+    return RegulatedRun(replay.plan, hold, t, qpos, qvel, act, ctrl, twin.x_of(w), warnings)
+
+
+def hold_section(held: RegulatedRun) -> Section:
+    """Whether the goal was held: the largest deviations over the last second by unit, beside what passes of a path."""
+    last = held.t >= held.t[-1] - 1.0
+    lasting = f"over the last second of {held.t[-1] - held.t[0]:.4g} s"
+    parts = (
+        ("held", held.deviation[last], f"{lasting}; the bound is that of its path"),
+        ("final_held", held.deviation[-1:], "at the end"), ("largest_held", held.deviation, "on the way"),
+    )  # fmt: skip
+    measured = [
+        Measurement(
+            f"{part}_{one.word}_deviation", one.value, one.unit, one.bound if part == "held" else None,
+            f"of {one.name} from the goal, {words}",
+        )
+        for part, deviation, words in parts for one in worst_by_unit(held.plan, deviation)
+    ]  # fmt: skip
+    warned = Measurement("simulator_warnings", float(len(held.warnings)), "", 0.0, " ".join(held.warnings))
+    return Section("hold", (*measured, warned))

@@ -1,0 +1,306 @@
+"""Step 6 of a proof: the plan in the model exactly as the user gave it.
+
+A plan's model may lack contacts, friction loss or equalities of the user's file. Here the file is simulated unedited,
+with its own options at a refined step, under the plan's controls and gains. Joints that the plan prescribes are driven
+in it too, and torques that MJCF does not know act in it too.
+
+The integrator is MuJoCo's RK4, as in the rest of a proof: Euler's error at the refined step alone is 0.4 rad of the
+acrobot's path, and is no fault of a plan. A stiff file may need its own integrator, which is taken where RK4 fails; a
+plan that takes damping implicitly is replayed by MuJoCo's implicitfast.
+
+What the plan does not know must not have mattered: no touch of a pair that it lacks, no stop of a joint, no clamp of an
+actuator, no runaway, and every goal is met. Pairs that overlap where the plan starts are left out of the file: MuJoCo
+would press them apart. The verdict names them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from planner.base.errors import ModelError
+from planner.base.gl import load_mujoco
+from planner.base.measured import Measurement, Section
+from planner.model.mechanism import SCREW, Mechanism
+from planner.model.mjcf.initial_overlaps import initial_overlaps, without_pairs
+from planner.model.mjcf.model_index import named
+from planner.model.mjcf.prescribed_joints import in_order, prescribe_joints
+from planner.model.mjcf.unmodelled_features import names_of
+from planner.model.mjcf.unsupported import unsupported_elements
+from planner.model.stationary_objects import stationary_object_bodies, stationary_object_dofs
+from planner.model.twin import Twin
+from planner.problem.goals import GoalCheck
+from planner.problem.plan import Plan
+from planner.problem.problem import Problem
+from planner.proof.constraints import replayed_violations
+from planner.proof.error_scales import path_error_bounds, worst_by_unit
+from planner.proof.left_out import unmodelled_of
+from planner.proof.replay_errors import misses
+from planner.proof.replays.compiled_twin import CompiledTwin, with_model
+from planner.proof.replays.implicit_steps import NATIVE, damping_of
+from planner.proof.replays.limits_hit import clamps_hit, stops_hit
+from planner.proof.replays.passive_torque_callback import curves_acting
+from planner.proof.replays.replaying import Replay, replay_in
+from planner.proof.replays.simulation import simulate
+
+TITLE = "your file"
+OPEN_LOOP_MISSES = "open_loop_goals_missed"
+MAX_NAMED = 3  # pairs, joints or actuators in a sentence
+NEGLIGIBLE_FORCE = 1e-3  # of the machine's weight: shapes that are flush and press with less do not matter
+MAX_GAIN_EFFORT = 0.02  # of a control's largest value: more than that is what the gains must not need to add
+PENETRATION_TOLERANCE = 1e-6  # of a machine of 1 m or more, m: shapes that are drawn flush overlap by rounding
+DEEPER = 1e-3, 0.1  # m (as GRAZE) or part of the depth at the start: how much deeper shapes may go that overlap there
+
+
+class PrescriptionError(ModelError):
+    """The file's joints cannot be driven as the plan prescribes."""
+
+
+@np.errstate(all="ignore")  # a motion may run away: a NaN passes no bound
+def your_file(
+    plan: Plan, problem: Problem, goals: Sequence[GoalCheck], *, open_loop: Replay | None = None,
+    mjcf: str | Path | None = None, twin: Twin | None = None,
+) -> tuple[Section, Replay | None]:  # fmt: skip
+    """Replay a plan with its gains in the model as the user gave it, and judge what the plan did not know.
+
+    Args:
+        plan: A plan of this problem.
+        problem: With a twin.
+        goals: What the end is judged by, where the machine has no rule of its own.
+        open_loop: The replay without gains in the plan's own model; it is used again where the file is that model.
+        mjcf: Another MJCF, a path or the XML text, in place of the user's own; nothing is taken out of it.
+        twin: Another model and other maps in place of the plan's own.
+
+    Returns:
+        The step, and the replay in the file; None where the step does not apply.
+
+    Raises:
+        PlannerError: The plan cannot be replayed.
+        ModelError: MuJoCo refuses the file, or it is of another machine.
+    """
+    twin = twin or plan.twin
+    if twin is None:
+        return Section(TITLE, not_applicable="the plan has no MuJoCo model to be replayed in"), None
+    try:
+        given = as_given(problem, twin, mjcf)
+    except PrescriptionError as error:
+        return Section(TITLE, not_applicable=str(error)), None
+    if open_loop is not None and _same_model(open_loop.twin, given.twin):
+        given = open_loop.compiled  # compiled already
+    compiled = _without_overlaps(problem, given)
+    known = open_loop if open_loop is not None and compiled is open_loop.compiled else None
+    planned = None if open_loop is None else open_loop.plan_xs
+    own = load_mujoco().mjtIntegrator(compiled.model.opt.integrator).name.removeprefix("mjINT_")
+    implicit = [] if damping_of(problem.dynamics) is None else [NATIVE]
+    first: tuple[Section, Replay] | None = None
+    for integrator in dict.fromkeys((*implicit, "RK4", own)):  # one that repeats the plan is enough
+        run = replay_in(compiled, plan, feedback=True, integrator=integrator, planned=planned)
+        alone = (known.t, known.xs) if known and first is None else _without_gains(run)
+        section = Section(TITLE, (*_measured(run, problem, goals), *_open_loop(plan, *alone, goals)))
+        if section.passed:
+            return section, run
+        first, planned = first or (section, run), run.plan_xs
+    assert first is not None  # there is RK4
+    return first
+
+
+def _measured(run: Replay, problem: Problem, goals: Sequence[GoalCheck]) -> list[Measurement]:
+    """Everything that is judged and shown of a replay with gains."""
+    touching, overlaps = _touches(run, problem)
+    sentences = {
+        "unknown_contacts": (touching, "touches of pairs that the plan's model lacks"),
+        "unknown_stops": (stops_hit(run), "joints that run into a stop that the plan's model lacks"),
+        "clamped_actuators": (clamps_hit(run), "actuators that are asked for more than they give"),
+        "simulator_warnings": (list(run.warnings), "MuJoCo's complaints"),
+    }
+    judged = [
+        Measurement(name, float(len(found)), "", 0.0, _together(found) or meaning)
+        for name, (found, meaning) in sentences.items()
+    ]
+    step = Measurement("timestep", run.timestep, "s", None, f"of MuJoCo's {run.integrator}, for this step of the proof")
+    kept = replayed_violations(run, problem, problem.constraints)  # ranges have stops in the file, which are looked at
+    return [
+        *judged,
+        *_goals(run, problem, goals),
+        *kept,
+        *_path(run),
+        *_objects(run, problem),
+        *_forces(run, overlaps),
+        step,
+    ]
+
+
+def as_given(problem: Problem, twin: Twin, mjcf: str | Path | None = None) -> CompiledTwin:
+    """The user's file, unedited but for joints that the plan prescribes, in place of a twin's text; or another one."""
+    mechanism = getattr(problem.dynamics, "mechanism", None)
+    own = not (twin.original if mjcf is None else mjcf)
+    if own or not isinstance(mechanism, Mechanism):
+        return CompiledTwin(with_model(twin, mjcf))
+    given = with_model(twin, mjcf) if mjcf is not None else replace(twin, mjcf=twin.original)
+    compiled = CompiledTwin(given)
+    model = compiled.model
+    unused = [one.index for one in unsupported_elements(model) if one.kind == "actuator"]
+    prescribed = getattr(problem.dynamics, "prescribed", ())
+    if prescribed and model.nu - len(unused) == mechanism.nu:  # else they are driven already
+        try:
+            text = prescribe_joints(given.mjcf, given.assets, model, in_order(mechanism, prescribed))
+        except ModelError as error:
+            raise PrescriptionError(f"the plan prescribes joints that cannot be driven in the file: {error}") from None
+        given = replace(given, mjcf=text)
+    used = CompiledTwin(_with_idle_states(given, model, unused), unused)
+    if given.mjcf == compiled.twin.mjcf:
+        used.model = model  # compiled already
+    return used
+
+
+def _without_overlaps(problem: Problem, compiled: CompiledTwin) -> CompiledTwin:
+    """The file without contacts of pairs that overlap at the start and that the plan does not know."""
+    if not isinstance(getattr(problem.dynamics, "mechanism", None), Mechanism):
+        return compiled
+    model, known = compiled.model, unmodelled_of(problem, compiled).known
+    start = compiled.twin.sim_of(problem.x0)
+    if len(start) != model.nq + model.nv + model.na:
+        return compiled  # of another machine: the check before a replay says so
+    pairs = [pair for pair in initial_overlaps(model, start[: model.nq]) if names_of(model, pair) not in known]
+    if not pairs:
+        return compiled
+    try:
+        text = without_pairs(compiled.twin.mjcf, model, pairs)
+    except ModelError:  # shapes that the file makes by other means cannot be edited: they are judged as they are
+        return compiled
+    return CompiledTwin(replace(compiled.twin, mjcf=text), compiled.unused)
+
+
+def _with_idle_states(twin: Twin, model: Any, unused: Sequence[int]) -> Twin:
+    """The twin with maps for activations that the plan does not have; they begin at 0."""
+    idle = {int(model.actuator_actadr[i]) + k for i in unused for k in range(int(model.actuator_actnum[i]))}
+    idle -= {address for address in idle if address < 0}
+    if not idle:
+        return twin
+    nw = model.nq + model.nv + model.na
+    kept = [i for i in range(nw) if i - model.nq - model.nv not in idle]
+    if len(kept) != twin.to_x.shape[1]:
+        return twin  # of another machine: the check before a replay says so
+    to_x, to_sim = np.zeros((len(twin.to_x), nw)), np.zeros((len(twin.to_sim), nw, len(twin.to_x)))
+    offset = np.zeros((len(twin.to_sim), nw))
+    to_x[:, kept], to_sim[:, kept], offset[:, kept] = twin.to_x, twin.to_sim, twin.to_sim_offset
+    return replace(twin, to_x=to_x, to_sim=to_sim, to_sim_offset=offset)
+
+
+def _same_model(one: Twin, other: Twin) -> bool:
+    return one.mjcf == other.mjcf and one.assets == other.assets and one.curves == other.curves
+
+
+def _touches(run: Replay, problem: Problem) -> tuple[list[str], list[str]]:
+    """Sentences about pairs that touch unknown to the plan, and about those that do at the start and go no deeper."""
+    model, wrong, overlaps = run.compiled.model, [], []
+    mechanism = getattr(problem.dynamics, "mechanism", None)
+    if not isinstance(mechanism, Mechanism):
+        return wrong, overlaps  # nobody can tell what other dynamics know
+    beside = model.body_weldid == 0  # what the controls do not move: the world, and objects that lie on it
+    beside |= stationary_object_bodies(mechanism) if len(mechanism.bodies) == model.nbody else False
+    known = unmodelled_of(problem, run.compiled).known
+    scale = min(1.0, float(model.stat.extent))
+    rubs = NEGLIGIBLE_FORCE * float(model.body_mass.sum()) * float(np.linalg.norm(model.opt.gravity) or 1.0)
+    for touch in run.touches:
+        if np.all(beside[model.geom_bodyid[list(touch.geoms)]]):
+            continue
+        grazes, presses = touch.deepest <= PENETRATION_TOLERANCE * scale, touch.force > rubs
+        if names_of(model, touch.geoms) in known or (grazes and not presses):
+            continue
+        pair = " and ".join(named(model, "geom", geom) for geom in sorted(touch.geoms))
+        overlap = touch.at_start > PENETRATION_TOLERANCE * scale
+        if presses and (grazes or (overlap and _pushed(run))):  # shapes that overlap may carry load all the same
+            how = f"overlap by {touch.at_start:.3g} m at the start" if overlap else "lie flush"
+            when = f"from t = {run.t[touch.first]:.4g} s"
+            wrong.append(f"{pair} {how} and press on each other {when} with up to {touch.force:.3g} N.")
+        elif not overlap:
+            wrong.append(f"{pair} touch from t = {run.t[touch.first]:.4g} s, by up to {touch.deepest:.3g} m.")
+        elif touch.deepest > touch.at_start + max(DEEPER[0] * scale, DEEPER[1] * touch.at_start):
+            wrong.append(f"{pair} touch at the start by {touch.at_start:.3g} m, later by up to {touch.deepest:.3g} m.")
+        else:
+            overlaps.append(f"{pair} touch at the start by {touch.at_start:.3g} m and go no deeper.")
+    return wrong, overlaps
+
+
+def _pushed(run: Replay) -> bool:
+    """Whether forces that the plan does not know are felt: off the path, or in what gains must add to stay on it."""
+    us = np.repeat(run.plan.us, run.substeps, axis=0)
+    size = np.abs(us).max(axis=0)
+    added = np.abs(run.ctrl - us).max(axis=0) > MAX_GAIN_EFFORT * np.maximum(
+        size, MAX_GAIN_EFFORT * size.max(initial=0.0)
+    )
+    return bool(np.any(added)) or not bool(np.all(np.abs(run.error) <= path_error_bounds(run.plan)))
+
+
+def _together(sentences: list[str]) -> str:
+    """The first sentences, and the number of the others."""
+    more = [f"And {len(sentences) - MAX_NAMED} more."] if len(sentences) > MAX_NAMED else []
+    return " ".join([*sentences[:MAX_NAMED], *more])
+
+
+def _goals(run: Replay, problem: Problem, goals: Sequence[GoalCheck]) -> Sequence[Measurement]:
+    """How far the end is from each goal, or what the machine's own rule says of it."""
+    if problem.requirements is not None and problem.requirements.goal is not None:
+        return problem.requirements.goal(run).measured
+    return misses("replayed", run.t, run.xs, tuple(goals))
+
+
+def _path(run: Replay) -> list[Measurement]:
+    """The largest deviation from the plan at any step, of each unit."""
+    return [
+        Measurement(f"largest_{one.word}_error", one.value, one.unit, None, f"of {one.name} from the plan, at any step")
+        for one in worst_by_unit(run.plan, run.error)
+    ]
+
+
+def _objects(run: Replay, problem: Problem) -> list[Measurement]:
+    """How far objects move in the file that the plan keeps at their start."""
+    mechanism = getattr(problem.dynamics, "mechanism", None)
+    lies = stationary_object_dofs(mechanism) if isinstance(mechanism, Mechanism) else np.zeros(0, dtype=bool)
+    if not np.any(lies):
+        return []
+    assert isinstance(mechanism, Mechanism)
+    places = mechanism.q_address[lies & (mechanism.kind == SCREW)]
+    most = float(np.abs(run.xs[:, places] - run.xs[0, places]).max())
+    return [Measurement("objects_moved", most, "m", None, "at most, by themselves: the plan keeps them at the start")]
+
+
+def _forces(run: Replay, overlaps: list[str]) -> list[Measurement]:
+    """What acts in the file beside the plan's own forces."""
+    model = run.compiled.model
+    loss, largest = model.dof_frictionloss, float(np.nanmax(run.contact_force, initial=0.0))
+    return [
+        Measurement("overlaps_at_the_start", float(len(overlaps)), "", None, _together(overlaps)),
+        Measurement("largest_contact_force", largest, "N", None, "sum of the normal forces of all contacts"),
+        Measurement("friction_loss", float(loss.max(initial=0.0)), "N m, N", None,
+                 f"largest, of {np.count_nonzero(loss)} of {len(loss)} degrees of freedom"),
+    ]  # fmt: skip
+
+
+def _open_loop(plan: Plan, t: np.ndarray, xs: np.ndarray, goals: Sequence[GoalCheck]) -> list[Measurement]:
+    """How far the file's motion xs (M, nx) without gains ends from the plan, and how many goals it misses so."""
+    error = plan.space.difference(xs[-1], plan.xs[-1])[None]
+    own_rule = plan.problem is not None and plan.problem.requirements is not None and plan.problem.requirements.goal
+    missed = [] if own_rule else [one for one in misses("open loop", t, xs, tuple(goals)) if not one.passed]
+    note = "; ".join(map(str, missed)) or "without gains"
+    ends = [
+        Measurement(f"open_loop_end_{one.word}_error", one.value, one.unit, None, f"of {one.name} from the plan's end")
+        for one in worst_by_unit(plan, error)
+    ]
+    return [Measurement(OPEN_LOOP_MISSES, float(len(missed)), "", None, note), *ends]
+
+
+def _without_gains(run: Replay) -> tuple[np.ndarray, np.ndarray]:
+    """Times (M,) and states (M, nx) of the file without gains, from the start of a replay."""
+    compiled = run.compiled
+    model = compiled.stepping(run.timestep, run.integrator)
+    ctrl = compiled.commands(np.repeat(run.plan.us, run.substeps, axis=0))
+    start = np.concatenate([run.qpos[0], run.qvel[0], run.act[0]])
+    with curves_acting(compiled.twin, model):
+        w, _ = simulate(model, start, ctrl)
+    return run.t, compiled.twin.x_of(w)

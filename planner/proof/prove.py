@@ -1,0 +1,287 @@
+"""prove(): an independent engine judges a plan step by step, every number beside its bound.
+
+The steps are in prove(), a line each. PASS needs the plan's own numbers, the models' parity and the same step (0, 1, 2,
+where they apply), a motion that MuJoCo repeats and that ends at the goal (3, 4) in the same mode, the user's own file,
+and a solve that converged. Open loop is tried first, and needs the order too: a cost that a smaller step changes was
+never the plan's.
+"""
+
+from __future__ import annotations
+
+import functools
+import math
+from collections.abc import Callable
+from concurrent.futures import Executor
+from dataclasses import asdict, replace
+from pathlib import Path
+
+import numpy as np
+
+from planner.base.arguments import count, number, short_repr
+from planner.base.errors import PlannerError
+from planner.base.executors import checked_executor
+from planner.base.measured import Section, bound_excess
+from planner.model.coordinates import coordinates_of
+from planner.model.twin import Twin
+from planner.problem.goals import goals_of, unchecked_goals
+from planner.problem.plan import Plan
+from planner.problem.problem import Problem
+from planner.proof.compare.model_parity import parity_in
+from planner.proof.consistency import consistency, optimality, recomputed
+from planner.proof.contact_sensitivity import contact_sensitivity
+from planner.proof.error_propagation import propagate_errors
+from planner.proof.error_scales import worst_by_unit
+from planner.proof.feedback_rate import controller_section, slowest_rate
+from planner.proof.goal_regulator import RegulatedRun, hold_gain, hold_section, simulate_regulator
+from planner.proof.left_out import unmodelled_of
+from planner.proof.original_model import OPEN_LOOP_MISSES, your_file
+from planner.proof.original_model import TITLE as FILE
+from planner.proof.replay_errors import goal, tracking
+from planner.proof.replays.compiled_twin import another_model
+from planner.proof.replays.replaying import Replay, replay_in
+from planner.proof.replays.sampled_gains import sampling_of
+from planner.proof.robustness.perturbation import Perturbation
+from planner.proof.robustness.perturbed import MonteCarloSettings, perturbed
+from planner.proof.robustness.rollouts import MODES
+from planner.proof.same_step import same_step
+from planner.proof.step_convergence import step_convergence
+from planner.proof.verdict import Proof
+
+ROLLOUTS = 512
+_ROUNDING = 1e-9  # a start that is nearer to its goal is at it
+_LATER = "it was not asked for: it follows the verdict, with rollouts"
+
+
+@np.errstate(all="ignore")  # a motion may run away: a NaN passes no bound
+def prove(
+    plan: Plan, *, mjcf: str | Path | None = None, twin: Twin | None = None, seed: int = 0, rollouts: int = ROLLOUTS,
+    perturbation: Perturbation | None = None, hold_seconds: float = 0.0, optimal: bool = True,
+    budget: float | None = None, partial: Path | None = None, progress: Callable[[int, int], object] | None = None,
+    executor: Executor | None = None,
+) -> Proof:  # fmt: skip
+    """Replay a plan in MuJoCo at a refined step, open loop and with its gains, and judge it.
+
+    Args:
+        plan: A plan of a problem with a twin.
+        mjcf: Replay in this MJCF, a path or the XML text, instead of the plan's own. It must have the same states. What
+            the plan's mechanism took out of its file is taken out of this one too.
+        twin: Replay in this model, with its own maps, instead of the plan's own.
+        seed: Seed of the random states of parity and of the perturbations.
+        rollouts: How many perturbed simulations step 5 makes at most; 0 leaves it out.
+        perturbation: The errors that step 5 draws; by default Perturbation.usual(plan.problem).
+        hold_seconds: How long an infinite-horizon LQR is to hold the goal after the end, s; 0 leaves it out.
+        optimal: Whether PASS needs a solve that converged. False judges feasibility alone.
+        budget: The most time for step 5, s: it then ends with fewer rollouts. None has no limit.
+        partial: A file for finished rollouts: a proof that was interrupted goes on from there.
+        progress: Called with the rollouts done and their number.
+        executor: Where the rollouts run, any concurrent.futures.Executor; by default MuJoCo's threads. The numbers are
+            the same to the last bit.
+
+    Raises:
+        PlannerError: The plan cannot be replayed at all; a plan that replays badly gets FAIL.
+    """
+    if not isinstance(plan, Plan):
+        raise PlannerError(f"plan is {short_repr(plan)}, expected a Plan.")
+    problem = plan.problem
+    if problem is None:
+        raise PlannerError(
+            "the plan comes without its problem, which is its maker's own Python: expected prove() of a plan just "
+            "solved, or load_plan(path, problem=...)."
+        )
+    for name, value, kind in (("twin", twin, Twin), ("perturbation", perturbation, Perturbation)):
+        if value is not None and not isinstance(value, kind):
+            raise PlannerError(f"{name} is {short_repr(value)}, expected a {kind.__name__} or None.")
+    if not isinstance(optimal, bool):
+        raise PlannerError(f"optimal is {short_repr(optimal)}, expected True or False.")
+    count("seed", seed, minimum=0)
+    count("rollouts", rollouts, minimum=0)
+    checked_executor(executor)
+    number("hold_seconds", hold_seconds, minimum=0.0)
+    twin = twin or plan.twin
+    if twin is None:
+        raise PlannerError("the plan has no MuJoCo model to be replayed in, expected a Problem with a twin.")
+    compiled = another_model(problem, twin, mjcf)
+    sampling = sampling_of(plan)
+    openly = replay_in(compiled, plan)
+    fed = replay_in(compiled, plan, feedback=True, sampling=sampling, planned=openly.plan_xs)
+    runs: dict[str, Replay] = {"open-loop": openly, "feedback": fed}
+    now = recomputed(plan, problem, plan.xs, plan.us)
+    required = {
+        # Step 0: the file's numbers agree with each other: start, states, cost, gradient, gains, times.
+        "plan": consistency(plan, problem, now),
+        # Step 1: the plan's dynamics and MuJoCo's, at random states where the two models are the same.
+        "parity": parity_in(compiled, problem, seed),
+        # Step 2: MuJoCo with the plan's own integrator and step: proves the transcription, nothing else.
+        "same_step": same_step(plan, problem, compiled),
+    }
+    errors = propagate_errors(plan, problem, runs)
+    convergence = step_convergence(problem, runs["open-loop"])
+    steps = {mode: [tracking(run, problem), goal(run, problem)] for mode, run in runs.items()}
+    judged = {"open-loop": [*steps["open-loop"], convergence.section], "feedback": steps["feedback"]}
+    sound = all(section.passed for section in required.values())
+    converged, goals = optimality(plan, problem, now), goals_of(problem, plan.xs)
+    given, replayed = your_file(plan, problem, goals, open_loop=runs["open-loop"], mjcf=mjcf, twin=twin)
+    # A plan that your file follows only with its gains is no open-loop plan.
+    lost = any(one.name == OPEN_LOOP_MISSES and one.value for one in given.measured)
+    modes = MODES[1:] if lost else MODES
+    mode = next((m for m in modes if sound and all(step.passed for step in judged[m])), None)
+    broken = [m for m in MODES if not all(step.passed for step in judged[m])]
+    seen = mode or min(broken, key=lambda m: bound_excess(judged[m]), default="open-loop")
+    repeated = mode is not None
+    mode = mode if given.passed else None
+    passed = mode is not None and (converged.passed or not optimal)
+    sections = {
+        **required,
+        # Whether the solve converged, and whether one more step of it would still lower the cost.
+        "optimality": converged,
+        # Step 3: MuJoCo at a refined step, open loop and with the plan's gains; beside it how errors grow along the
+        # plan, the replay error that this predicts, what halving MuJoCo's step changes, and the cost at a step of zero.
+        "refined_open_loop": steps["open-loop"][0],
+        "refined_feedback": steps["feedback"][0],
+        "growth": errors.section,
+        "order": convergence.section,
+        # Step 4: whether the replay gets where the cost wanted it, and whether the machine stays where it is asked to.
+        "goal": steps[seen][1],
+        "hold": Section("hold", not_applicable="it was not asked for"),
+        # Step 6: the controls and ideal gains in the model exactly as the user gave it.
+        "your_file": given,
+        # Shown, not judged, and after the verdict. Step 5: how often it still arrives with other masses, friction,
+        # starts, noise and delay. Then what measurement and slow gains change, and what another ground does.
+        "perturbed": Section("perturbed", not_applicable=_LATER),
+        "controller": Section("controller", not_applicable=_LATER),
+        "another_ground": Section("another ground", not_applicable=_LATER),
+    }
+    asked = {
+        "seed": seed, "rollouts": rollouts, "hold_seconds": hold_seconds, "optimal": optimal, "perturbation": None,
+        "another_model": compiled.twin is not plan.twin,
+    }  # fmt: skip
+    lacks = unmodelled_of(problem, compiled)
+    tested, untested = (lacks.in_the_file, lacks.overlapping_phrases) if replayed else ((), lacks.phrases)
+    proof = Proof(
+        verdict="PASS" if passed else "FAIL", mode=mode,
+        reason=_reason(
+            passed, (*required.values(), *(() if repeated else judged[seen]), given, converged),
+            [*steps[seen], given], runs[seen],
+        ),
+        sections=sections, replay=runs[seen], replays=runs, errors=errors, convergence=convergence, asked=asked,
+        planned_without=tested,
+        not_checked=(*([f"without {' and '.join(untested)}"] if untested else []), *_unjudged(plan, problem)),
+    )  # fmt: skip
+    if hold_seconds:
+        proof = _held(proof, simulate_regulator(runs["feedback"], hold_gain(problem), hold_seconds))
+    if not rollouts:
+        return proof
+    return with_rollouts(
+        with_informative_sections(proof), rollouts, seed=seed, perturbation=perturbation, budget=budget,
+        partial=partial,
+        progress=progress, executor=executor,
+    )  # fmt: skip
+
+
+def with_informative_sections(proof: Proof, note: Callable[[str], object] = lambda _: None) -> Proof:
+    """A proof with the steps that are only shown: what slow gains and encoders change, and another ground.
+
+    `note` is called with a line before each.
+    """
+    plan, compiled, runs = proof.replay.plan, proof.replay.compiled, proof.replays
+    problem = plan.problem
+    assert problem is not None  # it was proved
+
+    def passes(run: Replay) -> bool:
+        return tracking(run, problem).passed and goal(run, problem).passed
+
+    with np.errstate(all="ignore"):
+        note("the slowest rate at which the gains still hold")
+        rates = slowest_rate(plan, compiled, passes)
+        note("the same with encoders")
+        planned = runs["feedback"].plan_xs
+        encoding = replace(sampling_of(plan), encoders=True)
+        encoded = replay_in(compiled, plan, feedback=True, sampling=encoding, planned=planned)
+        units = [one.unit for one in coordinates_of(problem.dynamics)]
+        note("another ground")
+        as_judged = functools.partial(replay_in, sampling=sampling_of(plan), planned=planned)
+        ground = contact_sensitivity(plan, compiled, units=units, runs=runs, replay=as_judged)
+    shown = {"controller": controller_section(rates, encoded), "another_ground": ground}
+    return replace(proof, sections=proof.sections | shown)
+
+
+def with_rollouts(
+    proof: Proof, rollouts: int = ROLLOUTS, *, seed: int = 0, perturbation: Perturbation | None = None,
+    budget: float | None = None, partial: Path | None = None, progress: Callable[[int, int], object] | None = None,
+    executor: Executor | None = None,
+) -> Proof:  # fmt: skip
+    """A proof with step 5 added; the arguments are those of prove()."""
+    run, trials = proof.replay, MonteCarloSettings(rollouts, seed, perturbation)
+    found = perturbed(
+        run.plan, run.compiled, trials, budget=budget, partial=partial, progress=progress, executor=executor
+    )  # fmt: skip
+    asked = proof.asked | {"rollouts": found.done, "perturbation": asdict(found.perturbation)}
+    return replace(proof, sections=proof.sections | {"perturbed": found.section}, monte_carlo=found, asked=asked)
+
+
+def _held(proof: Proof, held: RegulatedRun) -> Proof:
+    """The proof with the hold step added: a machine that was to stay at the goal and does not, fails."""
+    section = hold_section(held)
+    proof = replace(proof, sections=proof.sections | {"hold": section}, held=held)
+    if section.passed or not proof.passed:
+        return proof
+    plan, warned = proof.replay.plan, "".join(f" {sentence}" for sentence in held.warnings)
+    miss = plan.space.difference(proof.replays["feedback"].xs[-1:], held.hold.x_goal)
+    worst = max(worst_by_unit(plan, miss), key=lambda one: one.share)
+    reason = (
+        f"hold: {'; '.join(map(str, section.failures))}.{warned} The replay ends with {worst.name} "
+        f"{worst.value:.2g} {worst.unit}".rstrip()
+        + " from the goal, too far for the regulator; larger final weights "
+        "end nearer."
+    )
+    return replace(proof, verdict="FAIL", mode=None, reason=reason)
+
+
+def _stands_at_goal(plan: Plan, problem: Problem) -> bool:
+    """Whether a plan that stays where it is would pass, though its goal is elsewhere."""
+    goals = [one for one in goals_of(problem, plan.xs) if np.isfinite(one.tolerance)]
+    away = [one.miss_at(problem.x0) for one in goals]
+    near = all(miss <= one.tolerance for miss, one in zip(away, goals, strict=True))
+    return bool(goals) and near and max(away) > _ROUNDING
+
+
+def _unjudged(plan: Plan, problem: Problem) -> tuple[str, ...]:
+    """What the cost asks for and nobody judged."""
+    if problem.requirements is not None and problem.requirements.goal is not None:
+        return ()
+    unjudged = unchecked_goals(problem, plan.xs, plan.us)
+    phrases = [f"the end of {name} was not judged" for name in unjudged]
+    if _stands_at_goal(plan, problem):
+        phrases.append("the start is within the goal's tolerance")
+    goals = goals_of(problem, plan.xs)
+    soft = sum(not math.isfinite(one.tolerance) for one in goals)
+    if soft:
+        phrases.append(f"{soft} of {len(goals)} goals not judged")
+    if not unjudged and not goals:
+        phrases.append("no goal was asked for")
+    return tuple(phrases)
+
+
+def _reason(passed: bool, judged: tuple[Section, ...], steps: list[Section], run: Replay) -> str:
+    """The verdict in a sentence: how the plan passed, or which step failed and by how much."""
+    if not passed:
+        broken = next(section for section in judged if section.failures)
+        more = "".join(f" {sentence}" for sentence in (*run.warnings, *run.reached))
+        if broken.title == "parity":  # the first term that differs makes the later ones differ
+            return f"{broken.title}: {broken.failures[0]}, {broken.failures[0].note}.{more}"
+        if broken.title == "plan" and run.plan.changed:
+            return f"plan: {broken.failures[-1].note}.{more}"
+        if broken.title == "optimal":
+            why = run.plan.message if not run.plan.success else f"{broken.failures[0]}."
+            return f"not optimal: {why} To judge feasibility alone: prove(..., optimal=False).{more}"
+        found = [one.note if one.bound == 0.0 and broken.title == FILE else str(one) for one in broken.failures]
+        failures = "; ".join(sentence.removesuffix(".") for sentence in found)
+        in_file = () if broken.title == FILE else next(one for one in judged if one.title == FILE).failures
+        more += "".join(f" In your file: {one.note}" for one in in_file if one.bound == 0.0)
+        if run.reached and broken.title != "plan":  # what was reached is why the rest differs
+            return f"{broken.title}:{more} {failures[0].upper()}{failures[1:]}."
+        return f"{broken.title}: {failures}.{more}"
+    measured = [one for section in steps for one in section.measured if one.bound]
+    worst = max(measured, key=lambda one: one.value / (one.bound or 1.0))
+    how = "with the plan's gains" if run.feedback else "open loop"
+    return f"MuJoCo repeats the plan {how} at a step of {run.timestep:.3g} s; nearest to its bound: {worst.bound_share_text}."

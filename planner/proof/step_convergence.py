@@ -1,0 +1,200 @@
+"""Measure how a plan's replay changes as MuJoCo's step is halved, as in Roache's grid convergence index.
+
+The controls are held as planned and MuJoCo integrates with the plan's own method at the steps h, h/2, h/4, ...
+(P. J. Roache, "Perspective: a method for uniform reporting of grid refinement studies", J. Fluids Eng. 116, 1994;
+ASME V&V 20-2009). With f1, f2, f3 the coarse, middle and fine values,
+
+    observed order     p = log2(|f1 - f2| / |f2 - f3|)
+    extrapolated       f = f3 + (f3 - f2) / (2^p - 1)
+    uncertainty        1.25 |f3 - f2| / (2^p - 1)
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from planner.base.measured import Measurement, Section
+from planner.model.tendons import slack_tendons
+from planner.problem.plan import Plan
+from planner.problem.problem import Problem
+from planner.proof.error_scales import COST_BOUND, judged_cost, shares_of_bounds
+from planner.proof.replays.contact_history import may_touch
+from planner.proof.replays.implicit_steps import INTEGRATOR as IMPLICIT
+from planner.proof.replays.implicit_steps import damping_of
+from planner.proof.replays.passive_torque_callback import curves_acting
+from planner.proof.replays.replaying import Replay
+from planner.proof.same_step import advancing
+
+NOMINAL = {"euler": 1.0, "semi-implicit-euler": 1.0, "rk4": 4.0, IMPLICIT: 2.0}
+ORDER_BOUND = 0.2  # how far below its nominal order a smooth machine's may be observed
+LEVELS = 5  # steps h ... h/16, h being a stage
+LEVELS_OF_SUBSTEPS = 3  # the least that show an order: a stage of several substeps, h being one, begins near to it
+MAX_LEVELS = 7  # while errors are so large that no order shows
+MAX_STEPS = 256  # of a stage, beyond which none are added
+UNCERTAIN = 0.1  # of the bound of the cost: where no order is judged, none are added for less
+_SEEN = 1e-9  # changes below are rounding
+_SAFETY = 1.25  # Roache's factor for three grids and more
+
+
+@dataclass(frozen=True, eq=False)
+class StepConvergence:
+    """Replays of one plan at halved steps."""
+
+    steps: np.ndarray  # (L,) s, halved from one to the next
+    ends: np.ndarray  # (L, nx) end states
+    costs: np.ndarray  # (L,) J reached
+    changes: np.ndarray  # (L-1,) from each end state to the next, Euclidean: the order is seen in them
+    shares: np.ndarray  # (L-1,) the same, the largest as a share of what passes of a path
+    nominal: float  # Order of the integrator
+    observed: float | None  # Of the end state, over the last steps whose changes are above rounding; None when none are
+    judged: str  # Why the order is only shown; "" when it is judged
+    extrapolated_cost: float  # J at a step of zero
+    cost_uncertainty: float  # Of it
+    end_uncertainty: float  # Of the end state, the largest as a share of what passes of a path
+    plan_cost: float  # Of the plan itself
+    scale: float  # Changes of the cost are relative to it
+    whole: bool  # Whether the whole cost is judged; False where its end is a penalty on what the goal judges
+
+    @property
+    def section(self) -> Section:
+        """The measured: the change of the cost is judged, for smooth machines the order too."""
+        with np.errstate(all="ignore"):
+            change = 100.0 * abs(self.extrapolated_cost - self.plan_cost) / self.scale
+        steps = f"{self.steps[0]:.3g} to {self.steps[-1]:.3g} s"
+        measured = [
+            Measurement(
+                "cost_change", change, "%", COST_BOUND if self.whole else None,
+                f"plan {self.plan_cost:.6g}, extrapolated to a step of zero {self.extrapolated_cost:.6g} "
+                f"+- {self.cost_uncertainty:.1e}",
+            ),
+            Measurement(
+                "end_state_uncertainty", 100.0 * self.end_uncertainty, "%", None,
+                f"of what passes of a path, of the extrapolated end, steps {steps}",
+            ),
+        ]  # fmt: skip
+        if self.observed is not None:
+            note = f"end state over halvings from {steps}, nominal {self.nominal:g}"
+            measured.append(Measurement("observed_order", self.observed, "", None, note))
+            bound = None if self.judged else ORDER_BOUND
+            note = self.judged or "nominal order less the observed one; a smooth machine shows its integrator's order"
+            measured.append(Measurement("order_shortfall", self.nominal - self.observed, "", bound, note))
+        else:
+            note = f"changes are below {_SEEN:g} at all steps from {steps}: no order can be seen"
+            measured.append(Measurement("observed_order", np.nan, "", None, note))
+        return Section("order, open loop", tuple(measured))
+
+
+def step_convergence(problem: Problem, run: Replay) -> StepConvergence:
+    """Replay a plan open loop at halved steps, in the model of its refined replay."""
+    plan, cost = run.plan, judged_cost(problem)
+    integrator = getattr(problem.dynamics, "integrator", "rk4")
+    refined_only = problem.requirements is not None and bool(problem.requirements.no_same_step)
+    # Where a replay at the plan's own step says nothing, halvings are those about the refined one.
+    own = getattr(problem.dynamics, "substeps", 1)
+    count = LEVELS if own == 1 else LEVELS_OF_SUBSTEPS
+    if integrator == IMPLICIT:  # its order is not judged, and 16 substeps are fine already
+        count = 3
+    least, count = (max(run.substeps // 2, 1), 3) if refined_only else (own, count)
+    substeps = [least << k for k in range(count)]
+    nominal = NOMINAL.get("rk4" if refined_only else integrator, 4.0)
+    kind = "rk4" if refined_only or integrator not in NOMINAL else integrator
+    why = _unjudged(run, problem)
+    why = why or ("damping is faster than these steps, which hides the order" if kind == IMPLICIT else "")
+    why = why or ("" if kind == integrator else "the plan's own stage is none of MuJoCo's")
+    with np.errstate(all="ignore"):
+        scale = cost.scale(plan, problem)
+        enough = UNCERTAIN * COST_BOUND / 100.0 * scale if why else 0.0  # of the cost's uncertainty
+        levels = [_level(run, problem, kind, count) for count in substeps]
+        changes, observed = _observed_between(plan, levels)
+        factor, uncertainty = _uncertainty(levels, nominal, observed)
+        most = len(levels) if refined_only or integrator == IMPLICIT or (why and cost.final) else MAX_LEVELS
+        while (
+            len(levels) < most and 2 * substeps[-1] <= MAX_STEPS
+            and observed is not None and observed < nominal - ORDER_BOUND and not uncertainty <= enough
+        ):  # fmt: skip
+            substeps.append(2 * substeps[-1])
+            levels.append(_level(run, problem, kind, substeps[-1]))
+            changes, observed = _observed_between(plan, levels)
+            factor, uncertainty = _uncertainty(levels, nominal, observed)
+        ends, costs = np.array([end for end, _ in levels]), np.array([cost for _, cost in levels])
+        shares = shares_of_bounds(plan, plan.space.difference(ends[1:], ends[:-1]))
+    return StepConvergence(
+        steps=problem.dynamics.dt / np.array(substeps), ends=ends, costs=costs, changes=changes, shares=shares,
+        nominal=nominal, observed=observed, judged=why,
+        extrapolated_cost=float(costs[-1] + (costs[-1] - costs[-2]) / factor),
+        cost_uncertainty=uncertainty, end_uncertainty=float(_SAFETY * shares[-1] / factor), plan_cost=plan.cost,
+        scale=scale, whole=not cost.final,
+    )  # fmt: skip
+
+
+def _uncertainty(levels: list[tuple[np.ndarray, float]], nominal: float, observed: float | None) -> tuple[float, float]:
+    """2^p - 1, and the uncertainty of the extrapolated cost."""
+    factor = 2.0 ** (nominal if observed is None else min(max(observed, 0.5), nominal)) - 1.0
+    return factor, float(_SAFETY * abs(levels[-1][1] - levels[-2][1]) / factor)
+
+
+def _unjudged(run: Replay, problem: Problem) -> str:
+    """Why no order can be asked of a machine's motion, or ""."""
+    if may_touch(run.compiled.model):
+        return "contacts open and close: the order scatters"
+    mechanism = getattr(problem.dynamics, "mechanism", None)
+    if mechanism is not None and (mechanism.couplings or mechanism.loops or mechanism.cams):
+        return "MuJoCo's equalities are soft, by the square of its step"
+    if bends := _bends(mechanism):
+        return bends
+    return "a range is reached: the motion is not smooth" if run.reached or _stopped(problem, run.xs) else ""
+
+
+def _bends(mechanism: Any) -> str:
+    """Why forces of a mechanism's joints are not smooth, or ""."""
+    if mechanism is None:
+        return ""
+    if np.any(mechanism.friction_loss):
+        return "friction loss is cut off: the motion is not smooth"
+    return "the spring of a tendon goes slack: the motion is not smooth" if any(slack_tendons(mechanism)) else ""
+
+
+def _stopped(problem: Problem, xs: np.ndarray) -> bool:
+    """Whether states (M+1, nx) come to a stop of the plan's machine, whose force MuJoCo has without its smoothing."""
+    mechanism: Any = getattr(problem.dynamics, "mechanism", None)
+    return any(
+        bool(np.any(stop.side * (xs[:, mechanism.q_address[stop.dof]] - stop.end) > -stop.law.lift))
+        for stop in getattr(mechanism, "stops", ())
+    )
+
+
+def _observed_between(plan: Plan, levels: list[tuple[np.ndarray, float]]) -> tuple[np.ndarray, float | None]:
+    """The changes (L-1,) between end states, and the order that they show."""
+    ends = np.array([end for end, _ in levels])
+    changes = np.linalg.norm(plan.space.difference(ends[1:], ends[:-1]), axis=-1)
+    return changes, _observed(changes)
+
+
+def _observed(changes: np.ndarray) -> float | None:
+    """The order over the last two changes that are above rounding."""
+    seen = np.flatnonzero(changes > _SEEN)
+    if len(changes) < 2 or (np.isfinite(changes).all() and (len(seen) == 0 or seen[-1] == 0)):
+        return None
+    last = int(seen[-1]) if np.isfinite(changes).all() else len(changes) - 1
+    order = float(np.log2(changes[last - 1] / changes[last]))
+    return order if np.isfinite(order) else 0.0
+
+
+def _level(run: Replay, problem: Problem, integrator: str, substeps: int) -> tuple[np.ndarray, float]:
+    """End state and cost of an open-loop replay with so many steps per stage."""
+    plan, twin, model = run.plan, run.twin, run.compiled.copy()
+    sound = run.integrator == "RK4" and not (plan.space.quaternions or run.feedback or run.warnings)
+    if integrator == "rk4" and substeps == run.substeps and sound:  # that replay itself, to the last bit
+        xs = run.xs[::substeps]
+        return xs[-1], problem.cost.value(xs, plan.us)
+    advance = advancing(integrator, plan.dt / substeps, model, twin, plan.space, damping_of(problem.dynamics))
+    assert advance is not None  # every integrator of NOMINAL has one
+    xs = np.empty_like(plan.xs)
+    xs[0] = problem.x0
+    with curves_acting(twin, model):
+        for n, x in enumerate(advance(problem.x0, plan.us, substeps), 1):
+            xs[n] = x
+    return xs[-1], problem.cost.value(xs, plan.us)

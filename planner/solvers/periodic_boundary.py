@@ -1,0 +1,240 @@
+"""The ends of a periodic motion: how a solved motion answers to its start and its end's goal, and better ones.
+
+The motion of least cost that comes back, minimize L(x, U) subject to x(N) = x(0) over x(0) and U, has
+
+    x(N) = x(0),     costate(0) = nu,        nu the multiplier of x(N) = x(0)
+
+beside the gradient zero of Eq. 20. A solve from a start x0 with the final cost 1/2 |x(N) - r|^2_W has a zero gradient
+and nu = W (x(N) - r). So two unknowns, x0 and r, are left for two equations, and the LQ problem (Eq. 31-35) at its end
+tells how they answer, with the closed loop's Phi_n = product of A + B K from n + 1 to N, Phi that from 0, H = R + B'PB:
+
+    du(n)        = K dx(n) + F_n dr,         F_n = H^-1 (Phi_n B)' W
+    d x(N)       = Phi dx0 + G W dr,         G = sum over n of Phi_n B H^-1 B' Phi_n'
+    d costate(0) = P(0) dx0 - Phi' W dr
+
+So the LQ problem's periodic motions are those of (Phi - I) dx0 + G W dr = x(0) - x(N), and L on them is a convex
+quadratic in (dx0, dr). A step is the least one that closes the gap, which is well conditioned and small, and beside
+it, in the null space, Newton's for L, damped by mu until what it promises is kept: that is the part that may be large,
+since a motion of a cycle cares little about some of its start. What need not come back keeps its start and its goal.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+
+from planner.base.errors import PlannerError
+from planner.model.space import space_of
+from planner.problem.costs.terms import SumCost
+from planner.problem.costs.tracking import TrackingCost, tracking_of
+from planner.problem.objective_problem import base_problem, with_objective
+from planner.problem.periodicity import Periodic
+from planner.problem.plan import Plan
+from planner.problem.problem import Problem
+from planner.solvers import lq
+from planner.solvers.warm_start import feedback_rollout
+
+PARAMETER = "ends"
+"""Parameter of a case that can be made with other ends: start and goal, (2, nx) as lists; None for its own."""
+
+
+TRUST = 0.3
+"""Largest distance, relative to L, between the cost of a step's controls and the LQ problem's for taking it."""
+_DAMPINGS = (0.0, *(10.0 ** (0.5 * np.arange(-4, 9))))  # relative to the final weight
+_PARTS = (0.5, 0.25, 0.125, 0.0625)  # of the gap to close, where closing all of it is too much
+_SINGULAR = 1e-10
+
+
+class BoundaryStates(NamedTuple):
+    """Where a motion starts, and what its final cost draws it to: states (nx,)."""
+
+    start: np.ndarray
+    goal: np.ndarray
+
+
+class BoundaryStep(NamedTuple):
+    """Changes (ndx,) of start and goal, and the decrease of L that they promise beside what closing the gap costs."""
+
+    dx: np.ndarray
+    dr: np.ndarray
+    decrease: float
+
+
+class BoundarySensitivity(NamedTuple):
+    """Residuals of the two equations at a plan, and how the plan answers to its ends.
+
+    Attributes:
+        plan: Solved, of a problem with `periodic`.
+        closes: (m,) the components that must come back.
+        W: (ndx, ndx) the final weight that draws to the goal.
+        gap: (ndx,) x(N) - x(0), zero where it need not come back.
+        costate: (ndx,) at the start.
+        nu: (ndx,) W (x(N) - r).
+        P: (ndx, ndx) of the value at the start.
+        Phi: (ndx, ndx) d x(N) / d x(0).
+        G: (ndx, ndx).
+        K: (N, nu, ndx).
+        F: (N, nu, ndx).
+    """
+
+    plan: Plan
+    closes: np.ndarray
+    W: np.ndarray
+    gap: np.ndarray
+    costate: np.ndarray
+    nu: np.ndarray
+    P: np.ndarray
+    Phi: np.ndarray
+    G: np.ndarray
+    K: np.ndarray
+    F: np.ndarray
+
+    def step(self, mu: float, part: float = 1.0) -> BoundaryStep:
+        """The step damped by mu, which closes a part of the gap."""
+        c, m, I = self.closes, len(self.closes), np.eye(len(self.W))
+        scale = np.sqrt(np.diag(self.W)[c])  # makes lengths of steps roots of J's unit
+        both = np.r_[c, len(I) + c]
+        shrink = np.tile(1.0 / scale, 2)
+        closing = (scale[:, None] * np.hstack([self.Phi - I, self.G @ self.W])[np.ix_(c, both)]) * shrink
+        H, g = self._running()
+        H, g = np.outer(shrink, shrink) * H[np.ix_(both, both)], shrink * g[both]
+        U, s, Vt = np.linalg.svd(closing)
+        if s[-1] < _SINGULAR * s[0]:
+            raise PlannerError("no change of start and goal closes the gap, expected what must come back to be driven.")
+        least = -Vt[:m].T @ ((U.T @ (part * scale * self.gap[c])) / s)
+        Z = Vt[m:].T
+        pull, along = Z.T @ (g + H @ least), Z.T @ H @ Z
+        w = -np.linalg.lstsq(along + mu * np.eye(m), pull, rcond=_SINGULAR)[0]
+        change = np.zeros(2 * len(I))
+        change[both] = shrink * (least + Z @ w)
+        return BoundaryStep(change[: len(I)], change[len(I) :], float(-(pull @ w) - 0.5 * w @ along @ w))
+
+    def _running(self) -> tuple[np.ndarray, np.ndarray]:
+        """Hessian and gradient by (dx0, dr) of the LQ problem's J without what draws its end to the goal."""
+        WPhi, W = self.W @ self.Phi, self.W
+        to_goal = np.hstack([self.Phi, self.G @ W - np.eye(len(W))])  # x(N) - r
+        H = np.block([[self.P, -WPhi.T], [-WPhi, W - W @ self.G @ W]]) - to_goal.T @ W @ to_goal
+        return H, np.concatenate([self.costate, -self.nu]) - to_goal.T @ self.nu
+
+    def predicted_cost(self, dx: np.ndarray, dr: np.ndarray) -> float:
+        """J of the LQ problem at changed ends."""
+        Wdr = self.W @ dr
+        slope = self.costate @ dx - self.nu @ dr
+        return float(
+            self.plan.cost + slope + 0.5 * (dx @ self.P @ dx + dr @ Wdr - Wdr @ self.G @ Wdr) - (self.Phi @ dx) @ Wdr
+        )
+
+
+def tracking(problem: Problem) -> TrackingCost:
+    """The cost whose last reference is the goal.
+
+    Raises:
+        PlannerError: There is none, or more than one.
+    """
+    found = tracking_of(base_problem(problem).cost)
+    if found is None:
+        raise PlannerError("the cost has no one TrackingCost with a final weight, which a periodic motion needs.")
+    return found
+
+
+def periodic_problem(plan: Plan) -> tuple[Problem, Periodic]:
+    """The problem of a plan of a periodic motion, and what must come back."""
+    assert plan.problem is not None  # solve gave the plan
+    assert plan.problem.periodic is not None  # solve_periodic asked for it
+    return plan.problem, plan.problem.periodic
+
+
+def ends_of(problem: Problem) -> BoundaryStates:
+    """The start and the goal of a problem."""
+    return BoundaryStates(problem.x0, tracking(problem).x_ref[-1])
+
+
+def with_ends(problem: Problem, ends: BoundaryStates, us: np.ndarray) -> Problem:
+    """The problem with another start and goal, and first controls us (N, nu).
+
+    A case that has a parameter for them is made anew from its parameters, so that plans of it can be stored.
+    """
+    old = base_problem(problem)
+    if old.recipe is not None and PARAMETER in old.recipe.parameters:
+        built = old.recipe.rebuilt(**{PARAMETER: [end.tolist() for end in ends]})
+        new = replace(built, limits=old.limits, us=us)
+    else:
+        cost = tracking(old)
+        terms = getattr(old.cost, "costs", (old.cost,))
+        whole = [cost.with_goal(ends.goal) if term is cost else term for term in terms]
+        new = replace(old, cost=whole[0] if len(whole) == 1 else SumCost(*whole), x0=ends.start, us=us)
+    return new if problem.objective is None else with_objective(new, problem.objective.weights)
+
+
+def response(plan: Plan) -> BoundarySensitivity:
+    """Of the plan of a problem with `periodic`.
+
+    Raises:
+        PlannerError: What must come back has no final weight.
+    """
+    problem, periodic = periodic_problem(plan)
+    closes = np.flatnonzero(periodic.periodic_mask)
+    W = tracking(problem).Q[-1]
+    if np.linalg.eigvalsh(W[np.ix_(closes, closes)]).min() <= 0.0:
+        raise PlannerError("what must come back has no final weight in the cost, expected one above 0 on all of it.")
+    A, B = problem.dynamics.linearize(plan.xs, plan.us)
+    model = problem.cost.quadratize(plan.xs, plan.us)
+    B = _free(problem, plan, B, lq.gradient(A, B, model))
+    sweep = lq.riccati(A, B, model)
+    if sweep is None:
+        raise PlannerError("the LQ problem at the plan is not definite, expected a problem that solve() solves.")
+    N, ndx, nu = B.shape
+    Phi, G, F = np.eye(ndx), np.zeros((ndx, ndx)), np.empty((N, nu, ndx))
+    for n in reversed(range(N)):
+        reach = Phi @ B[n]
+        answer = np.linalg.solve(model.R[n] + B[n].T @ sweep.P[n + 1] @ B[n], reach.T)
+        F[n] = answer @ W
+        G += reach @ answer
+        Phi = Phi @ (A[n] + B[n] @ sweep.K[n])
+    space = space_of(problem.dynamics)
+    drawn = W @ space.difference(plan.xs[-1], tracking(problem).x_ref[-1])
+    gap, costate = periodic.closure_error(space, plan.xs), lq.costates(A, model)[0]
+    return BoundarySensitivity(plan, closes, W, gap, costate, drawn, sweep.P[0], Phi, G, sweep.K, F)
+
+
+def _free(problem: Problem, plan: Plan, B: np.ndarray, gradient: np.ndarray) -> np.ndarray:
+    """B without the controls that their bounds hold."""
+    if problem.bounds is None:
+        return B
+    held = lq.projected(gradient, problem.bounds.step_bounds(plan.xs, plan.us)) != gradient
+    return np.where(held[:, None, :], 0.0, B)
+
+
+def improved_boundary(found: BoundarySensitivity, close: bool = False) -> Problem | None:
+    """The problem with ends nearer to a periodic motion of least cost, and the motion there as its first guess.
+
+    The step is as little damped as the LQ problem is to be trusted: what its controls cost in the problem itself tells.
+    None where it is not for any step worth the name.
+
+    Args:
+        found: Where it is now.
+        close: Only to close the gap, not to lower the cost.
+    """
+    plan = found.plan
+    problem, _ = periodic_problem(plan)
+    space, ends = space_of(problem.dynamics), ends_of(problem)
+    for mu, part in (
+        *((mu, 1.0) for mu in (_DAMPINGS[-1:] if close else _DAMPINGS)),
+        *((_DAMPINGS[-1], part) for part in _PARTS),
+    ):
+        step = found.step(mu, part)
+        there = BoundaryStates(space.integrate(ends.start, step.dx), space.integrate(ends.goal, step.dr))
+        new = with_ends(problem, there, plan.us)
+        cost, us = feedback_rollout(new, plan.us + found.F @ step.dr, found.K, plan.xs)
+        if abs(cost - found.predicted_cost(step.dx, step.dr)) <= TRUST * (plan.cost - terminal_goal_cost(plan)):
+            return replace(new, us=us)
+    return None
+
+
+def terminal_goal_cost(plan: Plan) -> float:
+    """The terminal goal term of the plan's cost."""
+    cost = tracking(periodic_problem(plan)[0])
+    away = plan.space.difference(plan.xs[-1], cost.x_ref[-1])
+    return float(0.5 * away @ cost.Q[-1] @ away)

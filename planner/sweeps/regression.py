@@ -1,0 +1,257 @@
+"""check(): prove stored plans again and compare with the stored numbers, a regression test of the user's plans.
+
+The numbers of plan.npz are in proof.json, those of any other NAME.npz in NAME.proof.json. That file also holds seed,
+rollouts and perturbation of the proof, so that the same is measured again, and the digest of the plan's file: numbers
+of another plan are not compared.
+
+    regressed   the verdict or mode got worse, a plan is no longer feasible, optimal or robust, less was checked, a
+                number fails the bound that it passed, or got worse by more than the tolerance
+    moved       any other number changed by more than the tolerance
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+from collections.abc import Callable, Iterator
+from concurrent.futures import Executor
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from planner.base.arguments import count, number
+from planner.base.errors import FileError, PlannerError
+from planner.base.executors import checked_executor, ordered_map
+from planner.base.files import printable, read_text
+from planner.base.jsonable import write_json
+from planner.cases.plan_file import load_plan
+from planner.problem.archive import plan_digest
+from planner.problem.plan import Plan
+from planner.proof import Proof, prove
+from planner.proof.robustness.perturbation import Perturbation
+
+TOLERANCE = 0.05  # relative: another release of MuJoCo or another processor changes less
+_ROUNDING = 1e-9  # smaller changes of a number without a bound are rounding
+_OF_BOUND = 1e-3  # smaller changes relative to the bound do not count
+MAX_ROLLOUTS = 1_000_000
+_RANK = {("PASS", "open-loop"): 2, ("PASS", "feedback"): 1}
+
+
+class NumberChange(NamedTuple):
+    """A number that differs from the stored one.
+
+    Attributes:
+        step: Step of the proof, e.g. "refined_feedback"; "verdict" and "headline" for the words of its first line.
+        name: Of the number.
+        stored: Value in the file, or None.
+        now: Value in the new proof, or None.
+        bound: Largest value that passes, or None.
+        regressed: Whether it is worse.
+    """
+
+    step: str
+    name: str
+    stored: float | str | None
+    now: float | str | None
+    bound: float | None
+    regressed: bool
+
+    def __str__(self) -> str:
+        before, now = ("nothing" if one is None else one if isinstance(one, str) else f"{one:.5g}" for one in self[2:4])
+        return f"{self.step} {self.name} {self.word} from {before} to {now}"
+
+    @property
+    def word(self) -> str:
+        """The kind of change: "regressed" or "moved"."""
+        return "regressed" if self.regressed else "moved"
+
+
+@dataclass(frozen=True, eq=False)
+class PlanComparison:
+    """One stored plan proved again.
+
+    Attributes:
+        plan: The file.
+        changes: The numbers that differ.
+        problem: Why nothing could be compared, or "".
+        proof: The new proof, or None.
+        updated: Whether the new numbers were stored.
+    """
+
+    plan: Path
+    changes: tuple[NumberChange, ...] = ()
+    problem: str = ""
+    proof: Proof | None = None
+    updated: bool = False
+
+    @property
+    def passed(self) -> bool:
+        """Whether nothing regressed, or the new numbers were stored."""
+        return not self.problem and (self.updated or not any(change.regressed for change in self.changes))
+
+    def __str__(self) -> str:
+        found = self.problem or "; ".join(map(str, self.changes)) or "as stored"
+        return f"{self.plan}: {'ok' if self.passed else 'REGRESSED'}, {found}"
+
+
+def check(
+    *paths: str | Path, tolerance: float = TOLERANCE, update: bool = False,
+    callback: Callable[[PlanComparison], object] | None = None, executor: Executor | None = None,
+) -> list[PlanComparison]:  # fmt: skip
+    """Prove stored plans again and compare.
+
+    Args:
+        paths: Folders, searched with all below them, or plan files.
+        tolerance: Relative change that counts.
+        update: Store the new numbers where they differ.
+        callback: Called with each Checked.
+        executor: Where plans are proved, any concurrent.futures.Executor; by default this process.
+
+    Returns:
+        One Checked per plan, in the order of their names.
+
+    Raises:
+        PlannerError: A path does not exist, or holds no plan.
+    """
+    number("tolerance", tolerance, greater_than=0.0)
+    done = []
+    work = partial(_checked, tolerance=tolerance, update=update)
+    for one in ordered_map(checked_executor(executor), work, _plans(paths)):
+        done.append(one)
+        if callback is not None:
+            callback(done[-1])
+    return done
+
+
+def stored_proof(plan: Path) -> Path:
+    """The file with the numbers of a plan file."""
+    return plan.with_name("proof.json" if plan.name == "plan.npz" else f"{plan.stem}.proof.json")
+
+
+def _plans(paths: tuple[str | Path, ...]) -> list[Path]:
+    plans: dict[Path, None] = {}
+    if not paths:
+        raise PlannerError("check was given nothing, expected folders of plans or plan files.")
+    for given in map(Path, paths):
+        if not os.path.exists(given):  # Path.exists() raises OSError for long names
+            raise FileError(f"{printable(given)} does not exist, expected a folder of plans or a plan.npz.")
+        if not given.is_dir() and given.suffix != ".npz":
+            raise FileError(f"{given} is not a plan, expected a folder of plans or a plan.npz.")
+        inside = sorted(given.rglob("*.npz")) if given.is_dir() else [given]
+        own = [path for path in inside if not any(part.startswith(".") for part in path.relative_to(given).parts)]
+        if not own:
+            raise FileError(f"{given} holds no plans, expected *.npz files as planner run and solve write them.")
+        plans.update(dict.fromkeys(own))
+    return list(plans)
+
+
+def _checked(path: Path, tolerance: float, update: bool) -> PlanComparison:
+    file = stored_proof(path)
+    try:
+        plan = load_plan(path)
+        digest = plan_digest(path)
+        stored = _read(file) if file.exists() else None
+        foreign = stored is not None and stored.get("plan_digest", digest) != digest
+        if foreign and not update:
+            wanted = f"expected that of this {path.name}; --update replaces it"
+            raise FileError(f"{file.name} is the proof of another plan file, {wanted}.")
+        proof = _proved_as(plan, stored)
+    except PlannerError as error:
+        return PlanComparison(path, problem=str(error))
+    now = proof.to_dict() | {"plan_digest": digest}
+    if stored is None or foreign:
+        if not update:
+            problem = f"it has no stored numbers, expected {file.name} beside it; --update writes it."
+            return PlanComparison(path, problem=problem, proof=proof)
+        write_json(file, now)
+        return PlanComparison(path, proof=proof, updated=True)
+    changes = tuple(_changes(stored, now, tolerance))
+    if update and changes:
+        write_json(file, now | ({"refinement": stored["refinement"]} if "refinement" in stored else {}))
+    return PlanComparison(path, changes, proof=proof, updated=update and bool(changes))
+
+
+def _read(file: Path) -> dict[str, Any]:
+    try:
+        stored = json.loads(read_text(file, "the proof"))
+    except (ValueError, RecursionError):
+        stored = None
+    if not isinstance(stored, dict) or not isinstance(stored.get("verdict"), str):
+        raise FileError(f"{file} is not a proof: expected the JSON of planner prove or planner run.")
+    return stored
+
+
+def _proved_as(plan: Plan, stored: dict[str, Any] | None) -> Proof:
+    """Prove a plan with the seed, rollouts and perturbation of its stored proof."""
+    asked = (stored or {}).get("asked", {})
+    try:
+        if asked.get("another_model"):
+            raise FileError("its numbers are of another model (prove --mjcf), expected those of its own model.")
+        perturbation = Perturbation(**asked["perturbation"]) if asked.get("perturbation") else None
+        wanted = {name: asked[name] for name in ("seed", "rollouts", "hold_seconds") if name in asked}
+        wanted |= {"optimal": False} if asked.get("optimal") is False else {}
+        count("the rollouts of its proof", wanted.get("rollouts", 0), minimum=0, maximum=MAX_ROLLOUTS)
+    except (TypeError, AttributeError):
+        raise FileError("its proof has no usable 'asked', expected what planner prove wrote.") from None
+    return prove(plan, perturbation=perturbation, **wanted)
+
+
+def _changes(stored: dict[str, Any], now: dict[str, Any], tolerance: float) -> Iterator[NumberChange]:
+    verdicts = [f"{one['verdict']} ({one.get('mode')})" for one in (stored, now)]
+    ranks = [_RANK.get((one["verdict"], str(one.get("mode"))), 0) for one in (stored, now)]
+    if verdicts[0] != verdicts[1]:
+        yield NumberChange("verdict", "", verdicts[0], verdicts[1], None, ranks[1] < ranks[0])
+    yield from _words(stored, now)
+    for step, section in now.items():
+        before = stored.get(step)
+        if not (isinstance(section, dict) and "applicable" in section and isinstance(before, dict)):
+            continue
+        new, old = section.get("figures", {}), _numbers(before.get("figures"))
+        for name in {**old, **new}:
+            yield from _change(step, name, old.get(name), new.get(name), tolerance)
+
+
+def _words(stored: dict[str, Any], now: dict[str, Any]) -> Iterator[NumberChange]:
+    """Changes of the words of the first line; a proof of an older version has none of them."""
+    for word in ("feasible", "optimal"):
+        if isinstance(was := stored.get(word), bool) and was is not now[word]:
+            yield NumberChange("headline", word, _yes(was), _yes(now[word]), None, was)
+    was, robustness = stored.get("robustness"), now["robustness"]
+    if isinstance(was, str) and was != robustness:
+        yield NumberChange("headline", "robustness", was, robustness, None, was == "robust")
+    unchecked = stored.get("not_checked")
+    if isinstance(unchecked, list) and unchecked != now["not_checked"]:
+        less = not set(now["not_checked"]) <= set(map(str, unchecked))
+        before, after = ("; ".join(map(str, one)) or None for one in (unchecked, now["not_checked"]))
+        yield NumberChange("headline", "not checked", before, after, None, less)
+
+
+def _yes(value: bool) -> str:
+    return "yes" if value else "no"
+
+
+def _numbers(figures: Any) -> dict[str, dict[str, Any]]:
+    """The measured values of a stored section; what is none is as if it were not there."""
+    rows = figures.items() if isinstance(figures, dict) else ()
+    kinds = (int, float, type(None))
+    return {name: row for name, row in rows if isinstance(row, dict) and isinstance(row.get("value"), kinds)}
+
+
+def _change(step: str, name: str, old: Any, new: Any, tolerance: float) -> Iterator[NumberChange]:
+    """The change of one number, if it counts. A value that is not finite is stored as null."""
+    if not isinstance(old, dict) or not isinstance(new, dict):
+        before, now = (one.get("value") if isinstance(one, dict) else None for one in (old, new))
+        yield NumberChange(step, name, before, now, None, regressed=not isinstance(new, dict))
+        return
+    bound = new.get("bound")
+    a, b = (math.inf if one.get("value") is None else float(one["value"]) for one in (old, new))
+    if a == b:
+        return
+    least = _ROUNDING if bound is None else _OF_BOUND * bound
+    failed = bool(old.get("passed")) and not new.get("passed")
+    if not failed and abs(b - a) <= max(tolerance * abs(a), least):
+        return
+    worse = b < a if any(word in name for word in ("success", "margin")) else b > a and bound is not None
+    yield NumberChange(step, name, old.get("value"), new.get("value"), bound, failed or worse)

@@ -1,0 +1,140 @@
+"""Put a machine into a setting: a sky, a floor and light where its model has none."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Sequence
+from typing import Any
+from xml.etree import ElementTree
+
+import numpy as np
+
+from planner.base import gl
+from planner.model.mjcf.model_index import compile_model
+from planner.view.render.camera import MARGIN, Box, scenery_of, swept_box
+from planner.view.render.film import Film
+from planner.view.render.looks import drawn, geom_boxes, moving, paint_links, show_one_shape_for_each_part
+
+_CELL = 0.125  # of the machine's size, about: the side of the floor's squares
+_BELOW = 2e-3  # of the machine's size: how far our floor is below a shape that stands on it, or the two would flicker
+_GAP = 0.08  # of the machine's size: how far it is below a machine that does not stand on it, so that this is seen
+_STANDS = 0.01  # of the machine's size: how far a machine that stands at the height 0 may sink below it
+_GONE = 10.0  # sizes of the machine: no floor is laid under a replay that fell as far
+_LEVEL = 0.7  # upward part of the normal of a floor
+_LAMP_REACH = 3.0  # distance of our lamp, in sizes of the machine
+_LIT_BY_OTHERS, _GLOW = 0.6, 0.3  # brightness of our floor in others' light, which may glare, and without any
+_COARSE = 10.0  # sizes of the machine: in a model as large as that, MuJoCo's map of shadows is too coarse for it
+
+_OURS = "planner {}"
+"""A name in the model for what is added; a user's name would hardly have a space."""
+_SKY = {"type": "skybox", "builtin": "gradient", "rgb1": "0.55 0.70 0.88", "rgb2": "0.93 0.95 0.97", "width": "64",
+        "height": "384"}  # fmt: skip
+_SQUARES = {"type": "2d", "builtin": "checker", "rgb1": "0.92 0.925 0.935", "rgb2": "0.83 0.845 0.865", "mark": "edge",
+            "markrgb": "0.76 0.78 0.81", "width": "512", "height": "512"}  # fmt: skip
+_PAVED = {"texuniform": "true", "specular": "0.05", "shininess": "0.1"}
+_PLANE = {"type": "plane", "size": "0 0 1", "contype": "0", "conaffinity": "0", "group": "0", "rgba": "1 1 1 1"}
+_LAMP = {"dir": "-0.35 0.45 -1", "diffuse": "0.45 0.45 0.45", "specular": "0.1 0.1 0.1", "castshadow": "true"}
+
+
+def visible_model(films: Sequence[Film]) -> Any:
+    """The model of films of one plan as it is drawn; ModelError where MuJoCo refuses its text."""
+    model, ours = _furnished(films[0])
+    paint_links(model)
+    show_one_shape_for_each_part(model)
+    _lay_floor(model, films, ours)
+    return model
+
+
+def _furnished(film: Film) -> tuple[Any, int]:
+    """The model with a floor of ours, perhaps one too many, and with a sky and light if it has none; our floor."""
+    mujoco = gl.load_mujoco()
+    root = ElementTree.fromstring(film.mjcf)
+    assets, world = (_part(root, name) for name in ("asset", "worldbody"))
+    lit = root.find(".//worldbody//light") is not None
+    if not any(texture.get("type") == "skybox" for texture in root.iter("texture")):
+        ElementTree.SubElement(assets, "texture", _SKY | {"name": _OURS.format("sky")})
+    squares, paving = _OURS.format("squares"), _OURS.format("paving")
+    ElementTree.SubElement(assets, "texture", _SQUARES | {"name": squares})
+    ElementTree.SubElement(assets, "material", _PAVED | {"name": paving, "texture": squares})
+    ElementTree.SubElement(world, "geom", _PLANE | {"name": _OURS.format("floor"), "material": paving})
+    if not lit:
+        ElementTree.SubElement(world, "light", _LAMP | {"name": _OURS.format("lamp")})
+    model = copy.copy(compile_model(ElementTree.tostring(root, encoding="unicode"), film.assets))
+    ours = int(model.geom(_OURS.format("floor")).id)
+    if lit:
+        model.geom_rgba[ours, :3] = _LIT_BY_OTHERS
+        model.mat_emission[model.geom_matid[ours]] = _GLOW
+    else:
+        lamp = model.light(_OURS.format("lamp")).id
+        if hasattr(model, "light_type"):  # since MuJoCo 3.3.3
+            model.light_type[lamp] = mujoco.mjtLightType.mjLIGHT_DIRECTIONAL
+        else:
+            model.light_directional[lamp] = 1
+        model.vis.headlight.ambient[:], model.vis.headlight.diffuse[:] = 0.4, 0.3
+        model.vis.headlight.specular[:] = 0.05
+    return model, ours
+
+
+def _part(root: ElementTree.Element, name: str) -> ElementTree.Element:
+    found = root.find(name)
+    return ElementTree.SubElement(root, name) if found is None else found
+
+
+def _lay_floor(model: Any, films: Sequence[Film], ours: int) -> None:
+    """Put our floor under all poses of all films, or hide it where the model has one of its own.
+
+    No file has this floor, so nothing may touch it or go through it. A machine that stays above the height 0 has it
+    there.
+    """
+    mujoco = gl.load_mujoco()
+    data, scenery = mujoco.MjData(model), scenery_of(model, films[0].appearance)[0]
+    box = swept_box(model, films[0].path_ghost_qpos, scenery)
+    size, middle = float(np.max(box.high - box.low)), 0.5 * (box.low + box.high)
+    planned = _lowest(box)
+    lowest = min(planned, _lowest_mark(films[0]), *(_lowest(swept_box(model, one.path_qpos, scenery)) for one in films))
+    gone = not lowest > planned - _GONE * size
+    mujoco.mj_kinematics(model, data)
+    rests = drawn(model) & ~moving(model) & (model.geom_type != mujoco.mjtGeom.mjGEOM_PLANE)
+    lowest = float(geom_boxes(model, data, np.flatnonzero(rests))[0][:, 2].min(initial=lowest))
+    stands = -_STANDS * size <= lowest <= size
+    height = min(lowest, 0.0) - _BELOW * size if stands else lowest - _GAP * size
+    g = model.opt.gravity
+    level = not np.any(g) or g[2] < -_LEVEL * np.linalg.norm(g)
+    if level and not gone and not _has_floor(model, data, ours, scenery, size):
+        model.geom_pos[ours, 2] = height
+        model.geom_sameframe[ours] = 0  # or MuJoCo would leave it in the world's origin
+        power, rest = divmod(np.log10(_CELL * size), 1.0)
+        cell = 10.0**power * next(k for k in (5.0, 2.0, 1.0) if np.log10(k) <= rest)
+        model.mat_texrepeat[model.geom_matid[ours]] = 0.5 / cell  # a texture is two squares wide
+    else:
+        model.geom_matid[ours], model.geom_rgba[ours, 3] = -1, 0.0
+    lamp = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_LIGHT, _OURS.format("lamp"))
+    if lamp >= 0:
+        model.light_pos[lamp] = middle - _LAMP_REACH * size * model.light_dir[lamp]
+        model.light_castshadow[lamp] = model.stat.extent < _COARSE * size
+
+
+def _lowest(box: Box) -> float:
+    """The height of the lowest point in a swept box, m, without the room around it."""
+    return float(box.low[2] + MARGIN / (1.0 + 2.0 * MARGIN) * np.max(box.high - box.low))
+
+
+def _lowest_mark(film: Film) -> float:
+    """The height of the lowest goal or path, m; infinite where there is none."""
+    goals = [one.position for one in film.appearance.goals if one.position is not None]
+    return min((float(np.min(places[:, 2])) for places in (np.reshape(goals, (-1, 3)), *film.appearance.paths)
+                if len(places)), default=np.inf)  # fmt: skip
+
+
+def _has_floor(model: Any, data: Any, ours: int, scenery: np.ndarray, size: float) -> bool:
+    """Whether there is scenery, or a plane, field of heights or box of the world that looks up, wide as the machine."""
+    kinds = gl.load_mujoco().mjtGeom
+    if np.any(drawn(model) & scenery[model.geom_bodyid]):
+        return True
+    for i in np.flatnonzero(drawn(model) & ~moving(model)):
+        upward = abs(data.geom_xmat[i].reshape(3, 3)[2, 2]) > _LEVEL
+        endless = model.geom_type[i] == kinds.mjGEOM_PLANE and not np.all(model.geom_size[i, :2])
+        flat = any(model.geom_type[i] == kind for kind in (kinds.mjGEOM_PLANE, kinds.mjGEOM_HFIELD, kinds.mjGEOM_BOX))
+        if i != ours and upward and (endless or (flat and np.all(model.geom_size[i, :2] > 0.5 * size))):
+            return True
+    return False
