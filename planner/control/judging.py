@@ -217,7 +217,7 @@ def _kept(loop: ClosedLoopRun) -> Section:
     """How far ranges and constraints are left during the task."""
     problem = loop.controller.problem
     M = problem.N * loop.substeps
-    if problem.kept is None or len(loop.xs) <= M or not np.isfinite(loop.xs).all():
+    if problem.trajectory_constraints is None or len(loop.xs) <= M or not np.isfinite(loop.xs).all():
         return Section("kept", not_applicable="no ranges and no constraints, or no whole task")
     found, xs, us = list[Measurement](), loop.xs[: M + 1], loop.ctrl[:M]
     if problem.ranges is not None:
@@ -226,8 +226,8 @@ def _kept(loop: ClosedLoopRun) -> Section:
         for unit in dict.fromkeys(one.unit for one in on_way):
             value, name = max((float(b), one.name) for b, one in zip(beyond, on_way, strict=False) if one.unit == unit)
             found.append(Measurement(f"{word_of(unit)}_beyond_its_range", value, unit, None, f"largest, of {name}"))
-    if problem.kept.rows is not None and us.shape[1] == problem.dynamics.nu:
-        for one in problem.kept.rows.violations(xs, us):
+    if problem.trajectory_constraints.rows is not None and us.shape[1] == problem.dynamics.nu:
+        for one in problem.trajectory_constraints.rows.violations(xs, us):
             note = f"{one.constraint.name}: largest at any step of the task"
             found.append(Measurement("constraint_violation", one.value, one.constraint.unit, None, note))
     return Section("kept", tuple(found))

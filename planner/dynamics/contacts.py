@@ -187,7 +187,7 @@ class PlaneContactKinematics:
 
 def stop_state(mechanism: Mechanism, stop: Any, q: np.ndarray, qd: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """How far beyond a stop, and how fast back."""
-    e = stop.side * (q[:, mechanism.q_address[stop.dof]] - stop.end) + stop.law.lift
+    e = stop.side * (q[:, mechanism.q_address[stop.dof]] - stop.end) + stop.law.surface_offset
     return e, -stop.side * qd[:, stop.dof]
 
 

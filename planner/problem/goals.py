@@ -36,7 +36,7 @@ class GoalCheck:
         name: The coordinate or the frame, "elbow" or "position of hand".
         unit: "rad", "m", "rad/s", "m/s", or another one of the machine's own.
         tolerance: The largest miss that passes; infinite for a goal that is soft.
-        missed: States (K, nx) -> (K,) how far they are from it; K = T with times.
+        error: States (K, nx) -> (K,) how far they are from it; K = T with times.
         times: (T,) s, when it is asked for; None for the end.
         alone: Whether it has a tolerance of its own, and is listed by its name rather than with others of its unit.
     """
@@ -75,7 +75,7 @@ def goals_of(problem: Problem, xs: np.ndarray | None = None) -> tuple[GoalCheck,
         kind = KINDS[one.unit.endswith("/s")]
         given = asked.get(one.name, asked.get(kind) if one.tolerance is None else one.tolerance)
         tolerance = _usual(one, problem.x0, xs, share) if given is None else given
-        goals.append(GoalCheck(one.name, one.unit, tolerance, one.missed, one.times, one.tolerance is not None))
+        goals.append(GoalCheck(one.name, one.unit, tolerance, one.error, one.times, one.tolerance is not None))
     return tuple(goals)
 
 
@@ -160,7 +160,7 @@ def _usual(one: GoalSpec, x0: np.ndarray, xs: np.ndarray | None, share: float) -
     """The tolerance of a goal for which the problem states none."""
     of_path = one.unit not in ("rad", "m")  # an unknown unit may be a velocity
     states = x0[None] if xs is None or not of_path else np.concatenate([x0[None], xs])
-    scale = float(np.max(one.missed(states), initial=0.0, where=np.isfinite(one.missed(states))))
+    scale = float(np.max(one.error(states), initial=0.0, where=np.isfinite(one.error(states))))
     return max(SHARE * scale, share * MIN_TOLERANCES.get(one.unit, 1e-6))
 
 

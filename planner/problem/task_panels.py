@@ -41,7 +41,7 @@ def _of_goals(problem: Problem, t: np.ndarray, motions: Sequence[Motion]) -> lis
         asked = np.array([problem.N] if one.times is None else np.round(np.array(one.times) / problem.dynamics.dt), int)
         stages = np.arange(problem.N + 1) if len(asked) == 1 else asked
         values, most = np.full((len(motions), len(t)), np.nan), np.full(len(t), np.inf)
-        values[:, stages] = [one.missed(xs[stages]) for xs, _ in motions]
+        values[:, stages] = [one.error(xs[stages]) for xs, _ in motions]
         most[asked] = one.tolerance
         # A frame that stops twice has one speed, and the second goal at the same place the same distance.
         names, _, bound = units.setdefault(one.unit, {}).setdefault(values[0].tobytes(), ([], values, most))

@@ -70,7 +70,7 @@ def same_step(plan: Plan, problem: Problem, compiled: CompiledTwin) -> Section:
     model.jnt_actfrclimited[:] = 0
     integrator = getattr(problem.dynamics, "integrator", "")
     substeps = getattr(problem.dynamics, "substeps", 1)
-    constrained = mechanism is not None and (mechanism.couplings or mechanism.loops or mechanism.cams)
+    constrained = mechanism is not None and (mechanism.couplings or mechanism.loops or mechanism.polynomial_couplings)
     dt, driven = problem.dynamics.dt / substeps, prescribed_dofs_of(problem.dynamics)
     damping = damping_of(problem.dynamics)
     found = stage_function(integrator, dt, model, twin, space, driven, mechanism if constrained else None, damping)
@@ -78,7 +78,7 @@ def same_step(plan: Plan, problem: Problem, compiled: CompiledTwin) -> Section:
         return Section("same step", not_applicable="MuJoCo cannot take steps of the plan's integrator")
     how, one = found
 
-    chains = mechanism if mechanism is not None and (mechanism.loops or mechanism.cams) else None
+    chains = mechanism if mechanism is not None and (mechanism.loops or mechanism.polynomial_couplings) else None
     data = load_mujoco().MjData(model)
 
     def stage(x: np.ndarray, u: np.ndarray) -> np.ndarray:

@@ -141,7 +141,7 @@ def _unjudged(run: Replay, problem: Problem) -> str:
     if may_touch(run.compiled.model):
         return "contacts open and close: the order scatters"
     mechanism = getattr(problem.dynamics, "mechanism", None)
-    if mechanism is not None and (mechanism.couplings or mechanism.loops or mechanism.cams):
+    if mechanism is not None and (mechanism.couplings or mechanism.loops or mechanism.polynomial_couplings):
         return "MuJoCo's equalities are soft, by the square of its step"
     if bends := _bends(mechanism):
         return bends
@@ -161,7 +161,7 @@ def _stopped(problem: Problem, xs: np.ndarray) -> bool:
     """Whether states (M+1, nx) come to a stop of the plan's machine, whose force MuJoCo has without its smoothing."""
     mechanism: Any = getattr(problem.dynamics, "mechanism", None)
     return any(
-        bool(np.any(stop.side * (xs[:, mechanism.q_address[stop.dof]] - stop.end) > -stop.law.lift))
+        bool(np.any(stop.side * (xs[:, mechanism.q_address[stop.dof]] - stop.end) > -stop.law.surface_offset))
         for stop in getattr(mechanism, "stops", ())
     )
 

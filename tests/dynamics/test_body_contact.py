@@ -241,7 +241,7 @@ def collided(touch, steps=600, dt=2e-4):
     for n in range(1, steps):
         xs[n] = dynamics.step(xs[n - 1 : n], np.zeros((1, 1)))[0]
     depths = body_contact_forces(m, xs[:, : m.nq], xs[:, m.nq :]).depths[:, 0]
-    assert max(depths[0], depths[-1]) < -touch.lift
+    assert max(depths[0], depths[-1]) < -touch.surface_offset
     assert depths.max() > 2e-3
     return m, xs
 

@@ -37,7 +37,7 @@ def split(m, x):
 
 def can_be_closed(m, q):
     """Whether the equations are independent: where they contradict each other no accelerations keep them."""
-    if not (m.loops or m.cams):
+    if not (m.loops or m.polynomial_couplings):
         return False
     J = loops.jacobian(m, q)
     return np.linalg.matrix_rank(J, tol=1e-4 * np.linalg.norm(J)) == len(J)
@@ -257,7 +257,7 @@ def everything(text, rng):
 
 def well_closed(m, q, Z):
     """Whether the equations are independent in the directions Z, far from singular."""
-    if not (m.loops or m.cams) or not Z.shape[1]:
+    if not (m.loops or m.polynomial_couplings) or not Z.shape[1]:
         return False
     J = loops.jacobian(m, q) @ Z
     return len(J) <= Z.shape[1] and np.linalg.cond(J.T) < 1e3

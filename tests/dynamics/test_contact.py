@@ -83,7 +83,7 @@ def touching(m, x, qd, touch, rng, count=5):
         if slide >= 0:  # along itself
             normal = Plane(np.cross(normal, m.T_home[slide, :3, :3] @ m.S[slide, 3:])).normal
         place = product_of_exponentials.world_poses(m, q)[link] @ np.append(centre, 1.0)
-        offset = normal @ place[:3] - radius - touch.lift + float(rng.choice(e))
+        offset = normal @ place[:3] - radius - touch.surface_offset + float(rng.choice(e))
         plane = Plane(normal, offset, rng.normal(size=3), slide)
         contacts.append(Contact(link, centre, radius, plane, touch, f"point {k}"))
     stops = []
@@ -224,7 +224,7 @@ def dropped(touch, steps=1500, dt=5e-4):
         xs[n] = dynamics.step(xs[n - 1 : n], np.zeros((1, 1)))[0]
     q, qd = xs[:, : m.nq], xs[:, m.nq :]
     depths = contact_forces(m, q, qd).depths.max(axis=1)
-    return energies(m, q, qd)[depths < -touch.lift], depths
+    return energies(m, q, qd)[depths < -touch.surface_offset], depths
 
 
 def test_contact_creates_no_energy():

@@ -49,7 +49,7 @@ def rolled(problem, us):
 
 def worst(problem, plan):
     """(value, allowed) of each constraint."""
-    found = problem.kept.rows.violations(plan.xs, plan.us)
+    found = problem.trajectory_constraints.rows.violations(plan.xs, plan.us)
     return {one.constraint.name: (one.value, one.constraint.allowed()) for one in found}
 
 

@@ -151,8 +151,7 @@ def _choose_penalties(w, n, dx):
 
 @jit
 def update_active_set(w, dt, none):
-    """The next set of held controls (W.active_bounds) and of penalties that pull, as the last sweep's linear motion
-    tells it.
+    """The next set of active bounds and active penalties, from the linear motion of the last sweep.
 
     With `none` there is no motion: penalties pull where they do.
 

@@ -1,6 +1,4 @@
-"""The deviation of one state from another, in single numbers; in lanes it is `_deviations` of
-kernels.tree.tree_line_search.
-"""
+"""The deviation of one state from another, one number at a time; tree_line_search has it in lanes."""
 
 from __future__ import annotations
 

@@ -25,8 +25,8 @@ W = Layout(
     "final_row final_column final_value control_row control_column control_value error turn l F transport K k dus "
     "gradient H G S h costate dx trial_x trial_u deviations lower upper box penalty_dx penalty_lower penalty_upper "
     "penalty_weight penalty_active T costates residual_hessian residual_active range_lower range_upper servo_control "
-    "servo_start servo_x servo_dx servo_at_start servo_at_end servo_low servo_high lower_share upper_share defects values dxs "
-    "active_bounds active_row active_gradient penalty_e penalty_side",
+    "servo_start servo_x servo_dx servo_at_start servo_at_end servo_low servo_high lower_share upper_share defects "
+    "values dxs active_bounds active_row active_gradient penalty_e penalty_side",
 )
 _K = W.K
 # Rows of the line search's array: step lengths, costs, slopes, the bracket, and what it is given: cost, slope, dt.

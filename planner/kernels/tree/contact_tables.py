@@ -1,6 +1,4 @@
-"""The arrays of kernels.tree.mechanism_table for contacts of spheres with planes, stops of joints, and contacts of two
-bodies.
-"""
+"""Arrays of kernels.tree.mechanism_table for sphere-plane contacts, joint stops and contacts of two bodies."""
 
 from __future__ import annotations
 
@@ -26,8 +24,8 @@ def contact_arrays(contacts: Any, mechanism: Any, tree: dict[str, np.ndarray]) -
         plane, law, i = contact.plane, contact.law, contact.link
         row[:3] = (np.linalg.inv(tree["frames"][i]) @ np.append(contact.centre, 1.0))[:3]
         row[3:6], row[8:11] = plane.normal, plane.velocity
-        row[6] = contact.radius + law.lift + plane.offset - plane.normal @ tree["origin"][i]
-        row[7] = contact.radius + 0.5 * law.lift
+        row[6] = contact.radius + law.surface_offset + plane.offset - plane.normal @ tree["origin"][i]
+        row[7] = contact.radius + 0.5 * law.surface_offset
         row[11:14], row[14:] = slide_direction(mechanism, plane), _contact_law_numbers(law)
     slide = np.array([contact.plane.slide for contact in contacts], dtype=np.int64)
     address = tree["floating_address"][link]
@@ -36,7 +34,7 @@ def contact_arrays(contacts: Any, mechanism: Any, tree: dict[str, np.ndarray]) -
 
 def stop_arrays(stops: Any) -> dict[str, np.ndarray]:
     """Per stop: its side, where it begins, and the six numbers of its force."""
-    rows = [[stop.side, stop.end - stop.side * stop.law.lift, *_law_numbers(stop.law)] for stop in stops]
+    rows = [[stop.side, stop.end - stop.side * stop.law.surface_offset, *_law_numbers(stop.law)] for stop in stops]
     return {
         "stop_dof": np.array([stop.dof for stop in stops], dtype=np.int64),
         "stop_value": np.array(rows, dtype=float).reshape(-1, STOP_SIZE),
@@ -52,7 +50,7 @@ def pair_arrays(pairs: Any, parent: np.ndarray, tree: dict[str, np.ndarray]) -> 
     links = np.full((len(pairs), PAIR_LINKS_SIZE), -1, dtype=np.int64)
     value = np.zeros((len(pairs), PAIR_SIZE))
     for link, row, pair in zip(links, value, pairs, strict=True):
-        parts, b, origins = (pair.first, pair.second), pair.blunt, np.zeros((2, 3))
+        parts, b, origins = (pair.first, pair.second), pair.axis_regularization, np.zeros((2, 3))
         link[:3] = pair.first.link, pair.second.link, common_carrier(parent, pair)
         for k, part in enumerate(parts):
             own = np.linalg.inv(tree["frames"][part.link]) if part.link >= 0 else np.eye(4)
@@ -64,7 +62,8 @@ def pair_arrays(pairs: Any, parent: np.ndarray, tree: dict[str, np.ndarray]) -> 
             link[3:] = -1
         radii = [part.radius for part in parts]
         row[14:17] = origins[0] - origins[1]
-        row[17:21] = sum(radii) + pair.law.lift, 0.5 * (radii[0] - radii[1]), b, b * (2.0 + b) if b > 0.0 else 1.0
+        reach = sum(radii) + pair.law.surface_offset
+        row[17:21] = reach, 0.5 * (radii[0] - radii[1]), b, b * (2.0 + b) if b > 0.0 else 1.0
         row[21:] = _contact_law_numbers(pair.law)
     return {"pair_links": links, "pair_value": value}
 

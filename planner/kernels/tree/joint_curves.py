@@ -1,6 +1,4 @@
-"""Torques that are exponentials of joint coordinates (planner.model.exponential_torques), and their derivatives, on
-lanes.
-"""
+"""Torques that are exponentials of joint coordinates (model.exponential_torques), with derivatives, in lanes."""
 
 from __future__ import annotations
 

@@ -116,7 +116,7 @@ def close_derivatives(m, r, q, v, a, f, Dq, ld, ws):
                 turn_forces(m, Dq, ld, link, p, scaled(sign, load3(f, row)), moment, ws)
         row += 6 if stiff > 0 else 3
     dof = integers(m, TREE.cam_dof)
-    for k in range(m[TREE.cams]):
+    for k in range(m[TREE.polynomial_couplings]):
         i, j, o = load(dof, 2 * k), load(dof, 2 * k + LEADER), row * width
         _, slope, curvature, third = cam_polynomial(m, k, q)
         speed = load(v, j)

@@ -181,7 +181,7 @@ def _rates(m, r, q, w, which, H, ld, ws):
                 turn_forces(m, H, ld, link, p, scaled(sign, load3(f, row)), moment, ws)
         row += 6 if stiff > 0 else 3
     dof = integers(m, TREE.cam_dof)
-    for k in range(m[TREE.cams]):
+    for k in range(m[TREE.polynomial_couplings]):
         i, j, o = load(dof, 2 * k), load(dof, 2 * k + LEADER), row * width
         _, slope, curvature, _ = cam_polynomial(m, k, q)
         store(D, o + j, zero - curvature * load(w, j))
@@ -213,9 +213,7 @@ def _add_turned(m, r, H, D):
 
 @part
 def step_derivatives(m, r, q, v, which, step, E):
-    """The step of project_to_closure, and E (nv, columns), its derivatives by (u | q | v | act); velocities v take
-    it.
-    """
+    """Take the step of project_to_closure in v; write E (nv, columns), its derivatives by (u | q | v | act)."""
     nv, rows, ld, columns, at_q = m[TREE.nv], m[TREE.loop_rows], r[MEMORY.ld], r[MEMORY.columns], r[MEMORY.first]
     ws, J, N, H = lanes(r, MEMORY.links), lanes(r, MEMORY.loop_J), lanes(r, MEMORY.loop_N), lanes(r, MEMORY.Dq)
     c, f, D, width = lanes(r, MEMORY.loop_c), lanes(r, MEMORY.loop_f), lanes(r, MEMORY.loop_D), r[MEMORY.loop_width]

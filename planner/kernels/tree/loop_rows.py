@@ -84,7 +84,7 @@ def constraint_rows(m, q, ws, J, ld):
                 i = load(parent, i)
         row += 6 if load(rigid, k) > 0 else 3
     dof = integers(m, TREE.cam_dof)
-    for k in range(m[TREE.cams]):
+    for k in range(m[TREE.polynomial_couplings]):
         _, slope, _, _ = cam_polynomial(m, k, q)
         store(J, row * ld + load(dof, 2 * k), zero + 1.0)
         store(J, row * ld + load(dof, 2 * k + LEADER), zero - slope)
@@ -107,7 +107,7 @@ def closure_residual(m, q, ws, c):
             store3(c, row, scaled(0.5, turn))
             row += 3
     dof, address = integers(m, TREE.cam_dof), integers(m, TREE.q_address)
-    for k in range(m[TREE.cams]):
+    for k in range(m[TREE.polynomial_couplings]):
         value, _, _, _ = cam_polynomial(m, k, q)
         store3(c, row, (load(q, load(address, load(dof, 2 * k))) - value, zero, zero))
         row += 3

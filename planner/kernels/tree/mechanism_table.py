@@ -31,7 +31,7 @@ SCREW, BALL, BALL_NEXT, FLOATING = 0, 1, 2, 3  # as in planner.model.mechanism, 
 
 TREE = Layout(
     "nv nq nballs nu na inputs position_terms velocity_terms contacts stops pairs curves tendons lifted losses "
-    "dependents loops cams loop_rows triples",
+    "dependents loops polynomial_couplings loop_rows triples",
     "parent base kind first q_address home inertia subtree_mass armature base_acceleration damping stiffness rest "
     "ball_q ball_v ball_stiffness ball_rest constant input_dof input_index input_value position_row position_column "
     "position_value velocity_row velocity_column velocity_value activation_input activation_gain activation_rate "
@@ -80,8 +80,8 @@ class Model:
         lifted = bool(np.any(mechanism.gravcomp_mass) or np.any(mechanism.gravcomp_first_moment))
         reduction = mechanism.reduction if actuated else None
         self.coupled = reduction is not None
-        loops, cams = (mechanism.loops, mechanism.cams) if actuated else ((), ())
-        self.loop_rows = 3 * triples_of(loops, cams)
+        loops, polynomial_couplings = (mechanism.loops, mechanism.polynomial_couplings) if actuated else ((), ())
+        self.loop_rows = 3 * triples_of(loops, polynomial_couplings)
         acts = contacts or stops or pairs or curves or tendons or lifted or np.any(losses) or self.coupled or implicit
         acts = acts or self.loop_rows
         self.external = True if acts else None
@@ -99,7 +99,7 @@ class Model:
             common = common_carrier(mechanism.parent, pair)
             chains = [chain_of(mechanism.parent, part.link, common) for part in (pair.first, pair.second)]
             coupled[np.ix_(chains[0], chains[1])] = coupled[np.ix_(chains[1], chains[0])] = True
-        for cam in cams:
+        for cam in polynomial_couplings:
             coupled[cam.leader, cam.leader] = True
         arrays["related_start"], arrays["related_rows"] = _related(mechanism.parent, coupled)
         arrays |= (
@@ -110,7 +110,7 @@ class Model:
         arrays |= _curves(curves) | tendon_arrays(tendons) | gravcomp_arrays(mechanism, arrays["frames"])
         arrays |= loss_arrays(mechanism, losses) | _dependents(reduction)
         chains = [{i for link in loop.links for i in chain_of(mechanism.parent, link)} for loop in loops]
-        arrays |= loop_arrays(loops, cams, chains, mechanism, arrays)
+        arrays |= loop_arrays(loops, polynomial_couplings, chains, mechanism, arrays)
         arrays["implicit_damping"] = implicit_damping(mechanism)
         sizes = {
             "nv": nv, "nq": mechanism.nq, "nballs": len(mechanism.quaternions), "nu": self.nu, "na": self.na,
@@ -118,7 +118,8 @@ class Model:
             "velocity_terms": len(arrays["velocity_row"]), "contacts": len(contacts), "stops": len(stops),
             "pairs": len(pairs), "curves": len(curves), "tendons": len(tendons), "lifted": int(lifted),
             "losses": len(arrays["loss_dof"]), "dependents": len(arrays["dependent_dof"]),
-            "loops": len(loops), "cams": len(cams), "loop_rows": self.loop_rows, "triples": self.loop_rows // 3,
+            "loops": len(loops), "polynomial_couplings": len(polynomial_couplings),
+            "loop_rows": self.loop_rows, "triples": self.loop_rows // 3,
         }  # fmt: skip
         self.arrays = {name: _plain(arrays[name]) for name in TREE.arrays}  # keeps the addresses alive
         self.table = TREE.table(sizes, self.arrays)

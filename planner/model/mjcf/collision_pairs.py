@@ -165,17 +165,17 @@ def _notes(
     """One sentence about what is kept apart, in numbers, then the names of what is not, or not so far."""
     model = survey.model
     names = [" and ".join(shape_name(model, geom) for geom in pair) for pair in drawn]
-    fits = {solid.geom: solid for pair in pairs for solid in pair[:2] if solid.excess > 0.0}
+    fits = {solid.geom: solid for pair in pairs for solid in pair[:2] if solid.overestimate > 0.0}
     left = len(drawn) + len(model.exclude_signature) + len(unknown)
     counted = {"nearer at the start or goal": len(close), "fits that overlap there": len(lifted), "left out": left}
     few = "; ".join(f"{words}: {number}" for words, number in counted.items() if number)
     more = f" ({few})" if few else ""
     notes = [f"{len(pairs)} pair{'s' * (len(pairs) != 1)} of shapes are kept {clearance:g} m apart{more}."]
     if fits:
-        most = max(fits.values(), key=lambda solid: solid.excess)
+        most = max(fits.values(), key=lambda solid: solid.overestimate)
         fitted = "1 shape is" if len(fits) == 1 else f"{len(fits)} shapes are"
         notes.append(
-            f"{fitted} fitted by capsules or round boxes, which reach up to {most.excess:.2g} m beyond them "
+            f"{fitted} fitted by capsules or round boxes, which reach up to {most.overestimate:.2g} m beyond them "
             f"({most.name})."
         )
     if drawn:

@@ -188,7 +188,7 @@ class ConstraintStack:
                     by_u[n, columns] = Hu
         return by_x * self.scale[:, None], by_u * self.scale[:, None]
 
-    def bends(self, xs: np.ndarray, n: np.ndarray, pulls: np.ndarray) -> np.ndarray | float:
+    def second_derivatives(self, xs: np.ndarray, n: np.ndarray, pulls: np.ndarray) -> np.ndarray | float:
         """(K, ndx, ndx) what the curvature of rows adds at knots n (K,), pulled (K, C) by the cost; 0 for nothing."""
         own = pulls * self.scale
         return sum(

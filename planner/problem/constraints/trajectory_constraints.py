@@ -137,7 +137,7 @@ class TrajectoryConstraints:
         h, H = np.zeros((N + 1, ndx + nu)), np.zeros((N + 1, ndx + nu, ndx + nu))
         h[n] = np.einsum("ncz,nc->nz", by_z, slope)
         H[n] = np.swapaxes(by_z, 1, 2) @ (curvature[:, :, None] * by_z)
-        H[n, :ndx, :ndx] += self.rows.bends(xs, n, slope)
+        H[n, :ndx, :ndx] += self.rows.second_derivatives(xs, n, slope)
         Q, q = model.Q + H[:, :ndx, :ndx], model.q + h[:, :ndx]
         R, r, S = model.R + H[:-1, ndx:, ndx:], model.r + h[:-1, ndx:], H[:-1, ndx:, :ndx]
         return Quadratic(Q, q, R, r, S if model.S is None else model.S + S)

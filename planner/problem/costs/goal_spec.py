@@ -22,7 +22,7 @@ class GoalSpec(NamedTuple):
 
     name: str  # of the coordinate, or of what is placed: "position of hand"
     unit: str
-    missed: Callable[[np.ndarray], np.ndarray]  # states (K, nx) -> (K,) how far they are from it; K = T with times
+    error: Callable[[np.ndarray], np.ndarray]  # states (K, nx) -> (K,) how far they are from it; K = T with times
     times: tuple[float, ...] | None = None  # (T,) s, when it is asked for; None for the end
     tolerance: float | None = None  # its own, in its unit; None leaves it to the problem
 
