@@ -23,6 +23,9 @@ class Dynamics(Protocol):
     For solve(hessian="exact") they have one more method, second_order(xs, us, costates): with costates (N+1, ndx) of
     Eq. 16 the symmetric T (N, ndx+nu, ndx+nu) = sum_k costates[n+1, k] d2 f_k / dz2 in z = (x, u).
 
+    What a machine has (contacts, loops, friction, exact Hessians) is in one more attribute, `capabilities`; without it
+    the defaults of planner.model.capabilities.Capabilities hold.
+
     Attributes:
         nx: Size of the state.
         nu: Size of the control.

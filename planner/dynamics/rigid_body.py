@@ -23,6 +23,7 @@ from planner.kernels.tree.mechanism_table import Model
 from planner.kernels.tree.memory import TreeMemory
 from planner.kernels.tree.residuals.evaluate import quadratize_residuals
 from planner.kernels.tree.residuals.table import ResidualTable
+from planner.model.capabilities import Capabilities
 from planner.model.mechanism import Mechanism
 from planner.model.space import StateSpace
 
@@ -98,6 +99,7 @@ class RigidBodyDynamics:
                 "damping."
             )
         self._model, self._steps = Model(self.mechanism, driven, implicit=implicit), local()
+        self.capabilities = Capabilities.of_mechanism(self.mechanism, driven, exact_hessian=not implicit)
 
     def __getstate__(self) -> dict[str, Any]:
         """All but the tables: they hold addresses, which are of this object in this process alone."""

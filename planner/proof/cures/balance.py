@@ -33,9 +33,7 @@ def loses_balance(proof: Proof) -> bool:
 
 def _growth(proof: Proof) -> float:
     """The rate at which errors grow without gains, 1/s; NaN where it is not known."""
-    return next(
-        (one.value for one in proof.growth.measured if one.name == "growth_rate_open_loop"), float("nan")
-    )
+    return next((one.value for one in proof.growth.measured if one.name == "growth_rate_open_loop"), float("nan"))
 
 
 def falling(plan: Plan, problem: Problem, proof: Proof | None) -> list[Cure]:
