@@ -12,6 +12,8 @@ from collections.abc import Callable
 
 import numpy as np
 
+from planner.problem.initial_guess import minimum_jerk
+
 STEP = 0.05  # rad or m of the joint that moves most, between poses that are looked at
 REACH = 10  # steps by which a tree grows at once
 MAX_POSES = 600  # poses tried
@@ -65,10 +67,9 @@ def along(way: np.ndarray, duration: float, s: np.ndarray) -> tuple[np.ndarray, 
     from scipy.interpolate import CubicSpline  # 0.4 s that `planner run` need not pay
 
     curve = CubicSpline(np.linspace(0.0, 1.0, len(way)), way)
-    at = 10.0 * s**3 - 15.0 * s**4 + 6.0 * s**5
-    speed = (30.0 * s**2 - 60.0 * s**3 + 30.0 * s**4)[:, None] / duration
-    pull = (60.0 * s - 180.0 * s**2 + 120.0 * s**3)[:, None] / duration**2
-    return curve(at), curve(at, 1) * speed, curve(at, 2) * speed**2 + curve(at, 1) * pull
+    share, rate, acceleration = minimum_jerk(s)
+    speed, change = rate[:, None] / duration, acceleration[:, None] / duration**2
+    return curve(share), curve(share, 1) * speed, curve(share, 2) * speed**2 + curve(share, 1) * change
 
 
 def _between(a: np.ndarray, b: np.ndarray) -> np.ndarray:

@@ -12,7 +12,7 @@ import numpy as np
 
 from planner.base.errors import PlannerError
 from planner.dynamics import RigidBodyDynamics
-from planner.problem.initial_guess import inverse_dynamics_controls
+from planner.problem.initial_guess import inverse_dynamics_controls, minimum_jerk
 from planner.problem.tasks.poses import Poses, is_screws
 from planner.problem.tasks.timed_task import Task
 
@@ -55,13 +55,10 @@ def reference_states(task: Task, poses: Poses, x0: np.ndarray) -> np.ndarray:
     states[:, :nq] = poses.q
     for k in range(len(states) - 1):
         a, b = poses.stages[k : k + 2]
-        s = (np.arange(a, b + 1) - a) / (b - a)
+        share, rate, _ = minimum_jerk((np.arange(a, b + 1) - a) / (b - a))
         way = space.difference(states[k + 1], states[k])
-        xs[a : b + 1] = space.integrate(
-            np.tile(states[k], (b - a + 1, 1)), (10.0 * s**3 - 15.0 * s**4 + 6.0 * s**5)[:, None] * way
-        )
-        speed = (30.0 * s**2 - 60.0 * s**3 + 30.0 * s**4) / ((b - a) * task.dt)
-        xs[a : b + 1, nq : nq + nv] = speed[:, None] * way[:nv]
+        xs[a : b + 1] = space.integrate(np.tile(states[k], (b - a + 1, 1)), share[:, None] * way)
+        xs[a : b + 1, nq : nq + nv] = (rate / ((b - a) * task.dt))[:, None] * way[:nv]
     return xs
 
 

@@ -5,11 +5,12 @@ from __future__ import annotations
 import numpy as np
 
 from planner.problem.collision_checker import CollisionChecker
+from planner.problem.initial_guess import minimum_jerk
 from planner.problem.tasks.poses import Poses
 
 PARTS = 8  # of a way around: its inner poses are passed, with a spline between them
 _EVEN = np.linspace(0.0, 1.0, 1001)
-_FROM_REST = 10.0 * _EVEN**3 - 15.0 * _EVEN**4 + 6.0 * _EVEN**5
+_FROM_REST = minimum_jerk(_EVEN)[0]
 
 
 def with_via_poses(poses: Poses, free: CollisionChecker, seed: int = 0) -> Poses:
