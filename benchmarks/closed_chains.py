@@ -89,7 +89,7 @@ def beside_open() -> bool:
     """Our examples beside their open trees."""
     from planner import Mechanism
     from planner.dynamics import assembled
-    from planner.problem.initial_guess import quasi_static_controls
+    from planner.dynamics.quasi_static import quasi_static_controls
 
     fine = True
     for path in sorted(EXAMPLES.glob("*.xml")):
@@ -109,8 +109,8 @@ def beside_crocoddyl(python: str) -> bool:
     """A pinned arm beside Crocoddyl."""
     from planner import Mechanism
     from planner.dynamics import assembled
+    from planner.dynamics.quasi_static import quasi_static_controls
     from planner.model.loops import BAUMGARTE_RATE
-    from planner.problem.initial_guess import quasi_static_controls
 
     m, rng = Mechanism.from_mjcf(arm()), np.random.default_rng(0)
     x0 = assembled(m, m.home + np.append(0.2 * rng.normal(size=7), np.zeros(7)))

@@ -11,8 +11,8 @@ from __future__ import annotations
 import numpy as np
 
 from planner.dynamics import RigidBodyDynamics
-from planner.dynamics.algorithms import mass_matrix, rnea
-from planner.model.mechanism import SCREW, Mechanism
+from planner.dynamics.algorithms import mass_matrix
+from planner.dynamics.quasi_static import equilibrium, quasi_static_controls
 from planner.model.space import space_of
 from planner.problem.problem import Problem
 
@@ -43,35 +43,17 @@ class FallbackControl:
         m = self._mechanism
         if m is None or not self.known:
             return otherwise
-        q, qd = x[: m.nq], x[m.nq : m.nq + m.nv]
-        still = np.zeros(m.nv)
-        tau = rnea(m, q, still, still) - mass_matrix(m, q) @ qd / TIME
-        return self._inverse @ (tau - self._passive(q, qd))
-
-    def _passive(self, q: np.ndarray, qd: np.ndarray) -> np.ndarray:
-        """(nv,) what the bias of servos gives of itself."""
-        assert self._mechanism is not None
-        actuators, m = self._mechanism.actuators, self._mechanism
-        length = actuators.moment @ _single(m, q)
-        force = actuators.bias[:, 0] + actuators.bias[:, 1] * length + actuators.bias[:, 2] * (actuators.moment @ qd)
-        return actuators.moment.T @ force
-
-
-def _single(mechanism: Mechanism, q: np.ndarray) -> np.ndarray:
-    """(nv,) the positions of hinges and slides, 0 for the rotations of balls."""
-    return np.where(mechanism.kind == SCREW, q[mechanism.q_address], 0.0)
+        qd, actuators = x[m.nq : m.nq + m.nv], m.actuators
+        servo = actuators.moment.T @ (actuators.bias[:, 2] * (actuators.moment @ qd))
+        damping = mass_matrix(m, x[: m.nq]) @ qd / TIME
+        return quasi_static_controls(m, x) - self._inverse @ (damping + servo)
 
 
 def equilibrium_control(problem: Problem, x: np.ndarray, u: np.ndarray) -> np.ndarray | None:
     """The control (nu,) that keeps a state x (nx,), sought from u; None where there is none within the bounds."""
     dynamics, space = problem.dynamics, space_of(problem.dynamics)
     first = space.difference(dynamics.step(x[None], np.zeros((1, dynamics.nu)))[0], x)
-    for _ in range(_NEWTON):
-        drift = space.difference(dynamics.step(x[None], u[None])[0], x)
-        if np.abs(drift).max() <= _KEPT:
-            break
-        _, B = dynamics.linearize(np.stack([x, x]), u[None])
-        u = u - np.linalg.lstsq(B[0], drift, rcond=1e-10)[0]
+    _, u = equilibrium(dynamics, x, u, iterations=_NEWTON, tolerance=_KEPT)
     if problem.bounds is not None:
         u = problem.bounds.clip(-1, u, x)
     left = space.difference(dynamics.step(x[None], u[None])[0], x)

@@ -28,6 +28,7 @@ from planner.dynamics.protocol import INTEGRATORS as INTEGRATORS
 from planner.dynamics.protocol import CompiledDynamics as CompiledDynamics
 from planner.dynamics.protocol import Dynamics as Dynamics
 from planner.dynamics.protocol import ResidualDynamics as ResidualDynamics
+from planner.dynamics.quasi_static import quasi_static_controls as quasi_static_controls
 from planner.dynamics.rigid_body import RigidBodyDynamics as RigidBodyDynamics
 from planner.dynamics.statics import static_equilibrium as static_equilibrium
 from planner.model.space import StateSpace as StateSpace

@@ -18,10 +18,10 @@ import numpy as np
 from planner.base.arguments import array
 from planner.base.errors import PlannerError
 from planner.dynamics.algorithms import mass_matrix
-from planner.dynamics.assembly import feasible_directions
-from planner.dynamics.contacts import contact_forces, contact_jacobians, generalized_forces
+from planner.dynamics.contacts import contact_forces, contact_jacobians
 from planner.dynamics.kinematics import jacobian
 from planner.dynamics.momentum import center_of_mass
+from planner.dynamics.quasi_static import weight
 from planner.dynamics.rigid_body import RigidBodyDynamics
 from planner.model.mechanism import Frame, Mechanism
 from planner.model.stationary_objects import roots
@@ -35,7 +35,6 @@ FLAT = 1e-6  # of the largest, m or rad per m or rad: how little a motion along 
 DIFFERENCE = 1e-6  # m or rad, for slopes of forces, on which only the number of steps depends
 MANY = 20  # contacts that tell which way is up
 UPWARDS = 0.8  # of a plane's normal, against gravity: less is a wall
-FORCE_FIT_WEIGHT = 1e-3  # how much less it matters that a force is the law's than that it holds the pose
 
 
 def static_equilibrium(mechanism: Mechanism, x: Any) -> np.ndarray:
@@ -100,8 +99,8 @@ def lowered_to_ground(mechanism: Mechanism, x: np.ndarray) -> np.ndarray:
         if not np.allclose(rise @ along, 1.0, atol=1e-6):
             continue
         lowest = int(own[np.argmax(depths[own])])
-        weight = g * float(mechanism.mass[root == first].sum())
-        way = depths[lowest] - weight / mechanism.contacts[lowest].law.stiffness
+        load = g * float(mechanism.mass[root == first].sum())
+        way = depths[lowest] - load / mechanism.contacts[lowest].law.stiffness
         x, moves = mechanism.space.integrate(x, _extended(ways @ (way * along), mechanism.space.ndx)), moves + 1
     if not moves:
         raise PlannerError("the machine cannot be lowered as a whole, expected a trunk on a slide or a free joint.")
@@ -120,55 +119,6 @@ def clearance(mechanism: Mechanism, x: np.ndarray) -> float:
     return -float(np.max(depths, initial=-np.inf))
 
 
-def supporting_controls(mechanism: Mechanism, q: np.ndarray, reach: np.ndarray, tau: np.ndarray) -> np.ndarray:
-    """Controls (nu,) that together with the ground give a generalized force.
-
-    Contacts near the ground push as they must, within their cones of friction (pyramids of four edges); where several
-    ways do, as the law would at this depth. Least squares: what nothing reaches is left.
-
-    Args:
-        mechanism: The machine.
-        q: (nq,) pose.
-        reach: (nv, nu) generalized forces per control.
-        tau: (nv,) what is wanted of controls, contacts and stops.
-    """
-    from scipy.optimize import lsq_linear
-
-    still, nu = np.zeros(mechanism.nv), reach.shape[1]
-    law = contact_forces(mechanism, q, still)
-    near = np.flatnonzero(law.depths > [-_weight(mechanism) / c.law.stiffness for c in mechanism.contacts])
-    J, pushing = contact_jacobians(mechanism, q, near), np.flatnonzero(law.forces.any(axis=1))
-    pushed = np.einsum("kaj,ka->j", contact_jacobians(mechanism, q, pushing), law.forces[pushing])
-    tau = tau - generalized_forces(mechanism, q, still) + pushed  # less stops
-    edges = [_edges(mechanism.contacts[k]) for k in near]
-    columns = [reach, *(Jk.T @ edge for Jk, edge in zip(J, edges, strict=True))]
-    rows, wanted = [np.hstack(columns)], [tau]
-    Z = feasible_directions(mechanism, q)[0]  # couplings and closed chains give what they must
-    rows, wanted = [Z.T @ rows[0]], [Z.T @ wanted[0]]
-    at = nu
-    for k, edge in zip(near, edges, strict=True):
-        row = np.zeros((3, rows[0].shape[1]))
-        row[:, at : at + edge.shape[1]] = FORCE_FIT_WEIGHT * edge
-        rows.append(row)
-        wanted.append(FORCE_FIT_WEIGHT * law.forces[k])
-        at += edge.shape[1]
-    least = np.where(np.arange(at) < nu, -np.inf, 0.0)
-    return lsq_linear(np.vstack(rows), np.concatenate(wanted), (least, np.inf), method="bvls").x[:nu]
-
-
-def _edges(contact: Any) -> np.ndarray:
-    """(3, 1 or 4) the forces whose sums with positive factors a contact can give at rest."""
-    n = contact.plane.normal
-    if contact.law.friction == 0.0:
-        return n[:, None]
-    across = np.linalg.svd(n[None])[2][1:]
-    return np.array([n + side * contact.law.friction * t for t in across for side in (-1.0, 1.0)]).T
-
-
-def _weight(mechanism: Mechanism) -> float:
-    return float(mechanism.mass.sum() * np.linalg.norm(mechanism.gravity))
-
-
 def _extended(part: np.ndarray, size: int) -> np.ndarray:
     return np.concatenate([part, np.zeros(size - len(part))])
 
@@ -180,7 +130,7 @@ def _downhill(mechanism: Mechanism, x: np.ndarray, free: np.ndarray) -> tuple[np
     right: a step is one if the energy falls, by the mean of the forces at both ends.
     """
     space = mechanism.space
-    steep, enough, longest = _Steepness(mechanism, free), AT_REST * _weight(mechanism), FIRST_STEP
+    steep, enough, longest = _Steepness(mechanism, free), AT_REST * weight(mechanism), FIRST_STEP
     start, uphill = x, steep.uphill(x[None])[0]
     for _ in range(STEPS):
         if np.abs(uphill).max() < enough:

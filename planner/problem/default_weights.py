@@ -29,6 +29,7 @@ import numpy as np
 from planner.dynamics import RigidBodyDynamics
 from planner.dynamics.algorithms import bias, mass_matrix
 from planner.dynamics.assembly import feasible_directions
+from planner.dynamics.quasi_static import quasi_static_controls
 from planner.dynamics.stance import stance_inertia
 from planner.model.coordinates import coordinates_of_mechanism
 from planner.model.mechanism import Mechanism
@@ -36,7 +37,7 @@ from planner.model.mjcf.prescribed_joints import prescribed_dofs_of
 from planner.model.stationary_objects import stationary_object_dofs
 from planner.problem.costs.tracking import TrackingCost
 from planner.problem.goals import MIN_TOLERANCES, least_share
-from planner.problem.initial_guess import minimum_jerk, quasi_static_controls
+from planner.problem.initial_guess import minimum_jerk
 from planner.problem.terminal_holding_cost import terminal_holding_cost
 
 MIN_SPEED = {"rad": 0.5, "m": 0.1}  # rad/s, m/s: a joint that stays may move so fast at the price of one that goes
@@ -230,7 +231,9 @@ def _effort(
     limits[mechanism.nu :] = swift[driven]
     control = np.zeros(dynamics.nu)
     if np.any(servo) or kept is not None:
-        control[: mechanism.nu] = np.where(servo | (kept is not None), quasi_static_controls(mechanism, goal), 0.0)
+        control[: mechanism.nu] = np.where(
+            servo | (kept is not None), quasi_static_controls(dynamics, goal)[: mechanism.nu], 0.0
+        )
     return np.maximum(1.0 / limits**2, SOFTEST_EFFORT), control, known
 
 

@@ -1,4 +1,4 @@
-"""First guesses: controls that hold a pose or follow a motion by inverse dynamics (Eq. 6), states along a line."""
+"""First guesses: controls that follow a motion by inverse dynamics (Eq. 6), states along a line."""
 
 from __future__ import annotations
 
@@ -6,42 +6,19 @@ from dataclasses import replace
 
 import numpy as np
 
-from planner.base.arguments import array
 from planner.base.errors import PlannerError
 from planner.dynamics import Dynamics
-from planner.dynamics.algorithms import bias, rnea
-from planner.dynamics.assembly import feasible_directions
+from planner.dynamics.algorithms import rnea
 from planner.dynamics.constraint_forces import constraint_jacobians
 from planner.dynamics.friction import friction_forces
-from planner.dynamics.statics import supporting_controls
-from planner.model.actuators import DIRECT, INTEGRATOR
+from planner.dynamics.quasi_static import actuator_lengths
+from planner.model.actuators import DIRECT
 from planner.model.mechanism import SCREW, Mechanism
 from planner.model.space import StateSpace
 from planner.model.stationary_objects import stationary_object_dofs
 
 _REDUNDANT = 1e-9  # of the largest singular value of J: equations that say the same twice
 _WEAK_DIRECTION_RATIO = 1e-6  # of what an actuator reaches most: ways in which a machine can hardly be moved
-
-
-def quasi_static_controls(mechanism: Mechanism, x: np.ndarray) -> np.ndarray:
-    """Controls (nu,) that keep the pose of a state x (nx,) against gravity and springs, as far as the actuators can.
-
-    The smallest least-squares solution: zero for joints that no actuator reaches. An actuator whose activation
-    integrates its control keeps its activation. Where contacts are near the ground it carries the machine as
-    far as it can (planner.dynamics.statics).
-    """
-    x = array("x", x, (mechanism.space.nx,))
-    q, act = x[: mechanism.nq], x[mechanism.nq + mechanism.nv :]
-    actuators = mechanism.actuators
-    keeps = actuators.dynamics == INTEGRATOR
-    force = actuators.bias[:, 0] + actuators.bias[:, 1] * _lengths(mechanism, q)
-    force[keeps] += actuators.gain[keeps] * act[actuators.activation[keeps]]
-    missing = bias(mechanism, q, np.zeros(mechanism.nv)) - actuators.moment.T @ force
-    reach = actuators.moment.T * np.where(keeps, 0.0, actuators.gain)
-    if mechanism.contacts:
-        return supporting_controls(mechanism, q, reach, missing)
-    Z = feasible_directions(mechanism, q)[0]
-    return np.linalg.lstsq(Z.T @ reach, Z.T @ missing, rcond=None)[0]
 
 
 def inverse_dynamics_controls(mechanism: Mechanism, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray) -> np.ndarray:
@@ -59,7 +36,7 @@ def inverse_dynamics_controls(mechanism: Mechanism, q: np.ndarray, qd: np.ndarra
     closed = bool(mechanism.loops or mechanism.polynomial_couplings)
     if np.any(actuators.dynamics != DIRECT) or (not closed and np.linalg.matrix_rank(reach) < len(reach)):
         raise PlannerError("the actuators do not reach every joint directly, expected a fully actuated machine.")
-    lengths, speeds = _lengths(mechanism, q), qd @ actuators.moment.T
+    lengths, speeds = actuator_lengths(mechanism, q), qd @ actuators.moment.T
     force = actuators.bias[:, 0] + actuators.bias[:, 1] * lengths + actuators.bias[:, 2] * speeds
     tree = replace(mechanism, loops=(), polynomial_couplings=()) if closed else mechanism
     tau = rnea(tree, q, qd, qdd) - friction_forces(mechanism, qd, qdd)[0] - force @ actuators.moment
@@ -152,12 +129,3 @@ def rollout_states(dynamics: Dynamics, x0: np.ndarray, us: np.ndarray) -> np.nda
     for n in range(len(us)):
         xs[n + 1] = dynamics.step(xs[n : n + 1], us[n : n + 1])[0]
     return xs
-
-
-def _lengths(mechanism: Mechanism, q: np.ndarray) -> np.ndarray:
-    """(..., nu) actuator lengths, over the hinge and slide joints."""
-    screws = np.zeros((mechanism.nu, mechanism.nq))
-    for i in range(mechanism.nv):
-        if mechanism.kind[i] == SCREW:
-            screws[:, mechanism.q_address[i]] += mechanism.actuators.moment[:, i]
-    return q @ screws.T

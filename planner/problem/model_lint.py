@@ -9,8 +9,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from planner.dynamics.algorithms import bias
-from planner.dynamics.assembly import feasible_directions
+from planner.dynamics.quasi_static import actuator_lengths, quasi_static_controls
 from planner.model.actuators import INTEGRATOR
 from planner.model.coupled_ranges import contradiction, narrowed
 from planner.model.mechanism import Mechanism
@@ -179,24 +178,14 @@ def _weak(mechanism: Mechanism, qpos: np.ndarray) -> list[ModelWarning]:
 
 
 def holding(mechanism: Mechanism, qpos: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Controls (nu,) and actuator forces (nu,) that hold the driven joints at a pose (nq,), and nothing else.
+    """Controls (nu,) and actuator forces (nu,) that hold the actuated joints at a pose (nq,) without contacts.
 
-    The smallest forces that do. An actuator that integrates its control, or has no gain, needs no control.
+    The smallest controls that do; 0 for an actuator that integrates its control, or has no gain.
     """
     actuators = mechanism.actuators
-    driven = np.any(actuators.moment != 0.0, axis=0)
-    tau, moment = bias(mechanism, qpos, np.zeros(mechanism.nv)), actuators.moment.T
-    if mechanism.loops or mechanism.polynomial_couplings:
-        Z = feasible_directions(mechanism, qpos)[0]  # what closed chains carry by themselves needs no holding
-        tau, moment = Z.T @ tau, Z.T @ moment
-    else:
-        tau, moment = tau[driven], moment[driven]
-    force = np.linalg.lstsq(moment, tau, rcond=None)[0]
-    screws = np.flatnonzero(mechanism.kind == 0)
-    lengths = actuators.moment[:, screws] @ qpos[mechanism.q_address[screws]]
-    controlled = (actuators.dynamics != INTEGRATOR) & (actuators.gain != 0.0)
-    own = actuators.bias[:, 0] + actuators.bias[:, 1] * lengths
-    return np.where(controlled, (force - own) / np.where(actuators.gain == 0.0, 1.0, actuators.gain), 0.0), force
+    u = quasi_static_controls(mechanism, qpos, contacts=False, keep_activations=False)
+    force = actuators.gain * u + actuators.bias[:, 0] + actuators.bias[:, 1] * actuator_lengths(mechanism, qpos)
+    return np.where(actuators.dynamics == INTEGRATOR, 0.0, u), force
 
 
 def within(values: Any, low: Any, high: Any) -> Any:

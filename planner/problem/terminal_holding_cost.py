@@ -19,9 +19,8 @@ import numpy as np
 
 from planner.base.arguments import number
 from planner.dynamics import RigidBodyDynamics
-from planner.model.mechanism import Mechanism
+from planner.dynamics.quasi_static import quasi_static_controls
 from planner.problem.costs.tracking import TrackingCost
-from planner.problem.initial_guess import quasi_static_controls
 
 LARGEST = 1e12  # of a weight: more is of a goal from which the machine falls at once
 
@@ -42,7 +41,7 @@ def terminal_holding_cost(dynamics: RigidBodyDynamics, cost: TrackingCost, secon
     stages = round(number("hold", seconds, minimum=0.0) / dynamics.dt)
     if not stages:
         return cost
-    goal, u = cost.x_ref[-1], _holding(dynamics, cost.x_ref[-1])
+    goal, u = cost.x_ref[-1], quasi_static_controls(dynamics, cost.x_ref[-1])
     A, B = (part[0] for part in dynamics.linearize(np.stack([goal, goal]), u[None]))
     Q, R = cost.Q[-2], cost.R[-1]
     P = Q
@@ -57,11 +56,3 @@ def terminal_holding_cost(dynamics: RigidBodyDynamics, cost: TrackingCost, secon
     return TrackingCost(
         np.concatenate([cost.Q[:-1], [cost.Q[-1] + P]]), cost.R, cost.x_ref, cost.u_ref, cost.space
     )  # fmt: skip
-
-
-def _holding(dynamics: RigidBodyDynamics, goal: np.ndarray) -> np.ndarray:
-    """(nu,) what holds the goal; prescribed joints do not accelerate."""
-    mechanism: Mechanism = dynamics.mechanism
-    u = np.zeros(dynamics.nu)
-    u[: mechanism.nu] = quasi_static_controls(mechanism, goal)
-    return u

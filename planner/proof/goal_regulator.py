@@ -18,10 +18,9 @@ import numpy as np
 from planner.base.arguments import number
 from planner.base.errors import PlannerError
 from planner.base.measured import Measurement, Section
-from planner.dynamics.assembly import tangent_basis
 from planner.dynamics.protocol import Dynamics
+from planner.dynamics.quasi_static import equilibrium, state_directions
 from planner.model.coordinates import coordinates_of
-from planner.model.mechanism import Mechanism
 from planner.model.space import StateSpace, space_of
 from planner.problem.goals import MIN_TOLERANCES
 from planner.problem.plan import Plan
@@ -35,7 +34,6 @@ from planner.proof.replays.simulation import MAX_STEPS, simulate
 EQUILIBRIUM = 0.05  # of the least tolerance of a goal, by unit: how far from it the nearest equilibrium may be
 _UNKNOWN = 0.02  # that tolerance, for units that no goal knows
 _WEAKEST = 1e-6  # weight of what the cost leaves free, relative to the largest: it is held too, slowly
-_NEWTON = 20  # iterations
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,8 +66,8 @@ def hold_gain(problem: Problem) -> GoalRegulator:
         has = f"the cost has {len(costs)} terms with a goal state"
         raise PlannerError(f"{has}, expected one TrackingCost with a final weight.")
     free = ~np.any(costs[0].Q[-1], axis=0)  # (ndx,) costs nothing at the end
-    x, u = _equilibrium(problem, costs[0].x_ref[-1].copy(), free)
-    T, places = _directions(problem.dynamics, x, len(free))
+    x, u = equilibrium(problem.dynamics, costs[0].x_ref[-1].copy(), np.zeros(problem.dynamics.nu), free)
+    T, places = state_directions(problem.dynamics, x)
     A, B, drift = _about(problem, x, u)
     _check_equilibrium(A, B, drift, problem.dynamics)
     Q, R = _weights(problem, x, u)
@@ -88,32 +86,6 @@ def hold_gain(problem: Problem) -> GoalRegulator:
     gains = np.zeros((len(K), len(T)))
     gains[:, places] = K
     return GoalRegulator(x, u, gains, space_of(problem.dynamics))
-
-
-def _directions(dynamics: Dynamics, x: np.ndarray, ndx: int) -> tuple[np.ndarray, np.ndarray]:
-    """The deviations T (ndx, n) that a machine's constraints leave at x, dx = T dx[places], and these places."""
-    mechanism = getattr(dynamics, "mechanism", None)
-    if not isinstance(mechanism, Mechanism) or mechanism.space.ndx != ndx:
-        return np.eye(ndx), np.arange(ndx)
-    return tangent_basis(mechanism, x)
-
-
-def _equilibrium(problem: Problem, x: np.ndarray, free: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The state and control nearest to standing still: Gauss-Newton on f(x, u) (-) x, over u and what is free in x."""
-    space = space_of(problem.dynamics)
-    u = np.zeros(problem.dynamics.nu)
-    for _ in range(_NEWTON):
-        T, places = _directions(problem.dynamics, x, len(free))
-        T = T[:, free[places]]
-        A, B, drift = _about(problem, x, u)
-        J = np.concatenate([(A - np.eye(len(A))) @ T, B], axis=1)
-        step = np.linalg.lstsq(J, -drift, rcond=1e-10)[0]
-        if not np.isfinite(step).all():
-            break
-        x, u = space.integrate(x, T @ step[: T.shape[1]]), u + step[T.shape[1] :]
-        if np.abs(step).max(initial=0.0) < 1e-12:
-            break
-    return x, u
 
 
 def _check_equilibrium(A: np.ndarray, B: np.ndarray, drift: np.ndarray, dynamics: Dynamics) -> None:

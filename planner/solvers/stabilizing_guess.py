@@ -15,6 +15,7 @@ import numpy as np
 
 from planner.base.errors import PlannerError
 from planner.dynamics.assembly import assembled
+from planner.dynamics.quasi_static import equilibrium
 from planner.model.space import space_of
 from planner.problem.costs.terms import Quadratic
 from planner.problem.initial_guess import quintic
@@ -87,13 +88,12 @@ def _at_rest(problem: Problem, x: np.ndarray) -> np.ndarray:
 
 def _regulator(problem: Problem, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """The control (nu,) that keeps a state x (nx,) as far as one can, and the gains (nu, ndx) that bring it back."""
-    dynamics, space = problem.dynamics, space_of(problem.dynamics)
-    u = np.zeros(dynamics.nu)
-    A, B = (part[0] for part in dynamics.linearize(np.stack([x, x]), u[None]))
-    drift = space.difference(dynamics.step(x[None], u[None])[0], x)
-    if not all(np.isfinite(part).all() for part in (A, B, drift)):
-        return u, np.zeros(B.T.shape)
-    u = -np.linalg.lstsq(B, drift, rcond=None)[0]
+    dynamics = problem.dynamics
+    none = np.zeros(dynamics.nu)
+    A, B = (part[0] for part in dynamics.linearize(np.stack([x, x]), none[None]))
+    if not (np.isfinite(A).all() and np.isfinite(B).all()):
+        return none, np.zeros(B.T.shape)
+    u = equilibrium(dynamics, x, none, iterations=1)[1]
     R = _weights(B, dynamics.dt)
     stages, ndx, nu = _STAGES, len(A), len(u)
     model = Quadratic(

@@ -12,8 +12,8 @@ from planner import Mechanism, PlannerError
 from planner.cases.problem_file import load
 from planner.constraints import ChainForce, Constraint
 from planner.dynamics import constraint_forces, loops
+from planner.dynamics.quasi_static import quasi_static_controls
 from planner.problem.goals import goals_of
-from planner.problem.initial_guess import quasi_static_controls
 
 FOLDER = ROOT / "examples" / "closed_chains"
 

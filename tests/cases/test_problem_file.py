@@ -14,8 +14,9 @@ from places import ROOT
 import planner
 from planner.cases.problem_file import load, of_table
 from planner.cases.problem_file.keys import ATTACH, DEFAULTS, FOLLOW, GOAL, KEYS, WEIGHTS
+from planner.dynamics.quasi_static import quasi_static_controls
 from planner.dynamics.step_stability import substeps_for
-from planner.problem.initial_guess import inverse_dynamics_controls, quasi_static_controls
+from planner.problem.initial_guess import inverse_dynamics_controls
 from planner.problem.rediscretize import finer
 
 EXAMPLES = ROOT / "examples"

@@ -11,7 +11,7 @@ import numpy as np
 import planner
 from planner import FrameCost, Limits, Mechanism, Plan, Problem, RigidBodyDynamics, TrackingCost
 from planner.dynamics.algorithms import mass_matrix
-from planner.problem.initial_guess import quasi_static_controls
+from planner.dynamics.quasi_static import quasi_static_controls
 
 Rng = np.random.Generator
 MEMBERS: dict[str, Callable[[Rng], Plan]] = {}

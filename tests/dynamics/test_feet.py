@@ -9,11 +9,11 @@ from planner.base.errors import PlannerError
 from planner.cases.problem_file import load
 from planner.dynamics.contacts import contact_forces, contact_jacobians
 from planner.dynamics.momentum import center_of_mass
+from planner.dynamics.quasi_static import quasi_static_controls
 from planner.dynamics.statics import static_equilibrium
 from planner.model.contact.laws import ContactLaw
 from planner.model.mechanism import Mechanism
 from planner.model.mjcf.ground_law import DAMPING, REST_PENETRATION
-from planner.problem.initial_guess import quasi_static_controls
 
 others = pytest.mark.skipif(None in PLACES.values(), reason="no models of others")
 

@@ -12,18 +12,17 @@ auto   around where something is avoided and there is such a way, line where the
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from planner.base.errors import PlannerError
-from planner.model.mjcf.prescribed_joints import prescribed_dofs_of
+from planner.dynamics.quasi_static import quasi_static_controls
 from planner.model.space import space_of
 from planner.problem.avoid import collision_free_motion
 from planner.problem.closed_chain_reference import closed_chain_reference
 from planner.problem.constraints.clearance import pair_clearance_of
-from planner.problem.initial_guess import interpolated_states, quasi_static_controls, rollout_states, straight_line
+from planner.problem.initial_guess import interpolated_states, rollout_states, straight_line
 from planner.problem.problem import Problem
 from planner.solvers.stabilizing_guess import line_tracking_controls, tracking_controls
 
@@ -74,7 +73,7 @@ def first_guess(
             "guess is 'line', expected 'led', 'hold' or 'zero': a line is for machines of hinges and slides that are "
             "at rest at both ends, whose actuators reach every joint, without contacts."
         )
-    hold = np.tile(_holding(problem), (problem.N, 1))
+    hold = np.tile(quasi_static_controls(problem.dynamics, problem.x0), (problem.N, 1))
     found = None
     if kind != "hold":
         found = line_tracking_controls(problem, goal) if way is None else tracking_controls(problem, way.states)
@@ -124,13 +123,3 @@ def _rollout_cost(problem: Problem, us: np.ndarray) -> float:
         us = us if problem.bounds is None else problem.bounds.clip(slice(None), us, None)
         cost = problem.cost.value(rollout_states(problem.dynamics, problem.x0, us), us)
     return cost if np.isfinite(cost) else np.inf
-
-
-def _holding(problem: Problem) -> np.ndarray:
-    """Controls (nu,) that hold the start as far as they can; prescribed joints are held by an acceleration of zero."""
-    dynamics: Any = problem.dynamics
-    mechanism, driven = dynamics.mechanism, prescribed_dofs_of(dynamics)
-    moment = mechanism.actuators.moment.copy()
-    moment[:, driven] = 0.0  # actuators do nothing there
-    free = replace(mechanism, actuators=replace(mechanism.actuators, moment=moment))
-    return np.concatenate([quasi_static_controls(free, problem.x0), np.zeros(len(driven))])
