@@ -15,11 +15,11 @@ from planner.problem.plan import Plan
 from planner.proof import Proof
 from planner.proof.replays.replaying import Replay
 from planner.sweeps.sweeping import Sweep
-from planner.view.plots.loop import draw_loop
+from planner.view.plots.case_pictures import draw_loop
 from planner.view.plots.plan import draw_plan
 from planner.view.plots.proof import draw_proof
+from planner.view.report.sweep_maps import word
 from planner.view.report.sweep_page import write_sweep_page
-from planner.view.report.sweep_picture import word
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -12,14 +12,13 @@ from planner.__main__ import main
 from planner.base.errors import PlannerError
 from planner.cases.hopper import PAPER
 from planner.cli import paper as command
-from planner.paper.studies import catalogue
+from planner.paper.studies import page as catalogue
 from planner.paper.studies.many_starts import local_minima
 from planner.paper.studies.page import complete, page, run_studies, table_rows
-from planner.paper.studies.recorded_solve import record_solve
 from planner.paper.studies.study import Row, Study
 from planner.paper.studies.table_1 import random_lq, table_one, table_results
 from planner.paper.studies.theorem import STUDY as THEOREMS
-from planner.paper.studies.theorem import Family, identity_errors, random_identity
+from planner.paper.studies.theorem import Family, identity_errors, random_identity, record_solve
 from planner.solvers import lq
 from planner.sweeps.processes import LocalProcesses
 from tests.solves import hopper, swing

@@ -4,11 +4,11 @@ import json
 
 import numpy as np
 import pytest
+from planner.paper.studies.human_step import STUDY
 
 from planner.cases import human_step
-from planner.paper.studies.step import run as step_study
-from planner.paper.studies.step.page import STUDY
-from planner.paper.studies.step.run import feedforward_alone, first_within
+from planner.paper.studies import step_run as step_study
+from planner.paper.studies.step_run import feedforward_alone, first_within
 from planner.solvers.slq import solve
 
 pytestmark = pytest.mark.slow

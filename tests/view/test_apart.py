@@ -7,12 +7,11 @@ import pytest
 from films import APPEARANCE, changed, make_replay
 
 from planner.base.errors import RenderingUnavailable
-from planner.view.render import render_workers
-from planner.view.render.drawing import Job, carry_out, draw_frames
+from planner.view.render import drawing
+from planner.view.render.drawing import Job, carry_out, draw_frames, drawn_by_children
 from planner.view.render.film import Film
+from planner.view.render.ghost import SAME_PICTURE_PIXELS, depth_offset, screen_difference, visibility
 from planner.view.render.overlay import distance_words
-from planner.view.render.pose_difference import SAME_PICTURE_PIXELS, behind, screen_difference, visibility
-from planner.view.render.render_workers import drawn_by_children
 from planner.view.render.scene import Scene
 
 IN_PLACE = replace(APPEARANCE, ghost_offset=(0.0, 0.0, 0.0))
@@ -39,8 +38,8 @@ def test_a_ghost_shows_the_more_the_farther_it_is():
 
 def test_a_ghost_is_farther_behind_than_it_differs_while_the_two_overlap():
     for part in np.geomspace(1e-5, 1e-2, 10):
-        assert behind(part, 1.0) > part
-    assert behind(0.0, 1.0) == behind(0.5, 1.0) < 0.003  # where they are wide apart its size is its own
+        assert depth_offset(part, 1.0) > part
+    assert depth_offset(0.0, 1.0) == behind(0.5, 1.0) < 0.003  # where they are wide apart its size is its own
 
 
 def test_distances_are_written_short():
@@ -55,11 +54,11 @@ def test_a_ghost_in_the_same_place_changes_no_pixel():
     film = film_of()
     with Scene(film, 320, 180) as both, Scene(film, 320, 180, ghost=False) as alone:
         assert changed(both.draw(0), alone.draw(0)) == 0
-        assert both.apart == 0.0
+        assert both.difference == 0.0
     far = film_of(6.0)
     with Scene(far, 320, 180) as both, Scene(far, 320, 180, ghost=False) as alone:
         assert changed(both.draw(0), alone.draw(0)) > 50
-        assert both.apart == pytest.approx(6.0)
+        assert both.difference == pytest.approx(6.0)
 
 
 @pytest.mark.render
@@ -107,7 +106,7 @@ def test_several_processes_draw_the_frames_in_their_order():
 
 @pytest.mark.render
 def test_a_child_that_dies_is_one_sentence(monkeypatch):
-    monkeypatch.setattr(render_workers, "_DRAWING", "planner.view.render.nothing")
+    monkeypatch.setattr(drawing, "_DRAWING", "planner.view.render.nothing")
     with pytest.raises(RenderingUnavailable, match=r"^The process that draws failed: .*nothing"):
         next(drawn_by_children([film_of()], Job("frame", 64, 36), 1))
 

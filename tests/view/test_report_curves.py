@@ -12,7 +12,7 @@ import pytest
 from fake_plans import make_plan, make_proof
 
 import planner
-from planner.view.plots.limits import sides_of
+from planner.view.plots.time_series import sides_of
 from planner.view.render.encode import Encoder
 from planner.view.report import page as page_module
 from planner.view.report import write_report

@@ -20,9 +20,17 @@ from planner.dynamics import RigidBodyDynamics
 from planner.paper.methods.adjoint import Integration
 from planner.paper.methods.splines import Boundary, curve
 from planner.paper.methods.underactuated import DrivenProblem, minimize_effort_underactuated
-from planner.paper.studies.gradient_errors import draw_errors, errors_at, errors_table
-from planner.paper.studies.records import descent_record, plan_record, table
-from planner.paper.studies.study import Row, Study, timed
+from planner.paper.studies.study import (
+    Row,
+    Study,
+    descent_record,
+    draw_errors,
+    errors_at,
+    errors_table,
+    plan_record,
+    table,
+    timed,
+)
 from planner.problem.problem import Problem
 from planner.solvers.engine import acquire_engine, release_engine
 from planner.solvers.lq import gradient

@@ -17,9 +17,17 @@ from planner.paper.methods.adjoint import AdjointCost, Integration
 from planner.paper.methods.continuous import ContinuousProblem
 from planner.paper.methods.control_spline import SplineControls, SplineCost, solve_by_splines
 from planner.paper.methods.splines import DEGREE, SplineSpace
-from planner.paper.studies.gradient_errors import draw_errors, errors_at, errors_table
-from planner.paper.studies.records import descent_record, plan_record, table
-from planner.paper.studies.study import Row, Study, timed
+from planner.paper.studies.study import (
+    Row,
+    Study,
+    descent_record,
+    draw_errors,
+    errors_at,
+    errors_table,
+    plan_record,
+    table,
+    timed,
+)
 from planner.problem.problem import Problem
 from planner.solvers.slq import solve
 from planner.view.plots.style import INK, dress, panels_of, save

@@ -21,8 +21,7 @@ from planner.dynamics.algorithms import rnea
 from planner.model.mechanism import Mechanism
 from planner.model.mjcf.text import edited, written
 from planner.paper.methods.splines import Boundary, SplineMotion, minimize_effort
-from planner.paper.studies.records import plan_record, row_of, table
-from planner.paper.studies.study import Row, Study, timed
+from planner.paper.studies.study import Row, Study, plan_record, row_of, table, timed
 from planner.problem.initial_guess import inverse_dynamics_controls, quintic
 from planner.problem.problem import Problem
 from planner.solvers.slq import solve

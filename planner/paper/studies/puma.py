@@ -12,13 +12,12 @@ from typing import Any
 
 import numpy as np
 
-from planner.base.jsonable import finite
+from planner.base.files import finite
 from planner.cases.puma import JOINTS, RATED, puma, puma_mechanism, straight_lift, torque_limits
 from planner.dynamics.algorithms import bias
 from planner.dynamics.kinematics import frame_pose
 from planner.paper.methods.payload import LargestPayload, largest_payload, static_limit
-from planner.paper.studies.records import plan_record, table
-from planner.paper.studies.study import Row, Study, timed
+from planner.paper.studies.study import Row, Study, plan_record, table, timed
 from planner.problem.plan import Plan
 from planner.proof import prove
 from planner.solvers.slq import solve

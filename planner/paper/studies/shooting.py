@@ -14,8 +14,7 @@ import numpy as np
 
 from planner.cases.two_link import two_link
 from planner.paper.methods.shooting import HamiltonianFlow, shoot
-from planner.paper.studies.records import table
-from planner.paper.studies.study import Row, Study, timed
+from planner.paper.studies.study import Row, Study, table, timed
 from planner.problem.plan import Plan
 from planner.solvers.lq import costates
 from planner.solvers.slq import solve

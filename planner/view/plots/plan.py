@@ -18,9 +18,6 @@ from planner.problem.default_appearance import appearance_of
 from planner.problem.plan import Plan
 from planner.proof.replays.replaying import Replay
 from planner.view.plots.bounded import OWN, SHARED, draw_bounded
-from planner.view.plots.limits import LABEL, SHADE, draw_bounds, limited
-from planner.view.plots.motions import ASTRAY, BESIDE, line_of, name_curves, range_of, until_astray
-from planner.view.plots.solver import draw_convergence
 from planner.view.plots.style import (
     DASHED,
     GREYS,
@@ -33,10 +30,30 @@ from planner.view.plots.style import (
     dress,
     figure_of,
     legend_below,
+    positive,
     right_axis,
+    say,
     title_above,
 )
-from planner.view.plots.time_series import TimeSeries, curves_of, panels_of, replays_of, tasks_of, to_the_end, unit_of
+from planner.view.plots.time_series import (
+    BESIDE,
+    LABEL,
+    SHADE,
+    TimeSeries,
+    curves_of,
+    draw_bounds,
+    limited,
+    line_of,
+    name_curves,
+    panels_of,
+    range_of,
+    replays_of,
+    tasks_of,
+    to_the_end,
+    unit_of,
+    until_astray,
+    view_limits,
+)
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -48,7 +65,7 @@ if TYPE_CHECKING:
 STANCE = "#ece7dc"
 
 _ALWAYS = 0.95  # of the time: contact that lasts longer is not shaded, or every panel would be
-_PAST_AXIS = 1.17  # where names stand beside a right-hand axis, in widths of the panel
+_PAST_AXIS = 1.17  # position of names beside a right-hand axis, in widths of the panel
 
 
 def draw_plan(plan: Plan, shown: Proof | Replay | None) -> Figure:
@@ -130,17 +147,13 @@ def _draw_panel(figure: Figure, cell: SubplotSpec, panel: Panel, plan: Plan, rep
 
 
 def _keep_in_view(axes: Axes, curves: list[TimeSeries], room: float) -> None:
-    """Set limits of the axis; a replay that runs away widens them by ASTRAY at most."""
+    """Set the limits of the axis."""
     planned = [curve.plan[1] for curve in curves]
+    replayed = [values for curve in curves for _, values in curve.replays]
     low, high = range_of(planned)
     if low == high:  # a constant plan has no range; take that of the replay with gains, the last one
-        low, high = range_of(planned + [curve.replays[-1][1] for curve in curves if curve.replays])
-    lowest, highest = range_of(planned + [values for curve in curves for _, values in curve.replays])
-    reach = ASTRAY * (high - low)
-    bottom, top = max(lowest, low - reach), min(highest, high + reach)
-    if not top > bottom:
-        bottom, top = bottom - 1.0, bottom + 1.0
-    axes.set_ylim(bottom - room * (top - bottom), top + room * (top - bottom))
+        planned += [curve.replays[-1][1] for curve in curves if curve.replays]
+    axes.set_ylim(view_limits(planned, replayed, room))
 
 
 def _draw_difference(axes: Axes, curve: TimeSeries, replays: list[Replay], ylabel: str) -> None:
@@ -183,9 +196,7 @@ def _chains(plan: Plan) -> dict[str, dict[str, np.ndarray]]:
     """By unit and name the size (N,) of what holds each closed chain together, at the beginning of each stage."""
     dynamics = None if plan.problem is None else plan.problem.dynamics
     found: dict[str, dict[str, np.ndarray]] = {}
-    if not isinstance(dynamics, RigidBodyDynamics) or not (
-        dynamics.mechanism.loops or dynamics.mechanism.polynomial_couplings
-    ):
+    if not isinstance(dynamics, RigidBodyDynamics) or not dynamics.capabilities.loops:
         return found
     forces, row = constraint_forces(dynamics, plan.xs[:-1], plan.us), 0
     names = constraint_names(dynamics.mechanism)
@@ -234,3 +245,37 @@ def _power_of_thousand(values: np.ndarray) -> int:
     """The k for which values / 1000**k are numbers of one to three digits."""
     largest = float(np.nanmax(np.abs(values), initial=0.0))
     return math.floor(math.log10(largest) / 3) if largest > 0 else 0
+
+
+_MARKED = 60  # iterations beyond which marks would be a band
+
+
+def draw_convergence(axes: Axes, plan: Plan) -> None:
+    """Cost minus final cost, and gradient norm, at each iteration."""
+    dress(axes, "Convergence", "", "iteration")
+    axes.locator_params(axis="x", integer=True)
+    iterations = np.array([line.iteration for line in plan.history], dtype=float)
+    excess = drawable(np.array([line.cost for line in plan.history], dtype=float))
+    if excess.size and np.isfinite(excess[-1]):
+        excess = excess - excess[-1]
+    gradient = np.array([line.gradient_norm for line in plan.history], dtype=float)
+    drawn = False
+    for axis, label, values, dark, marker in (
+        (axes, f"cost {MINUS} final cost", excess, HUES[0][0], "o"),
+        (None, "gradient norm", gradient, HUES[1][0], "s"),
+    ):
+        # A log scale has no zero: the last cost, which is the final one, falls out, and so does rounding.
+        shown = np.isfinite(positive(values))
+        if not np.any(shown):
+            continue
+        if axis is None:
+            axis = right_axis(axes, "") if drawn else axes
+        axis.set_yscale("log")
+        mark = marker if len(iterations) < _MARKED else ""
+        axis.plot(iterations[shown], values[shown], color=dark, lw=1.2, marker=mark, ms=3.5)
+        axis.set_ylabel(label, color=dark, fontsize=8.5)
+        axis.tick_params(axis="y", which="both", colors=dark)
+        axis.tick_params(axis="y", which="minor", length=1.5)
+        drawn = True
+    if not drawn:
+        say(axes, "no finite iteration")

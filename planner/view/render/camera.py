@@ -12,7 +12,7 @@ from planner.base.gl import load_mujoco
 from planner.problem.appearance import Appearance
 from planner.view.render.film import Film
 from planner.view.render.looks import drawn, geom_boxes, moving
-from planner.view.render.sticks import Sticks
+from planner.view.render.shapes import LinkCapsules
 
 _MARGIN, _NARROW_MARGIN = 1.12, 1.02  # the picture's half sizes over the motion's, with words around it and without
 _LOWER = 0.2  # of half the picture's height: how far a motion is put below its middle, where there is room
@@ -88,7 +88,7 @@ def swept_box(model: Any, path: np.ndarray, scenery: np.ndarray) -> Box:
     data = mujoco.MjData(model)
     moved = moving(model) & ~scenery[model.geom_bodyid]
     seen = np.flatnonzero(moved & drawn(model) if np.any(moved & drawn(model)) else moved)
-    shown, sticks = np.flatnonzero(~scenery & _carrying(model))[1:], Sticks(model)
+    shown, sticks = np.flatnonzero(~scenery & _carrying(model))[1:], LinkCapsules(model)
     low, high = np.full(3, np.inf), np.full(3, -np.inf)
     for qpos in path:
         data.qpos[:] = qpos

@@ -1,42 +1,49 @@
 """Draw films: a video of one or of two side by side, from one camera or several, a strip of poses, a still.
 
-The pictures of one film from several cameras stand in a row; of two films, each has a column of them.
+Pictures of one film from several cameras form a row; of two films, each has a column of them.
 
 Several child processes draw a long film; one draws where this process cannot, because mujoco was imported without an
-OpenGL library (children.py). Where both films show the same, to half a pixel, it is drawn once.
+OpenGL library. Where both films show the same, to half a pixel, it is drawn once.
+
+Each child (python -m planner.view.render.drawing JOBFILE FIRST STRIDE) draws every STRIDE-th frame and writes to its
+stdout, for each, a line of JSON and then the picture's bytes. This process reads the frames in their order.
 """
 
 from __future__ import annotations
 
 import copy
+import json
 import math
 import os
 import pickle
+import subprocess
 import sys
+import tempfile
 from collections.abc import Callable, Generator, Iterator, Sequence
 from contextlib import ExitStack, closing
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from planner.base import gl
-from planner.base.errors import PlannerError
+from planner.base import errors, gl
+from planner.base.errors import PlannerError, RenderingUnavailable
 from planner.view.render import overlay
 from planner.view.render.encode import Encoder
 from planner.view.render.environment import visible_model
 from planner.view.render.film import Film
-from planner.view.render.render_workers import answer, drawn_by_children, usable_processors
 from planner.view.render.scene import Scene, best_rows
 
 Progress = Callable[[int, int], object]
 
 _HOLD = 1.0  # s, how long the last frame stays
-_VIDEO_OVERSIZE = 1.25  # a third of the time that 2 takes, and in motion nobody sees the difference
-_MAX_CHILDREN = 8  # beyond, they wait for the process that encodes
-_NICE = 5
+_VIDEO_OVERSIZE = 1.25  # pixels drawn over pixels written, each way: a third of the time of 2, which looks the same
+_MAX_CHILDREN = 8  # more would wait for the process that encodes
+_NICE = 5  # lower priority of a child, so that rollouts with a time limit come first
 _WORTH_A_CHILD = 24  # frames: a child needs a second or two before its first
+_DRAWING = "planner.view.render.drawing"
+_ROOT = Path(__file__).parents[3]
 
 
 @dataclass(frozen=True)
@@ -127,7 +134,7 @@ def _tiles(films: Sequence[Film], job: Job, scenes: ExitStack) -> list[list[_Til
                 largest, numbers=first, legend=last_row and j == 0,
                 speed=job.speed if last_row and last_column else None,
                 caption=film.caption if captioned else None, unstable=film.unstable if captioned else math.inf,
-                apart=captioned, label=views[0].label if views else "",
+                difference=captioned, label=views[0].label if views else "",
             )  # fmt: skip
             scene = Scene(
                 film, widths[j], heights[i], oversize=_VIDEO_OVERSIZE if job.kind == "video" else 2.0, beside=beside,
@@ -172,7 +179,7 @@ class _Tile(NamedTuple):
         marks = [overlay.beside(label) for label in self.scene.labels(frame)]
         if seen:  # at the right end of the line
             marks.append(overlay.Mark(max(seen), f" {film.appearance.goal_label}"))
-        return self.words.write(drawn, film.t[frame], film.readings[frame], marks, self.scene.apart)
+        return self.words.write(drawn, film.t[frame], film.readings[frame], marks, self.scene.difference)
 
 
 def _draw_strip(film: Film, job: Job) -> np.ndarray:
@@ -207,10 +214,84 @@ def _draw_poses(film: Film, width: int, height: int) -> np.ndarray:
     return strip
 
 
+def usable_processors() -> int:
+    """How many processors this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def drawn_by_children(films: Sequence[Any], job: Any, children: int) -> Generator[np.ndarray]:
+    """The pictures (height, width, 3), uint8, of a job in their order, drawn by so many processes.
+
+    Raises:
+        PlannerError: As the child raised it.
+        RenderingUnavailable: A child died.
+    """
+    with tempfile.TemporaryDirectory(prefix="planner-") as folder:
+        file = Path(folder) / "job"
+        file.write_bytes(pickle.dumps((films, job)))
+        started: list[subprocess.Popen[bytes]] = []
+        logs = [Path(folder) / f"log{first}" for first in range(children)]
+        try:
+            for first, log in enumerate(logs):
+                started.append(_child(file, first, children, log))
+            turn = 0
+            while (picture := _read(started[turn % children], logs[turn % children])) is not None:
+                yield picture
+                turn += 1
+        finally:
+            for child in started:
+                child.kill()  # does nothing to a finished process
+                child.wait()
+                if child.stdout is not None:
+                    child.stdout.close()
+
+
+def answer(what: np.ndarray | PlannerError) -> None:
+    """Write a picture or an error to the process that waits for it."""
+    out = sys.stdout.buffer
+    if isinstance(what, PlannerError):
+        out.write(json.dumps({"error": type(what).__name__, "message": str(what)}).encode() + b"\n")
+    else:
+        out.write(json.dumps({"shape": what.shape}).encode() + b"\n")
+        out.write(np.ascontiguousarray(what).data)
+    out.flush()
+
+
+def _child(file: Path, first: int, stride: int, log: Path) -> subprocess.Popen[bytes]:
+    # The child must find this very package, whatever folder it is started in.
+    places = [str(_ROOT), os.environ.get("PYTHONPATH", "")]
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, places))}
+    if stride > 1:  # Mesa's own threads would compete with the other children for the processors
+        environment.setdefault("LP_NUM_THREADS", "1")
+    words = [sys.executable, "-P", "-m", _DRAWING, str(file), str(first), str(stride)]
+    with log.open("wb") as complaints:
+        return subprocess.Popen(
+            words, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=complaints, env=environment
+        )
+
+
+def _read(child: subprocess.Popen[bytes], log: Path) -> np.ndarray | None:
+    """The next picture of a child; None where it is done."""
+    assert child.stdout is not None
+    line = child.stdout.readline()
+    report = json.loads(line) if line else {}
+    if "error" in report:
+        raise getattr(errors, report["error"])(report["message"])
+    shape = tuple(report.get("shape", (0,)))
+    data = child.stdout.read(int(np.prod(shape)))
+    if line and len(data) == np.prod(shape):
+        return np.frombuffer(data, np.uint8).reshape(shape)
+    if child.wait() == 0 and not line:
+        return None
+    said = log.read_text(errors="replace").strip().splitlines()
+    reason = said[-1] if said else f"exit code {child.returncode}"
+    raise RenderingUnavailable(f"The process that draws failed: {reason}.")
+
+
 def main(words: Sequence[str]) -> int:
-    """The side of a child process of children.py: JOBFILE FIRST STRIDE; pictures go to stdout."""
+    """The child process: words are JOBFILE FIRST STRIDE; pictures go to stdout."""
     films, job = pickle.loads(Path(words[0]).read_bytes())
-    if hasattr(os, "nice"):  # rollouts beside it come first: they have a limited time
+    if hasattr(os, "nice"):
         os.nice(_NICE)
     try:
         if job.kind == "strip":
