@@ -86,7 +86,9 @@ def augmented_lagrangian(
             more, through = _between_knots(kept, plan)
             if raised == MAX_TIGHTENINGS or not more.any():
                 status = Status.OUTSIDE_LIMITS if more.any() else plan.status
-                return replace(plan, history=tuple(history), status=status, bound_penalties=penalties if round_ else first)
+                return replace(
+                    plan, history=tuple(history), status=status, bound_penalties=penalties if round_ else first
+                )
             kept, raised = kept.tightened(more), raised + 1
             if through:
                 left = max_iterations + 1 - len(history)
