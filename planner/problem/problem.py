@@ -83,7 +83,7 @@ class Problem(Built):
             start, horizon or constraints were replaced.
         bounds: Of the controls, of the limits; None for none.
         ranges: Of the states, of the limits; None for none.
-        kept: Ranges and constraints together, as the solver keeps them; None for none.
+        trajectory_constraints: Ranges and constraints together, as the solver keeps them; None for none.
 
     Raises:
         PlannerError: Shapes that do not fit together, numbers that are not finite, a start that is not on the
@@ -186,7 +186,7 @@ class Problem(Built):
         kept = (*self.constraints, *tendons)
         rows = ConstraintStack(kept, self.dynamics, self.x0, us, tolerance) if kept else None
         if rows is not None or self.ranges is not None:
-            object.__setattr__(self, "kept", TrajectoryConstraints(self.ranges, rows, tolerance))
+            object.__setattr__(self, "trajectory_constraints", TrajectoryConstraints(self.ranges, rows, tolerance))
 
     def __repr__(self) -> str:
         title = "" if self.appearance is None else self.appearance.title

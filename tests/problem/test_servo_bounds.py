@@ -131,7 +131,7 @@ def test_the_reduced_gradient_is_that_of_a_motion_along_its_bounds():
 def test_the_slope_is_that_of_the_clipped_rollout():
     problem = arm()
     twin, engine = NumpyEngine(problem), CompiledEngine(problem, problem.dynamics, problem.cost)
-    cost = twin.start(problem.x0, np.tile([1.5, 0.3], (40, 1)))
+    cost = twin.start_from_controls(problem.x0, np.tile([1.5, 0.3], (40, 1)))
     (xs, us), step = twin.trajectory(), 1e-7
     slow = twin.iterate(True, 0, 1e-2, True, cost, 0.0, -1.0)
     _, J = twin._rollout(problem.x0, (us + step * twin._sweep.k)[:, None], twin._sweep.K, xs)

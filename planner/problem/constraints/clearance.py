@@ -40,7 +40,11 @@ class PairClearance:
     unit = "m"
 
     def __post_init__(self) -> None:
-        set_fields(self, pairs=tuple(self.pairs), soft=number("soft", self.penalty_length, greater_than=0.0))
+        set_fields(
+            self,
+            pairs=tuple(self.pairs),
+            penalty_length=number("penalty_length", self.penalty_length, greater_than=0.0),
+        )
 
     def __str__(self) -> str:
         return "clearance"
