@@ -10,7 +10,7 @@ from walks import CYCLE, SWING
 import planner
 from planner.__main__ import main
 from planner.cases import human_step
-from planner.cases.human_step.drive import CHANGE, FORCE, MOMENT, weight
+from planner.cases.human_step.case import CHANGE, FORCE, MOMENT, weight
 from planner.cases.human_step.measures import CLEAR, measures, robot, robot_wrench
 from planner.cases.human_step.walker import PELVIS, Walker
 
