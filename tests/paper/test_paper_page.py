@@ -12,7 +12,7 @@ from planner.__main__ import main
 from planner.base.errors import PlannerError
 from planner.cases.hopper import PAPER
 from planner.cli import paper as command
-from planner.paper.studies import page as catalogue
+from planner.paper.studies import page as pages
 from planner.paper.studies.many_starts import local_minima
 from planner.paper.studies.page import complete, page, run_studies, table_rows
 from planner.paper.studies.study import Row, Study
@@ -96,12 +96,12 @@ def test_a_study_that_fails_is_a_row(tmp_path):
 
 
 def test_catalogue():
-    names = [one.name for one in catalogue.STUDIES]
+    names = [one.name for one in pages.STUDIES]
     assert len(set(names)) == len(names)
-    pictures = [name for one in catalogue.STUDIES for name in one.pictures]
+    pictures = [name for one in pages.STUDIES for name in one.pictures]
     assert len(set(pictures)) == len(pictures)
     with pytest.raises(PlannerError, match=f"expected one of: {', '.join(names)}"):
-        catalogue.chosen(["hopper", "flight"])
+        pages.chosen(["hopper", "flight"])
 
 
 # The command
@@ -112,7 +112,7 @@ def small(monkeypatch):
     """The command with one small study."""
 
     def use(*studies):
-        for module in (command, catalogue):
+        for module in (command, pages):
             monkeypatch.setattr(module, "STUDIES", studies)
         monkeypatch.setattr(command, "processors", lambda: 1)  # lambdas cannot go to another process
 

@@ -21,7 +21,7 @@ from planner.view.render.scene import Scene
 from planner.view.render.video import render_strip
 
 TASKS = sorted((ROOT / "examples" / "tasks").glob("*.toml"))
-SIZE = (480, 270)
+SIZE = (320, 180)
 STAGE = Appearance(title="", azimuth=90.0, elevation=-5.0, distance=2.5, look_at=(0.4, 0.0, 0.3))
 
 
@@ -71,9 +71,9 @@ def test_a_goal_is_drawn_at_its_place_and_fades_when_passed(run):
     """Its pixels change around its projection and nowhere else; the last goal does not fade."""
     place = (0.4, 0.0, 0.8)  # m, beside the arm
     passed = GoalMark("tip", 0.2, place, number="1")
-    plain = pictures(run, STAGE)
+    plain = pictures(run, STAGE, (0.0, 0.3))
     for mark in (passed, replace(passed, orientation=np.eye(3)), replace(passed, direction=(0.0, 0.0, 1.0))):
-        shown = pictures(run, replace(STAGE, goals=(mark,)))
+        shown = pictures(run, replace(STAGE, goals=(mark,)), (0.0, 0.3))
         strength = []
         for (before, none), (after, labels) in zip(plain, shown, strict=True):
             assert none == []
@@ -82,7 +82,7 @@ def test_a_goal_is_drawn_at_its_place_and_fades_when_passed(run):
             away = np.abs(before.astype(int) - after.astype(int)).max(axis=-1)
             rows, columns = np.nonzero(away > 8)
             assert len(rows) > 5
-            assert np.hypot(rows - row, columns - column).max() < 40  # pixels, of 130 that 1 m has
+            assert np.hypot(rows - row, columns - column).max() < 27  # pixels, of 87 that 1 m has
             strength.append(away.sum())
             assert faint == (len(strength) > 1)  # it is passed in the second picture
         assert strength[1] < 0.7 * strength[0]
@@ -102,11 +102,11 @@ def test_goals_at_one_place_share_a_label(run):
 
 @pytest.mark.render
 def test_paths_and_frames_are_drawn(run):
-    plain = pictures(run, STAGE)
+    plain = pictures(run, STAGE, (0.3,))
     line = np.array([[0.2, 0.0, 0.3], [0.2, 0.0, 0.8], [0.9, 0.0, 0.8]])
     # The arm hides most of its tip's axes.
-    for stage, least in ((replace(STAGE, paths=(line,)), 50), (replace(STAGE, frames=("tip",)), 4)):
-        for (before, _), (after, _) in zip(plain, pictures(run, stage), strict=True):
+    for stage, least in ((replace(STAGE, paths=(line,)), 20), (replace(STAGE, frames=("tip",)), 2)):
+        for (before, _), (after, _) in zip(plain, pictures(run, stage, (0.3,)), strict=True):
             assert changed(before, after) >= least
 
 

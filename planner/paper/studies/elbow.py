@@ -156,11 +156,11 @@ def _page(results: dict[str, Any]) -> list[str]:
             "dt, s": "{dt:g}", "J": "{cost:.3f}", "iterations": "{iterations}", "s": "{seconds:.3f}",
             "gradient early": "{first[gradient_norm]:.3g}", "its relative error": "{first[relative_error]:.1e}",
             "near the end": "{near[gradient_norm]:.3g}", "relative error there": "{near[relative_error]:.1e}",
-        }, results["slq"]), "", _said(results), "",
+        }, results["slq"]), "", _conclusion(results), "",
     ]  # fmt: skip
 
 
-def _said(results: dict[str, Any]) -> str:
+def _conclusion(results: dict[str, Any]) -> str:
     first, *_, last = results["points"]
     ratios = [b / a for a, b in zip(first["relative_errors"], last["relative_errors"], strict=True)]
     spoiled = [t for t, e in zip(results["tolerances"], last["relative_errors"], strict=True) if e > 0.1]
@@ -184,7 +184,7 @@ def _rows(results: dict[str, Any]) -> list[Row]:
     seconds = sum(d["seconds"] for d in results["descents"][1:])
     return [
         Row("2.2", "Round-off leads to large relative errors of the gradient near convergence",
-            ", ".join(f"{errors[t]:.0e} at tolerance {t:g}" for t in (1e-3, 1e-4, 1e-6)), _said(results)),
+            ", ".join(f"{errors[t]:.0e} at tolerance {t:g}" for t in (1e-3, 1e-4, 1e-6)), _conclusion(results)),
         Row("2.2, Eq. 7", "Swing-up from q1 = -1.0 by splines, after tolerances were adjusted",
             f"J {last['cost']:.3g}, angles within {last['angle_miss']:.3f} rad; BFGS: {last['message']} "
             f"SLQ: J {plan['cost']:.3g}",

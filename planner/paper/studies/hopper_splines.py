@@ -143,11 +143,11 @@ def _page(results: dict[str, Any]) -> list[str]:
             "s": "{seconds:.1f}", "the sum": "{discrete_cost:.4g}",
         }, results["adjoint"]), "",
         f"Relative error of Eq. 7 at height {results['drawn'][0]:g} against one at {results['reference']:g}:", "",
-        *errors_table(results["gradient_errors"], results["tolerances"]), "", _said(results), "",
+        *errors_table(results["gradient_errors"], results["tolerances"]), "", _conclusion(results), "",
     ]  # fmt: skip
 
 
-def _said(results: dict[str, Any]) -> str:
+def _conclusion(results: dict[str, Any]) -> str:
     exact, adjoint = results["exact"], results["adjoint"]
     converged, stuck = [r for r in exact if r["success"]], [r for r in adjoint if not r["success"]]
     conditions = [r["condition"] for r in exact if r["condition"] is not None]
@@ -180,7 +180,7 @@ def _rows(results: dict[str, Any]) -> list[Row]:
             "; ".join(f"height {r['height']:g} at {r['tolerance']:g}: J {r['costs'][0]:.3g} to {r['cost']:.3g}, "
                       f"{'converged' if r['success'] else 'not converged'}" for r in adjoint)
             + f" ({sum(r['seconds'] for r in adjoint):.0f} s)",
-            _said(results)),
+            _conclusion(results)),
         Row("2.4", "The same splines with the exact gradient of the discretized cost: not tried",
             f"{sum(r['success'] for r in exact)} of {len(exact)} converge, in "
             f"{min(r['iterations'] for r in exact)} to {max(r['iterations'] for r in exact)} iterations "

@@ -190,7 +190,7 @@ def minimum_near(problem: Problem, us: np.ndarray, most: int = 300) -> tuple[Pla
     The iterations are Newton's where the dynamics have second derivatives. At the end itself, on a slope beside a
     minimum, the Hessian may still be indefinite.
     """
-    tight = {"expected_reduction_tolerance": STATIONARY, "actual_reduction_tolerance": 0.0}
+    tight: dict[str, Any] = {"expected_reduction_tolerance": STATIONARY, "actual_reduction_tolerance": 0.0}
     problem = replace(problem, us=us)
     try:
         plan = solve(problem, hessian="exact", max_iterations=most, **tight)

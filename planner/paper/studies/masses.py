@@ -186,10 +186,10 @@ def _page(results: dict[str, Any]) -> list[str]:
             "SLQ, several starts": "{slq_starts[effort]:.1f}",
         }, ({"name": _name(arm), **arm} for arm in [*results["candidates"], results["ours"]])),
     ]  # fmt: skip
-    return [*lines, "", _said(results)]
+    return [*lines, "", _conclusion(results)]
 
 
-def _said(results: dict[str, Any]) -> str:
+def _conclusion(results: dict[str, Any]) -> str:
     kinds = sorted({c["kind"] for c in results["candidates"]})
     if not kinds:
         return "No arm of these families has both numbers."
@@ -210,7 +210,7 @@ def _rows(results: dict[str, Any]) -> list[Row]:
     best = "; ".join(f"{_name(c)}: {c['first']:.1f} to {c['last']:.2f}" for c in found) or "no arm with both"
     return [
         Row("2.1", f"Quintic B-splines and BFGS: effort {FIRST} to {LAST}; no masses given", best,
-            "the paper gives no masses or lengths, nor which smooth guess; " + _said(results)),
+            "the paper gives no masses or lengths, nor which smooth guess; " + _conclusion(results)),
         Row("2.1", f"{FIRST} to {LAST}, on our own arm (rods of 0.5 kg and 1 m)",
             f"{ours['first']:.1f} to {ours['last']:.1f} by BFGS; SLQ {ours['slq']['effort']:.1f}, "
             f"of {results['starts']} starts {ours['slq_starts']['effort']:.1f}",

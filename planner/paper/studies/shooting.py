@@ -109,11 +109,11 @@ def _page(results: dict[str, Any]) -> list[str]:
             "t_f, s": "{duration:g}", "norm of d lambda(t_f) / d lambda(0)": "{norm:.3g}",
             "condition": "{condition:.2g}",
             "norm of d miss / d lambda(0)": "{jacobian_norm:.3g}", "condition of it": "{jacobian_condition:.2g}",
-        }, results["horizons"]), "", _said(results), "",
+        }, results["horizons"]), "", _conclusion(results), "",
     ]  # fmt: skip
 
 
-def _said(results: dict[str, Any]) -> str:
+def _conclusion(results: dict[str, Any]) -> str:
     found = [a["guess"] for a in results["attempts"] if a["success"]]
     missed = [a["guess"] for a in results["attempts"] if not a["success"]]
     short = [f"{a['duration']:g}" for a in results["from_zero"] if a["success"]]
@@ -136,7 +136,7 @@ def _rows(results: dict[str, Any]) -> list[Row]:
         Row("2.1", "Indirect shooting on the fully actuated arm failed",
             f"fails from {len(results['attempts']) - len(found)} of {len(results['attempts'])} guesses "
             f"({sum(a['seconds'] for a in results['attempts']):.0f} s), works from {', '.join(found) or 'none'}",
-            _said(results)),
+            _conclusion(results)),
         Row("2.1", "The costate equations are highly sensitive to the initial conditions (no number)",
             f"norm {results['norm'][-1]:.2g} and condition {results['condition'][-1]:.1e} after 2 s, "
             f"condition up to {max(results['condition']):.0e}",

@@ -272,11 +272,11 @@ def _draw(results: dict[str, Any], path: Path) -> None:
         finite = [cost for cost in (*entry["costs"], *entry["failed_costs"]) if cost > 0.0]
         dress(bottom, f"{len(entry['minima'])} local minima", "starts" if first else "", "final cost J")
         if finite:
-            far = max(finite) > 2.0 * min(finite)
-            bins = (np.geomspace if far else np.linspace)(0.99 * min(finite), 1.01 * max(finite), 50)
+            wide = max(finite) > 2.0 * min(finite)
+            bins = (np.geomspace if wide else np.linspace)(0.99 * min(finite), 1.01 * max(finite), 50)
             sets, colours = [entry["costs"], entry["failed_costs"]], ["#0b5aa6", RED]
             bottom.hist(sets, bins=list(bins), stacked=True, color=colours, label=["converged", "not converged"])
-            bottom.set_xscale("log" if far else "linear")
+            bottom.set_xscale("log" if wide else "linear")
             bottom.legend(frameon=False, fontsize=8, labelcolor=SOFT)
     save(figure, path)
 
@@ -308,13 +308,13 @@ class _RecordingDynamics:
             setattr(self, name, getattr(dynamics, name))
         self.space = space_of(dynamics)
         self._dynamics = dynamics
-        self.seen: list[RecordedSweep] = []
+        self.sweeps: list[RecordedSweep] = []
 
     def search(self, w: Any, memory: Any, rule: int, feedback: bool, cost: float, slope: float) -> tuple[float, float]:
         """Line search from w.xs, w.us; see CompiledDynamics.search."""
         if np.isfinite(cost):  # which is not so where the first guess is rolled out
             K = w.K[:, :, w.first : w.first + w.ndx].copy()
-            self.seen.append(RecordedSweep(w.xs.copy(), w.us.copy(), w.gradient.copy(), K, w.k.copy(), slope, 0.0))
+            self.sweeps.append(RecordedSweep(w.xs.copy(), w.us.copy(), w.gradient.copy(), K, w.k.copy(), slope, 0.0))
         return self._dynamics.search(w, memory, rule, feedback, cost, slope)
 
 
@@ -327,5 +327,5 @@ def record_solve(problem: Problem, **options: Any) -> tuple[Plan, list[RecordedS
         raise PlannerError("the problem's dynamics are not compiled, expected RigidBodyDynamics or HopperDynamics.")
     dynamics = _RecordingDynamics(problem.dynamics)
     plan = solve(replace(problem, dynamics=dynamics, twin=None, requirements=None), **options)
-    lines = zip(plan.history, dynamics.seen, strict=False)  # the last line is the plan, where nothing is searched
+    lines = zip(plan.history, dynamics.sweeps, strict=False)  # the last line is the plan, where nothing is searched
     return plan, [step._replace(regularization=line.regularization) for line, step in lines if line.step > 0.0]

@@ -41,10 +41,10 @@ def draw_bounded(axes: Axes, panel: BoundedPanel, replays: Sequence[Replay]) -> 
     log = _keep_in_view(axes, panel)
     for column, (name, hue) in enumerate(zip(panel.names, cycle(HUES), strict=False)):
         for replay, values in zip(replays, panel.motions[1:], strict=True):
-            shown = positive(values[:, column]) if log else drawable(values[:, column])
+            curve = positive(values[:, column]) if log else drawable(values[:, column])
             if not log:
-                shown = until_astray(shown, axes.get_ylim())
-            axes.plot(panel.t, shown, **line_of(replay, hue), solid_capstyle="round", scaley=False)
+                curve = until_astray(curve, axes.get_ylim())
+            axes.plot(panel.t, curve, **line_of(replay, hue), solid_capstyle="round", scaley=False)
         planned = panel.motions[0][:, column]
         axes.plot(panel.t, positive(planned) if log else drawable(planned), color=hue[0], lw=1.2, ls=DASHED, label=name,
                   zorder=3, scaley=False)  # fmt: skip
@@ -70,13 +70,13 @@ def _draw_bounds(axes: Axes, panel: BoundedPanel, single: tuple[np.ndarray, np.n
         for column, hue in zip(range(side.shape[1]), cycle(HUES), strict=False):
             if not (together and shared[column]) and np.isfinite(along[:, column]).any():
                 axes.plot(panel.t, along[:, column], color=hue[0], lw=1.1, ls=":", scaley=False, zorder=2.5, label=OWN)
-            for asked, style in (
+            for marked, style in (
                 (alone[:, column] & ~met[:, column], {"marker": marker, "color": hue[0], "mec": "white", "mew": 0.6}),
                 (alone[:, column] & met[:, column], {"marker": "o", "color": "none", "mec": hue[0], "mew": 1.4}),
             ):
-                if asked.any():
+                if marked.any():
                     on_top = {"ms": 7.0, "zorder": 5, "clip_on": False, "in_layout": False, "scaley": False}
-                    axes.plot(panel.t[asked], side[asked, column], ls="", **style, **on_top)
+                    axes.plot(panel.t[marked], side[marked, column], ls="", **style, **on_top)
 
 
 def _met(panel: BoundedPanel) -> np.ndarray:
@@ -98,8 +98,8 @@ def _keep_in_view(axes: Axes, panel: BoundedPanel) -> bool:
     bounds = [side[np.isfinite(side)] for side in (panel.least, panel.most)]
     _, high = range_of([panel.motions[0], *bounds])
     if panel.decades and high > 0.0:
-        seen = positive(np.concatenate([panel.motions[0].ravel(), *bounds]))
-        smallest, edge = float(np.nanmin(seen)), min(float(one.min()) for one in bounds if len(one))
+        levels = positive(np.concatenate([panel.motions[0].ravel(), *bounds]))
+        smallest, edge = float(np.nanmin(levels)), min(float(one.min()) for one in bounds if len(one))
         smallest = max(smallest, edge / _BELOW) if edge > 0.0 else smallest
         lowest, _ = range_of(panel.motions)
         if high > _DECADES * smallest and lowest < 0.0:

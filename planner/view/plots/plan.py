@@ -68,13 +68,13 @@ _ALWAYS = 0.95  # of the time: contact that lasts longer is not shaded, or every
 _PAST_AXIS = 1.17  # position of names beside a right-hand axis, in widths of the panel
 
 
-def draw_plan(plan: Plan, shown: Proof | Replay | None) -> Figure:
+def draw_plan(plan: Plan, result: Proof | Replay | None) -> Figure:
     """The figure of a plan and its replays: both of a proof, one replay, or none.
 
     Goals and constraints come first. The appearance of the plan's problem lists the panels of states and controls;
     without any, all of them are drawn.
     """
-    replays = replays_of(shown)
+    replays = replays_of(result)
     tasks, panels = tasks_of(plan, replays), panels_of(plan)
     touched = [replay for replay in replays if np.any(replay.contact_force > 0)]
     shaded = any(np.mean(replay.contact_force > 0) < _ALWAYS for replay in touched)
@@ -94,7 +94,7 @@ def draw_plan(plan: Plan, shown: Proof | Replay | None) -> Figure:
     for axes in timed:
         axes.set_xlim(0.0, float(plan.t[-1]))
         if shaded:
-            stance = (shown if isinstance(shown, Replay) else shown.replay) if shown is not None else touched[0]
+            stance = (result if isinstance(result, Replay) else result.replay) if result is not None else touched[0]
             axes.fill_between(
                 stance.t, 0.0, 1.0, where=stance.contact_force > 0, transform=axes.get_xaxis_transform(),
                 color=STANCE, lw=0, zorder=0,
@@ -107,7 +107,7 @@ def draw_plan(plan: Plan, shown: Proof | Replay | None) -> Figure:
 def _draw_panel(figure: Figure, cell: SubplotSpec, panel: Panel, plan: Plan, replays: list[Replay]) -> list[Axes]:
     """One panel; with `difference`, replays minus plan on an axis of its own beneath."""
     curves = curves_of(panel, plan, replays)
-    first = next((curve for curve in curves if not curve.held), None)
+    first = next((curve for curve in curves if not curve.stepwise), None)
     beneath = None
     if panel.difference and first is not None and replays:
         inner = cell.subgridspec(2, 1, height_ratios=(3, 1), hspace=0.0)
@@ -122,20 +122,20 @@ def _draw_panel(figure: Figure, cell: SubplotSpec, panel: Panel, plan: Plan, rep
         right = right_axis(axes, ", ".join(label for _, label in panel.controls))
 
     room = 0.18 if 1 < len(curves) <= BESIDE else 0.05  # for the names
-    _keep_in_view(axes, [curve for curve in curves if right is None or not curve.held], room)
+    _keep_in_view(axes, [curve for curve in curves if right is None or not curve.stepwise], room)
     if right is not None:
-        _keep_in_view(right, [curve for curve in curves if curve.held], room)
+        _keep_in_view(right, [curve for curve in curves if curve.stepwise], room)
     for curve, hue in zip(curves, cycle(HUES), strict=False):
-        steps = "steps-post" if curve.held else "default"
-        on = right if curve.held and right is not None else axes
+        steps = "steps-post" if curve.stepwise else "default"
+        on = right if curve.stepwise and right is not None else axes
         for replay, (t, values) in zip(replays, curve.replays, strict=True):
-            shown = until_astray(values, on.get_ylim())
-            on.plot(t, shown, **line_of(replay, hue), drawstyle=steps, solid_capstyle="round", scaley=False)
+            result = until_astray(values, on.get_ylim())
+            on.plot(t, result, **line_of(replay, hue), drawstyle=steps, solid_capstyle="round", scaley=False)
         on.plot(
             curve.plan[0], drawable(curve.plan[1]), color=hue[0], lw=1.2, ls=DASHED, drawstyle=steps,
             label=curve.label, zorder=3, scaley=False,
         )  # fmt: skip
-        draw_bounds(on, plan, curve.index, hue[0], held=curve.held)
+        draw_bounds(on, plan, curve.index, hue[0], stepwise=curve.stepwise)
     if len(curves) > 1:
         name_curves(right or axes, [curve.label for curve in curves], 1.0 if right is None else _PAST_AXIS)
     if beneath is None or first is None:
@@ -171,9 +171,9 @@ def _draw_difference(axes: Axes, curve: TimeSeries, replays: list[Replay], ylabe
     axes.locator_params(axis="y", nbins=3)
     axes.margins(y=0.25)
     scale = f"$10^{{{3 * power}}}$" if power else ""
-    shown = " ".join(part for part in (scale, unit_of(ylabel)) if part)
+    unit = " ".join(part for part in (scale, unit_of(ylabel)) if part)
     axes.set_title(
-        f"{curve.label}, replay {MINUS} plan" + (f" ({shown})" if shown else ""), fontsize=8, loc="left",
+        f"{curve.label}, replay {MINUS} plan" + (f" ({unit})" if unit else ""), fontsize=8, loc="left",
         color=RED, pad=3,
     )  # fmt: skip
     axes.set_xlabel("time, s")
@@ -265,14 +265,14 @@ def draw_convergence(axes: Axes, plan: Plan) -> None:
         (None, "gradient norm", gradient, HUES[1][0], "s"),
     ):
         # A log scale has no zero: the last cost, which is the final one, falls out, and so does rounding.
-        shown = np.isfinite(positive(values))
-        if not np.any(shown):
+        result = np.isfinite(positive(values))
+        if not np.any(result):
             continue
         if axis is None:
             axis = right_axis(axes, "") if drawn else axes
         axis.set_yscale("log")
         mark = marker if len(iterations) < _MARKED else ""
-        axis.plot(iterations[shown], values[shown], color=dark, lw=1.2, marker=mark, ms=3.5)
+        axis.plot(iterations[result], values[result], color=dark, lw=1.2, marker=mark, ms=3.5)
         axis.set_ylabel(label, color=dark, fontsize=8.5)
         axis.tick_params(axis="y", which="both", colors=dark)
         axis.tick_params(axis="y", which="minor", length=1.5)

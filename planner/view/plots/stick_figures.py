@@ -52,11 +52,11 @@ _EMPTY = 0.08  # of the height, above and below
 def draw_stick_figures(picture: StickFigures, views: Sequence[View] = (SIDE, FRONT)) -> Figure:
     """A figure of poses at equal times, a row for each view; PlannerError where points do not fit the sticks."""
     motions, sticks, poses = picture.motions, picture.sticks, count("poses", len(picture.times), minimum=2)
-    shown = [_poses(motion, sticks, poses) for motion in motions]
-    if not shown or not sticks or not views:
+    pose_points = [_poses(motion, sticks, poses) for motion in motions]
+    if not pose_points or not sticks or not views:
         raise PlannerError("there is nothing to draw, expected at least one motion, one stick and one view.")
     floor = None if picture.ground is None else number("ground", picture.ground)
-    flat = [[projected(points, view) for points in shown] for view in views]
+    flat = [[projected(points, view) for points in pose_points] for view in views]
     # Each solid pose is in the middle of its column; the dashed one is displaced with it.
     middles = [0.5 * (row[0][..., 0].min(axis=1) + row[0][..., 0].max(axis=1)) for row in flat]
     reach = max(

@@ -38,15 +38,16 @@ class TimeSeries:
     label: str
     plan: tuple[np.ndarray, np.ndarray]
     replays: tuple[tuple[np.ndarray, np.ndarray], ...]
-    held: bool  # constant over a stage: drawn as steps
+    stepwise: bool  # constant over a stage: drawn as steps
     index: int  # of the state or control
 
 
-def replays_of(shown: Proof | Replay | None) -> list[Replay]:
+def replays_of(result: Proof | Replay | None) -> list[Replay]:
     """The replays to draw, the widest line first."""
-    if shown is None:
+    if result is None:
         return []
-    return [shown] if isinstance(shown, Replay) else sorted(shown.replays.values(), key=lambda replay: replay.feedback)
+    runs = [result] if isinstance(result, Replay) else result.replays.values()
+    return sorted(runs, key=lambda replay: replay.feedback)
 
 
 def tasks_of(plan: Plan, replays: list[Replay]) -> list[BoundedPanel]:
@@ -82,10 +83,10 @@ def curves_of(panel: Panel, plan: Plan, replays: list[Replay]) -> list[TimeSerie
     for index, label in panel.states:
         planned = (replays[0].t, replays[0].plan_xs[:, index]) if replays else (plan.t, plan.xs[:, index])
         simulated = tuple((replay.t, replay.xs[:, index]) for replay in replays)
-        curves.append(TimeSeries(label, planned, simulated, held=False, index=index))
+        curves.append(TimeSeries(label, planned, simulated, stepwise=False, index=index))
     for index, label in panel.controls:
         simulated = tuple((replay.t, to_the_end(replay.ctrl[:, index])) for replay in replays)
-        curves.append(TimeSeries(label, (plan.t, to_the_end(plan.us[:, index])), simulated, held=True, index=index))
+        curves.append(TimeSeries(label, (plan.t, to_the_end(plan.us[:, index])), simulated, stepwise=True, index=index))
     return curves
 
 
@@ -112,13 +113,13 @@ def line_of(replay: Replay, hue: tuple[str, str, str]) -> dict[str, Any]:
 
 def range_of(values: Sequence[np.ndarray]) -> tuple[float, float]:
     """Least and largest value that can be drawn; (0, 0) if there is none."""
-    shown = np.concatenate([drawable(part).ravel() for part in values] or [np.empty(0)])
-    shown = shown[np.isfinite(shown)]
-    return (float(shown.min()), float(shown.max())) if shown.size else (0.0, 0.0)
+    visible = np.concatenate([drawable(part).ravel() for part in values] or [np.empty(0)])
+    visible = visible[np.isfinite(visible)]
+    return (float(visible.min()), float(visible.max())) if visible.size else (0.0, 0.0)
 
 
 def view_limits(certain: Sequence[np.ndarray], replayed: Sequence[np.ndarray], padding: float) -> tuple[float, float]:
-    """Limits of an axis: all `certain` values (plan, bounds), of those replayed what is near them.
+    """Limits of an axis: all `certain` values (plan, bounds), and of those replayed what is not far outside.
 
     `padding` is the free part of the height at either end.
     """
@@ -132,11 +133,11 @@ def view_limits(certain: Sequence[np.ndarray], replayed: Sequence[np.ndarray], p
 
 def until_astray(values: np.ndarray, limits: tuple[float, float]) -> np.ndarray:
     """The values until they first leave the view: later ones of a diverging replay would hide the others."""
-    shown = drawable(values)
-    outside = np.flatnonzero((shown < limits[0]) | (shown > limits[1]))
+    visible = drawable(values)
+    outside = np.flatnonzero((visible < limits[0]) | (visible > limits[1]))
     if len(outside):
-        shown[outside[0] + 1 :] = np.nan
-    return shown
+        visible[outside[0] + 1 :] = np.nan
+    return visible
 
 
 def name_curves(axes: Axes, labels: Sequence[str], beside: float, *, most: int = BESIDE) -> None:
@@ -171,15 +172,15 @@ class Sides(NamedTuple):
     active: np.ndarray  # (N,) whether the curve is at one of them in a stage
 
 
-def sides_of(plan: Plan, index: int, *, held: bool) -> Sides | None:
-    """Bounds of a control (`held`: constant over a stage) or of an entry of the state; None without bounds.
+def sides_of(plan: Plan, index: int, *, stepwise: bool) -> Sides | None:
+    """Bounds of a control (`stepwise`: constant over a stage) or of an entry of the state; None without bounds.
 
-    A bound that the plan never comes near is left out: in a panel of several curves it would be taken for another's.
+    A bound that the plan never approaches is left out: in a panel of several curves it would be taken for another's.
     """
-    sides = (_of_control if held else _of_state)(plan, index)
+    sides = (_of_control if stepwise else _of_state)(plan, index)
     if sides is None:
         return None
-    values = to_the_end(plan.us[:, index]) if held else plan.xs[:, index]
+    values = to_the_end(plan.us[:, index]) if stepwise else plan.xs[:, index]
     width = sides.upper - sides.lower
     distant = [
         np.isfinite(width).all() and np.nanmin(clearance) > DISTANT_BOUND_SHARE * np.nanmax(width)
@@ -191,14 +192,14 @@ def sides_of(plan: Plan, index: int, *, held: bool) -> Sides | None:
     return Sides(lower, upper, sides.active)
 
 
-def draw_bounds(axes: Axes, plan: Plan, index: int, colour: str, *, held: bool) -> None:
-    """Draw the bounds of a control (`held`) or of an entry of the state, and shade where the plan is at one."""
-    sides = sides_of(plan, index, held=held)
+def draw_bounds(axes: Axes, plan: Plan, index: int, colour: str, *, stepwise: bool) -> None:
+    """Draw the bounds of a control (`stepwise`) or of an entry of the state, and shade where the plan is at one."""
+    sides = sides_of(plan, index, stepwise=stepwise)
     if sides is None:
         return
     for side in sides[:2]:
         if np.isfinite(side).any():
-            axes.plot(plan.t, side, color=colour, lw=0.9, ls=":", drawstyle="steps-post" if held else "default",
+            axes.plot(plan.t, side, color=colour, lw=0.9, ls=":", drawstyle="steps-post" if stepwise else "default",
                       scaley=False, zorder=1.5)  # fmt: skip
     edges = np.flatnonzero(np.diff(np.concatenate([[0], sides.active.astype(int), [0]])))
     for first, end in edges.reshape(-1, 2):

@@ -56,7 +56,7 @@ class Job:
     fps: float = 0.0  # of a video
     speed: float | None = None  # of a video; None for stills
     output: str = ""  # the file of a video
-    shown: str = ""  # the path that an error names, where output is a temporary one
+    target: str = ""  # the path in errors, where output is a temporary file
 
 
 def carry_out(films: Sequence[Film], job: Job, progress: Progress | None = None) -> np.ndarray:
@@ -104,7 +104,7 @@ def _draw_row(row: Sequence[_Tile], frame: int, *, alike: bool) -> np.ndarray:
 def _encode(frames: Iterator[np.ndarray], drawn: int, job: Job, progress: Progress | None) -> np.ndarray:
     """Write the frames of a video, the last of them for a second."""
     total = drawn + round(_HOLD * job.fps)
-    with Encoder(Path(job.output), job.width, job.height, job.fps, job.shown) as encoder:
+    with Encoder(Path(job.output), job.width, job.height, job.fps, job.target) as encoder:
         image = np.empty(0)
         for done in range(total):
             image = next(frames, image)
@@ -116,29 +116,28 @@ def _encode(frames: Iterator[np.ndarray], drawn: int, job: Job, progress: Progre
 
 def _tiles(films: Sequence[Film], job: Job, scenes: ExitStack) -> list[list[_Tile]]:
     """The parts of a picture, row by row; `scenes` closes their OpenGL contexts."""
-    seen = [film.views for film in films]  # by film and camera
+    views = [film.views for film in films]  # by film and camera
     if len(films) > 1:
-        seen = [list(row) for row in zip(*seen, strict=True)]
-    widths, heights = _shares(job.width, len(seen[0])), _shares(job.height, len(seen))
+        views = [list(row) for row in zip(*views, strict=True)]
+    widths, heights = _shares(job.width, len(views[0])), _shares(job.height, len(views))
     largest, model = np.max([film.largest for film in films], axis=0), visible_model(films)
     tiles: list[list[_Tile]] = []
-    for i, row in enumerate(seen):
+    for i, row in enumerate(views):
         tiles.append([])
         for j, film in enumerate(row):
             first = i == 0 if len(films) > 1 else j == 0  # of the cameras
-            last_row, last_column = i == len(seen) - 1, j == len(row) - 1
+            last_row, last_column = i == len(views) - 1, j == len(row) - 1
             beside = [other for other in row if other is not film] if len(films) > 1 else []
             captioned = last_row and (len(films) > 1 or first)
-            views = film.appearance.views
             words = overlay.Words(
                 largest, numbers=first, legend=last_row and j == 0,
                 speed=job.speed if last_row and last_column else None,
                 caption=film.caption if captioned else None, unstable=film.unstable if captioned else math.inf,
-                difference=captioned, label=views[0].label if views else "",
+                difference=captioned, label=film.appearance.views[0].label if film.appearance.views else "",
             )  # fmt: skip
             scene = Scene(
                 film, widths[j], heights[i], oversize=_VIDEO_OVERSIZE if job.kind == "video" else 2.0, beside=beside,
-                narrow=len(row) > 1 or len(seen) > 1, quick=job.kind == "video", model=copy.copy(model),
+                narrow=len(row) > 1 or len(views) > 1, quick=job.kind == "video", model=copy.copy(model),
             )  # fmt: skip
             written = overlay.Overlay(film.appearance, widths[j], heights[i], words)
             tiles[-1].append(_Tile(film, written, scenes.enter_context(scene)))
@@ -175,10 +174,10 @@ class _Tile(NamedTuple):
         """Frame number `frame`: (height, width, 3), uint8; see Scene.draw()."""
         drawn, film = self.scene.draw(frame, like), self.film
         ends = [self.scene.project(np.asarray(end)) for end in film.appearance.goal_line or ()]
-        seen = [end for end in ends if end is not None]
+        visible = [end for end in ends if end is not None]
         marks = [overlay.beside(label) for label in self.scene.labels(frame)]
-        if seen:  # at the right end of the line
-            marks.append(overlay.Mark(max(seen), f" {film.appearance.goal_label}"))
+        if visible:  # at the right end of the line
+            marks.append(overlay.Mark(max(visible), f" {film.appearance.goal_label}"))
         return self.words.write(drawn, film.t[frame], film.readings[frame], marks, self.scene.difference)
 
 
@@ -187,7 +186,7 @@ def _draw_strip(film: Film, job: Job) -> np.ndarray:
         middle = 0.5 * (film.shift.min(axis=0) + film.shift.max(axis=0))
         film = replace(film, shift=np.tile(middle, (len(film), 1)))
     heights = _shares(job.height, len(film.views))
-    strips = [_draw_poses(seen, job.width, high) for seen, high in zip(film.views, heights, strict=True)]
+    strips = [_draw_poses(view, job.width, high) for view, high in zip(film.views, heights, strict=True)]
     return np.concatenate(strips)
 
 
@@ -283,8 +282,8 @@ def _read(child: subprocess.Popen[bytes], log: Path) -> np.ndarray | None:
         return np.frombuffer(data, np.uint8).reshape(shape)
     if child.wait() == 0 and not line:
         return None
-    said = log.read_text(errors="replace").strip().splitlines()
-    reason = said[-1] if said else f"exit code {child.returncode}"
+    lines = log.read_text(errors="replace").strip().splitlines()
+    reason = lines[-1] if lines else f"exit code {child.returncode}"
     raise RenderingUnavailable(f"The process that draws failed: {reason}.")
 
 

@@ -50,7 +50,7 @@ class Line(NamedTuple):
     t: np.ndarray  # (K,) s
     values: np.ndarray  # (K,)
     colour: str
-    held: bool  # constant over a stage
+    stepwise: bool  # constant over a stage
 
 
 class InteractiveChart(NamedTuple):
@@ -104,16 +104,16 @@ def _charts(plan: Plan, replays: Sequence[Replay]) -> list[InteractiveChart]:
     for panel in panels_of(plan):
         curves = curves_of(panel, plan, list(replays))
         mixed = bool(panel.states and panel.controls)
-        for held in (False, True):
+        for stepwise in (False, True):
             lines = []
-            for curve, hue in zip([one for one in curves if one.held == held], cycle(HUES), strict=False):
+            for curve, hue in zip([one for one in curves if one.stepwise == stepwise], cycle(HUES), strict=False):
                 for kind, (t, values) in zip(["plan", *kinds], (curve.plan, *curve.replays), strict=False):
-                    lines.append(Line(curve.label, kind, t, values, _colour(kind, hue), held))
-                sides = sides_of(plan, curve.index, held=held)
+                    lines.append(Line(curve.label, kind, t, values, _colour(kind, hue), stepwise))
+                sides = sides_of(plan, curve.index, stepwise=stepwise)
                 for side in () if sides is None else sides[:2]:
                     if np.isfinite(side).any():
-                        lines.append(Line(curve.label, "bound", plan.t, side, hue[0], held))
-            ylabel = ", ".join(label for _, label in panel.controls) if mixed and held else panel.ylabel
+                        lines.append(Line(curve.label, "bound", plan.t, side, hue[0], stepwise))
+            ylabel = ", ".join(label for _, label in panel.controls) if mixed and stepwise else panel.ylabel
             if lines:
                 charts.append(InteractiveChart(panel.title, ylabel, tuple(lines)))
     return charts
@@ -137,7 +137,7 @@ def thinned(t: np.ndarray, values: np.ndarray) -> np.ndarray:
 def _numbers(line: Line) -> dict[str, Any]:
     few = thinned(line.t, drawable(line.values))
     return {
-        "label": line.label, "kind": line.kind, "held": line.held,
+        "label": line.label, "kind": line.kind, "stepwise": line.stepwise,
         "t": [_short(value) for value in line.t[few]], "y": [_short(value) for value in line.values[few]],
     }  # fmt: skip
 
@@ -169,10 +169,10 @@ def _figure(number: int, chart: InteractiveChart, start: float, end: float) -> s
     parts.append(f'<text x="12" y="{middle}" {turned}>{escape(chart.ylabel)}</text>')
     order = {"open": 0, "gains": 1, "bound": 2, "plan": 3}
     for line in sorted(chart.lines, key=lambda one: order[one.kind]):
-        shown = until_astray(line.values, (low, high)) if line.kind in ("open", "gains") else drawable(line.values)
-        few = thinned(line.t, shown)
+        visible = until_astray(line.values, (low, high)) if line.kind in ("open", "gains") else drawable(line.values)
+        few = thinned(line.t, visible)
         if len(few):
-            points = _path([x(t) for t in line.t[few]], [y(value) for value in shown[few]], line.held)
+            points = _path([x(t) for t in line.t[few]], [y(value) for value in visible[few]], line.stepwise)
             parts.append(f'<polyline class="{line.kind}" stroke="{line.colour}" points="{points}"/>')
     parts.append(f'<line class="cursor" x1="{LEFT}" x2="{LEFT}" y1="{TOP}" y2="{TOP + up}"/>')
     names = [
@@ -186,10 +186,10 @@ def _figure(number: int, chart: InteractiveChart, start: float, end: float) -> s
     )
 
 
-def _path(xs: Sequence[float], ys: Sequence[float], held: bool) -> str:
+def _path(xs: Sequence[float], ys: Sequence[float], stepwise: bool) -> str:
     points = []
     for i, (x, y) in enumerate(zip(xs, ys, strict=True)):
-        if held and i:
+        if stepwise and i:
             points.append(f"{x:.1f},{ys[i - 1]:.1f}")
         points.append(f"{x:.1f},{y:.1f}")
     return " ".join(points)
@@ -236,7 +236,7 @@ SCRIPT = """
     let a = 0, b = line.t.length - 1;
     if (b < 0 || t > line.t[b] + 1e-6 * (data.end - data.start)) return null;
     while (b - a > 1) { const m = (a + b) >> 1; if (line.t[m] <= t) a = m; else b = m; }
-    if (line.held) return t >= line.t[b] ? line.y[b] : line.y[a];
+    if (line.stepwise) return t >= line.t[b] ? line.y[b] : line.y[a];
     const part = b > a ? Math.min(1, Math.max(0, (t - line.t[a]) / (line.t[b] - line.t[a]))) : 0;
     return line.y[a] + part * (line.y[b] - line.y[a]);
   }

@@ -114,9 +114,9 @@ def _film(plan: Plan, folder: Path, note: str) -> str:
     beside = file.is_file() and file.stat().st_size > _EMBEDDED
     video = "video.mp4" if beside else embedded(file, "video/mp4")
     if video:
-        seen = appearance_of(plan.problem)
-        ghost = "plan" if seen.ghost is None else seen.ghost.label
-        goals = "; goals as balls, axes and arrows" if seen.goals else ""
+        appearance = appearance_of(plan.problem)
+        ghost = "plan" if appearance.ghost is None else appearance.ghost.label
+        goals = "; goals as balls, axes and arrows" if appearance.goals else ""
         sides = "at the left open loop, at the right with the plan's gains"
         caption = f"MuJoCo solid, the {ghost} as a ghost; {sides}{goals}"
         if beside:
@@ -128,15 +128,15 @@ def _film(plan: Plan, folder: Path, note: str) -> str:
 def _pictures(plan: Plan, proof: Proof | None, folder: Path) -> str:
     own = {} if proof is None else case_pictures(plan, proof.replay)
     first, *others = _PICTURES
-    shown = []
+    figures = []
     for name, caption in (first, *((name, picture.caption) for name, picture in own.items()), *others):
         source = embedded(folder / name, "image/png")
         if source:
-            shown.append(
+            figures.append(
                 f'<figure><img src="{source}" alt="{escape(caption)}">'
                 f"<figcaption>{escape(caption)}</figcaption></figure>"
             )
-    return "<h2>Pictures</h2>\n" + "\n".join(shown) if shown else ""
+    return "<h2>Pictures</h2>\n" + "\n".join(figures) if figures else ""
 
 
 def _refinement(path: Sequence[Refinement]) -> str:
@@ -176,10 +176,10 @@ def _chosen(plan: Plan) -> str:
 def _again(plan: Plan, proof: Proof | None, path: Sequence[Refinement], options: Mapping[str, Any]) -> str:
     """The command, the problem file and the seeds that make the plan again."""
     line = command(plan, path, options)
-    shown = f"<pre>{escape(line)}</pre>" if line else "<p>A program made the plan, not the command line.</p>"
+    body = f"<pre>{escape(line)}</pre>" if line else "<p>A program made the plan, not the command line.</p>"
     file = problem_text(plan, path)
     if file:
-        shown += f"\n<p>with the model below and this problem file:</p>\n<pre>{escape(file)}</pre>"
+        body += f"\n<p>with the model below and this problem file:</p>\n<pre>{escape(file)}</pre>"
     seeds: dict[str, Any] = {}
     if len(plan.starts) > 1:
         seeds["Starts"] = f"{len(plan.starts)}; this plan is start {plan.start}"
@@ -188,7 +188,7 @@ def _again(plan: Plan, proof: Proof | None, path: Sequence[Refinement], options:
     if rollouts is not None:
         seeds["Rollouts"] = f"{rollouts.done} in each mode; varied: {rollouts.perturbation}"
         seeds["Seed of the rollouts"] = rollouts.seed
-    return f"<h2>Again</h2>\n{shown}" + (f"\n{table(seeds)}" if seeds else "")
+    return f"<h2>Again</h2>\n{body}" + (f"\n{table(seeds)}" if seeds else "")
 
 
 def _model(plan: Plan) -> str:

@@ -63,7 +63,7 @@ def write_sweep_page(sweep: Sweep) -> Path:
     title = f"Sweep over {', '.join(sweep.grid.values)}"
     head = (
         f"<h1>{escape(title)}</h1>\n{table(counts)}\n<p>Tables: {tables}. A click on a task shows it below, with the "
-        "commands for its plan. Neighbours with a line between them are in different minima, by their cost and motion.</p>"
+        "commands for its plan. A line separates neighbours in different minima, by their cost and motion.</p>"
     )
     detail = f'{more}\n<div id="detail"></div>\n<script type="application/json" id="rows">{data}</script>'
     return write_page(sweep.folder / NAME, title, [head, *parts, detail, f"<script>{_SCRIPT}</script>"], CSS)
