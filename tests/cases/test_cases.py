@@ -7,7 +7,7 @@ import pytest
 
 PARTS = {
     "high_dive": ("case", "flight"),
-    "human_step": ("case", "cost", "gait", "gait_file", "measures", "phase", "pictures", "walker"),
+    "human_step": ("case", "gait"),
 }
 
 

@@ -66,7 +66,7 @@ def test_studies_in_processes_of_their_own_come_in_the_order_of_the_page(tmp_pat
     short = Study("short", "about", seven, sentence, one_row, {"short.png": draw}, seconds=1.0)
     failed = Study("failed", "about", fails, sentence, one_row, seconds=2.0)
     lines = []
-    with LocalProcesses(2) as executor:
+    with LocalProcesses(1) as executor:
         done = run_studies([short, failed], tmp_path, lines.append, executor)
     assert [(one.study.name, one.results, one.problem) for one in done] == [
         ("short", {"number": 7}, ""), ("failed", None, "no data, expected some."),
