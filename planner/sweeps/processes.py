@@ -170,6 +170,12 @@ class _Worker:
         self.pool = ProcessPoolExecutor(1, multiprocessing.get_context("spawn"), _prepared)
         with _one_thread():
             self.ready = self.pool.submit(_began, first)
+        self.ready.add_done_callback(self._close_writer)
+
+    def _close_writer(self, _: Future[Any]) -> None:
+        """Close this process's end of the pipe of results: else a worker killed in the middle of one is waited for."""
+        with suppress(AttributeError, OSError):  # a private attribute of Python's pool
+            self.pool._result_queue._writer.close()  # type: ignore[union-attr]
 
     def started(self) -> None:
         """Wait until it has loaded what it needs."""

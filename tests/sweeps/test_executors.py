@@ -77,6 +77,23 @@ def test_a_call_that_always_kills_is_a_sentence_and_costs_no_other(processes):
         list(ordered_map(processes, partial(killed, bad=1), range(4)))
 
 
+def large(_):
+    return bytes(3_000_000)
+
+
+def test_a_process_that_is_ended_while_it_answers_is_not_waited_for(processes):
+    """Python's pool would read the rest of a half-written answer for ever."""
+    for _ in range(5):
+        futures = [processes.submit(large, k) for k in range(4)]
+        while not any(future.running() for future in futures):
+            time.sleep(1e-4)
+        for future in futures:
+            if not future.cancel() and not future.done():
+                processes.end(future)
+        for future in futures:
+            assert future.cancelled() or isinstance(future.exception(timeout=20.0), BrokenExecutor | None)
+
+
 def test_what_cannot_be_sent_is_a_sentence(processes):
     with pytest.raises(planner.PlannerError, match="cannot be sent to processes"):
         list(ordered_map(processes, lambda value: value, range(3)))
