@@ -52,8 +52,8 @@ def triples_of(loops: Any, couplings: Any) -> int:
 def _triples(loops: Any, couplings: Any, chains: list[set[int]], mechanism: Mechanism) -> dict[str, np.ndarray]:
     """Where three rows of J are not zero, and the blocks of dofs between which the mass matrix is.
 
-    Per triple its kind (0 positions, 1 rotations, 2 couplings), its dofs with those that coupled ones follow (moved) and
-    those of their blocks, which a force along it accelerates (reach); per pair of triples the dofs where the reach
+    Per triple its kind (0 positions, 1 rotations, 2 couplings), its dofs with those that coupled dofs follow (moved),
+    and those of their blocks, which a force along it accelerates (reach); per pair of triples the dofs where the reach
     of the one meets what the other moves; per four columns of J the rows that are not zero there; per dof its block.
     """
     nv, kinds, moved = mechanism.nv, list[int](), list[list[int]]()
