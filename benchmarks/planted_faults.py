@@ -3,7 +3,7 @@
     python benchmarks/planted_faults.py [NAME ...]
 
 Each fault is a patch of one line: a sign, an index, a unit, a factor, a stage too early or too late, a dropped term.
-The line is looked for in all of planner/, so that a fault follows code that moves to another file. The tests named with it
+The line is looked for in all of planner/, so a fault follows code that moves to another file. The tests named with it
 run without the slow ones; a fault that they do not notice is a hole in the tests. Kernels are compiled anew for each
 fault in them, so all take about half an hour. Exit code 1 if more than two are missed.
 """
@@ -224,9 +224,8 @@ def main() -> int:
         began = time.monotonic()
         if arguments.list:
             lines = sum(path.read_text("utf-8").count(fault.right) for path in (ROOT / "planner").rglob("*.py"))
-            print(
-                f"{fault.name:24} {fault.kind:12} {'' if lines == 1 else f'stands {lines} times: '}{fault.right.strip()}"
-            )
+            count = "" if lines == 1 else f"stands {lines} times: "
+            print(f"{fault.name:24} {fault.kind:12} {count}{fault.right.strip()}")
             continue
         found, where, test = noticed(fault, arguments.all_tests)
         missed += not found
