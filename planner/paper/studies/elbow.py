@@ -168,8 +168,7 @@ def _conclusion(results: dict[str, Any]) -> str:
     gave_up = [f"{d['tolerance']:g}" for d in results["descents"] if not d["success"]]
     return (
         f"With the same tolerance the relative error is {min(ratios):.0f} to {max(ratios):.0f} times as large as at "
-        "the "
-        "first guess: the error stays, and the gradient shrinks. "
+        "the first guess: the error stays, and the gradient shrinks. "
         + (f"At {max(spoiled):g} to {min(spoiled):g} it is above 10 %. " if spoiled else "")
         + (f"BFGS did not reach its tolerance at {', '.join(gave_up)}, in its iterations. " if gave_up else "")
         + "The cause is truncation, not round-off: with a tighter tolerance the error goes away, and the "

@@ -157,10 +157,9 @@ def _rows(results: dict[str, Any]) -> list[Row]:
             "The arm swings down while folding the second link, then swings up and pumps the second link upright",
             f"the arm whose efforts are the paper's {theirs['first_effort']:.1f} and {theirs['effort']:.1f} (points "
             f"of {theirs['mass']:.3f} kg at the tips of {LENGTH:g} m), by the paper's method: swings down to q1 = "
-            f"{theirs['lowest_q1']:.2f} rad at {theirs['at']:.2f} s while it folds to q2 = "
-            f"{theirs['folds'][1]:.2f} rad, then up, and the second link follows. Our own rods need "
-            f"{paper['first_effort']:.1f} on the first guess; by SLQ from there: {described(paper)}; "
-            f"best of {STARTS} guesses: {described(best)}",
+            f"{theirs['lowest_q1']:.2f} rad at {theirs['at']:.2f} s while it folds to q2 = {theirs['folds'][1]:.2f} "
+            f"rad, then up, and the second link follows. Our own rods need {paper['first_effort']:.1f} on the first "
+            f"guess; by SLQ from there: {described(paper)}; best of {STARTS} guesses: {described(best)}",
             "the paper states no masses: that arm is one of several with both numbers, and does what the paper says. "
             "SLQ on our rods is another method, another arm, and ends in other local minima: from the paper's guess it "
             "does not swing down; the paper calls its own locally optimal"),

@@ -99,10 +99,9 @@ def _rows(results: dict[str, Any]) -> list[Row]:
     return [
         Row("2.1, reference [20]", "payload of a Puma 762 tripled above the manufacturer's figure",
             f"times the static limit of {static['payload']:.0f} kg, within the torque limits: {ratios}; "
-            f"{least}{slow['ratio']:.1f} in {slow['duration']:g} s with every joint below "
-            f"{slow['speed_limit']:g} rad/s; "
-            f"{shown['payload']:.0f} kg in {shown['duration']:g} s replayed in MuJoCo: "
-            f"{shown['verdict']} ({shown['mode']})",
+            f"{least}{slow['ratio']:.1f} in {slow['duration']:g} s with every joint below {slow['speed_limit']:g} "
+            f"rad/s; {shown['payload']:.0f} kg in {shown['duration']:g} s replayed in MuJoCo: {shown['verdict']} "
+            f"({shown['mode']})",
             "another arm and another lift: inertias are a 560's, scaled, and torque limits are chosen so that "
             f"the static limit is the rated {results['rated']:g} kg. [20] has speed limits; without them ours needs up "
             f"to {fastest:.0f} rad/s, which is why it lifts more")

@@ -120,13 +120,12 @@ def _conclusion(results: dict[str, Any]) -> str:
     worst = max(results["condition"])
     first, last = results["horizons"][0], results["horizons"][-1]
     return (
-        f"On 2 s it fails from {', '.join(missed) or 'none'} and works from {', '.join(found) or 'none'}; from zero it "
-        f"works for t_f = {', '.join(short) or 'none'} s. A change of lambda(0) grows {results['norm'][-1]:.0f} "
+        f"On 2 s it fails from {', '.join(missed) or 'none'} and works from {', '.join(found) or 'none'}; from zero "
+        f"it works for t_f = {', '.join(short) or 'none'} s. A change of lambda(0) grows {results['norm'][-1]:.0f} "
         f"times in 2 s, and the miss changes by {last['jacobian_norm']:.1e} times as much "
-        f"({first['jacobian_norm']:.1e} "
-        f"times in {first['duration']:g} s). Condition numbers reach {worst:.0e} on the way. The flow is still "
-        "accurate "
-        "enough. Shooting fails because a root finder converges only from a small region about the solution."
+        f"({first['jacobian_norm']:.1e} times in {first['duration']:g} s). Condition numbers reach {worst:.0e} on the "
+        "way. The flow is still accurate enough. Shooting fails because a root finder converges only from a small "
+        "region about the solution."
     )
 
 

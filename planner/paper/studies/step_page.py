@@ -57,8 +57,7 @@ def _rows(results: dict[str, Any]) -> list[Row]:
             "and bends less than a walker's. The pelvis is listed more than it is twisted. At the end it is tilted, "
             "which shortens the step: the cost asks for angles, not for the place where the foot lands"),
         Row("2.3", "Approximately 4 hours to converge (PIII-800)",
-            f"swing {swing['feedback']['seconds']:.2g} s, stance and swing of both legs "
-            f"{slq['seconds']:.2g} s",
+            f"swing {swing['feedback']['seconds']:.2g} s, stance and swing of both legs {slq['seconds']:.2g} s",
             "today's processor is some tens of times as fast: hours become minutes. The rest comes from exact "
             f"derivatives, and from {swing['feedback']['iterations']} iterations in place of hundreds: BFGS with "
             f"{few['parameters']} parameters takes {few['seconds']:.0f} s here"),
