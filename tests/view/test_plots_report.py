@@ -58,7 +58,7 @@ def panel(figure, title):
 
 
 def test_the_panels_are_those_of_the_stage_then_force_then_convergence(plan_figure):
-    figure, replay = plan_figure
+    figure, _ = plan_figure
     found = titles(figure)
     assert [found[0], *found[2:]] == ["Height", "Piston", "Contact force in the replay", "Convergence"]
     assert found[1].startswith("height, replay ")
