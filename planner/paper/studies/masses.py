@@ -199,8 +199,7 @@ def _conclusion(results: dict[str, Any]) -> str:
         f"Only arms with {', '.join(kinds)} have both numbers. No arm with {' or '.join(without)} has them, from a "
         "quintic first guess. But two numbers do not determine an arm: several have both. And another smooth first "
         "guess can lead to another minimum of the same arm. So the 9.9 depends on the guess and the optimizer as "
-        "much as on the arm."
-        + (" Several starts of SLQ end lower on each." if lower else "")
+        "much as on the arm." + (" Several starts of SLQ end lower on each." if lower else "")
     )
 
 
