@@ -132,7 +132,7 @@ def _known(mechanism: Mechanism, survey: ModelIndex) -> Collection[frozenset[int
 def _constraint(near: CollisionPairs, clearance: float, more: Mapping[str, float]) -> Constraint:
     added = np.array([min(more.get(pair.names, 0.0), pair.spare_clearance) for pair in near.pairs])
     apart = PairClearance(near.pairs, added, SOFT * clearance)
-    return Constraint(apart, least=apart.least, tolerance=EXACT * clearance, name="clearance")
+    return Constraint(apart, lower=apart.lower, tolerance=EXACT * clearance, name="clearance")
 
 
 def collision_free_motion(

@@ -38,7 +38,7 @@ class CollisionChecker:
 
     def clearance_violation(self, q: np.ndarray) -> float:
         """By how much a pose (nq,) has a pair nearer than it may be, m; 0 for a free one."""
-        return float(np.max(self._apart.least - self.distances(q[None], self._apart.least)[0], initial=0.0))
+        return float(np.max(self._apart.lower - self.distances(q[None], self._apart.lower)[0], initial=0.0))
 
     def find_path(self, start: np.ndarray, goal: np.ndarray, seed: int = 0) -> np.ndarray | None:
         """Poses (K, nq) from start to goal (nq,) on which nothing is nearer than it may be; None where none was found.
@@ -46,7 +46,7 @@ class CollisionChecker:
         It keeps some room more where it can. At the ends pairs may be as near as they are there.
         """
         ways = _ways.setdefault(self._mechanism, {})
-        key = b"".join([start.tobytes(), goal.tobytes(), self._apart.least.tobytes(), seed.to_bytes(8, "little")])
+        key = b"".join([start.tobytes(), goal.tobytes(), self._apart.lower.tobytes(), seed.to_bytes(8, "little")])
         if key not in ways:
             ways[key] = self._sought(start, goal, seed)
         return ways[key]
@@ -58,12 +58,12 @@ class CollisionChecker:
         low = np.minimum(np.where(np.isfinite(low), low, first - np.pi), first)
         high = np.maximum(np.where(np.isfinite(high), high, last + np.pi), last)
         for room in (CLEARANCE_SHARE, 0.0):
-            least = np.minimum(self._apart.least * (1.0 + room), ends - 1e-9)
+            lower = np.minimum(self._apart.lower * (1.0 + room), ends - 1e-9)
 
-            def free(q: np.ndarray, least: np.ndarray = least) -> np.ndarray:
-                return np.all(self.distances(q, least) >= least, axis=1)
+            def free(q: np.ndarray, lower: np.ndarray = lower) -> np.ndarray:
+                return np.all(self.distances(q, lower) >= lower, axis=1)
 
-            nearly = partial(free, least=np.minimum(CUT * self._apart.least, least))
+            nearly = partial(free, lower=np.minimum(CUT * self._apart.lower, lower))
             way = rrt_connect(free, start, goal, low, high, seed, nearly)
             if way is not None:
                 return way

@@ -61,7 +61,7 @@ def inverse_dynamics_controls(mechanism: Mechanism, q: np.ndarray, qd: np.ndarra
         raise PlannerError("the actuators do not reach every joint directly, expected a fully actuated machine.")
     lengths, speeds = _lengths(mechanism, q), qd @ actuators.moment.T
     force = actuators.bias[:, 0] + actuators.bias[:, 1] * lengths + actuators.bias[:, 2] * speeds
-    tree = replace(mechanism, loops=(), cams=()) if closed else mechanism
+    tree = replace(mechanism, loops=(), polynomial_couplings=()) if closed else mechanism
     tau = rnea(tree, q, qd, qdd) - friction_forces(mechanism, qd, qdd)[0] - force @ actuators.moment
     if not closed:
         return np.linalg.lstsq(reach, G.T @ tau.T, rcond=None)[0].T

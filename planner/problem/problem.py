@@ -186,7 +186,7 @@ class Problem(Built):
         kept = (*self.constraints, *tendons)
         rows = ConstraintStack(kept, self.dynamics, self.x0, us, tolerance) if kept else None
         if rows is not None or self.ranges is not None:
-            object.__setattr__(self, "kept", TrajectoryConstraints(self.ranges, rows, tolerance))
+            object.__setattr__(self, "trajectory_constraints", TrajectoryConstraints(self.ranges, rows, tolerance))
 
     def __repr__(self) -> str:
         title = "" if self.appearance is None else self.appearance.title

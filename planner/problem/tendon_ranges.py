@@ -81,8 +81,8 @@ def kept_tendon(length: TendonLength, kept: Range, start: np.ndarray, goal: np.n
             own, said = value * length.scale, f"the {what} has {length} at {value * length.scale:.6g}"
             raise PlannerError(said + scaled.refusal(Coordinate(length.tendon.name, ""), own))
         kept = room
-    least, most = (end if np.isfinite(end) else None for end in (kept.low, kept.high))
-    return Constraint(length, least=least, most=most, tolerance=tolerance, name=f"range of {length}")
+    lower, upper = (end if np.isfinite(end) else None for end in (kept.low, kept.high))
+    return Constraint(length, lower=lower, upper=upper, tolerance=tolerance, name=f"range of {length}")
 
 
 def _of_model(length: TendonLength, margin: Any) -> Range:

@@ -107,7 +107,7 @@ def _far(plan: Plan, proof: Proof) -> dict[str, float]:
         xs = plan.xs[np.union1d(n, n + 1)]
         real = np.array([distances_in(model, x[: model.nq], [geoms], MAX_MUJOCO_DISTANCE)[geoms] for x in xs])
         beyond = float(np.min(real - measure.shown(xs, plan.us[:0], n)[:, k]))
-        nearer = measure.least[k] - (pair.required_clearance - beyond)
+        nearer = measure.lower[k] - (pair.required_clearance - beyond)
         if nearer > allowed and real.min() > pair.required_clearance:
             found[pair.names] = -nearer
     return found
@@ -132,6 +132,6 @@ def with_more_room(problem: Problem, more: dict[str, float]) -> Problem:
             pairs = one.of.pairs
             added = one.of.more + np.array([more.get(pair.names, 0.0) for pair in pairs])
             apart = replace(one.of, more=np.minimum(added, [pair.spare_clearance for pair in pairs]))
-            one = replace(one, of=apart, least=apart.least)
+            one = replace(one, of=apart, lower=apart.lower)
         changed.append(one)
     return replace(problem, constraints=changed)

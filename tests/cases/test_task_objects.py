@@ -30,7 +30,7 @@ def test_limits_and_constraints_of_python_are_kept():
     assert speed(free.xs).max() > 1.2
     limited = planner.solve(asked(limits=planner.Limits(control=9.5)))
     assert np.abs(limited.us).max() <= 9.5
-    slow = planner.Constraint(speed, most=1.15)
+    slow = planner.Constraint(speed, upper=1.15)
     for given in (slow, [slow]):
         plan = planner.solve(asked(constraint=given))
         assert plan.success
@@ -53,7 +53,7 @@ def test_a_limit_that_is_not_a_number_is_refused(limits):
 
 def test_a_constraint_that_is_not_a_number_is_refused():
     with pytest.raises(planner.PlannerError, match=r"nan.* at the start, expected finite numbers"):
-        asked(constraint=planner.Constraint(lambda xs: np.nan * xs[:, 1], most=1.0))
+        asked(constraint=planner.Constraint(lambda xs: np.nan * xs[:, 1], upper=1.0))
 
 
 def test_a_plan_in_place_of_a_problem_is_told_how_to_be_given():
@@ -90,7 +90,7 @@ def test_avoid_and_one_constraint_may_be_objects_or_tables():
     )
     assert by_object.parameters["avoid"]["clearance"] == 0.03
     np.testing.assert_array_equal(by_object.first_guess, by_table.first_guess)
-    one = {"frame": "tool", "along": "z", "most": 1.5}
+    one = {"frame": "tool", "along": "z", "upper": 1.5}
     assert len(planner.task(machine, "left", goal, duration=2.0, constraint=one).constraints) == 1
 
 

@@ -66,7 +66,7 @@ def task_with(text, seed, integrator, full=False, tracking=True, limits=None):
     for kind in KINDS:
         term = some_cost(rng, task.dynamics, N, kind)
         cost = term if cost is None else cost + term
-    height = Height(Point(world=(0.0, 0.0, 1.0)), least=0.5, tolerance=0.1)
+    height = Height(Point(world=(0.0, 0.0, 1.0)), lower=0.5, tolerance=0.1)
     cost = cost + PenaltyCost(task.dynamics, N, [height])
     return Problem(task.dynamics, cost, task.x0, task.first_guess, limits=limits)
 

@@ -31,18 +31,18 @@ def of_all_kinds(rng, dynamics):
         return np.stack([us[:, 0] * xs[:, -1], us[:, -1] ** 2], axis=1)
 
     kinds = [
-        Constraint(Height(a, least=0.3, **TOLERANCE)),
+        Constraint(Height(a, lower=0.3, **TOLERANCE)),
         Constraint(Height(b, target=0.1, **TOLERANCE)),
-        Constraint(Distance(a, Segment(b, c, radius=0.1), least=1.0, **TOLERANCE)),
-        Constraint(Velocity(c, rng.normal(size=3), most=0.2, **TOLERANCE)),
-        Constraint(FramePosition(frames[3]), least=-rng.random(3), most=rng.random(3)),
+        Constraint(Distance(a, Segment(b, c, radius=0.1), lower=1.0, **TOLERANCE)),
+        Constraint(Velocity(c, rng.normal(size=3), upper=0.2, **TOLERANCE)),
+        Constraint(FramePosition(frames[3]), lower=-rng.random(3), upper=rng.random(3)),
         Constraint(FramePosition(frames[4]), equal=np.zeros(3), when="end"),
         Constraint(FrameOrientation(frames[5], rng.normal(size=4)), equal=0.0, when="end"),
-        Constraint(FrameAxisAngle(frames[0], rng.normal(size=3), rng.normal(size=3)), most=0.7),
-        Constraint(CenterOfMass(), least=[np.nan, -0.2, 0.0]),
-        Constraint(smooth, least=-0.1, most=0.1),
-        Constraint(mixed, most=[0.1, 0.2]),
-        *(Constraint(Power(name), least=-0.1, most=0.1) for name in names[:2]),
+        Constraint(FrameAxisAngle(frames[0], rng.normal(size=3), rng.normal(size=3)), upper=0.7),
+        Constraint(CenterOfMass(), lower=[np.nan, -0.2, 0.0]),
+        Constraint(smooth, lower=-0.1, upper=0.1),
+        Constraint(mixed, upper=[0.1, 0.2]),
+        *(Constraint(Power(name), lower=-0.1, upper=0.1) for name in names[:2]),
     ]
     return [kinds[i] for i in sorted(rng.choice(len(kinds), 5, replace=False))]
 

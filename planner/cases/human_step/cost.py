@@ -159,7 +159,7 @@ def _weights(
 
 
 def _foot(side: str, end: str, wish: StepTolerances, tolerance: float, period: float, **bound: Any) -> Height:
-    """The height of heel or toe, with a bound `least` or `most`."""
+    """The height of heel or toe, with a bound `lower` or `upper`."""
     return Height(Point(f"{side}_{end}_point"), tolerance=tolerance, ramp=wish.ramp, weight=1.0 / period, **bound)
 
 
@@ -181,7 +181,7 @@ def _clearance(step: GaitPhase, wish: StepTolerances) -> list[Any]:
         on = (part > 0.0) & (part < 1.0) if step.walker.belt else np.ones(step.N + 1, dtype=bool)
         wanted = wish.clearance * np.clip(np.minimum(part / up, (1.0 - part) / down), 0.0, 1.0)
         terms += [
-            _foot(side, end, wish, wish.clearance_tolerance, wish.period, least=np.where(on, wanted, np.nan))
+            _foot(side, end, wish, wish.clearance_tolerance, wish.period, lower=np.where(on, wanted, np.nan))
             for end in ("heel", "toe")
         ]
     return terms
@@ -194,9 +194,9 @@ def _standing(step: GaitPhase, wish: StepTolerances) -> list[Any]:
         t = step.leg_time(side)
         for end, part in STANCE.items():
             most = _during(t, part, -wish.stance_depth)
-            terms.append(_foot(side, end, wish, wish.stance_tolerance, wish.period, most=most))
+            terms.append(_foot(side, end, wish, wish.stance_tolerance, wish.period, upper=most))
         for end in STANCE if wish.deepest else ():
-            terms.append(_foot(side, end, wish, wish.stance_tolerance, PERIOD, least=-wish.deepest))
+            terms.append(_foot(side, end, wish, wish.stance_tolerance, PERIOD, lower=-wish.deepest))
     return terms
 
 
@@ -213,7 +213,7 @@ def _reach(step: GaitPhase, wish: StepTolerances) -> list[Any]:
     """The hip of the standing leg is no farther from its ankle than the leg is long."""
     ankle = step.feet(step.motion.q)[:, 3]
     return [
-        Distance(Point("left_hip"), Point(world=ankle), most=wish.straight * step.walker.leg_length,
+        Distance(Point("left_hip"), Point(world=ankle), upper=wish.straight * step.walker.leg_length,
                  tolerance=wish.reach_tolerance, ramp=wish.reach_ramp, weight=1.0 / wish.period)
     ]  # fmt: skip
 
@@ -233,7 +233,7 @@ def _apart(step: GaitPhase, wish: StepTolerances) -> list[Any]:
         (shank, other_foot, wish.feet_apart), (foot, other_shank, wish.feet_apart),
     )  # fmt: skip
     return [
-        Distance(a, b, least=least, tolerance=wish.apart_tolerance, ramp=wish.ramp, weight=1.0 / wish.period)
+        Distance(a, b, lower=least, tolerance=wish.apart_tolerance, ramp=wish.ramp, weight=1.0 / wish.period)
         for a, b, least in pairs
     ]
 

@@ -21,7 +21,7 @@
     [[constraint]]                      # optional: what the plan keeps, see problem_file.constraints
     frame = "hook"
     along = "z"
-    least = 0.5                         # m
+    lower = 0.5                         # m
 
 In place of one goal of the joints there may be goals of frames, at times, and paths (docs/tasks.md):
 

@@ -45,4 +45,4 @@ class ChainForce:
         def force(xs: np.ndarray, us: np.ndarray) -> np.ndarray:
             return np.linalg.norm(constraint_forces(dynamics, xs, us)[:, first : first + 3], axis=1)
 
-        return UserFunction(Constraint(force, most=0.0), dynamics, mechanism.home, np.zeros(dynamics.nu))
+        return UserFunction(Constraint(force, upper=0.0), dynamics, mechanism.home, np.zeros(dynamics.nu))

@@ -40,7 +40,11 @@ class PairClearance:
     unit = "m"
 
     def __post_init__(self) -> None:
-        set_fields(self, pairs=tuple(self.pairs), soft=number("soft", self.penalty_length, greater_than=0.0))
+        set_fields(
+            self,
+            pairs=tuple(self.pairs),
+            penalty_length=number("penalty_length", self.penalty_length, greater_than=0.0),
+        )
 
     def __str__(self) -> str:
         return "clearance"
@@ -49,7 +53,7 @@ class PairClearance:
         return f"Apart({len(self.pairs)} pairs)"
 
     @property
-    def least(self) -> np.ndarray:
+    def lower(self) -> np.ndarray:
         """(P,) m, how far each pair is kept apart."""
         return np.array([pair.required_clearance for pair in self.pairs]) + self.more
 
@@ -69,14 +73,14 @@ class PairClearanceFunction(ResidualFunction):
     def __init__(self, what: PairClearance, dynamics: Dynamics, N: int) -> None:
         mechanism = machine_of(dynamics, what)
         terms = [
-            Clearance(a=pair.a, b=pair.b, lift=pair.distance_offset, least=least, tolerance=1.0)
-            for pair, least in zip(what.pairs, what.least, strict=True)
+            Clearance(a=pair.a, b=pair.b, lift=pair.distance_offset, lower=lower, tolerance=1.0)
+            for pair, lower in zip(what.pairs, what.lower, strict=True)
         ]
         super().__init__(dynamics, what, measures_of(mechanism, N, terms, dynamics.dt))
         self._clearances = SignedDistances(mechanism, [pair[:2] for pair in what.pairs])
-        self.least = what.least
+        self.lower = what.lower
         self._lift = np.array([pair.distance_offset for pair in what.pairs])
-        self._known = KNOWN * np.abs(what.least) + what.penalty_length - self._lift
+        self._known = KNOWN * np.abs(what.lower) + what.penalty_length - self._lift
         self.initial_penalty = dynamics.dt / what.penalty_length**2
 
     def values(self, xs: np.ndarray, us: np.ndarray, n: np.ndarray) -> np.ndarray:
@@ -109,7 +113,7 @@ class PairClearanceFunction(ResidualFunction):
         way = self.mechanism.space.difference(states[1:, : self._nx], states[:-1, : self._nx])
         moved = self._clearances.motion_bound(self._q(states[:-1]), way[:, : self.mechanism.nv])
         nearest = np.minimum(values[:-1], values[1:])
-        short = np.maximum(self.least - nearest, -distance_lower_bound(values, moved))
+        short = np.maximum(self.lower - nearest, -distance_lower_bound(values, moved))
         return short.reshape(N, PARTS, -1).max(axis=1)
 
     def _q(self, xs: np.ndarray) -> np.ndarray:

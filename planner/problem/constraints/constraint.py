@@ -1,6 +1,6 @@
 """Constraint: one thing that a plan keeps, of the states or of states and controls. Data.
 
-    h(x, u) = equal,   or   least <= h(x, u) <= most,   one of the two sides or both
+    h(x, u) = equal,   or   lower <= h(x, u) <= upper,   one of the two sides or both
 
 to a tolerance, by the augmented Lagrangian of planner.solvers.augmented_lagrangian. What h is:
 
@@ -36,10 +36,10 @@ class Constraint:
     """One thing that a plan keeps.
 
     Attributes:
-        of: A term of planner.costs, with its own least, most or target and tolerance; a quantity; or a function.
+        of: A term of planner.costs, with its own lower, upper or target and tolerance; a quantity; or a function.
         equal: Of a quantity or function: a number, (R,), or (N+1, R) by stages with NaN where it is not asked for.
-        least: The same.
-        most: The same; beside least or alone.
+        lower: The same.
+        upper: The same; beside lower or alone.
         when: "always", "end", or (from, to) in s.
         tolerance: How far beyond passes, in the unit of h. By default that of the term, or 1e-4 of the largest bound
             and no less than 1e-4.
@@ -55,8 +55,8 @@ class Constraint:
 
     of: Any
     equal: Any = None
-    least: Any = None
-    most: Any = None
+    lower: Any = None
+    upper: Any = None
     when: Any = ALWAYS
     tolerance: float | None = None
     name: str = ""
@@ -78,13 +78,13 @@ class Constraint:
         set_fields(self, name=self.name or own.replace("<lambda>", "h"))
         unit = ("m/s" if isinstance(self.of, Velocity) else "m") if term else getattr(self.of, "unit", "")
         set_fields(self, unit=self.unit or unit)
-        given = [name for name in ("equal", "least", "most") if getattr(self, name) is not None]
+        given = [name for name in ("equal", "lower", "upper") if getattr(self, name) is not None]
         if term and given:
             raise PlannerError(f"{self} has {given[0]} beside a term, expected it in the term: {given[0]}=.")
         if not term and not given:
-            raise PlannerError(f"{self} has no bound, expected equal=, least= or most=.")
+            raise PlannerError(f"{self} has no bound, expected equal=, lower= or upper=.")
         if "equal" in given and len(given) > 1:
-            raise PlannerError(f"{self} has equal and {given[1]}, expected equal alone, or least and most.")
+            raise PlannerError(f"{self} has equal and {given[1]}, expected equal alone, or lower and upper.")
         if self.derivatives is not None and (term or quantity or not callable(self.derivatives)):
             raise PlannerError(f"{self} has derivatives={short_repr(self.derivatives)}, expected those of a function.")
         for name in given:
@@ -143,13 +143,13 @@ class Constraint:
             return self.tolerance
         if isinstance(self.of, Penalty):
             return self.of.tolerance
-        sizes = [np.abs(one) for one in (self.equal, self.least, self.most) if one is not None]
+        sizes = [np.abs(one) for one in (self.equal, self.lower, self.upper) if one is not None]
         return RELATIVE * max(1.0, *(float(np.nanmax(one, initial=0.0)) for one in sizes))
 
     def resampled(self, parts: int) -> Constraint:
         """The same over stages divided into parts."""
         changed = {
-            name: per_stage(bound, parts) for name in ("equal", "least", "most")
+            name: per_stage(bound, parts) for name in ("equal", "lower", "upper")
             if (bound := getattr(self, name)) is not None and bound.ndim == 2
         }  # fmt: skip
         return replace(self, **changed)

@@ -20,7 +20,9 @@ from planner.problem.constraints.constraint import Constraint
 from planner.problem.constraints.quantities import measure_of_term
 from planner.problem.costs.penalty_terms import Penalty
 
-_DIFFERENCE = float(np.cbrt(np.finfo(float).eps))  # of a number, and of 1: where rounding and curvature are least
+_DIFFERENCE = float(
+    np.cbrt(np.finfo(float).eps)
+)  # of a number, and of 1: where errors of rounding and curvature are smallest
 
 
 class ConstraintFunction(Protocol):
@@ -51,21 +53,21 @@ def measure_of(
 
 
 def sides_of(constraint: Constraint, measure: ConstraintFunction, N: int) -> tuple[np.ndarray, np.ndarray]:
-    """Least and most (N+1, R), infinite or NaN where nothing is asked for."""
+    """Lower and upper bounds (N+1, R), infinite or NaN where nothing is asked for."""
     given, R = constraint, measure.rows
     if isinstance(given.of, Penalty):
         own = np.reshape(getattr(given.of, given.of.wanted), (-1, 1))
-        low, high = None if given.of.wanted == "most" else own, None if given.of.wanted == "least" else own
+        low, high = None if given.of.wanted == "upper" else own, None if given.of.wanted == "lower" else own
     else:
-        low, high = (given.equal, given.equal) if given.equal is not None else (given.least, given.most)
-    least, most = (
+        low, high = (given.equal, given.equal) if given.equal is not None else (given.lower, given.upper)
+    lower, upper = (
         np.full((N + 1, R), none) if side is None else _spread(given, side, R, N)
         for side, none in ((low, -np.inf), (high, np.inf))
     )
-    if np.any(least > most):
-        n, r = np.argwhere(least > most)[0]
-        raise PlannerError(f"{given} has least = {least[n, r]:g} above most = {most[n, r]:g}, expected it below.")
-    return least, most
+    if np.any(lower > upper):
+        n, r = np.argwhere(lower > upper)[0]
+        raise PlannerError(f"{given} has lower = {lower[n, r]:g} above upper = {upper[n, r]:g}, expected it below.")
+    return lower, upper
 
 
 def _spread(constraint: Constraint, side: np.ndarray, R: int, N: int) -> np.ndarray:

@@ -53,8 +53,8 @@ class ConstraintStack:
     Attributes:
         names: (C,) of the rows.
         scale: (C,) what a row is multiplied by.
-        least: (N+1, C) what is asked for, scaled; -inf where nothing is.
-        most: (N+1, C).
+        lower: (N+1, C) what is asked for, scaled; -inf where nothing is.
+        upper: (N+1, C).
         lower: (N+1, C) the same but for the start, of which only what controls change counts.
         upper: (N+1, C).
 
@@ -66,7 +66,7 @@ class ConstraintStack:
         self, constraints: Sequence[Constraint], dynamics: Dynamics, x0: np.ndarray, us: np.ndarray, tolerance: float
     ) -> None:
         self.N, self.parts, columns = len(us), list[StackEntry](), 0
-        least, most, scale, names, of_start = [], [], [], list[str](), []
+        lower, upper, scale, names, of_start = [], [], [], list[str](), []
         for constraint in constraints:
             measure = measure_of(constraint, dynamics, self.N, x0, us[0])
             asked = constraint.stages(self.N, dynamics.dt)
@@ -83,14 +83,14 @@ class ConstraintStack:
             for at_end in (False, True)[: 1 + measure.of_controls]:
                 self.parts.append(StackEntry(constraint, measure, slice(columns, columns + measure.rows), at_end))
                 columns += measure.rows
-                least.append(low)
-                most.append(high)
+                lower.append(low)
+                upper.append(high)
                 scale += measure.rows * [tolerance / constraint.allowed()]
                 names += measure.rows * [constraint.name]
                 of_start += measure.rows * [measure.of_controls]
         self.names, self.scale, self.tolerance = tuple(names), np.array(scale), tolerance
         self.specified_lower, self.specified_upper = (
-            self.scale * np.concatenate(side, axis=1) for side in (least, most)
+            self.scale * np.concatenate(side, axis=1) for side in (lower, upper)
         )
         given = ~np.array(of_start)
         self.lower, self.upper = self.specified_lower.copy(), self.specified_upper.copy()

@@ -79,7 +79,7 @@ class TrajectoryConstraints:
         more, through = np.zeros_like(self.lower), False
         for measure, columns, scale in self._apart():
             short = measure.clearance_violation(dynamics, xs, us)
-            touched = (short > measure.least).any(axis=0)
+            touched = (short > measure.lower).any(axis=0)
             short = np.where(touched, short.max(axis=0), short) * scale
             short = np.where(short > self.tolerance, short, 0.0)
             more[1:, columns] = short

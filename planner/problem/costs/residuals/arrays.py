@@ -4,8 +4,8 @@ A term measures up to six numbers of the state, its rows (see kernels.tree.resid
 compared, stage by stage, with what is wanted, and costs w r^2 / 2:
 
     target b     r = e - b
-    most b       r = ramp(e - b; a)          0, d^2 / 2a, d - a/2  for d < 0, 0..a, > a; a may be 0
-    least b      r = ramp(b - e; a)
+    upper b      r = ramp(e - b; a)          0, d^2 / 2a, d - a/2  for d < 0, 0..a, > a; a may be 0
+    lower b      r = ramp(b - e; a)
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ class ResidualArrays:
     first_row: np.ndarray  # (T+1,) where the rows of a term begin
     first_reference: np.ndarray  # (T+1,) where its references begin
     reference: np.ndarray  # (S, N+1) a rotation that an orientation is compared with, a pose
-    side: np.ndarray  # (M,) +1 for most, -1 for least, 0 for a target
+    side: np.ndarray  # (M,) +1 for upper, -1 for lower, 0 for a target
     ramp: np.ndarray  # (M,)
     bound: np.ndarray  # (M, N+1), 0 where a row is off
     weight: np.ndarray  # (M, N+1), 0 where a row is off; times dt on the way

@@ -16,7 +16,7 @@ from planner.model.mechanism import Frame, Mechanism
 from planner.problem.costs.penalty_terms import Clearance, Distance, Gap, Height, Penalty, Point, Segment, Velocity
 from planner.problem.costs.residuals.arrays import ResidualArrays, ResidualList
 
-_SIDES = {"least": -1.0, "most": 1.0, "target": 0.0}
+_SIDES = {"lower": -1.0, "upper": 1.0, "target": 0.0}
 
 
 def measures_of(mechanism: Mechanism, N: int, terms: Sequence[Any], dt: float) -> ResidualArrays:
