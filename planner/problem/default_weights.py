@@ -74,7 +74,7 @@ def default_weights(
         tolerance: How far from the goal the end may be, as Problem has it; finer ones make the goal tighter.
         effort_alone: Whether velocities on the way are free.
         stays: Whether a machine on the ground is kept beside the straight line, and its end weighed by staying there.
-        way: (nv,) how far each degree of freedom goes; by default that from x0 to the goal.
+        displacement: (nv,) rad or m of each degree of freedom; by default from x0 to the goal.
         most: (nu,) how large each control may be where the model says nothing; infinite or None for no bound.
         jerk: The weight of jerk in the objective.
     """

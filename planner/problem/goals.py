@@ -67,11 +67,11 @@ def goals_of(problem: Problem, xs: np.ndarray | None = None) -> tuple[GoalCheck,
     Raises:
         PlannerError: The problem's tolerance names no goal of it.
     """
-    wanted = wanted_of(problem)
-    asked = _asked(problem.tolerance, [one.name for one in wanted])
-    ways = [(static_error(one, problem.x0), one.unit) for one in wanted]
+    specs = goal_specs_of(problem)
+    asked = _asked(problem.tolerance, [one.name for one in specs])
+    ways = [(static_error(one, problem.x0), one.unit) for one in specs]
     goals, share = [], least_share(ways)
-    for one in wanted:
+    for one in specs:
         kind = KINDS[one.unit.endswith("/s")]
         given = asked.get(one.name, asked.get(kind) if one.tolerance is None else one.tolerance)
         tolerance = _usual(one, problem.x0, xs, share) if given is None else given
@@ -98,12 +98,12 @@ def missed_goal_message(problem: Problem, t: np.ndarray, xs: np.ndarray) -> str:
     )
 
 
-def wanted_of(problem: Problem) -> tuple[GoalSpec, ...]:
+def goal_specs_of(problem: Problem) -> tuple[GoalSpec, ...]:
     """What a problem's task asks for, else what the terms of its cost ask of its end."""
-    if problem.wanted is not None:
-        return problem.wanted
+    if problem.goal_specs is not None:
+        return problem.goal_specs
     coordinates = coordinates_of(problem.dynamics)
-    found = tuple(one for term in terms_of(problem.cost) for one in getattr(term, "wanted", _nothing)(coordinates))
+    found = tuple(one for term in terms_of(problem.cost) for one in getattr(term, "goal_specs", _nothing)(coordinates))
     if problem.periodic is None:
         return found
     # What is to come back has no goal of its own: its reference at the end is a multiplier (planner.solvers.periodic).
@@ -114,8 +114,8 @@ def wanted_of(problem: Problem) -> tuple[GoalSpec, ...]:
 def unchecked_goals(problem: Problem, xs: np.ndarray, us: np.ndarray) -> tuple[str, ...]:
     """The terms with a final part that do not say what they ask for, by their type: a user's own costs."""
     found = []
-    for term in () if problem.wanted is not None else terms_of(problem.cost):
-        if not hasattr(term, "wanted"):
+    for term in () if problem.goal_specs is not None else terms_of(problem.cost):
+        if not hasattr(term, "goal_specs"):
             model = term.quadratize(xs, us)
             if np.any(model.Q[-1]) or np.any(model.q[-1]):
                 found.append(type(term).__name__)
@@ -124,7 +124,7 @@ def unchecked_goals(problem: Problem, xs: np.ndarray, us: np.ndarray) -> tuple[s
 
 def stages_asked(problem: Problem) -> np.ndarray:
     """The stages (k,) at which a task asks for something; those of paths aside."""
-    found = [one.times[0] for one in problem.wanted or () if one.times is not None and len(one.times) == 1]
+    found = [one.times[0] for one in problem.goal_specs or () if one.times is not None and len(one.times) == 1]
     return np.unique(np.round(np.array(found) / problem.dynamics.dt)).astype(int)
 
 

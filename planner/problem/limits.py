@@ -24,12 +24,11 @@ from planner.model.coordinates import coordinates_of
 from planner.model.coupled_ranges import contradiction
 from planner.model.mechanism import SCREW, Mechanism
 from planner.model.space import space_of
-from planner.problem.actuator_limits import model_bounds, servo_bounds, unbounded_actuators
 from planner.problem.constraints.constraint import Constraint
-from planner.problem.control_bounds import ControlBounds, Servos
+from planner.problem.control_bounds import ControlBounds, Servos, model_bounds, servo_bounds, unbounded_actuators
 from planner.problem.costs.terms import Cost
 from planner.problem.costs.weights import places
-from planner.problem.joint_limits import Range, check_margin, model_ranges
+from planner.problem.joint_limits import Range, check_margin, kept_tendon, model_ranges, tendon_ranges
 from planner.problem.limit_values import (
     OFF,
     component_of,
@@ -42,7 +41,6 @@ from planner.problem.limit_values import (
     with_names,
 )
 from planner.problem.state_bounds import StateBounds
-from planner.problem.tendon_ranges import kept_tendon, tendon_ranges
 
 TOLERANCE = 1e-4  # rad, m, rad/s, m/s
 MODEL, EXACT = "model", "exact"
@@ -58,7 +56,7 @@ class Limits:
     Attributes:
         control: (lower, upper), each a number, (nu,) or (N, nu); a number b for -b to b; a table of numbers or pairs
             by the names of actuators; "model" for the model's ctrlrange, forcerange and actuatorfrcrange. Those of
-            servos bound controls that depend on the state; some bound none (planner.problem.actuator_limits.unbounded).
+            servos bound controls that depend on the state; some bound none (planner.problem.control_bounds.unbounded).
         position: (lower, upper) by the names of hinge and slide joints, or "model" for their ranges less the margin.
             rad or m. Joints whose stops the mechanism has have none. Names of fixed tendons likewise, of their lengths.
         velocity: A number for all joints, or by joint a number or (lower, upper), or "model" for the limits that a

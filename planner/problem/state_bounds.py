@@ -43,15 +43,15 @@ class StateBounds:
     at_end: int  # How many of them, the last ones, are exact goals: for the end alone
     coordinates: tuple[Coordinate, ...]  # (H,) their names and units
 
-    def free(self) -> BoundPenalties:
-        """Hinges that weigh nothing."""
+    def zero_penalties(self) -> BoundPenalties:
+        """Penalties with zero weights."""
         return BoundPenalties(self.lower.copy(), self.upper.copy(), np.zeros_like(self.lower))
 
     def deviations(self, xs: np.ndarray) -> np.ndarray:
         """The components (N+1, H) of states xs (N+1, nx)."""
         return self.space.difference(xs, self.reference)[:, self.component]
 
-    def beyond(self, xs: np.ndarray) -> np.ndarray:
+    def violation(self, xs: np.ndarray) -> np.ndarray:
         """How far (M+1, H) states lie outside of their ranges; 0 within.
 
         At the knots (M = N), or at equal parts of every stage too, which have the reference and range of its start
@@ -73,7 +73,7 @@ class StateBounds:
         above, below = self._beyond(bound_penalties, xs)
         return 0.5 * float(np.sum(bound_penalties.weight * (above**2 + below**2)))
 
-    def added(self, bound_penalties: BoundPenalties, model: Quadratic, xs: np.ndarray) -> Quadratic:
+    def with_penalties(self, bound_penalties: BoundPenalties, model: Quadratic, xs: np.ndarray) -> Quadratic:
         """The quadratic model of a cost along xs (N+1, nx) with that of the penalties."""
         return self._with(
             model, xs, *_penalty_gradients(bound_penalties, e := self.deviations(xs), sides_of(bound_penalties, e))

@@ -35,7 +35,7 @@ def task_panels(problem: Problem, t: np.ndarray, motions: Sequence[Motion]) -> l
 def _of_goals(problem: Problem, t: np.ndarray, motions: Sequence[Motion]) -> list[BoundedPanel]:
     """By unit: the miss of each goal of a task, and its tolerance when it is asked for."""
     units: dict[str, dict[bytes, tuple[list[str], np.ndarray, np.ndarray]]] = {}
-    for one in problem.wanted or ():
+    for one in problem.goal_specs or ():
         if one.tolerance is None:
             continue
         asked = np.array([problem.N] if one.times is None else np.round(np.array(one.times) / problem.dynamics.dt), int)
@@ -75,9 +75,9 @@ def _of_constraints(problem: Problem, t: np.ndarray, motions: Sequence[Motion]) 
         lower, upper = (
             side[:, part.columns] / rows.scale[part.columns] for side in (rows.specified_lower, rows.specified_upper)
         )
-        if part.measure.of_controls:
+        if part.function.of_controls:
             lower[-1], upper[-1] = lower[-2], upper[-2]
-        key = (part.constraint.unit, lower.tobytes(), upper.tobytes()) if part.measure.rows == 1 else k
+        key = (part.constraint.unit, lower.tobytes(), upper.tobytes()) if part.function.rows == 1 else k
         alike.setdefault(key, []).append((part, lower, upper))
     panels = []
     for found in alike.values():
@@ -96,7 +96,7 @@ def _values(part: StackEntry, xs: np.ndarray, us: np.ndarray) -> np.ndarray:
     """(N+1, R) of a constraint; a control's last stage is seen at its end too. NaN where a motion ran away."""
     n = np.arange(len(xs))
     last = np.minimum(n, len(us) - 1)
-    measure, u = part.measure, us[last]
+    measure, u = part.function, us[last]
     found = np.full((len(xs), measure.rows), np.nan)
     known = np.flatnonzero(np.isfinite(xs).all(axis=1) & np.isfinite(u).all(axis=1))
     values = getattr(measure, "shown", measure.values)
@@ -126,7 +126,7 @@ def _nearest(
 
 def _names(part: StackEntry) -> tuple[str, ...]:
     """Of a constraint's rows."""
-    own, R = tuple(getattr(part.constraint.of, "names", ())), part.measure.rows
+    own, R = tuple(getattr(part.constraint.of, "names", ())), part.function.rows
     if R == 1:
         return (part.constraint.name,)
     return own if len(own) == R else tuple(f"row {r}" for r in range(1, R + 1))

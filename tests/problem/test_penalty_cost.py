@@ -12,7 +12,7 @@ import planner
 from planner import Mechanism, PenaltyCost, PlannerError, Problem, RigidBodyDynamics, TrackingCost
 from planner.costs import Distance, Gap, Height, Point, Segment, Velocity
 from planner.dynamics.contacts import contact_forces
-from planner.problem.costs.residuals.scalars import nearest
+from planner.problem.costs.residuals.functions import nearest_on_segments
 
 seeds = st.integers(0, 2**32 - 1)
 
@@ -27,7 +27,7 @@ def machine():
 
 
 def length(a0, a1, b0, b1):
-    d, s, u = nearest(*(np.array(point, dtype=float) for point in (a0, a1, b0, b1)))
+    d, s, u = nearest_on_segments(*(np.array(point, dtype=float) for point in (a0, a1, b0, b1)))
     assert 0.0 <= s <= 1.0
     assert 0.0 <= u <= 1.0
     np.testing.assert_allclose(d, a0 + s * np.subtract(a1, a0) - (b0 + u * np.subtract(b1, b0)), rtol=0, atol=1e-12)
@@ -212,7 +212,7 @@ def test_gradients_are_differences_of_the_value(machine, name):
         value = float(cost.values(xs)[n, 0])
         assert np.linalg.eigvalsh(H).min() > -1e-12 * max(1.0, np.abs(H).max())
         # one residual: J'J r^2 = (J'r)(J'r)'
-        residual = {"target": 1.0}.get(TERMS[name].wanted)
+        residual = {"target": 1.0}.get(TERMS[name].side)
         if residual and g.any():
             e = value - np.broadcast_to(TERMS[name].target, 4)[n]
             np.testing.assert_allclose(H * e**2 * cost.residual_arrays.weight[0, n], np.outer(g, g), atol=1e-10)

@@ -7,7 +7,7 @@ import pytest
 
 import planner
 from planner import Limits, Mechanism, Problem, RigidBodyDynamics, TrackingCost
-from planner.problem.actuator_limits import unbounded
+from planner.problem.control_bounds import unbounded
 from planner.proof.replays.limits_hit import clamps_hit
 from planner.solvers import lq
 from planner.solvers.engine import CompiledEngine, NumpyEngine

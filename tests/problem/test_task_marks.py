@@ -10,9 +10,9 @@ import planner
 from planner.dynamics.inverse_kinematics import Target, residuals
 from planner.problem.appearance import Appearance
 from planner.problem.constraints.quantities import FramePositionAlong
+from planner.problem.default_appearance import with_marks
 from planner.problem.task_panels import MAX_CURVES, task_panels
 from planner.problem.tasks.cost import _off_frame
-from planner.problem.tasks.marks import with_marks
 
 N, DT = 40, 0.02
 PLACE = hand(0.9, -0.4)
@@ -161,7 +161,7 @@ def test_of_many_rows_the_nearest_are_shown():
         def __str__(self):
             return "clearance"
 
-        def measure(self, dynamics, N):
+        def constraint_function(self, dynamics, N):
             return self
 
         rows, of_controls, same = 12, False, "distances"

@@ -32,9 +32,8 @@ from typing import Any
 from planner.base.arguments import array, choice, number, short_repr
 from planner.base.errors import PlannerError
 from planner.cases.problem_file.keys import CONSTRAINT
-from planner.problem.constraints.chain_force import ChainForce
 from planner.problem.constraints.constraint import END, Constraint
-from planner.problem.constraints.power import Power
+from planner.problem.constraints.forces import ChainForce, Power
 from planner.problem.constraints.quantities import FrameAxisAngle, FrameOrientation, FramePosition, FramePositionAlong
 
 AXES = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}

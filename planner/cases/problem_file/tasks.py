@@ -24,14 +24,13 @@ from planner.problem.costs.terms import Cost
 from planner.problem.default_weights import DefaultWeights, default_weights, min_jerk_cost
 from planner.problem.goals import ROUNDING, static_error
 from planner.problem.limits import Limits
-from planner.problem.tasks.cost import WEIGHT, task_cost, task_wanted
+from planner.problem.tasks.cost import WEIGHT, task_cost, task_goal_specs
 from planner.problem.tasks.follow import Follow, follow_of, with_points
 from planner.problem.tasks.goal import Goal, goal_of
 from planner.problem.tasks.pose_constraints import PoseConstraints
 from planner.problem.tasks.poses import Poses, is_screws, poses_of
-from planner.problem.tasks.reference_motion import controls, joint_displacement, reference_states
+from planner.problem.tasks.reference_motion import controls, joint_displacement, reference_states, with_via_poses
 from planner.problem.tasks.timed_task import Task, task_of
-from planner.problem.tasks.via_poses import with_via_poses
 
 MAX_GOALS = 1000  # goals
 _OF_GOALS = ("final_position", "hold")  # weights of an end in joints, which a task's goals take the place of
@@ -166,7 +165,7 @@ def cost_of(
     way: ResolvedTask, dynamics: RigidBodyDynamics, weights: dict[str, Any]
 ) -> tuple[Cost, tuple[GoalSpec, ...]]:
     """The cost of a task and what its proof judges."""
-    return task_cost(way.task, dynamics, way.rows, weights), task_wanted(way.task)
+    return task_cost(way.task, dynamics, way.rows, weights), task_goal_specs(way.task)
 
 
 def guess_of(way: ResolvedTask, dynamics: RigidBodyDynamics, x0: np.ndarray) -> ReferenceTrajectory:

@@ -15,9 +15,9 @@ from planner.base.arguments import number, set_fields
 from planner.dynamics import Dynamics
 from planner.dynamics.signed_distances import SignedDistances, distance_lower_bound
 from planner.model.mjcf.collision_pairs import CollisionPair
-from planner.problem.constraints.quantities import ResidualFunction, machine_of
+from planner.problem.constraints.quantities import ResidualFunction, mechanism_of
+from planner.problem.costs.penalty import arrays_of_terms
 from planner.problem.costs.penalty_terms import Clearance
-from planner.problem.costs.residuals.of_penalties import measures_of
 
 KNOWN = 2.0  # of what a pair is kept apart by, up to which its distance is computed
 PARTS = 8  # of a stage, at which pairs are looked at between knots
@@ -62,7 +62,7 @@ class PairClearance:
         """(P,) of the pairs, short, for pictures."""
         return tuple(pair.names.replace("geom ", "").replace("'", "").replace(" and ", ", ") for pair in self.pairs)
 
-    def measure(self, dynamics: Dynamics, N: int) -> PairClearanceFunction:
+    def constraint_function(self, dynamics: Dynamics, N: int) -> PairClearanceFunction:
         """Of a machine."""
         return PairClearanceFunction(self, dynamics, N)
 
@@ -71,12 +71,12 @@ class PairClearanceFunction(ResidualFunction):
     """The rows of an Apart."""
 
     def __init__(self, what: PairClearance, dynamics: Dynamics, N: int) -> None:
-        mechanism = machine_of(dynamics, what)
+        mechanism = mechanism_of(dynamics, what)
         terms = [
             Clearance(a=pair.a, b=pair.b, lift=pair.distance_offset, lower=lower, tolerance=1.0)
             for pair, lower in zip(what.pairs, what.lower, strict=True)
         ]
-        super().__init__(dynamics, what, measures_of(mechanism, N, terms, dynamics.dt))
+        super().__init__(dynamics, what, arrays_of_terms(mechanism, N, terms, dynamics.dt))
         self._clearances = SignedDistances(mechanism, [pair[:2] for pair in what.pairs])
         self.lower = what.lower
         self._lift = np.array([pair.distance_offset for pair in what.pairs])

@@ -5,7 +5,7 @@
 to a tolerance, by the augmented Lagrangian of planner.solvers.augmented_lagrangian. What h is:
 
     a term of planner.costs (Height, Distance, Gap, Velocity, ...), which says itself what it wants
-    a quantity of planner.constraints (Power, ...), which has `measure(dynamics, N)` (see measures)
+    a quantity of planner.constraints (Power, ...), which has `constraint_function(dynamics, N)`
     h(xs) of states (K, nx), kept at every knot but the start, which is given
     h(xs, us) of states and controls (K, nu), kept at both ends of every stage, since a control is held over it
 
@@ -65,11 +65,11 @@ class Constraint:
     states: int | None = None
 
     def __post_init__(self) -> None:
-        term, quantity = isinstance(self.of, Penalty), hasattr(self.of, "measure")
+        term, quantity = isinstance(self.of, Penalty), hasattr(self.of, "constraint_function")
         if not (term or quantity or callable(self.of)):
             raise PlannerError(
-                f"a constraint is of {short_repr(self.of)}, expected a term of planner.costs or planner.constraints, or a "
-                "function h(xs) or h(xs, us)."
+                f"a constraint is of {short_repr(self.of)}, expected a term of planner.costs or planner.constraints, "
+                "or a function h(xs) or h(xs, us)."
             )
         for name in ("name", "unit"):
             if not isinstance(getattr(self, name), str):

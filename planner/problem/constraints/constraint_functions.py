@@ -17,7 +17,7 @@ from planner.base.errors import PlannerError
 from planner.dynamics import Dynamics
 from planner.model.space import space_of
 from planner.problem.constraints.constraint import Constraint
-from planner.problem.constraints.quantities import measure_of_term
+from planner.problem.constraints.quantities import function_of_term
 from planner.problem.costs.penalty_terms import Penalty
 
 _DIFFERENCE = float(
@@ -41,14 +41,14 @@ class ConstraintFunction(Protocol):
         ...
 
 
-def measure_of(
+def constraint_function_of(
     constraint: Constraint, dynamics: Dynamics, N: int, x0: np.ndarray, u0: np.ndarray
 ) -> ConstraintFunction:
     """What a constraint is of, for N stages; a function is tried at the start x0 (nx,) and first control u0 (nu,)."""
     if isinstance(constraint.of, Penalty):
-        return measure_of_term(constraint.of, dynamics, N)
-    if hasattr(constraint.of, "measure"):
-        return constraint.of.measure(dynamics, N)
+        return function_of_term(constraint.of, dynamics, N)
+    if hasattr(constraint.of, "constraint_function"):
+        return constraint.of.constraint_function(dynamics, N)
     return UserFunction(constraint, dynamics, x0, u0)
 
 
@@ -56,8 +56,8 @@ def sides_of(constraint: Constraint, measure: ConstraintFunction, N: int) -> tup
     """Lower and upper bounds (N+1, R), infinite or NaN where nothing is asked for."""
     given, R = constraint, measure.rows
     if isinstance(given.of, Penalty):
-        own = np.reshape(getattr(given.of, given.of.wanted), (-1, 1))
-        low, high = None if given.of.wanted == "upper" else own, None if given.of.wanted == "lower" else own
+        own = np.reshape(getattr(given.of, given.of.side), (-1, 1))
+        low, high = None if given.of.side == "upper" else own, None if given.of.side == "lower" else own
     else:
         low, high = (given.equal, given.equal) if given.equal is not None else (given.lower, given.upper)
     lower, upper = (

@@ -19,7 +19,7 @@ from planner.base.arguments import short_repr
 from planner.base.errors import PlannerError
 from planner.dynamics import Dynamics
 from planner.problem.constraints.constraint import Constraint
-from planner.problem.constraints.constraint_functions import ConstraintFunction, measure_of, sides_of
+from planner.problem.constraints.constraint_functions import ConstraintFunction, constraint_function_of, sides_of
 from planner.problem.constraints.quantities import ResidualFunction
 
 
@@ -35,7 +35,7 @@ class StackEntry(NamedTuple):
     """A constraint and the columns of its rows."""
 
     constraint: Constraint
-    measure: ConstraintFunction
+    function: ConstraintFunction
     columns: slice
     at_end: bool  # of stages: of their end, with the control that was held
 
@@ -68,7 +68,7 @@ class ConstraintStack:
         self.N, self.parts, columns = len(us), list[StackEntry](), 0
         lower, upper, scale, names, of_start = [], [], [], list[str](), []
         for constraint in constraints:
-            measure = measure_of(constraint, dynamics, self.N, x0, us[0])
+            measure = constraint_function_of(constraint, dynamics, self.N, x0, us[0])
             asked = constraint.stages(self.N, dynamics.dt)
             if measure.of_controls:
                 asked[-1] = False
@@ -101,9 +101,9 @@ class ConstraintStack:
     def _check_start(self, x0: np.ndarray, u0: np.ndarray) -> None:
         """Refuse a start that no plan can mend."""
         for part in self.parts:
-            if part.measure.of_controls:
+            if part.function.of_controls:
                 continue
-            value = part.measure.values(x0[None], u0[None], np.zeros(1, dtype=int))[0]
+            value = part.function.values(x0[None], u0[None], np.zeros(1, dtype=int))[0]
             if not np.isfinite(value).all():
                 raise PlannerError(
                     f"{part.constraint} is {short_repr(value.tolist())} at the start, expected finite numbers."
@@ -125,7 +125,7 @@ class ConstraintStack:
         """Refuse constraints of the same thing whose bounds leave nothing between them."""
         seen: dict[Any, list[StackEntry]] = {}
         for part in self.parts:
-            seen.setdefault((part.measure.same, part.at_end), []).append(part)
+            seen.setdefault((part.function.same, part.at_end), []).append(part)
         for alike in seen.values():
             for a, b in itertools.permutations(alike, 2):
                 low, high = (side[:, part.columns] / self.scale[part.columns] for side, part in
@@ -143,7 +143,7 @@ class ConstraintStack:
         """What the rows are of: a problem's own constraints, and the ranges of tendons."""
         return tuple({id(part.constraint): part.constraint for part in self.parts}.values())
 
-    def only(self, parts: Sequence[StackEntry]) -> tuple[ConstraintStack, np.ndarray]:
+    def subset(self, parts: Sequence[StackEntry]) -> tuple[ConstraintStack, np.ndarray]:
         """The rows of some of the parts, and which columns of these they are."""
         few, first, columns = copy(self), 0, [np.arange(len(self.scale))[part.columns] for part in parts]
         few.parts = []
@@ -161,7 +161,7 @@ class ConstraintStack:
         """(N+1, C) scaled, of states xs (N+1, nx) and controls us (N, nu); 0 where a row has no stage."""
         found, n = np.zeros((self.N + 1, len(self.scale))), np.arange(self.N + 1)
         padded = np.concatenate([us, us[-1:]])
-        for measure, columns, at_end in ((part.measure, part.columns, part.at_end) for part in self.parts):
+        for measure, columns, at_end in ((part.function, part.columns, part.at_end) for part in self.parts):
             if measure.of_controls:
                 found[:-1, columns] = measure.values(xs[1:] if at_end else xs[:-1], us, n[:-1])
             else:
@@ -192,11 +192,11 @@ class ConstraintStack:
         """(K, ndx, ndx) what the curvature of rows adds at knots n (K,), pulled (K, C) by the cost; 0 for nothing."""
         own = pulls * self.scale
         return sum(
-            part.measure.second_derivatives(xs[n], n, own[:, part.columns])
-            for part in self.parts if isinstance(part.measure, ResidualFunction)
+            part.function.second_derivatives(xs[n], n, own[:, part.columns])
+            for part in self.parts if isinstance(part.function, ResidualFunction)
         )  # fmt: skip
 
-    def beyond(self, xs: np.ndarray, us: np.ndarray) -> np.ndarray:
+    def violation(self, xs: np.ndarray, us: np.ndarray) -> np.ndarray:
         """How far (M+1, C) is beyond, in the constraints' own units; 0 within. Of states (M+1, nx), controls (M, nu).
 
         At the knots, or at equal parts of every stage too. Between two knots a constraint is kept that both ask for,
@@ -229,7 +229,7 @@ class ConstraintStack:
 
     def violations(self, xs: np.ndarray, us: np.ndarray) -> list[Violation]:
         """Of each constraint the largest, along states xs (M+1, nx) and controls us (M, nu)."""
-        beyond, found = self.beyond(xs, us), dict[int, Violation]()
+        beyond, found = self.violation(xs, us), dict[int, Violation]()
         beyond = np.where(np.isfinite(beyond), beyond, np.inf)
         for part in self.parts:
             own = beyond[:, part.columns].max(axis=1)

@@ -24,13 +24,11 @@ from planner.dynamics import Dynamics
 from planner.kernels.tree.residuals.table import HEIGHT, MASS_CENTRE, ORIENTATION, POSITION, TILT
 from planner.model.mechanism import Frame, Mechanism
 from planner.model.space import space_of
+from planner.problem.costs.penalty import arrays_of_terms
 from planner.problem.costs.penalty_terms import Penalty
 from planner.problem.costs.residuals.arrays import ResidualArrays, ResidualList
-from planner.problem.costs.residuals.cost import measured, values_of
-from planner.problem.costs.residuals.frames import tilt_bend
-from planner.problem.costs.residuals.kinematics_cache import KinematicsCache
-from planner.problem.costs.residuals.of_penalties import measures_of
-from planner.problem.costs.residuals.turns import rotation_of
+from planner.problem.costs.residuals.cost import values_and_jacobians, values_of
+from planner.problem.costs.residuals.functions import KinematicsCache, rotation_of, tilt_curvature
 
 
 class ResidualFunction:
@@ -39,10 +37,10 @@ class ResidualFunction:
     of_controls = False
 
     def __init__(self, dynamics: Dynamics, what: Any, arrays: ResidualArrays) -> None:
-        self.mechanism, self.arrays, self.rows = machine_of(dynamics, what), arrays, len(arrays.weight)
+        self.mechanism, self.arrays, self.rows = mechanism_of(dynamics, what), arrays, len(arrays.weight)
         of = (getattr(arrays, name) for name in ("kind", "link", "offset", "share", "world", "constant", "reference"))
         self.same = tuple(one.tobytes() for one in of)
-        self._ndx, self._nu, self._nx = space_of(dynamics).ndx, dynamics.nu, machine_of(dynamics, what).space.nx
+        self._ndx, self._nu, self._nx = space_of(dynamics).ndx, dynamics.nu, mechanism_of(dynamics, what).space.nx
 
     def values(self, xs: np.ndarray, us: np.ndarray, n: np.ndarray) -> np.ndarray:
         """(K, R)."""
@@ -51,7 +49,7 @@ class ResidualFunction:
     def derivatives(self, xs: np.ndarray, us: np.ndarray, n: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """(K, R, ndx) and zeros (K, R, nu)."""
         by_x = np.zeros((len(xs), self.rows, self._ndx))
-        own = measured(self.mechanism, self.arrays.along(n), xs[:, : self._nx])[1]
+        own = values_and_jacobians(self.mechanism, self.arrays.along(n), xs[:, : self._nx])[1]
         by_x[:, :, : own.shape[2]] = own
         return by_x, np.zeros((len(xs), self.rows, self._nu))
 
@@ -62,18 +60,18 @@ class ResidualFunction:
         """
         found = np.zeros((len(xs), self._ndx, self._ndx))
         if TILT in self.arrays.kind:
-            bend, across = tilt_bend(KinematicsCache(self.mechanism, self.arrays.along(n), xs[:, : self._nx]), 0)
+            bend, across = tilt_curvature(KinematicsCache(self.mechanism, self.arrays.along(n), xs[:, : self._nx]), 0)
             nv = across.shape[1]
             found[:, :nv, :nv] = np.einsum("k,ki,kj->kij", np.maximum(bend * pulls[:, 0], 0.0), across, across)
         return found
 
 
-def measure_of_term(term: Penalty, dynamics: Dynamics, N: int) -> ResidualFunction:
+def function_of_term(term: Penalty, dynamics: Dynamics, N: int) -> ResidualFunction:
     """Of a Height, Distance, Gap or Velocity."""
-    return ResidualFunction(dynamics, term, measures_of(machine_of(dynamics, term), N, [term], dynamics.dt))
+    return ResidualFunction(dynamics, term, arrays_of_terms(mechanism_of(dynamics, term), N, [term], dynamics.dt))
 
 
-def machine_of(dynamics: Dynamics, what: Any) -> Mechanism:
+def mechanism_of(dynamics: Dynamics, what: Any) -> Mechanism:
     """The mechanism of some dynamics."""
     mechanism = getattr(dynamics, "mechanism", None)
     if not isinstance(mechanism, Mechanism):
@@ -85,7 +83,7 @@ def _measure(
     what: Any, dynamics: Dynamics, N: int, kind: int, turn: bool = False, own: Any = (), reference: Any = ()
 ) -> ResidualFunction:
     """Of a frame, whose rotation in its link goes before a term's `own` constants or turns the first three."""
-    mechanism, frame = machine_of(dynamics, what), what.frame
+    mechanism, frame = mechanism_of(dynamics, what), what.frame
     if isinstance(frame, str):
         known = [*mechanism.sites, *filter(None, mechanism.body_names)]
         frame = mechanism.frame(choice("a constraint's frame", frame, known))
@@ -114,7 +112,7 @@ class FramePosition:
     def __str__(self) -> str:
         return f"position of {_name(self.frame)}"
 
-    def measure(self, dynamics: Dynamics, N: int) -> ResidualFunction:
+    def constraint_function(self, dynamics: Dynamics, N: int) -> ResidualFunction:
         """Of a machine."""
         return _measure(self, dynamics, N, POSITION)
 
@@ -138,7 +136,7 @@ class FramePositionAlong:
     def __str__(self) -> str:
         return f"place of {_name(self.frame)}"
 
-    def measure(self, dynamics: Dynamics, N: int) -> ResidualFunction:
+    def constraint_function(self, dynamics: Dynamics, N: int) -> ResidualFunction:
         """Of a machine."""
         return _measure(self, dynamics, N, HEIGHT, own=(*self.direction, 0.0))
 
@@ -163,7 +161,7 @@ class FrameOrientation:
     def __str__(self) -> str:
         return f"orientation of {_name(self.frame)}"
 
-    def measure(self, dynamics: Dynamics, N: int) -> ResidualFunction:
+    def constraint_function(self, dynamics: Dynamics, N: int) -> ResidualFunction:
         """Of a machine."""
         wanted = np.tile(rotation_of(self.orientation).reshape(9, 1), N + 1)
         return _measure(self, dynamics, N, ORIENTATION, turn=True, reference=wanted)
@@ -191,7 +189,7 @@ class FrameAxisAngle:
     def __str__(self) -> str:
         return f"tilt of {_name(self.frame)}"
 
-    def measure(self, dynamics: Dynamics, N: int) -> ResidualFunction:
+    def constraint_function(self, dynamics: Dynamics, N: int) -> ResidualFunction:
         """Of a machine."""
         return _measure(self, dynamics, N, TILT, own=(*self.axis, *self.direction))
 
@@ -206,14 +204,14 @@ class CenterOfMass:
     def __str__(self) -> str:
         return "centre of mass"
 
-    def measure(self, dynamics: Dynamics, N: int) -> ResidualFunction:
+    def constraint_function(self, dynamics: Dynamics, N: int) -> ResidualFunction:
         """Of a machine."""
         terms = ResidualList(N)
         terms.add(MASS_CENTRE, [], 0.0)
         return ResidualFunction(dynamics, self, terms.arrays())
 
 
-def hinge_terms(arrays: ResidualArrays, sides: np.ndarray, N: int) -> ResidualArrays:
+def penalty_arrays(arrays: ResidualArrays, sides: np.ndarray, N: int) -> ResidualArrays:
     """The rows of a measure with a side each (R,), without a ramp, and weights that are zero until they are set."""
     stages = np.zeros((len(sides), N + 1))
     return replace(arrays, side=sides, ramp=np.zeros(len(sides)), bound=stages, weight=stages.copy())

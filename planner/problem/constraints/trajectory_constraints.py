@@ -55,7 +55,7 @@ class TrajectoryConstraints:
     def initial_penalties(self) -> BoundPenalties | None:
         """Hinges of the first solve, of what has weights before multipliers are known; None for none."""
         penalties = self.zero_penalties()
-        for measure, columns, scale in self._apart():
+        for measure, columns, scale in self._clearances():
             weight = measure.initial_penalty / scale**2
             penalties.weight[:, columns] = np.where(np.isfinite(self.lower[:, columns]), weight, 0.0)
         return penalties if penalties.weight.any() else None
@@ -65,9 +65,9 @@ class TrajectoryConstraints:
         if self.rows is None:
             return []
         return [
-            (part.measure, slice(self.split + part.columns.start, self.split + part.columns.stop),
+            (part.function, slice(self.split + part.columns.start, self.split + part.columns.stop),
              self.rows.scale[part.columns])
-            for part in self.rows.parts if isinstance(part.measure, PairClearanceFunction)
+            for part in self.rows.parts if isinstance(part.function, PairClearanceFunction)
         ]  # fmt: skip
 
     def violation_between_knots(self, dynamics: Dynamics, xs: np.ndarray, us: np.ndarray) -> tuple[np.ndarray, bool]:
@@ -77,7 +77,7 @@ class TrajectoryConstraints:
         may have gone through, and from there it leads no way around. Returned beside it is whether any did.
         """
         more, through = np.zeros_like(self.lower), False
-        for measure, columns, scale in self._apart():
+        for measure, columns, scale in self._clearances():
             short = measure.clearance_violation(dynamics, xs, us)
             touched = (short > measure.lower).any(axis=0)
             short = np.where(touched, short.max(axis=0), short) * scale
@@ -111,7 +111,7 @@ class TrajectoryConstraints:
     def violation(self, xs: np.ndarray, us: np.ndarray) -> np.ndarray:
         """How far (N+1, H) the knots are outside; 0 within."""
         if self.rows is None and self.ranges is not None:
-            return self.ranges.beyond(xs)
+            return self.ranges.violation(xs)
         e = self.deviations(xs, us)
         return np.maximum(np.maximum(e - self.upper, self.lower - e), 0.0)
 
@@ -123,11 +123,9 @@ class TrajectoryConstraints:
     def with_penalties(
         self, penalties: BoundPenalties, model: Quadratic, xs: np.ndarray, us: np.ndarray, A: np.ndarray, B: np.ndarray
     ) -> Quadratic:
-        """The quadratic model of a cost along xs (N+1, nx), us (N, nu) with that of the penalties; A and B of Eq.
-        35.
-        """
+        """A cost's quadratic model along xs (N+1, nx), us (N, nu) with that of the penalties; A and B of Eq. 35."""
         if self.ranges is not None:
-            model = self.ranges.added(self.of_ranges(penalties), model, xs)
+            model = self.ranges.with_penalties(self.of_ranges(penalties), model, xs)
         if self.rows is None:
             return model
         n, by_z, slope, curvature = self.penalty_derivatives(self.of_rows(penalties), xs, us, A, B)

@@ -24,7 +24,7 @@ from planner.base.errors import PlannerError
 from planner.model.contact.collision_shapes import CollisionShape
 from planner.model.mechanism import Frame
 
-WANTED = ("lower", "upper", "target")
+SIDES = ("lower", "upper", "target")
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,9 +102,9 @@ class Penalty:
     final_weight: float | None = None
 
     def __post_init__(self) -> None:
-        given = [name for name in WANTED if getattr(self, name) is not None]
+        given = [name for name in SIDES if getattr(self, name) is not None]
         if len(given) != 1:
-            raise PlannerError(f"{' and '.join(given) or 'none'} of {', '.join(WANTED)} given, expected just one.")
+            raise PlannerError(f"{' and '.join(given) or 'none'} of {', '.join(SIDES)} given, expected just one.")
         tolerance = number("tolerance", self.tolerance, greater_than=0.0)
         ramp = tolerance if self.ramp is None else number("ramp", self.ramp, greater_than=0.0)
         bound = _per_stage(given[0], getattr(self, given[0]))
@@ -118,9 +118,9 @@ class Penalty:
         set_fields(self, tolerance=tolerance, ramp=ramp, weight=weight, **{given[0]: bound})
 
     @property
-    def wanted(self) -> str:
+    def side(self) -> str:
         """Which of lower, upper and target it has."""
-        return next(name for name in WANTED if getattr(self, name) is not None)
+        return next(name for name in SIDES if getattr(self, name) is not None)
 
 
 @dataclass(frozen=True, eq=False)
@@ -224,8 +224,8 @@ class Clearance(Penalty):
         for name in ("a", "b"):
             if not isinstance(getattr(self, name), CollisionShape):
                 raise PlannerError(f"{name} is {short_repr(getattr(self, name))}, expected a Solid.")
-        if self.wanted != "lower":
-            raise PlannerError(f"{self.wanted} is given for a Clearance, expected lower: the distance to be kept.")
+        if self.side != "lower":
+            raise PlannerError(f"{self.side} is given for a Clearance, expected lower: the distance to be kept.")
 
     def __str__(self) -> str:
         return f"clearance of {self.a.name} and {self.b.name}"

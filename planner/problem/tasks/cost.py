@@ -69,7 +69,7 @@ def task_cost(
     return SumCost(tracking, *terms) if terms else tracking
 
 
-def task_wanted(task: Task) -> tuple[GoalSpec, ...]:
+def task_goal_specs(task: Task) -> tuple[GoalSpec, ...]:
     """What the proof judges: every goal and path, and rest at the end."""
     mechanism, found = task.mechanism, []
     coordinates = coordinates_of_mechanism(mechanism)

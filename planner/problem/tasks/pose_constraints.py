@@ -38,7 +38,7 @@ class PoseConstraints:
         self._x0, self._mechanism = x0, dynamics.mechanism
         self._parts = [
             part for part in self._rows.parts
-            if isinstance(part.measure, ResidualFunction) and not isinstance(part.measure, PairClearanceFunction)
+            if isinstance(part.function, ResidualFunction) and not isinstance(part.function, PairClearanceFunction)
             and not isinstance(part.constraint.of, Velocity)
         ]  # fmt: skip
 
@@ -67,8 +67,8 @@ class PoseConstraints:
     def _missing(self, part: StackEntry, stage: int, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         (low, high), x, n = self._bounds(part, stage), self._x0.copy(), np.array([stage])
         x[: self._mechanism.nq], x[self._mechanism.nq : self._mechanism.nq + self._mechanism.nv] = q, 0.0
-        value = part.measure.values(x[None], np.zeros((1, 0)), n)[0]
+        value = part.function.values(x[None], np.zeros((1, 0)), n)[0]
         r = np.maximum(value - high, 0.0) - np.maximum(low - value, 0.0)
-        J = part.measure.derivatives(x[None], np.zeros((1, 0)), n)[0][0][:, : self._mechanism.nv]
+        J = part.function.derivatives(x[None], np.zeros((1, 0)), n)[0][0][:, : self._mechanism.nv]
         scale = POSE_TOLERANCE + part.constraint.allowed()
         return r / scale, np.where(r[:, None] != 0.0, J, 0.0) / scale
