@@ -74,7 +74,7 @@ class LoopVerdict:
 
     def with_margins(self, section: Section, maps: dict[str, np.ndarray], times: np.ndarray) -> LoopVerdict:
         """The same with what margins() found, which does not change the verdict."""
-        return replace(self, sections=self.sections | {"survives": section}, maps=maps, times=times)
+        return replace(self, sections=self.sections | {"survives": section}, robustness_maps=maps, times=times)
 
     def __str__(self) -> str:
         return f"LoopVerdict({self.headline})"

@@ -18,7 +18,7 @@ import numpy as np
 from planner.base.errors import PlannerError
 from planner.dynamics.assembly import assembled
 from planner.model.mechanism import Mechanism
-from planner.problem.initial_guess import inverse_dynamics_controls, quintic_shares
+from planner.problem.initial_guess import inverse_dynamics_controls, minimum_jerk
 
 STEP = 0.05  # rad or m of the joint that moves most, between poses that are closed
 LEAST, MOST = 25, 100  # of them between two poses that are left and reached at rest, and between any two
@@ -91,7 +91,7 @@ def _closed(mechanism: Mechanism, poses: np.ndarray, stages: np.ndarray, alone: 
         parts = int(np.clip(np.ceil(far / STEP), LEAST if alone else 1, MOST))
         parts = min(parts, int(stages[k] - stages[k - 1]))
         t = np.linspace(0.0, 1.0, parts + 1)
-        shares = quintic_shares(t) if alone else t
+        shares = minimum_jerk(t)[0] if alone else t
         for i in range(1, parts + 1):
             left = (shares[i] - shares[i - 1]) / (1.0 - shares[i - 1])
             step = left * space.difference(poses[k], states[-1])

@@ -36,7 +36,7 @@ from planner.model.mjcf.prescribed_joints import prescribed_dofs_of
 from planner.model.stationary_objects import stationary_object_dofs
 from planner.problem.costs.tracking import TrackingCost
 from planner.problem.goals import MIN_TOLERANCES, least_share
-from planner.problem.initial_guess import quasi_static_controls
+from planner.problem.initial_guess import minimum_jerk, quasi_static_controls
 from planner.problem.terminal_holding_cost import terminal_holding_cost
 
 MIN_SPEED = {"rad": 0.5, "m": 0.1}  # rad/s, m/s: a joint that stays may move so fast at the price of one that goes
@@ -177,9 +177,9 @@ def straight_reference(dynamics: RigidBodyDynamics, x0: np.ndarray, goal: np.nda
     for x in rest:
         x[nq : nq + nv] = 0.0
     way, s = space.difference(rest[1], rest[0]), np.minimum(np.arange(N + 1) / (MOVING * N), 1.0)
-    places = 10.0 * s**3 - 15.0 * s**4 + 6.0 * s**5
-    xs = space.integrate(np.tile(rest[0], (N + 1, 1)), places[:, None] * way)
-    xs[:, nq : nq + nv] = (30.0 * s**2 - 60.0 * s**3 + 30.0 * s**4)[:, None] * way[:nv] / (MOVING * N * dynamics.dt)
+    share, rate, _ = minimum_jerk(s)
+    xs = space.integrate(np.tile(rest[0], (N + 1, 1)), share[:, None] * way)
+    xs[:, nq : nq + nv] = rate[:, None] * way[:nv] / (MOVING * N * dynamics.dt)
     xs[0], xs[N] = x0, goal
     return xs
 
