@@ -11,6 +11,7 @@ from xml.etree import ElementTree
 
 import numpy as np
 
+from planner.model.capabilities import capabilities_of
 from planner.model.coordinates import ANGLE, FORCE, LENGTH, MOMENT, controls_of_mechanism
 from planner.model.mechanism import BALL, SCREW, Mechanism
 from planner.problem.appearance import Appearance, GoalMark, Panel, Readout
@@ -33,8 +34,8 @@ Curves = list[tuple[int, str]]
 def appearance_of(problem: Any) -> Appearance:
     """The problem's own appearance, else one from its mechanism, else an empty one."""
     appearance = getattr(problem, "appearance", None)
-    mechanism = getattr(getattr(problem, "dynamics", None), "mechanism", None)
-    if appearance is None and isinstance(mechanism, Mechanism):
+    mechanism = capabilities_of(getattr(problem, "dynamics", None)).mechanism
+    if appearance is None and mechanism is not None:
         return default_appearance(mechanism, getattr(problem.dynamics, "prescribed", ()))
     return appearance or Appearance(title="")
 

@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from planner.base.arguments import number
+from planner.model.capabilities import capabilities_of
 from planner.model.space import StateSpace, space_of
 from planner.problem.costs.energy import EnergyCost
 from planner.problem.costs.jerk import JerkCost, with_acceleration
@@ -61,7 +62,7 @@ def with_objective(problem: Problem, objective: str | Mapping[str, float]) -> Pr
 
 def _jerk(problem: Problem, weight: float) -> JerkCost:
     """The cost of jerk, with the machine held before a start at rest and after a goal at rest."""
-    mechanism, goal = getattr(problem.dynamics, "mechanism", None), tracking_of(problem.cost)
+    mechanism, goal = capabilities_of(problem.dynamics).mechanism, tracking_of(problem.cost)
     if mechanism is None or goal is None:
         return JerkCost(problem.dynamics, problem.N, weight)
     q, v = slice(mechanism.nq, mechanism.nq + mechanism.nv), slice(mechanism.nv, 2 * mechanism.nv)

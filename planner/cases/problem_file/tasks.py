@@ -151,7 +151,7 @@ def weights_of(
         effort_alone=alone,
         stays=False,
         displacement=there,
-        most=most,
+        max_control=most,
         jerk=jerk,
     )
     weights = {name: weight for name, weight in found.weights.items() if name not in _OF_GOALS}

@@ -20,9 +20,9 @@ from planner.problem.costs.weights import places
 
 @dataclass(frozen=True)
 class Power:
-    """force times moment'qd of an actuator, W: above 0 where it drives, below where it brakes.
+    """Force times moment'qd of an actuator, W: positive where it drives, negative where it brakes.
 
-    The force is that of planner.model.mechanism, without what its clamps leave of it.
+    The force is that of planner.model.mechanism, without clamps.
 
     Attributes:
         actuator: Its name.
@@ -35,7 +35,7 @@ class Power:
         return f"power of {self.actuator}"
 
     def constraint_function(self, dynamics: Dynamics, N: int) -> PowerFunction:
-        """Of a machine.
+        """Its function, of a machine.
 
         Raises:
             PlannerError: It has no such actuator.
@@ -47,7 +47,7 @@ class Power:
 
 
 class PowerFunction:
-    """The power of actuator a of a mechanism; of its control, or of its state where it has one."""
+    """The power of actuator a, whose force depends on its control, or on its activation where it has one."""
 
     rows = 1
 
@@ -56,7 +56,7 @@ class PowerFunction:
         self._a, self._nu, self._nv, self._nq = a, nu, mechanism.nv, mechanism.nq
         self._moment, self._gain, self._bias = one.moment[a], float(one.gain[a]), one.bias[a]
         self.of_controls = bool(one.dynamics[a] == DIRECT)
-        self._state = mechanism.nq + mechanism.nv + int(one.activation[a])  # where it has one
+        self._state = mechanism.nq + mechanism.nv + int(one.activation[a])  # of its activation, where it has one
         screws = np.flatnonzero((mechanism.kind == SCREW) & (self._moment != 0.0))
         self._screws, self._address = screws, mechanism.q_address[screws]
         self._ndx, self.same = ndx, ("power", a)
@@ -88,7 +88,7 @@ class PowerFunction:
 
 @dataclass(frozen=True)
 class ChainForce:
-    """The force with which an equality of the model (connect, weld) holds its two frames together, N.
+    """Magnitude of the force with which an equality of the model (connect, weld) acts on its two frames, N.
 
     Attributes:
         equality: Its name.
@@ -101,7 +101,7 @@ class ChainForce:
         return f"force of {self.equality}"
 
     def constraint_function(self, dynamics: Dynamics, N: int) -> UserFunction:
-        """Of a machine.
+        """Its function, of a machine.
 
         Raises:
             PlannerError: It has no such closed chain.
@@ -111,7 +111,7 @@ class ChainForce:
             known[loop.name.removeprefix("equality ").strip("'")] = row
             row += loop.rows
         if not known or not isinstance(dynamics, RigidBodyDynamics):
-            raise PlannerError(f"the {self} is that of a closed chain, expected a machine with a connect or a weld.")
+            raise PlannerError(f"the {self} needs a closed chain, expected a machine with a connect or a weld.")
         first = known[choice("the equality of a force", self.equality, known)]
 
         def force(xs: np.ndarray, us: np.ndarray) -> np.ndarray:

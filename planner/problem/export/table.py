@@ -17,8 +17,8 @@ import numpy as np
 from planner.base.arguments import choice
 from planner.base.errors import PlannerError
 from planner.base.files import PathLike, write_atomically
+from planner.model.capabilities import capabilities_of
 from planner.model.coordinates import Coordinate, controls_of_mechanism, coordinates_of
-from planner.model.mechanism import Mechanism
 from planner.model.mjcf.prescribed_joints import in_order
 from planner.problem.export.sampled import Motion, sampled
 
@@ -108,9 +108,9 @@ def control_names(plan: Motion) -> tuple[Coordinate, ...]:
     """Name and unit of each control: the actuators', then the joints' whose accelerations are controls."""
     nu = plan.us.shape[1]
     dynamics = getattr(plan.problem, "dynamics", None)
-    mechanism = getattr(dynamics, "mechanism", None)
+    mechanism = capabilities_of(dynamics).mechanism
     controls: list[Coordinate] = []
-    if isinstance(mechanism, Mechanism):
+    if mechanism is not None:
         controls += controls_of_mechanism(mechanism)
         for joint in in_order(mechanism, getattr(dynamics, "prescribed", ())):
             links = mechanism.joint(joint)
