@@ -35,7 +35,7 @@ from planner.model.mechanism import Mechanism
 from planner.model.mjcf.prescribed_joints import prescribed_dofs_of
 from planner.model.stationary_objects import stationary_object_dofs
 from planner.problem.costs.tracking import TrackingCost
-from planner.problem.goals import MIN_TOLERANCES, least_share
+from planner.problem.goals import MIN_TOLERANCES, tolerance_share
 from planner.problem.initial_guess import minimum_jerk, quasi_static_controls
 from planner.problem.terminal_holding_cost import terminal_holding_cost
 
@@ -86,7 +86,7 @@ def default_weights(
     stands = bool(mechanism.contacts) and stays and not effort_alone
     if (actuated or bool(mechanism.contacts)) and not effort_alone:
         velocity = 1.0 / speed**2
-    share = least_share(zip(displacement.tolist(), units, strict=False))
+    share = tolerance_share(zip(displacement.tolist(), units, strict=False))
     position, rate = _tolerances(mechanism, [share * MIN_TOLERANCES[unit] for unit in units], tolerance)
     stance_error = STANCE_TOLERANCES * position if stands else None
     effort, control, known = _effort(dynamics, x0, goal, duration, displacement, stance_error, max_control)

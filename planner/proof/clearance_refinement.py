@@ -18,7 +18,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from planner.model.mjcf.reachable_collisions import MAX_MUJOCO_DISTANCE, distances_in
-from planner.problem.avoid import survey_of
+from planner.problem.avoid import model_index_of
 from planner.problem.constraints.clearance import PairClearance, pair_clearance_of
 from planner.problem.goals import goals_of
 from planner.problem.plan import Plan, Status
@@ -100,7 +100,8 @@ def _far(plan: Plan, proof: Proof) -> dict[str, float]:
         return {}
     allowed = next(one.allowed() for one in problem.constraints if one.of is apart)
     measure, found = apart.constraint_function(problem.dynamics, problem.N), {}
-    model, short = survey_of(measure.mechanism).model, measure.clearance_violation(problem.dynamics, plan.xs, plan.us)
+    model = model_index_of(measure.mechanism).model
+    short = measure.clearance_violation(problem.dynamics, plan.xs, plan.us)
     for k in np.flatnonzero(short.max(axis=0) > allowed):
         pair, n = apart.pairs[k], np.flatnonzero(short[:, k] > allowed)
         geoms = (pair.a.geom, pair.b.geom)

@@ -7,7 +7,7 @@ from gantries import gantry
 import planner
 from planner.cases.problem_file.keys import GOAL as GOAL_KEYS
 from planner.problem.goals import goals_of
-from planner.problem.tasks.timed_task import USUAL
+from planner.problem.tasks.timed_task import DEFAULT_TOLERANCES
 
 CART = """<mujoco><worldbody><body><joint name="rail" type="slide" axis="1 0 0" range="-1 3"/>
   <geom type="box" size=".1 .1 .1" mass="2" contype="0" conaffinity="0"/></body></worldbody>
@@ -70,14 +70,14 @@ def test_a_plan_in_place_of_a_problem_is_told_how_to_be_given():
     ],
 )
 def test_a_goal_has_the_same_tolerances_in_a_file_and_in_python(words, goal, tmp_path):
-    """Both are those of timetable.USUAL, which the words about the key name too."""
+    """Both are those of timetable.DEFAULT_TOLERANCES, which the words about the key name too."""
     (tmp_path / "cart.xml").write_text(CART.replace("<body>", '<body name="box">'))
     (tmp_path / "p.toml").write_text(f'model = "cart.xml"\nstart = {{}}\nduration = 1.0\n[[goal]]\n{words}\n')
     cart = planner.Mechanism.from_mjcf(tmp_path / "cart.xml")
     problems = planner.load_problem(tmp_path / "p.toml"), planner.task(cart, cart.home, goal, duration=1.0)
     found = [[(one.name, one.tolerance) for one in goals_of(problem)] for problem in problems]
     assert found[0] == found[1]
-    assert {tolerance for _, tolerance in found[0]} == {USUAL["position"], USUAL["velocity"]}
+    assert {tolerance for _, tolerance in found[0]} == {DEFAULT_TOLERANCES["position"], DEFAULT_TOLERANCES["velocity"]}
     assert GOAL_KEYS["tolerance"].endswith("by default 5 mm, 0.02 rad, 0.05 m/s")
 
 

@@ -80,7 +80,7 @@ def test_derivatives_of_what_is_missing_are_those_of_differences():
     assert np.count_nonzero(r) >= 4
     differences = np.stack([(missing(q + e)[0] - missing(q - e)[0]) / (2.0 * h) for e in h * np.eye(2)], axis=1)
     np.testing.assert_allclose(J, differences, rtol=1e-5, atol=1e-3)
-    assert str(kept.broken(50, q).constraint) == "the constraint 'tilt of hand'"
+    assert str(kept.violated(50, q).constraint) == "the constraint 'tilt of hand'"
 
 
 def test_a_converged_plan_that_misses_its_goal_says_so(tmp_path):

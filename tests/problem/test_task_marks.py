@@ -12,7 +12,7 @@ from planner.problem.appearance import Appearance
 from planner.problem.constraints.quantities import FramePositionAlong
 from planner.problem.default_appearance import with_marks
 from planner.problem.task_panels import MAX_CURVES, task_panels
-from planner.problem.tasks.cost import _off_frame
+from planner.problem.tasks.cost import _frame_error
 
 N, DT = 40, 0.02
 PLACE = hand(0.9, -0.4)
@@ -86,9 +86,9 @@ def test_misses_of_all_states_at_once_are_those_of_inverse_kinematics():
     ):  # fmt: skip
         slow = np.array([np.linalg.norm(residuals(machine, x[:2], target)[0]) for x in xs])
         slow = slow if target.pointing is None else 2.0 * np.arcsin(0.5 * slow)
-        np.testing.assert_allclose(_off_frame(machine, target, xs), slow, rtol=1e-10, atol=1e-12)
+        np.testing.assert_allclose(_frame_error(machine, target, xs), slow, rtol=1e-10, atol=1e-12)
     xs[3] = np.nan
-    assert np.isinf(_off_frame(machine, Target("hand", position=np.zeros(3)), xs)[3])
+    assert np.isinf(_frame_error(machine, Target("hand", position=np.zeros(3)), xs)[3])
 
 
 def test_misses_over_time_have_their_tolerance_at_their_time(problem):

@@ -6,7 +6,7 @@ from typing import Any
 
 from planner.kernels.integrators import TREE_INTEGRATORS
 from planner.problem.objective import OBJECTIVES
-from planner.problem.tasks.timed_task import PATH, USUAL
+from planner.problem.tasks.timed_task import DEFAULT_TOLERANCES, PATH_TOLERANCES
 
 KEYS = {
     "model": "MJCF or URDF file, relative to this file",
@@ -60,14 +60,16 @@ GOAL = {
     "time": "s; by default the end",
     "through": "true to pass without stopping",
     "tolerance": "how far from it passes, m and rad, or a table of position, orientation, pointing, velocity; by "
-    f"default {1e3 * USUAL['position']:g} mm, {USUAL['orientation']:g} rad, {USUAL['velocity']:g} m/s",
+    f"default {1e3 * DEFAULT_TOLERANCES['position']:g} mm, {DEFAULT_TOLERANCES['orientation']:g} rad, "
+    f"{DEFAULT_TOLERANCES['velocity']:g} m/s",
 }
 FOLLOW = {
     "frame": "a site or body, or",
     "joints": "list of the joints that points are of; a file has them in its heading",
     "points": "rows of t, x, y, z, or without t for equal parts of the duration",
     "file": "CSV of such rows, relative to this file",
-    "tolerance": f"how far from the path passes, m or rad; by default {1e3 * PATH['m']:g} mm or {PATH['rad']:g} rad",
+    "tolerance": f"how far from the path passes, m or rad; by default {1e3 * PATH_TOLERANCES['m']:g} mm or "
+    f"{PATH_TOLERANCES['rad']:g} rad",
 }
 ATTACH = {
     "frame": "a site or body that carries it",

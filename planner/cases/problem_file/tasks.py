@@ -113,12 +113,14 @@ def resolve_task(
     if limits is not None:
         ranges = limits.position_ranges(dynamics)
     kept = PoseConstraints(constraints, dynamics, x0, N) if constraints else None
-    search = partial(poses_of, task, dynamics, x0, ranges, seed=table["seed"], check=RESOLVED not in table, kept=kept)
+    search = partial(
+        poses_of, task, dynamics, x0, ranges, seed=table["seed"], check=RESOLVED not in table, constraints=kept
+    )
     if avoid is None:
         poses, apart = search(), None
     else:
         free = partial(CollisionChecker, mechanism=dynamics.mechanism)
-        poses = search(free=free(avoid.constraint(dynamics.mechanism, x0).constraint.of))
+        poses = search(checker=free(avoid.constraint(dynamics.mechanism, x0).constraint.of))
         apart = avoid.constraint(dynamics.mechanism, x0, _of_goals(task, poses))  # they are known now
         if not _is_direct(task) and is_screws(task):
             poses = with_via_poses(poses, free(apart.constraint.of), table["seed"])
@@ -175,7 +177,7 @@ def guess_of(way: ResolvedTask, dynamics: RigidBodyDynamics, x0: np.ndarray) -> 
         found = closed_chain_reference(mechanism, x0, way.poses.stages, way.poses.q, way.poses.at_rest, dynamics.dt)
         if found is not None:
             return ReferenceTrajectory(
-                None if dynamics.prescribed else found.controls, found.rows, _is_direct(way.task)
+                None if dynamics.prescribed else found.controls, found.states, _is_direct(way.task)
             )
     return ReferenceTrajectory(controls(way.task, way.poses, dynamics, x0), way.rows, _is_direct(way.task))
 
