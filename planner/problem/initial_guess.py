@@ -11,7 +11,7 @@ from planner.base.errors import PlannerError
 from planner.dynamics import Dynamics
 from planner.dynamics.algorithms import bias, rnea
 from planner.dynamics.assembly import feasible_directions
-from planner.dynamics.constraint_forces import constraint_jacobians
+from planner.dynamics.closure_forces import constraint_jacobians
 from planner.dynamics.friction import friction_forces
 from planner.dynamics.statics import supporting_controls
 from planner.model.actuators import DIRECT, INTEGRATOR

@@ -83,7 +83,7 @@ class Problem(Built):
             start, horizon or constraints were replaced.
         bounds: Of the controls, of the limits; None for none.
         ranges: Of the states, of the limits; None for none.
-        kept: Ranges and constraints together, as the solver keeps them; None for none.
+        trajectory_constraints: Ranges and constraints together, as the solver keeps them; None for none.
 
     Raises:
         PlannerError: Shapes that do not fit together, numbers that are not finite, a start that is not on the

@@ -63,7 +63,7 @@ def test_values_that_are_no_numbers_are_refused(value):
 
 @pytest.mark.parametrize("value", [*NO_NUMBERS, 1.0, -1, [1], np.array([1, 2]), 2**63], ids=short_repr)
 def test_values_that_are_no_counts_are_refused(value):
-    assert "expected a whole number of at least 0" in refused(count, value, least=0)
+    assert "expected a whole number of at least 0" in refused(count, value, minimum=0)
 
 
 @pytest.mark.parametrize("value", NO_ARRAYS, ids=short_repr)
@@ -113,7 +113,7 @@ def test_arrays_are_copies():
 def test_counts_are_read():
     assert count("x", 3) == count("x", np.int32(3)) == count("x", 3, maximum=3) == 3
     assert count("x", 2**63 - 1) == 2**63 - 1
-    assert refused(count, 4, most=3) == "x is 4, expected a whole number of at least 1 and at most 3."
+    assert refused(count, 4, maximum=3) == "x is 4, expected a whole number of at least 1 and at most 3."
     assert refused(count, 0) == "x is 0, expected a whole number of at least 1."
 
 

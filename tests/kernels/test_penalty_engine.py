@@ -97,7 +97,7 @@ def test_the_kernels_model_is_the_costs(text, seed):
     """Gradients and Hessians of the stages themselves, to rounding."""
     task = penalized(text, seed, "rk4")
     ours, _ = engines(task)
-    ours.start(task.x0, task.first_guess)
+    ours.start_from_controls(task.x0, task.first_guess)
     ours.sweep(0.0, True)
     w = ours._w
     xs, us = ours.trajectory()

@@ -103,7 +103,7 @@ def test_the_kernels_model_is_the_twins(text, seed):
         term = some_cost(rng, task.dynamics, task.N, kind)
         one = Problem(task.dynamics, task.cost + term, task.x0, task.first_guess)
         ours, _ = engines(one)
-        ours.start(one.x0, one.first_guess)
+        ours.start_from_controls(one.x0, one.first_guess)
         ours.sweep(0.0, True)
         w = ours._w
         xs, us = ours.trajectory()

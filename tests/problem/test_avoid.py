@@ -150,7 +150,7 @@ def test_a_touch_is_answered_with_more_room(problem_of):
 
     problem = problem_of(AVOID)
     one = problem.constraints[0]
-    lying = replace(one.of, pairs=tuple(pair._replace(lift=0.035) for pair in one.of.pairs))
+    lying = replace(one.of, pairs=tuple(pair._replace(distance_offset=0.035) for pair in one.of.pairs))
     plan = planner.solve(replace(problem, constraints=[replace(one, of=lying)]))
     proof = planner.prove(plan, rollouts=0)
     assert not proof.passed

@@ -82,7 +82,7 @@ def test_both_engines_cross_gaps_alike(name, integrator, limits):
     steps = [engine.rollout_closing_defects(np.inf, 0.0) for engine in (ours, twin)]
     np.testing.assert_allclose(steps[0], steps[1], rtol=1e-8)
     assert steps[0][0] > 0.0
-    assert np.abs(ours.place(*ours.trajectory())).max() < 1e-12  # a rollout has no gaps
+    assert np.abs(ours.set_trajectory(*ours.trajectory())).max() < 1e-12  # a rollout has no gaps
 
 
 @pytest.mark.parametrize("exact", [False, True])
@@ -149,7 +149,7 @@ def test_gaps_of_zero_change_no_bit(integrator):
     problem, _, us = guessed("arm", integrator)
     plain, engine = (CompiledEngine(problem, problem.dynamics, problem.cost) for _ in range(2))
     for each in (plain, engine):
-        each.start(problem.x0, us)
+        each.start_from_controls(problem.x0, us)
     engine.defect_direction(np.zeros((12, problem.dynamics.ndx)), True)
     plain.sweep(0.0, True)
     np.testing.assert_array_equal(engine.gains(), plain.gains())

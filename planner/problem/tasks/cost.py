@@ -1,8 +1,8 @@
 """The cost of a task, and its goals: one error for each, in m, rad or m/s, at its time.
 
 A goal has the weight WEIGHT / tolerance^2 on its squared error / 2 at its stage, so that an error of the tolerance
-costs more than the whole effort. A path has PATH_RATE times as much, per second. Unless a goal is a via point, the joints that
-move the frame are at rest there.
+costs more than the whole effort. A path has PATH_RATE times as much, per second. Unless a goal is a via point, the
+joints that move the frame are at rest there.
 """
 
 from __future__ import annotations
