@@ -99,9 +99,7 @@ class Avoid:
             index, poses, a.clearance, own=a.self, world=a.world, known=_known(mechanism, index)
         )
         if not found.pairs:
-            raise PlannerError(
-                "avoid has nothing to keep clearance_of_pairs: no shapes of the model can touch; leave it out."
-            )
+            raise PlannerError("avoid has nothing to keep apart: no shapes of the model can touch; leave it out.")
         return AvoidanceConstraint(_constraint(found, a.clearance, a.more), found.notes)
 
 

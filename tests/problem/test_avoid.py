@@ -40,7 +40,7 @@ def problem_of(tmp_path):
 def distances(problem, plan, parts=8):
     apart = pair_clearance_of(problem.constraints)
     measure = apart.constraint_function(problem.dynamics, problem.N)
-    return measure._clearances.values(plan.between_knots(parts)[:, :2])
+    return measure._distances.values(plan.between_knots(parts)[:, :2])
 
 
 def test_a_plan_goes_around_a_wall_that_it_would_go_through(problem_of):

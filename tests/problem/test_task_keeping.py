@@ -89,7 +89,7 @@ def test_a_converged_plan_that_misses_its_goal_says_so(tmp_path):
     done = run("solve", "task.toml", "--out", "plan.npz", cwd=tmp_path)
     assert done.returncode == 1
     assert "but position of hand is missed by " in done.stdout
-    assert "and 0.005 pass; weigh the goal more" in done.stdout
+    assert "and 0.005 pass; raise its weight" in done.stdout
     assert "to pass: `weights.goal = " in done.stdout
     met = planner.solve(load(write(tmp_path, GOAL)).problem)
     assert met.missed == ""
