@@ -298,7 +298,7 @@ class Plan(Built, Plottable):
         if meta["recipe"] is None and self.problem is not None:
             warnings.warn(
                 f"{printable(path)} has the plan without its problem: a file cannot hold "
-                f"{unstorable_part(base_problem(self.problem))}. load_plan(path, problem=problem) puts the two together.",
+                f"{unstorable_part(base_problem(self.problem))}. load_plan(path, problem=problem) puts them together.",
                 stacklevel=2,
             )
         return Path(path)

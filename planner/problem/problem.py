@@ -78,7 +78,7 @@ class Problem(Built):
         tolerance: How far the end may be from what the cost asks of it, for the proof: a number in rad, m, rad/s and
             m/s, infinite (or "soft") for no check, or a table of these by "position", "velocity" and the names of
             joints and frames. None: 2 % of the way, see planner.problem.goals.
-        wanted: What the proof judges, of a task; None for what the cost asks of the end.
+        goal_specs: What the proof judges, of a task; None for what the cost asks of the end.
         recipe: How the problem was built; None for one that was put together from parts, or whose dynamics, cost,
             start, horizon or constraints were replaced.
         bounds: Of the controls, of the limits; None for none.
@@ -106,7 +106,7 @@ class Problem(Built):
     tolerance: float | Mapping[str, float] | None = None
     expected_reduction_tolerance: float | None = None
     actual_reduction_tolerance: float = 0.0
-    wanted: tuple[GoalSpec, ...] | None = None
+    goal_specs: tuple[GoalSpec, ...] | None = None
     bounds: ControlBounds | None = field(init=False, default=None)
     ranges: StateBounds | None = field(init=False, default=None)
     trajectory_constraints: TrajectoryConstraints | None = field(init=False, default=None)

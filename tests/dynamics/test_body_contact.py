@@ -91,6 +91,7 @@ def test_derivatives_of_the_generalized_forces(text, seed, sharp):
     q, qd = x[: m.nq], x[m.nq : m.nq + m.nv]
     m = meeting(m, x, SHARP if sharp else SOFT, rng)
     by_q, by_qd = generalized_force_derivatives(m, q, qd)
+
     def check(by: np.ndarray, forces: Callable[[float], np.ndarray], scale: float) -> None:
         """Central differences at h and h / 2 tell their own error, which is large where contacts graze."""
         far, near = ((forces(h) - forces(-h)) / (2 * h) for h in (1e-7, 5e-8))

@@ -88,7 +88,7 @@ def test_both_engines_cross_gaps_alike(name, integrator, limits):
 @pytest.mark.parametrize("exact", [False, True])
 def test_rows_of_constraints_stand_beside_gaps_and_what_holds_states(exact):
     """A user's own function goes to the sweep by the same array as second derivatives and weights on the states."""
-    power = Constraint(lambda xs, us: us[:, 0] * xs[:, -1], most=0.01, name="power")
+    power = Constraint(lambda xs, us: us[:, 0] * xs[:, -1], upper=0.01, name="power")
     problem, xs, us = guessed("arm", "rk4", constraints=[power])
     hinges = problem.trajectory_constraints.zero_penalties()
     hinges.weight[:] = 50.0 * np.isfinite(problem.trajectory_constraints.upper)
@@ -116,7 +116,7 @@ def test_rows_of_constraints_stand_beside_gaps_and_what_holds_states(exact):
 
 
 def test_states_lead_to_a_minimum_within_constraints():
-    power = Constraint(lambda xs, us: us[:, 0] * xs[:, -1], most=0.01, name="power")
+    power = Constraint(lambda xs, us: us[:, 0] * xs[:, -1], upper=0.01, name="power")
     problem, xs, _ = guessed("arm", "rk4", constraints=[power])
     free, plan = planner.solve(problem), planner.solve(problem, states=xs)
     assert free.success
@@ -127,7 +127,7 @@ def test_states_lead_to_a_minimum_within_constraints():
 
 def test_hinges_of_a_first_solve_count_in_the_merit():
     """What keeps shapes apart has hinges from the beginning: its engine's costs are those of the lines across gaps."""
-    high = Constraint(lambda xs: xs[:, 0], least=0.5, when="end")
+    high = Constraint(lambda xs: xs[:, 0], lower=0.5, when="end")
     problem, xs, us = guessed("arm", "rk4", constraints=[high])
     hinges = problem.trajectory_constraints.zero_penalties()
     hinges.weight[:] = 50.0 * np.isfinite(problem.trajectory_constraints.lower)

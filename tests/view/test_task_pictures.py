@@ -134,7 +134,7 @@ def test_a_ghost_where_the_machine_is_does_not_flicker(run):
     assert changed(with_ghost, alone) < 20
 
 
-def panel(values, least=-np.inf, most=np.inf, decades=False, R=1):
+def panel(values, lower=-np.inf, upper=np.inf, decades=False, R=1):
     t = np.linspace(0.0, 1.0, len(values))
     sides = [np.broadcast_to(np.asarray(side, float), (len(values), R)) for side in (least, most)]
     return BoundedPanel("title", "m", t, tuple("ab"[:R]), (np.reshape(values, (-1, R)),), *sides, decades=decades)
@@ -149,12 +149,12 @@ def drawn(one):
 
 def test_bounds_are_lines_with_the_outside_shaded_and_names_are_beside():
     values = np.linspace(0.2, 0.9, 30)
-    axes = drawn(panel(values, least=0.1, most=0.8))
+    axes = drawn(panel(values, lower=0.1, upper=0.8))
     assert {round(float(line.get_ydata()[0]), 3) for line in axes.lines} == {0.2, 0.1, 0.8}
     assert len(axes.collections) == 2  # above and below
     assert axes.get_ylim()[0] < 0.1
     assert axes.get_ylim()[1] > 0.9
-    own = drawn(panel(np.stack([values, values + 1.0], axis=1), most=[0.8, 1.8], R=2))
+    own = drawn(panel(np.stack([values, values + 1.0], axis=1), upper=[0.8, 1.8], R=2))
     assert not own.collections
     box, legend = (
         own.get_position(),
@@ -167,15 +167,15 @@ def test_a_tolerance_at_one_time_is_a_mark_and_decades_are_logarithmic():
     values = np.geomspace(1.0, 1e-6, 30)
     most = np.full((30, 1), np.inf)
     most[-1] = 5e-3
-    axes = drawn(panel(values, most=most, decades=True))
+    axes = drawn(panel(values, upper=most, decades=True))
     assert axes.get_yscale() == "log"
     assert 1e-5 < axes.get_ylim()[0] < 5e-3  # what is far below the tolerance says nothing
     (mark,) = [line for line in axes.lines if line.get_linestyle() == "None"]
     assert (mark.get_xdata()[0], mark.get_ydata()[0]) == (1.0, 5e-3)
     assert "tolerance" in axes.get_ylabel()
-    assert drawn(panel(np.linspace(0.5, 1.0, 30), most=most, decades=True)).get_yscale() == "log"
-    assert drawn(panel(np.linspace(0.02, 0.05, 30), most=most, decades=True)).get_yscale() == "linear"
-    met = drawn(panel(np.linspace(0.0, 1.0, 30), least=most, most=most))
+    assert drawn(panel(np.linspace(0.5, 1.0, 30), upper=most, decades=True)).get_yscale() == "log"
+    assert drawn(panel(np.linspace(0.02, 0.05, 30), upper=most, decades=True)).get_yscale() == "linear"
+    met = drawn(panel(np.linspace(0.0, 1.0, 30), lower=most, upper=most))
     assert "ring" in met.get_ylabel()
 
 
@@ -184,15 +184,15 @@ def test_a_penetration_is_seen_on_a_scale_over_decades():
     values = np.concatenate([np.geomspace(0.9, 0.001, 20), [-0.002], np.geomspace(0.001, 0.9, 9)])
     for deepest in (-0.002, -0.4):
         values[20] = deepest
-        axes = drawn(panel(values, least=0.02, decades=True))
+        axes = drawn(panel(values, lower=0.02, decades=True))
         assert axes.get_yscale() == "symlog"
         assert axes.get_ylim()[0] < deepest
         assert any(line.get_ydata()[20] == deepest for line in axes.lines if len(line.get_ydata()) == 30)
-    assert drawn(panel(np.abs(values), least=0.02, decades=True)).get_yscale() == "log"
+    assert drawn(panel(np.abs(values), lower=0.02, decades=True)).get_yscale() == "log"
 
 
 def test_long_names_are_broken_into_lines_and_not_cut():
-    one = panel(np.stack([np.linspace(0.2, 0.9, 30)] * 2, axis=1), least=0.1, R=2)
+    one = panel(np.stack([np.linspace(0.2, 0.9, 30)] * 2, axis=1), lower=0.1, R=2)
     names = ("geom 'left_finger_pad_collision', table", "post, hand")
     legend = drawn(replace(one, names=names)).get_legend()
     words = [text.get_text() for text in legend.get_texts()]
@@ -204,7 +204,7 @@ def test_long_names_are_broken_into_lines_and_not_cut():
 
 def test_lines_of_bounds_are_named_below_all_panels(run):
     """The red line that most curves share, and the dotted ones of single curves."""
-    kept = planner.Constraint(lambda xs: xs[:, :1], least=-5.0, most=5.0)
+    kept = planner.Constraint(lambda xs: xs[:, :1], lower=-5.0, upper=5.0)
     figure = draw_plan(replace(run.plan, problem=replace(run.plan.problem, constraints=(kept,))), None)
     words = [text.get_text() for text in figure.legends[0].get_texts()]
     assert "bound" in words

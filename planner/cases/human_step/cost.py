@@ -159,7 +159,7 @@ def _weights(
 
 
 def _foot(side: str, end: str, tol: StepTolerances, tolerance: float, period: float, **bound: Any) -> Height:
-    """The height of heel or toe, with a bound `least` or `most`."""
+    """The height of heel or toe, with a bound `lower` or `upper`."""
     return Height(Point(f"{side}_{end}_point"), tolerance=tolerance, ramp=tol.ramp, weight=1.0 / period, **bound)
 
 
@@ -187,7 +187,7 @@ def _clearance(step: GaitPhase, tol: StepTolerances) -> list[Any]:
                 tol,
                 tol.clearance_tolerance,
                 tol.period,
-                least=np.where(on, wanted, np.nan),
+                lower=np.where(on, wanted, np.nan),
             )
             for end in ("heel", "toe")
         ]
@@ -201,9 +201,9 @@ def _standing(step: GaitPhase, tol: StepTolerances) -> list[Any]:
         t = step.leg_time(side)
         for end, part in STANCE.items():
             most = _during(t, part, -tol.stance_depth)
-            terms.append(_foot(side, end, tol, tol.stance_tolerance, tol.period, most=most))
+            terms.append(_foot(side, end, tol, tol.stance_tolerance, tol.period, upper=most))
         for end in STANCE if tol.deepest else ():
-            terms.append(_foot(side, end, tol, tol.stance_tolerance, PERIOD, least=-tol.deepest))
+            terms.append(_foot(side, end, tol, tol.stance_tolerance, PERIOD, lower=-tol.deepest))
     return terms
 
 
@@ -220,7 +220,7 @@ def _reach(step: GaitPhase, tol: StepTolerances) -> list[Any]:
     """The hip of the standing leg is no farther from its ankle than the leg is long."""
     ankle = step.feet(step.motion.q)[:, 3]
     return [
-        Distance(Point("left_hip"), Point(world=ankle), most=tol.straight * step.walker.leg_length,
+        Distance(Point("left_hip"), Point(world=ankle), upper=tol.straight * step.walker.leg_length,
                  tolerance=tol.reach_tolerance, ramp=tol.reach_ramp, weight=1.0 / tol.period)
     ]  # fmt: skip
 
@@ -243,7 +243,7 @@ def _leg_distances(step: GaitPhase, tol: StepTolerances) -> list[Any]:
         Distance(
             a,
             b,
-            least=least,
+            lower=least,
             tolerance=tol.distance_tolerance,
             ramp=tol.ramp,
             weight=1.0 / tol.period,

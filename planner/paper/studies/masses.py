@@ -22,7 +22,7 @@ from planner.model.mechanism import Mechanism
 from planner.model.mjcf.text import edited, written
 from planner.paper.methods.splines import Boundary, SplineMotion, minimize_effort
 from planner.paper.studies.study import Row, Study, plan_record, row_of, table, timed
-from planner.problem.initial_guess import inverse_dynamics_controls, quintic
+from planner.problem.initial_guess import inverse_dynamics_controls, minimum_jerk, quintic
 from planner.problem.problem import Problem
 from planner.solvers.slq import solve
 from planner.view.plots.style import HUES, INK, dress, panels_of, save
@@ -35,7 +35,7 @@ KINDS = {"rods": (0.5, 1.0 / 12.0), "points at the tips": (1.0, 0.0), "points ha
 LENGTHS = (0.3, 0.6, 1.0, 1.25, 1.5, 2.0)  # m, of both links with equal masses
 RATIOS = (0.25, 0.5, 0.75, 1.0, 2.0, 4.0)  # of the forearm's mass to the upper arm's, at 1 m
 RISES: dict[str, Callable[[np.ndarray], np.ndarray]] = {
-    "quintic": lambda s: 10.0 * s**3 - 15.0 * s**4 + 6.0 * s**5,
+    "quintic": lambda s: minimum_jerk(s)[0],
     "cubic": lambda s: 3.0 * s**2 - 2.0 * s**3,
     "cosine": lambda s: 0.5 * (1.0 - np.cos(np.pi * s)),
 }
@@ -82,10 +82,8 @@ def with_first_effort(kind: str, ratio: float, length: float) -> Arm:
     """The arm whose first guess has the paper's 73.6."""
     arm = Arm(kind, 1.0, ratio, length, length)
     points, weights = np.polynomial.legendre.leggauss(64)
-    s = 0.5 * (1.0 + points)[:, None]
-    q = (10.0 * s**3 - 15.0 * s**4 + 6.0 * s**5) * UPRIGHT
-    qd = (30.0 * s**2 - 60.0 * s**3 + 30.0 * s**4) * UPRIGHT / DURATION
-    qdd = (60.0 * s - 180.0 * s**2 + 120.0 * s**3) * UPRIGHT / DURATION**2
+    share, rate, acceleration = minimum_jerk(0.5 * (1.0 + points)[:, None])
+    q, qd, qdd = share * UPRIGHT, rate * UPRIGHT / DURATION, acceleration * UPRIGHT / DURATION**2
     power = 0.5 * np.sum(rnea(arm_mechanism(arm), q, qd, qdd) ** 2, axis=1)
     mass = math.sqrt(FIRST / (0.5 * DURATION * float(weights @ power)))
     return Arm(kind, mass, ratio * mass, length, length)

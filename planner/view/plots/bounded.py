@@ -35,7 +35,7 @@ def draw_bounded(axes: Axes, panel: BoundedPanel, replays: Sequence[Replay]) -> 
     """Draw a panel; `replays` belong to the values after the plan's in it, in the same order."""
     dress(axes, panel.title, panel.ylabel, "time, s")
     single = _single(panel)
-    note = "tolerance" if panel.decades and not np.isfinite(panel.least).any() else "bound"
+    note = "tolerance" if panel.decades and not np.isfinite(panel.lower).any() else "bound"
     if single[0].any() or single[1].any():
         axes.set_ylabel(f"{panel.ylabel}   ({'ring: to be met' if _met(panel).any() else f'tip: {note}'})")
     log = _keep_in_view(axes, panel)
@@ -56,7 +56,7 @@ def draw_bounded(axes: Axes, panel: BoundedPanel, replays: Sequence[Replay]) -> 
 def _draw_bounds(axes: Axes, panel: BoundedPanel, single: tuple[np.ndarray, np.ndarray]) -> None:
     met = _met(panel)
     for side, alone, marker, edge in (
-        (panel.least, single[0], _UP, axes.get_ylim()[0]), (panel.most, single[1], _DOWN, axes.get_ylim()[1])
+        (panel.lower, single[0], _UP, axes.get_ylim()[0]), (panel.upper, single[1], _DOWN, axes.get_ylim()[1])
     ):  # fmt: skip
         along = np.where(np.isfinite(side) & ~alone, side, np.nan)
         close = np.all(np.isclose(along[:, :, None], along[:, None, :], rtol=1e-6, equal_nan=True), axis=0)
@@ -81,13 +81,13 @@ def _draw_bounds(axes: Axes, panel: BoundedPanel, single: tuple[np.ndarray, np.n
 
 def _met(panel: BoundedPanel) -> np.ndarray:
     """Mask (K, R) of equal bounds: a value to be met."""
-    return np.isfinite(panel.least) & (panel.least == panel.most)
+    return np.isfinite(panel.lower) & (panel.lower == panel.upper)
 
 
 def _single(panel: BoundedPanel) -> tuple[np.ndarray, np.ndarray]:
     """Masks (K, R) of lower and upper bounds that hold at one time only."""
     found = []
-    for side in (panel.least, panel.most):
+    for side in (panel.lower, panel.upper):
         finite = np.pad(np.isfinite(side), ((1, 1), (0, 0)))
         found.append(finite[1:-1] & ~finite[:-2] & ~finite[2:])
     return found[0], found[1]
@@ -95,7 +95,7 @@ def _single(panel: BoundedPanel) -> tuple[np.ndarray, np.ndarray]:
 
 def _keep_in_view(axes: Axes, panel: BoundedPanel) -> bool:
     """Set the limits of the axis and return whether its scale is logarithmic."""
-    bounds = [side[np.isfinite(side)] for side in (panel.least, panel.most)]
+    bounds = [side[np.isfinite(side)] for side in (panel.lower, panel.upper)]
     _, high = range_of([panel.motions[0], *bounds])
     if panel.decades and high > 0.0:
         levels = positive(np.concatenate([panel.motions[0].ravel(), *bounds]))

@@ -97,7 +97,7 @@ def _charts(plan: Plan, replays: Sequence[Replay]) -> list[InteractiveChart]:
         for k, (name, hue) in enumerate(zip(task.names, cycle(HUES), strict=False)):
             motions = zip(["plan", *kinds], task.motions, strict=False)
             lines += [Line(name, kind, task.t, motion[:, k], _colour(kind, hue), False) for kind, motion in motions]
-            for side in (task.least, task.most):
+            for side in (task.lower, task.upper):
                 if np.isfinite(side[:, k]).any():
                     lines.append(Line(name, "bound", task.t, side[:, k], RED, False))
         charts.append(InteractiveChart(task.title, task.ylabel, tuple(lines)))
