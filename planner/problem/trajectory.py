@@ -15,7 +15,7 @@ from planner.problem.state_bounds import BoundPenalties
 
 
 class ScaledMultipliers(NamedTuple):
-    """By how much the multipliers of ranges and constraints shift the bounds of penalties inwards, and their weights."""
+    """Shifts of the penalized bounds, inwards, by the multipliers of ranges and constraints; weights."""
 
     low: np.ndarray  # (N+1, H)
     high: np.ndarray  # (N+1, H)
@@ -29,8 +29,10 @@ class ScaledMultipliers(NamedTuple):
         return BoundPenalties(kept.lower + self.low, kept.upper - self.high, np.where(used, self.weight, 0.0))
 
 
-def scaled_multipliers(kept: TrajectoryConstraints | None, penalties: BoundPenalties | None) -> ScaledMultipliers | None:
-    """Of what is kept and the penalties that a plan ended with; None where it has none."""
+def scaled_multipliers(
+    kept: TrajectoryConstraints | None, penalties: BoundPenalties | None
+) -> ScaledMultipliers | None:
+    """Those of trajectory constraints and the penalties that a plan ended with; None where it has none."""
     if kept is None or penalties is None:
         return None
     with np.errstate(invalid="ignore"):  # of bounds that are infinite
