@@ -221,7 +221,7 @@ def _kept(loop: ClosedLoopRun) -> Section:
         return Section("kept", not_applicable="no ranges and no constraints, or no whole task")
     found, xs, us = list[Measurement](), loop.xs[: M + 1], loop.ctrl[:M]
     if problem.ranges is not None:
-        beyond = problem.ranges.beyond(xs).max(axis=0)
+        beyond = problem.ranges.violation(xs).max(axis=0)
         on_way = problem.ranges.coordinates[: len(beyond) - problem.ranges.at_end]
         for unit in dict.fromkeys(one.unit for one in on_way):
             value, name = max((float(b), one.name) for b, one in zip(beyond, on_way, strict=False) if one.unit == unit)

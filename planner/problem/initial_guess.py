@@ -9,7 +9,7 @@ import numpy as np
 from planner.base.errors import PlannerError
 from planner.dynamics import Dynamics
 from planner.dynamics.algorithms import rnea
-from planner.dynamics.constraint_forces import constraint_jacobians
+from planner.dynamics.closure_forces import constraint_jacobians
 from planner.dynamics.friction import friction_forces
 from planner.dynamics.quasi_static import actuator_lengths
 from planner.model.actuators import DIRECT

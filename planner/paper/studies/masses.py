@@ -21,8 +21,7 @@ from planner.dynamics.algorithms import rnea
 from planner.model.mechanism import Mechanism
 from planner.model.mjcf.text import edited, written
 from planner.paper.methods.splines import Boundary, SplineMotion, minimize_effort
-from planner.paper.studies.records import plan_record, row_of, table
-from planner.paper.studies.study import Row, Study, timed
+from planner.paper.studies.study import Row, Study, plan_record, row_of, table, timed
 from planner.problem.initial_guess import inverse_dynamics_controls, minimum_jerk, quintic
 from planner.problem.problem import Problem
 from planner.solvers.slq import solve
@@ -185,10 +184,10 @@ def _page(results: dict[str, Any]) -> list[str]:
             "SLQ, several starts": "{slq_starts[effort]:.1f}",
         }, ({"name": _name(arm), **arm} for arm in [*results["candidates"], results["ours"]])),
     ]  # fmt: skip
-    return [*lines, "", _said(results)]
+    return [*lines, "", _conclusion(results)]
 
 
-def _said(results: dict[str, Any]) -> str:
+def _conclusion(results: dict[str, Any]) -> str:
     kinds = sorted({c["kind"] for c in results["candidates"]})
     if not kinds:
         return "No arm of these families has both numbers."
@@ -196,11 +195,9 @@ def _said(results: dict[str, Any]) -> str:
     lower = all(c["slq_starts"]["effort"] < c["last"] for c in results["candidates"])
     return (
         f"Only arms with {', '.join(kinds)} have both numbers. No arm with {' or '.join(without)} has them, from a "
-        "quintic "
-        "first guess. But two numbers do not determine an arm: several have both. And another smooth first guess "
-        "can lead "
-        "to another minimum of the same arm. So the 9.9 depends on the guess and the optimizer as much as on the arm."
-        + (" Several starts of SLQ end lower on each." if lower else "")
+        "quintic first guess. But two numbers do not determine an arm: several have both. And another smooth first "
+        "guess can lead to another minimum of the same arm. So the 9.9 depends on the guess and the optimizer as "
+        "much as on the arm." + (" Several starts of SLQ end lower on each." if lower else "")
     )
 
 
@@ -209,7 +206,7 @@ def _rows(results: dict[str, Any]) -> list[Row]:
     best = "; ".join(f"{_name(c)}: {c['first']:.1f} to {c['last']:.2f}" for c in found) or "no arm with both"
     return [
         Row("2.1", f"Quintic B-splines and BFGS: effort {FIRST} to {LAST}; no masses given", best,
-            "the paper gives no masses or lengths, nor which smooth guess; " + _said(results)),
+            "the paper gives no masses or lengths, nor which smooth guess; " + _conclusion(results)),
         Row("2.1", f"{FIRST} to {LAST}, on our own arm (rods of 0.5 kg and 1 m)",
             f"{ours['first']:.1f} to {ours['last']:.1f} by BFGS; SLQ {ours['slq']['effort']:.1f}, "
             f"of {results['starts']} starts {ours['slq_starts']['effort']:.1f}",
