@@ -46,7 +46,7 @@ class FallbackControl:
         qd, actuators = x[m.nq : m.nq + m.nv], m.actuators
         servo = actuators.moment.T @ (actuators.bias[:, 2] * (actuators.moment @ qd))
         damping = mass_matrix(m, x[: m.nq]) @ qd / TIME
-        return quasi_static_controls(m, x) - self._inverse @ (damping + servo)
+        return quasi_static_controls(m, x, contacts=False) - self._inverse @ (damping + servo)
 
 
 def equilibrium_control(problem: Problem, x: np.ndarray, u: np.ndarray) -> np.ndarray | None:

@@ -13,7 +13,8 @@ import numpy as np
 
 from planner.dynamics.algorithms import mass_matrix
 from planner.dynamics.contacts import contact_forces, contact_jacobians
-from planner.dynamics.statics import along_ground, unactuated_basis
+from planner.dynamics.statics import along_ground
+from planner.model.capabilities import unactuated_basis
 from planner.model.mechanism import Mechanism
 
 TURNS = 5  # of taking J midway again; each is nearer by the square of the way

@@ -23,6 +23,7 @@ from planner.dynamics.kinematics import jacobian
 from planner.dynamics.momentum import center_of_mass
 from planner.dynamics.quasi_static import weight
 from planner.dynamics.rigid_body import RigidBodyDynamics
+from planner.model.capabilities import unactuated_basis
 from planner.model.mechanism import Frame, Mechanism
 from planner.model.stationary_objects import roots
 
@@ -105,12 +106,6 @@ def lowered_to_ground(mechanism: Mechanism, x: np.ndarray) -> np.ndarray:
     if not moves:
         raise PlannerError("the machine cannot be lowered as a whole, expected a trunk on a slide or a free joint.")
     return x
-
-
-def unactuated_basis(mechanism: Mechanism) -> np.ndarray:
-    """The directions (nv, n) that no actuator moves: degrees of freedom, and what follows them."""
-    G = np.eye(mechanism.nv) if mechanism.reduction is None else mechanism.reduction.G
-    return G[:, ~np.any(mechanism.actuators.moment @ G != 0.0, axis=0)]
 
 
 def clearance(mechanism: Mechanism, x: np.ndarray) -> float:

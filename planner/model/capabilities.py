@@ -44,9 +44,7 @@ class Capabilities:
         cls, mechanism: Mechanism, prescribed: np.ndarray | None = None, *, exact_hessian: bool = False
     ) -> Capabilities:
         """The facts of a mechanism; degrees of freedom that are `prescribed` (nv,) bool count as actuated."""
-        G = np.eye(mechanism.nv) if mechanism.reduction is None else mechanism.reduction.G
-        moves = np.any(mechanism.actuators.moment @ G != 0.0, axis=0)
-        actuated = np.any(G[:, moves] != 0.0, axis=1)
+        actuated = np.any(_independent_directions(mechanism, actuated=True) != 0.0, axis=1)
         return cls(
             mechanism=mechanism,
             floating_base=any(dofs.stop - dofs.start == 6 for dofs in mechanism.joint_links),
@@ -57,6 +55,17 @@ class Capabilities:
             friction_loss=bool(np.any(mechanism.friction_loss)),
             exact_hessian=exact_hessian,
         )
+
+
+def unactuated_basis(mechanism: Mechanism) -> np.ndarray:
+    """(nv, n) the directions that no actuator moves: one for each independent degree of freedom, with its followers."""
+    return _independent_directions(mechanism, actuated=False)
+
+
+def _independent_directions(mechanism: Mechanism, *, actuated: bool) -> np.ndarray:
+    """(nv, n) the directions that couplings leave and that an actuator moves, or that none moves."""
+    G = np.eye(mechanism.nv) if mechanism.reduction is None else mechanism.reduction.G
+    return G[:, np.any(mechanism.actuators.moment @ G != 0.0, axis=0) == actuated]
 
 
 def capabilities_of(dynamics: Any) -> Capabilities:

@@ -217,11 +217,16 @@ class Mechanism:
         return tuple((int(self.q_address[i]), int(i)) for i in np.flatnonzero(self.kind == BALL))
 
     @cached_property
+    def directly_actuated(self) -> np.ndarray:
+        """(nv,) bool, the degrees of freedom that an actuator acts on; those that follow them by couplings are not."""
+        return np.any(self.actuators.moment != 0.0, axis=0)
+
+    @cached_property
     def reduction(self) -> Reduction | None:
         """The coordinates that the couplings leave free; those with actuators before others. None without couplings."""
         if not self.couplings:
             return None
-        return reduce(self.couplings, self.nv, np.any(self.actuators.moment != 0.0, axis=0))
+        return reduce(self.couplings, self.nv, self.directly_actuated)
 
     @cached_property
     def space(self) -> StateSpace:

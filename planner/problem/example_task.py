@@ -57,7 +57,7 @@ def example_task(model: Any, mechanism: Mechanism, joints: list[Record]) -> Exam
 
 def actuated_joints(mechanism: Mechanism) -> list[int]:
     """Hinges and slides that an actuator moves, or all of them where there is no actuator, by number."""
-    reached = np.any(mechanism.actuators.moment != 0.0, axis=0) | (mechanism.nu == 0)
+    reached = mechanism.directly_actuated | (mechanism.nu == 0)
     return [
         j for j, links in enumerate(mechanism.joint_links)
         if links.stop - links.start == 1 and mechanism.kind[links.start] == SCREW and reached[links.start]
@@ -178,7 +178,7 @@ def _with_balance(mechanism: Mechanism, start: np.ndarray, goal: dict[int, float
 
     Only hinges and slides without couplings; the goal itself where there is no such place near the start.
     """
-    reached = np.any(mechanism.actuators.moment != 0.0, axis=0)
+    reached = mechanism.directly_actuated
     loose = np.flatnonzero(~reached)
     if mechanism.nu == 0 or mechanism.couplings or not len(loose) or not np.all(mechanism.kind[loose] == SCREW):
         return goal
@@ -204,7 +204,7 @@ def _scale(mechanism: Mechanism) -> float:
 
 def _duration(mechanism: Mechanism, start: np.ndarray, goal: dict[int, float]) -> float:
     """As long as the shortest quintic that takes a share of every limit of speed and force, in tenths of a second."""
-    driven = np.any(mechanism.actuators.moment != 0.0, axis=0)
+    driven = mechanism.directly_actuated
     duration = _SHORTEST if np.all(driven) else _TIPPING
     inertia = np.diagonal(mass_matrix(mechanism, start))
     most = _strongest(mechanism)

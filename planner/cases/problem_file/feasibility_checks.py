@@ -8,7 +8,7 @@ from planner.base.errors import PlannerError
 from planner.dynamics import RigidBodyDynamics
 from planner.model.mjcf.prescribed_joints import prescribed_dofs_of
 from planner.model.space import space_of
-from planner.model.stationary_objects import roots
+from planner.model.stationary_objects import unreached_dofs
 from planner.problem.costs.tracking import tracking_of
 from planner.problem.goals import ROUNDING, goals_of
 from planner.problem.initial_guess import rollout_states
@@ -40,7 +40,7 @@ def check_goal_controllable(problem: Problem) -> None:
     dynamics, cost = problem.dynamics, tracking_of(problem.cost)
     assert isinstance(dynamics, RigidBodyDynamics)  # a problem file has them
     assert cost is not None
-    loose = _uncontrolled_dofs(dynamics)
+    loose = unreached_dofs(dynamics.mechanism, prescribed_dofs_of(dynamics))
     if not np.any(loose):
         return
     space, mechanism = dynamics.space, dynamics.mechanism
@@ -56,22 +56,3 @@ def check_goal_controllable(problem: Problem) -> None:
                 "the goal whatever the controls do, expected a plane or a box under it, a goal where it gets by "
                 "itself, or a model without that joint."
             )
-
-
-def _uncontrolled_dofs(dynamics: RigidBodyDynamics) -> np.ndarray:
-    """(nv,) the degrees of freedom of trees that no actuator, contact, coupling, tendon or closed chain reaches."""
-    mechanism = dynamics.mechanism
-    root = roots(mechanism)
-    reached = set(np.flatnonzero(np.any(mechanism.actuators.moment != 0.0, axis=0)).tolist())
-    reached |= {*map(int, prescribed_dofs_of(dynamics)), *(contact.link for contact in mechanism.contacts)}
-    reached |= {shape.link for pair in mechanism.body_contacts for shape in (pair.first, pair.second)} - {-1}
-    reached |= {dof for one in (*mechanism.couplings, *mechanism.tendons) for dof in one.dofs}
-    for first, second in (
-        *(loop.links for loop in mechanism.loops),
-        *(cam.dofs for cam in mechanism.polynomial_couplings),
-    ):
-        if -1 in (first, second):
-            reached.add(max(first, second))  # the world holds it
-        else:
-            root[root == root[first]] = root[second]  # what drives one tree drives the other
-    return ~np.isin(root, root[sorted(reached)])
