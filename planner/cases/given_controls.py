@@ -26,14 +26,16 @@ from planner.base.errors import FileError, ModelError, PlannerError
 from planner.base.files import printable, read_text
 from planner.cases.problem_file.states import state_of
 from planner.dynamics import RigidBodyDynamics
+from planner.dynamics.rollout import feedback_control, rollout, rollout_states
 from planner.model.mechanism import SCREW, Mechanism
 from planner.model.mjcf.unsupported import KINDS
 from planner.model.urdf.read import read_model
 from planner.problem.costs.tracking import TrackingCost
-from planner.problem.initial_guess import inverse_dynamics_controls, rollout_states
+from planner.problem.initial_guess import inverse_dynamics_controls
 from planner.problem.plan import Plan, Status
 from planner.problem.problem import Problem
 from planner.solvers import lq
+from planner.solvers.lqr import tracking_gains
 
 TIME, POSITION = "time", "position of "
 EVEN = 0.01  # relative, of the spacing of times
@@ -192,20 +194,12 @@ def _tracked(
     reference = np.concatenate([q, spline(t, 1)], axis=1)
     A, B = dynamics.linearize(reference, us)
     size = np.maximum(np.abs(us).max(axis=0), np.finfo(float).tiny)
-    weights = TrackingCost(
-        np.tile(dt * np.eye(dynamics.ndx), (N + 1, 1, 1)),
-        np.tile(dt * _CONTROL_WEIGHT * np.diag(1.0 / size**2), (N, 1, 1)), reference, us, dynamics.space,
-    )  # fmt: skip
-    sweep = lq.riccati(A, B, weights.quadratize(reference, us))
-    assert sweep is not None  # R is positive definite, Q semidefinite
+    Q, R = dt * np.eye(dynamics.ndx), dt * _CONTROL_WEIGHT * np.diag(1.0 / size**2)
+    K = tracking_gains(A, B, np.tile(Q, (N + 1, 1, 1)), np.tile(R, (N, 1, 1)))
+    assert K is not None  # R is positive definite, Q semidefinite
     if x0 is not None and np.abs(x0[: mechanism.nq] - q[0]).max() > _START_TOLERANCE:
         raise PlannerError(
             f"the start is {np.abs(x0[: mechanism.nq] - q[0]).max():.3g} from the first row of positions, expected the "
             "same: leave --start out."
         )
-    xs = np.empty_like(reference)
-    xs[0] = reference[0] if x0 is None else x0
-    for n in range(N):
-        us[n] += sweep.K[n] @ (xs[n] - reference[n])
-        xs[n + 1] = dynamics.step(xs[n : n + 1], us[n : n + 1])[0]
-    return xs, us, sweep.K
+    return *rollout(dynamics, reference[0] if x0 is None else x0, us, feedback_control(dynamics, reference, us, K)), K

@@ -8,6 +8,7 @@ import numpy as np
 
 from planner.base.arguments import short_repr
 from planner.base.errors import PlannerError
+from planner.model.capabilities import capabilities_of
 from planner.model.space import space_of
 from planner.problem.costs.residuals.cost import ResidualCost
 from planner.problem.costs.tracking import states, tracking_of
@@ -18,7 +19,7 @@ from planner.proof.goal_regulator import hold_gain
 
 def goal_states(problem: Problem, goal: Any, horizon: int) -> np.ndarray:
     """The state (nx,) of a goal, a keyframe, positions (nq,) or a state; or states (horizon + 1, nx) ahead."""
-    mechanism, space = getattr(problem.dynamics, "mechanism", None), space_of(problem.dynamics)
+    mechanism, space = capabilities_of(problem.dynamics).mechanism, space_of(problem.dynamics)
     if isinstance(goal, str):
         if mechanism is None:
             raise PlannerError(f"goal is {short_repr(goal)}, expected a state: the machine has no keyframes.")

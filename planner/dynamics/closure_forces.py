@@ -35,9 +35,7 @@ def constraint_forces(dynamics: RigidBodyDynamics, xs: Any, us: Any) -> np.ndarr
     Raises:
         PlannerError: The machine has no closed chains, or a wrong shape.
     """
-    if not isinstance(dynamics, RigidBodyDynamics) or not (
-        dynamics.mechanism.loops or dynamics.mechanism.polynomial_couplings
-    ):
+    if not isinstance(dynamics, RigidBodyDynamics) or not dynamics.capabilities.loops:
         raise PlannerError("the dynamics have no closed chains, expected RigidBodyDynamics of a machine with some.")
     us = array("us", us, ("K", dynamics.nu))
     xs = array("xs", xs, (len(us), dynamics.nx))

@@ -7,7 +7,6 @@ from dataclasses import replace
 import numpy as np
 
 from planner.base.errors import PlannerError
-from planner.dynamics import Dynamics
 from planner.dynamics.algorithms import rnea
 from planner.dynamics.closure_forces import constraint_jacobians
 from planner.dynamics.friction import friction_forces
@@ -120,12 +119,3 @@ def interpolated_states(space: StateSpace, x0: np.ndarray, goal: np.ndarray, dur
     if space.ndx == 2 * nv:
         dxs[:, nv:] += rate / duration * way[:nv]
     return space.integrate(x0, dxs)
-
-
-def rollout_states(dynamics: Dynamics, x0: np.ndarray, us: np.ndarray) -> np.ndarray:
-    """The states (N+1, nx) to which controls (N, nu) lead from x0 (nx,), step by step."""
-    xs = np.empty((len(us) + 1, dynamics.nx))
-    xs[0] = x0
-    for n in range(len(us)):
-        xs[n + 1] = dynamics.step(xs[n : n + 1], us[n : n + 1])[0]
-    return xs

@@ -30,6 +30,7 @@ from planner.proof.replay_errors import costs_with_goals
 from planner.proof.replays.passive_torque_callback import curves_acting
 from planner.proof.replays.replaying import Replay
 from planner.proof.replays.simulation import MAX_STEPS, simulate
+from planner.solvers.lqr import regulator_gains
 
 EQUILIBRIUM = 0.05  # of the least tolerance of a goal, by unit: how far from it the nearest equilibrium may be
 _UNKNOWN = 0.02  # that tolerance, for units that no goal knows
@@ -59,8 +60,6 @@ def hold_gain(problem: Problem) -> GoalRegulator:
     Raises:
         PlannerError: The cost has no goal state, or the goal is no equilibrium, or cannot be made stable.
     """
-    from scipy.linalg import LinAlgError, solve_discrete_are  # a fifth of a second that `import planner` does not pay
-
     costs = costs_with_goals(problem)
     if len(costs) != 1:
         has = f"the cost has {len(costs)} terms with a goal state"
@@ -72,13 +71,8 @@ def hold_gain(problem: Problem) -> GoalRegulator:
     _check_equilibrium(A, B, drift, problem.dynamics)
     Q, R = _weights(problem, x, u)
     A, B, Q = (A @ T)[places], B[places], T.T @ Q @ T
-    try:
-        P = solve_discrete_are(A, B, Q, R)
-        K = -np.linalg.solve(R + B.T @ P @ B, B.T @ P @ A)
-        stable = np.abs(np.linalg.eigvals(A + B @ K)).max() < 1.0
-    except (LinAlgError, ValueError):
-        stable, K = False, np.empty((0, 0))
-    if not stable:
+    K = regulator_gains(A, B, Q, R)
+    if K is None:
         raise PlannerError(
             "the goal cannot be held: no gains make the dynamics stable there, expected controls that reach every "
             "motion that does not die out by itself."

@@ -16,18 +16,16 @@ import numpy as np
 from planner.base.errors import PlannerError
 from planner.dynamics.assembly import assembled
 from planner.dynamics.quasi_static import equilibrium
+from planner.dynamics.rollout import Control, feedback_control, rollout
 from planner.model.space import space_of
-from planner.problem.costs.terms import Quadratic
 from planner.problem.initial_guess import quintic
 from planner.problem.problem import Problem
-from planner.solvers import lq
+from planner.solvers.lqr import tracking_gains
 
 DIVERGENCE_FACTOR = 1e10  # times the start, at least 1: what MuJoCo too takes for an unstable simulation
 _STAGES = 100  # of the LQ problem, by which its gains have become constant
 _AGAIN = 10  # stages after which a machine that brakes is linearized again
 _WEAKEST = 1e-9  # of the largest weight of a control: of one that moves nothing
-
-Control = Callable[[int, np.ndarray], np.ndarray]
 
 
 def has_diverged(xs: np.ndarray) -> np.ndarray:
@@ -66,16 +64,11 @@ def tracking_controls(problem: Problem, xs: np.ndarray, us: np.ndarray | None = 
 
 def _written_down(problem: Problem, control: Control) -> np.ndarray | None:
     """The controls (N, nu), within their bounds, that a controller gives from the start on; None where it runs away."""
-    xs, us = np.empty((problem.N + 1, problem.dynamics.nx)), np.empty((problem.N, problem.dynamics.nu))
-    xs[0] = problem.x0
-    for n in range(problem.N):
-        us[n] = control(n, xs[n])
-        if problem.bounds is not None:
-            us[n] = problem.bounds.clip(n, us[n], xs[n])
-        xs[n + 1] = problem.dynamics.step(xs[n : n + 1], us[n : n + 1])[0]
-        if has_diverged(xs[[0, n + 1]]).any() or not np.isfinite(us[n]).all():
-            return None
-    return us if np.isfinite(problem.cost.value(xs, us)) else None
+    limit = DIVERGENCE_FACTOR * max(1.0, float(np.abs(problem.x0).max(initial=0.0)))
+    us = np.zeros((problem.N, problem.dynamics.nu))
+    xs, us = rollout(problem.dynamics, problem.x0, us, control, bounds=problem.bounds, limit=limit)
+    finite = np.isfinite(xs).all() and np.isfinite(us).all()
+    return us if finite and np.isfinite(problem.cost.value(xs, us)) else None
 
 
 def _at_rest(problem: Problem, x: np.ndarray) -> np.ndarray:
@@ -94,15 +87,10 @@ def _regulator(problem: Problem, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]
     if not (np.isfinite(A).all() and np.isfinite(B).all()):
         return none, np.zeros(B.T.shape)
     u = equilibrium(dynamics, x, none, iterations=1)[1]
-    R = _weights(B, dynamics.dt)
-    stages, ndx, nu = _STAGES, len(A), len(u)
-    model = Quadratic(
-        np.tile(np.eye(ndx), (stages + 1, 1, 1)), np.zeros((stages + 1, ndx)), np.tile(R, (stages, 1, 1)),
-        np.zeros((stages, nu)),
-    )  # fmt: skip
-    sweep = lq.riccati(np.tile(A, (stages, 1, 1)), np.tile(B, (stages, 1, 1)), model)
-    K = np.zeros((nu, ndx)) if sweep is None or not np.isfinite(sweep.K[0]).all() else sweep.K[0]
-    return u, K
+    each = (_STAGES, 1, 1)
+    Q, R = np.tile(np.eye(len(A)), (_STAGES + 1, 1, 1)), np.tile(_weights(B, dynamics.dt), each)
+    K = tracking_gains(np.tile(A, each), np.tile(B, each), Q, R)
+    return u, np.zeros(B.T.shape) if K is None else K[0]
 
 
 def _holding(problem: Problem) -> Control:
@@ -155,16 +143,12 @@ def _kept_to(problem: Problem, xs: np.ndarray, us: np.ndarray) -> Control:
 
     They are those of the LQ problem along the way: what forces of closed chains do depends on the controls.
     """
-    space, dynamics = space_of(problem.dynamics), problem.dynamics
+    dynamics = problem.dynamics
     A, B = dynamics.linearize(xs, us)
     R = _weights(B.reshape(-1, B.shape[2]), dynamics.dt * np.sqrt(len(B)))
     N, ndx, nu = B.shape
-    model = Quadratic(
-        np.tile(np.eye(ndx), (N + 1, 1, 1)), np.zeros((N + 1, ndx)), np.tile(R, (N, 1, 1)), np.zeros((N, nu))
-    )
-    sweep = lq.riccati(A, B, model)
-    K = np.zeros((N, nu, ndx)) if sweep is None or not np.isfinite(sweep.K).all() else sweep.K
-    return lambda n, now: us[n] + K[n] @ space.difference(now, xs[n])
+    K = tracking_gains(A, B, np.tile(np.eye(ndx), (N + 1, 1, 1)), np.tile(R, (N, 1, 1)))
+    return feedback_control(dynamics, xs, us, np.zeros((N, nu, ndx)) if K is None else K)
 
 
 def _weights(B: np.ndarray, dt: float) -> np.ndarray:

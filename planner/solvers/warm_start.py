@@ -14,13 +14,13 @@ import numpy as np
 
 from planner.base.arguments import short_repr
 from planner.base.errors import PlannerError
+from planner.dynamics.rollout import feedback_control, rollout
 from planner.model.space import space_of
-from planner.problem.costs.terms import Quadratic
 from planner.problem.plan import Plan
 from planner.problem.problem import Problem
 from planner.problem.state_bounds import BoundPenalties
 from planner.problem.trajectory import Trajectory
-from planner.solvers import lq
+from planner.solvers.lqr import tracking_gains
 
 MAX_COST_RATIO = (
     2.0  # times what the motion costs: a rollout beyond has left it, and states without one are the better guess
@@ -89,19 +89,10 @@ def feedback_rollout(
     problem: Problem, us: np.ndarray, K: np.ndarray | None = None, about: np.ndarray | None = None
 ) -> tuple[float, np.ndarray]:
     """The cost, infinite where it is no number, and the controls (N, nu) of u = us + K difference(x, about)."""
-    space = space_of(problem.dynamics)
-    xs, us = np.empty((len(us) + 1, problem.dynamics.nx)), us.copy()
-    xs[0] = problem.x0
+    control = None if K is None or about is None else feedback_control(problem.dynamics, about, us, K)
     with np.errstate(all="ignore"):  # one of the ways may run away
-        for n in range(len(us)):
-            if K is not None and about is not None:
-                us[n] += K[n] @ space.difference(xs[n], about[n])
-            if problem.bounds is not None:
-                us[n] = problem.bounds.clip(n, us[n], xs[n])
-            xs[n + 1] = problem.dynamics.step(xs[n : n + 1], us[n : n + 1])[0]
-            if not np.isfinite(xs[n + 1]).all():
-                return math.inf, us
-        cost = problem.cost.value(xs, us)
+        xs, us = rollout(problem.dynamics, problem.x0, us, control, bounds=problem.bounds)
+        cost = problem.cost.value(xs, us) if np.isfinite(xs[-1]).all() else math.inf
     return (cost if math.isfinite(cost) else math.inf), us
 
 
@@ -111,5 +102,4 @@ def _gains(problem: Problem, xs: np.ndarray, us: np.ndarray) -> np.ndarray | Non
     Q = model.Q + problem.dynamics.dt * model.Q[-1]
     Q = Q + _WEAKEST * np.abs(Q).max() * np.eye(Q.shape[1])
     A, B = problem.dynamics.linearize(xs, us)
-    sweep = lq.riccati(A, B, Quadratic(Q, np.zeros_like(model.q), model.R, np.zeros_like(model.r)))
-    return None if sweep is None else sweep.K
+    return tracking_gains(A, B, Q, model.R)

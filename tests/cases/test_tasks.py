@@ -13,9 +13,9 @@ from places import ROOT
 import planner
 from planner.base.gl import load_mujoco
 from planner.cases.problem_file import load
+from planner.dynamics.rollout import rollout_states
 from planner.problem.goals import GoalCheck as Judged
 from planner.problem.goals import between, goals_of, static_error
-from planner.problem.initial_guess import rollout_states
 from planner.problem.rediscretize import finer
 from planner.problem.tasks.poses import poses_of
 from planner.problem.tasks.reference_motion import controls

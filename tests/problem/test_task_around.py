@@ -5,7 +5,7 @@ from gantries import gantry
 
 import planner
 from planner.base.errors import PlannerError
-from planner.problem.initial_guess import rollout_states
+from planner.dynamics.rollout import rollout_states
 from planner.proof.cures import cures
 
 # There, beside the wall, and back: each straight way leads through it.

@@ -5,7 +5,8 @@ import pytest
 from arms import START, mechanism
 
 import planner
-from planner.problem.initial_guess import quintic, rollout_states
+from planner.dynamics.rollout import rollout_states
+from planner.problem.initial_guess import quintic
 from planner.problem.tasks.goal import Goal
 from planner.problem.tasks.poses import Poses, poses_of
 from planner.problem.tasks.reference_motion import controls, interpolate, joint_displacement, reference_states

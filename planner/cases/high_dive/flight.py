@@ -32,11 +32,11 @@ from planner.cases import anthropometry as winter
 from planner.dynamics import RigidBodyDynamics
 from planner.dynamics.algorithms import rnea
 from planner.dynamics.momentum import center_of_mass
+from planner.dynamics.rollout import rollout_states
 from planner.model.mechanism import Mechanism
 from planner.model.mjcf.text import edited, model_path, model_text, written
 from planner.model.space import exp_quaternion, product
 from planner.problem.costs.tracking import TrackingCost
-from planner.problem.initial_guess import rollout_states
 from planner.problem.plan import Plan
 from planner.problem.problem import Problem
 from planner.solvers.slq import solve

@@ -50,9 +50,9 @@ from planner.cases.human_step.pictures import step_pictures
 from planner.cases.human_step.tracking import judge_tracking
 from planner.cases.human_step.walker import FILE_MASS, PELVIS, SIDES, Walker
 from planner.dynamics import INTEGRATORS, RigidBodyDynamics
+from planner.dynamics.rollout import rollout_states
 from planner.problem.appearance import Appearance, Ghost, Panel, Readout, View
 from planner.problem.costs.drive import DriveCost
-from planner.problem.initial_guess import rollout_states
 from planner.problem.problem import Problem, Requirements
 from planner.problem.recipe import Recipe
 from planner.problem.rediscretize import MAX_STAGES

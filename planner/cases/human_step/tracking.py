@@ -22,9 +22,9 @@ from planner.cases.human_step.measures import places
 from planner.cases.human_step.phase import GaitPhase
 from planner.cases.human_step.walker import IMPRATIO
 from planner.dynamics import RigidBodyDynamics
+from planner.dynamics.rollout import rollout_states
 from planner.model.contact.laws import ContactLaw, Law
 from planner.model.mechanism import Mechanism
-from planner.problem.initial_guess import rollout_states
 
 if TYPE_CHECKING:
     from planner.problem.plan import Plan

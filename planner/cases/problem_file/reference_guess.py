@@ -18,11 +18,12 @@ import numpy as np
 
 from planner.base.errors import PlannerError
 from planner.dynamics.quasi_static import quasi_static_controls
+from planner.dynamics.rollout import rollout_states
 from planner.model.space import space_of
 from planner.problem.avoid import collision_free_motion
 from planner.problem.closed_chain_reference import closed_chain_reference
 from planner.problem.constraints.clearance import pair_clearance_of
-from planner.problem.initial_guess import interpolated_states, rollout_states, straight_line
+from planner.problem.initial_guess import interpolated_states, straight_line
 from planner.problem.problem import Problem
 from planner.solvers.stabilizing_guess import line_tracking_controls, tracking_controls
 
