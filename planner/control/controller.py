@@ -19,13 +19,13 @@ import math
 import time
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import Any
+from enum import StrEnum
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from planner.base.arguments import array, count, number, short_repr
 from planner.base.errors import PlannerError
-from planner.control.controller_status import ControllerStatus, Event
 from planner.control.fallback_control import FallbackControl, equilibrium_control
 from planner.control.goal_states import goal_states, goal_stays
 from planner.control.receding_horizon import RecedingHorizonProblem
@@ -45,6 +45,24 @@ PATIENCE = 10  # failures in a row after which it holds
 SOLVED = 0.1  # of the cost: a plan that might fall by more tells nothing of multipliers yet
 THROWN = 2.0  # times the cost that was planned: the first plan may lead back better than the last one
 _MAX_EVENTS = 1000
+
+
+class ControllerStatus(StrEnum):
+    """What a controller is doing, in a sentence."""
+
+    PLANNING = "It follows the plan that it has just made."
+    LAST_PLAN = "The last solve failed; it goes on with the plan before."
+    HOLDING = "It holds the machine where it is, by gravity compensation and damping, until a solve succeeds."
+
+
+class Event(NamedTuple):
+    """Something that a controller has to say."""
+
+    t: float  # s
+    words: str
+
+    def __str__(self) -> str:
+        return f"t = {self.t:.4g} s: {self.words}"
 
 
 class Controller:

@@ -85,7 +85,9 @@ def margins(
         told()
         words = "" if who == "loop" else f"; {FIXED_PLAN}"
         measured += [
-            Measurement(f"{who}_least_push", float(maps[who].min()), "N", None, f"{body}, at any of {times} times{words}"),
+            Measurement(
+                f"{who}_least_push", float(maps[who].min()), "N", None, f"{body}, at any of {times} times{words}"
+            ),
             Measurement(f"{who}_median_push", float(np.median(maps[who])), "N", None, f"of these times{words}"),
             Measurement(f"{who}_mass_margin", mass, "", None, f"all bodies heavier by this share{words}"),
         ]  # fmt: skip

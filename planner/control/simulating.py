@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, Protocol
 
 import numpy as np
@@ -19,9 +19,9 @@ import numpy as np
 from planner.base.arguments import count, number, short_repr
 from planner.base.errors import PlannerError
 from planner.control.controller import Controller
-from planner.control.executed_plan import executed_plan
 from planner.control.fixed_plan_controller import FixedPlanController
-from planner.problem.plan import Plan
+from planner.control.receding_horizon import RecedingHorizonProblem
+from planner.problem.plan import Plan, Status
 from planner.problem.problem import Problem
 from planner.proof.replays.compiled_twin import CompiledTwin
 from planner.proof.replays.contact_history import ContactRecorder
@@ -168,7 +168,7 @@ def simulate(
         "mass": dict(mass) if isinstance(mass, Mapping) else mass, "friction": friction,
         "contact_friction": contact_friction, "noise": noise, "encoders": encoders, "seed": seed,
     }  # fmt: skip
-    plan = executed_plan(asked.plan, expected[::n], us.reshape(stages, n, -1).mean(axis=1))
+    plan = _executed_plan(asked.plan, expected[::n], us.reshape(stages, n, -1).mean(axis=1))
     return ClosedLoopRun(
         plan=plan, compiled=compiled, feedback=True, integrator=integrator, t=t, qpos=qpos, qvel=qvel, act=act,
         ctrl=us, xs=compiled.twin.x_of(w), plan_xs=expected, contact_force=recorder.force,
@@ -250,3 +250,24 @@ class _Asking:
         """(M+1, nx) what the controller expected at times t (M+1,), on lines between the ticks."""
         times, values = np.array(self._times), np.array(self._expected)
         return np.column_stack([np.interp(t, times, column) for column in values.T])
+
+
+def _executed_plan(plan: Plan, xs: np.ndarray, us: np.ndarray) -> Plan:
+    """A plan of another length with these states (N+1, nx) and controls (N, nu), GIVEN, without gains.
+
+    Its problem is that of the loop: the task, and the goal kept after its end. Where a problem of that length cannot be
+    made it is that of the task.
+    """
+    problem, N = plan.problem, len(us)
+    assert problem is not None
+    longer = problem
+    if N != problem.N:
+        try:
+            longer = replace(RecedingHorizonProblem(problem, N).problem, appearance=problem.appearance)
+        except PlannerError:
+            longer = problem
+    K = np.zeros((*us.shape, plan.space.ndx))
+    t = problem.dynamics.dt * np.arange(N + 1)
+    return Plan(
+        t, xs, us, K, 0.0, 0.0, Status.GIVEN, (), longer, None, plan.twin, options={"loop": True},
+    )  # fmt: skip

@@ -57,9 +57,10 @@ def forward_dynamics(mechanism: Mechanism, q: Any, qd: Any, tau: Any) -> np.ndar
 
 
 def _check_tree(mechanism: Mechanism) -> None:
-    if mechanism.loops or mechanism.polynomial_couplings:
+    if mechanism.has_closed_chains:
+        first = (*mechanism.loops, *mechanism.polynomial_couplings)[0]
         raise PlannerError(
-            f"the mechanism has {(*mechanism.loops, *mechanism.polynomial_couplings)[0].name}, which closes a chain, and these are "
+            f"the mechanism has {first.name}, which closes a chain, and these are "
             "dynamics of a tree, expected planner.dynamics.closed_dynamics, or RigidBodyDynamics(...).rates."
         )
 

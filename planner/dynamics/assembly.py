@@ -35,7 +35,7 @@ def assembled(mechanism: Mechanism, x: np.ndarray, given: Collection[int] = (), 
         PlannerError: No motion of the other joints closes the chains; with the state's name.
     """
     x = closed_state(mechanism, x, given)
-    if not (mechanism.loops or mechanism.polynomial_couplings):
+    if not mechanism.has_closed_chains:
         return x
     nq, nv, space = mechanism.nq, mechanism.nv, mechanism.space
     free = _free(mechanism, given)
@@ -77,7 +77,7 @@ def assembled_along(
     Raises:
         PlannerError: As assembled.
     """
-    if mechanism.loops or mechanism.polynomial_couplings:
+    if mechanism.has_closed_chains:
         way = mechanism.space.difference(x, base)
         parts = int(np.ceil(np.abs(way).max() / _CARRIED))
         stay = np.setdiff1d(np.arange(mechanism.nv), [*given])
@@ -110,7 +110,7 @@ def feasible_directions(mechanism: Mechanism, q: np.ndarray) -> tuple[np.ndarray
     reduction = mechanism.reduction
     G = np.eye(mechanism.nv) if reduction is None else reduction.G
     leading = np.arange(mechanism.nv) if reduction is None else reduction.independent
-    if not (mechanism.loops or mechanism.polynomial_couplings):
+    if not mechanism.has_closed_chains:
         return G, leading
     from scipy.linalg import null_space, qr  # a fifth of a second that `import planner` does not pay
 
@@ -148,7 +148,7 @@ def tangent_basis(mechanism: Mechanism, x: np.ndarray) -> tuple[np.ndarray, np.n
 def check_assembled(name: str, x: np.ndarray, mechanism: Mechanism, most: float = CLOSED) -> None:
     """Raise a PlannerError unless a state (nx,) misses no coupling and no closed chain by more than `most`."""
     check_closed(name, x, mechanism, most)
-    if not (mechanism.loops or mechanism.polynomial_couplings):
+    if not mechanism.has_closed_chains:
         return
     q, qd = x[: mechanism.nq], x[mechanism.nq : mechanism.nq + mechanism.nv]
     miss = misses(mechanism, q)

@@ -118,8 +118,8 @@ class BodyContactKinematics:
     def _change(self, q: np.ndarray, k: int, darm: np.ndarray) -> np.ndarray:
         """(K, 3, nv, nv) derivative of part k's Jacobian at p, whose distance from its middle changes by darm."""
         D = kinematics.jacobian_derivatives(self.mechanism, q, self._frames[k])
-        carried = D[:, :3] + np.cross(D[:, 3:], self._arms[k][:, :, None, None], axis=1)
-        return carried + np.cross(self._angular[k][:, :, :, None], darm[:, :, None, :], axis=1)
+        point_jacobians = D[:, :3] + np.cross(D[:, 3:], self._arms[k][:, :, None, None], axis=1)
+        return point_jacobians + np.cross(self._angular[k][:, :, :, None], darm[:, :, None, :], axis=1)
 
 
 def _frame(part: Capsule) -> Frame:

@@ -105,8 +105,8 @@ class FunctionDynamics:
             return array("jacobian's df/dx", fx, (K, nx, nx)), array("jacobian's df/du", fu, (K, nx, nu))
         z = np.concatenate([xs, us], axis=1)
         h = _DIFFERENCE * np.maximum(1.0, np.abs(z))
-        moved = z[:, None, :] + h[:, None, :] * np.concatenate([np.eye(nx + nu), -np.eye(nx + nu)])
-        flat = moved.reshape(-1, nx + nu)
+        perturbed = z[:, None, :] + h[:, None, :] * np.concatenate([np.eye(nx + nu), -np.eye(nx + nu)])
+        flat = perturbed.reshape(-1, nx + nu)
         values = self._rates(flat[:, :nx], flat[:, nx:]).reshape(len(xs), 2, nx + nu, nx)
         J = np.swapaxes((values[:, 0] - values[:, 1]) / (2.0 * h[:, :, None]), 1, 2)
         return J[:, :, :nx], J[:, :, nx:]
@@ -167,9 +167,9 @@ class FunctionDynamics:
         for j in range(nz):
             gradients = []
             for sign in (1.0, -1.0):
-                moved = z.copy()
-                moved[:, j] += sign * h[:, j]
-                A, B = self.linearize(moved[:, :nx], moved[:, nx:])
+                perturbed = z.copy()
+                perturbed[:, j] += sign * h[:, j]
+                A, B = self.linearize(perturbed[:, :nx], perturbed[:, nx:])
                 gradients.append(np.sum(l * np.concatenate([A, B], axis=2), axis=1))
             T[:, j] = (gradients[0] - gradients[1]) / (2.0 * h[:, j : j + 1])
         return 0.5 * (T + T.swapaxes(1, 2))

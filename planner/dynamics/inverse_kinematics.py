@@ -86,7 +86,7 @@ def inverse_kinematics(
     free = np.ones(mechanism.nv, dtype=bool) if free is None else np.asarray(free, dtype=bool)
     B, dofs = _directions(mechanism, free)
     low, high = (mechanism.joint_range if ranges is None else ranges).T
-    closed = np.flatnonzero(~free) if mechanism.loops or mechanism.polynomial_couplings else None
+    closed = np.flatnonzero(~free) if mechanism.has_closed_chains else None
 
     def reached(begin: np.ndarray) -> IKSolution:
         found = _from(mechanism, targets, q, begin, B, dofs, (low, high), closed, missing)

@@ -181,8 +181,8 @@ def jacobian_derivatives(mechanism: Mechanism, q: Any, frame: str | Frame) -> np
         turn = hat(J[:, 3:, k])
         for j in chain:
             # Moving dof k carries the axes at or beyond it, and the frame's origin with all of them.
-            carried = j > k or (mechanism.kind[j] != 0 and mechanism.kind[k] != 0 and block[j] == block[k])
-            if carried:
+            depends = j > k or (mechanism.kind[j] != 0 and mechanism.kind[k] != 0 and block[j] == block[k])
+            if depends:
                 D[:, 3:, j, k] = np.einsum("nab,nb->na", turn, J[:, 3:, j])
                 D[:, :3, j, k] = np.einsum("nab,nb->na", turn, J[:, :3, j])
             else:

@@ -93,7 +93,7 @@ class RigidBodyDynamics:
                     "no equality couples."
                 )
         implicit = self.integrator == "rosenbrock"
-        if implicit and (self.mechanism.loops or self.mechanism.polynomial_couplings):
+        if implicit and self.mechanism.has_closed_chains:
             raise PlannerError(
                 'the integrator "rosenbrock" keeps no closed chains and this machine has some, expected "rk4", or less '
                 "damping."
@@ -249,7 +249,7 @@ class RigidBodyDynamics:
                 'hessian="exact" has no second derivatives of coupled joints and this machine has '
                 f'{self.mechanism.couplings[0].name}, expected hessian="gauss-newton".'
             )
-        if self.mechanism.loops or self.mechanism.polynomial_couplings:
+        if self.mechanism.has_closed_chains:
             raise PlannerError(
                 'hessian="exact" has no second derivatives of closed chains and this machine has some, expected '
                 'hessian="gauss-newton".'

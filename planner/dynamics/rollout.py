@@ -48,6 +48,6 @@ def rollout_states(dynamics: Dynamics, x0: np.ndarray, us: np.ndarray) -> np.nda
 
 
 def feedback_control(dynamics: Dynamics, xs: np.ndarray, us: np.ndarray, K: np.ndarray) -> Control:
-    """u = us[n] + K[n] (x - xs[n]), along states (N+1, nx) and controls (N, nu), with gains (N, nu, ndx)."""
+    """Feedback u = us[n] + K[n] (x - xs[n]) along states (N+1, nx) and controls (N, nu), with gains (N, nu, ndx)."""
     space = space_of(dynamics)
     return lambda n, x: us[n] + K[n] @ space.difference(x, xs[n])

@@ -99,9 +99,9 @@ def lowered_to_ground(mechanism: Mechanism, x: np.ndarray) -> np.ndarray:
         along = np.linalg.lstsq(rise, np.ones(len(rise)), rcond=None)[0] if ways.shape[1] else np.zeros(0)
         if not np.allclose(rise @ along, 1.0, atol=1e-6):
             continue
-        lowest = int(own[np.argmax(depths[own])])
+        deepest = int(own[np.argmax(depths[own])])
         load = g * float(mechanism.mass[root == first].sum())
-        way = depths[lowest] - load / mechanism.contacts[lowest].law.stiffness
+        way = depths[deepest] - load / mechanism.contacts[deepest].law.stiffness
         x, moves = mechanism.space.integrate(x, _extended(ways @ (way * along), mechanism.space.ndx)), moves + 1
     if not moves:
         raise PlannerError("the machine cannot be lowered as a whole, expected a trunk on a slide or a free joint.")

@@ -51,7 +51,7 @@ class Capabilities:
             actuated=actuated if prescribed is None else actuated | prescribed,
             contacts=bool(mechanism.contacts or mechanism.body_contacts),
             stops=bool(mechanism.stops),
-            loops=bool(mechanism.loops or mechanism.polynomial_couplings),
+            loops=mechanism.has_closed_chains,
             friction_loss=bool(np.any(mechanism.friction_loss)),
             exact_hessian=exact_hessian,
         )

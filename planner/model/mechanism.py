@@ -221,6 +221,11 @@ class Mechanism:
         """(nv,) bool, the degrees of freedom that an actuator acts on; those that follow them by couplings are not."""
         return np.any(self.actuators.moment != 0.0, axis=0)
 
+    @property
+    def has_closed_chains(self) -> bool:
+        """Whether loops or polynomial couplings constrain the coordinates that the linear couplings leave."""
+        return bool(self.loops or self.polynomial_couplings)
+
     @cached_property
     def reduction(self) -> Reduction | None:
         """The coordinates that the couplings leave free; those with actuators before others. None without couplings."""

@@ -32,7 +32,7 @@ def inverse_dynamics_controls(mechanism: Mechanism, q: np.ndarray, qd: np.ndarra
     G = np.eye(mechanism.nv) if mechanism.reduction is None else mechanism.reduction.G
     G = G[:, ~np.any(G[stationary_object_dofs(mechanism)], axis=0)]
     reach = G.T @ (actuators.moment.T * actuators.gain)
-    closed = bool(mechanism.loops or mechanism.polynomial_couplings)
+    closed = mechanism.has_closed_chains
     if np.any(actuators.dynamics != DIRECT) or (not closed and np.linalg.matrix_rank(reach) < len(reach)):
         raise PlannerError("the actuators do not reach every joint directly, expected a fully actuated machine.")
     lengths, speeds = actuator_lengths(mechanism, q), qd @ actuators.moment.T
@@ -59,7 +59,7 @@ def straight_line(mechanism: Mechanism, x0: np.ndarray, goal: np.ndarray, durati
     """
     nq, nv = mechanism.nq, mechanism.nv
     moving = np.concatenate([x0[nq : nq + nv], goal[nq : nq + nv]])
-    closed = mechanism.loops or mechanism.polynomial_couplings
+    closed = mechanism.has_closed_chains
     lies = stationary_object_dofs(mechanism)
     if np.any(mechanism.kind[~lies] != SCREW) or np.any(mechanism.space.difference(goal, x0)[:nv][lies]):
         return None

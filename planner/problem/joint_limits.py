@@ -121,12 +121,7 @@ def starts_at_limit(mechanism: Mechanism, what: str, x: np.ndarray, limited: Col
     driven, names = np.any(mechanism.actuators.moment, axis=0), []
     for i, joint_range in model_ranges(mechanism, None).items():
         value, name = float(x[mechanism.q_address[i]]), mechanism.joint_names[_joint_index(mechanism, i)]
-        free = (
-            not driven[i]
-            and i not in coupled
-            and name not in limited
-            and not (mechanism.loops or mechanism.polynomial_couplings)
-        )
+        free = not driven[i] and i not in coupled and name not in limited and not mechanism.has_closed_chains
         if free and min(value - joint_range.model_lower, joint_range.model_upper - value) <= _margin(
             mechanism, name, i, None
         ):

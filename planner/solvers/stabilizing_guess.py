@@ -109,7 +109,7 @@ def _straight(problem: Problem, goal: np.ndarray) -> Callable[[int], np.ndarray]
     way = space.difference(_at_rest(problem, goal), start)
     places, speeds, _ = quintic(np.zeros(1), np.ones(1), problem.duration, problem.N)
     mechanism: Any = getattr(problem.dynamics, "mechanism", None)
-    closed: Any = mechanism if mechanism is not None and (mechanism.loops or mechanism.polynomial_couplings) else None
+    closed: Any = mechanism if mechanism is not None and mechanism.has_closed_chains else None
 
     def place(n: int) -> np.ndarray:
         x = space.integrate(start, places[n] * way)

@@ -92,5 +92,5 @@ def test_a_pin_is_loaded_no_more_than_it_may_be(tmp_path):
 
 def test_a_force_of_a_chain_that_is_none_is_refused():
     problem = load(ROOT / "examples" / "crane.toml").problem
-    with pytest.raises(PlannerError, match="force of pin is that of a closed chain"):
+    with pytest.raises(PlannerError, match="force of pin needs a closed chain"):
         planner.solve(replace(problem, constraints=[Constraint(ChainForce("pin"), upper=1.0)]))

@@ -7,7 +7,7 @@ import pytest
 from scipy.linalg import solve_discrete_are
 
 import planner
-from planner.control.controller_status import ControllerStatus
+from planner.control.controller import ControllerStatus
 from planner.control.fallback_control import FallbackControl, equilibrium_control
 from planner.control.judging import judge
 from planner.control.window_parts import SETTLING_TIME, holding_stage_weights

@@ -272,8 +272,7 @@ def _problem(
         appearance=replace(appearance, title=table["title"] or appearance.title),
         limits=limits, constraints=kept, goal_specs=wanted,
         tolerance=None if tasked else table["tolerance"], expected_reduction_tolerance=DECREASE,
-        actual_reduction_tolerance=GAIN if mechanism.contacts else DECREASE if mechanism.loops or
-        mechanism.polynomial_couplings else 0.0,
+        actual_reduction_tolerance=GAIN if mechanism.contacts else DECREASE if mechanism.has_closed_chains else 0.0,
     )  # fmt: skip
     along = None if way is None else guess_of(way, dynamics, x0)
     problem = replace(problem, us=first_guess(problem, table["guess"], goal, along))

@@ -89,7 +89,7 @@ def _closed(problem: Problem, goal: np.ndarray) -> ReferenceTrajectory | None:
     """The way to a goal (nx,) that keeps chains closed; None for machines without any, and where there is none."""
     dynamics: Any = problem.dynamics
     mechanism = dynamics.mechanism
-    if not (mechanism.loops or mechanism.polynomial_couplings):
+    if not mechanism.has_closed_chains:
         return None
     poses = np.stack([problem.x0, goal])[:, : mechanism.nq]
     rest = ~np.any(np.stack([problem.x0, goal])[:, mechanism.nq : mechanism.nq + mechanism.nv], axis=1)

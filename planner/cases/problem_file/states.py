@@ -67,7 +67,7 @@ def state_of(
         check_closed(name, x, mechanism, most)
         told, x = x, assembled(mechanism, x, name=name)
         moved = mechanism.space.difference(x, states(name, told, mechanism.space, ()))[:nv]
-        if notes is not None and (mechanism.loops or mechanism.polynomial_couplings) and np.abs(moved).max() > MOVED:
+        if notes is not None and mechanism.has_closed_chains and np.abs(moved).max() > MOVED:
             most = int(np.argmax(np.abs(moved)))
             place = coordinates_of_mechanism(mechanism)[most]
             notes.append(f"{name} is moved so that its chains close, {place.name} by {moved[most]:.3g} {place.unit}.")

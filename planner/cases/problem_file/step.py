@@ -49,7 +49,7 @@ def with_step(
     found = FastestMode(0.0, "") if known else fastest_mode(mechanism, states, prescribed)
     reasons, dt, substeps, integrator = {}, table["dt"], table["substeps"], table["integrator"]
     most = substeps if isinstance(substeps, int) else MAX_SUBSTEPS
-    closed = bool(mechanism.loops or mechanism.polynomial_couplings)  # which the implicit method does not keep
+    closed = mechanism.has_closed_chains  # which the implicit method does not keep
     if integrator == AUTO:
         integrator = "rk4"
         for longest in (

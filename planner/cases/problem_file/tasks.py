@@ -173,7 +173,7 @@ def cost_of(
 def guess_of(way: ResolvedTask, dynamics: RigidBodyDynamics, x0: np.ndarray) -> ReferenceTrajectory:
     """What the first controls may be made of."""
     mechanism = dynamics.mechanism
-    if mechanism.loops or mechanism.polynomial_couplings:
+    if mechanism.has_closed_chains:
         found = closed_chain_reference(mechanism, x0, way.poses.stages, way.poses.q, way.poses.at_rest, dynamics.dt)
         if found is not None:
             return ReferenceTrajectory(

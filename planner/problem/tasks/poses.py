@@ -151,7 +151,7 @@ def _pose(
         q[mechanism.q_address[dof]] = value
     if mechanism.reduction is not None:
         q = mechanism.reduction.closed(q, np.zeros(mechanism.nv), mechanism.q_address)[0]
-    if mechanism.loops or mechanism.polynomial_couplings:
+    if mechanism.has_closed_chains:
         x = np.concatenate([q, np.zeros(mechanism.space.nx - len(q))])
         q = assembled(mechanism, x, asked.joints)[: len(q)]
     short = None if search.checker is None else search.checker.clearance_violation
@@ -257,7 +257,7 @@ def _free_dofs(dynamics: RigidBodyDynamics, joints: dict[int, float]) -> list[np
     actuated[prescribed_dofs_of(dynamics)] = True
     everything = np.ones(mechanism.nv, dtype=bool)
     masks = [actuated] if mechanism.contacts or actuated.all() else [actuated, everything]
-    masks = [everything] if mechanism.loops or mechanism.polynomial_couplings else masks
+    masks = [everything] if mechanism.has_closed_chains else masks
     for mask in masks:
         mask[list(joints)] = False
     return masks
