@@ -262,12 +262,11 @@ def test_a_controller_that_knows_its_latency_does_not_tremble_at_rest():
     """Its gains are stiff: a control that comes a stage late shakes the arm, one for the state to come does not."""
     problem = planner.load_problem(ROOT / "examples" / "tasks" / "reach.toml")
     plan, speeds = planner.solve(problem), {}
-    for known, late in ((0.005, 0.005), (0.01, 0.01), (0.0, 0.01)):
-        loop = planner.simulate(planner.Controller(problem, plan=plan, latency=known), latency=late)
-        speeds[known, late] = np.abs(loop.xs[loop.t > loop.t[-1] - 0.5, problem.dynamics.mechanism.nq :]).max()
-    assert speeds[0.005, 0.005] < 1e-3  # rad/s
-    assert speeds[0.01, 0.01] < 1e-3
-    assert speeds[0.0, 0.01] > 0.1
+    for known in (0.01, 0.0):
+        loop = planner.simulate(planner.Controller(problem, plan=plan, latency=known), latency=0.01)
+        speeds[known] = np.abs(loop.xs[loop.t > loop.t[-1] - 0.5, problem.dynamics.mechanism.nq :]).max()
+    assert speeds[0.01] < 1e-3  # rad/s
+    assert speeds[0.0] > 0.1
 
 
 CRANE = """
@@ -294,7 +293,7 @@ def crane(tmp_path_factory):
     return planner.Controller(planner.load_problem(folder / "crane.toml"), latency=0.004)
 
 
-@pytest.mark.parametrize("force", [10.0, 20.0, 30.0])
+@pytest.mark.parametrize("force", [10.0, 30.0])
 def test_a_push_beyond_a_range_is_got_over(crane, force):
     """Multipliers of plans that are far from a minimum would drive the trolley to and fro for ever."""
     loop = planner.simulate(crane, latency=0.004, pushes=[planner.Push("load", force=force, time=1.0)])
