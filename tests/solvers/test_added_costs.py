@@ -105,7 +105,7 @@ def test_a_solve_ends_where_that_in_numpy_ends(hessian, line_search, monkeypatch
         acquire_engine(task, line_search.WOLFE), NumpyEngine
     )  # it needs slopes of what it has no slope of
     ours = planner.solve(task, hessian=hessian, line_search=line_search)
-    monkeypatch.setattr("planner.solvers.slq.borrow", lambda problem, rule: NumpyEngine(problem))
+    monkeypatch.setattr("planner.solvers.slq.acquire_engine", lambda problem, rule: NumpyEngine(problem))
     twin = planner.solve(arm(Elbow()), hessian=hessian, line_search=line_search)
     assert ours.success
     assert twin.success

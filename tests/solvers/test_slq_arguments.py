@@ -8,7 +8,7 @@ import planner
 from planner import PlannerError, Problem
 from planner.kernels.lq import line_search
 from planner.problem.plan import Iteration
-from planner.solvers.slq import LINE_SEARCHES
+from planner.solvers.options import LINE_SEARCHES
 
 # What is asked and told
 
@@ -54,7 +54,7 @@ def sentence(error):
     ("arguments", "expected"),
     [
         ({"update": "closed-loop"}, "update is 'closed-loop', expected one of: feedback, open-loop."),
-        ({"update": None}, "update is None, expected one of: feedback, open-loop."),
+        ({"options": {}}, "options is {}, expected a SolverOptions or None."),
         ({"line_search": "wolf"}, "line_search is 'wolf', expected one of: armijo, exact, wolfe, goldstein."),
         ({"line_search": 0}, "line_search is 0, expected one of: armijo, exact, wolfe, goldstein."),
         ({"max_iterations": 0}, "max_iterations is 0, expected a whole number of at least 1."),

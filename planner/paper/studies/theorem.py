@@ -27,7 +27,7 @@ from planner.paper.studies.table_1 import random_lq, swept
 from planner.problem.costs.terms import Quadratic
 from planner.problem.problem import Problem
 from planner.solvers import lq
-from planner.solvers.slq import LINE_SEARCHES
+from planner.solvers.options import LINE_SEARCHES
 from planner.view.plots.style import RED, SOFT, dress, grid_of, save
 
 RANDOM = 300  # LQ problems
