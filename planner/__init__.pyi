@@ -30,13 +30,14 @@ from planner.problem.problem import Problem as Problem
 from planner.problem.tasks.follow import Follow as Follow
 from planner.problem.tasks.goal import Goal as Goal
 from planner.proof.compare.model_parity import parity as parity
-from planner.proof.prove import prove as prove
+from planner.proof.prove_plan import prove as prove
 from planner.proof.refinement import refine as refine
 from planner.proof.replays.replaying import Replay as Replay
 from planner.proof.replays.replaying import replay as replay
 from planner.proof.robustness.pushes import Push as Push
 from planner.proof.verdict import Proof as Proof
 from planner.solvers.free_time import solve_for as solve_for
+from planner.solvers.options import SolverOptions as SolverOptions
 from planner.solvers.periodic import solve_periodic as solve_periodic
 from planner.solvers.slq import solve as solve
 from planner.sweeps.regression import check as check

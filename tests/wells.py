@@ -54,6 +54,4 @@ def judged(outcomes, callback=None, delays=None, rank=None):
                 return k
         raise AssertionError("no documented guess")
 
-    return best_of(
-        problem.first_guess, descend, SolverOptions(max_iterations=10, starts=len(outcomes)), callback, rank
-    )
+    return best_of(problem.first_guess, descend, SolverOptions(max_iterations=10, starts=len(outcomes)), callback, rank)

@@ -61,12 +61,14 @@ def augmented_lagrangian(
     for round_ in range(options.max_outer_iterations):
         error = _error(constraints, penalties, plan)
         if plan.status is Status.INTERRUPTED:
-            return replace(plan, history=tuple(history), penalties=penalties if round_ else first)
+            return replace(plan, history=tuple(history), bound_penalties=penalties if round_ else first)
         if error.max(initial=0.0) <= tolerance:
             more, through = _between_knots(constraints, plan)
             if tightenings == options.max_tightenings or not more.any():
                 status = Status.OUTSIDE_LIMITS if more.any() else plan.status
-                return replace(plan, history=tuple(history), status=status, penalties=penalties if round_ else first)
+                return replace(
+                    plan, history=tuple(history), status=status, bound_penalties=penalties if round_ else first
+                )
             constraints, tightenings = constraints.tightened(more), tightenings + 1
             if through:
                 left, first_line = max_iterations + 1 - len(history), len(history)
@@ -80,7 +82,7 @@ def augmented_lagrangian(
         if _has_stalled(violations, options):
             break
         if len(history) > max_iterations:
-            return replace(plan, history=tuple(history), status=Status.MAX_ITERATIONS, penalties=penalties)
+            return replace(plan, history=tuple(history), status=Status.MAX_ITERATIONS, bound_penalties=penalties)
         penalties = (
             _initial_penalties(constraints, plan, penalties, options)
             if round_ == 0
@@ -95,7 +97,7 @@ def augmented_lagrangian(
             plan = minimize(plan.us, penalties, max_iterations + 1 - len(history), len(history), 0.0)
             history += plan.history
     status = plan.status if _error(constraints, penalties, plan).max() <= tolerance else Status.OUTSIDE_LIMITS
-    return replace(plan, history=tuple(history), status=status, penalties=penalties)
+    return replace(plan, history=tuple(history), status=status, bound_penalties=penalties)
 
 
 def _has_stalled(violations: list[float], options: SolverOptions) -> bool:

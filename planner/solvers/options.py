@@ -195,6 +195,8 @@ class SolverOptions:
         resolved = self.for_problem(problem)
         common = {name: getattr(resolved, name) for name in _COMMON}
         several = {"seed": self.seed, "spread": self.spread} if self.starts > 1 else {}
+        if self is DEFAULT:
+            return common
         known = (*_COMMON, "seed", "spread")
         others = {name: value for name, value in vars(self).items() if name not in known and value != _DEFAULTS[name]}
         return common | several | others

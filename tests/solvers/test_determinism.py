@@ -93,8 +93,8 @@ def again(**limits):
     return partial(solve, problem, warm_start=solve(problem).shifted(0.1))
 
 
-HIGH = Constraint(Height(Point("forearm"), most=0.5, tolerance=1e-3))  # of terms that kernels know
-SUM = Constraint(lambda xs: xs[:, 0] + xs[:, 1], most=1.5, name="sum")  # a function of its maker's
+HIGH = Constraint(Height(Point("forearm"), upper=0.5, tolerance=1e-3))  # of terms that kernels know
+SUM = Constraint(lambda xs: xs[:, 0] + xs[:, 1], upper=1.5, name="sum")  # a function of its maker's
 BENT = np.array([0.5, -1.0, 0.0, 0.0])
 
 KINDS = {
@@ -199,7 +199,9 @@ def spoil(engine):
         engine._cost = engine._penalties = engine._sweep = engine._nominal = engine._state_weights = None
         return
     scratch = [part._arrays for part in (engine._memory, engine._second) if part is not None]
-    written = [array for arrays in (engine._w._arrays, *scratch) for name, array in arrays.items() if name not in NOT_SPOILED]
+    written = [
+        array for arrays in (engine._w._arrays, *scratch) for name, array in arrays.items() if name not in NOT_SPOILED
+    ]
     for array in (engine._w.search, engine._curvature, *written):
         array.fill(np.nan)
 

@@ -81,8 +81,11 @@ class CompiledEngine(Engine):
     def reset(self) -> None:
         """Forget every solve: an engine that is used again begins as a new one."""
         w = self._w
-        for array in (w.search, self._curvature, *(w._arrays[name] for name in w._arrays.keys() - _READ_ONLY)):
-            array.fill(0.0)
+        for name, array in w._arrays.items():  # some are made later than others
+            if name not in _READ_ONLY:
+                array.fill(0.0)
+        w.search.fill(0.0)
+        self._curvature.fill(0.0)
         w.use_gains(w._arrays["K"], w._arrays["K"].ctypes.data)
         w.use_second_order(False)
         w.use_defects(False)

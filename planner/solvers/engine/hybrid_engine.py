@@ -17,7 +17,7 @@ import numpy as np
 
 from planner.kernels.lq import line_search
 from planner.kernels.lq.workspace import ALPHA, COSTS, SLOPES
-from planner.problem.constraints.quantities import ResidualFunction, hinge_terms
+from planner.problem.constraints.quantities import ResidualFunction, penalty_arrays
 from planner.problem.constraints.trajectory_constraints import TrajectoryConstraints
 from planner.problem.costs.residuals.arrays import ResidualArrays, joined
 from planner.problem.costs.terms import Cost, SumCost
@@ -172,22 +172,22 @@ class ConstrainedEngine(HybridEngine):
     ) -> None:  # fmt: skip
         assert constraints.rows is not None
         rows = constraints.rows
-        compiled = [part for part in rows.parts if isinstance(part.measure, ResidualFunction)]
+        compiled = [part for part in rows.parts if isinstance(part.function, ResidualFunction)]
         terms, self._bounds_of = [] if residuals is None else [residuals], list[_Bounds]()
         first = sum(len(part.weight) for part in terms)
         for part in compiled:
-            measure: Any = part.measure  # a ResidualFunction
-            lower, upper, R = rows.lower[:, part.columns], rows.upper[:, part.columns], measure.rows
+            function: Any = part.function  # a ResidualFunction
+            lower, upper, R = rows.lower[:, part.columns], rows.upper[:, part.columns], function.rows
             bounded = np.isfinite(lower) | np.isfinite(upper)
             exact = bool(np.all((lower == upper)[bounded]))
             for side, used in ((0.0, exact), (-1.0, not exact and np.isfinite(lower).any()),
                                (1.0, not exact and np.isfinite(upper).any())):  # fmt: skip
                 if used:
-                    terms.append(hinge_terms(measure.arrays, np.full(R, side), rows.N))
+                    terms.append(penalty_arrays(function.arrays, np.full(R, side), rows.N))
                     self._bounds_of.append(_Bounds(slice(first, first + R), part.columns, side < 0.0))
                     first += R
         self._constraints, self._scale = constraints, rows.scale
-        others, self._columns = rows.only([part for part in rows.parts if part not in compiled])
+        others, self._columns = rows.subset([part for part in rows.parts if part not in compiled])
         self._others = TrajectoryConstraints(None, others, constraints.tolerance) if others.parts else None
         super().__init__(problem, dynamics, cost, joined(terms) if terms else None, own)
         self._adds = self._adds or self._others is not None
