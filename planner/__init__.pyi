@@ -37,6 +37,7 @@ from planner.proof.replays.replaying import replay as replay
 from planner.proof.robustness.pushes import Push as Push
 from planner.proof.verdict import Proof as Proof
 from planner.solvers.free_time import solve_for as solve_for
+from planner.solvers.options import SolverOptions as SolverOptions
 from planner.solvers.periodic import solve_periodic as solve_periodic
 from planner.solvers.slq import solve as solve
 from planner.sweeps.regression import check as check

@@ -13,7 +13,7 @@ from planner import FunctionDynamics, Problem, TrackingCost
 from planner.cases.hopper import PAPER
 from planner.dynamics import HopperDynamics
 from planner.solvers import lq
-from planner.solvers.slq import LINE_SEARCHES, UPDATES
+from planner.solvers.options import LINE_SEARCHES, UPDATES
 
 seeds = st.integers(0, 2**32 - 1)
 every_way = pytest.mark.parametrize(("update", "line_search"), list(itertools.product(UPDATES, LINE_SEARCHES)))

@@ -10,6 +10,7 @@ import planner
 from planner import FunctionDynamics, Problem
 from planner.costs import Quadratic
 from planner.solvers.multistart import best_of, smooth
+from planner.solvers.options import SolverOptions
 
 
 class Wells:
@@ -53,4 +54,4 @@ def judged(outcomes, callback=None, delays=None, rank=None):
                 return k
         raise AssertionError("no documented guess")
 
-    return best_of(problem.first_guess, descend, 10, len(outcomes), 0, 1.0, callback, rank)
+    return best_of(problem.first_guess, descend, SolverOptions(max_iterations=10, starts=len(outcomes)), callback, rank)

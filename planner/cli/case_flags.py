@@ -13,7 +13,7 @@ from planner.cases.problem_file import keys as problem_keys
 from planner.cli.flags import OUTPUT, PROBLEM_FILE, Flags, add, boolean_flag, choice_flag, number, value_flag, whole
 from planner.dynamics import INTEGRATORS
 from planner.problem.objective import OBJECTIVES
-from planner.solvers.slq import HESSIANS, LINE_SEARCHES, UPDATES
+from planner.solvers.options import HESSIANS, LINE_SEARCHES, UPDATES
 
 _OWN = "A machine of your own: an MJCF file, a start, a goal, weights (docs/own-machine.md)."
 

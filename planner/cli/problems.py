@@ -23,7 +23,7 @@ from planner.problem.plan import Plan
 from planner.problem.problem import Problem
 from planner.proof.replays.replaying import proven_cost
 from planner.solvers.free_time import solve_for
-from planner.solvers.multistart import MAX_STARTS
+from planner.solvers.options import MAX_STARTS
 from planner.solvers.periodic import solve_periodic
 from planner.solvers.slq import solve
 

@@ -36,9 +36,9 @@ from planner.model.space import space_of
 from planner.problem.costs.tracking import states
 from planner.problem.plan import Plan
 from planner.problem.problem import Problem
-from planner.solvers.engine.warm_start_shift import TrajectoryArrays
-from planner.solvers.regularization import FACTOR, LEAST, MOST
-from planner.solvers.slq import DECREASE, solve
+from planner.solvers.engine.tracked_trajectory import TrajectoryArrays
+from planner.solvers.options import DEFAULT, EXPECTED_REDUCTION_TOLERANCE
+from planner.solvers.slq import solve
 from planner.solvers.stabilizing_guess import DIVERGENCE_FACTOR
 
 PATIENCE = 10  # failures in a row after which it holds
@@ -232,19 +232,20 @@ class Controller:
             cost = engine.start_from_controls(x, np.tile(held, (self.horizon, 1)))
         if not math.isfinite(cost):
             return "the plan before, followed from here, runs away"
+        least, factor = DEFAULT.min_regularization, DEFAULT.regularization_factor
         fresh, kind, done, slope = True, CONVERGED, 0, 0.0
         while done < self.iterations if self.budget is None else self._within(began, done):
             mu = self._mu * engine.largest_control_weight
-            promise = -1.0 if self._mu else DECREASE * max(1.0, abs(cost))
+            promise = -1.0 if self._mu else EXPECTED_REDUCTION_TOLERANCE * max(1.0, abs(cost))
             outcome = engine.iterate(True, ARMIJO, mu, fresh, cost, 0.0, promise)
             done, kind, fresh, cost = done + 1, outcome.kind, outcome.kind == ACCEPTED, outcome.cost
             slope = outcome.slope
             if kind == CONVERGED:
                 break
             if fresh:
-                self._mu = self._mu / FACTOR if outcome.step >= 1.0 and self._mu > LEAST else 0.0
+                self._mu = self._mu / factor if outcome.step >= 1.0 and self._mu > least else 0.0
             else:
-                self._mu = min(max(LEAST, FACTOR * self._mu), MOST)
+                self._mu = min(max(least, factor * self._mu), DEFAULT.max_regularization)
         if kind == INDEFINITE:
             return "the sweep is not definite"
         if not math.isfinite(slope):

@@ -22,7 +22,7 @@ from planner.proof.constraints import planned_violations
 from planner.proof.error_scales import COST_BOUND, is_nonsmooth, judged_cost, limit_violations
 from planner.proof.remaining_decrease import STEPS, remaining_decrease
 from planner.solvers import lq
-from planner.solvers.slq import DECREASE
+from planner.solvers.options import EXPECTED_REDUCTION_TOLERANCE
 
 BOUND = 1e-9  # relative; a plan and its file agree to rounding
 GAIN_BOUND = 1e-6  # relative; what rounding becomes in a sweep over unstable stages
@@ -123,7 +123,9 @@ def optimality(plan: Plan, problem: Problem, now: Recomputed) -> Section:
         scale = max(abs(plan.cost), judged_cost(problem).scale(plan, problem), _unseen(plan, problem))
         left = max(0.0, -now.sweep.value)
         note = "of the cost: what one more step of SLQ promises"
-        if left <= DECREASE * max(1.0, abs(plan.cost)) and plan.success:  # of a light machine the cost may be 1e-10
+        if (
+            left <= EXPECTED_REDUCTION_TOLERANCE * max(1.0, abs(plan.cost)) and plan.success
+        ):  # of a light machine the cost may be 1e-10
             left, note = 0.0, f"{note}; {left:.3g} of {plan.cost:.3g} is less than what a solve goes on for"
         if 100.0 * left > COST_BOUND * scale and (is_nonsmooth(problem) or _approximate(problem)):
             note = f"of the cost: what {STEPS} more steps of SLQ gain; the next promises {100.0 * left / scale:.3g} %"

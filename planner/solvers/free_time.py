@@ -31,7 +31,7 @@ from planner.problem.plan import Plan, Status
 from planner.problem.problem import Problem
 from planner.problem.rediscretize import retimed
 from planner.problem.trajectory import Trajectory
-from planner.solvers.multistart import SEVERAL
+from planner.solvers.options import single_start, with_overrides
 from planner.solvers.slq import as_user_plan, solve
 from planner.solvers.warm_start import warm_start
 
@@ -105,7 +105,7 @@ def solve_for(
     if between is None:
         wanted = with_objective(problem, weights)
         if set(weights) != {"effort"}:
-            wanted = replace(wanted, us=solve(base_problem(problem), **_single(options)).us)
+            wanted = replace(wanted, us=solve(base_problem(problem), **single_start(options)).us)
         return solve(wanted, callback=callback, **options)
     shortest, longest = between
     number("tolerance", tolerance, greater_than=0.0)
@@ -128,11 +128,6 @@ def _exact(problem: Problem) -> Problem:
         )
     assert problem.limits is not None  # there are bounds
     return problem if problem.limits.final else replace(problem, limits=replace(problem.limits, final=EXACT))
-
-
-def _single(options: dict[str, Any]) -> dict[str, Any]:
-    """Options of solve() without those of several starts."""
-    return {name: value for name, value in options.items() if name not in SEVERAL}
 
 
 class _DurationSearch:
@@ -161,7 +156,7 @@ class _DurationSearch:
         """Solve at a duration; its value, infinite where the limits are not met."""
         duration = float(duration)
         problem = with_objective(retimed(base_problem(self.problem), duration), self.rest)
-        options = _single(self.options) if self.tried else self.options
+        options = single_start(self.options) if self.tried else self.options
         plan = None
         if self.plans:
             near = min(self.plans, key=lambda T: abs(math.log(T / duration)))
@@ -170,7 +165,7 @@ class _DurationSearch:
             if plan is None:
                 problem = replace(problem, us=warm_start(_at_pace(self.plans[near], near / duration), problem))
         elif problem.bounds is not None or set(self.rest) != {"effort"}:
-            free = solve(replace(base_problem(problem), limits=None, constraints=()), **_single(options))
+            free = solve(replace(base_problem(problem), limits=None, constraints=()), **single_start(options))
             problem = replace(problem, us=warm_start(free, problem))
         plan = self.last = solve(problem, **options) if plan is None else plan
         outside = _outside(problem, plan)
@@ -196,7 +191,8 @@ class _DurationSearch:
         short.
         """
         assert problem.limits is not None  # time alone has bounds
-        most = min(LOOK, options.get("max_iterations", LOOK))
+        limit = with_overrides(options.get("options"), max_iterations=options.get("max_iterations")).max_iterations
+        most = min(LOOK, limit)
         plan = solve(problem, **options | {"warm_start": motion, "max_iterations": most})
         ended = plan.status in (Status.CONVERGED, Status.INTERRUPTED)
         return plan if ended or not _outside(problem, plan) <= MAX_VIOLATION_RATIO * problem.limits.tolerance else None

@@ -1,4 +1,4 @@
-"""The LQ subproblem for the reader, in NumPy: it drives a user's own dynamics and is the twin of the kernels.
+"""The LQ subproblem in NumPy: for a user's own dynamics and costs. kernels.lq has the same, compiled.
 
 Around a trajectory (3.2, 3.3):
 
@@ -6,11 +6,11 @@ Around a trajectory (3.2, 3.3):
     subject to  dx(n+1) = A(n) dx(n) + B(n) du(n),  dx(0) = 0                               (Eq. 35, 38)
 
 with the gradients q = Q (x - x_ref), r = R (u - u_ref) in place of the paper's offsets. Deviations dx have ndx numbers;
-only differences of states know whether these are plain vectors (see model.space). The paper has no S: it stands beside
-B'PA wherever that does, and the gradient (Eq. 18) never sees it.
+they are tangent vectors where states have quaternions. The paper has no S: it is added to B'PA, and the gradient
+(Eq. 18) does not contain it.
 
-Where the states are a guess of their own, stage n ends a gap g(n) from the next state and Eq. 38 gains it:
-dx(n+1) = A(n) dx(n) + B(n) du(n) + g(n). Before its gap the value gradient s(n+1) is s(n+1) + P(n+1) g(n).
+In multiple shooting stage n ends with a defect g(n), the difference from the next state, and Eq. 38 has it:
+dx(n+1) = A(n) dx(n) + B(n) du(n) + g(n). The value gradient before the defect is s(n+1) + P(n+1) g(n).
 """
 
 from __future__ import annotations
@@ -19,23 +19,30 @@ from typing import NamedTuple
 
 import numpy as np
 
+from planner.kernels.lq.active_set import MULTIPLIER_ROUNDING, ROUNDING
 from planner.kernels.lq.state_dependent_bounds import AT_BOUND
 from planner.problem.control_bounds import StepBounds
 from planner.problem.costs.terms import Quadratic
-from planner.solvers.box import box_minimum
+from planner.problem.state_bounds import BoundPenalties, StateBounds, sides_of
+
+MAX_NEWTON_STEPS = 100  # of one box QP
+MIN_STEP = 1e-10  # of its line search: below it only rounding is left
+ARMIJO_C1 = 0.1  # share of the expected reduction that its line search asks for
 
 
 class Sweep(NamedTuple):
-    """The solution of the LQ problem: du = k + K dx, its value 1/2 dx'P dx + s'dx + ..., and its slope."""
+    """The solution of the LQ problem: du = k + K dx, the cost-to-go 1/2 dx'P dx + s'dx, and its slope."""
 
     K: np.ndarray  # (N, nu, ndx)
     k: np.ndarray  # (N, nu)
     P: np.ndarray  # (N+1, ndx, ndx)
     s: np.ndarray  # (N+1, ndx)
-    slope: float  # of J along the direction (Eq. 42); without bounds minus twice the decrease promised
-    value: float  # of the LQ model at its minimum: minus the decrease promised
-    held: np.ndarray | None = None  # (N, nu) controls at their lower (-1) and upper (1) bounds; None without bounds
-    rows: tuple[np.ndarray, ...] = ()  # Hessians (N, nu, nu), (N, nu, ndx) and gradients (N, nu) of controls, with held
+    slope: float  # of J along the direction (Eq. 42); without bounds minus twice the expected reduction
+    value: float  # of the LQ problem at its minimum: minus the expected reduction
+    active_bounds: np.ndarray | None = (
+        None  # (N, nu) -1 at the lower bound, 1 at the upper, 0 free; None without bounds
+    )
+    by_controls: tuple[np.ndarray, ...] = ()  # with an active set: H (N, nu, nu), H_ux (N, nu, ndx), gradient (N, nu)
 
 
 def costates(A: np.ndarray, quadratic: Quadratic) -> np.ndarray:
@@ -53,31 +60,31 @@ def gradient(A: np.ndarray, B: np.ndarray, quadratic: Quadratic) -> np.ndarray:
 
 
 def reduced_gradient(A: np.ndarray, B: np.ndarray, quadratic: Quadratic, bounds: StepBounds | None) -> np.ndarray:
-    """The gradient (N, nu) where controls that their bounds hold move along them as the state does.
+    """The gradient (N, nu) where controls at bounds that depend on the state change with these.
 
-    It is that of Eq. 18 but for bounds that depend on the state: the costate gains d bound/dx times what pushes.
+    As Eq. 18, but the costate gains d bound/dx times the gradient of the controls at their bounds.
     """
     if bounds is None or bounds.lower_by_x is None or bounds.upper_by_x is None:
         return gradient(A, B, quadratic)
-    found, costate = np.empty_like(quadratic.r), quadratic.q[-1]
+    reduced, costate = np.empty_like(quadratic.r), quadratic.q[-1]
     for n in reversed(range(len(A))):
-        found[n] = g = quadratic.r[n] + B[n].T @ costate  # Eq. 18
-        low, high = _pushing(bounds.lower[n], bounds.upper[n], g)
+        reduced[n] = g = quadratic.r[n] + B[n].T @ costate  # Eq. 18
+        low, high = _blocked(bounds.lower[n], bounds.upper[n], g)
         costate = quadratic.q[n] + A[n].T @ costate  # Eq. 16
         costate += np.where(low, g, 0.0) @ bounds.lower_by_x[n] + np.where(high, g, 0.0) @ bounds.upper_by_x[n]
-    return found
+    return reduced
 
 
-def _pushing(lower: np.ndarray, upper: np.ndarray, gradient: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Whether controls are at their lower, or upper, bounds and a gradient pushes against these."""
+def _blocked(lower: np.ndarray, upper: np.ndarray, gradient: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Whether controls are at their lower, or upper, bounds and descent leads out of these."""
     return (lower >= -AT_BOUND) & (gradient > 0.0), (upper <= AT_BOUND) & (gradient < 0.0)
 
 
 def projected(gradient: np.ndarray, bounds: StepBounds | None) -> np.ndarray:
-    """A gradient (N, nu) without what pushes against a bound that the control is at: zero at a minimum."""
+    """The projected gradient (N, nu): zero where a control is at its bound and descent leads out of it."""
     if bounds is None:
         return gradient
-    low, high = _pushing(bounds.lower, bounds.upper, gradient)
+    low, high = _blocked(bounds.lower, bounds.upper, gradient)
     return np.where(low | high, 0.0, gradient)
 
 
@@ -88,13 +95,13 @@ def riccati(
     mu: float = 0.0,
     bounds: StepBounds | None = None,
     second: np.ndarray | None = None,
-    gaps: np.ndarray | None = None,
-    held: np.ndarray | None = None,
+    defects: np.ndarray | None = None,
+    active_bounds: np.ndarray | None = None,
 ) -> Sweep | None:
     """Backward sweep, Eq. 31-34 with a Cholesky factorization of R + B'PB + mu I instead of Eq. 31's inverse.
 
-    With bounds each stage's k is the minimum over its box; clamped controls have no gains, or those that follow their
-    bounds where these depend on the state (see kernels.lq.bounded_riccati).
+    With bounds each stage's k solves a box QP (Tassa, Mansard and Todorov 2014); controls at their bounds have no
+    gains, or the bounds' derivatives where these depend on the state.
 
     Args:
         A: (N, ndx, ndx).
@@ -103,9 +110,9 @@ def riccati(
         mu: Regularization, added to R.
         bounds: Of k.
         second: (N, ndx+nu, ndx+nu) second-order terms of the dynamics in z = (x, u), added to each stage's Hessian.
-        gaps: (N, ndx) between the stages; none by default. With them slope and value are no longer those of J.
-        held: (N, nu) controls that are held at their lower (-1) and upper (1) bounds while the others are free, in
-            place of the box of each stage (see solvers.active_set).
+        defects: (N, ndx) between the stages; none by default. With them slope and value are no longer those of J.
+        active_bounds: (N, nu) controls that are fixed at their lower (-1) and upper (1) bounds while the others are
+            free, in place of the box QP of each stage.
 
     Returns:
         The solution, or None when R + B'PB + mu I (with the control block of second) is not positive definite.
@@ -115,32 +122,31 @@ def riccati(
     P, s = np.empty((N + 1, ndx, ndx)), np.empty((N + 1, ndx))
     P[N], s[N] = quadratic.Q[N], quadratic.q[N]  # Eq. 29
     slope, value, none = 0.0, 0.0, np.zeros((ndx + nu, ndx + nu))
-    rows = np.zeros((N, nu, nu)), np.zeros((N, nu, ndx)), np.zeros((N, nu))
-    now = np.zeros((N, nu))
+    by_controls = np.zeros((N, nu, nu)), np.zeros((N, nu, ndx)), np.zeros((N, nu))
+    active = np.zeros((N, nu))
     for n in reversed(range(N)):
         BtP = B[n].T @ P[n + 1]
         T = none if second is None else second[n]
         H, H_ux = quadratic.R[n] + BtP @ B[n] + T[ndx:, ndx:] + mu * np.eye(nu), BtP @ A[n] + T[ndx:, :ndx]
-        s_end = s[n + 1] if gaps is None else s[n + 1] + P[n + 1] @ gaps[n]
+        s_end = s[n + 1] if defects is None else s[n + 1] + P[n + 1] @ defects[n]
         h = quadratic.r[n] + B[n].T @ s_end
         if quadratic.S is not None:
             H_ux = H_ux + quadratic.S[n]
         s_x, follows, more = quadratic.q[n] + A[n].T @ s_end, None, 0.0
         try:
             if bounds is not None:
-                if held is None:
-                    k[n], clamped = box_minimum(H, h, bounds.lower[n], bounds.upper[n])
+                if active_bounds is None:
+                    k[n], clamped = solve_box_qp(H, h, bounds.lower[n], bounds.upper[n])
                 else:
-                    k[n], clamped = (
-                        np.select([held[n] < 0, held[n] > 0], [bounds.lower[n], bounds.upper[n]]),
-                        held[n] != 0,
-                    )
-                    rows[0][n], rows[1][n], rows[2][n] = H, H_ux, h
-                now[n] = np.where(clamped, np.where(k[n] <= bounds.lower[n], -1.0, 1.0), 0.0)
+                    at_lower, at_upper = active_bounds[n] < 0, active_bounds[n] > 0
+                    k[n] = np.select([at_lower, at_upper], [bounds.lower[n], bounds.upper[n]])
+                    clamped = active_bounds[n] != 0
+                    by_controls[0][n], by_controls[1][n], by_controls[2][n] = H, H_ux, h
+                active[n] = np.where(clamped, np.where(k[n] <= bounds.lower[n], -1.0, 1.0), 0.0)
                 value += float(h @ k[n] + 0.5 * k[n] @ H @ k[n])
-                kc = np.where(clamped, k[n], 0.0)  # a constant to what is left
+                kc = np.where(clamped, k[n], 0.0)  # constant for the free controls
                 h, s_x = h + H @ kc, s_x + H_ux.T @ kc
-                if bounds.lower_by_x is not None and bounds.upper_by_x is not None:  # the bounds move with the state
+                if bounds.lower_by_x is not None and bounds.upper_by_x is not None:  # the bounds depend on the state
                     along = np.where((k[n] <= bounds.lower[n])[:, None], bounds.lower_by_x[n], bounds.upper_by_x[n])
                     follows = np.where(clamped[:, None], along, 0.0)
                     along = follows.T @ H_ux
@@ -159,28 +165,28 @@ def riccati(
         K[n] = -np.linalg.solve(U, Y)
         if follows is not None:
             K[n] += follows
-        if bounds is None or held is not None:
+        if bounds is None or active_bounds is not None:
             k[n] -= np.linalg.solve(U, y)
-        if held is not None:
+        if active_bounds is not None:
             value -= 0.5 * float(y @ y)
         P[n] = quadratic.Q[n] + A[n].T @ P[n + 1] @ A[n] + T[:ndx, :ndx] - Y.T @ Y  # Eq. 33
         P[n] += more
         P[n] = 0.5 * (P[n] + P[n].T)
         s[n] = s_x - Y.T @ y  # Eq. 34
         slope -= float(y @ y)  # Eq. 42
-    if bounds is None or gaps is not None:
+    if bounds is None or defects is not None:
         return Sweep(K, k, P, s, slope, 0.5 * slope if bounds is None else value)
     _, dus = direction(A, B, Sweep(K, k, P, s, slope, value), bounds)
     slope = float(np.sum(gradient(A, B, quadratic) * dus))
-    return Sweep(K, k, P, s, slope, value, now, rows if held is not None else ())
+    return Sweep(K, k, P, s, slope, value, active, by_controls if active_bounds is not None else ())
 
 
 def direction(
-    A: np.ndarray, B: np.ndarray, sweep: Sweep, bounds: StepBounds | None = None, gaps: np.ndarray | None = None
+    A: np.ndarray, B: np.ndarray, sweep: Sweep, bounds: StepBounds | None = None, defects: np.ndarray | None = None
 ) -> tuple[np.ndarray, np.ndarray]:
     """The LQ problem's own forward pass: dxs (N+1, ndx), dus (N, nu), Eq. 25, 30.
 
-    With bounds, what leads out of one that the control is at follows it: so the clipped controls set out.
+    With bounds, a control at its bound stays there if the direction leads out of it, as clipped rollouts do.
     """
     N, ndx, nu = B.shape
     dxs, dus = np.zeros((N + 1, ndx)), np.empty((N, nu))
@@ -191,5 +197,135 @@ def direction(
             ceiling = 0.0 if bounds.upper_by_x is None else bounds.upper_by_x[n] @ dxs[n]
             dus[n] = np.where((bounds.lower[n] >= -AT_BOUND) & (dus[n] < floor), floor, dus[n])
             dus[n] = np.where((bounds.upper[n] <= AT_BOUND) & (dus[n] > ceiling), ceiling, dus[n])
-        dxs[n + 1] = A[n] @ dxs[n] + B[n] @ dus[n] + (0.0 if gaps is None else gaps[n])  # Eq. 30
+        dxs[n + 1] = A[n] @ dxs[n] + B[n] @ dus[n] + (0.0 if defects is None else defects[n])  # Eq. 30
     return dxs, dus
+
+
+def solve_box_qp(H: np.ndarray, h: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Minimize 1/2 k'H k + h'k over lower <= k <= upper by projected Newton steps from 0 (Bertsekas 1982).
+
+    Args:
+        H: (nu, nu) symmetric.
+        h: (nu,).
+        lower: (nu,) at most 0.
+        upper: (nu,) at least 0.
+
+    Returns:
+        k (nu,), and which of it is clamped (nu,).
+
+    Raises:
+        numpy.linalg.LinAlgError: H is not positive definite where k is free.
+    """
+    k, clamped, full = np.zeros_like(h), np.zeros(len(h), dtype=bool), False
+    for _ in range(MAX_NEWTON_STEPS):
+        g = h + H @ k
+        before, clamped = clamped, ((k <= lower) & (g > 0.0)) | ((k >= upper) & (g < 0.0))
+        if full and np.array_equal(before, clamped):
+            break
+        free, d = np.flatnonzero(~clamped), np.zeros_like(h)
+        L = np.linalg.cholesky(H[np.ix_(free, free)])
+        if np.isnan(L).any():  # NumPy lets a NaN through
+            raise np.linalg.LinAlgError("a matrix that is not a number")
+        d[free] = -np.linalg.solve(L.T, np.linalg.solve(L, g[free]))
+        step = 1.0
+        while True:
+            wanted = k + step * d
+            into = np.clip(wanted, lower, upper)
+            full, moved = step == 1.0 and np.array_equal(into, wanted), into - k
+            slope = float(g @ moved)
+            if full or slope + 0.5 * float(moved @ H @ moved) <= ARMIJO_C1 * slope or step < MIN_STEP:
+                break
+            step *= 0.5
+        if step < MIN_STEP:  # nothing left to gain but rounding
+            break
+        k = into
+    return k, clamped
+
+
+class StatePenalties(NamedTuple):
+    """Penalties of state bounds along a trajectory."""
+
+    ranges: StateBounds
+    penalties: BoundPenalties
+    xs: np.ndarray  # (N+1, nx)
+
+
+def solve_active_set(
+    A: np.ndarray, B: np.ndarray, quadratic: Quadratic, mu: float, bounds: StepBounds | None, second: np.ndarray | None,
+    penalized: StatePenalties | None, active_bounds: np.ndarray, max_sets: int,
+) -> tuple[Sweep | None, np.ndarray]:  # fmt: skip
+    """The LQ problem with bounds of controls and one-sided penalties of states, by an active set (N&W 16.5).
+
+    Sweeps are repeated, each with the bounds and penalties that the last one's direction meets, until these stay.
+
+    Args:
+        A: (N, ndx, ndx).
+        B: (N, ndx, nu).
+        quadratic: Of the cost, with the penalties that act at the trajectory.
+        mu: Regularization, added to R.
+        bounds: Of the controls, or None.
+        second: (N, ndx+nu, ndx+nu) added to the Hessians, or None.
+        penalized: The penalties, or None.
+        active_bounds: (N, nu) the bounds to begin with: -1 lower, 1 upper, 0 free.
+        max_sets: Limit of the sweeps.
+
+    Returns:
+        The sweep, with slope and value of the penalized cost; None where the sets cycle or a sweep is not definite.
+        And the last active bounds.
+    """
+    model, more_cost, more_slope, e, sides = quadratic, 0.0, 0.0, None, None
+    if penalized is not None:
+        e = penalized.ranges.deviations(penalized.xs)
+        sides = sides_of(penalized.penalties, e)
+    for _ in range(max_sets):
+        sweep = riccati(A, B, model, mu, bounds, second, active_bounds=active_bounds if bounds is not None else None)
+        if sweep is None:
+            return None, active_bounds
+        dxs, dus = _linear_rollout(A, B, sweep)
+        after = active_bounds if bounds is None else _next_active_bounds(sweep, bounds, active_bounds, dxs, dus)
+        same = np.array_equal(after, active_bounds)
+        if penalized is not None and e is not None and sides is not None:
+            after_sides = penalized.ranges.next_sides(penalized.penalties, e, dxs, sides)
+            same = same and np.array_equal(after_sides, sides)
+            _, more_cost, more_slope = penalized.ranges.with_active_sides(
+                penalized.penalties, quadratic, penalized.xs, sides, dxs
+            )
+            if not same:
+                sides = after_sides
+                model, _, _ = penalized.ranges.with_active_sides(
+                    penalized.penalties, quadratic, penalized.xs, sides, dxs
+                )
+        if same:
+            return sweep._replace(slope=sweep.slope + more_slope, value=sweep.value + more_cost), active_bounds
+        active_bounds = after
+    return None, active_bounds
+
+
+def _linear_rollout(A: np.ndarray, B: np.ndarray, sweep: Sweep) -> tuple[np.ndarray, np.ndarray]:
+    """The linear rollout dxs (N+1, ndx), dus (N, nu) of a sweep, without bounds."""
+    dxs, dus = np.zeros((len(A) + 1, A.shape[1])), np.empty(sweep.k.shape)
+    for n in range(len(A)):
+        dus[n] = sweep.k[n] + sweep.K[n] @ dxs[n]
+        dxs[n + 1] = A[n] @ dxs[n] + B[n] @ dus[n]
+    return dxs, dus
+
+
+def _next_active_bounds(
+    sweep: Sweep, bounds: StepBounds, active_bounds: np.ndarray, dxs: np.ndarray, dus: np.ndarray
+) -> np.ndarray:
+    """The next active bounds (N, nu): -1 lower, 1 upper, 0 free."""
+    lower, upper = bounds.lower, bounds.upper
+    if bounds.lower_by_x is not None and bounds.upper_by_x is not None:
+        lower = lower + np.einsum("nij,nj->ni", bounds.lower_by_x, dxs[:-1])
+        upper = upper + np.einsum("nij,nj->ni", bounds.upper_by_x, dxs[:-1])
+    parts = [
+        sweep.by_controls[2][:, :, None],
+        sweep.by_controls[0] * dus[:, None, :],
+        sweep.by_controls[1] * dxs[:-1, None, :],
+    ]
+    multiplier = sum(part.sum(axis=2) for part in parts)
+    size = sum(np.abs(part).sum(axis=2) for part in parts)
+    slack = ROUNDING * (1.0 + np.abs(dus))
+    free = np.where(dus < lower - slack, -1.0, np.where(dus > upper + slack, 1.0, 0.0))
+    wrong = (np.abs(multiplier) > MULTIPLIER_ROUNDING * size) & (active_bounds * multiplier > 0.0)
+    return np.where(active_bounds == 0.0, free, np.where(wrong, 0.0, active_bounds))

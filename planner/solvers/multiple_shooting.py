@@ -1,15 +1,16 @@
-"""Multiple shooting: states as a first guess. Gaps between the stages are open at first, and close on the way.
+"""Multiple shooting: a first guess of the states, whose defects close on the way.
 
-From states xs and controls us that need not fit, stage n ends a gap g(n) from the next state. Each iteration solves the
-LQ problem whose deviations have these gaps (kernels.lq.defects). Its direction is taken in one of two ways, measured by
+From states xs and controls us that need not fit, stage n ends with a defect g(n), its difference from the next state.
+Each iteration solves the LQ problem with these defects (kernels.lq.defects). Its direction is taken in one of two ways,
+measured by the merit function (N&W 18.3; Han, Powell)
 
-    merit = J(xs, us) + nu' sum |g(n)|,    nu above the multipliers of the gaps (Han, Powell):
+    merit = J(xs, us) + nu' sum |g(n)|,    nu above the multipliers of the defects:
 
-a rollout with the sweep's gains, which closes all gaps at once and ends this phase, if its cost falls enough below the
-merit and below that of a rollout of the first controls; else a part alpha of the direction for states and controls
-alike, whose gaps are those of the dynamics being curved. Where steps are short, changes of the states are held (see
-regularization). Hessians are Gauss and Newton's.
-A full step of an LQ problem closes its gaps whatever the weights, so these are held only so far.
+a rollout with the sweep's gains, which closes all defects at once and ends this phase, if its cost is sufficiently
+below the merit and below that of a rollout of the first controls; else a part alpha of the direction for states and
+controls alike, whose defects remain as far as the dynamics are nonlinear. Short steps regularize the states (see
+solvers.regularization), up to a limit: a full step closes all defects whatever that weight.
+Hessians are Gauss-Newton's.
 """
 
 from __future__ import annotations
@@ -31,24 +32,16 @@ from planner.problem.plan import Iteration
 from planner.problem.problem import Problem
 from planner.problem.state_bounds import BoundPenalties
 from planner.solvers.engine import DefectStep, Engine
+from planner.solvers.options import DEFAULT, SolverOptions
 from planner.solvers.regularization import Regularization
 
-ABOVE = 2.0  # nu over the largest multiplier, when it is set
-STALE = 8.0  # nu over the largest multiplier, from which on it is set again
-HALVINGS = 12  # of a step, before the states are held more
-MAX_STATE_REGULARIZATION = (
-    0.01  # the weight on changes of the states, relative to the cost's, beyond which it only keeps gaps open
-)
-SHARE, SHARES = 0.25, 6  # of the first controls, whenever states and controls are too far apart; then none of them
-MAX_DEFECT_ITERATIONS = (
-    60  # iterations across gaps; who needs more is better off with the rollout of the controls so far
-)
+GROWTH_MARGIN = 1.1  # nu below this multiple of the largest multiplier is set again
 
 Value = Callable[[np.ndarray, np.ndarray], float]  # of states (N+1, nx) and controls (N, nu)
 
 
 def guessed_states(problem: Problem, states: np.ndarray | str | None) -> np.ndarray | None:
-    """The first guess of the states (N+1, nx) that solve(states=...) asks for; its first is the problem's start.
+    """The first guess of the states (N+1, nx) of solve(states=...); its first state is the problem's start.
 
     Raises:
         PlannerError: Neither "line" nor such an array; or a line to a cost that has no reference.
@@ -68,9 +61,9 @@ def guessed_states(problem: Problem, states: np.ndarray | str | None) -> np.ndar
 
 
 def line_to_the_end(problem: Problem) -> np.ndarray | None:
-    """The straight line (N+1, nx) to the state that a cost asks for at the end; None where it does not ask for all.
+    """The straight line (N+1, nx) to the cost's final reference; None where it does not weigh the whole final state.
 
-    Nor where constraints are kept: what stands between start and goal would be crossed.
+    Also None with constraints: the line may cross an obstacle.
     """
     tracking = tracking_of(problem.cost)
     if tracking is None or problem.constraints or problem.periodic is not None:
@@ -79,34 +72,37 @@ def line_to_the_end(problem: Problem) -> np.ndarray | None:
 
 
 def close_defects(
-    problem: Problem, engine: Engine, exact: bool, xs: np.ndarray, us: np.ndarray, most: int,
+    problem: Problem, engine: Engine, exact: bool, xs: np.ndarray, us: np.ndarray, max_iterations: int,
     callback: Callable[[Iteration], object] | None, penalties: BoundPenalties | None = None,
+    options: SolverOptions = DEFAULT,
 ) -> tuple[float, list[Iteration], bool]:  # fmt: skip
-    """Take steps across gaps until a rollout closes them, or for the first MOST iterations.
+    """Take steps along states with defects until a rollout closes these, or for a limited number of iterations.
 
-    Controls under which the guessed states are out of reach lead the direction astray: steps stay short while the
-    states are held more and more. Then the same states are tried with a share of the controls.
+    Controls that do not reach the guessed states spoil the direction: steps stay short while the states are regularized
+    more and more. Then the same states are tried with a share of the controls.
 
     Args:
-        problem: Whose cost and dynamics the engine has.
-        engine: To be started; holds a trajectory without gaps afterwards.
+        problem: Of the engine.
+        engine: To be started; it has a trajectory without defects afterwards.
         exact: Whether its Hessians are exact from then on.
         xs: (N+1, nx) the states; the first becomes the problem's.
         us: (N, nu) the controls.
-        most: Iterations.
-        callback: Called with each line.
+        max_iterations: Of the solve; options limit those with defects.
+        callback: Called with each Iteration.
         penalties: That the engine adds to the cost; None for none.
+        options: The constants of multiple shooting.
 
     Returns:
-        The cost afterwards; the lines, whose costs are those of states with gaps; whether this was interrupted.
+        The cost afterwards; the iterations, whose costs are those of states with defects; whether it was interrupted.
     """
     xs, history, J = np.concatenate([problem.x0[None], xs[1:]]), list[Iteration](), partial(_value, problem, penalties)
-    rolled, most, interrupted = list[tuple[float, float]](), min(most, MAX_DEFECT_ITERATIONS), False
-    for share in [SHARE**k for k in range(SHARES)] + [0.0]:
+    rollouts, limit = list[tuple[float, float]](), min(max_iterations, options.max_defect_iterations)
+    interrupted = False
+    for share in [options.control_share**k for k in range(options.control_trials)] + [0.0]:
         cost = engine.start_from_controls(problem.x0, share * us, exact)
-        rolled.append((cost if math.isfinite(cost) else math.inf, share))
+        rollouts.append((cost if math.isfinite(cost) else math.inf, share))
         try:
-            closed = _defect_iterations(problem, engine, J, xs, share * us, (most, cost), history, callback)
+            closed = _defect_iterations(problem, engine, J, xs, share * us, (limit, cost), history, callback, options)
         except (KeyboardInterrupt, StopIteration):
             interrupted = True
             break
@@ -114,41 +110,46 @@ def close_defects(
             engine.use_second_order(exact)
             engine.state_regularization = 0.0
             return closed, history, False
-    return engine.start_from_controls(problem.x0, min(rolled)[1] * us, exact), history, interrupted
+    return engine.start_from_controls(problem.x0, min(rollouts)[1] * us, exact), history, interrupted
 
 
 def _defect_iterations(
-    problem: Problem, engine: Engine, value: Value, xs: np.ndarray, us: np.ndarray, most: tuple[int, float],
-    history: list[Iteration], callback: Callable[[Iteration], object] | None,
+    problem: Problem, engine: Engine, value: Value, xs: np.ndarray, us: np.ndarray, limits: tuple[int, float],
+    history: list[Iteration], callback: Callable[[Iteration], object] | None, options: SolverOptions,
 ) -> float | None:  # fmt: skip
-    """The steps from one pair of states and controls: the cost where gaps are closed, else None.
+    """The steps from one pair of states and controls: the cost once defects are closed, else None.
 
-    `most` has the iterations in all, and what a rollout without states costs, which one that closes gaps must not.
+    `limits` are those of the iterations in all, and of the cost of a rollout that closes defects: that of the controls.
     """
     space, bounds = space_of(problem.dynamics), problem.bounds
     us = us if bounds is None else bounds.clip(slice(None), us, xs[:-1])
-    regularization, nu, fresh = Regularization(engine, False, holds=True), np.zeros(space.ndx), True
-    gaps, cost = engine.set_trajectory(xs, us), value(xs, us)
-    while len(history) < most[0] and engine.state_regularization <= MAX_STATE_REGULARIZATION and math.isfinite(cost):
-        way = engine.defect_direction(gaps, fresh)
-        if way is None:
+    regularization = Regularization(engine, False, regularize_states=True, options=options)
+    nu, relinearize, limit = np.zeros(space.ndx), True, options.max_defect_regularization
+    defects, cost = engine.set_trajectory(xs, us), value(xs, us)
+    while len(history) < limits[0] and engine.state_regularization <= limit and math.isfinite(cost):
+        direction = engine.defect_direction(defects, relinearize)
+        if direction is None:
             break
-        largest = np.abs(way.multipliers).max(axis=0)
-        nu = np.where((nu < 1.1 * largest) | (nu > STALE * largest), ABOVE * largest, nu)
-        merit = cost + float(nu @ np.abs(gaps).sum(axis=0))
-        slope = way.slope - (merit - cost)
-        step, after = engine.rollout_closing_defects(min(merit, most[1]) if math.isfinite(most[1]) else merit, slope)
+        largest = np.abs(direction.multipliers).max(axis=0)
+        outdated = (nu < GROWTH_MARGIN * largest) | (nu > options.max_merit_ratio * largest)
+        nu = np.where(outdated, options.merit_factor * largest, nu)
+        merit = cost + float(nu @ np.abs(defects).sum(axis=0))
+        slope = direction.slope - (merit - cost)
+        cost_limit = min(merit, limits[1]) if math.isfinite(limits[1]) else merit
+        step, after = engine.rollout_closing_defects(cost_limit, slope)
         closed = step > 0.0
         if not closed:
-            step, xs, us, gaps, after = _step(problem, value, xs, us, way, nu, merit, slope, gaps)
-        line = (way.gradient_norm, step, -slope, merit - after if closed else cost - after, regularization.shown)
-        history.append(Iteration(len(history), cost, *line))
+            trial = _step(problem, value, xs, us, direction, nu, merit, slope, defects, options.max_defect_halvings)
+            step, xs, us, defects, after = trial
+        actual = merit - after if closed else cost - after
+        line = Iteration(len(history), cost, direction.gradient_norm, step, -slope, actual, regularization.weight)
+        history.append(line)
         if callback is not None:
-            callback(history[-1])
+            callback(line)
         if closed:
             return after
-        fresh = step > 0.0
-        if fresh:
+        relinearize = step > 0.0
+        if relinearize:
             regularization.decrease(step, False)
             engine.set_trajectory(xs, us)
         else:
@@ -158,30 +159,26 @@ def _defect_iterations(
 
 
 def _step(
-    problem: Problem, value: Value, xs: np.ndarray, us: np.ndarray, way: DefectStep, nu: np.ndarray, merit: float,
-    slope: float, gaps: np.ndarray,
+    problem: Problem, value: Value, xs: np.ndarray, us: np.ndarray, direction: DefectStep, nu: np.ndarray,
+    merit: float, slope: float, defects: np.ndarray, halvings: int,
 ) -> tuple[float, np.ndarray, np.ndarray, np.ndarray, float]:  # fmt: skip
-    """The longest step along a direction that lowers the merit enough, or 0: states, controls, gaps and cost after."""
+    """Armijo's step along a direction for the merit, or 0; with states, controls, defects and cost after it."""
     space, bounds, step = space_of(problem.dynamics), problem.bounds, 1.0
-    for _ in range(HALVINGS):
-        trial_x, trial_u = space.integrate(xs, step * way.dxs), us + step * way.dus
+    for _ in range(halvings):
+        trial_x, trial_u = space.integrate(xs, step * direction.dxs), us + step * direction.dus
         if bounds is not None:
             trial_u = bounds.clip(slice(None), trial_u, trial_x[:-1])
-        with np.errstate(all="ignore"):  # a candidate may run away
+        with np.errstate(all="ignore"):  # a candidate may diverge
             J = value(trial_x, trial_u)
-            open_ = space.difference(problem.dynamics.step(trial_x[:-1], trial_u), trial_x[1:])
-            trial = J + float(nu @ np.abs(open_).sum(axis=0))
+            trial_defects = space.difference(problem.dynamics.step(trial_x[:-1], trial_u), trial_x[1:])
+            trial = J + float(nu @ np.abs(trial_defects).sum(axis=0))
         if trial <= merit + ARMIJO_C1 * step * slope:
-            return step, trial_x, trial_u, open_, J
+            return step, trial_x, trial_u, trial_defects, J
         step *= 0.5
-    return 0.0, xs, us, gaps, value(xs, us)
+    return 0.0, xs, us, defects, value(xs, us)
 
 
 def _value(problem: Problem, penalties: BoundPenalties | None, xs: np.ndarray, us: np.ndarray) -> float:
     """The cost with that of penalties."""
-    J = problem.cost.value(xs, us)
-    return (
-        J
-        if penalties is None or problem.trajectory_constraints is None
-        else J + problem.trajectory_constraints.value(penalties, xs, us)
-    )
+    J, constraints = problem.cost.value(xs, us), problem.trajectory_constraints
+    return J if penalties is None or constraints is None else J + constraints.value(penalties, xs, us)

@@ -30,43 +30,38 @@ from planner.base.environment import processors
 from planner.base.errors import PlannerError
 from planner.base.executors import cancel_or_end, result_or_retry
 from planner.problem.plan import Iteration, Plan, Start, Status
+from planner.solvers.options import SolverOptions
 
-MAX_STARTS = 10_000  # by far more than any machine's local minima; each is a whole solve
-SEVERAL = ("starts", "rank", "seed", "spread", "executor")
-"""Options of solve() for several starts alone."""
 _MODES = 6  # cosines: from a constant to two and a half waves over the horizon
-_PILOT = 5  # iterations after which controls have their size
 
 
 # One solve from a first guess (N, nu), with an iteration limit and a callback.
-Descend = Callable[[np.ndarray, int, Callable[[Iteration], object] | None], Plan]
+SolveOne = Callable[[np.ndarray, int, Callable[[Iteration], object] | None], Plan]
 
 
 def best_of(
-    guess: np.ndarray, descend: Descend, max_iterations: int, starts: int, seed: int, spread: float,
-    callback: Callable[[Start], object] | None, rank: Callable[[Plan], float] | None = None,
-    sizing: Descend | None = None, others: Descend | None = None, executor: Executor | None = None,
+    guess: np.ndarray, solve_one: SolveOne, options: SolverOptions, callback: Callable[[Start], object] | None,
+    rank: Callable[[Plan], float] | None = None, pilot: SolveOne | None = None, others: SolveOne | None = None,
+    executor: Executor | None = None,
 ) -> Plan:  # fmt: skip
     """The plan of least rank among the converged of several starts, else among all.
 
     Args:
         guess: (N, nu) of the first start; the others' are changes of it.
-        descend: One solve from a first guess.
-        max_iterations: Limit of each solve.
-        starts: Number of starts.
-        seed: Of the random changes.
-        spread: Their size relative to that of the controls.
+        solve_one: One solve from a first guess.
+        options: The number of starts, the random changes, the limit of each solve.
         callback: Called with each Start, in order, as soon as it and those before it have ended.
         rank: Of a Plan, the less the better; its cost by default.
-        sizing: The solve whose first iterations give the controls their size; `descend` by default.
-        others: One solve from a changed guess; `descend` by default.
+        pilot: The solve whose first iterations give the controls their size; `solve_one` by default.
+        others: One solve from a changed guess; `solve_one` by default.
         executor: Where starts are solved; by default threads, one a processor.
     """
-    pilot = (sizing or descend)(guess, min(_PILOT, max_iterations), None)
-    if pilot.status is Status.INTERRUPTED:
-        return replace(pilot, starts=(_summary(0, pilot, pilot.cost),))
-    stop = _Stop()
-    run = partial(_run, descend, others or descend, guess, spread * _sizes(guess, pilot.us), seed, max_iterations, stop)
+    max_iterations, starts = options.max_iterations, options.starts
+    first = (pilot or solve_one)(guess, min(options.pilot_iterations, max_iterations), None)
+    if first.status is Status.INTERRUPTED:
+        return replace(first, starts=(_summary(0, first, first.cost),))
+    stop, scale = _Stop(), options.spread * _sizes(guess, first.us)
+    run = partial(_run, solve_one, others or solve_one, guess, scale, options.seed, max_iterations, stop)
     ended: list[Start] = []
     best: Plan | None = None
     waiting: deque[tuple[int, Future[Plan]]] = deque()
@@ -81,7 +76,7 @@ def best_of(
                         submitted += 1
                     number, plan = waiting[0][0], result_or_retry(pool, waiting[0][1], run, waiting[0][0])
                     if executor is not None:  # what comes from another process has a copy of the problem
-                        plan = replace(plan, problem=pilot.problem)
+                        plan = replace(plan, problem=first.problem)
                     summary = _summary(number, plan, _score(rank, plan))
                     waiting.popleft()
                     if best is None or summary.rank < min(start.rank for start in ended):
@@ -98,7 +93,7 @@ def best_of(
             for _, future in waiting:
                 cancel_or_end(pool, future)
     if best is None:  # interrupted before any start began
-        best, ended = pilot, [_summary(0, pilot, pilot.cost)]
+        best, ended = first, [_summary(0, first, first.cost)]
     return replace(best, starts=tuple(ended), status=Status.INTERRUPTED if interrupted else best.status)
 
 
@@ -117,12 +112,12 @@ class _Stop:
 
 
 def _run(
-    descend: Descend, others: Descend, guess: np.ndarray, scale: np.ndarray, seed: int, max_iterations: int,
+    solve_one: SolveOne, others: SolveOne, guess: np.ndarray, scale: np.ndarray, seed: int, max_iterations: int,
     stop: _Stop, number: int,
 ) -> Plan:  # fmt: skip
     """One start."""
     if number == 0:
-        return descend(guess, max_iterations, stop)
+        return solve_one(guess, max_iterations, stop)
     return others(guess + scale * smooth(np.random.default_rng([seed, number]), guess.shape), max_iterations, stop)
 
 

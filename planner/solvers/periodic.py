@@ -28,7 +28,7 @@ from planner.base.files import finite
 from planner.problem.periodicity import STEPS
 from planner.problem.plan import Plan, Status
 from planner.problem.problem import Problem
-from planner.solvers.multistart import SEVERAL
+from planner.solvers.options import single_start
 from planner.solvers.periodic_boundary import (
     BoundaryStates,
     ends_of,
@@ -144,7 +144,7 @@ class _Search:
     def go(self, problem: Problem) -> None:
         """One pass, and the problem of the next: None when there is nothing to gain, or nowhere to go."""
         plan = solve(problem, **self.options)
-        self.options = {name: value for name, value in self.options.items() if name not in SEVERAL}
+        self.options = single_start(self.options)
         _, periodic = periodic_problem(plan)
         ran = bool(np.isfinite(plan.xs).all())
         miss = periodic.miss(plan.space, plan.xs) if ran else math.inf

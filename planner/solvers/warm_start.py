@@ -22,9 +22,6 @@ from planner.problem.state_bounds import BoundPenalties
 from planner.problem.trajectory import Trajectory
 from planner.solvers.lqr import tracking_gains
 
-MAX_COST_RATIO = (
-    2.0  # times what the motion costs: a rollout beyond has left it, and states without one are the better guess
-)
 _WEAKEST = 1e-6  # weight on following what the cost leaves free, relative to the largest
 
 
@@ -43,22 +40,27 @@ def warm_start(plan: Plan, problem: Problem) -> np.ndarray:
 
 
 def tracked_warm_start(
-    problem: Problem, given: Plan | Trajectory
+    problem: Problem, given: Plan | Trajectory, max_cost_ratio: float
 ) -> tuple[np.ndarray, np.ndarray | None, BoundPenalties | None]:
     """A first guess from a motion of any duration and step, as the problem's knots sample it.
+
+    Args:
+        problem: The problem.
+        given: The motion.
+        max_cost_ratio: A rollout that costs more than this multiple of the motion has left it.
 
     Returns:
         Controls (N, nu) that follow it, of least cost. Its states (N+1, nx) beside its own controls in their place
         where none stays near it, else None. Its penalties, None for none.
 
     Raises:
-        PlannerError: Neither a Plan nor a Motion, or of another machine.
+        PlannerError: Neither a Plan nor a Trajectory, or of another machine.
     """
     motion = given.motion if isinstance(given, Plan) else given
     if not isinstance(motion, Trajectory):
         raise PlannerError(
-            f"warm_start is {short_repr(given)}, expected a Plan, or what plan.shifted(seconds) or plan.stretched(duration) "
-            "returns."
+            f"warm_start is {short_repr(given)}, expected a Plan, or what plan.shifted(seconds) or "
+            "plan.stretched(duration) returns."
         )
     own, nx, nu = problem.dynamics, motion.xs.shape[1], motion.us.shape[1]
     if (nx, nu, motion.space.ndx) != (own.nx, own.nu, space_of(own).ndx):
@@ -71,7 +73,7 @@ def tracked_warm_start(
         if there.pulls is None or problem.trajectory_constraints is None
         else there.pulls.penalties(problem.trajectory_constraints)
     )
-    xs, us, near = there.xs, there.us, MAX_COST_RATIO * problem.cost.value(there.xs, there.us)
+    xs, us, near = there.xs, there.us, max_cost_ratio * problem.cost.value(there.xs, there.us)
     cost, found = min(feedback_rollout(problem, us), feedback_rollout(problem, us, there.K, xs), key=lambda one: one[0])
     retuned = None if cost <= near else _gains(problem, xs, us)
     if retuned is not None:

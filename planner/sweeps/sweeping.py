@@ -28,8 +28,7 @@ from planner.cases.problem_file.keys import KEYS
 from planner.problem.limits import Limits
 from planner.problem.plan import Plan
 from planner.problem.problem import Problem
-from planner.solvers.multistart import MAX_STARTS
-from planner.solvers.slq import HESSIANS, LINE_SEARCHES, UPDATES
+from planner.solvers.options import HESSIANS, LINE_SEARCHES, MAX_STARTS, UPDATES
 from planner.sweeps.executors import MAX_WORKERS
 from planner.sweeps.grid import Grid, check_names, grid_of
 from planner.sweeps.processes import LocalProcesses

@@ -19,7 +19,7 @@ from solves import (
 import planner
 from planner.kernels.lq.workspace import ACCEPTED
 from planner.solvers.engine import acquire_engine
-from planner.solvers.slq import LINE_SEARCHES, UPDATES
+from planner.solvers.options import LINE_SEARCHES, UPDATES
 
 FRESH = """
 import hashlib, sys

@@ -14,7 +14,6 @@ from planner import FunctionDynamics, Limits, PlannerError, Problem, Status, Tra
 from planner.cases.problem_file import load
 from planner.proof.consistency import consistency, recomputed
 from planner.solvers import lq
-from planner.solvers.box import box_minimum
 from planner.solvers.engine import CompiledEngine, NumpyEngine
 
 TOLERANCE = 1e-14  # of the cost, that the last model promises
@@ -66,7 +65,7 @@ def test_the_minimum_over_a_box_is_that_of_all_active_sets(seed):
     H, h = A @ A.T + 10.0 ** rng.uniform(-3, 0) * np.eye(nu), 3.0 * rng.normal(size=nu)
     lower, upper = -rng.uniform(0.0, 1.0, nu), rng.uniform(0.0, 1.0, nu)
     lower[rng.random(nu) < 0.2] = 0.0  # a control that is at its bound already
-    k, clamped = box_minimum(H, h, lower, upper)
+    k, clamped = lq.solve_box_qp(H, h, lower, upper)
     np.testing.assert_allclose(k, by_active_sets(H, h, lower, upper), atol=1e-8)
     assert np.all((k[clamped] == lower[clamped]) | (k[clamped] == upper[clamped]))
     scipy = minimize(lambda k: 0.5 * k @ H @ k + h @ k, np.zeros(nu), jac=lambda k: H @ k + h, method="L-BFGS-B",
@@ -76,7 +75,7 @@ def test_the_minimum_over_a_box_is_that_of_all_active_sets(seed):
 
 def test_an_indefinite_quadratic_is_refused():
     with pytest.raises(np.linalg.LinAlgError):
-        box_minimum(np.array([[1.0, 2.0], [2.0, 1.0]]), np.zeros(2), -np.ones(2), np.ones(2))
+        lq.solve_box_qp(np.array([[1.0, 2.0], [2.0, 1.0]]), np.zeros(2), -np.ones(2), np.ones(2))
 
 
 def test_bounds_hold_exactly_and_the_end_is_stationary(plan):

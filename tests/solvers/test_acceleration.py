@@ -17,7 +17,7 @@ def problem(request):
 def plain(monkeypatch, problem, **options):
     """The plan of steps alone."""
     with monkeypatch.context() as without:
-        without.setattr(AndersonAcceleration, "after", lambda _, cost, done: done.cost)
+        without.setattr(AndersonAcceleration, "extrapolate", lambda _, cost, after, step, expected: after)
         return planner.solve(problem, **options)
 
 
@@ -34,12 +34,12 @@ def test_a_guess_that_costs_more_leaves_no_trace(monkeypatch, problem):
     """The next step begins where the last one led, to the last bit."""
     tried = []
 
-    def astray(self, us, share):
-        tried.append(share)
+    def astray(self, us, step):
+        tried.append(step)
         return np.zeros((us[0] + 1, self._space.ndx)), np.full(us, 1e4)
 
     slow = plain(monkeypatch, problem)
-    monkeypatch.setattr(AndersonAcceleration, "_guess", astray)
+    monkeypatch.setattr(AndersonAcceleration, "_point", astray)
     after = planner.solve(problem)
     assert tried
     assert after.nit == slow.nit

@@ -119,7 +119,7 @@ def test_the_bend_of_a_tilt_is_its_second_derivative(q):
     """Exactly so where one hinge turns an axis at a right angle to its own: nothing else is curved then."""
     dynamics = RigidBodyDynamics(Mechanism.from_mjcf(HINGE), 0.01)
     measure, n, h = (
-        FrameAxisAngle("cup", (0.1, -0.3, 0.5), (0.0, 1.0, 0.0)).measure(dynamics, 1),
+        FrameAxisAngle("cup", (0.1, -0.3, 0.5), (0.0, 1.0, 0.0)).constraint_function(dynamics, 1),
         np.zeros(1, dtype=int),
         1e-5,
     )

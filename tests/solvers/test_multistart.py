@@ -237,7 +237,7 @@ def test_starts_are_in_the_file(tmp_path):
         ({"starts": 0}, "starts is 0, expected a whole number of at least 1."),
         ({"starts": 2.0}, "starts is 2.0, expected a whole number of at least 1."),
         ({"starts": 2, "seed": -1}, "seed is -1, expected a whole number of at least 0."),
-        ({"starts": 2, "seed": None}, "seed is None, expected a whole number of at least 0."),
+        ({"starts": 2, "seed": 1.5}, "seed is 1.5, expected a whole number of at least 0."),
         ({"spread": 0.0}, "spread is 0.0, expected a finite number greater than 0."),
         ({"starts": 2, "spread": "wide"}, "spread is 'wide', expected a finite number greater than 0."),
     ],

@@ -10,7 +10,8 @@ import pytest
 from planner import Constraint, FunctionDynamics, Limits, Problem, Status, TrackingCost, load_problem, solve
 from planner.cases import two_link
 from planner.solvers import augmented_lagrangian
-from planner.solvers.regularization import FACTOR, LEAST, Regularization
+from planner.solvers.options import SolverOptions
+from planner.solvers.regularization import Regularization
 
 N, DT = 15, 0.1
 
@@ -22,13 +23,11 @@ def point(*constraints):
     return Problem(dynamics, cost, np.zeros(4), constraints=constraints)
 
 
-def test_early_rounds_left_early_lead_to_the_same_plan_sooner(monkeypatch):
+def test_early_rounds_left_early_lead_to_the_same_plan_sooner():
     post = Constraint(lambda xs: np.hypot(xs[:, 0] - 0.5, xs[:, 1] - 0.4), lower=0.3, name="post", unit="m")
     problem = point(post)
     plan = solve(problem)
-    monkeypatch.setattr(augmented_lagrangian, "INEXACT", 0.0)  # the twin: every round to its minimum
-    monkeypatch.setattr(augmented_lagrangian, "ROUGH", 0.0)
-    exact = solve(problem)
+    exact = solve(problem, SolverOptions(inner_accuracy=1e-9, first_round_tolerance=0.0))  # every round to its minimum
     assert plan.status is exact.status is Status.CONVERGED
     assert plan.nit <= 0.7 * exact.nit
     np.testing.assert_allclose(plan.cost, exact.cost, rtol=1e-3)
@@ -50,8 +49,8 @@ def test_it_ends_after_rounds_that_come_no_nearer(errors):
         problem.trajectory_constraints, problem.trajectory_constraints.tolerance, minimize, plan.us, 1000
     )
     assert ended.status is Status.OUTSIDE_LIMITS
-    nearest = int(np.argmin(errors)) if errors[1] < augmented_lagrangian.STALL_RATIO * errors[0] else 0
-    assert len(solved) == nearest + 1 + augmented_lagrangian.MAX_STALLED_ROUNDS
+    nearest = int(np.argmin(errors)) if errors[1] < SolverOptions.stall_ratio * errors[0] else 0
+    assert len(solved) == nearest + 1 + SolverOptions.max_stalled_rounds
 
 
 def test_a_weight_that_a_kink_set_to_zero_comes_back_at_once():
@@ -60,13 +59,13 @@ def test_a_weight_that_a_kink_set_to_zero_comes_back_at_once():
     for _ in range(5):
         regularization.increase()
     before = regularization.mu
-    assert before == pytest.approx(LEAST * FACTOR**4)
-    regularization.decrease(0.5, at_kink=True)
+    assert before == pytest.approx(1e-6 * 10.0**4)
+    regularization.decrease(0.5, nonsmooth=True)
     assert regularization.unregularized
     regularization.increase()
     assert regularization.mu == before
     regularization.increase()
-    assert regularization.mu == pytest.approx(FACTOR * before)
+    assert regularization.mu == pytest.approx(10.0 * before)
 
 
 def test_a_narrow_cone_costs_few_iterations():

@@ -1,5 +1,8 @@
 """What solve() and Problem are told and say: callbacks, names, shapes."""
 
+import re
+from dataclasses import fields
+
 import numpy as np
 import pytest
 from solves import each_engine, engines, flight, hopper, linear, same_bits, swing
@@ -8,7 +11,7 @@ import planner
 from planner import PlannerError, Problem
 from planner.kernels.lq import line_search
 from planner.problem.plan import Iteration
-from planner.solvers.slq import LINE_SEARCHES
+from planner.solvers.options import LINE_SEARCHES, SolverOptions
 
 # What is asked and told
 
@@ -54,7 +57,7 @@ def sentence(error):
     ("arguments", "expected"),
     [
         ({"update": "closed-loop"}, "update is 'closed-loop', expected one of: feedback, open-loop."),
-        ({"update": None}, "update is None, expected one of: feedback, open-loop."),
+        ({"options": {}}, "options is {}, expected a SolverOptions or None."),
         ({"line_search": "wolf"}, "line_search is 'wolf', expected one of: armijo, exact, wolfe, goldstein."),
         ({"line_search": 0}, "line_search is 0, expected one of: armijo, exact, wolfe, goldstein."),
         ({"max_iterations": 0}, "max_iterations is 0, expected a whole number of at least 1."),
@@ -77,6 +80,42 @@ def test_wrong_options_of_solve_are_refused_in_one_sentence(arguments, expected)
     with pytest.raises(PlannerError) as error:
         planner.solve(hopper(), **arguments)
     assert sentence(error).startswith(expected)
+
+
+def test_options_are_overridden_by_keywords_and_recorded():
+    options = SolverOptions(max_iterations=3, update="open-loop", regularization_factor=4.0)
+    plan = planner.solve(hopper(), options, update="feedback")
+    recorded = {name: plan.options[name] for name in ("max_iterations", "update", "regularization_factor")}
+    assert recorded == {"max_iterations": 3, "update": "feedback", "regularization_factor": 4.0}
+    assert plan.nit == 3
+    assert "penalty_growth" not in plan.options  # a default
+
+
+def test_a_plan_with_options_is_that_of_the_same_keywords():
+    same_bits(
+        planner.solve(hopper(), SolverOptions(hessian="exact", line_search="exact")),
+        planner.solve(hopper(), hessian="exact", line_search="exact"),
+    )
+
+
+@pytest.mark.parametrize("name", [field.name for field in fields(SolverOptions)])
+def test_every_option_is_checked_and_told(name):
+    for wrong in (-1, "no", float("nan")):
+        with pytest.raises(PlannerError, match=f"^{name} is "):
+            SolverOptions(**{name: wrong})
+    assert re.search(rf"^        {name}: ", SolverOptions.__doc__, re.M)
+
+
+@pytest.mark.parametrize("change", [
+    {"min_regularization": 1e-2}, {"acceleration_steps": 1}, {"acceleration_max_reduction": 1e-9},
+    {"short_step": 0.9, "state_regularization_factor": 2.0},
+])  # fmt: skip
+def test_constants_of_the_parts_change_the_solve_and_not_the_minimum(change):
+    problem = planner.cases.two_link(horizon=40)
+    usual, changed = (planner.solve(problem, SolverOptions(**more), hessian="exact") for more in ({}, change))
+    assert changed.success
+    assert [line.cost for line in usual.history] != [line.cost for line in changed.history]
+    assert changed.cost == pytest.approx(usual.cost, rel=1e-6)
 
 
 def problem_with(**changes):

@@ -25,7 +25,7 @@ import planner
 from planner import FunctionDynamics, Problem, Status, TrackingCost
 from planner.costs import Quadratic
 from planner.dynamics import HopperDynamics
-from planner.solvers.slq import UPDATES
+from planner.solvers.options import UPDATES
 
 # How a solve ends
 

@@ -7,7 +7,7 @@ from solves import assert_consistent, assert_stationary, hopper, linear, numpy_t
 from trees import CHAINS, actuated
 
 import planner
-from planner import Constraint, Limits, PlannerError, Problem, TrackingCost
+from planner import Constraint, FunctionDynamics, Limits, PlannerError, Problem, TrackingCost
 from planner.dynamics import RigidBodyDynamics
 from planner.model.mechanism import Mechanism
 from planner.problem.costs.terms import Quadratic
@@ -41,7 +41,7 @@ def test_the_sweep_across_gaps_solves_the_quadratic_program(seed):
     Q, R = rng.normal(size=(N + 1, nx, nx)), rng.normal(size=(N, nu, nu))
     m = Quadratic(Q @ Q.swapaxes(1, 2), rng.normal(size=(N + 1, nx)), R @ R.swapaxes(1, 2) + np.eye(nu),
                   rng.normal(size=(N, nu)))  # fmt: skip
-    sweep = lq.riccati(A, B, m, gaps=gaps)
+    sweep = lq.riccati(A, B, m, defects=gaps)
     dxs, dus = lq.direction(A, B, sweep, None, gaps)
     multipliers = np.einsum("nij,nj->ni", sweep.P[1:], dxs[1:]) + sweep.s[1:]
     for ours, theirs in zip((dxs, dus, multipliers), with_defects(A, B, m, gaps), strict=True):
@@ -183,6 +183,15 @@ def test_states_lead_to_a_minimum(make):
         assert_consistent(task, plan)
         assert_stationary(task, plan)
         assert plan.cost == pytest.approx(free.cost, rel=1e-6)
+
+
+def test_states_lead_where_the_rollout_of_the_controls_has_no_cost():
+    dynamics = FunctionDynamics(lambda x, u: x**3 + u, 1, 1, 0.1, "euler")
+    problem = Problem(dynamics, TrackingCost.reach([0.0], 60, final=1.0, effort=1.0), [2.0])
+    plan = planner.solve(problem, states="line")
+    assert plan.success
+    assert "first_guess" not in plan.options  # it was not replaced
+    assert_consistent(problem, plan)
 
 
 def test_states_and_controls_of_a_plan_are_its_end():

@@ -19,7 +19,7 @@ from planner.problem.limit_values import OFF
 from planner.problem.limits import Limits
 from planner.problem.objective import checked_durations, weights_of
 from planner.problem.rediscretize import MAX_STAGES
-from planner.solvers.multistart import MAX_STARTS
+from planner.solvers.options import MAX_STARTS
 
 _FEW = 8  # keys that are listed before the nearest one is suggested
 LONGEST = 2**20  # characters; guesses and weights are short, models are files of their own

@@ -29,7 +29,8 @@ from planner.problem.costs.terms import Quadratic
 from planner.problem.plan import Plan
 from planner.problem.problem import Problem
 from planner.solvers import lq
-from planner.solvers.slq import LINE_SEARCHES, solve
+from planner.solvers.options import LINE_SEARCHES
+from planner.solvers.slq import solve
 from planner.view.plots.style import RED, SOFT, dress, grid_of, save
 
 RANDOM = 300  # LQ problems

@@ -11,7 +11,7 @@ from planner.problem.problem import Problem
 from planner.proof.cures.cure import FILE, Cure, cure, no_cure, rounded_up
 from planner.proof.cures.stage import rates_at_start, rounded_step
 from planner.proof.verdict import Proof
-from planner.solvers.slq import DECREASE
+from planner.solvers.options import EXPECTED_REDUCTION_TOLERANCE
 
 STABLE = 1.0  # of the fastest rate times the stage: RK4 is stable up to 2.8 and exact to a percent at 1
 MAX_TIMES = 30.0  # more iterations
@@ -70,7 +70,7 @@ def iterations_needed(lines: list[Iteration], cost: float) -> int | None:
     if np.any(expected <= 0.0) or not np.isfinite(expected).all():
         return None
     slope = float(np.polyfit(np.arange(len(half)), np.log(expected), 1)[0])
-    enough = DECREASE * max(1.0, abs(cost))
+    enough = EXPECTED_REDUCTION_TOLERANCE * max(1.0, abs(cost))
     if slope >= 0.0:
         return 10 * len(lines) if gained > _GAINED * abs(cost) else None
     more = max(0.0, math.log(expected[-1] / enough) / -slope)

@@ -1,6 +1,6 @@
 """Engine: the memory and the arithmetic of one solve, compiled where dynamics and cost are, in NumPy otherwise.
 
-`borrow` chooses the engine of a solve. It keeps no problem alive: an engine holds its parts, never the Problem.
+acquire_engine chooses the engine of a solve. An engine refers to parts of its Problem, never to the Problem itself.
 """
 
 from __future__ import annotations
@@ -16,15 +16,15 @@ from planner.problem.costs.terms import Cost, SumCost
 from planner.problem.costs.tracking import TrackingCost
 from planner.problem.problem import Problem
 from planner.solvers.engine.compiled import CompiledEngine, NoTracking
-from planner.solvers.engine.constrained_engine import ConstrainedEngine
-from planner.solvers.engine.hybrid_engine import HybridEngine
+from planner.solvers.engine.hybrid_engine import ConstrainedEngine, HybridEngine
 from planner.solvers.engine.in_numpy import NumpyEngine
-from planner.solvers.engine.protocol import DefectStep, Engine, IterationResult
+from planner.solvers.engine.protocol import DefectStep, Direction, Engine, IterationResult
 
 __all__ = [
     "CompiledEngine",
     "ConstrainedEngine",
     "DefectStep",
+    "Direction",
     "Engine",
     "HybridEngine",
     "IterationResult",
@@ -33,51 +33,61 @@ __all__ = [
     "release_engine",
 ]
 
-# Engines that no solve is using, so that a warm solve allocates nothing but its result. They must not refer to their
-# problem, or no problem would ever be freed.
+# Engines that no solve is using: a repeated solve allocates only its result. They must not refer to their problem, or
+# no problem would ever be freed.
 _idle: WeakKeyDictionary[Problem, dict[bool, list[Engine]]] = WeakKeyDictionary()
 
 
 def acquire_engine(problem: Problem, rule: int = line_search.ARMIJO) -> Engine:
-    """An engine for one solve of a problem: compiled if kernels have all of it and of the line line_search."""
+    """An engine for one solve of a problem: compiled if kernels have its dynamics, costs and line search.
+
+    It begins as a new one, whatever solve had it before: a plan depends on its problem alone.
+    """
     try:
-        return _idle_of(problem, rule).pop()
+        engine = _idle_of(problem, rule).pop()
     except IndexError:
-        pass
+        return _new_engine(problem, rule)
+    engine.reset()
+    return engine
+
+
+def _new_engine(problem: Problem, rule: int) -> Engine:
     dynamics, (known, own) = problem.dynamics, _split(problem)
     costs = _compiled(problem, known)
     if costs is not None and isinstance(dynamics, CompiledDynamics) and _has(dynamics, problem, rule, bool(own)):
-        kept = problem.trajectory_constraints
-        if kept is None or kept.rows is None:
+        constraints = problem.trajectory_constraints
+        if constraints is None or constraints.rows is None:
             return HybridEngine(problem, dynamics, *costs, own) if own else CompiledEngine(problem, dynamics, *costs)
         if hasattr(dynamics, "nominal_jacobians"):
-            return ConstrainedEngine(problem, kept, dynamics, *costs, own)
+            return ConstrainedEngine(problem, constraints, dynamics, *costs, own)
     return NumpyEngine(problem)
 
 
 def _idle_of(problem: Problem, rule: int) -> list[Engine]:
-    """Idle engines of a problem for a line search: those for the Wolfe rule may be others."""
+    """Idle engines of a problem for a line search: the Wolfe rule may need an engine of another class."""
     return _idle.setdefault(problem, {}).setdefault(rule == line_search.WOLFE, [])
 
 
 def _has(dynamics: CompiledDynamics, problem: Problem, rule: int, own: bool) -> bool:
-    """Whether the rollouts of compiled dynamics give what ranges, own costs and the line search need."""
+    """Whether compiled dynamics support the problem's state bounds, own costs and line search."""
     if problem.ranges is not None and not getattr(dynamics, "has_ranges", True):
         return False
-    if own and (rule == line_search.WOLFE or not hasattr(dynamics, "take")):  # own costs have no slope at a candidate
+    if own and (
+        rule == line_search.WOLFE or not hasattr(dynamics, "take")
+    ):  # a user's cost has no slope at a candidate
         return False
-    # A clipped control does not change with the step length, which the slopes of the kernels do not know.
+    # The kernels' slopes ignore that a clipped control does not change with the step length.
     return rule != line_search.WOLFE or (dynamics.has_slopes and problem.bounds is None)
 
 
 def compiled_costs(problem: Problem) -> tuple[TrackingCost | NoTracking, ResidualArrays | None] | None:
-    """The TrackingCost and the residuals that a cost is the sum of, if it is and kernels have them all."""
+    """The TrackingCost and the residuals whose sum a cost is; None if it has terms that are not compiled."""
     known, own = _split(problem)
     return None if own else _compiled(problem, known)
 
 
 def _split(problem: Problem) -> tuple[list[Cost], list[Cost]]:
-    """The terms of a cost of kinds that kernels may know, and others: a user's own."""
+    """The terms of a cost that kernels may have, and the others: a user's own."""
     terms = problem.cost.costs if isinstance(problem.cost, SumCost) else (problem.cost,)
     known: list[Cost] = [term for term in terms if isinstance(term, (TrackingCost, ResidualCost))]
     return known, [term for term in terms if not isinstance(term, (TrackingCost, ResidualCost))]
@@ -99,5 +109,5 @@ def _compiled(problem: Problem, terms: list[Cost]) -> tuple[TrackingCost | NoTra
 
 
 def release_engine(problem: Problem, engine: Engine, rule: int = line_search.ARMIJO) -> None:
-    """Keep an engine for the next solve of the same problem with the same line line_search."""
+    """Keep an engine for the next solve of the same problem with the same line search."""
     _idle_of(problem, rule).append(engine)

@@ -14,23 +14,28 @@ from planner.kernels.lq.bounded_riccati import bounded_direction, riccati_dense_
 from planner.kernels.lq.quadratic import gradients
 from planner.kernels.lq.riccati import direction, riccati_dense, riccati_structured
 from planner.kernels.lq.second_order import costates
-from planner.kernels.lq.workspace import ACCEPTED, CONVERGED, INDEFINITE, NO_STEP, W, Workspace
+from planner.kernels.lq.workspace import W, Workspace
 from planner.kernels.precompile import compile_together
 from planner.model.space import StateSpace, space_of
 from planner.problem.costs.residuals.arrays import ResidualArrays
 from planner.problem.costs.tracking import TrackingCost
 from planner.problem.problem import Problem
 from planner.problem.state_bounds import BoundPenalties
-from planner.solvers.engine.active_set_schedule import MAX_SETS, ActiveSetSchedule
-from planner.solvers.engine.protocol import DefectStep, Engine, IterationResult, expected_reduction, state_weights
-from planner.solvers.engine.tracked_trajectory import TrackedTrajectory
-from planner.solvers.engine.warm_start_shift import TrajectoryArrays
+from planner.solvers.engine.protocol import MAX_SETS, ActiveSetSchedule, DefectStep, Direction, Engine, state_weights
+from planner.solvers.engine.tracked_trajectory import TrackedTrajectory, TrajectoryArrays
 
 _EXACT = W.exact
+# Arrays of a Workspace that solves do not write; step bounds of servos are computed before each sweep.
+_READ_ONLY = {
+    "x_ref", "u_ref", "vector_x", "vector_dx", "quaternion_x", "quaternion_dx", "ball", "stage_row", "stage_column",
+    "stage_value", "final_row", "final_column", "final_value", "control_row", "control_column", "control_value",
+    "lower", "upper", "range_lower", "range_upper", "penalty_dx", "servo_control", "servo_start", "servo_x", "servo_dx",
+    "servo_at_start", "servo_at_end", "servo_low", "servo_high",
+}  # fmt: skip
 
 
 class NoTracking:
-    """The weights and references of a TrackingCost that weighs nothing."""
+    """A TrackingCost of weight zero."""
 
     def __init__(self, N: int, space: StateSpace, nu: int) -> None:
         self.Q, self.R = np.zeros((N + 1, space.ndx, space.ndx)), np.zeros((N, nu, nu))
@@ -59,34 +64,49 @@ class CompiledEngine(Engine):
         self._w = Workspace(cost, self._space, dynamics.structured, numbers, penalties, servos)
         free = (riccati_dense, riccati_structured)
         boxed = (riccati_dense_bounded, riccati_structured_bounded)
-        # A plan that is followed and the next one, by turns: nothing of their gains is copied.
-        self._followed: tuple[TrackedTrajectory, TrackedTrajectory] | None = None
         self._riccati = (free if problem.bounds is None else boxed)[dynamics.structured]
-        self._settling, self._hinged = ActiveSetSchedule(), False
-        self._memory = dynamics.memory(problem.N)
+        self._memory = dynamics.memory(problem.N)  # scratch, as _second: kernels write what they read of it
         self._with_residuals = dynamics if residuals is not None and isinstance(dynamics, ResidualDynamics) else None
         if self._with_residuals is not None:
             self._w.use_residuals(self._with_residuals.residuals(residuals))
         self.residuals = self._w.residuals
-        self.largest_control_weight = float(np.abs(cost.R).max()) or 1.0
-        self._state_weights = state_weights(cost.Q, self.largest_control_weight)
+        self._control_weight = float(np.abs(cost.R).max()) or 1.0
+        self._state_weights = state_weights(cost.Q, self._control_weight)
         columns = self._w.first + np.arange(self._w.ndx)
-        self._diagonals = slice(1, -1), columns, columns  # of the states in T, the start's and the end's aside
+        self._diagonals = slice(1, -1), columns, columns  # of the states in T, without start and end
         self._second: Any = None
-        self._exact, self._swept, self.state_regularization = False, False, 0.0
         self._curvature = np.zeros((problem.N - 1, self._w.ndx))  # of T on these diagonals
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget every solve: an engine that is used again begins as a new one."""
+        w = self._w
+        for name, array in w._arrays.items():  # some are made later than others
+            if name not in _READ_ONLY:
+                array.fill(0.0)
+        w.search.fill(0.0)
+        self._curvature.fill(0.0)
+        w.use_gains(w._arrays["K"], w._arrays["K"].ctypes.data)
+        w.use_second_order(False)
+        w.use_defects(False)
+        # The plan that is tracked and the next one, by turns: their gains are not copied.
+        self._tracked: tuple[TrackedTrajectory, TrackedTrajectory] | None = None
+        self._exact, self._second_order_used, self.state_regularization = False, False, 0.0
+        self._schedule, self.largest_control_weight = ActiveSetSchedule(), self._control_weight
+        self.set_penalties(None)
 
     def set_penalties(self, penalties: BoundPenalties | None) -> None:
-        """Have these penalties added to the cost from the next start on; None for none."""
-        if penalties is None:
-            self._w.penalty_weight[:] = 0.0
-        else:
-            self._w.penalty_lower[:], self._w.penalty_upper[:], self._w.penalty_weight[:] = penalties
-        self._hinged = bool(self._w.penalty_weight.any())
+        """Add these penalties to the cost from the next start on; None for none."""
+        w = self._w
+        # No weights, no bounds: that of an open side is infinite, and 0 * inf is not a number.
+        w.penalty_lower[:], w.penalty_upper[:], w.penalty_weight[:] = (
+            (0.0, 0.0, 0.0) if penalties is None else penalties
+        )
+        self._has_penalties = bool(w.penalty_weight.any())
 
     def start_from_controls(self, x0: np.ndarray, us: np.ndarray, exact: bool = False) -> float:
         """Roll out the first guess, within its bounds; its cost."""
-        self._exact, self._swept, self.state_regularization = exact, exact, 0.0
+        self._exact, self._second_order_used, self.state_regularization = exact, exact, 0.0
         if exact and self._second is None:
             self._second = self._dynamics.second_order_memory()
         self._w.use_second_order(exact)
@@ -99,7 +119,7 @@ class CompiledEngine(Engine):
         if self._with_residuals is not None:
             kernels = self._with_residuals.residual_kernels(self._w.residuals.solids)
         compile_together((sweep, "gradients", *active, *kernels, *more))
-        self._settling, self._w.active_bounds[:] = ActiveSetSchedule(), 0.0
+        self._schedule, self._w.active_bounds[:] = ActiveSetSchedule(), 0.0
         self._w.xs[0] = x0
         self._w.us[:] = us if self._bounds is None else self._bounds.clip(slice(None), us, None)
         self._w.dus[:] = 0.0
@@ -107,15 +127,15 @@ class CompiledEngine(Engine):
 
     @property
     def has_active_bounds(self) -> bool:
-        """Whether the last sweep held controls at their bounds."""
+        """Whether the last sweep had controls at their bounds."""
         return bool(self._w.active_bounds.any())
 
     def start_from_trajectory(self, x0: np.ndarray, trajectory: TrajectoryArrays, stages: float = 0.0) -> float:
         """Roll out u = us + K (x - xs) of a trajectory, some stages on, from x0 (nx,), and take it; its cost."""
         w = self._w
-        if self._followed is None:
-            self._followed = TrackedTrajectory(w, self._space), TrackedTrajectory(w, self._space)
-        plan, next_one = self._followed
+        if self._tracked is None:
+            self._tracked = TrackedTrajectory(w, self._space), TrackedTrajectory(w, self._space)
+        plan, next_one = self._tracked
         plan.take(trajectory)
         plan.begin(w, x0, stages)
         cost = self._search(line_search.INITIAL_ROLLOUT, True, math.inf, 0.0)[1]
@@ -123,76 +143,56 @@ class CompiledEngine(Engine):
         return cost
 
     def backtrack_along(self, dxs: np.ndarray, dus: np.ndarray, cost: float) -> tuple[float, float]:
-        """Take the longest part of a change that lowers the cost: which, 0 for none, and the cost after it."""
+        """Take the longest part of a change that lowers the cost: the part, 0 for none, and the cost after it."""
         w = self._w
         w.k[:] = dus - np.einsum("nij,nj->ni", w.K[:, :, w.first : w.first + w.ndx], dxs[:-1])
         return self._search(line_search.DEFECT_STEP, True, cost, 0.0)
 
     def cost_arrays(self) -> dict[str, np.ndarray]:
-        """The weights, references and bounds as kernels read them, which may change between iterations."""
+        """The weights, references and bounds as kernels read them, which may change between iterations.
+
+        A caller that changes them must not release the engine: `reset` does not restore them.
+        """
         return self._w._arrays
 
     def use_tables(self, entries: np.ndarray, addresses: np.ndarray) -> None:
-        """Have kernels read some of these arrays elsewhere, in memory that the caller keeps."""
+        """Let kernels read some of these arrays from memory that the caller keeps."""
         self._w.table[entries] = addresses
 
     def use_second_order(self, exact: bool) -> None:
         """Whether the next sweeps have the second-order terms."""
-        self._swept = exact
+        self._second_order_used = exact
         self._w.use_second_order(exact)
 
-    def _hold(self) -> None:
-        """Put `hold` onto the diagonals of what the sweep adds to its Hessians; start and end are free of it."""
+    def _add_state_regularization(self) -> None:
+        """Add the weight on changes of the states to the Hessians of the sweep, except at the first and the last."""
         w, weights = self._w, self.state_regularization * self._state_weights
-        w.use_second_order(self._swept, not self._swept and self.state_regularization > 0.0)
-        if self._swept:
+        w.use_second_order(self._second_order_used, not self._second_order_used and self.state_regularization > 0.0)
+        if self._second_order_used:
             w.T[self._diagonals] = self._curvature + weights
         elif self.state_regularization > 0.0:
             w.state_regularization[self._diagonals] = weights
 
-    def iterate(
-        self, feedback: bool, rule: int, mu: float, fresh: bool, cost: float,
-        gradient_tolerance: float, expected_reduction_tolerance: float,
-    ) -> IterationResult:  # fmt: skip
-        """Linearize (if `fresh`), sweep, search, accept."""
-        w, dynamics = self._w, self._dynamics
-        if fresh:
+    def compute_direction(self, mu: float, relinearize: bool, active_set: bool = True) -> Direction:
+        """Linearize (if `relinearize`) and solve the LQ problem with mu added to R (Eq. 31-35)."""
+        w, dt, bounded = self._w, self._dynamics.dt, self._bounds is not None
+        if relinearize:
             self._linearize(self._exact)
         if self._exact or self.state_regularization > 0.0 or w.table[_EXACT]:
-            self._hold()
-        self._boxed()
-        norm, slope, value, definite = self._solve_lq(mu, expected_reduction_tolerance < math.inf)
-        if not definite:
-            return IterationResult(INDEFINITE, norm, 0.0, 0.0, 0.0, cost)
-        if norm <= gradient_tolerance or -value <= expected_reduction_tolerance:
-            return IterationResult(CONVERGED, norm, slope, 0.0, -value, cost)
-        if not feedback and self._bounds is None:
-            direction(w.table, dynamics.dt)
-        step, after = self._search(rule, feedback, cost, slope) if slope < 0.0 else (0.0, cost)  # Eq. 36
-        if step == 0.0:
-            return IterationResult(NO_STEP, norm, slope, 0.0, -value, cost)
-        return IterationResult(ACCEPTED, norm, slope, step, expected_reduction(slope, value, step), after)
-
-    def _solve_lq(self, mu: float, settle: bool) -> tuple[float, float, float, bool]:
-        """Sweep: the gradient's norm, the slope of J, the model's value at its minimum, and whether it is definite.
-
-        With `settle` until the set of bounds and penalties is found that the motion tells. Where none is, or without,
-        each
-        stage has its box, and penalties pull where they do now.
-        """
-        w, dt, bounded = self._w, self._dynamics.dt, self._bounds is not None
-        if settle and (bounded or self._hinged) and self._settling.due():
-            found = self._settled(mu)
+            self._add_state_regularization()
+        self._update_step_bounds()
+        if active_set and (bounded or self._has_penalties) and self._schedule.due():
+            found = self._active_set_direction(mu)
             update_active_set(w.table, dt, True)
             if found is not None:
                 return found
         norm, value, definite = self._riccati(w.table, mu, dt, *([False] if bounded else []))
         if not bounded:
-            return norm, value, 0.5 * value, definite
-        return norm, bounded_direction(w.table, dt) if definite else 0.0, value, definite
+            return Direction(norm, value, 0.5 * value, definite)
+        return Direction(norm, bounded_direction(w.table, dt) if definite else 0.0, value, definite)
 
-    def _settled(self, mu: float) -> tuple[float, float, float, bool] | None:
-        """What _solve_lq returns, of a set that tells itself; None where none is found."""
+    def _active_set_direction(self, mu: float) -> Direction | None:
+        """The direction whose active bounds and penalties are those that it meets; None where none is found."""
         w, dt, bounded = self._w, self._dynamics.dt, self._bounds is not None
         gradient_norm = 0.0
         for sets in range(MAX_SETS):
@@ -200,51 +200,61 @@ class CompiledEngine(Engine):
             if not definite:
                 break
             if sets == 0:
-                gradient_norm = norm  # the next ones have other penalties
+                gradient_norm = norm  # the next sweeps have other penalties
             changes, more_cost, more_slope = update_active_set(w.table, dt, False)
             if changes == 0:
-                self._settling.record_convergence()
+                self._schedule.record_convergence()
                 slope = bounded_direction(w.table, dt) if bounded else value
-                return gradient_norm, slope + more_slope, (value if bounded else 0.5 * value) + more_cost, True
-        self._settling.record_cycle()
+                change = (value if bounded else 0.5 * value) + more_cost
+                return Direction(gradient_norm, slope + more_slope, change, True)
+        self._schedule.record_cycle()
         return None
 
+    def line_search(self, feedback: bool, rule: int, cost: float, slope: float) -> tuple[float, float]:
+        """Take a step along the direction (Eq. 36): its length, 0 for none, and the cost after it."""
+        if not slope < 0.0:  # clipping may undo a direction
+            return 0.0, cost
+        if not feedback and self._bounds is None:
+            direction(self._w.table, self._dynamics.dt)
+        step, after = self._search(rule, feedback, cost, slope)
+        return step, after if step else cost
+
     def _linearize(self, second: bool) -> None:
-        """What the sweep needs along the trajectory, with second-order terms or without."""
+        """Derivatives of dynamics and cost along the trajectory; with `second` those of second order."""
         w, dynamics = self._w, self._dynamics
         dynamics.linearize_nominal(w, self._memory)  # Eq. 35
         gradients(w.table)
         if self._with_residuals is not None:
             self._with_residuals.quadratize_nominal(w, self._memory)
-        self._quadratize_more()
+        self._quadratize_own()
         if second:
             costates(w.table, dynamics.dt)
             self._second_order()
         if len(w.T):
             self._curvature[:] = w.T[self._diagonals]
 
-    def _boxed(self) -> None:
-        """The bounds of servos at the states."""
+    def _update_step_bounds(self) -> None:
+        """Compute the step bounds of servos, which depend on the state."""
         w, bounds = self._w, self._bounds
         if bounds is not None and bounds.servos is not None:
             w.lower[:], w.upper[:], w.lower_share[:], w.upper_share[:] = bounds.shares(w.xs, w.us)
 
     def set_trajectory(self, xs: np.ndarray, us: np.ndarray) -> np.ndarray:
-        """Take states (N+1, nx) and controls (N, nu) as the trajectory, after a start; its gaps (N, ndx)."""
+        """Take states (N+1, nx) and controls (N, nu) as the trajectory, after a start; its defects (N, ndx)."""
         w = self._w
         w.xs[:], w.us[:] = xs, us
         return self._space.difference(self._dynamics.stage_ends(w, self._memory), w.xs[1:])
 
-    def defect_direction(self, gaps: np.ndarray, fresh: bool) -> DefectStep | None:
-        """Linearize (if `fresh`) and sweep across these gaps; None where the sweep is not definite."""
+    def defect_direction(self, defects: np.ndarray, relinearize: bool) -> DefectStep | None:
+        """The direction along states with these defects (N, ndx); None where the sweep is not definite."""
         w, dt = self._w, self._dynamics.dt
-        if fresh:
+        if relinearize:
             self._linearize(False)
         self.use_second_order(False)
-        self._hold()
-        self._boxed()
+        self._add_state_regularization()
+        self._update_step_bounds()
         w.use_defects(True)
-        w.defects[:] = gaps
+        w.defects[:] = defects
         boxed = () if self._bounds is None else (False,)
         norm, _, definite = self._riccati(w.table, 0.0, dt, *boxed)
         if definite:
@@ -258,21 +268,21 @@ class CompiledEngine(Engine):
         return DefectStep(w.dxs.copy(), w.dus.copy(), multipliers, slope, norm)
 
     def rollout_closing_defects(self, cost: float, slope: float) -> tuple[float, float]:
-        """Close the gaps by a rollout with the gains of `cross`, if Armijo's rule takes one of the first steps."""
+        """Roll out with the gains of defect_direction, which closes all defects, if Armijo's rule accepts a step."""
         return self._search(line_search.DEFECT_STEP, True, cost, slope)
 
     def _search(self, rule: int, feedback: bool, cost: float, slope: float) -> tuple[float, float]:
-        """The step that is taken and the cost after it."""
+        """One line search of the kernels: the step, 0 for none, and the cost after it."""
         return self._dynamics.search(self._w, self._memory, rule, feedback, cost, slope)
 
-    def _quadratize_more(self) -> None:
-        """What a subclass adds to gradients and Hessians along the trajectory."""
+    def _quadratize_own(self) -> None:
+        """Add gradients and Hessians of terms that are not compiled; a subclass has them."""
 
     def _second_order(self) -> None:
         self._dynamics.second_order_nominal(self._w, self._memory, self._second)
 
     def gradient(self) -> np.ndarray:
-        """A copy of the gradient (N, nu) of Eq. 19, as the last sweep found it."""
+        """A copy of the gradient (N, nu) of Eq. 19 that the last sweep computed."""
         return self._w.gradient.copy()
 
     def trajectory(self) -> tuple[np.ndarray, np.ndarray]:
@@ -284,16 +294,16 @@ class CompiledEngine(Engine):
         first = self._w.first
         return self._w.K[:, :, first : first + self._w.ndx].copy()
 
-    def read(self, most: float) -> TrajectoryArrays | None:
-        """The trajectory and its gains, in memory that is another plan's when the next but one is read.
+    def read(self, max_norm: float) -> TrajectoryArrays | None:
+        """The trajectory and its gains, in memory that the next but one call overwrites.
 
-        None where the norm of its last state is not below `most`.
+        None where the norm of its last state is not below `max_norm`.
         """
-        if self._followed is None:
-            self._followed = TrackedTrajectory(self._w, self._space), TrackedTrajectory(self._w, self._space)
-            self._followed[1].K[:] = self.gains()
-        plan, next_one = self._followed
-        if not next_one.keep(self._w) < most**2:
+        if self._tracked is None:
+            self._tracked = TrackedTrajectory(self._w, self._space), TrackedTrajectory(self._w, self._space)
+            self._tracked[1].K[:] = self.gains()
+        plan, next_one = self._tracked
+        if not next_one.keep(self._w) < max_norm**2:
             return None
-        self._followed = next_one, plan
+        self._tracked = next_one, plan
         return next_one.trajectory

@@ -1,50 +1,59 @@
-"""The engine of compiled dynamics and costs with others in NumPy beside them: a user's own costs.
+"""Engines of compiled dynamics and costs with further terms in NumPy: a user's own costs and constraints.
 
-The kernels roll candidates out and know the most of their cost. NumPy adds what it knows: a cost to each candidate of
-the line search, and along the trajectory gradients to l and Hessians, with what is mixed of controls and states, to T
-of the sweep. So what a user adds costs what it takes itself, and no more.
+Kernels roll candidates out and sum the compiled costs. NumPy adds the other terms: a cost to each candidate of the line
+search, and along the trajectory gradients to l and Hessians, with their mixed blocks, to T of the sweep.
+
+Constraints of compiled terms are residuals: each bound is a row of their table, whose bounds and weights the
+multipliers change. Other constraints, a user's function or power, are further terms in NumPy.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from planner.kernels.lq import line_search
 from planner.kernels.lq.workspace import ALPHA, COSTS, SLOPES
-from planner.problem.costs.residuals.arrays import ResidualArrays
+from planner.problem.constraints.quantities import ResidualFunction, penalty_arrays
+from planner.problem.constraints.trajectory_constraints import TrajectoryConstraints
+from planner.problem.costs.residuals.arrays import ResidualArrays, joined
 from planner.problem.costs.terms import Cost, SumCost
 from planner.problem.problem import Problem
+from planner.problem.state_bounds import BoundPenalties
 from planner.solvers.engine.compiled import CompiledEngine
 from planner.solvers.engine.protocol import check_shapes
 
 
 class HybridEngine(CompiledEngine):
-    """Compiled dynamics and costs, and other costs beside them.
+    """Compiled dynamics and costs, and further costs in NumPy.
 
     Args:
-        problem: Whose cost is the sum of all.
+        problem: Its cost is the sum of all.
         dynamics: Compiled.
-        cost: What kernels know.
-        residuals: What they know too.
-        own: What they do not know.
+        cost: The compiled tracking cost.
+        residuals: The compiled residuals; None for none.
+        own: Costs in NumPy.
     """
 
     def __init__(
         self, problem: Problem, dynamics: Any, cost: Any, residuals: ResidualArrays | None = None,
         own: Sequence[Cost] = (),
     ) -> None:  # fmt: skip
-        super().__init__(problem, dynamics, cost, residuals)
         self._own: Cost | None = None if not own else own[0] if len(own) == 1 else SumCost(*own)
         self._R = cost.R
-        self._adds = bool(own)  # whether anything is added
+        self._adds = bool(own)  # whether there are terms in NumPy
         self._dynamics_of = dynamics
         self._upper: np.ndarray | None = None  # (width, width) 1 where T is read
-        self._of_dynamics: np.ndarray | None = None  # T of the second order alone
-        self._touched = np.empty(0, dtype=int)  # stages whose T has something added
+        super().__init__(problem, dynamics, cost, residuals)
+
+    def reset(self) -> None:
+        """Forget every solve: an engine that is used again begins as a new one."""
+        super().reset()
+        self._of_dynamics: np.ndarray | None = None  # T of the dynamics' second order alone
+        self._changed_stages = np.empty(0, dtype=int)  # of T, to which terms were added
 
     def start_from_controls(self, x0: np.ndarray, us: np.ndarray, exact: bool = False) -> float:
         """Roll out the first guess, within its bounds; its cost."""
@@ -66,11 +75,11 @@ class HybridEngine(CompiledEngine):
             step, J = super()._search(rule, feedback, cost, slope)
             return step, J + self._value(w.xs, w.us) if self._adds and math.isfinite(J) else J
         alpha, costs, slopes = (w.search[row] for row in (ALPHA, COSTS, SLOPES))
-        bracket = np.empty(3)  # a TRY begins another one in the memory of the search
+        bracket = np.empty(3)  # EVALUATE_ONLY overwrites the one of the search
         line_search.first_step_lengths(rule, alpha, bracket)
         for _ in range(line_search.batches(rule)):
             super()._search(line_search.EVALUATE_ONLY, feedback, cost, slope)
-            for i in range(len(alpha)):  # one by one: Armijo need not know the cost of all
+            for i in range(len(alpha)):  # one by one: Armijo may stop early
                 costs[i] += self._value(*w.trial(i)) if math.isfinite(costs[i]) else 0.0
                 if line_search.decided(rule, alpha, costs, cost, slope, i + 1):
                     costs[i + 1 :] = math.nan
@@ -83,17 +92,19 @@ class HybridEngine(CompiledEngine):
         return 0.0, cost
 
     def _value(self, xs: np.ndarray, us: np.ndarray) -> float:
-        """The cost that is added."""
-        return 0.0 if self._own is None else float(self._own.value(xs.copy(), us.copy()))  # its maker may keep them
+        """The cost of the terms in NumPy."""
+        return (
+            0.0 if self._own is None else float(self._own.value(xs.copy(), us.copy()))
+        )  # a user's cost may store them
 
-    def _quadratize_more(self) -> None:
-        """Gradients and Hessians that are added along the trajectory."""
+    def _quadratize_own(self) -> None:
+        """Add gradients and Hessians of the terms in NumPy along the trajectory."""
         if not self._adds:
             return
         w = self._w
         self._of_dynamics = None
-        w.T[self._touched] = 0.0
-        self._touched = self._touched[:0]
+        w.T[self._changed_stages] = 0.0
+        self._changed_stages = self._changed_stages[:0]
         if self._own is None:
             return
         model = self._own.quadratize(w.xs.copy(), w.us.copy())
@@ -106,7 +117,7 @@ class HybridEngine(CompiledEngine):
         w.T[:-1, :nu, :nu] = model.R * self._upper[:nu, :nu]
         if model.S is not None:
             w.T[:-1, :nu, x] = model.S
-        self._touched = np.arange(len(w.T))
+        self._changed_stages = np.arange(len(w.T))
 
     def _second_order(self) -> None:
         if not self._adds:
@@ -117,25 +128,111 @@ class HybridEngine(CompiledEngine):
         w.T[:] = 0.0
         super()._second_order()
         self._of_dynamics = w.T.copy()
-        w.T[:] = own + self._of_dynamics if self._swept else own
-        self._touched = np.arange(len(w.T))
+        w.T[:] = own + self._of_dynamics if self._second_order_used else own
+        self._changed_stages = np.arange(len(w.T))
 
     def use_second_order(self, exact: bool) -> None:
         """Whether the next sweeps have the second-order terms."""
         if not self._adds:
             super().use_second_order(exact)
             return
-        if self._of_dynamics is not None and exact != self._swept:
+        if self._of_dynamics is not None and exact != self._second_order_used:
             T = self._w.T
             T[self._diagonals] = self._curvature
             T[:] += self._of_dynamics if exact else -self._of_dynamics
             self._curvature[:] = T[self._diagonals]
-        self._swept = exact
+        self._second_order_used = exact
 
-    def _hold(self) -> None:
+    def _add_state_regularization(self) -> None:
         if not self._adds:
-            super()._hold()
+            super()._add_state_regularization()
             return
         self._w.T[self._diagonals] = self._curvature + self.state_regularization * self._state_weights
         if self.state_regularization > 0.0:
-            self._touched = np.arange(len(self._w.T))
+            self._changed_stages = np.arange(len(self._w.T))
+
+
+class _Bounds(NamedTuple):
+    """Rows of the residual table for the lower, or the upper, bounds of some columns of the penalties."""
+
+    rows: slice
+    columns: slice
+    lower: bool
+
+
+class ConstrainedEngine(HybridEngine):
+    """Compiled dynamics and costs, and constraints.
+
+    Args: As HybridEngine, and the problem's constraints.
+    """
+
+    def __init__(
+        self, problem: Problem, constraints: TrajectoryConstraints, dynamics: Any, cost: Any,
+        residuals: ResidualArrays | None = None, own: Sequence[Cost] = (),
+    ) -> None:  # fmt: skip
+        assert constraints.rows is not None
+        rows = constraints.rows
+        compiled = [part for part in rows.parts if isinstance(part.function, ResidualFunction)]
+        terms, self._bounds_of = [] if residuals is None else [residuals], list[_Bounds]()
+        first = sum(len(part.weight) for part in terms)
+        for part in compiled:
+            function: Any = part.function  # a ResidualFunction
+            lower, upper, R = rows.lower[:, part.columns], rows.upper[:, part.columns], function.rows
+            bounded = np.isfinite(lower) | np.isfinite(upper)
+            exact = bool(np.all((lower == upper)[bounded]))
+            for side, used in ((0.0, exact), (-1.0, not exact and np.isfinite(lower).any()),
+                               (1.0, not exact and np.isfinite(upper).any())):  # fmt: skip
+                if used:
+                    terms.append(penalty_arrays(function.arrays, np.full(R, side), rows.N))
+                    self._bounds_of.append(_Bounds(slice(first, first + R), part.columns, side < 0.0))
+                    first += R
+        self._constraints, self._scale = constraints, rows.scale
+        others, self._columns = rows.subset([part for part in rows.parts if part not in compiled])
+        self._others = TrajectoryConstraints(None, others, constraints.tolerance) if others.parts else None
+        super().__init__(problem, dynamics, cost, joined(terms) if terms else None, own)
+        self._adds = self._adds or self._others is not None
+
+    def set_penalties(self, penalties: BoundPenalties | None) -> None:
+        """Add these penalties to the cost from the next start on; None for none."""
+        constraints = self._constraints
+        super().set_penalties(
+            None if penalties is None or constraints.ranges is None else constraints.of_ranges(penalties)
+        )
+        if self._bounds_of:
+            of_rows = None if penalties is None else constraints.of_rows(penalties)
+            for rows, columns, lower in self._bounds_of:
+                if of_rows is None:
+                    self.residuals.bound[rows] = self.residuals.weight[rows] = 0.0
+                    continue
+                scale = self._scale[columns, None]
+                bound = (of_rows.lower if lower else of_rows.upper)[:, columns].T
+                known = np.isfinite(bound)
+                self.residuals.bound[rows] = np.where(known, bound, 0.0) / scale
+                self.residuals.weight[rows] = np.where(known, of_rows.weight[:, columns].T, 0.0) * scale**2
+            self.residuals.changed()
+        self._penalties: BoundPenalties | None = None  # of constraints in NumPy
+        if self._others is not None and penalties is not None:
+            self._penalties = BoundPenalties(*(part[:, self._columns] for part in constraints.of_rows(penalties)))
+
+    def _value(self, xs: np.ndarray, us: np.ndarray) -> float:
+        """The cost of the terms in NumPy and of the penalties of constraints in NumPy."""
+        own = super()._value(xs, us)
+        if self._penalties is None or self._others is None:
+            return own
+        return own + self._others.value_of_rows(self._penalties, xs, us)
+
+    def _quadratize_own(self) -> None:
+        super()._quadratize_own()
+        w, others = self._w, self._others
+        if others is None or self._penalties is None:
+            return
+        A, B = self._dynamics_of.nominal_jacobians(w)
+        n, by_z, slope, curvature = others.penalty_derivatives(self._penalties, w.xs, w.us, A, B)
+        if not len(n):
+            return
+        nu, first, ndx = w.us.shape[1], w.first, w.ndx
+        rows = np.zeros((len(n), slope.shape[1], w.T.shape[1]))
+        rows[:, :, first : first + ndx], rows[:, :, :nu] = by_z[:, :, :ndx], by_z[:, :, ndx:]
+        w.l[n] += np.einsum("ncz,nc->nz", rows, slope)
+        w.T[n] += np.triu(np.swapaxes(rows, 1, 2) @ (curvature[:, :, None] * rows))
+        self._changed_stages = np.union1d(self._changed_stages, n)

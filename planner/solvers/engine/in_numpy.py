@@ -1,4 +1,4 @@
-"""The engine over the protocols of dynamics and cost, for a user's own Python; its line search is the kernels'."""
+"""The engine of any dynamics and costs, in NumPy: for a user's own Python. Its line search rules are compiled."""
 
 from __future__ import annotations
 
@@ -8,7 +8,6 @@ import numpy as np
 
 from planner.base.errors import PlannerError
 from planner.kernels.lq import line_search
-from planner.kernels.lq.workspace import ACCEPTED, CONVERGED, INDEFINITE, NO_STEP
 from planner.kernels.numba.jit import announce
 from planner.kernels.numba.lanes import WIDTH
 from planner.model.space import space_of
@@ -18,17 +17,16 @@ from planner.problem.costs.tracking import tracking_of
 from planner.problem.problem import Problem
 from planner.problem.state_bounds import BoundPenalties
 from planner.solvers import lq
-from planner.solvers.active_set import StatePenalties, solve_active_set
-from planner.solvers.engine.active_set_schedule import MAX_SETS, ActiveSetSchedule
 from planner.solvers.engine.protocol import (
+    MAX_SETS,
+    ActiveSetSchedule,
     DefectStep,
+    Direction,
     Engine,
-    IterationResult,
     check_shapes,
-    expected_reduction,
     state_weights,
 )
-from planner.solvers.engine.warm_start_shift import TrajectoryArrays, shift_trajectory
+from planner.solvers.engine.tracked_trajectory import TrajectoryArrays, shift_trajectory
 
 
 class NumpyEngine(Engine):
@@ -36,37 +34,47 @@ class NumpyEngine(Engine):
 
     def __init__(self, problem: Problem) -> None:
         announce(line_search.choose)
-        self._dynamics, self._cost, self._bounds = problem.dynamics, problem.cost, problem.bounds
-        self._kept = problem.trajectory_constraints
-        self._penalties: BoundPenalties | None = None
-        # Where eight candidates cost as much as eight rollouts, Armijo tries them one by one, the longest first. Its
+        self._dynamics, self._own_cost, self._bounds = problem.dynamics, problem.cost, problem.bounds
+        self._constraints = problem.trajectory_constraints
+        # Without batches, eight candidates cost eight rollouts: Armijo tries them one by one, the longest first. The
         # step is the same.
-        self._together = bool(getattr(problem.dynamics, "batched", True))
+        self._batched = bool(getattr(problem.dynamics, "batched", True))
         self._bracket = np.empty(3)
-        self.largest_control_weight, self.state_regularization = 1.0, 0.0
-        self._sweep: lq.Sweep | None = None
-        self._exact, self._swept, self._second = False, False, None
-        self._settling, self._held = ActiveSetSchedule(), np.zeros((problem.N, problem.dynamics.nu))
         self._space = space_of(problem.dynamics)
         self._gains = (problem.N, problem.dynamics.nu, self._space.ndx)
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget every solve: an engine that is used again begins as a new one."""
+        N, nu, ndx = self._gains
+        self._cost, self.largest_control_weight, self.state_regularization = self._own_cost, 1.0, 0.0
+        self._state_weights = np.ones(ndx)  # until a start of finite cost
+        self._penalties: BoundPenalties | None = None
+        self._sweep: lq.Sweep | None = None
+        self._exact, self._second_order_used, self._second = False, False, None
+        self._schedule, self._active, self._gradient = ActiveSetSchedule(), np.zeros((N, nu)), np.zeros((N, nu))
         # One attribute, so that an interrupt never leaves states of one trajectory with controls of another.
-        self._nominal = np.empty((0, problem.dynamics.nx)), np.empty((0, problem.dynamics.nu))
+        self._nominal = np.empty((0, self._space.nx)), np.empty((0, nu))
 
     def set_penalties(self, penalties: BoundPenalties | None) -> None:
-        """Have these penalties added to the cost from the next start on; None for none."""
+        """Add these penalties to the cost from the next start on; None for none."""
         self._penalties = penalties
 
     def _value(self, xs: np.ndarray, us: np.ndarray) -> float:
         J = self._cost.value(xs, us)
-        return J if self._penalties is None or self._kept is None else J + self._kept.value(self._penalties, xs, us)
+        return (
+            J
+            if self._penalties is None or self._constraints is None
+            else J + self._constraints.value(self._penalties, xs, us)
+        )
 
     def _quadratized(self, xs: np.ndarray, us: np.ndarray, A: np.ndarray, B: np.ndarray) -> Quadratic:
         model = self._cost.quadratize(xs, us)
-        if self._penalties is None or self._kept is None:
+        if self._penalties is None or self._constraints is None:
             return model
-        return self._kept.with_penalties(self._penalties, model, xs, us, A, B)
+        return self._constraints.with_penalties(self._penalties, model, xs, us, A, B)
 
-    def _moves(self, xs: np.ndarray, us: np.ndarray) -> StepBounds | None:
+    def _step_bounds(self, xs: np.ndarray, us: np.ndarray) -> StepBounds | None:
         """How far each control may change from us (N, nu) along the states xs (N+1, nx)."""
         return None if self._bounds is None else self._bounds.step_bounds(xs, us)
 
@@ -77,8 +85,8 @@ class NumpyEngine(Engine):
                 'hessian="exact" needs second derivatives and these dynamics have none, expected a method '
                 "second_order(xs, us, costates) (see planner.dynamics.Dynamics)."
             )
-        self._exact = self._swept = exact
-        self.state_regularization, self._settling, self._held = 0.0, ActiveSetSchedule(), np.zeros(us.shape)
+        self._exact = self._second_order_used = exact
+        self.state_regularization, self._schedule, self._active = 0.0, ActiveSetSchedule(), np.zeros(us.shape)
         first = us[:, None, :].copy()
         xs, J = self._rollout(x0, first, None, us)  # no gains yet
         self._nominal = xs[:, 0].copy(), first[:, 0].copy()
@@ -87,14 +95,14 @@ class NumpyEngine(Engine):
             model = self._cost.quadratize(*self._nominal)
             self.largest_control_weight = float(np.abs(model.R).max()) or 1.0
             tracking = tracking_of(self._cost)
-            Q = model.Q if tracking is None else tracking.Q  # as the kernels', which no rotation turns
+            Q = model.Q if tracking is None else tracking.Q  # as in the kernels, in no rotated frame
             self._state_weights = state_weights(Q, self.largest_control_weight)
         return float(J[0])
 
     @property
     def has_active_bounds(self) -> bool:
-        """Whether the last sweep held controls at their bounds."""
-        return bool(self._held.any())
+        """Whether the last sweep had controls at their bounds."""
+        return bool(self._active.any())
 
     def start_from_trajectory(self, x0: np.ndarray, trajectory: TrajectoryArrays, stages: float = 0.0) -> float:
         """Roll out u = us + K (x - xs) of a trajectory, some stages on, from x0 (nx,), and take it; its cost."""
@@ -106,13 +114,13 @@ class NumpyEngine(Engine):
         return float(J[0])
 
     def backtrack_along(self, dxs: np.ndarray, dus: np.ndarray, cost: float) -> tuple[float, float]:
-        """Take the longest part of a change that lowers the cost: which, 0 for none, and the cost after it."""
+        """Take the longest part of a change that lowers the cost: the part, 0 for none, and the cost after it."""
         assert self._sweep is not None
         k = dus - np.einsum("nij,nj->ni", self._sweep.K, dxs[:-1])
         return self._search_once(k, cost, 0.0)
 
     def weigh(self, cost: Cost) -> None:
-        """Have another cost of the same shapes from the next rollout on."""
+        """Use another cost of the same shapes from the next rollout on."""
         self._cost = cost
 
     def _rollout(
@@ -122,7 +130,7 @@ class NumpyEngine(Engine):
         N, candidates, _ = us.shape
         xs = np.empty((N + 1, candidates, len(x0)))
         xs[0] = x0
-        with np.errstate(all="ignore"):  # a candidate may run away: its cost says so
+        with np.errstate(all="ignore"):  # a candidate may diverge: its cost is then not finite
             for n in range(N):
                 if K is not None:
                     us[n] += self._space.difference(xs[n], nominal[n]) @ K[n].T
@@ -135,24 +143,24 @@ class NumpyEngine(Engine):
     def _slope(self, xs: np.ndarray, us: np.ndarray, K: np.ndarray | None) -> float:
         """dJ/dalpha of the update at one candidate xs (N+1, nx), us (N, nu)."""
         A, B = self._dynamics.linearize(xs, us)
-        model, moves = self._quadratized(xs, us, A, B), self._moves(xs, us)
-        if K is not None and self._space.quaternions:  # the deviation from the nominal turns as x does
+        model, bounds = self._quadratized(xs, us, A, B), self._step_bounds(xs, us)
+        if K is not None and self._space.quaternions:  # difference(x, nominal) depends on x
             K = K @ self._space.difference_jacobian(self._space.difference(xs[:-1], self._nominal[0][:-1]))
         dx, total = np.zeros(self._space.ndx), 0.0
         for n in range(len(us)):
             du = self._dus[n] + K[n] @ dx if K is not None else self._dus[n]
-            if moves is not None:  # what is clipped stays where it is, or follows its bound
-                floor = 0.0 if moves.lower_by_x is None else moves.lower_by_x[n] @ dx
-                ceiling = 0.0 if moves.upper_by_x is None else moves.upper_by_x[n] @ dx
-                du = np.where((moves.lower[n] >= 0.0) & (du < floor), floor, du)
-                du = np.where((moves.upper[n] <= 0.0) & (du > ceiling), ceiling, du)
+            if bounds is not None:  # a clipped control stays at its bound, which may depend on the state
+                floor = 0.0 if bounds.lower_by_x is None else bounds.lower_by_x[n] @ dx
+                ceiling = 0.0 if bounds.upper_by_x is None else bounds.upper_by_x[n] @ dx
+                du = np.where((bounds.lower[n] >= 0.0) & (du < floor), floor, du)
+                du = np.where((bounds.upper[n] <= 0.0) & (du > ceiling), ceiling, du)
             total += float(model.q[n] @ dx + model.r[n] @ du)
             dx = A[n] @ dx + B[n] @ du
         return total + float(model.q[-1] @ dx)
 
     def use_second_order(self, exact: bool) -> None:
         """Whether the next sweeps have the second-order terms."""
-        self._swept = exact
+        self._second_order_used = exact
 
     def _second_order(self, xs: np.ndarray, us: np.ndarray) -> np.ndarray:
         """The dynamics' second-order terms (N, ndx+nu, ndx+nu) for the costates of the trajectory."""
@@ -164,31 +172,30 @@ class NumpyEngine(Engine):
             raise PlannerError(f"the dynamics' second_order gives an array of shape {T.shape}, expected {expected}.")
         return T
 
-    def iterate(
-        self, feedback: bool, rule: int, mu: float, fresh: bool, cost: float,
-        gradient_tolerance: float, expected_reduction_tolerance: float,
-    ) -> IterationResult:  # fmt: skip
-        """Linearize (if `fresh`), sweep, search, accept."""
-        xs0, us0 = self._nominal
-        if fresh:
+    def compute_direction(self, mu: float, relinearize: bool, active_set: bool = True) -> Direction:
+        """Linearize (if `relinearize`) and solve the LQ problem with mu added to R (Eq. 31-35)."""
+        if relinearize:
             self._linearize()
-            self._second = self._second_order(xs0, us0) if self._exact else None
-        moves = self._moves(xs0, us0)
-        sweep = self._solve_lq(mu, moves, expected_reduction_tolerance < np.inf)
+            self._second = self._second_order(*self._nominal) if self._exact else None
+        bounds = self._step_bounds(*self._nominal)
+        sweep = self._solve_lq(mu, bounds, active_set)
         if sweep is None:
-            return IterationResult(INDEFINITE, self._norm, 0.0, 0.0, 0.0, cost)
-        self._sweep, slope = sweep, sweep.slope
-        if self._norm <= gradient_tolerance or -sweep.value <= expected_reduction_tolerance:
-            return IterationResult(CONVERGED, self._norm, slope, 0.0, -sweep.value, cost)
-        if slope >= 0.0:  # clipping may undo a direction
-            return IterationResult(NO_STEP, self._norm, slope, 0.0, -sweep.value, cost)
-        self._dus = sweep.k if feedback else lq.direction(self._A, self._B, sweep, moves)[1]
+            return Direction(self._norm, 0.0, 0.0, False)
+        self._sweep, self._bounds_now = sweep, bounds
+        return Direction(self._norm, sweep.slope, sweep.value, True)
+
+    def line_search(self, feedback: bool, rule: int, cost: float, slope: float) -> tuple[float, float]:
+        """Take a step along the direction (Eq. 36): its length, 0 for none, and the cost after it."""
+        sweep, (xs0, us0) = self._sweep, self._nominal
+        if sweep is None or not slope < 0.0:  # clipping may undo a direction
+            return 0.0, cost
+        self._dus = sweep.k if feedback else lq.direction(self._A, self._B, sweep, self._bounds_now)[1]
         alpha, J = np.empty(WIDTH), np.empty(WIDTH)
         xs, us = np.empty((len(xs0), WIDTH, xs0.shape[1])), np.empty((len(us0), WIDTH, us0.shape[1]))
         bracket = self._bracket
         line_search.first_step_lengths(rule, alpha, bracket)
         slopes = np.zeros_like(alpha)
-        one_by_one = not self._together and rule == line_search.ARMIJO
+        one_by_one = not self._batched and rule == line_search.ARMIJO
         lanes = [slice(c, c + 1) for c in range(WIDTH)] if one_by_one else [slice(0, WIDTH)]
         for _ in range(line_search.batches(rule)):
             J[:] = np.nan
@@ -203,30 +210,28 @@ class NumpyEngine(Engine):
             lane = line_search.choose(rule, alpha, J, slopes, cost, slope, bracket)
             if lane >= 0:
                 self._nominal = xs[:, lane].copy(), us[:, lane].copy()
-                step = float(alpha[lane])
-                expected = expected_reduction(slope, sweep.value, step)
-                return IterationResult(ACCEPTED, self._norm, slope, step, expected, float(J[lane]))
+                return float(alpha[lane]), float(J[lane])
             line_search.refine(rule, alpha, bracket)
-        return IterationResult(NO_STEP, self._norm, slope, 0.0, -sweep.value, cost)
+        return 0.0, cost
 
-    def _solve_lq(self, mu: float, moves: StepBounds | None, settle: bool) -> lq.Sweep | None:
-        """As the compiled engine's."""
-        kept, penalties, xs = self._kept, self._penalties, self._nominal[0]
-        pulling = None
-        if kept is not None and penalties is not None and kept.ranges is not None:
-            of_ranges = kept.of_ranges(penalties)
-            pulling = StatePenalties(kept.ranges, of_ranges, xs) if of_ranges.weight.any() else None
-        if settle and (moves is not None or pulling is not None) and self._settling.due():
-            sweep, self._held = solve_active_set(
-                self._A, self._B, self._model, mu, moves, self._added(), pulling, self._held, MAX_SETS
+    def _solve_lq(self, mu: float, bounds: StepBounds | None, active_set: bool) -> lq.Sweep | None:
+        """The sweep with the active set, or with a box QP at each stage; None where it is not definite."""
+        constraints, penalties, xs = self._constraints, self._penalties, self._nominal[0]
+        of_states = None
+        if constraints is not None and penalties is not None and constraints.ranges is not None:
+            of_ranges = constraints.of_ranges(penalties)
+            of_states = lq.StatePenalties(constraints.ranges, of_ranges, xs) if of_ranges.weight.any() else None
+        if active_set and (bounds is not None or of_states is not None) and self._schedule.due():
+            sweep, self._active = lq.solve_active_set(
+                self._A, self._B, self._model, mu, bounds, self._added(), of_states, self._active, MAX_SETS
             )
             if sweep is not None:
-                self._settling.record_convergence()
+                self._schedule.record_convergence()
                 return sweep
-            self._settling.record_cycle()
-        sweep = lq.riccati(self._A, self._B, self._model, mu, moves, self._added())
-        if sweep is not None and sweep.held is not None:
-            self._held = sweep.held
+            self._schedule.record_cycle()
+        sweep = lq.riccati(self._A, self._B, self._model, mu, bounds, self._added())
+        if sweep is not None and sweep.active_bounds is not None:
+            self._active = sweep.active_bounds
         return sweep
 
     def _linearize(self) -> None:
@@ -234,14 +239,14 @@ class NumpyEngine(Engine):
         self._A, self._B = self._dynamics.linearize(xs0, us0)  # Eq. 35
         _check_jacobians(self._A, self._B, *self._gains)
         self._model = self._quadratized(xs0, us0, self._A, self._B)
-        moves = self._moves(xs0, us0)
+        bounds = self._step_bounds(xs0, us0)
         with np.errstate(over="ignore", invalid="ignore"):  # costates of stages this unstable: a NaN is no minimum
-            self._gradient = lq.reduced_gradient(self._A, self._B, self._model, moves)
-            self._norm = float(np.linalg.norm(lq.projected(self._gradient, moves)))
+            self._gradient = lq.reduced_gradient(self._A, self._B, self._model, bounds)
+            self._norm = float(np.linalg.norm(lq.projected(self._gradient, bounds)))
 
     def _added(self) -> np.ndarray | None:
-        """What the sweep adds to the Hessians of the stages, (N, ndx+nu, ndx+nu); the start is free of `hold`."""
-        second = self._second if self._swept else None
+        """Second-order terms and state_regularization (N, ndx+nu, ndx+nu), the first state without the latter."""
+        second = self._second if self._second_order_used else None
         if self.state_regularization == 0.0:
             return second
         N, nu, ndx = self._gains
@@ -250,31 +255,31 @@ class NumpyEngine(Engine):
         return added
 
     def set_trajectory(self, xs: np.ndarray, us: np.ndarray) -> np.ndarray:
-        """Take states (N+1, nx) and controls (N, nu) as the trajectory, after a start; its gaps (N, ndx)."""
+        """Take states (N+1, nx) and controls (N, nu) as the trajectory, after a start; its defects (N, ndx)."""
         self._nominal = xs.copy(), us.copy()
         return self._space.difference(self._dynamics.step(xs[:-1], us), xs[1:])
 
-    def defect_direction(self, gaps: np.ndarray, fresh: bool) -> DefectStep | None:
-        """Linearize (if `fresh`) and sweep across these gaps; None where the sweep is not definite."""
-        if fresh:
+    def defect_direction(self, defects: np.ndarray, relinearize: bool) -> DefectStep | None:
+        """The direction along states with these defects (N, ndx); None where the sweep is not definite."""
+        if relinearize:
             self._linearize()
-        self._swept = False
-        A, B, model, moves = self._A, self._B, self._model, self._moves(*self._nominal)
-        sweep = lq.riccati(A, B, model, 0.0, moves, self._added(), gaps)
+        self._second_order_used = False
+        A, B, model, bounds = self._A, self._B, self._model, self._step_bounds(*self._nominal)
+        sweep = lq.riccati(A, B, model, 0.0, bounds, self._added(), defects)
         if sweep is None:
             return None
         self._sweep = sweep
-        dxs, dus = lq.direction(A, B, sweep, None, gaps)
+        dxs, dus = lq.direction(A, B, sweep, None, defects)
         multipliers = np.einsum("nij,nj->ni", sweep.P[1:], dxs[1:]) + sweep.s[1:]
         return DefectStep(dxs, dus, multipliers, float(np.sum(model.q * dxs) + np.sum(model.r * dus)), self._norm)
 
     def rollout_closing_defects(self, cost: float, slope: float) -> tuple[float, float]:
-        """Close the gaps by a rollout with the gains of `cross`, if Armijo's rule takes one of the first steps."""
+        """Roll out with the gains of defect_direction, which closes all defects, if Armijo's rule accepts a step."""
         assert self._sweep is not None
         return self._search_once(self._sweep.k, cost, slope)
 
     def _search_once(self, k: np.ndarray, cost: float, slope: float) -> tuple[float, float]:
-        """The step along controls k (N, nu), with the gains of the last sweep, of one batch, and the cost after it."""
+        """Armijo's step along controls k (N, nu) with the gains of the last sweep, and the cost after it."""
         assert self._sweep is not None
         xs0, us0 = self._nominal
         alpha = np.empty(WIDTH)
@@ -288,7 +293,7 @@ class NumpyEngine(Engine):
         return float(alpha[lane]), float(J[lane])
 
     def gradient(self) -> np.ndarray:
-        """A copy of the gradient (N, nu) of Eq. 19, as the last sweep found it."""
+        """A copy of the gradient (N, nu) of Eq. 19 that the last sweep computed."""
         return self._gradient.copy()
 
     def trajectory(self) -> tuple[np.ndarray, np.ndarray]:
@@ -300,14 +305,14 @@ class NumpyEngine(Engine):
         """A copy of K (N, nu, ndx)."""
         return self._sweep.K.copy() if self._sweep is not None else np.zeros(self._gains)
 
-    def read(self, most: float) -> TrajectoryArrays | None:
-        """Copies of the trajectory and its gains; None where the norm of its last state is not below `most`."""
+    def read(self, max_norm: float) -> TrajectoryArrays | None:
+        """Copies of the trajectory and its gains; None where the norm of its last state is not below `max_norm`."""
         xs, us = self.trajectory()
-        return (xs, us, self.gains()) if xs[-1] @ xs[-1] < most**2 else None
+        return (xs, us, self.gains()) if xs[-1] @ xs[-1] < max_norm**2 else None
 
 
 def _check_jacobians(A: np.ndarray, B: np.ndarray, N: int, nu: int, ndx: int) -> None:
-    """With quaternions a user's own derivatives are easily of the wrong size."""
+    """Check the sizes of a user's own derivatives, easily wrong with quaternions."""
     for name, have, shape in (("A", np.shape(A), (N, ndx, ndx)), ("B", np.shape(B), (N, ndx, nu))):
         if have != shape:
             raise PlannerError(f"the dynamics' linearize gives {name} of shape {have}, expected {shape}.")

@@ -1,4 +1,4 @@
-"""The protocol of engines, and the result of one iteration. solve() drives an engine and decides."""
+"""The protocol of engines: the memory and the arithmetic of one solve. solve() drives an engine and decides."""
 
 from __future__ import annotations
 
@@ -8,10 +8,33 @@ from typing import NamedTuple, Protocol
 import numpy as np
 
 from planner.base.errors import PlannerError
-from planner.kernels.lq import line_search
+from planner.kernels.lq.workspace import ACCEPTED, CONVERGED, INDEFINITE, NO_STEP
 from planner.problem.costs.terms import Quadratic
 from planner.problem.state_bounds import BoundPenalties
-from planner.solvers.engine.warm_start_shift import TrajectoryArrays
+from planner.solvers.engine.tracked_trajectory import TrajectoryArrays
+
+MAX_SETS = 20  # sweeps of one iteration that look for the active set; one that is found takes less than ten
+MAX_SKIPPED = 16  # iterations without a search for the active set, after searches that cycled
+
+
+class Direction(NamedTuple):
+    """The minimum of the LQ problem along the trajectory."""
+
+    gradient_norm: float  # of Eq. 19
+    slope: float  # of J along the direction (Eq. 42), negative where it descends
+    model_change: float  # of the LQ problem's cost for the full step, negative
+    definite: bool  # whether R + B'PB is, at every stage; else there is no direction
+
+    def is_stationary(self, gradient_tolerance: float, expected_reduction_tolerance: float) -> bool:
+        """The stopping criteria: the gradient (Eq. 20), or the reduction that the full step is expected to bring."""
+        return self.gradient_norm <= gradient_tolerance or -self.model_change <= expected_reduction_tolerance
+
+    def expected_reduction(self, step: float) -> float:
+        """Of the cost by a step: a parabola through the slope at 0 and the LQ problem's value at 1; 0: the full one."""
+        if step == 0.0:
+            return -self.model_change
+        step = min(step, 1.0)
+        return -step * (self.slope + step * (self.model_change - self.slope))
 
 
 class IterationResult(NamedTuple):
@@ -21,17 +44,17 @@ class IterationResult(NamedTuple):
     gradient_norm: float  # of Eq. 19, before the step
     slope: float  # of J along the direction (Eq. 42), negative
     step: float  # alpha of Eq. 36; 0 unless accepted
-    expected: float  # decrease that the LQ model promised for that step
+    expected: float  # reduction of J that the LQ problem expects of that step
     cost: float  # J after the step
 
 
 class DefectStep(NamedTuple):
-    """The direction of the LQ problem along states with gaps."""
+    """The direction of the LQ problem along states with defects."""
 
     dxs: np.ndarray  # (N+1, ndx)
     dus: np.ndarray  # (N, nu)
-    multipliers: np.ndarray  # (N, ndx) of the gaps
-    slope: float  # of J along the direction, gaps aside
+    multipliers: np.ndarray  # (N, ndx) of the defects
+    slope: float  # of J along the direction, defects aside
     gradient_norm: float
 
 
@@ -39,52 +62,61 @@ class Engine(Protocol):
     """One solve's memory. Not shared between threads.
 
     Attributes:
-        largest_control_weight: The largest magnitude in R, the measure of what regularizes R + B'PB.
-        hold: Weight on changes of the states in the next sweeps, beside their own; relative to the mean of what the
-            cost weighs them with. Zero after a start. It only pulls the direction towards the trajectory.
+        largest_control_weight: The largest magnitude in R, the unit of mu, which is added to R + B'PB.
+        state_regularization: Weight on changes of the states in the next sweeps, in addition to the cost's; relative
+            to the cost's mean weight of each. Zero after a start.
     """
 
     largest_control_weight: float
     state_regularization: float
 
+    def reset(self) -> None:
+        """Forget every solve: an engine that is used again begins as a new one."""
+        ...
+
     def set_penalties(self, penalties: BoundPenalties | None) -> None:
-        """Have these penalties added to the cost from the next start on; None for none."""
+        """Add these penalties to the cost from the next start on; None for none."""
         ...
 
     def use_second_order(self, exact: bool) -> None:
-        """Whether the next sweeps have the second-order terms, after start(exact=True)."""
+        """Whether the next sweeps have the dynamics' second-order terms, after start_from_controls(exact=True)."""
         ...
 
     def start_from_controls(self, x0: np.ndarray, us: np.ndarray, exact: bool = False) -> float:
-        """Roll out the first guess, within its bounds; its cost.
+        """Roll out the first guess us (N, nu), within its bounds; its cost.
 
         With `exact` the Hessians have the dynamics' second-order terms.
         """
         ...
 
-    def iterate(
-        self, feedback: bool, rule: int, mu: float, fresh: bool, cost: float,
-        gradient_tolerance: float, expected_reduction_tolerance: float,
-    ) -> IterationResult:  # fmt: skip
-        """Linearize (if `fresh`), sweep, search, accept."""
+    def compute_direction(self, mu: float, relinearize: bool, active_set: bool = True) -> Direction:
+        """Linearize (if `relinearize`) and solve the LQ problem with mu added to R (Eq. 31-35).
+
+        With `active_set`, sweeps are repeated until the bounds and penalties that are active are those that the
+        direction meets. Where that fails, or without it, each stage has a box QP, and penalties act where they do now.
+        """
+        ...
+
+    def line_search(self, feedback: bool, rule: int, cost: float, slope: float) -> tuple[float, float]:
+        """Take a step along the direction (Eq. 36): its length, 0 for none, and the cost after it."""
         ...
 
     @property
     def has_active_bounds(self) -> bool:
-        """Whether the last sweep held controls at their bounds."""
+        """Whether the last sweep had controls at their bounds."""
         ...
 
     def start_from_trajectory(self, x0: np.ndarray, trajectory: TrajectoryArrays, stages: float = 0.0) -> float:
         """Roll out u = us + K (x - xs) of a trajectory, some stages on, from x0 (nx,), and take it; its cost.
 
-        After a start, with whose memory and terms it goes on.
+        After a start, whose memory and terms it uses.
         """
         ...
 
     def backtrack_along(self, dxs: np.ndarray, dus: np.ndarray, cost: float) -> tuple[float, float]:
         """Take the longest part of a change (N+1, ndx) of states and (N, nu) of controls that lowers the cost.
 
-        Rolled out with the gains of the last sweep, about the trajectory that there is.
+        It is rolled out with the gains of the last sweep about the current trajectory.
 
         Returns:
             The part, 0 for none, and the cost after.
@@ -92,27 +124,48 @@ class Engine(Protocol):
         ...
 
     def set_trajectory(self, xs: np.ndarray, us: np.ndarray) -> np.ndarray:
-        """Take states (N+1, nx) and controls (N, nu) as the trajectory, after a start; its gaps (N, ndx)."""
+        """Take states (N+1, nx) and controls (N, nu) as the trajectory, after a start; its defects (N, ndx)."""
         ...
 
-    def defect_direction(self, gaps: np.ndarray, fresh: bool) -> DefectStep | None:
-        """Linearize (if `fresh`) and sweep across these gaps; None where the sweep is not definite."""
+    def defect_direction(self, defects: np.ndarray, relinearize: bool) -> DefectStep | None:
+        """The direction along states with these defects (N, ndx); None where the sweep is not definite."""
         ...
 
     def rollout_closing_defects(self, cost: float, slope: float) -> tuple[float, float]:
-        """Close the gaps by a rollout with the gains of `cross`, if Armijo's rule takes one of the first steps.
+        """Roll out with the gains of defect_direction, which closes all defects, if Armijo's rule accepts a step.
 
         Returns:
             The step, 0 for none, and the cost after.
         """
         ...
 
-    def sweep(self, mu: float, fresh: bool) -> IterationResult:
-        """Linearize (if `fresh`) and sweep, without a search: CONVERGED, or INDEFINITE."""
-        return self.iterate(True, line_search.ARMIJO, mu, fresh, 0.0, math.inf, math.inf)
+    def iterate(
+        self, feedback: bool, rule: int, mu: float, relinearize: bool, cost: float,
+        gradient_tolerance: float, expected_reduction_tolerance: float,
+    ) -> IterationResult:  # fmt: skip
+        """compute_direction, stopping criteria and line_search: one iteration."""
+        direction = self.compute_direction(mu, relinearize)
+        norm, slope = direction.gradient_norm, direction.slope
+        if not direction.definite:
+            return IterationResult(INDEFINITE, norm, 0.0, 0.0, 0.0, cost)
+        if direction.is_stationary(gradient_tolerance, expected_reduction_tolerance):
+            return IterationResult(CONVERGED, norm, slope, 0.0, -direction.model_change, cost)
+        step, after = self.line_search(feedback, rule, cost, slope)
+        return IterationResult(
+            ACCEPTED if step else NO_STEP, norm, slope, step, direction.expected_reduction(step), after
+        )
+
+    def sweep(self, mu: float, relinearize: bool) -> IterationResult:
+        """compute_direction without a search for the active set: CONVERGED, INDEFINITE, or NO_STEP for NaN."""
+        direction = self.compute_direction(mu, relinearize, active_set=False)
+        norm, slope, change, definite = direction
+        if not definite:
+            return IterationResult(INDEFINITE, norm, 0.0, 0.0, 0.0, 0.0)
+        kind = CONVERGED if direction.is_stationary(math.inf, math.inf) else NO_STEP
+        return IterationResult(kind, norm, slope, 0.0, -change, 0.0)
 
     def gradient(self) -> np.ndarray:
-        """A copy of the gradient (N, nu) of Eq. 19, as the last sweep found it."""
+        """A copy of the gradient (N, nu) of Eq. 19 that the last sweep computed."""
         ...
 
     def trajectory(self) -> tuple[np.ndarray, np.ndarray]:
@@ -123,27 +176,41 @@ class Engine(Protocol):
         """A copy of K (N, nu, ndx)."""
         ...
 
-    def read(self, most: float) -> TrajectoryArrays | None:
-        """The trajectory and its gains, in memory that is another plan's when the next but one is read.
+    def read(self, max_norm: float) -> TrajectoryArrays | None:
+        """The trajectory and its gains, in memory that the next but one call overwrites.
 
-        None where the norm of its last state is not below `most`.
+        None where the norm of its last state is not below `max_norm`.
         """
         ...
 
 
+class ActiveSetSchedule:
+    """In which iterations to look for the active set: after each search that cycled, twice as many are left out."""
+
+    def __init__(self) -> None:
+        self._skipped, self._next = 0, 1
+
+    def due(self) -> bool:
+        """Whether to look for it in this iteration."""
+        self._skipped -= 1
+        return self._skipped < 0
+
+    def record_convergence(self) -> None:
+        """The search found it."""
+        self._next = 1
+
+    def record_cycle(self) -> None:
+        """The search did not find it."""
+        self._skipped, self._next = self._next, min(2 * self._next, MAX_SKIPPED)
+
+
 def state_weights(Q: np.ndarray, control_weight: float) -> np.ndarray:
-    """What `hold` is relative to (ndx,): the mean over the stages of each diagonal entry of Q (N+1, ndx, ndx).
+    """The unit (ndx,) of state_regularization: the mean over the stages of each diagonal entry of Q (N+1, ndx, ndx).
 
     Those that the cost does not weigh get the largest of the others.
     """
     mean = np.abs(np.diagonal(Q, axis1=1, axis2=2)).sum(axis=0) / (len(Q) - 1)
     return np.where(mean > 0.0, mean, mean.max() or control_weight)
-
-
-def expected_reduction(slope: float, value: float, step: float) -> float:
-    """The decrease that a parabola of given slope at 0 and value at 1 promises for a step, up to the full one."""
-    step = min(step, 1.0)
-    return -step * (slope + step * (value - slope))
 
 
 def check_shapes(model: Quadratic, N: int, nu: int, ndx: int) -> None:

@@ -1,4 +1,4 @@
-"""Followed: the memory of a plan that a controller follows while the next one is made in the memory of a solve."""
+"""TrackedTrajectory: a trajectory with gains that a controller tracks while a solve improves it in other memory."""
 
 from __future__ import annotations
 
@@ -8,13 +8,42 @@ from planner.kernels.lq.tracked_trajectory import FOLLOWED, load_tracked, store_
 from planner.kernels.lq.workspace import Workspace
 from planner.kernels.numba.lanes import lane_array
 from planner.model.space import StateSpace
-from planner.solvers.engine.warm_start_shift import TIME_TOLERANCE, TrajectoryArrays, shift_trajectory
 
+TrajectoryArrays = tuple[np.ndarray, np.ndarray, np.ndarray]  # xs (N+1, nx), us (N, nu), K (N, nu, ndx)
+StatesAndControls = tuple[np.ndarray, np.ndarray]  # xs (N+1, nx), us (N, nu)
+
+TIME_TOLERANCE = 1e-6  # of a stage: instants that are nearer are the same
 _STAGES = FOLLOWED.stages
 
 
+def shift_trajectory(target: StatesAndControls, source: StatesAndControls, stages: float, space: StateSpace) -> int:
+    """Write states and controls, shifted by some stages, which need not be whole; beyond the end the last repeats.
+
+    Args:
+        target: Where to write.
+        source: Of the same shapes.
+        stages: At least 0.
+        space: Of the states.
+
+    Returns:
+        The whole stages, by which gains shift.
+    """
+    (xs, us), (own_xs, own_us) = target, source
+    m = int(stages + TIME_TOLERANCE)
+    part, m = stages - m, min(m, len(us))
+    if m == 0:
+        xs[:], us[:] = own_xs, own_us
+    else:
+        left = len(us) - m
+        xs[: left + 1], us[:left] = own_xs[m:], own_us[m:]
+        xs[left + 1 :], us[left:] = own_xs[-1], own_us[-1]
+    if part > TIME_TOLERANCE:
+        xs[:-1] = space.integrate(xs[:-1], part * space.difference(xs[1:], xs[:-1]))
+    return m
+
+
 class TrackedTrajectory:
-    """A trajectory with gains, which have room after their end, so that they can be followed from any stage on.
+    """A trajectory with gains, with memory for N more stages after its end: it can be tracked from any stage on.
 
     Attributes:
         xs: (N+1, nx).
@@ -35,12 +64,12 @@ class TrackedTrajectory:
         self._table = FOLLOWED.table({"stages": 0}, arrays)
 
     def take(self, trajectory: TrajectoryArrays) -> None:
-        """Copy a trajectory that is not this one already."""
+        """Copy a trajectory, unless it is this one."""
         if trajectory[2] is not self.K:
             self.xs[:], self.us[:], self.K[:] = trajectory
 
     def begin(self, w: Workspace, x0: np.ndarray, stages: float) -> None:
-        """Write it into the memory of a solve, some stages on and from x0 (nx,), and have its gains followed."""
+        """Write it into the memory of a solve, shifted by some stages and from x0 (nx,); rollouts have its gains."""
         m = int(stages + TIME_TOLERANCE)
         if stages - m > TIME_TOLERANCE:
             m = self._between(w, x0, stages)
@@ -51,7 +80,7 @@ class TrackedTrajectory:
         w.use_gains(self._first, self._address + m * self._stride)
 
     def _between(self, w: Workspace, x0: np.ndarray, stages: float) -> int:
-        """As load_tracked, by any number of stages; the whole ones."""
+        """As load_tracked, by any number of stages; returns the whole ones."""
         N = self._N
         m = shift_trajectory((w.xs, w.us), (self.xs, self.us), stages, self._space)
         self._rows[N : N + m] = self._rows[N - 1]
@@ -61,9 +90,9 @@ class TrackedTrajectory:
         return m
 
     def use(self, w: Workspace) -> None:
-        """Have the next sweep write its gains here."""
+        """Let the next sweep write its gains here."""
         w.use_gains(self._first, self._address)
 
     def keep(self, w: Workspace) -> float:
-        """Copy the trajectory of a solve, whose gains are here already; the square of the norm of its last state."""
+        """Copy the trajectory of a solve, whose gains are here already; the squared norm of its last state."""
         return store_tracked(w.table, self._table)
