@@ -27,7 +27,7 @@ from planner.dynamics.kinematics import frame_pose
 from planner.model.coordinates import coordinates_of
 from planner.problem.goals import MIN_TOLERANCES, GoalCheck, goals_of
 from planner.proof.replay_errors import misses, word_of, worst_of
-from planner.proof.robustness.success_rule import GOAL_TOLERANCES, OF_RANGE, SuccessRule, rule_of
+from planner.proof.robustness.success import GOAL_TOLERANCES, OF_RANGE, SuccessRule, rule_of
 
 
 @dataclass(frozen=True, eq=False)

@@ -22,7 +22,7 @@ from planner.dynamics import RigidBodyDynamics
 from planner.model.mjcf.prescribed_joints import PRESCRIBED_ARMATURE
 from planner.problem.plan import Plan
 from planner.problem.problem import Problem
-from planner.proof.compare.driven_parity import forces_of_prescribed
+from planner.proof.compare.model_parity import forces_of_prescribed
 from planner.proof.error_scales import path_error_bounds, shares_of_bounds
 from planner.proof.replays.replaying import REFINEMENT, Replay
 
@@ -96,9 +96,7 @@ def _missed(plan: Plan, problem: Problem) -> np.ndarray:
 
 
 def _left_by_motors(plan: Plan, problem: Problem, B: np.ndarray) -> np.ndarray | float:
-    """(N, ndx) errors of the stages: motors of prescribed joints fall short by tau / HEAVY
-    (model.mjcf.prescribed_joints).
-    """
+    """(N, ndx) errors of the stages: motors of prescribed joints fall short by tau / PRESCRIBED_ARMATURE."""
     dynamics = problem.dynamics
     if not (isinstance(dynamics, RigidBodyDynamics) and dynamics.prescribed):
         return 0.0

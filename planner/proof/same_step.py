@@ -32,10 +32,8 @@ from planner.problem.plan import Plan
 from planner.problem.problem import Problem
 from planner.proof.compare.constrained import constrained_acceleration, steps_back
 from planner.proof.replays.compiled_twin import CompiledTwin
-from planner.proof.replays.implicit_steps import INTEGRATOR as IMPLICIT
-from planner.proof.replays.implicit_steps import damping_of, implicit_step
 from planner.proof.replays.passive_torque_callback import curves_acting
-from planner.proof.replays.simulation import set_state, state_of
+from planner.proof.replays.simulation import ROSENBROCK, damping_of, implicit_step, set_state, state_of
 
 PATH_BOUND = 1e-8  # of the largest state
 STAGE_BOUND = 1e-10  # of the largest state: one stage amplifies nothing, rounding is 1e-14
@@ -177,7 +175,7 @@ def stage_function(
     named = {"semi-implicit-euler": "EULER"} | ({} if space.quaternions or len(driven) else {"rk4": "RK4"})
     if constrained is not None:
         own["semi-implicit-euler"], named = velocity_first, {}
-    if integrator == IMPLICIT and damping is not None and not len(driven):
+    if integrator == ROSENBROCK and damping is not None and not len(driven):
         exact = None if constrained is None else functools.partial(constrained_acceleration, mechanism=constrained)
         move = implicit_step(model, dt, damping, acceleration=exact)
 

@@ -22,13 +22,12 @@ from planner.problem.plan import Plan
 from planner.problem.problem import Problem
 from planner.proof.error_scales import COST_BOUND, judged_cost, shares_of_bounds
 from planner.proof.replays.contact_history import may_touch
-from planner.proof.replays.implicit_steps import INTEGRATOR as IMPLICIT
-from planner.proof.replays.implicit_steps import damping_of
 from planner.proof.replays.passive_torque_callback import curves_acting
 from planner.proof.replays.replaying import Replay
+from planner.proof.replays.simulation import ROSENBROCK, damping_of
 from planner.proof.same_step import advancing
 
-NOMINAL = {"euler": 1.0, "semi-implicit-euler": 1.0, "rk4": 4.0, IMPLICIT: 2.0}
+NOMINAL = {"euler": 1.0, "semi-implicit-euler": 1.0, "rk4": 4.0, ROSENBROCK: 2.0}
 ORDER_BOUND = 0.2  # how far below its nominal order a smooth machine's may be observed
 LEVELS = 5  # steps h ... h/16, h being a stage
 LEVELS_OF_SUBSTEPS = 3  # the least that show an order: a stage of several substeps, h being one, begins near to it
@@ -95,14 +94,14 @@ def step_convergence(problem: Problem, run: Replay) -> StepConvergence:
     # Where a replay at the plan's own step says nothing, halvings are those about the refined one.
     own = getattr(problem.dynamics, "substeps", 1)
     count = LEVELS if own == 1 else LEVELS_OF_SUBSTEPS
-    if integrator == IMPLICIT:  # its order is not judged, and 16 substeps are fine already
+    if integrator == ROSENBROCK:  # its order is not judged, and 16 substeps are fine already
         count = 3
     least, count = (max(run.substeps // 2, 1), 3) if refined_only else (own, count)
     substeps = [least << k for k in range(count)]
     nominal = NOMINAL.get("rk4" if refined_only else integrator, 4.0)
     kind = "rk4" if refined_only or integrator not in NOMINAL else integrator
     why = _unjudged(run, problem)
-    why = why or ("damping is faster than these steps, which hides the order" if kind == IMPLICIT else "")
+    why = why or ("damping is faster than these steps, which hides the order" if kind == ROSENBROCK else "")
     why = why or ("" if kind == integrator else "the plan's own stage is none of MuJoCo's")
     with np.errstate(all="ignore"):
         scale = cost.scale(plan, problem)
@@ -110,7 +109,7 @@ def step_convergence(problem: Problem, run: Replay) -> StepConvergence:
         levels = [_level(run, problem, kind, count) for count in substeps]
         changes, observed = _observed_between(plan, levels)
         factor, uncertainty = _uncertainty(levels, nominal, observed)
-        most = len(levels) if refined_only or integrator == IMPLICIT or (why and cost.final) else MAX_LEVELS
+        most = len(levels) if refined_only or integrator == ROSENBROCK or (why and cost.final) else MAX_LEVELS
         while (
             len(levels) < most and 2 * substeps[-1] <= MAX_STEPS
             and observed is not None and observed < nominal - ORDER_BOUND and not uncertainty <= enough

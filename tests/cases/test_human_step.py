@@ -125,7 +125,9 @@ def test_contact_and_stops_have_the_same_law_for_everybody(walker):
         touch = contact.law
         for name in ("stiffness", "damping", "ramp", "force_ramp", "slip_damping", "friction"):
             assert getattr(touch, name) == pytest.approx(getattr(TOUCH, name), rel=1e-9)
-        assert contact.radius + touch.surface_offset + contact.plane.offset == pytest.approx(0.0, abs=1e-12)  # begins at z = 0
+        assert contact.radius + touch.surface_offset + contact.plane.offset == pytest.approx(
+            0.0, abs=1e-12
+        )  # begins at z = 0
         assert contact.plane.slide == m.joint("belt").start
     straight = [stop for stop in m.stops if stop.side > 0]
     assert [stop.dof for stop in straight] == [m.joint(f"{side}_knee").start for side in SIDES]

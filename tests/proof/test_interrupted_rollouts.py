@@ -8,8 +8,8 @@ from rolled_out_plans import coarse, ends
 
 from planner.base.errors import FileError
 from planner.proof.replays.compiled_twin import CompiledTwin
+from planner.proof.robustness.monte_carlo import RolloutCheckpoint
 from planner.proof.robustness.perturbed import MonteCarloSettings, perturbed
-from planner.proof.robustness.rollout_checkpoint import RolloutCheckpoint
 from planner.proof.robustness.rollouts import MODES, Rollouts
 
 

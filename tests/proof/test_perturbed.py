@@ -16,10 +16,9 @@ from planner.proof.replays.compiled_twin import CompiledTwin
 from planner.proof.replays.replaying import replay
 from planner.proof.robustness.monte_carlo import LEVELS, MonteCarlo
 from planner.proof.robustness.perturbation import Perturbation, draw
-from planner.proof.robustness.perturbed import MonteCarloSettings, perturbed
-from planner.proof.robustness.rollout_replay import replay_rollout
+from planner.proof.robustness.perturbed import MonteCarloSettings, perturbed, replay_rollout
 from planner.proof.robustness.rollouts import MODES, Rollouts
-from planner.proof.robustness.success_rule import end_errors, ranges_of_motion, rule_of, within_goals
+from planner.proof.robustness.success import end_errors, ranges_of_motion, rule_of, within_goals
 
 NOTHING = dict.fromkeys(Perturbation().to_dict(), 0.0)
 NONE = Perturbation(**NOTHING)
@@ -86,7 +85,7 @@ def test_rollouts_are_drawn_until_the_rate_with_gains_is_settled(arm, monkeypatc
 
 
 def test_without_goals_each_coordinate_has_a_tenth_of_its_range(arm, monkeypatch):
-    monkeypatch.setattr("planner.proof.robustness.success_rule.goals_of", lambda problem, xs: ())
+    monkeypatch.setattr("planner.proof.robustness.success.goals_of", lambda problem, xs: ())
     ranges = ranges_of_motion(arm)
     moved = np.ptp(arm.xs, axis=0)
     floors = np.repeat([0.1 * moved[:2].max(), 0.1 * moved[2:].max()], 2)  # angles, angular velocities

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from planner.proof.robustness.success_rate import LOOKS, SuccessRate, enough, next_look
+from planner.proof.robustness.success import LOOKS, SuccessRate, enough, next_look
 
 
 @pytest.mark.parametrize(

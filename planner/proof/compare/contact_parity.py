@@ -32,10 +32,17 @@ from planner.model.mjcf.contact_points import shape_of
 from planner.model.mjcf.model_index import ModelIndex
 from planner.model.mjcf.prescribed_joints import prescribed_dofs_of
 from planner.problem.problem import Problem
-from planner.proof.compare.contact_states import AnyContact, ContactStateSampler, beyond_ramps
+from planner.proof.compare.contact_states import (
+    AnyContact,
+    ContactGeoms,
+    ContactStateSampler,
+    beyond_ramps,
+    contact_name,
+    force_between,
+    shapes_of,
+)
 from planner.proof.compare.differences import joint_of
 from planner.proof.compare.hopper_ground import hopper_ground
-from planner.proof.compare.matching_geoms import ContactGeoms, contact_name, force_between, shapes_of
 from planner.proof.compare.rigid_parity import random_states
 from planner.proof.replays.compiled_twin import CompiledTwin
 from planner.proof.replays.simulation import set_state

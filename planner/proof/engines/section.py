@@ -26,8 +26,7 @@ from planner.model.twin import Twin
 from planner.problem.plan import Plan
 from planner.proof.compare.rigid_parity import random_states, rounded, turns
 from planner.proof.engines import ENGINES, drake, pinocchio
-from planner.proof.engines.applied import Applied, joints_with
-from planner.proof.engines.motion import PARTS, Rates, motion
+from planner.proof.engines.motion import PARTS, Applied, Rates, joints_with, motion
 from planner.proof.engines.text import Prepared, prepared
 from planner.proof.replays.compiled_twin import CompiledTwin
 from planner.proof.replays.contact_history import may_touch

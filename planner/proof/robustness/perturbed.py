@@ -1,8 +1,8 @@
 """Step 5 of a proof: how often a plan still succeeds on a machine that differs from the planned one.
 
-Seeded Monte Carlo in MuJoCo, with the plan's gains and open loop: masses, friction, start, controls and their delay are
-wrong by what a Perturbation says. Besides, masses alone, wrong by more and more, tell the margin. The rate with gains
-becomes a word, "robust" or "fragile"; no verdict depends on it.
+Seeded Monte Carlo in MuJoCo, with the plan's gains and open loop: masses, friction, start, controls and their delay
+have the errors of a Perturbation. Increasing errors of the masses alone give the margin. The rate with gains becomes a
+word, "robust" or "fragile"; no verdict depends on it. One rollout can be replayed step by step, to be rendered.
 """
 
 from __future__ import annotations
@@ -18,15 +18,19 @@ from typing import Any
 import numpy as np
 
 from planner.base.arguments import count, number
+from planner.base.gl import load_mujoco
 from planner.base.jsonable import finite
 from planner.base.measured import Measurement, Section
 from planner.problem.plan import Plan
 from planner.proof.replays.compiled_twin import CompiledTwin
+from planner.proof.replays.contact_history import ContactRecorder
+from planner.proof.replays.ranges import ranges_reached
+from planner.proof.replays.replaying import Replay
+from planner.proof.replays.simulation import RUNAWAY, set_state, state_of, warnings_of
 from planner.proof.robustness.monte_carlo import MonteCarlo
-from planner.proof.robustness.perturbation import Perturbation
+from planner.proof.robustness.perturbation import Perturbation, draw
 from planner.proof.robustness.rollouts import MODES, OutOfTime, Rollouts
-from planner.proof.robustness.success_rate import SuccessRate
-from planner.proof.robustness.success_rule import SuccessRule, end_errors, rule_of
+from planner.proof.robustness.success import SuccessRate, SuccessRule, end_errors, rule_of
 
 PERCENTILES = (5, 25, 50, 75, 95)
 JUDGED = " with its gains"  # a plan may be robust with them and succeed open loop in no rollout
@@ -135,7 +139,7 @@ class MonteCarloSettings:
     rollouts: int = 512  # Most machines in each mode; the k-th is the same whatever their number
     seed: int = 0  # Of the random numbers, at least 0
     perturbation: Perturbation | None = None  # The errors drawn; None for Perturbation.usual() of the plan's problem
-    rule: SuccessRule | None = None  # Which succeed; None for planner.proof.robustness.success_rule.rule_of() the plan
+    rule: SuccessRule | None = None  # Which succeed; None for planner.proof.robustness.success.rule_of() the plan
 
     def __post_init__(self) -> None:
         count("rollouts", self.rollouts)
@@ -201,3 +205,54 @@ def _percentiles(deviations: np.ndarray) -> np.ndarray:
     for t in np.flatnonzero(alive.any(axis=0)):
         result[:, t] = np.percentile(deviations[alive[:, t], t], PERCENTILES, axis=0)
     return result
+
+
+def replay_rollout(
+    plan: Plan, compiled: CompiledTwin, k: int, *, seed: int = 0, perturbation: Perturbation | None = None,
+    feedback: bool = True,
+) -> Replay:  # fmt: skip
+    """Rollout k of perturbed() with this seed, by plain mj_step: the same states to the last bit, NaN once it exploded.
+
+    The replay keeps the compiled model, with the errors in its motion alone. The perturbation is by default
+    Perturbation.usual(plan.problem).
+    """
+    k, seed = count("k", k, minimum=0), count("seed", seed, minimum=0)
+    mujoco = load_mujoco()
+    with Rollouts(plan, compiled, threads=1) as rollouts:
+        errors = draw(perturbation or Perturbation.usual(plan.problem), seed, k, rollouts.nominal.sizes)
+        batch, M = rollouts.batch([errors]), rollouts.steps
+        piece, commands = rollouts.pieces(batch, MODES[feedback])
+        model = batch.models[0]
+        data, complaints = mujoco.MjData(model), []
+        w, ctrl = np.full((M + 1, batch.start.shape[1]), np.nan), np.zeros((M, model.nu))
+        recorder = ContactRecorder(model, M)
+        w[0] = batch.start[0]
+        set_state(model, data, w[0])
+        with rollouts.curves(batch, [data]):
+            for i in range(M):
+                if i % piece == 0:
+                    n, complaints = min(piece, M - i), [warning.number for warning in data.warning]
+                    with np.errstate(all="ignore"):  # of one about to explode
+                        ctrl[i : i + n] = commands(i, n, w[i : i + 1])[0]
+                    data.qacc_warmstart[:] = 0.0  # as every segment of the Monte Carlo begins
+                elif complaints != [warning.number for warning in data.warning]:  # as mujoco.rollout gives it up
+                    w[i] = np.nan
+                    break
+                data.ctrl[:] = ctrl[i]
+                recorder.step(i, data)
+                w[i + 1] = state_of(data)
+                if not np.all(np.abs(w[i + 1]) < RUNAWAY):
+                    w[i + 1] = np.nan
+                    break
+            warnings = warnings_of(data)
+            if np.isfinite(w[M]).all():
+                recorder.look(M, data)
+        t = rollouts.step * np.arange(M + 1)
+        qpos, qvel, act = np.split(w, [model.nq, model.nq + model.nv], axis=1)
+        substeps = rollouts.control_steps * rollouts.substeps
+        return Replay(
+            plan=plan, compiled=compiled, feedback=feedback, integrator=rollouts.integrator, t=t, qpos=qpos, qvel=qvel,
+            act=act, ctrl=ctrl, xs=rollouts.x_of(w), plan_xs=plan.between_knots(substeps), contact_force=recorder.force,
+            contact_point=recorder.point, substeps=substeps, warnings=warnings,
+            reached=ranges_reached(model, t, w, ctrl), contacts=recorder.history(t),
+        )  # fmt: skip

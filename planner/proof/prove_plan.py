@@ -33,11 +33,10 @@ from planner.proof.error_propagation import propagate_errors
 from planner.proof.error_scales import worst_by_unit
 from planner.proof.feedback_rate import controller_section, slowest_rate
 from planner.proof.goal_regulator import RegulatedRun, hold_gain, hold_section, simulate_regulator
-from planner.proof.left_out import unmodelled_of
 from planner.proof.original_model import OPEN_LOOP_MISSES, your_file
 from planner.proof.original_model import TITLE as FILE
 from planner.proof.replay_errors import goal, tracking
-from planner.proof.replays.compiled_twin import another_model
+from planner.proof.replays.compiled_twin import another_model, unmodelled_of
 from planner.proof.replays.replaying import Replay, replay_in
 from planner.proof.replays.sampled_gains import sampling_of
 from planner.proof.robustness.perturbation import Perturbation
@@ -284,4 +283,5 @@ def _reason(passed: bool, judged: tuple[Section, ...], steps: list[Section], run
     measured = [one for section in steps for one in section.measured if one.bound]
     worst = max(measured, key=lambda one: one.value / (one.bound or 1.0))
     how = "with the plan's gains" if run.feedback else "open loop"
-    return f"MuJoCo repeats the plan {how} at a step of {run.timestep:.3g} s; nearest to its bound: {worst.bound_share_text}."
+    step = f"at a step of {run.timestep:.3g} s"
+    return f"MuJoCo repeats the plan {how} {step}; nearest to its bound: {worst.bound_share_text}."
