@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from planner.base.arguments import number
+from planner.model.capabilities import capabilities_of
 from planner.model.space import StateSpace
 from planner.problem.constraints.trajectory_constraints import TrajectoryConstraints
 from planner.problem.state_bounds import BoundPenalties
@@ -110,5 +111,5 @@ class Trajectory:
 
 def rates_of(dynamics: Any) -> slice:
     """The entries of a state that are velocities; none for dynamics without a mechanism."""
-    mechanism = getattr(dynamics, "mechanism", None)
+    mechanism = capabilities_of(dynamics).mechanism
     return slice(0, 0) if mechanism is None else slice(mechanism.nq, mechanism.nq + mechanism.nv)

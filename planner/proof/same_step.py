@@ -11,7 +11,7 @@ are closed: MuJoCo's equalities are soft, so here its accelerations are those of
 equalities kept exactly.
 
 A plan's stage of several substeps is as many steps here. The method that takes damping implicitly is that of
-replays.implicit_steps.
+replays.simulation.
 """
 
 from __future__ import annotations

@@ -133,7 +133,7 @@ def replay(
         substeps: Simulator steps per stage; by default so that the step is the smallest of dt/20, a fifth of a
             substep and the model's.
         integrator: MuJoCo's, "RK4" or "EULER", whatever the file says. None is RK4 or, where the plan takes damping
-            implicitly, its own method with MuJoCo's accelerations (implicit_steps).
+            implicitly, its own method with MuJoCo's accelerations.
         sampling: When the gains act, as a controller applies them, in place of at every simulator step.
 
     Raises:
