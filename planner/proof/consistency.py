@@ -16,6 +16,7 @@ import numpy as np
 
 from planner.base.measured import Measurement, Section
 from planner.dynamics.assembly import relative_min_singular_value
+from planner.model.capabilities import capabilities_of
 from planner.problem.costs.jerk import JerkCost
 from planner.problem.costs.terms import Quadratic
 from planner.problem.goals import terms_of
@@ -51,7 +52,7 @@ def recomputed(
 ) -> Recomputed:
     """From states xs (N+1, nx) and controls us (N, nu); of a sweep with Jacobians of wrong last digits, with a rng."""
     with np.errstate(all="ignore"):  # a plan may hold any numbers; a NaN passes no bound
-        missed = plan.space.difference(problem.dynamics.step(xs[:-1], us), xs[1:])
+        defects = plan.space.difference(problem.dynamics.step(xs[:-1], us), xs[1:])
         A, B = problem.dynamics.linearize(xs, us)
         quadratic: Quadratic = problem.cost.quadratize(xs, us)
         if plan.bound_penalties is not None and problem.trajectory_constraints is not None:
@@ -61,7 +62,7 @@ def recomputed(
         known = np.isfinite(A).all() and np.isfinite(B).all() and quadratic.finite
         rounded = (A, B) if rng is None else (_with_wrong_digits(rng, A), _with_wrong_digits(rng, B))
         sweep = lq.riccati(*rounded, quadratic, bounds=moves) if known else None
-        return Recomputed(missed, problem.cost.value(xs, us), norm, float(np.linalg.norm(quadratic.r)) + norm, sweep)
+        return Recomputed(defects, problem.cost.value(xs, us), norm, float(np.linalg.norm(quadratic.r)) + norm, sweep)
 
 
 def consistency(plan: Plan, problem: Problem, now: Recomputed) -> Section:
@@ -105,7 +106,7 @@ def consistency(plan: Plan, problem: Problem, now: Recomputed) -> Section:
 
 def _nearest_to_singular(plan: Plan, problem: Problem) -> list[Measurement]:
     """How far closed chains are from a pose that they could leave in two ways, where they are nearest to one."""
-    mechanism = getattr(problem.dynamics, "mechanism", None)
+    mechanism = capabilities_of(problem.dynamics).mechanism
     if mechanism is None or not mechanism.loops or not np.isfinite(plan.xs).all():
         return []
     shares = relative_min_singular_value(mechanism, plan.xs[:, : mechanism.nq])

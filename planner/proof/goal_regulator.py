@@ -20,8 +20,8 @@ from planner.base.errors import PlannerError
 from planner.base.measured import Measurement, Section
 from planner.dynamics.assembly import tangent_basis
 from planner.dynamics.protocol import Dynamics
+from planner.model.capabilities import capabilities_of
 from planner.model.coordinates import coordinates_of
-from planner.model.mechanism import Mechanism
 from planner.model.space import StateSpace, space_of
 from planner.problem.goals import MIN_TOLERANCES
 from planner.problem.plan import Plan
@@ -92,8 +92,8 @@ def hold_gain(problem: Problem) -> GoalRegulator:
 
 def _directions(dynamics: Dynamics, x: np.ndarray, ndx: int) -> tuple[np.ndarray, np.ndarray]:
     """The deviations T (ndx, n) that a machine's constraints leave at x, dx = T dx[places], and these places."""
-    mechanism = getattr(dynamics, "mechanism", None)
-    if not isinstance(mechanism, Mechanism) or mechanism.space.ndx != ndx:
+    mechanism = capabilities_of(dynamics).mechanism
+    if mechanism is None or mechanism.space.ndx != ndx:
         return np.eye(ndx), np.arange(ndx)
     return tangent_basis(mechanism, x)
 

@@ -31,6 +31,7 @@ import numpy as np
 from planner.base.errors import ModelError
 from planner.base.gl import load_mujoco
 from planner.base.measured import Measurement, Section
+from planner.model.capabilities import capabilities_of
 from planner.model.mechanism import SCREW, Mechanism
 from planner.model.mjcf.initial_overlaps import initial_overlaps, without_pairs
 from planner.model.mjcf.model_index import named
@@ -139,9 +140,9 @@ def _measured(run: Replay, problem: Problem, goals: Sequence[GoalCheck]) -> list
 
 def as_given(problem: Problem, twin: Twin, mjcf: str | Path | None = None) -> CompiledTwin:
     """The user's file, unedited but for joints that the plan prescribes, in place of a twin's text; or another one."""
-    mechanism = getattr(problem.dynamics, "mechanism", None)
+    mechanism = capabilities_of(problem.dynamics).mechanism
     own = not (twin.original if mjcf is None else mjcf)
-    if own or not isinstance(mechanism, Mechanism):
+    if own or mechanism is None:
         return CompiledTwin(with_model(twin, mjcf))
     given = with_model(twin, mjcf) if mjcf is not None else replace(twin, mjcf=twin.original)
     compiled = CompiledTwin(given)
@@ -162,7 +163,7 @@ def as_given(problem: Problem, twin: Twin, mjcf: str | Path | None = None) -> Co
 
 def _without_overlaps(problem: Problem, compiled: CompiledTwin) -> CompiledTwin:
     """The file without contacts of pairs that overlap at the start and that the plan does not know."""
-    if not isinstance(getattr(problem.dynamics, "mechanism", None), Mechanism):
+    if capabilities_of(problem.dynamics).mechanism is None:
         return compiled
     model, known = compiled.model, unmodelled_of(problem, compiled).known
     start = compiled.twin.sim_of(problem.x0)
@@ -201,8 +202,8 @@ def _same_model(one: Twin, other: Twin) -> bool:
 def _touches(run: Replay, problem: Problem) -> tuple[list[str], list[str]]:
     """Sentences about pairs that touch unknown to the plan, and about those that do at the start and go no deeper."""
     model, wrong, overlaps = run.compiled.model, [], []
-    mechanism = getattr(problem.dynamics, "mechanism", None)
-    if not isinstance(mechanism, Mechanism):
+    mechanism = capabilities_of(problem.dynamics).mechanism
+    if mechanism is None:
         return wrong, overlaps  # nobody can tell what other dynamics know
     beside = model.body_weldid == 0  # what the controls do not move: the world, and objects that lie on it
     beside |= stationary_object_bodies(mechanism) if len(mechanism.bodies) == model.nbody else False
@@ -263,11 +264,9 @@ def _path(run: Replay) -> list[Measurement]:
 
 def _objects(run: Replay, problem: Problem) -> list[Measurement]:
     """How far objects move in the file that the plan keeps at their start."""
-    mechanism = getattr(problem.dynamics, "mechanism", None)
-    lies = stationary_object_dofs(mechanism) if isinstance(mechanism, Mechanism) else np.zeros(0, dtype=bool)
-    if not np.any(lies):
+    mechanism = capabilities_of(problem.dynamics).mechanism
+    if mechanism is None or not np.any(lies := stationary_object_dofs(mechanism)):
         return []
-    assert isinstance(mechanism, Mechanism)
     places = mechanism.q_address[lies & (mechanism.kind == SCREW)]
     most = float(np.abs(run.xs[:, places] - run.xs[0, places]).max())
     return [Measurement("objects_moved", most, "m", None, "at most, by themselves: the plan keeps them at the start")]
@@ -289,13 +288,13 @@ def _open_loop(plan: Plan, t: np.ndarray, xs: np.ndarray, goals: Sequence[GoalCh
     """How far the file's motion xs (M, nx) without gains ends from the plan, and how many goals it misses so."""
     error = plan.space.difference(xs[-1], plan.xs[-1])[None]
     own_rule = plan.problem is not None and plan.problem.requirements is not None and plan.problem.requirements.goal
-    missed = [] if own_rule else [one for one in misses("open loop", t, xs, tuple(goals)) if not one.passed]
-    note = "; ".join(map(str, missed)) or "without gains"
+    failed = [] if own_rule else [one for one in misses("open loop", t, xs, tuple(goals)) if not one.passed]
+    note = "; ".join(map(str, failed)) or "without gains"
     ends = [
         Measurement(f"open_loop_end_{one.word}_error", one.value, one.unit, None, f"of {one.name} from the plan's end")
         for one in worst_by_unit(plan, error)
     ]
-    return [Measurement(OPEN_LOOP_MISSES, float(len(missed)), "", None, note), *ends]
+    return [Measurement(OPEN_LOOP_MISSES, float(len(failed)), "", None, note), *ends]
 
 
 def _without_gains(run: Replay) -> tuple[np.ndarray, np.ndarray]:

@@ -146,9 +146,9 @@ def prove(
         "your_file": given,
         # Shown, not judged, and after the verdict. Step 5: how often it still arrives with other masses, friction,
         # starts, noise and delay. Then what measurement and slow gains change, and what another ground does.
-        "perturbed": Section("perturbed", not_applicable=_LATER),
-        "controller": Section("controller", not_applicable=_LATER),
-        "another_ground": Section("another ground", not_applicable=_LATER),
+        "perturbed": Section("robustness", not_applicable=_LATER),
+        "controller": Section("feedback rate", not_applicable=_LATER),
+        "another_ground": Section("contact sensitivity", not_applicable=_LATER),
     }
     asked = {
         "seed": seed, "rollouts": rollouts, "hold_seconds": hold_seconds, "optimal": optimal, "perturbation": None,
@@ -197,7 +197,7 @@ def with_informative_sections(proof: Proof, note: Callable[[str], object] = lamb
         encoding = replace(sampling_of(plan), encoders=True)
         encoded = replay_in(compiled, plan, feedback=True, sampling=encoding, planned=planned)
         units = [one.unit for one in coordinates_of(problem.dynamics)]
-        note("another ground")
+        note("contact sensitivity")
         as_judged = functools.partial(replay_in, sampling=sampling_of(plan), planned=planned)
         ground = contact_sensitivity(plan, compiled, units=units, runs=runs, replay=as_judged)
     shown = {"controller": controller_section(rates, encoded), "another_ground": ground}

@@ -100,8 +100,8 @@ def goal(run: Replay, problem: Problem) -> Section:
     if not goals and problem.periodic is None:
         return Section("goal", not_applicable="no goal was asked for")
     motions = {"planned": (run.plan.t, run.plan.xs), "replayed": (run.t, run.xs)}
-    missed = [one for who, motion in motions.items() for one in misses(who, *motion, goals)]
-    return Section("goal", (*missed, *_return(run, problem)))
+    errors = [one for who, motion in motions.items() for one in misses(who, *motion, goals)]
+    return Section("goal", (*errors, *_return(run, problem)))
 
 
 def _return(run: Replay, problem: Problem) -> tuple[Measurement, ...]:

@@ -24,6 +24,7 @@ import numpy as np
 
 from planner.base.gl import load_mujoco
 from planner.base.measured import Measurement, Section
+from planner.model.capabilities import capabilities_of
 from planner.model.mechanism import Mechanism
 from planner.model.mjcf.prescribed_joints import prescribed_dofs_of
 from planner.model.space import StateSpace
@@ -53,10 +54,10 @@ def same_step(plan: Plan, problem: Problem, compiled: CompiledTwin) -> Section:
     """MuJoCo's states at the plan's own step, along the path and stage by stage, against the plan's."""
     if problem.requirements is not None and problem.requirements.no_same_step:
         return Section("same step", not_applicable=problem.requirements.no_same_step)
-    mechanism = getattr(problem.dynamics, "mechanism", None)
-    if mechanism is not None and (mechanism.contacts or mechanism.body_contacts or mechanism.stops):
+    machine = capabilities_of(problem.dynamics)
+    if machine.contacts or machine.stops:
         return Section("same step", not_applicable=_LIMIT)
-    if mechanism is not None and np.any(mechanism.friction_loss):
+    if machine.friction_loss:
         return Section("same step", not_applicable=_FRICTION)
     compiled.check(problem.dynamics.nu)
     space, twin, model = plan.space, compiled.twin, compiled.copy()
@@ -68,15 +69,16 @@ def same_step(plan: Plan, problem: Problem, compiled: CompiledTwin) -> Section:
     model.jnt_actfrclimited[:] = 0
     integrator = getattr(problem.dynamics, "integrator", "")
     substeps = getattr(problem.dynamics, "substeps", 1)
-    constrained = mechanism is not None and (mechanism.couplings or mechanism.loops or mechanism.polynomial_couplings)
+    chains = machine.mechanism if machine.loops else None
+    constrained = chains or (
+        machine.mechanism if machine.mechanism is not None and machine.mechanism.couplings else None
+    )
     dt, driven = problem.dynamics.dt / substeps, prescribed_dofs_of(problem.dynamics)
     damping = damping_of(problem.dynamics)
-    found = stage_function(integrator, dt, model, twin, space, driven, mechanism if constrained else None, damping)
+    found = stage_function(integrator, dt, model, twin, space, driven, constrained, damping)
     if found is None:
         return Section("same step", not_applicable="MuJoCo cannot take steps of the plan's integrator")
     how, one = found
-
-    chains = mechanism if mechanism is not None and (mechanism.loops or mechanism.polynomial_couplings) else None
     data = load_mujoco().MjData(model)
 
     def stage(x: np.ndarray, u: np.ndarray) -> np.ndarray:

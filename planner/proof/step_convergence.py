@@ -12,11 +12,11 @@ ASME V&V 20-2009). With f1, f2, f3 the coarse, middle and fine values,
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
 from planner.base.measured import Measurement, Section
+from planner.model.capabilities import capabilities_of
 from planner.model.tendons import slack_tendons
 from planner.problem.plan import Plan
 from planner.problem.problem import Problem
@@ -83,7 +83,7 @@ class StepConvergence:
         else:
             note = f"changes are below {_SEEN:g} at all steps from {steps}: no order can be seen"
             measured.append(Measurement("observed_order", np.nan, "", None, note))
-        return Section("order, open loop", tuple(measured))
+        return Section("step convergence, open loop", tuple(measured))
 
 
 def step_convergence(problem: Problem, run: Replay) -> StepConvergence:
@@ -139,29 +139,22 @@ def _unjudged(run: Replay, problem: Problem) -> str:
     """Why no order can be asked of a machine's motion, or ""."""
     if may_touch(run.compiled.model):
         return "contacts open and close: the order scatters"
-    mechanism = getattr(problem.dynamics, "mechanism", None)
-    if mechanism is not None and (mechanism.couplings or mechanism.loops or mechanism.polynomial_couplings):
+    machine = capabilities_of(problem.dynamics)
+    if machine.loops or (machine.mechanism is not None and machine.mechanism.couplings):
         return "MuJoCo's equalities are soft, by the square of its step"
-    if bends := _bends(mechanism):
-        return bends
-    return "a range is reached: the motion is not smooth" if run.reached or _stopped(problem, run.xs) else ""
-
-
-def _bends(mechanism: Any) -> str:
-    """Why forces of a mechanism's joints are not smooth, or ""."""
-    if mechanism is None:
-        return ""
-    if np.any(mechanism.friction_loss):
+    if machine.friction_loss:
         return "friction loss is cut off: the motion is not smooth"
-    return "the spring of a tendon goes slack: the motion is not smooth" if any(slack_tendons(mechanism)) else ""
+    if machine.mechanism is not None and any(slack_tendons(machine.mechanism)):
+        return "the spring of a tendon goes slack: the motion is not smooth"
+    return "a range is reached: the motion is not smooth" if run.reached or _stopped(problem, run.xs) else ""
 
 
 def _stopped(problem: Problem, xs: np.ndarray) -> bool:
     """Whether states (M+1, nx) come to a stop of the plan's machine, whose force MuJoCo has without its smoothing."""
-    mechanism: Any = getattr(problem.dynamics, "mechanism", None)
-    return any(
+    mechanism = capabilities_of(problem.dynamics).mechanism
+    return mechanism is not None and any(
         bool(np.any(stop.side * (xs[:, mechanism.q_address[stop.dof]] - stop.end) > -stop.law.surface_offset))
-        for stop in getattr(mechanism, "stops", ())
+        for stop in mechanism.stops
     )
 
 
@@ -178,8 +171,8 @@ def _observed(changes: np.ndarray) -> float | None:
     if len(changes) < 2 or (np.isfinite(changes).all() and (len(seen) == 0 or seen[-1] == 0)):
         return None
     last = int(seen[-1]) if np.isfinite(changes).all() else len(changes) - 1
-    order = float(np.log2(changes[last - 1] / changes[last]))
-    return order if np.isfinite(order) else 0.0
+    observed = float(np.log2(changes[last - 1] / changes[last]))
+    return observed if np.isfinite(observed) else 0.0
 
 
 def _level(run: Replay, problem: Problem, integrator: str, substeps: int) -> tuple[np.ndarray, float]:

@@ -216,13 +216,13 @@ def test_what_is_robust_says_with_what_and_how_many_rollouts_it_took(arm):
     assert found.done == 32
     lines = found.lines()
     assert "robustness: robust with its gains" in lines
-    assert lines[0] == ("perturbed: 64 rollouts were asked for, 32 were run: by then the rate with gains is settled.")
+    assert lines[0] == ("robustness: 64 rollouts were asked for, 32 were run: by then the rate with gains is decided.")
     proof = replace(planner.prove(arm, rollouts=0), monte_carlo=found)
     assert proof.headline.endswith("; feasible, optimal, robust with its gains")
     assert proof.robustness == "robust"
     few = perturbed(arm, coarse(arm), MonteCarloSettings(4))
     assert few.notes == ()
-    assert "robustness: counting" in few.lines()
+    assert "robustness: pending" in few.lines()
 
 
 def test_gains_of_the_wrong_sign_fail(arm):

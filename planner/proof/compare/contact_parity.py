@@ -26,6 +26,7 @@ from planner.base.gl import load_mujoco
 from planner.base.measured import Measurement
 from planner.dynamics.contacts import contact_force, stop_state, unilateral_force
 from planner.dynamics.hopper import HopperDynamics
+from planner.model.capabilities import capabilities_of
 from planner.model.contact.laws import Contact, Stop
 from planner.model.mechanism import Mechanism
 from planner.model.mjcf.contact_points import shape_of
@@ -102,10 +103,9 @@ def contact_parity(problem: Problem, compiled: CompiledTwin, seed: int = 0) -> t
     dynamics = problem.dynamics
     if isinstance(dynamics, HopperDynamics):
         return _measured([compared(*row) for row in hopper_ground(dynamics, compiled, seed)], seed)
-    mechanism = getattr(dynamics, "mechanism", None)
-    if not isinstance(mechanism, Mechanism):
-        return ()
-    if not (mechanism.contacts or mechanism.body_contacts or mechanism.stops):
+    machine = capabilities_of(dynamics)
+    mechanism = machine.mechanism
+    if mechanism is None or not (machine.contacts or machine.stops):
         return ()
     bench = _Bench(mechanism, compiled, prescribed_dofs_of(dynamics))
     found = [*bench.contacts(*_starts(problem, mechanism, seed)), *bench.stops(problem.x0)]

@@ -118,8 +118,8 @@ class ContactStateSampler:
         if isinstance(place, BodyContactKinematics):  # where axes cross, closest points are sharp
             x = x[np.argsort(-place.crossing[there], kind="stable")]
         lowest = self._lowest(x) if self.lowest_only else np.ones(len(x), dtype=bool)
-        order = np.argsort(~lowest, kind="stable")
-        return x[order], lowest[order]
+        lowest_first = np.argsort(~lowest, kind="stable")
+        return x[lowest_first], lowest[lowest_first]
 
     def _missing(self, place: Any, depth: float) -> np.ndarray:
         """(K,) how much deeper a place is to be, m."""

@@ -34,6 +34,7 @@ from planner.base.measured import Measurement, Section
 from planner.dynamics import algorithms as rigid_body
 from planner.dynamics.friction import BEND, friction_forces
 from planner.dynamics.rigid_body import RigidBodyDynamics
+from planner.model.capabilities import capabilities_of
 from planner.model.mechanism import Mechanism
 from planner.model.mjcf.prescribed_joints import PRESCRIBED_ARMATURE, prescribed_dofs, with_force_inputs
 from planner.model.mjcf.read import mechanism_of_model
@@ -109,10 +110,10 @@ def parity_in(compiled: CompiledTwin, problem: Problem, seed: int = 0) -> Sectio
 def _smooth_parity(compiled: CompiledTwin, problem: Problem, seed: int) -> Section:
     """Parity of everything but contacts and stops."""
     requirements, dynamics = problem.requirements, problem.dynamics
-    mechanism, prescribed = getattr(dynamics, "mechanism", None), getattr(dynamics, "prescribed", ())
+    mechanism, prescribed = capabilities_of(dynamics).mechanism, getattr(dynamics, "prescribed", ())
     if requirements is not None and requirements.rates is not None:
         return _of_rates(problem, requirements, compiled, seed)
-    assert isinstance(mechanism, Mechanism)  # else there is nothing to compare
+    assert mechanism is not None  # else there is nothing to compare
     if not prescribed:
         return _of_mechanism(mechanism, dynamics, compiled, seed)
     model = compiled.copy()
@@ -121,8 +122,8 @@ def _smooth_parity(compiled: CompiledTwin, problem: Problem, seed: int) -> Secti
 
 
 def _nothing_to_compare(problem: Problem) -> bool:
-    mechanism, requirements = getattr(problem.dynamics, "mechanism", None), problem.requirements
-    return not isinstance(mechanism, Mechanism) and (requirements is None or requirements.rates is None)
+    mechanism, requirements = capabilities_of(problem.dynamics).mechanism, problem.requirements
+    return mechanism is None and (requirements is None or requirements.rates is None)
 
 
 def _of_mechanism(mechanism: Mechanism, dynamics: Any, compiled: CompiledTwin, seed: int) -> Section:

@@ -19,6 +19,7 @@ import numpy as np
 
 from planner.base.errors import ModelError
 from planner.base.gl import load_mujoco
+from planner.model.capabilities import capabilities_of
 from planner.model.mechanism import Mechanism
 from planner.model.mjcf.contacts import contact_refusals
 from planner.model.mjcf.couplings import set_hard
@@ -121,8 +122,8 @@ def another_model(problem: Problem, twin: Twin, mjcf: str | Path | None) -> Comp
     prescribed joints are driven in the other model too.
     """
     compiled = CompiledTwin(with_model(twin, mjcf))
-    mechanism = getattr(problem.dynamics, "mechanism", None)
-    if mjcf is None or not isinstance(mechanism, Mechanism):
+    mechanism = capabilities_of(problem.dynamics).mechanism
+    if mjcf is None or mechanism is None:
         return compiled
     compiled = _without(mechanism, compiled)
     prescribed = getattr(problem.dynamics, "prescribed", ())
@@ -174,14 +175,15 @@ def pairs_left_out(problem: Problem) -> tuple[str, ...]:
 
 def unmodelled_of(problem: Problem, compiled: CompiledTwin | None = None) -> UnmodelledFeatures:
     """Everything that a problem's model lacks of the user's file; nothing for dynamics that are not a mechanism's."""
-    twin, mechanism = problem.twin, getattr(problem.dynamics, "mechanism", None)
-    if twin is None or not isinstance(mechanism, Mechanism):
+    twin, machine = problem.twin, capabilities_of(problem.dynamics)
+    if twin is None or machine.mechanism is None:
         return UnmodelledFeatures()
     if problem not in _found:
         model = compiled.model if compiled is not None and compiled.twin.mjcf == twin.mjcf else None
         given = compiled.model if compiled is not None and compiled.twin.mjcf == twin.original else None
-        touches = bool(mechanism.contacts or mechanism.body_contacts)
         # The text as it was before joints were driven: what those edits leave out moves nothing.
-        start = twin.sim_of(problem.x0)[: mechanism.nq]
-        _found[problem] = unmodelled_features(twin.original, twin.planned, twin.assets, touches, model, start, given)
+        start = twin.sim_of(problem.x0)[: machine.mechanism.nq]
+        _found[problem] = unmodelled_features(
+            twin.original, twin.planned, twin.assets, machine.contacts, model, start, given
+        )
     return _found[problem]

@@ -15,8 +15,8 @@ from typing import Any
 import numpy as np
 
 from planner.base.gl import load_mujoco, load_rollout
+from planner.model.capabilities import capabilities_of
 from planner.model.damping import implicit_damping
-from planner.model.mechanism import Mechanism
 from planner.model.mjcf.model_index import named
 from planner.proof.replays.contact_history import ContactRecorder
 
@@ -128,8 +128,8 @@ Acceleration = Callable[[Any, Any], np.ndarray]  # (model, data) after mj_forwar
 
 def damping_of(dynamics: Any) -> np.ndarray | None:
     """(nv,) what a plan's dynamics take implicitly; None where they take nothing so."""
-    mechanism = getattr(dynamics, "mechanism", None)
-    if getattr(dynamics, "integrator", "") != ROSENBROCK or not isinstance(mechanism, Mechanism):
+    mechanism = capabilities_of(dynamics).mechanism
+    if getattr(dynamics, "integrator", "") != ROSENBROCK or mechanism is None:
         return None
     return implicit_damping(mechanism)
 

@@ -57,8 +57,8 @@ class MonteCarlo:
     def run(self) -> None:
         """Run what is missing; OutOfTime after the deadline."""
         margins = len(MODES) * _MAX_LEVELS * self.per_level
-        while (look := next_look(won := self._won("cases", "feedback"), self.asked)) is not None:
-            look = max(look, min(len(won) + self._batches.together, self.asked))  # those beyond a look may not count
+        while (look := next_look(known := self._succeeded("cases", "feedback"), self.asked)) is not None:
+            look = max(look, min(len(known) + self._batches.together, self.asked))  # those beyond a look may not count
             self._extend("cases", "feedback", look, self._case, to_come=2 * self.asked - look + margins)
         self._extend("cases", "open-loop", self.done, self._case, to_come=margins)
         for mode in MODES[::-1]:
@@ -70,16 +70,16 @@ class MonteCarlo:
     @property
     def done(self) -> int:
         """Number of machines that were run with gains, and count."""
-        return enough(self._won("cases", "feedback"), self.asked)
+        return enough(self._succeeded("cases", "feedback"), self.asked)
 
     def ends(self, mode: str) -> np.ndarray:
         """(K, nx) the ends that count."""
         found = self._store.arrays.get(f"cases {mode} end", np.empty((0, self.simulator.plan.xs.shape[1])))
         return found[: self.done]
 
-    def won(self, mode: str) -> np.ndarray:
+    def succeeded(self, mode: str) -> np.ndarray:
         """(K,) which of these succeed."""
-        return self._won("cases", mode)[: self.done]
+        return self._succeeded("cases", mode)[: self.done]
 
     def deviations(self, mode: str) -> np.ndarray:
         """(K, T, ndx) deviations from the plan at the kept knots."""
@@ -100,12 +100,12 @@ class MonteCarlo:
             self._extend(
                 part, mode, least, lambda k: draw_masses(LEVELS[level], self._seed, level, k, sizes), left + others
             )
-            return bool(self._won(part, mode)[:least].mean() >= ENOUGH)
+            return bool(self._succeeded(part, mode)[:least].mean() >= ENOUGH)
 
         most = largest_survived(len(LEVELS), survives)
         return LEVELS[most] if most >= 0 else 0.0
 
-    def _won(self, part: str, mode: str) -> np.ndarray:
+    def _succeeded(self, part: str, mode: str) -> np.ndarray:
         """(K,) the successes among all the store has of a part."""
         if self.rule.follows is not None:
             return self._store.arrays.get(f"{part} {mode} won", np.empty(0, dtype=bool))

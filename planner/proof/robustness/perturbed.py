@@ -45,7 +45,7 @@ class RobustnessResult:
     perturbation: Perturbation  # The errors that were drawn
     seed: int  # Of the random numbers
     asked: int  # Most rollouts in each mode
-    done: int  # Rollouts with gains: so many that their rate is settled; open loop as many, but for a budget
+    done: int  # Rollouts with gains: as many as decide their rate; open loop as many, but for a budget
     step: float  # The simulator's step, s
     control_step: float  # How often the gains act, s
     tolerance: float  # Largest end error that succeeds; NaN where something else decides
@@ -66,11 +66,11 @@ class RobustnessResult:
     @property
     def rates(self) -> dict[str, SuccessRate]:
         """Per mode, how many succeeded of how many."""
-        return {mode: SuccessRate(int(won.sum()), len(won)) for mode, won in self.success.items()}
+        return {mode: SuccessRate(int(good.sum()), len(good)) for mode, good in self.success.items()}
 
     @property
     def robustness(self) -> str:
-        """The word "robust", "fragile" or, of too few rollouts to know, "counting": see success_rate.
+        """The word "robust", "fragile" or, of too few rollouts to know, "pending": see robustness.success.
 
         Of the rate with gains; where other errors than the standard ones were drawn, it is about those.
         """
@@ -79,14 +79,14 @@ class RobustnessResult:
     @property
     def worst(self) -> dict[str, tuple[int, ...]]:
         """Per mode, the numbers of the rollouts that ended farthest off, the worst first: see replay_rollout."""
-        order = {mode: np.argsort(-error, kind="stable") for mode, error in self.end_error.items()}
-        return {mode: tuple(map(int, ks[:_WORST])) for mode, ks in order.items()}
+        worst_first = {mode: np.argsort(-error, kind="stable") for mode, error in self.end_error.items()}
+        return {mode: tuple(map(int, ks[:_WORST])) for mode, ks in worst_first.items()}
 
     @property
     def section(self) -> Section:
         """The measured, without bounds."""
         if not self.done:
-            return Section("perturbed", not_applicable=" ".join(self.notes) or "no rollout was run")
+            return Section("robustness", not_applicable=" ".join(self.notes) or "no rollout was run")
         varied = " ".join((f"varied: {self.perturbation}.", *self.notes))
         measured = [Measurement("rollouts", float(self.done), "", None, varied)]
         for mode, rate in self.rates.items():
@@ -101,17 +101,17 @@ class RobustnessResult:
             if math.isfinite(self.margin[mode]):
                 note = f"largest error of every body's mass at which 95 % of {self.per_level} succeed, by bisection"
                 measured.append(Measurement(f"{name}_mass_margin", 100.0 * self.margin[mode], "%", None, note))
-        return Section("perturbed", tuple(measured))
+        return Section("robustness", tuple(measured))
 
     def lines(self) -> list[str]:
         """The rates with their intervals, and which rollouts ended farthest off."""
-        lines = [f"perturbed: {note}" for note in self.notes]
+        lines = [f"robustness: {note}" for note in self.notes]
         word = self.robustness
-        lines += [f"robustness: {word}{'' if word == 'counting' else JUDGED}"] if self.done else []
+        lines += [f"robustness: {word}{'' if word == 'pending' else JUDGED}"] if self.done else []
         for mode, rate in self.rates.items() if self.done else ():
             worst = ", ".join(map(str, self.worst[mode]))
             how = "open loop" if mode == "open-loop" else "with gains"
-            lines.append(f"perturbed, {how}: {rate} succeed; farthest off (--replay-rollout): {worst}")
+            lines.append(f"robustness, {how}: {rate} succeed; farthest off (--replay-rollout): {worst}")
         return lines
 
     def to_dict(self) -> dict[str, Any]:
@@ -166,33 +166,34 @@ def perturbed(
     with Rollouts(plan, compiled, threads) as simulator:
         if perturbation.friction and simulator.nominal.ignores_friction:
             notes.append("Dry friction does nothing here: the model's flags switch it off.")
-        campaign = MonteCarlo(
+        monte_carlo = MonteCarlo(
             simulator, trials.rule or rule_of(plan), perturbation, trials.seed, trials.rollouts,
             partial=None if partial is None else Path(partial), deadline=deadline, progress=progress, executor=executor,
             most_at_once=None if budget is None else max(4, int(budget / _PIECES / simulator.seconds)),
         )  # fmt: skip
         try:
-            campaign.run()
-            if campaign.done < trials.rollouts:
+            monte_carlo.run()
+            if monte_carlo.done < trials.rollouts:
                 asked = f"{trials.rollouts} rollouts were asked for"
-                notes.append(f"{asked}, {campaign.done} were run: by then the rate with gains is settled.")
+                notes.append(f"{asked}, {monte_carlo.done} were run: by then the rate with gains is decided.")
         except OutOfTime:
             notes.append(f"Stopped after {budget:g} s: how many rollouts there are depends on this computer.")
-        return _result(campaign, trials, perturbation, tuple(notes))
+        return _result(monte_carlo, trials, perturbation, tuple(notes))
 
 
 def _result(
-    campaign: MonteCarlo, trials: MonteCarloSettings, perturbation: Perturbation, notes: tuple[str, ...]
+    monte_carlo: MonteCarlo, trials: MonteCarloSettings, perturbation: Perturbation, notes: tuple[str, ...]
 ) -> RobustnessResult:
     """What is known of the rollouts that count."""
-    simulator, rule = campaign.simulator, campaign.rule
+    simulator, rule = monte_carlo.simulator, monte_carlo.rule
     return RobustnessResult(
-        perturbation=perturbation, seed=trials.seed, asked=trials.rollouts, done=campaign.done, step=simulator.step,
+        perturbation=perturbation, seed=trials.seed, asked=trials.rollouts, done=monte_carlo.done, step=simulator.step,
         control_step=simulator.control_step, tolerance=rule.most,
-        end_error={mode: end_errors(simulator.plan, campaign.ends(mode)) for mode in MODES},
-        success={mode: campaign.won(mode) for mode in MODES}, margin={mode: campaign.margin[mode] for mode in MODES},
-        per_level=campaign.per_level, t=simulator.plan.t[simulator.knots],
-        fans={mode: _percentiles(campaign.deviations(mode)) for mode in MODES}, rule=rule.words, notes=notes,
+        end_error={mode: end_errors(simulator.plan, monte_carlo.ends(mode)) for mode in MODES},
+        success={mode: monte_carlo.succeeded(mode) for mode in MODES},
+        margin={mode: monte_carlo.margin[mode] for mode in MODES},
+        per_level=monte_carlo.per_level, t=simulator.plan.t[simulator.knots],
+        fans={mode: _percentiles(monte_carlo.deviations(mode)) for mode in MODES}, rule=rule.words, notes=notes,
     )  # fmt: skip
 
 

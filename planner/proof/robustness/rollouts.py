@@ -26,7 +26,7 @@ from planner.base.environment import processors
 from planner.base.errors import PlannerError
 from planner.base.gl import load_mujoco, load_rollout
 from planner.dynamics.assembly import tangent_basis
-from planner.model.mechanism import Mechanism
+from planner.model.capabilities import capabilities_of
 from planner.problem.goals import stages_asked
 from planner.problem.plan import Plan
 from planner.proof.replays.compiled_twin import CompiledTwin
@@ -151,9 +151,9 @@ class Rollouts:
         """The machines with these errors."""
         plan = self.plan
         joints = self.nominal.model.dof_jntid[[curve.dof for curve in self.twin.curves]]
-        x0, mechanism = self._problem.x0, getattr(self._problem.dynamics, "mechanism", None)
+        x0, mechanism = self._problem.x0, capabilities_of(self._problem.dynamics).mechanism
         starts = [errors.start for errors in draws]
-        if isinstance(mechanism, Mechanism):
+        if mechanism is not None:
             T, places = tangent_basis(mechanism, x0)
             starts = [T @ start[places] for start in starts]
         return RolloutBatch(

@@ -25,8 +25,8 @@ from planner.proof.error_scales import ranges_of_motion
 
 ROBUST = 0.8  # the lower end of the interval that makes a plan robust
 TIGHT = 0.07  # half the width of an interval that is tight enough
-# Numbers of rollouts after which the rate is looked at: 16 is the first of which all is robust, at 160 every rate is
-# settled.
+# Numbers of rollouts at which the rate is evaluated: 16 successes of 16 are the fewest that are robust, and 160
+# rollouts decide every rate.
 LOOKS = (16, 32, 64, 96, 128, 160)
 _Z = 1.959963984540054  # standard deviations: 95 % of a normal distribution lie within
 
@@ -63,10 +63,10 @@ class SuccessRate:
 
     @property
     def word(self) -> str:
-        """The word "robust" for a lower end of at least ROBUST; else "fragile" where settled; else "counting"."""
+        """The word "robust" for a lower end of at least ROBUST; else "fragile" where decided; else "pending"."""
         if self.interval[0] >= ROBUST:
             return "robust"
-        return "fragile" if self.is_decided else "counting"
+        return "fragile" if self.is_decided else "pending"
 
     def to_dict(self) -> dict[str, float | int]:
         """As JSON values."""
@@ -78,22 +78,22 @@ class SuccessRate:
         return f"{self.successes} of {self.of}, 95 % interval {100.0 * low:.1f} to {100.0 * high:.1f} %"
 
 
-def next_look(won: np.ndarray, most: int) -> int | None:
-    """The number of rollouts to be had next, of successes (K,) so far; None where they are settled, or `most`."""
-    return next((look for look, settled in _looks(won, most) if not settled), None)
+def next_look(succeeded: np.ndarray, most: int) -> int | None:
+    """The number of rollouts to be had next, of successes (K,) so far; None where they are decided, or `most`."""
+    return next((look for look, decided in _looks(succeeded, most) if not decided), None)
 
 
-def enough(won: np.ndarray, most: int) -> int:
-    """How many of successes (K,) count: up to the look that settled them, at most `most`."""
-    return next((look for look, settled in _looks(won, most) if settled), min(len(won), most))
+def enough(succeeded: np.ndarray, most: int) -> int:
+    """How many of successes (K,) count: up to the look that decided them, at most `most`."""
+    return next((look for look, decided in _looks(succeeded, most) if decided), min(len(succeeded), most))
 
 
-def _looks(won: np.ndarray, most: int) -> Iterator[tuple[int, bool]]:
-    """Each look up to the first that is settled or not there yet, and whether it is settled."""
+def _looks(succeeded: np.ndarray, most: int) -> Iterator[tuple[int, bool]]:
+    """Each look up to the first that is decided or not there yet, and whether it is decided."""
     for look in (*(look for look in LOOKS if look < most), most):
-        settled = len(won) >= look and SuccessRate(int(won[:look].sum()), look).is_decided
-        if settled or len(won) < look:
-            yield look, settled
+        decided = len(succeeded) >= look and SuccessRate(int(succeeded[:look].sum()), look).is_decided
+        if decided or len(succeeded) < look:
+            yield look, decided
             return
 
 
@@ -114,18 +114,18 @@ class SuccessRule:
 
     def succeeded(self, ends: np.ndarray) -> np.ndarray:
         """(K,) successes of end states (K, nx); none that has exploded is one."""
-        sound, won = np.isfinite(ends).all(axis=1), np.zeros(len(ends), dtype=bool)
+        sound, succeeded = np.isfinite(ends).all(axis=1), np.zeros(len(ends), dtype=bool)
         if sound.any():
-            won[sound] = self.succeeds(ends[sound])
-        return won
+            succeeded[sound] = self.succeeds(ends[sound])
+        return succeeded
 
     def followed(self, xs: np.ndarray, plan_xs: np.ndarray, stages: np.ndarray) -> np.ndarray:
         """(K,) successes of states (K, T, nx) at some stages (T,), by the way; none that has exploded is one."""
         assert self.follows is not None
-        won, sound = np.zeros(len(xs), dtype=bool), np.isfinite(xs).all(axis=(1, 2))
+        succeeded, sound = np.zeros(len(xs), dtype=bool), np.isfinite(xs).all(axis=(1, 2))
         if sound.any():
-            won[sound] = self.follows(xs[sound], plan_xs, stages)
-        return won
+            succeeded[sound] = self.follows(xs[sound], plan_xs, stages)
+        return succeeded
 
 
 def rule_of(plan: Plan) -> SuccessRule:
@@ -160,10 +160,10 @@ def within_goals(goals: Sequence[GoalCheck]) -> SuccessRule:
     """Succeed by missing every goal by at most five times its tolerance."""
 
     def succeeds(ends: np.ndarray) -> np.ndarray:
-        won = np.ones(len(ends), dtype=bool)
+        succeeded = np.ones(len(ends), dtype=bool)
         for goal in goals:
-            won &= goal.error(ends) <= GOAL_TOLERANCES * goal.tolerance
-        return won
+            succeeded &= goal.error(ends) <= GOAL_TOLERANCES * goal.tolerance
+        return succeeded
 
     return SuccessRule(f"ends within {GOAL_TOLERANCES:g} tolerances of every goal", succeeds)
 
