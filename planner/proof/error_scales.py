@@ -27,11 +27,11 @@ from planner.problem.plan import Plan
 from planner.problem.problem import Problem
 from planner.proof.replays.replaying import Replay
 
-SHARE = 0.01  # of a range of motion
-SMOOTHED = 0.05  # the same where the plan smooths what MuJoCo does not: contacts, stops, friction loss
-OF_LARGEST = 0.1  # of the largest range of the same unit, for what hardly moves
-MIN_RANGE = 1e-3  # rad, m, rad/s, m/s, for a machine that stands still
-COST_BOUND = 1.0  # %
+SHARE = 0.01  # bound of a path error, as a share of the coordinate's range of motion
+SMOOTHED = 0.05  # the same where the plan smooths contacts, stops or friction loss, and MuJoCo does not
+OF_LARGEST = 0.1  # smallest range of a coordinate, as a share of the largest range of its unit
+MIN_RANGE = 1e-3  # rad, m, rad/s, m/s, smallest range of motion, for a machine at rest
+COST_BOUND = 1.0  # %, bound of the error of the judged cost
 
 KINDS = ("exact_goal", "position_range", "velocity_range", "state_range")  # of limits of states
 WORDS = {

@@ -46,8 +46,8 @@ from planner.proof.same_step import same_step
 from planner.proof.step_convergence import step_convergence
 from planner.proof.verdict import Proof
 
-ROLLOUTS = 512
-_ROUNDING = 1e-9  # a start that is nearer to its goal is at it
+ROLLOUTS = 512  # default of the most perturbed simulations in each mode
+_ROUNDING = 1e-9  # distance below which the start counts as equal to the goal
 _LATER = "it was not asked for: it follows the verdict, with rollouts"
 
 

@@ -28,13 +28,13 @@ from planner.proof.replays.simulation import ROSENBROCK, damping_of
 from planner.proof.same_step import advancing
 
 NOMINAL = {"euler": 1.0, "semi-implicit-euler": 1.0, "rk4": 4.0, ROSENBROCK: 2.0}
-ORDER_BOUND = 0.2  # how far below its nominal order a smooth machine's may be observed
-LEVELS = 5  # steps h ... h/16, h being a stage
-LEVELS_OF_SUBSTEPS = 3  # the least that show an order: a stage of several substeps, h being one, begins near to it
-MAX_LEVELS = 7  # while errors are so large that no order shows
-MAX_STEPS = 256  # of a stage, beyond which none are added
+ORDER_BOUND = 0.2  # largest shortfall of the observed order from the nominal one, for a smooth machine
+LEVELS = 5  # number of step sizes: a stage, its half, ... a sixteenth
+LEVELS_OF_SUBSTEPS = 3  # number of step sizes from a substep on: the fewest that show an order
+MAX_LEVELS = 7  # number of step sizes where the first ones are too coarse to show an order
+MAX_STEPS = 256  # steps of a stage beyond which no finer level is added
 UNCERTAIN = 0.1  # of the bound of the cost: where no order is judged, none are added for less
-_SEEN = 1e-9  # changes below are rounding
+_SEEN = 1e-9  # change of the end state below which it is rounding
 _SAFETY = 1.25  # Roache's factor for three grids and more
 
 
