@@ -173,8 +173,8 @@ def test_the_verdict_is_printed_before_what_is_only_shown(tmp_path, capsys, monk
     from planner.cli.console import Console
 
     say, note = Console.write_result, Console.write_progress
-    monkeypatch.setattr(Console, "say", lambda self, text="": (order.append(text.strip()), say(self, text)))
-    monkeypatch.setattr(Console, "note", lambda self, text: (order.append(text.strip()), note(self, text)))
+    monkeypatch.setattr(Console, "write_result", lambda self, text="": (order.append(text.strip()), say(self, text)))
+    monkeypatch.setattr(Console, "write_progress", lambda self, text: (order.append(text.strip()), note(self, text)))
     plan = planner.solve(planner.cases.two_link(horizon=100)).save(tmp_path / "plan.npz")
     words = {
         "run": ["run", "two-link", "--horizon", "100", "--no-video", "--out", str(tmp_path / "o")],
