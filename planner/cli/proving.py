@@ -23,8 +23,8 @@ from planner.proof.error_scales import worst_by_unit
 from planner.proof.replays.compiled_twin import CompiledTwin
 from planner.proof.replays.replaying import Replay
 from planner.proof.robustness.perturbation import Perturbation
-from planner.proof.robustness.rollout_replay import replay_rollout
-from planner.proof.robustness.success_rule import end_errors
+from planner.proof.robustness.perturbed import replay_rollout
+from planner.proof.robustness.success import end_errors
 from planner.sweeps.executors import executor_of
 
 

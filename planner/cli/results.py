@@ -171,8 +171,8 @@ def show_cures(plan: Plan, proof: Proof | None, console: Console) -> None:
 def completed(proof: Proof, rollouts: int, console: Console, **options: Any) -> Proof:
     """Note the verdict at once, then measure what does not change it, with so many rollouts.
 
-    `options` are those of planner.proof.prove_plan.with_rollouts(). No rollouts leave the proof as it is. show_proof() is to
-    follow: the verdict is printed there, once.
+    `options` are those of planner.proof.prove_plan.with_rollouts(). No rollouts leave the proof as it is. show_proof()
+    is to follow: the verdict is printed there, once.
     """
     if not rollouts:
         return proof

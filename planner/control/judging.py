@@ -27,7 +27,7 @@ from planner.dynamics.kinematics import frame_pose
 from planner.model.coordinates import coordinates_of
 from planner.problem.goals import MIN_TOLERANCES, GoalCheck, goals_of
 from planner.proof.replay_errors import misses, word_of, worst_of
-from planner.proof.robustness.success_rule import GOAL_TOLERANCES, OF_RANGE, SuccessRule, rule_of
+from planner.proof.robustness.success import GOAL_TOLERANCES, OF_RANGE, SuccessRule, rule_of
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,7 +112,7 @@ def judge(loop: ClosedLoopRun) -> LoopVerdict:
     sections = {"arrives": _arrives(loop, goals), "stays": _stays(loop, goals)}
     if loop.goal is not None:
         sections = {"follows": _follows(loop)}
-    sections |= {"kept": _kept(loop), "simulator": Section("simulator", (warned,)), "calls": _calls(loop)}
+    sections |= {"kept": _constraints(loop), "simulator": Section("simulator", (warned,)), "calls": _calls(loop)}
     return LoopVerdict(sections, loop)
 
 
@@ -213,12 +213,12 @@ def _near_moving(way: float, unit: str) -> float:
     return max(OF_RANGE * way, GOAL_TOLERANCES * MIN_TOLERANCES.get(unit, 0.0))
 
 
-def _kept(loop: ClosedLoopRun) -> Section:
+def _constraints(loop: ClosedLoopRun) -> Section:
     """How far ranges and constraints are left during the task."""
     problem = loop.controller.problem
     M = problem.N * loop.substeps
     if problem.trajectory_constraints is None or len(loop.xs) <= M or not np.isfinite(loop.xs).all():
-        return Section("kept", not_applicable="no ranges and no constraints, or no whole task")
+        return Section("constraints", not_applicable="no ranges and no constraints, or no whole task")
     found, xs, us = list[Measurement](), loop.xs[: M + 1], loop.ctrl[:M]
     if problem.ranges is not None:
         beyond = problem.ranges.violation(xs).max(axis=0)
@@ -230,7 +230,7 @@ def _kept(loop: ClosedLoopRun) -> Section:
         for one in problem.trajectory_constraints.rows.violations(xs, us):
             note = f"{one.constraint.name}: largest at any step of the task"
             found.append(Measurement("constraint_violation", one.value, one.constraint.unit, None, note))
-    return Section("kept", tuple(found))
+    return Section("constraints", tuple(found))
 
 
 def _calls(loop: ClosedLoopRun) -> Section:

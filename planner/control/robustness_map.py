@@ -18,8 +18,7 @@ from planner.control.judging import passes_disturbed
 from planner.control.simulating import LATE, STAYS, simulate
 from planner.problem.plan import Plan
 from planner.proof.replays.compiled_twin import CompiledTwin
-from planner.proof.robustness.levels import largest_survived
-from planner.proof.robustness.monte_carlo import LEVELS
+from planner.proof.robustness.monte_carlo import LEVELS, largest_survived
 from planner.proof.robustness.pushes import DURATION, Push
 
 PUSHES = (1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0, 200.0, 500.0, 1000.0)  # N

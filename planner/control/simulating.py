@@ -25,14 +25,13 @@ from planner.problem.plan import Plan, Status
 from planner.problem.problem import Problem
 from planner.proof.replays.compiled_twin import CompiledTwin
 from planner.proof.replays.contact_history import ContactRecorder
-from planner.proof.replays.implicit_steps import damping_of, implicit_step
 from planner.proof.replays.passive_torque_callback import curves_acting
 from planner.proof.replays.replaying import PARTS, REFINEMENT, SUBSTEP_REFINEMENT, Replay
 from planner.proof.replays.sampled_gains import Encoders, sampling_in
-from planner.proof.replays.simulation import MAX_STEPS
+from planner.proof.replays.simulation import MAX_STEPS, damping_of, implicit_step
 from planner.proof.replays.simulation import simulate as run_model
+from planner.proof.robustness.perturbation import Mass, with_stated_errors
 from planner.proof.robustness.pushes import Push, pushed_step
-from planner.proof.robustness.stated_errors import Mass, with_stated_errors
 
 Goal = Callable[[float], Any]
 LATE, STAYS = 1.0, 1.0  # s after the task: in which it may still arrive, and over which it must then stay

@@ -1,8 +1,11 @@
-"""Step 0 of a proof: whether a plan agrees with its own dynamics and cost. MuJoCo has no part in it.
+"""Step 0 of a proof: whether a plan agrees with its own dynamics and cost, and whether its solve converged.
 
-Everything is computed again from the plan's states and controls. What rounding becomes on the way depends on the
-machine and its weights, so it is measured: the same is computed from states, controls and Jacobians that are wrong in
-their last digits, and a number that these move by more than the usual bound is judged by how far they move it.
+Everything is computed again from the plan's states and controls; MuJoCo takes no part. The effect of rounding depends
+on the machine and its weights, so it is measured: the same is computed from states, controls and Jacobians with errors
+in their last digits, and a number that these change by more than the usual bound is judged by that change.
+
+At nonsmooth contacts the LQ model expects a decrease that no step achieves. There the decrease that is left is measured
+by more steps of SLQ, as a solve ends by its actual reduction (actual_reduction_tolerance of planner.solve).
 """
 
 from __future__ import annotations
@@ -13,14 +16,13 @@ import numpy as np
 
 from planner.base.measured import Measurement, Section
 from planner.dynamics.assembly import relative_min_singular_value
+from planner.model.capabilities import capabilities_of
 from planner.problem.costs.jerk import JerkCost
 from planner.problem.costs.terms import Quadratic
 from planner.problem.goals import terms_of
 from planner.problem.plan import Plan, Status
 from planner.problem.problem import Problem
-from planner.proof.constraints import planned_violations
-from planner.proof.error_scales import COST_BOUND, is_nonsmooth, judged_cost, limit_violations
-from planner.proof.remaining_decrease import STEPS, remaining_decrease
+from planner.proof.error_scales import COST_BOUND, is_nonsmooth, judged_cost, limit_violations, planned_violations
 from planner.solvers import lq
 from planner.solvers.options import EXPECTED_REDUCTION_TOLERANCE
 
@@ -50,7 +52,7 @@ def recomputed(
 ) -> Recomputed:
     """From states xs (N+1, nx) and controls us (N, nu); of a sweep with Jacobians of wrong last digits, with a rng."""
     with np.errstate(all="ignore"):  # a plan may hold any numbers; a NaN passes no bound
-        missed = plan.space.difference(problem.dynamics.step(xs[:-1], us), xs[1:])
+        defects = plan.space.difference(problem.dynamics.step(xs[:-1], us), xs[1:])
         A, B = problem.dynamics.linearize(xs, us)
         quadratic: Quadratic = problem.cost.quadratize(xs, us)
         if plan.bound_penalties is not None and problem.trajectory_constraints is not None:
@@ -60,7 +62,7 @@ def recomputed(
         known = np.isfinite(A).all() and np.isfinite(B).all() and quadratic.finite
         rounded = (A, B) if rng is None else (_with_wrong_digits(rng, A), _with_wrong_digits(rng, B))
         sweep = lq.riccati(*rounded, quadratic, bounds=moves) if known else None
-        return Recomputed(missed, problem.cost.value(xs, us), norm, float(np.linalg.norm(quadratic.r)) + norm, sweep)
+        return Recomputed(defects, problem.cost.value(xs, us), norm, float(np.linalg.norm(quadratic.r)) + norm, sweep)
 
 
 def consistency(plan: Plan, problem: Problem, now: Recomputed) -> Section:
@@ -104,7 +106,7 @@ def consistency(plan: Plan, problem: Problem, now: Recomputed) -> Section:
 
 def _nearest_to_singular(plan: Plan, problem: Problem) -> list[Measurement]:
     """How far closed chains are from a pose that they could leave in two ways, where they are nearest to one."""
-    mechanism = getattr(problem.dynamics, "mechanism", None)
+    mechanism = capabilities_of(problem.dynamics).mechanism
     if mechanism is None or not mechanism.loops or not np.isfinite(plan.xs).all():
         return []
     shares = relative_min_singular_value(mechanism, plan.xs[:, : mechanism.nq])
@@ -185,3 +187,56 @@ def _gain_errors(K: np.ndarray, sweep: lq.Sweep | None) -> np.ndarray:
 def _largest(values: np.ndarray) -> float:
     """The largest magnitude; NaN when any is."""
     return float(np.abs(values).max())
+
+
+STEPS = 10
+_HALVINGS = 12  # step lengths 1, 1/2, ... that are tried
+
+
+@np.errstate(all="ignore")  # a long step may run away: then it gains nothing
+def remaining_decrease(plan: Plan, problem: Problem) -> float:
+    """The decrease of a plan's cost in at most STEPS steps, each the best of several lengths; 0 where none is lower."""
+    xs, us = plan.xs, plan.us
+    first = cost = _cost(plan, problem, xs, us)
+    for _ in range(STEPS):
+        A, B = problem.dynamics.linearize(xs, us)
+        quadratic = problem.cost.quadratize(xs, us)
+        if plan.bound_penalties is not None and problem.trajectory_constraints is not None:
+            quadratic = problem.trajectory_constraints.with_penalties(plan.bound_penalties, quadratic, xs, us, A, B)
+        moves = None if problem.bounds is None else problem.bounds.step_bounds(xs, us)
+        sweep = lq.riccati(A, B, quadratic, bounds=moves)
+        if sweep is None:
+            break
+        tried = _rolled(plan, problem, xs, us, sweep)
+        costs = np.array([_cost(plan, problem, *one) for one in zip(*tried, strict=True)])
+        best = int(np.argmin(np.where(np.isfinite(costs), costs, np.inf)))
+        if not costs[best] < cost:
+            break
+        xs, us, cost = tried[0][best], tried[1][best], float(costs[best])
+    return first - cost
+
+
+def _rolled(
+    plan: Plan, problem: Problem, xs: np.ndarray, us: np.ndarray, sweep: lq.Sweep
+) -> tuple[np.ndarray, np.ndarray]:
+    """States (S, N+1, nx) and controls (S, N, nu) along a sweep's direction, with its gains, of each step length."""
+    lengths = 0.5 ** np.arange(_HALVINGS + 1)
+    states = np.empty((len(lengths), *xs.shape))
+    controls = np.empty((len(lengths), *us.shape))
+    states[:, 0] = problem.x0
+    for n in range(len(us)):
+        dx = plan.space.difference(states[:, n], np.broadcast_to(xs[n], states[:, n].shape))
+        wanted = us[n] + lengths[:, None] * sweep.k[n] + dx @ sweep.K[n].T
+        controls[:, n] = plan.within_bounds(n, wanted, states[:, n])
+        states[:, n + 1] = problem.dynamics.step(states[:, n], controls[:, n])
+    return states, controls
+
+
+def _cost(plan: Plan, problem: Problem, xs: np.ndarray, us: np.ndarray) -> float:
+    """With what ranges of states added in the last round."""
+    if not np.isfinite(xs).all():
+        return np.inf
+    cost = float(problem.cost.value(xs, us))
+    if plan.bound_penalties is not None and problem.trajectory_constraints is not None:
+        cost += problem.trajectory_constraints.value(plan.bound_penalties, xs, us)
+    return cost

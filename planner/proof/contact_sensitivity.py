@@ -32,7 +32,7 @@ from planner.proof.replays.compiled_twin import CompiledTwin
 from planner.proof.replays.replaying import Replay, replay_in
 from planner.proof.robustness.rollouts import MODES
 
-TITLE = "another ground"
+TITLE = "contact sensitivity"
 LIGHT = 0.01  # of the mass that hangs together with a body: lighter ones do not stand on MuJoCo's default contact
 PLAN = "planned contact"
 

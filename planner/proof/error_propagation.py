@@ -22,7 +22,7 @@ from planner.dynamics import RigidBodyDynamics
 from planner.model.mjcf.prescribed_joints import PRESCRIBED_ARMATURE
 from planner.problem.plan import Plan
 from planner.problem.problem import Problem
-from planner.proof.compare.driven_parity import forces_of_prescribed
+from planner.proof.compare.model_parity import forces_of_prescribed
 from planner.proof.error_scales import path_error_bounds, shares_of_bounds
 from planner.proof.replays.replaying import REFINEMENT, Replay
 
@@ -68,17 +68,17 @@ class ErrorPropagation:
             if ratio is not None:
                 note = f"a factor of {FACTOR:g} either way is the same error; more is another model"
                 measured.append(Measurement(f"measured_over_predicted_{words}", ratio, "", None, note))
-        return Section("growth", tuple(measured))
+        return Section("error propagation", tuple(measured))
 
 
 def propagate_errors(plan: Plan, problem: Problem, runs: dict[str, Replay]) -> ErrorPropagation:
     """Predict the replay errors of a plan, beside those of its replays by mode."""
     with np.errstate(all="ignore"):
         A, B = problem.dynamics.linearize(plan.xs, plan.us)
-        missed = _missed(plan, problem) + _left_by_motors(plan, problem, B)
+        defects = _defects(plan, problem) + _left_by_motors(plan, problem, B)
         stages = {"open-loop": A, "feedback": A + B @ plan.K}
         bounds = path_error_bounds(plan)
-        found = {mode: _propagated(F * bounds / bounds[:, None], missed / bounds) for mode, F in stages.items()}
+        found = {mode: _propagated(F * bounds / bounds[:, None], defects / bounds) for mode, F in stages.items()}
         measured = {mode: shares_of_bounds(plan, run.error[:: run.substeps]) for mode, run in runs.items()}
     forces = [run.contact_force > 0.0 for run in runs.values()]
     transition, predicted = ({mode: pair[k] for mode, pair in found.items()} for k in (0, 1))
@@ -86,7 +86,7 @@ def propagate_errors(plan: Plan, problem: Problem, runs: dict[str, Replay]) -> E
     return ErrorPropagation(plan.t, transition, predicted, measured, switches)
 
 
-def _missed(plan: Plan, problem: Problem) -> np.ndarray:
+def _defects(plan: Plan, problem: Problem) -> np.ndarray:
     """The errors d (N, ndx) of the stages: their ends in REFINEMENT steps less those of the plan."""
     part = np.full(plan.N, problem.dynamics.dt / REFINEMENT)
     xs = plan.xs[:-1]
@@ -96,9 +96,7 @@ def _missed(plan: Plan, problem: Problem) -> np.ndarray:
 
 
 def _left_by_motors(plan: Plan, problem: Problem, B: np.ndarray) -> np.ndarray | float:
-    """(N, ndx) errors of the stages: motors of prescribed joints fall short by tau / HEAVY
-    (model.mjcf.prescribed_joints).
-    """
+    """(N, ndx) errors of the stages: motors of prescribed joints fall short by tau / PRESCRIBED_ARMATURE."""
     dynamics = problem.dynamics
     if not (isinstance(dynamics, RigidBodyDynamics) and dynamics.prescribed):
         return 0.0
@@ -108,13 +106,13 @@ def _left_by_motors(plan: Plan, problem: Problem, B: np.ndarray) -> np.ndarray |
     return -np.einsum("nij,nj->ni", B[:, :, m.nu :], short)
 
 
-def _propagated(F: np.ndarray, missed: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _propagated(F: np.ndarray, defects: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """log10 |Phi(n)| and the largest component of the error (N+1,), where stages F (N, ndx, ndx) lead."""
-    N, ndx = missed.shape
+    N, ndx = defects.shape
     norms, errors = np.zeros(N + 1), np.zeros(N + 1)
     phi, scale, error = np.eye(ndx), 0.0, np.zeros(ndx)
     for n in range(N):
-        phi, error = F[n] @ phi, F[n] @ error + missed[n]
+        phi, error = F[n] @ phi, F[n] @ error + defects[n]
         size = float(np.linalg.norm(phi))
         if not np.isfinite(size) or size == 0.0:
             norms[n + 1 :], errors[n + 1 :] = np.nan if size else -np.inf, np.abs(error).max()

@@ -56,7 +56,7 @@ def controller_section(rates: FeedbackRates, encoded: Replay) -> Section:
         for one in worst_by_unit(encoded.plan, along):
             note = f"of {one.name}, with encoders of 17 bits and 1 um, velocities by difference, not filtered"
             measured.append(Measurement(f"encoders_{part}_{one.word}_error", one.value, one.unit, None, note))
-    return Section("controller", tuple(measured))
+    return Section("feedback rate", tuple(measured))
 
 
 def slowest_rate(plan: Plan, compiled: CompiledTwin, passes: Callable[[Replay], bool]) -> FeedbackRates:

@@ -8,9 +8,15 @@ The integrator is MuJoCo's RK4, as in the rest of a proof: Euler's error at the 
 acrobot's path, and is no fault of a plan. A stiff file may need its own integrator, which is taken where RK4 fails; a
 plan that takes damping implicitly is replayed by MuJoCo's implicitfast.
 
-What the plan does not know must not have mattered: no touch of a pair that it lacks, no stop of a joint, no clamp of an
-actuator, no runaway, and every goal is met. Pairs that overlap where the plan starts are left out of the file: MuJoCo
-would press them apart. The verdict names them.
+Whatever the plan's model lacks must not have mattered: no contact of a pair that it lacks, no joint limit, no clamp of
+an actuator, no divergence, and every goal is met. Pairs that overlap where the plan starts are left out of the file:
+MuJoCo would press them apart. The verdict names them.
+
+A plan whose limits are its model's own touches them exactly, so the plan itself has a tolerance of rounding, and what
+its gains request beyond a range counts only above a hundredth of it. A clamp that bounds the plan's controls is known
+to the plan, which must keep it: at the knots exactly and between them to a hundredth, since the force of a servo
+changes while its control is constant. What gains request beyond such a clamp MuJoCo cuts off as the machine would: the
+resulting motion is judged, not the cut.
 """
 
 from __future__ import annotations
@@ -25,6 +31,7 @@ import numpy as np
 from planner.base.errors import ModelError
 from planner.base.gl import load_mujoco
 from planner.base.measured import Measurement, Section
+from planner.model.capabilities import capabilities_of
 from planner.model.mechanism import SCREW, Mechanism
 from planner.model.mjcf.initial_overlaps import initial_overlaps, without_pairs
 from planner.model.mjcf.model_index import named
@@ -36,16 +43,13 @@ from planner.model.twin import Twin
 from planner.problem.goals import GoalCheck
 from planner.problem.plan import Plan
 from planner.problem.problem import Problem
-from planner.proof.constraints import replayed_violations
-from planner.proof.error_scales import path_error_bounds, worst_by_unit
-from planner.proof.left_out import unmodelled_of
+from planner.proof.error_scales import path_error_bounds, replayed_violations, worst_by_unit
 from planner.proof.replay_errors import misses
-from planner.proof.replays.compiled_twin import CompiledTwin, with_model
-from planner.proof.replays.implicit_steps import NATIVE, damping_of
-from planner.proof.replays.limits_hit import clamps_hit, stops_hit
+from planner.proof.replays.compiled_twin import CompiledTwin, unmodelled_of, with_model
 from planner.proof.replays.passive_torque_callback import curves_acting
-from planner.proof.replays.replaying import Replay, replay_in
-from planner.proof.replays.simulation import simulate
+from planner.proof.replays.ranges import Excess, efforts_in, joints_in, tendons_in
+from planner.proof.replays.replaying import Replay, replay_in, stopped_dofs
+from planner.proof.replays.simulation import NATIVE_IMPLICIT, damping_of, simulate
 
 TITLE = "your file"
 OPEN_LOOP_MISSES = "open_loop_goals_missed"
@@ -95,7 +99,7 @@ def your_file(
     known = open_loop if open_loop is not None and compiled is open_loop.compiled else None
     planned = None if open_loop is None else open_loop.plan_xs
     own = load_mujoco().mjtIntegrator(compiled.model.opt.integrator).name.removeprefix("mjINT_")
-    implicit = [] if damping_of(problem.dynamics) is None else [NATIVE]
+    implicit = [] if damping_of(problem.dynamics) is None else [NATIVE_IMPLICIT]
     first: tuple[Section, Replay] | None = None
     for integrator in dict.fromkeys((*implicit, "RK4", own)):  # one that repeats the plan is enough
         run = replay_in(compiled, plan, feedback=True, integrator=integrator, planned=planned)
@@ -136,9 +140,9 @@ def _measured(run: Replay, problem: Problem, goals: Sequence[GoalCheck]) -> list
 
 def as_given(problem: Problem, twin: Twin, mjcf: str | Path | None = None) -> CompiledTwin:
     """The user's file, unedited but for joints that the plan prescribes, in place of a twin's text; or another one."""
-    mechanism = getattr(problem.dynamics, "mechanism", None)
+    mechanism = capabilities_of(problem.dynamics).mechanism
     own = not (twin.original if mjcf is None else mjcf)
-    if own or not isinstance(mechanism, Mechanism):
+    if own or mechanism is None:
         return CompiledTwin(with_model(twin, mjcf))
     given = with_model(twin, mjcf) if mjcf is not None else replace(twin, mjcf=twin.original)
     compiled = CompiledTwin(given)
@@ -159,7 +163,7 @@ def as_given(problem: Problem, twin: Twin, mjcf: str | Path | None = None) -> Co
 
 def _without_overlaps(problem: Problem, compiled: CompiledTwin) -> CompiledTwin:
     """The file without contacts of pairs that overlap at the start and that the plan does not know."""
-    if not isinstance(getattr(problem.dynamics, "mechanism", None), Mechanism):
+    if capabilities_of(problem.dynamics).mechanism is None:
         return compiled
     model, known = compiled.model, unmodelled_of(problem, compiled).known
     start = compiled.twin.sim_of(problem.x0)
@@ -198,8 +202,8 @@ def _same_model(one: Twin, other: Twin) -> bool:
 def _touches(run: Replay, problem: Problem) -> tuple[list[str], list[str]]:
     """Sentences about pairs that touch unknown to the plan, and about those that do at the start and go no deeper."""
     model, wrong, overlaps = run.compiled.model, [], []
-    mechanism = getattr(problem.dynamics, "mechanism", None)
-    if not isinstance(mechanism, Mechanism):
+    mechanism = capabilities_of(problem.dynamics).mechanism
+    if mechanism is None:
         return wrong, overlaps  # nobody can tell what other dynamics know
     beside = model.body_weldid == 0  # what the controls do not move: the world, and objects that lie on it
     beside |= stationary_object_bodies(mechanism) if len(mechanism.bodies) == model.nbody else False
@@ -260,11 +264,9 @@ def _path(run: Replay) -> list[Measurement]:
 
 def _objects(run: Replay, problem: Problem) -> list[Measurement]:
     """How far objects move in the file that the plan keeps at their start."""
-    mechanism = getattr(problem.dynamics, "mechanism", None)
-    lies = stationary_object_dofs(mechanism) if isinstance(mechanism, Mechanism) else np.zeros(0, dtype=bool)
-    if not np.any(lies):
+    mechanism = capabilities_of(problem.dynamics).mechanism
+    if mechanism is None or not np.any(lies := stationary_object_dofs(mechanism)):
         return []
-    assert isinstance(mechanism, Mechanism)
     places = mechanism.q_address[lies & (mechanism.kind == SCREW)]
     most = float(np.abs(run.xs[:, places] - run.xs[0, places]).max())
     return [Measurement("objects_moved", most, "m", None, "at most, by themselves: the plan keeps them at the start")]
@@ -286,13 +288,13 @@ def _open_loop(plan: Plan, t: np.ndarray, xs: np.ndarray, goals: Sequence[GoalCh
     """How far the file's motion xs (M, nx) without gains ends from the plan, and how many goals it misses so."""
     error = plan.space.difference(xs[-1], plan.xs[-1])[None]
     own_rule = plan.problem is not None and plan.problem.requirements is not None and plan.problem.requirements.goal
-    missed = [] if own_rule else [one for one in misses("open loop", t, xs, tuple(goals)) if not one.passed]
-    note = "; ".join(map(str, missed)) or "without gains"
+    failed = [] if own_rule else [one for one in misses("open loop", t, xs, tuple(goals)) if not one.passed]
+    note = "; ".join(map(str, failed)) or "without gains"
     ends = [
         Measurement(f"open_loop_end_{one.word}_error", one.value, one.unit, None, f"of {one.name} from the plan's end")
         for one in worst_by_unit(plan, error)
     ]
-    return [Measurement(OPEN_LOOP_MISSES, float(len(missed)), "", None, note), *ends]
+    return [Measurement(OPEN_LOOP_MISSES, float(len(failed)), "", None, note), *ends]
 
 
 def _without_gains(run: Replay) -> tuple[np.ndarray, np.ndarray]:
@@ -304,3 +306,79 @@ def _without_gains(run: Replay) -> tuple[np.ndarray, np.ndarray]:
     with curves_acting(compiled.twin, model):
         w, _ = simulate(model, start, ctrl)
     return run.t, compiled.twin.x_of(w)
+
+
+ROUNDING = 1e-6  # of a clamp's range, as far as the plan itself is concerned
+OVERLAP = 1e-3  # of a joint's range: a plan that keeps its limits at the knots bulges out between them
+LEANING = 1e-2  # rad or m: the margin of limits, within which a start or a goal is at the end of a range
+CORRECTION = 1e-2  # of a range, of the replay with gains
+
+
+def clamps_hit(run: Replay) -> list[str]:
+    """Actuators that the plan, or with gains the replay, asks for more than they give, one sentence each."""
+    model, twin, compiled = run.compiled.model, run.twin, run.compiled
+    planned = compiled.commands(np.repeat(run.plan.us, run.substeps, axis=0))
+    own = efforts_in(model, twin.sim_of(run.plan_xs), planned)
+    replayed = efforts_in(model, _states(run), compiled.commands(run.ctrl))
+    known, found = _known(run), []
+    for planned, real in zip(own, replayed, strict=True):
+        if planned.name in known:
+            said = planned.sentence(run.t, CORRECTION * _scale(planned, planned))
+        else:
+            said = _sentence(run, planned, real, ROUNDING, 0.0)
+        found += [said] if said else []
+    return found
+
+
+def _known(run: Replay) -> set[str]:
+    """Names of the actuators and joints whose clamps in the model bound the plan's controls."""
+    problem, model = run.plan.problem, run.compiled.model
+    mechanism = getattr(getattr(problem, "dynamics", None), "mechanism", None)
+    limits = getattr(problem, "limits", None)
+    if not isinstance(mechanism, Mechanism) or limits is None or not limits.keeps_clamps:
+        return set()
+    free = limits.without_clamps(mechanism)
+    moment, places = mechanism.actuators.moment, np.arange(model.nu)[run.compiled.controls]
+    held, unheld = (
+        np.any(moment[[a for a in range(mechanism.nu) if (a in free) == out]], axis=0) for out in (False, True)
+    )
+    joints = zip(mechanism.joint_names, mechanism.joint_links, strict=True)
+    alone = {name for name, links in joints if np.any(held[links]) and not np.any(unheld[links])}
+    kept = {named(model, "actuator", int(places[a])) for a in range(mechanism.nu) if a not in free}
+    return kept | {named(model, "joint", j) for j in range(model.njnt) if model.joint(j).name in alone - {""}}
+
+
+def stops_hit(run: Replay) -> list[str]:
+    """Joints and tendons that the plan, or the replay, moves beyond a range that has no stop in it, in sentences."""
+    model, stopped, limits = run.compiled.model, stopped_dofs(run.plan), getattr(run.plan.problem, "limits", None)
+    own, replayed = (
+        [*joints_in(model, w, stopped), *tendons_in(model, w)] for w in (run.twin.sim_of(run.plan_xs), _states(run))
+    )
+    tolerance, found = 0.0 if limits is None else limits.tolerance, []
+    for planned, real in zip(own, replayed, strict=True):
+        # MuJoCo's stops are soft: a joint that begins or ends at one leans on it, which is what it is asked to do.
+        leans = limits is not None and limits.position is not None and bool(_at_end(planned).any())
+        said = _sentence(run, planned, real, OVERLAP, tolerance + LEANING * leans)
+        found += [said] if said else []
+    return found
+
+
+def _at_end(planned: Excess) -> np.ndarray:
+    """Whether the plan begins, and ends, at an end of a range."""
+    values = planned.values[[0, -1]]
+    return np.abs(values[:, None] - np.asarray(planned.range)).min(axis=1) <= LEANING
+
+
+def _states(run: Replay) -> np.ndarray:
+    return np.concatenate([run.qpos, run.qvel, run.act], axis=1)
+
+
+def _sentence(run: Replay, planned: Excess, real: Excess, part: float, least: float) -> str:
+    scale = _scale(planned, real)
+    return planned.sentence(run.t, least + part * scale) or real.sentence(run.t, least + CORRECTION * scale)
+
+
+def _scale(planned: Excess, real: Excess) -> float:
+    """The width of a range, or the largest value that there is in a range that is wider than that."""
+    used = np.abs(np.concatenate([planned.values, real.values]))
+    return min(float(np.ptp(planned.range)), float(np.nanmax(used, initial=0.0)))

@@ -33,11 +33,10 @@ from planner.proof.error_propagation import propagate_errors
 from planner.proof.error_scales import worst_by_unit
 from planner.proof.feedback_rate import controller_section, slowest_rate
 from planner.proof.goal_regulator import RegulatedRun, hold_gain, hold_section, simulate_regulator
-from planner.proof.left_out import unmodelled_of
 from planner.proof.original_model import OPEN_LOOP_MISSES, your_file
 from planner.proof.original_model import TITLE as FILE
 from planner.proof.replay_errors import goal, tracking
-from planner.proof.replays.compiled_twin import another_model
+from planner.proof.replays.compiled_twin import another_model, unmodelled_of
 from planner.proof.replays.replaying import Replay, replay_in
 from planner.proof.replays.sampled_gains import sampling_of
 from planner.proof.robustness.perturbation import Perturbation
@@ -47,8 +46,8 @@ from planner.proof.same_step import same_step
 from planner.proof.step_convergence import step_convergence
 from planner.proof.verdict import Proof
 
-ROLLOUTS = 512
-_ROUNDING = 1e-9  # a start that is nearer to its goal is at it
+ROLLOUTS = 512  # default of the most perturbed simulations in each mode
+_ROUNDING = 1e-9  # distance below which the start counts as equal to the goal
 _LATER = "it was not asked for: it follows the verdict, with rollouts"
 
 
@@ -147,9 +146,9 @@ def prove(
         "your_file": given,
         # Shown, not judged, and after the verdict. Step 5: how often it still arrives with other masses, friction,
         # starts, noise and delay. Then what measurement and slow gains change, and what another ground does.
-        "perturbed": Section("perturbed", not_applicable=_LATER),
-        "controller": Section("controller", not_applicable=_LATER),
-        "another_ground": Section("another ground", not_applicable=_LATER),
+        "perturbed": Section("robustness", not_applicable=_LATER),
+        "controller": Section("feedback rate", not_applicable=_LATER),
+        "another_ground": Section("contact sensitivity", not_applicable=_LATER),
     }
     asked = {
         "seed": seed, "rollouts": rollouts, "hold_seconds": hold_seconds, "optimal": optimal, "perturbation": None,
@@ -198,7 +197,7 @@ def with_informative_sections(proof: Proof, note: Callable[[str], object] = lamb
         encoding = replace(sampling_of(plan), encoders=True)
         encoded = replay_in(compiled, plan, feedback=True, sampling=encoding, planned=planned)
         units = [one.unit for one in coordinates_of(problem.dynamics)]
-        note("another ground")
+        note("contact sensitivity")
         as_judged = functools.partial(replay_in, sampling=sampling_of(plan), planned=planned)
         ground = contact_sensitivity(plan, compiled, units=units, runs=runs, replay=as_judged)
     shown = {"controller": controller_section(rates, encoded), "another_ground": ground}
@@ -284,4 +283,5 @@ def _reason(passed: bool, judged: tuple[Section, ...], steps: list[Section], run
     measured = [one for section in steps for one in section.measured if one.bound]
     worst = max(measured, key=lambda one: one.value / (one.bound or 1.0))
     how = "with the plan's gains" if run.feedback else "open loop"
-    return f"MuJoCo repeats the plan {how} at a step of {run.timestep:.3g} s; nearest to its bound: {worst.bound_share_text}."
+    step = f"at a step of {run.timestep:.3g} s"
+    return f"MuJoCo repeats the plan {how} {step}; nearest to its bound: {worst.bound_share_text}."

@@ -16,7 +16,6 @@ from planner.base.measured import Measurement, Section
 from planner.problem.costs.tracking import TrackingCost
 from planner.problem.goals import GoalCheck, goals_of, terms_of
 from planner.problem.problem import Problem
-from planner.proof.constraints import replayed_violations
 from planner.proof.error_scales import (
     COST_BOUND,
     SHARE,
@@ -27,6 +26,7 @@ from planner.proof.error_scales import (
     judged_cost,
     limit_violations,
     path_error_bounds,
+    replayed_violations,
     word_of,
 )
 from planner.proof.replays.replaying import Replay
@@ -100,8 +100,8 @@ def goal(run: Replay, problem: Problem) -> Section:
     if not goals and problem.periodic is None:
         return Section("goal", not_applicable="no goal was asked for")
     motions = {"planned": (run.plan.t, run.plan.xs), "replayed": (run.t, run.xs)}
-    missed = [one for who, motion in motions.items() for one in misses(who, *motion, goals)]
-    return Section("goal", (*missed, *_return(run, problem)))
+    errors = [one for who, motion in motions.items() for one in misses(who, *motion, goals)]
+    return Section("goal", (*errors, *_return(run, problem)))
 
 
 def _return(run: Replay, problem: Problem) -> tuple[Measurement, ...]:

@@ -11,7 +11,7 @@ are closed: MuJoCo's equalities are soft, so here its accelerations are those of
 equalities kept exactly.
 
 A plan's stage of several substeps is as many steps here. The method that takes damping implicitly is that of
-replays.implicit_steps.
+replays.simulation.
 """
 
 from __future__ import annotations
@@ -24,6 +24,7 @@ import numpy as np
 
 from planner.base.gl import load_mujoco
 from planner.base.measured import Measurement, Section
+from planner.model.capabilities import capabilities_of
 from planner.model.mechanism import Mechanism
 from planner.model.mjcf.prescribed_joints import prescribed_dofs_of
 from planner.model.space import StateSpace
@@ -32,10 +33,8 @@ from planner.problem.plan import Plan
 from planner.problem.problem import Problem
 from planner.proof.compare.constrained import constrained_acceleration, steps_back
 from planner.proof.replays.compiled_twin import CompiledTwin
-from planner.proof.replays.implicit_steps import INTEGRATOR as IMPLICIT
-from planner.proof.replays.implicit_steps import damping_of, implicit_step
 from planner.proof.replays.passive_torque_callback import curves_acting
-from planner.proof.replays.simulation import set_state, state_of
+from planner.proof.replays.simulation import ROSENBROCK, damping_of, implicit_step, set_state, state_of
 
 PATH_BOUND = 1e-8  # of the largest state
 STAGE_BOUND = 1e-10  # of the largest state: one stage amplifies nothing, rounding is 1e-14
@@ -55,10 +54,10 @@ def same_step(plan: Plan, problem: Problem, compiled: CompiledTwin) -> Section:
     """MuJoCo's states at the plan's own step, along the path and stage by stage, against the plan's."""
     if problem.requirements is not None and problem.requirements.no_same_step:
         return Section("same step", not_applicable=problem.requirements.no_same_step)
-    mechanism = getattr(problem.dynamics, "mechanism", None)
-    if mechanism is not None and (mechanism.contacts or mechanism.body_contacts or mechanism.stops):
+    machine = capabilities_of(problem.dynamics)
+    if machine.contacts or machine.stops:
         return Section("same step", not_applicable=_LIMIT)
-    if mechanism is not None and np.any(mechanism.friction_loss):
+    if machine.friction_loss:
         return Section("same step", not_applicable=_FRICTION)
     compiled.check(problem.dynamics.nu)
     space, twin, model = plan.space, compiled.twin, compiled.copy()
@@ -70,15 +69,16 @@ def same_step(plan: Plan, problem: Problem, compiled: CompiledTwin) -> Section:
     model.jnt_actfrclimited[:] = 0
     integrator = getattr(problem.dynamics, "integrator", "")
     substeps = getattr(problem.dynamics, "substeps", 1)
-    constrained = mechanism is not None and (mechanism.couplings or mechanism.loops or mechanism.polynomial_couplings)
+    chains = machine.mechanism if machine.loops else None
+    constrained = chains or (
+        machine.mechanism if machine.mechanism is not None and machine.mechanism.couplings else None
+    )
     dt, driven = problem.dynamics.dt / substeps, prescribed_dofs_of(problem.dynamics)
     damping = damping_of(problem.dynamics)
-    found = stage_function(integrator, dt, model, twin, space, driven, mechanism if constrained else None, damping)
+    found = stage_function(integrator, dt, model, twin, space, driven, constrained, damping)
     if found is None:
         return Section("same step", not_applicable="MuJoCo cannot take steps of the plan's integrator")
     how, one = found
-
-    chains = mechanism if mechanism is not None and (mechanism.loops or mechanism.polynomial_couplings) else None
     data = load_mujoco().MjData(model)
 
     def stage(x: np.ndarray, u: np.ndarray) -> np.ndarray:
@@ -177,7 +177,7 @@ def stage_function(
     named = {"semi-implicit-euler": "EULER"} | ({} if space.quaternions or len(driven) else {"rk4": "RK4"})
     if constrained is not None:
         own["semi-implicit-euler"], named = velocity_first, {}
-    if integrator == IMPLICIT and damping is not None and not len(driven):
+    if integrator == ROSENBROCK and damping is not None and not len(driven):
         exact = None if constrained is None else functools.partial(constrained_acceleration, mechanism=constrained)
         move = implicit_step(model, dt, damping, acceleration=exact)
 

@@ -12,30 +12,29 @@ ASME V&V 20-2009). With f1, f2, f3 the coarse, middle and fine values,
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
 from planner.base.measured import Measurement, Section
+from planner.model.capabilities import capabilities_of
 from planner.model.tendons import slack_tendons
 from planner.problem.plan import Plan
 from planner.problem.problem import Problem
 from planner.proof.error_scales import COST_BOUND, judged_cost, shares_of_bounds
 from planner.proof.replays.contact_history import may_touch
-from planner.proof.replays.implicit_steps import INTEGRATOR as IMPLICIT
-from planner.proof.replays.implicit_steps import damping_of
 from planner.proof.replays.passive_torque_callback import curves_acting
 from planner.proof.replays.replaying import Replay
+from planner.proof.replays.simulation import ROSENBROCK, damping_of
 from planner.proof.same_step import advancing
 
-NOMINAL = {"euler": 1.0, "semi-implicit-euler": 1.0, "rk4": 4.0, IMPLICIT: 2.0}
-ORDER_BOUND = 0.2  # how far below its nominal order a smooth machine's may be observed
-LEVELS = 5  # steps h ... h/16, h being a stage
-LEVELS_OF_SUBSTEPS = 3  # the least that show an order: a stage of several substeps, h being one, begins near to it
-MAX_LEVELS = 7  # while errors are so large that no order shows
-MAX_STEPS = 256  # of a stage, beyond which none are added
+NOMINAL = {"euler": 1.0, "semi-implicit-euler": 1.0, "rk4": 4.0, ROSENBROCK: 2.0}
+ORDER_BOUND = 0.2  # largest shortfall of the observed order from the nominal one, for a smooth machine
+LEVELS = 5  # number of step sizes: a stage, its half, ... a sixteenth
+LEVELS_OF_SUBSTEPS = 3  # number of step sizes from a substep on: the fewest that show an order
+MAX_LEVELS = 7  # number of step sizes where the first ones are too coarse to show an order
+MAX_STEPS = 256  # steps of a stage beyond which no finer level is added
 UNCERTAIN = 0.1  # of the bound of the cost: where no order is judged, none are added for less
-_SEEN = 1e-9  # changes below are rounding
+_SEEN = 1e-9  # change of the end state below which it is rounding
 _SAFETY = 1.25  # Roache's factor for three grids and more
 
 
@@ -84,7 +83,7 @@ class StepConvergence:
         else:
             note = f"changes are below {_SEEN:g} at all steps from {steps}: no order can be seen"
             measured.append(Measurement("observed_order", np.nan, "", None, note))
-        return Section("order, open loop", tuple(measured))
+        return Section("step convergence, open loop", tuple(measured))
 
 
 def step_convergence(problem: Problem, run: Replay) -> StepConvergence:
@@ -95,14 +94,14 @@ def step_convergence(problem: Problem, run: Replay) -> StepConvergence:
     # Where a replay at the plan's own step says nothing, halvings are those about the refined one.
     own = getattr(problem.dynamics, "substeps", 1)
     count = LEVELS if own == 1 else LEVELS_OF_SUBSTEPS
-    if integrator == IMPLICIT:  # its order is not judged, and 16 substeps are fine already
+    if integrator == ROSENBROCK:  # its order is not judged, and 16 substeps are fine already
         count = 3
     least, count = (max(run.substeps // 2, 1), 3) if refined_only else (own, count)
     substeps = [least << k for k in range(count)]
     nominal = NOMINAL.get("rk4" if refined_only else integrator, 4.0)
     kind = "rk4" if refined_only or integrator not in NOMINAL else integrator
     why = _unjudged(run, problem)
-    why = why or ("damping is faster than these steps, which hides the order" if kind == IMPLICIT else "")
+    why = why or ("damping is faster than these steps, which hides the order" if kind == ROSENBROCK else "")
     why = why or ("" if kind == integrator else "the plan's own stage is none of MuJoCo's")
     with np.errstate(all="ignore"):
         scale = cost.scale(plan, problem)
@@ -110,7 +109,7 @@ def step_convergence(problem: Problem, run: Replay) -> StepConvergence:
         levels = [_level(run, problem, kind, count) for count in substeps]
         changes, observed = _observed_between(plan, levels)
         factor, uncertainty = _uncertainty(levels, nominal, observed)
-        most = len(levels) if refined_only or integrator == IMPLICIT or (why and cost.final) else MAX_LEVELS
+        most = len(levels) if refined_only or integrator == ROSENBROCK or (why and cost.final) else MAX_LEVELS
         while (
             len(levels) < most and 2 * substeps[-1] <= MAX_STEPS
             and observed is not None and observed < nominal - ORDER_BOUND and not uncertainty <= enough
@@ -140,29 +139,22 @@ def _unjudged(run: Replay, problem: Problem) -> str:
     """Why no order can be asked of a machine's motion, or ""."""
     if may_touch(run.compiled.model):
         return "contacts open and close: the order scatters"
-    mechanism = getattr(problem.dynamics, "mechanism", None)
-    if mechanism is not None and (mechanism.couplings or mechanism.loops or mechanism.polynomial_couplings):
+    machine = capabilities_of(problem.dynamics)
+    if machine.loops or (machine.mechanism is not None and machine.mechanism.couplings):
         return "MuJoCo's equalities are soft, by the square of its step"
-    if bends := _bends(mechanism):
-        return bends
-    return "a range is reached: the motion is not smooth" if run.reached or _stopped(problem, run.xs) else ""
-
-
-def _bends(mechanism: Any) -> str:
-    """Why forces of a mechanism's joints are not smooth, or ""."""
-    if mechanism is None:
-        return ""
-    if np.any(mechanism.friction_loss):
+    if machine.friction_loss:
         return "friction loss is cut off: the motion is not smooth"
-    return "the spring of a tendon goes slack: the motion is not smooth" if any(slack_tendons(mechanism)) else ""
+    if machine.mechanism is not None and any(slack_tendons(machine.mechanism)):
+        return "the spring of a tendon goes slack: the motion is not smooth"
+    return "a range is reached: the motion is not smooth" if run.reached or _stopped(problem, run.xs) else ""
 
 
 def _stopped(problem: Problem, xs: np.ndarray) -> bool:
     """Whether states (M+1, nx) come to a stop of the plan's machine, whose force MuJoCo has without its smoothing."""
-    mechanism: Any = getattr(problem.dynamics, "mechanism", None)
-    return any(
+    mechanism = capabilities_of(problem.dynamics).mechanism
+    return mechanism is not None and any(
         bool(np.any(stop.side * (xs[:, mechanism.q_address[stop.dof]] - stop.end) > -stop.law.surface_offset))
-        for stop in getattr(mechanism, "stops", ())
+        for stop in mechanism.stops
     )
 
 
@@ -179,8 +171,8 @@ def _observed(changes: np.ndarray) -> float | None:
     if len(changes) < 2 or (np.isfinite(changes).all() and (len(seen) == 0 or seen[-1] == 0)):
         return None
     last = int(seen[-1]) if np.isfinite(changes).all() else len(changes) - 1
-    order = float(np.log2(changes[last - 1] / changes[last]))
-    return order if np.isfinite(order) else 0.0
+    observed = float(np.log2(changes[last - 1] / changes[last]))
+    return observed if np.isfinite(observed) else 0.0
 
 
 def _level(run: Replay, problem: Problem, integrator: str, substeps: int) -> tuple[np.ndarray, float]:

@@ -23,7 +23,7 @@ from planner.problem.default_appearance import appearance_of
 from planner.problem.plan import Plan
 from planner.proof.replays.compiled_twin import CompiledTwin
 from planner.proof.replays.replaying import replay_in
-from planner.proof.robustness.rollout_replay import replay_rollout
+from planner.proof.robustness.perturbed import replay_rollout
 from planner.view.playing import Player
 from planner.view.render.camera import directions, scenery_of, whole_motion
 from planner.view.render.environment import visible_model

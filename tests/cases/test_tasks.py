@@ -24,7 +24,7 @@ from planner.proof.cures import cures
 from planner.proof.replay_errors import misses
 from planner.proof.replays.compiled_twin import CompiledTwin
 from planner.proof.robustness.rollouts import Rollouts
-from planner.proof.robustness.success_rule import rule_of
+from planner.proof.robustness.success import rule_of
 
 mujoco = load_mujoco()
 

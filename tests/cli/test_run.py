@@ -173,8 +173,8 @@ def test_the_verdict_is_printed_before_what_is_only_shown(tmp_path, capsys, monk
     from planner.cli.console import Console
 
     say, note = Console.write_result, Console.write_progress
-    monkeypatch.setattr(Console, "say", lambda self, text="": (order.append(text.strip()), say(self, text)))
-    monkeypatch.setattr(Console, "note", lambda self, text: (order.append(text.strip()), note(self, text)))
+    monkeypatch.setattr(Console, "write_result", lambda self, text="": (order.append(text.strip()), say(self, text)))
+    monkeypatch.setattr(Console, "write_progress", lambda self, text: (order.append(text.strip()), note(self, text)))
     plan = planner.solve(planner.cases.two_link(horizon=100)).save(tmp_path / "plan.npz")
     words = {
         "run": ["run", "two-link", "--horizon", "100", "--no-video", "--out", str(tmp_path / "o")],
@@ -182,9 +182,10 @@ def test_the_verdict_is_printed_before_what_is_only_shown(tmp_path, capsys, monk
     }  # fmt: skip
     assert main([*words[command], "--rollouts", "4"]) == 0
     starts = (
-        "before the perturbed simulations: PASS (open-loop); feasible, optimal, robustness: counting\nMuJoCo repeats",
+        "before the perturbed simulations: PASS (open-loop); feasible, optimal, robustness: pending\nMuJoCo repeats",
         "What is measured now does not change PASS",
-        "the slowest rate", "another ground", "step ", "PASS (open-loop); feasible, optimal, robustness: counting\n",
+        "the slowest rate", "contact sensitivity", "step ",
+        "PASS (open-loop); feasible, optimal, robustness: pending\n",
     )  # fmt: skip
     seen = [line for line in order if "not applicable" not in line]
     places = [[i for i, line in enumerate(seen) if line.startswith(start)] for start in starts]

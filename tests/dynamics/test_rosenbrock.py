@@ -17,7 +17,7 @@ from planner.dynamics import product_of_exponentials
 from planner.dynamics.step_stability import IMPLICIT, implicit_error
 from planner.model.couplings import Coupling
 from planner.model.damping import damping_matrix, implicit_damping
-from planner.proof.replays.implicit_steps import implicit_step
+from planner.proof.replays.simulation import implicit_step
 
 GAMMA = 1.0 - np.sqrt(0.5)
 FINGER = """

@@ -8,8 +8,7 @@ import planner
 from planner import Mechanism, Problem, RigidBodyDynamics, TrackingCost
 from planner.model.mjcf.contact_points import MAX_POINTS, RADIUS, RIM, points_of, shape_of, shortfall
 from planner.proof.compare.contact_parity import contact_parity
-from planner.proof.left_out import pairs_left_out
-from planner.proof.replays.compiled_twin import CompiledTwin
+from planner.proof.replays.compiled_twin import CompiledTwin, pairs_left_out
 
 SHAPES = {
     "cylinder": 'type="cylinder" size=".1 .05"',

@@ -14,7 +14,7 @@ import planner
 from planner import cases
 from planner.costs import EnergyCost, FrameCost, Height, JerkCost, PenaltyCost, Point, TrackingCost, with_objective
 from planner.proof.replays.compiled_twin import CompiledTwin
-from planner.proof.robustness.rollout_replay import replay_rollout
+from planner.proof.robustness.perturbed import replay_rollout
 
 WAYS = {"pickle": lambda thing: pickle.loads(pickle.dumps(thing)), "deepcopy": copy.deepcopy, "copy": copy.copy}
 

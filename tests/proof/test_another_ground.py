@@ -51,7 +51,7 @@ def test_another_ground_makes_another_motion(table):
 
 def test_it_is_shown_and_not_judged(table):
     section = table.section
-    assert section.title == "another ground"
+    assert section.title == "contact sensitivity"
     assert section.passed
     assert {one.bound for one in section.measured} == {None}
     units = {one.name: one.unit for one in section.measured}

@@ -15,6 +15,7 @@ from legs import leg, standing
 from trees import mujoco
 
 import planner
+from planner.model.capabilities import Capabilities
 from planner.model.contact.laws import ContactLaw
 from planner.model.mechanism import Mechanism
 from planner.model.twin import Twin
@@ -47,7 +48,10 @@ def problem(m, x0=None, prescribed=()):
 
 def of(m, mjcf=None, x0=None):
     """The measured coefficients of a mechanism in its own model, or in another's text."""
-    bare = SimpleNamespace(dynamics=SimpleNamespace(mechanism=m), x0=m.home if x0 is None else x0)
+    bare = SimpleNamespace(
+        dynamics=SimpleNamespace(mechanism=m, capabilities=Capabilities.of_mechanism(m)),
+        x0=m.home if x0 is None else x0,
+    )
     return contact_parity(bare, CompiledTwin(with_model(Twin.of(m), mjcf)))
 
 
@@ -264,7 +268,9 @@ def test_faults_of_the_hoppers_ground(old, new, name):
 
 def test_the_seed_changes_the_states_and_nothing_else():
     m = Mechanism.from_mjcf(leg(1000.0, ramp=2e-3))
-    bare = SimpleNamespace(dynamics=SimpleNamespace(mechanism=m), x0=standing(m))
+    bare = SimpleNamespace(
+        dynamics=SimpleNamespace(mechanism=m, capabilities=Capabilities.of_mechanism(m)), x0=standing(m)
+    )
     compiled = CompiledTwin(Twin.of(m))
     one, same, other = (contact_parity(bare, compiled, seed) for seed in (0, 0, 7))
     assert one == same

@@ -49,7 +49,7 @@ def proven(request):
     )
     plan = planner.solve(planner.Problem(dynamics, cost, start))
     assert plan.success
-    return request.param, plan, planner.prove(plan, rollouts=16)
+    return request.param, plan, planner.prove(plan, rollouts=2)
 
 
 def measured(section, name):

@@ -1,5 +1,6 @@
 """Growth predicts the replay's error, and halving the step shows the integrator's order."""
 
+import functools
 from dataclasses import replace
 
 import numpy as np
@@ -7,6 +8,7 @@ import pytest
 
 import planner
 from planner import Problem, cases
+from planner.model.mjcf.text import edited
 from planner.proof.error_propagation import FACTOR, SMALL
 from planner.proof.error_scales import path_error_bounds, shares_of_bounds
 from planner.proof.step_convergence import ORDER_BOUND, _level, _observed
@@ -23,8 +25,8 @@ def values(section):
 @pytest.fixture(scope="module")
 def proofs():
     problems = {
-        "two-link": cases.two_link(), "two-link, 0.02 s": cases.two_link(horizon=100), "acrobot": cases.acrobot(),
-        "acrobot, hanging": cases.acrobot(start="hanging"), "acrobot, 0.005 s": cases.acrobot(horizon=600),
+        "two-link": cases.two_link(horizon=100), "acrobot": cases.acrobot(),
+        "acrobot, hanging": cases.acrobot(start="hanging"),
     }  # fmt: skip
     return {name: proof_of(problem) for name, problem in problems.items()}
 
@@ -54,14 +56,12 @@ def test_the_replays_error_is_the_predicted_one(proofs, mode):
             assert proof.errors.ratio(mode) == pytest.approx(measured / predicted)
         else:
             assert proof.errors.ratio(mode) is None
-    assert seen >= 3
+    assert seen >= 2
 
 
-def test_a_wrong_model_is_not_predicted():
+def test_a_wrong_model_is_not_predicted(proofs):
     """What a step cannot explain: a forearm 0.1 % heavier in MuJoCo alone, held by the gains."""
-    plan = planner.solve(cases.two_link())
-    from planner.model.mjcf.text import edited
-
+    plan = proofs["two-link"].replay.plan
     text = edited(plan.twin.mjcf, {".//body[@name='forearm']/inertial": {"mass": "0.5005"}})
     assert planner.prove(plan, mjcf=text, rollouts=0).errors.ratio("feedback") > FACTOR
 
@@ -72,7 +72,7 @@ def test_the_transition_is_the_product_of_the_stages(proofs):
     A, B = plan.problem.dynamics.linearize(plan.xs, plan.us)
     for mode, stages in (("open-loop", A), ("feedback", A + B @ plan.K)):
         bounds = path_error_bounds(plan)  # errors are shares of these
-        phi = np.linalg.multi_dot(list(stages[::-1])) * bounds / bounds[:, None]
+        phi = functools.reduce(np.matmul, stages[::-1]) * bounds / bounds[:, None]
         norm = np.linalg.norm(phi, 2)
         assert proof.errors.transition[mode][-1] == pytest.approx(np.log10(norm))
         assert proof.errors.rate(mode) == pytest.approx(np.log(norm) / plan.t[-1])
@@ -127,8 +127,8 @@ def test_a_first_order_method_in_place_of_the_fourth_is_seen(monkeypatch):
     assert "order_shortfall" in [figure.name for figure in proof.order.failures]
 
 
-def test_a_cost_that_a_finer_step_changes_fails_open_loop():
-    proof = proof_of(cases.acrobot(start="hanging"))
+def test_a_cost_that_a_finer_step_changes_fails_open_loop(proofs):
+    proof = proofs["acrobot, hanging"]
     assert values(proof.order)["cost_change"] > 1.0
     assert proof.mode == "feedback"  # the gains hold it
 

@@ -8,14 +8,17 @@ from rolled_out_plans import coarse, ends
 
 from planner.base.errors import FileError
 from planner.proof.replays.compiled_twin import CompiledTwin
+from planner.proof.robustness.monte_carlo import RolloutCheckpoint
 from planner.proof.robustness.perturbed import MonteCarloSettings, perturbed
-from planner.proof.robustness.rollout_checkpoint import RolloutCheckpoint
 from planner.proof.robustness.rollouts import MODES, Rollouts
+from planner.proof.robustness.success import SuccessRule
+
+ALL = SuccessRule("always", lambda ends: np.ones(len(ends), dtype=bool))
 
 
-def test_an_interrupted_run_loses_nothing(arm, tmp_path, monkeypatch):
-    twin, path, seen = coarse(arm), tmp_path / "rollouts.npz", []
-    whole = perturbed(arm, twin, MonteCarloSettings(24), progress=lambda *counts: seen.append(counts))
+def test_an_interrupted_run_loses_nothing(tree, tmp_path, monkeypatch):
+    twin, path, seen = coarse(tree), tmp_path / "rollouts.npz", []
+    whole = perturbed(tree, twin, MonteCarloSettings(24, rule=ALL), progress=lambda *counts: seen.append(counts))
     assert seen[0] == (16, 16 + 8 + 24 + 2 * 4 * 20)  # the first look, the second, open loop, the margins' most
     assert all(later <= former for (_, former), (_, later) in pairwise(seen))
     assert seen[-1][0] == seen[-1][1]
@@ -26,29 +29,29 @@ def test_an_interrupted_run_loses_nothing(arm, tmp_path, monkeypatch):
 
     monkeypatch.setattr(Rollouts, "batch_size", 8)
     with pytest.raises(KeyboardInterrupt):
-        perturbed(arm, twin, MonteCarloSettings(24), partial=path, progress=stop)
+        perturbed(tree, twin, MonteCarloSettings(24, rule=ALL), partial=path, progress=stop)
     monkeypatch.undo()
     ran = []
     monkeypatch.setattr(Rollouts, "run", lambda self, batch, mode, *rest, run=Rollouts.run: (
         ran.append((len(batch.models), mode)), run(self, batch, mode, *rest))[1])  # fmt: skip
-    resumed = perturbed(arm, twin, MonteCarloSettings(24), partial=path)
+    resumed = perturbed(tree, twin, MonteCarloSettings(24, rule=ALL), partial=path)
     assert ran[0] == (16, "open-loop")
     assert sum(number for number, _ in ran) == seen[-1][0] - 32
     assert resumed.to_dict() == whole.to_dict()
     for mode in MODES:
         np.testing.assert_array_equal(resumed.fans[mode], whole.fans[mode])
     ran.clear()
-    perturbed(arm, twin, MonteCarloSettings(20), partial=path)
+    perturbed(tree, twin, MonteCarloSettings(20, rule=ALL), partial=path)
     assert not ran
 
 
-def test_other_rollouts_are_not_taken_for_these(arm, tmp_path):
-    twin, path = coarse(arm), tmp_path / "rollouts.npz"
-    perturbed(arm, twin, MonteCarloSettings(2, seed=1), partial=path)
-    other = perturbed(arm, twin, MonteCarloSettings(2, seed=2), partial=path)
-    np.testing.assert_array_equal(ends(other), ends(perturbed(arm, twin, MonteCarloSettings(2, seed=2))))
+def test_other_rollouts_are_not_taken_for_these(tree, tmp_path):
+    twin, path = coarse(tree), tmp_path / "rollouts.npz"
+    perturbed(tree, twin, MonteCarloSettings(2, seed=1), partial=path)
+    other = perturbed(tree, twin, MonteCarloSettings(2, seed=2), partial=path)
+    np.testing.assert_array_equal(ends(other), ends(perturbed(tree, twin, MonteCarloSettings(2, seed=2))))
     path.write_bytes(b"no archive")
-    np.testing.assert_array_equal(ends(other), ends(perturbed(arm, twin, MonteCarloSettings(2, seed=2), partial=path)))
+    np.testing.assert_array_equal(ends(other), ends(perturbed(tree, twin, MonteCarloSettings(2, seed=2), partial=path)))
     with pytest.raises(FileError):
         RolloutCheckpoint(tmp_path, "mark")
 
@@ -59,5 +62,5 @@ def test_a_budget_stops(arm):
     assert "Stopped after" in none.section.not_applicable
     assert not np.isfinite(none.margin["feedback"])
     assert none.to_dict()["rollouts"] == {"asked": 16, "done": 0}
-    assert none.robustness == "counting"
+    assert none.robustness == "pending"
     assert none.section.passed

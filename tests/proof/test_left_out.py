@@ -8,7 +8,7 @@ import pytest
 from planner import Mechanism, Problem, RigidBodyDynamics, TrackingCost, cases
 from planner.contact import ContactLaw
 from planner.problem.costs.jerk import driven_by_jerk
-from planner.proof.left_out import left_out, pairs_left_out
+from planner.proof.replays.compiled_twin import left_out, pairs_left_out
 
 MODEL = """
 <mujoco><option density="1.2">{flag}</option><worldbody><geom name="floor" type="plane" size="1 1 1"/>

@@ -2,7 +2,7 @@
 
 import pytest
 
-from planner.proof.robustness.levels import largest_survived
+from planner.proof.robustness.monte_carlo import largest_survived
 
 
 @pytest.mark.parametrize("near", [None, *range(-1, 10)])

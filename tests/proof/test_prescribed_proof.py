@@ -21,7 +21,7 @@ from planner.model.mjcf.prescribed_joints import PRESCRIBED_ARMATURE, twin_of
 from planner.model.mjcf.text import edited
 from planner.model.twin import Twin
 from planner.problem.rediscretize import finer
-from planner.proof.compare.driven_parity import driven_parity
+from planner.proof.compare.model_parity import driven_parity
 from planner.proof.robustness.perturbation import Nominal, Perturbation, SampleShape, draw
 
 

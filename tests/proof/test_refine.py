@@ -40,23 +40,26 @@ def arrives(problem, integrators, **options):
     return refined
 
 
-def test_a_swing_up_that_a_semi_implicit_step_had_deceived(tmp_path):
+@pytest.mark.slow
+def test_a_swing_up_that_a_semi_implicit_step_had_deceived():
     problem = planner.cases.acrobot(horizon=150, integrator="semi-implicit-euler")
     refined = arrives(problem, ["semi-implicit-euler", "rk4"])
     assert refined.path[0].end_error > 10.0  # bounds
     assert refined.path[-1].mode == "feedback"
     assert sum(line.seconds for line in refined.path[1:]) < 60.0
     assert refined.plan.cost < 3.0  # the motion is kept: another local minimum costs 6.6
+
+
+def test_a_refined_plan_is_stored_with_its_integrator(tmp_path):
+    problem = planner.cases.two_link(horizon=100, integrator="semi-implicit-euler")
+    refined = arrives(problem, ["semi-implicit-euler", "rk4"])
     refined.plan.save(tmp_path / "plan.npz")
     stored = planner.load_plan(tmp_path / "plan.npz")
     assert stored.parameters == problem.parameters | {"integrator": "rk4"}
     assert quick(stored).passed
 
 
-def test_an_arm_with_two_motors():
-    arrives(planner.cases.two_link(horizon=100, integrator="semi-implicit-euler"), ["semi-implicit-euler", "rk4"])
-
-
+@pytest.mark.slow
 def test_a_hopper_takes_half_the_stage_too():
     refined = arrives(planner.cases.hopper(horizon=50, integrator="euler"), ["euler", "rk4", "rk4"])
     assert [line.horizon for line in refined.path] == [50, 50, 100]

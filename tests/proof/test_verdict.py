@@ -138,7 +138,7 @@ def test_the_tolerance_is_in_the_plan_file(tmp_path):
 
 
 def test_a_solve_that_stopped_does_not_pass():
-    plan = planner.solve(cases.two_link(), max_iterations=3)
+    plan = planner.solve(cases.two_link(horizon=100), max_iterations=3)
     assert not plan.success
     proof = proof_of(plan)
     assert not proof.passed
@@ -147,7 +147,7 @@ def test_a_solve_that_stopped_does_not_pass():
 
 
 def test_a_status_that_says_converged_does_not_make_a_plan_optimal():
-    problem = replace(cases.two_link(), tolerance="soft")
+    problem = replace(cases.two_link(horizon=100), tolerance="soft")
     guess = rolled_out(problem)
     now = recomputed(guess, problem, guess.xs, guess.us)
     proof = proof_of(replace(guess, K=now.sweep.K, gradient_norm=now.gradient_norm))

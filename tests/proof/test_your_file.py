@@ -10,9 +10,8 @@ from planner.contact import ContactLaw
 from planner.model.mjcf.model_index import contact_pairs
 from planner.model.mjcf.text import edited
 from planner.problem.goals import GoalCheck
-from planner.proof.left_out import left_out, pairs_left_out
 from planner.proof.original_model import your_file
-from planner.proof.replays.compiled_twin import CompiledTwin
+from planner.proof.replays.compiled_twin import CompiledTwin, left_out, pairs_left_out
 from planner.proof.replays.replaying import replay_in
 
 # An arm of 1 m on a vertical axis, and a wall that its tip meets at 0.8 rad.

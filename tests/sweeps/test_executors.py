@@ -17,7 +17,7 @@ from troubled_problems import troubled
 import planner
 from planner.base.executors import ordered_map
 from planner.proof.replays.compiled_twin import CompiledTwin
-from planner.proof.robustness import batches
+from planner.proof.robustness import monte_carlo
 from planner.proof.robustness.perturbed import MonteCarloSettings, perturbed
 from planner.sweeps.executors import executor_of
 from planner.sweeps.processes import LocalProcesses
@@ -135,7 +135,7 @@ def test_rollouts_are_the_same_to_the_last_bit(processes, plan, monkeypatch):
     """Whatever the batches and the workers; threads of one process have a simulator each."""
     trials, compiled = MonteCarloSettings(12), CompiledTwin(plan.twin)
     here = perturbed(plan, compiled, trials)
-    monkeypatch.setattr(batches, "_FEWEST", 3)
+    monkeypatch.setattr(monte_carlo, "_FEWEST", 3)
     with ThreadPoolExecutor(3) as threads:
         for executor in (processes, threads):
             there = perturbed(plan, compiled, trials, executor=executor)

@@ -307,7 +307,7 @@ def test_other_grounds_are_bars_with_their_peak_forces(proof):
             ("path_distance_error", 1e-6, "m"), ("path_angle_error", error, "rad"), ("peak_force", 3944.0, "N"),
         )
     ]  # fmt: skip
-    proof.sections["another_ground"] = Section("another ground", tuple(measured))
+    proof.sections["another_ground"] = Section("contact sensitivity", tuple(measured))
     axes = panel(draw_proof(proof), "Contact sensitivity")
     assert axes.get_xlabel() == "largest error of a path, angle rad"
     assert [label.get_text() for label in axes.get_yticklabels()] == ["planned\ncontact", "default\ncontact"]

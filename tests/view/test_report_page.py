@@ -160,7 +160,8 @@ def test_a_missing_folder_is_one_sentence(plan, tmp_path):
 
 def test_the_proof_is_told_in_the_three_parts_of_an_assessment(plan, tmp_path):
     """Every figure is in one part, and each part says what was done, what it does not cover and what it is for."""
-    order = Section("order, open loop", (Measurement("observed_order", 4.0), Measurement("cost_change", 0.1, "%", 1.0)))
+    measured = (Measurement("observed_order", 4.0), Measurement("cost_change", 0.1, "%", 1.0))
+    order = Section("step convergence, open loop", measured)
     given = Section("your file", (Measurement("unknown_contacts", 0.0, "", 0.0),))
     proof = proof_of(order=order, your_file=given, drake=Section("drake", (Measurement("acceleration_error", 1e-9),)))
     text = page_of(plan, proof, tmp_path).text

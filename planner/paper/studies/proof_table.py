@@ -24,7 +24,7 @@ from planner.problem.problem import Problem
 from planner.proof import Proof, prove
 from planner.proof.error_scales import ranges_of_motion
 from planner.proof.robustness.rollouts import MODES
-from planner.proof.robustness.success_rate import SuccessRate
+from planner.proof.robustness.success import SuccessRate
 from planner.solvers.slq import solve
 
 BUDGET = 20.0  # s of each perturbed step, so that the whole table takes less than five minutes

@@ -26,16 +26,24 @@ from planner.base.gl import load_mujoco
 from planner.base.measured import Measurement
 from planner.dynamics.contacts import contact_force, stop_state, unilateral_force
 from planner.dynamics.hopper import HopperDynamics
+from planner.model.capabilities import capabilities_of
 from planner.model.contact.laws import Contact, Stop
 from planner.model.mechanism import Mechanism
 from planner.model.mjcf.contact_points import shape_of
 from planner.model.mjcf.model_index import ModelIndex
 from planner.model.mjcf.prescribed_joints import prescribed_dofs_of
 from planner.problem.problem import Problem
-from planner.proof.compare.contact_states import AnyContact, ContactStateSampler, beyond_ramps
+from planner.proof.compare.contact_states import (
+    AnyContact,
+    ContactGeoms,
+    ContactStateSampler,
+    beyond_ramps,
+    contact_name,
+    force_between,
+    shapes_of,
+)
 from planner.proof.compare.differences import joint_of
 from planner.proof.compare.hopper_ground import hopper_ground
-from planner.proof.compare.matching_geoms import ContactGeoms, contact_name, force_between, shapes_of
 from planner.proof.compare.rigid_parity import random_states
 from planner.proof.replays.compiled_twin import CompiledTwin
 from planner.proof.replays.simulation import set_state
@@ -95,10 +103,9 @@ def contact_parity(problem: Problem, compiled: CompiledTwin, seed: int = 0) -> t
     dynamics = problem.dynamics
     if isinstance(dynamics, HopperDynamics):
         return _measured([compared(*row) for row in hopper_ground(dynamics, compiled, seed)], seed)
-    mechanism = getattr(dynamics, "mechanism", None)
-    if not isinstance(mechanism, Mechanism):
-        return ()
-    if not (mechanism.contacts or mechanism.body_contacts or mechanism.stops):
+    machine = capabilities_of(dynamics)
+    mechanism = machine.mechanism
+    if mechanism is None or not (machine.contacts or machine.stops):
         return ()
     bench = _Bench(mechanism, compiled, prescribed_dofs_of(dynamics))
     found = [*bench.contacts(*_starts(problem, mechanism, seed)), *bench.stops(problem.x0)]

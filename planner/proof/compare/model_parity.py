@@ -1,7 +1,25 @@
-"""Step 1 of a proof: the plan's dynamics and MuJoCo's, at random states where the two models are the same."""
+"""Step 1 of a proof, parity: the plan's dynamics and MuJoCo's, at random states where the two models are the same.
+
+A mechanism is compared term by term (rigid_parity), then its friction loss and its contacts.
+
+Friction loss is the same function of velocity and acceleration in both (planner.dynamics.friction), but the plan's is
+smoothed where MuJoCo's saturates. So at MuJoCo's acceleration they agree to rounding in all joints that clearly stick
+or slide; in the smoothed range the difference is shown.
+
+A machine with prescribed joints is compared twice. First with a moderate armature in place of the armature H of its
+prescribed joints (planner.model.mjcf.prescribed_joints), beside which a wrong mass would not show. Then as it is
+replayed: its motors reach
+
+    a_p = u - tau_p / H
+
+of the prescribed accelerations u, tau_p being their forces, so MuJoCo's accelerations are those of the plan's own
+dynamics at such controls, to rounding. The difference is shown too.
+"""
 
 from __future__ import annotations
 
+import copy
+from collections.abc import Collection, Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -10,16 +28,22 @@ from weakref import WeakKeyDictionary
 import numpy as np
 
 from planner.base.arguments import short_repr
-from planner.base.errors import PlannerError
+from planner.base.errors import ModelError, PlannerError
 from planner.base.gl import load_mujoco
 from planner.base.measured import Measurement, Section
+from planner.dynamics import algorithms as rigid_body
+from planner.dynamics.friction import BEND, friction_forces
+from planner.dynamics.rigid_body import RigidBodyDynamics
+from planner.model.capabilities import capabilities_of
 from planner.model.mechanism import Mechanism
+from planner.model.mjcf.prescribed_joints import PRESCRIBED_ARMATURE, prescribed_dofs, with_force_inputs
+from planner.model.mjcf.read import mechanism_of_model
 from planner.model.twin import Twin
 from planner.problem.problem import Problem, Requirements
+from planner.proof.compare.constrained import constrained_acceleration
 from planner.proof.compare.contact_parity import contact_parity
-from planner.proof.compare.driven_parity import driven_parity
-from planner.proof.compare.friction_parity import friction_parity
-from planner.proof.compare.rigid_parity import rigid_parity
+from planner.proof.compare.differences import differences
+from planner.proof.compare.rigid_parity import random_states, rigid_parity, rounded, unlimited
 from planner.proof.replays.compiled_twin import CompiledTwin, another_model, with_model
 from planner.proof.replays.passive_torque_callback import curves_acting
 from planner.proof.replays.simulation import set_state
@@ -86,10 +110,10 @@ def parity_in(compiled: CompiledTwin, problem: Problem, seed: int = 0) -> Sectio
 def _smooth_parity(compiled: CompiledTwin, problem: Problem, seed: int) -> Section:
     """Parity of everything but contacts and stops."""
     requirements, dynamics = problem.requirements, problem.dynamics
-    mechanism, prescribed = getattr(dynamics, "mechanism", None), getattr(dynamics, "prescribed", ())
+    mechanism, prescribed = capabilities_of(dynamics).mechanism, getattr(dynamics, "prescribed", ())
     if requirements is not None and requirements.rates is not None:
         return _of_rates(problem, requirements, compiled, seed)
-    assert isinstance(mechanism, Mechanism)  # else there is nothing to compare
+    assert mechanism is not None  # else there is nothing to compare
     if not prescribed:
         return _of_mechanism(mechanism, dynamics, compiled, seed)
     model = compiled.copy()
@@ -98,8 +122,8 @@ def _smooth_parity(compiled: CompiledTwin, problem: Problem, seed: int) -> Secti
 
 
 def _nothing_to_compare(problem: Problem) -> bool:
-    mechanism, requirements = getattr(problem.dynamics, "mechanism", None), problem.requirements
-    return not isinstance(mechanism, Mechanism) and (requirements is None or requirements.rates is None)
+    mechanism, requirements = capabilities_of(problem.dynamics).mechanism, problem.requirements
+    return mechanism is None and (requirements is None or requirements.rates is None)
 
 
 def _of_mechanism(mechanism: Mechanism, dynamics: Any, compiled: CompiledTwin, seed: int) -> Section:
@@ -145,3 +169,145 @@ def _start(problem: Problem, twin: Twin, model: Any, name: str) -> Measurement:
     w = np.concatenate([model.key_qpos[key], model.key_qvel[key], model.key_act[key]])
     error = float(np.max(np.abs(w - twin.sim_of(problem.x0))))
     return Measurement("start_error", error, "", BOUND, note)
+
+
+_SPEEDS = np.geomspace(1e-4, 1.0, 8)  # of random velocities and accelerations, so that some joints are held, some slide
+
+
+def friction_parity(mechanism: Mechanism, model: Any, states: int, bound: float, seed: int) -> Iterator[Measurement]:
+    """Compare friction at random states, with `bound` relative to the loss; nothing where nothing rubs in either.
+
+    The model's contacts, ranges and equalities are left aside.
+    """
+    read = mechanism_of_model(model)
+    losses = np.maximum(mechanism.friction_loss, read.friction_loss)
+    rubs = np.flatnonzero(losses)
+    if not len(rubs):
+        return
+    mujoco, rng, model = load_mujoco(), np.random.default_rng(seed), copy.copy(model)
+    bits = mujoco.mjtDisableBit
+    model.opt.disableflags |= bits.mjDSBL_CONTACT | bits.mjDSBL_LIMIT | bits.mjDSBL_EQUALITY
+    xs, data = random_states(mechanism, rng, states), mujoco.MjData(model)
+    qd, qdd = xs[:, mechanism.nq : mechanism.nq + mechanism.nv], rng.normal(size=(states, mechanism.nv))
+    for part in (qd, qdd):
+        part *= np.resize(_SPEEDS, states)[:, None]
+    theirs = np.zeros((states, mechanism.nv))
+    for forces, x, a in zip(theirs, xs, qdd, strict=True):
+        set_state(model, data, x)
+        data.qacc[:] = a
+        mujoco.mj_inverse(model, data)
+        which = data.efc_type == mujoco.mjtConstraint.mjCNSTR_FRICTION_DOF
+        forces[data.efc_id[which]] = data.efc_force[which]
+    loss = losses[rubs]
+    x = mechanism.friction_inertia[rubs] * (qdd + mechanism.friction_rate * qd)[:, rubs] / loss
+    off, bent = np.abs(friction_forces(mechanism, qd, qdd)[0] - theirs), np.abs(np.abs(x) - 1.0) < BEND
+    beside, difference = np.delete(off, rubs, axis=1).max(initial=0.0), off[:, rubs] / loss
+    of = f"of {len(rubs)} degrees of freedom at {states} random states (seed {seed}), relative to the loss"
+    held, slides = (np.abs(x) < 1.0) & ~bent, (np.abs(x) > 1.0) & ~bent
+    note = f"held {held.sum()} times and sliding {slides.sum()} times, {of}"
+    error = float(max(difference[~bent].max(initial=0.0), beside))
+    if not error <= bound and (named := differences(mechanism, read)):
+        note = f"{named}, {note}"
+    yield Measurement("friction_loss_error", error, "", bound, note)
+    note = f"between, where MuJoCo's is cut off and the plan's bends, {of}"
+    yield Measurement("friction_loss_bend", float(difference[bent].max(initial=0.0)), "", None, note)
+
+
+_ROUNDS = 3  # of u - tau(u) / H: each is H times nearer than the last
+
+
+def driven_parity(
+    mechanism: Mechanism, prescribed: Collection[str], model: Any, states: int, bound: float, seed: int
+) -> Section:
+    """Compare a mechanism whose joints are prescribed with the MuJoCo model that drives them.
+
+    The model's ranges and contacts are switched off; `bound` is what passes, relative.
+    """
+    dofs, free = prescribed_dofs(mechanism, prescribed), with_force_inputs(mechanism, prescribed)
+    inertias = rigid_body.mass_matrix(free, mechanism.qpos0).diagonal()
+    armature = free.armature.copy()
+    armature[dofs] = inertias.max()  # a driven joint may carry next to nothing
+    free = replace(free, armature=armature)
+    if model.nv != mechanism.nv or not np.all(model.dof_armature[dofs] == PRESCRIBED_ARMATURE):
+        raise ModelError(
+            f"the model does not drive {', '.join(prescribed)}, expected an armature of {PRESCRIBED_ARMATURE:g} there: "
+            "it is another machine."
+        )
+    model.dof_armature[dofs] = armature[dofs]
+    losses = tuple(_losses(free, mechanism_of_model(model), bound))  # while its constraints are on
+    spread = np.where(np.arange(free.nu) < mechanism.nu, 1.0, 1.0 / PRESCRIBED_ARMATURE)  # forces of size one
+    section = rigid_parity(free, model, None, states, bound, seed, spread)
+    model.dof_armature[dofs] = PRESCRIBED_ARMATURE
+    measured = (*section.measured, *_driven(mechanism, prescribed, model, states, bound, seed))
+    return replace(section, measured=(*measured, *losses))
+
+
+def _losses(ours: Mechanism, theirs: Mechanism, bound: float) -> Iterator[Measurement]:
+    """Friction losses beside each other; their slopes differ, for MuJoCo takes them from the driven model's inertia."""
+    largest = np.maximum(ours.friction_loss, theirs.friction_loss)
+    if np.any(largest):
+        off = np.abs(theirs.friction_loss - ours.friction_loss) / np.where(largest > 0.0, largest, 1.0)
+        note = "" if off.max() <= bound else f"{differences(ours, theirs)}, "
+        yield Measurement("friction_loss_error", float(off.max()), "", bound, f"{note}of the loss, relative to it")
+
+
+def _driven(
+    mechanism: Mechanism, prescribed: Collection[str], model: Any, states: int, bound: float, seed: int
+) -> tuple[Measurement, Measurement]:
+    """The error of the driven model's accelerations against the plan's dynamics, and how far its motors fall short."""
+    smooth = replace(mechanism, contacts=(), stops=(), friction_loss=np.zeros(mechanism.nv))
+    dynamics = RigidBodyDynamics(smooth, 1.0, prescribed=prescribed)
+    rng = np.random.default_rng(seed)
+    xs = random_states(mechanism, rng, states)
+    us = rng.normal(size=(states, dynamics.nu))
+    accelerations = slice(mechanism.nv, 2 * mechanism.nv)
+    asked, left = us.copy(), np.zeros((states, dynamics.nu - mechanism.nu))
+    for _ in range(_ROUNDS):
+        left = (
+            forces_of_prescribed(smooth, prescribed, xs, dynamics.rates(xs, asked)[:, accelerations])
+            / PRESCRIBED_ARMATURE
+        )
+        asked[:, mechanism.nu :] = us[:, mechanism.nu :] - left
+    ours = dynamics.rates(xs, asked)[:, accelerations]
+    theirs = _accelerations(model, mechanism_of_model(model), xs, us)
+    speed2 = np.square(xs[:, mechanism.nq : mechanism.nq + mechanism.nv]).max(axis=1)
+    scale = np.maximum(_rounded(smooth, prescribed, xs, theirs), speed2)
+    error = float((np.abs(theirs - ours) / scale[:, None]).max())
+    note = f"with the joints driven, at {states} random states (seed {seed}), relative to what it is made of at each"
+    judged = Measurement("driven_acceleration_error", error, "", bound, note)
+    unit = "rad/s^2 or m/s^2"
+    note = f"of a prescribed acceleration at these states, {unit}: the force it takes over {PRESCRIBED_ARMATURE:g}"
+    return judged, Measurement("left_by_the_motors", float(np.abs(left).max()), "", None, note)
+
+
+def _rounded(mechanism: Mechanism, prescribed: Collection[str], xs: np.ndarray, qdd: np.ndarray) -> np.ndarray:
+    """(K,) what rounding makes of the driven model's accelerations (K, nv), per unit of rounding."""
+    heavy = with_force_inputs(mechanism, prescribed)
+    armature = heavy.armature.copy()
+    armature[prescribed_dofs(mechanism, prescribed)] = PRESCRIBED_ARMATURE
+    heavy = replace(heavy, armature=armature)
+    q, qd, _ = np.split(xs, [mechanism.nq, mechanism.nq + mechanism.nv], axis=1)
+    return rounded(rigid_body.mass_matrix(heavy, q), rigid_body.bias(heavy, q, qd), qdd)
+
+
+def forces_of_prescribed(
+    mechanism: Mechanism, prescribed: Collection[str], xs: np.ndarray, qdd: np.ndarray
+) -> np.ndarray:
+    """The forces (K, n) that prescribed joints take, at xs (K, nx) with accelerations qdd (K, nv); without contacts."""
+    q, qd, _ = np.split(xs, [mechanism.nq, mechanism.nq + mechanism.nv], axis=1)
+    return rigid_body.rnea(with_force_inputs(mechanism, prescribed), q, qd, qdd)[
+        :, prescribed_dofs(mechanism, prescribed)
+    ]
+
+
+def _accelerations(model: Any, mechanism: Mechanism, xs: np.ndarray, us: np.ndarray) -> np.ndarray:
+    """MuJoCo's (K, nv), without contacts and ranges."""
+    unlimited(model)
+    mujoco, result = load_mujoco(), np.empty((len(xs), model.nv))
+    data = mujoco.MjData(model)
+    for k, (x, u) in enumerate(zip(xs, us, strict=True)):
+        set_state(model, data, x)
+        data.ctrl[:] = u
+        mujoco.mj_forward(model, data)
+        result[k] = constrained_acceleration(model, data, mechanism)
+    return result

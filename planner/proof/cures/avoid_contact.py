@@ -17,8 +17,8 @@ from planner.problem.plan import Plan
 from planner.problem.problem import Problem
 from planner.proof.cures.cure import FILE, Cure, cure, no_cure
 from planner.proof.cures.velocity_weight import straightened
-from planner.proof.left_out import unmodelled_of
 from planner.proof.original_model import PENETRATION_TOLERANCE, as_given
+from planner.proof.replays.compiled_twin import unmodelled_of
 from planner.proof.verdict import Proof
 
 CLEAR = 5e-3  # m between shapes that are moved apart (of a machine of 1 m or more)

@@ -14,7 +14,7 @@ from planner.problem.plan import Plan
 from planner.problem.problem import Problem
 from planner.proof.cures.balance import loses_balance
 from planner.proof.cures.cure import Cure, cure, no_cure, rounded_up
-from planner.proof.replays.limits_hit import OVERLAP, ROUNDING
+from planner.proof.original_model import OVERLAP, ROUNDING
 from planner.proof.replays.ranges import Excess, efforts_in, joints_in
 from planner.proof.replays.replaying import Replay, stopped_dofs
 from planner.proof.verdict import Proof

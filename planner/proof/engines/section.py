@@ -19,6 +19,7 @@ from planner.base.arguments import choice, short_repr
 from planner.base.errors import ModelError, PlannerError
 from planner.base.measured import Measurement, Section
 from planner.dynamics import algorithms as rigid_body
+from planner.model.capabilities import capabilities_of
 from planner.model.mechanism import Mechanism
 from planner.model.mjcf.read import mechanism_of_model
 from planner.model.mjcf.unsupported import unsupported_elements
@@ -26,8 +27,7 @@ from planner.model.twin import Twin
 from planner.problem.plan import Plan
 from planner.proof.compare.rigid_parity import random_states, rounded, turns
 from planner.proof.engines import ENGINES, drake, pinocchio
-from planner.proof.engines.applied import Applied, joints_with
-from planner.proof.engines.motion import PARTS, Rates, motion
+from planner.proof.engines.motion import PARTS, Applied, Rates, joints_with, motion
 from planner.proof.engines.text import Prepared, prepared
 from planner.proof.replays.compiled_twin import CompiledTwin
 from planner.proof.replays.contact_history import may_touch
@@ -130,8 +130,8 @@ def another_engine(plan: Plan, name: str, *, twin: Twin | None = None, seed: int
 
 def _reason(dynamics: Any, model: Any) -> str:
     """Why a machine cannot be had in another engine, or ""."""
-    mechanism = getattr(dynamics, "mechanism", None)
-    if not isinstance(mechanism, Mechanism):
+    mechanism = capabilities_of(dynamics).mechanism
+    if mechanism is None:
         return "the plan's dynamics are not those of a mechanism"
     if getattr(dynamics, "prescribed", ()):
         return (

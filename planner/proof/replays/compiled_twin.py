@@ -1,6 +1,7 @@
-"""CompiledTwin: a twin and the MuJoCo model of its text, which is compiled once for all steps of a proof.
+"""CompiledTwin: a twin and the MuJoCo model of its text, compiled once for all steps of a proof.
 
-Steps, integrators and flags are options of the compiled model, so each use sets them on a copy of its own.
+Steps, integrators and flags are options of the compiled model, so each use sets them on a copy of its own. Also what a
+problem's model lacks of the user's file, for the headline of a proof.
 """
 
 from __future__ import annotations
@@ -11,12 +12,14 @@ from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
+from weakref import WeakKeyDictionary
 from xml.etree import ElementTree
 
 import numpy as np
 
 from planner.base.errors import ModelError
 from planner.base.gl import load_mujoco
+from planner.model.capabilities import capabilities_of
 from planner.model.mechanism import Mechanism
 from planner.model.mjcf.contacts import contact_refusals
 from planner.model.mjcf.couplings import set_hard
@@ -24,12 +27,11 @@ from planner.model.mjcf.edit import take_out
 from planner.model.mjcf.model_index import ModelIndex, compile_model
 from planner.model.mjcf.prescribed_joints import prescribed_twin
 from planner.model.mjcf.text import is_text, model_tree
-from planner.model.mjcf.unmodelled_features import unmodelled_features
+from planner.model.mjcf.unmodelled_features import UnmodelledFeatures, unmodelled_features
 from planner.model.mjcf.unsupported import modelled, unsupported_elements
 from planner.model.twin import Twin
 from planner.problem.problem import Problem
-from planner.proof.replays.implicit_steps import INTEGRATOR as IMPLICIT
-from planner.proof.replays.implicit_steps import NATIVE
+from planner.proof.replays.simulation import NATIVE_IMPLICIT, ROSENBROCK
 
 
 class CompiledTwin:
@@ -99,7 +101,7 @@ class CompiledTwin:
         model.opt.timestep = timestep
         set_hard(model, timestep)
         model.opt.integrator = getattr(
-            mujoco.mjtIntegrator, f"mjINT_{NATIVE if integrator == IMPLICIT else integrator}"
+            mujoco.mjtIntegrator, f"mjINT_{NATIVE_IMPLICIT if integrator == ROSENBROCK else integrator}"
         )
         model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET  # else what runs away would begin anew
         return model
@@ -120,8 +122,8 @@ def another_model(problem: Problem, twin: Twin, mjcf: str | Path | None) -> Comp
     prescribed joints are driven in the other model too.
     """
     compiled = CompiledTwin(with_model(twin, mjcf))
-    mechanism = getattr(problem.dynamics, "mechanism", None)
-    if mjcf is None or not isinstance(mechanism, Mechanism):
+    mechanism = capabilities_of(problem.dynamics).mechanism
+    if mjcf is None or mechanism is None:
         return compiled
     compiled = _without(mechanism, compiled)
     prescribed = getattr(problem.dynamics, "prescribed", ())
@@ -142,3 +144,46 @@ def _without(mechanism: Mechanism, compiled: CompiledTwin) -> CompiledTwin:
     root = ElementTree.fromstring(compiled.twin.mjcf)
     take_out(root, [one for one in found if one.kind in kinds], survey.model)
     return CompiledTwin(replace(compiled.twin, mjcf=ElementTree.tostring(root, encoding="unicode")))
+
+
+_found: WeakKeyDictionary[Problem, UnmodelledFeatures] = WeakKeyDictionary()
+
+
+def left_out(problem: Problem, compiled: CompiledTwin | None = None) -> tuple[str, ...]:
+    """Say in short phrases what a problem's model lacks of the user's file: "contacts of 1 pair", "1 equality".
+
+    Ranges and clamps are not left out in this sense: the steps of a proof say where a motion reaches one.
+
+    Args:
+        problem: With a twin; without, nothing is left out.
+        compiled: Its twin, or the twin in the user's file, where that is compiled already.
+
+    Raises:
+        ModelError: MuJoCo refuses one of the two texts.
+    """
+    return unmodelled_of(problem, compiled).phrases
+
+
+def pairs_left_out(problem: Problem) -> tuple[str, ...]:
+    """Name the pairs of geoms that may touch in the user's file and not in the plan's model.
+
+    Raises:
+        ModelError: MuJoCo refuses one of the two texts.
+    """
+    return unmodelled_of(problem).pairs
+
+
+def unmodelled_of(problem: Problem, compiled: CompiledTwin | None = None) -> UnmodelledFeatures:
+    """Everything that a problem's model lacks of the user's file; nothing for dynamics that are not a mechanism's."""
+    twin, machine = problem.twin, capabilities_of(problem.dynamics)
+    if twin is None or machine.mechanism is None:
+        return UnmodelledFeatures()
+    if problem not in _found:
+        model = compiled.model if compiled is not None and compiled.twin.mjcf == twin.mjcf else None
+        given = compiled.model if compiled is not None and compiled.twin.mjcf == twin.original else None
+        # The text as it was before joints were driven: what those edits leave out moves nothing.
+        start = twin.sim_of(problem.x0)[: machine.mechanism.nq]
+        _found[problem] = unmodelled_features(
+            twin.original, twin.planned, twin.assets, machine.contacts, model, start, given
+        )
+    return _found[problem]

@@ -22,12 +22,10 @@ from planner.problem.plan import Plan
 from planner.problem.problem import Problem
 from planner.proof.replays.compiled_twin import CompiledTwin
 from planner.proof.replays.contact_history import ContactHistory, ContactRecorder, Touch
-from planner.proof.replays.implicit_steps import INTEGRATOR as IMPLICIT
-from planner.proof.replays.implicit_steps import damping_of, implicit_step
 from planner.proof.replays.passive_torque_callback import curves_acting
 from planner.proof.replays.ranges import ranges_reached
 from planner.proof.replays.sampled_gains import Gains, Sampling
-from planner.proof.replays.simulation import MAX_STEPS, simulate
+from planner.proof.replays.simulation import MAX_STEPS, ROSENBROCK, damping_of, implicit_step, simulate
 
 REFINEMENT = 20  # simulator steps per stage, at least
 PARTS = 8  # of a step where damping is implicit: after a jump the method is 1e-3 of it off at most, however fast it is
@@ -135,7 +133,7 @@ def replay(
         substeps: Simulator steps per stage; by default so that the step is the smallest of dt/20, a fifth of a
             substep and the model's.
         integrator: MuJoCo's, "RK4" or "EULER", whatever the file says. None is RK4 or, where the plan takes damping
-            implicitly, its own method with MuJoCo's accelerations (implicit_steps).
+            implicitly, its own method with MuJoCo's accelerations.
         sampling: When the gains act, as a controller applies them, in place of at every simulator step.
 
     Raises:
@@ -162,7 +160,7 @@ def replay_in(
     problem = problem_of(plan)
     compiled.check(plan.us.shape[1])
     dt, damping = problem.dynamics.dt, damping_of(problem.dynamics)
-    integrator = integrator or ("RK4" if damping is None else IMPLICIT)
+    integrator = integrator or ("RK4" if damping is None else ROSENBROCK)
     sampling = sampling if feedback else None
     parts = 1 if sampling is None else sampling.in_stages(dt).denominator  # of a stage, at whose ends instants fall
     if substeps is None:
@@ -182,7 +180,7 @@ def replay_in(
     recorder = ContactRecorder(model, M)
     ctrl = compiled.commands(np.repeat(plan.us, n, axis=0))
 
-    move = implicit_step(model, dt / n, damping, PARTS) if integrator == IMPLICIT and damping is not None else None
+    move = implicit_step(model, dt / n, damping, PARTS) if integrator == ROSENBROCK and damping is not None else None
     gains = Gains(plan, twin, model, plan_xs, n, sampling) if feedback else None
 
     def with_gains(i: int, w: np.ndarray) -> np.ndarray:

@@ -1,19 +1,24 @@
-"""Step a MuJoCo model and keep its states: under controls given beforehand, or computed from each state.
+"""Step a MuJoCo model and keep its states w = (qpos, qvel, act): under controls given beforehand, or by feedback.
 
-A state is w = (qpos, qvel, act), nw numbers.
+Also steps of the Rosenbrock method of a plan (kernels.tree.rosenbrock) with the forces and masses of MuJoCo. The
+implicit methods of MuJoCo are of first order: where damping is as fast as the step, the first step after a jump of a
+control errs by a fifth of the jump. So MuJoCo computes accelerations of a model whose armatures are increased by the
+damping of a step, and the forces of the second stage are applied as qfrc_applied.
 """
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 
 from planner.base.gl import load_mujoco, load_rollout
+from planner.model.capabilities import capabilities_of
+from planner.model.damping import implicit_damping
 from planner.model.mjcf.model_index import named
 from planner.proof.replays.contact_history import ContactRecorder
-from planner.proof.replays.implicit_steps import Step
 
 MAX_STEPS = 5_000_000  # some minutes and 1 GB
 RUNAWAY = 1e10  # what MuJoCo takes for an unstable simulation
@@ -111,3 +116,58 @@ def warnings_of(data: Any) -> tuple[str, ...]:
     kinds = load_mujoco().mjtWarning
     numbers = {kinds(k).name[7:].lower(): data.warning[k].number for k in range(int(kinds.mjNWARNING))}
     return tuple(f"MuJoCo warned of {name} {number} times." for name, number in numbers.items() if number)
+
+
+GAMMA = 1.0 - 0.5**0.5  # as in kernels.tree.rosenbrock
+ROSENBROCK = "rosenbrock"
+NATIVE_IMPLICIT = "IMPLICITFAST"  # MuJoCo's own, stable, of first order
+
+Step = Callable[[Any], None]  # moves MuJoCo's data
+Acceleration = Callable[[Any, Any], np.ndarray]  # (model, data) after mj_forward -> (nv,)
+
+
+def damping_of(dynamics: Any) -> np.ndarray | None:
+    """(nv,) what a plan's dynamics take implicitly; None where they take nothing so."""
+    mechanism = capabilities_of(dynamics).mechanism
+    if getattr(dynamics, "integrator", "") != ROSENBROCK or mechanism is None:
+        return None
+    return implicit_damping(mechanism)
+
+
+def implicit_step(
+    model: Any, h: float, damping: np.ndarray, parts: int = 1, acceleration: Acceleration | None = None
+) -> Step:
+    """A function that moves data of a model by h s in equal parts.
+
+    Args:
+        model: MuJoCo's; it is not changed.
+        h: s.
+        damping: (nv,) of damping_of().
+        parts: Steps of the method.
+        acceleration: What to take for MuJoCo's qacc.
+    """
+    mujoco, h = load_mujoco(), h / parts
+    added, heavier = GAMMA * h * damping, copy.copy(model)
+    heavier.dof_armature[:] += added
+    heavier.dof_M0[:] += added  # MuJoCo reads it in place of armatures for bodies whose masses never change
+
+    def forward(data: Any) -> tuple[np.ndarray, np.ndarray]:
+        mujoco.mj_forward(heavier, data)
+        a = data.qacc if acceleration is None else acceleration(heavier, data)
+        return a.copy(), data.act_dot.copy()
+
+    def step(data: Any) -> None:
+        for _ in range(parts):
+            q, v, act, applied = data.qpos.copy(), data.qvel.copy(), data.act.copy(), data.qfrc_applied.copy()
+            a, rate = forward(data)
+            data.qvel[:], data.act[:] = v + h * a, act + h * rate
+            data.qfrc_applied[:] = applied + 2.0 * added * a
+            mujoco.mj_integratePos(heavier, data.qpos, v + GAMMA * h * a, h)
+            w, later = forward(data)
+            data.qpos[:] = q
+            mujoco.mj_integratePos(heavier, data.qpos, v + 0.5 * h * ((1.0 - GAMMA) * a + GAMMA * w), h)
+            data.qvel[:], data.act[:] = v + 0.5 * h * (a + w), act + 0.5 * h * (rate + later)
+            data.qfrc_applied[:] = applied
+            data.time += h
+
+    return step

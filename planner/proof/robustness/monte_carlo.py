@@ -1,28 +1,35 @@
-"""The order in which the rollouts of a Monte Carlo are run, and what is known after each.
+"""The rollouts of a Monte Carlo: their order, their batches here or on an executor, and a file of finished ones.
 
-    1  with gains, until the rate of success is settled (planner.proof.robustness.success_rate)
+    1  with gains, until the success rate is decided (planner.proof.robustness.success)
     2  open loop, the same machines
     3  the mass margins, by bisection over the levels
 
-So the word about robustness comes first. Whatever is finished is in the store, and is not run again.
+So the word about robustness comes first. Finished rollouts are stored, and are not run again after an interruption.
 """
 
 from __future__ import annotations
 
+import hashlib
 import math
-from collections.abc import Callable
+import threading
+import time
+import zipfile
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Executor
+from functools import partial
 from pathlib import Path
+from uuid import uuid4
 
 import numpy as np
 
-from planner.proof.robustness.batches import Batches
-from planner.proof.robustness.levels import largest_survived
+from planner.base.executors import ordered_map, width_of
+from planner.base.files import file_error, write_atomically
+from planner.base.gl import load_mujoco
+from planner.problem.plan import Plan
+from planner.proof.replays.compiled_twin import CompiledTwin
 from planner.proof.robustness.perturbation import Perturbation, PerturbationSample, draw, draw_masses
-from planner.proof.robustness.rollout_checkpoint import RolloutCheckpoint, fingerprint
 from planner.proof.robustness.rollouts import MODES, Rollouts
-from planner.proof.robustness.success_rate import LOOKS, enough, next_look
-from planner.proof.robustness.success_rule import SuccessRule
+from planner.proof.robustness.success import LOOKS, SuccessRule, enough, next_look
 
 ENOUGH = 0.95  # of the rollouts must succeed for a mass error to be within the margin
 LEVELS = (0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5)  # mass errors, relative
@@ -50,8 +57,8 @@ class MonteCarlo:
     def run(self) -> None:
         """Run what is missing; OutOfTime after the deadline."""
         margins = len(MODES) * _MAX_LEVELS * self.per_level
-        while (look := next_look(won := self._won("cases", "feedback"), self.asked)) is not None:
-            look = max(look, min(len(won) + self._batches.together, self.asked))  # those beyond a look may not count
+        while (look := next_look(known := self._succeeded("cases", "feedback"), self.asked)) is not None:
+            look = max(look, min(len(known) + self._batches.together, self.asked))  # those beyond a look may not count
             self._extend("cases", "feedback", look, self._case, to_come=2 * self.asked - look + margins)
         self._extend("cases", "open-loop", self.done, self._case, to_come=margins)
         for mode in MODES[::-1]:
@@ -63,16 +70,16 @@ class MonteCarlo:
     @property
     def done(self) -> int:
         """Number of machines that were run with gains, and count."""
-        return enough(self._won("cases", "feedback"), self.asked)
+        return enough(self._succeeded("cases", "feedback"), self.asked)
 
     def ends(self, mode: str) -> np.ndarray:
         """(K, nx) the ends that count."""
         found = self._store.arrays.get(f"cases {mode} end", np.empty((0, self.simulator.plan.xs.shape[1])))
         return found[: self.done]
 
-    def won(self, mode: str) -> np.ndarray:
+    def succeeded(self, mode: str) -> np.ndarray:
         """(K,) which of these succeed."""
-        return self._won("cases", mode)[: self.done]
+        return self._succeeded("cases", mode)[: self.done]
 
     def deviations(self, mode: str) -> np.ndarray:
         """(K, T, ndx) deviations from the plan at the kept knots."""
@@ -93,12 +100,12 @@ class MonteCarlo:
             self._extend(
                 part, mode, least, lambda k: draw_masses(LEVELS[level], self._seed, level, k, sizes), left + others
             )
-            return bool(self._won(part, mode)[:least].mean() >= ENOUGH)
+            return bool(self._succeeded(part, mode)[:least].mean() >= ENOUGH)
 
         most = largest_survived(len(LEVELS), survives)
         return LEVELS[most] if most >= 0 else 0.0
 
-    def _won(self, part: str, mode: str) -> np.ndarray:
+    def _succeeded(self, part: str, mode: str) -> np.ndarray:
         """(K,) the successes among all the store has of a part."""
         if self.rule.follows is not None:
             return self._store.arrays.get(f"{part} {mode} won", np.empty(0, dtype=bool))
@@ -125,3 +132,120 @@ class MonteCarlo:
             self._total = self._finished + wanted - done + to_come
             if self._progress is not None:
                 self._progress(self._finished, self._total)
+
+
+def largest_survived(count: int, survives: Callable[[int], bool], near: int | None = None) -> int:
+    """The number of the largest level that is survived, -1 for none.
+
+    Args:
+        count: Of levels.
+        survives: Whether a level, by its number, is survived.
+        near: A level, or -1, that the answer is probably near: it and the next are tried first, then those at twice
+            the distance and so on, which takes two tries where the guess is right. None halves all of them.
+    """
+    low, high, reach = -1, count, 1
+    while high - low > 1:
+        if near is None or (low >= 0 and high < count):
+            level = (low + high) // 2
+        elif high == count:  # all that were tried are survived
+            level = min(max(near, 0) if low < 0 else low + reach, count - 1)
+        else:
+            level = max(high - reach, 0)
+        reach = reach if near is None or level == near else 2 * reach
+        low, high = (level, high) if survives(level) else (low, level)
+    return low
+
+
+_FEWEST = 8  # rollouts of a batch on an executor: what NumPy does for one batch takes as long for a few
+_kept = threading.local()  # of a worker: its simulator, and whose it is
+
+
+class Batches:
+    """Runs the rollouts of one plan.
+
+    Args:
+        simulator: Of this process.
+        size: Most rollouts of a batch.
+        executor: Where they run; None for this process, with MuJoCo's threads.
+    """
+
+    def __init__(self, simulator: Rollouts, size: int, executor: Executor | None) -> None:
+        self.simulator, self.size, self.executor = simulator, size, executor
+        self.together = 0 if executor is None else _FEWEST * width_of(executor)  # rollouts that keep all workers busy
+        self._mark = uuid4().hex
+
+    def run(self, draws: Sequence[PerturbationSample], mode: str, deadline: float = math.inf) -> Iterator[np.ndarray]:
+        """The states (K, T, nx) of each batch at the kept knots, in the order of the draws.
+
+        Raises:
+            OutOfTime: It is later than `deadline`, of time.monotonic().
+        """
+        simulator, executor, size = self.simulator, self.executor, self.size
+        if executor is not None:
+            size = min(size, max(_FEWEST, math.ceil(len(draws) / width_of(executor))))
+        batches = [draws[k : k + size] for k in range(0, len(draws), size)]
+        if executor is None:
+            for batch in batches:
+                yield simulator.run(simulator.batch(batch), mode, deadline)
+            return
+        ends = time.time() + deadline - time.monotonic()  # as other machines have it
+        yield from ordered_map(
+            executor, partial(_run, self._mark, simulator.plan, simulator.compiled, mode, ends), batches
+        )  # fmt: skip
+
+
+def _run(
+    mark: str, plan: Plan, compiled: CompiledTwin, mode: str, ends: float, draws: Sequence[PerturbationSample]
+) -> np.ndarray:  # fmt: skip
+    """The states of one batch, by the simulator that this worker has of the plan."""
+    if getattr(_kept, "mark", None) != mark:
+        _kept.mark, _kept.simulator = mark, Rollouts(plan, compiled, threads=1)
+    simulator: Rollouts = _kept.simulator
+    return simulator.run(simulator.batch(draws), mode, time.monotonic() + ends - time.time())
+
+
+_FORMAT = "perturbed 2"
+
+
+def fingerprint(rollouts: Rollouts, perturbation: Perturbation, seed: int) -> str:
+    """Digest of all that a rollout depends on, which their number does not change."""
+    plan, twin, problem = rollouts.plan, rollouts.twin, rollouts.plan.problem
+    assert problem is not None  # Rollouts has checked
+    version = load_mujoco().__version__
+    words = (_FORMAT, version, twin.mjcf, sorted(twin.assets), perturbation, seed, rollouts.step, rollouts.integrator)
+    digest = hashlib.sha256(repr(words).encode())
+    maps = (twin.to_x, twin.to_x_offset, twin.to_sim, twin.to_sim_offset)
+    for array in (plan.t, plan.xs, plan.us, plan.K, problem.x0, *maps):
+        digest.update(repr(array.shape).encode() + np.ascontiguousarray(array, dtype=float).tobytes())
+    for name in sorted(twin.assets):
+        digest.update(twin.assets[name])
+    return digest.hexdigest()
+
+
+class RolloutCheckpoint:
+    """Arrays of finished rollouts by name, kept in an .npz when there is a path."""
+
+    def __init__(self, path: Path | None, mark: str) -> None:
+        """Read the file; one of another plan, or that cannot be read, counts as none."""
+        self._path, self._mark = path, mark
+        self.arrays: dict[str, np.ndarray] = {}  # along the first axis, the rollouts in order
+        if path is None:
+            return
+        try:
+            with np.load(path, allow_pickle=False) as stored:
+                if str(stored["fingerprint"]) == mark:
+                    self.arrays = {name: stored[name] for name in stored.files if name != "fingerprint"}
+        except FileNotFoundError:
+            return
+        except OSError as error:
+            raise file_error(error, path, verb="read") from error
+        except (ValueError, KeyError, EOFError, zipfile.BadZipFile):
+            self.arrays = {}
+
+    def add(self, **more: np.ndarray) -> None:
+        """Append rollouts, and write all of them to the file."""
+        have = self.arrays
+        self.arrays = have | {n: np.concatenate([have[n], new]) if n in have else new for n, new in more.items()}
+        if self._path is not None:
+            with write_atomically(self._path) as hidden:
+                np.savez(hidden, fingerprint=np.array(self._mark), **self.arrays)  # type: ignore[arg-type]

@@ -1,12 +1,14 @@
 """The errors of step 5 of a proof: their sizes, how they are drawn for a rollout, and a MuJoCo model with them.
 
 A rollout draws everything from default_rng([seed, k]), k its number, in a fixed order and whatever is switched on: it
-is the same in any company, and switching one kind of error off leaves the others as they were.
+is the same in any company, and switching one kind of error off leaves the others as they were. Errors may also be
+stated in place of drawn: heavier by so much, with so much friction.
 """
 
 from __future__ import annotations
 
 import copy
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, fields, replace
 from functools import cached_property
 from typing import Any
@@ -20,7 +22,9 @@ from planner.model.mjcf.prescribed_joints import PRESCRIBED_ARMATURE, prescribed
 from planner.model.twin import Twin
 from planner.problem.plan import Plan
 from planner.problem.problem import Problem
+from planner.proof.replays.compiled_twin import CompiledTwin
 from planner.proof.replays.simulation import set_state
+from planner.proof.robustness.pushes import bodies_of
 
 _FACTORS = ("mass", "inertia", "damping", "stiffness", "contact_friction", "common_mass", "common_stiffness")
 _LARGEST = {"drag": 1e6, "friction": 1e3, "start": 1e3, "noise": 1e3, "delay": 10.0}  # far beyond what any plan bears
@@ -214,3 +218,44 @@ def _loads(model: Any, plan: Plan, twin: Twin) -> np.ndarray:
         mujoco.mj_forward(model, data)
         loads = np.maximum(loads, np.maximum(np.abs(data.qfrc_bias), np.abs(data.qfrc_actuator)))
     return loads
+
+
+Mass = float | Mapping[str, float]
+
+
+def with_stated_errors(
+    compiled: CompiledTwin, plan: Plan, model: Any, mass: Mass, friction: float, contact_friction: float
+) -> Any:
+    """MuJoCo's model with errors; the model itself where there are none.
+
+    Args:
+        compiled: The twin.
+        plan: Whose largest forces are the scale of friction.
+        model: Of the twin, at the step that is simulated.
+        mass: Relative error of all masses, inertias with them, or of bodies by name.
+        friction: Dry friction in every joint, as a share of the largest force that the plan asks of it.
+        contact_friction: Relative error of the coefficients of contacts.
+
+    Raises:
+        PlannerError: A body that the model does not have, a mass that is not above zero.
+    """
+    friction = number("friction", friction, minimum=0.0, maximum=1e3)
+    change = number("contact_friction", contact_friction, greater_than=-1.0, maximum=1e3)
+    factors = np.ones(model.nbody)
+    if isinstance(mass, Mapping):
+        known = bodies_of(model)
+        for body, error in mass.items():
+            if body not in known:
+                raise PlannerError(f"mass names the body {body!r}, expected one of: {', '.join(known)}.")
+            factors[model.body(body).id] += number(f"the mass error of {body}", error, greater_than=-1.0, maximum=1e3)
+    else:
+        factors += number("mass", mass, greater_than=-1.0, maximum=1e3)
+    if np.all(factors == 1.0) and not friction and not change:
+        return model
+    one = np.ones(model.nv)
+    draw = PerturbationSample(
+        mass=factors, inertia=np.ones(model.nbody), damping=one, drag=0.0 * one, friction=friction * one,
+        contact_friction=1.0 + change, start=np.zeros(plan.space.ndx), noise=np.zeros((0, 0)), delay=0.0,
+        stiffness=np.ones(model.njnt),
+    )  # fmt: skip
+    return Nominal.of(model, plan, compiled.twin).with_errors(draw, load_mujoco().MjData(model))

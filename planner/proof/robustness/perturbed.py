@@ -1,8 +1,8 @@
 """Step 5 of a proof: how often a plan still succeeds on a machine that differs from the planned one.
 
-Seeded Monte Carlo in MuJoCo, with the plan's gains and open loop: masses, friction, start, controls and their delay are
-wrong by what a Perturbation says. Besides, masses alone, wrong by more and more, tell the margin. The rate with gains
-becomes a word, "robust" or "fragile"; no verdict depends on it.
+Seeded Monte Carlo in MuJoCo, with the plan's gains and open loop: masses, friction, start, controls and their delay
+have the errors of a Perturbation. Increasing errors of the masses alone give the margin. The rate with gains becomes a
+word, "robust" or "fragile"; no verdict depends on it. One rollout can be replayed step by step, to be rendered.
 """
 
 from __future__ import annotations
@@ -19,14 +19,18 @@ import numpy as np
 
 from planner.base.arguments import count, number
 from planner.base.files import finite
+from planner.base.gl import load_mujoco
 from planner.base.measured import Measurement, Section
 from planner.problem.plan import Plan
 from planner.proof.replays.compiled_twin import CompiledTwin
+from planner.proof.replays.contact_history import ContactRecorder
+from planner.proof.replays.ranges import ranges_reached
+from planner.proof.replays.replaying import Replay
+from planner.proof.replays.simulation import RUNAWAY, set_state, state_of, warnings_of
 from planner.proof.robustness.monte_carlo import MonteCarlo
-from planner.proof.robustness.perturbation import Perturbation
+from planner.proof.robustness.perturbation import Perturbation, draw
 from planner.proof.robustness.rollouts import MODES, OutOfTime, Rollouts
-from planner.proof.robustness.success_rate import SuccessRate
-from planner.proof.robustness.success_rule import SuccessRule, end_errors, rule_of
+from planner.proof.robustness.success import SuccessRate, SuccessRule, end_errors, rule_of
 
 PERCENTILES = (5, 25, 50, 75, 95)
 JUDGED = " with its gains"  # a plan may be robust with them and succeed open loop in no rollout
@@ -41,7 +45,7 @@ class RobustnessResult:
     perturbation: Perturbation  # The errors that were drawn
     seed: int  # Of the random numbers
     asked: int  # Most rollouts in each mode
-    done: int  # Rollouts with gains: so many that their rate is settled; open loop as many, but for a budget
+    done: int  # Rollouts with gains: as many as decide their rate; open loop as many, but for a budget
     step: float  # The simulator's step, s
     control_step: float  # How often the gains act, s
     tolerance: float  # Largest end error that succeeds; NaN where something else decides
@@ -62,11 +66,11 @@ class RobustnessResult:
     @property
     def rates(self) -> dict[str, SuccessRate]:
         """Per mode, how many succeeded of how many."""
-        return {mode: SuccessRate(int(won.sum()), len(won)) for mode, won in self.success.items()}
+        return {mode: SuccessRate(int(good.sum()), len(good)) for mode, good in self.success.items()}
 
     @property
     def robustness(self) -> str:
-        """The word "robust", "fragile" or, of too few rollouts to know, "counting": see success_rate.
+        """The word "robust", "fragile" or, of too few rollouts to know, "pending": see robustness.success.
 
         Of the rate with gains; where other errors than the standard ones were drawn, it is about those.
         """
@@ -75,14 +79,14 @@ class RobustnessResult:
     @property
     def worst(self) -> dict[str, tuple[int, ...]]:
         """Per mode, the numbers of the rollouts that ended farthest off, the worst first: see replay_rollout."""
-        order = {mode: np.argsort(-error, kind="stable") for mode, error in self.end_error.items()}
-        return {mode: tuple(map(int, ks[:_WORST])) for mode, ks in order.items()}
+        worst_first = {mode: np.argsort(-error, kind="stable") for mode, error in self.end_error.items()}
+        return {mode: tuple(map(int, ks[:_WORST])) for mode, ks in worst_first.items()}
 
     @property
     def section(self) -> Section:
         """The measured, without bounds."""
         if not self.done:
-            return Section("perturbed", not_applicable=" ".join(self.notes) or "no rollout was run")
+            return Section("robustness", not_applicable=" ".join(self.notes) or "no rollout was run")
         varied = " ".join((f"varied: {self.perturbation}.", *self.notes))
         measured = [Measurement("rollouts", float(self.done), "", None, varied)]
         for mode, rate in self.rates.items():
@@ -97,17 +101,17 @@ class RobustnessResult:
             if math.isfinite(self.margin[mode]):
                 note = f"largest error of every body's mass at which 95 % of {self.per_level} succeed, by bisection"
                 measured.append(Measurement(f"{name}_mass_margin", 100.0 * self.margin[mode], "%", None, note))
-        return Section("perturbed", tuple(measured))
+        return Section("robustness", tuple(measured))
 
     def lines(self) -> list[str]:
         """The rates with their intervals, and which rollouts ended farthest off."""
-        lines = [f"perturbed: {note}" for note in self.notes]
+        lines = [f"robustness: {note}" for note in self.notes]
         word = self.robustness
-        lines += [f"robustness: {word}{'' if word == 'counting' else JUDGED}"] if self.done else []
+        lines += [f"robustness: {word}{'' if word == 'pending' else JUDGED}"] if self.done else []
         for mode, rate in self.rates.items() if self.done else ():
             worst = ", ".join(map(str, self.worst[mode]))
             how = "open loop" if mode == "open-loop" else "with gains"
-            lines.append(f"perturbed, {how}: {rate} succeed; farthest off (--replay-rollout): {worst}")
+            lines.append(f"robustness, {how}: {rate} succeed; farthest off (--replay-rollout): {worst}")
         return lines
 
     def to_dict(self) -> dict[str, Any]:
@@ -135,7 +139,7 @@ class MonteCarloSettings:
     rollouts: int = 512  # Most machines in each mode; the k-th is the same whatever their number
     seed: int = 0  # Of the random numbers, at least 0
     perturbation: Perturbation | None = None  # The errors drawn; None for Perturbation.usual() of the plan's problem
-    rule: SuccessRule | None = None  # Which succeed; None for planner.proof.robustness.success_rule.rule_of() the plan
+    rule: SuccessRule | None = None  # Which succeed; None for planner.proof.robustness.success.rule_of() the plan
 
     def __post_init__(self) -> None:
         count("rollouts", self.rollouts)
@@ -162,33 +166,34 @@ def perturbed(
     with Rollouts(plan, compiled, threads) as simulator:
         if perturbation.friction and simulator.nominal.ignores_friction:
             notes.append("Dry friction does nothing here: the model's flags switch it off.")
-        campaign = MonteCarlo(
+        monte_carlo = MonteCarlo(
             simulator, trials.rule or rule_of(plan), perturbation, trials.seed, trials.rollouts,
             partial=None if partial is None else Path(partial), deadline=deadline, progress=progress, executor=executor,
             most_at_once=None if budget is None else max(4, int(budget / _PIECES / simulator.seconds)),
         )  # fmt: skip
         try:
-            campaign.run()
-            if campaign.done < trials.rollouts:
+            monte_carlo.run()
+            if monte_carlo.done < trials.rollouts:
                 asked = f"{trials.rollouts} rollouts were asked for"
-                notes.append(f"{asked}, {campaign.done} were run: by then the rate with gains is settled.")
+                notes.append(f"{asked}, {monte_carlo.done} were run: by then the rate with gains is decided.")
         except OutOfTime:
             notes.append(f"Stopped after {budget:g} s: how many rollouts there are depends on this computer.")
-        return _result(campaign, trials, perturbation, tuple(notes))
+        return _result(monte_carlo, trials, perturbation, tuple(notes))
 
 
 def _result(
-    campaign: MonteCarlo, trials: MonteCarloSettings, perturbation: Perturbation, notes: tuple[str, ...]
+    monte_carlo: MonteCarlo, trials: MonteCarloSettings, perturbation: Perturbation, notes: tuple[str, ...]
 ) -> RobustnessResult:
     """What is known of the rollouts that count."""
-    simulator, rule = campaign.simulator, campaign.rule
+    simulator, rule = monte_carlo.simulator, monte_carlo.rule
     return RobustnessResult(
-        perturbation=perturbation, seed=trials.seed, asked=trials.rollouts, done=campaign.done, step=simulator.step,
+        perturbation=perturbation, seed=trials.seed, asked=trials.rollouts, done=monte_carlo.done, step=simulator.step,
         control_step=simulator.control_step, tolerance=rule.most,
-        end_error={mode: end_errors(simulator.plan, campaign.ends(mode)) for mode in MODES},
-        success={mode: campaign.won(mode) for mode in MODES}, margin={mode: campaign.margin[mode] for mode in MODES},
-        per_level=campaign.per_level, t=simulator.plan.t[simulator.knots],
-        fans={mode: _percentiles(campaign.deviations(mode)) for mode in MODES}, rule=rule.words, notes=notes,
+        end_error={mode: end_errors(simulator.plan, monte_carlo.ends(mode)) for mode in MODES},
+        success={mode: monte_carlo.succeeded(mode) for mode in MODES},
+        margin={mode: monte_carlo.margin[mode] for mode in MODES},
+        per_level=monte_carlo.per_level, t=simulator.plan.t[simulator.knots],
+        fans={mode: _percentiles(monte_carlo.deviations(mode)) for mode in MODES}, rule=rule.words, notes=notes,
     )  # fmt: skip
 
 
@@ -201,3 +206,54 @@ def _percentiles(deviations: np.ndarray) -> np.ndarray:
     for t in np.flatnonzero(alive.any(axis=0)):
         result[:, t] = np.percentile(deviations[alive[:, t], t], PERCENTILES, axis=0)
     return result
+
+
+def replay_rollout(
+    plan: Plan, compiled: CompiledTwin, k: int, *, seed: int = 0, perturbation: Perturbation | None = None,
+    feedback: bool = True,
+) -> Replay:  # fmt: skip
+    """Rollout k of perturbed() with this seed, by plain mj_step: the same states to the last bit, NaN once it exploded.
+
+    The replay keeps the compiled model, with the errors in its motion alone. The perturbation is by default
+    Perturbation.usual(plan.problem).
+    """
+    k, seed = count("k", k, minimum=0), count("seed", seed, minimum=0)
+    mujoco = load_mujoco()
+    with Rollouts(plan, compiled, threads=1) as rollouts:
+        errors = draw(perturbation or Perturbation.usual(plan.problem), seed, k, rollouts.nominal.sizes)
+        batch, M = rollouts.batch([errors]), rollouts.steps
+        piece, commands = rollouts.pieces(batch, MODES[feedback])
+        model = batch.models[0]
+        data, complaints = mujoco.MjData(model), []
+        w, ctrl = np.full((M + 1, batch.start.shape[1]), np.nan), np.zeros((M, model.nu))
+        recorder = ContactRecorder(model, M)
+        w[0] = batch.start[0]
+        set_state(model, data, w[0])
+        with rollouts.curves(batch, [data]):
+            for i in range(M):
+                if i % piece == 0:
+                    n, complaints = min(piece, M - i), [warning.number for warning in data.warning]
+                    with np.errstate(all="ignore"):  # of one about to explode
+                        ctrl[i : i + n] = commands(i, n, w[i : i + 1])[0]
+                    data.qacc_warmstart[:] = 0.0  # as every segment of the Monte Carlo begins
+                elif complaints != [warning.number for warning in data.warning]:  # as mujoco.rollout gives it up
+                    w[i] = np.nan
+                    break
+                data.ctrl[:] = ctrl[i]
+                recorder.step(i, data)
+                w[i + 1] = state_of(data)
+                if not np.all(np.abs(w[i + 1]) < RUNAWAY):
+                    w[i + 1] = np.nan
+                    break
+            warnings = warnings_of(data)
+            if np.isfinite(w[M]).all():
+                recorder.look(M, data)
+        t = rollouts.step * np.arange(M + 1)
+        qpos, qvel, act = np.split(w, [model.nq, model.nq + model.nv], axis=1)
+        substeps = rollouts.control_steps * rollouts.substeps
+        return Replay(
+            plan=plan, compiled=compiled, feedback=feedback, integrator=rollouts.integrator, t=t, qpos=qpos, qvel=qvel,
+            act=act, ctrl=ctrl, xs=rollouts.x_of(w), plan_xs=plan.between_knots(substeps), contact_force=recorder.force,
+            contact_point=recorder.point, substeps=substeps, warnings=warnings,
+            reached=ranges_reached(model, t, w, ctrl), contacts=recorder.history(t),
+        )  # fmt: skip

@@ -12,7 +12,7 @@ import numpy as np
 from planner.base.arguments import array, number, short_repr
 from planner.base.errors import PlannerError
 from planner.base.gl import load_mujoco
-from planner.proof.replays.implicit_steps import Step
+from planner.proof.replays.simulation import Step
 
 DURATION = 0.1  # s, of a push that says none
 _WORD = re.compile(r"^(?P<body>[^=]+)=(?P<force>[^@]*?)N?@(?P<time>[^@/]+?)s?(?:/(?P<duration>[^@/]+?)s?)?$")

@@ -26,17 +26,16 @@ from planner.base.environment import processors
 from planner.base.errors import PlannerError
 from planner.base.gl import load_mujoco, load_rollout
 from planner.dynamics.assembly import tangent_basis
-from planner.model.mechanism import Mechanism
+from planner.model.capabilities import capabilities_of
 from planner.problem.goals import stages_asked
 from planner.problem.plan import Plan
 from planner.proof.replays.compiled_twin import CompiledTwin
 from planner.proof.replays.contact_history import may_touch
-from planner.proof.replays.implicit_steps import NATIVE, damping_of
 from planner.proof.replays.passive_torque_callback import curves_acting
 from planner.proof.replays.replaying import problem_of
-from planner.proof.replays.simulation import MAX_STEPS, RUNAWAY
+from planner.proof.replays.simulation import MAX_STEPS, NATIVE_IMPLICIT, RUNAWAY, damping_of
 from planner.proof.robustness.perturbation import Nominal, Perturbation, PerturbationSample, draw
-from planner.proof.robustness.success_rule import ranges_of_motion
+from planner.proof.robustness.success import ranges_of_motion
 
 MODES = ("open-loop", "feedback")
 CONTROL_RATE = 500.0  # Hz, of a controller
@@ -82,7 +81,7 @@ class Rollouts:
         if self.steps > MAX_STEPS:
             raise PlannerError(f"a rollout would take {self.steps} steps, expected at most {MAX_STEPS}.")
         implicit = damping_of(self._problem.dynamics) is not None
-        model = compiled.stepping(self.step, NATIVE if implicit else "RK4")
+        model = compiled.stepping(self.step, NATIVE_IMPLICIT if implicit else "RK4")
         self.nominal = Nominal.of(model, plan, twin)
         # (T,) the stages at whose start (or end, the last) states are kept
         spread = np.linspace(0, plan.N, min(plan.N, MAX_KNOTS) + 1).round().astype(int)
@@ -96,7 +95,7 @@ class Rollouts:
         threads = processors() if threads is None else threads
         self._data = [mujoco.MjData(model) for _ in range(threads)]
         self._pool = load_rollout().Rollout(nthread=threads if threads > 1 else 0)
-        self.integrator = NATIVE if implicit else "EULER" if stiff and self._euler_agrees() else "RK4"
+        self.integrator = NATIVE_IMPLICIT if implicit else "EULER" if stiff and self._euler_agrees() else "RK4"
 
     def __enter__(self) -> Rollouts:
         return self
@@ -152,9 +151,9 @@ class Rollouts:
         """The machines with these errors."""
         plan = self.plan
         joints = self.nominal.model.dof_jntid[[curve.dof for curve in self.twin.curves]]
-        x0, mechanism = self._problem.x0, getattr(self._problem.dynamics, "mechanism", None)
+        x0, mechanism = self._problem.x0, capabilities_of(self._problem.dynamics).mechanism
         starts = [errors.start for errors in draws]
-        if isinstance(mechanism, Mechanism):
+        if mechanism is not None:
             T, places = tangent_basis(mechanism, x0)
             starts = [T @ start[places] for start in starts]
         return RolloutBatch(
