@@ -21,7 +21,7 @@ from planner.base.arguments import choice, number, short_repr
 from planner.base.errors import PlannerError
 from planner.dynamics import Dynamics
 from planner.model.coordinates import coordinates_of
-from planner.model.coupled_ranges import contradiction
+from planner.model.couplings import contradiction
 from planner.model.mechanism import SCREW, Mechanism
 from planner.model.space import space_of
 from planner.problem.actuator_limits import model_bounds, servo_bounds, unbounded_actuators

@@ -12,7 +12,7 @@ import numpy as np
 from planner.dynamics.algorithms import bias
 from planner.dynamics.assembly import feasible_directions
 from planner.model.actuators import INTEGRATOR
-from planner.model.coupled_ranges import contradiction, narrowed
+from planner.model.couplings import contradiction, narrowed
 from planner.model.mechanism import Mechanism
 from planner.model.mjcf.facts import Record, free_bases, gravity_of, has_ground, overlaps
 

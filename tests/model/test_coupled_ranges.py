@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from planner import Limits, Mechanism, PlannerError, Problem, RigidBodyDynamics, costs
-from planner.model.coupled_ranges import contradiction, narrowed
+from planner.model.couplings import contradiction, narrowed
 from planner.model.mjcf.model_file import open_model_file
 from planner.problem.description import describe
 

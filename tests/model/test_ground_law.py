@@ -7,9 +7,8 @@ from planner import Mechanism
 from planner.dynamics.statics import static_equilibrium
 from planner.dynamics.step_stability import fastest_mode
 from planner.model.contact.laws import ContactLaw
-from planner.model.mjcf.ground_law import DAMPING, FASTEST, LOAD, REST_PENETRATION
+from planner.model.mjcf.ground_law import DAMPING, FASTEST, LOAD, REST_PENETRATION, rest_penetration
 from planner.model.mjcf.model_index import ModelIndex, compile_model
-from planner.model.mjcf.rest_penetration import rest_penetration
 
 # A trunk of 20 kg on a foot of `foot` kg, a plate on an ankle that a motor holds.
 HOPPER = """<mujoco><worldbody><geom name="floor" type="plane" size="0 0 1"/>

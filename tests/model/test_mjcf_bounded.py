@@ -160,9 +160,9 @@ def test_a_child_holds_nothing_open_of_its_parent():
 
 def test_a_child_ends_with_its_parent():
     code = (
-        "from planner.model.mjcf import bounded;"
+        "from planner.model.mjcf import compile_subprocess;"
         f"text, files = {meshes(1)!r};"
-        "compile_subprocess.compiled(text, files, 'the model');"
+        "compile_subprocess.compile_in_subprocess(text, files, 'the model');"
         "print(compile_subprocess._kept[0]._pid)"
     )
     pid = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True).stdout

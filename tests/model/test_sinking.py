@@ -3,8 +3,8 @@
 import mujoco
 import pytest
 
+from planner.model.mjcf.ground_law import DEEPEST, rest_penetration
 from planner.model.mjcf.model_index import ModelIndex, compile_model
-from planner.model.mjcf.rest_penetration import DEEPEST, rest_penetration
 
 BALL = """<mujoco><option cone="{cone}" impratio="{impratio}" timestep=".001"/><worldbody>
   <geom type="plane" size="0 0 1"/><body pos="0 0 .1"><freejoint/>

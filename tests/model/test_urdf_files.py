@@ -10,8 +10,8 @@ from urdfs import ARM, BALL, inertial, joint, link, robot, shape
 from planner import Mechanism, PlannerError
 from planner.model.mjcf.model_index import compile_model
 from planner.model.urdf.meshes import MAX_FACES, hull, mesh_triangles, on_grid, stl
-from planner.model.urdf.packages import packages_of
 from planner.model.urdf.parse import robot_of
+from planner.model.urdf.shapes import packages_of
 from planner.model.urdf.write import mjcf_of
 
 CORNERS = np.array([[0.0, 0.0, 0.0], [0.1, 0.0, 0.0], [0.0, 0.2, 0.0], [0.0, 0.0, 0.3]])

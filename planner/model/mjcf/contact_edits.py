@@ -20,8 +20,7 @@ import numpy as np
 from planner.base.errors import ModelError
 from planner.base.gl import load_mujoco
 from planner.model.contact.laws import ContactLaw
-from planner.model.contact.shapes import meets_plane
-from planner.model.mjcf.contact_points import add_points
+from planner.model.mjcf.contact_shapes import add_points, meets_plane
 from planner.model.mjcf.contacts import CONTACT_RAMP, contact_attributes, shapes_fit
 from planner.model.mjcf.model_index import ModelIndex, Pair, compile_model
 from planner.model.mjcf.text import written

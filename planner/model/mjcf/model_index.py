@@ -1,7 +1,7 @@
 """Compile an MJCF text, and look up once the facts that readers and editors need of the compiled model.
 
 MuJoCo settles defaults, flags, replicas and contact filters when it compiles, so the compiled model says what would
-act. `compile_model` is the only place that calls MuJoCo's compiler; a `Survey` of its result is handed to all that
+act. `compile_model` is the only place that calls MuJoCo's compiler; a `ModelIndex` of its result is handed to all that
 read, refuse or edit the file.
 """
 

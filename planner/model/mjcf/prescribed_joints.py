@@ -30,9 +30,9 @@ from planner.model.actuators import DIRECT, Actuators
 from planner.model.exponential_torques import ExponentialTorque
 from planner.model.mechanism import BALL, Mechanism
 from planner.model.mjcf.contact_edits import joints_of, keep_law
-from planner.model.mjcf.edit import actuators_of
 from planner.model.mjcf.model_index import ModelIndex, compile_model, disabled
 from planner.model.mjcf.text import parsed, written
+from planner.model.mjcf.unsupported import actuators_of
 from planner.model.twin import Twin
 
 # kg or kg m^2. A machine that pushes with 1000 N is felt as 1e-5 m/s^2. From about 1e11 on MuJoCo's solver, whose

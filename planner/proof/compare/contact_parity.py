@@ -28,7 +28,7 @@ from planner.dynamics.contacts import contact_force, stop_state, unilateral_forc
 from planner.dynamics.hopper import HopperDynamics
 from planner.model.contact.laws import Contact, Stop
 from planner.model.mechanism import Mechanism
-from planner.model.mjcf.contact_points import shape_of
+from planner.model.mjcf.contact_shapes import shape_of
 from planner.model.mjcf.model_index import ModelIndex
 from planner.model.mjcf.prescribed_joints import prescribed_dofs_of
 from planner.problem.problem import Problem

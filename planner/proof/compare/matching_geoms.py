@@ -11,8 +11,8 @@ import numpy as np
 from planner.base.gl import load_mujoco
 from planner.model.contact.body_contact import BodyContact
 from planner.model.contact.laws import Contact
-from planner.model.contact.shapes import are_capsules, capsule_of, part_name, plane_and_spheres
 from planner.model.mechanism import Mechanism
+from planner.model.mjcf.contact_shapes import are_capsules, capsule_of, part_name, plane_and_spheres
 from planner.model.mjcf.model_index import ModelIndex, named
 
 
