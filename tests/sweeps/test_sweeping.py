@@ -165,7 +165,7 @@ def test_archives_without_a_directory_keep_their_whole_entries(tmp_path):
     left = (tmp_path / "000.zip").read_bytes()
     shards.close()
     (tmp_path / "000.zip").write_bytes(left[:-10])
-    Shards(tmp_path).keep({0, 1, 2})
+    Shards(tmp_path).retain({0, 1, 2})
     with zipfile.ZipFile(tmp_path / "000.zip") as file:
         assert file.namelist() == ["000000.npz", "000001.npz"]
         assert file.read("000001.npz") == b"\1" * 1000

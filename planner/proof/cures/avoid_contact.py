@@ -57,7 +57,7 @@ def avoid_contact(plan: Plan, problem: Problem, proof: Proof | None) -> list[Cur
     if at_goal:
         pair = max(at_goal, key=lambda pair: at_goal[pair])
         why = f"in the goal itself {shapes.names(pair)} are {at_goal[pair]:.2g} m in each other"
-        if problem.case == FILE and problem.wanted is not None and "avoid" not in problem.parameters:
+        if problem.case == FILE and problem.goal_specs is not None and "avoid" not in problem.parameters:
             return [cure(problem, "avoid", {}, f"{why}; with it another pose of the goal is sought")]
         free = shapes.freed(goal, mechanism)
         if free is None or problem.case != FILE:
