@@ -163,7 +163,7 @@ def with_attached(file: ModelFile, given: Sequence[Attachment]) -> ModelFile:
         else:
             _add_model(root, files, body, one, at)
         survey = ModelIndex(compile_model(root, files, file.name))
-        file = file._replace(root=root, files=files, survey=survey, compiled=True)
+        file = file._replace(root=root, files=files, survey=survey, is_compiled=True)
     return file
 
 

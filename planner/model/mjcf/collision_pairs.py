@@ -153,16 +153,16 @@ def select_collision_pairs(
     solids = solids_of(survey, sorted({geom for pair in found for geom in pair}))
     pairs, close, lifted, anyway = [], [], [], []
     for pair in found:
-        least = min(clearance, *(distances[pair] - SLACK for distances in at.values()))
+        required = min(clearance, *(distances[pair] - SLACK for distances in at.values()))
         a, b = in_order(solids[pair[0]], solids[pair[1]])
-        apart = min(_between(survey, qpos, a, b) for qpos in poses.values())
-        lift = max(0.0, least - apart)
-        if lift > SLACK and min_distance_over_ranges(survey, pair, poses.values()) > least - SLIGHT * clearance:
+        distance = min(_between(survey, qpos, a, b) for qpos in poses.values())
+        offset = max(0.0, required - distance)
+        if offset > SLACK and min_distance_over_ranges(survey, pair, poses.values()) > required - SLIGHT * clearance:
             anyway.append((a, b))
             continue
-        pairs.append(CollisionPair(a, b, least, lift, max(0.0, apart + lift - least - SLACK)))
-        close += [pairs[-1]] if least < clearance else []
-        lifted += [pairs[-1]] if lift > SLACK else []
+        pairs.append(CollisionPair(a, b, required, offset, max(0.0, distance + offset - required - SLACK)))
+        close += [pairs[-1]] if required < clearance else []
+        lifted += [pairs[-1]] if offset > SLACK else []
     notes = _notes(survey, pairs, drawn, unknown, close, lifted, clearance)
     if anyway:
         names = _some([f"{a.name} and {b.name}" for a, b in anyway])
@@ -231,9 +231,9 @@ def _notes(
     notes = [f"{len(pairs)} pair{'s' * (len(pairs) != 1)} of shapes are kept {clearance:g} m apart{more}."]
     if fits:
         most = max(fits.values(), key=lambda solid: solid.overestimate)
-        fitted = "1 shape is" if len(fits) == 1 else f"{len(fits)} shapes are"
+        shapes = "1 shape is" if len(fits) == 1 else f"{len(fits)} shapes are"
         notes.append(
-            f"{fitted} fitted by capsules or round boxes, which reach up to {most.overestimate:.2g} m beyond them "
+            f"{shapes} fitted by capsules or round boxes, which reach up to {most.overestimate:.2g} m beyond them "
             f"({most.name})."
         )
     if drawn:

@@ -127,7 +127,7 @@ class ModelFile(NamedTuple):
     files: dict[str, bytes]  # By the names that the text uses
     survey: ModelIndex  # Of the file with its own meshes
     name: str  # For a sentence
-    compiled: bool  # Whether the survey's model is what root compiles to: no mesh is coarser
+    is_compiled: bool  # Whether the survey's model is what root compiles to: no mesh is coarser
 
 
 def open_model_file(

@@ -57,9 +57,9 @@ def twin_of(mechanism: Mechanism, prescribed: Collection[str] = ()) -> Twin:
     return known[names]
 
 
-def _felt(mechanism: Mechanism, driven: np.ndarray) -> tuple[ExponentialTorque, ...]:
+def _felt(mechanism: Mechanism, dofs: np.ndarray) -> tuple[ExponentialTorque, ...]:
     """The curves of a mechanism that act on none of these degrees of freedom."""
-    return tuple(curve for curve in mechanism.curves if curve.dof not in driven)
+    return tuple(curve for curve in mechanism.curves if curve.dof not in dofs)
 
 
 def prescribed_twin(twin: Twin, model: Any, mechanism: Mechanism, prescribed: Collection[str]) -> Twin:

@@ -79,7 +79,7 @@ def read_opened(
         choice("ignore", kind, KINDS)
     law = contacts if isinstance(contacts, ContactLaw) else None
     asked = "law" if law is not None else choice("contacts", _renamed(contacts), MODES)
-    given, files, survey, name, compiled = file()
+    given, files, survey, name, is_compiled = file()
     root = copy.deepcopy(given)
     original = ElementTree.tostring(root, encoding="unicode")
     mode, phrase = (
@@ -89,11 +89,11 @@ def read_opened(
         words = f"contacts is 'ground', but nothing in {name} falls on a plane or box"
         raise ModelError(f'{words}: write contacts = "avoid".')
     found = [*unsupported_elements(survey.model), *contact_refusals(survey, all_of_them=mode in ("off", "avoid"))]
-    left_out: list[Pair] = []
+    unmatched: list[Pair] = []
     kept = stationary_roots(survey) if mode in ("avoid", "ground") else []
     if mode in ("law", "ground"):
         found = [one for one in found if one.kind != "contacts"]
-        left_out = give_law(root, survey, *_laws(survey, law))
+        unmatched = give_law(root, survey, *_laws(survey, law))
     taken_out = {*ignored, *(["contacts"] if mode != "model" else [])}
     _refuse([one for one in found if one.kind not in taken_out], name, survey)
     found += [one for one in modelled(survey.model) if one.kind in taken_out]
@@ -102,9 +102,9 @@ def read_opened(
     if kept:
         let_float(root, survey.model, kept)
     phrases = ["contacts" if refusal.kind == "contacts" else refusal.phrase for refusal in found]
-    if left_out:
-        phrases.append(phrase_of(survey.model, left_out))
-    if not compiled or ElementTree.tostring(root, encoding="unicode") != original:
+    if unmatched:
+        phrases.append(phrase_of(survey.model, unmatched))
+    if not is_compiled or ElementTree.tostring(root, encoding="unicode") != original:
         # Compiled once for coarser meshes and edits together, which may not do what they meant.
         survey = ModelIndex(compile_model(root, files, name))
         _refuse([*unsupported_elements(survey.model), *contact_refusals(survey)], name, survey)

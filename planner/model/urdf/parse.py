@@ -93,12 +93,12 @@ def joint_of(element: ElementTree.Element, name: str) -> Joint:
         _number(limit, "lower", 0.0, f"the lower limit of {where}", infinite=True),
         _number(limit, "upper", 0.0, f"the upper limit of {where}", infinite=True),
     )
-    least = {}
+    values = {}
     for part, keys in ((limit, ("effort", "velocity")), (dynamics, ("damping", "friction"))):
         for key in keys:
-            least[key] = _number(part, key, 0.0, f"the {key} of {where}", infinite=part is limit)
-            if least[key] < 0.0:
-                raise ModelError(f"the {key} of {where} is {least[key]:g}, expected at least 0.")
+            values[key] = _number(part, key, 0.0, f"the {key} of {where}", infinite=part is limit)
+            if values[key] < 0.0:
+                raise ModelError(f"the {key} of {where} is {values[key]:g}, expected at least 0.")
     follows = None
     if mimic is not None and kind in SCALAR:
         multiplier = _number(mimic, "multiplier", 1.0, f"the multiplier of {where}")
@@ -106,7 +106,7 @@ def joint_of(element: ElementTree.Element, name: str) -> Joint:
     return Joint(
         joint, kind, ends[0], ends[1], _pose(element, where), axis,
         range if kind in ("revolute", "prismatic") and range[0] < range[1] else (-math.inf, math.inf),
-        least["effort"] or math.inf, least["velocity"] or math.inf, least["damping"], least["friction"], follows,
+        values["effort"] or math.inf, values["velocity"] or math.inf, values["damping"], values["friction"], follows,
     )  # fmt: skip
 
 

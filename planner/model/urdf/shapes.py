@@ -125,7 +125,7 @@ class GeomWriter:
         across = np.sqrt(max(0.0, 1.0 - down[2] ** 2)) if shape.kind == "cylinder" else 1.0
         return z - float(along + across * radius)
 
-    def left_out(self) -> list[str]:
+    def missing_parts(self) -> list[str]:
         """Phrases of what is missing; meshes that are only seen are counted in one."""
         phrases = list(dict.fromkeys(self.untouched))
         if count := len(set(self.unseen)):

@@ -66,7 +66,7 @@ def mjcf_of(
     unlimited = _add_motors(root, joints)
     _add_followers(root, joints)
     add_velocity_limits(root, {joint.name: joint.velocity for joint in joints if joint.kind in SCALAR})
-    add_left_out(root, [*idle, *replaced, *shapes.left_out(), *unlimited])
+    add_left_out(root, [*idle, *replaced, *shapes.missing_parts(), *unlimited])
     return ElementTree.tostring(root, encoding="unicode"), shapes.files
 
 
@@ -180,14 +180,14 @@ def _exclude_neighbours(root: Element, joints: tuple[Joint, ...], anchored: set[
 
 def _add_motors(root: Element, joints: tuple[Joint, ...]) -> list[str]:
     """Add a motor for each joint that follows no other; returns phrases about those without an effort limit."""
-    driven = [joint for joint in joints if joint.kind in SCALAR and joint.mimic is None]
-    section = SubElement(root, "actuator") if driven else root
-    for joint in driven:
+    actuated = [joint for joint in joints if joint.kind in SCALAR and joint.mimic is None]
+    section = SubElement(root, "actuator") if actuated else root
+    for joint in actuated:
         attributes = {"name": joint.name, "joint": joint.name}
         if math.isfinite(joint.effort):
             attributes["ctrlrange"] = written(-joint.effort, joint.effort)
         SubElement(section, "motor", attributes)
-    names = [joint.name for joint in driven if not math.isfinite(joint.effort)]
+    names = [joint.name for joint in actuated if not math.isfinite(joint.effort)]
     more = f" and {len(names) - 3} more" if len(names) > 3 else ""
     what = f"joint{'s' * (len(names) > 1)} {', '.join(map(repr, names[:3]))}{more}"
     return [f"the effort limit of {what} (the file has none)"] if names else []
