@@ -63,7 +63,7 @@ def random_chain(text, rng, loops=2, polynomial_couplings=1):
     screws = np.array([i for i in np.flatnonzero(m.kind == SCREW) if not _of_free(m, i)])
     following = []
     if len(screws) > 1:
-        for k in range(cams):
+        for k in range(polynomial_couplings):
             follower, leader = map(int, rng.permutation(screws)[:2])
             numbers = tuple(0.3 * rng.normal(size=5))
             following.append(PolynomialCoupling(f"cam {k}", follower, leader, tuple(0.3 * rng.normal(size=2)), numbers))

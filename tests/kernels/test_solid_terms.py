@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from gantries import gantry
+from machines import gantry
 from scipy.spatial.transform import Rotation
 
 from planner import Mechanism, Problem, RigidBodyDynamics, TrackingCost

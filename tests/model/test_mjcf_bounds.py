@@ -3,7 +3,7 @@
 import os
 
 import pytest
-from mechanisms import OBJ, plain
+from machines import OBJ, plain
 
 from planner.base.errors import ModelError
 from planner.model.mechanism import Mechanism

@@ -136,7 +136,7 @@ def test_a_ghost_where_the_machine_is_does_not_flicker(run):
 
 def panel(values, lower=-np.inf, upper=np.inf, decades=False, R=1):
     t = np.linspace(0.0, 1.0, len(values))
-    sides = [np.broadcast_to(np.asarray(side, float), (len(values), R)) for side in (least, most)]
+    sides = [np.broadcast_to(np.asarray(side, float), (len(values), R)) for side in (lower, upper)]
     return BoundedPanel("title", "m", t, tuple("ab"[:R]), (np.reshape(values, (-1, R)),), *sides, decades=decades)
 
 
