@@ -81,7 +81,7 @@ class Mechanism:
     joint_links: tuple[slice, ...]  # One per joint: its links, a slice of the degrees of freedom
     joint_range: np.ndarray  # (nv, 2) infinite where there is none
     joint_force_range: np.ndarray  # (nv, 2) of the sum of actuator forces (actuatorfrcrange)
-    velocity_limit: np.ndarray  # (nv,) rad/s or m/s, infinite where there is none; see planner.model.mjcf.custom
+    velocity_limit: np.ndarray  # (nv,) rad/s or m/s, infinite where there is none
     friction_loss: np.ndarray  # (nv,) N m or N, the largest friction; see planner.dynamics.friction
     friction_inertia: np.ndarray  # (nv,) kg m^2 or kg, by which friction holds it below that
     friction_rate: np.ndarray  # (nv,) 1/s, of the damper beside that inertia

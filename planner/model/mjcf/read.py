@@ -26,12 +26,22 @@ from planner.model.mjcf.attached import attachments, with_attached
 from planner.model.mjcf.contact_edits import give_law, let_float
 from planner.model.mjcf.contact_mode import MODES, ContactMode, ground_pairs, select_contact_mode, stationary_roots
 from planner.model.mjcf.contacts import contact_refusals, phrase_of, read_contacts, read_stops
-from planner.model.mjcf.custom import phrases_left_out, velocity_limits
 from planner.model.mjcf.equalities import harden, read_cams, read_couplings, read_loops, read_tendons
 from planner.model.mjcf.ground_law import laws_of_ground
 from planner.model.mjcf.joint_forces import actuators_of, armature_and_damping, joint_friction
 from planner.model.mjcf.model_file import ModelFile, open_model_file
-from planner.model.mjcf.model_index import ModelIndex, Pair, compile_model, disabled, field, names_of, pose, ranges_of
+from planner.model.mjcf.model_index import (
+    ModelIndex,
+    Pair,
+    compile_model,
+    disabled,
+    field,
+    names_of,
+    phrases_left_out,
+    pose,
+    ranges_of,
+    velocity_limits,
+)
 from planner.model.mjcf.unsupported import (  # fmt: skip
     KINDS,
     UnsupportedElement,

@@ -19,7 +19,7 @@ import numpy as np
 from planner.base.arguments import choice, short_repr
 from planner.base.errors import ModelError, PlannerError
 from planner.base.files import printable, read_text
-from planner.model.mjcf.custom import add_left_out, add_velocity_limits
+from planner.model.mjcf.model_index import LEFT_OUT, VELOCITY_LIMIT
 from planner.model.mjcf.text import is_text, written
 from planner.model.urdf.masses import inertials, without_idle
 from planner.model.urdf.parse import robot_of
@@ -65,8 +65,8 @@ def mjcf_of(
     _exclude_neighbours(root, joints, anchored, set(shapes.touching))
     unlimited = _add_motors(root, joints)
     _add_followers(root, joints)
-    add_velocity_limits(root, {joint.name: joint.velocity for joint in joints if joint.kind in SCALAR})
-    add_left_out(root, [*idle, *replaced, *shapes.missing_parts(), *unlimited])
+    _add_velocity_limits(root, {joint.name: joint.velocity for joint in joints if joint.kind in SCALAR})
+    _add_left_out(root, [*idle, *replaced, *shapes.missing_parts(), *unlimited])
     return ElementTree.tostring(root, encoding="unicode"), shapes.files
 
 
@@ -206,6 +206,23 @@ def _add_followers(root: Element, joints: tuple[Joint, ...]) -> None:
 
 BASES = ("fixed", "free")
 INERTIAS = ("given", "nearest")
+
+
+def _add_velocity_limits(root: Element, limits: dict[str, float]) -> None:
+    """Add limits by joint, rad/s or m/s; infinite ones are none."""
+    finite = {joint: limit for joint, limit in limits.items() if math.isfinite(limit)}
+    if finite:
+        section = SubElement(SubElement(root, "custom"), "tuple", {"name": VELOCITY_LIMIT})
+        for joint, limit in finite.items():
+            SubElement(section, "element", {"objtype": "joint", "objname": joint, "prm": written(limit)})
+
+
+def _add_left_out(root: Element, phrases: list[str]) -> None:
+    """Add phrases of what a text lacks of the file that it was made of."""
+    if phrases:
+        section = SubElement(root, "custom")
+        for k, phrase in enumerate(phrases):
+            SubElement(section, "text", {"name": f"{LEFT_OUT}{k + 1}", "data": phrase})
 
 
 def is_urdf(model: object) -> bool:
