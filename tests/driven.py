@@ -1,6 +1,6 @@
 """Machines some of whose joints are given their acceleration, and problems about them."""
 
-from legs import attributes
+from contact_machines import attributes
 from trees import mujoco
 
 from planner import Mechanism, Problem, RigidBodyDynamics, TrackingCost

@@ -3,7 +3,7 @@
 from types import SimpleNamespace
 
 import numpy as np
-from legs import attributes
+from contact_machines import attributes
 
 from planner.base.gl import load_mujoco
 from planner.model.mjcf.contacts import contact_attributes

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING
 
 from planner.base.errors import PlannerError, RenderingUnavailable
 from planner.cli.console import Console, shown
-from planner.model.urdf.as_mjcf import is_urdf
 from planner.model.urdf.read import opened_model
+from planner.model.urdf.write import is_urdf
 
 if TYPE_CHECKING:
     from planner.problem.description import Description

@@ -1,6 +1,6 @@
 """States of machines whose joints depend on each other: put them together, or say by how much they are apart.
 
-Couplings give some coordinates from others (planner.model.coupled_states). Closed chains are put together by least
+Couplings give some coordinates from others (planner.model.couplings). Closed chains are put together by least
 squares: Gauss and Newton's steps are the smallest that close the chains to first order, so the pose that is found is
 near the one that was given.
 """
@@ -13,8 +13,7 @@ import numpy as np
 
 from planner.base.errors import PlannerError
 from planner.dynamics.loops import jacobian, misses
-from planner.model.coupled_states import check_closed, closed_state
-from planner.model.couplings import CLOSED
+from planner.model.couplings import CLOSED, check_closed, closed_state
 from planner.model.mechanism import Mechanism
 
 _CLOSE = 1e-13  # m or rad, of what is left of a miss

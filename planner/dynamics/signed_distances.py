@@ -10,8 +10,7 @@ import numpy as np
 from planner.dynamics.batch import KernelCall
 from planner.dynamics.kinematics import link_places
 from planner.kernels.tree.mechanism_table import chain_of
-from planner.model.contact.collision_shapes import MEASURES, CollisionShape, kind_of
-from planner.model.contact.signed_distance import PlacedShapes
+from planner.model.contact.signed_distance import MEASURES, CollisionShape, PlacedShapes, kind_of
 from planner.model.mechanism import Mechanism
 
 

@@ -23,9 +23,8 @@ from planner.dynamics.kinematics import jacobian
 from planner.dynamics.momentum import center_of_mass
 from planner.dynamics.quasi_static import weight
 from planner.dynamics.rigid_body import RigidBodyDynamics
-from planner.model.capabilities import unactuated_basis
+from planner.model.capabilities import roots, unactuated_basis
 from planner.model.mechanism import Frame, Mechanism
-from planner.model.stationary_objects import roots
 
 STEPS = 200
 FIRST_STEP, LONGEST_STEP = 0.02, 0.2  # m or rad, downhill: contacts come and go within millimetres

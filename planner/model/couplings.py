@@ -9,17 +9,21 @@ A gripper's second finger that mirrors the first, a joint that is locked, tendon
 Elimination chooses the dependent coordinates, so a row of G has a single 1 or the few numbers of an equation, and the
 forces of the couplings, which do no work, fall out. States keep all coordinates: a motion that begins on J q = c and
 J qd = 0 stays there in every integrator, because qdd does.
+
+Ranges of joints: of a coupling sum c_k q_k = constant each coordinate keeps the interval that the ranges of the others
+leave it. That is repeated until nothing changes: a bound that is never too narrow, and exact for two coordinates.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from functools import partial
+from typing import Any
 
 import numpy as np
 
-from planner.base.errors import ModelError
+from planner.base.errors import ModelError, PlannerError
 
 CLOSED = 1e-6  # rad or m: a state that misses a coupling by more is not on it
 _ROUNDING = 1e-12  # of a row's largest coefficient: what elimination leaves of nothing
@@ -112,3 +116,119 @@ def reduce(couplings: Sequence[Coupling], nv: int, keep: np.ndarray) -> Reductio
 def _preference(coupling: Coupling, keep: np.ndarray, dof: int) -> tuple[bool, int]:
     """The least is solved for: what may follow, then what the coupling names first, and last what it does not name."""
     return bool(keep[dof]), coupling.dofs.index(dof) if dof in coupling.dofs else len(keep)
+
+
+_ROUNDS = 50
+_SLIGHT = 1e-6  # rad or m: a contradiction by less is none
+
+
+def narrowed(mechanism: Any, ranges: np.ndarray) -> np.ndarray:
+    """The ranges (nv, 2) that the couplings leave of `ranges`, lower ends first."""
+    return _narrowed(mechanism, ranges)[0]
+
+
+def contradiction(mechanism: Any, ranges: np.ndarray) -> str:
+    """A sentence where no pose within the ranges (nv, 2) keeps all couplings; "" where the ranges leave one.
+
+    It names the coupling, and the range of its first coordinate that would do.
+    """
+    left, at = _narrowed(mechanism, ranges)
+    if at is None:
+        return ""
+    coupling = mechanism.couplings[at]
+    name = mechanism.joint_of(coupling.dofs[0])
+    low, high = _of_others(coupling, 0, left)
+    terms = " + ".join(
+        f"{c:g} {_name(mechanism, d)}" for c, d in zip(coupling.coefficients, coupling.dofs, strict=True)
+    )
+    own = ", ".join(f"{_name(mechanism, d)} {ranges[d, 0]:.6g} ... {ranges[d, 1]:.6g}" for d in coupling.dofs)
+    said = f"the file contradicts itself: {coupling.name} asks {terms.replace('+ -', '- ')} = {coupling.constant:.6g}"
+    said += f", which its ranges never give ({own}), expected ranges with a pose that keeps it: write "
+    if np.isfinite([low, high]).all():
+        said += f'range="{low:.6g} {high:.6g}" for {name} in the file, '
+    return f'{said}active="false" for the equality, or angle="radian" in <compiler> if radians are meant.'
+
+
+def _narrowed(mechanism: Any, ranges: np.ndarray) -> tuple[np.ndarray, int | None]:
+    left = np.array(ranges, dtype=float)
+    for _ in range(_ROUNDS):
+        before = left.copy()
+        for at, coupling in enumerate(mechanism.couplings):
+            for k, dof in enumerate(coupling.dofs):
+                low, high = _of_others(coupling, k, left)
+                if low > left[dof, 1] + _SLIGHT or high < left[dof, 0] - _SLIGHT:
+                    return before, at
+                ends = np.clip([low, high], *left[dof])
+                left[dof] = ends
+        if np.array_equal(before, left):
+            break
+    return left, None
+
+
+def _of_others(coupling: Any, k: int, ranges: np.ndarray) -> tuple[float, float]:
+    """What the others leave coordinate k of a coupling."""
+    low = high = coupling.constant
+    for j, (dof, c) in enumerate(zip(coupling.dofs, coupling.coefficients, strict=True)):
+        if j != k:
+            ends = sorted(float(c * end) for end in ranges[dof])
+            low, high = low - ends[1], high - ends[0]
+    first, last = sorted((low / coupling.coefficients[k], high / coupling.coefficients[k]))
+    return first, last
+
+
+def _name(mechanism: Any, dof: int) -> str:
+    return mechanism.joint_of(dof).removeprefix("joint ").strip("'")
+
+
+def closed_state(mechanism: Any, x: np.ndarray, given: Collection[int] = ()) -> np.ndarray:
+    """The state (nx,) with the coordinates that follow others where these put them.
+
+    Degrees of freedom that are `given` stay where they are, even if they contradict a coupling: see check_closed.
+    """
+    reduction = _reduction(mechanism, given)
+    if reduction is None:
+        return x.copy()
+    closed, stay = _closed(mechanism, reduction, x), mechanism.q_address[np.array([*given], dtype=int)]
+    closed[stay] = x[stay]
+    return closed
+
+
+def _reduction(mechanism: Any, given: Collection[int]) -> Reduction | None:
+    if mechanism.reduction is None or not given:
+        return mechanism.reduction
+    keep = np.zeros(mechanism.nv, dtype=bool)
+    keep[list(given)] = True
+    return reduce(mechanism.couplings, mechanism.nv, keep)
+
+
+def _closed(mechanism: Any, reduction: Reduction, x: np.ndarray) -> np.ndarray:
+    q, qd, act = np.split(x, [mechanism.nq, mechanism.nq + mechanism.nv])
+    return np.concatenate([*reduction.closed(q, qd, mechanism.q_address), act])
+
+
+def check_closed(name: str, x: np.ndarray, mechanism: Any, most: float = CLOSED) -> None:
+    """Raise a PlannerError with the value to write, unless a state (nx,) misses no coupling by more than `most`."""
+    if mechanism.reduction is None:
+        return
+    dependent, nq = mechanism.reduction.dependent, mechanism.nq
+    at = np.concatenate([mechanism.q_address[dependent], nq + dependent])
+    wanted, given = _closed(mechanism, mechanism.reduction, x)[at], x[at]
+    missed = np.abs(wanted - given)
+    if np.all(missed <= most):
+        return
+    worst = int(np.nanargmax(missed))
+    dof = int(dependent[worst % len(dependent)])
+    others = [mechanism.joint_of(int(i)) for i in mechanism.reduction.independent[_followed(mechanism, dof)]]
+    turns = bool(np.any(mechanism.S[dof, :3] != 0.0))
+    unit = ("rad" if turns else "m") + ("/s" if worst >= len(dependent) else "")
+    what = "velocity" if worst >= len(dependent) else "position"
+    why = f"follows {' and '.join(others)}" if others else "is locked"
+    raise PlannerError(
+        f"{name} has the {what} {given[worst]:.6g} {unit} of {mechanism.joint_of(dof)}, which {why}: expected "
+        f"{wanted[worst]:.9g}, {missed[worst]:.3g} {unit} away."
+    )
+
+
+def _followed(mechanism: Any, dof: int) -> np.ndarray:
+    assert mechanism.reduction is not None  # who asks has couplings
+    return np.flatnonzero(mechanism.reduction.G[dof])

@@ -1,20 +1,19 @@
-"""Closed chains: algebraic constraints on a tree (section 1.2). Data only.
+"""Closed chains: algebraic constraints phi(q) = 0 on a tree (section 1.2). Data only.
 
-    Loop    two frames of the machine, or of the machine and the world, stay in one place (MuJoCo's connect) or also
-            keep their rotation to each other (weld)
-    Cam     a joint follows another one by a polynomial (MuJoCo's equality of joints that is not linear)
+    LoopClosure         two frames of the machine, or one and the world, coincide in position (MuJoCo's connect) or
+                        also in orientation (weld)
+    PolynomialCoupling  a joint follows another one by a polynomial (MuJoCo's nonlinear equality of joints)
 
-Equations that are linear in the coordinates are couplings (planner.model.couplings), which take coordinates away. These
-take none away: their forces f act, J the derivative of what is to be zero, phi(q):
+Equations that are linear in the coordinates are couplings (planner.model.couplings), which eliminate coordinates.
+These eliminate none. Their forces f act, with J the derivative of phi:
 
     M qdd + h = tau + J'f,   J qdd + Jdot qd + 2 rate phidot + rate^2 phi = 0
 
-The last two terms (Baumgarte, 1972) pull a state that integration has carried off back onto phi = 0. On it they are
-zero.
+The last two terms (Baumgarte stabilization, 1972) remove the drift of numerical integration; they vanish on phi = 0.
 
-    phi of a Loop   the second frame's place to the first one's, in the world's axes (3); of a weld also half the sum of
-                    the cross products of their axes, which is their rotation for small ones (3)
-    phi of a Cam    q[follower] - offset - sum of coefficients[k] (q[leader] - offset)^k
+    phi of a LoopClosure         position of the second frame relative to the first, in the world's axes (3); of a weld
+                                 also half the sum of the cross products of their axes, the rotation vector if small (3)
+    phi of a PolynomialCoupling  q[follower] - offset - sum of coefficients[k] (q[leader] - offset)^k
 """
 
 from __future__ import annotations
@@ -23,23 +22,22 @@ from dataclasses import dataclass
 
 import numpy as np
 
-BAUMGARTE_RATE = (
-    20.0  # 1/s: a miss falls to a hundredth within a third of a second, and a stage of 0.1 s is still stable by RK4
-)
+BAUMGARTE_RATE = 20.0
+"""1/s, of the decay of a closure error: to 1 % within 0.33 s; stages of 0.1 s are still stable with RK4."""
 
 
 @dataclass(frozen=True, eq=False)
 class LoopClosure:
-    """Two frames that are held together."""
+    """Two frames that coincide."""
 
     name: str  # in a sentence, e.g. "equality 'coupler'"
     links: tuple[int, int]  # -1 for the world
     frames: np.ndarray  # (2, 4, 4) each in the frame of its link
-    rigid: bool  # whether their rotation is held too
+    rigid: bool  # whether their orientations coincide too
 
     @property
     def rows(self) -> int:
-        """How many equations."""
+        """Number of equations."""
         return 6 if self.rigid else 3
 
 
@@ -60,5 +58,5 @@ class PolynomialCoupling:
 
 
 def baumgarte_rate() -> float:
-    """The rate, 1/s, by which kernels pull states back onto the constraints; a number of their tables."""
+    """Rate of the Baumgarte stabilization in the kernels' tables, 1/s."""
     return BAUMGARTE_RATE

@@ -31,17 +31,16 @@ from typing import Any
 import numpy as np
 
 from planner.base.arguments import choice
-from planner.base.errors import PlannerError
+from planner.base.errors import ModelError, PlannerError
 from planner.model.actuators import Actuators
-from planner.model.contact.body_contact import BodyContact
-from planner.model.contact.laws import Contact, ContactLaw, Stop
+from planner.model.contact.body_contact import BodyContact, check_body_contact
+from planner.model.contact.laws import Contact, ContactLaw, Stop, slide_direction
 from planner.model.couplings import Coupling, Reduction, reduce
-from planner.model.exponential_torques import ExponentialTorque
+from planner.model.exponential_torques import ExponentialTorque, check_curve
 from planner.model.loops import LoopClosure, PolynomialCoupling
 from planner.model.space import StateSpace
 from planner.model.tendons import FixedTendon
-from planner.model.urdf.as_mjcf import as_mjcf
-from planner.model.validate_mechanism import validate_mechanism
+from planner.model.urdf.write import as_mjcf
 
 SCREW, BALL, BALL_NEXT = 0, 1, 2
 
@@ -82,7 +81,7 @@ class Mechanism:
     joint_links: tuple[slice, ...]  # One per joint: its links, a slice of the degrees of freedom
     joint_range: np.ndarray  # (nv, 2) infinite where there is none
     joint_force_range: np.ndarray  # (nv, 2) of the sum of actuator forces (actuatorfrcrange)
-    velocity_limit: np.ndarray  # (nv,) rad/s or m/s, infinite where there is none; see planner.model.mjcf.custom
+    velocity_limit: np.ndarray  # (nv,) rad/s or m/s, infinite where there is none
     friction_loss: np.ndarray  # (nv,) N m or N, the largest friction; see planner.dynamics.friction
     friction_inertia: np.ndarray  # (nv,) kg m^2 or kg, by which friction holds it below that
     friction_rate: np.ndarray  # (nv,) 1/s, of the damper beside that inertia
@@ -108,9 +107,10 @@ class Mechanism:
     contacts_choice: str = ""  # A sentence about it, without a full stop; "" where there is nothing to say
 
     def __post_init__(self) -> None:
-        validate_mechanism(self)
+        self._check_numbers()
+        self._check_links()
         if self.couplings:
-            _ = self.reduction  # a contradiction is told now
+            _ = self.reduction  # raises for a contradiction
         self._protect()
 
     def __setstate__(self, state: dict[str, Any]) -> None:
@@ -124,6 +124,37 @@ class Mechanism:
         for value in (*parts, *self.keyframes.values()):
             if isinstance(value, np.ndarray):
                 value.flags.writeable = False
+
+    def _check_numbers(self) -> None:
+        """Raise ModelError for a number of a joint or an actuator that is not finite, or negative and must not be."""
+        for name in ("armature", "damping", "stiffness", "friction_loss", "friction_rate"):
+            values = getattr(self, name)
+            for dof in np.flatnonzero(~(np.isfinite(values) & (values >= 0.0)))[:1]:
+                raise ModelError(
+                    f"{self.joint_of(dof)} has {name} {values[dof]:g}, expected a finite number of at least 0."
+                )
+        for name in ("moment", "gain", "bias"):
+            for a, *_ in np.argwhere(~np.isfinite(getattr(self.actuators, name)))[:1]:
+                actuator = self.actuators.names[a]
+                raise ModelError(f"actuator {actuator!r} has a {name} that is not finite, expected finite numbers.")
+
+    def _check_links(self) -> None:
+        """Raise PlannerError for a contact, stop or torque on a link or degree of freedom that cannot have it."""
+        carriers = sorted({body.link for body in self.bodies} - {-1})
+        for k, contact in enumerate(self.contacts):
+            if contact.link not in carriers:  # of several joints of a body, the last one carries it
+                raise PlannerError(f"contacts[{k}] is of link {contact.link}, expected one with a body: {carriers}.")
+            slide_direction(self, contact.plane)
+        for k, pair in enumerate(self.body_contacts):
+            check_body_contact(pair, carriers, f"body_contacts[{k}]")
+        screws = self.kind == SCREW
+        for k, stop in enumerate(self.stops):
+            if not (stop.dof < self.nv and screws[stop.dof]):
+                raise PlannerError(
+                    f"stops[{k}] is of dof {stop.dof}, expected one of a hinge or slide, below {self.nv}."
+                )
+        for k, curve in enumerate(self.curves):
+            check_curve(curve, screws, f"curves[{k}]")
 
     @classmethod
     def from_mjcf(

@@ -22,7 +22,7 @@ import numpy as np
 
 from planner.base.errors import FileError, ModelError
 from planner.base.files import finite, printable, read_input, write_atomically
-from planner.model.mjcf.input_limits import check_stored
+from planner.model.mjcf.text import check_stored
 from planner.model.space import StateSpace
 
 FORMAT_VERSION = 6

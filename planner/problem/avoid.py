@@ -15,11 +15,11 @@ import numpy as np
 
 from planner.base.arguments import array, number, numbers, set_fields, short_repr
 from planner.base.errors import PlannerError
+from planner.model.capabilities import stationary_object_bodies
 from planner.model.mechanism import SCREW, Mechanism
 from planner.model.mjcf.collision_pairs import CollisionPairs, select_collision_pairs
 from planner.model.mjcf.model_index import ModelIndex, compile_model
 from planner.model.mjcf.unmodelled_features import pairs_by_name
-from planner.model.stationary_objects import stationary_object_bodies
 from planner.problem.collision_checker import CollisionChecker
 from planner.problem.constraints.clearance import PairClearance
 from planner.problem.constraints.constraint import Constraint

@@ -31,10 +31,10 @@ from planner.dynamics.algorithms import bias, mass_matrix
 from planner.dynamics.assembly import feasible_directions
 from planner.dynamics.quasi_static import quasi_static_controls
 from planner.dynamics.stance import stance_inertia
+from planner.model.capabilities import stationary_object_dofs
 from planner.model.coordinates import coordinates_of_mechanism
 from planner.model.mechanism import Mechanism
 from planner.model.mjcf.prescribed_joints import prescribed_dofs_of
-from planner.model.stationary_objects import stationary_object_dofs
 from planner.problem.costs.tracking import TrackingCost
 from planner.problem.goals import MIN_TOLERANCES, tolerance_share
 from planner.problem.initial_guess import minimum_jerk

@@ -12,9 +12,9 @@ from planner.dynamics.closure_forces import constraint_jacobians
 from planner.dynamics.friction import friction_forces
 from planner.dynamics.quasi_static import actuator_lengths
 from planner.model.actuators import DIRECT
+from planner.model.capabilities import stationary_object_dofs
 from planner.model.mechanism import SCREW, Mechanism
 from planner.model.space import StateSpace
-from planner.model.stationary_objects import stationary_object_dofs
 
 _REDUNDANT = 1e-9  # of the largest singular value of J: equations that say the same twice
 _WEAK_DIRECTION_RATIO = 1e-6  # of what an actuator reaches most: ways in which a machine can hardly be moved

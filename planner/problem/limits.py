@@ -21,7 +21,7 @@ from planner.base.errors import PlannerError
 from planner.dynamics import Dynamics
 from planner.model.capabilities import capabilities_of
 from planner.model.coordinates import coordinates_of
-from planner.model.coupled_ranges import contradiction
+from planner.model.couplings import contradiction
 from planner.model.mechanism import SCREW, Mechanism
 from planner.model.space import space_of
 from planner.problem.constraints.constraint import Constraint

@@ -11,7 +11,7 @@ import numpy as np
 
 from planner.dynamics.quasi_static import actuator_lengths, quasi_static_controls
 from planner.model.actuators import INTEGRATOR
-from planner.model.coupled_ranges import contradiction, narrowed
+from planner.model.couplings import contradiction, narrowed
 from planner.model.mechanism import Mechanism
 from planner.model.mjcf.facts import Record, free_bases, gravity_of, has_ground, overlaps
 

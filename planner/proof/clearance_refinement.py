@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from planner.model.mjcf.reachable_collisions import MAX_MUJOCO_DISTANCE, distances_in
+from planner.model.mjcf.initial_overlaps import MAX_MUJOCO_DISTANCE, distances_in
 from planner.problem.avoid import model_index_of
 from planner.problem.constraints.clearance import PairClearance, pair_clearance_of
 from planner.problem.goals import goals_of

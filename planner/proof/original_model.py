@@ -31,14 +31,13 @@ import numpy as np
 from planner.base.errors import ModelError
 from planner.base.gl import load_mujoco
 from planner.base.measured import Measurement, Section
-from planner.model.capabilities import capabilities_of
+from planner.model.capabilities import capabilities_of, stationary_object_bodies, stationary_object_dofs
 from planner.model.mechanism import SCREW, Mechanism
 from planner.model.mjcf.initial_overlaps import initial_overlaps, without_pairs
 from planner.model.mjcf.model_index import named
 from planner.model.mjcf.prescribed_joints import in_order, prescribe_joints
 from planner.model.mjcf.unmodelled_features import names_of
 from planner.model.mjcf.unsupported import unsupported_elements
-from planner.model.stationary_objects import stationary_object_bodies, stationary_object_dofs
 from planner.model.twin import Twin
 from planner.problem.goals import GoalCheck
 from planner.problem.plan import Plan

@@ -4,8 +4,7 @@ import runpy
 
 import numpy as np
 import pytest
-from foreign_models import PLACES
-from places import ROOT
+from places import PLACES, ROOT
 
 import planner
 

@@ -8,7 +8,7 @@ import sys
 import numpy as np
 import pytest
 from carts import refuse, write
-from fingers import FAST
+from machines import FAST_FINGER
 from places import ROOT
 
 import planner
@@ -226,7 +226,7 @@ def test_the_python_example_runs(tmp_path):
 
 def stiff(folder, **keys):
     """The problem of a file whose machine needs several substeps."""
-    (folder / "fast.xml").write_text(FAST, encoding="utf-8")
+    (folder / "fast.xml").write_text(FAST_FINGER, encoding="utf-8")
     stages = {"duration": 0.4, "dt": 0.02} | keys
     lines = [f"{key} = {value}" for key, value in stages.items()]
     text = "\n".join(['model = "fast.xml"', "start = [0.0, 0.0]", "goal = [0.5, 0.2]", *lines])

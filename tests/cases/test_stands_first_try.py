@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from standing_dog import dog
+from machines import dog
 
 from planner.cases.problem_file import load
 from planner.dynamics.contacts import contact_forces, contact_jacobians

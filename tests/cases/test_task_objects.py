@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from gantries import gantry
+from machines import gantry
 
 import planner
 from planner.cases.problem_file.keys import GOAL as GOAL_KEYS

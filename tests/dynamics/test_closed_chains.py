@@ -21,11 +21,10 @@ from planner.dynamics import (
 )
 from planner.dynamics.assembly import check_assembled, feasible_directions, relative_min_singular_value
 from planner.dynamics.friction import friction_forces
-from planner.model.coupled_states import closed_state
-from planner.model.couplings import Coupling
+from planner.model.couplings import Coupling, closed_state
 from planner.model.loops import BAUMGARTE_RATE
 from planner.model.mechanism import SCREW, Mechanism
-from planner.model.mjcf.couplings import set_hard
+from planner.model.mjcf.equalities import set_hard
 from planner.proof.compare.rigid_parity import rigid_parity
 from tests.closed_chains import PARALLELOGRAM, four_bar, parallelogram_acceleration, random_chain
 from tests.trees import machines, random_state, stepped

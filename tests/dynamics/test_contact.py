@@ -5,7 +5,7 @@ import math
 
 import numpy as np
 import pytest
-from contact_states import MACHINES, SHARP, SOFT, each_touch, law_states, moved
+from contact_machines import MACHINES, SHARP, SOFT, each_touch, law_states, moved
 from hypothesis import strategies as st
 from trees import CHAINS, actuated, driven, machines, random_state, relative_error
 

@@ -14,8 +14,7 @@ from planner.dynamics.momentum import center_of_mass
 from planner.dynamics.quasi_static import quasi_static_controls
 from planner.dynamics.statics import static_equilibrium
 from planner.model.contact.laws import ContactLaw
-from planner.model.coupled_states import closed_state
-from planner.model.couplings import Coupling
+from planner.model.couplings import Coupling, closed_state
 from planner.model.mechanism import SCREW
 from planner.problem.initial_guess import inverse_dynamics_controls, quintic
 from tests.trees import actuated, machines, random_state, relative_error, stepped

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from foreign_models import PLACES, path
+from places import PLACES, path
 
 import planner
 from planner.base.errors import PlannerError

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from rubbing import ARM
+from machines import FRICTION_ARM
 
 import planner
 from planner.base.errors import PlannerError
@@ -24,8 +24,8 @@ def states(m, seed=0):
 
 def test_the_decay_of_what_slides_alone_is_mujocos():
     """With the defaults d = 0.9 and beta = 2 / (0.95 0.02): the free decay is their product."""
-    m = Mechanism.from_mjcf(ARM)
-    weight = mujoco.MjModel.from_xml_string(ARM).dof_invweight0
+    m = Mechanism.from_mjcf(FRICTION_ARM)
+    weight = mujoco.MjModel.from_xml_string(FRICTION_ARM).dof_invweight0
     free = m.friction_inertia * m.friction_rate / (m.friction_inertia + 1.0 / weight)
     assert free[0] == pytest.approx(0.9 * 2.0 / (0.95 * 0.02), rel=1e-12)
     assert free[1] == pytest.approx(0.9 * 60.0 / 0.95, rel=1e-12)  # the direct format
@@ -33,7 +33,7 @@ def test_the_decay_of_what_slides_alone_is_mujocos():
 
 
 def test_kernels_solve_the_law_that_numpy_has():
-    m = Mechanism.from_mjcf(ARM)
+    m = Mechanism.from_mjcf(FRICTION_ARM)
     q, qd, tau = states(m)
     qdd = planner.RigidBodyDynamics(m, 0.01).rates(np.hstack([q, qd]), tau)[:, m.nv :]
     M, rest = algorithms.mass_matrix(m, q), tau - algorithms.bias(m, q, qd)
@@ -48,7 +48,7 @@ def test_kernels_solve_the_law_that_numpy_has():
 
 
 def test_accelerations_do_not_depend_on_the_states_beside_them():
-    m = Mechanism.from_mjcf(ARM)
+    m = Mechanism.from_mjcf(FRICTION_ARM)
     dynamics, (q, qd, tau) = planner.RigidBodyDynamics(m, 0.01), states(m)
     together = dynamics.rates(np.hstack([q, qd]), tau)
     alone = np.vstack([dynamics.rates(np.hstack([q[k], qd[k]])[None], tau[k : k + 1]) for k in range(K)])
@@ -58,7 +58,7 @@ def test_accelerations_do_not_depend_on_the_states_beside_them():
 @pytest.mark.parametrize("integrator", ["semi-implicit-euler", "rk4"])
 def test_derivatives_with_friction(integrator):
     """Against central differences: where the slope bends within the step they are off by it, so most must fit."""
-    m = Mechanism.from_mjcf(ARM)
+    m = Mechanism.from_mjcf(FRICTION_ARM)
     dynamics, (q, qd, tau) = planner.RigidBodyDynamics(m, 0.004, integrator), states(m, 1)
     xs, h, n = np.hstack([q, qd]), 1e-6, 2 * m.nv
     A, B = dynamics.linearize(np.vstack([xs, xs[:1]]), tau)
@@ -74,17 +74,19 @@ def test_derivatives_with_friction(integrator):
 
 
 def test_parity_of_friction_and_without_it():
-    section = planner.parity(Mechanism.from_mjcf(ARM))
+    section = planner.parity(Mechanism.from_mjcf(FRICTION_ARM))
     values = {one.name: one for one in section.measured}
     assert section.passed
     assert values["friction_loss_error"].bound == 1e-10
     assert 0.25 * BEND / 4.0 < values["friction_loss_bend"].value <= BEND / 4.0  # which it is in the middle of the bend
-    other = planner.parity(Mechanism.from_mjcf(ARM), ARM.replace('frictionloss="0.4"', 'frictionloss="0.5"'))
+    other = planner.parity(
+        Mechanism.from_mjcf(FRICTION_ARM), FRICTION_ARM.replace('frictionloss="0.4"', 'frictionloss="0.5"')
+    )
     assert not other.passed
 
 
 def reach(dt):
-    m = Mechanism.from_mjcf(ARM)
+    m = Mechanism.from_mjcf(FRICTION_ARM)
     N, goal = round(1.0 / dt), np.array([0.8, -0.6, 0.7, 0.0, 0.0, 0.0])
     Q = np.zeros((N + 1, 6, 6))
     Q[:N, 3:, 3:], Q[N] = 0.1 * dt * np.eye(3), np.diag([1e4] * 3 + [1e3] * 3)
@@ -106,7 +108,7 @@ def test_the_exact_hessian_is_refused():
 
 
 def test_friction_is_taken_out_where_it_is_asked_for():
-    m = Mechanism.from_mjcf(ARM, ignore=("frictionloss",))
+    m = Mechanism.from_mjcf(FRICTION_ARM, ignore=("frictionloss",))
     assert m.ignored == tuple(f"frictionloss of joint '{name}'" for name in ("turn", "lift", "bend"))
     assert not np.any(m.friction_loss)
     assert not np.any(mujoco.MjModel.from_xml_string(m.mjcf).opt.disableflags == 0)

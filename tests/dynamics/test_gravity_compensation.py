@@ -2,8 +2,7 @@
 
 import numpy as np
 import pytest
-from mechanisms import MACHINE
-from rubbing import lifted
+from machines import MACHINE, lifted
 
 import planner
 from planner.base.errors import PlannerError

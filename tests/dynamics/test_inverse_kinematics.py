@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from arms import ARM, hand, mechanism
-from hands import MACHINE
+from machines import HAND_MACHINE
 from scipy.spatial.transform import Rotation
 
 import planner
@@ -32,13 +32,13 @@ def test_an_arm_of_two_links_has_the_elbow_of_the_law_of_cosines():
 
 @pytest.mark.parametrize("seed", range(4))
 def test_mujoco_has_the_frame_where_it_was_asked_to_be(seed):
-    machine, rng = planner.Mechanism.from_mjcf(MACHINE), np.random.default_rng(seed)
+    machine, rng = planner.Mechanism.from_mjcf(HAND_MACHINE), np.random.default_rng(seed)
     q = machine.space.integrate(machine.home, rng.uniform(-0.8, 0.8, machine.space.ndx))[: machine.nq]
     T = frame_pose(machine, q, "hand")
     target = Target("hand", T[:3, 3], quaternion(T[:3, :3]))
     found = inverse_kinematics(machine, [target], machine.home[: machine.nq], seed=seed)
     assert found.residual < 0.01
-    model = mujoco.MjModel.from_xml_string(MACHINE)
+    model = mujoco.MjModel.from_xml_string(HAND_MACHINE)
     data = mujoco.MjData(model)
     data.qpos[:] = found.q
     mujoco.mj_kinematics(model, data)
@@ -48,7 +48,7 @@ def test_mujoco_has_the_frame_where_it_was_asked_to_be(seed):
 
 @pytest.mark.parametrize("part", ["position", "orientation", "pointing"])
 def test_the_jacobian_is_the_difference_of_the_residuals(part):
-    machine, rng = planner.Mechanism.from_mjcf(MACHINE), np.random.default_rng(1)
+    machine, rng = planner.Mechanism.from_mjcf(HAND_MACHINE), np.random.default_rng(1)
     q = machine.space.integrate(machine.home, rng.uniform(-0.5, 0.5, machine.space.ndx))[: machine.nq]
     parts = {"position": np.array([0.3, 0.2, 0.1]), "orientation": np.array([0.8, 0.6, 0.0, 0.0]), "pointing": DOWN}
     target = Target("hand", **{part: parts[part]})

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from driven import moved_cart
-from mechanisms import MACHINE
+from machines import MACHINE
 from swings import mechanism, swing
 from trees import mujoco
 

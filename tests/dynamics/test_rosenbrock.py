@@ -8,7 +8,7 @@ from dataclasses import replace
 import mujoco
 import numpy as np
 import pytest
-from rubbing import ARM
+from machines import FRICTION_ARM
 from trees import CHAINS, actuated, driven, machines, random_state
 
 from planner import Mechanism, RigidBodyDynamics
@@ -101,7 +101,7 @@ def test_derivatives_are_those_of_differences(name, substeps):
 
 def test_derivatives_of_what_is_coupled_prescribed_or_rubs_are_those_of_differences():
     rng = np.random.default_rng(2)
-    m = replace(Mechanism.from_mjcf(ARM), damping=np.array([50.0, 900.0, 4000.0]))
+    m = replace(Mechanism.from_mjcf(FRICTION_ARM), damping=np.array([50.0, 900.0, 4000.0]))
     coupled = replace(m, couplings=(Coupling("mimic", (2, 1), (1.0, -0.7), 0.0),))
     x, u = 0.3 * rng.normal(size=6), 3.0 * rng.normal(size=3)
     x[[2, 5]] = 0.7 * x[[1, 4]]
@@ -157,7 +157,9 @@ def test_rates_stay_the_machines_own():
 
 
 def test_the_damping_that_is_taken_is_no_less_than_the_machines():
-    text = ARM.replace("</actuator>", '<velocity joint="lift" kv="3"/><velocity tendon="both" kv="2"/></actuator>')
+    text = FRICTION_ARM.replace(
+        "</actuator>", '<velocity joint="lift" kv="3"/><velocity tendon="both" kv="2"/></actuator>'
+    )
     text = text.replace(
         "<actuator>", '<tendon><fixed name="both" damping="5"><joint joint="turn" coef="1"/>'
         '<joint joint="bend" coef="-2"/></fixed></tendon><actuator>'

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from fingers import FAST
+from machines import FAST_FINGER
 from trees import driven, machines, relative_error
 
 from planner import Mechanism, RigidBodyDynamics
@@ -53,7 +53,7 @@ def test_two_that_are_alike_are_one_of_them():
 
 
 def test_a_rate_is_the_largest_at_any_of_the_states():
-    m = Mechanism.from_mjcf(FAST)
+    m = Mechanism.from_mjcf(FAST_FINGER)
     rng = np.random.default_rng(0)
     states = rng.normal(size=(5, 4))
     assert fastest_mode(m, states).rate == pytest.approx(max(fastest_mode(m, x).rate for x in states), rel=1e-9)
@@ -74,7 +74,7 @@ def test_rates_are_eigenvalues_of_the_differences_of_the_rates(text, seed):
 
 
 def test_substeps_keep_the_fastest_motion_stable():
-    m = Mechanism.from_mjcf(FAST)
+    m = Mechanism.from_mjcf(FAST_FINGER)
     rate = fastest_mode(m, m.home).rate
     for dt in (1e-4, 1e-3, 5e-3):
         substeps = substeps_for(m, dt, m.home)

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from fingers import FAST
+from machines import FAST_FINGER
 from trees import CHAINS, actuated, driven, machines, relative_error
 
 import planner
@@ -60,7 +60,7 @@ def test_derivatives_of_substeps_are_those_of_differences(name):
 
 
 def reach(substeps, N=30, dt=0.01):
-    dynamics = RigidBodyDynamics(Mechanism.from_mjcf(FAST), dt, substeps=substeps)
+    dynamics = RigidBodyDynamics(Mechanism.from_mjcf(FAST_FINGER), dt, substeps=substeps)
     cost = planner.TrackingCost.joints(dynamics, np.array([0.6, 0.2, 0.0, 0.0]), N, effort=0.1, final_position=100.0)
     return planner.Problem(dynamics, cost, np.zeros(4), us=np.full((N, 2), 0.1))
 
@@ -100,7 +100,7 @@ def test_the_count_is_kept(tmp_path):
 
 
 def test_what_has_no_substeps_says_so():
-    m = Mechanism.from_mjcf(FAST)
+    m = Mechanism.from_mjcf(FAST_FINGER)
     with pytest.raises(PlannerError, match='expected integrator = "rk4"'):
         RigidBodyDynamics(m, 0.01, "semi-implicit-euler", substeps=2)
     for wrong in (0, 17, 1.5, True):

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from legs import leg, standing
+from contact_machines import leg, standing
 from numba.core.errors import NumbaError, TypingError
 from trees import chain
 

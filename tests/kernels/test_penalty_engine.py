@@ -2,9 +2,9 @@
 
 import numpy as np
 import pytest
-from hands import ARM
+from contact_machines import leg, standing
 from hypothesis import strategies as st
-from legs import leg, standing
+from machines import HAND_ARM
 from solves import assert_consistent, assert_stationary, numpy_twin, same_bits
 from trees import drawn, machines, relative_error
 
@@ -135,7 +135,7 @@ N = 40
 
 @pytest.fixture(scope="module")
 def dynamics():
-    return RigidBodyDynamics(Mechanism.from_mjcf(ARM), 0.025)
+    return RigidBodyDynamics(Mechanism.from_mjcf(HAND_ARM), 0.025)
 
 
 def arm(dynamics, bound=-1.3, **more):
@@ -234,7 +234,7 @@ def test_the_same_problem_at_half_the_stage(dynamics):
     plan, better = planner.solve(task), planner.solve(fine)
     assert better.status is Status.CONVERGED
     assert better.cost == pytest.approx(plan.cost, rel=0.02)
-    terms, half = task.cost.costs[1].measures, fine.cost.costs[1].measures
+    terms, half = task.cost.costs[1].residual_arrays, fine.cost.costs[1].residual_arrays
     np.testing.assert_array_equal(half.bound[0, :-1:2], terms.bound[0, :-1])
     np.testing.assert_array_equal(half.bound[0, 1:-1:2], terms.bound[0, :-1])
     assert half.weight[0, :-1].sum() == pytest.approx(terms.weight[0, :-1].sum())
@@ -247,7 +247,7 @@ def test_the_same_problem_at_half_the_stage(dynamics):
 def test_penalties_unknown_to_the_kernels_go_to_numpy(dynamics):
     task = arm(dynamics)
     tracking, low = task.cost.costs
-    other = PenaltyCost(Mechanism.from_mjcf(ARM), N, [Height(Point("tip"), lower=-1.3, tolerance=0.01)], dt=0.025)
+    other = PenaltyCost(Mechanism.from_mjcf(HAND_ARM), N, [Height(Point("tip"), lower=-1.3, tolerance=0.01)], dt=0.025)
     for cost in (tracking + other, tracking + low + tracking):
         assert compiled_costs(Problem(dynamics, cost, task.x0, horizon=N)) is None
     assert isinstance(acquire_engine(Problem(dynamics, tracking + other, task.x0)), NumpyEngine)

@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from gradients import assert_gradients
-from hands import ARM
 from hypothesis import strategies as st
+from machines import HAND_ARM
 from solves import assert_consistent, assert_stationary, numpy_twin
 from trees import drawn, machines, relative_error
 
@@ -133,7 +133,7 @@ N = 40
 
 @pytest.fixture(scope="module")
 def arm():
-    return RigidBodyDynamics(Mechanism.from_mjcf(ARM), 0.025)
+    return RigidBodyDynamics(Mechanism.from_mjcf(HAND_ARM), 0.025)
 
 
 def held(dynamics, effort=0.01):
@@ -315,7 +315,7 @@ def test_a_cost_that_is_wrong_is_refused_in_one_sentence(arm):
 @pytest.mark.parametrize("change", ["friction", "coupling", "stops"])
 def test_what_acts_on_the_joints_leaves_the_frames_where_they_are(change):
     """But for RK4 the rollout's residuals take the links as the dynamics of the stage have placed them."""
-    text = ARM
+    text = HAND_ARM
     if change == "friction":
         text = text.replace('damping="0.1"', 'damping="0.1" frictionloss="0.5"')
     elif change == "coupling":

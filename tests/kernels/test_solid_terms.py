@@ -2,12 +2,12 @@
 
 import numpy as np
 import pytest
-from gantries import gantry
+from machines import gantry
 from scipy.spatial.transform import Rotation
 
 from planner import Mechanism, Problem, RigidBodyDynamics, TrackingCost
 from planner.dynamics.signed_distances import SignedDistances, distance_lower_bound
-from planner.model.contact.collision_shapes import CollisionShape
+from planner.model.contact.signed_distance import CollisionShape
 from planner.problem.costs.penalty import PenaltyCost
 from planner.problem.costs.penalty_terms import Clearance
 from planner.solvers.engine import acquire_engine

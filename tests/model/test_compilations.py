@@ -37,7 +37,7 @@ def texts(monkeypatch):
         seen.append(text)
         return compiled(text, *rest)
 
-    monkeypatch.setattr(model_index, "compiled", counted)
+    monkeypatch.setattr(model_index, "compile_in_subprocess", counted)
     monkeypatch.setattr(model_index, "RECENT", deque(maxlen=8))
     return seen
 

@@ -4,8 +4,8 @@ import re
 
 import numpy as np
 import pytest
-from foreign_models import PLACES, path
-from legs import LEG, leg
+from contact_machines import LEG, leg
+from places import PLACES, path
 from trees import mujoco
 
 import planner

@@ -6,7 +6,7 @@ from trees import mujoco
 
 import planner
 from planner import Mechanism, Problem, RigidBodyDynamics, TrackingCost
-from planner.model.mjcf.contact_points import MAX_POINTS, RADIUS, RIM, points_of, shape_of, shortfall
+from planner.model.mjcf.contact_shapes import MAX_POINTS, RADIUS, RIM, points_of, shape_of, shortfall
 from planner.proof.compare.contact_parity import contact_parity
 from planner.proof.replays.compiled_twin import CompiledTwin, pairs_left_out
 

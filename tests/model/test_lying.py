@@ -6,8 +6,8 @@ import pytest
 import planner
 from planner.base.errors import PlannerError
 from planner.cases.problem_file.build import load
+from planner.model.capabilities import stationary_object_bodies, stationary_object_dofs
 from planner.model.mechanism import Mechanism
-from planner.model.stationary_objects import stationary_object_bodies, stationary_object_dofs
 from planner.problem.constraints.clearance import pair_clearance_of
 
 TABLE = '<geom name="table" type="cylinder" size=".3 .1" pos="0 .5 .1"/>'  # its top is no ground that is planned

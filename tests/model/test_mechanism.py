@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from mechanisms import MACHINE, passive, state
+from machines import MACHINE, passive, state
 from scipy.linalg import expm
 from scipy.spatial.transform import Rotation
 

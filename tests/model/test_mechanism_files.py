@@ -4,7 +4,7 @@ import struct
 
 import numpy as np
 import pytest
-from mechanisms import MACHINE, OBJ, plain
+from machines import MACHINE, OBJ, plain
 
 from planner.base.errors import PlannerError
 from planner.base.gl import load_mujoco

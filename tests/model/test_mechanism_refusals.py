@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from mechanisms import passive, plain, state
+from machines import passive, plain, state
 
 from planner.base.errors import PlannerError
 from planner.base.gl import load_mujoco

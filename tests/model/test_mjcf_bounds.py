@@ -3,12 +3,19 @@
 import os
 
 import pytest
-from mechanisms import OBJ, plain
+from machines import OBJ, plain
 
 from planner.base.errors import ModelError
 from planner.model.mechanism import Mechanism
-from planner.model.mjcf.input_limits import MAX_COPIES, MAX_ELEMENTS, MAX_FILES, MAX_LEVELS, check_stored
-from planner.model.mjcf.text import model_text, model_tree
+from planner.model.mjcf.text import (
+    MAX_COPIES,
+    MAX_ELEMENTS,
+    MAX_FILES,
+    MAX_LEVELS,
+    check_stored,
+    model_text,
+    model_tree,
+)
 
 WORLD = "<mujoco><worldbody>%s</worldbody></mujoco>"
 GEOM = '<geom size="0.1"/>'

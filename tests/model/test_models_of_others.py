@@ -9,7 +9,7 @@ from functools import cache
 
 import numpy as np
 import pytest
-from foreign_models import PLACES, path
+from places import PLACES, path
 from trees import (
     data_at,
     mujoco,

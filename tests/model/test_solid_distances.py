@@ -10,13 +10,13 @@ from planner.model.contact import signed_distance
 from planner.model.contact.bounding_fit import fit_bounding_shape, rim_points, round_points, sphere
 from planner.model.contact.signed_distance import PlacedShapes
 from planner.model.mjcf.collision_pairs import select_collision_pairs
-from planner.model.mjcf.model_index import ModelIndex, contact_pairs
-from planner.model.mjcf.reachable_collisions import (
+from planner.model.mjcf.initial_overlaps import (
     MAX_MUJOCO_DISTANCE,
     distances_in,
     may_collide,
     min_distance_over_ranges,
 )
+from planner.model.mjcf.model_index import ModelIndex, contact_pairs
 
 SIZES = {"sphere": (0.1,), "capsule": (0.05, 0.3), "box": (0.1, 0.2, 0.3), "plane": (1.0, 1.0, 1.0)}
 PAIRS = {

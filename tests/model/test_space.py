@@ -69,7 +69,7 @@ def test_integrate_and_difference_are_inverse(seed):
 
 
 @given(text=mechanism_texts(), seed=seeds)
-@settings(max_examples=20, deadline=None, suppress_health_check=[HealthCheck.too_slow, HealthCheck.data_too_large])
+@settings(max_examples=10, deadline=None, suppress_health_check=[HealthCheck.too_slow, HealthCheck.data_too_large])
 def test_integrate_and_difference_are_mujocos(text, seed):
     model, rng, mechanism = mujoco.MjModel.from_xml_string(text), np.random.default_rng(seed), Mechanism.from_mjcf(text)
     space, nq, nv = mechanism.space, mechanism.nq, mechanism.nv

@@ -9,8 +9,8 @@ from planner import Mechanism, PlannerError
 from planner.dynamics import bias, mass_matrix
 from planner.model.mjcf.model_index import compile_model, contact_pairs
 from planner.model.mjcf.read import read
-from planner.model.urdf.packages import packages_of
 from planner.model.urdf.parse import robot_of
+from planner.model.urdf.shapes import packages_of
 from planner.model.urdf.write import mjcf_of
 
 RNG = np.random.default_rng(16)

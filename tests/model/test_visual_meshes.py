@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import planner
-from planner.model.mjcf.meshes import LARGE
+from planner.model.mjcf.model_file import LARGE
 from planner.model.mjcf.model_index import compile_model, pose
 from planner.model.mjcf.read import read
 

@@ -4,7 +4,7 @@ import re
 
 import numpy as np
 import pytest
-from gantries import gantry
+from machines import gantry
 from places import ROOT
 
 import planner

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from carts import write
 from driven import moved_cart
-from hands import MACHINE, random_states
+from machines import HAND_MACHINE, random_states
 from swings import PENDULUM, discrete, strange, swing
 
 import planner
@@ -73,7 +73,7 @@ def halved(xs, us):
     ids=["one for all stages", "per stage"],
 )  # fmt: skip
 def test_half_the_stage_is_the_same_integral_of_a_frame(parts):
-    machine, rng = planner.Mechanism.from_mjcf(MACHINE), np.random.default_rng(0)
+    machine, rng = planner.Mechanism.from_mjcf(HAND_MACHINE), np.random.default_rng(0)
     cost = planner.FrameCost(machine, "hand", dt=0.1, **parts)
     xs, us = random_states(machine, rng, 6), rng.normal(size=(5, machine.nu))
     half = cost.resampled(2, 0.5)

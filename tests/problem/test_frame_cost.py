@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 from gradients import assert_gradients, hessian, spd
-from hands import ARM, MACHINE, random_states
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from machines import HAND_ARM, HAND_MACHINE, random_states
 from scipy.spatial.transform import Rotation
 
 import planner
@@ -23,12 +23,12 @@ NQ, NV = 12, 10
 
 @pytest.fixture(scope="module")
 def machine():
-    return Mechanism.from_mjcf(MACHINE)
+    return Mechanism.from_mjcf(HAND_MACHINE)
 
 
 def pose(x, name="hand"):
     """Where MuJoCo has a site: position, quaternion."""
-    model = mujoco.MjModel.from_xml_string(MACHINE)
+    model = mujoco.MjModel.from_xml_string(HAND_MACHINE)
     data = mujoco.MjData(model)
     data.qpos = x[:NQ]
     mujoco.mj_kinematics(model, data)
@@ -40,7 +40,7 @@ def pose(x, name="hand"):
 @settings(max_examples=15, deadline=None)
 @given(seed=seeds)
 def test_the_value_is_what_mujoco_measures(seed):
-    machine, rng, N = Mechanism.from_mjcf(MACHINE), np.random.default_rng(seed), 3
+    machine, rng, N = Mechanism.from_mjcf(HAND_MACHINE), np.random.default_rng(seed), 3
     xs, us = random_states(machine, rng, N + 1), np.zeros((N, 2))
     position, orientation = rng.normal(size=(N + 1, 3)), rng.normal(size=(N + 1, 4))
     weight, final = rng.uniform(size=3), rng.uniform(size=3)
@@ -118,7 +118,7 @@ def test_quaternions_of_matrices(seed):
 
 
 def test_an_arm_reaches_for_a_point_or_turns_its_hand():
-    dynamics = RigidBodyDynamics(Mechanism.from_mjcf(ARM), 0.05)
+    dynamics = RigidBodyDynamics(Mechanism.from_mjcf(HAND_ARM), 0.05)
     turned = exp_quaternion(np.array([0.0, -1.2, 0.0]))
     effort = TrackingCost.joints(dynamics, np.zeros(4), 20, effort=0.01, final_velocity=10.0)
     tip = FrameCost(

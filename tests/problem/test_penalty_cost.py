@@ -2,11 +2,11 @@
 
 import numpy as np
 import pytest
+from contact_machines import leg, standing
 from gradients import assert_gradients
-from hands import ARM, MACHINE, random_states
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from legs import leg, standing
+from machines import HAND_ARM, HAND_MACHINE, random_states
 
 import planner
 from planner import Mechanism, PenaltyCost, PlannerError, Problem, RigidBodyDynamics, TrackingCost
@@ -20,7 +20,7 @@ seeds = st.integers(0, 2**32 - 1)
 @pytest.fixture(scope="module")
 def machine():
     """A free body, a hinge and a ball."""
-    return Mechanism.from_mjcf(MACHINE)
+    return Mechanism.from_mjcf(HAND_MACHINE)
 
 
 # --------------------------------------------------------------------------------------------------- distances
@@ -160,7 +160,9 @@ def test_gaps_are_the_depths_of_contacts(tilt):
 
 def test_the_ramp_weights_and_the_end():
     """One height that is the state itself, by hand."""
-    m = Mechanism.from_mjcf(ARM.replace('<joint name="a" axis="0 1 0"', '<joint name="a" type="slide" axis="0 0 1"'))
+    m = Mechanism.from_mjcf(
+        HAND_ARM.replace('<joint name="a" axis="0 1 0"', '<joint name="a" type="slide" axis="0 0 1"')
+    )
     xs, us = np.zeros((5, 4)), np.zeros((4, 2))
     xs[:, 0] = [0.5, -0.01, -0.04, -0.3, -0.2]  # the tip is at the slide less 2
     term = {"lower": -2.0, "tolerance": 0.1, "ramp": 0.02}
@@ -265,7 +267,7 @@ def test_a_candidate_that_ran_away_costs_infinitely(machine):
 
 def test_an_arm_keeps_its_tip_up_or_goes_around_a_post():
     """A swing from side to side; where its tip would be lowest is too low, or a post stands there."""
-    dynamics = RigidBodyDynamics(Mechanism.from_mjcf(ARM), 0.0125)
+    dynamics = RigidBodyDynamics(Mechanism.from_mjcf(HAND_ARM), 0.0125)
     start, goal = np.array([-1.0, 0.0, 0.0, 0.0]), np.array([1.0, 0.0, 0.0, 0.0])
     swing = TrackingCost.joints(dynamics, goal, 80, effort=0.01, final_position=1e3, final_velocity=1e2)
     free = planner.solve(Problem(dynamics, swing, start))

@@ -1,7 +1,7 @@
 """Tasks among things: waypoints on both sides of a wall, an elbow that bends the other way, goals inside of things."""
 
 import pytest
-from gantries import gantry
+from machines import gantry
 
 import planner
 from planner.base.errors import PlannerError

@@ -4,7 +4,7 @@ import re
 
 import numpy as np
 import pytest
-from legs import leg, standing
+from contact_machines import leg, standing
 from rolled_out_plans import acrobot, problem_of, rolled_out
 
 import planner

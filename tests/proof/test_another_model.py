@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from mechanisms import OBJ
+from machines import OBJ
 
 import planner
 from planner.__main__ import main

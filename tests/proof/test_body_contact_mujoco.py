@@ -5,7 +5,7 @@ Bounds are those of contacts with planes (test_contact_mujoco.py).
 
 import numpy as np
 import pytest
-from colliding_bodies import DAMPING, FRICTION, PAIRS, SLIP, STIFFNESS, meeting
+from contact_machines import DAMPING, FRICTION, PAIRS, SLIP, STIFFNESS, meeting
 from trees import mujoco
 
 import planner

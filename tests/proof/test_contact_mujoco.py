@@ -7,7 +7,7 @@ import re
 
 import numpy as np
 import pytest
-from legs import DAMPING, FRICTION, RADIUS, SLIP, STIFFNESS, leg, standing, torques
+from contact_machines import DAMPING, FRICTION, RADIUS, SLIP, STIFFNESS, leg, standing, torques
 from trees import mujoco
 
 from planner.base.errors import ModelError, PlannerError

@@ -9,9 +9,8 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from colliding_bodies import PAIRS, meeting
+from contact_machines import PAIRS, leg, meeting, standing
 from driven import PELVIS, hanging_leg, standing_leg
-from legs import leg, standing
 from trees import mujoco
 
 import planner

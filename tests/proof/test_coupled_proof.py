@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import planner
-from planner.model.coupled_states import closed_state
+from planner.model.couplings import closed_state
 from planner.proof.engines.section import _reason
 from planner.proof.goal_regulator import hold_gain, hold_section, simulate_regulator
 from planner.proof.replays.compiled_twin import CompiledTwin

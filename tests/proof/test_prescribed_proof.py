@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from driven import CART, PELVIS, hanging_leg, moved_cart, standing_leg, walking_leg
-from mechanisms import MACHINE
+from machines import MACHINE
 from trees import mujoco
 
 import planner

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from fingers import FAST
+from machines import FAST_FINGER
 
 import planner
 from planner import Mechanism, RigidBodyDynamics
@@ -27,7 +27,7 @@ MIN_RATE = 2.78 / DT  # 1/s, above which one step a stage is unstable
 
 @pytest.fixture(scope="module")
 def plan():
-    m = Mechanism.from_mjcf(FAST)
+    m = Mechanism.from_mjcf(FAST_FINGER)
     assert fastest_mode(m, m.home).rate > 3.0 * MIN_RATE
     dynamics = RigidBodyDynamics(m, DT, substeps=substeps_for(m, DT, m.home))
     goal = np.array([0.8, 0.4, 0.0, 0.0])

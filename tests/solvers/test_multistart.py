@@ -9,8 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from solves import assert_consistent, each_engine, engines, hopper, same_bits, stop_at
-from wells import judged, wells
+from solves import assert_consistent, each_engine, engines, hopper, judged, same_bits, stop_at, wells
 
 import planner
 from planner import FunctionDynamics, PlannerError, Problem, Status

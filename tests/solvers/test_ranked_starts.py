@@ -5,8 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from solves import same_bits, swing
-from wells import judged, wells
+from solves import judged, same_bits, swing, wells
 
 import planner
 from planner import PlannerError, Status

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from legs import leg
+from contact_machines import leg
 
 from planner.base.errors import FileError, PlannerError
 from planner.model.mechanism import Mechanism

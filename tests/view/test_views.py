@@ -5,8 +5,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from contact_machines import leg
 from films import changed, decode, make_proof
-from legs import leg
 from PIL import Image
 from treadmills import APPEARANCE, BELT_SPEED, FRICTION, TREADMILL, WEIGHT, standing
 

@@ -7,9 +7,9 @@ import numpy as np
 from planner.base.errors import PlannerError
 from planner.dynamics import RigidBodyDynamics
 from planner.dynamics.rollout import rollout_states
+from planner.model.capabilities import unreached_dofs
 from planner.model.mjcf.prescribed_joints import prescribed_dofs_of
 from planner.model.space import space_of
-from planner.model.stationary_objects import unreached_dofs
 from planner.problem.costs.tracking import tracking_of
 from planner.problem.goals import ROUNDING, goals_of
 from planner.problem.problem import Problem

@@ -10,8 +10,7 @@ from planner.base.arguments import array, choice, did_you_mean, number, short_re
 from planner.base.errors import PlannerError
 from planner.dynamics.assembly import assembled, assembled_along, check_assembled
 from planner.model.coordinates import coordinates_of_mechanism
-from planner.model.coupled_states import check_closed
-from planner.model.couplings import CLOSED
+from planner.model.couplings import CLOSED, check_closed
 from planner.model.mechanism import BALL, Mechanism
 from planner.problem.costs.tracking import states
 

@@ -1,10 +1,10 @@
-"""Signed distances of round lines, round boxes and planes, in which direction they lie, and where. NumPy, K at once.
+"""Collision shapes on links, and their signed distances, directions and nearest points. NumPy, K pairs at once.
 
-A solid is a core, a line or a box with half lengths h along its own axes, and a radius of everything around it: a
-sphere is a line of no length, a capsule a line, MuJoCo's box a box of radius 0. The signed distance of two solids is
-that of their cores less both radii. Where cores overlap it is minus the shortest way out, which for boxes and lines is
-along a face's normal or the normal of two edges (the separating axes). n is the direction in which the first must
-move to get away from the second, p a point on the line of that direction through both nearest points: so
+A shape is a core, a segment or a box with half lengths h along its own axes, and a radius around it: a sphere is a
+segment of no length, MuJoCo's box has radius 0. A plane is a half space. The signed distance of two shapes is that of
+their cores less both radii. Where cores overlap it is minus the shortest way out, which for boxes and segments is along
+a face's normal or the normal of two edges (the separating axes). n is the direction in which the first must move to
+get away from the second, p a point on the line of that direction through both nearest points: so
 
     d distance / dt = n'(V_1(p) - V_2(p))
 
@@ -15,10 +15,13 @@ with the velocities V of both bodies there, whichever way n turns. The kernels r
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
+
+from planner.base.arguments import set_fields
 
 TOUCHING = 1e-9  # m between cores, below which the separating axes say the direction
 PARALLEL = 1e-12  # of squared lengths: lines that are so nearly parallel have no normal in common
@@ -211,3 +214,66 @@ def _normal(e: np.ndarray, f: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 def _wider(best: np.ndarray, n: np.ndarray, p: np.ndarray, found: np.ndarray, m: np.ndarray, at: np.ndarray) -> tuple:
     more = found > best
     return np.where(more, found, best), np.where(more[:, None], m, n), np.where(more[:, None], at, p)
+
+
+CAPSULE, BOX, PLANE = 0, 1, 2
+
+
+@dataclass(frozen=True, eq=False)
+class CollisionShape:
+    """A sphere, capsule, box or plane, or what stands for a cylinder, an ellipsoid or a mesh.
+
+    Attributes:
+        name: For a sentence: "geom 'forearm'".
+        geom: Its number in the user's file.
+        link: Which carries it, -1 for the world.
+        T: (4, 4) pose in the link's frame.
+        half: (3,) half lengths of its core along its axes, m: of a line the third alone. Of a plane nothing counts.
+        radius: Of everything around the core, m.
+        plane: Whether it is the half space under its first two axes.
+        overestimate: By how much it reaches beyond the shape that it stands for, at most, m.
+    """
+
+    name: str
+    geom: int
+    link: int
+    T: np.ndarray
+    half: np.ndarray
+    radius: float
+    plane: bool = False
+    overestimate: float = 0.0
+
+    def __post_init__(self) -> None:
+        set_fields(self, T=np.array(self.T, dtype=float), half=np.array(self.half, dtype=float))
+        self.T.flags.writeable = self.half.flags.writeable = False
+
+    @property
+    def kind(self) -> int:
+        """LINE, BOX or PLANE."""
+        return PLANE if self.plane else BOX if np.any(self.half[:2] > 0.0) else CAPSULE
+
+    @property
+    def reach(self) -> float:
+        """Radius of the ball about its centre that holds it, m; of a plane infinite."""
+        return float("inf") if self.plane else float(np.linalg.norm(self.half)) + self.radius
+
+
+def in_order(a: CollisionShape, b: CollisionShape) -> tuple[CollisionShape, CollisionShape]:
+    """Two solids in the order in which distances are computed: a plane last, else a box last."""
+    return (b, a) if a.kind > b.kind else (a, b)
+
+
+def placed(solids: Sequence[CollisionShape], T: np.ndarray) -> PlacedShapes:
+    """Solids whose links are at T (..., P, 4, 4), one after the other."""
+    at = (T @ np.array([solid.T for solid in solids])).reshape(-1, 4, 4)
+    count = len(at) // len(solids)
+    half, radius = (np.array([getattr(solid, name) for solid in solids]) for name in ("half", "radius"))
+    return PlacedShapes(at[:, :3, :3], at[:, :3, 3], np.tile(half, (count, 1)), np.tile(radius, count))
+
+
+def kind_of(a: CollisionShape, b: CollisionShape) -> int:
+    """The place in MEASURES of how two solids in their order are measured."""
+    return 3 if b.kind == PLANE else a.kind + b.kind
+
+
+MEASURES = (segment_segment, segment_box, of_boxes, from_plane)

@@ -100,8 +100,8 @@ class Attachment:
         principal = np.linalg.eigvalsh([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
         if principal[0] <= 0.0 or principal[2] > (principal[0] + principal[1]) * (1.0 + 1e-9):
             raise PlannerError(
-                f"inertia of attach is {short_repr(self.inertia)}, which no body has: expected principal moments above 0, "
-                "none larger than the sum of the others."
+                f"inertia of attach is {short_repr(self.inertia)}, which no body has: expected principal moments above "
+                "0, none larger than the sum of the others."
             )
         return six
 
@@ -163,7 +163,7 @@ def with_attached(file: ModelFile, given: Sequence[Attachment]) -> ModelFile:
         else:
             _add_model(root, files, body, one, at)
         survey = ModelIndex(compile_model(root, files, file.name))
-        file = file._replace(root=root, files=files, survey=survey, compiled=True)
+        file = file._replace(root=root, files=files, survey=survey, is_compiled=True)
     return file
 
 

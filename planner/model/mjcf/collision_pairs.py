@@ -1,32 +1,90 @@
-"""Which geoms of a file can come near each other, and which of them a motion from a given pose can keep apart.
+"""Select the pairs of geoms between which a motion from a given pose can keep a clearance.
 
-What MuJoCo would test for contact is surveyed (contype, conaffinity, parents, excluded bodies); of that, pairs whose
-bounding spheres can meet wherever their joints go within their ranges. What overlaps where the motion starts cannot be
-kept apart: within a machine, its base included, that is how its file draws it, and it is left out and named; against
-something at rest the start is refused. Where only fits overlap, the pair is left out if no pose brings the shapes
-nearer.
+Candidates are the pairs that MuJoCo would test for contact (contype, conaffinity, parents, excluded bodies), if their
+bounding spheres can meet within the ranges of the joints. Pairs that overlap where the motion starts have no clearance:
+within a robot, its base included, the file draws them so, and they are left out and named; against an obstacle at rest
+the start is refused. Where only bounding shapes overlap, the pair is left out if no pose brings the geoms nearer.
+
+Spheres, capsules, boxes and planes are collision shapes themselves; other geoms get a bounding shape.
 """
 
 from __future__ import annotations
 
 from collections.abc import Collection
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from planner.base.errors import PlannerError
 from planner.base.gl import load_mujoco
-from planner.model.contact.collision_shapes import MEASURES, CollisionShape, in_order, kind_of, placed
-from planner.model.mjcf.initial_overlaps import OVERLAP_TOLERANCE
-from planner.model.mjcf.model_index import ModelIndex, contact_pairs
-from planner.model.mjcf.reachable_collisions import (
+from planner.model.contact.bounding_fit import BoundingFit, fit_bounding_shape, rim_points, round_points
+from planner.model.contact.signed_distance import MEASURES, CollisionShape, in_order, kind_of, placed
+from planner.model.mjcf.initial_overlaps import (
+    OVERLAP_TOLERANCE,
     can_separate,
     distances_in,
     is_own,
     may_collide,
     min_distance_over_ranges,
 )
-from planner.model.mjcf.solids import has_solid, shape_name, solids_of
+from planner.model.mjcf.model_index import ModelIndex, contact_pairs
+
+NO_SOLID = ("hfield", "sdf")
+
+
+def shape_name(model: Any, geom: int) -> str:
+    """A geom for a sentence, by its own name or its body's: "geom 'tip'" or "link 'forearm'"."""
+    if name := model.geom(geom).name:
+        return f"geom {name!r}"
+    body = model.body(int(model.geom_bodyid[geom])).name
+    return f"body {body!r}" if body else f"geom number {geom}"
+
+
+def has_solid(model: Any, geom: int) -> bool:
+    """Whether a geom is of a kind that solids stand for."""
+    kinds = load_mujoco().mjtGeom
+    return model.geom_type[geom] not in [int(getattr(kinds, f"mjGEOM_{kind.upper()}")) for kind in NO_SOLID]
+
+
+def solids_of(survey: ModelIndex, geoms: list[int]) -> dict[int, CollisionShape]:
+    """The solids of geoms, by their numbers; each mesh is fitted once."""
+    model, kinds = survey.model, load_mujoco().mjtGeom
+    links, fits, found = survey.carriers[0], {}, {}
+    for geom in geoms:
+        kind, size = int(model.geom_type[geom]), np.array(model.geom_size[geom])
+        given = shape_name(model, geom), geom, int(links[model.geom_bodyid[geom]])
+        T, none = survey.geoms[geom], np.zeros(3)
+        if kind == int(kinds.mjGEOM_PLANE):
+            found[geom] = CollisionShape(*given, T, none, 0.0, plane=True)
+        elif kind == int(kinds.mjGEOM_SPHERE):
+            found[geom] = CollisionShape(*given, T, none, float(size[0]))
+        elif kind == int(kinds.mjGEOM_CAPSULE):
+            found[geom] = CollisionShape(*given, T, np.array([0.0, 0.0, size[1]]), float(size[0]))
+        elif kind == int(kinds.mjGEOM_BOX):
+            found[geom] = CollisionShape(*given, T, size, 0.0)
+        else:
+            key = (kind, int(model.geom_dataid[geom]), size.tobytes() if kind != int(kinds.mjGEOM_MESH) else b"")
+            fit = fits.setdefault(key, None) or fit_bounding_shape(_points(model, geom))
+            fits[key] = fit
+            found[geom] = _fit_at(given, T, fit)
+    return found
+
+
+def _fit_at(given: tuple[str, int, int], T: np.ndarray, fit: BoundingFit) -> CollisionShape:
+    return CollisionShape(*given, T @ fit.T, fit.half, fit.radius, overestimate=fit.overestimate)
+
+
+def _points(model: Any, geom: int) -> np.ndarray:
+    """Points (n, 3) in a geom's frame whose hull holds it."""
+    kinds, size = load_mujoco().mjtGeom, model.geom_size[geom]
+    if model.geom_type[geom] == int(kinds.mjGEOM_CYLINDER):
+        return rim_points(float(size[0]), float(size[1]))
+    if model.geom_type[geom] == int(kinds.mjGEOM_ELLIPSOID):
+        return round_points(size)
+    mesh = int(model.geom_dataid[geom])
+    first = int(model.mesh_vertadr[mesh])
+    return np.array(model.mesh_vert[first : first + int(model.mesh_vertnum[mesh])], dtype=float)
+
 
 MAX_NAMED = 3
 SLIGHT = 0.02  # of the clearance, by which a distance that no joint changes may change by rounding
@@ -39,9 +97,9 @@ class CollisionPair(NamedTuple):
     Attributes:
         a: The first.
         b: The second; a plane or box is never before a line.
-        least: m, that they are kept apart: the clearance, or what the start leaves of it.
-        lift: m that is added to the solids' distance, where fits are nearer at the start than what they stand for.
-        room: m, by which they can be kept further apart than `least`: what the start and the goal leave.
+        required_clearance: m: the clearance, or the smaller distance at the start or the goal.
+        distance_offset: m, added to the shapes' distance, where bounding shapes are nearer at the start than the geoms.
+        spare_clearance: m, by which start and goal exceed `required_clearance`.
     """
 
     a: CollisionShape
@@ -95,16 +153,16 @@ def select_collision_pairs(
     solids = solids_of(survey, sorted({geom for pair in found for geom in pair}))
     pairs, close, lifted, anyway = [], [], [], []
     for pair in found:
-        least = min(clearance, *(distances[pair] - SLACK for distances in at.values()))
+        required = min(clearance, *(distances[pair] - SLACK for distances in at.values()))
         a, b = in_order(solids[pair[0]], solids[pair[1]])
-        apart = min(_between(survey, qpos, a, b) for qpos in poses.values())
-        lift = max(0.0, least - apart)
-        if lift > SLACK and min_distance_over_ranges(survey, pair, poses.values()) > least - SLIGHT * clearance:
+        distance = min(_between(survey, qpos, a, b) for qpos in poses.values())
+        offset = max(0.0, required - distance)
+        if offset > SLACK and min_distance_over_ranges(survey, pair, poses.values()) > required - SLIGHT * clearance:
             anyway.append((a, b))
             continue
-        pairs.append(CollisionPair(a, b, least, lift, max(0.0, apart + lift - least - SLACK)))
-        close += [pairs[-1]] if least < clearance else []
-        lifted += [pairs[-1]] if lift > SLACK else []
+        pairs.append(CollisionPair(a, b, required, offset, max(0.0, distance + offset - required - SLACK)))
+        close += [pairs[-1]] if required < clearance else []
+        lifted += [pairs[-1]] if offset > SLACK else []
     notes = _notes(survey, pairs, drawn, unknown, close, lifted, clearance)
     if anyway:
         names = _some([f"{a.name} and {b.name}" for a, b in anyway])
@@ -173,9 +231,9 @@ def _notes(
     notes = [f"{len(pairs)} pair{'s' * (len(pairs) != 1)} of shapes are kept {clearance:g} m apart{more}."]
     if fits:
         most = max(fits.values(), key=lambda solid: solid.overestimate)
-        fitted = "1 shape is" if len(fits) == 1 else f"{len(fits)} shapes are"
+        shapes = "1 shape is" if len(fits) == 1 else f"{len(fits)} shapes are"
         notes.append(
-            f"{fitted} fitted by capsules or round boxes, which reach up to {most.overestimate:.2g} m beyond them "
+            f"{shapes} fitted by capsules or round boxes, which reach up to {most.overestimate:.2g} m beyond them "
             f"({most.name})."
         )
     if drawn:
@@ -192,9 +250,9 @@ def _notes(
             f"Nearer than the clearance at the start or goal, and to come no nearer: {_some([p.names for p in close])}."
         )
     if lifted:
-        most = max(lifted, key=lambda pair: pair.distance_offset)
+        offset = max(pair.distance_offset for pair in lifted)
         notes.append(
-            f"Fits overlap at the start or goal where shapes do not, which is let pass, by up to {most.distance_offset:.2g} m: "
+            f"Fits overlap at the start or goal where shapes do not, which is let pass, by up to {offset:.2g} m: "
             f"{_some([p.names for p in lifted])}."
         )
     return tuple(notes)

@@ -78,7 +78,7 @@ def _asked(child: _Child, text: str, assets: dict[str, bytes], name: str) -> Any
     """
     keep = False
     try:
-        model = child.compiled(text, assets, name)
+        model = child.compile(text, assets, name)
         keep = bool(assets)
         return model
     finally:
@@ -117,7 +117,7 @@ class _Child:
         known = any(id(content) in self._files for content in assets.values())
         return known and os.waitid(os.P_PID, self._pid, os.WEXITED | os.WNOHANG | os.WNOWAIT) is None
 
-    def compiled(self, text: str, assets: dict[str, bytes], name: str) -> Any:
+    def compile(self, text: str, assets: dict[str, bytes], name: str) -> Any:
         """The model of a text; see _asked."""
         new = {id(content): content for content in assets.values() if id(content) not in self._files}
         try:

@@ -20,8 +20,7 @@ import numpy as np
 from planner.base.errors import ModelError
 from planner.base.gl import load_mujoco
 from planner.model.contact.laws import ContactLaw
-from planner.model.contact.shapes import meets_plane
-from planner.model.mjcf.contact_points import add_points
+from planner.model.mjcf.contact_shapes import add_points, meets_plane
 from planner.model.mjcf.contacts import CONTACT_RAMP, contact_attributes, shapes_fit
 from planner.model.mjcf.model_index import ModelIndex, Pair, compile_model
 from planner.model.mjcf.text import written
@@ -44,7 +43,7 @@ def give_law(
         return []
     model = survey.model
     body_names, geoms = _names(root, model)
-    section, left_out, points = _in_place_of_pairs(root), [], {}
+    section, unmatched, points = _in_place_of_pairs(root), [], {}
     impratio = IMPRATIO
     for pair in survey.pairs:
         bodies = [int(model.geom_bodyid[geom]) for geom in pair.geoms]
@@ -53,7 +52,7 @@ def give_law(
         fits = margin == 0.0 and shapes_fit(survey, pair)
         match = None if law is None or fits else meets_plane(survey, pair.geoms)
         if law is None or not (fits or match):
-            left_out.append(pair)
+            unmatched.append(pair)
             _exclude(root, section, *(body_names[body] for body in bodies))
             continue
         if match is not None:  # its points meet the plane in place of the shape
@@ -76,7 +75,7 @@ def give_law(
             custom.remove(element)
     attributes = {"name": CONTACT_RAMP, "data": smoothing}
     ElementTree.SubElement(ElementTree.SubElement(root, "custom"), "numeric", attributes)
-    return left_out
+    return unmatched
 
 
 def force_begins(model: Any, pair: Pair) -> float:

@@ -18,7 +18,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from planner.base.gl import load_mujoco
-from planner.model.contact.shapes import meets_plane, plane_of
+from planner.model.mjcf.contact_shapes import meets_plane, plane_of
 from planner.model.mjcf.contacts import is_modelled
 from planner.model.mjcf.ground_law import mass_of
 from planner.model.mjcf.model_index import ModelIndex, Pair, disabled, named
@@ -93,7 +93,7 @@ def stationary_roots(survey: ModelIndex) -> list[int]:
         for pair in survey.pairs if rests[list(pair.geoms)].any()
     }  # fmt: skip
     free = model.jnt_type[model.body_jntadr] == int(load_mujoco().mjtJoint.mjJNT_FREE)
-    objects = [body for body, driven in falling_trees(survey).items() if not driven and free[body]]
+    objects = [body for body, actuated in falling_trees(survey).items() if not actuated and free[body]]
     return [body for body in objects if body in may_lie - carried]
 
 
@@ -125,8 +125,8 @@ def falling_trees(survey: ModelIndex) -> dict[int, bool]:
     gravity = np.array(model.opt.gravity) * (not disabled(model, "gravity"))
     if not np.any(gravity):
         return {}
-    driven = _driven(model)
-    held = driven | (model.jnt_stiffness[model.dof_jntid] > 0.0)
+    actuated = _actuated_dofs(model)
+    held = actuated | (model.jnt_stiffness[model.dof_jntid] > 0.0)
     found = {}
     for root in np.unique(model.body_rootid[model.dof_bodyid]):
         body = int(root)
@@ -140,22 +140,22 @@ def falling_trees(survey: ModelIndex) -> dict[int, bool]:
                 falls |= bool(slope > _STEEP * np.linalg.norm(gravity) and not held[dof])
         weighs = 1.0 if no_compensation(model) else 1.0 - model.body_gravcomp[tree]  # what floats does not fall
         if falls and np.sum(model.body_mass[tree] * weighs) > _STEEP * model.body_mass[tree].sum():
-            found[body] = bool(driven[model.body_rootid[model.dof_bodyid] == root].any())
+            found[body] = bool(actuated[model.body_rootid[model.dof_bodyid] == root].any())
     return found
 
 
-def _driven(model: Any) -> np.ndarray:
+def _actuated_dofs(model: Any) -> np.ndarray:
     """(nv,) whether an actuator acts at a degree of freedom, directly or by a fixed tendon."""
-    kinds, driven = load_mujoco().mjtTrn, np.zeros(model.nv, dtype=bool)
+    kinds, actuated = load_mujoco().mjtTrn, np.zeros(model.nv, dtype=bool)
     for i in range(len(model.actuator_trntype)):
         target = int(model.actuator_trnid[i, 0])
         if model.actuator_trntype[i] in (int(kinds.mjTRN_JOINT), int(kinds.mjTRN_JOINTINPARENT)):
-            driven[model.dof_jntid == target] = True
+            actuated[model.dof_jntid == target] = True
         elif model.actuator_trntype[i] == int(kinds.mjTRN_TENDON):
             wraps = slice(model.tendon_adr[target], model.tendon_adr[target] + model.tendon_num[target])
             joints = model.wrap_type[wraps] == int(load_mujoco().mjtWrap.mjWRAP_JOINT)
-            driven[np.isin(model.dof_jntid, model.wrap_objid[wraps][joints])] = True
-    return driven
+            actuated[np.isin(model.dof_jntid, model.wrap_objid[wraps][joints])] = True
+    return actuated
 
 
 def _is_ground(survey: ModelIndex, flat: int) -> bool:

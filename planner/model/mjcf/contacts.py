@@ -28,7 +28,7 @@ from planner.base.errors import ModelError
 from planner.base.gl import load_mujoco
 from planner.model.contact.body_contact import BodyContact
 from planner.model.contact.laws import BEND, Contact, ContactLaw, Law, Stop
-from planner.model.contact.shapes import are_capsules, capsule_of, part_name, plane_and_spheres
+from planner.model.mjcf.contact_shapes import are_capsules, capsule_of, part_name, plane_and_spheres
 from planner.model.mjcf.model_index import ModelIndex, Pair, disabled, named
 from planner.model.mjcf.unsupported import UnsupportedElement
 

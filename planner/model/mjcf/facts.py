@@ -7,8 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from planner.base.gl import load_mujoco
-from planner.model.mjcf.couplings import acting
-from planner.model.mjcf.loops import joined, joins
+from planner.model.mjcf.equalities import acting, joined, joins
 from planner.model.mjcf.model_index import disabled, named
 from planner.model.mjcf.unsupported import actuator_disabled
 

@@ -1,16 +1,24 @@
-"""The law of the ground under a machine: for its mass, as soft as the file's own, and what its feet let a plan follow.
+"""The contact law of the ground under a robot: for its mass, as soft as the file's contact, slow enough to integrate.
 
-A machine of mass m sinks in by SINK on one contact and does not bounce: ContactLaw.resting. Where the file's own
-contact is softer under a foot's LOAD, its slope there is the stiffness, and balls begin to press as much later
-(`recess`) as puts them at the file's depth: rubber feet, whose solimp begins at next to nothing. A foot that is light
-beside the machine feels the damping B of the whole machine and the friction before it slips c as
+A robot of mass m penetrates the ground by REST_PENETRATION on one contact and does not bounce: ContactLaw.resting.
+Where the file's own contact is softer under a foot's LOAD, its slope there is the stiffness, and spheres begin to press
+as much later (`contact_offset`) as gives the file's depth: rubber feet, whose solimp begins near zero. A foot that is
+light beside the robot feels the damping B of the whole robot and the friction before it slips c as
 
     rates = eigenvalues of sum_k J_k M^-1 J_k' C,   C = B n n' + c (1 - n n'),
 
 J_k of the points that it stands on together, M the mass matrix, in the file's own pose, its keyframes or midway between
-the ends of ranges: a leg that is straight gives way less than one that is bent. An integrator follows them step
-by step, so where the largest is above FASTEST the damping is less in proportion, and where friction's own is, so is c.
-How deep the machine stands does not change. MuJoCo's default contact gives way to what is light by itself.
+the ends of ranges: a straight leg gives way less than a bent one. An integrator follows these rates step by step, so
+where the largest is above FASTEST the damping is reduced in proportion, and so is c for the rates of friction. The
+depth at rest does not change. MuJoCo's default contact yields to light bodies by itself.
+
+MuJoCo's soft contact at rest: with r the depth, d(r) the impedance of solimp and A the sum of body_invweight0 of both
+bodies, MuJoCo's documentation ("Solver parameters") has
+
+    f = k d(r) r / R,   R = A (1 - d(r)) / d(r),   k = 1 / (dmax timeconst dampratio)^2,  or -solref[0] / dmax^2
+
+for a frictionless contact or an elliptic cone. The 2 (condim - 1) edges of a pyramidal cone with friction mu share the
+load with R = 2 mu^2 (1 + mu^2) A (1 - d) / d each, mu^2 over impratio in the first position.
 """
 
 from __future__ import annotations
@@ -23,10 +31,50 @@ import numpy as np
 
 from planner.base.gl import load_mujoco
 from planner.model.contact.laws import ContactLaw
-from planner.model.contact.shapes import meets_plane, plane_of, spheres_of
-from planner.model.mjcf.contact_points import points_of
+from planner.model.mjcf.contact_shapes import meets_plane, plane_of, points_of, spheres_of
 from planner.model.mjcf.model_index import ModelIndex, Pair
-from planner.model.mjcf.rest_penetration import rest_penetration
+
+DEEPEST = 0.1  # m: what sinks in further does not stand
+_HALVINGS = 50
+
+
+def rest_penetration(model: Any, pair: Pair, load: float) -> tuple[float, float]:
+    """How deep a pair's shapes sink into each other when they press with a load, N, and how stiff they are there.
+
+    Returns:
+        m, at most DEEPEST, and N/m.
+    """
+    low, high = 0.0, DEEPEST
+    for _ in range(_HALVINGS):
+        middle = 0.5 * (low + high)
+        low, high = (low, middle) if _force(model, pair, middle) > load else (middle, high)
+    step = 1e-4 * high
+    return high, (_force(model, pair, high + step) - _force(model, pair, high - step)) / (2.0 * step)
+
+
+def _force(model: Any, pair: Pair, r: float) -> float:
+    """The normal force, N, at rest at a depth r, m."""
+    d0, dmax, width, midpoint, power = (float(one) for one in pair.solimp)
+    least, most = 1e-4, 0.9999  # mjMINIMP, mjMAXIMP
+    d0, dmax = np.clip([d0, dmax], least, most)
+    x = min(r / max(width, 1e-15), 1.0)
+    midpoint, power = float(np.clip(midpoint, least, most)), max(power, 1.0)
+    if x <= midpoint:
+        d = d0 + (dmax - d0) * x**power / midpoint ** (power - 1.0)
+    else:
+        d = dmax - (dmax - d0) * (1.0 - x) ** power / (1.0 - midpoint) ** (power - 1.0)
+    if pair.solref[0] > 0.0:
+        timeconst = max(float(pair.solref[0]), 2.0 * float(model.opt.timestep))
+        k = 1.0 / max((dmax * timeconst * float(pair.solref[1])) ** 2, 1e-15)
+    else:
+        k = -float(pair.solref[0]) / dmax**2
+    A = float(model.body_invweight0[model.geom_bodyid[list(pair.geoms)], 0].sum())
+    share = 1.0
+    if pair.condim > 1 and model.opt.cone == int(load_mujoco().mjtCone.mjCONE_PYRAMIDAL):
+        mu = max(float(pair.friction[0]), 1e-5)
+        share = 2.0 * (pair.condim - 1) / (2.0 * mu**2 / float(model.opt.impratio) * (1.0 + mu**2))
+    return share * k * d * r * d / (max(A, 1e-15) * (1.0 - d))
+
 
 REST_PENETRATION = (
     3e-3  # m, of the whole machine on one contact: MuJoCo's default ground is stiffer still, but kinks want a ramp

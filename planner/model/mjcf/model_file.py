@@ -1,14 +1,123 @@
-"""Open an MJCF file: its text with includes resolved, the files it names, and MuJoCo's compilation of it."""
+"""Open an MJCF file: its text with includes resolved, the files it names, and MuJoCo's compilation of it.
+
+Meshes that are only drawn are stored at the resolution of a picture: their files are most of the bytes of a model. A
+mesh is only drawn where none of its geoms can collide and none gives its body a mass. Its bounding box is divided in
+GRID cells along its longest side, the vertices of a cell become one at their mean, and faces without area go. No mass,
+no inertia and no contact depends on it.
+"""
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 from xml.etree import ElementTree
 
-from planner.model.mjcf.meshes import coarsen_visual_meshes
-from planner.model.mjcf.model_index import ModelIndex, compile_model
+import numpy as np
+
+from planner.base.gl import load_mujoco
+from planner.model.mjcf.model_index import ModelIndex, compile_model, pose
 from planner.model.mjcf.text import is_text, model_tree
+
+GRID = 200
+"""Cells along the longest side of a mesh: where a link fills a film of 720 lines, one is some three pixels wide."""
+LARGE = 100_000
+"""Bytes; smaller files stay as they are."""
+COARSE = ".coarse."
+"""In the names of files that are at this resolution already."""
+
+
+def coarsen_visual_meshes(root: ElementTree.Element, files: dict[str, bytes], model: Any) -> bool:
+    """Replace large files of meshes that are only seen, in the XML and the files; returns whether there were any.
+
+    Such a mesh becomes an OBJ without scale or reference pose.
+    """
+    elements = [
+        mesh for mesh in root.iterfind("asset/mesh")
+        if len(files.get(file := mesh.get("file", ""), b"")) >= LARGE and COARSE not in file
+    ]  # fmt: skip
+    if not elements:
+        return False
+    mujoco, seen, done = load_mujoco(), _only_seen(root, model), False
+    for mesh in elements:
+        index = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_MESH, mesh.get("name", ""))
+        if index not in seen:
+            continue
+        old, name = mesh.get("file", ""), f"{mesh.get('name')}{COARSE}obj"
+        content = _coarse_obj(model, index)
+        if 0 < len(content) < len(files[old]):
+            files[name] = content
+            for key in set(mesh.attrib) - {"name", "class", "smoothnormal"}:
+                del mesh.attrib[key]
+            # A default's scale is in the vertices already; a thin mesh may have no volume left, which MuJoCo asks for.
+            mesh.attrib.update(file=name, scale="1 1 1", inertia="shell")
+            done = True
+    used = {element.get("file") for element in root.iter()}
+    for name in [name for name in files if name.endswith((".obj", ".stl", ".msh")) and name not in used]:
+        del files[name]
+    return done
+
+
+def _only_seen(root: ElementTree.Element, model: Any) -> set[int]:
+    """Meshes whose geoms neither touch nor weigh anything, and have no texture."""
+    mujoco = load_mujoco()
+    by_geoms = any(compiler.get("inertiafromgeom") == "true" for compiler in root.iterfind("compiler"))
+    weighed = [] if by_geoms else [body.get("name") for body in root.iter("body") if body.find("inertial") is not None]
+    bodies = {mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, name) for name in weighed if name} | {0}
+    paired = {*map(int, model.pair_geom1), *map(int, model.pair_geom2)}
+    geoms: dict[int, list[int]] = {}
+    for geom in np.flatnonzero(model.geom_type == mujoco.mjtGeom.mjGEOM_MESH):
+        geoms.setdefault(int(model.geom_dataid[geom]), []).append(int(geom))
+
+    def seen(geom: int) -> bool:
+        material = int(model.geom_matid[geom])
+        plain = material < 0 or not np.any(model.mat_texid[material] >= 0)
+        still = not (model.geom_contype[geom] or model.geom_conaffinity[geom] or geom in paired)
+        return plain and still and int(model.geom_bodyid[geom]) in bodies
+
+    # A primitive may be fitted to a mesh too: it has its size from it, and the compiled model does not say so.
+    named = [geom.get("mesh") for world in root.iterfind("worldbody") for geom in world.iter("geom")]
+    return {
+        mesh for mesh, uses in geoms.items()
+        if all(map(seen, uses)) and named.count(model.mesh(mesh).name) == len(uses)
+    }  # fmt: skip
+
+
+def _coarse_obj(model: Any, index: int) -> bytes:
+    """A compiled mesh on the grid, as the text of an OBJ in the frame of the mesh's file; empty if it has no area."""
+    at, count = int(model.mesh_vertadr[index]), int(model.mesh_vertnum[index])
+    face, faces = int(model.mesh_faceadr[index]), int(model.mesh_facenum[index])
+    T = pose(model.mesh_pos[index], model.mesh_quat[index])  # the compiler moved the mesh to its principal axes
+    vertices = model.mesh_vert[at : at + count] @ T[:3, :3].T + T[:3, 3]
+    size = float(np.ptp(vertices, axis=0).max())
+    means, corners = coarse(vertices, model.mesh_face[face : face + faces])
+    if not len(corners):
+        return b""
+    digits = max(0, 4 - math.floor(math.log10(size)))  # a ten-thousandth of the mesh
+    line = f"v %.{digits}f %.{digits}f %.{digits}f\n"
+    points = (line * len(means)) % tuple(means.ravel().tolist())
+    return (points + ("f %d %d %d\n" * len(corners)) % tuple((corners + 1).ravel().tolist())).encode()
+
+
+def coarse(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Vertices (n, 3) and faces (m, 3) of a mesh on the grid; no faces if it is a wire, thinner than a cell."""
+    size = float(np.ptp(vertices, axis=0).max())
+    cells = np.floor((vertices - vertices.min(axis=0)) * (GRID / size)).astype(np.int64)
+    cells = cells @ [(GRID + 1) ** 2, GRID + 1, 1]  # one number a cell, in the same order
+    _, place, members = np.unique(cells, return_inverse=True, return_counts=True)
+    means = np.stack([np.bincount(place, weights=column) for column in vertices.T], axis=1) / members[:, None]
+    corners = place[faces]
+    whole = (corners[:, 0] != corners[:, 1]) & (corners[:, 1] != corners[:, 2]) & (corners[:, 2] != corners[:, 0])
+    corners = corners[whole]
+    first = np.argmin(corners, axis=1)[:, None]  # the least corner goes first, so that equal faces are
+    corners = np.take_along_axis(corners, (first + np.arange(3)) % 3, axis=1)
+    n = len(means)  # at most one a cell, so that n^3 fits
+    corners = np.unique(corners.astype(np.int64) @ [n * n, n, 1])
+    corners = np.stack([corners // (n * n), corners // n % n, corners % n], axis=1)
+    a, b, c = (means[corners[:, k]] for k in range(3))
+    if np.linalg.norm(np.cross(b - a, c - a)) < 1e-6 * size**2:  # a wire, thinner than a cell
+        corners = corners[:0]
+    return means, corners
 
 
 class ModelFile(NamedTuple):
@@ -18,7 +127,7 @@ class ModelFile(NamedTuple):
     files: dict[str, bytes]  # By the names that the text uses
     survey: ModelIndex  # Of the file with its own meshes
     name: str  # For a sentence
-    compiled: bool  # Whether the survey's model is what root compiles to: no mesh is coarser
+    is_compiled: bool  # Whether the survey's model is what root compiles to: no mesh is coarser
 
 
 def open_model_file(

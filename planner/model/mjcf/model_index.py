@@ -1,7 +1,7 @@
 """Compile an MJCF text, and look up once the facts that readers and editors need of the compiled model.
 
 MuJoCo settles defaults, flags, replicas and contact filters when it compiles, so the compiled model says what would
-act. `compile_model` is the only place that calls MuJoCo's compiler; a `Survey` of its result is handed to all that
+act. `compile_model` is the only place that calls MuJoCo's compiler; a `ModelIndex` of its result is handed to all that
 read, refuse or edit the file.
 """
 
@@ -21,6 +21,11 @@ from planner.model.mjcf.compile_subprocess import compile_in_subprocess
 MAX_TOUCHING = 5000  # geoms: a table of all pairs of them has some 100 MB
 MAX_PAIRS = 100_000
 MAX_KEPT = 2**28  # bytes of compiled models
+
+VELOCITY_LIMIT = "velocity_limit"
+"""Tuple of velocity limits: <tuple name="velocity_limit"><element objtype="joint" objname="elbow" prm="3.1"/>."""
+LEFT_OUT = "left_out "
+"""Begins the name of a custom text on a missing part: <text name="left_out 1" data="the mesh 'hand.ply' of ..."/>."""
 
 RECENT: deque[tuple[str, dict[str, bytes], Any]] = deque(maxlen=8)
 """Text, files and model of what was compiled last, the latest at the end."""
@@ -194,3 +199,33 @@ def names_of(model: Any, kind: str, count: int) -> tuple[str, ...]:
 def ranges_of(limited: np.ndarray, ranges: np.ndarray) -> np.ndarray:
     """(n, 2) ranges, infinite where they do not limit."""
     return np.where(np.asarray(limited, dtype=bool)[:, None], ranges, [-np.inf, np.inf])
+
+
+def velocity_limits(model: Any) -> np.ndarray:
+    """(nv,) of a compiled model, infinite where it has none.
+
+    Raises:
+        ModelError: One is not above 0, or not of a hinge or slide.
+    """
+    mujoco, limits = load_mujoco(), np.full(model.nv, np.inf)
+    for i in range(model.ntuple):
+        if model.tuple(i).name != VELOCITY_LIMIT:
+            continue
+        for k in range(model.tuple_adr[i], model.tuple_adr[i] + model.tuple_size[i]):
+            joint, limit = int(model.tuple_objid[k]), float(model.tuple_objprm[k])
+            if model.tuple_objtype[k] != mujoco.mjtObj.mjOBJ_JOINT or model.jnt_type[joint] < 2:
+                raise ModelError(f"the tuple {VELOCITY_LIMIT!r} names other things than hinge and slide joints.")
+            if not limit > 0.0:
+                raise ModelError(f"{named(model, 'joint', joint)} has the velocity limit {limit:g}, expected above 0.")
+            limits[model.jnt_dofadr[joint]] = limit
+    return limits
+
+
+def phrases_left_out(model: Any) -> tuple[str, ...]:
+    """The phrases that a compiled model carries."""
+    mujoco, found = load_mujoco(), []
+    for i in range(model.ntext):
+        if (mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_TEXT, i) or "").startswith(LEFT_OUT):
+            at, size = model.text_adr[i], model.text_size[i]
+            found.append(bytes(model.text_data[at : at + size]).split(b"\0")[0].decode(errors="replace"))
+    return tuple(found)

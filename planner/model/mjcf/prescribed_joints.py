@@ -30,9 +30,9 @@ from planner.model.actuators import DIRECT, Actuators
 from planner.model.exponential_torques import ExponentialTorque
 from planner.model.mechanism import BALL, Mechanism
 from planner.model.mjcf.contact_edits import joints_of, keep_law
-from planner.model.mjcf.edit import actuators_of
 from planner.model.mjcf.model_index import ModelIndex, compile_model, disabled
 from planner.model.mjcf.text import parsed, written
+from planner.model.mjcf.unsupported import actuators_of
 from planner.model.twin import Twin
 
 # kg or kg m^2. A machine that pushes with 1000 N is felt as 1e-5 m/s^2. From about 1e11 on MuJoCo's solver, whose
@@ -57,9 +57,9 @@ def twin_of(mechanism: Mechanism, prescribed: Collection[str] = ()) -> Twin:
     return known[names]
 
 
-def _felt(mechanism: Mechanism, driven: np.ndarray) -> tuple[ExponentialTorque, ...]:
+def _felt(mechanism: Mechanism, dofs: np.ndarray) -> tuple[ExponentialTorque, ...]:
     """The curves of a mechanism that act on none of these degrees of freedom."""
-    return tuple(curve for curve in mechanism.curves if curve.dof not in driven)
+    return tuple(curve for curve in mechanism.curves if curve.dof not in dofs)
 
 
 def prescribed_twin(twin: Twin, model: Any, mechanism: Mechanism, prescribed: Collection[str]) -> Twin:

@@ -26,21 +26,28 @@ from planner.model.mjcf.attached import attachments, with_attached
 from planner.model.mjcf.contact_edits import give_law, let_float
 from planner.model.mjcf.contact_mode import MODES, ContactMode, ground_pairs, select_contact_mode, stationary_roots
 from planner.model.mjcf.contacts import contact_refusals, phrase_of, read_contacts, read_stops
-from planner.model.mjcf.couplings import harden, read_couplings
-from planner.model.mjcf.custom import phrases_left_out, velocity_limits
-from planner.model.mjcf.edit import take_out
-from planner.model.mjcf.friction import joint_friction
+from planner.model.mjcf.equalities import harden, read_cams, read_couplings, read_loops, read_tendons
 from planner.model.mjcf.ground_law import laws_of_ground
-from planner.model.mjcf.loops import read_cams, read_loops
+from planner.model.mjcf.joint_forces import actuators_of, armature_and_damping, joint_friction
 from planner.model.mjcf.model_file import ModelFile, open_model_file
-from planner.model.mjcf.model_index import ModelIndex, Pair, compile_model, disabled, field, names_of, pose, ranges_of
-from planner.model.mjcf.read_actuators import actuators_of, armature_and_damping
-from planner.model.mjcf.tendons import read_tendons
+from planner.model.mjcf.model_index import (
+    ModelIndex,
+    Pair,
+    compile_model,
+    disabled,
+    field,
+    names_of,
+    phrases_left_out,
+    pose,
+    ranges_of,
+    velocity_limits,
+)
 from planner.model.mjcf.unsupported import (  # fmt: skip
     KINDS,
     UnsupportedElement,
     modelled,
     no_compensation,
+    take_out,
     unsupported_elements,
 )
 from planner.model.space import unit
@@ -82,7 +89,7 @@ def read_opened(
         choice("ignore", kind, KINDS)
     law = contacts if isinstance(contacts, ContactLaw) else None
     asked = "law" if law is not None else choice("contacts", _renamed(contacts), MODES)
-    given, files, survey, name, compiled = file()
+    given, files, survey, name, is_compiled = file()
     root = copy.deepcopy(given)
     original = ElementTree.tostring(root, encoding="unicode")
     mode, phrase = (
@@ -92,11 +99,11 @@ def read_opened(
         words = f"contacts is 'ground', but nothing in {name} falls on a plane or box"
         raise ModelError(f'{words}: write contacts = "avoid".')
     found = [*unsupported_elements(survey.model), *contact_refusals(survey, all_of_them=mode in ("off", "avoid"))]
-    left_out: list[Pair] = []
+    unmatched: list[Pair] = []
     kept = stationary_roots(survey) if mode in ("avoid", "ground") else []
     if mode in ("law", "ground"):
         found = [one for one in found if one.kind != "contacts"]
-        left_out = give_law(root, survey, *_laws(survey, law))
+        unmatched = give_law(root, survey, *_laws(survey, law))
     taken_out = {*ignored, *(["contacts"] if mode != "model" else [])}
     _refuse([one for one in found if one.kind not in taken_out], name, survey)
     found += [one for one in modelled(survey.model) if one.kind in taken_out]
@@ -105,9 +112,9 @@ def read_opened(
     if kept:
         let_float(root, survey.model, kept)
     phrases = ["contacts" if refusal.kind == "contacts" else refusal.phrase for refusal in found]
-    if left_out:
-        phrases.append(phrase_of(survey.model, left_out))
-    if not compiled or ElementTree.tostring(root, encoding="unicode") != original:
+    if unmatched:
+        phrases.append(phrase_of(survey.model, unmatched))
+    if not is_compiled or ElementTree.tostring(root, encoding="unicode") != original:
         # Compiled once for coarser meshes and edits together, which may not do what they meant.
         survey = ModelIndex(compile_model(root, files, name))
         _refuse([*unsupported_elements(survey.model), *contact_refusals(survey)], name, survey)

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from planner.model.mjcf.contact_points import shape_of
+from planner.model.mjcf.contact_shapes import shape_of
 from planner.model.mjcf.initial_overlaps import initial_overlaps
 from planner.model.mjcf.model_index import compile_model, contact_pairs, named
 from planner.model.mjcf.unsupported import UnsupportedElement, modelled, unsupported_elements

@@ -100,8 +100,8 @@ def _nearest(tensor: np.ndarray) -> np.ndarray:
     """The nearest tensor that a body can have: positive moments, none larger than the sum of the others."""
     values, axes = np.linalg.eigh(tensor)
     a, b, c = np.maximum(values, 0.0)
-    excess = max(0.0, c - a - b) / 3.0
-    return axes @ np.diag([a + excess, b + excess, c - excess]) @ axes.T
+    share = max(0.0, c - a - b) / 3.0
+    return axes @ np.diag([a + share, b + share, c - share]) @ axes.T
 
 
 def _change(body: Inertial) -> float:

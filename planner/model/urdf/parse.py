@@ -1,16 +1,163 @@
-"""Parse a URDF text to a robot: its elements, put in order as a tree."""
+"""Parse a URDF text to a robot: its elements, every number checked, in order as a tree. Pure XML, without MuJoCo.
+
+What the format leaves open is read as others do: a range whose lower end is not below its upper end is none, and an
+effort or a velocity of 0 is no limit.
+"""
 
 from __future__ import annotations
 
+import math
 import re
 from collections import Counter
 from xml.etree import ElementTree
 
+import numpy as np
+
 from planner.base.arguments import short_repr
 from planner.base.errors import ModelError
-from planner.model.mjcf.input_limits import parsed
-from planner.model.urdf.elements import joint_of, link_of, rgba_of
-from planner.model.urdf.robot import SCALAR, Joint, Link, Robot
+from planner.model.mjcf.text import parsed
+from planner.model.urdf.robot import KINDS, SCALAR, Inertial, Joint, Link, Numbers, Pose, Robot, Shape
+
+_SIZES = {"box": "size", "sphere": "radius", "cylinder": "radius length", "capsule": "radius length"}
+
+
+def link_of(element: ElementTree.Element, materials: dict[str, Numbers], name: str) -> Link:
+    """The link of an element; `materials` are the robot's colours by name."""
+    link = _named(element, "link", name)
+    where = f"link {link!r} of {name}"
+    visuals = (_shape(visual, materials, where) for visual in element.iterfind("visual"))
+    collisions = (_shape(collision, materials, where) for collision in element.iterfind("collision"))
+    inertial = element.find("inertial")
+    return Link(
+        link, None if inertial is None else _inertial(inertial, where),
+        tuple(filter(None, visuals)), tuple(filter(None, collisions)),
+    )  # fmt: skip
+
+
+def _inertial(element: ElementTree.Element, where: str) -> Inertial:
+    mass = _number(element.find("mass"), "value", 0.0, f"the mass of {where}")
+    if mass < 0.0:
+        raise ModelError(f"the mass of {where} is {mass:g} kg, expected at least 0.")
+    six = {
+        key: _number(element.find("inertia"), key, 0.0, f"{key} of {where}")
+        for key in ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
+    }
+    xx, yy, zz, xy, xz, yz = six.values()
+    inertia = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+    pose = _pose(element, where)
+    if any(pose.rpy):  # else the numbers stay as they are written
+        inertia = pose.rotation @ inertia @ pose.rotation.T
+    return Inertial(mass, np.array(pose.xyz), inertia)
+
+
+def _shape(element: ElementTree.Element, materials: dict[str, Numbers], where: str) -> Shape | None:
+    """None where there is no geometry that this knows: readers of URDF pass over others."""
+    geometry = element.find("geometry")
+    form = next((child for child in geometry if child.tag in (*_SIZES, "mesh")), None) if geometry is not None else None
+    if form is None:
+        return None
+    pose, material = _pose(element, where), element.find("material")
+    rgba = () if material is None else rgba_of(material, materials, where)
+    if form.tag == "mesh":
+        scale = _several(form, "scale", (1.0, 1.0, 1.0), f"the scale of a mesh of {where}")
+        return Shape("mesh", pose, file=form.get("filename", ""), scale=scale, rgba=rgba)
+    keys = _SIZES[form.tag]
+    size: Numbers = ()
+    none = (0.0, 0.0, 0.0) if form.tag == "box" else (0.0,)
+    for key in keys.split():
+        size += _several(form, key, none, f"the {key} of a {form.tag} of {where}")
+    if min(size) < 0.0:
+        raise ModelError(f"the {keys} of a {form.tag} of {where} is {min(size):g}, expected at least 0.")
+    whole = () if form.tag == "box" else size[:1]  # MJCF has radii and half lengths
+    return Shape(form.tag, pose, (*whole, *(s / 2 for s in size[len(whole) :])), rgba=rgba)
+
+
+def joint_of(element: ElementTree.Element, name: str) -> Joint:
+    """The joint of an element."""
+    joint = _named(element, "joint", name)
+    where = f"joint {joint!r} of {name}"
+    kind = element.get("type", "")
+    if kind not in KINDS:
+        raise ModelError(f"{where} has the type {short_repr(kind)}, expected one of: {', '.join(KINDS)}.")
+    ends = []
+    for end in ("parent", "child"):
+        found = element.find(end)
+        if found is None or not found.get("link"):
+            raise ModelError(f'{where} has no {end}, expected <{end} link="..."/>.')
+        ends.append(found.get("link", ""))
+    axis = _several(element.find("axis"), "xyz", (1.0, 0.0, 0.0), f"the axis of {where}")
+    if kind in (*SCALAR, "planar") and not any(axis):
+        raise ModelError(f'the axis of {where} is 0 0 0, expected a direction, e.g. xyz="0 0 1".')
+    limit, dynamics, mimic = element.find("limit"), element.find("dynamics"), element.find("mimic")
+    range = (
+        _number(limit, "lower", 0.0, f"the lower limit of {where}", infinite=True),
+        _number(limit, "upper", 0.0, f"the upper limit of {where}", infinite=True),
+    )
+    values = {}
+    for part, keys in ((limit, ("effort", "velocity")), (dynamics, ("damping", "friction"))):
+        for key in keys:
+            values[key] = _number(part, key, 0.0, f"the {key} of {where}", infinite=part is limit)
+            if values[key] < 0.0:
+                raise ModelError(f"the {key} of {where} is {values[key]:g}, expected at least 0.")
+    follows = None
+    if mimic is not None and kind in SCALAR:
+        multiplier = _number(mimic, "multiplier", 1.0, f"the multiplier of {where}")
+        follows = (mimic.get("joint", ""), multiplier, _number(mimic, "offset", 0.0, f"the offset of {where}"))
+    return Joint(
+        joint, kind, ends[0], ends[1], _pose(element, where), axis,
+        range if kind in ("revolute", "prismatic") and range[0] < range[1] else (-math.inf, math.inf),
+        values["effort"] or math.inf, values["velocity"] or math.inf, values["damping"], values["friction"], follows,
+    )  # fmt: skip
+
+
+def _named(element: ElementTree.Element, kind: str, name: str) -> str:
+    found = element.get("name", "")
+    if not found.isprintable() or not found:
+        raise ModelError(f"{name} has a {kind} with the name {short_repr(found)}, expected printable characters.")
+    return found
+
+
+def _pose(element: ElementTree.Element, where: str) -> Pose:
+    origin = element.find("origin")
+    zeros = (0.0, 0.0, 0.0)
+    return Pose(
+        _several(origin, "xyz", zeros, f"an origin's xyz of {where}"),
+        _several(origin, "rpy", zeros, f"an origin's rpy of {where}"),
+    )
+
+
+def rgba_of(material: ElementTree.Element, known: dict[str, Numbers], where: str) -> Numbers:
+    """The colour of a material, or of the robot's material of that name; () for none."""
+    color = material.find("color")
+    if color is None:
+        return known.get(material.get("name", ""), ())
+    return _several(color, "rgba", (), f"a color of {where}", count=4)
+
+
+def _number(
+    element: ElementTree.Element | None, key: str, default: float, what: str, *, infinite: bool = False
+) -> float:
+    return _several(element, key, (default,), what, infinite=infinite)[0]
+
+
+def _several(
+    element: ElementTree.Element | None, key: str, default: Numbers, what: str, *, count: int = 0,
+    infinite: bool = False,
+) -> Numbers:  # fmt: skip
+    """The numbers of an attribute, as many as its default has (or `count`)."""
+    text = None if element is None else element.get(key)
+    if text is None:
+        return default
+    count = count or len(default)
+    try:
+        values = tuple(map(float, text.split()))
+    except ValueError:
+        values = ()
+    if len(values) != count or any(math.isnan(v) or (math.isinf(v) and not infinite) for v in values):
+        wanted = "a number" if count == 1 else f"{count} numbers"
+        raise ModelError(f"{what} is {short_repr(text)}, expected {wanted}.")
+    return values
+
 
 MAX_PREFIXES = 50
 _PREFIX = re.compile(r"<([A-Za-z][\w.-]*):")

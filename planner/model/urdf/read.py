@@ -12,7 +12,7 @@ from planner.model.contact.laws import ContactLaw
 from planner.model.mechanism import Mechanism
 from planner.model.mjcf.model_file import ModelFile, open_model_file
 from planner.model.mjcf.read import read
-from planner.model.urdf.as_mjcf import as_mjcf, is_urdf
+from planner.model.urdf.write import as_mjcf, is_urdf
 
 
 def read_model(

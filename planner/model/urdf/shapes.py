@@ -1,23 +1,72 @@
-"""Write a link's shapes as MJCF geoms, and collect the files of their meshes.
+"""Write a link's shapes as MJCF geoms, find their meshes and collect these files.
 
 Shapes are of two groups: MuJoCo draws groups 0 to 2, so those that touch are drawn where a link has no others.
+Meshes are named by package://, model:// and file:// addresses, or by paths relative to the URDF.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import os
+import re
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
+from urllib.parse import unquote
 from xml.etree.ElementTree import Element, SubElement
 
 import numpy as np
 
 from planner.base.errors import ModelError
-from planner.model.mjcf.meshes import COARSE
+from planner.model.mjcf.model_file import COARSE
 from planner.model.mjcf.text import written
 from planner.model.urdf.meshes import hull, mesh_triangles, on_grid, stl
-from planner.model.urdf.packages import Packages
 from planner.model.urdf.robot import Link, Numbers, Pose, Shape
+
+_ADDRESS = re.compile(r"^(package|model)://?([^/\\]+)[/\\](.*)$", re.S)
+
+
+@dataclass(frozen=True)
+class Packages:
+    """Where files are sought: beside the URDF, in folders above it, and in folders that the user names."""
+
+    folder: Path  # of the URDF
+    paths: tuple[Path, ...] = ()  # of packages, or of folders that hold them
+    meshdir: str = ""
+
+    def find(self, file: str) -> Path | None:
+        """The path of a file that there is; None where there is none."""
+        return next((path for path in self._places(file) if _is_file(path)), None)
+
+    def _places(self, file: str) -> Iterator[Path]:
+        if address := _ADDRESS.match(file):
+            package, rest = address[2], address[3]
+            parents = [self.folder, *self.folder.parents]
+            for place in (*self.paths, *parents):
+                yield place / package / rest
+                if place.name == package:
+                    yield place / rest
+            for place in (*self.paths, *parents):  # a package in a folder of another name
+                yield place / rest
+            return
+        file = unquote(file.removeprefix("file://")) if file.startswith("file:/") else file
+        for place in (self.folder, *self.paths):
+            yield place / file
+        if self.meshdir:  # of MuJoCo's extension, which takes the names without their folders
+            yield self.folder / self.meshdir / re.split(r"[/\\]", file)[-1]
+
+
+def _is_file(path: Path) -> bool:
+    try:
+        return os.path.isfile(path)
+    except ValueError:  # a null character
+        return False
+
+
+def packages_of(path: Path | None, package_path: tuple[str | os.PathLike[str], ...], meshdir: str) -> Packages:
+    """The places for the files of the URDF at `path`; of a text, the working directory."""
+    folder = Path(os.path.abspath(path)).parent if path is not None else Path.cwd()
+    return Packages(folder, tuple(Path(os.path.abspath(one)) for one in package_path), meshdir)
+
 
 SEEN, TOUCHING = "2", "3"
 Form = Callable[[np.ndarray], np.ndarray]
@@ -76,7 +125,7 @@ class GeomWriter:
         across = np.sqrt(max(0.0, 1.0 - down[2] ** 2)) if shape.kind == "cylinder" else 1.0
         return z - float(along + across * radius)
 
-    def left_out(self) -> list[str]:
+    def missing_parts(self) -> list[str]:
         """Phrases of what is missing; meshes that are only seen are counted in one."""
         phrases = list(dict.fromkeys(self.untouched))
         if count := len(set(self.unseen)):

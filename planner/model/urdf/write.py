@@ -1,4 +1,4 @@
-"""Write a robot as MJCF: the numbers of its file unchanged, a body for every link, a motor for every driven joint.
+"""Write a URDF as MJCF: the numbers of its file unchanged, a body for every link, a motor for every actuated joint.
 
 MuJoCo's own reader of URDF drops the root's inertia, has no motors and writes six digits; so the text is made here and
 MuJoCo reads MJCF alone. Links that do not move keep no inertia: nothing depends on it.
@@ -7,20 +7,24 @@ MuJoCo reads MJCF alone. Links that do not move keep no inertia: nothing depends
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+import os
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
+from pathlib import Path
 from xml.etree import ElementTree
 from xml.etree.ElementTree import Element, SubElement
 
 import numpy as np
 
-from planner.base.errors import ModelError
-from planner.model.mjcf.custom import add_left_out, add_velocity_limits
-from planner.model.mjcf.text import written
+from planner.base.arguments import choice, short_repr
+from planner.base.errors import ModelError, PlannerError
+from planner.base.files import printable, read_text
+from planner.model.mjcf.model_index import LEFT_OUT, VELOCITY_LIMIT
+from planner.model.mjcf.text import is_text, written
 from planner.model.urdf.masses import inertials, without_idle
-from planner.model.urdf.packages import Packages
+from planner.model.urdf.parse import robot_of
 from planner.model.urdf.robot import SCALAR, Inertial, Joint, Pose, Robot
-from planner.model.urdf.shapes import GeomWriter, placed
+from planner.model.urdf.shapes import GeomWriter, Packages, packages_of, placed
 
 _UNBOUNDED_RANGE = 1e10
 """rad or m, the end of a range that has only the other one."""
@@ -61,8 +65,8 @@ def mjcf_of(
     _exclude_neighbours(root, joints, anchored, set(shapes.touching))
     unlimited = _add_motors(root, joints)
     _add_followers(root, joints)
-    add_velocity_limits(root, {joint.name: joint.velocity for joint in joints if joint.kind in SCALAR})
-    add_left_out(root, [*idle, *replaced, *shapes.left_out(), *unlimited])
+    _add_velocity_limits(root, {joint.name: joint.velocity for joint in joints if joint.kind in SCALAR})
+    _add_left_out(root, [*idle, *replaced, *shapes.missing_parts(), *unlimited])
     return ElementTree.tostring(root, encoding="unicode"), shapes.files
 
 
@@ -176,14 +180,14 @@ def _exclude_neighbours(root: Element, joints: tuple[Joint, ...], anchored: set[
 
 def _add_motors(root: Element, joints: tuple[Joint, ...]) -> list[str]:
     """Add a motor for each joint that follows no other; returns phrases about those without an effort limit."""
-    driven = [joint for joint in joints if joint.kind in SCALAR and joint.mimic is None]
-    section = SubElement(root, "actuator") if driven else root
-    for joint in driven:
+    actuated = [joint for joint in joints if joint.kind in SCALAR and joint.mimic is None]
+    section = SubElement(root, "actuator") if actuated else root
+    for joint in actuated:
         attributes = {"name": joint.name, "joint": joint.name}
         if math.isfinite(joint.effort):
             attributes["ctrlrange"] = written(-joint.effort, joint.effort)
         SubElement(section, "motor", attributes)
-    names = [joint.name for joint in driven if not math.isfinite(joint.effort)]
+    names = [joint.name for joint in actuated if not math.isfinite(joint.effort)]
     more = f" and {len(names) - 3} more" if len(names) > 3 else ""
     what = f"joint{'s' * (len(names) > 1)} {', '.join(map(repr, names[:3]))}{more}"
     return [f"the effort limit of {what} (the file has none)"] if names else []
@@ -198,3 +202,54 @@ def _add_followers(root: Element, joints: tuple[Joint, ...]) -> None:
         polynomial = written(offset, multiplier, 0.0, 0.0, 0.0)
         attributes = {"name": joint.name, "joint1": joint.name, "joint2": leader, "polycoef": polynomial}
         SubElement(section, "joint", attributes)
+
+
+BASES = ("fixed", "free")
+INERTIAS = ("given", "nearest")
+
+
+def _add_velocity_limits(root: Element, limits: dict[str, float]) -> None:
+    """Add limits by joint, rad/s or m/s; infinite ones are none."""
+    finite = {joint: limit for joint, limit in limits.items() if math.isfinite(limit)}
+    if finite:
+        section = SubElement(SubElement(root, "custom"), "tuple", {"name": VELOCITY_LIMIT})
+        for joint, limit in finite.items():
+            SubElement(section, "element", {"objtype": "joint", "objname": joint, "prm": written(limit)})
+
+
+def _add_left_out(root: Element, phrases: list[str]) -> None:
+    """Add phrases of what a text lacks of the file that it was made of."""
+    if phrases:
+        section = SubElement(root, "custom")
+        for k, phrase in enumerate(phrases):
+            SubElement(section, "text", {"name": f"{LEFT_OUT}{k + 1}", "data": phrase})
+
+
+def is_urdf(model: object) -> bool:
+    """Whether a model is a URDF, or xacro that is to become one: by its file's ending, or its text's root element."""
+    if is_text(model):
+        return "<robot" in str(model)[:100_000] and "<mujoco" not in str(model).split("<robot")[0]
+    return isinstance(model, (str, os.PathLike)) and str(model).lower().endswith((".urdf", ".xacro"))
+
+
+def as_mjcf(
+    model: str | Path, base: str | None = None, floor: bool = False, package_path: str | Sequence[str] = (),
+    inertia: str = "given",
+) -> tuple[str, dict[str, bytes], str]:  # fmt: skip
+    """The MJCF that is made of a URDF, its files, and its name for messages; see Mechanism.from_urdf."""
+    if base is not None:
+        choice("base", base, BASES)
+    nearest = choice("inertia", inertia, INERTIAS) == "nearest"
+    if not isinstance(floor, bool):
+        raise PlannerError(f"floor is {short_repr(floor)}, expected true or false.")
+    paths = (package_path,) if isinstance(package_path, (str, os.PathLike)) else tuple(package_path)
+    for path in paths:
+        if not isinstance(path, (str, os.PathLike)) or not os.path.isdir(path):
+            raise PlannerError(f"package_path is {short_repr(path)}, expected a folder of packages, or a list of some.")
+    text, name, path = str(model), "the model", None
+    if not is_text(model):
+        path, name = Path(model), f"the model {printable(model)}"
+        text = read_text(path, "the model", raises=ModelError)
+    robot = robot_of(text, name)
+    packages = packages_of(path, paths, robot.meshdir)
+    return *mjcf_of(robot, packages, name, base=base, floor=floor, nearest=nearest), name

@@ -21,7 +21,7 @@ import numpy as np
 
 from planner.base.arguments import array, number, numbers, set_fields, short_repr
 from planner.base.errors import PlannerError
-from planner.model.contact.collision_shapes import CollisionShape
+from planner.model.contact.signed_distance import CollisionShape
 from planner.model.mechanism import Frame
 
 SIDES = ("lower", "upper", "target")

@@ -18,7 +18,7 @@ import numpy as np
 from planner.base.gl import load_mujoco
 from planner.model.loops import BAUMGARTE_RATE, PolynomialCoupling
 from planner.model.mechanism import Mechanism
-from planner.model.mjcf.loops import joined, joins
+from planner.model.mjcf.equalities import joined, joins
 from planner.model.space import cross
 
 _RANK_TOLERANCE = 1e-9  # of the largest eigenvalue of J W J': redundant equations

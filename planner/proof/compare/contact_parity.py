@@ -29,7 +29,7 @@ from planner.dynamics.hopper import HopperDynamics
 from planner.model.capabilities import capabilities_of
 from planner.model.contact.laws import Contact, Stop
 from planner.model.mechanism import Mechanism
-from planner.model.mjcf.contact_points import shape_of
+from planner.model.mjcf.contact_shapes import shape_of
 from planner.model.mjcf.model_index import ModelIndex
 from planner.model.mjcf.prescribed_joints import prescribed_dofs_of
 from planner.problem.problem import Problem

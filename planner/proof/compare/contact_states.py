@@ -13,8 +13,8 @@ from planner.dynamics.contact_kinematics import BodyContactKinematics
 from planner.dynamics.contacts import contact_kinematics
 from planner.model.contact.body_contact import BodyContact
 from planner.model.contact.laws import Contact, Law, slide_direction
-from planner.model.contact.shapes import are_capsules, capsule_of, part_name, plane_and_spheres
 from planner.model.mechanism import Mechanism
+from planner.model.mjcf.contact_shapes import are_capsules, capsule_of, part_name, plane_and_spheres
 from planner.model.mjcf.model_index import ModelIndex, named
 
 AnyContact = Contact | BodyContact

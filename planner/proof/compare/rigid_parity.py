@@ -31,7 +31,7 @@ from planner.dynamics.assembly import assembled, feasible_directions
 from planner.dynamics.rigid_body import RigidBodyDynamics
 from planner.model.exponential_torques import exponential_joint_torques, one_torque
 from planner.model.mechanism import SCREW, Mechanism
-from planner.model.mjcf.couplings import set_hard
+from planner.model.mjcf.equalities import set_hard
 from planner.model.mjcf.model_index import field
 from planner.model.mjcf.read import mechanism_of_model
 from planner.model.mjcf.unsupported import no_compensation, unsupported_elements

@@ -9,8 +9,8 @@ import numpy as np
 from planner.base.errors import PlannerError
 from planner.base.gl import load_mujoco
 from planner.model.mechanism import Mechanism
+from planner.model.mjcf.initial_overlaps import can_separate
 from planner.model.mjcf.model_index import ModelIndex, named
-from planner.model.mjcf.reachable_collisions import can_separate
 from planner.model.mjcf.unmodelled_features import names_of
 from planner.problem.costs.tracking import tracking_of
 from planner.problem.plan import Plan

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from planner.model.coordinates import ANGLE
-from planner.model.coupled_ranges import narrowed
+from planner.model.couplings import narrowed
 from planner.model.mechanism import Mechanism
 from planner.problem.limits import MODEL, Limits
 from planner.problem.plan import Plan

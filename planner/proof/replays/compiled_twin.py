@@ -22,13 +22,12 @@ from planner.base.gl import load_mujoco
 from planner.model.capabilities import capabilities_of
 from planner.model.mechanism import Mechanism
 from planner.model.mjcf.contacts import contact_refusals
-from planner.model.mjcf.couplings import set_hard
-from planner.model.mjcf.edit import take_out
+from planner.model.mjcf.equalities import set_hard
 from planner.model.mjcf.model_index import ModelIndex, compile_model
 from planner.model.mjcf.prescribed_joints import prescribed_twin
 from planner.model.mjcf.text import is_text, model_tree
 from planner.model.mjcf.unmodelled_features import UnmodelledFeatures, unmodelled_features
-from planner.model.mjcf.unsupported import modelled, unsupported_elements
+from planner.model.mjcf.unsupported import modelled, take_out, unsupported_elements
 from planner.model.twin import Twin
 from planner.problem.problem import Problem
 from planner.proof.replays.simulation import NATIVE_IMPLICIT, ROSENBROCK

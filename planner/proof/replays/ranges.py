@@ -9,8 +9,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from planner.base.gl import load_mujoco
+from planner.model.mjcf.equalities import fixed, row_of
 from planner.model.mjcf.model_index import disabled, field, named
-from planner.model.mjcf.tendons import fixed, row_of
 from planner.model.space import log_quaternion
 from planner.proof.replays.simulation import set_state
 

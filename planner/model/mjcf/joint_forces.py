@@ -1,4 +1,10 @@
-"""The actuators of a compiled model: what each pushes with, on which joints, and between which bounds."""
+"""Read actuators, armature, damping and friction loss of the joints of a compiled model.
+
+MuJoCo's constraint of friction loss has the regularization R = (1 - d) w / d, with d the impedance of `solimpfriction`
+at 0 and w the inverse inertia of the joint at qpos0, and the damping beta of `solreffriction`: 2 / (dmax timeconst), or
+-damping / dmax in the direct format. So planner.dynamics.friction has the inertia D = 1 / R, and a joint that slides
+alone decays at d beta per s, 95 by default.
+"""
 
 from __future__ import annotations
 
@@ -8,8 +14,8 @@ import numpy as np
 
 from planner.base.gl import load_mujoco
 from planner.model.actuators import DIRECT, FILTER, INTEGRATOR, Actuators
+from planner.model.mjcf.equalities import row_of
 from planner.model.mjcf.model_index import disabled, field, names_of, ranges_of
-from planner.model.mjcf.tendons import row_of
 from planner.model.mjcf.unsupported import actuator_disabled, adheres_to_nothing
 
 
@@ -78,3 +84,25 @@ def armature_and_damping(model: Any) -> tuple[np.ndarray, np.ndarray]:
 def _gear(model: Any, actuator: int) -> np.ndarray:
     """(6,) MuJoCo 4 keeps it by force rather than by actuator."""
     return model.actuator_gear[model.actuator_outadr[actuator] if hasattr(model, "actuator_outadr") else actuator]
+
+
+MIN_IMPEDANCE, MAX_IMPEDANCE = 1e-4, 0.9999  # MuJoCo's mjMINIMP, mjMAXIMP
+_MUJOCO_MIN_VALUE = 1e-15  # MuJoCo's mjMINVAL
+_DEFAULT = 0.02  # s, MuJoCo's time constant where solref has numbers of both formats
+
+
+def joint_friction(model: Any) -> dict[str, Any]:
+    """Loss (nv,), N m or N, inertia (nv,), kg m^2 or kg, and rate (nv,), 1/s, of friction; zeros for none."""
+    ends = np.clip(model.dof_solimp[:, :2], MIN_IMPEDANCE, MAX_IMPEDANCE)
+    flat = (ends[:, 0] == ends[:, 1]) | (model.dof_solimp[:, 2] <= _MUJOCO_MIN_VALUE)
+    d = np.where(flat, ends.mean(axis=1), ends[:, 0])
+    positive = model.dof_solref > 0.0
+    direct = ~positive.any(axis=1)
+    constant = np.where(positive.all(axis=1), model.dof_solref[:, 0], _DEFAULT)
+    rate = np.where(direct, -model.dof_solref[:, 1], 2.0 / constant) / ends[:, 1]
+    loss = model.dof_frictionloss * (not disabled(model, "constraint", "frictionloss"))
+    inertia = d / np.maximum((1.0 - d) * model.dof_invweight0, _MUJOCO_MIN_VALUE)
+    return {
+        "friction_loss": np.array(loss, dtype=float), "friction_inertia": np.where(loss > 0.0, inertia, 0.0),
+        "friction_rate": np.where(loss > 0.0, rate, 0.0),
+    }  # fmt: skip
