@@ -6,7 +6,7 @@ The line says three things and what was not looked at:
 
 feasible: MuJoCo repeats the plan and ends at its goal, in the mode in brackets. optimal: the solve converged. robust or
 fragile with its gains: how often it still succeeds with them on a machine that differs from the planned one, whatever
-it does open loop; "robustness: counting" until that is known.
+it does open loop; "robustness: pending" until that is known.
 
 "planned without ..." is what the user's file has and the plan's model does not; step 6 replayed the plan with it.
 "without ..." is what no replay had: pairs that overlap at the start, or all of it where the file was not replayed.
@@ -78,13 +78,13 @@ class Proof(Renderable):
 
     @property
     def robustness(self) -> str:
-        """The word "robust" or "fragile", of the rollouts with gains; "robustness: counting"; "" without rollouts."""
+        """The word "robust" or "fragile", of the rollouts with gains; "robustness: pending"; "" without rollouts."""
         return self._robustness("")
 
     def _robustness(self, judged: str) -> str:
         """The word about robustness, and behind it which mode was judged."""
         if self.monte_carlo is None:
-            return "robustness: counting" if self.asked.get("rollouts") else ""
+            return "robustness: pending" if self.asked.get("rollouts") else ""
         word, drawn = self.monte_carlo.robustness, self.monte_carlo.perturbation
         other = "" if drawn == Perturbation.usual(self.replay.plan.problem) else " at other than the standard errors"
         return f"robustness: {word}{other}" if word == "counting" else f"{word}{judged}{other}"

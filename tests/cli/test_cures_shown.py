@@ -8,7 +8,7 @@ from carts import cart
 import planner
 from planner.cli.console import Console
 from planner.cli.results import draw_results, show_cures, show_verdict, write_proof
-from planner.proof.cures import cures
+from planner.proof.diagnostics import suggested_fixes
 
 
 @pytest.fixture(scope="module")
@@ -21,7 +21,7 @@ def failed():
 def test_a_fail_says_what_to_write(failed, capsys, tmp_path):
     plan, proof = failed
     assert not proof.passed
-    first = cures(plan, proof)[0]
+    first = suggested_fixes(plan, proof)[0]
     assert first.key == "duration"
     assert "RigidBodyDynamics(..., dt=" in first.sentence
     show_verdict(proof, Console())

@@ -10,14 +10,14 @@ import planner
 from planner.cases.problem_file import NAME
 from planner.cli import apply_fixes
 from planner.cli.console import Console
-from planner.proof.cures import Cure
+from planner.proof.diagnostics import SuggestedFix
 
-CURE = Cure("dt", 0.005, "`dt = 0.005`: at 0.01 s plan and MuJoCo part")
+CURE = SuggestedFix("dt", 0.005, "`dt = 0.005`: at 0.01 s plan and MuJoCo part")
 
 
 @pytest.fixture
 def order():
-    """What cures() says after the trials."""
+    """What suggested_fixes() says after the trials."""
     return []
 
 
@@ -58,7 +58,7 @@ def test_a_cure_that_helps_is_written(attempt, capsys):
 
 
 def test_a_cure_of_the_users_own_keys_is_tried_and_not_written(attempt, order, capsys):
-    other = Cure("duration", 2.0, "2.0 s")
+    other = SuggestedFix("duration", 2.0, "2.0 s")
     judged = iter([False, False, True])
     found, _ = attempt(
         time.monotonic() + 60.0, planner.Status.CONVERGED,
@@ -74,7 +74,7 @@ def test_a_cure_of_the_users_own_keys_is_tried_and_not_written(attempt, order, c
 
 
 def test_what_was_tried_in_vain_comes_last_and_says_so(attempt, order, capsys):
-    ignore = Cure("ignore", [], "`ignore = []`")  # which the file would have to be read again for
+    ignore = SuggestedFix("ignore", [], "`ignore = []`")  # which the file would have to be read again for
     attempt(time.monotonic() + 60.0, planner.Status.CONVERGED, fails, cures=(CURE, ignore))
     assert [one.sentence for one in order] == ["`ignore = []`", f"{CURE} (tried: not enough)"]
 

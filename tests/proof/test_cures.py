@@ -1,4 +1,4 @@
-"""cures(): what a FAIL says to write is computed, and with it the plan passes."""
+"""suggested_fixes(): what a FAIL says to write is computed, and with it the plan passes."""
 
 from dataclasses import replace
 
@@ -8,10 +8,10 @@ import pytest
 import planner
 from planner.cases.problem_file import load, of_table
 from planner.cases.problem_file.keys import RESOLVED
-from planner.proof.cures import Cure, cures, longer
-from planner.proof.cures.cure import rounded_up
-from planner.proof.cures.solving import not_a_minimum
-from planner.proof.cures.stage import rounded_step
+from planner.proof.diagnostics import SuggestedFix, longer, suggested_fixes
+from planner.proof.diagnostics.solving import not_a_minimum
+from planner.proof.diagnostics.stage import rounded_step
+from planner.proof.diagnostics.suggested_fix import rounded_up
 
 ARM = """
 <mujoco>
@@ -96,7 +96,7 @@ def passes_with(problem, *keys):
     for key in keys:
         plan, proof = tried(problem)
         assert proof is None or not proof.passed
-        found = cures(plan, proof)
+        found = suggested_fixes(plan, proof)
         assert found, proof and proof.reason
         assert found[0].key == key, (found[0].sentence, proof and proof.reason)
         assert found[0].sentence.startswith("`"), found[0].sentence
@@ -105,7 +105,7 @@ def passes_with(problem, *keys):
     plan, proof = tried(problem)
     assert proof is not None
     assert proof.passed, (given[-1].sentence, proof.reason)
-    assert cures(plan, proof) == ()
+    assert suggested_fixes(plan, proof) == ()
     return given[0].value, given[0].sentence
 
 
@@ -178,7 +178,7 @@ def test_no_time_helps_a_motor_that_cannot_hold_the_goal(tmp_path):
     )  # fmt: skip
     plan, proof = tried(problem)
     assert not proof.passed
-    found = cures(plan, proof)[0]
+    found = suggested_fixes(plan, proof)[0]
     assert found.value is None
     assert "even in 10 s actuator 'at shoulder' needs" in found.sentence
 
@@ -197,14 +197,14 @@ def test_a_solve_that_was_stopped_early(tmp_path):
     problem = arm(tmp_path, goal="[-2.0, 2.5]")
     plan, proof = tried(problem, max_iterations=2)
     assert not proof.passed
-    first = cures(plan, proof)[0]
+    first = suggested_fixes(plan, proof)[0]
     assert first.key == "max_iterations"
     assert first.applied(problem.parameters) == problem.parameters  # a flag, no key of the file
     assert tried(problem, max_iterations=first.value)[1].passed
 
 
 def test_a_plan_that_passes_needs_no_cure(tmp_path):
-    assert cures(*tried(arm(tmp_path))) == ()
+    assert suggested_fixes(*tried(arm(tmp_path))) == ()
 
 
 def test_a_stage_that_is_too_long_for_a_fast_rate():
@@ -213,7 +213,7 @@ def test_a_stage_that_is_too_long_for_a_fast_rate():
     problem = planner.Problem(fast, planner.TrackingCost.reach([0.0], 100, final=1.0, effort=1.0), [1.0])
     plan = planner.solve(problem)
     assert plan.status is planner.Status.NOT_FINITE
-    first = cures(plan)[0]
+    first = suggested_fixes(plan)[0]
     assert (first.key, first.value) == ("dt", 0.001)
     assert first.sentence.startswith("`FunctionDynamics(..., dt=0.001)`: the fastest rate")
 
@@ -225,7 +225,7 @@ def test_a_margin_grows_by_what_a_joint_was_beyond_it(tmp_path):
     keys = {"goal": "[0.5, 0.0]", "duration": "2.0", "dt": "0.25", "substeps": "1"}
     problem = file(tmp_path, model, keys, weights, {"position": '"model"'} | MARGIN)
     plan, proof = tried(problem)
-    stage, margin = cures(plan, proof)
+    stage, margin = suggested_fixes(plan, proof)
     assert (stage.key, margin.key) == ("dt", "limits.margin")
     beyond = -0.02 - plan.between_knots(20)[:, 0].min()
     assert 1.4 * beyond < margin.value < 10.0 * beyond
@@ -246,7 +246,7 @@ def test_a_way_that_swings_out_of_a_range(tmp_path):
 def test_what_was_ignored_and_matters(tmp_path):
     loss = 'frictionloss="3"'
     problem = arm(tmp_path, ignore='["frictionloss"]', model={"shoulder": loss, "elbow": loss})
-    first = cures(*tried(problem))[0]
+    first = suggested_fixes(*tried(problem))[0]
     assert (first.key, first.value) == ("ignore", [])
     assert "leaves out frictionloss" in first.sentence
 
@@ -269,18 +269,18 @@ def test_a_floor_that_was_taken_away(tmp_path):
     </mujoco>
     """
     problem = file(tmp_path, text, {"goal": "[0.0, -0.05]", "contacts": '"off"', "duration": "0.5"})
-    first = cures(*tried(problem))[0]
+    first = suggested_fixes(*tried(problem))[0]
     assert (first.key, first.value) == ("contacts", "ground")
     assert "geom 'floor' and geom 'foot' touch" in first.sentence
 
 
 def test_the_table_of_a_file_is_copied_and_given_what_is_missing():
     table = {"weights": {"effort": 1.0}, "dt": 0.01}
-    cured = Cure("limits.margin", 0.02, "").applied(table)
+    cured = SuggestedFix("limits.margin", 0.02, "").applied(table)
     assert cured == table | {"limits": {"margin": 0.02}}
-    assert Cure("weights.effort", 2.0, "").applied(table)["weights"] == {"effort": 2.0}
+    assert SuggestedFix("weights.effort", 2.0, "").applied(table)["weights"] == {"effort": 2.0}
     assert table == {"weights": {"effort": 1.0}, "dt": 0.01}
-    assert Cure("goal", None, "").applied(table) == table
+    assert SuggestedFix("goal", None, "").applied(table) == table
 
 
 def test_steps_are_those_that_people_write():
@@ -301,7 +301,7 @@ def test_a_swing_up_that_hangs_on_its_motor_needs_time_and_no_weight(tmp_path):
     keys = {"start": "[0.0, 3.14159]", "goal": "[0.0, 0.0]", "duration": "0.8"}
     weights = {"effort": 0.06, "final_position": 1e4, "final_velocity": 1e3}
     problem = file(tmp_path, model, keys, weights, {"control": '"model"', "position": '"model"'})
-    found = cures(*tried(problem))
+    found = suggested_fixes(*tried(problem))
     assert [one.key for one in found][:2] == ["duration", "weights.final_position"]
     assert "actuator 'push' is at its bound in" in found[0].sentence
     value = found[0].value
@@ -317,7 +317,7 @@ def test_a_motor_that_cannot_lift_straight_may_swing(tmp_path):
     """
     keys = {"start": "[3.14159]", "goal": "[0.0]", "duration": "1.0"}
     problem = file(tmp_path, model, keys, {"effort": 1.0}, {"control": '"model"'})
-    first = cures(*tried(problem))[0]
+    first = suggested_fixes(*tried(problem))[0]
     assert first.key == "duration"  # and no sentence that no duration helps
     assert "actuator 'weak' is at its bound" in first.sentence
 
@@ -337,8 +337,8 @@ def test_a_way_that_is_not_free_goes_around(tmp_path):
 def test_every_fail_says_something(tmp_path, monkeypatch):
     """Also one of which no cause is found, and one that is no minimum though its solve ended."""
     plan, proof = tried(arm(tmp_path, goal="[-2.0, 2.5]"), max_iterations=2)
-    monkeypatch.setattr("planner.proof.cures._CAUSES", ())
-    (only,) = cures(plan, proof)
+    monkeypatch.setattr("planner.proof.diagnostics._CAUSES", ())
+    (only,) = suggested_fixes(plan, proof)
     assert only.value is None
     assert only.sentence.startswith("No key of the problem is known that mends ")
     (left,) = not_a_minimum(plan, plan.problem, proof)

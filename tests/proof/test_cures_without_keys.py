@@ -6,8 +6,8 @@ import numpy as np
 
 import planner
 from planner import Limits, Mechanism, Problem, RigidBodyDynamics, TrackingCost
-from planner.proof.cures import cures
-from planner.proof.cures.balance import falling, loses_balance
+from planner.proof.diagnostics import suggested_fixes
+from planner.proof.diagnostics.balance import falling, loses_balance
 
 ARM = """
 <mujoco>
@@ -32,7 +32,7 @@ def test_a_joint_that_leans_on_its_stop_and_nothing_drives_is_named():
     cost = TrackingCost.joints(dynamics, [0.3, 0.0, 0.0, 0.0], 20, effort=0.01, final_position={"turn": 1e3})
     plan = planner.solve(Problem(dynamics, cost, np.zeros(4), limits=Limits.of_model()), max_iterations=300)
     assert not plan.success
-    (found,) = cures(plan)
+    (found,) = suggested_fixes(plan)
     assert (found.key, found.value) == ("start", None)
     assert found.sentence.startswith("Nothing drives joint 'flap', which leaves its range by ")
 

@@ -11,7 +11,7 @@ import planner
 from planner.base.measured import Measurement, Section
 from planner.problem.plan import Status
 from planner.proof import refinement
-from planner.proof.refinement import Refinement, refine
+from planner.proof.repair.refinement import Refinement, refine
 
 
 @pytest.fixture(scope="module")

@@ -28,8 +28,8 @@ from planner.view.report.tables import number, table
 
 if TYPE_CHECKING:
     from planner.proof import Proof
-    from planner.proof.cures import Cure
-    from planner.proof.refinement import Refinement
+    from planner.proof.diagnostics import SuggestedFix
+    from planner.proof.repair.refinement import Refinement
 
 NAME = "report.html"
 _EMBEDDED = 16e6  # bytes of the largest film within the page
@@ -49,7 +49,7 @@ def write_report(
     *,
     path: Sequence[Refinement] = (),
     options: Mapping[str, Any] | None = None,
-    cures: Sequence[Cure] = (),
+    fixes: Sequence[SuggestedFix] = (),
 ) -> Path:
     """Write report.html into `folder` and return its path.
 
@@ -57,7 +57,7 @@ def write_report(
     film of more than 16 MB stays beside it. Hovering over its curves shows values, clicking moves the film; without
     scripts the curves are pictures.
     `video_note` says why there is no video, `path` lists the plan's refinements, `options` holds the flags that were
-    given: {"starts": 8, "no_refine": True}. `cures` say what to write so that a plan that failed passes.
+    given: {"starts": 8, "no_refine": True}. `fixes` say what to write so that a plan that failed passes.
 
     Raises:
         FileError: The page cannot be written, or a picture cannot be read.
@@ -66,7 +66,7 @@ def write_report(
     title = appearance_of(plan.problem).title or plan.case or "Plan"
     parts = [
         f"<h1>{escape(title)}</h1>",
-        _verdict(plan, proof, cures),
+        _verdict(plan, proof, fixes),
         _film(plan, folder, video_note),  # people look before they read
         interactive(plan, proof),
         _pictures(plan, proof, folder),
@@ -95,7 +95,7 @@ def _word(proof: Proof | None) -> str:
     return "FAIL" if proof is None else proof.verdict
 
 
-def _verdict(plan: Plan, proof: Proof | None, cures: Sequence[Cure]) -> str:
+def _verdict(plan: Plan, proof: Proof | None, fixes: Sequence[SuggestedFix]) -> str:
     kind = "pass" if _word(proof) == "PASS" else "fail"
     if proof is None:
         words = ""
@@ -108,13 +108,13 @@ def _verdict(plan: Plan, proof: Proof | None, cures: Sequence[Cure]) -> str:
     doubt = "" if plan.success else f"<p>The solver did not converge: {escape(plan.message)}</p>"
     return (
         f'<div class="verdict {kind}" role="status"><strong>{escape(_word(proof))}</strong>{words}'
-        f"<p>{escape(reason)}</p>{doubt}{_unchecked(proof)}{_to_pass(cures)}</div>"
+        f"<p>{escape(reason)}</p>{doubt}{_unchecked(proof)}{_to_pass(fixes)}</div>"
     )
 
 
-def _to_pass(cures: Sequence[Cure]) -> str:
+def _to_pass(fixes: Sequence[SuggestedFix]) -> str:
     """What to write so that the plan passes."""
-    return f"<p>To pass: {' Or: '.join(escape(str(one)) for one in cures)}</p>" if cures else ""
+    return f"<p>To pass: {' Or: '.join(escape(str(one)) for one in fixes)}</p>" if fixes else ""
 
 
 def _unchecked(proof: Proof | None) -> str:
