@@ -20,7 +20,7 @@ from planner.dynamics import RigidBodyDynamics
 from planner.dynamics.algorithms import rnea
 from planner.model.mechanism import Mechanism
 from planner.model.mjcf.text import edited
-from planner.paper.studies.step.run import LIMITS, carried, feedforward_alone, first_within, step_of
+from planner.paper.studies.step_run import LIMITS, carried, feedforward_alone, first_within, step_of
 
 REPEATS = 5
 SUBSTEPS = 20

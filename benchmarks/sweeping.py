@@ -145,7 +145,7 @@ def _run(plans: int, workers: int, dask: bool) -> Run:
 def _executor(workers: int, dask: bool) -> Any:
     if not dask:
         return executor_of(workers, None)
-    from planner.sweeps.dask import dask_executor
+    from planner.sweeps.executors import dask_executor
 
     return dask_executor("local", workers)
 

@@ -4,9 +4,8 @@ Beside these the terms of planner.costs (Height, Distance, Gap, Velocity) and an
 """
 
 from planner.problem.avoid import Avoid
-from planner.problem.constraints.chain_force import ChainForce
 from planner.problem.constraints.constraint import Constraint
-from planner.problem.constraints.power import Power
+from planner.problem.constraints.forces import ChainForce, Power
 from planner.problem.constraints.quantities import (
     CenterOfMass,
     FrameAxisAngle,

@@ -1,9 +1,8 @@
 """Cost terms: tracking, effort, energy, jerk, penalties, targets of frames. Add them with +."""
 
-from planner.problem.costs.center_of_mass import CenterOfMassCost
 from planner.problem.costs.drive import DriveCost
 from planner.problem.costs.energy import EnergyCost
-from planner.problem.costs.frame import FrameCost
+from planner.problem.costs.frame import CenterOfMassCost, FrameCost
 from planner.problem.costs.jerk import JerkCost, driven_by_jerk
 from planner.problem.costs.penalty import PenaltyCost
 from planner.problem.costs.penalty_terms import Clearance, Distance, Gap, Height, Point, Segment, Velocity

@@ -49,7 +49,7 @@ def four_bar(damping=0.1):
     return Mechanism.from_mjcf(FOUR_BAR.format(damping=damping))
 
 
-def random_chain(text, rng, loops=2, cams=1):
+def random_chain(text, rng, loops=2, polynomial_couplings=1):
     """A random tree with actuators whose links, or links and the world, are held together at random."""
     m = Mechanism.from_mjcf(actuated(text, rng))
     carriers = sorted({body.link for body in m.bodies})
@@ -67,7 +67,7 @@ def random_chain(text, rng, loops=2, cams=1):
             follower, leader = map(int, rng.permutation(screws)[:2])
             numbers = tuple(0.3 * rng.normal(size=5))
             following.append(PolynomialCoupling(f"cam {k}", follower, leader, tuple(0.3 * rng.normal(size=2)), numbers))
-    return replace(m, loops=tuple(closed), cams=tuple(following))
+    return replace(m, loops=tuple(closed), polynomial_couplings=tuple(following))
 
 
 def _of_free(m, i):

@@ -46,7 +46,7 @@ def number(
     minimum: float | None = None,
     maximum: float | None = None,
 ) -> float:
-    """Return a finite float, greater than `above`, at least `least` and at most `most` where given."""
+    """Return a finite float, greater than `greater_than`, at least `minimum` and at most `maximum` where given."""
     try:
         result = math.nan if _no_number(value) else float(value)
     except (TypeError, ValueError, OverflowError):
@@ -60,7 +60,7 @@ def number(
 
 
 def count(name: str, value: Any, *, minimum: int = 1, maximum: int | None = None) -> int:
-    """Return an integer of at least `least` and at most `most`, by default the largest integer of the kernels."""
+    """Return an integer of at least `minimum` and at most `maximum`, by default the largest integer of the kernels."""
     try:
         result = None if _no_number(value) else operator.index(value)
     except TypeError:
@@ -81,13 +81,13 @@ def choice(name: str, value: Any, choices: Collection[str]) -> str:
 
 
 def did_you_mean(value: Any, known: Collection[str]) -> str:
-    """A sentence that suggests the nearest known name, with a space before it; "" where none is near."""
+    """A sentence that suggests the nearest known name, with a space before it; "" where none is similar."""
     short = isinstance(value, str) and len(value) <= _LONGEST_TEXT  # the search takes the square of its length
     names = [name for name in known if isinstance(name, str)]
-    near = difflib.get_close_matches(value, names, n=1, cutoff=0.8) if short else []
-    near = near or sorted((name for name in names if short and len(value) > 2 and value in name), key=len)
-    near = near or (difflib.get_close_matches(value, names, n=1) if short else [])
-    return f" Did you mean {near[0]!r}?" if near else ""
+    similar = difflib.get_close_matches(value, names, n=1, cutoff=0.8) if short else []
+    similar = similar or sorted((name for name in names if short and len(value) > 2 and value in name), key=len)
+    similar = similar or (difflib.get_close_matches(value, names, n=1) if short else [])
+    return f" Did you mean {similar[0]!r}?" if similar else ""
 
 
 def numbers(name: str, value: Any) -> np.ndarray:
@@ -110,16 +110,14 @@ def _floats(value: Any) -> np.ndarray:
 
 def array(name: str, value: Any, shape: tuple[int | str, ...], *, any_value: bool = False) -> np.ndarray:
     """Return a float64 array in C order, finite unless any_value. A letter in `shape` matches any size."""
-    wanted = f"({', '.join(map(str, shape))}{',' if len(shape) == 1 else ''})"
+    expected = f"({', '.join(map(str, shape))}{',' if len(shape) == 1 else ''})"
     try:
         result = _floats(value)
     except (TypeError, ValueError, OverflowError):
-        raise PlannerError(f"{name} is not an array of numbers, expected shape {wanted}.") from None
-    fits = result.ndim == len(shape) and all(
-        isinstance(want, str) or have == want for have, want in zip(result.shape, shape, strict=True)
-    )
-    if not fits:
-        raise PlannerError(f"{name} has shape {result.shape}, expected {wanted}.")
+        raise PlannerError(f"{name} is not an array of numbers, expected shape {expected}.") from None
+    sizes = zip(result.shape, shape, strict=False)
+    if result.ndim != len(shape) or not all(isinstance(size, str) or has == size for has, size in sizes):
+        raise PlannerError(f"{name} has shape {result.shape}, expected {expected}.")
     if not any_value and not np.isfinite(result).all():
         index = tuple(int(i) for i in np.argwhere(~np.isfinite(result))[0])
         raise PlannerError(f"{name}{list(index)} is {result[index]}, expected finite numbers.")

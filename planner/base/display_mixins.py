@@ -1,7 +1,7 @@
-"""Shown: plot() and the HTML of a notebook, for results that lie below the folder that draws.
+"""plot(), film() and the HTML of a notebook, for results in folders below planner/view.
 
-A Plan does not know how it looks. The module that knows is named here by text, and imported when a picture is first
-asked for, as public names are (planner.base.lazy). This is the one call upwards; it calls planner/view/results.py.
+planner/view/results.py draws them. It is named here by text and imported when a picture is first requested: this is the
+one call upwards.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ class Plottable:
         return import_module(DRAWN_BY).figure_of(self)
 
     def _repr_html_(self) -> str:
-        """What a notebook shows: the verdict or the status, and the plot."""
+        """HTML for a notebook: the verdict or the status, and the plot."""
         return import_module(DRAWN_BY).html_of(self)
 
 
@@ -40,7 +40,7 @@ class Reportable:
         return import_module(DRAWN_BY).page_of(self)
 
     def _repr_html_(self) -> str:
-        """What a notebook shows: how the tasks ended, and the first rows."""
+        """HTML for a notebook: how the tasks ended, and the first rows."""
         return import_module(DRAWN_BY).html_of_sweep(self)
 
 

@@ -1,6 +1,6 @@
-"""Calls on an executor: many of them, in order, and only some on their way at a time.
+"""Many calls on an executor, with results in order and a limited number submitted at a time.
 
-Any concurrent.futures.Executor will do. Those of planner.sweeps have more: `width`, how many calls they work on at
+Any concurrent.futures.Executor will do. Those of planner.sweeps also have `width`, the number of calls worked on at
 once, and `end(future)`, which ends the worker of a call. They replace workers that end, and lose one call with each.
 """
 
@@ -19,7 +19,7 @@ from planner.base.errors import PlannerError
 Item = TypeVar("Item")
 Result = TypeVar("Result")
 
-_AHEAD = 4  # calls on their way for each that is worked on: results wait for the one before them
+_AHEAD = 4  # submitted calls per worker, because results wait for those before them
 
 
 def checked_executor(executor: Any) -> Executor | None:

@@ -9,6 +9,8 @@ from __future__ import annotations
 import difflib
 import errno
 import fcntl
+import json
+import math
 import os
 import shutil
 import stat
@@ -16,6 +18,7 @@ import tempfile
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
+from typing import Any
 
 from planner.base.arguments import short_repr
 from planner.base.errors import FileError, PlannerError
@@ -27,11 +30,11 @@ ASSET_LIMIT = 512 * 2**20  # bytes of a mesh, a texture or a height field
 
 _HIDDEN = ".planner-"  # prefix of the names of unfinished files and folders
 _LOCK = f"{_HIDDEN}lock"
-_NO_LOCKS = {errno.ENOLCK, errno.ENOSYS, errno.EOPNOTSUPP}  # of file systems that have none
+_NO_LOCKS = {errno.ENOLCK, errno.ENOSYS, errno.EOPNOTSUPP}  # errors of file systems without locks
 _FULL = 64 * 1024  # bytes: a disk with less is full; some libraries report a failed write without its cause
 
 _MAX_LISTED = 1000  # files of a folder that are compared with a name
-_SIMILARITY = 0.7  # of the letters in common, from which a name is taken for a slip of the pen
+_SIMILARITY = 0.7  # share of common letters from which a name counts as misspelled
 _MAX_SHOWN = 5  # files of a folder that a message names
 
 # Errors of the device, which come without a file name.
@@ -71,15 +74,15 @@ def read_input(path: PathLike, what: str, *, most: int = ASSET_LIMIT, raises: ty
 
 
 def _instead(path: Path) -> str:
-    """What to write for a file that is not there: the one of the nearest name, or the part of the path that is."""
+    """The fix for a missing file: the file of the most similar name, or the existing part of the path."""
     folder = path.parent
     try:
         if folder.is_dir():
             named = "this folder" if folder == Path() else printable(folder)
             names = sorted(one.name for one in folder.iterdir() if one.suffix == path.suffix)[:_MAX_LISTED]
-            near = difflib.get_close_matches(path.name, names, n=1, cutoff=_SIMILARITY)
-            if near:
-                return f", expected the name of a file that is there: write {printable(folder / near[0])}"
+            similar = difflib.get_close_matches(path.name, names, n=1, cutoff=_SIMILARITY)
+            if similar:
+                return f", expected the name of a file that is there: write {printable(folder / similar[0])}"
             few = ", ".join(printable(name) for name in names[:_MAX_SHOWN]) + ", ..." * (len(names) > _MAX_SHOWN)
             there = f"has {few}" if names else f"has none that ends in {path.suffix or 'that'}"
             return f", expected a file that is there: {named} {there}"
@@ -173,17 +176,17 @@ def open_folder(folder: Path, outputs: Iterable[str]) -> tuple[Path, list[Path]]
 
 @contextmanager
 def folder_lock(folder: Path) -> Iterator[None]:
-    """Hold a folder, so that the files of two processes do not mix; the system lets it go when a process is killed.
+    """Lock a folder, so that the files of two processes do not mix; the system unlocks it when a process is killed.
 
     Raises:
-        FileError: Another process holds it, or it cannot be written.
+        FileError: Another process has locked it, or it cannot be written.
     """
     lock = folder / _LOCK
     try:
         handle = _locked(lock)
     except BlockingIOError:
         reason = "another planner is writing into it; wait for its end or choose another folder"
-        raise FileError(f"cannot write {_shown(folder)}: {reason}.") from None
+        raise FileError(f"cannot write {_quoted(folder)}: {reason}.") from None
     except OSError as error:
         raise file_error(error, folder, expected="folder") from error
     try:
@@ -242,7 +245,7 @@ def staged_folder(path: PathLike, outputs: Iterable[str] = ()) -> Iterator[Path]
 
 def file_error(error: BaseException, path: PathLike, verb: str = "write", expected: str = "file") -> FileError:
     """The FileError that says why the file or folder `path` cannot be written or read (`verb`)."""
-    return FileError(f"cannot {verb} {_shown(path)}: {_reason(error, Path(path), verb, expected)}.")
+    return FileError(f"cannot {verb} {_quoted(path)}: {_reason(error, Path(path), verb, expected)}.")
 
 
 def _without_waiting(path: str, flags: int) -> int:
@@ -259,13 +262,13 @@ def _reason(error: BaseException, path: Path, verb: str, expected: str) -> str:
     if number in (errno.ENOTDIR, errno.EEXIST):
         for parent in (*reversed(path.parents), path):
             if parent.exists() and not parent.is_dir():
-                return f"{_shown(parent)} is a file, expected a folder"
+                return f"{_quoted(parent)} is a file, expected a folder"
     if number == errno.EISDIR:
         return "it is a folder, expected the name of a file"
     if number == errno.ENOENT:
         missing = _missing_folders(path.parent)
         if missing:
-            return f"the folder {_shown(missing[-1])} does not exist; create it or choose another"
+            return f"the folder {_quoted(missing[-1])} does not exist; create it or choose another"
         if verb == "read":
             return f"there is no such {expected}"
         return "this file system does not let anything be created there; choose another place"
@@ -307,7 +310,7 @@ def _refuse_other_than_file(path: Path) -> None:
         return
     if not stat.S_ISREG(mode):
         found = "folder, expected the name of a" if stat.S_ISDIR(mode) else "device or pipe, expected an ordinary"
-        raise FileError(f"cannot write {_shown(path)}: it is a {found} file.")
+        raise FileError(f"cannot write {_quoted(path)}: it is a {found} file.")
 
 
 def _flush_to_device(path: Path) -> None:
@@ -336,7 +339,29 @@ def _full(path: Path) -> bool:
     return False
 
 
-def _shown(path: PathLike) -> str:
+def _quoted(path: PathLike) -> str:
     """A path for a message: quoted, with escapes, without hidden folders."""
     parts = [part for part in Path(path).parts if not part.startswith(_HIDDEN)]
     return repr(str(Path(*parts)))
+
+
+def finite(value: Any) -> Any:
+    """Replace every number that is not finite by None: JSON has no NaN and no infinity."""
+    if isinstance(value, dict):
+        return {key: finite(entry) for key, entry in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [finite(entry) for entry in value]
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value
+
+
+def json_text(content: dict[str, Any]) -> str:
+    """The text of a JSON file."""
+    return json.dumps(finite(content), indent=2, allow_nan=False) + "\n"
+
+
+def write_json(path: Path, content: dict[str, Any]) -> None:
+    """Write a JSON document atomically."""
+    with write_atomically(path) as unfinished:
+        unfinished.write_text(json_text(content), encoding="utf-8")

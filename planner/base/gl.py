@@ -23,7 +23,7 @@ _OFF = ("disable", "disabled", "off", "false", "0")  # values of MUJOCO_GL that 
 _OSMESA = ("libOSMesa.so", "libOSMesa.so.8", "libOSMesa.so.7", "libOSMesa.so.6")
 _EGL = ("libEGL.so", "libEGL.so.1")
 _OPENGL = ("libOpenGL.so", "libOpenGL.so.0", "libGL.so", "libGL.so.1")
-_drew: list[int] = []  # the process that drew first: OpenGL waits for its threads for ever in a fork, which has none
+_drew: list[int] = []  # id of the process that drew first: in its forks OpenGL would wait for ever for its threads
 
 
 def backend() -> str | None:

@@ -23,8 +23,8 @@ def public_names(package: str) -> tuple[Callable[[str], Any], Callable[[], list[
         if name not in home:
             import difflib  # here, so that `import planner` stays quick
 
-            near = difflib.get_close_matches(name, home, n=1)
-            hint = f". Did you mean {near[0]!r}?" if near else ""
+            similar = difflib.get_close_matches(name, home, n=1)
+            hint = f". Did you mean {similar[0]!r}?" if similar else ""
             raise AttributeError(f"module {package!r} has no attribute {name!r}{hint}")
         if home[name] == package:  # a part of the package itself
             return import_module(f"{package}.{name}")

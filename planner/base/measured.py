@@ -7,7 +7,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from planner.base.jsonable import finite
+from planner.base.files import finite
 
 
 @dataclass(frozen=True)
@@ -78,7 +78,7 @@ class Section:
 
     @property
     def failures(self) -> tuple[Measurement, ...]:
-        """The values beyond their bounds."""
+        """The values that exceed their bounds."""
         return tuple(one for one in self.measured if not one.passed)
 
     def rows(self) -> list[tuple[str, str, str, str, str]]:
@@ -103,13 +103,13 @@ class Section:
 
 
 def bound_excess(sections: Iterable[Section]) -> float:
-    """The largest value beyond its bound, over the bound: how far sections are from passing. 0 where all pass."""
+    """The largest value that exceeds its bound, over the bound; 0 where all sections pass."""
     failures = [one for section in sections for one in section.failures]
     return max((_over(one.value, one.bound) for one in failures), default=0.0)
 
 
 def _over(value: float, bound: float | None) -> float:
-    over = value / bound if bound else math.inf  # one warning is one too many
+    over = value / bound if bound else math.inf  # a bound of 0, e.g. on the number of warnings
     return math.inf if math.isnan(over) else over
 
 

@@ -98,12 +98,12 @@ def acrobot(
 def _first_controls(guess: str, dynamics: RigidBodyDynamics, x0: np.ndarray, N: int) -> np.ndarray:
     t = dynamics.dt * np.arange(N)[:, None]
     if guess == "paper":
-        return _held_elbow(dynamics.mechanism, x0, dynamics.dt, N)
+        return _still_elbow_torques(dynamics.mechanism, x0, dynamics.dt, N)
     return 0.5 * np.sin(2.0 * np.pi * t) if guess == "sine" else 0.0 * t
 
 
-def _held_elbow(mechanism: Mechanism, x0: np.ndarray, dt: float, N: int) -> np.ndarray:
-    """Elbow torques (N, 1) that let the arm fall like a rigid pendulum, computed in the middle of each stage."""
+def _still_elbow_torques(mechanism: Mechanism, x0: np.ndarray, dt: float, N: int) -> np.ndarray:
+    """Elbow torques (N, 1) for which the arm falls like a rigid pendulum, computed in the middle of each stage."""
     held = RigidBodyDynamics(mechanism, dt, prescribed=("elbow",))
     us = np.zeros((N, held.nu))
     middle = held.step(rollout_states(held, x0, us)[:-1], us, np.full(N, 0.5 * dt))

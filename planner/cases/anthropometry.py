@@ -158,6 +158,6 @@ def _head(mass: float, height: float, waist: float) -> Segment:
 def _joined(a: Segment, b: Segment) -> Segment:
     """Two segments on one vertical line as one body (parallel-axis theorem)."""
     m = a.mass + b.mass
-    apart = a.mass * b.mass / m * (a.com[2] - b.com[2]) ** 2
+    steiner = a.mass * b.mass / m * (a.com[2] - b.com[2]) ** 2
     x, y, z = (p + q for p, q in zip(a.inertia, b.inertia, strict=True))
-    return Segment(m, (0.0, 0.0, (a.mass * a.com[2] + b.mass * b.com[2]) / m), (x + apart, y + apart, z))
+    return Segment(m, (0.0, 0.0, (a.mass * a.com[2] + b.mass * b.com[2]) / m), (x + steiner, y + steiner, z))

@@ -1,4 +1,4 @@
-"""A plan of anybody's: controls, or joint positions to be followed, from a CSV file, for a proof.
+"""A plan from a CSV file of controls or of joint positions to track, for a proof.
 
     time, shoulder, elbow          a header with `time` (s) and the names of actuators, or of joints
     0.00, 1.2, -0.3                rows at equal times
@@ -37,9 +37,9 @@ from planner.solvers import lq
 
 TIME, POSITION = "time", "position of "
 EVEN = 0.01  # relative, of the spacing of times
-_PER_SIZE = 0.01  # weight of a control of the motion's largest size, beside 1 of a radian and of a radian per second
-_APART = 0.01  # rad or m, between a start that is given and the first row of positions
-_EFFORT = 1e-6  # of controls that nobody optimized: the cost is only shown
+_CONTROL_WEIGHT = 0.01  # of a control of the largest size, where 1 rad and 1 rad/s have the weight 1
+_START_TOLERANCE = 0.01  # rad or m, between a given start and the first row of positions
+_EFFORT = 1e-6  # weight of the given controls: the cost is only shown
 
 
 def plan_of_controls(
@@ -66,10 +66,10 @@ def plan_of_controls(
         raise ModelError(f"{model} has no actuators, expected at least one that the file's columns drive.")
     dt = _spacing(table[:, 0], path)
     actuators, joints = _columns(header[1:], mechanism, path)
-    dynamics, asked = RigidBodyDynamics(mechanism, dt), goal is not None
+    dynamics, with_goal = RigidBodyDynamics(mechanism, dt), goal is not None
     x0 = mechanism.home.copy() if start is None else state_of("start", start, mechanism, mechanism.home)
     if joints:
-        xs, us, K = _followed(dynamics, table[:, 1:], joints, x0 if start is not None else None)
+        xs, us, K = _tracked(dynamics, table[:, 1:], joints, x0 if start is not None else None)
         goal = _last(table[-1, 1:], joints, mechanism) if goal is None else goal
     else:
         us = np.zeros((len(table), mechanism.nu))
@@ -77,17 +77,11 @@ def plan_of_controls(
         xs, K = rollout_states(dynamics, x0, us), np.zeros((len(us), mechanism.nu, dynamics.ndx))
     if not np.isfinite(xs).all():
         raise PlannerError(f"the controls of {path} lead to infinite states, expected those of this model.")
-    return _planned(dynamics, xs, us, K, goal, tolerance, moving=bool(joints) and not asked)
+    return _planned(dynamics, xs, us, K, goal, tolerance, moving=bool(joints) and not with_goal)
 
 
 def _planned(
-    dynamics: RigidBodyDynamics,
-    xs: np.ndarray,
-    us: np.ndarray,
-    K: np.ndarray,
-    goal: Any,
-    tolerance: Any,
-    moving: bool,
+    dynamics: RigidBodyDynamics, xs: np.ndarray, us: np.ndarray, K: np.ndarray, goal: Any, tolerance: Any, moving: bool
 ) -> Plan:
     mechanism, N = dynamics.mechanism, len(us)
     Q = np.zeros((N + 1, dynamics.ndx, dynamics.ndx))
@@ -97,7 +91,7 @@ def _planned(
         at_rest = xs[-1].copy()
         at_rest[mechanism.nq :] = 0.0
         x_ref[-1], Q[N] = state_of("goal", goal, mechanism, at_rest), np.eye(dynamics.ndx)
-        if moving:  # what is followed need not be at rest
+        if moving:  # a path may end in motion
             Q[N, mechanism.nv :] = 0.0
         Q[N, 2 * mechanism.nv :] = 0.0
     cost = TrackingCost(Q, R, x_ref, 0.0, dynamics.space)
@@ -111,7 +105,7 @@ def _planned(
 
 
 def _readable(model: str | Path) -> Mechanism:
-    """The machine without what a plan cannot have; contacts are kept where they are modelled."""
+    """The machine without unmodelled features; with contacts where they are modelled."""
     try:
         return read_model(model, ignore=KINDS)
     except ModelError as error:
@@ -177,7 +171,7 @@ def _last(row: np.ndarray, joints: list[int], mechanism: Mechanism) -> dict[str,
     return {mechanism.joint_names[j]: float(value) for j, value in zip(joints, row, strict=True)}
 
 
-def _followed(
+def _tracked(
     dynamics: RigidBodyDynamics, positions: np.ndarray, joints: list[int], x0: np.ndarray | None
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """States (N+1, nx), controls (N, nu) and gains (N, nu, ndx) along columns of positions (N+1, nv)."""
@@ -193,25 +187,25 @@ def _followed(
     q[:, mechanism.q_address[links]] = positions
     t = dt * np.arange(N + 1)
     spline = make_interp_spline(t, q, k=5)
-    middle = t[:-1] + 0.5 * dt  # where a control that is held over a stage is best taken
+    middle = t[:-1] + 0.5 * dt  # the best time for a control that is constant over a stage
     us = inverse_dynamics_controls(mechanism, spline(middle), spline(middle, 1), spline(middle, 2))
-    wanted = np.concatenate([q, spline(t, 1)], axis=1)
-    A, B = dynamics.linearize(wanted, us)
+    reference = np.concatenate([q, spline(t, 1)], axis=1)
+    A, B = dynamics.linearize(reference, us)
     size = np.maximum(np.abs(us).max(axis=0), np.finfo(float).tiny)
     weights = TrackingCost(
         np.tile(dt * np.eye(dynamics.ndx), (N + 1, 1, 1)),
-        np.tile(dt * _PER_SIZE * np.diag(1.0 / size**2), (N, 1, 1)), wanted, us, dynamics.space,
+        np.tile(dt * _CONTROL_WEIGHT * np.diag(1.0 / size**2), (N, 1, 1)), reference, us, dynamics.space,
     )  # fmt: skip
-    sweep = lq.riccati(A, B, weights.quadratize(wanted, us))
+    sweep = lq.riccati(A, B, weights.quadratize(reference, us))
     assert sweep is not None  # R is positive definite, Q semidefinite
-    if x0 is not None and np.abs(x0[: mechanism.nq] - q[0]).max() > _APART:
+    if x0 is not None and np.abs(x0[: mechanism.nq] - q[0]).max() > _START_TOLERANCE:
         raise PlannerError(
             f"the start is {np.abs(x0[: mechanism.nq] - q[0]).max():.3g} from the first row of positions, expected the "
             "same: leave --start out."
         )
-    xs = np.empty_like(wanted)
-    xs[0] = wanted[0] if x0 is None else x0
+    xs = np.empty_like(reference)
+    xs[0] = reference[0] if x0 is None else x0
     for n in range(N):
-        us[n] += sweep.K[n] @ (xs[n] - wanted[n])
+        us[n] += sweep.K[n] @ (xs[n] - reference[n])
         xs[n + 1] = dynamics.step(xs[n : n + 1], us[n : n + 1])[0]
     return xs, us, sweep.K

@@ -157,10 +157,10 @@ def straight_lift(poses: int = 721) -> np.ndarray:
 
 
 def torque_limits(rated: float = RATED) -> np.ndarray:
-    """Torque limits (6,), N m: those of the 560 times the factor that just holds the rated payload along the lift."""
+    """Torque limits (6,), N m: those of the 560 times the factor for which the rated payload is lifted statically."""
     path = straight_lift()
-    held = np.abs(bias(puma_mechanism(rated), path, np.zeros_like(path)))
-    return PEAK_560 * float(np.max(held / PEAK_560))
+    static = np.abs(bias(puma_mechanism(rated), path, np.zeros_like(path)))
+    return PEAK_560 * float(np.max(static / PEAK_560))
 
 
 def first_lift(mechanism: Mechanism, style: str, duration: float, N: int) -> np.ndarray:

@@ -13,8 +13,8 @@ from collections.abc import Callable
 import numpy as np
 
 from planner.base.arguments import short_repr
+from planner.base.environment import installed_versions
 from planner.base.errors import PlannerError
-from planner.base.versions import installed_versions
 from planner.cli import parser
 from planner.cli.console import Console
 

@@ -7,8 +7,7 @@ from pathlib import Path
 
 from planner.base.arguments import count, number, short_repr
 from planner.base.errors import PlannerError, RenderingUnavailable
-from planner.base.files import open_folder, remove_empty
-from planner.base.jsonable import write_json
+from planner.base.files import open_folder, remove_empty, write_json
 from planner.cli.console import Console
 from planner.cli.problems import asked_problem, name_of, solved
 from planner.cli.results import show_plan
@@ -20,7 +19,7 @@ from planner.control.timing import horizon_and_rate
 from planner.proof.replays.compiled_twin import CompiledTwin
 from planner.proof.robustness.pushes import Push, pushed_step
 from planner.view.plots import draw_loop, save
-from planner.view.report.loop_page import write_loop_page
+from planner.view.report.page import write_loop_page
 
 OUTPUTS = ("drive.json", "plan.npz", "loop.png", "video.mp4", "report.html")
 _UNITS = {"us": 1e-6, "ms": 1e-3, "s": 1.0}

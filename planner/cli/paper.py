@@ -14,13 +14,11 @@ from pathlib import Path
 from types import FrameType
 from typing import Any
 
+from planner.base.environment import processors
 from planner.base.errors import PlannerError
-from planner.base.files import read_text, staged_folder
-from planner.base.jsonable import json_text
-from planner.base.processors import processors
+from planner.base.files import json_text, read_text, staged_folder
 from planner.cli.console import Console
-from planner.paper.studies.catalogue import STUDIES, chosen
-from planner.paper.studies.page import Finished, complete, page, run_studies, table_rows
+from planner.paper.studies.page import STUDIES, Finished, chosen, complete, page, run_studies, table_rows
 from planner.paper.studies.proof_table import proofs, proofs_markdown
 from planner.sweeps.executors import executor_of
 

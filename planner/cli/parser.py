@@ -178,7 +178,7 @@ def _check(parser: argparse.ArgumentParser) -> None:
 
 
 def _paper(parser: argparse.ArgumentParser) -> None:
-    from planner.paper.studies.catalogue import STUDIES
+    from planner.paper.studies.page import STUDIES
 
     names = ", ".join(study.name for study in STUDIES)
     add(

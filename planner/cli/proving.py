@@ -10,8 +10,7 @@ from pathlib import Path
 from planner.base.arguments import choice, count
 from planner.base.arguments import short_repr as quoted
 from planner.base.errors import PlannerError
-from planner.base.files import write_atomically
-from planner.base.jsonable import json_text
+from planner.base.files import json_text, write_atomically
 from planner.cases.given_controls import plan_of_controls
 from planner.cases.plan_file import load_plan
 from planner.cli.console import Console, shown

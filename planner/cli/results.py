@@ -10,14 +10,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from planner.base.errors import RenderingUnavailable
-from planner.base.files import file_error
-from planner.base.jsonable import write_json
+from planner.base.files import file_error, write_json
 from planner.cli.background_render import BackgroundRender
 from planner.cli.console import Console
 from planner.problem.plan import Plan, Status
 from planner.proof import Proof
 from planner.proof.diagnostics import SuggestedFix
-from planner.proof.prove import with_informative_sections, with_rollouts
+from planner.proof.prove_plan import with_informative_sections, with_rollouts
 from planner.view.plots import CASE_PICTURES, case_pictures, draw_case_picture, draw_plan, draw_proof, save
 from planner.view.report import NAME as REPORT
 from planner.view.report import write_report
@@ -169,7 +168,7 @@ def show_fixes(fixes: Sequence[SuggestedFix], console: Console) -> None:
 def completed(proof: Proof, rollouts: int, console: Console, **options: Any) -> Proof:
     """Note the verdict at once, then measure what does not change it, with so many rollouts.
 
-    `options` are those of planner.proof.prove.with_rollouts(). No rollouts leave the proof as it is. show_proof() is to
+    `options` are those of planner.proof.prove_plan.with_rollouts(). No rollouts leave the proof as it is. show_proof() is to
     follow: the verdict is printed there, once.
     """
     if not rollouts:

@@ -14,8 +14,16 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from planner.base.files import PathLike, file_error, folder_lock, open_folder, remove_empty, write_atomically
-from planner.base.jsonable import finite, json_text
+from planner.base.files import (
+    PathLike,
+    file_error,
+    finite,
+    folder_lock,
+    json_text,
+    open_folder,
+    remove_empty,
+    write_atomically,
+)
 
 MARK = ".planner-unfinished.json"
 ROLLOUTS = ".planner-rollouts.npz"  # finished rollouts of a Monte Carlo

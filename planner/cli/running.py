@@ -12,8 +12,8 @@ from pathlib import Path
 from typing import Any
 
 from planner.base.arguments import count, number
+from planner.base.environment import installed_versions
 from planner.base.errors import PlannerError
-from planner.base.versions import installed_versions
 from planner.cases.plan_file import load_plan
 from planner.cli import results
 from planner.cli.auto_repair import auto_repair

@@ -74,7 +74,7 @@ class LoopVerdict:
 
     def with_margins(self, section: Section, maps: dict[str, np.ndarray], times: np.ndarray) -> LoopVerdict:
         """The same with what margins() found, which does not change the verdict."""
-        return replace(self, sections=self.sections | {"survives": section}, maps=maps, times=times)
+        return replace(self, sections=self.sections | {"survives": section}, robustness_maps=maps, times=times)
 
     def __str__(self) -> str:
         return f"LoopVerdict({self.headline})"
@@ -221,7 +221,7 @@ def _kept(loop: ClosedLoopRun) -> Section:
         return Section("kept", not_applicable="no ranges and no constraints, or no whole task")
     found, xs, us = list[Measurement](), loop.xs[: M + 1], loop.ctrl[:M]
     if problem.ranges is not None:
-        beyond = problem.ranges.beyond(xs).max(axis=0)
+        beyond = problem.ranges.violation(xs).max(axis=0)
         on_way = problem.ranges.coordinates[: len(beyond) - problem.ranges.at_end]
         for unit in dict.fromkeys(one.unit for one in on_way):
             value, name = max((float(b), one.name) for b, one in zip(beyond, on_way, strict=False) if one.unit == unit)

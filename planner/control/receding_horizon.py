@@ -72,7 +72,7 @@ class RecedingHorizonProblem:
         self.keeps = keeps
         self._own_x_ref = self.x_ref.copy()
         self._to_goal = np.all(self.x_ref == self.x_ref[-1], axis=1)
-        self._end_rows = joined([cost.measures_for(N) for cost in residuals]) if residuals else None
+        self._end_rows = joined([cost.residual_arrays_for(N) for cost in residuals]) if residuals else None
         self._residuals = None if self._end_rows is None else lengthened(self._end_rows, H, dt, keeps)
         self._frames, self._points = frame_rows(residuals, N), dict[str, np.ndarray]()
         Q = np.concatenate([self._Q[:H], self._final[None]])
@@ -84,7 +84,7 @@ class RecedingHorizonProblem:
         limits = first_stages(problem.limits, H, N)
         self.problem = replace(
             problem, cost=cost, horizon=H, us=np.zeros((H, problem.dynamics.nu)), limits=limits, objective=None,
-            recipe=None, wanted=None, requirements=None, periodic=None, tolerance="soft",
+            recipe=None, goal_specs=None, requirements=None, periodic=None, tolerance="soft",
         )  # fmt: skip
         self.engine, self._residual_costs = acquire_engine(self.problem), residuals
         self._hinges: BoundPenalties | None = None

@@ -63,7 +63,7 @@ def frame_rows(residuals: list[ResidualCost], N: int) -> dict[str, np.ndarray]:
             if name.startswith(AIMED):
                 frame = name.removeprefix(AIMED)
                 found[frame] = np.concatenate([found.get(frame, np.zeros(0, dtype=int)), first + rows])
-        first += len(cost.measures_for(N).weight)
+        first += len(cost.residual_arrays_for(N).weight)
     return {frame: rows for frame, rows in found.items() if len(rows) == 3}
 
 
@@ -98,7 +98,7 @@ def updated_rows(problem: Problem) -> tuple[ConstraintStack | None, np.ndarray]:
     columns = [np.arange(ranges)]
     if kept.rows is None:
         return None, columns[0]
-    rows, which = kept.rows.only(
-        [part for part in kept.rows.parts if not isinstance(part.measure, PairClearanceFunction)]
+    rows, which = kept.rows.subset(
+        [part for part in kept.rows.parts if not isinstance(part.function, PairClearanceFunction)]
     )
     return (rows if rows.parts else None), np.concatenate([*columns, ranges + which])

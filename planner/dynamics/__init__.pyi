@@ -9,8 +9,8 @@ from planner.dynamics.algorithms import mass_matrix_derivatives as mass_matrix_d
 from planner.dynamics.algorithms import rnea as rnea
 from planner.dynamics.algorithms import rnea_derivatives as rnea_derivatives
 from planner.dynamics.assembly import assembled as assembled
-from planner.dynamics.constraint_forces import constraint_forces as constraint_forces
-from planner.dynamics.constraint_forces import constraint_names as constraint_names
+from planner.dynamics.closure_forces import constraint_forces as constraint_forces
+from planner.dynamics.closure_forces import constraint_names as constraint_names
 from planner.dynamics.contacts import ContactForces as ContactForces
 from planner.dynamics.contacts import body_contact_forces as body_contact_forces
 from planner.dynamics.contacts import contact_forces as contact_forces

@@ -21,8 +21,7 @@ from typing import IO, Any
 import numpy as np
 
 from planner.base.errors import FileError, ModelError
-from planner.base.files import printable, read_input, write_atomically
-from planner.base.jsonable import finite
+from planner.base.files import finite, printable, read_input, write_atomically
 from planner.model.mjcf.input_limits import check_stored
 from planner.model.space import StateSpace
 

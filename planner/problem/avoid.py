@@ -1,4 +1,4 @@
-"""Avoid: which shapes of a model a plan keeps apart, and how far.
+"""Avoid: collision avoidance, a clearance between shapes of a model.
 
 The shapes are those of the user's file, as MuJoCo collides them: spheres, capsules, boxes and planes are exact, others
 are fitted (planner.model.contact.bounding_fit). MuJoCo's own collision judges the plan.
@@ -26,14 +26,14 @@ from planner.problem.constraints.constraint import Constraint
 from planner.problem.initial_guess import inverse_dynamics_controls
 from planner.problem.rrt_connect import along
 
-EXACT = 0.02  # of the clearance: how far below it passes
-SOFT = 0.1  # of the clearance, see Apart.soft
+TOLERANCE_SHARE = 0.02  # of the clearance: the constraint's tolerance
+PENALTY_SHARE = 0.1  # of the clearance: PairClearance.penalty_length
 
-_surveys: WeakKeyDictionary[Mechanism, ModelIndex] = WeakKeyDictionary()
+_indices: WeakKeyDictionary[Mechanism, ModelIndex] = WeakKeyDictionary()
 
 
 class AvoidanceConstraint(NamedTuple):
-    """The constraint that keeps shapes apart, and sentences about them."""
+    """The clearance constraint, and sentences about it."""
 
     constraint: Constraint
     notes: tuple[str, ...]
@@ -41,13 +41,13 @@ class AvoidanceConstraint(NamedTuple):
 
 @dataclass(frozen=True)
 class Avoid:
-    """What a plan keeps apart.
+    """Which collisions a plan avoids.
 
     Attributes:
-        self: Whether shapes of the machine are kept from each other.
-        world: Whether they are kept from what is at rest.
-        clearance: m between their surfaces.
-        extra_clearance: m beyond that, by the names of a pair ("geom 'hand' and geom 'post'"); negative for nearer.
+        self: Between shapes of the machine.
+        world: With shapes at rest.
+        clearance: m between surfaces.
+        extra_clearance: m in addition, by the names of a pair ("geom 'hand' and geom 'post'"); may be negative.
     """
 
     self: bool = True
@@ -81,49 +81,49 @@ class Avoid:
         start: Any,
         goal: Any = None,
     ) -> AvoidanceConstraint:
-        """The constraint for a motion of a mechanism from a start to goals, and what to know of it.
+        """The constraint for a motion of a mechanism from a start to goals, and notes about it.
 
         Args:
             mechanism: The machine, read from a file.
             start: (nx,) state or (nq,) positions, or a keyframe's name.
-            goal: The same of its end, or several by name ("goal 1 (hand)"); None where no pose is known.
+            goal: The same of the end, or several by name ("goal 1 (hand)"); None for none.
 
         Raises:
-            PlannerError: The mechanism has no model, nothing can touch, or a pose is in collision or too near.
+            PlannerError: The mechanism has no model, no shapes can collide, or a pose violates the clearance.
         """
         if not mechanism.mjcf:
             raise PlannerError("avoid needs the shapes of a model, expected a mechanism that was read from a file.")
-        survey = survey_of(mechanism)
+        index = model_index_of(mechanism)
         goals = {} if goal is None else goal if isinstance(goal, Mapping) else {"the goal": goal}
         poses = {"the start": start, **goals}
         poses = {name: _positions(name, x, mechanism) for name, x in poses.items()}
-        near = select_collision_pairs(
-            survey, poses, a.clearance, own=a.self, world=a.world, known=_known(mechanism, survey)
+        found = select_collision_pairs(
+            index, poses, a.clearance, own=a.self, world=a.world, known=_known(mechanism, index)
         )
-        if not near.pairs:
+        if not found.pairs:
             raise PlannerError("avoid has nothing to keep apart: no shapes of the model can touch; leave it out.")
-        return AvoidanceConstraint(_constraint(near, a.clearance, a.extra_clearance), near.notes)
+        return AvoidanceConstraint(_constraint(found, a.clearance, a.extra_clearance), found.notes)
 
 
 def _positions(name: str, given: Any, mechanism: Mechanism) -> np.ndarray:
     """(nq,) of a state (nx,) or positions (nq,)."""
     x = numbers(name, mechanism.keyframe(given) if isinstance(given, str) else given)
     if x.shape not in ((mechanism.nq,), (mechanism.space.nx,)):
-        wanted = f"({mechanism.nq},), its positions, or ({mechanism.space.nx},), its state"
-        raise PlannerError(f"{name} has shape {x.shape}, expected a keyframe, or {wanted}.")
+        expected = f"({mechanism.nq},), its positions, or ({mechanism.space.nx},), its state"
+        raise PlannerError(f"{name} has shape {x.shape}, expected a keyframe, or {expected}.")
     return array(name, x[: mechanism.nq], (mechanism.nq,))
 
 
-def survey_of(mechanism: Mechanism) -> ModelIndex:
+def model_index_of(mechanism: Mechanism) -> ModelIndex:
     """The user's file of a mechanism, compiled once."""
-    if mechanism not in _surveys:
-        _surveys[mechanism] = ModelIndex(compile_model(mechanism.original or mechanism.mjcf, mechanism.assets))
-    return _surveys[mechanism]
+    if mechanism not in _indices:
+        _indices[mechanism] = ModelIndex(compile_model(mechanism.original or mechanism.mjcf, mechanism.assets))
+    return _indices[mechanism]
 
 
-def _known(mechanism: Mechanism, survey: ModelIndex) -> Collection[frozenset[int]]:
-    """The pairs whose contact the plan's own model has, and those of objects with what they lie on."""
-    model, named = survey.model, pairs_by_name(survey.model)
+def _known(mechanism: Mechanism, index: ModelIndex) -> Collection[frozenset[int]]:
+    """Pairs that are not avoided: contacts of the plan's model, and objects with the bodies that carry them."""
+    model, named = index.model, pairs_by_name(index.model)
     own = {}
     if mechanism.contacts or mechanism.body_contacts:
         own = pairs_by_name(compile_model(mechanism.mjcf, mechanism.assets))
@@ -131,29 +131,37 @@ def _known(mechanism: Mechanism, survey: ModelIndex) -> Collection[frozenset[int
     return {frozenset(pair) for name, pair in named.items() if name in own or np.all(beside[list(pair)])}
 
 
-def _constraint(near: CollisionPairs, clearance: float, more: Mapping[str, float]) -> Constraint:
-    added = np.array([min(more.get(pair.names, 0.0), pair.spare_clearance) for pair in near.pairs])
-    apart = PairClearance(near.pairs, added, SOFT * clearance)
-    return Constraint(apart, least=apart.least, tolerance=EXACT * clearance, name="clearance")
+def _constraint(found: CollisionPairs, clearance: float, more: Mapping[str, float]) -> Constraint:
+    added = np.array([min(more.get(pair.names, 0.0), pair.spare_clearance) for pair in found.pairs])
+    clearance_of_pairs = PairClearance(found.pairs, added, PENALTY_SHARE * clearance)
+    return Constraint(
+        clearance_of_pairs, lower=clearance_of_pairs.lower, tolerance=TOLERANCE_SHARE * clearance, name="clearance"
+    )
 
 
 def collision_free_motion(
-    apart: PairClearance, mechanism: Mechanism, x0: np.ndarray, goal: np.ndarray, duration: float, N: int, seed: int = 0
+    clearance_of_pairs: PairClearance,
+    mechanism: Mechanism,
+    x0: np.ndarray,
+    goal: np.ndarray,
+    duration: float,
+    N: int,
+    seed: int = 0,
 ) -> tuple[np.ndarray, np.ndarray] | None:
-    """States (N+1, nx) along a way on which nothing is too near, and controls (N, nu) by inverse dynamics.
+    """States (N+1, nx) along a collision-free path, and controls (N, nu) by inverse dynamics.
 
-    None where none is found, or the machine is not fully actuated, of hinges and slides, and from rest to rest.
+    None where no path is found, or unless the machine is fully actuated, of hinges and slides, and from rest to rest.
     """
     nq, nv = mechanism.nq, mechanism.nv
     moving = np.concatenate([x0[nq : nq + nv], goal[nq : nq + nv]])
     if np.any(mechanism.kind != SCREW) or mechanism.contacts or mechanism.body_contacts or np.any(moving):
         return None
-    way = CollisionChecker(apart, mechanism).find_path(x0[:nq], goal[:nq], seed)
-    if way is None:
+    path = CollisionChecker(clearance_of_pairs, mechanism).find_path(x0[:nq], goal[:nq], seed)
+    if path is None:
         return None
     xs = np.tile(x0, (N + 1, 1))
-    xs[:, :nq], xs[:, nq : nq + nv], _ = along(way, duration, np.arange(N + 1) / N)
+    xs[:, :nq], xs[:, nq : nq + nv], _ = along(path, duration, np.arange(N + 1) / N)
     try:
-        return xs, inverse_dynamics_controls(mechanism, *along(way, duration, (np.arange(N) + 0.5) / N))
+        return xs, inverse_dynamics_controls(mechanism, *along(path, duration, (np.arange(N) + 0.5) / N))
     except PlannerError:  # the actuators do not reach every joint
         return None

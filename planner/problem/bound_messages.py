@@ -71,7 +71,7 @@ def state_outside(problem: Problem, xs: np.ndarray, t: np.ndarray) -> Diagnostic
     limits, ranges = problem.limits, problem.ranges
     if ranges is None or limits is None or not np.isfinite(xs).all():
         return None
-    beyond = ranges.beyond(xs)
+    beyond = ranges.violation(xs)
     n, worst = np.unravel_index(int(np.argmax(beyond)), beyond.shape)
     if beyond[n, worst] <= limits.tolerance:
         return None

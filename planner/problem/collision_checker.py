@@ -1,4 +1,4 @@
-"""Poses in which nothing that is kept apart is too near, and ways between them on which nothing comes too near."""
+"""CollisionChecker: whether poses keep the clearance of a constraint, and collision-free paths between two poses."""
 
 from __future__ import annotations
 
@@ -12,59 +12,59 @@ from planner.model.mechanism import Mechanism
 from planner.problem.constraints.clearance import PairClearance
 from planner.problem.rrt_connect import rrt_connect
 
-CLEARANCE_SHARE = 0.5  # of the clearance beyond which a way keeps apart, where it can
-CUT = 0.1  # of the clearance that it keeps where its corners are rounded
+EXTRA_SHARE = 0.5  # of the required clearance, in addition to it: kept by a path where there is room
+ROUNDED_SHARE = 0.1  # of the required clearance, kept where corners of a path are rounded
 
-_ways: WeakKeyDictionary[Mechanism, dict[bytes, np.ndarray | None]] = WeakKeyDictionary()
-"""Ways that were found: a problem is built again for every finer step."""
+_paths: WeakKeyDictionary[Mechanism, dict[bytes, np.ndarray | None]] = WeakKeyDictionary()
+"""Paths by their ends, clearances and seed: a problem is built again for every finer step."""
 
 
 class CollisionChecker:
-    """Which poses keep the pairs of a constraint apart.
+    """Distances of the pairs of a clearance constraint at poses of a mechanism.
 
     Args:
-        apart: The pairs, and how far each is to be apart.
-        mechanism: Whose poses.
+        clearance: The pairs, and the required distance of each.
+        mechanism: The machine.
     """
 
-    def __init__(self, apart: PairClearance, mechanism: Mechanism) -> None:
-        self._apart, self._mechanism = apart, mechanism
-        self._clearances = SignedDistances(mechanism, [pair[:2] for pair in apart.pairs])
-        self._lift = np.array([pair.distance_offset for pair in apart.pairs])
+    def __init__(self, clearance: PairClearance, mechanism: Mechanism) -> None:
+        self._lower, self._mechanism = clearance.lower, mechanism
+        self._distances = SignedDistances(mechanism, [pair[:2] for pair in clearance.pairs])
+        self._offset = np.array([pair.distance_offset for pair in clearance.pairs])
 
-    def distances(self, q: np.ndarray, beyond: np.ndarray | float = np.inf) -> np.ndarray:
-        """(K, P) m, of poses (K, nq); what is above `beyond` (P,) may be less than it is."""
-        return self._clearances.values(q, beyond - self._lift) + self._lift
+    def distances(self, q: np.ndarray, exact_below: np.ndarray | float = np.inf) -> np.ndarray:
+        """(K, P) m at poses (K, nq); above `exact_below` (P,) a lower bound of the distance."""
+        return self._distances.values(q, exact_below - self._offset) + self._offset
 
     def clearance_violation(self, q: np.ndarray) -> float:
-        """By how much a pose (nq,) has a pair nearer than it may be, m; 0 for a free one."""
-        return float(np.max(self._apart.least - self.distances(q[None], self._apart.least)[0], initial=0.0))
+        """The largest violation of a required distance at a pose (nq,), m; 0 for none."""
+        return float(np.max(self._lower - self.distances(q[None], self._lower)[0], initial=0.0))
 
     def find_path(self, start: np.ndarray, goal: np.ndarray, seed: int = 0) -> np.ndarray | None:
-        """Poses (K, nq) from start to goal (nq,) on which nothing is nearer than it may be; None where none was found.
+        """Poses (K, nq) of a collision-free path from start to goal (nq,); None where none was found.
 
-        It keeps some room more where it can. At the ends pairs may be as near as they are there.
+        The path keeps EXTRA_SHARE more clearance where it can, and no more than there is at either end.
         """
-        ways = _ways.setdefault(self._mechanism, {})
-        key = b"".join([start.tobytes(), goal.tobytes(), self._apart.least.tobytes(), seed.to_bytes(8, "little")])
-        if key not in ways:
-            ways[key] = self._sought(start, goal, seed)
-        return ways[key]
+        paths = _paths.setdefault(self._mechanism, {})
+        key = b"".join([start.tobytes(), goal.tobytes(), self._lower.tobytes(), seed.to_bytes(8, "little")])
+        if key not in paths:
+            paths[key] = self._search(start, goal, seed)
+        return paths[key]
 
-    def _sought(self, start: np.ndarray, goal: np.ndarray, seed: int) -> np.ndarray | None:
-        ends = self.distances(np.stack([start, goal])).min(axis=0)
+    def _search(self, start: np.ndarray, goal: np.ndarray, seed: int) -> np.ndarray | None:
+        at_ends = self.distances(np.stack([start, goal])).min(axis=0)
         low, high = self._mechanism.joint_range.T
         first, last = np.minimum(start, goal), np.maximum(start, goal)
         low = np.minimum(np.where(np.isfinite(low), low, first - np.pi), first)
         high = np.maximum(np.where(np.isfinite(high), high, last + np.pi), last)
-        for room in (CLEARANCE_SHARE, 0.0):
-            least = np.minimum(self._apart.least * (1.0 + room), ends - 1e-9)
+        for extra in (EXTRA_SHARE, 0.0):
+            lower = np.minimum(self._lower * (1.0 + extra), at_ends - 1e-9)
 
-            def free(q: np.ndarray, least: np.ndarray = least) -> np.ndarray:
-                return np.all(self.distances(q, least) >= least, axis=1)
+            def is_free(q: np.ndarray, lower: np.ndarray = lower) -> np.ndarray:
+                return np.all(self.distances(q, lower) >= lower, axis=1)
 
-            nearly = partial(free, least=np.minimum(CUT * self._apart.least, least))
-            way = rrt_connect(free, start, goal, low, high, seed, nearly)
-            if way is not None:
-                return way
+            is_nearly_free = partial(is_free, lower=np.minimum(ROUNDED_SHARE * self._lower, lower))
+            path = rrt_connect(is_free, start, goal, low, high, seed, is_nearly_free)
+            if path is not None:
+                return path
         return None

@@ -1,10 +1,10 @@
-"""Bounds of the controls of a problem: numbers for each stage, and for servos bounds that depend on the state.
+"""Bounds of the controls: constant for each stage, and for servos dependent on the state; from a model's clamps.
 
-A servo's force is F = gain u + bias[0] + bias[1] length + bias[2] length rate, and its file clamps F. So its control is
-bounded by lines of the state, u within (F - bias(x)) / gain, and by its ctrlrange. The control is held over a stage
-while the joints move on: a second pair of lines has the lengths at the stage's end, as the velocities at its start
-predict them. Where the two pairs leave nothing in between, their mean is taken; where they lie outside of the
-ctrlrange, the end of it that is nearest.
+A servo's force is F = gain u + bias[0] + bias[1] length + bias[2] length rate, and a clamp limits F. So its control has
+bounds that are affine in the state, u within (F - bias(x)) / gain, and its ctrlrange. The control is constant over a
+stage while the joints move on: a second pair of bounds has the lengths at the stage's end, predicted by the velocities
+at its start. Where the two pairs exclude each other, their mean is taken; where they lie outside of the ctrlrange, its
+nearest end.
 """
 
 from __future__ import annotations
@@ -14,11 +14,14 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from planner.model.actuators import DIRECT
+from planner.model.mechanism import SCREW, Mechanism
+
 AT_BOUND = 1e-11  # as in kernels.lq.bounded_riccati
 
 
 class StepBounds(NamedTuple):
-    """How far each control may change at a trajectory, and how its bounds change with the state."""
+    """Bounds of the change of each control at a trajectory, and their derivatives by the state."""
 
     lower: np.ndarray  # (N, nu) at most 0
     upper: np.ndarray  # (N, nu) at least 0
@@ -28,19 +31,19 @@ class StepBounds(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Servos:
-    """Lines low - c y <= u <= high - c y of S controls in M entries y of the state, c being `now` and `late`."""
+    """Bounds low - c y <= u <= high - c y of S controls, affine in M entries y of the state."""
 
     control: np.ndarray  # (S,) which controls
     in_x: np.ndarray  # (M,) the entries of a state
     in_dx: np.ndarray  # (M,) the same of a deviation
     low: np.ndarray  # (S,)
     high: np.ndarray  # (S,)
-    now: np.ndarray  # (S, M) at the start of a stage
-    late: np.ndarray  # (S, M) at its end
+    now: np.ndarray  # (S, M) c at the start of a stage
+    late: np.ndarray  # (S, M) c at its end
     ndx: int
 
-    def lines(self, xs: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """Lower and upper bounds (..., S) at states xs (..., nx), and for each the parts (..., S, 2) of both lines."""
+    def bounds(self, xs: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """Lower and upper bounds (..., S) at states xs (..., nx), and weights (..., S, 2) of start and end in each."""
         y = xs[..., self.in_x]
         at = np.stack([y @ self.now.T, y @ self.late.T], axis=-1)  # (..., S, 2)
         low, high = self.low[:, None] - at, self.high[:, None] - at
@@ -76,7 +79,7 @@ class ControlBounds:
         return low, high
 
     def clip(self, stages: Any, us: np.ndarray, xs: np.ndarray | None) -> np.ndarray:
-        """Controls us (..., nu) put back within the bounds at states xs (..., nx)."""
+        """Controls us (..., nu) clipped to the bounds at states xs (..., nx)."""
         return np.clip(us, *self.at(stages, xs))
 
     def at_bound(self, xs: np.ndarray, us: np.ndarray) -> np.ndarray:
@@ -86,7 +89,7 @@ class ControlBounds:
         return (us <= lower + nearly) | (us >= upper - nearly)
 
     def shifted_with_bounds(self, us: np.ndarray, xs: np.ndarray, to: np.ndarray) -> np.ndarray:
-        """Controls us (N, nu) at bounds along the states xs (N+1, nx), moved as their bounds are along `to`."""
+        """Controls us (N, nu) at bounds along states xs (N+1, nx), shifted to the bounds along states `to`."""
         if self.servos is None:
             return us
         (lower, upper), after = self.at(slice(None), xs[: len(us)]), self.at(slice(None), to[: len(us)])
@@ -94,7 +97,7 @@ class ControlBounds:
         return us + np.where(low, after[0] - lower, after[1] - upper)
 
     def step_bounds(self, xs: np.ndarray, us: np.ndarray) -> StepBounds:
-        """How far controls us (N, nu) along the states xs (N+1, nx) may change."""
+        """Bounds of the change of controls us (N, nu) along the states xs (N+1, nx)."""
         if self.servos is None:
             return StepBounds(self.lower - us, self.upper - us)
         lower, upper, *shares = self.shares(xs, us)
@@ -106,10 +109,10 @@ class ControlBounds:
         return StepBounds(lower - us, upper - us, *by_x)
 
     def shares(self, xs: np.ndarray, us: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """Bounds (N, nu) along states xs (N+1, nx), and the parts (N, nu, 2) of both lines; 0 where a number bounds.
+        """Bounds (N, nu) along states xs (N+1, nx), and weights (N, nu, 2) of start and end; 0 for constant bounds.
 
-        Where controls us (N, nu) are at bounds but for rounding, these are the bounds: the minimum over a box would
-        else take the smallest of steps.
+        Where controls us (N, nu) are at bounds but for rounding, they are the bounds: otherwise the box-QP takes tiny
+        steps.
         """
         lower, upper, by_low, by_high = self._sides(slice(None), xs[: len(us)])
         nearly = AT_BOUND * np.maximum(1.0, np.abs(us))
@@ -125,12 +128,126 @@ class ControlBounds:
         shape = np.broadcast_shapes(self.lower[stages].shape, (*xs.shape[:-1], self.lower.shape[1]))
         lower, upper = (np.broadcast_to(side[stages], shape).copy() for side in (self.lower, self.upper))
         which = self.servos.control
-        least, most = lower[..., which], upper[..., which]
-        low, high, by_low, by_high = self.servos.lines(xs)
+        constant_lower, constant_upper = lower[..., which], upper[..., which]
+        low, high, by_low, by_high = self.servos.bounds(xs)
         shares = []
         for bound, side, part in ((lower, low, by_low), (upper, high, by_high)):
-            bound[..., which] = np.minimum(np.maximum(side, least), most)
+            bound[..., which] = np.minimum(np.maximum(side, constant_lower), constant_upper)
             share = np.zeros((*shape, 2))
-            share[..., which, :] = np.where(((side > least) & (side < most))[..., None], part, 0.0)
+            share[..., which, :] = np.where(((side > constant_lower) & (side < constant_upper))[..., None], part, 0.0)
             shares.append(share)
         return lower, upper, shares[0], shares[1]
+
+
+class _Clamp(NamedTuple):
+    """The range (2,) of an actuator's force from one clamp of the model."""
+
+    what: str
+    range: np.ndarray
+    alone: bool  # Whether the actuator is the only one that it clamps
+
+
+def model_bounds(mechanism: Mechanism, nu: int) -> tuple[np.ndarray, np.ndarray]:
+    """Constant lower and upper bounds (nu,) of the controls, from the model's clamps."""
+    acts = mechanism.actuators
+    lower, upper = np.full(nu, -np.inf), np.full(nu, np.inf)
+    lower[: acts.nu], upper[: acts.nu] = acts.control_range.T
+    for a in range(acts.nu):
+        if _bounds_control(mechanism, a) and not _depends_on_state(mechanism, a):
+            low, high = _control_range(mechanism, a)
+            lower[a], upper[a] = max(lower[a], low), min(upper[a], high)
+            if lower[a] > upper[a]:  # the nearest of ctrlrange
+                lower[a] = upper[a] = np.clip(lower[a], *acts.control_range[a])
+    return lower, upper
+
+
+def servo_bounds(mechanism: Mechanism, dt: float, ndx: int, without: frozenset[int] = frozenset()) -> Servos | None:
+    """The bounds that depend on the state; None for none.
+
+    Args:
+        mechanism: The machine.
+        dt: Length of a stage, s.
+        ndx: Size of a deviation of the state.
+        without: Actuators with bounds of the user's.
+    """
+    acts, nv = mechanism.actuators, mechanism.nv
+    which = [
+        a
+        for a in range(acts.nu)
+        if a not in without and _bounds_control(mechanism, a) and _depends_on_state(mechanism, a)
+    ]
+    if not which:
+        return None
+    lengths = np.where(mechanism.kind == SCREW, acts.moment[which], 0.0) / acts.gain[which][:, None]  # (S, nv)
+    rates = acts.moment[which] / acts.gain[which][:, None]
+    bias = acts.bias[which]
+    now = np.concatenate([bias[:, 1:2] * lengths, bias[:, 2:] * rates], axis=1)
+    late = now.copy()
+    late[:, nv:] += dt * bias[:, 1:2] * lengths
+    used = np.flatnonzero(np.any(now, axis=0) | np.any(late, axis=0))
+    in_x = np.concatenate([mechanism.q_address, mechanism.nq + np.arange(nv)])
+    low, high = np.array([_control_range(mechanism, a) for a in which]).T
+    return Servos(np.array(which), in_x[used], used, low, high, now[:, used], late[:, used], ndx)
+
+
+def unbounded_actuators(mechanism: Mechanism) -> frozenset[int]:
+    """The actuators with clamps that the plan does not have as bounds."""
+    acts = mechanism.actuators
+    return frozenset(
+        a
+        for a in range(acts.nu)
+        if np.isfinite(acts.activation_range[a]).any()
+        or any(not (clamp.alone and _is_affine(mechanism, a)) for clamp in _clamps(mechanism, a))
+    )
+
+
+def unbounded(mechanism: Mechanism) -> tuple[str, ...]:
+    """The clamps that the plan does not have as bounds, one sentence each: its replay judges them."""
+    acts, found = mechanism.actuators, []
+    for a, name in enumerate(acts.names):
+        for clamp in _clamps(mechanism, a):
+            if not _is_affine(mechanism, a):
+                why = "the force comes from an activation" if acts.dynamics[a] != DIRECT else "its gain is 0"
+            elif not clamp.alone:
+                why = "several actuators share it"
+            else:
+                continue
+            found.append(f"the {clamp.what} of actuator {name!r} is not bounded in the plan: {why}.")
+        if np.isfinite(acts.activation_range[a]).any():
+            found.append(f"the actrange of actuator {name!r} is not bounded in the plan: it is of an activation.")
+    return tuple(found)
+
+
+def _clamps(mechanism: Mechanism, a: int) -> list[_Clamp]:
+    acts = mechanism.actuators
+    found = [_Clamp("forcerange", acts.force_range[a], True)] if np.isfinite(acts.force_range[a]).any() else []
+    for i in np.flatnonzero(acts.moment[a]):
+        limits = mechanism.joint_force_range[i]
+        if np.isfinite(limits).any():
+            alone = int(np.count_nonzero(acts.moment[:, i])) == 1
+            found.append(_Clamp("actuatorfrcrange", np.sort(limits / acts.moment[a, i]), alone))
+    return found
+
+
+def _is_affine(mechanism: Mechanism, a: int) -> bool:
+    """Whether an actuator's force is gain u + bias of the state."""
+    return bool(mechanism.actuators.dynamics[a] == DIRECT and mechanism.actuators.gain[a] != 0.0)
+
+
+def _bounds_control(mechanism: Mechanism, a: int) -> bool:
+    """Whether clamps of an actuator's force bound its control."""
+    return _is_affine(mechanism, a) and any(clamp.alone for clamp in _clamps(mechanism, a))
+
+
+def _depends_on_state(mechanism: Mechanism, a: int) -> bool:
+    """Whether an actuator's force depends on the state."""
+    return bool(np.any(mechanism.actuators.bias[a, 1:]))
+
+
+def _control_range(mechanism: Mechanism, a: int) -> tuple[float, float]:
+    """The control at which the clamps of an actuator's force begin, at length and length rate 0."""
+    ranges = np.array([clamp.range for clamp in _clamps(mechanism, a) if clamp.alone])
+    low, high = ranges[:, 0].max(), ranges[:, 1].min()
+    acts = mechanism.actuators
+    ends = (np.array([low, max(low, high)]) - acts.bias[a, 0]) / acts.gain[a]
+    return float(ends.min()), float(ends.max())

@@ -4,15 +4,20 @@ from __future__ import annotations
 
 import itertools
 import re
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
+from dataclasses import replace
 from typing import Any
 from xml.etree import ElementTree
 
 import numpy as np
 
+from planner.model.capabilities import capabilities_of
 from planner.model.coordinates import ANGLE, FORCE, LENGTH, MOMENT, controls_of_mechanism
 from planner.model.mechanism import BALL, SCREW, Mechanism
-from planner.problem.appearance import Appearance, Panel, Readout
+from planner.problem.appearance import Appearance, GoalMark, Panel, Readout
+from planner.problem.constraints.constraint import Constraint
+from planner.problem.tasks.follow import Follow
+from planner.problem.tasks.timed_task import Task, TimedGoal
 
 MAX_CURVES = 8  # curves that can be told apart in one panel
 _READOUTS = 8
@@ -21,6 +26,7 @@ _CONTROLS = {
     ANGLE: ("Controls: targets of servos", "angle, rad"), LENGTH: ("Controls: targets of servos", "position, m"),
 }  # fmt: skip
 _PARALLEL = 1e-6
+MAX_SEGMENTS = 64  # straight pieces of a path
 
 Curves = list[tuple[int, str]]
 
@@ -28,8 +34,8 @@ Curves = list[tuple[int, str]]
 def appearance_of(problem: Any) -> Appearance:
     """The problem's own appearance, else one from its mechanism, else an empty one."""
     appearance = getattr(problem, "appearance", None)
-    mechanism = getattr(getattr(problem, "dynamics", None), "mechanism", None)
-    if appearance is None and isinstance(mechanism, Mechanism):
+    mechanism = capabilities_of(getattr(problem, "dynamics", None)).mechanism
+    if appearance is None and mechanism is not None:
         return default_appearance(mechanism, getattr(problem.dynamics, "prescribed", ()))
     return appearance or Appearance(title="")
 
@@ -137,3 +143,44 @@ def _across(normal: np.ndarray) -> tuple[float, float]:
         x, y, z = 0.0 - x, 0.0 - y, 0.0 - z  # -x would make a negative zero
     azimuth = np.degrees(np.arctan2(y, x)) if x or y else 90.0
     return float(azimuth), float(np.degrees(np.arcsin(np.clip(z, -1.0, 1.0))))
+
+
+def with_marks(appearance: Appearance, task: Task | None, constraints: Sequence[Constraint] = ()) -> Appearance:
+    """The appearance with what a task asks for; the same where there is neither a task nor a constraint of a frame."""
+    goals = () if task is None else task.goals
+    follows = () if task is None else task.follows
+    of_frames = [one for one in goals if one.goal.frame is not None]
+    asked = [path.frame for path in follows] + [one.goal.frame for one in of_frames]
+    kept = [frame for one in constraints if isinstance(frame := getattr(one.of, "frame", None), str)]
+    frames = tuple(dict.fromkeys(frame for frame in (*asked, *kept) if frame is not None))
+    if not frames:
+        return appearance
+    times = sorted({one.time for one in of_frames})
+    return replace(
+        appearance, trail=frames, frames=frames,
+        goals=tuple(_mark(one, str(times.index(one.time) + 1) if len(times) > 1 else "") for one in of_frames),
+        paths=tuple(_line(path, task.duration) for path in follows if task is not None and path.frame is not None),
+    )  # fmt: skip
+
+
+def _mark(one: TimedGoal, number: str) -> GoalMark:
+    goal, turned = one.goal, one.goal.quaternion
+    from scipy.spatial.transform import Rotation  # 0.4 s that `planner run` need not pay
+
+    orientation = None if turned is None else Rotation.from_quat(turned[[1, 2, 3, 0]]).as_matrix()
+    direction = None if goal.direction is None else _point(goal.direction[1])
+    position = None if goal.position is None else _point(goal.position)
+    return GoalMark(str(goal.frame), one.time, position, orientation, direction, number)
+
+
+def _line(path: Follow, duration: float) -> np.ndarray:
+    """(K, 3) the corners of a path; of many, points at equal times."""
+    t = path.times(duration)
+    if len(t) > MAX_SEGMENTS + 1:
+        t = np.linspace(t[0], t[-1], MAX_SEGMENTS + 1)
+    return path.at(t, duration)
+
+
+def _point(value: Any) -> tuple[float, float, float]:
+    x, y, z = (float(part) for part in value)
+    return x, y, z

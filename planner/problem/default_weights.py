@@ -1,21 +1,21 @@
-"""Weights that need no tuning: of a motion to a goal, from the machine's own limits, its way and its duration.
+"""Default weights of a motion to a goal, from the machine's limits, the displacement and the duration.
 
-Every weight makes its term a number without unit that is about 1:
+Every weight makes its term dimensionless and about 1:
 
-    effort          1 / limit^2 of each control, the limit being what the model says; where it says none, what holds the
-                    machine and moves its inertia over the way in half of the time; of machines that stand no more
-                    than what corrects an error that is kept to within 1 / SWIFT, of what a joint moves in the air or,
-                    if that is more, of what it moves while the feet stay: an ankle carries the machine
-    velocity        1 / v^2 of each joint, v = 2 way / duration (a triangle's peak) but never less than MIN_SPEED;
-                    only of machines whose actuators reach every joint: another one needs its swing
-    position        1 / (KEPT tolerances)^2 beside the straight line to the goal, of machines that stand on the ground:
-                    their gains must hold a pose all along; none for others, which find their own way
+    effort          1 / limit^2 of each control, the limit of the model or, without one, the force that balances
+                    gravity and accelerates the inertia over the displacement in half of the time. Of standing machines
+                    at most the force that correction STANCE_TOLERANCES at MAX_CORRECTION_RATE, for the inertia that a
+                    joint moves in the air or, if larger, with fixed feet
+    velocity        1 / v^2 of each joint, v = 2 displacement / duration (peak of a triangle) but at least MIN_SPEED;
+                    only of fully actuated or standing machines: others need to swing
+    position        1 / (STANCE_TOLERANCES tolerances)^2 of the distance from the straight line to the goal, of
+                    machines that stand on the ground; none for others, whose path is free
     final_position  4 / tolerance^2, so that an error of the tolerance costs 2, more than the whole effort
-    final_velocity  10 / tolerance^2; both times what the least jerk of the way costs, where jerk is the objective
-    hold            of machines that stand, in place of the two: what it costs to stay at the goal for HOLD
+    final_velocity  10 / tolerance^2; both times the cost of the minimum-jerk motion, where jerk is the objective
+    hold            of standing machines, in place of the two: the cost of staying at the goal for HOLD_SECONDS
 
-The effort of a servo, whose control is a position, and of machines that stand is counted from the control that holds
-the goal.
+The effort of servos, whose control is a position, and of standing machines is relative to the control that holds the
+goal.
 """
 
 from __future__ import annotations
@@ -35,20 +35,18 @@ from planner.model.mechanism import Mechanism
 from planner.model.mjcf.prescribed_joints import prescribed_dofs_of
 from planner.model.stationary_objects import stationary_object_dofs
 from planner.problem.costs.tracking import TrackingCost
-from planner.problem.goals import MIN_TOLERANCES, least_share
-from planner.problem.initial_guess import quasi_static_controls
+from planner.problem.goals import MIN_TOLERANCES, tolerance_share
+from planner.problem.initial_guess import minimum_jerk, quasi_static_controls
 from planner.problem.terminal_holding_cost import terminal_holding_cost
 
-MIN_SPEED = {"rad": 0.5, "m": 0.1}  # rad/s, m/s: a joint that stays may move so fast at the price of one that goes
-MIN_WAY = {"rad": 0.25, "m": 0.05}  # rad, m: what a motor without limits is taken to move at least
-MOVING = 0.75  # of the duration: in the rest a machine that stands comes to rest on a ground that is not the plan's
-STANCE_TOLERANCES = 2.0  # tolerances of the goal: 0.04 rad, 10 mm
-HOLD_SECONDS = 1.0  # s: longer than what a machine that stands takes to come to rest
-MAX_CORRECTION_RATE = (
-    60.0  # 1/s: gains that correct faster wrestle with a ground that is not the plan's, and with stages of 10 ms
-)
+MIN_SPEED = {"rad": 0.5, "m": 0.1}  # rad/s, m/s: speed of a joint without displacement whose cost is 1
+MIN_DISPLACEMENT = {"rad": 0.25, "m": 0.05}  # rad, m: lower limit in the force of a motor without limits
+MOVING_SHARE = 0.75  # of the duration, in which a standing machine moves; then it settles on a ground with errors
+STANCE_TOLERANCES = 2.0  # in tolerances of the goal: position error on the way whose cost is 1
+HOLD_SECONDS = 1.0  # s: longer than a standing machine takes to come to rest
+MAX_CORRECTION_RATE = 60.0  # 1/s: faster gains amplify errors of the ground model and of stages of 10 ms
 POSITION, VELOCITY = 4.0, 10.0  # over the square of a goal's tolerance
-SOFTEST_EFFORT = 1e-12  # a limit of a million of its unit, or one that means none, still leaves a definite weight
+MIN_EFFORT = 1e-12  # lower limit of an effort weight: very large limits still leave it positive definite
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,7 +60,7 @@ class DefaultWeights:
 def default_weights(
     dynamics: RigidBodyDynamics, x0: np.ndarray, goal: np.ndarray, duration: float, *,
     tolerance: float | Mapping[str, float] | None = None, effort_alone: bool = False, stays: bool = True,
-    displacement: np.ndarray | None = None, most: np.ndarray | None = None, jerk: float = 0.0,
+    displacement: np.ndarray | None = None, max_control: np.ndarray | None = None, jerk: float = 0.0,
 ) -> DefaultWeights:  # fmt: skip
     """The weights of a motion from x0 (nx,) to a goal (nx,) within a duration, s.
 
@@ -71,11 +69,11 @@ def default_weights(
         x0: (nx,) start.
         goal: (nx,) end.
         duration: s.
-        tolerance: How far from the goal the end may be, as Problem has it; finer ones make the goal tighter.
-        effort_alone: Whether velocities on the way are free.
-        stays: Whether a machine on the ground is kept beside the straight line, and its end weighed by staying there.
-        way: (nv,) how far each degree of freedom goes; by default that from x0 to the goal.
-        most: (nu,) how large each control may be where the model says nothing; infinite or None for no bound.
+        tolerance: Of the goal, as of Problem; smaller ones make the weights larger.
+        effort_alone: Whether velocities have no weight on the way.
+        stays: Whether a standing machine has weights for the straight line and for staying at the goal.
+        displacement: (nv,) rad or m of each degree of freedom; by default from x0 to the goal.
+        max_control: (nu,) largest magnitude of each control where the model has no limit; infinite or None for none.
         jerk: The weight of jerk in the objective.
     """
     mechanism = dynamics.mechanism
@@ -84,45 +82,46 @@ def default_weights(
     displacement = np.abs(mechanism.space.difference(x0, goal)[:nv]) if displacement is None else displacement
     speed = np.maximum(2.0 * displacement / duration, [MIN_SPEED[unit] for unit in units[:nv]])
     velocity = np.zeros(nv)
-    reach = fully_actuated(dynamics)
+    actuated = fully_actuated(dynamics)
     stands = bool(mechanism.contacts) and stays and not effort_alone
-    if (reach or bool(mechanism.contacts)) and not effort_alone:
+    if (actuated or bool(mechanism.contacts)) and not effort_alone:
         velocity = 1.0 / speed**2
-    share = least_share(zip(displacement.tolist(), units, strict=False))
+    share = tolerance_share(zip(displacement.tolist(), units, strict=False))
     position, rate = _tolerances(mechanism, [share * MIN_TOLERANCES[unit] for unit in units], tolerance)
-    kept = STANCE_TOLERANCES * position if stands else None
-    effort, control, known = _effort(dynamics, x0, goal, duration, displacement, kept, most)
-    stays_put = (
+    stance_error = STANCE_TOLERANCES * position if stands else None
+    effort, control, known = _effort(dynamics, x0, goal, duration, displacement, stance_error, max_control)
+    stationary = (
         stationary_object_dofs(mechanism) & (displacement == 0.0) & (x0[mechanism.nq : mechanism.nq + nv] == 0.0)
     )
-    dear = max(1.0, jerk * min_jerk_cost(displacement, duration))
-    ends = dear * (not stands) * ~stays_put
+    jerk_cost = max(1.0, jerk * min_jerk_cost(displacement, duration))
+    ends = jerk_cost * (not stands) * ~stationary
     weights = {
         "effort": effort, "control": control, "velocity": velocity,
-        "position": stands * ~stays_put / (STANCE_TOLERANCES * position) ** 2,
+        "position": stands * ~stationary / (STANCE_TOLERANCES * position) ** 2,
         "final_position": ends * POSITION / position**2, "final_velocity": ends * VELOCITY / rate**2,
         "hold": np.array(HOLD_SECONDS * stands),
     }  # fmt: skip
-    staying = "none: the weight is that of staying at the goal"
-    times = f", times {dear:.3g}, which the least jerk of the way costs" if dear > 1.0 else ""
+    held = "none: the weight is that of staying at the goal"
+    times = f", times {jerk_cost:.3g}, the cost of the minimum-jerk motion" if jerk_cost > 1.0 else ""
     return DefaultWeights(weights, {
         "effort": "1 / limit^2 of each control" + ("" if all(known) else ", where the model has no limit from the "
-                  "force that holds the machine and moves its inertia") + (
+                  "force that balances gravity and accelerates the inertia") + (
                   f", at most what corrects {STANCE_TOLERANCES:g} tolerances within 1 / {MAX_CORRECTION_RATE:g} s" if
                   stands else ""),
-        "velocity": "1 / v^2 of each joint, v = 2 way / duration" if np.any(velocity) else
-                    "none: the objective is named" if reach else "none: not every joint has an actuator, and a swing "
-                    "must be free",
-        "position": f"1 / ({STANCE_TOLERANCES:g} tolerances)^2 beside the straight line: the machine stands on the ground"
+        "velocity": "1 / v^2 of each joint, v = 2 displacement / duration" if np.any(velocity) else
+                    "none: the objective is given" if actuated else
+                    "none: not every joint has an actuator, and a swing must be free",
+        "position": f"1 / ({STANCE_TOLERANCES:g} tolerances)^2 from the straight line: the machine stands"
                     if stands else "none on the way",
-        "final_position": staying if stands else f"{POSITION:g} / tolerance^2{times}",
-        "final_velocity": staying if stands else f"{VELOCITY:g} / tolerance^2{times}",
-        "hold": f"what it costs to stay at the goal for {HOLD_SECONDS:g} s" if stands else "none: the machine need not stand",
+        "final_position": held if stands else f"{POSITION:g} / tolerance^2{times}",
+        "final_velocity": held if stands else f"{VELOCITY:g} / tolerance^2{times}",
+        "hold": f"the cost of staying at the goal for {HOLD_SECONDS:g} s" if stands else
+                "none: the machine does not stand",
     })  # fmt: skip
 
 
 def min_jerk_cost(displacement: np.ndarray, duration: float) -> float:
-    """Half the integral of the squared jerk of a quintic from rest to rest over a way (nv,): 360 way^2 / T^5.
+    """Half the integrated squared jerk of the minimum-jerk motion over a displacement (nv,): 360 d^2 / T^5.
 
     No motion from rest to rest has less (Flash and Hogan 1985).
     """
@@ -140,8 +139,8 @@ def default_cost(
         x0: (nx,) start.
         goal: (nx,) end.
         horizon: N, number of stages.
-        tolerance: How far from the goal the end may be, as Problem has it.
-        **weights: Arguments of TrackingCost.joints in place of the default ones.
+        tolerance: Of the goal, as of Problem.
+        **weights: Arguments of TrackingCost.joints that replace the default ones.
 
     Raises:
         PlannerError: As TrackingCost.joints.
@@ -160,7 +159,7 @@ def weighed(
     `straight` tells whether the weights on the way refer to straight_reference, else to the goal.
 
     Raises:
-        PlannerError: As TrackingCost.joints and staying.
+        PlannerError: As TrackingCost.joints and terminal_holding_cost.
     """
     chosen = dict(weights)
     hold = chosen.pop("hold", 0.0)
@@ -170,72 +169,78 @@ def weighed(
 
 
 def straight_reference(dynamics: RigidBodyDynamics, x0: np.ndarray, goal: np.ndarray, N: int) -> np.ndarray:
-    """The states (N+1, nx) of the straight line from x0 to a goal, both (nx,), reached after MOVING of the N stages."""
+    """States (N+1, nx) on the straight line from x0 to a goal, both (nx,), reached after MOVING_SHARE of the stages."""
     mechanism, space = dynamics.mechanism, dynamics.space
     nq, nv = mechanism.nq, mechanism.nv
     rest = [x.copy() for x in (x0, goal)]
     for x in rest:
         x[nq : nq + nv] = 0.0
-    way, s = space.difference(rest[1], rest[0]), np.minimum(np.arange(N + 1) / (MOVING * N), 1.0)
-    places = 10.0 * s**3 - 15.0 * s**4 + 6.0 * s**5
-    xs = space.integrate(np.tile(rest[0], (N + 1, 1)), places[:, None] * way)
-    xs[:, nq : nq + nv] = (30.0 * s**2 - 60.0 * s**3 + 30.0 * s**4)[:, None] * way[:nv] / (MOVING * N * dynamics.dt)
+    displacement, s = space.difference(rest[1], rest[0]), np.minimum(np.arange(N + 1) / (MOVING_SHARE * N), 1.0)
+    share, rate, _ = minimum_jerk(s)
+    xs = space.integrate(np.tile(rest[0], (N + 1, 1)), share[:, None] * displacement)
+    xs[:, nq : nq + nv] = rate[:, None] * displacement[:nv] / (MOVING_SHARE * N * dynamics.dt)
     xs[0], xs[N] = x0, goal
     return xs
 
 
 def fully_actuated(dynamics: RigidBodyDynamics) -> bool:
-    """Whether actuators and prescribed joints can accelerate every joint as they like."""
-    mechanism, driven = dynamics.mechanism, prescribed_dofs_of(dynamics)
+    """Whether actuators and prescribed joints can give every joint any acceleration."""
+    mechanism, prescribed = dynamics.mechanism, prescribed_dofs_of(dynamics)
     moment = mechanism.actuators.moment * (mechanism.actuators.gain[:, None] != 0.0)
-    own, Z = np.eye(mechanism.nv)[driven], feasible_directions(mechanism, mechanism.qpos0)[0]
-    Z = Z[:, ~np.any(Z[stationary_object_dofs(mechanism)], axis=0)]  # an object beside it need not be moved
+    own, Z = np.eye(mechanism.nv)[prescribed], feasible_directions(mechanism, mechanism.qpos0)[0]
+    Z = Z[
+        :, ~np.any(Z[stationary_object_dofs(mechanism)], axis=0)
+    ]  # objects that rest beside the machine need no actuator
     return bool(np.linalg.matrix_rank(np.vstack([moment, own]) @ Z) == Z.shape[1])
 
 
 def _effort(
     dynamics: RigidBodyDynamics, x0: np.ndarray, goal: np.ndarray, duration: float, displacement: np.ndarray,
-    kept: np.ndarray | None, most: np.ndarray | None,
+    stance_error: np.ndarray | None, max_control: np.ndarray | None,
 ) -> tuple[np.ndarray, np.ndarray, list[bool]]:  # fmt: skip
-    """Weights and zero of the controls (nu,), and whether the model limits each.
+    """Weights and reference of the controls (nu,), and whether the model limits each.
 
-    `kept` (nv,) are the errors that a machine that stands corrects within 1 / SWIFT; None for any other machine.
+    `stance_error` (nv,) are errors that a standing machine correction at MAX_CORRECTION_RATE; None for other machines.
     """
-    mechanism, driven = dynamics.mechanism, prescribed_dofs_of(dynamics)
+    mechanism, prescribed = dynamics.mechanism, prescribed_dofs_of(dynamics)
     actuators, nq = mechanism.actuators, mechanism.nq
     units = [one.unit for one in coordinates_of_mechanism(mechanism)[: mechanism.nv]]
-    swift = 4.0 * np.maximum(displacement, [MIN_WAY[unit] for unit in units]) / duration**2  # of a triangle of speed
+    acceleration = (
+        4.0 * np.maximum(displacement, [MIN_DISPLACEMENT[unit] for unit in units]) / duration**2
+    )  # triangular velocity profile
     still = np.zeros(mechanism.nv)
     held = np.maximum(*(np.abs(bias(mechanism, x[:nq], still)) for x in (x0, goal)))
     inertia = np.diagonal(mass_matrix(mechanism, x0[:nq]))
-    force = held + inertia * swift
-    if mechanism.loops or mechanism.polynomial_couplings:  # what leads a chain carries what follows
+    force = held + inertia * acceleration
+    if dynamics.capabilities.loops:  # independent joints of a closed chain carry the dependent ones
         Z, leading = feasible_directions(mechanism, x0[:nq])
-        carried = np.abs(Z).T @ (held + np.abs(mass_matrix(mechanism, x0[:nq])) @ swift)
+        carried = np.abs(Z).T @ (held + np.abs(mass_matrix(mechanism, x0[:nq])) @ acceleration)
         force[leading] = np.maximum(force[leading], carried)
-    corrects = np.full(mechanism.nv, np.inf)
-    if kept is not None:
-        corrects = np.maximum(inertia, stance_inertia(mechanism, goal[:nq])) * MAX_CORRECTION_RATE**2 * kept
+    correction = np.full(mechanism.nv, np.inf)
+    if stance_error is not None:
+        correction = np.maximum(inertia, stance_inertia(mechanism, goal[:nq])) * MAX_CORRECTION_RATE**2 * stance_error
     limits, known = np.empty(dynamics.nu), []
     servo = actuators.bias[:, 1] != 0.0
     for a in range(mechanism.nu):
         push = np.abs(actuators.gain[a] * actuators.moment[a])
         limit = _limit(mechanism, a, bool(servo[a]))
-        if most is not None and not np.isfinite(limit) and not servo[a]:
-            limit = float(most[a])
+        if max_control is not None and not np.isfinite(limit) and not servo[a]:
+            limit = float(max_control[a])
         known.append(np.isfinite(limit))
         if not known[-1]:
             limit = float(np.max(force[push > 0.0] / push[push > 0.0], initial=0.0)) or 1.0
-        limits[a] = min(limit, float(np.max(corrects[push > 0.0] / push[push > 0.0], initial=0.0)) or limit)
-    limits[mechanism.nu :] = swift[driven]
+        limits[a] = min(limit, float(np.max(correction[push > 0.0] / push[push > 0.0], initial=0.0)) or limit)
+    limits[mechanism.nu :] = acceleration[prescribed]
     control = np.zeros(dynamics.nu)
-    if np.any(servo) or kept is not None:
-        control[: mechanism.nu] = np.where(servo | (kept is not None), quasi_static_controls(mechanism, goal), 0.0)
-    return np.maximum(1.0 / limits**2, SOFTEST_EFFORT), control, known
+    if np.any(servo) or stance_error is not None:
+        control[: mechanism.nu] = np.where(
+            servo | (stance_error is not None), quasi_static_controls(mechanism, goal), 0.0
+        )
+    return np.maximum(1.0 / limits**2, MIN_EFFORT), control, known
 
 
 def _limit(mechanism: Mechanism, a: int, servo: bool) -> float:
-    """How large a control can usefully be, by the model; infinite where it says nothing."""
+    """The largest useful magnitude of a control by the model's limits; infinite without one."""
     actuators = mechanism.actuators
     low, high = actuators.control_range[a]
     found = [0.5 * (high - low) if servo else max(abs(low), abs(high))]
@@ -251,7 +256,7 @@ def _limit(mechanism: Mechanism, a: int, servo: bool) -> float:
 def _tolerances(
     mechanism: Mechanism, usual: list[float], tolerance: float | Mapping[str, float] | None
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Of positions and velocities (nv,): those that are asked for, where finite; never more than a proof's least."""
+    """Tolerances of positions and velocities (nv,): as given, but at most the usual ones."""
     coordinates, asked = coordinates_of_mechanism(mechanism), np.array(usual)
     for i, (name, unit) in enumerate(coordinates[: len(usual)]):
         kind = "velocity" if unit.endswith("/s") else "position"

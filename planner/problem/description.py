@@ -167,7 +167,8 @@ def _planned(mechanism: Mechanism | None, joints: list[Record]) -> list[str]:
         (len(mechanism.stops), "spring", " at ends of joint ranges"),
         (len(mechanism.couplings), "coupling", " of joints"),
         (len(mechanism.loops), "closed chain", ""),
-        (len(mechanism.polynomial_couplings), "polynomial coupling", " of two joints"), (len(mechanism.tendons), "fixed tendon", ""),
+        (len(mechanism.polynomial_couplings), "polynomial coupling", " of two joints"),
+        (len(mechanism.tendons), "fixed tendon", ""),
         (len(mechanism.contacts), "contact", " with the ground"),
         (len(mechanism.body_contacts), "contact", " between bodies"),
     ]  # fmt: skip

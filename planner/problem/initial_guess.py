@@ -11,7 +11,7 @@ from planner.base.errors import PlannerError
 from planner.dynamics import Dynamics
 from planner.dynamics.algorithms import bias, rnea
 from planner.dynamics.assembly import feasible_directions
-from planner.dynamics.constraint_forces import constraint_jacobians
+from planner.dynamics.closure_forces import constraint_jacobians
 from planner.dynamics.friction import friction_forces
 from planner.dynamics.statics import supporting_controls
 from planner.model.actuators import DIRECT, INTEGRATOR
@@ -61,7 +61,7 @@ def inverse_dynamics_controls(mechanism: Mechanism, q: np.ndarray, qd: np.ndarra
         raise PlannerError("the actuators do not reach every joint directly, expected a fully actuated machine.")
     lengths, speeds = _lengths(mechanism, q), qd @ actuators.moment.T
     force = actuators.bias[:, 0] + actuators.bias[:, 1] * lengths + actuators.bias[:, 2] * speeds
-    tree = replace(mechanism, loops=(), cams=()) if closed else mechanism
+    tree = replace(mechanism, loops=(), polynomial_couplings=()) if closed else mechanism
     tau = rnea(tree, q, qd, qdd) - friction_forces(mechanism, qd, qdd)[0] - force @ actuators.moment
     if not closed:
         return np.linalg.lstsq(reach, G.T @ tau.T, rcond=None)[0].T
@@ -105,32 +105,43 @@ def quintic(start: np.ndarray, goal: np.ndarray, duration: float, N: int) -> tup
 
     From start (n,) to goal (n,) in duration s: positions, velocities and accelerations, each (N, n).
     """
-    s = (np.arange(N)[:, None] + 0.5) / N
-    way = goal - start
+    share, rate, acceleration = minimum_jerk((np.arange(N)[:, None] + 0.5) / N)
+    displacement = goal - start
     return (
-        start + quintic_shares(s) * way,
-        (30.0 * s**2 - 60.0 * s**3 + 30.0 * s**4) * way / duration,
-        (60.0 * s - 180.0 * s**2 + 120.0 * s**3) * way / duration**2,
+        start + share * displacement,
+        rate * displacement / duration,
+        acceleration * displacement / duration**2,
     )
 
 
-def quintic_shares(s: np.ndarray) -> np.ndarray:
-    """Which share of the way is behind the motion of `quintic` when the share s of its time is."""
-    return 10.0 * s**3 - 15.0 * s**4 + 6.0 * s**5
+def minimum_jerk(s: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The time law from rest to rest of least integrated squared jerk (Flash and Hogan 1985): 0 at s = 0, 1 at s = 1.
+
+    Args:
+        s: Any shape, the share of the duration that has passed.
+
+    Returns:
+        The share of the displacement and its first and second derivatives with respect to s, each shaped as s.
+    """
+    return (
+        10.0 * s**3 - 15.0 * s**4 + 6.0 * s**5,
+        30.0 * s**2 - 60.0 * s**3 + 30.0 * s**4,
+        60.0 * s - 180.0 * s**2 + 120.0 * s**3,
+    )
 
 
 def interpolated_states(space: StateSpace, x0: np.ndarray, goal: np.ndarray, duration: float, N: int) -> np.ndarray:
-    """States (N+1, nx) along the straight line from x0 to goal, both (nx,), at the pace of `quintic`.
+    """States (N+1, nx) along the straight line from x0 to goal, both (nx,), by the time law minimum_jerk.
 
-    Of a machine's states the velocities are those of that motion where x holds positions and as many velocities; other
-    entries go the same way in the same share.
+    Where a state holds positions and as many velocities, the velocities are those of this motion. Other entries go
+    from start to goal in the same share.
     """
     s = np.linspace(0.0, 1.0, N + 1)[:, None]
     way = space.difference(goal, x0)
-    share, rate = quintic_shares(s), (30.0 * s**2 - 60.0 * s**3 + 30.0 * s**4) / duration
+    share, rate, _ = minimum_jerk(s)
     dxs, nv = share * way, space.ndx // 2
     if space.ndx == 2 * nv:
-        dxs[:, nv:] += rate * way[:nv]
+        dxs[:, nv:] += rate / duration * way[:nv]
     return space.integrate(x0, dxs)
 
 

@@ -1,30 +1,46 @@
-"""Ranges of joints as a plan keeps them: those of the model less a margin, with starts and goals at their very ends."""
+"""Ranges of joints and fixed tendons as bounds of a plan: those of the model less a margin.
+
+A start or goal within the margin widens the bound to it. Of a fixed tendon the constraint is
+
+    low <= c'q <= high    at every knot,
+
+with c'q divided by the largest |c|, so that margins and tolerances in rad or m mean the same as for joints. A tendon
+has no constraint where the ranges of its joints imply its own, or where equalities fix its length within its range:
+MuJoCo's equalities give way a little, which no motion can prevent.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping
+from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from planner.base.arguments import choice, number, short_repr
 from planner.base.errors import PlannerError
+from planner.dynamics import Dynamics
 from planner.model.coordinates import ANGLE, LENGTH, Coordinate
 from planner.model.mechanism import SCREW, Mechanism
+from planner.model.space import space_of
+from planner.model.tendons import FixedTendon
+from planner.problem.constraints.constraint import Constraint
+from planner.problem.constraints.quantities import mechanism_of
 
-SHARE = 0.01  # of a range, the margin by default
-MIN_MARGINS = {ANGLE: 0.01, LENGTH: 1e-3}  # and at least so much: a held control bulges out by a dt^2 / 8 between knots
-WIDEST = 0.1  # of a range: the fingers of a gripper move by few millimetres
-OFF = 1e-4  # rad or m, of a start at the end of a range: the tolerance of limits
-ROUNDING = 1e-6  # of a range: a start outside by less is at its end
+SHARE = 0.01  # of a range, the default margin
+MIN_MARGINS = {ANGLE: 0.01, LENGTH: 1e-3}  # rad, m: a constant control overshoots by a dt^2 / 8 between knots
+MAX_SHARE = 0.1  # of a range, upper limit of the margin: the fingers of a gripper move by few millimetres
+START_OFFSET = 1e-4  # rad or m, by which a start at a limit is moved inside: the tolerance of limits
+TENDON_ROUNDING = 1e-9  # rad or m, of a length that equalities hold
+ROUNDING = 1e-6  # of a range: a start outside by less is at the limit
 
 
 class Range(NamedTuple):
-    """Where a coordinate is to stay."""
+    """Bounds of a coordinate."""
 
     low: float
     high: float
-    model_lower: float  # The ends of the model's own range, where low and high are nearer to each other by the margin
+    model_lower: float  # The model's own range; low and high are inside by the margin
     model_upper: float
     of_model: bool = False
 
@@ -34,7 +50,7 @@ class Range(NamedTuple):
         return cls(low, high, low, high)
 
     def widened_to(self, value: float) -> Range | None:
-        """The range with room for a value in the margin; None where the value is outside of the model's range too."""
+        """The range widened to a value within the margin; None for a value outside of the model's range."""
         width = self.model_upper - self.model_lower
         slack = ROUNDING * width if np.isfinite(width) else 0.0
         if not self.model_lower - slack <= value <= self.model_upper + slack:
@@ -43,18 +59,18 @@ class Range(NamedTuple):
         return self._replace(low=min(self.low, inside), high=max(self.high, inside))
 
     def refusal(self, coordinate: Coordinate, value: float) -> str:
-        """The end of a sentence about a value outside."""
+        """The end of a message about a value outside."""
         name, unit = coordinate
         nearest = self.model_lower if value < self.model_lower else self.model_upper
-        said = f", expected {self.model_lower:g} ... {self.model_upper:g} {unit}".rstrip() + f": write {nearest:.6g}"
-        said += f', or limits.position = {{ {name} = "off" }}.' if self.of_model else "."
+        message = f", expected {self.model_lower:g} ... {self.model_upper:g} {unit}".rstrip() + f": write {nearest:.6g}"
+        message += f', or limits.position = {{ {name} = "off" }}.' if self.of_model else "."
         if unit == "rad" and abs(value) > 2.0 * np.pi:
-            said += f" Angles are in rad: {value:g} deg are {np.radians(value):.6g}."
-        return said
+            message += f" Angles are in rad: {value:g} deg are {np.radians(value):.6g}."
+        return message
 
 
 def model_ranges(mechanism: Mechanism, margin: Any) -> dict[int, Range]:
-    """The ranges of hinges and slides by degree of freedom, but for those whose stops the mechanism has itself."""
+    """The ranges of hinges and slides by degree of freedom, without those whose joint stops the mechanism has."""
     stopped = {stop.dof for stop in mechanism.stops}
     found = {}
     for name, links in zip(mechanism.joint_names, mechanism.joint_links, strict=True):
@@ -70,49 +86,50 @@ def model_ranges(mechanism: Mechanism, margin: Any) -> dict[int, Range]:
 def moved_inside_limits(
     mechanism: Mechanism, what: str, x: np.ndarray, limited: Collection[str]
 ) -> tuple[np.ndarray, str]:
-    """A state (nx,) whose joints lie outside of the model's ranges by no more than a margin, at their ends instead.
+    """A state (nx,) with joints that are outside of the model's ranges by at most a margin moved to the limit.
 
-    A stop acts from a little before its end on, by its own margin: what begins or ends there is pushed to where the
-    stop lets go, so that is where it is put. A start at the very end is put OFF off it: what moves beside it pushes it
-    back by less than that before it leaves, and no stop answers. Coupled joints stay where they are, and so do those of
-    `limited`, which have a range of their own.
+    A joint stop acts within its own margin of the limit and would push the joint there. A start at the limit is moved
+    inside by START_OFFSET: neighbours push it back by less than that before it leaves. Coupled joints stay where they
+    are, and so do those in `limited`, which have a range of the user's.
 
     Returns:
         The state, and a sentence about it that calls it `what`, "start" or "goal"; "" where nothing was moved.
     """
     coupled = {dof for coupling in mechanism.couplings for dof in coupling.dofs}
-    moved, names, most = x.copy(), [], 0.0
-    for i, kept in model_ranges(mechanism, None).items():
-        name, address = mechanism.joint_names[_place(mechanism, i)], int(mechanism.q_address[i])
-        off = min(OFF, SHARE * (kept.model_upper - kept.model_lower)) if what == "start" else 0.0
-        end = min(max(x[address], kept.model_lower + off), kept.model_upper - off)
-        way = abs(end - x[address])
-        if 0.0 < way <= off + _margin(mechanism, name, i, None) and i not in coupled and name not in limited:
+    moved, names, largest = x.copy(), [], 0.0
+    for i, joint_range in model_ranges(mechanism, None).items():
+        name, address = mechanism.joint_names[_joint_index(mechanism, i)], int(mechanism.q_address[i])
+        off = min(START_OFFSET, SHARE * (joint_range.model_upper - joint_range.model_lower)) if what == "start" else 0.0
+        end = min(max(x[address], joint_range.model_lower + off), joint_range.model_upper - off)
+        displacement = abs(end - x[address])
+        if 0.0 < displacement <= off + _margin(mechanism, name, i, None) and i not in coupled and name not in limited:
             moved[address] = end
             names.append(mechanism.joint_of(i))
-            most = max(most, float(way))
+            largest = max(largest, float(displacement))
     if not names:
         return x, ""
     others = f" and {len(names) - 1} more" if len(names) > 1 else ""
-    return moved, f"the {what} has {names[0]}{others} at a stop and is put off it, by up to {most:.2g} rad or m."
+    return moved, f"the {what} has {names[0]}{others} at a stop and is put off it, by up to {largest:.2g} rad or m."
 
 
 def starts_at_limit(mechanism: Mechanism, what: str, x: np.ndarray, limited: Collection[str]) -> str:
-    """A sentence about joints that nothing drives and that are at a stop in a state (nx,); "" where there are none.
+    """A sentence about unactuated joints that are at a limit in a state (nx,); "" for none.
 
-    What moves beside them pushes them into it. In MuJoCo it holds them, and a plan has no such force.
+    Their neighbours push them into the stop, which holds them in MuJoCo; a plan has no such force.
     """
-    tied = {dof for coupling in mechanism.couplings for dof in coupling.dofs}
+    coupled = {dof for coupling in mechanism.couplings for dof in coupling.dofs}
     driven, names = np.any(mechanism.actuators.moment, axis=0), []
-    for i, kept in model_ranges(mechanism, None).items():
-        value, name = float(x[mechanism.q_address[i]]), mechanism.joint_names[_place(mechanism, i)]
+    for i, joint_range in model_ranges(mechanism, None).items():
+        value, name = float(x[mechanism.q_address[i]]), mechanism.joint_names[_joint_index(mechanism, i)]
         free = (
             not driven[i]
-            and i not in tied
+            and i not in coupled
             and name not in limited
             and not (mechanism.loops or mechanism.polynomial_couplings)
         )
-        if free and min(value - kept.model_lower, kept.model_upper - value) <= _margin(mechanism, name, i, None):
+        if free and min(value - joint_range.model_lower, joint_range.model_upper - value) <= _margin(
+            mechanism, name, i, None
+        ):
             names.append(mechanism.joint_of(i))
     if not names:
         return ""
@@ -124,7 +141,7 @@ def starts_at_limit(mechanism: Mechanism, what: str, x: np.ndarray, limited: Col
     )
 
 
-def _place(mechanism: Mechanism, dof: int) -> int:
+def _joint_index(mechanism: Mechanism, dof: int) -> int:
     return next(k for k, links in enumerate(mechanism.joint_links) if links.start <= dof < links.stop)
 
 
@@ -148,10 +165,132 @@ def _margin(mechanism: Mechanism, name: str, i: int, margin: Any) -> float:
 
 
 def margin_of(width: float, unit: str, given: float | None) -> float:
-    """How far a plan stays off the ends of a range of some width, in rad or m: as given, else by default."""
+    """The margin of a range of some width, in rad or m: as given, else the default."""
     if given is not None:
         return float(given)
     if not np.isfinite(width):
         width = 0.0
     least = MIN_MARGINS[unit]
-    return max(SHARE * width, min(least, WIDEST * width) if width else least)
+    return max(SHARE * width, min(least, MAX_SHARE * width) if width else least)
+
+
+def tendon_ranges(
+    mechanism: Mechanism, margin: Any, given: Mapping[str, Range], of_joints: Mapping[int, Range]
+) -> list[tuple[TendonLength, Range]]:
+    """The ranges of tendons that constrain a plan, less the margin.
+
+    Args:
+        mechanism: Of the plan.
+        margin: Of the limits: a number, a table by joints and tendons, or None.
+        given: Ranges by the names of tendons that take the place of the model's.
+        of_joints: Ranges of joints by degree of freedom in the plan.
+    """
+    found = []
+    for tendon in mechanism.tendons:
+        length = TendonLength(tendon, mechanism)
+        if _is_fixed(length):
+            continue
+        joint_range = given.get(tendon.name) or _of_model(length, margin)
+        ends = [[(one.low, one.high) if (one := of_joints.get(i)) else (-np.inf, np.inf)] for i in tendon.dofs]
+        reached = np.sort(length.coefficients[:, None] * np.concatenate(ends), axis=1).sum(axis=0)
+        if reached[0] < joint_range.low or reached[1] > joint_range.high:
+            found.append((length, joint_range))
+    return found
+
+
+def _is_fixed(length: TendonLength) -> bool:
+    """Whether equalities alone fix a tendon's length, within its own range."""
+    reduction = length.mechanism.reduction
+    if reduction is None:
+        return False
+    c = np.zeros(length.mechanism.nv)
+    np.add.at(c, list(length.tendon.dofs), length.coefficients)
+    if np.any(np.abs(c @ reduction.G) > TENDON_ROUNDING):
+        return False
+    low, high = np.array(length.tendon.range) / length.scale
+    return bool(low - TENDON_ROUNDING <= c[reduction.dependent] @ reduction.offset <= high + TENDON_ROUNDING)
+
+
+def tendon_constraint(
+    length: TendonLength, joint_range: Range, start: np.ndarray, goal: np.ndarray | None, tolerance: float
+) -> Any:
+    """The constraint of a tendon, widened to a start or goal within the margin.
+
+    Raises:
+        PlannerError: A start, or a goal (nx,) if there is one, outside of the range.
+    """
+    for what, x in (("start", start), ("goal", goal)):
+        if x is None:
+            continue
+        value = float(length.of(x[None])[0])
+        widened = joint_range.widened_to(value)
+        if widened is None:
+            scaled = Range(*(end * length.scale for end in joint_range[:4]), of_model=joint_range.of_model)
+            own, message = value * length.scale, f"the {what} has {length} at {value * length.scale:.6g}"
+            raise PlannerError(message + scaled.refusal(Coordinate(length.tendon.name, ""), own))
+        joint_range = widened
+    lower, upper = (end if np.isfinite(end) else None for end in (joint_range.low, joint_range.high))
+    return Constraint(length, lower=lower, upper=upper, tolerance=tolerance, name=f"range of {length}")
+
+
+def _of_model(length: TendonLength, margin: Any) -> Range:
+    low, high = np.array(length.tendon.range) / length.scale
+    given = margin.get(length.tendon.name) if isinstance(margin, Mapping) else margin
+    keep = min(margin_of(high - low, length.unit, given), 0.5 * (high - low))
+    return Range(low + keep, high - keep, low, high, of_model=True)
+
+
+@dataclass(frozen=True, eq=False)
+class TendonLength:
+    """The length of a fixed tendon over its largest coefficient: a quantity for a constraint."""
+
+    tendon: FixedTendon
+    mechanism: Mechanism
+
+    def __str__(self) -> str:
+        return f"tendon {self.tendon.name!r}"
+
+    @property
+    def scale(self) -> float:
+        """The largest of its |coefficients|."""
+        return float(np.abs(self.tendon.coefficients).max())
+
+    @property
+    def coefficients(self) -> np.ndarray:
+        """(k,) of its degrees of freedom, the largest 1 or -1."""
+        return np.array(self.tendon.coefficients) / self.scale
+
+    @property
+    def unit(self) -> str:
+        """Of the joint with the largest coefficient."""
+        dof = self.tendon.dofs[int(np.argmax(np.abs(self.tendon.coefficients)))]
+        return ANGLE if np.any(self.mechanism.S[dof, :3]) else LENGTH
+
+    def of(self, xs: np.ndarray) -> np.ndarray:
+        """(K,) of states (K, nx)."""
+        return xs[:, self.mechanism.q_address[list(self.tendon.dofs)]] @ self.coefficients
+
+    def constraint_function(self, dynamics: Dynamics, N: int) -> TendonFunction:
+        """Of a machine."""
+        mechanism_of(dynamics, self)
+        return TendonFunction(self, dynamics)
+
+
+class TendonFunction:
+    """The row of a TendonLength: the same derivative everywhere."""
+
+    rows, of_controls = 1, False
+
+    def __init__(self, length: TendonLength, dynamics: Dynamics) -> None:
+        self._length, self.same = length, id(length)
+        self._ndx, self._nu = space_of(dynamics).ndx, dynamics.nu
+
+    def values(self, xs: np.ndarray, us: np.ndarray, n: np.ndarray) -> np.ndarray:
+        """(K, 1)."""
+        return self._length.of(xs)[:, None]
+
+    def derivatives(self, xs: np.ndarray, us: np.ndarray, n: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """(K, 1, ndx) and zeros (K, 1, nu)."""
+        by_x = np.zeros((len(xs), 1, self._ndx))
+        by_x[:, 0, list(self._length.tendon.dofs)] = self._length.coefficients
+        return by_x, np.zeros((len(xs), 1, self._nu))

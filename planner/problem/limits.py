@@ -1,12 +1,11 @@
 """Limits: bounds of the controls, ranges of joints and their velocities, and goals to be met exactly.
 
-    lower <= u(n) <= upper                            met exactly, in the sweep and in every rollout
+    lower <= u(n) <= upper                            exactly, in the backward pass and in every rollout
     lower <= x_i(n) <= upper   for n = 1 ... N        to a tolerance, by an augmented Lagrangian
     x_i(N) = goal_i                                   likewise
 
-Ranges hold at the knots, to the tolerance. Between knots a motion bulges out a little more: so ranges of the model are
-kept with a margin, and a plan stays off MuJoCo's stops. What the feedback of a plan asks for is put back within the
-bounds of the controls.
+Ranges hold at the knots, to the tolerance. Between knots a motion overshoots a little: so a margin is taken off the
+model's ranges, and a plan stays off MuJoCo's joint stops. Controls with feedback are clipped to their bounds.
 """
 
 from __future__ import annotations
@@ -20,16 +19,16 @@ import numpy as np
 from planner.base.arguments import choice, number, short_repr
 from planner.base.errors import PlannerError
 from planner.dynamics import Dynamics
+from planner.model.capabilities import capabilities_of
 from planner.model.coordinates import coordinates_of
 from planner.model.coupled_ranges import contradiction
 from planner.model.mechanism import SCREW, Mechanism
 from planner.model.space import space_of
-from planner.problem.actuator_limits import model_bounds, servo_bounds, unbounded_actuators
 from planner.problem.constraints.constraint import Constraint
-from planner.problem.control_bounds import ControlBounds, Servos
+from planner.problem.control_bounds import ControlBounds, Servos, model_bounds, servo_bounds, unbounded_actuators
 from planner.problem.costs.terms import Cost
 from planner.problem.costs.weights import places
-from planner.problem.joint_limits import Range, check_margin, model_ranges
+from planner.problem.joint_limits import Range, check_margin, model_ranges, tendon_constraint, tendon_ranges
 from planner.problem.limit_values import (
     OFF,
     component_of,
@@ -42,7 +41,6 @@ from planner.problem.limit_values import (
     with_names,
 )
 from planner.problem.state_bounds import StateBounds
-from planner.problem.tendon_ranges import kept_tendon, tendon_ranges
 
 TOLERANCE = 1e-4  # rad, m, rad/s, m/s
 MODEL, EXACT = "model", "exact"
@@ -50,26 +48,25 @@ MODEL, EXACT = "model", "exact"
 
 @dataclass(frozen=True, eq=False)
 class Limits:
-    """Bounds and goals that a plan keeps. A bound of None or infinity is none, and so is "off".
+    """Bounds and exact goals of a plan. None, infinity and "off" are no bound.
 
-    Numbers take the place of the model's own limits. In a table "off" is no limit, and what a table does not name
-    keeps the limit of the model.
+    Numbers replace the model's own limits. Entries that a table does not name have the limit of the model.
 
     Attributes:
         control: (lower, upper), each a number, (nu,) or (N, nu); a number b for -b to b; a table of numbers or pairs
             by the names of actuators; "model" for the model's ctrlrange, forcerange and actuatorfrcrange. Those of
-            servos bound controls that depend on the state; some bound none (planner.problem.actuator_limits.unbounded).
+            servos bound controls that depend on the state; some bound none (planner.problem.control_bounds.unbounded).
         position: (lower, upper) by the names of hinge and slide joints, or "model" for their ranges less the margin.
             rad or m. Joints whose stops the mechanism has have none. Names of fixed tendons likewise, of their lengths.
         velocity: A number for all joints, or by joint a number or (lower, upper), or "model" for the limits that a
             URDF has. rad/s or m/s.
         state: (lower, upper) by the index of a component of the deviation, for a machine without named joints.
         final: "exact" for all that has a final weight, or names of joints (their positions and velocities), or
-            indices of components of the deviation: what is to end at the cost's own goal.
-        tolerance: How far a state may be outside its range, or from an exact goal.
-        margin: How far plans stay off the ends of the model's ranges, in rad or m, a number or a table by joint. By
-            default 1 % of the range and at least 0.01 rad or 1 mm, but no more of the least than a tenth of the range.
-            A start or a goal within the margin moves the bound out to it.
+            indices of components of the deviation that end at the cost's goal.
+        tolerance: Largest violation of a range or of an exact goal.
+        margin: Distance of a plan from the ends of the model's ranges, rad or m, a number or a table by joint. By
+            default 1 % of the range, and at least the smaller of 0.01 rad or 1 mm and a tenth of the range. A start or
+            goal within the margin widens the bound to it.
 
     Raises:
         PlannerError: Where a Problem is made with it: names that the machine does not have, a lower bound above the
@@ -98,7 +95,7 @@ class Limits:
 
     @property
     def keeps_clamps(self) -> bool:
-        """Whether the model's clamps bound controls, but for those of a table."""
+        """Whether the model's clamps bound the controls that no table names."""
         return is_word(self.control, MODEL) or isinstance(self.control, Mapping)
 
     def without_clamps(self, mechanism: Mechanism) -> frozenset[int]:
@@ -133,7 +130,7 @@ class Limits:
         Raises:
             PlannerError: As for the class.
         """
-        nu, mechanism = dynamics.nu, getattr(dynamics, "mechanism", None)
+        nu, mechanism = dynamics.nu, capabilities_of(dynamics).mechanism
         servos: Servos | None = None
         if self.control is None or is_word(self.control, OFF):
             return None
@@ -172,11 +169,11 @@ class Limits:
         Raises:
             PlannerError: As for the class.
         """
-        mechanism = with_names(getattr(dynamics, "mechanism", None), "position")
+        mechanism = with_names(capabilities_of(dynamics).mechanism, "position")
         found = np.tile([-np.inf, np.inf], (mechanism.nv, 1))
-        for i, kept in self._found(mechanism, space_of(dynamics).ndx).items():
+        for i, joint_range in self._found(mechanism, space_of(dynamics).ndx).items():
             if i < mechanism.nv:
-                found[i] = kept.low, kept.high
+                found[i] = joint_range.low, joint_range.high
         return found
 
     def ranges(self, dynamics: Dynamics, cost: Cost, x0: np.ndarray, N: int) -> StateBounds | None:
@@ -185,7 +182,7 @@ class Limits:
         Raises:
             PlannerError: As for the class; a start or a goal outside its range.
         """
-        space, mechanism = space_of(dynamics), getattr(dynamics, "mechanism", None)
+        space, mechanism = space_of(dynamics), capabilities_of(dynamics).mechanism
         coordinates = coordinates_of(dynamics)
         found = self._found(mechanism, space.ndx)
         rotations = {j + c for _, j in space.quaternions for c in range(3)}
@@ -201,24 +198,25 @@ class Limits:
         offset, start = space.difference(reference, origin), space.difference(x0, origin)
         lower, upper = np.full((2, N + 1, len(found) + len(at_end)), np.inf)
         lower = -lower
-        wanted = np.zeros(space.ndx, dtype=bool)
-        wanted[at_end] = True
+        exact = np.zeros(space.ndx, dtype=bool)
+        exact[at_end] = True
         weighed = np.zeros(space.ndx, dtype=bool)
         if getattr(cost, "x_ref", None) is not None and getattr(cost, "Q", None) is not None:
             weighed = np.abs(cost.Q[-1]).max(axis=0) > 0.0  # pyright: ignore
-        for h, (i, kept) in enumerate(found.items()):
+        for h, (i, joint_range) in enumerate(found.items()):
             name, unit = coordinates[i]
             if i in rotations:
                 raise PlannerError(f"{name} is an orientation, expected ranges of hinges, slides or velocities.")
-            aims = wanted[i] or (kept.of_model and weighed[i])
+            aims = exact[i] or (joint_range.of_model and weighed[i])
             for what, value in (("start", start[i]), *((("goal", offset[-1, i]),) if aims else ())):
-                room = kept.widened_to(float(value))
-                if room is None:
+                widened = joint_range.widened_to(float(value))
+                if widened is None:
                     raise PlannerError(
-                        f"the {what} has {name} at {value:.6g} {unit}".rstrip() + kept.refusal(coordinates[i], value)
+                        f"the {what} has {name} at {value:.6g} {unit}".rstrip()
+                        + joint_range.refusal(coordinates[i], value)
                     )
-                kept = room
-            lower[1:, h], upper[1:, h] = kept.low - offset[1:, i], kept.high - offset[1:, i]
+                joint_range = widened
+            lower[1:, h], upper[1:, h] = joint_range.low - offset[1:, i], joint_range.high - offset[1:, i]
         lower[N, len(found) :] = upper[N, len(found) :] = 0.0
         limited = tuple(coordinates[i] for i in (*found, *at_end))
         component = np.array([*found, *at_end], dtype=np.int64)
@@ -230,7 +228,7 @@ class Limits:
         Raises:
             PlannerError: As for the class; a start or a goal outside its range.
         """
-        mechanism = getattr(dynamics, "mechanism", None)
+        mechanism = capabilities_of(dynamics).mechanism
         if mechanism is None or not mechanism.tendons or self.position is None or is_word(self.position, OFF):
             return ()
         table = {} if is_word(self.position, MODEL) else table_of("position", self.position)
@@ -242,11 +240,11 @@ class Limits:
                 given[tendon.name] = Range.of(low / scale, high / scale)
         Q, x_ref, found = getattr(cost, "Q", None), getattr(cost, "x_ref", None), []
         weighed = np.abs(Q[-1]).max(axis=0) > 0.0 if Q is not None and x_ref is not None else np.zeros(0)
-        for length, kept in tendon_ranges(
+        for length, joint_range in tendon_ranges(
             mechanism, self.margin, given, self._found(mechanism, space_of(dynamics).ndx)
         ):
             aims = x_ref is not None and len(weighed) and weighed[list(length.tendon.dofs)].all()
-            found.append(kept_tendon(length, kept, x0, x_ref[-1] if aims else None, self.tolerance))  # pyright: ignore
+            found.append(tendon_constraint(length, joint_range, x0, x_ref[-1] if aims else None, self.tolerance))  # pyright: ignore
         return tuple(found)
 
     def _found(self, mechanism: Mechanism | None, ndx: int) -> dict[int, Range]:
@@ -262,8 +260,8 @@ class Limits:
             if is_word(self.position, MODEL) and machine.couplings:
                 wide = np.array([[one.model_lower, one.model_upper] if (one := found.get(i)) else [-np.inf, np.inf]
                                  for i in range(machine.nv)])  # fmt: skip
-                if said := contradiction(machine, wide):
-                    raise PlannerError(said)
+                if message := contradiction(machine, wide):
+                    raise PlannerError(message)
             tendons = {tendon.name for tendon in machine.tendons} - set(machine.joint_names)
             for joint, value in {} if is_word(self.position, MODEL) else table_of("position", self.position).items():
                 if joint in tendons:
@@ -279,7 +277,11 @@ class Limits:
         for i, value in ({} if self.state is None else table_of("state", self.state)).items():
             i = component_of("state", i, ndx)
             found[i] = Range.of(*pair_of(f"the range of component {i}", value))
-        return {i: kept for i, kept in sorted(found.items()) if np.isfinite([kept.low, kept.high]).any()}
+        return {
+            i: joint_range
+            for i, joint_range in sorted(found.items())
+            if np.isfinite([joint_range.low, joint_range.high]).any()
+        }
 
     def _velocities(self, machine: Mechanism) -> dict[int, Range]:
         """Ranges of velocities by component."""
@@ -300,7 +302,7 @@ class Limits:
         return found
 
     def _at_end(self, mechanism: Mechanism | None, cost: Cost, ndx: int) -> list[int]:
-        """The components that are to end at the goal exactly."""
+        """The components with an exact goal."""
         if self.final is None:
             return []
         Q = getattr(cost, "Q", None)

@@ -7,14 +7,32 @@ from dataclasses import replace
 
 import numpy as np
 
-from planner.model.space import space_of
+from planner.base.arguments import number
+from planner.model.capabilities import capabilities_of
+from planner.model.space import StateSpace, space_of
 from planner.problem.costs.energy import EnergyCost
 from planner.problem.costs.jerk import JerkCost, with_acceleration
-from planner.problem.costs.terms import SumCost, call_if_supported
-from planner.problem.costs.time import TimeCost
+from planner.problem.costs.terms import Quadratic, SumCost, Term, call_if_supported
 from planner.problem.costs.tracking import tracking_of
 from planner.problem.objective import EFFORT_SHARE, Objective, weights_of
 from planner.problem.problem import Problem
+
+
+class TimeCost(Term):
+    """weight N dt: the same for every motion of a duration (s)."""
+
+    def __init__(self, duration: float, weight: float, space: StateSpace) -> None:
+        self.duration, self.weight = duration, number("the time's weight", weight, minimum=0.0)
+        self.space, self.nx, self.ndx = space, space.nx, space.ndx
+
+    def value(self, xs: np.ndarray, us: np.ndarray) -> float:
+        """The weighted duration."""
+        return self.weight * self.duration
+
+    def quadratize(self, xs: np.ndarray, us: np.ndarray) -> Quadratic:
+        """Zeros."""
+        (N, nu), ndx = us.shape, self.ndx
+        return Quadratic(np.zeros((N + 1, ndx, ndx)), np.zeros((N + 1, ndx)), np.zeros((N, nu, nu)), np.zeros((N, nu)))
 
 
 def with_objective(problem: Problem, objective: str | Mapping[str, float]) -> Problem:
@@ -44,7 +62,7 @@ def with_objective(problem: Problem, objective: str | Mapping[str, float]) -> Pr
 
 def _jerk(problem: Problem, weight: float) -> JerkCost:
     """The cost of jerk, with the machine held before a start at rest and after a goal at rest."""
-    mechanism, goal = getattr(problem.dynamics, "mechanism", None), tracking_of(problem.cost)
+    mechanism, goal = capabilities_of(problem.dynamics).mechanism, tracking_of(problem.cost)
     if mechanism is None or goal is None:
         return JerkCost(problem.dynamics, problem.N, weight)
     q, v = slice(mechanism.nq, mechanism.nq + mechanism.nv), slice(mechanism.nv, 2 * mechanism.nv)

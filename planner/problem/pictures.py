@@ -112,8 +112,8 @@ class BoundedPanel:
     t: np.ndarray  # (K,) s
     names: tuple[str, ...]  # (R,) of the quantities
     motions: tuple[np.ndarray, ...]  # (K, R) each: of the plan, then of its replays; gaps where they are not finite
-    least: np.ndarray  # (K, R), not finite where there is none
-    most: np.ndarray  # (K, R), the same
+    lower: np.ndarray  # (K, R), not finite where there is none
+    upper: np.ndarray  # (K, R), the same
     decades: bool = False  # Whether small values count: a log scale where they span decades
 
 

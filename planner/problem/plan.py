@@ -26,8 +26,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from planner.base.display_mixins import Plottable
+from planner.base.environment import installed_versions
 from planner.base.files import printable
-from planner.base.versions import installed_versions
 from planner.model.space import StateSpace, euclidean, space_of
 from planner.model.twin import Twin
 from planner.problem.archive import FILE, HINGES, PART, digest_of, pack, plan_name, write_archive
@@ -298,7 +298,7 @@ class Plan(Built, Plottable):
         if meta["recipe"] is None and self.problem is not None:
             warnings.warn(
                 f"{printable(path)} has the plan without its problem: a file cannot hold "
-                f"{unstorable_part(base_problem(self.problem))}. load_plan(path, problem=problem) puts the two together.",
+                f"{unstorable_part(base_problem(self.problem))}. load_plan(path, problem=problem) puts them together.",
                 stacklevel=2,
             )
         return Path(path)

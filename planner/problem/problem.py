@@ -78,12 +78,12 @@ class Problem(Built):
         tolerance: How far the end may be from what the cost asks of it, for the proof: a number in rad, m, rad/s and
             m/s, infinite (or "soft") for no check, or a table of these by "position", "velocity" and the names of
             joints and frames. None: 2 % of the way, see planner.problem.goals.
-        wanted: What the proof judges, of a task; None for what the cost asks of the end.
+        goal_specs: What the proof judges, of a task; None for what the cost asks of the end.
         recipe: How the problem was built; None for one that was put together from parts, or whose dynamics, cost,
             start, horizon or constraints were replaced.
         bounds: Of the controls, of the limits; None for none.
         ranges: Of the states, of the limits; None for none.
-        kept: Ranges and constraints together, as the solver keeps them; None for none.
+        trajectory_constraints: Ranges and constraints together, as the solver keeps them; None for none.
 
     Raises:
         PlannerError: Shapes that do not fit together, numbers that are not finite, a start that is not on the
@@ -106,7 +106,7 @@ class Problem(Built):
     tolerance: float | Mapping[str, float] | None = None
     expected_reduction_tolerance: float | None = None
     actual_reduction_tolerance: float = 0.0
-    wanted: tuple[GoalSpec, ...] | None = None
+    goal_specs: tuple[GoalSpec, ...] | None = None
     bounds: ControlBounds | None = field(init=False, default=None)
     ranges: StateBounds | None = field(init=False, default=None)
     trajectory_constraints: TrajectoryConstraints | None = field(init=False, default=None)
@@ -186,7 +186,7 @@ class Problem(Built):
         kept = (*self.constraints, *tendons)
         rows = ConstraintStack(kept, self.dynamics, self.x0, us, tolerance) if kept else None
         if rows is not None or self.ranges is not None:
-            object.__setattr__(self, "kept", TrajectoryConstraints(self.ranges, rows, tolerance))
+            object.__setattr__(self, "trajectory_constraints", TrajectoryConstraints(self.ranges, rows, tolerance))
 
     def __repr__(self) -> str:
         title = "" if self.appearance is None else self.appearance.title

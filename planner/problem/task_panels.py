@@ -35,30 +35,30 @@ def task_panels(problem: Problem, t: np.ndarray, motions: Sequence[Motion]) -> l
 def _of_goals(problem: Problem, t: np.ndarray, motions: Sequence[Motion]) -> list[BoundedPanel]:
     """By unit: the miss of each goal of a task, and its tolerance when it is asked for."""
     units: dict[str, dict[bytes, tuple[list[str], np.ndarray, np.ndarray]]] = {}
-    for one in problem.wanted or ():
+    for one in problem.goal_specs or ():
         if one.tolerance is None:
             continue
         asked = np.array([problem.N] if one.times is None else np.round(np.array(one.times) / problem.dynamics.dt), int)
         stages = np.arange(problem.N + 1) if len(asked) == 1 else asked
-        values, most = np.full((len(motions), len(t)), np.nan), np.full(len(t), np.inf)
+        values, upper = np.full((len(motions), len(t)), np.nan), np.full(len(t), np.inf)
         values[:, stages] = [one.error(xs[stages]) for xs, _ in motions]
-        most[asked] = one.tolerance
+        upper[asked] = one.tolerance
         # A frame that stops twice has one speed, and the second goal at the same place the same distance.
-        names, _, bound = units.setdefault(one.unit, {}).setdefault(values[0].tobytes(), ([], values, most))
+        names, _, bound = units.setdefault(one.unit, {}).setdefault(values[0].tobytes(), ([], values, upper))
         names.append(one.name)
-        bound[:] = np.minimum(bound, most)
+        bound[:] = np.minimum(bound, upper)
     panels = []
     for unit, found in units.items():
         curves = list(found.values())
         for first in range(0, len(curves), MAX_CURVES):
             few = curves[first : first + MAX_CURVES]
             what, names = _shared([_joined(names) for names, _, _ in few])
-            most = np.stack([bound for _, _, bound in few], axis=1)
+            upper = np.stack([bound for _, _, bound in few], axis=1)
             moved = np.stack([values for _, values, _ in few], axis=2)
             title = f"Goals: {what or _GOALS.get(unit, 'miss')}"
             panels.append(
                 BoundedPanel(
-                    title, f"miss, {unit}", t, names, tuple(moved), np.full_like(most, -np.inf), most, decades=True
+                    title, f"miss, {unit}", t, names, tuple(moved), np.full_like(upper, -np.inf), upper, decades=True
                 )
             )
     return panels
@@ -72,23 +72,23 @@ def _of_constraints(problem: Problem, t: np.ndarray, motions: Sequence[Motion]) 
         if part.at_end:  # values at the ends of stages are those at the starts but for a control
             continue
         assert rows is not None
-        least, most = (
+        lower, upper = (
             side[:, part.columns] / rows.scale[part.columns] for side in (rows.specified_lower, rows.specified_upper)
         )
-        if part.measure.of_controls:
-            least[-1], most[-1] = least[-2], most[-2]
-        key = (part.constraint.unit, least.tobytes(), most.tobytes()) if part.measure.rows == 1 else k
-        alike.setdefault(key, []).append((part, least, most))
+        if part.function.of_controls:
+            lower[-1], upper[-1] = lower[-2], upper[-2]
+        key = (part.constraint.unit, lower.tobytes(), upper.tobytes()) if part.function.rows == 1 else k
+        alike.setdefault(key, []).append((part, lower, upper))
     panels = []
     for found in alike.values():
         for first in range(0, len(found), MAX_CURVES):
             few = found[first : first + MAX_CURVES]
             values = np.concatenate([[_values(part, *motion) for motion in motions] for part, _, _ in few], axis=2)
-            least, most = (np.concatenate(side, axis=1) for side in list(zip(*few, strict=True))[1:])
+            lower, upper = (np.concatenate(side, axis=1) for side in list(zip(*few, strict=True))[1:])
             names = tuple(name for part, _, _ in few for name in _names(part))
             what = few[0][0].constraint.name if len(few) == 1 else _shared(names)[0]
             names = names if len(few) == 1 or not what else _shared(names)[1]
-            panels.append(_nearest(few[0][0].constraint.unit, what, t, names, values, least, most))
+            panels.append(_nearest(few[0][0].constraint.unit, what, t, names, values, lower, upper))
     return panels
 
 
@@ -96,7 +96,7 @@ def _values(part: StackEntry, xs: np.ndarray, us: np.ndarray) -> np.ndarray:
     """(N+1, R) of a constraint; a control's last stage is seen at its end too. NaN where a motion ran away."""
     n = np.arange(len(xs))
     last = np.minimum(n, len(us) - 1)
-    measure, u = part.measure, us[last]
+    measure, u = part.function, us[last]
     found = np.full((len(xs), measure.rows), np.nan)
     known = np.flatnonzero(np.isfinite(xs).all(axis=1) & np.isfinite(u).all(axis=1))
     values = getattr(measure, "shown", measure.values)
@@ -106,27 +106,27 @@ def _values(part: StackEntry, xs: np.ndarray, us: np.ndarray) -> np.ndarray:
 
 
 def _nearest(
-    unit: str, what: str, t: np.ndarray, names: tuple[str, ...], values: np.ndarray, least: np.ndarray,
-    most: np.ndarray,
+    unit: str, what: str, t: np.ndarray, names: tuple[str, ...], values: np.ndarray, lower: np.ndarray,
+    upper: np.ndarray,
 ) -> BoundedPanel:  # fmt: skip
     """The panel of values (motions, K, R): of many rows those that come nearest to a bound in the plan."""
-    margin = np.minimum(np.nan_to_num(values[0], nan=np.inf) - least, most - np.nan_to_num(values[0], nan=-np.inf))
+    margin = np.minimum(np.nan_to_num(values[0], nan=np.inf) - lower, upper - np.nan_to_num(values[0], nan=-np.inf))
     margin = np.where(np.isfinite(margin), margin, np.inf).min(axis=0)
-    asked = np.flatnonzero((np.isfinite(least) | np.isfinite(most)).any(axis=0))
+    asked = np.flatnonzero((np.isfinite(lower) | np.isfinite(upper)).any(axis=0))
     shown = np.sort(asked[np.argsort(margin[asked], kind="stable")[:MAX_CURVES]])
     title = f"Constraint: {what}" if what else "Constraints"
     if len(shown) < len(asked):
         title += f", the {MAX_CURVES} nearest to their bound of {len(asked)}"
-    least, most, values = least[:, shown], most[:, shown], values[..., shown]
-    apart = not np.isfinite(most).any() and bool(np.all(least[np.isfinite(least)] > 0.0))
+    lower, upper, values = lower[:, shown], upper[:, shown], values[..., shown]
+    apart = not np.isfinite(upper).any() and bool(np.all(lower[np.isfinite(lower)] > 0.0))
     return BoundedPanel(
-        title, unit or "h", t, tuple(names[k] for k in shown), tuple(values), least, most, decades=apart
+        title, unit or "h", t, tuple(names[k] for k in shown), tuple(values), lower, upper, decades=apart
     )
 
 
 def _names(part: StackEntry) -> tuple[str, ...]:
     """Of a constraint's rows."""
-    own, R = tuple(getattr(part.constraint.of, "names", ())), part.measure.rows
+    own, R = tuple(getattr(part.constraint.of, "names", ())), part.function.rows
     if R == 1:
         return (part.constraint.name,)
     return own if len(own) == R else tuple(f"row {r}" for r in range(1, R + 1))

@@ -8,19 +8,20 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from planner.base.arguments import number
+from planner.model.capabilities import capabilities_of
 from planner.model.space import StateSpace
 from planner.problem.constraints.trajectory_constraints import TrajectoryConstraints
 from planner.problem.state_bounds import BoundPenalties
 
 
 class ScaledMultipliers(NamedTuple):
-    """By how much the multipliers of ranges and constraints shift the bounds of hinges inwards, and their weights."""
+    """Shifts of the penalized bounds, inwards, by the multipliers of ranges and constraints; weights."""
 
     low: np.ndarray  # (N+1, H)
     high: np.ndarray  # (N+1, H)
     weight: np.ndarray  # (N+1, H)
 
-    def hinges(self, kept: TrajectoryConstraints) -> BoundPenalties | None:
+    def penalties(self, kept: TrajectoryConstraints) -> BoundPenalties | None:
         """Those of another problem with as many ranges and knots; None where it has others."""
         if self.weight.shape != kept.lower.shape:
             return None
@@ -28,14 +29,16 @@ class ScaledMultipliers(NamedTuple):
         return BoundPenalties(kept.lower + self.low, kept.upper - self.high, np.where(used, self.weight, 0.0))
 
 
-def scaled_multipliers(kept: TrajectoryConstraints | None, hinges: BoundPenalties | None) -> ScaledMultipliers | None:
-    """Of what is kept and the hinges that a plan ended with; None where it has none."""
-    if kept is None or hinges is None:
+def scaled_multipliers(
+    kept: TrajectoryConstraints | None, penalties: BoundPenalties | None
+) -> ScaledMultipliers | None:
+    """Those of trajectory constraints and the penalties that a plan ended with; None where it has none."""
+    if kept is None or penalties is None:
         return None
     with np.errstate(invalid="ignore"):  # of bounds that are infinite
-        shifts = hinges.lower - kept.lower, kept.upper - hinges.upper
+        shifts = penalties.lower - kept.lower, kept.upper - penalties.upper
     low, high = (np.nan_to_num(shift, nan=0.0) for shift in shifts)
-    return ScaledMultipliers(low, high, hinges.weight)
+    return ScaledMultipliers(low, high, penalties.weight)
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,5 +113,5 @@ class Trajectory:
 
 def rates_of(dynamics: Any) -> slice:
     """The entries of a state that are velocities; none for dynamics without a mechanism."""
-    mechanism = getattr(dynamics, "mechanism", None)
+    mechanism = capabilities_of(dynamics).mechanism
     return slice(0, 0) if mechanism is None else slice(mechanism.nq, mechanism.nq + mechanism.nv)

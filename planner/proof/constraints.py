@@ -60,10 +60,10 @@ def _reach(rows: ConstraintStack, plan: Plan) -> dict[int, float]:
         columns = part.columns
         n = np.flatnonzero((np.isfinite(rows.lower) | np.isfinite(rows.upper))[:, columns].any(axis=1))
         xs = plan.xs[n + part.at_end]
-        by_x, _ = part.measure.derivatives(xs, us[n], n)
+        by_x, _ = part.function.derivatives(xs, us[n], n)
         moved = float(np.sqrt(np.sum((by_x * bounds) ** 2, axis=2)).max(initial=0.0))
-        if part.measure.of_controls:
-            moved = max(moved, CORRECTION * float(np.abs(part.measure.values(xs, us[n], n)).max(initial=0.0)))
+        if part.function.of_controls:
+            moved = max(moved, CORRECTION * float(np.abs(part.function.values(xs, us[n], n)).max(initial=0.0)))
         found[id(part.constraint)] = max(found.get(id(part.constraint), 0.0), moved)
     return found
 

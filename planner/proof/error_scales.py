@@ -165,7 +165,7 @@ def limit_violations(
     ranges, limits = problem.ranges, problem.limits
     if ranges is None or limits is None:
         return measured
-    beyond = ranges.beyond(xs)
+    beyond = ranges.violation(xs)
     allowed = np.full(len(ranges.coordinates), limits.tolerance)
     if tolerances is not None:
         allowed = np.maximum(allowed, tolerances[ranges.component])

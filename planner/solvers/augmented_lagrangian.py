@@ -81,12 +81,14 @@ def augmented_lagrangian(
     for round_ in range(MAX_ROUNDS):
         error = _error(kept, penalties, plan)
         if plan.status is Status.INTERRUPTED:
-            return replace(plan, history=tuple(history), penalties=penalties if round_ else first)
+            return replace(plan, history=tuple(history), bound_penalties=penalties if round_ else first)
         if error.max(initial=0.0) <= tolerance:
             more, through = _between_knots(kept, plan)
             if raised == MAX_TIGHTENINGS or not more.any():
                 status = Status.OUTSIDE_LIMITS if more.any() else plan.status
-                return replace(plan, history=tuple(history), status=status, penalties=penalties if round_ else first)
+                return replace(
+                    plan, history=tuple(history), status=status, bound_penalties=penalties if round_ else first
+                )
             kept, raised = kept.tightened(more), raised + 1
             if through:
                 left = max_iterations + 1 - len(history)
@@ -102,7 +104,7 @@ def augmented_lagrangian(
         ):
             break
         if len(history) > max_iterations:
-            return replace(plan, history=tuple(history), status=Status.MAX_ITERATIONS, penalties=penalties)
+            return replace(plan, history=tuple(history), status=Status.MAX_ITERATIONS, bound_penalties=penalties)
         penalties = (
             _first_penalties(kept, plan, penalties)
             if round_ == 0
@@ -120,7 +122,7 @@ def augmented_lagrangian(
             plan = minimize(plan.us, penalties, max_iterations + 1 - len(history), len(history), 0.0)
             history += plan.history
     status = plan.status if _error(kept, penalties, plan).max() <= tolerance else Status.OUTSIDE_LIMITS
-    return replace(plan, history=tuple(history), status=status, penalties=penalties)
+    return replace(plan, history=tuple(history), status=status, bound_penalties=penalties)
 
 
 def _first_round(

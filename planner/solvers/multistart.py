@@ -26,9 +26,9 @@ from threading import Event
 import numpy as np
 
 from planner.base.arguments import short_repr
+from planner.base.environment import processors
 from planner.base.errors import PlannerError
 from planner.base.executors import cancel_or_end, result_or_retry
-from planner.base.processors import processors
 from planner.problem.plan import Iteration, Plan, Start, Status
 
 MAX_STARTS = 10_000  # by far more than any machine's local minima; each is a whole solve

@@ -216,7 +216,7 @@ def as_user_plan(problem: Problem, plan: Plan) -> Plan:
     own = _inner_solve(problem, _Settings(), None, None, plan.us, plan.bound_penalties, 0, 0)
     more = own.cost - plan.cost  # of terms that no control changes
     history = tuple(line._replace(cost=line.cost + more) for line in plan.history)
-    return replace(own, status=plan.status, history=history, starts=plan.starts, penalties=plan.bound_penalties)
+    return replace(own, status=plan.status, history=history, starts=plan.starts, bound_penalties=plan.bound_penalties)
 
 
 def _has_friction_loss(problem: Problem) -> bool:

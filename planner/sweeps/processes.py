@@ -1,8 +1,8 @@
 """Local processes: an executor whose workers may be ended one by one, and are replaced.
 
 Python's own pool of processes gives up all its work when one of them is killed. Here each worker is a pool of one, so a
-kill breaks one future, which is known. Each works with one thread: see planner.base.processors. Where calls are short
-a process has the next before it has done the last, so it never waits for this process, which may be busy writing.
+kill breaks one known future. Each works with one thread. Where calls are short, a process has the next one in advance,
+so that it never waits for this process, which may be busy writing.
 """
 
 from __future__ import annotations
@@ -22,11 +22,11 @@ from multiprocessing import connection
 from queue import SimpleQueue
 from typing import Any
 
+from planner.base.environment import VARIABLE
 from planner.base.errors import PlannerError
-from planner.base.processors import VARIABLE
 
 ONE_THREAD = (VARIABLE, "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
-_SHORT = 2.0  # s: behind a call that takes longer none waits, which an idle process could do
+_SHORT = 2.0  # s; a process that takes longer per call gets no second one in advance
 _environment = threading.Lock()
 
 
@@ -54,7 +54,7 @@ class LocalProcesses(Executor):
         self._workers: list[_Worker] = []
         self._ahead = 1  # calls that a process may have
         self._stopping = self._at_once = False
-        # Pools answer in threads of their own, with locks held: one thread alone hands out, told by this queue.
+        # Pools call back in threads of their own, under locks: one thread schedules, with events from this queue.
         self._events: SimpleQueue[Callable[[], object]] = SimpleQueue()
         self._thread = threading.Thread(target=self._serve, daemon=True)
         try:
@@ -126,7 +126,7 @@ class LocalProcesses(Executor):
             done.add_done_callback(lambda _, answered=answered: self._events.put(answered))
 
     def _answered(self, worker: _Worker, call: _Call, done: Future[Any]) -> None:
-        """Hand on what a call gave; one that stood behind a call that ended its process goes to another."""
+        """Pass on the result of a call; one that waited behind a call that ended its process goes to another."""
         worker.calls.remove(call)
         error = done.exception()
         if isinstance(error, BrokenExecutor):
@@ -170,6 +170,12 @@ class _Worker:
         self.pool = ProcessPoolExecutor(1, multiprocessing.get_context("spawn"), _prepared)
         with _one_thread():
             self.ready = self.pool.submit(_began, first)
+        self.ready.add_done_callback(self._close_writer)
+
+    def _close_writer(self, _: Future[Any]) -> None:
+        """Close this process's end of the pipe of results: else a worker killed in the middle of one is waited for."""
+        with suppress(AttributeError, OSError):  # a private attribute of Python's pool
+            self.pool._result_queue._writer.close()  # type: ignore[union-attr]
 
     def started(self) -> None:
         """Wait until it has loaded what it needs."""

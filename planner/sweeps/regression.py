@@ -24,8 +24,7 @@ from typing import Any, NamedTuple
 from planner.base.arguments import count, number
 from planner.base.errors import FileError, PlannerError
 from planner.base.executors import checked_executor, ordered_map
-from planner.base.files import printable, read_text
-from planner.base.jsonable import write_json
+from planner.base.files import printable, read_text, write_json
 from planner.cases.plan_file import load_plan
 from planner.problem.archive import plan_digest
 from planner.problem.plan import Plan
@@ -106,11 +105,11 @@ def check(
         paths: Folders, searched with all below them, or plan files.
         tolerance: Relative change that counts.
         update: Store the new numbers where they differ.
-        callback: Called with each Checked.
+        callback: Called with each PlanComparison.
         executor: Where plans are proved, any concurrent.futures.Executor; by default this process.
 
     Returns:
-        One Checked per plan, in the order of their names.
+        One PlanComparison per plan, in the order of their names.
 
     Raises:
         PlannerError: A path does not exist, or holds no plan.
@@ -155,8 +154,8 @@ def _checked(path: Path, tolerance: float, update: bool) -> PlanComparison:
         stored = _read(file) if file.exists() else None
         foreign = stored is not None and stored.get("plan_digest", digest) != digest
         if foreign and not update:
-            wanted = f"expected that of this {path.name}; --update replaces it"
-            raise FileError(f"{file.name} is the proof of another plan file, {wanted}.")
+            fix = f"expected that of this {path.name}; --update replaces it"
+            raise FileError(f"{file.name} is the proof of another plan file, {fix}.")
         proof = _proved_as(plan, stored)
     except PlannerError as error:
         return PlanComparison(path, problem=str(error))
@@ -190,12 +189,12 @@ def _proved_as(plan: Plan, stored: dict[str, Any] | None) -> Proof:
         if asked.get("another_model"):
             raise FileError("its numbers are of another model (prove --mjcf), expected those of its own model.")
         perturbation = Perturbation(**asked["perturbation"]) if asked.get("perturbation") else None
-        wanted = {name: asked[name] for name in ("seed", "rollouts", "hold_seconds") if name in asked}
-        wanted |= {"optimal": False} if asked.get("optimal") is False else {}
-        count("the rollouts of its proof", wanted.get("rollouts", 0), minimum=0, maximum=MAX_ROLLOUTS)
+        options = {name: asked[name] for name in ("seed", "rollouts", "hold_seconds") if name in asked}
+        options |= {"optimal": False} if asked.get("optimal") is False else {}
+        count("the rollouts of its proof", options.get("rollouts", 0), minimum=0, maximum=MAX_ROLLOUTS)
     except (TypeError, AttributeError):
         raise FileError("its proof has no usable 'asked', expected what planner prove wrote.") from None
-    return prove(plan, perturbation=perturbation, **wanted)
+    return prove(plan, perturbation=perturbation, **options)
 
 
 def _changes(stored: dict[str, Any], now: dict[str, Any], tolerance: float) -> Iterator[NumberChange]:
@@ -214,7 +213,7 @@ def _changes(stored: dict[str, Any], now: dict[str, Any], tolerance: float) -> I
 
 
 def _words(stored: dict[str, Any], now: dict[str, Any]) -> Iterator[NumberChange]:
-    """Changes of the words of the first line; a proof of an older version has none of them."""
+    """Changes of feasible, optimal, robustness and not checked; a proof of an older version has none of them."""
     for word in ("feasible", "optimal"):
         if isinstance(was := stored.get(word), bool) and was is not now[word]:
             yield NumberChange("headline", word, _yes(was), _yes(now[word]), None, was)
@@ -233,7 +232,7 @@ def _yes(value: bool) -> str:
 
 
 def _numbers(figures: Any) -> dict[str, dict[str, Any]]:
-    """The measured values of a stored section; what is none is as if it were not there."""
+    """The measured values of a stored section; malformed entries are ignored."""
     rows = figures.items() if isinstance(figures, dict) else ()
     kinds = (int, float, type(None))
     return {name: row for name, row in rows if isinstance(row, dict) and isinstance(row.get("value"), kinds)}

@@ -1,25 +1,135 @@
-"""The loop of a sweep: batches of tasks to an executor, what comes back to disk at once.
+"""Run a sweep: batches of tasks to an executor, results to disk at once.
 
-Batches take about half a second, so that handing them out costs little, and there are never more of them on their way
-than the executor is wide: memory does not grow with the sweep. A worker that ends, or that a task holds for too long,
-costs that task alone.
+Tasks are independent, or chains of neighbours in which each task waits for the one before it. Batches take about half a
+second, so that scheduling costs little, and no more are submitted than the executor has workers: memory does not grow
+with the sweep. A batch whose worker ended is done again one task at a time: the task that ends workers costs no other.
 """
 
 from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, CancelledError, Executor, Future, wait
 from contextlib import suppress
 from dataclasses import dataclass
-from typing import Any
+from itertools import islice
+from typing import Any, NamedTuple, Protocol
+
+import numpy as np
 
 from planner.base.errors import PlannerError
 from planner.base.executors import width_of
-from planner.sweeps.queue import Queue, QueuedBatch
 from planner.sweeps.store import Store
 from planner.sweeps.work import LOST, TIMEOUT, BatchResult, Work, failed, reason_of, run_batch
+
+
+class QueuedBatch(NamedTuple):
+    """Tasks to do together, in this order.
+
+    Attributes:
+        tasks: Their numbers.
+        controls: (N, nu) of the neighbour before the first of them, or None.
+        alone: Whether a worker has ended with this one task before. It is then worked on while no other batch is.
+    """
+
+    tasks: list[int]
+    controls: np.ndarray | None = None
+    alone: bool = False
+
+
+class Queue(Protocol):
+    """The order of a sweep."""
+
+    continued: bool  # whether each task starts from the one before it in its batch
+
+    def take(self, size: int) -> QueuedBatch | None:
+        """At most so many tasks; None where there are none at the moment."""
+        ...
+
+    def ended(self, batch: QueuedBatch, controls: np.ndarray | None) -> None:
+        """A batch is done; `controls` are of its last task."""
+        ...
+
+    def lost(self, batch: QueuedBatch) -> None:
+        """A batch is to be done again, one task at a time."""
+        ...
+
+
+class IndependentTasks:
+    """Tasks that do not depend on each other."""
+
+    continued = False
+
+    def __init__(self, tasks: Iterable[int]) -> None:
+        self._tasks = iter(tasks)
+        self._alone: deque[int] = deque()
+
+    def take(self, size: int) -> QueuedBatch | None:
+        """At most so many tasks, those that are to be done alone first."""
+        if self._alone:
+            return QueuedBatch([self._alone.popleft()], alone=True)
+        tasks = list(islice(self._tasks, size))
+        return QueuedBatch(tasks) if tasks else None
+
+    def ended(self, batch: QueuedBatch, controls: np.ndarray | None) -> None:
+        """Nothing to do: no task waits for a batch."""
+
+    def lost(self, batch: QueuedBatch) -> None:
+        """Each task of it alone."""
+        self._alone.extend(batch.tasks)
+
+
+class ContinuationChains:
+    """Chains of neighbours.
+
+    Args:
+        chains: Tasks in order.
+        finished: Whether a task has a row already.
+        controls_of: The controls of a finished task that converged, else None.
+    """
+
+    continued = True
+
+    def __init__(
+        self, chains: Iterable[list[int]], finished: Callable[[int], bool],
+        controls_of: Callable[[int], np.ndarray | None],
+    ) -> None:  # fmt: skip
+        self._fresh = self._started(chains, finished, controls_of)
+        self._ready: deque[tuple[list[int], np.ndarray | None, int]] = deque()  # rest, controls, how many alone
+        self._running: dict[int, tuple[list[int], int]] = {}  # by the first task of its batch
+
+    @staticmethod
+    def _started(
+        chains: Iterable[list[int]], finished: Callable[[int], bool], controls_of: Callable[[int], np.ndarray | None]
+    ) -> Iterator[tuple[list[int], np.ndarray | None, int]]:
+        for chain in chains:
+            done = next((k for k, task in enumerate(chain) if not finished(task)), len(chain))
+            if done < len(chain):
+                yield chain[done:], None if done == 0 else controls_of(chain[done - 1]), 0
+
+    def take(self, size: int) -> QueuedBatch | None:
+        """The next tasks of a chain that waits for no other."""
+        following = self._ready.popleft() if self._ready else next(self._fresh, None)
+        if following is None:
+            return None
+        tasks, controls, alone = following
+        count = 1 if alone else size
+        self._running[tasks[0]] = tasks[count:], max(alone - 1, 0)
+        return QueuedBatch(tasks[:count], controls, alone > 0)
+
+    def ended(self, batch: QueuedBatch, controls: np.ndarray | None) -> None:
+        """The rest of its chain may go on."""
+        rest, alone = self._running.pop(batch.tasks[0])
+        if rest:
+            self._ready.append((rest, controls, alone))
+
+    def lost(self, batch: QueuedBatch) -> None:
+        """The chain begins again at the batch, one task at a time."""
+        rest, alone = self._running.pop(batch.tasks[0])
+        self._ready.appendleft((batch.tasks + rest, batch.controls, len(batch.tasks) + alone))
+
 
 SECONDS = 0.5  # that a batch should take
 MAX_BATCH = 500  # tasks of a batch
@@ -30,7 +140,7 @@ _LOOK = 0.2  # s between looks for tasks that take too long
 
 @dataclass
 class _PendingBatch:
-    """A batch on its way."""
+    """A submitted batch."""
 
     batch: QueuedBatch
     mean: float | None  # s of a task, as was known when it was sent
@@ -69,9 +179,9 @@ def run(
     """
     width = width_of(executor)
     if work.timeout is None or hasattr(executor, "tells_begin"):
-        width *= 2  # one batch waits while another is worked on; else its time would run while it waits
+        width *= 2  # a second batch per worker waits; with a timeout its time would run while it waits
     flights: dict[Future[BatchResult], _PendingBatch] = {}
-    waiting: QueuedBatch | None = None  # a batch that is to be worked on with no other in flight
+    waiting: QueuedBatch | None = None  # a batch that must run alone
     mean = None  # s of a task
     try:
         while True:
@@ -80,7 +190,7 @@ def run(
                 batch, waiting = waiting or queue.take(size), None
                 if batch is None:
                     break
-                if batch.alone and flights:  # beside another one it could be lost with that one's worker
+                if batch.alone and flights:  # with others running it could be lost with another's worker
                     waiting = batch
                     break
                 flights[_submitted(executor, work, queue, batch)] = _PendingBatch(batch, mean)
@@ -115,7 +225,7 @@ def _submitted(executor: Executor, work: Work, queue: Queue, batch: QueuedBatch)
 def _taken(
     work: Work, future: Future[BatchResult], flight: _PendingBatch, queue: Queue, store: Store, executor: Executor
 ) -> float | None:
-    """Store what a batch gave, or why it gave nothing; the mean time of its tasks, s, or None."""
+    """Store the result of a batch, or its failure; returns the mean time of its tasks, s, or None."""
     batch = flight.batch
     try:
         found = future.result()
@@ -127,7 +237,7 @@ def _taken(
             queue.lost(batch)
             return None
         found = BatchResult([failed(work, batch.tasks[0], *_why(work, late))], None)
-    except Exception as error:  # of what travels: a problem that cannot be pickled, say
+    except Exception as error:  # e.g. a problem that cannot be pickled
         found = BatchResult([failed(work, task, "FAILED", reason_of(error)) for task in batch.tasks], None)
     store.append(found.done)
     queue.ended(batch, found.controls)

@@ -57,12 +57,12 @@ class Shards:
         while self._open:
             self._open.pop(next(iter(self._open))).close()
 
-    def keep(self, tasks: set[int]) -> None:
-        """Leave plans of these tasks alone in the archives, and make those whole that a killed process left."""
+    def retain(self, tasks: set[int]) -> None:
+        """Remove plans of other tasks from the archives, and repair archives that a killed process left."""
         for path in sorted(self._folder.glob("*.zip")):
-            wanted = {_name(task) for task in tasks if task // PER_SHARD == int(path.stem)}
-            if _names(path) != sorted(wanted):
-                entries = {name: content for name, content in _entries(path) if name in wanted}
+            names = {_name(task) for task in tasks if task // PER_SHARD == int(path.stem)}
+            if _names(path) != sorted(names):
+                entries = {name: content for name, content in _entries(path) if name in names}
                 with write_atomically(path) as hidden, zipfile.ZipFile(hidden, "w") as archive:
                     for name, content in entries.items():
                         archive.writestr(_entry(int(name[:-4])), content)

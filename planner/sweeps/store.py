@@ -4,8 +4,8 @@
     rows.jsonl     a line a finished task, in the order in which they ended
     plans/         the plans, see shards
 
-A plan is written before its row, and a row counts when its line is whole. So a task has a row and its plan, or neither;
-where the disk is full, the unfinished line is cut off.
+A plan is written before its row, and a row counts when its line is complete. So a task has a row and its plan, or
+neither; where the disk is full, the unfinished line is cut off.
 """
 
 from __future__ import annotations
@@ -19,8 +19,7 @@ from typing import IO, Any
 import numpy as np
 
 from planner.base.errors import FileError
-from planner.base.files import file_error, read_text, write_atomically
-from planner.base.jsonable import write_json
+from planner.base.files import file_error, read_text, write_atomically, write_json
 from planner.cases.plan_file import load_plan
 from planner.problem.plan import Plan, Status
 from planner.sweeps.shards import Shards, plan_place
@@ -73,10 +72,10 @@ class Store:
         Raises:
             FileError: The folder cannot be written.
         """
-        kept = np.sort([place for task, place in enumerate(self.places) if place >= 0 and task not in tasks])
+        remaining = np.sort([place for task, place in enumerate(self.places) if place >= 0 and task not in tasks])
         path = self.folder / ROWS
         with write_atomically(path) as hidden, open(hidden, "wb") as fewer, open(path, "rb") as file:
-            for place in kept:
+            for place in remaining:
                 file.seek(int(place))
                 fewer.write(file.readline())
         self._begin()
@@ -91,7 +90,7 @@ class Store:
         try:
             (self.folder / PLANS).mkdir(parents=True, exist_ok=True)
             planned = {row["task"] for row in self.rows() if row.get("plan")}
-            self._shards.keep(planned)
+            self._shards.retain(planned)
             handle = os.open(self.folder / ROWS, os.O_RDWR | os.O_CREAT, 0o666)
             self._rows = os.fdopen(handle, "r+b", buffering=0)
             self._rows.truncate(self._end)
@@ -176,7 +175,7 @@ class Store:
         return self.plan(task).us if row is not None and row["status"] == Status.CONVERGED.name else None
 
     def _begin(self) -> None:
-        """Nothing is read."""
+        """Reset to an empty table."""
         self.places[:] = -1
         self.kinds: dict[str, set[str]] = {}  # names of the types in each column
         self.statuses: dict[str, int] = {}

@@ -19,11 +19,10 @@ from typing import Any
 from planner import cases
 from planner.base.arguments import choice, count, number
 from planner.base.display_mixins import Reportable
+from planner.base.environment import installed_versions, processors
 from planner.base.errors import FileError
 from planner.base.executors import checked_executor
 from planner.base.files import file_error, folder_lock
-from planner.base.processors import processors
-from planner.base.versions import installed_versions
 from planner.cases.problem_file import case_in
 from planner.cases.problem_file.keys import KEYS
 from planner.problem.limits import Limits
@@ -34,8 +33,7 @@ from planner.solvers.slq import HESSIANS, LINE_SEARCHES, UPDATES
 from planner.sweeps.executors import MAX_WORKERS
 from planner.sweeps.grid import Grid, check_names, grid_of
 from planner.sweeps.processes import LocalProcesses
-from planner.sweeps.queue import ContinuationChains, IndependentTasks, Queue
-from planner.sweeps.running import run
+from planner.sweeps.running import ContinuationChains, IndependentTasks, Queue, run
 from planner.sweeps.shards import plan_place
 from planner.sweeps.store import HEAD, Store, read_head, write_head
 from planner.sweeps.table import write_tables
@@ -45,12 +43,11 @@ _TOLERANCE = partial(number, minimum=0.0)
 SOLVE: dict[str, Callable[[str, Any], Any]] = {
     "update": partial(choice, choices=UPDATES), "line_search": partial(choice, choices=LINE_SEARCHES),
     "hessian": partial(choice, choices=HESSIANS), "states": lambda _, value: value, "max_iterations": count,
-    "gradient_tolerance": _TOLERANCE, "expected_reduction_tolerance": _TOLERANCE, "actual_reduction_tolerance":
-    _TOLERANCE,
-    "starts": partial(count, maximum=MAX_STARTS), "seed": partial(count, minimum=0), "spread": partial(number,
-    greater_than=0.0),
+    "gradient_tolerance": _TOLERANCE, "expected_reduction_tolerance": _TOLERANCE,
+    "actual_reduction_tolerance": _TOLERANCE, "starts": partial(count, maximum=MAX_STARTS),
+    "seed": partial(count, minimum=0), "spread": partial(number, greater_than=0.0),
 }  # fmt: skip
-"""Arguments of solve() that a sweep passes on, and how each is checked before any task fails by it."""
+"""Arguments of solve() that a sweep passes on, each with its check."""
 
 
 class Sweep(Reportable):
@@ -91,8 +88,8 @@ class Sweep(Reportable):
         return self._store.plan(task)
 
     def __str__(self) -> str:
-        told = ", ".join(f"{status} {number}" for status, number in self.statuses.items())
-        return f"Sweep({self.finished} of {len(self.grid)} tasks: {told or 'none'}, in {self.folder})"
+        counts = ", ".join(f"{status} {number}" for status, number in self.statuses.items())
+        return f"Sweep({self.finished} of {len(self.grid)} tasks: {counts or 'none'}, in {self.folder})"
 
     __repr__ = __str__
 
@@ -141,7 +138,7 @@ def sweep(
     """
     grid = grid_of(grid)
     work = Work(
-        grid, _source(build), dict(fixed or {}), _checked(options), objective, durations, limits, _proved(prove),
+        grid, _source(build), dict(fixed or {}), _checked(options), objective, durations, limits, _proof_options(prove),
         None if timeout is None else number("timeout", timeout, greater_than=0.0),
     )  # fmt: skip
     check_names(grid, *_known(work))
@@ -232,14 +229,14 @@ def _checked(options: dict[str, Any]) -> dict[str, Any]:
     return {name: SOLVE[name](name, value) for name, value in options.items() if value is not None}
 
 
-def _proved(asked: Mapping[str, Any] | bool) -> dict[str, Any] | None:
-    if asked is False:
+def _proof_options(given: Mapping[str, Any] | bool) -> dict[str, Any] | None:
+    if given is False:
         return None
-    return {"rollouts": 0} | ({} if asked is True else dict(asked))
+    return {"rollouts": 0} | ({} if given is True else dict(given))
 
 
 def _head(work: Work, continued: str | None) -> dict[str, Any]:
-    """What decides the table, as JSON values."""
+    """Everything that determines the table, as JSON values."""
     source = work.source
     name = f"{source.__module__}.{source.__qualname__}" if inspect.isfunction(source) else str(source)
     return json.loads(json.dumps({
@@ -250,7 +247,7 @@ def _head(work: Work, continued: str | None) -> dict[str, Any]:
 
 
 def _claim(folder: Path, head: dict[str, Any], resume: bool) -> dict[str, Any] | None:
-    """Make the folder, and refuse one with another sweep; what its sweep is, or None. Its timeout may be another."""
+    """Make the folder; returns the head of its sweep, or None. Only the timeout may differ from the new head's."""
     there = read_head(folder)
     if there is not None and not resume:
         raise FileError(f"{folder} holds a sweep already, expected --resume to go on with it or another folder.")
@@ -272,7 +269,7 @@ def _is_longer(timeout: float | None, before: float | None) -> bool:
 
 
 def _again(store: Store, grid: Grid, continued: str | None, longer: bool) -> set[int]:
-    """Tasks to be done again, for what was not their problem's fault; with them those that continued from them."""
+    """Tasks to do again: those that lost their worker, or time out where it is longer now, and their successors."""
     outside = {LOST, TIMEOUT} if longer else {LOST}
     if outside.isdisjoint(store.statuses):
         return set()

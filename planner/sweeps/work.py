@@ -33,10 +33,10 @@ from planner.solvers.slq import solve
 from planner.sweeps.grid import Grid
 
 FAILED, TIMEOUT, LOST = "FAILED", "TIMEOUT", "WORKER_LOST"
-"""Statuses beside those of plans: it raised, it took too long, its worker ended."""
+"""Statuses in addition to those of plans: it raised, it took too long, its worker ended."""
 
-_PRINTS = (0.25, 0.5, 0.75)  # parts of the horizon at which states are kept, to tell one motion from another
-_MAX_PRINTS = 8  # numbers of a state
+_SIGNATURE_TIMES = (0.25, 0.5, 0.75)  # parts of the horizon whose states identify a trajectory
+_SIGNATURE_STATES = 8  # leading entries of each of these states
 
 
 @dataclass(frozen=True)
@@ -136,7 +136,7 @@ def warm(work: Work) -> None:
     """
     if callable(work.source):
         return
-    with suppress(Exception), np.errstate(all="ignore"):  # what is wrong with the first task is in its row
+    with suppress(Exception), np.errstate(all="ignore"):  # an error of the first task is in its row
         solve(work.problem(0).problem, hessian=work.options.get("hessian", "gauss-newton"), max_iterations=1)
 
 
@@ -193,10 +193,10 @@ def _planned(work: Work, task: int, controls: np.ndarray | None) -> tuple[Done, 
     return Done(row, plan.to_bytes()), plan
 
 
-def _proof(plan: Plan, asked: dict[str, Any]) -> dict[str, Any]:
-    """The columns of a proof; of one that cannot be made, why."""
+def _proof(plan: Plan, options: dict[str, Any]) -> dict[str, Any]:
+    """The columns of a proof; the reason where it cannot be made."""
     try:
-        proof = prove(plan, **asked)
+        proof = prove(plan, **options)
     except PlannerError as error:
         return {"verdict": "", "proof_reason": str(error)}
     row: dict[str, Any] = {
@@ -209,7 +209,7 @@ def _proof(plan: Plan, asked: dict[str, Any]) -> dict[str, Any]:
 
 
 def _from_neighbour(problem: Problem, controls: np.ndarray | None) -> tuple[Problem, bool]:
-    """The problem with its neighbour's controls as first guess, held longer or shorter where it has other stages."""
+    """The problem with its neighbour's controls as first guess, resampled where it has other stages."""
     N, nu = problem.N, problem.dynamics.nu
     if controls is None or controls.shape[1] != nu:
         return problem, False
@@ -218,9 +218,9 @@ def _from_neighbour(problem: Problem, controls: np.ndarray | None) -> tuple[Prob
 
 
 def _trajectory_signature(plan: Plan) -> list[float]:
-    """Some numbers of the motion, by which two of them are told apart."""
-    knots = [int(part * plan.N) for part in _PRINTS]
-    return [float(value) for value in plan.xs[knots, :_MAX_PRINTS].ravel()]
+    """Some numbers that distinguish two trajectories."""
+    knots = [int(part * plan.N) for part in _SIGNATURE_TIMES]
+    return [float(value) for value in plan.xs[knots, :_SIGNATURE_STATES].ravel()]
 
 
 def _of_file(path: Path, values: dict[str, Any]) -> ProblemFile:

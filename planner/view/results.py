@@ -15,11 +15,11 @@ from planner.problem.plan import Plan
 from planner.proof import Proof
 from planner.proof.replays.replaying import Replay
 from planner.sweeps.sweeping import Sweep
-from planner.view.plots.loop import draw_loop
+from planner.view.plots.case_pictures import draw_loop
 from planner.view.plots.plan import draw_plan
 from planner.view.plots.proof import draw_proof
+from planner.view.report.sweep_maps import word
 from planner.view.report.sweep_page import write_sweep_page
-from planner.view.report.sweep_picture import word
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -43,9 +43,9 @@ def html_of(result: Plan | Replay | Proof) -> str:
         word, colour, rest = result.verdict, _GREEN if result.passed else _RED, result.headline[len(result.verdict) :]
         text, figure = result.reason, draw_plan(result.replay.plan, result)
     elif isinstance(result, ClosedLoopRun):
-        said = judge(result)
-        word, colour, rest = said.verdict, _GREEN if said.passed else _RED, said.headline[len(said.verdict) :]
-        text, figure = " ".join([said.reason, *result.events[:3]]).strip(), draw_loop(said)
+        judged = judge(result)
+        word, colour, rest = judged.verdict, _GREEN if judged.passed else _RED, judged.headline[len(judged.verdict) :]
+        text, figure = " ".join([judged.reason, *result.events[:3]]).strip(), draw_loop(judged)
     elif isinstance(result, Replay):
         word, colour, rest, text = "Replay", _GREY, repr(result).removeprefix("Replay"), " ".join(result.warnings)
         figure = draw_plan(result.plan, result)

@@ -28,11 +28,9 @@ from planner.view.playing import Player
 from planner.view.render.camera import directions, scenery_of, whole_motion
 from planner.view.render.environment import visible_model
 from planner.view.render.film import Film
+from planner.view.render.ghost import GhostDrawer, Outline, ghost_paint, screen_difference
 from planner.view.render.marks import Marks
-from planner.view.render.pose_difference import Outline, behind, screen_difference, visibility
-from planner.view.render.scene import ghost_paint
-from planner.view.render.shapes import Paint, SceneGeoms, without_shadow
-from planner.view.render.sticks import Sticks
+from planner.view.render.shapes import LinkCapsules, Paint, SceneGeoms
 
 ROLLOUTS = 8
 _RATE = 60.0  # pictures a second
@@ -117,11 +115,11 @@ class ViewerScene:
         self._films, self._perturbed, self._rollouts = films, perturbed, list[np.ndarray]()
         self.model = visible_model(films)
         self.data, self._other = mujoco.MjData(self.model), mujoco.MjData(self.model)
-        self._option, self._perturb = mujoco.MjvOption(), mujoco.MjvPerturb()
         seen = films[0].appearance
         self._paint = ghost_paint(seen)
-        self._sticks = Sticks(self.model)
-        self._outline = Outline(self.model, scenery_of(self.model, seen)[0], self._sticks)
+        self._link_capsules = LinkCapsules(self.model)
+        self._ghost_drawer = GhostDrawer(self.model, self._link_capsules)
+        self._outline = Outline(self.model, scenery_of(self.model, seen)[0], self._link_capsules)
         self._marks = [Marks(film, self.model, None) for film in films]
         self._look_at, self._distance = whole_motion(films, self.model, seen, _ASPECT, True)
         self._pixel = 2.0 * self._distance * np.tan(0.5 * np.radians(self.model.vis.global_.fovy)) / 720.0
@@ -138,7 +136,7 @@ class ViewerScene:
         t = film.t[0] + player.t
         self._pose(self.data, _at(t, film.t, film.qpos))
         scene.ngeom = 0
-        self._sticks.add(self.data, scene)
+        self._link_capsules.add(self.data, scene)
         eye = camera.lookat - camera.distance * directions(camera.azimuth, camera.elevation)[0]
         if player.ghost:
             offset = np.asarray(film.appearance.ghost_offset)
@@ -163,20 +161,10 @@ class ViewerScene:
         if not np.all(np.isfinite(qpos)):  # a simulation that exploded
             return
         self._pose(self._other, qpos)
-        back = 0.0
-        if not np.any(offset):
-            away = screen_difference(self._outline.points(self.data), self._outline.points(self._other))
-            back, paint = behind(away, self._distance), (*paint[:3], paint[3] * visibility(away / self._pixel))
-        if paint[3] == 0.0:
-            return
-        kind = mujoco.mjtCatBit.mjCAT_DYNAMIC
-        mujoco.mjv_addGeoms(self.model, self._other, self._option, self._perturb, kind, scene)
-        self._sticks.add(self._other, scene)
+        away = screen_difference(self._outline.points(self.data), self._outline.points(self._other))
+        self._ghost_drawer.add(scene, self._other, paint, offset, away, self._pixel, eye, self._distance)
         for geom in scene.geoms[first : scene.ngeom]:
-            geom.pos[:] += offset + back * (geom.pos - eye)
-            geom.matid, geom.rgba[:] = -1, paint if geom.rgba[3] > 0.0 else 0.0
             geom.category = mujoco.mjtCatBit.mjCAT_DECOR
-            without_shadow(geom)
 
 
 def _at(t: float, times: np.ndarray, poses: np.ndarray) -> np.ndarray:

@@ -11,39 +11,15 @@ from planner import PlannerError
 from planner.base.arguments import array, choice, count, number, numbers, short_repr
 
 NO_NUMBERS = [
-    True,
-    np.True_,
-    np.array(True),
-    "1",
-    np.str_("1"),
-    b"1",
-    None,
-    1j,
-    np.complex128(1.0),
-    10**400,
-    10**5000,
-    {"a": 1.0},
-    [[1.0], [1.0, 2.0]],
-]
+    True, np.True_, np.array(True), "1", np.str_("1"), b"1", None, 1j, np.complex128(1.0), 10**400, 10**5000,
+    {"a": 1.0}, [[1.0], [1.0, 2.0]],
+]  # fmt: skip
 NO_ARRAYS = [
-    [True, False],
-    [1.0, True],
-    (1.0, np.False_),
-    deque([True, 1.0]),
-    np.array([True, False]),
-    np.array([True, 1.0], dtype=object),
-    [np.array(True), 1.0],
-    ["1", "2"],
-    [1.0, "2"],
-    b"12",
-    bytearray(b"12"),
-    np.array(["1", "2"]),
-    np.array([b"1", b"2"]),
-    np.array([1.0, 2.0j]),
-    np.array([datetime.date(2020, 1, 1)] * 2, dtype="datetime64[D]"),
-    [10**400, 1],
-    [10**5000, 1],
-]
+    [True, False], [1.0, True], (1.0, np.False_), deque([True, 1.0]), np.array([True, False]),
+    np.array([True, 1.0], dtype=object), [np.array(True), 1.0], ["1", "2"], [1.0, "2"], b"12",
+    bytearray(b"12"), np.array(["1", "2"]), np.array([b"1", b"2"]), np.array([1.0, 2.0j]),
+    np.array([datetime.date(2020, 1, 1)] * 2, dtype="datetime64[D]"), [10**400, 1], [10**5000, 1],
+]  # fmt: skip
 
 
 def refused(check, *given, **options):
@@ -63,7 +39,7 @@ def test_values_that_are_no_numbers_are_refused(value):
 
 @pytest.mark.parametrize("value", [*NO_NUMBERS, 1.0, -1, [1], np.array([1, 2]), 2**63], ids=short_repr)
 def test_values_that_are_no_counts_are_refused(value):
-    assert "expected a whole number of at least 0" in refused(count, value, least=0)
+    assert "expected a whole number of at least 0" in refused(count, value, minimum=0)
 
 
 @pytest.mark.parametrize("value", NO_ARRAYS, ids=short_repr)
@@ -85,15 +61,9 @@ def test_numbers_are_read(value):
 
 
 ARRAYS = [
-    [3, 1],
-    (3.0, 1.0),
-    range(3, 0, -2),
-    deque([3, 1]),
-    np.array([3, 1], dtype=np.uint8),
-    np.array([3, 1], dtype=object),
-    [np.array(3.0), np.float32(1.0)],
-    memoryview(np.array([3.0, 1.0])),
-]
+    [3, 1], (3.0, 1.0), range(3, 0, -2), deque([3, 1]), np.array([3, 1], dtype=np.uint8),
+    np.array([3, 1], dtype=object), [np.array(3.0), np.float32(1.0)], memoryview(np.array([3.0, 1.0])),
+]  # fmt: skip
 
 
 @pytest.mark.parametrize("value", ARRAYS, ids=lambda value: type(value).__name__)
@@ -113,7 +83,7 @@ def test_arrays_are_copies():
 def test_counts_are_read():
     assert count("x", 3) == count("x", np.int32(3)) == count("x", 3, maximum=3) == 3
     assert count("x", 2**63 - 1) == 2**63 - 1
-    assert refused(count, 4, most=3) == "x is 4, expected a whole number of at least 1 and at most 3."
+    assert refused(count, 4, maximum=3) == "x is 4, expected a whole number of at least 1 and at most 3."
     assert refused(count, 0) == "x is 0, expected a whole number of at least 1."
 
 

@@ -6,8 +6,8 @@ import sys
 import pytest
 
 PARTS = {
-    "high_dive": ("case", "diver", "flight"),
-    "human_step": ("case", "cost", "drive", "gait", "gait_file", "measures", "phase", "pictures", "walker"),
+    "high_dive": ("case", "flight"),
+    "human_step": ("case", "gait"),
 }
 
 

@@ -84,7 +84,7 @@ def test_a_pin_is_loaded_no_more_than_it_may_be(tmp_path):
     dynamics = free.problem.dynamics
     largest = np.linalg.norm(constraint_forces(dynamics, free.xs[:-1], free.us), axis=1).max()
     most = 0.9 * largest
-    path = four_bar(tmp_path, more=f'[[constraint]]\nchain = "pin"\nmost = {most}\n')
+    path = four_bar(tmp_path, more=f'[[constraint]]\nchain = "pin"\nupper = {most}\n')
     plan = planner.solve(load(path).problem)
     assert plan.success
     assert np.linalg.norm(constraint_forces(dynamics, plan.xs[:-1], plan.us), axis=1).max() <= most * (1.0 + 1e-3)
@@ -93,4 +93,4 @@ def test_a_pin_is_loaded_no_more_than_it_may_be(tmp_path):
 def test_a_force_of_a_chain_that_is_none_is_refused():
     problem = load(ROOT / "examples" / "crane.toml").problem
     with pytest.raises(PlannerError, match="force of pin is that of a closed chain"):
-        planner.solve(replace(problem, constraints=[Constraint(ChainForce("pin"), most=1.0)]))
+        planner.solve(replace(problem, constraints=[Constraint(ChainForce("pin"), upper=1.0)]))

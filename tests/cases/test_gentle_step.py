@@ -10,7 +10,7 @@ from walks import CYCLE, SWING
 import planner
 from planner.__main__ import main
 from planner.cases import human_step
-from planner.cases.human_step.drive import CHANGE, FORCE, MOMENT, weight
+from planner.cases.human_step.case import CHANGE, FORCE, MOMENT, weight
 from planner.cases.human_step.measures import CLEAR, measures, robot, robot_wrench
 from planner.cases.human_step.walker import PELVIS, Walker
 
@@ -58,20 +58,18 @@ def test_a_weight_of_jerk_makes_a_smoother_robot(plans, phase):
     assert min(found.clearance.values()) > CLEAR
 
 
-@pytest.mark.parametrize("phase", ["swing", "cycle"])
-def test_jerk_converges_with_the_studys_cost(phase):
-    plan = planner.solve(human_step(phase=phase, cost="study", jerk=1.0), max_iterations=LIMIT)
+def test_jerk_converges_with_the_studys_cost():
+    plan = planner.solve(human_step(phase="swing", cost="study", jerk=1.0), max_iterations=LIMIT)
     assert plan.success
     assert plan.nit < 60
 
 
 def test_more_weight_means_less_jerk(plans):
     jerks = [robot_of(plans["swing", "jerk"]).jerk[0]]
-    for more in (10.0, 100.0):
-        plan = planner.solve(human_step(phase="swing", jerk=more), max_iterations=LIMIT)
-        assert plan.success
-        jerks.append(robot_of(plan).jerk[0])
-    assert jerks[0] > 1.5 * jerks[1] > 1.5**2 * jerks[2]
+    plan = planner.solve(human_step(phase="swing", jerk=10.0), max_iterations=LIMIT)
+    assert plan.success
+    jerks.append(robot_of(plan).jerk[0])
+    assert jerks[0] > 1.5 * jerks[1]
 
 
 def test_jerk_and_force_are_weighed_as_documented(plans):
@@ -141,7 +139,7 @@ def test_a_gait_returns_to_its_accelerations():
     problem = human_step(phase="gait", jerk=1.0)
     assert problem.periodic is not None
     assert np.flatnonzero(~problem.periodic.periodic_mask).tolist() == [0, 17]
-    plan = planner.solve_periodic(problem, passes=3)
+    plan = planner.solve_periodic(problem, passes=2)
     closed = problem.periodic.closure_error(plan.space, plan.xs)[-6:]
     first = planner.solve(problem)
     assert np.abs(closed).max() < np.abs(problem.periodic.closure_error(first.space, first.xs)[-6:]).max()

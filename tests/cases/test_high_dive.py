@@ -8,7 +8,7 @@ from planner.base.gl import load_mujoco
 from planner.cases import anthropometry
 from planner.cases.high_dive import flight
 from planner.cases.high_dive.case import enters, misses, momentum_drift, rotated_up
-from planner.cases.high_dive.diver import Diver
+from planner.cases.high_dive.flight import Diver
 from planner.dynamics.momentum import angular_momentum, center_of_mass
 from planner.model.mechanism import Mechanism
 from planner.model.mjcf.text import model_path
@@ -133,8 +133,8 @@ def test_the_diver_turns_as_often_as_was_asked(plan):
     assert angle[-1] - angle[0] == pytest.approx(3.0 * np.pi, abs=0.02)
     signs = np.sign(np.sum(plan.xs[1:, 3:7] * plan.xs[:-1, 3:7], axis=1))
     lifted = plan.xs[-1, 3:7] * np.prod(signs)
-    assert lifted @ flight.turned(3.0 * np.pi, 2.0 * np.pi) > 0.999
-    assert lifted @ flight.turned(3.0 * np.pi, 0.0) < -0.999
+    assert lifted @ flight.orientation(3.0 * np.pi, 2.0 * np.pi) > 0.999
+    assert lifted @ flight.orientation(3.0 * np.pi, 0.0) < -0.999
 
 
 def test_joints_stay_in_their_ranges(plan, diver):
@@ -154,8 +154,8 @@ def test_the_dive_passes_its_proof(plan):
 def test_misses_and_success(plan):
     entry = plan.problem.cost.x_ref[-1]
     ends = np.tile(entry, (4, 1))
-    ends[1, 3:7] = flight.turned(3.0 * np.pi + 0.3, 0.0)  # 17 degrees over
-    ends[2, 3:7] = flight.turned(3.0 * np.pi, 1.0)  # straight down, another heading
+    ends[1, 3:7] = flight.orientation(3.0 * np.pi + 0.3, 0.0)  # 17 degrees over
+    ends[2, 3:7] = flight.orientation(3.0 * np.pi, 1.0)  # straight down, another heading
     ends[3, 12] += 0.3
     np.testing.assert_array_equal(enters(ends, entry), [True, False, True, False])
     turn, angle, rate = misses(ends, entry)

@@ -13,6 +13,7 @@ import pytest
 import planner
 from planner.cases.hopper import PAPER, crossings, match_crossings
 from planner.model.mjcf.text import edited
+from planner.proof.compare.model_parity import parity
 from planner.proof.consistency import consistency, recomputed
 
 LEG = "worldbody/body/body/joint[@name='leg']"
@@ -35,30 +36,22 @@ def figures(proof):
     return {f.name: f.value for s in (proof.parity, proof.refined_open_loop, proof.goal) for f in s.measured}
 
 
-@pytest.mark.parametrize("height", [5.0, 13.7, 20.0, 41.0, 60.0])
-def test_default_plans_pass_open_loop(height):
-    proof = proven(height)
-    assert proof.replay.plan.success
-    assert (proof.verdict, proof.mode) == ("PASS", "open-loop"), proof.reason
-    assert proof.refined_feedback.passed
-    values = figures(proof)
-    assert values["rms_height_error"] <= 0.05
-    assert values["final_height_error"] <= 0.1
-    assert values["planned_goal_error"] <= 0.2
-    assert values["worst_event_error"] <= 0.5
-
-
 # Fidelity regression: twice what was measured when this was written (0.0055 %, 0.016 %, 0.0023 ms for height 20),
 # so that a change of model, integrator or replay that costs accuracy is seen long before the verdict changes.
 @pytest.mark.parametrize(
     ("height", "rms", "final", "event"),
     [(5.0, 0.010, 0.026, 0.008), (20.0, 0.011, 0.032, 0.005), (50.0, 0.031, 0.070, 0.015)],
 )
-def test_fidelity_stays_where_it_was(height, rms, final, event):
-    values = figures(proven(height))
+def test_default_plans_pass_open_loop_with_the_fidelity_they_had(height, rms, final, event):
+    proof = proven(height)
+    assert proof.replay.plan.success
+    assert (proof.verdict, proof.mode) == ("PASS", "open-loop"), proof.reason
+    assert proof.refined_feedback.passed
+    values = figures(proof)
     assert values["rms_height_error"] <= rms
     assert values["final_height_error"] <= final
     assert values["worst_event_error"] <= event
+    assert values["planned_goal_error"] <= 0.2
     assert values["rate_error"] <= 1e-12
 
 
@@ -81,7 +74,7 @@ def test_wrong_start_keyframe_fails(plan):
     assert [f.name for f in fails(plan, mjcf=text).parity.failures] == ["start_error"]
 
 
-@pytest.mark.parametrize("damping", [1e-6, 0.01, 0.1, 1.0])  # critical is 2 sqrt(k m) = 20
+@pytest.mark.parametrize("damping", [1e-6, 1.0])  # critical is 2 sqrt(k m) = 20
 def test_damped_leg_fails(plan, damping):
     fails(plan, mjcf=edited(plan.twin.mjcf, {LEG: {"damping": str(damping)}}))
 
@@ -89,7 +82,8 @@ def test_damped_leg_fails(plan, damping):
 def test_heavy_foot_fails_and_the_error_falls_with_its_mass(plan):
     def rms(mass):
         text = edited(plan.twin.mjcf, {FOOT: {"mass": str(mass)}})
-        return figures(planner.prove(plan, mjcf=text, rollouts=0))["rms_height_error"]
+        run = planner.replay(plan, twin=replace(plan.twin, mjcf=text))
+        return plan.problem.requirements.tracking(run).measured[0].value  # the RMS height error
 
     fails(plan, mjcf=edited(plan.twin.mjcf, {FOOT: {"mass": "0.01"}}))
     assert rms(1e-3) > 5.0 * rms(1e-4)  # lift-off shares momentum in proportion to the foot's mass
@@ -100,7 +94,7 @@ def test_default_contact_softness_fails(plan):
     fails(plan, mjcf=edited(plan.twin.mjcf, {CONTACT: soft}))
 
 
-@pytest.mark.parametrize("final_weight", [100.0, 1000.0, 1e4])  # the paper leaves q_fin open
+@pytest.mark.parametrize("final_weight", [100.0, 1e4])  # the paper leaves q_fin open
 def test_the_papers_own_plan_fails(final_weight):
     problem = planner.cases.hopper(height=20.0, **{**PAPER, "final_weight": final_weight})
     plan = planner.solve(problem, update="open-loop")
@@ -120,8 +114,7 @@ def test_the_papers_own_plan_fails(final_weight):
     ids=["stiffness", "gravity", "mass"],
 )
 def test_parity_sees_a_wrong_constant(plan, edit):
-    proof = fails(plan, mjcf=edited(plan.twin.mjcf, edit))
-    assert not proof.parity.passed
+    assert not parity(plan.problem, twin=replace(plan.twin, mjcf=edited(plan.twin.mjcf, edit))).passed
 
 
 def test_parameters_reach_the_model():
@@ -152,10 +145,6 @@ def test_a_plan_that_is_not_what_it_says_is_inconsistent(plan, change, figure):
     other = change(plan)
     now = recomputed(other, plan.problem, other.xs, other.us)
     assert figure in [f.name for f in consistency(other, plan.problem, now).failures]
-
-
-def test_an_inconsistent_plan_fails(plan):
-    assert [f.name for f in fails(replace(plan, cost=plan.cost - 1.0)).plan.failures] == ["cost_error"]
 
 
 def test_a_plan_of_another_start_fails(plan):

@@ -35,7 +35,7 @@ def cycle():
 # parity
 
 
-@pytest.mark.parametrize("body", [(45.0, 1.5), (70.0, 1.75), (110.0, 1.95)], ids=str)
+@pytest.mark.parametrize("body", [(45.0, 1.5), (110.0, 1.95)], ids=str)
 @pytest.mark.parametrize("pelvis", ["motion", "force"])
 @pytest.mark.parametrize("phase", ["swing", "cycle"])
 def test_anybody_is_the_same_in_mujoco(phase, pelvis, body):
@@ -223,6 +223,7 @@ def test_a_gait_of_ones_own(gaits):
         ("--damping nan", "damping is nan"),
         ("--effort 0", "effort is 0.0"),
         ("--brace knee", "'knee'"),
+        ("--cost cheap", "'cheap'"),
         ("--cycles 0", "cycles is 0"),
         ("--cycles 2.5", "'2.5' is not a whole number"),
         ("--cycles 1000", "cycles is 1000"),

@@ -4,7 +4,7 @@ import numpy as np
 import people
 import pytest
 
-from planner.cases.human_step.cost import FASTER, SLOWER, USUAL, wishes
+from planner.cases.human_step.cost import FASTER, SLOWER, USUAL, step_tolerances
 from planner.cases.human_step.gait import NORMAL_GAIT
 from planner.cases.human_step.phase import GaitPhase
 from planner.cases.human_step.walker import Walker
@@ -30,10 +30,10 @@ def step(duration):
 
 @pytest.mark.parametrize(("duration", "powers"), [(2.0 * USUAL, SLOWER), (0.5 * USUAL, FASTER)])
 def test_tolerances_go_with_the_time_of_a_cycle(duration, powers):
-    usual, other = (wishes(step(time), "default", None, None) for time in (USUAL, duration))
+    usual, other = (step_tolerances(step(time), "default", None, None) for time in (USUAL, duration))
     for name, power in powers.items():
         assert getattr(other, name) / getattr(usual, name) == pytest.approx((duration / USUAL) ** power)
-    assert wishes(step(duration), "study", None, None) == wishes(step(USUAL), "study", None, None)
+    assert step_tolerances(step(duration), "study", None, None) == step_tolerances(step(USUAL), "study", None, None)
 
 
 def test_a_share_has_an_interval():

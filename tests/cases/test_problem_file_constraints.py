@@ -35,8 +35,8 @@ def test_a_cup_stays_upright():
 
 
 def test_a_run_keeps_a_corridor_and_its_plan_knows_it(tmp_path):
-    corridor = '\n[[constraint]]\nframe = "load"\nalong = "x"\nmost = 1.9\nwhen = [0.0, 2.0]\nname = "corridor"\n'
-    corridor += '[[constraint]]\npower = "drive"\nmost = 500.0\n'
+    corridor = '\n[[constraint]]\nframe = "load"\nalong = "x"\nupper = 1.9\nwhen = [0.0, 2.0]\nname = "corridor"\n'
+    corridor += '[[constraint]]\npower = "drive"\nupper = 500.0\n'
     file = crane(tmp_path, corridor)
     names = [one.name for one in load_problem(file).constraints]
     assert names == ["corridor", "power of drive"]
@@ -48,7 +48,7 @@ def test_a_run_keeps_a_corridor_and_its_plan_knows_it(tmp_path):
 
 
 def test_what_cannot_be_kept_ends_with_1_and_a_plan(tmp_path):
-    wall = '\n[[constraint]]\nframe = "load"\nalong = "x"\nmost = 0.5\nname = "wall"\n'
+    wall = '\n[[constraint]]\nframe = "load"\nalong = "x"\nupper = 0.5\nname = "wall"\n'
     there = '[[constraint]]\nframe = "load"\nposition = [2.0, 0.0, 1.0]\nname = "there"\n'
     file = crane(tmp_path, wall + there.replace("name", "tolerance = 1e-3\nname"))
     done = run("solve", file, "--out", tmp_path / "plan.npz", "--max-iterations", 60, cwd=tmp_path)
@@ -68,10 +68,10 @@ def test_what_cannot_be_kept_ends_with_1_and_a_plan(tmp_path):
         ({"frame": "a", "pointing": "up", "within": 0.1}, "expected one of: x, y, z"),
         ({"frame": "a", "pointing": "z"}, "no key 'within'"),
         ({"frame": "a", "pointing": "z", "within": 0}, "greater than 0"),
-        ({"frame": "a", "along": "z"}, "expected least or most"),
-        ({"frame": "a", "along": "z", "within": 0.1, "most": 1}, "has 'within' beside 'along'"),
-        ({"frame": 1, "along": "z", "most": 1}, "expected the name of a site or body"),
-        ({"power": "a", "most": 1.0, "when": "soon"}, "has when = 'soon'"),
+        ({"frame": "a", "along": "z"}, "expected lower or upper"),
+        ({"frame": "a", "along": "z", "within": 0.1, "upper": 1}, "has 'within' beside 'along'"),
+        ({"frame": 1, "along": "z", "upper": 1}, "expected the name of a site or body"),
+        ({"power": "a", "upper": 1.0, "when": "soon"}, "has when = 'soon'"),
     ],
 )
 def test_what_is_written_wrongly_is_one_sentence(table, words):
@@ -81,7 +81,7 @@ def test_what_is_written_wrongly_is_one_sentence(table, words):
 
 def test_unknown_names_list_those_that_exist(tmp_path):
     for table, words in (('frame = "hok"\nalong = "z"', "expected one of"), ('power = "motor"', "expected one of")):
-        file = crane(tmp_path, f"\n[[constraint]]\n{table}\nmost = 1.0\n")
+        file = crane(tmp_path, f"\n[[constraint]]\n{table}\nupper = 1.0\n")
         refused(run("solve", file, "--out", tmp_path / "plan.npz", cwd=tmp_path), words)
-    file = crane(tmp_path, '\n[constraint]\npower = "drive"\nmost = 1.0\n')
+    file = crane(tmp_path, '\n[constraint]\npower = "drive"\nupper = 1.0\n')
     refused(run("solve", file, "--out", tmp_path / "plan.npz", cwd=tmp_path), "expected tables [[constraint]]")

@@ -7,7 +7,7 @@ from gantries import gantry
 import planner
 from planner.cases.problem_file.keys import GOAL as GOAL_KEYS
 from planner.problem.goals import goals_of
-from planner.problem.tasks.timed_task import USUAL
+from planner.problem.tasks.timed_task import DEFAULT_TOLERANCES
 
 CART = """<mujoco><worldbody><body><joint name="rail" type="slide" axis="1 0 0" range="-1 3"/>
   <geom type="box" size=".1 .1 .1" mass="2" contype="0" conaffinity="0"/></body></worldbody>
@@ -30,7 +30,7 @@ def test_limits_and_constraints_of_python_are_kept():
     assert speed(free.xs).max() > 1.2
     limited = planner.solve(asked(limits=planner.Limits(control=9.5)))
     assert np.abs(limited.us).max() <= 9.5
-    slow = planner.Constraint(speed, most=1.15)
+    slow = planner.Constraint(speed, upper=1.15)
     for given in (slow, [slow]):
         plan = planner.solve(asked(constraint=given))
         assert plan.success
@@ -53,7 +53,7 @@ def test_a_limit_that_is_not_a_number_is_refused(limits):
 
 def test_a_constraint_that_is_not_a_number_is_refused():
     with pytest.raises(planner.PlannerError, match=r"nan.* at the start, expected finite numbers"):
-        asked(constraint=planner.Constraint(lambda xs: np.nan * xs[:, 1], most=1.0))
+        asked(constraint=planner.Constraint(lambda xs: np.nan * xs[:, 1], upper=1.0))
 
 
 def test_a_plan_in_place_of_a_problem_is_told_how_to_be_given():
@@ -70,14 +70,14 @@ def test_a_plan_in_place_of_a_problem_is_told_how_to_be_given():
     ],
 )
 def test_a_goal_has_the_same_tolerances_in_a_file_and_in_python(words, goal, tmp_path):
-    """Both are those of timetable.USUAL, which the words about the key name too."""
+    """Both are those of timetable.DEFAULT_TOLERANCES, which the words about the key name too."""
     (tmp_path / "cart.xml").write_text(CART.replace("<body>", '<body name="box">'))
     (tmp_path / "p.toml").write_text(f'model = "cart.xml"\nstart = {{}}\nduration = 1.0\n[[goal]]\n{words}\n')
     cart = planner.Mechanism.from_mjcf(tmp_path / "cart.xml")
     problems = planner.load_problem(tmp_path / "p.toml"), planner.task(cart, cart.home, goal, duration=1.0)
     found = [[(one.name, one.tolerance) for one in goals_of(problem)] for problem in problems]
     assert found[0] == found[1]
-    assert {tolerance for _, tolerance in found[0]} == {USUAL["position"], USUAL["velocity"]}
+    assert {tolerance for _, tolerance in found[0]} == {DEFAULT_TOLERANCES["position"], DEFAULT_TOLERANCES["velocity"]}
     assert GOAL_KEYS["tolerance"].endswith("by default 5 mm, 0.02 rad, 0.05 m/s")
 
 
@@ -90,7 +90,7 @@ def test_avoid_and_one_constraint_may_be_objects_or_tables():
     )
     assert by_object.parameters["avoid"]["clearance"] == 0.03
     np.testing.assert_array_equal(by_object.first_guess, by_table.first_guess)
-    one = {"frame": "tool", "along": "z", "most": 1.5}
+    one = {"frame": "tool", "along": "z", "upper": 1.5}
     assert len(planner.task(machine, "left", goal, duration=2.0, constraint=one).constraints) == 1
 
 

@@ -158,7 +158,8 @@ def test_a_stored_plan_is_the_same_task(solved, tmp_path):
     plan, proof = solved
     plan.save(tmp_path / "plan.npz")
     stored = planner.load_plan(tmp_path / "plan.npz")
-    assert [one[:2] + one[3:] for one in stored.problem.wanted] == [one[:2] + one[3:] for one in plan.problem.wanted]
+    told = [[one[:2] + one[3:] for one in problem.goal_specs] for problem in (stored.problem, plan.problem)]
+    assert told[0] == told[1]
     np.testing.assert_array_equal(stored.problem.first_guess, plan.problem.first_guess)
     assert stored.problem.cost.value(plan.xs, plan.us) == plan.problem.cost.value(plan.xs, plan.us)
     assert planner.prove(stored, rollouts=0).to_dict()["goal"] == proof.to_dict()["goal"]
@@ -168,7 +169,7 @@ def test_at_a_finer_step_goals_are_at_the_same_times(solved):
     plan, _ = solved
     problem = finer(plan.problem)
     assert problem.N == 100
-    assert [one.times for one in problem.wanted] == [one.times for one in plan.problem.wanted]
+    assert [one.times for one in problem.goal_specs] == [one.times for one in plan.problem.goal_specs]
 
 
 def test_a_task_is_pickled_for_several_starts(solved):
@@ -365,7 +366,7 @@ def test_a_goal_over_times_counts_its_largest_miss():
 
 def test_orientations_are_given_by_quaternions_or_in_degrees():
     turned = planner.Goal(frame="hand", orientation={"roll": 180, "yaw": 90}).quaternion
-    x, y, z = (planner.problem.costs.residuals.turns.rotation_of(turned) @ e for e in np.eye(3))
+    x, y, z = (planner.problem.costs.residuals.functions.rotation_of(turned) @ e for e in np.eye(3))
     np.testing.assert_allclose([x, y, z], [[0, 1, 0], [1, 0, 0], [0, 0, -1]], atol=1e-15)
     for given, one in itertools.product(([0, 1, 1, 0], [0, 2, 2, 0]), (turned,)):
         own = planner.Goal(frame="hand", orientation=given).quaternion

@@ -188,13 +188,13 @@ def test_bad_parameters_are_named(parameters, fragment):
 @pytest.mark.render
 def test_the_film_shows_arm_ghost_goal_and_trail(plan):
     """Each changes the picture; the trail is the path of the tip, and longer later."""
-    replay = planner.prove(plan, rollouts=0).replay
+    replay = planner.replay(plan)
     stage = plan.problem.appearance
 
     def picture(**changes):
         shown = replace(plan, problem=replace(plan.problem, appearance=replace(stage, **changes)))
-        return planner.render_frame(replace(replay, plan=shown), 1.5, width=320, height=180).astype(int)
+        return planner.render_frame(replace(replay, plan=shown), 1.5, width=240, height=136).astype(int)
 
     full = picture()
     for changes in ({"trail": ""}, {"goal_line": None}, {"ghost_offset": (0.0, 0.0, 0.0)}, {"readouts": ()}):
-        assert np.count_nonzero(np.abs(full - picture(**changes)).max(axis=2) > 40) > 50, changes
+        assert np.count_nonzero(np.abs(full - picture(**changes)).max(axis=2) > 40) > 25, changes

@@ -214,7 +214,7 @@ def elbow_speed(xs):
 def test_constraints_that_no_plan_met_yet_are_kept_when_the_goal_moves(problem, iterations):
     """As the test above, by a function of one's own in place of a range."""
     fastest = 1.02 * float(np.abs(planner.solve(problem).xs[:, 3]).max())
-    kept = planner.Constraint(elbow_speed, least=-fastest, most=fastest, tolerance=1e-3)
+    kept = planner.Constraint(elbow_speed, lower=-fastest, upper=fastest, tolerance=1e-3)
     c = planner.Controller(replace(problem, constraints=[kept]), iterations=iterations)
     assert c.plan.bound_penalties is None
     c.goal = [1.0, -7.0]

@@ -1,6 +1,7 @@
 """Contact of two bodies: closest points, the twin in NumPy against differences, the kernels against it, energy."""
 
 import dataclasses
+from collections.abc import Callable
 
 import numpy as np
 import pytest
@@ -90,13 +91,15 @@ def test_derivatives_of_the_generalized_forces(text, seed, sharp):
     q, qd = x[: m.nq], x[m.nq : m.nq + m.nv]
     m = meeting(m, x, SHARP if sharp else SOFT, rng)
     by_q, by_qd = generalized_force_derivatives(m, q, qd)
-    h = 1e-7
-    for i in range(m.nv):
-        d = h * np.eye(m.nv)[i]
-        slope = (generalized_forces(m, moved(m, q, d), qd) - generalized_forces(m, moved(m, q, -d), qd)) / (2 * h)
-        assert np.max(np.abs(by_q[:, i] - slope)) < 1e-6 * max(1.0, np.max(np.abs(by_q)))
-        slope = (generalized_forces(m, q, qd + d) - generalized_forces(m, q, qd - d)) / (2 * h)
-        assert np.max(np.abs(by_qd[:, i] - slope)) < 1e-6 * max(1.0, np.max(np.abs(by_qd)))
+
+    def check(by: np.ndarray, forces: Callable[[float], np.ndarray], scale: float) -> None:
+        """Central differences at h and h / 2 tell their own error, which is large where contacts graze."""
+        far, near = ((forces(h) - forces(-h)) / (2 * h) for h in (1e-7, 5e-8))
+        assert np.max(np.abs(by - near)) < 1e-6 * max(1.0, scale) + np.max(np.abs(near - far))
+
+    for i, d in enumerate(np.eye(m.nv)):
+        check(by_q[:, i], lambda h, d=d: generalized_forces(m, moved(m, q, h * d), qd), np.max(np.abs(by_q)))
+        check(by_qd[:, i], lambda h, d=d: generalized_forces(m, q, qd + h * d), np.max(np.abs(by_qd)))
 
 
 @machines(12, max_dofs=15, max_bodies=6, sharp=st.booleans())

@@ -80,7 +80,7 @@ def test_accelerations_are_those_of_multipliers(text, seed):
 
 def without(m):
     """Its tree."""
-    return replace(m, loops=(), cams=())
+    return replace(m, loops=(), polynomial_couplings=())
 
 
 @machines(12, max_dofs=16)

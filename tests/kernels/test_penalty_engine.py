@@ -35,7 +35,7 @@ def some_terms(rng, m, N, count=6):
     """Heights and distances of all kinds, on and off, wanted near where things are."""
     terms = []
     for _ in range(count):
-        wanted = rng.choice(["least", "most", "target"])
+        wanted = rng.choice(["lower", "upper", "target"])
         bound = 0.5 * rng.normal(size=N + 1) + 1.0
         bound[rng.random(N + 1) < 0.2] = np.nan
         options = {
@@ -97,7 +97,7 @@ def test_the_kernels_model_is_the_costs(text, seed):
     """Gradients and Hessians of the stages themselves, to rounding."""
     task = penalized(text, seed, "rk4")
     ours, _ = engines(task)
-    ours.start(task.x0, task.first_guess)
+    ours.start_from_controls(task.x0, task.first_guess)
     ours.sweep(0.0, True)
     w = ours._w
     xs, us = ours.trajectory()
@@ -141,7 +141,7 @@ def dynamics():
 def arm(dynamics, bound=-1.3, **more):
     """A swing whose tip would sag to -1.4, from the one that does."""
     swing = TrackingCost.joints(dynamics, GOAL, N, effort=0.01, final_position=1e3, final_velocity=1e2)
-    low = PenaltyCost(dynamics, N, [Height(Point("tip"), least=bound, tolerance=0.01)])
+    low = PenaltyCost(dynamics, N, [Height(Point("tip"), lower=bound, tolerance=0.01)])
     x0 = [-1.0, 0.0, 0.0, 0.0]
     return Problem(dynamics, swing + low, x0, planner.solve(Problem(dynamics, swing, x0)).us, **more)
 
@@ -201,8 +201,8 @@ def test_a_leg_on_the_floor():
     hold = TrackingCost.joints(dynamics, x0, 40, effort=1e-4, position={"hip": 1.0, "knee": 1.0}, velocity=0.01)
     down, up = np.full(41, np.nan), np.full(41, np.nan)
     up[:30], down[35:] = 0.02, 0.0
-    gaps = PenaltyCost(dynamics, 40, [Gap("foot", least=up, tolerance=2e-3, weight=10.0),
-                                      Gap("foot", most=down, tolerance=2e-3, weight=10.0)])  # fmt: skip
+    gaps = PenaltyCost(dynamics, 40, [Gap("foot", lower=up, tolerance=2e-3, weight=10.0),
+                                      Gap("foot", upper=down, tolerance=2e-3, weight=10.0)])  # fmt: skip
     task = Problem(dynamics, hold + gaps, x0)
     assert isinstance(acquire_engine(task), CompiledEngine)
     plan, twin = planner.solve(task), planner.solve(numpy_twin(task))
@@ -247,7 +247,7 @@ def test_the_same_problem_at_half_the_stage(dynamics):
 def test_penalties_unknown_to_the_kernels_go_to_numpy(dynamics):
     task = arm(dynamics)
     tracking, low = task.cost.costs
-    other = PenaltyCost(Mechanism.from_mjcf(ARM), N, [Height(Point("tip"), least=-1.3, tolerance=0.01)], dt=0.025)
+    other = PenaltyCost(Mechanism.from_mjcf(ARM), N, [Height(Point("tip"), lower=-1.3, tolerance=0.01)], dt=0.025)
     for cost in (tracking + other, tracking + low + tracking):
         assert compiled_costs(Problem(dynamics, cost, task.x0, horizon=N)) is None
     assert isinstance(acquire_engine(Problem(dynamics, tracking + other, task.x0)), NumpyEngine)
@@ -260,7 +260,7 @@ def test_nothing_wanted_costs_nothing(dynamics):
     task = arm(dynamics)
     tracking = task.cost.costs[0]
     plain = planner.solve(Problem(dynamics, tracking, task.x0))
-    for terms in ([], [Height(Point("tip"), least=np.full(N + 1, np.nan), tolerance=1.0)]):
+    for terms in ([], [Height(Point("tip"), lower=np.full(N + 1, np.nan), tolerance=1.0)]):
         cost = PenaltyCost(dynamics, N, terms)
         assert cost.values(plain.xs).shape == (N + 1, len(terms))
         assert cost.value(plain.xs, plain.us) == 0.0

@@ -66,7 +66,7 @@ def task_with(text, seed, integrator, full=False, tracking=True, limits=None):
     for kind in KINDS:
         term = some_cost(rng, task.dynamics, N, kind)
         cost = term if cost is None else cost + term
-    height = Height(Point(world=(0.0, 0.0, 1.0)), least=0.5, tolerance=0.1)
+    height = Height(Point(world=(0.0, 0.0, 1.0)), lower=0.5, tolerance=0.1)
     cost = cost + PenaltyCost(task.dynamics, N, [height])
     return Problem(task.dynamics, cost, task.x0, task.first_guess, limits=limits)
 
@@ -103,7 +103,7 @@ def test_the_kernels_model_is_the_twins(text, seed):
         term = some_cost(rng, task.dynamics, task.N, kind)
         one = Problem(task.dynamics, task.cost + term, task.x0, task.first_guess)
         ours, _ = engines(one)
-        ours.start(one.x0, one.first_guess)
+        ours.start_from_controls(one.x0, one.first_guess)
         ours.sweep(0.0, True)
         w = ours._w
         xs, us = ours.trajectory()
@@ -167,7 +167,7 @@ def test_an_arm_points_its_forearm(arm):
     down = FrameCost(arm, "tip", pointing=([0, 0, -2], [3, 0, 0]), final_pointing_weight=100.0)
     plan = planner.solve(Problem(arm, held(arm) + down, np.zeros(4), horizon=N))
     assert plan.success
-    (asked,) = down.wanted(())
+    (asked,) = down.goal_specs(())
     assert (asked.name, asked.unit) == ("direction of tip", "rad")
     axis = planner.dynamics.frame_pose(arm.mechanism, plan.xs[-1, :2], "tip")[:3, :3] @ [0.0, 0.0, -1.0]
     angle = np.arccos(axis[0])
@@ -205,7 +205,7 @@ def test_a_users_own_term_is_added_in_numpy(arm):
 def test_bounds_and_weights_may_change_between_iterations(arm):
     """What an augmented Lagrangian does: the engine goes on with other numbers as if it had been made with them."""
     task, other = reach(arm), reach(arm)
-    place = other.cost.costs[1].measures_for(N)
+    place = other.cost.costs[1].residual_arrays_for(N)
     ours, theirs = (engines(one)[0] for one in (task, other))
     for engine, one in ((ours, task), (theirs, other)):
         engine.start_from_controls(one.x0, one.first_guess)

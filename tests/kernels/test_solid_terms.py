@@ -74,7 +74,7 @@ def test_terms_are_the_same_compiled_and_in_numpy(machine):
     dynamics, us = RigidBodyDynamics(machine, 0.02, "semi-implicit-euler"), np.zeros((N, 1))
     tracking, xs = TrackingCost.joints(dynamics, machine.home, N, effort=1.0), states(machine, np.random.default_rng(1))
     for name, (a, b) in PAIRS.items():
-        term = Clearance(a=a, b=b, lift=0.003, least=0.3 * np.arange(N + 1) % 1.0, tolerance=0.1)
+        term = Clearance(a=a, b=b, lift=0.003, lower=0.3 * np.arange(N + 1) % 1.0, tolerance=0.1)
         penalty = PenaltyCost(dynamics, N, [term])
         problem = Problem(dynamics, tracking + penalty, machine.home)
         engine = acquire_engine(problem)

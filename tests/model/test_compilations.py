@@ -13,7 +13,7 @@ from planner.contact import ContactLaw
 from planner.model.mjcf import model_index
 from planner.model.mjcf.read import read
 from planner.model.mjcf.text import edited
-from planner.proof.prove import prove
+from planner.proof.prove_plan import prove
 from planner.proof.replays.replaying import reached_by_plan
 
 ARM = """

@@ -7,8 +7,7 @@ import pytest
 
 import planner
 from planner import TrackingCost, cases
-from planner.paper.methods.curvature import curvature, hamiltonian_hessians
-from planner.paper.studies.many_starts import from_many, is_minimum
+from planner.paper.studies.many_starts import curvature, from_many, hamiltonian_hessians, is_minimum
 from planner.problem.initial_guess import rollout_states
 from planner.solvers import lq
 from planner.solvers.slq import solve
@@ -52,7 +51,7 @@ def test_negative_eigenvalues_are_those_of_the_whole_hessian(seed):
     found = curvature(problem, rollout_states(problem.dynamics, problem.x0, us), us)
     H = hessian(problem, us)
     assert found.negative == int(np.sum(np.linalg.eigvalsh(H) < 0.0)) > 0
-    assert found.promised == np.inf
+    assert found.expected_reduction == np.inf
     along = found.direction.ravel()
     assert along @ H @ along < 0.0
 
@@ -62,7 +61,7 @@ def test_a_solve_ends_at_a_minimum():
     plan = solve(problem, expected_reduction_tolerance=1e-12)
     found = curvature(problem, plan.xs, plan.us)
     assert found.negative == 0
-    assert found.promised < 1e-9 * plan.cost
+    assert found.expected_reduction < 1e-9 * plan.cost
     assert np.linalg.eigvalsh(hessian(problem, plan.us)).min() > 0.0
     assert is_minimum(problem, plan)
 

@@ -12,14 +12,13 @@ from planner.__main__ import main
 from planner.base.errors import PlannerError
 from planner.cases.hopper import PAPER
 from planner.cli import paper as command
-from planner.paper.studies import catalogue
+from planner.paper.studies import page as pages
 from planner.paper.studies.many_starts import local_minima
 from planner.paper.studies.page import complete, page, run_studies, table_rows
-from planner.paper.studies.recorded_solve import record_solve
 from planner.paper.studies.study import Row, Study
 from planner.paper.studies.table_1 import random_lq, table_one, table_results
 from planner.paper.studies.theorem import STUDY as THEOREMS
-from planner.paper.studies.theorem import Family, identity_errors, random_identity
+from planner.paper.studies.theorem import Family, identity_errors, random_identity, record_solve
 from planner.solvers import lq
 from planner.sweeps.processes import LocalProcesses
 from tests.solves import hopper, swing
@@ -67,7 +66,7 @@ def test_studies_in_processes_of_their_own_come_in_the_order_of_the_page(tmp_pat
     short = Study("short", "about", seven, sentence, one_row, {"short.png": draw}, seconds=1.0)
     failed = Study("failed", "about", fails, sentence, one_row, seconds=2.0)
     lines = []
-    with LocalProcesses(2) as executor:
+    with LocalProcesses(1) as executor:
         done = run_studies([short, failed], tmp_path, lines.append, executor)
     assert [(one.study.name, one.results, one.problem) for one in done] == [
         ("short", {"number": 7}, ""), ("failed", None, "no data, expected some."),
@@ -97,12 +96,12 @@ def test_a_study_that_fails_is_a_row(tmp_path):
 
 
 def test_catalogue():
-    names = [one.name for one in catalogue.STUDIES]
+    names = [one.name for one in pages.STUDIES]
     assert len(set(names)) == len(names)
-    pictures = [name for one in catalogue.STUDIES for name in one.pictures]
+    pictures = [name for one in pages.STUDIES for name in one.pictures]
     assert len(set(pictures)) == len(pictures)
     with pytest.raises(PlannerError, match=f"expected one of: {', '.join(names)}"):
-        catalogue.chosen(["hopper", "flight"])
+        pages.chosen(["hopper", "flight"])
 
 
 # The command
@@ -113,7 +112,7 @@ def small(monkeypatch):
     """The command with one small study."""
 
     def use(*studies):
-        for module in (command, catalogue):
+        for module in (command, pages):
             monkeypatch.setattr(module, "STUDIES", studies)
         monkeypatch.setattr(command, "processors", lambda: 1)  # lambdas cannot go to another process
 

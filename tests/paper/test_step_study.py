@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from planner.cases import human_step
-from planner.paper.studies.step import run as step_study
-from planner.paper.studies.step.page import STUDY
-from planner.paper.studies.step.run import feedforward_alone, first_within
+from planner.paper.studies import step_run as step_study
+from planner.paper.studies.step_page import STUDY
+from planner.paper.studies.step_run import feedforward_alone, first_within
 from planner.solvers.slq import solve
 
 pytestmark = pytest.mark.slow
@@ -17,7 +17,7 @@ pytestmark = pytest.mark.slow
 @pytest.fixture(scope="module")
 def results():
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(step_study, "MOST", (20, 2))
+        patch.setattr(step_study, "MAX_BFGS_ITERATIONS", (20, 2))
         patch.setattr(step_study, "CYCLES", 1)
         patch.setattr(step_study, "LIMITS", {"feedback": 100, "open-loop": 30, "feedforward alone": 2})
         return STUDY.run()

@@ -39,8 +39,8 @@ def problem_of(tmp_path):
 
 def distances(problem, plan, parts=8):
     apart = pair_clearance_of(problem.constraints)
-    measure = apart.measure(problem.dynamics, problem.N)
-    return measure._clearances.values(plan.between_knots(parts)[:, :2])
+    measure = apart.constraint_function(problem.dynamics, problem.N)
+    return measure._distances.values(plan.between_knots(parts)[:, :2])
 
 
 def test_a_plan_goes_around_a_wall_that_it_would_go_through(problem_of):
@@ -53,7 +53,7 @@ def test_a_plan_goes_around_a_wall_that_it_would_go_through(problem_of):
     assert planner.prove(around, rollouts=0).passed
     problem = around.problem
     assert problem.constraints[0].name == "clearance"
-    least = pair_clearance_of(problem.constraints).least
+    least = pair_clearance_of(problem.constraints).lower
     assert distances(problem, around).min() > least.min() - problem.constraints[0].tolerance - 1e-9
     assert around.xs[:, 1].max() > 0.38  # over the wall of 0.3, with the tool of 0.05 and the clearance
 
@@ -63,7 +63,7 @@ def test_a_stored_plan_knows_what_it_keeps_apart(problem_of, tmp_path):
     again = planner.load_plan(plan.save(tmp_path / "plan.npz"))
     assert again.problem.parameters["avoid"] == {"clearance": 0.03}
     one, other = (pair_clearance_of(p.constraints) for p in (plan.problem, again.problem))
-    np.testing.assert_array_equal(one.least, other.least)
+    np.testing.assert_array_equal(one.lower, other.lower)
     assert plan.problem.parameters["resolved"]["reasons"]["avoid"] == "1 pair of shapes are kept 0.03 m apart."
 
 
@@ -75,7 +75,7 @@ def test_what_is_kept_apart_at_knots_is_kept_apart_between_them(problem_of, monk
     def nearest():
         problem = problem_of(AVOID, **scene)
         plan = planner.solve(problem)
-        return distances(problem, plan, 16).min() - pair_clearance_of(problem.constraints).least.min()
+        return distances(problem, plan, 16).min() - pair_clearance_of(problem.constraints).lower.min()
 
     monkeypatch.setitem(globals(), "TOML", text)
     assert nearest() > -0.0006 - 1e-6  # the tolerance, 2 % of the clearance
@@ -85,7 +85,7 @@ def test_what_is_kept_apart_at_knots_is_kept_apart_between_them(problem_of, monk
 
 def test_what_passes_a_thin_thing_between_two_knots_is_seen(problem_of):
     problem = problem_of(AVOID, wall='type="box" size="0.002 0.5 0.3"', tool='type="sphere" size="0.02"')
-    measure = pair_clearance_of(problem.constraints).measure(problem.dynamics, problem.N)
+    measure = pair_clearance_of(problem.constraints).constraint_function(problem.dynamics, problem.N)
     xs = np.zeros((problem.N + 1, 4))
     xs[:, 0], xs[:, 2] = np.where(np.arange(problem.N + 1) < 20, -0.2, 0.2), 8.0  # 0.4 m in a stage of 0.05 s
     assert measure.values(xs, problem.first_guess, None).min() > 0.1
@@ -150,7 +150,7 @@ def test_a_touch_is_answered_with_clearance(problem_of):
 
     problem = problem_of(AVOID)
     one = problem.constraints[0]
-    lying = replace(one.of, pairs=tuple(pair._replace(lift=0.035) for pair in one.of.pairs))
+    lying = replace(one.of, pairs=tuple(pair._replace(distance_offset=0.035) for pair in one.of.pairs))
     plan = planner.solve(replace(problem, constraints=[replace(one, of=lying)]))
     proof = planner.prove(plan, rollouts=0)
     assert not proof.passed
@@ -162,7 +162,7 @@ def test_a_touch_is_answered_with_clearance(problem_of):
     name = problem.constraints[0].of.pairs[0].names
     again = with_clearance(with_clearance(problem, {name: 0.01}), {name: 0.02})  # of a file: its table says so
     assert again.parameters["avoid"]["extra_clearance"] == pytest.approx({name: 0.03})
-    assert pair_clearance_of(again.constraints).least[0] == pytest.approx(0.06)
+    assert pair_clearance_of(again.constraints).lower[0] == pytest.approx(0.06)
 
 
 def test_what_is_printed_of_avoid_is_one_sentence_and_the_report_has_the_names():

@@ -38,10 +38,10 @@ def way_of(name, N, duration=2.0, change=None):
 @pytest.mark.parametrize("name", MOVED)
 def test_it_leads_from_rest_to_rest_and_stays_closed(name):
     m, _, way, goal = way_of(name, 100)
-    np.testing.assert_allclose(way.rows[-1], goal, atol=1e-9)
-    assert not np.any(way.rows[[0, -1], m.nq :])
+    np.testing.assert_allclose(way.states[-1], goal, atol=1e-9)
+    assert not np.any(way.states[[0, -1], m.nq :])
     # a spline between poses of at most 0.05 rad: its fourth order leaves 0.05^4 of a length of about 1 m, over 16
-    assert max(np.abs(misses(m, x[: m.nq])).max() for x in way.rows) < 1e-6
+    assert max(np.abs(misses(m, x[: m.nq])).max() for x in way.states) < 1e-6
 
 
 @pytest.mark.parametrize("name", MOVED)
@@ -49,7 +49,7 @@ def test_its_controls_move_the_machine_along_it(name):
     gaps = []
     for N in (100, 200):
         m, dynamics, way, _ = way_of(name, N)
-        away = m.space.difference(dynamics.step(way.rows[:-1], way.controls), way.rows[1:])
+        away = m.space.difference(dynamics.step(way.states[:-1], way.controls), way.states[1:])
         gaps.append(np.abs(away).max())
     assert gaps[0] < 0.01
     assert gaps[1] < gaps[0] / 3.0, gaps  # of third order, where the poses of the spline are close enough
@@ -57,13 +57,13 @@ def test_its_controls_move_the_machine_along_it(name):
 
 def test_gains_along_it_keep_a_platform_that_would_fall_off():
     m, dynamics, way, goal = way_of("stewart", 200, duration=4.0)
-    x0 = way.rows[0]
+    x0 = way.states[0]
     problem = Problem(dynamics, TrackingCost.joints(dynamics, goal, 200, effort=1e-3), x0)
 
     def strays(us):
-        return np.abs(m.space.difference(rollout_states(dynamics, x0, us), way.rows))[:, : m.nv].max()
+        return np.abs(m.space.difference(rollout_states(dynamics, x0, us), way.states))[:, : m.nv].max()
 
-    assert strays(tracking_controls(problem, way.rows, way.controls)) < 0.005 < 0.1 < strays(way.controls)
+    assert strays(tracking_controls(problem, way.states, way.controls)) < 0.005 < 0.1 < strays(way.controls)
 
 
 def test_there_are_no_controls_where_actuators_do_not_move_every_way():

@@ -127,7 +127,7 @@ def test_compiled_and_numpy_engines_take_the_same_steps(integrator, feedback):
     problem = two_link(Limits(control=(-5.0, 4.0), velocity=3.0, final="exact"), 50, integrator=integrator)
     engines = CompiledEngine(problem, problem.dynamics, problem.cost), NumpyEngine(problem)
     rng, N = np.random.default_rng(1), problem.N
-    hinges = problem.ranges.free()
+    hinges = problem.ranges.zero_penalties()
     hinges = hinges._replace(weight=rng.uniform(1.0, 100.0, hinges.weight.shape))
     costs, us = [], rng.normal(size=(N, 2)) * 4.0
     for engine in engines:
@@ -161,17 +161,17 @@ def test_the_hinge_and_its_derivatives():
     problem = two_link(Limits(velocity=1.0, position={"elbow": (-0.3, 0.2)}, final="exact"), 20)
     ranges, rng = problem.ranges, np.random.default_rng(3)
     xs = rng.normal(size=(21, 4))
-    hinges = ranges.free()
+    hinges = ranges.zero_penalties()
     hinges = hinges._replace(weight=rng.uniform(1.0, 5.0, hinges.weight.shape))
     zero = problem.cost.quadratize(xs, np.zeros((20, 2)))
-    model = ranges.added(hinges, zero._replace(Q=0.0 * zero.Q, q=0.0 * zero.q), xs)
+    model = ranges.with_penalties(hinges, zero._replace(Q=0.0 * zero.Q, q=0.0 * zero.q), xs)
     step = 1e-6
     for n, i in product((3, 20), range(4)):
         ends = []
         for sign in (1.0, -1.0):
             moved = xs.copy()
             moved[n, i] += sign * step
-            ends.append((ranges.value(hinges, moved), ranges.added(hinges, zero, moved).q[n] - zero.q[n]))
+            ends.append((ranges.value(hinges, moved), ranges.with_penalties(hinges, zero, moved).q[n] - zero.q[n]))
         slopes = (ends[0][0] - ends[1][0]) / (2 * step)
         assert model.q[n, i] == pytest.approx(slopes, rel=1e-5, abs=1e-6)
         curvature = (ends[0][1] - ends[1][1]) / (2 * step)
@@ -219,7 +219,7 @@ def test_ranges_and_goal_of_a_mechanism():
     problem = two_link(Limits(velocity=3.0, final="exact", control=15.0))
     plan = planner.solve(problem)
     assert plan.success
-    assert plan.problem.ranges.beyond(plan.xs).max() <= 1e-4
+    assert plan.problem.ranges.violation(plan.xs).max() <= 1e-4
     assert plan.history[-1].iteration == plan.nit
     assert plan.cost == problem.cost.value(plan.xs, plan.us)
     section = consistency(plan, problem, recomputed(plan, problem, plan.xs, plan.us))
@@ -268,7 +268,7 @@ def test_limits_of_the_hopper():
     plan = planner.solve(problem, max_iterations=200)
     assert np.abs(plan.us).max() <= problem.limits.control
     assert plan.success
-    assert problem.ranges.beyond(plan.xs).max() <= 1e-4
+    assert problem.ranges.violation(plan.xs).max() <= 1e-4
 
 
 @pytest.mark.parametrize(

@@ -12,7 +12,7 @@ import planner
 from planner import Mechanism, PenaltyCost, PlannerError, Problem, RigidBodyDynamics, TrackingCost
 from planner.costs import Distance, Gap, Height, Point, Segment, Velocity
 from planner.dynamics.contacts import contact_forces
-from planner.problem.costs.residuals.scalars import nearest
+from planner.problem.costs.residuals.functions import nearest_on_segments
 
 seeds = st.integers(0, 2**32 - 1)
 
@@ -27,7 +27,7 @@ def machine():
 
 
 def length(a0, a1, b0, b1):
-    d, s, u = nearest(*(np.array(point, dtype=float) for point in (a0, a1, b0, b1)))
+    d, s, u = nearest_on_segments(*(np.array(point, dtype=float) for point in (a0, a1, b0, b1)))
     assert 0.0 <= s <= 1.0
     assert 0.0 <= u <= 1.0
     np.testing.assert_allclose(d, a0 + s * np.subtract(a1, a0) - (b0 + u * np.subtract(b1, b0)), rtol=0, atol=1e-12)
@@ -105,11 +105,11 @@ def test_values_are_what_mujoco_places(machine):
     cost = PenaltyCost(
         machine, 4,
         [
-            Height(Point("hand"), least=0.0, tolerance=1.0),
-            Height(Point("hand", (0.1, 0.2, 0.3), 0.5, moving), normal=(3.0, 0.0, 4.0), most=0.0, tolerance=1.0),
-            Distance(Point("hand"), Point("trunk"), least=1.0, tolerance=1.0),
+            Height(Point("hand"), lower=0.0, tolerance=1.0),
+            Height(Point("hand", (0.1, 0.2, 0.3), 0.5, moving), normal=(3.0, 0.0, 4.0), upper=0.0, tolerance=1.0),
+            Distance(Point("hand"), Point("trunk"), lower=1.0, tolerance=1.0),
             Distance(Point("fixed"), Segment(Point(world=(1.0, 0.0, 3.0)), Point(world=(1.0, 1.0, 3.0)), 0.25),
-                     least=1.0, tolerance=1.0),
+                     lower=1.0, tolerance=1.0),
         ],
         dt=0.1,
     )  # fmt: skip
@@ -153,7 +153,7 @@ def test_gaps_are_the_depths_of_contacts(tilt):
     rng = np.random.default_rng(0)
     xs = standing(m) + 0.1 * rng.normal(size=(6, m.space.nx))
     for name in ("foot", m.contacts[0].name):
-        cost = PenaltyCost(m, 5, [Gap(name, least=0.0, tolerance=0.01)], dt=0.1)
+        cost = PenaltyCost(m, 5, [Gap(name, lower=0.0, tolerance=0.01)], dt=0.1)
         depths = contact_forces(m, xs[:, : m.nq], xs[:, m.nq :]).depths
         np.testing.assert_allclose(cost.values(xs), -depths, rtol=0, atol=1e-12)
 
@@ -163,7 +163,7 @@ def test_the_ramp_weights_and_the_end():
     m = Mechanism.from_mjcf(ARM.replace('<joint name="a" axis="0 1 0"', '<joint name="a" type="slide" axis="0 0 1"'))
     xs, us = np.zeros((5, 4)), np.zeros((4, 2))
     xs[:, 0] = [0.5, -0.01, -0.04, -0.3, -0.2]  # the tip is at the slide less 2
-    term = {"least": -2.0, "tolerance": 0.1, "ramp": 0.02}
+    term = {"lower": -2.0, "tolerance": 0.1, "ramp": 0.02}
     cost = PenaltyCost(m, 4, [Height(Point("tip"), **term, weight=3.0)], dt=0.5)
     r = np.array([0.0, 0.01**2 / 0.04, 0.04 - 0.01, 0.3 - 0.01, 0.2 - 0.01]) / 0.1
     assert cost.value(xs, us) == pytest.approx(0.5 * 0.5 * 3.0 * float(np.sum(r**2)), rel=1e-12)
@@ -185,18 +185,18 @@ FOREARM = Segment(Point("arm"), Point("hand"), 0.05)
 FLOOR = Segment(Point(world=(-3.0, 0.1, -0.2)), Point(world=(3.0, -0.2, -0.4)), 0.1)
 TERMS = {
     "height, target": Height(POINT, normal=(1.0, -2.0, 0.5), target=0.1, tolerance=0.5, weight=2.0),
-    "height, least": Height(POINT, least=[1.0, 0.5, 2.0, 0.0], tolerance=0.5, ramp=0.4),
-    "height, most": Height(POINT, most=-1.0, tolerance=0.5, ramp=3.0),
-    "points": Distance(POINT, Point("trunk"), least=2.0, tolerance=0.3, final_weight=2.0),
+    "height, lower": Height(POINT, lower=[1.0, 0.5, 2.0, 0.0], tolerance=0.5, ramp=0.4),
+    "height, upper": Height(POINT, upper=-1.0, tolerance=0.5, ramp=3.0),
+    "points": Distance(POINT, Point("trunk"), lower=2.0, tolerance=0.3, final_weight=2.0),
     "point and line": Distance(POINT, FLOOR, target=[0.3, np.nan, 0.2, 0.1], tolerance=0.3),
-    "line and point": Distance(FLOOR, Point("palm"), most=0.1, tolerance=0.3),
-    "lines": Distance(FOREARM, FLOOR, least=2.0, tolerance=0.3, ramp=0.5),
-    "lines, the other way round": Distance(FLOOR, FOREARM, least=2.0, tolerance=0.3, ramp=0.5),
+    "line and point": Distance(FLOOR, Point("palm"), upper=0.1, tolerance=0.3),
+    "lines": Distance(FOREARM, FLOOR, lower=2.0, tolerance=0.3, ramp=0.5),
+    "lines, the other way round": Distance(FLOOR, FOREARM, lower=2.0, tolerance=0.3, ramp=0.5),
     "moving lines": Distance(Segment(Point("trunk"), Point("palm", share=0.5)), FOREARM, target=0.0, tolerance=0.3),
-    "ends of lines": Distance(FOREARM, Segment(Point("fixed"), Point(world=(2.0, 2.0, 4.0))), most=0.1, tolerance=0.3),
+    "ends of lines": Distance(FOREARM, Segment(Point("fixed"), Point(world=(2.0, 2.0, 4.0))), upper=0.1, tolerance=0.3),
     "velocity": Velocity(POINT, (1.0, -2.0, 0.5), target=0.3, tolerance=0.5),
-    "velocity, least": Velocity(POINT, (0.0, 1.0, 0.3), Point("arm"), least=[3.0, 1.0, 2.0, 4.0], tolerance=0.5),
-    "fixed": Distance(Point("fixed"), FLOOR, most=0.1, tolerance=0.3),
+    "velocity, lower": Velocity(POINT, (0.0, 1.0, 0.3), Point("arm"), lower=[3.0, 1.0, 2.0, 4.0], tolerance=0.5),
+    "fixed": Distance(Point("fixed"), FLOOR, upper=0.1, tolerance=0.3),
 }
 
 
@@ -212,7 +212,7 @@ def test_gradients_are_differences_of_the_value(machine, name):
         value = float(cost.values(xs)[n, 0])
         assert np.linalg.eigvalsh(H).min() > -1e-12 * max(1.0, np.abs(H).max())
         # one residual: J'J r^2 = (J'r)(J'r)'
-        residual = {"target": 1.0}.get(TERMS[name].wanted)
+        residual = {"target": 1.0}.get(TERMS[name].side)
         if residual and g.any():
             e = value - np.broadcast_to(TERMS[name].target, 4)[n]
             np.testing.assert_allclose(H * e**2 * cost.residual_arrays.weight[0, n], np.outer(g, g), atol=1e-10)
@@ -234,7 +234,7 @@ def test_gradients_of_gaps(tilt):
     m = Mechanism.from_mjcf(leg(impratio=1000.0, ramp=5e-3, tilt=tilt))
     rng = np.random.default_rng(0)
     xs, us = standing(m) + 0.1 * rng.normal(size=(4, m.space.nx)), np.zeros((3, 2))
-    cost = PenaltyCost(m, 3, [Gap("foot", most=-0.2, tolerance=0.05), Gap("foot", target=0.1, tolerance=0.5)], dt=0.1)
+    cost = PenaltyCost(m, 3, [Gap("foot", upper=-0.2, tolerance=0.05), Gap("foot", target=0.1, tolerance=0.5)], dt=0.1)
     model = assert_gradients(cost, m.space, xs, us)
     assert np.abs(model.q).max() > 0.01
 
@@ -242,9 +242,9 @@ def test_gradients_of_gaps(tilt):
 def test_nothing_apart_has_no_direction(machine):
     """The cost of what has no gradient is a number, and so are its derivatives."""
     touching = [
-        Distance(Point("hand"), Point("hand"), least=0.1, tolerance=0.1),
-        Distance(FOREARM, Segment(Point("hand"), Point("arm")), least=0.1, tolerance=0.1),
-        Distance(Segment(Point("hand"), Point("hand")), FOREARM, least=0.1, tolerance=0.1),
+        Distance(Point("hand"), Point("hand"), lower=0.1, tolerance=0.1),
+        Distance(FOREARM, Segment(Point("hand"), Point("arm")), lower=0.1, tolerance=0.1),
+        Distance(Segment(Point("hand"), Point("hand")), FOREARM, lower=0.1, tolerance=0.1),
     ]
     xs = random_states(machine, np.random.default_rng(5), 3)
     cost = PenaltyCost(machine, 2, touching, dt=0.1)
@@ -274,13 +274,13 @@ def test_an_arm_keeps_its_tip_up_or_goes_around_a_post():
     post = Segment(Point(world=place - np.eye(3)[1]), Point(world=place + np.eye(3)[1]), 0.1)
     forearm = Segment(Point("tip", (0.0, 0.0, 1.0)), Point("tip"), 0.05)
     for term in (
-        Height(Point("tip"), least=place[2] + 0.1, tolerance=0.005),
-        Distance(forearm, post, least=0.0, tolerance=0.005),
+        Height(Point("tip"), lower=place[2] + 0.1, tolerance=0.005),
+        Distance(forearm, post, lower=0.0, tolerance=0.005),
     ):
         penalties = PenaltyCost(dynamics, 80, [term])
         kept = planner.solve(Problem(dynamics, swing + penalties, start))
         assert kept.success
-        wanted = float(np.max(term.least))
+        wanted = float(np.max(term.lower))
         assert penalties.values(free.xs).min() < wanted - 0.05
         assert penalties.values(kept.xs).min() > wanted - 0.01  # two tolerances
         assert np.abs(kept.xs[-1] - goal).max() < 0.01
@@ -289,7 +289,7 @@ def test_an_arm_keeps_its_tip_up_or_goes_around_a_post():
 
 # ------------------------------------------------------------------------------------------------------ mistakes
 
-UP = {"least": 0.1, "tolerance": 0.01}
+UP = {"lower": 0.1, "tolerance": 0.01}
 
 
 @pytest.mark.parametrize(
@@ -304,18 +304,18 @@ UP = {"least": 0.1, "tolerance": 0.01}
         (lambda m: [Height(Point(world=np.ones((3, 3))), **UP)], "terms[0]'s world has 3 rows, expected N+1 = 4."),
         (lambda m: [Height(Point(share="all"), **UP)], "share is 'all', expected a finite number."),
         (lambda m: [Height(Point(), normal=(0, 0, 0), **UP)], "normal is (0, 0, 0), expected a direction."),
-        (lambda m: [Height(Point(), tolerance=1.0)], "none of least, most, target given, expected just one."),
-        (lambda m: [Height(Point(), most=1.0, **UP)], "least and most of least, most, target given, expected"),
-        (lambda m: [Height(Point(), least=0.1, tolerance=0.0)], "tolerance is 0.0, expected a finite number greater"),
-        (lambda m: [Height(Point(), least=0.1, tolerance=-1.0)], "tolerance is -1.0, expected a finite number greater"),
+        (lambda m: [Height(Point(), tolerance=1.0)], "none of lower, upper, target given, expected just one."),
+        (lambda m: [Height(Point(), upper=1.0, **UP)], "lower and upper of lower, upper, target given, expected"),
+        (lambda m: [Height(Point(), lower=0.1, tolerance=0.0)], "tolerance is 0.0, expected a finite number greater"),
+        (lambda m: [Height(Point(), lower=0.1, tolerance=-1.0)], "tolerance is -1.0, expected a finite number greater"),
         (lambda m: [Height(Point(), ramp=0.0, **UP)], "ramp is 0.0, expected a finite number greater than 0."),
         (lambda m: [Height(Point(), weight=-1.0, **UP)], "weight is -1.0, expected finite weights of at least 0."),
         (lambda m: [Height(Point(), weight=[1.0, np.nan], **UP)], "weight is [1.0, nan], expected finite weights"),
         (lambda m: [Height(Point(), weight=[1.0, 2.0], **UP)], "terms[0].weight has 2 rows, expected N+1 = 4."),
         (lambda m: [Height(Point(), final_weight=-1.0, **UP)], "final_weight is -1.0, expected a finite number of at"),
-        (lambda m: [Height(Point(), least=[1.0, 2.0], tolerance=1.0)], "terms[0].least has 2 rows, expected N+1 = 4."),
-        (lambda m: [Height(Point(), least=np.inf, tolerance=1.0)], "least is infinite at a stage, expected finite"),
-        (lambda m: [Height(Point(), least="low", tolerance=1.0)], "least is 'low', expected numbers."),
+        (lambda m: [Height(Point(), lower=[1.0, 2.0], tolerance=1.0)], "terms[0].lower has 2 rows, expected N+1 = 4."),
+        (lambda m: [Height(Point(), lower=np.inf, tolerance=1.0)], "lower is infinite at a stage, expected finite"),
+        (lambda m: [Height(Point(), lower="low", tolerance=1.0)], "lower is 'low', expected numbers."),
         (lambda m: [Distance(Point(), "hand", **UP)], "b is 'hand', expected a Point or a Segment."),
         (lambda m: [Distance(Segment(Point(), Point(), -1.0), Point(), **UP)], "radius is -1.0, expected a finite"),
         (lambda m: [Distance(Segment(Point(), "hand"), Point(), **UP)], "end is 'hand', expected a Point."),

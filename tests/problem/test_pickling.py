@@ -71,7 +71,7 @@ def test_costs_of_every_kind_are_copied(way):
     costs = (
         problem.cost, EnergyCost(dynamics, 1.0), JerkCost(dynamics, N, 1e-3), with_objective(problem, "jerk").cost,
         FrameCost(dynamics, "tip", position=(0.0, 0.0, 1.0), position_weight=1.0),
-        PenaltyCost(dynamics, N, [Height(Point("tip"), least=2.0, tolerance=0.01)]),
+        PenaltyCost(dynamics, N, [Height(Point("tip"), lower=2.0, tolerance=0.01)]),
     )  # fmt: skip
     for cost in costs:
         assert WAYS[way](cost).value(xs, problem.us) == cost.value(xs, problem.us)

@@ -7,7 +7,7 @@ import pytest
 
 import planner
 from planner import Limits, Mechanism, Problem, RigidBodyDynamics, TrackingCost
-from planner.problem.actuator_limits import unbounded
+from planner.problem.control_bounds import unbounded
 from planner.proof.replays.limits_hit import clamps_hit
 from planner.solvers import lq
 from planner.solvers.engine import CompiledEngine, NumpyEngine
@@ -68,7 +68,7 @@ def test_a_held_servo_follows_its_bound(plan):
     """The row of K at a bound is d bound / dx: with it, the force stays at its limit."""
     A, B = plan.problem.dynamics.linearize(plan.xs, plan.us)
     model = plan.problem.cost.quadratize(plan.xs, plan.us)
-    moves = plan.problem.bounds.moves(plan.xs, plan.us)
+    moves = plan.problem.bounds.step_bounds(plan.xs, plan.us)
     pushes = lq.reduced_gradient(A, B, model, moves)[:, 0]
     held = plan.problem.bounds.at_bound(plan.xs, plan.us)[:, 0] & (np.abs(pushes) > 1e-3 * np.abs(pushes).max())
     assert held.any()
@@ -131,7 +131,7 @@ def test_the_reduced_gradient_is_that_of_a_motion_along_its_bounds():
 def test_the_slope_is_that_of_the_clipped_rollout():
     problem = arm()
     twin, engine = NumpyEngine(problem), CompiledEngine(problem, problem.dynamics, problem.cost)
-    cost = twin.start(problem.x0, np.tile([1.5, 0.3], (40, 1)))
+    cost = twin.start_from_controls(problem.x0, np.tile([1.5, 0.3], (40, 1)))
     (xs, us), step = twin.trajectory(), 1e-7
     slow = twin.iterate(True, 0, 1e-2, True, cost, 0.0, -1.0)
     _, J = twin._rollout(problem.x0, (us + step * twin._sweep.k)[:, None], twin._sweep.K, xs)
@@ -177,7 +177,7 @@ def test_lines_that_cross_leave_their_mean():
     problem = arm()
     fast = np.array([0.0, 0.0, -60.0, 0.0])  # 20 * 1.5 * 0.02 * 60 = 36 N m in a stage, of 13
     servos = problem.bounds.servos
-    lower, upper, by_low, by_high = servos.lines(fast)
+    lower, upper, by_low, by_high = servos.bounds(fast)
     assert lower[0] == upper[0]
     assert np.all(by_low == 0.5)
     assert np.all(by_high == 0.5)

@@ -14,36 +14,36 @@ from planner.problem.initial_guess import rollout_states
 from planner.problem.tasks.pose_constraints import PoseConstraints
 
 GOAL = '[[goal]]\nframe = "hand"\nposition = [0.3, 0.0, -0.2]\n'
-BELOW = '[[constraint]]\nframe = "hand"\nalong = "z"\nmost = {most}\n'
+BELOW = '[[constraint]]\nframe = "hand"\nalong = "z"\nupper = {upper}\n'
 KEPT = "contradicts the constraint 'place of hand'"
 
 
 def test_a_goal_that_a_constraint_forbids_is_refused(tmp_path):
-    path = write(tmp_path, GOAL + BELOW.format(most=-0.3))
+    path = write(tmp_path, GOAL + BELOW.format(upper=-0.3))
     refuse(path, f"goal 1 (hand) {KEPT}: where that is kept hand is at best 0.0", " m away; move the goal, or widen")
     passed = GOAL.replace("[[goal]]", "[[goal]]\ntime = 0.5\nthrough = true") + GOAL.replace("-0.2", "-0.4")
-    refuse(write(tmp_path, passed + BELOW.format(most=-0.3)), "goal 1 (hand at 0.5 s) contradicts")
+    refuse(write(tmp_path, passed + BELOW.format(upper=-0.3)), "goal 1 (hand at 0.5 s) contradicts")
     upright = '[[constraint]]\nframe = "hand"\npointing = "z"\nwithin = 0.6\n'
     turned = '[[goal]]\nframe = "hand"\npointing = [-1, 0, 0]\n'
     refuse(write(tmp_path, turned + upright), "goal 1 (hand) contradicts the constraint 'tilt of hand'", "rad away")
     joints = "[[goal]]\njoints = { shoulder = -1.5, elbow = 0.0 }\n"
-    refuse(write(tmp_path, joints + BELOW.format(most=-0.3)), f"goal 1 (joints) {KEPT}: move the goal")
+    refuse(write(tmp_path, joints + BELOW.format(upper=-0.3)), f"goal 1 (joints) {KEPT}: move the goal")
     x, z = hand(0.5, -1.0)
     path = f'[follow]\nframe = "hand"\npoints = [[0, {x}, 0, {z}], [1, 0.3, 0, -0.3]]\n'
-    refuse(write(tmp_path, path + BELOW.format(most=-0.4)), "the path of hand at", KEPT)
+    refuse(write(tmp_path, path + BELOW.format(upper=-0.4)), "the path of hand at", KEPT)
 
 
 def test_what_the_tolerance_of_a_goal_allows_is_not_refused(tmp_path):
-    load(write(tmp_path, GOAL + BELOW.format(most=-0.204)))  # 5 mm pass
-    load(write(tmp_path, "[[goal]]\njoints = { shoulder = -1.5 }\n" + BELOW.format(most=-0.2)))  # the elbow is free
+    load(write(tmp_path, GOAL + BELOW.format(upper=-0.204)))  # 5 mm pass
+    load(write(tmp_path, "[[goal]]\njoints = { shoulder = -1.5 }\n" + BELOW.format(upper=-0.2)))  # the elbow is free
 
 
 def test_constraints_of_python_are_seen_too():
-    above = planner.Constraint(FramePositionAlong("hand"), most=-0.3)
+    above = planner.Constraint(FramePositionAlong("hand"), upper=-0.3)
     goal = planner.Goal(frame="hand", position=(0.3, 0.0, -0.2))
     with pytest.raises(PlannerError, match=KEPT):
         planner.task(mechanism(), START, goal, duration=1.0, constraint=above)
-    later = planner.Constraint(FramePositionAlong("hand"), most=-0.3, when=(0.0, 0.5))
+    later = planner.Constraint(FramePositionAlong("hand"), upper=-0.3, when=(0.0, 0.5))
     problem = planner.task(mechanism(), START, goal, duration=1.0, constraint=[later])
     assert problem.constraints == (later,)
     assert problem.recipe.rebuilt(duration=1.2).constraints == (later,)
@@ -53,7 +53,7 @@ def test_the_elbow_bends_the_way_that_a_constraint_asks():
     """Two poses reach the goal; the nearer one has the elbow where a constraint forbids it."""
     goal = planner.Goal(frame="hand", position=(0.3, 0.0, -0.3))
     ends = []
-    for kept in ([], [planner.Constraint(FramePositionAlong("lower"), least=-0.3, when="end")]):
+    for kept in ([], [planner.Constraint(FramePositionAlong("lower"), lower=-0.3, when="end")]):
         problem = planner.task(mechanism(), START, goal, duration=1.0, constraint=kept)
         ends.append(rollout_states(problem.dynamics, problem.x0, problem.first_guess)[-1, :2])
     places = [float(frame_pose(mechanism(), q, "lower")[0, 3]) for q in ends]
@@ -68,9 +68,9 @@ def test_derivatives_of_what_is_missing_are_those_of_differences():
     dynamics = planner.RigidBodyDynamics(machine, 0.02)
     x0 = np.array([0.5, -1.0, 0.0, 0.0])
     asked = [
-        planner.Constraint(FramePositionAlong("hand"), most=-0.7, when=(0.5, 1.0)),
+        planner.Constraint(FramePositionAlong("hand"), upper=-0.7, when=(0.5, 1.0)),
         planner.Constraint(FramePosition("hand"), equal=(0.1, 0.0, 0.2), when="end"),
-        planner.Constraint(FrameAxisAngle("hand"), most=0.1, when=(0.5, 1.0)),
+        planner.Constraint(FrameAxisAngle("hand"), upper=0.1, when=(0.5, 1.0)),
     ]
     kept = PoseConstraints(asked, dynamics, x0, 50)
     assert kept.at(10) is None
@@ -80,7 +80,7 @@ def test_derivatives_of_what_is_missing_are_those_of_differences():
     assert np.count_nonzero(r) >= 4
     differences = np.stack([(missing(q + e)[0] - missing(q - e)[0]) / (2.0 * h) for e in h * np.eye(2)], axis=1)
     np.testing.assert_allclose(J, differences, rtol=1e-5, atol=1e-3)
-    assert str(kept.broken(50, q).constraint) == "the constraint 'tilt of hand'"
+    assert str(kept.violated(50, q).constraint) == "the constraint 'tilt of hand'"
 
 
 def test_a_converged_plan_that_misses_its_goal_says_so(tmp_path):
@@ -89,7 +89,7 @@ def test_a_converged_plan_that_misses_its_goal_says_so(tmp_path):
     done = run("solve", "task.toml", "--out", "plan.npz", cwd=tmp_path)
     assert done.returncode == 1
     assert "but position of hand is missed by " in done.stdout
-    assert "and 0.005 pass; weigh the goal more" in done.stdout
+    assert "and 0.005 pass; raise its weight" in done.stdout
     assert "to pass: `weights.goal = " in done.stdout
     met = planner.solve(load(write(tmp_path, GOAL)).problem)
     assert met.missed == ""

@@ -10,9 +10,9 @@ import planner
 from planner.dynamics.inverse_kinematics import Target, residuals
 from planner.problem.appearance import Appearance
 from planner.problem.constraints.quantities import FramePositionAlong
+from planner.problem.default_appearance import with_marks
 from planner.problem.task_panels import MAX_CURVES, task_panels
-from planner.problem.tasks.cost import _off_frame
-from planner.problem.tasks.marks import with_marks
+from planner.problem.tasks.cost import _frame_error
 
 N, DT = 40, 0.02
 PLACE = hand(0.9, -0.4)
@@ -68,9 +68,9 @@ def test_paths_are_lines_and_long_ones_have_few_pieces():
 def test_a_machine_without_a_task_is_shown_as_before():
     appearance = Appearance(title="plain")
     assert with_marks(appearance, None) is appearance
-    power = planner.Constraint(lambda xs: xs[:, 0], most=1.0)
+    power = planner.Constraint(lambda xs: xs[:, 0], upper=1.0)
     assert with_marks(appearance, None, [power]) is appearance
-    kept = with_marks(appearance, None, [planner.Constraint(FramePositionAlong("hand"), most=1.0)])
+    kept = with_marks(appearance, None, [planner.Constraint(FramePositionAlong("hand"), upper=1.0)])
     assert (kept.trail, kept.frames, kept.goals, kept.paths) == (("hand",), ("hand",), (), ())
 
 
@@ -86,9 +86,9 @@ def test_misses_of_all_states_at_once_are_those_of_inverse_kinematics():
     ):  # fmt: skip
         slow = np.array([np.linalg.norm(residuals(machine, x[:2], target)[0]) for x in xs])
         slow = slow if target.pointing is None else 2.0 * np.arcsin(0.5 * slow)
-        np.testing.assert_allclose(_off_frame(machine, target, xs), slow, rtol=1e-10, atol=1e-12)
+        np.testing.assert_allclose(_frame_error(machine, target, xs), slow, rtol=1e-10, atol=1e-12)
     xs[3] = np.nan
-    assert np.isinf(_off_frame(machine, Target("hand", position=np.zeros(3)), xs)[3])
+    assert np.isinf(_frame_error(machine, Target("hand", position=np.zeros(3)), xs)[3])
 
 
 def test_misses_over_time_have_their_tolerance_at_their_time(problem):
@@ -102,10 +102,10 @@ def test_misses_over_time_have_their_tolerance_at_their_time(problem):
     for moved, xs in zip(miss.motions, (plan.xs, elsewhere), strict=True):
         away = [np.linalg.norm(hand(*x[:2]) - PLACE) for x in xs]
         np.testing.assert_allclose(moved[:, 0], away, atol=1e-12)
-    np.testing.assert_array_equal(np.flatnonzero(np.isfinite(miss.most[:, 0])), [20])  # 0.4 s
-    assert miss.most[20, 0] == 5e-3  # docs/tasks.md
+    np.testing.assert_array_equal(np.flatnonzero(np.isfinite(miss.upper[:, 0])), [20])  # 0.4 s
+    assert miss.upper[20, 0] == 5e-3  # docs/tasks.md
     np.testing.assert_allclose(joint.motions[0][:, 0], np.abs(plan.xs[:, 1] + 0.2), atol=1e-12)
-    np.testing.assert_array_equal(np.flatnonzero(np.isfinite(joint.most[:, 0])), [N])
+    np.testing.assert_array_equal(np.flatnonzero(np.isfinite(joint.upper[:, 0])), [N])
 
 
 def test_goals_that_are_one_curve_share_it():
@@ -115,7 +115,7 @@ def test_goals_that_are_one_curve_share_it():
     position, speed = task_panels(asked, plan.t, [(plan.xs, plan.us)])
     for panel, title in ((position, "Goals: position of hand"), (speed, "Goals: speed of hand")):
         assert panel.title == title
-        np.testing.assert_array_equal(np.argwhere(np.isfinite(panel.most)), [[20, 0], [30, 0]])
+        np.testing.assert_array_equal(np.argwhere(np.isfinite(panel.upper)), [[20, 0], [30, 0]])
 
 
 def test_a_path_is_missed_while_it_lasts():
@@ -124,7 +124,7 @@ def test_a_path_is_missed_while_it_lasts():
     asked = planner.task(mechanism(), start=START, follow=[follow], duration=N * DT, dt=DT)
     plan = rolled_out(asked)
     (panel,) = task_panels(asked, plan.t, [(plan.xs, plan.us)])
-    for known in (np.isfinite(panel.motions[0][:, 0]), panel.most[:, 0] == 0.05):
+    for known in (np.isfinite(panel.motions[0][:, 0]), panel.upper[:, 0] == 0.05):
         np.testing.assert_array_equal(np.flatnonzero(known), np.arange(10, 31))
     assert panel.motions[0][20, 0] == pytest.approx(
         np.linalg.norm(np.array(_place(*plan.xs[20, :2])) - 0.5 * (np.array(points[0]) + points[1])[1:])
@@ -132,8 +132,8 @@ def test_a_path_is_missed_while_it_lasts():
 
 
 def test_constraints_over_time_beside_their_bounds(problem):
-    height = planner.Constraint(FramePositionAlong("hand"), least=-2.0, most=2.0, when=(0.1, 0.3), name="height")
-    power = planner.Constraint(lambda xs, us: us[:, 0] * xs[:, 2], most=500.0, name="power", unit="W")
+    height = planner.Constraint(FramePositionAlong("hand"), lower=-2.0, upper=2.0, when=(0.1, 0.3), name="height")
+    power = planner.Constraint(lambda xs, us: us[:, 0] * xs[:, 2], upper=500.0, name="power", unit="W")
     kept = planner.Problem(problem.dynamics, problem.cost, problem.x0, us=problem.us, constraints=[height, power])
     plan = rolled_out(kept)
     ran_away = plan.xs.copy()
@@ -142,13 +142,13 @@ def test_constraints_over_time_beside_their_bounds(problem):
     assert (first.title, first.ylabel, first.names) == ("Constraint: height", "m", ("height",))
     np.testing.assert_allclose(first.motions[0][:, 0], [hand(*x[:2])[1] for x in plan.xs], atol=1e-12)
     np.testing.assert_array_equal(np.isfinite(first.motions[1][:, 0]), np.arange(N + 1) < 30)
-    np.testing.assert_allclose(first.most[5:16, 0], 2.0)
-    np.testing.assert_allclose(first.least[5:16, 0], -2.0)
-    assert not np.isfinite(np.delete(first.most[:, 0], np.arange(5, 16))).any()
+    np.testing.assert_allclose(first.upper[5:16, 0], 2.0)
+    np.testing.assert_allclose(first.lower[5:16, 0], -2.0)
+    assert not np.isfinite(np.delete(first.upper[:, 0], np.arange(5, 16))).any()
     assert (second.title, second.ylabel) == ("Constraint: power", "W")
     last = np.append(plan.us, plan.us[-1:], axis=0)  # held to the end
     np.testing.assert_allclose(second.motions[0][:, 0], last[:, 0] * plan.xs[:, 2], atol=1e-12)
-    np.testing.assert_allclose(second.most[:, 0], 500.0)
+    np.testing.assert_allclose(second.upper[:, 0], 500.0)
 
 
 def test_of_many_rows_the_nearest_are_shown():
@@ -161,7 +161,7 @@ def test_of_many_rows_the_nearest_are_shown():
         def __str__(self):
             return "clearance"
 
-        def measure(self, dynamics, N):
+        def constraint_function(self, dynamics, N):
             return self
 
         rows, of_controls, same = 12, False, "distances"
@@ -173,14 +173,14 @@ def test_of_many_rows_the_nearest_are_shown():
             return 0.1 + 0.05 * np.arange(12)[::-1] + 0.0 * xs[:, :1]
 
     base = problem_of([planner.Goal(joints={"elbow": -0.2})])
-    apart = planner.Constraint(Distances(), least=np.full(12, 0.02), name="clearance")
+    apart = planner.Constraint(Distances(), lower=np.full(12, 0.02), name="clearance")
     kept = planner.Problem(base.dynamics, base.cost, base.x0, us=base.us, constraints=[apart])
     plan = rolled_out(kept)
     (panel,) = task_panels(kept, plan.t, [(plan.xs, plan.us)])
     assert panel.title == f"Constraint: clearance, the {MAX_CURVES} nearest to their bound of 12"
     assert panel.names == tuple(f"pair {k}" for k in range(4, 12))
     np.testing.assert_allclose(panel.motions[0][0], 0.1 + 0.05 * np.arange(8)[::-1])
-    np.testing.assert_allclose(panel.least, 0.02)
+    np.testing.assert_allclose(panel.lower, 0.02)
     assert panel.decades
 
 

@@ -124,10 +124,10 @@ def test_the_derivative_of_a_tendon_is_that_of_differences():
     problem = bent()
     part, rng = problem.trajectory_constraints.rows.parts[0], np.random.default_rng(3)
     xs, us, n, e = rng.normal(size=(4, 4)), np.zeros((4, 2)), np.arange(4), 1e-6
-    by_x, by_u = part.measure.derivatives(xs, us, n)
+    by_x, by_u = part.function.derivatives(xs, us, n)
     ahead, back = (
-        np.stack([part.measure.values(xs + sign * e * row, us, n) for row in np.eye(4)], axis=-1) for sign in (1, -1)
+        np.stack([part.function.values(xs + sign * e * row, us, n) for row in np.eye(4)], axis=-1) for sign in (1, -1)
     )
     np.testing.assert_allclose(by_x, (ahead - back) / (2.0 * e), atol=1e-9)
     assert not by_u.any()
-    assert not hasattr(part.measure, "arrays")  # kernels do not know it: the solver adds it beside them
+    assert not hasattr(part.function, "arrays")  # kernels do not know it: the solver adds it beside them

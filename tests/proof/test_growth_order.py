@@ -35,9 +35,7 @@ def test_growth_is_told_in_shares_of_what_passes(proofs):
     knots = run.error[:: run.substeps]
     np.testing.assert_array_equal(proof.errors.measured["open-loop"], shares_of_bounds(run.plan, knots))
     assert proof.errors.measured["open-loop"].max() <= 1.0  # it passes
-    assert (
-        values(proof.growth)["predicted_over_bound_open_loop"] == proof.errors.predicted["open-loop"].max()
-    )
+    assert values(proof.growth)["predicted_over_bound_open_loop"] == proof.errors.predicted["open-loop"].max()
     np.testing.assert_allclose(
         proof.convergence.shares,
         shares_of_bounds(run.plan, run.plan.space.difference(proof.convergence.ends[1:], proof.convergence.ends[:-1])),

@@ -69,9 +69,7 @@ def test_the_growth_rate_is_the_pendulums_own():
     cost = planner.TrackingCost.reach([0.0, 0.0], 300, final=1.0, effort=1.0, dt=0.01)
     proof = planner.prove(planner.solve(Problem(dynamics, cost, [0.0, 0.0], twin=twin)), rollouts=0)
     phi = np.array([[np.cosh(w * T), np.sinh(w * T) / w], [w * np.sinh(w * T), np.cosh(w * T)]])
-    assert values(proof.growth)["growth_rate_open_loop"] == pytest.approx(
-        np.log(np.linalg.norm(phi, 2)) / T, rel=1e-4
-    )
+    assert values(proof.growth)["growth_rate_open_loop"] == pytest.approx(np.log(np.linalg.norm(phi, 2)) / T, rel=1e-4)
 
 
 def test_a_case_can_give_a_goal_alone(acrobot_plan):

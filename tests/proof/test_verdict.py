@@ -98,7 +98,7 @@ def test_a_problem_without_a_goal_says_so():
 
 def test_the_end_of_a_cost_of_ones_own_is_said_not_to_be_judged():
     class Own(TrackingCost):
-        wanted = property()  # as a cost that does not know the method
+        goal_specs = property()  # as a cost that does not know the method
 
     def cost(dynamics):
         Q = np.zeros((N + 1, 2, 2))

@@ -54,7 +54,7 @@ def test_both_engines_do_the_same(text, seed, integrator, full):
     dynamics = task.dynamics
     own = Own(rng, task.N, dynamics.space.ndx, dynamics.nu, dynamics.space)
     limits = Limits(control=2.0) if rng.random() < 0.3 else None
-    kept = [Constraint(lambda xs: xs[:, -1], least=-1.0, when=(task.dynamics.dt, 1e9))] if rng.random() < 0.3 else ()
+    kept = [Constraint(lambda xs: xs[:, -1], lower=-1.0, when=(task.dynamics.dt, 1e9))] if rng.random() < 0.3 else ()
     task = Problem(dynamics, task.cost + own, task.x0, task.first_guess, limits=limits, constraints=kept)
     ours, twin = acquire_engine(task), NumpyEngine(task)
     assert isinstance(ours, ConstrainedEngine if kept else HybridEngine)

@@ -10,7 +10,7 @@ from planner.constraints import CenterOfMass, FrameAxisAngle, FrameOrientation, 
 from planner.costs import Distance, Height, Point, Segment, Velocity
 from planner.dynamics.protocol import INTEGRATORS
 from planner.kernels.lq import line_search
-from planner.problem.constraints.constraint_functions import measure_of
+from planner.problem.constraints.constraint_functions import constraint_function_of
 from planner.problem.state_bounds import BoundPenalties
 from planner.solvers.engine import ConstrainedEngine, NumpyEngine, acquire_engine
 
@@ -31,18 +31,18 @@ def of_all_kinds(rng, dynamics):
         return np.stack([us[:, 0] * xs[:, -1], us[:, -1] ** 2], axis=1)
 
     kinds = [
-        Constraint(Height(a, least=0.3, **TOLERANCE)),
+        Constraint(Height(a, lower=0.3, **TOLERANCE)),
         Constraint(Height(b, target=0.1, **TOLERANCE)),
-        Constraint(Distance(a, Segment(b, c, radius=0.1), least=1.0, **TOLERANCE)),
-        Constraint(Velocity(c, rng.normal(size=3), most=0.2, **TOLERANCE)),
-        Constraint(FramePosition(frames[3]), least=-rng.random(3), most=rng.random(3)),
+        Constraint(Distance(a, Segment(b, c, radius=0.1), lower=1.0, **TOLERANCE)),
+        Constraint(Velocity(c, rng.normal(size=3), upper=0.2, **TOLERANCE)),
+        Constraint(FramePosition(frames[3]), lower=-rng.random(3), upper=rng.random(3)),
         Constraint(FramePosition(frames[4]), equal=np.zeros(3), when="end"),
         Constraint(FrameOrientation(frames[5], rng.normal(size=4)), equal=0.0, when="end"),
-        Constraint(FrameAxisAngle(frames[0], rng.normal(size=3), rng.normal(size=3)), most=0.7),
-        Constraint(CenterOfMass(), least=[np.nan, -0.2, 0.0]),
-        Constraint(smooth, least=-0.1, most=0.1),
-        Constraint(mixed, most=[0.1, 0.2]),
-        *(Constraint(Power(name), least=-0.1, most=0.1) for name in names[:2]),
+        Constraint(FrameAxisAngle(frames[0], rng.normal(size=3), rng.normal(size=3)), upper=0.7),
+        Constraint(CenterOfMass(), lower=[np.nan, -0.2, 0.0]),
+        Constraint(smooth, lower=-0.1, upper=0.1),
+        Constraint(mixed, upper=[0.1, 0.2]),
+        *(Constraint(Power(name), lower=-0.1, upper=0.1) for name in names[:2]),
     ]
     return [kinds[i] for i in sorted(rng.choice(len(kinds), 5, replace=False))]
 
@@ -93,7 +93,7 @@ def test_derivatives_are_differences(text, seed):
     x = space.integrate(task.x0, 0.5 * rng.normal(size=space.ndx))
     u, n = rng.normal(size=nu), np.zeros(1, dtype=int)
     for constraint in of_all_kinds(rng, task.dynamics):
-        measure = measure_of(constraint, task.dynamics, task.N, task.x0, task.first_guess[0])
+        measure = constraint_function_of(constraint, task.dynamics, task.N, task.x0, task.first_guess[0])
         by_x, by_u = measure.derivatives(x[None], u[None], n)
         size = 1.0 + np.abs(measure.values(x[None], u[None], n)).max()
 

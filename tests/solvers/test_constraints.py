@@ -33,9 +33,9 @@ def given_power(xs, us):
     return np.sum(us * xs[:, 2:], axis=1)
 
 
-POST = Constraint(post, least=0.3, name="post", unit="m")
+POST = Constraint(post, lower=0.3, name="post", unit="m")
 MOST = 1.0  # W, with which the mass comes 1.7 m far in that time: enough, and less than it would take if it could
-POWER = Constraint(given_power, most=MOST, name="power", unit="W")
+POWER = Constraint(given_power, upper=MOST, name="power", unit="W")
 THERE = Constraint(lambda xs: xs[:, :2], equal=[1.0, 1.0], when="end", name="there")
 TASKS = {"post": [POST], "power": [POWER], "there": [THERE], "all": [POST, POWER, THERE]}
 
@@ -118,7 +118,7 @@ def test_conditions_of_karush_kuhn_and_tucker(task):
 
 
 def test_a_multiplier_is_what_a_looser_bound_saves():
-    tight, loose = (point([Constraint(post, least=radius, name="post")]) for radius in (0.3, 0.299))
+    tight, loose = (point([Constraint(post, lower=radius, name="post")]) for radius in (0.3, 0.299))
     plan, other = solve(tight), solve(loose)
     price = -sum(
         float(one.sum()) for one in tight.trajectory_constraints.multipliers(plan.bound_penalties, plan.xs, plan.us)
@@ -138,18 +138,18 @@ def test_constraints_ranges_and_bounds_hold_together():
 
 
 def test_free_where_it_is_not_asked_for():
-    line = Constraint(lambda xs: xs[:, 1], most=0.2, when=(0.0, 0.8))
+    line = Constraint(lambda xs: xs[:, 1], upper=0.2, when=(0.0, 0.8))
     plan = solve(point([line]))
     n = np.arange(N + 1)
     assert plan.xs[n * DT <= 0.8 + 1e-9, 1].max() == pytest.approx(0.2, abs=2e-4)
     assert plan.xs[-1, 1] > 0.9
     bounds = np.where(n < 8, 0.2, np.nan)[:, None]
-    same = solve(point([Constraint(lambda xs: xs[:, 1], most=bounds)]))
+    same = solve(point([Constraint(lambda xs: xs[:, 1], upper=bounds)]))
     assert np.abs(same.xs[:8, 1]).max() <= 0.2 + 1e-4
 
 
 def test_nothing_violated_costs_nothing():
-    free, kept = solve(point()), solve(point([Constraint(post, least=0.01)]))
+    free, kept = solve(point()), solve(point([Constraint(post, lower=0.01)]))
     assert kept.bound_penalties is None
     assert np.array_equal(free.us, kept.us)
 
@@ -168,8 +168,8 @@ def test_given_derivatives_are_used():
 
 def test_what_stays_broken_is_given_up_while_it_is_cheap():
     """Walls on both sides of the end: no price brings the violation below half of the distance between them."""
-    left = Constraint(lambda xs: xs[:, 0], least=0.9, name="left", unit="m")
-    right = Constraint(lambda xs: xs[:, 0], most=0.1, name="right", unit="m")
+    left = Constraint(lambda xs: xs[:, 0], lower=0.9, name="left", unit="m")
+    right = Constraint(lambda xs: xs[:, 0], upper=0.1, name="right", unit="m")
     late = [dataclasses.replace(one, when="end") for one in (left, right)]
     plan = solve(point(late))
     assert plan.status is Status.OUTSIDE_LIMITS
@@ -177,7 +177,7 @@ def test_what_stays_broken_is_given_up_while_it_is_cheap():
 
 
 def test_what_cannot_be_kept_ends_with_its_name_and_a_plan(tmp_path):
-    wall = Constraint(lambda xs: xs[:, 0], most=0.5, name="wall", unit="m")
+    wall = Constraint(lambda xs: xs[:, 0], upper=0.5, name="wall", unit="m")
     plan = solve(point([wall, THERE]), max_iterations=400)
     assert plan.status in (Status.OUTSIDE_LIMITS, Status.MAX_ITERATIONS, Status.NO_DESCENT)
     assert np.isfinite(plan.xs).all()
@@ -193,7 +193,7 @@ def test_what_cannot_be_kept_ends_with_its_name_and_a_plan(tmp_path):
 
 def test_a_finer_step_keeps_them():
     bounds = np.full((N + 1, 1), 0.3)
-    problem = finer(point([Constraint(post, least=bounds), THERE]))
+    problem = finer(point([Constraint(post, lower=bounds), THERE]))
     assert problem.N == 2 * N
     plan = solve(problem)
     assert plan.success
@@ -209,7 +209,7 @@ def arm(constraints):
 
 def test_power_of_a_motor_is_kept_and_proved():
     """At both ends of a stage, so between knots too: the proof looks at every step of the simulator."""
-    problem = arm([Constraint(Power("shoulder"), most=15.0), Constraint(Power("elbow"), most=15.0)])
+    problem = arm([Constraint(Power("shoulder"), upper=15.0), Constraint(Power("elbow"), upper=15.0)])
     plan = solve(problem)
     assert plan.success, plan.message
     proof = prove(plan, rollouts=0)
@@ -225,7 +225,7 @@ def test_power_of_a_motor_is_kept_and_proved():
 
 def test_an_objective_of_jerk_keeps_them():
     """Its states are longer by the last accelerations."""
-    problem = with_objective(arm([Constraint(Power("elbow"), most=1.0)]), {"effort": 1.0, "jerk": 1e-5})
+    problem = with_objective(arm([Constraint(Power("elbow"), upper=1.0)]), {"effort": 1.0, "jerk": 1e-5})
     hinges = problem.trajectory_constraints.zero_penalties()
     longer = solver_problem(problem)
     assert longer.dynamics.nx == 6
@@ -240,7 +240,7 @@ def test_an_objective_of_jerk_keeps_them():
 
 def test_a_plan_that_breaks_a_constraint_fails():
     free = solve(arm([]))
-    problem = arm([Constraint(Height(Point("forearm"), most=0.5, tolerance=1e-3))])
+    problem = arm([Constraint(Height(Point("forearm"), upper=0.5, tolerance=1e-3))])
     proof = prove(dataclasses.replace(free, problem=problem), rollouts=0, optimal=False)
     assert not proof.passed
     assert "height of forearm" in proof.reason
@@ -250,28 +250,28 @@ def test_a_plan_that_breaks_a_constraint_fails():
     ("make", "words"),
     [
         (lambda: Constraint(post), "has no bound"),
-        (lambda: Constraint(post, equal=0.0, least=0.0), "expected equal alone"),
-        (lambda: Constraint(3.0, least=0.0), "expected a term of planner.costs"),
-        (lambda: Constraint(post, least=np.inf), "expected finite numbers"),
-        (lambda: Constraint(post, least=0.1, when=(2.0, 1.0)), "which rise"),
-        (lambda: Constraint(post, least=0.1, when="later"), "has when = 'later'"),
-        (lambda: Constraint(post, least=0.1, tolerance=0.0), "tolerance"),
-        (lambda: Constraint(Height(Point("a"), most=1.0, tolerance=0.1), most=2.0), "expected it in the term"),
-        (lambda: point([Constraint(post, least=1.0, most=0.5)]), "least = 1 above most = 0.5"),
-        (lambda: point([Constraint(post, least=0.9, name="post")]), "the start breaks the constraint 'post'"),
-        (lambda: point([Constraint(given_power, most=1.0, when="end")]), "there are none"),
-        (lambda: point([Constraint(lambda xs: xs[0], least=0.0)]), "one number or one row for each"),
-        (lambda: point([Constraint(lambda xs: xs[:, 9], least=0.0)]), "fails on 2 states at once"),
-        (lambda: point([Constraint(post, least=[0.1, 0.2])]), "a bound of shape"),
-        (lambda: point([Constraint(post, least=0.1, when=(7.0, 8.0))]), "expected a time with a knot"),
-        (lambda: point([Constraint(post, least=0.2), Constraint(post, most=0.1, when=(0.5, 1.0))]), "leave something"),
+        (lambda: Constraint(post, equal=0.0, lower=0.0), "expected equal alone"),
+        (lambda: Constraint(3.0, lower=0.0), "expected a term of planner.costs"),
+        (lambda: Constraint(post, lower=np.inf), "expected finite numbers"),
+        (lambda: Constraint(post, lower=0.1, when=(2.0, 1.0)), "which rise"),
+        (lambda: Constraint(post, lower=0.1, when="later"), "has when = 'later'"),
+        (lambda: Constraint(post, lower=0.1, tolerance=0.0), "tolerance"),
+        (lambda: Constraint(Height(Point("a"), upper=1.0, tolerance=0.1), upper=2.0), "expected it in the term"),
+        (lambda: point([Constraint(post, lower=1.0, upper=0.5)]), "lower = 1 above upper = 0.5"),
+        (lambda: point([Constraint(post, lower=0.9, name="post")]), "the start breaks the constraint 'post'"),
+        (lambda: point([Constraint(given_power, upper=1.0, when="end")]), "there are none"),
+        (lambda: point([Constraint(lambda xs: xs[0], lower=0.0)]), "one number or one row for each"),
+        (lambda: point([Constraint(lambda xs: xs[:, 9], lower=0.0)]), "fails on 2 states at once"),
+        (lambda: point([Constraint(post, lower=[0.1, 0.2])]), "a bound of shape"),
+        (lambda: point([Constraint(post, lower=0.1, when=(7.0, 8.0))]), "expected a time with a knot"),
+        (lambda: point([Constraint(post, lower=0.2), Constraint(post, upper=0.1, when=(0.5, 1.0))]), "leave something"),
         (
-            lambda: point([Constraint(post, least=0.9), Constraint(post, most=0.1)]),
+            lambda: point([Constraint(post, lower=0.9), Constraint(post, upper=0.1)]),
             "leave something",
         ),  # no start would do
-        (lambda: point([Constraint(Power("elbow"), most=1.0)]), "expected dynamics with a mechanism"),
+        (lambda: point([Constraint(Power("elbow"), upper=1.0)]), "expected dynamics with a mechanism"),
         (lambda: point([post]), "expected a list of planner.Constraint"),
-        (lambda: arm([Constraint(Power("elbo"), most=1.0)]), "Did you mean 'elbow'"),
+        (lambda: arm([Constraint(Power("elbo"), upper=1.0)]), "Did you mean 'elbow'"),
         (
             lambda: arm([Constraint(FramePosition("hand"), equal=0.0)]),
             "a constraint's frame is 'hand', expected one of",

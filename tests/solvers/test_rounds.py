@@ -23,7 +23,7 @@ def point(*constraints):
 
 
 def test_early_rounds_left_early_lead_to_the_same_plan_sooner(monkeypatch):
-    post = Constraint(lambda xs: np.hypot(xs[:, 0] - 0.5, xs[:, 1] - 0.4), least=0.3, name="post", unit="m")
+    post = Constraint(lambda xs: np.hypot(xs[:, 0] - 0.5, xs[:, 1] - 0.4), lower=0.3, name="post", unit="m")
     problem = point(post)
     plan = solve(problem)
     monkeypatch.setattr(augmented_lagrangian, "INEXACT", 0.0)  # the twin: every round to its minimum

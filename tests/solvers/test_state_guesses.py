@@ -82,13 +82,13 @@ def test_both_engines_cross_gaps_alike(name, integrator, limits):
     steps = [engine.rollout_closing_defects(np.inf, 0.0) for engine in (ours, twin)]
     np.testing.assert_allclose(steps[0], steps[1], rtol=1e-8)
     assert steps[0][0] > 0.0
-    assert np.abs(ours.place(*ours.trajectory())).max() < 1e-12  # a rollout has no gaps
+    assert np.abs(ours.set_trajectory(*ours.trajectory())).max() < 1e-12  # a rollout has no gaps
 
 
 @pytest.mark.parametrize("exact", [False, True])
 def test_rows_of_constraints_stand_beside_gaps_and_what_holds_states(exact):
     """A user's own function goes to the sweep by the same array as second derivatives and weights on the states."""
-    power = Constraint(lambda xs, us: us[:, 0] * xs[:, -1], most=0.01, name="power")
+    power = Constraint(lambda xs, us: us[:, 0] * xs[:, -1], upper=0.01, name="power")
     problem, xs, us = guessed("arm", "rk4", constraints=[power])
     hinges = problem.trajectory_constraints.zero_penalties()
     hinges.weight[:] = 50.0 * np.isfinite(problem.trajectory_constraints.upper)
@@ -116,7 +116,7 @@ def test_rows_of_constraints_stand_beside_gaps_and_what_holds_states(exact):
 
 
 def test_states_lead_to_a_minimum_within_constraints():
-    power = Constraint(lambda xs, us: us[:, 0] * xs[:, -1], most=0.01, name="power")
+    power = Constraint(lambda xs, us: us[:, 0] * xs[:, -1], upper=0.01, name="power")
     problem, xs, _ = guessed("arm", "rk4", constraints=[power])
     free, plan = planner.solve(problem), planner.solve(problem, states=xs)
     assert free.success
@@ -127,7 +127,7 @@ def test_states_lead_to_a_minimum_within_constraints():
 
 def test_hinges_of_a_first_solve_count_in_the_merit():
     """What keeps shapes apart has hinges from the beginning: its engine's costs are those of the lines across gaps."""
-    high = Constraint(lambda xs: xs[:, 0], least=0.5, when="end")
+    high = Constraint(lambda xs: xs[:, 0], lower=0.5, when="end")
     problem, xs, us = guessed("arm", "rk4", constraints=[high])
     hinges = problem.trajectory_constraints.zero_penalties()
     hinges.weight[:] = 50.0 * np.isfinite(problem.trajectory_constraints.lower)
@@ -149,7 +149,7 @@ def test_gaps_of_zero_change_no_bit(integrator):
     problem, _, us = guessed("arm", integrator)
     plain, engine = (CompiledEngine(problem, problem.dynamics, problem.cost) for _ in range(2))
     for each in (plain, engine):
-        each.start(problem.x0, us)
+        each.start_from_controls(problem.x0, us)
     engine.defect_direction(np.zeros((12, problem.dynamics.ndx)), True)
     plain.sweep(0.0, True)
     np.testing.assert_array_equal(engine.gains(), plain.gains())

@@ -77,6 +77,23 @@ def test_a_call_that_always_kills_is_a_sentence_and_costs_no_other(processes):
         list(ordered_map(processes, partial(killed, bad=1), range(4)))
 
 
+def large(_):
+    return bytes(3_000_000)
+
+
+def test_a_process_that_is_ended_while_it_answers_is_not_waited_for(processes):
+    """Python's pool would read the rest of a half-written answer for ever."""
+    for _ in range(5):
+        futures = [processes.submit(large, k) for k in range(4)]
+        while not any(future.running() for future in futures):
+            time.sleep(1e-4)
+        for future in futures:
+            if not future.cancel() and not future.done():
+                processes.end(future)
+        for future in futures:
+            assert future.cancelled() or isinstance(future.exception(timeout=20.0), BrokenExecutor | None)
+
+
 def test_what_cannot_be_sent_is_a_sentence(processes):
     with pytest.raises(planner.PlannerError, match="cannot be sent to processes"):
         list(ordered_map(processes, lambda value: value, range(3)))
@@ -92,9 +109,9 @@ def test_a_context_left_by_an_error_ends_its_processes_at_once():
 
 
 def test_several_starts_are_the_same_to_the_last_bit(processes):
-    problem = planner.cases.build("two-link", horizon=60)
-    here = planner.solve(problem, starts=5, seed=2)
-    there = planner.solve(problem, starts=5, seed=2, executor=processes)
+    problem = planner.cases.build("two-link", horizon=30)
+    here = planner.solve(problem, starts=3, seed=2)
+    there = planner.solve(problem, starts=3, seed=2, executor=processes)
     assert np.array_equal(here.us, there.us)
     assert here.starts == there.starts
     assert there.problem is problem
@@ -107,7 +124,7 @@ def test_ctrl_c_between_starts_keeps_the_best_so_far(processes):
         seen.append(start)
         raise KeyboardInterrupt
 
-    plan = planner.solve(planner.cases.build("two-link", horizon=60), starts=40, executor=processes, callback=interrupt)
+    plan = planner.solve(planner.cases.build("two-link", horizon=30), starts=12, executor=processes, callback=interrupt)
     assert plan.status is planner.Status.INTERRUPTED
     assert len(seen) == 1
     assert np.isfinite(plan.cost)
@@ -116,7 +133,7 @@ def test_ctrl_c_between_starts_keeps_the_best_so_far(processes):
 
 def test_rollouts_are_the_same_to_the_last_bit(processes, plan, monkeypatch):
     """Whatever the batches and the workers; threads of one process have a simulator each."""
-    trials, compiled = MonteCarloSettings(40), CompiledTwin(plan.twin)
+    trials, compiled = MonteCarloSettings(12), CompiledTwin(plan.twin)
     here = perturbed(plan, compiled, trials)
     monkeypatch.setattr(batches, "_FEWEST", 3)
     with ThreadPoolExecutor(3) as threads:
@@ -134,13 +151,12 @@ def test_rollouts_stop_after_their_budget(processes, plan):
 
 
 def test_plans_are_checked_as_in_one_process(processes, plan, tmp_path):
-    for name in ("a", "b", "c"):
-        path = plan.save(tmp_path / f"{name}.npz")
-        proof = planner.prove(plan, rollouts=0).to_dict()
-        stored_proof(path).write_text("[]" if name == "b" else json.dumps(proof))
+    proof = json.dumps(planner.prove(plan, rollouts=0).to_dict())
+    for name, text in (("a", proof), ("b", "[]")):
+        stored_proof(plan.save(tmp_path / f"{name}.npz")).write_text(text)
     here, there = check(tmp_path), check(tmp_path, executor=processes)
     assert [str(one) for one in here] == [str(one) for one in there]
-    assert [one.passed for one in there] == [True, False, True]
+    assert [one.passed for one in there] == [True, False]
 
 
 def test_an_executor_is_asked_for_by_workers_or_by_an_address():

@@ -165,7 +165,7 @@ def test_archives_without_a_directory_keep_their_whole_entries(tmp_path):
     left = (tmp_path / "000.zip").read_bytes()
     shards.close()
     (tmp_path / "000.zip").write_bytes(left[:-10])
-    Shards(tmp_path).keep({0, 1, 2})
+    Shards(tmp_path).retain({0, 1, 2})
     with zipfile.ZipFile(tmp_path / "000.zip") as file:
         assert file.namelist() == ["000000.npz", "000001.npz"]
         assert file.read("000001.npz") == b"\1" * 1000
@@ -254,7 +254,9 @@ def test_the_command_refuses_what_does_not_exist(tmp_path):
     refused(run("sweep", "hopper", "--set", "heigth=1:2:2", "--out", "out", cwd=tmp_path), "no parameter 'heigth'")
     both = ("--workers", 2, "--scheduler", "tcp://127.0.0.1:1")
     refused(run("sweep", "hopper", "--set", "height=1", *both, cwd=tmp_path), "one of them")
-    refused(run("sweep", "hopper", "--set", "height=1", "--continuation", "mass", cwd=tmp_path), "expected one of: height")
+    refused(
+        run("sweep", "hopper", "--set", "height=1", "--continuation", "mass", cwd=tmp_path), "expected one of: height"
+    )
     refused(run("sweep", "hopper", "--set", "height=1", "--starts", 0, cwd=tmp_path), "starts is 0")
     refused(run("sweep", "hopper", "--set", "height=1:2", cwd=tmp_path), "START:STOP:COUNT")
     refused(run("sweep", "hopper", "--set", "height=", cwd=tmp_path), "no part of a grid")

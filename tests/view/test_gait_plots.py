@@ -9,7 +9,7 @@ from planner.model.mechanism import Mechanism
 from planner.problem.appearance import View
 from planner.problem.pictures import Band, Chart, Charts, CurveData, Paths, PoseSequence, Stick, StickFigures, Trace
 from planner.view.plots import draw_charts, draw_paths, draw_stick_figures, save
-from planner.view.plots.projection import FRONT, SIDE, TOP, axes_of, frame_points, projected
+from planner.view.plots.stick_figures import FRONT, SIDE, TOP, axes_of, frame_points, projected
 
 LEG = Stick((0, 1), "leg", hue=0)
 

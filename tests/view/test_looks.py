@@ -14,7 +14,7 @@ from planner.view.render.environment import visible_model
 from planner.view.render.film import Film
 from planner.view.render.looks import drawn
 from planner.view.render.scene import Scene
-from planner.view.render.sticks import Sticks
+from planner.view.render.shapes import LinkCapsules
 from planner.view.render.video import render_poses
 
 ARM = """<mujoco><worldbody>{world}<body name="upper" pos="0 0 {height}"><joint name="a" axis="0 1 0"/>{upper}
@@ -86,10 +86,10 @@ def test_links_without_shapes_are_sticks_from_joint_to_joint():
     data = mujoco.MjData(model)
     data.qpos[:] = [0.0, np.pi / 2]
     mujoco.mj_kinematics(model, data)
-    ends = Sticks(model).ends(data).reshape(-1, 2, 3)
+    ends = LinkCapsules(model).ends(data).reshape(-1, 2, 3)
     np.testing.assert_allclose(ends[0], [[0, 0, 0.5], [0, 0, 0.9]], atol=1e-12)
     np.testing.assert_allclose(ends[1], [[0, 0, 0.9], [0.4, 0, 0.9]], atol=1e-12)
-    assert len(Sticks(film(upper=box("a", 0, SEEN), fore=box("b", 0, SEEN))[1]).ends(data)) == 0
+    assert len(LinkCapsules(film(upper=box("a", 0, SEEN), fore=box("b", 0, SEEN))[1]).ends(data)) == 0
 
 
 def test_the_floor_is_below_the_lowest_pose_or_at_zero_and_only_where_there_is_none():

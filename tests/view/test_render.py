@@ -124,7 +124,7 @@ def test_rendering_turned_off_by_the_user(monkeypatch):
         render.render_frame(make_replay(), 0.0, **SMALL)
 
 
-@pytest.mark.parametrize("wish", ["osmesa", "egl", "glfw", "nonsense", None])
+@pytest.mark.parametrize("wish", ["osmesa", "nonsense", None])
 def test_mujoco_loads_where_nothing_can_draw(wish):
     """With MUJOCO_GL=osmesa and no libOSMesa, `import mujoco` alone would die; everything but drawing must work."""
     code = (
@@ -175,16 +175,6 @@ def test_video_has_size_frames_and_format(tmp_path):
 
 
 @pytest.mark.render
-def test_video_speed_comes_from_the_stage_unless_given(tmp_path):
-    totals = []
-    render.render_video(
-        make_replay(), tmp_path / "film.mp4", width=64, height=36, fps=10, speed=1.0,
-        progress=lambda done, total: totals.append(total),
-    )  # fmt: skip
-    assert totals[-1] == 2 + 1 + 10
-
-
-@pytest.mark.render
 def test_ghost_is_visible_beside_the_machine():
     film = Film.of(make_replay(), np.array([0.1]))
     with Scene(film, 320, 180) as both:
@@ -208,12 +198,12 @@ def test_force_arrow_only_in_contact():
 
     def pictures(replay):
         film = Film.of(replay, np.array([0.0, 0.1]))
-        with Scene(film, 320, 180) as scene:
+        with Scene(film, 160, 90) as scene:
             return scene.draw(0), scene.draw(1)
 
     with_force, without = pictures(pushing), pictures(idle)
     arrow = np.abs(with_force[0].astype(int) - without[0].astype(int)).max(axis=-1) > 8
-    assert arrow.sum() > 40
+    assert arrow.sum() > 10
     red, green, blue = with_force[0][arrow].mean(axis=0)
     assert red > 2 * max(green, blue)
     assert changed(with_force[1], without[1]) == 0  # in the air

@@ -12,7 +12,7 @@ import pytest
 from fake_plans import make_plan, make_proof
 
 import planner
-from planner.view.plots.limits import sides_of
+from planner.view.plots.time_series import sides_of
 from planner.view.render.encode import Encoder
 from planner.view.report import page as page_module
 from planner.view.report import write_report
@@ -72,7 +72,7 @@ def test_bounds_are_drawn_where_the_plan_comes_near_them():
     most = np.abs(free.us).max(axis=0) * [1.05, 10.0]
     plan = replace(free, problem=replace(free.problem, limits=planner.Limits(control=(-most, most))))
     assert 'class="bound"' not in interactive(free, None)
-    at = [sides_of(plan, index, held=True) for index in range(2)]
+    at = [sides_of(plan, index, stepwise=True) for index in range(2)]
     drawn = [np.isfinite(side).all() for side in (*at[0][:2], *at[1][:2])]
     assert any(drawn[:2])
     assert not any(drawn[2:])

@@ -18,6 +18,7 @@ from planner import cases
 from planner.base.errors import FileError
 from planner.base.measured import Measurement, Section
 from planner.cases.problem_file import load
+from planner.model.capabilities import Capabilities
 from planner.model.mechanism import Mechanism
 from planner.problem.appearance import Appearance
 from planner.problem.plan import Start, Status
@@ -130,8 +131,8 @@ def test_all_text_is_escaped(plan, tmp_path):
     marked = replace(
         plan, recipe=Recipe(evil, {evil: evil, "list": [evil]}), made_with={evil: evil},
         problem=SimpleNamespace(
-            appearance=Appearance(evil), bounds=None, kept=None, ranges=None, limits=None, periodic=None,
-            requirements=None, wanted=(), tolerance=None, x0=np.zeros(3),
+            appearance=Appearance(evil), bounds=None, trajectory_constraints=None, ranges=None, limits=None,
+            periodic=None, requirements=None, goal_specs=(), tolerance=None, x0=np.zeros(3),
             dynamics=SimpleNamespace(nx=3, coordinates=((evil, "m"), ("b", evil), ("c", "m"))),
         ),
         twin=replace(plan.twin, mjcf=evil),
@@ -181,7 +182,7 @@ def test_the_page_says_what_is_independent_of_mujoco_and_what_is_not(plan, tmp_p
     written = "they are written without the file that MuJoCo reads"
     assert written in page_of(plan, proof_of(), tmp_path).text
     mechanism = Mechanism.from_mjcf(MODEL)
-    plan.problem.dynamics.mechanism = mechanism
+    plan.problem.dynamics.capabilities = Capabilities(mechanism=mechanism)
     text = page_of(plan, proof_of(), tmp_path).text
     assert "Not independent is the reading of the file" in text
     assert written not in text
@@ -293,9 +294,10 @@ def browse(page, *flags):
     return done.stdout, [line for line in done.stderr.splitlines() if "CONSOLE" in line]
 
 
-@pytest.fixture
-def page(plan, tmp_path):
+@pytest.fixture(scope="module")
+def page(tmp_path_factory):
     """A whole page, with a film of three grey frames."""
+    plan, tmp_path = make_plan(), tmp_path_factory.mktemp("page")
     proof = make_proof(plan)
     save(draw_plan(plan, proof), tmp_path / "plots.png")
     save(draw_proof(proof), tmp_path / "proof.png")

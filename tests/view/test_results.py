@@ -11,6 +11,7 @@ from planner.cli import results
 from planner.cli.console import Console
 from planner.cli.results import INTERRUPTED, OUTPUTS, draw_results, write_proof
 from planner.view.plots import CASE_PICTURES
+from planner.view.plots.style import blank
 
 QUIET = Console(quiet=True)
 
@@ -31,6 +32,13 @@ def names(folder):
 
 def draw(plan, proof, folder, **options):
     return draw_results(plan, proof, folder, options.pop("video", False), QUIET, **options)
+
+
+@pytest.fixture(autouse=True)
+def sketched(monkeypatch):
+    """Plots are blank here: what is in them is tested where they are drawn."""
+    for name in ("draw_plan", "draw_proof"):
+        monkeypatch.setattr(results, name, lambda *_: blank(1.0, 1.0))
 
 
 @pytest.fixture

@@ -15,7 +15,7 @@ from planner.problem.plan import Status
 
 @pytest.fixture(scope="module")
 def proof():
-    return planner.prove(planner.solve(planner.cases.two_link()), rollouts=0)
+    return planner.prove(planner.solve(planner.cases.two_link(horizon=100)), rollouts=0)
 
 
 class Words(HTMLParser):

@@ -4,7 +4,7 @@ import pickle
 
 import numpy as np
 import pytest
-from films import APPEARANCE, SMALL, changed, decode, make_proof, make_replay
+from films import APPEARANCE, changed, decode, make_proof, make_replay
 from PIL import Image
 
 from planner.base import gl
@@ -14,7 +14,7 @@ from planner.view.render.drawing import Job, carry_out
 from planner.view.render.film import Caption, Film
 from planner.view.render.overlay import Overlay, Words
 from planner.view.render.scene import Scene
-from planner.view.render.video import _captioned, render_frame, render_strip, render_video
+from planner.view.render.video import _captioned, render_strip, render_video
 
 
 def run_away(replay, after=100, last=None):
@@ -87,13 +87,12 @@ def test_the_warning_appears_when_it_happens():
 @pytest.mark.parametrize("last", [None, 9e9])
 def test_a_replay_that_ran_away_can_be_filmed(tmp_path, last):
     replay = run_away(make_replay(), last=last)
-    render_video(replay, tmp_path / "one.mp4", **SMALL, fps=10)
-    render_video(make_proof(replay, make_replay()), tmp_path / "both.mp4", **SMALL, fps=10)
+    size = {"width": 160, "height": 90}
+    render_video(make_proof(replay, make_replay()), tmp_path / "both.mp4", **size, fps=10)
     render_strip(replay, tmp_path / "strip.png", poses=3, width=300, height=100)
-    for name in ("one.mp4", "both.mp4"):
-        frames, _ = decode(tmp_path / name, 320, 180)
-        assert len(frames) == 15
-        assert all(frame.std() > 10 for frame in frames)
+    frames, _ = decode(tmp_path / "both.mp4", 160, 90)
+    assert len(frames) == 15
+    assert all(frame.std() > 10 for frame in frames)
 
 
 # Side by side
@@ -119,8 +118,6 @@ def test_open_loop_is_left_and_gains_are_right_each_with_the_ghost(tmp_path):
     left, right = (slice(None), upper, slice(0, 160)), (slice(None), upper, slice(160, 320))
     other = frames(asleep(), make_replay())
     assert changed(plain[left], other[left]) > 5 * changed(plain[right], other[right])
-    other = frames(make_replay(), asleep())
-    assert changed(plain[right], other[right]) > 5 * changed(plain[left], other[left])
     assert np.median(np.abs(plain[left].astype(int) - plain[right].astype(int))) <= 3  # the same machine, camera, ghost
 
 
@@ -183,8 +180,3 @@ def test_a_strip_of_one_that_ran_away_says_so(tmp_path):
 
     assert red(make_replay()) == [False] * 4
     assert red(run_away(make_replay())) == [False, False, True, True]
-
-
-@pytest.mark.render
-def test_a_still_of_one_replay_has_no_caption():
-    assert render_frame(make_replay(), 0.1, **SMALL).shape == (180, 320, 3)

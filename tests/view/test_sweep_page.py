@@ -30,10 +30,10 @@ def test_a_jump_to_another_minimum_is_marked_and_a_slope_is_not():
 def test_a_map_is_over_the_two_longest_parameters():
     grid = grid_of({"a": [1, 2], "b": [1, 2, 3], "c": [1, 2, 3, 4]})
     maps = maps_of(grid)
-    assert [(one.across, one.up, one.held) for one in maps] == [("c", "b", {"a": 1}), ("c", "b", {"a": 2})]
+    assert [(one.across, one.up, one.constant) for one in maps] == [("c", "b", {"a": 1}), ("c", "b", {"a": 2})]
     for one in maps:
         for (i, j), task in np.ndenumerate(one.tasks):
-            assert grid.point(int(task)) == {**one.held, "b": grid.values["b"][i], "c": grid.values["c"][j]}
+            assert grid.point(int(task)) == {**one.constant, "b": grid.values["b"][i], "c": grid.values["c"][j]}
 
 
 def test_the_page_has_every_task_and_its_plan_can_be_read(tmp_path):

@@ -13,7 +13,7 @@ from places import ROOT
 
 from planner.__main__ import main
 from planner.base.gl import load_mujoco
-from planner.view.playing import DOWN, END, HOME, KEYS, LEFT, RIGHT, SPACE, UP, Player
+from planner.view.playing import DOWN, END, HOME, LEFT, RIGHT, SPACE, UP, Player
 from planner.view.render.film import Film
 from planner.view.viewer import ViewerScene
 
@@ -60,7 +60,6 @@ def test_digits_switch_what_is_shown():
         player.press(ord(key))
     assert (player.ghost, player.rollouts, player.gains) == (False, True, False)
     assert "open loop" in player.words()[1]
-    assert len(KEYS) == 7
 
 
 def test_ghost_rollouts_and_pose_are_drawn_at_the_players_time():

@@ -14,7 +14,7 @@ from planner.base import gl
 from planner.base.errors import PlannerError
 from planner.model.mechanism import Mechanism
 from planner.model.mjcf.model_index import compile_model
-from planner.problem.appearance import Appearance, Ghost, View
+from planner.problem.appearance import Ghost, View
 from planner.problem.default_appearance import default_appearance
 from planner.proof.replays import contact_history
 from planner.proof.replays.contact_history import ContactRecorder
@@ -200,14 +200,6 @@ def test_two_films_have_a_column_each(replay, tmp_path):
 
 
 @pytest.mark.render
-def test_a_child_process_draws_the_same(monkeypatch, replay):
-    films = [Film.of(staged(replay, ghost=lifted(replay, 0.3)), AT[1:])]
-    here = carry_out(films, Job("frame", 160, 90))
-    monkeypatch.setattr(gl, "can_render_here", lambda: False)
-    np.testing.assert_array_equal(carry_out(films, Job("frame", 160, 90)), here)
-
-
-@pytest.mark.render
 def test_a_strip_has_a_row_for_each_camera(tmp_path, replay):
     render_strip(replay, tmp_path / "strip.png", poses=3, width=300, height=201)
     strip = np.asarray(Image.open(tmp_path / "strip.png"))
@@ -307,7 +299,3 @@ def test_short_arrows_are_slim_and_none_is_a_speck():
     shapes.arrow(np.full(3, np.nan), up, paint)
     assert scene.ngeom == 2
     assert scene.geoms[0].size[0] < 0.05 * 0.1 < scene.geoms[1].size[0]
-
-
-def test_appearances_without_views_have_one():
-    assert Appearance(title="").views == ()

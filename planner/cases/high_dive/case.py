@@ -31,8 +31,7 @@ import numpy as np
 from planner.base.arguments import choice, number
 from planner.base.errors import PlannerError
 from planner.base.measured import Measurement, Section
-from planner.cases.high_dive.diver import Diver
-from planner.cases.high_dive.flight import Dive, Weights
+from planner.cases.high_dive.flight import Dive, Diver, Weights
 from planner.cases.horizon import LARGEST, stages
 from planner.dynamics import INTEGRATORS, RigidBodyDynamics
 from planner.dynamics.momentum import angular_momentum

@@ -14,12 +14,26 @@ the swing alone, in four hours, by splines; stance and swing together did not co
     start                normal gait       ours
 
 The plan does what the paper found: it lifts the swinging hip, which clears the foot, and turns it forward.
+
+Controls of the robot at the pelvis, and their cost:
+
+    pelvis="motion"                 u = accelerations of the pelvis, weighted by effort over the tolerances of the cost
+    pelvis="motion", jerk > 0       u = rates of the accelerations; the accelerations are states, weighted by effort
+    pelvis="motion", force > 0      u = accelerations; the robot's forces and moments are weighted too
+    pelvis="force"                  u = forces and moments on a free pelvis, weighted by effort
+
+    tolerance            value                             from
+    of an acceleration   5 m/s^2, 40 rad/s^2               ours, see cost.py
+    of its rate          the same in CHANGE                ours: about the jerk of a plan without a cost of jerk
+    of a force           FORCE and MOMENT, with the body   ours
+
+The cost of forces counts from those that carry the weight.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict
+from dataclasses import asdict, dataclass, replace
 from functools import partial
 from typing import Any, Literal, get_args
 
@@ -27,20 +41,99 @@ import numpy as np
 
 from planner.base.arguments import array, choice, count, number
 from planner.base.errors import PlannerError
-from planner.cases.human_step.cost import step_cost, wishes
-from planner.cases.human_step.drive import Pelvis, RobotWeights, drive
+from planner.cases.human_step.cost import StepTolerances, step_cost, step_tolerances
 from planner.cases.human_step.gait import NORMAL_GAIT, Gait
 from planner.cases.human_step.gait_file import read_gait
-from planner.cases.human_step.measures import PATIENT, closing, follows, judge_step
+from planner.cases.human_step.measures import PATIENT, closing, follows, judge_step, robot_wrench
 from planner.cases.human_step.phase import SWING, GaitPhase
 from planner.cases.human_step.pictures import step_pictures
 from planner.cases.human_step.tracking import judge_tracking
-from planner.cases.human_step.walker import PELVIS, SIDES, Walker
-from planner.dynamics import INTEGRATORS
+from planner.cases.human_step.walker import FILE_MASS, PELVIS, SIDES, Walker
+from planner.dynamics import INTEGRATORS, RigidBodyDynamics
 from planner.problem.appearance import Appearance, Ghost, Panel, Readout, View
+from planner.problem.costs.drive import DriveCost
+from planner.problem.initial_guess import rollout_states
 from planner.problem.problem import Problem, Requirements
 from planner.problem.recipe import Recipe
 from planner.problem.rediscretize import MAX_STAGES
+
+Pelvis = Literal["motion", "force"]
+
+FORCE, MOMENT = 350.0, 100.0  # N and N m, of a robot for the person in the file
+CHANGE = 0.05  # s
+MIN_WEIGHT = 1e-3  # times the usual
+
+
+@dataclass(frozen=True)
+class RobotWeights:
+    """The controls of a robot and the weights of their cost, with checked values."""
+
+    pelvis: str = "motion"  # or "force"
+    effort: float = 1.0  # of the controls, or of accelerations that are states, times the usual
+    jerk: float = 0.0  # of the rates of accelerations; 0 for none
+    force: float = 0.0  # of forces that are not controls; 0 for none
+
+    def __post_init__(self) -> None:
+        choice("pelvis", self.pelvis, get_args(Pelvis))
+        object.__setattr__(self, "effort", number("effort", self.effort, minimum=MIN_WEIGHT, maximum=1.0 / MIN_WEIGHT))
+        for name in ("jerk", "force"):
+            value = number(name, getattr(self, name), minimum=0.0, maximum=1.0 / MIN_WEIGHT)
+            object.__setattr__(self, name, value)
+            if 0.0 < value < MIN_WEIGHT:
+                raise PlannerError(f"{name} is {value:g}, expected 0 or at least {MIN_WEIGHT:g}.")
+            if value and self.pelvis != "motion":
+                raise PlannerError(
+                    f"{name} is {value:g} with pelvis={self.pelvis!r}, expected 0: effort weighs the forces there."
+                )
+        if self.jerk and self.force:
+            raise PlannerError(f"jerk is {self.jerk:g} and force is {self.force:g}, expected one of the two to be 0.")
+
+
+@dataclass(frozen=True, eq=False)
+class RobotControls:
+    """A robot: the dynamics with it, the first guess, and the parts of its cost."""
+
+    dynamics: RigidBodyDynamics
+    us: np.ndarray  # (N, 6) first guess: the pelvis moves as in the normal gait
+    control: np.ndarray  # (6,) controls without cost
+    tolerances: np.ndarray  # (6,) of the controls
+    acceleration: Any = np.inf  # (6,) tolerances of accelerations that are states
+    forces: DriveCost | None = None  # cost of forces that are not controls
+
+
+def drive(step: GaitPhase, tolerances: StepTolerances, weights: RobotWeights, integrator: str) -> RobotControls:
+    """The robot of a step, whose walker has the motors that `weights` needs."""
+    walker, effort = step.walker, np.sqrt(weights.effort)
+    prescribed = () if walker.motors or walker.jerked else PELVIS
+    dynamics = RigidBodyDynamics(walker.mechanism, step.dt, integrator, prescribed=prescribed)
+    accelerations = np.repeat([tolerances.acceleration, tolerances.turning], 3)
+    share = walker.mass / FILE_MASS
+    forces = np.repeat([share * FORCE, share * walker.scale * MOMENT], 3)
+    carried, none = np.array([0.0, 0.0, weight(walker), 0.0, 0.0, 0.0]), np.zeros(len(PELVIS))
+    if walker.motors:
+        return RobotControls(dynamics, forces_of(step, step.accelerations[: step.N]), carried, forces / effort)
+    if walker.jerked:
+        us = np.diff(step.accelerations, axis=0) / step.dt
+        rates = accelerations / CHANGE / np.sqrt(weights.jerk)
+        return RobotControls(dynamics, us, none, rates, accelerations / effort)
+    force_cost = None
+    if weights.force:
+        force_cost = DriveCost(dynamics, step.N, weights.force / (tolerances.period * forces**2), carried)
+    return RobotControls(dynamics, step.accelerations[: step.N], none, accelerations / effort, forces=force_cost)
+
+
+def weight(walker: Walker) -> float:
+    """Weight of the whole person, N."""
+    mechanism = walker.mechanism
+    carried = mechanism.mass.sum() - (mechanism.mass[0] if walker.belt else 0.0)
+    return float(carried * np.linalg.norm(mechanism.gravity))
+
+
+def forces_of(step: GaitPhase, accelerations: np.ndarray) -> np.ndarray:
+    """Forces and moments (N, 6) at the pelvis that give it accelerations (N, 6) while the legs hang; N and N m."""
+    carried = RigidBodyDynamics(replace(step.walker, motors=False).mechanism, step.dt, prescribed=PELVIS)
+    return robot_wrench(carried, rollout_states(carried, step.states[0], accelerations), accelerations)
+
 
 Phase = Literal["swing", "cycle", "gait"]
 States = tuple[tuple[float, ...], ...]
@@ -104,35 +197,35 @@ def human_step(
         PlannerError: A parameter that is not finite, out of range or not a person's, or a file that is not a gait.
     """
     gait = NORMAL_GAIT if reference is None else read_gait(reference) if angles is None else Gait.from_dict(angles)
-    sparing = RobotWeights(pelvis, effort, jerk, force)
+    weights = RobotWeights(pelvis, effort, jerk, force)
     step = _step(phase, cycles, cadence, gait, horizon, {
         "mass": mass, "height": height, "leg_mass": leg_mass, "stiffness": stiffness, "damping": damping,
         "brace": brace, "passive": passive,
-        "motors": pelvis == "force", "jerked": sparing.jerk > 0.0,
+        "motors": pelvis == "force", "jerked": weights.jerk > 0.0,
     })  # fmt: skip
     choice("cost", cost, get_args(Cost))
     if clearance is not None:
         clearance = number("clearance", clearance, minimum=0.0, maximum=HIGHEST)
     if apart is not None:
         apart = number("apart", apart, minimum=0.0, maximum=1.0)
-    wish = wishes(step, cost, clearance, apart)
-    promised = cost == "default" and wish.clearance >= PROMISED
-    robot = drive(step, wish, sparing, choice("integrator", integrator, INTEGRATORS))
+    tolerances = step_tolerances(step, cost, clearance, apart)
+    promised = cost == "default" and tolerances.clearance >= PROMISED
+    robot = drive(step, tolerances, weights, choice("integrator", integrator, INTEGRATORS))
     start, goal = _ends(step, phase, ends)
-    whole = step_cost(robot.dynamics, step, wish, robot.tolerances, robot.control, goal, robot.acceleration)
+    whole = step_cost(robot.dynamics, step, tolerances, robot.tolerances, robot.control, goal, robot.acceleration)
     if robot.forces is not None:
         whole = whole + robot.forces
     parameters: dict[str, Any] = {
         "phase": phase, "cycles": cycles, "mass": step.walker.mass, "height": step.walker.height, "cadence": cadence,
         "leg_mass": step.walker.leg_mass, "stiffness": step.walker.stiffness, "damping": step.walker.damping,
-        "brace": brace, "passive": passive, "cost": cost, **asdict(sparing),
+        "brace": brace, "passive": passive, "cost": cost, **asdict(weights),
         "clearance": clearance, "apart": apart, "reference": reference, "integrator": integrator, "horizon": step.N,
         "ends": None if ends is None else [start.tolist(), goal.tolist()],
         "angles": None if gait == NORMAL_GAIT else gait.to_dict(),
     }  # fmt: skip
     return Problem(
         robot.dynamics, whole, x0=start, us=robot.us,
-        recipe=Recipe("human-step", parameters, human_step), appearance=_appearance(step, wish.joints),
+        recipe=Recipe("human-step", parameters, human_step), appearance=_appearance(step, tolerances.joints),
         expected_reduction_tolerance=TOLERANCE[phase], actual_reduction_tolerance=TOLERANCE[phase],
         periodic=closing(step) if phase == "gait" else None,
         requirements=Requirements(

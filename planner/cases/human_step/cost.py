@@ -5,7 +5,7 @@
 The errors e are the distances of pelvis, joints and controls from the normal gait (controls: from zero), and
 
     clearance    how far heel and toe of a swinging foot are below the wanted height
-    apart        how much nearer shanks and feet of the two legs are than allowed
+    distances    how much closer shanks and feet of the two legs are than allowed
     reach        swing only: how much farther the hip is from the standing ankle than a leg is long
     stance       cycle only: height of the standing foot above the belt: heel, then heel and toe, then toe
     slip         cycle only, default cost: speed of the standing foot along the belt
@@ -13,7 +13,7 @@ The errors e are the distances of pelvis, joints and controls from the normal ga
 Without the stance term the cheapest way to copy the angles of a gait is to carry the patient through the air.
 
     number               value                         from
-    tolerances           Wishes, STUDY_SWING, _CYCLE   ours
+    tolerances           STUDY_SWING, STUDY_CYCLE      ours
     default cost         CLEARANCE to STICKS           ours: more clearance, over the whole swing; a foot without slip
     scaling              lengths with the body, rates with the time of a cycle: SLOWER and FASTER      ours
     period               0.4 s, longer in a slower cycle                                               ours
@@ -51,7 +51,7 @@ clearance leaves the promised one to people of 45 to 110 kg in cycles of 1.0 to 
 
 @dataclass(frozen=True)
 class StepTolerances:
-    """Tolerances of a step, with a factor 1/2 on each squared term. A wish for a length of 0 is left out."""
+    """Tolerances of a step, with a factor 1/2 on each squared term. Terms for a length of 0 are left out."""
 
     joints: dict[str, float]  # rad, of the legs, by joint
     final_joints: dict[str, float]  # rad, at the end
@@ -68,9 +68,9 @@ class StepTolerances:
     turning: float = 40.0  # rad/s^2, of the pelvis
     clearance: float = 0.015  # m, wanted height of a swinging foot
     clearance_tolerance: float = 0.003  # m
-    shanks_apart: float = 0.09  # m, least distance
-    feet_apart: float = 0.075  # m, least distance of the feet, and of a foot from the other shank
-    apart_tolerance: float = 0.005  # m
+    shank_distance: float = 0.09  # m, least distance
+    foot_distance: float = 0.075  # m, least distance of the feet, and of a foot from the other shank
+    distance_tolerance: float = 0.005  # m
     straight: float = 0.999  # of the leg's length, largest distance of the standing ankle from the hip
     stance_depth: float = 0.003  # m, wanted depth of a standing foot in the belt
     stance_tolerance: float = 0.005  # m
@@ -107,7 +107,7 @@ STANCE = {"heel": (0.04, 0.36), "toe": (0.10, 0.58)}  # parts of the cycle in wh
 STICKS = {"heel": (0.0, 0.36), "toe": (0.04, 0.60)}  # parts in which they must move with it, from before the contact
 
 
-def wishes(step: GaitPhase, cost: str, clearance: float | None, apart: float | None) -> StepTolerances:
+def step_tolerances(step: GaitPhase, cost: str, clearance: float | None, apart: float | None) -> StepTolerances:
     """The tolerances of a step by the name of its cost, clearance and distance in m; see human_step()."""
     found = STUDY_CYCLE if step.walker.belt else STUDY_SWING
     if cost != "study":
@@ -115,18 +115,18 @@ def wishes(step: GaitPhase, cost: str, clearance: float | None, apart: float | N
         found = replace(found, clearance=CLEARANCE, deepest=DEEPEST, slip=SLIP)
         if step.walker.belt:  # a swing of its own has left it
             found = replace(found, clearance_tolerance=CLEARANCE_TOLERANCE)
-        lengths = ("clearance", "place", "final_place", "shanks_apart", "feet_apart")
+        lengths = ("clearance", "place", "final_place", "shank_distance", "foot_distance")
         found = replace(found, clear=CLEAR, **{name: scale * getattr(found, name) for name in lengths})
         time = step.duration / USUAL
         powers = SLOWER if time > 1.0 else FASTER
         found = replace(found, **{name: time**power * getattr(found, name) for name, power in powers.items()})
     if clearance is not None:
         found = replace(found, clearance=clearance)
-    return found if apart is None else replace(found, shanks_apart=apart, feet_apart=apart)
+    return found if apart is None else replace(found, shank_distance=apart, foot_distance=apart)
 
 
 def step_cost(
-    dynamics: RigidBodyDynamics, step: GaitPhase, wish: StepTolerances, effort: Any, control: Any = 0.0,
+    dynamics: RigidBodyDynamics, step: GaitPhase, tol: StepTolerances, effort: Any, control: Any = 0.0,
     goal: np.ndarray | None = None, acceleration: Any = np.inf,
 ) -> SumCost:  # fmt: skip
     """The cost of a step.
@@ -137,16 +137,16 @@ def step_cost(
     """
     states = np.vstack([step.states[:-1], step.states[-1] if goal is None else goal])
     states[:-1, 2 * dynamics.mechanism.nv :] = 0.0  # accelerations that are states cost like controls
-    on_the_way = _weights(step, wish.place, wish.turn, wish.joints, wish.period)
-    final = _weights(step, wish.final_place, wish.final_turn, wish.final_joints)
-    rates = _weights(step, wish.final_speed, wish.final_turn_rate, dict.fromkeys(wish.joints, wish.final_joint_rate))
+    position = _weights(step, tol.place, tol.turn, tol.joints, tol.period)
+    final = _weights(step, tol.final_place, tol.final_turn, tol.final_joints)
+    rates = _weights(step, tol.final_speed, tol.final_turn_rate, dict.fromkeys(tol.joints, tol.final_joint_rate))
     tracking = TrackingCost.joints(
-        dynamics, None, step.N, effort=1.0 / (wish.period * effort**2), control=control, reference=states,
-        position=on_the_way, final_position=final, final_velocity=rates,
-        activation=1.0 / (wish.period * acceleration**2), final_activation=1.0 / acceleration**2,
+        dynamics, None, step.N, effort=1.0 / (tol.period * effort**2), control=control, reference=states,
+        position=position, final_position=final, final_velocity=rates,
+        activation=1.0 / (tol.period * acceleration**2), final_activation=1.0 / acceleration**2,
     )  # fmt: skip
-    contact = _standing(step, wish) + _sticking(step, wish) if step.walker.belt else _reach(step, wish)
-    return tracking + PenaltyCost(dynamics, step.N, _clearance(step, wish) + contact + _apart(step, wish))
+    contact = _standing(step, tol) + _sticking(step, tol) if step.walker.belt else _reach(step, tol)
+    return tracking + PenaltyCost(dynamics, step.N, _clearance(step, tol) + contact + _leg_distances(step, tol))
 
 
 def _weights(
@@ -158,9 +158,9 @@ def _weights(
     return {joint: 1.0 / (period * tolerance**2) for joint, tolerance in tolerances.items()}
 
 
-def _foot(side: str, end: str, wish: StepTolerances, tolerance: float, period: float, **bound: Any) -> Height:
-    """The height of heel or toe, with a bound `least` or `most`."""
-    return Height(Point(f"{side}_{end}_point"), tolerance=tolerance, ramp=wish.ramp, weight=1.0 / period, **bound)
+def _foot(side: str, end: str, tol: StepTolerances, tolerance: float, period: float, **bound: Any) -> Height:
+    """The height of heel or toe, with a bound `lower` or `upper`."""
+    return Height(Point(f"{side}_{end}_point"), tolerance=tolerance, ramp=tol.ramp, weight=1.0 / period, **bound)
 
 
 def _during(t: np.ndarray, part: tuple[float, float], value: float) -> np.ndarray:
@@ -168,58 +168,65 @@ def _during(t: np.ndarray, part: tuple[float, float], value: float) -> np.ndarra
     return np.where((t > part[0]) & (t < part[1]), value, np.nan)
 
 
-def _clearance(step: GaitPhase, wish: StepTolerances) -> list[Any]:
+def _clearance(step: GaitPhase, tol: StepTolerances) -> list[Any]:
     """Heel and toe of a swinging foot are at the wanted height."""
-    if wish.clearance == 0.0:
+    if tol.clearance == 0.0:
         return []
-    up, down, begin, end = wish.clear
+    up, down, begin, end = tol.clear
     terms = []
     for side in step.walker.legs:
         # without a belt the leg swings from the first knot to the last
         t = step.leg_time(side) if step.walker.belt else step.t
         part = (t - begin) / (end - begin)
         on = (part > 0.0) & (part < 1.0) if step.walker.belt else np.ones(step.N + 1, dtype=bool)
-        wanted = wish.clearance * np.clip(np.minimum(part / up, (1.0 - part) / down), 0.0, 1.0)
+        wanted = tol.clearance * np.clip(np.minimum(part / up, (1.0 - part) / down), 0.0, 1.0)
         terms += [
-            _foot(side, end, wish, wish.clearance_tolerance, wish.period, least=np.where(on, wanted, np.nan))
+            _foot(
+                side,
+                end,
+                tol,
+                tol.clearance_tolerance,
+                tol.period,
+                lower=np.where(on, wanted, np.nan),
+            )
             for end in ("heel", "toe")
         ]
     return terms
 
 
-def _standing(step: GaitPhase, wish: StepTolerances) -> list[Any]:
+def _standing(step: GaitPhase, tol: StepTolerances) -> list[Any]:
     """Heel and toe of a standing foot are on the belt."""
     terms = []
     for side in step.walker.legs:
         t = step.leg_time(side)
         for end, part in STANCE.items():
-            most = _during(t, part, -wish.stance_depth)
-            terms.append(_foot(side, end, wish, wish.stance_tolerance, wish.period, most=most))
-        for end in STANCE if wish.deepest else ():
-            terms.append(_foot(side, end, wish, wish.stance_tolerance, PERIOD, least=-wish.deepest))
+            most = _during(t, part, -tol.stance_depth)
+            terms.append(_foot(side, end, tol, tol.stance_tolerance, tol.period, upper=most))
+        for end in STANCE if tol.deepest else ():
+            terms.append(_foot(side, end, tol, tol.stance_tolerance, PERIOD, lower=-tol.deepest))
     return terms
 
 
-def _sticking(step: GaitPhase, wish: StepTolerances) -> list[Any]:
+def _sticking(step: GaitPhase, tol: StepTolerances) -> list[Any]:
     """Heel and toe of a standing foot move with the belt."""
     return [
-        Velocity(Point(f"{side}_{end}_point"), direction, Point("belt"), tolerance=wish.slip, weight=1.0 / wish.period,
+        Velocity(Point(f"{side}_{end}_point"), direction, Point("belt"), tolerance=tol.slip, weight=1.0 / tol.period,
                  target=_during(step.leg_time(side), part, 0.0))
-        for side in step.walker.legs if wish.slip for end, part in STICKS.items() for direction in np.eye(3)[:2]
+        for side in step.walker.legs if tol.slip for end, part in STICKS.items() for direction in np.eye(3)[:2]
     ]  # fmt: skip
 
 
-def _reach(step: GaitPhase, wish: StepTolerances) -> list[Any]:
+def _reach(step: GaitPhase, tol: StepTolerances) -> list[Any]:
     """The hip of the standing leg is no farther from its ankle than the leg is long."""
     ankle = step.feet(step.motion.q)[:, 3]
     return [
-        Distance(Point("left_hip"), Point(world=ankle), most=wish.straight * step.walker.leg_length,
-                 tolerance=wish.reach_tolerance, ramp=wish.reach_ramp, weight=1.0 / wish.period)
+        Distance(Point("left_hip"), Point(world=ankle), upper=tol.straight * step.walker.leg_length,
+                 tolerance=tol.reach_tolerance, ramp=tol.reach_ramp, weight=1.0 / tol.period)
     ]  # fmt: skip
 
 
-def _apart(step: GaitPhase, wish: StepTolerances) -> list[Any]:
-    """Shanks and feet of the two legs keep their distance."""
+def _leg_distances(step: GaitPhase, tol: StepTolerances) -> list[Any]:
+    """Distances of shanks and feet of the two legs have a lower limit."""
     shank, foot = _segments("right")
     if step.walker.belt:
         other_shank, other_foot = _segments("left")
@@ -229,11 +236,18 @@ def _apart(step: GaitPhase, wish: StepTolerances) -> list[Any]:
         knee = Point("left_hip", share=0.5, world=0.5 * ankle)  # of a straight leg
         other_shank, other_foot = Segment(knee, Point(world=ankle)), Segment(Point(world=heel), Point(world=toe))
     pairs = (
-        (shank, other_shank, wish.shanks_apart), (foot, other_foot, wish.feet_apart),
-        (shank, other_foot, wish.feet_apart), (foot, other_shank, wish.feet_apart),
+        (shank, other_shank, tol.shank_distance), (foot, other_foot, tol.foot_distance),
+        (shank, other_foot, tol.foot_distance), (foot, other_shank, tol.foot_distance),
     )  # fmt: skip
     return [
-        Distance(a, b, least=least, tolerance=wish.apart_tolerance, ramp=wish.ramp, weight=1.0 / wish.period)
+        Distance(
+            a,
+            b,
+            lower=least,
+            tolerance=tol.distance_tolerance,
+            ramp=tol.ramp,
+            weight=1.0 / tol.period,
+        )
         for a, b, least in pairs
     ]
 

@@ -30,13 +30,13 @@ CLEAR = 5e-3  # m, of heel and toe in the middle of a swing
 MIDDLE = (0.1, 0.9)  # of a swing
 TOUCHES = 0.5  # N
 STANDS = (0.95, 0.66)  # fractions of a cycle between which a foot may be on the belt
-CLOSED_PLACE, CLOSED_TURN = 4e-3, np.radians(0.5)  # m and rad, between start and end of a gait
+CLOSED_POSITION, CLOSED_ANGLE = 4e-3, np.radians(0.5)  # m and rad, between start and end of a gait
 CLOSED_SPEED, CLOSED_RATE = 0.03, 0.1  # m/s and rad/s
 CLOSED_ACCELERATION, CLOSED_TURNING = 0.3, 1.0  # m/s^2 and rad/s^2
-PASSES, COST_TOLERANCE = 6, 0.01  # of a gait: contacts that come and go change the last percent from pass to pass
+PASSES, COST_TOLERANCE = 6, 0.01  # of a gait: contacts change the last percent of the cost from pass to pass
 FOLLOWS = 2.5  # deg, RMS over joints and time: the difference between two planned cycles (study, section 7)
 PATIENT = {"common_mass": 0.1, "stiffness": 0.1, "common_stiffness": 0.2}
-"""Step 5 also varies the mass of the person and the stiffness of the joints, which nobody has measured."""
+"""The robustness section also varies the mass of the person and the stiffness of the joints, which are not measured."""
 
 
 @dataclass(frozen=True)
@@ -60,13 +60,13 @@ def measures(step: GaitPhase, xs: np.ndarray) -> Measures:
     """Measure states (N+1, nx) at the knots."""
     m = step.walker.mechanism
     q, qd, sides = xs[:, : m.nq], xs[:, m.nq : m.nq + m.nv], step.walker.legs
-    away = q - step.states[:, : m.nq]
+    deviation = q - step.states[:, : m.nq]
     legs, pelvis = places(step)
     standing = {side: _stands(step, side) for side in sides}
     lifts = {side: height(step, q, f"{side}_hip") - normal_height(step, f"{side}_hip") for side in sides}
     upward = {side: vertical_force(step, q, qd, side) for side in sides}
     return Measures(
-        rms={name: float(np.degrees(np.sqrt(np.mean(away[:, i] ** 2)))) for name, i in legs.items()},
+        rms={name: float(np.degrees(np.sqrt(np.mean(deviation[:, i] ** 2)))) for name, i in legs.items()},
         clearance={side: clearance(step, q, side) for side in sides},
         hip_lift={side: float(lifts[side][_swing(step, side)].max(initial=-np.inf)) for side in sides},
         in_stance={side: _mean(upward[side][standing[side]] > TOUCHES) for side in sides},
@@ -76,13 +76,13 @@ def measures(step: GaitPhase, xs: np.ndarray) -> Measures:
         slip=slip(step, q, qd),
         depth=float(contact_forces(m, q, qd).depths.max(initial=0.0)),
         straightest_knee=float(np.degrees(max(q[:, legs[f"{side}_knee"]].max() for side in sides))),
-        pelvis=np.stack([away[:, pelvis].min(axis=0), away[:, pelvis].max(axis=0)], axis=1),
+        pelvis=np.stack([deviation[:, pelvis].min(axis=0), deviation[:, pelvis].max(axis=0)], axis=1),
     )
 
 
 @lru_cache(maxsize=1)
 def _of_plan(step: GaitPhase, plan: Plan) -> Measures:
-    """Of a plan's states: each of its replays is set beside them."""
+    """Measures of a plan's states, once for all of its replays."""
     return measures(step, plan.xs)
 
 
@@ -138,7 +138,7 @@ def robot_wrench(dynamics: RigidBodyDynamics, xs: np.ndarray, us: np.ndarray) ->
     m, N = dynamics.mechanism, len(us)
     q, qd = xs[:N, : m.nq], xs[:N, m.nq : m.nq + m.nv]
     qdd = dynamics.rates(xs[:N], us)[:, m.nv : 2 * m.nv]
-    # a pelvis that is driven by jerk has an artificial armature
+    # a pelvis whose jerk is the control has an artificial armature
     tau = rnea(m, q, qd, qdd) - m.armature * qdd - generalized_forces(m, q, qd)
     first = m.joint(PELVIS[0]).start
     return tau[:, first : first + len(PELVIS)]
@@ -160,9 +160,9 @@ def robot(dynamics: RigidBodyDynamics, xs: np.ndarray, us: np.ndarray) -> RobotL
     """Measure the robot along xs (N+1, nx), us (N, nu)."""
     m, wrench = dynamics.mechanism, robot_wrench(dynamics, xs, us)
     first = m.nv + m.joint(PELVIS[0]).start
-    driven = dynamics.rates(xs[: len(us)], us)[:, first : first + len(PELVIS)]
-    jerks = np.diff(driven, axis=0) / dynamics.dt
-    lengths = [np.linalg.norm(of[:, i : i + 3], axis=1) for of in (wrench, driven, jerks) for i in (0, 3)]
+    accelerations = dynamics.rates(xs[: len(us)], us)[:, first : first + len(PELVIS)]
+    jerks = np.diff(accelerations, axis=0) / dynamics.dt
+    lengths = [np.linalg.norm(of[:, i : i + 3], axis=1) for of in (wrench, accelerations, jerks) for i in (0, 3)]
     return RobotLoads(*((float(np.sqrt(np.mean(length**2))), float(length.max())) for length in lengths))
 
 
@@ -171,7 +171,7 @@ def closing(step: GaitPhase) -> Periodic:
     names = step.walker.mechanism.joint_names
     sides = [
         [np.inf if name == "belt" else place if name in PELVIS[:3] else turn for name in names]
-        for place, turn in ((CLOSED_PLACE, CLOSED_TURN), (CLOSED_SPEED, CLOSED_RATE))
+        for place, turn in ((CLOSED_POSITION, CLOSED_ANGLE), (CLOSED_SPEED, CLOSED_RATE))
     ]
     accelerations = [CLOSED_ACCELERATION] * 3 + [CLOSED_TURNING] * 3 if step.walker.jerked else []
     return Periodic(np.concatenate([*sides, accelerations]), passes=PASSES, cost_tolerance=COST_TOLERANCE)
@@ -194,11 +194,11 @@ def judge_step(step: GaitPhase, run: Replay, promised: bool, closes: bool = Fals
             measured += [
                 Measurement(f"{who}_slip", found.slip, "m/s", None, "along the belt, mean weighted by contact force"),
                 Measurement(f"{who}_depth", found.depth, "m", None, "of heel or toe in the belt"),
-                *(Measurement(f"{who}_{side}_in_stance", 100.0 * share, "%", None, "of stance, with the foot on the belt")
+                *(Measurement(f"{who}_{side}_in_stance", 100.0 * share, "%", None, "of stance, the foot on the belt")
                   for side, share in found.in_stance.items()),
             ]  # fmt: skip
         if closes:
-            measured += _gaps(step, xs, who)
+            measured += _closure_errors(step, xs, who)
     assert run.plan.problem is not None  # whose requirements these are
     drive = robot(run.plan.problem.dynamics, run.plan.xs, run.plan.us)  # pyright: ignore[reportArgumentType]
     for name, (rms, most), unit in (("force", drive.force, "N"), ("moment", drive.moment, "N m")):
@@ -206,16 +206,18 @@ def judge_step(step: GaitPhase, run: Replay, promised: bool, closes: bool = Fals
     return Section("goal", tuple(measured))
 
 
-def _gaps(step: GaitPhase, xs: np.ndarray, who: str) -> list[Measurement]:
+def _closure_errors(step: GaitPhase, xs: np.ndarray, who: str) -> list[Measurement]:
     """Differences between start and end of a gait: only the plan's have bounds, the replay adds its own errors."""
     legs, pelvis = places(step)
-    gap = np.abs(xs[-1] - xs[0])
-    joints = float(np.degrees(np.sqrt(np.mean(gap[list(legs.values())] ** 2))))
-    place, turn, joint = (CLOSED_PLACE, CLOSED_TURN, float(np.degrees(CLOSED_TURN))) if who == "planned" else [None] * 3
+    change = np.abs(xs[-1] - xs[0])
+    joints = float(np.degrees(np.sqrt(np.mean(change[list(legs.values())] ** 2))))
+    place, turn, joint = (
+        (CLOSED_POSITION, CLOSED_ANGLE, float(np.degrees(CLOSED_ANGLE))) if who == "planned" else [None] * 3
+    )
     note = f"from start to end, {who}"
     return [
-        Measurement(f"{who}_place_gap", float(gap[pelvis[:3]].max()), "m", place, note),
-        Measurement(f"{who}_turn_gap", float(gap[pelvis[3:]].max()), "rad", turn, note),
+        Measurement(f"{who}_place_gap", float(change[pelvis[:3]].max()), "m", place, note),
+        Measurement(f"{who}_turn_gap", float(change[pelvis[3:]].max()), "rad", turn, note),
         Measurement(f"{who}_joint_gap", joints, "deg", joint, f"{note}, RMS over the legs' joints"),
     ]
 
@@ -226,13 +228,13 @@ def follows(step: GaitPhase, xs: np.ndarray, plan_xs: np.ndarray, knots: np.ndar
     Their legs must be near the plan's; with `clear`, heel and toe must be above the belt in the middle of a swing.
     """
     joints, nq = list(places(step)[0].values()), step.walker.mechanism.nq
-    won = np.sqrt(np.mean(np.degrees(xs[..., joints] - plan_xs[:, joints]) ** 2, axis=(1, 2))) < FOLLOWS
+    succeeded = np.sqrt(np.mean(np.degrees(xs[..., joints] - plan_xs[:, joints]) ** 2, axis=(1, 2))) < FOLLOWS
     for side in step.walker.legs if clear else ():
         q = xs[:, _swing(step, side, MIDDLE)[knots], :nq]
         for end in ("heel", "toe"):
             heights = height(step, q.reshape(-1, nq), f"{side}_{end}_point").reshape(q.shape[:2])
-            won &= heights.min(axis=1, initial=np.inf) > 0.0
-    return won
+            succeeded &= heights.min(axis=1, initial=np.inf) > 0.0
+    return succeeded
 
 
 def _mean(values: np.ndarray) -> float:

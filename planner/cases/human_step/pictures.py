@@ -149,14 +149,14 @@ def _foot_force(step: GaitPhase, motions: Motions) -> Chart:
 
 
 def _pelvis(step: GaitPhase, motions: Motions) -> list[Chart]:
-    """Place of the pelvis, from the mean of the normal gait, and its turn."""
+    """Position of the pelvis, relative to the mean of the normal gait, and its orientation."""
     first = step.walker.mechanism.joint(PELVIS[0]).start
-    driven = slice(first, first + len(PELVIS))
-    middle = np.append(step.states[:, driven][:, :3].mean(axis=0), np.zeros(3))
+    pelvis = slice(first, first + len(PELVIS))
+    middle = np.append(step.states[:, pelvis][:, :3].mean(axis=0), np.zeros(3))
     scale = np.repeat([1e3, 180.0 / np.pi], 3)
-    shown = [*motions, (NORMAL, step.t, step.states)]
+    drawn = [*motions, (NORMAL, step.t, step.states)]
     return _by_axis(
-        [(label, t, scale * (xs[:, driven] - middle)) for label, t, xs in shown],
+        [(label, t, scale * (xs[:, pelvis] - middle)) for label, t, xs in drawn],
         ("Pelvis, from the middle of normal gait", "place, mm"), ("Pelvis", "angle, deg"),
     )  # fmt: skip
 

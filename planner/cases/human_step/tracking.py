@@ -30,8 +30,8 @@ if TYPE_CHECKING:
     from planner.problem.plan import Plan
     from planner.proof.replays.replaying import Replay
 
-TIMES = 2.0  # the predicted error
-BESIDE = 0.02  # deg, RMS: what smoothing does not explain, and all there is where nothing is smoothed
+FACTOR = 2.0  # bound over the predicted error
+UNEXPLAINED = 0.02  # deg, RMS, added to the bound for errors without smoothing
 MAX_ANGLE_ERROR = 0.5  # deg, RMS over the joints of the legs, whatever is predicted
 
 
@@ -46,7 +46,7 @@ def unsmoothed(mechanism: Mechanism) -> Mechanism:
     return replace(mechanism, contacts=tuple(contacts), stops=tuple(stops))
 
 
-@lru_cache(maxsize=1)  # both replays of a plan are set beside it
+@lru_cache(maxsize=1)  # both replays of a plan are compared with it
 def without_smoothing(plan: Plan, parts: int) -> np.ndarray:
     """States (N+1, nx) of a plan's controls, open loop and unsmoothed, with so many steps of RK4 per stage."""
     assert plan.problem is not None
@@ -61,18 +61,16 @@ def judge_tracking(step: GaitPhase, run: Replay) -> Section:
     """Compare MuJoCo's legs with the plan's: RMS over all joints."""
     legs, pelvis = places(step)
     joints = list(legs.values())
-    # Of the plan alone: a replay of a wrong model must not widen its own bound. Twice the replay's step is 0.5 ms.
+    # From the plan alone: a replay of a wrong model must not widen its own bound. Twice the replay's step is 0.5 ms.
     plain = without_smoothing(run.plan, max(run.substeps // 2, 1))
-    away = np.degrees(run.error[:, joints])
+    errors = np.degrees(run.error[:, joints])
     expected = _rms(np.degrees(plain - run.plan.xs)[:, joints])
     place, turn = (float(np.abs(run.error[:, part]).max()) for part in (pelvis[:3], pelvis[3:]))
-    bound, how = (
-        min(TIMES * expected + BESIDE, MAX_ANGLE_ERROR),
-        "with the plan's gains" if run.feedback else "without feedback",
-    )
+    bound = min(FACTOR * expected + UNEXPLAINED, MAX_ANGLE_ERROR)
+    how = "with the plan's gains" if run.feedback else "without feedback"
     measured = [
-        Measurement("joint_error", _rms(away), "deg", bound, f"RMS over the legs' joints, {how}"),
-        Measurement("largest_joint_error", float(np.abs(away).max()), "deg", None, "over the replay"),
+        Measurement("joint_error", _rms(errors), "deg", bound, f"RMS over the legs' joints, {how}"),
+        Measurement("largest_joint_error", float(np.abs(errors).max()), "deg", None, "over the replay"),
         Measurement("predicted_joint_error", expected, "deg", None,
                  "RMS, open loop, by the plan's own law without its smoothing; the bound is twice this"),
         Measurement("pelvis_error", place, "m", None, "largest, of its place"),

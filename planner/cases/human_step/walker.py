@@ -8,15 +8,34 @@
                                     0.165 m ahead, at 1.75 m                because a rigid foot would dig its tip in
     pelvis, trunk, arms, head       .678 of the mass, one rigid body        Winter; its inertia is ours
     passive joints                  PASSIVE: spring, damper, angle at rest  ours: similar to pendulum tests
-    or, for the joints in CURVED    exponentials instead of springs         Riener and Edrich, see riener_edrich.py
+    or, for the joints in CURVED    exponentials instead of springs         Riener and Edrich, see below
     knee                            stops where it is straight              ours; exponentials need no stop
 
 x is ahead, y left, z up; angles have the signs of OpenSim's gait models and are zero in standing. The feet touch the
 belt at z = 0.
+
+The passive elastic moments of hip, knee and ankle of Riener and Edrich (J Biomech 32, 1999, 539-544).
+
+Means of ten healthy subjects, in N m, of angles in degrees: hip flexion h, knee flexion k and plantar flexion a, with
+moments in the same directions,
+
+    hip    exp(1.4655 - .0034 k - .0750 h) - exp(1.3403 - .0226 k + .0305 h) + 8.072
+    knee   exp(1.800 - .0460 a - .0352 k + .0217 h) - exp(-3.971 - .0004 a + .0495 k - .0128 h) - 4.820
+           + exp(2.220 - .150 k)
+    ankle  exp(2.1016 - .0843 a - .0176 k) - exp(-7.9763 + .1949 a + .0008 k) - 1.792
+
+    number          from
+    all but one     memory, without access to the paper, and the same in a second source: public MATLAB functions
+                    (rienerEdrich1999PassiveHipMoment, ...KneeMoment, ...AnkleMoment; "used by Miller et al. 2012")
+    .150 k          memory; the second source has 1.50, with which bending a straight knee back by five degrees takes
+                    17 kN m instead of 20 N m; nag92/LegMuscleModel has exp(2.5 - .25 k) there, for other subjects
+
+Our signs: a lifted foot and a stretched knee are positive, so k, a and their moments change their signs.
 """
 
 from __future__ import annotations
 
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from xml.etree import ElementTree
@@ -28,14 +47,44 @@ from planner.base.errors import PlannerError
 from planner.cases import anthropometry as winter
 from planner.cases.anthropometry import Segment
 from planner.cases.human_step.gait import COLUMNS, LEG
-from planner.cases.human_step.riener_edrich import CURVED, curves
 from planner.dynamics.algorithms import mass_matrix
 from planner.dynamics.kinematics import jacobian
 from planner.model.contact.laws import ContactLaw, Law
+from planner.model.exponential_torques import ExponentialTorque
 from planner.model.mechanism import Frame, Mechanism
 from planner.model.mjcf.contacts import contact_attributes, stop_attributes
 from planner.model.mjcf.text import edited, model_path, model_text, written
 from planner.problem.costs.jerk import driven_by_jerk
+
+CURVED = ("hip_flexion", "knee", "ankle")
+SIGNS = {"hip_flexion": 1.0, "knee": -1.0, "ankle": -1.0}  # of our angles and moments, relative to the paper's
+
+# Exponentials of each joint: sign, constant, slopes by hip, knee and ankle per degree.
+TERMS: dict[str, tuple[tuple[float, float, tuple[float, float, float]], ...]] = {
+    "hip_flexion": ((1.0, 1.4655, (-0.0750, -0.0034, 0.0)), (-1.0, 1.3403, (0.0305, -0.0226, 0.0))),
+    "knee": (
+        (1.0, 1.800, (0.0217, -0.0352, -0.0460)),
+        (-1.0, -3.971, (-0.0128, 0.0495, -0.0004)),
+        (1.0, 2.220, (0.0, -0.150, 0.0)),
+    ),
+    "ankle": ((1.0, 2.1016, (0.0, -0.0176, -0.0843)), (-1.0, -7.9763, (0.0, 0.0008, 0.1949))),
+}
+CONSTANTS = {"hip_flexion": 8.072, "knee": -4.820, "ankle": -1.792}  # N m
+
+
+def curves(dofs: Mapping[str, int], joints: Collection[str], factor: float = 1.0) -> Iterator[ExponentialTorque]:
+    """The moments on some joints of one leg, times a factor; `dofs` are the degrees of freedom of CURVED."""
+    for joint in joints:
+        turned = factor * SIGNS[joint]
+        for sign, constant, slopes in TERMS[joint]:
+            own = {
+                dofs[other]: SIGNS[other] * float(np.degrees(slope))
+                for other, slope in zip(CURVED, slopes, strict=True)
+                if slope != 0.0
+            }
+            yield ExponentialTorque(dofs[joint], turned * sign, constant, tuple(own.items()))
+        yield ExponentialTorque(dofs[joint], turned * CONSTANTS[joint])
+
 
 FILE_MASS, FILE_HEIGHT = 70.0, 1.75  # kg, m, of the person that mjcf/human_step/human_step.xml is written for
 SIDES = ("right", "left")

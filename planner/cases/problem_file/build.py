@@ -21,7 +21,7 @@
     [[constraint]]                      # optional: what the plan keeps, see problem_file.constraints
     frame = "hook"
     along = "z"
-    least = 0.5                         # m
+    lower = 0.5                         # m
 
 In place of one goal of the joints there may be goals of frames, at times, and paths (docs/tasks.md):
 
@@ -87,14 +87,13 @@ from planner.model.mjcf.attached import stored_attachments
 from planner.model.twin import Twin
 from planner.problem.avoid import Avoid
 from planner.problem.constraints.constraint import Constraint
-from planner.problem.default_appearance import default_appearance
+from planner.problem.default_appearance import default_appearance, with_marks
 from planner.problem.default_weights import default_weights, weighed
 from planner.problem.joint_limits import moved_inside_limits, starts_at_limit
 from planner.problem.limits import Limits
 from planner.problem.objective_problem import with_objective
 from planner.problem.problem import Problem
 from planner.problem.recipe import PROBLEM_FILE, Recipe
-from planner.problem.tasks.marks import with_marks
 
 NAME = PROBLEM_FILE
 GAIN = 1e-4  # of the cost, by an iteration at kinks of contact, where more are worth nothing
@@ -271,7 +270,7 @@ def _problem(
     problem = Problem(
         dynamics, cost, x0, recipe=Recipe(NAME, table, partial(again, mechanism, *constraints)),
         appearance=replace(appearance, title=table["title"] or appearance.title),
-        limits=limits, constraints=kept, wanted=wanted,
+        limits=limits, constraints=kept, goal_specs=wanted,
         tolerance=None if tasked else table["tolerance"], expected_reduction_tolerance=DECREASE,
         actual_reduction_tolerance=GAIN if mechanism.contacts else DECREASE if mechanism.loops or
         mechanism.polynomial_couplings else 0.0,

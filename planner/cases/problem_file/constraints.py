@@ -8,8 +8,8 @@ within = 0.1                        # rad
 [[constraint]]                      # a corridor: the hand's height stays between two bounds
 frame = "hand"
 along = "z"
-least = 0.3                         # m
-most = 0.6
+lower = 0.3                         # m
+upper = 0.6
 
 [[constraint]]                      # there exactly, at the end unless it says when
 frame = "hand"
@@ -17,11 +17,11 @@ position = [0.4, 0.1, 0.5]
 
 [[constraint]]                      # what a motor gives: its force times its speed
 power = "shoulder"
-most = 50.0                         # W
+upper = 50.0                         # W
 
 [[constraint]]                      # what a pin carries: the force of an equality that closes a chain
 chain = "pin"
-most = 100.0                        # N
+upper = 100.0                        # N
 """
 
 from __future__ import annotations
@@ -32,9 +32,8 @@ from typing import Any
 from planner.base.arguments import array, choice, number, short_repr
 from planner.base.errors import PlannerError
 from planner.cases.problem_file.keys import CONSTRAINT
-from planner.problem.constraints.chain_force import ChainForce
 from planner.problem.constraints.constraint import END, Constraint
-from planner.problem.constraints.power import Power
+from planner.problem.constraints.forces import ChainForce, Power
 from planner.problem.constraints.quantities import FrameAxisAngle, FrameOrientation, FramePosition, FramePositionAlong
 
 AXES = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
@@ -93,7 +92,7 @@ def _pointing(where: str, table: dict[str, Any]) -> dict[str, Any]:
     if "within" not in table:
         raise PlannerError(f"{where} has no key 'within', expected the largest angle in rad, e.g. within = 0.1.")
     within = number(f"{where}'s within", table["within"], greater_than=0.0)
-    return {"of": FrameAxisAngle(_frame(where, table), direction, axis), "most": within}
+    return {"of": FrameAxisAngle(_frame(where, table), direction, axis), "upper": within}
 
 
 def _along(where: str, table: dict[str, Any]) -> dict[str, Any]:
@@ -114,9 +113,9 @@ def _chain(where: str, table: dict[str, Any]) -> dict[str, Any]:
 
 
 def _between(where: str, table: dict[str, Any]) -> dict[str, Any]:
-    sides = {side: number(f"{where}'s {side}", table[side]) for side in ("least", "most") if side in table}
+    sides = {side: number(f"{where}'s {side}", table[side]) for side in ("lower", "upper") if side in table}
     if not sides:
-        raise PlannerError(f"{where} has no bound, expected least or most.")
+        raise PlannerError(f"{where} has no bound, expected lower or upper.")
     return sides
 
 
@@ -134,8 +133,8 @@ _KINDS: dict[str, tuple[Callable[[str, dict[str, Any]], dict[str, Any]], tuple[s
     "position": (_position, ()),
     "orientation": (_orientation, ()),
     "pointing": (_pointing, ("axis", "within")),
-    "along": (_along, ("least", "most")),
-    "power": (_power, ("least", "most")),
-    "chain": (_chain, ("least", "most")),
+    "along": (_along, ("lower", "upper")),
+    "power": (_power, ("lower", "upper")),
+    "chain": (_chain, ("lower", "upper")),
 }
 _DEFAULT_WHEN = {"position": END, "orientation": END}

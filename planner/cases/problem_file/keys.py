@@ -6,7 +6,7 @@ from typing import Any
 
 from planner.kernels.integrators import TREE_INTEGRATORS
 from planner.problem.objective import OBJECTIVES
-from planner.problem.tasks.timed_task import PATH, USUAL
+from planner.problem.tasks.timed_task import DEFAULT_TOLERANCES, PATH_TOLERANCES
 
 KEYS = {
     "model": "MJCF or URDF file, relative to this file",
@@ -61,14 +61,16 @@ GOAL = {
     "time": "s; by default the end",
     "through": "true to pass without stopping",
     "tolerance": "how far from it passes, m and rad, or a table of position, orientation, pointing, velocity; by "
-    f"default {1e3 * USUAL['position']:g} mm, {USUAL['orientation']:g} rad, {USUAL['velocity']:g} m/s",
+    f"default {1e3 * DEFAULT_TOLERANCES['position']:g} mm, {DEFAULT_TOLERANCES['orientation']:g} rad, "
+    f"{DEFAULT_TOLERANCES['velocity']:g} m/s",
 }
 FOLLOW = {
     "frame": "a site or body, or",
     "joints": "list of the joints that points are of; a file has them in its heading",
     "points": "rows of t, x, y, z, or without t for equal parts of the duration",
     "file": "CSV of such rows, relative to this file",
-    "tolerance": f"how far from the path passes, m or rad; by default {1e3 * PATH['m']:g} mm or {PATH['rad']:g} rad",
+    "tolerance": f"how far from the path passes, m or rad; by default {1e3 * PATH_TOLERANCES['m']:g} mm or "
+    f"{PATH_TOLERANCES['rad']:g} rad",
 }
 ATTACH = {
     "frame": "a site or body that carries it",
@@ -97,13 +99,13 @@ CONSTRAINT = {
     "position": "[x, y, z] m in the world, exactly",
     "orientation": "quaternion, w first, exactly",
     "pointing": "direction of the world, x, y, z or three numbers, that the frame's axis stays within an angle of",
-    "along": "direction of the world, likewise, along which the frame stays between least and most",
+    "along": "direction of the world, likewise, along which the frame stays between lower and upper",
     "axis": "of the frame, for pointing: x, y, z or three numbers; z by default",
     "within": "rad, for pointing",
-    "power": "an actuator, whose force times speed stays between least and most, in place of a frame",
-    "chain": "an equality that closes a chain, whose force stays between least and most, likewise",
-    "least": "m or W",
-    "most": "m or W",
+    "power": "an actuator, whose force times speed stays between lower and upper, in place of a frame",
+    "chain": "an equality that closes a chain, whose force stays between lower and upper, likewise",
+    "lower": "m, W or N",
+    "upper": "m, W or N",
     "when": '"always", "end" or [from, to] in s; by default the end for position and orientation, else always',
     "tolerance": "how far beyond passes, in the same unit; by default 1e-4, and 1e-4 of a bound above 1",
     "name": "for messages",

@@ -95,7 +95,7 @@ def _closed(problem: Problem, goal: np.ndarray) -> ReferenceTrajectory | None:
     poses = np.stack([problem.x0, goal])[:, : mechanism.nq]
     rest = ~np.any(np.stack([problem.x0, goal])[:, mechanism.nq : mechanism.nq + mechanism.nv], axis=1)
     found = closed_chain_reference(mechanism, problem.x0, np.array([0, problem.N]), poses, rest, dynamics.dt)
-    return None if found is None else ReferenceTrajectory(found.controls, found.rows, direct=True)
+    return None if found is None else ReferenceTrajectory(found.controls, found.states, direct=True)
 
 
 def _straight(problem: Problem, goal: np.ndarray) -> ReferenceTrajectory:

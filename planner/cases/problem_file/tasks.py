@@ -24,14 +24,13 @@ from planner.problem.costs.terms import Cost
 from planner.problem.default_weights import DefaultWeights, default_weights, min_jerk_cost
 from planner.problem.goals import ROUNDING, static_error
 from planner.problem.limits import Limits
-from planner.problem.tasks.cost import WEIGHT, task_cost, task_wanted
+from planner.problem.tasks.cost import WEIGHT, task_cost, task_goal_specs
 from planner.problem.tasks.follow import Follow, follow_of, with_points
 from planner.problem.tasks.goal import Goal, goal_of
 from planner.problem.tasks.pose_constraints import PoseConstraints
 from planner.problem.tasks.poses import Poses, is_screws, poses_of
-from planner.problem.tasks.reference_motion import controls, joint_displacement, reference_states
+from planner.problem.tasks.reference_motion import controls, joint_displacement, reference_states, with_via_poses
 from planner.problem.tasks.timed_task import Task, task_of
-from planner.problem.tasks.via_poses import with_via_poses
 
 MAX_GOALS = 1000  # goals
 _OF_GOALS = ("final_position", "hold")  # weights of an end in joints, which a task's goals take the place of
@@ -114,12 +113,14 @@ def resolve_task(
     if limits is not None:
         ranges = limits.position_ranges(dynamics)
     kept = PoseConstraints(constraints, dynamics, x0, N) if constraints else None
-    search = partial(poses_of, task, dynamics, x0, ranges, seed=table["seed"], check=RESOLVED not in table, kept=kept)
+    search = partial(
+        poses_of, task, dynamics, x0, ranges, seed=table["seed"], check=RESOLVED not in table, constraints=kept
+    )
     if avoid is None:
         poses, apart = search(), None
     else:
         free = partial(CollisionChecker, mechanism=dynamics.mechanism)
-        poses = search(free=free(avoid.constraint(dynamics.mechanism, x0).constraint.of))
+        poses = search(checker=free(avoid.constraint(dynamics.mechanism, x0).constraint.of))
         apart = avoid.constraint(dynamics.mechanism, x0, _of_goals(task, poses))  # they are known now
         if not _is_direct(task) and is_screws(task):
             poses = with_via_poses(poses, free(apart.constraint.of), table["seed"])
@@ -152,7 +153,7 @@ def weights_of(
         effort_alone=alone,
         stays=False,
         displacement=there,
-        most=most,
+        max_control=most,
         jerk=jerk,
     )
     weights = {name: weight for name, weight in found.weights.items() if name not in _OF_GOALS}
@@ -166,7 +167,7 @@ def cost_of(
     way: ResolvedTask, dynamics: RigidBodyDynamics, weights: dict[str, Any]
 ) -> tuple[Cost, tuple[GoalSpec, ...]]:
     """The cost of a task and what its proof judges."""
-    return task_cost(way.task, dynamics, way.rows, weights), task_wanted(way.task)
+    return task_cost(way.task, dynamics, way.rows, weights), task_goal_specs(way.task)
 
 
 def guess_of(way: ResolvedTask, dynamics: RigidBodyDynamics, x0: np.ndarray) -> ReferenceTrajectory:
@@ -176,7 +177,7 @@ def guess_of(way: ResolvedTask, dynamics: RigidBodyDynamics, x0: np.ndarray) -> 
         found = closed_chain_reference(mechanism, x0, way.poses.stages, way.poses.q, way.poses.at_rest, dynamics.dt)
         if found is not None:
             return ReferenceTrajectory(
-                None if dynamics.prescribed else found.controls, found.rows, _is_direct(way.task)
+                None if dynamics.prescribed else found.controls, found.states, _is_direct(way.task)
             )
     return ReferenceTrajectory(controls(way.task, way.poses, dynamics, x0), way.rows, _is_direct(way.task))
 

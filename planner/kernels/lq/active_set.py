@@ -1,17 +1,17 @@
-"""The LQ problem with bounds of controls and penalties of states: which hold and which pull, found by Newton's method.
+"""The LQ problem with bounds of controls and penalties of states: the active sets are found by Newton's method.
 
 A box in each stage (see box) knows no deviation of the state: where bounds hold many stages, later ones would leave
-theirs in what the sweep promises, and steps are short. So do penalties of ranges that the motion has yet to reach.
+theirs in what the sweep expects, and steps are short. So do penalties of ranges that the motion has yet to reach.
 Here a
-sweep has a chosen set of held controls and of penalties that pull, and its linear motion tells the next set:
+sweep has a chosen set of controls at active bounds and of active penalties, and its linear motion tells the next set:
 
     a free control that would leave its bounds is held at the one it crosses,
-    a held one whose multiplier pulls it inwards is freed,
+    an active one whose multiplier points inwards is freed,
     a hinge is a parabola where the deviation will be outside of its range, and zero where it will be inside.
 
 A set that tells itself is the solution (primal-dual active sets; Hintermueller, Ito and Kunisch 2002). It mostly takes
 one sweep where the last iteration's set still holds, and few where it does not. It may also cycle: then each stage has
-its box, and penalties pull where they do now.
+its box, and penalties are active where they are now.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ MULTIPLIER_ROUNDING = 1e-12  # of a multiplier's parts: what is rounding
 def active_set_minimum(w, mu, n):
     """As box_minimum for the chosen set: k and what is clamped, in W.box; the value of these constants.
 
-    Rows of the Hessian of held controls are kept for their multipliers.
+    Rows of the Hessian of controls at active bounds are kept for their multipliers.
     """
     nu, width = w[W.nu], w[W.width]
     M, h, k, o = floats(w, W.H), floats(w, W.h), floats(w, W.box), n * nu
@@ -90,7 +90,7 @@ def _chosen(w, i, side, du, dx, floor, ceiling):
 
 @inline
 def _choose_held(w, n, du, dx):
-    """The next set of held controls of stage n; by how many it differs."""
+    """The next set of controls at active bounds of stage n; by how many it differs."""
     nu, held, servo, changes = w[W.nu], at(floats(w, W.active_bounds), n * w[W.nu]), 0, 0
     for a in range(nu):
         floor, ceiling = 0.0, 0.0
@@ -123,7 +123,7 @@ def _choose_penalties(w, n, dx):
     for t in range(penalties_of(w, n)):
         i, k = load(integers(w, W.penalty_dx), t), o + t
         low, high = load(floats(w, W.penalty_lower), k), load(floats(w, W.penalty_upper), k)
-        if low == high or load(integers(w, W.ball), i) >= 0:  # it always pulls; or is a rotation's
+        if low == high or load(integers(w, W.ball), i) >= 0:  # it is always active; or is a rotation's
             continue
         e, weight, side = (
             load(floats(w, W.penalty_e), k),
@@ -134,18 +134,18 @@ def _choose_penalties(w, n, dx):
         slack = ROUNDING * (1.0 + abs(e))
         now = _side(e + d, low, high, slack if side == 0.0 else -slack)
         real = 1.0 if e >= high else -1.0 if e < low else 0.0
-        pulls = weight * (e - (high if side > 0.0 else low)) if side != 0.0 else 0.0
+        gradient = weight * (e - (high if side > 0.0 else low)) if side != 0.0 else 0.0
         if now != side:
             changes += 1
-            next_pull = weight * (e - (high if now > 0.0 else low)) if now != 0.0 else 0.0
+            next_gradient = weight * (e - (high if now > 0.0 else low)) if now != 0.0 else 0.0
             l = at(floats(w, W.l), n * w[W.width] + w[W.first])
-            store(l, i, load(l, i) + next_pull - pulls)
+            store(l, i, load(l, i) + next_gradient - gradient)
             store(floats(w, W.penalty_active), k, weight if now != 0.0 else 0.0)
             store(floats(w, W.penalty_side), k, now)
         if side != real:
             really = weight * (e - (high if real > 0.0 else low)) if real != 0.0 else 0.0
-            slope += (really - pulls) * d
-            cost += 0.5 * (pulls * pulls - really * really) / weight
+            slope += (really - gradient) * d
+            cost += 0.5 * (gradient * gradient - really * really) / weight
     return changes, cost, slope
 
 
@@ -153,7 +153,7 @@ def _choose_penalties(w, n, dx):
 def update_active_set(w, dt, none):
     """The next set of active bounds and active penalties, from the linear motion of the last sweep.
 
-    With `none` there is no motion: penalties pull where they do.
+    With `none` there is no motion: the active penalties stay.
 
     Returns:
         By how many the set differs from that of the sweep; by how much more than the cost the model costs where it

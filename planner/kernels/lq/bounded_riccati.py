@@ -124,7 +124,7 @@ def riccati_dense_bounded(w, mu, dt, chosen):
     box.
 
     Returns:
-        (norm of the projected gradient, value of the LQ model at its minimum, minus the decrease that it promises;
+        (norm of the projected gradient, value of the LQ model at its minimum, minus the expected reduction;
         False when R + B'PB + mu I is not positive definite where controls are free).
     """
     w = pointer(w)

@@ -15,7 +15,7 @@ from planner.kernels.numba.lanes import at, floats, load, store
 
 MAX_STEPS = 100  # of Newton; the clamped sets seldom change more than a few times
 SHORTEST = 1e-10  # step length at which the line search gives up
-SUFFICIENT = 0.1  # of the decrease that the slope promises
+ARMIJO_SHARE = 0.1  # of the expected reduction
 
 
 @inline
@@ -106,7 +106,7 @@ def solve_box_qp(w, mu, n):
             change = slope
             for i in range(nu):
                 change += 0.5 * load(moved, i) * load(product, i)
-            if full or change <= SUFFICIENT * slope or step < SHORTEST:
+            if full or change <= ARMIJO_SHARE * slope or step < SHORTEST:
                 break
             step *= 0.5
         if step < SHORTEST:  # nothing left to gain but rounding

@@ -19,12 +19,12 @@ from planner.kernels.numba.jit import jit, part
 
 ARMIJO, EXACT, WOLFE, GOLDSTEIN = 0, 1, 2, 3
 EVALUATE_ONLY = -2  # no search either: candidates of the lengths that are there, none of which is taken
-DEFECT_STEP = 4  # Armijo's rule with one batch: where gaps are open, a short step closes them with no gain
+DEFECT_STEP = 4  # Armijo's rule with one batch: where defects are open, a short step closes them with no gain
 INITIAL_ROLLOUT = -1  # no search: one rollout at step length 0, which is taken as it is
 ARMIJO_C1 = 1e-4  # c1 of Armijo and Wolfe (Nocedal & Wright, section 3.1)
 WOLFE_C2 = 0.9  # c2 of Wolfe for Newton-like directions (same)
 GOLDSTEIN_C = 0.25  # below 1/2, so that the full step of a quadratic passes (same)
-SMALL_REDUCTION = 0.2  # of the decrease that a step promises, by the parabola of J0, S0 and J(1) = J0 + S0 / 2
+SMALL_REDUCTION = 0.2  # of the expected reduction, by the parabola of J0, S0 and J(1) = J0 + S0 / 2
 EXACT_WIDTH = 1e-6  # J is flat to rounding within about 1e-8 of its minimum
 ARMIJO_BATCHES, BRACKET_BATCHES = 6, 32  # of candidates, before the search gives up
 

@@ -213,7 +213,7 @@ def riccati_dense(w, mu, dt):
 
     Returns:
         (gradient norm, slope, ok): the norm of Eq. 19; the slope of J along the direction, which by Eq. 42 is
-        minus twice the decrease that the LQ model promises; False when R + B'PB + mu I is not positive definite.
+        minus twice the expected reduction; False when R + B'PB + mu I is not positive definite.
     """
     w = pointer(w)
     begin(w)
@@ -280,7 +280,7 @@ def advance(w, n, dt, du, dx, dx_next):
 
 @jit
 def direction(w, dt):
-    """The LQ problem's own forward pass: dus (N, nu) = k + K dx with dx+ = A dx + B du + gap, dx(0) = 0."""
+    """The LQ problem's own forward pass: dus (N, nu) = k + K dx with dx+ = A dx + B du + defect, dx(0) = 0."""
     w = pointer(w)
     ndx, nu, width, first = w[W.ndx], w[W.nu], w[W.width], w[W.first]
     K, k = floats(w, W.K), floats(w, W.k)

@@ -66,10 +66,10 @@ class Workspace:
         T: (N+1, width, width) the second-order terms of the dynamics, upper triangles, zero at the end, and what
             rows of constraints add (solvers.engine.constrained_engine); empty until they are asked for.
         costates: (N+1, width) with Eq. 16 in the columns of x, from `first` on; empty until then.
-        held: (N+1, width, width) what the sweep adds in place of T where it holds states (see use_second_order).
-        gaps: (N, ndx) from the start of each stage's successor to its end (see gaps); empty until they are asked for.
-        values: (N, ndx, ndx+1) the value function (P | s) of the end of each stage, kept by a sweep across gaps.
-        dxs: (N+1, ndx) the deviations of the direction across gaps.
+        state_regularization: (N+1, width, width) what the sweep adds in place of T (see use_second_order).
+        defects: (N, ndx) from the start of each stage's successor to its end; empty until asked for.
+        values: (N, ndx, ndx+1) the value function (P | s) of the end of each stage, kept by a sweep across defects.
+        dxs: (N+1, ndx) the deviations of the direction across defects.
         residuals: A kernels.tree.residuals.table.ResidualTable, or None.
         lower: (N, nu) bounds of the controls; those of servos at the nominal states.
         upper: (N, nu).
@@ -189,7 +189,7 @@ class Workspace:
         self.table[W.T] = (self.state_regularization if held else self.T).ctypes.data
 
     def use_defects(self, has_defects: bool) -> None:
-        """Whether the sweep and its direction have gaps; their memory is taken when it is first asked for."""
+        """Whether the sweep and its direction have defects; their memory is taken when it is first asked for."""
         self.table[W.has_defects] = has_defects
         if has_defects and not len(self.defects):
             N, ndx = len(self.us), self.ndx

@@ -40,7 +40,7 @@ def accelerations(m, r, q, v, u, act, a, external):
         add_tendons(m, q, v, tau)
     move_links(m, q, v, links)
     if external is not None:
-        if m[TREE.lifted] > 0:
+        if m[TREE.gravcomp] > 0:
             add_compensation(m, links, tau)
         _add_wrenches(m, q, links)
         if r[MEMORY.integrator] == ROSENBROCK:

@@ -31,7 +31,7 @@ def _passive(m, r, x, v):
         store(passive, i, spread(0.0))
     add_passive(m, x, v, passive, lanes(r, MEMORY.scratch))
     add_tendons(m, x, v, passive)
-    if m[TREE.lifted] > 0:
+    if m[TREE.gravcomp] > 0:
         add_compensation(m, lanes(r, MEMORY.links), passive)
     return passive
 
@@ -89,7 +89,7 @@ def derivatives(m, r, q, v, a, M, Dq, Dv):
         inverse_dynamics_derivatives(m, x, rate, acceleration, lanes(r, MEMORY.links), lanes(r, MEMORY.tau), blocks, ld)
         add_passive_derivatives(m, x, blocks[1], blocks[2], ld, lanes(r, MEMORY.scratch))
         add_tendon_derivatives(m, x, blocks[1], blocks[2], ld)
-        if m[TREE.lifted] > 0:
+        if m[TREE.gravcomp] > 0:
             subtract_compensation_derivatives(m, blocks[1], ld, lanes(r, MEMORY.links))
         for i in range(nv):
             for j in range(nv):

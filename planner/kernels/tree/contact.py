@@ -3,7 +3,7 @@
 The law is model.contact.laws's. It has no cases: t = clamp(e/a, 0, 1), ramp(e; a) = t (e - a t/2), its slope is t and
 s(e; a) = t^2 (3 - 2 t); a ramp of no length has 1/a so large that t is 0 or 1. A contact acts at
 
-    p = c - (r + lift/2 - e/2) n,   e = r + lift + offset - n'c,
+    p = c - (r + d/2 - e/2) n,   e = r + d + offset - n'c,
 
 halfway between the two surfaces, c the sphere's centre and r its radius. With J_i = v_i + w_i x p the velocity of p per
 rate of dof i (its screw (w_i, v_i) at the tree's origin), Y_i = V_base x S_i and V the twist of the link,

@@ -45,7 +45,7 @@ def pair_arrays(pairs: Any, parent: np.ndarray, tree: dict[str, np.ndarray]) -> 
     """Per contact of two bodies: both links, their last common one, where qpos has their floating trees' places.
 
     And of each part its middle (3), axis (3) and half length, then from the second's origin to the first's (3),
-    r_1 + r_2 + lift, (r_1 - r_2)/2, b, the determinant for parallel axes, eleven numbers of the force.
+    r_1 + r_2 + surface offset, (r_1 - r_2)/2, b, the determinant for parallel axes, eleven numbers of the force.
     """
     links = np.full((len(pairs), PAIR_LINKS_SIZE), -1, dtype=np.int64)
     value = np.zeros((len(pairs), PAIR_SIZE))

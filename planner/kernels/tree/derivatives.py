@@ -74,7 +74,7 @@ def acceleration_derivatives(m, r, q, v, a, dA, external):
         add_friction_derivatives(m, v, a, M, Dv, ld)
         if r[MEMORY.integrator] == ROSENBROCK:
             add_implicit(m, r, M, ld)
-        if m[TREE.lifted] > 0:
+        if m[TREE.gravcomp] > 0:
             subtract_compensation_derivatives(m, Dq, ld, lanes(r, MEMORY.links))
         subtract_contact_derivatives(m, q, Dq, Dv, ld, lanes(r, MEMORY.links))
         if m[TREE.pairs] > 0:

@@ -26,15 +26,15 @@ MOMENT = 81  # offset in a link's record, beyond those of kernels.tree.recursion
 @inline
 def _gather_moments(m, ws):
     """The first moment of each link and all beyond it, into the links' records; their poses are known."""
-    lifted, parent = floats(m, TREE.lifted_value), integers(m, TREE.parent)
+    gravcomp, parent = floats(m, TREE.gravcomp_value), integers(m, TREE.parent)
     for i in range(m[TREE.nv]):
         o, b = LIFTED_SIZE * i, i * RECORD
         R = (
             load(ws, b), load(ws, b + 1), load(ws, b + 2), load(ws, b + 3), load(ws, b + 4), load(ws, b + 5),
             load(ws, b + 6), load(ws, b + 7), load(ws, b + 8),
         )  # fmt: skip
-        own = rotated(R, (load(lifted, o + 1), load(lifted, o + 2), load(lifted, o + 3)))
-        store3(ws, b + MOMENT, axpy(own, load(lifted, o), load3(ws, b + PLACE)))
+        own = rotated(R, (load(gravcomp, o + 1), load(gravcomp, o + 2), load(gravcomp, o + 3)))
+        store3(ws, b + MOMENT, axpy(own, load(gravcomp, o), load3(ws, b + PLACE)))
     for i in range(m[TREE.nv] - 1, -1, -1):
         p = load(parent, i)
         if p >= 0:

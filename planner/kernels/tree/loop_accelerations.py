@@ -55,7 +55,7 @@ def _lacks(m, q, v, ws, c):
                 )
             store3(c, row, axpy(turning, 0.5 * rate * rate, turn))
             row += 3
-    dof, address = integers(m, TREE.cam_dof), integers(m, TREE.q_address)
+    dof, address = integers(m, TREE.coupling_dof), integers(m, TREE.q_address)
     for k in range(m[TREE.polynomial_couplings]):
         i, j = load(dof, 2 * k), load(dof, 2 * k + LEADER)
         value, slope, curvature, _ = cam_polynomial(m, k, q)

@@ -1,7 +1,7 @@
 """The arrays of a tree's closed chains, as kernels read them.
 
-Rows of J come in threes: places, rotations, and the one row of a cam with two of zeros behind it, which no pivot of
-J W J' lets through. So products and eliminations work on blocks of 3 x 3, which stay in registers.
+Rows of J come in threes: positions, rotations, and the row of a coupling with two rows of zeros behind it, which no
+pivot of J W J' lets through. So products and eliminations work on blocks of 3 x 3, which stay in registers.
 """
 
 from __future__ import annotations
@@ -16,13 +16,13 @@ from planner.model.loops import baumgarte_rate
 from planner.model.mechanism import Mechanism
 
 JOINED_SIZE = 15  # of one of two frames that are joined: its place (3), its tree's origin (3), its three axes
-CAM_SIZE = 7  # offsets of follower and leader, and five coefficients
+COUPLING_SIZE = 7  # offsets of follower and leader, and five coefficients
 
 
 def loop_arrays(
-    loops: Any, cams: Any, chains: list[set[int]], mechanism: Mechanism, tree: dict[str, np.ndarray]
+    loops: Any, couplings: Any, chains: list[set[int]], mechanism: Mechanism, tree: dict[str, np.ndarray]
 ) -> dict[str, np.ndarray]:
-    """Frames and cams (JOINED_SIZE, CAM_SIZE), and where the rows are not zero.
+    """Frames and couplings (JOINED_SIZE, COUPLING_SIZE), and where the rows are not zero.
 
     `chains` has the dofs that move either frame of each loop, `tree` the kernels' frames.
     """
@@ -38,21 +38,21 @@ def loop_arrays(
         "joined_address": np.where(link >= 0, tree["floating_address"][link], -1) if len(link) else link,
         "loop_rigid": np.array([loop.rigid for loop in loops], dtype=np.int64), "loop_rate":
         np.array([baumgarte_rate()]),
-        "cam_dof": np.array([(cam.follower, cam.leader) for cam in cams], dtype=np.int64),
-        "cam_value": np.array([(*cam.offsets, *cam.coefficients) for cam in cams], dtype=float),
-        **_triples(loops, cams, chains, mechanism),
+        "coupling_dof": np.array([(one.follower, one.leader) for one in couplings], dtype=np.int64),
+        "coupling_value": np.array([(*one.offsets, *one.coefficients) for one in couplings], dtype=float),
+        **_triples(loops, couplings, chains, mechanism),
     }  # fmt: skip
 
 
-def triples_of(loops: Any, cams: Any) -> int:
+def triples_of(loops: Any, couplings: Any) -> int:
     """How many threes of rows there are."""
-    return sum(loop.rows // 3 for loop in loops) + len(cams)
+    return sum(loop.rows // 3 for loop in loops) + len(couplings)
 
 
-def _triples(loops: Any, cams: Any, chains: list[set[int]], mechanism: Mechanism) -> dict[str, np.ndarray]:
+def _triples(loops: Any, couplings: Any, chains: list[set[int]], mechanism: Mechanism) -> dict[str, np.ndarray]:
     """Where three rows of J are not zero, and the blocks of dofs between which the mass matrix is.
 
-    Per triple its kind (0 of places, 1 of rotations, 2 of cams), its dofs with those that coupled ones follow (moved),
+    Per triple its kind (0 positions, 1 rotations, 2 couplings), its dofs with those that coupled dofs follow (moved),
     and those of their blocks, which a force along it accelerates (reach); per pair of triples the dofs where the reach
     of the one meets what the other moves; per four columns of J the rows that are not zero there; per dof its block.
     """
@@ -60,9 +60,9 @@ def _triples(loops: Any, cams: Any, chains: list[set[int]], mechanism: Mechanism
     for loop, chain in zip(loops, chains, strict=True):
         kinds += [0, 1][: loop.rows // 3]
         moved += [_followed(chain, mechanism.reduction)] * (loop.rows // 3)
-    for cam in cams:
+    for coupling in couplings:
         kinds.append(2)
-        moved.append(_followed(set(cam.dofs), mechanism.reduction))
+        moved.append(_followed(set(coupling.dofs), mechanism.reduction))
     start, stop = _blocks(mechanism) if kinds else (np.zeros(nv, dtype=np.int64), np.full(nv, nv))
     reached = [np.flatnonzero(np.isin(stop, stop[dofs])) for dofs in moved]
     shared = [np.intersect1d(reached[k], moved[l]) for k in range(len(kinds)) for l in range(k + 1)]

@@ -115,7 +115,7 @@ def close_derivatives(m, r, q, v, a, f, Dq, ld, ws):
                     moment = scaled(sign, load3(f, row + 3))
                 turn_forces(m, Dq, ld, link, p, scaled(sign, load3(f, row)), moment, ws)
         row += 6 if stiff > 0 else 3
-    dof = integers(m, TREE.cam_dof)
+    dof = integers(m, TREE.coupling_dof)
     for k in range(m[TREE.polynomial_couplings]):
         i, j, o = load(dof, 2 * k), load(dof, 2 * k + LEADER), row * width
         _, slope, curvature, third = cam_polynomial(m, k, q)

@@ -34,7 +34,7 @@ from planner.kernels.tree.memory import MEMORY
 from planner.kernels.tree.recursion import RECORD, SCREW_AXIS, TWIST, place_all
 from planner.kernels.tree.sensitivity import Y
 
-INDEPENDENT = 1e-6  # of the largest diagonal entry of J J' for places, rotations and cams
+INDEPENDENT = 1e-6  # of the largest diagonal entry of J J' for positions, rotations and couplings
 POSITIONS, VELOCITIES = 0, 1
 
 
@@ -180,7 +180,7 @@ def _rates(m, r, q, w, which, H, ld, ws):
                     moment = scaled(sign, load3(f, row + 3))
                 turn_forces(m, H, ld, link, p, scaled(sign, load3(f, row)), moment, ws)
         row += 6 if stiff > 0 else 3
-    dof = integers(m, TREE.cam_dof)
+    dof = integers(m, TREE.coupling_dof)
     for k in range(m[TREE.polynomial_couplings]):
         i, j, o = load(dof, 2 * k), load(dof, 2 * k + LEADER), row * width
         _, slope, curvature, _ = cam_polynomial(m, k, q)

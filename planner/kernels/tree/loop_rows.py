@@ -1,4 +1,4 @@
-"""The constraints of a tree's closed chains (planner.model.loops): their frames, cams, rows J and J W J'."""
+"""The constraints of a tree's closed chains (planner.model.loops): their frames, couplings, rows J and J W J'."""
 
 from __future__ import annotations
 
@@ -6,14 +6,14 @@ from planner.kernels.algebra.spatial import add, cross, load3, load9, rotated, s
 from planner.kernels.numba.jit import inline
 from planner.kernels.numba.lanes import floats, integers, lanes, load, spread, store
 from planner.kernels.tree.loop_algebra import gram
-from planner.kernels.tree.loop_arrays import CAM_SIZE, JOINED_SIZE
+from planner.kernels.tree.loop_arrays import COUPLING_SIZE, JOINED_SIZE
 from planner.kernels.tree.mechanism_table import TREE
 from planner.kernels.tree.memory import MEMORY
 from planner.kernels.tree.recursion import PLACE, RECORD, SCREW_AXIS, TWIST
 
 POINT, ORIGIN, AXES = 0, 3, 6  # offsets in the numbers of one of two frames that are joined, as `model` lays them out
-FOLLOWER, LEADER, POWERS = 0, 1, 2  # and of a cam
-INDEPENDENT = 1e-10  # of the largest diagonal entry of J W J' for places, rotations and cams; rounding leaves 1e-16
+FOLLOWER, LEADER, POWERS = 0, 1, 2  # and of a coupling
+INDEPENDENT = 1e-10  # of the largest diagonal entry of J W J' for its kind of rows; rounding leaves 1e-16
 
 
 @inline
@@ -45,16 +45,21 @@ def frame_axis(m, e, link, c, ws):
 
 @inline
 def cam_polynomial(m, k, q):
-    """Of cam k at the leader's place: the value to follow, and its first three derivatives."""
-    o, value = CAM_SIZE * k + POWERS, floats(m, TREE.cam_value)
-    leader = load(integers(m, TREE.cam_dof), 2 * k + LEADER)
-    s = load(q, load(integers(m, TREE.q_address), leader)) - load(value, CAM_SIZE * k + LEADER)
+    """Of coupling k at the leader's place: the value to follow, and its first three derivatives."""
+    o, value = COUPLING_SIZE * k + POWERS, floats(m, TREE.coupling_value)
+    leader = load(integers(m, TREE.coupling_dof), 2 * k + LEADER)
+    s = load(q, load(integers(m, TREE.q_address), leader)) - load(value, COUPLING_SIZE * k + LEADER)
     c0, c1, c2, c3, c4 = load(value, o), load(value, o + 1), load(value, o + 2), load(value, o + 3), load(value, o + 4)
     zero = spread(0.0)
     p0 = c0 + s * (c1 + s * (c2 + s * (c3 + s * c4)))
     p1 = c1 + s * (2.0 * c2 + s * (3.0 * c3 + s * (4.0 * c4)))
     p2 = 2.0 * c2 + s * (6.0 * c3 + s * (12.0 * c4))
-    return zero + load(value, CAM_SIZE * k + FOLLOWER) + p0, zero + p1, zero + p2, zero + (6.0 * c3 + s * (24.0 * c4))
+    return (
+        zero + load(value, COUPLING_SIZE * k + FOLLOWER) + p0,
+        zero + p1,
+        zero + p2,
+        zero + (6.0 * c3 + s * (24.0 * c4)),
+    )
 
 
 @inline
@@ -83,7 +88,7 @@ def constraint_rows(m, q, ws, J, ld):
                         store(J, o, load(J, o) + sign * y)
                 i = load(parent, i)
         row += 6 if load(rigid, k) > 0 else 3
-    dof = integers(m, TREE.cam_dof)
+    dof = integers(m, TREE.coupling_dof)
     for k in range(m[TREE.polynomial_couplings]):
         _, slope, _, _ = cam_polynomial(m, k, q)
         store(J, row * ld + load(dof, 2 * k), zero + 1.0)
@@ -106,7 +111,7 @@ def closure_residual(m, q, ws, c):
                 turn = add(turn, cross(frame_axis(m, 2 * k + 1, second, e, ws), frame_axis(m, 2 * k, first, e, ws)))
             store3(c, row, scaled(0.5, turn))
             row += 3
-    dof, address = integers(m, TREE.cam_dof), integers(m, TREE.q_address)
+    dof, address = integers(m, TREE.coupling_dof), integers(m, TREE.q_address)
     for k in range(m[TREE.polynomial_couplings]):
         value, _, _, _ = cam_polynomial(m, k, q)
         store3(c, row, (load(q, load(address, load(dof, 2 * k))) - value, zero, zero))

@@ -30,17 +30,17 @@ INERTIA_SIZE = 11  # its mass, its centre of mass (3), its inertia about that in
 SCREW, BALL, BALL_NEXT, FLOATING = 0, 1, 2, 3  # as in planner.model.mechanism, and a slide that moves a whole tree
 
 TREE = Layout(
-    "nv nq nballs nu na inputs position_terms velocity_terms contacts stops pairs curves tendons lifted losses "
+    "nv nq nballs nu na inputs position_terms velocity_terms contacts stops pairs curves tendons gravcomp losses "
     "dependents loops polynomial_couplings loop_rows triples",
     "parent base kind first q_address home inertia subtree_mass armature base_acceleration damping stiffness rest "
     "ball_q ball_v ball_stiffness ball_rest constant input_dof input_index input_value position_row position_column "
     "position_value velocity_row velocity_column velocity_value activation_input activation_gain activation_rate "
     "prescribed related_start related_rows contact_link contact_address contact_slide contact_value stop_dof "
     "stop_value pair_links pair_value curve_dof curve_value curve_start curve_slope_dof curve_slope "
-    "tendon_start tendon_dof tendon_factor tendon_value lifted_value gravcomp_mass loss_dof loss_value "
+    "tendon_start tendon_dof tendon_factor tendon_value gravcomp_value gravcomp_mass loss_dof loss_value "
     "dependent_dof dependent_start dependent_column dependent_value joined_link joined_address joined_value "
-    "loop_rigid loop_rate cam_dof cam_value triple_kind moved_start moved_dof reach_start reach_dof shared_start "
-    "shared_dof bound_start bound_rows block_start block_stop implicit_damping",
+    "loop_rigid loop_rate coupling_dof coupling_value triple_kind moved_start moved_dof reach_start reach_dof "
+    "shared_start shared_dof bound_start bound_rows block_start block_stop implicit_damping",
 )
 
 
@@ -77,12 +77,12 @@ class Model:
         pairs = mechanism.body_contacts if actuated else ()
         curves = mechanism.curves if actuated else ()
         tendons, losses = acting_tendons(mechanism), mechanism.friction_loss * actuated
-        lifted = bool(np.any(mechanism.gravcomp_mass) or np.any(mechanism.gravcomp_first_moment))
+        gravcomp = bool(np.any(mechanism.gravcomp_mass) or np.any(mechanism.gravcomp_first_moment))
         reduction = mechanism.reduction if actuated else None
         self.coupled = reduction is not None
         loops, polynomial_couplings = (mechanism.loops, mechanism.polynomial_couplings) if actuated else ((), ())
         self.loop_rows = 3 * triples_of(loops, polynomial_couplings)
-        acts = contacts or stops or pairs or curves or tendons or lifted or np.any(losses) or self.coupled or implicit
+        acts = contacts or stops or pairs or curves or tendons or gravcomp or np.any(losses) or self.coupled or implicit
         acts = acts or self.loop_rows
         self.external = True if acts else None
         for tendon in tendons:
@@ -99,8 +99,8 @@ class Model:
             common = common_carrier(mechanism.parent, pair)
             chains = [chain_of(mechanism.parent, part.link, common) for part in (pair.first, pair.second)]
             coupled[np.ix_(chains[0], chains[1])] = coupled[np.ix_(chains[1], chains[0])] = True
-        for cam in polynomial_couplings:
-            coupled[cam.leader, cam.leader] = True
+        for coupling in polynomial_couplings:
+            coupled[coupling.leader, coupling.leader] = True
         arrays["related_start"], arrays["related_rows"] = _related(mechanism.parent, coupled)
         arrays |= (
             contact_arrays(contacts, mechanism, arrays)
@@ -116,7 +116,7 @@ class Model:
             "nv": nv, "nq": mechanism.nq, "nballs": len(mechanism.quaternions), "nu": self.nu, "na": self.na,
             "inputs": len(arrays["input_dof"]), "position_terms": len(arrays["position_row"]),
             "velocity_terms": len(arrays["velocity_row"]), "contacts": len(contacts), "stops": len(stops),
-            "pairs": len(pairs), "curves": len(curves), "tendons": len(tendons), "lifted": int(lifted),
+            "pairs": len(pairs), "curves": len(curves), "tendons": len(tendons), "gravcomp": int(gravcomp),
             "losses": len(arrays["loss_dof"]), "dependents": len(arrays["dependent_dof"]),
             "loops": len(loops), "polynomial_couplings": len(polynomial_couplings),
             "loop_rows": self.loop_rows, "triples": self.loop_rows // 3,

@@ -40,4 +40,4 @@ def gravcomp_arrays(mechanism: Any, frames: np.ndarray) -> dict[str, np.ndarray]
     for i in reversed(range(len(mass))):
         if mechanism.parent[i] >= 0:
             beyond[mechanism.parent[i]] += beyond[i]
-    return {"lifted_value": np.column_stack([mass, moment]), "gravcomp_mass": beyond}
+    return {"gravcomp_value": np.column_stack([mass, moment]), "gravcomp_mass": beyond}

@@ -26,7 +26,7 @@ class CollisionShape:
         half: (3,) half lengths of its core along its axes, m: of a line the third alone. Of a plane nothing counts.
         radius: Of everything around the core, m.
         plane: Whether it is the half space under its first two axes.
-        excess: By how much it reaches beyond the shape that it stands for, at most, m.
+        overestimate: By how much it reaches beyond the shape that it stands for, at most, m.
     """
 
     name: str
@@ -36,7 +36,7 @@ class CollisionShape:
     half: np.ndarray
     radius: float
     plane: bool = False
-    excess: float = 0.0
+    overestimate: float = 0.0
 
     def __post_init__(self) -> None:
         set_fields(self, T=np.array(self.T, dtype=float), half=np.array(self.half, dtype=float))

@@ -53,7 +53,7 @@ def solids_of(survey: ModelIndex, geoms: list[int]) -> dict[int, CollisionShape]
 
 
 def _fit_at(given: tuple[str, int, int], T: np.ndarray, fit: BoundingFit) -> CollisionShape:
-    return CollisionShape(*given, T @ fit.T, fit.half, fit.radius, excess=fit.overestimate)
+    return CollisionShape(*given, T @ fit.T, fit.half, fit.radius, overestimate=fit.overestimate)
 
 
 def _points(model: Any, geom: int) -> np.ndarray:

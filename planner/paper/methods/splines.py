@@ -20,6 +20,7 @@ from planner.base.arguments import array, count, number, short_repr
 from planner.base.errors import PlannerError
 from planner.dynamics.algorithms import rnea, rnea_derivatives
 from planner.model.mechanism import SCREW, Mechanism
+from planner.problem.initial_guess import minimum_jerk
 
 if TYPE_CHECKING:
     from scipy.interpolate import BSpline
@@ -163,7 +164,7 @@ def minimize_effort(
     fixed = end_amplitudes(basis, *ends)
     s = (t / boundary.duration)[:, None]
     (start, _), (goal, _) = ends
-    straight = start + (10.0 * s**3 - 15.0 * s**4 + 6.0 * s**5) * (goal - start)
+    straight = start + minimum_jerk(s)[0] * (goal - start)
     motion = straight if guess is None else array("guess(t)", guess(t), straight.shape)
     first = nearest_amplitudes(basis(t), motion, fixed, slice(2, -2))
 

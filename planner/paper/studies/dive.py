@@ -13,11 +13,10 @@ from typing import Any
 import numpy as np
 
 from planner.cases.high_dive.case import high_dive, misses, momentum_drift
-from planner.cases.high_dive.diver import Diver
+from planner.cases.high_dive.flight import Diver
 from planner.dynamics import RigidBodyDynamics
 from planner.dynamics.momentum import angular_momentum
-from planner.paper.studies.records import plan_record, table
-from planner.paper.studies.study import Row, Study, timed
+from planner.paper.studies.study import Row, Study, plan_record, table, timed
 from planner.problem.initial_guess import rollout_states
 from planner.problem.plan import Plan
 from planner.proof.replays.replaying import replay

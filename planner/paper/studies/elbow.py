@@ -20,9 +20,17 @@ from planner.dynamics import RigidBodyDynamics
 from planner.paper.methods.adjoint import Integration
 from planner.paper.methods.splines import Boundary, curve
 from planner.paper.methods.underactuated import DrivenProblem, minimize_effort_underactuated
-from planner.paper.studies.gradient_errors import draw_errors, errors_at, errors_table
-from planner.paper.studies.records import descent_record, plan_record, table
-from planner.paper.studies.study import Row, Study, timed
+from planner.paper.studies.study import (
+    Row,
+    Study,
+    descent_record,
+    draw_errors,
+    errors_at,
+    errors_table,
+    plan_record,
+    table,
+    timed,
+)
 from planner.problem.problem import Problem
 from planner.solvers.engine import acquire_engine, release_engine
 from planner.solvers.lq import gradient
@@ -148,11 +156,11 @@ def _page(results: dict[str, Any]) -> list[str]:
             "dt, s": "{dt:g}", "J": "{cost:.3f}", "iterations": "{iterations}", "s": "{seconds:.3f}",
             "gradient early": "{first[gradient_norm]:.3g}", "its relative error": "{first[relative_error]:.1e}",
             "near the end": "{near[gradient_norm]:.3g}", "relative error there": "{near[relative_error]:.1e}",
-        }, results["slq"]), "", _said(results), "",
+        }, results["slq"]), "", _conclusion(results), "",
     ]  # fmt: skip
 
 
-def _said(results: dict[str, Any]) -> str:
+def _conclusion(results: dict[str, Any]) -> str:
     first, *_, last = results["points"]
     ratios = [b / a for a, b in zip(first["relative_errors"], last["relative_errors"], strict=True)]
     spoiled = [t for t, e in zip(results["tolerances"], last["relative_errors"], strict=True) if e > 0.1]
@@ -160,8 +168,7 @@ def _said(results: dict[str, Any]) -> str:
     gave_up = [f"{d['tolerance']:g}" for d in results["descents"] if not d["success"]]
     return (
         f"With the same tolerance the relative error is {min(ratios):.0f} to {max(ratios):.0f} times as large as at "
-        "the "
-        "first guess: the error stays, and the gradient shrinks. "
+        "the first guess: the error stays, and the gradient shrinks. "
         + (f"At {max(spoiled):g} to {min(spoiled):g} it is above 10 %. " if spoiled else "")
         + (f"BFGS did not reach its tolerance at {', '.join(gave_up)}, in its iterations. " if gave_up else "")
         + "The cause is truncation, not round-off: with a tighter tolerance the error goes away, and the "
@@ -176,7 +183,7 @@ def _rows(results: dict[str, Any]) -> list[Row]:
     seconds = sum(d["seconds"] for d in results["descents"][1:])
     return [
         Row("2.2", "Round-off leads to large relative errors of the gradient near convergence",
-            ", ".join(f"{errors[t]:.0e} at tolerance {t:g}" for t in (1e-3, 1e-4, 1e-6)), _said(results)),
+            ", ".join(f"{errors[t]:.0e} at tolerance {t:g}" for t in (1e-3, 1e-4, 1e-6)), _conclusion(results)),
         Row("2.2, Eq. 7", "Swing-up from q1 = -1.0 by splines, after tolerances were adjusted",
             f"J {last['cost']:.3g}, angles within {last['angle_miss']:.3f} rad; BFGS: {last['message']} "
             f"SLQ: J {plan['cost']:.3g}",

@@ -16,8 +16,7 @@ import numpy as np
 from planner import cases
 from planner.cases.hopper import PAPER
 from planner.paper.methods.gradient_methods import Descended, cost_and_gradient, minimize_by_gradient
-from planner.paper.studies.records import table
-from planner.paper.studies.study import Row, Study
+from planner.paper.studies.study import Row, Study, table
 from planner.problem.plan import Iteration, Plan
 from planner.problem.problem import Problem
 from planner.solvers.slq import solve

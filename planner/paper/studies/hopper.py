@@ -14,8 +14,7 @@ import numpy as np
 
 from planner import cases
 from planner.cases.hopper import PAPER, crossings
-from planner.paper.studies.records import row_of, table
-from planner.paper.studies.study import Row, Study
+from planner.paper.studies.study import Row, Study, row_of, table
 from planner.problem.plan import Plan
 from planner.proof import prove
 from planner.solvers.slq import solve

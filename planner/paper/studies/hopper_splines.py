@@ -17,9 +17,17 @@ from planner.paper.methods.adjoint import AdjointCost, Integration
 from planner.paper.methods.continuous import ContinuousProblem
 from planner.paper.methods.control_spline import SplineControls, SplineCost, solve_by_splines
 from planner.paper.methods.splines import DEGREE, SplineSpace
-from planner.paper.studies.gradient_errors import draw_errors, errors_at, errors_table
-from planner.paper.studies.records import descent_record, plan_record, table
-from planner.paper.studies.study import Row, Study, timed
+from planner.paper.studies.study import (
+    Row,
+    Study,
+    descent_record,
+    draw_errors,
+    errors_at,
+    errors_table,
+    plan_record,
+    table,
+    timed,
+)
 from planner.problem.problem import Problem
 from planner.solvers.slq import solve
 from planner.view.plots.style import INK, dress, panels_of, save
@@ -135,11 +143,11 @@ def _page(results: dict[str, Any]) -> list[str]:
             "s": "{seconds:.1f}", "the sum": "{discrete_cost:.4g}",
         }, results["adjoint"]), "",
         f"Relative error of Eq. 7 at height {results['drawn'][0]:g} against one at {results['reference']:g}:", "",
-        *errors_table(results["gradient_errors"], results["tolerances"]), "", _said(results), "",
+        *errors_table(results["gradient_errors"], results["tolerances"]), "", _conclusion(results), "",
     ]  # fmt: skip
 
 
-def _said(results: dict[str, Any]) -> str:
+def _conclusion(results: dict[str, Any]) -> str:
     exact, adjoint = results["exact"], results["adjoint"]
     converged, stuck = [r for r in exact if r["success"]], [r for r in adjoint if not r["success"]]
     conditions = [r["condition"] for r in exact if r["condition"] is not None]
@@ -150,18 +158,14 @@ def _said(results: dict[str, Any]) -> str:
     return (
         f"With the exact gradient {len(converged)} of {len(exact)} converge, in {min(counts)} to {max(counts)} "
         f"iterations; SLQ needs {min(p['iterations'] for p in results['slq'])} to "
-        f"{max(p['iterations'] for p in results['slq'])}. {len(near)} of them end within {100 * REACHED:g} % of "
-        "SLQ's cost "
-        f"or below it. They are slow because the Hessian by the amplitudes has a condition of {min(conditions):.0e} to "
-        f"{max(conditions):.0e}. By Eq. 7 {len(stuck)} of {len(adjoint)} do not converge: {len(lost)} end in a line "
-        "search "
-        f"that finds no step, the others at our limit of {ADJOINT_ITERATIONS} iterations. With tight and loose "
-        "tolerances "
-        "they come to the same plateau, where J hardly falls any more. The exact gradient leaves such a plateau "
-        "after tens "
-        f"of iterations; a gradient that is off by {worst[1]:.0e} (at {results['tolerances'][1]:g}) does not. We "
-        "did not "
-        "try whether a tight tolerance leaves it after hundreds of iterations: that takes minutes."
+        f"{max(p['iterations'] for p in results['slq'])}. {len(near)} of them end within {100 * REACHED:g} % of SLQ's "
+        "cost or below it. They are slow because the Hessian by the amplitudes has a condition of "
+        f"{min(conditions):.0e} to {max(conditions):.0e}. By Eq. 7 {len(stuck)} of {len(adjoint)} do not converge: "
+        f"{len(lost)} end in a line search that finds no step, the others at our limit of {ADJOINT_ITERATIONS} "
+        "iterations. With tight and loose tolerances they come to the same plateau, where J hardly falls any more. "
+        f"The exact gradient leaves such a plateau after tens of iterations; a gradient that is off by {worst[1]:.0e} "
+        f"(at {results['tolerances'][1]:g}) does not. We did not try whether a tight tolerance leaves it after "
+        "hundreds of iterations: that takes minutes."
     )
 
 
@@ -172,11 +176,10 @@ def _rows(results: dict[str, Any]) -> list[Row]:
             "; ".join(f"height {r['height']:g} at {r['tolerance']:g}: J {r['costs'][0]:.3g} to {r['cost']:.3g}, "
                       f"{'converged' if r['success'] else 'not converged'}" for r in adjoint)
             + f" ({sum(r['seconds'] for r in adjoint):.0f} s)",
-            _said(results)),
+            _conclusion(results)),
         Row("2.4", "The same splines with the exact gradient of the discretized cost: not tried",
-            f"{sum(r['success'] for r in exact)} of {len(exact)} converge, in "
-            f"{min(r['iterations'] for r in exact)} to {max(r['iterations'] for r in exact)} iterations "
-            f"({sum(r['seconds'] for r in exact):.0f} s)",
+            f"{sum(r['success'] for r in exact)} of {len(exact)} converge, in {min(r['iterations'] for r in exact)} "
+            f"to {max(r['iterations'] for r in exact)} iterations ({sum(r['seconds'] for r in exact):.0f} s)",
             "J and gradient agree to rounding; the basis alone was not what failed"),
     ]  # fmt: skip
 

@@ -21,9 +21,8 @@ from planner.dynamics.algorithms import rnea
 from planner.model.mechanism import Mechanism
 from planner.model.mjcf.text import edited, written
 from planner.paper.methods.splines import Boundary, SplineMotion, minimize_effort
-from planner.paper.studies.records import plan_record, row_of, table
-from planner.paper.studies.study import Row, Study, timed
-from planner.problem.initial_guess import inverse_dynamics_controls, quintic
+from planner.paper.studies.study import Row, Study, plan_record, row_of, table, timed
+from planner.problem.initial_guess import inverse_dynamics_controls, minimum_jerk, quintic
 from planner.problem.problem import Problem
 from planner.solvers.slq import solve
 from planner.view.plots.style import HUES, INK, dress, panels_of, save
@@ -36,7 +35,7 @@ KINDS = {"rods": (0.5, 1.0 / 12.0), "points at the tips": (1.0, 0.0), "points ha
 LENGTHS = (0.3, 0.6, 1.0, 1.25, 1.5, 2.0)  # m, of both links with equal masses
 RATIOS = (0.25, 0.5, 0.75, 1.0, 2.0, 4.0)  # of the forearm's mass to the upper arm's, at 1 m
 RISES: dict[str, Callable[[np.ndarray], np.ndarray]] = {
-    "quintic": lambda s: 10.0 * s**3 - 15.0 * s**4 + 6.0 * s**5,
+    "quintic": lambda s: minimum_jerk(s)[0],
     "cubic": lambda s: 3.0 * s**2 - 2.0 * s**3,
     "cosine": lambda s: 0.5 * (1.0 - np.cos(np.pi * s)),
 }
@@ -83,10 +82,8 @@ def with_first_effort(kind: str, ratio: float, length: float) -> Arm:
     """The arm whose first guess has the paper's 73.6."""
     arm = Arm(kind, 1.0, ratio, length, length)
     points, weights = np.polynomial.legendre.leggauss(64)
-    s = 0.5 * (1.0 + points)[:, None]
-    q = (10.0 * s**3 - 15.0 * s**4 + 6.0 * s**5) * UPRIGHT
-    qd = (30.0 * s**2 - 60.0 * s**3 + 30.0 * s**4) * UPRIGHT / DURATION
-    qdd = (60.0 * s - 180.0 * s**2 + 120.0 * s**3) * UPRIGHT / DURATION**2
+    share, rate, acceleration = minimum_jerk(0.5 * (1.0 + points)[:, None])
+    q, qd, qdd = share * UPRIGHT, rate * UPRIGHT / DURATION, acceleration * UPRIGHT / DURATION**2
     power = 0.5 * np.sum(rnea(arm_mechanism(arm), q, qd, qdd) ** 2, axis=1)
     mass = math.sqrt(FIRST / (0.5 * DURATION * float(weights @ power)))
     return Arm(kind, mass, ratio * mass, length, length)
@@ -187,10 +184,10 @@ def _page(results: dict[str, Any]) -> list[str]:
             "SLQ, several starts": "{slq_starts[effort]:.1f}",
         }, ({"name": _name(arm), **arm} for arm in [*results["candidates"], results["ours"]])),
     ]  # fmt: skip
-    return [*lines, "", _said(results)]
+    return [*lines, "", _conclusion(results)]
 
 
-def _said(results: dict[str, Any]) -> str:
+def _conclusion(results: dict[str, Any]) -> str:
     kinds = sorted({c["kind"] for c in results["candidates"]})
     if not kinds:
         return "No arm of these families has both numbers."
@@ -198,11 +195,9 @@ def _said(results: dict[str, Any]) -> str:
     lower = all(c["slq_starts"]["effort"] < c["last"] for c in results["candidates"])
     return (
         f"Only arms with {', '.join(kinds)} have both numbers. No arm with {' or '.join(without)} has them, from a "
-        "quintic "
-        "first guess. But two numbers do not determine an arm: several have both. And another smooth first guess "
-        "can lead "
-        "to another minimum of the same arm. So the 9.9 depends on the guess and the optimizer as much as on the arm."
-        + (" Several starts of SLQ end lower on each." if lower else "")
+        "quintic first guess. But two numbers do not determine an arm: several have both. And another smooth first "
+        "guess can lead to another minimum of the same arm. So the 9.9 depends on the guess and the optimizer as "
+        "much as on the arm." + (" Several starts of SLQ end lower on each." if lower else "")
     )
 
 
@@ -211,7 +206,7 @@ def _rows(results: dict[str, Any]) -> list[Row]:
     best = "; ".join(f"{_name(c)}: {c['first']:.1f} to {c['last']:.2f}" for c in found) or "no arm with both"
     return [
         Row("2.1", f"Quintic B-splines and BFGS: effort {FIRST} to {LAST}; no masses given", best,
-            "the paper gives no masses or lengths, nor which smooth guess; " + _said(results)),
+            "the paper gives no masses or lengths, nor which smooth guess; " + _conclusion(results)),
         Row("2.1", f"{FIRST} to {LAST}, on our own arm (rods of 0.5 kg and 1 m)",
             f"{ours['first']:.1f} to {ours['last']:.1f} by BFGS; SLQ {ours['slq']['effort']:.1f}, "
             f"of {results['starts']} starts {ours['slq_starts']['effort']:.1f}",

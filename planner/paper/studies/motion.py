@@ -1,7 +1,15 @@
-"""Figures 1 to 4: the machines, inverse dynamics, and the motions of both arms.
+"""Figures 1 to 4: the machines, inverse dynamics, closed chains, and the motions of both arms.
 
-The paper draws its arms as frames at equal intervals of time (Fig. 3, Fig. 4); so are ours. Of its Fig. 3 it gives the
+The paper draws its arms as frames at equal intervals of time (Fig. 3, Fig. 4); so are ours. For Fig. 3 it gives the
 efforts 73.6 and 9.9 and no masses: the first row is an arm that has both, by the paper's own method (see masses.py).
+
+Closed chains (section 1.2) are compared with a closed form. Two equal cranks and a coupler that does not rotate are a
+parallelogram, whose one coordinate, the angle q of its cranks from upright, has
+
+    (2 (I + m c^2) + M l^2) qdd = tau + (2 m c + M l) g sin q
+
+with the cranks' mass m, inertia I, length l and distance c of their centres of mass, and the coupler's mass M. The
+paper names the constraints and gives no example.
 """
 
 from __future__ import annotations
@@ -12,12 +20,12 @@ from typing import Any
 import numpy as np
 
 from planner import cases
+from planner.dynamics import RigidBodyDynamics, product_of_exponentials
 from planner.dynamics import algorithms as rigid_body
-from planner.dynamics import product_of_exponentials
-from planner.paper.studies.closed_chains import SECONDS, closed_form_error, drift
+from planner.dynamics.loops import misses
+from planner.model.mechanism import Mechanism
 from planner.paper.studies.masses import arm_mechanism, by_splines, with_first_effort
-from planner.paper.studies.records import plan_record, table
-from planner.paper.studies.study import Row, Study, timed
+from planner.paper.studies.study import Row, Study, plan_record, table, timed
 from planner.solvers.slq import solve
 from planner.view.plots.style import INK, SOFT, grid_of, save
 
@@ -139,7 +147,7 @@ def _rows(results: dict[str, Any]) -> list[Row]:
             "the paper's four, and two more: an arm for its reference [20], a diver for [16]. Its arm without a base "
             "motor is the acrobot"),
         Row("1.2, Fig. 2", "Recursive inverse dynamics by matrix exponentials",
-            f"as printed in product_of_exponentials.py, compiled: relative difference {results['inverse_dynamics_error']:.1e}",
+            f"as printed in product_of_exponentials.py: relative difference {results['inverse_dynamics_error']:.1e}",
             "it does not differ; gravity enters as acceleration of the base, which the figure leaves out"),
         Row("1.2", "The kinematics of closed chains by a set of algebraic constraints (no example)",
             f"a parallelogram against its closed form: relative difference {results['closed_form_error']:.1e}; open by "
@@ -149,10 +157,9 @@ def _rows(results: dict[str, Any]) -> list[Row]:
             "The arm swings down while folding the second link, then swings up and pumps the second link upright",
             f"the arm whose efforts are the paper's {theirs['first_effort']:.1f} and {theirs['effort']:.1f} (points "
             f"of {theirs['mass']:.3f} kg at the tips of {LENGTH:g} m), by the paper's method: swings down to q1 = "
-            f"{theirs['lowest_q1']:.2f} rad at {theirs['at']:.2f} s while it folds to q2 = "
-            f"{theirs['folds'][1]:.2f} rad, then up, and the second link follows. Our own rods need "
-            f"{paper['first_effort']:.1f} on the first guess; by SLQ from there: {described(paper)}; "
-            f"best of {STARTS} guesses: {described(best)}",
+            f"{theirs['lowest_q1']:.2f} rad at {theirs['at']:.2f} s while it folds to q2 = {theirs['folds'][1]:.2f} "
+            f"rad, then up, and the second link follows. Our own rods need {paper['first_effort']:.1f} on the first "
+            f"guess; by SLQ from there: {described(paper)}; best of {STARTS} guesses: {described(best)}",
             "the paper states no masses: that arm is one of several with both numbers, and does what the paper says. "
             "SLQ on our rods is another method, another arm, and ends in other local minima: from the paper's guess it "
             "does not swing down; the paper calls its own locally optimal"),
@@ -187,3 +194,41 @@ def _draw(results: dict[str, Any], path: Path) -> None:
 
 STUDY = Study("motions", "the machines, inverse dynamics and the motions of the arms (Fig. 1 to 4)",
               _run, _page, _rows, {"motions.png": _draw})  # fmt: skip
+
+
+CRANK, INERTIA, COUPLER, CRANK_LENGTH, CENTRE = 1.0, 0.01, 2.0, 0.4, 0.2  # kg, kg m^2, kg, m, m
+SECONDS = 10.0  # how long a chain swings
+CHAIN_STATES = 50
+
+_CRANK = f'<inertial pos="0 0 {CENTRE}" mass="{CRANK}" diaginertia="{INERTIA} {INERTIA} {INERTIA}"/>'
+PARALLELOGRAM = f"""
+<mujoco><worldbody>
+  <body name="left"><joint name="left" axis="0 1 0"/>{_CRANK}
+    <body name="coupler" pos="0 0 {CRANK_LENGTH}"><joint name="coupler" axis="0 1 0"/>
+      <inertial pos=".3 0 0" mass="{COUPLER}" diaginertia=".05 .05 .05"/></body></body>
+  <body name="right" pos=".6 0 0"><joint name="right" axis="0 1 0"/>{_CRANK}</body>
+</worldbody><equality><connect body1="coupler" body2="right" anchor=".6 0 0"/></equality>
+<actuator><motor joint="left"/></actuator></mujoco>
+"""
+
+
+def closed_form_error() -> float:
+    """The largest relative difference of accelerations from the closed form, at random states."""
+    m, rng = Mechanism.from_mjcf(PARALLELOGRAM), np.random.default_rng(0)
+    q, qd, tau = rng.uniform(-1.4, 1.4, CHAIN_STATES), rng.normal(size=CHAIN_STATES), rng.normal(size=CHAIN_STATES)
+    signs = np.array([1.0, -1.0, 1.0])
+    xs = np.hstack([q[:, None] * signs, qd[:, None] * signs])
+    found = RigidBodyDynamics(m, 0.01).rates(xs, tau[:, None])[:, 3:6]
+    inertia = 2.0 * (INERTIA + CRANK * CENTRE**2) + COUPLER * CRANK_LENGTH**2
+    qdd = (tau + (2.0 * CRANK * CENTRE + COUPLER * CRANK_LENGTH) * 9.81 * np.sin(q)) / inertia
+    return float(np.abs(found - qdd[:, None] * signs).max() / np.abs(qdd).max())
+
+
+def drift() -> float:
+    """How far the pin opens, m, while the parallelogram swings for SECONDS, by RK4 at 2 ms."""
+    m = Mechanism.from_mjcf(PARALLELOGRAM)
+    dynamics, x, most = RigidBodyDynamics(m, 0.002), np.array([2.2, -2.2, 2.2, 0.0, 0.0, 0.0]), 0.0
+    for _ in range(round(SECONDS / dynamics.dt)):
+        x = dynamics.step(x[None], np.zeros((1, 1)))[0]
+        most = max(most, float(np.abs(misses(m, x[:3])).max()))
+    return most

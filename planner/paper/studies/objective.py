@@ -17,8 +17,7 @@ import numpy as np
 from planner import cases
 from planner.dynamics import RigidBodyDynamics
 from planner.model.mechanism import Mechanism
-from planner.paper.studies.records import plan_record, table
-from planner.paper.studies.study import Row, Study
+from planner.paper.studies.study import Row, Study, plan_record, table
 from planner.problem.costs.energy import EnergyCost
 from planner.problem.costs.jerk import JerkCost
 from planner.problem.costs.tracking import TrackingCost

@@ -1,4 +1,4 @@
-"""The page: studies run in turn, and one table of what the paper says, what we get and why it differs.
+"""The page: all studies, and one table of what the paper says, what we get and why it differs.
 
 Where a study raises PlannerError its row says so.
 """
@@ -14,12 +14,45 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from planner.base.arguments import choice
 from planner.base.errors import PlannerError
 from planner.base.executors import ordered_map
-from planner.paper.studies.records import row_of
-from planner.paper.studies.study import Row, Study
+from planner.paper.studies import (
+    dive,
+    elbow,
+    gradient,
+    hopper,
+    hopper_splines,
+    masses,
+    motion,
+    objective,
+    puma,
+    shooting,
+    step_page,
+    table_1,
+    theorem,
+)
+from planner.paper.studies.study import Row, Study, row_of
 
 HEADS = ("where", "the paper says", "we get", "why it differs")
+
+STUDIES: tuple[Study, ...] = tuple(
+    module.STUDY
+    for module in (
+        motion, masses, shooting, elbow, hopper_splines, table_1, gradient, theorem, hopper, objective, puma, dive,
+        step_page,
+    )
+)  # fmt: skip
+
+
+def chosen(names: Sequence[str]) -> list[Study]:
+    """Studies by name, each once, in the order they are named; all of them where none is.
+
+    Raises:
+        PlannerError: No such study.
+    """
+    known = {study.name: study for study in STUDIES}
+    return [known[choice("study", name, known)] for name in dict.fromkeys(names)] or list(STUDIES)
 
 
 @dataclass(frozen=True)
@@ -53,8 +86,8 @@ def run_studies(
         for name, content in one.pictures.items():
             (pictures / name).write_bytes(content)
         done[one.study.name] = one
-        told = f"{one.seconds:.1f} s{f': {one.problem}' if one.problem else ''}"
-        note(f"{len(done)}/{len(studies)} {one.study.name}: {one.study.title}: {told}")
+        result = f"{one.seconds:.1f} s{f': {one.problem}' if one.problem else ''}"
+        note(f"{len(done)}/{len(studies)} {one.study.name}: {one.study.title}: {result}")
     return [done[study.name] for study in studies]
 
 

@@ -17,7 +17,7 @@ from planner.dynamics import RigidBodyDynamics
 from planner.model.mechanism import Mechanism
 from planner.model.mjcf.text import edited
 from planner.model.twin import Twin
-from planner.paper.studies.records import row_of
+from planner.paper.studies.study import row_of
 from planner.problem.costs.tracking import TrackingCost
 from planner.problem.plan import Plan
 from planner.problem.problem import Problem

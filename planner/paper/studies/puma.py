@@ -12,13 +12,12 @@ from typing import Any
 
 import numpy as np
 
-from planner.base.jsonable import finite
+from planner.base.files import finite
 from planner.cases.puma import JOINTS, RATED, puma, puma_mechanism, straight_lift, torque_limits
 from planner.dynamics.algorithms import bias
 from planner.dynamics.kinematics import frame_pose
 from planner.paper.methods.payload import LargestPayload, largest_payload, static_limit
-from planner.paper.studies.records import plan_record, table
-from planner.paper.studies.study import Row, Study, timed
+from planner.paper.studies.study import Row, Study, plan_record, table, timed
 from planner.problem.plan import Plan
 from planner.proof import prove
 from planner.solvers.slq import solve
@@ -72,20 +71,20 @@ def _proved(found: LargestPayload, limits: np.ndarray) -> dict[str, Any]:
         "verdict": proof.verdict, "mode": proof.mode, "reason": proof.reason,
         "end_error": {name: float(np.abs(replay.error[-1]).max()) for name, replay in proof.replays.items()},
         "t_s": plan.t.tolist(), "torque_shares": (plan.us / limits).tolist(),
-        "held_shares": _held(plan, limits).tolist(),
-        "way": _ways(frame_pose(mechanism, plan.xs[:, :6], "tip")),
-        "straight": _ways(frame_pose(mechanism, straight_lift(91), "tip")),
+        "held_shares": _static_shares(plan, limits).tolist(),
+        "way": _positions(frame_pose(mechanism, plan.xs[:, :6], "tip")),
+        "straight": _positions(frame_pose(mechanism, straight_lift(91), "tip")),
     }  # fmt: skip
 
 
-def _held(plan: Plan, limits: np.ndarray) -> np.ndarray:
+def _static_shares(plan: Plan, limits: np.ndarray) -> np.ndarray:
     """(N+1,) the largest torque over its limit that holding still would need at each knot of the plan."""
     assert plan.problem is not None
     q = plan.xs[:, :6]
     return np.max(np.abs(bias(plan.problem.dynamics.mechanism, q, np.zeros_like(q))) / limits, axis=1)  # type: ignore[attr-defined]
 
 
-def _ways(poses: np.ndarray) -> list[list[float]]:
+def _positions(poses: np.ndarray) -> list[list[float]]:
     """The x and z, m, of poses (K, 4, 4)."""
     return poses[:, [0, 2], 3].tolist()
 
@@ -100,10 +99,9 @@ def _rows(results: dict[str, Any]) -> list[Row]:
     return [
         Row("2.1, reference [20]", "payload of a Puma 762 tripled above the manufacturer's figure",
             f"times the static limit of {static['payload']:.0f} kg, within the torque limits: {ratios}; "
-            f"{least}{slow['ratio']:.1f} in {slow['duration']:g} s with every joint below "
-            f"{slow['speed_limit']:g} rad/s; "
-            f"{shown['payload']:.0f} kg in {shown['duration']:g} s replayed in MuJoCo: "
-            f"{shown['verdict']} ({shown['mode']})",
+            f"{least}{slow['ratio']:.1f} in {slow['duration']:g} s with every joint below {slow['speed_limit']:g} "
+            f"rad/s; {shown['payload']:.0f} kg in {shown['duration']:g} s replayed in MuJoCo: {shown['verdict']} "
+            f"({shown['mode']})",
             "another arm and another lift: inertias are a 560's, scaled, and torque limits are chosen so that "
             f"the static limit is the rated {results['rated']:g} kg. [20] has speed limits; without them ours needs up "
             f"to {fastest:.0f} rad/s, which is why it lifts more")
@@ -135,7 +133,7 @@ def _page(results: dict[str, Any]) -> list[str]:
         "its limit. The largest payload is found by bisection. Each attempt starts from the motion of the last "
         "payload that",
         "was lifted; if there is none yet, from four swings.",
-        "", "![torques over limits, way of the payload, bisection](puma.png)", "",
+        "", "![torques over limits, path of the payload, bisection](puma.png)", "",
         *table({
             "duration, s": "{duration:g}", "speed limit, rad/s": "{speed}", "largest payload, kg": "{payload:.1f}",
             "not lifted, kg": "{missed}", "over static limit": "{ratio:.2f}",
@@ -158,8 +156,8 @@ def _page(results: dict[str, Any]) -> list[str]:
 
 
 def _draw(results: dict[str, Any], path: Path) -> None:
-    """Torques over limits, the payload's way, the bisections, and the largest payload by duration."""
-    figure, ((torques, way), (history, ratios)) = grid_of(2, 2, 11.0, 7.6)
+    """Torques over limits, the path of the payload, the bisections, and the largest payload by duration."""
+    figure, ((torques, path_axes), (history, ratios)) = grid_of(2, 2, 11.0, 7.6)
     shown = results["shown"]
     t, shares = np.array(shown["t_s"]), np.array(shown["torque_shares"])
     title = f"{shown['payload']:.1f} kg in {shown['duration']:g} s: torques over their limits"
@@ -173,18 +171,18 @@ def _draw(results: dict[str, Any], path: Path) -> None:
     torques.set_ylim(-1.4, 1.45 * top)  # room for the names above what is drawn
     torques.legend(fontsize=7.5, ncols=4, frameon=False, loc="upper left")
 
-    dress(way, "way of the payload", "z, m", "x, m")
+    dress(path_axes, "path of the payload", "z, m", "x, m")
     for name, color, ls, label in (
         ("straight", SOFT, "--", "slow straight lift"), ("way", RED, "-", "planned swing"),
     ):  # fmt: skip
         x, z = np.array(shown[name]).T
-        way.plot(x, z, color=color, ls=ls, lw=1.8, label=label)
-    way.plot(*shown["way"][0], "o", color=INK, ms=5)
-    way.plot(*shown["way"][-1], "*", color=INK, ms=10)
-    way.plot(0.0, 0.0, "s", color=INK, ms=5)
-    way.annotate("shoulder", (0.0, 0.0), (6, -3), textcoords="offset points", fontsize=7.5)
-    way.set_aspect("equal", adjustable="datalim")
-    way.legend(fontsize=7.5, frameon=False, loc="center left")
+        path_axes.plot(x, z, color=color, ls=ls, lw=1.8, label=label)
+    path_axes.plot(*shown["way"][0], "o", color=INK, ms=5)
+    path_axes.plot(*shown["way"][-1], "*", color=INK, ms=10)
+    path_axes.plot(0.0, 0.0, "s", color=INK, ms=5)
+    path_axes.annotate("shoulder", (0.0, 0.0), (6, -3), textcoords="offset points", fontsize=7.5)
+    path_axes.set_aspect("equal", adjustable="datalim")
+    path_axes.legend(fontsize=7.5, frameon=False, loc="center left")
 
     free = [search for search in results["searches"] if search["speed_limit"] is None]
     slow = [search for search in results["searches"] if search["speed_limit"] is not None]

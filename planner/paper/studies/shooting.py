@@ -14,8 +14,7 @@ import numpy as np
 
 from planner.cases.two_link import two_link
 from planner.paper.methods.shooting import HamiltonianFlow, shoot
-from planner.paper.studies.records import table
-from planner.paper.studies.study import Row, Study, timed
+from planner.paper.studies.study import Row, Study, table, timed
 from planner.problem.plan import Plan
 from planner.solvers.lq import costates
 from planner.solvers.slq import solve
@@ -110,24 +109,23 @@ def _page(results: dict[str, Any]) -> list[str]:
             "t_f, s": "{duration:g}", "norm of d lambda(t_f) / d lambda(0)": "{norm:.3g}",
             "condition": "{condition:.2g}",
             "norm of d miss / d lambda(0)": "{jacobian_norm:.3g}", "condition of it": "{jacobian_condition:.2g}",
-        }, results["horizons"]), "", _said(results), "",
+        }, results["horizons"]), "", _conclusion(results), "",
     ]  # fmt: skip
 
 
-def _said(results: dict[str, Any]) -> str:
+def _conclusion(results: dict[str, Any]) -> str:
     found = [a["guess"] for a in results["attempts"] if a["success"]]
     missed = [a["guess"] for a in results["attempts"] if not a["success"]]
     short = [f"{a['duration']:g}" for a in results["from_zero"] if a["success"]]
     worst = max(results["condition"])
     first, last = results["horizons"][0], results["horizons"][-1]
     return (
-        f"On 2 s it fails from {', '.join(missed) or 'none'} and works from {', '.join(found) or 'none'}; from zero it "
-        f"works for t_f = {', '.join(short) or 'none'} s. A change of lambda(0) grows {results['norm'][-1]:.0f} "
+        f"On 2 s it fails from {', '.join(missed) or 'none'} and works from {', '.join(found) or 'none'}; from zero "
+        f"it works for t_f = {', '.join(short) or 'none'} s. A change of lambda(0) grows {results['norm'][-1]:.0f} "
         f"times in 2 s, and the miss changes by {last['jacobian_norm']:.1e} times as much "
-        f"({first['jacobian_norm']:.1e} "
-        f"times in {first['duration']:g} s). Condition numbers reach {worst:.0e} on the way. The flow is still "
-        "accurate "
-        "enough. Shooting fails because a root finder converges only from a small region about the solution."
+        f"({first['jacobian_norm']:.1e} times in {first['duration']:g} s). Condition numbers reach {worst:.0e} on the "
+        "way. The flow is still accurate enough. Shooting fails because a root finder converges only from a small "
+        "region about the solution."
     )
 
 
@@ -137,7 +135,7 @@ def _rows(results: dict[str, Any]) -> list[Row]:
         Row("2.1", "Indirect shooting on the fully actuated arm failed",
             f"fails from {len(results['attempts']) - len(found)} of {len(results['attempts'])} guesses "
             f"({sum(a['seconds'] for a in results['attempts']):.0f} s), works from {', '.join(found) or 'none'}",
-            _said(results)),
+            _conclusion(results)),
         Row("2.1", "The costate equations are highly sensitive to the initial conditions (no number)",
             f"norm {results['norm'][-1]:.2g} and condition {results['condition'][-1]:.1e} after 2 s, "
             f"condition up to {max(results['condition']):.0e}",

@@ -11,23 +11,25 @@ those of the NumPy sweep, along solves those of the compiled one.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from planner import cases
+from planner.base.errors import PlannerError
 from planner.cases.hopper import PAPER
+from planner.dynamics import CompiledDynamics, Dynamics, ResidualDynamics
+from planner.model.space import space_of
 from planner.paper.studies.many_starts import LAST, LIMIT, SAME_COST_TOLERANCE, TOLERANCE, from_many
-from planner.paper.studies.recorded_solve import RecordedSweep, record_solve
-from planner.paper.studies.records import table
-from planner.paper.studies.study import Row, Study
+from planner.paper.studies.study import Row, Study, table
 from planner.paper.studies.table_1 import random_lq, swept
 from planner.problem.costs.terms import Quadratic
+from planner.problem.plan import Plan
 from planner.problem.problem import Problem
 from planner.solvers import lq
-from planner.solvers.slq import LINE_SEARCHES
+from planner.solvers.slq import LINE_SEARCHES, solve
 from planner.view.plots.style import RED, SOFT, dress, grid_of, save
 
 RANDOM = 300  # LQ problems
@@ -202,8 +204,8 @@ def _page(results: dict[str, Any]) -> list[str]:
         f"Smooth random controls (six cosines, seeds from 0 on) of a given RMS; at most {LIMIT} iterations for every",
         f"update and line search. A solve has converged when the LQ model promises less than {TOLERANCE:g} of J.",
         "An end counts as a local minimum where Newton's method, started there, comes to a stationary point of the",
-        f"same cost (to {100.0 * SAME_COST_TOLERANCE:g} %) at which the exact Hessian of J over all controls, second derivatives of",
-        "the dynamics included, has no negative eigenvalue; costs that differ by less are one minimum.",
+        f"same cost (to {100.0 * SAME_COST_TOLERANCE:g} %) at which the exact Hessian of J over all controls, with",
+        "second derivatives of the dynamics, has no negative eigenvalue; costs that differ by less are one minimum.",
         f"{_no_minima(results)}.", "",
         *table({
             "case": "{case}", "update": "{update}", "line search": "{search}", "RMS": "{size:g}",
@@ -270,14 +272,60 @@ def _draw(results: dict[str, Any], path: Path) -> None:
         finite = [cost for cost in (*entry["costs"], *entry["failed_costs"]) if cost > 0.0]
         dress(bottom, f"{len(entry['minima'])} local minima", "starts" if first else "", "final cost J")
         if finite:
-            far = max(finite) > 2.0 * min(finite)
-            bins = (np.geomspace if far else np.linspace)(0.99 * min(finite), 1.01 * max(finite), 50)
+            wide = max(finite) > 2.0 * min(finite)
+            bins = (np.geomspace if wide else np.linspace)(0.99 * min(finite), 1.01 * max(finite), 50)
             sets, colours = [entry["costs"], entry["failed_costs"]], ["#0b5aa6", RED]
             bottom.hist(sets, bins=list(bins), stacked=True, color=colours, label=["converged", "not converged"])
-            bottom.set_xscale("log" if far else "linear")
+            bottom.set_xscale("log" if wide else "linear")
             bottom.legend(frameon=False, fontsize=8, labelcolor=SOFT)
     save(figure, path)
 
 
 STUDY = Study("theorems", "Theorems 1 and 2 in numbers",
               theorem_results, _page, _rows, {"theorems.png": _draw}, seconds=400)  # fmt: skip
+
+
+class RecordedSweep(NamedTuple):
+    """Result of the compiled sweep for one trajectory."""
+
+    xs: np.ndarray  # (N+1, nx)
+    us: np.ndarray  # (N, nu)
+    gradient: np.ndarray  # (N, nu), Eq. 19
+    K: np.ndarray  # (N, nu, ndx)
+    k: np.ndarray  # (N, nu)
+    slope: float  # of J along the direction
+    regularization: float  # added to R
+
+
+class _RecordingDynamics:
+    """Compiled dynamics that note workspace and slope whenever a line search begins."""
+
+    def __init__(self, dynamics: Any) -> None:
+        known = (Dynamics, CompiledDynamics, ResidualDynamics)
+        kinds = known if isinstance(dynamics, ResidualDynamics) else known[:2]
+        names = {name for kind in kinds for name in dir(kind) if not name.startswith("_")}
+        for name in names - {"search"}:
+            setattr(self, name, getattr(dynamics, name))
+        self.space = space_of(dynamics)
+        self._dynamics = dynamics
+        self.sweeps: list[RecordedSweep] = []
+
+    def search(self, w: Any, memory: Any, rule: int, feedback: bool, cost: float, slope: float) -> tuple[float, float]:
+        """Line search from w.xs, w.us; see CompiledDynamics.search."""
+        if np.isfinite(cost):  # which is not so where the first guess is rolled out
+            K = w.K[:, :, w.first : w.first + w.ndx].copy()
+            self.sweeps.append(RecordedSweep(w.xs.copy(), w.us.copy(), w.gradient.copy(), K, w.k.copy(), slope, 0.0))
+        return self._dynamics.search(w, memory, rule, feedback, cost, slope)
+
+
+def record_solve(problem: Problem, **options: Any) -> tuple[Plan, list[RecordedSweep]]:
+    """Solve with options of solve(), and return with the plan the LQ problem of every step that was taken.
+
+    The problem has compiled dynamics and a cost whose R + B'PB is positive definite throughout.
+    """
+    if not isinstance(problem.dynamics, CompiledDynamics):
+        raise PlannerError("the problem's dynamics are not compiled, expected RigidBodyDynamics or HopperDynamics.")
+    dynamics = _RecordingDynamics(problem.dynamics)
+    plan = solve(replace(problem, dynamics=dynamics, twin=None, requirements=None), **options)
+    lines = zip(plan.history, dynamics.sweeps, strict=False)  # the last line is the plan, where nothing is searched
+    return plan, [step._replace(regularization=line.regularization) for line, step in lines if line.step > 0.0]

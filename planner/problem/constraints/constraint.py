@@ -1,15 +1,15 @@
-"""Constraint: one thing that a plan keeps, of the states or of states and controls. Data.
+"""Constraint: a path or terminal constraint on states, or on states and controls. Data only.
 
-    h(x, u) = equal,   or   least <= h(x, u) <= most,   one of the two sides or both
+    h(x, u) = equal,   or   lower <= h(x, u) <= upper,   with one bound or both,
 
-to a tolerance, by the augmented Lagrangian of planner.solvers.augmented_lagrangian. What h is:
+to a tolerance, by the augmented Lagrangian of planner.solvers.augmented_lagrangian. h is one of:
 
-    a term of planner.costs (Height, Distance, Gap, Velocity, ...), which says itself what it wants
-    a quantity of planner.constraints (Power, ...), which has `measure(dynamics, N)` (see measures)
-    h(xs) of states (K, nx), kept at every knot but the start, which is given
-    h(xs, us) of states and controls (K, nu), kept at both ends of every stage, since a control is held over it
+    a term of planner.costs (Height, Distance, Gap, Velocity, ...), which has its own bound
+    a quantity of planner.constraints (Power, ...), which has `constraint_function(dynamics, N)`
+    h(xs) of states (K, nx), required at every knot but the start, which is given
+    h(xs, us) of states and controls (K, nu), required at both ends of every stage, over which a control is constant
 
-A function gives (K,) or (K, R) for K states at once, each row of that state alone: R things that are kept.
+A function returns (K,) or (K, R) for K states at once, each row of that state alone: R components.
 """
 
 from __future__ import annotations
@@ -27,36 +27,36 @@ from planner.problem.costs.penalty_terms import Penalty, Velocity
 from planner.problem.costs.terms import per_stage
 
 ALWAYS, END = "always", "end"
-RELATIVE = 1e-4  # of a bound, and of 1 in its unit: the tolerance where none is given
-_TIME_TOLERANCE = 1e-9  # of a time: a knot that is nearer to an end of a span is in it
+DEFAULT_TOLERANCE = 1e-4  # of the largest bound, and of 1 in its unit
+_TIME_TOLERANCE = 1e-9  # of the duration: a knot within it of an end of `when` is included
 
 
 @dataclass(frozen=True, eq=False)
 class Constraint:
-    """One thing that a plan keeps.
+    """A constraint of a plan.
 
     Attributes:
-        of: A term of planner.costs, with its own least, most or target and tolerance; a quantity; or a function.
-        equal: Of a quantity or function: a number, (R,), or (N+1, R) by stages with NaN where it is not asked for.
-        least: The same.
-        most: The same; beside least or alone.
+        of: A term of planner.costs, with its own lower, upper or target and tolerance; a quantity; or a function.
+        equal: Of a quantity or function: a number, (R,), or (N+1, R) by knots with NaN for no bound.
+        lower: The same.
+        upper: The same; with lower or alone.
         when: "always", "end", or (from, to) in s.
-        tolerance: How far beyond passes, in the unit of h. By default that of the term, or 1e-4 of the largest bound
-            and no less than 1e-4.
-        name: For a reader; by default that of the term or function.
+        tolerance: Largest violation that passes, in the unit of h. By default that of the term, or 1e-4 of the largest
+            bound but at least 1e-4.
+        name: In messages; by default that of the term or function.
         unit: Of h.
         derivatives: Of a function, of the same arguments: (K, R, ndx), and where it takes controls a pair of that and
             (K, R, nu). By default central differences.
-        states: How many of a state's numbers the function takes, the first ones; None for all.
+        states: Number of leading entries of a state that the function takes; None for all.
 
     Raises:
-        PlannerError: What is no term or function, bounds that contradict each other, a bad time or tolerance.
+        PlannerError: Neither a term nor a function, bounds that contradict each other, a bad time or tolerance.
     """
 
     of: Any
     equal: Any = None
-    least: Any = None
-    most: Any = None
+    lower: Any = None
+    upper: Any = None
     when: Any = ALWAYS
     tolerance: float | None = None
     name: str = ""
@@ -65,11 +65,11 @@ class Constraint:
     states: int | None = None
 
     def __post_init__(self) -> None:
-        term, quantity = isinstance(self.of, Penalty), hasattr(self.of, "measure")
+        term, quantity = isinstance(self.of, Penalty), hasattr(self.of, "constraint_function")
         if not (term or quantity or callable(self.of)):
             raise PlannerError(
-                f"a constraint is of {short_repr(self.of)}, expected a term of planner.costs or planner.constraints, or a "
-                "function h(xs) or h(xs, us)."
+                f"a constraint is of {short_repr(self.of)}, expected a term of planner.costs or planner.constraints, "
+                "or a function h(xs) or h(xs, us)."
             )
         for name in ("name", "unit"):
             if not isinstance(getattr(self, name), str):
@@ -78,13 +78,13 @@ class Constraint:
         set_fields(self, name=self.name or own.replace("<lambda>", "h"))
         unit = ("m/s" if isinstance(self.of, Velocity) else "m") if term else getattr(self.of, "unit", "")
         set_fields(self, unit=self.unit or unit)
-        given = [name for name in ("equal", "least", "most") if getattr(self, name) is not None]
+        given = [name for name in ("equal", "lower", "upper") if getattr(self, name) is not None]
         if term and given:
             raise PlannerError(f"{self} has {given[0]} beside a term, expected it in the term: {given[0]}=.")
         if not term and not given:
-            raise PlannerError(f"{self} has no bound, expected equal=, least= or most=.")
+            raise PlannerError(f"{self} has no bound, expected equal=, lower= or upper=.")
         if "equal" in given and len(given) > 1:
-            raise PlannerError(f"{self} has equal and {given[1]}, expected equal alone, or least and most.")
+            raise PlannerError(f"{self} has equal and {given[1]}, expected equal alone, or lower and upper.")
         if self.derivatives is not None and (term or quantity or not callable(self.derivatives)):
             raise PlannerError(f"{self} has derivatives={short_repr(self.derivatives)}, expected those of a function.")
         for name in given:
@@ -92,7 +92,7 @@ class Constraint:
             if bound.ndim > 2 or np.isinf(bound).any():
                 raise PlannerError(
                     f"{self} has {name} = {short_repr(getattr(self, name))}, expected finite numbers: one, (R,) or "
-                    "(N+1, R), with NaN where it is not asked for."
+                    "(N+1, R), with NaN for no bound."
                 )
             set_fields(self, **{name: bound})
         if self.tolerance is not None:
@@ -119,13 +119,13 @@ class Constraint:
         """Whether a function takes controls too: by the number of its arguments."""
         try:
             taken = inspect.signature(self.of).parameters.values()
-        except (TypeError, ValueError):  # some builtins tell nothing
+        except (TypeError, ValueError):  # some builtins have no signature
             return False
         needed = [one for one in taken if one.kind in (one.POSITIONAL_ONLY, one.POSITIONAL_OR_KEYWORD)]
         return len([one for one in needed if one.default is one.empty]) >= 2
 
     def stages(self, N: int, dt: float) -> np.ndarray:
-        """(N+1,) whether it is asked for at each knot."""
+        """(N+1,) bool, the knots at which it holds."""
         if isinstance(self.when, str):
             return np.ones(N + 1, dtype=bool) if self.when == ALWAYS else np.arange(N + 1) == N
         (first, last), t = self.when, dt * np.arange(N + 1)
@@ -138,18 +138,18 @@ class Constraint:
         return within
 
     def allowed(self) -> float:
-        """How far beyond passes."""
+        """The largest violation that passes, in the unit of h."""
         if self.tolerance is not None:
             return self.tolerance
         if isinstance(self.of, Penalty):
             return self.of.tolerance
-        sizes = [np.abs(one) for one in (self.equal, self.least, self.most) if one is not None]
-        return RELATIVE * max(1.0, *(float(np.nanmax(one, initial=0.0)) for one in sizes))
+        sizes = [np.abs(one) for one in (self.equal, self.lower, self.upper) if one is not None]
+        return DEFAULT_TOLERANCE * max(1.0, *(float(np.nanmax(one, initial=0.0)) for one in sizes))
 
     def resampled(self, parts: int) -> Constraint:
         """The same over stages divided into parts."""
         changed = {
-            name: per_stage(bound, parts) for name in ("equal", "least", "most")
+            name: per_stage(bound, parts) for name in ("equal", "lower", "upper")
             if (bound := getattr(self, name)) is not None and bound.ndim == 2
         }  # fmt: skip
         return replace(self, **changed)

@@ -1,8 +1,7 @@
-"""What constraints are of: h of K states and controls, with its derivatives.
+"""Constraint functions: h of K states and controls, with its derivatives.
 
-A measure is asked for rows of its own, `values(xs, us, n)` (K, R) and `derivatives(xs, us, n)`, of states (K, nx) and
-controls (K, nu) at or after the knots n (K,). Derivatives are with respect to deviations dx (see planner.model.space)
-and, of measures that are `of_controls`, to controls.
+`values(xs, us, n)` (K, R) and `derivatives(xs, us, n)` take states (K, nx) and controls (K, nu) at or after the knots
+n (K,). Derivatives are with respect to deviations dx (see planner.model.space) and, where `of_controls`, to controls.
 """
 
 from __future__ import annotations
@@ -17,10 +16,12 @@ from planner.base.errors import PlannerError
 from planner.dynamics import Dynamics
 from planner.model.space import space_of
 from planner.problem.constraints.constraint import Constraint
-from planner.problem.constraints.quantities import measure_of_term
+from planner.problem.constraints.quantities import function_of_term
 from planner.problem.costs.penalty_terms import Penalty
 
-_DIFFERENCE = float(np.cbrt(np.finfo(float).eps))  # of a number, and of 1: where rounding and curvature are least
+_DIFFERENCE = float(
+    np.cbrt(np.finfo(float).eps)
+)  # relative and absolute step of central differences: smallest error of rounding and truncation
 
 
 class ConstraintFunction(Protocol):
@@ -28,7 +29,7 @@ class ConstraintFunction(Protocol):
 
     rows: int
     of_controls: bool
-    same: Any  # equal for measures of the same thing, hashable
+    same: Any  # equal for equal functions, hashable
 
     def values(self, xs: np.ndarray, us: np.ndarray, n: np.ndarray) -> np.ndarray:
         """(K, R)."""
@@ -39,33 +40,33 @@ class ConstraintFunction(Protocol):
         ...
 
 
-def measure_of(
+def constraint_function_of(
     constraint: Constraint, dynamics: Dynamics, N: int, x0: np.ndarray, u0: np.ndarray
 ) -> ConstraintFunction:
-    """What a constraint is of, for N stages; a function is tried at the start x0 (nx,) and first control u0 (nu,)."""
+    """The function of a constraint for N stages; a user's own is tried at x0 (nx,) and u0 (nu,)."""
     if isinstance(constraint.of, Penalty):
-        return measure_of_term(constraint.of, dynamics, N)
-    if hasattr(constraint.of, "measure"):
-        return constraint.of.measure(dynamics, N)
+        return function_of_term(constraint.of, dynamics, N)
+    if hasattr(constraint.of, "constraint_function"):
+        return constraint.of.constraint_function(dynamics, N)
     return UserFunction(constraint, dynamics, x0, u0)
 
 
-def sides_of(constraint: Constraint, measure: ConstraintFunction, N: int) -> tuple[np.ndarray, np.ndarray]:
-    """Least and most (N+1, R), infinite or NaN where nothing is asked for."""
-    given, R = constraint, measure.rows
+def bounds_of(constraint: Constraint, function: ConstraintFunction, N: int) -> tuple[np.ndarray, np.ndarray]:
+    """Lower and upper bounds (N+1, R), infinite or NaN for none."""
+    given, R = constraint, function.rows
     if isinstance(given.of, Penalty):
-        own = np.reshape(getattr(given.of, given.of.wanted), (-1, 1))
-        low, high = None if given.of.wanted == "most" else own, None if given.of.wanted == "least" else own
+        own = np.reshape(getattr(given.of, given.of.side), (-1, 1))
+        low, high = None if given.of.side == "upper" else own, None if given.of.side == "lower" else own
     else:
-        low, high = (given.equal, given.equal) if given.equal is not None else (given.least, given.most)
-    least, most = (
+        low, high = (given.equal, given.equal) if given.equal is not None else (given.lower, given.upper)
+    lower, upper = (
         np.full((N + 1, R), none) if side is None else _spread(given, side, R, N)
         for side, none in ((low, -np.inf), (high, np.inf))
     )
-    if np.any(least > most):
-        n, r = np.argwhere(least > most)[0]
-        raise PlannerError(f"{given} has least = {least[n, r]:g} above most = {most[n, r]:g}, expected it below.")
-    return least, most
+    if np.any(lower > upper):
+        n, r = np.argwhere(lower > upper)[0]
+        raise PlannerError(f"{given} has lower = {lower[n, r]:g} above upper = {upper[n, r]:g}, expected it below.")
+    return lower, upper
 
 
 def _spread(constraint: Constraint, side: np.ndarray, R: int, N: int) -> np.ndarray:
@@ -78,7 +79,7 @@ def _spread(constraint: Constraint, side: np.ndarray, R: int, N: int) -> np.ndar
 
 
 class UserFunction:
-    """A function of its maker's."""
+    """A user's function h(xs) or h(xs, us)."""
 
     def __init__(self, constraint: Constraint, dynamics: Dynamics, x0: np.ndarray, u0: np.ndarray) -> None:
         self._constraint, self._h, self.of_controls = constraint, constraint.of, constraint.takes_controls
@@ -126,12 +127,12 @@ class UserFunction:
                 size = np.maximum(1.0, np.abs(us))
                 by_u[:] = self._differences(xs, us, self._nu, lambda d: (xs, us + d), size)
             return by_x, by_u
-        found = self._given(xs[:, : self._nx], us) if self.of_controls else (self._given(xs[:, : self._nx]),)
-        if not isinstance(found, tuple) or len(found) != 1 + self.of_controls:
+        returned = self._given(xs[:, : self._nx], us) if self.of_controls else (self._given(xs[:, : self._nx]),)
+        if not isinstance(returned, tuple) or len(returned) != 1 + self.of_controls:
             raise PlannerError(
-                f"{self._constraint}'s derivatives give {short_repr(found)}, expected those by x and by u."
+                f"{self._constraint}'s derivatives give {short_repr(returned)}, expected those by x and by u."
             )
-        for part, into in zip(found, (by_x, by_u), strict=False):
+        for part, into in zip(returned, (by_x, by_u), strict=False):
             part = np.asarray(part, dtype=float)
             own = (K, self.rows, part.shape[-1] if part.ndim == 3 and into is by_x else into.shape[2])
             if part.shape != own or part.shape[2] > into.shape[2]:

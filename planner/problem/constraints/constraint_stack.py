@@ -1,9 +1,8 @@
-"""Rows: all constraints of a problem over its stages, in the unit of their tolerance.
+"""ConstraintStack: the components of all constraints of a problem over its stages, scaled to one tolerance.
 
-A row is one number that is kept. That of states is asked for at every knot but the start, which is given. That of
-states and controls is there twice, at the start of each stage and at its end, h(x(n), u(n)) and h(x(n+1), u(n)): the
-control is held, so between knots it is the state that changes it. The derivative of the second is that through the
-stage, by A and B of Eq. 35. Rows are multiplied by `scale`, so that one tolerance serves them all.
+A component of states holds at every knot but the start, which is given. One of states and controls holds at both ends
+of each stage, h(x(n), u(n)) and h(x(n+1), u(n)), since the control is constant over it; the derivative of the second
+is that through the stage, by A and B of Eq. 35. Components are multiplied by `scale`, so that one tolerance serves all.
 """
 
 from __future__ import annotations
@@ -19,43 +18,43 @@ from planner.base.arguments import short_repr
 from planner.base.errors import PlannerError
 from planner.dynamics import Dynamics
 from planner.problem.constraints.constraint import Constraint
-from planner.problem.constraints.constraint_functions import ConstraintFunction, measure_of, sides_of
+from planner.problem.constraints.constraint_functions import ConstraintFunction, bounds_of, constraint_function_of
 from planner.problem.constraints.quantities import ResidualFunction
 
 
 class Violation(NamedTuple):
-    """The row of a constraint that is furthest beyond its bounds."""
+    """The largest violation of a constraint."""
 
     constraint: Constraint
-    value: float  # how far, in the constraint's unit
-    at: int  # number of the state
+    value: float  # in the constraint's unit
+    at: int  # index of the state
 
 
 class StackEntry(NamedTuple):
-    """A constraint and the columns of its rows."""
+    """A constraint, its function and the columns of its components."""
 
     constraint: Constraint
-    measure: ConstraintFunction
+    function: ConstraintFunction
     columns: slice
-    at_end: bool  # of stages: of their end, with the control that was held
+    at_end: bool  # Whether it holds at the end of each stage, with the control of that stage
 
 
 class ConstraintStack:
-    """The rows of constraints along N stages.
+    """The components of constraints along N stages.
 
     Args:
         constraints: Of the problem.
         dynamics: Of the problem.
         x0: (nx,) start.
         us: (N, nu) first guess.
-        tolerance: What every row is within once it is kept.
+        tolerance: The largest scaled violation that passes.
 
     Attributes:
-        names: (C,) of the rows.
-        scale: (C,) what a row is multiplied by.
-        least: (N+1, C) what is asked for, scaled; -inf where nothing is.
-        most: (N+1, C).
-        lower: (N+1, C) the same but for the start, of which only what controls change counts.
+        names: (C,) of the components.
+        scale: (C,) factors of the components.
+        specified_lower: (N+1, C) scaled lower bounds; -inf if unbounded.
+        specified_upper: (N+1, C) scaled upper bounds.
+        lower: (N+1, C) the same, but unbounded at the start for components of states alone.
         upper: (N+1, C).
 
     Raises:
@@ -66,53 +65,53 @@ class ConstraintStack:
         self, constraints: Sequence[Constraint], dynamics: Dynamics, x0: np.ndarray, us: np.ndarray, tolerance: float
     ) -> None:
         self.N, self.parts, columns = len(us), list[StackEntry](), 0
-        least, most, scale, names, of_start = [], [], [], list[str](), []
+        lower, upper, scale, names, of_start = [], [], [], list[str](), []
         for constraint in constraints:
-            measure = measure_of(constraint, dynamics, self.N, x0, us[0])
+            function = constraint_function_of(constraint, dynamics, self.N, x0, us[0])
             asked = constraint.stages(self.N, dynamics.dt)
-            if measure.of_controls:
+            if function.of_controls:
                 asked[-1] = False
                 if not asked.any():
                     raise PlannerError(f"{constraint} is of controls at the end, where there are none, expected h(xs).")
             low, high = (
                 np.where(asked[:, None] & ~np.isnan(side), side, none)
-                for side, none in zip(sides_of(constraint, measure, self.N), (-np.inf, np.inf), strict=True)
+                for side, none in zip(bounds_of(constraint, function, self.N), (-np.inf, np.inf), strict=True)
             )
             if not (np.isfinite(low).any() or np.isfinite(high).any()):
                 raise PlannerError(f"{constraint} asks for nothing at any stage, expected a number at one.")
-            for at_end in (False, True)[: 1 + measure.of_controls]:
-                self.parts.append(StackEntry(constraint, measure, slice(columns, columns + measure.rows), at_end))
-                columns += measure.rows
-                least.append(low)
-                most.append(high)
-                scale += measure.rows * [tolerance / constraint.allowed()]
-                names += measure.rows * [constraint.name]
-                of_start += measure.rows * [measure.of_controls]
+            for at_end in (False, True)[: 1 + function.of_controls]:
+                self.parts.append(StackEntry(constraint, function, slice(columns, columns + function.rows), at_end))
+                columns += function.rows
+                lower.append(low)
+                upper.append(high)
+                scale += function.rows * [tolerance / constraint.allowed()]
+                names += function.rows * [constraint.name]
+                of_start += function.rows * [function.of_controls]
         self.names, self.scale, self.tolerance = tuple(names), np.array(scale), tolerance
         self.specified_lower, self.specified_upper = (
-            self.scale * np.concatenate(side, axis=1) for side in (least, most)
+            self.scale * np.concatenate(side, axis=1) for side in (lower, upper)
         )
         given = ~np.array(of_start)
         self.lower, self.upper = self.specified_lower.copy(), self.specified_upper.copy()
         self.lower[0, given], self.upper[0, given] = -np.inf, np.inf
-        self._check_each_other(dynamics.dt)  # first: no other start would mend that
+        self._check_each_other(dynamics.dt)  # first: no other start can satisfy them
         self._check_start(x0, us[0])
 
     def _check_start(self, x0: np.ndarray, u0: np.ndarray) -> None:
-        """Refuse a start that no plan can mend."""
+        """Refuse a start that violates a constraint of states."""
         for part in self.parts:
-            if part.measure.of_controls:
+            if part.function.of_controls:
                 continue
-            value = part.measure.values(x0[None], u0[None], np.zeros(1, dtype=int))[0]
+            value = part.function.values(x0[None], u0[None], np.zeros(1, dtype=int))[0]
             if not np.isfinite(value).all():
                 raise PlannerError(
                     f"{part.constraint} is {short_repr(value.tolist())} at the start, expected finite numbers."
                 )
             scale = self.scale[part.columns]
             low, high = self.specified_lower[0, part.columns] / scale, self.specified_upper[0, part.columns] / scale
-            beyond = np.maximum(low - value, value - high)
-            if beyond.max() > part.constraint.allowed():
-                r = int(np.argmax(beyond))
+            violation = np.maximum(low - value, value - high)
+            if violation.max() > part.constraint.allowed():
+                r = int(np.argmax(violation))
                 asked = f"at least {low[r]:.6g}" if low[r] > value[r] else f"at most {high[r]:.6g}"
                 asked = f"{high[r]:.6g}" if low[r] == high[r] else asked
                 unit = f" {part.constraint.unit}".rstrip()
@@ -122,17 +121,17 @@ class ConstraintStack:
                 )
 
     def _check_each_other(self, dt: float) -> None:
-        """Refuse constraints of the same thing whose bounds leave nothing between them."""
-        seen: dict[Any, list[StackEntry]] = {}
+        """Refuse constraints of equal functions whose bounds contradict each other."""
+        by_function: dict[Any, list[StackEntry]] = {}
         for part in self.parts:
-            seen.setdefault((part.measure.same, part.at_end), []).append(part)
-        for alike in seen.values():
+            by_function.setdefault((part.function.same, part.at_end), []).append(part)
+        for alike in by_function.values():
             for a, b in itertools.permutations(alike, 2):
                 low, high = (side[:, part.columns] / self.scale[part.columns] for side, part in
                              ((self.specified_lower, a), (self.specified_upper, b)))  # fmt: skip
-                apart = low - high > a.constraint.allowed() + b.constraint.allowed()
-                if apart.any():
-                    n, r = map(int, np.argwhere(apart)[0])
+                contradicts = low - high > a.constraint.allowed() + b.constraint.allowed()
+                if contradicts.any():
+                    n, r = map(int, np.argwhere(contradicts)[0])
                     raise PlannerError(
                         f"{a.constraint} asks for at least {low[n, r]:.6g} and {b.constraint} for at most "
                         f"{high[n, r]:.6g} at t = {n * dt:.4g} s, expected bounds that leave something between them."
@@ -140,11 +139,11 @@ class ConstraintStack:
 
     @property
     def constraints(self) -> tuple[Constraint, ...]:
-        """What the rows are of: a problem's own constraints, and the ranges of tendons."""
+        """The problem's own constraints, and the ranges of tendons."""
         return tuple({id(part.constraint): part.constraint for part in self.parts}.values())
 
-    def only(self, parts: Sequence[StackEntry]) -> tuple[ConstraintStack, np.ndarray]:
-        """The rows of some of the parts, and which columns of these they are."""
+    def subset(self, parts: Sequence[StackEntry]) -> tuple[ConstraintStack, np.ndarray]:
+        """The stack of some of the parts, and their columns in this one."""
         few, first, columns = copy(self), 0, [np.arange(len(self.scale))[part.columns] for part in parts]
         few.parts = []
         for part, own in zip(parts, columns, strict=True):
@@ -158,49 +157,48 @@ class ConstraintStack:
         return few, which
 
     def values(self, xs: np.ndarray, us: np.ndarray) -> np.ndarray:
-        """(N+1, C) scaled, of states xs (N+1, nx) and controls us (N, nu); 0 where a row has no stage."""
+        """(N+1, C) scaled, of states xs (N+1, nx) and controls us (N, nu); 0 at the end for those of controls."""
         found, n = np.zeros((self.N + 1, len(self.scale))), np.arange(self.N + 1)
         padded = np.concatenate([us, us[-1:]])
-        for measure, columns, at_end in ((part.measure, part.columns, part.at_end) for part in self.parts):
-            if measure.of_controls:
-                found[:-1, columns] = measure.values(xs[1:] if at_end else xs[:-1], us, n[:-1])
+        for function, columns, at_end in ((part.function, part.columns, part.at_end) for part in self.parts):
+            if function.of_controls:
+                found[:-1, columns] = function.values(xs[1:] if at_end else xs[:-1], us, n[:-1])
             else:
-                found[:, columns] = measure.values(xs, padded, n)
+                found[:, columns] = function.values(xs, padded, n)
         return found * self.scale
 
     def derivatives(
-        self, xs: np.ndarray, us: np.ndarray, A: np.ndarray, B: np.ndarray, wanted: np.ndarray
+        self, xs: np.ndarray, us: np.ndarray, A: np.ndarray, B: np.ndarray, active: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
-        """(N+1, C, ndx) and (N, C, nu) of the rows, where they are wanted (N+1, C); zero elsewhere."""
+        """(N+1, C, ndx) and (N, C, nu) of the components where `active` (N+1, C); zero elsewhere."""
         N, nu = us.shape
         by_x, by_u = np.zeros((N + 1, len(self.scale), A.shape[1])), np.zeros((N, len(self.scale), nu))
         padded = np.concatenate([us, us[-1:]])
-        for _, measure, columns, at_end in self.parts:
-            n = np.flatnonzero(wanted[:, columns].any(axis=1))
+        for _, function, columns, at_end in self.parts:
+            n = np.flatnonzero(active[:, columns].any(axis=1))
             if not len(n):
                 continue
-            Hx, Hu = measure.derivatives(xs[n + at_end], padded[n], n)
+            Hx, Hu = function.derivatives(xs[n + at_end], padded[n], n)
             if at_end:
                 by_x[n, columns], by_u[n, columns] = Hx @ A[n], Hu + Hx @ B[n]
             else:
                 by_x[n, columns] = Hx
-                if measure.of_controls:
+                if function.of_controls:
                     by_u[n, columns] = Hu
         return by_x * self.scale[:, None], by_u * self.scale[:, None]
 
-    def second_derivatives(self, xs: np.ndarray, n: np.ndarray, pulls: np.ndarray) -> np.ndarray | float:
-        """(K, ndx, ndx) what the curvature of rows adds at knots n (K,), pulled (K, C) by the cost; 0 for nothing."""
-        own = pulls * self.scale
+    def second_derivatives(self, xs: np.ndarray, n: np.ndarray, gradients: np.ndarray) -> np.ndarray | float:
+        """(K, ndx, ndx) at knots n (K,), the components' curvature weighted by penalty gradients (K, C); 0 for none."""
+        own = gradients * self.scale
         return sum(
-            part.measure.second_derivatives(xs[n], n, own[:, part.columns])
-            for part in self.parts if isinstance(part.measure, ResidualFunction)
+            part.function.second_derivatives(xs[n], n, own[:, part.columns])
+            for part in self.parts if isinstance(part.function, ResidualFunction)
         )  # fmt: skip
 
-    def beyond(self, xs: np.ndarray, us: np.ndarray) -> np.ndarray:
-        """How far (M+1, C) is beyond, in the constraints' own units; 0 within. Of states (M+1, nx), controls (M, nu).
+    def violation(self, xs: np.ndarray, us: np.ndarray) -> np.ndarray:
+        """(M+1, C) in the constraints' own units, 0 within bounds, of states (M+1, nx) and controls (M, nu).
 
-        At the knots, or at equal parts of every stage too. Between two knots a constraint is kept that both ask for,
-        to the looser of the two.
+        At the knots, or at equal parts of every stage too. Between two knots the looser bound of both holds.
         """
         M = len(us)
         parts = M // self.N
@@ -209,14 +207,14 @@ class ConstraintStack:
         inside = at % parts > 0
         later = np.minimum(n + 1, self.N)
         found = np.zeros((M + 1, len(self.scale)))
-        for _, measure, columns, at_end in self.parts:
+        for _, function, columns, at_end in self.parts:
             low, high = self.specified_lower[:, columns], self.specified_upper[:, columns]
-            if measure.of_controls:
+            if function.of_controls:
                 stages = n[:-1]
-                value = measure.values(xs[1:] if at_end else xs[:-1], us, stages)
+                value = function.values(xs[1:] if at_end else xs[:-1], us, stages)
                 own = value, low[stages], high[stages], slice(0, M)
             else:
-                value = measure.values(xs, np.concatenate([us, us[-1:]]), n)
+                value = function.values(xs, np.concatenate([us, us[-1:]]), n)
                 free = inside[:, None]
                 own = (
                     value, np.where(free, np.minimum(low[n], low[later]), low[n]),
@@ -228,11 +226,11 @@ class ConstraintStack:
         return found
 
     def violations(self, xs: np.ndarray, us: np.ndarray) -> list[Violation]:
-        """Of each constraint the largest, along states xs (M+1, nx) and controls us (M, nu)."""
-        beyond, found = self.beyond(xs, us), dict[int, Violation]()
-        beyond = np.where(np.isfinite(beyond), beyond, np.inf)
+        """The largest violation of each constraint along states xs (M+1, nx) and controls us (M, nu)."""
+        violation, found = self.violation(xs, us), dict[int, Violation]()
+        violation = np.where(np.isfinite(violation), violation, np.inf)
         for part in self.parts:
-            own = beyond[:, part.columns].max(axis=1)
+            own = violation[:, part.columns].max(axis=1)
             at = int(np.argmax(own))
             one = Violation(part.constraint, float(own[at]), at + part.at_end)
             before = found.get(id(part.constraint))

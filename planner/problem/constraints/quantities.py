@@ -1,14 +1,13 @@
-"""What constraints measure of a machine by the terms that costs have too: kernels know them.
+"""Quantities of a machine that constraints bound and kernels compute, as residuals that costs have too.
 
-A term of planner.costs (Height, Distance, Gap, Velocity), or one of a frame or of the mass:
+    FramePosition       position of a frame, x, y, z                                           m
+    FramePositionAlong  position of a frame along a direction of the world                     m
+    FrameOrientation    rotation vector of a frame from an orientation, in its axes            rad
+    FrameAxisAngle      angle between an axis of a frame and a direction of the world          rad
+    CenterOfMass        position of the centre of mass                                         m
 
-    Place       where a frame is, x, y, z                                              m
-    Along       how far it is along a direction of the world                           m
-    Turn        the rotation vector of a frame from an orientation, in its axes        rad
-    Tilt        the angle between an axis of a frame and a direction of the world      rad
-    CenterOfMass  where the centre of mass is                                            m
-
-An angle has a kink at 0, so bounds of a Tilt are above 0.
+and the terms of planner.costs: Height, Distance, Gap, Velocity. An angle is not differentiable at 0, so bounds of a
+FrameAxisAngle are above 0.
 """
 
 from __future__ import annotations
@@ -22,27 +21,26 @@ from planner.base.arguments import array, choice, set_fields, short_repr
 from planner.base.errors import PlannerError
 from planner.dynamics import Dynamics
 from planner.kernels.tree.residuals.table import HEIGHT, MASS_CENTRE, ORIENTATION, POSITION, TILT
+from planner.model.capabilities import capabilities_of
 from planner.model.mechanism import Frame, Mechanism
 from planner.model.space import space_of
+from planner.problem.costs.penalty import arrays_of_terms
 from planner.problem.costs.penalty_terms import Penalty
 from planner.problem.costs.residuals.arrays import ResidualArrays, ResidualList
-from planner.problem.costs.residuals.cost import measured, values_of
-from planner.problem.costs.residuals.frames import tilt_bend
-from planner.problem.costs.residuals.kinematics_cache import KinematicsCache
-from planner.problem.costs.residuals.of_penalties import measures_of
-from planner.problem.costs.residuals.turns import rotation_of
+from planner.problem.costs.residuals.cost import values_and_jacobians, values_of
+from planner.problem.costs.residuals.functions import KinematicsCache, rotation_of, tilt_curvature
 
 
 class ResidualFunction:
-    """The rows of one term of ResidualArrays; its bounds and weights are not looked at."""
+    """One term of ResidualArrays as a constraint function; its bounds and weights are ignored."""
 
     of_controls = False
 
     def __init__(self, dynamics: Dynamics, what: Any, arrays: ResidualArrays) -> None:
-        self.mechanism, self.arrays, self.rows = machine_of(dynamics, what), arrays, len(arrays.weight)
+        self.mechanism, self.arrays, self.rows = mechanism_of(dynamics, what), arrays, len(arrays.weight)
         of = (getattr(arrays, name) for name in ("kind", "link", "offset", "share", "world", "constant", "reference"))
         self.same = tuple(one.tobytes() for one in of)
-        self._ndx, self._nu, self._nx = space_of(dynamics).ndx, dynamics.nu, machine_of(dynamics, what).space.nx
+        self._ndx, self._nu, self._nx = space_of(dynamics).ndx, dynamics.nu, mechanism_of(dynamics, what).space.nx
 
     def values(self, xs: np.ndarray, us: np.ndarray, n: np.ndarray) -> np.ndarray:
         """(K, R)."""
@@ -51,41 +49,43 @@ class ResidualFunction:
     def derivatives(self, xs: np.ndarray, us: np.ndarray, n: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """(K, R, ndx) and zeros (K, R, nu)."""
         by_x = np.zeros((len(xs), self.rows, self._ndx))
-        own = measured(self.mechanism, self.arrays.along(n), xs[:, : self._nx])[1]
+        own = values_and_jacobians(self.mechanism, self.arrays.along(n), xs[:, : self._nx])[1]
         by_x[:, :, : own.shape[2]] = own
         return by_x, np.zeros((len(xs), self.rows, self._nu))
 
-    def second_derivatives(self, xs: np.ndarray, n: np.ndarray, pulls: np.ndarray) -> np.ndarray:
-        """(K, ndx, ndx) what the rows' own second derivatives add to a Hessian, pulled (K, R) by the cost: of tilts.
+    def second_derivatives(self, xs: np.ndarray, n: np.ndarray, gradients: np.ndarray) -> np.ndarray:
+        """(K, ndx, ndx) second derivatives weighted by penalty gradients (K, R), of FrameAxisAngle alone.
 
-        Only where that is positive; other terms add nothing, as of Gauss and Newton.
+        Their positive part; the Hessian of other terms is that of Gauss and Newton.
         """
         found = np.zeros((len(xs), self._ndx, self._ndx))
         if TILT in self.arrays.kind:
-            bend, across = tilt_bend(KinematicsCache(self.mechanism, self.arrays.along(n), xs[:, : self._nx]), 0)
+            curvature, across = tilt_curvature(
+                KinematicsCache(self.mechanism, self.arrays.along(n), xs[:, : self._nx]), 0
+            )
             nv = across.shape[1]
-            found[:, :nv, :nv] = np.einsum("k,ki,kj->kij", np.maximum(bend * pulls[:, 0], 0.0), across, across)
+            found[:, :nv, :nv] = np.einsum("k,ki,kj->kij", np.maximum(curvature * gradients[:, 0], 0.0), across, across)
         return found
 
 
-def measure_of_term(term: Penalty, dynamics: Dynamics, N: int) -> ResidualFunction:
-    """Of a Height, Distance, Gap or Velocity."""
-    return ResidualFunction(dynamics, term, measures_of(machine_of(dynamics, term), N, [term], dynamics.dt))
+def function_of_term(term: Penalty, dynamics: Dynamics, N: int) -> ResidualFunction:
+    """The constraint function of a Height, Distance, Gap or Velocity."""
+    return ResidualFunction(dynamics, term, arrays_of_terms(mechanism_of(dynamics, term), N, [term], dynamics.dt))
 
 
-def machine_of(dynamics: Dynamics, what: Any) -> Mechanism:
-    """The mechanism of some dynamics."""
-    mechanism = getattr(dynamics, "mechanism", None)
-    if not isinstance(mechanism, Mechanism):
+def mechanism_of(dynamics: Dynamics, what: Any) -> Mechanism:
+    """The mechanism of dynamics; messages name the quantity `what` that needs it."""
+    mechanism = capabilities_of(dynamics).mechanism
+    if mechanism is None:
         raise PlannerError(f"the {what} is that of a machine, expected dynamics with a mechanism.")
     return mechanism
 
 
-def _measure(
-    what: Any, dynamics: Dynamics, N: int, kind: int, turn: bool = False, own: Any = (), reference: Any = ()
+def _frame_function(
+    what: Any, dynamics: Dynamics, N: int, kind: int, oriented: bool = False, own: Any = (), reference: Any = ()
 ) -> ResidualFunction:
-    """Of a frame, whose rotation in its link goes before a term's `own` constants or turns the first three."""
-    mechanism, frame = machine_of(dynamics, what), what.frame
+    """Of a frame: its rotation in its link is prepended to a term's `own` constants, or rotates the first three."""
+    mechanism, frame = mechanism_of(dynamics, what), what.frame
     if isinstance(frame, str):
         known = [*mechanism.sites, *filter(None, mechanism.body_names)]
         frame = mechanism.frame(choice("a constraint's frame", frame, known))
@@ -94,14 +94,14 @@ def _measure(
             f"a constraint's frame is {short_repr(frame)}, expected a Frame, or a site's or body's name."
         )
     terms, R = ResidualList(N), frame.T[:3, :3]
-    constant = (*R.ravel(), *own) if turn else (*(R @ own[:3]), *own[3:]) if kind == TILT else own
+    constant = (*R.ravel(), *own) if oriented else (*(R @ own[:3]), *own[3:]) if kind == TILT else own
     terms.add(kind, 4 * [terms.point(frame.link, frame.T[:3, 3])], 0.0, constant=constant, reference=reference)
     return ResidualFunction(dynamics, what, terms.arrays())
 
 
 @dataclass(frozen=True, eq=False)
 class FramePosition:
-    """Where a frame is in the world, x, y, z in m.
+    """Position of a frame in the world, x, y, z in m.
 
     Attributes:
         frame: Name of a site or body, or a Frame.
@@ -114,14 +114,14 @@ class FramePosition:
     def __str__(self) -> str:
         return f"position of {_name(self.frame)}"
 
-    def measure(self, dynamics: Dynamics, N: int) -> ResidualFunction:
-        """Of a machine."""
-        return _measure(self, dynamics, N, POSITION)
+    def constraint_function(self, dynamics: Dynamics, N: int) -> ResidualFunction:
+        """Its function, of a machine."""
+        return _frame_function(self, dynamics, N, POSITION)
 
 
 @dataclass(frozen=True, eq=False)
 class FramePositionAlong:
-    """How far a frame is along a direction of the world, m.
+    """Position of a frame along a direction of the world, m.
 
     Attributes:
         frame: Name of a site or body, or a Frame.
@@ -133,19 +133,19 @@ class FramePositionAlong:
     unit = "m"
 
     def __post_init__(self) -> None:
-        set_fields(self, direction=_of_length_one("direction", self.direction, 3))
+        set_fields(self, direction=_normalized("direction", self.direction, 3))
 
     def __str__(self) -> str:
-        return f"place of {_name(self.frame)}"
+        return f"place of {_name(self.frame)}"  # part of a stored key
 
-    def measure(self, dynamics: Dynamics, N: int) -> ResidualFunction:
-        """Of a machine."""
-        return _measure(self, dynamics, N, HEIGHT, own=(*self.direction, 0.0))
+    def constraint_function(self, dynamics: Dynamics, N: int) -> ResidualFunction:
+        """Its function, of a machine."""
+        return _frame_function(self, dynamics, N, HEIGHT, own=(*self.direction, 0.0))
 
 
 @dataclass(frozen=True, eq=False)
 class FrameOrientation:
-    """How a frame is turned from an orientation: a rotation vector in rad, in the axes of that orientation.
+    """Rotation vector of a frame from an orientation, rad, in the axes of that orientation.
 
     Attributes:
         frame: Name of a site or body, or a Frame.
@@ -158,15 +158,15 @@ class FrameOrientation:
     names = ("x", "y", "z")
 
     def __post_init__(self) -> None:
-        set_fields(self, orientation=_of_length_one("orientation", self.orientation, 4))
+        set_fields(self, orientation=_normalized("orientation", self.orientation, 4))
 
     def __str__(self) -> str:
         return f"orientation of {_name(self.frame)}"
 
-    def measure(self, dynamics: Dynamics, N: int) -> ResidualFunction:
-        """Of a machine."""
-        wanted = np.tile(rotation_of(self.orientation).reshape(9, 1), N + 1)
-        return _measure(self, dynamics, N, ORIENTATION, turn=True, reference=wanted)
+    def constraint_function(self, dynamics: Dynamics, N: int) -> ResidualFunction:
+        """Its function, of a machine."""
+        reference = np.tile(rotation_of(self.orientation).reshape(9, 1), N + 1)
+        return _frame_function(self, dynamics, N, ORIENTATION, oriented=True, reference=reference)
 
 
 @dataclass(frozen=True, eq=False)
@@ -185,20 +185,20 @@ class FrameAxisAngle:
     unit = "rad"
 
     def __post_init__(self) -> None:
-        set_fields(self, direction=_of_length_one("direction", self.direction, 3))
-        set_fields(self, axis=_of_length_one("axis", self.axis, 3))
+        set_fields(self, direction=_normalized("direction", self.direction, 3))
+        set_fields(self, axis=_normalized("axis", self.axis, 3))
 
     def __str__(self) -> str:
-        return f"tilt of {_name(self.frame)}"
+        return f"tilt of {_name(self.frame)}"  # part of a stored key
 
-    def measure(self, dynamics: Dynamics, N: int) -> ResidualFunction:
-        """Of a machine."""
-        return _measure(self, dynamics, N, TILT, own=(*self.axis, *self.direction))
+    def constraint_function(self, dynamics: Dynamics, N: int) -> ResidualFunction:
+        """Its function, of a machine."""
+        return _frame_function(self, dynamics, N, TILT, own=(*self.axis, *self.direction))
 
 
 @dataclass(frozen=True, eq=False)
 class CenterOfMass:
-    """Where the centre of mass is in the world, x, y, z in m."""
+    """Position of the centre of mass in the world, x, y, z in m."""
 
     unit = "m"
     names = ("x", "y", "z")
@@ -206,15 +206,15 @@ class CenterOfMass:
     def __str__(self) -> str:
         return "centre of mass"
 
-    def measure(self, dynamics: Dynamics, N: int) -> ResidualFunction:
-        """Of a machine."""
+    def constraint_function(self, dynamics: Dynamics, N: int) -> ResidualFunction:
+        """Its function, of a machine."""
         terms = ResidualList(N)
         terms.add(MASS_CENTRE, [], 0.0)
         return ResidualFunction(dynamics, self, terms.arrays())
 
 
-def hinge_terms(arrays: ResidualArrays, sides: np.ndarray, N: int) -> ResidualArrays:
-    """The rows of a measure with a side each (R,), without a ramp, and weights that are zero until they are set."""
+def penalty_arrays(arrays: ResidualArrays, sides: np.ndarray, N: int) -> ResidualArrays:
+    """The rows of a constraint function with a side each (R,), without a ramp and with weights of zero."""
     stages = np.zeros((len(sides), N + 1))
     return replace(arrays, side=sides, ramp=np.zeros(len(sides)), bound=stages, weight=stages.copy())
 
@@ -223,7 +223,7 @@ def _name(frame: str | Frame) -> str:
     return frame if isinstance(frame, str) else "a frame"
 
 
-def _of_length_one(name: str, value: Any, size: int) -> np.ndarray:
+def _normalized(name: str, value: Any, size: int) -> np.ndarray:
     given = array(name, value, (size,))
     length = float(np.linalg.norm(given))
     if not length > 0.0:

@@ -1,12 +1,12 @@
-"""What a plan keeps beside the bounds of its controls: ranges of the states, exact goals and constraints, as penalties.
+"""TrajectoryConstraints: state bounds, exact goals and constraints of a problem, and their augmented Lagrangian.
 
-A thing that is kept is a number e with lower <= e <= upper at each knot. With a multiplier per bound and a weight w,
-what the cost gains is (Rockafellar; Nocedal & Wright, section 17.4)
+A component is a number e with lower <= e <= upper at each knot. With a multiplier per bound and a weight w the penalty
+is (Rockafellar; Nocedal & Wright, section 17.4)
 
     1/2 w (max(0, e - (upper - multiplier / w))^2 + max(0, (lower + multiplier / w) - e)^2),
 
-a hinge at bounds that the multipliers have shifted, as of problem.state_bounds. Columns of e are ranges first, then
-rows of constraints; where these are the only ones this file adds nothing to theirs.
+a one-sided parabola at bounds shifted by the multipliers, as in problem.state_bounds. Columns of e are those of state
+bounds, then those of constraints.
 """
 
 from __future__ import annotations
@@ -23,17 +23,17 @@ from planner.problem.state_bounds import BoundPenalties, StateBounds
 
 
 class TrajectoryConstraints:
-    """Ranges and rows of constraints side by side.
+    """State bounds and constraints side by side.
 
     Args:
-        ranges: Of the states; None for none.
-        rows: Of constraints; None for none.
-        tolerance: How far beyond each may be.
+        ranges: Bounds of the states; None for none.
+        rows: Constraints; None for none.
+        tolerance: The largest violation that passes.
 
     Attributes:
         lower: (N+1, H) of all columns.
         upper: (N+1, H).
-        split: How many columns are ranges.
+        split: Number of columns of state bounds.
     """
 
     def __init__(self, ranges: StateBounds | None, rows: ConstraintStack | None, tolerance: float) -> None:
@@ -49,52 +49,52 @@ class TrajectoryConstraints:
         return self.lower.shape[1]
 
     def zero_penalties(self) -> BoundPenalties:
-        """Hinges that weigh nothing."""
+        """Penalties with zero weights."""
         return BoundPenalties(self.lower.copy(), self.upper.copy(), np.zeros_like(self.lower))
 
     def initial_penalties(self) -> BoundPenalties | None:
-        """Hinges of the first solve, of what has weights before multipliers are known; None for none."""
+        """Penalties of the first solve, of clearance alone: before multipliers are known; None for none."""
         penalties = self.zero_penalties()
-        for measure, columns, scale in self._apart():
-            weight = measure.initial_penalty / scale**2
+        for function, columns, scale in self._clearances():
+            weight = function.initial_penalty / scale**2
             penalties.weight[:, columns] = np.where(np.isfinite(self.lower[:, columns]), weight, 0.0)
         return penalties if penalties.weight.any() else None
 
-    def _apart(self) -> list[tuple[PairClearanceFunction, slice, np.ndarray]]:
-        """What keeps shapes apart: its measure, its columns and what these are multiplied by."""
+    def _clearances(self) -> list[tuple[PairClearanceFunction, slice, np.ndarray]]:
+        """Clearance constraints: function, columns and scale of each."""
         if self.rows is None:
             return []
         return [
-            (part.measure, slice(self.split + part.columns.start, self.split + part.columns.stop),
+            (part.function, slice(self.split + part.columns.start, self.split + part.columns.stop),
              self.rows.scale[part.columns])
-            for part in self.rows.parts if isinstance(part.measure, PairClearanceFunction)
+            for part in self.rows.parts if isinstance(part.function, PairClearanceFunction)
         ]  # fmt: skip
 
     def violation_between_knots(self, dynamics: Dynamics, xs: np.ndarray, us: np.ndarray) -> tuple[np.ndarray, bool]:
-        """By how much (N+1, H) lower bounds must rise, so that what is kept at knots is kept between them too.
+        """Required rise of the lower bounds (N+1, H), and whether a pair may have touched between two knots.
 
-        Those of both ends of a stage. Where a pair may have touched between two knots, those of all stages: the motion
-        may have gone through, and from there it leads no way around. Returned beside it is whether any did.
+        Bounds rise at both ends of a stage with a violation inside. Where a pair may have touched, those of all stages
+        rise: the motion may have passed through the obstacle.
         """
         more, through = np.zeros_like(self.lower), False
-        for measure, columns, scale in self._apart():
-            short = measure.clearance_violation(dynamics, xs, us)
-            touched = (short > measure.least).any(axis=0)
-            short = np.where(touched, short.max(axis=0), short) * scale
-            short = np.where(short > self.tolerance, short, 0.0)
-            more[1:, columns] = short
-            more[:-1, columns] = np.maximum(more[:-1, columns], short)
+        for function, columns, scale in self._clearances():
+            violation = function.clearance_violation(dynamics, xs, us)
+            touched = (violation > function.lower).any(axis=0)
+            violation = np.where(touched, violation.max(axis=0), violation) * scale
+            violation = np.where(violation > self.tolerance, violation, 0.0)
+            more[1:, columns] = violation
+            more[:-1, columns] = np.maximum(more[:-1, columns], violation)
             through |= bool(touched.any())
         return more, through
 
     def tightened(self, more: np.ndarray) -> TrajectoryConstraints:
-        """The same with lower bounds (N+1, H) raised."""
-        raised = copy(self)
-        raised.lower = self.lower + more
-        return raised
+        """The same with lower bounds (N+1, H) tightened."""
+        tightened = copy(self)
+        tightened.lower = self.lower + more
+        return tightened
 
     def of_ranges(self, penalties: BoundPenalties) -> BoundPenalties:
-        """The columns of ranges."""
+        """The columns of state bounds."""
         return penalties if self.rows is None else BoundPenalties(*(part[:, : self.split] for part in penalties))
 
     def of_rows(self, penalties: BoundPenalties) -> BoundPenalties:
@@ -109,9 +109,9 @@ class TrajectoryConstraints:
         return parts[0] if len(parts) == 1 else np.concatenate(parts, axis=1)
 
     def violation(self, xs: np.ndarray, us: np.ndarray) -> np.ndarray:
-        """How far (N+1, H) the knots are outside; 0 within."""
+        """(N+1, H) at the knots, 0 within bounds."""
         if self.rows is None and self.ranges is not None:
-            return self.ranges.beyond(xs)
+            return self.ranges.violation(xs)
         e = self.deviations(xs, us)
         return np.maximum(np.maximum(e - self.upper, self.lower - e), 0.0)
 
@@ -123,11 +123,9 @@ class TrajectoryConstraints:
     def with_penalties(
         self, penalties: BoundPenalties, model: Quadratic, xs: np.ndarray, us: np.ndarray, A: np.ndarray, B: np.ndarray
     ) -> Quadratic:
-        """The quadratic model of a cost along xs (N+1, nx), us (N, nu) with that of the penalties; A and B of Eq.
-        35.
-        """
+        """A cost's quadratic model along xs (N+1, nx), us (N, nu) with that of the penalties; A and B of Eq. 35."""
         if self.ranges is not None:
-            model = self.ranges.added(self.of_ranges(penalties), model, xs)
+            model = self.ranges.with_penalties(self.of_ranges(penalties), model, xs)
         if self.rows is None:
             return model
         n, by_z, slope, curvature = self.penalty_derivatives(self.of_rows(penalties), xs, us, A, B)
@@ -148,7 +146,7 @@ class TrajectoryConstraints:
         lower, upper, weight = penalties
         if not np.any(weight):
             return 0.0
-        if not np.isfinite(xs).all():  # a candidate that ran away
+        if not np.isfinite(xs).all():  # a rollout that diverged
             return float("inf")
         e = self.rows.values(xs, us)
         above, below = np.maximum(e - upper, 0.0), np.maximum(lower - e, 0.0)
@@ -157,15 +155,15 @@ class TrajectoryConstraints:
     def penalty_derivatives(
         self, penalties: BoundPenalties, xs: np.ndarray, us: np.ndarray, A: np.ndarray, B: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """Where rows of constraints pull, and how.
+        """Where penalties of constraints act, and their derivatives.
 
         Returns:
-            The knots n (k,) where any does, there the derivatives of all rows by z = (x, u), (k, C, ndx+nu), and the
-            first and second derivatives (k, C) of the penalties by the rows.
+            The knots n (k,) where any is active, there the derivatives of all components by z = (x, u), (k, C, ndx+nu),
+            and the first and second derivatives (k, C) of the penalties by the components.
         """
         assert self.rows is not None
         (N, nu), ndx = us.shape, A.shape[1]
-        slope, curvature = self._pull(penalties, xs, us)
+        slope, curvature = self._penalty_gradients(penalties, xs, us)
         n = np.flatnonzero(curvature.any(axis=1))
         by_z = np.zeros((len(n), slope.shape[1], ndx + nu))
         if len(n):
@@ -174,8 +172,10 @@ class TrajectoryConstraints:
             by_z[last, :, ndx:] = by_u[n[last]]
         return n, by_z, slope[n], curvature[n]
 
-    def _pull(self, penalties: BoundPenalties, xs: np.ndarray, us: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """First and second derivatives (N+1, C) of the penalties of constraints by their rows."""
+    def _penalty_gradients(
+        self, penalties: BoundPenalties, xs: np.ndarray, us: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """First and second derivatives (N+1, C) of the penalties of constraints by their components."""
         assert self.rows is not None
         lower, upper, weight = penalties
         if not np.any(weight):
@@ -185,15 +185,18 @@ class TrajectoryConstraints:
         return weight * (above - below), weight * ((e >= upper).astype(float) + (e < lower))
 
     def multipliers(self, penalties: BoundPenalties, xs: np.ndarray, us: np.ndarray) -> tuple[np.ndarray, ...]:
-        """Of each constraint (N+1, rows): what the cost would fall by if the bound moved out by one unit, J per unit.
+        """Multipliers (N+1, R) of each constraint: decrease of the cost per unit by which the bound is relaxed.
 
-        Positive at an upper bound, negative at a lower one, and zero where neither holds the motion: with them and
-        the derivatives of h the gradient of J is zero (the conditions of Karush, Kuhn and Tucker). The rows of a
-        constraint of controls are those at the starts of stages, then those at their ends.
+        Positive at an upper bound, negative at a lower one, zero where neither is active: with them and the derivatives
+        of h the gradient of J is zero (conditions of Karush, Kuhn and Tucker). Of a constraint of controls the
+        components at the starts of stages come first, then those at their ends.
         """
         if self.rows is None:
             return ()
-        slope, found = self._pull(self.of_rows(penalties), xs, us)[0] * self.rows.scale, dict[int, list[np.ndarray]]()
+        slope, found = (
+            self._penalty_gradients(self.of_rows(penalties), xs, us)[0] * self.rows.scale,
+            dict[int, list[np.ndarray]](),
+        )
         for part in self.rows.parts:
             found.setdefault(id(part.constraint), []).append(slope[:, part.columns])
         return tuple(np.concatenate(parts, axis=1) for parts in found.values())

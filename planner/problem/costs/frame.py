@@ -1,4 +1,4 @@
-"""FrameCost: what a frame of a machine (its hand, its foot, its trunk) is asked to do: place, direction, velocity."""
+"""FrameCost and CenterOfMassCost: squared errors of a frame (a hand, a foot, a trunk) and of the centre of mass."""
 
 from __future__ import annotations
 
@@ -8,12 +8,19 @@ import numpy as np
 
 from planner.base.arguments import array, numbers, short_repr
 from planner.base.errors import PlannerError
-from planner.kernels.tree.residuals.table import ANGULAR, LINEAR, ORIENTATION, POINTING, POSE, POSITION
+from planner.kernels.tree.residuals.table import (
+    ANGULAR,
+    LINEAR,
+    MASS_CENTRE,
+    ORIENTATION,
+    POINTING,
+    POSE,
+    POSITION,
+)
 from planner.model.mechanism import Frame
-from planner.problem.costs.residuals.arrays import ResidualList
+from planner.problem.costs.residuals.arrays import ResidualList, StageData, WeightedTarget
 from planner.problem.costs.residuals.cost import GoalRows, ResidualCost
-from planner.problem.costs.residuals.per_stage import StageData, WeightedTarget
-from planner.problem.costs.residuals.turns import rotation_of
+from planner.problem.costs.residuals.functions import rotation_of
 from planner.problem.costs.tracking import mechanism_and_step
 
 
@@ -153,3 +160,36 @@ def _term(
         raise PlannerError(f"{name} has length zero, expected a quaternion, e.g. 1, 0, 0, 0.")
     turn = rotation_of(target[:, -4:] / length).reshape(-1, 9)
     return {"constant": rotation, "reference": np.concatenate([turn, target[:, :-4]], axis=1).T}
+
+
+class CenterOfMassCost(ResidualCost):
+    """1/2 w |c(q) - position|^2 summed over the stages, c the centre of mass: Gauss-Newton; one term of a cost.
+
+    With RigidBodyDynamics it is part of the compiled solver.
+
+    Args:
+        machine: RigidBodyDynamics or a Mechanism; what is fixed to the world is not part of its mass.
+        position: (3,) or (N+1, 3) m, in the world.
+        position_weight: On the way, per m^2 and s: a number, one per axis (3,), or one per stage and axis (N+1, 3).
+        final_position_weight: At the end, a number or (3,); by default that of the way, times dt.
+        dt: s; that of the dynamics by default.
+
+    Raises:
+        PlannerError: A wrong shape, a negative weight, no weight at all, or a machine without mass.
+    """
+
+    def __init__(
+        self, machine: Any, position: Any, *, position_weight: Any = 0.0, final_position_weight: Any = None,
+        dt: float | None = None,
+    ) -> None:  # fmt: skip
+        mechanism, dt = mechanism_and_step(machine, dt)
+        if not mechanism.mass.sum() > 0.0:
+            raise PlannerError("the mechanism has no mass, expected at least one link that has.")
+        stages = StageData(dt)
+        asked = stages.asked("position", position, position_weight, final_position_weight, 3)
+        if asked is None:
+            raise PlannerError("position is None, expected where the centre of mass is to be.")
+        measures = ResidualList(stages.horizon)
+        measures.add(MASS_CENTRE, [], asked.weight, bound=stages.rows(asked.target).T)
+        goals = [GoalRows("position of the centre of mass", "m", 0)] if asked.final else []
+        super().__init__(mechanism, measures.arrays(), stages.N, goals)

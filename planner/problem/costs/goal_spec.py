@@ -1,4 +1,4 @@
-"""Wanted: one thing that a cost, or a task, asks for; and the tolerance that a problem states for such things."""
+"""GoalSpec: a goal of a cost or task, with its error and unit; and how a problem states its tolerances."""
 
 from __future__ import annotations
 
@@ -14,17 +14,17 @@ SOFT = "soft"  # the word for an infinite tolerance in files, which know no infi
 
 
 class GoalSpec(NamedTuple):
-    """One thing that a term with a final weight asks of the end, or a task at its times.
+    """One goal: of a cost's term with a final weight at the end, or of a task at its times.
 
-    A term of a cost says it by `wanted(coordinates) -> tuple of Wanted`, with the planner.model.coordinates.Coordinate
-    of every component of a deviation, and its price by `final_cost(x) -> float`.
+    A term has `goal_specs(coordinates) -> tuple of GoalSpec`, with the planner.model.coordinates.Coordinate of every
+    component of a deviation, and `final_cost(x) -> float`, its cost at the end.
     """
 
-    name: str  # of the coordinate, or of what is placed: "position of hand"
+    name: str  # of the coordinate, or of a frame's part: "position of hand"
     unit: str
-    error: Callable[[np.ndarray], np.ndarray]  # states (K, nx) -> (K,) how far they are from it; K = T with times
-    times: tuple[float, ...] | None = None  # (T,) s, when it is asked for; None for the end
-    tolerance: float | None = None  # its own, in its unit; None leaves it to the problem
+    error: Callable[[np.ndarray], np.ndarray]  # states (K, nx) -> (K,) distances from the goal; K = T with times
+    times: tuple[float, ...] | None = None  # (T,) s; None for the end
+    tolerance: float | None = None  # in its unit; None for the problem's
 
 
 def checked_tolerance(value: Any) -> float | dict[str, float] | None:
@@ -54,6 +54,6 @@ def _one(name: str, value: Any) -> float:
         return number(name, value, greater_than=0.0)
     except PlannerError:
         raise PlannerError(
-            f"{name} is {short_repr(value)}, expected a number above 0, 'soft' for a goal that is not judged, or a table "
-            "such as {position = 0.02, velocity = 0.1}."
+            f"{name} is {short_repr(value)}, expected a number above 0, 'soft' for a goal that is not judged, or a "
+            "table such as {position = 0.02, velocity = 0.1}."
         ) from None

@@ -72,6 +72,7 @@ class JerkDynamics:
     def __init__(self, dynamics: RigidBodyDynamics) -> None:
         self.accelerations = Accelerations(dynamics)
         self.own, self.mechanism, self.prescribed = dynamics, dynamics.mechanism, dynamics.prescribed
+        self.capabilities = dynamics.capabilities
         self.space = augmented(dynamics.space, self.mechanism.nv)
         self.nx, self.ndx, self.nu, self.dt = self.space.nx, self.space.ndx, dynamics.nu, dynamics.dt
         self.batched = True

@@ -2,9 +2,9 @@
 
 A term measures a value of the state and compares it, stage by stage, with what is wanted:
 
-    least     r = ramp(least - value; a) / tolerance        nothing above, a pull upwards below
-    most      r = ramp(value - most; a) / tolerance
-    target    r = (value - target) / tolerance
+    lower    r = ramp(lower - value; a) / tolerance        nothing above, a pull upwards below
+    upper    r = ramp(value - upper; a) / tolerance
+    target   r = (value - target) / tolerance
 
     ramp(e; a) = 0, e^2 / 2a, e - a/2          for e < 0, 0..a, > a
 
@@ -24,7 +24,7 @@ from planner.base.errors import PlannerError
 from planner.model.contact.collision_shapes import CollisionShape
 from planner.model.mechanism import Frame
 
-WANTED = ("least", "most", "target")
+SIDES = ("lower", "upper", "target")
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,11 +81,11 @@ class Segment:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Penalty:
-    """A bound of a value or a target for it, exactly one of least, most and target, and its weight.
+    """A bound of a value or a target for it, exactly one of lower, upper and target, and its weight.
 
     Attributes:
-        least: A number, or (N+1,) with NaN at stages where the term is off.
-        most: The same.
+        lower: A number, or (N+1,) with NaN at stages where the term is off.
+        upper: The same.
         target: The same.
         tolerance: Error that counts as one, m; of a velocity m/s.
         ramp: a, as the tolerance, which it is by default.
@@ -93,8 +93,8 @@ class Penalty:
         final_weight: Of r^2 / 2 at the end; by default dt times the last of `weight`.
     """
 
-    least: Any = None
-    most: Any = None
+    lower: Any = None
+    upper: Any = None
     target: Any = None
     tolerance: float
     ramp: float | None = None
@@ -102,9 +102,9 @@ class Penalty:
     final_weight: float | None = None
 
     def __post_init__(self) -> None:
-        given = [name for name in WANTED if getattr(self, name) is not None]
+        given = [name for name in SIDES if getattr(self, name) is not None]
         if len(given) != 1:
-            raise PlannerError(f"{' and '.join(given) or 'none'} of {', '.join(WANTED)} given, expected just one.")
+            raise PlannerError(f"{' and '.join(given) or 'none'} of {', '.join(SIDES)} given, expected just one.")
         tolerance = number("tolerance", self.tolerance, greater_than=0.0)
         ramp = tolerance if self.ramp is None else number("ramp", self.ramp, greater_than=0.0)
         bound = _per_stage(given[0], getattr(self, given[0]))
@@ -118,9 +118,9 @@ class Penalty:
         set_fields(self, tolerance=tolerance, ramp=ramp, weight=weight, **{given[0]: bound})
 
     @property
-    def wanted(self) -> str:
-        """Which of least, most and target it has."""
-        return next(name for name in WANTED if getattr(self, name) is not None)
+    def side(self) -> str:
+        """Which of lower, upper and target it has."""
+        return next(name for name in SIDES if getattr(self, name) is not None)
 
 
 @dataclass(frozen=True, eq=False)
@@ -207,7 +207,7 @@ class Gap(Penalty):
 
 @dataclass(frozen=True, eq=False)
 class Clearance(Penalty):
-    """How far apart two solids are, negative by the shortest way out where they overlap. It has a least alone.
+    """How far apart two solids are, negative by the shortest way out where they overlap. It has a lower bound alone.
 
     Attributes:
         a: The first Solid; planner.constraints.Avoid makes them of a model's shapes.
@@ -224,8 +224,8 @@ class Clearance(Penalty):
         for name in ("a", "b"):
             if not isinstance(getattr(self, name), CollisionShape):
                 raise PlannerError(f"{name} is {short_repr(getattr(self, name))}, expected a Solid.")
-        if self.wanted != "least":
-            raise PlannerError(f"{self.wanted} is given for a Clearance, expected least: the distance to be kept.")
+        if self.side != "lower":
+            raise PlannerError(f"{self.side} is given for a Clearance, expected lower: the distance to be kept.")
 
     def __str__(self) -> str:
         return f"clearance of {self.a.name} and {self.b.name}"

@@ -175,7 +175,7 @@ class TrackingCost(Term):
             )
         return TrackingCost(Q, R, x_ref, u_ref, self.space)
 
-    def wanted(self, coordinates: Sequence[Coordinate]) -> tuple[GoalSpec, ...]:
+    def goal_specs(self, coordinates: Sequence[Coordinate]) -> tuple[GoalSpec, ...]:
         """The reference at the end, in every component that the final weight acts on."""
         weighed = np.flatnonzero(np.any(self.Q[-1], axis=0))
         return tuple(GoalSpec(*coordinates[i], partial(self._missed, i)) for i in weighed.tolist())

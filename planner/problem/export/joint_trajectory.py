@@ -17,6 +17,7 @@ import numpy as np
 
 from planner.base.errors import FileError, PlannerError
 from planner.base.files import PathLike, as_path, printable, write_atomically
+from planner.model.capabilities import capabilities_of
 from planner.model.mechanism import SCREW, Mechanism
 from planner.problem.export.sampled import Motion, sampled
 
@@ -76,8 +77,8 @@ def _single_joints(plan: Motion) -> tuple[list[str], np.ndarray, np.ndarray]:
 
 
 def _mechanism(plan: Motion) -> Mechanism:
-    mechanism = getattr(getattr(plan.problem, "dynamics", None), "mechanism", None)
-    if not isinstance(mechanism, Mechanism):
+    mechanism = capabilities_of(getattr(plan.problem, "dynamics", None)).mechanism
+    if mechanism is None:
         raise PlannerError(
             "a joint trajectory needs the names of joints, but the plan's dynamics have no Mechanism; write a CSV."
         )

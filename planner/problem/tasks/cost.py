@@ -1,8 +1,8 @@
-"""The cost of a task, and what its proof judges: one number for each goal, in m, rad or m/s, at its time.
+"""The cost of a task, and its goals: one error for each, in m, rad or m/s, at its time.
 
-A goal weighs WEIGHT / tolerance^2 on its squared error / 2 at its stage, as the end of a joint motion does, so that an
-error of the tolerance costs more than the whole effort. A path weighs RATE times as much, per second. Where a goal is
-not passed, the joints that carry the frame stand still there.
+A goal has the weight WEIGHT / tolerance^2 on its squared error / 2 at its stage, so that an error of the tolerance
+costs more than the whole effort. A path has PATH_RATE times as much, per second. Unless a goal is a via point, the
+joints that move the frame are at rest there.
 """
 
 from __future__ import annotations
@@ -28,8 +28,8 @@ from planner.problem.goals import MIN_TOLERANCES
 from planner.problem.tasks.follow import Follow
 from planner.problem.tasks.timed_task import Task, TimedGoal, unit_of
 
-WEIGHT = 4.0  # over the square of a goal's tolerance
-RATE = 25.0  # 1/s, of a path beside a goal
+WEIGHT = 4.0  # in 1 / tolerance^2
+PATH_RATE = 25.0  # 1/s, weight of a path relative to a goal
 
 
 def task_cost(
@@ -48,9 +48,9 @@ def task_cost(
     factor = number("weights.goal", weights.pop("goal", WEIGHT), greater_than=0.0)
     if not task.rests:
         weights["final_velocity"] = 0.0
-    still = reference.copy()
-    still[:, mechanism.nq : mechanism.nq + mechanism.nv] = 0.0
-    base = TrackingCost.joints(dynamics, still[N], N, reference=still, **weights)
+    at_rest = reference.copy()
+    at_rest[:, mechanism.nq : mechanism.nq + mechanism.nv] = 0.0
+    base = TrackingCost.joints(dynamics, at_rest[N], N, reference=at_rest, **weights)
     Q, x_ref = base.Q.copy(), base.x_ref.copy()
     terms: list[Any] = []
     for one in task.goals:
@@ -58,7 +58,7 @@ def task_cost(
             Q[one.stage, dof, dof] += factor / one.tolerances[_part(unit_of(mechanism, dof))] ** 2
             x_ref[one.stage, mechanism.q_address[dof]] = value
         if not (one.goal.through or one.last):
-            for dof in _carrying(mechanism, one):
+            for dof in _moving_dofs(mechanism, one):
                 i = mechanism.nv + dof
                 Q[one.stage, i, i] += VELOCITY / MIN_TOLERANCES[f"{unit_of(mechanism, dof)}/s"] ** 2
         if one.goal.frame is not None:
@@ -69,39 +69,39 @@ def task_cost(
     return SumCost(tracking, *terms) if terms else tracking
 
 
-def task_wanted(task: Task) -> tuple[GoalSpec, ...]:
-    """What the proof judges: every goal and path, and rest at the end."""
+def task_goal_specs(task: Task) -> tuple[GoalSpec, ...]:
+    """The goals for the proof: every goal and path, and rest at the end."""
     mechanism, found = task.mechanism, []
     coordinates = coordinates_of_mechanism(mechanism)
     for one in task.goals:
         times, tolerances, goal = None if one.last else (one.time,), one.tolerances, one.goal
         for dof, value in one.joints.items():
             name, unit = coordinates[dof]
-            missed = partial(_off_joints, np.array([mechanism.q_address[dof]]), np.array([[value]]))
-            found.append(GoalSpec(name + one.when, unit, missed, times, tolerances[_part(unit)]))
+            error = partial(_joint_error, np.array([mechanism.q_address[dof]]), np.array([[value]]))
+            found.append(GoalSpec(name + one.when, unit, error, times, tolerances[_part(unit)]))
         if goal.frame is None:
             continue
         position = None if goal.position is None else np.asarray(goal.position, dtype=float)
         targets = {"position": position, "orientation": goal.quaternion, "pointing": goal.direction}
         for part, value in targets.items():
             if value is not None:
-                missed = partial(_off_frame, mechanism, Target(goal.frame, **{part: value}))
+                error = partial(_frame_error, mechanism, Target(goal.frame, **{part: value}))
                 unit = "m" if part == "position" else "rad"
-                found.append(GoalSpec(f"{part} of {goal.frame}{one.when}", unit, missed, times, tolerances[part]))
+                found.append(GoalSpec(f"{part} of {goal.frame}{one.when}", unit, error, times, tolerances[part]))
         if not (goal.through or one.last):
-            missed = partial(_speed, mechanism, goal.frame)
-            found.append(GoalSpec(f"speed of {goal.frame}{one.when}", "m/s", missed, times, tolerances["velocity"]))
+            error = partial(_speed, mechanism, goal.frame)
+            found.append(GoalSpec(f"speed of {goal.frame}{one.when}", "m/s", error, times, tolerances["velocity"]))
     for path in task.follows:
         stages = np.arange(task.span(path)[0], task.span(path)[1] + 1)
-        points, times = task.place(path, stages), tuple((task.dt * stages).tolist())
+        points, times = task.positions_at(path, stages), tuple((task.dt * stages).tolist())
         if path.frame is not None:
-            missed, unit = partial(_off_path, mechanism, path.frame, points), "m"
+            error, unit = partial(_path_error, mechanism, path.frame, points), "m"
         else:
-            missed, unit = partial(_off_joints, _addresses(mechanism, path), points), task.units(path)[0]
-        found.append(GoalSpec(f"path of {path.what}", unit, missed, times, task.tolerance(path)))
+            error, unit = partial(_joint_error, _addresses(mechanism, path), points), task.units(path)[0]
+        found.append(GoalSpec(f"path of {path.what}", unit, error, times, task.tolerance(path)))
     if task.rests:
         nv, states = mechanism.nv, slice(mechanism.nq, mechanism.nq + mechanism.nv)
-        found += [GoalSpec(*coordinates[nv + i], partial(_moving, states.start + i)) for i in range(nv)]
+        found += [GoalSpec(*coordinates[nv + i], partial(_abs_velocity, states.start + i)) for i in range(nv)]
     return tuple(found)
 
 
@@ -126,9 +126,9 @@ def _at_stage(task: Task, one: TimedGoal, name: str, weight: float) -> dict[str,
 def _of_path(task: Task, path: Follow, factor: float, Q: np.ndarray, x_ref: np.ndarray) -> list[Any]:
     """The terms of a path; one of joints goes into the weights Q (N+1, ndx, ndx) and their reference."""
     mechanism, (first, last) = task.mechanism, task.span(path)
-    weight = factor / task.tolerance(path) ** 2 * RATE
+    weight = factor / task.tolerance(path) ** 2 * PATH_RATE
     stages = np.arange(first, last + 1)
-    points = task.place(path, np.arange(task.N + 1))
+    points = task.positions_at(path, np.arange(task.N + 1))
     if path.frame is None:
         for k, name in enumerate(path.joints):
             dof = mechanism.joint(name).start
@@ -143,11 +143,11 @@ def _of_path(task: Task, path: Follow, factor: float, Q: np.ndarray, x_ref: np.n
 
 
 def _part(unit: str) -> str:
-    """Which of a goal's tolerances joints have, by their unit."""
+    """The tolerance of a goal that joints have, by their unit."""
     return "position" if unit == "m" else "orientation"
 
 
-def _carrying(mechanism: Mechanism, one: TimedGoal) -> list[int]:
+def _moving_dofs(mechanism: Mechanism, one: TimedGoal) -> list[int]:
     """The degrees of freedom that move a goal's frame, or its joints."""
     if one.goal.frame is None:
         return list(one.joints)
@@ -159,28 +159,28 @@ def _addresses(mechanism: Mechanism, path: Follow) -> np.ndarray:
     return np.array([mechanism.q_address[mechanism.joint(name).start] for name in path.joints])
 
 
-def _off_joints(addresses: np.ndarray, points: np.ndarray, xs: np.ndarray) -> np.ndarray:
+def _joint_error(addresses: np.ndarray, points: np.ndarray, xs: np.ndarray) -> np.ndarray:
     """(K,) the largest distance of joints from points (1 or K, n)."""
     return np.abs(xs[:, addresses] - points).max(axis=1)
 
 
-def _moving(address: int, xs: np.ndarray) -> np.ndarray:
+def _abs_velocity(address: int, xs: np.ndarray) -> np.ndarray:
     return np.abs(xs[:, address])
 
 
-def _of_finite(mechanism: Mechanism, xs: np.ndarray, measure: Any) -> np.ndarray:
-    """(K,) what a function (rows) -> (k,) measures; infinite where a motion ran away."""
-    known, found = np.flatnonzero(np.isfinite(xs).all(axis=1)), np.full(len(xs), np.inf)
-    if len(known):
-        found[known] = measure(known)
+def _where_finite(mechanism: Mechanism, xs: np.ndarray, error_of: Any) -> np.ndarray:
+    """(K,) values of a function (indices (k,)) -> (k,); infinite at states that are not finite."""
+    finite, found = np.flatnonzero(np.isfinite(xs).all(axis=1)), np.full(len(xs), np.inf)
+    if len(finite):
+        found[finite] = error_of(finite)
     return found
 
 
-def _off_frame(mechanism: Mechanism, target: Target, xs: np.ndarray) -> np.ndarray:
-    """(K,) how far a frame is from the one part of a target, m or rad: as inverse_kinematics.residuals has it."""
+def _frame_error(mechanism: Mechanism, target: Target, xs: np.ndarray) -> np.ndarray:
+    """(K,) errors of a frame from the one part of a target, m or rad, as in inverse_kinematics.residuals."""
 
-    def measure(known: np.ndarray) -> np.ndarray:
-        T = frame_pose(mechanism, xs[known, : mechanism.nq], target.frame)
+    def error_of(finite: np.ndarray) -> np.ndarray:
+        T = frame_pose(mechanism, xs[finite, : mechanism.nq], target.frame)
         if target.position is not None:
             return np.linalg.norm(T[:, :3, 3] - target.position, axis=1)
         if target.orientation is not None:
@@ -189,26 +189,26 @@ def _off_frame(mechanism: Mechanism, target: Target, xs: np.ndarray) -> np.ndarr
             reference = Rotation.from_quat(target.orientation[[1, 2, 3, 0]]).as_matrix()
             return Rotation.from_matrix(reference.T @ T[:, :3, :3]).magnitude()
         assert target.pointing is not None
-        axis, wanted = target.pointing
-        away = np.linalg.norm(T[:, :3, :3] @ axis - wanted, axis=1)
-        return 2.0 * np.arcsin(np.minimum(0.5 * away, 1.0))
+        axis, direction = target.pointing
+        chord = np.linalg.norm(T[:, :3, :3] @ axis - direction, axis=1)
+        return 2.0 * np.arcsin(np.minimum(0.5 * chord, 1.0))
 
-    return _of_finite(mechanism, xs, measure)
+    return _where_finite(mechanism, xs, error_of)
 
 
-def _off_path(mechanism: Mechanism, frame: str, points: np.ndarray, xs: np.ndarray) -> np.ndarray:
-    def measure(known: np.ndarray) -> np.ndarray:
-        here = frame_pose(mechanism, xs[known, : mechanism.nq], frame)[:, :3, 3]
-        return np.linalg.norm(here - points[known], axis=1)
+def _path_error(mechanism: Mechanism, frame: str, points: np.ndarray, xs: np.ndarray) -> np.ndarray:
+    def error_of(finite: np.ndarray) -> np.ndarray:
+        here = frame_pose(mechanism, xs[finite, : mechanism.nq], frame)[:, :3, 3]
+        return np.linalg.norm(here - points[finite], axis=1)
 
-    return _of_finite(mechanism, xs, measure)
+    return _where_finite(mechanism, xs, error_of)
 
 
 def _speed(mechanism: Mechanism, frame: str, xs: np.ndarray) -> np.ndarray:
     nq, nv = mechanism.nq, mechanism.nv
 
-    def measure(known: np.ndarray) -> np.ndarray:
-        J = jacobian(mechanism, xs[known, :nq], frame)[:, :3]
-        return np.linalg.norm(np.einsum("kai,ki->ka", J, xs[known, nq : nq + nv]), axis=1)
+    def error_of(finite: np.ndarray) -> np.ndarray:
+        J = jacobian(mechanism, xs[finite, :nq], frame)[:, :3]
+        return np.linalg.norm(np.einsum("kai,ki->ka", J, xs[finite, nq : nq + nv]), axis=1)
 
-    return _of_finite(mechanism, xs, measure)
+    return _where_finite(mechanism, xs, error_of)

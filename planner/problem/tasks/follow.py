@@ -1,4 +1,4 @@
-"""Follow: a path of a frame, or of joints, that a motion is to keep to, all along."""
+"""Follow: a path of a frame, or of joints, that a motion tracks."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ import numpy as np
 from planner.base.arguments import choice, number, numbers, short_repr
 from planner.base.errors import FileError, PlannerError
 from planner.base.files import printable, read_text
-from planner.problem.tasks.goal import plain
+from planner.problem.tasks.goal import json_value
 
-LONGEST = 100_000  # rows of a file
-PLACE = ("x", "y", "z")
+MAX_ROWS = 100_000  # of a file
+COORDINATES = ("x", "y", "z")
 
 
 @dataclass(frozen=True)
@@ -25,11 +25,11 @@ class Follow:
     """A path to follow: straight lines between points, each at its time.
 
     Attributes:
-        frame: Name of a site or body, whose points are places in the world; None for joints.
+        frame: Name of a site or body, whose points are positions in the world; None for joints.
         joints: Names of the joints whose positions the points are; None for a frame.
         points: (M, 1 + n) rows of t, s, and x, y, z in m or the joints' positions in rad or m; or (M, n) without
             times, for points at equal times from the start to the end.
-        tolerance: How far from the path passes, m or rad; by default 10 mm or 0.04 rad.
+        tolerance: Largest distance from the path that passes, m or rad; by default 10 mm or 0.04 rad.
 
     Raises:
         PlannerError: Neither frame nor joints, or both; a wrong shape; times that do not rise.
@@ -73,12 +73,12 @@ class Follow:
 
     @property
     def words(self) -> str:
-        """The numbers of a point, for a sentence."""
-        return ", ".join(PLACE if self.joints is None else self.joints)
+        """Names of a point's numbers, in messages."""
+        return ", ".join(COORDINATES if self.joints is None else self.joints)
 
     @property
     def what(self) -> str:
-        """Whose path it is, for a sentence."""
+        """Name of the frame or joints, in messages."""
         return self.frame or " and ".join(self.joints)
 
     def times(self, duration: float) -> np.ndarray:
@@ -92,13 +92,15 @@ class Follow:
         return np.stack([np.interp(t, self.times(duration), column) for column in points.T], axis=1)
 
     def to_dict(self) -> dict[str, Any]:
-        """As JSON values; what is at its default is left out."""
-        return {one.name: plain_of(value) for one in fields(self) if (value := getattr(self, one.name)) is not None}
+        """As JSON values, without defaults."""
+        return {one.name: _json_value(value) for one in fields(self) if (value := getattr(self, one.name)) is not None}
 
 
-def plain_of(value: Any) -> Any:
-    """A value as JSON values; names stay names."""
-    return list(value) if isinstance(value, (list, tuple)) and value and isinstance(value[0], str) else plain(value)
+def _json_value(value: Any) -> Any:
+    """A value as JSON values; lists of names stay."""
+    return (
+        list(value) if isinstance(value, (list, tuple)) and value and isinstance(value[0], str) else json_value(value)
+    )
 
 
 def follow_of(value: Any, name: str) -> Follow:
@@ -143,7 +145,7 @@ def with_points(table: Mapping[str, Any], folder: Path) -> dict[str, Any]:
             expected = 'expected one, or frame = "..." in [follow]'
             raise FileError(f"{printable(path)} has no heading t,JOINT,..., {expected}.")
         rest["joints"] = heading[1:]
-    elif heading and table.get("frame") is not None and heading not in (["t", *PLACE], [*PLACE]):
+    elif heading and table.get("frame") is not None and heading not in (["t", *COORDINATES], [*COORDINATES]):
         raise FileError(f"{printable(path)} has the heading {','.join(heading)}, expected t,x,y,z.")
     return {**rest, "points": rows}
 
@@ -151,8 +153,8 @@ def with_points(table: Mapping[str, Any], folder: Path) -> dict[str, Any]:
 def read_rows(path: Path) -> tuple[list[str], list[list[float]]]:
     """The heading of a CSV file, if it has one, and its rows of numbers."""
     lines = [row for row in csv.reader(io.StringIO(read_text(path, "the path to follow"))) if any(map(str.strip, row))]
-    if len(lines) > LONGEST:
-        raise FileError(f"{printable(path)} has {len(lines)} rows, expected at most {LONGEST}.")
+    if len(lines) > MAX_ROWS:
+        raise FileError(f"{printable(path)} has {len(lines)} rows, expected at most {MAX_ROWS}.")
     heading = [cell.strip() for cell in lines[0]] if lines and not all(map(_is_number, lines[0])) else []
     rows = []
     for i, cells in enumerate(lines[bool(heading) :], 1 + bool(heading)):

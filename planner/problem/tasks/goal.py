@@ -1,4 +1,4 @@
-"""Goal: where a frame or joints of a machine are to be at a time, as a person says it.
+"""Goal: the pose of a frame, or positions of joints, at a time.
 
 Goal(frame="hand", position=(0.4, 0.1, 0.3), pointing=(0, 0, -1))         at the end, at rest
 Goal(frame="hand", position=(0.4, 0.1, 0.6), time=1.0, through=True)      passed after a second
@@ -19,25 +19,25 @@ from planner.base.errors import PlannerError
 AXES = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
 ANGLES = ("roll", "pitch", "yaw")
 PARTS = ("position", "orientation", "pointing", "velocity")
-"""What a tolerance may name."""
+"""Keys of a table of tolerances."""
 
 
 @dataclass(frozen=True)
 class Goal:
-    """What a frame, or joints, are asked to be at a time.
+    """A goal for a frame, or for joints, at a time.
 
     Attributes:
         frame: Name of a site or body; None for joints.
         position: (3,) m, in the world.
-        orientation: Quaternion (4,), w first, or a table of roll, pitch and yaw in degrees: turns about the world's x,
-            then y, then z.
+        orientation: Quaternion (4,), w first, or a table of roll, pitch and yaw in degrees: rotations about the world's
+            x, then y, then z.
         pointing: (3,) the direction of the world to which the frame's z axis points, or a table with `to`, that
-            direction, and `axis`, "x", "y", "z" or (3,) in the frame. The turn about it is free.
+            direction, and `axis`, "x", "y", "z" or (3,) in the frame. The rotation about it is free.
         joints: Positions by joint, a keyframe's name, or all positions; rad or m.
         time: s from the start; None for the end.
-        through: Whether it is passed without stopping; else the machine stands still there.
-        tolerance: How far from it passes: a number in m and rad, or a table of position, orientation, pointing and
-            velocity (of standing still, m/s). By default 5 mm, 0.02 rad and 0.05 m/s.
+        through: Whether it is a via point, passed without stopping; else the machine is at rest there.
+        tolerance: Largest error that passes: a number in m and rad, or a table of position, orientation, pointing and
+            velocity (at rest, m/s). By default 5 mm, 0.02 rad and 0.05 m/s.
 
     Raises:
         PlannerError: Neither frame nor joints, or both; a wrong shape; orientation beside pointing.
@@ -108,23 +108,23 @@ class Goal:
             for name, value in (("the axis of a goal's pointing", axis), ("pointing of a goal", given))
         )  # pyright: ignore
 
-    def tolerances(self, usual: Mapping[str, float]) -> dict[str, float]:
-        """By PARTS: those of the goal, else `usual`."""
+    def tolerances(self, defaults: Mapping[str, float]) -> dict[str, float]:
+        """By PARTS: those of the goal, else `defaults`."""
         given = self.tolerance
         if given is None:
-            return dict(usual)
+            return dict(defaults)
         if isinstance(given, Mapping):
             own = {choice("a tolerance of a goal", name, PARTS): value for name, value in given.items()}
             return {
-                **usual,
+                **defaults,
                 **{name: number(f"the {name} tolerance", value, greater_than=0.0) for name, value in own.items()},
             }
-        return {**usual, **dict.fromkeys(PARTS[:3], number("tolerance of a goal", given, greater_than=0.0))}
+        return {**defaults, **dict.fromkeys(PARTS[:3], number("tolerance of a goal", given, greater_than=0.0))}
 
     def to_dict(self) -> dict[str, Any]:
-        """As JSON values; what is at its default is left out."""
+        """As JSON values, without defaults."""
         return {
-            one.name: plain(value)
+            one.name: json_value(value)
             for one in fields(self)
             if (value := getattr(self, one.name)) is not None and value is not False
         }
@@ -150,10 +150,10 @@ def goal_of(value: Any, name: str) -> Goal:
         raise PlannerError(f"{name}: {error}") from None
 
 
-def plain(value: Any) -> Any:
-    """A value of a caller as JSON values."""
+def json_value(value: Any) -> Any:
+    """A user's value as JSON values."""
     if isinstance(value, Mapping):
-        return {str(key): plain(part) for key, part in value.items()}
+        return {str(key): json_value(part) for key, part in value.items()}
     if isinstance(value, (list, tuple, np.ndarray, np.number)):
         return numbers("a number of a goal", value).tolist()
     return value

@@ -1,6 +1,6 @@
-"""What constraints ask of the poses of a task: of places, angles and distances, at a stage, at rest.
+"""Constraints on the poses of a task: on positions, angles and distances, at a stage, at rest.
 
-A goal is a cost and a constraint is not, so a goal that a constraint forbids would be missed without a word.
+A goal is part of the cost, so a goal that contradicts a constraint would be missed without a message.
 """
 
 from __future__ import annotations
@@ -16,21 +16,21 @@ from planner.problem.constraints.constraint_stack import ConstraintStack, StackE
 from planner.problem.constraints.quantities import ResidualFunction
 from planner.problem.costs.penalty_terms import Velocity
 
-POSE_TOLERANCE = 1e-3  # m or rad that a pose may break a constraint by, beside its tolerance: the search ends there
+POSE_TOLERANCE = 1e-3  # m or rad, violation of a constraint in addition to its tolerance at which the search ends
 ResidualAndJacobian = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
 
 
 class PoseConstraints:
-    """Which poses of a machine keep its constraints.
+    """Constraint violations of poses of a machine.
 
     Args:
-        constraints: Of the problem; those of speeds, controls and functions are not looked at.
+        constraints: Of the problem; those of velocities, controls and user functions are ignored.
         dynamics: The machine.
         x0: (nx,) start.
         N: Stages.
 
     Raises:
-        PlannerError: As planner.problem.constraints.constraint_stack.Rows.
+        PlannerError: As planner.problem.constraints.constraint_stack.ConstraintStack.
     """
 
     def __init__(self, constraints: Sequence[Constraint], dynamics: RigidBodyDynamics, x0: np.ndarray, N: int) -> None:
@@ -38,37 +38,37 @@ class PoseConstraints:
         self._x0, self._mechanism = x0, dynamics.mechanism
         self._parts = [
             part for part in self._rows.parts
-            if isinstance(part.measure, ResidualFunction) and not isinstance(part.measure, PairClearanceFunction)
+            if isinstance(part.function, ResidualFunction) and not isinstance(part.function, PairClearanceFunction)
             and not isinstance(part.constraint.of, Velocity)
         ]  # fmt: skip
 
     def at(self, stage: int) -> ResidualAndJacobian | None:
-        """Of poses q (nq,) at a stage what is missing, over what may be: r (R,) and J (R, nv). None for nothing."""
+        """Violations of a pose q (nq,) at a stage over their tolerances: r (R,) and J (R, nv). None without any."""
         parts = [part for part in self._parts if np.isfinite(self._bounds(part, stage)).any()]
         if not parts:
             return None
 
-        def missing(q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-            found = [self._missing(part, stage, q) for part in parts]
+        def violation(q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+            found = [self._violation(part, stage, q) for part in parts]
             return np.concatenate([one[0] for one in found]), np.concatenate([one[1] for one in found])
 
-        return missing
+        return violation
 
-    def broken(self, stage: int, q: np.ndarray) -> StackEntry | None:
-        """The constraint that a pose (nq,) breaks most; None where it keeps all."""
-        worst = max(self._parts, key=lambda part: float(np.abs(self._missing(part, stage, q)[0]).max()), default=None)
-        return None if worst is None or np.abs(self._missing(worst, stage, q)[0]).max() <= 1.0 else worst
+    def violated(self, stage: int, q: np.ndarray) -> StackEntry | None:
+        """The constraint that a pose (nq,) violates most; None for none."""
+        worst = max(self._parts, key=lambda part: float(np.abs(self._violation(part, stage, q)[0]).max()), default=None)
+        return None if worst is None or np.abs(self._violation(worst, stage, q)[0]).max() <= 1.0 else worst
 
     def _bounds(self, part: StackEntry, stage: int) -> np.ndarray:
         """(2, R) in the constraint's unit."""
         side = self._rows.specified_lower, self._rows.specified_upper
         return np.stack([one[stage, part.columns] / self._rows.scale[part.columns] for one in side])
 
-    def _missing(self, part: StackEntry, stage: int, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def _violation(self, part: StackEntry, stage: int, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         (low, high), x, n = self._bounds(part, stage), self._x0.copy(), np.array([stage])
         x[: self._mechanism.nq], x[self._mechanism.nq : self._mechanism.nq + self._mechanism.nv] = q, 0.0
-        value = part.measure.values(x[None], np.zeros((1, 0)), n)[0]
+        value = part.function.values(x[None], np.zeros((1, 0)), n)[0]
         r = np.maximum(value - high, 0.0) - np.maximum(low - value, 0.0)
-        J = part.measure.derivatives(x[None], np.zeros((1, 0)), n)[0][0][:, : self._mechanism.nv]
+        J = part.function.derivatives(x[None], np.zeros((1, 0)), n)[0][0][:, : self._mechanism.nv]
         scale = POSE_TOLERANCE + part.constraint.allowed()
         return r / scale, np.where(r[:, None] != 0.0, J, 0.0) / scale

@@ -1,4 +1,4 @@
-"""Poses of a task: a configuration for each of its times, by inverse kinematics, and what cannot be reached."""
+"""Poses of a task: a configuration for each of its times, by inverse kinematics; goals out of reach are refused."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ from planner.problem.tasks.follow import Follow
 from planner.problem.tasks.pose_constraints import PoseConstraints, ResidualAndJacobian
 from planner.problem.tasks.timed_task import Task, TimedGoal, unit_of
 
-MAX_CONFIGURATIONS = 60  # configurations along a path: between them joints move on a spline
-ALONG = 2  # starts of the search on a path that a constraint holds off: the pose before is near
+MAX_CONFIGURATIONS = 60  # along a path: between them joints move on a spline
+PATH_STARTS = 2  # of the search on a path with active constraints, beginning at the pose before
 
 
 class Poses(NamedTuple):
@@ -28,22 +28,22 @@ class Poses(NamedTuple):
 
     stages: np.ndarray  # (E,)
     q: np.ndarray  # (E, nq)
-    at_rest: np.ndarray  # (E,) True where the machine stands still
+    at_rest: np.ndarray  # (E,) bool
 
 
 class _Search(NamedTuple):
-    """How configurations are sought: the arguments of poses_of."""
+    """The arguments of poses_of."""
 
     dynamics: RigidBodyDynamics
     ranges: np.ndarray
     seed: int
     check: bool
-    free: CollisionChecker | None
-    kept: PoseConstraints | None
+    checker: CollisionChecker | None
+    constraints: PoseConstraints | None
 
 
-class _Asked(NamedTuple):
-    """What is asked at one stage."""
+class _StageTargets(NamedTuple):
+    """Goals at one stage."""
 
     targets: list[Target]
     labels: list[str]
@@ -52,19 +52,19 @@ class _Asked(NamedTuple):
 
 def poses_of(
     task: Task, dynamics: RigidBodyDynamics, x0: np.ndarray, ranges: np.ndarray, seed: int = 0, check: bool = True,
-    free: CollisionChecker | None = None, kept: PoseConstraints | None = None,
+    checker: CollisionChecker | None = None, constraints: PoseConstraints | None = None,
 ) -> Poses:  # fmt: skip
     """The configurations of a task, one after the other, each near the one before.
 
     Args:
         task: Goals and paths.
-        dynamics: The machine; what no actuator drives moves only where it must.
+        dynamics: The machine; unactuated joints move only where they must.
         x0: (nx,) start.
         ranges: (nv, 2) of hinges and slides.
         seed: Of the random starts of the search.
-        check: Whether to refuse what cannot be reached.
-        free: Which poses touch nothing, where something is avoided.
-        kept: Which poses keep the constraints, where there are some.
+        check: Whether to refuse goals out of reach.
+        checker: Of collisions; None for no avoidance.
+        constraints: On poses; None for none.
 
     Raises:
         PlannerError: A goal out of reach, goals that contradict each other or a constraint, or a path that begins
@@ -72,23 +72,23 @@ def poses_of(
     """
     mechanism = task.mechanism
     q = x0[: mechanism.nq]
-    search = _Search(dynamics, ranges, seed, check, free, kept)
-    stages, found, stops = [0], [q], [not np.any(x0[mechanism.nq : mechanism.nq + mechanism.nv])]
+    search = _Search(dynamics, ranges, seed, check, checker, constraints)
+    stages, found, at_rest = [0], [q], [not np.any(x0[mechanism.nq : mechanism.nq + mechanism.nv])]
     if check:
         for path in task.follows:
-            _check_beginning(task, path, q)
+            _check_path_start(task, path, q)
     for stage in _stages(task):
         here = [one for one in task.goals if one.stage == stage]
-        if check and stage < task.N:  # ends are judged by the limits
+        if check and stage < task.N:  # the limits check the end
             _check_joints(task, here, ranges)
-        asked = _asked(task, stage, here)
+        asked = _stage_targets(task, stage, here)
         q = _pose(task, search, q, asked, stage, here)
         stages.append(stage)
         found.append(q)
-        stops.append(any(not one.goal.through for one in here) if stage < task.N else task.rests)
-    if stages[-1] < task.N:  # nothing is asked of the end but rest
-        stages, found, stops = [*stages, task.N], [*found, q], [*stops, task.rests]
-    return Poses(np.array(stages), np.array(found), np.array(stops))
+        at_rest.append(any(not one.goal.through for one in here) if stage < task.N else task.rests)
+    if stages[-1] < task.N:  # no goal at the end but rest
+        stages, found, at_rest = [*stages, task.N], [*found, q], [*at_rest, task.rests]
+    return Poses(np.array(stages), np.array(found), np.array(at_rest))
 
 
 def _check_joints(task: Task, here: Sequence[TimedGoal], ranges: np.ndarray) -> None:
@@ -104,7 +104,7 @@ def _check_joints(task: Task, here: Sequence[TimedGoal], ranges: np.ndarray) -> 
 
 
 def _stages(task: Task) -> list[int]:
-    """The stages at which something is asked: of a long path a part."""
+    """The stages with goals: of a long path a part."""
     stages = {one.stage for one in task.goals}
     for path in task.follows:
         first, last = task.span(path)
@@ -112,7 +112,7 @@ def _stages(task: Task) -> list[int]:
     return sorted(stages - {0})
 
 
-def _asked(task: Task, stage: int, here: Sequence[TimedGoal]) -> _Asked:
+def _stage_targets(task: Task, stage: int, here: Sequence[TimedGoal]) -> _StageTargets:
     targets, labels, joints = [], [], {}
     for one in here:
         goal = one.goal
@@ -123,26 +123,26 @@ def _asked(task: Task, stage: int, here: Sequence[TimedGoal]) -> _Asked:
                 raise PlannerError(f"{one.label} contradicts a goal at the same time: {both}, expected one of them.")
         if goal.frame is not None:
             position = None if goal.position is None else np.asarray(goal.position, dtype=float)
-            turn = one.tolerances["pointing" if goal.orientation is None else "orientation"]
+            angle = one.tolerances["pointing" if goal.orientation is None else "orientation"]
             targets.append(
-                Target(goal.frame, position, goal.quaternion, goal.direction, one.tolerances["position"], turn)
+                Target(goal.frame, position, goal.quaternion, goal.direction, one.tolerances["position"], angle)
             )
             labels.append(one.label)
     for path in task.follows:
         first, last = task.span(path)
         if first <= stage <= last:
-            point = task.place(path, np.array([stage]))[0]
+            point = task.positions_at(path, np.array([stage]))[0]
             if path.frame is not None:
                 targets.append(Target(path.frame, point, metre_scale=task.tolerance(path)))
                 labels.append(f"the path of {path.frame} at {stage * task.dt:.4g} s")
             else:
                 named = zip(path.joints, point, strict=True)
                 joints |= {task.mechanism.joint(name).start: value for name, value in named}
-    return _Asked(targets, labels, joints)
+    return _StageTargets(targets, labels, joints)
 
 
 def _pose(
-    task: Task, search: _Search, q: np.ndarray, asked: _Asked, stage: int, here: Sequence[TimedGoal]
+    task: Task, search: _Search, q: np.ndarray, asked: _StageTargets, stage: int, here: Sequence[TimedGoal]
 ) -> np.ndarray:  # fmt: skip
     """The configuration (nq,) at a stage."""
     mechanism, ranges = task.mechanism, search.ranges
@@ -154,11 +154,11 @@ def _pose(
     if mechanism.loops or mechanism.polynomial_couplings:
         x = np.concatenate([q, np.zeros(mechanism.space.nx - len(q))])
         q = assembled(mechanism, x, asked.joints)[: len(q)]
-    short = None if search.free is None else search.free.clearance_violation
-    missing = None if search.kept is None else search.kept.at(stage)
+    short = None if search.checker is None else search.checker.clearance_violation
+    missing = None if search.constraints is None else search.constraints.at(stage)
     if not asked.targets:
         if search.check and missing is not None:
-            _check_kept(task, search, q, stage, here)
+            _check_constraints(task, search, q, stage, here)
         return q
 
     def tried(
@@ -166,10 +166,10 @@ def _pose(
         missing: ResidualAndJacobian | None = None,
     ) -> tuple[np.ndarray, float]:  # fmt: skip
         found = None
-        for mask in _masks(search.dynamics, joints):
+        for mask in _free_dofs(search.dynamics, joints):
             other = inverse_kinematics(
                 mechanism, targets, q, ranges=ranges, free=mask, seed=search.seed, short=short, missing=missing,
-                starts=None if here or missing is None else ALONG,
+                starts=None if here or missing is None else PATH_STARTS,
             )  # fmt: skip
             found = other if found is None or other.rank < found.rank else found
             if found.residual <= 1.0:
@@ -178,20 +178,24 @@ def _pose(
         return found.q, found.residual
 
     best, residual = tried(asked.targets, asked.joints, short)
-    broken = None if missing is None or search.kept is None else search.kept.broken(stage, best)
-    if residual <= 1.0 and broken is not None and search.kept is not None:
+    violated = None if missing is None or search.constraints is None else search.constraints.violated(stage, best)
+    if residual <= 1.0 and violated is not None and search.constraints is not None:
         other, residual = tried(asked.targets, asked.joints, short, missing)
-        if residual <= 1.0 and search.kept.broken(stage, other) is None:
+        if residual <= 1.0 and search.constraints.violated(stage, other) is None:
             return other
         if search.check:
-            missed = [_missed(task, other, target) for target in asked.targets]
-            over = [max(way / target.metre_scale, turn / target.turn_scale)
-                    for target, (way, turn) in zip(asked.targets, missed, strict=True)]  # fmt: skip
+            missed = [_errors(task, other, target) for target in asked.targets]
+            over = [max(distance / target.metre_scale, angle / target.turn_scale)
+                    for target, (distance, angle) in zip(asked.targets, missed, strict=True)]  # fmt: skip
             k = int(np.argmax(over))
-            target, label, (way, turn) = asked.targets[k], asked.labels[k], missed[k]
-            away = f"{way:.3g} m" if way / target.metre_scale >= turn / target.turn_scale else f"{turn:.3g} rad"
+            target, label, (distance, angle) = asked.targets[k], asked.labels[k], missed[k]
+            away = (
+                f"{distance:.3g} m"
+                if distance / target.metre_scale >= angle / target.turn_scale
+                else f"{angle:.3g} rad"
+            )
             raise PlannerError(
-                f"{label} contradicts {broken.constraint}: where that is kept {target.frame} is at best {away} away; "
+                f"{label} contradicts {violated.constraint}: where that is kept {target.frame} is at best {away} away; "
                 "move the goal, or widen the constraint."
             )
     if residual <= 1.0 or not search.check:
@@ -209,10 +213,10 @@ def _pose(
                 )
         near, alone = tried([target], {})
         if alone > 1.0:
-            way, turn = _missed(task, near, target)
+            distance, angle = _errors(task, near, target)
             raise PlannerError(
                 f"{label} is out of reach{within}: {target.frame} gets to its position but not with that orientation, "
-                f"at best {way:.3g} m and {turn:.3g} rad away."
+                f"at best {distance:.3g} m and {angle:.3g} rad away."
             )
     others = [one.label for one in here if one.joints]
     raise PlannerError(
@@ -221,50 +225,50 @@ def _pose(
     )
 
 
-def _check_kept(task: Task, search: _Search, q: np.ndarray, stage: int, here: Sequence[TimedGoal]) -> None:
-    """Refuse goals of joints at which a constraint is broken by more than their tolerances make of it."""
-    assert search.kept is not None
-    broken, missing = search.kept.broken(stage, q), search.kept.at(stage)
-    if broken is None or missing is None or not here:
+def _check_constraints(task: Task, search: _Search, q: np.ndarray, stage: int, here: Sequence[TimedGoal]) -> None:
+    """Refuse goals of joints that violate a constraint by more than their tolerances explain."""
+    assert search.constraints is not None
+    violated, missing = search.constraints.violated(stage, q), search.constraints.at(stage)
+    if violated is None or missing is None or not here:
         return
     r, J = missing(q)
     own = np.zeros(task.mechanism.nv)
     for one in here:
         for dof in one.joints:
             own[dof] = one.tolerances["position" if unit_of(task.mechanism, dof) == "m" else "orientation"]
-    others = np.any(J[:, own == 0.0] != 0.0, axis=1)  # joints that have no goal may mend these
+    others = np.any(J[:, own == 0.0] != 0.0, axis=1)  # joints without a goal may change these
     if np.any((np.abs(r) - np.abs(J) @ own > 1.0) & ~others):
         asked = " and ".join(one.label for one in here)
-        raise PlannerError(f"{asked} contradicts {broken.constraint}: move the goal, or widen the constraint.")
+        raise PlannerError(f"{asked} contradicts {violated.constraint}: move the goal, or widen the constraint.")
 
 
-def _missed(task: Task, q: np.ndarray, target: Target) -> tuple[float, float]:
+def _errors(task: Task, q: np.ndarray, target: Target) -> tuple[float, float]:
     r, _, turns = residuals(task.mechanism, q, target)
     return float(np.linalg.norm(r[~turns])), float(np.linalg.norm(r[turns]))
 
 
-def _masks(dynamics: RigidBodyDynamics, joints: dict[int, float]) -> list[np.ndarray]:
-    """Which degrees of freedom may move: those that are driven, then all of them unless the machine stands.
+def _free_dofs(dynamics: RigidBodyDynamics, joints: dict[int, float]) -> list[np.ndarray]:
+    """Degrees of freedom that may move: the actuated ones, then all of them unless the machine stands.
 
-    Closed chains move what nothing drives.
+    Closed chains move unactuated joints too.
     """
     mechanism = dynamics.mechanism
-    driven = np.any(mechanism.actuators.moment * mechanism.actuators.gain[:, None] != 0.0, axis=0)
-    driven[prescribed_dofs_of(dynamics)] = True
+    actuated = np.any(mechanism.actuators.moment * mechanism.actuators.gain[:, None] != 0.0, axis=0)
+    actuated[prescribed_dofs_of(dynamics)] = True
     everything = np.ones(mechanism.nv, dtype=bool)
-    masks = [driven] if mechanism.contacts or driven.all() else [driven, everything]
+    masks = [actuated] if mechanism.contacts or actuated.all() else [actuated, everything]
     masks = [everything] if mechanism.loops or mechanism.polynomial_couplings else masks
     for mask in masks:
         mask[list(joints)] = False
     return masks
 
 
-def _check_beginning(task: Task, path: Follow, q: np.ndarray) -> None:
+def _check_path_start(task: Task, path: Follow, q: np.ndarray) -> None:
     """Refuse a path that begins at once and elsewhere."""
     mechanism = task.mechanism
     if task.span(path)[0] > 0:
         return
-    point = task.place(path, np.array([0]))[0]
+    point = task.positions_at(path, np.array([0]))[0]
     if path.frame is not None:
         here = frame_pose(mechanism, q, path.frame)[:3, 3]
     else:

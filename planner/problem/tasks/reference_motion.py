@@ -1,7 +1,7 @@
-"""The motion through the poses of a task: straight in joint space from stop to stop, on a spline where it passes.
+"""A first guess of a task's motion: through its poses, straight in joint space between poses at rest.
 
-From rest to rest between two poses it is the polynomial of fifth order; through several, the cubic spline with the
-velocities at its ends. It is a first guess, no more: the solver makes the plan.
+From rest to rest between two poses it follows minimum_jerk; through several poses, a cubic spline with given end
+velocities. The solver makes the plan.
 """
 
 from __future__ import annotations
@@ -12,33 +12,62 @@ import numpy as np
 
 from planner.base.errors import PlannerError
 from planner.dynamics import RigidBodyDynamics
-from planner.problem.initial_guess import inverse_dynamics_controls
+from planner.problem.collision_checker import CollisionChecker
+from planner.problem.initial_guess import inverse_dynamics_controls, minimum_jerk
 from planner.problem.tasks.poses import Poses, is_screws
 from planner.problem.tasks.timed_task import Task
 
+VIA_PARTS = 8  # equal parts of a collision-free path, at whose inner ends poses are passed on a spline
+_EVEN = np.linspace(0.0, 1.0, 1001)
+_FROM_REST = minimum_jerk(_EVEN)[0]
+
+
+def with_via_poses(poses: Poses, checker: CollisionChecker, seed: int = 0) -> Poses:
+    """The poses with via poses between them where the straight line from one to the next is in collision.
+
+    Where there are too few stages between two poses, or no path is found, nothing is added: the solver has to find one.
+    """
+    stages, q, at_rest = [int(poses.stages[0])], [poses.q[0]], [bool(poses.at_rest[0])]
+    for k in range(1, len(poses.q)):
+        a, b = int(poses.stages[k - 1]), int(poses.stages[k])
+        path = checker.find_path(poses.q[k - 1], poses.q[k], seed) if b - a > VIA_PARTS else None
+        if path is not None:
+            straight = path[0] + np.linspace(0.0, 1.0, len(path))[:, None] * (path[-1] - path[0])
+            if np.abs(path - straight).max() > 1e-9:
+                share = np.arange(1, VIA_PARTS) / VIA_PARTS
+                between_rests = poses.at_rest[k - 1] and poses.at_rest[k]
+                times = np.interp(share, _FROM_REST, _EVEN) if between_rests else share
+                stages += (a + np.round(times * (b - a))).astype(int).tolist()
+                q += list(path[np.round(share * (len(path) - 1)).astype(int)])
+                at_rest += [False] * len(share)
+        stages.append(b)
+        q.append(poses.q[k])
+        at_rest.append(bool(poses.at_rest[k]))
+    return Poses(np.array(stages), np.array(q), np.array(at_rest))
+
 
 def interpolate(task: Task, poses: Poses, x0: np.ndarray, t: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Positions (K, nq), velocities and accelerations (K, nv) at times t (K,), of a machine of hinges and slides."""
+    """Positions (K, nq), velocities and accelerations (K, nv) at times t (K,), for hinges and slides alone."""
     from scipy.interpolate import BPoly, CubicSpline  # 0.4 s that `planner run` need not pay
 
     mechanism = task.mechanism
     nq = mechanism.nq
-    stops = [0, *(k for k in range(1, len(poses.q) - 1) if poses.at_rest[k]), len(poses.q) - 1]
-    found = np.zeros((3, len(t), nq))
-    for a, b in itertools.pairwise(stops):
+    rests = [0, *(k for k in range(1, len(poses.q) - 1) if poses.at_rest[k]), len(poses.q) - 1]
+    motion = np.zeros((3, len(t), nq))
+    for a, b in itertools.pairwise(rests):
         at = task.dt * poses.stages[a : b + 1]
         q = poses.q[a : b + 1]
         first = x0[nq : nq + mechanism.nv] if a == 0 else np.zeros(nq)
         last = np.zeros(nq) if poses.at_rest[b] else (q[-1] - q[-2]) / (at[-1] - at[-2])
         if len(q) == 2:
             zero = np.zeros(nq)
-            curve = BPoly.from_derivatives(at, [[q[0], first, zero], [q[1], last, zero]])
+            spline = BPoly.from_derivatives(at, [[q[0], first, zero], [q[1], last, zero]])
         else:
-            curve = CubicSpline(at, q, bc_type=((1, first), (1, last)))  # pyright: ignore
-        inside = (t >= at[0]) & (t <= at[-1]) if b == stops[-1] else (t >= at[0]) & (t < at[-1])
+            spline = CubicSpline(at, q, bc_type=((1, first), (1, last)))  # pyright: ignore
+        inside = (t >= at[0]) & (t <= at[-1]) if b == rests[-1] else (t >= at[0]) & (t < at[-1])
         for order in range(3):
-            found[order, inside] = curve(t[inside], order)
-    return found[0], found[1], found[2]
+            motion[order, inside] = spline(t[inside], order)
+    return motion[0], motion[1], motion[2]
 
 
 def reference_states(task: Task, poses: Poses, x0: np.ndarray) -> np.ndarray:
@@ -55,22 +84,19 @@ def reference_states(task: Task, poses: Poses, x0: np.ndarray) -> np.ndarray:
     states[:, :nq] = poses.q
     for k in range(len(states) - 1):
         a, b = poses.stages[k : k + 2]
-        s = (np.arange(a, b + 1) - a) / (b - a)
-        way = space.difference(states[k + 1], states[k])
-        xs[a : b + 1] = space.integrate(
-            np.tile(states[k], (b - a + 1, 1)), (10.0 * s**3 - 15.0 * s**4 + 6.0 * s**5)[:, None] * way
-        )
-        speed = (30.0 * s**2 - 60.0 * s**3 + 30.0 * s**4) / ((b - a) * task.dt)
-        xs[a : b + 1, nq : nq + nv] = speed[:, None] * way[:nv]
+        share, rate, _ = minimum_jerk((np.arange(a, b + 1) - a) / (b - a))
+        displacement = space.difference(states[k + 1], states[k])
+        xs[a : b + 1] = space.integrate(np.tile(states[k], (b - a + 1, 1)), share[:, None] * displacement)
+        xs[a : b + 1, nq : nq + nv] = (rate / ((b - a) * task.dt))[:, None] * displacement[:nv]
     return xs
 
 
 def controls(task: Task, poses: Poses, dynamics: RigidBodyDynamics, x0: np.ndarray) -> np.ndarray | None:
-    """Controls (N, nu) along the motion by inverse dynamics; None where the actuators do not reach every joint."""
+    """Controls (N, nu) along the motion by inverse dynamics; None unless the actuators reach every joint."""
     mechanism = task.mechanism
-    if not is_screws(task) or mechanism.contacts or mechanism.body_contacts or dynamics.prescribed:
+    if not is_screws(task) or dynamics.capabilities.contacts or dynamics.prescribed:
         return None
-    middle = task.dt * (np.arange(task.N) + 0.5)  # where a control that is held over a stage is best taken
+    middle = task.dt * (np.arange(task.N) + 0.5)  # where a control that is constant over a stage is best taken
     try:
         return inverse_dynamics_controls(mechanism, *interpolate(task, poses, x0, middle))
     except PlannerError:
@@ -78,7 +104,7 @@ def controls(task: Task, poses: Poses, dynamics: RigidBodyDynamics, x0: np.ndarr
 
 
 def joint_displacement(task: Task, poses: Poses) -> np.ndarray:
-    """(nv,) how far each degree of freedom goes, there and back."""
+    """(nv,) the distance that each degree of freedom covers, in either direction, rad or m."""
     space = task.mechanism.space
     xs = np.tile(task.mechanism.home, (len(poses.q), 1))
     xs[:, : task.mechanism.nq] = poses.q

@@ -1,4 +1,4 @@
-"""Task: the goals and paths of a problem, put on its stages and checked for what cannot be meant."""
+"""Task: the goals and paths of a problem at its stages, checked for contradictions."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ from planner.problem.goals import MIN_TOLERANCES
 from planner.problem.tasks.follow import Follow
 from planner.problem.tasks.goal import PARTS, Goal
 
-USUAL = {
+DEFAULT_TOLERANCES = {
     "position": MIN_TOLERANCES["m"],
     "orientation": MIN_TOLERANCES["rad"],
     "pointing": MIN_TOLERANCES["rad"],
     "velocity": MIN_TOLERANCES["m/s"],
 }
-PATH = {"m": 2.0 * MIN_TOLERANCES["m"], "rad": 2.0 * MIN_TOLERANCES["rad"]}  # the usual tolerance of a path
+PATH_TOLERANCES = {"m": 2.0 * MIN_TOLERANCES["m"], "rad": 2.0 * MIN_TOLERANCES["rad"]}  # default of a path
 
 
 @dataclass(frozen=True)
@@ -31,7 +31,7 @@ class TimedGoal:
     stage: int  # 1 to N
     time: float  # s, of the stage
     last: bool  # Whether it is at the end
-    label: str  # For a sentence: "goal 2 (hand at 1 s)"
+    label: str  # In messages: "goal 2 (hand at 1 s)"
     tolerances: dict[str, float]  # By PARTS
     joints: dict[int, float] = field(default_factory=dict)  # Of a goal of joints: positions by degree of freedom
 
@@ -53,12 +53,12 @@ class Task:
 
     @property
     def duration(self) -> float:
-        """S."""
+        """Duration, s."""
         return self.N * self.dt
 
     @property
     def rests(self) -> bool:
-        """Whether the machine is to stand still at the end: not where a goal is passed there, or a path with times."""
+        """Whether the machine is at rest at the end: not if a via point or a path with times ends there."""
         passed = any(one.goal.through for one in self.goals if one.last)
         ends = any(np.shape(path.points)[1] > path.width and self.span(path)[1] == self.N for path in self.follows)
         return not (passed or (ends and not any(one.last for one in self.goals)))
@@ -68,15 +68,15 @@ class Task:
         times = path.times(self.duration)
         return round(float(times[0]) / self.dt), round(float(times[-1]) / self.dt)
 
-    def place(self, path: Follow, stages: np.ndarray) -> np.ndarray:
+    def positions_at(self, path: Follow, stages: np.ndarray) -> np.ndarray:
         """The points (K, n) of a path at stages (K,)."""
         return path.at(self.dt * stages, self.duration)
 
     def tolerance(self, path: Follow) -> float:
-        """How far from a path passes, in its unit."""
+        """The largest distance from a path that passes, in its unit."""
         if path.tolerance is not None:
             return path.tolerance
-        return min(PATH[unit] for unit in self.units(path))
+        return min(PATH_TOLERANCES[unit] for unit in self.units(path))
 
     def units(self, path: Follow) -> list[str]:
         """The unit of each number of a path."""
@@ -96,13 +96,13 @@ def task_of(
         follows: Paths.
         N: Stages.
         dt: s, of a stage.
-        tolerance: Of goals that state none: a number, or a table by PARTS; None for the usual ones.
+        tolerance: Of goals that state none: a number, or a table by PARTS; None for the default ones.
 
     Raises:
         PlannerError: A frame, joint or keyframe that the machine does not have; times out of order or outside of the
             duration; a path that begins elsewhere.
     """
-    usual = Goal(frame="", pointing=(0, 0, 1), tolerance=_of_parts(tolerance)).tolerances(USUAL)
+    defaults = Goal(frame="", pointing=(0, 0, 1), tolerance=_goal_tolerances(tolerance)).tolerances(DEFAULT_TOLERANCES)
     timed, before = [], 0.0
     for k, goal in enumerate(goals, 1):
         time = N * dt if goal.time is None else float(goal.time)
@@ -120,7 +120,7 @@ def task_of(
             mechanism.frame(goal.frame)  # refuses a name that there is not, and says which there are
         timed.append(
             TimedGoal(
-                goal, stage, stage * dt, stage == N, label, goal.tolerances(usual), joints_of(mechanism, goal, label)
+                goal, stage, stage * dt, stage == N, label, goal.tolerances(defaults), joints_of(mechanism, goal, label)
             )
         )
     for path in follows:
@@ -128,8 +128,8 @@ def task_of(
     return Task(mechanism, tuple(timed), tuple(follows), N, dt)
 
 
-def _of_parts(tolerance: Any) -> Any:
-    """What a problem's tolerance says of goals: tables name joints and kinds of goals too."""
+def _goal_tolerances(tolerance: Any) -> Any:
+    """The entries of a problem's tolerance that goals have; tables name joints and kinds of goals too."""
     if isinstance(tolerance, dict):
         return {name: value for name, value in tolerance.items() if name in PARTS and value != "soft"} or None
     return None if tolerance == "soft" else tolerance
@@ -140,7 +140,7 @@ def joints_of(mechanism: Mechanism, goal: Goal, label: str) -> dict[int, float]:
     given = goal.joints
     if given is None:
         return {}
-    screws = [i for i in range(mechanism.nv) if mechanism.kind[i] == SCREW and _alone(mechanism, i)]
+    screws = [i for i in range(mechanism.nv) if mechanism.kind[i] == SCREW and _is_single_dof(mechanism, i)]
     if isinstance(given, str):
         given = mechanism.keyframe(given)[: mechanism.nq]
     elif isinstance(given, dict):
@@ -159,7 +159,7 @@ def joints_of(mechanism: Mechanism, goal: Goal, label: str) -> dict[int, float]:
     return {i: float(given[mechanism.q_address[i]]) for i in screws}
 
 
-def _alone(mechanism: Mechanism, dof: int) -> bool:
+def _is_single_dof(mechanism: Mechanism, dof: int) -> bool:
     links = next(one for one in mechanism.joint_links if one.start <= dof < one.stop)
     return links.stop - links.start == 1
 

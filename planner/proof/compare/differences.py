@@ -82,7 +82,7 @@ def _all(ours: Mechanism, theirs: Mechanism) -> Iterator[str]:
     if [replace(one, name="") for one in ours.couplings] != [replace(one, name="") for one in theirs.couplings]:
         both = (", ".join(one.name for one in m.couplings) or "none" for m in (theirs, ours))
         yield "its equalities of joints are others: {} there, {} in the plan".format(*both)
-    for name in ("loops", "cams"):
+    for name in ("loops", "polynomial_couplings"):
         one, other = (tuple(_of_chain(x) for x in getattr(m, name)) for m in (ours, theirs))
         if len(one) != len(other) or not all(_same(x, y) for x, y in zip(one, other, strict=True)):
             yield f"its equalities that close chains are others ({name})"

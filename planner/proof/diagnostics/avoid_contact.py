@@ -51,7 +51,7 @@ def avoid_contact(plan: Plan, problem: Problem, proof: Proof | None) -> list[Sug
         return [no_fix("start", "start_collides", **shapes.deepest(inside))]
     if at_goal := shapes.depths(goal):
         worst = shapes.deepest(at_goal)
-        if may_avoid and problem.wanted is not None:
+        if may_avoid and problem.goal_specs is not None:
             return [fix(problem, "avoid", {}, "goal_collides", **worst)]
         return [no_fix("goal", "goal_collides_anyhow", **worst)]
     first = next((pair for q in knots for pair in shapes.depths(q)), None)

@@ -22,7 +22,7 @@ def standing_goal(plan: Plan, problem: Problem, proof: Proof | None) -> list[Sug
     mechanism = capabilities_of(problem.dynamics).mechanism
     if not of_file(problem) or (proof is not None and proof.goal.passed and proof.your_file.passed):
         return []
-    if asked["settle"] != "auto" or asked["contacts"] != "ground" or cost is None or problem.wanted is not None:
+    if asked["settle"] != "auto" or asked["contacts"] != "ground" or cost is None or problem.goal_specs is not None:
         return []
     goal = cost.x_ref[-1]
     if mechanism is None or not mechanism.contacts or np.any(goal[mechanism.nq : mechanism.nq + mechanism.nv]):

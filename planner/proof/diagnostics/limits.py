@@ -51,7 +51,7 @@ def no_actuator(plan: Plan, problem: Problem, proof: Proof | None) -> list[Sugge
         return []
     if getattr(problem.dynamics, "prescribed", ()) or mechanism.couplings or mechanism.loops:
         return []
-    beyond, driven = ranges.beyond(plan.xs).max(axis=0), np.any(mechanism.actuators.moment, axis=0)
+    beyond, driven = ranges.violation(plan.xs).max(axis=0), np.any(mechanism.actuators.moment, axis=0)
     dofs = ranges.component[: len(ranges.component) - ranges.at_end]
     left = [h for h, dof in enumerate(dofs) if dof < mechanism.nv and not driven[dof] and beyond[h] > limits.tolerance]
     if not left:
@@ -65,7 +65,7 @@ def wider_margin(plan: Plan, problem: Problem, proof: Proof | None) -> list[Sugg
     if proof is None or not _stops_matter(proof) or not _knows_ranges(problem):
         return []
     run, limits, ranges = proof.replay, problem.limits, problem.ranges
-    if limits is None or ranges is None or np.any(ranges.beyond(plan.xs) > limits.tolerance):
+    if limits is None or ranges is None or np.any(ranges.violation(plan.xs) > limits.tolerance):
         return []  # its own knots are outside: that is the solve's
     states = np.concatenate([run.qpos, run.qvel, run.act], axis=1)
     found = [*_planned(run), *joints_in(run.compiled.model, states, stopped_dofs(plan))]

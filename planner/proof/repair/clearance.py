@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from planner.model.mjcf.reachable_collisions import MAX_MUJOCO_DISTANCE, distances_in
-from planner.problem.avoid import survey_of
+from planner.problem.avoid import model_index_of
 from planner.problem.constraints.clearance import PairClearance, pair_clearance_of
 from planner.problem.goals import goals_of
 from planner.problem.plan import Plan, Status
@@ -107,15 +107,16 @@ def _far(plan: Plan, proof: Proof) -> dict[str, float]:
     if apart is None or problem is None or proof.passed:
         return {}
     allowed = next(one.allowed() for one in problem.constraints if one.of is apart)
-    measure, found = apart.measure(problem.dynamics, problem.N), {}
-    model, short = survey_of(measure.mechanism).model, measure.clearance_violation(problem.dynamics, plan.xs, plan.us)
+    measure, found = apart.constraint_function(problem.dynamics, problem.N), {}
+    model = model_index_of(measure.mechanism).model
+    short = measure.clearance_violation(problem.dynamics, plan.xs, plan.us)
     for k in np.flatnonzero(short.max(axis=0) > allowed):
         pair, n = apart.pairs[k], np.flatnonzero(short[:, k] > allowed)
         geoms = (pair.a.geom, pair.b.geom)
         xs = plan.xs[np.union1d(n, n + 1)]
         real = np.array([distances_in(model, x[: model.nq], [geoms], MAX_MUJOCO_DISTANCE)[geoms] for x in xs])
         beyond = float(np.min(real - measure.shown(xs, plan.us[:0], n)[:, k]))
-        nearer = measure.least[k] - (pair.required_clearance - beyond)
+        nearer = measure.lower[k] - (pair.required_clearance - beyond)
         if nearer > allowed and real.min() > pair.required_clearance:
             found[pair.names] = -nearer
     return found
@@ -140,6 +141,6 @@ def with_clearance(problem: Problem, more: dict[str, float]) -> Problem:
             pairs = one.of.pairs
             added = one.of.more + np.array([more.get(pair.names, 0.0) for pair in pairs])
             apart = replace(one.of, more=np.minimum(added, [pair.spare_clearance for pair in pairs]))
-            one = replace(one, of=apart, least=apart.least)
+            one = replace(one, of=apart, lower=apart.lower)
         changed.append(one)
     return replace(problem, constraints=changed)

@@ -22,9 +22,9 @@ from typing import Any
 import numpy as np
 
 from planner.base.arguments import number
+from planner.base.environment import processors
 from planner.base.errors import PlannerError
 from planner.base.gl import load_mujoco, load_rollout
-from planner.base.processors import processors
 from planner.dynamics.assembly import tangent_basis
 from planner.model.mechanism import Mechanism
 from planner.problem.goals import stages_asked

@@ -94,7 +94,7 @@ def _compiled(problem: Problem, terms: list[Cost]) -> tuple[TrackingCost | NoTra
         return tracking[0], None
     if isinstance(dynamics, ResidualDynamics) and all(term.mechanism is dynamics.mechanism for term in residuals):
         quadratic = tracking[0] if tracking else NoTracking(problem.N, space_of(dynamics), problem.dynamics.nu)
-        return quadratic, joined([term.measures_for(problem.N) for term in residuals])
+        return quadratic, joined([term.residual_arrays_for(problem.N) for term in residuals])
     return None
 
 

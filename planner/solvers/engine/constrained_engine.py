@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from planner.problem.constraints.quantities import ResidualFunction, hinge_terms
+from planner.problem.constraints.quantities import ResidualFunction, penalty_arrays
 from planner.problem.constraints.trajectory_constraints import TrajectoryConstraints
 from planner.problem.costs.residuals.arrays import ResidualArrays, joined
 from planner.problem.costs.terms import Cost
@@ -39,23 +39,23 @@ class ConstrainedEngine(HybridEngine):
     ) -> None:  # fmt: skip
         assert kept.rows is not None
         rows = kept.rows
-        compiled = [part for part in rows.parts if isinstance(part.measure, ResidualFunction)]
+        compiled = [part for part in rows.parts if isinstance(part.function, ResidualFunction)]
         terms, self._bounds_of = [] if residuals is None else [residuals], list[_Bounds]()
         first = sum(len(part.weight) for part in terms)
         for part in compiled:
-            measure: Any = part.measure  # a ResidualFunction
+            measure: Any = part.function  # a ResidualFunction
             lower, upper, R = rows.lower[:, part.columns], rows.upper[:, part.columns], measure.rows
             asked = np.isfinite(lower) | np.isfinite(upper)
             exact = bool(np.all((lower == upper)[asked]))
             for side, used in ((0.0, exact), (-1.0, not exact and np.isfinite(lower).any()),
                                (1.0, not exact and np.isfinite(upper).any())):  # fmt: skip
                 if used:
-                    terms.append(hinge_terms(measure.arrays, np.full(R, side), rows.N))
+                    terms.append(penalty_arrays(measure.arrays, np.full(R, side), rows.N))
                     self._bounds_of.append(_Bounds(slice(first, first + R), part.columns, side < 0.0))
                     first += R
         super().__init__(problem, dynamics, cost, joined(terms) if terms else None, own)
         self._kept, self._scale = kept, rows.scale
-        others, self._columns = rows.only([part for part in rows.parts if part not in compiled])
+        others, self._columns = rows.subset([part for part in rows.parts if part not in compiled])
         self._others = TrajectoryConstraints(None, others, kept.tolerance) if others.parts else None
         self._adds = self._adds or self._others is not None
         self._penalties: BoundPenalties | None = None  # of the others

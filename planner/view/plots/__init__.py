@@ -3,13 +3,10 @@
 The parts know neither plan nor proof: stick figures over a motion, paths in space, charts with bands of normal values.
 """
 
-from planner.view.plots.case_pictures import CASE_PICTURES, case_pictures, draw_case_picture
-from planner.view.plots.charts import draw_charts
-from planner.view.plots.loop import draw_loop
-from planner.view.plots.paths import draw_paths
+from planner.view.plots.case_pictures import CASE_PICTURES, case_pictures, draw_case_picture, draw_charts, draw_loop
 from planner.view.plots.plan import draw_plan
 from planner.view.plots.proof import draw_proof
-from planner.view.plots.stick_figures import draw_stick_figures
+from planner.view.plots.stick_figures import draw_paths, draw_stick_figures
 from planner.view.plots.style import save
 
 __all__ = [

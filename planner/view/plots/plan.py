@@ -18,9 +18,6 @@ from planner.problem.default_appearance import appearance_of
 from planner.problem.plan import Plan
 from planner.proof.replays.replaying import Replay
 from planner.view.plots.bounded import OWN, SHARED, draw_bounded
-from planner.view.plots.limits import LABEL, SHADE, draw_bounds, limited
-from planner.view.plots.motions import ASTRAY, BESIDE, line_of, name_curves, range_of, until_astray
-from planner.view.plots.solver import draw_convergence
 from planner.view.plots.style import (
     DASHED,
     GREYS,
@@ -33,10 +30,30 @@ from planner.view.plots.style import (
     dress,
     figure_of,
     legend_below,
+    positive,
     right_axis,
+    say,
     title_above,
 )
-from planner.view.plots.time_series import TimeSeries, curves_of, panels_of, replays_of, tasks_of, to_the_end, unit_of
+from planner.view.plots.time_series import (
+    BESIDE,
+    LABEL,
+    SHADE,
+    TimeSeries,
+    curves_of,
+    draw_bounds,
+    limited,
+    line_of,
+    name_curves,
+    panels_of,
+    range_of,
+    replays_of,
+    tasks_of,
+    to_the_end,
+    unit_of,
+    until_astray,
+    view_limits,
+)
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -48,16 +65,16 @@ if TYPE_CHECKING:
 STANCE = "#ece7dc"
 
 _ALWAYS = 0.95  # of the time: contact that lasts longer is not shaded, or every panel would be
-_PAST_AXIS = 1.17  # where names stand beside a right-hand axis, in widths of the panel
+_PAST_AXIS = 1.17  # position of names beside a right-hand axis, in widths of the panel
 
 
-def draw_plan(plan: Plan, shown: Proof | Replay | None) -> Figure:
+def draw_plan(plan: Plan, result: Proof | Replay | None) -> Figure:
     """The figure of a plan and its replays: both of a proof, one replay, or none.
 
     Goals and constraints come first. The appearance of the plan's problem lists the panels of states and controls;
     without any, all of them are drawn.
     """
-    replays = replays_of(shown)
+    replays = replays_of(result)
     tasks, panels = tasks_of(plan, replays), panels_of(plan)
     touched = [replay for replay in replays if np.any(replay.contact_force > 0)]
     shaded = any(np.mean(replay.contact_force > 0) < _ALWAYS for replay in touched)
@@ -77,7 +94,7 @@ def draw_plan(plan: Plan, shown: Proof | Replay | None) -> Figure:
     for axes in timed:
         axes.set_xlim(0.0, float(plan.t[-1]))
         if shaded:
-            stance = (shown if isinstance(shown, Replay) else shown.replay) if shown is not None else touched[0]
+            stance = (result if isinstance(result, Replay) else result.replay) if result is not None else touched[0]
             axes.fill_between(
                 stance.t, 0.0, 1.0, where=stance.contact_force > 0, transform=axes.get_xaxis_transform(),
                 color=STANCE, lw=0, zorder=0,
@@ -90,7 +107,7 @@ def draw_plan(plan: Plan, shown: Proof | Replay | None) -> Figure:
 def _draw_panel(figure: Figure, cell: SubplotSpec, panel: Panel, plan: Plan, replays: list[Replay]) -> list[Axes]:
     """One panel; with `difference`, replays minus plan on an axis of its own beneath."""
     curves = curves_of(panel, plan, replays)
-    first = next((curve for curve in curves if not curve.held), None)
+    first = next((curve for curve in curves if not curve.stepwise), None)
     beneath = None
     if panel.difference and first is not None and replays:
         inner = cell.subgridspec(2, 1, height_ratios=(3, 1), hspace=0.0)
@@ -105,20 +122,20 @@ def _draw_panel(figure: Figure, cell: SubplotSpec, panel: Panel, plan: Plan, rep
         right = right_axis(axes, ", ".join(label for _, label in panel.controls))
 
     room = 0.18 if 1 < len(curves) <= BESIDE else 0.05  # for the names
-    _keep_in_view(axes, [curve for curve in curves if right is None or not curve.held], room)
+    _keep_in_view(axes, [curve for curve in curves if right is None or not curve.stepwise], room)
     if right is not None:
-        _keep_in_view(right, [curve for curve in curves if curve.held], room)
+        _keep_in_view(right, [curve for curve in curves if curve.stepwise], room)
     for curve, hue in zip(curves, cycle(HUES), strict=False):
-        steps = "steps-post" if curve.held else "default"
-        on = right if curve.held and right is not None else axes
+        steps = "steps-post" if curve.stepwise else "default"
+        on = right if curve.stepwise and right is not None else axes
         for replay, (t, values) in zip(replays, curve.replays, strict=True):
-            shown = until_astray(values, on.get_ylim())
-            on.plot(t, shown, **line_of(replay, hue), drawstyle=steps, solid_capstyle="round", scaley=False)
+            result = until_astray(values, on.get_ylim())
+            on.plot(t, result, **line_of(replay, hue), drawstyle=steps, solid_capstyle="round", scaley=False)
         on.plot(
             curve.plan[0], drawable(curve.plan[1]), color=hue[0], lw=1.2, ls=DASHED, drawstyle=steps,
             label=curve.label, zorder=3, scaley=False,
         )  # fmt: skip
-        draw_bounds(on, plan, curve.index, hue[0], held=curve.held)
+        draw_bounds(on, plan, curve.index, hue[0], stepwise=curve.stepwise)
     if len(curves) > 1:
         name_curves(right or axes, [curve.label for curve in curves], 1.0 if right is None else _PAST_AXIS)
     if beneath is None or first is None:
@@ -130,17 +147,13 @@ def _draw_panel(figure: Figure, cell: SubplotSpec, panel: Panel, plan: Plan, rep
 
 
 def _keep_in_view(axes: Axes, curves: list[TimeSeries], room: float) -> None:
-    """Set limits of the axis; a replay that runs away widens them by ASTRAY at most."""
+    """Set the limits of the axis."""
     planned = [curve.plan[1] for curve in curves]
+    replayed = [values for curve in curves for _, values in curve.replays]
     low, high = range_of(planned)
     if low == high:  # a constant plan has no range; take that of the replay with gains, the last one
-        low, high = range_of(planned + [curve.replays[-1][1] for curve in curves if curve.replays])
-    lowest, highest = range_of(planned + [values for curve in curves for _, values in curve.replays])
-    reach = ASTRAY * (high - low)
-    bottom, top = max(lowest, low - reach), min(highest, high + reach)
-    if not top > bottom:
-        bottom, top = bottom - 1.0, bottom + 1.0
-    axes.set_ylim(bottom - room * (top - bottom), top + room * (top - bottom))
+        planned += [curve.replays[-1][1] for curve in curves if curve.replays]
+    axes.set_ylim(view_limits(planned, replayed, room))
 
 
 def _draw_difference(axes: Axes, curve: TimeSeries, replays: list[Replay], ylabel: str) -> None:
@@ -158,9 +171,9 @@ def _draw_difference(axes: Axes, curve: TimeSeries, replays: list[Replay], ylabe
     axes.locator_params(axis="y", nbins=3)
     axes.margins(y=0.25)
     scale = f"$10^{{{3 * power}}}$" if power else ""
-    shown = " ".join(part for part in (scale, unit_of(ylabel)) if part)
+    unit = " ".join(part for part in (scale, unit_of(ylabel)) if part)
     axes.set_title(
-        f"{curve.label}, replay {MINUS} plan" + (f" ({shown})" if shown else ""), fontsize=8, loc="left",
+        f"{curve.label}, replay {MINUS} plan" + (f" ({unit})" if unit else ""), fontsize=8, loc="left",
         color=RED, pad=3,
     )  # fmt: skip
     axes.set_xlabel("time, s")
@@ -183,9 +196,7 @@ def _chains(plan: Plan) -> dict[str, dict[str, np.ndarray]]:
     """By unit and name the size (N,) of what holds each closed chain together, at the beginning of each stage."""
     dynamics = None if plan.problem is None else plan.problem.dynamics
     found: dict[str, dict[str, np.ndarray]] = {}
-    if not isinstance(dynamics, RigidBodyDynamics) or not (
-        dynamics.mechanism.loops or dynamics.mechanism.polynomial_couplings
-    ):
+    if not isinstance(dynamics, RigidBodyDynamics) or not dynamics.capabilities.loops:
         return found
     forces, row = constraint_forces(dynamics, plan.xs[:-1], plan.us), 0
     names = constraint_names(dynamics.mechanism)
@@ -234,3 +245,37 @@ def _power_of_thousand(values: np.ndarray) -> int:
     """The k for which values / 1000**k are numbers of one to three digits."""
     largest = float(np.nanmax(np.abs(values), initial=0.0))
     return math.floor(math.log10(largest) / 3) if largest > 0 else 0
+
+
+_MARKED = 60  # iterations beyond which marks would be a band
+
+
+def draw_convergence(axes: Axes, plan: Plan) -> None:
+    """Cost minus final cost, and gradient norm, at each iteration."""
+    dress(axes, "Convergence", "", "iteration")
+    axes.locator_params(axis="x", integer=True)
+    iterations = np.array([line.iteration for line in plan.history], dtype=float)
+    excess = drawable(np.array([line.cost for line in plan.history], dtype=float))
+    if excess.size and np.isfinite(excess[-1]):
+        excess = excess - excess[-1]
+    gradient = np.array([line.gradient_norm for line in plan.history], dtype=float)
+    drawn = False
+    for axis, label, values, dark, marker in (
+        (axes, f"cost {MINUS} final cost", excess, HUES[0][0], "o"),
+        (None, "gradient norm", gradient, HUES[1][0], "s"),
+    ):
+        # A log scale has no zero: the last cost, which is the final one, falls out, and so does rounding.
+        result = np.isfinite(positive(values))
+        if not np.any(result):
+            continue
+        if axis is None:
+            axis = right_axis(axes, "") if drawn else axes
+        axis.set_yscale("log")
+        mark = marker if len(iterations) < _MARKED else ""
+        axis.plot(iterations[result], values[result], color=dark, lw=1.2, marker=mark, ms=3.5)
+        axis.set_ylabel(label, color=dark, fontsize=8.5)
+        axis.tick_params(axis="y", which="both", colors=dark)
+        axis.tick_params(axis="y", which="minor", length=1.5)
+        drawn = True
+    if not drawn:
+        say(axes, "no finite iteration")

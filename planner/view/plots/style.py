@@ -17,6 +17,8 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from matplotlib.gridspec import SubplotSpec
 
+    from planner.proof.replays.sampled_gains import Sampling
+
 DPI = 130
 MINUS = "\N{MINUS SIGN}"
 DASHED = (0, (4, 2))
@@ -36,11 +38,11 @@ HUES = (
     ("#252525", "#8a8a8a", "#d0d0d0"),
 )
 GREYS = ("#222222", "#8a8a8a", "#cccccc")
-# Beside each other they are told apart by the colour-blind as well (after Okabe and Ito).
+# Distinct for the colour-blind as well (after Okabe and Ito).
 MODE_COLOURS = {"open-loop": "#c1570a", "feedback": "#0b5aa6"}
 MODE_WORDS = {"open-loop": "open loop", "feedback": "with gains"}
 
-DRAWABLE = 1e60  # larger values are not drawn: a diverged curve must not break the axes of the others
+DRAWABLE = 1e60  # larger values are not drawn: matplotlib's axes would overflow
 
 _COLUMN, _ROW, _HEAD = 5.4, 3.1, 0.5  # inches
 
@@ -144,6 +146,12 @@ def right_axis(axes: Axes, ylabel: str) -> Axes:
     right.grid(False)
     right.spines["right"].set(visible=True, color="#999999")
     return right
+
+
+def sampling_words(sampling: Sampling) -> str:
+    """How a controller applies gains, e.g. "500 Hz, held, one period late"."""
+    late = {0: "at once", 1: "one period late"}.get(sampling.delay, f"{sampling.delay} periods late")
+    return f"{sampling.rate:.4g} Hz, held, {late}"
 
 
 def say(axes: Axes, words: str) -> None:

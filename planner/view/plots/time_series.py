@@ -1,13 +1,17 @@
-"""What is drawn of a plan and its replays over time: panels of goals, states and controls, as plain arrays.
+"""Curves of a plan and its replays over time, as plain arrays and as lines: states, controls, bounds, goals.
 
 plots.png and the interactive curves of the page are made of these.
 """
 
 from __future__ import annotations
 
+import math
 import re
+import textwrap
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from itertools import cycle
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -19,8 +23,11 @@ from planner.problem.plan import Plan
 from planner.problem.problem import Problem
 from planner.problem.task_panels import task_panels
 from planner.proof.replays.replaying import Replay
+from planner.view.plots.style import HUES, drawable
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
     from planner.proof import Proof
 
 
@@ -31,15 +38,16 @@ class TimeSeries:
     label: str
     plan: tuple[np.ndarray, np.ndarray]
     replays: tuple[tuple[np.ndarray, np.ndarray], ...]
-    held: bool  # constant over a stage: drawn as steps
+    stepwise: bool  # constant over a stage: drawn as steps
     index: int  # of the state or control
 
 
-def replays_of(shown: Proof | Replay | None) -> list[Replay]:
+def replays_of(result: Proof | Replay | None) -> list[Replay]:
     """The replays to draw, the widest line first."""
-    if shown is None:
+    if result is None:
         return []
-    return [shown] if isinstance(shown, Replay) else sorted(shown.replays.values(), key=lambda replay: replay.feedback)
+    runs = [result] if isinstance(result, Replay) else result.replays.values()
+    return sorted(runs, key=lambda replay: replay.feedback)
 
 
 def tasks_of(plan: Plan, replays: list[Replay]) -> list[BoundedPanel]:
@@ -75,10 +83,10 @@ def curves_of(panel: Panel, plan: Plan, replays: list[Replay]) -> list[TimeSerie
     for index, label in panel.states:
         planned = (replays[0].t, replays[0].plan_xs[:, index]) if replays else (plan.t, plan.xs[:, index])
         simulated = tuple((replay.t, replay.xs[:, index]) for replay in replays)
-        curves.append(TimeSeries(label, planned, simulated, held=False, index=index))
+        curves.append(TimeSeries(label, planned, simulated, stepwise=False, index=index))
     for index, label in panel.controls:
         simulated = tuple((replay.t, to_the_end(replay.ctrl[:, index])) for replay in replays)
-        curves.append(TimeSeries(label, (plan.t, to_the_end(plan.us[:, index])), simulated, held=True, index=index))
+        curves.append(TimeSeries(label, (plan.t, to_the_end(plan.us[:, index])), simulated, stepwise=True, index=index))
     return curves
 
 
@@ -91,3 +99,132 @@ def unit_of(ylabel: str) -> str:
     """The unit in the label of an axis, "height, in" or "rate (rad/s)"; "" where there is none."""
     found = re.search(r"[(\[,]\s*([^()\[\],]+?)\s*[)\]]?$", ylabel)
     return found[1] if found else ""
+
+
+BESIDE = 3  # more curves than this are named beside the panel, not in it
+ASTRAY = 1.5  # by how much a diverging replay may widen an axis, in ranges of the other curves
+_LONGEST = 22  # characters of a line of a name beside a panel
+
+
+def line_of(replay: Replay, hue: tuple[str, str, str]) -> dict[str, Any]:
+    """Style of a replay's line."""
+    return {"color": hue[1], "lw": 2.2, "zorder": 2} if replay.feedback else {"color": hue[2], "lw": 4.0, "zorder": 1.9}
+
+
+def range_of(values: Sequence[np.ndarray]) -> tuple[float, float]:
+    """Least and largest value that can be drawn; (0, 0) if there is none."""
+    visible = np.concatenate([drawable(part).ravel() for part in values] or [np.empty(0)])
+    visible = visible[np.isfinite(visible)]
+    return (float(visible.min()), float(visible.max())) if visible.size else (0.0, 0.0)
+
+
+def view_limits(certain: Sequence[np.ndarray], replayed: Sequence[np.ndarray], padding: float) -> tuple[float, float]:
+    """Limits of an axis: all `certain` values (plan, bounds), and of those replayed what is not far outside.
+
+    `padding` is the free part of the height at either end.
+    """
+    (low, high), (lowest, highest) = range_of(certain), range_of([*certain, *replayed])
+    reach = ASTRAY * ((high - low) or math.inf)
+    low, high = max(lowest, low - reach), min(highest, high + reach)
+    if not high > low:
+        low, high = low - 1.0, high + 1.0
+    return low - padding * (high - low), high + padding * (high - low)
+
+
+def until_astray(values: np.ndarray, limits: tuple[float, float]) -> np.ndarray:
+    """The values until they first leave the view: later ones of a diverging replay would hide the others."""
+    visible = drawable(values)
+    outside = np.flatnonzero((visible < limits[0]) | (visible > limits[1]))
+    if len(outside):
+        visible[outside[0] + 1 :] = np.nan
+    return visible
+
+
+def name_curves(axes: Axes, labels: Sequence[str], beside: float, *, most: int = BESIDE) -> None:
+    """Draw a legend by colour: each curve's plan and replay share a hue. More than `most` names are put at `beside`."""
+    from matplotlib.lines import Line2D
+
+    handles = [Line2D([], [], color=dark, lw=2.0) for (dark, _, _), _ in zip(cycle(HUES), labels, strict=False)]
+    style: dict[str, Any] = {"framealpha": 0.85, "edgecolor": "none", "borderpad": 0.3, "handlelength": 1.4}
+    if len(labels) > most:
+        names = [textwrap.fill(label, _LONGEST) for label in labels]
+        legend = axes.legend(handles, names, fontsize=7, loc="center left", bbox_to_anchor=(beside, 0.5), **style)
+    else:
+        legend = axes.legend(handles, labels, fontsize=8, loc="upper left", ncols=len(labels), **style)
+    legend.set_zorder(5)
+
+
+SHADE = 0.13  # opacity of the shade at a bound; shades of two curves overlap visibly
+LABEL = "at its bound"
+DISTANT_BOUND_SHARE = 0.25  # of the range between the bounds: a bound that is never nearer is not drawn
+
+
+def limited(plan: Plan) -> bool:
+    """Whether a plan's problem has limits that can be drawn."""
+    return plan.problem is not None and (plan.problem.bounds is not None or plan.problem.ranges is not None)
+
+
+class Sides(NamedTuple):
+    """The bounds of one curve at a plan's knots; those of a control are constant over a stage."""
+
+    lower: np.ndarray  # (N+1,), NaN where there is none to draw
+    upper: np.ndarray  # (N+1,)
+    active: np.ndarray  # (N,) whether the curve is at one of them in a stage
+
+
+def sides_of(plan: Plan, index: int, *, stepwise: bool) -> Sides | None:
+    """Bounds of a control (`stepwise`: constant over a stage) or of an entry of the state; None without bounds.
+
+    A bound that the plan never approaches is left out: in a panel of several curves it would be taken for another's.
+    """
+    sides = (_of_control if stepwise else _of_state)(plan, index)
+    if sides is None:
+        return None
+    values = to_the_end(plan.us[:, index]) if stepwise else plan.xs[:, index]
+    width = sides.upper - sides.lower
+    distant = [
+        np.isfinite(width).all() and np.nanmin(clearance) > DISTANT_BOUND_SHARE * np.nanmax(width)
+        for clearance in (values - sides.lower, sides.upper - values)
+    ]
+    lower, upper = (
+        np.where(np.isfinite(side) & ~hidden, side, np.nan) for side, hidden in zip(sides[:2], distant, strict=True)
+    )
+    return Sides(lower, upper, sides.active)
+
+
+def draw_bounds(axes: Axes, plan: Plan, index: int, colour: str, *, stepwise: bool) -> None:
+    """Draw the bounds of a control (`stepwise`) or of an entry of the state, and shade where the plan is at one."""
+    sides = sides_of(plan, index, stepwise=stepwise)
+    if sides is None:
+        return
+    for side in sides[:2]:
+        if np.isfinite(side).any():
+            axes.plot(plan.t, side, color=colour, lw=0.9, ls=":", drawstyle="steps-post" if stepwise else "default",
+                      scaley=False, zorder=1.5)  # fmt: skip
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], sides.active.astype(int), [0]])))
+    for first, end in edges.reshape(-1, 2):
+        axes.axvspan(float(plan.t[first]), float(plan.t[end]), color=colour, alpha=SHADE, lw=0, zorder=0)
+
+
+def _of_control(plan: Plan, index: int) -> Sides | None:
+    if plan.problem is None or plan.problem.bounds is None:
+        return None
+    bounds = plan.problem.bounds
+    lower, upper = (to_the_end(side[:, index]) for side in bounds.at(slice(None), plan.xs[:-1]))
+    return Sides(lower, upper, bounds.at_bound(plan.xs, plan.us)[:, index])
+
+
+def _of_state(plan: Plan, index: int) -> Sides | None:
+    """The range of a state; the plan's first state is not limited by it."""
+    if plan.problem is None or plan.problem.ranges is None or plan.problem.limits is None:
+        return None
+    ranges, limits = plan.problem.ranges, plan.problem.limits
+    always = len(ranges.component) - ranges.at_end
+    own = np.flatnonzero(ranges.component[:always] == plan.space.in_deviation(index))
+    if not len(own):
+        return None
+    h = own[0]
+    offset = plan.xs[:, index] - ranges.deviations(plan.xs)[:, h]
+    lower, upper = (side[:, h] + offset for side in (ranges.lower, ranges.upper))
+    lower[0], upper[0] = lower[1], upper[1]
+    return Sides(lower, upper, ranges.at_bound(plan.xs, limits.tolerance)[1:, h])

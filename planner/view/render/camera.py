@@ -12,7 +12,7 @@ from planner.base.gl import load_mujoco
 from planner.problem.appearance import Appearance
 from planner.view.render.film import Film
 from planner.view.render.looks import drawn, geom_boxes, moving
-from planner.view.render.sticks import Sticks
+from planner.view.render.shapes import LinkCapsules
 
 _MARGIN, _NARROW_MARGIN = 1.12, 1.02  # the picture's half sizes over the motion's, with words around it and without
 _LOWER = 0.2  # of half the picture's height: how far a motion is put below its middle, where there is room
@@ -43,8 +43,7 @@ def whole_motion(
     """Point (3,) and distance (m) at which a camera sees all of some films of one plan, and its goals.
 
     `aspect` is width over height; `room` is the part of the height that words leave free; without any `words` the
-    motion fills the picture. A replay that runs away is
-    followed only near the plan.
+    motion fills the picture. A diverging replay is followed only close to the plan.
     """
     scenery = scenery_of(model, appearance)[0]
     plan = box = swept_box(model, films[0].path_ghost_qpos, scenery)
@@ -87,13 +86,13 @@ def swept_box(model: Any, path: np.ndarray, scenery: np.ndarray) -> Box:
     mujoco = load_mujoco()
     data = mujoco.MjData(model)
     moved = moving(model) & ~scenery[model.geom_bodyid]
-    seen = np.flatnonzero(moved & drawn(model) if np.any(moved & drawn(model)) else moved)
-    shown, sticks = np.flatnonzero(~scenery & _carrying(model))[1:], Sticks(model)
+    geoms = np.flatnonzero(moved & drawn(model) if np.any(moved & drawn(model)) else moved)
+    bodies, capsules = np.flatnonzero(~scenery & _carrying(model))[1:], LinkCapsules(model)
     low, high = np.full(3, np.inf), np.full(3, -np.inf)
     for qpos in path:
         data.qpos[:] = qpos
         mujoco.mj_kinematics(model, data)
-        points = np.concatenate([*geom_boxes(model, data, seen), data.xpos[shown], sticks.ends(data)])
+        points = np.concatenate([*geom_boxes(model, data, geoms), data.xpos[bodies], capsules.ends(data)])
         if len(points):
             low, high = np.minimum(low, points.min(axis=0)), np.maximum(high, points.max(axis=0))
     if not np.isfinite(low).all():  # nothing but a world
@@ -124,11 +123,11 @@ def standing_back(
 
 
 def below_words(box: Box, azimuth: float, elevation: float, fovy: float, distance: float) -> np.ndarray:
-    """The way (3,) up that a camera looks above a box, as far as it stays in the picture: numbers are at the top."""
+    """Displacement (3,), m, of the camera's point above a box, which stays in the picture: numbers are at the top."""
     _, _, up = directions(azimuth, elevation)
-    seen = distance * np.tan(0.5 * np.radians(fovy))
-    free = seen - _MARGIN * 0.5 * float((box.high - box.low) @ np.abs(up))
-    return up * max(0.0, min(free, _LOWER * seen))
+    visible = distance * np.tan(0.5 * np.radians(fovy))
+    free = visible - _MARGIN * 0.5 * float((box.high - box.low) @ np.abs(up))
+    return up * max(0.0, min(free, _LOWER * visible))
 
 
 def directions(azimuth: float, elevation: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -1,42 +1,49 @@
 """Draw films: a video of one or of two side by side, from one camera or several, a strip of poses, a still.
 
-The pictures of one film from several cameras stand in a row; of two films, each has a column of them.
+Pictures of one film from several cameras form a row; of two films, each has a column of them.
 
 Several child processes draw a long film; one draws where this process cannot, because mujoco was imported without an
-OpenGL library (children.py). Where both films show the same, to half a pixel, it is drawn once.
+OpenGL library. Where both films show the same, to half a pixel, it is drawn once.
+
+Each child (python -m planner.view.render.drawing JOBFILE FIRST STRIDE) draws every STRIDE-th frame and writes to its
+stdout, for each, a line of JSON and then the picture's bytes. This process reads the frames in their order.
 """
 
 from __future__ import annotations
 
 import copy
+import json
 import math
 import os
 import pickle
+import subprocess
 import sys
+import tempfile
 from collections.abc import Callable, Generator, Iterator, Sequence
 from contextlib import ExitStack, closing
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from planner.base import gl
-from planner.base.errors import PlannerError
+from planner.base import errors, gl
+from planner.base.errors import PlannerError, RenderingUnavailable
 from planner.view.render import overlay
 from planner.view.render.encode import Encoder
 from planner.view.render.environment import visible_model
 from planner.view.render.film import Film
-from planner.view.render.render_workers import answer, drawn_by_children, usable_processors
 from planner.view.render.scene import Scene, best_rows
 
 Progress = Callable[[int, int], object]
 
 _HOLD = 1.0  # s, how long the last frame stays
-_VIDEO_OVERSIZE = 1.25  # a third of the time that 2 takes, and in motion nobody sees the difference
-_MAX_CHILDREN = 8  # beyond, they wait for the process that encodes
-_NICE = 5
+_VIDEO_OVERSIZE = 1.25  # pixels drawn over pixels written, each way: a third of the time of 2, which looks the same
+_MAX_CHILDREN = 8  # more would wait for the process that encodes
+_NICE = 5  # lower priority of a child, so that rollouts with a time limit come first
 _WORTH_A_CHILD = 24  # frames: a child needs a second or two before its first
+_DRAWING = "planner.view.render.drawing"
+_ROOT = Path(__file__).parents[3]
 
 
 @dataclass(frozen=True)
@@ -49,7 +56,7 @@ class Job:
     fps: float = 0.0  # of a video
     speed: float | None = None  # of a video; None for stills
     output: str = ""  # the file of a video
-    shown: str = ""  # the path that an error names, where output is a temporary one
+    target: str = ""  # the path in errors, where output is a temporary file
 
 
 def carry_out(films: Sequence[Film], job: Job, progress: Progress | None = None) -> np.ndarray:
@@ -97,7 +104,7 @@ def _draw_row(row: Sequence[_Tile], frame: int, *, alike: bool) -> np.ndarray:
 def _encode(frames: Iterator[np.ndarray], drawn: int, job: Job, progress: Progress | None) -> np.ndarray:
     """Write the frames of a video, the last of them for a second."""
     total = drawn + round(_HOLD * job.fps)
-    with Encoder(Path(job.output), job.width, job.height, job.fps, job.shown) as encoder:
+    with Encoder(Path(job.output), job.width, job.height, job.fps, job.target) as encoder:
         image = np.empty(0)
         for done in range(total):
             image = next(frames, image)
@@ -109,29 +116,28 @@ def _encode(frames: Iterator[np.ndarray], drawn: int, job: Job, progress: Progre
 
 def _tiles(films: Sequence[Film], job: Job, scenes: ExitStack) -> list[list[_Tile]]:
     """The parts of a picture, row by row; `scenes` closes their OpenGL contexts."""
-    seen = [film.views for film in films]  # by film and camera
+    views = [film.views for film in films]  # by film and camera
     if len(films) > 1:
-        seen = [list(row) for row in zip(*seen, strict=True)]
-    widths, heights = _shares(job.width, len(seen[0])), _shares(job.height, len(seen))
+        views = [list(row) for row in zip(*views, strict=True)]
+    widths, heights = _shares(job.width, len(views[0])), _shares(job.height, len(views))
     largest, model = np.max([film.largest for film in films], axis=0), visible_model(films)
     tiles: list[list[_Tile]] = []
-    for i, row in enumerate(seen):
+    for i, row in enumerate(views):
         tiles.append([])
         for j, film in enumerate(row):
             first = i == 0 if len(films) > 1 else j == 0  # of the cameras
-            last_row, last_column = i == len(seen) - 1, j == len(row) - 1
+            last_row, last_column = i == len(views) - 1, j == len(row) - 1
             beside = [other for other in row if other is not film] if len(films) > 1 else []
             captioned = last_row and (len(films) > 1 or first)
-            views = film.appearance.views
             words = overlay.Words(
                 largest, numbers=first, legend=last_row and j == 0,
                 speed=job.speed if last_row and last_column else None,
                 caption=film.caption if captioned else None, unstable=film.unstable if captioned else math.inf,
-                apart=captioned, label=views[0].label if views else "",
+                difference=captioned, label=film.appearance.views[0].label if film.appearance.views else "",
             )  # fmt: skip
             scene = Scene(
                 film, widths[j], heights[i], oversize=_VIDEO_OVERSIZE if job.kind == "video" else 2.0, beside=beside,
-                narrow=len(row) > 1 or len(seen) > 1, quick=job.kind == "video", model=copy.copy(model),
+                narrow=len(row) > 1 or len(views) > 1, quick=job.kind == "video", model=copy.copy(model),
             )  # fmt: skip
             written = overlay.Overlay(film.appearance, widths[j], heights[i], words)
             tiles[-1].append(_Tile(film, written, scenes.enter_context(scene)))
@@ -168,11 +174,11 @@ class _Tile(NamedTuple):
         """Frame number `frame`: (height, width, 3), uint8; see Scene.draw()."""
         drawn, film = self.scene.draw(frame, like), self.film
         ends = [self.scene.project(np.asarray(end)) for end in film.appearance.goal_line or ()]
-        seen = [end for end in ends if end is not None]
+        visible = [end for end in ends if end is not None]
         marks = [overlay.beside(label) for label in self.scene.labels(frame)]
-        if seen:  # at the right end of the line
-            marks.append(overlay.Mark(max(seen), f" {film.appearance.goal_label}"))
-        return self.words.write(drawn, film.t[frame], film.readings[frame], marks, self.scene.apart)
+        if visible:  # at the right end of the line
+            marks.append(overlay.Mark(max(visible), f" {film.appearance.goal_label}"))
+        return self.words.write(drawn, film.t[frame], film.readings[frame], marks, self.scene.difference)
 
 
 def _draw_strip(film: Film, job: Job) -> np.ndarray:
@@ -180,7 +186,7 @@ def _draw_strip(film: Film, job: Job) -> np.ndarray:
         middle = 0.5 * (film.shift.min(axis=0) + film.shift.max(axis=0))
         film = replace(film, shift=np.tile(middle, (len(film), 1)))
     heights = _shares(job.height, len(film.views))
-    strips = [_draw_poses(seen, job.width, high) for seen, high in zip(film.views, heights, strict=True)]
+    strips = [_draw_poses(view, job.width, high) for view, high in zip(film.views, heights, strict=True)]
     return np.concatenate(strips)
 
 
@@ -207,10 +213,84 @@ def _draw_poses(film: Film, width: int, height: int) -> np.ndarray:
     return strip
 
 
+def usable_processors() -> int:
+    """How many processors this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def drawn_by_children(films: Sequence[Any], job: Any, children: int) -> Generator[np.ndarray]:
+    """The pictures (height, width, 3), uint8, of a job in their order, drawn by so many processes.
+
+    Raises:
+        PlannerError: As the child raised it.
+        RenderingUnavailable: A child died.
+    """
+    with tempfile.TemporaryDirectory(prefix="planner-") as folder:
+        file = Path(folder) / "job"
+        file.write_bytes(pickle.dumps((films, job)))
+        started: list[subprocess.Popen[bytes]] = []
+        logs = [Path(folder) / f"log{first}" for first in range(children)]
+        try:
+            for first, log in enumerate(logs):
+                started.append(_child(file, first, children, log))
+            turn = 0
+            while (picture := _read(started[turn % children], logs[turn % children])) is not None:
+                yield picture
+                turn += 1
+        finally:
+            for child in started:
+                child.kill()  # does nothing to a finished process
+                child.wait()
+                if child.stdout is not None:
+                    child.stdout.close()
+
+
+def answer(what: np.ndarray | PlannerError) -> None:
+    """Write a picture or an error to the process that waits for it."""
+    out = sys.stdout.buffer
+    if isinstance(what, PlannerError):
+        out.write(json.dumps({"error": type(what).__name__, "message": str(what)}).encode() + b"\n")
+    else:
+        out.write(json.dumps({"shape": what.shape}).encode() + b"\n")
+        out.write(np.ascontiguousarray(what).data)
+    out.flush()
+
+
+def _child(file: Path, first: int, stride: int, log: Path) -> subprocess.Popen[bytes]:
+    # The child must find this very package, whatever folder it is started in.
+    places = [str(_ROOT), os.environ.get("PYTHONPATH", "")]
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, places))}
+    if stride > 1:  # Mesa's own threads would compete with the other children for the processors
+        environment.setdefault("LP_NUM_THREADS", "1")
+    words = [sys.executable, "-P", "-m", _DRAWING, str(file), str(first), str(stride)]
+    with log.open("wb") as complaints:
+        return subprocess.Popen(
+            words, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=complaints, env=environment
+        )
+
+
+def _read(child: subprocess.Popen[bytes], log: Path) -> np.ndarray | None:
+    """The next picture of a child; None where it is done."""
+    assert child.stdout is not None
+    line = child.stdout.readline()
+    report = json.loads(line) if line else {}
+    if "error" in report:
+        raise getattr(errors, report["error"])(report["message"])
+    shape = tuple(report.get("shape", (0,)))
+    data = child.stdout.read(int(np.prod(shape)))
+    if line and len(data) == np.prod(shape):
+        return np.frombuffer(data, np.uint8).reshape(shape)
+    if child.wait() == 0 and not line:
+        return None
+    lines = log.read_text(errors="replace").strip().splitlines()
+    reason = lines[-1] if lines else f"exit code {child.returncode}"
+    raise RenderingUnavailable(f"The process that draws failed: {reason}.")
+
+
 def main(words: Sequence[str]) -> int:
-    """The side of a child process of children.py: JOBFILE FIRST STRIDE; pictures go to stdout."""
+    """The child process: words are JOBFILE FIRST STRIDE; pictures go to stdout."""
     films, job = pickle.loads(Path(words[0]).read_bytes())
-    if hasattr(os, "nice"):  # rollouts beside it come first: they have a limited time
+    if hasattr(os, "nice"):
         os.nice(_NICE)
     try:
         if job.kind == "strip":

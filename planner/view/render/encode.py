@@ -20,12 +20,12 @@ from planner.base.files import PathLike, file_error
 class Encoder:
     """A video being written; a context manager. Memory does not grow with the number of frames."""
 
-    def __init__(self, path: Path, width: int, height: int, fps: float, shown: PathLike) -> None:
-        """Start ffmpeg. Width and height are even; an error names the path `shown`, as `path` may be temporary."""
-        self._shown = shown
+    def __init__(self, path: Path, width: int, height: int, fps: float, target: PathLike) -> None:
+        """Start ffmpeg. Width and height are even; an error names the path `target`, as `path` may be temporary."""
+        self._target = target
         self._log = tempfile.TemporaryFile()  # noqa: SIM115, closed by __exit__
         command = [
-            _ffmpeg(shown), "-loglevel", "error", "-y",
+            _ffmpeg(target), "-loglevel", "error", "-y",
             "-f", "rawvideo", "-pix_fmt", "rgb24", "-s", f"{width}x{height}", "-r", f"{fps:g}", "-i", "pipe:0",
             # Say which YUV it is: players guess by picture size, and half of them would shift the colours.
             "-vf", "scale=out_color_matrix=bt709:out_range=tv", "-colorspace", "bt709",
@@ -38,7 +38,7 @@ class Encoder:
             self._ffmpeg = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, stderr=self._log)
         except OSError as error:
             self._log.close()
-            raise FileError(f"cannot write {str(shown)!r}: ffmpeg does not start ({error.strerror}).") from error
+            raise FileError(f"cannot write {str(target)!r}: ffmpeg does not start ({error.strerror}).") from error
 
     def write(self, frame: np.ndarray) -> None:
         """Append a frame (height, width, 3), uint8; FileError where ffmpeg fails, e.g. on a full disk."""
@@ -77,16 +77,16 @@ class Encoder:
     def _complaint(self) -> FileError:
         self._ffmpeg.wait()
         self._log.seek(0)
-        said = self._log.read().decode(errors="replace").strip().splitlines()
+        lines = self._log.read().decode(errors="replace").strip().splitlines()
         # The first line is the cause. An OSError without errno makes file_error look whether the disk is full.
-        return file_error(OSError(f"ffmpeg says: {said[0]}" if said else "ffmpeg died"), self._shown)
+        return file_error(OSError(f"ffmpeg says: {lines[0]}" if lines else "ffmpeg died"), self._target)
 
 
-def _ffmpeg(shown: PathLike) -> str:
+def _ffmpeg(target: PathLike) -> str:
     import imageio_ffmpeg
 
     try:
         return imageio_ffmpeg.get_ffmpeg_exe()
     except RuntimeError as error:
         cure = "there is no ffmpeg; install it with: pip install imageio-ffmpeg."
-        raise FileError(f"cannot write {str(shown)!r}: {cure}") from error
+        raise FileError(f"cannot write {str(target)!r}: {cure}") from error

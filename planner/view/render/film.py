@@ -116,8 +116,8 @@ class Film:
     @property
     def views(self) -> tuple[Film, ...]:
         """The film once for each camera of its appearance."""
-        seen = self.appearance
-        return tuple(replace(self, appearance=seen.seen_from(view)) for view in seen.views) or (self,)
+        own = self.appearance
+        return tuple(replace(self, appearance=own.seen_from(view)) for view in own.views) or (self,)
 
 
 def _ghost(replay: Replay, ghost: Ghost | None) -> tuple[np.ndarray, np.ndarray]:
@@ -183,5 +183,5 @@ def _last_known(t: np.ndarray, knots: np.ndarray, point: np.ndarray, exposure: f
     pair = np.stack([known[np.maximum(after - 1, 0)], known[np.minimum(after, len(known) - 1)]], axis=-1)  # (F, 2)
     distance = np.abs(knots[pair] - t[:, None])
     nearest = np.take_along_axis(pair, np.argmin(distance, axis=1)[:, None], axis=1)[:, 0]
-    seen = np.min(distance, axis=1) <= exposure
-    return np.where(seen[:, None], point[nearest], np.nan)
+    recent = np.min(distance, axis=1) <= exposure
+    return np.where(recent[:, None], point[nearest], np.nan)

@@ -16,7 +16,7 @@ from planner.base.gl import load_mujoco
 from planner.problem.appearance import GoalMark
 from planner.view.render.camera import scenery_of, swept_box
 from planner.view.render.film import Film
-from planner.view.render.pose_difference import screen_difference
+from planner.view.render.ghost import screen_difference
 from planner.view.render.shapes import Paint, Rod, SceneGeoms
 
 PUSH = (0.98, 0.85, 0.10, 1.0)
@@ -105,7 +105,7 @@ class Marks:
                 vector = _PUSH * self._size / self._strongest * force
                 shapes.arrow(data.xipos[body] - vector, vector, PUSH)
 
-    def apart(self, other: Marks, t: float) -> float:
+    def difference(self, other: Marks, t: float) -> float:
         """The largest distance between the trails of two films of one plan at time t, s, in the model's unit."""
         return max(
             (screen_difference(a.until(t), b.until(t)) for a, b in zip(self._trails, other._trails, strict=True)),

@@ -16,8 +16,9 @@ from PIL import Image, ImageDraw, ImageFont
 
 from planner.problem.appearance import Appearance
 from planner.view.render.film import Caption
+from planner.view.render.ghost import ghost_paint
 from planner.view.render.marks import GOAL, PATH
-from planner.view.render.scene import FORCE, Label, ghost_paint
+from planner.view.render.scene import FORCE, Label
 
 _Part = tuple[str, ImageFont.FreeTypeFont, tuple[int, ...]]
 _Placed = tuple[Image.Image, tuple[int, int]]  # a panel, and its upper left corner
@@ -58,7 +59,7 @@ class Words:
     legend: bool = True  # which machine is solid and which is a ghost
     speed: float | None = None  # playback speed; None writes none
     caption: Caption | None = None  # at the bottom
-    apart: bool = False  # how far the machine is from its ghost, at the bottom
+    difference: bool = False  # the distance of the machine from its ghost, at the bottom
     unstable: float = math.inf  # s, when the simulation ran away: a warning from then on
     label: str = ""  # the camera's name, in the upper right corner
 
@@ -84,20 +85,20 @@ class Overlay:
         self._panels = [*([self._readout_panel()] if words.numbers else []), *self._legend_panels(words)]
         if words.label:
             self._panels.append(self._right_panel(words.label, round(self._margin)))
-        self._unstable, self._captioned = words.unstable, words.caption is not None or words.apart
+        self._unstable, self._captioned = words.unstable, words.caption is not None or words.difference
         warning = [(f"unstable at t = {words.unstable:.2f} s", self._title, _BAD)]
         self._warning = self._bottom_panel(warning, 2.3 if self._captioned else 1.0)
-        self._apart: tuple[float, float] | None = None  # right end and line of the distance to the ghost
+        self._difference_at: tuple[float, float] | None = None  # right end and line of the distance to the ghost
         if self._captioned:
             self._panels.append(self._caption_panel(words))
 
     def write(
-        self, picture: np.ndarray, t: float, readings: np.ndarray, marks: Sequence[Mark], apart: float = 0.0
+        self, picture: np.ndarray, t: float, readings: np.ndarray, marks: Sequence[Mark], difference: float = 0.0
     ) -> np.ndarray:
         """A copy of the picture (height, width, 3), uint8, at time t, s, with everything written on it.
 
-        `readings` (R, 2) are the readouts in the simulation and in the plan, `apart` how far the two machines are
-        from each other, in the model's unit of length.
+        `readings` (R, 2) are the readouts in the simulation and in the plan, `difference` the distance between the two
+        machines, in the model's unit of length.
         """
         image = Image.fromarray(picture)
         draw = ImageDraw.Draw(image)
@@ -109,9 +110,9 @@ class Overlay:
             _write_mark(draw, mark._replace(at=(x, y)), font, self._unit)
         for panel, corner in [*self._panels, *([self._warning] if t >= self._unstable else [])]:
             image.paste(panel, corner, panel)
-        if self._apart is not None:
-            away = "ran away" if t >= self._unstable else distance_words(apart, self._appearance.length_unit)
-            draw.text(self._apart, away, _INK, self._text, anchor="rs")
+        if self._difference_at is not None:
+            away = "ran away" if t >= self._unstable else distance_words(difference, self._appearance.length_unit)
+            draw.text(self._difference_at, away, _INK, self._text, anchor="rs")
         if not self._numbers:
             return np.asarray(image)
         x, y = self._margin + self._padding, self._margin + self._padding
@@ -120,10 +121,10 @@ class Overlay:
         sim, plan, _ = self._columns
         y += self._line * 0.8
         draw.text((x, y), f"time {t:.2f} s", _INK, self._text, anchor="ls")
-        for (value, wanted), places in zip(readings, self._decimals, strict=True):
+        for (value, planned), places in zip(readings, self._decimals, strict=True):
             y += self._line
             draw.text((sim, y), number(value, places), _INK, self._text, anchor="rs")
-            draw.text((plan, y), number(wanted, places), _QUIET, self._text, anchor="rs")
+            draw.text((plan, y), number(planned, places), _QUIET, self._text, anchor="rs")
         return np.asarray(image)
 
     def _lay_out_columns(self, largest: np.ndarray) -> tuple[float, float, float]:
@@ -166,11 +167,11 @@ class Overlay:
             if words.caption.verdict:
                 ink = _GOOD if words.caption.verdict == "PASS" else _BAD
                 parts.append((f"{words.caption.verdict}  ", self._title, ink))
-        if words.apart:
+        if words.difference:
             parts.append((f"from the {self._ghost_name()}", self._text, _QUIET))
-        panel, (left, top) = self._bottom_panel(parts, 1.0, self._text.getlength(_WIDEST) if words.apart else 0.0)
-        if words.apart:
-            self._apart = (left + panel.width - self._padding, top + 0.67 * _BAND * self._unit)
+        panel, (left, top) = self._bottom_panel(parts, 1.0, self._text.getlength(_WIDEST) if words.difference else 0.0)
+        if words.difference:
+            self._difference_at = (left + panel.width - self._padding, top + 0.67 * _BAND * self._unit)
         return panel, (left, top)
 
     def _ghost_name(self) -> str:

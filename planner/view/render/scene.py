@@ -1,7 +1,4 @@
-"""The three-dimensional part of a picture: the machine, the ghost, marks, force arrows, goal line, camera.
-
-Only kinematics is computed here.
-"""
+"""The three-dimensional part of a picture: machine, ghost, marks, force arrows, goal line, camera."""
 
 from __future__ import annotations
 
@@ -18,20 +15,16 @@ from planner.problem.appearance import Appearance
 from planner.view.render.camera import directions, scenery_of, whole_motion
 from planner.view.render.environment import visible_model
 from planner.view.render.film import Film
+from planner.view.render.ghost import SAME_PICTURE_PIXELS, GhostDrawer, Outline, ghost_paint, screen_difference
 from planner.view.render.marks import Marks
-from planner.view.render.pose_difference import SAME_PICTURE_PIXELS, Outline, behind, screen_difference, visibility
-from planner.view.render.shapes import Paint, SceneGeoms, without_shadow
-from planner.view.render.sticks import Sticks
+from planner.view.render.shapes import LinkCapsules, SceneGeoms, without_shadow
 
-GHOST = (0.05, 0.62, 0.48)
-_ASIDE = 0.34  # opacity of a ghost beside the machine
-_IN_PLACE = 0.16  # of one that stands in the machine, which must be seen through it
 FORCE = (0.89, 0.12, 0.14, 1.0)
 GOAL = (0.16, 0.17, 0.20, 1.0)
-_FLOOR = 2.0  # camera distances: a shape as large as that is a floor
-# Of a film, where the picture is large and where it is small: pixels of the shadow map, and slices and stacks of a ball
-# or capsule. MuJoCo's own 4096, 28 and 16 take as long as all the rest of the picture and look the same.
-_LARGE, _SMALL, _FEW = (1024, 20, 12), (512, 14, 8), 400  # rows
+_FLOOR = 2.0  # camera distances: a shape of at least this radius is a floor
+# Of a film: pixels of the shadow map, slices and stacks of a ball, in a picture of more than _FEW rows and of fewer.
+# MuJoCo's own 4096, 28 and 16 take as long as all the rest of the picture and look the same.
+_LARGE, _SMALL, _FEW = (1024, 20, 12), (512, 14, 8), 400
 _CLEAR_SHARE = 0.7  # of the height of a picture beside another is free of words
 
 
@@ -83,8 +76,8 @@ class Scene:
         self._model = model
         self._ghost_model = _without_scenery(model, self._appearance)
         self._data, self._ghost_data = mujoco.MjData(model), mujoco.MjData(model)
-        self._option, self._perturb = mujoco.MjvOption(), mujoco.MjvPerturb()
-        self._sticks = Sticks(model)
+        self._option, self._link_capsules = mujoco.MjvOption(), LinkCapsules(model)
+        self._ghost_drawer = GhostDrawer(self._ghost_model, self._link_capsules)
         self._camera = mujoco.MjvCamera()
         # An appearance's own camera is for wide pictures, unless it goes with the machine or is one of several.
         placed = not beside or self._appearance.accompany is not None or bool(self._appearance.views)
@@ -97,10 +90,8 @@ class Scene:
         self._marks = Marks(film, model, ghost_paint(film.appearance) if ghost else None)
         self._renderer = gl.renderer(model, rows, columns)
         self._pixels = np.empty((rows, columns, 3), np.uint8)
-        self._outline = Outline(model, scenery_of(model, self._appearance)[0], self._sticks)
-        self._pixel = (
-            2.0 * self._camera.distance * np.tan(0.5 * np.radians(model.vis.global_.fovy)) / height
-        )  # in space
+        self._outline = Outline(model, scenery_of(model, self._appearance)[0], self._link_capsules)
+        self._pixel = 2.0 * self._camera.distance * np.tan(0.5 * np.radians(model.vis.global_.fovy)) / height  # m
         self._points = self._ghost_points = np.empty((0, 3))  # of the frame drawn last
         self._picture, self._eyes = np.empty(0), self._renderer.scene.camera
 
@@ -133,9 +124,12 @@ class Scene:
         for geom in scene.geoms[: scene.ngeom]:
             if geom.objtype == self._mujoco.mjtObj.mjOBJ_GEOM and self._ground[geom.objid]:
                 without_shadow(geom)
-        self._sticks.add(self._data, scene)
+        self._link_capsules.add(self._data, scene)
         if self._ghost:
-            self._add_ghost()
+            self._ghost_drawer.add(
+                scene, self._ghost_data, ghost_paint(self._appearance), np.asarray(self._appearance.ghost_offset),
+                self.difference, self._pixel, self._eye(), self._camera.distance,
+            )  # fmt: skip
         shapes = SceneGeoms(scene, self._eye(), self._camera.distance, self._pixel * self._height / len(self._pixels))
         self._marks.add(shapes, self._data, float(self._film.t[frame]))
         for point, vector in zip(*self._arrows(frame), strict=True):
@@ -149,8 +143,8 @@ class Scene:
         return self._picture
 
     @property
-    def apart(self) -> float:
-        """How far the machine is from its ghost in the frame drawn last, in the model's unit of length."""
+    def difference(self) -> float:
+        """Distance of the machine from its ghost in the frame drawn last, in the model's unit of length."""
         return screen_difference(self._points, self._ghost_points)
 
     def _eye(self) -> np.ndarray:
@@ -178,7 +172,7 @@ class Scene:
                 not self._appearance.force_scale
                 or screen_difference(np.nan_to_num(feet), np.nan_to_num(other_feet)) < least
             )
-            and self._marks.apart(other._marks, float(self._film.t[frame])) < least
+            and self._marks.difference(other._marks, float(self._film.t[frame])) < least
         )
 
     def labels(self, frame: int) -> list[Label]:
@@ -220,28 +214,6 @@ class Scene:
         planes.znear = min(planes.znear, 0.05 * distance / extent)
         return look_at, distance
 
-    def _add_ghost(self) -> None:
-        """Add the ghost: beside the machine as it is, in the machine the fainter the less of it can be told apart."""
-        mujoco, scene, paint = self._mujoco, self._renderer.scene, ghost_paint(self._appearance)
-        offset = np.asarray(self._appearance.ghost_offset)
-        eye, back = self._eye(), 0.0
-        if not np.any(offset):
-            seen, back = visibility(self.apart / self._pixel), behind(self.apart, self._camera.distance)
-            paint = (*paint[:3], seen * paint[3])
-        if paint[3] == 0.0:
-            return
-        first = scene.ngeom
-        mujoco.mjv_addGeoms(
-            self._ghost_model, self._ghost_data, self._option, self._perturb, mujoco.mjtCatBit.mjCAT_DYNAMIC, scene
-        )
-        self._sticks.add(self._ghost_data, scene)
-        for geom in scene.geoms[first : scene.ngeom]:
-            geom.pos[:] += offset + back * (geom.pos - eye)
-            geom.matid = -1
-            geom.rgba[:] = paint if geom.rgba[3] > 0.0 else 0.0  # MuJoCo adds tendons that cannot be seen
-            geom.specular, geom.shininess, geom.reflectance, geom.emission = 0.0, 0.0, 0.0, 0.25
-            without_shadow(geom)
-
 
 def best_rows(film: Film, model: Any, width: int, height: int) -> int:
     """Number of rows in which the poses of a strip are largest; 1 where the appearance places the camera."""
@@ -253,14 +225,6 @@ def best_rows(film: Film, model: Any, width: int, height: int) -> int:
         return high / whole_motion([film], model, film.appearance, width / columns / high, False, words=False)[1]
 
     return max(range(1, 1 + min(3, len(film))), key=size)
-
-
-def ghost_paint(appearance: Appearance) -> Paint:
-    """Colour and opacity of the ghost."""
-    opacity = _ASIDE if any(appearance.ghost_offset) else _IN_PLACE
-    if appearance.ghost is None:
-        return (*GHOST, opacity)
-    return (*appearance.ghost.colour, opacity if appearance.ghost.opacity is None else appearance.ghost.opacity)
 
 
 def _without_scenery(model: Any, appearance: Appearance) -> Any:

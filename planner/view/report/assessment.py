@@ -1,10 +1,10 @@
-"""The proof in the three parts of an assessment, as ASME V&V 10 and V&V 20 speak of it.
+"""The proof in the three parts of an assessment, in the terms of ASME V&V 10 and V&V 20.
 
     code verification        the equations are solved rightly
     solution verification    how large the numerical error of this plan is
     validation               how far the model is the machine; without an experiment, what stands in for one
 
-Each part says what was done, shows the figures beside their bounds, and says what it does not cover and what it is for.
+Each part states what was done, the values beside their bounds, what is not covered, and the use of the result.
 """
 
 from __future__ import annotations
@@ -15,10 +15,11 @@ from html import escape
 from typing import TYPE_CHECKING
 
 from planner.base.measured import Section
-from planner.model.mechanism import Mechanism
+from planner.model.capabilities import capabilities_of
 from planner.problem.plan import Plan
 from planner.proof.error_scales import SHARE, SMOOTHED, has_contacts, is_nonsmooth
-from planner.view.report.tables import measured_table
+from planner.view.plots.style import sampling_words
+from planner.view.report.markup import measured_table
 
 if TYPE_CHECKING:
     from planner.proof import Proof
@@ -26,7 +27,7 @@ if TYPE_CHECKING:
 _CODE = ("parity", "same_step", "order")
 _SOLUTION = ("plan", "optimality", "refined_open_loop", "refined_feedback", "growth", "order", "goal")
 _VALIDATION = ("your_file", "another_ground", "perturbed", "controller", "hold")
-_OF_CODE = ("observed_order", "order_shortfall")  # figures of `order` that are about the code, not about this plan
+_OF_CODE = ("observed_order", "order_shortfall")  # values of step convergence that concern the code, not this plan
 
 
 @dataclass(frozen=True)
@@ -46,8 +47,8 @@ def assessment(plan: Plan, proof: Proof) -> str:
 
 
 def _shown(part: _Part) -> str:
-    said = (("Done", part.done), ("Not covered", part.uncovered), ("Use", part.use))
-    done, *after = (f"<p><b>{head}.</b> {escape(words)}</p>" for head, words in said)
+    paragraphs = (("Done", part.done), ("Not covered", part.uncovered), ("Use", part.use))
+    done, *after = (f"<p><b>{head}.</b> {escape(words)}</p>" for head, words in paragraphs)
     return "\n".join([f"<h3>{part.title}</h3>", done, *map(measured_table, part.steps), *after])
 
 
@@ -89,8 +90,8 @@ def _parts(plan: Plan, proof: Proof) -> Iterator[_Part]:
 
 
 def independence(plan: Plan) -> str:
-    """Say what of the plan's side is independent of MuJoCo, and what is not."""
-    if isinstance(getattr(getattr(plan.problem, "dynamics", None), "mechanism", None), Mechanism):
+    """What on the plan's side is independent of MuJoCo."""
+    if plan.problem is not None and capabilities_of(plan.problem.dynamics).mechanism is not None:
         return (
             "Independent of MuJoCo are the recursions, their derivatives and the integrator. Not independent is the "
             "reading of the file: MuJoCo's compiler makes tree, masses and inertias of it for both sides. Pinocchio "
@@ -103,7 +104,7 @@ def independence(plan: Plan) -> str:
 
 
 def _chosen(sections: dict[str, Section], names: tuple[str, ...], code: bool) -> Iterator[Section]:
-    """The steps by name; of the order, the figures about the code or those about the solution."""
+    """The sections by name; of step convergence, the values about the code or those about the solution."""
     for name in names:
         section = sections.get(name)
         if section is not None and name == "order":
@@ -114,23 +115,22 @@ def _chosen(sections: dict[str, Section], names: tuple[str, ...], code: bool) ->
 
 
 def _gains(proof: Proof) -> str:
-    """How the gains act in the replay that is judged."""
+    """How the gains act in the judged replay."""
     run = proof.replays.get("feedback") if hasattr(proof, "replays") else None
     if run is None or run.sampling is None:
         return "the plan's gains"
-    late = {0: "at once", 1: "one period late"}.get(run.sampling.delay, f"{run.sampling.delay} periods late")
-    return f"the plan's gains as a controller applies them ({run.sampling.rate:.4g} Hz, held, {late})"
+    return f"the plan's gains as a controller applies them ({sampling_words(run.sampling)})"
 
 
 def _intended(proof: Proof) -> str:
-    """What the verdict speaks for."""
+    """The controller that the verdict covers."""
     if not proof.mode:
         return "a better plan"
     return "the plan's controls alone" if proof.mode == "open-loop" else f"the plan's controls with {_gains(proof)}"
 
 
 def _open(proof: Proof) -> str:
-    """What remains open."""
+    """Open questions."""
     phrases = [f"This verdict comes {'; '.join(proof.not_checked)}." if proof.not_checked else ""]
     found = proof.monte_carlo
     if found is None or not found.done:

@@ -1,6 +1,8 @@
 """Curves of the page: SVG that can be read as it is, and numbers from which a script shows values and moves the film.
 
 Every chart has one unit. A curve keeps the extremes of each piece of time: the page stays small and no peak is lost.
+
+A script shows values where the pointer hovers and moves the film to a click; without scripts the curves are pictures.
 """
 
 from __future__ import annotations
@@ -15,10 +17,17 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from planner.problem.default_appearance import appearance_of
-from planner.view.plots.limits import sides_of
-from planner.view.plots.motions import ASTRAY, range_of, until_astray
 from planner.view.plots.style import HUES, MINUS, MODE_WORDS, RED, drawable
-from planner.view.plots.time_series import curves_of, panels_of, replays_of, tasks_of, unit_of
+from planner.view.plots.time_series import (
+    curves_of,
+    panels_of,
+    replays_of,
+    sides_of,
+    tasks_of,
+    unit_of,
+    until_astray,
+    view_limits,
+)
 
 if TYPE_CHECKING:
     from planner.problem.plan import Plan
@@ -27,7 +36,7 @@ if TYPE_CHECKING:
 
 WIDTH, HEIGHT = 470, 230  # of a chart, in its own units
 LEFT, RIGHT, TOP, BOTTOM = 56, 10, 10, 36  # around the curves
-_PIECES = 120  # of time: two samples of a curve are kept in each
+_PIECES = 120  # of time; two samples of a curve are drawn of each
 _DIGITS = 5
 _PADDING = 0.06
 _TICKS = 5
@@ -41,7 +50,7 @@ class Line(NamedTuple):
     t: np.ndarray  # (K,) s
     values: np.ndarray  # (K,)
     colour: str
-    held: bool  # constant over a stage
+    stepwise: bool  # constant over a stage
 
 
 class InteractiveChart(NamedTuple):
@@ -88,23 +97,23 @@ def _charts(plan: Plan, replays: Sequence[Replay]) -> list[InteractiveChart]:
         for k, (name, hue) in enumerate(zip(task.names, cycle(HUES), strict=False)):
             motions = zip(["plan", *kinds], task.motions, strict=False)
             lines += [Line(name, kind, task.t, motion[:, k], _colour(kind, hue), False) for kind, motion in motions]
-            for side in (task.least, task.most):
+            for side in (task.lower, task.upper):
                 if np.isfinite(side[:, k]).any():
                     lines.append(Line(name, "bound", task.t, side[:, k], RED, False))
         charts.append(InteractiveChart(task.title, task.ylabel, tuple(lines)))
     for panel in panels_of(plan):
         curves = curves_of(panel, plan, list(replays))
         mixed = bool(panel.states and panel.controls)
-        for held in (False, True):
+        for stepwise in (False, True):
             lines = []
-            for curve, hue in zip([one for one in curves if one.held == held], cycle(HUES), strict=False):
+            for curve, hue in zip([one for one in curves if one.stepwise == stepwise], cycle(HUES), strict=False):
                 for kind, (t, values) in zip(["plan", *kinds], (curve.plan, *curve.replays), strict=False):
-                    lines.append(Line(curve.label, kind, t, values, _colour(kind, hue), held))
-                sides = sides_of(plan, curve.index, held=held)
+                    lines.append(Line(curve.label, kind, t, values, _colour(kind, hue), stepwise))
+                sides = sides_of(plan, curve.index, stepwise=stepwise)
                 for side in () if sides is None else sides[:2]:
                     if np.isfinite(side).any():
-                        lines.append(Line(curve.label, "bound", plan.t, side, hue[0], held))
-            ylabel = ", ".join(label for _, label in panel.controls) if mixed and held else panel.ylabel
+                        lines.append(Line(curve.label, "bound", plan.t, side, hue[0], stepwise))
+            ylabel = ", ".join(label for _, label in panel.controls) if mixed and stepwise else panel.ylabel
             if lines:
                 charts.append(InteractiveChart(panel.title, ylabel, tuple(lines)))
     return charts
@@ -115,20 +124,20 @@ def _colour(kind: str, hue: tuple[str, str, str]) -> str:
 
 
 def thinned(t: np.ndarray, values: np.ndarray) -> np.ndarray:
-    """Indices of the samples (K,) to keep: the ends, and the least and the largest of each piece of time."""
+    """Indices of the samples (K,) to draw: the ends, and the smallest and the largest of each piece of time."""
     finite = np.flatnonzero(np.isfinite(values))
     if len(finite) <= 2 * _PIECES:
         return finite
-    kept = {int(finite[0]), int(finite[-1])}
+    chosen = {int(finite[0]), int(finite[-1])}
     for piece in np.array_split(finite, _PIECES):
-        kept |= {int(piece[np.argmin(values[piece])]), int(piece[np.argmax(values[piece])])}
-    return np.array(sorted(kept))
+        chosen |= {int(piece[np.argmin(values[piece])]), int(piece[np.argmax(values[piece])])}
+    return np.array(sorted(chosen))
 
 
 def _numbers(line: Line) -> dict[str, Any]:
     few = thinned(line.t, drawable(line.values))
     return {
-        "label": line.label, "kind": line.kind, "held": line.held,
+        "label": line.label, "kind": line.kind, "stepwise": line.stepwise,
         "t": [_short(value) for value in line.t[few]], "y": [_short(value) for value in line.values[few]],
     }  # fmt: skip
 
@@ -160,10 +169,10 @@ def _figure(number: int, chart: InteractiveChart, start: float, end: float) -> s
     parts.append(f'<text x="12" y="{middle}" {turned}>{escape(chart.ylabel)}</text>')
     order = {"open": 0, "gains": 1, "bound": 2, "plan": 3}
     for line in sorted(chart.lines, key=lambda one: order[one.kind]):
-        shown = until_astray(line.values, (low, high)) if line.kind in ("open", "gains") else drawable(line.values)
-        few = thinned(line.t, shown)
+        visible = until_astray(line.values, (low, high)) if line.kind in ("open", "gains") else drawable(line.values)
+        few = thinned(line.t, visible)
         if len(few):
-            points = _path([x(t) for t in line.t[few]], [y(value) for value in shown[few]], line.held)
+            points = _path([x(t) for t in line.t[few]], [y(value) for value in visible[few]], line.stepwise)
             parts.append(f'<polyline class="{line.kind}" stroke="{line.colour}" points="{points}"/>')
     parts.append(f'<line class="cursor" x1="{LEFT}" x2="{LEFT}" y1="{TOP}" y2="{TOP + up}"/>')
     names = [
@@ -177,24 +186,19 @@ def _figure(number: int, chart: InteractiveChart, start: float, end: float) -> s
     )
 
 
-def _path(xs: Sequence[float], ys: Sequence[float], held: bool) -> str:
+def _path(xs: Sequence[float], ys: Sequence[float], stepwise: bool) -> str:
     points = []
     for i, (x, y) in enumerate(zip(xs, ys, strict=True)):
-        if held and i:
+        if stepwise and i:
             points.append(f"{x:.1f},{ys[i - 1]:.1f}")
         points.append(f"{x:.1f},{y:.1f}")
     return " ".join(points)
 
 
 def _limits(chart: InteractiveChart) -> tuple[float, float]:
-    """Least and largest value of the axis: all of the plan and of the bounds, of replays what is not astray."""
-    own = [line.values for line in chart.lines if line.kind in ("plan", "bound")]
-    (low, high), (lowest, highest) = range_of(own), range_of([line.values for line in chart.lines])
-    reach = ASTRAY * ((high - low) or math.inf)
-    low, high = max(lowest, low - reach), min(highest, high + reach)
-    if not high > low:
-        low, high = low - 1.0, high + 1.0
-    return low - _PADDING * (high - low), high + _PADDING * (high - low)
+    """Smallest and largest value of the axis."""
+    certain = [line.values for line in chart.lines if line.kind in ("plan", "bound")]
+    return view_limits(certain, [line.values for line in chart.lines], _PADDING)
 
 
 def _ticks(low: float, high: float) -> list[float]:
@@ -209,3 +213,76 @@ def _ticks(low: float, high: float) -> list[float]:
 
 def _words(value: float) -> str:
     return f"{value:.4g}".replace("-", MINUS)
+
+
+SCRIPT = """
+(() => {
+  const block = document.getElementById("curves");
+  if (!block) return;
+  const data = JSON.parse(block.textContent), film = document.querySelector("video");
+  const charts = [...document.querySelectorAll("svg[data-chart]")], [left, , across] = data.box;
+  const slider = Object.assign(document.createElement("input"), {type: "range", min: data.start, max: data.end,
+    step: (data.end - data.start) / 1000, value: data.start, id: "time"});
+  slider.setAttribute("aria-label", "time, s");
+  const now = Object.assign(document.createElement("output"), {id: "now"});
+  const bar = Object.assign(document.createElement("p"), {className: "bar"});
+  bar.append(slider, now);
+  document.querySelector(".charts").before(bar);
+  let hovered = false;
+  const clip = t => Math.min(data.end, Math.max(data.start, t));
+  const round = v => Math.abs(v) >= 1e5 || (v && Math.abs(v) < 1e-3) ? v.toExponential(3) : +v.toPrecision(4) + "";
+  const words = v => round(v).replace("-", "\\u2212"), modes = {plan: "plan ", gains: "gains ", open: "open loop "};
+  function valueAt(line, t) {
+    let a = 0, b = line.t.length - 1;
+    if (b < 0 || t > line.t[b] + 1e-6 * (data.end - data.start)) return null;
+    while (b - a > 1) { const m = (a + b) >> 1; if (line.t[m] <= t) a = m; else b = m; }
+    if (line.stepwise) return t >= line.t[b] ? line.y[b] : line.y[a];
+    const part = b > a ? Math.min(1, Math.max(0, (t - line.t[a]) / (line.t[b] - line.t[a]))) : 0;
+    return line.y[a] + part * (line.y[b] - line.y[a]);
+  }
+  function show(t) {
+    now.value = "t = " + t.toFixed(3) + " s";
+    slider.value = t;
+    const x = left + across * (t - data.start) / ((data.end - data.start) || 1);
+    charts.forEach((svg, i) => {
+      const cursor = svg.querySelector(".cursor"), by = new Map();
+      cursor.setAttribute("x1", x); cursor.setAttribute("x2", x); cursor.style.visibility = "visible";
+      data.charts[i].forEach(line => {
+        const v = valueAt(line, t);
+        if (!by.has(line.label)) by.set(line.label, []);
+        if (v !== null) by.get(line.label).push([modes[line.kind], words(v)]);
+      });
+      const unit = data.units[i] ? " " + data.units[i] : "";
+      const lines = [...by].map(([label, values]) => label + " " + (values.every(([, v]) => v === values[0][1])
+        ? (values[0] || ["", "unknown"])[1] : values.map(pair => pair.join("")).join(", ")) + unit);
+      svg.parentNode.querySelector("output").textContent = lines.join(" \\u00b7 ");
+    });
+  }
+  const ofFilm = () => clip(data.start + film.currentTime * data.speed);
+  function seek(t) {
+    show(t);
+    if (film) film.currentTime = (t - data.start) / data.speed;
+  }
+  const timeAt = (svg, event) => {
+    const box = svg.getBoundingClientRect();
+    const x = (event.clientX - box.left) * data.width / box.width;
+    return clip(data.start + (x - left) / across * (data.end - data.start));
+  };
+  charts.forEach(svg => {
+    svg.addEventListener("pointermove", event => {
+      hovered = true;
+      const t = timeAt(svg, event);
+      if (event.buttons & 1) seek(t); else show(t);
+    });
+    svg.addEventListener("pointerleave", () => { hovered = false; if (film) show(ofFilm()); });
+    svg.addEventListener("click", event => seek(timeAt(svg, event)));
+  });
+  slider.addEventListener("input", () => { if (film) film.pause(); seek(+slider.value); });
+  if (film) {
+    const follow = () => { if (!hovered) show(ofFilm()); if (!film.paused) requestAnimationFrame(follow); };
+    film.addEventListener("play", follow);
+    film.addEventListener("seeked", () => { if (!hovered) show(ofFilm()); });
+  }
+  show(data.start);
+})();
+"""

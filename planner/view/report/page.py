@@ -12,7 +12,7 @@ from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from planner.base.files import PathLike, file_error, write_atomically
+from planner.base.files import PathLike, file_error
 from planner.cases import CASES
 from planner.cases.problem_file.keys import RESOLVED
 from planner.cases.problem_file.resolved_defaults import resolved_defaults
@@ -20,13 +20,12 @@ from planner.problem.default_appearance import appearance_of
 from planner.problem.plan import Plan
 from planner.view.plots import case_pictures
 from planner.view.report.assessment import assessment
-from planner.view.report.curves import interactive
+from planner.view.report.curves import SCRIPT, interactive
+from planner.view.report.markup import measured_table, number, table, verdict_box, video_player, write_page
 from planner.view.report.reproduce import command, problem_text, typed
-from planner.view.report.script import SCRIPT
-from planner.view.report.style import STYLE
-from planner.view.report.tables import number, table
 
 if TYPE_CHECKING:
+    from planner.control.judging import LoopVerdict
     from planner.proof import Proof
     from planner.proof.diagnostics import SuggestedFix
     from planner.proof.repair.refinement import Refinement
@@ -79,16 +78,7 @@ def write_report(
         "<h2>Made with</h2>\n" + table(plan.versions),
         _model(plan),
     ]
-    body = "\n".join(part for part in parts if part)
-    page = (
-        '<!doctype html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
-        '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
-        f"<title>{escape(_word(proof))}: {escape(title)}</title>\n<style>{STYLE}</style>\n</head>\n"
-        f"<body>\n{body}\n<script>{SCRIPT}</script>\n</body>\n</html>\n"
-    )
-    with write_atomically(folder / NAME) as hidden:
-        hidden.write_text(page, encoding="utf-8", errors="xmlcharrefreplace")
-    return folder / NAME
+    return write_page(folder / NAME, f"{_word(proof)}: {title}", [*parts, f"<script>{SCRIPT}</script>"])
 
 
 def _word(proof: Proof | None) -> str:
@@ -96,34 +86,27 @@ def _word(proof: Proof | None) -> str:
 
 
 def _verdict(plan: Plan, proof: Proof | None, fixes: Sequence[SuggestedFix]) -> str:
-    kind = "pass" if _word(proof) == "PASS" else "fail"
-    if proof is None:
-        words = ""
-        reason = "The plan was not replayed in MuJoCo, so nothing is proven."
-        if not math.isfinite(plan.cost):
-            reason = "There is no finite plan that could be replayed."
+    if proof is not None:
+        reason, words = proof.reason, proof.headline.removeprefix(proof.verdict).strip(" ;")
+    elif math.isfinite(plan.cost):
+        reason, words = "The plan was not replayed in MuJoCo, so nothing is proven.", ""
     else:
-        reason = proof.reason
-        words = f"<span>{escape(proof.headline.removeprefix(proof.verdict).strip(' ;'))}</span>"
+        reason, words = "There is no finite plan that could be replayed.", ""
     doubt = "" if plan.success else f"<p>The solver did not converge: {escape(plan.message)}</p>"
-    return (
-        f'<div class="verdict {kind}" role="status"><strong>{escape(_word(proof))}</strong>{words}'
-        f"<p>{escape(reason)}</p>{doubt}{_unchecked(proof)}{_to_pass(fixes)}</div>"
-    )
-
-
-def _to_pass(fixes: Sequence[SuggestedFix]) -> str:
-    """What to write so that the plan passes."""
-    return f"<p>To pass: {' Or: '.join(escape(str(one)) for one in fixes)}</p>" if fixes else ""
+    to_pass = f"<p>To pass: {' Or: '.join(escape(str(one)) for one in fixes)}</p>" if fixes else ""
+    more = f"<p>{escape(reason)}</p>{doubt}{_unchecked(proof)}{to_pass}"
+    return verdict_box(_word(proof), _word(proof) == "PASS", words, more)
 
 
 def _unchecked(proof: Proof | None) -> str:
-    """What the plan's model left out, and what the verdict does not speak of."""
-    left, phrases = ((), ()) if proof is None else (proof.planned_without, proof.not_checked)
-    tested = f"The plan was made without {' and '.join(left)}; the replay in your file (step 6) had all of it."
-    said = [tested] if left else []
-    said += [f"Not checked: {'; '.join(phrases)}."] if phrases else []
-    return "".join(f"<p>{escape(sentence)}</p>" for sentence in said)
+    """Features that the plan's model lacks, and claims that the verdict does not make."""
+    sentences = []
+    if proof is not None and proof.planned_without:
+        lacking = " and ".join(proof.planned_without)
+        sentences.append(f"The plan was made without {lacking}; the replay in your file (step 6) had all of it.")
+    if proof is not None and proof.not_checked:
+        sentences.append(f"Not checked: {'; '.join(proof.not_checked)}.")
+    return "".join(f"<p>{escape(sentence)}</p>" for sentence in sentences)
 
 
 def _film(plan: Plan, folder: Path, note: str) -> str:
@@ -131,33 +114,29 @@ def _film(plan: Plan, folder: Path, note: str) -> str:
     beside = file.is_file() and file.stat().st_size > _EMBEDDED
     video = "video.mp4" if beside else embedded(file, "video/mp4")
     if video:
-        player = (
-            f'<video controls loop muted playsinline preload="metadata" src="{video}">'
-            "This browser does not play H.264 video.</video>"
-        )
-        seen = appearance_of(plan.problem)
-        ghost = "plan" if seen.ghost is None else seen.ghost.label
-        goals = "; goals as balls, axes and arrows" if seen.goals else ""
+        appearance = appearance_of(plan.problem)
+        ghost = "plan" if appearance.ghost is None else appearance.ghost.label
+        goals = "; goals as balls, axes and arrows" if appearance.goals else ""
         sides = "at the left open loop, at the right with the plan's gains"
         caption = f"MuJoCo solid, the {ghost} as a ghost; {sides}{goals}"
         if beside:
             caption += "; the film is the file video.mp4 beside this page"
-        return f"<h2>Video</h2>\n<figure>{player}<figcaption>{escape(caption)}</figcaption></figure>"
+        return f"<h2>Video</h2>\n<figure>{video_player(video)}<figcaption>{escape(caption)}</figcaption></figure>"
     return f'<h2>Video</h2>\n<p class="soft">{escape(note or "No video was made.")}</p>'
 
 
 def _pictures(plan: Plan, proof: Proof | None, folder: Path) -> str:
     own = {} if proof is None else case_pictures(plan, proof.replay)
     first, *others = _PICTURES
-    shown = []
+    figures = []
     for name, caption in (first, *((name, picture.caption) for name, picture in own.items()), *others):
         source = embedded(folder / name, "image/png")
         if source:
-            shown.append(
+            figures.append(
                 f'<figure><img src="{source}" alt="{escape(caption)}">'
                 f"<figcaption>{escape(caption)}</figcaption></figure>"
             )
-    return "<h2>Pictures</h2>\n" + "\n".join(shown) if shown else ""
+    return "<h2>Pictures</h2>\n" + "\n".join(figures) if figures else ""
 
 
 def _refinement(path: Sequence[Refinement]) -> str:
@@ -184,13 +163,12 @@ def _parameters(plan: Plan) -> str:
     if not plan.parameters:
         return ""
     case = f" of the case {plan.case}" if plan.case else ""
-    told = typed(plan.parameters) if plan.case in CASES else plan.parameters
-    told = {name: value for name, value in told.items() if name != RESOLVED}
-    return f"<h2>Parameters{escape(case)}</h2>\n" + table(told)
+    given = typed(plan.parameters) if plan.case in CASES else plan.parameters
+    return f"<h2>Parameters{escape(case)}</h2>\n" + table({k: v for k, v in given.items() if k != RESOLVED})
 
 
 def _chosen(plan: Plan) -> str:
-    """What the problem file left to be chosen, with the reasons."""
+    """Defaults that were resolved for the problem file, with the reasons."""
     reasons = resolved_defaults(plan.parameters)
     return f"<h2>Chosen by itself</h2>\n{table(reasons)}" if reasons else ""
 
@@ -198,10 +176,10 @@ def _chosen(plan: Plan) -> str:
 def _again(plan: Plan, proof: Proof | None, path: Sequence[Refinement], options: Mapping[str, Any]) -> str:
     """The command, the problem file and the seeds that make the plan again."""
     line = command(plan, path, options)
-    shown = f"<pre>{escape(line)}</pre>" if line else "<p>A program made the plan, not the command line.</p>"
+    body = f"<pre>{escape(line)}</pre>" if line else "<p>A program made the plan, not the command line.</p>"
     file = problem_text(plan, path)
     if file:
-        shown += f"\n<p>with the model below and this problem file:</p>\n<pre>{escape(file)}</pre>"
+        body += f"\n<p>with the model below and this problem file:</p>\n<pre>{escape(file)}</pre>"
     seeds: dict[str, Any] = {}
     if len(plan.starts) > 1:
         seeds["Starts"] = f"{len(plan.starts)}; this plan is start {plan.start}"
@@ -210,7 +188,7 @@ def _again(plan: Plan, proof: Proof | None, path: Sequence[Refinement], options:
     if rollouts is not None:
         seeds["Rollouts"] = f"{rollouts.done} in each mode; varied: {rollouts.perturbation}"
         seeds["Seed of the rollouts"] = rollouts.seed
-    return f"<h2>Again</h2>\n{shown}" + (f"\n{table(seeds)}" if seeds else "")
+    return f"<h2>Again</h2>\n{body}" + (f"\n{table(seeds)}" if seeds else "")
 
 
 def _model(plan: Plan) -> str:
@@ -229,3 +207,28 @@ def embedded(file: Path, kind: str) -> str:
     except OSError as error:
         raise file_error(error, file, verb="read") from error
     return f"data:{kind};base64,{base64.b64encode(data).decode('ascii')}" if data else ""
+
+
+def write_loop_page(verdict: LoopVerdict, folder: Path, video_note: str = "") -> Path:
+    """Write report.html into a folder, with loop.png and video.mp4 in it as far as they lie there."""
+    run = verdict.loop
+    title = f"{appearance_of(run.controller.problem).title or 'Loop'}, in the loop"
+    words = verdict.headline.removeprefix(verdict.verdict).strip(" ;")
+    video, picture = embedded(folder / "video.mp4", "video/mp4"), embedded(folder / "loop.png", "image/png")
+    film = video_player(video) if video else f'<p class="soft">{escape(video_note)}</p>'
+    caption = "MuJoCo solid, what the controller expected as a ghost"
+    settings = {
+        name.replace("_", " "): value for name, value in run.errors.items() if value not in (None, 0.0, False, [])
+    }
+    settings["latency"] = "measured" if run.errors["latency"] is None else run.errors["latency"]
+    parts = [
+        f"<h1>{escape(title)}</h1>",
+        verdict_box(verdict.verdict, verdict.passed, words),
+        f"<h2>Video</h2>\n<figure>{film}<figcaption>{caption}</figcaption></figure>",
+        f'<h2>Pictures</h2>\n<figure><img src="{picture}" alt="The loop over time"></figure>' if picture else "",
+        "<h2>Measured</h2>",
+        *[measured_table(section) for section in verdict.sections.values()],
+        "<h2>Settings</h2>\n" + table(settings),
+        "<h2>Messages of the controller</h2>\n<pre>" + (escape("\n".join(run.events)) or "nothing") + "</pre>",
+    ]  # fmt: skip
+    return write_page(folder / NAME, f"{verdict.verdict}: {title}", parts)

@@ -8,37 +8,34 @@ from html import escape
 from pathlib import Path
 from typing import Any
 
-from planner.base.files import write_atomically
-from planner.base.jsonable import finite
+from planner.base.files import finite
 from planner.sweeps.sweeping import Sweep
 from planner.sweeps.table import CSV, PARQUET
-from planner.view.report.style import STYLE
-from planner.view.report.sweep_maps import Map, maps_of, mark_jumps
-from planner.view.report.sweep_picture import CSS, WIDE, bar, colour, picture, word
-from planner.view.report.tables import number, table
+from planner.view.report.markup import number, table, write_page
+from planner.view.report.sweep_maps import CSS, WIDE, Map, bar, colour, maps_of, mark_jumps, picture, word
 
 NAME = "index.html"
 LEGEND = "green: proven, light green: converged and not proven, red: FAIL or not converged"
 _GOOD, _UNPROVEN, _BAD = "#2a9d5c", "#8fbf5f", "#d1495b"
 _SHOWN = 14  # columns of the row that a click shows, beside the parameters
 _SCRIPT = """
-const rows = JSON.parse(document.getElementById("rows").textContent), told = document.getElementById("told");
+const rows = JSON.parse(document.getElementById("rows").textContent), detail = document.getElementById("detail");
 function cell(text, kind) { const one = document.createElement(kind); one.textContent = text; return one; }
 document.addEventListener("click", event => {
   const task = event.target.dataset && event.target.dataset.t, row = task && rows[task];
   if (!row) return;
-  told.replaceChildren(cell("Task " + task, "h3"));
+  detail.replaceChildren(cell("Task " + task, "h3"));
   const made = document.createElement("table");
   for (const [name, value] of Object.entries(row)) {
     const line = made.insertRow();
     line.append(cell(name, "th"), cell(value === null ? "" : value, "td"));
   }
-  told.append(made);
+  detail.append(made);
   if (row.plan) {
     const where = decodeURI(location.pathname).replace(/[^/]*$/, "") + row.plan;
     const link = cell("the archive with its plan", "a");
     link.href = row.plan.replace(/\\/[^/]*$/, "");
-    told.append(link, cell("planner report " + where + "\\nplanner render " + where, "pre"));
+    detail.append(link, cell("planner report " + where + "\\nplanner render " + where, "pre"));
   }
 });
 """
@@ -51,42 +48,35 @@ def write_sweep_page(sweep: Sweep) -> Path:
         FileError: It cannot be written.
     """
     maps = maps_of(sweep.grid)
-    wanted = {int(task) for one in maps for task in one.tasks.flat}
-    rows = {row["task"]: row for row in sweep.rows() if row["task"] in wanted}
+    drawn = {int(task) for one in maps for task in one.tasks.flat}
+    rows = {row["task"]: row for row in sweep.rows() if row["task"] in drawn}
     parts = []
     for one in maps:
         mark_jumps(one, (rows[task] for task in map(int, one.tasks.flat) if task in rows))
         parts.append(_section(one, sweep, rows))
-    left = len(sweep.grid) - len(wanted)
+    left = len(sweep.grid) - len(drawn)
     more = f'<p class="soft">{left} more tasks are in the table alone.</p>' if left else ""
     counts = {"Tasks": f"{sweep.finished} of {len(sweep.grid)}", **sweep.statuses}
-    data = json.dumps(finite({task: _told(row, sweep) for task, row in rows.items()})).replace("<", "\\u003c")
+    data = json.dumps(finite({task: _detail(row, sweep) for task, row in rows.items()})).replace("<", "\\u003c")
     written = [name for name in (CSV, PARQUET) if (sweep.folder / name).exists()]
     tables = ", ".join(f'<a href="{name}">{name}</a>' for name in written)
     title = f"Sweep over {', '.join(sweep.grid.values)}"
-    page = (
-        '<!doctype html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
-        '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
-        f"<title>{escape(title)}</title>\n<style>{STYLE}{CSS}</style>\n</head>\n<body>\n<h1>{escape(title)}</h1>\n"
-        f"{table(counts)}\n<p>Tables: {tables}. A click on a task shows it below, with the commands for its plan. "
-        "Neighbours with a line between them are in different minima, to judge by their cost and motion.</p>\n"
-        + "\n".join(parts)
-        + f'\n{more}\n<div id="told"></div>\n<script type="application/json" id="rows">{data}</script>\n'
-        f"<script>{_SCRIPT}</script>\n</body>\n</html>\n"
+    head = (
+        f"<h1>{escape(title)}</h1>\n{table(counts)}\n<p>Tables: {tables}. A click on a task shows it below, with the "
+        "commands for its plan. A line separates neighbours in different minima, by their cost and motion.</p>"
     )
-    with write_atomically(sweep.folder / NAME) as hidden:
-        hidden.write_text(page, encoding="utf-8", errors="xmlcharrefreplace")
-    return sweep.folder / NAME
+    detail = f'{more}\n<div id="detail"></div>\n<script type="application/json" id="rows">{data}</script>'
+    return write_page(sweep.folder / NAME, title, [head, *parts, detail, f"<script>{_SCRIPT}</script>"], CSS)
 
 
 def _section(one: Map, sweep: Sweep, rows: dict[int, dict[str, Any]]) -> str:
-    held = ", ".join(f"{name} = {word(value)}" for name, value in one.held.items())
+    constant = ", ".join(f"{name} = {word(value)}" for name, value in one.constant.items())
     pictures = [
         picture("Success", LEGEND, one, sweep.grid, {t: _success(row) for t, row in rows.items()}),
         _scale("Cost", "cost", one, sweep, rows),
         _scale("Iterations", "iterations", one, sweep, rows),
     ]
-    head = f"<h2>{escape(held)}</h2>\n" if held else ""
+    head = f"<h2>{escape(constant)}</h2>\n" if constant else ""
     pairs = "pair of neighbours is" if len(one.jumps) == 1 else "pairs of neighbours are"
     jumps = f"<p>{len(one.jumps)} {pairs} in different minima.</p>" if one.jumps else ""
     few = " few" if one.tasks.shape[1] <= WIDE else ""
@@ -118,8 +108,8 @@ def _scale(title: str, name: str, one: Map, sweep: Sweep, rows: dict[int, dict[s
     return picture(title, bar(number(low), number(high)) + how, one, sweep.grid, colours)
 
 
-def _told(row: dict[str, Any], sweep: Sweep) -> dict[str, Any]:
-    """What a click shows of a row."""
-    kept = [name for name in row if name not in ("task", "print", "start", "guess")][: len(sweep.grid.values) + _SHOWN]
-    names = dict.fromkeys([*kept, *(name for name in ("reason", "plan") if row.get(name))])
+def _detail(row: dict[str, Any], sweep: Sweep) -> dict[str, Any]:
+    """The part of a row that a click shows."""
+    first = [name for name in row if name not in ("task", "print", "start", "guess")][: len(sweep.grid.values) + _SHOWN]
+    names = dict.fromkeys([*first, *(name for name in ("reason", "plan") if row.get(name))])
     return {name: row[name] for name in names}

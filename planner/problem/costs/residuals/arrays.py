@@ -4,8 +4,8 @@ A term measures up to six numbers of the state, its rows (see kernels.tree.resid
 compared, stage by stage, with what is wanted, and costs w r^2 / 2:
 
     target b     r = e - b
-    most b       r = ramp(e - b; a)          0, d^2 / 2a, d - a/2  for d < 0, 0..a, > a; a may be 0
-    least b      r = ramp(b - e; a)
+    upper b      r = ramp(e - b; a)          0, d^2 / 2a, d - a/2  for d < 0, 0..a, > a; a may be 0
+    lower b      r = ramp(b - e; a)
 """
 
 from __future__ import annotations
@@ -16,6 +16,8 @@ from typing import Any
 
 import numpy as np
 
+from planner.base.arguments import array, numbers
+from planner.base.errors import PlannerError
 from planner.kernels.tree.residuals.table import REFERENCES, ROWS
 
 CONSTANTS = 26  # numbers of a term that do not vary, at most: those of two solids
@@ -36,7 +38,7 @@ class ResidualArrays:
     first_row: np.ndarray  # (T+1,) where the rows of a term begin
     first_reference: np.ndarray  # (T+1,) where its references begin
     reference: np.ndarray  # (S, N+1) a rotation that an orientation is compared with, a pose
-    side: np.ndarray  # (M,) +1 for most, -1 for least, 0 for a target
+    side: np.ndarray  # (M,) +1 for upper, -1 for lower, 0 for a target
     ramp: np.ndarray  # (M,)
     bound: np.ndarray  # (M, N+1), 0 where a row is off
     weight: np.ndarray  # (M, N+1), 0 where a row is off; times dt on the way
@@ -138,3 +140,83 @@ class ResidualList:
             np.cumsum(rows, dtype=np.int64), np.cumsum(references, dtype=np.int64), reference, side, ramp, bound,
             weight,
         )  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False)
+class WeightedTarget:
+    """A target that has weights."""
+
+    target: np.ndarray  # (1 or N+1, size)
+    way: np.ndarray  # (1 or N+1, rows), times dt
+    end: np.ndarray  # (1, rows)
+    final: bool  # whether the end has a weight of its own; what is only weighed on the way is no goal
+    stages: StageData
+
+    @property
+    def weight(self) -> np.ndarray:
+        """(rows, N+1)."""
+        weight = np.array(self.stages.rows(self.way))
+        weight[-1] = self.end[0]
+        return weight.T
+
+
+class StageData:
+    """The horizon that arguments agree on, None while nothing was given per stage.
+
+    Args:
+        dt: s, by which weights on the way are multiplied.
+    """
+
+    def __init__(self, dt: float) -> None:
+        self.N: int | None = None
+        self._dt = dt
+
+    @property
+    def horizon(self) -> int:
+        """Stages to make arrays for: one, and the end, stand for any."""
+        return 1 if self.N is None else self.N
+
+    def rows(self, given: np.ndarray) -> np.ndarray:
+        """(N+1, size) of (1 or N+1, size)."""
+        return np.broadcast_to(given, (self.horizon + 1, given.shape[1]))
+
+    def asked(
+        self, name: str, target: Any, way: Any, final: Any, rows: int, size: int | None = None
+    ) -> WeightedTarget | None:
+        """A target of some size (that of its rows by default) and its weights, checked; None for neither."""
+        checked = None if target is None else self._target(name, target, size or rows)
+        running, end = self._weights(f"{name}_weight", way, final, rows)
+        weighs = bool(running.any() or end.any())
+        if weighs and checked is None:
+            raise PlannerError(f"{name}_weight has no target, expected {name}=.")
+        if checked is None:
+            return None
+        if not weighs:
+            raise PlannerError(f"{name} has no weight, expected {name}_weight or final_{name}_weight above 0.")
+        return WeightedTarget(checked, running, end, final is not None, self)
+
+    def _agree(self, name: str, given: np.ndarray) -> None:
+        if given.ndim == 2:
+            if self.N is not None and len(given) != self.N + 1:
+                raise PlannerError(f"{name} has {len(given)} rows, expected N+1 = {self.N + 1} as the others.")
+            self.N = len(given) - 1
+
+    def _target(self, name: str, value: Any, size: int) -> np.ndarray:
+        given = numbers(name, value)
+        given = array(name, given, ("N+1", size) if given.ndim == 2 else (size,))
+        self._agree(name, given)
+        return np.atleast_2d(given)
+
+    def _weights(self, name: str, way: Any, final: Any, rows: int) -> tuple[np.ndarray, np.ndarray]:
+        """(1 or N+1, rows) on the way and (1, rows) at the end."""
+        given = [numbers(name, way), numbers(f"final_{name}", 0.0 if final is None else final)]
+        for label, value in zip((name, f"final_{name}"), given, strict=True):
+            if value.ndim == 2 and label == name:
+                array(label, value, ("N+1", rows))
+                self._agree(label, value)
+            elif value.ndim:
+                array(label, value, (rows,))
+            if not (np.isfinite(value).all() and value.min() >= 0.0):
+                raise PlannerError(f"{label} is {value.tolist()}, expected finite weights of at least 0.")
+        running, end = (np.atleast_2d(np.broadcast_to(v, v.shape if v.ndim else (rows,))) for v in given)
+        return self._dt * running, self._dt * running[-1:] if final is None else end

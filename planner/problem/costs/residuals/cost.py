@@ -8,7 +8,7 @@ the state. It says nothing of the control. The twin of kernels.tree.residuals.ev
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from copy import copy
 from functools import partial
 from typing import NamedTuple
@@ -16,56 +16,28 @@ from typing import NamedTuple
 import numpy as np
 
 from planner.dynamics.contacts import ramp
-from planner.kernels.tree.residuals.table import (
-    ANGULAR,
-    BOXES,
-    DISTANCE,
-    HEIGHT,
-    LINE_BOX,
-    LINEAR,
-    MASS_CENTRE,
-    ORIENTATION,
-    OVER_PLANE,
-    POINTING,
-    POSE,
-    POSITION,
-    TILT,
-    VELOCITY,
-)
 from planner.model.coordinates import Coordinate
 from planner.model.mechanism import Mechanism
 from planner.problem.costs.goal_spec import GoalSpec
 from planner.problem.costs.residuals.arrays import ResidualArrays, resampled
-from planner.problem.costs.residuals.frames import framed
-from planner.problem.costs.residuals.kinematics_cache import KinematicsCache
-from planner.problem.costs.residuals.mass_centre import mass_centre
-from planner.problem.costs.residuals.scalars import scalar
-from planner.problem.costs.residuals.solids import apart
-from planner.problem.costs.residuals.turns import orientation_residual
+from planner.problem.costs.residuals.functions import RESIDUALS, KinematicsCache
 from planner.problem.costs.terms import Quadratic, Term
 
-_MEASURES: dict[int, Callable[[KinematicsCache, int, bool], tuple[np.ndarray, np.ndarray]]] = {
-    HEIGHT: scalar, DISTANCE: scalar, VELOCITY: scalar, POSITION: framed, POINTING: framed, LINEAR: framed,
-    ANGULAR: framed, ORIENTATION: orientation_residual, POSE: orientation_residual, MASS_CENTRE: mass_centre,
-    LINE_BOX: apart, BOXES: apart, OVER_PLANE: apart,
-    TILT: framed,
-}  # fmt: skip
 
-
-def values_of(mechanism: Mechanism, measures: ResidualArrays, xs: np.ndarray) -> np.ndarray:
-    """(M, K) of all rows for states xs (K, nx), one for each stage of the measures."""
-    seen = KinematicsCache(mechanism, measures, xs)
-    values = [_MEASURES[int(kind)](seen, t, False)[0].T for t, kind in enumerate(measures.kind)]
+def values_of(mechanism: Mechanism, arrays: ResidualArrays, xs: np.ndarray) -> np.ndarray:
+    """(M, K) of all rows for states xs (K, nx), one for each stage of the arrays."""
+    cache = KinematicsCache(mechanism, arrays, xs)
+    values = [RESIDUALS[int(kind)](cache, t, False)[0].T for t, kind in enumerate(arrays.kind)]
     return np.concatenate([np.empty((0, len(xs))), *values])
 
 
-def measured(mechanism: Mechanism, measures: ResidualArrays, xs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def values_and_jacobians(mechanism: Mechanism, arrays: ResidualArrays, xs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Values (K, M) of all rows for states xs (K, nx), one for each stage, and their derivatives (K, M, ndx)."""
-    seen, M = KinematicsCache(mechanism, measures, xs), len(measures.weight)
+    cache, M = KinematicsCache(mechanism, arrays, xs), len(arrays.weight)
     values, by_x = np.empty((len(xs), M)), np.zeros((len(xs), M, mechanism.space.ndx))
-    for t, kind in enumerate(measures.kind):
-        value, J = _MEASURES[int(kind)](seen, t, True)
-        values[:, measures.rows(t)], by_x[:, measures.rows(t), : J.shape[2]] = value, J
+    for t, kind in enumerate(arrays.kind):
+        value, J = RESIDUALS[int(kind)](cache, t, True)
+        values[:, arrays.rows(t)], by_x[:, arrays.rows(t), : J.shape[2]] = value, J
     return values, by_x
 
 
@@ -83,19 +55,19 @@ class ResidualCost(Term):
 
     Args:
         mechanism: The machine.
-        measures: The terms; of N stages, or of one stage and the end for any horizon.
+        arrays: The terms; of N stages, or of one stage and the end for any horizon.
         N: Stages; None for any horizon.
         goals: What the end is asked for, where its weight is above zero.
     """
 
     def __init__(
-        self, mechanism: Mechanism, measures: ResidualArrays, N: int | None, goals: Sequence[GoalRows] = ()
+        self, mechanism: Mechanism, arrays: ResidualArrays, N: int | None, goals: Sequence[GoalRows] = ()
     ) -> None:
-        self.mechanism, self.residual_arrays, self.N, self._goals = mechanism, measures, N, tuple(goals)
+        self.mechanism, self.residual_arrays, self.N, self._goals = mechanism, arrays, N, tuple(goals)
         self.space = mechanism.space
         self.nx, self.ndx = self.space.nx, self.space.ndx
 
-    def measures_for(self, N: int) -> ResidualArrays:
+    def residual_arrays_for(self, N: int) -> ResidualArrays:
         """The terms for N stages."""
         return self.residual_arrays if self.N is not None else resampled(self.residual_arrays, N, 1.0)
 
@@ -110,7 +82,7 @@ class ResidualCost(Term):
         cost.residual_arrays = resampled(self.residual_arrays, 1 if self.N is None else parts, ratio)
         return cost
 
-    def wanted(self, _: Sequence[Coordinate]) -> tuple[GoalSpec, ...]:
+    def goal_specs(self, _: Sequence[Coordinate]) -> tuple[GoalSpec, ...]:
         """What has a final weight of its own."""
         weighed = [goal for goal in self._goals if self._rows_of(goal)[1].any()]
         return tuple(GoalSpec(goal.name, goal.unit, partial(self._missed, goal)) for goal in weighed)
@@ -136,23 +108,23 @@ class ResidualCost(Term):
         last = self.residual_arrays.along(np.full(len(xs), -1))
         return _residuals(last, self._values(last, xs))[0]
 
-    def _values(self, measures: ResidualArrays, xs: np.ndarray) -> np.ndarray:
-        """(M, K) of the rows for states xs (K, nx), one for each stage of the measures."""
-        return values_of(self.mechanism, measures, xs)
+    def _values(self, arrays: ResidualArrays, xs: np.ndarray) -> np.ndarray:
+        """(M, K) of the rows for states xs (K, nx), one for each stage of the arrays."""
+        return values_of(self.mechanism, arrays, xs)
 
     def value(self, xs: np.ndarray, us: np.ndarray) -> float:
         """J of a trajectory xs (N+1, nx), us (N, nu)."""
         if not np.isfinite(xs).all():  # a candidate that ran away: there is no pose
             return float("inf")
-        stages, measures = self._weighing(len(us))
-        residuals, _ = _residuals(measures, self._values(measures, xs[stages]))
-        return 0.5 * float(np.sum(measures.weight * residuals**2))
+        stages, arrays = self._weighing(len(us))
+        residuals, _ = _residuals(arrays, self._values(arrays, xs[stages]))
+        return 0.5 * float(np.sum(arrays.weight * residuals**2))
 
     def _weighing(self, N: int) -> tuple[np.ndarray, ResidualArrays]:
         """The stages with any weight, and the terms there."""
-        measures = self.measures_for(N)
-        stages = np.flatnonzero(measures.weight.any(axis=0))
-        return stages, measures.along(stages)
+        arrays = self.residual_arrays_for(N)
+        stages = np.flatnonzero(arrays.weight.any(axis=0))
+        return stages, arrays.along(stages)
 
     def quadratize(self, xs: np.ndarray, us: np.ndarray) -> Quadratic:
         """Gradient and Gauss-Newton Hessian; nothing of the control."""
@@ -160,14 +132,14 @@ class ResidualCost(Term):
         model = Quadratic(
             np.zeros((N + 1, self.ndx, self.ndx)), np.zeros((N + 1, self.ndx)), np.zeros((N, nu, nu)), np.zeros((N, nu))
         )
-        stages, measures = self._weighing(N)
-        seen = KinematicsCache(self.mechanism, measures, xs[stages])
-        for t, kind in enumerate(measures.kind):
-            value, J = _MEASURES[int(kind)](seen, t, True)
-            rows, n = measures.rows(t), J.shape[2]
-            residual, slope = _residuals(measures, value.T, rows)
+        stages, arrays = self._weighing(N)
+        cache = KinematicsCache(self.mechanism, arrays, xs[stages])
+        for t, kind in enumerate(arrays.kind):
+            value, J = RESIDUALS[int(kind)](cache, t, True)
+            rows, n = arrays.rows(t), J.shape[2]
+            residual, slope = _residuals(arrays, value.T, rows)
             J = slope.T[:, :, None] * J  # of the residuals
-            WJ = measures.weight[rows].T[:, :, None] * J
+            WJ = arrays.weight[rows].T[:, :, None] * J
             model.q[stages, :n] += np.einsum("nri,rn->ni", WJ, residual)
             model.Q[stages, :n, :n] += np.swapaxes(J, 1, 2) @ WJ
         return model

@@ -1,4 +1,4 @@
-"""Power: what an actuator gives the machine, its force times the speed at which it acts."""
+"""Power and ChainForce: the power of an actuator, and the force that holds a closed chain together."""
 
 from __future__ import annotations
 
@@ -7,19 +7,22 @@ from dataclasses import dataclass
 import numpy as np
 
 from planner.base.arguments import choice
-from planner.dynamics import Dynamics
+from planner.base.errors import PlannerError
+from planner.dynamics import Dynamics, RigidBodyDynamics, constraint_forces
 from planner.model.actuators import DIRECT
 from planner.model.mechanism import SCREW, Mechanism
 from planner.model.space import space_of
-from planner.problem.constraints.quantities import machine_of
+from planner.problem.constraints.constraint import Constraint
+from planner.problem.constraints.constraint_functions import UserFunction
+from planner.problem.constraints.quantities import mechanism_of
 from planner.problem.costs.weights import places
 
 
 @dataclass(frozen=True)
 class Power:
-    """force times moment'qd of an actuator, W: above 0 where it drives, below where it brakes.
+    """Force times moment'qd of an actuator, W: positive where it drives, negative where it brakes.
 
-    The force is that of planner.model.mechanism, without what its clamps leave of it.
+    The force is that of planner.model.mechanism, without clamps.
 
     Attributes:
         actuator: Its name.
@@ -31,20 +34,20 @@ class Power:
     def __str__(self) -> str:
         return f"power of {self.actuator}"
 
-    def measure(self, dynamics: Dynamics, N: int) -> PowerMeasure:
-        """Of a machine.
+    def constraint_function(self, dynamics: Dynamics, N: int) -> PowerFunction:
+        """Its function, of a machine.
 
         Raises:
             PlannerError: It has no such actuator.
         """
-        mechanism = machine_of(dynamics, self)
+        mechanism = mechanism_of(dynamics, self)
         inputs = places(mechanism, ())[1]
         index = inputs[choice("the actuator of a power", self.actuator, inputs)].start
-        return PowerMeasure(mechanism, index, space_of(dynamics).ndx, dynamics.nu)
+        return PowerFunction(mechanism, index, space_of(dynamics).ndx, dynamics.nu)
 
 
-class PowerMeasure:
-    """The power of actuator a of a mechanism; of its control, or of its state where it has one."""
+class PowerFunction:
+    """The power of actuator a, whose force depends on its control, or on its activation where it has one."""
 
     rows = 1
 
@@ -53,7 +56,7 @@ class PowerMeasure:
         self._a, self._nu, self._nv, self._nq = a, nu, mechanism.nv, mechanism.nq
         self._moment, self._gain, self._bias = one.moment[a], float(one.gain[a]), one.bias[a]
         self.of_controls = bool(one.dynamics[a] == DIRECT)
-        self._state = mechanism.nq + mechanism.nv + int(one.activation[a])  # where it has one
+        self._state = mechanism.nq + mechanism.nv + int(one.activation[a])  # of its activation, where it has one
         screws = np.flatnonzero((mechanism.kind == SCREW) & (self._moment != 0.0))
         self._screws, self._address = screws, mechanism.q_address[screws]
         self._ndx, self.same = ndx, ("power", a)
@@ -81,3 +84,37 @@ class PowerMeasure:
         else:
             by_x[:, 0, self._state - self._nq + self._nv] = self._gain * speed
         return by_x, by_u
+
+
+@dataclass(frozen=True)
+class ChainForce:
+    """Magnitude of the force with which an equality of the model (connect, weld) acts on its two frames, N.
+
+    Attributes:
+        equality: Its name.
+    """
+
+    equality: str
+    unit = "N"
+
+    def __str__(self) -> str:
+        return f"force of {self.equality}"
+
+    def constraint_function(self, dynamics: Dynamics, N: int) -> UserFunction:
+        """Its function, of a machine.
+
+        Raises:
+            PlannerError: It has no such closed chain.
+        """
+        mechanism, row, known = mechanism_of(dynamics, self), 0, dict[str, int]()
+        for loop in mechanism.loops:
+            known[loop.name.removeprefix("equality ").strip("'")] = row
+            row += loop.rows
+        if not known or not isinstance(dynamics, RigidBodyDynamics):
+            raise PlannerError(f"the {self} needs a closed chain, expected a machine with a connect or a weld.")
+        first = known[choice("the equality of a force", self.equality, known)]
+
+        def force(xs: np.ndarray, us: np.ndarray) -> np.ndarray:
+            return np.linalg.norm(constraint_forces(dynamics, xs, us)[:, first : first + 3], axis=1)
+
+        return UserFunction(Constraint(force, upper=0.0), dynamics, mechanism.home, np.zeros(dynamics.nu))

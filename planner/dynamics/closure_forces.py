@@ -43,7 +43,7 @@ def constraint_forces(dynamics: RigidBodyDynamics, xs: Any, us: Any) -> np.ndarr
     xs = array("xs", xs, (len(us), dynamics.nx))
     m = dynamics.mechanism
     q, qd = xs[:, : m.nq], xs[:, m.nq : m.nq + m.nv]
-    tree = replace(m, loops=(), cams=(), friction_loss=np.zeros(m.nv))
+    tree = replace(m, loops=(), polynomial_couplings=(), friction_loss=np.zeros(m.nv))
     free = RigidBodyDynamics(replace(tree, couplings=()), dynamics.dt, dynamics.integrator, dynamics.prescribed)
     qdd = dynamics.rates(xs, us)[:, m.nv : 2 * m.nv]
     tau = rnea(tree, q, qd, free.rates(xs, us)[:, m.nv : 2 * m.nv])  # of what is prescribed it is not asked for

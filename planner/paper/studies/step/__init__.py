@@ -1,1 +1,0 @@
-"""The human step's study: run, drawings and page."""
