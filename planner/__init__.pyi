@@ -31,7 +31,7 @@ from planner.problem.tasks.follow import Follow as Follow
 from planner.problem.tasks.goal import Goal as Goal
 from planner.proof.compare.model_parity import parity as parity
 from planner.proof.prove_plan import prove as prove
-from planner.proof.refinement import refine as refine
+from planner.proof.repair.refinement import refine as refine
 from planner.proof.replays.replaying import Replay as Replay
 from planner.proof.replays.replaying import replay as replay
 from planner.proof.robustness.pushes import Push as Push

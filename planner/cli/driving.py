@@ -38,7 +38,7 @@ def drive(arguments: argparse.Namespace, console: Console) -> int:
     if problem.twin is None:
         raise PlannerError("the problem has no MuJoCo model to be driven in.")
     compiled = CompiledTwin(problem.twin)
-    named = [*pushes, *([] if arguments.map is None else [Push(arguments.map, 1.0, 0.0)])]
+    named = [*pushes, *([] if arguments.robustness_map is None else [Push(arguments.robustness_map, 1.0, 0.0)])]
     pushed_step(compiled.model, named)  # refuses a body that there is not, before any work
     given = {"rate": arguments.rate, "iterations": count("iterations", arguments.iterations), "latency": latency or 0.0}
     if arguments.stages is not None:
@@ -53,12 +53,14 @@ def drive(arguments: argparse.Namespace, console: Console) -> int:
         controller = Controller(problem, plan=plan, **given)
         console.write_progress(f"driving {name_of(arguments)}: {controller}")
         loop = simulate(
-            controller, duration=arguments.seconds, latency=latency, pushes=pushes, mass=arguments.heavier,
-            friction=arguments.rubbing, noise=arguments.noise, encoders=arguments.encoders, compiled=compiled,
+            controller, duration=arguments.seconds, latency=latency, pushes=pushes, mass=arguments.mass_error,
+            friction=arguments.joint_friction, noise=arguments.noise, encoders=arguments.encoders, compiled=compiled,
         )  # fmt: skip
         verdict = judge(loop)
-        if arguments.map is not None:
-            found = margins(controller, arguments.map, latency=latency or 0.0, progress=console.progress("pushes"))
+        if arguments.robustness_map is not None:
+            found = margins(
+                controller, arguments.robustness_map, latency=latency or 0.0, progress=console.progress("pushes")
+            )
             verdict = verdict.with_margins(*found)
     except BaseException:
         remove_empty(created)

@@ -42,11 +42,11 @@ _DRIVE: Flags = {
     "--iterations": value_flag("N", "Iterations of each plan.", 1, whole),
     "--stages": value_flag("N", "Stages that each plan looks ahead. Default: those of the problem.", kind=whole),
     "--seconds": value_flag("S", "Length of the run. Default: the task's and two seconds more.", kind=number),
-    "--heavier": value_flag("X", "All bodies are heavier by this share, e.g. 0.2.", 0.0, number),
-    "--rubbing": value_flag("X", "Dry friction in each joint, as a share of its largest force.", 0.0, number),
+    "--mass-error": value_flag("X", "All bodies are heavier by this share, e.g. 0.2.", 0.0, number),
+    "--joint-friction": value_flag("X", "Dry friction in each joint, as a share of its largest force.", 0.0, number),
     "--noise": value_flag("X", "Standard deviation of the noise on each measured number.", 0.0, number),
     "--encoders": boolean_flag("Measure positions by encoders of 17 bits, and speeds by their differences."),
-    "--map": {"metavar": "BODY", "help": "Also find the largest push at this body, the largest latency and the largest "
+    "--robustness-map": {"metavar": "BODY", "help": "Also find the largest push at this body, the largest latency and the largest "
                                          "mass with which it still arrives, beside the plan with its gains alone."},
 }  # fmt: skip
 _SWEEP: Flags = {
@@ -55,7 +55,7 @@ _SWEEP: Flags = {
                       "duration=0.8,1. A problem file's parameters are its keys, e.g. weights.effort=0.1,1. Given "
                       "several times: all combinations."},
     "--out": value_flag("DIR", "Folder of the table, the plans and the page. Default: renders/sweep-CASE."),
-    "--continue": value_flag("NAME", "Start each problem from the controls of its neighbour along this parameter.")
+    "--continuation": value_flag("NAME", "Start each problem from the controls of its neighbour along this parameter.")
                   | {"dest": "along"},
     "--timeout": value_flag("S", "Longest time of one solve, s.", kind=number),
     "--prove": boolean_flag("Prove each plan."),

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import argparse
-import math
 import time
 from concurrent.futures import Executor
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from planner import cases
 from planner.base.arguments import count, number, short_repr
@@ -106,24 +105,17 @@ def name_of(arguments: argparse.Namespace) -> str:
 
 
 def solved(
-    asked: ProblemOf,
-    arguments: argparse.Namespace,
-    console: Console,
-    executor: Executor | None = None,
-    end: float = math.inf,
-    why: str = "",
-) -> tuple[Plan, float]:
-    """The plan and the time of its solve, s; it ends at `end`, a time of time.monotonic().
-
-    `why` says what a solve after the first is for, as its table is printed too.
-    """
+    asked: ProblemOf, arguments: argparse.Namespace, console: Console, executor: Executor | None = None,
+    purpose: str = "",
+) -> tuple[Plan, float]:  # fmt: skip
+    """The plan and the time of its solve, s; `purpose` of a solve after the first is printed with its table."""
     problem = asked.problem
     solve(problem, hessian=arguments.hessian, max_iterations=1)  # compiles outside of the measured time
     several = f", {asked.starts} starts" if asked.starts > 1 else ""
     for note in asked.notes:
         console.write_progress(note)
     console.write_progress(
-        f"planning {name_of(arguments)}: {problem.N} stages of {problem.dynamics.dt:.4g} s{several}{why}"
+        f"planning {name_of(arguments)}: {problem.N} stages of {problem.dynamics.dt:.4g} s{several}{purpose}"
     )
     began = time.perf_counter()
     options = {
@@ -133,15 +125,15 @@ def solved(
     }  # fmt: skip
     shown = console.iteration if asked.durations is None and asked.starts == 1 else console.row
 
-    def progress(line: Any) -> None:
-        if time.monotonic() > end:
-            raise StopIteration
-        shown(line)
-
     if problem.periodic is not None:
         plan = solve_periodic(problem, callback=console.row, **options)
     elif asked.objective is None:
-        plan = solve(problem, callback=progress, **options)
+        plan = solve(problem, callback=shown, **options)
     else:
-        plan = solve_for(problem, asked.objective, durations=asked.durations, callback=progress, **options)
+        plan = solve_for(problem, asked.objective, durations=asked.durations, callback=shown, **options)
     return plan, time.perf_counter() - began
+
+
+def iterations_of(plan: Plan) -> int:
+    """Iterations of a solve with all its starts."""
+    return sum(start.iterations for start in plan.starts) or plan.nit

@@ -18,6 +18,7 @@ from planner.cli.results import completed, plan_facts, show_proof
 from planner.problem.archive import plan_digest
 from planner.problem.plan import Plan
 from planner.proof import prove
+from planner.proof.diagnostics import suggested_fixes
 from planner.proof.engines.section import NOTES, another_engine, require
 from planner.proof.error_scales import worst_by_unit
 from planner.proof.replays.compiled_twin import CompiledTwin
@@ -63,7 +64,10 @@ def prove_plan(arguments: argparse.Namespace, console: Console) -> int:
         found = proof.to_dict() | ({"engines": others} if others else {})
         if unfinished is not None:
             unfinished.write_text(json_text(found | {"plan_digest": digest}), encoding="utf-8")
-    show_proof(replace(proof, sections=proof.sections | sections), console)  # shown: they are no part of the verdict
+    fixes = suggested_fixes(plan, proof)
+    show_proof(
+        replace(proof, sections=proof.sections | sections), fixes, console
+    )  # shown: they are no part of the verdict
     for section in sections.values():
         for one in section.measured:
             if one.name in NOTES and one.note:

@@ -13,6 +13,7 @@ from planner.cli.console import Console
 from planner.cli.results import OUTPUTS, completed, draw_results, is_finite, show_proof, write_proof
 from planner.problem.archive import plan_digest
 from planner.proof import prove
+from planner.proof.diagnostics import suggested_fixes
 
 
 def report_plan(arguments: argparse.Namespace, console: Console) -> int:
@@ -26,10 +27,11 @@ def report_plan(arguments: argparse.Namespace, console: Console) -> int:
                 films = drawing.enter_context(BackgroundRender(proof, staged, (), console))
             proof = completed(proof, arguments.rollouts, console)
         plan.save(staged / "plan.npz")
-        write_proof(plan, proof, staged, plan_digest(staged / "plan.npz"))
+        fixes = suggested_fixes(plan, proof)
+        write_proof(plan, proof, staged, plan_digest(staged / "plan.npz"), fixes)
         if proof is not None:
-            show_proof(proof, console)
-        draw_results(plan, proof, staged, not arguments.no_video, console, films=films)
+            show_proof(proof, fixes, console)
+        draw_results(plan, proof, staged, fixes, not arguments.no_video, console, films=films)
     console.write_result(f"\n{Path(arguments.out) / 'report.html'}")
     passed = plan.success and proof is not None and proof.passed
     return console.finish("report", 0 if passed else 1, folder=arguments.out)

@@ -15,14 +15,14 @@ from planner.cli.background_render import BackgroundRender
 from planner.cli.console import Console
 from planner.problem.plan import Plan, Status
 from planner.proof import Proof
-from planner.proof.cures import cures
+from planner.proof.diagnostics import SuggestedFix
 from planner.proof.prove_plan import with_informative_sections, with_rollouts
 from planner.view.plots import CASE_PICTURES, case_pictures, draw_case_picture, draw_plan, draw_proof, save
 from planner.view.report import NAME as REPORT
 from planner.view.report import write_report
 
 if TYPE_CHECKING:
-    from planner.proof.refinement import Refinement
+    from planner.proof.repair.refinement import Refinement
 
 INTERRUPTED = "The drawing of pictures was interrupted."
 PICTURES = ("plots.png", *CASE_PICTURES.values(), "proof.png", "strip.png", "video.mp4")
@@ -36,16 +36,17 @@ def is_finite(plan: Plan) -> bool:
 
 
 def write_proof(
-    plan: Plan, proof: Proof | None, folder: Path, digest: str, path: Sequence[Refinement] = ()
+    plan: Plan, proof: Proof | None, folder: Path, digest: str, fixes: Sequence[SuggestedFix],
+    path: Sequence[Refinement] = (),
 ) -> None:  # fmt: skip
     """Write proof.json, also for a plan that was not replayed.
 
-    `digest` is that of the plan's file, and `path` lists the refinements of the plan.
+    `digest` is that of the plan's file, `fixes` say what to write so that it passes, and `path` lists the refinements of the plan.
     """
     failed = {"verdict": "FAIL", "mode": None, "reason": f"The plan was not replayed. {plan.message}"}
     content = (failed if proof is None else proof.to_dict()) | {"plan_digest": digest}
-    if found := cures(plan, proof):
-        content["cures"] = [one.to_dict() for one in found]
+    if fixes:
+        content["cures"] = [one.to_dict() for one in fixes]
     if path:
         content["refinement"] = [refinement_row(line) for line in path]
     write_json(folder / "proof.json", content)
@@ -55,6 +56,7 @@ def draw_results(
     plan: Plan,
     proof: Proof | None,
     folder: Path,
+    fixes: Sequence[SuggestedFix],
     video: bool,
     console: Console,
     path: Sequence[Refinement] = (),
@@ -90,7 +92,7 @@ def draw_results(
         note = INTERRUPTED
     if wanted or REPORT not in keep:
         write_report(
-            plan, proof, folder, video_note=note, path=path, options=options, cures=cures(plan, proof)
+            plan, proof, folder, video_note=note, path=path, options=options, fixes=fixes
         )  # fmt: skip
     return note
 
@@ -144,7 +146,7 @@ def show_plan(plan: Plan, seconds: float | None, console: Console, which: str = 
             console.write_result(f"{key.replace('_', ' ')}: {plan.options[key]}")
 
 
-def show_proof(proof: Proof, console: Console) -> None:
+def show_proof(proof: Proof, fixes: Sequence[SuggestedFix], console: Console) -> None:
     """Print every measured number beside its bound, then the verdict."""
     console.write_result()
     console.table(("step", "measured", "value", "bound", ""), proof.rows())
@@ -153,18 +155,13 @@ def show_proof(proof: Proof, console: Console) -> None:
             console.write_result(f"{section.title}: not applicable, {section.not_applicable}")
     for line in proof.monte_carlo.lines() if proof.monte_carlo is not None else ():
         console.write_result(line)
-    show_verdict(proof, console)
-
-
-def show_verdict(proof: Proof, console: Console) -> None:
-    """Print the first line of a proof, and below it its reason."""
     console.write_result(f"\n{proof.headline}\n{proof.reason}")
-    show_cures(proof.replay.plan, proof, console)
+    show_fixes(fixes, console)
 
 
-def show_cures(plan: Plan, proof: Proof | None, console: Console) -> None:
+def show_fixes(fixes: Sequence[SuggestedFix], console: Console) -> None:
     """Print what to write so that a plan passes, the most likely first."""
-    for i, one in enumerate(cures(plan, proof)):
+    for i, one in enumerate(fixes):
         console.write_result(f"{'or' if i else 'to pass'}: {one}")
 
 

@@ -25,13 +25,13 @@ from planner.problem.archive import plan_digest
 from planner.problem.plan import Plan, Status
 from planner.proof import prove
 from planner.proof.compare.model_parity import parity
-from planner.proof.cures import cures
+from planner.proof.diagnostics import suggested_fixes
 from planner.proof.goal_regulator import hold_gain
-from planner.proof.refinement import Refinement
+from planner.proof.repair.refinement import Refinement
 from planner.sweeps.executors import executor_of
 
 INTERRUPTED = 130
-BUDGET = 20.0  # s, time limit of the perturbed simulations; `planner prove` has none
+MAX_ROLLOUT_SECONDS = 20.0  # time limit of the perturbed simulations; `planner prove` has none
 FLAGS = ("update", "line_search", "hessian", "max_iterations", "rank", "no_refine", "rollouts", "hold", "objective",
          "durations", "control_limit", "exact_goal")  # fmt: skip
 """Flags that decide plan and proof, beside those of the problem, its starts and seed."""
@@ -88,28 +88,31 @@ def _run(
     results.show_plan(plan, seconds, console)
     proof = prove(plan, rollouts=0, hold_seconds=arguments.hold) if results.is_finite(plan) else None
 
-    def keep(better: Plan, path: tuple[Refinement, ...]) -> None:
+    def store(better: Plan, path: tuple[Refinement, ...]) -> None:
         notes = {"path": [results.refinement_row(line) for line in path]} if path else {}
         folder.begin("plan.npz", better.save, seconds=seconds, **notes)
 
     if not (arguments.no_refine or plan.status is Status.INTERRUPTED or (proof is not None and proof.passed)):
-        plan, proof, path = auto_repair(asked, plan, proof, path, arguments, console, resumed=resumed, keep=keep)
+        repaired = auto_repair(asked, plan, proof, path, arguments, console, resumed=resumed, store=store)
+        plan, proof, path, fixes = repaired
+    else:
+        fixes = suggested_fixes(plan, proof)
     digest = plan_digest(folder.path / "plan.npz")
-    results.write_proof(plan, proof, folder.path, digest, path)  # without the rollouts, which may be interrupted
+    results.write_proof(plan, proof, folder.path, digest, fixes, path)  # without the rollouts, which may be interrupted
     films = None
     with ExitStack() as drawing:
         if proof is not None:
             if not arguments.no_video:  # beside the rollouts, which know nothing of it
                 films = drawing.enter_context(BackgroundRender(proof, folder.path, folder.finished, console))
             proof = results.completed(
-                proof, arguments.rollouts, console, budget=BUDGET, partial=folder.path / ROLLOUTS, executor=executor,
+                proof, arguments.rollouts, console, budget=MAX_ROLLOUT_SECONDS, partial=folder.path / ROLLOUTS, executor=executor,
             )  # fmt: skip
-            results.write_proof(plan, proof, folder.path, digest, path)
-            results.show_proof(proof, console)
+            results.write_proof(plan, proof, folder.path, digest, fixes, path)
+            results.show_proof(proof, fixes, console)
         else:
-            results.show_cures(plan, None, console)
+            results.show_fixes(fixes, console)
         note = results.draw_results(
-            plan, proof, folder.path, not arguments.no_video, console, path=path, keep=folder.finished,
+            plan, proof, folder.path, fixes, not arguments.no_video, console, path=path, keep=folder.finished,
             options=_flags(arguments), films=films,
         )  # fmt: skip
     if note == results.INTERRUPTED:
@@ -122,7 +125,7 @@ def _run(
     return 0 if plan.success and proof is not None and proof.passed else 1, {
         "plan": results.plan_facts(plan), "solve_seconds": seconds, "proof": None if proof is None else proof.to_dict(),
         "refinement": [results.refinement_row(line) for line in path], "resumed": resumed, "files": files,
-        "video_note": note, "cures": [one.to_dict() for one in cures(plan, proof)],
+        "video_note": note, "cures": [one.to_dict() for one in fixes],
     }  # fmt: skip
 
 

@@ -7,8 +7,9 @@ import argparse
 from planner.base.files import write_atomically
 from planner.cli.console import Console
 from planner.cli.problems import asked_problem, solved
-from planner.cli.results import plan_facts, show_cures, show_plan
+from planner.cli.results import plan_facts, show_fixes, show_plan
 from planner.problem.archive import plan_name
+from planner.proof.diagnostics import suggested_fixes
 from planner.sweeps.executors import executor_of
 
 
@@ -21,7 +22,7 @@ def solve_case(arguments: argparse.Namespace, console: Console) -> int:
         plan, seconds = solved(asked, arguments, console, executor)
         plan.save(unfinished)
     show_plan(plan, seconds, console)
-    show_cures(plan, None, console)
+    show_fixes(suggested_fixes(plan), console)
     console.write_result(str(out))
     facts = plan_facts(plan)
     return console.finish(

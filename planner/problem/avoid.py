@@ -47,13 +47,13 @@ class Avoid:
         self: Between shapes of the machine.
         world: With shapes at rest.
         clearance: m between surfaces.
-        more: m in addition, by the names of a pair ("geom 'hand' and geom 'post'"); may be negative.
+        extra_clearance: m in addition, by the names of a pair ("geom 'hand' and geom 'post'"); may be negative.
     """
 
     self: bool = True
     world: bool = True
     clearance: float = 0.01
-    more: Any = None
+    extra_clearance: Any = None
 
     def __post_init__(a) -> None:  # pyright: ignore[reportSelfClsParameterName] - a field is called self
         for name in ("self", "world"):
@@ -61,12 +61,14 @@ class Avoid:
                 raise PlannerError(f"{name} of avoid is {short_repr(getattr(a, name))}, expected true or false.")
         if not (a.self or a.world):
             raise PlannerError("self and world of avoid are false, expected one of them true.")
-        more = {} if a.more is None else a.more
-        if not isinstance(more, Mapping):
-            raise PlannerError(f"more of avoid is {short_repr(more)}, expected a table of m by the names of pairs.")
+        extra = {} if a.extra_clearance is None else a.extra_clearance
+        if not isinstance(extra, Mapping):
+            raise PlannerError(
+                f"extra_clearance of avoid is {short_repr(extra)}, expected a table of m by the names of pairs."
+            )
         set_fields(
             a, clearance=number("clearance of avoid", a.clearance, greater_than=0.0),
-            more={name: number(f"more of {name}", value) for name, value in more.items()},
+            extra_clearance={name: number(f"extra_clearance of {name}", value) for name, value in extra.items()},
         )  # fmt: skip
 
     def to_dict(a) -> dict[str, Any]:  # pyright: ignore[reportSelfClsParameterName]
@@ -100,7 +102,7 @@ class Avoid:
         )
         if not found.pairs:
             raise PlannerError("avoid has nothing to keep apart: no shapes of the model can touch; leave it out.")
-        return AvoidanceConstraint(_constraint(found, a.clearance, a.more), found.notes)
+        return AvoidanceConstraint(_constraint(found, a.clearance, a.extra_clearance), found.notes)
 
 
 def _positions(name: str, given: Any, mechanism: Mechanism) -> np.ndarray:

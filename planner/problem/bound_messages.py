@@ -1,4 +1,4 @@
-"""Where a plan is at the bounds of its controls, or outside of ranges and constraints, in words."""
+"""Where a plan is at the bounds of its controls, or outside of ranges and constraints, and the sentences about it."""
 
 from __future__ import annotations
 
@@ -7,78 +7,99 @@ from typing import Any
 
 import numpy as np
 
-from planner.model.mechanism import Mechanism
+from planner.base.diagnostic import Diagnostic, Quantity
+from planner.model.capabilities import capabilities_of
 from planner.problem.problem import Problem
 
 _AT_BOUND_SHARE = 1e-6  # of a range: at its bound
-_OFTEN = 0.1  # of the stages: then bounds are what a motion hangs on
+_MIN_SHARE_AT_BOUND = 0.1  # of the stages: fewer at a bound are not reported
 _MAX_NAMED = 3  # constraints that are named
-_GAINED = 1e-3  # of the cost: a second half of a solve that gains less has stalled
+_MIN_REDUCTION = 1e-3  # of the cost: a second half of a solve that gains less has stalled
+
+SENTENCES = {
+    "control_at_bound": "{control} is at its bound in {stages} of {all} stages",
+    "state_at_bound": "the {coordinate} is at its limit at {knots} of {all} knots",
+    "outside_range": "{coordinate} is {distance} outside of its range at t = {time}",
+    "off_exact_goal": "{coordinate} is {distance} from its exact goal at t = {time}",
+    "constraint_violated": "{constraint} is broken by {violation} at t = {time}",
+    "more_violated": "and {count} more",
+}
 
 
-def control_name(problem: Problem, place: int) -> str:
+def sentence_of(found: Diagnostic | None) -> str:
+    """The sentence of a finding of this file; "" for None."""
+    return "" if found is None else found.text(SENTENCES)
+
+
+def control_name(problem: Problem, index: int) -> str:
     """A control by the name of its actuator, for a sentence."""
-    mechanism = getattr(problem.dynamics, "mechanism", None)
-    names = mechanism.actuators.names if isinstance(mechanism, Mechanism) else ()
-    return f"actuator {names[place]!r}" if place < len(names) and names[place] else f"control {place}"
+    mechanism = capabilities_of(problem.dynamics).mechanism
+    names = () if mechanism is None else mechanism.actuators.names
+    return f"actuator {names[index]!r}" if index < len(names) and names[index] else f"control {index}"
 
 
-def control_at_bound(problem: Problem, xs: np.ndarray, us: np.ndarray) -> str:
-    """The control that is most often at a bound along xs (N+1, nx), us (N, nu), and in how many stages; "" for none."""
+def control_at_bound(problem: Problem, xs: np.ndarray, us: np.ndarray) -> Diagnostic | None:
+    """The control that is most often at a bound along xs (N+1, nx), us (N, nu), and in how many stages."""
     if problem.bounds is None:
-        return ""
+        return None
     lower, upper = problem.bounds.at(slice(None), xs[: len(us)])
     with np.errstate(invalid="ignore"):
         near = _AT_BOUND_SHARE * np.where(np.isfinite(upper - lower), upper - lower, 1.0)
     stages = ((us <= lower + near) | (us >= upper - near)).sum(axis=0)
     worst = int(np.argmax(stages))
-    if stages[worst] < max(1, _OFTEN * len(us)):
-        return ""
-    return f"{control_name(problem, worst)} is at its bound in {stages[worst]} of {len(us)} stages"
+    if stages[worst] < max(1, _MIN_SHARE_AT_BOUND * len(us)):
+        return None
+    values = {"control": control_name(problem, worst), "stages": int(stages[worst]), "all": len(us)}
+    return Diagnostic("control_at_bound", values)
 
 
-def state_at_bound(problem: Problem, xs: np.ndarray) -> str:
-    """The coordinate that is most often at a bound along the states xs (N+1, nx), and how often; "" for none."""
+def state_at_bound(problem: Problem, xs: np.ndarray) -> Diagnostic | None:
+    """The coordinate that is most often at a bound along the states xs (N+1, nx), and how often."""
     ranges, limits = problem.ranges, problem.limits
     if ranges is None or limits is None or not np.isfinite(xs).all():
-        return ""
+        return None
     knots = ranges.at_bound(xs, limits.tolerance)[:, : len(ranges.component) - ranges.at_end].sum(axis=0)
     worst = int(np.argmax(knots)) if len(knots) else -1
-    if worst < 0 or knots[worst] < max(1, _OFTEN * len(xs)):
-        return ""
-    return f"the {ranges.coordinates[worst].name} is at its limit at {knots[worst]} of {len(xs)} knots"
+    if worst < 0 or knots[worst] < max(1, _MIN_SHARE_AT_BOUND * len(xs)):
+        return None
+    values = {"coordinate": ranges.coordinates[worst].name, "knots": int(knots[worst]), "all": len(xs)}
+    return Diagnostic("state_at_bound", values)
 
 
-def state_outside(problem: Problem, xs: np.ndarray, t: np.ndarray) -> str:
-    """What of the states xs (N+1, nx) is furthest outside of its range, and when; "" where nothing is."""
+def state_outside(problem: Problem, xs: np.ndarray, t: np.ndarray) -> Diagnostic | None:
+    """The coordinate of the states xs (N+1, nx) that is furthest outside of its range, and when."""
     limits, ranges = problem.limits, problem.ranges
     if ranges is None or limits is None or not np.isfinite(xs).all():
-        return ""
+        return None
     beyond = ranges.violation(xs)
     n, worst = np.unravel_index(int(np.argmax(beyond)), beyond.shape)
     if beyond[n, worst] <= limits.tolerance:
-        return ""
+        return None
     name, unit = ranges.coordinates[worst]
-    where = "from its exact goal" if worst >= len(ranges.component) - ranges.at_end else "outside of its range"
-    return f"{name} is {beyond[n, worst]:.3g} {unit}".rstrip() + f" {where} at t = {t[n]:.3g} s"
+    code = "off_exact_goal" if worst >= len(ranges.component) - ranges.at_end else "outside_range"
+    values = {"coordinate": name, "distance": Quantity(beyond[n, worst], unit), "time": Quantity(t[n], "s")}
+    return Diagnostic(code, values)
 
 
-def constraints_broken(problem: Problem, xs: np.ndarray, us: np.ndarray, t: np.ndarray) -> str:
-    """The constraints that states xs (N+1, nx) and controls us (N, nu) break, how far and when; "" where none is."""
+def constraints_broken(problem: Problem, xs: np.ndarray, us: np.ndarray, t: np.ndarray) -> list[Diagnostic]:
+    """The constraints that states xs (N+1, nx) and controls us (N, nu) break, how far and when; the worst first."""
     rows = None if problem.trajectory_constraints is None else problem.trajectory_constraints.rows
     if rows is None or not np.isfinite(xs).all():
-        return ""
+        return []
     broken = [one for one in rows.violations(xs, us) if not one.value <= one.constraint.allowed()]
     broken.sort(key=lambda one: -one.value / one.constraint.allowed())
-    said = [
-        f"{one.constraint} is broken by {one.value:.3g} {one.constraint.unit}".rstrip() + f" at t = {t[one.at]:.3g} s"
+    found = [
+        Diagnostic("constraint_violated", {
+            "constraint": str(one.constraint), "violation": Quantity(one.value, one.constraint.unit),
+            "time": Quantity(t[one.at], "s"),
+        })
         for one in broken[:_MAX_NAMED]
-    ]
+    ]  # fmt: skip
     more = len(broken) - _MAX_NAMED
-    return ", ".join(said) + (f", and {more} more" if more > 0 else "")
+    return [*found, Diagnostic("more_violated", {"count": more})] if more > 0 else found
 
 
 def stalled(history: Sequence[Any], cost: float) -> bool:
     """Whether the second half of a solve's iterations hardly lowered its cost."""
     half = history[len(history) // 2 :]
-    return len(half) > 2 and half[0].cost - cost <= _GAINED * abs(cost)
+    return len(half) > 2 and half[0].cost - cost <= _MIN_REDUCTION * abs(cost)

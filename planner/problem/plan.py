@@ -31,7 +31,7 @@ from planner.base.files import printable
 from planner.model.space import StateSpace, euclidean, space_of
 from planner.model.twin import Twin
 from planner.problem.archive import FILE, HINGES, PART, digest_of, pack, plan_name, write_archive
-from planner.problem.bound_messages import constraints_broken, control_at_bound, stalled, state_outside
+from planner.problem.bound_messages import constraints_broken, control_at_bound, sentence_of, stalled, state_outside
 from planner.problem.costs.goal_spec import stored_tolerance
 from planner.problem.export.joint_trajectory import joint_trajectory
 from planner.problem.export.keyframes import write_keyframes
@@ -192,9 +192,9 @@ class Plan(Built, Plottable):
             return f"{self.status.value[:-1]}, but {self.missed}."
         if self.problem is None or self.status not in _ON_LIMITS:
             return self.status.value
-        outside = state_outside(self.problem, self.xs, self.t)
-        held = control_at_bound(self.problem, self.xs, self.us)
-        broken = constraints_broken(self.problem, self.xs, self.us, self.t)
+        outside = sentence_of(state_outside(self.problem, self.xs, self.t))
+        held = sentence_of(control_at_bound(self.problem, self.xs, self.us))
+        broken = ", ".join(map(sentence_of, constraints_broken(self.problem, self.xs, self.us, self.t)))
         if self.status is Status.OUTSIDE_LIMITS:
             found = ", and ".join(filter(None, (outside, broken, held)))
             return f"{self.status.value[:-1]}: {found}." if found else self.status.value

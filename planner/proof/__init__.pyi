@@ -2,9 +2,9 @@ from planner.proof.compare.model_parity import parity as parity
 from planner.proof.feedback_rate import slowest_rate as slowest_rate
 from planner.proof.goal_regulator import hold_gain as hold_gain
 from planner.proof.prove_plan import prove as prove
-from planner.proof.refinement import Refined as Refined
-from planner.proof.refinement import Refinement as Refinement
-from planner.proof.refinement import refine as refine
+from planner.proof.repair.refinement import Refined as Refined
+from planner.proof.repair.refinement import Refinement as Refinement
+from planner.proof.repair.refinement import refine as refine
 from planner.proof.replays.contact_history import ContactHistory as ContactHistory
 from planner.proof.replays.replaying import Replay as Replay
 from planner.proof.replays.replaying import proven_cost as proven_cost

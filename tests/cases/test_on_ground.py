@@ -9,7 +9,7 @@ from planner.cases.problem_file import load
 from planner.dynamics.contacts import contact_forces
 from planner.dynamics.statics import clearance
 from planner.model.mjcf.ground_law import REST_PENETRATION
-from planner.proof.cures.balance import standing_goal
+from planner.proof.diagnostics.balance import standing_goal
 
 # A sled of 2 kg on four balls, with a mast that a motor turns; the file lets it fall from 0.3 m above the floor.
 SLED = """<mujoco><worldbody><geom name="floor" type="plane" size="0 0 1" pos="0 0 -1"/>

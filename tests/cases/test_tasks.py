@@ -20,7 +20,7 @@ from planner.problem.rediscretize import finer
 from planner.problem.tasks.poses import poses_of
 from planner.problem.tasks.reference_motion import controls
 from planner.problem.tasks.timed_task import task_of
-from planner.proof.cures import cures
+from planner.proof.diagnostics import suggested_fixes
 from planner.proof.replay_errors import misses
 from planner.proof.replays.compiled_twin import CompiledTwin
 from planner.proof.robustness.rollouts import Rollouts
@@ -321,7 +321,7 @@ def test_a_weight_that_is_too_small_is_raised_by_its_cure(tmp_path):
     plan = planner.solve(load(write(tmp_path, text)).problem)
     proof = planner.prove(plan, rollouts=0)
     assert not proof.passed
-    found = next(one for one in cures(plan, proof) if one.key == "weights.goal")
+    found = next(one for one in suggested_fixes(plan, proof) if one.key == "weights.goal")
     table = {name: value for name, value in plan.problem.parameters.items() if name != "resolved"}
     again = planner.solve(plan.problem.recipe.build(**found.applied(table)))
     assert goals_of(again.problem)[0].miss(again.t, again.xs) < 0.005
@@ -330,7 +330,7 @@ def test_a_weight_that_is_too_small_is_raised_by_its_cure(tmp_path):
 def test_rest_at_the_end_has_a_cure_of_its_own(tmp_path):
     text = f'[[goal]]\nframe = "hand"\nposition = {list(END)}\n[weights]\nfinal_velocity = 1e-4\n'
     plan = planner.solve(load(write(tmp_path, text)).problem)
-    keys = [one.key for one in cures(plan, planner.prove(plan, rollouts=0))]
+    keys = [one.key for one in suggested_fixes(plan, planner.prove(plan, rollouts=0))]
     assert "weights.final_velocity" in keys
     assert "weights.goal" not in keys
 

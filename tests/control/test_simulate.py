@@ -200,7 +200,7 @@ def test_the_command_writes_its_files_and_refuses_in_one_sentence(tmp_path):
         (("--push", "trunk=10N@1s"), ("no body 'trunk'", "upper_arm, forearm")),
         (("--push", "trunk"), ("push is 'trunk'", "BODY=FORCE@TIME")),
         (("--latency", "soon"), ("latency is 'soon'", "4ms")),
-        (("--map", "trunk"), ("no body 'trunk'",)),
+        (("--robustness-map", "trunk"), ("no body 'trunk'",)),
     ):
         refused(run("drive", "two-link", *words, "--out", "p", cwd=tmp_path), *fragments)
         assert not (tmp_path / "p").exists()

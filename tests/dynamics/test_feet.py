@@ -134,7 +134,7 @@ def written(tmp_path, contacts, more="settle = true"):
     ("contacts", "law"),
     [
         ('"ground"', ContactLaw.resting(MASS, sink=REST_PENETRATION, damping_ratio=DAMPING)),
-        ("{ sink = 0.01, friction = 0.7 }", ContactLaw.resting(MASS, sink=0.01, friction=0.7)),
+        ("{ penetration = 0.01, friction = 0.7 }", ContactLaw.resting(MASS, sink=0.01, friction=0.7)),
         (
             "{ stiffness = 1e4, damping = 100, ramp = 1e-3, slip_damping = 200, friction = 0.5 }",
             ContactLaw(1e4, 100.0, 1e-3, slip_damping=200.0, friction=0.5),
@@ -156,9 +156,9 @@ def test_problem_files_give_a_law(tmp_path, contacts, law):
     ("contacts", "more", "words"),
     [
         ('"soft"', "", "contacts is 'soft', expected one of: auto, avoid, ground, model, off"),
-        ("{ stifness = 1e4 }", "", "has the key 'stifness', expected some of: sink, friction"),
-        ("{ stiffness = 1e4, sink = 0.01 }", "", "has the key 'sink', expected some of: stiffness, damping"),
-        ("{ sink = -1 }", "", "sink is -1"),
+        ("{ stifness = 1e4 }", "", "has the key 'stifness', expected some of: penetration, friction"),
+        ("{ stiffness = 1e4, penetration = 0.01 }", "", "has the key 'penetration', expected some of: stiffness, damping"),
+        ("{ penetration = -1 }", "", "penetration is -1"),
         ('"ground"', "settle = 1", "settle is 1, expected true, false or"),
         ('"off"', "settle = true", "settle of start: the mechanism has no contacts"),
     ],

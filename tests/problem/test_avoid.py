@@ -123,7 +123,7 @@ def test_a_way_that_is_free_is_straight():
         ("[avoid]\nclearance = -0.1\n", {}, "clearance of avoid is -0.1, expected a finite number greater than 0."),
         ("[avoid]\nself = 1\n", {}, "self of avoid is 1, expected true or false."),
         ("[avoid]\nself = false\nworld = false\n", {}, "self and world of avoid are false, expected one of them true."),
-        ("[avoid]\nmore = 1\n", {}, "more of avoid is 1, expected a table of m by the names of pairs."),
+        ("[avoid]\nextra_clearance = 1\n", {}, "extra_clearance of avoid is 1, expected a table of m by the names of pairs."),
         (AVOID, {"wall": 'type="box" size="0.5 0.5 0.3"'},
          "the start is in collision: geom 'wall' and geom 'tool' overlap by 0.05 m, expected a pose where nothing"),
         (AVOID, {"wall": 'type="box" size="0.44 0.5 0.3"'},
@@ -142,11 +142,11 @@ def test_mistakes_are_one_sentence(problem_of, more, scene, expected):
     assert "\n" not in str(error.value)
 
 
-def test_a_touch_is_answered_with_more_room(problem_of):
+def test_a_touch_is_answered_with_clearance(problem_of):
     """A fit that says it is further away than it is, as one that overlaps at the start may: MuJoCo sees the touch."""
     from dataclasses import replace
 
-    from planner.proof.clearance_refinement import refine_clearance, with_more_room
+    from planner.proof.repair.clearance import refine_clearance, with_clearance
 
     problem = problem_of(AVOID)
     one = problem.constraints[0]
@@ -160,8 +160,8 @@ def test_a_touch_is_answered_with_more_room(problem_of):
     assert wider.notes[0].startswith("geom 'tool' and geom 'wall' touch and are kept ")
     assert refine_clearance(wider.plan, wider.proof).notes == ()
     name = problem.constraints[0].of.pairs[0].names
-    again = with_more_room(with_more_room(problem, {name: 0.01}), {name: 0.02})  # of a file: its table says so
-    assert again.parameters["avoid"]["more"] == pytest.approx({name: 0.03})
+    again = with_clearance(with_clearance(problem, {name: 0.01}), {name: 0.02})  # of a file: its table says so
+    assert again.parameters["avoid"]["extra_clearance"] == pytest.approx({name: 0.03})
     assert pair_clearance_of(again.constraints).lower[0] == pytest.approx(0.06)
 
 
@@ -192,7 +192,7 @@ def test_a_goal_at_which_only_fits_overlap_is_no_collision(problem_of):
 
 def test_fits_that_no_plan_keeps_apart_may_come_nearer_where_the_shapes_are_far(problem_of):
     """A drum that passes below a beam, with room for it, and not for the ball that stands for it."""
-    from planner.proof.clearance_refinement import refine_clearance
+    from planner.proof.repair.clearance import refine_clearance
 
     more = "[avoid]\nclearance = 0.02\n[limits.position]\nz = [0.08, 0.12]\n"
     beam = 'type="box" size="0.05 0.5 2" pos="0 0 2.23"'

@@ -6,7 +6,7 @@ from machines import gantry
 import planner
 from planner.base.errors import PlannerError
 from planner.dynamics.rollout import rollout_states
-from planner.proof.cures import cures
+from planner.proof.diagnostics import suggested_fixes
 
 # There, beside the wall, and back: each straight way leads through it.
 THERE_AND_BACK = """model = "gantry.xml"
@@ -81,7 +81,7 @@ def test_a_start_inside_of_a_thing_fails_though_nothing_is_avoided(tmp_path):
     proof = planner.prove(plan, rollouts=0)
     assert not proof.passed
     assert "geom 'wall' and geom 'tool' overlap by 0.03 m at the start and press on each other" in proof.reason
-    said = " ".join(str(one) for one in cures(plan, proof))
+    said = " ".join(str(one) for one in suggested_fixes(plan, proof))
     assert "Another `start` is needed" in said
     assert "in each other" in said
 
@@ -91,4 +91,4 @@ def test_a_goal_inside_of_a_thing_is_told_what_to_write(tmp_path):
     plan = planner.solve(loaded(tmp_path, "elbow.xml", ELBOW, reach))
     proof = planner.prove(plan, rollouts=0)
     assert not proof.passed
-    assert "`avoid = {}`" in str(cures(plan, proof)[0])
+    assert "`avoid = {}`" in str(suggested_fixes(plan, proof)[0])

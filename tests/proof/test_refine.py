@@ -10,8 +10,8 @@ from swings import mechanism, quick, solved, strange, swing
 import planner
 from planner.base.measured import Measurement, Section
 from planner.problem.plan import Status
-from planner.proof import refinement
-from planner.proof.refinement import Refinement, refine
+from planner.proof.repair import refinement
+from planner.proof.repair.refinement import Refinement, refine
 
 
 @pytest.fixture(scope="module")

@@ -254,7 +254,9 @@ def test_the_command_refuses_what_does_not_exist(tmp_path):
     refused(run("sweep", "hopper", "--set", "heigth=1:2:2", "--out", "out", cwd=tmp_path), "no parameter 'heigth'")
     both = ("--workers", 2, "--scheduler", "tcp://127.0.0.1:1")
     refused(run("sweep", "hopper", "--set", "height=1", *both, cwd=tmp_path), "one of them")
-    refused(run("sweep", "hopper", "--set", "height=1", "--continue", "mass", cwd=tmp_path), "expected one of: height")
+    refused(
+        run("sweep", "hopper", "--set", "height=1", "--continuation", "mass", cwd=tmp_path), "expected one of: height"
+    )
     refused(run("sweep", "hopper", "--set", "height=1", "--starts", 0, cwd=tmp_path), "starts is 0")
     refused(run("sweep", "hopper", "--set", "height=1:2", cwd=tmp_path), "START:STOP:COUNT")
     refused(run("sweep", "hopper", "--set", "height=", cwd=tmp_path), "no part of a grid")

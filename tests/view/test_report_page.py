@@ -23,7 +23,7 @@ from planner.model.mechanism import Mechanism
 from planner.problem.appearance import Appearance
 from planner.problem.plan import Start, Status
 from planner.problem.recipe import Recipe
-from planner.proof.refinement import Refinement
+from planner.proof.repair.refinement import Refinement
 from planner.view.plots import draw_plan, draw_proof, save
 from planner.view.render.encode import Encoder
 from planner.view.report import write_report

@@ -23,9 +23,10 @@ KEYS = {
     "dt": "length of a stage, s, or auto: 0.01, less where the machine is stiff, a whole part of the duration",
     "integrator": f"one of {', '.join(TREE_INTEGRATORS)}, or auto: rk4, or rosenbrock where damping is too fast",
     "substeps": "in a stage: 1 to 16, or auto: as many as the machine's fastest motion needs",
-    "guess": "first controls: line (straight to the goal in joint space, by inverse dynamics), around (a way on which "
-    "nothing that is avoided comes too near), led (gains along that line), hold (the start against gravity), zero; "
-    "auto is around where something is avoided, line where all joints have actuators, else the better of led and hold",
+    "guess": "first controls: line (straight to the goal in joint space, by inverse dynamics), collision-free (a "
+    "path that keeps its distance from what is avoided), tracking (feedback gains along that line), hold (the start against gravity), zero; "
+    "auto is collision-free where something is avoided, line where all joints have actuators, else the better of "
+    "tracking and hold",
     "contacts": "model (the file's own law), ground (a law for the mass of what stands), avoid, off, or a table of "
     "their law, below; auto chooses",
     "settle": "true to put start and goal on the ground: what no actuator drives moves until it carries them; auto "
@@ -48,7 +49,7 @@ AVOID = {
     "self": "whether shapes of the machine are kept from each other; true by default",
     "world": "whether they are kept from what is at rest; true by default",
     "clearance": "m between them; by default 0.01",
-    "more": "table of m beyond the clearance by the names of a pair, which `planner run` writes where shapes touched",
+    "extra_clearance": "table of m beyond the clearance by the names of a pair, which `planner run` writes where shapes touched",
 }
 GOAL = {
     "frame": "a site or body, or",
@@ -126,10 +127,10 @@ LAW = {
     "ramp": "m of smoothing",
     "slip_damping": "N s/m, of friction before it slips",
     "friction": "mu",
-    "bend": "how gradually friction turns from viscous to Coulomb's, 0 to 1",
+    "friction_smoothing": "how gradually friction turns from viscous to Coulomb's, 0 to 1",
 }
 GROUND = {
-    "sink": "m, how deep the machine sinks in when it stands on one contact",
+    "penetration": "m, how deep the contact is when it stands on one contact",
     "friction": "mu",
     "damping_ratio": "of the machine bouncing on one contact",
     "slip": "m/s, at which viscous friction would be all there is",

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from planner.base.arguments import choice, short_repr
+from planner.base.arguments import choice, number, short_repr
 from planner.base.errors import ModelError, PlannerError
 from planner.cases.problem_file.keys import GROUND, LAW, URDF
 from planner.cases.problem_file.table import check_keys
@@ -18,6 +18,8 @@ from planner.model.mechanism import Mechanism
 from planner.model.mjcf.contact_mode import MODES
 from planner.model.mjcf.unsupported import KINDS
 from planner.model.urdf.read import read_model
+
+_LAW_ARGUMENTS = {"friction_smoothing": "bend", "penetration": "sink"}
 
 
 def machine_of(model: str | Path, table: dict[str, Any], assets: dict[str, bytes] | None) -> Mechanism:
@@ -54,12 +56,21 @@ def machine_of(model: str | Path, table: dict[str, Any], assets: dict[str, bytes
 
 def _contact_law(law: dict[str, Any], mechanism: Mechanism) -> ContactLaw:
     """The law of a table of GROUND for the machine's mass, or of a table of LAW."""
+    if "penetration" in law:
+        number("penetration", law["penetration"], greater_than=0.0)
+    if "friction_smoothing" in law:
+        number("friction_smoothing", law["friction_smoothing"], minimum=0.0, maximum=1.0)
     if "stiffness" in law:
         check_keys(law, LAW, "a contacts table with stiffness")
-        return ContactLaw(**law)
+        return ContactLaw(**_renamed(law))
     check_keys(law, GROUND, "a contacts table without stiffness")
     gravity = float(np.linalg.norm(mechanism.gravity))
-    return ContactLaw.resting(float(mechanism.mass.sum()), gravity=gravity, **law)
+    return ContactLaw.resting(float(mechanism.mass.sum()), gravity=gravity, **_renamed(law))
+
+
+def _renamed(law: dict[str, Any]) -> dict[str, Any]:
+    """The keys of a contacts table as ContactLaw has them."""
+    return {_LAW_ARGUMENTS.get(key, key): value for key, value in law.items()}
 
 
 def folders_of(beside: Path, given: Any) -> list[str]:

@@ -1,13 +1,13 @@
 """The first controls of a problem file: by the word that it has for them, or chosen by what they lead to.
 
-line   the straight line in joint space, or through the poses of a task, by inverse dynamics, for machines whose
-       actuators reach every joint; of closed chains the line that keeps them closed
-around a way in joint space on which nothing that the problem avoids comes too near, kept to by gains
-led    gains of a regulator that is led along that line, for any other machine
-hold   what holds the start against gravity, as far as the actuators can
-zero   nothing
-auto   around where something is avoided and there is such a way, line where there is one, else led where that ends
-       nearer to the goal than hold does, else hold
+line            the straight line in joint space, or through the poses of a task, by inverse dynamics, for machines
+                whose actuators reach every joint; of closed chains the line that keeps them closed
+collision-free  a path in joint space that keeps its distance from all that the problem avoids, tracked by gains
+tracking        gains of a regulator that tracks that line, for any other machine
+hold            the start held against gravity, as far as the actuators can
+zero            no control
+auto            collision-free where something is avoided and there is such a path, line where there is one, else
+                tracking where that ends nearer to the goal than hold does, else hold
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from planner.problem.problem import Problem
 from planner.solvers.stabilizing_guess import line_tracking_controls, tracking_controls
 
 STRAYS = 0.1  # of the largest motion: from there on gains keep a guess on its way
-GUESSES = ("auto", "line", "around", "led", "hold", "zero")
+GUESSES = ("auto", "line", "collision-free", "tracking", "hold", "zero")
 
 
 class ReferenceTrajectory(NamedTuple):
@@ -45,25 +45,26 @@ def first_guess(
     """Controls (N, nu) of a kind that lead towards a goal (nx,), or along a way; None for zero.
 
     Raises:
-        PlannerError: There is no line, or what is led runs away.
+        PlannerError: There is no line, or the tracked rollout diverges.
     """
     if kind == "zero":
         return None
     dynamics: Any = problem.dynamics  # of a mechanism
     apart = pair_clearance_of(problem.constraints)
     direct = way is None or way.direct
-    if apart is not None and direct and kind in ("around", "auto") and not dynamics.prescribed:
+    if apart is not None and direct and kind in ("collision-free", "auto") and not dynamics.prescribed:
         end = goal if way is None else way.states[-1]
         motion = collision_free_motion(apart, dynamics.mechanism, problem.x0, end, problem.duration, problem.N)
         found = None if motion is None else tracking_controls(problem, *motion)
         if found is not None:
             return found
-    if kind == "around":
+    if kind == "collision-free":
         raise PlannerError(
-            "guess is 'around', expected 'auto', 'line', 'led', 'hold' or 'zero': no way around was found; it is for "
-            "machines of hinges and slides that avoid something, at rest at both ends, with actuators for every joint."
+            "guess is 'collision-free', expected 'auto', 'line', 'tracking', 'hold' or 'zero': no collision-free path was "
+            "found; it is for machines of hinges and slides that avoid something, at rest at both ends, with actuators "
+            "for every joint."
         )
-    if way is None and kind in ("line", "led", "auto"):
+    if way is None and kind in ("line", "tracking", "auto"):
         way = _closed(problem, goal)
     if kind in ("line", "auto") and not dynamics.prescribed:
         line = _along(problem, _straight(problem, goal) if way is None else way)
@@ -71,15 +72,15 @@ def first_guess(
             return line
     if kind == "line":
         raise PlannerError(
-            "guess is 'line', expected 'led', 'hold' or 'zero': a line is for machines of hinges and slides that are "
+            "guess is 'line', expected 'tracking', 'hold' or 'zero': a line is for machines of hinges and slides that are "
             "at rest at both ends, whose actuators reach every joint, without contacts."
         )
     hold = np.tile(quasi_static_controls(problem.dynamics, problem.x0), (problem.N, 1))
     found = None
     if kind != "hold":
         found = line_tracking_controls(problem, goal) if way is None else tracking_controls(problem, way.states)
-    if found is None and kind == "led":
-        raise PlannerError("guess is 'led', expected 'hold' or 'zero': this machine runs away where gains lead it.")
+    if found is None and kind == "tracking":
+        raise PlannerError("guess is 'tracking', expected 'hold' or 'zero': this machine diverges with the gains.")
     if found is None or (kind == "auto" and not _rollout_cost(problem, found) < _rollout_cost(problem, hold)):
         return hold
     return found

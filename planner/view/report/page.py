@@ -27,8 +27,8 @@ from planner.view.report.reproduce import command, problem_text, typed
 if TYPE_CHECKING:
     from planner.control.judging import LoopVerdict
     from planner.proof import Proof
-    from planner.proof.cures import Cure
-    from planner.proof.refinement import Refinement
+    from planner.proof.diagnostics import SuggestedFix
+    from planner.proof.repair.refinement import Refinement
 
 NAME = "report.html"
 _EMBEDDED = 16e6  # bytes of the largest film within the page
@@ -48,7 +48,7 @@ def write_report(
     *,
     path: Sequence[Refinement] = (),
     options: Mapping[str, Any] | None = None,
-    cures: Sequence[Cure] = (),
+    fixes: Sequence[SuggestedFix] = (),
 ) -> Path:
     """Write report.html into `folder` and return its path.
 
@@ -56,7 +56,7 @@ def write_report(
     film of more than 16 MB stays beside it. Hovering over its curves shows values, clicking moves the film; without
     scripts the curves are pictures.
     `video_note` says why there is no video, `path` lists the plan's refinements, `options` holds the flags that were
-    given: {"starts": 8, "no_refine": True}. `cures` say what to write so that a plan that failed passes.
+    given: {"starts": 8, "no_refine": True}. `fixes` say what to write so that a plan that failed passes.
 
     Raises:
         FileError: The page cannot be written, or a picture cannot be read.
@@ -65,7 +65,7 @@ def write_report(
     title = appearance_of(plan.problem).title or plan.case or "Plan"
     parts = [
         f"<h1>{escape(title)}</h1>",
-        _verdict(plan, proof, cures),
+        _verdict(plan, proof, fixes),
         _film(plan, folder, video_note),  # people look before they read
         interactive(plan, proof),
         _pictures(plan, proof, folder),
@@ -85,7 +85,7 @@ def _word(proof: Proof | None) -> str:
     return "FAIL" if proof is None else proof.verdict
 
 
-def _verdict(plan: Plan, proof: Proof | None, cures: Sequence[Cure]) -> str:
+def _verdict(plan: Plan, proof: Proof | None, fixes: Sequence[SuggestedFix]) -> str:
     if proof is not None:
         reason, words = proof.reason, proof.headline.removeprefix(proof.verdict).strip(" ;")
     elif math.isfinite(plan.cost):
@@ -93,8 +93,8 @@ def _verdict(plan: Plan, proof: Proof | None, cures: Sequence[Cure]) -> str:
     else:
         reason, words = "There is no finite plan that could be replayed.", ""
     doubt = "" if plan.success else f"<p>The solver did not converge: {escape(plan.message)}</p>"
-    fixes = f"<p>To pass: {' Or: '.join(escape(str(one)) for one in cures)}</p>" if cures else ""
-    more = f"<p>{escape(reason)}</p>{doubt}{_unchecked(proof)}{fixes}"
+    to_pass = f"<p>To pass: {' Or: '.join(escape(str(one)) for one in fixes)}</p>" if fixes else ""
+    more = f"<p>{escape(reason)}</p>{doubt}{_unchecked(proof)}{to_pass}"
     return verdict_box(_word(proof), _word(proof) == "PASS", words, more)
 
 

@@ -14,7 +14,7 @@ from planner.cases.problem_file.keys import RESOLVED
 from planner.problem.plan import Plan
 
 if TYPE_CHECKING:
-    from planner.proof.refinement import Refinement
+    from planner.proof.repair.refinement import Refinement
 
 PROBLEM = "problem.toml"
 

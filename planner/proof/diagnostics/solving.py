@@ -8,35 +8,34 @@ import numpy as np
 
 from planner.problem.plan import Iteration, Plan, Status
 from planner.problem.problem import Problem
-from planner.proof.cures.cure import FILE, Cure, cure, no_cure, rounded_up
-from planner.proof.cures.stage import rates_at_start, rounded_step
+from planner.proof.diagnostics.stage import rates_at_start, rounded_step
+from planner.proof.diagnostics.suggested_fix import SuggestedFix, fix, no_fix, of_file, rounded_up
 from planner.proof.verdict import Proof
 from planner.solvers.options import EXPECTED_REDUCTION_TOLERANCE
 
-STABLE = 1.0  # of the fastest rate times the stage: RK4 is stable up to 2.8 and exact to a percent at 1
+MAX_RATE_STEP = 1.0  # of the fastest rate times the stage: RK4 is stable up to 2.8 and exact to a percent at 1
 MAX_TIMES = 30.0  # more iterations
 STARTS = 8
 _FEW = 8  # lines of a history from which no trend is read
 _GAINED = 1e-3  # of the cost: what the second half of a solve must have gained for more of it to be worth it
 
 
-def first_guess(plan: Plan, problem: Problem, proof: Proof | None) -> list[Cure]:
+def first_guess(plan: Plan, problem: Problem, proof: Proof | None) -> list[SuggestedFix]:
     """The stage that the machine's fastest rate needs, or another guess, for one that runs away."""
     if plan.status is not Status.NOT_FINITE:
         return []
     dt, found = problem.dynamics.dt, []
     rate = float(np.abs(rates_at_start(problem)).max())
-    if rate * dt > STABLE:
-        why = f"the fastest rate of the machine at its start is {rate:.3g} per s, {rate * dt:.3g} times in a stage"
-        found.append(cure(problem, "dt", rounded_step(problem.duration, STABLE / rate), why))
-    if problem.case == FILE:
+    if rate * dt > MAX_RATE_STEP:
+        value = rounded_step(problem.duration, MAX_RATE_STEP / rate)
+        found.append(fix(problem, "dt", value, "rate_too_fast", rate=rate, per_stage=rate * dt))
+    if of_file(problem):
         other = {"hold": "zero", "zero": "hold"}.get(problem.parameters.get("guess", "hold"), "zero")
-        why = "the first guess rolls out to infinite states"
-        found.append(cure(problem, "guess", other, why))
+        found.append(fix(problem, "guess", other, "guess_runs_away"))
     return found
 
 
-def more_iterations(plan: Plan, problem: Problem, proof: Proof | None) -> list[Cure]:
+def more_iterations(plan: Plan, problem: Problem, proof: Proof | None) -> list[SuggestedFix]:
     """As many iterations as the trend of the decrease needs."""
     if plan.status is not Status.MAX_ITERATIONS:
         return []
@@ -45,21 +44,19 @@ def more_iterations(plan: Plan, problem: Problem, proof: Proof | None) -> list[C
     if needed is None:
         return []
     left = lines[-1].expected / max(1.0, abs(plan.cost))
-    why = f"after {plan.nit} iterations the next still promises {left:.1e} of the cost"
-    return [cure(problem, "max_iterations", needed, why)]
+    return [fix(problem, "max_iterations", needed, "more_iterations", iterations=plan.nit, left=left)]
 
 
-def other_guesses(plan: Plan, problem: Problem, proof: Proof | None) -> list[Cure]:
+def other_guesses(plan: Plan, problem: Problem, proof: Proof | None) -> list[SuggestedFix]:
     """Several first guesses, for a solve that came to no end from one."""
     ended = plan.status not in (Status.MAX_ITERATIONS, Status.NO_DESCENT)
     if ended or problem.parameters.get("starts", 1) != 1 or len(plan.starts) > 1:
         return []
-    stays = f"the cost stays at {plan.cost:.5g} and the norm of its gradient at {plan.gradient_norm:.2g}"
-    return [cure(problem, "starts", STARTS, f"{stays}; other first guesses end elsewhere")]
+    return [fix(problem, "starts", STARTS, "stalled", cost=plan.cost, gradient=plan.gradient_norm)]
 
 
 def iterations_needed(lines: list[Iteration], cost: float) -> int | None:
-    """Iterations until the promised decrease is below the tolerance, by its trend; None where it does not fall."""
+    """Iterations until the expected decrease is below the tolerance, by its trend; None where it does not fall."""
     if not lines:
         return None
     half = lines[len(lines) // 2 :]
@@ -79,19 +76,15 @@ def iterations_needed(lines: list[Iteration], cost: float) -> int | None:
     return int(rounded_up(1.5 * more + len(lines)))
 
 
-def not_a_minimum(plan: Plan, problem: Problem, proof: Proof | None) -> list[Cure]:
+def not_a_minimum(plan: Plan, problem: Problem, proof: Proof | None) -> list[SuggestedFix]:
     """Where a solve ended though its cost may still fall: how it goes on, or what does not ask for a minimum."""
     left = [] if proof is None else [one for one in proof.optimality.failures if one.name == "decrease_left"]
     if not left:
         return []
-    return [no_cure("optimal", (
-        f"The solve ended, but one more step promises to take {left[0].value:.3g} % off the cost: go on from this plan "
-        "by solve(problem, warm_start=plan), or ask `planner prove --feasible`, for which it need not be a minimum."
-    ))]  # fmt: skip
+    return [no_fix("optimal", "not_a_minimum", left=left[0].value)]
 
 
-def nothing_known(plan: Plan, problem: Problem, proof: Proof | None) -> Cure:
-    """Said where no cause was found."""
+def nothing_known(plan: Plan, problem: Problem, proof: Proof | None) -> SuggestedFix:
+    """Returned where no cause was found."""
     failed = [] if proof is None else [one for section in proof.sections.values() for one in section.failures]
-    what = failed[0].name.replace("_", " ") if failed else "the solve"
-    return no_cure("", f"No key of the problem is known that mends {what}; docs/questions.md has what others met.")
+    return no_fix("", "unknown", failed=failed[0].name.replace("_", " ") if failed else "the solve")

@@ -1,15 +1,13 @@
-"""Plan again with more room where shapes touched in MuJoCo that the plan keeps apart, and with less where none do.
+"""Plan again with a larger clearance where shapes collide in MuJoCo that the plan keeps apart, or with a smaller one.
 
-What stands for a mesh or a cylinder is fitted around it, but where fits overlap at the start of a motion and the shapes
-do not, that is let pass (planner.model.mjcf.collision_pairs), and then a plan may come too near. MuJoCo's collision
-tells;
-the pair is kept apart by as much more as it went in, and half of the clearance. And where no plan keeps two fits apart
-whose shapes are far from each other by MuJoCo's distances, the fits may come nearer by that.
+A mesh or a cylinder is planned with a shape that is fitted around it. Where such fits overlap at the start and the
+shapes do not, the overlap is allowed (planner.model.mjcf.collision_pairs), and a plan may come too near. MuJoCo's
+collision check finds it; the clearance of the pair grows by the depth and half of the clearance. Where no plan keeps
+two fits apart whose shapes are far from each other by MuJoCo's distances, the clearance of the fits shrinks by that.
 """
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
@@ -26,54 +24,64 @@ from planner.problem.problem import Problem
 from planner.proof import Proof
 from planner.proof import prove as full_proof
 from planner.proof.original_model import your_file
+from planner.proof.repair.budget import WorkBudget, was_cut
 from planner.solvers.slq import solve
 from planner.solvers.warm_start import warm_start
 
 MAX_REFINEMENTS = 3  # times
-CLEARANCE_SHARE = 0.5  # of what a pair is kept apart by, beside the depth
+CLEARANCE_SHARE = 0.5  # of the required clearance, added to the depth
 
 
 class ClearanceRefinement(NamedTuple):
-    """The last plan that was proved, and a sentence for each time that it was planned with more room, or less."""
+    """The last plan that was proved, and for each time that it was planned again the changes of clearance."""
 
     plan: Plan
     proof: Proof
-    notes: tuple[str, ...]
+    changes: tuple[dict[str, float], ...]  # m by the names of a pair
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """A sentence for each time."""
+        return tuple("; ".join(_sentence(names, m) for names, m in one.items()) for one in self.changes)
 
 
 def refine_clearance(
-    plan: Plan, proof: Proof, *, limit: int = MAX_REFINEMENTS, seconds: float = 60.0, prove: Callable[[Plan], Proof] |
-    None = None,
-    **options: Any,
+    plan: Plan, proof: Proof, *, limit: int = MAX_REFINEMENTS, budget: WorkBudget | None = None,
+    prove: Callable[[Plan], Proof] | None = None, max_iterations: int = 1000, **options: Any,
 ) -> ClearanceRefinement:  # fmt: skip
-    """Solve and prove again with another clearance of the pairs that touched or are far, while that is why it fails.
+    """Solve and prove again with another clearance of the pairs that collided or are far, while that is the cause.
 
     Args:
         plan: A plan whose problem keeps shapes apart (planner.constraints.Avoid).
         proof: Of the plan.
-        limit: Most times.
-        seconds: After which no other solve begins.
+        limit: The most refinements.
+        budget: The work of the solves; by default that of a whole repair.
         prove: Judges the plans; by default without perturbed rollouts.
+        max_iterations: Of each solve.
         options: Of solve().
     """
-    prove, end, notes = prove or partial(full_proof, rollouts=0), time.monotonic() + seconds, list[str]()
-    while len(notes) < limit and time.monotonic() < end:
-        more = _touched(plan, proof) or _far(plan, proof)
+    prove, changes = prove or partial(full_proof, rollouts=0), list[dict[str, float]]()
+    assert plan.problem is not None
+    work = WorkBudget.of_repair(plan.problem) if budget is None else budget
+    while len(changes) < limit and not work.exhausted:
+        more = _collided(plan, proof) or _far(plan, proof)
         if plan.problem is None or not more:
             break
-        problem = with_more_room(plan.problem, more)
-        better = solve(replace(problem, us=warm_start(plan, problem)), **options)
-        if better.status is Status.NOT_FINITE:
+        problem = with_clearance(plan.problem, more)
+        allowed = work.iterations(problem, max_iterations)
+        better = solve(replace(problem, us=warm_start(plan, problem)), max_iterations=allowed, **options)
+        work.charge(better)
+        if better.status is Status.NOT_FINITE or was_cut(better, allowed, max_iterations):
             break
-        notes.append("; ".join(_told(names, m) for names, m in more.items()))
+        changes.append(more)
         plan, proof = better, prove(better)
         if plan.status is Status.INTERRUPTED:
             break
-    return ClearanceRefinement(plan, proof, tuple(notes))
+    return ClearanceRefinement(plan, proof, tuple(changes))
 
 
-def _touched(plan: Plan, proof: Proof) -> dict[str, float]:
-    """By how much more (m) pairs are to be kept apart that touch in the user's file, by their names."""
+def _collided(plan: Plan, proof: Proof) -> dict[str, float]:
+    """By how much more (m) the clearance of pairs that collide in the user's file must grow, by their names."""
     problem = plan.problem
     apart = None if problem is None else pair_clearance_of(problem.constraints)
     if apart is None or problem is None or proof.passed:
@@ -114,19 +122,19 @@ def _far(plan: Plan, proof: Proof) -> dict[str, float]:
     return found
 
 
-def _told(names: str, more: float) -> str:
+def _sentence(names: str, more: float) -> str:
     if more > 0.0:
         return f"{names} touch and are kept {100.0 * more:.2g} cm further apart"
     return f"the fits of {names} may come {-100.0 * more:.2g} cm nearer, since the shapes are that much further apart"
 
 
-def with_more_room(problem: Problem, more: dict[str, float]) -> Problem:
+def with_clearance(problem: Problem, more: dict[str, float]) -> Problem:
     """The problem with pairs kept further apart (m), by their names; that of a file keeps its recipe."""
     if problem.recipe is not None and "avoid" in problem.recipe.parameters:
         table = problem.recipe.parameters["avoid"]
-        had = table.get("more") or {}
+        had = table.get("extra_clearance") or {}
         both = had | {name: had.get(name, 0.0) + m for name, m in more.items()}
-        return problem.recipe.rebuilt(avoid=table | {"more": both})
+        return problem.recipe.rebuilt(avoid=table | {"extra_clearance": both})
     changed = []
     for one in problem.constraints:
         if isinstance(one.of, PairClearance):

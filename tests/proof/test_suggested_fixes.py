@@ -1,4 +1,4 @@
-"""cures(): what a FAIL says to write is computed, and with it the plan passes."""
+"""suggested_fixes(): what a FAIL says to write is computed, and with it the plan passes."""
 
 from dataclasses import replace
 
@@ -8,10 +8,10 @@ import pytest
 import planner
 from planner.cases.problem_file import load, of_table
 from planner.cases.problem_file.keys import RESOLVED
-from planner.proof.cures import Cure, cures, longer
-from planner.proof.cures.cure import rounded_up
-from planner.proof.cures.solving import not_a_minimum
-from planner.proof.cures.stage import rounded_step
+from planner.proof.diagnostics import SuggestedFix, longer, suggested_fixes
+from planner.proof.diagnostics.solving import not_a_minimum
+from planner.proof.diagnostics.stage import rounded_step
+from planner.proof.diagnostics.suggested_fix import rounded_up
 
 ARM = """
 <mujoco>
@@ -91,47 +91,48 @@ def cured(problem, cure):
 
 
 def passes_with(problem, *keys):
-    """That a plan passes with cures of these keys, one after the other; returns the first value and sentence."""
+    """That a plan passes with cures of these keys, one after the other; returns the first."""
     given = []
     for key in keys:
         plan, proof = tried(problem)
         assert proof is None or not proof.passed
-        found = cures(plan, proof)
+        found = suggested_fixes(plan, proof)
         assert found, proof and proof.reason
         assert found[0].key == key, (found[0].sentence, proof and proof.reason)
-        assert found[0].sentence.startswith("`"), found[0].sentence
+        assert found[0].written.startswith("`")
         given.append(found[0])
         problem = cured(problem, found[0])
     plan, proof = tried(problem)
     assert proof is not None
     assert proof.passed, (given[-1].sentence, proof.reason)
-    assert cures(plan, proof) == ()
-    return given[0].value, given[0].sentence
+    assert suggested_fixes(plan, proof) == ()
+    return given[0]
 
 
 def test_a_goal_that_is_asked_for_too_little(tmp_path):
-    value, said = passes_with(arm(tmp_path, weights={"final_position": 20}), "weights.final_position")
-    assert value > 20.0
-    assert "rad" in said
-    assert f"weights.final_position = {value}" in said
+    first = passes_with(arm(tmp_path, weights={"final_position": 20}), "weights.final_position")
+    assert first.value > 20.0
+    assert first.code == "goal_missed"
+    assert first.values["miss"].unit == "rad"
+    assert first.written == f"`weights.final_position = {first.value}`"
 
 
 def test_a_weight_by_joint_stays_one_by_joint(tmp_path):
     problem = arm(tmp_path, weights={"final_position": "{ shoulder = 20.0, elbow = 1e4 }"})
-    value, _ = passes_with(problem, "weights.final_position")
-    assert value["elbow"] == 1e4
-    assert value["shoulder"] > 20.0
+    first = passes_with(problem, "weights.final_position")
+    assert first.value["elbow"] == 1e4
+    assert first.value["shoulder"] > 20.0
 
 
 def test_a_stage_that_is_too_long(tmp_path):
-    value, said = passes_with(arm(tmp_path, goal="[-2.0, 2.5]", dt="0.2"), "dt")
-    assert value < 0.2
-    assert "at 0.2 s" in said
+    first = passes_with(arm(tmp_path, goal="[-2.0, 2.5]", dt="0.2"), "dt")
+    assert first.value < 0.2
+    assert (first.code, first.values["dt"]) == ("stage_too_long", (0.2, "s"))
 
 
 def test_an_integrator_of_first_order(tmp_path):
-    value, _ = passes_with(arm(tmp_path, integrator='"euler"'), "integrator")
-    assert value == "rk4"
+    first = passes_with(arm(tmp_path, integrator='"euler"'), "integrator")
+    assert first.value == "rk4"
 
 
 def test_a_range_that_the_plan_does_not_know(tmp_path):
@@ -139,16 +140,16 @@ def test_a_range_that_the_plan_does_not_know(tmp_path):
     model = POLE.format(slider='limited="true" range="-0.02 1"')
     weights = {"final_position": 1e5, "final_velocity": 1e5}
     problem = file(tmp_path, model, {"goal": "[0.5, 0.0]", "duration": "2.0"}, weights)
-    value, said = passes_with(without_limits(problem), "limits.position")
-    assert value == "model"
-    assert "slider" in said
+    first = passes_with(without_limits(problem), "limits.position")
+    assert first.value == "model"
+    assert (first.code, first.values["limit"].value) == ("range_unknown", -0.02)
 
 
 def test_a_clamp_that_the_plan_does_not_know(tmp_path):
     problem = arm(tmp_path, model={"gravity": 0, "motor": 'ctrllimited="true" ctrlrange="-0.6 0.6"'})
-    value, said = passes_with(without_limits(problem), "limits.control")
-    assert value == "model"
-    assert "of -0.6 to 0.6" in said
+    first = passes_with(without_limits(problem), "limits.control")
+    assert first.value == "model"
+    assert (first.code, first.values["lower"], first.values["upper"]) == ("clamp_unknown", -0.6, 0.6)
 
 
 def test_too_little_time_for_a_motor(tmp_path):
@@ -157,19 +158,18 @@ def test_too_little_time_for_a_motor(tmp_path):
         limits={"control": '"model"'},
         model={"gravity": 0, "motor": 'ctrllimited="true" ctrlrange="-0.4 0.4"'},
     )
-    value, said = passes_with(problem, "duration")
+    first = passes_with(problem, "duration")
     # without gravity the forces fall with the square of the duration
-    assert 1.0 < value < 3.0
-    assert "'at shoulder' needs" in said
-    assert "0.4 N m" in said
+    assert 1.0 < first.value < 3.0
+    assert (first.code, first.values["actuator"]) == ("too_little_force", "actuator 'at shoulder'")
 
 
 def test_too_little_time_for_a_speed(tmp_path):
     problem = arm(tmp_path, limits={"velocity": 0.7}, model={"gravity": 0})
-    value, said = passes_with(problem, "duration")
+    first = passes_with(problem, "duration")
     # 15/8 of the mean speed of 0.8 rad in 1 s, and 0.9 of 0.7 rad/s
-    assert value == pytest.approx(15.0 / 8.0 * 0.8 / 0.63, rel=0.1)
-    assert "velocity of elbow" in said
+    assert first.value == pytest.approx(15.0 / 8.0 * 0.8 / 0.63, rel=0.1)
+    assert first.code == "too_little_speed"
 
 
 def test_no_time_helps_a_motor_that_cannot_hold_the_goal(tmp_path):
@@ -178,9 +178,9 @@ def test_no_time_helps_a_motor_that_cannot_hold_the_goal(tmp_path):
     )  # fmt: skip
     plan, proof = tried(problem)
     assert not proof.passed
-    found = cures(plan, proof)[0]
+    found = suggested_fixes(plan, proof)[0]
     assert found.value is None
-    assert "even in 10 s actuator 'at shoulder' needs" in found.sentence
+    assert (found.code, found.values["duration"]) == ("force_never_enough", (10.0, "s"))
 
 
 def test_a_goal_in_a_wall_and_a_way_that_is_longer_than_straight(tmp_path):
@@ -188,23 +188,25 @@ def test_a_goal_in_a_wall_and_a_way_that_is_longer_than_straight(tmp_path):
     wall = '<geom name="wall" type="box" size="0.05 0.5 0.5" pos="-0.06 0 0.75"/>'
     model = {"gravity": 0, "world": wall, "collides": ""}
     problem = arm(tmp_path, goal="[-1.5707963, 0.0]", contacts='"off"', model=model)
-    value, said = passes_with(problem, "goal", "weights")
-    assert "geom 'wall' and geom 'upper' are 0.02 m in each other" in said
-    assert np.abs(np.array(value) - [-1.5707963, 0.0]).max() < 0.2
+    first = suggested_fixes(*tried(problem))[0]
+    assert (first.code, first.value) == ("goal_collides_anyhow", None)
+    assert first.values == {"pair": "geom 'wall' and geom 'upper'", "depth": (pytest.approx(0.02), "m")}
+    free = arm(tmp_path, goal="[-1.45, 0.0]", contacts='"off"', model=model)
+    passes_with(free, "weights")
 
 
 def test_a_solve_that_was_stopped_early(tmp_path):
     problem = arm(tmp_path, goal="[-2.0, 2.5]")
     plan, proof = tried(problem, max_iterations=2)
     assert not proof.passed
-    first = cures(plan, proof)[0]
+    first = suggested_fixes(plan, proof)[0]
     assert first.key == "max_iterations"
     assert first.applied(problem.parameters) == problem.parameters  # a flag, no key of the file
     assert tried(problem, max_iterations=first.value)[1].passed
 
 
 def test_a_plan_that_passes_needs_no_cure(tmp_path):
-    assert cures(*tried(arm(tmp_path))) == ()
+    assert suggested_fixes(*tried(arm(tmp_path))) == ()
 
 
 def test_a_stage_that_is_too_long_for_a_fast_rate():
@@ -213,9 +215,9 @@ def test_a_stage_that_is_too_long_for_a_fast_rate():
     problem = planner.Problem(fast, planner.TrackingCost.reach([0.0], 100, final=1.0, effort=1.0), [1.0])
     plan = planner.solve(problem)
     assert plan.status is planner.Status.NOT_FINITE
-    first = cures(plan)[0]
+    first = suggested_fixes(plan)[0]
     assert (first.key, first.value) == ("dt", 0.001)
-    assert first.sentence.startswith("`FunctionDynamics(..., dt=0.001)`: the fastest rate")
+    assert (first.code, first.written) == ("rate_too_fast", "`FunctionDynamics(..., dt=0.001)`")
 
 
 def test_a_margin_grows_by_what_a_joint_was_beyond_it(tmp_path):
@@ -225,7 +227,7 @@ def test_a_margin_grows_by_what_a_joint_was_beyond_it(tmp_path):
     keys = {"goal": "[0.5, 0.0]", "duration": "2.0", "dt": "0.25", "substeps": "1"}
     problem = file(tmp_path, model, keys, weights, {"position": '"model"'} | MARGIN)
     plan, proof = tried(problem)
-    stage, margin = cures(plan, proof)
+    stage, margin = suggested_fixes(plan, proof)
     assert (stage.key, margin.key) == ("dt", "limits.margin")
     beyond = -0.02 - plan.between_knots(20)[:, 0].min()
     assert 1.4 * beyond < margin.value < 10.0 * beyond
@@ -238,17 +240,17 @@ def test_a_margin_grows_by_what_a_joint_was_beyond_it(tmp_path):
 def test_a_way_that_swings_out_of_a_range(tmp_path):
     # least effort lets gravity swing the elbow by more than 3 rad
     problem = arm(tmp_path, model={"elbow": 'limited="true" range="-1 1.5"'})
-    value, said = passes_with(without_limits(problem), "weights")
-    assert set(value) == {"velocity", "final_position", "final_velocity"}
-    assert "elbow swings" in said
+    first = passes_with(without_limits(problem), "weights")
+    assert set(first.value) == {"velocity", "final_position", "final_velocity"}
+    assert first.code == "excursion"
 
 
 def test_what_was_ignored_and_matters(tmp_path):
     loss = 'frictionloss="3"'
     problem = arm(tmp_path, ignore='["frictionloss"]', model={"shoulder": loss, "elbow": loss})
-    first = cures(*tried(problem))[0]
+    first = suggested_fixes(*tried(problem))[0]
     assert (first.key, first.value) == ("ignore", [])
-    assert "leaves out frictionloss" in first.sentence
+    assert first.values["ignored"] == "frictionloss"
 
 
 def test_a_floor_that_was_taken_away(tmp_path):
@@ -269,18 +271,18 @@ def test_a_floor_that_was_taken_away(tmp_path):
     </mujoco>
     """
     problem = file(tmp_path, text, {"goal": "[0.0, -0.05]", "contacts": '"off"', "duration": "0.5"})
-    first = cures(*tried(problem))[0]
+    first = suggested_fixes(*tried(problem))[0]
     assert (first.key, first.value) == ("contacts", "ground")
-    assert "geom 'floor' and geom 'foot' touch" in first.sentence
+    assert first.values["pair"] == "geom 'floor' and geom 'foot'"
 
 
 def test_the_table_of_a_file_is_copied_and_given_what_is_missing():
     table = {"weights": {"effort": 1.0}, "dt": 0.01}
-    cured = Cure("limits.margin", 0.02, "").applied(table)
+    cured = SuggestedFix("", key="limits.margin", value=0.02).applied(table)
     assert cured == table | {"limits": {"margin": 0.02}}
-    assert Cure("weights.effort", 2.0, "").applied(table)["weights"] == {"effort": 2.0}
+    assert SuggestedFix("", key="weights.effort", value=2.0).applied(table)["weights"] == {"effort": 2.0}
     assert table == {"weights": {"effort": 1.0}, "dt": 0.01}
-    assert Cure("goal", None, "").applied(table) == table
+    assert SuggestedFix("", key="goal").applied(table) == table
 
 
 def test_steps_are_those_that_people_write():
@@ -301,9 +303,9 @@ def test_a_swing_up_that_hangs_on_its_motor_needs_time_and_no_weight(tmp_path):
     keys = {"start": "[0.0, 3.14159]", "goal": "[0.0, 0.0]", "duration": "0.8"}
     weights = {"effort": 0.06, "final_position": 1e4, "final_velocity": 1e3}
     problem = file(tmp_path, model, keys, weights, {"control": '"model"', "position": '"model"'})
-    found = cures(*tried(problem))
+    found = suggested_fixes(*tried(problem))
     assert [one.key for one in found][:2] == ["duration", "weights.final_position"]
-    assert "actuator 'push' is at its bound in" in found[0].sentence
+    assert found[0].code == "at_bounds"
     value = found[0].value
     assert longer(problem, found[0]).value > 1.4 * value
 
@@ -317,9 +319,9 @@ def test_a_motor_that_cannot_lift_straight_may_swing(tmp_path):
     """
     keys = {"start": "[3.14159]", "goal": "[0.0]", "duration": "1.0"}
     problem = file(tmp_path, model, keys, {"effort": 1.0}, {"control": '"model"'})
-    first = cures(*tried(problem))[0]
+    first = suggested_fixes(*tried(problem))[0]
     assert first.key == "duration"  # and no sentence that no duration helps
-    assert "actuator 'weak' is at its bound" in first.sentence
+    assert first.code == "at_bounds"
 
 
 def test_a_way_that_is_not_free_goes_around(tmp_path):
@@ -329,18 +331,16 @@ def test_a_way_that_is_not_free_goes_around(tmp_path):
     problem = arm(
         tmp_path, weights={"velocity": 1.0, "final_position": 1e5, "final_velocity": 1e4}, model=model, **keys
     )
-    value, said = passes_with(problem, "avoid")
-    assert value == {}
-    assert said.startswith("`avoid = {}`: ")
+    first = passes_with(problem, "avoid")
+    assert first.value == {}
+    assert (first.code, first.written) == ("path_collides", "`avoid = {}`")
 
 
 def test_every_fail_says_something(tmp_path, monkeypatch):
     """Also one of which no cause is found, and one that is no minimum though its solve ended."""
     plan, proof = tried(arm(tmp_path, goal="[-2.0, 2.5]"), max_iterations=2)
-    monkeypatch.setattr("planner.proof.cures._CAUSES", ())
-    (only,) = cures(plan, proof)
-    assert only.value is None
-    assert only.sentence.startswith("No key of the problem is known that mends ")
+    monkeypatch.setattr("planner.proof.diagnostics._CAUSES", ())
+    (only,) = suggested_fixes(plan, proof)
+    assert (only.code, only.value) == ("unknown", None)
     (left,) = not_a_minimum(plan, plan.problem, proof)
-    assert "warm_start=plan" in left.sentence
-    assert "--feasible" in left.sentence
+    assert (left.code, left.value) == ("not_a_minimum", None)

@@ -18,7 +18,7 @@ from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any, NamedTuple
 
-from planner.base.arguments import count, number, short_repr
+from planner.base.arguments import count, short_repr
 from planner.base.errors import PlannerError
 from planner.problem.plan import Plan, Status
 from planner.problem.rediscretize import finer
@@ -26,6 +26,7 @@ from planner.proof import Proof
 from planner.proof import prove as full_proof
 from planner.proof.error_propagation import FACTOR
 from planner.proof.error_scales import shares_of_bounds
+from planner.proof.repair.budget import WorkBudget, was_cut
 from planner.proof.replays.replaying import reached_by_plan
 from planner.solvers.slq import solve
 from planner.solvers.warm_start import warm_start
@@ -104,8 +105,9 @@ class Refined:
 
 
 def refine(
-    plan: Plan, proof: Proof, *, limit: int = 4, seconds: float = 60.0, prove: Callable[[Plan], Proof] | None = None,
-    callback: Callable[[Refinement], object] | None = None, **options: Any,
+    plan: Plan, proof: Proof, *, limit: int = 4, budget: WorkBudget | None = None,
+    prove: Callable[[Plan], Proof] | None = None, callback: Callable[[Refinement], object] | None = None,
+    max_iterations: int = 1000, **options: Any,
 ) -> Refined:  # fmt: skip
     """Solve and prove again at finer steps, while the plan's step is the cause of a FAIL.
 
@@ -113,12 +115,13 @@ def refine(
         plan: A plan with its problem.
         proof: The proof of that plan.
         limit: The most refinements.
-        seconds: After this time no solve begins, and a solve that runs is ended and forgotten. A proof is never cut.
+        budget: The work of the solves; by default that of a whole repair. A solve that would take more is ended and
+            forgotten.
         prove: The function that judges the plans on the way; by default prove() without perturbed rollouts.
         callback: Called with each Refinement, that of the given plan included; print makes a table. It may raise
             StopIteration to end.
-        options: Of solve(): update, line_search, hessian, max_iterations, gradient_tolerance,
-        expected_reduction_tolerance,
+        max_iterations: Of each solve.
+        options: Of solve(): update, line_search, hessian, gradient_tolerance, expected_reduction_tolerance,
             actual_reduction_tolerance.
 
     Returns:
@@ -133,7 +136,8 @@ def refine(
     if not isinstance(proof, Proof):
         raise PlannerError(f"proof is {short_repr(proof)}, expected the Proof of the plan.")
     count("limit", limit, minimum=0)
-    end = time.monotonic() + number("seconds", seconds, minimum=0.0)
+    count("max_iterations", max_iterations)
+    work = WorkBudget.of_repair(plan.problem) if budget is None else budget
     prove = prove or partial(full_proof, rollouts=0)
     path: list[Refinement] = []
 
@@ -146,15 +150,11 @@ def refine(
             return True
         return False
 
-    def heed(_: Any) -> None:
-        if time.monotonic() > end:
-            raise StopIteration
-
     interrupted = ended(_line(plan, proof, math.nan))
     while True:
         reason = _done(proof, len(path) - 1, limit) or ("It was interrupted." if interrupted else "")
-        if reason or time.monotonic() > end:
-            reason = reason or f"The time limit of {seconds:.3g} s was reached."
+        if reason or work.exhausted:
+            reason = reason or f"The work budget of {work.limit:.3g} iterations times stages was reached."
             break
         began = time.monotonic()
         assert plan.problem is not None
@@ -163,14 +163,17 @@ def refine(
         except PlannerError as error:
             reason = f"It cannot be refined: {error}"
             break
-        better = solve(replace(problem, us=warm_start(plan, problem)), callback=heed, **options)
+        allowed = work.iterations(problem, max_iterations)
+        better = solve(replace(problem, us=warm_start(plan, problem)), max_iterations=allowed, **options)
+        work.charge(better)
+        stage = f"at a stage of {problem.dynamics.dt:.3g} s"
         if better.status is Status.NOT_FINITE:
-            reason = f"At a stage of {problem.dynamics.dt:.3g} s the plan's controls lead to infinite states."
+            reason = f"The plan's controls lead to infinite states {stage}."
             break
-        interrupted = better.status is Status.INTERRUPTED and time.monotonic() <= end  # Ctrl-C
-        if better.status is Status.INTERRUPTED and not interrupted:
-            reason = f"The time limit of {seconds:.3g} s was reached at a stage of {problem.dynamics.dt:.3g} s."
+        if was_cut(better, allowed, max_iterations):
+            reason = f"The work budget of {work.limit:.3g} iterations times stages was reached {stage}."
             break
+        interrupted = better.status is Status.INTERRUPTED
         plan, proof = better, prove(better)
         interrupted |= ended(_line(plan, proof, time.monotonic() - began))
     return Refined(plan, proof, tuple(path), reason)

@@ -6,8 +6,8 @@ import numpy as np
 
 import planner
 from planner import Limits, Mechanism, Problem, RigidBodyDynamics, TrackingCost
-from planner.proof.cures import cures
-from planner.proof.cures.balance import falling, loses_balance
+from planner.proof.diagnostics import suggested_fixes
+from planner.proof.diagnostics.balance import falling, loses_balance
 
 ARM = """
 <mujoco>
@@ -32,15 +32,15 @@ def test_a_joint_that_leans_on_its_stop_and_nothing_drives_is_named():
     cost = TrackingCost.joints(dynamics, [0.3, 0.0, 0.0, 0.0], 20, effort=0.01, final_position={"turn": 1e3})
     plan = planner.solve(Problem(dynamics, cost, np.zeros(4), limits=Limits.of_model()), max_iterations=300)
     assert not plan.success
-    (found,) = cures(plan)
-    assert (found.key, found.value) == ("start", None)
-    assert found.sentence.startswith("Nothing drives joint 'flap', which leaves its range by ")
+    (found,) = suggested_fixes(plan)
+    assert (found.code, found.key, found.value) == ("no_actuator", "start", None)
+    assert found.values["joint"] == "joint 'flap'"
 
 
 def proof(rate=14.7, mode=None, failures=(), contacts=("a foot",)):
     """Of a machine whose feedback replay fails at some measurements and whose errors grow."""
-    mechanism = SimpleNamespace(contacts=contacts)
-    problem = SimpleNamespace(dynamics=SimpleNamespace(mechanism=mechanism))
+    capabilities = SimpleNamespace(mechanism=SimpleNamespace(contacts=contacts))
+    problem = SimpleNamespace(dynamics=SimpleNamespace(capabilities=capabilities))
     return SimpleNamespace(
         mode=mode, plan=SimpleNamespace(passed=True),
         replay=SimpleNamespace(plan=SimpleNamespace(problem=problem, t=np.array([0.0, 1.0]))),
@@ -54,9 +54,8 @@ def proof(rate=14.7, mode=None, failures=(), contacts=("a foot",)):
 
 def test_a_machine_that_falls_is_no_matter_of_margins():
     (found,) = falling(None, None, proof())
-    assert found.value is None
-    assert "an error grows as exp(14.7 t)" in found.sentence
-    assert "12.8 times what passes" in found.sentence
+    assert (found.code, found.value) == ("falls", None)
+    assert found.values == {"rate": 14.7, "share": 12.8}
     assert not loses_balance(proof(rate=0.5))  # what is steady does not fall
     assert not loses_balance(proof(mode="feedback"))  # gains hold it
     assert not loses_balance(proof(failures=("position_range_violation",)))  # gains lead it into its stops

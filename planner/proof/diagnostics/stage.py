@@ -11,24 +11,27 @@ from typing import Any
 
 import numpy as np
 
+from planner.base.diagnostic import Quantity
 from planner.problem.plan import Plan
 from planner.problem.problem import Problem
 from planner.problem.rediscretize import FIRST_ORDER
-from planner.proof.cures.cure import Cure, cure
+from planner.proof.diagnostics.suggested_fix import SuggestedFix, fix
 from planner.proof.error_propagation import FACTOR
 from planner.proof.original_model import OPEN_LOOP_MISSES
 from planner.proof.step_convergence import NOMINAL
 from planner.proof.verdict import Proof
 
-SAFE = 0.5  # of what passes: the error that is aimed at
+TARGET_SHARE = 0.5  # of what passes: the error that is aimed at
 MAX_DIVISION = 16  # times shorter: beyond, something else is wrong
-LIVELY = 1.0  # of the fastest oscillation's rad/s times the stage: gains for a held control then act within its swing
+MAX_SWING = (
+    1.0  # of the fastest oscillation's rad/s times the stage: gains for a held control then act within its swing
+)
 _SHORT = 1e-4  # of a stage
 _SLACK = 1.001  # a stage that is a tenth of a percent too long is not too long
 _MANTISSAS = (5.0, 4.0, 2.5, 2.0, 1.0)  # of steps that people write
 
 
-def shorter_stage(plan: Plan, problem: Problem, proof: Proof | None) -> list[Cure]:
+def shorter_stage(plan: Plan, problem: Problem, proof: Proof | None) -> list[SuggestedFix]:
     """The stage at which the integrator's error is half of what passes, by its order."""
     if proof is None or not all(one.passed for one in (proof.plan, proof.parity, proof.same_step)):
         return []
@@ -42,34 +45,27 @@ def shorter_stage(plan: Plan, problem: Problem, proof: Proof | None) -> list[Cur
     if not (predicted > 1.0 or (as_predicted and max(share, _cost_share(proof)) > 1.0)):
         return []
     if integrator in FIRST_ORDER:
-        why = f"with {integrator} plan and MuJoCo part by {_of(share)} what passes, an error of first order"
-        return [cure(problem, "integrator", "rk4", why)]
+        return [fix(problem, "integrator", "rk4", "first_order", integrator=integrator, share=_times(share))]
     order = _order(proof, integrator)
     worst = max(one for one in (share, predicted, _cost_share(proof)) if math.isfinite(one) or one == predicted)
-    parts = (worst / SAFE) ** (1.0 / order) if math.isfinite(worst) else float(MAX_DIVISION)
+    parts = (worst / TARGET_SHARE) ** (1.0 / order) if math.isfinite(worst) else float(MAX_DIVISION)
     value = rounded_step(problem.duration, dt / min(max(parts, 2.0), MAX_DIVISION))
-    why = (
-        f"at {dt:.4g} s plan and MuJoCo part by {_of(worst)} what passes, an error that falls with the power "
-        f"{order:.2g} of the stage"
-    )
-    return [cure(problem, "dt", value, why)]
+    values = {"dt": Quantity(dt, "s"), "share": _times(worst), "order": order}
+    return [fix(problem, "dt", value, "stage_too_long", **values)]
 
 
-def calmer_gains(plan: Plan, problem: Problem, proof: Proof | None) -> list[Cure]:
+def calmer_gains(plan: Plan, problem: Problem, proof: Proof | None) -> list[SuggestedFix]:
     """The stage whose gains follow the fastest oscillation, where gains alone keep the user's file from its goals."""
     if proof is None or not proof.refined_feedback.passed or proof.your_file.passed:
         return []
     missed = next((one.value for one in proof.your_file.measured if one.name == OPEN_LOOP_MISSES), math.nan)
     swing = float(np.abs(np.imag(rates_at_start(problem))).max())
     dt = problem.dynamics.dt
-    if missed != 0.0 or not LIVELY < swing * dt < math.inf:
+    if missed != 0.0 or not MAX_SWING < swing * dt < math.inf:
         return []
-    value = rounded_step(problem.duration, max(LIVELY / swing, dt / MAX_DIVISION))
-    why = (
-        "in your file the machine arrives without the plan's gains and not with them: they are made for controls that "
-        f"are held for {dt:.4g} s, in which the machine swings through {swing * dt:.2g} rad"
-    )
-    return [cure(problem, "dt", value, why)]
+    value = rounded_step(problem.duration, max(MAX_SWING / swing, dt / MAX_DIVISION))
+    values = {"dt": Quantity(dt, "s"), "swing": Quantity(swing * dt, "rad")}
+    return [fix(problem, "dt", value, "gains_too_fast", **values)]
 
 
 def rates_at_start(problem: Problem) -> np.ndarray:
@@ -101,8 +97,8 @@ def rounded_step(duration: float, most: float) -> float:
     return duration / math.ceil(duration / most)
 
 
-def _of(share: float) -> str:
-    return f"{share:.3g} times" if math.isfinite(share) else "any number of times"
+def _times(share: float) -> Quantity | str:
+    return Quantity(share, "times") if math.isfinite(share) else "any number of times"
 
 
 def _order(proof: Proof, integrator: str) -> float:

@@ -2,23 +2,28 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
+from planner.base.diagnostic import Quantity
+from planner.model.capabilities import capabilities_of
 from planner.model.coordinates import coordinates_of
 from planner.problem.costs.tracking import TrackingCost, tracking_of
 from planner.problem.goals import GoalCheck, goals_of
 from planner.problem.plan import Plan
 from planner.problem.problem import Problem
 from planner.problem.tasks.cost import WEIGHT
-from planner.proof.cures.cure import FILE, Cure, cure, rounded_up
+from planner.proof.diagnostics.suggested_fix import SuggestedFix, fix, of_file, rounded_up
 from planner.proof.verdict import Proof
 
 TARGET_SHARE = 0.5  # of what passes
-LEAST, MOST = 3.0, 1e6  # times a weight
+MIN_RAISE, MAX_RAISE = 3.0, 1e6  # times a weight
 _WEIGHTS = ("final_position", "final_velocity")
+_Raises = dict[int, tuple[float, dict[str, Any]]]  # by coordinate: times a weight, and the values of the finding
 
 
-def larger_weights(plan: Plan, problem: Problem, proof: Proof | None) -> list[Cure]:
+def larger_weights(plan: Plan, problem: Problem, proof: Proof | None) -> list[SuggestedFix]:
     """Final weights that bring the end within half of what passes.
 
     A final weight W leaves a miss e of a way d, as a spring of stiffness W against one of stiffness c = e W / (d - e)
@@ -33,7 +38,7 @@ def larger_weights(plan: Plan, problem: Problem, proof: Proof | None) -> list[Cu
     followed = proof.refined_open_loop.passed or proof.refined_feedback.passed
     if cost is None or not missed or not (followed or any(one.name.startswith("planned") for one in missed)):
         return []
-    times: dict[str, dict[int, tuple[float, str]]] = {key: {} for key in _WEIGHTS}
+    times: dict[str, _Raises] = {key: {} for key in _WEIGHTS}
     coordinates = [(one.name, one.unit) for one in coordinates_of(problem.dynamics)]
     for goal in goals_of(problem, plan.xs):
         if goal.alone or (goal.name, goal.unit) not in coordinates or not np.isfinite(goal.tolerance):
@@ -47,42 +52,39 @@ def larger_weights(plan: Plan, problem: Problem, proof: Proof | None) -> list[Cu
     return [*_of_task(plan, problem), *own]
 
 
-def _of_task(plan: Plan, problem: Problem) -> list[Cure]:
+def _of_task(plan: Plan, problem: Problem) -> list[SuggestedFix]:
     """A larger weight of all goals of a task, where the plan misses some: a miss falls as the weight rises."""
     goals = [one for one in goals_of(problem, plan.xs) if one.alone and np.isfinite(one.tolerance)]
     over = {one.name: one.miss(plan.t, plan.xs) / one.tolerance for one in goals}
     worst = max(goals, key=lambda one: over[one.name], default=None)
-    if worst is None or not over[worst.name] > 1.0 or problem.case != FILE:
+    if worst is None or not over[worst.name] > 1.0 or not of_file(problem):
         return []
     own = float(problem.parameters["weights"].get("goal", WEIGHT))
-    miss = over[worst.name] * worst.tolerance
-    why = f"the plan is {miss:.3g} {worst.unit} from {worst.name}, and {worst.tolerance:.3g} pass"
-    return [
-        cure(
-            problem, "weights.goal", rounded_up(own * float(np.clip(over[worst.name] / TARGET_SHARE, LEAST, MOST))), why
-        )
-    ]
+    values = {"miss": Quantity(over[worst.name] * worst.tolerance, worst.unit), "goal": worst.name}
+    raised = own * float(np.clip(over[worst.name] / TARGET_SHARE, MIN_RAISE, MAX_RAISE))
+    values["tolerance"] = Quantity(worst.tolerance)
+    return [fix(problem, "weights.goal", rounded_up(raised), "task_missed", **values)]
 
 
-def _raised(problem: Problem, goal: GoalCheck, miss: float) -> tuple[float, str]:
-    """Times that a weight must be as large, and why."""
+def _raised(problem: Problem, goal: GoalCheck, miss: float) -> tuple[float, dict[str, Any]]:
+    """Times that a weight must be as large, and the values of the finding."""
     aim, way = TARGET_SHARE * goal.tolerance, float(goal.error(problem.x0[None])[0])
     raised = miss / aim
     if miss < way:
         raised = miss / (way - miss) * (way - aim) / aim
-    why = f"the plan ends {miss:.3g} {goal.unit} from the goal of {goal.name}, and {goal.tolerance:.3g} pass"
-    return float(np.clip(raised, LEAST, MOST)), why
+    values = {"miss": Quantity(miss, goal.unit), "goal": goal.name, "tolerance": Quantity(goal.tolerance)}
+    return float(np.clip(raised, MIN_RAISE, MAX_RAISE)), values
 
 
-def _of_weight(problem: Problem, cost: TrackingCost, key: str, found: dict[int, tuple[float, str]]) -> Cure:
-    mechanism = getattr(problem.dynamics, "mechanism", None)
-    first = 0 if key == "final_position" else cost.ndx // 2
+def _of_weight(problem: Problem, cost: TrackingCost, key: str, found: _Raises) -> SuggestedFix:
+    mechanism = capabilities_of(problem.dynamics).mechanism
     weights = np.diagonal(cost.Q[-1]).copy()
     worst = max(found, key=lambda i: found[i][0])
-    why = found[worst][1]
+    values = found[worst][1]
     value: object
     if mechanism is None:
-        return cure(problem, f"weights.{key}", rounded_up(found[worst][0] * float(weights[worst])), why)
+        raised_weight = rounded_up(found[worst][0] * float(weights[worst]))
+        return fix(problem, f"weights.{key}", raised_weight, "goal_missed", **values)
     first = 0 if key == "final_position" else mechanism.nv
     own = weights[first : first + mechanism.nv]
     if np.ptp(own) == 0.0 or not all(mechanism.joint_names):
@@ -97,13 +99,13 @@ def _of_weight(problem: Problem, cost: TrackingCost, key: str, found: dict[int, 
             if any(new):
                 table[name] = new[0] if len(new) == 1 else new
         value = table
-    return cure(problem, f"weights.{key}", value, why)
+    return fix(problem, f"weights.{key}", value, "goal_missed", **values)
 
 
-def without_ignored(plan: Plan, problem: Problem, proof: Proof | None) -> list[Cure]:
+def without_ignored(plan: Plan, problem: Problem, proof: Proof | None) -> list[SuggestedFix]:
     """Nothing left out, for a plan that is followed in its own model and misses its goal in the user's file."""
     ignored = problem.parameters.get("ignore")
-    if proof is None or problem.case != FILE or not ignored or proof.your_file.passed:
+    if proof is None or not of_file(problem) or not ignored or proof.your_file.passed:
         return []
     followed = proof.refined_open_loop.passed or proof.refined_feedback.passed
     failures = proof.your_file.failures
@@ -111,5 +113,5 @@ def without_ignored(plan: Plan, problem: Problem, proof: Proof | None) -> list[C
     pushed = any(one.name == "unknown_contacts" for one in failures)  # which moves the end, too
     if pushed or not followed or not missed or not proof.goal.passed:
         return []
-    why = f"the plan leaves out {', '.join(ignored)}, and with it your file has {missed[0]}"
-    return [cure(problem, "ignore", [], why)]
+    values = {"ignored": ", ".join(ignored), "missed": str(missed[0])}
+    return [fix(problem, "ignore", [], "ignored_matters", **values)]

@@ -1,6 +1,6 @@
 """A motion for which there is too little time: what its actuators would need, by inverse dynamics.
 
-The forces of the smooth motion from start to goal (cures.smooth) in a duration T,
+The forces of the smooth motion from start to goal (diagnostics.min_jerk) in a duration T,
 
     tau(s; T) = M qdd / T^2 + (Coriolis) / T^2 + (damping) / T + gravity and springs,
 
@@ -9,40 +9,42 @@ found by bisection.
 
 Where no smooth motion is known, or none fits and the goal itself can be held, a plan that misses its goal with controls
 or states at their bounds gets half as long again: a machine that must swing up needs time, and no weight gives it that.
-Whoever can try (planner run) makes it longer yet while that is not enough: longer().
+A repair makes it longer yet while that is not enough: longer().
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import replace
+from typing import Any, NamedTuple
 
 import numpy as np
 
+from planner.base.diagnostic import Quantity
 from planner.model.coordinates import coordinates_of
 from planner.model.mechanism import Mechanism
-from planner.problem.bound_messages import control_at_bound, control_name, state_at_bound, state_outside
+from planner.problem.bound_messages import control_at_bound, control_name, sentence_of, state_at_bound, state_outside
 from planner.problem.plan import Plan, Status
 from planner.problem.problem import Problem
-from planner.proof.cures.cure import Cure, cure, no_cure
-from planner.proof.cures.min_jerk import MinJerkMotion, machine_of, smooth_motion
+from planner.proof.diagnostics.min_jerk import MinJerkMotion, machine_of, smooth_motion
+from planner.proof.diagnostics.suggested_fix import SuggestedFix, fix, no_fix
 from planner.proof.verdict import Proof
 
-LONGEST = 10.0  # times the duration
-KEPT = 0.9  # of a range: a plan that has not all of it to use needs some to correct
-LONGER = 1.5  # times the duration, where no smooth motion is known
-STILL = 1e3  # times the duration: so slow that it stands
+MAX_LENGTHENING = 10.0  # times the duration
+USABLE_SHARE = 0.9  # of a range: the rest is left to feedback
+LENGTHENING = 1.5  # times the duration, where no smooth motion is known
+STATIC_LENGTHENING = 1e3  # times the duration: so slow that only gravity and springs load the actuators
 _STEPS = 30  # of the bisection
 
 
-@dataclass(frozen=True)
-class _Need:
+class _Need(NamedTuple):
     """What the smooth motion needs of the most loaded actuator or joint."""
 
     load: float  # over what it has; above 1 the motion does not fit
-    sentence: str
+    what: str = "force"  # or "speed"
+    values: dict[str, Any] = {}  # of the finding
 
 
-def more_time(plan: Plan, problem: Problem, proof: Proof | None) -> list[Cure]:
+def more_time(plan: Plan, problem: Problem, proof: Proof | None) -> list[SuggestedFix]:
     """The duration in which a smooth motion fits, for a plan that has not met its goal or its limits."""
     if problem.limits is None or not _short_of_force(plan, problem, proof):
         return []
@@ -50,19 +52,21 @@ def more_time(plan: Plan, problem: Problem, proof: Proof | None) -> list[Cure]:
     if machine is None:
         return _of_bounds(plan, problem, proof)
     duration = problem.duration
-    now, longest = (_need(problem, machine, T) for T in (duration, LONGEST * duration))
-    if now.load <= KEPT:  # there is time enough for a smooth motion
+    now, longest = (_need(problem, machine, T) for T in (duration, MAX_LENGTHENING * duration))
+    if now.load <= USABLE_SHARE:  # there is time enough for a smooth motion
         return []
     if longest.load > 1.0:
         if _at_goal(problem, machine).load <= 1.0 and (swinging := _of_bounds(plan, problem, proof)):
             return swinging
-        why = f"No duration lets the actuators hold the way to the goal: even in {LONGEST * duration:.3g} s"
-        return [no_cure("goal", f"{why} {longest.sentence}.")]
-    low, high = 1.0, LONGEST
+        values = longest.values | {"duration": Quantity(MAX_LENGTHENING * duration, "s")}
+        return [no_fix("goal", f"{longest.what}_never_enough", **values)]
+    low, high = 1.0, MAX_LENGTHENING
     for _ in range(_STEPS):
         middle = (low * high) ** 0.5
-        low, high = (low, middle) if _need(problem, machine, middle * duration).load <= KEPT else (middle, high)
-    return [cure(problem, "duration", _whole(problem, high), f"in {duration:.3g} s {now.sentence}")]
+        fits = _need(problem, machine, middle * duration).load <= USABLE_SHARE
+        low, high = (low, middle) if fits else (middle, high)
+    values = now.values | {"duration": Quantity(duration, "s")}
+    return [fix(problem, "duration", _whole(problem, high), f"too_little_{now.what}", **values)]
 
 
 def _short_of_force(plan: Plan, problem: Problem, proof: Proof | None) -> bool:
@@ -74,10 +78,11 @@ def _short_of_force(plan: Plan, problem: Problem, proof: Proof | None) -> bool:
     return _missed(proof) or any(one.name == "clamped_actuators" for one in proof.your_file.failures)
 
 
-def longer(problem: Problem, tried: Cure) -> Cure:
+def longer(problem: Problem, tried: SuggestedFix) -> SuggestedFix:
     """A duration that is half as long again as one that was tried and was not enough."""
-    value = _whole(problem, LONGER * tried.value / problem.duration)
-    return cure(problem, "duration", value, tried.sentence.partition(": ")[2])
+    value = _whole(problem, LENGTHENING * tried.value / problem.duration)
+    written = fix(problem, "duration", value, tried.code).written
+    return replace(tried, value=value, written=written)
 
 
 def _missed(proof: Proof | None) -> bool:
@@ -85,18 +90,18 @@ def _missed(proof: Proof | None) -> bool:
     return proof is not None and any(one.name.startswith("planned") for one in proof.goal.failures)
 
 
-def _of_bounds(plan: Plan, problem: Problem, proof: Proof | None) -> list[Cure]:
+def _of_bounds(plan: Plan, problem: Problem, proof: Proof | None) -> list[SuggestedFix]:
     """Half as long again, for a plan whose controls or states are often at their bounds, or that left a range."""
-    at_bounds = (control_at_bound(problem, plan.xs, plan.us), state_at_bound(problem, plan.xs))
-    hangs = plan.status is not Status.CONVERGED or _missed(proof)  # a plan that arrives may use what there is
-    outside = state_outside(problem, plan.xs, plan.t)
-    said = ", and ".join(filter(None, (outside, *(at_bounds if hangs else ()))))
-    return [cure(problem, "duration", _whole(problem, LONGER), f"in {problem.duration:.3g} s {said}")] if said else []
+    misses = plan.status is not Status.CONVERGED or _missed(proof)  # a plan that arrives may use what there is
+    at_bounds = (control_at_bound(problem, plan.xs, plan.us), state_at_bound(problem, plan.xs)) if misses else ()
+    found = [one for one in (state_outside(problem, plan.xs, plan.t), *at_bounds) if one is not None]
+    values = {"duration": Quantity(problem.duration, "s"), "bounds": ", and ".join(map(sentence_of, found))}
+    return [fix(problem, "duration", _whole(problem, LENGTHENING), "at_bounds", **values)] if found else []
 
 
 def _at_goal(problem: Problem, machine: Mechanism) -> _Need:
     """The largest load of what stays at the end of the smooth motion."""
-    motion = smooth_motion(problem, machine, STILL * problem.duration)
+    motion = smooth_motion(problem, machine, STATIC_LENGTHENING * problem.duration)
     return max(_of_forces(problem, machine, MinJerkMotion(*(part[-1:] for part in motion))), key=lambda one: one.load)
 
 
@@ -104,7 +109,7 @@ def _need(problem: Problem, machine: Mechanism, duration: float) -> _Need:
     """The largest load along the smooth motion in this duration."""
     motion = smooth_motion(problem, machine, duration)
     needs = [*_of_forces(problem, machine, motion), *_of_velocities(problem, machine, motion.qd)]
-    return max(needs, key=lambda one: one.load, default=_Need(0.0, ""))
+    return max(needs, key=lambda one: one.load, default=_Need(0.0))
 
 
 def _of_forces(problem: Problem, machine: Mechanism, motion: MinJerkMotion) -> list[_Need]:
@@ -134,8 +139,8 @@ def _of_force(
         load = np.where(one_sided & ((force > upper) | (force < lower)), 2.0, load)
     worst = int(np.argmax(load))
     limit = upper[worst] if force[worst] > middle[worst] else lower[worst]
-    sentence = f"{control_name(problem, a)} needs {force[worst]:.3g} {unit} of {limit:.3g} {unit}"
-    return _Need(float(load[worst]), sentence)
+    values = {"needed": Quantity(force[worst], unit), "limit": Quantity(limit, unit)}
+    return _Need(float(load[worst]), values={"actuator": control_name(problem, a), **values})
 
 
 def _of_velocities(problem: Problem, machine: Mechanism, qd: np.ndarray) -> list[_Need]:
@@ -153,7 +158,8 @@ def _of_velocities(problem: Problem, machine: Mechanism, qd: np.ndarray) -> list
         limit = upper if most > 0.0 else lower
         name, unit = coordinates[machine.nv + i]
         load = abs(most / limit) if np.isfinite(limit) and limit != 0.0 else 0.0
-        needs.append(_Need(load, f"the {name} needs {most:.3g} {unit} of {limit:.3g} {unit}"))
+        values = {"joint": name, "needed": Quantity(most, unit), "limit": Quantity(limit, unit)}
+        needs.append(_Need(load, "speed", values))
     return needs
 
 

@@ -1,4 +1,4 @@
-"""Cure: a key of the problem, the value to write there, and why."""
+"""SuggestedFix: a key of the problem, the value to write there, and the finding that asks for it."""
 
 from __future__ import annotations
 
@@ -8,40 +8,53 @@ import math
 from dataclasses import dataclass
 from typing import Any
 
+from planner.base.diagnostic import Diagnostic, Quantity
+from planner.base.files import finite
 from planner.problem.problem import Problem
 from planner.problem.recipe import PROBLEM_FILE
+from planner.proof.diagnostics.sentences import SENTENCES, TRIED
 
-FILE = PROBLEM_FILE
 ITERATIONS = "max_iterations"
 TABLES = ("weights", "limits")
 FLAGS = (ITERATIONS, "starts")  # of solve() and the command line, for all problems
 
 
 @dataclass(frozen=True)
-class Cure:
+class SuggestedFix(Diagnostic):
     """What to write, and why.
 
     Attributes:
         key: As a problem.toml has it, with dots for its tables: "limits.margin"; or a whole table of TABLES, of which
-            some keys are to be written. "max_iterations" is a flag of the
-            command line and an argument of solve().
-        value: What to write there, a JSON value; None where no value helps, and the sentence says why.
-        sentence: How to write it, and the measured reason.
+            some keys are to be written. "max_iterations" is a flag of the command line and an argument of solve().
+        value: What to write there, a JSON value; None where no value helps.
+        written: The same in the notation of the problem's origin: its file, a command line or Python.
+        tried: "passes" or "fails" once a repair has tried it, else "".
     """
 
-    key: str
-    value: Any
-    sentence: str
+    key: str = ""
+    value: Any = None
+    written: str = ""
+    tried: str = ""
+
+    @property
+    def sentence(self) -> str:
+        """How to write it, and the measured reason."""
+        text = self.text(SENTENCES)
+        return (f"{self.written}: {text}" if self.written else text) + TRIED[self.tried]
 
     def __str__(self) -> str:
         return self.sentence
 
     def to_dict(self) -> dict[str, Any]:
         """As JSON values."""
-        return {"key": self.key, "value": self.value, "sentence": self.sentence}
+        values = {
+            name: {"value": finite(one.value), "unit": one.unit} if isinstance(one, Quantity) else one
+            for name, one in self.values.items()
+        }
+        return {"key": self.key, "value": self.value, "sentence": self.sentence, "code": self.code, "values": values}
 
     def applied(self, table: dict[str, Any]) -> dict[str, Any]:
-        """A problem.toml's table with the cure written into it; the table itself where the cure is no key of it."""
+        """A problem.toml's table with the fix written into it; the table itself where the fix is no key of it."""
         table = copy.deepcopy(table)
         if self.value is None or self.key == ITERATIONS:
             return table
@@ -55,12 +68,22 @@ class Cure:
         return table
 
 
-def cure(problem: Problem, key: str, value: Any, why: str) -> Cure:
-    """A cure of a problem, told in the words of where the problem comes from: its file, a command line or Python."""
+def fix(problem: Problem, key: str, value: Any, code: str, **values: Any) -> SuggestedFix:
+    """A value to write under a key of the problem, for the finding `code` with its values."""
     value = {name: _short(part) for name, part in value.items()} if isinstance(value, dict) else _short(value)
     parts = {f"{key}.{name}": part for name, part in value.items()} if key in TABLES else {key: value}
     written = ", ".join(f"`{_written(problem, name, part)}`" for name, part in parts.items())
-    return Cure(key, value, f"{written}: {why}")
+    return SuggestedFix(code, values, key, value, written)
+
+
+def no_fix(key: str, code: str, **values: Any) -> SuggestedFix:
+    """A finding that no value of the key takes away."""
+    return SuggestedFix(code, values, key)
+
+
+def of_file(problem: Problem) -> bool:
+    """Whether the problem comes from a problem.toml."""
+    return problem.case == PROBLEM_FILE
 
 
 def _short(value: Any) -> Any:
@@ -68,33 +91,24 @@ def _short(value: Any) -> Any:
     return float(f"{value:.6g}") if isinstance(value, float) else value
 
 
-def no_cure(key: str, why: str) -> Cure:
-    """A reason that no value of the key takes away."""
-    return Cure(key, None, why)
-
-
 def _written(problem: Problem, key: str, value: Any) -> str:
-    if key in FLAGS and not (problem.case == FILE and key == "starts"):
-        if problem.case is not None:
-            return f"--{key.replace('_', '-')} {value}"
-        return f"solve(..., {key}={value})"
-    if problem.case == FILE:
+    table, _, name = key.rpartition(".")
+    flag = f"--{name.replace('_', '-')} {value}"
+    if key in FLAGS and not (of_file(problem) and key == "starts"):
+        return f"solve(..., {key}={value})" if problem.case is None else flag
+    if of_file(problem):
         return f"{key} = {_toml(value)}"
     if problem.case is not None and key == "dt" and "horizon" in problem.parameters:
         return f"--horizon {round(problem.duration / value)}"
-    if problem.case is not None and key.split(".")[-1] in problem.parameters:
-        return f"--{key.split('.')[-1].replace('_', '-')} {value}"
+    if problem.case is not None and name in problem.parameters:
+        return flag
     dynamics = type(problem.dynamics).__name__
     if key == "duration":
         return f"{dynamics}(..., dt={value / problem.N:.6g})"
     if key in ("dt", "integrator"):
         return f"{dynamics}(..., {key}={value!r})"
-    table, _, name = key.rpartition(".")
-    if table == "limits":
-        return f"Limits({name}={value!r})"
-    if table == "weights":
-        return f"TrackingCost.joints({name}={value!r})"
-    return f"{key} = {value!r}"
+    makers = {"limits": "Limits", "weights": "TrackingCost.joints"}
+    return f"{makers[table]}({name}={value!r})" if table in makers else f"{key} = {value!r}"
 
 
 def _toml(value: Any) -> str:

@@ -1,0 +1,49 @@
+"""suggested_fixes(): what to write so that a plan that failed will pass, with values computed from what was measured.
+
+Each file looks for one kind of cause and returns what to write against it; here they stand in the order in which causes
+come before their effects: a motor that is too weak makes the end miss its goal, a joint outside its range makes the
+replay differ. sentences.py has the text of every code.
+"""
+
+from __future__ import annotations
+
+from planner.problem.plan import Plan, Status
+from planner.proof.diagnostics.avoid_contact import avoid_contact
+from planner.proof.diagnostics.balance import falling, standing_goal
+from planner.proof.diagnostics.effort import longer, more_time
+from planner.proof.diagnostics.goals import larger_weights, without_ignored
+from planner.proof.diagnostics.limits import no_actuator, wider_margin, within_limits
+from planner.proof.diagnostics.solving import first_guess, more_iterations, not_a_minimum, nothing_known, other_guesses
+from planner.proof.diagnostics.stage import calmer_gains, shorter_stage
+from planner.proof.diagnostics.suggested_fix import SuggestedFix
+from planner.proof.diagnostics.velocity_weight import penalize_velocity
+from planner.proof.verdict import Proof
+
+__all__ = ["SuggestedFix", "longer", "standing_goal", "suggested_fixes"]
+
+_CAUSES = (
+    standing_goal, first_guess, no_actuator, avoid_contact, more_time, penalize_velocity, within_limits,
+    without_ignored, more_iterations, shorter_stage, calmer_gains, wider_margin, larger_weights, other_guesses, falling,
+    not_a_minimum,
+)  # fmt: skip
+
+
+def suggested_fixes(plan: Plan, proof: Proof | None = None) -> tuple[SuggestedFix, ...]:
+    """What to write so that a plan passes, the most likely first; empty for one that passed, or where nothing is known.
+
+    Args:
+        plan: With its problem.
+        proof: Of the plan; None for a plan that was not replayed.
+    """
+    done = plan.status in (Status.CONVERGED, Status.GIVEN, Status.INTERRUPTED) and not plan.missed
+    if done if proof is None else proof.passed:
+        return ()
+    if plan.problem is None or plan.problem.periodic is not None:
+        return ()
+    found: dict[str, SuggestedFix] = {}
+    for cause in _CAUSES:
+        for one in cause(plan, plan.problem, proof):
+            found.setdefault(one.key, one)
+        if any(one.value is None for one in found.values()):  # what follows is its effect
+            break
+    return tuple(found.values()) or (nothing_known(plan, plan.problem, proof),)

@@ -1,0 +1,131 @@
+"""Shapes that collide in the user's file and not in the plan: at the goal, on the ground, or on the way."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from planner.base.diagnostic import Quantity
+from planner.base.errors import PlannerError
+from planner.base.gl import load_mujoco
+from planner.model.capabilities import capabilities_of
+from planner.model.mechanism import Mechanism
+from planner.model.mjcf.initial_overlaps import can_separate
+from planner.model.mjcf.model_index import ModelIndex, named
+from planner.model.mjcf.unmodelled_features import names_of
+from planner.problem.costs.tracking import tracking_of
+from planner.problem.plan import Plan
+from planner.problem.problem import Problem
+from planner.proof.diagnostics.suggested_fix import SuggestedFix, fix, no_fix, of_file
+from planner.proof.diagnostics.velocity_weight import straightened
+from planner.proof.original_model import PENETRATION_TOLERANCE, as_given
+from planner.proof.replays.compiled_twin import unmodelled_of
+from planner.proof.verdict import Proof
+
+CLEARANCE = 5e-3  # m, from which a pair of shapes counts as separable
+_POSES = 40  # on the straight path
+
+
+def avoid_contact(plan: Plan, problem: Problem, proof: Proof | None) -> list[SuggestedFix]:
+    """A law for the ground, a collision-free path, or a straight one."""
+    if proof is None or not any(one.name == "unknown_contacts" for one in proof.your_file.failures):
+        return []
+    mechanism, twin, cost = capabilities_of(problem.dynamics).mechanism, plan.twin, tracking_of(problem.cost)
+    if twin is None or cost is None or mechanism is None:
+        return []
+    try:
+        shapes = _Shapes(problem, as_given(problem, twin).model)
+    except PlannerError:  # a file with prescribed joints
+        return []
+    start, goal = (twin.sim_of(x)[: mechanism.nq] for x in (problem.x0, cost.x_ref[-1]))
+    began = shapes.depths(start)
+    shapes.at_start = set(began)
+    knots = _knots(plan, mechanism)
+    floor = [pair for q in (start, *knots) for pair in shapes.touching(q) if shapes.is_ground(pair)]
+    if floor and of_file(problem) and problem.parameters.get("contacts") == "off" and shapes.unactuated:
+        return [fix(problem, "contacts", "ground", "ground_removed", pair=shapes.names(floor[0]))]
+    index = ModelIndex(shapes.model)
+    may_avoid = of_file(problem) and "avoid" not in problem.parameters
+    if inside := {pair: depth for pair, depth in began.items() if can_separate(index, pair, start, CLEARANCE)}:
+        return [no_fix("start", "start_collides", **shapes.deepest(inside))]
+    if at_goal := shapes.depths(goal):
+        worst = shapes.deepest(at_goal)
+        if may_avoid and problem.goal_specs is not None:
+            return [fix(problem, "avoid", {}, "goal_collides", **worst)]
+        return [no_fix("goal", "goal_collides_anyhow", **worst)]
+    first = next((pair for q in knots for pair in shapes.depths(q)), None)
+    if first is None:
+        return []  # what overlaps at the start
+    pair = shapes.names(first)
+    if not any(shapes.depths(q) for q in shapes.straight(start, goal)):
+        if found := straightened(problem, "path_collides_straight_free", pair=pair):
+            return found
+    if may_avoid:
+        return [fix(problem, "avoid", {}, "path_collides", pair=pair)]
+    return [no_fix("goal", "path_collides_anyhow", pair=pair)]
+
+
+def _knots(plan: Plan, mechanism: Mechanism) -> list[np.ndarray]:
+    """Some of a plan's poses, the last one among them."""
+    assert plan.twin is not None  # avoid_contact() asked
+    knots = plan.twin.sim_of(plan.xs)[:: -max(1, plan.N // _POSES), : mechanism.nq]
+    return [q for q in knots[::-1] if np.isfinite(q).all()]
+
+
+class _Shapes:
+    """The shapes of the user's file in a pose; pairs whose contact the plan models are left out."""
+
+    def __init__(self, problem: Problem, model: Any) -> None:
+        self._mujoco, self.model = load_mujoco(), model
+        self._data = self._mujoco.MjData(model)
+        self._known = unmodelled_of(problem).known
+        self._scale = min(1.0, float(model.stat.extent))
+        self.at_start: set[tuple[int, int]] = set()
+        self.unactuated = not self._moment().any(axis=0).all()  # whether a degree of freedom has no actuator
+
+    def _moment(self) -> np.ndarray:
+        mujoco, model, data = self._mujoco, self.model, self._data
+        mujoco.mj_forward(model, data)
+        moment = np.zeros((model.nu, model.nv))
+        mujoco.mju_sparse2dense(moment, data.actuator_moment, data.moment_rownnz, data.moment_rowadr,
+                                data.moment_colind)  # fmt: skip
+        return moment
+
+    def names(self, pair: tuple[int, int]) -> str:
+        """Both names, for a sentence."""
+        return " and ".join(named(self.model, "geom", geom) for geom in pair)
+
+    def deepest(self, depths: dict[tuple[int, int], float]) -> dict[str, Any]:
+        """The pair that overlaps most and by how much, as values of a finding."""
+        pair = max(depths, key=lambda pair: depths[pair])
+        return {"pair": self.names(pair), "depth": Quantity(depths[pair], "m")}
+
+    def is_ground(self, pair: tuple[int, int]) -> bool:
+        """Whether one of the two does not move."""
+        return any(self.model.body_weldid[self.model.geom_bodyid[geom]] == 0 for geom in pair)
+
+    def touching(self, q: np.ndarray) -> dict[tuple[int, int], float]:
+        """Pairs that the plan does not know, and their depths, m."""
+        self._data.qpos[:] = q
+        self._mujoco.mj_fwdPosition(self.model, self._data)
+        found: dict[tuple[int, int], float] = {}
+        for contact in self._data.contact:
+            pair = (int(min(contact.geom)), int(max(contact.geom)))
+            if -contact.dist > PENETRATION_TOLERANCE * self._scale and names_of(self.model, pair) not in self._known:
+                found[pair] = max(found.get(pair, 0.0), -float(contact.dist))
+        return found
+
+    def depths(self, q: np.ndarray) -> dict[tuple[int, int], float]:
+        """The same without pairs that touch at the start."""
+        return {pair: depth for pair, depth in self.touching(q).items() if pair not in self.at_start}
+
+    def straight(self, start: np.ndarray, goal: np.ndarray) -> list[np.ndarray]:
+        """Poses on the straight path of all joints."""
+        displacement, poses = np.empty(self.model.nv), []
+        self._mujoco.mj_differentiatePos(self.model, displacement, 1.0, start, goal)
+        for part in np.linspace(0.0, 1.0, _POSES + 1):
+            pose = start.copy()
+            self._mujoco.mj_integratePos(self.model, pose, displacement, part)
+            poses.append(pose)
+        return poses

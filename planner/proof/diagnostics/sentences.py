@@ -1,0 +1,65 @@
+"""The sentences of diagnostics of plans and proofs, by their codes. Nothing reads them; tests compare codes and values.
+
+{name} is a value of the finding; a number stands with its unit.
+"""
+
+from __future__ import annotations
+
+_NO_KEY = "no key of the problem is known to help"
+
+SENTENCES = {
+    # The goal and the ground
+    "goal_unbalanced": "No plan stays at the goal, which is put on the ground, where it does not balance: {cause}",
+    "falls": f"The machine loses its balance: an error grows as exp({{rate:.3g}} t), t in s, and with the plan's gains "
+    f"it becomes {{share:.3g}} times what passes; {_NO_KEY}",
+    # Shapes
+    "ground_removed": '{pair} collide, and contacts = "off" removes the ground',
+    "start_collides": "Another `start` is needed, or a model that excludes the pair: at the start {pair} overlap by "
+    "{depth:.2g}.",
+    "goal_collides": "in the goal itself {pair} overlap by {depth:.2g}; with it another pose of the goal is sought",
+    "goal_collides_anyhow": "Another `goal` is needed: in the goal itself {pair} overlap by {depth:.2g}.",
+    "path_collides_straight_free": "{pair} collide on the way, and the straight path from start to goal is free; only "
+    "effort costs something on the way",
+    "path_collides": "{pair} collide on the way, on the straight path too; with it a collision-free path is planned",
+    "path_collides_anyhow": "{pair} collide on the way, on the straight path too: plan to a `goal` in between, and on "
+    "from there.",
+    # Force and time
+    "too_little_force": "in {duration} {actuator} needs {needed} of {limit}",
+    "too_little_speed": "in {duration} the {joint} needs {needed} of {limit}",
+    "force_never_enough": "No duration lets the actuators hold the path to the goal: even in {duration} {actuator} "
+    "needs {needed} of {limit}.",
+    "speed_never_enough": "No duration lets the joints follow the path to the goal: even in {duration} the {joint} "
+    "needs {needed} of {limit}.",
+    "at_bounds": "in {duration} {bounds}",
+    # Ranges
+    "range_unknown": "the plan does not know that {joint} goes {excess} beyond {limit:.4g} at t = {time}",
+    "range_exceeded": "{joint} goes {excess} beyond {limit:.4g} at t = {time}, between the knots or in MuJoCo",
+    "clamp_unknown": "{actuator} {what}: {most:.3g} of {lower:.3g} to {upper:.3g}",
+    "no_actuator": "{joint} has no actuator and leaves its range by {excess:.3g}: in MuJoCo its stop holds it, and a "
+    "plan has no force there; couple it to an actuated joint in the file, or write a `start` and a `goal` in which it "
+    "is off its stop, by 0.1 rad or more",
+    "excursion": "{joint} swings {excess:.3g} beyond both start and goal; only effort costs something on the way",
+    # Goals and weights
+    "goal_missed": "the plan ends {miss} from the goal of {goal}, and {tolerance} pass",
+    "task_missed": "the plan is {miss} from {goal}, and {tolerance} pass",
+    "ignored_matters": "the plan leaves out {ignored}, and with it your file has {missed}",
+    # The solve
+    "rate_too_fast": "the fastest rate of the machine at its start is {rate:.3g} per s, {per_stage:.3g} times in a "
+    "stage",
+    "guess_runs_away": "the first guess rolls out to infinite states",
+    "more_iterations": "after {iterations} iterations the next is still expected to gain {left:.1e} of the cost",
+    "stalled": "the cost stays at {cost:.5g} and the norm of its gradient at {gradient:.2g}; other first guesses end "
+    "elsewhere",
+    "not_a_minimum": "The solve ended, but one more step is expected to take {left:.3g} % off the cost: go on from "
+    "this plan by solve(problem, warm_start=plan), or ask `planner prove --feasible`, for which it need not be a "
+    "minimum.",
+    "unknown": f"For {{failed}} {_NO_KEY}; docs/questions.md has what others met.",
+    # The stage
+    "first_order": "with {integrator} plan and MuJoCo differ by {share} what passes, an error of first order",
+    "stage_too_long": "at {dt:.4g} plan and MuJoCo differ by {share} what passes, an error that falls with the power "
+    "{order:.2g} of the stage",
+    "gains_too_fast": "in your file the machine arrives without the plan's gains and not with them: they are made for "
+    "controls that are constant for {dt:.4g}, in which the machine swings through {swing:.2g}",
+}  # fmt: skip
+
+TRIED = {"": "", "passes": " (tried: with it the plan passes)", "fails": " (tried: not enough)"}

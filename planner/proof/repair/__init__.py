@@ -1,0 +1,105 @@
+"""repair(): what is tried with a plan that does not pass, in this order, until it passes or the work is used up.
+
+    1. finer steps         RK4 in place of Euler, half the stage: refinement.py
+    2. suggested fixes     of how the motion is computed; the first that passes is applied. Then those that change the
+                           motion itself, which are only reported: fixes.py
+    3. clearance           larger where shapes collide in MuJoCo, smaller where only their fits do: clearance.py
+
+One budget of work, iterations times stages, is shared by all solves, so that the result is the same on a machine of any
+speed and load. Proofs are not counted: there are at most four of step 1, three of step 3, and one for each fix.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+from planner.problem.plan import Plan, Status
+from planner.problem.problem import Problem
+from planner.proof.diagnostics import SuggestedFix, standing_goal, suggested_fixes
+from planner.proof.diagnostics.suggested_fix import of_file
+from planner.proof.repair.budget import WorkBudget
+from planner.proof.repair.clearance import ClearanceRefinement, refine_clearance
+from planner.proof.repair.fixes import FixTrial, FixTrials, Solve
+from planner.proof.repair.refinement import Refined, Refinement, refine
+from planner.proof.verdict import Proof
+
+Step = Refinement | Refined | FixTrial | ClearanceRefinement
+"""What is reported of a repair: each refinement and their end, each trial of a fix, the changes of clearance."""
+
+
+class Repaired(NamedTuple):
+    """The plan that passes or that is best known."""
+
+    plan: Plan
+    proof: Proof | None
+    path: tuple[Refinement, ...]  # the refinements that led to it
+    fixes: tuple[SuggestedFix, ...]  # what to write, as far as it does not pass
+
+
+@dataclass(frozen=True)
+class Tools:
+    """What a repair solves and proves with.
+
+    Attributes:
+        solve: As the failed plan was solved.
+        prove: Judges a plan.
+        options: Of the solves of refinements: update, line_search, hessian.
+        max_iterations: Of each solve, as asked for.
+        report: Called with each Step; it may raise KeyboardInterrupt.
+        store: Called with each plan that takes the place of the one before, its name and its refinements.
+    """
+
+    solve: Solve
+    prove: Callable[[Plan], Proof]
+    options: dict[str, Any]
+    max_iterations: int
+    report: Callable[[Step], object]
+    store: Callable[[Plan, str, tuple[Refinement, ...]], object]
+
+
+def repair(
+    problem: Problem, plan: Plan, proof: Proof | None, path: tuple[Refinement, ...], tools: Tools, *,
+    resumed: bool = False, budget: WorkBudget | None = None,
+) -> Repaired:  # fmt: skip
+    """Repair a plan that does not pass.
+
+    Args:
+        problem: The plan's, as it was built from its file.
+        plan: It did not pass.
+        proof: Its proof; None where it cannot be replayed.
+        path: Refinements that were made before.
+        tools: What to solve and prove with.
+        resumed: The plan is of a run that goes on, which tried the fixes then; refinements are made again.
+        budget: By default WorkBudget.of_repair(problem).
+    """
+    work = WorkBudget.of_repair(problem) if budget is None else budget
+    if proof is not None and not path and not standing_goal(plan, problem, proof):
+        done = refine(
+            plan, proof, budget=work, prove=tools.prove, callback=tools.report, max_iterations=tools.max_iterations,
+            **tools.options,
+        )  # fmt: skip
+        if done.plan.status is Status.INTERRUPTED:
+            raise KeyboardInterrupt  # the next run begins an interrupted refinement again
+        if len(done.path) > 1:
+            plan, proof, path = done.plan, done.proof, done.path
+            tools.report(done)
+            tools.store(plan, "refined", path)
+    found = suggested_fixes(plan, proof)
+    if resumed or (proof is not None and proof.passed):
+        return Repaired(plan, proof, path, found)
+    if of_file(problem):
+        trials = FixTrials(problem, tools.solve, tools.prove, work, tools.max_iterations, tools.report)
+        better, found = trials.run(found)
+        if better is not None:
+            plan, proof, path = *better, ()
+            tools.store(plan, "repaired", path)
+    if proof is not None and not proof.passed:
+        wider = refine_clearance(plan, proof, budget=work, prove=tools.prove, max_iterations=tools.max_iterations)
+        if wider.changes:
+            plan, proof, path = wider.plan, wider.proof, ()
+            tools.report(wider)
+            tools.store(plan, "other clearance", path)
+            found = suggested_fixes(plan, proof)
+    return Repaired(plan, proof, path, found)

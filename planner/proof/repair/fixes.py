@@ -1,0 +1,127 @@
+"""Solve and prove with the suggested fixes of a failed plan, until one passes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+from planner.base.errors import PlannerError
+from planner.problem.plan import Plan, Status
+from planner.problem.problem import Problem
+from planner.proof.diagnostics import SuggestedFix, longer
+from planner.proof.diagnostics.suggested_fix import ITERATIONS
+from planner.proof.repair.budget import WorkBudget, was_cut
+from planner.proof.verdict import Proof
+
+AUTOMATIC_KEYS = ("dt", "substeps", "integrator", "guess", "starts", "limits.margin", ITERATIONS)
+"""Keys about how a motion is computed, in addition to the weights. What the motion is to be is the user's to say."""
+READ_AGAIN = ("contacts", "ignore", "model", "start")  # keys for which the file would have to be read again
+MAX_DURATIONS = 6  # that are tried, each half as long again: up to 7.6 times
+_RESOLVED = "resolved"  # key of a problem file's table: what was chosen by default, and why
+
+Solve = Callable[[Problem, int, str], tuple[Plan, int]]
+"""A solve of (problem, most iterations, what it is for): the plan, and the iterations of all its starts and trials."""
+
+
+class FixTrial(NamedTuple):
+    """A suggested fix and what came of it."""
+
+    fix: SuggestedFix
+    outcome: str  # begins, applied, passes, refused, not solved, fails, or not tried
+    reason: str = ""  # of the refusal, the status or the FAIL
+
+
+@dataclass(frozen=True)
+class FixTrials:
+    """How the suggested fixes of a problem file are tried.
+
+    Fixes of AUTOMATIC_KEYS come first, and the first that passes is applied. Those of other keys are tried and only
+    reported.
+    """
+
+    problem: Problem
+    solve: Solve
+    prove: Callable[[Plan], Proof]
+    budget: WorkBudget
+    max_iterations: int
+    report: Callable[[FixTrial], object]
+
+    def run(
+        self, found: tuple[SuggestedFix, ...]
+    ) -> tuple[tuple[Plan, Proof] | None, tuple[SuggestedFix, ...]]:  # fmt: skip
+        """What passed with a fix applied, or None; and the fixes as they are known now: those that failed last."""
+        if any(one.value is None for one in found):
+            return None, found
+        failed: list[SuggestedFix] = []
+        for one in sorted(found, key=lambda one: not is_automatic(one.key)):
+            if one.key in READ_AGAIN:
+                continue
+            if self.budget.exhausted:
+                self.report(FixTrial(one, "not tried"))
+                break
+            last, better = self._first_passing(one)
+            if better is None:
+                failed.append(one)
+            elif is_automatic(one.key):
+                self.report(FixTrial(last, "applied"))
+                return better, ()
+            else:
+                self.report(FixTrial(last, "passes"))
+                rest = [other for other in found if other is not one and other not in failed]
+                return None, (replace(last, tried="passes"), *rest)
+        rest = [one for one in found if one not in failed]
+        return None, (*rest, *(replace(one, tried="fails") for one in found if one in failed))
+
+    def _first_passing(self, one: SuggestedFix) -> tuple[SuggestedFix, tuple[Plan, Proof] | None]:
+        """The fix, a longer duration where the suggested one is too short; and what passes with it, or None."""
+        for _ in range(MAX_DURATIONS if one.key == "duration" else 1):
+            better = self._tried(one)
+            if better is not None or one.key != "duration" or self.budget.exhausted:
+                return one, better
+            one = longer(self.problem, one)
+        return one, None
+
+    def _tried(self, one: SuggestedFix) -> tuple[Plan, Proof] | None:
+        self.report(FixTrial(one, "begins"))
+        problem, asked = self.problem, self.max_iterations
+        if one.key == ITERATIONS:
+            asked = one.value
+        else:
+            try:
+                problem = with_fix(problem, one)
+            except PlannerError as error:
+                self.report(FixTrial(one, "refused", str(error)))
+                return None
+        allowed = self.budget.iterations(problem, asked, problem.parameters.get("starts", 1))
+        plan, iterations = self.solve(problem, allowed, ", with a suggested fix")
+        self.budget.charge(plan, iterations)
+        if plan.status is Status.INTERRUPTED:
+            raise KeyboardInterrupt
+        if not plan.success:
+            spent = was_cut(plan, allowed, asked)
+            self.report(FixTrial(one, "not solved", "the work budget was reached" if spent else plan.status.name))
+            return None
+        proof = self.prove(plan)
+        if not proof.passed:
+            self.report(FixTrial(one, "fails", proof.reason))
+            return None
+        return plan, proof
+
+
+def with_fix(problem: Problem, one: SuggestedFix) -> Problem:
+    """The problem of a file with a fix in its table, and the reason of it among those of the defaults."""
+    assert problem.recipe is not None  # of a problem file
+    table = {name: value for name, value in problem.parameters.items() if name != _RESOLVED}
+    again = problem.recipe.build(**one.applied(table)) if problem.recipe.build else problem
+    assert again.recipe is not None
+    resolved = again.parameters[_RESOLVED]
+    reasons = resolved["reasons"] | {one.key: f"applied automatically by planner run: {one.sentence}"}
+    table = again.parameters | {_RESOLVED: resolved | {"reasons": reasons}}
+    return replace(again, recipe=replace(again.recipe, parameters=table))
+
+
+def is_automatic(key: str) -> bool:
+    """Whether a repair may apply a fix of this key by itself."""
+    table, _, _ = key.rpartition(".")
+    return key in AUTOMATIC_KEYS or "weights" in (key, table)
