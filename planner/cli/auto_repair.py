@@ -19,7 +19,8 @@ from planner.proof.repair.refinement import Refined, Refinement
 
 Store = Callable[[Plan, tuple[Refinement, ...]], None]
 _OUTCOMES = {
-    "applied": "applied automatically", "passes": "tried, PASS; left to you", "not tried": "not tried, for want of work",
+    "applied": "applied automatically", "passes": "tried, PASS; left to you",
+    "not tried": "not tried, for want of work",
     "fails": "tried, still FAIL", "refused": "tried, refused", "not solved": "tried, not solved",
 }  # fmt: skip
 

@@ -22,14 +22,15 @@ _LIMITS: Flags = {
     "--exact-goal": boolean_flag("Reach the goal to 1e-4 instead of weighing the distance to it."),
 }
 _SOLVER: Flags = {
-    "--update": choice_flag(UPDATES, "New controls: feedback, us + step k + K (x - xs), or open-loop, the paper's Eq. 36.",
+    "--update": choice_flag(UPDATES, "New controls: feedback, us + step k + K (x - xs), or open-loop, the paper's "
+                                     "Eq. 36.",
                         "feedback"),
     "--line-search": choice_flag(LINE_SEARCHES, "Rule that accepts a step length.", "armijo"),
     "--hessian": choice_flag(HESSIANS, "exact adds second derivatives of the dynamics (hinges, slides, hopper).",
                          "gauss-newton"),
     "--max-iterations": value_flag("N", "Largest number of iterations of the solver.", 1000, whole),
-    "--starts": value_flag("N", "Number of first guesses to try: the problem's own and smooth random changes of it; the "
-                            "best plan wins. Default: 1.", kind=whole),
+    "--starts": value_flag("N", "Number of first guesses to try: the problem's own and smooth random changes of it; "
+                                "the best plan wins. Default: 1.", kind=whole),
     "--seed": value_flag("N", "Seed of the random first guesses. Default: 0.", kind=whole),
     "--rank": choice_flag(("cost", "proven-cost"), "Rank starts by cost of the plan, or of its replay in MuJoCo.",
                       "cost"),

@@ -52,10 +52,10 @@ def boolean_flag(text: str) -> dict[str, Any]:
 
 
 WORKERS: Flags = {
-    "--workers": value_flag("N", "Number of processes. Default: for sweep and paper one per processor, else threads of one "
-                             "process.", kind=whole),
-    "--scheduler": value_flag("ADDRESS", "Use the workers of a Dask scheduler, tcp://HOST:8786, or of a new cluster on this "
-                                    "machine: local."),
+    "--workers": value_flag("N", "Number of processes. Default: for sweep and paper one per processor, else threads "
+                                 "of one process.", kind=whole),
+    "--scheduler": value_flag("ADDRESS", "Use the workers of a Dask scheduler, tcp://HOST:8786, or of a new cluster "
+                                         "on this machine: local."),
 }  # fmt: skip
 PROOF: Flags = {
     "--rollouts": value_flag(

@@ -37,7 +37,8 @@ _PLAN: Flags = {"plan": {"metavar": "PLAN", "help": "A plan.npz."}}
 _DRIVE: Flags = {
     "--push": {"action": "append", "metavar": "BODY=FORCE@TIME", "default": [],
                "help": "A push: torso=50N@1.0s is along x, torso=0,50,0N@1.0s/0.2s lasts 0.2 s. May be repeated."},
-    "--latency": value_flag("TIME", "From the measurement until the new plan acts, e.g. 4ms. Default: as measured here."),
+    "--latency": value_flag("TIME", "From the measurement until the new plan acts, e.g. 4ms. Default: as measured "
+                                    "here."),
     "--rate": value_flag("HZ", "Plans per second. Default: one per stage.", kind=number),
     "--iterations": value_flag("N", "Iterations of each plan.", 1, whole),
     "--stages": value_flag("N", "Stages that each plan looks ahead. Default: those of the problem.", kind=whole),
@@ -46,7 +47,8 @@ _DRIVE: Flags = {
     "--joint-friction": value_flag("X", "Dry friction in each joint, as a share of its largest force.", 0.0, number),
     "--noise": value_flag("X", "Standard deviation of the noise on each measured number.", 0.0, number),
     "--encoders": boolean_flag("Measure positions by encoders of 17 bits, and speeds by their differences."),
-    "--robustness-map": {"metavar": "BODY", "help": "Also find the largest push at this body, the largest latency and the largest "
+    "--robustness-map": {"metavar": "BODY", "help": "Also find the largest push at this body, the largest latency "
+                                                    "and the largest "
                                          "mass with which it still arrives, beside the plan with its gains alone."},
 }  # fmt: skip
 _SWEEP: Flags = {
@@ -60,8 +62,8 @@ _SWEEP: Flags = {
     "--timeout": value_flag("S", "Longest time of one solve, s.", kind=number),
     "--prove": boolean_flag("Prove each plan."),
     "--rollouts": value_flag("N", "Number of perturbed simulations of each proof.", 0, whole),
-    "--resume": boolean_flag("Go on with the sweep in the folder: tasks without a row, tasks that lost their worker, and, if "
-                        "--timeout is longer now, tasks that took too long."),
+    "--resume": boolean_flag("Go on with the sweep in the folder: tasks without a row, tasks that lost their "
+                             "worker, and, if --timeout is longer now, tasks that took too long."),
 }  # fmt: skip
 
 
@@ -186,8 +188,8 @@ def _paper(parser: argparse.ArgumentParser) -> None:
         {"studies": {"metavar": "STUDY", "nargs": "*",
                      "help": f"Studies to compute, each on a page of its own: {names}. Default: all."},
          "--proofs": boolean_flag("Write the table of proofs of all machines instead."),
-         "--out": value_flag("DIR", "Folder of the results. Default: paper, in a checkout docs and renders/gallery/paper; "
-                               "for single studies and for --proofs renders/paper.")},
+         "--out": value_flag("DIR", "Folder of the results. Default: paper, in a checkout docs and "
+                                    "renders/gallery/paper; for single studies and for --proofs renders/paper.")},
         WORKERS, OUTPUT,
     )  # fmt: skip
 

@@ -41,7 +41,8 @@ def write_proof(
 ) -> None:  # fmt: skip
     """Write proof.json, also for a plan that was not replayed.
 
-    `digest` is that of the plan's file, `fixes` say what to write so that it passes, and `path` lists the refinements of the plan.
+    `digest` is that of the plan's file, `fixes` say what to write so that it passes, and `path` lists the refinements
+    of the plan.
     """
     failed = {"verdict": "FAIL", "mode": None, "reason": f"The plan was not replayed. {plan.message}"}
     content = (failed if proof is None else proof.to_dict()) | {"plan_digest": digest}

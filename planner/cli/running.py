@@ -105,7 +105,8 @@ def _run(
             if not arguments.no_video:  # beside the rollouts, which know nothing of it
                 films = drawing.enter_context(BackgroundRender(proof, folder.path, folder.finished, console))
             proof = results.completed(
-                proof, arguments.rollouts, console, budget=MAX_ROLLOUT_SECONDS, partial=folder.path / ROLLOUTS, executor=executor,
+                proof, arguments.rollouts, console, budget=MAX_ROLLOUT_SECONDS, partial=folder.path / ROLLOUTS,
+                executor=executor,
             )  # fmt: skip
             results.write_proof(plan, proof, folder.path, digest, fixes, path)
             results.show_proof(proof, fixes, console)

@@ -157,7 +157,11 @@ def test_problem_files_give_a_law(tmp_path, contacts, law):
     [
         ('"soft"', "", "contacts is 'soft', expected one of: auto, avoid, ground, model, off"),
         ("{ stifness = 1e4 }", "", "has the key 'stifness', expected some of: penetration, friction"),
-        ("{ stiffness = 1e4, penetration = 0.01 }", "", "has the key 'penetration', expected some of: stiffness, damping"),
+        (
+            "{ stiffness = 1e4, penetration = 0.01 }",
+            "",
+            "has the key 'penetration', expected some of: stiffness, damping",
+        ),
         ("{ penetration = -1 }", "", "penetration is -1"),
         ('"ground"', "settle = 1", "settle is 1, expected true, false or"),
         ('"off"', "settle = true", "settle of start: the mechanism has no contacts"),

@@ -123,7 +123,8 @@ def test_a_way_that_is_free_is_straight():
         ("[avoid]\nclearance = -0.1\n", {}, "clearance of avoid is -0.1, expected a finite number greater than 0."),
         ("[avoid]\nself = 1\n", {}, "self of avoid is 1, expected true or false."),
         ("[avoid]\nself = false\nworld = false\n", {}, "self and world of avoid are false, expected one of them true."),
-        ("[avoid]\nextra_clearance = 1\n", {}, "extra_clearance of avoid is 1, expected a table of m by the names of pairs."),
+        ("[avoid]\nextra_clearance = 1\n", {}, "extra_clearance of avoid is 1, expected a table of m by the names "
+                                               "of pairs."),
         (AVOID, {"wall": 'type="box" size="0.5 0.5 0.3"'},
          "the start is in collision: geom 'wall' and geom 'tool' overlap by 0.05 m, expected a pose where nothing"),
         (AVOID, {"wall": 'type="box" size="0.44 0.5 0.3"'},

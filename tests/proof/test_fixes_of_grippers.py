@@ -1,4 +1,4 @@
-"""suggested_fixes(): gains of a held control that shake a servo without damping, and ranges that leave a joint no room."""
+"""suggested_fixes(): gains of a held control that shake a servo, and ranges that leave a joint no room."""
 
 import pytest
 

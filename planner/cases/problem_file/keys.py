@@ -24,7 +24,8 @@ KEYS = {
     "integrator": f"one of {', '.join(TREE_INTEGRATORS)}, or auto: rk4, or rosenbrock where damping is too fast",
     "substeps": "in a stage: 1 to 16, or auto: as many as the machine's fastest motion needs",
     "guess": "first controls: line (straight to the goal in joint space, by inverse dynamics), collision-free (a "
-    "path that keeps its distance from what is avoided), tracking (feedback gains along that line), hold (the start against gravity), zero; "
+    "path that keeps its distance from what is avoided), tracking (feedback gains along that line), hold (the start "
+    "against gravity), zero; "
     "auto is collision-free where something is avoided, line where all joints have actuators, else the better of "
     "tracking and hold",
     "contacts": "model (the file's own law), ground (a law for the mass of what stands), avoid, off, or a table of "
@@ -49,7 +50,8 @@ AVOID = {
     "self": "whether shapes of the machine are kept from each other; true by default",
     "world": "whether they are kept from what is at rest; true by default",
     "clearance": "m between them; by default 0.01",
-    "extra_clearance": "table of m beyond the clearance by the names of a pair, which `planner run` writes where shapes touched",
+    "extra_clearance": "table of m beyond the clearance by the names of a pair, which `planner run` writes where "
+    "shapes touched",
 }
 GOAL = {
     "frame": "a site or body, or",

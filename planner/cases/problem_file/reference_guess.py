@@ -60,7 +60,8 @@ def first_guess(
             return found
     if kind == "collision-free":
         raise PlannerError(
-            "guess is 'collision-free', expected 'auto', 'line', 'tracking', 'hold' or 'zero': no collision-free path was "
+            "guess is 'collision-free', expected 'auto', 'line', 'tracking', 'hold' or 'zero': no collision-free "
+            "path was "
             "found; it is for machines of hinges and slides that avoid something, at rest at both ends, with actuators "
             "for every joint."
         )
@@ -72,8 +73,8 @@ def first_guess(
             return line
     if kind == "line":
         raise PlannerError(
-            "guess is 'line', expected 'tracking', 'hold' or 'zero': a line is for machines of hinges and slides that are "
-            "at rest at both ends, whose actuators reach every joint, without contacts."
+            "guess is 'line', expected 'tracking', 'hold' or 'zero': a line is for machines of hinges and slides "
+            "that are at rest at both ends, whose actuators reach every joint, without contacts."
         )
     hold = np.tile(quasi_static_controls(problem.dynamics, problem.x0), (problem.N, 1))
     found = None

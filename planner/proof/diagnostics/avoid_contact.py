@@ -58,9 +58,9 @@ def avoid_contact(plan: Plan, problem: Problem, proof: Proof | None) -> list[Sug
     if first is None:
         return []  # what overlaps at the start
     pair = shapes.names(first)
-    if not any(shapes.depths(q) for q in shapes.straight(start, goal)):
-        if found := straightened(problem, "path_collides_straight_free", pair=pair):
-            return found
+    straight_is_free = not any(shapes.depths(q) for q in shapes.straight(start, goal))
+    if straight_is_free and (found := straightened(problem, "path_collides_straight_free", pair=pair)):
+        return found
     if may_avoid:
         return [fix(problem, "avoid", {}, "path_collides", pair=pair)]
     return [no_fix("goal", "path_collides_anyhow", pair=pair)]

@@ -14,7 +14,9 @@ A repair makes it longer yet while that is not enough: longer().
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
+from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -41,7 +43,7 @@ class _Need(NamedTuple):
 
     load: float  # over what it has; above 1 the motion does not fit
     what: str = "force"  # or "speed"
-    values: dict[str, Any] = {}  # of the finding
+    values: Mapping[str, Any] = MappingProxyType({})  # of the finding
 
 
 def more_time(plan: Plan, problem: Problem, proof: Proof | None) -> list[SuggestedFix]:
