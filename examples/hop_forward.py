@@ -19,7 +19,7 @@ import numpy as np
 from scipy.interpolate import BPoly
 
 import planner
-from planner.problem.initial_guess import quasi_static_controls
+from planner.dynamics.quasi_static import quasi_static_controls
 
 G = 9.81
 STAND, REST = 0.2, 1.0  # s: before the centre of mass moves, and after

@@ -142,7 +142,7 @@ def _appearance(height: float) -> Appearance:
         readouts=(Readout("height", 0, "in"), Readout("rate", 1, "in/s"), Readout("piston", 2, "in")),
         ghost_offset=(26.0, 0.0, 0.0), speed=0.25,
         goal_line=((-12.0, 0.0, goal), (42.0, 0.0, goal)), goal_label=f"goal {height:g} in",
-        look_at=(13.0, 0.0, 0.5 * (top - follow * height)), follow=(0, follow),
+        look_at=(13.0, 0.0, 0.5 * (top - follow * height)), height_tracking=(0, follow),
         distance=1.75 * top + 15.0, azimuth=103.0, elevation=-13.0,
         force_scale=0.01, force_unit="in/s^2, per mass", length_unit="in", force_offset=(-11.0, 0.0, 0.0),
         plots=(

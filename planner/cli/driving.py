@@ -70,15 +70,15 @@ def drive(arguments: argparse.Namespace, console: Console) -> int:
     write_json(place / "drive.json", {"case": problem.case, "parameters": problem.parameters, **verdict.to_dict()})
     plan.save(place / "plan.npz")
     save(draw_loop(verdict), place / "loop.png")
-    note = _film(arguments, loop, place, console)
-    write_loop_page(verdict, place, note)
+    film_status = _film(arguments, loop, place, console)
+    write_loop_page(verdict, place, film_status)
     _show(verdict, console)
     files = [name for name in OUTPUTS if (place / name).is_file()]
     console.write_result(f"\n{place}: {', '.join(files)}")
-    if note and not arguments.no_video:
-        console.write_result(f"no video: {note}")
+    if film_status and not arguments.no_video:
+        console.write_result(f"no video: {film_status}")
     code = 0 if verdict.passed else 1
-    return console.finish("drive", code, **verdict.to_dict(), folder=str(place), files=files, video_note=note)
+    return console.finish("drive", code, **verdict.to_dict(), folder=str(place), files=files, video_note=film_status)
 
 
 def _film(arguments: argparse.Namespace, loop: object, place: Path, console: Console) -> str:

@@ -78,9 +78,9 @@ def draw_results(
             (folder / name).unlink(missing_ok=True)
         except OSError as error:
             raise file_error(error, folder / name) from error
-    note = "" if video else "No video was asked for (--no-video)."
+    film_status = "" if video else "No video was asked for (--no-video)."
     if proof is None:
-        note = "There is nothing to film: the plan was not replayed."
+        film_status = "There is nothing to film: the plan was not replayed."
     try:
         for name, draw in wanted.items():
             if name not in coming:
@@ -88,14 +88,14 @@ def draw_results(
         if films is not None:
             films.finish()
     except RenderingUnavailable as error:
-        note = str(error)
+        film_status = str(error)
     except KeyboardInterrupt:  # the plan and its proof are worth keeping without pictures
-        note = INTERRUPTED
+        film_status = INTERRUPTED
     if wanted or REPORT not in keep:
         write_report(
-            plan, proof, folder, video_note=note, path=path, options=options, fixes=fixes
+            plan, proof, folder, video_note=film_status, path=path, options=options, fixes=fixes
         )  # fmt: skip
-    return note
+    return film_status
 
 
 def _pictures(plan: Plan, proof: Proof | None, video: bool, console: Console) -> dict[str, Draw]:
@@ -140,7 +140,7 @@ def show_plan(plan: Plan, seconds: float | None, console: Console, which: str = 
     if plan.starts:
         converged = sum(start.status is Status.CONVERGED for start in plan.starts)
         console.write_result(f"start {plan.start} of {len(plan.starts)} is the best; {converged} converged")
-    if not plan.success or plan.missed:
+    if not plan.success or plan.missed_goals:
         console.write_result(plan.message)
     for key in ("first_guess", "not_finite"):  # what became of a guess that ran away
         if key in plan.options:

@@ -112,21 +112,21 @@ def _run(
             results.show_proof(proof, fixes, console)
         else:
             results.show_fixes(fixes, console)
-        note = results.draw_results(
+        film_status = results.draw_results(
             plan, proof, folder.path, fixes, not arguments.no_video, console, path=path, keep=folder.finished,
             options=_flags(arguments), films=films,
         )  # fmt: skip
-    if note == results.INTERRUPTED:
+    if film_status == results.INTERRUPTED:
         raise KeyboardInterrupt
     folder.end()
     files = [name for name in results.OUTPUTS if (folder.path / name).is_file()]
     console.write_result(f"\n{folder.path}: {', '.join(files)}")
-    if note and not arguments.no_video:
-        console.write_result(f"no video: {note}")
+    if film_status and not arguments.no_video:
+        console.write_result(f"no video: {film_status}")
     return 0 if plan.success and proof is not None and proof.passed else 1, {
         "plan": results.plan_facts(plan), "solve_seconds": seconds, "proof": None if proof is None else proof.to_dict(),
         "refinement": [results.refinement_row(line) for line in path], "resumed": resumed, "files": files,
-        "video_note": note, "cures": [one.to_dict() for one in fixes],
+        "video_note": film_status, "cures": [one.to_dict() for one in fixes],
     }  # fmt: skip
 
 

@@ -26,5 +26,5 @@ def solve_case(arguments: argparse.Namespace, console: Console) -> int:
     console.write_result(str(out))
     facts = plan_facts(plan)
     return console.finish(
-        "solve", 0 if plan.success and not plan.missed else 1, plan=facts, solve_seconds=seconds, file=str(out)
+        "solve", 0 if plan.success and not plan.missed_goals else 1, plan=facts, solve_seconds=seconds, file=str(out)
     )

@@ -172,8 +172,8 @@ def simulate(
         plan=plan, compiled=compiled, feedback=True, integrator=integrator, t=t, qpos=qpos, qvel=qvel, act=act,
         ctrl=us, xs=compiled.twin.x_of(w), plan_xs=expected, contact_force=recorder.force,
         contact_point=recorder.point, substeps=n, warnings=warnings, contacts=recorder.history(t),
-        touches=recorder.touches, controller=asked, errors=errors, call_seconds=np.array(asking.seconds),
-        events=events, goal=goal, late=asking.late,
+        contact_extremes=recorder.contact_extremes, controller=asked, errors=errors,
+        call_seconds=np.array(asking.seconds), events=events, goal=goal, late=asking.late,
     )  # fmt: skip
 
 

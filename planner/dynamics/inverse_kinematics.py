@@ -98,12 +98,12 @@ def inverse_kinematics(
     for _ in range(starts - 1 if len(dofs) else 0):
         if found.residual < REACHED and found.short <= 0.0:
             break
-        other = reached(moved(mechanism, q, B @ _random(mechanism, q, dofs, (low, high), rng)))
+        other = reached(integrate_base(mechanism, q, B @ _random(mechanism, q, dofs, (low, high), rng)))
         found = min(found, other, key=lambda one: one.rank)
     return found
 
 
-def moved(mechanism: Mechanism, q: np.ndarray, e: np.ndarray) -> np.ndarray:
+def integrate_base(mechanism: Mechanism, q: np.ndarray, e: np.ndarray) -> np.ndarray:
     """The configuration (nq,) to which a deviation e (nv,) leads from q (nq,)."""
     x = np.concatenate([q, np.zeros(mechanism.space.nx - mechanism.nq)])
     return mechanism.space.integrate(x, np.concatenate([e, np.zeros(mechanism.space.ndx - mechanism.nv)]))[: len(q)]
@@ -147,7 +147,7 @@ def _from(
 
     def stacked(y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         e = B @ y
-        at = moved(mechanism, q, e)
+        at = integrate_base(mechanism, q, e)
         parts = [residuals(mechanism, at, target) for target in targets]
         r, J = (np.concatenate([part[k] for part in parts]) for k in (0, 1))
         size = np.concatenate(
@@ -163,7 +163,7 @@ def _from(
         return r / size, (J @ own @ B) / size[:, None]
 
     def largest(y: np.ndarray) -> IKSolution:
-        at = moved(mechanism, q, B @ y)
+        at = integrate_base(mechanism, q, B @ y)
         if closed is None and missing is None:
             return IKSolution(at, float(np.abs(stacked(y)[0]).max()))
         try:

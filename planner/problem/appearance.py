@@ -73,11 +73,11 @@ class Appearance:
     goal_label: str = "goal"  # Written beside that line
     look_at: Point = (0.0, 0.0, 0.0)  # The point the camera looks at
     # (state index, fraction): the camera's point is raised by fraction * x[index].
-    follow: tuple[int, float] | None = None
+    height_tracking: tuple[int, float] | None = None
     # Entries of the state that are a place in space, x, y and z: the camera's point moves with it, beside a machine
-    # that goes a long way; look_at is then relative to that place. None uses follow.
+    # that goes a long way; look_at is then relative to that place. None uses height_tracking.
     accompany: tuple[int, int, int] | None = None
-    # From the camera to its point; None looks at the whole motion instead of look_at and follow.
+    # From the camera to its point; None looks at the whole motion instead of look_at and height_tracking.
     distance: float | None = None
     azimuth: float = 90.0  # Of the camera, degrees (MuJoCo's convention)
     elevation: float = -10.0  # Of the camera, degrees (negative looks down)

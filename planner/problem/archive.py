@@ -210,10 +210,12 @@ def _check_arrays(
     lost = [name for name, digest in files.items() if FILE + digest not in arrays]
     if lost:
         raise FileError(f"{named} is damaged: it has no file {printable(lost[0])!r}, which its model names.")
-    hinges = [arrays[name] for name in HINGES if name in arrays]
-    if hinges and (len(hinges) < len(HINGES) or any(h.dtype != np.float64 or h.ndim != 2 for h in hinges)):
+    penalty_arrays = [arrays[name] for name in HINGES if name in arrays]
+    if penalty_arrays and (
+        len(penalty_arrays) < len(HINGES) or any(h.dtype != np.float64 or h.ndim != 2 for h in penalty_arrays)
+    ):
         raise FileError(f"{named} is damaged: it has no usable {', '.join(HINGES)}.")
-    if hinges and any(h.shape != (N + 1, hinges[0].shape[1]) for h in hinges):
+    if penalty_arrays and any(h.shape != (N + 1, penalty_arrays[0].shape[1]) for h in penalty_arrays):
         raise FileError(f"{named} is damaged: {', '.join(HINGES)} are not of one shape ({N + 1}, ...).")
     for name, have in arrays.items():
         if name.startswith(PART) and have.dtype != np.float64:

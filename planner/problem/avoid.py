@@ -132,8 +132,8 @@ def _known(mechanism: Mechanism, index: ModelIndex) -> Collection[frozenset[int]
 
 
 def _constraint(found: CollisionPairs, clearance: float, more: Mapping[str, float]) -> Constraint:
-    added = np.array([min(more.get(pair.names, 0.0), pair.spare_clearance) for pair in found.pairs])
-    clearance_of_pairs = PairClearance(found.pairs, added, PENALTY_SHARE * clearance)
+    extra_clearance = np.array([min(more.get(pair.names, 0.0), pair.spare_clearance) for pair in found.pairs])
+    clearance_of_pairs = PairClearance(found.pairs, extra_clearance, PENALTY_SHARE * clearance)
     return Constraint(
         clearance_of_pairs, lower=clearance_of_pairs.lower, tolerance=TOLERANCE_SHARE * clearance, name="clearance"
     )

@@ -71,13 +71,13 @@ def state_outside(problem: Problem, xs: np.ndarray, t: np.ndarray) -> Diagnostic
     limits, ranges = problem.limits, problem.ranges
     if ranges is None or limits is None or not np.isfinite(xs).all():
         return None
-    beyond = ranges.violation(xs)
-    n, worst = np.unravel_index(int(np.argmax(beyond)), beyond.shape)
-    if beyond[n, worst] <= limits.tolerance:
+    violation = ranges.violation(xs)
+    n, worst = np.unravel_index(int(np.argmax(violation)), violation.shape)
+    if violation[n, worst] <= limits.tolerance:
         return None
     name, unit = ranges.coordinates[worst]
     code = "off_exact_goal" if worst >= len(ranges.component) - ranges.at_end else "outside_range"
-    values = {"coordinate": name, "distance": Quantity(beyond[n, worst], unit), "time": Quantity(t[n], "s")}
+    values = {"coordinate": name, "distance": Quantity(violation[n, worst], unit), "time": Quantity(t[n], "s")}
     return Diagnostic(code, values)
 
 

@@ -61,9 +61,9 @@ def closed_chain_reference(
         y = space.difference(states, states[0])
         if np.any(np.abs(np.diff(y, axis=0)).max(axis=1) > MAX_JUMP * STEP):
             return None
-        first = x0[nq : nq + nv] if a == 0 else np.zeros(nv)
+        start_values = x0[nq : nq + nv] if a == 0 else np.zeros(nv)
         last = np.zeros(nv) if at_rest[b] else (y[-1, :nv] - y[-2, :nv]) / (dt * (times[-1] - times[-2]))
-        curve = CubicSpline(dt * times, y[:, :nv], bc_type=((1, first), (1, last)))  # pyright: ignore
+        curve = CubicSpline(dt * times, y[:, :nv], bc_type=((1, start_values), (1, last)))  # pyright: ignore
         n = np.arange(stages[a], stages[b] + 1)
         dx = np.zeros((len(n), space.ndx))
         dx[:, :nv] = curve(dt * n)

@@ -151,8 +151,8 @@ def with_marks(appearance: Appearance, task: Task | None, constraints: Sequence[
     follows = () if task is None else task.follows
     of_frames = [one for one in goals if one.goal.frame is not None]
     asked = [path.frame for path in follows] + [one.goal.frame for one in of_frames]
-    kept = [frame for one in constraints if isinstance(frame := getattr(one.of, "frame", None), str)]
-    frames = tuple(dict.fromkeys(frame for frame in (*asked, *kept) if frame is not None))
+    constrained_frames = [frame for one in constraints if isinstance(frame := getattr(one.of, "frame", None), str)]
+    frames = tuple(dict.fromkeys(frame for frame in (*asked, *constrained_frames) if frame is not None))
     if not frames:
         return appearance
     times = sorted({one.time for one in of_frames})

@@ -35,7 +35,7 @@ class ExampleTask(NamedTuple):
 
     keyframe: str  # Where it starts, "" where `start` says so
     start: np.ndarray  # (nq,)
-    moved: dict[int, float]  # Joints that do not start where the file puts them, by number: position
+    displaced: dict[int, float]  # Joints that do not start where the file puts them, by number: position
     goal: dict[int, float]  # Joints that move, by number: position
     duration: float  # s, a multiple of 0.1
 
@@ -43,7 +43,7 @@ class ExampleTask(NamedTuple):
 def example_task(model: Any, mechanism: Mechanism, joints: list[Record]) -> ExampleTask:
     """A start within all ranges and a goal that moves every driven joint by the same part of its range."""
     keyframe, start = _start(model, mechanism, joints)
-    moved = {j: float(start[one["position"]]) for j, one in enumerate(joints)
+    displaced = {j: float(start[one["position"]]) for j, one in enumerate(joints)
              if one["unit"] and start[one["position"]] != model.qpos0[one["position"]]}  # fmt: skip
     driven = _of_their_own(mechanism, actuated_joints(mechanism))
     standing = bool(free_bases(model))
@@ -52,7 +52,7 @@ def example_task(model: Any, mechanism: Mechanism, joints: list[Record]) -> Exam
     goal = _allowed(model, mechanism, joints, start, ways)
     if not standing:
         goal = _with_balance(mechanism, start, goal)
-    return ExampleTask(keyframe, start, {} if keyframe else moved, goal, _duration(mechanism, start, goal))
+    return ExampleTask(keyframe, start, {} if keyframe else displaced, goal, _duration(mechanism, start, goal))
 
 
 def actuated_joints(mechanism: Mechanism) -> list[int]:
@@ -191,10 +191,13 @@ def _with_balance(mechanism: Mechanism, start: np.ndarray, goal: dict[int, float
         pull = bias(mechanism, pose, still)[loose]
         slope = bias_derivatives(mechanism, pose, still)[0][np.ix_(loose, loose)]
         pose[places] -= np.linalg.lstsq(slope, pull, rcond=_FLAT)[0]
-    way = np.abs(pose - start)[places]
-    if not (np.abs(bias(mechanism, pose, still)[loose]) <= 1e-9 * _scale(mechanism)).all() or way.max() > _NEAR:
+    displacement = np.abs(pose - start)[places]
+    if (
+        not (np.abs(bias(mechanism, pose, still)[loose]) <= 1e-9 * _scale(mechanism)).all()
+        or displacement.max() > _NEAR
+    ):
         return goal
-    return goal | {number[int(i)]: _exact(float(pose[mechanism.q_address[i]])) for i in loose[way > _ROUND]}
+    return goal | {number[int(i)]: _exact(float(pose[mechanism.q_address[i]])) for i in loose[displacement > _ROUND]}
 
 
 def _scale(mechanism: Mechanism) -> float:
@@ -207,13 +210,13 @@ def _duration(mechanism: Mechanism, start: np.ndarray, goal: dict[int, float]) -
     driven = mechanism.directly_actuated
     duration = _SHORTEST if np.all(driven) else _TIPPING
     inertia = np.diagonal(mass_matrix(mechanism, start))
-    most = _strongest(mechanism)
+    strongest = _strongest(mechanism)
     for j, end in goal.items():
         i = mechanism.joint_links[j].start
-        way = abs(end - start[mechanism.q_address[i]])
-        duration = max(duration, _PEAK_SPEED * way / (_SHARE * mechanism.velocity_limit[i]))
-        if most[i] > 0.0:
-            duration = max(duration, math.sqrt(_PEAK_FORCE * way * inertia[i] / (_SHARE * most[i])))
+        displacement = abs(end - start[mechanism.q_address[i]])
+        duration = max(duration, _PEAK_SPEED * displacement / (_SHARE * mechanism.velocity_limit[i]))
+        if strongest[i] > 0.0:
+            duration = max(duration, math.sqrt(_PEAK_FORCE * displacement * inertia[i] / (_SHARE * strongest[i])))
     return math.ceil(10.0 * min(duration, _LONGEST)) / 10.0
 
 

@@ -113,9 +113,9 @@ def interpolated_states(space: StateSpace, x0: np.ndarray, goal: np.ndarray, dur
     from start to goal in the same share.
     """
     s = np.linspace(0.0, 1.0, N + 1)[:, None]
-    way = space.difference(goal, x0)
+    displacement = space.difference(goal, x0)
     share, rate, _ = minimum_jerk(s)
-    dxs, nv = share * way, space.ndx // 2
+    dxs, nv = share * displacement, space.ndx // 2
     if space.ndx == 2 * nv:
-        dxs[:, nv:] += rate / duration * way[:nv]
+        dxs[:, nv:] += rate / duration * displacement[:nv]
     return space.integrate(x0, dxs)

@@ -121,8 +121,8 @@ def starts_at_limit(mechanism: Mechanism, what: str, x: np.ndarray, limited: Col
     driven, names = np.any(mechanism.actuators.moment, axis=0), []
     for i, joint_range in model_ranges(mechanism, None).items():
         value, name = float(x[mechanism.q_address[i]]), mechanism.joint_names[_joint_index(mechanism, i)]
-        free = not driven[i] and i not in coupled and name not in limited and not mechanism.has_closed_chains
-        if free and min(value - joint_range.model_lower, joint_range.model_upper - value) <= _margin(
+        is_free = not driven[i] and i not in coupled and name not in limited and not mechanism.has_closed_chains
+        if is_free and min(value - joint_range.model_lower, joint_range.model_upper - value) <= _margin(
             mechanism, name, i, None
         ):
             names.append(mechanism.joint_of(i))
@@ -165,8 +165,8 @@ def margin_of(width: float, unit: str, given: float | None) -> float:
         return float(given)
     if not np.isfinite(width):
         width = 0.0
-    least = MIN_MARGINS[unit]
-    return max(SHARE * width, min(least, MAX_SHARE * width) if width else least)
+    min_margin = MIN_MARGINS[unit]
+    return max(SHARE * width, min(min_margin, MAX_SHARE * width) if width else min_margin)
 
 
 def tendon_ranges(

@@ -61,14 +61,14 @@ def pair_of(name: str, value: Any) -> Pair:
     return low, high
 
 
-def plain(value: Any) -> Any:
+def json_value(value: Any) -> Any:
     """A limit as JSON values: infinity is None. NaN stays what it is, to be refused."""
     if isinstance(value, Mapping):
-        return {str(key): plain(part) for key, part in value.items()}
+        return {str(key): json_value(part) for key, part in value.items()}
     if isinstance(value, np.ndarray):
-        return plain(value.tolist())
+        return json_value(value.tolist())
     if isinstance(value, (list, tuple)):
-        return [plain(part) for part in value]
+        return [json_value(part) for part in value]
     value = value.item() if isinstance(value, np.number) else value
     if isinstance(value, float) and np.isinf(value):  # an int may be larger than any float
         return None

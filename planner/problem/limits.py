@@ -33,8 +33,8 @@ from planner.problem.limit_values import (
     OFF,
     component_of,
     is_word,
+    json_value,
     pair_of,
-    plain,
     sides_of,
     spread,
     table_of,
@@ -91,7 +91,7 @@ class Limits:
 
     def to_dict(self) -> dict[str, Any]:
         """As JSON values; what is infinite is None."""
-        return {name: plain(value) for name, value in vars(self).items() if value is not None}
+        return {name: json_value(value) for name, value in vars(self).items() if value is not None}
 
     @property
     def keeps_clamps(self) -> bool:

@@ -66,8 +66,8 @@ def _jerk(problem: Problem, weight: float) -> JerkCost:
     if mechanism is None or goal is None:
         return JerkCost(problem.dynamics, problem.N, weight)
     q, v = slice(mechanism.nq, mechanism.nq + mechanism.nv), slice(mechanism.nv, 2 * mechanism.nv)
-    stops = not goal.x_ref[-1, q].any() and bool(np.abs(goal.Q[-1, v]).max(axis=1).all())
-    return JerkCost(problem.dynamics, problem.N, weight, goal.R, from_rest=not problem.x0[q].any(), to_rest=stops)
+    at_rest = not goal.x_ref[-1, q].any() and bool(np.abs(goal.Q[-1, v]).max(axis=1).all())
+    return JerkCost(problem.dynamics, problem.N, weight, goal.R, from_rest=not problem.x0[q].any(), to_rest=at_rest)
 
 
 def base_problem(problem: Problem) -> Problem:

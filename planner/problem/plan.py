@@ -188,8 +188,8 @@ class Plan(Built, Plottable):
     @property
     def message(self) -> str:
         """The status in a sentence (as in SciPy); on which limits a solve hangs, and which goal is missed."""
-        if self.problem is not None and self.missed:
-            return f"{self.status.value[:-1]}, but {self.missed}."
+        if self.problem is not None and self.missed_goals:
+            return f"{self.status.value[:-1]}, but {self.missed_goals}."
         if self.problem is None or self.status not in _ON_LIMITS:
             return self.status.value
         outside = sentence_of(state_outside(self.problem, self.xs, self.t))
@@ -205,7 +205,7 @@ class Plan(Built, Plottable):
         return f"The solve stalls between bounds: {held}; give the motion more time or wider limits."
 
     @property
-    def missed(self) -> str:
+    def missed_goals(self) -> str:
         """Which goal a converged plan misses, and what to do; "" for none, and for a plan without its problem."""
         if self.problem is None or self.status is not Status.CONVERGED:
             return ""

@@ -183,8 +183,8 @@ class Problem(Built):
         tolerance = TOLERANCE if self.limits is None else self.limits.tolerance
         goal = tracking_of(self.cost) or self.cost
         tendons = () if self.limits is None else self.limits.tendons(self.dynamics, goal, self.x0)
-        kept = (*self.constraints, *tendons)
-        rows = ConstraintStack(kept, self.dynamics, self.x0, us, tolerance) if kept else None
+        constraints = (*self.constraints, *tendons)
+        rows = ConstraintStack(constraints, self.dynamics, self.x0, us, tolerance) if constraints else None
         if rows is not None or self.ranges is not None:
             object.__setattr__(self, "trajectory_constraints", TrajectoryConstraints(self.ranges, rows, tolerance))
 

@@ -84,9 +84,9 @@ class StateBounds:
         """
         slack = np.where(sides == 0.0, 1.0, -1.0) * ROUNDING * (1.0 + np.abs(e))
         after = e + dxs[:, self.component]
-        moved = np.where(after > penalties.upper + slack, 1.0, np.where(after < penalties.lower - slack, -1.0, 0.0))
+        crossed = np.where(after > penalties.upper + slack, 1.0, np.where(after < penalties.lower - slack, -1.0, 0.0))
         rotations = [j + i for _, j in self.space.quaternions for i in range(3)]
-        return np.where((penalties.lower == penalties.upper) | np.isin(self.component, rotations), sides, moved)
+        return np.where((penalties.lower == penalties.upper) | np.isin(self.component, rotations), sides, crossed)
 
     def with_active_sides(
         self, penalties: BoundPenalties, model: Quadratic, xs: np.ndarray, sides: np.ndarray, dxs: np.ndarray

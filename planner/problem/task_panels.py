@@ -18,10 +18,10 @@ from planner.problem.problem import Problem
 
 MAX_CURVES = 8  # curves of a panel
 _GOALS = {"m": "distance", "rad": "angle", "m/s": "speed"}
-Motion = tuple[np.ndarray, np.ndarray]  # states (N+1, nx) and controls (N, nu)
+StatesControls = tuple[np.ndarray, np.ndarray]  # states (N+1, nx) and controls (N, nu)
 
 
-def task_panels(problem: Problem, t: np.ndarray, motions: Sequence[Motion]) -> list[BoundedPanel]:
+def task_panels(problem: Problem, t: np.ndarray, motions: Sequence[StatesControls]) -> list[BoundedPanel]:
     """Panels of goals and constraints; none for a problem without either.
 
     Args:
@@ -32,7 +32,7 @@ def task_panels(problem: Problem, t: np.ndarray, motions: Sequence[Motion]) -> l
     return [*_of_goals(problem, t, motions), *_of_constraints(problem, t, motions)]
 
 
-def _of_goals(problem: Problem, t: np.ndarray, motions: Sequence[Motion]) -> list[BoundedPanel]:
+def _of_goals(problem: Problem, t: np.ndarray, motions: Sequence[StatesControls]) -> list[BoundedPanel]:
     """By unit: the miss of each goal of a task, and its tolerance when it is asked for."""
     units: dict[str, dict[bytes, tuple[list[str], np.ndarray, np.ndarray]]] = {}
     for one in problem.goal_specs or ():
@@ -54,17 +54,24 @@ def _of_goals(problem: Problem, t: np.ndarray, motions: Sequence[Motion]) -> lis
             few = curves[first : first + MAX_CURVES]
             what, names = _shared([_joined(names) for names, _, _ in few])
             upper = np.stack([bound for _, _, bound in few], axis=1)
-            moved = np.stack([values for _, values, _ in few], axis=2)
+            displacement = np.stack([values for _, values, _ in few], axis=2)
             title = f"Goals: {what or _GOALS.get(unit, 'miss')}"
             panels.append(
                 BoundedPanel(
-                    title, f"miss, {unit}", t, names, tuple(moved), np.full_like(upper, -np.inf), upper, decades=True
+                    title,
+                    f"miss, {unit}",
+                    t,
+                    names,
+                    tuple(displacement),
+                    np.full_like(upper, -np.inf),
+                    upper,
+                    decades=True,
                 )
             )
     return panels
 
 
-def _of_constraints(problem: Problem, t: np.ndarray, motions: Sequence[Motion]) -> list[BoundedPanel]:
+def _of_constraints(problem: Problem, t: np.ndarray, motions: Sequence[StatesControls]) -> list[BoundedPanel]:
     """The rows of each constraint; those of one row and the same bounds share a panel."""
     rows = None if problem.trajectory_constraints is None else problem.trajectory_constraints.rows
     alike: dict[Any, list[tuple[StackEntry, np.ndarray, np.ndarray]]] = {}
@@ -118,9 +125,9 @@ def _nearest(
     if len(shown) < len(asked):
         title += f", the {MAX_CURVES} nearest to their bound of {len(asked)}"
     lower, upper, values = lower[:, shown], upper[:, shown], values[..., shown]
-    apart = not np.isfinite(upper).any() and bool(np.all(lower[np.isfinite(lower)] > 0.0))
+    keeps_clear = not np.isfinite(upper).any() and bool(np.all(lower[np.isfinite(lower)] > 0.0))
     return BoundedPanel(
-        title, unit or "h", t, tuple(names[k] for k in shown), tuple(values), lower, upper, decades=apart
+        title, unit or "h", t, tuple(names[k] for k in shown), tuple(values), lower, upper, decades=keeps_clear
     )
 
 

@@ -95,8 +95,8 @@ class Trajectory:
         share = np.clip((t - self.t[n]) / (self.t[n + 1] - self.t[n]), 0.0, 1.0)
         xs = self.xs[n].copy()
         inside = share > 0.0  # at its own knots the states are its own to the last bit
-        way = self.space.difference(self.xs[n + 1], self.xs[n])
-        xs[inside] = self.space.integrate(self.xs[n], share[:, None] * way)[inside]
+        displacement = self.space.difference(self.xs[n + 1], self.xs[n])
+        xs[inside] = self.space.integrate(self.xs[n], share[:, None] * displacement)[inside]
         xs[share == 1.0] = self.xs[n + 1][share == 1.0]
         slack = 1e-9 * float(self.t[-1] - self.t[0])
         out = (t < self.t[0] - slack) | (t > self.t[-1] + slack)

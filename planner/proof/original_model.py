@@ -209,7 +209,7 @@ def _touches(run: Replay, problem: Problem) -> tuple[list[str], list[str]]:
     known = unmodelled_of(problem, run.compiled).known
     scale = min(1.0, float(model.stat.extent))
     rubs = NEGLIGIBLE_FORCE * float(model.body_mass.sum()) * float(np.linalg.norm(model.opt.gravity) or 1.0)
-    for touch in run.touches:
+    for touch in run.contact_extremes:
         if np.all(beside[model.geom_bodyid[list(touch.geoms)]]):
             continue
         grazes, presses = touch.deepest <= PENETRATION_TOLERANCE * scale, touch.force > rubs

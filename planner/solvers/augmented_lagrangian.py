@@ -119,8 +119,8 @@ def _first_round(
     if first is None:
         plan = minimize(first_guess, None, max_iterations, first_line, options.first_round_tolerance)
         history, violation = list(plan.history), constraints.violation(plan.xs, plan.us).max(initial=0.0)
-        near = violation <= options.exact_rounds_violation * constraints.tolerance
-        if near and plan.status is Status.CONVERGED and len(history) <= max_iterations:
+        solve_exactly = violation <= options.exact_rounds_violation * constraints.tolerance
+        if solve_exactly and plan.status is Status.CONVERGED and len(history) <= max_iterations:
             plan = minimize(plan.us, None, max_iterations + 1 - len(history), first_line + len(history), 0.0)
             history += plan.history
         return plan, history, None

@@ -117,7 +117,7 @@ def solve_for(
         _least(search, shortest, longest, tolerance)
     else:
         _cheapest(search, shortest, longest, tolerance)
-    return search.found({"durations": [shortest, longest], "tolerance": tolerance})
+    return search.best_plan({"durations": [shortest, longest], "tolerance": tolerance})
 
 
 def _exact(problem: Problem) -> Problem:
@@ -159,11 +159,13 @@ class _DurationSearch:
         options = single_start(self.options) if self.tried else self.options
         plan = None
         if self.plans:
-            near = min(self.plans, key=lambda T: abs(math.log(T / duration)))
+            nearest_duration = min(self.plans, key=lambda T: abs(math.log(T / duration)))
             if self.alone:
-                plan = self._first_look(problem, self.plans[near].stretched(duration), options)
+                plan = self._first_look(problem, self.plans[nearest_duration].stretched(duration), options)
             if plan is None:
-                problem = replace(problem, us=warm_start(_at_pace(self.plans[near], near / duration), problem))
+                problem = replace(
+                    problem, us=warm_start(_at_pace(self.plans[nearest_duration], nearest_duration / duration), problem)
+                )
         elif problem.bounds is not None or set(self.rest) != {"effort"}:
             free = solve(replace(base_problem(problem), limits=None, constraints=()), **single_start(options))
             problem = replace(problem, us=warm_start(free, problem))
@@ -197,7 +199,7 @@ class _DurationSearch:
         ended = plan.status in (Status.CONVERGED, Status.INTERRUPTED)
         return plan if ended or not _outside(problem, plan) <= MAX_VIOLATION_RATIO * problem.limits.tolerance else None
 
-    def found(self, options: dict[str, Any]) -> Plan:
+    def best_plan(self, options: dict[str, Any]) -> Plan:
         """The best plan as one of the problem with its whole objective; the last where none met the limits."""
         assert self.last is not None  # at() came first
         plan = self.last if self.best is None else self.plans[self.best[1]]

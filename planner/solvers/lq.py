@@ -136,25 +136,25 @@ def riccati(
         try:
             if bounds is not None:
                 if active_bounds is None:
-                    k[n], clamped = solve_box_qp(H, h, bounds.lower[n], bounds.upper[n])
+                    k[n], at_bound = solve_box_qp(H, h, bounds.lower[n], bounds.upper[n])
                 else:
                     at_lower, at_upper = active_bounds[n] < 0, active_bounds[n] > 0
                     k[n] = np.select([at_lower, at_upper], [bounds.lower[n], bounds.upper[n]])
-                    clamped = active_bounds[n] != 0
+                    at_bound = active_bounds[n] != 0
                     by_controls[0][n], by_controls[1][n], by_controls[2][n] = H, H_ux, h
-                active[n] = np.where(clamped, np.where(k[n] <= bounds.lower[n], -1.0, 1.0), 0.0)
+                active[n] = np.where(at_bound, np.where(k[n] <= bounds.lower[n], -1.0, 1.0), 0.0)
                 value += float(h @ k[n] + 0.5 * k[n] @ H @ k[n])
-                kc = np.where(clamped, k[n], 0.0)  # constant for the free controls
+                kc = np.where(at_bound, k[n], 0.0)  # constant for the free controls
                 h, s_x = h + H @ kc, s_x + H_ux.T @ kc
                 if bounds.lower_by_x is not None and bounds.upper_by_x is not None:  # the bounds depend on the state
                     along = np.where((k[n] <= bounds.lower[n])[:, None], bounds.lower_by_x[n], bounds.upper_by_x[n])
-                    follows = np.where(clamped[:, None], along, 0.0)
+                    follows = np.where(at_bound[:, None], along, 0.0)
                     along = follows.T @ H_ux
                     s_x, more = s_x + follows.T @ h, along + along.T + follows.T @ H @ follows
                     H_ux = H_ux + H @ follows
-                h = np.where(clamped, 0.0, h)
-                H_ux = np.where(clamped[:, None], 0.0, H_ux)
-                H = np.where(clamped[:, None] | clamped, np.diag(clamped.astype(float)), H)
+                h = np.where(at_bound, 0.0, h)
+                H_ux = np.where(at_bound[:, None], 0.0, H_ux)
+                H = np.where(at_bound[:, None] | at_bound, np.diag(at_bound.astype(float)), H)
             U = np.linalg.cholesky(H).T
         except np.linalg.LinAlgError:
             return None
@@ -314,9 +314,9 @@ def _next_active_bounds(
     sweep: Sweep, bounds: StepBounds, active_bounds: np.ndarray, dxs: np.ndarray, dus: np.ndarray
 ) -> np.ndarray:
     """The next active bounds (N, nu): -1 lower, 1 upper, 0 free."""
-    lower, upper = bounds.lower, bounds.upper
+    lower_bound, upper = bounds.lower, bounds.upper
     if bounds.lower_by_x is not None and bounds.upper_by_x is not None:
-        lower = lower + np.einsum("nij,nj->ni", bounds.lower_by_x, dxs[:-1])
+        lower_bound = lower_bound + np.einsum("nij,nj->ni", bounds.lower_by_x, dxs[:-1])
         upper = upper + np.einsum("nij,nj->ni", bounds.upper_by_x, dxs[:-1])
     parts = [
         sweep.by_controls[2][:, :, None],
@@ -326,6 +326,6 @@ def _next_active_bounds(
     multiplier = sum(part.sum(axis=2) for part in parts)
     size = sum(np.abs(part).sum(axis=2) for part in parts)
     slack = ROUNDING * (1.0 + np.abs(dus))
-    free = np.where(dus < lower - slack, -1.0, np.where(dus > upper + slack, 1.0, 0.0))
+    free = np.where(dus < lower_bound - slack, -1.0, np.where(dus > upper + slack, 1.0, 0.0))
     wrong = (np.abs(multiplier) > MULTIPLIER_ROUNDING * size) & (active_bounds * multiplier > 0.0)
     return np.where(active_bounds == 0.0, free, np.where(wrong, 0.0, active_bounds))

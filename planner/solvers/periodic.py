@@ -111,16 +111,16 @@ def solve_periodic(
             'ranges of states and constraints are no part of the step "newton", expected step="follow" with them.'
         )
     tracking(problem)
-    search = _Search(problem, by_newton, passes, callback, options)
+    search = _PeriodicSearch(problem, by_newton, passes, callback, options)
     try:
         while search.next is not None and len(search.lines) < search.passes:
             search.go(search.next)
     except (KeyboardInterrupt, StopIteration):
         search.interrupted = True
-    return search.found({"step": step, "passes": passes})
+    return search.best_plan({"step": step, "passes": passes})
 
 
-class _Search:
+class _PeriodicSearch:
     """Passes, and the best of them.
 
     Args:
@@ -162,8 +162,8 @@ class _Search:
         if self.callback is not None:
             self.callback(line)
         steady = len(self.lines) > 1 and abs(cost - self.lines[-2].cost) <= periodic.cost_tolerance * abs(cost)
-        little = answer is None or steady or left <= LEFT * abs(cost)
-        if not ran or (little and not open_):
+        small_reduction = answer is None or steady or left <= LEFT * abs(cost)
+        if not ran or (small_reduction and not open_):
             self.next = None
         else:
             self.next = (
@@ -177,7 +177,7 @@ class _Search:
         """Whether the passes that are left are to bring back what is there."""
         return self.passes - len(self.lines) <= _TO_CLOSE
 
-    def found(self, options: dict[str, Any]) -> Plan:
+    def best_plan(self, options: dict[str, Any]) -> Plan:
         """The best plan, with how the passes went."""
         if self.best is None:
             raise KeyboardInterrupt  # before there was any plan

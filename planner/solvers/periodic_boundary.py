@@ -133,10 +133,10 @@ def tracking(problem: Problem) -> TrackingCost:
     Raises:
         PlannerError: There is none, or more than one.
     """
-    found = tracking_of(base_problem(problem).cost)
-    if found is None:
+    goal_cost = tracking_of(base_problem(problem).cost)
+    if goal_cost is None:
         raise PlannerError("the cost has no one TrackingCost with a final weight, which a periodic motion needs.")
-    return found
+    return goal_cost
 
 
 def periodic_problem(plan: Plan) -> tuple[Problem, Periodic]:
@@ -194,17 +194,17 @@ def response(plan: Plan) -> BoundarySensitivity:
         G += reach @ answer
         Phi = Phi @ (A[n] + B[n] @ sweep.K[n])
     space = space_of(problem.dynamics)
-    drawn = W @ space.difference(plan.xs[-1], tracking(problem).x_ref[-1])
+    terminal_error = W @ space.difference(plan.xs[-1], tracking(problem).x_ref[-1])
     gap, costate = periodic.closure_error(space, plan.xs), lq.costates(A, model)[0]
-    return BoundarySensitivity(plan, closes, W, gap, costate, drawn, sweep.P[0], Phi, G, sweep.K, F)
+    return BoundarySensitivity(plan, closes, W, gap, costate, terminal_error, sweep.P[0], Phi, G, sweep.K, F)
 
 
 def _free(problem: Problem, plan: Plan, B: np.ndarray, gradient: np.ndarray) -> np.ndarray:
     """B without the controls that their bounds hold."""
     if problem.bounds is None:
         return B
-    held = lq.projected(gradient, problem.bounds.step_bounds(plan.xs, plan.us)) != gradient
-    return np.where(held[:, None, :], 0.0, B)
+    at_bound = lq.projected(gradient, problem.bounds.step_bounds(plan.xs, plan.us)) != gradient
+    return np.where(at_bound[:, None, :], 0.0, B)
 
 
 def improved_boundary(found: BoundarySensitivity, close: bool = False) -> Problem | None:

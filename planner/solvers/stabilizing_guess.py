@@ -111,7 +111,7 @@ def _straight(problem: Problem, goal: np.ndarray) -> Callable[[int], np.ndarray]
     mechanism: Any = getattr(problem.dynamics, "mechanism", None)
     closed: Any = mechanism if mechanism is not None and mechanism.has_closed_chains else None
 
-    def place(n: int) -> np.ndarray:
+    def state_on_line(n: int) -> np.ndarray:
         x = space.integrate(start, places[n] * way)
         if mechanism is not None:
             x[mechanism.nq : mechanism.nq + mechanism.nv] = speeds[n] * way[: mechanism.nv]
@@ -120,7 +120,7 @@ def _straight(problem: Problem, goal: np.ndarray) -> Callable[[int], np.ndarray]
                 return assembled(closed, x)
         return x
 
-    return place
+    return state_on_line
 
 
 def _leading(problem: Problem, place: Callable[[int], np.ndarray], us: np.ndarray | None = None) -> Control:

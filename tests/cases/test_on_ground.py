@@ -89,7 +89,7 @@ def test_what_does_not_balance_is_put_down_as_it_is(tmp_path):
     np.testing.assert_allclose(x[3:7], [1, 0, 0, 0], atol=1e-12)
     (why,) = standing_goal(planner.Plan, file.problem, None)
     assert why.value is None
-    assert why.sentence.startswith("No plan stays at the goal: the pose does not stay on the ground: its centre")
+    assert "the pose does not stay on the ground: its centre" in why.sentence
 
 
 def test_a_plan_of_it_passes_and_is_stored(tmp_path):

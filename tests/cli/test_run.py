@@ -7,7 +7,6 @@ import pytest
 import planner
 from planner.__main__ import main
 from planner.cases.plan_file import load_plan
-from planner.cli import auto_repair
 from planner.cli import running as run_command
 from planner.cli.run_folder import MARK, run_folder
 
@@ -56,7 +55,7 @@ def test_interrupted_pictures_are_drawn_by_the_next_run(tmp_path, capsys, monkey
 def test_a_refinement_that_was_interrupted_is_done_by_the_next_run(tmp_path, capsys, monkeypatch):
     words = [*EULER, "--rollouts", "0", "--json", "--out", str(tmp_path / "o")]
     with monkeypatch.context() as patch:
-        patch.setattr(auto_repair, "refine", lambda *_, **__: (_ for _ in ()).throw(KeyboardInterrupt))
+        patch.setattr("planner.proof.repair.refine", lambda *_, **__: (_ for _ in ()).throw(KeyboardInterrupt))
         assert main(words) == 130
     capsys.readouterr()
     assert main(words) == 0
@@ -184,7 +183,7 @@ def test_the_verdict_is_printed_before_what_is_only_shown(tmp_path, capsys, monk
     starts = (
         "before the perturbed simulations: PASS (open-loop); feasible, optimal, robustness: pending\nMuJoCo repeats",
         "What is measured now does not change PASS",
-        "the slowest rate", "contact sensitivity", "step ",
+        "the slowest rate", "contact sensitivity", "step  ",
         "PASS (open-loop); feasible, optimal, robustness: pending\n",
     )  # fmt: skip
     seen = [line for line in order if "not applicable" not in line]

@@ -16,7 +16,6 @@ from planner.problem.collision_checker import CollisionChecker
 from planner.problem.constraints.clearance import PairClearance, pair_clearance_of
 from planner.problem.problem import Problem
 from planner.problem.rrt_connect import rrt_connect
-from planner.solvers import augmented_lagrangian
 
 TOML = """model = "gantry.xml"
 start = "left"
@@ -72,15 +71,14 @@ def test_what_is_kept_apart_at_knots_is_kept_apart_between_them(problem_of, monk
     scene = {"wall": 'type="box" size="0.01 0.5 0.3"', "tool": 'type="sphere" size="0.02"'}
     text = TOML.replace("duration = 2.0", "duration = 1.5")
 
-    def nearest():
+    def nearest(**options):
         problem = problem_of(AVOID, **scene)
-        plan = planner.solve(problem)
+        plan = planner.solve(problem, options=planner.SolverOptions(**options))
         return distances(problem, plan, 16).min() - pair_clearance_of(problem.constraints).lower.min()
 
     monkeypatch.setitem(globals(), "TOML", text)
     assert nearest() > -0.0006 - 1e-6  # the tolerance, 2 % of the clearance
-    monkeypatch.setattr(augmented_lagrangian, "MAX_TIGHTENINGS", 0)
-    assert nearest() < -0.001
+    assert nearest(max_tightenings=0) < -0.001
 
 
 def test_what_passes_a_thin_thing_between_two_knots_is_seen(problem_of):

@@ -11,6 +11,7 @@ import planner
 from planner.base.measured import Measurement, Section
 from planner.problem.plan import Status
 from planner.proof.repair import refinement
+from planner.proof.repair.budget import WorkBudget
 from planner.proof.repair.refinement import Refinement, refine
 
 
@@ -179,16 +180,14 @@ def test_the_limit_of_refinements_ends_refinement(failed):
     assert refine(plan, proof, limit=0).reason == "The limit of 0 refinements was reached."
 
 
-def test_the_time_limit_ends_refinement(failed, monkeypatch):
+def test_the_work_budget_ends_refinement(failed):
     _, proof = failed
     plan = planner.solve(planner.cases.two_link(horizon=50, integrator="semi-implicit-euler"))  # of 26 iterations
-    seconds = iter(range(1000))
-    monkeypatch.setattr(refinement, "time", SimpleNamespace(monotonic=lambda: next(seconds)))
-    refined = refine(plan, proof, seconds=8.0, prove=lambda _: proof)
-    assert refined.reason == "The time limit of 8 s was reached at a stage of 0.04 s."
+    refined = refine(plan, proof, budget=WorkBudget(500.0), prove=lambda _: proof)
+    assert refined.reason.startswith("The work budget of 500 ")
     assert refined.plan is plan  # a solve that was cut has no plan to prove, and is no Ctrl-C
     assert len(refined.path) == 1
-    assert len(refine(plan, proof, seconds=0.0).path) == 1
+    assert len(refine(plan, proof, budget=WorkBudget(0.0)).path) == 1
 
 
 def test_the_callback_and_ctrl_c_end_it(failed, monkeypatch):
@@ -236,7 +235,6 @@ def test_options_reach_the_solver(failed):
     ("arguments", "fragment"),
     [
         ({"limit": -1}, "limit is -1"),
-        ({"seconds": float("nan")}, "seconds is nan"),
         ({"plan": None}, "plan is None"),
         ({"proof": None}, "proof is None"),
     ],

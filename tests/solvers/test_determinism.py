@@ -6,12 +6,12 @@ from functools import cache, partial
 
 import numpy as np
 import pytest
-import rubbing
 from arms import mechanism as hanging_arm
 from carts import cart
+from closed_chains import four_bar
+from contact_machines import leg, standing
 from driven import moved_cart
-from gantries import gantry
-from legs import leg, standing
+from machines import FRICTION_ARM, gantry
 from solves import Plain, each_engine, engines, hopper, swing
 
 import planner
@@ -20,7 +20,6 @@ from planner.constraints import Avoid
 from planner.costs import FrameCost, Height, Point
 from planner.solvers import multistart
 from planner.solvers.engine import CompiledEngine, _idle, acquire_engine, compiled, release_engine
-from tests.closed_chains import four_bar
 
 BOTH = {"velocity": 2.0, "control": 20.0}
 """Ranges with an open side, that of the start, and bounds of the controls."""
@@ -130,7 +129,7 @@ KINDS = {
     "contact, ranges and bounds": of(partial(on_a_foot, velocity=2.0, control=30.0), actual_reduction_tolerance=0.03),
     "closed chain": of(closing),
     "closed chain, ranges and bounds": of(partial(closing, velocity=0.2, control=20.0), max_iterations=40),
-    "friction loss": of(lambda: moved(m := Mechanism.from_mjcf(rubbing.ARM, contacts="off"), m.home, [0.5, 0.3, 0.4])),
+    "friction loss": of(lambda: moved(m := Mechanism.from_mjcf(FRICTION_ARM, contacts="off"), m.home, [0.5, 0.3, 0.4])),
     "prescribed": of(partial(moved_cart, 40), max_iterations=40),
     "runs away": of(running_away),
     "jerk": of(partial(arm, N=15), solve_for, objective="jerk"),

@@ -31,7 +31,7 @@ def names(folder):
 
 
 def draw(plan, proof, folder, **options):
-    return draw_results(plan, proof, folder, options.pop("video", False), QUIET, **options)
+    return draw_results(plan, proof, folder, [], options.pop("video", False), QUIET, **options)
 
 
 @pytest.fixture(autouse=True)
@@ -142,7 +142,7 @@ def test_a_folder_in_the_place_of_a_picture_is_one_sentence(plan, proof, tmp_pat
 
 
 def test_a_plan_without_a_proof_has_a_proof_json_that_fails(plan, tmp_path):
-    write_proof(plan, None, tmp_path, "digest")
+    write_proof(plan, None, tmp_path, "digest", [])
     assert '"verdict": "FAIL"' in (tmp_path / "proof.json").read_text()
 
 

@@ -314,6 +314,6 @@ def _resolved(
             dynamics, x0, goal, table["duration"], tolerance=table["tolerance"], effort_alone="objective" in table,
             stays="position" not in given, jerk=table.get("objective", {}).get("jerk", 0.0),
         )  # fmt: skip
-    chosen = {name: weight.tolist() for name, weight in default.weights.items() if name not in given}
+    filled = {name: weight.tolist() for name, weight in default.weights.items() if name not in given}
     reasons = reasons | {name: reason for name, reason in default.reasons.items() if name not in given}
-    return table | {RESOLVED: {"weights": {**chosen, **given}, "reasons": reasons}}
+    return table | {RESOLVED: {"weights": {**filled, **given}, "reasons": reasons}}

@@ -68,9 +68,9 @@ def first_guess(
     if way is None and kind in ("line", "tracking", "auto"):
         way = _closed(problem, goal)
     if kind in ("line", "auto") and not dynamics.prescribed:
-        line = _along(problem, _straight(problem, goal) if way is None else way)
-        if line is not None:
-            return line
+        reference = _along(problem, _straight(problem, goal) if way is None else way)
+        if reference is not None:
+            return reference
     if kind == "line":
         raise PlannerError(
             "guess is 'line', expected 'tracking', 'hold' or 'zero': a line is for machines of hinges and slides "
@@ -102,9 +102,9 @@ def _closed(problem: Problem, goal: np.ndarray) -> ReferenceTrajectory | None:
 def _straight(problem: Problem, goal: np.ndarray) -> ReferenceTrajectory:
     """The straight line in joint space to a goal (nx,)."""
     dynamics: Any = problem.dynamics
-    line = straight_line(dynamics.mechanism, problem.x0, goal, problem.duration, problem.N)
+    straight = straight_line(dynamics.mechanism, problem.x0, goal, problem.duration, problem.N)
     rows = interpolated_states(space_of(dynamics), problem.x0, goal, problem.duration, problem.N)
-    return ReferenceTrajectory(line, rows, direct=True)
+    return ReferenceTrajectory(straight, rows, direct=True)
 
 
 def _along(problem: Problem, way: ReferenceTrajectory) -> np.ndarray | None:

@@ -98,10 +98,10 @@ def _start(move: ExampleTask, known: Description, named: bool) -> list[str]:
         return _line("start", json.dumps(move.keyframe), "a keyframe of the model")
     if not named:
         return _line("start", _numbers(move.start), "all positions, as qpos has them")
-    if not move.moved:
+    if not move.displaced:
         return _line("start", "{}", "a keyframe, or a table of joints; those not named are where the model puts them")
     return _line(
-        "start", _table(move.moved, known),
+        "start", _table(move.displaced, known),
         "joints that the model puts outside of their ranges; the others are where it puts them",
     )  # fmt: skip
 
@@ -130,5 +130,5 @@ def _numbers(values: np.ndarray) -> str:
 
 def _line(key: str, value: Any, comment: str) -> list[str]:
     """A key with a comment behind it, or above it where the line would be long."""
-    line = f"{key} = {value}"
-    return [f"{line:<30}  # {comment}"] if len(line) + len(comment) < _WIDE else [f"# {comment}", line]
+    entry = f"{key} = {value}"
+    return [f"{entry:<30}  # {comment}"] if len(entry) + len(comment) < _WIDE else [f"# {comment}", entry]

@@ -132,8 +132,8 @@ def _of_goals(task: Task, poses: Poses) -> dict[str, np.ndarray]:
     found = {}
     for stage, q in zip(poses.stages, poses.q, strict=True):
         if here := [one for one in task.goals if one.stage == stage]:
-            chosen = "the best pose that was found for " if any(one.goal.frame for one in here) else ""
-            found[chosen + " and ".join(one.label for one in here)] = q
+            best_pose = "the best pose that was found for " if any(one.goal.frame for one in here) else ""
+            found[best_pose + " and ".join(one.label for one in here)] = q
     return found
 
 

@@ -47,7 +47,7 @@ class UnmodelledFeatures:
     pairs: tuple[str, ...] = ()
     known: frozenset[frozenset[GeomName]] = frozenset()
     overlaps: tuple[str, ...] = ()
-    overlapping: int = 0
+    overlap_count: int = 0
 
     @property
     def kinds(self) -> frozenset[str]:
@@ -63,7 +63,7 @@ class UnmodelledFeatures:
     @property
     def in_the_file(self) -> tuple[str, ...]:
         """The phrases about what a replay in the file has: all but pairs that overlap at the start."""
-        return self._counted(len(self.pairs) - self.overlapping)
+        return self._counted(len(self.pairs) - self.overlap_count)
 
     @property
     def overlapping_phrases(self) -> tuple[str, ...]:

@@ -215,10 +215,10 @@ class ConstraintStack:
                 own = value, low[stages], high[stages], slice(0, M)
             else:
                 value = function.values(xs, np.concatenate([us, us[-1:]]), n)
-                free = inside[:, None]
+                is_free = inside[:, None]
                 own = (
-                    value, np.where(free, np.minimum(low[n], low[later]), low[n]),
-                    np.where(free, np.maximum(high[n], high[later]), high[n]), slice(0, M + 1),
+                    value, np.where(is_free, np.minimum(low[n], low[later]), low[n]),
+                    np.where(is_free, np.maximum(high[n], high[later]), high[n]), slice(0, M + 1),
                 )  # fmt: skip
             value, low, high, rows = own
             scale = self.scale[columns]

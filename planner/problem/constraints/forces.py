@@ -112,9 +112,9 @@ class ChainForce:
             row += loop.rows
         if not known or not isinstance(dynamics, RigidBodyDynamics):
             raise PlannerError(f"the {self} needs a closed chain, expected a machine with a connect or a weld.")
-        first = known[choice("the equality of a force", self.equality, known)]
+        first_row = known[choice("the equality of a force", self.equality, known)]
 
         def force(xs: np.ndarray, us: np.ndarray) -> np.ndarray:
-            return np.linalg.norm(constraint_forces(dynamics, xs, us)[:, first : first + 3], axis=1)
+            return np.linalg.norm(constraint_forces(dynamics, xs, us)[:, first_row : first_row + 3], axis=1)
 
         return UserFunction(Constraint(force, upper=0.0), dynamics, mechanism.home, np.zeros(dynamics.nu))

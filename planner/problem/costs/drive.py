@@ -54,8 +54,8 @@ class DriveCost(Term):
         if self.weight.min() < 0.0:
             raise PlannerError(f"weight of a drive's force is {self.weight.min():g}, expected at least 0.")
         # What acts on a driven joint alone does nothing.
-        stops = tuple(stop for stop in m.stops if stop.dof not in self.dofs)
-        with_motors = replace(with_force_inputs(m, dynamics.prescribed), contacts=m.contacts, stops=stops)
+        joint_stops = tuple(stop for stop in m.stops if stop.dof not in self.dofs)
+        with_motors = replace(with_force_inputs(m, dynamics.prescribed), contacts=m.contacts, stops=joint_stops)
         self._accelerations = Accelerations(RigidBodyDynamics(with_motors, dynamics.dt, "euler"))
 
     def resampled(self, parts: int, ratio: float) -> DriveCost:
@@ -70,13 +70,13 @@ class DriveCost(Term):
 
     def _forces(self, xs: np.ndarray, us: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """tau_p, and us with the controls of the motors in place of accelerations."""
-        first = self.nu - len(self.dofs)
+        first_control = self.nu - len(self.dofs)
         controls = us.copy()
-        controls[:, first:] = 0.0
-        lacking = us[:, first:] - self._accelerations(xs, controls)[:, self.dofs]
-        G = self._accelerations.derivatives(xs, controls)[1][:, self.dofs, first:]
-        controls[:, first:] = np.linalg.solve(G, lacking[..., None])[..., 0]
-        return PRESCRIBED_ARMATURE * controls[:, first:], controls  # the gear of the motors
+        controls[:, first_control:] = 0.0
+        lacking = us[:, first_control:] - self._accelerations(xs, controls)[:, self.dofs]
+        G = self._accelerations.derivatives(xs, controls)[1][:, self.dofs, first_control:]
+        controls[:, first_control:] = np.linalg.solve(G, lacking[..., None])[..., 0]
+        return PRESCRIBED_ARMATURE * controls[:, first_control:], controls  # the gear of the motors
 
     def value(self, xs: np.ndarray, us: np.ndarray) -> float:
         """J of a trajectory xs (N+1, nx), us (N, nu)."""

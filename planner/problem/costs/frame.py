@@ -189,7 +189,7 @@ class CenterOfMassCost(ResidualCost):
         asked = stages.asked("position", position, position_weight, final_position_weight, 3)
         if asked is None:
             raise PlannerError("position is None, expected where the centre of mass is to be.")
-        measures = ResidualList(stages.horizon)
-        measures.add(MASS_CENTRE, [], asked.weight, bound=stages.rows(asked.target).T)
+        residual_arrays = ResidualList(stages.horizon)
+        residual_arrays.add(MASS_CENTRE, [], asked.weight, bound=stages.rows(asked.target).T)
         goals = [GoalRows("position of the centre of mass", "m", 0)] if asked.final else []
-        super().__init__(mechanism, measures.arrays(), stages.N, goals)
+        super().__init__(mechanism, residual_arrays.arrays(), stages.N, goals)

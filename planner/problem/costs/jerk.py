@@ -123,7 +123,7 @@ class JerkCost(Term):
         self.counts = np.ones(horizon + 1)  # which changes of acceleration count
         self.counts[0], self.counts[-1] = from_rest, to_rest
 
-    def extended(self, own: StateSpace, space: StateSpace) -> AugmentedStateJerkCost:
+    def augmented(self, own: StateSpace, space: StateSpace) -> AugmentedStateJerkCost:
         """The same on states that remember the last acceleration."""
         return AugmentedStateJerkCost(self, space)
 

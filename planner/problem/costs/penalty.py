@@ -50,11 +50,11 @@ class PenaltyCost(ResidualCost):
         if not isinstance(terms, Sequence):
             raise PlannerError(f"terms is {short_repr(terms)}, expected a list of Height, Distance, Gap and Velocity.")
         self.names = tuple(str(term) for term in terms)
-        measures = arrays_of_terms(mechanism, N, terms, dt)
-        units = ["m/s" if kind == VELOCITY else "m" for kind in measures.kind]
+        residual_arrays = arrays_of_terms(mechanism, N, terms, dt)
+        units = ["m/s" if kind == VELOCITY else "m" for kind in residual_arrays.kind]
         # without a final weight of its own a term only goes on until the end
         asked = [t for t, term in enumerate(terms) if getattr(term, "final_weight", None) is not None]
-        super().__init__(mechanism, measures, N, [GoalRows(self.names[t], units[t], t) for t in asked])
+        super().__init__(mechanism, residual_arrays, N, [GoalRows(self.names[t], units[t], t) for t in asked])
 
     def values(self, xs: np.ndarray) -> np.ndarray:
         """(N+1, T) m or m/s, the values of the terms along xs (N+1, nx), also where they are off."""
@@ -63,13 +63,15 @@ class PenaltyCost(ResidualCost):
 
 def arrays_of_terms(mechanism: Mechanism, N: int, terms: Sequence[Any], dt: float) -> ResidualArrays:
     """Terms of planner.problem.costs.penalty_terms as arrays for N stages of length dt."""
-    measures = ResidualList(N)
+    residual_arrays = ResidualList(N)
     for t, term in enumerate(terms):
         name = f"terms[{t}]"
-        kind, points, constant = _measured(measures, mechanism, term, name)
+        kind, points, constant = _measured(residual_arrays, mechanism, term, name)
         bound, weight = _wanted(name, term, N, dt)
-        measures.add(kind, points, weight, bound=bound, constant=constant, side=_SIDES[term.side], ramp=term.ramp)
-    return measures.arrays()
+        residual_arrays.add(
+            kind, points, weight, bound=bound, constant=constant, side=_SIDES[term.side], ramp=term.ramp
+        )
+    return residual_arrays.arrays()
 
 
 def _measured(

@@ -64,7 +64,7 @@ def per_stage(rows: np.ndarray, parts: int) -> np.ndarray:
 
 def extended_cost(cost: Any, own: StateSpace, space: StateSpace) -> Any:
     """A cost of states in `own` as one of states in `space`, which are the same numbers and more behind them."""
-    extend = getattr(cost, "extended", None)
+    extend = getattr(cost, "augmented", None)
     return EmbeddedCost(cost, own.nx, own.ndx, space) if extend is None else extend(own, space)
 
 
@@ -80,7 +80,7 @@ class Term:
         """Returns itself. Costs that weigh controls override this."""
         return self  # type: ignore[return-value]
 
-    def extended(self, own: StateSpace, space: StateSpace) -> Cost:
+    def augmented(self, own: StateSpace, space: StateSpace) -> Cost:
         """The same cost of the first numbers of a longer state; see extended_cost."""
         return EmbeddedCost(self, own.nx, own.ndx, space)  # type: ignore[arg-type]
 
@@ -128,7 +128,7 @@ class SumCost(Term):
         """The sum with the weights of the controls multiplied."""
         return SumCost(*(call_if_supported(cost, "with_effort", weight) for cost in self.costs))
 
-    def extended(self, own: StateSpace, space: StateSpace) -> SumCost:
+    def augmented(self, own: StateSpace, space: StateSpace) -> SumCost:
         """The sum of the costs of the first numbers of a longer state."""
         return SumCost(*(extended_cost(cost, own, space) for cost in self.costs))
 

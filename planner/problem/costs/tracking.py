@@ -137,9 +137,11 @@ class TrackingCost(Term):
 
         R = diagonal("effort", effort, nu, "control", inputs)
         if R.min(initial=np.inf) <= 0.0:
-            least = int(R.argmin())
-            names = [repr(name) for name, place in inputs.items() if place.start <= least < place.stop]
-            raise PlannerError(f"effort of control {' '.join([str(least), *names])} is 0, expected a weight above 0.")
+            cheapest = int(R.argmin())
+            names = [repr(name) for name, place in inputs.items() if place.start <= cheapest < place.stop]
+            raise PlannerError(
+                f"effort of control {' '.join([str(cheapest), *names])} is 0, expected a weight above 0."
+            )
         Q = np.tile(np.diag(dt * weights("", position, velocity, activation)), (N + 1, 1, 1))
         Q[N] = np.diag(weights("final_", final_position, final_velocity, final_activation))
         u_ref = _references("control", control, N, nu)
@@ -155,10 +157,10 @@ class TrackingCost(Term):
         """The same with the weights of the controls multiplied."""
         return self._of_own_kind(self.Q, weight * self.R, self.x_ref, self.u_ref)
 
-    def extended(self, own: StateSpace, space: StateSpace) -> Cost:
+    def augmented(self, own: StateSpace, space: StateSpace) -> Cost:
         """A TrackingCost that weighs nothing of the numbers behind its own: limits look for its goal."""
         if type(self) is not TrackingCost:
-            return super().extended(own, space)
+            return super().augmented(own, space)
         more, further = space.ndx - own.ndx, space.nx - own.nx
         Q = np.pad(self.Q, ((0, 0), (0, more), (0, more)))
         return TrackingCost(Q, self.R, np.pad(self.x_ref, ((0, 0), (0, further))), self.u_ref, space)

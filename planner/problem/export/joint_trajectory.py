@@ -19,12 +19,12 @@ from planner.base.errors import FileError, PlannerError
 from planner.base.files import PathLike, as_path, printable, write_atomically
 from planner.model.capabilities import capabilities_of
 from planner.model.mechanism import SCREW, Mechanism
-from planner.problem.export.sampled import Motion, sampled
+from planner.problem.export.sampled import ExportedMotion, sampled
 
 SUFFIXES = (".yaml", ".yml", ".json")
 
 
-def joint_trajectory(plan: Motion, path: PathLike | None = None, rate: float | None = None) -> dict[str, Any]:
+def joint_trajectory(plan: ExportedMotion, path: PathLike | None = None, rate: float | None = None) -> dict[str, Any]:
     """The message as a dictionary, also written to a file where a path is given.
 
     Args:
@@ -57,14 +57,14 @@ def joint_trajectory(plan: Motion, path: PathLike | None = None, rate: float | N
     return message
 
 
-def left_out(plan: Motion) -> tuple[str, ...]:
+def left_out(plan: ExportedMotion) -> tuple[str, ...]:
     """Names of the joints that the message has no place for."""
     mechanism = _mechanism(plan)
     every = zip(mechanism.joint_names, mechanism.joint_links, strict=True)
     return tuple(name or f"joint {j}" for j, (name, links) in enumerate(every) if not _single(mechanism, links))
 
 
-def _single_joints(plan: Motion) -> tuple[list[str], np.ndarray, np.ndarray]:
+def _single_joints(plan: ExportedMotion) -> tuple[list[str], np.ndarray, np.ndarray]:
     """Names of hinges and slides, and where a state has their positions and velocities."""
     mechanism, names, dofs = _mechanism(plan), [], []
     for j, (name, links) in enumerate(zip(mechanism.joint_names, mechanism.joint_links, strict=True)):
@@ -76,7 +76,7 @@ def _single_joints(plan: Motion) -> tuple[list[str], np.ndarray, np.ndarray]:
     return names, mechanism.q_address[dofs], mechanism.nq + np.array(dofs)
 
 
-def _mechanism(plan: Motion) -> Mechanism:
+def _mechanism(plan: ExportedMotion) -> Mechanism:
     mechanism = capabilities_of(getattr(plan.problem, "dynamics", None)).mechanism
     if mechanism is None:
         raise PlannerError(

@@ -15,12 +15,12 @@ import numpy as np
 from planner.base.errors import PlannerError
 from planner.base.files import PathLike, write_atomically
 from planner.model.mjcf.model_index import compile_model
-from planner.problem.export.sampled import Motion, sampled
+from planner.problem.export.sampled import ExportedMotion, sampled
 
 MAX_KEYFRAMES = 10_000  # MuJoCo lists them all
 
 
-def write_keyframes(plan: Motion, path: PathLike, rate: float | None = None) -> Path:
+def write_keyframes(plan: ExportedMotion, path: PathLike, rate: float | None = None) -> Path:
     """Write a plan as an MJCF with one keyframe an instant, named plan_0, plan_1 and so on.
 
     Args:

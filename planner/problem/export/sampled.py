@@ -21,7 +21,7 @@ from planner.model.twin import Twin
 _ROUNDING = 1e-9  # relative: an instant as near to a knot is the knot
 
 
-class Motion(Protocol):
+class ExportedMotion(Protocol):
     """What an export asks of a plan."""
 
     @property
@@ -47,7 +47,7 @@ class Samples(NamedTuple):
     stages: np.ndarray  # (M,) the stage n of each instant: gains are K[n]
 
 
-def sampled(plan: Motion, rate: float | None = None) -> Samples:
+def sampled(plan: ExportedMotion, rate: float | None = None) -> Samples:
     """The plan at its knots, or `rate` times a second and at its end.
 
     The last step is shorter than the others where the duration is no whole number of them.
@@ -72,7 +72,7 @@ def sampled(plan: Motion, rate: float | None = None) -> Samples:
     return Samples(t, _states(plan, t, stages, dt), plan.us[stages], stages)
 
 
-def _states(plan: Motion, t: np.ndarray, stages: np.ndarray, dt: float) -> np.ndarray:
+def _states(plan: ExportedMotion, t: np.ndarray, stages: np.ndarray, dt: float) -> np.ndarray:
     """The states (M, nx) at instants t (M,) of some stages (M,)."""
     parts = t / dt - stages  # of a stage, 0 to 1
     xs = plan.xs[stages]

@@ -20,14 +20,14 @@ from planner.base.files import PathLike, write_atomically
 from planner.model.capabilities import capabilities_of
 from planner.model.coordinates import Coordinate, controls_of_mechanism, coordinates_of
 from planner.model.mjcf.prescribed_joints import in_order
-from planner.problem.export.sampled import Motion, sampled
+from planner.problem.export.sampled import ExportedMotion, sampled
 
 TIME = "time"
 POSITION = "position of "  # before a joint's name where an actuator is called the same
 PARTS = ("states", "controls")
 
 
-def write_csv(plan: Motion, path: PathLike, rate: float | None = None, only: str | None = None) -> Path:
+def write_csv(plan: ExportedMotion, path: PathLike, rate: float | None = None, only: str | None = None) -> Path:
     """Write a plan as a CSV file: a header, then a row for every instant, numbers to their last bit.
 
     Args:
@@ -48,7 +48,7 @@ def write_csv(plan: Motion, path: PathLike, rate: float | None = None, only: str
     return Path(path)
 
 
-def frame_of(plan: Motion, rate: float | None = None, only: str | None = None) -> Any:
+def frame_of(plan: ExportedMotion, rate: float | None = None, only: str | None = None) -> Any:
     """A plan as a pandas DataFrame whose index is the time, s; `frame.attrs["units"]` has the units by column.
 
     Raises:
@@ -65,7 +65,7 @@ def frame_of(plan: Motion, rate: float | None = None, only: str | None = None) -
     return frame
 
 
-def _table(plan: Motion, rate: float | None, only: str | None) -> tuple[list[Coordinate], np.ndarray]:
+def _table(plan: ExportedMotion, rate: float | None, only: str | None) -> tuple[list[Coordinate], np.ndarray]:
     """Names and units of the columns after the time, and the table with it."""
     if only is not None:
         choice("only", only, PARTS)
@@ -82,7 +82,7 @@ def _table(plan: Motion, rate: float | None, only: str | None) -> tuple[list[Coo
     return columns, table[:-1] if only == "controls" else table
 
 
-def state_names(plan: Motion) -> tuple[Coordinate, ...]:
+def state_names(plan: ExportedMotion) -> tuple[Coordinate, ...]:
     """Name and unit of each number of a state, nx of them; a quaternion's are "hip quaternion w" and so on."""
     space = plan.space
     if plan.problem is None:
@@ -90,11 +90,11 @@ def state_names(plan: Motion) -> tuple[Coordinate, ...]:
     else:
         known = coordinates_of(plan.problem.dynamics)
     names, taken = [], {name for name, _ in control_names(plan)}
-    first = dict(space.quaternions)  # of each quaternion: its address in the deviation
+    addresses = dict(space.quaternions)  # of each quaternion: its address in the deviation
     address = 0  # in the deviation
     while len(names) < space.nx:
         name, unit = known[address]
-        if len(names) in first:
+        if len(names) in addresses:
             body = name.removesuffix(" rotation about x")
             names += [Coordinate(f"{body} quaternion {axis}", "") for axis in "wxyz"]
             address += 3
@@ -104,7 +104,7 @@ def state_names(plan: Motion) -> tuple[Coordinate, ...]:
     return tuple(names)
 
 
-def control_names(plan: Motion) -> tuple[Coordinate, ...]:
+def control_names(plan: ExportedMotion) -> tuple[Coordinate, ...]:
     """Name and unit of each control: the actuators', then the joints' whose accelerations are controls."""
     nu = plan.us.shape[1]
     dynamics = getattr(plan.problem, "dynamics", None)

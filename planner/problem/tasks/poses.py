@@ -154,7 +154,7 @@ def _pose(
     if mechanism.has_closed_chains:
         x = np.concatenate([q, np.zeros(mechanism.space.nx - len(q))])
         q = assembled(mechanism, x, asked.joints)[: len(q)]
-    short = None if search.checker is None else search.checker.clearance_violation
+    violation = None if search.checker is None else search.checker.clearance_violation
     missing = None if search.constraints is None else search.constraints.at(stage)
     if not asked.targets:
         if search.check and missing is not None:
@@ -177,18 +177,18 @@ def _pose(
         assert found is not None
         return found.q, found.residual
 
-    best, residual = tried(asked.targets, asked.joints, short)
+    best, residual = tried(asked.targets, asked.joints, violation)
     violated = None if missing is None or search.constraints is None else search.constraints.violated(stage, best)
     if residual <= 1.0 and violated is not None and search.constraints is not None:
-        other, residual = tried(asked.targets, asked.joints, short, missing)
+        other, residual = tried(asked.targets, asked.joints, violation, missing)
         if residual <= 1.0 and search.constraints.violated(stage, other) is None:
             return other
         if search.check:
-            missed = [_errors(task, other, target) for target in asked.targets]
+            target_errors = [_errors(task, other, target) for target in asked.targets]
             over = [max(distance / target.metre_scale, angle / target.turn_scale)
-                    for target, (distance, angle) in zip(asked.targets, missed, strict=True)]  # fmt: skip
+                    for target, (distance, angle) in zip(asked.targets, target_errors, strict=True)]  # fmt: skip
             k = int(np.argmax(over))
-            target, label, (distance, angle) = asked.targets[k], asked.labels[k], missed[k]
+            target, label, (distance, angle) = asked.targets[k], asked.labels[k], target_errors[k]
             away = (
                 f"{distance:.3g} m"
                 if distance / target.metre_scale >= angle / target.turn_scale

@@ -57,13 +57,13 @@ def interpolate(task: Task, poses: Poses, x0: np.ndarray, t: np.ndarray) -> tupl
     for a, b in itertools.pairwise(rests):
         at = task.dt * poses.stages[a : b + 1]
         q = poses.q[a : b + 1]
-        first = x0[nq : nq + mechanism.nv] if a == 0 else np.zeros(nq)
+        start_values = x0[nq : nq + mechanism.nv] if a == 0 else np.zeros(nq)
         last = np.zeros(nq) if poses.at_rest[b] else (q[-1] - q[-2]) / (at[-1] - at[-2])
         if len(q) == 2:
             zero = np.zeros(nq)
-            spline = BPoly.from_derivatives(at, [[q[0], first, zero], [q[1], last, zero]])
+            spline = BPoly.from_derivatives(at, [[q[0], start_values, zero], [q[1], last, zero]])
         else:
-            spline = CubicSpline(at, q, bc_type=((1, first), (1, last)))  # pyright: ignore
+            spline = CubicSpline(at, q, bc_type=((1, start_values), (1, last)))  # pyright: ignore
         inside = (t >= at[0]) & (t <= at[-1]) if b == rests[-1] else (t >= at[0]) & (t < at[-1])
         for order in range(3):
             motion[order, inside] = spline(t[inside], order)

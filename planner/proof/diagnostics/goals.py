@@ -34,9 +34,13 @@ def larger_weights(plan: Plan, problem: Problem, proof: Proof | None) -> list[Su
     if proof is None:
         return _of_task(plan, problem)
     cost = tracking_of(problem.cost)
-    missed = [one for one in proof.goal.failures if one.name.startswith(("planned", "replayed"))]
+    goal_failures = [one for one in proof.goal.failures if one.name.startswith(("planned", "replayed"))]
     followed = proof.refined_open_loop.passed or proof.refined_feedback.passed
-    if cost is None or not missed or not (followed or any(one.name.startswith("planned") for one in missed)):
+    if (
+        cost is None
+        or not goal_failures
+        or not (followed or any(one.name.startswith("planned") for one in goal_failures))
+    ):
         return []
     times: dict[str, _Raises] = {key: {} for key in _WEIGHTS}
     coordinates = [(one.name, one.unit) for one in coordinates_of(problem.dynamics)]
@@ -109,9 +113,9 @@ def without_ignored(plan: Plan, problem: Problem, proof: Proof | None) -> list[S
         return []
     followed = proof.refined_open_loop.passed or proof.refined_feedback.passed
     failures = proof.your_file.failures
-    missed = [one for one in failures if one.name.startswith("replayed")]
+    goal_failures = [one for one in failures if one.name.startswith("replayed")]
     pushed = any(one.name == "unknown_contacts" for one in failures)  # which moves the end, too
-    if pushed or not followed or not missed or not proof.goal.passed:
+    if pushed or not followed or not goal_failures or not proof.goal.passed:
         return []
-    values = {"ignored": ", ".join(ignored), "missed": str(missed[0])}
+    values = {"ignored": ", ".join(ignored), "missed": str(goal_failures[0])}
     return [fix(problem, "ignore", [], "ignored_matters", **values)]

@@ -46,11 +46,11 @@ def shorter_stage(plan: Plan, problem: Problem, proof: Proof | None) -> list[Sug
         return []
     if integrator in FIRST_ORDER:
         return [fix(problem, "integrator", "rk4", "first_order", integrator=integrator, share=_times(share))]
-    order = _order(proof, integrator)
+    step_order = _order(proof, integrator)
     worst = max(one for one in (share, predicted, _cost_share(proof)) if math.isfinite(one) or one == predicted)
-    parts = (worst / TARGET_SHARE) ** (1.0 / order) if math.isfinite(worst) else float(MAX_DIVISION)
+    parts = (worst / TARGET_SHARE) ** (1.0 / step_order) if math.isfinite(worst) else float(MAX_DIVISION)
     value = rounded_step(problem.duration, dt / min(max(parts, 2.0), MAX_DIVISION))
-    values = {"dt": Quantity(dt, "s"), "share": _times(worst), "order": order}
+    values = {"dt": Quantity(dt, "s"), "share": _times(worst), "order": step_order}
     return [fix(problem, "dt", value, "stage_too_long", **values)]
 
 
@@ -58,10 +58,10 @@ def calmer_gains(plan: Plan, problem: Problem, proof: Proof | None) -> list[Sugg
     """The stage whose gains follow the fastest oscillation, where gains alone keep the user's file from its goals."""
     if proof is None or not proof.refined_feedback.passed or proof.your_file.passed:
         return []
-    missed = next((one.value for one in proof.your_file.measured if one.name == OPEN_LOOP_MISSES), math.nan)
+    open_loop_error = next((one.value for one in proof.your_file.measured if one.name == OPEN_LOOP_MISSES), math.nan)
     swing = float(np.abs(np.imag(rates_at_start(problem))).max())
     dt = problem.dynamics.dt
-    if missed != 0.0 or not MAX_SWING < swing * dt < math.inf:
+    if open_loop_error != 0.0 or not MAX_SWING < swing * dt < math.inf:
         return []
     value = rounded_step(problem.duration, max(MAX_SWING / swing, dt / MAX_DIVISION))
     values = {"dt": Quantity(dt, "s"), "swing": Quantity(swing * dt, "rad")}

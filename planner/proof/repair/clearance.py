@@ -91,7 +91,7 @@ def _collided(plan: Plan, proof: Proof) -> dict[str, float]:
     _, run = your_file(plan, problem, goals_of(problem), mjcf=None)
     if run is None:
         return {}
-    depths = {frozenset(touch.geoms): touch.deepest for touch in run.touches}
+    depths = {frozenset(touch.geoms): touch.deepest for touch in run.contact_extremes}
     found = {}
     for pair in apart.pairs:
         depth = depths.get(frozenset((pair.a.geom, pair.b.geom)), 0.0)

@@ -204,9 +204,9 @@ def _other_cause(proof: Proof) -> str:
     for section in (proof.plan, proof.parity, proof.same_step):
         if not section.passed:
             return f"{section.title} fails: {section.failures[0]}."
-    missed = [one for one in proof.goal.failures if one.name.startswith("planned")]
-    if missed:
-        return f"the plan itself misses its goal: {missed[0]}."
+    goal_failures = [one for one in proof.goal.failures if one.name.startswith("planned")]
+    if goal_failures:
+        return f"the plan itself misses its goal: {goal_failures[0]}."
     for mode, section in (("open-loop", proof.refined_open_loop), ("feedback", proof.refined_feedback)):
         if section.passed:
             return f"MuJoCo repeats the plan ({mode}): {proof.reason}"

@@ -85,7 +85,7 @@ class ContactRecorder:
         return self._point
 
     @property
-    def touches(self) -> tuple[Touch, ...]:
+    def contact_extremes(self) -> tuple[Touch, ...]:
         """How deep each pair of geoms was in each other."""
         self._sum_up()
         return tuple(self._touches.values())

@@ -76,7 +76,7 @@ class Replay(Renderable):
     reached: tuple[str, ...] = ()
     contacts: ContactHistory = field(default_factory=ContactHistory.none)
     sampling: Sampling | None = None
-    touches: tuple[Touch, ...] = ()
+    contact_extremes: tuple[Touch, ...] = ()
 
     def __repr__(self) -> str:
         mode = "feedback" if self.feedback else "open loop"
@@ -201,7 +201,7 @@ def replay_in(
         ctrl=ctrl[:, compiled.controls], xs=twin.x_of(w), plan_xs=plan_xs, contact_force=recorder.force,
         contact_point=recorder.point, substeps=n, warnings=warnings,
         reached=(*ranges_reached(model, t, w, ctrl, stopped_dofs(plan)), *([surprise] if surprise else [])),
-        contacts=recorder.history(t), sampling=sampling, touches=recorder.touches,
+        contacts=recorder.history(t), sampling=sampling, contact_extremes=recorder.contact_extremes,
     )  # fmt: skip
 
 

@@ -182,10 +182,10 @@ class CompiledEngine(Engine):
             self._add_state_regularization()
         self._update_step_bounds()
         if active_set and (bounded or self._has_penalties) and self._schedule.due():
-            found = self._active_set_direction(mu)
+            direction = self._active_set_direction(mu)
             update_active_set(w.table, dt, True)
-            if found is not None:
-                return found
+            if direction is not None:
+                return direction
         norm, value, definite = self._riccati(w.table, mu, dt, *([False] if bounded else []))
         if not bounded:
             return Direction(norm, value, 0.5 * value, definite)

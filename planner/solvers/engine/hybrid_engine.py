@@ -157,7 +157,7 @@ class _Bounds(NamedTuple):
 
     rows: slice
     columns: slice
-    lower: bool
+    is_lower: bool
 
 
 class ConstrainedEngine(HybridEngine):

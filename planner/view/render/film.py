@@ -150,7 +150,7 @@ def _shift(appearance: Appearance, xs: np.ndarray) -> np.ndarray:
     """Displacement (F, 3) of the camera's point at states (F, nx)."""
     if appearance.accompany is not None:
         return xs[:, list(appearance.accompany)]
-    index, fraction = appearance.follow or (0, 0.0)
+    index, fraction = appearance.height_tracking or (0, 0.0)
     return fraction * xs[:, [index]] * np.array([0.0, 0.0, 1.0])
 
 

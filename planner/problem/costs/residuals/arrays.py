@@ -75,8 +75,8 @@ def resampled(measures: ResidualArrays, parts: int, ratio: float) -> ResidualArr
 def joined(parts: Sequence[ResidualArrays]) -> ResidualArrays:
     """The terms of several, of the same mechanism and horizon, as one."""
     together = {f.name: np.concatenate([getattr(part, f.name) for part in parts]) for f in fields(ResidualArrays)}
-    first = np.cumsum([0, *(len(part.link) for part in parts[:-1])])
-    ends = [np.where(part.ends < 0, -1, part.ends + k) for part, k in zip(parts, first, strict=True)]
+    first_entry = np.cumsum([0, *(len(part.link) for part in parts[:-1])])
+    ends = [np.where(part.ends < 0, -1, part.ends + k) for part, k in zip(parts, first_entry, strict=True)]
     together["ends"] = np.concatenate(ends)
     for name in ("first_row", "first_reference"):
         sizes = np.concatenate([np.diff(getattr(part, name)) for part in parts])
@@ -147,7 +147,7 @@ class WeightedTarget:
     """A target that has weights."""
 
     target: np.ndarray  # (1 or N+1, size)
-    way: np.ndarray  # (1 or N+1, rows), times dt
+    stage_weight: np.ndarray  # (1 or N+1, rows), times dt
     end: np.ndarray  # (1, rows)
     final: bool  # whether the end has a weight of its own; what is only weighed on the way is no goal
     stages: StageData
@@ -155,7 +155,7 @@ class WeightedTarget:
     @property
     def weight(self) -> np.ndarray:
         """(rows, N+1)."""
-        weight = np.array(self.stages.rows(self.way))
+        weight = np.array(self.stages.rows(self.stage_weight))
         weight[-1] = self.end[0]
         return weight.T
 
