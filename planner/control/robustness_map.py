@@ -1,6 +1,6 @@
 """What a loop bears beside its plan with the gains alone: pushes at any time of its task, latency, other masses.
 
-Each is the largest of some levels with which it still succeeds (planner.control.judging.survives), as if less were
+Each is the largest of some levels with which it still succeeds (passes_disturbed), as if less were
 survived always. The search at one time begins at what was survived at the time before: neighbours are mostly alike, and
 then two runs are enough where halving takes four.
 """

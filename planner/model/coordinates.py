@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from planner.model.actuators import DIRECT, INTEGRATOR
+from planner.model.capabilities import capabilities_of
 from planner.model.mechanism import SCREW, Mechanism
 from planner.model.space import space_of
 
@@ -33,11 +34,11 @@ def coordinates_of(dynamics: Any) -> tuple[Coordinate, ...]:
     Components that neither tells of are called by their number, without a unit.
     """
     own = getattr(dynamics, "coordinates", None)
-    mechanism = getattr(dynamics, "mechanism", None)
+    mechanism = capabilities_of(dynamics).mechanism
     known: tuple[Coordinate, ...] = ()
     if own is not None:
         known = tuple(Coordinate(*one) for one in own)
-    elif isinstance(mechanism, Mechanism):
+    elif mechanism is not None:
         known = coordinates_of_mechanism(mechanism)
     return (*known, *(Coordinate(f"x[{i}]", "") for i in range(len(known), space_of(dynamics).ndx)))
 

@@ -19,7 +19,7 @@ from __future__ import annotations
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -127,26 +127,35 @@ def narrowed(mechanism: Any, ranges: np.ndarray) -> np.ndarray:
     return _narrowed(mechanism, ranges)[0]
 
 
-def contradiction(mechanism: Any, ranges: np.ndarray) -> str:
-    """A sentence where no pose within the ranges (nv, 2) keeps all couplings; "" where the ranges leave one.
+class Contradiction(NamedTuple):
+    """A coupling that no pose within the ranges keeps."""
 
-    It names the coupling, and the range of its first coordinate that would do.
-    """
+    cause: str  # a sentence without its full stop
+    fix: str  # what to write in the file instead
+
+    def __str__(self) -> str:
+        return f"{self.cause}, expected ranges with a pose that keeps it: write {self.fix}."
+
+
+def contradiction(mechanism: Any, ranges: np.ndarray) -> Contradiction | None:
+    """The coupling that no pose within the ranges (nv, 2) keeps, and the range that would do; None where one does."""
     left, at = _narrowed(mechanism, ranges)
     if at is None:
-        return ""
+        return None
     coupling = mechanism.couplings[at]
-    name = mechanism.joint_of(coupling.dofs[0])
     low, high = _of_others(coupling, 0, left)
     terms = " + ".join(
         f"{c:g} {_name(mechanism, d)}" for c, d in zip(coupling.coefficients, coupling.dofs, strict=True)
-    )
+    ).replace("+ -", "- ")
     own = ", ".join(f"{_name(mechanism, d)} {ranges[d, 0]:.6g} ... {ranges[d, 1]:.6g}" for d in coupling.dofs)
-    said = f"the file contradicts itself: {coupling.name} asks {terms.replace('+ -', '- ')} = {coupling.constant:.6g}"
-    said += f", which its ranges never give ({own}), expected ranges with a pose that keeps it: write "
+    fix = 'active="false" for the equality, or angle="radian" in <compiler> if radians are meant'
     if np.isfinite([low, high]).all():
-        said += f'range="{low:.6g} {high:.6g}" for {name} in the file, '
-    return f'{said}active="false" for the equality, or angle="radian" in <compiler> if radians are meant.'
+        fix = f'range="{low:.6g} {high:.6g}" for {mechanism.joint_of(coupling.dofs[0])} in the file, {fix}'
+    return Contradiction(
+        f"the file contradicts itself: {coupling.name} asks {terms} = {coupling.constant:.6g}, which its ranges never "
+        f"give ({own})",
+        fix,
+    )
 
 
 def _narrowed(mechanism: Any, ranges: np.ndarray) -> tuple[np.ndarray, int | None]:

@@ -260,8 +260,8 @@ class Limits:
             if is_word(self.position, MODEL) and machine.couplings:
                 wide = np.array([[one.model_lower, one.model_upper] if (one := found.get(i)) else [-np.inf, np.inf]
                                  for i in range(machine.nv)])  # fmt: skip
-                if message := contradiction(machine, wide):
-                    raise PlannerError(message)
+                if contradicted := contradiction(machine, wide):
+                    raise PlannerError(str(contradicted))
             tendons = {tendon.name for tendon in machine.tendons} - set(machine.joint_names)
             for joint, value in {} if is_word(self.position, MODEL) else table_of("position", self.position).items():
                 if joint in tendons:

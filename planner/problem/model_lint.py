@@ -148,9 +148,8 @@ def _coupled(mechanism: Mechanism) -> list[ModelWarning]:
     if not mechanism.couplings:
         return []
     ranges = np.array(mechanism.joint_range)
-    if said := contradiction(mechanism, ranges):
-        problem, _, mend = said.rstrip(".").partition(": write ")
-        return [ModelWarning(problem, mend or "wider ranges in the file")]
+    if contradicted := contradiction(mechanism, ranges):
+        return [ModelWarning(f"{contradicted.cause}, expected ranges with a pose that keeps it", contradicted.fix)]
     left = narrowed(mechanism, ranges)
     held = (np.ptp(left, axis=1) < _HELD) & (np.ptp(ranges, axis=1) > _HELD)
     names = [mechanism.joint_of(int(i)) for i in np.flatnonzero(held)]

@@ -278,9 +278,14 @@ class Plan(Built, Plottable):
         """
         return self.motion.stretched(duration)
 
-    def __str__(self) -> str:
+    @property
+    def summary(self) -> str:
+        """Name, iterations, cost and number of stages in a phrase."""
         name = f"{self.name}: " if self.name else ""
-        return f"Plan({self.status.name}: {name}{self.nit} iterations, cost {self.cost:.6g}, N = {self.N})"
+        return f"{name}{self.nit} iterations, cost {self.cost:.6g}, N = {self.N}"
+
+    def __str__(self) -> str:
+        return f"Plan({self.status.name}: {self.summary})"
 
     __repr__ = __str__
 

@@ -24,6 +24,7 @@ import numpy as np
 
 from planner.base.arguments import number, short_repr
 from planner.base.errors import PlannerError
+from planner.model.capabilities import capabilities_of
 from planner.problem.limits import EXACT, Limits
 from planner.problem.objective import checked_durations, weights_of
 from planner.problem.objective_problem import base_problem, with_objective
@@ -269,7 +270,7 @@ def _cheapest(search: _DurationSearch, shortest: float, longest: float, toleranc
 def _at_pace(plan: Plan, pace: float) -> Plan:
     """The plan's states run through `pace` times as fast, its controls as they are: what a warm start follows."""
     assert plan.problem is not None
-    mechanism, xs = getattr(plan.problem.dynamics, "mechanism", None), plan.xs.copy()
+    mechanism, xs = capabilities_of(plan.problem.dynamics).mechanism, plan.xs.copy()
     if mechanism is not None:
         xs[:, mechanism.nq : mechanism.nq + mechanism.nv] *= pace
     return replace(plan, xs=xs)

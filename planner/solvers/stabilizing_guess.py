@@ -17,6 +17,7 @@ from planner.base.errors import PlannerError
 from planner.dynamics.assembly import assembled
 from planner.dynamics.quasi_static import equilibrium
 from planner.dynamics.rollout import Control, feedback_control, rollout
+from planner.model.capabilities import capabilities_of
 from planner.model.space import space_of
 from planner.problem.initial_guess import quintic
 from planner.problem.problem import Problem
@@ -73,7 +74,7 @@ def _written_down(problem: Problem, control: Control) -> np.ndarray | None:
 
 def _at_rest(problem: Problem, x: np.ndarray) -> np.ndarray:
     """A state (nx,) without its velocities, where the machine tells which these are."""
-    mechanism, x = getattr(problem.dynamics, "mechanism", None), x.copy()
+    mechanism, x = capabilities_of(problem.dynamics).mechanism, x.copy()
     if mechanism is not None:
         x[mechanism.nq : mechanism.nq + mechanism.nv] = 0.0
     return x
@@ -108,7 +109,7 @@ def _straight(problem: Problem, goal: np.ndarray) -> Callable[[int], np.ndarray]
     space, start = space_of(problem.dynamics), _at_rest(problem, problem.x0)
     way = space.difference(_at_rest(problem, goal), start)
     places, speeds, _ = quintic(np.zeros(1), np.ones(1), problem.duration, problem.N)
-    mechanism: Any = getattr(problem.dynamics, "mechanism", None)
+    mechanism = capabilities_of(problem.dynamics).mechanism
     closed: Any = mechanism if mechanism is not None and mechanism.has_closed_chains else None
 
     def state_on_line(n: int) -> np.ndarray:

@@ -50,7 +50,7 @@ def html_of(result: Plan | Replay | Proof) -> str:
         word, colour, rest, text = "Replay", _GREY, repr(result).removeprefix("Replay"), " ".join(result.warnings)
         figure = draw_plan(result.plan, result)
     else:
-        word, colour, rest = result.status.name, _GREEN if result.success else _RED, str(result).partition(": ")[2][:-1]
+        word, colour, rest = result.status.name, _GREEN if result.success else _RED, result.summary
         text, figure = result.message, draw_plan(result, None)
     return (
         f'<div><strong style="color:{colour}">{escape(word)}</strong> {escape(rest.strip(" ;"))}'

@@ -22,7 +22,7 @@ def files():
     return [pytest.param(path, id=path.stem) for path in sorted(FOLDER.glob("*.toml"))]
 
 
-@pytest.mark.parametrize("dt", [0.01, 0.02])
+@pytest.mark.parametrize("dt", [pytest.param(0.01, marks=pytest.mark.slow), 0.02])
 @pytest.mark.parametrize("path", files())
 def test_it_converges_and_meets_every_goal(path, dt):
     plan = planner.solve(load(path, dt=dt).problem)

@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 
 import planner
 from planner.base.gl import load_mujoco
-from planner.dynamics.inverse_kinematics import Target, inverse_kinematics, moved, residuals
+from planner.dynamics.inverse_kinematics import Target, integrate_base, inverse_kinematics, residuals
 from planner.dynamics.kinematics import frame_pose
 
 mujoco = load_mujoco()
@@ -54,7 +54,7 @@ def test_the_jacobian_is_the_difference_of_the_residuals(part):
     target = Target("hand", **{part: parts[part]})
     _, J, _ = residuals(machine, q, target)
     for i, e in enumerate(1e-6 * np.eye(machine.nv)):
-        ahead, behind = (residuals(machine, moved(machine, q, s * e), target)[0] for s in (1.0, -1.0))
+        ahead, behind = (residuals(machine, integrate_base(machine, q, s * e), target)[0] for s in (1.0, -1.0))
         np.testing.assert_allclose((ahead - behind) / 2e-6, J[:, i], atol=1e-8)  # 1e-16 / 1e-6, and the square of 1e-6
 
 

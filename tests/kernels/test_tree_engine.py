@@ -190,13 +190,13 @@ def test_many_solves_take_no_more_memory_than_one():
     gc.collect()
     tracemalloc.start()
     before = tracemalloc.get_traced_memory()[0]
-    for _ in range(20):
+    for _ in range(60):
         planner.solve(task)
     gc.collect()
     grown = tracemalloc.get_traced_memory()[0] - before
     tracemalloc.stop()
     assert _idle[task] == {False: [engine]}
-    assert grown < 20 * 200  # bytes: what one plan's states take, over all twenty
+    assert grown < 60 * 200  # bytes, over all sixty: one plan's states alone take 1,200, and tracing some 4,000 once
 
 
 @pytest.mark.parametrize("line_search", ["armijo", "wolfe"])  # on a compiled engine, and on NumPy's

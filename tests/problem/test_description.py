@@ -177,7 +177,7 @@ def test_the_first_move_takes_15_percent_of_each_range_towards_the_roomier_side(
     assert move.goal == pytest.approx({0: -1.0 + 0.15 * 4.0, 1: 0.5 - 0.15 * 2.0})
     _, outside = moved(arm(elbow="0.4 1"))
     assert outside.keyframe == ""
-    assert outside.moved == pytest.approx({1: 0.43})  # 5 % within
+    assert outside.displaced == pytest.approx({1: 0.43})  # 5 % within
     _, coupled = moved(arm(tail='<equality><joint joint1="elbow" joint2="shoulder" active="true"/></equality>'))
     assert list(coupled.goal) == [0]  # the other follows
 

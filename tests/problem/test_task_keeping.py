@@ -92,5 +92,5 @@ def test_a_converged_plan_that_misses_its_goal_says_so(tmp_path):
     assert "and 0.005 pass; raise its weight" in done.stdout
     assert "to pass: `weights.goal = " in done.stdout
     met = planner.solve(load(write(tmp_path, GOAL)).problem)
-    assert met.missed == ""
+    assert met.missed_goals == ""
     assert met.message == met.status.value

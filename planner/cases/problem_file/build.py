@@ -235,13 +235,13 @@ def _problem(
     if mechanism.contacts_choice:
         reasons["contacts"] = f"{mechanism.contacts_choice}."
     if tasked:
-        notes = tuple(note for note in notes if not note.startswith("goal "))  # it has none of the whole machine
+        notes.pop("goal", None)  # it has none of the whole machine
     elif table["goal"] == {}:
         reasons["goal"] = "goal names no joint, so that the machine is to end where it starts."
     if closed:
         reasons["closed"] = " ".join(closed)
     if notes:
-        reasons["settle"] = " ".join(notes)
+        reasons["settle"] = " ".join(notes.values())
     if stops:
         reasons["stops"] = " ".join(stops)
     limits = Limits.from_dict(table["limits"]) if table.get("limits") else None

@@ -18,8 +18,8 @@ SAME_POSE_TOLERANCE = 1e-6  # m or rad: poses at rest are found as exactly as fo
 
 def place_on_ground(
     mechanism: Mechanism, table: dict[str, Any], start: np.ndarray, goal: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, tuple[str, ...]]:
-    """Start and goal (nx,) as they are planned, and sentences about what was done to them.
+) -> tuple[np.ndarray, np.ndarray, dict[str, str]]:
+    """Start and goal (nx,) as they are planned, and by these names a sentence about what was done to each.
 
     With settle = "auto" and a law of the ground, what is at rest is put down from any height, and a sentence says so:
     files let machines fall from a little above. A pose that does not balance is put down as it is.
@@ -31,9 +31,9 @@ def place_on_ground(
     if not (isinstance(settle, bool) or settle == "auto"):
         raise PlannerError(f"settle is {short_repr(settle)}, expected true, false or 'auto'.")
     if settle is True:
-        return _settled("start", start, mechanism), _settled("goal", goal, mechanism), ()
+        return _settled("start", start, mechanism), _settled("goal", goal, mechanism), {}
     if settle is False or table["contacts"] != "ground" or not mechanism.contacts:
-        return start, goal, ()
+        return start, goal, {}
     asked = np.abs(mechanism.space.difference(goal, start)[: mechanism.nv]) > SAME_POSE_TOLERANCE
     start, note = _lower_to_ground("start", start, mechanism)
     goal, other = _lower_to_ground("goal", goal, mechanism)
@@ -44,7 +44,7 @@ def place_on_ground(
     goal = there
     if np.abs(mechanism.space.difference(goal, start)).max() < SAME_POSE_TOLERANCE:
         goal = start.copy()
-    return start, goal, tuple(filter(None, (note, other)))
+    return start, goal, {name: said for name, said in (("start", note), ("goal", other)) if said}
 
 
 def _settled(name: str, x: np.ndarray, mechanism: Mechanism) -> np.ndarray:

@@ -138,10 +138,9 @@ def _words(one: UnsupportedElement) -> tuple[str, str]:
     """The head and the noun of a phrase about several elements of the same kind; the noun is "" for the model's own."""
     if one.kind in _COUNTED:
         return "", one.kind
-    head, of, element = one.phrase.partition(" of ")
-    if not of or one.kind == "sleep":
+    if not one.feature:
         return one.phrase, ""
-    return _OF.get(one.kind, head), element.split()[0]
+    return _OF.get(one.kind, one.feature), one.noun
 
 
 def _counted(number: int, noun: str) -> str:

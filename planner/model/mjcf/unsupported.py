@@ -42,6 +42,8 @@ class UnsupportedElement:
     kind: str  # "contacts", one of KINDS, or another kind that nothing takes out
     phrase: str  # Its name for a sentence
     index: int = -1  # Of an actuator or equality; -1 for other things
+    feature: str = ""  # What of an element it is, such as "plastic spring"; "" for the element itself
+    noun: str = ""  # Kind of that element, such as "joint"
 
 
 def passive_off(model: Any) -> bool:
@@ -85,24 +87,28 @@ def modelled(model: Any) -> Iterator[UnsupportedElement]:
     """What is modelled and that `ignore` takes out all the same: friction loss, compensation, fixed tendons, loops."""
     if not disabled(model, "constraint", "frictionloss"):
         for i in _joints_of(model, model.dof_frictionloss):
-            yield UnsupportedElement("frictionloss", f"frictionloss of {named(model, 'joint', i)}")
+            yield _feature(model, "frictionloss", "frictionloss", "joint", i)
     for i in () if no_compensation(model) else np.flatnonzero(_compensated(model)):
-        yield UnsupportedElement("gravcomp", f"gravcomp of {named(model, 'body', int(i))}")
+        yield _feature(model, "gravcomp", "gravcomp", "body", int(i))
     yield from _of_tendons(model, modelled=True)
     for i in acting(model):
         if closes(model, i):
             yield UnsupportedElement("equality", f"{named(model, 'equality', i)} ({kind_of(model, i)})", i)
 
 
+def _feature(model: Any, kind: str, feature: str, noun: str, index: int) -> UnsupportedElement:
+    return UnsupportedElement(kind, f"{feature} of {named(model, noun, index)}", feature=feature, noun=noun)
+
+
 def _joints(model: Any) -> Iterator[UnsupportedElement]:
     if not disabled(model, "spring", "passive"):
         for i in np.flatnonzero(_nonzero(model, "jnt_stiffnesspoly", model.njnt)):
-            yield UnsupportedElement("polynomial", f"polynomial stiffness of {named(model, 'joint', int(i))}")
+            yield _feature(model, "polynomial", "polynomial stiffness", "joint", int(i))
         for i in np.flatnonzero(field(model, "jnt_springyield", model.njnt)):
-            yield UnsupportedElement("plasticity", f"plastic spring of {named(model, 'joint', int(i))}")
+            yield _feature(model, "plasticity", "plastic spring", "joint", int(i))
     if not disabled(model, "damper", "passive"):
         for i in _joints_of(model, _nonzero(model, "dof_dampingpoly", model.nv)):
-            yield UnsupportedElement("polynomial", f"polynomial damping of {named(model, 'joint', i)}")
+            yield _feature(model, "polynomial", "polynomial damping", "joint", i)
 
 
 def _joints_of(model: Any, dofs: np.ndarray) -> list[int]:
@@ -116,7 +122,7 @@ def _bodies(model: Any) -> Iterator[UnsupportedElement]:
             clamped = np.asarray(field(model, "jnt_actgravcomp", model.njnt), dtype=bool)
             clamped &= np.asarray(model.jnt_actfrclimited, dtype=bool) | disabled(model, "actuation")
         for i in np.flatnonzero(clamped):
-            yield UnsupportedElement("gravcomp", f"clamped actuatorgravcomp of {named(model, 'joint', int(i))}")
+            yield _feature(model, "gravcomp", "clamped actuatorgravcomp", "joint", int(i))
     if not passive_off(model):
         for name in ("density", "viscosity"):
             if getattr(model.opt, name) > 0.0:
@@ -126,7 +132,7 @@ def _bodies(model: Any) -> Iterator[UnsupportedElement]:
         if int(i) in carries:
             yield UnsupportedElement("mocap", f"mocap {named(model, 'body', int(i))}")
     for i in np.flatnonzero(model.body_plugin >= 0):
-        yield UnsupportedElement("plugin", f"plugin of {named(model, 'body', int(i))}")
+        yield _feature(model, "plugin", "plugin", "body", int(i))
 
 
 def _effects(model: Any) -> dict[str, np.ndarray]:
@@ -154,9 +160,9 @@ def _of_tendons(model: Any, modelled: bool) -> Iterator[UnsupportedElement]:
         effects["frictionloss"][i] &= i not in held  # what never slides does not rub
         has = [name for name, acts in effects.items() if acts[i] and (name in known) == modelled]
         if has == ["frictionloss"]:
-            yield UnsupportedElement("frictionloss", f"frictionloss of {named(model, 'tendon', i)}")
+            yield _feature(model, "frictionloss", "frictionloss", "tendon", i)
         elif has:
-            yield UnsupportedElement("tendon", f"{', '.join(has)} of {named(model, 'tendon', i)}")
+            yield _feature(model, "tendon", ", ".join(has), "tendon", i)
 
 
 def actuator_disabled(model: Any, i: int) -> bool:
@@ -193,11 +199,11 @@ def _actuators(model: Any, i: int) -> Iterator[UnsupportedElement]:
         if field(model, f"actuator_{own}", n)[i] != 0.0 and not at_joint:
             reasons.append(f"{own} of its own")
     if _nonzero(model, "actuator_dampingpoly", n)[i]:
-        yield UnsupportedElement("polynomial", f"polynomial damping of {name}")
+        yield _feature(model, "polynomial", "polynomial damping", "actuator", i)
     if reasons:
         yield UnsupportedElement("actuator", f"{name} ({', '.join(reasons)})", i)
     elif model.actuator_actearly[i] and not actuator_disabled(model, i):
-        yield UnsupportedElement("actearly", f"actearly of {name}")
+        yield _feature(model, "actearly", "actearly", "actuator", i)
 
 
 def _is(value: int, *kinds: Any) -> bool:

@@ -10,6 +10,7 @@ import numpy as np
 
 from planner.base.arguments import LONGEST_HORIZON, array, count, number, numbers, short_repr
 from planner.base.errors import PlannerError
+from planner.model.capabilities import capabilities_of
 from planner.model.coordinates import Coordinate
 from planner.model.mechanism import Mechanism
 from planner.model.space import StateSpace, euclidean
@@ -231,8 +232,8 @@ def states(name: str, value: Any, space: StateSpace, leading: tuple[int | str, .
 
 def mechanism_and_step(machine: Any, dt: float | None) -> tuple[Mechanism, float]:
     """The mechanism and the length of a stage of RigidBodyDynamics, or of a Mechanism with dt."""
-    mechanism = getattr(machine, "mechanism", machine)
-    if not isinstance(mechanism, Mechanism):
+    mechanism = machine if isinstance(machine, Mechanism) else capabilities_of(machine).mechanism
+    if mechanism is None:
         raise PlannerError(f"the machine is {short_repr(machine)}, expected RigidBodyDynamics or a Mechanism.")
     dt = getattr(machine, "dt", None) if dt is None else dt
     if dt is None:

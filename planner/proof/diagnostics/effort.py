@@ -60,14 +60,14 @@ def more_time(plan: Plan, problem: Problem, proof: Proof | None) -> list[Suggest
     if longest.load > 1.0:
         if _at_goal(problem, machine).load <= 1.0 and (swinging := _of_bounds(plan, problem, proof)):
             return swinging
-        values = longest.values | {"duration": Quantity(MAX_LENGTHENING * duration, "s")}
+        values = {**longest.values, "duration": Quantity(MAX_LENGTHENING * duration, "s")}
         return [no_fix("goal", f"{longest.what}_never_enough", **values)]
     low, high = 1.0, MAX_LENGTHENING
     for _ in range(_STEPS):
         middle = (low * high) ** 0.5
         fits = _need(problem, machine, middle * duration).load <= USABLE_SHARE
         low, high = (low, middle) if fits else (middle, high)
-    values = now.values | {"duration": Quantity(duration, "s")}
+    values = {**now.values, "duration": Quantity(duration, "s")}
     return [fix(problem, "duration", _whole(problem, high), f"too_little_{now.what}", **values)]
 
 
