@@ -2,11 +2,17 @@
 
 from __future__ import annotations
 
+import argparse
 import ast
+from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
 
 import pytest
+
+from planner.cases.problem_file import keys
+from planner.cases.problem_file.reference_guess import GUESSES
+from planner.cli.parser import build
 
 ROOT = Path(__file__).parents[1]
 PLANNER = ROOT / "planner"
@@ -44,3 +50,26 @@ def defined(folder: str) -> set[str]:
 def test_no_retired_name_is_defined(folder):
     assert len(defined(folder)) > 10  # the folder is there
     assert not defined(folder).intersection(retired()[folder])
+
+
+RETIRED_KEYS = {"least", "most", "bend", "sink", "more", "measure"}
+RETIRED_GUESSES = {"led", "around"}
+RETIRED_FLAGS = {"--rubbing", "--heavier", "--map", "--continue", "--replay-case"}
+
+
+def flags_of(parser: argparse.ArgumentParser) -> Iterator[str]:
+    """The flags of a parser and of its commands."""
+    for action in parser._actions:
+        yield from action.option_strings
+        if isinstance(action, argparse._SubParsersAction):
+            for command in action.choices.values():
+                yield from flags_of(command)
+
+
+def test_no_retired_key_guess_or_flag_is_taken():
+    tables = [value for name, value in vars(keys).items() if name.isupper() and isinstance(value, dict)]
+    assert not RETIRED_KEYS.intersection(set().union(*tables))
+    assert not RETIRED_GUESSES.intersection(GUESSES)
+    flags = set(flags_of(build()))
+    assert "--rollouts" in flags
+    assert not RETIRED_FLAGS & flags
