@@ -1,4 +1,4 @@
-"""Checks of arguments. Each returns the value in the form that the kernels need, or raises a PlannerError."""
+"""Argument checks. Each returns the value in the form that the kernels need, or raises a PlannerError."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ import numpy as np
 
 from planner.base.errors import PlannerError
 
-LONGEST_HORIZON = 1_000_000  # stages; gains and models of more do not fit into memory
+LONGEST_HORIZON = 1_000_000  # stages, upper limit: the gains and linear models of more do not fit into memory
 _MAX_COUNT = 2**63 - 1  # largest integer of the kernels
-_LONGEST_TEXT = 100
+_LONGEST_TEXT = 100  # characters of a value in a message
 
 
 def short_repr(value: Any) -> str:
@@ -27,7 +27,7 @@ def short_repr(value: Any) -> str:
 
 
 def _no_number(value: Any) -> bool:
-    """Whether a value holds booleans, texts, dates or complex numbers, which NumPy would convert to floats."""
+    """Whether a value contains booleans, strings, dates or complex numbers, which NumPy would convert to floats."""
     if isinstance(value, float):  # the usual entry of a list
         return False
     if isinstance(value, (bool, str, bytes, bytearray)):
@@ -73,7 +73,7 @@ def count(name: str, value: Any, *, minimum: int = 1, maximum: int | None = None
 
 
 def choice(name: str, value: Any, choices: Collection[str]) -> str:
-    """Return one of some names; the error lists them and suggests the nearest."""
+    """Return the value if it is one of the choices; the error lists them and suggests the most similar."""
     if isinstance(value, str) and value in choices:
         return value
     hint = did_you_mean(value, choices)
@@ -81,8 +81,8 @@ def choice(name: str, value: Any, choices: Collection[str]) -> str:
 
 
 def did_you_mean(value: Any, known: Collection[str]) -> str:
-    """A sentence that suggests the nearest known name, with a space before it; "" where none is similar."""
-    short = isinstance(value, str) and len(value) <= _LONGEST_TEXT  # the search takes the square of its length
+    """Sentence that suggests the most similar known name, with a space before it; "" if none is similar."""
+    short = isinstance(value, str) and len(value) <= _LONGEST_TEXT  # the search time is quadratic in its length
     names = [name for name in known if isinstance(name, str)]
     similar = difflib.get_close_matches(value, names, n=1, cutoff=0.8) if short else []
     similar = similar or sorted((name for name in names if short and len(value) > 2 and value in name), key=len)
@@ -99,11 +99,11 @@ def numbers(name: str, value: Any) -> np.ndarray:
 
 
 def _floats(value: Any) -> np.ndarray:
-    """A copy as float64 in C order; TypeError, ValueError or OverflowError where an entry is not a number."""
+    """A copy as float64 in C order; TypeError, ValueError or OverflowError if an entry is not a number."""
     if getattr(getattr(value, "dtype", None), "kind", None) == "c":  # NumPy drops imaginary parts with a warning
         raise TypeError
     result = np.array(value, dtype=np.float64, order="C")
-    if _no_number(value):  # NumPy has refused a too deep nesting before
+    if _no_number(value):  # np.array above has rejected too deep nesting
         raise TypeError
     return result
 
@@ -125,7 +125,7 @@ def array(name: str, value: Any, shape: tuple[int | str, ...], *, any_value: boo
 
 
 def set_fields(record: Any, **values: Any) -> None:
-    """Set fields of a frozen dataclass to values that were checked; arrays become read-only."""
+    """Set fields of a frozen dataclass to checked values; arrays become read-only."""
     for name, value in values.items():
         if isinstance(value, np.ndarray):
             value.flags.writeable = False

@@ -1,4 +1,4 @@
-"""Diagnostic: what was found, as a code and its values. A sentence is made from it only where text is written."""
+"""Diagnostic: a finding as a code and values, formatted as a sentence only for output."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 
 
 class Quantity(NamedTuple):
-    """A number with its unit; in a template {depth:.2g} makes "0.02 m"."""
+    """A number with its unit; {depth:.2g} in a template gives "0.02 m"."""
 
     value: float
     unit: str = ""
@@ -19,16 +19,16 @@ class Quantity(NamedTuple):
 
 @dataclass(frozen=True)
 class Diagnostic:
-    """What was found.
+    """A finding: a code and the values of its message.
 
     Attributes:
-        code: Of the finding, a key of the templates of its subject.
-        values: By name: quantities, names of parts, words.
+        code: Key of a message template.
+        values: Template fields by name: quantities, names of parts, words.
     """
 
     code: str
     values: Mapping[str, Any] = field(default_factory=dict)
 
     def text(self, templates: Mapping[str, str]) -> str:
-        """The sentence, by the templates of the subject."""
+        """The message, from templates by code."""
         return templates[self.code].format(**self.values)

@@ -1,7 +1,6 @@
-"""plot(), film() and the HTML of a notebook, for results in folders below planner/view.
+"""Mixins with plot(), film() and notebook HTML, for result classes in folders below planner/view.
 
-planner/view/results.py draws them. It is named here by text and imported when a picture is first requested: this is the
-one call upwards.
+planner/view/results.py draws them; it is imported by name on first use, since lower folders must not import it.
 """
 
 from __future__ import annotations
@@ -17,10 +16,10 @@ DRAWN_BY = "planner.view.results"
 
 
 class Plottable:
-    """A result with pictures."""
+    """A result with a plot."""
 
     def plot(self) -> Figure:
-        """A Matplotlib figure of it; `figure.savefig("plan.png")` writes it. It belongs to no window (no pyplot)."""
+        """A Matplotlib figure of the result, without a window (no pyplot); `figure.savefig("plan.png")` writes it."""
         return import_module(DRAWN_BY).figure_of(self)
 
     def _repr_html_(self) -> str:
@@ -29,23 +28,23 @@ class Plottable:
 
 
 class Reportable:
-    """Results in a folder, with a page of their own."""
+    """Results in a folder, with an HTML page."""
 
     def page(self) -> Path:
         """Write index.html, the page with the maps, into the folder.
 
         Raises:
-            FileError: It cannot be written.
+            FileError: The page cannot be written.
         """
         return import_module(DRAWN_BY).page_of(self)
 
     def _repr_html_(self) -> str:
-        """HTML for a notebook: how the tasks ended, and the first rows."""
+        """HTML for a notebook: outcomes of the tasks, and the first table rows."""
         return import_module(DRAWN_BY).html_of_sweep(self)
 
 
 class Renderable(Plottable):
-    """A result with a film too."""
+    """A result with a plot and a film."""
 
     def film(self, path: str | Path, **options: Any) -> Path:
         """Write a film, .mp4; options are those of planner.render_video: width, height, fps, speed, progress.

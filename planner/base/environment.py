@@ -1,4 +1,4 @@
-"""The environment of this process: processors that it may use, versions of the packages that its numbers depend on."""
+"""Environment of this process: available processors, versions of the packages that affect results."""
 
 from __future__ import annotations
 
@@ -8,11 +8,11 @@ import platform
 from importlib import import_module, metadata
 
 VARIABLE = "PLANNER_THREADS"
-"""Variable of the environment: the most threads that several starts or rollouts run on. Results do not depend on it."""
+"""Environment variable: largest number of threads for several starts or rollouts. Results do not depend on it."""
 
 
 def processors() -> int:
-    """How many threads to run: one a processor that this process may use, and no more than PLANNER_THREADS."""
+    """Number of threads: the processors available to this process, at most PLANNER_THREADS."""
     here = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     asked = os.environ.get(VARIABLE, "")
     return min(here, max(1, int(asked))) if asked.isdecimal() else here
@@ -20,8 +20,8 @@ def processors() -> int:
 
 @functools.cache
 def installed_versions() -> dict[str, str]:
-    """Versions by name, "not installed" where a package is missing."""
-    own = import_module("planner").__version__  # of the code that runs, whatever an older installation says
+    """Version by package name; "not installed" if missing."""
+    own = import_module("planner").__version__  # version of the running code; metadata may be of an older installation
     versions = {"python": platform.python_version(), "planner": own}
     for name in ("mujoco", "numpy", "numba", "scipy"):
         try:

@@ -1,4 +1,4 @@
-"""Exceptions. Each message is one sentence: what was wrong, what was expected, what exists."""
+"""Exceptions. Each message is one sentence: cause, expected value, valid choices."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ class PlannerError(ValueError):
 
 
 class FileError(PlannerError):
-    """A file that cannot be read, written or understood."""
+    """A file that cannot be read, written or parsed."""
 
 
 class ModelError(PlannerError):

@@ -1,7 +1,7 @@
-"""Many calls on an executor, with results in order and a limited number submitted at a time.
+"""Map calls over an executor, with ordered results and a limited number of submitted calls.
 
-Any concurrent.futures.Executor will do. Those of planner.sweeps also have `width`, the number of calls worked on at
-once, and `end(future)`, which ends the worker of a call. They replace workers that end, and lose one call with each.
+Any concurrent.futures.Executor works. Those of planner.sweeps also have `width`, the number of concurrent calls, and
+`end(future)`, which ends the worker of a call. They replace workers that end; each loses one call.
 """
 
 from __future__ import annotations
@@ -19,14 +19,14 @@ from planner.base.errors import PlannerError
 Item = TypeVar("Item")
 Result = TypeVar("Result")
 
-_AHEAD = 4  # submitted calls per worker, because results wait for those before them
+_AHEAD = 4  # submitted calls per worker, since results are returned in order
 
 
 def checked_executor(executor: Any) -> Executor | None:
-    """The executor, or None for work in this process.
+    """The checked executor, or None for calls in this process.
 
     Raises:
-        PlannerError: It is neither.
+        PlannerError: The value is neither an Executor nor None.
     """
     if executor is not None and not callable(getattr(executor, "submit", None)):
         raise PlannerError(f"executor is {short_repr(executor)}, expected a concurrent.futures.Executor.")
@@ -34,17 +34,17 @@ def checked_executor(executor: Any) -> Executor | None:
 
 
 def width_of(executor: Executor) -> int:
-    """How many calls an executor works on at once; 1 where it does not say."""
+    """Number of concurrent calls of an executor; 1 if unknown."""
     return int(getattr(executor, "width", getattr(executor, "_max_workers", None) or 1))
 
 
 def ordered_map(
     executor: Executor | None, call: Callable[[Item], Result], items: Iterable[Item]
 ) -> Iterator[Result]:  # fmt: skip
-    """The results of call(item) in the order of the items; without an executor from this process, one by one.
+    """Results of call(item) in the order of the items; without an executor sequentially in this process.
 
     Raises:
-        PlannerError: The work cannot be sent, or a worker ended with it; one of planner.sweeps may end once.
+        PlannerError: A call cannot be pickled, or its worker ended, twice for executors of planner.sweeps.
     """
     if executor is None:
         yield from map(call, items)
@@ -66,10 +66,10 @@ def ordered_map(
 
 
 def result_or_retry(executor: Executor, future: Future[Result], call: Callable[..., Result], *arguments: Any) -> Result:
-    """The result of a call that was submitted; the call is made once more where its worker ended.
+    """The result of a submitted call; the call is repeated once if its worker ended.
 
     Raises:
-        PlannerError: The call cannot be sent, or its worker ended twice, or cannot be replaced.
+        PlannerError: The call cannot be pickled, or its worker ended twice, or cannot be replaced.
     """
     try:
         return future.result()
@@ -89,7 +89,7 @@ def result_or_retry(executor: Executor, future: Future[Result], call: Callable[.
 
 
 def cancel_or_end(executor: Executor, future: Future[Any]) -> bool:
-    """Take a call back, with its worker where it is being worked on; False where it goes on to its end."""
+    """Cancel a call, or end the worker that runs it; False if neither is possible."""
     if future.cancel():
         return True
     end = getattr(executor, "end", None)

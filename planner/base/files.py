@@ -1,7 +1,7 @@
-"""Read inputs within limits and write outputs whole: a failure leaves the older file untouched.
+"""Read files of limited size, and write files atomically: a failure leaves the older file unchanged.
 
 An input must be an ordinary file of limited size, because reading a pipe or device may never end. An output is written
-under a hidden name beside its place and moved there by os.replace, which is atomic. Every error names its path.
+under a hidden name in the target folder and renamed by os.replace, which is atomic. Every error names its path.
 """
 
 from __future__ import annotations
@@ -31,10 +31,10 @@ ASSET_LIMIT = 512 * 2**20  # bytes of a mesh, a texture or a height field
 _HIDDEN = ".planner-"  # prefix of the names of unfinished files and folders
 _LOCK = f"{_HIDDEN}lock"
 _NO_LOCKS = {errno.ENOLCK, errno.ENOSYS, errno.EOPNOTSUPP}  # errors of file systems without locks
-_FULL = 64 * 1024  # bytes: a disk with less is full; some libraries report a failed write without its cause
+_FULL = 64 * 1024  # bytes; a disk with less counts as full, since some libraries report failed writes without a cause
 
-_MAX_LISTED = 1000  # files of a folder that are compared with a name
-_SIMILARITY = 0.7  # share of common letters from which a name counts as misspelled
+_MAX_LISTED = 1000  # files of a folder that are compared with a misspelled name
+_SIMILARITY = 0.7  # smallest similarity ratio (difflib) of a suggested name
 _MAX_SHOWN = 5  # files of a folder that a message names
 
 # Errors of the device, which come without a file name.
@@ -55,7 +55,7 @@ _SENTENCES = {
 
 
 def read_input(path: PathLike, what: str, *, most: int = ASSET_LIMIT, raises: type[PlannerError] = FileError) -> bytes:
-    """The content of an ordinary file of at most `most` bytes; a message calls it `what`, e.g. "the model"."""
+    """The content of an ordinary file of at most `most` bytes; messages call it `what`, e.g. "the model"."""
     try:
         with open(path, "rb", opener=_without_waiting) as file:
             state = os.fstat(file.fileno())
@@ -74,7 +74,7 @@ def read_input(path: PathLike, what: str, *, most: int = ASSET_LIMIT, raises: ty
 
 
 def _instead(path: Path) -> str:
-    """The fix for a missing file: the file of the most similar name, or the existing part of the path."""
+    """Message part for a missing file: the most similar file name, or the existing part of the path."""
     folder = path.parent
     try:
         if folder.is_dir():
@@ -106,7 +106,7 @@ def as_path(path: PathLike) -> Path:
     """The path of a file to write.
 
     Raises:
-        FileError: It is no path.
+        FileError: The value is not a path.
     """
     if not isinstance(path, (str, os.PathLike)):
         raise FileError(f"cannot write to {short_repr(path)}: expected the path of a file.")
@@ -114,26 +114,26 @@ def as_path(path: PathLike) -> Path:
 
 
 def printable(path: PathLike) -> str:
-    """A path for a message: as it is, or quoted with escapes where it has unprintable characters."""
+    """A path for a message: unchanged, or quoted with escapes if it has unprintable characters."""
     return str(path) if str(path).isprintable() else repr(str(path))
 
 
 @contextmanager
 def write_atomically(path: PathLike) -> Iterator[Path]:
-    """Yield a hidden path beside `path`; on success that file replaces `path`, on any exception it is removed.
+    """Yield a hidden path in the folder of `path`; on success it replaces `path`, on any exception it is removed.
 
-    The hidden file exists from the start, so that an unwritable folder fails before any work. It has the suffix of
-    `path`, because many writers choose the format by it. The folder of `path` must exist.
+    The hidden file is created first, so that an unwritable folder fails before any work. It has the suffix of
+    `path`, by which many writers choose the format. The folder of `path` must exist.
 
     Raises:
-        FileError: `path` cannot be written: what was wrong and what was expected.
+        FileError: `path` cannot be written.
     """
     target = as_path(path)
     try:
-        place = Path(os.path.realpath(target))  # a link stays; the file it points at is replaced
+        place = Path(os.path.realpath(target))  # replace the target of a symbolic link, not the link
         _refuse_other_than_file(target)
         hidden = place.parent / f"{_HIDDEN}{os.urandom(6).hex()}{place.suffix}"
-        os.close(os.open(hidden, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o666))  # with the usual permissions
+        os.close(os.open(hidden, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o666))  # default permissions
     except FileError:
         raise
     except (OSError, ValueError) as error:  # ValueError: a name with a null character
@@ -147,12 +147,12 @@ def write_atomically(path: PathLike) -> Iterator[Path]:
             raise
         raise file_error(error, target) from error
     finally:
-        with suppress(OSError):  # after success there is nothing left to remove
+        with suppress(OSError):  # after success it does not exist
             hidden.unlink()
 
 
 def open_folder(folder: Path, outputs: Iterable[str]) -> tuple[Path, list[Path]]:
-    """Create a folder for files named `outputs`, and a hidden folder in it: an unwritable one fails before any work.
+    """Create a folder for files named `outputs`, and a hidden folder in it, so that an unwritable one fails first.
 
     Returns:
         The hidden folder, and the folders that were created, innermost first.
@@ -198,7 +198,7 @@ def folder_lock(folder: Path) -> Iterator[None]:
 
 
 def _locked(path: Path) -> int:
-    """Handle of a file that this process alone has locked."""
+    """File descriptor of a file that this process has locked exclusively."""
     while True:
         handle = os.open(path, os.O_CREAT | os.O_RDWR, 0o666)
         try:
@@ -210,15 +210,15 @@ def _locked(path: Path) -> int:
             raise
         if os.fstat(handle).st_nlink:
             return handle
-        os.close(handle)  # whoever held it has removed it since it was opened
+        os.close(handle)  # the previous owner has removed it after os.open
 
 
 @contextmanager
 def staged_folder(path: PathLike, outputs: Iterable[str] = ()) -> Iterator[Path]:
     """Yield a hidden folder inside `path`; on success its files move to `path`, one after the other.
 
-    On any exception the created files and folders are removed and older results stay untouched. On success older files
-    named in `outputs` are removed: the video of an older plan must not lie beside a new plan.
+    On any exception the created files and folders are removed and older results are unchanged. On success older files
+    named in `outputs` are removed, so that the video of an older plan does not remain with a new plan.
 
     Raises:
         FileError: The folder cannot be written: what was wrong and what was expected.
@@ -226,7 +226,7 @@ def staged_folder(path: PathLike, outputs: Iterable[str] = ()) -> Iterator[Path]
     folder, outputs = Path(path), tuple(outputs)
     staging, created = open_folder(folder, outputs)
     try:
-        with folder_lock(folder):  # another writer is found out before any work
+        with folder_lock(folder):  # another writer fails before any work
             pass
         yield staging
         with folder_lock(folder):
@@ -234,7 +234,7 @@ def staged_folder(path: PathLike, outputs: Iterable[str] = ()) -> Iterator[Path]
     except BaseException as error:
         complaint = None
         if isinstance(error, OSError) and _concerns(error, staging, folder):
-            complaint = file_error(error, folder, expected="folder")  # before space is freed
+            complaint = file_error(error, folder, expected="folder")  # before rmtree frees space
         shutil.rmtree(staging, ignore_errors=True)
         remove_empty(created)
         if complaint is None:
@@ -244,7 +244,7 @@ def staged_folder(path: PathLike, outputs: Iterable[str] = ()) -> Iterator[Path]
 
 
 def file_error(error: BaseException, path: PathLike, verb: str = "write", expected: str = "file") -> FileError:
-    """The FileError that says why the file or folder `path` cannot be written or read (`verb`)."""
+    """The FileError with the cause why the file or folder `path` cannot be written or read (`verb`)."""
     return FileError(f"cannot {verb} {_quoted(path)}: {_reason(error, Path(path), verb, expected)}.")
 
 
@@ -280,7 +280,7 @@ def _reason(error: BaseException, path: Path, verb: str, expected: str) -> str:
 
 
 def _concerns(error: OSError, hidden: Path, folder: Path) -> bool:
-    """Whether an OSError of the caller's code is about the file it wrote and not, e.g., about a closed pipe."""
+    """Whether an OSError of the caller's code concerns the file it wrote and not, e.g., a closed pipe."""
     if error.filename is not None:
         names = (error.filename, error.filename2)
         return any(name is not None and str(hidden) in os.fsdecode(name) for name in names)
@@ -294,7 +294,7 @@ def _publish(staging: Path, folder: Path, outputs: Iterable[str]) -> None:
     for file, name in zip(files, names, strict=True):
         _refuse_other_than_file(folder / name)
         _flush_to_device(file)
-    # Old files go first: an interruption here may leave an old plan without its video, never a new plan with it.
+    # Remove old files first: an interruption may leave an old plan without its video, never a new plan with it.
     for name in {Path(output) for output in outputs} - set(names):
         (folder / name).unlink(missing_ok=True)
     for file, name in zip(files, names, strict=True):
@@ -303,7 +303,7 @@ def _publish(staging: Path, folder: Path, outputs: Iterable[str]) -> None:
 
 
 def _refuse_other_than_file(path: Path) -> None:
-    """Raise FileError where `path` is a folder, a device or a pipe, which os.replace must not replace."""
+    """Raise FileError if `path` is a folder, a device or a pipe, which os.replace must not replace."""
     try:
         mode = os.stat(path).st_mode
     except FileNotFoundError:
@@ -314,13 +314,13 @@ def _refuse_other_than_file(path: Path) -> None:
 
 
 def _flush_to_device(path: Path) -> None:
-    """Write the content to the device before its name: some disks fail only here."""
+    """Flush the content to the device before the rename: some disks report errors only here."""
     with open(path, "rb") as file:
         os.fsync(file.fileno())
 
 
 def _missing_folders(folder: Path) -> list[Path]:
-    """`folder` and its parents as far as they do not exist, innermost first."""
+    """`folder` and its parents that do not exist, innermost first."""
     return [path for path in (folder, *folder.parents) if not os.path.lexists(path)]
 
 
@@ -332,7 +332,7 @@ def remove_empty(folders: Iterable[Path]) -> None:
 
 
 def _full(path: Path) -> bool:
-    """Whether the file system that holds `path` is full."""
+    """Whether the file system of `path` is full."""
     for place in (path, *path.parents):
         with suppress(OSError, ValueError):
             return shutil.disk_usage(place).free < _FULL
@@ -346,7 +346,7 @@ def _quoted(path: PathLike) -> str:
 
 
 def finite(value: Any) -> Any:
-    """Replace every number that is not finite by None: JSON has no NaN and no infinity."""
+    """Replace nonfinite floats by None, since JSON has no NaN and no infinity."""
     if isinstance(value, dict):
         return {key: finite(entry) for key, entry in value.items()}
     if isinstance(value, (list, tuple)):

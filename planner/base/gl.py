@@ -1,7 +1,7 @@
 """Choose a headless OpenGL library and import mujoco with it.
 
 MuJoCo reads the environment variable MUJOCO_GL when it is imported: a later change has no effect, and a library that is
-not installed makes the import fail. So only this file imports mujoco, when it is needed, after probing the libraries.
+not installed makes the import fail. So only this file imports mujoco, on first use, after probing the libraries.
 """
 
 from __future__ import annotations
@@ -17,19 +17,19 @@ from planner.base.errors import RenderingUnavailable
 
 _log = logging.getLogger("planner")
 
-_OFF = ("disable", "disabled", "off", "false", "0")  # values of MUJOCO_GL that turn drawing off
+_OFF = ("disable", "disabled", "off", "false", "0")  # values of MUJOCO_GL that disable rendering
 
-# File names of the libraries; PyOpenGL, which mujoco draws with, tries the same.
+# File names of the libraries, as tried by PyOpenGL, which mujoco renders with.
 _OSMESA = ("libOSMesa.so", "libOSMesa.so.8", "libOSMesa.so.7", "libOSMesa.so.6")
 _EGL = ("libEGL.so", "libEGL.so.1")
 _OPENGL = ("libOpenGL.so", "libOpenGL.so.0", "libGL.so", "libGL.so.1")
-_drew: list[int] = []  # id of the process that drew first: in its forks OpenGL would wait for ever for its threads
+_drew: list[int] = []  # id of the process that rendered first: in its forks OpenGL would wait forever for its threads
 
 
 def backend() -> str | None:
-    """The first value of MUJOCO_GL that works here: the user's own, "osmesa" (same pixels everywhere), "egl", or None.
+    """The first usable value of MUJOCO_GL: the user's, "osmesa" (same pixels on all machines), "egl", or None.
 
-    macOS and Windows always have OpenGL: "native" leaves MUJOCO_GL alone.
+    macOS and Windows always have OpenGL: "native" means that MUJOCO_GL is unchanged.
     """
     if not sys.platform.startswith("linux"):
         return "native"
@@ -40,7 +40,7 @@ def backend() -> str | None:
 
 
 def load_mujoco() -> Any:
-    """Import mujoco with a library that draws; without one everything but drawing works."""
+    """Import mujoco with a usable OpenGL library; without one everything but rendering works."""
     if "mujoco" in sys.modules:
         return sys.modules["mujoco"]
     chosen = backend()
@@ -50,7 +50,7 @@ def load_mujoco() -> Any:
     try:
         mujoco: Any = importlib.import_module("mujoco")
     finally:
-        # The choice holds for this process; a child process chooses for itself.
+        # Restore the variable, so that child processes choose for themselves.
         if before is None:
             os.environ.pop("MUJOCO_GL", None)
         else:
@@ -67,9 +67,9 @@ def load_rollout() -> Any:
 
 
 def can_render_here() -> bool:
-    """Whether this process can draw.
+    """Whether this process can render.
 
-    It cannot if mujoco was imported before without a library, or if it is a fork of a process that drew.
+    It cannot if mujoco was imported without an OpenGL library before, or in a fork of a process that has rendered.
     """
     if _drew and _drew[0] != os.getpid():
         return False
@@ -83,10 +83,10 @@ def can_render_here() -> bool:
 
 
 def renderer(model: Any, height: int, width: int) -> Any:
-    """MuJoCo's Renderer of a model, for pictures of so many pixels; its caller closes it.
+    """MuJoCo's Renderer of a model, for pictures of height x width pixels; the caller closes it.
 
     Raises:
-        RenderingUnavailable: OpenGL refuses.
+        RenderingUnavailable: OpenGL fails.
     """
     mujoco = load_mujoco()
     if not _drew:
@@ -98,7 +98,7 @@ def renderer(model: Any, height: int, width: int) -> Any:
 
 
 def require_backend() -> None:
-    """Check that a library can draw.
+    """Check that an OpenGL library is usable.
 
     Raises:
         RenderingUnavailable: There is none; the message says what to install.
@@ -115,15 +115,15 @@ def require_backend() -> None:
 
 
 def _usable(name: str) -> bool:
-    """Whether mujoco draws after an import with MUJOCO_GL=name."""
+    """Whether mujoco can render after an import with MUJOCO_GL=name."""
     platform = os.environ.get("PYOPENGL_PLATFORM", "").strip().lower()
     if name in ("osmesa", "egl") and platform not in ("", name):
-        return False  # mujoco refuses a value that contradicts PyOpenGL's own variable
+        return False  # mujoco rejects a value that contradicts PyOpenGL's own variable
     if name == "osmesa":
         return _load(_OSMESA) is not None
     if name == "egl":
         return _load(_OPENGL) is not None and _egl_devices() > 0
-    # A window system draws, too, but only if the user names it.
+    # GLFW needs a window system; used only if the user sets it.
     return name == "glfw" and bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
 
 
@@ -137,7 +137,7 @@ def _load(names: tuple[str, ...]) -> ctypes.CDLL | None:
 
 
 def _egl_devices() -> int:
-    """Number of devices of EGL; the library may have no driver."""
+    """Number of EGL devices; 0 if the library has no driver."""
     egl = _load(_EGL)
     if egl is None:
         return 0

@@ -1,7 +1,8 @@
-"""Packages whose public names are imported when they are first asked for (PEP 562).
+"""Packages whose public names are imported on first access (PEP 562).
 
-The names stand once, in the package's `__init__.pyi`, a line each: `from planner.X import NAME as NAME`. Type checkers
-read that file as it is; here it says where each name is found. So `import planner` is quick and chooses no OpenGL.
+The package's `__init__.pyi` lists each name once: `from planner.X import NAME as NAME`. Type checkers read that file,
+and this module takes the source of each name from it. So `import planner` is fast and does not choose an OpenGL
+library.
 """
 
 from __future__ import annotations
@@ -21,12 +22,12 @@ def public_names(package: str) -> tuple[Callable[[str], Any], Callable[[], list[
 
     def get(name: str) -> Any:
         if name not in home:
-            import difflib  # here, so that `import planner` stays quick
+            import difflib  # local, so that `import planner` is fast
 
             similar = difflib.get_close_matches(name, home, n=1)
             hint = f". Did you mean {similar[0]!r}?" if similar else ""
             raise AttributeError(f"module {package!r} has no attribute {name!r}{hint}")
-        if home[name] == package:  # a part of the package itself
+        if home[name] == package:  # a submodule of the package
             return import_module(f"{package}.{name}")
         value = getattr(import_module(home[name]), name)
         setattr(module, name, value)

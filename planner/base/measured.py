@@ -1,4 +1,4 @@
-"""Measured numbers with their bounds: the content of a proof."""
+"""Measured values with their bounds: the content of a proof."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from planner.base.files import finite
 
 @dataclass(frozen=True)
 class Measurement:
-    """One measured number.
+    """One measured value.
 
     Attributes:
         name: A snake_case key.
-        value: The value; infinite where there was nothing to measure.
-        unit: Its unit, "" for a pure number.
+        value: The value; infinite if it could not be measured.
+        unit: Its unit, "" if dimensionless.
         bound: Largest value that passes; None for a value without a check.
         note: The origin of the bound, or the meaning of the value.
     """
@@ -39,7 +39,7 @@ class Measurement:
 
     @property
     def bound_share_text(self) -> str:
-        """The name, the value and the share of its bound: "path angle error 0.97 rad (97 % of its bound 1)"."""
+        """Name, value and value over bound in percent: "path angle error 0.97 rad (97 % of its bound 1)"."""
         assert self.bound
         share = 100.0 * self.value / self.bound
         part = "less than 0.1" if share < 0.1 else f"{share:.0f}" if share >= 9.5 else f"{share:.1g}"
@@ -47,7 +47,7 @@ class Measurement:
         return f"{value} ({part} % of its bound {self.bound:.3g})"
 
     def to_dict(self) -> dict[str, Any]:
-        """The value and its bound as JSON values; null where they are not finite."""
+        """As JSON values; null if not finite."""
         return {
             "value": finite(float(self.value)),
             "unit": self.unit,
@@ -59,12 +59,12 @@ class Measurement:
 
 @dataclass(frozen=True)
 class Section:
-    """One step of a proof: its measured values, or the reason why it does not apply.
+    """One section of a proof: its measured values, or the reason why it does not apply.
 
     Attributes:
-        title: The step, e.g. "refined, open loop".
+        title: Title of the section, e.g. "refined, open loop".
         measured: The measured values.
-        not_applicable: Why the step does not apply to this machine, or "".
+        not_applicable: Why the section does not apply to this machine, or "".
     """
 
     title: str
@@ -73,7 +73,7 @@ class Section:
 
     @property
     def passed(self) -> bool:
-        """Whether every value is within its bound. A step that does not apply does not fail."""
+        """Whether every value is within its bound. A section that does not apply does not fail."""
         return not self.failures
 
     @property
@@ -82,7 +82,7 @@ class Section:
         return tuple(one for one in self.measured if not one.passed)
 
     def rows(self) -> list[tuple[str, str, str, str, str]]:
-        """Every measured value as step, name, value, bound and "ok" or "FAIL"."""
+        """Table rows of the measured values: section, name, value, bound and "ok" or "FAIL"."""
         rows = []
         for one in self.measured:
             bound = "" if one.bound is None else f"{one.bound:g}"
@@ -103,7 +103,7 @@ class Section:
 
 
 def bound_excess(sections: Iterable[Section]) -> float:
-    """The largest value that exceeds its bound, over the bound; 0 where all sections pass."""
+    """Largest ratio of value to bound among failures; 0 if all sections pass."""
     failures = [one for section in sections for one in section.failures]
     return max((_over(one.value, one.bound) for one in failures), default=0.0)
 
@@ -114,7 +114,7 @@ def _over(value: float, bound: float | None) -> float:
 
 
 def rows_of(sections: Mapping[str, Section]) -> list[tuple[str, str, str, str, str]]:
-    """Every measured value of sections as step, name, value, bound and "ok" or "FAIL"."""
+    """Table rows of all sections: section, name, value, bound and "ok" or "FAIL"."""
     return [row for section in sections.values() for row in section.rows()]
 
 

@@ -1,1 +1,1 @@
-"""The loop: a controller that plans again and again, MuJoCo with errors around it, and the verdict of both."""
+"""Closed loop: model predictive control, its simulation in MuJoCo with model errors, and the verdict."""

@@ -1,16 +1,16 @@
-"""Controller: u = controller(t, x), a plan that is made again and again from where the machine is.
+"""Controller: u = controller(t, x), model predictive control that replans from the measured state.
 
-    plan     at the rate, from the measured x: the last plan moved on by the time that has passed and rolled out from x
-             with its gains, then a fixed number of SLQ iterations (solvers.slq), or as many as a budget of time allows
-    between  u = us[n] + K[n] (x - xs(t)), within bounds, so that it may be asked more often than it plans
+    plan     at the rate, from the measured x: warm start from the last plan, shifted by the elapsed time and rolled out
+             from x with its gains; then a fixed number of SLQ iterations (solvers.slq), or a time budget of them
+    between  u = us[n] + K[n] (x - xs(t)), within bounds, so that it may be called more often than it plans
 
-A large push throws the machine off the last plan, whose gains may then lead far away, and one iteration does not mend
-that. So where following it costs much more than was planned, the first plan of the task is followed too, with its gains
-from here, and what costs less is improved.
+After a large push the rollout of the last plan may diverge, which one iteration does not correct. So where it costs
+more than THROWN times the planned cost, the first plan of the task is rolled out from x too, and the cheaper rollout is
+the warm start.
 
-A solve that fails changes nothing: the last plan goes on, and the controller says so. After the last stage of that
-plan, or after `patience` failures in a row, it holds: gravity compensation and damping within the bounds
-(planner.control.fallback_control). It goes on trying, and says when a plan is found.
+After a failed solve the last plan continues, with an event. After the last stage of that plan, or after `patience`
+failures in a row, the control is gravity compensation and damping within the bounds (planner.control.fallback_control).
+Solves continue, and the first success is an event.
 """
 
 from __future__ import annotations
@@ -41,14 +41,14 @@ from planner.solvers.options import DEFAULT, EXPECTED_REDUCTION_TOLERANCE
 from planner.solvers.slq import solve
 from planner.solvers.stabilizing_guess import DIVERGENCE_FACTOR
 
-PATIENCE = 10  # failures in a row after which it holds
-SOLVED = 0.1  # of the cost: a plan that might fall by more tells nothing of multipliers yet
-THROWN = 2.0  # times the cost that was planned: the first plan may lead back better than the last one
+PATIENCE = 10  # failed solves in a row before gravity compensation and damping
+SOLVED = 0.1  # upper limit of -slope / cost of a plan whose violations update the multipliers
+THROWN = 2.0  # ratio of rollout cost to planned cost above which the first plan is tried as warm start
 _MAX_EVENTS = 1000
 
 
 class ControllerStatus(StrEnum):
-    """What a controller is doing, in a sentence."""
+    """State of a controller; its value is a sentence."""
 
     PLANNING = "It follows the plan that it has just made."
     LAST_PLAN = "The last solve failed; it goes on with the plan before."
@@ -56,7 +56,7 @@ class ControllerStatus(StrEnum):
 
 
 class Event(NamedTuple):
-    """Something that a controller has to say."""
+    """A message of a controller with its time."""
 
     t: float  # s
     words: str
@@ -66,33 +66,33 @@ class Event(NamedTuple):
 
 
 class Controller:
-    """Plans a problem again and again from the measured state; `u = controller(t, x)`.
+    """Model predictive control of a problem from the measured state; `u = controller(t, x)`.
 
     Args:
-        problem: The task. Its time begins with the first call after a reset; past its end the goal stays.
-        horizon: Stages that each plan looks ahead; by default as many as the problem has.
+        problem: The task. Its time begins with the first call after a reset; its goal remains after its end.
+        horizon: Number of stages of each plan; by default that of the problem.
         rate: Plans per second, Hz; at most one per stage, which is the default.
         iterations: SLQ iterations of each plan.
-        budget: s, in place of a number of iterations: as many as begin within it, at least one. What comes out then
-            depends on the computer.
-        patience: Failed solves in a row after which it holds.
-        plan: A plan of the problem to begin with; by default it is solved.
-        latency: s, from a call that plans until its control acts. It then plans for that instant, from where the
-            problem's own dynamics take the machine until then under the control that acts now.
+        budget: s, in place of a number of iterations: as many as begin within it, at least one. Results then depend on
+            the computer.
+        patience: Failed solves in a row before gravity compensation and damping.
+        plan: The first plan of the problem; solved by default.
+        latency: s, from a planning call until its control acts. It plans for that instant, from the state that the
+            problem's dynamics predict for then under the present control.
 
     Attributes:
-        plan: The plan that it starts with, solved to the end when it was made or reset.
-        status: A Doing, whose value is a sentence.
-        events: What went wrong and what it did, each with its time.
+        plan: The first plan of the whole task, converged; solved again by reset(x0).
+        status: A ControllerStatus.
+        events: Failures and recoveries, each with its time.
         failures: Failed solves since the reset.
         plans: Plans made since the reset.
         planned: Whether the last call made a plan.
-        keeps_goal: Whether the goal stays past the end of the task: some control keeps it.
-        seconds: How long the last call took to plan, s; 0 where it did not plan.
+        keeps_goal: Whether the goal remains after the end of the task: some control makes it an equilibrium.
+        seconds: Wall-clock time of the last planning call, s; 0 where it did not plan.
 
     Raises:
-        PlannerError: A rate above the horizon's, a budget or a number that is none, a cost that has no window, a first
-            solve that runs away.
+        PlannerError: A rate above one plan per stage, a number out of range, a cost without a window (see
+            window_parts.parts_of), a first solve that diverges.
     """
 
     def __init__(
@@ -107,7 +107,7 @@ class Controller:
         self.patience = count("patience", patience)
         self.latency = number("latency", latency, minimum=0.0)
         self._dt, self._space, self._bounds = dt, space_of(problem.dynamics), problem.bounds
-        # Past its end the goal of a task stays, if some control keeps it.
+        # The goal remains after the end of the task if some control makes it an equilibrium.
         self._window, self._holding = (
             RecedingHorizonProblem(problem, H, keeps=goal_stays(problem)),
             FallbackControl(problem),
@@ -128,7 +128,7 @@ class Controller:
         )
 
     def _solved(self, x0: np.ndarray) -> Plan:
-        """The plan of the whole task from a state."""
+        """The plan of the whole task from a state x0 (nx,)."""
         asked = self.problem if np.array_equal(x0, self.problem.x0) else replace(self.problem, x0=x0)
         plan = solve(asked)
         if not (np.isfinite(plan.xs).all() and np.isfinite(plan.K).all()):
@@ -136,13 +136,11 @@ class Controller:
         return plan
 
     def reset(self, x0: Any = None) -> None:
-        """Begin the task again with the next call; from another start (nx,) with a plan of its own."""
+        """Restart the task with the next call; from another start (nx,) after a new solve."""
         if x0 is not None:
             self.plan = self._solved(states("x0", x0, self._space, ()))
         self._xs, self._us, self._K = self._plan_now = self._first_plan(0)
-        self._window.set_penalties(
-            self.plan, self.problem.trajectory_constraints
-        )  # multipliers that calls have changed begin again
+        self._window.set_penalties(self.plan, self.problem.trajectory_constraints)  # resets the multipliers
         self._window.slide(0)
         self._engine.start_from_controls(self.problem.x0, self._us)
         self._begin, self._made, self._asked = math.nan, math.nan, -math.inf
@@ -158,10 +156,10 @@ class Controller:
 
     @property
     def goal(self) -> Any:
-        """Where the task leads; it may be set at any time.
+        """The goal of the task; it may be set at any time.
 
-        A keyframe, positions (nq,), a state (nx,), or states (horizon + 1, nx) where it will be at the stages ahead; or
-        a table of frames with their positions in the world, (3,) or (horizon + 1, 3): {"hand": [0.4, 0, 0.6]}.
+        A keyframe's name, positions (nq,), a state (nx,) or its trajectory over the horizon (horizon + 1, nx); or a
+        table of frames with world positions, m, (3,) or (horizon + 1, 3): {"hand": [0.4, 0, 0.6]}.
         """
         return self._window.x_ref[-1].copy() if self._goal is None else self._goal
 
@@ -174,13 +172,13 @@ class Controller:
                 shape = (3,) if np.ndim(places) < 2 else (self.horizon + 1, 3)
                 self._window.point(str(frame), array(f"the goal of {frame}", places, shape))
         else:
-            self._new_goal = goal_states(self.problem, goal, self.horizon)  # the next plan leads there
+            self._new_goal = goal_states(self.problem, goal, self.horizon)  # used by the next plan
         self._goal = goal
 
     def __call__(self, t: float, x: np.ndarray) -> np.ndarray:
-        """The control (nu,) at time t, s, and state x (nx,): it plans where a plan is due.
+        """The control (nu,) at time t, s, and state x (nx,); plans if a plan is due.
 
-        Time does not go back between resets. The state is MuJoCo's own, qpos, qvel and act, for a Mechanism.
+        Times must not decrease between resets. The state of a Mechanism is MuJoCo's qpos, qvel and act.
         """
         self.planned, self.seconds = False, 0.0
         if (t - self._asked) * self.rate >= 1.0 - TIME_TOLERANCE:
@@ -197,7 +195,7 @@ class Controller:
         return self._acting
 
     def make_plan(self, t: float, x: np.ndarray) -> bool:
-        """Plan from x (nx,) at time t, s; whether it succeeded. `control` then follows it."""
+        """Plan from x (nx,) at time t, s; whether it succeeded. `control` then tracks the plan."""
         if math.isnan(self._begin):
             self._begin = self._made = t - self.latency
         stage = int((t - self._begin) / self._dt + TIME_TOLERANCE)
@@ -218,16 +216,14 @@ class Controller:
         return True
 
     def _solve(self, t: float, x: np.ndarray) -> str:
-        """Moves the plan on to (t, x) and improves it; "" or why it could not."""
+        """Shift the plan to (t, x) and iterate; "" or the reason of failure."""
         engine, began = self._engine, time.perf_counter()
         cost = engine.start_from_trajectory(x, self._plan_now, (t - self._made) / self._dt)
         if not cost <= THROWN * self._cost and self._has_way_back(x):
             cost = self._back(t, x, cost)
         if not math.isfinite(cost) and not np.isfinite(x).all():
             return "the measured state is not finite"
-        if (
-            not math.isfinite(cost) and self.status is ControllerStatus.HOLDING
-        ):  # what was planned long ago leads nowhere
+        if not math.isfinite(cost) and self.status is ControllerStatus.HOLDING:  # the last plan is too old
             held = self._holding(x, self._us[-1])
             cost = engine.start_from_controls(x, np.tile(held, (self.horizon, 1)))
         if not math.isfinite(cost):
@@ -250,7 +246,7 @@ class Controller:
             return "the sweep is not definite"
         if not math.isfinite(slope):
             return "the gains are not finite"
-        self.stalls += kind not in (ACCEPTED, CONVERGED)  # no step lowers the cost: the plan before, from here
+        self.stalls += kind not in (ACCEPTED, CONVERGED)  # no step lowers the cost: the shifted plan remains
         plan = engine.read(DIVERGENCE_FACTOR) if math.isfinite(cost) else None
         if plan is None:
             return "the plan is not finite"
@@ -260,12 +256,12 @@ class Controller:
         return ""
 
     def _has_way_back(self, x: np.ndarray) -> bool:
-        """Whether the first plan may be followed from x: it leads to the goal that is, and has not ended."""
+        """Whether the first plan may be rolled out from x: the goal is unchanged and the task has not ended."""
         return self._goal is None and self._window.stage < self.problem.N and bool(np.isfinite(x).all())
 
     def _back(self, t: float, x: np.ndarray, cost: float) -> float:
-        """Follow the first plan from here where that costs less than to follow the last one; the cost of the better."""
-        engine, last = self._engine, [part.copy() for part in self._plan_now]  # whose memory is needed
+        """Start from the rollout of the first plan if it is cheaper than that of the last one; the lower cost."""
+        engine, last = self._engine, [part.copy() for part in self._plan_now]  # the engine overwrites it
         first = self._first_plan(self._window.stage)
         back = engine.start_from_trajectory(x, first)
         if not math.isfinite(back) or back >= cost:
@@ -276,7 +272,7 @@ class Controller:
         return back
 
     def _first_plan(self, stage: int) -> TrajectoryArrays:
-        """The window of the first plan that begins at a stage of the task; past its end it stays there."""
+        """The first plan over the window from a stage of the task on; its last state and control after its end."""
         plan, n = self.plan, stage + np.arange(self.horizon + 1)
         before = np.minimum(n[:-1], plan.N - 1)
         return plan.xs[np.minimum(n, plan.N)], plan.us[before], plan.K[before]
@@ -305,7 +301,7 @@ class Controller:
             self.events.append(Event(t, words))
 
     def control(self, t: float, x: np.ndarray) -> np.ndarray:
-        """The control (nu,) of the plan that is there, with its gains."""
+        """The control (nu,) at time t, s, and state x (nx,) of the last plan with its feedback."""
         if math.isnan(self._made):
             raise PlannerError("the controller has not planned yet, expected controller(t, x) before control(t, x).")
         stages = max((t - self._made) / self._dt, 0.0)
@@ -313,7 +309,7 @@ class Controller:
         if n >= self.horizon and self.status is not ControllerStatus.PLANNING:
             self._hold(t, "the plan has ended")
         at = min(int((t - self._begin) / self._dt + TIME_TOLERANCE), self.problem.N - 1)
-        if not math.isfinite(x.dot(x)):  # nothing is known of such a state
+        if not math.isfinite(x.dot(x)):  # no feedback from a non-finite state
             u = self._acting
         elif self.status is ControllerStatus.HOLDING:
             u = self._holding(x, self._us[-1])
@@ -323,12 +319,12 @@ class Controller:
         return u if self._bounds is None else self._bounds.clip(at, u, x)
 
     def expected(self, t: float) -> np.ndarray:
-        """The state (nx,) of the plan at time t, s: its own integrator over a part of a stage."""
+        """The state (nx,) of the plan at time t, s, integrated from the knot before."""
         stages = max((t - self._made) / self._dt, 0.0)
         n = int(stages + TIME_TOLERANCE)
         if n >= self.horizon:
             return self._xs[-1].copy()
         part = stages - n
         if part <= TIME_TOLERANCE:
-            return self._xs[n].copy()  # the memory is another plan's soon
+            return self._xs[n].copy()  # the next plan overwrites the memory
         return self.problem.dynamics.step(self._xs[n : n + 1], self._us[n : n + 1], np.array([part * self._dt]))[0]

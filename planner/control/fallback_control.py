@@ -1,9 +1,9 @@
-"""What a controller does when it has no plan: stand still. And the control that keeps a state.
+"""Fallback control without a plan, gravity compensation and damping; and the equilibrium control of a state.
 
-    u = what carries the weight at q, less M(q) qd / TIME,      within the bounds of the problem
+    u = gravity compensation at q, less M(q) qd / TIME,      within the bounds of the problem
 
-so that every speed dies out within TIME where motors reach all joints, and as far as they reach it elsewhere. A machine
-that is no mechanism keeps the last control of its plan.
+Velocities decay with the time constant TIME if the robot is fully actuated, else in the actuated directions. Dynamics
+without a mechanism keep the last control of the plan.
 """
 
 from __future__ import annotations
@@ -16,14 +16,14 @@ from planner.dynamics.quasi_static import equilibrium, quasi_static_controls
 from planner.model.space import space_of
 from planner.problem.problem import Problem
 
-TIME = 0.1  # s, in which a speed falls to a third
-KEEPS = 1e-3  # of the drift without it: what a control may leave that is said to keep a state
-_NEWTON = 3
-_KEPT = 1e-9  # in each coordinate's unit, of one stage
+TIME = 0.1  # s, time constant of the velocities
+KEEPS = 1e-3  # upper limit of the state change per stage at an equilibrium, relative to that of zero control
+_NEWTON = 3  # iterations
+_KEPT = 1e-9  # state change of one stage, in each coordinate's unit: Newton's tolerance
 
 
 class FallbackControl:
-    """The control that holds a machine where it is."""
+    """Gravity compensation and damping."""
 
     def __init__(self, problem: Problem) -> None:
         self._problem, self._inverse = problem, np.zeros((0, 0))
@@ -35,11 +35,11 @@ class FallbackControl:
 
     @property
     def known(self) -> bool:
-        """Whether gravity compensation and damping are known of the machine."""
+        """Whether the dynamics have a mechanism, without prescribed joints, for gravity compensation."""
         return bool(self._inverse.size)
 
     def __call__(self, x: np.ndarray, otherwise: np.ndarray) -> np.ndarray:
-        """The control (nu,) at a state x (nx,), before bounds; `otherwise` for a machine that is no mechanism."""
+        """The control (nu,) at a state x (nx,), before bounds; `otherwise` (nu,) unless `known`."""
         m = self._mechanism
         if m is None or not self.known:
             return otherwise
@@ -50,7 +50,7 @@ class FallbackControl:
 
 
 def equilibrium_control(problem: Problem, x: np.ndarray, u: np.ndarray) -> np.ndarray | None:
-    """The control (nu,) that keeps a state x (nx,), sought from u; None where there is none within the bounds."""
+    """The control (nu,) that makes x (nx,) an equilibrium, by Newton from u; None if none is within the bounds."""
     dynamics, space = problem.dynamics, space_of(problem.dynamics)
     first = space.difference(dynamics.step(x[None], np.zeros((1, dynamics.nu)))[0], x)
     _, u = equilibrium(dynamics, x, u, iterations=_NEWTON, tolerance=_KEPT)

@@ -1,7 +1,7 @@
-"""FixedPlanController: a plan with its gains alone, to be asked like a controller; after its end it holds the goal.
+"""FixedPlanController: a plan with its feedback as a controller, without replanning; regulates the goal after its end.
 
-It is what a loop is compared with: the plan is never made again. The goal is held by the regulator of a proof
-(planner.proof.goal_regulator), or, where that has none, by gravity compensation and damping.
+It is the baseline of a Controller. The regulator is that of a proof (planner.proof.goal_regulator), or gravity
+compensation and damping where there is none.
 """
 
 from __future__ import annotations
@@ -16,11 +16,11 @@ from planner.problem.plan import Plan
 from planner.proof.goal_regulator import GoalRegulator, hold_gain
 from planner.proof.replays.replaying import problem_of
 
-_TIME_TOLERANCE = 1e-6  # of a stage
+_TIME_TOLERANCE = 1e-6  # of a stage: smaller differences of time are zero
 
 
 class FixedPlanController:
-    """u = us[n] + K[n] (x - x_plan(t)), then the goal is held."""
+    """u = us[n] + K[n] (x - x_plan(t)), then regulation of the goal."""
 
     planned, seconds = False, 0.0
 
@@ -34,7 +34,7 @@ class FixedPlanController:
             self._hold = None
 
     def reset(self, x0: Any = None) -> None:
-        """Nothing is to be begun again; a plan has one start."""
+        """No state to reset; a PlannerError for another start."""
         if x0 is not None:
             raise PlannerError(
                 "start is given for a plan with its gains alone, expected a Controller, which can plan from there."

@@ -1,4 +1,4 @@
-"""The states that a controller's goals mean, and whether a goal is one to stay at."""
+"""The states of a controller's goals, and whether a goal is an equilibrium."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from planner.proof.goal_regulator import hold_gain
 
 
 def goal_states(problem: Problem, goal: Any, horizon: int) -> np.ndarray:
-    """The state (nx,) of a goal, a keyframe, positions (nq,) or a state; or states (horizon + 1, nx) ahead."""
+    """The state (nx,) of a goal: a keyframe's name, positions (nq,) or a state; or states (horizon + 1, nx)."""
     mechanism, space = capabilities_of(problem.dynamics).mechanism, space_of(problem.dynamics)
     if isinstance(goal, str):
         if mechanism is None:
@@ -30,7 +30,7 @@ def goal_states(problem: Problem, goal: Any, horizon: int) -> np.ndarray:
 
 
 def goal_stays(problem: Problem) -> bool:
-    """Whether some control keeps the goal, as far as the task states a state to keep."""
+    """Whether some control makes the goal an equilibrium; True for goals of frames or without a final weight."""
     goal = tracking_of(problem.cost)
     frames = any(isinstance(one, ResidualCost) and one.goal_rows() for one in terms_of(problem.cost))
     if goal is None or frames or not np.any(goal.Q[-1]):

@@ -1,13 +1,12 @@
-"""The verdict of a loop: does it arrive and stay? What it bears is sought in planner.control.robustness_map.
+"""The verdict of a closed loop: does it arrive and stay? Its robustness margins are in planner.control.robustness_map.
 
     arrives    every goal within its tolerance in time; paths and waypoints at their times
-    stays      and over the last second
+    stays      every final goal within its tolerance over the last second
 
-A machine that differs from the planned one, or is pushed, passes within five tolerances: the rule of the proof's
-perturbed rollouts. Where a case has a rule of its own for these, the way of a step or the rest at a hop's apex, that
-rule decides.
+A perturbed robot (model error, push) passes within five times the tolerances: the rule of the proof's perturbed
+rollouts. A built-in problem's own success rule, as for the path of a step or the apex of a hop, takes precedence.
 
-What is measured and bounded is said in the words of a proof: Sections of Measured values.
+Results are Sections of Measurements, as in a proof.
 """
 
 from __future__ import annotations
@@ -32,13 +31,14 @@ from planner.proof.robustness.success import GOAL_TOLERANCES, OF_RANGE, SuccessR
 
 @dataclass(frozen=True, eq=False)
 class LoopVerdict:
-    """What is said of a loop.
+    """The verdict of a closed loop.
 
     Attributes:
-        sections: By name: arrives, stays, simulator, follows where the goal moves; then survives, where it was asked.
-        loop: That was judged.
-        maps: Of survives: by who ("loop" or "gains"), the largest push survived at each time, N.
-        times: s, of these pushes.
+        sections: By name: arrives and stays, or follows for a moving goal; kept, simulator, calls; survives after
+            with_margins().
+        loop: The judged run.
+        robustness_maps: By "loop" or "gains" (the plan's feedback alone): largest survived push (times,), N.
+        times: Start of these pushes, s.
     """
 
     sections: dict[str, Section]
@@ -48,7 +48,7 @@ class LoopVerdict:
 
     @property
     def passed(self) -> bool:
-        """Whether everything that has a bound is within it."""
+        """Whether every bounded measurement is within its bound."""
         return all(section.passed for section in self.sections.values())
 
     @property
@@ -58,7 +58,7 @@ class LoopVerdict:
 
     @property
     def headline(self) -> str:
-        """The verdict, and what the loop does."""
+        """The verdict, with the sections arrives, stays and follows, and the number of events."""
         words = []
         for name, section in self.sections.items():
             if name in ("arrives", "stays", "follows") and not section.not_applicable:
@@ -69,11 +69,11 @@ class LoopVerdict:
 
     @property
     def reason(self) -> str:
-        """What is not within its bound, in words; "" for a PASS."""
+        """The failed measurements as text; "" for a PASS."""
         return "; ".join(str(one) for section in self.sections.values() for one in section.failures)
 
     def with_margins(self, section: Section, maps: dict[str, np.ndarray], times: np.ndarray) -> LoopVerdict:
-        """The same with what margins() found, which does not change the verdict."""
+        """A copy with the result of margins(), which does not change the verdict."""
         return replace(self, sections=self.sections | {"survives": section}, robustness_maps=maps, times=times)
 
     def __str__(self) -> str:
@@ -98,12 +98,12 @@ class LoopVerdict:
 
 
 def judge(loop: ClosedLoopRun) -> LoopVerdict:
-    """Whether a loop arrived and stayed, or followed the goal that moved, by the rules at the head of this file.
+    """Whether a loop arrived and stayed, or followed its moving goal, by the rules of this module.
 
-    How far ranges and constraints were left is measured and has no bound: a push may leave no other way.
+    Violations of ranges and constraints are measured without a bound: a push may make them unavoidable.
 
     Raises:
-        PlannerError: It is no loop of simulate().
+        PlannerError: `loop` is no ClosedLoopRun of simulate().
     """
     if not isinstance(loop, ClosedLoopRun):
         raise PlannerError(f"loop is {short_repr(loop)}, expected what planner.simulate returns.")
@@ -117,14 +117,14 @@ def judge(loop: ClosedLoopRun) -> LoopVerdict:
 
 
 def _goals(loop: ClosedLoopRun) -> tuple[GoalCheck, ...]:
-    """The goals of the task, with five times their tolerance where the machine is not as planned."""
+    """The goals of the task; five times their tolerance in a perturbed run."""
     goals = goals_of(loop.controller.problem, loop.controller.plan.xs)
     wider = GOAL_TOLERANCES if loop.perturbed else 1.0
     return tuple(replace(one, tolerance=wider * one.tolerance) for one in goals)
 
 
 def _arrives(loop: ClosedLoopRun, goals: Sequence[GoalCheck]) -> Section:
-    """When every goal of the end is within its tolerance first, and how far those at their times are missed."""
+    """First time at which all final goals are within tolerance, s, and the errors of goals with their own times."""
     rule = _own_rule(loop)
     if rule is not None:
         late = not loop.t[-1] >= loop.controller.problem.duration - 1e-9
@@ -148,13 +148,13 @@ def _arrives(loop: ClosedLoopRun, goals: Sequence[GoalCheck]) -> Section:
 
 
 def _near(loop: ClosedLoopRun, goals: Sequence[GoalCheck]) -> np.ndarray:
-    """(M+1,) whether every goal is within its tolerance."""
+    """(M+1,) whether every goal is within its tolerance at each simulator step."""
     with np.errstate(invalid="ignore"):
         return np.all([one.error(loop.xs) <= one.tolerance for one in goals], axis=0)
 
 
 def _stays(loop: ClosedLoopRun, goals: Sequence[GoalCheck]) -> Section:
-    """The largest misses of the end's goals over the last second."""
+    """Largest errors of the final goals over the last second, one per unit."""
     end = [one for one in goals if one.times is None and np.isfinite(one.tolerance)]
     if not end:
         return Section("stays", not_applicable="no goal of the end was asked for")
@@ -172,10 +172,10 @@ def _stays(loop: ClosedLoopRun, goals: Sequence[GoalCheck]) -> Section:
 
 
 def _follows(loop: ClosedLoopRun) -> Section:
-    """How far the machine is from a goal that moves, over the second half.
+    """Distance from a moving goal over the second half of the run.
 
-    It follows within a tenth of the range over which the goal moves, as a perturbed rollout must follow its plan; of a
-    goal that hardly moves within five of the least tolerances.
+    Bound: OF_RANGE of the range of the goal's motion, as for perturbed rollouts, but at least five times the minimum
+    tolerance of the unit.
     """
     assert loop.goal is not None
     half = np.flatnonzero(loop.t >= 0.5 * loop.t[-1])[:: max(loop.substeps // 4, 1)]
@@ -209,12 +209,12 @@ def _follows(loop: ClosedLoopRun) -> Section:
 
 
 def _near_moving(way: float, unit: str) -> float:
-    """How near a machine must be to a goal that moves over such a range."""
+    """Upper limit of the distance from a goal that moves over a range `way`, in its unit."""
     return max(OF_RANGE * way, GOAL_TOLERANCES * MIN_TOLERANCES.get(unit, 0.0))
 
 
 def _constraints(loop: ClosedLoopRun) -> Section:
-    """How far ranges and constraints are left during the task."""
+    """Largest violations of ranges and constraints during the task, without bounds."""
     problem = loop.controller.problem
     M = problem.N * loop.substeps
     if problem.trajectory_constraints is None or len(loop.xs) <= M or not np.isfinite(loop.xs).all():
@@ -234,7 +234,7 @@ def _constraints(loop: ClosedLoopRun) -> Section:
 
 
 def _calls(loop: ClosedLoopRun) -> Section:
-    """How long the calls that planned took on this computer, and what failed."""
+    """Wall-clock time of the planning calls on this computer, s, and the number of failed ones."""
     controller, seconds = loop.controller, loop.call_seconds
     if not len(seconds):
         return Section("calls", not_applicable="nothing was planned again")
@@ -253,20 +253,20 @@ def _calls(loop: ClosedLoopRun) -> Section:
 
 
 def passes_disturbed(loop: ClosedLoopRun) -> bool:
-    """Whether a loop succeeds by the rule of a proof's perturbed rollouts: near every goal, or the case's own."""
+    """Whether a loop succeeds by the rule of a proof's perturbed rollouts, or by the built-in problem's own."""
     return _won(loop, rule_of(loop.controller.plan))
 
 
 def _own_rule(loop: ClosedLoopRun) -> SuccessRule | None:
-    """The case's own rule for machines that are not as planned, or None."""
+    """The built-in problem's own success rule for perturbed rollouts, or None."""
     own = loop.controller.problem.requirements
     return None if own is None or (own.success is None and own.follows is None) else rule_of(loop.controller.plan)
 
 
 def _won(loop: ClosedLoopRun, rule: SuccessRule) -> bool:
-    """Whether a loop succeeds by a rule: the way at the stages of the task, or its end.
+    """Whether a loop succeeds by a rule, which checks the states at the knots of the task or the last state.
 
-    Where the goal stays the end is the loop's, else the task's.
+    The last state is that of the run if the goal remains after the task, else that of the task.
     """
     plan = loop.controller.plan
     stages = np.arange(min(plan.N, (len(loop.t) - 1) // loop.substeps) + 1)

@@ -1,12 +1,12 @@
-"""Window: a problem over the next H stages, whose weights and references slide along with time.
+"""RecedingHorizonProblem: a problem over the next H stages, whose weights and references shift with time (MPC).
 
-At stage s of its task the window has the stages s ... s+H-1 of the problem, and at its end the problem's final weight.
-Past the end of the task the goal stays: a stage weighs what the last one did and, per second, what the end does, but
-speeds no more than lets the machine settle (window_parts.settling). There the effort is counted from the controls that
-keep the goal.
+At stage s of the task the window has the stages s ... s+H-1 of the problem, and at its end the problem's final weight.
+After the end of the task the goal remains: the stage weight is that of the last stage plus dt times the final weight,
+with velocity weights limited so that the robot reaches equilibrium (window_parts.holding_stage_weights). The reference
+control is then the equilibrium control of the goal.
 
-Everything is laid out once over the whole task and the window after it; to slide is to have an engine read its tables
-from another row on, or to copy a slice of them into its memory.
+The tables cover the whole task and one window after it. To slide the window, an engine reads them from another stage
+on, or copies a slice of them.
 """
 
 from __future__ import annotations
@@ -41,22 +41,23 @@ from planner.solvers.engine import CompiledEngine, NumpyEngine, acquire_engine
 
 
 class RecedingHorizonProblem:
-    """The window of a problem and the engine that plans in it.
+    """The window of a problem and the engine that solves it.
 
     Args:
         problem: With a TrackingCost and costs of residuals (frames, penalties), as tasks and problem files have them.
-        H: Stages of the window.
-        keeps: Whether the goal stays past the end of the task. Where no control keeps it, the apex of a hop or the end
-            of a stride, the end of the task is weighed when it comes, and after it the effort alone.
+        H: Number of stages of the window.
+        keeps: Whether the goal remains after the end of the task. False where no control makes it an equilibrium (apex
+            of a hop, end of a stride): the final weight then acts only at the end of the task, later stages have only
+            control weights.
 
     Attributes:
-        problem: The window's own, of H stages from the start.
-        engine: That plans in it; made once.
+        problem: The problem of the window, H stages from the start.
+        engine: Solves it; made once.
         keeps: See the argument.
-        stage: Where the window is: of its first stage in the task.
+        stage: Index in the task of the window's first stage.
 
     Raises:
-        PlannerError: A cost that does not say what it is past its end.
+        PlannerError: A cost with other terms than one TrackingCost and costs of residuals.
     """
 
     def __init__(self, problem: Problem, H: int, keeps: bool = True) -> None:
@@ -64,7 +65,7 @@ class RecedingHorizonProblem:
         tracking, residuals = parts_of(problem)
         N, self._at = self.N, np.minimum(np.arange(self.N + H + 1), self.N)
         dt, before = problem.dynamics.dt, np.minimum(self._at, N - 1)
-        past = (np.arange(N + H + 1) > N)[:, None, None]  # the end itself weighs what it does in a plan
+        past = (np.arange(N + H + 1) > N)[:, None, None]  # knot N itself has its weight of the plan
         self.x_ref, self.u_ref = tracking.x_ref[self._at].copy(), tracking.u_ref[before].copy()
         resting = keeps * holding_stage_weights((tracking.Q[N - 1] if N > 1 else 0.0) + dt * tracking.Q[N])
         self._Q, self._R = np.where(past, resting, tracking.Q[self._at]), tracking.R[before]
@@ -76,7 +77,7 @@ class RecedingHorizonProblem:
         self._residuals = None if self._end_rows is None else lengthened(self._end_rows, H, dt, keeps)
         self._frames, self._points = frame_rows(residuals, N), dict[str, np.ndarray]()
         Q = np.concatenate([self._Q[:H], self._final[None]])
-        Q[0] = self._Q.sum(axis=0)  # the kernels' tables have the entries that any stage ever weighs
+        Q[0] = self._Q.sum(axis=0)  # sparsity of the kernels' tables: entries nonzero at any stage
         cost: Any = TrackingCost(Q, self._R[:H], self.x_ref[: H + 1], self.u_ref[:H], self._space)
         if residuals:
             first = at_stages(self._residuals, slice(0, H + 1))
@@ -89,12 +90,12 @@ class RecedingHorizonProblem:
         self.engine, self._residual_costs = acquire_engine(self.problem), residuals
         self._hinges: BoundPenalties | None = None
         self._rows, self._columns = updated_rows(self.problem)
-        self._kept = np.zeros((0, 0)), np.zeros((0, 0))  # bounds that no multiplier has moved, as those of the hinges
+        self._kept = np.zeros((0, 0)), np.zeros((0, 0))  # bounds without multiplier shifts, as in _hinges
         self._lay_out(problem)
         self.stage, self._passed, self._stale = -1, -1, True
 
     def _lay_out(self, problem: Problem) -> None:
-        """The tables of which slices go into the engine."""
+        """Build the tables over the task and one window after it, of which the engine reads slices."""
         engine = self.engine
         if not isinstance(engine, CompiledEngine):
             return
@@ -124,11 +125,11 @@ class RecedingHorizonProblem:
             self._source = problem.dynamics.residuals(self._residuals)
 
     def set_penalties(self, plan: Plan, kept: Any) -> None:
-        """Keep ranges and constraints by the hinges that a plan of the whole task ended with; past its end unshifted.
+        """Take the penalties of ranges and constraints from a plan of the whole task; unshifted bounds after its end.
 
         Args:
-            plan: Of the problem, with its hinges or without any.
-            kept: The problem's.
+            plan: Of the problem; with `bound_penalties`, or None for zero weights.
+            kept: The problem's trajectory_constraints, or None.
         """
         if kept is None:
             return
@@ -145,7 +146,7 @@ class RecedingHorizonProblem:
         self._stale = True
 
     def _move_ranges(self, before: np.ndarray) -> None:
-        """Ranges are of the deviation from the reference: move them with it, from a reference before."""
+        """Shift ranges, which bound the deviation from the reference, after x_ref changed from `before`."""
         ranges = self.problem.ranges
         if self._hinges is None or ranges is None:
             return
@@ -154,22 +155,21 @@ class RecedingHorizonProblem:
             side[:, : moved.shape[1]] -= moved[: len(side)]
 
     def update_hinges(self, xs: np.ndarray, us: np.ndarray, cost: float, solved: bool) -> None:
-        """After a plan: weights of what it breaks first and, if it is `solved`, the multipliers of its stages.
+        """Update penalties after a solve: weights of newly violated bounds and, if `solved`, the multipliers.
 
-        Multipliers are updated as by an augmented Lagrangian after a solve; those of a plan that is far from a minimum,
-        as after a push, would drive the machine. They belong to stages of the task, so that they slide with the window
-        as its controls do. Shapes that are kept apart have weights from the beginning, and their distances take too
-        long to be measured again at each call: their multipliers stay as the first plan left them.
+        Multipliers are updated as in an augmented Lagrangian; those of an unconverged plan, as after a push, would
+        distort the next one. They are stored per stage of the task and shift with the window. Clearances have weights
+        from the start and are too slow to evaluate at each call: their multipliers remain those of the first plan.
 
         Args:
-            xs: (H+1, nx) the states of the plan.
+            xs: (H+1, nx) states of the plan.
             us: (H, nu) its controls.
-            cost: Of the plan.
-            solved: Whether it is near its minimum.
+            cost: J of the plan.
+            solved: Whether its expected reduction is small.
         """
         if self._hinges is None or not len(self._columns):
             return
-        here, columns = slice(self.stage + 1, self.stage + self.H), self._columns  # the start is given
+        here, columns = slice(self.stage + 1, self.stage + self.H), self._columns  # the first state is fixed
         e = self._deviations(xs, us)[1:]
         lower, upper, weight = (part[here, columns] for part in self._hinges)
         low, high = np.maximum(lower - e, 0.0), np.maximum(e - upper, 0.0)  # multipliers over the weight
@@ -188,7 +188,7 @@ class RecedingHorizonProblem:
             self._stale = True
 
     def _advance(self, stages: int) -> None:
-        """Multipliers past the end of the task, so many stages later; behind the window there are none."""
+        """Shift the multipliers after the end of the task by a number of stages; those after the window become zero."""
         assert self._hinges is not None
         past, m = slice(self.N + 1, None), min(stages, self.H)
         for side, kept in zip(self._hinges[:2], self._kept, strict=True):
@@ -198,7 +198,7 @@ class RecedingHorizonProblem:
         self._stale = True
 
     def _deviations(self, xs: np.ndarray, us: np.ndarray) -> np.ndarray:
-        """(H, columns) of the ranges and constraints whose multipliers are updated, at the starts of stages."""
+        """Values (H, columns) of ranges and constraints with updated multipliers, at knots 0 ... H-1 of the window."""
         ranges, found = self.problem.ranges, list[np.ndarray]()
         if ranges is not None:
             e = self._space.difference(xs[:-1], self.x_ref[self.stage : self.stage + self.H])
@@ -208,10 +208,10 @@ class RecedingHorizonProblem:
         return np.concatenate(found, axis=1)
 
     def aim(self, goal: np.ndarray, control: np.ndarray | None, stage: int) -> None:
-        """Move the goal to another state (nx,), and count the effort past the end from a control (nu,) that keeps it.
+        """Set the goal state (nx,), and its equilibrium control (nu,) as reference after the end of the task.
 
-        States (H+1, nx) are where it will be at the stages of the window that begins at `stage`. The references on the
-        way that were the goal go with it.
+        A goal (H+1, nx) is its trajectory over the window that begins at `stage`. All state references that equal the
+        final one change with it.
         """
         goals, before = np.atleast_2d(goal), self.x_ref.copy()
         first = min(max(stage, 0), self.N)
@@ -221,15 +221,15 @@ class RecedingHorizonProblem:
         self.rest(control)
 
     def rest(self, control: np.ndarray | None) -> None:
-        """Count the effort past the end of the task from a control (nu,)."""
+        """Set the reference control (nu,) after the end of the task; None changes nothing."""
         if control is not None:
             self.u_ref[self._at == self.N] = control
         self._stale = True
 
     def point(self, frame: str, places: np.ndarray) -> None:
-        """Move the goal of a frame, and the path that it follows, to a place (3,) in the world.
+        """Set the goal of a frame, and its path reference, to a position (3,) in the world, m.
 
-        Places (H+1, 3) are where it will be at the stages of the next window.
+        Positions (H+1, 3) are its trajectory over the next window.
         """
         choice("a frame of the goal", frame, self._frames)
         self._points[frame] = np.atleast_2d(places)
@@ -237,12 +237,12 @@ class RecedingHorizonProblem:
 
     @property
     def frames(self) -> tuple[str, ...]:
-        """The frames whose goal can be moved."""
+        """The frames whose position goal can be changed."""
         return tuple(self._frames)
 
     def slide(self, stage: int) -> None:
-        """Put the window at a stage of the task; past its end it stays as it is."""
-        if self._hinges is not None and stage > max(self._passed, self.N):  # where the tables end, multipliers go on
+        """Move the window to a stage of the task; after the end the tables stay at stage N."""
+        if self._hinges is not None and stage > max(self._passed, self.N):  # multipliers still shift
             self._advance(stage - max(self._passed, self.N))
         self._passed, stage = stage, min(max(stage, 0), self.N)
         if stage == self.stage and not self._stale:
@@ -267,14 +267,14 @@ class RecedingHorizonProblem:
             last = [*range(stage, stage + H), self.N]
             hinges = BoundPenalties(*(part[last] for part in self._hinges))
             ranges = self.problem.ranges
-            if ranges is not None:  # the bounds of the end are of the deviation from the window's own
+            if ranges is not None:  # of the deviation from the window's last reference
                 away = self._space.difference(self.x_ref[stage + H], self.x_ref[self.N])[ranges.component]
                 for side in hinges[:2]:
                     side[-1, : len(away)] -= away
             engine.set_penalties(hinges)
 
     def _weight_at_end(self, stage: int) -> np.ndarray:
-        """The weight of the window's end."""
+        """Final weight (ndx, ndx) of the window that begins at a stage."""
         return self._final if self.keeps or stage + self.H <= self.N else self._last
 
     def _slide_residuals(self, stage: int) -> None:
@@ -295,10 +295,10 @@ class RecedingHorizonProblem:
         table.changed()
 
     def cost_at(self, stage: int) -> Cost:
-        """The cost of the window at a stage, for an engine in NumPy and for what a loop has cost."""
+        """The cost of the window that begins at a stage, for the NumPy engine and for the cost of a closed loop."""
         H, here = self.H, slice(stage, stage + self.H)
         Q = np.concatenate([self._Q[here], self._weight_at_end(stage)[None]])
-        cost = object.__new__(TrackingCost)  # its parts were checked when the window was made
+        cost = object.__new__(TrackingCost)  # checked when the window was made
         cost.Q, cost.R, cost.N, cost.nu = Q, self._R[here], H, self._R.shape[1]
         cost.x_ref, cost.u_ref, cost.space = self.x_ref[stage : stage + H + 1], self.u_ref[here], self._space
         cost.nx, cost.ndx = self._space.nx, self._space.ndx
@@ -315,7 +315,7 @@ class RecedingHorizonProblem:
 
 
 class _Measured(ResidualCost):
-    """The terms of several costs of residuals as one, over a window."""
+    """Sum of several costs of residuals over a window."""
 
     def __init__(self, costs: list[ResidualCost], measures: ResidualArrays) -> None:
         super().__init__(costs[0].mechanism, measures, measures.weight.shape[1] - 1)

@@ -1,8 +1,8 @@
-"""What a loop bears beside its plan with the gains alone: pushes at any time of its task, latency, other masses.
+"""Robustness margins of a closed loop and of its plan's fixed gains: push at each time of the task, latency, mass.
 
-Each is the largest of some levels with which it still succeeds (passes_disturbed), as if less were
-survived always. The search at one time begins at what was survived at the time before: neighbours are mostly alike, and
-then two runs are enough where halving takes four.
+A margin is the largest of some levels with which the loop still succeeds (passes_disturbed), assuming that success is
+monotonic in the level. The search at one push time starts from the margin at the previous time: two runs then often
+suffice where bisection takes four.
 """
 
 from __future__ import annotations
@@ -32,20 +32,20 @@ def margins(
     duration: float | None = None, push_duration: float = DURATION,
     progress: Callable[[int, int], object] | None = None,
 ) -> tuple[Section, dict[str, np.ndarray], np.ndarray]:  # fmt: skip
-    """How large a push at each time, latency and mass error the loop survives, beside the plan with its gains alone.
+    """Largest push at each time, latency and mass error that the loop, and the plan's fixed gains, survive.
 
     Args:
-        controller: To be judged; it is reset for each run.
-        body: That is pushed.
-        times: How many times of pushes, spread over the task.
-        latency: s, of the runs that have pushes and masses. A controller that knows a latency is told that of each run.
-        direction: (3,) of the pushes.
-        duration: s, of each run; by default the task and two seconds.
+        controller: Reset for each run.
+        body: The pushed body.
+        times: Number of push times, uniform over the task.
+        latency: s, of the runs with pushes and mass errors. A controller with `latency` > 0 gets that of each run.
+        direction: (3,) of the push force in the world.
+        duration: s, of each run; by default that of the task plus 2 s.
         push_duration: s.
-        progress: Called with (parts done, parts in all).
+        progress: Called with (searches done, all searches).
 
     Returns:
-        The section, the map by who ("loop", "gains"), and the times.
+        The section; the largest survived push (times,), N, by "loop" and "gains"; the push times, s.
     """
     T = controller.problem.duration
     compiled = CompiledTwin(controller.problem.twin)  # type: ignore[arg-type]
@@ -65,7 +65,7 @@ def margins(
 
         def run(party: Controller | Plan = party, **errors: Any) -> bool:
             given: dict[str, Any] = {"latency": latency} | errors
-            if isinstance(party, Controller) and known:  # it was told its latency: it is told this one
+            if isinstance(party, Controller) and known:  # it compensates latency: by that of this run
                 party.latency = given["latency"]
             return passes_disturbed(simulate(party, duration=duration, compiled=compiled, **given))
 
@@ -97,6 +97,6 @@ def margins(
 
 
 def _largest(levels: Sequence[float], survived: Callable[[float], bool]) -> float:
-    """The largest level that is survived; 0 where not even the least is."""
+    """The largest survived level; 0 where the lowest one fails."""
     most = largest_survived(len(levels), lambda level: survived(levels[level]))
     return levels[most] if most >= 0 else 0.0

@@ -1,8 +1,8 @@
-"""simulate: a controller, or a plan with its gains alone, and MuJoCo in its own model with errors.
+"""simulate: closed loop of a Controller, or of a plan's fixed gains, with MuJoCo's model and model errors.
 
-The controller is asked every `tick`, at 500 Hz or the nearest that fits the stages (as the gains of a proof are). A
-call that plans takes time, and its control acts when it is ready: the latency, stated or measured. Until then the last
-control is held, and the controller is not asked. Calls that do not plan cost some microseconds and act at once.
+The controller is called every `tick`, at 500 Hz or the closest frequency that divides the stages (as in a proof). The
+control of a planning call acts after the latency, stated or measured; until then the last control is constant and the
+controller is not called. Calls that do not plan act at once.
 
 The simulator's step, integrator and errors are those of a proof (planner.proof.replays, planner.proof.robustness).
 """
@@ -34,11 +34,11 @@ from planner.proof.robustness.perturbation import Mass, with_stated_errors
 from planner.proof.robustness.pushes import Push, pushed_step
 
 Goal = Callable[[float], Any]
-LATE, STAYS = 1.0, 1.0  # s after the task: in which it may still arrive, and over which it must then stay
+LATE, STAYS = 1.0, 1.0  # s after the task: allowed delay of arrival, and duration of the check that it stays
 
 
 class ControllerProtocol(Protocol):
-    """What simulate() asks: a Controller, or a plan with its gains."""
+    """The interface that simulate() calls: of Controller and FixedPlanController."""
 
     problem: Problem
     plan: Plan
@@ -52,17 +52,17 @@ class ControllerProtocol(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class ClosedLoopRun(Replay):
-    """A replay of a loop: beside MuJoCo's motion, what its controller did.
+    """A replay of a closed loop: MuJoCo's trajectory and the record of the controller.
 
-    The plan of it is what the controller expected, stage by stage, with the controls that were applied.
+    Its `plan` has the states that the controller expected at each knot, and the mean applied controls per stage.
 
     Attributes:
-        controller: What was asked.
-        errors: What simulate() was asked for, as JSON values.
-        call_seconds: How long each call that planned took here, s.
-        events: What the controller had to say.
-        goal: The function of time that moved the goal, or None.
-        late: Latency that acted, s: the largest, in whole steps of the simulator.
+        controller: The simulated Controller or FixedPlanController.
+        errors: Arguments of simulate(), as JSON values.
+        call_seconds: Wall-clock time of each planning call, s.
+        events: Messages of the controller.
+        goal: Goal as a function of time, or None.
+        late: Largest latency that acted, s, in whole simulator steps.
     """
 
     controller: Any = None
@@ -77,18 +77,18 @@ class ClosedLoopRun(Replay):
 
     @property
     def perturbed(self) -> bool:
-        """Whether the machine was not as planned: pushed, heavier, rubbing, or measured with errors."""
+        """Whether the run had pushes, errors of mass or friction, measurement noise or encoders."""
         asked = ("pushes", "mass", "friction", "contact_friction", "noise", "encoders")
         return any(bool(self.errors.get(name)) for name in asked)
 
     @property
     def pushes(self) -> tuple[Push, ...]:
-        """What pushed the machine."""
+        """The pushes of the run."""
         return tuple(Push(**one) for one in self.errors.get("pushes", ()))
 
     @property
     def title(self) -> str:
-        """Title of a section about it."""
+        """Title of its report section."""
         return "loop"
 
 
@@ -98,26 +98,27 @@ def simulate(
     contact_friction: float = 0.0, noise: float = 0.0, encoders: bool = False, goal: Goal | None = None,
     start: Any = None, seed: int = 0, compiled: CompiledTwin | None = None,
 ) -> ClosedLoopRun:  # fmt: skip
-    """Run a controller in MuJoCo, in the model that the problem brings, with errors.
+    """Run a controller in closed loop with the problem's MuJoCo model, with errors.
 
     Args:
-        controller: A Controller, which is reset; or a Plan, whose gains act alone and hold its goal after its end.
-        duration: Length of the run, s, rounded up to whole stages; by default that of the problem, and 2 s.
-        latency: Time from asking for a plan until its control acts, s. None measures each call on this computer, so
-            results differ from computer to computer. With a number they are the same to the last bit.
-        pushes: Forces at bodies.
-        mass: How much heavier bodies are than planned, inertias too: 0.2 for 20 %, of all bodies or a table by name.
-        friction: Dry friction in each joint, as a share of the largest force that the plan asks of it.
-        contact_friction: By how much coefficients of friction are larger: -0.5 for half of them.
-        noise: Standard deviation of what is measured, in each coordinate's unit.
-        encoders: Whether hinges and slides are read from encoders of 17 bits, and speeds as differences of these.
-        goal: A function of time, s: before each call its value becomes the controller's goal.
-        start: (nx,) another start. The controller plans from it before the time begins.
-        seed: Of the noise.
-        compiled: The twin compiled already, where many loops are run.
+        controller: A Controller, which is reset; or a Plan, whose feedback acts alone and regulates its goal after its
+            end.
+        duration: Length of the run, s, rounded up to whole stages; by default that of the problem plus 2 s.
+        latency: Time from the start of a planning call until its control acts, s. None measures each call on this
+            computer: results then differ between computers; with a number they are the same to the last bit.
+        pushes: Forces on bodies.
+        mass: Relative error of body masses and inertias: 0.2 for 20 % heavier; one for all bodies or a table by name.
+        friction: Dry friction of each joint, as a share of its largest planned force.
+        contact_friction: Relative error of the friction coefficients: -0.5 halves them.
+        noise: Standard deviation of the measured state, in each coordinate's unit.
+        encoders: Whether hinge and slide joints are read from 17-bit encoders, and velocities as their differences.
+        goal: Function of time, s: its value becomes the controller's goal before each call.
+        start: Another initial state (nx,). The controller plans from it before time 0.
+        seed: Seed of the noise.
+        compiled: The compiled Twin, to be reused for many runs.
 
     Returns:
-        A Loop, which is a Replay: it is filmed and drawn like any other.
+        A ClosedLoopRun, which is a Replay.
 
     Raises:
         PlannerError: A body that does not exist, a number out of range, a problem without a MuJoCo model.
@@ -154,7 +155,7 @@ def simulate(
     x0 = problem.x0 if start is None else asked.plan.xs[0]
     asking = _Asking(asked, compiled, dt / n, held, latency, noise, seed, goal, tick.period if encoders else None)
     ctrl = np.zeros((M, model.nu))
-    with curves_acting(compiled.twin, model), np.errstate(all="ignore"):  # a motion may run away, and then it says so
+    with curves_acting(compiled.twin, model), np.errstate(all="ignore"):  # a diverging run sets its warnings
         w, warnings = run_model(
             model, compiled.twin.sim_of(x0), ctrl, control=asking, held=held, recorder=recorder, every=n, step=step
         )
@@ -178,7 +179,7 @@ def simulate(
 
 
 def _substeps(problem: Problem, compiled: CompiledTwin, parts: int) -> int:
-    """Simulator steps per stage, as of a replay, and a whole number for each part of a stage."""
+    """Simulator steps per stage, as in a replay; a multiple of the ticks per stage, `parts`."""
     dt = problem.dynamics.dt
     step = number("the model's timestep", compiled.model.opt.timestep, greater_than=0.0)
     own = 1 if damping_of(problem.dynamics) is not None else int(getattr(problem.dynamics, "substeps", 1))
@@ -187,7 +188,7 @@ def _substeps(problem: Problem, compiled: CompiledTwin, parts: int) -> int:
 
 
 class _Asking:
-    """The controls of a loop, from states that are met one tick after another."""
+    """The control callback of the simulator: measurement errors, controller call and latency at each tick."""
 
     def __init__(
         self, asked: ControllerProtocol, compiled: CompiledTwin, step: float, held: int, latency: float | None, noise:
@@ -204,12 +205,12 @@ class _Asking:
         self.seconds, self.late = list[float](), 0.0
 
     def __call__(self, i: int, w: np.ndarray) -> np.ndarray:
-        """MuJoCo's controls (held, nu) from step i on, whose state is w (nw,)."""
+        """MuJoCo's controls (steps per tick, nu) from simulator step i on, at MuJoCo's state w (nw,)."""
         rows = np.empty((self._held, len(self._u)))
         if not np.isfinite(w).all():
             rows[:] = self._u
             return self._compiled.commands(rows)
-        measured = w if self._encoders is None else self._encoders(w)  # they are read at every tick
+        measured = w if self._encoders is None else self._encoders(w)  # at every tick: they have a state
         x = self._compiled.twin.x_of(measured)
         if self._noise:
             x = self._asked.plan.space.integrate(x, self._noise * self._rng.standard_normal(self._asked.plan.space.ndx))
@@ -226,7 +227,7 @@ class _Asking:
         return self._compiled.commands(rows)
 
     def _compiled_expectation(self, t: float) -> np.ndarray:
-        """What the controller expects at t before it is asked again; at the beginning its start."""
+        """The state (nx,) that the controller expects at time t, s, before its call; at first the plan's start."""
         return self._asked.expected(t) if self._expected else self._asked.plan.xs[0].copy()
 
     def _ask(self, i: int, t: float, x: np.ndarray) -> None:
@@ -246,16 +247,16 @@ class _Asking:
             self._coming = i + steps, u
 
     def expected(self, t: np.ndarray) -> np.ndarray:
-        """(M+1, nx) what the controller expected at times t (M+1,), on lines between the ticks."""
+        """The states (M+1, nx) that the controller expected at times t (M+1,), s: linear between ticks."""
         times, values = np.array(self._times), np.array(self._expected)
         return np.column_stack([np.interp(t, times, column) for column in values.T])
 
 
 def _executed_plan(plan: Plan, xs: np.ndarray, us: np.ndarray) -> Plan:
-    """A plan of another length with these states (N+1, nx) and controls (N, nu), GIVEN, without gains.
+    """A plan with the run's states (N+1, nx) and controls (N, nu), status GIVEN, zero gains.
 
-    Its problem is that of the loop: the task, and the goal kept after its end. Where a problem of that length cannot be
-    made it is that of the task.
+    Its problem is the task followed by regulation of the goal; the task's own where no problem of that length can be
+    made.
     """
     problem, N = plan.problem, len(us)
     assert problem is not None

@@ -1,4 +1,4 @@
-"""When a controller plans, and for which instant: its rate and horizon, and where the machine is after its latency."""
+"""Rate and horizon of a controller, and its prediction of the state after the latency."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ from planner.base.errors import PlannerError
 from planner.problem.plan import Plan
 from planner.problem.problem import Problem
 
-TIME_TOLERANCE = 1e-6  # of a stage: instants that are nearer are the same
+TIME_TOLERANCE = 1e-6  # of a stage: smaller differences of time are zero
 
 
 def horizon_and_rate(problem: Problem, horizon: int | None = None, rate: float | None = None) -> tuple[int, float]:
-    """The stages and the rate of a controller with these arguments; a PlannerError for what does not fit."""
+    """Number of stages and rate, Hz, of a controller; a PlannerError for invalid or incompatible arguments."""
     if not isinstance(problem, Problem):
         more = "; write Controller(plan.problem, plan=plan)" if isinstance(problem, Plan) else ""
         raise PlannerError(f"problem is {short_repr(problem)}, expected a Problem{more}.")
@@ -34,7 +34,7 @@ def horizon_and_rate(problem: Problem, horizon: int | None = None, rate: float |
 
 
 def state_after(problem: Problem, x: np.ndarray, u: np.ndarray, seconds: float) -> np.ndarray:
-    """Where a control u (nu,) that is held takes a state x (nx,) in the problem's own dynamics."""
+    """The state (nx,) after `seconds` of constant control u (nu,) from x (nx,), by the problem's dynamics."""
     left, dt = seconds, problem.dynamics.dt
     while left > TIME_TOLERANCE * dt:
         length = min(left, dt)

@@ -1,4 +1,4 @@
-"""What a window is made of: the terms of a problem's cost over its task and after it, and its limits."""
+"""Parts of a RecedingHorizonProblem: the cost terms during and after the task, and the limits."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ from planner.problem.goals import terms_of
 from planner.problem.limits import Limits
 from planner.problem.problem import Problem
 
-SETTLING_TIME = 0.5  # s
+SETTLING_TIME = 0.5  # s, upper limit of sqrt(velocity weight / position weight) after the end of the task
 AIMED = "position of "
-"""How the goals of frames begin that controller.goal can move (planner.problem.costs.frame)."""
+"""Name prefix of the frame goals that controller.goal can change (planner.problem.costs.frame)."""
 
 
 def parts_of(problem: Problem) -> tuple[TrackingCost, list[ResidualCost]]:
-    """The TrackingCost of a problem and its costs of residuals; what else there is has no window."""
+    """The TrackingCost of a problem and its costs of residuals; a PlannerError for any other term."""
     terms = terms_of(problem.cost)
     tracking = [term for term in terms if type(term) is TrackingCost]
     residuals = [term for term in terms if isinstance(term, ResidualCost)]
@@ -37,26 +37,26 @@ def parts_of(problem: Problem) -> tuple[TrackingCost, list[ResidualCost]]:
 
 
 def lengthened(measures: ResidualArrays, H: int, dt: float, keeps: bool) -> ResidualArrays:
-    """The terms of a whole task and of H stages after it, where the end's weights go on per second if it is kept."""
+    """Residuals of the task and H stages after it, there with weights of stage N-1 plus dt times final ones, or 0."""
     N = measures.weight.shape[1] - 1
     longer = measures.along(np.minimum(np.arange(N + H + 1), N))
     weight, bound = np.array(longer.weight), np.array(longer.bound)
     weight[:, N + 1 :] = keeps * (measures.weight[:, N - 1] + dt * measures.weight[:, N])[:, None]
-    # A window that ends before the task does asks its end for the goal, whose rows are off there.
+    # A window that ends before the task has the final goal at its end, whose components have weight zero there.
     off = (longer.weight == 0.0) & (measures.weight[:, -1:] > 0.0)
     bound = np.where(off, measures.bound[:, -1:], bound)
     return replace(longer, weight=weight, bound=bound)
 
 
 def at_stages(measures: ResidualArrays | None, stages: slice) -> ResidualArrays:
-    """The terms at some stages, the last of which is an end."""
+    """The residuals at a slice of the stages."""
     assert measures is not None
     part = measures.along(stages)
     return ResidualArrays(**{f.name: np.array(getattr(part, f.name)) for f in fields(ResidualArrays)})
 
 
 def frame_rows(residuals: list[ResidualCost], N: int) -> dict[str, np.ndarray]:
-    """The rows of the joined terms that hold the position of a frame, by the frame's name."""
+    """Indices (3,) of each frame's position components in the joined residuals, by the frame's name."""
     found, first = dict[str, np.ndarray](), 0
     for cost in residuals:
         for name, rows in cost.goal_rows().items():
@@ -68,7 +68,7 @@ def frame_rows(residuals: list[ResidualCost], N: int) -> dict[str, np.ndarray]:
 
 
 def first_stages(limits: Limits | None, H: int, N: int) -> Limits | None:
-    """Limits of a window: bounds of controls that are per stage for its stages."""
+    """Limits of the window at stage 0: control bounds (N, nu) per stage become those of its H stages."""
     if limits is None or isinstance(limits.control, (str, Mapping)) or not isinstance(limits.control, (tuple, list)):
         return limits
     at = np.minimum(np.arange(H), N - 1)
@@ -77,10 +77,10 @@ def first_stages(limits: Limits | None, H: int, N: int) -> Limits | None:
 
 
 def holding_stage_weights(Q: np.ndarray) -> np.ndarray:
-    """Weights (ndx, ndx) of a stage that keeps a goal, from those that ask for it at the end of a task.
+    """Stage weights (ndx, ndx) that regulate a goal, from weights Q (ndx, ndx) for the end of the task.
 
-    At an end speeds weigh for themselves. Over time they slow the way back: under a position weighed by q and its speed
-    by v a machine with strong motors creeps, as exp(-t sqrt(q / v)). So a speed weighs no more than q SETTLES^2.
+    With position weight q and velocity weight v, a robot with strong motors converges as exp(-t sqrt(q / v)). So a
+    velocity weight is at most q SETTLING_TIME^2.
     """
     ndx = len(Q)
     q, v = np.split(np.diag(Q)[: ndx // 2 * 2], 2)
@@ -90,7 +90,7 @@ def holding_stage_weights(Q: np.ndarray) -> np.ndarray:
 
 
 def updated_rows(problem: Problem) -> tuple[ConstraintStack | None, np.ndarray]:
-    """The constraints whose multipliers a window updates, and their columns among all that is kept, ranges first."""
+    """The constraints with updated multipliers, and their columns among ranges and constraints, ranges included."""
     kept = problem.trajectory_constraints
     if kept is None:
         return None, np.zeros(0, dtype=int)

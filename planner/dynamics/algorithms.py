@@ -1,14 +1,14 @@
-"""Dynamics of a Mechanism as functions: one state or a batch in, NumPy out, compiled inside.
+"""Dynamics of a Mechanism as compiled functions of one state or a batch, with NumPy arrays.
 
 q, qd and qdd are MuJoCo's qpos, qvel and qacc in its order and frames (free joint: world linear, then body angular;
 quaternion w first). tau (nv,) is the applied generalized force; gravity and its compensation, springs, damping, tendons
-and armature are the mechanism's own. Actuators, contacts, stops and curves are not part of these functions, nor is
+and armature are the mechanism's own. Actuators, contacts, stops and exponential torques are excluded, as is
 friction loss, which depends on qdd (planner.dynamics.friction):
 
     M(q) qdd + bias(q, qd) = tau                                                            (Eq. 6)
 
-They are of the tree: couplings of joints are known to forward_dynamics and its derivatives alone, which have
-G (G' M G)^-1 G' in place of M^-1 (see planner.model.couplings). hybrid_dynamics refuses them.
+Loop closures are excluded. Only forward_dynamics and its derivatives include couplings, with G (G' M G)^-1 G' in place
+of M^-1 (see planner.model.couplings); hybrid_dynamics raises for them.
 
 Derivatives with respect to q are with respect to a deviation of it, nv columns (see model.space). All take a single
 state, q (nq,), or K of them, q (K, nq).
@@ -66,7 +66,7 @@ def _check_tree(mechanism: Mechanism) -> None:
 
 
 def _accelerations(b: KernelCall) -> np.ndarray:
-    """Of forward_dynamics, with couplings."""
+    """Accelerations (K, nv) of forward_dynamics, with couplings."""
     if b.mechanism.reduction is None:
         return _forward(b, kernel_model(b.mechanism), b["tau"])[0]
     zero = np.zeros_like(b["qd"])
@@ -75,7 +75,7 @@ def _accelerations(b: KernelCall) -> np.ndarray:
 
 
 def reduced_inverse(mechanism: Mechanism, M: np.ndarray) -> np.ndarray:
-    """G (G' M G)^-1 G' (..., nv, nv) of mass matrices M (..., nv, nv): their inverse where nothing is coupled."""
+    """G (G' M G)^-1 G' (..., nv, nv) of mass matrices M (..., nv, nv): the inverse without couplings."""
     if mechanism.reduction is None:
         return np.linalg.inv(M)
     G = mechanism.reduction.G
@@ -91,20 +91,20 @@ def _forward(b: KernelCall, model: Model, inputs: np.ndarray) -> tuple[np.ndarra
 def hybrid_dynamics(
     mechanism: Mechanism, q: Any, qd: Any, inputs: Any, prescribed: Collection[str]
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Hybrid dynamics: some joints are given their force, the others their acceleration (the paper's Cases 2 and 3).
+    """Hybrid dynamics: inputs are forces of some joints and accelerations of the others (the paper's Cases 2 and 3).
 
     Args:
         mechanism: The machine.
         q: (..., nq) configurations, m and rad.
         qd: (..., nv) velocities, m/s and rad/s.
         inputs: (..., nv) forces, N and N m, or, for prescribed joints, accelerations, m/s^2 and rad/s^2.
-        prescribed: Names of the joints whose accelerations are given.
+        prescribed: Names of the joints whose accelerations are inputs.
 
     Returns:
         (qdd, tau), both (..., nv).
 
     Raises:
-        PlannerError: A wrong shape or a number that is not finite; no such joint; couplings.
+        PlannerError: A wrong shape or a number that is not finite; an unknown joint; couplings; closed chains.
     """
     b = KernelCall(mechanism, q=q, qd=qd, inputs=inputs)
     mask = _prescribed(mechanism, prescribed)
@@ -227,7 +227,7 @@ def bias_derivatives(mechanism: Mechanism, q: Any, qd: Any) -> tuple[np.ndarray,
         qd: (..., nv) velocities, m/s and rad/s.
 
     Returns:
-        Those by q and by qd, each (..., nv, nv).
+        Derivatives of h by q and by qd, each (..., nv, nv).
 
     Raises:
         PlannerError: A wrong shape or a number that is not finite.
@@ -245,7 +245,7 @@ def mass_matrix_derivatives(mechanism: Mechanism, q: Any) -> np.ndarray:
         q: (..., nq) configurations, m and rad.
 
     Returns:
-        That by q, (..., nv, nv, nv): q is the last axis.
+        dM/dq (..., nv, nv, nv): q is the last axis.
 
     Raises:
         PlannerError: A wrong shape or a number that is not finite.
@@ -287,20 +287,20 @@ def forward_dynamics_derivatives(mechanism: Mechanism, q: Any, qd: Any, tau: Any
 def hybrid_dynamics_derivatives(
     mechanism: Mechanism, q: Any, qd: Any, inputs: Any, prescribed: Collection[str]
 ) -> tuple[Derivatives, Derivatives]:
-    """Derivatives of hybrid_dynamics, whose arguments these are.
+    """Derivatives of hybrid_dynamics, with the same arguments.
 
     Args:
         mechanism: The machine.
         q: (..., nq) configurations, m and rad.
         qd: (..., nv) velocities, m/s and rad/s.
-        inputs: (..., nv).
-        prescribed: Names of joints.
+        inputs: (..., nv) forces, or accelerations of prescribed joints.
+        prescribed: Names of the joints whose accelerations are inputs.
 
     Returns:
         Derivatives of qdd and of tau by q, qd and inputs, each (..., nv, nv).
 
     Raises:
-        PlannerError: A wrong shape or a number that is not finite; no such joint.
+        PlannerError: A wrong shape or a number that is not finite; an unknown joint; couplings; closed chains.
     """
     b = KernelCall(mechanism, q=q, qd=qd, inputs=inputs)
     mask = _prescribed(mechanism, prescribed)
@@ -316,6 +316,6 @@ def hybrid_dynamics_derivatives(
     accelerations[2][:, mask, mask] = 1.0
     forces = [d + M @ a for d, a in zip((by_q, by_qd, np.zeros_like(M)), accelerations, strict=True)]
     for d in forces[:2]:
-        d[:, free] = 0.0  # given, not computed
+        d[:, free] = 0.0  # inputs, so constant
     forces[2][:, free] = np.diag(free.astype(float))[free]
     return _outs(b, *accelerations), _outs(b, *forces)

@@ -1,8 +1,7 @@
-"""States of machines whose joints depend on each other: put them together, or say by how much they are apart.
+"""Project states onto couplings and loop closures, or check that they satisfy them.
 
-Couplings give some coordinates from others (planner.model.couplings). Closed chains are put together by least
-squares: Gauss and Newton's steps are the smallest that close the chains to first order, so the pose that is found is
-near the one that was given.
+Couplings determine the dependent coordinates (planner.model.couplings). Loop closures are solved by Gauss-Newton with
+minimum-norm steps, so the result is close to the given pose.
 """
 
 from __future__ import annotations
@@ -16,22 +15,22 @@ from planner.dynamics.loops import jacobian, misses
 from planner.model.couplings import CLOSED, check_closed, closed_state
 from planner.model.mechanism import Mechanism
 
-_CLOSE = 1e-13  # m or rad, of what is left of a miss
-_STEPS = 100  # from far away; near a closed pose five are enough
-_HALVINGS = 20  # of a step that would open the chains further
-_LARGEST = 0.5  # rad or m, of a step in one coordinate: longer ones lead to poses that are nowhere near
-_CARRIED = 0.1  # rad or m, of a step along a way: it does not turn a chain over
-_PREFERRED = 10.0  # coordinates with actuators lead where they move the chain at all
-_RANK_TOLERANCE = 1e-9  # of the largest singular value: a direction that closes less closes nothing
+_CLOSE = 1e-13  # m or rad, closure error at convergence
+_STEPS = 100  # largest number of Gauss-Newton iterations; five suffice close to a solution
+_HALVINGS = 20  # largest number of halvings of a step that increases the closure error
+_LARGEST = 0.5  # rad or m, largest change of a coordinate in an iteration: longer steps end at distant poses
+_CARRIED = 0.1  # rad or m, largest change of a coordinate in a continuation step: it stays on the assembly branch
+_PREFERRED = 10.0  # weight of actuated coordinates in the choice of independent ones
+_RANK_TOLERANCE = 1e-9  # relative to the largest singular value: rank of the constraint Jacobian
 
 
 def assembled(mechanism: Mechanism, x: np.ndarray, given: Collection[int] = (), name: str = "the pose") -> np.ndarray:
-    """The state (nx,) nearest to x that couplings and closed chains allow, as Gauss and Newton's steps find it.
+    """A state (nx,) close to x (nx,) that satisfies couplings and loop closures, by Gauss-Newton.
 
-    Degrees of freedom that are `given` keep their positions.
+    Positions of the degrees of freedom in `given` are unchanged; velocities are projected onto the constraints.
 
     Raises:
-        PlannerError: No motion of the other joints closes the chains; with the state's name.
+        PlannerError: The other joints cannot satisfy the loop closures; the message calls the state `name`.
     """
     x = closed_state(mechanism, x, given)
     if not mechanism.has_closed_chains:
@@ -68,13 +67,13 @@ def assembled(mechanism: Mechanism, x: np.ndarray, given: Collection[int] = (), 
 def assembled_along(
     mechanism: Mechanism, base: np.ndarray, x: np.ndarray, given: Collection[int], name: str = "the pose"
 ) -> np.ndarray:
-    """The state (nx,) to which a machine comes from `base` when the joints that are given move to where x has them.
+    """The assembled state (nx,) reached by continuation from `base` (nx,), as the joints `given` move to those of x.
 
-    A chain can often be put together in more than one way: small steps keep to that of the base. Where they get stuck,
-    and for machines without closed chains, it is what `assembled` finds.
+    Loop closures often have several solutions: small steps stay on the assembly branch of `base`. If they fail, or
+    without loop closures, the result is that of `assembled`.
 
     Raises:
-        PlannerError: As assembled.
+        PlannerError: See assembled.
     """
     if mechanism.has_closed_chains:
         way = mechanism.space.difference(x, base)
@@ -95,16 +94,16 @@ def assembled_along(
 
 
 def _free(mechanism: Mechanism, given: Collection[int]) -> np.ndarray:
-    """(nv, n) the directions in which joints that are not given may move on the couplings."""
+    """(nv, n) basis of the velocities that satisfy the couplings with the joints in `given` fixed."""
     G = np.eye(mechanism.nv) if mechanism.reduction is None else mechanism.reduction.G
     stay = np.array([*given], dtype=int)
     return G[:, ~np.any(G[stay] != 0.0, axis=0)]
 
 
 def feasible_directions(mechanism: Mechanism, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Z (nv, n), the directions that couplings and closed chains leave at q (nq,), and n coordinates that lead them.
+    """Basis Z (nv, n) of the feasible velocities at q (nq,), and the indices (n,) of n independent coordinates.
 
-    In the leading coordinates Z is 1: a velocity on the constraints is Z qd[leading].
+    Z[leading] is the identity: a velocity that satisfies couplings and loop closures is Z qd[leading].
     """
     reduction = mechanism.reduction
     G = np.eye(mechanism.nv) if reduction is None else reduction.G
@@ -121,10 +120,10 @@ def feasible_directions(mechanism: Mechanism, q: np.ndarray) -> tuple[np.ndarray
 
 
 def relative_min_singular_value(mechanism: Mechanism, qs: np.ndarray) -> np.ndarray:
-    """How far closed chains are from losing an equation, (K,) for configurations qs (K, nq).
+    """Distance of the loop closures from a singularity, (K,) for configurations qs (K, nq).
 
-    The least singular value of J that is not of a redundant equation, over the largest. At zero a chain
-    lies in line, say: it could go on in more than one way, and rounding decides which.
+    Smallest nonredundant singular value of the constraint Jacobian over the largest. At zero, e.g. with a linkage
+    stretched straight, assembly branches meet and rounding decides between them.
     """
     values = np.array([np.linalg.svd(jacobian(mechanism, q), compute_uv=False) for q in qs])
     shares = values / values[:, :1]
@@ -132,9 +131,9 @@ def relative_min_singular_value(mechanism: Mechanism, qs: np.ndarray) -> np.ndar
 
 
 def tangent_basis(mechanism: Mechanism, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """T (ndx, n), the directions of states (dq, dv, dact) on the constraints at x (nx,), and where T is 1.
+    """Basis T (ndx, n) of the feasible deviations (dq, dv, dact) at x (nx,), and indices (n,) where T is the identity.
 
-    A deviation dx on the constraints is T dx[places].
+    A deviation dx that satisfies the constraints is T dx[indices].
     """
     Z, leading = feasible_directions(mechanism, x[: mechanism.nq])
     (nv, n), na = Z.shape, mechanism.na
@@ -145,7 +144,7 @@ def tangent_basis(mechanism: Mechanism, x: np.ndarray) -> tuple[np.ndarray, np.n
 
 
 def check_assembled(name: str, x: np.ndarray, mechanism: Mechanism, most: float = CLOSED) -> None:
-    """Raise a PlannerError unless a state (nx,) misses no coupling and no closed chain by more than `most`."""
+    """Raise a PlannerError if a state (nx,) violates a coupling or loop closure by more than `most`, rad or m (/s)."""
     check_closed(name, x, mechanism, most)
     if not mechanism.has_closed_chains:
         return
@@ -165,7 +164,7 @@ def check_assembled(name: str, x: np.ndarray, mechanism: Mechanism, most: float 
 
 
 def _apart(mechanism: Mechanism, miss: np.ndarray) -> str:
-    """Which equality misses most, and by how much, as the rest of a sentence."""
+    """Predicate of a message: the equality with the largest closure error, and that error."""
     owners = [loop.name for loop in mechanism.loops for _ in range(loop.rows)] + [
         cam.name for cam in mechanism.polynomial_couplings
     ]
@@ -174,7 +173,7 @@ def _apart(mechanism: Mechanism, miss: np.ndarray) -> str:
 
 
 def _unit(mechanism: Mechanism, row: int) -> str:
-    """Of a row of what is to be zero."""
+    """Unit of a component of the closure error."""
     for loop in mechanism.loops:
         if row < loop.rows:
             return "m" if row < 3 else "rad"

@@ -1,4 +1,4 @@
-"""Arguments of the public algorithms, one state or many, and the kernels' model of a mechanism."""
+"""Argument checks of the public algorithms for one state or a batch, and the cached kernel model of a mechanism."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ from planner.kernels.tree.memory import TreeMemory
 from planner.model.mechanism import Mechanism
 
 _models: WeakKeyDictionary[Mechanism, dict[bytes, Model]] = WeakKeyDictionary()
-_idle: WeakKeyDictionary[Model, dict[bool, list[TreeMemory]]] = WeakKeyDictionary()  # scratch that no call is using
+_idle: WeakKeyDictionary[Model, dict[bool, list[TreeMemory]]] = WeakKeyDictionary()  # scratch memory not in use
 
 
 def kernel_model(mechanism: Mechanism, prescribed: np.ndarray | None = None) -> Model:
-    """The kernels' model, without actuators, made once."""
+    """The kernel model of a mechanism without actuators, cached; `prescribed` (nv,) bool."""
     known = _models.setdefault(mechanism, {})
     key = b"" if prescribed is None else prescribed.tobytes()
     if key not in known:
@@ -29,7 +29,7 @@ def kernel_model(mechanism: Mechanism, prescribed: np.ndarray | None = None) -> 
 
 
 class KernelCall:
-    """Arguments as (K, n) arrays, and whether there was only one state."""
+    """Arguments of a kernel as (K, n) arrays, and whether they were a single state."""
 
     def __init__(self, mechanism: Mechanism, **given: Any) -> None:
         if not isinstance(mechanism, Mechanism):
@@ -57,13 +57,13 @@ class KernelCall:
         return self.arrays[name]
 
     def out(self, value: np.ndarray) -> np.ndarray:
-        """The result for the caller: without the first axis for a single state."""
+        """The result, without its first axis for a single state."""
         return value[0] if self.single else value
 
     def call(self, kernel: Any, model: Model, *arrays: np.ndarray, linearizing: bool = False) -> None:
-        """Run a kernel on the states, with scratch that is kept for later calls, being slow to make."""
+        """Run a kernel on the states, with scratch memory that is reused, since its allocation is slow."""
         announce(kernel)
-        # Taken out and put back: a call in another thread finds none, or another one.
+        # Removed from the list while in use, so that threads do not share it.
         idle = _idle.setdefault(model, {}).setdefault(linearizing, [])
         try:
             memory = idle.pop()
@@ -74,7 +74,7 @@ class KernelCall:
 
 
 def _dimensions(value: Any) -> int:
-    """Of an argument; 1 where it is ragged, which `array` refuses."""
+    """Number of dimensions of an argument; 1 if ragged, which `array` rejects."""
     try:
         return np.ndim(value)
     except ValueError:

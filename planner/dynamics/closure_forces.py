@@ -1,11 +1,11 @@
-"""Forces that keep closed chains closed, along states and controls: what a pin carries, how hard two hands grip.
+"""Constraint forces of loop closures along states and controls, e.g. the load of a pin or the grip of two hands.
 
-With qdd the compiled accelerations, M qdd + h - tau - friction = J'f + what couplings take. W (planner.dynamics.loops)
-takes the couplings' part away:
+With qdd the compiled accelerations, M qdd + h - tau - friction = J'f + coupling forces, which W = G (G' M G)^-1 G'
+eliminates:
 
     f = (J W J')^+ J W (M qdd + h - tau - friction)
 
-Where equations say the same twice f is the smallest of all that do; the compiled dynamics need but one of them.
+With redundant constraints f is the minimum-norm solution.
 """
 
 from __future__ import annotations
@@ -24,16 +24,16 @@ from planner.dynamics.rigid_body import RigidBodyDynamics
 from planner.model.coordinates import Coordinate
 from planner.model.mechanism import Frame, Mechanism
 
-_RANK_TOLERANCE = 1e-9  # of the largest eigenvalue of J W J': equations that say the same twice
+_RANK_TOLERANCE = 1e-9  # relative to the largest eigenvalue of J W J': redundant constraints
 
 
 def constraint_forces(dynamics: RigidBodyDynamics, xs: Any, us: Any) -> np.ndarray:
-    """Forces (K, rows) of closed chains at states xs (K, nx) under controls us (K, nu); see constraint_names.
+    """Constraint forces f (K, rows), N and N m, at states xs (K, nx) under controls us (K, nu); see constraint_names.
 
-    Of a loop they act on its first frame, in the world's axes, and with the opposite sign on the second.
+    The force of a loop acts on its first frame, in the world's axes, and with the opposite sign on the second.
 
     Raises:
-        PlannerError: The machine has no closed chains, or a wrong shape.
+        PlannerError: The machine has no loop closures, or a wrong shape.
     """
     if not isinstance(dynamics, RigidBodyDynamics) or not dynamics.capabilities.loops:
         raise PlannerError("the dynamics have no closed chains, expected RigidBodyDynamics of a machine with some.")
@@ -44,7 +44,7 @@ def constraint_forces(dynamics: RigidBodyDynamics, xs: Any, us: Any) -> np.ndarr
     tree = replace(m, loops=(), polynomial_couplings=(), friction_loss=np.zeros(m.nv))
     free = RigidBodyDynamics(replace(tree, couplings=()), dynamics.dt, dynamics.integrator, dynamics.prescribed)
     qdd = dynamics.rates(xs, us)[:, m.nv : 2 * m.nv]
-    tau = rnea(tree, q, qd, free.rates(xs, us)[:, m.nv : 2 * m.nv])  # of what is prescribed it is not asked for
+    tau = rnea(tree, q, qd, free.rates(xs, us)[:, m.nv : 2 * m.nv])  # not used at prescribed joints
     left = rnea(tree, q, qd, qdd) - tau - friction_forces(m, qd, qdd)[0]
     G = np.eye(m.nv) if m.reduction is None else m.reduction.G
     given = [dof for name in dynamics.prescribed for dof in range(m.nv)[m.joint(name)]]
@@ -56,7 +56,7 @@ def constraint_forces(dynamics: RigidBodyDynamics, xs: Any, us: Any) -> np.ndarr
 
 
 def constraint_jacobians(m: Mechanism, q: np.ndarray) -> np.ndarray:
-    """J (K, rows, nv) of planner.dynamics.loops, of many configurations q (K, nq)."""
+    """Constraint Jacobians J (K, rows, nv) of planner.dynamics.loops at configurations q (K, nq)."""
     parts = []
     for loop in m.loops:
         first, second = (jacobian(m, q, Frame(i, T)) for i, T in zip(loop.links, loop.frames, strict=True))
@@ -70,7 +70,7 @@ def constraint_jacobians(m: Mechanism, q: np.ndarray) -> np.ndarray:
 
 
 def constraint_names(mechanism: Mechanism) -> tuple[Coordinate, ...]:
-    """Name and unit of each row of constraint_forces: "equality 'pin' x" in N, of a weld also its moments in N m."""
+    """Name and unit of each component of constraint_forces: "equality 'pin' x" in N, of a weld also moments in N m."""
     rows = []
     for loop in mechanism.loops:
         rows += [Coordinate(f"{loop.name} {axis}", "N") for axis in "xyz"]

@@ -1,10 +1,11 @@
-"""Where two bodies touch and how fast, in NumPy, with exact derivatives: the geometry of model.contact.body_contact.
+"""Contact point, normal and relative velocity of two bodies, in NumPy, with exact derivatives.
 
-The positions s = (s_1, s_2) along the axes solve g = 0 where they are not at an end, with
+The geometry is that of model.contact.body_contact. The positions s = (s_1, s_2) of the closest points along the axes
+solve g = 0, unless clamped to an end, with
 
     D = m_1 - m_2 + s_1 a_1 - s_2 a_2,   g = (a_1'D + b s_1, -a_2'D + b s_2),   G = dg/ds = (1 + b, -c; -c, 1 + b)
 
-and c = a_1'a_2, so they move by ds = -G^-1 dg, where dg is at constant s and an end is out of it. Then
+and c = a_1'a_2, so ds = -G^-1 dg over the unclamped s, with dg at constant s. Then
 
     d|D| = n'dD,   dn = (dD - n d|D|)/|D|,   dp = (dx_1 + dx_2)/2 - (r_1 - r_2) dn/2.
 """
@@ -19,32 +20,32 @@ from planner.dynamics import kinematics
 from planner.model.contact.body_contact import BodyContact, Capsule
 from planner.model.mechanism import Frame, Mechanism
 
-_NO_DIRECTION = 1e-12  # m, below which closest points have none
+_NO_DIRECTION = 1e-12  # m, distance of closest points below which the normal is undefined
 
 
 class ClosestPoints(NamedTuple):
-    """The nearest points of two axes at K states."""
+    """The closest points of two axes at K states."""
 
-    s: np.ndarray  # (K, 2) m, along the axes
-    inverse: np.ndarray  # (K, 2, 2) of dg/ds, zero in the rows and columns of ends
-    D: np.ndarray  # (K, 3) m, from the second's point to the first's
+    s: np.ndarray  # (K, 2) m, positions along the axes
+    inverse: np.ndarray  # (K, 2, 2) inverse of dg/ds, zero in the rows and columns of clamped s
+    D: np.ndarray  # (K, 3) m, from the second body's point to the first's
 
 
 def closest_points(D: np.ndarray, a1: np.ndarray, a2: np.ndarray, half: tuple[float, float], b: float) -> ClosestPoints:
     """The closest points of two segments.
 
     Args:
-        D: (K, 3) m, from the second's middle to the first's.
-        a1: (K, 3) the first's direction, zeros for a point.
-        a2: (K, 3) the second's.
-        half: Half their lengths, m.
-        b: See planner.model.contact.body_contact.
+        D: (K, 3) m, from the midpoint of the second segment to that of the first.
+        a1: (K, 3) unit direction of the first segment, zeros for a point.
+        a2: (K, 3) unit direction of the second segment, zeros for a point.
+        half: Half lengths of both, m.
+        b: Regularization of the axis positions, see planner.model.contact.body_contact.
     """
     points = half[0] == 0.0 or half[1] == 0.0
     c, d, g1, g2 = _dot(a1, a2), 1.0 + b, _dot(a1, D), -_dot(a2, D)
     determinant = 1.0 if points else _dot(np.cross(a1, a2), np.cross(a1, a2)) + b * (2.0 + b)
     s1 = np.clip(-(d * g1 + c * g2) / determinant, -half[0], half[0])
-    free2 = (c * s1 - g2) / d  # then each in turn: of a quadratic within a box this finds the least
+    free2 = (c * s1 - g2) / d  # then clamp one after the other: the minimum of the quadratic in the box
     s2 = np.clip(free2, -half[1], half[1])
     free1 = (c * s2 - g1) / d
     s1 = np.clip(free1, -half[0], half[0])
@@ -57,14 +58,14 @@ def closest_points(D: np.ndarray, a1: np.ndarray, a2: np.ndarray, half: tuple[fl
 
 
 class BodyContactKinematics:
-    """How the first body of a contact meets the second at K states.
+    """Contact geometry and relative velocity of two bodies at K states.
 
     Attributes:
-        n: (K, 3) normal, towards the first.
+        n: (K, 3) unit normal, towards the first body.
         e: (K,) m, penetration into the law's surface.
-        p: (K, 3) m, where the force acts, in the world.
-        J: (K, 3, nv) Jacobian of the first body's point at p less that of the second's.
-        v: (K, 3) m/s, J qd.
+        p: (K, 3) m, point of application of the force, in the world.
+        J: (K, 3, nv) Jacobian of the first body's point at p minus that of the second's.
+        v: (K, 3) m/s, relative velocity J qd.
     """
 
     def __init__(self, mechanism: Mechanism, contact: BodyContact, q: np.ndarray, qd: np.ndarray) -> None:
@@ -76,7 +77,7 @@ class BodyContactKinematics:
         self._axes = [np.zeros_like(a) if part.length == 0.0 else a for a, part in zip(self._axes, parts, strict=True)]
         lengths = (parts[0].length, parts[1].length)
         self._closest = closest_points(m[0] - m[1], self._axes[0], self._axes[1], lengths, contact.axis_regularization)
-        self._s = [self._closest.s[:, k, None] * self._axes[k] for k in range(2)]  # from the middles
+        self._s = [self._closest.s[:, k, None] * self._axes[k] for k in range(2)]  # from the midpoints
         self._distance = np.hypot(np.linalg.norm(self._closest.D, axis=1), _NO_DIRECTION)
         self.n = self._closest.D / self._distance[:, None]
         self.e = parts[0].radius + parts[1].radius + contact.law.surface_offset - self._distance
@@ -91,17 +92,17 @@ class BodyContactKinematics:
 
     @property
     def crossing(self) -> np.ndarray:
-        """(K,) sine of the angle between the axes, by which the closest points are sharp; 0 where one is a sphere."""
+        """(K,) sine of the angle between the axes, 0 for a sphere; near 0 closest points are ill-conditioned."""
         return np.linalg.norm(np.cross(self._axes[0], self._axes[1]), axis=1)
 
     def _at(self, arms: list[np.ndarray], k: int) -> np.ndarray:
-        """(K, 3, nv) Jacobian of the point of part k that is at its arm from its middle."""
+        """(K, 3, nv) Jacobian of the point of body k at arms[k] (K, 3), m, from its midpoint."""
         return self._at_middle[k] + np.cross(self._angular[k], arms[k][:, :, None], axis=1)
 
     def derivatives(self, q: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """By q: of e (K, nv), of n (K, 3, nv) and of J (K, 3, nv, nv)."""
+        """Derivatives with respect to q of e (K, nv), n (K, 3, nv) and J (K, 3, nv, nv)."""
         c, (a1, a2) = self._closest, self._axes
-        at_axis = [self._at(self._s, k) for k in range(2)]  # both ends of D, were s constant
+        at_axis = [self._at(self._s, k) for k in range(2)]  # at both ends of D, for constant s
         turned = [np.cross(self._angular[k], self._axes[k][:, :, None], axis=1) for k in range(2)]
         dD = at_axis[0] - at_axis[1]
         dg = np.stack([_rows(a1, dD) + _rows(c.D, turned[0]), -_rows(a2, dD) - _rows(c.D, turned[1])], axis=1)
@@ -116,14 +117,14 @@ class BodyContactKinematics:
         return -ddistance, dn, changes[0] - changes[1]
 
     def _change(self, q: np.ndarray, k: int, darm: np.ndarray) -> np.ndarray:
-        """(K, 3, nv, nv) derivative of part k's Jacobian at p, whose distance from its middle changes by darm."""
+        """(K, 3, nv, nv) derivative of body k's Jacobian at p; darm (K, 3, nv) is that of p from its midpoint."""
         D = kinematics.jacobian_derivatives(self.mechanism, q, self._frames[k])
         point_jacobians = D[:, :3] + np.cross(D[:, 3:], self._arms[k][:, :, None, None], axis=1)
         return point_jacobians + np.cross(self._angular[k][:, :, :, None], darm[:, :, None, :], axis=1)
 
 
 def _frame(part: Capsule) -> Frame:
-    """At the middle of a part, its third axis along the part's."""
+    """Frame at the midpoint of a capsule, with its z axis along the capsule's axis."""
     T, axis = np.eye(4), part.axis
     if part.length > 0.0:
         across = np.cross(np.eye(3)[np.argmin(np.abs(axis))], axis)

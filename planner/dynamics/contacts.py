@@ -1,10 +1,10 @@
-"""Forces of contacts, stops and curves on a mechanism, in NumPy.
+"""Forces of contacts, stops and exponential torques on a mechanism, in NumPy.
 
-For resting poses, pictures and proofs; the readable twin of the kernels.
+Reference implementation of the kernels, used for equilibrium poses, pictures and proofs.
 
-The law and its pieces are model.contact.laws's. A contact acts at p, halfway between the surfaces, which moves over the
-link as it sinks in; its generalized force is J'f with J the (3, nv) Jacobian of the point of the link that is at p.
-Between two bodies J is the difference of both links', and the normal turns: the law is the same in all directions, so
+The contact law is that of model.contact.laws. A contact acts at p, halfway between the surfaces, which depends on the
+penetration; its generalized force is J'f with J the (3, nv) Jacobian of the material point of the link at p.
+Between two bodies J is the difference of both Jacobians and the normal rotates; the law is isotropic, so
 
     df = w x f + f_e de + f_v (dv - w x v),   w = n x dn.
 """
@@ -25,20 +25,20 @@ from planner.model.mechanism import Frame, Mechanism
 
 
 class ContactForces(NamedTuple):
-    """Of each contact with a plane, or each of two bodies, at each state."""
+    """Points, depths and forces of all plane contacts, or all body contacts, at each state."""
 
-    points: np.ndarray  # (..., contacts, 3) m, where they act, in the world
-    depths: np.ndarray  # (..., contacts) m, into the real surface; negative above it
+    points: np.ndarray  # (..., contacts, 3) m, points of application in the world
+    depths: np.ndarray  # (..., contacts) m, penetration of the geometric surfaces; negative if separated
     forces: np.ndarray  # (..., contacts, 3) N, on the mechanism or the first body, in the world
 
 
 def contact_forces(mechanism: Mechanism, q: Any, qd: Any) -> ContactForces:
-    """Where and with what force the planes of the world touch a mechanism, in the order of its contacts.
+    """Points, depths and forces of a mechanism's contacts with planes, in the order of its contacts.
 
     Args:
         mechanism: The machine.
-        q: (..., nq).
-        qd: (..., nv).
+        q: (..., nq) configurations, m and rad.
+        qd: (..., nv) velocities, m/s and rad/s.
 
     Raises:
         PlannerError: A wrong shape or a number that is not finite.
@@ -49,20 +49,20 @@ def contact_forces(mechanism: Mechanism, q: Any, qd: Any) -> ContactForces:
     lifts, radii, normals = _numbers(mechanism)
     points = centres + (0.5 * (e - lifts) - radii)[..., None] * normals
     forces = np.zeros_like(points)
-    for k in np.flatnonzero((e > 0.0).any(axis=0)):  # most are in the air
+    for k in np.flatnonzero((e > 0.0).any(axis=0)):  # skip contacts that are open at every state
         forces[:, k] = _force(PlaneContactKinematics(mechanism, contacts[k], q, qd))[0]
     return ContactForces(*(value[0] if single else value for value in (points, e - lifts, forces)))
 
 
 def _numbers(mechanism: Mechanism) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Lifts (P,), radii (P,) and normals (P, 3) of a mechanism's contacts with planes."""
+    """Surface offsets (P,), m, radii (P,), m, and normals (P, 3) of a mechanism's contacts with planes."""
     contacts = mechanism.contacts
     lifts, radii = ([one.law.surface_offset for one in contacts], [one.radius for one in contacts])
     return np.array(lifts), np.array(radii), np.array([one.plane.normal for one in contacts]).reshape(-1, 3)
 
 
 def _penetrations(mechanism: Mechanism, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Centres (K, P, 3) of contacts with planes, and how deep (K, P) they are in the laws' surfaces."""
+    """Centres (K, P, 3), m, of contacts with planes, and penetrations (K, P), m, of the laws' offset surfaces."""
     contacts = mechanism.contacts
     if not contacts:
         return np.zeros((len(q), 0, 3)), np.zeros((len(q), 0))
@@ -74,7 +74,7 @@ def _penetrations(mechanism: Mechanism, q: np.ndarray) -> tuple[np.ndarray, np.n
 
 
 def body_contact_forces(mechanism: Mechanism, q: Any, qd: Any) -> ContactForces:
-    """Where and with what force two bodies touch, in the order of body_contacts; arguments as of contact_forces."""
+    """Points, depths and forces of contacts between bodies, in the order of body_contacts; see contact_forces."""
     q, qd, single = _states(mechanism, q, qd)
     places = [BodyContactKinematics(mechanism, contact, q, qd) for contact in mechanism.body_contacts]
     K, n = len(q), len(places)
@@ -86,9 +86,9 @@ def body_contact_forces(mechanism: Mechanism, q: Any, qd: Any) -> ContactForces:
 
 
 def contact_jacobians(mechanism: Mechanism, q: Any, which: Any = None) -> np.ndarray:
-    """Jacobians (..., contacts, 3, nv) of the places where contacts act, at q (..., nq): J'f is what a force f does.
+    """Jacobians J (..., contacts, 3, nv) of contact points at q (..., nq): J'f is the generalized force of f.
 
-    Of all contacts, or of those whose numbers are in `which`.
+    Of all contacts with planes, or of those with the indices `which`.
     """
     q = np.asarray(q, dtype=float)
     q, _, single = _states(mechanism, q, np.zeros((*q.shape[:-1], mechanism.nv)))
@@ -100,7 +100,7 @@ def contact_jacobians(mechanism: Mechanism, q: Any, which: Any = None) -> np.nda
 
 
 def generalized_forces(mechanism: Mechanism, q: Any, qd: Any) -> np.ndarray:
-    """The applied force tau (..., nv) of all contacts, stops and curves at q (..., nq), qd (..., nv)."""
+    """Generalized force tau (..., nv) of all contacts, stops and exponential torques at q (..., nq), qd (..., nv)."""
     q, qd, single = _states(mechanism, q, qd)
     tau = exponential_joint_torques(mechanism, q)
     for place in _places(mechanism, q, qd):
@@ -112,7 +112,7 @@ def generalized_forces(mechanism: Mechanism, q: Any, qd: Any) -> np.ndarray:
 
 
 def generalized_force_derivatives(mechanism: Mechanism, q: Any, qd: Any) -> tuple[np.ndarray, np.ndarray]:
-    """Derivatives (..., nv, nv) of generalized_forces by q (in the tangent) and qd, exact."""
+    """Exact derivatives (..., nv, nv) of generalized_forces with respect to q (tangent space) and qd."""
     q, qd, single = _states(mechanism, q, qd)
     by_q = curve_torque_derivatives(mechanism, q)
     by_qd = np.zeros_like(by_q)
@@ -142,7 +142,7 @@ def _states(mechanism: Mechanism, q: Any, qd: Any) -> tuple[np.ndarray, np.ndarr
 def _places(
     mechanism: Mechanism, q: np.ndarray, qd: np.ndarray
 ) -> list[PlaneContactKinematics | BodyContactKinematics]:
-    """Of all contacts, but for those with planes that are in the air at every state."""
+    """Kinematics of all contacts, except plane contacts that are open at every state."""
     touching = (_penetrations(mechanism, q)[1] > 0.0).any(axis=0)
     near = [mechanism.contacts[k] for k in np.flatnonzero(touching)]
     return [contact_kinematics(mechanism, contact, q, qd) for contact in (*near, *mechanism.body_contacts)]
@@ -151,13 +151,13 @@ def _places(
 def contact_kinematics(
     mechanism: Mechanism, contact: Contact | BodyContact, q: np.ndarray, qd: np.ndarray
 ) -> PlaneContactKinematics | BodyContactKinematics:
-    """Where a contact is at K states, q (K, nq) and qd (K, nv)."""
+    """Kinematics of a contact at K states, q (K, nq) and qd (K, nv)."""
     kind = PlaneContactKinematics if isinstance(contact, Contact) else BodyContactKinematics
     return kind(mechanism, contact, q, qd)  # type: ignore[arg-type]
 
 
 class PlaneContactKinematics:
-    """Where a contact is at K states: as BodyContactKinematics, for a sphere and a plane."""
+    """Contact geometry and relative velocity of a sphere and a plane at K states; see BodyContactKinematics."""
 
     def __init__(self, mechanism: Mechanism, contact: Contact, q: np.ndarray, qd: np.ndarray) -> None:
         T = np.eye(4)
@@ -171,13 +171,13 @@ class PlaneContactKinematics:
         J = kinematics.jacobian(mechanism, q, self.frame)
         self.at_centre, self.angular = J[:, :3], J[:, 3:]
         self.J = self.at_centre + np.cross(self.angular, self.arm[:, :, None], axis=1)
-        if contact.plane.slide >= 0:  # relative to what moves too
+        if contact.plane.slide >= 0:  # relative to a plane on a slide joint
             self.J[:, :, contact.plane.slide] -= slide_direction(mechanism, contact.plane)
         self.n = np.broadcast_to(n, centre.shape)
         self.v = np.einsum("kaj,kj->ka", self.J, qd) - contact.plane.velocity
 
     def derivatives(self, q: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """By q: of e (K, nv), of n (K, 3, nv) and of J (K, 3, nv, nv)."""
+        """Derivatives with respect to q of e (K, nv), n (K, 3, nv) and J (K, 3, nv, nv)."""
         D, n = kinematics.jacobian_derivatives(self.mechanism, q, self.frame), self.contact.plane.normal
         de = -np.einsum("a,kaj->kj", n, self.at_centre)
         darm = 0.5 * n[:, None] * de[:, None, :]  # (K, 3, nv)
@@ -186,19 +186,19 @@ class PlaneContactKinematics:
 
 
 def stop_state(mechanism: Mechanism, stop: Any, q: np.ndarray, qd: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """How far beyond a stop, and how fast back."""
+    """Violation (K,) of a joint stop, rad or m, and its opening velocity (K,), rad/s or m/s."""
     e = stop.side * (q[:, mechanism.q_address[stop.dof]] - stop.end) + stop.law.surface_offset
     return e, -stop.side * qd[:, stop.dof]
 
 
 def ramp(e: np.ndarray, a: float | np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """0, e^2 / 2a, e - a/2 for e < 0, 0..a, > a, and its slope."""
+    """Smoothed max(0, e): 0, e^2 / 2a, e - a/2 for e < 0, 0..a, > a, and its derivative by e."""
     slope = np.clip(np.divide(e, a, out=np.where(e > 0.0, 1.0, 0.0), where=np.greater(a, 0.0)), 0.0, 1.0)
     return slope * (e - 0.5 * a * slope), slope
 
 
 def smoothstep(e: np.ndarray, a: float) -> tuple[np.ndarray, np.ndarray]:
-    """3 t^2 - 2 t^3 of t = e/a within 0..1, and its slope."""
+    """3 t^2 - 2 t^3 of t = e/a clipped to 0..1, and its derivative by e."""
     if a == 0.0:
         return np.where(e > 0.0, 1.0, 0.0), np.zeros_like(e)
     t = np.clip(e / a, 0.0, 1.0)
@@ -206,7 +206,7 @@ def smoothstep(e: np.ndarray, a: float) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _unclamped_force(law: Law, e: np.ndarray, opening: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """K ramp(e) - B s(e) v_n, which may pull, and its derivatives by e and v_n."""
+    """Force K ramp(e) - B s(e) v_n, which may be negative, and its derivatives by e and v_n."""
     (r, dr), (s, ds) = ramp(e, law.ramp), smoothstep(e, law.ramp)
     return (
         law.stiffness * r - law.damping * s * opening,
@@ -216,25 +216,25 @@ def _unclamped_force(law: Law, e: np.ndarray, opening: np.ndarray) -> tuple[np.n
 
 
 def unilateral_force(law: Law, e: np.ndarray, opening: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """The force of the law, and its derivatives by e and v_n."""
+    """Nonnegative normal force of the law, N or N m, and its derivatives by penetration e and opening velocity v_n."""
     g, by_e, by_opening = _unclamped_force(law, e, opening)
     force, slope = ramp(g, float(law.force_ramp or 0.0))
     return force, slope * by_e, slope * by_opening
 
 
 def _force(place: PlaneContactKinematics | BodyContactKinematics) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Force (K, 3), and its derivatives by the penetration (K, 3) and by the relative velocity (K, 3, 3)."""
+    """Contact force (K, 3), N, and its derivatives by penetration (K, 3) and relative velocity (K, 3, 3)."""
     return contact_force(place.contact.law, place.n, place.e, place.v)
 
 
 def contact_force(
     law: ContactLaw, n: np.ndarray, e: np.ndarray, v: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Force (K, 3), and its derivatives by the penetration (K, 3) and by the velocity (K, 3, 3).
+    """Contact force (K, 3), N, and its derivatives by penetration (K, 3) and velocity (K, 3, 3).
 
     Args:
-        law: The law's numbers.
-        n: (3,) or (K, 3) normal.
+        law: Parameters of the contact law.
+        n: (3,) or (K, 3) unit normal.
         e: (K,) penetration into the law's surface, m.
         v: (K, 3) velocity relative to the surface, m/s.
     """
@@ -242,12 +242,12 @@ def contact_force(
     mu, across = law.friction, np.eye(3) - n[:, :, None] * n[:, None]
     opening, vt = np.einsum("ka,ka->k", v, n), np.einsum("ka,kab->kb", v, across)
     speed = np.linalg.norm(vt, axis=1)
-    d = vt / np.where(speed > 0.0, speed, 1.0)[:, None]  # of sliding
+    d = vt / np.where(speed > 0.0, speed, 1.0)[:, None]  # direction of sliding
     s, ds = smoothstep(e, law.ramp)
     c, dc = law.slip_damping * s, law.slip_damping * ds
     slip = c * speed
     g, g_e, g_n = _unclamped_force(law, e, opening)
-    # gradients of scalars by (e, v): the slip force, the normal force, friction
+    # gradients with respect to (e, v) of the slip force, the normal force and friction
     e_axis = np.array([1.0, 0.0, 0.0, 0.0])
     dslip = (dc * speed)[:, None] * e_axis + np.hstack([np.zeros_like(e)[:, None], c[:, None] * d])
     dg = g_e[:, None] * e_axis + np.hstack([np.zeros_like(e)[:, None], g_n[:, None] * n])
@@ -261,11 +261,11 @@ def contact_force(
     bend = law.bend
     t = ramp(slip - (1.0 - bend) * limit, 2.0 * bend * limit)[1]
     by_limit = t * (1.0 - bend + bend * t)
-    friction = (1.0 - t) * slip + by_limit * limit  # slip - ramp(...), without its cancellation
+    friction = (1.0 - t) * slip + by_limit * limit  # slip - ramp(...), without cancellation
     dfriction = (1.0 - t)[:, None] * dslip + by_limit[:, None] * dlimit
     force = normal[:, None] * n - friction[:, None] * d
     turning = np.where(speed > 0.0, friction / np.where(speed > 0.0, speed, 1.0), np.where(limit > 0.0, c, 0.0))
     by = dnormal[:, None, :] * n[:, :, None] - dfriction[:, None, :] * d[:, :, None]  # (K, 3, 4)
-    along = across - d[:, :, None] * d[:, None, :]  # d turns, unless it is a point at rest
+    along = across - d[:, :, None] * d[:, None, :]  # derivative of the direction d, except at zero speed
     by[:, :, 1:] -= turning[:, None, None] * along
     return force, by[:, :, 0], by[:, :, 1:]

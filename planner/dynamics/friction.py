@@ -1,13 +1,11 @@
-"""Friction loss of joints (MuJoCo's dof_frictionloss), in NumPy: the readable twin of the kernels.
+"""Friction loss of joints (MuJoCo's dof_frictionloss), in NumPy: reference implementation of the kernels.
 
-MuJoCo's friction loss is a constraint, the force -clip(D (a + beta v), loss) on a joint that moves at v and
-accelerates by a. So friction holds a joint as an armature D with a damper beta D would, until that takes more than
-the loss. The plan has the same force with a bend:
+MuJoCo's friction loss is a constraint, the force -clip(D (a + beta v), loss) on a joint with velocity v and
+acceleration a. Below the loss it acts like an armature D with a damper beta D. The plan smooths the same force:
 
     f = -loss s(x),   x = D (a + beta v) / loss,   s(x) = x up to 1 - b, 1 from 1 + b, a parabola between, and odd
 
-It depends on the acceleration, so it is no part of the bias, but of the accelerations that solve
-M a + bias = tau + f(a).
+f depends on the acceleration, so it is not part of the bias: a solves M a + bias = tau + f(a).
 """
 
 from __future__ import annotations
@@ -17,21 +15,22 @@ import numpy as np
 from planner.model.mechanism import Mechanism
 
 BEND = 0.08
-"""Either way of the loss; a quarter of it is what the force is off at most. Of what passes, a hand's fingers that break
-loose are off by 1.4 times with .5, and a light wrist that a damper holds back by 2.4 times with .2; here by half.
+"""Half width b of the smoothing, relative to the loss; the force error is at most b/4.
+
+Replay errors over their tolerances: fingers at breakaway 1.4 with b = 0.5, a light damped wrist 2.4 with 0.2; 0.5 here.
 """
 _ROUNDS, _MET = 30, 1e-13
 
 
 def saturation(x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """s(x) and its slope."""
+    """Smoothed saturation s(x) and its derivative."""
     x = np.clip(x, -1.0 - BEND, 1.0 + BEND)
     bent = np.maximum(np.abs(x) - (1.0 - BEND), 0.0)
     return x - np.sign(x) * bent**2 / (4.0 * BEND), 1.0 - bent / (2.0 * BEND)
 
 
 def friction_forces(mechanism: Mechanism, qd: np.ndarray, qdd: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Friction (..., nv), N m and N, at velocities and accelerations (..., nv), and its slope by qdd, less than 0."""
+    """Friction (..., nv), N m and N, at qd and qdd (..., nv), and its derivative by qdd (..., nv), at most 0."""
     loss, inertia = mechanism.friction_loss, mechanism.friction_inertia
     rubs = loss > 0.0
     x = inertia * (qdd + mechanism.friction_rate * qd) / np.where(rubs, loss, 1.0)
@@ -42,17 +41,17 @@ def friction_forces(mechanism: Mechanism, qd: np.ndarray, qdd: np.ndarray) -> tu
 def with_friction(mechanism: Mechanism, M: np.ndarray, tau: np.ndarray, qd: np.ndarray) -> np.ndarray:
     """Accelerations (nv,) that solve M qdd = tau + friction(qd, qdd), by Newton's method.
 
-    They are the minimum of a convex function, along which every step goes as far as it sinks.
+    They minimize a convex function; an exact line search limits every Newton step.
 
     Args:
-        mechanism: With friction loss.
+        mechanism: A mechanism with friction loss.
         M: (nv, nv) mass matrix.
-        tau: (nv,) all forces but friction, less the bias.
-        qd: (nv,).
+        tau: (nv,) all applied forces but friction, minus the bias, N m and N.
+        qd: (nv,) velocities, rad/s and m/s.
     """
-    from scipy.optimize import root_scalar  # half a second that `planner run` does not pay
+    from scipy.optimize import root_scalar  # local: the import takes half a second
 
-    qdd = np.where(mechanism.friction_loss > 0.0, -mechanism.friction_rate * qd, 0.0)  # as if friction held every joint
+    qdd = np.where(mechanism.friction_loss > 0.0, -mechanism.friction_rate * qd, 0.0)  # initial guess: all stick
     force, slope = friction_forces(mechanism, qd, qdd)
     qdd = np.linalg.solve(M - np.diag(slope), tau + force - slope * qdd)
     for _ in range(_ROUNDS):

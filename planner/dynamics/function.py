@@ -13,17 +13,17 @@ from planner.dynamics.protocol import INTEGRATORS
 Function = Callable[[np.ndarray, np.ndarray], np.ndarray]
 Jacobian = Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]
 
-# Central differences: the error eps/h + h^2 is least near the cube root of the rounding unit.
+# Step of central differences: the error eps/h + h^2 is minimal near the cube root of the machine epsilon.
 _DIFFERENCE = float(np.cbrt(np.finfo(float).eps))
-# Of differences of those, whose error is eps^(2/3) already: eps^(2/3)/h + h^2.
+# Step of differences of these, whose error is eps^(2/3): minimizes eps^(2/3)/h + h^2.
 _SECOND_DIFFERENCE = _DIFFERENCE ** (2.0 / 3.0)
 
 
 class FunctionDynamics:
     """Discrete dynamics from a plain Python function.
 
-    The function may take one state at a time, x (nx,) and u (nu,), or many, x (K, nx) and u (K, nu): which it is
-    gets found out by trying, and a batched one is much faster.
+    The function may take one state, x (nx,) and u (nu,), or a batch, x (K, nx) and u (K, nu), which is much faster; a
+    trial call determines which.
 
     Args:
         f: dx/dt = f(x, u), or x(n+1) = f(x, u) with integrator="discrete".
@@ -32,7 +32,7 @@ class FunctionDynamics:
         dt: Length of a stage, s.
         integrator: "euler", "semi-implicit-euler" (x is positions, then as many velocities), "rk4", "discrete".
         jacobian: (x, u) -> (df/dx (nx, nx), df/du (nx, nu)), batched if f is; central differences by default.
-        coordinates: (nx,) name and unit of each number of the state, e.g. ("height", "m"), for reports and tolerances.
+        coordinates: (nx,) name and unit of each state component, e.g. ("height", "m"), for reports and tolerances.
 
     Raises:
         PlannerError: A wrong argument, or an f that does not return numbers of the right shape.
@@ -67,22 +67,22 @@ class FunctionDynamics:
         return f"{type(self).__name__}(nx {self.nx}, nu {self.nu}, {self.integrator}, dt {self.dt:g})"
 
     def _try_out(self) -> bool:
-        # A batch of three different states: a function of one state cannot return the same for it by chance.
+        # Three different states: a function of one state cannot return the batched values by coincidence.
         rng = np.random.default_rng(0)
         xs, us = rng.normal(size=(3, self.nx)) * 0.1, rng.normal(size=(3, self.nu)) * 0.1
         values = [self._f(x.copy(), u.copy()) for x, u in zip(xs, us, strict=True)]
         single = [array("f(x, u)", value, (self.nx,), any_value=True) for value in values]
         try:
             many = np.asarray(self._f(xs.copy(), us.copy()), dtype=float)
-        except Exception:  # whatever a function of one state does with a batch
+        except Exception:  # a function of one state may raise anything on a batch
             return False
         return many.shape == xs.shape and np.allclose(many, single, rtol=1e-12, atol=1e-12, equal_nan=True)
 
     def with_step(self, dt: float, integrator: str) -> FunctionDynamics:
-        """The same machine with another stage, s, and integrator.
+        """The same dynamics with another length of a stage, s, and integrator.
 
         Raises:
-            PlannerError: The function is a discrete map: it has no rates to be integrated over another stage.
+            PlannerError: The function is a discrete map, which cannot be integrated over another stage.
         """
         if self.integrator == "discrete":
             raise PlannerError("the dynamics are a discrete map, expected rates f(x, u): they fit any stage.")
@@ -112,7 +112,7 @@ class FunctionDynamics:
         return J[:, :, :nx], J[:, :, nx:]
 
     def step(self, xs: np.ndarray, us: np.ndarray, dt: np.ndarray | None = None) -> np.ndarray:
-        """The ends (K, nx) of K stages from xs (K, nx) with us (K, nu); see Dynamics.step."""
+        """The states (K, nx) after one stage from xs (K, nx) with us (K, nu); see Dynamics.step."""
         if self.integrator == "discrete":
             if dt is not None and not np.allclose(dt, self.dt):
                 raise PlannerError("a discrete map has no parts of a stage: dt must be the stage's.")
@@ -131,7 +131,7 @@ class FunctionDynamics:
         return xs + h / 6.0 * (k1 + 2.0 * k2 + 2.0 * k3 + k4)
 
     def linearize(self, xs: np.ndarray, us: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """A (N, nx, nx) and B (N, nx, nu) along xs (N+1, nx), us (N, nu), by the chain rule through the step."""
+        """A (N, nx, nx) and B (N, nx, nu) along xs (N+1, nx), us (N, nu), by the chain rule through the integrator."""
         x, h, nx = xs[: len(us)], self.dt, self.nx
         fx, fu = self._rate_jacobians(x, us)
         if self.integrator == "discrete":
@@ -144,7 +144,7 @@ class FunctionDynamics:
             A, B = eye + h * fx, h * fu
             A[:, :half], B[:, :half] = eye[:half] + h * A[:, half:], h * B[:, half:]
             return A, B
-        # d k_i / d(x, u): each stage's Jacobian times the change of its argument.
+        # d k_i / d(x, u): each RK stage's Jacobian times the derivative of its argument.
         k1 = self._rates(x, us)
         K1x, K1u = fx, fu
         k2, K2x, K2u = self._stage(x, us, k1, K1x, K1u, 0.5 * h)
@@ -156,8 +156,7 @@ class FunctionDynamics:
     def second_order(self, xs: np.ndarray, us: np.ndarray, costates: np.ndarray) -> np.ndarray:
         """T (N, nx+nu, nx+nu) = sum_k costate_k d2 f_k / dz2, z = (x, u), by central differences of the Jacobians.
 
-        With a `jacobian` of the caller's these are good to about ten digits, without to about four: differences of
-        differences.
+        Accurate to about ten digits with a user's `jacobian`, to about four without (differences of differences).
         """
         N, nx, nz = len(us), self.nx, self.nx + self.nu
         z, l = np.concatenate([xs[:N], us], axis=1), np.asarray(costates)[1:, :, None]

@@ -1,4 +1,4 @@
-"""HopperDynamics: the paper's hopping machine (section 2.4), compiled. x = (height, rate, piston), u = flow."""
+"""HopperDynamics: the paper's hopping machine (section 2.4), compiled. x = (height, velocity, piston), u = flow."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ from planner.kernels.numba.lanes import WIDTH, lane_array
 
 
 class HopperDynamics:
-    """A mass on a pneumatic spring that can leave the ground.
+    """A mass on a pneumatic spring that can leave the ground, in inches and seconds.
 
     Args:
         dt: Length of a stage, s.
         integrator: One of INTEGRATORS.
         stiffness: k/m, 1/s^2 (the paper's 100).
-        smoothing: alpha of section 2.4, the compression over which the spring sets in, in.
+        smoothing: alpha of section 2.4, the compression over which the spring engages, in.
         gravity: g, in/s^2 (the paper's 386.4).
 
     Raises:
@@ -31,7 +31,7 @@ class HopperDynamics:
     coordinates = (("height", "in"), ("velocity of height", "in/s"), ("piston", "in"))
     structured = False
     has_slopes = True
-    has_ranges = False  # of states: its own rollout computes its own cost, so NumPy does a solve with ranges
+    has_ranges = False  # its compiled rollout has no cost of state ranges: solves with these use NumPy
     kernels = ("hopper search", "hopper linearize")
     second_order_kernels = ("hopper second order", "costates")
 
@@ -51,11 +51,11 @@ class HopperDynamics:
         return f"{type(self).__name__}({self.integrator}, dt {self.dt:g})"
 
     def with_step(self, dt: float, integrator: str) -> HopperDynamics:
-        """The same hopper with another stage, s, and integrator."""
+        """The same hopper with another length of a stage, s, and integrator."""
         return HopperDynamics(dt, integrator, stiffness=self.stiffness, smoothing=self.smoothing, gravity=self.gravity)
 
     def step(self, xs: np.ndarray, us: np.ndarray, dt: np.ndarray | None = None) -> np.ndarray:
-        """The ends (K, 3) of K stages from xs (K, 3) with us (K, 1); see Dynamics.step."""
+        """The states (K, 3) after one stage from xs (K, 3) with us (K, 1); see Dynamics.step."""
         xs = array("xs", xs, ("K", 3), any_value=True)
         us = array("us", us, (len(xs), 1), any_value=True)
         dt = np.full(len(xs), self.dt) if dt is None else array("dt", dt, (len(xs),))
@@ -82,7 +82,7 @@ class HopperDynamics:
     def second_order(self, xs: np.ndarray, us: np.ndarray, costates: np.ndarray) -> np.ndarray:
         """T (N, 4, 4) = sum_k costate_k d2 f_k / dz2 with z = (x, u); see Dynamics.second_order.
 
-        The spring's second derivative is that of its parabola, zero elsewhere; where they meet it jumps.
+        The spring force has a constant second derivative over the smoothing, zero elsewhere, with jumps between them.
         """
         us = array("us", us, ("N", 1), any_value=True)
         xs = array("xs", xs, (len(us) + 1, 3), any_value=True)
@@ -93,10 +93,10 @@ class HopperDynamics:
         return (np.triu(T) + np.triu(T, 1).swapaxes(1, 2))[:, order[:, None], order]
 
     def memory(self, N: int) -> None:
-        """Scratch of one solve of N stages: none."""
+        """Scratch memory of a solve of N stages: none."""
 
     def second_order_memory(self) -> None:
-        """Scratch of second_order_nominal: none."""
+        """Scratch memory of second_order_nominal: none."""
 
     def second_order_nominal(self, w: Workspace, memory: None, second: None) -> None:
         """Fill w.T along w.xs, w.us for w.costates."""
@@ -107,7 +107,7 @@ class HopperDynamics:
         kernel.linearize_nominal(self._code, self.dt, self._parameters, w.table)
 
     def stage_ends(self, w: Workspace, memory: None) -> np.ndarray:
-        """The ends (N, nx) of the stages from w.xs, w.us."""
+        """The states (N, nx) after one stage from each of w.xs, w.us."""
         return self.step(w.xs[:-1], w.us)
 
     def search(

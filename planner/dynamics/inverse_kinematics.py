@@ -1,12 +1,12 @@
-"""Inverse kinematics: a configuration in which frames of a Mechanism are where they are asked to be.
+"""Inverse kinematics: a configuration in which frames of a Mechanism reach target poses.
 
-    minimize |r(q)|^2 + (LEAN |q - q_start|)^2   within the ranges of the joints
+    minimize |r(q)|^2 + (POSTURE_WEIGHT |q - q_start|)^2   within the joint ranges
 
 by SciPy's least_squares with our own Jacobian. r has a position error / metre_scale, a rotation vector log(R_ref' R) /
-turn_scale or, for a direction, the chord between two unit vectors / turn_scale. Of many configurations the little
-weight of the way takes one near the start. The search begins at the start, then at random configurations. Closed chains
-are rows too, over CLOSED, and where the search ends they are put together. A caller may want more of a configuration:
-rows of its own (`missing`), and of those that reach all targets the one that falls least `short` of something.
+turn_scale or, for a direction, the difference of two unit vectors / turn_scale. The small posture term selects a
+solution close to the start. The search begins at the start, then at random configurations. Closure errors / CLOSED are
+residuals too, and the result is projected onto the loop closures. A caller may add residuals (`missing`) and a
+criterion (`short`) that ranks the configurations that reach all targets.
 """
 
 from __future__ import annotations
@@ -24,34 +24,34 @@ from planner.dynamics.kinematics import frame_pose, jacobian
 from planner.model.mechanism import SCREW, Frame, Mechanism
 from planner.model.space import hat, log_jacobian
 
-POSTURE_WEIGHT = 0.1  # of a radian or metre, over a residual of 1: it moves the end by some 1e-4 of what passes
-REACHED = 0.1  # of the scales: a residual below it ends the search
-CLOSED = 1e-3  # m or rad that a closed chain misses weigh as a residual of 1: a tenth makes the search slow
+POSTURE_WEIGHT = 0.1  # 1/rad or 1/m; it displaces the frame by about 1e-4 of the tolerance
+REACHED = 0.1  # scaled residual that ends the search
+CLOSED = 1e-3  # m or rad, closure error of a residual of 1: a tenth of it makes the search slow
 STARTS = 8
-MORE_STARTS = 40  # where reaching the targets is not all that is wanted
+MORE_STARTS = 40  # default of `starts` with `short`
 
 
 class Target(NamedTuple):
-    """Where a frame is to be; what is None is free."""
+    """Target pose of a frame; None leaves a part unconstrained."""
 
     frame: str | Frame
     position: np.ndarray | None = None  # (3,) m, in the world
     orientation: np.ndarray | None = None  # (4,) unit quaternion, w first
-    pointing: tuple[np.ndarray, np.ndarray] | None = None  # unit vectors: of the frame, and of the world it points to
-    metre_scale: float = 5e-3  # m, of a residual of 1
-    turn_scale: float = 0.02  # rad
+    pointing: tuple[np.ndarray, np.ndarray] | None = None  # unit axis in the frame, target in the world
+    metre_scale: float = 5e-3  # m, position error of a residual of 1
+    turn_scale: float = 0.02  # rad, angle error of a residual of 1
 
 
 class IKSolution(NamedTuple):
-    """The configuration that is nearest to all targets."""
+    """The configuration with the best rank."""
 
     q: np.ndarray  # (nq,)
-    residual: float  # the largest over the scales of its target
-    short: float = 0.0  # of what else is wanted
+    residual: float  # largest scaled residual
+    short: float = 0.0  # violation of `missing` and `short`, 0 if satisfied
 
     @property
     def rank(self) -> tuple[float, float, float]:
-        """Less is better: first to reach the targets, then to fall short of nothing."""
+        """Sort key, minimum is best: residual (those up to 1 are equal), then `short`, then residual."""
         return max(self.residual, 1.0), self.short, self.residual
 
 
@@ -61,25 +61,25 @@ def inverse_kinematics(
     short: Callable[[np.ndarray], float] | None = None,
     missing: Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]] | None = None,
 ) -> IKSolution:  # fmt: skip
-    """A configuration with frames at targets, near q.
+    """A configuration with frames at target poses, close to q.
 
     Args:
         mechanism: The machine.
-        targets: All are to be met together.
-        q: (nq,) where the search begins; on the couplings, where the machine has some.
-        ranges: (nv, 2) of hinges and slides, rad or m; infinite where there are none. By default those of the model.
-        free: (nv,) True for the degrees of freedom that may move; all by default.
-        starts: How many starts at most: q, then random configurations within the ranges. By default STARTS, or
+        targets: Target poses, to be reached simultaneously.
+        q: (nq,) start of the search; it must satisfy the couplings.
+        ranges: (nv, 2) of hinges and slides, rad or m; infinite if unlimited. By default those of the model.
+        free: (nv,) bool, degrees of freedom that may change; all by default.
+        starts: Largest number of starts: q, then random configurations within the ranges. By default STARTS, or
             MORE_STARTS with `short`.
-        seed: Of the random configurations.
-        short: How far a configuration (nq,) falls short of what else is wanted, 0 where it does not.
-        missing: What else a configuration (nq,) lacks, over what may be: r (R,) and its derivatives (R, nv).
+        seed: Seed of the random configurations.
+        short: Violation of a further criterion by a configuration (nq,), 0 if satisfied.
+        missing: Further residuals of a configuration (nq,), over their tolerances: r (R,) and Jacobian (R, nv).
 
     Returns:
         The best configuration, whether it reaches the targets or not.
 
     Raises:
-        PlannerError: A wrong shape, or no frame of that name.
+        PlannerError: A wrong shape, or an unknown frame.
     """
     q = array("q", q, (mechanism.nq,))
     starts = count("starts", starts if starts is not None else STARTS if short is None else MORE_STARTS)
@@ -104,13 +104,13 @@ def inverse_kinematics(
 
 
 def integrate_base(mechanism: Mechanism, q: np.ndarray, e: np.ndarray) -> np.ndarray:
-    """The configuration (nq,) to which a deviation e (nv,) leads from q (nq,)."""
+    """The configuration q + e (nq,) on the group, of q (nq,) and a deviation e (nv,)."""
     x = np.concatenate([q, np.zeros(mechanism.space.nx - mechanism.nq)])
     return mechanism.space.integrate(x, np.concatenate([e, np.zeros(mechanism.space.ndx - mechanism.nv)]))[: len(q)]
 
 
 def residuals(mechanism: Mechanism, q: np.ndarray, target: Target) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """What is missing at configurations q (nq,): r (n,) in m, or rad, J (n, nv), and True (n,) for angles."""
+    """Errors r (n,), m or rad, of a target at q (nq,), their Jacobian (n, nv), and whether each is an angle (n,)."""
     T, J = frame_pose(mechanism, q, target.frame), jacobian(mechanism, q, target.frame)
     R, rows = T[:3, :3], []
     if target.position is not None:
@@ -129,7 +129,7 @@ def residuals(mechanism: Mechanism, q: np.ndarray, target: Target) -> tuple[np.n
 
 
 def _directions(mechanism: Mechanism, free: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """B (nv, n), the deviations that the search may take, and the degree of freedom of each column."""
+    """Basis B (nv, n) of the search directions, and the degree of freedom (n,) of each column."""
     if mechanism.reduction is None:
         dofs = np.flatnonzero(free)
         return np.eye(mechanism.nv)[:, dofs], dofs
@@ -142,7 +142,7 @@ def _from(
     ranges: tuple[np.ndarray, np.ndarray], closed: np.ndarray | None,
     missing: Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]] | None,
 ) -> IKSolution:  # fmt: skip
-    """The minimum to which one start leads; deviations are taken from q. `closed`: what chains to close leave alone."""
+    """The minimum from `begin` (nq,). `closed`: degrees of freedom fixed in loop closure, None without loops."""
     space, pad = mechanism.space, np.zeros(mechanism.space.ndx - mechanism.nv)
 
     def stacked(y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -183,7 +183,7 @@ def _from(
     x = np.concatenate([begin, np.zeros(space.nx - mechanism.nq)])
     x0 = np.concatenate([q, np.zeros(space.nx - mechanism.nq)])
     y = np.clip(space.difference(x, x0)[dofs], low, high)
-    last: dict[bytes, tuple[np.ndarray, np.ndarray]] = {}  # SciPy asks for the Jacobian where it asked for r
+    last: dict[bytes, tuple[np.ndarray, np.ndarray]] = {}  # SciPy evaluates the Jacobian where it evaluated r
 
     def both(y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         if y.tobytes() not in last:
@@ -203,7 +203,7 @@ def _from(
 def _bounds(
     mechanism: Mechanism, q: np.ndarray, dofs: np.ndarray, ranges: tuple[np.ndarray, np.ndarray]
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Of the deviations of degrees of freedom from q; a start outside of its range may stay there."""
+    """Lower and upper bounds (n,) of deviations from q; a start outside of its range may stay there."""
     screw = mechanism.kind[dofs] == SCREW
     here = np.where(screw, q[mechanism.q_address[dofs]], 0.0)
     low, high = (np.where(screw, side[dofs] - here, end) for side, end in zip(ranges, (-np.inf, np.inf), strict=True))
@@ -214,7 +214,7 @@ def _random(
     mechanism: Mechanism, q: np.ndarray, dofs: np.ndarray, ranges: tuple[np.ndarray, np.ndarray],
     rng: np.random.Generator,
 ) -> np.ndarray:  # fmt: skip
-    """A deviation (n,) within the ranges, else within half a turn or a metre."""
+    """A random deviation (n,) within the ranges, and within pi rad or 1 m."""
     turns = np.any(mechanism.S[dofs, :3] != 0.0, axis=1)
     reach = np.where(turns, np.pi, 1.0)
     low, high = _bounds(mechanism, q, dofs, ranges)

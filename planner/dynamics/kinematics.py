@@ -1,4 +1,4 @@
-"""Kinematics of a Mechanism as functions: one state or a batch in, NumPy out, compiled inside.
+"""Kinematics of a Mechanism as compiled functions of one state or a batch, with NumPy arrays.
 
 Conventions are those of planner.dynamics.algorithms.
 """
@@ -29,7 +29,7 @@ def link_places(b: KernelCall) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     T[..., :3, :3] = records[..., :9].reshape(b.K, nv, 3, 3)
     T[..., :3, 3], T[..., 3, 3] = records[..., 9:12] + origin, 1.0
     T = T @ np.linalg.inv(model.own_frames)
-    for i in np.flatnonzero(model.floating):  # the slides of a free joint, which the kernels leave at the origin
+    for i in np.flatnonzero(model.floating):  # slides of a free joint, whose translation the kernels omit
         first = model.floating_address[i]
         T[:, i, :3, 3] = 0.0
         count = int(b.mechanism.q_address[i]) - int(first) + 1
@@ -81,12 +81,12 @@ def frame_pose(mechanism: Mechanism, q: Any, frame: str | Frame) -> np.ndarray:
 
 
 def _moving(mechanism: Mechanism, link: int) -> list[int]:
-    """The links that move a link, itself included, from the root on."""
+    """Indices of a link and its ancestors, from the root to the link."""
     return chain_of(mechanism.parent, link)[::-1]
 
 
 def jacobian(mechanism: Mechanism, q: Any, frame: str | Frame) -> np.ndarray:
-    """Jacobian of a site or body: its velocity per velocity of each degree of freedom.
+    """Geometric Jacobian of a site or body.
 
     Args:
         mechanism: The machine.
@@ -114,14 +114,14 @@ def jacobian(mechanism: Mechanism, q: Any, frame: str | Frame) -> np.ndarray:
 def points_of(
     mechanism: Mechanism, q: Any, links: np.ndarray, offsets: np.ndarray, *, moving: bool = True
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Places (..., P, 3) of points of links in the world and, where asked, their Jacobians (..., P, 3, nv).
+    """Positions (..., P, 3), m, of points of links in the world and, if `moving`, their Jacobians (..., P, 3, nv).
 
     Args:
         mechanism: The machine.
-        q: (..., nq).
-        links: (P,) which carry the points; -1 for the world.
-        offsets: (P, 3) m, in the links' frames.
-        moving: Whether Jacobians are wanted; else they are empty.
+        q: (..., nq) configurations, m and rad.
+        links: (P,) link of each point; -1 for the world.
+        offsets: (P, 3) positions in the links' frames, m.
+        moving: Whether to compute the Jacobians; else the array is empty.
     """
     b = KernelCall(mechanism, q=q)
     T, screws, origin = link_places(b)
@@ -165,7 +165,7 @@ def jacobian_derivatives(mechanism: Mechanism, q: Any, frame: str | Frame) -> np
         frame: A Frame, or the name of a site or body.
 
     Returns:
-        That by q, (..., 6, nv, nv): q is the last axis.
+        dJ/dq (..., 6, nv, nv): q is the last axis.
 
     Raises:
         PlannerError: A wrong shape or a number that is not finite; no such frame.
@@ -176,11 +176,11 @@ def jacobian_derivatives(mechanism: Mechanism, q: Any, frame: str | Frame) -> np
         return b.out(D)
     J = jacobian(mechanism, b["q"], f)
     chain = _moving(mechanism, f.link)
-    block = np.array(mechanism.base)  # axes of one ball turn together
+    block = np.array(mechanism.base)  # axes of one ball rotate together
     for k in chain:
         turn = hat(J[:, 3:, k])
         for j in chain:
-            # Moving dof k carries the axes at or beyond it, and the frame's origin with all of them.
+            # dof k moves the axes of its descendants and of its own ball, and the frame's origin.
             depends = j > k or (mechanism.kind[j] != 0 and mechanism.kind[k] != 0 and block[j] == block[k])
             if depends:
                 D[:, 3:, j, k] = np.einsum("nab,nb->na", turn, J[:, 3:, j])

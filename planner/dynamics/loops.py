@@ -1,9 +1,8 @@
-"""Closed chains for the reader and for one state: what is to be zero, its derivative, and the accelerations.
+"""Loop closures of one state: closure error, Jacobian, and constrained accelerations.
 
-The twin of kernels.tree.loop_accelerations, on Fig. 2's recursions (planner.dynamics.product_of_exponentials);
-planner.model.loops has the
-equations. It is analytic as poe is: q, qd and tau may be complex. Rows are those of the loops in their order, then of
-the cams.
+Reference implementation of kernels.tree.loop_accelerations with the recursions of Fig. 2
+(planner.dynamics.product_of_exponentials) and the equations of planner.model.loops. It is analytic: q, qd and tau may
+be complex. Rows are those of the loops in order, then of the polynomial couplings.
 """
 
 from __future__ import annotations
@@ -16,11 +15,11 @@ from planner.dynamics.product_of_exponentials import Ad, ad, bias, mass_matrix, 
 from planner.model.loops import BAUMGARTE_RATE, LoopClosure, PolynomialCoupling
 from planner.model.mechanism import Mechanism
 
-_RANK_TOLERANCE = 1e-9  # of the largest singular value: redundant equations
+_RANK_TOLERANCE = 1e-9  # relative to the largest singular value: redundant equations
 
 
 def misses(mechanism: Mechanism, q: np.ndarray) -> np.ndarray:
-    """Phi (rows,) at q (nq,): m of places, rad of rotations and hinges."""
+    """Closure errors phi (rows,) at q (nq,), m or rad."""
     G = world_poses(mechanism, q)
     parts = [_miss(loop, G) for loop in mechanism.loops]
     parts += [
@@ -48,14 +47,14 @@ def _follower(mechanism: Mechanism, cam: PolynomialCoupling, q: np.ndarray) -> A
 
 
 def _polynomial(mechanism: Mechanism, cam: PolynomialCoupling, q: np.ndarray) -> tuple[Any, Any, Any]:
-    """The value to follow and its first two derivatives by the leader's coordinate."""
+    """The polynomial at the leader's coordinate and its first two derivatives."""
     p = np.polynomial.Polynomial(cam.coefficients)
     s = q[mechanism.q_address[cam.leader]] - cam.offsets[1]
     return p(s), p.deriv()(s), p.deriv(2)(s)
 
 
 def jacobian(mechanism: Mechanism, q: np.ndarray) -> np.ndarray:
-    """J (rows, nv): phidot = J qd but for rotations, whose rows are those of angular velocities."""
+    """Constraint Jacobian J (rows, nv): J qd is phidot, but relative angular velocity in rows of rotations."""
     G = world_poses(mechanism, q)
     screws = np.array([Ad(pose) @ S for pose, S in zip(G, mechanism.S, strict=False)])  # at the world's origin
     rows = []
@@ -70,7 +69,7 @@ def jacobian(mechanism: Mechanism, q: np.ndarray) -> np.ndarray:
 
 
 def _moves(mechanism: Mechanism, G: np.ndarray, screws: np.ndarray, link: int, T: np.ndarray) -> np.ndarray:
-    """(6, nv) linear and angular velocity of a frame's origin, in the world's axes."""
+    """Jacobian (6, nv) of a frame at its origin, linear then angular, in the world's axes."""
     place = (G[link] @ T)[:3, 3]
     J, i = np.zeros((6, mechanism.nv), dtype=G.dtype), link
     while i >= 0:
@@ -81,7 +80,7 @@ def _moves(mechanism: Mechanism, G: np.ndarray, screws: np.ndarray, link: int, T
 
 
 def closure_bias(mechanism: Mechanism, q: np.ndarray, qd: np.ndarray) -> np.ndarray:
-    """Jdot qd (rows,): the accelerations of what is to be zero when no joint accelerates."""
+    """Jdot qd (rows,): second derivative of the closure error at zero joint acceleration."""
     n, S = mechanism.nv, mechanism.S
     X, V, V_base = twists(mechanism, q, qd)
     G = world_poses(mechanism, q)
@@ -99,7 +98,7 @@ def closure_bias(mechanism: Mechanism, q: np.ndarray, qd: np.ndarray) -> np.ndar
 
 
 def _acceleration(G: np.ndarray, V: np.ndarray, Vd: np.ndarray, T: np.ndarray) -> np.ndarray:
-    """(6,) linear and angular acceleration of a frame's origin in the world's axes, of a link's twist and its rate."""
+    """Acceleration (6,) of a frame's origin, linear then angular, in the world's axes, from a link's V and Vd."""
     R, p = G[:3, :3], T[:3, 3]
     linear = Vd[3:] + _cross(Vd[:3], p) + _cross(V[:3], V[3:] + _cross(V[:3], p))
     return np.concatenate([R @ linear, R @ Vd[:3]])
@@ -108,7 +107,7 @@ def _acceleration(G: np.ndarray, V: np.ndarray, Vd: np.ndarray, T: np.ndarray) -
 def closed_dynamics(
     mechanism: Mechanism, q: np.ndarray, qd: np.ndarray, tau: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Accelerations qdd (nv,) under tau (nv,), and the constraints' forces f (rows,), least squares where redundant.
+    """Accelerations qdd (nv,) under tau (nv,), and constraint forces f (rows,), of minimum norm if redundant.
 
     M qdd + h = tau + J'f,   J qdd = -Jdot qd - 2 rate J qd - rate^2 phi
     """
@@ -123,9 +122,9 @@ def closed_dynamics(
 
 
 def projected_state(mechanism: Mechanism, q: np.ndarray, qd: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Positions q (nq,) and velocities (nv,) where a stage of RK4 leaves them: kernels.tree.loop_projection.
+    """Positions q (nq,) and velocities (nv,) projected onto the loop closures, as kernels.tree.loop_projection.
 
-    The smallest steps that close the chains to first order; couplings keep what they couple.
+    RK4 applies it after each stage: one minimum-norm step to first order, within the couplings.
     """
     G = np.eye(mechanism.nv) if mechanism.reduction is None else mechanism.reduction.G
     J = jacobian(mechanism, q) @ G
@@ -137,7 +136,7 @@ def projected_state(mechanism: Mechanism, q: np.ndarray, qd: np.ndarray) -> tupl
 
 
 def _pseudo_inverse(S: np.ndarray) -> np.ndarray:
-    """Of a symmetric S (rows, rows) that may be singular; analytic in a small imaginary part."""
+    """Pseudoinverse of a symmetric S (rows, rows); analytic in a small imaginary part."""
     values, vectors = np.linalg.eigh(np.real(S))
     keep = values > 1e-9 * values.max()
     V = vectors[:, keep]

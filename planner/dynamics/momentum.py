@@ -1,7 +1,7 @@
-"""Centre of mass and angular momentum of a mechanism: what nothing inside it can change.
+"""Centre of mass and angular momentum of a mechanism, which internal forces cannot change.
 
-In flight gravity acts at the centre of mass alone, so that this moves on a parabola and the angular momentum about it
-stays what it was, whatever the joints do; a plan keeps both to the order of its integrator.
+In flight only gravity acts, so the centre of mass follows a parabola and the angular momentum about it is constant,
+whatever the joints do; a plan satisfies both to the order of its integrator.
 
     m c = sum m_i c_i,    L = sum R_i I_i R_i' w_i + m_i (c_i - c) x (v_i - v)    over the links i, in the world's axes.
 """
@@ -20,11 +20,11 @@ from planner.model.mechanism import Mechanism
 
 
 def center_of_mass(mechanism: Mechanism, q: Any) -> np.ndarray:
-    """Where the centre of mass is in the world, (..., 3), m.
+    """Position of the centre of mass in the world, (..., 3), m.
 
     Args:
-        mechanism: The machine; what is fixed to the world is not part of it.
-        q: (..., nq).
+        mechanism: The machine; bodies fixed to the world do not count.
+        q: (..., nq) configurations, m and rad.
 
     Raises:
         PlannerError: A wrong shape, a number that is not finite, or a machine without mass.
@@ -38,9 +38,9 @@ def angular_momentum(mechanism: Mechanism, q: Any, qd: Any) -> np.ndarray:
     """Angular momentum about the centre of mass, in the world's axes, (..., 3), kg m^2/s.
 
     Args:
-        mechanism: The machine; what is fixed to the world is not part of it.
-        q: (..., nq).
-        qd: (..., nv), as many states as q.
+        mechanism: The machine; bodies fixed to the world do not count.
+        q: (..., nq) configurations, m and rad.
+        qd: (..., nv) velocities, m/s and rad/s.
 
     Raises:
         PlannerError: A wrong shape, a number that is not finite, or a machine without mass.
@@ -48,7 +48,7 @@ def angular_momentum(mechanism: Mechanism, q: Any, qd: Any) -> np.ndarray:
     masses, offsets, links = _massive(mechanism)
     b = KernelCall(mechanism, q=q, qd=qd)
     T, screws, origin = link_places(b)
-    twists = screws * b["qd"][:, :, None]  # of each link, relative to the one that carries it
+    twists = screws * b["qd"][:, :, None]  # of each link, relative to its parent
     for i, parent in enumerate(mechanism.parent):
         if parent >= 0:
             twists[:, i] += twists[:, parent]
@@ -56,14 +56,14 @@ def angular_momentum(mechanism: Mechanism, q: Any, qd: Any) -> np.ndarray:
     R = T[..., :3, :3]
     places = np.einsum("klij,lj->kli", R, offsets) + T[..., :3, 3]
     speeds = moving + np.cross(spin, places - origin)
-    own = np.einsum("klji,klj->kli", R, spin)  # the turning in the link's own axes
+    own = np.einsum("klji,klj->kli", R, spin)  # angular velocity in the link's own axes
     spins = np.einsum("klij,ljm,klm->ki", R, mechanism.inertia[links], own)
     c, v = (np.einsum("l,kli->ki", masses, values)[:, None] / masses.sum() for values in (places, speeds))
     return b.out(spins + np.einsum("l,kli->ki", masses, np.cross(places - c, speeds - v)))
 
 
 def _massive(mechanism: Mechanism) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """The links with mass: kg (L,), centre of mass (L, 3) in the link's frame, and which (L,)."""
+    """Links with mass: mass (L,), kg, centre of mass (L, 3) in the link's frame, m, and indices (L,)."""
     if not isinstance(mechanism, Mechanism):
         raise PlannerError(f"mechanism is {short_repr(mechanism)}, expected a Mechanism.")
     links = np.flatnonzero(mechanism.mass > 0.0)

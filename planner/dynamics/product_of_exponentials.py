@@ -1,4 +1,4 @@
-"""Fig. 2, line by line: kinematics and dynamics on products of exponentials, for the reader and for one state.
+"""Fig. 2, line by line: kinematics and dynamics by products of exponentials, for one state.
 
 Twists V and screws S are (angular, linear) and wrenches F (moment, force), all in the frame of their own link:
 
@@ -8,13 +8,13 @@ Twists V and screws S are (angular, linear) and wrenches F (moment, force), all 
     F_i = sum over children of Ad(T_child^-1)' F_child + inertia_i Vd_i - ad(V_i)' inertia_i V_i     backward
     tau_i = S_i' F_i
 
-Three things are added to the figure. The tree branches: a link has a parent instead of a predecessor. Gravity is an
-acceleration of the world, Vd_0 = (0, -g). The screws of a ball turn with the ball as a whole, so their bracket is
-taken with the twist before the ball (`base` in mechanism.py). In (nv+1, ...) arrays the last row is the world, which
-is where the parent -1 points.
+Three extensions of the figure: a link has a parent instead of a predecessor (branching tree); gravity is an
+acceleration of the world, Vd_0 = (0, -g); all screws of a ball rotate with the ball, so their bracket uses the twist of
+the ball's parent (`base` in mechanism.py). In (nv+1, ...) arrays the last row is the world, index -1.
 
-The compiled kernels are held against this file. It checks no arguments, but it is analytic: q (quaternions too), qd
-and the inputs may be complex, so an imaginary step of 1e-30 in any of them gives derivatives exact to rounding.
+This file is the reference implementation of the compiled kernels. It does not check arguments, and is
+analytic: q (quaternions too), qd and the inputs may be complex, so an imaginary step of 1e-30 in any of them gives
+derivatives exact to rounding.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from planner.model.tendons import tendon_forces
 
 
 def exp6(S: np.ndarray, q: complex) -> np.ndarray:
-    """The pose exp(S q) (4, 4): S (6,) has an axis of length one (revolute) or zero (prismatic)."""
+    """The pose exp(S q) (4, 4): the angular part of S (6,) has norm 1 (revolute) or 0 (prismatic)."""
     H = hat(S[:3])
     T = np.eye(4, dtype=np.result_type(S, q))
     T[:3, :3] += np.sin(q) * H + (1.0 - np.cos(q)) * H @ H
@@ -45,7 +45,7 @@ def inverse(T: np.ndarray) -> np.ndarray:
 
 
 def Ad(T: np.ndarray) -> np.ndarray:
-    """(6, 6): takes a twist from the frame whose pose is T (4, 4) into the frame T is given in."""
+    """Adjoint matrix (6, 6): maps a twist from the frame with pose T (4, 4) to the frame in which T is expressed."""
     result = np.zeros((6, 6), dtype=T.dtype)
     result[:3, :3] = result[3:, 3:] = T[:3, :3]
     result[3:, :3] = hat(T[:3, 3]) @ T[:3, :3]
@@ -53,7 +53,7 @@ def Ad(T: np.ndarray) -> np.ndarray:
 
 
 def ad(V: np.ndarray) -> np.ndarray:
-    """The Lie bracket with a twist V (6,) as a matrix (6, 6): times U it is [V, U]."""
+    """Matrix (6, 6) of the Lie bracket [V, .] with a twist V (6,)."""
     result = np.zeros((6, 6), dtype=V.dtype)
     result[:3, :3] = result[3:, 3:] = hat(V[:3])
     result[3:, :3] = hat(V[3:])
@@ -61,13 +61,13 @@ def ad(V: np.ndarray) -> np.ndarray:
 
 
 def rotation(quaternion: np.ndarray) -> np.ndarray:
-    """The rotation (3, 3) of a quaternion (4,) of any length."""
+    """The rotation matrix (3, 3) of a quaternion (4,) of any norm."""
     w, v = quaternion[0], quaternion[1:]
     return np.eye(3) + 2.0 * (w * hat(v) + hat(v) @ hat(v)) / np.sum(quaternion**2)
 
 
 def rotation_vector(quaternion: np.ndarray) -> np.ndarray:
-    """The rotation vector (3,), rad, of a quaternion (4,) of any length: log_quaternion of model.space, for complex."""
+    """The rotation vector (3,), rad, of a quaternion (4,) of any norm; log_quaternion for complex arguments."""
     quaternion = quaternion / np.sqrt(np.sum(quaternion**2)) * (-1.0 if quaternion[0].real < 0.0 else 1.0)
     square = np.sum(quaternion[1:] ** 2)
     if abs(square) < 1e-8:  # asin(s) / s in a series, since sqrt has no derivative at 0
@@ -103,11 +103,11 @@ def link_poses(mechanism: Mechanism, q: np.ndarray) -> np.ndarray:
 
 
 class Twists(NamedTuple):
-    """The forward recursion of Fig. 2 as far as velocities go."""
+    """Velocity part of the forward recursion of Fig. 2."""
 
-    X: np.ndarray  # (nv, 6, 6) Ad(T_i^-1): from the parent's frame into the link's
-    V: np.ndarray  # (nv+1, 6)
-    V_base: np.ndarray  # (nv, 6) twist, in the link's frame, of what turns its screw
+    X: np.ndarray  # (nv, 6, 6) Ad(T_i^-1), from the parent's frame to the link's
+    V: np.ndarray  # (nv+1, 6) twist of each link in its own frame; last the world
+    V_base: np.ndarray  # (nv, 6) twist of link `base` in the link's frame
 
 
 def twists(mechanism: Mechanism, q: np.ndarray, qd: np.ndarray) -> Twists:
@@ -124,7 +124,7 @@ def twists(mechanism: Mechanism, q: np.ndarray, qd: np.ndarray) -> Twists:
 
 
 def internal_forces(mechanism: Mechanism, q: np.ndarray, qd: np.ndarray) -> np.ndarray:
-    """The forces (nv,) that springs and dampers of joints and tendons take from tau, less gravity compensation."""
+    """Passive forces (nv,) on the left of Eq. 6: springs and dampers of joints and tendons, minus compensation."""
     m = mechanism
     extension = np.where(m.kind == SCREW, q[m.q_address] - m.spring_rest, 0.0)
     forces = m.damping * qd + m.stiffness * extension
@@ -134,7 +134,7 @@ def internal_forces(mechanism: Mechanism, q: np.ndarray, qd: np.ndarray) -> np.n
 
 
 def compensation(mechanism: Mechanism, q: np.ndarray) -> np.ndarray:
-    """The applied forces tau (nv,) of gravity compensation: other masses, whose weight acts upwards."""
+    """Generalized forces tau (nv,) of gravity compensation: minus the weight of the compensated masses."""
     m = mechanism
     X = np.array([Ad(inverse(T)) for T in link_poses(m, q)]).reshape(m.nv, 6, 6)
     up, F = np.zeros((m.nv + 1, 6), dtype=X.dtype), np.zeros((m.nv + 1, 6), dtype=X.dtype)
@@ -155,7 +155,7 @@ def rnea(mechanism: Mechanism, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray) -
 
     Args:
         mechanism: The machine.
-        q: (nq,) as MuJoCo's qpos; quaternions may be of any length.
+        q: (nq,) as MuJoCo's qpos; quaternions may have any norm.
         qd: (nv,) as qvel.
         qdd: (nv,) as qacc.
     """
@@ -179,9 +179,9 @@ def bias(mechanism: Mechanism, q: np.ndarray, qd: np.ndarray) -> np.ndarray:
 
 
 def mass_matrix(mechanism: Mechanism, q: np.ndarray) -> np.ndarray:
-    """M (nv, nv) of Eq. 6 with armature: Fig. 2 for unit accelerations of a machine at rest without gravity.
+    """Mass matrix M (nv, nv) of Eq. 6 with armature, by the composite rigid body algorithm.
 
-    The links outside a joint then move as one rigid body, so their inertias are summed before the forces are.
+    Fig. 2 for unit accelerations at rest without gravity: the links outside a joint move as one rigid body.
     """
     n, parent, S, J = mechanism.nv, mechanism.parent, mechanism.S, inertias(mechanism)
     X = twists(mechanism, q, np.zeros(n)).X
@@ -203,17 +203,17 @@ def mass_matrix(mechanism: Mechanism, q: np.ndarray) -> np.ndarray:
 def hybrid_dynamics(
     mechanism: Mechanism, q: np.ndarray, qd: np.ndarray, inputs: np.ndarray, prescribed: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Section 1.2, partially actuated systems: some joints are given their acceleration, the others their force.
+    """Section 1.2, partially actuated systems: inputs are accelerations of some joints and forces of the others.
 
-    What hangs on link i resists its acceleration by F_i = articulated_i Vd_i + rest_i. A joint whose force is given
-    yields: its direction S_i is eliminated on the way to the parent. A joint whose acceleration is given is rigid.
+    Articulated body algorithm: the wrench on the subtree of link i is F_i = articulated_i Vd_i + rest_i. Toward the
+    parent, S_i is eliminated if the joint's force is the input; if its acceleration is, the joint is rigid.
 
     Args:
         mechanism: The machine.
-        q: (nq,).
-        qd: (nv,).
+        q: (nq,) as qpos.
+        qd: (nv,) as qvel.
         inputs: (nv,) qdd where prescribed, tau elsewhere.
-        prescribed: (nv,) bool.
+        prescribed: (nv,) bool, whose acceleration is the input.
 
     Returns:
         qdd (nv,) and tau (nv,).
@@ -279,7 +279,7 @@ def forward_kinematics(mechanism: Mechanism, q: np.ndarray) -> np.ndarray:
 
 
 def jacobian(mechanism: Mechanism, q: np.ndarray, frame: Frame) -> np.ndarray:
-    """(6, nv): rows linear and angular velocity of a frame's origin in the world's axes, as mj_jacSite."""
+    """Jacobian (6, nv) of a frame at its origin, linear then angular rows, in the world's axes, as mj_jacSite."""
     G = world_poses(mechanism, q)
     position = (G[frame.link] @ frame.T)[:3, 3]
     J = np.zeros((6, mechanism.nv), dtype=G.dtype)

@@ -1,4 +1,4 @@
-"""The two faces of a machine: Dynamics, which every machine has, and CompiledDynamics, which fast ones have too."""
+"""Interfaces of dynamics: Dynamics, required of all, and CompiledDynamics, for compiled solves."""
 
 from __future__ import annotations
 
@@ -13,18 +13,18 @@ __all__ = ["INTEGRATORS", "CompiledDynamics", "Dynamics", "ResidualDynamics"]
 
 
 class Dynamics(Protocol):
-    """Discrete dynamics with a control that is held over each stage.
+    """Discrete dynamics with a control that is constant over each stage.
 
-    States that are not plain vectors (orientations as unit quaternions) come with one more attribute, `space`, a
-    StateSpace: then A, B and a plan's gains act on its deviations, ndx numbers. Without it ndx is nx.
+    Optional attribute `space`, a StateSpace, for states with unit quaternions: A, B and a plan's gains then act on
+    deviations (ndx,). Without it ndx = nx.
 
-    For a finer step, or another duration, they have one more method, with_step(dt, integrator).
+    Optional method with_step(dt, integrator): the same dynamics with another step or duration.
 
-    For solve(hessian="exact") they have one more method, second_order(xs, us, costates): with costates (N+1, ndx) of
+    Optional method second_order(xs, us, costates), for solve(hessian="exact"): with costates (N+1, ndx) of
     Eq. 16 the symmetric T (N, ndx+nu, ndx+nu) = sum_k costates[n+1, k] d2 f_k / dz2 in z = (x, u).
 
-    What a machine has (contacts, loops, friction, exact Hessians) is in one more attribute, `capabilities`; without it
-    the defaults of planner.model.capabilities.Capabilities hold.
+    Optional attribute `capabilities` (contacts, loops, friction, exact Hessians); without it the defaults of
+    planner.model.capabilities.Capabilities apply.
 
     Attributes:
         nx: Size of the state.
@@ -40,32 +40,32 @@ class Dynamics(Protocol):
     def dt(self) -> float: ...  # noqa: D102
 
     def step(self, xs: np.ndarray, us: np.ndarray, dt: np.ndarray | None = None) -> np.ndarray:
-        """The ends (K, nx) of K stages from xs (K, nx) with us (K, nu).
+        """The states (K, nx) after one stage from xs (K, nx) with us (K, nu).
 
         Args:
-            xs: (K, nx).
-            us: (K, nu).
-            dt: (K,) s, for parts of a stage; a whole stage by default.
+            xs: (K, nx) initial states.
+            us: (K, nu) controls.
+            dt: (K,) s, lengths of partial stages; a whole stage by default.
         """
         ...
 
     def linearize(self, xs: np.ndarray, us: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """A (N, ndx, ndx) and B (N, ndx, nu) along xs (N+1, nx), us (N, nu).
 
-        The deviation of the end of a stage is A dx + B du for a deviation dx of its start and du of the control.
+        A dx + B du is the deviation of the next state for deviations dx of the state and du of the control.
         """
         ...
 
 
 @runtime_checkable
 class CompiledDynamics(Protocol):
-    """Dynamics that work on a Workspace (see kernels).
+    """Dynamics with compiled methods on a Workspace (see kernels).
 
     Attributes:
         structured: Whether F holds accelerations only (see Workspace).
-        has_slopes: Whether rollouts give the slopes that the Wolfe rule needs.
-        kernels: Names in kernels.precompile of the kernels that it calls.
-        second_order_kernels: Those that second_order_nominal calls.
+        has_slopes: Whether rollouts return the directional derivatives of the cost that the Wolfe rule needs.
+        kernels: Names, in kernels.precompile, of the kernels used by linearize_nominal and search.
+        second_order_kernels: Names of the kernels used by second_order_nominal.
         dt: Length of a stage, s.
     """
 
@@ -81,7 +81,7 @@ class CompiledDynamics(Protocol):
     def dt(self) -> float: ...  # noqa: D102
 
     def memory(self, N: int) -> Any:
-        """Scratch of one solve of N stages, for linearize_nominal and search."""
+        """Scratch memory of a solve of N stages, for linearize_nominal and search."""
         ...
 
     def linearize_nominal(self, w: Workspace, memory: Any) -> None:
@@ -89,17 +89,17 @@ class CompiledDynamics(Protocol):
         ...
 
     def stage_ends(self, w: Workspace, memory: Any) -> np.ndarray:
-        """The ends (N, nx) of the stages from w.xs, w.us; linearize_nominal may follow, as after a search."""
+        """The states (N, nx) after one stage from each of w.xs, w.us; prepares linearize_nominal, as search does."""
         ...
 
     def search(
         self, w: Workspace, memory: Any, rule: int, feedback: bool, cost: float, slope: float
     ) -> tuple[float, float]:
-        """Line search (see kernels.lq.line_search) from w.xs, w.us; takes the step there; (step or 0, cost after)."""
+        """Line search (see kernels.lq.line_search); updates w.xs, w.us; returns step length (0: none) and cost."""
         ...
 
     def second_order_memory(self) -> Any:
-        """Scratch of second_order_nominal. Raises PlannerError where there are no second-order terms."""
+        """Scratch memory of second_order_nominal; PlannerError if the dynamics have no second derivatives."""
         ...
 
     def second_order_nominal(self, w: Workspace, memory: Any, second: Any) -> None:
@@ -109,23 +109,23 @@ class CompiledDynamics(Protocol):
 
 @runtime_checkable
 class ResidualDynamics(CompiledDynamics, Protocol):
-    """Compiled dynamics of a mechanism, whose search and sweep can have residuals in them.
+    """Compiled dynamics of a mechanism that support cost residuals in the line search and the backward sweep.
 
     Attributes:
-        mechanism: That the terms must be of.
+        mechanism: The mechanism to which the cost terms must refer.
     """
 
     @property
     def mechanism(self) -> Any: ...  # noqa: D102
 
     def residual_kernels(self, solids: bool | None) -> tuple[str, ...]:
-        """Kernels that it calls then in place of `kernels`; `solids` as the table of residuals has it."""
+        """Names of the kernels used with residuals, in place of `kernels`; `solids` as in the residual table."""
         ...
 
     def residuals(self, measures: Any) -> Any:
-        """The kernels' table of planner.problem.costs.residuals.arrays.ResidualArrays, for Workspace.use_residuals."""
+        """Kernel table of a planner.problem.costs.residuals.arrays.ResidualArrays, for Workspace.use_residuals."""
         ...
 
     def quadratize_nominal(self, w: Workspace, memory: Any) -> None:
-        """Add the residuals' gradients along w.xs to w.l, and leave their Hessians for the sweep."""
+        """Add the residuals' gradients along w.xs to w.l, and store their Hessians for the backward sweep."""
         ...

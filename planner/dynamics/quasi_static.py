@@ -1,10 +1,10 @@
-"""Controls that hold a machine at rest, and the equilibrium nearest to a state.
+"""Controls of static equilibrium, and an equilibrium close to a state.
 
-At rest the bias force of a pose (gravity and springs) is that of actuators, contacts and stops together,
+At rest the bias force (gravity and springs) equals the sum of actuator, contact and stop forces,
 
     bias(q, 0) = B u + b(q) + sum_k J_k' f_k + stops,
 
-with B u + b(q) the forces of actuators under controls u. Dynamics of any kind have an equilibrium where x = f(x, u).
+with B u + b(q) the actuator forces under controls u. An equilibrium of any dynamics satisfies x = f(x, u).
 """
 
 from __future__ import annotations
@@ -24,23 +24,22 @@ from planner.model.mechanism import SCREW, Mechanism
 from planner.model.mjcf.prescribed_joints import prescribed_dofs_of
 from planner.model.space import space_of
 
-FORCE_FIT_WEIGHT = 1e-3  # weight of "each contact force is that of the contact law", beside 1 for holding the pose
-_RANK_TOLERANCE = 1e-10  # of the largest singular value: controls that change nothing
-_CONVERGED = 1e-12  # largest entry of a Newton step, in each coordinate's unit
+FORCE_FIT_WEIGHT = 1e-3  # weight of the deviation from the contact law's forces, relative to 1 of the force balance
+_RANK_TOLERANCE = 1e-10  # relative to the largest singular value: controls without effect
+_CONVERGED = 1e-12  # largest entry of a Gauss-Newton step at convergence, in each coordinate's unit
 
 
 def quasi_static_controls(dynamics: Any, x: Any, *, contacts: bool = True, keep_activations: bool = True) -> np.ndarray:
-    """Controls that hold a pose against gravity and springs, as far as the actuators can: the smallest such controls.
+    """Controls that balance gravity and springs at a pose, by least squares; of minimum norm without contacts.
 
-    Joints without an actuator are left to themselves, and prescribed joints get zero acceleration. Contacts near the
-    ground carry the machine as far as they can, within their cones of friction.
+    Prescribed joints get zero acceleration. Contacts close to the ground contribute forces within their friction cones.
 
     Args:
         dynamics: RigidBodyDynamics, or a Mechanism.
         x: (nq,) pose, or (nx,) state, of which positions and activations count.
-        contacts: Whether the ground carries what it can. Without, the actuators hold the machine in the air.
-        keep_activations: Whether an actuator that integrates its control stays at its activation, with control 0. If
-            not, its entry of the result is the activation that holds the pose.
+        contacts: Whether contact forces contribute; else only the actuators balance the pose.
+        keep_activations: Whether an INTEGRATOR actuator keeps its activation, with control 0. If not, its entry of
+            the result is the activation that balances the pose.
 
     Returns:
         (nu,) controls of the dynamics, or of the mechanism.
@@ -60,10 +59,10 @@ def quasi_static_controls(dynamics: Any, x: Any, *, contacts: bool = True, keep_
     missing = bias(mechanism, q, np.zeros(nv)) - actuators.moment.T @ force
     reach = actuators.moment.T * np.where(fixed, 0.0, actuators.gain)
     prescribed = prescribed_dofs_of(dynamics)
-    Z = feasible_directions(mechanism, q)[0]  # couplings and closed chains give what they must
+    Z = feasible_directions(mechanism, q)[0]  # constraint forces balance the other directions
     if len(prescribed):
         Z = Z.copy()
-        Z[prescribed] = 0.0  # their forces are whatever their accelerations need
+        Z[prescribed] = 0.0  # inverse dynamics gives their forces
     if mechanism.contacts and contacts:
         u = _supported_controls(mechanism, q, reach, missing, Z)
     else:
@@ -72,7 +71,7 @@ def quasi_static_controls(dynamics: Any, x: Any, *, contacts: bool = True, keep_
 
 
 def actuator_lengths(mechanism: Mechanism, q: np.ndarray) -> np.ndarray:
-    """(..., nu) lengths of actuators at poses q (..., nq), m and rad: over hinges and slides alone."""
+    """Actuator lengths (..., nu), moment q over hinges and slides, at poses q (..., nq), m and rad."""
     screws = np.zeros((mechanism.nu, mechanism.nq))
     for i in range(mechanism.nv):
         if mechanism.kind[i] == SCREW:
@@ -83,17 +82,17 @@ def actuator_lengths(mechanism: Mechanism, q: np.ndarray) -> np.ndarray:
 def _supported_controls(
     mechanism: Mechanism, q: np.ndarray, reach: np.ndarray, tau: np.ndarray, Z: np.ndarray
 ) -> np.ndarray:
-    """Controls (nu,) that together with the ground give a generalized force; least squares where they cannot.
+    """Controls (nu,) that with contact forces sum to a generalized force tau, by bounded least squares.
 
-    A contact near the ground pushes with nonnegative multiples of the edges of its friction cone (a pyramid of four).
-    Of several solutions the one whose contact forces are nearest to those of the contact law at this depth.
+    Forces of contacts close to the ground are nonnegative combinations of their friction cone's edges (a pyramid of
+    four). FORCE_FIT_WEIGHT selects the solution closest to the contact law's forces at this penetration.
 
     Args:
-        mechanism: With contacts.
+        mechanism: A mechanism with contacts.
         q: (nq,) pose.
         reach: (nv, nu) generalized forces per control.
-        tau: (nv,) generalized force that controls, contacts and stops give together.
-        Z: (nv, n) directions in which forces are to be in balance.
+        tau: (nv,) required generalized force of controls, contacts and stops, N and N m.
+        Z: (nv, n) directions in which forces must balance.
     """
     from scipy.optimize import lsq_linear
 
@@ -102,7 +101,7 @@ def _supported_controls(
     near = np.flatnonzero(law.depths > [-weight(mechanism) / c.law.stiffness for c in mechanism.contacts])
     J, pushing = contact_jacobians(mechanism, q, near), np.flatnonzero(law.forces.any(axis=1))
     pushed = np.einsum("kaj,ka->j", contact_jacobians(mechanism, q, pushing), law.forces[pushing])
-    tau = tau - generalized_forces(mechanism, q, still) + pushed  # less stops
+    tau = tau - generalized_forces(mechanism, q, still) + pushed  # minus stops and exponential torques
     edges = [_cone_edges(mechanism.contacts[k]) for k in near]
     columns = np.hstack([reach, *(Jk.T @ edge for Jk, edge in zip(J, edges, strict=True))])
     rows, wanted, at = [Z.T @ columns], [Z.T @ tau], nu
@@ -126,7 +125,7 @@ def _cone_edges(contact: Any) -> np.ndarray:
 
 
 def weight(mechanism: Mechanism) -> float:
-    """The weight of all bodies, N."""
+    """Total weight of a mechanism, N."""
     return float(mechanism.mass.sum() * np.linalg.norm(mechanism.gravity))
 
 
@@ -134,17 +133,17 @@ def equilibrium(
     dynamics: Any, x: np.ndarray, u: np.ndarray, free: np.ndarray | None = None, *,
     iterations: int = 20, tolerance: float = 0.0,
 ) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
-    """State and control at which a step of any dynamics changes nothing, x = f(x, u), by Gauss-Newton from x and u.
+    """State and control at equilibrium, x = f(x, u), of any dynamics, by Gauss-Newton from x and u.
 
-    Where no such control exists, the result is the last iterate of least squares.
+    If there is none, the result is the last least-squares iterate.
 
     Args:
-        dynamics: Any.
-        x: (nx,) state.
-        u: (nu,) first control.
-        free: (ndx,) bool, coordinates of x that may change, along couplings and closed chains; None for none.
-        iterations: The largest number of Newton steps.
-        tolerance: Drift in one stage, in each coordinate's unit, at which it stops.
+        dynamics: Any dynamics.
+        x: (nx,) initial state.
+        u: (nu,) initial control.
+        free: (ndx,) bool, coordinates of x that may change, within couplings and loop closures; None for none.
+        iterations: Largest number of iterations.
+        tolerance: Largest state change in one stage at convergence, in each coordinate's unit.
 
     Returns:
         x (nx,) and u (nu,).
@@ -171,11 +170,11 @@ def equilibrium(
 
 
 def state_directions(dynamics: Any, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Directions T (ndx, n) that couplings and closed chains leave to a state x (nx,): dx = T dx[places].
+    """Basis T (ndx, n) of the deviations of a state x (nx,) within couplings and loop closures: dx = T dx[indices].
 
     Returns:
-        T, and places (n,) at which T is the identity. The identity and all places for dynamics without a mechanism, or
-        whose state holds more than the mechanism's.
+        T, and the indices (n,) at which T is the identity. The identity and all indices for dynamics without a
+        mechanism, or whose state is not the mechanism's.
     """
     mechanism, ndx = capabilities_of(dynamics).mechanism, space_of(dynamics).ndx
     if mechanism is None or mechanism.space.ndx != ndx:

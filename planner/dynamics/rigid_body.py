@@ -1,4 +1,4 @@
-"""RigidBodyDynamics: a Mechanism, discretized. The rates are Fig. 2's, the Jacobians exact."""
+"""RigidBodyDynamics: discrete dynamics of a Mechanism by the recursions of Fig. 2, with exact Jacobians."""
 
 from __future__ import annotations
 
@@ -28,8 +28,8 @@ from planner.model.mechanism import Mechanism
 from planner.model.space import StateSpace
 
 WITH_SUBSTEPS = ("rk4", "rosenbrock")
-MAX_SUBSTEPS = 16  # of a stage: more are a shorter stage's, whose controls may change as well
-ROUNDING = 1e-9  # relative, of a length divided by another
+MAX_SUBSTEPS = 16  # largest number in a stage; shorter stages should replace more
+ROUNDING = 1e-9  # relative tolerance of a ratio of lengths
 
 
 class RigidBodyDynamics:
@@ -39,15 +39,15 @@ class RigidBodyDynamics:
         mechanism: The machine.
         dt: Length of a stage, s.
         integrator: "euler", "semi-implicit-euler" (velocity first, as MuJoCo's Euler), "rk4", or "rosenbrock", of
-            second order, for machines whose damping is too fast for RK4 (kernels.tree.rosenbrock).
-        prescribed: Names of joints whose accelerations are inputs (the paper's Cases 2 and 3); their actuators do
-            nothing.
-        substeps: Equal steps of these two in a stage, 1 to 16, for machines whose fastest motions need them (see
-            planner.dynamics.step_stability). The control is held over all of them.
+            second order with implicit damping, for damping too stiff for RK4 (kernels.tree.rosenbrock).
+        prescribed: Names of joints whose accelerations are inputs (the paper's Cases 2 and 3); their actuators have
+            no effect.
+        substeps: Equal integration steps of a stage, 1 to 16, of "rk4" and "rosenbrock", for stability (see
+            planner.dynamics.step_stability). The control is constant over all of them.
 
     Raises:
-        PlannerError: dt is not positive, no such integrator or joint, nothing drives the mechanism, substeps of an
-            Euler integrator, or a prescribed joint is coupled.
+        PlannerError: dt is not positive, the integrator or a joint is unknown, there is no control, an Euler integrator
+            has substeps, a prescribed joint is coupled, or "rosenbrock" with closed chains.
     """
 
     def __init__(
@@ -81,7 +81,7 @@ class RigidBodyDynamics:
         self.second_order_kernels = ("tree second order", "costates")
 
     def _make_tables(self) -> None:
-        """The kernels' table of the mechanism, and a place for the scratch of each thread."""
+        """Create the kernel table of the mechanism, and thread-local storage for scratch memory."""
         driven = np.zeros(self.mechanism.nv, dtype=bool)
         for name in self.prescribed:
             driven[self.mechanism.joint(name)] = True
@@ -102,7 +102,7 @@ class RigidBodyDynamics:
         self.capabilities = Capabilities.of_mechanism(self.mechanism, driven, exact_hessian=not implicit)
 
     def __getstate__(self) -> dict[str, Any]:
-        """All but the tables: they hold addresses, which are of this object in this process alone."""
+        """All attributes but the tables, whose addresses are valid in this process only."""
         return {name: part for name, part in vars(self).items() if name not in ("_model", "_steps")}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
@@ -116,13 +116,12 @@ class RigidBodyDynamics:
         return f"{type(self).__name__}({joints}, {self.integrator}, dt {self.dt:g}{substeps})"
 
     def with_step(self, dt: float, integrator: str) -> RigidBodyDynamics:
-        """The same machine with another stage, s, and integrator; substeps of RK4 become no longer than they were.
+        """The same machine with another length of a stage, s, and integrator; substeps become no longer.
 
         Raises:
-            PlannerError: The class is derived from RigidBodyDynamics and has no with_step of its own, or the stage
-                needs more than 16 substeps.
+            PlannerError: A subclass does not override with_step, or the stage needs more than 16 substeps.
         """
-        if type(self) is not RigidBodyDynamics:  # it may take other arguments
+        if type(self) is not RigidBodyDynamics:  # its constructor may differ
             raise PlannerError(
                 f"the dynamics are of the type {type(self).__name__}, expected RigidBodyDynamics, or a class with "
                 "with_step(dt, integrator) of its own."
@@ -142,7 +141,7 @@ class RigidBodyDynamics:
         return array("xs", xs, (len(us), self.nx), any_value=True), us
 
     def step(self, xs: np.ndarray, us: np.ndarray, dt: np.ndarray | None = None) -> np.ndarray:
-        """The ends (K, nx) of K stages from xs (K, nx) with us (K, nu); see Dynamics.step."""
+        """The states (K, nx) after one stage from xs (K, nx) with us (K, nu); see Dynamics.step."""
         xs, us = self._checked(xs, us)
         lengths = np.full(len(xs), self.dt) if dt is None else array("dt", dt, (len(xs),))
         announce_named(variant("tree steps", self._model))
@@ -151,13 +150,13 @@ class RigidBodyDynamics:
         return ends
 
     def _scratch(self) -> TreeMemory:
-        """For single steps, one for each thread: to allocate it takes longer than a step does."""
+        """Scratch memory of single steps, one per thread, since allocation takes longer than a step."""
         if not hasattr(self._steps, "memory"):
             self._steps.memory = TreeMemory(self._model, self._code, 0, False, self.substeps)
         return self._steps.memory
 
     def rates(self, xs: np.ndarray, us: np.ndarray) -> np.ndarray:
-        """The rates (qvel, qacc, d act/dt), (K, 2 nv + na), at xs (K, nx) with us (K, nu)."""
+        """State derivatives (qvel, qacc, d act/dt), (K, 2 nv + na), at xs (K, nx) with us (K, nu)."""
         xs, us = self._checked(xs, us)
         announce_named(variant("tree rates", self._model))
         out, memory = np.empty((len(xs), self.ndx)), self._scratch()
@@ -183,7 +182,7 @@ class RigidBodyDynamics:
         """T (N, ndx+nu, ndx+nu) = sum_k costate_k d2 f_k / dz2 with z = (x, u), exact; see Dynamics.second_order.
 
         Raises:
-            PlannerError: The mechanism has a ball or free joint.
+            PlannerError: No second derivatives, e.g. a ball or free joint; see second_order_memory.
         """
         xs, us = self._checked(np.asarray(xs)[: len(us)], us)
         N, ndx, first = len(us), self.ndx, padded(self.nu)
@@ -197,7 +196,7 @@ class RigidBodyDynamics:
         return (np.triu(T) + np.triu(T, 1).swapaxes(1, 2))[:, order[:, None], order]
 
     def _turns(self, transport: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """T and J (N, nv, nv) of dq+ = T dq + dt J dv+: the identity but for rotations."""
+        """T and J (N, nv, nv) of dq+ = T dq + dt J dv+, the identity except for quaternions."""
         nv = self.mechanism.nv
         T, J = (np.tile(np.eye(nv), (len(transport), 1, 1)) for _ in range(2))
         for b, (_, i) in enumerate(self.space.quaternions):
@@ -219,11 +218,11 @@ class RigidBodyDynamics:
         return np.concatenate([self.dt * (self._turns(transport)[1] @ rate), rate], axis=1)
 
     def memory(self, N: int) -> TreeMemory:
-        """Scratch of one solve of N stages."""
+        """Scratch memory of a solve of N stages."""
         return TreeMemory(self._model, self._code, N, substeps=self.substeps)
 
     def second_order_memory(self) -> tree_second.SecondOrderMemory:
-        """Scratch of second_order_nominal; refuses what it has no second derivatives of."""
+        """Scratch memory of second_order_nominal; PlannerError for features without second derivatives."""
         if self.substeps > 1:
             raise PlannerError(
                 f'hessian="exact" has no second derivatives of substeps and a stage has {self.substeps}, expected '
@@ -275,7 +274,7 @@ class RigidBodyDynamics:
             tree_linearize.linearize_dense(m, r, self.dt, w.xs, w.us, w.F, external)
 
     def stage_ends(self, w: Workspace, memory: TreeMemory) -> np.ndarray:
-        """The ends (N, nx) of the stages from w.xs, w.us; linearize_nominal may follow."""
+        """The states (N, nx) after one stage from each of w.xs, w.us; prepares linearize_nominal."""
         announce_named(variant("tree steps", self._model))
         xs, lengths = w.xs[:-1], np.full(len(w.us), self.dt)
         ends, m = np.empty_like(xs), self._model
@@ -295,29 +294,29 @@ class RigidBodyDynamics:
         )  # fmt: skip
 
     def residual_kernels(self, solids: bool | None) -> tuple[str, ...]:
-        """Kernels in place of `kernels` with residuals; whether some of these are of two solids."""
+        """Names of the kernels used with residuals; `solids`: whether some are distances of two solids."""
         search, residuals = variant("tree search", self._model, True), "residuals"
         names = (f"{search} solids", f"{residuals} solids") if solids else (search, residuals)
         return names[0], *self.kernels[1:], names[1]
 
     def take(self, w: Workspace, memory: TreeMemory, lane: int) -> None:
-        """Make candidate `lane` of a search that took none the nominal trajectory."""
+        """Make candidate `lane` of a rejected line search the nominal trajectory."""
         w.take(lane)
         memory.take(lane)
 
     def nominal_jacobians(self, w: Workspace) -> tuple[np.ndarray, np.ndarray]:
-        """A (N, ndx, ndx) and B (N, ndx, nu) of Eq. 35, as linearize_nominal left them."""
+        """A (N, ndx, ndx) and B (N, ndx, nu) of Eq. 35, from the last linearize_nominal."""
         by_u, by_x = w.F[:, :, : self.nu], w.F[:, :, w.first : w.first + self.ndx]
         if self.structured:
             return self._semi_implicit(by_x, w.transport), self._semi_implicit_inputs(by_u, w.transport)
         return by_x, by_u
 
     def residuals(self, measures: Any) -> ResidualTable:
-        """The kernels' table of the terms of costs, from their problem.costs.residuals.arrays.ResidualArrays."""
+        """Kernel table of the cost residuals in a problem.costs.residuals.arrays.ResidualArrays."""
         return ResidualTable(self._model, measures)
 
     def quadratize_nominal(self, w: Workspace, memory: TreeMemory) -> None:
-        """Add the residuals' gradients along w.xs to w.l, and leave their Hessians for the sweep."""
+        """Add the residuals' gradients along w.xs to w.l, and store their Hessians for the backward sweep."""
         quadratize_residuals(w.table, self._model.table, memory.table, w.residuals.table, w.residuals.solids)
 
     def second_order_nominal(self, w: Workspace, memory: TreeMemory, second: tree_second.SecondOrderMemory) -> None:

@@ -1,4 +1,4 @@
-"""Distances of a mechanism's solids, their derivatives, and how near they can have come between two poses."""
+"""Signed distances of a mechanism's solids, their derivatives, and lower bounds between two poses."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ from planner.model.mechanism import Mechanism
 
 
 class SignedDistances:
-    """Signed distances of pairs of solids of a machine and its world, m.
+    """Signed distances of P pairs of solids of a machine and its world, m.
 
     Args:
         mechanism: The machine.
-        pairs: (P) solids in the order of model.contact.collision_shapes.in_order.
+        pairs: (P,) pairs, each in the order of model.contact.collision_shapes.in_order.
     """
 
     def __init__(self, mechanism: Mechanism, pairs: Sequence[tuple[CollisionShape, CollisionShape]]) -> None:
@@ -35,21 +35,21 @@ class SignedDistances:
         self._kind = np.array([kind_of(*pair) for pair in pairs], dtype=np.int64)
         self._flat = np.array([pair[1].plane for pair in pairs], dtype=bool)
         chains = [[set(chain_of(mechanism.parent, solid.link)) for solid in pair] for pair in pairs]
-        # What moves both of a pair changes no distance.
+        # Joints that move both solids of a pair do not change its distance.
         self._sign = np.zeros((len(pairs), mechanism.nv))
         for k, (one, other) in enumerate(chains):
             self._sign[k, sorted(one - other)], self._sign[k, sorted(other - one)] = 1.0, -1.0
 
     def values(self, q: Any, beyond: np.ndarray | float = np.inf) -> np.ndarray:
-        """Distances (K, P) in poses q (K, nq).
+        """Distances (K, P), m, at poses q (K, nq).
 
-        What is above `beyond` (P,) need not be known: it may be the distance of the balls around both, which is less.
+        Values above the threshold `beyond` (P,), m, may be the smaller distance of the bounding spheres.
         """
         T = self._places(link_places(KernelCall(self.mechanism, q=q))[0])
         return self._measured(T, beyond)[0]
 
     def derivatives(self, q: Any, beyond: np.ndarray | float = np.inf) -> tuple[np.ndarray, np.ndarray]:
-        """Distances (K, P) and their derivatives by motion (K, P, nv), which are zero above `beyond`."""
+        """Distances (K, P), m, and their derivatives by q (K, P, nv), zero for distances above `beyond`, m."""
         T, screws, origin = link_places(KernelCall(self.mechanism, q=q))
         values, n, p = self._measured(self._places(T), beyond)
         arms = p[:, :, None] - origin[:, None]  # (K, P, nv, 3)
@@ -58,10 +58,10 @@ class SignedDistances:
         return values, self._sign * along
 
     def motion_bound(self, q: Any, dq: np.ndarray) -> np.ndarray:
-        """How far at most (K, P) a motion dq (K, nv) moves any point of one of a pair relative to the other, m.
+        """Upper bound (K, P), m, of the relative displacement of points of a pair of solids under dq (K, nv).
 
-        By a screw of unit speed no point of a ball around a solid moves faster. A plane has no ball, so what moves it
-        is seen from the other's.
+        Each joint contributes its largest speed over the bounding sphere of the solid that it moves; for a plane, which
+        is unbounded, over that of the other solid.
         """
         T, screws, origin = link_places(KernelCall(self.mechanism, q=q))
         centres = self._places(T)[..., :3, 3]
@@ -75,12 +75,12 @@ class SignedDistances:
         return found
 
     def _places(self, T: np.ndarray) -> np.ndarray:
-        """Poses (K, S, 4, 4) of the solids, of the links' T (K, nv, 4, 4)."""
+        """Poses (K, S, 4, 4) of the solids, from the link poses T (K, nv, 4, 4)."""
         world = np.broadcast_to(np.eye(4), (len(T), 1, 4, 4))
         return np.concatenate([T, world], axis=1)[:, self._link] @ self._T
 
     def _measured(self, T: np.ndarray, beyond: np.ndarray | float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Distances (K, P), directions and places (K, P, 3) where solids are at T (K, S, 4, 4)."""
+        """Distances (K, P), unit normals and points (K, P, 3), m, of solids with poses T (K, S, 4, 4)."""
         a, b = self._pairs.T
         way = T[:, a][..., :3, 3] - T[:, b][..., :3, 3]
         over = np.sum(way * T[:, b][..., :3, 2], axis=-1)
@@ -99,9 +99,9 @@ class SignedDistances:
 
 
 def distance_lower_bound(values: np.ndarray, moved: np.ndarray) -> np.ndarray:
-    """The least distances (K-1, P) that pairs can have had between poses, from those there (K, P) and how they moved.
+    """Lower bounds (K-1, P), m, of distances between consecutive poses, from the distances `values` (K, P) at them, m.
 
-    A distance changes no faster than its pair moves: between two poses that are `moved` (K-1, P) m apart it is at least
-    half of their sum less half of that.
+    A distance changes by at most the relative displacement, `moved` (K-1, P), m, so the bound is half the sum of both
+    distances minus half of it.
     """
     return 0.5 * (values[:-1] + values[1:] - moved)

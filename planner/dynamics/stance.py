@@ -1,10 +1,9 @@
-"""Where a machine ends that stands, when nobody says: where feet that do not slide carry it.
+"""Default goal of a standing robot: the pose reached with minimum foot slip.
 
-Who asks legs to bend seldom says where the trunk goes, and a trunk that is to stay while its legs swing would have to
-drag its feet. Along the ground a machine at rest may stand anywhere, so among these places the goal takes the one to
-which its feet roll, or slide least: of all motions of what no actuator drives that neither lift nor tilt what touches,
-the one with the least sum of f |J dq|^2, f the normal forces at rest and J dq how far each contact slides, J taken
-midway.
+A goal of leg joints leaves the position of the trunk open, and a trunk that stays would drag the feet. At rest on level
+ground horizontal displacements are free, so the goal pose is displaced by the dq of the unactuated degrees of freedom
+that minimizes sum_k f_k |J_k dq|^2 without lifting or tilting links in contact: f_k are the normal forces at rest, J_k
+dq the slip of contact k, with J_k at the midpoint of start and goal.
 """
 
 from __future__ import annotations
@@ -17,22 +16,22 @@ from planner.dynamics.statics import along_ground
 from planner.model.capabilities import unactuated_basis
 from planner.model.mechanism import Mechanism
 
-TURNS = 5  # of taking J midway again; each is nearer by the square of the way
-POSE_TOLERANCE = 1e-9  # m or rad
-RANK = 1e-6  # of the largest: what feet leave free
+TURNS = 5  # largest number of iterations of the midpoint Jacobian
+POSE_TOLERANCE = 1e-9  # m or rad, largest change of the goal at convergence
+RANK = 1e-6  # relative to the largest singular value: rank tolerance of the contact Jacobian
 
 
 def goal_without_foot_slip(mechanism: Mechanism, start: np.ndarray, goal: np.ndarray, kept: np.ndarray) -> np.ndarray:
-    """The goal (nx,) moved along the ground to where its feet slide least on the way from the start (nx,).
+    """The goal (nx,) displaced along the ground so that the feet slip least from the start (nx,).
 
     Args:
-        mechanism: With contacts; start and goal are at rest on the ground.
-        start: (nx,).
-        goal: (nx,), at the right height.
-        kept: (nv,) which degrees of freedom stay as they are in the goal, because somebody asked for them.
+        mechanism: A mechanism with contacts; start and goal are at rest on the ground.
+        start: (nx,) state.
+        goal: (nx,) state, at its height of static equilibrium.
+        kept: (nv,) bool, degrees of freedom that the user's goal specifies; they do not change.
 
     Returns:
-        (nx,), the goal itself where nothing may move or nothing carries the machine at both ends.
+        (nx,); the unchanged goal if no degree of freedom may change, or no contact bears load at start and goal.
     """
     space, nq, nv = mechanism.space, mechanism.nq, mechanism.nv
     still = np.zeros(nv)
@@ -64,10 +63,10 @@ def goal_without_foot_slip(mechanism: Mechanism, start: np.ndarray, goal: np.nda
 
 
 def stance_inertia(mechanism: Mechanism, q: np.ndarray) -> np.ndarray:
-    """The inertia (nv,) that each degree of freedom moves while what carries the machine at q (nq,) stays in place.
+    """Effective inertia (nv,) of each degree of freedom at q (nq,) with the loaded contacts fixed, kg m^2 or kg.
 
-    kg m^2 or kg: 1 / A_ii of A = Z (Z' M Z)^-1 Z', Z a basis of the velocities with J Z = 0. An ankle in the air moves
-    a foot, and on the ground all that stands on it. 0 where nothing carries it, or the feet leave it no motion.
+    1 / A_ii of A = Z (Z' M Z)^-1 Z', Z a basis of the velocities with J Z = 0: at an ankle, the foot in the air, but
+    the whole robot on the ground. 0 without loaded contacts, or where the contacts allow no velocity.
     """
     still = np.zeros(mechanism.nv)
     carry = np.flatnonzero(contact_forces(mechanism, q, still).forces.any(axis=1))

@@ -1,12 +1,12 @@
-"""A machine at rest on the ground: the pose in which the ground carries it, and what its actuators have to hold there.
+"""Static equilibrium of a machine on the ground.
 
 At rest the bias force of a pose (gravity and springs) is that of actuators, contacts and stops together,
 
     bias(q, 0) = B u + sum_k J_k' f_k + stops,
 
-of which the law of model.contact.laws gives f_k by how deep contact k is. `settled` moves a pose by what no actuator
-drives until this holds in the rows of what it moved: downhill in potential energy, as the machine itself would if its
-motors were locked. `supported` asks what u does it in a pose that need not be so exact.
+where the contact law of model.contact.laws gives f_k by the penetration of contact k. `static_equilibrium` moves the
+unactuated degrees of freedom, with the actuated joints fixed, by descent in potential energy until their equations
+hold. planner.dynamics.quasi_static computes the controls u.
 """
 
 from __future__ import annotations
@@ -26,32 +26,32 @@ from planner.dynamics.rigid_body import RigidBodyDynamics
 from planner.model.capabilities import roots, unactuated_basis
 from planner.model.mechanism import Frame, Mechanism
 
-STEPS = 200
-FIRST_STEP, LONGEST_STEP = 0.02, 0.2  # m or rad, downhill: contacts come and go within millimetres
-SHORTEST_STEP = 1e-9  # m or rad: what cannot go downhill by as much does not rest
-MAX_SHIFT = 0.5  # m or rad, from the pose that was asked for: what moved as far has fallen over
-AT_REST = 1e-9  # of the weight: what is left of it
-FLAT = 1e-6  # of the largest, m or rad per m or rad: how little a motion along the ground may lift or tilt
-DIFFERENCE = 1e-6  # m or rad, for slopes of forces, on which only the number of steps depends
-MANY = 20  # contacts that tell which way is up
-UPWARDS = 0.8  # of a plane's normal, against gravity: less is a wall
+STEPS = 200  # largest number of iterations
+FIRST_STEP, LONGEST_STEP = 0.02, 0.2  # m or rad, step lengths: contacts open and close within millimetres
+SHORTEST_STEP = 1e-9  # m or rad: the search fails if no longer step lowers the energy
+MAX_SHIFT = 0.5  # m or rad, from the initial pose: a larger displacement counts as a fall
+AT_REST = 1e-9  # relative to the weight: largest residual force at convergence
+FLAT = 1e-6  # relative to the largest singular value: lift and tilt of directions along the ground
+DIFFERENCE = 1e-6  # m or rad, of central differences of forces; affects only the number of iterations
+MANY = 20  # largest number of contacts of a tree that determine its vertical displacement
+UPWARDS = 0.8  # cosine of a plane's normal to the vertical: planes below it are walls
 
 
 def static_equilibrium(mechanism: Mechanism, x: Any) -> np.ndarray:
-    """The rest state near a pose: the ground carries the machine and its driven joints do not move.
+    """The rest state on the ground near a pose, with the actuated joints unchanged.
 
-    What no actuator drives (the place of a free trunk, a passive joint) goes downhill from the height at which the
-    lowest contact touches; along the ground nothing moves it.
+    Unactuated degrees of freedom (a free base, a passive joint) descend in potential energy from the height at which
+    the lowest contact bears the weight; they are not displaced along the ground.
 
     Args:
-        mechanism: With contacts.
-        x: (nx,) or (nq,), the pose; its velocities are left out and its activations stay.
+        mechanism: A mechanism with contacts.
+        x: (nx,) state or (nq,) pose; velocities are set to zero, activations are unchanged.
 
     Returns:
         (nx,).
 
     Raises:
-        PlannerError: No contacts, or nothing to move; the pose tips over.
+        PlannerError: There are no contacts or no unactuated joints, or the pose falls over.
     """
     space, nq, nv = mechanism.space, mechanism.nq, mechanism.nv
     x = np.array(x, dtype=float) if np.shape(x) == (space.nx,) else np.concatenate(
@@ -79,10 +79,10 @@ def static_equilibrium(mechanism: Mechanism, x: Any) -> np.ndarray:
 
 
 def lowered_to_ground(mechanism: Mechanism, x: np.ndarray) -> np.ndarray:
-    """A pose (nx,) moved along the ground's normals until the lowest contact of each tree sinks in by its weight.
+    """A state (nx,) displaced along the ground normals until each tree's lowest contact alone bears the tree's weight.
 
     Raises:
-        PlannerError: No tree with contacts moves up and down as a whole.
+        PlannerError: No tree with contacts can be displaced vertically as a whole.
     """
     q, free, root = x[: mechanism.nq], unactuated_basis(mechanism), roots(mechanism)
     g = float(np.linalg.norm(mechanism.gravity))
@@ -108,7 +108,7 @@ def lowered_to_ground(mechanism: Mechanism, x: np.ndarray) -> np.ndarray:
 
 
 def clearance(mechanism: Mechanism, x: np.ndarray) -> float:
-    """How far a pose (nx,) is above the ground, m: its lowest contact; infinite without contacts."""
+    """Clearance of the lowest contact of a state (nx,) above the ground, m; infinite without contacts."""
     depths = contact_forces(mechanism, x[: mechanism.nq], np.zeros(mechanism.nv)).depths
     return -float(np.max(depths, initial=-np.inf))
 
@@ -118,10 +118,10 @@ def _extended(part: np.ndarray, size: int) -> np.ndarray:
 
 
 def _downhill(mechanism: Mechanism, x: np.ndarray, free: np.ndarray) -> tuple[np.ndarray, bool]:
-    """Move what is free to where no force is left; whether it got there.
+    """Minimize the potential energy over the directions free (nv, n): the state (nx,), and whether it converged.
 
-    Newton's method where energy curves upwards and a step downhill where it does not, none longer than what proved
-    right: a step is one if the energy falls, by the mean of the forces at both ends.
+    Newton's method with the absolute eigenvalues of the Hessian and a limited step length: a step is accepted if the
+    energy decreases (trapezoidal rule on the forces at both ends), or the largest force does.
     """
     space = mechanism.space
     steep, enough, longest = _Steepness(mechanism, free), AT_REST * weight(mechanism), FIRST_STEP
@@ -150,17 +150,17 @@ def _downhill(mechanism: Mechanism, x: np.ndarray, free: np.ndarray) -> tuple[np
 
 
 def _across(mechanism: Mechanism, q: np.ndarray, free: np.ndarray) -> np.ndarray:
-    """(n, k) combinations of what is free that lift or tilt: along the ground a machine stands anywhere as well.
+    """(n, k) orthonormal combinations of the directions free (nv, n) that lift or tilt links with contacts.
 
-    A turn about the vertical of a machine that leans is no pure turn of its coordinates, so far from rest its torques
-    would seem to push along the ground.
+    Displacements along level ground do not change the energy, but for a tilted machine away from equilibrium a yaw
+    rotation mixes coordinates, so residual torques would cause spurious displacements along the ground.
     """
     links = sorted({contact.link for contact in mechanism.contacts})
     return _complement(along_ground(mechanism, q, free, np.array(links)))
 
 
 def along_ground(mechanism: Mechanism, q: np.ndarray, free: np.ndarray, links: np.ndarray) -> np.ndarray:
-    """(n, m) orthogonal combinations of directions free (nv, n) along level ground: no link is lifted or tilted."""
+    """(n, m) orthonormal combinations of the directions free (nv, n) that neither lift nor tilt the links."""
     if not np.any(mechanism.gravity):
         return np.zeros((free.shape[1], 0))
     up = -mechanism.gravity / np.linalg.norm(mechanism.gravity)
@@ -180,26 +180,26 @@ def _newton(by_q: np.ndarray, uphill: np.ndarray, longest: float) -> np.ndarray:
     values, vectors = np.linalg.eigh(0.5 * (by_q + by_q.T))
     along = vectors.T @ uphill
     floor = 1e-8 * np.abs(values).max()
-    # along the ground no energy changes, and nothing asks to move there
+    # no step along directions of zero curvature, e.g. along the ground
     step = -vectors @ np.where(np.abs(values) > floor, along / np.maximum(np.abs(values), floor), 0.0)
     return step * min(1.0, longest / max(float(np.abs(step).max()), 1e-300))
 
 
 class _Steepness:
-    """Forces at rest on the degrees of freedom that nothing drives, compiled: how energy rises along them."""
+    """Gradient and Hessian of the potential energy along the unactuated directions, from the compiled dynamics."""
 
     def __init__(self, mechanism: Mechanism, free: np.ndarray) -> None:
         self._mechanism, self._free = mechanism, free
         self._dynamics = RigidBodyDynamics(mechanism, dt=1e-3)
 
     def uphill(self, xs: np.ndarray) -> np.ndarray:
-        """(K, free) at states (K, nx) at rest: M qdd is the sum of all forces, whatever actuators do elsewhere."""
+        """Energy gradient (K, n) at states xs (K, nx) at rest, N and N m: -free' M qdd."""
         m = self._mechanism
         rates = self._dynamics.rates(xs, np.zeros((len(xs), self._dynamics.nu)))[:, m.nv : 2 * m.nv]
         return -np.einsum("kij,kj->ki", mass_matrix(m, xs[:, : m.nq]), rates) @ self._free
 
     def slopes(self, x: np.ndarray) -> np.ndarray:
-        """(free, free) by differences."""
+        """Energy Hessian (n, n) at x (nx,) by central differences of uphill."""
         n, space = self._free.shape[1], self._mechanism.space
         change = np.zeros((2 * n, space.ndx))
         change[:n, : len(self._free)], change[n:, : len(self._free)] = (

@@ -1,15 +1,14 @@
-"""The fastest motion of a machine, and how many steps of RK4 follow it in a stage.
+"""Largest eigenvalue of a machine's linearized dynamics, and the number of RK4 substeps that it requires.
 
-The rates of a machine at a state are the moduli of the eigenvalues of d(dx/dt)/dx, with everything in it that acts:
-dampers, servos, springs, friction, contacts, stops. RK4 is stable for lambda in the left half plane where
+Rates are the moduli of the eigenvalues of d(dx/dt)/dx at a state, 1/s, with all forces: dampers, servos, springs,
+friction, contacts, stops. RK4 is stable for lambda in the left half plane where
 
     |1 + z + z^2/2 + z^3/6 + z^4/24| <= 1,   z = lambda h:   |z| <= 2.78 on the real axis, 2.61 in every direction.
 
-Damping that is too fast for that is taken implicitly (kernels.tree.rosenbrock), where a stage of as many substeps is so
-near to two stages of half the length as IMPLICIT asks.
+Faster damping is integrated implicitly (kernels.tree.rosenbrock), if implicit_error of a stage is at most IMPLICIT.
 
-The joint of a rate is the one with the largest participation, the product of its entries in the right and the left
-eigenvector, which has no unit (Perez-Arriaga, Verghese and Schweppe, IEEE Trans. Power App. Syst. 101, 1982).
+A rate is attributed to the joint with the largest participation factor, the product of its entries in the right and
+left eigenvectors, which has no unit (Perez-Arriaga, Verghese and Schweppe, IEEE Trans. Power App. Syst. 101, 1982).
 """
 
 from __future__ import annotations
@@ -26,43 +25,40 @@ from planner.dynamics.rigid_body import MAX_SUBSTEPS, RigidBodyDynamics
 from planner.model.coordinates import coordinates_of_mechanism
 from planner.model.mechanism import Mechanism
 
-# |lambda| h of a substep that is aimed at: RK4 lets a fast motion die out by exp(-0.7) to 0.3 %, so that a replay at
-# finer steps is the same to a fraction of what passes. At 1 it is 2 %, at 2 it is 0.33 in place of 0.14.
+# Target |lambda| h of a substep: RK4 then reproduces the decay exp(-0.7) to 0.3 %, so that a replay at finer steps
+# differs by a fraction of the tolerance. At 1 the error is 2 %; at 2 the decay is 0.33 instead of 0.14.
 TARGET_RATE_STEP = 0.7
-# The most, which 16 substeps may take. Of the 2.61 above a quarter is left, for states on the way whose rates are
-# higher than those asked about.
+# Largest |lambda| h of a substep, allowed only with 16 substeps. It leaves a margin of a quarter to the 2.61 above for
+# states of the trajectory with higher rates than the given ones.
 MAX_RATE_STEP = 2.0
 IMPLICIT = 1e-3
-"""How much two stages of half the length may change a stage's A, of positions and of velocities times the stage, for
-its damping to be taken implicitly: a tenth of what passes of a path."""
-_PROBE_STEP = (
-    1e-6  # s: A - 1 of an Euler step so short, over it, is d(dx/dt)/dx to its rounding, also of turning bodies
-)
-_EIGENVALUE_TOLERANCE = 1e-6  # relative: eigenvalues that are one
-_ROUNDING = 1e-9  # relative
+"""Largest implicit_error for which damping is integrated implicitly, no unit: a tenth of the path tolerance."""
+_PROBE_STEP = 1e-6  # s, of the Euler step h whose (A - 1) / h approximates d(dx/dt)/dx, also with quaternions
+_EIGENVALUE_TOLERANCE = 1e-6  # relative, between eigenvalues counted as equal
+_ROUNDING = 1e-9  # relative tolerance of rounding
 
 
 class FastestMode(NamedTuple):
-    """The fastest rate of a machine."""
+    """The largest eigenvalue modulus of a machine, and its coordinate."""
 
     rate: float  # 1/s
-    joint: str  # Whose motion it is, or the activation
+    joint: str  # name of the coordinate or activation with the largest participation
 
 
 def fastest_mode(
     mechanism: Mechanism, states: np.ndarray | Iterable[np.ndarray], prescribed: Collection[str] = ()
 ) -> FastestMode:
-    """The largest rate, 1/s, of a machine at states (K, nx) or (nx,), and the joint that it belongs to.
+    """The largest rate, 1/s, of a machine at states (K, nx) or (nx,), and its joint.
 
-    Friction loss holds a joint at rest like an armature; a light joint is faster once it slips, so both are looked at.
+    Friction loss acts on a sticking joint like an armature; a slipping light joint is faster, so both are evaluated.
 
     Args:
-        mechanism: With actuators.
-        states: Where to look: the start, the goal and home, for example.
-        prescribed: Joints whose accelerations are inputs.
+        mechanism: A mechanism with actuators.
+        states: (K, nx) or (nx,), e.g. the start, the goal and home.
+        prescribed: Names of joints whose accelerations are inputs.
 
     Raises:
-        PlannerError: Nothing drives the mechanism, or a prescribed joint is unknown.
+        PlannerError: The mechanism has no control, or a prescribed joint is unknown.
     """
     xs, found = _rows(states), FastestMode(0.0, "")
     for one in _held_and_slipping(mechanism):
@@ -84,14 +80,14 @@ def _rows(states: np.ndarray | Iterable[np.ndarray]) -> np.ndarray:
 
 
 def _held_and_slipping(mechanism: Mechanism) -> tuple[Mechanism, ...]:
-    """The machine, and the same without friction loss where it has some."""
+    """The machine and, if it has friction loss, a copy without it."""
     if not np.any(mechanism.friction_loss):
         return (mechanism,)
     return mechanism, replace(mechanism, friction_loss=np.zeros(mechanism.nv))
 
 
 def _joint(mechanism: Mechanism, slopes: np.ndarray, value: complex, right: np.ndarray) -> str:
-    """The name of what participates most in an eigenvalue with this eigenvector (ndx,)."""
+    """Name of the coordinate with the largest participation in an eigenvalue with right eigenvector (ndx,)."""
     values, left = np.linalg.eig(slopes.T)
     same = np.abs(values - value) <= max(_EIGENVALUE_TOLERANCE * abs(value), np.abs(values - value).min())
     share = np.abs(right) * np.abs(left[:, same]).sum(axis=1)
@@ -104,24 +100,24 @@ def _joint(mechanism: Mechanism, slopes: np.ndarray, value: complex, right: np.n
 def substeps_for(
     mechanism: Mechanism, dt: float, states: np.ndarray | Iterable[np.ndarray], prescribed: Collection[str] = ()
 ) -> int:
-    """How many substeps of RK4, 1 to 16, a stage of dt s needs for a machine's fastest motion.
+    """Number of RK4 substeps, 1 to 16, that a stage of dt s needs for a machine's largest rate.
 
-    As many as follow it, or at the most 16 if it stays stable with these.
+    Substeps meet TARGET_RATE_STEP, or are 16 if these meet MAX_RATE_STEP.
 
     Args:
-        mechanism: With actuators.
+        mechanism: A mechanism with actuators.
         dt: Length of a stage, s.
-        states: (K, nx) or (nx,), where to look: the start, the goal and home, for example.
-        prescribed: Joints whose accelerations are inputs.
+        states: (K, nx) or (nx,), e.g. the start, the goal and home.
+        prescribed: Names of joints whose accelerations are inputs.
 
     Raises:
-        PlannerError: It takes more than 16; the sentence has the joint, its rate and the stage that it needs.
+        PlannerError: It needs more than 16; the message has the joint, its rate and the required stage.
     """
     return substeps_of(fastest_mode(mechanism, states, prescribed), dt)
 
 
 def substeps_of(found: FastestMode, dt: float) -> int:
-    """The substeps, 1 to 16, of a stage of dt s for this fastest rate; a PlannerError where they are more."""
+    """Number of RK4 substeps, 1 to 16, of a stage of dt s for a largest rate; PlannerError if it needs more."""
     if found.rate * dt > MAX_SUBSTEPS * MAX_RATE_STEP * (1.0 + _ROUNDING):
         substeps = math.ceil(found.rate * dt / MAX_RATE_STEP)
         longest = MAX_SUBSTEPS * MAX_RATE_STEP / found.rate
@@ -136,9 +132,10 @@ def substeps_of(found: FastestMode, dt: float) -> int:
 def implicit_error(
     mechanism: Mechanism, dt: float, states: np.ndarray | Iterable[np.ndarray], prescribed: Collection[str] = ()
 ) -> float:
-    """How much two stages of dt / 2 differ from one of dt s by the Rosenbrock method with 16 substeps; see IMPLICIT.
+    """Largest change of the state Jacobian A of a stage of dt s when it is split in two, by the Rosenbrock method.
 
-    The states are those of `fastest`. Infinite where a stage runs away.
+    Both use 16 substeps per stage. Velocities are multiplied by dt, so the change of positions and velocities is
+    comparable. States (K, nx) as in fastest_mode. Infinite if a stage diverges.
     """
     xs, change = _rows(states), 0.0
     for one in _held_and_slipping(mechanism):
@@ -155,12 +152,12 @@ def implicit_error(
 
 
 def reason(found: FastestMode, substeps: int) -> str:
-    """The sentence of a count of substeps."""
+    """Message that explains a number of substeps."""
     steps = "1 step a stage is enough:" if substeps == 1 else f"{substeps} substeps a stage, because"
     return f"{steps} {found.joint} has the highest rate, {found.rate:.4g} per s."
 
 
 def _round_down(value: float) -> float:
-    """The next lower of 1, 2, 5, 10, ...: stages of these fit most durations."""
+    """The next lower of 1, 2, 5, 10, ..., which divide most durations."""
     power = 10.0 ** math.floor(math.log10(value))
     return max(step for step in (1.0, 2.0, 5.0) if step * power <= value * (1.0 + _ROUNDING)) * power

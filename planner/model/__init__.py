@@ -1,1 +1,1 @@
-"""A machine as data: its mechanism (screws), its state space, its contacts, and its twin in MuJoCo."""
+"""Data of a machine: mechanism (screws), state space, contacts, and its MuJoCo model (Twin)."""

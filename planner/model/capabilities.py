@@ -1,7 +1,7 @@
-"""Facts about a machine, asked once: its capabilities, and the stationary objects beside it.
+"""Capabilities of a machine, and the stationary objects in its model.
 
 A stationary object is a free body without actuator, contact, tendon or equality, whose weight gravity compensation
-carries: its coordinates stay in the state and it stays where it starts. In the user's file something supports it.
+cancels: its coordinates are part of the state and do not change. In the user's file a contact supports it.
 """
 
 from __future__ import annotations
@@ -17,15 +17,15 @@ from planner.model.mechanism import Mechanism
 
 @dataclass(frozen=True, eq=False)
 class Capabilities:
-    """Facts about dynamics. The defaults hold for dynamics that are no mechanism's, like a user's own function.
+    """Properties of dynamics. The defaults apply to dynamics without a mechanism, e.g. a user's own function.
 
     Attributes:
-        mechanism: The machine; None where the dynamics have none.
-        floating_base: Whether a tree of the machine begins with a free joint.
+        mechanism: The machine, or None.
+        floating_base: Whether a kinematic tree has a free joint at its root.
         actuated: (nv,) bool, the degrees of freedom that an actuator moves, directly or through a coupling.
-        contacts: Whether bodies touch a ground or each other in the plan.
-        stops: Whether joint limits push back in the plan.
-        loops: Whether there are closed chains or polynomial couplings.
+        contacts: Whether the plan models contacts of bodies with the ground or each other.
+        stops: Whether the plan models joint limits as compliant forces.
+        loops: Whether there are loop closures or polynomial couplings.
         friction_loss: Whether joints have dry friction.
         exact_hessian: Whether the step has second derivatives, for solve(hessian="exact").
     """
@@ -48,7 +48,7 @@ class Capabilities:
     def of_mechanism(
         cls, mechanism: Mechanism, prescribed: np.ndarray | None = None, *, exact_hessian: bool = False
     ) -> Capabilities:
-        """The facts of a mechanism; degrees of freedom that are `prescribed` (nv,) bool count as actuated."""
+        """Capabilities of a mechanism; `prescribed` (nv,) bool degrees of freedom count as actuated."""
         actuated = np.any(_independent_directions(mechanism, actuated=True) != 0.0, axis=1)
         return cls(
             mechanism=mechanism,
@@ -63,23 +63,23 @@ class Capabilities:
 
 
 def unactuated_basis(mechanism: Mechanism) -> np.ndarray:
-    """(nv, n) the directions that no actuator moves: one for each independent degree of freedom, with its followers."""
+    """(nv, n) basis of the unactuated velocities: one column per independent degree of freedom, couplings included."""
     return _independent_directions(mechanism, actuated=False)
 
 
 def _independent_directions(mechanism: Mechanism, *, actuated: bool) -> np.ndarray:
-    """(nv, n) the directions that couplings leave and that an actuator moves, or that none moves."""
+    """(nv, n) columns of G (identity without couplings) that an actuator moves, or that none moves."""
     G = np.eye(mechanism.nv) if mechanism.reduction is None else mechanism.reduction.G
     return G[:, np.any(mechanism.actuators.moment @ G != 0.0, axis=0) == actuated]
 
 
 def capabilities_of(dynamics: Any) -> Capabilities:
-    """The capabilities of any dynamics; the defaults where they do not say."""
+    """The `capabilities` of any dynamics; the defaults without that attribute."""
     return getattr(dynamics, "capabilities", None) or Capabilities()
 
 
 def stationary_object_dofs(mechanism: Mechanism) -> np.ndarray:
-    """(nv,) the degrees of freedom of unreached trees that float, whose weight is carried, outside closed chains."""
+    """(nv,) bool, degrees of freedom of the stationary objects, outside loop closures."""
     unreached, root = unreached_dofs(mechanism), roots(mechanism)
     chained = {end for loop in mechanism.loops for end in loop.links}
     chained |= {end for one in mechanism.polynomial_couplings for end in one.dofs}
@@ -93,13 +93,13 @@ def stationary_object_dofs(mechanism: Mechanism) -> np.ndarray:
 
 
 def unreached_dofs(mechanism: Mechanism, prescribed: Iterable[int] = ()) -> np.ndarray:
-    """(nv,) the degrees of freedom of trees that no actuator, contact, coupling or tendon reaches.
+    """(nv,) bool, degrees of freedom of trees that no actuator, contact, coupling or tendon acts on.
 
-    A closed chain makes one tree of two, and one with the world reaches its tree.
+    A loop closure joins two trees into one; one with the world counts as acting on its tree.
 
     Args:
         mechanism: The machine.
-        prescribed: Degrees of freedom whose accelerations are controls.
+        prescribed: Indices of degrees of freedom whose accelerations are controls.
     """
     root = roots(mechanism)
     reached = {*map(int, np.flatnonzero(mechanism.directly_actuated)), *map(int, prescribed)}
@@ -117,7 +117,7 @@ def unreached_dofs(mechanism: Mechanism, prescribed: Iterable[int] = ()) -> np.n
 
 
 def roots(mechanism: Mechanism) -> np.ndarray:
-    """(nv,) the first link of the tree that each link is part of."""
+    """(nv,) index of the root link of each link's kinematic tree."""
     root = np.arange(mechanism.nv)
     for i, parent in enumerate(mechanism.parent):
         root[i] = i if parent < 0 else root[parent]
@@ -125,7 +125,7 @@ def roots(mechanism: Mechanism) -> np.ndarray:
 
 
 def stationary_object_bodies(mechanism: Mechanism) -> np.ndarray:
-    """(nbody,) whether each body is part of such a tree."""
+    """(nbody,) bool, whether each body belongs to a stationary object."""
     links = np.array([frame.link for frame in mechanism.bodies])
     lies = stationary_object_dofs(mechanism)
     return (links >= 0) & lies[np.maximum(links, 0)] if len(lies) else np.zeros(len(links), dtype=bool)

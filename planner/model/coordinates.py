@@ -1,4 +1,4 @@
-"""Coordinates: a name and a unit for every component of a machine's deviation, so that errors can be told apart."""
+"""Coordinates: name and unit of each component of a machine's state deviation, for messages and reports."""
 
 from __future__ import annotations
 
@@ -17,21 +17,21 @@ RATES = ("rad/s", "m/s")
 
 
 class Coordinate(NamedTuple):
-    """One component of a deviation dx."""
+    """Name and unit of one component of a state deviation dx."""
 
-    name: str  # "elbow", "velocity of elbow", "base x"; "x[3]" where nothing is known
-    unit: str  # "rad", "m", "rad/s", "m/s", another unit of the machine's own, or "" for an unknown one
+    name: str  # "elbow", "velocity of elbow", "base x"; "x[3]" if unknown
+    unit: str  # "rad", "m", "rad/s", "m/s", a unit declared by the dynamics, or "" if unknown
 
     @property
     def is_rate(self) -> bool:
-        """Whether it is a velocity."""
+        """Whether the coordinate is a velocity."""
         return self.unit.endswith("/s")
 
 
 def coordinates_of(dynamics: Any) -> tuple[Coordinate, ...]:
     """The coordinates (ndx,) of a dynamics' deviations: its own `coordinates`, else those of its mechanism.
 
-    Components that neither tells of are called by their number, without a unit.
+    Components that neither names are called "x[i]", without a unit.
     """
     own = getattr(dynamics, "coordinates", None)
     mechanism = capabilities_of(dynamics).mechanism
@@ -44,7 +44,7 @@ def coordinates_of(dynamics: Any) -> tuple[Coordinate, ...]:
 
 
 def coordinates_of_mechanism(mechanism: Mechanism) -> tuple[Coordinate, ...]:
-    """Positions (nv,), velocities (nv,), then activations (na,)."""
+    """The coordinates (2 nv + na,): positions (nv,), velocities (nv,), then activations (na,)."""
     turns = np.any(mechanism.S[:, :3] != 0.0, axis=1)
     positions = []
     for j, (name, links) in enumerate(zip(mechanism.joint_names, mechanism.joint_links, strict=True)):
@@ -62,10 +62,10 @@ def coordinates_of_mechanism(mechanism: Mechanism) -> tuple[Coordinate, ...]:
 
 
 def controls_of_mechanism(mechanism: Mechanism) -> tuple[Coordinate, ...]:
-    """The controls (nu,) of the actuators.
+    """Name and unit of each control (nu,).
 
-    A motor's unit is that of its joint's force, where it is geared one to one; a position servo's that of its joint.
-    Others have no unit of their own, "".
+    A motor with gear 1 on one joint has that joint's force unit, a position servo the joint's coordinate unit; all
+    others "".
     """
     actuators, turns = mechanism.actuators, np.any(mechanism.S[:, :3] != 0.0, axis=1)
     controls = []

@@ -1,17 +1,17 @@
-"""Couplings: equations that are linear in hinge and slide coordinates, and the coordinates that they leave free.
+"""Couplings: linear equations of hinge and slide coordinates, solved for dependent coordinates.
 
-A gripper's second finger that mirrors the first, a joint that is locked, tendons whose lengths are in a fixed ratio:
+Examples: a gripper finger that mirrors the other, a locked joint, tendons with a fixed ratio of lengths.
 
     J q = c                     a row for each coupling, J constant
     q[dependent] = offset + G[dependent] q[independent],   qd = G qd[independent],   J G = 0
     qdd = G (G' M G)^-1 G' (tau - h)
 
-Elimination chooses the dependent coordinates, so a row of G has a single 1 or the few numbers of an equation, and the
-forces of the couplings, which do no work, fall out. States keep all coordinates: a motion that begins on J q = c and
-J qd = 0 stays there in every integrator, because qdd does.
+Gaussian elimination chooses the dependent coordinates, so G is sparse; G' eliminates the coupling forces, which do no
+work. States contain all coordinates: a trajectory that starts on J q = c, J qd = 0 satisfies both in every integrator,
+since J qdd = 0.
 
-Ranges of joints: of a coupling sum c_k q_k = constant each coordinate keeps the interval that the ranges of the others
-leave it. That is repeated until nothing changes: a bound that is never too narrow, and exact for two coordinates.
+Joint ranges: in a coupling sum c_k q_k = constant each coordinate is limited to the interval that the ranges of the
+others allow, iterated to a fixed point. The intervals are never too narrow, and exact for two coordinates.
 """
 
 from __future__ import annotations
@@ -25,22 +25,20 @@ import numpy as np
 
 from planner.base.errors import ModelError, PlannerError
 
-CLOSED = 1e-6  # rad or m: a state that misses a coupling by more is not on it
-_ROUNDING = 1e-12  # of a row's largest coefficient: what elimination leaves of nothing
-_CONTRADICTION = 1e-9  # rad or m, of what redundant equations ask
-_PIVOT_TOLERANCE = (
-    1e-3  # of a row's largest coefficient: a coordinate with less is not solved for, whatever else speaks for it
-)
+CLOSED = 1e-6  # rad or m, tolerance of the coupling equations
+_ROUNDING = 1e-12  # relative to a row's largest coefficient: smaller entries are rounding errors of the elimination
+_CONTRADICTION = 1e-9  # rad or m, largest difference of the constants of redundant equations
+_PIVOT_TOLERANCE = 1e-3  # relative to a row's largest coefficient: smaller coefficients are not used as pivots
 
 
 @dataclass(frozen=True)
 class Coupling:
-    """sum of coefficients[k] q[dofs[k]] = constant, over degrees of freedom of hinges and slides.
+    """Linear equation sum_k coefficients[k] q[dofs[k]] = constant of hinge and slide coordinates.
 
-    The first is the one that follows the others, where nothing speaks against it.
+    dofs[0] becomes the dependent coordinate, unless it is actuated or its coefficient is too small for a pivot.
     """
 
-    name: str  # in a sentence, e.g. "equality 'mimic'"
+    name: str  # for messages, e.g. "equality 'mimic'"
     dofs: tuple[int, ...]
     coefficients: tuple[float, ...]
     constant: float
@@ -48,15 +46,15 @@ class Coupling:
 
 @dataclass(frozen=True, eq=False)
 class Reduction:
-    """The coordinates that couplings leave free, nr of nv, and how the others follow them."""
+    """The nr independent of nv coordinates, and the linear map to the dependent ones."""
 
-    independent: np.ndarray  # (nr,) degrees of freedom
-    dependent: np.ndarray  # (nv - nr,)
-    G: np.ndarray  # (nv, nr)
-    offset: np.ndarray  # (nv - nr,) of the dependent ones, rad or m
+    independent: np.ndarray  # (nr,) indices of degrees of freedom
+    dependent: np.ndarray  # (nv - nr,) indices of degrees of freedom
+    G: np.ndarray  # (nv, nr) qd = G qd[independent]
+    offset: np.ndarray  # (nv - nr,) constants of the dependent coordinates, rad or m
 
     def closed(self, q: np.ndarray, qd: np.ndarray, q_address: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Copies of q (..., nq) and qd (..., nv) with the dependent coordinates where the independent ones put them."""
+        """Copies of q (..., nq) and qd (..., nv) with the dependent coordinates computed from the independent ones."""
         q, qd, rows = q.copy(), qd.copy(), self.G[self.dependent].T
         q[..., q_address[self.dependent]] = self.offset + q[..., q_address[self.independent]] @ rows
         qd[..., self.dependent] = qd[..., self.independent] @ rows
@@ -64,17 +62,17 @@ class Reduction:
 
 
 def reduce(couplings: Sequence[Coupling], nv: int, keep: np.ndarray) -> Reduction:
-    """Solve the couplings for dependent coordinates, by elimination; redundant ones fall out.
+    """Solve the couplings for dependent coordinates, by Gaussian elimination; redundant couplings are dropped.
 
     Args:
         couplings: At least one.
         nv: Degrees of freedom of the machine.
-        keep: (nv,) True where a coordinate is to stay independent if it can: those with actuators, say.
+        keep: (nv,) bool, coordinates to leave independent if possible, e.g. actuated ones.
 
     Raises:
-        ModelError: Two couplings contradict each other, or they leave nothing free.
+        ModelError: Couplings contradict each other, or leave no independent coordinate.
     """
-    rows: list[np.ndarray] = []  # (nv + 1,) each with a 1 at its pivot and 0 at those of the others
+    rows: list[np.ndarray] = []  # (nv + 1,) each with 1 at its own pivot and 0 at all other pivots
     pivots: list[int] = []
     for coupling in couplings:
         row = np.zeros(nv + 1)
@@ -109,36 +107,36 @@ def reduce(couplings: Sequence[Coupling], nv: int, keep: np.ndarray) -> Reductio
     independent = np.setdiff1d(np.arange(nv), dependent)
     G = np.zeros((nv, len(independent)))
     G[independent, np.arange(len(independent))] = 1.0
-    G[dependent] = 0.0 - solved[:, independent]  # and not -0.0
+    G[dependent] = 0.0 - solved[:, independent]  # 0.0 - x avoids -0.0
     return Reduction(independent, dependent, G, solved[:, nv].copy())
 
 
 def _preference(coupling: Coupling, keep: np.ndarray, dof: int) -> tuple[bool, int]:
-    """The least is solved for: what may follow, then what the coupling names first, and last what it does not name."""
+    """Sort key of pivot candidates, minimum first: not in `keep`, then by position in coupling.dofs, others last."""
     return bool(keep[dof]), coupling.dofs.index(dof) if dof in coupling.dofs else len(keep)
 
 
 _ROUNDS = 50
-_SLIGHT = 1e-6  # rad or m: a contradiction by less is none
+_SLIGHT = 1e-6  # rad or m, tolerance of a contradiction
 
 
 def narrowed(mechanism: Any, ranges: np.ndarray) -> np.ndarray:
-    """The ranges (nv, 2) that the couplings leave of `ranges`, lower ends first."""
+    """The part (nv, 2) of `ranges` (nv, 2) that the couplings allow: lower and upper limits, rad or m."""
     return _narrowed(mechanism, ranges)[0]
 
 
 class Contradiction(NamedTuple):
-    """A coupling that no pose within the ranges keeps."""
+    """A coupling that no pose within the joint ranges satisfies."""
 
-    cause: str  # a sentence without its full stop
-    fix: str  # what to write in the file instead
+    cause: str  # sentence without a full stop
+    fix: str  # text to write into the model file
 
     def __str__(self) -> str:
         return f"{self.cause}, expected ranges with a pose that keeps it: write {self.fix}."
 
 
 def contradiction(mechanism: Any, ranges: np.ndarray) -> Contradiction | None:
-    """The coupling that no pose within the ranges (nv, 2) keeps, and the range that would do; None where one does."""
+    """A coupling that no pose within the ranges (nv, 2) satisfies, and its fix; None if there is none."""
     left, at = _narrowed(mechanism, ranges)
     if at is None:
         return None
@@ -175,7 +173,7 @@ def _narrowed(mechanism: Any, ranges: np.ndarray) -> tuple[np.ndarray, int | Non
 
 
 def _of_others(coupling: Any, k: int, ranges: np.ndarray) -> tuple[float, float]:
-    """What the others leave coordinate k of a coupling."""
+    """Interval of the k-th coordinate of a coupling, given the ranges (nv, 2) of its other coordinates."""
     low = high = coupling.constant
     for j, (dof, c) in enumerate(zip(coupling.dofs, coupling.coefficients, strict=True)):
         if j != k:
@@ -190,9 +188,9 @@ def _name(mechanism: Any, dof: int) -> str:
 
 
 def closed_state(mechanism: Any, x: np.ndarray, given: Collection[int] = ()) -> np.ndarray:
-    """The state (nx,) with the coordinates that follow others where these put them.
+    """The state (nx,) with the dependent coordinates computed from the independent ones.
 
-    Degrees of freedom that are `given` stay where they are, even if they contradict a coupling: see check_closed.
+    Positions of the degrees of freedom in `given` are unchanged, even if they violate a coupling: see check_closed.
     """
     reduction = _reduction(mechanism, given)
     if reduction is None:
@@ -216,7 +214,7 @@ def _closed(mechanism: Any, reduction: Reduction, x: np.ndarray) -> np.ndarray:
 
 
 def check_closed(name: str, x: np.ndarray, mechanism: Any, most: float = CLOSED) -> None:
-    """Raise a PlannerError with the value to write, unless a state (nx,) misses no coupling by more than `most`."""
+    """Raise a PlannerError with the expected value if a state (nx,) violates a coupling by more than `most`."""
     if mechanism.reduction is None:
         return
     dependent, nq = mechanism.reduction.dependent, mechanism.nq
@@ -239,5 +237,5 @@ def check_closed(name: str, x: np.ndarray, mechanism: Any, most: float = CLOSED)
 
 
 def _followed(mechanism: Any, dof: int) -> np.ndarray:
-    assert mechanism.reduction is not None  # who asks has couplings
+    assert mechanism.reduction is not None  # called only with couplings
     return np.flatnonzero(mechanism.reduction.G[dof])

@@ -1,4 +1,4 @@
-"""The damping of a mechanism's joints, by whatever has it: dampers, servos and tendons."""
+"""Joint-space damping of a mechanism: joint dampers, servos and tendons."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from planner.model.tendons import acting_tendons
 
 
 def damping_matrix(mechanism: Any) -> np.ndarray:
-    """(nv, nv) -d(force)/d(qd) of dampers, actuators and tendons: N m s/rad and N s/m."""
+    """Damping matrix (nv, nv) = -d(tau)/d(qd) of dampers, actuators and tendons, N m s/rad and N s/m."""
     actuators = mechanism.actuators
     D = np.diag(np.array(mechanism.damping, dtype=float))
     D -= actuators.moment.T @ (actuators.bias[:, 2:3] * actuators.moment)
@@ -22,8 +22,8 @@ def damping_matrix(mechanism: Any) -> np.ndarray:
 
 
 def implicit_damping(mechanism: Any) -> np.ndarray:
-    """(nv,) the diagonal damping that an implicit step takes: the sizes of each row's damping, added up.
+    """Diagonal damping (nv,) of an implicit step: the absolute row sums of the damping matrix.
 
-    So it is no less than the matrix: what couples joints stays stable too.
+    As a matrix it bounds the damping matrix from above, so damping that couples joints is stable too.
     """
     return np.abs(damping_matrix(mechanism)).sum(axis=1)

@@ -1,12 +1,12 @@
-"""ExponentialTorque: a joint's passive torque that grows like an exponential, and its derivatives. In NumPy.
+"""ExponentialTorque: a joint's passive torque that is exponential in joint coordinates, and its derivatives. In NumPy.
 
-Passive joints of living bodies hardly resist in the middle of their range and steeply at its ends, and muscles that
-span two joints couple them. Riener and Edrich (J Biomech 32, 1999) describe both by sums of
+Passive torques of human joints are small in mid-range and rise steeply at its ends, and biarticular muscles couple
+joints. Riener and Edrich (J Biomech 32, 1999) model both by sums of
 
     tau_i = amplitude exp(constant + sum_j slope_j q_j),
 
-of which a constant torque is the one without slopes. MJCF has no such spring: a replay adds it to MuJoCo's passive
-forces (planner.proof.replays.passive_torque_callback).
+a constant torque if there are no slopes. MJCF has no such element: a replay adds it to MuJoCo's passive forces
+(planner.proof.replays.passive_torque_callback).
 """
 
 from __future__ import annotations
@@ -20,18 +20,18 @@ import numpy as np
 from planner.base.arguments import count, number, set_fields, short_repr
 from planner.base.errors import PlannerError
 
-LARGEST = 700.0  # an exponent beyond which a torque grows no further: e^709 is the last finite number
+LARGEST = 700.0  # magnitude at which the exponent is clipped: exp overflows above 709
 
 
 @dataclass(frozen=True)
 class ExponentialTorque:
-    """A torque (of a slide, a force) that is an exponential of hinges' and slides' coordinates.
+    """A torque (on a slide, a force) amplitude exp(constant + sum_j slope_j q_j) of hinge and slide coordinates.
 
     Attributes:
-        dof: The degree of freedom it acts on.
-        amplitude: N m or N, with its sign.
-        constant: Of the exponent.
-        slopes: Degree of freedom -> per rad or m; given as a mapping or as pairs, kept as pairs in order.
+        dof: Index of the degree of freedom it acts on.
+        amplitude: N m or N, signed.
+        constant: Constant term of the exponent, no unit.
+        slopes: Degree of freedom -> 1/rad or 1/m; a mapping or pairs, stored as sorted pairs.
     """
 
     dof: int
@@ -53,16 +53,16 @@ class ExponentialTorque:
 
     @property
     def dofs(self) -> tuple[int, ...]:
-        """Its degree of freedom and those that it depends on."""
+        """The degree of freedom it acts on, then those in its exponent."""
         return (self.dof, *(j for j, _ in self.slopes))
 
     def to_list(self) -> list[Any]:
-        """JSON values: ExponentialTorque(*torque.to_list()) == torque."""
+        """As JSON values: ExponentialTorque(*torque.to_list()) == torque."""
         return [self.dof, self.amplitude, self.constant, [list(pair) for pair in self.slopes]]
 
 
 def check_curve(curve: Any, turning: np.ndarray, name: str) -> None:
-    """Raise a PlannerError unless a torque acts on hinges and slides of a machine, `turning` (nv,) bool, alone."""
+    """Raise a PlannerError unless all dofs of a torque are hinges or slides, which are True in `turning` (nv,)."""
     if not isinstance(curve, ExponentialTorque):
         raise PlannerError(f"{name} is {short_repr(curve)}, expected an ExponentialTorque.")
     for dof in curve.dofs:
@@ -71,7 +71,7 @@ def check_curve(curve: Any, turning: np.ndarray, name: str) -> None:
 
 
 def one_torque(curve: ExponentialTorque, address: Sequence[int] | np.ndarray, q: np.ndarray) -> np.ndarray:
-    """The torque (...) of one curve at q (..., nq), whose coordinates lie at `address` (nv,)."""
+    """The torque (...), N m or N, of one curve at q (..., nq); `address` (nv,) is the index of each dof in q."""
     exponent = np.full(np.shape(q)[:-1], curve.constant)
     for j, slope in curve.slopes:
         exponent = exponent + slope * q[..., address[j]]
@@ -79,7 +79,7 @@ def one_torque(curve: ExponentialTorque, address: Sequence[int] | np.ndarray, q:
 
 
 def exponential_joint_torques(mechanism: Any, q: np.ndarray) -> np.ndarray:
-    """The applied force tau (..., nv) of all curves of a mechanism at q (..., nq)."""
+    """Generalized force tau (..., nv) of all exponential torques of a mechanism at q (..., nq), N m or N."""
     tau = np.zeros((*np.shape(q)[:-1], mechanism.nv))
     for curve in mechanism.curves:
         tau[..., curve.dof] += one_torque(curve, mechanism.q_address, q)
@@ -87,7 +87,7 @@ def exponential_joint_torques(mechanism: Any, q: np.ndarray) -> np.ndarray:
 
 
 def curve_torque_derivatives(mechanism: Any, q: np.ndarray) -> np.ndarray:
-    """Derivative (..., nv, nv) of exponential_joint_torques by q (in the tangent), exact."""
+    """Exact derivative (..., nv, nv) of exponential_joint_torques with respect to q (tangent space)."""
     by_q = np.zeros((*np.shape(q)[:-1], mechanism.nv, mechanism.nv))
     for curve in mechanism.curves:
         torque = one_torque(curve, mechanism.q_address, q)

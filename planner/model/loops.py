@@ -1,11 +1,11 @@
-"""Closed chains: algebraic constraints phi(q) = 0 on a tree (section 1.2). Data only.
+"""Loop closures: algebraic constraints phi(q) = 0 on a tree (section 1.2). Data only.
 
     LoopClosure         two frames of the machine, or one and the world, coincide in position (MuJoCo's connect) or
                         also in orientation (weld)
-    PolynomialCoupling  a joint follows another one by a polynomial (MuJoCo's nonlinear equality of joints)
+    PolynomialCoupling  a joint coordinate is a polynomial of another one (MuJoCo's nonlinear joint equality)
 
 Equations that are linear in the coordinates are couplings (planner.model.couplings), which eliminate coordinates.
-These eliminate none. Their forces f act, with J the derivative of phi:
+These eliminate none; they add constraint forces f, with J the derivative of phi:
 
     M qdd + h = tau + J'f,   J qdd + Jdot qd + 2 rate phidot + rate^2 phi = 0
 
@@ -23,16 +23,16 @@ from dataclasses import dataclass
 import numpy as np
 
 BAUMGARTE_RATE = 20.0
-"""1/s, of the decay of a closure error: to 1 % within 0.33 s; stages of 0.1 s are still stable with RK4."""
+"""Decay rate of a closure error, 1/s: to 1 % within 0.33 s; RK4 is stable with stages of up to 0.1 s."""
 
 
 @dataclass(frozen=True, eq=False)
 class LoopClosure:
-    """Two frames that coincide."""
+    """Two frames that coincide in position or, if rigid, in pose."""
 
-    name: str  # in a sentence, e.g. "equality 'coupler'"
+    name: str  # for messages, e.g. "equality 'coupler'"
     links: tuple[int, int]  # -1 for the world
-    frames: np.ndarray  # (2, 4, 4) each in the frame of its link
+    frames: np.ndarray  # (2, 4, 4) poses, each in the frame of its link
     rigid: bool  # whether their orientations coincide too
 
     @property
@@ -43,17 +43,17 @@ class LoopClosure:
 
 @dataclass(frozen=True)
 class PolynomialCoupling:
-    """A joint that follows another one by a polynomial."""
+    """A joint coordinate that is a polynomial of another one."""
 
     name: str
-    follower: int  # degrees of freedom
-    leader: int
+    follower: int  # index of the dependent degree of freedom
+    leader: int  # index of the other
     offsets: tuple[float, float]  # of the follower and of the leader, rad or m
     coefficients: tuple[float, ...]  # (5,) of powers 0 to 4
 
     @property
     def dofs(self) -> tuple[int, int]:
-        """Both degrees of freedom."""
+        """Degrees of freedom of the follower and the leader."""
         return self.follower, self.leader
 
 

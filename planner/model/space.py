@@ -1,8 +1,8 @@
-"""StateSpace: states that are not vectors. Differences and sums of x = (qpos, qvel, act) on the group.
+"""StateSpace: difference and sum of states x = (qpos, qvel, act) with quaternions, on the Lie group.
 
-Ball and free joints keep their orientation as a unit quaternion (w first), four numbers for three degrees of freedom.
-So a state has nx numbers and a deviation ndx: rotation vectors in the body's own frame take the place of
-quaternions, as in MuJoCo's mj_integratePos and mj_differentiatePos.
+Ball and free joints store their orientation as a unit quaternion (w first), four numbers for three degrees of freedom.
+So a state has nx components and a deviation ndx: a rotation vector in the body's own frame replaces each
+quaternion, as in MuJoCo's mj_integratePos and mj_differentiatePos.
 
     x+ = integrate(x, dx),   dx = difference(x+, x);   quaternions: Q+ = Q exp(dx).
 """
@@ -16,33 +16,33 @@ from typing import Any
 
 import numpy as np
 
-_SMALL = 1e-4  # rad; below it Taylor series to third order are exact to rounding
+_SMALL = 1e-4  # rad, angle below which third-order Taylor series are exact to rounding
 
 
 @dataclass(frozen=True)
 class StateSpace:
-    """The layout of a state."""
+    """Sizes and quaternion addresses of a state and its deviation."""
 
-    nx: int  # Numbers of a state
-    ndx: int  # Numbers of a deviation
-    quaternions: tuple[tuple[int, int], ...] = ()  # (address in the state, address in the deviation) of each
+    nx: int  # size of a state
+    ndx: int  # size of a deviation
+    quaternions: tuple[tuple[int, int], ...] = ()  # first index in the state and in the deviation of each
 
     @cached_property
     def _vector(self) -> tuple[np.ndarray, np.ndarray]:
-        """Addresses in the state and in the deviation of everything that is not a quaternion."""
+        """Indices in the state and in the deviation of all components outside quaternions."""
         in_x, in_dx = np.ones(self.nx, dtype=bool), np.ones(self.ndx, dtype=bool)
         for i, j in self.quaternions:
             in_x[i : i + 4], in_dx[j : j + 3] = False, False
         return np.flatnonzero(in_x), np.flatnonzero(in_dx)
 
     def in_deviation(self, index: int) -> int:
-        """Address in the deviation of a number of the state; -1 for one of a quaternion."""
+        """Index in the deviation of component `index` of the state; -1 within a quaternion."""
         in_x, in_dx = self._vector
         found = np.flatnonzero(in_x == index)
         return int(in_dx[found[0]]) if len(found) else -1
 
     def difference(self, x: np.ndarray, x_ref: np.ndarray) -> np.ndarray:
-        """The deviation (..., ndx) that leads from x_ref (..., nx) to x (..., nx)."""
+        """The deviation dx (..., ndx) with x = integrate(x_ref, dx), of x and x_ref (..., nx)."""
         if not self.quaternions:
             return x - x_ref
         shape = np.broadcast_shapes(x.shape[:-1], x_ref.shape[:-1])
@@ -54,7 +54,7 @@ class StateSpace:
         return dx
 
     def single_difference(self, x: np.ndarray, x_ref: np.ndarray) -> np.ndarray:
-        """The same of single states (nx,), by scalars: NumPy takes microseconds for each product of four numbers."""
+        """The difference (ndx,) of single states (nx,), in Python scalars, faster than NumPy on four numbers."""
         if not self.quaternions:
             return x - x_ref
         dx = np.empty(self.ndx)
@@ -74,7 +74,7 @@ class StateSpace:
         return dx
 
     def integrate(self, x: np.ndarray, dx: np.ndarray) -> np.ndarray:
-        """The state (..., nx) that a deviation dx (..., ndx) leads to from x (..., nx)."""
+        """The state x + dx (..., nx) on the group, of x (..., nx) and a deviation dx (..., ndx)."""
         if not self.quaternions:
             return x + dx
         shape = np.broadcast_shapes(x.shape[:-1], dx.shape[:-1])
@@ -100,23 +100,23 @@ class StateSpace:
 
 
 def euclidean(nx: int) -> StateSpace:
-    """Plain vectors."""
+    """The space of vectors (nx,) without quaternions."""
     return StateSpace(nx, nx)
 
 
 def space_of(dynamics: Any) -> StateSpace:
-    """The space of a dynamics' states: its own `space`, or plain vectors of its nx."""
+    """The state space of dynamics: their attribute `space`, else vectors (nx,)."""
     space = getattr(dynamics, "space", None)
     return space if isinstance(space, StateSpace) else euclidean(dynamics.nx)
 
 
 def unit(quaternion: np.ndarray) -> np.ndarray:
-    """Normalized, as MuJoCo does before every use."""
+    """The quaternion (..., 4), normalized, as MuJoCo does before every use."""
     return quaternion / np.linalg.norm(quaternion, axis=-1, keepdims=True)
 
 
 def cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """The cross product (..., 3) as np.cross has it, without the time that np.cross takes for any axes."""
+    """The cross product (..., 3), faster than np.cross, which handles any axes."""
     result = np.empty(np.broadcast_shapes(a.shape, b.shape), np.result_type(a, b))
     result[..., 0] = a[..., 1] * b[..., 2] - a[..., 2] * b[..., 1]
     result[..., 1] = a[..., 2] * b[..., 0] - a[..., 0] * b[..., 2]
@@ -130,7 +130,7 @@ def conjugate(quaternion: np.ndarray) -> np.ndarray:
 
 
 def product(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """The quaternion (..., 4) of rotation a after rotation b."""
+    """The quaternion product a b (..., 4), rotation a after rotation b."""
     w = a[..., :1] * b[..., :1] - np.sum(a[..., 1:] * b[..., 1:], axis=-1, keepdims=True)
     v = a[..., :1] * b[..., 1:] + b[..., :1] * a[..., 1:] + cross(a[..., 1:], b[..., 1:])
     return np.concatenate([w, v], axis=-1)
@@ -143,7 +143,7 @@ def exp_quaternion(rotation: np.ndarray) -> np.ndarray:
 
 
 def log_quaternion(quaternion: np.ndarray) -> np.ndarray:
-    """The rotation vector (..., 3) of a quaternion (..., 4), at most pi long."""
+    """The rotation vector (..., 3), rad, of a quaternion (..., 4), with a norm of at most pi."""
     quaternion = np.where(quaternion[..., :1] < 0.0, -quaternion, quaternion)
     sine = np.linalg.norm(quaternion[..., 1:], axis=-1, keepdims=True)
     half = np.arctan2(sine, quaternion[..., :1])
@@ -153,7 +153,7 @@ def log_quaternion(quaternion: np.ndarray) -> np.ndarray:
 
 
 def hat(v: np.ndarray) -> np.ndarray:
-    """The cross product with v as a matrix (..., 3, 3): times w it is v x w."""
+    """Skew-symmetric matrix (..., 3, 3) of v (..., 3); its product with w is v x w."""
     matrix = np.zeros((*v.shape, 3), dtype=v.dtype)
     matrix[..., 2, 1], matrix[..., 0, 2], matrix[..., 1, 0] = v[..., 0], v[..., 1], v[..., 2]
     return matrix - np.swapaxes(matrix, -1, -2)

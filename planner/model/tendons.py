@@ -1,8 +1,8 @@
 """FixedTendon: a weighted sum of joint coordinates with a spring, a damper and a range. Data, and its force in NumPy.
 
-With length = coefficients q and rate = coefficients qd, the joints feel coefficients' f of
+With length = coefficients q and rate = coefficients qd, the generalized force is coefficients' f,
 
-    f = stiffness (rest - length, beyond either end of its rest) - damping rate.
+    f = stiffness (nearer end of rest - length if outside of rest, else 0) - damping rate.
 """
 
 from __future__ import annotations
@@ -17,16 +17,16 @@ import numpy as np
 
 @dataclass(frozen=True)
 class FixedTendon:
-    """A weighted sum of hinges' and slides' coordinates, and what acts along it.
+    """A weighted sum of hinge and slide coordinates, with spring, damper and range.
 
     Attributes:
-        name: "" where the file gives none.
+        name: "" if unnamed in the file.
         dofs: The degrees of freedom that it sums.
-        coefficients: One for each.
+        coefficients: One per entry of dofs.
         stiffness: N/m, or N m/rad where the coefficients have no unit.
-        rest: The lengths between which its spring is slack; both the same for one that never is.
+        rest: Lower and upper end of the interval of lengths in which the spring is slack; equal if it never is.
         damping: N s/m or N m s/rad.
-        range: Of the length, infinite where there is none: data only, as joint ranges are.
+        range: Lower and upper limit of the length, infinite if unlimited: data only, as joint ranges are.
     """
 
     name: str
@@ -39,22 +39,22 @@ class FixedTendon:
 
     @property
     def acts(self) -> bool:
-        """Whether it has a force, and not a range alone."""
+        """Whether it has stiffness or damping, not only a range."""
         return self.stiffness > 0.0 or self.damping > 0.0
 
 
 def acting_tendons(mechanism: Any) -> tuple[FixedTendon, ...]:
-    """The tendons of a mechanism that have a force."""
+    """The tendons of a mechanism with stiffness or damping."""
     return tuple(tendon for tendon in mechanism.tendons if tendon.acts)
 
 
 def slack_tendons(mechanism: Any) -> Iterator[FixedTendon]:
-    """The tendons whose springs are slack between two lengths: their forces bend there."""
+    """The tendons with a slack interval, at whose ends the spring force is nonsmooth."""
     return (tendon for tendon in mechanism.tendons if tendon.stiffness > 0.0 and tendon.rest[0] < tendon.rest[1])
 
 
 def tendon_forces(mechanism: Any, q: np.ndarray, qd: np.ndarray) -> np.ndarray:
-    """The applied force tau (..., nv) of all tendons at q (..., nq), qd (..., nv), which may be complex."""
+    """Generalized force tau (..., nv) of all tendons at q (..., nq), qd (..., nv), which may be complex."""
     tau = np.zeros(np.shape(qd), dtype=np.result_type(q, qd))
     for tendon in acting_tendons(mechanism):
         dofs, c = list(tendon.dofs), np.array(tendon.coefficients)

@@ -1,16 +1,16 @@
-"""Twin: the machine in MuJoCo, and the maps between its state and the plan's. Data only, stored in every plan.npz.
+"""Twin: the MuJoCo model of a plan, and the maps between both states. Data only, stored in every plan.npz.
 
 The simulator's physical state is w = (qpos, qvel, act), nw numbers. The plan's state is an affine function of it,
 
     x = to_x @ w + to_x_offset,
 
-and back, where a unilateral contact makes a coordinate the lesser of several affine functions (a leg is as long
-as its spring at rest, or as the ground lets it be),
+and the inverse map is the minimum of K affine functions, K > 1 with unilateral contacts (the length of a leg is the
+lesser of its spring's rest length and the distance to the ground),
 
     w = min over k of (to_sim[k] @ x + to_sim_offset[k]).
 
-The control is MuJoCo's ctrl. So replay and render know no machine: they know a text and two maps. A Mechanism's state
-is the simulator's own, so its maps are identities.
+The control is MuJoCo's ctrl. Replay and render need only the XML text and these maps. For a Mechanism both states are
+the same, so the maps are identities.
 """
 
 from __future__ import annotations
@@ -36,19 +36,19 @@ _TEXTS = ("source", "original")
 
 @dataclass(frozen=True)
 class Twin:
-    """An MJCF model and the maps between its state and the plan's.
+    """An MJCF model and the maps between its state w and the plan's state x.
 
     Attributes:
         mjcf: The XML text, includes resolved.
-        to_x: (nx, nw).
-        to_x_offset: (nx,).
-        to_sim: (K, nw, nx); K = 1 unless contacts are unilateral.
-        to_sim_offset: (K, nw).
+        to_x: (nx, nw) matrix of x = to_x w + to_x_offset.
+        to_x_offset: (nx,), in units of x.
+        to_sim: (K, nw, nx) matrices of the inverse map; K = 1 without unilateral contacts.
+        to_sim_offset: (K, nw), in units of w.
         assets: Files that the text names, meshes for example, by the name it uses.
-        source: The text that the plan's mechanism was read from, where it is another one: see
-        model.mjcf.prescribed_joints.
-        original: The text as the user gave it, where it was edited before planning; "" where it was not.
-        curves: Torques that act beside what the text says: see planner.proof.replays.passive_torque_callback.
+        source: The XML text that the plan's mechanism was read from, if it differs from mjcf, else ""; see
+            model.mjcf.prescribed_joints.
+        original: The user's XML text, if it was edited before planning, else "".
+        curves: Exponential torques in addition to the MJCF; see planner.proof.replays.passive_torque_callback.
     """
 
     mjcf: str
@@ -73,7 +73,7 @@ class Twin:
 
     @classmethod
     def of(cls, mechanism: Mechanism) -> Twin:
-        """The model that a mechanism was read from; the plan's state is MuJoCo's own, x = (qpos, qvel, act)."""
+        """The twin of a mechanism with identity maps: the plan's state is MuJoCo's, x = (qpos, qvel, act)."""
         same, none = np.eye(mechanism.space.nx), np.zeros(mechanism.space.nx)
         return cls(
             mechanism.mjcf, same, none, same[None], none[None], dict(mechanism.assets), original=mechanism.original,
@@ -92,28 +92,28 @@ class Twin:
 
     @cached_property
     def _same(self) -> bool:
-        """Whether both states are the same numbers: a proof asks for tens of thousands, one by one."""
+        """Whether both maps are identities: skips the products, since a proof maps tens of thousands of states."""
         plain = np.eye(len(self.to_x))
         maps = ((self.to_x, plain), (self.to_sim, plain[None]))
         return not (self.to_x_offset.any() or self.to_sim_offset.any()) and all(np.array_equal(*pair) for pair in maps)
 
     @property
     def planned(self) -> str:
-        """The text that the plan's mechanism was read from."""
+        """The XML text that the plan's mechanism was read from."""
         return self.source or self.mjcf
 
     def to_dict(self) -> dict[str, Any]:
-        """The maps (not the text and its files) as JSON values; source, original and curves where there are any."""
+        """The maps as JSON values, with source, original and curves if not empty; without mjcf and assets."""
         maps = {name: getattr(self, name).tolist() for name in _MAPS}
         maps |= {name: text for name in _TEXTS if (text := getattr(self, name))}
         return maps | ({"curves": [curve.to_list() for curve in self.curves]} if self.curves else {})
 
     @classmethod
     def from_dict(cls, mjcf: str | None, maps: dict[str, Any], assets: dict[str, bytes] | None = None) -> Twin:
-        """A twin from its text, its files and the table of to_dict().
+        """A twin from its MJCF text, its assets and the result of to_dict().
 
         Raises:
-            PlannerError: The maps or the text are missing, or do not fit together.
+            PlannerError: The maps or the text are missing, or their sizes differ.
         """
         maps = dict(maps)
         texts = {name: maps.pop(name, "") for name in _TEXTS}

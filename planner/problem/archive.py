@@ -1,8 +1,8 @@
-"""The file of a plan: a compressed .npz without pickle, arrays and one JSON string, checked before any of it is used.
+"""The file of a plan: a compressed .npz without pickle, arrays and one JSON string, checked before use.
 
-Files that the model names (meshes, textures) are stored once each, under the digest of their content. Digests also tell
-which parts of a plan were changed after it was written. They are no signature, whoever changes a plan on purpose can
-write new ones: they name what an editor, a script or a broken copy changed.
+Files that the model names (meshes, textures) are stored once each, under the digest of their content. Digests also
+identify parts of a plan that were changed after it was written, by an editor, a script or a damaged copy. They are no
+signature: a deliberate change can rewrite them.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ FORMAT_VERSION = 6
 LEVEL = 4  # of compression: of meshes a tenth more bytes than at NumPy's 6, in a quarter of the time
 ARRAYS = ("t", "xs", "us", "K", "history")
 FILE = "file:"  # and a digest: the bytes of a file that the model's text names, as uint8
-HINGES = ("hinges_lower", "hinges_upper", "hinges_weight")  # all or none: what ranges of states added to the cost
+HINGES = ("hinges_lower", "hinges_upper", "hinges_weight")  # all or none: penalties of state bounds and constraints
 PART = "problem:"  # and a name: an array of the problem, where its recipe needs some
 _MAX_BYTES = 2**30  # of all arrays, unpacked: a plan of 100,000 stages of a humanoid has half of that
 
@@ -165,7 +165,7 @@ def _starts(rows: list[Any]) -> bool:
     return all(whole) and all(all(map(_is, row, _START)) for row in rows)
 
 
-_INSIDE = {"versions": _texts, "files": _texts, "recipe": _recipe, "starts": _starts}  # checks beyond the kind
+_INSIDE = {"versions": _texts, "files": _texts, "recipe": _recipe, "starts": _starts}  # checks of the contents
 
 
 def _is(value: Any, kinds: tuple[type, ...]) -> bool:
@@ -176,7 +176,7 @@ def _is(value: Any, kinds: tuple[type, ...]) -> bool:
 
 
 def _space(named: str, nx: int, given: dict[str, Any]) -> StateSpace:
-    """The space of states of nx numbers: quaternions lie in order, none in another."""
+    """The checked space of states (nx,), with quaternions in order and without overlap."""
     ndx, pairs = given.get("ndx"), given.get("quaternions")
     try:
         pairs = tuple((int(i), int(j)) for i, j in pairs or ())

@@ -33,7 +33,7 @@ _indices: WeakKeyDictionary[Mechanism, ModelIndex] = WeakKeyDictionary()
 
 
 class AvoidanceConstraint(NamedTuple):
-    """The clearance constraint, and sentences about it."""
+    """The clearance constraint, and notes about it."""
 
     constraint: Constraint
     notes: tuple[str, ...]
@@ -122,7 +122,7 @@ def model_index_of(mechanism: Mechanism) -> ModelIndex:
 
 
 def _known(mechanism: Mechanism, index: ModelIndex) -> Collection[frozenset[int]]:
-    """Pairs that are not avoided: contacts of the plan's model, and objects with the bodies that carry them."""
+    """Pairs of geoms that are not avoided: contacts of the plan's model, and objects at rest with fixed bodies."""
     model, named = index.model, pairs_by_name(index.model)
     own = {}
     if mechanism.contacts or mechanism.body_contacts:

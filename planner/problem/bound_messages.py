@@ -1,4 +1,4 @@
-"""Where a plan is at the bounds of its controls, or outside of ranges and constraints, and the sentences about it."""
+"""Diagnostics of a plan at bounds of its controls, or outside of ranges and constraints, and their messages."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ from planner.base.diagnostic import Diagnostic, Quantity
 from planner.model.capabilities import capabilities_of
 from planner.problem.problem import Problem
 
-_AT_BOUND_SHARE = 1e-6  # of a range: at its bound
-_MIN_SHARE_AT_BOUND = 0.1  # of the stages: fewer at a bound are not reported
+_AT_BOUND_SHARE = 1e-6  # share of a range: distance below which a control is at its bound
+_MIN_SHARE_AT_BOUND = 0.1  # of the stages: lower limit to report a bound
 _MAX_NAMED = 3  # constraints that are named
-_MIN_REDUCTION = 1e-3  # of the cost: a second half of a solve that gains less has stalled
+_MIN_REDUCTION = 1e-3  # relative cost reduction in the second half of a solve at or below which it has stalled
 
 SENTENCES = {
     "control_at_bound": "{control} is at its bound in {stages} of {all} stages",
@@ -27,12 +27,12 @@ SENTENCES = {
 
 
 def sentence_of(found: Diagnostic | None) -> str:
-    """The sentence of a finding of this file; "" for None."""
+    """The message of a diagnostic of this module; "" for None."""
     return "" if found is None else found.text(SENTENCES)
 
 
 def control_name(problem: Problem, index: int) -> str:
-    """A control by the name of its actuator, for a sentence."""
+    """Name of a control in messages: its actuator's, else its index."""
     mechanism = capabilities_of(problem.dynamics).mechanism
     names = () if mechanism is None else mechanism.actuators.names
     return f"actuator {names[index]!r}" if index < len(names) and names[index] else f"control {index}"
@@ -82,7 +82,7 @@ def state_outside(problem: Problem, xs: np.ndarray, t: np.ndarray) -> Diagnostic
 
 
 def constraints_broken(problem: Problem, xs: np.ndarray, us: np.ndarray, t: np.ndarray) -> list[Diagnostic]:
-    """The constraints that states xs (N+1, nx) and controls us (N, nu) break, how far and when; the worst first."""
+    """Violated constraints at states xs (N+1, nx) and controls us (N, nu), with violation and time; worst first."""
     rows = None if problem.trajectory_constraints is None else problem.trajectory_constraints.rows
     if rows is None or not np.isfinite(xs).all():
         return []
@@ -100,6 +100,6 @@ def constraints_broken(problem: Problem, xs: np.ndarray, us: np.ndarray, t: np.n
 
 
 def stalled(history: Sequence[Any], cost: float) -> bool:
-    """Whether the second half of a solve's iterations hardly lowered its cost."""
+    """Whether the second half of a solve's iterations reduced the cost by at most _MIN_REDUCTION of it."""
     half = history[len(history) // 2 :]
     return len(half) > 2 and half[0].cost - cost <= _MIN_REDUCTION * abs(cost)

@@ -1,4 +1,4 @@
-"""CollisionChecker: whether poses keep the clearance of a constraint, and collision-free paths between two poses."""
+"""CollisionChecker: clearance of poses, and collision-free paths between two poses."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from planner.model.mechanism import Mechanism
 from planner.problem.constraints.clearance import PairClearance
 from planner.problem.rrt_connect import rrt_connect
 
-EXTRA_SHARE = 0.5  # of the required clearance, in addition to it: kept by a path where there is room
-ROUNDED_SHARE = 0.1  # of the required clearance, kept where corners of a path are rounded
+EXTRA_SHARE = 0.5  # of the required clearance, in addition to it, in the first search of a path
+ROUNDED_SHARE = 0.1  # of the required clearance, the clearance at rounded corners of a path
 
 _paths: WeakKeyDictionary[Mechanism, dict[bytes, np.ndarray | None]] = WeakKeyDictionary()
-"""Paths by their ends, clearances and seed: a problem is built again for every finer step."""
+"""Cache of paths by ends, clearances and seed, since a problem is rebuilt for every finer discretization."""
 
 
 class CollisionChecker:
@@ -43,7 +43,7 @@ class CollisionChecker:
     def find_path(self, start: np.ndarray, goal: np.ndarray, seed: int = 0) -> np.ndarray | None:
         """Poses (K, nq) of a collision-free path from start to goal (nq,); None where none was found.
 
-        The path keeps EXTRA_SHARE more clearance where it can, and no more than there is at either end.
+        The search requires EXTRA_SHARE more clearance first, then the required one; never more than at the ends.
         """
         paths = _paths.setdefault(self._mechanism, {})
         key = b"".join([start.tobytes(), goal.tobytes(), self._lower.tobytes(), seed.to_bytes(8, "little")])

@@ -2,8 +2,8 @@
 
 A servo's force is F = gain u + bias[0] + bias[1] length + bias[2] length rate, and a clamp limits F. So its control has
 bounds that are affine in the state, u within (F - bias(x)) / gain, and its ctrlrange. The control is constant over a
-stage while the joints move on: a second pair of bounds has the lengths at the stage's end, predicted by the velocities
-at its start. Where the two pairs exclude each other, their mean is taken; where they lie outside of the ctrlrange, its
+stage while the joints move: a second pair of bounds uses the lengths at the stage's end, predicted by the velocities at
+its start. If the two pairs contradict each other, both bounds are their mean; if they are outside of the ctrlrange, its
 nearest end.
 """
 

@@ -1,4 +1,4 @@
-"""Make the Appearance of a machine without one, from the axes and the names of its joints."""
+"""Default Appearance of a machine, from the axes and the names of its joints."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from planner.problem.constraints.constraint import Constraint
 from planner.problem.tasks.follow import Follow
 from planner.problem.tasks.timed_task import Task, TimedGoal
 
-MAX_CURVES = 8  # curves that can be told apart in one panel
+MAX_CURVES = 8  # of a panel, for distinct colours
 _READOUTS = 8
 _CONTROLS = {
     MOMENT: ("Controls: torques", "torque, N m"), FORCE: ("Controls: forces", "force, N"),
@@ -90,7 +90,7 @@ def _curves(mechanism: Mechanism) -> tuple[Curves, Curves, Curves, Curves]:
 
 
 def _belts(mechanism: Mechanism) -> tuple[str, ...]:
-    """Names of the bodies that carry the planes of contacts along."""
+    """Names of the moving bodies with planes of contacts, e.g. the belt of a treadmill."""
     slides = {contact.plane.slide for contact in mechanism.contacts} - {-1}
     if not slides:
         return ()
@@ -102,7 +102,7 @@ def _belts(mechanism: Mechanism) -> tuple[str, ...]:
 
 
 def small_multiples(title: str, curves: Curves) -> list[tuple[str, tuple[tuple[int, str], ...]]]:
-    """Titles and curves of as few panels as can hold them all, none with more than can be told apart."""
+    """Titles and curves of the fewest panels with at most MAX_CURVES curves each."""
     panels = -(-len(curves) // MAX_CURVES)
     ends = [round(k * len(curves) / panels) for k in range(panels + 1)] if panels else []
     parts = list(itertools.pairwise(ends))
@@ -123,7 +123,7 @@ def _view(mechanism: Mechanism) -> tuple[float, float]:
 
 
 def _normal(axes: np.ndarray, ways: np.ndarray) -> np.ndarray | None:
-    """(3,) the normal of the plane of all motion, for axes (A, 3) of hinges and ways (W, 3) of slides, or None."""
+    """(3,) unit normal of the plane of motion, for axes of hinges (A, 3) and slides (W, 3); None if not planar."""
     slides = [np.cross(a, b) for a, b in itertools.combinations(ways, 2)]
     for one in (*np.eye(3)[[1, 0, 2]], *axes[:1], *slides):
         normal = one / max(float(np.linalg.norm(one)), _PARALLEL)
@@ -136,7 +136,7 @@ def _normal(axes: np.ndarray, ways: np.ndarray) -> np.ndarray | None:
 def _across(normal: np.ndarray) -> tuple[float, float]:
     """Azimuth and elevation, degrees, of a camera that looks along a normal (3,): x to the right, or y, or from above.
 
-    Across the plane nothing is tilted: angles and lengths in it are seen as they are.
+    Angles and lengths in the plane perpendicular to it are shown without distortion.
     """
     x, y, z = (np.where(np.abs(normal) < _PARALLEL, 0.0, normal) + 0.0).tolist()
     if (-z, y, -x) < (0.0, 0.0, 0.0):
@@ -146,7 +146,7 @@ def _across(normal: np.ndarray) -> tuple[float, float]:
 
 
 def with_marks(appearance: Appearance, task: Task | None, constraints: Sequence[Constraint] = ()) -> Appearance:
-    """The appearance with what a task asks for; the same where there is neither a task nor a constraint of a frame."""
+    """The appearance with marks of a task's goals and paths; unchanged if no goal, path or constraint has a frame."""
     goals = () if task is None else task.goals
     follows = () if task is None else task.follows
     of_frames = [one for one in goals if one.goal.frame is not None]
@@ -174,7 +174,7 @@ def _mark(one: TimedGoal, number: str) -> GoalMark:
 
 
 def _line(path: Follow, duration: float) -> np.ndarray:
-    """(K, 3) the corners of a path; of many, points at equal times."""
+    """(K, 3) m, corners of a path; if more than MAX_SEGMENTS + 1, points at equal times."""
     t = path.times(duration)
     if len(t) > MAX_SEGMENTS + 1:
         t = np.linspace(t[0], t[-1], MAX_SEGMENTS + 1)

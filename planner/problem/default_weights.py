@@ -1,20 +1,20 @@
-"""Default weights of a motion to a goal, from the machine's limits, the displacement and the duration.
+"""Default cost weights for reaching a goal, from the machine's limits, the displacement and the duration.
 
 Every weight makes its term dimensionless and about 1:
 
     effort          1 / limit^2 of each control, the limit of the model or, without one, the force that balances
-                    gravity and accelerates the inertia over the displacement in half of the time. Of standing machines
-                    at most the force that correction STANCE_TOLERANCES at MAX_CORRECTION_RATE, for the inertia that a
-                    joint moves in the air or, if larger, with fixed feet
-    velocity        1 / v^2 of each joint, v = 2 displacement / duration (peak of a triangle) but at least MIN_SPEED;
-                    only of fully actuated or standing machines: others need to swing
-    position        1 / (STANCE_TOLERANCES tolerances)^2 of the distance from the straight line to the goal, of
-                    machines that stand on the ground; none for others, whose path is free
+                    gravity and accelerates the inertia over the displacement in half of the time. For standing
+                    machines at most the force that corrects STANCE_TOLERANCES at MAX_CORRECTION_RATE, with the larger
+                    of the joint's inertias in the air and with fixed feet
+    velocity        1 / v^2 of each joint, v = 2 displacement / duration (peak of a triangle), at least MIN_SPEED;
+                    only for fully actuated or standing machines: others need to swing
+    position        1 / (STANCE_TOLERANCES tolerances)^2 of the distance from the straight line to the goal, for
+                    machines that stand on the ground; none for others
     final_position  4 / tolerance^2, so that an error of the tolerance costs 2, more than the whole effort
     final_velocity  10 / tolerance^2; both times the cost of the minimum-jerk motion, where jerk is the objective
-    hold            of standing machines, in place of the two: the cost of staying at the goal for HOLD_SECONDS
+    hold            for standing machines, in place of these two: the cost of staying at the goal for HOLD_SECONDS
 
-The effort of servos, whose control is a position, and of standing machines is relative to the control that holds the
+The effort of servos, whose control is a position, and of standing machines is relative to the static control at the
 goal.
 """
 
@@ -42,17 +42,17 @@ from planner.problem.terminal_holding_cost import terminal_holding_cost
 
 MIN_SPEED = {"rad": 0.5, "m": 0.1}  # rad/s, m/s: speed of a joint without displacement whose cost is 1
 MIN_DISPLACEMENT = {"rad": 0.25, "m": 0.05}  # rad, m: lower limit in the force of a motor without limits
-MOVING_SHARE = 0.75  # of the duration, in which a standing machine moves; then it settles on a ground with errors
-STANCE_TOLERANCES = 2.0  # in tolerances of the goal: position error on the way whose cost is 1
+MOVING_SHARE = 0.75  # of the duration, in which the reference of a standing machine moves; it rests afterwards
+STANCE_TOLERANCES = 2.0  # in tolerances of the goal: position error along the plan whose cost is 1
 HOLD_SECONDS = 1.0  # s: longer than a standing machine takes to come to rest
 MAX_CORRECTION_RATE = 60.0  # 1/s: faster gains amplify errors of the ground model and of stages of 10 ms
-POSITION, VELOCITY = 4.0, 10.0  # over the square of a goal's tolerance
+POSITION, VELOCITY = 4.0, 10.0  # final weights times the squared tolerance of the goal
 MIN_EFFORT = 1e-12  # lower limit of an effort weight: very large limits still leave it positive definite
 
 
 @dataclass(frozen=True, eq=False)
 class DefaultWeights:
-    """Weights by the arguments of TrackingCost.joints, and the reason of each in a sentence."""
+    """Weights by arguments of TrackingCost.joints, and the reason of each as text."""
 
     weights: dict[str, np.ndarray]  # effort (nu,), control (nu,), position, velocity, final ones (nv,), hold ()
     reasons: dict[str, str]
@@ -63,7 +63,7 @@ def default_weights(
     tolerance: float | Mapping[str, float] | None = None, effort_alone: bool = False, stays: bool = True,
     displacement: np.ndarray | None = None, max_control: np.ndarray | None = None, jerk: float = 0.0,
 ) -> DefaultWeights:  # fmt: skip
-    """The weights of a motion from x0 (nx,) to a goal (nx,) within a duration, s.
+    """Weights for reaching a goal (nx,) from x0 (nx,) within a duration, s.
 
     Args:
         dynamics: The machine.
@@ -71,10 +71,10 @@ def default_weights(
         goal: (nx,) end.
         duration: s.
         tolerance: Of the goal, as of Problem; smaller ones make the weights larger.
-        effort_alone: Whether velocities have no weight on the way.
+        effort_alone: Whether the running weight of velocities is zero.
         stays: Whether a standing machine has weights for the straight line and for staying at the goal.
         displacement: (nv,) rad or m of each degree of freedom; by default from x0 to the goal.
-        max_control: (nu,) largest magnitude of each control where the model has no limit; infinite or None for none.
+        max_control: (nu,) max magnitude of each control where the model has no limit; infinite or None for none.
         jerk: The weight of jerk in the objective.
     """
     mechanism = dynamics.mechanism
@@ -122,9 +122,9 @@ def default_weights(
 
 
 def min_jerk_cost(displacement: np.ndarray, duration: float) -> float:
-    """Half the integrated squared jerk of the minimum-jerk motion over a displacement (nv,): 360 d^2 / T^5.
+    """Half the integrated squared jerk of the minimum-jerk trajectory over a displacement (nv,): 360 d^2 / T^5.
 
-    No motion from rest to rest has less (Flash and Hogan 1985).
+    It is the minimum over all trajectories from rest to rest (Flash and Hogan 1985).
     """
     return 360.0 * float(np.sum(displacement**2)) / duration**5
 
@@ -133,7 +133,7 @@ def default_cost(
     dynamics: RigidBodyDynamics, x0: Any, goal: Any, horizon: int, *,
     tolerance: float | Mapping[str, float] | None = None, **weights: Any,
 ) -> TrackingCost:  # fmt: skip
-    """A cost that brings a machine from x0 (nx,) to a goal (nx,), with weights that need no tuning.
+    """A cost for reaching a goal (nx,) from x0 (nx,), with default weights.
 
     Args:
         dynamics: The machine.
@@ -157,7 +157,7 @@ def weighed(
 ) -> TrackingCost:  # fmt: skip
     """The cost from x0 (nx,) to a goal (nx,), with weights by the arguments of TrackingCost.joints, and hold.
 
-    `straight` tells whether the weights on the way refer to straight_reference, else to the goal.
+    The running weights refer to straight_reference if `straight`, else to the goal.
 
     Raises:
         PlannerError: As TrackingCost.joints and terminal_holding_cost.
@@ -170,7 +170,7 @@ def weighed(
 
 
 def straight_reference(dynamics: RigidBodyDynamics, x0: np.ndarray, goal: np.ndarray, N: int) -> np.ndarray:
-    """States (N+1, nx) on the straight line from x0 to a goal, both (nx,), reached after MOVING_SHARE of the stages."""
+    """States (N+1, nx) on the straight line from x0 to a goal, both (nx,), at the goal after MOVING_SHARE of N."""
     mechanism, space = dynamics.mechanism, dynamics.space
     nq, nv = mechanism.nq, mechanism.nv
     rest = [x.copy() for x in (x0, goal)]
@@ -191,7 +191,7 @@ def fully_actuated(dynamics: RigidBodyDynamics) -> bool:
     own, Z = np.eye(mechanism.nv)[prescribed], feasible_directions(mechanism, mechanism.qpos0)[0]
     Z = Z[
         :, ~np.any(Z[stationary_object_dofs(mechanism)], axis=0)
-    ]  # objects that rest beside the machine need no actuator
+    ]  # objects at rest, separate from the machine, need no actuator
     return bool(np.linalg.matrix_rank(np.vstack([moment, own]) @ Z) == Z.shape[1])
 
 
@@ -199,9 +199,9 @@ def _effort(
     dynamics: RigidBodyDynamics, x0: np.ndarray, goal: np.ndarray, duration: float, displacement: np.ndarray,
     stance_error: np.ndarray | None, max_control: np.ndarray | None,
 ) -> tuple[np.ndarray, np.ndarray, list[bool]]:  # fmt: skip
-    """Weights and reference of the controls (nu,), and whether the model limits each.
+    """Weights and reference of the controls (nu,), and whether each has a limit in the model or in `max_control`.
 
-    `stance_error` (nv,) are errors that a standing machine correction at MAX_CORRECTION_RATE; None for other machines.
+    `stance_error` (nv,): position errors, rad or m, that a standing machine corrects at MAX_CORRECTION_RATE; else None.
     """
     mechanism, prescribed = dynamics.mechanism, prescribed_dofs_of(dynamics)
     actuators, nq = mechanism.actuators, mechanism.nq
@@ -241,7 +241,7 @@ def _effort(
 
 
 def _limit(mechanism: Mechanism, a: int, servo: bool) -> float:
-    """The largest useful magnitude of a control by the model's limits; infinite without one."""
+    """Max magnitude of a control by the model's control and force limits; infinite without one."""
     actuators = mechanism.actuators
     low, high = actuators.control_range[a]
     found = [0.5 * (high - low) if servo else max(abs(low), abs(high))]
@@ -257,7 +257,7 @@ def _limit(mechanism: Mechanism, a: int, servo: bool) -> float:
 def _tolerances(
     mechanism: Mechanism, usual: list[float], tolerance: float | Mapping[str, float] | None
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Tolerances of positions and velocities (nv,): as given, but at most the usual ones."""
+    """Tolerances of positions (nv,) and velocities (nv,): as given, at most the default ones."""
     coordinates, asked = coordinates_of_mechanism(mechanism), np.array(usual)
     for i, (name, unit) in enumerate(coordinates[: len(usual)]):
         kind = "velocity" if unit.endswith("/s") else "position"

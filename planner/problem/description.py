@@ -1,4 +1,4 @@
-"""Describe a machine of somebody's own: what it is, what is planned with, what is not, and what looks wrong.
+"""Description of a user's model: its parts, the modelled and the omitted features, and likely errors.
 
 Records are plain (dicts, lists, numbers, text), for a table or for JSON.
 """
@@ -30,33 +30,33 @@ from planner.problem.model_lint import ModelWarning, lint_model
 
 
 class Loaded(NamedTuple):
-    """A machine that can be planned with, and the keys of a problem file that make it so."""
+    """A mechanism that the planner supports, and the keys of a problem file that it needs."""
 
-    mechanism: Mechanism | None  # None where nothing makes it so
-    keys: dict[str, Any]  # ignore and inertia, where something is refused
-    refusal: str  # why the file is refused as it is; "" where it is not
+    mechanism: Mechanism | None  # None if no keys make the file supported
+    keys: dict[str, Any]  # ignore and inertia, where elements are refused
+    refusal: str  # why the file is refused without keys; "" if it is not
 
 
 @dataclass(frozen=True)
 class Description:
-    """What is known of a file.
+    """Facts about a model file.
 
     Attributes:
         name: The model's own name.
         joints: One record per joint.
-        bodies: One per body that has mass.
-        actuators: One per actuator.
-        contacts: Which shapes may touch, which of them the plan knows, and the mode and its sentence.
-        gravity: m/s^2.
-        mass: Of all that moves, kg.
-        free_bases: Bodies that hang on nothing.
-        degrees_of_freedom: How many.
-        planned: What the plan computes with, a phrase each.
-        left_out: What the plan leaves out, a phrase each.
-        loaded: How the machine is loaded.
-        poses: qpos (nq,) by the keyframe's name; the home pose where the file has no keyframe.
-        troubles: What looks wrong, and what mends it.
-        frames: Sites, and bodies that carry no other, with their positions in the world at the first of the poses, m.
+        bodies: One record per body with mass.
+        actuators: One record per actuator.
+        contacts: Pairs of shapes that may collide, those that the plan models, the contact mode and its description.
+        gravity: (3,) m/s^2.
+        mass: Total moving mass, kg.
+        free_bases: Names of bodies with a free joint.
+        degrees_of_freedom: nv.
+        planned: Features that the plan models, a phrase each.
+        left_out: Features that the plan omits, a phrase each.
+        loaded: The mechanism and the keys that it needs.
+        poses: qpos (nq,) by the keyframe's name; the home pose if the file has no keyframe.
+        troubles: Likely errors, with fixes.
+        frames: World positions, m, of sites and of bodies without children, at the first of the poses.
     """
 
     name: str
@@ -95,11 +95,11 @@ class Description:
 _FORCES = ("damping", "armature", "stiffness", "friction_loss")
 """Arrays (nv,) of a mechanism that act in the plan."""
 HOME = "home"
-"""The name of the pose in which a file without keyframes puts the joints."""
+"""Name of the pose qpos0, for a file without keyframes."""
 
 
 def describe(file: ModelFile, keys: dict[str, Any] | None = None) -> Description:
-    """Describe a machine, whether a plan can be made with it or not; `keys` of a problem file were needed to open it.
+    """Describe a machine, also one that cannot be planned with; `keys` are those of the problem file that opened it.
 
     Raises:
         ModelError: It has no joints.
@@ -126,7 +126,7 @@ def describe(file: ModelFile, keys: dict[str, Any] | None = None) -> Description
 
 
 def _frames(model: Any, mechanism: Mechanism | None, poses: dict[str, np.ndarray]) -> dict[str, list[float]]:
-    """Where the frames are that a goal is likely to name."""
+    """World positions, m, by name of frame: sites, and bodies without children."""
     if mechanism is None:
         return {}
     carriers, q = set(map(int, model.body_parentid)), next(iter(poses.values()))
@@ -136,7 +136,7 @@ def _frames(model: Any, mechanism: Mechanism | None, poses: dict[str, np.ndarray
 
 
 def load_somehow(file: ModelFile) -> Loaded:
-    """Load the machine as it is, else without what is refused."""
+    """Load the machine as it is, else without the refused kinds of elements."""
     kinds, refusal = {one.kind for one in unsupported_elements(file.survey.model)}, ""
     for keys in ({}, {"ignore": [kind for kind in KINDS if kind in kinds]}):
         try:
@@ -158,7 +158,7 @@ def _contacts(file: ModelFile, mechanism: Mechanism | None) -> Record:
 
 
 def _planned(mechanism: Mechanism | None, joints: list[Record]) -> list[str]:
-    """Phrases for what the mechanism computes with, read from the mechanism itself."""
+    """Phrases for the features of the mechanism."""
     if mechanism is None:
         return []
     counts = [
@@ -183,7 +183,7 @@ def _joints(number: int) -> str:
 
 
 def _left_out(file: ModelFile, mechanism: Mechanism | None) -> list[str]:
-    """What acts in the file and not in the plan."""
+    """Phrases for features of the file that the plan omits."""
     refused = tuple(unsupported_elements(file.survey.model))
     if mechanism is None:
         return list(UnmodelledFeatures(refused).phrases)

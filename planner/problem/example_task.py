@@ -1,4 +1,4 @@
-"""Choose a start, a goal and a duration that are moderate for a machine that nobody has described to us."""
+"""Default start, goal and duration of moderate size for a machine that is known only by its model file."""
 
 from __future__ import annotations
 
@@ -12,36 +12,34 @@ from planner.model.mechanism import SCREW, Mechanism
 from planner.model.mjcf.facts import Record, free_bases, overlaps
 from planner.problem.model_lint import holding, within
 
-_WAY = 0.15  # of a joint's range
-_WAY_ON_FEET = 0.05  # of one that stands on the ground, which may tip over
-_TURN, _SLIDE = 0.5, 0.15  # rad, and in sizes of the machine: the way of a joint without a range
-_MAX_DISPLACEMENT_RATIO = (
-    4.0  # of these: the longest way of a joint with a range, which may be that of a vehicle in its hall
-)
-_INSIDE = 0.05  # of a range: how far a start is kept from its ends
-_TO_THE_MIDDLE = (0.0, 0.25, 0.5, 0.75)  # parts of the way there that are tried for a start
-_SMALLER = (1.0, 0.5, 0.25)  # parts of the way that are tried, until one touches nothing
-_ON_THE_WAY = 4  # poses that are looked at
-_PEAK_SPEED, _PEAK_FORCE = 15.0 / 8.0, 10.0 / math.sqrt(3.0)  # of the quintic, in way / T and way / T^2
-_SHARE = 0.3  # of the limits of speeds and forces that the move is to take
-_NEWTON, _FLAT = 20, 1e-9  # steps to a place of rest; directions that are flatter than the steepest by this stay
-_NEAR, _ROUND = 1.0, 1e-9  # rad or m from the start, at most; what is less has not moved
-_SHORTEST, _LONGEST = 1.0, 20.0  # s
-_TIPPING = 2.0  # s, at least, where joints that nothing drives have to be balanced
+_WAY = 0.15  # displacement of a joint, as a share of its range
+_WAY_ON_FEET = 0.05  # the same for a machine with a free base, which may tip over
+_TURN, _SLIDE = 0.5, 0.15  # displacement of a joint without a range: rad; m as a share of the model's extent
+_MAX_DISPLACEMENT_RATIO = 4.0  # upper limit of a joint's displacement over that of one without a range
+_INSIDE = 0.05  # margin of a start or goal to the limits, as a share of the range
+_TO_THE_MIDDLE = (0.0, 0.25, 0.5, 0.75)  # shares of the line from qpos0 to the middle of the ranges, tried as starts
+_SMALLER = (1.0, 0.5, 0.25)  # factors of the displacement, tried until no bodies collide
+_ON_THE_WAY = 4  # number of poses after the start, goal included, that are checked for collision
+_PEAK_SPEED, _PEAK_FORCE = 15.0 / 8.0, 10.0 / math.sqrt(3.0)  # peaks of the quintic time law: d / T and d / T^2
+_SHARE = 0.3  # of the velocity and force limits, used at the peaks of the motion
+_NEWTON, _FLAT = 20, 1e-9  # Newton iterations to an equilibrium; relative rank tolerance of its linear solves
+_NEAR, _ROUND = 1.0, 1e-9  # rad or m, displacement to an equilibrium: upper limit; smaller ones count as none
+_SHORTEST, _LONGEST = 1.0, 20.0  # s, lower and upper limit of the duration
+_TIPPING = 2.0  # s, lower limit of the duration with unactuated joints
 
 
 class ExampleTask(NamedTuple):
-    """A motion to begin with."""
+    """A default task: start, goal and duration."""
 
-    keyframe: str  # Where it starts, "" where `start` says so
+    keyframe: str  # Name of the keyframe at the start; "" if the start is none
     start: np.ndarray  # (nq,)
-    displaced: dict[int, float]  # Joints that do not start where the file puts them, by number: position
-    goal: dict[int, float]  # Joints that move, by number: position
+    displaced: dict[int, float]  # Start positions that differ from qpos0, by joint number; {} with a keyframe
+    goal: dict[int, float]  # Goal positions, by number of the joints that move
     duration: float  # s, a multiple of 0.1
 
 
 def example_task(model: Any, mechanism: Mechanism, joints: list[Record]) -> ExampleTask:
-    """A start within all ranges and a goal that moves every driven joint by the same part of its range."""
+    """A start within all ranges and a goal that moves every actuated joint by the same share of its range."""
     keyframe, start = _start(model, mechanism, joints)
     displaced = {j: float(start[one["position"]]) for j, one in enumerate(joints)
              if one["unit"] and start[one["position"]] != model.qpos0[one["position"]]}  # fmt: skip
@@ -56,7 +54,7 @@ def example_task(model: Any, mechanism: Mechanism, joints: list[Record]) -> Exam
 
 
 def actuated_joints(mechanism: Mechanism) -> list[int]:
-    """Hinges and slides that an actuator moves, or all of them where there is no actuator, by number."""
+    """Numbers of the hinges and slides with an actuator; of all hinges and slides if there is no actuator."""
     reached = mechanism.directly_actuated | (mechanism.nu == 0)
     return [
         j for j, links in enumerate(mechanism.joint_links)
@@ -65,7 +63,7 @@ def actuated_joints(mechanism: Mechanism) -> list[int]:
 
 
 def _of_their_own(mechanism: Mechanism, driven: list[int]) -> list[int]:
-    """The joints that couplings let move by themselves: of a finger whose joints all follow one, that one."""
+    """Numbers of the joints among `driven` that are independent under the couplings."""
     cams = {dof for cam in mechanism.polynomial_couplings for dof in cam.dofs}
     driven = [j for j in driven if mechanism.joint_links[j].start not in cams]
     if mechanism.reduction is None:
@@ -82,7 +80,7 @@ def _of_their_own(mechanism: Mechanism, driven: list[int]) -> list[int]:
 def _off_tendons(
     mechanism: Mechanism, start: np.ndarray, ways: dict[int, float]
 ) -> dict[int, float]:  # fmt: skip
-    """The ways without those that would take a fixed tendon out of its range, in either direction."""
+    """Displacements by joint, without the joints of a fixed tendon that could leave its range in either direction."""
     number = {links.start: j for j, links in enumerate(mechanism.joint_links)}
     for tendon in mechanism.tendons:
         c, own = np.array(tendon.coefficients), [number[i] for i in tendon.dofs]
@@ -94,9 +92,10 @@ def _off_tendons(
 
 
 def _start(model: Any, mechanism: Mechanism, joints: list[Record]) -> tuple[str, np.ndarray]:
-    """The first keyframe within all ranges, else a pose within them: the file's own, or on the way to their middle.
+    """Name and positions (nq,) of the first keyframe within all ranges; else "" and a pose within them.
 
-    The first of these in which no shapes of moving bodies are within each other; else the file's own.
+    The pose is the first on the line from qpos0 to the middle of the ranges in which no moving bodies overlap; qpos0,
+    clipped to the ranges, if there is none or the base is free.
     """
     for name, x in mechanism.keyframes.items():
         if all(low <= x[one["position"]] <= high for one in joints for low, high in [one["range"] or (-np.inf, np.inf)]
@@ -129,7 +128,10 @@ def _room(model: Any, joint: Record) -> float:
 def _allowed(
     model: Any, mechanism: Mechanism, joints: list[Record], start: np.ndarray, ways: dict[int, float]
 ) -> dict[int, float]:
-    """Goals on the side of each joint's range that has more room, as far as nothing new touches on the way."""
+    """Goal positions by joint, towards the larger side of its range, without new overlaps of bodies on the path.
+
+    Displacements are reduced or reversed to avoid overlaps and, with a fixed base, so that actuators can hold the goal.
+    """
     loose = bool(free_bases(model))
     before = {frozenset(one.bodies) for one in overlaps(model, start)}
     best: dict[int, float] = {}
@@ -147,7 +149,7 @@ def _allowed(
 
 
 def _goal(joint: Record, start: np.ndarray, way: float) -> float:
-    """The start and a way, towards the roomier side of the range (the other one for a negative way)."""
+    """Start plus displacement towards the larger side of the range, rad or m; a negative one to the other side."""
     q = float(start[joint["position"]])
     if joint["range"] is None:
         return _short(q + way)
@@ -166,7 +168,7 @@ def _between(joints: list[Record], start: np.ndarray, goal: dict[int, float], s:
 
 
 def _holds(mechanism: Mechanism, pose: np.ndarray) -> bool:
-    """Whether the actuators can hold a pose (nq,)."""
+    """Whether static equilibrium at a pose (nq,) is within the actuators' control and force ranges."""
     actuators = mechanism.actuators
     u, force = holding(mechanism, pose)
     held = within(u, *actuators.control_range.T) & within(force, *actuators.force_range.T)
@@ -174,9 +176,9 @@ def _holds(mechanism: Mechanism, pose: np.ndarray) -> bool:
 
 
 def _with_balance(mechanism: Mechanism, start: np.ndarray, goal: dict[int, float]) -> dict[int, float]:
-    """The goal with the joints that nothing drives where gravity and springs let them rest, by Newton's method.
+    """The goal with unactuated joints at static equilibrium under gravity and springs, by Newton's method.
 
-    Only hinges and slides without couplings; the goal itself where there is no such place near the start.
+    Only for hinges and slides without couplings. The goal unchanged if no equilibrium is within _NEAR of the start.
     """
     reached = mechanism.directly_actuated
     loose = np.flatnonzero(~reached)
@@ -201,12 +203,12 @@ def _with_balance(mechanism: Mechanism, start: np.ndarray, goal: dict[int, float
 
 
 def _scale(mechanism: Mechanism) -> float:
-    """The weight of all that moves, N: moments are compared with it too, so lengths count as about a metre."""
+    """Weight of the moving mass, N; also the scale of moments, N m, for lengths of about 1 m."""
     return float(mechanism.mass.sum() * np.linalg.norm(mechanism.gravity)) or 1.0
 
 
 def _duration(mechanism: Mechanism, start: np.ndarray, goal: dict[int, float]) -> float:
-    """As long as the shortest quintic that takes a share of every limit of speed and force, in tenths of a second."""
+    """Duration of the quintic time law, s: peaks at most _SHARE of velocity and force limits, rounded up to 0.1 s."""
     driven = mechanism.directly_actuated
     duration = _SHORTEST if np.all(driven) else _TIPPING
     inertia = np.diagonal(mass_matrix(mechanism, start))
@@ -221,7 +223,7 @@ def _duration(mechanism: Mechanism, start: np.ndarray, goal: dict[int, float]) -
 
 
 def _strongest(mechanism: Mechanism) -> np.ndarray:
-    """(nv,) the largest generalized force of the actuators at each degree of freedom, infinite without limits."""
+    """(nv,) max generalized force of the actuators at each degree of freedom; infinite without limits."""
     actuators = mechanism.actuators
     control = np.abs(actuators.control_range).max(axis=1, initial=0.0)
     motors = (actuators.bias[:, 1:] == 0.0).all(axis=1)  # a servo's force has no bound from its control
@@ -233,10 +235,10 @@ def _strongest(mechanism: Mechanism) -> np.ndarray:
 
 
 def _exact(value: float) -> float:
-    """A position in so many digits that it is a place to rest."""
+    """A position rounded to 9 digits, enough for an equilibrium."""
     return float(f"{value:.9g}")
 
 
 def _short(value: float) -> float:
-    """A position in few digits."""
+    """A position rounded to 4 digits."""
     return float(f"{value:.4g}")

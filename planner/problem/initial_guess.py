@@ -1,4 +1,4 @@
-"""First guesses: controls that follow a motion by inverse dynamics (Eq. 6), states along a line."""
+"""First guesses: controls along a trajectory by inverse dynamics (Eq. 6), states along a straight line."""
 
 from __future__ import annotations
 
@@ -16,17 +16,16 @@ from planner.model.capabilities import stationary_object_dofs
 from planner.model.mechanism import SCREW, Mechanism
 from planner.model.space import StateSpace
 
-_REDUNDANT = 1e-9  # of the largest singular value of J: equations that say the same twice
-_WEAK_DIRECTION_RATIO = 1e-6  # of what an actuator reaches most: ways in which a machine can hardly be moved
+_REDUNDANT = 1e-9  # relative rank tolerance of the closure Jacobian J, for dependent equations
+_WEAK_DIRECTION_RATIO = 1e-6  # relative rank tolerance of the map from controls to generalized forces
 
 
 def inverse_dynamics_controls(mechanism: Mechanism, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray) -> np.ndarray:
-    """Controls (N, nu) along a motion by inverse dynamics, M(q) qdd + bias(q, qd) = tau + J'f (Eq. 6).
+    """Controls (N, nu) along a trajectory by inverse dynamics, M(q) qdd + bias(q, qd) = tau + J'f (Eq. 6).
 
-    The motion is q (N, nq), qd and qdd (N, nv), and keeps couplings and closed chains; actuators have no activations
-    and reach every way in which the machine can move, but for objects that lie beside it. Coupled joints share G' tau.
-    Forces f of closed chains take what they can. Where there are more actuators than ways to move, the controls are
-    the smallest.
+    The trajectory q (N, nq), qd and qdd (N, nv) satisfies couplings and closed chains. Actuators have no activations
+    and actuate every direction of motion of the machine, except stationary objects. With couplings the reduced forces
+    are G' tau; closure forces f balance the constrained directions. Redundant actuators get minimum-norm controls.
     """
     actuators = mechanism.actuators
     G = np.eye(mechanism.nv) if mechanism.reduction is None else mechanism.reduction.G
@@ -42,7 +41,7 @@ def inverse_dynamics_controls(mechanism: Mechanism, q: np.ndarray, qd: np.ndarra
     if not closed:
         return np.linalg.lstsq(reach, G.T @ tau.T, rcond=None)[0].T
     JG = constraint_jacobians(mechanism, q) @ G
-    P = np.eye(G.shape[1]) - np.linalg.pinv(JG, rcond=_REDUNDANT) @ JG  # what the chains let through
+    P = np.eye(G.shape[1]) - np.linalg.pinv(JG, rcond=_REDUNDANT) @ JG  # projection on the null space of JG
     reach = P @ reach
     values = np.linalg.svd(reach, compute_uv=False)
     ways = round(float(np.trace(P, axis1=1, axis2=2).max()))
@@ -52,10 +51,10 @@ def inverse_dynamics_controls(mechanism: Mechanism, q: np.ndarray, qd: np.ndarra
 
 
 def straight_line(mechanism: Mechanism, x0: np.ndarray, goal: np.ndarray, duration: float, N: int) -> np.ndarray | None:
-    """Controls (N, nu) along the straight line in joint space from x0 to goal, both (nx,); None where there is no way.
+    """Controls (N, nu) along the straight line in joint space from x0 to goal, both (nx,); None if not applicable.
 
-    There is one for a fully actuated tree of hinges and slides without contacts, from rest to rest. Objects that lie
-    beside it stay.
+    Applicable to a fully actuated tree of hinges and slides without contacts, from rest to rest. Stationary objects
+    remain at rest.
     """
     nq, nv = mechanism.nq, mechanism.nv
     moving = np.concatenate([x0[nq : nq + nv], goal[nq : nq + nv]])
@@ -75,9 +74,9 @@ def straight_line(mechanism: Mechanism, x0: np.ndarray, goal: np.ndarray, durati
 
 
 def quintic(start: np.ndarray, goal: np.ndarray, duration: float, N: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """The motion from rest to rest of a polynomial of fifth order, in the middle of each of N stages.
+    """Fifth-order polynomial trajectory from rest to rest, sampled in the middle of each of N stages.
 
-    The middle is where a control that is held over a stage is best taken: the guess is then of second order.
+    The middle makes the guess second-order accurate for a control that is constant over a stage.
 
     From start (n,) to goal (n,) in duration s: positions, velocities and accelerations, each (N, n).
     """
@@ -91,10 +90,10 @@ def quintic(start: np.ndarray, goal: np.ndarray, duration: float, N: int) -> tup
 
 
 def minimum_jerk(s: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """The time law from rest to rest of least integrated squared jerk (Flash and Hogan 1985): 0 at s = 0, 1 at s = 1.
+    """The minimum-jerk time law from rest to rest (Flash and Hogan 1985): 0 at s = 0, 1 at s = 1.
 
     Args:
-        s: Any shape, the share of the duration that has passed.
+        s: Any shape, time over the duration, 0 to 1.
 
     Returns:
         The share of the displacement and its first and second derivatives with respect to s, each shaped as s.
@@ -109,8 +108,8 @@ def minimum_jerk(s: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 def interpolated_states(space: StateSpace, x0: np.ndarray, goal: np.ndarray, duration: float, N: int) -> np.ndarray:
     """States (N+1, nx) along the straight line from x0 to goal, both (nx,), by the time law minimum_jerk.
 
-    Where a state holds positions and as many velocities, the velocities are those of this motion. Other entries go
-    from start to goal in the same share.
+    If a state has as many velocities as positions, velocities are the derivatives of this trajectory. Other entries
+    are interpolated with the same time law.
     """
     s = np.linspace(0.0, 1.0, N + 1)[:, None]
     displacement = space.difference(goal, x0)

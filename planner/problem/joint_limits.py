@@ -1,12 +1,12 @@
-"""Ranges of joints and fixed tendons as bounds of a plan: those of the model less a margin.
+"""Bounds of a plan from ranges of joints and fixed tendons: those of the model less a margin.
 
-A start or goal within the margin widens the bound to it. Of a fixed tendon the constraint is
+A start or goal within the margin widens the bound to it. The constraint of a fixed tendon is
 
     low <= c'q <= high    at every knot,
 
 with c'q divided by the largest |c|, so that margins and tolerances in rad or m mean the same as for joints. A tendon
-has no constraint where the ranges of its joints imply its own, or where equalities fix its length within its range:
-MuJoCo's equalities give way a little, which no motion can prevent.
+has no constraint if the ranges of its joints imply its own, or if equalities fix its length within its range:
+MuJoCo's equalities are soft, so the length varies slightly in any motion.
 """
 
 from __future__ import annotations
@@ -31,12 +31,12 @@ SHARE = 0.01  # of a range, the default margin
 MIN_MARGINS = {ANGLE: 0.01, LENGTH: 1e-3}  # rad, m: a constant control overshoots by a dt^2 / 8 between knots
 MAX_SHARE = 0.1  # of a range, upper limit of the margin: the fingers of a gripper move by few millimetres
 START_OFFSET = 1e-4  # rad or m, by which a start at a limit is moved inside: the tolerance of limits
-TENDON_ROUNDING = 1e-9  # rad or m, of a length that equalities hold
-ROUNDING = 1e-6  # of a range: a start outside by less is at the limit
+TENDON_ROUNDING = 1e-9  # rad or m, rounding of a length that equalities fix
+ROUNDING = 1e-6  # share of a range; a start outside by less is at the limit
 
 
 class Range(NamedTuple):
-    """Bounds of a coordinate."""
+    """Bounds of a coordinate, with and without the margin."""
 
     low: float
     high: float
@@ -59,7 +59,7 @@ class Range(NamedTuple):
         return self._replace(low=min(self.low, inside), high=max(self.high, inside))
 
     def refusal(self, coordinate: Coordinate, value: float) -> str:
-        """The end of a message about a value outside."""
+        """The end of a message about a value outside of the range: expected range and fix."""
         name, unit = coordinate
         nearest = self.model_lower if value < self.model_lower else self.model_upper
         message = f", expected {self.model_lower:g} ... {self.model_upper:g} {unit}".rstrip() + f": write {nearest:.6g}"
@@ -70,7 +70,7 @@ class Range(NamedTuple):
 
 
 def model_ranges(mechanism: Mechanism, margin: Any) -> dict[int, Range]:
-    """The ranges of hinges and slides by degree of freedom, without those whose joint stops the mechanism has."""
+    """Ranges of hinges and slides by degree of freedom, except joints whose stops the mechanism models."""
     stopped = {stop.dof for stop in mechanism.stops}
     found = {}
     for name, links in zip(mechanism.joint_names, mechanism.joint_links, strict=True):
@@ -86,14 +86,13 @@ def model_ranges(mechanism: Mechanism, margin: Any) -> dict[int, Range]:
 def moved_inside_limits(
     mechanism: Mechanism, what: str, x: np.ndarray, limited: Collection[str]
 ) -> tuple[np.ndarray, str]:
-    """A state (nx,) with joints that are outside of the model's ranges by at most a margin moved to the limit.
+    """A state (nx,) whose joints outside of the model's ranges by at most a margin are moved to the limit.
 
-    A joint stop acts within its own margin of the limit and would push the joint there. A start at the limit is moved
-    inside by START_OFFSET: neighbours push it back by less than that before it leaves. Coupled joints stay where they
-    are, and so do those in `limited`, which have a range of the user's.
+    A start at the limit is moved inside by START_OFFSET, because coupling forces may first move the joint towards the
+    limit. Unchanged are coupled joints and those in `limited`, which have a range from the user.
 
     Returns:
-        The state, and a sentence about it that calls it `what`, "start" or "goal"; "" where nothing was moved.
+        The state, and a message about the moved joints; `what` is "start" or "goal". "" if none was moved.
     """
     coupled = {dof for coupling in mechanism.couplings for dof in coupling.dofs}
     moved, names, largest = x.copy(), [], 0.0
@@ -113,9 +112,9 @@ def moved_inside_limits(
 
 
 def starts_at_limit(mechanism: Mechanism, what: str, x: np.ndarray, limited: Collection[str]) -> str:
-    """A sentence about unactuated joints that are at a limit in a state (nx,); "" for none.
+    """A message about unactuated joints at a limit in a state (nx,); "" for none.
 
-    Their neighbours push them into the stop, which holds them in MuJoCo; a plan has no such force.
+    Coupling forces of other joints press them against the stop, whose reaction MuJoCo has and the plan has not.
     """
     coupled = {dof for coupling in mechanism.couplings for dof in coupling.dofs}
     driven, names = np.any(mechanism.actuators.moment, axis=0), []
@@ -141,7 +140,7 @@ def _joint_index(mechanism: Mechanism, dof: int) -> int:
 
 
 def check_margin(mechanism: Mechanism, margin: Any) -> None:
-    """Raise a PlannerError where a margin is neither a number nor a table of numbers by joint."""
+    """Raise a PlannerError unless a margin is None, a number or a table of numbers by joint or tendon."""
     if isinstance(margin, Mapping):
         for joint, value in margin.items():
             known = (*mechanism.joint_names, *(tendon.name for tendon in mechanism.tendons))
@@ -160,7 +159,7 @@ def _margin(mechanism: Mechanism, name: str, i: int, margin: Any) -> float:
 
 
 def margin_of(width: float, unit: str, given: float | None) -> float:
-    """The margin of a range of some width, in rad or m: as given, else the default."""
+    """The margin of a range of a width, in rad or m: as given, else the default."""
     if given is not None:
         return float(given)
     if not np.isfinite(width):
@@ -177,8 +176,8 @@ def tendon_ranges(
     Args:
         mechanism: Of the plan.
         margin: Of the limits: a number, a table by joints and tendons, or None.
-        given: Ranges by the names of tendons that take the place of the model's.
-        of_joints: Ranges of joints by degree of freedom in the plan.
+        given: Ranges by name of tendon, in place of the model's.
+        of_joints: Ranges of joints in the plan, by degree of freedom.
     """
     found = []
     for tendon in mechanism.tendons:
@@ -194,7 +193,7 @@ def tendon_ranges(
 
 
 def _is_fixed(length: TendonLength) -> bool:
-    """Whether equalities alone fix a tendon's length, within its own range."""
+    """Whether equalities alone fix a tendon's length, at a value within its range."""
     reduction = length.mechanism.reduction
     if reduction is None:
         return False
@@ -237,7 +236,7 @@ def _of_model(length: TendonLength, margin: Any) -> Range:
 
 @dataclass(frozen=True, eq=False)
 class TendonLength:
-    """The length of a fixed tendon over its largest coefficient: a quantity for a constraint."""
+    """The length of a fixed tendon divided by its largest |coefficient|: a quantity for a constraint."""
 
     tendon: FixedTendon
     mechanism: Mechanism
@@ -252,27 +251,27 @@ class TendonLength:
 
     @property
     def coefficients(self) -> np.ndarray:
-        """(k,) of its degrees of freedom, the largest 1 or -1."""
+        """(k,) scaled coefficients of its degrees of freedom; the largest is 1 or -1."""
         return np.array(self.tendon.coefficients) / self.scale
 
     @property
     def unit(self) -> str:
-        """Of the joint with the largest coefficient."""
+        """Unit, rad or m, of the joint with the largest |coefficient|."""
         dof = self.tendon.dofs[int(np.argmax(np.abs(self.tendon.coefficients)))]
         return ANGLE if np.any(self.mechanism.S[dof, :3]) else LENGTH
 
     def of(self, xs: np.ndarray) -> np.ndarray:
-        """(K,) of states (K, nx)."""
+        """(K,) scaled lengths for states (K, nx)."""
         return xs[:, self.mechanism.q_address[list(self.tendon.dofs)]] @ self.coefficients
 
     def constraint_function(self, dynamics: Dynamics, N: int) -> TendonFunction:
-        """Of a machine."""
+        """The constraint function for a machine."""
         mechanism_of(dynamics, self)
         return TendonFunction(self, dynamics)
 
 
 class TendonFunction:
-    """The row of a TendonLength: the same derivative everywhere."""
+    """Constraint function of a TendonLength: one component with a constant derivative."""
 
     rows, of_controls = 1, False
 
@@ -281,7 +280,7 @@ class TendonFunction:
         self._ndx, self._nu = space_of(dynamics).ndx, dynamics.nu
 
     def values(self, xs: np.ndarray, us: np.ndarray, n: np.ndarray) -> np.ndarray:
-        """(K, 1)."""
+        """(K, 1) scaled lengths."""
         return self._length.of(xs)[:, None]
 
     def derivatives(self, xs: np.ndarray, us: np.ndarray, n: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -4,8 +4,8 @@
     lower <= x_i(n) <= upper   for n = 1 ... N        to a tolerance, by an augmented Lagrangian
     x_i(N) = goal_i                                   likewise
 
-Ranges hold at the knots, to the tolerance. Between knots a motion overshoots a little: so a margin is taken off the
-model's ranges, and a plan stays off MuJoCo's joint stops. Controls with feedback are clipped to their bounds.
+Ranges are satisfied at the knots, to the tolerance. A trajectory may overshoot between knots, so the model's ranges are
+reduced by a margin, which avoids contact with MuJoCo's joint stops. Controls with feedback are clipped to their bounds.
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ class Limits:
             by the names of actuators; "model" for the model's ctrlrange, forcerange and actuatorfrcrange. Those of
             servos bound controls that depend on the state; some bound none (planner.problem.control_bounds.unbounded).
         position: (lower, upper) by the names of hinge and slide joints, or "model" for their ranges less the margin.
-            rad or m. Joints whose stops the mechanism has have none. Names of fixed tendons likewise, of their lengths.
+            rad or m. No default range if the mechanism models the joint's stops. Lengths of fixed tendons likewise.
         velocity: A number for all joints, or by joint a number or (lower, upper), or "model" for the limits that a
             URDF has. rad/s or m/s.
         state: (lower, upper) by the index of a component of the deviation, for a machine without named joints.
@@ -90,7 +90,7 @@ class Limits:
         object.__setattr__(self, "tolerance", number("the limits' tolerance", self.tolerance, greater_than=0.0))
 
     def to_dict(self) -> dict[str, Any]:
-        """As JSON values; what is infinite is None."""
+        """As JSON values; infinity is None."""
         return {name: json_value(value) for name, value in vars(self).items() if value is not None}
 
     @property
@@ -117,7 +117,7 @@ class Limits:
         """The limits of a table, to_dict's or a problem.toml's.
 
         Raises:
-            PlannerError: It is none, or has a key that is no limit.
+            PlannerError: No table, or a key that is no limit.
         """
         names = list(cls.__dataclass_fields__)
         if not isinstance(table, Mapping):
@@ -177,7 +177,7 @@ class Limits:
         return found
 
     def ranges(self, dynamics: Dynamics, cost: Cost, x0: np.ndarray, N: int) -> StateBounds | None:
-        """The ranges of the states, and exact goals; None where there are none.
+        """The ranges of the states, and exact goals; None without either.
 
         Raises:
             PlannerError: As for the class; a start or a goal outside its range.

@@ -1,4 +1,4 @@
-"""Find what looks wrong in a machine of somebody's own, each with the key or edit that mends it."""
+"""Warnings about likely errors in a user's model, each with the key or edit that fixes it."""
 
 from __future__ import annotations
 
@@ -15,18 +15,18 @@ from planner.model.couplings import contradiction, narrowed
 from planner.model.mechanism import Mechanism
 from planner.model.mjcf.facts import Record, free_bases, gravity_of, has_ground, overlaps
 
-_LIGHT = 1e-4  # of the median inertia of the joints of a kind: below it a machine is stiff
-_MENDED = 1e-2  # of that median: the armature that is proposed
-_SHALLOW = 1e-3  # of the machine's size: feet on the ground sink in about as far
-_DEGREES = math.radians(2.0 * math.pi)  # rad: a whole turn in radians, read as degrees
-_ROUNDING = 1e-9  # of a control or force, and of 1
-_HELD = 1e-6  # rad or m
-_SPARE = 1.5  # times what holds: the range that is proposed
-_MAX_PER_KIND = 4  # of a kind that are told one by one
+_LIGHT = 1e-4  # share of the median inertia of joints of a kind; a joint with less makes the dynamics stiff
+_MENDED = 1e-2  # share of that median: the proposed armature
+_SHALLOW = 1e-3  # share of the machine's size: overlap without a warning, about that of feet in the ground
+_DEGREES = math.radians(2.0 * math.pi)  # rad: 2 pi, read as degrees
+_ROUNDING = 1e-9  # relative to a control or force, and absolute below 1
+_HELD = 1e-6  # rad or m, range below which a joint cannot move
+_SPARE = 1.5  # the proposed range over the static control or force
+_MAX_PER_KIND = 4  # warnings of one kind that are listed
 
 
 class ModelWarning(NamedTuple):
-    """Something that looks wrong."""
+    """A likely error in a model."""
 
     problem: str  # One sentence
     fix: str  # The key or edit
@@ -35,7 +35,7 @@ class ModelWarning(NamedTuple):
 def lint_model(
     model: Any, mechanism: Mechanism | None, joints: list[Record], keyframes: dict[str, np.ndarray]
 ) -> list[ModelWarning]:
-    """What looks wrong in a compiled model: in a fixed order, the most serious first."""
+    """Warnings about a compiled model, in a fixed order, the most serious first."""
     found = [*_actuation(model, joints), *_surroundings(model), *_narrow(joints), *_light(joints)]
     found += _outside(joints, np.array(model.qpos0), "the start that the file describes", _to_start)
     for name, qpos in keyframes.items():
@@ -75,7 +75,7 @@ def _surroundings(model: Any) -> list[ModelWarning]:
 
 
 def _narrow(joints: list[Record]) -> list[ModelWarning]:
-    """Ranges that were meant in radians and are read as degrees, as MuJoCo does unless it is told."""
+    """Ranges meant in radians that MuJoCo reads as degrees, its default."""
     widths = [joint["range"][1] - joint["range"][0] for joint in joints if joint["unit"] == "rad" and joint["range"]]
     if not widths or max(widths) > _DEGREES:
         return []
@@ -84,7 +84,7 @@ def _narrow(joints: list[Record]) -> list[ModelWarning]:
 
 
 def _light(joints: list[Record]) -> list[ModelWarning]:
-    """Joints about which next to nothing turns, against the others of their kind."""
+    """Joints with much less inertia than the median of their kind."""
     found: list[ModelWarning] = []
     for unit, quantity in (("rad", "kg m^2"), ("m", "kg")):
         alike = [joint for joint in joints if joint["unit"] == unit]
@@ -100,7 +100,7 @@ def _light(joints: list[Record]) -> list[ModelWarning]:
 
 
 def _outside(joints: list[Record], qpos: np.ndarray, whose: str, mend: Any) -> list[ModelWarning]:
-    """Hinges and slides that a pose puts outside of their ranges."""
+    """Hinges and slides outside of their ranges in a pose."""
     found: list[ModelWarning] = []
     for joint in joints:
         if joint["range"] is None or not joint["unit"]:
@@ -144,7 +144,7 @@ def _overlapping(model: Any) -> list[ModelWarning]:
 
 
 def _coupled(mechanism: Mechanism) -> list[ModelWarning]:
-    """Joints that equalities and ranges together leave no way, or no place at all."""
+    """Joints that equalities and ranges together fix, or for which they are infeasible."""
     if not mechanism.couplings:
         return []
     ranges = np.array(mechanism.joint_range)
@@ -158,7 +158,7 @@ def _coupled(mechanism: Mechanism) -> list[ModelWarning]:
 
 
 def _weak(mechanism: Mechanism, qpos: np.ndarray) -> list[ModelWarning]:
-    """Actuators whose ranges cannot hold a pose (nq,) of a machine with a fixed base against gravity and springs."""
+    """Actuators whose ranges exclude static equilibrium at a pose (nq,) of a machine with a fixed base."""
     found: list[ModelWarning] = []
     needed, actuators = holding(mechanism, qpos), mechanism.actuators
     for name, u, force, controls, forces in zip(
@@ -177,9 +177,9 @@ def _weak(mechanism: Mechanism, qpos: np.ndarray) -> list[ModelWarning]:
 
 
 def holding(mechanism: Mechanism, qpos: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Controls (nu,) and actuator forces (nu,) that hold the actuated joints at a pose (nq,) without contacts.
+    """Controls (nu,) and actuator forces (nu,) for static equilibrium of the actuated joints at a pose (nq,).
 
-    The smallest controls that do; 0 for an actuator that integrates its control, or has no gain.
+    Without contacts. The controls have minimum norm; 0 for an actuator that integrates its control or has no gain.
     """
     actuators = mechanism.actuators
     u = quasi_static_controls(mechanism, qpos, contacts=False, keep_activations=False)
@@ -188,7 +188,7 @@ def holding(mechanism: Mechanism, qpos: np.ndarray) -> tuple[np.ndarray, np.ndar
 
 
 def within(values: Any, low: Any, high: Any) -> Any:
-    """Whether values are within their ranges but for rounding; arrays of one shape, or numbers."""
+    """Whether values are within their ranges up to rounding; arrays of one shape, or numbers."""
     room = _ROUNDING * np.maximum(np.abs(values), 1.0)
     return (low - room <= values) & (values <= high + room)
 

@@ -1,12 +1,12 @@
-"""Objectives: a motion saves effort, energy, jerk or time, alone or weighted against each other.
+"""Objectives: effort, energy, jerk or time, or a weighted sum of these.
 
     effort    the problem's own weights of the controls, times this weight
     energy    mechanical work of the motors, per J                              planner.problem.costs.energy
     jerk      squared jerk of the joints / 2, per second                        planner.problem.costs.jerk
     time      the duration, per s: constant here, varied by planner.solvers.free_time
 
-What the problem's cost asks of states, on the way and at the end, stays as it is. A part of the effort, EFFORT_SHARE,
-is kept where none is asked for: without it nothing would choose among controls that move nothing.
+Running and final costs of the states are unchanged. Without an effort weight the effort has the weight EFFORT_SHARE,
+because controls without effect on the motion would otherwise be undetermined.
 """
 
 from __future__ import annotations
@@ -28,11 +28,11 @@ EFFORT_SHARE = 0.01
 
 @dataclass(frozen=True, eq=False)
 class Objective:
-    """The weights that a problem's cost was made with.
+    """The weights of a problem's objective, and its cost without them.
 
     Attributes:
-        weights: Above 0, by names of OBJECTIVES; what with_objective was given, and the share of effort.
-        base: The problem's cost before.
+        weights: Above 0, by names of OBJECTIVES: the arguments of with_objective, and the share of effort.
+        base: The problem's cost before with_objective.
     """
 
     weights: dict[str, float]
@@ -55,7 +55,7 @@ def weights_of(objective: Any) -> dict[str, float]:
 
 
 def checked_durations(durations: Any, weights: Mapping[str, float]) -> tuple[float, float] | None:
-    """The shortest and the longest duration, s, which an objective with time needs and any other refuses."""
+    """Checked min and max duration, s: required by an objective with time, None and refused for any other."""
     if "time" not in weights:
         if durations is not None:
             raise PlannerError(f"durations are {short_repr(durations)}, expected none without time in the objective.")

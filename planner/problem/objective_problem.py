@@ -61,7 +61,7 @@ def with_objective(problem: Problem, objective: str | Mapping[str, float]) -> Pr
 
 
 def _jerk(problem: Problem, weight: float) -> JerkCost:
-    """The cost of jerk, with the machine held before a start at rest and after a goal at rest."""
+    """The jerk cost, with zero acceleration before a start at rest and after a goal at rest."""
     mechanism, goal = capabilities_of(problem.dynamics).mechanism, tracking_of(problem.cost)
     if mechanism is None or goal is None:
         return JerkCost(problem.dynamics, problem.N, weight)

@@ -16,14 +16,14 @@ STEPS = ("newton", "follow")
 
 @dataclass(frozen=True, eq=False)
 class Periodic:
-    """The components of the state that return to their start at the end of a motion, and how nearly."""
+    """The components of the state that return to their start at the end of a trajectory, with tolerances."""
 
-    # (ndx,) the largest difference of each component of the deviation; infinite where it need not come back, like the
-    # travel of a belt. A number holds for all.
+    # (ndx,) max closure error of each component of the deviation; infinite for components that need not return, like
+    # the travel of a belt. A number applies to all.
     tolerance: np.ndarray
-    step: str = "newton"  # How solve_periodic changes the start: "newton" or "follow"
-    passes: int = 8  # Most solves of solve_periodic
-    cost_tolerance: float = 1e-3  # Part of the cost: after a pass that changes it by less, "newton" only closes the gap
+    step: str = "newton"  # Method of solve_periodic to change the start: "newton" or "follow"
+    passes: int = 8  # Max number of solves of solve_periodic
+    cost_tolerance: float = 1e-3  # Relative change of the cost below which "newton" only reduces the closure error
 
     def __post_init__(self) -> None:
         try:
@@ -54,11 +54,11 @@ class Periodic:
         return np.isfinite(self.tolerance)
 
     def closure_error(self, space: StateSpace, xs: np.ndarray) -> np.ndarray:
-        """(ndx,) how far the end of states (N+1, nx) is from their start; zero for components that need not return."""
+        """(ndx,) difference of end and start of states (N+1, nx); zero for components that need not return."""
         return np.where(self.periodic_mask, space.difference(xs[-1], xs[0]), 0.0)
 
     def miss(self, space: StateSpace, xs: np.ndarray) -> float:
-        """The largest gap, as a multiple of its tolerance: at most 1 when states (N+1, nx) are periodic."""
+        """Max closure error over its tolerance: at most 1 if states (N+1, nx) are periodic."""
         return float(np.max(np.abs(self.closure_error(space, xs)) / self.tolerance))
 
     def brought(self, space: StateSpace, x: np.ndarray, end: np.ndarray) -> np.ndarray:
@@ -66,7 +66,7 @@ class Periodic:
         return space.integrate(x, np.where(self.periodic_mask, space.difference(end, x), 0.0))
 
     def to_dict(self) -> dict[str, Any]:
-        """As JSON values; what is infinite is None."""
+        """As JSON values; infinity is None."""
         tolerance = [float(value) if np.isfinite(value) else None for value in self.tolerance]
         return {"tolerance": tolerance, "step": self.step, "passes": self.passes, "cost_tolerance": self.cost_tolerance}
 

@@ -1,7 +1,4 @@
-"""Pictures of a case beyond those of every plan: charts, stick figures and paths. Data only, as an Appearance is.
-
-A case says what is in them, planner.view.plots draws them.
-"""
+"""Additional pictures of a built-in problem: charts, stick figures, paths. Data only; planner.view.plots draws them."""
 
 from __future__ import annotations
 
@@ -18,7 +15,7 @@ class Stick:
 
     points: tuple[int, ...]  # Indices of the points, in order
     label: str = ""  # For the legend; "" for none
-    hue: int | None = None  # Which of the hues of all plots it has; None for ink
+    hue: int | None = None  # Index in the hues of all plots; None for ink
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,15 +24,15 @@ class PoseSequence:
 
     label: str  # For the legend
     points: np.ndarray  # (K, P, 3) m, at equal times; see view.plots.projection
-    dashed: bool = False  # Drawn thin and dashed: what others are held to
+    dashed: bool = False  # Drawn thin and dashed: a reference of the others
 
 
 class Trace(NamedTuple):
-    """Where a point goes."""
+    """Path of a point."""
 
     label: str  # For the legend
     points: np.ndarray  # (K, 3) m
-    dashed: bool = False  # Drawn dashed and grey: what others are held to
+    dashed: bool = False  # Drawn dashed and grey: a reference of the others
 
 
 class CurveData(NamedTuple):
@@ -43,15 +40,14 @@ class CurveData(NamedTuple):
 
     label: str  # For the legend; the same label in another chart has the same colour there
     values: np.ndarray  # (K,) at the times of all charts, or at t; gaps where they are not finite
-    # Drawn dashed: what was planned beside what happened, for example. It shares the colour of a solid curve of the
-    # same chart that has `of` for a label.
+    # Drawn dashed, e.g. the plan against its replay, in the colour of the solid curve with label `of` in the chart.
     dashed: bool = False
     of: str = ""  # See dashed
-    t: np.ndarray | None = None  # (K,) times of its own
+    t: np.ndarray | None = None  # (K,) own times; None for those of all charts
 
 
 class Band(NamedTuple):
-    """The normal range: a mean, drawn dashed, and the spread of people about it."""
+    """The normal range of a quantity in people: a mean, drawn dashed, and the spread about it."""
 
     label: str  # For the legend
     mean: np.ndarray  # (K,)
@@ -105,7 +101,7 @@ class Paths:
 
 @dataclass(frozen=True, eq=False)
 class BoundedPanel:
-    """Quantities of a motion over time beside their bounds: one panel of plots.png, see view.plots.bounded."""
+    """Quantities over time with their bounds: one panel of plots.png, see view.plots.bounded."""
 
     title: str  # Above it
     ylabel: str  # With the unit
@@ -114,7 +110,7 @@ class BoundedPanel:
     motions: tuple[np.ndarray, ...]  # (K, R) each: of the plan, then of its replays; gaps where they are not finite
     lower: np.ndarray  # (K, R), not finite where there is none
     upper: np.ndarray  # (K, R), the same
-    decades: bool = False  # Whether small values count: a log scale where they span decades
+    decades: bool = False  # Whether to use a log scale if values span decades
 
 
 CasePicture = StickFigures | Charts | Paths

@@ -2,15 +2,15 @@
 
 Everywhere, files included, the control of a plan is
 
-    u = us[n] + K[n] @ (x - xs[n]),     held over stage n,
+    u = us[n] + K[n] @ (x - xs[n]),     constant over stage n,
 
-put back within the bounds of the problem's limits where it has some (within_bounds), and
-where x - xs[n] is the deviation space.difference(x, xs[n]), for plain vectors their difference.
+clipped to the problem's control bounds, if any (within_bounds). x - xs[n] is the deviation space.difference(x, xs[n]),
+for plain vectors their difference.
 
 plan.npz is read with numpy alone: arrays t (N+1,), xs (N+1, nx), us (N, nu), K (N, nu, ndx), history (one row
-per iteration, columns as in Iteration) and meta, one JSON string, in which `space` tells where xs has quaternions and
-`digests` what was changed since it was written. Its model and the recipe of its problem are in it too, so it is proved
-from the file alone (planner.load_plan); a problem that is its maker's own Python must be given. No pickle.
+per iteration, columns as in Iteration) and meta, one JSON string; its `space` lists the quaternions of xs, its
+`digests` detect later changes. The file has the model and the recipe of the problem too, so it is proved from the file
+alone (planner.load_plan); a problem of user-defined Python must be passed. No pickle.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ from planner.problem.trajectory import Trajectory, rates_of, scaled_multipliers
 
 
 class Status(StrEnum):
-    """How a solve ended. The value is a sentence; for everything but CONVERGED it says what to do next."""
+    """Outcome of a solve. The value is a sentence, which suggests a next action unless CONVERGED."""
 
     CONVERGED = "The gradient, the predicted or the actual decrease fell below its tolerance."
     MAX_ITERATIONS = "The iteration limit was reached; raise max_iterations, or start from this plan's controls."
@@ -75,14 +75,14 @@ _ON_LIMITS = (Status.MAX_ITERATIONS, Status.NO_DESCENT, Status.OUTSIDE_LIMITS)
 
 
 class Iteration(NamedTuple):
-    """One line of the iteration table. Costs and gradients are those before the step."""
+    """One row of the iteration table. Cost and gradient are those before the iteration's step."""
 
     iteration: int  # Counted from 0
     cost: float  # J of Eq. 9
     gradient_norm: float  # Euclidean norm of the gradient of J with respect to all controls (Eq. 19)
-    step: float  # Step length taken (Eq. 36); 0 when none was (converged, or regularization was raised)
-    expected: float  # Decrease that the LQ model promised for that step
-    actual: float  # Decrease that came
+    step: float  # Step length (Eq. 36); 0 without a step (converged, or regularization was increased)
+    expected: float  # Expected reduction of the LQ model for that step length
+    actual: float  # Actual reduction
     regularization: float  # Added to the diagonal of R + B'PB
 
     def __str__(self) -> str:
@@ -94,22 +94,22 @@ class Iteration(NamedTuple):
 
     @staticmethod
     def header() -> str:
-        """The heading over the lines that str() makes; it is above the first one."""
+        """The table header; str() puts it above iteration 0."""
         return f"{'iter':>5}  {'cost':>15}  {'|grad|':>9}  {'step':>9}  {'expected':>9}  {'actual':>9}  {'regular.':>9}"
 
 
 class Start(NamedTuple):
-    """How one of several starts of a solve ended."""
+    """Result of one of several starts of a solve."""
 
     number: int  # 0 is the problem's own first guess
-    status: Status  # How it ended
+    status: Status  # Of its solve
     cost: float  # J of Eq. 9
-    iterations: int  # It took
-    score: float  # The start is ranked by it: the cost, or the value of solve()'s `rank`
+    iterations: int  # Of its solve
+    score: float  # Ranking value, lower is better: the cost, or the value of solve()'s `rank`
 
     @property
     def rank(self) -> tuple[bool, float, int]:
-        """Least for the best: converged before others, then the least score."""
+        """Sorting key, smallest for the best: converged before others, then by score."""
         return self.status is not Status.CONVERGED, self.score if math.isfinite(self.score) else math.inf, self.number
 
     def __str__(self) -> str:
@@ -118,32 +118,32 @@ class Start(NamedTuple):
 
     @staticmethod
     def header() -> str:
-        """The heading over the lines that str() makes; it is above the first one."""
+        """The table header; str() puts it above start 0."""
         return f"{'start':>5}  {'cost':>15}  {'iterations':>10}  status"
 
 
 @dataclass(frozen=True, eq=False)
 class Plan(Built, Plottable):
-    """An optimized motion with the gains that hold it.
+    """An optimized trajectory with feedback gains.
 
     Attributes:
         t: (N+1,) s, the knots.
         xs: (N+1, nx) states.
-        us: (N, nu) controls, each held over its stage.
+        us: (N, nu) controls, constant over each stage.
         K: (N, nu, ndx) gains of the last Riccati sweep.
         cost: J of Eq. 9.
         gradient_norm: Norm of Eq. 19 at the plan: check optimality from the file.
-        status: How the solve ended.
-        history: One Iteration per iteration; the last line is the plan itself.
-        problem: The problem that was solved; None for a file whose problem is a user's own Python.
-        recipe: How the problem was built; None where it was put together from parts.
-        twin: The MuJoCo model it is replayed in, or None.
-        starts: How each start of a solve with several ended; empty for a single one.
-        options: How it was solved: the arguments of solve(), the seed among them.
-        changed: Parts of its file that were changed after it was written; empty for none, or for no file.
-        penalties: Terms that ranges of states and constraints added to the cost in the last round of the augmented
-            Lagrangian: with them the gradient, its norm and the gains. None where nothing was added.
-        space: Where the states lie.
+        status: Outcome of the solve.
+        history: One Iteration per iteration; the last one is the plan itself.
+        problem: The solved problem; None for a file whose problem is user-defined Python.
+        recipe: Recipe to rebuild the problem; None if it was assembled from parts.
+        twin: The MuJoCo model for replays, or None.
+        starts: Result of each start of a solve with several; empty for a single one.
+        options: The arguments of solve(), including the seed.
+        changed: Parts of the plan's file that were changed after it was written; empty for none, or without a file.
+        penalties: Penalty terms of state bounds and constraints in the last round of the augmented Lagrangian. The
+            gradient, its norm and the gains include them. None without penalties.
+        space: State space.
         versions: Of the software that made the plan.
     """
 
@@ -187,7 +187,7 @@ class Plan(Built, Plottable):
 
     @property
     def message(self) -> str:
-        """The status in a sentence (as in SciPy); on which limits a solve hangs, and which goal is missed."""
+        """The status as a sentence (as in SciPy), with violated or active limits and missed goals."""
         if self.problem is not None and self.missed_goals:
             return f"{self.status.value[:-1]}, but {self.missed_goals}."
         if self.problem is None or self.status not in _ON_LIMITS:
@@ -206,7 +206,7 @@ class Plan(Built, Plottable):
 
     @property
     def missed_goals(self) -> str:
-        """Which goal a converged plan misses, and what to do; "" for none, and for a plan without its problem."""
+        """Message about missed goals of a converged plan; "" for none, and for a plan without its problem."""
         if self.problem is None or self.status is not Status.CONVERGED:
             return ""
         return missed_goal_message(self.problem, self.t, self.xs)
@@ -220,12 +220,12 @@ class Plan(Built, Plottable):
 
     @property
     def start(self) -> int:
-        """Which of the starts this plan is; 0 is the problem's own first guess."""
+        """Number of the start that gave this plan; 0 is the problem's own first guess."""
         return min(self.starts, key=lambda start: start.rank).number if self.starts else 0
 
     @property
     def name(self) -> str:
-        """The case, or of other problems the title, which is that of their file or the name of their model."""
+        """Name of the built-in problem; of others the title: that of the problem file, or the model's name."""
         if self.case not in (None, PROBLEM_FILE):
             return str(self.case)
         appearance = None if self.problem is None else self.problem.appearance
@@ -237,13 +237,13 @@ class Plan(Built, Plottable):
         return installed_versions() if self.made_with is None else self.made_with
 
     def within_bounds(self, n: int | np.ndarray, u: np.ndarray, x: np.ndarray) -> np.ndarray:
-        """Controls u (..., nu) of stage n, or (K, nu) of stages n (K,), put back within the problem's bounds at x."""
+        """Controls u (..., nu) of stage n, or (K, nu) of stages n (K,), clipped to the problem's bounds at x."""
         bounds = None if self.problem is None else self.problem.bounds
         return u if bounds is None else bounds.clip(n, u, x)
 
     def between_knots(self, parts: int) -> np.ndarray:
-        """States (N * parts + 1, nx) at every part of a stage: the plan's own integrator, from each knot on."""
-        assert self.problem is not None  # its dynamics are asked
+        """States (N * parts + 1, nx) at equal parts of each stage, integrated from each knot by the plan's dynamics."""
+        assert self.problem is not None  # for its dynamics
         N, nx = self.N, self.xs.shape[1]
         times = np.tile(self.problem.dynamics.dt / parts * np.arange(parts), N)
         xs, us = np.repeat(self.xs[:-1], parts, axis=0), np.repeat(self.us, parts, axis=0)
@@ -253,7 +253,7 @@ class Plan(Built, Plottable):
 
     @property
     def motion(self) -> Trajectory:
-        """What the plan does, apart from its problem."""
+        """The plan's trajectory, without its problem."""
         rates, pulls = slice(0, 0), None
         if self.problem is not None:
             rates, pulls = (
@@ -263,7 +263,7 @@ class Plan(Built, Plottable):
         return Trajectory(self.t, self.xs, self.us, self.K, self.space, rates, pulls)
 
     def shifted(self, seconds: float) -> Trajectory:
-        """A first guess for the same task `seconds` later: solve(..., warm_start=plan.shifted(0.1)). See Motion.
+        """A first guess for the same task `seconds` later: solve(..., warm_start=plan.shifted(0.1)). See Trajectory.
 
         Raises:
             PlannerError: seconds is no finite number.
@@ -280,7 +280,7 @@ class Plan(Built, Plottable):
 
     @property
     def summary(self) -> str:
-        """Name, iterations, cost and number of stages in a phrase."""
+        """Name, iterations, cost and number of stages as a phrase."""
         name = f"{self.name}: " if self.name else ""
         return f"{name}{self.nit} iterations, cost {self.cost:.6g}, N = {self.N}"
 
@@ -292,8 +292,8 @@ class Plan(Built, Plottable):
     def save(self, path: str | Path) -> Path:
         """Write the plan as .npz, atomically and without pickle.
 
-        A problem with a function or class of your own in it, a cost or a constraint for example, is not in the file; a
-        warning says so. load_plan(path, problem=problem) puts the two together again.
+        A problem with user-defined Python, e.g. a cost or a constraint, is not stored in the file, with a warning.
+        load_plan(path, problem=problem) joins the two again.
 
         Raises:
             FileError: The file cannot be written.
@@ -315,7 +315,7 @@ class Plan(Built, Plottable):
         return file.getvalue()
 
     def _contents(self) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
-        """The arrays and the meta of its file."""
+        """The arrays and the JSON metadata of the plan's file."""
         recipe, parts = self.recipe, {}
         if recipe is None and self.problem is not None:
             recipe, parts = to_arrays(base_problem(self.problem)) or (None, {})
@@ -344,7 +344,7 @@ class Plan(Built, Plottable):
         return arrays, meta
 
     def sampled(self, rate: float | None = None) -> Samples:
-        """Times, states, controls and stages at the knots, or `rate` times a second and at the end: see Samples."""
+        """Times, states, controls and stages at the knots, or at `rate` Hz and at the end: see Samples."""
         return sampled(self, rate)
 
     def to_csv(self, path: str | Path, rate: float | None = None, only: str | None = None) -> Path:
@@ -352,7 +352,7 @@ class Plan(Built, Plottable):
         return write_csv(self, path, rate, only)
 
     def to_pandas(self, rate: float | None = None, only: str | None = None) -> Any:
-        """The same table as a pandas DataFrame, its index the time: see export.table.frame_of."""
+        """The table of to_csv as a pandas DataFrame, indexed by time: see export.table.frame_of."""
         return frame_of(self, rate, only)
 
     def to_joint_trajectory(self, path: str | Path | None = None, rate: float | None = None) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""Problem: dynamics, cost, start and first guess (Eq. 9, 10). Every shape check lives here."""
+"""Problem: dynamics, cost, start and first guess (Eq. 9, 10), with all checks of their shapes."""
 
 from __future__ import annotations
 
@@ -33,23 +33,23 @@ from planner.problem.state_bounds import StateBounds
 
 @dataclass(frozen=True)
 class Requirements:
-    """A case's own rules for its proof, beside the general ones or in their place. All are optional."""
+    """Rules for the proof of a built-in problem, in addition to the general ones or in place of them; all optional."""
 
-    # (rng, K) -> K random simulator states (K, nw) at which the twin must accelerate exactly as the plan's dynamics do.
+    # (rng, K) -> random simulator states (K, nw) at which the twin's accelerations must equal the plan's dynamics.
     equal_states: Callable[[np.random.Generator, int], np.ndarray] | None = None
-    # (xs (K, nx), us (K, nu)) -> (K, nx), the continuous dx/dt that parity is checked against.
+    # (xs (K, nx), us (K, nu)) -> (K, nx), the continuous dx/dt, reference of the parity check.
     rates: Callable[[np.ndarray, np.ndarray], np.ndarray] | None = None
-    start: str = ""  # Keyframe of the twin that must be the plan's own start
-    no_same_step: str = ""  # Why a replay at the plan's own step says nothing here
-    tracking: Callable[[Any], Section] | None = None  # planner.Replay -> the Section that judges it
-    # planner.Replay -> the Section that judges whether the goal was reached.
+    start: str = ""  # Keyframe of the twin that must equal the plan's start
+    no_same_step: str = ""  # Reason why a replay at the plan's own integration step is not meaningful
+    tracking: Callable[[Any], Section] | None = None  # planner.Replay -> the Section of the tracking error
+    # planner.Replay -> the Section of the goal check.
     goal: Callable[[Any], Section] | None = None
-    # End states (K, nx) of perturbed rollouts, all finite -> (K,) bool, whether each arrived.
+    # End states (K, nx) of perturbed rollouts, all finite -> (K,) bool, whether each reached the goal.
     success: Callable[[np.ndarray], np.ndarray] | None = None
-    # In place of `success` where the way counts: (states (K, T, nx) of perturbed rollouts, all finite, the plan's (T,
-    # nx), the stages (T,) at whose start they are, N for the end) -> (K,) bool, whether each did.
+    # In place of `success` where the whole trajectory counts: (states (K, T, nx) of perturbed rollouts, all finite, the
+    # plan's (T, nx), their knots (T,), N for the end) -> (K,) bool, success of each rollout.
     follows: Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray] | None = None
-    # Errors of step 5 where prove() is given none: amounts by names of Perturbation, in place of its defaults.
+    # Default perturbations of step 5 of prove(): amounts by names of Perturbation, in place of its defaults.
     perturbation: Mapping[str, float] = field(default_factory=dict)
 
 
@@ -62,32 +62,31 @@ class Problem(Built):
         cost: phi and L.
         x0: (nx,) start. Its quaternions are normalized; one of length zero is refused.
         us: (N, nu) first guess of the controls; zero by default.
-        horizon: N; needed only when neither us nor the cost tells it.
-        twin: The MuJoCo model that a plan is replayed in; by default the MJCF that the dynamics' mechanism was read
-            from, its prescribed joints driven (planner.model.mjcf.prescribed_joints); None when there is none.
-        appearance: How the machine is shown.
-        requirements: The case's own rules for a proof; None for the general rules.
+        horizon: N; needed only if neither us nor the cost has it.
+        twin: The MuJoCo model for replays; by default the MJCF that the dynamics' mechanism was read from, with
+            actuators at its prescribed joints (planner.model.mjcf.prescribed_joints); None if there is none.
+        appearance: Cameras, colours and plots of the machine.
+        requirements: Rules for the proof of a built-in problem; None for the general rules.
         limits: Bounds of the controls, ranges of the states, exact goals; None for none.
-        constraints: planner.Constraint of terms or functions, which hold along the plan; () for none.
-        objective: The weights of planner.costs.with_objective; None for a cost as it was given.
-        expected_reduction_tolerance: Of planner.solve when it is given none, where a cost is flat towards its end and
-        the last
-            digits of it are worth no iterations; None for solve's own.
-        actual_reduction_tolerance: The same, where a cost has kinks.
+        constraints: planner.Constraint of terms or functions along the plan; () for none.
+        objective: The weights of planner.costs.with_objective; None for the cost as given.
+        expected_reduction_tolerance: Default of planner.solve for this problem, for a cost that is flat near its
+            minimum; None for solve's own.
+        actual_reduction_tolerance: The same, for a nonsmooth cost.
         periodic: Components of the state that return at the end, for planner.solve_periodic; None for none.
-        tolerance: How far the end may be from what the cost asks of it, for the proof: a number in rad, m, rad/s and
-            m/s, infinite (or "soft") for no check, or a table of these by "position", "velocity" and the names of
-            joints and frames. None: 2 % of the way, see planner.problem.goals.
-        goal_specs: What the proof judges, of a task; None for what the cost asks of the end.
-        recipe: How the problem was built; None for one that was put together from parts, or whose dynamics, cost,
+        tolerance: Max error of the end against the cost's final reference, for the proof: a number in rad, m, rad/s
+            and m/s, infinite (or "soft") for no check, or a table of these by "position", "velocity" and the names of
+            joints and frames. None: 2 % of the displacement, see planner.problem.goals.
+        goal_specs: Goal checks of a task for the proof; None for those of the cost's final reference.
+        recipe: Recipe to rebuild the problem; None for one that was assembled from parts, or whose dynamics, cost,
             start, horizon or constraints were replaced.
-        bounds: Of the controls, of the limits; None for none.
-        ranges: Of the states, of the limits; None for none.
-        trajectory_constraints: Ranges and constraints together, as the solver keeps them; None for none.
+        bounds: Control bounds, from the limits; None for none.
+        ranges: State bounds, from the limits; None for none.
+        trajectory_constraints: State bounds and constraints together, for the solver; None for none.
 
     Raises:
-        PlannerError: Shapes that do not fit together, numbers that are not finite, a start that is not on the
-            mechanism's couplings or breaks a constraint.
+        PlannerError: Inconsistent shapes, numbers that are not finite, a start that violates the mechanism's couplings
+            or a constraint.
     """
 
     dynamics: Dynamics
@@ -159,7 +158,7 @@ class Problem(Built):
             raise PlannerError(f"the twin maps to {len(self.twin.to_x_offset)} states, expected dynamics.nx = {nx}.")
 
     def _check_parts(self) -> None:
-        """Raise a PlannerError unless each part is of its kind, before it is asked for sizes."""
+        """Raise a PlannerError unless each part is of its type, before its sizes are read."""
         missing = [name for name in ("nx", "nu", "dt", "step", "linearize") if not hasattr(self.dynamics, name)]
         if missing:
             what = f"expected dynamics with nx, nu, dt, step and linearize (no {missing[0]} there)"
@@ -179,7 +178,7 @@ class Problem(Built):
                 raise PlannerError(f"{name} is {short_repr(part)}, expected {kind.__name__} or None.")
 
     def _keep(self, us: np.ndarray) -> None:
-        """Set what a plan keeps: ranges of the limits, and constraints."""
+        """Set trajectory_constraints: state bounds and tendon ranges of the limits, and the problem's constraints."""
         tolerance = TOLERANCE if self.limits is None else self.limits.tolerance
         goal = tracking_of(self.cost) or self.cost
         tendons = () if self.limits is None else self.limits.tendons(self.dynamics, goal, self.x0)
@@ -207,6 +206,6 @@ class Problem(Built):
 
     @property
     def first_guess(self) -> np.ndarray:
-        """(N, nu) the controls that a solve starts from."""
+        """(N, nu) initial controls of a solve."""
         assert self.us is not None  # set when the problem was made
         return self.us

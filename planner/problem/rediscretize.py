@@ -1,8 +1,8 @@
-"""The same problem with another step: finer, for a proof that failed, or of another duration.
+"""A problem with another discretization: finer, after a failed proof, or with another duration.
 
-A problem with a recipe is built again from it, so that a plan's file can hold it. Any other is made of its own parts:
-`dynamics.with_step(dt, integrator)`, `cost.resampled(parts, ratio)`, and a first guess that is held over the parts of
-each stage. So a new cost or a new machine brings these two methods, and nothing here knows it.
+A problem with a recipe is rebuilt from it, so that a plan's file can store it. Any other is made from its parts:
+`dynamics.with_step(dt, integrator)`, `cost.resampled(parts, ratio)`, and a first guess that is constant over the parts
+of each stage. A new cost or new dynamics need these two methods.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from planner.problem.problem import Problem
 
 MAX_STAGES = 100_000
 FINEST = "rk4"
-IMPLICIT = "rosenbrock"  # stays: no other one follows what it is chosen for
+IMPLICIT = "rosenbrock"  # unchanged by finer(), since explicit integrators cannot replace it
 FIRST_ORDER = ("euler", "semi-implicit-euler")
 
 
@@ -56,7 +56,7 @@ def finer(problem: Problem) -> Problem:
 
 
 def retimed(problem: Problem, duration: float) -> Problem:
-    """The same task with as many stages in another time (s), its first controls as they are.
+    """The same task with the same number of stages in another duration (s); first guess of the controls unchanged.
 
     Raises:
         PlannerError: Parts without with_step and resampled.
@@ -75,7 +75,7 @@ def retimed(problem: Problem, duration: float) -> Problem:
 
 
 def substeps_reason(problem: Problem) -> str:
-    """Why a stage has the substeps that it has, in a sentence; "" for dynamics without a mechanism or not of RK4."""
+    """Message with the reason for the number of substeps; "" for dynamics without a mechanism or without RK4."""
     dynamics, goal = problem.dynamics, tracking_of(problem.cost)
     if not isinstance(dynamics, RigidBodyDynamics) or dynamics.integrator != "rk4":
         return ""
@@ -84,7 +84,7 @@ def substeps_reason(problem: Problem) -> str:
 
 
 def stage_too_long(problem: Problem) -> str:
-    """What to write where a step of the problem is too long for its machine's fastest motion; "" where it is not."""
+    """Message with a fix if the integration step is too long for the machine's fastest mode; else ""."""
     dynamics = problem.dynamics
     if not isinstance(dynamics, RigidBodyDynamics) or dynamics.integrator == IMPLICIT:
         return ""

@@ -1,7 +1,7 @@
-"""A problem of our own parts in a plan's file: a mechanism's dynamics and a tracking cost are numbers and an MJCF text.
+"""Store a problem without a recipe in a plan's file: RigidBodyDynamics and a TrackingCost, as arrays and MJCF text.
 
-A problem with a recipe is built again from its recipe instead. Any other dynamics or cost is its maker's Python, which
-no file holds.
+A problem with a recipe is rebuilt from its recipe instead. Any other dynamics or cost is user-defined Python, which is
+not stored.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ ARRAYS = (*_COST, "x0", "us")
 
 
 def to_arrays(problem: Problem) -> tuple[Recipe, dict[str, np.ndarray]] | None:
-    """A recipe and arrays by name that a file can hold; None where they cannot describe the whole problem."""
+    """A recipe and arrays by name for a file; None if they cannot describe the whole problem."""
     dynamics = problem.dynamics
     if unstorable_part(problem) or not isinstance(dynamics, RigidBodyDynamics):
         return None
@@ -46,7 +46,7 @@ def to_arrays(problem: Problem) -> tuple[Recipe, dict[str, np.ndarray]] | None:
 
 
 def unstorable_part(problem: Problem) -> str:
-    """What of a problem without a recipe no file can hold, in words; "" where all of it can be held."""
+    """Text naming the first part of a problem without a recipe that a file cannot store; "" for none."""
     dynamics, twin = problem.dynamics, problem.twin
     if type(dynamics) is not RigidBodyDynamics:
         return f"its dynamics ({type(dynamics).__name__})"

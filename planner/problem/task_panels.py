@@ -1,7 +1,7 @@
-"""What a problem asks of the way, over time: how far goals are missed, and what constraints are of. Data for pictures.
+"""Panels of goal errors and constrained quantities over time, with their bounds. Data for pictures.
 
-A quantity of a constraint may give its rows `names`, and its measure may have `shown(xs, us, n) -> (K, R)`, values for
-pictures in place of those that the solver needs (see planner.problem.constraints.constraint_functions).
+A constraint's quantity may name its components by `names`, and its constraint function may have `shown(xs, us, n) ->
+(K, R)`, values for pictures in place of the solver's (see planner.problem.constraints.constraint_functions).
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from planner.problem.constraints.constraint_stack import StackEntry
 from planner.problem.pictures import BoundedPanel
 from planner.problem.problem import Problem
 
-MAX_CURVES = 8  # curves of a panel
+MAX_CURVES = 8  # of a panel
 _GOALS = {"m": "distance", "rad": "angle", "m/s": "speed"}
 StatesControls = tuple[np.ndarray, np.ndarray]  # states (N+1, nx) and controls (N, nu)
 
@@ -27,13 +27,13 @@ def task_panels(problem: Problem, t: np.ndarray, motions: Sequence[StatesControl
     Args:
         problem: Of the plan.
         t: (N+1,) s, the knots.
-        motions: Of the plan, then of its replays, at the knots.
+        motions: States and controls of the plan, then of its replays, at the knots.
     """
     return [*_of_goals(problem, t, motions), *_of_constraints(problem, t, motions)]
 
 
 def _of_goals(problem: Problem, t: np.ndarray, motions: Sequence[StatesControls]) -> list[BoundedPanel]:
-    """By unit: the miss of each goal of a task, and its tolerance when it is asked for."""
+    """Panels by unit: the error of each goal of a task over time, and its tolerance at the goal's times."""
     units: dict[str, dict[bytes, tuple[list[str], np.ndarray, np.ndarray]]] = {}
     for one in problem.goal_specs or ():
         if one.tolerance is None:
@@ -43,7 +43,7 @@ def _of_goals(problem: Problem, t: np.ndarray, motions: Sequence[StatesControls]
         values, upper = np.full((len(motions), len(t)), np.nan), np.full(len(t), np.inf)
         values[:, stages] = [one.error(xs[stages]) for xs, _ in motions]
         upper[asked] = one.tolerance
-        # A frame that stops twice has one speed, and the second goal at the same place the same distance.
+        # Goals with equal errors at all times share a curve, e.g. the speed of a frame that stops twice.
         names, _, bound = units.setdefault(one.unit, {}).setdefault(values[0].tobytes(), ([], values, upper))
         names.append(one.name)
         bound[:] = np.minimum(bound, upper)
@@ -72,11 +72,11 @@ def _of_goals(problem: Problem, t: np.ndarray, motions: Sequence[StatesControls]
 
 
 def _of_constraints(problem: Problem, t: np.ndarray, motions: Sequence[StatesControls]) -> list[BoundedPanel]:
-    """The rows of each constraint; those of one row and the same bounds share a panel."""
+    """Panels of the components of each constraint; constraints of one component and equal bounds share a panel."""
     rows = None if problem.trajectory_constraints is None else problem.trajectory_constraints.rows
     alike: dict[Any, list[tuple[StackEntry, np.ndarray, np.ndarray]]] = {}
     for k, part in enumerate(() if rows is None else rows.parts):
-        if part.at_end:  # values at the ends of stages are those at the starts but for a control
+        if part.at_end:  # values at the end of a stage repeat those at the start of the next, except for the control
             continue
         assert rows is not None
         lower, upper = (
@@ -100,7 +100,7 @@ def _of_constraints(problem: Problem, t: np.ndarray, motions: Sequence[StatesCon
 
 
 def _values(part: StackEntry, xs: np.ndarray, us: np.ndarray) -> np.ndarray:
-    """(N+1, R) of a constraint; a control's last stage is seen at its end too. NaN where a motion ran away."""
+    """(N+1, R) values of a constraint; at the end with the last control. NaN where states or controls diverged."""
     n = np.arange(len(xs))
     last = np.minimum(n, len(us) - 1)
     measure, u = part.function, us[last]
@@ -116,7 +116,7 @@ def _nearest(
     unit: str, what: str, t: np.ndarray, names: tuple[str, ...], values: np.ndarray, lower: np.ndarray,
     upper: np.ndarray,
 ) -> BoundedPanel:  # fmt: skip
-    """The panel of values (motions, K, R): of many rows those that come nearest to a bound in the plan."""
+    """The panel of values (motions, K, R): at most MAX_CURVES components, by smallest margin in the plan."""
     margin = np.minimum(np.nan_to_num(values[0], nan=np.inf) - lower, upper - np.nan_to_num(values[0], nan=-np.inf))
     margin = np.where(np.isfinite(margin), margin, np.inf).min(axis=0)
     asked = np.flatnonzero((np.isfinite(lower) | np.isfinite(upper)).any(axis=0))
@@ -132,7 +132,7 @@ def _nearest(
 
 
 def _names(part: StackEntry) -> tuple[str, ...]:
-    """Of a constraint's rows."""
+    """(R,) names of a constraint's components."""
     own, R = tuple(getattr(part.constraint.of, "names", ())), part.function.rows
     if R == 1:
         return (part.constraint.name,)
@@ -140,12 +140,12 @@ def _names(part: StackEntry) -> tuple[str, ...]:
 
 
 def _joined(names: list[str]) -> str:
-    """One name for what several goals share: "speed of hand" for that at 1 s and that at 2 s."""
+    """The common name of several goals: "speed of hand" for those at 1 s and at 2 s."""
     return names[0] if len(names) == 1 else _shared(names)[0]
 
 
 def _shared(names: Sequence[str]) -> tuple[str, tuple[str, ...]]:
-    """The words with which all names begin, and what is left of each: "position of hand" and "at 1 s"."""
+    """The common first words of all names, and the remainder of each: "position of hand" and "at 1 s"."""
     if len(names) == 1:
         return names[0], tuple(names)
     common = _beginning(names)
@@ -157,6 +157,6 @@ def _shared(names: Sequence[str]) -> tuple[str, tuple[str, ...]]:
 
 
 def _beginning(names: Sequence[str]) -> list[str]:
-    """The words with which all names begin."""
+    """The common first words of all names."""
     columns = zip(*(name.split() for name in names), strict=False)
     return [words[0] for words in takewhile(lambda words: len(set(words)) == 1, columns)]

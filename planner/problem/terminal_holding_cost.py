@@ -1,14 +1,14 @@
-"""What the end of a motion costs a machine that is to stay there: weights of the end as if the motion went on.
+"""Final weights of a machine that stays at its goal: the cost-to-go of a finite time after the end.
 
-Final weights on positions and velocities alone ask for all that they can get of the last stages: gains change there
-from one stage to the next, and where the ground is not quite the plan's they move what they should hold. The cost of
-staying longer changes nothing: with the weights Q, R of a stage and the dynamics A, B linearized at the goal,
+Large final weights on positions and velocities make the gains vary strongly over the last stages, which amplifies
+errors of the ground model. The cost-to-go of staying at the goal avoids this: with the weights Q, R of a stage and the
+dynamics A, B linearized at the goal,
 
     P(T) = Q,    P(t) = Q + A'P A - A'P B (R + B'P B)^-1 B'P A
 
-for each stage of the time that follows is what a deviation at the end will cost (Eq. 33), and the gains are those of a
-machine that stands already. The time is finite, because what nothing reaches (feet do not slide back) costs more the
-longer it lasts.
+for each stage after the end gives the cost-to-go of a deviation at the end (Eq. 33), and the gains are those of a
+machine at rest at the goal. The time is finite because the cost of uncontrollable directions (feet do not slide back)
+grows with it.
 """
 
 from __future__ import annotations
@@ -22,21 +22,21 @@ from planner.dynamics import RigidBodyDynamics
 from planner.dynamics.quasi_static import quasi_static_controls
 from planner.problem.costs.tracking import TrackingCost
 
-LARGEST = 1e12  # of a weight: more is of a goal from which the machine falls at once
+LARGEST = 1e12  # upper limit of the entries of P; above it the cost is returned unchanged
 
 
 def terminal_holding_cost(dynamics: RigidBodyDynamics, cost: TrackingCost, seconds: Any) -> TrackingCost:
-    """A cost with what it costs to stay at its goal for so many seconds added to its final weights.
+    """A cost whose final weights include the cost-to-go of staying at its goal for a time.
 
-    Nothing is added for a goal at which the linearized machine runs away.
+    The cost is unchanged if the cost-to-go of the linearized machine diverges.
 
     Args:
         dynamics: The machine, with actuators.
-        cost: Whose last reference is the goal, and whose last stage has the weights of staying.
-        seconds: At least 0; 0 gives the cost itself.
+        cost: Its last reference is the goal; its last running weights are those of staying.
+        seconds: Time at the goal, s, at least 0; 0 gives the cost itself.
 
     Raises:
-        PlannerError: The seconds are less than 0 or no number.
+        PlannerError: seconds is negative or no number.
     """
     stages = round(number("hold", seconds, minimum=0.0) / dynamics.dt)
     if not stages:

@@ -1,4 +1,4 @@
-"""Motion: what a plan does, apart from the problem that it solves; shifted, stretched, and sampled at other knots."""
+"""Trajectory: states, controls and gains of a plan without its problem; shifted, stretched, or at other knots."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ from planner.problem.state_bounds import BoundPenalties
 
 
 class ScaledMultipliers(NamedTuple):
-    """Shifts of the penalized bounds, inwards, by the multipliers of ranges and constraints; weights."""
+    """Scaled multipliers of state bounds and constraints: inward shifts of the penalized bounds; penalty weights."""
 
-    low: np.ndarray  # (N+1, H)
-    high: np.ndarray  # (N+1, H)
-    weight: np.ndarray  # (N+1, H)
+    low: np.ndarray  # (N+1, H) shift of the lower bounds
+    high: np.ndarray  # (N+1, H) shift of the upper bounds
+    weight: np.ndarray  # (N+1, H) penalty weights
 
     def penalties(self, kept: TrajectoryConstraints) -> BoundPenalties | None:
-        """Those of another problem with as many ranges and knots; None where it has others."""
+        """The penalties for another problem's bounds of the same shape; None for another shape."""
         if self.weight.shape != kept.lower.shape:
             return None
         used = np.isfinite(kept.lower) | np.isfinite(kept.upper)
@@ -32,7 +32,7 @@ class ScaledMultipliers(NamedTuple):
 def scaled_multipliers(
     kept: TrajectoryConstraints | None, penalties: BoundPenalties | None
 ) -> ScaledMultipliers | None:
-    """Those of trajectory constraints and the penalties that a plan ended with; None where it has none."""
+    """Scaled multipliers from trajectory constraints and a plan's last penalties; None without either."""
     if kept is None or penalties is None:
         return None
     with np.errstate(invalid="ignore"):  # of bounds that are infinite
@@ -43,16 +43,16 @@ def scaled_multipliers(
 
 @dataclass(frozen=True, eq=False)
 class Trajectory:
-    """States and controls over time with the gains that hold them: a first guess for solve(warm_start=...).
+    """States and controls over time with feedback gains: a first guess for solve(warm_start=...).
 
     Attributes:
-        t: (N+1,) s, the knots; the first is not 0 where it was shifted.
+        t: (N+1,) s, the knots; the first is not 0 after shifted().
         xs: (N+1, nx) states.
-        us: (N, nu) controls, each held over its stage.
-        K: (N, nu, ndx) gains.
-        space: Where the states lie.
-        rates: Which entries of a state are velocities; none for dynamics without a mechanism.
-        pulls: Of ranges and constraints; None where nothing was held.
+        us: (N, nu) controls, constant over each stage.
+        K: (N, nu, ndx) feedback gains.
+        space: State space.
+        rates: Indices of the velocities in a state; empty for dynamics without a mechanism.
+        pulls: Scaled multipliers of state bounds and constraints; None without either.
     """
 
     t: np.ndarray
@@ -64,9 +64,7 @@ class Trajectory:
     pulls: ScaledMultipliers | None = None
 
     def shifted(self, seconds: float) -> Trajectory:
-        """The same `seconds` earlier: what is left of it from then on; at its end it stays where it is.
-
-        Negative seconds wait at the start as long.
+        """The trajectory `seconds` earlier, at rest after its end; later, at rest before its start, if negative.
 
         Raises:
             PlannerError: seconds is no finite number.
@@ -74,7 +72,7 @@ class Trajectory:
         return replace(self, t=self.t - number("seconds", seconds))
 
     def stretched(self, duration: float) -> Trajectory:
-        """The same states in another duration, s, with velocities of that pace; controls as they are.
+        """The same states over another duration, s, with velocities scaled to it; controls unchanged.
 
         Raises:
             PlannerError: duration is not above 0.
@@ -85,16 +83,16 @@ class Trajectory:
         return replace(self, t=self.t[0] + ratio * (self.t - self.t[0]), xs=xs)
 
     def at(self, t: np.ndarray) -> Trajectory:
-        """The same at other knots t (M+1,): states between its own are interpolated, at rest before and after it.
+        """The trajectory at other knots t (M+1,): states interpolated between its knots, at rest before and after.
 
-        Controls and gains of a stage are those in its middle.
+        Controls and gains of a stage are those at the time of its middle.
         """
         middle = 0.5 * (t[:-1] + t[1:])
         held = np.clip(np.searchsorted(self.t, middle, side="right") - 1, 0, len(self.us) - 1)
         n = np.clip(np.searchsorted(self.t, t, side="right") - 1, 0, len(self.us) - 1)
         share = np.clip((t - self.t[n]) / (self.t[n + 1] - self.t[n]), 0.0, 1.0)
         xs = self.xs[n].copy()
-        inside = share > 0.0  # at its own knots the states are its own to the last bit
+        inside = share > 0.0  # at its own knots the states are bitwise equal
         displacement = self.space.difference(self.xs[n + 1], self.xs[n])
         xs[inside] = self.space.integrate(self.xs[n], share[:, None] * displacement)[inside]
         xs[share == 1.0] = self.xs[n + 1][share == 1.0]
@@ -102,7 +100,7 @@ class Trajectory:
         out = (t < self.t[0] - slack) | (t > self.t[-1] + slack)
         xs[np.ix_(out, np.arange(xs.shape[1])[self.rates])] = 0.0
         pulls = self.pulls
-        if pulls is not None:  # the end's are of the end
+        if pulls is not None:  # the last knot takes the multipliers of the end
             near = np.minimum(np.searchsorted(0.5 * (self.t[:-1] + self.t[1:]), t), len(self.us) - 1)
             near[-1] = len(self.us)
             out[-1] = False
@@ -112,6 +110,6 @@ class Trajectory:
 
 
 def rates_of(dynamics: Any) -> slice:
-    """The entries of a state that are velocities; none for dynamics without a mechanism."""
+    """Indices of the velocities in a state; empty for dynamics without a mechanism."""
     mechanism = capabilities_of(dynamics).mechanism
     return slice(0, 0) if mechanism is None else slice(mechanism.nq, mechanism.nq + mechanism.nv)

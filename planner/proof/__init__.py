@@ -1,4 +1,4 @@
-"""The proof: what an independent engine says of a plan. One file a step; `verdict` runs them and judges."""
+"""The proof: independent verification of a plan by MuJoCo. One file per step; `prove_plan` runs them all."""
 
 from planner.base.lazy import public_names
 

@@ -1,11 +1,11 @@
 """Step 0 of a proof: whether a plan agrees with its own dynamics and cost, and whether its solve converged.
 
-Everything is computed again from the plan's states and controls; MuJoCo takes no part. The effect of rounding depends
-on the machine and its weights, so it is measured: the same is computed from states, controls and Jacobians with errors
-in their last digits, and a number that these change by more than the usual bound is judged by that change.
+Everything is recomputed from the plan's states and controls, without MuJoCo. The effect of rounding depends on the
+machine and its weights, so it is measured: the same is computed with relative errors of 1e-13 in states, controls and
+Jacobians, and a value that these change by more than the usual bound is judged by that change.
 
-At nonsmooth contacts the LQ model expects a decrease that no step achieves. There the decrease that is left is measured
-by more steps of SLQ, as a solve ends by its actual reduction (actual_reduction_tolerance of planner.solve).
+At nonsmooth contacts the LQ model expects a decrease that no step achieves. There the remaining decrease is measured by
+further steps of SLQ, as a solve ends by its actual reduction (actual_reduction_tolerance of planner.solve).
 """
 
 from __future__ import annotations
@@ -27,31 +27,31 @@ from planner.solvers import lq
 from planner.solvers.options import EXPECTED_REDUCTION_TOLERANCE
 
 BOUND = 1e-9  # relative; a plan and its file agree to rounding
-GAIN_BOUND = 1e-6  # relative; what rounding becomes in a sweep over unstable stages
-_LAST_DIGITS = 1e-13  # relative errors of states and controls: what sums over a tree of links leave of 16 digits
-_MARGIN = 30.0  # between two such computations and the worst of many
-_MAX_ROUNDING_SHARE = 1e-3  # a plan whose numbers rounding moves by more than this is not known
-_MAX_GAINS = 0.1  # of one stage's gains: an LQ regulator has a gain margin of 2, and step 3 judges what they do
+GAIN_BOUND = 1e-6  # relative; rounding error of a Riccati sweep over unstable stages
+_LAST_DIGITS = 1e-13  # relative rounding errors of states and controls: sums over a tree of links leave 13 of 16 digits
+_MARGIN = 30.0  # ratio of the largest of many rounding errors to a sampled one
+_MAX_ROUNDING_SHARE = 1e-3  # upper limit of a bound from rounding, relative
+_MAX_GAINS = 0.1  # upper limit of a gain bound, relative: an LQ regulator has a gain margin of 2
 SINGULAR = 0.02  # of the largest singular value of the closed chains' Jacobian: forces are some fifty times larger
-_DRAWS = 3  # of wrong last digits
+_DRAWS = 3  # samples of rounding errors
 _MIN_COST_SHARE = 1e-3  # of the cost of errors that pass: costs smaller than that are as good as zero
 
 
 class Recomputed(NamedTuple):
-    """What a plan's states and controls say of it."""
+    """Quantities recomputed from a plan's states and controls."""
 
     defects: np.ndarray  # (N, ndx) of each state from one stage of the last
     cost: float
     gradient_norm: float  # Eq. 19, projected where controls are at their bounds
-    terms: float  # the size of what the gradient is the sum of
+    terms: float  # norm of the terms of which the gradient is the sum
     sweep: lq.Sweep | None  # None where R + B'PB is not positive definite
 
 
 def recomputed(
     plan: Plan, problem: Problem, xs: np.ndarray, us: np.ndarray, rng: np.random.Generator | None = None
 ) -> Recomputed:
-    """From states xs (N+1, nx) and controls us (N, nu); of a sweep with Jacobians of wrong last digits, with a rng."""
-    with np.errstate(all="ignore"):  # a plan may hold any numbers; a NaN passes no bound
+    """At states xs (N+1, nx) and controls us (N, nu); with a rng, the sweep's Jacobians have random rounding errors."""
+    with np.errstate(all="ignore"):  # a plan may contain any numbers; a NaN passes no bound
         defects = plan.space.difference(problem.dynamics.step(xs[:-1], us), xs[1:])
         A, B = problem.dynamics.linearize(xs, us)
         quadratic: Quadratic = problem.cost.quadratize(xs, us)
@@ -82,7 +82,7 @@ def consistency(plan: Plan, problem: Problem, now: Recomputed) -> Section:
         measured = [Measurement(n, float(e), "", BOUND, f"{note}, relative") for n, (e, note) in exact.items()]
         gradient = abs(now.gradient_norm - plan.gradient_norm) / size
         gains = _gain_errors(plan.K, now.sweep)
-        gains = 0.0 * plan.t[:-1] if plan.status is Status.GIVEN else gains  # they are its maker's
+        gains = 0.0 * plan.t[:-1] if plan.status is Status.GIVEN else gains  # given gains are not from a sweep
         known = gradient <= BOUND and np.all(gains <= GAIN_BOUND)
         moved = (0.0, np.zeros(plan.N)) if known else _moved(plan, problem, now, size)
         by_stage = np.clip(_MARGIN * moved[1], GAIN_BOUND, _MAX_GAINS)
@@ -105,7 +105,7 @@ def consistency(plan: Plan, problem: Problem, now: Recomputed) -> Section:
 
 
 def _nearest_to_singular(plan: Plan, problem: Problem) -> list[Measurement]:
-    """How far closed chains are from a pose that they could leave in two ways, where they are nearest to one."""
+    """Smallest ratio of extreme singular values of the loop closures' Jacobian along the plan."""
     mechanism = capabilities_of(problem.dynamics).mechanism
     if mechanism is None or not mechanism.loops or not np.isfinite(plan.xs).all():
         return []
@@ -118,7 +118,7 @@ def _nearest_to_singular(plan: Plan, problem: Problem) -> list[Measurement]:
 
 
 def optimality(plan: Plan, problem: Problem, now: Recomputed) -> Section:
-    """Whether the solve converged, and whether another step of it would still lower the cost."""
+    """Whether the solve converged, and whether another iteration would still lower the cost."""
     ended = 0.0 if plan.success else 1.0
     measured = [Measurement("not_converged", ended, "", 0.0, plan.message)]
     if now.sweep is not None:
@@ -127,7 +127,7 @@ def optimality(plan: Plan, problem: Problem, now: Recomputed) -> Section:
         note = "of the cost: what one more step of SLQ promises"
         if (
             left <= EXPECTED_REDUCTION_TOLERANCE * max(1.0, abs(plan.cost)) and plan.success
-        ):  # of a light machine the cost may be 1e-10
+        ):  # the cost of a light machine may be 1e-10
             left, note = 0.0, f"{note}; {left:.3g} of {plan.cost:.3g} is less than what a solve goes on for"
         if 100.0 * left > COST_BOUND * scale and (is_nonsmooth(problem) or _approximate(problem)):
             note = f"of the cost: what {STEPS} more steps of SLQ gain; the next promises {100.0 * left / scale:.3g} %"
@@ -138,12 +138,12 @@ def optimality(plan: Plan, problem: Problem, now: Recomputed) -> Section:
 
 
 def _approximate(problem: Problem) -> bool:
-    """Whether another Hessian stands for the cost's own, so that an LQ model promises what no step keeps."""
+    """Whether a cost term uses an approximate Hessian, so that the LQ model's expected reduction is not achieved."""
     return any(isinstance(term, JerkCost) for term in terms_of(problem.cost))
 
 
 def _unseen(plan: Plan, problem: Problem) -> float:
-    """What errors of states and controls cost that step 0 lets pass: a plan that just stays at its goal costs less."""
+    """Cost of state and control errors within step 0's bounds: a plan that stays at its goal may cost less."""
     quadratic = problem.cost.quadratize(plan.xs, plan.us)
     parts = ((quadratic.Q, plan.xs), (quadratic.R, plan.us))
     return sum(
@@ -153,9 +153,9 @@ def _unseen(plan: Plan, problem: Problem) -> float:
 
 
 def _moved(plan: Plan, problem: Problem, now: Recomputed, size: float) -> tuple[float, np.ndarray]:
-    """By how much wrong last digits move the gradient's norm, and the gains of each stage (N,); relative.
+    """Effect of rounding errors on the gradient's norm, and on the gains of each stage (N,); relative.
 
-    They are those of states and controls, and in the sweep those of the Jacobians too, which may be constant.
+    The errors are in states and controls, and in the sweep's Jacobians too, which may be constant.
     """
     rng, gradient, gains = np.random.default_rng(0), 0.0, np.zeros(plan.N)
     for _ in range(_DRAWS):
@@ -169,7 +169,7 @@ def _moved(plan: Plan, problem: Problem, now: Recomputed, size: float) -> tuple[
         if now.sweep is not None:
             lost = np.inf if other.sweep is None else _gain_errors(now.sweep.K, other.sweep)
             gains = np.maximum(gains, lost)
-    beside = np.pad(gains, 1)  # a stage may be met by luck: what its neighbours are moved by counts as well
+    beside = np.pad(gains, 1)  # maximum over neighbouring stages, since a sample may miss a stage's error
     return gradient, np.max([beside[:-2], gains, beside[2:]], axis=0)
 
 
@@ -178,14 +178,14 @@ def _with_wrong_digits(rng: np.random.Generator, values: np.ndarray) -> np.ndarr
 
 
 def _gain_errors(K: np.ndarray, sweep: lq.Sweep | None) -> np.ndarray:
-    """(N,) of gains (N, nu, ndx), relative to the largest of a sweep's; those of no sweep need only be finite."""
+    """(N,) errors of gains (N, nu, ndx), relative to the sweep's largest; without a sweep 0 if finite, else inf."""
     if sweep is None:
         return np.where(np.isfinite(K).all(axis=(1, 2)), 0.0, np.inf)
     return np.abs(K - sweep.K).max(axis=(1, 2)) / max(_largest(sweep.K), np.finfo(float).tiny)
 
 
 def _largest(values: np.ndarray) -> float:
-    """The largest magnitude; NaN when any is."""
+    """The largest magnitude; NaN if any value is."""
     return float(np.abs(values).max())
 
 
@@ -193,9 +193,9 @@ STEPS = 10
 _HALVINGS = 12  # step lengths 1, 1/2, ... that are tried
 
 
-@np.errstate(all="ignore")  # a long step may run away: then it gains nothing
+@np.errstate(all="ignore")  # a long step may diverge: then it does not count
 def remaining_decrease(plan: Plan, problem: Problem) -> float:
-    """The decrease of a plan's cost in at most STEPS steps, each the best of several lengths; 0 where none is lower."""
+    """The decrease of a plan's cost in at most STEPS iterations, each with the best of several step lengths."""
     xs, us = plan.xs, plan.us
     first = cost = _cost(plan, problem, xs, us)
     for _ in range(STEPS):
@@ -219,7 +219,7 @@ def remaining_decrease(plan: Plan, problem: Problem) -> float:
 def _rolled(
     plan: Plan, problem: Problem, xs: np.ndarray, us: np.ndarray, sweep: lq.Sweep
 ) -> tuple[np.ndarray, np.ndarray]:
-    """States (S, N+1, nx) and controls (S, N, nu) along a sweep's direction, with its gains, of each step length."""
+    """States (S, N+1, nx) and controls (S, N, nu) of S step lengths along a sweep's direction, with its gains."""
     lengths = 0.5 ** np.arange(_HALVINGS + 1)
     states = np.empty((len(lengths), *xs.shape))
     controls = np.empty((len(lengths), *us.shape))
@@ -233,7 +233,7 @@ def _rolled(
 
 
 def _cost(plan: Plan, problem: Problem, xs: np.ndarray, us: np.ndarray) -> float:
-    """With what ranges of states added in the last round."""
+    """The cost, including penalties of trajectory constraints with the plan's last multipliers."""
     if not np.isfinite(xs).all():
         return np.inf
     cost = float(problem.cost.value(xs, us))

@@ -1,14 +1,14 @@
-"""Step 7 of a proof: the same plan on another ground, shown and never judged.
+"""Step 7 of a proof: the same plan with other contact parameters, reported and never judged.
 
-MuJoCo computes the plan's own law of contact, since the model is given attributes with which it does. How much of the
-motion is owed to that law is seen by replays in which only the contacts are others:
+MuJoCo computes the plan's own contact law, since the model's contact attributes are set so. How much the trajectory
+depends on that law is shown by replays in which only the contacts differ:
 
-    default contact      solref, solimp, friction, dimension and cone as in a file that says nothing of contacts
+    default contact      solref, solimp, friction, dimension and cone at MuJoCo's defaults
     half, double         of the stiffness, the damping, or the friction of every contact
 
-each open loop and with the plan's gains. Joint stops stay as they are. Where what touches is much lighter than what it
-carries (the hopper's foot), MuJoCo's default contact, whose force goes with that mass, would carry nothing: there the
-step does not apply.
+each open loop and with the plan's gains. Joint stops stay as they are. MuJoCo's default contact force is proportional
+to the mass of the body in contact; where that is much lighter than the load (the hopper's foot), it could not carry the
+load: there the step does not apply.
 """
 
 from __future__ import annotations
@@ -33,28 +33,28 @@ from planner.proof.replays.replaying import Replay, replay_in
 from planner.proof.robustness.rollouts import MODES
 
 TITLE = "contact sensitivity"
-LIGHT = 0.01  # of the mass that hangs together with a body: lighter ones do not stand on MuJoCo's default contact
+LIGHT = 0.01  # smallest mass share, in its kinematic tree, of a body that MuJoCo's default contact can support
 PLAN = "planned contact"
 
 _KINDS = {"rad": "angle", "m": "distance"}
-_LOOKS, _LOOKS_PER_STAGE = 200, 4  # at a replay, to see what touches and where
+_LOOKS, _LOOKS_PER_STAGE = 200, 4  # samples of a replay to find bodies in contact, and their positions
 
-# MuJoCo's defaults, as a file has them that says nothing of contacts.
+# MuJoCo's default contact parameters.
 SOLREF, SOLIMP, SLIDING, CONDIM = (0.02, 1.0), (0.9, 0.95, 0.001, 0.5, 2.0), 1.0, 3
 
 
 @dataclass(frozen=True)
 class ContactVariant:
-    """What one ground makes of a plan.
+    """Errors of a plan's replay with one set of contact parameters.
 
     Attributes:
         ground: "planned contact", "default contact", "half stiffness" and so on.
         mode: "open-loop" or "feedback".
         end: Largest error of the end state by unit, against the plan.
         path: The same over the whole path.
-        feet: Largest distance of what touches planes from where it is in the plan, m, over the path; NaN for none.
+        feet: Largest distance of the spheres in contact with planes from their planned positions, m; NaN for none.
         peak_force: Largest sum of normal forces, N.
-        warnings: MuJoCo's.
+        warnings: MuJoCo's warnings.
     """
 
     ground: str
@@ -68,7 +68,7 @@ class ContactVariant:
 
 @dataclass(frozen=True)
 class GroundTable:
-    """A plan on several grounds: a row for each ground and mode, or the reason why there are none."""
+    """Replays of a plan by contact parameters and mode, one row each, or the reason why there are none."""
 
     rows: tuple[ContactVariant, ...] = ()
     not_applicable: str = ""
@@ -91,22 +91,22 @@ def contact_sensitivity(
     plan: Plan, compiled: CompiledTwin, *, units: Iterable[str] | None = None,
     runs: Mapping[str, Replay] | None = None, replay: Callable[..., Replay] = replay_in,
 ) -> Section:  # fmt: skip
-    """Replay a plan on other grounds, open loop and with its gains; the arguments are those of ground_table()."""
+    """Replay a plan with other contact parameters, open loop and with its gains; arguments as of ground_table()."""
     return ground_table(plan, compiled, units=units, runs=runs, replay=replay).section
 
 
-@np.errstate(all="ignore")  # a motion may run away
+@np.errstate(all="ignore")  # a trajectory may diverge
 def ground_table(
     plan: Plan, compiled: CompiledTwin, *, units: Iterable[str] | None = None,
     runs: Mapping[str, Replay] | None = None, replay: Callable[..., Replay] = replay_in,
 ) -> GroundTable:  # fmt: skip
-    """Replay a plan on other grounds, open loop and with its gains.
+    """Replay a plan with other contact parameters, open loop and with its gains.
 
     Args:
         plan: A plan of a problem with a twin.
-        compiled: The model, in which the plan's own contact acts.
+        compiled: The model with the plan's own contact law.
         units: (ndx,) of the components of a deviation; by default by the joints' kinds.
-        runs: The replays in that model by mode, where there are some already.
+        runs: Replays in that model by mode, if already computed.
         replay: replay(compiled, plan, feedback=...) in a model.
     """
 
@@ -125,7 +125,7 @@ def ground_table(
 
 
 def _reason(model: Any, runs: Mapping[str, Replay]) -> str:
-    """Why other grounds say nothing about these replays; "" where they do."""
+    """Reason why other contact parameters are not informative for these replays, or ""."""
     touching = sorted({body for run in runs.values() for body in _touching(model, run)})
     if not touching:
         return "nothing touches"
@@ -142,7 +142,7 @@ def _reason(model: Any, runs: Mapping[str, Replay]) -> str:
 
 
 def _touching(model: Any, run: Replay) -> set[int]:
-    """The bodies that move and touch something in a replay."""
+    """The moving bodies in contact in a replay."""
     mujoco, found = load_mujoco(), set()
     data, steps = mujoco.MjData(model), np.flatnonzero(run.contact_force > 0.0)
     for i in steps[:: max(1, len(steps) // _LOOKS)]:
@@ -164,7 +164,7 @@ def _components(plan: Plan, units: Iterable[str] | None) -> dict[str, np.ndarray
 
 
 def _row(ground: str, mode: str, run: Replay, by_unit: dict[str, np.ndarray]) -> ContactVariant:
-    error = np.nan_to_num(np.abs(run.error), nan=np.inf)  # of a motion that ran away
+    error = np.nan_to_num(np.abs(run.error), nan=np.inf)  # infinite after divergence
     return ContactVariant(
         ground, mode, {unit: float(error[-1, which].max()) for unit, which in by_unit.items()},
         {unit: float(error[:, which].max()) for unit, which in by_unit.items()},
@@ -173,7 +173,7 @@ def _row(ground: str, mode: str, run: Replay, by_unit: dict[str, np.ndarray]) ->
 
 
 def _feet(run: Replay) -> float:
-    """The largest distance of the spheres that touch planes from where the plan has them, m."""
+    """Largest distance of the plan's contact spheres from their planned positions, m."""
     mechanism = getattr(getattr(run.plan.problem, "dynamics", None), "mechanism", None)
     if not isinstance(mechanism, Mechanism) or not mechanism.contacts:
         return np.nan
@@ -207,7 +207,7 @@ def _measured(row: ContactVariant) -> Iterator[Measurement]:
 
 
 def _default(model: Any) -> None:
-    """Contacts as of a file that says nothing of them."""
+    """Set all contact parameters to MuJoCo's defaults."""
     bits, kinds = load_mujoco().mjtEnableBit, load_mujoco().mjtCone
     for of in ("pair", "geom"):
         getattr(model, f"{of}_solref")[:] = SOLREF
@@ -231,19 +231,19 @@ def _stiffness(factor: float) -> Callable[[Any], None]:
         for solref in (model.pair_solref, model.geom_solref):
             direct = solref[:, 0] <= 0.0
             solref[direct, 0] *= factor
-            solref[~direct, 1] /= np.sqrt(factor)  # a damping ratio: the damping stays
+            solref[~direct, 1] /= np.sqrt(factor)  # a damping ratio: constant damping
 
     return change
 
 
 def _damping(factor: float) -> Callable[[Any], None]:
     def change(model: Any) -> None:
-        inherits = ~np.any(model.pair_solreffriction, axis=1)  # friction keeps its own
+        inherits = ~np.any(model.pair_solreffriction, axis=1)  # sliding friction has its own solref
         model.pair_solreffriction[inherits] = model.pair_solref[inherits]
         for solref in (model.pair_solref, model.geom_solref):
             direct = solref[:, 0] <= 0.0
             solref[direct, 1] *= factor
-            solref[~direct] *= (1.0 / factor, factor)  # time constant and damping ratio: the stiffness stays
+            solref[~direct] *= (1.0 / factor, factor)  # time constant and damping ratio: constant stiffness
 
     return change
 

@@ -3,12 +3,12 @@
 To first order a deviation obeys  dx(n+1) = A(n) dx(n) + d(n),  with the gains  (A(n) + B(n) K(n)) dx(n) + d(n):
 
     Phi(n) = A(n-1) ... A(0)    the state transition; its norm is what an error of size 1 at the start becomes
-    d(n)                        what stage n misses: the plan's own integrator at a refined step, against one stage,
-                                and the acceleration that driven joints fall short of
+    d(n)                        error of stage n: the plan's own integrator at a refined step, minus one stage, and
+                                the acceleration error of the motors of prescribed joints
 
-so the replay error of a plan whose model is right is known before MuJoCo is asked. A replay that is much worse than
-its prediction differs in the model, not in the step. Errors of angles, lengths and velocities are told as shares of
-what passes (planner.proof.error_scales.path_error_bounds): 1 is the bound.
+so the replay error of a plan with a correct model is predicted without MuJoCo. A replay with much larger errors than
+predicted differs in the model, not in the step. Errors of angles, lengths and velocities are relative to their bounds
+(planner.proof.error_scales.path_error_bounds): 1 is the bound.
 """
 
 from __future__ import annotations
@@ -26,9 +26,9 @@ from planner.proof.compare.model_parity import forces_of_prescribed
 from planner.proof.error_scales import path_error_bounds, shares_of_bounds
 from planner.proof.replays.replaying import REFINEMENT, Replay
 
-SMALL = 3.0  # bounds, 3 % of a range of motion: beyond, a linear prediction is none
-FACTOR = 10.0  # between prediction and measurement, where both mean something
-_ROUNDING = 1e-8  # bounds, 1e-10 of a range of motion: errors below are not of the integrator
+SMALL = 3.0  # bounds, 3 % of a range of motion: upper limit of a valid linear prediction
+FACTOR = 10.0  # largest ratio of predicted and measured error that agrees
+_ROUNDING = 1e-8  # bounds, 1e-10 of a range of motion: smaller errors are rounding
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,16 +37,16 @@ class ErrorPropagation:
 
     t: np.ndarray  # (N+1,) s
     transition: dict[str, np.ndarray]  # Mode -> (N+1,) log10 of the norm of the state transition from the start
-    predicted: dict[str, np.ndarray]  # Mode -> (N+1,) the replay error predicted, the largest over its bound
-    measured: dict[str, np.ndarray]  # Mode -> (N+1,) the replay error measured at the knots, likewise
+    predicted: dict[str, np.ndarray]  # Mode -> (N+1,) predicted replay error, the largest relative to its bound
+    measured: dict[str, np.ndarray]  # Mode -> (N+1,) measured replay error at the knots, likewise
     switches: bool  # Whether a contact opened or closed during the replay
 
     def rate(self, mode: str) -> float:
-        """1/s, of the norm of the transition over the whole plan."""
+        """Growth rate of the transition's norm over the whole plan, 1/s."""
         return float(self.transition[mode][-1] * np.log(10.0) / self.t[-1])
 
     def ratio(self, mode: str) -> float | None:
-        """Measured over predicted error, the largest of each over the path; None where a prediction means nothing."""
+        """Measured over predicted error, the largest of each over the path; None where the prediction is not valid."""
         measured, predicted = float(self.measured[mode].max()), float(self.predicted[mode].max())
         if self.switches or not (np.isfinite(measured) and np.isfinite(predicted) and measured < SMALL):
             return None
@@ -54,7 +54,7 @@ class ErrorPropagation:
 
     @property
     def section(self) -> Section:
-        """The measured; shown, not judged."""
+        """Predicted and measured values; shown, not judged."""
         measured = []
         for mode, words in (("open-loop", "open_loop"), ("feedback", "feedback")):
             how = "open loop" if mode == "open-loop" else "with the gains"
@@ -72,7 +72,7 @@ class ErrorPropagation:
 
 
 def propagate_errors(plan: Plan, problem: Problem, runs: dict[str, Replay]) -> ErrorPropagation:
-    """Predict the replay errors of a plan, beside those of its replays by mode."""
+    """Predict the replay errors of a plan, and compare with those of its replays by mode."""
     with np.errstate(all="ignore"):
         A, B = problem.dynamics.linearize(plan.xs, plan.us)
         defects = _defects(plan, problem) + _left_by_motors(plan, problem, B)
@@ -87,7 +87,7 @@ def propagate_errors(plan: Plan, problem: Problem, runs: dict[str, Replay]) -> E
 
 
 def _defects(plan: Plan, problem: Problem) -> np.ndarray:
-    """The errors d (N, ndx) of the stages: their ends in REFINEMENT steps less those of the plan."""
+    """Integration errors d (N, ndx) of the stages: their ends in REFINEMENT steps minus those of the plan."""
     part = np.full(plan.N, problem.dynamics.dt / REFINEMENT)
     xs = plan.xs[:-1]
     for _ in range(REFINEMENT):
@@ -96,7 +96,7 @@ def _defects(plan: Plan, problem: Problem) -> np.ndarray:
 
 
 def _left_by_motors(plan: Plan, problem: Problem, B: np.ndarray) -> np.ndarray | float:
-    """(N, ndx) errors of the stages: motors of prescribed joints fall short by tau / PRESCRIBED_ARMATURE."""
+    """(N, ndx) stage errors from the acceleration error tau / PRESCRIBED_ARMATURE of motors of prescribed joints."""
     dynamics = problem.dynamics
     if not (isinstance(dynamics, RigidBodyDynamics) and dynamics.prescribed):
         return 0.0
@@ -107,7 +107,7 @@ def _left_by_motors(plan: Plan, problem: Problem, B: np.ndarray) -> np.ndarray |
 
 
 def _propagated(F: np.ndarray, defects: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """log10 |Phi(n)| and the largest component of the error (N+1,), where stages F (N, ndx, ndx) lead."""
+    """log10 |Phi(n)| and the largest component of the error (N+1,), for stage matrices F (N, ndx, ndx)."""
     N, ndx = defects.shape
     norms, errors = np.zeros(N + 1), np.zeros(N + 1)
     phi, scale, error = np.eye(ndx), 0.0, np.zeros(ndx)

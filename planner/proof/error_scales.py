@@ -1,13 +1,13 @@
-"""Scales of the errors of a replay, and violations of limits and constraints beside what these scales allow.
+"""Error bounds of a replay, and violations of limits and constraints with the tolerances that follow from these bounds.
 
-A coordinate's error is judged relative to its own range of motion along the plan. A coordinate that hardly moves is
-judged relative to a tenth of the largest range of its unit, since a simulator's error comes from the whole motion. A
-length of a standing machine is judged relative to the penetration of its contacts at rest.
+A coordinate's error is judged relative to its own range of motion along the plan, but at least a tenth of the largest
+range of its unit, since a simulator's error comes from the whole trajectory. A length of a standing machine is judged
+relative to the penetration of its contacts at rest.
 
-The plan must keep constraints at its knots to their tolerance. A replay is checked at every step of the simulator, so
-between knots too, and may violate h by the effect of path errors that pass: the root of the sum of squares of dh/dx_i
-times the bound of x_i, the largest along the plan. A constraint of controls may be violated by a hundredth of its own
-size too, since gains correct.
+The plan must satisfy constraints at its knots to their tolerance. A replay is checked at every step of the simulator,
+so between knots too, and may violate h by the effect of path errors within their bounds: the root of the sum of squares
+of dh/dx_i times the bound of x_i, the largest along the plan. A constraint of controls may also be violated by a
+hundredth of its own size, since the gains add corrections.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ OF_LARGEST = 0.1  # smallest range of a coordinate, as a share of the largest ra
 MIN_RANGE = 1e-3  # rad, m, rad/s, m/s, smallest range of motion, for a machine at rest
 COST_BOUND = 1.0  # %, bound of the error of the judged cost
 
-KINDS = ("exact_goal", "position_range", "velocity_range", "state_range")  # of limits of states
+KINDS = ("exact_goal", "position_range", "velocity_range", "state_range")  # kinds of state limits
 WORDS = {
     "rad": "angle", "m": "distance", "rad/s": "angular_velocity", "m/s": "velocity", "in": "position", "in/s": "rate",
     "": "state",
@@ -41,12 +41,12 @@ WORDS = {
 
 
 def path_error_bounds(plan: Plan) -> np.ndarray:
-    """(ndx,) the largest error of each coordinate that passes, in its unit."""
+    """(ndx,) upper bound of each coordinate's path error, in its unit."""
     return (SMOOTHED if is_nonsmooth(plan.problem) else SHARE) * ranges_of_motion(plan)
 
 
 def ranges_of_motion(plan: Plan) -> np.ndarray:
-    """(ndx,) how far each coordinate moves along the plan; at least a tenth of the largest of its unit."""
+    """(ndx,) range of motion of each coordinate along the plan; at least a tenth of the largest of its unit."""
     assert plan.problem is not None  # its dynamics know the units
     own = np.ptp(plan.space.difference(plan.xs, plan.xs[0]), axis=0)
     units = np.array([one.unit for one in coordinates_of(plan.problem.dynamics)])
@@ -56,7 +56,7 @@ def ranges_of_motion(plan: Plan) -> np.ndarray:
 
 
 def contact_penetration(problem: Problem | None) -> float:
-    """How deep a plan's machine sinks into its ground on one contact, m; 0 without contacts."""
+    """Static penetration of a plan's machine on one contact, m; 0 without contacts."""
     mechanism = getattr(getattr(problem, "dynamics", None), "mechanism", None)
     if mechanism is None or not mechanism.contacts:
         return 0.0
@@ -65,19 +65,19 @@ def contact_penetration(problem: Problem | None) -> float:
 
 
 def has_contacts(problem: Problem | None) -> bool:
-    """Whether a plan's mechanism has contacts or stops of its own."""
+    """Whether a plan's mechanism models contacts or joint stops."""
     mechanism = getattr(getattr(problem, "dynamics", None), "mechanism", None)
     return mechanism is not None and bool(mechanism.contacts or mechanism.body_contacts or mechanism.stops)
 
 
 def is_nonsmooth(problem: Problem | None) -> bool:
-    """Whether a plan's mechanism has forces so steep that the LQ model holds for no step: of contacts, or friction."""
+    """Whether contact or friction forces of a plan's mechanism are too steep for the LQ model."""
     mechanism = getattr(getattr(problem, "dynamics", None), "mechanism", None)
     return has_contacts(problem) or (mechanism is not None and bool(np.any(mechanism.friction_loss)))
 
 
 def by_unit(problem: Problem) -> Iterator[tuple[str, str, np.ndarray, list[str]]]:
-    """Units of a problem's coordinates: the quantity in a word, the unit, the components (k,) and their names."""
+    """Units of a problem's coordinates: quantity as a word, unit, components (k,) and their names."""
     coordinates = coordinates_of(problem.dynamics)
     for unit in dict.fromkeys(one.unit for one in coordinates):
         which = np.array([i for i, one in enumerate(coordinates) if one.unit == unit])
@@ -85,13 +85,13 @@ def by_unit(problem: Problem) -> Iterator[tuple[str, str, np.ndarray, list[str]]
 
 
 class Worst(NamedTuple):
-    """The error of one unit that is nearest to its bound."""
+    """The largest error of one unit relative to its bound."""
 
     word: str  # the quantity, for a key
     unit: str
     name: str  # of the coordinate
-    value: float  # in the unit, infinite after a runaway
-    bound: float  # in the unit, what passes
+    value: float  # in the unit, infinite after divergence
+    bound: float  # in the unit
 
     @property
     def share(self) -> float:
@@ -100,7 +100,7 @@ class Worst(NamedTuple):
 
 
 def worst_by_unit(plan: Plan, errors: np.ndarray) -> Iterator[Worst]:
-    """Of errors (K, ndx) of a plan's coordinates, the one of each unit that is nearest to its bound."""
+    """For each unit, the largest of errors (K, ndx) relative to its bound."""
     assert plan.problem is not None  # its dynamics know the units
     most, bounds = np.abs(errors).max(axis=0), path_error_bounds(plan)
     most = np.where(np.isfinite(most), most, np.inf)
@@ -110,20 +110,20 @@ def worst_by_unit(plan: Plan, errors: np.ndarray) -> Iterator[Worst]:
 
 
 def shares_of_bounds(plan: Plan, errors: np.ndarray) -> np.ndarray:
-    """(K,) the largest of errors (K, ndx) of a plan's coordinates, each over what passes: 1 is the bound."""
+    """(K,) the largest of errors (K, ndx) relative to its bound: 1 is the bound."""
     return (np.abs(errors) / path_error_bounds(plan)).max(axis=1)
 
 
 def word_of(unit: str) -> str:
-    """A quantity in a word for a key, by its unit."""
+    """Name of a unit's quantity, for a key."""
     return WORDS.get(unit, f"state_{unit.replace('/', '_per_')}")
 
 
 class JudgedCost(NamedTuple):
     """The part of a problem's cost whose error is judged."""
 
-    name: str  # "cost", or "running cost" where what remains at the end is a penalty on goals that are judged
-    final: tuple[Any, ...]  # the terms whose final part is left out
+    name: str  # "cost", or "running cost" where the final cost only penalizes goals that are judged
+    final: tuple[Any, ...]  # the terms whose final part is excluded
 
     def __call__(self, problem: Problem, xs: np.ndarray, us: np.ndarray) -> float:
         """Its value on a trajectory xs (N+1, nx), us (N, nu)."""
@@ -132,11 +132,11 @@ class JudgedCost(NamedTuple):
         return float(problem.cost.value(xs, us)) - self.of_end(xs[-1])
 
     def of_end(self, x: np.ndarray) -> float:
-        """The part that is left out, of an end x (nx,)."""
+        """The excluded final cost, at an end state x (nx,)."""
         return float(sum(term.final_cost(x) for term in self.final))
 
     def scale(self, plan: Plan, problem: Problem) -> float:
-        """What errors are relative to: its value on the plan, or that of an error at its bound where it is smaller."""
+        """Reference of relative errors: its value on the plan, or at least its value for an error at its bound."""
         quadratic = problem.cost.quadratize(plan.xs, plan.us)
         weights = np.abs(np.diagonal(quadratic.Q[:-1] if self.final else quadratic.Q, axis1=1, axis2=2))
         of_errors = 0.5 * float(np.sum(weights @ path_error_bounds(plan) ** 2))
@@ -144,7 +144,7 @@ class JudgedCost(NamedTuple):
 
 
 def judged_cost(problem: Problem) -> JudgedCost:
-    """The running cost where the final part is a penalty on what the goal judges, else the whole cost."""
+    """The running cost where the final cost only penalizes goals that are judged, else the whole cost."""
     own_rule = problem.requirements is not None and problem.requirements.goal is not None
     judged = own_rule or any(np.isfinite(goal.tolerance) for goal in goals_of(problem))
     terms = terms_of(problem.cost)
@@ -155,10 +155,10 @@ def judged_cost(problem: Problem) -> JudgedCost:
 def limit_violations(
     problem: Problem, xs: np.ndarray, us: np.ndarray | None, whose: str, tolerances: np.ndarray | None = None
 ) -> list[Measurement]:
-    """The largest violation of each kind of limit; nothing where there are none.
+    """The largest violation of each kind of limit; empty without limits.
 
-    Of states at the knots (N+1, nx), or of a replay (N k + 1, nx), and of controls (N, nu), where they are asked about;
-    notes say `whose` they are. Ranges of states are judged by the limits' own tolerance, or by `tolerances` (ndx,).
+    Of states at the knots (N+1, nx) or of a replay (N k + 1, nx), and of controls (N, nu) or None; `whose` describes
+    them in notes. Ranges of states are judged by the limits' own tolerance, or by `tolerances` (ndx,).
     """
     measured = []
     if problem.bounds is not None and us is not None:
@@ -190,13 +190,13 @@ def limit_violations(
 
 
 def _kind(coordinate: Coordinate) -> str:
-    """The kind of a range, by what it is of."""
+    """The kind of limit of a range's coordinate."""
     if coordinate.is_rate:
         return "velocity_range"
     return "position_range" if coordinate.unit in (ANGLE, LENGTH) else "state_range"
 
 
-CORRECTION = 0.01  # of the largest |h| along the plan, of what takes controls
+CORRECTION = 0.01  # of the largest |h| along the plan: tolerance of constraints that depend on controls
 
 
 def planned_violations(plan: Plan, problem: Problem) -> list[Measurement]:
@@ -209,7 +209,7 @@ def planned_violations(plan: Plan, problem: Problem) -> list[Measurement]:
 
 
 def replayed_violations(run: Replay, problem: Problem, among: Sequence[Constraint] | None = None) -> list[Measurement]:
-    """The largest violation of each constraint in a replay, at any of its steps; of all, or of those `among`."""
+    """The largest violation of each constraint at any step of a replay; of all constraints, or of those in `among`."""
     rows = _rows(problem)
     if rows is None:
         return []
@@ -229,7 +229,7 @@ def _rows(problem: Problem) -> ConstraintStack | None:
 
 
 def _reach(rows: ConstraintStack, plan: Plan) -> dict[int, float]:
-    """How far errors of the path that pass move each constraint, at the knots where it is asked for."""
+    """Effect of path errors within their bounds on each constraint, the largest over the knots where it applies."""
     found, bounds = dict[int, float](), path_error_bounds(plan)
     us = np.concatenate([plan.us, plan.us[-1:]])
     for part in rows.parts:
@@ -262,7 +262,7 @@ def _measured(
 
 
 def _key(constraint: Constraint, used: set[str]) -> str:
-    """A snake_case key, which no other constraint of the problem has."""
+    """A snake_case key, unique among the problem's constraints."""
     word = "_".join("".join(c if c.isalnum() else " " for c in constraint.name.lower()).split()) or "constraint"
     key, number = f"{word}_violation", 2
     while key in used:

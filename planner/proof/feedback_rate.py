@@ -1,4 +1,4 @@
-"""Find how slowly a plan's gains may act: its replay at 500 Hz, at half of that, and so on, until one does not pass."""
+"""Find the lowest feedback rate of a plan's gains: replay at 500 Hz, half of that, and so on, until one fails."""
 
 from __future__ import annotations
 
@@ -22,27 +22,27 @@ _LEVELS = 10  # 500 Hz to 1 Hz
 class FeedbackRateTrial:
     """A replay with the gains at one rate."""
 
-    sampling: Sampling  # When the gains acted
+    sampling: Sampling  # When the gains were applied
     passed: bool  # Whether the replay passed
-    largest_error: np.ndarray  # (ndx,) the largest deviation from the plan over the path; NaN after a runaway
+    largest_error: np.ndarray  # (ndx,) the largest deviation from the plan over the path; NaN after divergence
 
 
 @dataclass(frozen=True, eq=False)
 class FeedbackRates:
-    """The rates that were tried, each half of the one before, and once a stage."""
+    """Trials at decreasing feedback rates, each half of the previous one, and at one update per stage."""
 
-    tried: tuple[FeedbackRateTrial, ...]  # The last one may be one that did not pass
+    tried: tuple[FeedbackRateTrial, ...]  # Only the last one may have failed
     once_a_stage: FeedbackRateTrial
 
     @property
     def slowest(self) -> Sampling | None:
-        """The slowest of `tried` that passes, as all faster ones do; None where the first does not."""
+        """The lowest of the consecutive rates in `tried` that pass; None where the first fails."""
         passed = [one.sampling for one in self.tried if one.passed]
         return passed[-1] if passed else None
 
 
 def controller_section(rates: FeedbackRates, encoded: Replay) -> Section:
-    """The rates that pass and the errors with encoders, shown."""
+    """The rates that pass and the errors with encoders; shown, not judged."""
     slowest = rates.slowest
     tried = ", ".join(f"{one.sampling.rate:.4g} Hz {'passes' if one.passed else 'fails'}" for one in rates.tried)
     measured = [
@@ -60,9 +60,9 @@ def controller_section(rates: FeedbackRates, encoded: Replay) -> Section:
 
 
 def slowest_rate(plan: Plan, compiled: CompiledTwin, passes: Callable[[Replay], bool]) -> FeedbackRates:
-    """Replay a plan at half the rate again and again, from that of a proof on, until a replay does not pass.
+    """Replay a plan at half the feedback rate again and again, from a proof's rate on, until a replay fails.
 
-    It ends after ten rates, or where the period is half of the motion. `passes` judges a replay.
+    Ends after ten rates, or where the period would exceed half of the duration. `passes` judges a replay.
 
     Raises:
         PlannerError: The plan cannot be simulated.

@@ -1,12 +1,12 @@
-"""Hold the goal after arriving: an infinite-horizon regulator, and MuJoCo's motion under it from the end of a replay.
+"""Regulate the goal after arrival: an infinite-horizon LQR, and its simulation in MuJoCo from the end of a replay.
 
-A plan ends at its horizon, and most goals do not stand by themselves. Near one that is an equilibrium, x_g = f(x_g,
-u_g), the deviation e = x (-) x_g obeys e+ = A e + B (u - u_g), and
+A plan ends at its horizon, and most goals are not stable without control. Close to an equilibrium, x_g = f(x_g, u_g),
+the deviation e = x (-) x_g obeys e+ = A e + B (u - u_g), and
 
     u = u_g + K e,    K = -(R + B'P B)^-1 B'P A,    P = Q + A'P A - A'P B (R + B'P B)^-1 B'P A
 
-keeps it there with the least sum of e'Q e + (u - u_g)'R (u - u_g) for all time. The weights are those of the cost's
-last stage, and its final weight per second: no new numbers.
+minimizes the sum of e'Q e + (u - u_g)'R (u - u_g) over infinite time. The weights are those of the cost's last stage,
+and its final weight per second: no new parameters.
 """
 
 from __future__ import annotations
@@ -32,19 +32,19 @@ from planner.proof.replays.replaying import Replay
 from planner.proof.replays.simulation import MAX_STEPS, simulate
 from planner.solvers.lqr import regulator_gains
 
-EQUILIBRIUM = 0.05  # of the least tolerance of a goal, by unit: how far from it the nearest equilibrium may be
-_UNKNOWN = 0.02  # that tolerance, for units that no goal knows
-_WEAKEST = 1e-6  # weight of what the cost leaves free, relative to the largest: it is held too, slowly
+EQUILIBRIUM = 0.05  # of the smallest goal tolerance of a unit: largest distance from the goal to an equilibrium
+_UNKNOWN = 0.02  # that tolerance, for units without a goal
+_WEAKEST = 1e-6  # weight of components without a cost, relative to the largest: they are regulated too, slowly
 
 
 @dataclass(frozen=True, eq=False)
 class GoalRegulator:
     """The regulator u = u_goal + K difference(x, x_goal)."""
 
-    x_goal: np.ndarray  # (nx,) the equilibrium that is held: the goal where the cost's final weight acts
-    u_goal: np.ndarray  # (nu,) the control that keeps it
+    x_goal: np.ndarray  # (nx,) the regulated equilibrium: the goal where the cost's final weight acts
+    u_goal: np.ndarray  # (nu,) the equilibrium control
     K: np.ndarray  # (nu, ndx)
-    space: StateSpace  # Of the states
+    space: StateSpace  # State space of x
 
     def control(self, x: np.ndarray) -> np.ndarray:
         """The control (nu,) at a state (nx,)."""
@@ -52,19 +52,19 @@ class GoalRegulator:
 
 
 def hold_gain(problem: Problem) -> GoalRegulator:
-    """The regulator that holds the goal of a problem.
+    """The regulator at the goal of a problem.
 
     Args:
         problem: With a TrackingCost, alone or in a sum, that has a final weight.
 
     Raises:
-        PlannerError: The cost has no goal state, or the goal is no equilibrium, or cannot be made stable.
+        PlannerError: The cost has no goal state, or the goal is no equilibrium, or cannot be stabilized.
     """
     costs = costs_with_goals(problem)
     if len(costs) != 1:
         has = f"the cost has {len(costs)} terms with a goal state"
         raise PlannerError(f"{has}, expected one TrackingCost with a final weight.")
-    free = ~np.any(costs[0].Q[-1], axis=0)  # (ndx,) costs nothing at the end
+    free = ~np.any(costs[0].Q[-1], axis=0)  # (ndx,) components without a final cost
     x, u = equilibrium(problem.dynamics, costs[0].x_ref[-1].copy(), np.zeros(problem.dynamics.nu), free)
     T, places = state_directions(problem.dynamics, x)
     A, B, drift = _about(problem, x, u)
@@ -83,7 +83,7 @@ def hold_gain(problem: Problem) -> GoalRegulator:
 
 
 def _check_equilibrium(A: np.ndarray, B: np.ndarray, drift: np.ndarray, dynamics: Dynamics) -> None:
-    """Raise unless an equilibrium is near: drift + (A - 1) dx + B du = 0 with a small dx."""
+    """Raise unless an equilibrium exists close to the goal: drift + (A - 1) dx + B du = 0 with a small dx."""
     J = np.concatenate([A - np.eye(len(A)), B], axis=1)
     z = np.linalg.lstsq(J, -drift, rcond=1e-10)[0]
     stands = np.abs(drift + J @ z).max() <= 1e-6 * np.abs(drift).max()
@@ -106,7 +106,7 @@ def _about(problem: Problem, x: np.ndarray, u: np.ndarray) -> tuple[np.ndarray, 
 
 
 def _weights(problem: Problem, x: np.ndarray, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Q (ndx, ndx) and R (nu, nu) of one stage of holding."""
+    """Q (ndx, ndx) and R (nu, nu) of one stage of the regulator."""
     N = problem.N
     model = problem.cost.quadratize(np.tile(x, (N + 1, 1)), np.tile(u, (N, 1)))
     Q = problem.dynamics.dt * model.Q[N] + (model.Q[N - 1] if N > 1 else 0.0)
@@ -115,18 +115,18 @@ def _weights(problem: Problem, x: np.ndarray, u: np.ndarray) -> tuple[np.ndarray
 
 @dataclass(frozen=True, eq=False)
 class RegulatedRun:
-    """MuJoCo's motion after a replay, with a regulator acting at every step."""
+    """A MuJoCo simulation after a replay, with a regulator acting at every step."""
 
-    plan: Plan  # Whose replay it goes on from
+    plan: Plan  # The plan of the replay
     hold: GoalRegulator  # The regulator
-    t: np.ndarray  # (M+1,) s; goes on from the replay's
+    t: np.ndarray  # (M+1,) s; continues the replay's time
     qpos: np.ndarray  # (M+1, nq)
     qvel: np.ndarray  # (M+1, nv)
     act: np.ndarray  # (M+1, na)
-    ctrl: np.ndarray  # (M, nu) what was applied
-    # (M+1, nx) the states in the plan's coordinates; the first is the replay's last. NaN after a runaway.
+    ctrl: np.ndarray  # (M, nu) applied controls
+    # (M+1, nx) the states in the plan's coordinates; the first is the replay's last. NaN after divergence.
     xs: np.ndarray
-    warnings: tuple[str, ...]  # MuJoCo's complaints, one sentence each
+    warnings: tuple[str, ...]  # MuJoCo's warnings, one sentence each
 
     @property
     def deviation(self) -> np.ndarray:
@@ -135,9 +135,9 @@ class RegulatedRun:
 
 
 def simulate_regulator(replay: Replay, hold: GoalRegulator, seconds: float = 10.0) -> RegulatedRun:
-    """MuJoCo goes on from the end of a replay, at its step and with its integrator, and a regulator holds the goal."""
+    """Simulate the regulator in MuJoCo from the end of a replay, with the replay's step and integrator."""
     steps = number("seconds", seconds, greater_than=0.0) / replay.timestep
-    if not 0.5 < steps < MAX_STEPS + 0.5:  # infinite, perhaps
+    if not 0.5 < steps < MAX_STEPS + 0.5:  # may be infinite
         raise PlannerError(f"{seconds:g} s are {steps:.3g} steps of the replay, expected 1 to {MAX_STEPS}.")
     if hold.K.shape != (replay.ctrl.shape[1], replay.plan.space.ndx):
         raise PlannerError(f"the gains have shape {hold.K.shape}, expected those of the plan's machine.")
@@ -152,7 +152,7 @@ def simulate_regulator(replay: Replay, hold: GoalRegulator, seconds: float = 10.
 
 
 def hold_section(held: RegulatedRun) -> Section:
-    """Whether the goal was held: the largest deviations over the last second by unit, beside what passes of a path."""
+    """Whether the goal was regulated: largest deviations over the last second by unit, with the path error bounds."""
     last = held.t >= held.t[-1] - 1.0
     lasting = f"over the last second of {held.t[-1] - held.t[0]:.4g} s"
     parts = (

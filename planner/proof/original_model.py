@@ -1,22 +1,22 @@
 """Step 6 of a proof: the plan in the model exactly as the user gave it.
 
 A plan's model may lack contacts, friction loss or equalities of the user's file. Here the file is simulated unedited,
-with its own options at a refined step, under the plan's controls and gains. Joints that the plan prescribes are driven
-in it too, and torques that MJCF does not know act in it too.
+with its own options at a refined step, under the plan's controls and gains. Prescribed joints of the plan are moved by
+motors in it too, and torques that MJCF cannot express act in it too.
 
 The integrator is MuJoCo's RK4, as in the rest of a proof: Euler's error at the refined step alone is 0.4 rad of the
-acrobot's path, and is no fault of a plan. A stiff file may need its own integrator, which is taken where RK4 fails; a
-plan that takes damping implicitly is replayed by MuJoCo's implicitfast.
+acrobot's path, which is no error of a plan. A stiff file may need its own integrator, which is used where RK4 fails; a
+plan with implicit damping is replayed by MuJoCo's implicitfast.
 
-Whatever the plan's model lacks must not have mattered: no contact of a pair that it lacks, no joint limit, no clamp of
-an actuator, no divergence, and every goal is met. Pairs that overlap where the plan starts are left out of the file:
-MuJoCo would press them apart. The verdict names them.
+Elements that the plan's model lacks must have no effect: no contact of an unmodelled pair, no joint limit reached, no
+actuator clamp, no divergence, and every goal is met. Pairs that overlap at the plan's start are excluded from contact
+in the file, where MuJoCo would separate them by force. The verdict names them.
 
-A plan whose limits are its model's own touches them exactly, so the plan itself has a tolerance of rounding, and what
-its gains request beyond a range counts only above a hundredth of it. A clamp that bounds the plan's controls is known
-to the plan, which must keep it: at the knots exactly and between them to a hundredth, since the force of a servo
-changes while its control is constant. What gains request beyond such a clamp MuJoCo cuts off as the machine would: the
-resulting motion is judged, not the cut.
+A plan with the model's ranges as limits reaches them exactly, so the plan itself has a tolerance of rounding, and its
+gains' request beyond a range counts only above a hundredth of it. A clamp that bounds the plan's controls is a bound of
+the plan: it must be satisfied exactly at the knots and to a hundredth between them, since a servo's force changes while
+its control is constant. MuJoCo clamps the gains' request beyond it as the machine would: the resulting trajectory is
+judged, not the request.
 """
 
 from __future__ import annotations
@@ -53,29 +53,29 @@ from planner.proof.replays.simulation import NATIVE_IMPLICIT, damping_of, simula
 TITLE = "your file"
 OPEN_LOOP_MISSES = "open_loop_goals_missed"
 MAX_NAMED = 3  # pairs, joints or actuators in a sentence
-NEGLIGIBLE_FORCE = 1e-3  # of the machine's weight: shapes that are flush and press with less do not matter
-MAX_GAIN_EFFORT = 0.02  # of a control's largest value: more than that is what the gains must not need to add
-PENETRATION_TOLERANCE = 1e-6  # of a machine of 1 m or more, m: shapes that are drawn flush overlap by rounding
-DEEPER = 1e-3, 0.1  # m (as GRAZE) or part of the depth at the start: how much deeper shapes may go that overlap there
+NEGLIGIBLE_FORCE = 1e-3  # of the machine's weight: smaller contact forces of flush shapes are ignored
+MAX_GAIN_EFFORT = 0.02  # of a control's largest value: larger corrections by the gains show unmodelled forces
+PENETRATION_TOLERANCE = 1e-6  # of a machine of 1 m or more, m: flush shapes overlap by rounding
+DEEPER = 1e-3, 0.1  # m (as GRAZE), or share of the initial depth: tolerated growth of an overlap at the start
 
 
 class PrescriptionError(ModelError):
-    """The file's joints cannot be driven as the plan prescribes."""
+    """The file's joints cannot be prescribed as in the plan."""
 
 
-@np.errstate(all="ignore")  # a motion may run away: a NaN passes no bound
+@np.errstate(all="ignore")  # a trajectory may diverge: NaN passes no bound
 def your_file(
     plan: Plan, problem: Problem, goals: Sequence[GoalCheck], *, open_loop: Replay | None = None,
     mjcf: str | Path | None = None, twin: Twin | None = None,
 ) -> tuple[Section, Replay | None]:  # fmt: skip
-    """Replay a plan with its gains in the model as the user gave it, and judge what the plan did not know.
+    """Replay a plan with its gains in the model as the user gave it, and judge the effect of unmodelled elements.
 
     Args:
         plan: A plan of this problem.
         problem: With a twin.
-        goals: What the end is judged by, where the machine has no rule of its own.
-        open_loop: The replay without gains in the plan's own model; it is used again where the file is that model.
-        mjcf: Another MJCF, a path or the XML text, in place of the user's own; nothing is taken out of it.
+        goals: Goal checks of the end, where the machine has no rule of its own.
+        open_loop: The replay without gains in the plan's own model; reused where the file is that model.
+        mjcf: Another MJCF, a path or the XML text, in place of the user's own; nothing is taken out.
         twin: Another model and other maps in place of the plan's own.
 
     Returns:
@@ -100,14 +100,14 @@ def your_file(
     own = load_mujoco().mjtIntegrator(compiled.model.opt.integrator).name.removeprefix("mjINT_")
     implicit = [] if damping_of(problem.dynamics) is None else [NATIVE_IMPLICIT]
     first: tuple[Section, Replay] | None = None
-    for integrator in dict.fromkeys((*implicit, "RK4", own)):  # one that repeats the plan is enough
+    for integrator in dict.fromkeys((*implicit, "RK4", own)):  # the first integrator that passes is enough
         run = replay_in(compiled, plan, feedback=True, integrator=integrator, planned=planned)
         alone = (known.t, known.xs) if known and first is None else _without_gains(run)
         section = Section(TITLE, (*_measured(run, problem, goals), *_open_loop(plan, *alone, goals)))
         if section.passed:
             return section, run
         first, planned = first or (section, run), run.plan_xs
-    assert first is not None  # there is RK4
+    assert first is not None  # "RK4" is always tried
     return first
 
 
@@ -125,7 +125,7 @@ def _measured(run: Replay, problem: Problem, goals: Sequence[GoalCheck]) -> list
         for name, (found, meaning) in sentences.items()
     ]
     step = Measurement("timestep", run.timestep, "s", None, f"of MuJoCo's {run.integrator}, for this step of the proof")
-    kept = replayed_violations(run, problem, problem.constraints)  # ranges have stops in the file, which are looked at
+    kept = replayed_violations(run, problem, problem.constraints)  # joint ranges are judged by stops_hit()
     return [
         *judged,
         *_goals(run, problem, goals),
@@ -138,7 +138,7 @@ def _measured(run: Replay, problem: Problem, goals: Sequence[GoalCheck]) -> list
 
 
 def as_given(problem: Problem, twin: Twin, mjcf: str | Path | None = None) -> CompiledTwin:
-    """The user's file, unedited but for joints that the plan prescribes, in place of a twin's text; or another one."""
+    """The user's file, or `mjcf`, in place of a twin's text, unedited but for motors of prescribed joints."""
     mechanism = capabilities_of(problem.dynamics).mechanism
     own = not (twin.original if mjcf is None else mjcf)
     if own or mechanism is None:
@@ -148,7 +148,7 @@ def as_given(problem: Problem, twin: Twin, mjcf: str | Path | None = None) -> Co
     model = compiled.model
     unused = [one.index for one in unsupported_elements(model) if one.kind == "actuator"]
     prescribed = getattr(problem.dynamics, "prescribed", ())
-    if prescribed and model.nu - len(unused) == mechanism.nu:  # else they are driven already
+    if prescribed and model.nu - len(unused) == mechanism.nu:  # else motors exist already
         try:
             text = prescribe_joints(given.mjcf, given.assets, model, in_order(mechanism, prescribed))
         except ModelError as error:
@@ -161,25 +161,25 @@ def as_given(problem: Problem, twin: Twin, mjcf: str | Path | None = None) -> Co
 
 
 def _without_overlaps(problem: Problem, compiled: CompiledTwin) -> CompiledTwin:
-    """The file without contacts of pairs that overlap at the start and that the plan does not know."""
+    """The file without contacts of pairs that overlap at the start and are not in the plan's model."""
     if capabilities_of(problem.dynamics).mechanism is None:
         return compiled
     model, known = compiled.model, unmodelled_of(problem, compiled).known
     start = compiled.twin.sim_of(problem.x0)
     if len(start) != model.nq + model.nv + model.na:
-        return compiled  # of another machine: the check before a replay says so
+        return compiled  # of another machine: reported by the check before a replay
     pairs = [pair for pair in initial_overlaps(model, start[: model.nq]) if names_of(model, pair) not in known]
     if not pairs:
         return compiled
     try:
         text = without_pairs(compiled.twin.mjcf, model, pairs)
-    except ModelError:  # shapes that the file makes by other means cannot be edited: they are judged as they are
+    except ModelError:  # generated shapes, which cannot be edited: they are judged as they are
         return compiled
     return CompiledTwin(replace(compiled.twin, mjcf=text), compiled.unused)
 
 
 def _with_idle_states(twin: Twin, model: Any, unused: Sequence[int]) -> Twin:
-    """The twin with maps for activations that the plan does not have; they begin at 0."""
+    """The twin with maps for activations that the plan lacks; they start at 0."""
     idle = {int(model.actuator_actadr[i]) + k for i in unused for k in range(int(model.actuator_actnum[i]))}
     idle -= {address for address in idle if address < 0}
     if not idle:
@@ -187,7 +187,7 @@ def _with_idle_states(twin: Twin, model: Any, unused: Sequence[int]) -> Twin:
     nw = model.nq + model.nv + model.na
     kept = [i for i in range(nw) if i - model.nq - model.nv not in idle]
     if len(kept) != twin.to_x.shape[1]:
-        return twin  # of another machine: the check before a replay says so
+        return twin  # of another machine: reported by the check before a replay
     to_x, to_sim = np.zeros((len(twin.to_x), nw)), np.zeros((len(twin.to_sim), nw, len(twin.to_x)))
     offset = np.zeros((len(twin.to_sim), nw))
     to_x[:, kept], to_sim[:, kept], offset[:, kept] = twin.to_x, twin.to_sim, twin.to_sim_offset
@@ -199,12 +199,12 @@ def _same_model(one: Twin, other: Twin) -> bool:
 
 
 def _touches(run: Replay, problem: Problem) -> tuple[list[str], list[str]]:
-    """Sentences about pairs that touch unknown to the plan, and about those that do at the start and go no deeper."""
+    """Sentences about unmodelled pairs in contact, and about pairs that overlap at the start and go no deeper."""
     model, wrong, overlaps = run.compiled.model, [], []
     mechanism = capabilities_of(problem.dynamics).mechanism
     if mechanism is None:
-        return wrong, overlaps  # nobody can tell what other dynamics know
-    beside = model.body_weldid == 0  # what the controls do not move: the world, and objects that lie on it
+        return wrong, overlaps  # the contacts of other dynamics are unknown
+    beside = model.body_weldid == 0  # bodies that controls do not move: the world, and objects at rest on it
     beside |= stationary_object_bodies(mechanism) if len(mechanism.bodies) == model.nbody else False
     known = unmodelled_of(problem, run.compiled).known
     scale = min(1.0, float(model.stat.extent))
@@ -217,7 +217,7 @@ def _touches(run: Replay, problem: Problem) -> tuple[list[str], list[str]]:
             continue
         pair = " and ".join(named(model, "geom", geom) for geom in sorted(touch.geoms))
         overlap = touch.at_start > PENETRATION_TOLERANCE * scale
-        if presses and (grazes or (overlap and _pushed(run))):  # shapes that overlap may carry load all the same
+        if presses and (grazes or (overlap and _pushed(run))):  # overlapping shapes may carry load
             how = f"overlap by {touch.at_start:.3g} m at the start" if overlap else "lie flush"
             when = f"from t = {run.t[touch.first]:.4g} s"
             wrong.append(f"{pair} {how} and press on each other {when} with up to {touch.force:.3g} N.")
@@ -231,7 +231,7 @@ def _touches(run: Replay, problem: Problem) -> tuple[list[str], list[str]]:
 
 
 def _pushed(run: Replay) -> bool:
-    """Whether forces that the plan does not know are felt: off the path, or in what gains must add to stay on it."""
+    """Whether unmodelled forces have an effect: path errors beyond their bounds, or large corrections by the gains."""
     us = np.repeat(run.plan.us, run.substeps, axis=0)
     size = np.abs(us).max(axis=0)
     added = np.abs(run.ctrl - us).max(axis=0) > MAX_GAIN_EFFORT * np.maximum(
@@ -247,7 +247,7 @@ def _together(sentences: list[str]) -> str:
 
 
 def _goals(run: Replay, problem: Problem, goals: Sequence[GoalCheck]) -> Sequence[Measurement]:
-    """How far the end is from each goal, or what the machine's own rule says of it."""
+    """Distance of the end from each goal, or the measurements of the machine's own rule."""
     if problem.requirements is not None and problem.requirements.goal is not None:
         return problem.requirements.goal(run).measured
     return misses("replayed", run.t, run.xs, tuple(goals))
@@ -262,7 +262,7 @@ def _path(run: Replay) -> list[Measurement]:
 
 
 def _objects(run: Replay, problem: Problem) -> list[Measurement]:
-    """How far objects move in the file that the plan keeps at their start."""
+    """Displacement in the file of objects that the plan models as stationary."""
     mechanism = capabilities_of(problem.dynamics).mechanism
     if mechanism is None or not np.any(lies := stationary_object_dofs(mechanism)):
         return []
@@ -272,7 +272,7 @@ def _objects(run: Replay, problem: Problem) -> list[Measurement]:
 
 
 def _forces(run: Replay, overlaps: list[str]) -> list[Measurement]:
-    """What acts in the file beside the plan's own forces."""
+    """Forces in the file that the plan does not model."""
     model = run.compiled.model
     loss, largest = model.dof_frictionloss, float(np.nanmax(run.contact_force, initial=0.0))
     return [
@@ -284,7 +284,7 @@ def _forces(run: Replay, overlaps: list[str]) -> list[Measurement]:
 
 
 def _open_loop(plan: Plan, t: np.ndarray, xs: np.ndarray, goals: Sequence[GoalCheck]) -> list[Measurement]:
-    """How far the file's motion xs (M, nx) without gains ends from the plan, and how many goals it misses so."""
+    """Errors of the end without gains, from states xs (M, nx) in the file, and the number of goals missed."""
     error = plan.space.difference(xs[-1], plan.xs[-1])[None]
     own_rule = plan.problem is not None and plan.problem.requirements is not None and plan.problem.requirements.goal
     failed = [] if own_rule else [one for one in misses("open loop", t, xs, tuple(goals)) if not one.passed]
@@ -307,14 +307,14 @@ def _without_gains(run: Replay) -> tuple[np.ndarray, np.ndarray]:
     return run.t, compiled.twin.x_of(w)
 
 
-ROUNDING = 1e-6  # of a clamp's range, as far as the plan itself is concerned
-OVERLAP = 1e-3  # of a joint's range: a plan that keeps its limits at the knots bulges out between them
-LEANING = 1e-2  # rad or m: the margin of limits, within which a start or a goal is at the end of a range
-CORRECTION = 1e-2  # of a range, of the replay with gains
+ROUNDING = 1e-6  # of a clamp's range, tolerance of the plan itself
+OVERLAP = 1e-3  # of a joint's range: tolerance of the plan between knots, where limits do not apply
+LEANING = 1e-2  # rad or m: margin of limits; a start or goal within it is at the end of a range
+CORRECTION = 1e-2  # of a range, tolerance of the replay with gains
 
 
 def clamps_hit(run: Replay) -> list[str]:
-    """Actuators that the plan, or with gains the replay, asks for more than they give, one sentence each."""
+    """Actuators whose requested effort, of the plan or with gains of the replay, exceeds a clamp, a sentence each."""
     model, twin, compiled = run.compiled.model, run.twin, run.compiled
     planned = compiled.commands(np.repeat(run.plan.us, run.substeps, axis=0))
     own = efforts_in(model, twin.sim_of(run.plan_xs), planned)
@@ -348,14 +348,14 @@ def _known(run: Replay) -> set[str]:
 
 
 def stops_hit(run: Replay) -> list[str]:
-    """Joints and tendons that the plan, or the replay, moves beyond a range that has no stop in it, in sentences."""
+    """Joints and tendons that the plan, or the replay, moves outside a range without a modelled stop, in sentences."""
     model, stopped, limits = run.compiled.model, stopped_dofs(run.plan), getattr(run.plan.problem, "limits", None)
     own, replayed = (
         [*joints_in(model, w, stopped), *tendons_in(model, w)] for w in (run.twin.sim_of(run.plan_xs), _states(run))
     )
     tolerance, found = 0.0 if limits is None else limits.tolerance, []
     for planned, real in zip(own, replayed, strict=True):
-        # MuJoCo's stops are soft: a joint that begins or ends at one leans on it, which is what it is asked to do.
+        # MuJoCo's stops are soft: a joint that starts or ends at its stop penetrates it, as the problem requires.
         leans = limits is not None and limits.position is not None and bool(_at_end(planned).any())
         said = _sentence(run, planned, real, OVERLAP, tolerance + LEANING * leans)
         found += [said] if said else []
@@ -363,7 +363,7 @@ def stops_hit(run: Replay) -> list[str]:
 
 
 def _at_end(planned: Excess) -> np.ndarray:
-    """Whether the plan begins, and ends, at an end of a range."""
+    """Whether the plan starts, and ends, at an end of a range."""
     values = planned.values[[0, -1]]
     return np.abs(values[:, None] - np.asarray(planned.range)).min(axis=1) <= LEANING
 
@@ -378,6 +378,6 @@ def _sentence(run: Replay, planned: Excess, real: Excess, part: float, least: fl
 
 
 def _scale(planned: Excess, real: Excess) -> float:
-    """The width of a range, or the largest value that there is in a range that is wider than that."""
+    """The width of a range, or the largest magnitude in it if that is smaller."""
     used = np.abs(np.concatenate([planned.values, real.values]))
     return min(float(np.ptp(planned.range)), float(np.nanmax(used, initial=0.0)))

@@ -1,9 +1,9 @@
-"""prove(): an independent engine judges a plan step by step, every number beside its bound.
+"""prove(): independent verification of a plan step by step, each value with its bound.
 
-The steps are in prove(), a line each. PASS needs the plan's own numbers, the models' parity and the same step (0, 1, 2,
-where they apply), a motion that MuJoCo repeats and that ends at the goal (3, 4) in the same mode, the user's own file,
-and a solve that converged. Open loop is tried first, and needs the order too: a cost that a smaller step changes was
-never the plan's.
+The steps are in prove(), a line each. PASS requires the plan's consistency, model parity and the same step (0, 1, 2,
+where they apply), a trajectory that MuJoCo reproduces and that ends at the goal (3, 4) in the same mode, the user's own
+file, and a converged solve. Open loop is tried first, and also requires step convergence: a cost that changes with a
+smaller step is an integration error.
 """
 
 from __future__ import annotations
@@ -46,12 +46,12 @@ from planner.proof.same_step import same_step
 from planner.proof.step_convergence import step_convergence
 from planner.proof.verdict import Proof
 
-ROLLOUTS = 512  # default of the most perturbed simulations in each mode
+ROLLOUTS = 512  # default maximum number of perturbed simulations in each mode
 _ROUNDING = 1e-9  # distance below which the start counts as equal to the goal
 _LATER = "it was not asked for: it follows the verdict, with rollouts"
 
 
-@np.errstate(all="ignore")  # a motion may run away: a NaN passes no bound
+@np.errstate(all="ignore")  # a trajectory may diverge: NaN passes no bound
 def prove(
     plan: Plan, *, mjcf: str | Path | None = None, twin: Twin | None = None, seed: int = 0, rollouts: int = ROLLOUTS,
     perturbation: Perturbation | None = None, hold_seconds: float = 0.0, optimal: bool = True,
@@ -62,22 +62,22 @@ def prove(
 
     Args:
         plan: A plan of a problem with a twin.
-        mjcf: Replay in this MJCF, a path or the XML text, instead of the plan's own. It must have the same states. What
-            the plan's mechanism took out of its file is taken out of this one too.
+        mjcf: Replay in this MJCF, a path or the XML text, instead of the plan's own. It must have the same states.
+            Elements removed from the file of the plan's mechanism are removed from this one too.
         twin: Replay in this model, with its own maps, instead of the plan's own.
         seed: Seed of the random states of parity and of the perturbations.
-        rollouts: How many perturbed simulations step 5 makes at most; 0 leaves it out.
+        rollouts: Maximum number of perturbed simulations in step 5; 0 skips it.
         perturbation: The errors that step 5 draws; by default Perturbation.usual(plan.problem).
-        hold_seconds: How long an infinite-horizon LQR is to hold the goal after the end, s; 0 leaves it out.
-        optimal: Whether PASS needs a solve that converged. False judges feasibility alone.
-        budget: The most time for step 5, s: it then ends with fewer rollouts. None has no limit.
-        partial: A file for finished rollouts: a proof that was interrupted goes on from there.
-        progress: Called with the rollouts done and their number.
-        executor: Where the rollouts run, any concurrent.futures.Executor; by default MuJoCo's threads. The numbers are
-            the same to the last bit.
+        hold_seconds: Duration for which an infinite-horizon LQR regulates the goal after the end, s; 0 skips it.
+        optimal: Whether PASS requires a converged solve. False judges feasibility alone.
+        budget: Time limit of step 5, s: it then ends with fewer rollouts. None has no limit.
+        partial: A file that stores finished rollouts, so that an interrupted proof can be resumed.
+        progress: Called with the number of finished rollouts and their total.
+        executor: Runs the rollouts, any concurrent.futures.Executor; by default MuJoCo's threads. Results are equal to
+            the last bit.
 
     Raises:
-        PlannerError: The plan cannot be replayed at all; a plan that replays badly gets FAIL.
+        PlannerError: The plan cannot be replayed at all; a plan with replay errors gets FAIL.
     """
     if not isinstance(plan, Plan):
         raise PlannerError(f"plan is {short_repr(plan)}, expected a Plan.")
@@ -106,9 +106,9 @@ def prove(
     runs: dict[str, Replay] = {"open-loop": openly, "feedback": fed}
     now = recomputed(plan, problem, plan.xs, plan.us)
     required = {
-        # Step 0: the file's numbers agree with each other: start, states, cost, gradient, gains, times.
+        # Step 0: consistency of the file's numbers: start, states, cost, gradient, gains, times.
         "plan": consistency(plan, problem, now),
-        # Step 1: the plan's dynamics and MuJoCo's, at random states where the two models are the same.
+        # Step 1: the plan's dynamics against MuJoCo's, at random states where the two models are the same.
         "parity": parity_in(compiled, problem, seed),
         # Step 2: MuJoCo with the plan's own integrator and step: proves the transcription, nothing else.
         "same_step": same_step(plan, problem, compiled),
@@ -120,7 +120,7 @@ def prove(
     sound = all(section.passed for section in required.values())
     converged, goals = optimality(plan, problem, now), goals_of(problem, plan.xs)
     given, replayed = your_file(plan, problem, goals, open_loop=runs["open-loop"], mjcf=mjcf, twin=twin)
-    # A plan that your file follows only with its gains is no open-loop plan.
+    # A plan that follows the user's file only with its gains is no open-loop plan.
     lost = any(one.name == OPEN_LOOP_MISSES and one.value for one in given.measured)
     modes = MODES[1:] if lost else MODES
     mode = next((m for m in modes if sound and all(step.passed for step in judged[m])), None)
@@ -133,19 +133,19 @@ def prove(
         **required,
         # Whether the solve converged, and whether one more step of it would still lower the cost.
         "optimality": converged,
-        # Step 3: MuJoCo at a refined step, open loop and with the plan's gains; beside it how errors grow along the
+        # Step 3: MuJoCo at a refined step, open loop and with the plan's gains; also how errors grow along the
         # plan, the replay error that this predicts, what halving MuJoCo's step changes, and the cost at a step of zero.
         "refined_open_loop": steps["open-loop"][0],
         "refined_feedback": steps["feedback"][0],
         "growth": errors.section,
         "order": convergence.section,
-        # Step 4: whether the replay gets where the cost wanted it, and whether the machine stays where it is asked to.
+        # Step 4: whether the replay meets the goals, and whether the machine stays at a goal to be regulated.
         "goal": steps[seen][1],
         "hold": Section("hold", not_applicable="it was not asked for"),
         # Step 6: the controls and ideal gains in the model exactly as the user gave it.
         "your_file": given,
-        # Shown, not judged, and after the verdict. Step 5: how often it still arrives with other masses, friction,
-        # starts, noise and delay. Then what measurement and slow gains change, and what another ground does.
+        # Shown, not judged, and after the verdict. Step 5: the success rate with other masses, friction,
+        # starts, noise and delay. Then the effect of encoders and slow gains, and of other contact parameters.
         "perturbed": Section("robustness", not_applicable=_LATER),
         "controller": Section("feedback rate", not_applicable=_LATER),
         "another_ground": Section("contact sensitivity", not_applicable=_LATER),
@@ -178,13 +178,13 @@ def prove(
 
 
 def with_informative_sections(proof: Proof, note: Callable[[str], object] = lambda _: None) -> Proof:
-    """A proof with the steps that are only shown: what slow gains and encoders change, and another ground.
+    """A proof with the steps that are only shown: slow gains and encoders, and other contact parameters.
 
     `note` is called with a line before each.
     """
     plan, compiled, runs = proof.replay.plan, proof.replay.compiled, proof.replays
     problem = plan.problem
-    assert problem is not None  # it was proved
+    assert problem is not None  # a proof has a problem
 
     def passes(run: Replay) -> bool:
         return tracking(run, problem).passed and goal(run, problem).passed
@@ -219,7 +219,7 @@ def with_rollouts(
 
 
 def _held(proof: Proof, held: RegulatedRun) -> Proof:
-    """The proof with the hold step added: a machine that was to stay at the goal and does not, fails."""
+    """The proof with the hold step added: a machine that does not stay at a goal to be regulated, fails."""
     section = hold_section(held)
     proof = replace(proof, sections=proof.sections | {"hold": section}, held=held)
     if section.passed or not proof.passed:
@@ -237,7 +237,7 @@ def _held(proof: Proof, held: RegulatedRun) -> Proof:
 
 
 def _stands_at_goal(plan: Plan, problem: Problem) -> bool:
-    """Whether a plan that stays where it is would pass, though its goal is elsewhere."""
+    """Whether staying at the start would pass, though the goal differs from it."""
     goals = [one for one in goals_of(problem, plan.xs) if np.isfinite(one.tolerance)]
     away = [one.miss_at(problem.x0) for one in goals]
     near = all(miss <= one.tolerance for miss, one in zip(away, goals, strict=True))
@@ -245,7 +245,7 @@ def _stands_at_goal(plan: Plan, problem: Problem) -> bool:
 
 
 def _unjudged(plan: Plan, problem: Problem) -> tuple[str, ...]:
-    """What the cost asks for and nobody judged."""
+    """Goals of the cost that are not judged, one phrase each."""
     if problem.requirements is not None and problem.requirements.goal is not None:
         return ()
     unjudged = unchecked_goals(problem, plan.xs, plan.us)
@@ -266,7 +266,7 @@ def _reason(passed: bool, judged: tuple[Section, ...], steps: list[Section], run
     if not passed:
         broken = next(section for section in judged if section.failures)
         more = "".join(f" {sentence}" for sentence in (*run.warnings, *run.reached))
-        if broken.title == "parity":  # the first term that differs makes the later ones differ
+        if broken.title == "parity":  # an early term causes the later differences
             return f"{broken.title}: {broken.failures[0]}, {broken.failures[0].note}.{more}"
         if broken.title == "plan" and run.plan.changed:
             return f"plan: {broken.failures[-1].note}.{more}"
@@ -277,7 +277,7 @@ def _reason(passed: bool, judged: tuple[Section, ...], steps: list[Section], run
         failures = "; ".join(sentence.removesuffix(".") for sentence in found)
         in_file = () if broken.title == FILE else next(one for one in judged if one.title == FILE).failures
         more += "".join(f" In your file: {one.note}" for one in in_file if one.bound == 0.0)
-        if run.reached and broken.title != "plan":  # what was reached is why the rest differs
+        if run.reached and broken.title != "plan":  # reaching a range causes the other errors
             return f"{broken.title}:{more} {failures[0].upper()}{failures[1:]}."
         return f"{broken.title}: {failures}.{more}"
     measured = [one for section in steps for one in section.measured if one.bound]

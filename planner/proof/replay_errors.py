@@ -1,7 +1,7 @@
-"""Steps 3 and 4 of a proof: whether MuJoCo at a refined step repeats the plan, and whether it gets to the goal.
+"""Steps 3 and 4 of a proof: whether MuJoCo at a refined step reproduces the plan, and whether it meets the goal.
 
-Errors are told by unit, each that of the coordinate which is nearest to its bound. The whole path is judged, at every
-step of the simulator. A machine's own rules (Requirements) come first and take the place of the end's and the cost's.
+Errors are reported by unit, for the coordinate with the largest error relative to its bound. The whole path is judged,
+at every step of the simulator. A machine's own rules (Requirements) replace the checks of the end and the cost.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ def tracking(run: Replay, problem: Problem) -> Section:
 
 
 def path_errors(run: Replay, problem: Problem) -> tuple[Measurement, ...]:
-    """The errors at the end and over the path by unit, each of the coordinate that is nearest to its bound."""
+    """The errors at the end and over the path by unit, each the largest relative to its bound."""
     error, bounds, measured, smoothed = np.abs(run.error), path_error_bounds(run.plan), [], is_nonsmooth(problem)
     share = f"{100.0 * (SMOOTHED if smoothed else SHARE):g} %"
     for part, along in (("end", error[-1:]), ("path", error)):
@@ -67,7 +67,7 @@ def path_errors(run: Replay, problem: Problem) -> tuple[Measurement, ...]:
 
 
 def cost_error(run: Replay, problem: Problem) -> Measurement:
-    """The cost that MuJoCo reaches beside the plan's, in % of the plan's."""
+    """Difference of MuJoCo's cost from the plan's, in % of the plan's."""
     cost, plan = judged_cost(problem), run.plan
     planned, scale = cost(problem, plan.xs, plan.us), cost.scale(plan, problem)
     with np.errstate(all="ignore"):
@@ -82,12 +82,12 @@ def cost_error(run: Replay, problem: Problem) -> Measurement:
 
 
 def _controls(run: Replay) -> np.ndarray | None:
-    """(N, nu) the controls at the knots, where they are of the plan's machine."""
+    """(N, nu) the controls at the knots; None where they are not those of the plan's machine."""
     return run.ctrl[:: run.substeps] if run.ctrl.shape[1] == run.plan.us.shape[1] else None
 
 
 def costs_with_goals(problem: Problem) -> list[TrackingCost]:
-    """The terms of a problem's cost with a final weight, and so with a goal state."""
+    """The terms of a problem's cost with a final weight, and so a goal state."""
     costs = terms_of(problem.cost)
     return [cost for cost in costs if isinstance(cost, TrackingCost) and np.any(cost.Q[-1])]
 
@@ -105,7 +105,7 @@ def goal(run: Replay, problem: Problem) -> Section:
 
 
 def _return(run: Replay, problem: Problem) -> tuple[Measurement, ...]:
-    """How nearly a motion that is to be periodic comes back; that of MuJoCo is judged by its path."""
+    """Closure error of a trajectory that must be periodic; MuJoCo's is judged by the path error bounds."""
     if problem.periodic is None:
         return ()
     space, note = run.plan.space, "from the end of a cycle to its start, as a multiple of the tolerance"
@@ -116,10 +116,10 @@ def _return(run: Replay, problem: Problem) -> tuple[Measurement, ...]:
 
 
 def misses(who: str, t: np.ndarray, xs: np.ndarray, goals: tuple[GoalCheck, ...]) -> list[Measurement]:
-    """How far a motion, states xs (M, nx) at times t (M,), is from goals.
+    """Distance of a trajectory, states xs (M, nx) at times t (M,), from goals.
 
-    Those with a tolerance of their own are listed one by one; of the others the one of each unit that is nearest to
-    its tolerance.
+    Goals with a tolerance of their own are listed one by one; of the others, for each unit the one with the largest
+    error relative to its tolerance.
     """
     measured = []
     whose = "the plan" if who == "planned" else "MuJoCo"
@@ -141,9 +141,9 @@ def misses(who: str, t: np.ndarray, xs: np.ndarray, goals: tuple[GoalCheck, ...]
 
 
 def worst_of(goals: Sequence[GoalCheck], missed: Sequence[float]) -> tuple[float, GoalCheck]:
-    """The goal that is nearest to its tolerance, or beyond it by the most, and by how much it is missed.
+    """The goal with the largest error relative to its tolerance, and that error.
 
-    Of goals without a tolerance that which is missed most; what is no number is the worst.
+    Of goals without a tolerance, the one with the largest error; NaN counts as the largest.
     """
     judged = all(math.isfinite(one.tolerance) for one in goals)
     scales = [value / one.tolerance if judged else value for value, one in zip(missed, goals, strict=True)]

@@ -1,14 +1,13 @@
 """Step 2 of a proof: MuJoCo with the plan's own integrator and step. Proves the transcription, nothing else.
 
-MuJoCo has the semi-implicit Euler method, and Runge-Kutta's where no orientation is a quaternion: on rotations its
-method is of second order, a plan's is Munthe-Kaas's of fourth. Where MuJoCo does not have the plan's integrator, that
-integrator is applied here to MuJoCo's accelerations, mj_forward at each of its stages.
+MuJoCo has the semi-implicit Euler method, and Runge-Kutta's, which is of second order where orientations are
+quaternions; a plan's is Munthe-Kaas's of fourth order. If MuJoCo does not have the plan's integrator, that integrator
+is applied here to MuJoCo's accelerations, mj_forward at each of its stages.
 
-So it is where joints are prescribed: their motors leave some 1e-7 of what is asked for (model.mjcf.prescribed_joints),
-which is
-not the transcription's. Here they are asked again for what is missing. And so it is where joints are coupled or chains
-are closed: MuJoCo's equalities are soft, so here its accelerations are those of its own M and forces with the
-equalities kept exactly.
+The same is done where joints are prescribed: their motors have a relative acceleration error of some 1e-7
+(model.mjcf.prescribed_joints), which is no transcription error; it is corrected here by a second request. And where
+joints are coupled or loops closed: MuJoCo's equalities are soft, so here its accelerations are those of its own M and
+forces with exact equalities.
 
 A plan's stage of several substeps is as many steps here. The method that takes damping implicitly is that of
 replays.simulation.
@@ -37,7 +36,7 @@ from planner.proof.replays.passive_torque_callback import curves_acting
 from planner.proof.replays.simulation import ROSENBROCK, damping_of, implicit_step, set_state, state_of
 
 PATH_BOUND = 1e-8  # of the largest state
-STAGE_BOUND = 1e-10  # of the largest state: one stage amplifies nothing, rounding is 1e-14
+STAGE_BOUND = 1e-10  # of the largest state: one stage does not amplify errors, rounding is 1e-14
 _ROUNDING = 10.0 * np.finfo(float).eps  # of one stage, relative to the largest state
 
 _LIMIT = "MuJoCo's contacts and stops tend to the plan's law but are not the same to rounding"
@@ -46,7 +45,7 @@ ACCELERATIONS = "MuJoCo's accelerations"
 
 Stage = Callable[[np.ndarray, np.ndarray], np.ndarray]
 Rates = Callable[[np.ndarray, np.ndarray], np.ndarray]
-Integrate = Callable[[np.ndarray, np.ndarray], np.ndarray]  # the state that a deviation leads to from a state
+Integrate = Callable[[np.ndarray, np.ndarray], np.ndarray]  # (x (nx,), dx (ndx,)) -> x (+) dx (nx,)
 Advance = Callable[[np.ndarray, np.ndarray, int], Iterator[np.ndarray]]
 
 
@@ -61,8 +60,8 @@ def same_step(plan: Plan, problem: Problem, compiled: CompiledTwin) -> Section:
         return Section("same step", not_applicable=_FRICTION)
     compiled.check(problem.dynamics.nu)
     space, twin, model = plan.space, compiled.twin, compiled.copy()
-    # Stops and clamps that the plan does not have are not transcribed. The refined replays and the user's file judge
-    # them: a plan keeps its own at the ends of stages, and a servo's force passes its limit by a little in between.
+    # Stops and clamps that the plan lacks are not transcribed. The refined replays and the user's file judge them:
+    # a plan satisfies its limits at the ends of stages, and a servo's force may exceed its limit a little in between.
     flags = load_mujoco().mjtDisableBit
     model.opt.disableflags |= flags.mjDSBL_LIMIT | flags.mjDSBL_CLAMPCTRL
     model.actuator_forcelimited[:] = 0
@@ -84,7 +83,7 @@ def same_step(plan: Plan, problem: Problem, compiled: CompiledTwin) -> Section:
     def stage(x: np.ndarray, u: np.ndarray) -> np.ndarray:
         for _ in range(substeps):
             x = one(x, u)
-        if chains is not None and integrator == "rk4":  # a plan's stages end on the chains
+        if chains is not None and integrator == "rk4":  # a plan's stages end on the loop closures
             set_state(model, data, twin.sim_of(x))
             steps_back(model, data, chains, driven)
             x = twin.x_of(state_of(data))
@@ -109,7 +108,7 @@ def same_step(plan: Plan, problem: Problem, compiled: CompiledTwin) -> Section:
 
 
 def rounding_amplification(A: np.ndarray) -> float:
-    """Largest size that independent errors of 1, made in every state after each stage A (N, ndx, ndx), grow to."""
+    """Largest amplification of independent unit errors that every state has after each stage A (N, ndx, ndx)."""
     covariance, largest = np.zeros(A.shape[1:]), 1.0
     for step in A:
         covariance = step @ covariance @ step.T + np.eye(len(step))
@@ -121,16 +120,16 @@ def stage_function(
     integrator: str, dt: float, model: Any, twin: Twin, space: StateSpace, driven: Sequence[int] | np.ndarray = (),
     constrained: Mechanism | None = None, damping: np.ndarray | None = None,
 ) -> tuple[str, Stage] | None:  # fmt: skip
-    """One stage of dt in MuJoCo: its method in words, and the function (x, u) -> x at its end; None for none.
+    """One stage of dt in MuJoCo: the method's name, and the function (x, u) -> x at its end; None if unsupported.
 
-    The model is changed. Accelerations of driven degrees of freedom, the last controls, are met to rounding. The
-    equalities of a constrained mechanism are kept exactly, and its other constraints do not act. `damping` is what an
-    implicit method takes so.
+    The model is changed. Accelerations of prescribed (`driven`) degrees of freedom, the last controls, are met to
+    rounding. Equalities of a constrained mechanism are exact, and its other constraints do not act. `damping` (nv,) is
+    integrated implicitly.
     """
     mujoco = load_mujoco()
     data = mujoco.MjData(model)
     model.opt.timestep = dt
-    # A plan's Euler takes damping at the stage's start like every other force.
+    # A plan's Euler method evaluates damping at the stage's start like every other force.
     model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_EULERDAMP
 
     def begin(x: np.ndarray, u: np.ndarray) -> None:
@@ -154,7 +153,7 @@ def stage_function(
         w = np.concatenate([data.qvel, acceleration(), data.act_dot])
         return w if space.quaternions else twin.to_x @ w
 
-    def on_group(x: np.ndarray, dx: np.ndarray) -> np.ndarray:  # space.integrate in C, a tenth of its time
+    def on_group(x: np.ndarray, dx: np.ndarray) -> np.ndarray:  # space.integrate in C, ten times faster
         moved = np.empty_like(x)
         moved[: model.nq] = x[: model.nq]
         moved[model.nq :] = x[model.nq :] + dx[model.nv :]
@@ -198,9 +197,9 @@ def stage_function(
 def advancing(
     integrator: str, step: float, model: Any, twin: Twin, space: StateSpace, damping: np.ndarray | None = None
 ) -> Advance | None:
-    """Many steps in MuJoCo: the function (x0, us, steps per control) -> the state after each control; None for none.
+    """Many steps in MuJoCo: the function (x0, us, steps per control) -> the state after each control, or None.
 
-    MuJoCo's own integrators run on: the simulator may have more states than the plan.
+    MuJoCo's own integrators run without reset: the simulator may have more states than the plan.
     """
     found = stage_function(integrator, step, model, twin, space, damping=damping)
     if found is None:
@@ -229,15 +228,15 @@ def munthe_kaas(
 ) -> np.ndarray:
     """One stage of the classic Runge-Kutta method, in Munthe-Kaas's form where states hold quaternions.
 
-    Rotation vectors do not add: the increments of a quaternion are corrected by the products a x b of the body's
-    own turns, so that the method is of fourth order on rotations too. `integrate` is the space's own by default.
+    Rotation vectors do not add: the increments of a quaternion are corrected by the cross products of the body's
+    rotation increments, so that the method is of fourth order on rotations too. `integrate` is the space's by default.
     """
     integrate = integrate or space.integrate
 
     def product(a: np.ndarray, b: np.ndarray) -> np.ndarray:
         result = np.zeros_like(a)
         for _, j in space.quaternions:
-            (ax, ay, az), (bx, by, bz) = a[j : j + 3].tolist(), b[j : j + 3].tolist()  # cross() takes longer
+            (ax, ay, az), (bx, by, bz) = a[j : j + 3].tolist(), b[j : j + 3].tolist()  # cross() is slower
             result[j : j + 3] = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
         return result
 

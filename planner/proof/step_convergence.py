@@ -1,6 +1,6 @@
 """Measure how a plan's replay changes as MuJoCo's step is halved, as in Roache's grid convergence index.
 
-The controls are held as planned and MuJoCo integrates with the plan's own method at the steps h, h/2, h/4, ...
+The controls are constant over a stage and MuJoCo integrates with the plan's own method at the steps h, h/2, h/4, ...
 (P. J. Roache, "Perspective: a method for uniform reporting of grid refinement studies", J. Fluids Eng. 116, 1994;
 ASME V&V 20-2009). With f1, f2, f3 the coarse, middle and fine values,
 
@@ -28,12 +28,12 @@ from planner.proof.replays.simulation import ROSENBROCK, damping_of
 from planner.proof.same_step import advancing
 
 NOMINAL = {"euler": 1.0, "semi-implicit-euler": 1.0, "rk4": 4.0, ROSENBROCK: 2.0}
-ORDER_BOUND = 0.2  # largest shortfall of the observed order from the nominal one, for a smooth machine
+ORDER_BOUND = 0.2  # largest amount by which the observed order may be below the nominal one, for a smooth machine
 LEVELS = 5  # number of step sizes: a stage, its half, ... a sixteenth
-LEVELS_OF_SUBSTEPS = 3  # number of step sizes from a substep on: the fewest that show an order
+LEVELS_OF_SUBSTEPS = 3  # number of step sizes from a substep on: the minimum that shows an order
 MAX_LEVELS = 7  # number of step sizes where the first ones are too coarse to show an order
-MAX_STEPS = 256  # steps of a stage beyond which no finer level is added
-UNCERTAIN = 0.1  # of the bound of the cost: where no order is judged, none are added for less
+MAX_STEPS = 256  # upper limit of steps per stage
+UNCERTAIN = 0.1  # of the cost's bound: smaller uncertainties need no finer level where no order is judged
 _SEEN = 1e-9  # change of the end state below which it is rounding
 _SAFETY = 1.25  # Roache's factor for three grids and more
 
@@ -45,21 +45,21 @@ class StepConvergence:
     steps: np.ndarray  # (L,) s, halved from one to the next
     ends: np.ndarray  # (L, nx) end states
     costs: np.ndarray  # (L,) J reached
-    changes: np.ndarray  # (L-1,) from each end state to the next, Euclidean: the order is seen in them
-    shares: np.ndarray  # (L-1,) the same, the largest as a share of what passes of a path
+    changes: np.ndarray  # (L-1,) Euclidean changes between successive end states, from which the order is observed
+    shares: np.ndarray  # (L-1,) the same, the largest component relative to its path error bound
     nominal: float  # Order of the integrator
-    observed: float | None  # Of the end state, over the last steps whose changes are above rounding; None when none are
-    judged: str  # Why the order is only shown; "" when it is judged
+    observed: float | None  # Of the end state, over the last changes above rounding; None if there are none
+    judged: str  # Why the order is not judged; "" if it is
     extrapolated_cost: float  # J at a step of zero
-    cost_uncertainty: float  # Of it
-    end_uncertainty: float  # Of the end state, the largest as a share of what passes of a path
+    cost_uncertainty: float  # Of the extrapolated cost
+    end_uncertainty: float  # Of the end state, the largest component relative to its path error bound
     plan_cost: float  # Of the plan itself
-    scale: float  # Changes of the cost are relative to it
-    whole: bool  # Whether the whole cost is judged; False where its end is a penalty on what the goal judges
+    scale: float  # Reference of relative cost changes
+    whole: bool  # Whether the whole cost is judged; False where its final part only penalizes judged goals
 
     @property
     def section(self) -> Section:
-        """The measured: the change of the cost is judged, for smooth machines the order too."""
+        """The change of the cost, judged; the order, judged for smooth machines only."""
         with np.errstate(all="ignore"):
             change = 100.0 * abs(self.extrapolated_cost - self.plan_cost) / self.scale
         steps = f"{self.steps[0]:.3g} to {self.steps[-1]:.3g} s"
@@ -91,10 +91,10 @@ def step_convergence(problem: Problem, run: Replay) -> StepConvergence:
     plan, cost = run.plan, judged_cost(problem)
     integrator = getattr(problem.dynamics, "integrator", "rk4")
     refined_only = problem.requirements is not None and bool(problem.requirements.no_same_step)
-    # Where a replay at the plan's own step says nothing, halvings are those about the refined one.
+    # Where a replay at the plan's own step is not informative, steps are halved from the refined replay's.
     own = getattr(problem.dynamics, "substeps", 1)
     count = LEVELS if own == 1 else LEVELS_OF_SUBSTEPS
-    if integrator == ROSENBROCK:  # its order is not judged, and 16 substeps are fine already
+    if integrator == ROSENBROCK:  # its order is not judged, and 16 substeps suffice
         count = 3
     least, count = (max(run.substeps // 2, 1), 3) if refined_only else (own, count)
     substeps = [least << k for k in range(count)]
@@ -136,7 +136,7 @@ def _uncertainty(levels: list[tuple[np.ndarray, float]], nominal: float, observe
 
 
 def _unjudged(run: Replay, problem: Problem) -> str:
-    """Why no order can be asked of a machine's motion, or ""."""
+    """Reason why a machine's trajectory shows no order of convergence, or ""."""
     if may_touch(run.compiled.model):
         return "contacts open and close: the order scatters"
     machine = capabilities_of(problem.dynamics)
@@ -150,7 +150,7 @@ def _unjudged(run: Replay, problem: Problem) -> str:
 
 
 def _stopped(problem: Problem, xs: np.ndarray) -> bool:
-    """Whether states (M+1, nx) come to a stop of the plan's machine, whose force MuJoCo has without its smoothing."""
+    """Whether states (M+1, nx) reach a joint stop of the plan, which is smoothed there and not in MuJoCo."""
     mechanism = capabilities_of(problem.dynamics).mechanism
     return mechanism is not None and any(
         bool(np.any(stop.side * (xs[:, mechanism.q_address[stop.dof]] - stop.end) > -stop.law.surface_offset))
@@ -159,7 +159,7 @@ def _stopped(problem: Problem, xs: np.ndarray) -> bool:
 
 
 def _observed_between(plan: Plan, levels: list[tuple[np.ndarray, float]]) -> tuple[np.ndarray, float | None]:
-    """The changes (L-1,) between end states, and the order that they show."""
+    """The changes (L-1,) between end states, and the observed order."""
     ends = np.array([end for end, _ in levels])
     changes = np.linalg.norm(plan.space.difference(ends[1:], ends[:-1]), axis=-1)
     return changes, _observed(changes)
@@ -176,14 +176,14 @@ def _observed(changes: np.ndarray) -> float | None:
 
 
 def _level(run: Replay, problem: Problem, integrator: str, substeps: int) -> tuple[np.ndarray, float]:
-    """End state and cost of an open-loop replay with so many steps per stage."""
+    """End state and cost of an open-loop replay with `substeps` steps per stage."""
     plan, twin, model = run.plan, run.twin, run.compiled.copy()
     sound = run.integrator == "RK4" and not (plan.space.quaternions or run.feedback or run.warnings)
-    if integrator == "rk4" and substeps == run.substeps and sound:  # that replay itself, to the last bit
+    if integrator == "rk4" and substeps == run.substeps and sound:  # the refined replay itself, to the last bit
         xs = run.xs[::substeps]
         return xs[-1], problem.cost.value(xs, plan.us)
     advance = advancing(integrator, plan.dt / substeps, model, twin, plan.space, damping_of(problem.dynamics))
-    assert advance is not None  # every integrator of NOMINAL has one
+    assert advance is not None  # every integrator in NOMINAL is supported
     xs = np.empty_like(plan.xs)
     xs[0] = problem.x0
     with curves_acting(twin, model):

@@ -1,15 +1,15 @@
-"""Proof: the simulator's judgement of a plan, and its first line.
+"""Proof: the measurements and verdict on a plan, and its headline.
 
-The line says three things and what was not looked at:
+The headline states three results and the elements not tested:
 
     PASS (open-loop), planned without contacts of 1 pair (tested in your file); feasible, optimal, robust with its gains
 
-feasible: MuJoCo repeats the plan and ends at its goal, in the mode in brackets. optimal: the solve converged. robust or
-fragile with its gains: how often it still succeeds with them on a machine that differs from the planned one, whatever
-it does open loop; "robustness: pending" until that is known.
+feasible: MuJoCo reproduces the plan and ends at its goal, in the mode in brackets. optimal: the solve converged. robust
+or fragile with its gains: the success rate with them on perturbed machines, whatever the open-loop rate;
+"robustness: pending" until it is known.
 
-"planned without ..." is what the user's file has and the plan's model does not; step 6 replayed the plan with it.
-"without ..." is what no replay had: pairs that overlap at the start, or all of it where the file was not replayed.
+"planned without ..." lists elements of the user's file that the plan's model lacks; step 6 replayed the plan with them.
+"without ..." lists elements of no replay: pairs that overlap at the start, or all if the file was not replayed.
 """
 
 from __future__ import annotations
@@ -32,24 +32,24 @@ TESTED = "tested in your file"
 
 @dataclass(frozen=True, eq=False)
 class Proof(Renderable):
-    """The simulator's judgement of a plan, step by step.
+    """The measurements and verdict on a plan, step by step.
 
     Attributes:
         verdict: "PASS" or "FAIL".
         mode: "open-loop" or "feedback", the mode that passed; None when neither did.
         reason: The verdict in a sentence.
         sections: The steps by name, in order (docs/proof.md). Each is an attribute too: `proof.parity`,
-            `proof.refined_open_loop`. `goal` is of the mode that passed, else of that which is nearest to it.
-        replay: The replay in the mode that passed, else in that which is nearest to it.
+            `proof.refined_open_loop`. `goal` is of the mode that passed, else of the one with the smaller error.
+        replay: The replay in the mode that passed, else in the one with the smaller error.
         replays: Mode -> replay.
         errors: The growth of errors behind `growth`.
         convergence: The replays at halved steps behind `order`.
-        held: The motion behind `hold`, or None.
+        held: The simulation behind `hold`, or None.
         monte_carlo: The rollouts behind `perturbed`, or None.
-        asked: The arguments of prove() that prove the same again, without another model.
-        planned_without: What the user's file has and the plan's model does not, and the replay in the file had: step 6.
+        asked: The arguments of prove() that reproduce this proof, without another model.
+        planned_without: Elements of the user's file that the plan's model lacks and the replay of step 6 had.
             A phrase each.
-        not_checked: What no replay had of the user's file, and goals that nobody judged; a phrase each.
+        not_checked: Elements of the user's file that no replay had, and goals not judged; a phrase each.
     """
 
     verdict: str
@@ -68,7 +68,7 @@ class Proof(Renderable):
 
     @property
     def feasible(self) -> bool:
-        """Whether MuJoCo repeats the plan, keeps its limits and ends at its goal, in one of the modes."""
+        """Whether MuJoCo reproduces the plan, satisfies its limits and ends at its goal, in one of the modes."""
         return self.mode is not None
 
     @property
@@ -82,7 +82,7 @@ class Proof(Renderable):
         return self._robustness("")
 
     def _robustness(self, judged: str) -> str:
-        """The word about robustness, and behind it which mode was judged."""
+        """The word about robustness, followed by the judged mode."""
         if self.monte_carlo is None:
             return "robustness: pending" if self.asked.get("rollouts") else ""
         word, drawn = self.monte_carlo.robustness, self.monte_carlo.perturbation
@@ -91,7 +91,7 @@ class Proof(Renderable):
 
     @property
     def headline(self) -> str:
-        """The verdict, what it is without, and whether the plan is feasible, optimal and robust."""
+        """The verdict, the elements not tested, and whether the plan is feasible, optimal and robust."""
         mode = f" ({self.mode})" if self.passed and self.mode else ""
         tested = f", planned without {' and '.join(self.planned_without)} ({TESTED})" if self.planned_without else ""
         without = tested + "".join(f", {phrase}" for phrase in self.not_checked)
@@ -123,7 +123,7 @@ class Proof(Renderable):
         return rows_of(self.sections)
 
     def table(self) -> str:
-        """All measured beside their bounds, one line each, then the verdict."""
+        """All measurements with their bounds, one line each, then the verdict."""
         rows = [("step", "measured", "value", "bound", ""), *self.rows()]
         widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
         lines = ["  ".join(c.ljust(w) for c, w in zip(row, widths, strict=True)).rstrip() for row in rows]

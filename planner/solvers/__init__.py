@@ -1,1 +1,1 @@
-"""Solvers: SLQ and what is built on it."""
+"""Solvers: SLQ, and its extensions to constraints, periodic trajectories and free final time."""

@@ -1,13 +1,13 @@
-"""Anderson acceleration of steps that converge slowly (Walker and Ni 2011).
+"""Anderson acceleration of slowly converging steps (Walker and Ni 2011).
 
 The Gauss-Newton Hessian leaves out the second derivatives of the dynamics, so its steps d(U) converge only linearly.
-Over the last iterations d changed by Y c where controls changed by S c. The point of least direction, min |d - Y c|, is
+The columns of Y and S are the changes of d and of the controls over the last iterations. With c minimizing |d - Y c|
+the extrapolated point is
 
     U + d - (S + Y) c,
 
-the step of a quasi-Newton method with several secants, without second derivatives. States are extrapolated in the same
-way, and rollouts with the gains of the last sweep stay near them. The point is taken, or a half or less of the way to
-it, if it costs less than the step did.
+a multisecant quasi-Newton step. States are extrapolated likewise and tracked with the gains of the last sweep. The
+point is accepted, with backtracking, if it costs less than the plain step.
 """
 
 from __future__ import annotations
@@ -29,30 +29,30 @@ StatesAndControls = tuple[np.ndarray, np.ndarray]  # xs (N+1, nx), us (N, nu)
 
 
 class AndersonAcceleration:
-    """The last steps of one solve.
+    """Anderson acceleration over the last steps of one solve.
 
     Args:
-        problem: Of the engine.
-        engine: After its start.
+        problem: Problem of the engine.
+        engine: Started.
         options: The constants of the acceleration.
     """
 
     def __init__(self, problem: Problem, engine: Engine, options: SolverOptions) -> None:
         self._engine, self._space, self._options = engine, space_of(problem.dynamics), options
-        self._begin: StatesAndControls | None = None  # of the next iteration
-        self._before: StatesAndControls | None = None  # of the one before it
+        self._begin: StatesAndControls | None = None  # trajectory at the start of the next iteration
+        self._before: StatesAndControls | None = None  # and of the one before
         # Changes of controls and states: directions d, and differences between the starts of successive iterations.
         self._directions: deque[np.ndarray] = deque(maxlen=options.acceleration_steps)
         self._differences: deque[np.ndarray] = deque(maxlen=options.acceleration_steps - 1)
 
     def extrapolate(self, cost: float, after: float, step: float, expected: float) -> float:
-        """The cost after a step from `cost` to `after`, or that of the extrapolated point, which the engine then has.
+        """The cost of the extrapolated point, if the engine accepts it, else `after`.
 
         Args:
-            cost: Before the step.
-            after: After it.
-            step: Its length.
-            expected: Its expected reduction.
+            cost: Cost before the step.
+            after: Cost after the step.
+            step: Step length.
+            expected: Expected reduction of the step.
         """
         reduction = cost - after
         if reduction > self._options.acceleration_max_reduction * max(1.0, abs(after)):
@@ -77,15 +77,15 @@ class AndersonAcceleration:
         return extrapolated
 
     def _change(self, begin: StatesAndControls, end: StatesAndControls) -> np.ndarray:
-        """Of the controls, then of the states, as one vector."""
+        """Change of the controls, then of the states, as one vector (N nu + (N+1) ndx,)."""
         return np.concatenate([(end[1] - begin[1]).ravel(), self._space.difference(end[0], begin[0]).ravel()])
 
     def _point(self, us: tuple[int, ...], step: float) -> StatesAndControls:
-        """Changes of states and controls from the end of the last step, of this length, to the extrapolated point."""
+        """Changes of states (N+1, ndx) and controls (N, nu) from the end of the step to the extrapolated point."""
         directions, size = np.stack(self._directions), math.prod(us)
         d, Y, S = directions[-1], np.diff(directions, axis=0), np.stack(self._differences)
         by_controls, c = Y[:, :size], np.zeros(len(Y))
-        with contextlib.suppress(np.linalg.LinAlgError):  # far from a minimum squares may overflow
+        with contextlib.suppress(np.linalg.LinAlgError):  # before convergence squares may overflow
             c = np.linalg.lstsq(by_controls @ by_controls.T, by_controls @ d[:size], rcond=RANK_TOLERANCE)[0]
         change = (1.0 - step) * d - c @ (S + Y)
         return change[size:].reshape(us[0] + 1, -1), change[:size].reshape(us)

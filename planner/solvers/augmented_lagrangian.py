@@ -6,15 +6,15 @@
              increase the weights of components whose violation did not fall enough
     until    violations are within the tolerance, and no multiplier acts at a bound that is not active
 
-Where shapes come too near between the knots, the clearances of those stages are tightened, and it goes on.
+Where clearances are violated between knots, those of the affected stages are tightened, and the rounds continue.
 
-The first round has no penalties, and is the only one where nothing is violated. The second takes its weights from the
-result of the first, as ALGENCAN does (Birgin and Martinez 2014): the penalties then cost about what J does, and those
-of state bounds more. Only clearances have penalties from the beginning, since a trajectory through an obstacle does not
-find the way around it any more.
+The first round has no penalties, and is the only one if its result has no violation. The second takes its weights from
+the result of the first, as ALGENCAN does (Birgin and Martinez 2014): the penalties then cost about as much as J, those
+of state bounds more. Only clearances have penalties from the beginning, since a trajectory through an obstacle is a
+local minimum.
 
-Rounds far from the tolerance end before their minimum (inexact augmented Lagrangian; Bertsekas 1982, section 2.5): the
-error of the states is then small against the violation that the round is to reach. So does the first.
+Rounds whose violation far exceeds the tolerance end before their minimum (inexact augmented Lagrangian; Bertsekas 1982,
+section 2.5): the error of the states is then small against the violation that the round is to reach. So does the first.
 """
 
 from __future__ import annotations
@@ -41,12 +41,12 @@ def augmented_lagrangian(
     """The plan of a problem with state bounds or constraints; its history counts the iterations of all rounds.
 
     Args:
-        constraints: Of the problem.
-        tolerance: Of violations.
-        minimize: One solve.
-        first_guess: (N, nu).
+        constraints: Constraints of the problem.
+        tolerance: Upper limit of the violations.
+        minimize: One solve, see Minimize.
+        first_guess: First controls (N, nu).
         max_iterations: Limit of all rounds together.
-        given: Penalties of the first round, of a motion nearby; None for those of a motion that nothing is known of.
+        given: Penalties of the first round, from a warm start; None for the initial ones.
         options: The constants of the augmented Lagrangian.
     """
     if given is None:
@@ -57,7 +57,7 @@ def augmented_lagrangian(
     penalties, before = first or constraints.zero_penalties(), np.full(constraints.size, np.inf)
     if plan.status is Status.NOT_FINITE:
         return plan
-    tightenings, violations = 0, list[float]()  # the largest of each round, since bounds were tightened
+    tightenings, violations = 0, list[float]()  # largest of each round since the last tightening
     for round_ in range(options.max_outer_iterations):
         error = _error(constraints, penalties, plan)
         if plan.status is Status.INTERRUPTED:
@@ -101,7 +101,7 @@ def augmented_lagrangian(
 
 
 def _has_stalled(violations: list[float], options: SolverOptions) -> bool:
-    """Whether the last rounds have not reduced the violation enough below its least value before."""
+    """Whether the last rounds have not reduced the violation below stall_ratio times its minimum before."""
     last = options.max_stalled_rounds
     return len(violations) > last and not min(violations[-last:]) < options.stall_ratio * min(violations[:-last])
 
@@ -110,10 +110,10 @@ def _first_round(
     constraints: TrajectoryConstraints, minimize: Minimize, first_guess: np.ndarray, max_iterations: int,
     first_line: int, options: SolverOptions,
 ) -> tuple[Plan, list[Iteration], BoundPenalties | None]:  # fmt: skip
-    """The first solve, its iterations, and the penalties that it had; None for none.
+    """The first solve, its iterations, and its penalties, or None.
 
-    Penalties of clearances are scaled by the cost of the first guess if that exceeds 1: else a way through an obstacle
-    may cost less than the way around it.
+    Penalties of clearances are scaled by the cost of the first guess if that exceeds 1: else a path through an obstacle
+    may cost less than one around it.
     """
     first = constraints.initial_penalties()
     if first is None:
@@ -132,13 +132,13 @@ def _first_round(
 
 
 def _between_knots(constraints: TrajectoryConstraints, plan: Plan) -> tuple[np.ndarray, bool]:
-    """See TrajectoryConstraints.violation_between_knots."""
-    assert plan.problem is not None  # the solver's own
+    """Required rise of the lower bounds, (N+1, H), and whether a pair may be in contact between knots."""
+    assert plan.problem is not None  # set by solve()
     return constraints.violation_between_knots(plan.problem.dynamics, plan.xs, plan.us)
 
 
 def _inexact_reduction(penalties: BoundPenalties, error: np.ndarray, options: SolverOptions) -> float:
-    """The expected reduction below which a round may end whose predecessor left the errors (N+1, H).
+    """The expected reduction below which a round may end, from the errors (N+1, H) of the round before.
 
     An LQ problem that expects less than 1/2 w d^2 moves a component by less than d. Early multipliers are estimates, so
     d is a small part of the violation that the round is to reach.
@@ -148,14 +148,14 @@ def _inexact_reduction(penalties: BoundPenalties, error: np.ndarray, options: So
 
 
 def _multipliers(constraints: TrajectoryConstraints, penalties: BoundPenalties) -> tuple[np.ndarray, np.ndarray]:
-    """Multipliers (N+1, H) over the weights, of lower and upper bounds: by how much bounds are shifted inwards."""
+    """Multipliers / weights (N+1, H) of the lower and of the upper bounds: the inward shifts of the bounds."""
     with np.errstate(invalid="ignore"):
         shifts = penalties.lower - constraints.lower, constraints.upper - penalties.upper
     return np.nan_to_num(shifts[0], nan=0.0), np.nan_to_num(shifts[1], nan=0.0)
 
 
 def _error(constraints: TrajectoryConstraints, penalties: BoundPenalties, plan: Plan) -> np.ndarray:
-    """(N+1, H) the violation, or where there is none the distance from a bound whose multiplier acts."""
+    """(N+1, H) the violation, or without one the slack of a bound with a nonzero multiplier."""
     e, (low, high) = constraints.deviations(plan.xs, plan.us), _multipliers(constraints, penalties)
     lower, upper = constraints.lower, constraints.upper
     above, below = np.maximum(e - upper, -high), np.maximum(lower - e, -low)
@@ -166,7 +166,7 @@ def _error(constraints: TrajectoryConstraints, penalties: BoundPenalties, plan: 
 def _initial_penalties(
     constraints: TrajectoryConstraints, plan: Plan, first: BoundPenalties, options: SolverOptions
 ) -> BoundPenalties:
-    """Weights from the cost and the violation of a solve without penalties; multipliers of what had penalties."""
+    """Weights from cost and violation of the first round; updated multipliers where it had penalties."""
     had, violation = first.weight > 0.0, constraints.violation(plan.xs, plan.us)
     outside = float(np.sum(np.where(had, 0.0, violation) ** 2))
     weight = 2.0 * max(abs(plan.cost), np.finfo(float).tiny) / outside if outside else 0.0

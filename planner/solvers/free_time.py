@@ -1,16 +1,15 @@
-"""Time as an unknown: how long a motion should take, and how long it must.
+"""Free final time: optimal and minimum duration T = N dt, with a fixed number N of stages.
 
-The number of stages stays and their length is the unknown, T = N dt. For every T there is a least J*(T), which SLQ
-finds; so what is left is a function of one variable:
+SLQ minimizes J at each T; this leaves a problem in one variable:
 
     minimize  time_weight T + J*(T)                                    over shortest <= T <= longest.
 
-With time alone there is no J: the least T is wanted at which the bounds of the controls allow the goal to be met
-exactly. It is found by bisection, and of all motions that take so long the plan is the one with the least effort. Each
-solve starts from the plan of the nearest duration that succeeded.
+With time alone there is no J: T is the minimum duration at which the exact goal is feasible within the bounds of the
+controls, by bisection; the plan minimizes the effort at that T. Each solve starts from the successful plan of the
+closest duration.
 
-Every J*(T) is that of a local minimum, and a duration counts as too short when SLQ finds no motion from there. So the
-duration found is an upper bound of the true least one.
+Each J*(T) is a local minimum, and T counts as too short if SLQ finds no feasible plan. So the result is an upper bound
+of the global minimum duration.
 """
 
 from __future__ import annotations
@@ -37,22 +36,22 @@ from planner.solvers.slq import as_user_plan, solve
 from planner.solvers.warm_start import warm_start
 
 TOLERANCE = 1e-3
-"""Of a duration, relative."""
-LOOK = 60  # iterations of a duration near one whose motion is known, after which it is told what is too short
-MAX_VIOLATION_RATIO = 1000.0  # tolerances outside: at 100 a duration of two-link was called too short that is not
-_SHRINK = 0.85  # from one duration to the next on the way down: a motion changes little, and fifteen span a decade
+"""Default tolerance of the duration, relative."""
+LOOK = 60  # iteration limit of a warm-started solve, after which a large violation means that T is too short
+MAX_VIOLATION_RATIO = 1000.0  # violation / tolerance above which T is too short; 100 rejects a feasible T of two-link
+_SHRINK = 0.85  # ratio of successive durations: 15 per decade
 
 
 class DurationTrial(NamedTuple):
-    """A duration that was tried.
+    """One solve at a trial duration.
 
     Attributes:
         number: Counted from 0.
         duration: T, s.
-        cost: J*(T) without the time's own part.
-        violation: Of the limits: the largest, rad, m, rad/s, m/s.
-        iterations: The solve took.
-        status: How it ended.
+        cost: J*(T) without the time term.
+        violation: Largest violation of limits and constraints, rad, m, rad/s, m/s.
+        iterations: Number of iterations of the solve.
+        status: Status of the solve.
     """
 
     number: int
@@ -71,7 +70,7 @@ class DurationTrial(NamedTuple):
 
     @staticmethod
     def header() -> str:
-        """The heading over the lines that str() makes; it is above the first one."""
+        """The heading of the table of str(); part of the first row."""
         return f"{'tried':>5}  {'duration, s':>12}  {'cost':>15}  {'outside':>9}  {'iterations':>10}  status"
 
 
@@ -79,25 +78,25 @@ def solve_for(
     problem: Problem, objective: str | Mapping[str, float] = "effort", *, durations: Sequence[float] | None = None,
     tolerance: float = TOLERANCE, callback: Callable[[Any], object] | None = None, **options: Any,
 ) -> Plan:  # fmt: skip
-    """Optimize a motion by another criterion than its problem's own, and with time its duration as well.
+    """Optimize a problem with another objective than its own; with time in it also the duration.
 
-    What is not effort alone starts from the controls of least effort.
+    Objectives other than effort start from the controls of minimum effort.
 
     Args:
         problem: The problem to solve; see with_objective.
         objective: "effort", "energy", "jerk", "time", or weights by these names, e.g. {"effort": 1, "time": 2}. Time
             alone needs limits of the controls, and meets the goal exactly.
-        durations: The shortest and the longest that time may choose, s; needed with time, and only then.
+        durations: Lower and upper bound of the duration, s; required with time, else not allowed.
         tolerance: Of the duration, relative.
-        callback: As of solve; with time it is called with each Tried duration.
+        callback: As of solve; with time it is called with each DurationTrial.
         options: Of solve().
 
     Returns:
-        A Plan of the problem with that objective, at the duration found.
+        A Plan of the problem with that objective, at the best duration.
 
     Raises:
-        PlannerError: As with_objective and solve; durations that are missing, not needed or not two that rise; time
-            alone without bounds of the controls.
+        PlannerError: As with_objective and solve; durations missing, not allowed or not two increasing ones; time alone
+            without bounds of the controls.
     """
     weights = weights_of(objective)
     if not isinstance(problem, Problem):
@@ -122,23 +121,23 @@ def solve_for(
 
 
 def _exact(problem: Problem) -> Problem:
-    """The problem with its goal to be met exactly: without that, no time at all would be the least."""
+    """The problem with an exact goal: with a weighted one the minimum duration would be zero."""
     if problem.bounds is None:
         raise PlannerError(
             "time alone needs bounds of the controls, expected limits=Limits(control=...), or effort beside time."
         )
-    assert problem.limits is not None  # there are bounds
+    assert problem.limits is not None  # bounds exist
     return problem if problem.limits.final else replace(problem, limits=replace(problem.limits, final=EXACT))
 
 
 class _DurationSearch:
-    """Solves at several durations, each from the nearest that succeeded, and the best of them.
+    """Solves at several durations, each from the successful plan of the closest duration, and the best plan.
 
     Args:
         problem: The task.
-        weights: Of the objective, time among them.
-        options: Of solve(); several starts are for the first duration alone.
-        callback: Of each Tried.
+        weights: Of the objective, by name, including time.
+        options: Of solve(); several starts apply to the first duration only.
+        callback: Called with each DurationTrial.
     """
 
     def __init__(
@@ -149,12 +148,12 @@ class _DurationSearch:
         rest = {name: weight for name, weight in weights.items() if name != "time"}
         self.rest, self.alone = rest or {"effort": 1.0}, not rest
         self.tried: list[DurationTrial] = []
-        self.plans: dict[float, Plan] = {}  # those that succeeded, by duration
+        self.plans: dict[float, Plan] = {}  # feasible plans by duration
         self.last: Plan | None = None
-        self.best: tuple[float, float] | None = None  # the value, and its duration
+        self.best: tuple[float, float] | None = None  # lowest value, and its duration
 
     def at(self, duration: float, value: Callable[[DurationTrial], float]) -> float:
-        """Solve at a duration; its value, infinite where the limits are not met."""
+        """Solve at a duration, s; the value of its trial, infinite if the limits are violated."""
         duration = float(duration)
         problem = with_objective(retimed(base_problem(self.problem), duration), self.rest)
         options = single_start(self.options) if self.tried else self.options
@@ -188,12 +187,12 @@ class _DurationSearch:
         return worth
 
     def _first_look(self, problem: Problem, motion: Trajectory, options: dict[str, Any]) -> Plan | None:
-        """A solve from a motion of another duration with its multipliers; None for one that is not found, but near.
+        """A solve warm-started from a stretched trajectory, at most LOOK iterations; None if it is undecided.
 
-        From nearby a motion is found in some dozens of iterations, if there is one. What is then FAR outside is too
-        short.
+        From a similar duration a feasible plan usually takes some dozens of iterations. A violation above
+        MAX_VIOLATION_RATIO tolerances then means that the duration is too short.
         """
-        assert problem.limits is not None  # time alone has bounds
+        assert problem.limits is not None  # set by _exact
         limit = with_overrides(options.get("options"), max_iterations=options.get("max_iterations")).max_iterations
         most = min(LOOK, limit)
         plan = solve(problem, **options | {"warm_start": motion, "max_iterations": most})
@@ -201,8 +200,8 @@ class _DurationSearch:
         return plan if ended or not _outside(problem, plan) <= MAX_VIOLATION_RATIO * problem.limits.tolerance else None
 
     def best_plan(self, options: dict[str, Any]) -> Plan:
-        """The best plan as one of the problem with its whole objective; the last where none met the limits."""
-        assert self.last is not None  # at() came first
+        """The best plan with the whole objective, time included; the last plan if none satisfies the limits."""
+        assert self.last is not None  # set by at()
         plan = self.last if self.best is None else self.plans[self.best[1]]
         assert plan.problem is not None
         wanted = with_objective(plan.problem, self.weights | {"effort": self.rest.get("effort", 0.0)})
@@ -211,7 +210,7 @@ class _DurationSearch:
 
 
 def _outside(problem: Problem, plan: Plan) -> float:
-    """How far a plan is outside of its limits and constraints: the largest, rad, m, rad/s, m/s."""
+    """Largest violation of limits and constraints by a plan, rad, m, rad/s, m/s."""
     return (
         0.0
         if problem.trajectory_constraints is None
@@ -220,7 +219,7 @@ def _outside(problem: Problem, plan: Plan) -> float:
 
 
 def _least(search: _DurationSearch, shortest: float, longest: float, tolerance: float) -> None:
-    """The least duration at which the limits can be met: down in steps until they cannot, then bisection."""
+    """Minimum feasible duration: reduced by _SHRINK until infeasible, then bisection."""
 
     def misses(duration: float) -> bool:
         return math.isinf(search.at(duration, lambda line: line.duration))
@@ -241,7 +240,7 @@ def _least(search: _DurationSearch, shortest: float, longest: float, tolerance: 
 
 
 def _cheapest(search: _DurationSearch, shortest: float, longest: float, tolerance: float) -> None:
-    """The duration of the least sum: the best of a ladder of durations, then Brent's search between its neighbours."""
+    """Duration of minimum objective: best of a geometric grid, then Brent's method between its neighbors."""
     own = float(np.clip(search.problem.duration, shortest, longest))
     down, up = [own], [own]
     while down[-1] > shortest:
@@ -258,9 +257,9 @@ def _cheapest(search: _DurationSearch, shortest: float, longest: float, toleranc
     if math.isinf(values[ladder[i]]):
         return
     ends = ladder[max(i - 1, 0)], ladder[min(i + 1, len(ladder) - 1)]
-    # A large number in place of infinity: the parabolas of Brent's search know no infinity.
+    # A large number in place of infinity, which Brent's parabolic interpolation does not support.
     most = 10.0 * max(abs(value) for value in values.values() if math.isfinite(value))
-    from scipy.optimize import minimize_scalar  # half a second that only free times need
+    from scipy.optimize import minimize_scalar  # half a second of import, for free times only
 
     minimize_scalar(
         lambda T: min(total(T), most), bounds=ends, method="bounded", options={"xatol": tolerance * ladder[i]}
@@ -268,7 +267,7 @@ def _cheapest(search: _DurationSearch, shortest: float, longest: float, toleranc
 
 
 def _at_pace(plan: Plan, pace: float) -> Plan:
-    """The plan's states run through `pace` times as fast, its controls as they are: what a warm start follows."""
+    """The plan with velocities scaled by `pace` and unchanged controls, for a warm start at another duration."""
     assert plan.problem is not None
     mechanism, xs = capabilities_of(plan.problem.dynamics).mechanism, plan.xs.copy()
     if mechanism is not None:

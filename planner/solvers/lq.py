@@ -1,15 +1,15 @@
-"""The LQ subproblem in NumPy: for a user's own dynamics and costs. kernels.lq has the same, compiled.
+"""The LQ subproblem in NumPy, for user-defined dynamics and costs. kernels.lq is the compiled version.
 
 Around a trajectory (3.2, 3.3):
 
     minimize    sum 1/2 dx'Q dx + q'dx + 1/2 du'R du + r'du + du'S dx  + the same at the end
     subject to  dx(n+1) = A(n) dx(n) + B(n) du(n),  dx(0) = 0                               (Eq. 35, 38)
 
-with the gradients q = Q (x - x_ref), r = R (u - u_ref) in place of the paper's offsets. Deviations dx have ndx numbers;
-they are tangent vectors where states have quaternions. The paper has no S: it is added to B'PA, and the gradient
-(Eq. 18) does not contain it.
+with the gradients q = Q (x - x_ref), r = R (u - u_ref) in place of the paper's offsets. Deviations dx (ndx,) are
+tangent vectors for states with quaternions. The paper has no S: it is added to B'PA, and the gradient (Eq. 18) does
+not contain it.
 
-In multiple shooting stage n ends with a defect g(n), the difference from the next state, and Eq. 38 has it:
+In multiple shooting stage n has a defect g(n), its end minus the next state, and Eq. 38 becomes
 dx(n+1) = A(n) dx(n) + B(n) du(n) + g(n). The value gradient before the defect is s(n+1) + P(n+1) g(n).
 """
 
@@ -26,8 +26,8 @@ from planner.problem.costs.terms import Quadratic
 from planner.problem.state_bounds import BoundPenalties, StateBounds, sides_of
 
 MAX_NEWTON_STEPS = 100  # of one box QP
-MIN_STEP = 1e-10  # of its line search: below it only rounding is left
-ARMIJO_C1 = 0.1  # share of the expected reduction that its line search asks for
+MIN_STEP = 1e-10  # of its line search: smaller steps only change rounding errors
+ARMIJO_C1 = 0.1  # of its line search (N&W 3.1)
 
 
 class Sweep(NamedTuple):
@@ -60,7 +60,7 @@ def gradient(A: np.ndarray, B: np.ndarray, quadratic: Quadratic) -> np.ndarray:
 
 
 def reduced_gradient(A: np.ndarray, B: np.ndarray, quadratic: Quadratic, bounds: StepBounds | None) -> np.ndarray:
-    """The gradient (N, nu) where controls at bounds that depend on the state change with these.
+    """The gradient (N, nu) with state-dependent bounds: controls at such bounds change with the state.
 
     As Eq. 18, but the costate gains d bound/dx times the gradient of the controls at their bounds.
     """
@@ -76,12 +76,12 @@ def reduced_gradient(A: np.ndarray, B: np.ndarray, quadratic: Quadratic, bounds:
 
 
 def _blocked(lower: np.ndarray, upper: np.ndarray, gradient: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Whether controls are at their lower, or upper, bounds and descent leads out of these."""
+    """Whether controls (nu,) are at active lower, or upper, bounds: descent would violate them."""
     return (lower >= -AT_BOUND) & (gradient > 0.0), (upper <= AT_BOUND) & (gradient < 0.0)
 
 
 def projected(gradient: np.ndarray, bounds: StepBounds | None) -> np.ndarray:
-    """The projected gradient (N, nu): zero where a control is at its bound and descent leads out of it."""
+    """The projected gradient (N, nu): zero for controls at active bounds."""
     if bounds is None:
         return gradient
     low, high = _blocked(bounds.lower, bounds.upper, gradient)
@@ -100,17 +100,17 @@ def riccati(
 ) -> Sweep | None:
     """Backward sweep, Eq. 31-34 with a Cholesky factorization of R + B'PB + mu I instead of Eq. 31's inverse.
 
-    With bounds each stage's k solves a box QP (Tassa, Mansard and Todorov 2014); controls at their bounds have no
-    gains, or the bounds' derivatives where these depend on the state.
+    With bounds each stage's k solves a box QP (Tassa, Mansard and Todorov 2014); controls at their bounds have zero
+    gains, or the derivatives of state-dependent bounds.
 
     Args:
         A: (N, ndx, ndx).
         B: (N, ndx, nu).
-        quadratic: Of the cost.
+        quadratic: Quadratic model of the cost.
         mu: Regularization, added to R.
-        bounds: Of k.
+        bounds: Bounds of k, or None.
         second: (N, ndx+nu, ndx+nu) second-order terms of the dynamics in z = (x, u), added to each stage's Hessian.
-        defects: (N, ndx) between the stages; none by default. With them slope and value are no longer those of J.
+        defects: (N, ndx) between the stages; none by default. With them slope and value are not those of J.
         active_bounds: (N, nu) controls that are fixed at their lower (-1) and upper (1) bounds while the others are
             free, in place of the box QP of each stage.
 
@@ -158,7 +158,7 @@ def riccati(
             U = np.linalg.cholesky(H).T
         except np.linalg.LinAlgError:
             return None
-        if np.isnan(U).any():  # NumPy lets a NaN through
+        if np.isnan(U).any():  # NumPy's cholesky accepts NaN
             return None
         Y = np.linalg.solve(U.T, H_ux)
         y = np.linalg.solve(U.T, h)
@@ -186,7 +186,7 @@ def direction(
 ) -> tuple[np.ndarray, np.ndarray]:
     """The LQ problem's own forward pass: dxs (N+1, ndx), dus (N, nu), Eq. 25, 30.
 
-    With bounds, a control at its bound stays there if the direction leads out of it, as clipped rollouts do.
+    With bounds, a control at its bound stays there if its change would violate it, as in clipped rollouts.
     """
     N, ndx, nu = B.shape
     dxs, dus = np.zeros((N + 1, ndx)), np.empty((N, nu))
@@ -211,7 +211,7 @@ def solve_box_qp(H: np.ndarray, h: np.ndarray, lower: np.ndarray, upper: np.ndar
         upper: (nu,) at least 0.
 
     Returns:
-        k (nu,), and which of it is clamped (nu,).
+        k (nu,), and whether each component is clamped (nu,).
 
     Raises:
         numpy.linalg.LinAlgError: H is not positive definite where k is free.
@@ -224,7 +224,7 @@ def solve_box_qp(H: np.ndarray, h: np.ndarray, lower: np.ndarray, upper: np.ndar
             break
         free, d = np.flatnonzero(~clamped), np.zeros_like(h)
         L = np.linalg.cholesky(H[np.ix_(free, free)])
-        if np.isnan(L).any():  # NumPy lets a NaN through
+        if np.isnan(L).any():  # NumPy's cholesky accepts NaN
             raise np.linalg.LinAlgError("a matrix that is not a number")
         d[free] = -np.linalg.solve(L.T, np.linalg.solve(L, g[free]))
         step = 1.0
@@ -236,7 +236,7 @@ def solve_box_qp(H: np.ndarray, h: np.ndarray, lower: np.ndarray, upper: np.ndar
             if full or slope + 0.5 * float(moved @ H @ moved) <= ARMIJO_C1 * slope or step < MIN_STEP:
                 break
             step *= 0.5
-        if step < MIN_STEP:  # nothing left to gain but rounding
+        if step < MIN_STEP:  # converged to rounding
             break
         k = into
     return k, clamped
@@ -256,14 +256,14 @@ def solve_active_set(
 ) -> tuple[Sweep | None, np.ndarray]:  # fmt: skip
     """The LQ problem with bounds of controls and one-sided penalties of states, by an active set (N&W 16.5).
 
-    Sweeps are repeated, each with the bounds and penalties that the last one's direction meets, until these stay.
+    Sweeps are repeated with the bounds and penalties active along the last direction, until these do not change.
 
     Args:
         A: (N, ndx, ndx).
         B: (N, ndx, nu).
-        quadratic: Of the cost, with the penalties that act at the trajectory.
+        quadratic: Quadratic model of the cost with the active penalties.
         mu: Regularization, added to R.
-        bounds: Of the controls, or None.
+        bounds: Bounds of the control steps, or None.
         second: (N, ndx+nu, ndx+nu) added to the Hessians, or None.
         penalized: The penalties, or None.
         active_bounds: (N, nu) the bounds to begin with: -1 lower, 1 upper, 0 free.

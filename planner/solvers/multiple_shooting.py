@@ -1,16 +1,15 @@
-"""Multiple shooting: a first guess of the states, whose defects close on the way.
+"""Multiple shooting: iterations from a first guess of the states until a rollout closes the defects.
 
-From states xs and controls us that need not fit, stage n ends with a defect g(n), its difference from the next state.
-Each iteration solves the LQ problem with these defects (kernels.lq.defects). Its direction is taken in one of two ways,
-measured by the merit function (N&W 18.3; Han, Powell)
+With dynamically infeasible states xs and controls us, stage n has a defect g(n), its end minus the next state. Each
+iteration solves the LQ problem with these defects (kernels.lq.defects). One of two steps is taken by the merit function
+(N&W 18.3; Han, Powell)
 
     merit = J(xs, us) + nu' sum |g(n)|,    nu above the multipliers of the defects:
 
 a rollout with the sweep's gains, which closes all defects at once and ends this phase, if its cost is sufficiently
-below the merit and below that of a rollout of the first controls; else a part alpha of the direction for states and
-controls alike, whose defects remain as far as the dynamics are nonlinear. Short steps regularize the states (see
-solvers.regularization), up to a limit: a full step closes all defects whatever that weight.
-Hessians are Gauss-Newton's.
+below the merit and below that of a rollout of the first controls; else a step length alpha along the direction of
+states and controls, which leaves defects (1 - alpha) g to first order. Short steps increase state regularization (see
+solvers.regularization), up to a limit. Hessians are Gauss-Newton's.
 """
 
 from __future__ import annotations
@@ -35,16 +34,16 @@ from planner.solvers.engine import DefectStep, Engine
 from planner.solvers.options import DEFAULT, SolverOptions
 from planner.solvers.regularization import Regularization
 
-GROWTH_MARGIN = 1.1  # nu below this multiple of the largest multiplier is set again
+GROWTH_MARGIN = 1.1  # nu below this multiple of the largest multiplier is reset
 
 Value = Callable[[np.ndarray, np.ndarray], float]  # of states (N+1, nx) and controls (N, nu)
 
 
 def guessed_states(problem: Problem, states: np.ndarray | str | None) -> np.ndarray | None:
-    """The first guess of the states (N+1, nx) of solve(states=...); its first state is the problem's start.
+    """The first guess of the states (N+1, nx) from solve(states=...), or None.
 
     Raises:
-        PlannerError: Neither "line" nor such an array; or a line to a cost that has no reference.
+        PlannerError: Neither "line" nor such an array; or "line" for a cost without a final reference.
     """
     if states is None:
         return None
@@ -61,9 +60,9 @@ def guessed_states(problem: Problem, states: np.ndarray | str | None) -> np.ndar
 
 
 def line_to_the_end(problem: Problem) -> np.ndarray | None:
-    """The straight line (N+1, nx) to the cost's final reference; None where it does not weigh the whole final state.
+    """The straight line (N+1, nx) to the cost's final reference; None unless all final weights are positive.
 
-    Also None with constraints: the line may cross an obstacle.
+    Also None with constraints, since the line may cross an obstacle, and for periodic problems.
     """
     tracking = tracking_of(problem.cost)
     if tracking is None or problem.constraints or problem.periodic is not None:
@@ -76,24 +75,24 @@ def close_defects(
     callback: Callable[[Iteration], object] | None, penalties: BoundPenalties | None = None,
     options: SolverOptions = DEFAULT,
 ) -> tuple[float, list[Iteration], bool]:  # fmt: skip
-    """Take steps along states with defects until a rollout closes these, or for a limited number of iterations.
+    """Iterate on states with defects until a rollout closes these, within an iteration limit.
 
-    Controls that do not reach the guessed states spoil the direction: steps stay short while the states are regularized
-    more and more. Then the same states are tried with a share of the controls.
+    Controls inconsistent with the states give poor directions: steps remain short while state regularization grows.
+    Then the same states are tried with a share of the controls (control_share).
 
     Args:
-        problem: Of the engine.
-        engine: To be started; it has a trajectory without defects afterwards.
-        exact: Whether its Hessians are exact from then on.
-        xs: (N+1, nx) the states; the first becomes the problem's.
-        us: (N, nu) the controls.
-        max_iterations: Of the solve; options limit those with defects.
+        problem: Problem of the engine.
+        engine: Is started here; its final trajectory has no defects.
+        exact: Whether its Hessians are exact afterwards.
+        xs: States (N+1, nx); the first is replaced by the problem's start.
+        us: Controls (N, nu).
+        max_iterations: Limit of the solve; max_defect_iterations limits these iterations too.
         callback: Called with each Iteration.
-        penalties: That the engine adds to the cost; None for none.
+        penalties: Penalties in the engine's cost, or None.
         options: The constants of multiple shooting.
 
     Returns:
-        The cost afterwards; the iterations, whose costs are those of states with defects; whether it was interrupted.
+        The cost of the final rollout; the iterations, whose costs are J(xs, us) with defects; whether interrupted.
     """
     xs, history, J = np.concatenate([problem.x0[None], xs[1:]]), list[Iteration](), partial(_value, problem, penalties)
     rollouts, limit = list[tuple[float, float]](), min(max_iterations, options.max_defect_iterations)
@@ -117,9 +116,9 @@ def _defect_iterations(
     problem: Problem, engine: Engine, value: Value, xs: np.ndarray, us: np.ndarray, limits: tuple[int, float],
     history: list[Iteration], callback: Callable[[Iteration], object] | None, options: SolverOptions,
 ) -> float | None:  # fmt: skip
-    """The steps from one pair of states and controls: the cost once defects are closed, else None.
+    """Iterations from states (N+1, nx) and controls (N, nu): the cost once a rollout closes the defects, else None.
 
-    `limits` are those of the iterations in all, and of the cost of a rollout that closes defects: that of the controls.
+    `limits`: maximum number of iterations in `history`; upper limit of that rollout's cost.
     """
     space, bounds = space_of(problem.dynamics), problem.bounds
     us = us if bounds is None else bounds.clip(slice(None), us, xs[:-1])
@@ -162,7 +161,7 @@ def _step(
     problem: Problem, value: Value, xs: np.ndarray, us: np.ndarray, direction: DefectStep, nu: np.ndarray,
     merit: float, slope: float, defects: np.ndarray, halvings: int,
 ) -> tuple[float, np.ndarray, np.ndarray, np.ndarray, float]:  # fmt: skip
-    """Armijo's step along a direction for the merit, or 0; with states, controls, defects and cost after it."""
+    """Armijo step length for the merit, 0 for none; and states, controls, defects and cost after the step."""
     space, bounds, step = space_of(problem.dynamics), problem.bounds, 1.0
     for _ in range(halvings):
         trial_x, trial_u = space.integrate(xs, step * direction.dxs), us + step * direction.dus
@@ -179,6 +178,6 @@ def _step(
 
 
 def _value(problem: Problem, penalties: BoundPenalties | None, xs: np.ndarray, us: np.ndarray) -> float:
-    """The cost with that of penalties."""
+    """The cost J(xs, us) plus the penalties."""
     J, constraints = problem.cost.value(xs, us), problem.trajectory_constraints
     return J if penalties is None or constraints is None else J + constraints.value(penalties, xs, us)

@@ -1,15 +1,15 @@
-"""Several starts: SLQ ends in the local minimum that its first guess leads to, so it is asked from more than one.
+"""Multistart: SLQ from several first guesses, since it converges to a local minimum.
 
 Start 0 is the problem's own first guess; start k adds a smooth random change, drawn from (seed, k) alone:
 
     u(n) = guess(n) + spread scale sum over m < 6 of a_m cos(pi m (n + 1/2) / N),   a_m normal, sd falling as 1/(1 + m)
 
-with an RMS of 1 expected of the sum, and a scale per control: the RMS of the guess, or of what five iterations from
-it have made of it, whichever is larger. So it is in the control's own units, also where the guess is zero.
-Where the cost asks for a whole state at the end, starts from 1 on begin with the straight line to it beside these
-controls (solvers.multiple_shooting): a rollout of random controls goes far astray, and few solves find back.
-Starts run on threads, or on the executor that is given, and which of them wins does not depend on when each ends. Plans
-are ranked one at a time, in the caller's thread.
+with an expected RMS of 1 of the sum, and a scale per control in its unit: the RMS of the guess, or of the controls
+after pilot_iterations from it if larger.
+If all final weights are positive, starts from 1 on also begin with the straight line of states to the final reference
+(solvers.multiple_shooting), since rollouts of random controls rarely lead back to it.
+Starts run on threads or a given executor; the selected plan does not depend on their timing. Plans are ranked one at a
+time, in the caller's thread.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ from planner.base.executors import cancel_or_end, result_or_retry
 from planner.problem.plan import Iteration, Plan, Start, Status
 from planner.solvers.options import SolverOptions
 
-_MODES = 6  # cosines: from a constant to two and a half waves over the horizon
+_MODES = 6  # number of cosines: 0 to 2.5 periods over the horizon
 
 
 # One solve from a first guess (N, nu), with an iteration limit and a callback.
@@ -44,17 +44,17 @@ def best_of(
     rank: Callable[[Plan], float] | None = None, pilot: SolveOne | None = None, others: SolveOne | None = None,
     executor: Executor | None = None,
 ) -> Plan:  # fmt: skip
-    """The plan of least rank among the converged of several starts, else among all.
+    """The plan of lowest rank among the converged starts, or among all if none converged.
 
     Args:
-        guess: (N, nu) of the first start; the others' are changes of it.
+        guess: Controls (N, nu) of start 0; the other starts add random changes.
         solve_one: One solve from a first guess.
-        options: The number of starts, the random changes, the limit of each solve.
+        options: Number of starts, random changes, iteration limit of each solve.
         callback: Called with each Start, in order, as soon as it and those before it have ended.
-        rank: Of a Plan, the less the better; its cost by default.
-        pilot: The solve whose first iterations give the controls their size; `solve_one` by default.
+        rank: Function of a Plan, lower is better; its cost by default.
+        pilot: The solve whose first iterations scale the random changes; `solve_one` by default.
         others: One solve from a changed guess; `solve_one` by default.
-        executor: Where starts are solved; by default threads, one a processor.
+        executor: Runs the starts; by default one thread per processor.
     """
     max_iterations, starts = options.max_iterations, options.starts
     first = (pilot or solve_one)(guess, min(options.pilot_iterations, max_iterations), None)
@@ -75,7 +75,7 @@ def best_of(
                         waiting.append((submitted, pool.submit(run, submitted)))
                         submitted += 1
                     number, plan = waiting[0][0], result_or_retry(pool, waiting[0][1], run, waiting[0][0])
-                    if executor is not None:  # what comes from another process has a copy of the problem
+                    if executor is not None:  # plans of another process have a copy of the problem
                         plan = replace(plan, problem=first.problem)
                     summary = _summary(number, plan, _score(rank, plan))
                     waiting.popleft()
@@ -86,9 +86,9 @@ def best_of(
                         callback(ended[-1])
                 except (KeyboardInterrupt, StopIteration):
                     interrupted = True
-                    stop.event.set()  # those that run end with their next iteration; the others never begin
+                    stop.event.set()  # running solves end after their next iteration
                     waiting = deque((k, future) for k, future in waiting if not cancel_or_end(pool, future))
-        finally:  # also on an error, the user's own for example
+        finally:  # also after an error, e.g. in the callback
             stop.event.set()
             for _, future in waiting:
                 cancel_or_end(pool, future)
@@ -98,7 +98,7 @@ def best_of(
 
 
 class _Stop:
-    """A callback that ends all solves with their next iteration; in another process it does nothing."""
+    """A callback that ends all solves of this process after their next iteration, once its event is set."""
 
     def __init__(self) -> None:
         self.event = Event()
@@ -115,7 +115,7 @@ def _run(
     solve_one: SolveOne, others: SolveOne, guess: np.ndarray, scale: np.ndarray, seed: int, max_iterations: int,
     stop: _Stop, number: int,
 ) -> Plan:  # fmt: skip
-    """One start."""
+    """The plan of start `number`."""
     if number == 0:
         return solve_one(guess, max_iterations, stop)
     return others(guess + scale * smooth(np.random.default_rng([seed, number]), guess.shape), max_iterations, stop)
@@ -132,16 +132,16 @@ def smooth(rng: np.random.Generator, shape: tuple[int, ...]) -> np.ndarray:
 
 
 def _sizes(guess: np.ndarray, later: np.ndarray) -> np.ndarray:
-    """The size (nu,) of each control; a control that stays zero is given that of the others, or 1."""
+    """RMS (nu,) of each control, the larger of both trajectories; for zero controls the largest of all, or 1."""
     sizes = np.sqrt(np.maximum(np.mean(guess**2, axis=0), np.mean(later**2, axis=0)))
     return np.where(sizes > 0.0, sizes, sizes.max() or 1.0)
 
 
 def _score(rank: Callable[[Plan], float] | None, plan: Plan) -> float:
-    """The number that ranks a plan; infinite where it is not finite."""
+    """Rank of a plan, lower is better; inf if not finite."""
     try:
         value = plan.cost if rank is None else rank(plan)
-    except StopIteration:  # which here would mean an interruption, and be asked again
+    except StopIteration:  # best_of treats it as an interruption
         raise PlannerError("rank raised StopIteration, expected a number.") from None
     try:
         return float(value) if math.isfinite(value) else math.inf

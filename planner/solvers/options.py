@@ -15,37 +15,37 @@ if TYPE_CHECKING:
 UPDATES = ("feedback", "open-loop")
 HESSIANS = ("gauss-newton", "exact")
 LINE_SEARCHES = ("armijo", "exact", "wolfe", "goldstein")  # in the order of kernels.lq.line_search
-MAX_STARTS = 10_000  # by far more than any machine's local minima; each is a whole solve
+MAX_STARTS = 10_000  # upper limit of starts; each is a whole solve
 MULTISTART_ARGUMENTS = ("starts", "rank", "seed", "spread", "executor")
-"""Arguments of solve() that only several starts have."""
+"""Arguments of solve() that only apply to several starts."""
 
 EXPECTED_REDUCTION_TOLERANCE = 1e-10
-"""Default of expected_reduction_tolerance where the problem has none, relative to max(1, J)."""
+"""Default of expected_reduction_tolerance if the problem has none, relative to max(1, J)."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class SolverOptions:
-    """Settings of solve(): what the algorithm does, when it ends, and the constants of its parts.
+    """Settings of solve(): algorithm, stopping criteria and constants.
 
     A tolerance "of the cost" is relative to max(1, J). N&W is Nocedal and Wright, Numerical Optimization, 2nd edition.
 
     Attributes:
         update: "feedback" rolls out u = us + alpha k + K (x - xs); "open-loop" is the paper's Eq. 36, us + alpha du.
         line_search: "armijo" (N&W 3.1), "exact", "wolfe" or "goldstein" (the paper's section 3.3).
-        hessian: "gauss-newton", the paper's; "exact" adds the second derivatives of the dynamics (DDP). It takes far
-            fewer iterations where the end is hard to reach and the cost is small against the curvature; each is longer.
+        hessian: "gauss-newton", the paper's; "exact" adds the second derivatives of the dynamics (DDP): fewer but
+            longer iterations, for terminal goals that are hard to reach with a small cost.
         max_iterations: Limit of the iterations of one start, all rounds of the augmented Lagrangian together.
         gradient_tolerance: Converged when the norm of the gradient (Eq. 19) is at most this (Eq. 20).
         expected_reduction_tolerance: Converged when the LQ problem expects a reduction of at most this of the cost.
             None: the problem's, or 1e-10.
         actual_reduction_tolerance: Converged also when iterations in a row each reduce the cost by less than this of
-            the cost, those with regularization aside. It ends solves at contact nonsmoothness, where the LQ problem
+            the cost without regularization. It ends solves at contact nonsmoothness, where the LQ problem
             expects a reduction that no step achieves. None: the problem's, or friction_reduction_tolerance with
             friction loss, or 0 (never).
         max_slow_iterations: Iterations in a row that actual_reduction_tolerance counts.
         friction_reduction_tolerance: Default of actual_reduction_tolerance for machines with friction loss, where
-            neither the call nor the problem has one. Measured: smaller values only add iterations.
-        friction_slow_iterations: max_slow_iterations of that default: progress pauses while joints change direction.
+            neither the call nor the problem has one; smaller values only add iterations.
+        friction_slow_iterations: max_slow_iterations of that default: reductions pause while joints reverse.
 
         starts: Number of first guesses, at most 10,000: the problem's own and random changes of it.
         seed: Seed of the random changes.
@@ -62,40 +62,40 @@ class SolverOptions:
             shrinks by it after a full step.
         short_step: Step length below which the weight on changes of the states grows.
 
-        acceleration_steps: Last steps that Anderson's acceleration remembers (Walker and Ni 2011). 1: none.
+        acceleration_steps: Number of last steps in Anderson acceleration (Walker and Ni 2011). 1: none.
         acceleration_max_reduction: Only iterations that reduce the cost by less than this of the cost are accelerated.
         acceleration_model_error: A full step whose reduction is within this share of the expected one is not
-            accelerated: it converges fast by itself.
+            accelerated: it already converges fast.
 
         max_outer_iterations: Rounds of the augmented Lagrangian: solves, each with new multipliers and penalties.
-        required_violation_ratio: A constraint's penalty grows where its violation exceeds this share of the last one
+        required_violation_ratio: A constraint's penalty grows if its violation exceeds this share of the last round's
             (N&W 17.4; Birgin and Martinez 2014).
         penalty_growth: Factor of that growth.
-        max_penalty: Largest penalty weight: above it rounding hides the cost.
+        max_penalty: Upper limit of the penalty weights, above which rounding errors exceed the cost.
         max_scaling_cost: Upper limit of the first guess's cost that scales the initial penalties of clearances.
-        state_bound_penalty_factor: First penalty of state bounds relative to that of constraints: the LQ problem
-            knows which bounds become active.
-        max_stalled_rounds: Rounds within which the violation must fall below stall_ratio of its least value before.
+        state_bound_penalty_factor: First penalty of state bounds relative to that of constraints: the active set
+            of the LQ problem predicts which bounds become active.
+        max_stalled_rounds: Rounds within which the violation must fall below stall_ratio times its minimum before.
         stall_ratio: See max_stalled_rounds; else the solve ends with OUTSIDE_LIMITS.
-        max_tightenings: Times that clearances are tightened because shapes come too near between knots.
+        max_tightenings: Maximum number of tightenings of clearances that are violated between knots.
         inner_accuracy: Error of a round that ends early, relative to the violation that it is to reach (inexact
             augmented Lagrangian; Bertsekas 1982, section 2.5).
-        first_round_tolerance: Expected reduction, of the cost, below which the first round ends if constraints are far
-            from met.
+        first_round_tolerance: Expected reduction, of the cost, below which the first round ends if violations exceed
+            exact_rounds_violation tolerances.
         exact_rounds_violation: Rounds are solved exactly once violations are below this multiple of the tolerance.
 
-        max_defect_iterations: Iterations of multiple shooting, from a first guess of the states, before it ends with
-            the rollout of the controls so far.
+        max_defect_iterations: Iteration limit of multiple shooting, after which the solve starts from a rollout of the
+            first controls or a share of them.
         merit_factor: Weight of the defects in the merit function over their largest multiplier (N&W 18.3).
-        max_merit_ratio: The weight is set again once it exceeds the largest multiplier by this factor.
-        max_defect_halvings: Halvings of a step of multiple shooting before states are regularized more.
-        max_defect_regularization: Largest weight on changes of the states, relative to the cost's own: a larger one
-            only keeps defects open.
-        control_share: Where states and controls do not fit, multiple shooting begins again with this share of them.
-        control_trials: Times that it does, before it begins with no controls.
+        max_merit_ratio: The weight is reset if it exceeds this multiple of the largest multiplier.
+        max_defect_halvings: Step halvings in multiple shooting before state regularization grows.
+        max_defect_regularization: Largest weight on changes of the states, in multiple shooting, relative to the
+            cost's own: a larger one prevents defects from closing.
+        control_share: If it fails, multiple shooting restarts with the controls multiplied by this factor.
+        control_trials: Number of such trials, the first with the full controls, before one with zero controls.
 
-        max_warm_start_cost_ratio: A rollout that costs more than this multiple of the warm start's own trajectory has
-            left it; the states of the trajectory are then the first guess.
+        max_warm_start_cost_ratio: If the tracking rollout costs more than this multiple of the warm start's trajectory,
+            the states of the trajectory are the first guess.
     """
 
     update: str = "feedback"
@@ -153,17 +153,17 @@ class SolverOptions:
 
     @property
     def feedback(self) -> bool:
-        """Whether rollouts have feedback."""
+        """Whether the update is "feedback"."""
         return self.update == "feedback"
 
     @property
     def exact_hessian(self) -> bool:
-        """Whether Hessians have the second derivatives of the dynamics."""
+        """Whether Hessians include the second derivatives of the dynamics."""
         return self.hessian == "exact"
 
     @property
     def rule(self) -> int:
-        """The number of the line search in the kernels."""
+        """Index of the line search in the kernels."""
         return LINE_SEARCHES.index(self.line_search)
 
     @property
@@ -172,7 +172,7 @@ class SolverOptions:
         return self.feedback and self.line_search == "armijo"
 
     def for_problem(self, problem: Problem) -> SolverOptions:
-        """These options with the tolerances that a problem has where the options have none."""
+        """A copy whose unset tolerances are those of the problem, or the defaults."""
         expected, actual, slow = self.expected_reduction_tolerance, self.actual_reduction_tolerance, None
         if expected is None:
             expected = problem.expected_reduction_tolerance
@@ -191,7 +191,7 @@ class SolverOptions:
         )
 
     def recorded(self, problem: Problem) -> dict[str, Any]:
-        """The settings that a plan stores: the common ones, and others that differ from their defaults."""
+        """The settings that a plan stores: the common ones, and others if not default."""
         resolved = self.for_problem(problem)
         common = {name: getattr(resolved, name) for name in _COMMON}
         several = {"seed": self.seed, "spread": self.spread} if self.starts > 1 else {}
@@ -227,14 +227,14 @@ def _checked(name: str, value: Any) -> Any:
 
 
 def _with_checked(options: SolverOptions, **changes: Any) -> SolverOptions:
-    """A copy with values that were checked: dataclasses.replace would check all of them again."""
+    """A copy with checked values; dataclasses.replace would check all again."""
     copy = SolverOptions.__new__(SolverOptions)
     copy.__dict__.update(vars(options), **changes)
     return copy
 
 
 def with_overrides(options: SolverOptions | None, **keywords: Any) -> SolverOptions:
-    """Options with those keywords in place of their own that are not None.
+    """Options with the keywords that are not None in place of their fields.
 
     Raises:
         PlannerError: `options` is no SolverOptions, or a value is out of range.
@@ -251,7 +251,7 @@ DEFAULT = SolverOptions()
 
 
 def single_start(arguments: dict[str, Any]) -> dict[str, Any]:
-    """Arguments of solve() without several starts."""
+    """Arguments of solve() reduced to a single start."""
     single = {name: value for name, value in arguments.items() if name not in MULTISTART_ARGUMENTS}
     if single.get("options") is not None:
         single["options"] = with_overrides(single["options"], starts=1)

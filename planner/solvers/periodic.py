@@ -1,16 +1,16 @@
-"""Periodic motions by passes: a gait, a swing that goes on. The start is an unknown, and the end must meet it.
+"""Periodic trajectories, as of a gait or a swing: the start x0 is unknown, and the end x(N) must equal it.
 
-    repeat   solve from the start x0 with the final cost drawn to the goal r                          solvers.slq
-             "newton": change x0 and r so that the gap closes and, where the gap leaves
-                       freedom, the cost falls, as the LQ problem tells
+    repeat   solve from the start x0 with the terminal reference r                                    solvers.slq
+             "newton": change x0 and r by Newton's method: closes the closure error and
+                       lowers the cost in its null space
                        solvers.periodic_boundary
-             "follow": start from where the motion arrived, and have it arrive there again
-    until    the end is within the tolerance of the start (and, for "newton", little is left to gain).
+             "follow": x0 and r become the last end state
+    until    the end is within the tolerance of the start (and, for "newton", the expected reduction is small).
 
-"newton" ends at the periodic motion of least cost, whatever the final weights are. "follow" ends at a motion whose end
-is where it would go by itself, which is not that of least cost, and it creeps where the final weights are large; it
-needs nothing but solves, and works with ranges of states too. Each pass starts from the motion of the last. What the
-final cost 1/2 |x(N) - r|^2 adds to a plan's J is no part of the task: r is a multiplier.
+"newton" converges to a locally optimal periodic trajectory, whatever the final weights are. "follow" is a fixed-point
+iteration: its trajectory is not optimal, and it converges slowly with large final weights; it also supports ranges of
+states. Each pass starts from the trajectory of the last. The final cost 1/2 |x(N) - r|^2 is no part of the task's cost:
+r acts as a multiplier.
 """
 
 from __future__ import annotations
@@ -43,20 +43,20 @@ from planner.solvers.slq import solve
 from planner.solvers.warm_start import warm_start
 
 LEFT = 1e-4
-"""Newton passes end when the decrease that they promise is below this part of the cost, or the cost hardly changes."""
-_TO_CLOSE = 2  # passes kept for the end, which only close the gap
+"""Newton passes end when the expected reduction is below this share of the cost (or see Periodic.cost_tolerance)."""
+_TO_CLOSE = 2  # last passes, which only close the closure error
 
 
 class PeriodicPass(NamedTuple):
-    """One solve of a periodic motion.
+    """One pass of solve_periodic.
 
     Attributes:
         number: Counted from 0.
-        cost: J of the pass without what draws the end to its goal.
-        miss: The largest gap between end and start, as a multiple of its tolerance.
-        left: Decrease of the cost that the next Newton step promises, undamped; nan where there is none.
-        iterations: The solve took.
-        status: How it ended.
+        cost: J without the terminal goal term.
+        miss: Largest closure error between end and start, as a multiple of its tolerance.
+        left: Expected reduction of the cost by the next undamped Newton step; nan for "follow" or after divergence.
+        iterations: Number of iterations of the solve.
+        status: Status of the solve.
     """
 
     number: int
@@ -75,7 +75,7 @@ class PeriodicPass(NamedTuple):
 
     @staticmethod
     def header() -> str:
-        """The heading over the lines that str() makes; it is above the first one."""
+        """The heading of the table of str(); part of the first row."""
         return f"{'pass':>5}  {'cost':>15}  {'gap/tolerance':>14}  {'left':>9}  {'iterations':>10}  status"
 
 
@@ -83,23 +83,23 @@ def solve_periodic(
     problem: Problem, *, passes: int | None = None, step: str | None = None,
     callback: Callable[[PeriodicPass], object] | None = None, **options: Any,
 ) -> Plan:  # fmt: skip
-    """Optimize a motion that ends where it began.
+    """Optimize a periodic trajectory.
 
     Args:
-        problem: With `periodic`, and a TrackingCost, alone or in a sum, whose final weight is above 0 on all that must
-            come back. Its start and the last row of its x_ref are the first guess of where the motion begins.
-        passes: Most solves; by default what `periodic` says.
-        step: "newton" or "follow", see the module; by default what `periodic` says.
-        callback: Called with each Pass; print makes a table. It may raise StopIteration to end.
-        options: Of solve(); several starts are for the first pass alone.
+        problem: With `periodic` and one TrackingCost, alone or in a sum, whose final weight is positive definite on the
+            periodic components. Its start and last x_ref are the first guess of the boundary states.
+        passes: Maximum number of solves; by default that of `periodic`.
+        step: "newton" or "follow", see the module; by default that of `periodic`.
+        callback: Called with each PeriodicPass; print makes a table. It may raise StopIteration to end.
+        options: Of solve(); several starts apply to the first pass only.
 
     Returns:
-        Of the plans that come back within the tolerance the one of least cost, else the one that comes nearest: its
-        problem has the start and the goal that were found. CONVERGED when its solve was and it comes back, else
-        NOT_PERIODIC or what the solve says.
+        The plan of lowest cost ("follow": of smallest closure error) among those within the tolerance, else the one of
+        smallest closure error; its problem has its start and reference. CONVERGED if its solve converged and it is
+        periodic within the tolerance, else NOT_PERIODIC or the status of the solve.
 
     Raises:
-        PlannerError: As solve; a problem without `periodic` or such a cost; "newton" with ranges of states.
+        PlannerError: As solve; a problem without `periodic` or such a cost; "newton" with ranges or constraints.
     """
     if not isinstance(problem, Problem) or problem.periodic is None:
         raise PlannerError(f"problem is {short_repr(problem)}, expected a Problem with periodic=Periodic(tolerance).")
@@ -121,13 +121,13 @@ def solve_periodic(
 
 
 class _PeriodicSearch:
-    """Passes, and the best of them.
+    """The passes of solve_periodic and the best plan.
 
     Args:
         problem: With `periodic`.
-        by_newton: Which step.
-        passes: Most.
-        callback: Of each Pass.
+        by_newton: Whether the step is "newton", else "follow".
+        passes: Maximum number.
+        callback: Called with each PeriodicPass.
         options: Of solve().
     """
 
@@ -139,10 +139,10 @@ class _PeriodicSearch:
         self.by_newton, self.passes, self.callback, self.options = by_newton, passes, callback, options
         self.lines: list[PeriodicPass] = []
         self.interrupted = False
-        self.best: tuple[tuple[bool, float], Plan] | None = None  # how far it is from the wanted, and the plan
+        self.best: tuple[tuple[bool, float], Plan] | None = None  # rank (lower is better), and the plan
 
     def go(self, problem: Problem) -> None:
-        """One pass, and the problem of the next: None when there is nothing to gain, or nowhere to go."""
+        """One pass; sets the problem of the next, None if converged or no step is accepted."""
         plan = solve(problem, **self.options)
         self.options = single_start(self.options)
         _, periodic = periodic_problem(plan)
@@ -174,13 +174,13 @@ class _PeriodicSearch:
 
     @property
     def _is_late(self) -> bool:
-        """Whether the passes that are left are to bring back what is there."""
+        """Whether the remaining passes only close the closure error."""
         return self.passes - len(self.lines) <= _TO_CLOSE
 
     def best_plan(self, options: dict[str, Any]) -> Plan:
-        """The best plan, with how the passes went."""
+        """The best plan, with the record of the passes in its options."""
         if self.best is None:
-            raise KeyboardInterrupt  # before there was any plan
+            raise KeyboardInterrupt  # before the first plan
         plan, status = self.best[1], self.best[1].status
         _, periodic = periodic_problem(plan)
         if self.interrupted:
@@ -192,7 +192,7 @@ class _PeriodicSearch:
 
 
 def _followed(plan: Plan) -> Problem:
-    """The problem with start and goal where the motion arrived."""
+    """The problem whose start and reference are the plan's last state in the periodic components."""
     problem, periodic = periodic_problem(plan)
     ends = BoundaryStates(*(periodic.brought(plan.space, old, plan.xs[-1]) for old in ends_of(problem)))
     changed = with_ends(problem, ends, plan.us)

@@ -1,21 +1,21 @@
-"""The ends of a periodic motion: how a solved motion answers to its start and its end's goal, and better ones.
+"""Newton's method for the boundary states of a periodic trajectory: start x(0) and terminal reference r.
 
-The motion of least cost that comes back, minimize L(x, U) subject to x(N) = x(0) over x(0) and U, has
+The optimal periodic trajectory, minimize L(x, U) subject to x(N) = x(0) over x(0) and U, has
 
     x(N) = x(0),     costate(0) = nu,        nu the multiplier of x(N) = x(0)
 
-beside the gradient zero of Eq. 20. A solve from a start x0 with the final cost 1/2 |x(N) - r|^2_W has a zero gradient
-and nu = W (x(N) - r). So two unknowns, x0 and r, are left for two equations, and the LQ problem (Eq. 31-35) at its end
-tells how they answer, with the closed loop's Phi_n = product of A + B K from n + 1 to N, Phi that from 0, H = R + B'PB:
+and the zero gradient of Eq. 20. A solve from a start x0 with the final cost 1/2 |x(N) - r|^2_W has a zero gradient and
+nu = W (x(N) - r). This leaves two equations for two unknowns, x0 and r, and the LQ problem (Eq. 31-35) at the solution
+gives their derivatives, with Phi_n = product of A + B K from n + 1 to N, Phi that from 0, H = R + B'PB:
 
     du(n)        = K dx(n) + F_n dr,         F_n = H^-1 (Phi_n B)' W
     d x(N)       = Phi dx0 + G W dr,         G = sum over n of Phi_n B H^-1 B' Phi_n'
     d costate(0) = P(0) dx0 - Phi' W dr
 
-So the LQ problem's periodic motions are those of (Phi - I) dx0 + G W dr = x(0) - x(N), and L on them is a convex
-quadratic in (dx0, dr). A step is the least one that closes the gap, which is well conditioned and small, and beside
-it, in the null space, Newton's for L, damped by mu until what it promises is kept: that is the part that may be large,
-since a motion of a cycle cares little about some of its start. What need not come back keeps its start and its goal.
+So the LQ problem's periodic trajectories satisfy (Phi - I) dx0 + G W dr = x(0) - x(N), on which L is a convex
+quadratic in (dx0, dr). A step is the minimum-norm solution, which is well conditioned and small, plus Newton's step for
+L in the null space, damped by mu until the actual cost agrees with the expected one: this part may be large, since L
+depends weakly on some directions of the start. Components that need not be periodic keep their start and reference.
 """
 
 from __future__ import annotations
@@ -37,25 +37,25 @@ from planner.solvers import lq
 from planner.solvers.warm_start import feedback_rollout
 
 PARAMETER = "ends"
-"""Parameter of a case that can be made with other ends: start and goal, (2, nx) as lists; None for its own."""
+"""Parameter of a built-in problem: start and terminal reference (2, nx), as lists; None for its own."""
 
 
 TRUST = 0.3
-"""Largest distance, relative to L, between the cost of a step's controls and the LQ problem's for taking it."""
-_DAMPINGS = (0.0, *(10.0 ** (0.5 * np.arange(-4, 9))))  # relative to the final weight
-_PARTS = (0.5, 0.25, 0.125, 0.0625)  # of the gap to close, where closing all of it is too much
-_SINGULAR = 1e-10
+"""Upper limit of |actual - predicted cost| / L of an accepted step."""
+_DAMPINGS = (0.0, *(10.0 ** (0.5 * np.arange(-4, 9))))  # mu, relative to the final weight
+_PARTS = (0.5, 0.25, 0.125, 0.0625)  # fractions of the closure error to close if the full step is rejected
+_SINGULAR = 1e-10  # smallest singular value, relative to the largest
 
 
 class BoundaryStates(NamedTuple):
-    """Where a motion starts, and what its final cost draws it to: states (nx,)."""
+    """Start and terminal reference r of a trajectory: states (nx,)."""
 
     start: np.ndarray
     goal: np.ndarray
 
 
 class BoundaryStep(NamedTuple):
-    """Changes (ndx,) of start and goal, and the decrease of L that they promise beside what closing the gap costs."""
+    """Changes (ndx,) of start and reference, and the expected reduction of L by the null-space part."""
 
     dx: np.ndarray
     dr: np.ndarray
@@ -63,20 +63,20 @@ class BoundaryStep(NamedTuple):
 
 
 class BoundarySensitivity(NamedTuple):
-    """Residuals of the two equations at a plan, and how the plan answers to its ends.
+    """Residuals of the two equations at a plan, and their derivatives by its boundary states; see the module.
 
     Attributes:
         plan: Solved, of a problem with `periodic`.
-        closes: (m,) the components that must come back.
-        W: (ndx, ndx) the final weight that draws to the goal.
-        gap: (ndx,) x(N) - x(0), zero where it need not come back.
+        closes: (m,) indices of the periodic components.
+        W: (ndx, ndx) final weight of the TrackingCost.
+        gap: (ndx,) closure error x(N) - x(0), zero for components that need not be periodic.
         costate: (ndx,) at the start.
         nu: (ndx,) W (x(N) - r).
-        P: (ndx, ndx) of the value at the start.
-        Phi: (ndx, ndx) d x(N) / d x(0).
-        G: (ndx, ndx).
-        K: (N, nu, ndx).
-        F: (N, nu, ndx).
+        P: (ndx, ndx) Hessian of the cost-to-go at the start.
+        Phi: (ndx, ndx) d x(N) / d x(0) of the closed loop.
+        G: (ndx, ndx) sum over n of Phi_n B H^-1 B' Phi_n'.
+        K: (N, nu, ndx) d u / d x.
+        F: (N, nu, ndx) d u / d r.
     """
 
     plan: Plan
@@ -92,9 +92,9 @@ class BoundarySensitivity(NamedTuple):
     F: np.ndarray
 
     def step(self, mu: float, part: float = 1.0) -> BoundaryStep:
-        """The step damped by mu, which closes a part of the gap."""
+        """The step damped by mu, which closes a fraction `part` of the closure error."""
         c, m, I = self.closes, len(self.closes), np.eye(len(self.W))
-        scale = np.sqrt(np.diag(self.W)[c])  # makes lengths of steps roots of J's unit
+        scale = np.sqrt(np.diag(self.W)[c])  # scales steps to sqrt(unit of J)
         both = np.r_[c, len(I) + c]
         shrink = np.tile(1.0 / scale, 2)
         closing = (scale[:, None] * np.hstack([self.Phi - I, self.G @ self.W])[np.ix_(c, both)]) * shrink
@@ -112,14 +112,14 @@ class BoundarySensitivity(NamedTuple):
         return BoundaryStep(change[: len(I)], change[len(I) :], float(-(pull @ w) - 0.5 * w @ along @ w))
 
     def _running(self) -> tuple[np.ndarray, np.ndarray]:
-        """Hessian and gradient by (dx0, dr) of the LQ problem's J without what draws its end to the goal."""
+        """Hessian (2 ndx, 2 ndx) and gradient of L by (dx0, dr): the LQ problem's J without the terminal goal term."""
         WPhi, W = self.W @ self.Phi, self.W
         to_goal = np.hstack([self.Phi, self.G @ W - np.eye(len(W))])  # x(N) - r
         H = np.block([[self.P, -WPhi.T], [-WPhi, W - W @ self.G @ W]]) - to_goal.T @ W @ to_goal
         return H, np.concatenate([self.costate, -self.nu]) - to_goal.T @ self.nu
 
     def predicted_cost(self, dx: np.ndarray, dr: np.ndarray) -> float:
-        """J of the LQ problem at changed ends."""
+        """J of the LQ problem at changes dx, dr (ndx,) of start and reference."""
         Wdr = self.W @ dr
         slope = self.costate @ dx - self.nu @ dr
         return float(
@@ -128,7 +128,7 @@ class BoundarySensitivity(NamedTuple):
 
 
 def tracking(problem: Problem) -> TrackingCost:
-    """The cost whose last reference is the goal.
+    """The TrackingCost, whose last reference is r.
 
     Raises:
         PlannerError: There is none, or more than one.
@@ -140,21 +140,21 @@ def tracking(problem: Problem) -> TrackingCost:
 
 
 def periodic_problem(plan: Plan) -> tuple[Problem, Periodic]:
-    """The problem of a plan of a periodic motion, and what must come back."""
+    """The problem of a plan, and its Periodic."""
     assert plan.problem is not None  # solve gave the plan
-    assert plan.problem.periodic is not None  # solve_periodic asked for it
+    assert plan.problem.periodic is not None  # checked by solve_periodic
     return plan.problem, plan.problem.periodic
 
 
 def ends_of(problem: Problem) -> BoundaryStates:
-    """The start and the goal of a problem."""
+    """The start and the terminal reference of a problem."""
     return BoundaryStates(problem.x0, tracking(problem).x_ref[-1])
 
 
 def with_ends(problem: Problem, ends: BoundaryStates, us: np.ndarray) -> Problem:
-    """The problem with another start and goal, and first controls us (N, nu).
+    """The problem with another start and terminal reference, and first controls us (N, nu).
 
-    A case that has a parameter for them is made anew from its parameters, so that plans of it can be stored.
+    A built-in problem with the parameter PARAMETER is rebuilt from its recipe, so that its plans can be stored.
     """
     old = base_problem(problem)
     if old.recipe is not None and PARAMETER in old.recipe.parameters:
@@ -169,10 +169,10 @@ def with_ends(problem: Problem, ends: BoundaryStates, us: np.ndarray) -> Problem
 
 
 def response(plan: Plan) -> BoundarySensitivity:
-    """Of the plan of a problem with `periodic`.
+    """The BoundarySensitivity of a plan of a problem with `periodic`.
 
     Raises:
-        PlannerError: What must come back has no final weight.
+        PlannerError: The final weight is not positive definite on the periodic components, or the LQ problem is not.
     """
     problem, periodic = periodic_problem(plan)
     closes = np.flatnonzero(periodic.periodic_mask)
@@ -200,7 +200,7 @@ def response(plan: Plan) -> BoundarySensitivity:
 
 
 def _free(problem: Problem, plan: Plan, B: np.ndarray, gradient: np.ndarray) -> np.ndarray:
-    """B without the controls that their bounds hold."""
+    """B (N, ndx, nu) with zero columns for controls at active bounds."""
     if problem.bounds is None:
         return B
     at_bound = lq.projected(gradient, problem.bounds.step_bounds(plan.xs, plan.us)) != gradient
@@ -208,14 +208,14 @@ def _free(problem: Problem, plan: Plan, B: np.ndarray, gradient: np.ndarray) -> 
 
 
 def improved_boundary(found: BoundarySensitivity, close: bool = False) -> Problem | None:
-    """The problem with ends nearer to a periodic motion of least cost, and the motion there as its first guess.
+    """The problem after one step of the boundary states, with the tracking rollout's controls as first guess.
 
-    The step is as little damped as the LQ problem is to be trusted: what its controls cost in the problem itself tells.
-    None where it is not for any step worth the name.
+    The first step, by increasing damping, whose rollout cost agrees with the predicted one within TRUST; None if there
+    is none.
 
     Args:
-        found: Where it is now.
-        close: Only to close the gap, not to lower the cost.
+        found: The sensitivity at the last plan.
+        close: Whether only to close the closure error, by maximum damping.
     """
     plan = found.plan
     problem, _ = periodic_problem(plan)

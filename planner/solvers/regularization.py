@@ -1,9 +1,9 @@
-"""Regularization: weights added to the LQ problems so that sweeps are definite and line searches find a step.
+"""Regularization: weights that make the LQ problems positive definite and line searches succeed.
 
-Gauss-Newton from controls adds mu to R + B'PB, and only after a failure. A solve with exact Hessians, from states, or
-with bounds of controls weighs changes of the states instead (Engine.state_regularization), and more as soon as steps
-are short: its gains then keep the rollout near the trajectory, which a weight on the controls' steps does not (Tassa,
-Erez and Todorov 2012). With controls at their bounds a direction may be far too long for hundreds of iterations.
+Gauss-Newton from controls adds mu to R + B'PB, only after a failure. A solve with exact Hessians, from states, or with
+bounds of controls regularizes changes of the states instead (Engine.state_regularization), more after short steps: the
+higher gains limit the rollout's deviation from the trajectory, which a weight on the controls' steps does not (Tassa,
+Erez and Todorov 2012). With controls at their bounds step lengths may be small for hundreds of iterations.
 """
 
 from __future__ import annotations
@@ -16,15 +16,15 @@ from planner.solvers.options import DEFAULT, SolverOptions
 class Regularization:
     """The weight mu on the controls' steps, or that on changes of the states.
 
-    A failed sweep or line search increases it, a full step decreases it; short steps increase that on the states too.
-    Where exact Hessians make a sweep indefinite, that iteration is Gauss-Newton's, with the same weight.
+    A failed sweep or line search increases it, a full step decreases it; short steps also increase that on states.
+    If exact Hessians make a sweep indefinite, that iteration uses Gauss-Newton Hessians with the same weight.
 
     Args:
         engine: Of the solve, after its start.
         exact: Whether its Hessians are exact.
         regularize_states: Whether short steps increase the weight on changes of the states.
-        at_bounds: Whether they do while controls are at their bounds. Not for machines with contacts, whose
-            nonsmoothness makes short steps: a hop then takes 1,200 iterations instead of 320.
+        at_bounds: Whether they do so while controls are at their bounds. False for contacts, whose nonsmoothness
+            causes short steps: a hop then takes 1,200 iterations instead of 320.
         options: Limits and factors of the weights.
 
     Attributes:
@@ -45,7 +45,7 @@ class Regularization:
             self._factor, self._max = options.state_regularization_factor, options.max_state_regularization
             self._failed_factor = self._factor**2
         self._relative, self._tried_unregularized, self._second_order = 0.0, False, exact
-        self._dropped = 0.0  # the weight that a nonsmooth point set to zero
+        self._dropped = 0.0  # weight before decrease() set it to zero at a nonsmooth point
 
     @property
     def mu(self) -> float:  # noqa: D102
@@ -66,7 +66,7 @@ class Regularization:
         return self._relative == 0.0
 
     def drop_second_order(self) -> bool:
-        """Leave out the second-order terms until the weight changes; False where there are none."""
+        """Disable the second-order terms until the weight changes; whether they were enabled."""
         had, self._second_order = self._second_order, False
         self._engine.use_second_order(False)
         return had
@@ -77,7 +77,7 @@ class Regularization:
         self._dropped = 0.0
 
     def decrease(self, step: float, nonsmooth: bool) -> None:
-        """After a step of this length; where bounds or penalties are nonsmooth, full steps may never come."""
+        """After a step length `step`; with `nonsmooth` bounds or penalties a step below 1 sets the weight to zero."""
         if step >= 1.0:
             self._set(self._relative / self._factor if self._relative > self._min else 0.0)
         elif nonsmooth:
@@ -88,9 +88,9 @@ class Regularization:
             self._set(max(self._min, self._factor * self._relative) if short else self._relative)
 
     def try_unregularized(self, accepted: bool, small_expected_reduction: bool) -> bool:
-        """Drop a weight on the states once where the expected reduction is small, for fast final convergence.
+        """Set a weight on the states to zero once if the expected reduction is small, for fast final convergence.
 
-        `accepted` says whether the last iteration took a step.
+        `accepted`: whether the last iteration took a step. Returns whether the weight was reset.
         """
         if accepted and not small_expected_reduction:
             self._tried_unregularized = False
@@ -110,8 +110,8 @@ class Regularization:
 
 
 def unregularized_sweep(engine: Engine, options: SolverOptions = DEFAULT) -> IterationResult:
-    """Linearize and sweep by Gauss-Newton, without a line search, with the least mu that makes it definite."""
-    engine.use_second_order(False)  # Gauss-Newton's gains are stabilizing also away from a minimum
+    """Linearize and sweep with Gauss-Newton Hessians and the smallest tried mu that makes it definite."""
+    engine.use_second_order(False)  # Gauss-Newton gains stabilize also before convergence
     engine.state_regularization = 0.0
     regularization, relinearize = Regularization(engine, False, options=options), True
     while True:

@@ -1,4 +1,4 @@
-"""SLQ, the paper's sequential linear quadratic algorithm (section 3.3), told top to bottom.
+"""SLQ, the paper's sequential linear quadratic algorithm (section 3.3).
 
     minimize J(U) of Eq. 9 over the controls U = [u(0) ... u(N-1)], the states being functions of U (Eq. 10):
 
@@ -8,13 +8,13 @@
     until    the gradient (Eq. 19) or the reduction that the LQ problem expects (Eq. 42) is small.
 
 Two updates. "open-loop" is the paper's, U + alpha dU. "feedback" rolls out u = us + alpha k + K (x - xs): the same
-direction to first order, and it stays near the trajectory where the dynamics are unstable.
-With "feedback" and Armijo's rule, the default, steps that converge slowly are accelerated (see solvers.anderson).
+direction to first order, and its feedback stabilizes the rollout of unstable dynamics.
+With "feedback" and Armijo's rule, the default, slowly converging steps are accelerated (see solvers.anderson).
 
-With limits (see problem.limits) the controls stay within their bounds all along; bounds of the states and constraints
+With limits (see problem.limits) all iterates satisfy the bounds of the controls; bounds of the states and constraints
 (see problem.constraints) take several such solves (see solvers.augmented_lagrangian).
 
-It ends in the local minimum that its first guess leads to; with several starts solve() looks for a better one.
+It converges to a local minimum, which depends on the first guess; several starts may find a better one.
 """
 
 from __future__ import annotations
@@ -70,25 +70,25 @@ def solve(
     seed: int | None = None,
     spread: float | None = None,
 ) -> Plan:
-    """Optimize a motion.
+    """Solve a trajectory optimization problem.
 
     Args:
         problem: The problem to solve.
         options: Settings of the algorithm; None for the defaults. See SolverOptions for the meaning of each. The
             common ones are keywords here too, and override those of `options`.
-        states: A first guess of the states (N+1, nx) beside that of the controls, which need not fit it: the solve then
+        states: A first guess of the states (N+1, nx), which need not be the rollout of the controls: the solve then
             begins by multiple shooting (see solvers.multiple_shooting). "line" for the straight line to the cost's
-            reference at the end. None (default) for the states that the controls lead to.
-        warm_start: A Plan of the same machine to start from, or plan.shifted(seconds) or plan.stretched(duration). The
-            first controls are those that follow it; where no controls do, its states are a first guess. Limits and
-            constraints begin with its multipliers. Its step and duration may differ from the problem's. None
-            (default) starts from the problem's own guess.
-        callback: Called with each Iteration, or with several starts with each Start as it ends; print makes a table.
+            final reference. None (default) for the rollout of the controls.
+        warm_start: A Plan of the same robot to start from, or plan.shifted(seconds) or plan.stretched(duration). The
+            first controls track it; where tracking fails, its states are a first guess. Limits and constraints begin
+            with its multipliers. Its step and duration may differ from the problem's. None (default) starts from the
+            problem's own guess.
+        callback: Called with each Iteration, or for several starts with each Start as it ends; print makes a table.
             It may raise StopIteration to end the solve.
-        rank: A function of a Plan: the start with the least value wins. By default its cost; proof.proven_cost is its
-            cost in MuJoCo. A number that is not finite comes last.
-        executor: Where the starts are solved, any concurrent.futures.Executor; by default threads. The plan is the
-            same to the last bit.
+        rank: A function of a Plan: the start with the lowest value is returned. By default its cost; proof.proven_cost
+            is its cost in MuJoCo. Non-finite values rank last.
+        executor: Any concurrent.futures.Executor for the starts; by default threads. The plan is the same to the last
+            bit.
         update: "feedback" (default) or "open-loop" (the paper's Eq. 36).
         line_search: "armijo" (default), "exact", "wolfe" or "goldstein".
         hessian: "gauss-newton" (default, the paper's) or "exact", with the second derivatives of the dynamics (DDP).
@@ -97,20 +97,20 @@ def solve(
         expected_reduction_tolerance: Converged when the LQ problem expects a reduction of at most this times max(1, J).
         actual_reduction_tolerance: Converged also when iterations in a row each reduce the cost by less than this times
             max(1, J).
-        starts: Number of first guesses: the problem's own, and smooth random changes of its controls, beside the
-            straight line of states where `states` is None and the cost weighs the whole final state. They run on
-            all processors. The number of processors does not change the plan.
+        starts: Number of first guesses: the problem's own, and smooth random changes of its controls, with the straight
+            line of states where `states` is None and all final weights are positive. They run on all processors. The
+            number of processors does not change the plan.
         seed: Seed of the random changes.
-        spread: Size of the random changes, relative to the controls of the first guess, or to those that five
-            iterations make of it if these are larger.
+        spread: Size of the random changes, relative to the RMS of the first guess's controls, or of those after
+            `pilot_iterations` if that is larger.
 
     Returns:
-        A Plan. Of several starts it is the one of least rank among those that converged, or among all if none did;
-        its `starts` list the others. A solve that does not converge says so in its status and raises nothing. Ctrl-C
-        returns the best plan so far, with status INTERRUPTED.
+        A Plan. Of several starts it is the one of lowest rank among those that converged, or among all if none did;
+        its `starts` list all. A solve that does not converge sets its status and raises nothing. Ctrl-C returns the
+        best plan so far, with status INTERRUPTED.
 
     Raises:
-        PlannerError: An argument that is none of the choices or out of range.
+        PlannerError: An argument that is no valid choice or out of range.
     """
     if not isinstance(problem, Problem):
         raise PlannerError(f"problem is {short_repr(problem)}, expected a Problem.")
@@ -133,7 +133,7 @@ def solve(
         us, beside, penalties = tracked_warm_start(problem, warm_start, settings.max_warm_start_cost_ratio)
         problem = replace(problem, us=us)
     core = solver_problem(problem)
-    if states is None and beside is not None and core.dynamics.nx == problem.dynamics.nx:  # jerk has more
+    if states is None and beside is not None and core.dynamics.nx == problem.dynamics.nx:  # jerk augments the state
         states = beside
     solve_one = partial(_solve_from_guess, core, settings, guessed_states(core, states), penalties)
     recorded = own.recorded(problem)
@@ -154,7 +154,7 @@ def solve(
         return best_of(guess, solve_one, settings, callback, ranking, pilot, others, executor)
 
     best = solved(core.first_guess)
-    if best.status is Status.NOT_FINITE and not best.history:  # it had no first rollout
+    if best.status is Status.NOT_FINITE and not best.history:  # the first rollout diverged
         steady = stabilizing_guess(core)
         if steady is not None:
             recorded["first_guess"] = (
@@ -168,11 +168,11 @@ def solve(
 
 
 def as_user_plan(problem: Problem, plan: Plan) -> Plan:
-    """A plan of its solver_problem as one of the problem itself: its states, its cost, its gains."""
+    """Convert a plan of solver_problem(problem) to one of the problem, with its states, cost and gains."""
     if plan.problem is problem:
         return plan
     own = _inner_solve(problem, SolverOptions(), None, None, plan.us, plan.bound_penalties, 0, 0)
-    more = own.cost - plan.cost  # of terms that no control changes
+    more = own.cost - plan.cost  # of terms independent of the controls
     history = tuple(line._replace(cost=line.cost + more) for line in plan.history)
     return replace(own, status=plan.status, history=history, starts=plan.starts, bound_penalties=plan.bound_penalties)
 
@@ -181,7 +181,7 @@ def _solve_from_guess(
     problem: Problem, options: SolverOptions, states: np.ndarray | None, penalties: BoundPenalties | None,
     first_guess: np.ndarray, max_iterations: int, callback: Callable[[Iteration], object] | None,
 ) -> Plan:  # fmt: skip
-    """One solve from one first guess (N, nu), and of states (N+1, nx) or None, and of penalties or None."""
+    """One solve from first controls (N, nu), states (N+1, nx) or None, and penalties or None."""
     minimize = partial(_inner_solve, problem, options, callback, states)
     if problem.trajectory_constraints is None:
         return minimize(first_guess, None, max_iterations, 0)
@@ -196,10 +196,10 @@ def _inner_solve(
     first_guess: np.ndarray, penalties: BoundPenalties | None, max_iterations: int, first_line: int,
     inexact_tolerance: float = 0.0,
 ) -> Plan:  # fmt: skip
-    """Minimize the cost, with penalties where there are any; only a solve's first line uses the states.
+    """Minimize the cost plus the penalties, if any; the states are used only if `first_line` is 0.
 
     With `inexact_tolerance` it ends before the minimum: once the expected reduction is at most this times max(1, J), or
-    once the actual reduction of a full step differs from it by less.
+    once the actual reduction of a full step differs from the expected one by less.
     """
     engine, rule, exact = acquire_engine(problem, options.rule), options.rule, options.exact_hessian
     if penalties is not None:
@@ -230,7 +230,8 @@ def _inner_solve(
                 relinearize = False
                 continue
 
-            # 2. Search along the direction. A regularized LQ problem expects too little to end a solve by it.
+            # 2. Search along the direction. Convergence is tested only without regularization, which shrinks the
+            # expected reduction.
             min_reduction = tolerance * max(1.0, abs(cost)) if regularization.unregularized else -1.0
             at_minimum = direction.definite and direction.is_stationary(options.gradient_tolerance, min_reduction)
             step, after = 0.0, cost
@@ -281,9 +282,9 @@ def _inner_solve(
     else:  # gains and gradient belong to an earlier trajectory
         cost, last = problem.cost.value(xs, us), unregularized_sweep(engine, options)
         gradient_norm = last.gradient_norm
-        if not converged_inexactly:  # the next round has the line of this trajectory
+        if not converged_inexactly:  # the next round records this trajectory
             history.append(Iteration(first_line + len(history), cost, gradient_norm, 0.0, last.expected, 0.0, 0.0))
-    if penalties is not None:  # the cost of a plan is that of its problem
+    if penalties is not None:  # a plan has the cost without penalties
         cost = problem.cost.value(xs, us)
     K = engine.gains()
     if status is not Status.INTERRUPTED and not (math.isfinite(gradient_norm) and np.isfinite(K).all()):
@@ -306,7 +307,7 @@ def _reductions_are_small(history: list[Iteration], options: SolverOptions) -> b
 
 
 def _not_finite(problem: Problem, engine: Engine, cost: float) -> Plan:
-    """The plan of a first guess that runs away: no gains, no gradient."""
+    """The plan of a diverging first guess: zero gains, gradient norm NaN."""
     xs, us = engine.trajectory()
     K = np.zeros((*us.shape, space_of(problem.dynamics).ndx))
     return _plan(problem, xs, us, K, cost, math.nan, Status.NOT_FINITE, [])

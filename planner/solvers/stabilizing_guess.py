@@ -1,8 +1,8 @@
-"""A first guess in place of one that runs away: what holds the start, or at least brakes, with gains from a regulator.
+"""A first guess in place of a diverging one: controls of an LQR that regulates the start, or brakes.
 
-An unstable machine, or a fast one that falls through its stages, may reach infinity under controls that were computed
-beforehand. Here controls come from gains on the way, and are written down. The gains are those of the LQ problem that
-holds a state of the machine, linearized there, where a unit of the state costs as much as its rate of one per second.
+Open-loop controls of an unstable or unsupported robot may make the rollout diverge. Here a rollout with feedback
+records the applied controls. The gains are those of an LQR about a state at rest, with unit state weights and R such
+that a control costs 1 if it changes the state at a rate of norm 1 per second.
 """
 
 from __future__ import annotations
@@ -23,14 +23,14 @@ from planner.problem.initial_guess import quintic
 from planner.problem.problem import Problem
 from planner.solvers.lqr import tracking_gains
 
-DIVERGENCE_FACTOR = 1e10  # times the start, at least 1: what MuJoCo too takes for an unstable simulation
-_STAGES = 100  # of the LQ problem, by which its gains have become constant
-_AGAIN = 10  # stages after which a machine that brakes is linearized again
-_WEAKEST = 1e-9  # of the largest weight of a control: of one that moves nothing
+DIVERGENCE_FACTOR = 1e10  # limit of a state, relative to max(1, largest of the start): as in MuJoCo
+_STAGES = 100  # of the LQ problem, after which its gains are constant
+_AGAIN = 10  # stages between linearizations
+_WEAKEST = 1e-9  # smallest weight of a control, relative to the largest
 
 
 def has_diverged(xs: np.ndarray) -> np.ndarray:
-    """(N+1,) whether each state of a rollout xs (N+1, nx) is not finite, or so large that it soon will be."""
+    """(N+1,) whether each state of a rollout xs (N+1, nx) is not finite or exceeds DIVERGENCE_FACTOR."""
     with np.errstate(invalid="ignore"):
         return np.asarray(
             ~(np.abs(xs) < DIVERGENCE_FACTOR * max(1.0, float(np.abs(xs[0]).max(initial=0.0)))).all(axis=1)
@@ -38,8 +38,8 @@ def has_diverged(xs: np.ndarray) -> np.ndarray:
 
 
 def stabilizing_guess(problem: Problem) -> np.ndarray | None:
-    """Controls (N, nu) whose rollout stays finite: they hold the start, or brake; None where neither helps."""
-    with np.errstate(all="ignore"):  # they may run away too
+    """Controls (N, nu) with a finite rollout, which regulate the start or brake; None where both diverge."""
+    with np.errstate(all="ignore"):  # these may diverge too
         for way in (_holding, _braking):
             us = _written_down(problem, way(problem))
             if us is not None:
@@ -48,23 +48,23 @@ def stabilizing_guess(problem: Problem) -> np.ndarray | None:
 
 
 def line_tracking_controls(problem: Problem, goal: np.ndarray) -> np.ndarray | None:
-    """Controls (N, nu) of gains that lead a machine along the straight line to a goal (nx,); None if it runs away."""
+    """Controls (N, nu) that track the straight line to a goal (nx,) by feedback; None if the rollout diverges."""
     with np.errstate(all="ignore"):
         return _written_down(problem, _leading(problem, _straight(problem, goal)))
 
 
 def tracking_controls(problem: Problem, xs: np.ndarray, us: np.ndarray | None = None) -> np.ndarray | None:
-    """Controls (N, nu) of gains that lead a machine along states xs (N+1, nx); None if it runs away.
+    """Controls (N, nu) that track states xs (N+1, nx) by feedback; None if the rollout diverges.
 
-    The gains act about us (N, nu), where these are known to move it so: alone they may not keep an unstable machine
-    near a long way. Without them they act about what holds the machine.
+    The feedforward is us (N, nu), which unstable robots need on long trajectories; without it, the equilibrium controls
+    of the states.
     """
     with np.errstate(all="ignore"):
         return _written_down(problem, _leading(problem, lambda n: xs[n]) if us is None else _kept_to(problem, xs, us))
 
 
 def _written_down(problem: Problem, control: Control) -> np.ndarray | None:
-    """The controls (N, nu), within their bounds, that a controller gives from the start on; None where it runs away."""
+    """The controls (N, nu), within bounds, of a rollout with a controller from the start; None if it diverges."""
     limit = DIVERGENCE_FACTOR * max(1.0, float(np.abs(problem.x0).max(initial=0.0)))
     us = np.zeros((problem.N, problem.dynamics.nu))
     xs, us = rollout(problem.dynamics, problem.x0, us, control, bounds=problem.bounds, limit=limit)
@@ -73,7 +73,7 @@ def _written_down(problem: Problem, control: Control) -> np.ndarray | None:
 
 
 def _at_rest(problem: Problem, x: np.ndarray) -> np.ndarray:
-    """A state (nx,) without its velocities, where the machine tells which these are."""
+    """A copy of a state (nx,) with zero velocities; unchanged for dynamics without a mechanism."""
     mechanism, x = capabilities_of(problem.dynamics).mechanism, x.copy()
     if mechanism is not None:
         x[mechanism.nq : mechanism.nq + mechanism.nv] = 0.0
@@ -81,7 +81,7 @@ def _at_rest(problem: Problem, x: np.ndarray) -> np.ndarray:
 
 
 def _regulator(problem: Problem, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The control (nu,) that keeps a state x (nx,) as far as one can, and the gains (nu, ndx) that bring it back."""
+    """Equilibrium control (nu,) of x (nx,), approximate where there is none, and LQR gains (nu, ndx) about it."""
     dynamics = problem.dynamics
     none = np.zeros(dynamics.nu)
     A, B = (part[0] for part in dynamics.linearize(np.stack([x, x]), none[None]))
@@ -95,16 +95,16 @@ def _regulator(problem: Problem, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]
 
 
 def _holding(problem: Problem) -> Control:
-    """Gains about the start, its velocities aside."""
+    """LQR about the start with zero velocities."""
     space, x = space_of(problem.dynamics), _at_rest(problem, problem.x0)
     u, K = _regulator(problem, x)
     return lambda n, now: u + K @ space.difference(now, x)
 
 
 def _straight(problem: Problem, goal: np.ndarray) -> Callable[[int], np.ndarray]:
-    """The state of each stage on the straight line from the start to a goal, fast in the middle.
+    """The state (nx,) at each knot of the straight line from the start to a goal (nx,), by a quintic in time.
 
-    Of closed chains it is the nearest one that closes them.
+    With loop closures it is projected onto them where that converges.
     """
     space, start = space_of(problem.dynamics), _at_rest(problem, problem.x0)
     way = space.difference(_at_rest(problem, goal), start)
@@ -117,7 +117,7 @@ def _straight(problem: Problem, goal: np.ndarray) -> Callable[[int], np.ndarray]
         if mechanism is not None:
             x[mechanism.nq : mechanism.nq + mechanism.nv] = speeds[n] * way[: mechanism.nv]
         if closed is not None:
-            with contextlib.suppress(PlannerError):  # then it is a way all the same
+            with contextlib.suppress(PlannerError):  # else the line without closures
                 return assembled(closed, x)
         return x
 
@@ -125,7 +125,7 @@ def _straight(problem: Problem, goal: np.ndarray) -> Callable[[int], np.ndarray]
 
 
 def _leading(problem: Problem, place: Callable[[int], np.ndarray], us: np.ndarray | None = None) -> Control:
-    """Gains about the state of each stage on a way, taken anew as it goes on, and about controls us (N, nu)."""
+    """LQR about the state `place(n)` of each stage, updated every _AGAIN stages, with feedforward us (N, nu)."""
     space = space_of(problem.dynamics)
     u, K = np.zeros(0), np.zeros(0)
 
@@ -140,9 +140,9 @@ def _leading(problem: Problem, place: Callable[[int], np.ndarray], us: np.ndarra
 
 
 def _kept_to(problem: Problem, xs: np.ndarray, us: np.ndarray) -> Control:
-    """Gains about states xs (N+1, nx) and the controls us (N, nu) that move a machine along them.
+    """Time-varying LQR about states xs (N+1, nx) and controls us (N, nu).
 
-    They are those of the LQ problem along the way: what forces of closed chains do depends on the controls.
+    Linearized with these controls, on which the constraint forces of loop closures depend.
     """
     dynamics = problem.dynamics
     A, B = dynamics.linearize(xs, us)
@@ -153,13 +153,13 @@ def _kept_to(problem: Problem, xs: np.ndarray, us: np.ndarray) -> Control:
 
 
 def _weights(B: np.ndarray, dt: float) -> np.ndarray:
-    """R (nu, nu) of controls that B (ndx, nu) has: a rate of one per second costs as much as a unit of the state."""
+    """R (nu, nu) for B (ndx, nu): a control that changes the state at a rate of norm 1 per second costs 1."""
     R = (np.linalg.norm(B, axis=0) / dt) ** 2
     return np.diag(np.maximum(R, _WEAKEST * R.max(initial=1.0)))
 
 
 def _braking(problem: Problem) -> Control:
-    """Gains about where the machine is, which take its velocity away: for one that leaves its start anyhow."""
+    """LQR about the present state with zero velocities: brakes a robot that cannot be regulated at its start."""
     space = space_of(problem.dynamics)
     u, K = np.zeros(0), np.zeros(0)
 

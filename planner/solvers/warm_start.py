@@ -1,9 +1,9 @@
-"""First controls from a plan of another discretization: the motion is known, only the controls that make it are new.
+"""First controls from a plan of another discretization, by tracking its states in the new dynamics.
 
-Where a motion is unstable, controls of another integrator lead elsewhere within a second, and SLQ from there ends in
-another local minimum, if in any. So the old motion is followed in the new dynamics, u = us + K (x - xs), with the
-plan's gains or with those that the Riccati sweep gives along the old motion in the new dynamics, and the least cost
-of all ways tells which is taken.
+Along an unstable trajectory, the rollout of a plan's controls with another integrator diverges within a second, and SLQ
+from there ends in another local minimum, if at all. So the plan is tracked in the new dynamics, u = us + K (x - xs),
+with its own gains or with those of a Riccati sweep along its states in the new dynamics. The rollout of lowest cost is
+the first guess.
 """
 
 from __future__ import annotations
@@ -22,19 +22,19 @@ from planner.problem.state_bounds import BoundPenalties
 from planner.problem.trajectory import Trajectory
 from planner.solvers.lqr import tracking_gains
 
-_WEAKEST = 1e-6  # weight on following what the cost leaves free, relative to the largest
+_WEAKEST = 1e-6  # smallest tracking weight of a state, relative to the largest
 
 
 def warm_start(plan: Plan, problem: Problem) -> np.ndarray:
-    """First controls (N, nu): the problem's own guess, the plan's, or those that follow the plan; of least cost.
+    """First controls (N, nu): of lowest cost among the problem's own guess, the plan's and those that track the plan.
 
     Args:
-        plan: Of the same motion over fewer stages, or as many.
-        problem: The new one; a whole number of its stages is one of the plan's.
+        plan: Plan of the same duration with at most N stages.
+        problem: The new problem; its number of stages N is a multiple of the plan's.
     """
     parts = problem.N // plan.N
     us, K = np.repeat(plan.us, parts, axis=0), np.repeat(plan.K, parts, axis=0)
-    xs = plan.xs if parts == 1 else plan.between_knots(parts)  # a discrete map has nothing between
+    xs = plan.xs if parts == 1 else plan.between_knots(parts)  # a discrete map has no states between knots
     tries = [feedback_rollout(problem, problem.first_guess), *_ways(problem, xs, us, K)]
     return min(tries, key=lambda one: one[0])[1]
 
@@ -42,19 +42,19 @@ def warm_start(plan: Plan, problem: Problem) -> np.ndarray:
 def tracked_warm_start(
     problem: Problem, given: Plan | Trajectory, max_cost_ratio: float
 ) -> tuple[np.ndarray, np.ndarray | None, BoundPenalties | None]:
-    """A first guess from a motion of any duration and step, as the problem's knots sample it.
+    """A first guess from a trajectory of any duration and step, sampled at the problem's knots.
 
     Args:
         problem: The problem.
-        given: The motion.
-        max_cost_ratio: A rollout that costs more than this multiple of the motion has left it.
+        given: The trajectory.
+        max_cost_ratio: Tracking fails if the rollout costs more than this multiple of the sampled trajectory.
 
     Returns:
-        Controls (N, nu) that follow it, of least cost. Its states (N+1, nx) beside its own controls in their place
-        where none stays near it, else None. Its penalties, None for none.
+        Controls (N, nu) of the cheapest tracking rollout, or the trajectory's own where tracking fails; the
+        trajectory's states (N+1, nx) where tracking fails, else None; its penalties, or None.
 
     Raises:
-        PlannerError: Neither a Plan nor a Trajectory, or of another machine.
+        PlannerError: Neither a Plan nor a Trajectory, or other dimensions of state or control.
     """
     motion = given.motion if isinstance(given, Plan) else given
     if not isinstance(motion, Trajectory):
@@ -82,7 +82,7 @@ def tracked_warm_start(
 
 
 def _ways(problem: Problem, xs: np.ndarray, us: np.ndarray, K: np.ndarray) -> list[tuple[float, np.ndarray]]:
-    """Costs and controls of us as they are, and of two ways to follow xs: by gains K, and by gains along xs."""
+    """Costs and controls of rollouts: us without feedback, and tracking xs with gains K or with an LQR along xs."""
     ways, retuned = [feedback_rollout(problem, us), feedback_rollout(problem, us, K, xs)], _gains(problem, xs, us)
     return ways if retuned is None else [*ways, feedback_rollout(problem, us, retuned, xs)]
 
@@ -90,16 +90,16 @@ def _ways(problem: Problem, xs: np.ndarray, us: np.ndarray, K: np.ndarray) -> li
 def feedback_rollout(
     problem: Problem, us: np.ndarray, K: np.ndarray | None = None, about: np.ndarray | None = None
 ) -> tuple[float, np.ndarray]:
-    """The cost, infinite where it is no number, and the controls (N, nu) of u = us + K difference(x, about)."""
+    """Cost (inf if not finite) and clipped controls (N, nu) of the rollout u = us + K difference(x, about)."""
     control = None if K is None or about is None else feedback_control(problem.dynamics, about, us, K)
-    with np.errstate(all="ignore"):  # one of the ways may run away
+    with np.errstate(all="ignore"):  # a rollout may diverge
         xs, us = rollout(problem.dynamics, problem.x0, us, control, bounds=problem.bounds)
         cost = problem.cost.value(xs, us) if np.isfinite(xs[-1]).all() else math.inf
     return (cost if math.isfinite(cost) else math.inf), us
 
 
 def _gains(problem: Problem, xs: np.ndarray, us: np.ndarray) -> np.ndarray | None:
-    """Gains (N, nu, ndx) that follow a motion: the cost's weights, and its final one per second on every stage."""
+    """LQR gains (N, nu, ndx) along a trajectory: the cost's weights, plus dt times the final one at every knot."""
     model = problem.cost.quadratize(xs, us)
     Q = model.Q + problem.dynamics.dt * model.Q[-1]
     Q = Q + _WEAKEST * np.abs(Q).max() * np.eye(Q.shape[1])

@@ -1,7 +1,7 @@
 """Clearance between pairs of collision shapes: one constraint, with a component for each pair.
 
-The kernels compute the distances as terms of two shapes. Here NumPy computes all pairs at once; for pairs far from
-their bounds the distance of their bounding spheres stands in.
+The kernels compute the distances as terms of two shapes. Here NumPy computes all pairs at once; well above its bound a
+pair's distance is replaced by that of the bounding spheres.
 """
 
 from __future__ import annotations
@@ -28,10 +28,10 @@ class PairClearance:
     """Distances of pairs of shapes, m.
 
     Attributes:
-        pairs: With the required clearance of each; planner.constraints.Avoid finds them.
+        pairs: Pairs with the required clearance of each; planner.constraints.Avoid finds them.
         more: (P,) m, clearance in addition to that.
-        penalty_length: m, of a violation that costs 1/2 a second in the first solve, before multipliers are known. A
-            motion then stays on the side of an obstacle on which its first guess is.
+        penalty_length: m, violation that costs 1/2 per second in the first solve, before multipliers are known. The
+            trajectory then stays on the side of an obstacle on which its first guess is.
     """
 
     pairs: tuple[CollisionPair, ...]
@@ -60,7 +60,7 @@ class PairClearance:
         return tuple(pair.names.replace("geom ", "").replace("'", "").replace(" and ", ", ") for pair in self.pairs)
 
     def constraint_function(self, dynamics: Dynamics, N: int) -> PairClearanceFunction:
-        """The distances, of a machine."""
+        """The constraint function for a machine."""
         return PairClearanceFunction(self, dynamics, N)
 
 
@@ -81,7 +81,7 @@ class PairClearanceFunction(ResidualFunction):
         self.initial_penalty = dynamics.dt / what.penalty_length**2
 
     def values(self, xs: np.ndarray, us: np.ndarray, n: np.ndarray) -> np.ndarray:
-        """(K, P) m; of pairs far from their bounds a lower bound of the distance."""
+        """(K, P) m, distances; a lower bound of the distance for pairs well above their bounds."""
         return self._distances.values(self._q(xs), self._exact_below) + self._offset
 
     def shown(self, xs: np.ndarray, us: np.ndarray, n: np.ndarray) -> np.ndarray:

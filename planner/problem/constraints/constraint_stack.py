@@ -1,8 +1,8 @@
 """ConstraintStack: the components of all constraints of a problem over its stages, scaled to one tolerance.
 
-A component of states holds at every knot but the start, which is given. One of states and controls holds at both ends
-of each stage, h(x(n), u(n)) and h(x(n+1), u(n)), since the control is constant over it; the derivative of the second
-is that through the stage, by A and B of Eq. 35. Components are multiplied by `scale`, so that one tolerance serves all.
+A component of states applies at every knot but the start, which is given. One of states and controls applies at both
+ends of each stage, h(x(n), u(n)) and h(x(n+1), u(n)), since the control is constant over it; the derivative of the
+second is chained with A and B of Eq. 35. Components are multiplied by `scale`, so that one tolerance applies to all.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ class StackEntry(NamedTuple):
     constraint: Constraint
     function: ConstraintFunction
     columns: slice
-    at_end: bool  # Whether it holds at the end of each stage, with the control of that stage
+    at_end: bool  # Whether it applies at the end of each stage, with the control of that stage
 
 
 class ConstraintStack:
@@ -198,7 +198,8 @@ class ConstraintStack:
     def violation(self, xs: np.ndarray, us: np.ndarray) -> np.ndarray:
         """(M+1, C) in the constraints' own units, 0 within bounds, of states (M+1, nx) and controls (M, nu).
 
-        At the knots, or at equal parts of every stage too. Between two knots the looser bound of both holds.
+        At the knots (M = N), or at M/N equal parts of every stage. Between two knots the looser of their bounds
+        applies.
         """
         M = len(us)
         parts = M // self.N

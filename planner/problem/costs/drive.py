@@ -1,13 +1,13 @@
-"""DriveCost: the forces that move prescribed joints as a plan asks (Cases 2 and 3).
+"""DriveCost: squared forces at prescribed joints for the planned accelerations (Cases 2 and 3).
 
     J = sum_n dt weight 1/2 (tau_n - reference)^2,     tau = tau_p(x, u) of the paper's hybrid dynamics, Fig. 2
 
-tau_p is what motors in place of the prescription would have to do. Their accelerations are affine in it,
+tau_p is the force of motors in place of the prescription. The joints' accelerations are affine in it,
 
     a_p = a_0(x, u) + G(x) tau_p,     so     tau_p = G^-1 (u_p - a_0),     d tau_p = G^-1 (du_p - d a_p at fixed tau_p)
 
-with G from the Jacobian of the machine with motors, which the kernels have exactly. The Hessian is Gauss and Newton's,
-with its mixed part. It is arithmetic of NumPy: a problem with this cost is solved by the engine in NumPy.
+with G from the exact Jacobian of the machine with motors, by the kernels. The Hessian is Gauss-Newton with its mixed
+term. The cost is computed in NumPy, so a problem with it is solved by the NumPy engine.
 """
 
 from __future__ import annotations
@@ -27,16 +27,16 @@ from planner.problem.costs.terms import Quadratic, Term
 
 
 class DriveCost(Term):
-    """Squared forces and moments that prescribed joints take; one term of a cost: TrackingCost(...) + DriveCost(...).
+    """Squared forces and moments at prescribed joints; one term of a cost: TrackingCost(...) + DriveCost(...).
 
     Args:
-        dynamics: RigidBodyDynamics with prescribed joints, whose p degrees of freedom carry masses.
+        dynamics: RigidBodyDynamics with prescribed joints, whose p degrees of freedom move masses.
         horizon: N, number of stages.
-        weight: (p,) of each, in the order of qvel, per second.
-        reference: (p,) N or N m that cost nothing, a weight that is carried for example.
+        weight: (p,) weights, in the order of qvel, per second.
+        reference: (p,) N or N m, forces without cost, e.g. the weight of a load.
 
     Raises:
-        PlannerError: No prescribed joints, or numbers that do not fit.
+        PlannerError: No prescribed joints, or a wrong shape or sign of weight or reference.
     """
 
     def __init__(self, dynamics: Any, horizon: int, weight: Any, reference: Any = 0.0) -> None:
@@ -53,13 +53,13 @@ class DriveCost(Term):
         self.weight, self.reference = _each("weight", weight, size), _each("reference", reference, size)
         if self.weight.min() < 0.0:
             raise PlannerError(f"weight of a drive's force is {self.weight.min():g}, expected at least 0.")
-        # What acts on a driven joint alone does nothing.
+        # Stops of prescribed joints have no effect on the motion.
         joint_stops = tuple(stop for stop in m.stops if stop.dof not in self.dofs)
         with_motors = replace(with_force_inputs(m, dynamics.prescribed), contacts=m.contacts, stops=joint_stops)
         self._accelerations = Accelerations(RigidBodyDynamics(with_motors, dynamics.dt, "euler"))
 
     def resampled(self, parts: int, ratio: float) -> DriveCost:
-        """The same over stages divided into parts, each `ratio` as long as a stage was."""
+        """The same cost over stages divided into parts, with the length of a stage multiplied by ratio."""
         cost = copy(self)
         cost.N, cost.dt = parts * self.N, ratio * self.dt
         return cost
@@ -80,7 +80,7 @@ class DriveCost(Term):
 
     def value(self, xs: np.ndarray, us: np.ndarray) -> float:
         """J of a trajectory xs (N+1, nx), us (N, nu)."""
-        if not np.isfinite(xs).all():  # a candidate that ran away: it has no forces
+        if not np.isfinite(xs).all():  # a rollout that diverged
             return float("inf")
         away = self.forces(xs[: len(us)], us) - self.reference
         return 0.5 * self.dt * float(np.sum(self.weight * away**2))

@@ -2,18 +2,18 @@
 
     J = weight sum dt sum_j e(p_j),     e(p) = sqrt(p^2 + s^2) - s,     p_j = f_j d_j / dt,
 
-p_j the mean power of actuator j over a stage, W: its force times the way that it acts along. What a motor takes back
-counts as much as what it gives, as without a battery that it could charge. With forces that are held over the stage
-this is their work, so that no plan can do with less than the energy that its motion gains; power at the knots alone
-would let an optimizer put all force where the speed passes through zero. A force that depends on the state is the mean
-of both ends of the stage.
+p_j the mean power of actuator j over a stage, W: force f_j times displacement d_j, over dt. Negative work costs as much
+as positive: no energy is recovered. For forces constant over a stage this is their exact work, so the cost is at least
+the energy that the motion gains; power at the knots would let an optimizer concentrate force where the speed crosses
+zero. A force that depends on the state is the mean of both ends of the stage.
 
-SLQ needs a quadratic model. The gradient is e'(p) dp, and in place of the Hessian stands
+SLQ needs a quadratic model. The gradient is e'(p) dp, and the Hessian is replaced by
 
     e'(p)/p dp dp',     e'(p)/p = 1 / sqrt(p^2 + s^2):
 
-the parabola through e(p) with its slope there that is nowhere below e (e is concave in p^2), of the power linearized
-along the dynamics, since it belongs to both ends of its stage. It has a mixed term S: power is force times speed.
+the curvature of the parabola that has the value and slope of e at p and is an upper bound of e (concave in p^2). dp is
+the power linearized along the dynamics, since it depends on both ends of a stage; force times speed gives a mixed term
+S.
 """
 
 from __future__ import annotations
@@ -31,20 +31,20 @@ from planner.model.mjcf.prescribed_joints import heavy_joints
 from planner.problem.costs.terms import Quadratic, Term
 
 SMOOTHING = 1.0
-"""W: the arms of the cases need some to some tens of W. A tenth of it brings the two-link's work from 1.6 to 0.5 %
-above the least there is, in more than three times the iterations."""
+"""Smoothing s, W; the built-in arms need a few to some tens of W. A tenth of it reduces the two-link's work from 1.6 to
+0.5 % above the minimum, in more than three times the iterations."""
 
 
 class EnergyCost(Term):
     """Mechanical work of the actuators, sum dt sum_j |power_j|, smoothed; see the module.
 
-    It has no curvature in a control whose motor stands still, so it is one term of a cost: TrackingCost(...) +
+    It has no curvature in the control of a motor at rest, so it is one term of a cost: TrackingCost(...) +
     EnergyCost(...).
 
     Args:
         dynamics: RigidBodyDynamics without prescribed joints.
         weight: Per J.
-        smoothing: s, W: a power of that size counts as 0.41 of itself, a large one as itself less s.
+        smoothing: s, W: a power p = s costs 0.41 s, a large power p - s.
 
     Raises:
         PlannerError: Other dynamics, prescribed joints, a negative weight, or a smoothing that is not above 0.
@@ -80,7 +80,7 @@ class EnergyCost(Term):
         return self.weight * self.dt * float(np.sum(p * p / (np.sqrt(p * p + s * s) + s)))  # without cancellation
 
     def quadratize(self, xs: np.ndarray, us: np.ndarray) -> Quadratic:
-        """Exact gradients along any xs (N+1, nx), us (N, nu); the Hessian that of the module."""
+        """Exact gradients along any xs (N+1, nx), us (N, nu); the approximate Hessian of the module."""
         N, (by_x, by_end, by_u) = len(us), self._derivatives(xs, us)
         p = self.power(xs, us)
         curvature = self.weight * self.dt / np.sqrt(p * p + self.smoothing**2)  # e'(p)/p
@@ -96,7 +96,7 @@ class EnergyCost(Term):
         return Quadratic(Q, q, weighted @ by_u, r, weighted @ by_x)
 
     def _parts(self, xs: np.ndarray, us: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Mean forces (N, nu), ways (N, nu), and the deviations (N, ndx) from one knot to the next."""
+        """Mean forces f (N, nu), displacements d (N, nu), and deviations (N, ndx) from one knot to the next."""
         acts = self.mechanism.actuators
         move = self.space.difference(xs[1:], xs[:-1])
         of_state = xs @ self._by_q.T
@@ -117,7 +117,7 @@ class EnergyCost(Term):
 
 
 def _force_rows(mechanism: Mechanism) -> tuple[np.ndarray, np.ndarray]:
-    """Forces by the state (nu, nx) and by its deviation (nu, ndx): lengths, their rates, and activations."""
+    """Derivatives of the forces by the state (nu, nx) and by its deviation (nu, ndx): by length, rate, activation."""
     acts, space, nv = mechanism.actuators, mechanism.space, mechanism.nv
     by_q, by_x = np.zeros((acts.nu, space.nx)), np.zeros((acts.nu, space.ndx))
     for i in np.flatnonzero(mechanism.kind == SCREW):  # lengths are over the hinge and slide joints

@@ -25,47 +25,48 @@ from planner.problem.costs.tracking import mechanism_and_step
 
 
 class FrameCost(ResidualCost):
-    """Squared residuals of a frame, weighed and summed over the stages, 1/2 w r^2 each: Gauss-Newton.
+    """Squared residuals of a frame, 1/2 w r^2 each, summed over the stages; Gauss-Newton Hessian.
 
         position            r = p(q) - position                      3, m, in the world's axes
-        orientation         r = log(R_ref' R(q))                     3, rad, in the axes of the frame as it should be
+        orientation         r = log(R_ref' R(q))                     3, rad, in the axes of the reference frame
         pose                r = log(T_ref^-1 T(q)) of SE(3)          6, m and rad, in the same axes
         pointing            r = R(q) axis - direction                3, of length 2 sin(angle / 2), in the world's axes
         velocity            r = v(q, qd) - velocity                  3, m/s, of the frame's origin in the world's axes
         angular_velocity    r = w(q, qd) - angular_velocity          3, rad/s, in the world's axes
 
-    It says nothing of the control, so it is one term of a cost: TrackingCost(...) + FrameCost(...). With
-    RigidBodyDynamics it is part of the compiled solver. Each weight is a number, one per row of the residual, or one
-    per stage and row (N+1, rows). Weights on the way are multiplied by dt, final ones are not; a final weight that is
-    not given is that of the way.
+    It does not depend on the control, so it is one term of a cost: TrackingCost(...) + FrameCost(...). With
+    RigidBodyDynamics it is part of the compiled solver. Each weight is a number, one per residual component, or one
+    per stage and component (N+1, rows). Running weights are multiplied by dt, final ones are not; the default final
+    weight is dt times the last running one.
 
     Args:
         machine: RigidBodyDynamics or a Mechanism.
         frame: Name of a site or body, or a Frame.
         position: (3,) or (N+1, 3) m, in the world.
         orientation: (4,) or (N+1, 4) quaternion, w first; normalized.
-        pose: (7,) or (N+1, 7) position and quaternion. Where both count and the frame is far from its goal its
-            logarithm leads there along a screw, position and orientation apart along a straight line.
-        pointing: The frame's own axis (3,), and the direction (3,) or (N+1, 3) in the world that it is to have; a turn
-            about that is free. An axis that points exactly the other way is drawn to neither side.
+        pose: (7,) or (N+1, 7) position and quaternion. For large errors its gradient leads along a screw motion;
+            separate position and orientation targets lead along a straight line.
+        pointing: An axis of the frame (3,) and its target direction (3,) or (N+1, 3) in the world; rotation about it
+            is free. The gradient is zero where the axis points exactly opposite.
         velocity: (3,) or (N+1, 3) m/s.
         angular_velocity: (3,) or (N+1, 3) rad/s.
-        position_weight: On the way, per m^2 and s; so are the others, per rad^2, and per (m/s)^2 and (rad/s)^2.
-        final_position_weight: At the end.
-        orientation_weight: On the way.
-        final_orientation_weight: At the end.
-        pose_weight: On the way; the position's three first.
-        final_pose_weight: At the end.
-        pointing_weight: On the way.
-        final_pointing_weight: At the end.
-        velocity_weight: On the way.
-        final_velocity_weight: At the end.
-        angular_velocity_weight: On the way.
-        final_angular_velocity_weight: At the end.
+        position_weight: Running weight, per m^2 and s; those below per rad^2, (m/s)^2 or (rad/s)^2, and s.
+        final_position_weight: Final weight.
+        orientation_weight: Running weight.
+        final_orientation_weight: Final weight.
+        pose_weight: Running weight; the three of the position first.
+        final_pose_weight: Final weight.
+        pointing_weight: Running weight.
+        final_pointing_weight: Final weight.
+        velocity_weight: Running weight.
+        final_velocity_weight: Final weight.
+        angular_velocity_weight: Running weight.
+        final_angular_velocity_weight: Final weight.
         dt: s; that of the dynamics by default.
 
     Raises:
-        PlannerError: No such frame, a wrong shape, a negative weight, a target without weight or the other way round.
+        PlannerError: No such frame, a wrong shape, a negative weight, a target without weight or a weight without
+            target.
     """
 
     def __init__(
@@ -112,7 +113,7 @@ class FrameCost(ResidualCost):
 
 
 class _Kind(NamedTuple):
-    """The number of a kind, and what it asks of the end: words, unit, rows."""
+    """Number of a residual kind, and its goals at the end: name, unit, residual components."""
 
     number: int
     goals: tuple[tuple[str, str, slice], ...]
@@ -130,7 +131,7 @@ _KINDS = {
 
 
 def _pointing(pointing: Any) -> tuple[np.ndarray, np.ndarray | None]:
-    """The frame's axis and the world's direction, both of length one."""
+    """Unit vectors: the axis (3,) of the frame, and the direction (3,) or (N+1, 3) in the world, None for none."""
     if pointing is None:
         return np.zeros(3), None
     if not isinstance(pointing, (tuple, list)) or len(pointing) != 2:
@@ -150,7 +151,7 @@ def _pointing(pointing: Any) -> tuple[np.ndarray, np.ndarray | None]:
 def _term(
     kind: int, rotation: np.ndarray, axis: np.ndarray, asked: WeightedTarget, stages: StageData
 ) -> dict[str, Any]:
-    """What ResidualList.add needs of a term beside its weights."""
+    """Keyword arguments of ResidualList.add for a term, in addition to its weights."""
     target = stages.rows(asked.target)
     if kind not in (ORIENTATION, POSE):
         return {"bound": target.T, "constant": rotation @ axis if kind == POINTING else ()}
@@ -163,19 +164,19 @@ def _term(
 
 
 class CenterOfMassCost(ResidualCost):
-    """1/2 w |c(q) - position|^2 summed over the stages, c the centre of mass: Gauss-Newton; one term of a cost.
+    """1/2 w |c(q) - position|^2 summed over the stages, c the centre of mass; Gauss-Newton; one term of a cost.
 
     With RigidBodyDynamics it is part of the compiled solver.
 
     Args:
-        machine: RigidBodyDynamics or a Mechanism; what is fixed to the world is not part of its mass.
+        machine: RigidBodyDynamics or a Mechanism; its mass excludes bodies fixed to the world.
         position: (3,) or (N+1, 3) m, in the world.
-        position_weight: On the way, per m^2 and s: a number, one per axis (3,), or one per stage and axis (N+1, 3).
-        final_position_weight: At the end, a number or (3,); by default that of the way, times dt.
+        position_weight: Running weight, per m^2 and s: a number, (3,) by axis, or (N+1, 3) by stage and axis.
+        final_position_weight: Final weight, a number or (3,); by default dt times the last running weight.
         dt: s; that of the dynamics by default.
 
     Raises:
-        PlannerError: A wrong shape, a negative weight, no weight at all, or a machine without mass.
+        PlannerError: A wrong shape, a negative weight, no weight, or a machine without mass.
     """
 
     def __init__(

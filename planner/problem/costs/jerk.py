@@ -1,19 +1,19 @@
-"""Jerk as a criterion: how fast the accelerations of the joints change, from stage to stage.
+"""Jerk cost: squared differences of the joints' accelerations between stages.
 
     J = weight/2 sum dt |r_n|^2,     r_n = (a_n - a_{n-1}) / dt,     a_n = qdd(x_n, u_n)
 
-A machine that is at rest at its start was held there, so a_{-1} = 0; one that comes to rest at its goal is held there,
-so one more term has a_N = 0. Where it moves, that first or last term is left out.
+A machine at rest at its start has a_{-1} = 0; one at rest at its goal adds a term with a_N = 0. If it moves at the
+start or the end, that first or last term is omitted.
 
-r_n belongs to two stages. So SLQ solves the same problem with an added state, which remembers the last acceleration:
+r_n depends on two stages, so SLQ solves the problem with the previous acceleration as an added state:
 
     y_n = (x_n, a_{n-1}),     y_{n+1} = (f(x_n, u_n), qdd(x_n, u_n)).
 
-`with_acceleration` makes that problem. `JerkCost` is the same cost on the machine's own states, for the plan that comes
-of it. Its gradient is exact. A Quadratic has no place for a Hessian that couples two stages: in its place stands the
-problem's own effort, so the gains of such a plan are those of a plan of least effort, along the motion of least jerk.
+`with_acceleration` makes that problem. `JerkCost` is the same cost on the machine's own states, for the resulting plan.
+Its gradient is exact. A Quadratic cannot hold a Hessian that couples two stages; the problem's control weights R take
+its place, so the gains are those of minimum effort along the minimum-jerk trajectory.
 
-Of joints whose acceleration is an input, that acceleration itself can be the added state, and its rate the control:
+For joints whose acceleration is an input, that acceleration can be the added state, and its derivative the control:
 
     y = (x, a),     da/dt = u,     a continuous, linear over a stage.
 
@@ -92,18 +92,18 @@ class JerkDynamics:
 
 
 class JerkCost(Term):
-    """Jerk on a machine's own states; see the module for what its Hessian leaves out.
+    """Jerk cost on a machine's own states; its Hessian omits the coupling of stages, see the module.
 
     Args:
         dynamics: RigidBodyDynamics.
         horizon: N, number of stages.
-        weight: On the squared jerk / 2, per second; rad/s^3, m/s^3.
-        R: (N, nu, nu) control weights that stand for its Hessian where gains are made; none by default.
-        from_rest: Whether the machine was held before the start.
-        to_rest: Whether it is held after the end.
+        weight: Of the squared jerk / 2, per second; jerk in rad/s^3 or m/s^3.
+        R: (N, nu, nu) control weights in place of its Hessian, for the gains; zero by default.
+        from_rest: Whether the machine is at rest before the start.
+        to_rest: Whether the machine is at rest after the end.
 
     Raises:
-        PlannerError: Other dynamics, a negative weight, or joints that are driven by their jerk.
+        PlannerError: Other dynamics, a negative weight, or joints whose jerk is the control.
     """
 
     def __init__(
@@ -120,15 +120,15 @@ class JerkCost(Term):
         self.space, self.nu = dynamics.space, dynamics.nu
         self.nx, self.ndx = dynamics.nx, dynamics.ndx
         self.R = np.zeros((horizon, self.nu, self.nu)) if R is None else R
-        self.counts = np.ones(horizon + 1)  # which changes of acceleration count
+        self.counts = np.ones(horizon + 1)  # (N+1,) factor of r_n, 0 or 1
         self.counts[0], self.counts[-1] = from_rest, to_rest
 
     def augmented(self, own: StateSpace, space: StateSpace) -> AugmentedStateJerkCost:
-        """The same on states that remember the last acceleration."""
+        """The same cost on states extended by the previous acceleration."""
         return AugmentedStateJerkCost(self, space)
 
     def jerks(self, xs: np.ndarray, us: np.ndarray) -> np.ndarray:
-        """(N+1, nv) r_n; zero where none counts."""
+        """(N+1, nv) r_n, rad/s^3 or m/s^3; zero for omitted terms."""
         a = self.accelerations(xs[: len(us)], us)
         still = np.zeros((1, a.shape[1]))
         return self.counts[:, None] * np.diff(np.concatenate([still, a, still]), axis=0) / self.dt
@@ -138,7 +138,7 @@ class JerkCost(Term):
         return 0.5 * self.weight * self.dt * float(np.sum(self.jerks(xs, us) ** 2))
 
     def quadratize(self, xs: np.ndarray, us: np.ndarray) -> Quadratic:
-        """Exact gradients, and R for a Hessian."""
+        """Exact gradients, with R in place of the Hessian."""
         N, ndx = len(us), self.ndx
         slope = -self.weight * np.diff(self.jerks(xs, us), axis=0)  # of J with respect to a_n
         by_x, by_u = self.accelerations.derivatives(xs[:N], us)
@@ -149,14 +149,14 @@ class JerkCost(Term):
 
 
 class AugmentedStateJerkCost(Term):
-    """A JerkCost on states, of `space`, that remember the last acceleration: one stage each, Gauss-Newton."""
+    """A JerkCost on states of `space`, extended by the previous acceleration: separable by stage, Gauss-Newton."""
 
     def __init__(self, cost: JerkCost, space: StateSpace) -> None:
         self.cost, self.space, self.N = cost, space, cost.N
         self.nx, self.ndx, self.nu = space.nx, space.ndx, cost.nu
 
     def _jerks(self, xs: np.ndarray, us: np.ndarray) -> np.ndarray:
-        """(N+1, nv) r_n, weighted by what counts."""
+        """(N+1, nv) r_n, rad/s^3 or m/s^3; zero for omitted terms."""
         own = self.cost
         a = own.accelerations(np.ascontiguousarray(xs[: len(us), : own.nx]), us)
         a = np.concatenate([a, np.zeros((1, a.shape[1]))])
@@ -181,12 +181,12 @@ class AugmentedStateJerkCost(Term):
 
 
 def augmented(space: StateSpace, more: int) -> StateSpace:
-    """A space with `more` plain numbers at its end."""
+    """A state space with `more` vector components appended."""
     return StateSpace(space.nx + more, space.ndx + more, space.quaternions)
 
 
 def with_acceleration(problem: Problem, **changes: Any) -> Problem:
-    """The same problem, of RigidBodyDynamics, with the last acceleration as an added state, 0 at the start."""
+    """The problem, of RigidBodyDynamics, with the previous acceleration as an added state, 0 at the start."""
     if not isinstance(problem.dynamics, RigidBodyDynamics):
         raise PlannerError(f"the dynamics are {short_repr(problem.dynamics)}, expected RigidBodyDynamics for jerk.")
     dynamics = JerkDynamics(problem.dynamics)
@@ -202,13 +202,13 @@ def with_acceleration(problem: Problem, **changes: Any) -> Problem:
 def driven_by_jerk(mechanism: Mechanism, joints: Collection[str]) -> Mechanism:
     """A machine whose controls are the jerks of some of its joints.
 
-    It is the model in which MuJoCo replays prescribed joints, made heavy and pushed as hard (see
-    model.mjcf.prescribed_joints),
-    with motors that integrate. What the rest of the machine does to such a joint is felt as that force over HEAVY.
+    It is MuJoCo's replay model of prescribed joints, with a large armature and motor gear PRESCRIBED_ARMATURE (see
+    model.mjcf.prescribed_joints), and motors with integrator dynamics. Other forces on such a joint change its
+    acceleration by the force over PRESCRIBED_ARMATURE.
 
     Args:
         mechanism: Read from an MJCF.
-        joints: Names, of those that are driven.
+        joints: Names of the joints whose jerk is a control.
 
     Returns:
         The machine with one more activation for each degree of freedom of the joints, its acceleration, in the order
@@ -232,7 +232,7 @@ def driven_by_jerk(mechanism: Mechanism, joints: Collection[str]) -> Mechanism:
 
 
 def _integrating(text: str) -> str:
-    """The text of a driven twin whose motors are told the rates of their accelerations."""
+    """The MJCF text of a twin of prescribed joints, with integrator dynamics at the motors: jerk is the control."""
     root = ElementTree.fromstring(text)
     motors = root.findall("actuator")[-1]  # the section that was added last
     for motor in motors:

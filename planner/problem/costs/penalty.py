@@ -41,7 +41,7 @@ class PenaltyCost(ResidualCost):
         names: (T,) of the terms, for a reader.
 
     Raises:
-        PlannerError: No such frame or contact, something per stage of another length than N+1, or what is no term.
+        PlannerError: No such frame or contact, an array per stage whose length is not N+1, or an entry that is no term.
     """
 
     def __init__(self, machine: Any, horizon: int, terms: Sequence[Any], dt: float | None = None) -> None:
@@ -52,7 +52,7 @@ class PenaltyCost(ResidualCost):
         self.names = tuple(str(term) for term in terms)
         residual_arrays = arrays_of_terms(mechanism, N, terms, dt)
         units = ["m/s" if kind == VELOCITY else "m" for kind in residual_arrays.kind]
-        # without a final weight of its own a term only goes on until the end
+        # a term without its own final weight is no goal at the end
         asked = [t for t, term in enumerate(terms) if getattr(term, "final_weight", None) is not None]
         super().__init__(mechanism, residual_arrays, N, [GoalRows(self.names[t], units[t], t) for t in asked])
 
@@ -115,7 +115,7 @@ def _of_solids(term: Clearance, number: Callable[[Point], int]) -> tuple[int, li
 
 
 def _point(measures: ResidualList, mechanism: Mechanism, point: Point, name: str) -> int:
-    """The number of a point."""
+    """The index of a point."""
     frame = Frame(-1, np.eye(4)) if point.frame is None else point.frame
     if isinstance(frame, str):
         known = [*mechanism.sites, *filter(None, mechanism.body_names)]
@@ -127,7 +127,7 @@ def _point(measures: ResidualList, mechanism: Mechanism, point: Point, name: str
 
 
 def _stages(name: str, value: np.ndarray, N: int, rest: int = 0) -> np.ndarray:
-    """Something given once or per stage, as (N+1, ...) with so many axes beyond the stages'."""
+    """A value given once or per stage, as (N+1, ...) with `rest` axes in addition to that of the stages."""
     if value.ndim > rest and len(value) != N + 1:
         raise PlannerError(f"{name} has {len(value)} rows, expected N+1 = {N + 1}.")
     return np.array(np.broadcast_to(value, (N + 1, *value.shape[value.ndim - rest :])))

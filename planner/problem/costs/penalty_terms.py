@@ -1,15 +1,15 @@
 """Terms of a PenaltyCost: heights and velocities of points, distances of points or capsules, gaps of contacts. Data.
 
-A term measures a value of the state and compares it, stage by stage, with what is wanted:
+A term is a function of the state, `value`, compared with a bound or target at each stage:
 
-    lower    r = ramp(lower - value; a) / tolerance        nothing above, a pull upwards below
+    lower    r = ramp(lower - value; a) / tolerance
     upper    r = ramp(value - upper; a) / tolerance
     target   r = (value - target) / tolerance
 
     ramp(e; a) = 0, e^2 / 2a, e - a/2          for e < 0, 0..a, > a
 
-A tolerance is how much error weighs as much as one of another term; the ramp, by default of that length, makes the
-cost twice differentiable but for a jump, so that Gauss and Newton see a wall before it is steep.
+Errors of one tolerance cost the same in all terms. The ramp length a is the tolerance by default: the second derivative
+of the cost is continuous at the bound and jumps at e = a, and the Gauss-Newton Hessian grows gradually from 0.
 """
 
 from __future__ import annotations
@@ -29,13 +29,13 @@ SIDES = ("lower", "upper", "target")
 
 @dataclass(frozen=True, eq=False)
 class Point:
-    """A point: share times the place of `offset` in `frame`, plus `world`.
+    """A point: share times the world position of `offset` in `frame`, plus `world`.
 
     Attributes:
         frame: Name of a site or body, a Frame, or None for the world.
         offset: (3,) m, in the frame.
-        share: How much of the frame's motion it has.
-        world: (3,) or (N+1, 3) m.
+        share: Factor of the position.
+        world: (3,) or (N+1, 3) m, added to it.
     """
 
     frame: str | Frame | None = None
@@ -63,7 +63,7 @@ class Segment:
     Attributes:
         start: One end.
         end: The other.
-        radius: m; 0 for the line itself.
+        radius: Of the capsule, m; 0 for the line.
     """
 
     start: Point
@@ -87,10 +87,10 @@ class Penalty:
         lower: A number, or (N+1,) with NaN at stages where the term is off.
         upper: The same.
         target: The same.
-        tolerance: Error that counts as one, m; of a velocity m/s.
-        ramp: a, as the tolerance, which it is by default.
-        weight: 1/s, a number or (N+1,), of r^2 / 2.
-        final_weight: Of r^2 / 2 at the end; by default dt times the last of `weight`.
+        tolerance: Error with residual 1, m; of a velocity m/s.
+        ramp: Ramp length a, unit of the tolerance, its default.
+        weight: Running weight of r^2 / 2, 1/s, a number or (N+1,).
+        final_weight: Final weight of r^2 / 2; by default dt times the last of `weight`.
     """
 
     lower: Any = None
@@ -119,16 +119,16 @@ class Penalty:
 
     @property
     def side(self) -> str:
-        """Which of lower, upper and target it has."""
+        """The one that is given: "lower", "upper" or "target"."""
         return next(name for name in SIDES if getattr(self, name) is not None)
 
 
 @dataclass(frozen=True, eq=False)
 class Height(Penalty):
-    """How far a point is along a direction of the world.
+    """Coordinate of a point along a direction of the world, m.
 
     Attributes:
-        point: Which.
+        point: The Point.
         normal: (3,) the direction, of any length above 0; upwards by default.
     """
 
@@ -145,12 +145,12 @@ class Height(Penalty):
 
 @dataclass(frozen=True, eq=False)
 class Velocity(Penalty):
-    """How fast a point moves along a direction of the world, as the frames of both points move.
+    """Velocity of a point along a direction of the world, relative to another point, m/s.
 
     Attributes:
-        point: Which; what it has of `world` counts as at rest.
+        point: The Point; its `world` part is taken as constant.
         direction: (3,) of any length above 0.
-        relative: A Point relative to which it moves, of a belt for example; by default the world's.
+        relative: The reference Point, of a belt for example; by default at rest in the world.
     """
 
     point: Point
@@ -168,10 +168,10 @@ class Velocity(Penalty):
 
 @dataclass(frozen=True, eq=False)
 class Distance(Penalty):
-    """How far apart two points, lines or capsules are; negative where capsules overlap by less than their radii.
+    """Distance between two points, lines or capsules, m; negative where capsules overlap.
 
-    Lines that cross are 0 apart, and further in there is no way out: a distance has no inside. Where two lines are
-    parallel the gradient jumps as the nearest points do.
+    The distance between the centre lines has no sign: if they cross, the gradient does not separate them. For parallel
+    lines the gradient is discontinuous, like the nearest points.
 
     Attributes:
         a: A Point or Segment.
@@ -193,10 +193,10 @@ class Distance(Penalty):
 
 @dataclass(frozen=True, eq=False)
 class Gap(Penalty):
-    """The gap between the sphere and the plane of a contact that the mechanism has, negative where it is closed.
+    """The gap between sphere and plane of a contact of the mechanism, m, negative in penetration.
 
     Attributes:
-        contact: Its name in mechanism.contacts; of "geom 'toe'" also toe.
+        contact: Its name in mechanism.contacts; "toe" also stands for "geom 'toe'".
     """
 
     contact: str
@@ -207,12 +207,12 @@ class Gap(Penalty):
 
 @dataclass(frozen=True, eq=False)
 class Clearance(Penalty):
-    """How far apart two solids are, negative by the shortest way out where they overlap. It has a lower bound alone.
+    """Signed distance of two collision shapes, m, minus the penetration depth if they overlap. Lower bound only.
 
     Attributes:
-        a: The first Solid; planner.constraints.Avoid makes them of a model's shapes.
+        a: The first CollisionShape; planner.constraints.Avoid makes them from a model's shapes.
         b: The second, in the order of model.contact.collision_shapes.in_order.
-        lift: m, added to the distance: what a fit overstates at the start.
+        lift: m, offset added to the distance, for overlap of the fitted shapes at the start.
     """
 
     a: CollisionShape
@@ -247,6 +247,6 @@ def _direction(name: str, value: Any) -> np.ndarray:
 
 
 def _per_stage(name: str, value: Any) -> np.ndarray:
-    """() or (N+1,); numbers that are not finite are not yet refused."""
+    """() or (N+1,) array; whether they are finite is checked later."""
     given = numbers(name, value)
     return array(name, given, ("N+1",), any_value=True) if given.ndim else given

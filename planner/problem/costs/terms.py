@@ -1,8 +1,8 @@
 """Costs: J = phi(x(N)) + sum of L(x(n), u(n), n) (Eq. 9), and their quadratic models.
 
-A factor 1/2 stands on every quadratic term, also on the control's: Eq. 11 as printed has none there, but Eq. 16
-and 18 imply it. Gradients and Hessians of states are with respect to a deviation dx (ndx numbers, see model.space),
-which is the state's own difference where states are plain vectors.
+Every quadratic term has a factor 1/2, also the control's: Eq. 11 as printed has none there, but Eq. 16 and 18 imply
+it. Gradients and Hessians of states are with respect to a deviation dx (ndx,) of model.space, for plain vectors the
+difference of states.
 """
 
 from __future__ import annotations
@@ -27,12 +27,12 @@ class Quadratic(NamedTuple):
 
     @property
     def finite(self) -> bool:
-        """Whether every number is."""
+        """Whether all entries are finite."""
         return all(np.isfinite(part).all() for part in self if part is not None)
 
 
 class Cost(Protocol):
-    """The two methods of every cost, a user's own too."""
+    """The two methods of every cost, also of user-defined ones."""
 
     def value(self, xs: np.ndarray, us: np.ndarray) -> float:
         """J of a trajectory xs (N+1, nx), us (N, nu)."""
@@ -50,7 +50,7 @@ def check_cost(name: str, value: Any) -> None:
 
 
 def call_if_supported(cost: Any, method: str, *arguments: Any) -> Any:
-    """Call `resampled` or `with_effort` of a cost; a PlannerError where it has no such method."""
+    """Call `resampled` or `with_effort` of a cost; a PlannerError if it has no such method."""
     if not callable(getattr(cost, method, None)):
         signature = {"resampled": "resampled(parts, ratio)", "with_effort": "with_effort(weight)"}[method]
         raise PlannerError(f"the cost is of the type {type(cost).__name__}, expected a cost with {signature}.")
@@ -58,12 +58,12 @@ def call_if_supported(cost: Any, method: str, *arguments: Any) -> Any:
 
 
 def per_stage(rows: np.ndarray, parts: int) -> np.ndarray:
-    """Rows (N+1, ...) of stages and the end, each stage's row repeated for its parts; one row for all stays."""
+    """Rows (N+1, ...) of stages and the end, each stage's row repeated for its parts; (1, ...) is unchanged."""
     return rows if len(rows) == 1 else np.concatenate([np.repeat(rows[:-1], parts, axis=0), rows[-1:]])
 
 
 def extended_cost(cost: Any, own: StateSpace, space: StateSpace) -> Any:
-    """A cost of states in `own` as one of states in `space`, which are the same numbers and more behind them."""
+    """A cost of states in `own` extended to states in `space`, which append components."""
     extend = getattr(cost, "augmented", None)
     return EmbeddedCost(cost, own.nx, own.ndx, space) if extend is None else extend(own, space)
 
@@ -71,17 +71,17 @@ def extended_cost(cost: Any, own: StateSpace, space: StateSpace) -> Any:
 class Term:
     """A cost that can be added to any other: a + b is SumCost(a, b).
 
-    Two methods more let a problem change its step or its objective: `resampled(parts, ratio)` is the same cost over
-    stages divided into parts, what it weighs on the way multiplied by ratio; `with_effort(weight)` is the same cost
+    Two optional methods let a problem change its step or its objective: `resampled(parts, ratio)` is the same cost
+    over stages divided into parts, with running weights multiplied by ratio; `with_effort(weight)` is the same cost
     with the weights of the controls multiplied.
     """
 
     def with_effort(self, weight: float) -> Cost:
-        """Returns itself. Costs that weigh controls override this."""
+        """Returns itself. Costs with control weights override this."""
         return self  # type: ignore[return-value]
 
     def augmented(self, own: StateSpace, space: StateSpace) -> Cost:
-        """The same cost of the first numbers of a longer state; see extended_cost."""
+        """The same cost on a state with appended components; see extended_cost."""
         return EmbeddedCost(self, own.nx, own.ndx, space)  # type: ignore[arg-type]
 
     def __add__(self, other: Cost) -> SumCost:
@@ -95,10 +95,10 @@ class SumCost(Term):
     """The sum of any costs. Only the sum needs a positive definite R.
 
     Args:
-        costs: TrackingCost, FrameCost or a user's own.
+        costs: TrackingCost, FrameCost or user-defined.
 
     Raises:
-        PlannerError: Something that is no cost, or costs made for different sizes or states.
+        PlannerError: An argument that is no cost, or costs of different sizes or state spaces.
     """
 
     def __init__(self, *costs: Any) -> None:
@@ -113,7 +113,7 @@ class SumCost(Term):
         )
 
     def _common(self, name: str) -> Any:
-        """The one value of an attribute among the costs that have it; None when none has."""
+        """The common value of an attribute of the costs that have it; None if none has."""
         said = [value for cost in self.costs if (value := getattr(cost, name, None)) is not None]
         for value in said:
             if value != said[0]:
@@ -129,7 +129,7 @@ class SumCost(Term):
         return SumCost(*(call_if_supported(cost, "with_effort", weight) for cost in self.costs))
 
     def augmented(self, own: StateSpace, space: StateSpace) -> SumCost:
-        """The sum of the costs of the first numbers of a longer state."""
+        """The sum of the costs on a state with appended components."""
         return SumCost(*(extended_cost(cost, own, space) for cost in self.costs))
 
     def value(self, xs: np.ndarray, us: np.ndarray) -> float:
@@ -137,7 +137,7 @@ class SumCost(Term):
         return float(sum(cost.value(xs, us) for cost in self.costs))
 
     def quadratize(self, xs: np.ndarray, us: np.ndarray) -> Quadratic:
-        """The sums of the costs' models."""
+        """The sum of the costs' quadratic models."""
         models = [cost.quadratize(xs, us) for cost in self.costs]
         for i, model in enumerate(models[1:], 1):  # a wrong shape could broadcast into a wrong gradient
             for name, first, part in zip(Quadratic._fields[:4], models[0][:4], model[:4], strict=True):
@@ -152,7 +152,7 @@ class SumCost(Term):
 
 
 class EmbeddedCost(Term):
-    """A cost of the first nx numbers of an extended state (ndx of its deviation), which lies in `space`."""
+    """A cost of the first nx entries of an extended state in `space` (ndx of its deviation)."""
 
     def __init__(self, cost: Cost, nx: int, ndx: int, space: StateSpace) -> None:
         self.cost, self.space, self._nx, self._ndx = cost, space, nx, ndx
@@ -163,7 +163,7 @@ class EmbeddedCost(Term):
         return self.cost.value(xs[:, : self._nx], us)
 
     def quadratize(self, xs: np.ndarray, us: np.ndarray) -> Quadratic:
-        """The cost's own model, zero for what was added."""
+        """The cost's quadratic model, padded with zeros for the appended components."""
         model, more = self.cost.quadratize(xs[:, : self._nx], us), self.ndx - self._ndx
         return Quadratic(
             np.pad(model.Q, ((0, 0), (0, more), (0, more))), np.pad(model.q, ((0, 0), (0, more))), model.R, model.r,

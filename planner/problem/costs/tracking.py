@@ -1,4 +1,4 @@
-"""TrackingCost: the paper's quadratic cost, and checks of the states and machines that callers give."""
+"""TrackingCost: the paper's quadratic cost, and checks of state and machine arguments."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ from planner.problem.costs.weights import diagonal, matrices, places
 class TrackingCost(Term):
     """The paper's quadratic cost (Eq. 11, 12): 1/2 |x - x_ref|^2_Q + 1/2 |u - u_ref|^2_R, summed over the stages.
 
-    Weights are per stage: what approximates an integral must hold the factor dt. With quaternions the difference is
-    that of the space, x (-) x_ref, and the Hessian is that of Gauss and Newton.
+    Weights are per stage; to approximate an integral they must include the factor dt. With quaternions the difference
+    is that of the space, x (-) x_ref, with a Gauss-Newton Hessian.
 
     Args:
         Q: (N+1, ndx, ndx) state weights, symmetric positive semidefinite; the last is the final one.
@@ -65,14 +65,14 @@ class TrackingCost(Term):
         cls, goal: Any, horizon: int, *, final: Any, effort: Any, running: Any = 0.0, dt: float = 1.0,
         nu: int | None = None, space: StateSpace | None = None,
     ) -> TrackingCost:  # fmt: skip
-        """Reach a goal state at the end with little effort.
+        """A cost for reaching a goal state at the end, with quadratic control effort.
 
         Args:
             goal: (nx,) the state to reach.
             horizon: N, number of stages.
             final: Weight at the end: a number, a diagonal (ndx,) or a matrix (ndx, ndx).
             effort: Weight of the control: a number, a diagonal (nu,) or a matrix (nu, nu).
-            running: Weight of the distance to the goal on the way.
+            running: Running weight of the difference to the goal; a number, (ndx,) or (ndx, ndx), or per stage.
             dt: s; the running and effort weights are multiplied by it.
             nu: Size of the control; needed when effort is a number and nu is not 1.
             space: Of the states; plain vectors by default.
@@ -92,11 +92,11 @@ class TrackingCost(Term):
         final_velocity: Any = 0.0, final_activation: Any = 0.0, position: Any = 0.0, velocity: Any = 0.0,
         activation: Any = 0.0, reference: Any = None, control: Any = 0.0, dt: float | None = None,
     ) -> TrackingCost:  # fmt: skip
-        """Bring a machine to a state, or along a motion, with weights by the names of its joints.
+        """A cost for reaching a state or tracking a reference, with weights by the names of joints.
 
         Every weight is a number, an array, or a dict by name: {"elbow": 3.0} for joints, the names of actuators for
         effort (of joints, where they are prescribed) and activations. A joint with several degrees of freedom takes a
-        number or one for each; what is not named weighs nothing. All but the final ones are multiplied by dt.
+        number or one for each; names that are missing have weight 0. All but the final ones are multiplied by dt.
 
         Args:
             machine: RigidBodyDynamics or a Mechanism.
@@ -106,11 +106,11 @@ class TrackingCost(Term):
             final_position: Weight of joint positions at the end, or (nv,), per m^2 or rad^2.
             final_velocity: Weight of joint velocities at the end, or (nv,).
             final_activation: Weight of activations at the end, or (na,).
-            position: Weight of joint positions on the way, per second.
-            velocity: Weight of joint velocities on the way.
-            activation: Weight of activations on the way.
-            reference: (N+1, nx) the motion that the weights on the way refer to; the goal by default.
-            control: (nu,) or (N, nu) control that costs no effort; zero by default.
+            position: Running weight of joint positions, per second.
+            velocity: Running weight of joint velocities.
+            activation: Running weight of activations.
+            reference: (N+1, nx) reference states of the running weights; the goal by default.
+            control: (nu,) or (N, nu) reference of the controls; zero by default.
             dt: s; that of the dynamics by default.
 
         Raises:
@@ -149,7 +149,7 @@ class TrackingCost(Term):
         return cls(Q, np.tile(np.diag(dt * R), (N, 1, 1)), x_ref, u_ref, space)
 
     def resampled(self, parts: int, ratio: float) -> TrackingCost:
-        """The same over stages divided into parts, what it weighs on the way multiplied by ratio."""
+        """The same cost over stages divided into parts, with running weights multiplied by ratio."""
         Q = np.concatenate([np.repeat(ratio * self.Q[:-1], parts, axis=0), self.Q[-1:]])
         R = np.repeat(ratio * self.R, parts, axis=0)
         return self._of_own_kind(Q, R, per_stage(self.x_ref, parts), np.repeat(self.u_ref, parts, axis=0))
@@ -159,7 +159,7 @@ class TrackingCost(Term):
         return self._of_own_kind(self.Q, weight * self.R, self.x_ref, self.u_ref)
 
     def augmented(self, own: StateSpace, space: StateSpace) -> Cost:
-        """A TrackingCost that weighs nothing of the numbers behind its own: limits look for its goal."""
+        """A TrackingCost with zero weight on the appended states, so that limits still find its reference."""
         if type(self) is not TrackingCost:
             return super().augmented(own, space)
         more, further = space.ndx - own.ndx, space.nx - own.nx
@@ -187,7 +187,7 @@ class TrackingCost(Term):
         return np.abs(self.space.difference(xs, self.x_ref[-1])[..., i])
 
     def final_cost(self, x: np.ndarray) -> float:
-        """The part of the value that the end x (nx,) has."""
+        """The final cost at the end state x (nx,)."""
         e = self.space.difference(x, self.x_ref[-1])
         return 0.5 * float(e @ self.Q[-1] @ e)
 
@@ -220,7 +220,7 @@ def tracking_of(cost: Any) -> TrackingCost | None:
 
 
 def states(name: str, value: Any, space: StateSpace, leading: tuple[int | str, ...] = ("N+1",)) -> np.ndarray:
-    """States (*leading, nx) that a caller hands in: finite, with quaternions normalized."""
+    """Checked states (*leading, nx): finite, with quaternions normalized."""
     x = array(name, value, (*leading, space.nx))
     for i, _ in space.quaternions:
         length = np.linalg.norm(x[..., i : i + 4], axis=-1, keepdims=True)

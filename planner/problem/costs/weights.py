@@ -29,7 +29,7 @@ def matrices(name: str, value: Any, stages: int, size: int) -> np.ndarray:
 def diagonal(name: str, value: Any, size: int, kind: str, places: Mapping[str, slice]) -> np.ndarray:
     """(size,) from a number, an array (size,), or a dict of these by the names of `places`, the others zero.
 
-    Messages call the weight by its `name` and say what its keys are of by `kind`: "joint".
+    Messages use `name` for the weight and `kind`, e.g. "joint", for its keys.
     """
     if not isinstance(value, Mapping):
         given = numbers(name, value)

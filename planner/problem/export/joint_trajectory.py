@@ -1,8 +1,8 @@
 """A plan as ROS 2's trajectory_msgs/JointTrajectory, as YAML or JSON; no ROS is needed.
 
-The message knows joints of one coordinate: hinges (rad) and slides (m). Free and ball joints have no place in it and
-are left out. Accelerations and efforts stay empty, as the message allows: a plan's accelerations jump from stage to
-stage, and its controls are those of actuators, not of joints.
+The message has joints of one coordinate: hinges (rad) and slides (m). Free and ball joints are omitted. Accelerations
+and efforts are empty, as the message allows: a plan's accelerations are discontinuous between stages, and its controls
+are those of actuators, not of joints.
 """
 
 from __future__ import annotations
@@ -58,14 +58,14 @@ def joint_trajectory(plan: ExportedMotion, path: PathLike | None = None, rate: f
 
 
 def left_out(plan: ExportedMotion) -> tuple[str, ...]:
-    """Names of the joints that the message has no place for."""
+    """Names of the joints that the message omits: free and ball joints."""
     mechanism = _mechanism(plan)
     every = zip(mechanism.joint_names, mechanism.joint_links, strict=True)
     return tuple(name or f"joint {j}" for j, (name, links) in enumerate(every) if not _single(mechanism, links))
 
 
 def _single_joints(plan: ExportedMotion) -> tuple[list[str], np.ndarray, np.ndarray]:
-    """Names of hinges and slides, and where a state has their positions and velocities."""
+    """Names of hinges and slides, and the indices of their positions and velocities in a state."""
     mechanism, names, dofs = _mechanism(plan), [], []
     for j, (name, links) in enumerate(zip(mechanism.joint_names, mechanism.joint_links, strict=True)):
         if _single(mechanism, links):

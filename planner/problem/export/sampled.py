@@ -1,9 +1,9 @@
 """A plan at its knots, or at any rate.
 
-Controls are held over a stage: at time t acts us[n], n being the stage of t. States between knots are the plan's own
-integrator over a part of the stage; so quaternions stay unit ones, and a knot keeps its bits. Where there is no
-integrator to ask (a plan without its problem, a map from knot to knot), states go straight from knot to knot on the
-space of states: x = integrate(x_n, s difference(x_n+1, x_n)), 0 <= s <= 1.
+Controls are constant over a stage: us[n] at time t in stage n. States between knots are integrated over a part of the
+stage by the plan's dynamics; so quaternions remain unit ones, and states at knots are bitwise equal. Without an
+integrator (a plan without its problem, discrete dynamics) states are interpolated on the state space:
+x = integrate(x_n, s difference(x_n+1, x_n)), 0 <= s <= 1.
 """
 
 from __future__ import annotations
@@ -18,11 +18,11 @@ from planner.base.errors import PlannerError
 from planner.model.space import StateSpace
 from planner.model.twin import Twin
 
-_ROUNDING = 1e-9  # relative: an instant as near to a knot is the knot
+_ROUNDING = 1e-9  # relative distance below which a time counts as a knot
 
 
 class ExportedMotion(Protocol):
-    """What an export asks of a plan."""
+    """Attributes of a plan that exports read."""
 
     @property
     def t(self) -> np.ndarray: ...  # noqa: D102
@@ -48,7 +48,7 @@ class Samples(NamedTuple):
 
 
 def sampled(plan: ExportedMotion, rate: float | None = None) -> Samples:
-    """The plan at its knots, or `rate` times a second and at its end.
+    """The plan at its knots, or at `rate` Hz and at its end.
 
     The last step is shorter than the others where the duration is no whole number of them.
 

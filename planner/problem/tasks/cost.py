@@ -1,8 +1,8 @@
 """The cost of a task, and its goals: one error for each, in m, rad or m/s, at its time.
 
 A goal has the weight WEIGHT / tolerance^2 on its squared error / 2 at its stage, so that an error of the tolerance
-costs more than the whole effort. A path has PATH_RATE times as much, per second. Unless a goal is a via point, the
-joints that move the frame are at rest there.
+costs more than the whole effort. A path has PATH_RATE times that weight. Unless a goal is a via point, velocities of
+the joints that move the frame have a weight there.
 """
 
 from __future__ import annotations
@@ -119,7 +119,7 @@ def _at_stage(task: Task, one: TimedGoal, name: str, weight: float) -> dict[str,
     if one.last:
         return {f"final_{name}": weight}
     rows = np.zeros((task.N + 1, 3))
-    rows[one.stage] = weight / task.dt  # weights on the way are multiplied by dt
+    rows[one.stage] = weight / task.dt  # running weights are multiplied by dt
     return {name: rows, f"final_{name}": 0.0}
 
 
@@ -160,7 +160,7 @@ def _addresses(mechanism: Mechanism, path: Follow) -> np.ndarray:
 
 
 def _joint_error(addresses: np.ndarray, points: np.ndarray, xs: np.ndarray) -> np.ndarray:
-    """(K,) the largest distance of joints from points (1 or K, n)."""
+    """(K,) max difference of joint positions from points (1 or K, n), rad or m."""
     return np.abs(xs[:, addresses] - points).max(axis=1)
 
 

@@ -1,4 +1,4 @@
-"""Follow: a path of a frame, or of joints, that a motion tracks."""
+"""Follow: a reference path of a frame or of joints."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ class Follow:
         joints: Names of the joints whose positions the points are; None for a frame.
         points: (M, 1 + n) rows of t, s, and x, y, z in m or the joints' positions in rad or m; or (M, n) without
             times, for points at equal times from the start to the end.
-        tolerance: Largest distance from the path that passes, m or rad; by default 10 mm or 0.04 rad.
+        tolerance: Max allowed distance from the path, m or rad; by default 10 mm or 0.04 rad.
 
     Raises:
         PlannerError: Neither frame nor joints, or both; a wrong shape; times that do not rise.
@@ -107,7 +107,7 @@ def follow_of(value: Any, name: str) -> Follow:
     """A Follow from one, or from a table.
 
     Raises:
-        PlannerError: It is neither, or wrong.
+        PlannerError: Another type, or a table that is no valid path.
     """
     if isinstance(value, Follow):
         return value
@@ -123,7 +123,7 @@ def follow_of(value: Any, name: str) -> Follow:
 
 
 def with_points(table: Mapping[str, Any], folder: Path) -> dict[str, Any]:
-    """The table of a file with the rows of the CSV that it names, relative to a folder, in the place of the name.
+    """The table with its `file`, a CSV relative to a folder, replaced by the points in it.
 
     A heading t,x,y,z may be left out for a frame; for joints it has their names.
 

@@ -1,7 +1,7 @@
 """Goal: the pose of a frame, or positions of joints, at a time.
 
 Goal(frame="hand", position=(0.4, 0.1, 0.3), pointing=(0, 0, -1))         at the end, at rest
-Goal(frame="hand", position=(0.4, 0.1, 0.6), time=1.0, through=True)      passed after a second
+Goal(frame="hand", position=(0.4, 0.1, 0.6), time=1.0, through=True)      via point at 1 s
 Goal(joints={"elbow": 1.0}, time=2.0)
 """
 
@@ -40,7 +40,7 @@ class Goal:
             velocity (at rest, m/s). By default 5 mm, 0.02 rad and 0.05 m/s.
 
     Raises:
-        PlannerError: Neither frame nor joints, or both; a wrong shape; orientation beside pointing.
+        PlannerError: Neither frame nor joints, or both; a wrong shape; both orientation and pointing.
     """
 
     frame: str | None = None
@@ -134,7 +134,7 @@ def goal_of(value: Any, name: str) -> Goal:
     """A Goal from one, or from a table; messages call it `name`.
 
     Raises:
-        PlannerError: It is neither, or wrong.
+        PlannerError: Another type, or a table that is no valid goal.
     """
     if isinstance(value, Goal):
         return value

@@ -1,4 +1,4 @@
-"""Poses of a task: a configuration for each of its times, by inverse kinematics; goals out of reach are refused."""
+"""Poses of a task: a configuration at each of its times, by inverse kinematics; unreachable goals are refused."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ from planner.problem.tasks.follow import Follow
 from planner.problem.tasks.pose_constraints import PoseConstraints, ResidualAndJacobian
 from planner.problem.tasks.timed_task import Task, TimedGoal, unit_of
 
-MAX_CONFIGURATIONS = 60  # along a path: between them joints move on a spline
-PATH_STARTS = 2  # of the search on a path with active constraints, beginning at the pose before
+MAX_CONFIGURATIONS = 60  # along a path; joints follow a spline between them
+PATH_STARTS = 2  # number of starts of inverse kinematics on a path with constraints, the first at the previous pose
 
 
 class Poses(NamedTuple):
@@ -54,21 +54,21 @@ def poses_of(
     task: Task, dynamics: RigidBodyDynamics, x0: np.ndarray, ranges: np.ndarray, seed: int = 0, check: bool = True,
     checker: CollisionChecker | None = None, constraints: PoseConstraints | None = None,
 ) -> Poses:  # fmt: skip
-    """The configurations of a task, one after the other, each near the one before.
+    """The configurations of a task, each found from the previous one.
 
     Args:
         task: Goals and paths.
-        dynamics: The machine; unactuated joints move only where they must.
+        dynamics: The machine; unactuated joints move only if the actuated ones do not reach the goal.
         x0: (nx,) start.
-        ranges: (nv, 2) of hinges and slides.
-        seed: Of the random starts of the search.
-        check: Whether to refuse goals out of reach.
-        checker: Of collisions; None for no avoidance.
+        ranges: (nv, 2) rad or m, of hinges and slides.
+        seed: Of the random starts of inverse kinematics.
+        check: Whether to refuse unreachable goals.
+        checker: Collision checker; None for no avoidance.
         constraints: On poses; None for none.
 
     Raises:
-        PlannerError: A goal out of reach, goals that contradict each other or a constraint, or a path that begins
-            elsewhere.
+        PlannerError: An unreachable goal, goals that contradict each other or a constraint, or a path from t = 0 that
+            does not begin at the start.
     """
     mechanism = task.mechanism
     q = x0[: mechanism.nq]
@@ -104,7 +104,7 @@ def _check_joints(task: Task, here: Sequence[TimedGoal], ranges: np.ndarray) -> 
 
 
 def _stages(task: Task) -> list[int]:
-    """The stages with goals: of a long path a part."""
+    """Stages with goals and, per path, at most MAX_CONFIGURATIONS intervals; without stage 0."""
     stages = {one.stage for one in task.goals}
     for path in task.follows:
         first, last = task.span(path)
@@ -226,7 +226,7 @@ def _pose(
 
 
 def _check_constraints(task: Task, search: _Search, q: np.ndarray, stage: int, here: Sequence[TimedGoal]) -> None:
-    """Refuse goals of joints that violate a constraint by more than their tolerances explain."""
+    """Refuse joint goals that violate a constraint by more than their tolerances allow."""
     assert search.constraints is not None
     violated, missing = search.constraints.violated(stage, q), search.constraints.at(stage)
     if violated is None or missing is None or not here:
@@ -248,9 +248,9 @@ def _errors(task: Task, q: np.ndarray, target: Target) -> tuple[float, float]:
 
 
 def _free_dofs(dynamics: RigidBodyDynamics, joints: dict[int, float]) -> list[np.ndarray]:
-    """Degrees of freedom that may move: the actuated ones, then all of them unless the machine stands.
+    """Masks (nv,) of degrees of freedom that may move: the actuated ones, then all unless the machine stands.
 
-    Closed chains move unactuated joints too.
+    All of them for closed chains. Those with a goal in `joints` are fixed.
     """
     mechanism = dynamics.mechanism
     actuated = np.any(mechanism.actuators.moment * mechanism.actuators.gain[:, None] != 0.0, axis=0)
@@ -264,7 +264,7 @@ def _free_dofs(dynamics: RigidBodyDynamics, joints: dict[int, float]) -> list[np
 
 
 def _check_path_start(task: Task, path: Follow, q: np.ndarray) -> None:
-    """Refuse a path that begins at once and elsewhere."""
+    """Refuse a path from t = 0 whose first point is not at the start."""
     mechanism = task.mechanism
     if task.span(path)[0] > 0:
         return

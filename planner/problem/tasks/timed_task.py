@@ -73,7 +73,7 @@ class Task:
         return path.at(self.dt * stages, self.duration)
 
     def tolerance(self, path: Follow) -> float:
-        """The largest distance from a path that passes, in its unit."""
+        """Max allowed distance from a path, in its unit."""
         if path.tolerance is not None:
             return path.tolerance
         return min(PATH_TOLERANCES[unit] for unit in self.units(path))
@@ -100,7 +100,7 @@ def task_of(
 
     Raises:
         PlannerError: A frame, joint or keyframe that the machine does not have; times out of order or outside of the
-            duration; a path that begins elsewhere.
+            duration.
     """
     defaults = Goal(frame="", pointing=(0, 0, 1), tolerance=_goal_tolerances(tolerance)).tolerances(DEFAULT_TOLERANCES)
     timed, before = [], 0.0
@@ -117,7 +117,7 @@ def task_of(
             )
         before, stage = time, max(round(time / dt), 1)
         if goal.frame is not None:
-            mechanism.frame(goal.frame)  # refuses a name that there is not, and says which there are
+            mechanism.frame(goal.frame)  # refuses an unknown name
         timed.append(
             TimedGoal(
                 goal, stage, stage * dt, stage == N, label, goal.tolerances(defaults), joints_of(mechanism, goal, label)

@@ -1,11 +1,11 @@
-"""Accelerations of MuJoCo's own terms with its equalities kept exactly: what a plan's couplings and loops are held to.
+"""Accelerations from MuJoCo's own terms with exact equality constraints: the reference for couplings and loop closures.
 
 MuJoCo's equalities are soft. With its M, forces, Jacobians and their rates, the exact accelerations are
 
     qdd = W qfrc + W J'f,   J qdd + Jdot qd + 2 rate J qd + rate^2 phi = 0,   W = G (G'MG)^-1 G'
 
 G of the couplings (planner.model.couplings), J, Jdot qd and phi of connects, welds and cams (planner.model.loops), all
-by MuJoCo's mj_jac and mj_jacDot at the places that the compiled model holds.
+by MuJoCo's mj_jac and mj_jacDot at the anchors in the compiled model.
 """
 
 from __future__ import annotations
@@ -21,12 +21,12 @@ from planner.model.mechanism import Mechanism
 from planner.model.mjcf.equalities import joined, joins
 from planner.model.space import cross
 
-_RANK_TOLERANCE = 1e-9  # of the largest eigenvalue of J W J': redundant equations
-_APART = 1e-3  # of the largest singular value of J: of equations that a step back heeds
+_RANK_TOLERANCE = 1e-9  # relative to the largest eigenvalue of J W J'; smaller ones are of redundant equations
+_APART = 1e-3  # relative to the largest singular value of J; smaller ones are ignored by the projection
 
 
 def constrained_acceleration(model: Any, data: Any, mechanism: Mechanism) -> np.ndarray:
-    """(nv,) of what mj_forward left in data; qacc_smooth for a tree. The mechanism was read from the model."""
+    """Accelerations (nv,) from the terms of mj_forward in data; qacc_smooth for a tree. `mechanism` is the model's."""
     if not (mechanism.couplings or mechanism.loops or mechanism.polynomial_couplings):
         return data.qacc_smooth.copy()
     mass = np.empty((model.nv, model.nv))
@@ -46,9 +46,9 @@ def constrained_acceleration(model: Any, data: Any, mechanism: Mechanism) -> np.
 
 
 def steps_back(model: Any, data: Any, mechanism: Mechanism, held: Sequence[int] | np.ndarray) -> None:
-    """Positions and velocities of data go back onto the closed chains, as at the end of a plan's stage of RK4.
+    """Project positions and velocities of data onto the loop closures, as at the end of an RK4 stage of a plan.
 
-    By the smallest steps that close them to first order (kernels.tree.loop_projection); `held` degrees of freedom stay.
+    Minimum-norm steps that close loops to first order (kernels.tree.loop_projection); `held` dofs are fixed.
     """
     G = np.eye(model.nv) if mechanism.reduction is None else mechanism.reduction.G
     G = G[:, ~np.any(G[np.asarray(held, dtype=int)] != 0.0, axis=0)]
@@ -63,9 +63,9 @@ def steps_back(model: Any, data: Any, mechanism: Mechanism, held: Sequence[int] 
 
 
 def _rows(model: Any, data: Any, cams: tuple[PolynomialCoupling, ...]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """J (rows, nv), Jdot qd and phi (rows,) of all equalities that close chains.
+    """J (rows, nv), Jdot qd and phi (rows,) of all loop-closure equalities.
 
-    Also where a flag keeps MuJoCo's own from acting.
+    Equalities that are disabled in MuJoCo's flags are included.
     """
     parts = [_held(model, data, i) for i in map(int, np.flatnonzero(model.eq_active0)) if joins(model, i)]
     parts += [_cam(model, data, cam) for cam in cams]
@@ -74,7 +74,7 @@ def _rows(model: Any, data: Any, cams: tuple[PolynomialCoupling, ...]) -> tuple[
 
 
 def _held(model: Any, data: Any, i: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """J, Jdot qd and phi of a connect or a weld, as MuJoCo moves its two bodies."""
+    """J, Jdot qd and phi of a connect or weld equality, from the poses of its two bodies in `data`."""
     mujoco = load_mujoco()
     bodies, frames, rigid = joined(model, i)
     J, drift, places, axes = np.zeros((6, model.nv)), np.zeros(6), [], []
@@ -95,7 +95,7 @@ def _held(model: Any, data: Any, i: int) -> tuple[np.ndarray, np.ndarray, np.nda
 
 
 def _cam(model: Any, data: Any, cam: PolynomialCoupling) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """The same of an equality of joints that is not linear."""
+    """J, Jdot qd and phi of a nonlinear joint equality (cam)."""
     p = np.polynomial.Polynomial(cam.coefficients)
     follower, leader = (
         data.qpos[model.jnt_qposadr[model.dof_jntid[dof]]] - offset

@@ -1,17 +1,17 @@
-"""Parity of contacts and stops: coefficients of the plan's forces and of MuJoCo's, at states where a pair touches.
+"""Parity of contacts and joint stops: coefficients of the plan's forces and of MuJoCo's, at states in contact.
 
-The plan's law is plain outside its ramps (model.contact.laws), so each coefficient is a difference of forces:
+The plan's law is linear outside its smoothing (model.contact.laws), so each coefficient is a difference of forces:
 
     stiffness     (f_n(e_2) - f_n(e_1)) / (e_2 - e_1)     pressed to two depths
     surface       e_1 - f_n(e_1) / stiffness              where the force begins: 0 for the plan
     damping       (f_n(closing) - f_n(at rest)) / speed   pressed to e_1
-    friction      f_t / f_n                               sliding three times as fast as what sticks
+    friction      f_t / f_n                               sliding at three times the slip speed
     slip damping  f_t / |v_t|                             sliding at a thousandth of that
 
-Both sides get the same formulas at the same states. MuJoCo's forces are those that it computes while the machine does
-not accelerate: its inverse dynamics with qacc = 0. There each contact has its own force, whatever else touches. What
-accelerations add to it is the share A/R, A the inverse inertia that the contact feels and R MuJoCo's softness: it is
-measured too, since a force that follows accelerations is not the plan's, whatever it is at rest.
+Both models use the same formulas at the same states. MuJoCo's forces are from its inverse dynamics with qacc = 0,
+where each contact force is independent of other contacts. Accelerations change a contact force by the share A/R, A the
+inverse inertia at the contact and R MuJoCo's regularization: that share is tested too, since the plan's contact force
+does not depend on accelerations.
 """
 
 from __future__ import annotations
@@ -49,16 +49,16 @@ from planner.proof.replays.compiled_twin import CompiledTwin
 from planner.proof.replays.simulation import set_state
 
 BOUND = 1.0  # %
-INERTIA_BOUND = 5.0  # %: laws are read from impedances up to 1e-3, where it is 0.1 % of A over MuJoCo's estimate of A
-STATES = 3  # of each contact
-POINTS = 2  # of a shape that touches by points of its own
-_STATES_NEAR_START = 4  # states near the start and as many all over the space, from which contacts are pressed
-_CLOSING = 0.5  # of the spring's force: the damper's
-_FAST, _SLOW = 3.0, 1e-3  # of the speed at which friction slips
-_STUCK = 0.05  # of a velocity that is asked for: what cannot move so has no such coefficient
+INERTIA_BOUND = 5.0  # %: impedances are read up to 1e-3, where it is 0.1 % of A over MuJoCo's estimate of A
+STATES = 3  # per contact
+POINTS = 2  # contact points tested per shape with several equal ones
+_STATES_NEAR_START = 4  # initial states near the start, and as many at random, before moving to depth
+_CLOSING = 0.5  # closing speed: damper force relative to the spring's
+_FAST, _SLOW = 3.0, 1e-3  # sliding speeds relative to the speed at which friction saturates
+_STUCK = 0.05  # minimum share of the requested sliding velocity that is attainable; below it no friction is tested
 _POSITION_TOLERANCE = 1e-9  # m
-_NOTHING = 1e-6  # of what would matter: a coefficient below it is none
-_REST = 1e-2  # rad or m: how deep stops are pressed, unless their ramps ask for more
+_NOTHING = 1e-6  # relative to the significant size: a smaller coefficient counts as zero
+_REST = 1e-2  # rad or m, depth at which joint stops are tested, unless their smoothing needs more
 
 
 class Coefficient(NamedTuple):
@@ -69,7 +69,7 @@ class Coefficient(NamedTuple):
     theirs: float
     ours: float
     error: float  # relative
-    sentence: str = ""  # in place of the usual one
+    sentence: str = ""  # replaces the default sentence
 
     def __str__(self) -> str:
         return self.sentence or (
@@ -80,25 +80,25 @@ class Coefficient(NamedTuple):
 def compared(kind: str, pair: str, theirs: float, ours: float, matters: float) -> Coefficient:
     """A coefficient's difference relative to the plan's, or to MuJoCo's where the plan has none.
 
-    `matters` is a size that would matter: a millionth of it is none.
+    `matters` is a significant size: below a millionth of it, a coefficient counts as zero.
     """
     least = _NOTHING * matters
     scale = abs(ours) if abs(ours) > least else max(abs(theirs), least)
     return Coefficient(kind, pair, theirs, ours, abs(theirs - ours) / scale if np.isfinite(theirs) else np.inf)
 
 
-@np.errstate(all="ignore")  # what is no number fails
+@np.errstate(all="ignore")  # NaN fails
 def contact_parity(problem: Problem, compiled: CompiledTwin, seed: int = 0) -> tuple[Measurement, ...]:
     """Compare the coefficients of a plan's contacts and stops with those of MuJoCo's forces.
 
     Args:
-        problem: The plan's.
-        compiled: The model, with the states of the plan's machine.
-        seed: Of the states.
+        problem: The problem of the plan.
+        compiled: The MuJoCo model, with the states of the plan's machine.
+        seed: Seed of the random states.
 
     Returns:
-        One measured number per coefficient, the largest difference in %, whose note names the pair; nothing where the
-        plan's dynamics have no contacts and stops.
+        One value per coefficient, the largest difference in %, whose note names the pair; empty where the plan's
+        dynamics have no contacts and joint stops.
     """
     dynamics = problem.dynamics
     if isinstance(dynamics, HopperDynamics):
@@ -130,7 +130,7 @@ def _measured(found: list[Coefficient], seed: int, unreached: list[str] | None =
 
 
 def _starts(problem: Problem, mechanism: Mechanism, seed: int) -> tuple[np.ndarray, np.ndarray]:
-    """States (K, nx) from which contacts are pressed: the start and some near it, and some all over the space."""
+    """Initial states (K, nx) before contacts are moved to depth: the start, states near it, and random states."""
     rng, change = np.random.default_rng(seed), np.zeros((_STATES_NEAR_START, mechanism.space.ndx))
     change[1:, : mechanism.nv] = 0.1 * rng.normal(size=(_STATES_NEAR_START - 1, mechanism.nv))
     near = mechanism.space.integrate(np.tile(problem.x0, (_STATES_NEAR_START, 1)), change)
@@ -138,7 +138,7 @@ def _starts(problem: Problem, mechanism: Mechanism, seed: int) -> tuple[np.ndarr
 
 
 class _Bench:
-    """A model that is held at rest while its contacts are pressed one after the other."""
+    """A model at rest whose contacts are brought to a given depth one after the other."""
 
     def __init__(self, mechanism: Mechanism, compiled: CompiledTwin, fixed: np.ndarray) -> None:
         self._mujoco = load_mujoco()
@@ -146,26 +146,26 @@ class _Bench:
         self._model = compiled.copy()
         self._model.opt.enableflags &= ~int(self._mujoco.mjtEnableBit.mjENBL_INVDISCRETE)
         self._survey, self._data = ModelIndex(compiled.model), self._mujoco.MjData(self._model)
-        self._points: Counter[tuple] = Counter()  # how many of a shape's points with the same numbers were looked at
-        self._seen: dict[tuple[int, int], str] = {}  # of each pair of geoms a part that was not reached, "" for none
+        self._points: Counter[tuple] = Counter()  # number of tested points of a shape with the same parameters
+        self._seen: dict[tuple[int, int], str] = {}  # per pair of geoms, a contact that was not reached, "" if all were
 
     @property
     def unreached(self) -> list[str]:
-        """The pairs of which no part was pressed: nowhere near the states that were tried do they touch."""
+        """The pairs of which no sampled state is in contact."""
         return [name for name in self._seen.values() if name]
 
     def _hold(self, x: np.ndarray, qacc: np.ndarray | None = None) -> None:
-        """Let MuJoCo compute the forces at a state (nx,), while the machine accelerates by qacc (nv,) or not."""
+        """MuJoCo's forces at a state (nx,) by inverse dynamics with the acceleration qacc (nv,), 0 by default."""
         set_state(self._model, self._data, self._twin.sim_of(x))
         self._data.qacc[:] = 0.0 if qacc is None else qacc
         self._mujoco.mj_inverse(self._model, self._data)
 
     def contacts(self, near: np.ndarray, anywhere: np.ndarray) -> Iterator[Coefficient]:
-        """Every coefficient of every contact, from states near the start, or anywhere."""
+        """Every coefficient of every contact, from states near the start, else from random states."""
         m = self._mechanism
         for contact, shapes in zip((*m.contacts, *m.body_contacts), shapes_of(m, self._survey), strict=True):
             pressing = ContactStateSampler(m, contact)
-            if not pressing.matters(anywhere, self._fixed):  # no force of it changes the motion
+            if not pressing.matters(anywhere, self._fixed):  # its force does not change the dynamics
                 continue
             if shapes is None:
                 name = contact_name(contact)
@@ -176,7 +176,7 @@ class _Bench:
             touching, ought_to = [], False
             tries: list[tuple[np.ndarray, np.ndarray | None]] = [(near, None), (anywhere, None)]
             middle = self._middle(contact, shapes)
-            if middle is not None:  # the plan's plane goes on where the box ends
+            if middle is not None:  # the plan's plane is unbounded, the box is not
                 pressing.lowest_only = True
                 tries.append((np.concatenate([near, anywhere]), middle))
             for starts, aim in tries:
@@ -198,7 +198,7 @@ class _Bench:
                 self._seen.setdefault((shapes.own, shapes.other), shapes.name)
 
     def _is_like_others(self, contact: AnyContact, shapes: ContactGeoms) -> bool:
-        """Whether it is a point where the plan has it, of a shape of which enough with its numbers were pressed."""
+        """Whether the contact is at the plan's position and POINTS like it on the same shape have been tested."""
         model, survey = self._model, self._survey
         shape = shape_of(model.geom(shapes.own).name)
         if shape == model.geom(shapes.own).name or not isinstance(contact, Contact):
@@ -213,7 +213,7 @@ class _Bench:
         return bool(there) and self._points[shape, shapes.other, numbers] > POINTS
 
     def _middle(self, contact: AnyContact, shapes: ContactGeoms) -> np.ndarray | None:
-        """(3,) where the file puts a box that a contact touches; None for what has no end."""
+        """(3,) position of the box in contact, from the file; None for unbounded shapes."""
         box = self._model.geom_type[shapes.other] == int(self._mujoco.mjtGeom.mjGEOM_BOX)
         return self._survey.home.geom_xpos[shapes.other].copy() if box and isinstance(contact, Contact) else None
 
@@ -242,7 +242,7 @@ class _Bench:
         place: Any,
         velocity: np.ndarray | None = None,
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """The plan's force (3,) and MuJoCo's where the contact moves by about a velocity (3,), and how it does move."""
+        """The plan's force (3,), MuJoCo's, and the contact velocity (3,), nearest to `velocity`."""
         m, v = self._mechanism, place.v[0]
         if velocity is not None:
             x = x.copy()
@@ -280,21 +280,21 @@ class _Bench:
         place: Any,
         rest: tuple[np.ndarray, ...],
     ) -> Iterator[Coefficient]:
-        """Friction while it slips, along and across, and its damping; nothing where the contact cannot slide."""
+        """Friction and slip damping in two tangential directions; nothing where the contact cannot slide."""
         law, n = pressing.contact.law, place.n[0]
         load, across = float(rest[0] @ n), np.eye(3) - np.outer(n, n)
         rubs = law.friction > 0.0 and law.slip_damping > 0.0
         slips = law.friction * load / law.slip_damping if rubs else pressing.speed
 
         def share(way: np.ndarray) -> float:
-            """How much of a velocity that is asked for is along the surfaces."""
+            """The attainable share of a requested velocity along the surfaces."""
             return float(np.linalg.norm(across @ pressing.moving(place, slips * way)[1])) / slips
 
         def rubbed(way: np.ndarray, speed: float) -> tuple[list[float], list[float], float]:
-            """Both frictions, both normal forces, and the speed of sliding."""
+            """Both friction forces, both normal forces, and the sliding speed."""
             *forces, v = self._both(pressing, shapes, x, place, speed / share(way) * way)
             size = float(np.linalg.norm(across @ v))
-            # Less the forces at rest: the normals of two capsules may differ a little.
+            # Minus the forces at rest: the normals of two capsules may differ a little.
             friction = [float((f0 - f) @ across @ v) / size for f0, f in zip(rest, forces, strict=True)]
             return friction, [f @ n for f in forces], size
 
@@ -305,7 +305,7 @@ class _Bench:
             lifts = pressing.moving(place, slips * way)[1] @ n > 0.0
             way = -way if lifts else way
             friction, normal, speed = rubbed(way, _FAST * (1.0 + law.bend) * slips)
-            if law.slip_damping * speed >= (1.0 + law.bend) * law.friction * normal[0]:  # not where it closes as fast
+            if law.slip_damping * speed >= (1.0 + law.bend) * law.friction * normal[0]:  # else it may not slip
                 yield compared("friction", shapes.name, friction[1] / normal[1], friction[0] / normal[0], 1.0)
             if rubs:
                 friction, _, speed = rubbed(way, _SLOW * slips)
@@ -314,7 +314,7 @@ class _Bench:
     def _inertia(
         self, pressing: ContactStateSampler, shapes: ContactGeoms, x: np.ndarray, place: Any, rest: np.ndarray
     ) -> Coefficient:
-        """How much less a contact pushes when the machine accelerates as by a tenth of its force, of that tenth."""
+        """Share of a force along the normal that MuJoCo's contact force cancels, at the acceleration that it causes."""
         push = 0.1 * float(rest @ place.n[0])
         self._hold(x)
         qacc = np.empty((1, self._mechanism.nv))
@@ -325,7 +325,7 @@ class _Bench:
         return Coefficient("contact_inertia", shapes.name, share, 0.0, abs(share), sentence)
 
     def stops(self, x: np.ndarray) -> Iterator[Coefficient]:
-        """Every coefficient of every stop, the other joints where they start."""
+        """Every coefficient of every joint stop, the other joints at their start."""
         for stop in self._mechanism.stops:
             if stop.dof not in self._fixed:
                 yield from self._stop(stop, x.copy())
@@ -351,23 +351,23 @@ class _Bench:
         yield compared("stop_damping", name, B[1], B[0], held[0] / closing)
 
     def _limit(self, x: np.ndarray, stop: Stop) -> float:
-        """MuJoCo's force of a range at a state, beyond the end of it."""
+        """MuJoCo's joint-limit force at a state beyond the range."""
         self._hold(x)
         data, kind = self._data, int(self._mujoco.mjtConstraint.mjCNSTR_LIMIT_JOINT)
         joint = self._model.dof_jntid[stop.dof]
         rows = (np.asarray(data.efc_type) == kind) & (np.asarray(data.efc_id) == joint)
-        return np.asarray(data.efc_force)[rows].sum()  # of NumPy, which divides by 0
+        return np.asarray(data.efc_force)[rows].sum()  # a NumPy scalar, so that dividing by 0 gives inf
 
 
 def _bluntness(contact: AnyContact) -> float:
-    """How far the plan's closest points of two capsules may be from the true ones, m: see contact.between_bodies."""
+    """Upper limit of the error of the plan's closest points of two capsules, m: see contact.between_bodies."""
     if isinstance(contact, Contact) or contact.axis_regularization == 0.0:
         return 0.0
     return 0.5 * contact.law.ramp**2 / (contact.first.radius + contact.second.radius)
 
 
 def _surface(kind: str, name: str, begins: float, depth: float, blunt: float = 0.0) -> Coefficient:
-    """Where MuJoCo's force begins, deeper than the plan's, of a depth."""
+    """Depth at which MuJoCo's force begins, below the plan's surface, relative to `depth`."""
     error = max(abs(begins) - blunt, 0.0) / depth
     sentence = f"{name} begins {abs(begins):.3g} {'later' if begins > 0.0 else 'earlier'} than in the plan"
     return Coefficient(kind, name, begins, 0.0, error if np.isfinite(begins) else np.inf, sentence)

@@ -1,4 +1,4 @@
-"""States at which one contact of a plan is pressed to a depth; the geoms of a MuJoCo model that have this contact."""
+"""Sample states with one contact of a plan at a given penetration depth, and find its geoms in a MuJoCo model."""
 
 from __future__ import annotations
 
@@ -19,22 +19,22 @@ from planner.model.mjcf.model_index import ModelIndex, named
 
 AnyContact = Contact | BodyContact
 
-_ITERATIONS, _STEP = 25, 0.5  # of Newton's method, and how far a joint goes at once, rad or m
-_ARRIVED, _ALMOST = 1e-6, 1e-3  # of the depth
-_ENOUGH = 3  # states that arrived: the others are left where they are
-_CORNERS = 4  # others that a box has at least, if it is one
-_SLIGHT = 1e-9  # of a Jacobian that is none, and m between places that are one
-_SHARE = 0.05  # of a radius: how deep shapes are pressed, unless the ramps ask for more
-_POINT = 0.02  # of the distance between the corners of a box: the same
+_ITERATIONS, _STEP = 25, 0.5  # Iterations of Newton's method; largest joint displacement per iteration, rad or m
+_ARRIVED, _ALMOST = 1e-6, 1e-3  # Tolerances of the depth, relative: to end the iteration, to accept a state
+_ENOUGH = 3  # Number of converged states that ends the iteration
+_CORNERS = 4  # Smallest number of other contacts on the same link and plane that identifies a corner of a box
+_SLIGHT = 1e-9  # Jacobian entries, relative to the largest, and distances, m, that count as zero
+_SHARE = 0.05  # Penetration depth relative to the radius, unless the law's smoothing needs more
+_POINT = 0.02  # Penetration depth of a corner relative to the distance between corners, likewise
 
 
 class ContactStateSampler:
-    """One contact of a mechanism, to be pressed.
+    """Samples states in which one contact of a mechanism has a given penetration depth.
 
     Attributes:
-        depth: How deep, m: beyond the ramps of its law, else as the weight does but little of its shapes' size.
-        lowest_only: Whether MuJoCo may know but the lowest of a shape's parts: of the corners of a box, or on a box.
-        spacing: Least distance to another contact of the same link, m; infinite for a single one.
+        depth: Penetration depth, m: beyond the law's smoothing, else the static depth, limited relative to the radius.
+        lowest_only: Whether the contact is a corner of a box, of which MuJoCo may report only the deepest.
+        spacing: Smallest distance to another contact of the same link, m; infinite for a single one.
     """
 
     def __init__(self, mechanism: Mechanism, contact: AnyContact) -> None:
@@ -50,14 +50,14 @@ class ContactStateSampler:
         self.depth = max(beyond_ramps(contact.law), min(wish for wish in wishes if wish > 0.0))
 
     def _beside(self, other: Contact) -> bool:
-        """Whether another contact is of the same shape, or may be: of the same link on the same plane."""
+        """Whether another contact is of the same link and plane, and so may be of the same shape."""
         own = self.contact
         return isinstance(own, Contact) and other is not own and other.link == own.link and (
             other.plane.offset == own.plane.offset and bool(np.all(other.plane.normal == own.plane.normal))
         )  # fmt: skip
 
     def _mass(self) -> float:
-        """Of all that hangs together with the body that is pressed, kg."""
+        """Mass of the kinematic tree that contains the body in contact, kg."""
         parent = self.mechanism.parent
         root = np.arange(len(parent))
         for i, above in enumerate(parent):
@@ -68,30 +68,30 @@ class ContactStateSampler:
 
     @property
     def speed(self) -> float:
-        """At which the mass bounces this deep, m/s."""
+        """Impact speed at which that mass on the contact's spring reaches this depth, m/s."""
         return self.depth * float(np.sqrt(self.contact.law.stiffness / self._mass()))
 
     def place(self, x: np.ndarray) -> Any:
-        """Where the contact is at states (K, nx)."""
+        """Kinematics of the contact at states (K, nx)."""
         m = self.mechanism
         return contact_kinematics(m, self.contact, x[:, : m.nq], x[:, m.nq : m.nq + m.nv])
 
     def matters(self, x: np.ndarray, fixed: np.ndarray) -> bool:
-        """Whether any degree of freedom but the fixed ones changes the contact at states (K, nx)."""
+        """Whether a degree of freedom outside `fixed` changes the contact at states (K, nx)."""
         J = np.abs(self.place(x).J).max(axis=(0, 1))
         return bool(np.any(np.delete(J, fixed) > _SLIGHT * max(J.max(), 1.0)))
 
     def pressed(
         self, starts: np.ndarray, depth: float, middle: np.ndarray | None = None
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Move the joints of states (K, nx) until the contact is `depth` m deep, the machine at rest.
+        """Move the joints of states (K, nx) until the contact is `depth` m deep, at zero velocity.
 
-        Newton's method with the least change of the joints. With `middle` (3,), a point of the plane's shape where the
-        file puts it, the contact is moved there along the plane too.
+        Newton's method with minimum-norm joint displacements. With `middle` (3,), the point of the plane's shape
+        where the file has it, the contact is moved along the plane to that point too.
 
         Returns:
-            The states (k, nx) that got there, and (k,) whether no other contact of the same link is deeper, where that
-            matters.
+            The converged states (k, nx), and (k,) whether no other contact of the same link is deeper; all true
+            unless `lowest_only`.
         """
         m, contact = self.mechanism, self.contact
         x = starts.copy()
@@ -115,14 +115,14 @@ class ContactStateSampler:
         place = self.place(x)
         there = (np.abs(self._missing(place, depth)) <= _ALMOST * depth) & np.all(np.abs(aside) <= 2.0 * depth, axis=1)
         x = x[there]
-        if isinstance(place, BodyContactKinematics):  # where axes cross, closest points are sharp
+        if isinstance(place, BodyContactKinematics):  # where axes cross, closest points change abruptly
             x = x[np.argsort(-place.crossing[there], kind="stable")]
         lowest = self._lowest(x) if self.lowest_only else np.ones(len(x), dtype=bool)
         lowest_first = np.argsort(~lowest, kind="stable")
         return x[lowest_first], lowest[lowest_first]
 
     def _missing(self, place: Any, depth: float) -> np.ndarray:
-        """(K,) how much deeper a place is to be, m."""
+        """(K,) remaining penetration to the wanted depth, m."""
         return depth + self.contact.law.surface_offset - place.e
 
     def _lowest(self, x: np.ndarray) -> np.ndarray:
@@ -133,19 +133,19 @@ class ContactStateSampler:
         return np.all([own >= e - _ALMOST * self.depth for e in others], axis=0) if others else np.ones(len(x), bool)
 
     def moving(self, place: Any, velocity: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """The least joint velocities (nv,) at a place of one state that come nearest to a velocity (3,), and theirs."""
+        """Minimum-norm joint velocities (nv,) for a contact velocity (3,), at one state, and the attained velocity."""
         drift = self.contact.plane.velocity if isinstance(self.contact, Contact) else np.zeros(3)
         qd = np.linalg.pinv(place.J[0], rcond=1e-6) @ (velocity + drift)
         return qd, place.J[0] @ qd - drift
 
 
 def beyond_ramps(law: Law) -> float:
-    """Twice the depth at which a law is a plain spring's, in m or rad."""
+    """Twice the depth beyond which a law is linear, without smoothing, in m or rad."""
     return 2.0 * max(law.ramp - law.surface_offset, 0.5 * float(law.force_ramp or 0.0) / law.stiffness)
 
 
 def _carried(mechanism: Mechanism, contact: Contact, x: np.ndarray, middle: np.ndarray) -> np.ndarray:
-    """(K, 3) a point of the plane, which may lie on a slide."""
+    """(K, 3) a point of the plane's shape, which may be fixed to a moving slide joint."""
     i = contact.plane.slide
     if i < 0:
         return np.broadcast_to(middle, (len(x), 3))
@@ -154,7 +154,7 @@ def _carried(mechanism: Mechanism, contact: Contact, x: np.ndarray, middle: np.n
 
 
 class ContactGeoms(NamedTuple):
-    """The geoms of a model that meet at a contact of the plan."""
+    """The two geoms of a model that form a contact of the plan."""
 
     own: int  # with the sphere, or the first body's
     other: int  # with the plane, or the second body's
@@ -164,7 +164,7 @@ class ContactGeoms(NamedTuple):
 def shapes_of(mechanism: Mechanism, survey: ModelIndex) -> list[ContactGeoms | None]:
     """The geoms of every contact of a mechanism, planes first; None where the model has no such pair.
 
-    Names decide, and where they do not, places: a contact that is elsewhere is the same one, and differs.
+    Matched by name, else by position; a contact of the same name at another position is matched, and differs.
     """
     flat, round_ = list(_with_planes(survey)), list(_of_bodies(survey))
     return [_nearest(one, flat) for one in mechanism.contacts] + [
@@ -175,8 +175,8 @@ def shapes_of(mechanism: Mechanism, survey: ModelIndex) -> list[ContactGeoms | N
 class _Candidate(NamedTuple):
     shapes: ContactGeoms
     links: tuple[int, ...]
-    label: str  # as the plan's contacts are named
-    place: np.ndarray  # numbers that are the same for the same shapes
+    label: str  # name in the format of the plan's contacts
+    place: np.ndarray  # position and size, equal for equal shapes
 
 
 def _with_planes(survey: ModelIndex) -> Iterator[_Candidate]:
@@ -222,26 +222,26 @@ def _nearest(contact: Contact | BodyContact, candidates: list[_Candidate]) -> Co
 
 
 def shape_name(model: Any, geom: int) -> str:
-    """A geom by its own name or its body's."""
+    """A geom's name, or its body's."""
     return model.geom(geom).name or model.body(int(model.geom_bodyid[geom])).name or f"geom {geom}"
 
 
 def contact_name(contact: Contact | BodyContact) -> str:
-    """A contact by the name that its file gave it, without "geom" and quotation marks."""
+    """Name of a contact from its file, without "geom" and quotation marks."""
     return re.sub(r"geom '([^']*)'", r"\1", contact.name) or "a contact"
 
 
 def force_between(
     model: Any, data: Any, shapes: ContactGeoms, at: np.ndarray | None = None, within: float = np.inf
 ) -> np.ndarray:
-    """(3,) N on the own shape, as `data` has it; NaN where the shapes do not touch.
+    """(3,) N on the geom `shapes.own`, from the contacts in `data`; NaN where the two geoms are not in contact.
 
-    Of their contact nearest to the point `at` (3,), and `within` m of it; without a point, of all their contacts
-    together: two bodies that touch at several have one contact in the plan.
+    The force of their contact nearest to the point `at` (3,), if within `within` m; without a point, the sum over
+    all their contacts, since two bodies in contact at several points have one contact in the plan.
     """
     mujoco, wrench = load_mujoco(), np.empty(6)
     forces, distances = [], []
-    pairs = np.sort(data.contact.geom, axis=1)  # all at once: feet of many points have hundreds
+    pairs = np.sort(data.contact.geom, axis=1)  # vectorized: meshes may have hundreds of contact points
     for c in np.flatnonzero(np.all(pairs == sorted((shapes.own, shapes.other)), axis=1)):
         contact = data.contact[int(c)]
         distance = 0.0 if at is None else float(np.linalg.norm(contact.pos - at))

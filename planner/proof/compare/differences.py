@@ -1,7 +1,7 @@
-"""Find the numbers of a mechanism that differ in another model: the cause of a parity that fails.
+"""Find the parameters of a mechanism that differ from another model: the cause of a failed parity.
 
-The other model is read as a mechanism too, and the two are compared joint by joint. Where their numbers agree, the
-difference is elsewhere, and `rigid_parity` says at which joint it is felt.
+The other model is read as a mechanism too, and the two are compared joint by joint. Where all parameters agree, the
+difference has another cause, and `rigid_parity` names the joint where accelerations differ.
 """
 
 from __future__ import annotations
@@ -14,15 +14,15 @@ import numpy as np
 from planner.model.loops import LoopClosure, PolynomialCoupling
 from planner.model.mechanism import Mechanism
 
-_ROUNDING = 1e-12  # relative, of numbers that went through a compiler
+_ROUNDING = 1e-12  # relative, of parameters after compilation
 _OF_TENDONS = ("dofs", "coefficients", "stiffness", "rest", "damping")
-_MAX_NAMED = 4  # differences named; further ones are counted
+_MAX_NAMED = 4  # maximum number of differences named; further ones are counted
 
 
 def differences(ours: Mechanism, theirs: Mechanism) -> str:
     """Name the joints and terms that differ, e.g. "mass at joint 'elbow' is 0.55, the plan has 0.5"; "" for nothing.
 
-    The other model has as many joints and actuators.
+    Both models have the same numbers of joints and actuators.
     """
     found = list(_all(ours, theirs))
     more = [f"{len(found) - _MAX_NAMED} more"] if len(found) > _MAX_NAMED else []
@@ -30,7 +30,7 @@ def differences(ours: Mechanism, theirs: Mechanism) -> str:
 
 
 def joint_of(mechanism: Mechanism, dof: int) -> str:
-    """A degree of freedom in words, e.g. joint 'elbow'."""
+    """Name of a degree of freedom, e.g. joint 'elbow'."""
     for number, (name, links) in enumerate(zip(mechanism.joint_names, mechanism.joint_links, strict=True)):
         if links.start <= dof < links.stop:
             words = f"joint {name!r}" if name else f"joint number {number}"
@@ -39,7 +39,7 @@ def joint_of(mechanism: Mechanism, dof: int) -> str:
 
 
 def actuator_of(mechanism: Mechanism, index: int) -> str:
-    """An actuator in words, e.g. actuator 'motor'."""
+    """Name of an actuator, e.g. actuator 'motor'."""
     name = mechanism.actuators.names[index]
     return f"actuator {name!r}" if name else f"actuator number {index}"
 
@@ -107,7 +107,7 @@ def _same(one: np.ndarray, other: np.ndarray, scale: float = 0.0) -> bool:
 
 
 def _values(ours: np.ndarray, theirs: np.ndarray) -> str:
-    """The two values, where a sentence can hold them."""
+    """The two values as text, if short enough for a sentence."""
     ours, theirs = np.atleast_1d(ours), np.atleast_1d(theirs)
     wrong = np.flatnonzero(ours != theirs) if ours.ndim == 1 else ()
     if len(wrong) == 1 or ours.size <= 3:
@@ -122,7 +122,7 @@ def _shown(values: np.ndarray) -> str:
 
 
 def _of_chain(chain: LoopClosure | PolynomialCoupling) -> np.ndarray:
-    """The numbers of a loop or a cam."""
+    """The parameters of a loop closure or a cam."""
     if isinstance(chain, PolynomialCoupling):
         return np.array([chain.follower, chain.leader, *chain.offsets, *chain.coefficients], dtype=float)
     return np.array([*chain.links, chain.rigid, *chain.frames.ravel()], dtype=float)

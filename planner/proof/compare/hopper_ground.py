@@ -1,7 +1,7 @@
-"""The force of the ground under the hopper: the plan's spring, and what MuJoCo's ground pushes the foot with.
+"""Contact force of the hopper: the plan's leg spring, against MuJoCo's ground force on the foot.
 
-Forces are per mass of the machine, in/s^2, lengths in inches, as the paper has them. In the plan the leg has no foot;
-MuJoCo's has one that sinks a little into a ground of its own. So it is put where it neither rises nor sinks.
+Forces are per mass of the machine, in/s^2, lengths in inches, as in the paper. The plan's leg has no foot; MuJoCo's
+foot penetrates its ground a little. So the foot's height is solved for zero vertical acceleration.
 """
 
 from __future__ import annotations
@@ -19,17 +19,17 @@ from planner.proof.replays.simulation import set_state
 STATES = 3
 _HALVINGS = 60
 _OF_REST = 0.02
-_DEEPEST = 0.5  # of the compression
+_DEEPEST = 0.5  # Largest penetration of the foot, relative to the leg's compression
 
 
 def hopper_ground(
     dynamics: HopperDynamics, compiled: CompiledTwin, seed: int
 ) -> Iterator[tuple[str, str, float, float, float]]:
-    """Kind, pair, MuJoCo's and the plan's value of each coefficient, and what would matter, at seeded states."""
+    """Kind, pair, MuJoCo's value, the plan's and a significant size of each coefficient, at seeded states."""
     rng, name = np.random.default_rng(seed), "the leg on the ground"
     k, smooth = dynamics.stiffness, dynamics.smoothing
     for _ in range(STATES):
-        # Beyond the smoothing, and as deep as matters: at rest the leg is pressed in by g over k.
+        # Outside the smoothing, and of the size of the static compression, gravity / k.
         height, c = rng.uniform(0.0, 20.0), max(smooth, _OF_REST * dynamics.gravity / k) * rng.uniform(2.0, 20.0)
         speed = -c * np.sqrt(k)
 
@@ -41,21 +41,21 @@ def hopper_ground(
         held, deeper, closing = both(c, 0.0), both(2.0 * c, 0.0), both(c, speed)
         K = [(two - one) / c for one, two in zip(held, deeper, strict=True)]
         B = [(moved - one) / -speed for one, moved in zip(held, closing, strict=True)]
-        begins = [float(c - np.divide(one, slope)) for one, slope in zip(held, K, strict=True)]  # of no ground, NaN
+        begins = [float(c - np.divide(one, slope)) for one, slope in zip(held, K, strict=True)]  # NaN: no force
         yield "contact_stiffness", name, K[1], K[0], k
-        yield "contact_surface", name, c - begins[1], c - begins[0], c  # where it begins, as how deep the leg is then
-        yield "contact_damping", name, B[1], B[0], 1e3 * np.sqrt(k)  # 0 but for the foot's own inertia
+        yield "contact_surface", name, c - begins[1], c - begins[0], c  # compression at which the force begins
+        yield "contact_damping", name, B[1], B[0], 1e3 * np.sqrt(k)  # 0 except for the foot's own inertia
 
 
 def _ground_force(compiled: CompiledTwin, x: np.ndarray, compression: float) -> float:
-    """The normal force on the foot, per mass, where it does not accelerate; NaN where nothing holds it."""
+    """Normal force on the foot per mass at zero foot acceleration; NaN where no height gives it."""
     mujoco, model = load_mujoco(), compiled.model
     data, w = mujoco.MjData(model), compiled.twin.sim_of(x)
-    w[model.nq + 1] = w[model.nq]  # the foot is at rest
+    w[model.nq + 1] = w[model.nq]  # zero foot velocity
 
     def rises(sunk: float) -> bool:
         at = w.copy()
-        at[1] += sunk  # the leg is longer
+        at[1] += sunk  # a longer leg lowers the foot
         set_state(model, data, at)
         mujoco.mj_forward(model, data)
         return bool(data.qacc[0] - data.qacc[1] > 0.0)

@@ -4,16 +4,16 @@ A mechanism is compared term by term (rigid_parity), then its friction loss and 
 
 Friction loss is the same function of velocity and acceleration in both (planner.dynamics.friction), but the plan's is
 smoothed where MuJoCo's saturates. So at MuJoCo's acceleration they agree to rounding in all joints that clearly stick
-or slide; in the smoothed range the difference is shown.
+or slip; in the smoothed range the difference is reported, not judged.
 
-A machine with prescribed joints is compared twice. First with a moderate armature in place of the armature H of its
-prescribed joints (planner.model.mjcf.prescribed_joints), beside which a wrong mass would not show. Then as it is
-replayed: its motors reach
+A machine with prescribed joints is compared twice. First with a moderate armature in place of the large armature H
+of its prescribed joints (planner.model.mjcf.prescribed_joints), which would hide a wrong mass. Then as in a replay:
+motors of its prescribed joints reach
 
     a_p = u - tau_p / H
 
-of the prescribed accelerations u, tau_p being their forces, so MuJoCo's accelerations are those of the plan's own
-dynamics at such controls, to rounding. The difference is shown too.
+for prescribed accelerations u and their joint forces tau_p, so MuJoCo's accelerations equal those of the plan's
+dynamics at the controls a_p, to rounding. The difference u - a_p is reported too.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ from planner.proof.replays.simulation import set_state
 STATES = 256
 BOUND = 1e-10  # relative; rounding is 1e-13
 
-# Of each problem the last comparison: the twin, the seed and what came of it.
+# Cache of the last comparison of each problem: twin, seed, result.
 _last: WeakKeyDictionary[Problem, tuple[Twin, int, Section]] = WeakKeyDictionary()
 
 _NOTHING = Section("parity", not_applicable="the problem names no states at which the two models are the same")
@@ -91,9 +91,9 @@ def parity(
 
 
 def parity_in(compiled: CompiledTwin, problem: Problem, seed: int = 0) -> Section:
-    """parity() of a problem in a model that is compiled already; what was compared last is not compared again.
+    """parity() of a problem in a compiled model; the last comparison of each problem is cached.
 
-    `planner run` compares before it plans, and the proof asks for the same.
+    `planner run` compares before planning, and the proof requests the same comparison.
     """
     if _nothing_to_compare(problem):
         return _NOTHING
@@ -108,12 +108,12 @@ def parity_in(compiled: CompiledTwin, problem: Problem, seed: int = 0) -> Sectio
 
 
 def _smooth_parity(compiled: CompiledTwin, problem: Problem, seed: int) -> Section:
-    """Parity of everything but contacts and stops."""
+    """Parity of everything but contacts and joint stops."""
     requirements, dynamics = problem.requirements, problem.dynamics
     mechanism, prescribed = capabilities_of(dynamics).mechanism, getattr(dynamics, "prescribed", ())
     if requirements is not None and requirements.rates is not None:
         return _of_rates(problem, requirements, compiled, seed)
-    assert mechanism is not None  # else there is nothing to compare
+    assert mechanism is not None  # the caller has excluded other dynamics
     if not prescribed:
         return _of_mechanism(mechanism, dynamics, compiled, seed)
     model = compiled.copy()
@@ -135,12 +135,12 @@ def _of_mechanism(mechanism: Mechanism, dynamics: Any, compiled: CompiledTwin, s
 
 
 def _of_rates(problem: Problem, requirements: Requirements, compiled: CompiledTwin, seed: int) -> Section:
-    """Parity of dx/dt at the states that the problem's requirements name."""
+    """Parity of dx/dt at the states in the problem's requirements."""
     mujoco = load_mujoco()
     compiled.check(problem.dynamics.nu)
     twin, model = compiled.twin, compiled.model
     data = mujoco.MjData(model)
-    assert requirements.equal_states is not None  # a case gives both
+    assert requirements.equal_states is not None  # requirements set both or neither
     assert requirements.rates is not None
     rng = np.random.default_rng(seed)
     ws = requirements.equal_states(rng, STATES)
@@ -161,7 +161,7 @@ def _of_rates(problem: Problem, requirements: Requirements, compiled: CompiledTw
 
 
 def _start(problem: Problem, twin: Twin, model: Any, name: str) -> Measurement:
-    """Whether a keyframe of the model is the plan's own start."""
+    """Compare a keyframe of the model with the plan's start."""
     note = f"keyframe {name!r} of the model against the plan's start, largest component"
     key = next((k for k in range(model.nkey) if model.key(k).name == name), None)
     if key is None:
@@ -171,13 +171,13 @@ def _start(problem: Problem, twin: Twin, model: Any, name: str) -> Measurement:
     return Measurement("start_error", error, "", BOUND, note)
 
 
-_SPEEDS = np.geomspace(1e-4, 1.0, 8)  # of random velocities and accelerations, so that some joints are held, some slide
+_SPEEDS = np.geomspace(1e-4, 1.0, 8)  # of random velocities and accelerations: some joints stick, some slip
 
 
 def friction_parity(mechanism: Mechanism, model: Any, states: int, bound: float, seed: int) -> Iterator[Measurement]:
-    """Compare friction at random states, with `bound` relative to the loss; nothing where nothing rubs in either.
+    """Compare friction at random states, `bound` relative to the loss; empty where neither model has friction.
 
-    The model's contacts, ranges and equalities are left aside.
+    The model's contacts, ranges and equalities are disabled.
     """
     read = mechanism_of_model(model)
     losses = np.maximum(mechanism.friction_loss, read.friction_loss)
@@ -213,20 +213,20 @@ def friction_parity(mechanism: Mechanism, model: Any, states: int, bound: float,
     yield Measurement("friction_loss_bend", float(difference[bent].max(initial=0.0)), "", None, note)
 
 
-_ROUNDS = 3  # of u - tau(u) / H: each is H times nearer than the last
+_ROUNDS = 3  # of the fixed-point iteration of u - tau(u) / H; each reduces the error H times
 
 
 def driven_parity(
     mechanism: Mechanism, prescribed: Collection[str], model: Any, states: int, bound: float, seed: int
 ) -> Section:
-    """Compare a mechanism whose joints are prescribed with the MuJoCo model that drives them.
+    """Compare a mechanism with prescribed joints with the MuJoCo model whose motors move them.
 
-    The model's ranges and contacts are switched off; `bound` is what passes, relative.
+    The model's ranges and contacts are disabled; `bound` is the largest relative error that passes.
     """
     dofs, free = prescribed_dofs(mechanism, prescribed), with_force_inputs(mechanism, prescribed)
     inertias = rigid_body.mass_matrix(free, mechanism.qpos0).diagonal()
     armature = free.armature.copy()
-    armature[dofs] = inertias.max()  # a driven joint may carry next to nothing
+    armature[dofs] = inertias.max()  # the inertia at a prescribed joint may be almost zero
     free = replace(free, armature=armature)
     if model.nv != mechanism.nv or not np.all(model.dof_armature[dofs] == PRESCRIBED_ARMATURE):
         raise ModelError(
@@ -234,7 +234,7 @@ def driven_parity(
             "it is another machine."
         )
     model.dof_armature[dofs] = armature[dofs]
-    losses = tuple(_losses(free, mechanism_of_model(model), bound))  # while its constraints are on
+    losses = tuple(_losses(free, mechanism_of_model(model), bound))  # before its constraints are disabled
     spread = np.where(np.arange(free.nu) < mechanism.nu, 1.0, 1.0 / PRESCRIBED_ARMATURE)  # forces of size one
     section = rigid_parity(free, model, None, states, bound, seed, spread)
     model.dof_armature[dofs] = PRESCRIBED_ARMATURE
@@ -243,7 +243,7 @@ def driven_parity(
 
 
 def _losses(ours: Mechanism, theirs: Mechanism, bound: float) -> Iterator[Measurement]:
-    """Friction losses beside each other; their slopes differ, for MuJoCo takes them from the driven model's inertia."""
+    """Compare friction losses only: MuJoCo computes their slopes from the inertia of the model with motors."""
     largest = np.maximum(ours.friction_loss, theirs.friction_loss)
     if np.any(largest):
         off = np.abs(theirs.friction_loss - ours.friction_loss) / np.where(largest > 0.0, largest, 1.0)
@@ -254,7 +254,7 @@ def _losses(ours: Mechanism, theirs: Mechanism, bound: float) -> Iterator[Measur
 def _driven(
     mechanism: Mechanism, prescribed: Collection[str], model: Any, states: int, bound: float, seed: int
 ) -> tuple[Measurement, Measurement]:
-    """The error of the driven model's accelerations against the plan's dynamics, and how far its motors fall short."""
+    """Acceleration error of the MuJoCo model with motors against the plan's dynamics, and the motors' shortfall."""
     smooth = replace(mechanism, contacts=(), stops=(), friction_loss=np.zeros(mechanism.nv))
     dynamics = RigidBodyDynamics(smooth, 1.0, prescribed=prescribed)
     rng = np.random.default_rng(seed)
@@ -281,7 +281,7 @@ def _driven(
 
 
 def _rounded(mechanism: Mechanism, prescribed: Collection[str], xs: np.ndarray, qdd: np.ndarray) -> np.ndarray:
-    """(K,) what rounding makes of the driven model's accelerations (K, nv), per unit of rounding."""
+    """(K,) condition numbers of that model's accelerations (K, nv): their error per unit of rounding."""
     heavy = with_force_inputs(mechanism, prescribed)
     armature = heavy.armature.copy()
     armature[prescribed_dofs(mechanism, prescribed)] = PRESCRIBED_ARMATURE
@@ -293,7 +293,7 @@ def _rounded(mechanism: Mechanism, prescribed: Collection[str], xs: np.ndarray, 
 def forces_of_prescribed(
     mechanism: Mechanism, prescribed: Collection[str], xs: np.ndarray, qdd: np.ndarray
 ) -> np.ndarray:
-    """The forces (K, n) that prescribed joints take, at xs (K, nx) with accelerations qdd (K, nv); without contacts."""
+    """Forces (K, n) at prescribed joints, at xs (K, nx) with accelerations qdd (K, nv); without contacts."""
     q, qd, _ = np.split(xs, [mechanism.nq, mechanism.nq + mechanism.nv], axis=1)
     return rigid_body.rnea(with_force_inputs(mechanism, prescribed), q, qd, qdd)[
         :, prescribed_dofs(mechanism, prescribed)
@@ -301,7 +301,7 @@ def forces_of_prescribed(
 
 
 def _accelerations(model: Any, mechanism: Mechanism, xs: np.ndarray, us: np.ndarray) -> np.ndarray:
-    """MuJoCo's (K, nv), without contacts and ranges."""
+    """MuJoCo's accelerations (K, nv), without contacts and ranges."""
     unlimited(model)
     mujoco, result = load_mujoco(), np.empty((len(xs), model.nv))
     data = mujoco.MjData(model)

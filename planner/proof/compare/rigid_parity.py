@@ -1,4 +1,4 @@
-"""Parity of a mechanism: its inertia, forces and accelerations and MuJoCo's, term by term, at random states.
+"""Parity of a mechanism's rigid-body terms with MuJoCo's: inertia, forces and accelerations, at random states.
 
     mass matrix     M(q), armature included
     bias force      Coriolis + gravity and its compensation + damping + springs and curves: MuJoCo's qfrc_bias -
@@ -8,11 +8,10 @@
                     G (G' M G)^-1 G' tau of MuJoCo's own M, forces tau and equalities (planner.model.couplings)
     activation      d act / dt
 
-Each is measured at each state: entries of the mass matrix relative to its diagonal, sqrt(M_ii M_jj), so that a foot is
-seen beside a treadmill of a hundred thousand tons; forces to the largest force there, among which counts the inertia
-times the velocity squared; accelerations to what they are computed from, |M^-1| (|M| |qacc| + |bias|), which is large
-where hinges come to lie along each other: there the two models are the same and their accelerations are not, to
-rounding (Skeel). A term that differs is traced to its joint.
+Errors are relative, at each state: mass matrix entries to the diagonal, sqrt(M_ii M_jj), so that light bodies count
+in addition to heavy ones; forces to the largest force there, including inertia times velocity squared; accelerations to
+the size of the terms they are computed from, |M^-1| (|M| |qacc| + |bias|), which is large where revolute axes become
+parallel: there rounding alone makes accelerations differ (Skeel). A term that differs is traced to its joint.
 """
 
 from __future__ import annotations
@@ -40,17 +39,17 @@ from planner.proof.compare.constrained import constrained_acceleration
 from planner.proof.compare.differences import actuator_of, differences, joint_of
 from planner.proof.replays.simulation import set_state
 
-SPEED = 3.0  # rad/s and m/s, the spread of random velocities
-HARDER = 1e-3  # what MuJoCo's equalities give way by, in parts of the least that a file can say
-LARGE = 10.0  # of the torque of a curve over all other forces
+SPEED = 3.0  # rad/s and m/s, standard deviation of random velocities
+HARDER = 1e-3  # compliance of MuJoCo's equalities, relative to the smallest that MJCF can express
+LARGE = 10.0  # upper limit of an exponential torque over all other forces
 _HALVINGS = 20
 
 
 class _Terms(NamedTuple):
-    """The compared quantities, for K states."""
+    """The compared terms, for K states."""
 
     mass: np.ndarray  # (K, nv, nv)
-    rest: np.ndarray  # (K, nv) bias force without motion: gravity and springs
+    rest: np.ndarray  # (K, nv) bias force at zero velocity: gravity and springs
     bias: np.ndarray  # (K, nv)
     back: np.ndarray  # (K, nv) bias force with the velocity reversed
     actuator: np.ndarray  # (K, nv)
@@ -64,8 +63,8 @@ def rigid_parity(
 ) -> Section:  # fmt: skip
     """Compare a mechanism with MuJoCo's model at random states, with random controls times `spread` (nu,).
 
-    The accelerations are of `dynamics` with nothing prescribed, by default the mechanism's; `bound` is what passes,
-    relative.
+    `dynamics`, by default the mechanism's, gives the accelerations, with nothing prescribed; `bound` is the largest
+    relative error that passes.
     """
     _check_sizes(mechanism, model)
     left_out = _unmodelled(mechanism, model)
@@ -80,7 +79,7 @@ def rigid_parity(
     shown = [_soft(mechanism, model, dynamics, xs, us)] if constrained else []
     ours = _ours(mechanism, dynamics, xs, us)
     theirs = _theirs(mechanism, model, read, xs, us)
-    if constrained:  # ours have the forces of the constraints in them
+    if constrained:  # `dynamics` includes the constraint forces
         ours, theirs = (one._replace(actuator=_felt(mechanism, xs, one.actuator)) for one in (ours, theirs))
     speed2 = np.square(xs[:, mechanism.nq : mechanism.nq + mechanism.nv]).max(axis=1)
     mass = _largest_of_each(theirs.mass)
@@ -104,7 +103,7 @@ def rigid_parity(
 
 
 def _unmodelled(mechanism: Mechanism, model: Any) -> Measurement:
-    """Elements that act in the model and that the mechanism has not, without contacts, which a replay reports."""
+    """Elements of the model that the mechanism lacks; contacts aside, which a replay reports."""
     phrases = [one.phrase for one in unsupported_elements(model)]
     note = ", ".join(phrases) or "what changes the motion and is no part of the plan's dynamics"
     if phrases and mechanism.ignored:
@@ -113,10 +112,10 @@ def _unmodelled(mechanism: Mechanism, model: Any) -> Measurement:
 
 
 def random_states(mechanism: Mechanism, rng: np.random.Generator, K: int) -> np.ndarray:
-    """K states (K, nx) all over the space: angles and orientations uniform, lengths and velocities moderate.
+    """K random states (K, nx): angles and orientations uniform, lengths and velocities moderate.
 
-    But where a torque is an exponential, only so far that it stays of the size of others: beside 1e11 N m nothing else
-    is seen.
+    Joints with exponential torques are limited so that these stay comparable to other forces: a torque of 1e11 N m
+    would hide all other errors.
     """
     xs = rng.normal(size=(K, mechanism.space.nx))
     screws = mechanism.kind == SCREW
@@ -130,7 +129,7 @@ def random_states(mechanism: Mechanism, rng: np.random.Generator, K: int) -> np.
 
 
 def _approach(mechanism: Mechanism, xs: np.ndarray) -> None:
-    """Halve the way from home of the joints behind a torque that is LARGE times the machine's other forces."""
+    """Halve the displacement from home of joints whose exponential torque exceeds LARGE times the other forces."""
     q, qd, _ = np.split(xs, [mechanism.nq, mechanism.nq + mechanism.nv], axis=1)
     most = LARGE * (float(np.abs(rigid_body.bias(mechanism, q, qd)).max()) or 1.0) if mechanism.curves else 0.0
     for curve in mechanism.curves:
@@ -143,7 +142,7 @@ def _approach(mechanism: Mechanism, xs: np.ndarray) -> None:
 
 
 def turns(mechanism: Mechanism) -> np.ndarray:
-    """(nv,) whether a degree of freedom is an angle."""
+    """(nv,) whether a degree of freedom is rotational."""
     return np.any(mechanism.S[:, :3] != 0.0, axis=1)
 
 
@@ -151,12 +150,12 @@ def _ours(mechanism: Mechanism, dynamics: RigidBodyDynamics | None, xs: np.ndarr
     q, qd, _ = np.split(xs, [mechanism.nq, mechanism.nq + mechanism.nv], axis=1)
     mass = rigid_body.mass_matrix(mechanism, q)
     rest, bias, back = (rigid_body.bias(mechanism, q, v) for v in (np.zeros_like(qd), qd, -qd))
-    held = exponential_joint_torques(mechanism, q)  # of the mechanism's own, but none of these functions'
+    held = exponential_joint_torques(mechanism, q)  # included in the mechanism's bias, not in these functions'
     rest, bias, back = (value - held for value in (rest, bias, back))
     if mechanism.nu:
         dynamics = _smooth(mechanism, dynamics)
         _, acceleration, activation = np.split(dynamics.rates(xs, us), [mechanism.nv, 2 * mechanism.nv], axis=1)
-    else:  # nothing drives it, so there is nothing to plan
+    else:  # no actuators: no dynamics to compare
         acceleration = rigid_body.forward_dynamics(mechanism, q, qd, held)
         activation = np.zeros((len(xs), 0))
     actuator = np.einsum("kij,kj->ki", mass, acceleration) + bias
@@ -164,7 +163,7 @@ def _ours(mechanism: Mechanism, dynamics: RigidBodyDynamics | None, xs: np.ndarr
 
 
 def _smooth(mechanism: Mechanism, dynamics: RigidBodyDynamics | None) -> RigidBodyDynamics:
-    """Dynamics without contacts, stops and friction loss: those that are given, where they have none."""
+    """Dynamics without contacts, joint stops and friction loss; `dynamics` itself where it has none of them."""
     own = None if dynamics is None else dynamics.mechanism
     if own is None or own.contacts or own.body_contacts or own.stops or np.any(own.friction_loss):
         return RigidBodyDynamics(replace(mechanism, contacts=(), body_contacts=(), stops=()), 0.01)
@@ -173,7 +172,7 @@ def _smooth(mechanism: Mechanism, dynamics: RigidBodyDynamics | None) -> RigidBo
 
 
 def _felt(mechanism: Mechanism, xs: np.ndarray, forces: np.ndarray) -> np.ndarray:
-    """Forces (K, nv) at xs (K, nx) as the leading coordinates feel them, Z' tau, and 0 for the others."""
+    """Generalized forces (K, nv) at xs (K, nx) on the independent coordinates, Z' tau; 0 for the others."""
     felt = np.zeros_like(forces)
     for own, x, tau in zip(felt, xs, forces, strict=True):
         Z, leading = feasible_directions(mechanism, x[: mechanism.nq])
@@ -182,13 +181,13 @@ def _felt(mechanism: Mechanism, xs: np.ndarray, forces: np.ndarray) -> np.ndarra
 
 
 def _nearest_assembled(mechanism: Mechanism, x: np.ndarray) -> np.ndarray:
-    """The state (nx,) on the constraints that is nearest to x, or to a pose between it and home that can be closed."""
+    """The state (nx,) on the constraints nearest to x, or to a pose between x and home from which loops close."""
     start = assembled(mechanism, mechanism.home)
     for share in (1.0, 0.5, 0.25, 0.125, 0.0):
         between = mechanism.space.integrate(start, share * mechanism.space.difference(x, start))
         try:
             return assembled(mechanism, between)
-        except PlannerError:  # no way to close it from there
+        except PlannerError:  # loops cannot be closed from there
             continue
     return start
 
@@ -196,11 +195,11 @@ def _nearest_assembled(mechanism: Mechanism, x: np.ndarray) -> np.ndarray:
 def _soft(
     mechanism: Mechanism, model: Any, dynamics: RigidBodyDynamics | None, xs: np.ndarray, us: np.ndarray
 ) -> Measurement:
-    """How far MuJoCo's own accelerations are from ours at states on the couplings, its equalities as hard as it can.
+    """Error of the accelerations against MuJoCo's at states on the couplings, with its hardest possible equalities.
 
-    MuJoCo adds R = (1 - d) / d w to the diagonal of J W J', with the impedance d, 0.9999 at most, and a weight w that
-    it takes from the bodies at home. Away from home w may be fifty times J W J', and accelerations then differ by
-    5e-3: by R alone, as the formula with it gives MuJoCo's to 1e-10. So these weights are made smaller here.
+    MuJoCo adds R = (1 - d) / d w to the diagonal of J W J', with the impedance d, 0.9999 at most, and a weight w
+    computed from the bodies at home. Away from home w may be fifty times J W J', and accelerations then differ by 5e-3,
+    by R alone: the formula with R gives MuJoCo's to 1e-10. So these weights are reduced here.
     """
     mujoco, model = load_mujoco(), copy.copy(model)
     bits = mujoco.mjtDisableBit
@@ -231,7 +230,7 @@ def _theirs(mechanism: Mechanism, model: Any, read: Mechanism, xs: np.ndarray, u
     data = mujoco.MjData(model)
     shapes = ((nv, nv), (nv,), (nv,), (nv,), (nv,), (nv,), (mechanism.na,))
     terms = _Terms._make(np.empty((K, *shape)) for shape in shapes)
-    # Compensation that MuJoCo counts among the actuators' forces is the mechanism's own here.
+    # Gravity compensation that MuJoCo counts as actuator force is part of the mechanism's bias.
     by_actuators = field(model, "jnt_actgravcomp", model.njnt)[model.dof_jntid]
     compensated = bool(np.any(by_actuators)) and not no_compensation(model)
     for k, (x, u) in enumerate(zip(xs, us, strict=True)):
@@ -251,7 +250,7 @@ def _theirs(mechanism: Mechanism, model: Any, read: Mechanism, xs: np.ndarray, u
 
 
 def unlimited(model: Any) -> None:
-    """Switch ranges and contacts off: they are no part of a mechanism's smooth dynamics."""
+    """Disable joint ranges and contacts of a model, which are no part of the smooth dynamics."""
     bits = load_mujoco().mjtDisableBit
     model.opt.disableflags |= bits.mjDSBL_CLAMPCTRL | bits.mjDSBL_CONSTRAINT
     model.actuator_forcelimited[:] = 0
@@ -284,7 +283,7 @@ def _cause(term: str, mechanism: Mechanism, ours: _Terms, theirs: _Terms, relati
 
 
 def _mass_cause(mechanism: Mechanism, difference: np.ndarray, wrong: np.ndarray) -> str:
-    """Name the outermost joint whose inertia differs, since every joint that carries it feels the difference."""
+    """Name the outermost joint whose inertia differs, since the difference appears at all its ancestors too."""
     entries = np.any(wrong, axis=0)
     joints = np.flatnonzero(np.diag(entries))
     if not len(joints):
@@ -298,13 +297,13 @@ def _mass_cause(mechanism: Mechanism, difference: np.ndarray, wrong: np.ndarray)
 
 
 def rounded(mass: np.ndarray, bias: np.ndarray, acceleration: np.ndarray) -> np.ndarray:
-    """(K,) errors of accelerations from rounding of the terms of the equation of motion, per unit of rounding."""
+    """(K,) condition numbers of accelerations: their error per unit of rounding in the equation of motion."""
     terms = np.einsum("kij,kj->ki", np.abs(mass), np.abs(acceleration)) + np.abs(bias)
     return _largest_of_each(np.einsum("kij,kj->ki", np.abs(np.linalg.inv(mass)), terms))
 
 
 def _rounded(mechanism: Mechanism, t: _Terms, xs: np.ndarray) -> np.ndarray:
-    """The same of terms at xs (K, nx), on the directions Z that couplings and closed chains leave: Z (Z'MZ)^-1 Z'."""
+    """The same of terms at xs (K, nx), in the null space Z of couplings and loop closures: Z (Z'MZ)^-1 Z'."""
     if not (mechanism.couplings or mechanism.loops or mechanism.polynomial_couplings):
         return rounded(t.mass, t.bias, t.acceleration)
     terms = np.einsum("kij,kj->ki", np.abs(t.mass), np.abs(t.acceleration)) + np.abs(t.bias)
@@ -317,7 +316,7 @@ def _rounded(mechanism: Mechanism, t: _Terms, xs: np.ndarray) -> np.ndarray:
 
 
 def _largest_of_each(values: np.ndarray) -> np.ndarray:
-    """The largest magnitude of each state (K,)."""
+    """(K,) the largest magnitude at each state."""
     return np.abs(values).reshape(len(values), -1).max(axis=1)
 
 

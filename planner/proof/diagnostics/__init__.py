@@ -1,8 +1,8 @@
-"""suggested_fixes(): what to write so that a plan that failed will pass, with values computed from what was measured.
+"""suggested_fixes(): changes of the problem that will make a failed plan pass, with values computed from measurements.
 
-Each file looks for one kind of cause and returns what to write against it; here they stand in the order in which causes
-come before their effects: a motor that is too weak makes the end miss its goal, a joint outside its range makes the
-replay differ. sentences.py has the text of every code.
+Each file detects one kind of cause and returns its fix; here they are in the order of causes before their effects: a
+weak motor makes the end miss its goal, a joint outside its range makes the replay differ. sentences.py has the text of
+every code.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ _CAUSES = (
 
 
 def suggested_fixes(plan: Plan, proof: Proof | None = None) -> tuple[SuggestedFix, ...]:
-    """What to write so that a plan passes, the most likely first; empty for one that passed, or where nothing is known.
+    """Suggested fixes of a plan, the most likely first; empty for one that passed, or without a known cause.
 
     Args:
         plan: With its problem.
@@ -44,6 +44,6 @@ def suggested_fixes(plan: Plan, proof: Proof | None = None) -> tuple[SuggestedFi
     for cause in _CAUSES:
         for one in cause(plan, plan.problem, proof):
             found.setdefault(one.key, one)
-        if any(one.value is None for one in found.values()):  # what follows is its effect
+        if any(one.value is None for one in found.values()):  # later findings are its effects
             break
     return tuple(found.values()) or (nothing_known(plan, plan.problem, proof),)

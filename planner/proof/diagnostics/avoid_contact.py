@@ -1,4 +1,4 @@
-"""Shapes that collide in the user's file and not in the plan: at the goal, on the ground, or on the way."""
+"""Diagnose geoms that collide in the user's file and not in the plan: at the goal, on the ground, or along the path."""
 
 from __future__ import annotations
 
@@ -23,12 +23,12 @@ from planner.proof.original_model import PENETRATION_TOLERANCE, as_given
 from planner.proof.replays.compiled_twin import unmodelled_of
 from planner.proof.verdict import Proof
 
-CLEARANCE = 5e-3  # m, from which a pair of shapes counts as separable
-_POSES = 40  # on the straight path
+CLEARANCE = 5e-3  # m, smallest clearance of a pair that counts as separable
+_POSES = 40  # number of poses on the straight path
 
 
 def avoid_contact(plan: Plan, problem: Problem, proof: Proof | None) -> list[SuggestedFix]:
-    """A law for the ground, a collision-free path, or a straight one."""
+    """A contact law for the ground, a collision-free path, or a straight one."""
     if proof is None or not any(one.name == "unknown_contacts" for one in proof.your_file.failures):
         return []
     mechanism, twin, cost = capabilities_of(problem.dynamics).mechanism, plan.twin, tracking_of(problem.cost)
@@ -56,7 +56,7 @@ def avoid_contact(plan: Plan, problem: Problem, proof: Proof | None) -> list[Sug
         return [no_fix("goal", "goal_collides_anyhow", **worst)]
     first = next((pair for q in knots for pair in shapes.depths(q)), None)
     if first is None:
-        return []  # what overlaps at the start
+        return []  # pairs that overlap at the start
     pair = shapes.names(first)
     straight_is_free = not any(shapes.depths(q) for q in shapes.straight(start, goal))
     if straight_is_free and (found := straightened(problem, "path_collides_straight_free", pair=pair)):
@@ -68,13 +68,13 @@ def avoid_contact(plan: Plan, problem: Problem, proof: Proof | None) -> list[Sug
 
 def _knots(plan: Plan, mechanism: Mechanism) -> list[np.ndarray]:
     """Some of a plan's poses, the last one among them."""
-    assert plan.twin is not None  # avoid_contact() asked
+    assert plan.twin is not None  # checked by avoid_contact()
     knots = plan.twin.sim_of(plan.xs)[:: -max(1, plan.N // _POSES), : mechanism.nq]
     return [q for q in knots[::-1] if np.isfinite(q).all()]
 
 
 class _Shapes:
-    """The shapes of the user's file in a pose; pairs whose contact the plan models are left out."""
+    """The geoms of the user's file at a pose, without pairs whose contact the plan models."""
 
     def __init__(self, problem: Problem, model: Any) -> None:
         self._mujoco, self.model = load_mujoco(), model
@@ -102,11 +102,11 @@ class _Shapes:
         return {"pair": self.names(pair), "depth": Quantity(depths[pair], "m")}
 
     def is_ground(self, pair: tuple[int, int]) -> bool:
-        """Whether one of the two does not move."""
+        """Whether one of the two geoms is fixed."""
         return any(self.model.body_weldid[self.model.geom_bodyid[geom]] == 0 for geom in pair)
 
     def touching(self, q: np.ndarray) -> dict[tuple[int, int], float]:
-        """Pairs that the plan does not know, and their depths, m."""
+        """Unmodelled pairs in contact, and their depths, m."""
         self._data.qpos[:] = q
         self._mujoco.mj_fwdPosition(self.model, self._data)
         found: dict[tuple[int, int], float] = {}
@@ -117,11 +117,11 @@ class _Shapes:
         return found
 
     def depths(self, q: np.ndarray) -> dict[tuple[int, int], float]:
-        """The same without pairs that touch at the start."""
+        """The same without pairs in contact at the start."""
         return {pair: depth for pair, depth in self.touching(q).items() if pair not in self.at_start}
 
     def straight(self, start: np.ndarray, goal: np.ndarray) -> list[np.ndarray]:
-        """Poses on the straight path of all joints."""
+        """Poses on the straight line from start to goal in joint space."""
         displacement, poses = np.empty(self.model.nv), []
         self._mujoco.mj_differentiatePos(self.model, displacement, 1.0, start, goal)
         for part in np.linspace(0.0, 1.0, _POSES + 1):

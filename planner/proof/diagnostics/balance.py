@@ -1,4 +1,4 @@
-"""Machines on their feet: a goal in which one cannot stand, and one that falls on its way."""
+"""Diagnose standing machines: a goal pose that is not statically stable, and a fall along the trajectory."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from planner.problem.problem import Problem
 from planner.proof.diagnostics.suggested_fix import SuggestedFix, no_fix, of_file
 from planner.proof.verdict import Proof
 
-MAX_ERROR_GROWTH = 5.0  # exponent over a plan: an error grows by exp(5), 150 times, from a hundredth to all of it
+MAX_ERROR_GROWTH = 5.0  # exponent over a plan: an error grows by exp(5), 150 times
 
 
 def standing_goal(plan: Plan, problem: Problem, proof: Proof | None) -> list[SuggestedFix]:
-    """The reason why a machine that ends elsewhere, or does not end, cannot stand in its goal."""
+    """The reason why a machine that misses its goal, or does not converge, cannot stand at its goal."""
     asked, cost = problem.parameters, tracking_of(problem.cost)
     mechanism = capabilities_of(problem.dynamics).mechanism
     if not of_file(problem) or (proof is not None and proof.goal.passed and proof.your_file.passed):
@@ -35,7 +35,7 @@ def standing_goal(plan: Plan, problem: Problem, proof: Proof | None) -> list[Sug
 
 
 def loses_balance(proof: Proof) -> bool:
-    """Whether a machine on the ground falls whose gains keep its ranges: the stops that it meets then are no cause."""
+    """Whether a standing machine falls, with joint ranges respected under its gains: joint stops are then no cause."""
     problem = proof.replay.plan.problem
     mechanism = None if problem is None else capabilities_of(problem.dynamics).mechanism
     if mechanism is None or not mechanism.contacts or proof.mode is not None or not proof.plan.passed:
@@ -45,12 +45,12 @@ def loses_balance(proof: Proof) -> bool:
 
 
 def _growth_rate(proof: Proof) -> float:
-    """The rate at which errors grow without gains, 1/s; NaN where it is not known."""
+    """Growth rate of errors without gains, 1/s; NaN if unknown."""
     return next((one.value for one in proof.growth.measured if one.name == "growth_rate_open_loop"), float("nan"))
 
 
 def falling(plan: Plan, problem: Problem, proof: Proof | None) -> list[SuggestedFix]:
-    """That the machine does not balance on its way, after all fixes that there are for it."""
+    """The finding that the machine loses its balance along the trajectory; listed after its fixes."""
     if proof is None or not loses_balance(proof):
         return []
     share = float(proof.errors.measured["feedback"].max())

@@ -1,15 +1,15 @@
-"""A motion for which there is too little time: what its actuators would need, by inverse dynamics.
+"""Diagnose too short a duration: the actuator forces that the trajectory would need, by inverse dynamics.
 
-The forces of the smooth motion from start to goal (diagnostics.min_jerk) in a duration T,
+The forces of the minimum-jerk trajectory from start to goal (diagnostics.min_jerk) in a duration T,
 
     tau(s; T) = M qdd / T^2 + (Coriolis) / T^2 + (damping) / T + gravity and springs,
 
-fall with T until gravity alone is left. The shortest T with all forces, controls and velocities within their ranges is
+fall with T until only gravity is left. The shortest T with all forces, controls and velocities within their ranges is
 found by bisection.
 
-Where no smooth motion is known, or none fits and the goal itself can be held, a plan that misses its goal with controls
-or states at their bounds gets half as long again: a machine that must swing up needs time, and no weight gives it that.
-A repair makes it longer yet while that is not enough: longer().
+Without a minimum-jerk trajectory, or if none fits and the goal pose is statically feasible, a plan that misses its goal
+with controls or states at their bounds gets 1.5 times the duration: a machine that must swing up needs time, which no
+weight replaces. A repair lengthens it further while it is too short: longer().
 """
 
 from __future__ import annotations
@@ -31,23 +31,23 @@ from planner.proof.diagnostics.min_jerk import MinJerkMotion, machine_of, smooth
 from planner.proof.diagnostics.suggested_fix import SuggestedFix, fix, no_fix
 from planner.proof.verdict import Proof
 
-MAX_LENGTHENING = 10.0  # times the duration
-USABLE_SHARE = 0.9  # of a range: the rest is left to feedback
-LENGTHENING = 1.5  # times the duration, where no smooth motion is known
-STATIC_LENGTHENING = 1e3  # times the duration: so slow that only gravity and springs load the actuators
-_STEPS = 30  # of the bisection
+MAX_LENGTHENING = 10.0  # upper limit of the new duration, relative
+USABLE_SHARE = 0.9  # of a range: the rest is reserved for feedback
+LENGTHENING = 1.5  # relative new duration without a minimum-jerk trajectory
+STATIC_LENGTHENING = 1e3  # relative duration at which only gravity and springs load the actuators
+_STEPS = 30  # iterations of the bisection
 
 
 class _Need(NamedTuple):
-    """What the smooth motion needs of the most loaded actuator or joint."""
+    """The largest relative load of an actuator or joint on the minimum-jerk trajectory."""
 
-    load: float  # over what it has; above 1 the motion does not fit
+    load: float  # over the available range; infeasible above 1
     what: str = "force"  # or "speed"
     values: Mapping[str, Any] = MappingProxyType({})  # of the finding
 
 
 def more_time(plan: Plan, problem: Problem, proof: Proof | None) -> list[SuggestedFix]:
-    """The duration in which a smooth motion fits, for a plan that has not met its goal or its limits."""
+    """The duration of a feasible minimum-jerk trajectory, for a plan that has not met its goal or its limits."""
     if problem.limits is None or not _short_of_force(plan, problem, proof):
         return []
     machine = machine_of(problem)
@@ -55,7 +55,7 @@ def more_time(plan: Plan, problem: Problem, proof: Proof | None) -> list[Suggest
         return _of_bounds(plan, problem, proof)
     duration = problem.duration
     now, longest = (_need(problem, machine, T) for T in (duration, MAX_LENGTHENING * duration))
-    if now.load <= USABLE_SHARE:  # there is time enough for a smooth motion
+    if now.load <= USABLE_SHARE:  # the duration suffices
         return []
     if longest.load > 1.0:
         if _at_goal(problem, machine).load <= 1.0 and (swinging := _of_bounds(plan, problem, proof)):
@@ -72,7 +72,7 @@ def more_time(plan: Plan, problem: Problem, proof: Proof | None) -> list[Suggest
 
 
 def _short_of_force(plan: Plan, problem: Problem, proof: Proof | None) -> bool:
-    """Whether the plan missed a goal or a limit, or the solve did not end, though it could have."""
+    """Whether the plan missed a goal or limit, or the solve did not converge, though the goal is feasible."""
     if plan.status in (Status.OUTSIDE_LIMITS, Status.MAX_ITERATIONS, Status.NO_DESCENT):
         return True
     if proof is None:
@@ -81,7 +81,7 @@ def _short_of_force(plan: Plan, problem: Problem, proof: Proof | None) -> bool:
 
 
 def longer(problem: Problem, tried: SuggestedFix) -> SuggestedFix:
-    """A duration that is half as long again as one that was tried and was not enough."""
+    """A duration 1.5 times as long as one that was tried and too short."""
     value = _whole(problem, LENGTHENING * tried.value / problem.duration)
     written = fix(problem, "duration", value, tried.code).written
     return replace(tried, value=value, written=written)
@@ -93,8 +93,8 @@ def _missed(proof: Proof | None) -> bool:
 
 
 def _of_bounds(plan: Plan, problem: Problem, proof: Proof | None) -> list[SuggestedFix]:
-    """Half as long again, for a plan whose controls or states are often at their bounds, or that left a range."""
-    misses = plan.status is not Status.CONVERGED or _missed(proof)  # a plan that arrives may use what there is
+    """1.5 times the duration, for a plan with controls or states often at their bounds, or that left a range."""
+    misses = plan.status is not Status.CONVERGED or _missed(proof)  # else full use of ranges is fine
     at_bounds = (control_at_bound(problem, plan.xs, plan.us), state_at_bound(problem, plan.xs)) if misses else ()
     found = [one for one in (state_outside(problem, plan.xs, plan.t), *at_bounds) if one is not None]
     values = {"duration": Quantity(problem.duration, "s"), "bounds": ", and ".join(map(sentence_of, found))}
@@ -102,20 +102,20 @@ def _of_bounds(plan: Plan, problem: Problem, proof: Proof | None) -> list[Sugges
 
 
 def _at_goal(problem: Problem, machine: Mechanism) -> _Need:
-    """The largest load of what stays at the end of the smooth motion."""
+    """The largest static load at the end of the minimum-jerk trajectory."""
     motion = smooth_motion(problem, machine, STATIC_LENGTHENING * problem.duration)
     return max(_of_forces(problem, machine, MinJerkMotion(*(part[-1:] for part in motion))), key=lambda one: one.load)
 
 
 def _need(problem: Problem, machine: Mechanism, duration: float) -> _Need:
-    """The largest load along the smooth motion in this duration."""
+    """The largest load along the minimum-jerk trajectory of this duration."""
     motion = smooth_motion(problem, machine, duration)
     needs = [*_of_forces(problem, machine, motion), *_of_velocities(problem, machine, motion.qd)]
     return max(needs, key=lambda one: one.load, default=_Need(0.0))
 
 
 def _of_forces(problem: Problem, machine: Mechanism, motion: MinJerkMotion) -> list[_Need]:
-    """Of every actuator: its force beside what forcerange, actuatorfrcrange and the bounds of its control leave."""
+    """Each actuator's force relative to the limits of forcerange, actuatorfrcrange and control bounds."""
     acts, needs = machine.actuators, []
     for a in range(machine.nu):
         lower, upper = (np.full(len(motion.q), side) for side in acts.force_range[a])
@@ -134,7 +134,7 @@ def _of_forces(problem: Problem, machine: Mechanism, motion: MinJerkMotion) -> l
 def _of_force(
     problem: Problem, a: int, force: np.ndarray, lower: np.ndarray, upper: np.ndarray, unit: str
 ) -> _Need:  # fmt: skip
-    with np.errstate(all="ignore"):  # a side may be infinite
+    with np.errstate(all="ignore"):  # one bound may be infinite
         middle, half = 0.5 * (lower + upper), 0.5 * (upper - lower)
         one_sided = np.isfinite(lower) ^ np.isfinite(upper)
         load = np.where(np.isfinite(half), np.abs(force - middle) / np.maximum(half, 1e-300), 0.0)
@@ -146,7 +146,7 @@ def _of_force(
 
 
 def _of_velocities(problem: Problem, machine: Mechanism, qd: np.ndarray) -> list[_Need]:
-    """Of every joint whose velocity has a range."""
+    """Each joint's velocity relative to its range, if it has one."""
     ranges, needs = problem.ranges, []
     if ranges is None:
         return []
@@ -155,7 +155,7 @@ def _of_velocities(problem: Problem, machine: Mechanism, qd: np.ndarray) -> list
         i = int(ranges.component[h]) - machine.nv
         if not 0 <= i < machine.nv:
             continue
-        upper, lower = ranges.upper[1:, h].min(), ranges.lower[1:, h].max()  # the goal is at rest: no offset
+        upper, lower = ranges.upper[1:, h].min(), ranges.lower[1:, h].max()  # zero velocity at the goal: no offset
         most = qd[np.argmax(np.abs(qd[:, i])), i]
         limit = upper if most > 0.0 else lower
         name, unit = coordinates[machine.nv + i]
@@ -171,7 +171,7 @@ def _unit(machine: Mechanism, a: int) -> str:
 
 
 def _whole(problem: Problem, times: float) -> float:
-    """A duration at least so many times as long: whole tenths of a second where that makes it little longer."""
+    """A duration at least `times` as long: rounded up to tenths of a second where that adds little."""
     dt, N = problem.dynamics.dt, int(np.ceil(problem.N * times - 1e-9))
     tenth = round(0.1 / dt)
     if tenth and abs(tenth * dt - 0.1) < 1e-12 and tenth <= 0.1 * N:

@@ -1,4 +1,4 @@
-"""Goals that the plan itself misses, because its cost asks too little for them; and what it left out of the file."""
+"""Diagnose goals that the plan itself misses, because their weights are too small, and ignored parts of the file."""
 
 from __future__ import annotations
 
@@ -17,17 +17,17 @@ from planner.problem.tasks.cost import WEIGHT
 from planner.proof.diagnostics.suggested_fix import SuggestedFix, fix, of_file, rounded_up
 from planner.proof.verdict import Proof
 
-TARGET_SHARE = 0.5  # of what passes
-MIN_RAISE, MAX_RAISE = 3.0, 1e6  # times a weight
+TARGET_SHARE = 0.5  # of the tolerance: the error to aim at
+MIN_RAISE, MAX_RAISE = 3.0, 1e6  # limits of the factor on a weight
 _WEIGHTS = ("final_position", "final_velocity")
-_Raises = dict[int, tuple[float, dict[str, Any]]]  # by coordinate: times a weight, and the values of the finding
+_Raises = dict[int, tuple[float, dict[str, Any]]]  # by coordinate: factor on a weight, and the values of the finding
 
 
 def larger_weights(plan: Plan, problem: Problem, proof: Proof | None) -> list[SuggestedFix]:
-    """Final weights that bring the end within half of what passes.
+    """Final weights that bring the end error within half of its tolerance.
 
-    A final weight W leaves a miss e of a way d, as a spring of stiffness W against one of stiffness c = e W / (d - e)
-    does; so the miss e' needs the weight c (d - e') / e'.
+    A final weight W leaves an error e of a displacement d, like a spring of stiffness W against one of stiffness
+    c = e W / (d - e); so the error e' needs the weight c (d - e') / e'.
     """
     if problem.requirements is not None and problem.requirements.goal is not None:
         return []
@@ -57,7 +57,7 @@ def larger_weights(plan: Plan, problem: Problem, proof: Proof | None) -> list[Su
 
 
 def _of_task(plan: Plan, problem: Problem) -> list[SuggestedFix]:
-    """A larger weight of all goals of a task, where the plan misses some: a miss falls as the weight rises."""
+    """A larger weight of all goals of a task, if the plan misses some: an error falls as the weight rises."""
     goals = [one for one in goals_of(problem, plan.xs) if one.alone and np.isfinite(one.tolerance)]
     over = {one.name: one.miss(plan.t, plan.xs) / one.tolerance for one in goals}
     worst = max(goals, key=lambda one: over[one.name], default=None)
@@ -71,7 +71,7 @@ def _of_task(plan: Plan, problem: Problem) -> list[SuggestedFix]:
 
 
 def _raised(problem: Problem, goal: GoalCheck, miss: float) -> tuple[float, dict[str, Any]]:
-    """Times that a weight must be as large, and the values of the finding."""
+    """Factor on the goal's weight, and the values of the finding."""
     aim, way = TARGET_SHARE * goal.tolerance, float(goal.error(problem.x0[None])[0])
     raised = miss / aim
     if miss < way:
@@ -107,14 +107,14 @@ def _of_weight(problem: Problem, cost: TrackingCost, key: str, found: _Raises) -
 
 
 def without_ignored(plan: Plan, problem: Problem, proof: Proof | None) -> list[SuggestedFix]:
-    """Nothing left out, for a plan that is followed in its own model and misses its goal in the user's file."""
+    """No ignored parts, for a plan that is reproduced in its own model and misses its goal in the user's file."""
     ignored = problem.parameters.get("ignore")
     if proof is None or not of_file(problem) or not ignored or proof.your_file.passed:
         return []
     followed = proof.refined_open_loop.passed or proof.refined_feedback.passed
     failures = proof.your_file.failures
     goal_failures = [one for one in failures if one.name.startswith("replayed")]
-    pushed = any(one.name == "unknown_contacts" for one in failures)  # which moves the end, too
+    pushed = any(one.name == "unknown_contacts" for one in failures)  # these contacts move the end, too
     if pushed or not followed or not goal_failures or not proof.goal.passed:
         return []
     values = {"ignored": ", ".join(ignored), "missed": str(goal_failures[0])}

@@ -1,4 +1,4 @@
-"""Ranges of joints and actuators that the plan leaves, because it does not know them or its margin is too small."""
+"""Diagnose joint and actuator ranges that the plan violates: they are not modelled or the margin is too small."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ from planner.proof.replays.ranges import Excess, efforts_in, joints_in
 from planner.proof.replays.replaying import Replay, stopped_dofs
 from planner.proof.verdict import Proof
 
-MARGIN_FACTOR = 1.5  # times what a joint was outside its range
-DEFAULT_SHARE, DEFAULT_MARGIN = 0.01, 0.01  # of a range, and rad: the margin that Limits keep by default
+MARGIN_FACTOR = 1.5  # new margin relative to the range violation
+DEFAULT_SHARE, DEFAULT_MARGIN = 0.01, 0.01  # default margin of Limits: share of a range, and rad
 
 
 def within_limits(plan: Plan, problem: Problem, proof: Proof | None) -> list[SuggestedFix]:
-    """The limits that the plan is to know and does not."""
+    """The limits that the plan lacks and needs."""
     if proof is None:
         return []
     return [*_joints(problem, proof), *_efforts(plan, problem, proof.replay)]
@@ -43,7 +43,7 @@ def _joints(problem: Problem, proof: Proof) -> list[SuggestedFix]:
 
 
 def no_actuator(plan: Plan, problem: Problem, proof: Proof | None) -> list[SuggestedFix]:
-    """A joint without actuator that the plan cannot keep off its stop, which only MuJoCo has."""
+    """A joint without actuator that the plan moves beyond its joint stop, which only MuJoCo has."""
     mechanism, ranges, limits = capabilities_of(problem.dynamics).mechanism, problem.ranges, problem.limits
     if mechanism is None or ranges is None or limits is None or not mechanism.nu:
         return []
@@ -61,12 +61,12 @@ def no_actuator(plan: Plan, problem: Problem, proof: Proof | None) -> list[Sugge
 
 
 def wider_margin(plan: Plan, problem: Problem, proof: Proof | None) -> list[SuggestedFix]:
-    """A margin that is wider by what joints are beyond their ranges, between the knots or in MuJoCo."""
+    """A margin increased by the joints' range violation, between the knots or in MuJoCo."""
     if proof is None or not _stops_matter(proof) or not _knows_ranges(problem):
         return []
     run, limits, ranges = proof.replay, problem.limits, problem.ranges
     if limits is None or ranges is None or np.any(ranges.violation(plan.xs) > limits.tolerance):
-        return []  # its own knots are outside: that is the solve's
+        return []  # violations at the plan's knots are the solve's
     states = np.concatenate([run.qpos, run.qvel, run.act], axis=1)
     found = [*_planned(run), *joints_in(run.compiled.model, states, stopped_dofs(plan))]
     worst = max(found, key=lambda one: one.beyond.max(), default=None)
@@ -77,7 +77,7 @@ def wider_margin(plan: Plan, problem: Problem, proof: Proof | None) -> list[Sugg
 
 
 def _margin(limits: Limits | None, one: Excess) -> float:
-    """How far plans stay off the ends of a range now."""
+    """The plan's current margin to the ends of a range."""
     given = getattr(limits, "margin", 0.0)
     if isinstance(given, Mapping):
         given = next((value for name, value in given.items() if repr(name) in one.name), None)
@@ -103,7 +103,7 @@ def _efforts(plan: Plan, problem: Problem, run: Replay) -> list[SuggestedFix]:
 
 
 def _excess(one: Excess, t: np.ndarray) -> dict[str, Any]:
-    """The range and how far a joint goes outside of it, as values of a finding."""
+    """The range and a joint's violation of it, as values of a finding."""
     last = int(np.argmax(one.beyond))
     side = one.range[0] if one.values[last] < one.range[0] else one.range[1]
     when = t[min(last, len(t) - 1)]
@@ -122,7 +122,7 @@ def _planned(run: Replay) -> list[Excess]:
 
 
 def _stops_matter(proof: Proof) -> bool:
-    """Whether a step fails because a joint is beyond its range, and not because a machine on its feet falls."""
+    """Whether a step fails because a joint leaves its range, and not because a standing machine falls."""
     if loses_balance(proof):
         return False
     nearest = proof.refined_feedback if proof.replay.feedback else proof.refined_open_loop

@@ -1,6 +1,6 @@
-"""The smooth motion from start to goal, a polynomial of fifth order, and what its actuators give for it.
+"""The minimum-jerk trajectory from start to goal, a polynomial of fifth order, and its actuator forces.
 
-It is known where every joint is a hinge or a slide and has an actuator, and where start and goal are at rest.
+It is defined where every joint is a hinge or slide joint with an actuator, and velocities are zero at start and goal.
 """
 
 from __future__ import annotations
@@ -19,21 +19,21 @@ from planner.problem.problem import Problem
 
 
 class MinJerkMotion(NamedTuple):
-    """In the middle of every stage; forces are those of the actuators."""
+    """Values at the middle of every stage; forces are those of the actuators."""
 
     q: np.ndarray  # (N, nq)
     qd: np.ndarray  # (N, nv)
     forces: np.ndarray  # (N, nu)
-    bias: np.ndarray  # (N, nu) of the forces, without a control
+    bias: np.ndarray  # (N, nu) actuator forces at zero control
 
     def controls(self, machine: Mechanism) -> np.ndarray:
-        """(N, nu)."""
+        """(N, nu) controls that give the forces."""
         gain = machine.actuators.gain
         return (self.forces - self.bias) / np.where(gain == 0.0, np.inf, gain)
 
 
 def machine_of(problem: Problem) -> Mechanism | None:
-    """The mechanism of a problem whose smooth motion is known; else None."""
+    """The mechanism of a problem with a minimum-jerk trajectory; else None."""
     dynamics, cost = problem.dynamics, tracking_of(problem.cost)
     if not isinstance(dynamics, RigidBodyDynamics) or dynamics.prescribed or cost is None:
         return None
@@ -47,9 +47,9 @@ def machine_of(problem: Problem) -> Mechanism | None:
 
 
 def smooth_motion(problem: Problem, machine: Mechanism, duration: float) -> MinJerkMotion:
-    """The motion in this duration, with as many stages as the problem has."""
+    """The minimum-jerk trajectory of this duration, with the problem's number of stages."""
     cost, acts = tracking_of(problem.cost), machine.actuators
-    assert cost is not None  # machine_of() asked
+    assert cost is not None  # checked by machine_of()
     q, qd, qdd = quintic(problem.x0[: machine.nq], cost.x_ref[-1][: machine.nq], duration, problem.N)
     forces = np.linalg.lstsq(acts.moment.T, rnea(machine, q, qd, qdd).T, rcond=None)[0].T
     bias = acts.bias[:, 0] + acts.bias[:, 1] * (q @ acts.moment.T) + acts.bias[:, 2] * (qd @ acts.moment.T)

@@ -1,4 +1,4 @@
-"""The sentences of diagnostics of plans and proofs, by their codes. Nothing reads them; tests compare codes and values.
+"""Text of the diagnostics of plans and proofs, by code. Output only; tests compare codes and values.
 
 {name} is a value of the finding; a number stands with its unit.
 """

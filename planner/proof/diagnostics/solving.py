@@ -1,4 +1,4 @@
-"""A solve that did not come to its end: a guess that runs away, too few iterations, or none that helps."""
+"""Diagnose a solve that did not converge: diverging first guess, too few iterations, or no further progress."""
 
 from __future__ import annotations
 
@@ -13,15 +13,15 @@ from planner.proof.diagnostics.suggested_fix import SuggestedFix, fix, no_fix, o
 from planner.proof.verdict import Proof
 from planner.solvers.options import EXPECTED_REDUCTION_TOLERANCE
 
-MAX_RATE_STEP = 1.0  # of the fastest rate times the stage: RK4 is stable up to 2.8 and exact to a percent at 1
-MAX_TIMES = 30.0  # more iterations
+MAX_RATE_STEP = 1.0  # of the fastest eigenvalue times the stage: RK4 is stable up to 2.8 and exact to a percent at 1
+MAX_TIMES = 30.0  # upper limit of the factor on the iterations
 STARTS = 8
-_FEW = 8  # lines of a history from which no trend is read
-_GAINED = 1e-3  # of the cost: what the second half of a solve must have gained for more of it to be worth it
+_FEW = 8  # number of iterations below which no trend is fitted
+_GAINED = 1e-3  # of the cost: smallest reduction in the second half of a solve that justifies more iterations
 
 
 def first_guess(plan: Plan, problem: Problem, proof: Proof | None) -> list[SuggestedFix]:
-    """The stage that the machine's fastest rate needs, or another guess, for one that runs away."""
+    """The stage length for the machine's fastest eigenvalue, or another first guess, for a diverging first guess."""
     if plan.status is not Status.NOT_FINITE:
         return []
     dt, found = problem.dynamics.dt, []
@@ -36,7 +36,7 @@ def first_guess(plan: Plan, problem: Problem, proof: Proof | None) -> list[Sugge
 
 
 def more_iterations(plan: Plan, problem: Problem, proof: Proof | None) -> list[SuggestedFix]:
-    """As many iterations as the trend of the decrease needs."""
+    """Number of iterations, extrapolated from the trend of the decrease."""
     if plan.status is not Status.MAX_ITERATIONS:
         return []
     lines = [line for line in plan.history if line.step > 0.0]
@@ -48,7 +48,7 @@ def more_iterations(plan: Plan, problem: Problem, proof: Proof | None) -> list[S
 
 
 def other_guesses(plan: Plan, problem: Problem, proof: Proof | None) -> list[SuggestedFix]:
-    """Several first guesses, for a solve that came to no end from one."""
+    """Several first guesses, for a solve that did not converge from one."""
     ended = plan.status not in (Status.MAX_ITERATIONS, Status.NO_DESCENT)
     if ended or problem.parameters.get("starts", 1) != 1 or len(plan.starts) > 1:
         return []
@@ -56,13 +56,13 @@ def other_guesses(plan: Plan, problem: Problem, proof: Proof | None) -> list[Sug
 
 
 def iterations_needed(lines: list[Iteration], cost: float) -> int | None:
-    """Iterations until the expected decrease is below the tolerance, by its trend; None where it does not fall."""
+    """Iterations until the expected decrease is below the tolerance, by its trend; None if it does not fall."""
     if not lines:
         return None
     half = lines[len(lines) // 2 :]
     gained = half[0].cost - cost
     expected = np.array([line.expected for line in half])
-    if len(lines) < _FEW:  # it was stopped early
+    if len(lines) < _FEW:  # stopped early
         return 1000 if len(lines) < 1000 else None
     if np.any(expected <= 0.0) or not np.isfinite(expected).all():
         return None
@@ -77,7 +77,7 @@ def iterations_needed(lines: list[Iteration], cost: float) -> int | None:
 
 
 def not_a_minimum(plan: Plan, problem: Problem, proof: Proof | None) -> list[SuggestedFix]:
-    """Where a solve ended though its cost may still fall: how it goes on, or what does not ask for a minimum."""
+    """For a solve that ended though its cost may still fall: how to continue it, or to skip the optimality check."""
     left = [] if proof is None else [one for one in proof.optimality.failures if one.name == "decrease_left"]
     if not left:
         return []
@@ -85,6 +85,6 @@ def not_a_minimum(plan: Plan, problem: Problem, proof: Proof | None) -> list[Sug
 
 
 def nothing_known(plan: Plan, problem: Problem, proof: Proof | None) -> SuggestedFix:
-    """Returned where no cause was found."""
+    """The finding without a known cause."""
     failed = [] if proof is None else [one for section in proof.sections.values() for one in section.failures]
     return no_fix("", "unknown", failed=failed[0].name.replace("_", " ") if failed else "the solve")

@@ -1,7 +1,7 @@
-"""A stage that is too long.
+"""Diagnose a stage that is too long.
 
-MuJoCo at a refined step goes elsewhere, as the plan's own integrator predicts it; or gains that were made for controls
-that are held over a stage shake a machine that swings to and fro within one.
+Either the integration error of the plan's step makes MuJoCo at a refined step deviate, or gains with controls that are
+constant over a stage destabilize a machine that oscillates within a stage.
 """
 
 from __future__ import annotations
@@ -21,18 +21,16 @@ from planner.proof.original_model import OPEN_LOOP_MISSES
 from planner.proof.step_convergence import NOMINAL
 from planner.proof.verdict import Proof
 
-TARGET_SHARE = 0.5  # of what passes: the error that is aimed at
-MAX_DIVISION = 16  # times shorter: beyond, something else is wrong
-MAX_SWING = (
-    1.0  # of the fastest oscillation's rad/s times the stage: gains for a held control then act within its swing
-)
-_SHORT = 1e-4  # of a stage
-_SLACK = 1.001  # a stage that is a tenth of a percent too long is not too long
-_MANTISSAS = (5.0, 4.0, 2.5, 2.0, 1.0)  # of steps that people write
+TARGET_SHARE = 0.5  # of the bound: the error to aim at
+MAX_DIVISION = 16  # upper limit of the factor: with shorter stages the cause is another
+MAX_SWING = 1.0  # of the fastest oscillation's rad/s times the stage: gains then act within an oscillation period
+_SHORT = 1e-4  # tolerance, relative to a stage
+_SLACK = 1.001  # tolerance of 0.1 % by which a stage may be too long
+_MANTISSAS = (5.0, 4.0, 2.5, 2.0, 1.0)  # of round step lengths
 
 
 def shorter_stage(plan: Plan, problem: Problem, proof: Proof | None) -> list[SuggestedFix]:
-    """The stage at which the integrator's error is half of what passes, by its order."""
+    """The stage length at which the integrator's error is half of its bound, by the order of convergence."""
     if proof is None or not all(one.passed for one in (proof.plan, proof.parity, proof.same_step)):
         return []
     if proof.refined_feedback.passed and (proof.mode is not None or proof.refined_open_loop.passed):
@@ -55,7 +53,7 @@ def shorter_stage(plan: Plan, problem: Problem, proof: Proof | None) -> list[Sug
 
 
 def calmer_gains(plan: Plan, problem: Problem, proof: Proof | None) -> list[SuggestedFix]:
-    """The stage whose gains follow the fastest oscillation, where gains alone keep the user's file from its goals."""
+    """The stage length for the fastest oscillation, where the gains alone make the user's file miss its goals."""
     if proof is None or not proof.refined_feedback.passed or proof.your_file.passed:
         return []
     open_loop_error = next((one.value for one in proof.your_file.measured if one.name == OPEN_LOOP_MISSES), math.nan)
@@ -69,9 +67,9 @@ def calmer_gains(plan: Plan, problem: Problem, proof: Proof | None) -> list[Sugg
 
 
 def rates_at_start(problem: Problem) -> np.ndarray:
-    """The eigenvalues of the dynamics linearized at the start, 1/s, complex; infinite where there are none.
+    """Eigenvalues of the dynamics linearized at the start, 1/s, complex; infinite if there are none.
 
-    The stage that they are taken from is so short that it is exp(h J) nearly.
+    Computed from a stage h so short that A is close to exp(h J).
     """
     dynamics = problem.dynamics
     with_step = getattr(dynamics, "with_step", None)
@@ -86,7 +84,7 @@ def rates_at_start(problem: Problem) -> np.ndarray:
 
 
 def rounded_step(duration: float, most: float) -> float:
-    """The longest stage up to `most` that people would write, of which the duration is a whole number."""
+    """The longest round stage length up to `most`, of which the duration is an integer multiple."""
     power = 10.0 ** math.floor(math.log10(most))
     for scale in (power, power / 10.0, power / 100.0):
         for mantissa in _MANTISSAS:

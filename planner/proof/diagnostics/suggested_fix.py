@@ -1,4 +1,4 @@
-"""SuggestedFix: a key of the problem, the value to write there, and the finding that asks for it."""
+"""SuggestedFix: a key of the problem, its new value, and the finding behind it."""
 
 from __future__ import annotations
 
@@ -21,13 +21,13 @@ FLAGS = (ITERATIONS, "starts")  # of solve() and the command line, for all probl
 
 @dataclass(frozen=True)
 class SuggestedFix(Diagnostic):
-    """What to write, and why.
+    """A change of the problem, and its reason.
 
     Attributes:
-        key: As a problem.toml has it, with dots for its tables: "limits.margin"; or a whole table of TABLES, of which
-            some keys are to be written. "max_iterations" is a flag of the command line and an argument of solve().
-        value: What to write there, a JSON value; None where no value helps.
-        written: The same in the notation of the problem's origin: its file, a command line or Python.
+        key: As in a problem.toml, with dots for its tables: "limits.margin"; or a whole table of TABLES, with some keys
+            to set. "max_iterations" is a flag of the command line and an argument of solve().
+        value: The new value, a JSON value; None if no value helps.
+        written: The change in the notation of the problem's origin: its file, a command line or Python.
         tried: "passes" or "fails" once a repair has tried it, else "".
     """
 
@@ -38,7 +38,7 @@ class SuggestedFix(Diagnostic):
 
     @property
     def sentence(self) -> str:
-        """How to write it, and the measured reason."""
+        """The change as text, and its measured reason."""
         text = self.text(SENTENCES)
         return (f"{self.written}: {text}" if self.written else text) + TRIED[self.tried]
 
@@ -77,7 +77,7 @@ def fix(problem: Problem, key: str, value: Any, code: str, **values: Any) -> Sug
 
 
 def no_fix(key: str, code: str, **values: Any) -> SuggestedFix:
-    """A finding that no value of the key takes away."""
+    """A finding that no value of the key resolves."""
     return SuggestedFix(code, values, key)
 
 

@@ -1,7 +1,7 @@
-"""A plan that swings its joints far away, because its cost asks for little effort and for nothing else.
+"""Diagnose a plan with joint excursions far outside start and goal, because its cost only penalizes effort.
 
-Weights of velocities keep the way short, and final weights must then be large beside what the way costs. Both follow
-from the smooth motion (diagnostics.min_jerk): its effort, its velocities, and how near to the goal the end must be.
+Velocity weights keep the path short, and final weights must then be large relative to the path's cost. Both follow
+from the minimum-jerk trajectory (diagnostics.min_jerk): its effort, velocities, and the tolerance of the goal.
 """
 
 from __future__ import annotations
@@ -18,13 +18,13 @@ from planner.proof.diagnostics.min_jerk import machine_of, smooth_motion
 from planner.proof.diagnostics.suggested_fix import SuggestedFix, fix, rounded_up
 from planner.proof.verdict import Proof
 
-MAX_EXCURSION = 1.0  # times the longest way of a joint: as far beyond start and goal, a plan swings
-VELOCITY_SHARE = 10.0  # times the effort of the smooth motion: what its velocities are to cost
-TARGET_SHARE = 0.25  # of what passes: the miss that final weights leave
+MAX_EXCURSION = 1.0  # largest excursion outside start and goal, relative to the largest joint displacement
+VELOCITY_SHARE = 10.0  # cost of the minimum-jerk trajectory's velocities relative to its effort
+TARGET_SHARE = 0.25  # of the tolerance: the final error to aim at
 
 
 def penalize_velocity(plan: Plan, problem: Problem, proof: Proof | None) -> list[SuggestedFix]:
-    """Weights for a plan that swings beyond its whole way, where that leaves a range or the solve came to no end."""
+    """Weights for a plan with a large excursion, where it leaves a joint range or the solve did not converge."""
     machine, cost = machine_of(problem), tracking_of(problem.cost)
     if machine is None or cost is None or not np.isfinite(plan.xs).all():
         return []
@@ -40,7 +40,7 @@ def penalize_velocity(plan: Plan, problem: Problem, proof: Proof | None) -> list
 
 
 def straightened(problem: Problem, code: str, **values: Any) -> list[SuggestedFix]:
-    """Weights that make the way nearly straight; none where it is not known, or velocities cost something already."""
+    """Weights for a nearly straight path; none without a minimum-jerk trajectory, or with velocity weights already."""
     machine, cost = machine_of(problem), tracking_of(problem.cost)
     if machine is None or cost is None or np.any(np.diagonal(cost.Q[0])[machine.nv :]):
         return []
@@ -60,6 +60,6 @@ def straightened(problem: Problem, code: str, **values: Any) -> list[SuggestedFi
     for key, (scale, now) in scales.items():
         passing = [one.tolerance for one in goals_of(problem) if one.unit.endswith("/s") == key.endswith("velocity")]
         least = min(passing, default=np.inf)
-        if np.isfinite(least) and np.ptp(now) == 0.0:  # a miss of `least` is to cost as much as the way changes
+        if np.isfinite(least) and np.ptp(now) == 0.0:  # a final error of `least` is to cost as much as the path's cost
             value[key] = max(rounded_up(2.0 * running / (scale * TARGET_SHARE * least)), float(now[0]))
     return [fix(problem, "weights", value, code, **values)]

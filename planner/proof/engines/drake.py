@@ -1,9 +1,9 @@
 """Drake: a model by its own parser of MJCF, accelerations by the articulated-body algorithm of its MultibodyPlant.
 
-Its parser reads gravity, damping, and the armature of hinges and slides with an actuator that it knows; it ignores
-springs, friction loss and `general` actuators. Its velocity of a free joint is (angular, linear), both in the world,
-that of a ball angular in the parent's frame. A ball is three angles for it, which are computed anew for every state: no
-angle is ever integrated.
+Its parser reads gravity, damping, and the armature of hinge and slide joints with a supported actuator; it ignores
+springs, friction loss and `general` actuators. Its velocity of a free joint is (angular, linear), both in the world
+frame, that of a ball joint angular in the parent frame. A ball joint has three angles, recomputed for every state:
+angles are never integrated.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ NEEDS = "drake==1.51.1"
 
 
 def load() -> list[Any]:
-    """Its modules plant, parsing and math; an ImportError where it is missing."""
+    """Its modules plant, parsing and math; raises ImportError if it is missing."""
     return [importlib.import_module(f"pydrake.{name}") for name in ("multibody.plant", "multibody.parsing", "math")]
 
 
@@ -35,15 +35,15 @@ class Drake:
     """A mechanism in Drake."""
 
     def __init__(self, text: Prepared, mechanism: Mechanism) -> None:
-        """Read the text that the mechanism is of.
+        """Parse the text of the mechanism.
 
         Raises:
             ImportError: Drake is not installed.
-            ModelError: Its parser refuses the text, or reads other joints.
+            ModelError: Its parser rejects the text, or reads other joints.
         """
         plants, parsing, self._math = load()
         self.version = importlib.metadata.version("drake")
-        self._plant = plant = plants.MultibodyPlant(0.0)  # continuous: no step, no contacts, no ends of range
+        self._plant = plant = plants.MultibodyPlant(0.0)  # continuous: no step, no contacts, no joint limits
         with _quiet():
             try:
                 parsing.Parser(plant).AddModels(str(text.path))
@@ -51,7 +51,7 @@ class Drake:
             except RuntimeError as error:
                 raise ModelError(f"Drake's parser refuses the model: {' '.join(str(error).split())}") from None
         self._q, self._v = np.zeros(mechanism.nq, dtype=int), np.zeros(mechanism.nv, dtype=int)
-        self._turning: list[tuple[int, slice, bool]] = []  # address of the quaternion, its velocity, whether a ball
+        self._turning: list[tuple[int, slice, bool]] = []  # quaternion address, velocity slice, is a ball joint
         self._place(mechanism, text)
         self.settings: list[str] = []
         self._set_gravity(mechanism)
@@ -63,7 +63,7 @@ class Drake:
         self._context = plant.CreateDefaultContext()
 
     def _place(self, mechanism: Mechanism, text: Prepared) -> None:
-        """Find MuJoCo's joints among Drake's."""
+        """Map MuJoCo's joints to Drake's."""
         plant = self._plant
         joints = [plant.get_joint(index) for index in plant.GetJointIndices()]
         own = {one.name(): one for one in joints} | {
@@ -85,7 +85,7 @@ class Drake:
             self._v[links] = v + (np.array([3, 4, 5, 0, 1, 2]) if n == 6 else np.arange(n))
             if n == 1:
                 self._q[place] = q
-            elif n == 3:  # three angles, which have no place among four numbers
+            elif n == 3:  # three angles, set from the quaternion
                 self._q[place : place + 4] = q, q, q, q
                 self._turning.append((place, links, True))
             else:
@@ -105,7 +105,7 @@ class Drake:
         damping, armature = mechanism.damping.copy(), mechanism.armature.copy()
         links_of = dict(zip((joint.index() for joint in self._joints), mechanism.joint_links, strict=True))
         for joint, links in zip(self._joints, mechanism.joint_links, strict=True):
-            if links.stop - links.start < 6:  # which has none
+            if links.stop - links.start < 6:  # free joints have none
                 damping[links] -= joint.default_damping_vector()
         for index in plant.GetJointActuatorIndices():
             actuator = plant.get_joint_actuator(index)
@@ -141,7 +141,7 @@ class Drake:
 
 @contextmanager
 def _quiet() -> Iterator[None]:
-    """Without the parser's warnings of cameras, lights and the like."""
+    """Suppress the parser's warnings of cameras, lights and the like."""
     log = logging.getLogger("drake")
     before = log.level
     log.setLevel(logging.ERROR)

@@ -1,8 +1,8 @@
-"""The motion of a plan in another engine: forces that the engine does not read, and SciPy's DOP853 from knot to knot.
+"""Simulate a plan in another engine: added forces that the engine does not read, and SciPy's DOP853 from knot to knot.
 
-The forces of actuators, springs, dampers, tendons and exponential torques are those of the mechanism that MuJoCo's
-compiler makes of the same text. Controls are constant over a stage, so each stage is integrated by itself: within it
-the equation is smooth.
+The forces of actuators, springs, dampers, tendons and exponential torques are those of the mechanism from MuJoCo's
+compiler for the same text. Controls are constant over a stage, so each stage is integrated separately: within it the
+equation is smooth.
 """
 
 from __future__ import annotations
@@ -18,28 +18,28 @@ from planner.model.space import conjugate, log_quaternion, product, unit
 from planner.model.tendons import tendon_forces
 from planner.problem.plan import Plan
 
-PARTS = 4  # places of a stage at which the motion is compared
+PARTS = 4  # samples per stage at which trajectories are compared
 RELATIVE, ABSOLUTE = 1e-10, 1e-12  # tolerances of the integrator
-RUNAWAY = 1e10  # beyond it there is no motion, as for MuJoCo
-_MAX_EVALUATIONS = 500  # evaluations per stage, on the average; a stage of a hundredth of a second takes about twenty
+RUNAWAY = 1e10  # divergence threshold, as in MuJoCo
+_MAX_EVALUATIONS = 500  # average limit of evaluations per stage; a stage of 0.01 s takes about twenty
 
 Rates = Callable[[np.ndarray, np.ndarray], np.ndarray]
 """(qvel, qacc, d act/dt), (2 nv + na,), at one state x (nx,) with the controls u (nu,)."""
 
 
 class _RanAway(Exception):
-    """The motion has left all bounds."""
+    """The trajectory has diverged."""
 
 
 def motion(plan: Plan, mechanism: Mechanism, x0: np.ndarray, rates: Rates, feedback: bool) -> np.ndarray:
-    """States (N * PARTS + 1, nx) from x0 under a plan's controls; NaN from where they ran away.
+    """States (N * PARTS + 1, nx) from x0 under a plan's controls; NaN after divergence.
 
     With `feedback` the plan's gains act at every evaluation, on the deviation from the plan at that instant, between
     knots too.
     """
     from scipy.integrate import solve_ivp
 
-    assert plan.problem is not None  # its dynamics are asked
+    assert plan.problem is not None  # its dynamics are needed
     dynamics, space, evaluations = plan.problem.dynamics, plan.space, 0
     xs = np.full((plan.N * PARTS + 1, len(x0)), np.nan)
     xs[0] = x = x0
@@ -82,7 +82,7 @@ def normalized(mechanism: Mechanism, x: np.ndarray) -> np.ndarray:
 
 
 def _lifted(mechanism: Mechanism, x: np.ndarray, rates: np.ndarray) -> np.ndarray:
-    """dx/dt (nx,) of rates (2 nv + na,): quaternions turn with the velocity in the body's frame."""
+    """dx/dt (nx,) from rates (2 nv + na,): quaternion derivatives from angular velocities in the body frame."""
     nq, nv = mechanism.nq, mechanism.nv
     result = np.empty(len(x))
     result[nq:] = rates[nv:]
@@ -98,7 +98,7 @@ class Applied:
     """The forces tau(q, v, act, u) on the joints of a mechanism, and the rates of its activations."""
 
     def __init__(self, mechanism: Mechanism, damping: np.ndarray) -> None:
-        """For an engine that has the mechanism's inertia and gravity; `damping` (nv,) is what it lacks."""
+        """For an engine with the mechanism's inertia and gravity; `damping` (nv,) is the damping that it lacks."""
         self._mechanism, self._damping = mechanism, damping
         self._screws = mechanism.kind == SCREW
         actuators = mechanism.actuators
@@ -130,7 +130,7 @@ class Applied:
         return rates
 
     def phrases(self) -> list[str]:
-        """What is added, a phrase for each kind."""
+        """The added forces, a phrase for each kind."""
         m = self._mechanism
         springs = m.stiffness != 0.0
         for (_, dof), stiffness in zip(m.quaternions, m.ball_stiffness, strict=True):
@@ -146,6 +146,6 @@ class Applied:
 
 
 def joints_with(mechanism: Mechanism, dofs: np.ndarray) -> str:
-    """The names of the joints of some degrees of freedom, (nv,) bool."""
+    """Names of the joints of selected degrees of freedom, (nv,) bool."""
     pairs = zip(mechanism.joint_names, mechanism.joint_links, strict=True)
     return ", ".join(name or f"joint {j}" for j, (name, own) in enumerate(pairs) if np.any(dofs[own]))

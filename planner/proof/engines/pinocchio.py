@@ -1,7 +1,7 @@
 """Pinocchio: a model by its own parser of MJCF, accelerations by its articulated-body algorithm.
 
-Its parser reads the tree, the inertias and the armature, but neither gravity nor springs nor actuators; its algorithm
-has no damping. Its velocity of a free joint is in the body's frame, its quaternions end with w.
+Its parser reads the tree, the inertias and the armature, but not gravity, springs or actuators; its algorithm has no
+damping. Its velocity of a free joint is in the body frame, its quaternions are (x, y, z, w).
 """
 
 from __future__ import annotations
@@ -20,11 +20,11 @@ from planner.proof.engines.text import Prepared
 
 NEEDS = "pin==4.0.0 libpinocchio==4.0.0"
 
-_WXYZ = np.array([3, 0, 1, 2])  # where x, y, z, w have w, x, y, z
+_WXYZ = np.array([3, 0, 1, 2])  # indices of w, x, y, z in x, y, z, w
 
 
 def load() -> Any:
-    """The library; an ImportError where it is missing, or another package of this name is there."""
+    """The library; raises ImportError if it is missing or is another package of the same name."""
     pinocchio = importlib.import_module("pinocchio")
     if not hasattr(pinocchio, "buildModelFromMJCF"):
         raise ImportError("the package pinocchio that is there has no parser of MJCF")
@@ -35,11 +35,11 @@ class Pinocchio:
     """A mechanism in Pinocchio."""
 
     def __init__(self, text: Prepared, mechanism: Mechanism) -> None:
-        """Read the text that the mechanism is of.
+        """Parse the text of the mechanism.
 
         Raises:
             ImportError: Pinocchio is not installed.
-            ModelError: Its parser refuses the text, or reads other joints.
+            ModelError: Its parser rejects the text, or reads other joints.
         """
         self._library = pinocchio = load()
         self.version = str(pinocchio.__version__)
@@ -62,10 +62,10 @@ class Pinocchio:
             self.settings.append(f"armature of {joints_with(mechanism, lacks)}")
 
     def _place(self, mechanism: Mechanism, text: Prepared) -> None:
-        """Find MuJoCo's joints among Pinocchio's."""
+        """Map MuJoCo's joints to Pinocchio's."""
         model, own = self._model, {name: i for i, name in enumerate(self._model.names)}
         sizes = [links.stop - links.start for links in mechanism.joint_links]
-        found = [own.get(name, 0) for name in text.joints]  # 0 is the universe, which does not move
+        found = [own.get(name, 0) for name in text.joints]  # 0 is the universe, which is fixed
         if [model.nvs[i] for i in found] != sizes or model.nv != mechanism.nv:
             read = ", ".join(list(model.names)[1:])
             raise ModelError(f"Pinocchio's parser reads other joints ({read}) than {', '.join(text.joints)}")
@@ -89,11 +89,11 @@ class Pinocchio:
             own_v, own_tau = v.copy(), tau.copy()
             for dof, R in turned:
                 w, linear = v[dof + 3 : dof + 6], R.T @ v[dof : dof + 3]
-                own_v[dof : dof + 3] = linear  # whose rate is not the acceleration: armature resists that
+                own_v[dof : dof + 3] = linear  # armature acts on the classical acceleration instead
                 own_tau[dof : dof + 3] = R.T @ tau[dof : dof + 3] - self._armature[dof : dof + 3] * cross(w, linear)
         place[self._q], speed[self._v], force[self._v] = q, own_v, own_tau
         found = np.array(self._library.aba(self._model, self._data, place, speed, force))[self._v]
-        for dof, R in turned:  # of R w: the frame turns
+        for dof, R in turned:  # derivative of R w in the rotating frame
             w = v[dof + 3 : dof + 6]
             found[dof : dof + 3] = R @ (found[dof : dof + 3] + cross(w, own_v[dof : dof + 3]))
         return found

@@ -1,8 +1,8 @@
-"""Step 8 of a proof: the same controls in another engine, by its parser and its dynamics, with SciPy's integrator.
+"""Step 8 of a proof: the same controls in another engine, with its own parser and dynamics, and SciPy's integrator.
 
-MuJoCo has its compiler in common with the plan, so both would read a file wrongly together. Another engine reads the
-text by a parser of its own and has its own tree, inertias and recursion; SciPy's DOP853 integrates. What it does not
-read (docs/proof.md) is applied as a force and said. The step is shown, it is no part of the verdict.
+The plan uses MuJoCo's compiler too, so a parsing error would affect both alike. Another engine parses the text itself
+and has its own tree, inertias and recursion; SciPy's DOP853 integrates. Elements that it does not read (docs/proof.md)
+are applied as forces and reported. The step is shown, it is no part of the verdict.
 """
 
 from __future__ import annotations
@@ -33,18 +33,18 @@ from planner.proof.replays.compiled_twin import CompiledTwin
 from planner.proof.replays.contact_history import may_touch
 from planner.proof.replays.replaying import problem_of
 
-NOTES = ("acceleration_difference", "forces_and_numbers_added", "changes_of_the_text")  # values to be read with theirs
-STATES = 64  # at which accelerations are compared
-_OTHER = 0.5  # of an acceleration: what is less wrong is compared, what is more is no such machine
-_STILL = 1e-9  # of our own acceleration at rest: less is no gravity
+NOTES = ("acceleration_difference", "forces_and_numbers_added", "changes_of_the_text")  # their notes must be read too
+STATES = 64  # number of states at which accelerations are compared
+_OTHER = 0.5  # relative acceleration error above which the engine has another inertia; smaller errors are compared
+_STILL = 1e-9  # of our own acceleration at rest: a smaller one shows missing gravity
 
 
 class PhysicsEngine(Protocol):
     """A mechanism in another engine, in MuJoCo's coordinates."""
 
     version: str
-    lacks_damping: np.ndarray  # (nv,) damping that it does not compute
-    settings: list[str]  # what it was given in numbers, since its parser does not read it
+    lacks_damping: np.ndarray  # (nv,) damping that its dynamics lack
+    settings: list[str]  # parameters set by number, which its parser does not read
 
     def acceleration(self, q: np.ndarray, v: np.ndarray, tau: np.ndarray) -> np.ndarray:
         """Accelerations qacc (nv,) at qpos, qvel with the applied forces tau."""
@@ -52,7 +52,7 @@ class PhysicsEngine(Protocol):
 
 
 class _Kind(NamedTuple):
-    """How an engine is made, looked for and installed."""
+    """Constructor, availability check and requirement of an engine."""
 
     make: Callable[[Prepared, Mechanism], PhysicsEngine]
     load: Callable[[], Any]
@@ -80,17 +80,17 @@ def another_engine(plan: Plan, name: str, *, twin: Twin | None = None, seed: int
     """Repeat a plan in another engine, open loop and with its gains, and compare it with the plan.
 
     Args:
-        plan: A plan of a mechanism with hinges, slides, balls and free joints, whose motion is smooth.
+        plan: A plan of a mechanism with hinge, slide, ball and free joints, and smooth dynamics.
         name: "pinocchio" or "drake".
-        twin: Another model in place of the plan's own.
-        seed: Of the random states at which accelerations are compared.
+        twin: Another model instead of the plan's own.
+        seed: Seed of the random states at which accelerations are compared.
 
     Returns:
-        Errors by kind of coordinate, over the path and at the end; or why the engine cannot have this machine.
+        Errors by kind of coordinate, over the path and at the end; or why the engine cannot simulate this machine.
 
     Raises:
         PlannerError: The engine is not installed, or computes without gravity; the plan cannot be replayed at all.
-        ModelError: MuJoCo refuses the model, or it does not fit the plan.
+        ModelError: MuJoCo rejects the model, or it does not fit the plan.
     """
     if not isinstance(plan, Plan):
         raise PlannerError(f"plan is {short_repr(plan)}, expected a Plan.")
@@ -129,7 +129,7 @@ def another_engine(plan: Plan, name: str, *, twin: Twin | None = None, seed: int
 
 
 def _reason(dynamics: Any, model: Any) -> str:
-    """Why a machine cannot be had in another engine, or ""."""
+    """Reason why another engine cannot simulate a machine, or ""."""
     mechanism = capabilities_of(dynamics).mechanism
     if mechanism is None:
         return "the plan's dynamics are not those of a mechanism"
@@ -157,9 +157,9 @@ def _reason(dynamics: Any, model: Any) -> str:
 
 
 def _at_rest(name: str, engine: PhysicsEngine, mechanism: Mechanism, seed: int) -> str:
-    """Why a machine that was read is none at all, or ""; what is a little wrong is seen in the accelerations.
+    """Reason why the engine read another inertia, or ""; small errors are left to the comparison of accelerations.
 
-    An engine that computes without gravity is refused, as other releases of Pinocchio were seen to do in silence.
+    Raises if the engine computes without gravity, as some releases of Pinocchio do without a message.
     """
     x = random_states(mechanism, np.random.default_rng(seed), 1)[0]
     q, still = x[: mechanism.nq], np.zeros(mechanism.nv)
@@ -181,7 +181,7 @@ def _at_rest(name: str, engine: PhysicsEngine, mechanism: Mechanism, seed: int) 
 
 
 def _parity(name: str, engine: PhysicsEngine, dynamics: Any, theirs: Rates, seed: int) -> Measurement:
-    """The largest difference of accelerations at random states, relative to what they are computed from."""
+    """Largest difference of accelerations at random states, relative to the size of the terms they result from."""
     mechanism, rng = dynamics.mechanism, np.random.default_rng(seed)
     xs = random_states(mechanism, rng, STATES)
     us = rng.normal(size=(STATES, mechanism.nu))
@@ -199,8 +199,8 @@ def _parity(name: str, engine: PhysicsEngine, dynamics: Any, theirs: Rates, seed
 
 
 def _errors(plan: Plan, theirs: Rates) -> Iterator[Measurement]:
-    """The motion against the plan and against the plan's own dynamics, by kind of coordinate."""
-    assert plan.problem is not None  # problem_of() has looked
+    """Errors of the trajectory against the plan and against the plan's own dynamics, by kind of coordinate."""
+    assert plan.problem is not None  # checked by problem_of()
     dynamics: Any = plan.problem.dynamics
     mechanism, start = dynamics.mechanism, plan.problem.x0
     planned = plan.between_knots(PARTS)
@@ -227,13 +227,13 @@ def _errors(plan: Plan, theirs: Rates) -> Iterator[Measurement]:
 
 
 def _deviation(plan: Plan, xs: np.ndarray, reference: np.ndarray) -> np.ndarray:
-    """Magnitudes (M+1, ndx) of a motion's deviation; infinite where it has run away."""
+    """Magnitudes (M+1, ndx) of a trajectory's deviation; infinite after divergence."""
     with np.errstate(invalid="ignore"):
         return np.nan_to_num(np.abs(plan.space.difference(xs, reference)), nan=np.inf)
 
 
 def _kinds(mechanism: Mechanism) -> Iterator[tuple[str, str, np.ndarray]]:
-    """Kind, unit and places in the deviation of the coordinates, where there are any."""
+    """Kind, unit and indices in the deviation of the coordinates, for each kind that occurs."""
     turning, none = turns(mechanism), np.zeros(mechanism.nv, dtype=bool)
     acts = np.zeros(mechanism.na, dtype=bool)
     kinds = {

@@ -1,6 +1,6 @@
 """The text of a model for the parser of another engine: a file on disk, and a name for every joint and body.
 
-Names are how the joints of two engines are brought together. Nothing that acts is changed; what is changed is said.
+Names map the joints of two engines. No dynamics are changed; all changes of the text are reported.
 """
 
 from __future__ import annotations
@@ -18,27 +18,27 @@ _POSE = ("pos", "quat", "axisangle", "xyaxes", "zaxis", "euler")
 
 
 class Prepared(NamedTuple):
-    """A model that another parser may read."""
+    """A model's text, prepared for another parser."""
 
     path: Path
     joints: tuple[str, ...]  # Names, in MuJoCo's order
     bodies: tuple[str, ...]  # The body of each joint
-    changes: tuple[str, ...]  # What was done to the text, a phrase each
+    changes: tuple[str, ...]  # Changes of the text, a phrase each
 
 
 def prepared(twin: Twin, model: Any, folder: Path) -> Prepared:
     """Write a twin's text, which compiles to `model`, and its files into a folder.
 
-    A body with several joints is a chain of bodies with one: Drake puts the first of them where the parent is, and
-    Pinocchio forgets their `ref`. And there is one body in the world, since Pinocchio reads the first alone.
+    A body with several joints becomes a chain of bodies with one joint each: Drake places the first of them at the
+    parent, and Pinocchio ignores their `ref`. Several worldbodies are merged, since Pinocchio reads only the first.
 
     Raises:
-        ModelError: The text has not all joints of the model, or names files that the twin has not.
+        ModelError: The text lacks joints of the model, or names files that the twin lacks.
     """
     root = parsed(twin.mjcf, "the model")
-    root.attrib.setdefault("model", "model")  # Drake refuses one without a name
+    root.attrib.setdefault("model", "model")  # Drake requires a name
     worlds, changes = root.findall("worldbody"), []
-    for other in worlds[1:]:  # Pinocchio would read all of them as often as there are sections
+    for other in worlds[1:]:  # Pinocchio would read all of them once per section
         worlds[0].extend(other)
         root.remove(other)
     if worlds[1:]:
@@ -77,7 +77,7 @@ def _joints(body: ElementTree.Element) -> list[ElementTree.Element]:
 
 
 def _split(body: ElementTree.Element, parent: ElementTree.Element, root: ElementTree.Element) -> None:
-    """Make a chain of a body with several joints; all have its frame, only the last has its mass."""
+    """Make a chain of a body with several joints; all links share its frame, only the last has its mass."""
     place = list(parent).index(body)
     parent.remove(body)
     for joint in _joints(body)[:-1]:
@@ -93,7 +93,7 @@ def _split(body: ElementTree.Element, parent: ElementTree.Element, root: Element
 
 
 def _name(elements: list[ElementTree.Element], kind: str) -> int:
-    """Name the elements that have no name; returns how many."""
+    """Name the unnamed elements; returns how many."""
     taken, named = {element.get("name") for element in elements}, 0
     for i, element in enumerate(elements):
         if not element.get("name"):
@@ -114,11 +114,11 @@ def _unused(name: str, root: ElementTree.Element) -> str:
 
 
 def _write(root: ElementTree.Element, assets: dict[str, bytes], folder: Path) -> None:
-    """Write the text as model.xml, and the files that it names beside it."""
+    """Write the text as model.xml, and the files that it references in the same folder."""
     for element in root.iterfind("asset/*"):
         file = element.get("file")
         if file is not None and element.tag != "texture":
-            if file not in assets or Path(file).name != file:  # nothing outside of the folder is read or written
+            if file not in assets or Path(file).name != file:  # no access outside of the folder
                 raise ModelError(f"the text names the file {file!r}, which the plan does not hold")
             (folder / file).write_bytes(assets[file])
     ElementTree.ElementTree(root).write(folder / "model.xml", encoding="utf-8")

@@ -1,4 +1,4 @@
-"""repair(): what is tried with a plan that does not pass, in this order, until it passes or the work is used up.
+"""repair(): try to make a plan pass, in this order, until it passes or the work budget is exhausted.
 
     1. finer steps         RK4 in place of Euler, half the stage: refinement.py
     2. suggested fixes     of how the motion is computed; the first that passes is applied. Then those that change the
@@ -30,25 +30,25 @@ Step = Refinement | Refined | FixTrial | ClearanceRefinement
 
 
 class Repaired(NamedTuple):
-    """The plan that passes or that is best known."""
+    """The passing plan, or the best one."""
 
     plan: Plan
     proof: Proof | None
-    path: tuple[Refinement, ...]  # the refinements that led to it
-    fixes: tuple[SuggestedFix, ...]  # what to write, as far as it does not pass
+    path: tuple[Refinement, ...]  # the refinements of this plan
+    fixes: tuple[SuggestedFix, ...]  # suggested fixes, if it does not pass
 
 
 @dataclass(frozen=True)
 class Tools:
-    """What a repair solves and proves with.
+    """Functions and options of a repair.
 
     Attributes:
-        solve: As the failed plan was solved.
+        solve: Solves with the failed plan's settings.
         prove: Judges a plan.
         options: Of the solves of refinements: update, line_search, hessian.
-        max_iterations: Of each solve, as asked for.
+        max_iterations: Of each solve.
         report: Called with each Step; it may raise KeyboardInterrupt.
-        store: Called with each plan that takes the place of the one before, its name and its refinements.
+        store: Called with each plan that replaces the previous one, its name and its refinements.
     """
 
     solve: Solve

@@ -1,9 +1,9 @@
-"""Plan again with a larger clearance where shapes collide in MuJoCo that the plan keeps apart, or with a smaller one.
+"""Plan again with a larger clearance of geoms that collide in MuJoCo, or a smaller one of conservative fitted shapes.
 
-A mesh or a cylinder is planned with a shape that is fitted around it. Where such fits overlap at the start and the
-shapes do not, the overlap is allowed (planner.model.mjcf.collision_pairs), and a plan may come too near. MuJoCo's
-collision check finds it; the clearance of the pair grows by the depth and half of the clearance. Where no plan keeps
-two fits apart whose shapes are far from each other by MuJoCo's distances, the clearance of the fits shrinks by that.
+A mesh or a cylinder is planned with a fitted enclosing shape. Where such fits overlap at the start and the geoms do
+not, the overlap is allowed (planner.model.mjcf.collision_pairs), and a plan may violate the clearance. MuJoCo's
+collision check finds it; the pair's clearance grows by the depth and half of the clearance. Where no plan separates two
+fits whose geoms are separate by MuJoCo's distances, the clearance of the fits shrinks by the difference.
 """
 
 from __future__ import annotations
@@ -33,15 +33,15 @@ CLEARANCE_SHARE = 0.5  # of the required clearance, added to the depth
 
 
 class ClearanceRefinement(NamedTuple):
-    """The last plan that was proved, and for each time that it was planned again the changes of clearance."""
+    """The last plan that was proved, and the changes of clearance of each refinement."""
 
     plan: Plan
     proof: Proof
-    changes: tuple[dict[str, float], ...]  # m by the names of a pair
+    changes: tuple[dict[str, float], ...]  # m by the names of a pair, one dict per refinement
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """A sentence for each time."""
+        """A sentence per refinement."""
         return tuple("; ".join(_sentence(names, m) for names, m in one.items()) for one in self.changes)
 
 
@@ -49,12 +49,12 @@ def refine_clearance(
     plan: Plan, proof: Proof, *, limit: int = MAX_REFINEMENTS, budget: WorkBudget | None = None,
     prove: Callable[[Plan], Proof] | None = None, max_iterations: int = 1000, **options: Any,
 ) -> ClearanceRefinement:  # fmt: skip
-    """Solve and prove again with another clearance of the pairs that collided or are far, while that is the cause.
+    """Solve and prove again with changed clearances of pairs that collide, or whose fits are too conservative.
 
     Args:
-        plan: A plan whose problem keeps shapes apart (planner.constraints.Avoid).
+        plan: A plan whose problem has collision avoidance (planner.constraints.Avoid).
         proof: Of the plan.
-        limit: The most refinements.
+        limit: Maximum number of refinements.
         budget: The work of the solves; by default that of a whole repair.
         prove: Judges the plans; by default without perturbed rollouts.
         max_iterations: Of each solve.
@@ -81,7 +81,7 @@ def refine_clearance(
 
 
 def _collided(plan: Plan, proof: Proof) -> dict[str, float]:
-    """By how much more (m) the clearance of pairs that collide in the user's file must grow, by their names."""
+    """Increase of clearance, m, of pairs that collide in the user's file, by their names."""
     problem = plan.problem
     apart = None if problem is None else pair_clearance_of(problem.constraints)
     if apart is None or problem is None or proof.passed:
@@ -101,7 +101,7 @@ def _collided(plan: Plan, proof: Proof) -> dict[str, float]:
 
 
 def _far(plan: Plan, proof: Proof) -> dict[str, float]:
-    """By how much (m, negative) fits may be nearer whose shapes are further apart than asked, by the pairs' names."""
+    """Change of clearance, m, negative, of fits whose geoms are further apart than required, by the pairs' names."""
     problem = plan.problem
     apart = None if problem is None else pair_clearance_of(problem.constraints)
     if apart is None or problem is None or proof.passed:
@@ -129,7 +129,7 @@ def _sentence(names: str, more: float) -> str:
 
 
 def with_clearance(problem: Problem, more: dict[str, float]) -> Problem:
-    """The problem with pairs kept further apart (m), by their names; that of a file keeps its recipe."""
+    """The problem with larger pair clearances, by `more` m by name; that of a file keeps its recipe."""
     if problem.recipe is not None and "avoid" in problem.recipe.parameters:
         table = problem.recipe.parameters["avoid"]
         had = table.get("extra_clearance") or {}

@@ -15,17 +15,17 @@ from planner.proof.repair.budget import WorkBudget, was_cut
 from planner.proof.verdict import Proof
 
 AUTOMATIC_KEYS = ("dt", "substeps", "integrator", "guess", "starts", "limits.margin", ITERATIONS)
-"""Keys about how a motion is computed, in addition to the weights. What the motion is to be is the user's to say."""
-READ_AGAIN = ("contacts", "ignore", "model", "start")  # keys for which the file would have to be read again
-MAX_DURATIONS = 6  # that are tried, each half as long again: up to 7.6 times
-_RESOLVED = "resolved"  # key of a problem file's table: what was chosen by default, and why
+"""Keys about the computation, in addition to the weights. Keys that change the task itself are the user's to set."""
+READ_AGAIN = ("contacts", "ignore", "model", "start")  # keys that require reading the file again
+MAX_DURATIONS = 6  # maximum number tried, each 1.5 times the last: up to 7.6 times
+_RESOLVED = "resolved"  # key of a problem file's table: default choices and their reasons
 
 Solve = Callable[[Problem, int, str], tuple[Plan, int]]
 """A solve of (problem, most iterations, what it is for): the plan, and the iterations of all its starts and trials."""
 
 
 class FixTrial(NamedTuple):
-    """A suggested fix and what came of it."""
+    """A suggested fix and the result of its trial."""
 
     fix: SuggestedFix
     outcome: str  # begins, applied, passes, refused, not solved, fails, or not tried
@@ -34,7 +34,7 @@ class FixTrial(NamedTuple):
 
 @dataclass(frozen=True)
 class FixTrials:
-    """How the suggested fixes of a problem file are tried.
+    """Trials of a problem file's suggested fixes.
 
     Fixes of AUTOMATIC_KEYS come first, and the first that passes is applied. Those of other keys are tried and only
     reported.
@@ -50,7 +50,7 @@ class FixTrials:
     def run(
         self, found: tuple[SuggestedFix, ...]
     ) -> tuple[tuple[Plan, Proof] | None, tuple[SuggestedFix, ...]]:  # fmt: skip
-        """What passed with a fix applied, or None; and the fixes as they are known now: those that failed last."""
+        """The plan and proof that passed with a fix applied, or None; and the updated fixes, failed ones last."""
         if any(one.value is None for one in found):
             return None, found
         failed: list[SuggestedFix] = []
@@ -74,7 +74,7 @@ class FixTrials:
         return None, (*rest, *(replace(one, tried="fails") for one in found if one in failed))
 
     def _first_passing(self, one: SuggestedFix) -> tuple[SuggestedFix, tuple[Plan, Proof] | None]:
-        """The fix, a longer duration where the suggested one is too short; and what passes with it, or None."""
+        """The fix, with a longer duration if the suggested one is too short; and the passing plan and proof or None."""
         for _ in range(MAX_DURATIONS if one.key == "duration" else 1):
             better = self._tried(one)
             if better is not None or one.key != "duration" or self.budget.exhausted:
@@ -110,7 +110,7 @@ class FixTrials:
 
 
 def with_fix(problem: Problem, one: SuggestedFix) -> Problem:
-    """The problem of a file with a fix in its table, and the reason of it among those of the defaults."""
+    """The problem of a file with a fix in its table, and the fix's reason among those of the defaults."""
     assert problem.recipe is not None  # of a problem file
     table = {name: value for name, value in problem.parameters.items() if name != _RESOLVED}
     again = problem.recipe.build(**one.applied(table)) if problem.recipe.build else problem

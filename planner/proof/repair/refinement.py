@@ -33,7 +33,7 @@ from planner.solvers.warm_start import warm_start
 
 
 class Refinement(NamedTuple):
-    """One plan on the way to one that passes.
+    """One plan of a sequence of refinements.
 
     Attributes:
         integrator: Of the plan.
@@ -117,7 +117,7 @@ def refine(
         limit: The most refinements.
         budget: The work of the solves; by default that of a whole repair. A solve that would take more is ended and
             forgotten.
-        prove: The function that judges the plans on the way; by default prove() without perturbed rollouts.
+        prove: The function that judges the refined plans; by default prove() without perturbed rollouts.
         callback: Called with each Refinement, that of the given plan included; print makes a table. It may raise
             StopIteration to end.
         max_iterations: Of each solve.
@@ -129,7 +129,7 @@ def refine(
         exception.
 
     Raises:
-        PlannerError: A wrong argument; or a plan on the way cannot be replayed at all.
+        PlannerError: A wrong argument; or a refined plan cannot be replayed at all.
     """
     if not isinstance(plan, Plan) or plan.problem is None:
         raise PlannerError(f"plan is {short_repr(plan)}, expected a Plan with its problem.")

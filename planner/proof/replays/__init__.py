@@ -1,1 +1,1 @@
-"""Run plans in MuJoCo: compiled models, controls and gains, what touches, what is reached."""
+"""Run plans in MuJoCo: compiled models, controls and gains, contacts, ranges reached."""

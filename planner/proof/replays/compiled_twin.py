@@ -1,7 +1,7 @@
 """CompiledTwin: a twin and the MuJoCo model of its text, compiled once for all steps of a proof.
 
-Steps, integrators and flags are options of the compiled model, so each use sets them on a copy of its own. Also what a
-problem's model lacks of the user's file, for the headline of a proof.
+Steps, integrators and flags are options of the compiled model, so each use sets them on a copy of its own. Also lists
+elements of the user's file that a problem's model lacks, for the headline of a proof.
 """
 
 from __future__ import annotations
@@ -34,22 +34,22 @@ from planner.proof.replays.simulation import NATIVE_IMPLICIT, ROSENBROCK
 
 
 class CompiledTwin:
-    """A twin whose text is compiled when its model is first asked for, and never again."""
+    """A twin whose model is compiled from its text on first use and cached."""
 
     def __init__(self, twin: Twin, unused: Collection[int] = ()) -> None:
         self.twin = twin  # the text and the maps between its state and the plan's
         self.unused = frozenset(unused)  # actuators that the plan does not have: their controls stay 0
-        self.is_changed = False  # in ways that its text knows nothing of
+        self.is_changed = False  # the model was modified after compilation
 
     def __getstate__(self) -> dict[str, Any]:
-        """All but a model that a copy can compile from the text when it is asked for it."""
+        """The attributes without a model that can be compiled again from the text."""
         return {name: part for name, part in vars(self).items() if name != "model" or self.is_changed}
 
     @cached_property
     def model(self) -> Any:
-        """MuJoCo's model, not to be changed; every user changes a copy()."""
+        """MuJoCo's model, read-only; modify a copy() instead."""
         model = compile_model(self.twin.mjcf, self.twin.assets)
-        kinds = load_mujoco().mjtDyn  # the same equation, which MuJoCo's RK4 integrates wrongly when asked for exactly
+        kinds = load_mujoco().mjtDyn  # the same equation, whose exact variant MuJoCo's RK4 integrates wrongly
         exact = model.actuator_dyntype == int(kinds.mjDYN_FILTEREXACT)
         if np.any(exact):
             model = copy.copy(model)
@@ -57,7 +57,7 @@ class CompiledTwin:
         return model
 
     def check(self, nu: int) -> None:
-        """Raise ModelError unless the model has the states that the twin maps, and nu controls."""
+        """Raise ModelError unless the model has the twin's states, and nu controls."""
         model, nw = self.model, self.twin.to_x.shape[1]
         have = (model.nq + model.nv + model.na, len(self.controls))
         if have != (nw, nu):
@@ -68,7 +68,7 @@ class CompiledTwin:
 
     @cached_property
     def controls(self) -> np.ndarray:
-        """(nu,) where MuJoCo's ctrl has the plan's controls."""
+        """(nu,) indices of the plan's controls in MuJoCo's ctrl."""
         return np.array([i for i in range(self.model.nu) if i not in self.unused], dtype=np.int64)
 
     def commands(self, us: np.ndarray) -> np.ndarray:
@@ -80,21 +80,21 @@ class CompiledTwin:
         return ctrl
 
     def copy(self) -> Any:
-        """A model of the caller's own, to be changed."""
+        """A copy of the model that the caller may modify."""
         return copy.copy(self.model)
 
     def changed(self, change: Callable[[Any], object]) -> CompiledTwin:
-        """The same twin with a model that `change` has changed."""
+        """The same twin with a model modified by `change`."""
         other, model = CompiledTwin(self.twin, self.unused), self.copy()
         change(model)
-        other.__dict__["model"] = model  # where the cached property keeps it
+        other.__dict__["model"] = model  # the cached property's attribute
         other.is_changed = True
         return other
 
     def stepping(self, timestep: float, integrator: str = "RK4") -> Any:
-        """A copy that takes steps of `timestep` s with one of MuJoCo's integrators, and goes on when it runs away.
+        """A copy with MuJoCo's step `timestep`, s, and one of its integrators, without reset on divergence.
 
-        Where damping is taken implicitly by the plan's method, its own steps are MuJoCo's implicit ones.
+        For a plan with implicit damping, MuJoCo's own steps are IMPLICITFAST.
         """
         mujoco, model = load_mujoco(), self.copy()
         model.opt.timestep = timestep
@@ -102,7 +102,7 @@ class CompiledTwin:
         model.opt.integrator = getattr(
             mujoco.mjtIntegrator, f"mjINT_{NATIVE_IMPLICIT if integrator == ROSENBROCK else integrator}"
         )
-        model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET  # else what runs away would begin anew
+        model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET  # else MuJoCo resets a diverged state
         return model
 
 
@@ -117,8 +117,8 @@ def with_model(twin: Twin, mjcf: str | Path | None) -> Twin:
 def another_model(problem: Problem, twin: Twin, mjcf: str | Path | None) -> CompiledTwin:
     """A twin with another MJCF, a path or the XML text; the twin itself for None.
 
-    A plan that was made with contacts="off" or ignore=(...) is proved without them: that is the machine it is of. Its
-    prescribed joints are driven in the other model too.
+    A plan made with contacts="off" or ignore=(...) is proved without these elements. Its prescribed joints have motors
+    in the other model too.
     """
     compiled = CompiledTwin(with_model(twin, mjcf))
     mechanism = capabilities_of(problem.dynamics).mechanism
@@ -131,7 +131,7 @@ def another_model(problem: Problem, twin: Twin, mjcf: str | Path | None) -> Comp
 
 
 def _without(mechanism: Mechanism, compiled: CompiledTwin) -> CompiledTwin:
-    """The twin without the elements that were taken out of the mechanism's file."""
+    """The twin without the elements removed from the mechanism's file."""
     if not mechanism.original:
         return compiled
     survey = ModelIndex(compiled.model)
@@ -149,13 +149,13 @@ _found: WeakKeyDictionary[Problem, UnmodelledFeatures] = WeakKeyDictionary()
 
 
 def left_out(problem: Problem, compiled: CompiledTwin | None = None) -> tuple[str, ...]:
-    """Say in short phrases what a problem's model lacks of the user's file: "contacts of 1 pair", "1 equality".
+    """Short phrases for elements of the user's file that a problem's model lacks: "contacts of 1 pair", "1 equality".
 
-    Ranges and clamps are not left out in this sense: the steps of a proof say where a motion reaches one.
+    Ranges and clamps are not included: the steps of a proof report where a trajectory reaches one.
 
     Args:
-        problem: With a twin; without, nothing is left out.
-        compiled: Its twin, or the twin in the user's file, where that is compiled already.
+        problem: With a twin; without one the result is empty.
+        compiled: Its twin, or the twin in the user's file, if already compiled.
 
     Raises:
         ModelError: MuJoCo refuses one of the two texts.
@@ -173,14 +173,14 @@ def pairs_left_out(problem: Problem) -> tuple[str, ...]:
 
 
 def unmodelled_of(problem: Problem, compiled: CompiledTwin | None = None) -> UnmodelledFeatures:
-    """Everything that a problem's model lacks of the user's file; nothing for dynamics that are not a mechanism's."""
+    """All elements of the user's file that a problem's model lacks; none for dynamics other than a mechanism's."""
     twin, machine = problem.twin, capabilities_of(problem.dynamics)
     if twin is None or machine.mechanism is None:
         return UnmodelledFeatures()
     if problem not in _found:
         model = compiled.model if compiled is not None and compiled.twin.mjcf == twin.mjcf else None
         given = compiled.model if compiled is not None and compiled.twin.mjcf == twin.original else None
-        # The text as it was before joints were driven: what those edits leave out moves nothing.
+        # The text before motors were added to prescribed joints: those edits remove no moving element.
         start = twin.sim_of(problem.x0)[: machine.mechanism.nq]
         _found[problem] = unmodelled_features(
             twin.original, twin.planned, twin.assets, machine.contacts, model, start, given

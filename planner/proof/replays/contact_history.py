@@ -1,8 +1,8 @@
-"""ContactHistory: which shapes touch while MuJoCo simulates, where, and with what force.
+"""ContactHistory: pairs of geoms in contact during a MuJoCo simulation, contact points and forces.
 
-Forces are those of the forward pass with which a step begins: of the state at that instant, not of a stage of the last
-step. The sum over all contacts is kept at every step. Of single contacts a long simulation keeps means over
-several steps, so that memory stays within bounds.
+Forces are those of the forward pass at the beginning of a step: of the state at that instant, not of a Runge-Kutta
+stage of the last step. The sum over all contacts is stored at every step, single contacts of a long simulation as means
+over several steps, to limit memory.
 """
 
 from __future__ import annotations
@@ -15,9 +15,9 @@ import numpy as np
 from planner.base.gl import load_mujoco
 from planner.model.mjcf.model_index import named
 
-MAX_SAMPLES = 20_000  # 10 MB of arrays where a dozen pairs of shapes touch
-MAX_PAIRS = 32  # with a force of their own; a heap of blocks has hundreds
-_AT_ONCE = 4096  # contacts that are summed up together: one by one they would take longer than MuJoCo's steps
+MAX_SAMPLES = 20_000  # 10 MB of arrays with a dozen pairs in contact
+MAX_PAIRS = 32  # maximum number of pairs with individual forces; a heap of blocks has hundreds
+_AT_ONCE = 4096  # contacts summed per call: one by one would be slower than MuJoCo's steps
 _CONTACT = np.dtype(
     [("step", int), ("geoms", int, 2), ("point", float, 3), ("frame", float, 9), ("wrench", float, 6),
      ("depth", float)]
@@ -26,13 +26,13 @@ _CONTACT = np.dtype(
 
 @dataclass(frozen=True, eq=False)
 class ContactHistory:
-    """Forces between shapes over a simulation; a pair of shapes may touch at several points, which count as one.
+    """Contact forces between geoms over a simulation; several contact points of a pair count as one contact.
 
     Attributes:
-        names: (C,) the two shapes of each pair that ever touched, e.g. "left heel on belt", in the order of the model.
-        t: (S,) s; each sample is the mean of as many steps of the simulator.
-        forces: (S, C, 3) on the shape named first, in the world, friction included.
-        points: (S, C, 3) where they act, in the world: the mean weighted by the normal force; NaN without contact.
+        names: (C,) the two geoms of each pair ever in contact, e.g. "left heel on belt", in the order of the model.
+        t: (S,) s; each sample is the mean of an equal number of simulator steps.
+        forces: (S, C, 3) N on the geom named first, in the world frame, friction included.
+        points: (S, C, 3) application points in the world frame, weighted by the normal force; NaN without contact.
     """
 
     names: tuple[str, ...]
@@ -42,16 +42,16 @@ class ContactHistory:
 
     @classmethod
     def none(cls) -> ContactHistory:
-        """The history of a machine that touches nothing."""
+        """The history of a machine without contacts."""
         return cls((), np.zeros(0), np.zeros((0, 0, 3)), np.zeros((0, 0, 3)))
 
 
 class Touch(NamedTuple):
-    """The contact of two geoms over a simulation; depths count from where force begins, in units of length."""
+    """Contact of two geoms over a simulation; depths are relative to the onset of force, in units of length."""
 
     geoms: tuple[int, int]
     first: int  # step
-    at_start: float  # depth at step 0; 0 where they do not touch there
+    at_start: float  # depth at step 0; 0 without contact
     deepest: float  # over all steps
     force: float  # largest normal force
 
@@ -60,9 +60,9 @@ class ContactRecorder:
     """Records the contacts of a simulation, step by step."""
 
     def __init__(self, model: Any, steps: int, records: bool | None = None) -> None:
-        """For M steps of MuJoCo's model; `records` is False where nobody asks for contacts."""
+        """For M steps of MuJoCo's model; `records` is False if contacts are not needed."""
         self._mujoco, self._model = load_mujoco(), model
-        self.records = may_touch(model) if records is None else records  # whether there is anything to record
+        self.records = may_touch(model) if records is None else records  # whether contacts are recorded
         self._each = -(-(steps + 1) // MAX_SAMPLES)  # steps per sample
         # Of each pair of geoms (S, 7), by sample: the force's impulse (3,), the normal force, and its moment (3,).
         self._seen: dict[tuple[int, int], np.ndarray] = {}
@@ -70,7 +70,7 @@ class ContactRecorder:
         self._point = np.full((steps + 1, 3), np.nan)
         self._first: tuple[int, int, int] | None = None
         self._touches: dict[tuple[int, int], Touch] = {}
-        self._waiting, self._filled = np.empty(_AT_ONCE if self.records else 0, _CONTACT), 0  # contacts to be summed up
+        self._waiting, self._filled = np.empty(_AT_ONCE if self.records else 0, _CONTACT), 0  # contacts not yet summed
 
     @property
     def force(self) -> np.ndarray:
@@ -80,13 +80,13 @@ class ContactRecorder:
 
     @property
     def point(self) -> np.ndarray:
-        """(M+1, 3) where it acts; NaN without contact."""
+        """(M+1, 3) application point of that sum; NaN without contact."""
         self._sum_up()
         return self._point
 
     @property
     def contact_extremes(self) -> tuple[Touch, ...]:
-        """How deep each pair of geoms was in each other."""
+        """Onset, depths and largest force of each pair of geoms in contact."""
         self._sum_up()
         return tuple(self._touches.values())
 
@@ -97,13 +97,13 @@ class ContactRecorder:
         return self._first
 
     def look(self, i: int, data: Any) -> None:
-        """Record the contacts of step i, by a forward pass at the state that `data` has."""
+        """Record the contacts of step i, by a forward pass at the state in `data`."""
         if self.records:
             self._mujoco.mj_forward(self._model, data)
             self._record(i, data)
 
     def step(self, i: int, data: Any) -> None:
-        """Record the contacts of step i and take it: mj_step in its parts, so that one forward pass serves both."""
+        """Record the contacts of step i and advance: mj_step in two parts that share one forward pass."""
         mujoco, model = self._mujoco, self._model
         if not self.records:
             mujoco.mj_step(model, data)
@@ -121,7 +121,7 @@ class ContactRecorder:
             mujoco.mj_implicit(model, data)
 
     def _record(self, i: int, data: Any) -> None:
-        """Keep the contacts that a forward pass has left in `data`, to be summed up with others."""
+        """Store the contacts of a forward pass in `data`, to be summed later."""
         count = data.ncon
         if not count:
             return
@@ -136,7 +136,7 @@ class ContactRecorder:
         self._filled += count
 
     def _sum_up(self) -> None:
-        """Add the contacts that wait to the sums; those of a step wait together."""
+        """Add the stored contacts to the sums; those of one step are not separated."""
         contacts, self._filled = self._waiting[: self._filled], 0
         if not len(contacts):
             return
@@ -153,7 +153,7 @@ class ContactRecorder:
         self._by_pairs(contacts[(normal > 0.0) & (contacts["geoms"].min(axis=1) >= 0)])  # a flex has no geom
 
     def _touch(self, contacts: np.ndarray) -> None:
-        """Remember how deep pairs of geoms are in each other."""
+        """Update the penetration depths of pairs of geoms."""
         pairs, which = np.unique(contacts["geoms"], axis=0, return_inverse=True)
         for k, (one, other) in enumerate(pairs.tolist()):
             depths, steps = contacts["depth"][which == k], contacts["step"][which == k]
@@ -165,7 +165,7 @@ class ContactRecorder:
 
     def _by_pairs(self, contacts: np.ndarray) -> None:
         """Add contacts between geoms to the sums of their pairs."""
-        # A force is told of the shape whose body comes later in the model: of a foot, not of the belt or world below.
+        # The force is on the geom whose body comes later in the model: on a foot, not on the belt or world.
         body, geoms = self._model.geom_bodyid, contacts["geoms"]
         sign = np.where(body[geoms[:, 0]] > body[geoms[:, 1]], -1.0, 1.0)[:, None]
         pairs = np.where(sign > 0.0, geoms[:, ::-1], geoms)
@@ -200,7 +200,7 @@ class ContactRecorder:
         return ContactHistory(names, np.bincount(sample, weights=t, minlength=S) / steps, forces, points)
 
     def sentence(self, timestep: float) -> str:
-        """The first contact of a machine that was planned without any; "" for none."""
+        """A sentence about the first contact of a machine planned without contacts; "" for none."""
         first = self.first
         if first is None:
             return ""
@@ -214,7 +214,7 @@ class ContactRecorder:
 
 
 def may_touch(model: Any) -> bool:
-    """Whether two geoms of a model could ever make contact, as far as its masks tell."""
+    """Whether two geoms of a model may ever be in contact, by its contact masks."""
     bits = load_mujoco().mjtDisableBit
     if model.opt.disableflags & (bits.mjDSBL_CONTACT | bits.mjDSBL_CONSTRAINT):
         return False

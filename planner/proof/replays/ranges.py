@@ -1,4 +1,4 @@
-"""Find the ranges that a replay reached. A plan knows only stops: where MuJoCo held a range, the machines differ."""
+"""Find the ranges that a replay reached. A plan models stops only: other active ranges make its model differ."""
 
 from __future__ import annotations
 
@@ -14,26 +14,26 @@ from planner.model.mjcf.model_index import disabled, field, named
 from planner.model.space import log_quaternion
 from planner.proof.replays.simulation import set_state
 
-_ROUNDING = 1e-9  # as far beyond a range is still on it
+_ROUNDING = 1e-9  # relative tolerance of a range
 
 
 class Excess(NamedTuple):
-    """How far one quantity of a motion is beyond its range."""
+    """Violation of the range of one quantity along a trajectory."""
 
     name: str  # of the joint, actuator or tendon
-    what: str  # of it is beyond its range, for a sentence
+    what: str  # the quantity with the range, for a sentence
     unit: str
     values: np.ndarray  # (S,)
     range: np.ndarray  # (2,)
 
     @property
     def beyond(self) -> np.ndarray:
-        """(S,) the excess; 0 within the range, and where the value is not a number."""
+        """(S,) the violation; 0 within the range, and for NaN."""
         beyond = np.maximum(self.range[0] - self.values, self.values - self.range[1])
         return np.where(beyond > _ROUNDING, beyond, 0.0)
 
     def sentence(self, t: np.ndarray, least: float = 0.0) -> str:
-        """From when it is beyond its range by more than `least` and by how much, at the times t; "" where it is not."""
+        """Onset and size of a violation larger than `least`, at the times t (S,); "" if there is none."""
         beyond = self.beyond
         if not np.any(beyond > least):
             return ""
@@ -44,17 +44,17 @@ class Excess(NamedTuple):
 def ranges_reached(
     model: Any, t: np.ndarray, w: np.ndarray, ctrl: np.ndarray, stopped: Collection[int] = ()
 ) -> tuple[str, ...]:
-    """Say where a simulated motion went beyond a model's ranges, one sentence per joint, tendon or actuator.
+    """Report where a simulated trajectory left a model's ranges, one sentence per joint, tendon or actuator.
 
-    Times t (M+1,), states w (M+1, nw), controls (M, nu). A plan knows the ranges of `stopped` degrees of freedom, since
-    it has their stops.
+    Times t (M+1,), states w (M+1, nw), controls (M, nu). `stopped` degrees of freedom have joint stops in the plan's
+    model, and are excluded.
     """
     found = (*joints_in(model, w, stopped), *tendons_in(model, w), *efforts_in(model, w, ctrl))
     return tuple(filter(None, (one.sentence(t) for one in found)))
 
 
 def joints_in(model: Any, w: np.ndarray, stopped: Collection[int] = ()) -> Iterator[Excess]:
-    """The joints with a range along the states w (M+1, nw), but for degrees of freedom that are `stopped`."""
+    """The joints with a range along the states w (M+1, nw), except `stopped` degrees of freedom."""
     w = w[: _until_it_runs_away(w)]
     for joint in () if disabled(model, "constraint", "limit") else np.flatnonzero(model.jnt_limited):
         if int(model.jnt_dofadr[joint]) not in stopped:
@@ -77,7 +77,7 @@ def tendons_in(model: Any, w: np.ndarray) -> Iterator[Excess]:
 
 
 def efforts_in(model: Any, w: np.ndarray, ctrl: np.ndarray) -> Iterator[Excess]:
-    """What actuators are asked for where it is clamped, along the states w (M+1, nw) and controls (M, nu)."""
+    """Requested actuator efforts with a clamp, along the states w (M+1, nw) and controls (M, nu)."""
     steps = _until_it_runs_away(w)
     w, ctrl = w[:steps], ctrl[: min(steps, len(ctrl))]
 
@@ -112,7 +112,7 @@ def _until_it_runs_away(w: np.ndarray) -> int:
 
 
 def _joint(model: Any, joint: Any, w: np.ndarray) -> tuple[np.ndarray, np.ndarray, str]:
-    """A joint's coordinate over the motion, its range and the unit; of a ball, the angle from its reference."""
+    """A joint's coordinate along the trajectory, its range and the unit; of a ball, the angle from its reference."""
     kinds, address = load_mujoco().mjtJoint, model.jnt_qposadr[joint]
     if model.jnt_type[joint] == kinds.mjJNT_BALL:
         angle = np.linalg.norm(log_quaternion(w[:, address : address + 4]), axis=1)

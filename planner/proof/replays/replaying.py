@@ -27,14 +27,14 @@ from planner.proof.replays.ranges import ranges_reached
 from planner.proof.replays.sampled_gains import Gains, Sampling
 from planner.proof.replays.simulation import MAX_STEPS, ROSENBROCK, damping_of, implicit_step, simulate
 
-REFINEMENT = 20  # simulator steps per stage, at least
-PARTS = 8  # of a step where damping is implicit: after a jump the method is 1e-3 of it off at most, however fast it is
-SUBSTEP_REFINEMENT = 5  # per substep of a plan that has several: its fastest motion is far from MuJoCo's RK4's bound
+REFINEMENT = 20  # minimum number of simulator steps per stage
+PARTS = 8  # of a step with implicit damping: the error after a control jump is then at most 1e-3 of it, for any damping
+SUBSTEP_REFINEMENT = 5  # minimum simulator steps per substep, for RK4's stability in the plan's fastest mode
 
 
 @dataclass(frozen=True, eq=False)
 class Replay(Renderable):
-    """MuJoCo's motion under a plan's controls, sampled at every simulator step.
+    """MuJoCo's trajectory under a plan's controls, sampled at every simulator step.
 
     Attributes:
         plan: The plan that was replayed.
@@ -45,17 +45,17 @@ class Replay(Renderable):
         qpos: (M+1, nq).
         qvel: (M+1, nv).
         act: (M+1, na).
-        ctrl: (M, nu) what was applied.
+        ctrl: (M, nu) applied controls.
         xs: (M+1, nx) the simulated state in the plan's coordinates.
         plan_xs: (M+1, nx) the plan at the same instants (between knots: its integrator over a part of the stage).
         contact_force: (M+1,) sum of the normal contact forces.
-        contact_point: (M+1, 3) where it acts; NaN without contact.
+        contact_point: (M+1, 3) application point of that force; NaN without contact.
         substeps: Simulator steps per stage of the plan.
-        warnings: MuJoCo's complaints, one sentence each.
-        reached: Ranges of joints and actuators that the motion reached, one sentence each.
+        warnings: MuJoCo's warnings, one sentence each.
+        reached: Ranges of joints and actuators that the trajectory reached, one sentence each.
         contacts: The force of each contact.
         sampling: When the gains acted; None for ideal gains, at every simulator step.
-        touches: Which geoms touched, from when and how deep.
+        touches: Pairs of geoms in contact, onset and depth.
     """
 
     plan: Plan
@@ -134,7 +134,7 @@ def replay(
             substep and the model's.
         integrator: MuJoCo's, "RK4" or "EULER", whatever the file says. None is RK4 or, where the plan takes damping
             implicitly, its own method with MuJoCo's accelerations.
-        sampling: When the gains act, as a controller applies them, in place of at every simulator step.
+        sampling: Sampled feedback, as of a controller, instead of feedback at every simulator step.
 
     Raises:
         PlannerError: The plan has no twin or is not finite, feedback without the problem to interpolate it, or a
@@ -151,18 +151,18 @@ def replay(
     )
 
 
-@np.errstate(all="ignore")  # a motion may run away, and then it says so
+@np.errstate(all="ignore")  # a trajectory may diverge, which is reported
 def replay_in(
     compiled: CompiledTwin, plan: Plan, *, feedback: bool = False, substeps: int | None = None,
     integrator: str | None = None, sampling: Sampling | None = None, planned: np.ndarray | None = None,
 ) -> Replay:  # fmt: skip
-    """replay() in a model that is compiled already; `planned`: plan_xs of another replay, where they fit."""
+    """replay() in a compiled model; `planned` is plan_xs of another replay, reused if its shape fits."""
     problem = problem_of(plan)
     compiled.check(plan.us.shape[1])
     dt, damping = problem.dynamics.dt, damping_of(problem.dynamics)
     integrator = integrator or ("RK4" if damping is None else ROSENBROCK)
     sampling = sampling if feedback else None
-    parts = 1 if sampling is None else sampling.in_stages(dt).denominator  # of a stage, at whose ends instants fall
+    parts = 1 if sampling is None else sampling.in_stages(dt).denominator  # steps per stage are a multiple
     if substeps is None:
         step = number("the model's timestep", compiled.model.opt.timestep, greater_than=0.0)
         own = 1 if damping is not None else int(getattr(problem.dynamics, "substeps", 1))
@@ -187,7 +187,7 @@ def replay_in(
         assert gains is not None
         return compiled.commands(gains(i, w))
 
-    start = twin.sim_of(problem.x0)  # the problem's, not what the plan says of it
+    start = twin.sim_of(problem.x0)  # from the problem, not from the plan
     with curves_acting(twin, model):
         w, warnings = simulate(
             model, start, ctrl, control=with_gains if gains else None, held=gains.held if gains else 1,
@@ -206,7 +206,7 @@ def replay_in(
 
 
 def problem_of(plan: Plan) -> Problem:
-    """The problem of a plan that can be simulated."""
+    """The problem of a plan; raises if the plan cannot be simulated."""
     if plan.problem is None:
         raise PlannerError("the plan comes without its problem, expected a plan of planner.cases or one just solved.")
     for name, values in (("states xs", plan.xs), ("controls us", plan.us), ("gains K", plan.K)):
@@ -220,20 +220,20 @@ def _mechanism(plan: Plan) -> Any:
 
 
 def knows_contacts(plan: Plan) -> bool:
-    """Whether a plan's dynamics may have contacts; a mechanism's are all that its model has, or none."""
+    """Whether a plan's dynamics model contacts; a mechanism models all contacts of its model, or none."""
     mechanism = _mechanism(plan)
     return mechanism is None or bool(mechanism.contacts or mechanism.body_contacts)
 
 
 def stopped_dofs(plan: Plan) -> frozenset[int]:
-    """The degrees of freedom whose ends of range are part of a plan's dynamics."""
+    """The degrees of freedom whose joint stops are part of a plan's dynamics."""
     return frozenset(stop.dof for stop in getattr(_mechanism(plan), "stops", ()))
 
 
 def reached_by_plan(run: Replay) -> tuple[str, ...]:
-    """The sentences of a replay's `reached` that the plan's own knots justify too.
+    """The sentences of a replay's `reached` that also apply at the plan's own knots.
 
-    A replay that goes astray may reach anything, and that comes of its going astray.
+    A replay that deviates from the plan may reach any range, as an effect of the deviation.
     """
     if not run.reached:
         return ()
@@ -252,23 +252,22 @@ def reached_by_plan(run: Replay) -> tuple[str, ...]:
 
 
 def proven_cost(plan: Plan) -> float:
-    """The cost that MuJoCo reaches at the refined step, with the plan's gains or open loop, whichever is less.
+    """The cost in MuJoCo at the refined step, with the plan's gains or open loop, whichever is lower.
 
-    Plans are run with their gains; where these do worse than none, the plan is run without. Several threads may ask
-    at once. For solve(..., rank=proven_cost).
+    Plans are run with their gains, or open loop if that costs less. Thread-safe. For solve(..., rank=proven_cost).
 
     Args:
         plan: A plan of a problem with a twin.
 
     Returns:
-        The cost; infinite where the plan is not finite, or neither replay stays so without MuJoCo's complaints.
+        The cost; infinite if the plan is not finite, or both replays diverge or give MuJoCo warnings.
 
     Raises:
         PlannerError: No plan of this problem can be replayed: it has no twin, or too many steps.
     """
     if not all(np.isfinite(part).all() for part in (plan.xs, plan.us, plan.K)):
         return math.inf
-    with np.errstate(all="ignore"):  # of a replay that runs away
+    with np.errstate(all="ignore"):  # of a diverging replay
         runs = [replay(plan, feedback=feedback) for feedback in (True, False)]
         costs = [run.cost for run in runs if not run.warnings]
     return min((cost for cost in costs if math.isfinite(cost)), default=math.inf)

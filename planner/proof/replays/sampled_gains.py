@@ -1,8 +1,8 @@
-"""Gains as a controller applies them: at instants, held in between, late, and from what encoders measure.
+"""Sampled feedback with a plan's gains: constant between samples, with delay, from encoder measurements.
 
-At the instants t_k = k * period the correction K[n] (x(t_k) - x_plan(t_k)) is computed, n being the stage that runs at
-t_k. It acts from t_k + delay * period on, until the next one does. The plan's own control us[n] is known beforehand: it
-acts without delay, over its own stage. Bounds of the problem act on the sum. Before the first correction there is none.
+At the instants t_k = k * period the correction K[n] (x(t_k) - x_plan(t_k)) is computed, n being the stage at t_k. It
+acts from t_k + delay * period until the next one does. The plan's own control us[n] is feedforward: it acts without
+delay, over its own stage. Bounds of the problem act on the sum. Before the first correction it is zero.
 """
 
 from __future__ import annotations
@@ -22,24 +22,24 @@ from planner.model.twin import Twin
 from planner.problem.plan import Plan
 
 PERIOD = 2e-3  # s: 500 Hz
-HINGE = 2.0 * math.pi / 2**17  # rad, what an encoder of 17 bits tells apart
-SLIDE = 1e-6  # units of length of the model
-_FINEST = 1000  # parts of a stage that instants may fall on
+HINGE = 2.0 * math.pi / 2**17  # rad, resolution of an encoder of 17 bits
+SLIDE = 1e-6  # resolution, in units of length of the model
+_FINEST = 1000  # maximum denominator of the period in stages
 _ROUNDING = 1e-9  # relative
 
 
 @dataclass(frozen=True)
 class Sampling:
-    """When gains act, and on what.
+    """Sampling period, delay and measurement of feedback.
 
     Attributes:
         period: s from one instant to the next: parts of a stage, stages, or both.
         delay: Periods from an instant until its correction acts.
-        encoders: Whether positions of hinges and slides are read from encoders and their speeds are differences of
-            what was read; else the state is exact.
+        encoders: Whether positions of hinge and slide joints are quantized by encoders and their velocities are
+            differences of these; else the state is exact.
 
     Raises:
-        PlannerError: The period is not above zero, or the delay is no count.
+        PlannerError: The period is not above zero, or the delay is not a non-negative integer.
     """
 
     period: float
@@ -74,7 +74,7 @@ class Sampling:
 
 
 def sampling_of(plan: Plan) -> Sampling:
-    """When the gains of a plan act in its proof: at 500 Hz, or the nearest that fits its stages, one period late."""
+    """Feedback sampling of a plan in its proof: 500 Hz or the nearest rate that fits its stages, one period late."""
     return sampling_in(plan.dt if plan.problem is None else plan.problem.dynamics.dt)
 
 
@@ -86,15 +86,15 @@ def sampling_in(dt: float) -> Sampling:
 
 
 class Gains:
-    """The controls of a plan with its gains, from states that are met one instant after another."""
+    """The controls of a plan with its gains, as a function of successive states."""
 
     def __init__(
         self, plan: Plan, twin: Twin, model: Any, plan_xs: np.ndarray, substeps: int, sampling: Sampling | None
     ) -> None:
         """For states of MuJoCo's model and the plan (M+1, nx) at its steps; ideal gains at each step for None."""
-        assert plan.problem is not None  # its stages are asked
+        assert plan.problem is not None  # its dynamics give the stage length
         dt = plan.problem.dynamics.dt
-        self.held = 1 if sampling is None else int(sampling.in_stages(dt) * substeps)  # steps from instant to instant
+        self.held = 1 if sampling is None else int(sampling.in_stages(dt) * substeps)  # steps per sampling period
         self._plan, self._twin, self._plan_xs = plan, twin, plan_xs
         self._us, self._stage = np.repeat(plan.us, substeps, axis=0), np.repeat(np.arange(plan.N), substeps)
         self._late = deque([np.zeros(plan.us.shape[1])] * (0 if sampling is None else sampling.delay))
@@ -111,10 +111,10 @@ class Gains:
 
 
 class Encoders:
-    """The states of a model as its encoders tell them.
+    """Encoder measurements of a model's states.
 
-    Positions of hinges and slides are whole numbers of steps of their encoders; their speeds are the difference from
-    the last instant over the period, exact at the first one. Free and ball joints and activations are exact.
+    Positions of hinge and slide joints are integer multiples of the encoder resolution; their velocities are backward
+    differences over the period, exact at the first instant. Free and ball joints and activations are exact.
     """
 
     def __init__(self, model: Any, period: float) -> None:
@@ -127,7 +127,7 @@ class Encoders:
         self._period, self._before = period, np.zeros(0)
 
     def __call__(self, w: np.ndarray) -> np.ndarray:
-        """What is measured (nw,) of a state w (nw,), one period after the last."""
+        """The measured state (nw,) at a state w (nw,), one period after the last."""
         w, steps = w.copy(), np.round(w[self._position] / self._size)
         w[self._position] = steps * self._size
         if len(self._before):

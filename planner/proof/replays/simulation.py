@@ -1,9 +1,9 @@
-"""Step a MuJoCo model and keep its states w = (qpos, qvel, act): under controls given beforehand, or by feedback.
+"""Simulate a MuJoCo model and store its states w = (qpos, qvel, act), with given controls or by feedback.
 
 Also steps of the Rosenbrock method of a plan (kernels.tree.rosenbrock) with the forces and masses of MuJoCo. The
-implicit methods of MuJoCo are of first order: where damping is as fast as the step, the first step after a jump of a
-control errs by a fifth of the jump. So MuJoCo computes accelerations of a model whose armatures are increased by the
-damping of a step, and the forces of the second stage are applied as qfrc_applied.
+implicit methods of MuJoCo are of first order: where damping is as fast as the step, the error of the first step after a
+control jump is a fifth of the jump. So accelerations are MuJoCo's for armatures increased by the damping of a step, and
+the forces of the second stage are applied as qfrc_applied.
 """
 
 from __future__ import annotations
@@ -21,8 +21,8 @@ from planner.model.mjcf.model_index import named
 from planner.proof.replays.contact_history import ContactRecorder
 
 MAX_STEPS = 5_000_000  # some minutes and 1 GB
-RUNAWAY = 1e10  # what MuJoCo takes for an unstable simulation
-_AT_ONCE = 50_000  # steps in C before Ctrl-C is heard
+RUNAWAY = 1e10  # threshold of MuJoCo's divergence check
+_AT_ONCE = 50_000  # steps in C between checks for Ctrl-C
 
 
 def set_state(model: Any, data: Any, w: np.ndarray) -> None:
@@ -41,12 +41,11 @@ def simulate(
     held: int = 1, recorder: ContactRecorder | None = None, every: int = 1, start: float = 0.0,
     step: Step | None = None,
 ) -> tuple[np.ndarray, tuple[str, ...]]:  # fmt: skip
-    """Step a model from w0 (nw,) under controls (M, nu); returns states (M+1, nw) and complaints, one sentence each.
+    """Step a model from w0 (nw,) under controls (M, nu); returns states (M+1, nw) and warnings, one sentence each.
 
-    `control` is asked every `held` steps, at a step and its state, for the controls (nu,) or (held, nu) that are to act
-    until it is asked again, which are written into ctrl. Every `every` steps the simulation is ended if it has run
-    away: its states are NaN from there. `start` is the time of w0 for sentences, s. `step` moves the data in place of
-    MuJoCo's own step.
+    `control` is called every `held` steps with a step and its state, and returns the controls (nu,) or (held, nu) until
+    the next call, which are written into ctrl. Every `every` steps the simulation ends if it has diverged, with NaN
+    states from there. `start` is the time of w0 for sentences, s. `step` replaces MuJoCo's own step function.
     """
     recorder = recorder or ContactRecorder(model, 0, records=False)
     data, w = load_mujoco().MjData(model), np.full((len(ctrl) + 1, len(w0)), np.nan)
@@ -75,7 +74,7 @@ def simulate(
 
 
 def _at_once(model: Any, w: np.ndarray, ctrl: np.ndarray) -> bool:
-    """Fill w (M+1, nw) from its first row by mujoco.rollout, to the same bits; False where MuJoCo complains."""
+    """Fill w (M+1, nw) from its first row by mujoco.rollout, with equal bits; False if MuJoCo warns."""
     mujoco = load_mujoco()
     data, full = mujoco.MjData(model), mujoco.mjtState.mjSTATE_FULLPHYSICS
     set_state(model, data, w[0])
@@ -91,7 +90,7 @@ def _at_once(model: Any, w: np.ndarray, ctrl: np.ndarray) -> bool:
             )  # fmt: skip
             row = states[:, -1].copy()
             w[i + 1 : i + 1 + n] = states[0, :, 1 : 1 + w.shape[1]]
-            if warnings_of(data):  # it has stopped
+            if warnings_of(data):  # MuJoCo has stopped
                 break
     sound = not warnings_of(data) and bool(np.all(np.abs(w) < RUNAWAY))
     w[1:] = w[1:] if sound else np.nan
@@ -99,7 +98,7 @@ def _at_once(model: Any, w: np.ndarray, ctrl: np.ndarray) -> bool:
 
 
 def _unstable_at(model: Any, w: np.ndarray, start: float) -> tuple[str, ...]:
-    """Put NaN where the states w (M+1, nw) have run away, and say in a sentence where and when that began."""
+    """Set diverged states of w (M+1, nw) to NaN, and report in a sentence where and when divergence began."""
     with np.errstate(invalid="ignore"):
         bad = ~(np.abs(w) < RUNAWAY)
     if not bad.any():
@@ -122,12 +121,12 @@ GAMMA = 1.0 - 0.5**0.5  # as in kernels.tree.rosenbrock
 ROSENBROCK = "rosenbrock"
 NATIVE_IMPLICIT = "IMPLICITFAST"  # MuJoCo's own, stable, of first order
 
-Step = Callable[[Any], None]  # moves MuJoCo's data
+Step = Callable[[Any], None]  # advances MuJoCo's data
 Acceleration = Callable[[Any, Any], np.ndarray]  # (model, data) after mj_forward -> (nv,)
 
 
 def damping_of(dynamics: Any) -> np.ndarray | None:
-    """(nv,) what a plan's dynamics take implicitly; None where they take nothing so."""
+    """(nv,) damping that a plan's dynamics integrate implicitly; None for explicit integration."""
     mechanism = capabilities_of(dynamics).mechanism
     if getattr(dynamics, "integrator", "") != ROSENBROCK or mechanism is None:
         return None
@@ -137,19 +136,19 @@ def damping_of(dynamics: Any) -> np.ndarray | None:
 def implicit_step(
     model: Any, h: float, damping: np.ndarray, parts: int = 1, acceleration: Acceleration | None = None
 ) -> Step:
-    """A function that moves data of a model by h s in equal parts.
+    """A function that advances data of a model by h s in equal parts.
 
     Args:
         model: MuJoCo's; it is not changed.
-        h: s.
+        h: Step, s.
         damping: (nv,) of damping_of().
-        parts: Steps of the method.
-        acceleration: What to take for MuJoCo's qacc.
+        parts: Number of equal steps.
+        acceleration: Replaces MuJoCo's qacc.
     """
     mujoco, h = load_mujoco(), h / parts
     added, heavier = GAMMA * h * damping, copy.copy(model)
     heavier.dof_armature[:] += added
-    heavier.dof_M0[:] += added  # MuJoCo reads it in place of armatures for bodies whose masses never change
+    heavier.dof_M0[:] += added  # used by MuJoCo in place of armatures for bodies with constant masses
 
     def forward(data: Any) -> tuple[np.ndarray, np.ndarray]:
         mujoco.mj_forward(heavier, data)

@@ -4,7 +4,7 @@
     2  open loop, the same machines
     3  the mass margins, by bisection over the levels
 
-So the word about robustness comes first. Finished rollouts are stored, and are not run again after an interruption.
+So the word about robustness is known first. Finished rollouts are stored, and not run again after an interruption.
 """
 
 from __future__ import annotations
@@ -31,11 +31,11 @@ from planner.proof.robustness.perturbation import Perturbation, PerturbationSamp
 from planner.proof.robustness.rollouts import MODES, Rollouts
 from planner.proof.robustness.success import LOOKS, SuccessRule, enough, next_look
 
-ENOUGH = 0.95  # of the rollouts must succeed for a mass error to be within the margin
+ENOUGH = 0.95  # success rate required at a mass error within the margin
 LEVELS = (0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5)  # mass errors, relative
-_PER_LEVEL = 20  # the fewest of which 95 % is a number other than all
-_QUICK = 5  # rollouts of a level where not even the first look is asked for
-_MAX_LEVELS = 4  # that a bisection of nine asks for
+_PER_LEVEL = 20  # smallest number of rollouts with a 95 % rate below all
+_QUICK = 5  # rollouts of a level where fewer than the first look are requested
+_MAX_LEVELS = 4  # maximum number of bisection steps over nine levels
 
 
 class MonteCarlo:
@@ -48,14 +48,14 @@ class MonteCarlo:
     ) -> None:  # fmt: skip
         self.simulator, self.rule, self.asked = simulator, rule, asked
         self.per_level = _PER_LEVEL if asked >= LOOKS[0] else _QUICK
-        self.margin = dict.fromkeys(MODES, math.nan)  # see Perturbed
+        self.margin = dict.fromkeys(MODES, math.nan)  # see RobustnessResult
         self._perturbation, self._seed, self._deadline, self._progress = perturbation, seed, deadline, progress
         self._batches = Batches(simulator, min(simulator.batch_size, most_at_once or simulator.batch_size), executor)
         self._store = RolloutCheckpoint(partial, fingerprint(simulator, perturbation, seed))
-        self._finished = self._total = 0  # simulations run here, and how many these and those to come are at most
+        self._finished = self._total = 0  # simulations run here; upper limit of these and the remaining ones
 
     def run(self) -> None:
-        """Run what is missing; OutOfTime after the deadline."""
+        """Run the missing rollouts; OutOfTime after the deadline."""
         margins = len(MODES) * _MAX_LEVELS * self.per_level
         while (look := next_look(known := self._succeeded("cases", "feedback"), self.asked)) is not None:
             look = max(look, min(len(known) + self._batches.together, self.asked))  # those beyond a look may not count
@@ -64,25 +64,25 @@ class MonteCarlo:
         for mode in MODES[::-1]:
             margins -= _MAX_LEVELS * self.per_level
             self.margin[mode] = self._margin(mode, margins)
-        if self._progress is not None and self._finished < self._total:  # bisections took less than was expected
+        if self._progress is not None and self._finished < self._total:  # bisections took fewer than expected
             self._progress(self._finished, self._finished)
 
     @property
     def done(self) -> int:
-        """Number of machines that were run with gains, and count."""
+        """Number of rollouts with gains that count."""
         return enough(self._succeeded("cases", "feedback"), self.asked)
 
     def ends(self, mode: str) -> np.ndarray:
-        """(K, nx) the ends that count."""
+        """(K, nx) end states of the rollouts that count."""
         found = self._store.arrays.get(f"cases {mode} end", np.empty((0, self.simulator.plan.xs.shape[1])))
         return found[: self.done]
 
     def succeeded(self, mode: str) -> np.ndarray:
-        """(K,) which of these succeed."""
+        """(K,) whether each of these succeeds."""
         return self._succeeded("cases", mode)[: self.done]
 
     def deviations(self, mode: str) -> np.ndarray:
-        """(K, T, ndx) deviations from the plan at the kept knots."""
+        """(K, T, ndx) deviations from the plan at the stored knots."""
         nothing = np.empty((0, len(self.simulator.knots), self.simulator.plan.space.ndx))
         return self._store.arrays.get(f"cases {mode} deviation", nothing)[: self.done]
 
@@ -90,7 +90,7 @@ class MonteCarlo:
         return draw(self._perturbation, self._seed, k, self.simulator.nominal.sizes)
 
     def _margin(self, mode: str, others: int) -> float:
-        """The largest level at which enough succeed, as if they did at all below; `others` are still to come."""
+        """The largest level with enough successes, assuming monotone rates; `others` simulations remain after it."""
         sizes, left = self.simulator.nominal.sizes, _MAX_LEVELS * self.per_level
 
         def survives(level: int) -> bool:
@@ -106,7 +106,7 @@ class MonteCarlo:
         return LEVELS[most] if most >= 0 else 0.0
 
     def _succeeded(self, part: str, mode: str) -> np.ndarray:
-        """(K,) the successes among all the store has of a part."""
+        """(K,) successes of all stored rollouts of a part."""
         if self.rule.follows is not None:
             return self._store.arrays.get(f"{part} {mode} won", np.empty(0, dtype=bool))
         ends = self._store.arrays.get(f"{part} {mode} end")
@@ -115,7 +115,7 @@ class MonteCarlo:
     def _extend(
         self, part: str, mode: str, wanted: int, draw_one: Callable[[int], PerturbationSample], to_come: int
     ) -> None:
-        """Run the rollouts of a part that the store does not have, in batches; at most `to_come` are left after it."""
+        """Run a part's rollouts that are not stored yet, in batches; at most `to_come` simulations remain after it."""
         simulator, plan = self.simulator, self.simulator.plan
         done = len(self._store.arrays.get(f"{part} {mode} end", ()))
         draws = [draw_one(k) for k in range(done, wanted)]
@@ -124,7 +124,7 @@ class MonteCarlo:
             if self.rule.follows is not None:
                 more["won"] = self.rule.followed(xs, plan.xs[simulator.knots], simulator.knots)
             if part == "cases":  # in single precision: for plots
-                with np.errstate(all="ignore"):  # of what has exploded
+                with np.errstate(all="ignore"):  # of diverged rollouts
                     more["deviation"] = plan.space.difference(xs, plan.xs[simulator.knots]).astype(np.float32)
             self._store.add(**{f"{part} {mode} {name}": values for name, values in more.items()})
             done += len(xs)
@@ -135,19 +135,19 @@ class MonteCarlo:
 
 
 def largest_survived(count: int, survives: Callable[[int], bool], near: int | None = None) -> int:
-    """The number of the largest level that is survived, -1 for none.
+    """Index of the largest level that survives, -1 for none.
 
     Args:
-        count: Of levels.
-        survives: Whether a level, by its number, is survived.
-        near: A level, or -1, that the answer is probably near: it and the next are tried first, then those at twice
-            the distance and so on, which takes two tries where the guess is right. None halves all of them.
+        count: Number of levels.
+        survives: Whether a level, by its index, survives.
+        near: Probable result, or -1: it and the next level are tested first, then levels at doubling distance, so two
+            tests suffice if it is right. None bisects all of them.
     """
     low, high, reach = -1, count, 1
     while high - low > 1:
         if near is None or (low >= 0 and high < count):
             level = (low + high) // 2
-        elif high == count:  # all that were tried are survived
+        elif high == count:  # all tested levels survived
             level = min(max(near, 0) if low < 0 else low + reach, count - 1)
         else:
             level = max(high - reach, 0)
@@ -156,26 +156,26 @@ def largest_survived(count: int, survives: Callable[[int], bool], near: int | No
     return low
 
 
-_FEWEST = 8  # rollouts of a batch on an executor: what NumPy does for one batch takes as long for a few
-_kept = threading.local()  # of a worker: its simulator, and whose it is
+_FEWEST = 8  # minimum batch size on an executor: NumPy's overhead per batch
+_kept = threading.local()  # per worker: its simulator, and the plan's fingerprint
 
 
 class Batches:
     """Runs the rollouts of one plan.
 
     Args:
-        simulator: Of this process.
-        size: Most rollouts of a batch.
-        executor: Where they run; None for this process, with MuJoCo's threads.
+        simulator: The simulator of this process.
+        size: Maximum number of rollouts of a batch.
+        executor: Runs the batches; None for this process, with MuJoCo's threads.
     """
 
     def __init__(self, simulator: Rollouts, size: int, executor: Executor | None) -> None:
         self.simulator, self.size, self.executor = simulator, size, executor
-        self.together = 0 if executor is None else _FEWEST * width_of(executor)  # rollouts that keep all workers busy
+        self.together = 0 if executor is None else _FEWEST * width_of(executor)  # rollouts that occupy all workers
         self._mark = uuid4().hex
 
     def run(self, draws: Sequence[PerturbationSample], mode: str, deadline: float = math.inf) -> Iterator[np.ndarray]:
-        """The states (K, T, nx) of each batch at the kept knots, in the order of the draws.
+        """The states (K, T, nx) of each batch at the stored knots, in the order of the draws.
 
         Raises:
             OutOfTime: It is later than `deadline`, of time.monotonic().
@@ -188,7 +188,7 @@ class Batches:
             for batch in batches:
                 yield simulator.run(simulator.batch(batch), mode, deadline)
             return
-        ends = time.time() + deadline - time.monotonic()  # as other machines have it
+        ends = time.time() + deadline - time.monotonic()  # wall-clock time, valid on other machines
         yield from ordered_map(
             executor, partial(_run, self._mark, simulator.plan, simulator.compiled, mode, ends), batches
         )  # fmt: skip
@@ -197,7 +197,7 @@ class Batches:
 def _run(
     mark: str, plan: Plan, compiled: CompiledTwin, mode: str, ends: float, draws: Sequence[PerturbationSample]
 ) -> np.ndarray:  # fmt: skip
-    """The states of one batch, by the simulator that this worker has of the plan."""
+    """The states of one batch, by this worker's cached simulator of the plan."""
     if getattr(_kept, "mark", None) != mark:
         _kept.mark, _kept.simulator = mark, Rollouts(plan, compiled, threads=1)
     simulator: Rollouts = _kept.simulator
@@ -208,9 +208,9 @@ _FORMAT = "perturbed 2"
 
 
 def fingerprint(rollouts: Rollouts, perturbation: Perturbation, seed: int) -> str:
-    """Digest of all that a rollout depends on, which their number does not change."""
+    """Digest of all inputs of a rollout, independent of the number of rollouts."""
     plan, twin, problem = rollouts.plan, rollouts.twin, rollouts.plan.problem
-    assert problem is not None  # Rollouts has checked
+    assert problem is not None  # checked by Rollouts
     version = load_mujoco().__version__
     words = (_FORMAT, version, twin.mjcf, sorted(twin.assets), perturbation, seed, rollouts.step, rollouts.integrator)
     digest = hashlib.sha256(repr(words).encode())
@@ -223,10 +223,10 @@ def fingerprint(rollouts: Rollouts, perturbation: Perturbation, seed: int) -> st
 
 
 class RolloutCheckpoint:
-    """Arrays of finished rollouts by name, kept in an .npz when there is a path."""
+    """Arrays of finished rollouts by name, stored in an .npz if there is a path."""
 
     def __init__(self, path: Path | None, mark: str) -> None:
-        """Read the file; one of another plan, or that cannot be read, counts as none."""
+        """Read the file; ignored if it is of another plan or unreadable."""
         self._path, self._mark = path, mark
         self.arrays: dict[str, np.ndarray] = {}  # along the first axis, the rollouts in order
         if path is None:

@@ -1,8 +1,8 @@
 """The errors of step 5 of a proof: their sizes, how they are drawn for a rollout, and a MuJoCo model with them.
 
-A rollout draws everything from default_rng([seed, k]), k its number, in a fixed order and whatever is switched on: it
-is the same in any company, and switching one kind of error off leaves the others as they were. Errors may also be
-stated in place of drawn: heavier by so much, with so much friction.
+A rollout draws everything from default_rng([seed, k]), k its number, in a fixed order independent of the switches: it
+does not depend on other rollouts, and switching off one kind of error does not change the others. Errors may also be
+given instead of drawn: relative mass error, friction.
 """
 
 from __future__ import annotations
@@ -27,15 +27,15 @@ from planner.proof.replays.simulation import set_state
 from planner.proof.robustness.pushes import bodies_of
 
 _FACTORS = ("mass", "inertia", "damping", "stiffness", "contact_friction", "common_mass", "common_stiffness")
-_LARGEST = {"drag": 1e6, "friction": 1e3, "start": 1e3, "noise": 1e3, "delay": 10.0}  # far beyond what any plan bears
-_MAX_KNOTS = 200  # of the plan are asked for its largest forces
+_LARGEST = {"drag": 1e6, "friction": 1e3, "start": 1e3, "noise": 1e3, "delay": 10.0}  # upper limits
+_MAX_KNOTS = 200  # number of the plan's knots at which its largest forces are evaluated
 
 
 @dataclass(frozen=True)
 class Perturbation:
-    """How far the simulated machine may be from the planned one. All zero: not at all.
+    """Sizes of the simulated machine's deviations from the planned one. All zero: none.
 
-    The defaults are those of a machine that was weighed and measured but not identified: masses as from CAD, good
+    The defaults are those of a machine with measured but not identified parameters: masses as from CAD, good
     bearings, calibrated encoders, a controller at 500 Hz.
 
     Attributes:
@@ -43,19 +43,18 @@ class Perturbation:
         inertia: Each body's inertia is scaled, as a whole, by another factor uniform in 1 +- this.
         damping: The damping that the model has in a joint is scaled by a factor uniform in 1 +- this.
         drag: Damping added to a joint, uniform in 0 to this times the inertia it moves (MuJoCo's dof_M0), 1/s: the
-            rate at which its speed would decay. Free joints move through the air and have none, and joints whose
-            acceleration the plan prescribes feel none.
-        friction: Dry friction added to a joint, uniform in 0 to this times the largest force that the plan asks of it
+            rate at which its speed would decay. Free joints and joints with prescribed acceleration have none.
+        friction: Dry friction added to a joint, uniform in 0 to this times the plan's largest force at that joint
             (actuator, or weight with Coriolis forces). Free and prescribed joints have none.
         contact_friction: All friction coefficients of contacts are scaled by one factor uniform in 1 +- this.
         start: Standard deviation of the start from the plan's, in each direction, in its unit.
-        noise: Standard deviation of white noise on a control, held over a stage, as a fraction of the largest that the
-            plan applies.
-        delay: The controls come late by a time uniform in 0 to this, s, in whole steps of the simulator. Until then
-            the first ones are held.
+        noise: Standard deviation of white noise on a control, constant over a stage, relative to the control's largest
+            magnitude in the plan.
+        delay: Delay of the controls, uniform in 0 to this, s, in whole steps of the simulator. Until then the first
+            ones are applied.
         stiffness: The stiffness of a joint's spring is scaled by a factor uniform in 1 +- this.
-        common_mass: All bodies' masses and inertias are scaled by one more factor uniform in 1 +- this: of a patient
-            who is heavier than was thought.
+        common_mass: All bodies' masses and inertias are scaled by one more common factor uniform in 1 +- this, e.g. for
+            a patient of unknown weight.
         common_stiffness: The same of all joints' springs.
 
     Raises:
@@ -83,7 +82,7 @@ class Perturbation:
 
     @classmethod
     def usual(cls, problem: Problem | None, **changes: float) -> Perturbation:
-        """The perturbation that a problem's requirements ask for, else the default; with `changes`."""
+        """The perturbation in a problem's requirements, else the default; with `changes`."""
         own = None if problem is None else problem.requirements
         return cls(**{**({} if own is None else own.perturbation), **changes})
 
@@ -106,7 +105,7 @@ class PerturbationSample:
     """The errors of one rollout."""
 
     mass: np.ndarray  # (nbody,) factors
-    inertia: np.ndarray  # (nbody,) factors, apart from those of the masses
+    inertia: np.ndarray  # (nbody,) factors, in addition to those of the masses
     damping: np.ndarray  # (nv,) factors
     drag: np.ndarray  # (nv,) 1/s
     friction: np.ndarray  # (nv,) fractions of the largest force
@@ -149,15 +148,15 @@ def draw(perturbation: Perturbation, seed: int, k: int, sizes: SampleShape) -> P
 
 
 def draw_masses(error: float, seed: int, level: int, k: int, sizes: SampleShape) -> PerturbationSample:
-    """Masses (and inertias with them) wrong by plus or minus `error`, the signs at random; nothing else."""
-    rng = np.random.default_rng([seed, k, 1 + level])  # not [.., 0]: NumPy takes that for [seed, k]
+    """Masses and inertias scaled by 1 + error or 1 - error, the sign at random per body; no other errors."""
+    rng = np.random.default_rng([seed, k, 1 + level])  # not [.., 0]: equal to [seed, k] in NumPy
     none = draw(Perturbation(**dict.fromkeys((one.name for one in fields(Perturbation)), 0.0)), seed, k, sizes)
     return PerturbationSample(**{**vars(none), "mass": 1.0 + error * rng.choice([-1.0, 1.0], sizes.nbody)})
 
 
 @dataclass(frozen=True, eq=False)
 class Nominal:
-    """The machine as planned, and the scales of its errors."""
+    """The planned machine, and the scales of its errors."""
 
     model: Any  # MuJoCo's
     load: np.ndarray  # (nv,) the largest generalized force along the plan, N m or N
@@ -175,11 +174,11 @@ class Nominal:
 
     @cached_property
     def _in_joints(self) -> np.ndarray:
-        """(nv,) 1 for degrees of freedom that have bearings, 0 for those of free joints and of driven ones."""
+        """(nv,) 1 for degrees of freedom with joint friction, 0 for those of free and prescribed joints."""
         free = load_mujoco().mjtJoint.mjJNT_FREE
         bearings = self.model.jnt_type[self.model.dof_jntid] != free
         bearings[self.driven] = False
-        bearings[self.model.dof_armature == PRESCRIBED_ARMATURE] = False  # driven by jerk: as prescribed
+        bearings[self.model.dof_armature == PRESCRIBED_ARMATURE] = False  # prescribed by jerk
         return bearings.astype(float)
 
     @property
@@ -191,25 +190,25 @@ class Nominal:
     def with_errors(self, draw: PerturbationSample, data: Any) -> Any:
         """A copy of the model with these errors; `data` is overwritten."""
         mujoco, nominal = load_mujoco(), self.model
-        moves = nominal.body_weldid != 0  # what is welded to the world has no inertia to speak of
+        moves = nominal.body_weldid != 0  # inertia of bodies welded to the world has no effect
         model = copy.copy(nominal)
         model.body_mass[moves] *= draw.mass[moves]
         model.body_inertia[moves] *= (draw.mass * draw.inertia)[moves, None]
-        # Without damping there is no diagonal to be implicit in, so what adds nothing must leave it exactly zero.
+        # Implicit integration needs nonzero damping, so zero added damping must leave it exactly zero.
         model.dof_damping[:] = nominal.dof_damping * draw.damping + draw.drag * nominal.dof_M0 * self._in_joints
         model.dof_frictionloss[:] += draw.friction * self.load * self._in_joints
         model.jnt_stiffness[:] *= draw.stiffness
         model.geom_friction[:] *= draw.contact_friction
         model.pair_friction[:] *= draw.contact_friction
         try:
-            mujoco.mj_setConst(model, data)  # contacts are as hard as the inertias behind them, and those are cached
+            mujoco.mj_setConst(model, data)  # contact stiffness depends on inertias, which MuJoCo caches
         except (ValueError, RuntimeError, mujoco.FatalError) as error:
             raise PlannerError(f"MuJoCo refuses the perturbed model: {' '.join(str(error).split())}") from None
         return model
 
 
 def _loads(model: Any, plan: Plan, twin: Twin) -> np.ndarray:
-    """The largest force (nv,) of actuators, and of weight and Coriolis, at knots of the plan."""
+    """(nv,) the largest actuator force, or weight with Coriolis force, over knots of the plan."""
     mujoco = load_mujoco()
     data, loads = mujoco.MjData(model), np.zeros(model.nv)
     for n in np.unique(np.linspace(0, plan.N - 1, _MAX_KNOTS).round().astype(int)):
@@ -230,10 +229,10 @@ def with_stated_errors(
 
     Args:
         compiled: The twin.
-        plan: Whose largest forces are the scale of friction.
-        model: Of the twin, at the step that is simulated.
+        plan: Its largest forces scale the friction.
+        model: The twin's MuJoCo model at the simulated step.
         mass: Relative error of all masses, inertias with them, or of bodies by name.
-        friction: Dry friction in every joint, as a share of the largest force that the plan asks of it.
+        friction: Dry friction in every joint, relative to the plan's largest force at that joint.
         contact_friction: Relative error of the coefficients of contacts.
 
     Raises:

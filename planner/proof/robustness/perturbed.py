@@ -1,4 +1,4 @@
-"""Step 5 of a proof: how often a plan still succeeds on a machine that differs from the planned one.
+"""Step 5 of a proof: the success rate of a plan on perturbed machines.
 
 Seeded Monte Carlo in MuJoCo, with the plan's gains and open loop: masses, friction, start, controls and their delay
 have the errors of a Perturbation. Increasing errors of the masses alone give the margin. The rate with gains becomes a
@@ -33,22 +33,22 @@ from planner.proof.robustness.rollouts import MODES, OutOfTime, Rollouts
 from planner.proof.robustness.success import SuccessRate, SuccessRule, end_errors, rule_of
 
 PERCENTILES = (5, 25, 50, 75, 95)
-JUDGED = " with its gains"  # a plan may be robust with them and succeed open loop in no rollout
+JUDGED = " with its gains"  # the rate with gains is judged: a plan may be robust with them and never succeed open loop
 _WORST = 5
-_PIECES = 6  # batches that a budget has time for, if the estimate of their time is right
+_PIECES = 6  # minimum number of batches within a budget, by the estimated time
 
 
 @dataclass(frozen=True, eq=False)
 class RobustnessResult:
-    """The findings of a Monte Carlo. Modes are "open-loop" and "feedback"."""
+    """Results of a Monte Carlo. Modes are "open-loop" and "feedback"."""
 
     perturbation: Perturbation  # The errors that were drawn
     seed: int  # Of the random numbers
-    asked: int  # Most rollouts in each mode
-    done: int  # Rollouts with gains: as many as decide their rate; open loop as many, but for a budget
+    asked: int  # Maximum number of rollouts in each mode
+    done: int  # Rollouts with gains: as many as decide their rate; open loop the same, unless the budget ends
     step: float  # The simulator's step, s
-    control_step: float  # How often the gains act, s
-    tolerance: float  # Largest end error that succeeds; NaN where something else decides
+    control_step: float  # Period of the feedback, s
+    tolerance: float  # Largest end error that succeeds; NaN where another rule decides
     # Per mode (done,), the largest component of the end state's deviation from the plan's, each over the coordinate's
     # range of motion; infinite for a simulation that exploded.
     end_error: dict[str, np.ndarray]
@@ -60,7 +60,7 @@ class RobustnessResult:
     # Per mode (5, T, ndx), percentiles 5, 25, 50, 75 and 95 of the deviations from the plan, over the rollouts that had
     # not exploded by then.
     fans: dict[str, np.ndarray]
-    rule: str = ""  # What a rollout does that succeeds
+    rule: str = ""  # The success rule, in words
     notes: tuple[str, ...] = ()  # Remarks on how the rollouts were run, one sentence each
 
     @property
@@ -70,15 +70,15 @@ class RobustnessResult:
 
     @property
     def robustness(self) -> str:
-        """The word "robust", "fragile" or, of too few rollouts to know, "pending": see robustness.success.
+        """The word "robust", "fragile" or, with too few rollouts, "pending": see robustness.success.
 
-        Of the rate with gains; where other errors than the standard ones were drawn, it is about those.
+        Of the rate with gains and the perturbation that was drawn.
         """
         return self.rates["feedback"].word
 
     @property
     def worst(self) -> dict[str, tuple[int, ...]]:
-        """Per mode, the numbers of the rollouts that ended farthest off, the worst first: see replay_rollout."""
+        """Per mode, the numbers of the rollouts with the largest end errors, largest first: see replay_rollout."""
         worst_first = {mode: np.argsort(-error, kind="stable") for mode, error in self.end_error.items()}
         return {mode: tuple(map(int, ks[:_WORST])) for mode, ks in worst_first.items()}
 
@@ -104,7 +104,7 @@ class RobustnessResult:
         return Section("robustness", tuple(measured))
 
     def lines(self) -> list[str]:
-        """The rates with their intervals, and which rollouts ended farthest off."""
+        """The rates with their intervals, and the rollouts with the largest end errors."""
         lines = [f"robustness: {note}" for note in self.notes]
         word = self.robustness
         lines += [f"robustness: {word}{'' if word == 'pending' else JUDGED}"] if self.done else []
@@ -115,7 +115,7 @@ class RobustnessResult:
         return lines
 
     def to_dict(self) -> dict[str, Any]:
-        """All but the fans as JSON values; what is not finite becomes null."""
+        """All but the percentiles over time as JSON values; non-finite values become null."""
         return {
             "perturbation": self.perturbation.to_dict(), "seed": self.seed,
             "rollouts": {"asked": self.asked, "done": self.done}, "timestep": self.step,
@@ -134,12 +134,12 @@ class RobustnessResult:
 
 @dataclass(frozen=True)
 class MonteCarloSettings:
-    """The random machines of a Monte Carlo, and which of their motions count as successes."""
+    """Number, seed and perturbation of a Monte Carlo, and its success rule."""
 
-    rollouts: int = 512  # Most machines in each mode; the k-th is the same whatever their number
+    rollouts: int = 512  # Maximum number in each mode; rollout k is the same for any number
     seed: int = 0  # Of the random numbers, at least 0
     perturbation: Perturbation | None = None  # The errors drawn; None for Perturbation.usual() of the plan's problem
-    rule: SuccessRule | None = None  # Which succeed; None for planner.proof.robustness.success.rule_of() the plan
+    rule: SuccessRule | None = None  # Success rule; None for planner.proof.robustness.success.rule_of() the plan
 
     def __post_init__(self) -> None:
         count("rollouts", self.rollouts)
@@ -198,7 +198,7 @@ def _result(
 
 
 def _percentiles(deviations: np.ndarray) -> np.ndarray:
-    """(5, T, ndx) of (K, T, ndx); NaN where nothing is left."""
+    """(5, T, ndx) percentiles of deviations (K, T, ndx); NaN where no rollout is finite."""
     alive = np.logical_and.reduce(np.isfinite(deviations), axis=2)
     if alive.size and alive.all():
         return np.percentile(deviations, PERCENTILES, axis=0)
@@ -233,10 +233,10 @@ def replay_rollout(
             for i in range(M):
                 if i % piece == 0:
                     n, complaints = min(piece, M - i), [warning.number for warning in data.warning]
-                    with np.errstate(all="ignore"):  # of one about to explode
+                    with np.errstate(all="ignore"):  # of a diverging rollout
                         ctrl[i : i + n] = commands(i, n, w[i : i + 1])[0]
-                    data.qacc_warmstart[:] = 0.0  # as every segment of the Monte Carlo begins
-                elif complaints != [warning.number for warning in data.warning]:  # as mujoco.rollout gives it up
+                    data.qacc_warmstart[:] = 0.0  # as in every segment of the Monte Carlo
+                elif complaints != [warning.number for warning in data.warning]:  # where mujoco.rollout ends it
                     w[i] = np.nan
                     break
                 data.ctrl[:] = ctrl[i]

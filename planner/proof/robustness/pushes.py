@@ -1,4 +1,4 @@
-"""Pushes: forces at bodies for a while, beside what a plan or a controller knows of."""
+"""Pushes: temporary external forces on bodies, unknown to a plan or controller."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from planner.base.errors import PlannerError
 from planner.base.gl import load_mujoco
 from planner.proof.replays.simulation import Step
 
-DURATION = 0.1  # s, of a push that says none
+DURATION = 0.1  # s, default duration of a push
 _WORD = re.compile(r"^(?P<body>[^=]+)=(?P<force>[^@]*?)N?@(?P<time>[^@/]+?)s?(?:/(?P<duration>[^@/]+?)s?)?$")
 
 
@@ -74,7 +74,7 @@ def bodies_of(model: Any) -> list[str]:
 
 
 def pushed_step(model: Any, pushes: Sequence[Push], step: Step | None = None) -> Step | None:
-    """A step of MuJoCo's data with pushes in it; `step` itself where there are none.
+    """A step function for MuJoCo's data with pushes applied; `step` itself where there are none.
 
     A push acts over the whole steps that begin within it.
 
@@ -94,7 +94,7 @@ def pushed_step(model: Any, pushes: Sequence[Push], step: Step | None = None) ->
 
     def move(data: Any) -> None:
         data.xfrc_applied[:] = 0.0
-        now = data.time + half  # instants that fall on the ends of steps are not left to rounding
+        now = data.time + half  # so that rounding does not decide at the ends of steps
         for body, force, begins, ends in rows:
             if begins < now < ends:
                 data.xfrc_applied[body, :3] += force

@@ -1,9 +1,9 @@
 """Many perturbed simulations of one plan at once, by mujoco.rollout on all cores: open loop and with the plan's gains.
 
-The gains act at control steps, the whole fraction of a stage that is nearest to 500 Hz. The simulator takes half of
-that: with errors of several percent a finer step shows nothing else. Where there may be contacts it takes the model's
-own timestep, by semi-implicit Euler in place of RK4 (a quarter of the work, and RK4 has no order across an impact)
-where the machine without errors moves the same then.
+The gains act at control steps, the integer fraction of a stage closest to 500 Hz. The simulator takes half of it: with
+errors of several percent a finer step changes nothing. Where contacts are possible it takes the model's timestep, by
+semi-implicit Euler in place of RK4 (a quarter of the work, and RK4 has no order across an impact) if the unperturbed
+trajectory is then the same.
 
 A rollout is the same to the last bit in any batch and on any number of threads: every segment starts from the physical
 state alone (no warm start), and what NumPy does here for many rollouts it does elementwise, since a matrix product
@@ -39,10 +39,10 @@ from planner.proof.robustness.success import ranges_of_motion
 
 MODES = ("open-loop", "feedback")
 CONTROL_RATE = 500.0  # Hz, of a controller
-AGREES = 0.01  # of each coordinate's range of motion: by how much Euler may differ from RK4
-MAX_KNOTS = 200  # at which states are kept
-_SEGMENT = 16384  # numbers per rollout that MuJoCo hands back at a time
-_MEMORY = 256e6  # bytes that a batch's models may fill, and its states
+AGREES = 0.01  # of each coordinate's range of motion: largest difference of Euler from RK4
+MAX_KNOTS = 200  # maximum number of stored knots
+_SEGMENT = 16384  # numbers per rollout that MuJoCo returns at a time
+_MEMORY = 256e6  # upper limit of a batch's models and states, bytes
 
 
 class OutOfTime(Exception):
@@ -61,7 +61,7 @@ class RolloutBatch:
 
 
 class Rollouts:
-    """The simulations of one plan. A context manager: it holds threads."""
+    """The simulations of one plan. A context manager: it owns threads."""
 
     def __init__(self, plan: Plan, compiled: CompiledTwin, threads: int | None = None) -> None:
         self._problem = problem_of(plan)
@@ -83,7 +83,7 @@ class Rollouts:
         implicit = damping_of(self._problem.dynamics) is not None
         model = compiled.stepping(self.step, NATIVE_IMPLICIT if implicit else "RK4")
         self.nominal = Nominal.of(model, plan, twin)
-        # (T,) the stages at whose start (or end, the last) states are kept
+        # (T,) the stages at whose start (or end, the last) states are stored
         spread = np.linspace(0, plan.N, min(plan.N, MAX_KNOTS) + 1).round().astype(int)
         self.knots = np.union1d(spread, stages_asked(self._problem))
         self._plan_xs = plan.between_knots(self.control_steps)
@@ -104,14 +104,14 @@ class Rollouts:
         self._pool.close()
 
     def _euler_agrees(self) -> bool:
-        """Whether the machine without errors moves with its gains as by RK4; then Euler is left in the model."""
+        """Whether Euler gives RK4's unperturbed trajectory with gains; Euler then stays set in the model."""
         kinds, options = load_mujoco().mjtIntegrator, self.nominal.model.opt
         none = Perturbation(**dict.fromkeys(Perturbation().to_dict(), 0.0))
         moved = []
         for kind in (kinds.mjINT_RK4, kinds.mjINT_EULER):
             options.integrator = kind
             moved.append(self.run(self.batch([draw(none, 0, 0, self.nominal.sizes)]), "feedback")[0])
-        with np.errstate(all="ignore"):  # of one that explodes
+        with np.errstate(all="ignore"):  # of a diverging one
             apart = np.abs(self.plan.space.difference(*moved)) / ranges_of_motion(self.plan)
         agrees = bool(np.all(apart <= AGREES))
         options.integrator = kinds.mjINT_EULER if agrees else kinds.mjINT_RK4
@@ -129,20 +129,20 @@ class Rollouts:
 
     @property
     def _segment(self) -> int:
-        """Steps that run open loop without a look at the states: whole stages."""
+        """Number of open-loop steps between checks of the states: whole stages."""
         per_stage = self.control_steps * self.substeps
         return per_stage * max(1, min(2000, _SEGMENT // len(self._row)) // per_stage)
 
     @property
     def seconds(self) -> float:
-        """Estimate of what a rollout takes in one mode, s, from the sizes alone."""
+        """Estimated duration of a rollout in one mode, s, from the sizes alone."""
         evaluations = 4 if self.integrator == "RK4" else 1
         own = 0.125 * (5e-6 + 2.5e-6 * self.nominal.model.nv)
         return evaluations * self.steps * own
 
     @property
     def batch_size(self) -> int:
-        """Rollouts that run together: so many that they take seconds and fit the memory."""
+        """Number of rollouts per batch, limited by duration and memory."""
         model = self.nominal.model
         own = model.nbuffer + 8 * (self.plan.N * model.nu + len(self.knots) * self.plan.space.ndx)
         return int(max(1, min(_MEMORY / own, np.clip(3.0 / self.seconds, 32, 512))))
@@ -165,14 +165,14 @@ class Rollouts:
         )
 
     def curves(self, batch: RolloutBatch, data: Sequence[Any]) -> AbstractContextManager[None]:
-        """A context in which the twin's exponential torques act on a batch in these data, as stiff as drawn."""
+        """Context in which the twin's exponential torques, with the batch's stiffness factors, act in these data."""
         return curves_acting(self.twin, *batch.models, factors=batch.stiffness, data=data)
 
     def run(self, batch: RolloutBatch, mode: str, deadline: float = math.inf) -> np.ndarray:
-        """The states (K, T, nx) of a batch at self.knots; NaN from the segment on in which one explodes."""
+        """The states (K, T, nx) of a batch at self.knots; NaN from the segment on in which a rollout diverges."""
         K, nw = batch.start.shape
         n, commands = self.pieces(batch, mode)
-        at = self.knots * self.control_steps * self.substeps  # the step before which each is kept
+        at = self.knots * self.control_steps * self.substeps  # the step before which each is stored
         first = np.tile(self._row, (K, 1))
         first[:, 1 : 1 + nw] = batch.start
         row, sound, warm = first.copy(), np.ones(K, dtype=bool), np.zeros((K, self.nominal.model.nv))
@@ -186,13 +186,13 @@ class Rollouts:
                 if self.steps - i < n:
                     n = self.steps - i
                     states = np.empty((K, n, len(self._row)))
-                with np.errstate(all="ignore"):  # of one about to explode
+                with np.errstate(all="ignore"):  # of a diverging one
                     ctrl = commands(i, n, row[:, 1 : 1 + nw])
                 self._pool.rollout(
                     batch.models, self._data, row, ctrl, nstep=n, initial_warmstart=warm, state=states, skip_checks=True
                 )
                 row[:] = states[:, -1]
-                # MuJoCo stops a simulation that explodes, and its time with it.
+                # MuJoCo stops a diverging simulation, and its time with it.
                 sound &= np.all(np.abs(row) < RUNAWAY, axis=1) & (
                     np.abs(row[:, 0] - (i + n) * self.step) < 0.5 * self.step
                 )
@@ -204,13 +204,13 @@ class Rollouts:
         return xs
 
     def pieces(self, batch: RolloutBatch, mode: str) -> tuple[int, Callable[[int, int, np.ndarray], np.ndarray]]:
-        """Number of steps that run at a time, and the function (step i, n, w (K, nw)) -> their controls (K, n, nu)."""
+        """Steps per call, and the function (step i, n, w (K, nw)) -> controls (K, n, nu)."""
         if mode == "open-loop":
             return self._segment, lambda i, n, w: self._held(batch, i, n)
         return self.substeps, _Feedback(self, batch)
 
     def deviation(self, w: np.ndarray, control_step: int) -> np.ndarray:
-        """By how much simulator states (K, nw) differ (K, ndx) from the plan at a control step."""
+        """Differences (K, ndx) of simulator states (K, nw) from the plan at a control step."""
         x, x_plan = self.x_of(w), self._plan_xs[control_step]
         if len(x) > 1:
             return self.plan.space.difference(x, x_plan)
@@ -218,14 +218,14 @@ class Rollouts:
         return self.plan.space.difference(np.repeat(x, 2, axis=0), x_plan)[:1]
 
     def _held(self, batch: RolloutBatch, i: int, n: int) -> np.ndarray:
-        """The plan's controls over n steps, late and noisy."""
+        """The plan's controls over n steps, delayed and noisy."""
         steps, per_stage = np.arange(i, i + n), self.control_steps * self.substeps
         late = np.maximum(steps - batch.delay[:, None], 0) // per_stage
         return self.plan.us[late] + batch.noise[:, steps // per_stage]
 
 
 class _Feedback:
-    """u = us[n] + K[n] difference(x, x_plan(t)) of every rollout, once per control step; late and noisy."""
+    """u = us[n] + K[n] difference(x, x_plan(t)) of every rollout, once per control step; delayed and noisy."""
 
     def __init__(self, rollouts: Rollouts, batch: RolloutBatch) -> None:
         K, c = len(batch.models), rollouts.substeps
@@ -244,7 +244,7 @@ class _Feedback:
             u += dx[:, column, None] * gains[:, column]
         u = rollouts.plan.within_bounds(stage, u, rollouts.x_of(w))
         if j == 0:
-            past[:] = u  # held before the first instant
+            past[:] = u  # applied before the first instant
         past[j % len(past)] = u
         return past[(j + self._past) % len(past), self._each] + self._noise[:, stage, None]
 

@@ -1,9 +1,9 @@
-"""Which perturbed rollouts succeed, the rate at which they do with its confidence interval, and the word that follows.
+"""Success of perturbed rollouts: the rule, the success rate with its confidence interval, and the resulting word.
 
 The machine's own rule where its requirements have one, else the problem's goals, else the end of the plan:
 
     goals       every goal is missed by at most five times its tolerance: a machine that differs from the planned one
-                cannot be asked for the tolerance of the planned one
+                cannot meet the tolerance of the planned one
     no goal     every coordinate ends within 10 % of its own range of motion of the plan's end; a coordinate that moves
                 little, within 10 % of the largest range of its unit.
 
@@ -35,8 +35,8 @@ _Z = 1.959963984540054  # standard deviations: 95 % of a normal distribution lie
 class SuccessRate:
     """Successes among rollouts."""
 
-    successes: int  # How many there were
-    of: int  # How many could have been
+    successes: int  # Number of successes
+    of: int  # Number of rollouts
 
     @property
     def value(self) -> float:
@@ -57,7 +57,7 @@ class SuccessRate:
 
     @property
     def is_decided(self) -> bool:
-        """Whether more rollouts are of no use: the interval is tight, or all of it is below ROBUST."""
+        """Whether more rollouts are unnecessary: the interval is tight, or all of it is below ROBUST."""
         low, high = self.interval
         return 0.5 * (high - low) <= TIGHT or high < ROBUST
 
@@ -79,7 +79,7 @@ class SuccessRate:
 
 
 def next_look(succeeded: np.ndarray, most: int) -> int | None:
-    """The number of rollouts to be had next, of successes (K,) so far; None where they are decided, or `most`."""
+    """The next number of rollouts to evaluate, given successes (K,); None if decided, or `most` reached."""
     return next((look for look, decided in _looks(succeeded, most) if not decided), None)
 
 
@@ -89,7 +89,7 @@ def enough(succeeded: np.ndarray, most: int) -> int:
 
 
 def _looks(succeeded: np.ndarray, most: int) -> Iterator[tuple[int, bool]]:
-    """Each look up to the first that is decided or not there yet, and whether it is decided."""
+    """Each evaluated number of rollouts, up to the first that is decided or not reached, and whether it is decided."""
     for look in (*(look for look in LOOKS if look < most), most):
         decided = len(succeeded) >= look and SuccessRate(int(succeeded[:look].sum()), look).is_decided
         if decided or len(succeeded) < look:
@@ -97,9 +97,9 @@ def _looks(succeeded: np.ndarray, most: int) -> Iterator[tuple[int, bool]]:
             return
 
 
-GOAL_TOLERANCES = 5.0  # by which a perturbed machine may miss a goal
+GOAL_TOLERANCES = 5.0  # multiple of its tolerance by which a perturbed machine may miss a goal
 OF_RANGE = 0.1  # of a coordinate's range of motion, where there is no goal
-_MIN_RANGE = 0.1  # rad, m, rad/s, m/s: the least range, of a machine that hardly moves
+_MIN_RANGE = 0.1  # rad, m, rad/s, m/s: smallest range, of a machine that hardly moves
 
 
 @dataclass(frozen=True)
@@ -108,19 +108,19 @@ class SuccessRule:
 
     words: str
     succeeds: Callable[[np.ndarray], np.ndarray]  # end states (K, nx), all finite -> (K,) bool
-    # In its place where the way counts: see planner.problem.problem.Requirements.
+    # Used instead where the whole trajectory counts: see planner.problem.problem.Requirements.
     follows: Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray] | None = None
-    most: float = math.nan  # Largest of end_errors() that succeeds; NaN where something else decides
+    most: float = math.nan  # Largest of end_errors() that succeeds; NaN where another rule decides
 
     def succeeded(self, ends: np.ndarray) -> np.ndarray:
-        """(K,) successes of end states (K, nx); none that has exploded is one."""
+        """(K,) successes of end states (K, nx); False for diverged ones."""
         sound, succeeded = np.isfinite(ends).all(axis=1), np.zeros(len(ends), dtype=bool)
         if sound.any():
             succeeded[sound] = self.succeeds(ends[sound])
         return succeeded
 
     def followed(self, xs: np.ndarray, plan_xs: np.ndarray, stages: np.ndarray) -> np.ndarray:
-        """(K,) successes of states (K, T, nx) at some stages (T,), by the way; none that has exploded is one."""
+        """(K,) successes of states (K, T, nx) at stages (T,), by the whole trajectory; False for diverged ones."""
         assert self.follows is not None
         succeeded, sound = np.zeros(len(xs), dtype=bool), np.isfinite(xs).all(axis=(1, 2))
         if sound.any():
@@ -145,7 +145,7 @@ def rule_of(plan: Plan) -> SuccessRule:
 
 
 def _on_the_way(plan: Plan, goals: Sequence[GoalCheck]) -> SuccessRule:
-    """The same of goals at their times, with states between the kept knots on lines."""
+    """The rule of goals at their times, with states between the stored knots interpolated linearly."""
 
     def follows(xs: np.ndarray, _: np.ndarray, stages: np.ndarray) -> np.ndarray:
         t = plan.t[stages]

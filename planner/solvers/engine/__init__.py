@@ -1,4 +1,4 @@
-"""Engine: the memory and the arithmetic of one solve, compiled where dynamics and cost are, in NumPy otherwise.
+"""Engine: memory and arithmetic of one solve; compiled if dynamics and cost are compiled, else in NumPy.
 
 acquire_engine chooses the engine of a solve. An engine refers to parts of its Problem, never to the Problem itself.
 """
@@ -33,15 +33,15 @@ __all__ = [
     "release_engine",
 ]
 
-# Engines that no solve is using: a repeated solve allocates only its result. They must not refer to their problem, or
-# no problem would ever be freed.
+# Idle engines: a repeated solve allocates only its result. They must not refer to their problem, which could then not
+# be freed.
 _idle: WeakKeyDictionary[Problem, dict[bool, list[Engine]]] = WeakKeyDictionary()
 
 
 def acquire_engine(problem: Problem, rule: int = line_search.ARMIJO) -> Engine:
-    """An engine for one solve of a problem: compiled if kernels have its dynamics, costs and line search.
+    """An engine for one solve of a problem: compiled if kernels support its dynamics, costs and line search.
 
-    It begins as a new one, whatever solve had it before: a plan depends on its problem alone.
+    A reused engine is reset, so that a plan depends only on its problem.
     """
     try:
         engine = _idle_of(problem, rule).pop()
@@ -69,32 +69,32 @@ def _idle_of(problem: Problem, rule: int) -> list[Engine]:
 
 
 def _has(dynamics: CompiledDynamics, problem: Problem, rule: int, own: bool) -> bool:
-    """Whether compiled dynamics support the problem's state bounds, own costs and line search."""
+    """Whether compiled dynamics support the problem's state bounds, user-defined costs (`own`) and line search."""
     if problem.ranges is not None and not getattr(dynamics, "has_ranges", True):
         return False
     if own and (
         rule == line_search.WOLFE or not hasattr(dynamics, "take")
-    ):  # a user's cost has no slope at a candidate
+    ):  # user-defined costs have no slope at a candidate
         return False
     # The kernels' slopes ignore that a clipped control does not change with the step length.
     return rule != line_search.WOLFE or (dynamics.has_slopes and problem.bounds is None)
 
 
 def compiled_costs(problem: Problem) -> tuple[TrackingCost | NoTracking, ResidualArrays | None] | None:
-    """The TrackingCost and the residuals whose sum a cost is; None if it has terms that are not compiled."""
+    """The TrackingCost and the residuals of a cost; None if it has terms without kernels."""
     known, own = _split(problem)
     return None if own else _compiled(problem, known)
 
 
 def _split(problem: Problem) -> tuple[list[Cost], list[Cost]]:
-    """The terms of a cost that kernels may have, and the others: a user's own."""
+    """The terms of a cost that kernels may support, and the user-defined others."""
     terms = problem.cost.costs if isinstance(problem.cost, SumCost) else (problem.cost,)
     known: list[Cost] = [term for term in terms if isinstance(term, (TrackingCost, ResidualCost))]
     return known, [term for term in terms if not isinstance(term, (TrackingCost, ResidualCost))]
 
 
 def _compiled(problem: Problem, terms: list[Cost]) -> tuple[TrackingCost | NoTracking, ResidualArrays | None] | None:
-    """The TrackingCost and the residuals that terms are; None where there are none or kernels lack one."""
+    """The TrackingCost and the residuals of some terms; None without terms or without kernels for one."""
     tracking = [term for term in terms if isinstance(term, TrackingCost)]
     residuals = [term for term in terms if isinstance(term, ResidualCost)]
     dynamics = problem.dynamics
@@ -109,5 +109,5 @@ def _compiled(problem: Problem, terms: list[Cost]) -> tuple[TrackingCost | NoTra
 
 
 def release_engine(problem: Problem, engine: Engine, rule: int = line_search.ARMIJO) -> None:
-    """Keep an engine for the next solve of the same problem with the same line search."""
+    """Store an engine for the next solve of the same problem with the same line search."""
     _idle_of(problem, rule).append(engine)

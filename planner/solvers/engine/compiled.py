@@ -1,4 +1,4 @@
-"""The engine of dynamics and costs that are compiled: a few compiled calls per iteration."""
+"""The engine of compiled dynamics and costs: a few compiled calls per iteration."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ class NoTracking:
 
 
 class CompiledEngine(Engine):
-    """Dynamics and costs that are compiled: a tracking cost and, where dynamics take them, residuals.
+    """Engine of compiled dynamics, a tracking cost and, if the dynamics support them, residuals.
 
     Attributes:
         residuals: The table of the residuals, whose bounds and weights may change between iterations; or None.
@@ -65,7 +65,7 @@ class CompiledEngine(Engine):
         free = (riccati_dense, riccati_structured)
         boxed = (riccati_dense_bounded, riccati_structured_bounded)
         self._riccati = (free if problem.bounds is None else boxed)[dynamics.structured]
-        self._memory = dynamics.memory(problem.N)  # scratch, as _second: kernels write what they read of it
+        self._memory = dynamics.memory(problem.N)  # scratch, like _second: kernels write it before reading
         self._with_residuals = dynamics if residuals is not None and isinstance(dynamics, ResidualDynamics) else None
         if self._with_residuals is not None:
             self._w.use_residuals(self._with_residuals.residuals(residuals))
@@ -73,15 +73,15 @@ class CompiledEngine(Engine):
         self._control_weight = float(np.abs(cost.R).max()) or 1.0
         self._state_weights = state_weights(cost.Q, self._control_weight)
         columns = self._w.first + np.arange(self._w.ndx)
-        self._diagonals = slice(1, -1), columns, columns  # of the states in T, without start and end
+        self._diagonals = slice(1, -1), columns, columns  # of the state blocks of T, without the first and last knot
         self._second: Any = None
-        self._curvature = np.zeros((problem.N - 1, self._w.ndx))  # of T on these diagonals
+        self._curvature = np.zeros((problem.N - 1, self._w.ndx))  # entries of T on these diagonals
         self.reset()
 
     def reset(self) -> None:
-        """Forget every solve: an engine that is used again begins as a new one."""
+        """Restore the state of a new engine."""
         w = self._w
-        for name, array in w._arrays.items():  # some are made later than others
+        for name, array in w._arrays.items():  # some are allocated later
             if name not in _READ_ONLY:
                 array.fill(0.0)
         w.search.fill(0.0)
@@ -89,23 +89,23 @@ class CompiledEngine(Engine):
         w.use_gains(w._arrays["K"], w._arrays["K"].ctypes.data)
         w.use_second_order(False)
         w.use_defects(False)
-        # The plan that is tracked and the next one, by turns: their gains are not copied.
+        # The tracked plan and the next one, alternating: their gains are not copied.
         self._tracked: tuple[TrackedTrajectory, TrackedTrajectory] | None = None
         self._exact, self._second_order_used, self.state_regularization = False, False, 0.0
         self._schedule, self.largest_control_weight = ActiveSetSchedule(), self._control_weight
         self.set_penalties(None)
 
     def set_penalties(self, penalties: BoundPenalties | None) -> None:
-        """Add these penalties to the cost from the next start on; None for none."""
+        """Add penalties to the cost from the next start on; None for none."""
         w = self._w
-        # No weights, no bounds: that of an open side is infinite, and 0 * inf is not a number.
+        # Zero bounds with zero weights, since 0 * inf is NaN.
         w.penalty_lower[:], w.penalty_upper[:], w.penalty_weight[:] = (
             (0.0, 0.0, 0.0) if penalties is None else penalties
         )
         self._has_penalties = bool(w.penalty_weight.any())
 
     def start_from_controls(self, x0: np.ndarray, us: np.ndarray, exact: bool = False) -> float:
-        """Roll out the first guess, within its bounds; its cost."""
+        """Set the rollout of the first guess us (N, nu), clipped to bounds; its cost."""
         self._exact, self._second_order_used, self.state_regularization = exact, exact, 0.0
         if exact and self._second is None:
             self._second = self._dynamics.second_order_memory()
@@ -131,7 +131,7 @@ class CompiledEngine(Engine):
         return bool(self._w.active_bounds.any())
 
     def start_from_trajectory(self, x0: np.ndarray, trajectory: TrajectoryArrays, stages: float = 0.0) -> float:
-        """Roll out u = us + K (x - xs) of a trajectory, some stages on, from x0 (nx,), and take it; its cost."""
+        """Set the rollout of u = us + K (x - xs) of a trajectory, shifted by `stages`, from x0 (nx,); its cost."""
         w = self._w
         if self._tracked is None:
             self._tracked = TrackedTrajectory(w, self._space), TrackedTrajectory(w, self._space)
@@ -143,29 +143,29 @@ class CompiledEngine(Engine):
         return cost
 
     def backtrack_along(self, dxs: np.ndarray, dus: np.ndarray, cost: float) -> tuple[float, float]:
-        """Take the longest part of a change that lowers the cost: the part, 0 for none, and the cost after it."""
+        """Backtrack along a change until the cost falls: the step length, 0 for none, and the cost after it."""
         w = self._w
         w.k[:] = dus - np.einsum("nij,nj->ni", w.K[:, :, w.first : w.first + w.ndx], dxs[:-1])
         return self._search(line_search.DEFECT_STEP, True, cost, 0.0)
 
     def cost_arrays(self) -> dict[str, np.ndarray]:
-        """The weights, references and bounds as kernels read them, which may change between iterations.
+        """The arrays of weights, references and bounds that kernels read; they may change between iterations.
 
-        A caller that changes them must not release the engine: `reset` does not restore them.
+        After a change the engine must not be released: `reset` does not restore them.
         """
         return self._w._arrays
 
     def use_tables(self, entries: np.ndarray, addresses: np.ndarray) -> None:
-        """Let kernels read some of these arrays from memory that the caller keeps."""
+        """Let kernels read the cost_arrays at `entries` of the table from memory owned by the caller."""
         self._w.table[entries] = addresses
 
     def use_second_order(self, exact: bool) -> None:
-        """Whether the next sweeps have the second-order terms."""
+        """Set whether the next sweeps include the second-order terms."""
         self._second_order_used = exact
         self._w.use_second_order(exact)
 
     def _add_state_regularization(self) -> None:
-        """Add the weight on changes of the states to the Hessians of the sweep, except at the first and the last."""
+        """Add state_regularization to the Hessians of the sweep, except at the first and last knot."""
         w, weights = self._w, self.state_regularization * self._state_weights
         w.use_second_order(self._second_order_used, not self._second_order_used and self.state_regularization > 0.0)
         if self._second_order_used:
@@ -192,7 +192,7 @@ class CompiledEngine(Engine):
         return Direction(norm, bounded_direction(w.table, dt) if definite else 0.0, value, definite)
 
     def _active_set_direction(self, mu: float) -> Direction | None:
-        """The direction whose active bounds and penalties are those that it meets; None where none is found."""
+        """The direction with the converged active set of bounds and penalties; None if it does not converge."""
         w, dt, bounded = self._w, self._dynamics.dt, self._bounds is not None
         gradient_norm = 0.0
         for sets in range(MAX_SETS):
@@ -200,7 +200,7 @@ class CompiledEngine(Engine):
             if not definite:
                 break
             if sets == 0:
-                gradient_norm = norm  # the next sweeps have other penalties
+                gradient_norm = norm  # later sweeps have other active penalties
             changes, more_cost, more_slope = update_active_set(w.table, dt, False)
             if changes == 0:
                 self._schedule.record_convergence()
@@ -211,8 +211,8 @@ class CompiledEngine(Engine):
         return None
 
     def line_search(self, feedback: bool, rule: int, cost: float, slope: float) -> tuple[float, float]:
-        """Take a step along the direction (Eq. 36): its length, 0 for none, and the cost after it."""
-        if not slope < 0.0:  # clipping may undo a direction
+        """Step along the direction (Eq. 36): its length, 0 for none, and the cost after it."""
+        if not slope < 0.0:  # clipping may remove the descent
             return 0.0, cost
         if not feedback and self._bounds is None:
             direction(self._w.table, self._dynamics.dt)
@@ -220,7 +220,7 @@ class CompiledEngine(Engine):
         return step, after if step else cost
 
     def _linearize(self, second: bool) -> None:
-        """Derivatives of dynamics and cost along the trajectory; with `second` those of second order."""
+        """Derivatives of dynamics and cost along the trajectory; with `second` the dynamics' second ones too."""
         w, dynamics = self._w, self._dynamics
         dynamics.linearize_nominal(w, self._memory)  # Eq. 35
         gradients(w.table)
@@ -240,13 +240,13 @@ class CompiledEngine(Engine):
             w.lower[:], w.upper[:], w.lower_share[:], w.upper_share[:] = bounds.shares(w.xs, w.us)
 
     def set_trajectory(self, xs: np.ndarray, us: np.ndarray) -> np.ndarray:
-        """Take states (N+1, nx) and controls (N, nu) as the trajectory, after a start; its defects (N, ndx)."""
+        """Set states (N+1, nx) and controls (N, nu) as the trajectory, after a start; its defects (N, ndx)."""
         w = self._w
         w.xs[:], w.us[:] = xs, us
         return self._space.difference(self._dynamics.stage_ends(w, self._memory), w.xs[1:])
 
     def defect_direction(self, defects: np.ndarray, relinearize: bool) -> DefectStep | None:
-        """The direction along states with these defects (N, ndx); None where the sweep is not definite."""
+        """The LQ direction with defects (N, ndx); None if the sweep is not definite."""
         w, dt = self._w, self._dynamics.dt
         if relinearize:
             self._linearize(False)
@@ -268,15 +268,15 @@ class CompiledEngine(Engine):
         return DefectStep(w.dxs.copy(), w.dus.copy(), multipliers, slope, norm)
 
     def rollout_closing_defects(self, cost: float, slope: float) -> tuple[float, float]:
-        """Roll out with the gains of defect_direction, which closes all defects, if Armijo's rule accepts a step."""
+        """Line search by rollouts with the gains of defect_direction, which close all defects: step length and cost."""
         return self._search(line_search.DEFECT_STEP, True, cost, slope)
 
     def _search(self, rule: int, feedback: bool, cost: float, slope: float) -> tuple[float, float]:
-        """One line search of the kernels: the step, 0 for none, and the cost after it."""
+        """One line search of the kernels: the step length, 0 for none, and the cost after it."""
         return self._dynamics.search(self._w, self._memory, rule, feedback, cost, slope)
 
     def _quadratize_own(self) -> None:
-        """Add gradients and Hessians of terms that are not compiled; a subclass has them."""
+        """Add gradients and Hessians of terms in NumPy; none in this class."""
 
     def _second_order(self) -> None:
         self._dynamics.second_order_nominal(self._w, self._memory, self._second)
@@ -295,9 +295,9 @@ class CompiledEngine(Engine):
         return self._w.K[:, :, first : first + self._w.ndx].copy()
 
     def read(self, max_norm: float) -> TrajectoryArrays | None:
-        """The trajectory and its gains, in memory that the next but one call overwrites.
+        """The trajectory and its gains, in memory that the second next call overwrites.
 
-        None where the norm of its last state is not below `max_norm`.
+        None unless the norm of its last state is below `max_norm`.
         """
         if self._tracked is None:
             self._tracked = TrackedTrajectory(self._w, self._space), TrackedTrajectory(self._w, self._space)

@@ -1,10 +1,10 @@
-"""Engines of compiled dynamics and costs with further terms in NumPy: a user's own costs and constraints.
+"""Engines of compiled dynamics and costs with user-defined costs and constraints in NumPy.
 
 Kernels roll candidates out and sum the compiled costs. NumPy adds the other terms: a cost to each candidate of the line
 search, and along the trajectory gradients to l and Hessians, with their mixed blocks, to T of the sweep.
 
 Constraints of compiled terms are residuals: each bound is a row of their table, whose bounds and weights the
-multipliers change. Other constraints, a user's function or power, are further terms in NumPy.
+multipliers change. Other constraints, as user-defined functions or power, are terms in NumPy.
 """
 
 from __future__ import annotations
@@ -28,10 +28,10 @@ from planner.solvers.engine.protocol import check_shapes
 
 
 class HybridEngine(CompiledEngine):
-    """Compiled dynamics and costs, and further costs in NumPy.
+    """Engine of compiled dynamics and costs, with further costs in NumPy.
 
     Args:
-        problem: Its cost is the sum of all.
+        problem: Its cost is the sum of all these costs.
         dynamics: Compiled.
         cost: The compiled tracking cost.
         residuals: The compiled residuals; None for none.
@@ -50,13 +50,13 @@ class HybridEngine(CompiledEngine):
         super().__init__(problem, dynamics, cost, residuals)
 
     def reset(self) -> None:
-        """Forget every solve: an engine that is used again begins as a new one."""
+        """Restore the state of a new engine."""
         super().reset()
         self._of_dynamics: np.ndarray | None = None  # T of the dynamics' second order alone
         self._changed_stages = np.empty(0, dtype=int)  # of T, to which terms were added
 
     def start_from_controls(self, x0: np.ndarray, us: np.ndarray, exact: bool = False) -> float:
-        """Roll out the first guess, within its bounds; its cost."""
+        """Set the rollout of the first guess us (N, nu), clipped to bounds; its cost."""
         self._of_dynamics = None
         cost = super().start_from_controls(x0, us, exact)
         if self._adds:
@@ -95,7 +95,7 @@ class HybridEngine(CompiledEngine):
         """The cost of the terms in NumPy."""
         return (
             0.0 if self._own is None else float(self._own.value(xs.copy(), us.copy()))
-        )  # a user's cost may store them
+        )  # copies: a user-defined cost may store them
 
     def _quadratize_own(self) -> None:
         """Add gradients and Hessians of the terms in NumPy along the trajectory."""
@@ -132,7 +132,7 @@ class HybridEngine(CompiledEngine):
         self._changed_stages = np.arange(len(w.T))
 
     def use_second_order(self, exact: bool) -> None:
-        """Whether the next sweeps have the second-order terms."""
+        """Set whether the next sweeps include the second-order terms."""
         if not self._adds:
             super().use_second_order(exact)
             return
@@ -161,7 +161,7 @@ class _Bounds(NamedTuple):
 
 
 class ConstrainedEngine(HybridEngine):
-    """Compiled dynamics and costs, and constraints.
+    """Engine of compiled dynamics and costs, with constraints.
 
     Args: As HybridEngine, and the problem's constraints.
     """
@@ -193,7 +193,7 @@ class ConstrainedEngine(HybridEngine):
         self._adds = self._adds or self._others is not None
 
     def set_penalties(self, penalties: BoundPenalties | None) -> None:
-        """Add these penalties to the cost from the next start on; None for none."""
+        """Add penalties to the cost from the next start on; None for none."""
         constraints = self._constraints
         super().set_penalties(
             None if penalties is None or constraints.ranges is None else constraints.of_ranges(penalties)

@@ -1,4 +1,4 @@
-"""The engine of any dynamics and costs, in NumPy: for a user's own Python. Its line search rules are compiled."""
+"""The engine of any dynamics and costs, in NumPy, for user-defined ones. Its line search rules are compiled."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ from planner.solvers.engine.tracked_trajectory import TrajectoryArrays, shift_tr
 
 
 class NumpyEngine(Engine):
-    """Any Dynamics and any Cost."""
+    """Engine of any Dynamics and Cost."""
 
     def __init__(self, problem: Problem) -> None:
         announce(line_search.choose)
@@ -45,10 +45,10 @@ class NumpyEngine(Engine):
         self.reset()
 
     def reset(self) -> None:
-        """Forget every solve: an engine that is used again begins as a new one."""
+        """Restore the state of a new engine."""
         N, nu, ndx = self._gains
         self._cost, self.largest_control_weight, self.state_regularization = self._own_cost, 1.0, 0.0
-        self._state_weights = np.ones(ndx)  # until a start of finite cost
+        self._state_weights = np.ones(ndx)  # set by a start of finite cost
         self._penalties: BoundPenalties | None = None
         self._sweep: lq.Sweep | None = None
         self._exact, self._second_order_used, self._second = False, False, None
@@ -57,7 +57,7 @@ class NumpyEngine(Engine):
         self._nominal = np.empty((0, self._space.nx)), np.empty((0, nu))
 
     def set_penalties(self, penalties: BoundPenalties | None) -> None:
-        """Add these penalties to the cost from the next start on; None for none."""
+        """Add penalties to the cost from the next start on; None for none."""
         self._penalties = penalties
 
     def _value(self, xs: np.ndarray, us: np.ndarray) -> float:
@@ -75,11 +75,11 @@ class NumpyEngine(Engine):
         return self._constraints.with_penalties(self._penalties, model, xs, us, A, B)
 
     def _step_bounds(self, xs: np.ndarray, us: np.ndarray) -> StepBounds | None:
-        """How far each control may change from us (N, nu) along the states xs (N+1, nx)."""
+        """Bounds of the change of us (N, nu) along the states xs (N+1, nx); None without control bounds."""
         return None if self._bounds is None else self._bounds.step_bounds(xs, us)
 
     def start_from_controls(self, x0: np.ndarray, us: np.ndarray, exact: bool = False) -> float:
-        """Roll out the first guess, within its bounds; its cost."""
+        """Set the rollout of the first guess us (N, nu), clipped to bounds; its cost."""
         if exact and not callable(getattr(self._dynamics, "second_order", None)):
             raise PlannerError(
                 'hessian="exact" needs second derivatives and these dynamics have none, expected a method '
@@ -105,7 +105,7 @@ class NumpyEngine(Engine):
         return bool(self._active.any())
 
     def start_from_trajectory(self, x0: np.ndarray, trajectory: TrajectoryArrays, stages: float = 0.0) -> float:
-        """Roll out u = us + K (x - xs) of a trajectory, some stages on, from x0 (nx,), and take it; its cost."""
+        """Set the rollout of u = us + K (x - xs) of a trajectory, shifted by `stages`, from x0 (nx,); its cost."""
         xs, us, K = np.empty_like(trajectory[0]), np.empty_like(trajectory[1]), trajectory[2]
         m = shift_trajectory((xs, us), trajectory[:2], stages, self._space)
         K, first = K[np.minimum(np.arange(m, m + len(K)), len(K) - 1)], us[:, None, :]
@@ -114,7 +114,7 @@ class NumpyEngine(Engine):
         return float(J[0])
 
     def backtrack_along(self, dxs: np.ndarray, dus: np.ndarray, cost: float) -> tuple[float, float]:
-        """Take the longest part of a change that lowers the cost: the part, 0 for none, and the cost after it."""
+        """Backtrack along a change until the cost falls: the step length, 0 for none, and the cost after it."""
         assert self._sweep is not None
         k = dus - np.einsum("nij,nj->ni", self._sweep.K, dxs[:-1])
         return self._search_once(k, cost, 0.0)
@@ -126,7 +126,7 @@ class NumpyEngine(Engine):
     def _rollout(
         self, x0: np.ndarray, us: np.ndarray, K: np.ndarray | None, nominal: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Candidates us (N, c, nu), which feedback alters in place: xs (N+1, c, nx) and costs (c,)."""
+        """Rollouts of candidates us (N, c, nu), modified in place by feedback: xs (N+1, c, nx) and costs (c,)."""
         N, candidates, _ = us.shape
         xs = np.empty((N + 1, candidates, len(x0)))
         xs[0] = x0
@@ -159,7 +159,7 @@ class NumpyEngine(Engine):
         return total + float(model.q[-1] @ dx)
 
     def use_second_order(self, exact: bool) -> None:
-        """Whether the next sweeps have the second-order terms."""
+        """Set whether the next sweeps include the second-order terms."""
         self._second_order_used = exact
 
     def _second_order(self, xs: np.ndarray, us: np.ndarray) -> np.ndarray:
@@ -185,9 +185,9 @@ class NumpyEngine(Engine):
         return Direction(self._norm, sweep.slope, sweep.value, True)
 
     def line_search(self, feedback: bool, rule: int, cost: float, slope: float) -> tuple[float, float]:
-        """Take a step along the direction (Eq. 36): its length, 0 for none, and the cost after it."""
+        """Step along the direction (Eq. 36): its length, 0 for none, and the cost after it."""
         sweep, (xs0, us0) = self._sweep, self._nominal
-        if sweep is None or not slope < 0.0:  # clipping may undo a direction
+        if sweep is None or not slope < 0.0:  # clipping may remove the descent
             return 0.0, cost
         self._dus = sweep.k if feedback else lq.direction(self._A, self._B, sweep, self._bounds_now)[1]
         alpha, J = np.empty(WIDTH), np.empty(WIDTH)
@@ -215,7 +215,7 @@ class NumpyEngine(Engine):
         return 0.0, cost
 
     def _solve_lq(self, mu: float, bounds: StepBounds | None, active_set: bool) -> lq.Sweep | None:
-        """The sweep with the active set, or with a box QP at each stage; None where it is not definite."""
+        """The sweep by active set, or with a box QP at each stage; None if it is not definite."""
         constraints, penalties, xs = self._constraints, self._penalties, self._nominal[0]
         of_states = None
         if constraints is not None and penalties is not None and constraints.ranges is not None:
@@ -240,7 +240,9 @@ class NumpyEngine(Engine):
         _check_jacobians(self._A, self._B, *self._gains)
         self._model = self._quadratized(xs0, us0, self._A, self._B)
         bounds = self._step_bounds(xs0, us0)
-        with np.errstate(over="ignore", invalid="ignore"):  # costates of stages this unstable: a NaN is no minimum
+        with np.errstate(
+            over="ignore", invalid="ignore"
+        ):  # costates of unstable stages may overflow; NaN does not converge
             self._gradient = lq.reduced_gradient(self._A, self._B, self._model, bounds)
             self._norm = float(np.linalg.norm(lq.projected(self._gradient, bounds)))
 
@@ -255,12 +257,12 @@ class NumpyEngine(Engine):
         return added
 
     def set_trajectory(self, xs: np.ndarray, us: np.ndarray) -> np.ndarray:
-        """Take states (N+1, nx) and controls (N, nu) as the trajectory, after a start; its defects (N, ndx)."""
+        """Set states (N+1, nx) and controls (N, nu) as the trajectory, after a start; its defects (N, ndx)."""
         self._nominal = xs.copy(), us.copy()
         return self._space.difference(self._dynamics.step(xs[:-1], us), xs[1:])
 
     def defect_direction(self, defects: np.ndarray, relinearize: bool) -> DefectStep | None:
-        """The direction along states with these defects (N, ndx); None where the sweep is not definite."""
+        """The LQ direction with defects (N, ndx); None if the sweep is not definite."""
         if relinearize:
             self._linearize()
         self._second_order_used = False
@@ -274,12 +276,12 @@ class NumpyEngine(Engine):
         return DefectStep(dxs, dus, multipliers, float(np.sum(model.q * dxs) + np.sum(model.r * dus)), self._norm)
 
     def rollout_closing_defects(self, cost: float, slope: float) -> tuple[float, float]:
-        """Roll out with the gains of defect_direction, which closes all defects, if Armijo's rule accepts a step."""
+        """Line search by rollouts with the gains of defect_direction, which close all defects: step length and cost."""
         assert self._sweep is not None
         return self._search_once(self._sweep.k, cost, slope)
 
     def _search_once(self, k: np.ndarray, cost: float, slope: float) -> tuple[float, float]:
-        """Armijo's step along controls k (N, nu) with the gains of the last sweep, and the cost after it."""
+        """Armijo step length along controls k (N, nu) with the gains of the last sweep, and the cost after it."""
         assert self._sweep is not None
         xs0, us0 = self._nominal
         alpha = np.empty(WIDTH)
@@ -306,13 +308,13 @@ class NumpyEngine(Engine):
         return self._sweep.K.copy() if self._sweep is not None else np.zeros(self._gains)
 
     def read(self, max_norm: float) -> TrajectoryArrays | None:
-        """Copies of the trajectory and its gains; None where the norm of its last state is not below `max_norm`."""
+        """Copies of the trajectory and its gains; None unless the norm of its last state is below `max_norm`."""
         xs, us = self.trajectory()
         return (xs, us, self.gains()) if xs[-1] @ xs[-1] < max_norm**2 else None
 
 
 def _check_jacobians(A: np.ndarray, B: np.ndarray, N: int, nu: int, ndx: int) -> None:
-    """Check the sizes of a user's own derivatives, easily wrong with quaternions."""
+    """Check the shapes of user-defined derivatives: with quaternions ndx differs from nx."""
     for name, have, shape in (("A", np.shape(A), (N, ndx, ndx)), ("B", np.shape(B), (N, ndx, nu))):
         if have != shape:
             raise PlannerError(f"the dynamics' linearize gives {name} of shape {have}, expected {shape}.")

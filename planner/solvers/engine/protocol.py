@@ -1,4 +1,4 @@
-"""The protocol of engines: the memory and the arithmetic of one solve. solve() drives an engine and decides."""
+"""The protocol of engines: memory and arithmetic of one solve, called by solve()."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ from planner.problem.costs.terms import Quadratic
 from planner.problem.state_bounds import BoundPenalties
 from planner.solvers.engine.tracked_trajectory import TrajectoryArrays
 
-MAX_SETS = 20  # sweeps of one iteration that look for the active set; one that is found takes less than ten
-MAX_SKIPPED = 16  # iterations without a search for the active set, after searches that cycled
+MAX_SETS = 20  # limit of the active-set sweeps of one iteration; convergence takes less than ten
+MAX_SKIPPED = 16  # upper limit of the iterations without an active-set search after searches that cycled
 
 
 class Direction(NamedTuple):
@@ -23,14 +23,14 @@ class Direction(NamedTuple):
     gradient_norm: float  # of Eq. 19
     slope: float  # of J along the direction (Eq. 42), negative where it descends
     model_change: float  # of the LQ problem's cost for the full step, negative
-    definite: bool  # whether R + B'PB is, at every stage; else there is no direction
+    definite: bool  # whether R + B'PB is positive definite at every stage; else there is no direction
 
     def is_stationary(self, gradient_tolerance: float, expected_reduction_tolerance: float) -> bool:
-        """The stopping criteria: the gradient (Eq. 20), or the reduction that the full step is expected to bring."""
+        """The stopping criteria: gradient norm (Eq. 20), or expected reduction of the full step."""
         return self.gradient_norm <= gradient_tolerance or -self.model_change <= expected_reduction_tolerance
 
     def expected_reduction(self, step: float) -> float:
-        """Of the cost by a step: a parabola through the slope at 0 and the LQ problem's value at 1; 0: the full one."""
+        """Expected reduction of J for a step length: parabola of the slope at 0 and model_change at 1; 0 means 1."""
         if step == 0.0:
             return -self.model_change
         step = min(step, 1.0)
@@ -49,7 +49,7 @@ class IterationResult(NamedTuple):
 
 
 class DefectStep(NamedTuple):
-    """The direction of the LQ problem along states with defects."""
+    """The direction of the LQ problem with defects."""
 
     dxs: np.ndarray  # (N+1, ndx)
     dus: np.ndarray  # (N, nu)
@@ -59,7 +59,7 @@ class DefectStep(NamedTuple):
 
 
 class Engine(Protocol):
-    """One solve's memory. Not shared between threads.
+    """Memory and arithmetic of one solve. Not shared between threads.
 
     Attributes:
         largest_control_weight: The largest magnitude in R, the unit of mu, which is added to R + B'PB.
@@ -71,11 +71,11 @@ class Engine(Protocol):
     state_regularization: float
 
     def reset(self) -> None:
-        """Forget every solve: an engine that is used again begins as a new one."""
+        """Restore the state of a new engine."""
         ...
 
     def set_penalties(self, penalties: BoundPenalties | None) -> None:
-        """Add these penalties to the cost from the next start on; None for none."""
+        """Add penalties to the cost from the next start on; None for none."""
         ...
 
     def use_second_order(self, exact: bool) -> None:
@@ -92,13 +92,13 @@ class Engine(Protocol):
     def compute_direction(self, mu: float, relinearize: bool, active_set: bool = True) -> Direction:
         """Linearize (if `relinearize`) and solve the LQ problem with mu added to R (Eq. 31-35).
 
-        With `active_set`, sweeps are repeated until the bounds and penalties that are active are those that the
-        direction meets. Where that fails, or without it, each stage has a box QP, and penalties act where they do now.
+        With `active_set`, sweeps are repeated until the active bounds and penalties do not change along the direction.
+        If that fails, or without it, each stage solves a box QP, with the penalties active at the trajectory.
         """
         ...
 
     def line_search(self, feedback: bool, rule: int, cost: float, slope: float) -> tuple[float, float]:
-        """Take a step along the direction (Eq. 36): its length, 0 for none, and the cost after it."""
+        """Step along the direction (Eq. 36): its length, 0 for none, and the cost after it."""
         ...
 
     @property
@@ -114,21 +114,21 @@ class Engine(Protocol):
         ...
 
     def backtrack_along(self, dxs: np.ndarray, dus: np.ndarray, cost: float) -> tuple[float, float]:
-        """Take the longest part of a change (N+1, ndx) of states and (N, nu) of controls that lowers the cost.
+        """Backtrack along a change (N+1, ndx) of states and (N, nu) of controls until the cost falls.
 
-        It is rolled out with the gains of the last sweep about the current trajectory.
+        Rollouts use the gains of the last sweep about the current trajectory.
 
         Returns:
-            The part, 0 for none, and the cost after.
+            The step length, 0 for none, and the cost after it.
         """
         ...
 
     def set_trajectory(self, xs: np.ndarray, us: np.ndarray) -> np.ndarray:
-        """Take states (N+1, nx) and controls (N, nu) as the trajectory, after a start; its defects (N, ndx)."""
+        """Set states (N+1, nx) and controls (N, nu) as the trajectory, after a start; its defects (N, ndx)."""
         ...
 
     def defect_direction(self, defects: np.ndarray, relinearize: bool) -> DefectStep | None:
-        """The direction along states with these defects (N, ndx); None where the sweep is not definite."""
+        """The LQ direction with defects (N, ndx); None if the sweep is not definite."""
         ...
 
     def rollout_closing_defects(self, cost: float, slope: float) -> tuple[float, float]:
@@ -177,44 +177,44 @@ class Engine(Protocol):
         ...
 
     def read(self, max_norm: float) -> TrajectoryArrays | None:
-        """The trajectory and its gains, in memory that the next but one call overwrites.
+        """The trajectory and its gains, in memory that the second next call overwrites.
 
-        None where the norm of its last state is not below `max_norm`.
+        None unless the norm of its last state is below `max_norm`.
         """
         ...
 
 
 class ActiveSetSchedule:
-    """In which iterations to look for the active set: after each search that cycled, twice as many are left out."""
+    """Iterations with an active-set search: after each cycle twice as many skip it, at most MAX_SKIPPED."""
 
     def __init__(self) -> None:
         self._skipped, self._next = 0, 1
 
     def due(self) -> bool:
-        """Whether to look for it in this iteration."""
+        """Whether to search for the active set in this iteration."""
         self._skipped -= 1
         return self._skipped < 0
 
     def record_convergence(self) -> None:
-        """The search found it."""
+        """The search converged."""
         self._next = 1
 
     def record_cycle(self) -> None:
-        """The search did not find it."""
+        """The search did not converge."""
         self._skipped, self._next = self._next, min(2 * self._next, MAX_SKIPPED)
 
 
 def state_weights(Q: np.ndarray, control_weight: float) -> np.ndarray:
     """The unit (ndx,) of state_regularization: the mean over the stages of each diagonal entry of Q (N+1, ndx, ndx).
 
-    Those that the cost does not weigh get the largest of the others.
+    States of zero weight get the largest mean.
     """
     mean = np.abs(np.diagonal(Q, axis1=1, axis2=2)).sum(axis=0) / (len(Q) - 1)
     return np.where(mean > 0.0, mean, mean.max() or control_weight)
 
 
 def check_shapes(model: Quadratic, N: int, nu: int, ndx: int) -> None:
-    """A wrong shape from a user's cost could broadcast into a wrong gradient."""
+    """Check the shapes of a user-defined quadratic model, which might broadcast to a wrong gradient."""
     expected = {"Q": (N + 1, ndx, ndx), "q": (N + 1, ndx), "R": (N, nu, nu), "r": (N, nu)}
     if getattr(model, "S", None) is not None:
         expected["S"] = (N, nu, ndx)

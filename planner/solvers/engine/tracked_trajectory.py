@@ -1,4 +1,4 @@
-"""TrackedTrajectory: a trajectory with gains that a controller tracks while a solve improves it in other memory."""
+"""TrackedTrajectory: a trajectory with gains that a controller tracks while a solve writes the next to other memory."""
 
 from __future__ import annotations
 
@@ -12,21 +12,21 @@ from planner.model.space import StateSpace
 TrajectoryArrays = tuple[np.ndarray, np.ndarray, np.ndarray]  # xs (N+1, nx), us (N, nu), K (N, nu, ndx)
 StatesAndControls = tuple[np.ndarray, np.ndarray]  # xs (N+1, nx), us (N, nu)
 
-TIME_TOLERANCE = 1e-6  # of a stage: instants that are nearer are the same
+TIME_TOLERANCE = 1e-6  # of a stage: smaller differences of time are zero
 _STAGES = FOLLOWED.stages
 
 
 def shift_trajectory(target: StatesAndControls, source: StatesAndControls, stages: float, space: StateSpace) -> int:
-    """Write states and controls, shifted by some stages, which need not be whole; beyond the end the last repeats.
+    """Write states and controls shifted by a real number of stages; after the end the last ones repeat.
 
     Args:
-        target: Where to write.
-        source: Of the same shapes.
+        target: Written arrays.
+        source: Arrays of the same shapes.
         stages: At least 0.
         space: Of the states.
 
     Returns:
-        The whole stages, by which gains shift.
+        The number of whole stages, by which gains shift.
     """
     (xs, us), (own_xs, own_us) = target, source
     m = int(stages + TIME_TOLERANCE)
@@ -69,7 +69,7 @@ class TrackedTrajectory:
             self.xs[:], self.us[:], self.K[:] = trajectory
 
     def begin(self, w: Workspace, x0: np.ndarray, stages: float) -> None:
-        """Write it into the memory of a solve, shifted by some stages and from x0 (nx,); rollouts have its gains."""
+        """Load it, shifted by `stages`, into a solve that starts at x0 (nx,); rollouts use its gains."""
         m = int(stages + TIME_TOLERANCE)
         if stages - m > TIME_TOLERANCE:
             m = self._between(w, x0, stages)
@@ -80,7 +80,7 @@ class TrackedTrajectory:
         w.use_gains(self._first, self._address + m * self._stride)
 
     def _between(self, w: Workspace, x0: np.ndarray, stages: float) -> int:
-        """As load_tracked, by any number of stages; returns the whole ones."""
+        """As load_tracked, for a fractional shift; returns the number of whole stages."""
         N = self._N
         m = shift_trajectory((w.xs, w.us), (self.xs, self.us), stages, self._space)
         self._rows[N : N + m] = self._rows[N - 1]
@@ -90,9 +90,9 @@ class TrackedTrajectory:
         return m
 
     def use(self, w: Workspace) -> None:
-        """Let the next sweep write its gains here."""
+        """Let the next sweep write its gains to this memory."""
         w.use_gains(self._first, self._address)
 
     def keep(self, w: Workspace) -> float:
-        """Copy the trajectory of a solve, whose gains are here already; the squared norm of its last state."""
+        """Copy a solve's trajectory, whose gains are already in this memory; the squared norm of its last state."""
         return store_tracked(w.table, self._table)

@@ -1,7 +1,7 @@
-"""Residuals as arrays over stages, for NumPy and kernels alike: names looked up, bounds and weights per stage.
+"""Residuals as arrays over stages, for NumPy and kernels: names resolved to indices, bounds and weights per stage.
 
-A term measures up to six numbers of the state, its rows (see kernels.tree.residuals.table for the kinds). Each row e is
-compared, stage by stage, with what is wanted, and costs w r^2 / 2:
+A term has up to six functions e of the state, its rows (kinds in kernels.tree.residuals.table). Each row is compared
+with a target or bound b at each stage and costs w r^2 / 2:
 
     target b     r = e - b
     upper b      r = ramp(e - b; a)          0, d^2 / 2a, d - a/2  for d < 0, 0..a, > a; a may be 0
@@ -20,28 +20,28 @@ from planner.base.arguments import array, numbers
 from planner.base.errors import PlannerError
 from planner.kernels.tree.residuals.table import REFERENCES, ROWS
 
-CONSTANTS = 26  # numbers of a term that do not vary, at most: those of two solids
+CONSTANTS = 26  # max number of constants of a term: those of two collision shapes
 
 
 @dataclass(frozen=True, eq=False)
 class ResidualArrays:
-    """T terms with M rows and S references in all, over P points, which kernels take too."""
+    """T terms with M rows and S reference entries in total, over P points; also input of the kernels."""
 
-    link: np.ndarray  # (P,) that carries a point or frame, -1 for the world
-    offset: np.ndarray  # (P, 3) in the link's frame
-    share: np.ndarray  # (P,) how much of the link's motion the point has
-    world: np.ndarray  # (P, N+1, 3) m, added
-    kind: np.ndarray  # (T,)
-    ends: np.ndarray  # (T, 4) points, as each kind has them; the first is a frame's origin. -1 for none
-    # (T, CONSTANTS): direction and level of a scalar, rotation or axis of a frame in its link's, shapes of two solids
+    link: np.ndarray  # (P,) link of a point or frame, -1 for the world
+    offset: np.ndarray  # (P, 3) m, in the link's frame
+    share: np.ndarray  # (P,) factor of the point's position in the world
+    world: np.ndarray  # (P, N+1, 3) m, added to share times the position
+    kind: np.ndarray  # (T,) residual kind
+    ends: np.ndarray  # (T, 4) indices of points, by kind; the first is a frame's origin. -1 for none
+    # (T, CONSTANTS): direction and level of a scalar, rotation or axis of a frame in its link, two collision shapes
     constant: np.ndarray
-    first_row: np.ndarray  # (T+1,) where the rows of a term begin
-    first_reference: np.ndarray  # (T+1,) where its references begin
-    reference: np.ndarray  # (S, N+1) a rotation that an orientation is compared with, a pose
+    first_row: np.ndarray  # (T+1,) index of the first row of a term
+    first_reference: np.ndarray  # (T+1,) index of its first reference entry
+    reference: np.ndarray  # (S, N+1) entries of the reference rotation of an orientation, or of a reference pose
     side: np.ndarray  # (M,) +1 for upper, -1 for lower, 0 for a target
-    ramp: np.ndarray  # (M,)
-    bound: np.ndarray  # (M, N+1), 0 where a row is off
-    weight: np.ndarray  # (M, N+1), 0 where a row is off; times dt on the way
+    ramp: np.ndarray  # (M,) a
+    bound: np.ndarray  # (M, N+1) b, 0 where a row is off
+    weight: np.ndarray  # (M, N+1) w, 0 where a row is off; running weights times dt
 
     def __post_init__(self) -> None:
         for value in vars(self).values():
@@ -52,11 +52,11 @@ class ResidualArrays:
         return slice(int(self.first_row[t]), int(self.first_row[t + 1]))
 
     def references(self, t: int) -> np.ndarray:
-        """What term t refers to, (stages, its number of references)."""
+        """(stages, number of entries) of the references of term t."""
         return self.reference[self.first_reference[t] : self.first_reference[t + 1]].T
 
     def along(self, stages: Any) -> ResidualArrays:
-        """The same at some of the stages, in the order of their numbers."""
+        """The same terms at the given stages, in their order."""
         return replace(
             self, world=self.world[:, stages], reference=self.reference[:, stages], bound=self.bound[:, stages],
             weight=self.weight[:, stages],
@@ -64,7 +64,7 @@ class ResidualArrays:
 
 
 def resampled(measures: ResidualArrays, parts: int, ratio: float) -> ResidualArrays:
-    """The terms for stages divided into parts, whose weights are multiplied by ratio; the end stays as it is."""
+    """The terms for stages divided into parts, with running weights multiplied by ratio; final weights unchanged."""
     N = measures.weight.shape[1] - 1
     finer = measures.along(np.append(np.repeat(np.arange(N), parts), N))
     weight = np.array(finer.weight)
@@ -73,7 +73,7 @@ def resampled(measures: ResidualArrays, parts: int, ratio: float) -> ResidualArr
 
 
 def joined(parts: Sequence[ResidualArrays]) -> ResidualArrays:
-    """The terms of several, of the same mechanism and horizon, as one."""
+    """Concatenate the terms of several ResidualArrays of one mechanism and horizon."""
     together = {f.name: np.concatenate([getattr(part, f.name) for part in parts]) for f in fields(ResidualArrays)}
     first_entry = np.cumsum([0, *(len(part.link) for part in parts[:-1])])
     ends = [np.where(part.ends < 0, -1, part.ends + k) for part, k in zip(parts, first_entry, strict=True)]
@@ -85,7 +85,7 @@ def joined(parts: Sequence[ResidualArrays]) -> ResidualArrays:
 
 
 class ResidualList:
-    """Terms being put together for N stages: points once each, then terms that name them by number."""
+    """Builder of ResidualArrays for N stages: unique points, and terms that refer to them by index."""
 
     def __init__(self, N: int) -> None:
         self.N = N
@@ -94,7 +94,7 @@ class ResidualList:
         self._terms: list[tuple[Any, ...]] = []
 
     def point(self, link: int, offset: np.ndarray, share: float = 1.0, world: Any = 0.0) -> int:
-        """The number of a point; it is added the first time."""
+        """The index of a point, which is added if it is new."""
         world = np.array(np.broadcast_to(world, (self.N + 1, 3)), dtype=float)
         key = (int(link), np.asarray(offset, dtype=float).tobytes(), share, world.tobytes())
         if key not in self._numbers:
@@ -106,7 +106,7 @@ class ResidualList:
         self, kind: int, ends: Sequence[int], weight: Any, *, bound: Any = 0.0, constant: Any = (), reference: Any = (),
         side: float = 0.0, ramp: float = 0.0,
     ) -> None:  # fmt: skip
-        """Add a term: weight and bound (rows, N+1) or what broadcasts to it, references (its number, N+1)."""
+        """Add a term: weight and bound broadcast to (rows, N+1), reference reshaped to (REFERENCES[kind], N+1)."""
         shape, constants = (ROWS[kind], self.N + 1), np.zeros(CONSTANTS)
         constants[: np.size(constant)] = np.ravel(constant)
         self._terms.append((
@@ -118,11 +118,11 @@ class ResidualList:
 
     @property
     def count(self) -> int:
-        """How many terms there are."""
+        """Number of terms."""
         return len(self._terms)
 
     def arrays(self) -> ResidualArrays:
-        """All of them."""
+        """The points and terms as ResidualArrays."""
         stages, terms = self.N + 1, self._terms
         kind = np.array([term[0] for term in terms], dtype=np.int64)
         rows, references = ([0, *(sizes[k] for k in kind)] for sizes in (ROWS, REFERENCES))
@@ -144,27 +144,27 @@ class ResidualList:
 
 @dataclass(frozen=True, eq=False)
 class WeightedTarget:
-    """A target that has weights."""
+    """A target and its weights."""
 
     target: np.ndarray  # (1 or N+1, size)
-    stage_weight: np.ndarray  # (1 or N+1, rows), times dt
-    end: np.ndarray  # (1, rows)
-    final: bool  # whether the end has a weight of its own; what is only weighed on the way is no goal
+    stage_weight: np.ndarray  # (1 or N+1, rows) running weights, times dt
+    end: np.ndarray  # (1, rows) final weights
+    final: bool  # whether a final weight was given; a target with a running weight alone is no goal
     stages: StageData
 
     @property
     def weight(self) -> np.ndarray:
-        """(rows, N+1)."""
+        """(rows, N+1) running weights, the last column the final ones."""
         weight = np.array(self.stages.rows(self.stage_weight))
         weight[-1] = self.end[0]
         return weight.T
 
 
 class StageData:
-    """The horizon that arguments agree on, None while nothing was given per stage.
+    """The common horizon N of arguments per stage, None while there are none.
 
     Args:
-        dt: s, by which weights on the way are multiplied.
+        dt: s, factor of running weights.
     """
 
     def __init__(self, dt: float) -> None:
@@ -173,17 +173,17 @@ class StageData:
 
     @property
     def horizon(self) -> int:
-        """Stages to make arrays for: one, and the end, stand for any."""
+        """Number of stages of the arrays: N, or 1 for any horizon."""
         return 1 if self.N is None else self.N
 
     def rows(self, given: np.ndarray) -> np.ndarray:
-        """(N+1, size) of (1 or N+1, size)."""
+        """(1 or N+1, size) broadcast to (N+1, size)."""
         return np.broadcast_to(given, (self.horizon + 1, given.shape[1]))
 
     def asked(
         self, name: str, target: Any, way: Any, final: Any, rows: int, size: int | None = None
     ) -> WeightedTarget | None:
-        """A target of some size (that of its rows by default) and its weights, checked; None for neither."""
+        """Checked target of `size` entries (`rows` by default) and its weights; None without both."""
         checked = None if target is None else self._target(name, target, size or rows)
         running, end = self._weights(f"{name}_weight", way, final, rows)
         weighs = bool(running.any() or end.any())
@@ -208,7 +208,7 @@ class StageData:
         return np.atleast_2d(given)
 
     def _weights(self, name: str, way: Any, final: Any, rows: int) -> tuple[np.ndarray, np.ndarray]:
-        """(1 or N+1, rows) on the way and (1, rows) at the end."""
+        """(1 or N+1, rows) running weights times dt, and (1, rows) final weights."""
         given = [numbers(name, way), numbers(f"final_{name}", 0.0 if final is None else final)]
         for label, value in zip((name, f"final_{name}"), given, strict=True):
             if value.ndim == 2 and label == name:

@@ -1,9 +1,9 @@
-"""ResidualCost: what PenaltyCost, FrameCost and CenterOfMassCost have in common, a weighted sum of squared residuals.
+"""ResidualCost: weighted sum of squared residuals, base class of PenaltyCost, FrameCost and CenterOfMassCost.
 
     J = sum over stages and rows of w r^2 / 2,    gradient w r r' J,    Hessian w r'^2 J'J (Gauss and Newton)
 
-with the residual r of a row's value e (see residuals.arrays), r' its slope and J the derivative of e by a deviation of
-the state. It says nothing of the control. The twin of kernels.tree.residuals.evaluate.
+with the residual r of a row's value e (see residuals.arrays), r' = dr/de and J the derivative of e by a deviation of
+the state. Independent of the control. The reference implementation of kernels.tree.residuals.evaluate.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ def values_and_jacobians(mechanism: Mechanism, arrays: ResidualArrays, xs: np.nd
 
 
 class GoalRows(NamedTuple):
-    """What rows of a term ask of the end."""
+    """Rows of a term that are a goal at the end, with its name and unit."""
 
     name: str
     unit: str
@@ -51,13 +51,13 @@ class GoalRows(NamedTuple):
 
 
 class ResidualCost(Term):
-    """The squared residuals of a mechanism, weighed; one term of a cost. With RigidBodyDynamics it is compiled.
+    """Weighted squared residuals of a mechanism; one term of a cost. Compiled with RigidBodyDynamics.
 
     Args:
         mechanism: The machine.
         arrays: The terms; of N stages, or of one stage and the end for any horizon.
         N: Stages; None for any horizon.
-        goals: What the end is asked for, where its weight is above zero.
+        goals: Goals at the end; those with a final weight of 0 are ignored.
     """
 
     def __init__(
@@ -72,39 +72,39 @@ class ResidualCost(Term):
         return self.residual_arrays if self.N is not None else resampled(self.residual_arrays, N, 1.0)
 
     def goal_rows(self) -> dict[str, np.ndarray]:
-        """The numbers of the rows of each goal, by its name: "position of hand"."""
+        """Indices of the rows of each goal, by its name: "position of hand"."""
         return {goal.name: self._rows_of(goal)[0] for goal in self._goals}
 
     def resampled(self, parts: int, ratio: float) -> ResidualCost:
-        """The same over stages divided into parts, with the weights on the way multiplied by ratio."""
+        """The same cost over stages divided into parts, with running weights multiplied by ratio."""
         cost = copy(self)
         cost.N = None if self.N is None else parts * self.N
         cost.residual_arrays = resampled(self.residual_arrays, 1 if self.N is None else parts, ratio)
         return cost
 
     def goal_specs(self, _: Sequence[Coordinate]) -> tuple[GoalSpec, ...]:
-        """What has a final weight of its own."""
+        """Goals with a final weight above 0."""
         weighed = [goal for goal in self._goals if self._rows_of(goal)[1].any()]
         return tuple(GoalSpec(goal.name, goal.unit, partial(self._missed, goal)) for goal in weighed)
 
     def _rows_of(self, goal: GoalRows) -> tuple[np.ndarray, np.ndarray]:
-        """The numbers of a goal's rows, and whether the end weighs them."""
+        """Indices of a goal's rows, and whether their final weights are above 0."""
         rows = np.arange(len(self.residual_arrays.weight))[self.residual_arrays.rows(goal.term)][goal.rows]
         return rows, self.residual_arrays.weight[rows, -1] > 0.0
 
     def _missed(self, goal: GoalRows, xs: np.ndarray) -> np.ndarray:
-        """(K,) the length of the residual along the rows that are weighed; infinite where a motion ran away."""
+        """(K,) norm of the residual of the rows with a final weight; infinite for states that are not finite."""
         known, missed = np.isfinite(xs).all(axis=1), np.full(len(xs), np.inf)
         rows, weighed = self._rows_of(goal)
         missed[known] = np.linalg.norm(self._at_end(xs[known])[rows[weighed]], axis=0)
         return missed
 
     def final_cost(self, x: np.ndarray) -> float:
-        """The part of the value that the end x (nx,) has."""
+        """The final cost at the end state x (nx,)."""
         return 0.5 * float(self.residual_arrays.weight[:, -1] @ self._at_end(x[None])[:, 0] ** 2)
 
     def _at_end(self, xs: np.ndarray) -> np.ndarray:
-        """(M, K) residuals of states (K, nx), each as the end."""
+        """(M, K) residuals of states (K, nx), each with the targets of the end."""
         last = self.residual_arrays.along(np.full(len(xs), -1))
         return _residuals(last, self._values(last, xs))[0]
 
@@ -114,20 +114,20 @@ class ResidualCost(Term):
 
     def value(self, xs: np.ndarray, us: np.ndarray) -> float:
         """J of a trajectory xs (N+1, nx), us (N, nu)."""
-        if not np.isfinite(xs).all():  # a candidate that ran away: there is no pose
+        if not np.isfinite(xs).all():  # a rollout that diverged
             return float("inf")
         stages, arrays = self._weighing(len(us))
         residuals, _ = _residuals(arrays, self._values(arrays, xs[stages]))
         return 0.5 * float(np.sum(arrays.weight * residuals**2))
 
     def _weighing(self, N: int) -> tuple[np.ndarray, ResidualArrays]:
-        """The stages with any weight, and the terms there."""
+        """Stages with a weight above 0, and the terms there."""
         arrays = self.residual_arrays_for(N)
         stages = np.flatnonzero(arrays.weight.any(axis=0))
         return stages, arrays.along(stages)
 
     def quadratize(self, xs: np.ndarray, us: np.ndarray) -> Quadratic:
-        """Gradient and Gauss-Newton Hessian; nothing of the control."""
+        """Gradient and Gauss-Newton Hessian by the state; zero by the control."""
         N, nu = us.shape
         model = Quadratic(
             np.zeros((N + 1, self.ndx, self.ndx)), np.zeros((N + 1, self.ndx)), np.zeros((N, nu, nu)), np.zeros((N, nu))

@@ -1,6 +1,6 @@
 """Residuals of a machine's states and their Jacobians in NumPy, by kind: the reference of kernels.tree.residuals.
 
-Each function takes a KinematicsCache of K states, the number t of a term and whether its Jacobian is asked for. It
+Each function takes a KinematicsCache of K states, the number t of a term and whether its Jacobian is required. It
 returns the value (K, rows) and the Jacobian (K, rows, nv), or (K, rows, 2 nv) of velocities; the module
 kernels.tree.residuals.table lists the kinds.
 """
@@ -135,9 +135,9 @@ def point_residual(cache: KinematicsCache, t: int, derivatives: bool) -> tuple[n
 def nearest_on_segments(
     a0: np.ndarray, a1: np.ndarray, b0: np.ndarray, b1: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Returns d (..., 3) from the nearest point of b to that of a, and where: a0 + s (a1 - a0), b0 + u (b1 - b0).
+    """Returns d (..., 3) from the nearest point b0 + u (b1 - b0) to the nearest point a0 + s (a1 - a0), and s, u.
 
-    The nearest points of the whole lines, then each in turn put back onto its segment: exact, since the squared
+    The nearest points of the lines, then each in turn clipped to its segment: exact, since the squared
     distance is convex in (s, u) (Ericson, Real-Time Collision Detection, section 5.1.9). The ends (..., 3) of a segment
     may be the same.
     """
@@ -178,7 +178,7 @@ def tilt_residual(cache: KinematicsCache, t: int, derivatives: bool) -> tuple[np
 
 
 def tilt_curvature(cache: KinematicsCache, t: int) -> tuple[np.ndarray, np.ndarray]:
-    """The second derivative (K,) of a tilt by the axis's motion across its arc, and that motion by q, (K, nv)."""
+    """Second derivative (K,) of a tilt by rotation perpendicular to its arc, and that rotation's Jacobian (K, nv)."""
     frame = cache.frame(int(cache.arrays.ends[t, 0]))
     b, n, sine, cosine = _arc(cache, t)
     return cosine * sine / (sine**2 + BLUNT), np.einsum("na,nai->ni", cross(b, n), cache.jacobian(frame)[:, 3:])
