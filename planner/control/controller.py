@@ -316,7 +316,7 @@ class Controller:
         else:
             n = min(n, self.horizon - 1)
             u = self._us[n] + self._K[n] @ self._space.single_difference(x, self.expected(t))
-        return u if self._bounds is None else self._bounds.clip(at, u, x)
+        return u if self._bounds is None else self._bounds.clip(at, u, None)
 
     def expected(self, t: float) -> np.ndarray:
         """The state (nx,) of the plan at time t, s, integrated from the knot before."""

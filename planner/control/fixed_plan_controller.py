@@ -48,7 +48,7 @@ class FixedPlanController:
             u = plan.us[n] + plan.K[n] @ plan.space.difference(x, self.expected(t))
         else:
             u = self._holding(x, plan.us[-1]) if self._hold is None else self._hold.control(x)
-        return u if bounds is None else bounds.clip(min(n, plan.N - 1), u, x)
+        return u if bounds is None else bounds.clip(min(n, plan.N - 1), u, None)
 
     def expected(self, t: float) -> np.ndarray:
         """The state (nx,) of the plan at time t, s."""

@@ -82,6 +82,19 @@ class ControlBounds:
         """Controls us (..., nu) clipped to the bounds at states xs (..., nx)."""
         return np.clip(us, *self.at(stages, xs))
 
+    def clamped(self, stages: Any, us: np.ndarray, xs: np.ndarray) -> np.ndarray:
+        """Controls with the forces that the actuators' clamps leave of us (..., nu) at states xs (..., nx).
+
+        For dynamics without clamps; those of a simulator do it by themselves.
+        """
+        us = np.clip(us, *self.at(stages, None))
+        if self.servos is None:
+            return us
+        servos, us = self.servos, us.copy()
+        at = xs[..., servos.in_x] @ servos.now.T
+        us[..., servos.control] = np.clip(us[..., servos.control], servos.low - at, servos.high - at)
+        return us
+
     def at_bound(self, xs: np.ndarray, us: np.ndarray) -> np.ndarray:
         """Whether controls us (N, nu) along the states xs (N+1, nx) are at a bound, or outside."""
         lower, upper = self.at(slice(None), xs[: len(us)])

@@ -14,8 +14,9 @@ Every weight makes its term dimensionless and about 1:
     final_velocity  10 / tolerance^2; both times the cost of the minimum-jerk motion, where jerk is the objective
     hold            for standing machines, in place of these two: the cost of staying at the goal for HOLD_SECONDS
 
-The effort of servos, whose control is a position, and of standing machines is relative to the static control at the
-goal.
+The effort of standing machines is relative to the static control at the goal. That of servos, whose control is a
+position or a velocity, is relative to the controls of a minimum-jerk motion (servo_reference): what costs is the force
+that a servo exerts beyond it, not the position that it is told. Velocities refer to that motion too.
 """
 
 from __future__ import annotations
@@ -97,7 +98,7 @@ def default_weights(
     jerk_cost = max(1.0, jerk * min_jerk_cost(displacement, duration))
     ends = jerk_cost * (not stands) * ~stationary
     weights = {
-        "effort": effort, "control": control, "velocity": velocity,
+        "effort": effort, **({} if control is None else {"control": control}), "velocity": velocity,
         "position": stands * ~stationary / (STANCE_TOLERANCES * position) ** 2,
         "final_position": ends * POSITION / position**2, "final_velocity": ends * VELOCITY / rate**2,
         "hold": np.array(HOLD_SECONDS * stands),
@@ -166,22 +167,49 @@ def weighed(
     hold = chosen.pop("hold", 0.0)
     if straight:
         chosen.setdefault("reference", straight_reference(dynamics, x0, goal, horizon))
+    elif servos_of(dynamics).any() and "control" not in chosen:
+        reference = straight_reference(dynamics, x0, goal, horizon, moving_share=1.0)
+        chosen |= {"control": servo_reference(dynamics, reference)}
+        chosen.setdefault("reference", reference)
     return terminal_holding_cost(dynamics, TrackingCost.joints(dynamics, goal, horizon, **chosen), hold)
 
 
-def straight_reference(dynamics: RigidBodyDynamics, x0: np.ndarray, goal: np.ndarray, N: int) -> np.ndarray:
-    """States (N+1, nx) on the straight line from x0 to a goal, both (nx,), at the goal after MOVING_SHARE of N."""
+def straight_reference(
+    dynamics: RigidBodyDynamics, x0: np.ndarray, goal: np.ndarray, N: int, moving_share: float = MOVING_SHARE
+) -> np.ndarray:
+    """States (N+1, nx) on the straight line from x0 to a goal, both (nx,), at the goal after `moving_share` of N."""
     mechanism, space = dynamics.mechanism, dynamics.space
     nq, nv = mechanism.nq, mechanism.nv
     rest = [x.copy() for x in (x0, goal)]
     for x in rest:
         x[nq : nq + nv] = 0.0
-    displacement, s = space.difference(rest[1], rest[0]), np.minimum(np.arange(N + 1) / (MOVING_SHARE * N), 1.0)
+    displacement, s = space.difference(rest[1], rest[0]), np.minimum(np.arange(N + 1) / (moving_share * N), 1.0)
     share, rate, _ = minimum_jerk(s)
     xs = space.integrate(np.tile(rest[0], (N + 1, 1)), share[:, None] * displacement)
-    xs[:, nq : nq + nv] = rate[:, None] * displacement[:nv] / (MOVING_SHARE * N * dynamics.dt)
+    xs[:, nq : nq + nv] = rate[:, None] * displacement[:nv] / (moving_share * N * dynamics.dt)
     xs[0], xs[N] = x0, goal
     return xs
+
+
+def servos_of(dynamics: RigidBodyDynamics) -> np.ndarray:
+    """(nu,) whether the force of each control depends on the state: position and velocity servos."""
+    found = np.zeros(dynamics.nu, dtype=bool)
+    found[: dynamics.mechanism.nu] = np.any(dynamics.mechanism.actuators.bias[:, 1:] != 0.0, axis=1)
+    return found
+
+
+def servo_reference(dynamics: RigidBodyDynamics, xs: np.ndarray) -> np.ndarray:
+    """Controls (N, nu) with which servos go along states (N+1, nx) without inertia; 0 for motors.
+
+    Each is the static control in the middle of its stage, and what balances the servo's own damping there.
+    """
+    mechanism, servos, space = dynamics.mechanism, servos_of(dynamics), dynamics.space
+    nq, nv, actuators = mechanism.nq, mechanism.nv, mechanism.actuators
+    middle = space.integrate(xs[:-1], 0.5 * space.difference(xs[1:], xs[:-1]))
+    us = np.array([quasi_static_controls(dynamics, x) for x in middle])
+    gain = np.where(actuators.gain == 0.0, 1.0, actuators.gain)
+    us[:, : mechanism.nu] -= middle[:, nq : nq + nv] @ actuators.moment.T * (actuators.bias[:, 2] / gain)
+    return np.where(servos, us, 0.0)
 
 
 def fully_actuated(dynamics: RigidBodyDynamics) -> bool:
@@ -198,8 +226,10 @@ def fully_actuated(dynamics: RigidBodyDynamics) -> bool:
 def _effort(
     dynamics: RigidBodyDynamics, x0: np.ndarray, goal: np.ndarray, duration: float, displacement: np.ndarray,
     stance_error: np.ndarray | None, max_control: np.ndarray | None,
-) -> tuple[np.ndarray, np.ndarray, list[bool]]:  # fmt: skip
+) -> tuple[np.ndarray, np.ndarray | None, list[bool]]:  # fmt: skip
     """Weights and reference of the controls (nu,), and whether each has a limit in the model or in `max_control`.
+
+    The reference is None where servos follow a motion.
 
     `stance_error` (nv,): position errors, rad or m, that a standing machine corrects at MAX_CORRECTION_RATE; else None.
     """
@@ -232,11 +262,10 @@ def _effort(
             limit = float(np.max(force[push > 0.0] / push[push > 0.0], initial=0.0)) or 1.0
         limits[a] = min(limit, float(np.max(correction[push > 0.0] / push[push > 0.0], initial=0.0)) or limit)
     limits[mechanism.nu :] = acceleration[prescribed]
-    control = np.zeros(dynamics.nu)
-    if np.any(servo) or stance_error is not None:
-        control[: mechanism.nu] = np.where(
-            servo | (stance_error is not None), quasi_static_controls(dynamics, goal)[: mechanism.nu], 0.0
-        )
+    control = None if servos_of(dynamics).any() else np.zeros(dynamics.nu)
+    if stance_error is not None:
+        control = np.zeros(dynamics.nu)
+        control[: mechanism.nu] = quasi_static_controls(dynamics, goal)[: mechanism.nu]
     return np.maximum(1.0 / limits**2, MIN_EFFORT), control, known
 
 

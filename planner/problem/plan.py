@@ -236,10 +236,14 @@ class Plan(Built, Plottable):
         """Versions of the software that made the plan."""
         return installed_versions() if self.made_with is None else self.made_with
 
-    def within_bounds(self, n: int | np.ndarray, u: np.ndarray, x: np.ndarray) -> np.ndarray:
-        """Controls u (..., nu) of stage n, or (K, nu) of stages n (K,), clipped to the problem's bounds at x."""
+    def within_bounds(self, n: int | np.ndarray, u: np.ndarray) -> np.ndarray:
+        """Controls u (..., nu) of stage n, or (K, nu) of stages n (K,), clipped to the problem's constant bounds.
+
+        The force of a servo is limited by the servo itself: commands beyond that are no violation. To clip them to the
+        bounds at a state would have the set-point follow the joint, which takes away the servo's stiffness.
+        """
         bounds = None if self.problem is None else self.problem.bounds
-        return u if bounds is None else bounds.clip(n, u, x)
+        return u if bounds is None else bounds.clip(n, u, None)
 
     def between_knots(self, parts: int) -> np.ndarray:
         """States (N * parts + 1, nx) at equal parts of each stage, integrated from each knot by the plan's dynamics."""

@@ -17,6 +17,7 @@ import numpy as np
 from planner.base.measured import Measurement, Section
 from planner.dynamics.assembly import relative_min_singular_value
 from planner.model.capabilities import capabilities_of
+from planner.problem.control_bounds import StepBounds
 from planner.problem.costs.jerk import JerkCost
 from planner.problem.costs.terms import Quadratic
 from planner.problem.goals import terms_of
@@ -45,6 +46,7 @@ class Recomputed(NamedTuple):
     gradient_norm: float  # Eq. 19, projected where controls are at their bounds
     terms: float  # norm of the terms of which the gradient is the sum
     sweep: lq.Sweep | None  # None where R + B'PB is not positive definite
+    gains: np.ndarray | None  # (N, nu, ndx), with controls held at bounds that depend on the state
 
 
 def recomputed(
@@ -61,8 +63,12 @@ def recomputed(
         norm = float(np.linalg.norm(lq.projected(lq.reduced_gradient(A, B, quadratic, moves), moves)))
         known = np.isfinite(A).all() and np.isfinite(B).all() and quadratic.finite
         rounded = (A, B) if rng is None else (_with_wrong_digits(rng, A), _with_wrong_digits(rng, B))
-        sweep = lq.riccati(*rounded, quadratic, bounds=moves) if known else None
-        return Recomputed(defects, problem.cost.value(xs, us), norm, float(np.linalg.norm(quadratic.r)) + norm, sweep)
+        sweep = held = lq.riccati(*rounded, quadratic, bounds=moves) if known else None
+        if known and moves is not None and moves.lower_by_x is not None:
+            held = lq.riccati(*rounded, quadratic, bounds=StepBounds(moves.lower, moves.upper))
+        gains = None if held is None else held.K
+        terms = float(np.linalg.norm(quadratic.r)) + norm
+        return Recomputed(defects, problem.cost.value(xs, us), norm, terms, sweep, gains)
 
 
 def consistency(plan: Plan, problem: Problem, now: Recomputed) -> Section:
@@ -81,7 +87,7 @@ def consistency(plan: Plan, problem: Problem, now: Recomputed) -> Section:
         }
         measured = [Measurement(n, float(e), "", BOUND, f"{note}, relative") for n, (e, note) in exact.items()]
         gradient = abs(now.gradient_norm - plan.gradient_norm) / size
-        gains = _gain_errors(plan.K, now.sweep)
+        gains = _gain_errors(plan.K, now.gains)
         gains = 0.0 * plan.t[:-1] if plan.status is Status.GIVEN else gains  # given gains are not from a sweep
         known = gradient <= BOUND and np.all(gains <= GAIN_BOUND)
         moved = (0.0, np.zeros(plan.N)) if known else _moved(plan, problem, now, size)
@@ -93,7 +99,7 @@ def consistency(plan: Plan, problem: Problem, now: Recomputed) -> Section:
     measured.insert(3, Measurement("gradient_error", float(gradient), "", gradient_bound, note))
     note = "the gains against the last Riccati sweep (Eq. 31-33), relative to the largest"
     note += f"; of stage {worst}{why}" if gain_bound > GAIN_BOUND else ""
-    if now.sweep is None:
+    if now.gains is None:
         note = "R + B'PB is not positive definite along the plan: its gains are those of a regularized model"
     measured.append(Measurement("gain_error", float(gains[worst]), "", gain_bound, note))
     note = f"changed after the file was written: {', '.join(plan.changed)}" if plan.changed else "of the plan's file"
@@ -166,8 +172,8 @@ def _moved(plan: Plan, problem: Problem, now: Recomputed, size: float) -> tuple[
             us = np.where(at_bound, held, us)
         other = recomputed(plan, problem, xs, us, rng)
         gradient = max(gradient, abs(other.gradient_norm - now.gradient_norm) / size)
-        if now.sweep is not None:
-            lost = np.inf if other.sweep is None else _gain_errors(now.sweep.K, other.sweep)
+        if now.gains is not None:
+            lost = np.inf if other.gains is None else _gain_errors(now.gains, other.gains)
             gains = np.maximum(gains, lost)
     beside = np.pad(gains, 1)  # maximum over neighbouring stages, since a sample may miss a stage's error
     return gradient, np.max([beside[:-2], gains, beside[2:]], axis=0)
@@ -177,11 +183,11 @@ def _with_wrong_digits(rng: np.random.Generator, values: np.ndarray) -> np.ndarr
     return values * (1.0 + _LAST_DIGITS * rng.uniform(-1.0, 1.0, values.shape))
 
 
-def _gain_errors(K: np.ndarray, sweep: lq.Sweep | None) -> np.ndarray:
-    """(N,) errors of gains (N, nu, ndx), relative to the sweep's largest; without a sweep 0 if finite, else inf."""
-    if sweep is None:
+def _gain_errors(K: np.ndarray, expected: np.ndarray | None) -> np.ndarray:
+    """(N,) errors of gains (N, nu, ndx), relative to the largest expected; without these 0 if finite, else inf."""
+    if expected is None:
         return np.where(np.isfinite(K).all(axis=(1, 2)), 0.0, np.inf)
-    return np.abs(K - sweep.K).max(axis=(1, 2)) / max(_largest(sweep.K), np.finfo(float).tiny)
+    return np.abs(K - expected).max(axis=(1, 2)) / max(_largest(expected), np.finfo(float).tiny)
 
 
 def _largest(values: np.ndarray) -> float:
@@ -227,7 +233,7 @@ def _rolled(
     for n in range(len(us)):
         dx = plan.space.difference(states[:, n], np.broadcast_to(xs[n], states[:, n].shape))
         wanted = us[n] + lengths[:, None] * sweep.k[n] + dx @ sweep.K[n].T
-        controls[:, n] = plan.within_bounds(n, wanted, states[:, n])
+        controls[:, n] = wanted if problem.bounds is None else problem.bounds.clip(n, wanted, states[:, n])
         states[:, n + 1] = problem.dynamics.step(states[:, n], controls[:, n])
     return states, controls
 

@@ -286,6 +286,11 @@ def _inner_solve(
             history.append(Iteration(first_line + len(history), cost, gradient_norm, 0.0, last.expected, 0.0, 0.0))
     if penalties is not None:  # a plan has the cost without penalties
         cost = problem.cost.value(xs, us)
+    if problem.bounds is not None and problem.bounds.servos is not None:
+        # Gains that follow a bound of force would have the set-point follow the joint: the servo's stiffness is lost.
+        engine.holds_bounds = True
+        unregularized_sweep(engine, options)
+        engine.holds_bounds = False
     K = engine.gains()
     if status is not Status.INTERRUPTED and not (math.isfinite(gradient_norm) and np.isfinite(K).all()):
         status = Status.NOT_FINITE  # stages so unstable that costates overflow

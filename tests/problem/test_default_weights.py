@@ -82,14 +82,41 @@ def test_goals_are_as_tight_as_they_are_judged():
     np.testing.assert_allclose(fine["final_velocity"], usual["final_velocity"])  # never softer than by default
 
 
-def test_a_servo_is_counted_from_what_holds_the_goal():
+def test_a_servo_is_counted_from_a_minimum_jerk_motion():
     servos = """<position name="one" joint="shoulder" kp="200" kv="20" ctrlrange="-3 3" forcerange="-50 50"/>
                 <position name="two" joint="elbow" kp="100" kv="10"/>"""
     dynamics = arm(actuators=servos)
     weights = chosen(dynamics, [1.0, 0.5]).weights
-    held = planner.dynamics.bias(dynamics.mechanism, [1.0, 0.5], [0.0, 0.0])
-    np.testing.assert_allclose(weights["control"], [1.0 + held[0] / 200, 0.5 + held[1] / 100])
+    assert "control" not in weights
     assert weights["effort"][0] == pytest.approx((200 / 50) ** 2)  # its force is the nearer limit
+    N, goal = 100, np.array([1.0, 0.5, 0.0, 0.0])
+    cost = default_cost(dynamics, dynamics.mechanism.home, goal, N)
+    s = (np.arange(N) + 0.5) / N
+    q = (10 * s**3 - 15 * s**4 + 6 * s**5)[:, None] * goal[:2]
+    v = (30 * s**2 - 60 * s**3 + 30 * s**4)[:, None] * goal[:2] / (N * dynamics.dt)
+    held = np.array([planner.dynamics.bias(dynamics.mechanism, one, [0.0, 0.0]) for one in q])
+    # u is q where the servo holds its weight, kp (u - q) = held + kv v. Twice the step moves a mean by h^2 s'' / 8.
+    np.testing.assert_allclose(cost.u_ref, q + held / [200, 100] + v * 0.1, atol=3e-4)
+    np.testing.assert_allclose(cost.x_ref[N // 2, 2:], 1.875 * goal[:2] / (N * dynamics.dt), rtol=1e-12)
+
+
+@pytest.mark.parametrize("kp", [100.0, 1e4])
+def test_servos_do_not_rush(kp):
+    """The peak speed is at most about that of a minimum-jerk motion, for soft and for stiff servos."""
+    servos = "".join(
+        f'<position name="{joint}" joint="{joint}" kp="{kp}" kv="{0.1 * kp}" ctrlrange="-3 3" forcerange="-90 90"/>'
+        for joint in ("shoulder", "elbow")
+    )
+    text = ARM.format(length=0.5, damping=0.1, width=0.025, mass=1.0, actuators=servos)
+    text = text.replace("<joint", '<joint armature="1"')  # as geared motors have
+    dynamics, N = planner.RigidBodyDynamics(planner.Mechanism.from_mjcf(text, contacts="off"), 0.01, substeps=16), 100
+    goal = np.array([0.8, -0.6, 0.0, 0.0])
+    cost = default_cost(dynamics, dynamics.mechanism.home, goal, N)
+    plan = planner.solve(planner.Problem(dynamics, cost, dynamics.mechanism.home, limits=planner.Limits("model")))
+    assert plan.success
+    share = np.abs(plan.xs[:, 2:]).max(axis=0) / (1.875 * np.abs(goal[:2]) / (N * dynamics.dt))
+    assert np.all((share > 1 / 1.875) & (share < 1.2))  # a constant speed is the slowest
+    assert len(plan.history) <= 15
 
 
 @pytest.mark.parametrize("size", [0.02, 0.5, 3.0])

@@ -23,7 +23,7 @@ from planner.problem.costs.frame import FrameCost
 from planner.problem.costs.goal_spec import GoalSpec
 from planner.problem.costs.terms import SumCost
 from planner.problem.costs.tracking import TrackingCost
-from planner.problem.default_weights import VELOCITY
+from planner.problem.default_weights import VELOCITY, servo_reference, servos_of
 from planner.problem.goals import MIN_TOLERANCES
 from planner.problem.tasks.follow import Follow
 from planner.problem.tasks.timed_task import Task, TimedGoal, unit_of
@@ -50,6 +50,8 @@ def task_cost(
         weights["final_velocity"] = 0.0
     at_rest = reference.copy()
     at_rest[:, mechanism.nq : mechanism.nq + mechanism.nv] = 0.0
+    if "control" not in weights and servos_of(dynamics).any():
+        weights["control"] = servo_reference(dynamics, reference)
     base = TrackingCost.joints(dynamics, at_rest[N], N, reference=at_rest, **weights)
     Q, x_ref = base.Q.copy(), base.x_ref.copy()
     terms: list[Any] = []

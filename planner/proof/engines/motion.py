@@ -41,6 +41,7 @@ def motion(plan: Plan, mechanism: Mechanism, x0: np.ndarray, rates: Rates, feedb
 
     assert plan.problem is not None  # its dynamics are needed
     dynamics, space, evaluations = plan.problem.dynamics, plan.space, 0
+    bounds = plan.problem.bounds
     xs = np.full((plan.N * PARTS + 1, len(x0)), np.nan)
     xs[0] = x = x0
     dt = float(dynamics.dt)
@@ -54,7 +55,8 @@ def motion(plan: Plan, mechanism: Mechanism, x0: np.ndarray, rates: Rates, feedb
         x, u = normalized(mechanism, x), plan.us[n]
         if feedback:
             wanted = dynamics.step(plan.xs[n : n + 1], plan.us[n : n + 1], np.array([t]))[0]
-            u = plan.within_bounds(n, u + plan.K[n] @ space.difference(x, wanted), x)
+            u = plan.within_bounds(n, u + plan.K[n] @ space.difference(x, wanted))
+            u = u if bounds is None else bounds.clamped(n, u, x)
         return _lifted(mechanism, x, rates(x, u))
 
     for n in range(plan.N):

@@ -107,7 +107,7 @@ class Gains:
         dx = self._plan.space.single_difference(x, self._plan_xs[i])
         self._late.append(self._plan.K[self._stage[i]] @ dx)
         until = slice(i, i + self.held)
-        return self._plan.within_bounds(self._stage[until], self._us[until] + self._late.popleft(), x)
+        return self._plan.within_bounds(self._stage[until], self._us[until] + self._late.popleft())
 
 
 class Encoders:

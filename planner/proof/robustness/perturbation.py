@@ -49,7 +49,7 @@ class Perturbation:
         contact_friction: All friction coefficients of contacts are scaled by one factor uniform in 1 +- this.
         start: Standard deviation of the start from the plan's, in each direction, in its unit.
         noise: Standard deviation of white noise on a control, constant over a stage, relative to the control's largest
-            magnitude in the plan.
+            magnitude in the plan; of a servo, to its largest force over its gain.
         delay: Delay of the controls, uniform in 0 to this, s, in whole steps of the simulator. Until then the first
             ones are applied.
         stiffness: The stiffness of a joint's spring is scaled by a factor uniform in 1 +- this.
@@ -160,7 +160,7 @@ class Nominal:
 
     model: Any  # MuJoCo's
     load: np.ndarray  # (nv,) the largest generalized force along the plan, N m or N
-    control: np.ndarray  # (nu,) the largest magnitude of each control along the plan
+    control: np.ndarray  # (nu,) the largest magnitude of each control; of a servo, of its force over its gain
     sizes: SampleShape  # Of a draw
     # Degrees of freedom whose accelerations the plan prescribes.
     driven: np.ndarray = field(default_factory=lambda: np.zeros(0, dtype=int))
@@ -169,8 +169,13 @@ class Nominal:
     def of(cls, model: Any, plan: Plan, twin: Twin) -> Nominal:
         """From a plan and the model to simulate it in."""
         sizes = SampleShape(model.nbody, model.nv, plan.space.ndx, plan.N, model.nu, model.njnt)
-        control, driven = np.abs(plan.us).max(axis=0), prescribed_dofs_of(getattr(plan.problem, "dynamics", None))
-        return cls(model, _loads(model, plan, twin), control, sizes, driven)
+        driven = prescribed_dofs_of(getattr(plan.problem, "dynamics", None))
+        load, force = _loads(model, plan, twin)
+        control, gain = np.abs(plan.us).max(axis=0), np.abs(model.actuator_gainprm[:, 0])
+        # Of a stiff servo 1 % of its position is most of its force: its noise is relative to the force, as a motor's.
+        servo = np.any(model.actuator_biasprm[:, 1:3] != 0.0, axis=1) & (gain > 0.0)
+        control[: model.nu][servo] = force[servo] / gain[servo]
+        return cls(model, load, control, sizes, driven)
 
     @cached_property
     def _in_joints(self) -> np.ndarray:
@@ -207,16 +212,17 @@ class Nominal:
         return model
 
 
-def _loads(model: Any, plan: Plan, twin: Twin) -> np.ndarray:
-    """(nv,) the largest actuator force, or weight with Coriolis force, over knots of the plan."""
+def _loads(model: Any, plan: Plan, twin: Twin) -> tuple[np.ndarray, np.ndarray]:
+    """Largest actuator force, or weight with Coriolis force, over knots of the plan (nv,); of each actuator (nu,)."""
     mujoco = load_mujoco()
-    data, loads = mujoco.MjData(model), np.zeros(model.nv)
+    data, loads, forces = mujoco.MjData(model), np.zeros(model.nv), np.zeros(model.nu)
     for n in np.unique(np.linspace(0, plan.N - 1, _MAX_KNOTS).round().astype(int)):
         set_state(model, data, twin.sim_of(plan.xs[n]))
         data.ctrl[:] = plan.us[n]
         mujoco.mj_forward(model, data)
         loads = np.maximum(loads, np.maximum(np.abs(data.qfrc_bias), np.abs(data.qfrc_actuator)))
-    return loads
+        forces = np.maximum(forces, np.abs(data.actuator_force))
+    return loads, forces
 
 
 Mass = float | Mapping[str, float]

@@ -242,7 +242,7 @@ class _Feedback:
         u = np.tile(rollouts.plan.us[stage], (len(w), 1))
         for column in np.flatnonzero(gains.any(axis=0)):
             u += dx[:, column, None] * gains[:, column]
-        u = rollouts.plan.within_bounds(stage, u, rollouts.x_of(w))
+        u = rollouts.plan.within_bounds(stage, u)
         if j == 0:
             past[:] = u  # applied before the first instant
         past[j % len(past)] = u

@@ -92,6 +92,7 @@ class CompiledEngine(Engine):
         # The tracked plan and the next one, alternating: their gains are not copied.
         self._tracked: tuple[TrackedTrajectory, TrackedTrajectory] | None = None
         self._exact, self._second_order_used, self.state_regularization = False, False, 0.0
+        self.holds_bounds = False
         self._schedule, self.largest_control_weight = ActiveSetSchedule(), self._control_weight
         self.set_penalties(None)
 
@@ -238,6 +239,8 @@ class CompiledEngine(Engine):
         w, bounds = self._w, self._bounds
         if bounds is not None and bounds.servos is not None:
             w.lower[:], w.upper[:], w.lower_share[:], w.upper_share[:] = bounds.shares(w.xs, w.us)
+            if self.holds_bounds:
+                w.lower_share[:] = w.upper_share[:] = 0.0
 
     def set_trajectory(self, xs: np.ndarray, us: np.ndarray) -> np.ndarray:
         """Set states (N+1, nx) and controls (N, nu) as the trajectory, after a start; its defects (N, ndx)."""

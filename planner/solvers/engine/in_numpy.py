@@ -51,7 +51,7 @@ class NumpyEngine(Engine):
         self._state_weights = np.ones(ndx)  # set by a start of finite cost
         self._penalties: BoundPenalties | None = None
         self._sweep: lq.Sweep | None = None
-        self._exact, self._second_order_used, self._second = False, False, None
+        self._exact, self._second_order_used, self._second, self.holds_bounds = False, False, None, False
         self._schedule, self._active, self._gradient = ActiveSetSchedule(), np.zeros((N, nu)), np.zeros((N, nu))
         # One attribute, so that an interrupt never leaves states of one trajectory with controls of another.
         self._nominal = np.empty((0, self._space.nx)), np.empty((0, nu))
@@ -76,7 +76,10 @@ class NumpyEngine(Engine):
 
     def _step_bounds(self, xs: np.ndarray, us: np.ndarray) -> StepBounds | None:
         """Bounds of the change of us (N, nu) along the states xs (N+1, nx); None without control bounds."""
-        return None if self._bounds is None else self._bounds.step_bounds(xs, us)
+        if self._bounds is None:
+            return None
+        bounds = self._bounds.step_bounds(xs, us)
+        return StepBounds(bounds.lower, bounds.upper) if self.holds_bounds else bounds
 
     def start_from_controls(self, x0: np.ndarray, us: np.ndarray, exact: bool = False) -> float:
         """Set the rollout of the first guess us (N, nu), clipped to bounds; its cost."""

@@ -65,10 +65,13 @@ class Engine(Protocol):
         largest_control_weight: The largest magnitude in R, the unit of mu, which is added to R + B'PB.
         state_regularization: Weight on changes of the states in the next sweeps, in addition to the cost's; relative
             to the cost's mean weight of each. Zero after a start.
+        holds_bounds: Whether in the next sweeps a control at a bound that depends on the state keeps its value, in
+            place of following the bound. False after a reset.
     """
 
     largest_control_weight: float
     state_regularization: float
+    holds_bounds: bool
 
     def reset(self) -> None:
         """Restore the state of a new engine."""
