@@ -8,7 +8,7 @@ which is not stored.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -64,7 +64,8 @@ def to_arrays(problem: Problem) -> tuple[Recipe, dict[str, np.ndarray]] | None:
         facts["periodic"] = problem.periodic.to_dict()
     tracking, *terms = terms_of(problem.cost)
     arrays = {name: getattr(tracking, name) for name in _COST} | {"x0": problem.x0, "us": problem.first_guess}
-    for use, parts in (("costs", terms), ("constraints", problem.constraints)):
+    uses: dict[str, Sequence[Any]] = {"costs": terms, "constraints": problem.constraints}
+    for use, parts in uses.items():
         if parts:
             facts[use] = []
         for i, part in enumerate(parts):
@@ -143,11 +144,11 @@ def from_arrays(
 
 def _stored(
     use: str, facts: dict[str, Any], arrays: dict[str, np.ndarray], classes: Mapping[str, type[Residual]]
-) -> Iterator[tuple[Residual, dict[str, Any], dict[str, np.ndarray]]]:
+) -> Iterator[tuple[Residual, dict[str, Any], dict[str, Any]]]:
     """The residuals of the costs or of the constraints, what else is stored of each, and its arrays by name."""
     for i, fact in enumerate(facts.get(use, ())):
-        prefix = f"{use}:{i}:"
-        tables = {name.removeprefix(prefix): array for name, array in arrays.items() if name.startswith(prefix)}
+        known = TABLES if use == "costs" else _BOUNDS
+        tables = {name: arrays[key] for name in known if (key := f"{use}:{i}:{name}") in arrays}
         yield classes[fact["residual"]](**fact["parameters"]), fact, tables
 
 
