@@ -27,6 +27,7 @@ from planner.problem.limits import Limits as Limits
 from planner.problem.plan import Plan as Plan
 from planner.problem.plan import Status as Status
 from planner.problem.problem import Problem as Problem
+from planner.problem.residual import Residual as Residual
 from planner.problem.tasks.follow import Follow as Follow
 from planner.problem.tasks.goal import Goal as Goal
 from planner.proof.compare.model_parity import parity as parity

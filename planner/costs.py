@@ -4,6 +4,7 @@ from planner.problem.costs.drive import DriveCost
 from planner.problem.costs.energy import EnergyCost
 from planner.problem.costs.frame import CenterOfMassCost, FrameCost
 from planner.problem.costs.jerk import JerkCost, driven_by_jerk
+from planner.problem.costs.least_squares import LeastSquares
 from planner.problem.costs.penalty import PenaltyCost
 from planner.problem.costs.penalty_terms import Clearance, Distance, Gap, Height, Point, Segment, Velocity
 from planner.problem.costs.terms import Cost, Quadratic, SumCost
@@ -23,6 +24,7 @@ __all__ = [
     "Gap",
     "Height",
     "JerkCost",
+    "LeastSquares",
     "Objective",
     "PenaltyCost",
     "Point",

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import os
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -11,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from planner import cases
-from planner.base.arguments import choice
+from planner.base.arguments import choice, short_repr
 from planner.base.errors import FileError, PlannerError
 from planner.base.files import printable
 from planner.cases import problem_file
@@ -24,28 +25,36 @@ from planner.problem.objective_problem import base_problem, with_objective
 from planner.problem.plan import Iteration, Plan, Start, Status
 from planner.problem.problem import Problem
 from planner.problem.recipe import Recipe
+from planner.problem.residual import Residual
 from planner.problem.state_bounds import BoundPenalties
 
 
-def load_plan(path: str | Path, *, problem: Problem | None = None) -> Plan:
+def load_plan(
+    path: str | Path, *, problem: Problem | None = None, residuals: Mapping[str, type[Residual]] | None = None
+) -> Plan:
     """Read a plan.npz and build its problem again.
 
     Args:
         path: The file.
         problem: The problem that was solved, for a plan whose dynamics or cost is its maker's own Python.
+        residuals: Classes of residuals by name, for a plan with residuals of its maker's own. A file names them, but
+            nothing is imported because of a file.
 
     Raises:
-        FileError: No such file, not a plan, damaged, or written in another version's format.
+        FileError: No such file, not a plan, damaged, written in another version's format, or with a residual that
+            `residuals` has not.
         PlannerError: The problem given is not of the plan's sizes.
     """
     if not isinstance(path, (str, os.PathLike)):
         raise FileError(f"cannot read a plan from a {type(path).__name__}, expected the path of a plan.npz.")
     arrays, meta = read_archive(Path(path), len(Iteration._fields))
+    residuals = {} if residuals is None else residuals
+    _check_residuals(path, meta["recipe"], residuals, problem)
     try:
         plan = _plan(arrays, meta)
         if problem is not None:
             return replace(plan, problem=_fitting(plan, problem), recipe=problem.recipe)
-        built = _problem(plan, arrays, meta)
+        built = _problem(plan, arrays, meta, residuals)
         return plan if built is None else replace(plan, problem=_fitting(plan, built), recipe=built.recipe)
     except PlannerError as error:
         raise FileError(f"{printable(path)} is damaged or of a case that cannot be built again: {error}") from None
@@ -77,14 +86,37 @@ def _plan(arrays: dict[str, np.ndarray], meta: dict[str, Any]) -> Plan:
     )
 
 
-def _problem(plan: Plan, arrays: dict[str, np.ndarray], meta: dict[str, Any]) -> Problem | None:
+def _check_residuals(
+    path: str | Path, recipe: dict[str, Any] | None, residuals: Mapping[str, type[Residual]], problem: Problem | None
+) -> None:
+    """Raise an error unless the classes of all residuals that are not of the library are known."""
+    for name, one in residuals.items():
+        if not (isinstance(one, type) and issubclass(one, Residual)):
+            raise PlannerError(f"residuals has {short_repr(one)} as {name!r}, expected a class of planner.Residual.")
+    if problem is not None or recipe is None or recipe["name"] != stored_problem.NAME:
+        return
+    try:
+        unknown = [name for name in stored_problem.residual_names(recipe["parameters"]) if name not in residuals]
+    except (TypeError, LookupError, AttributeError):
+        raise FileError(f"{printable(path)} is damaged: its meta has no usable residuals.") from None
+    if unknown:
+        name = printable(unknown[0])
+        raise FileError(
+            f"{printable(path)} has the residual {name!r} of its maker's own, expected its class: "
+            f"load_plan(path, residuals={{{name!r}: Class}}), or --allow-import MODULE in a command."
+        )
+
+
+def _problem(
+    plan: Plan, arrays: dict[str, np.ndarray], meta: dict[str, Any], residuals: Mapping[str, type[Residual]]
+) -> Problem | None:
     """The problem of a stored plan, with its limits and its objective; None where it is its maker's own Python."""
     if plan.recipe is None:
         return None
     name, parameters = plan.recipe.name, plan.recipe.parameters
     if name == stored_problem.NAME:
         own = {part.removeprefix(PART): array for part, array in arrays.items() if part.startswith(PART)}
-        problem = stored_problem.from_arrays(parameters, own, plan.twin)
+        problem = stored_problem.from_arrays(parameters, own, plan.twin, residuals)
     elif name == problem_file.NAME:
         problem = problem_file.of_table(parameters, plan.twin)
     else:

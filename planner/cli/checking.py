@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 
+from planner.cli.allowed_imports import allowed_residuals
 from planner.cli.console import Console, shown
 from planner.sweeps.executors import executor_of
 from planner.sweeps.regression import PlanComparison, check
@@ -17,7 +18,8 @@ def check_plans(arguments: argparse.Namespace, console: Console) -> int:
 
     with executor_of(arguments.workers, arguments.scheduler) as executor:
         done = check(
-            *arguments.paths, tolerance=arguments.tolerance, update=arguments.update, callback=show, executor=executor
+            *arguments.paths, tolerance=arguments.tolerance, update=arguments.update, callback=show, executor=executor,
+            residuals=allowed_residuals(arguments),
         )  # fmt: skip
     for one in done:
         if one.problem:

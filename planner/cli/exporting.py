@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 
 from planner.base.errors import PlannerError
-from planner.cases.plan_file import load_plan
+from planner.cli.allowed_imports import load_allowed
 from planner.cli.console import Console
 from planner.problem.export.joint_trajectory import left_out
 from planner.problem.export.sampled import sampled
@@ -20,7 +20,7 @@ def export_plan(arguments: argparse.Namespace, console: Console) -> int:
     form, rate = arguments.to, arguments.rate
     if arguments.only is not None and form != "csv":
         raise PlannerError(f"--only is for --to csv, expected none with --to {form}.")
-    plan = load_plan(arguments.plan)
+    plan = load_allowed(arguments.plan, arguments)
     out = Path(arguments.plan).with_suffix(FORMATS[form]) if arguments.out is None else Path(arguments.out)
     if form in ("json", "yaml") and not (out.suffix == ".json" if form == "json" else out.suffix in (".yaml", ".yml")):
         raise PlannerError(f"cannot write {form} to {out}: expected a name ending in {FORMATS[form]}.")

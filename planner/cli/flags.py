@@ -73,6 +73,10 @@ ROLLOUT: Flags = {
                   "help": "Size of a perturbation, e.g. mass=0.1 or delay=0 (docs/proof.md). May be repeated."},
 }  # fmt: skip
 NO_VIDEO = {"--no-video": boolean_flag("Make no video and no strip of poses (drawing needs OpenGL).")}
+IMPORTS: Flags = {
+    "--allow-import": {"action": "append", "metavar": "MODULE", "default": [],
+                       "help": "Import this module, or file MODULE.py, for residuals of your own. May be repeated."},
+}  # fmt: skip
 OUTPUT: Flags = {
     "--json": boolean_flag("Print one JSON document on stdout."),
     "--quiet": boolean_flag("Print no progress."),

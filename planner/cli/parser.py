@@ -15,6 +15,7 @@ from typing import Any, NoReturn
 from planner.base.arguments import choice, short_repr
 from planner.base.errors import PlannerError
 from planner.cli.flags import (
+    IMPORTS,
     NO_VIDEO,
     OUTPUT,
     PROBLEM_FILE,
@@ -127,7 +128,7 @@ def _prove(parser: argparse.ArgumentParser) -> None:
         {"--mjcf": value_flag("FILE", "Replay in this model instead of the plan's own."),
          "--engine": {"action": "append", "metavar": "NAME", "choices": ENGINES, "default": [],
                       "help": f"Also repeat the plan in {' or '.join(ENGINES)}. May be given twice."},
-         "--out": value_flag("FILE", "Write the proof to this JSON file.")}, PROOF, ROLLOUT, WORKERS, OUTPUT,
+         "--out": value_flag("FILE", "Write the proof to this JSON file.")}, PROOF, ROLLOUT, WORKERS, IMPORTS, OUTPUT,
     )  # fmt: skip
 
 
@@ -138,7 +139,7 @@ def _render(parser: argparse.ArgumentParser) -> None:
          "--size": value_flag("WxH", "Size in pixels. Default: 1280x720, for a strip 1920x540.", kind=size),
          "--fps": value_flag("N", "Frames per second.", 30, whole),
          "--speed": value_flag("X", "Playback speed, e.g. 0.25. Default: the case's.", kind=number)},
-        ROLLOUT, OUTPUT,
+        ROLLOUT, IMPORTS, OUTPUT,
     )  # fmt: skip
 
 
@@ -147,12 +148,20 @@ def _view(parser: argparse.ArgumentParser) -> None:
         parser,
         {"plan": {"metavar": "PLAN", "help": "A plan.npz, or a folder of planner run."},
          "--rollouts": value_flag("N", "Number of perturbed simulations that key 7 shows.", 8, whole),
-         "--speed": value_flag("X", "Playback speed, e.g. 0.25. Default: the case's.", kind=number)}, OUTPUT,
+         "--speed": value_flag("X", "Playback speed, e.g. 0.25. Default: the case's.", kind=number)}, IMPORTS, OUTPUT,
     )  # fmt: skip
 
 
 def _report(parser: argparse.ArgumentParser) -> None:
-    add(parser, _PLAN, NO_VIDEO, {"--out": value_flag("DIR", "Folder of the results.", "report")}, PROOF, OUTPUT)
+    add(
+        parser,
+        _PLAN,
+        NO_VIDEO,
+        {"--out": value_flag("DIR", "Folder of the results.", "report")},
+        PROOF,
+        IMPORTS,
+        OUTPUT,
+    )
 
 
 def _export(parser: argparse.ArgumentParser) -> None:
@@ -165,7 +174,8 @@ def _export(parser: argparse.ArgumentParser) -> None:
                   "help": "csv: a table; json, yaml: ROS 2's JointTrajectory; keyframes: an MJCF to include."},
          "--rate": value_flag("HZ", "Samples per second. Default: the plan's own knots.", kind=number),
          "--only": {"choices": PARTS, "help": "Write only these columns of a csv. Default: both."},
-         "--out": value_flag("FILE", "The file to write. Default: PLAN with the ending of the format.")}, OUTPUT,
+         "--out": value_flag("FILE", "The file to write. Default: PLAN with the ending of the format.")},
+        IMPORTS, OUTPUT,
     )  # fmt: skip
 
 
@@ -175,7 +185,7 @@ def _check(parser: argparse.ArgumentParser) -> None:
         {"paths": {"metavar": "DIR", "nargs": "+", "help": "Folders of plans, or plan files."},
          "--update": boolean_flag("Store the new numbers where they differ."),
          "--tolerance": value_flag("X", "Report numbers whose relative change is larger.", 0.05, number)},
-        WORKERS, OUTPUT,
+        WORKERS, IMPORTS, OUTPUT,
     )  # fmt: skip
 
 

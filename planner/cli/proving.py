@@ -12,7 +12,7 @@ from planner.base.arguments import short_repr as quoted
 from planner.base.errors import PlannerError
 from planner.base.files import json_text, write_atomically
 from planner.cases.given_controls import plan_of_controls
-from planner.cases.plan_file import load_plan
+from planner.cli.allowed_imports import load_allowed
 from planner.cli.console import Console, shown
 from planner.cli.results import completed, plan_facts, show_proof
 from planner.problem.archive import plan_digest
@@ -85,7 +85,7 @@ def _plan_of(arguments: argparse.Namespace) -> tuple[Plan, str | None]:
             raise PlannerError(f"{flags[0]} is given without --controls, expected a CSV file of controls with it.")
         if arguments.plan is None:
             raise PlannerError("prove was given no plan, expected a plan.npz, or --controls u.csv --model m.xml.")
-        return load_plan(arguments.plan), plan_digest(arguments.plan)
+        return load_allowed(arguments.plan, arguments), plan_digest(arguments.plan)
     if arguments.plan is not None or arguments.model is None:
         what = "a plan and" if arguments.plan is not None else "no --model with"
         raise PlannerError(f"prove was given {what} --controls, expected --controls u.csv --model m.xml and no plan.")

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from planner.base.errors import PlannerError
 from planner.base.gl import require_backend
-from planner.cases.plan_file import load_plan
+from planner.cli.allowed_imports import load_allowed
 from planner.cli.console import Console
 from planner.cli.proving import rollout_of
 from planner.proof import Proof, prove
@@ -20,7 +20,7 @@ def render_plan(arguments: argparse.Namespace, console: Console) -> int:
     out = Path(arguments.out)
     if out.suffix not in (".mp4", ".png"):
         raise PlannerError(f"cannot render to {out}: expected a name ending in .mp4 or .png.")
-    plan = load_plan(arguments.plan)
+    plan = load_allowed(arguments.plan, arguments)
     require_backend()
     shown = prove(plan, rollouts=0) if arguments.replay_rollout is None else rollout_of(plan, arguments)
     size = {} if arguments.size is None else dict(zip(("width", "height"), arguments.size, strict=True))

@@ -7,7 +7,7 @@ from contextlib import ExitStack
 from pathlib import Path
 
 from planner.base.files import staged_folder
-from planner.cases.plan_file import load_plan
+from planner.cli.allowed_imports import load_allowed
 from planner.cli.background_render import BackgroundRender
 from planner.cli.console import Console
 from planner.cli.results import OUTPUTS, completed, draw_results, is_finite, show_proof, write_proof
@@ -18,7 +18,7 @@ from planner.proof.diagnostics import suggested_fixes
 
 def report_plan(arguments: argparse.Namespace, console: Console) -> int:
     """Prove a stored plan again and write all its files."""
-    plan = load_plan(arguments.plan)
+    plan = load_allowed(arguments.plan, arguments)
     with staged_folder(arguments.out, OUTPUTS) as staged, ExitStack() as drawing:
         proof, films = None, None
         if is_finite(plan):

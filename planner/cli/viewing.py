@@ -7,7 +7,7 @@ from pathlib import Path
 
 from planner.base.arguments import count, number
 from planner.base.errors import PlannerError
-from planner.cases.plan_file import load_plan
+from planner.cli.allowed_imports import load_allowed
 from planner.cli.console import Console
 
 
@@ -21,7 +21,7 @@ def view_plan(arguments: argparse.Namespace, console: Console) -> int:
         number("speed", arguments.speed, greater_than=0.0)
     require_display()  # before the work
     path = Path(arguments.plan)
-    plan = load_plan(path / "plan.npz" if path.is_dir() else path)
+    plan = load_allowed(path / "plan.npz" if path.is_dir() else path, arguments)
     if plan.twin is None:
         raise PlannerError("the plan holds no MuJoCo model, expected a plan of a Problem with a twin.")
     console.table(("key", "what it does"), KEYS)

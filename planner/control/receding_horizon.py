@@ -18,6 +18,7 @@ import numpy as np
 
 from planner.base.arguments import choice
 from planner.control.window_parts import (
+    SlidingLeastSquares,
     at_stages,
     first_stages,
     frame_rows,
@@ -44,7 +45,8 @@ class RecedingHorizonProblem:
     """The window of a problem and the engine that solves it.
 
     Args:
-        problem: With a TrackingCost and costs of residuals (frames, penalties), as tasks and problem files have them.
+        problem: With a TrackingCost and costs of residuals: frames and penalties, as tasks and problem files have them,
+            and LeastSquares.
         H: Number of stages of the window.
         keeps: Whether the goal remains after the end of the task. False where no control makes it an equilibrium (apex
             of a hop, end of a stride): the final weight then acts only at the end of the task, later stages have only
@@ -57,12 +59,12 @@ class RecedingHorizonProblem:
         stage: Index in the task of the window's first stage.
 
     Raises:
-        PlannerError: A cost with other terms than one TrackingCost and costs of residuals.
+        PlannerError: A cost with other terms than these.
     """
 
     def __init__(self, problem: Problem, H: int, keeps: bool = True) -> None:
         self.H, self.N, self._space = H, problem.N, space_of(problem.dynamics)
-        tracking, residuals = parts_of(problem)
+        tracking, residuals, python = parts_of(problem)
         N, self._at = self.N, np.minimum(np.arange(self.N + H + 1), self.N)
         dt, before = problem.dynamics.dt, np.minimum(self._at, N - 1)
         past = (np.arange(N + H + 1) > N)[:, None, None]  # knot N itself has its weight of the plan
@@ -82,6 +84,8 @@ class RecedingHorizonProblem:
         if residuals:
             first = at_stages(self._residuals, slice(0, H + 1))
             cost = SumCost(cost, *[_Measured(residuals, first)])
+        self._python = [SlidingLeastSquares(one, H, dt, keeps) for one in python]
+        cost = SumCost(cost, *(one.window for one in self._python)) if python else cost
         limits = first_stages(problem.limits, H, N)
         self.problem = replace(
             problem, cost=cost, horizon=H, us=np.zeros((H, problem.dynamics.nu)), limits=limits, objective=None,
@@ -249,6 +253,8 @@ class RecedingHorizonProblem:
             return
         self.stage, self._stale = stage, False
         H, here = self.H, slice(stage, stage + self.H)
+        for one in self._python:
+            one.slide(stage)
         engine = self.engine
         if isinstance(engine, CompiledEngine):
             arrays = self._arrays
@@ -302,8 +308,9 @@ class RecedingHorizonProblem:
         cost.Q, cost.R, cost.N, cost.nu = Q, self._R[here], H, self._R.shape[1]
         cost.x_ref, cost.u_ref, cost.space = self.x_ref[stage : stage + H + 1], self.u_ref[here], self._space
         cost.nx, cost.ndx = self._space.nx, self._space.ndx
+        python = [one.at(stage) for one in self._python]
         if self._residuals is None or self._end_rows is None:
-            return cost
+            return SumCost(cost, *python) if python else cost
         parts = at_stages(self._residuals, slice(stage, stage + H + 1))
         bound, weight = np.array(parts.bound), np.array(parts.weight)
         for frame, places in self._points.items():
@@ -311,7 +318,7 @@ class RecedingHorizonProblem:
         if self.keeps or stage + H <= self.N:
             weight[:, -1] = self._end_rows.weight[:, -1]
         parts = replace(parts, bound=bound, weight=weight)
-        return SumCost(cost, _Measured(self._residual_costs, parts))
+        return SumCost(cost, _Measured(self._residual_costs, parts), *python)
 
 
 class _Measured(ResidualCost):

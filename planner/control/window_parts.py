@@ -10,6 +10,7 @@ import numpy as np
 from planner.base.errors import PlannerError
 from planner.problem.constraints.clearance import PairClearanceFunction
 from planner.problem.constraints.constraint_stack import ConstraintStack
+from planner.problem.costs.least_squares import LeastSquares
 from planner.problem.costs.residuals.arrays import ResidualArrays
 from planner.problem.costs.residuals.cost import ResidualCost
 from planner.problem.costs.tracking import TrackingCost
@@ -22,18 +23,44 @@ AIMED = "position of "
 """Name prefix of the frame goals that controller.goal can change (planner.problem.costs.frame)."""
 
 
-def parts_of(problem: Problem) -> tuple[TrackingCost, list[ResidualCost]]:
-    """The TrackingCost of a problem and its costs of residuals; a PlannerError for any other term."""
+def parts_of(problem: Problem) -> tuple[TrackingCost, list[ResidualCost], list[LeastSquares]]:
+    """The TrackingCost of a problem, its compiled costs of residuals and those in Python; an error for other terms."""
     terms = terms_of(problem.cost)
     tracking = [term for term in terms if type(term) is TrackingCost]
     residuals = [term for term in terms if isinstance(term, ResidualCost)]
-    if len(tracking) != 1 or len(terms) != 1 + len(residuals):
+    python = [term for term in terms if isinstance(term, LeastSquares)]
+    if len(tracking) != 1 or len(terms) != 1 + len(residuals) + len(python):
         others = sorted({type(term).__name__ for term in terms if type(term) not in (TrackingCost,)})
         raise PlannerError(
             f"the cost has {len(tracking)} TrackingCost and {', '.join(others) or 'nothing else'}, expected one "
-            "TrackingCost, alone or with FrameCosts and PenaltyCosts: a controller asks it for weights past its end."
+            "TrackingCost, alone or with FrameCosts, PenaltyCosts and LeastSquares: a controller asks it for weights "
+            "past its end."
         )
-    return tracking[0], residuals
+    return tracking[0], residuals, python
+
+
+class SlidingLeastSquares:
+    """A LeastSquares over the task and H stages after it, of which windows are parts; there weighed as `lengthened`."""
+
+    def __init__(self, cost: LeastSquares, H: int, dt: float, keeps: bool) -> None:
+        N, self._cost, self._H, self._keeps = cost.N, cost, H, keeps
+        self._N, at = N, np.minimum(np.arange(N + H + 1), N)
+        weight, off = cost.weight[at], (cost.weight[at] == 0.0) & (cost.weight[-1] > 0.0)
+        weight[N + 1 - cost.of_controls :] = keeps * (cost.weight[N - 1] + dt * cost.weight[N])
+        self._tables = weight, *(np.where(off, side[-1], side[at]) for side in (cost.lower, cost.upper))
+        self.window = self.at(0)
+
+    def at(self, stage: int) -> LeastSquares:
+        """The cost of the window that begins at a stage."""
+        weight, lower, upper = (table[stage : stage + self._H + 1].copy() for table in self._tables)
+        if self._cost.of_controls or self._keeps or stage + self._H <= self._N:
+            weight[-1] = self._cost.weight[-1]
+        return self._cost.with_tables(weight, lower, upper)
+
+    def slide(self, stage: int) -> None:
+        """Move the window to a stage."""
+        now = self.at(stage)
+        self.window.weight, self.window.lower, self.window.upper = now.weight, now.lower, now.upper
 
 
 def lengthened(measures: ResidualArrays, H: int, dt: float, keeps: bool) -> ResidualArrays:

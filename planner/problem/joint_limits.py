@@ -264,7 +264,7 @@ class TendonLength:
         """(K,) scaled lengths for states (K, nx)."""
         return xs[:, self.mechanism.q_address[list(self.tendon.dofs)]] @ self.coefficients
 
-    def constraint_function(self, dynamics: Dynamics, N: int) -> TendonFunction:
+    def residual_function(self, dynamics: Dynamics, N: int) -> TendonFunction:
         """The constraint function for a machine."""
         mechanism_of(dynamics, self)
         return TendonFunction(self, dynamics)

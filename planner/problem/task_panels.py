@@ -1,7 +1,7 @@
 """Panels of goal errors and constrained quantities over time, with their bounds. Data for pictures.
 
-A constraint's quantity may name its components by `names`, and its constraint function may have `shown(xs, us, n) ->
-(K, R)`, values for pictures in place of the solver's (see planner.problem.constraints.constraint_functions).
+A residual may name its components by `names`, and its function may have `shown(xs, us, n) -> (K, R)`, values for
+pictures in place of the solver's (see planner.problem.residual).
 """
 
 from __future__ import annotations

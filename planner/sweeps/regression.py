@@ -14,7 +14,7 @@ from __future__ import annotations
 import json
 import math
 import os
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import Executor
 from dataclasses import dataclass
 from functools import partial
@@ -28,6 +28,7 @@ from planner.base.files import printable, read_text, write_json
 from planner.cases.plan_file import load_plan
 from planner.problem.archive import plan_digest
 from planner.problem.plan import Plan
+from planner.problem.residual import Residual
 from planner.proof import Proof, prove
 from planner.proof.robustness.perturbation import Perturbation
 
@@ -98,6 +99,7 @@ class PlanComparison:
 def check(
     *paths: str | Path, tolerance: float = TOLERANCE, update: bool = False,
     callback: Callable[[PlanComparison], object] | None = None, executor: Executor | None = None,
+    residuals: Mapping[str, type[Residual]] | None = None,
 ) -> list[PlanComparison]:  # fmt: skip
     """Prove stored plans again and compare.
 
@@ -107,6 +109,7 @@ def check(
         update: Store the new numbers where they differ.
         callback: Called with each PlanComparison.
         executor: Where plans are proved, any concurrent.futures.Executor; by default this process.
+        residuals: Classes of your own residuals by name, as of load_plan.
 
     Returns:
         One PlanComparison per plan, in the order of their names.
@@ -116,7 +119,7 @@ def check(
     """
     number("tolerance", tolerance, greater_than=0.0)
     done = []
-    work = partial(_checked, tolerance=tolerance, update=update)
+    work = partial(_checked, tolerance=tolerance, update=update, residuals=residuals)
     for one in ordered_map(checked_executor(executor), work, _plans(paths)):
         done.append(one)
         if callback is not None:
@@ -146,10 +149,12 @@ def _plans(paths: tuple[str | Path, ...]) -> list[Path]:
     return list(plans)
 
 
-def _checked(path: Path, tolerance: float, update: bool) -> PlanComparison:
+def _checked(
+    path: Path, tolerance: float, update: bool, residuals: Mapping[str, type[Residual]] | None
+) -> PlanComparison:
     file = stored_proof(path)
     try:
-        plan = load_plan(path)
+        plan = load_plan(path, residuals=residuals)
         digest = plan_digest(path)
         stored = _read(file) if file.exists() else None
         foreign = stored is not None and stored.get("plan_digest", digest) != digest

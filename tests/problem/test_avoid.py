@@ -38,7 +38,7 @@ def problem_of(tmp_path):
 
 def distances(problem, plan, parts=8):
     apart = pair_clearance_of(problem.constraints)
-    measure = apart.constraint_function(problem.dynamics, problem.N)
+    measure = apart.residual_function(problem.dynamics, problem.N)
     return measure._distances.values(plan.between_knots(parts)[:, :2])
 
 
@@ -83,7 +83,7 @@ def test_what_is_kept_apart_at_knots_is_kept_apart_between_them(problem_of, monk
 
 def test_what_passes_a_thin_thing_between_two_knots_is_seen(problem_of):
     problem = problem_of(AVOID, wall='type="box" size="0.002 0.5 0.3"', tool='type="sphere" size="0.02"')
-    measure = pair_clearance_of(problem.constraints).constraint_function(problem.dynamics, problem.N)
+    measure = pair_clearance_of(problem.constraints).residual_function(problem.dynamics, problem.N)
     xs = np.zeros((problem.N + 1, 4))
     xs[:, 0], xs[:, 2] = np.where(np.arange(problem.N + 1) < 20, -0.2, 0.2), 8.0  # 0.4 m in a stage of 0.05 s
     assert measure.values(xs, problem.first_guess, None).min() > 0.1

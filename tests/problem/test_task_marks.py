@@ -161,7 +161,7 @@ def test_of_many_rows_the_nearest_are_shown():
         def __str__(self):
             return "clearance"
 
-        def constraint_function(self, dynamics, N):
+        def residual_function(self, dynamics, N):
             return self
 
         rows, of_controls, same = 12, False, "distances"

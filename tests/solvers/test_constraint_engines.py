@@ -10,7 +10,7 @@ from planner.constraints import CenterOfMass, FrameAxisAngle, FrameOrientation, 
 from planner.costs import Distance, Height, Point, Segment, Velocity
 from planner.dynamics.protocol import INTEGRATORS
 from planner.kernels.lq import line_search
-from planner.problem.constraints.constraint_functions import constraint_function_of
+from planner.problem.constraints.constraint import residual_of
 from planner.problem.state_bounds import BoundPenalties
 from planner.solvers.engine import ConstrainedEngine, NumpyEngine, acquire_engine
 
@@ -93,7 +93,7 @@ def test_derivatives_are_differences(text, seed):
     x = space.integrate(task.x0, 0.5 * rng.normal(size=space.ndx))
     u, n = rng.normal(size=nu), np.zeros(1, dtype=int)
     for constraint in of_all_kinds(rng, task.dynamics):
-        measure = constraint_function_of(constraint, task.dynamics, task.N, task.x0, task.first_guess[0])
+        measure = residual_of(constraint, task.dynamics, task.N, task.x0, task.first_guess[0])
         by_x, by_u = measure.derivatives(x[None], u[None], n)
         size = 1.0 + np.abs(measure.values(x[None], u[None], n)).max()
 
@@ -119,7 +119,7 @@ def test_the_bend_of_a_tilt_is_its_second_derivative(q):
     """Exactly so where one hinge turns an axis at a right angle to its own: nothing else is curved then."""
     dynamics = RigidBodyDynamics(Mechanism.from_mjcf(HINGE), 0.01)
     measure, n, h = (
-        FrameAxisAngle("cup", (0.1, -0.3, 0.5), (0.0, 1.0, 0.0)).constraint_function(dynamics, 1),
+        FrameAxisAngle("cup", (0.1, -0.3, 0.5), (0.0, 1.0, 0.0)).residual_function(dynamics, 1),
         np.zeros(1, dtype=int),
         1e-5,
     )

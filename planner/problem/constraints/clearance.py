@@ -15,7 +15,7 @@ from planner.base.arguments import number, set_fields
 from planner.dynamics import Dynamics
 from planner.dynamics.signed_distances import SignedDistances, distance_lower_bound
 from planner.model.mjcf.collision_pairs import CollisionPair
-from planner.problem.constraints.quantities import ResidualFunction, mechanism_of
+from planner.problem.constraints.quantities import KernelResidual, mechanism_of
 from planner.problem.costs.penalty import arrays_of_terms
 from planner.problem.costs.penalty_terms import Clearance
 
@@ -59,12 +59,12 @@ class PairClearance:
         """(P,) short names of the pairs, for pictures."""
         return tuple(pair.names.replace("geom ", "").replace("'", "").replace(" and ", ", ") for pair in self.pairs)
 
-    def constraint_function(self, dynamics: Dynamics, N: int) -> PairClearanceFunction:
+    def residual_function(self, dynamics: Dynamics, N: int) -> PairClearanceFunction:
         """The constraint function for a machine."""
         return PairClearanceFunction(self, dynamics, N)
 
 
-class PairClearanceFunction(ResidualFunction):
+class PairClearanceFunction(KernelResidual):
     """The distances of a PairClearance, and their violation between knots."""
 
     def __init__(self, what: PairClearance, dynamics: Dynamics, N: int) -> None:

@@ -5,7 +5,7 @@
 to a tolerance, by the augmented Lagrangian of planner.solvers.augmented_lagrangian. h is one of:
 
     a term of planner.costs (Height, Distance, Gap, Velocity, ...), which has its own bound
-    a quantity of planner.constraints (Power, ...), which has `constraint_function(dynamics, N)`
+    a residual: one of planner.constraints (Power, ...), or a planner.Residual of your own
     h(xs) of states (K, nx), required at every knot but the start, which is given
     h(xs, us) of states and controls (K, nu), required at both ends of every stage, over which a control is constant
 
@@ -23,8 +23,11 @@ import numpy as np
 
 from planner.base.arguments import number, numbers, set_fields, short_repr
 from planner.base.errors import PlannerError
+from planner.dynamics import Dynamics
+from planner.problem.constraints.quantities import function_of_term
 from planner.problem.costs.penalty_terms import Penalty, Velocity
 from planner.problem.costs.terms import per_stage
+from planner.problem.residual import PythonResidual, Residual, ResidualFunction
 
 ALWAYS, END = "always", "end"
 DEFAULT_TOLERANCE = 1e-4  # of the largest bound, and of 1 in its unit
@@ -36,8 +39,8 @@ class Constraint:
     """A constraint of a plan.
 
     Attributes:
-        of: A term of planner.costs, with its own lower, upper or target and tolerance; a quantity; or a function.
-        equal: Of a quantity or function: a number, (R,), or (N+1, R) by knots with NaN for no bound.
+        of: A term of planner.costs, with its own lower, upper or target and tolerance; a residual; or a function.
+        equal: Of a residual or function: a number, (R,), or (N+1, R) by knots with NaN for no bound.
         lower: The same.
         upper: The same; with lower or alone.
         when: "always", "end", or (from, to) in s.
@@ -65,11 +68,11 @@ class Constraint:
     states: int | None = None
 
     def __post_init__(self) -> None:
-        term, quantity = isinstance(self.of, Penalty), hasattr(self.of, "constraint_function")
+        term, quantity = isinstance(self.of, Penalty), hasattr(self.of, "residual_function")
         if not (term or quantity or callable(self.of)):
             raise PlannerError(
                 f"a constraint is of {short_repr(self.of)}, expected a term of planner.costs or planner.constraints, "
-                "or a function h(xs) or h(xs, us)."
+                "a planner.Residual, or a function h(xs) or h(xs, us)."
             )
         for name in ("name", "unit"):
             if not isinstance(getattr(self, name), str):
@@ -153,3 +156,78 @@ class Constraint:
             if (bound := getattr(self, name)) is not None and bound.ndim == 2
         }  # fmt: skip
         return replace(self, **changed)
+
+
+class FunctionResidual(Residual):
+    """A function h(xs) or h(xs, us) as a residual; with its derivatives, or by central differences."""
+
+    def __init__(
+        self, h: Callable[..., Any], of_controls: bool, derivatives: Callable[..., Any] | None, name: str
+    ) -> None:
+        self._h, self.of_controls, self._derivatives, self.name = h, of_controls, derivatives, name
+
+    def value(self, dynamics: Any, xs: np.ndarray, us: np.ndarray) -> Any:
+        """(K, dim)."""
+        return self._h(xs, us) if self.of_controls else self._h(xs)
+
+    def jacobian(self, dynamics: Any, xs: np.ndarray, us: np.ndarray) -> Any:
+        """(K, dim, ndx), and where it takes controls a pair of that and (K, dim, nu); None for differences."""
+        if self._derivatives is None:
+            return None
+        return self._derivatives(xs, us) if self.of_controls else self._derivatives(xs)
+
+    def tried(self, xs: np.ndarray, us: np.ndarray) -> FunctionResidual:
+        """Itself, with the number of components that it has at states (K, nx)."""
+        try:
+            shape = np.shape(np.asarray(self.value(None, xs, us), dtype=float))
+        except (TypeError, ValueError, IndexError) as error:
+            raise PlannerError(
+                f"{self} fails on {len(xs)} states at once ({error}), expected a function of xs (K, nx)"
+                f"{' and us (K, nu)' if self.of_controls else ''} that gives (K,) or (K, R)."
+            ) from None
+        if len(shape) not in (1, 2) or shape[0] != len(xs) or 0 in shape:
+            raise PlannerError(
+                f"{self} gives an array of shape {shape} for {len(xs)} states, expected one number or one row for each."
+            )
+        self.dim = 1 if len(shape) == 1 else shape[1]
+        return self
+
+
+def residual_of(constraint: Constraint, dynamics: Dynamics, N: int, x0: np.ndarray, u0: np.ndarray) -> ResidualFunction:
+    """What a constraint bounds, for N stages; a user's function is tried at x0 (nx,) and u0 (nu,)."""
+    if isinstance(constraint.of, Penalty):
+        return function_of_term(constraint.of, dynamics, N)
+    if hasattr(constraint.of, "residual_function"):
+        return constraint.of.residual_function(dynamics, N)
+    function = FunctionResidual(constraint.of, constraint.takes_controls, constraint.derivatives, str(constraint))
+    function.tried(np.stack([x0, x0])[:, : constraint.states], np.stack([u0, u0]))
+    found = PythonResidual(function, dynamics, constraint.states)
+    found.same = id(constraint.of)
+    return found
+
+
+def bounds_of(constraint: Constraint, function: ResidualFunction, N: int) -> tuple[np.ndarray, np.ndarray]:
+    """Lower and upper bounds (N+1, R), infinite or NaN for none."""
+    given, R = constraint, function.rows
+    if isinstance(given.of, Penalty):
+        own = np.reshape(getattr(given.of, given.of.side), (-1, 1))
+        low, high = None if given.of.side == "upper" else own, None if given.of.side == "lower" else own
+    else:
+        low, high = (given.equal, given.equal) if given.equal is not None else (given.lower, given.upper)
+    lower, upper = (
+        np.full((N + 1, R), none) if side is None else _spread(given, side, R, N)
+        for side, none in ((low, -np.inf), (high, np.inf))
+    )
+    if np.any(lower > upper):
+        n, r = np.argwhere(lower > upper)[0]
+        raise PlannerError(f"{given} has lower = {lower[n, r]:g} above upper = {upper[n, r]:g}, expected it below.")
+    return lower, upper
+
+
+def _spread(constraint: Constraint, side: np.ndarray, R: int, N: int) -> np.ndarray:
+    if side.shape not in ((), (R,), (N + 1, R), (N + 1, 1), (1, 1)):
+        raise PlannerError(
+            f"{constraint} has a bound of shape {side.shape} and is of {R} number{'s' * (R > 1)}, expected one number, "
+            f"({R},) or ({N + 1}, {R})."
+        )
+    return np.array(np.broadcast_to(side, (N + 1, R)))

@@ -17,9 +17,9 @@ import numpy as np
 from planner.base.arguments import short_repr
 from planner.base.errors import PlannerError
 from planner.dynamics import Dynamics
-from planner.problem.constraints.constraint import Constraint
-from planner.problem.constraints.constraint_functions import ConstraintFunction, bounds_of, constraint_function_of
-from planner.problem.constraints.quantities import ResidualFunction
+from planner.problem.constraints.constraint import Constraint, bounds_of, residual_of
+from planner.problem.constraints.quantities import KernelResidual
+from planner.problem.residual import ResidualFunction
 
 
 class Violation(NamedTuple):
@@ -34,7 +34,7 @@ class StackEntry(NamedTuple):
     """A constraint, its function and the columns of its components."""
 
     constraint: Constraint
-    function: ConstraintFunction
+    function: ResidualFunction
     columns: slice
     at_end: bool  # Whether it applies at the end of each stage, with the control of that stage
 
@@ -67,7 +67,7 @@ class ConstraintStack:
         self.N, self.parts, columns = len(us), list[StackEntry](), 0
         lower, upper, scale, names, of_start = [], [], [], list[str](), []
         for constraint in constraints:
-            function = constraint_function_of(constraint, dynamics, self.N, x0, us[0])
+            function = residual_of(constraint, dynamics, self.N, x0, us[0])
             asked = constraint.stages(self.N, dynamics.dt)
             if function.of_controls:
                 asked[-1] = False
@@ -192,7 +192,7 @@ class ConstraintStack:
         own = gradients * self.scale
         return sum(
             part.function.second_derivatives(xs[n], n, own[:, part.columns])
-            for part in self.parts if isinstance(part.function, ResidualFunction)
+            for part in self.parts if isinstance(part.function, KernelResidual)
         )  # fmt: skip
 
     def violation(self, xs: np.ndarray, us: np.ndarray) -> np.ndarray:

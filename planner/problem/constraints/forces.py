@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -12,14 +13,13 @@ from planner.dynamics import Dynamics, RigidBodyDynamics, constraint_forces
 from planner.model.actuators import DIRECT
 from planner.model.mechanism import SCREW, Mechanism
 from planner.model.space import space_of
-from planner.problem.constraints.constraint import Constraint
-from planner.problem.constraints.constraint_functions import UserFunction
 from planner.problem.constraints.quantities import mechanism_of
 from planner.problem.costs.weights import places
+from planner.problem.residual import PythonResidual, Residual
 
 
 @dataclass(frozen=True)
-class Power:
+class Power(Residual):
     """Force times moment'qd of an actuator, W: positive where it drives, negative where it brakes.
 
     The force is that of planner.model.mechanism, without clamps.
@@ -34,7 +34,7 @@ class Power:
     def __str__(self) -> str:
         return f"power of {self.actuator}"
 
-    def constraint_function(self, dynamics: Dynamics, N: int) -> PowerFunction:
+    def residual_function(self, dynamics: Dynamics, N: int) -> PowerFunction:
         """Its function, of a machine.
 
         Raises:
@@ -87,7 +87,7 @@ class PowerFunction:
 
 
 @dataclass(frozen=True)
-class ChainForce:
+class ChainForce(Residual):
     """Magnitude of the force with which an equality of the model (connect, weld) acts on its two frames, N.
 
     Attributes:
@@ -96,25 +96,31 @@ class ChainForce:
 
     equality: str
     unit = "N"
+    of_controls = True
 
     def __str__(self) -> str:
         return f"force of {self.equality}"
 
-    def constraint_function(self, dynamics: Dynamics, N: int) -> UserFunction:
+    def residual_function(self, dynamics: Dynamics, N: int) -> PythonResidual:
         """Its function, of a machine.
 
         Raises:
             PlannerError: It has no such closed chain.
         """
-        mechanism, row, known = mechanism_of(dynamics, self), 0, dict[str, int]()
-        for loop in mechanism.loops:
+        self._row(dynamics)
+        return PythonResidual(self, dynamics)
+
+    def value(self, dynamics: Any, xs: np.ndarray, us: np.ndarray) -> np.ndarray:
+        """(K,) N."""
+        row = self._row(dynamics)
+        return np.linalg.norm(constraint_forces(dynamics, xs, us)[:, row : row + 3], axis=1)
+
+    def _row(self, dynamics: Dynamics) -> int:
+        """The first row of the equality among those of all loops."""
+        row, known = 0, dict[str, int]()
+        for loop in mechanism_of(dynamics, self).loops:
             known[loop.name.removeprefix("equality ").strip("'")] = row
             row += loop.rows
         if not known or not isinstance(dynamics, RigidBodyDynamics):
             raise PlannerError(f"the {self} needs a closed chain, expected a machine with a connect or a weld.")
-        first_row = known[choice("the equality of a force", self.equality, known)]
-
-        def force(xs: np.ndarray, us: np.ndarray) -> np.ndarray:
-            return np.linalg.norm(constraint_forces(dynamics, xs, us)[:, first_row : first_row + 3], axis=1)
-
-        return UserFunction(Constraint(force, upper=0.0), dynamics, mechanism.home, np.zeros(dynamics.nu))
+        return known[choice("the equality of a force", self.equality, known)]

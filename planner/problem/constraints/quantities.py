@@ -29,9 +29,10 @@ from planner.problem.costs.penalty_terms import Penalty
 from planner.problem.costs.residuals.arrays import ResidualArrays, ResidualList
 from planner.problem.costs.residuals.cost import values_and_jacobians, values_of
 from planner.problem.costs.residuals.functions import KinematicsCache, rotation_of, tilt_curvature
+from planner.problem.residual import Residual
 
 
-class ResidualFunction:
+class KernelResidual:
     """One term of ResidualArrays as a constraint function; its bounds and weights are ignored."""
 
     of_controls = False
@@ -68,9 +69,9 @@ class ResidualFunction:
         return found
 
 
-def function_of_term(term: Penalty, dynamics: Dynamics, N: int) -> ResidualFunction:
+def function_of_term(term: Penalty, dynamics: Dynamics, N: int) -> KernelResidual:
     """The constraint function of a Height, Distance, Gap or Velocity."""
-    return ResidualFunction(dynamics, term, arrays_of_terms(mechanism_of(dynamics, term), N, [term], dynamics.dt))
+    return KernelResidual(dynamics, term, arrays_of_terms(mechanism_of(dynamics, term), N, [term], dynamics.dt))
 
 
 def mechanism_of(dynamics: Dynamics, what: Any) -> Mechanism:
@@ -83,7 +84,7 @@ def mechanism_of(dynamics: Dynamics, what: Any) -> Mechanism:
 
 def _frame_function(
     what: Any, dynamics: Dynamics, N: int, kind: int, oriented: bool = False, own: Any = (), reference: Any = ()
-) -> ResidualFunction:
+) -> KernelResidual:
     """Of a frame: its rotation in its link is prepended to a term's `own` constants, or rotates the first three."""
     mechanism, frame = mechanism_of(dynamics, what), what.frame
     if isinstance(frame, str):
@@ -96,11 +97,11 @@ def _frame_function(
     terms, R = ResidualList(N), frame.T[:3, :3]
     constant = (*R.ravel(), *own) if oriented else (*(R @ own[:3]), *own[3:]) if kind == TILT else own
     terms.add(kind, 4 * [terms.point(frame.link, frame.T[:3, 3])], 0.0, constant=constant, reference=reference)
-    return ResidualFunction(dynamics, what, terms.arrays())
+    return KernelResidual(dynamics, what, terms.arrays())
 
 
 @dataclass(frozen=True, eq=False)
-class FramePosition:
+class FramePosition(Residual):
     """Position of a frame in the world, x, y, z in m.
 
     Attributes:
@@ -109,18 +110,18 @@ class FramePosition:
 
     frame: str | Frame
     unit = "m"
-    names = ("x", "y", "z")
+    dim, names = 3, ("x", "y", "z")
 
     def __str__(self) -> str:
         return f"position of {_name(self.frame)}"
 
-    def constraint_function(self, dynamics: Dynamics, N: int) -> ResidualFunction:
+    def residual_function(self, dynamics: Dynamics, N: int) -> KernelResidual:
         """Its function, of a machine."""
         return _frame_function(self, dynamics, N, POSITION)
 
 
 @dataclass(frozen=True, eq=False)
-class FramePositionAlong:
+class FramePositionAlong(Residual):
     """Position of a frame along a direction of the world, m.
 
     Attributes:
@@ -138,13 +139,13 @@ class FramePositionAlong:
     def __str__(self) -> str:
         return f"place of {_name(self.frame)}"  # part of a stored key
 
-    def constraint_function(self, dynamics: Dynamics, N: int) -> ResidualFunction:
+    def residual_function(self, dynamics: Dynamics, N: int) -> KernelResidual:
         """Its function, of a machine."""
         return _frame_function(self, dynamics, N, HEIGHT, own=(*self.direction, 0.0))
 
 
 @dataclass(frozen=True, eq=False)
-class FrameOrientation:
+class FrameOrientation(Residual):
     """Rotation vector of a frame from an orientation, rad, in the axes of that orientation.
 
     Attributes:
@@ -155,7 +156,7 @@ class FrameOrientation:
     frame: str | Frame
     orientation: Any
     unit = "rad"
-    names = ("x", "y", "z")
+    dim, names = 3, ("x", "y", "z")
 
     def __post_init__(self) -> None:
         set_fields(self, orientation=_normalized("orientation", self.orientation, 4))
@@ -163,14 +164,14 @@ class FrameOrientation:
     def __str__(self) -> str:
         return f"orientation of {_name(self.frame)}"
 
-    def constraint_function(self, dynamics: Dynamics, N: int) -> ResidualFunction:
+    def residual_function(self, dynamics: Dynamics, N: int) -> KernelResidual:
         """Its function, of a machine."""
         reference = np.tile(rotation_of(self.orientation).reshape(9, 1), N + 1)
         return _frame_function(self, dynamics, N, ORIENTATION, oriented=True, reference=reference)
 
 
 @dataclass(frozen=True, eq=False)
-class FrameAxisAngle:
+class FrameAxisAngle(Residual):
     """The angle between an axis of a frame and a direction of the world, 0 to pi rad.
 
     Attributes:
@@ -191,26 +192,26 @@ class FrameAxisAngle:
     def __str__(self) -> str:
         return f"tilt of {_name(self.frame)}"  # part of a stored key
 
-    def constraint_function(self, dynamics: Dynamics, N: int) -> ResidualFunction:
+    def residual_function(self, dynamics: Dynamics, N: int) -> KernelResidual:
         """Its function, of a machine."""
         return _frame_function(self, dynamics, N, TILT, own=(*self.axis, *self.direction))
 
 
 @dataclass(frozen=True, eq=False)
-class CenterOfMass:
+class CenterOfMass(Residual):
     """Position of the centre of mass in the world, x, y, z in m."""
 
     unit = "m"
-    names = ("x", "y", "z")
+    dim, names = 3, ("x", "y", "z")
 
     def __str__(self) -> str:
         return "centre of mass"
 
-    def constraint_function(self, dynamics: Dynamics, N: int) -> ResidualFunction:
+    def residual_function(self, dynamics: Dynamics, N: int) -> KernelResidual:
         """Its function, of a machine."""
         terms = ResidualList(N)
         terms.add(MASS_CENTRE, [], 0.0)
-        return ResidualFunction(dynamics, self, terms.arrays())
+        return KernelResidual(dynamics, self, terms.arrays())
 
 
 def penalty_arrays(arrays: ResidualArrays, sides: np.ndarray, N: int) -> ResidualArrays:

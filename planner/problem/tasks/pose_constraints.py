@@ -13,7 +13,7 @@ from planner.dynamics import RigidBodyDynamics
 from planner.problem.constraints.clearance import PairClearanceFunction
 from planner.problem.constraints.constraint import Constraint
 from planner.problem.constraints.constraint_stack import ConstraintStack, StackEntry
-from planner.problem.constraints.quantities import ResidualFunction
+from planner.problem.constraints.quantities import KernelResidual
 from planner.problem.costs.penalty_terms import Velocity
 
 POSE_TOLERANCE = 1e-3  # m or rad, violation of a constraint in addition to its tolerance at which the search ends
@@ -38,7 +38,7 @@ class PoseConstraints:
         self._x0, self._mechanism = x0, dynamics.mechanism
         self._parts = [
             part for part in self._rows.parts
-            if isinstance(part.function, ResidualFunction) and not isinstance(part.function, PairClearanceFunction)
+            if isinstance(part.function, KernelResidual) and not isinstance(part.function, PairClearanceFunction)
             and not isinstance(part.constraint.of, Velocity)
         ]  # fmt: skip
 

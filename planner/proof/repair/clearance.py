@@ -107,7 +107,7 @@ def _far(plan: Plan, proof: Proof) -> dict[str, float]:
     if apart is None or problem is None or proof.passed:
         return {}
     allowed = next(one.allowed() for one in problem.constraints if one.of is apart)
-    measure, found = apart.constraint_function(problem.dynamics, problem.N), {}
+    measure, found = apart.residual_function(problem.dynamics, problem.N), {}
     model = model_index_of(measure.mechanism).model
     short = measure.clearance_violation(problem.dynamics, plan.xs, plan.us)
     for k in np.flatnonzero(short.max(axis=0) > allowed):

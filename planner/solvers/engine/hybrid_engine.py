@@ -17,7 +17,7 @@ import numpy as np
 
 from planner.kernels.lq import line_search
 from planner.kernels.lq.workspace import ALPHA, COSTS, SLOPES
-from planner.problem.constraints.quantities import ResidualFunction, penalty_arrays
+from planner.problem.constraints.quantities import KernelResidual, penalty_arrays
 from planner.problem.constraints.trajectory_constraints import TrajectoryConstraints
 from planner.problem.costs.residuals.arrays import ResidualArrays, joined
 from planner.problem.costs.terms import Cost, SumCost
@@ -172,11 +172,11 @@ class ConstrainedEngine(HybridEngine):
     ) -> None:  # fmt: skip
         assert constraints.rows is not None
         rows = constraints.rows
-        compiled = [part for part in rows.parts if isinstance(part.function, ResidualFunction)]
+        compiled = [part for part in rows.parts if isinstance(part.function, KernelResidual)]
         terms, self._bounds_of = [] if residuals is None else [residuals], list[_Bounds]()
         first = sum(len(part.weight) for part in terms)
         for part in compiled:
-            function: Any = part.function  # a ResidualFunction
+            function: Any = part.function  # a KernelResidual
             lower, upper, R = rows.lower[:, part.columns], rows.upper[:, part.columns], function.rows
             bounded = np.isfinite(lower) | np.isfinite(upper)
             exact = bool(np.all((lower == upper)[bounded]))
