@@ -142,6 +142,15 @@ class JudgedCost(NamedTuple):
         of_errors = 0.5 * float(np.sum(weights @ path_error_bounds(plan) ** 2))
         return max(abs(self(problem, plan.xs, plan.us)), of_errors, np.finfo(float).tiny)
 
+    def change_by_errors(self, plan: Plan, problem: Problem) -> float:
+        """By how much path errors at their bounds change it to first order: sum |dJ/dx| e.
+
+        More than 1 % of it where a plan keeps so near to its reference that the cost is a small difference.
+        """
+        gradient = problem.cost.quadratize(plan.xs, plan.us).q
+        gradient = gradient[:-1] if self.final else gradient
+        return float(np.sum(np.abs(gradient) @ path_error_bounds(plan)))
+
 
 def judged_cost(problem: Problem) -> JudgedCost:
     """The running cost where the final cost only penalizes goals that are judged, else the whole cost."""

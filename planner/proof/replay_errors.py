@@ -78,7 +78,12 @@ def cost_error(run: Replay, problem: Problem) -> Measurement:
         note += "; what the end costs is judged as the goal"
     if scale > abs(planned):
         note += f"; relative to {scale:.3g}, what errors at their bounds cost"
-    return Measurement("cost_error", error, "%", 100.0 * SMOOTHED if is_nonsmooth(problem) else COST_BOUND, note)
+    bound, by_errors = COST_BOUND, 100.0 * cost.change_by_errors(plan, problem) / scale
+    if is_nonsmooth(problem):
+        bound = 100.0 * SMOOTHED
+    elif by_errors > COST_BOUND:
+        bound, note = by_errors, f"{note}; the bound is what path errors at theirs change"
+    return Measurement("cost_error", error, "%", bound, note)
 
 
 def _controls(run: Replay) -> np.ndarray | None:

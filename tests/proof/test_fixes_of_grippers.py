@@ -1,4 +1,4 @@
-"""suggested_fixes(): servos that swing within a stage, and ranges that leave a joint no room."""
+"""suggested_fixes(): gains of a held control that shake a servo, and ranges that leave a joint no room."""
 
 import pytest
 
@@ -27,12 +27,13 @@ def proved(tmp_path, more="", drive="", tip="", toml=CLOSE):
     return plan, planner.prove(plan, rollouts=0)
 
 
-def test_an_undamped_servo_that_swings_within_a_stage_gets_a_shorter_one(tmp_path):
+def test_gains_that_shake_an_undamped_servo_get_a_shorter_stage(tmp_path):
     plan, proof = proved(tmp_path)
     assert not proof.your_file.passed
+    assert proof.refined_feedback.passed
     first = suggested_fixes(plan, proof)[0]
     assert first.key == "dt"
     assert first.value == pytest.approx(0.005)  # the longest that people would write in which it swings 1 rad
-    assert first.code == "stage_too_long"
+    assert first.code == "gains_too_fast"
     _, again = proved(tmp_path, more=f"{first.key} = {first.value}\n")
     assert again.passed
