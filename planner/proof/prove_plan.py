@@ -33,8 +33,9 @@ from planner.proof.error_propagation import propagate_errors
 from planner.proof.error_scales import worst_by_unit
 from planner.proof.feedback_rate import controller_section, slowest_rate
 from planner.proof.goal_regulator import RegulatedRun, hold_gain, hold_section, simulate_regulator
-from planner.proof.original_model import OPEN_LOOP_MISSES, your_file
+from planner.proof.original_model import OPEN_LOOP_MISSES, PATH_IN_FILE, your_file
 from planner.proof.original_model import TITLE as FILE
+from planner.proof.own_step import NAME as OWN_STEP
 from planner.proof.replay_errors import goal, tracking
 from planner.proof.replays.compiled_twin import another_model, unmodelled_of
 from planner.proof.replays.replaying import Replay, replay_in
@@ -155,7 +156,7 @@ def prove(
         "another_model": compiled.twin is not plan.twin,
     }  # fmt: skip
     lacks = unmodelled_of(problem, compiled)
-    tested, untested = (lacks.in_the_file, lacks.overlapping_phrases) if replayed else ((), lacks.phrases)
+    tested, untested = (lacks.in_the_file, lacks.never_replayed) if replayed else ((), lacks.phrases)
     proof = Proof(
         verdict="PASS" if passed else "FAIL", mode=mode,
         reason=_reason(
@@ -164,7 +165,10 @@ def prove(
         ),
         sections=sections, replay=runs[seen], replays=runs, errors=errors, convergence=convergence, asked=asked,
         planned_without=tested,
-        not_checked=(*([f"without {' and '.join(untested)}"] if untested else []), *_unjudged(plan, problem)),
+        not_checked=(
+            *([f"without {' and '.join(untested)}"] if untested else []), *_said_in_file(given),
+            *_unjudged(plan, problem),
+        ),
     )  # fmt: skip
     if hold_seconds:
         proof = _held(proof, simulate_regulator(runs["feedback"], hold_gain(problem), hold_seconds))
@@ -242,6 +246,12 @@ def _stands_at_goal(plan: Plan, problem: Problem) -> bool:
     away = [one.miss_at(problem.x0) for one in goals]
     near = all(miss <= one.tolerance for miss, one in zip(away, goals, strict=True))
     return bool(goals) and near and max(away) > _ROUNDING
+
+
+def _said_in_file(given: Section) -> tuple[str, ...]:
+    """What is off in the user's file and is not judged: its own step, and the path of a plan with contacts."""
+    above = {OWN_STEP: 0.0, PATH_IN_FILE: 1.0}
+    return tuple(one.note for one in given.measured if given.passed and one.value > above.get(one.name, math.inf))
 
 
 def _unjudged(plan: Plan, problem: Problem) -> tuple[str, ...]:

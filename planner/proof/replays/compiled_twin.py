@@ -173,16 +173,16 @@ def pairs_left_out(problem: Problem) -> tuple[str, ...]:
 
 
 def unmodelled_of(problem: Problem, compiled: CompiledTwin | None = None) -> UnmodelledFeatures:
-    """All elements of the user's file that a problem's model lacks; none for dynamics other than a mechanism's."""
+    """All elements of the user's file that a problem's model lacks; of dynamics without a mechanism, the twin lacks."""
     twin, machine = problem.twin, capabilities_of(problem.dynamics)
-    if twin is None or machine.mechanism is None:
+    if twin is None:
         return UnmodelledFeatures()
     if problem not in _found:
         model = compiled.model if compiled is not None and compiled.twin.mjcf == twin.mjcf else None
         given = compiled.model if compiled is not None and compiled.twin.mjcf == twin.original else None
         # The text before motors were added to prescribed joints: those edits remove no moving element.
-        start = twin.sim_of(problem.x0)[: machine.mechanism.nq]
+        contacts = machine.contacts or machine.mechanism is None
         _found[problem] = unmodelled_features(
-            twin.original, twin.planned, twin.assets, machine.contacts, model, start, given
+            twin.original, twin.planned, twin.assets, contacts, model, twin.sim_of(problem.x0), given
         )
     return _found[problem]
