@@ -10,6 +10,7 @@ further steps of SLQ, as a solve ends by its actual reduction (actual_reduction_
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -31,7 +32,7 @@ GAIN_BOUND = 1e-6  # relative; rounding error of a Riccati sweep over unstable s
 _LAST_DIGITS = 1e-13  # relative rounding errors of states and controls: sums over a tree of links leave 13 of 16 digits
 _MARGIN = 30.0  # ratio of the largest of many rounding errors to a sampled one
 _MAX_ROUNDING_SHARE = 1e-3  # upper limit of a bound from rounding, relative
-_MAX_GAINS = 0.1  # upper limit of a gain bound, relative: an LQ regulator has a gain margin of 2
+_MAX_GAINS = 0.25  # upper limit of a gain bound, relative: half of an LQ regulator's margin, which is 1/2
 SINGULAR = 0.02  # of the largest singular value of the closed chains' Jacobian: forces are some fifty times larger
 _DRAWS = 3  # samples of rounding errors
 _MIN_COST_SHARE = 1e-3  # of the cost of errors that pass: costs smaller than that are as good as zero
@@ -63,6 +64,21 @@ def recomputed(
         rounded = (A, B) if rng is None else (_with_wrong_digits(rng, A), _with_wrong_digits(rng, B))
         sweep = lq.riccati(*rounded, quadratic, bounds=moves) if known else None
         return Recomputed(defects, problem.cost.value(xs, us), norm, float(np.linalg.norm(quadratic.r)) + norm, sweep)
+
+
+NOT_FINITE = "parts_not_finite"
+
+
+def with_finite_parts(plan: Plan, problem: Problem) -> tuple[Plan, tuple[Measurement, ...]]:
+    """The plan, or one at rest at its start in place of what a diverged solve left, which fails by the measurement."""
+    parts = {"states": plan.xs, "controls": plan.us, "gains": plan.K}
+    bad = [name for name, values in parts.items() if not np.isfinite(values).all()]
+    if not bad:
+        return plan, ()
+    rest = np.tile(problem.x0, (plan.N + 1, 1))
+    finite = replace(plan, xs=rest, us=np.zeros_like(plan.us), K=np.zeros_like(plan.K))
+    note = f"its {', '.join(bad)} are not finite, so it is not replayed: {plan.message}"
+    return finite, (Measurement(NOT_FINITE, float(len(bad)), "", 0.0, note),)
 
 
 def consistency(plan: Plan, problem: Problem, now: Recomputed) -> Section:

@@ -27,7 +27,7 @@ from planner.problem.goals import goals_of, unchecked_goals
 from planner.problem.plan import Plan
 from planner.problem.problem import Problem
 from planner.proof.compare.model_parity import parity_in
-from planner.proof.consistency import consistency, optimality, recomputed
+from planner.proof.consistency import NOT_FINITE, consistency, optimality, recomputed, with_finite_parts
 from planner.proof.contact_sensitivity import contact_sensitivity
 from planner.proof.error_propagation import propagate_errors
 from planner.proof.error_scales import worst_by_unit
@@ -100,15 +100,17 @@ def prove(
     twin = twin or plan.twin
     if twin is None:
         raise PlannerError("the plan has no MuJoCo model to be replayed in, expected a Problem with a twin.")
+    plan, not_finite = with_finite_parts(plan, problem)
     compiled = another_model(problem, twin, mjcf)
     sampling = sampling_of(plan)
     openly = replay_in(compiled, plan)
     fed = replay_in(compiled, plan, feedback=True, sampling=sampling, planned=openly.plan_xs)
     runs: dict[str, Replay] = {"open-loop": openly, "feedback": fed}
     now = recomputed(plan, problem, plan.xs, plan.us)
+    consistent = consistency(plan, problem, now)
     required = {
         # Step 0: consistency of the file's numbers: start, states, cost, gradient, gains, times.
-        "plan": consistency(plan, problem, now),
+        "plan": replace(consistent, measured=(*not_finite, *consistent.measured)),
         # Step 1: the plan's dynamics against MuJoCo's, at random states where the two models are the same.
         "parity": parity_in(compiled, problem, seed),
         # Step 2: MuJoCo with the plan's own integrator and step: proves the transcription, nothing else.
@@ -283,6 +285,8 @@ def _reason(passed: bool, judged: tuple[Section, ...], steps: list[Section], run
         if broken.title == "optimal":
             why = run.plan.message if not run.plan.success else f"{broken.failures[0]}."
             return f"not optimal: {why} To judge feasibility alone: prove(..., optimal=False).{more}"
+        if broken.failures[0].name == NOT_FINITE:  # the other numbers are of no plan
+            return f"plan: {broken.failures[0].note}"
         found = [one.note if one.bound == 0.0 and broken.title == FILE else str(one) for one in broken.failures]
         failures = "; ".join(sentence.removesuffix(".") for sentence in found)
         in_file = () if broken.title == FILE else next(one for one in judged if one.title == FILE).failures
