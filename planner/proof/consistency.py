@@ -77,7 +77,7 @@ def with_finite_parts(plan: Plan, problem: Problem) -> tuple[Plan, tuple[Measure
         return plan, ()
     rest = np.tile(problem.x0, (plan.N + 1, 1))
     finite = replace(plan, xs=rest, us=np.zeros_like(plan.us), K=np.zeros_like(plan.K))
-    note = f"its {', '.join(bad)} are not finite, so it is not replayed: {plan.message}"
+    note = f"its {', '.join(bad)} are not finite, so it is not replayed." + ("" if plan.success else f" {plan.message}")
     return finite, (Measurement(NOT_FINITE, float(len(bad)), "", 0.0, note),)
 
 

@@ -99,7 +99,7 @@ def test_a_diverged_solve_fails_in_a_sentence():
     gone = replace(plan, xs=np.where(plan.t[:, None] > 0.5, np.nan, plan.xs), status=Status.NOT_FINITE)
     proof = planner.prove(gone, rollouts=0)
     assert proof.verdict == "FAIL"
-    assert proof.reason.startswith("plan: its states are not finite, so it is not replayed: The first guess rolls out")
+    assert proof.reason.startswith("plan: its states are not finite, so it is not replayed. The first guess rolls out")
 
 
 @pytest.mark.parametrize("soft", ['{ rl = "soft" }', '{ position = "soft" }', '"soft"'])
