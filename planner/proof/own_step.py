@@ -2,7 +2,7 @@
 
 The other replays take RK4 at a refined step, so that they judge the plan and not a simulator's step. Here the controls
 are those of the stage at each time, and the gains act on the exact state at 500 Hz, or at every step of a coarser file.
-Shown, never judged: an error beyond the bounds of the path, or a missed goal, is said in the first line.
+Shown, never judged: an error beyond the bounds of the path, or a unmet goal, is said in the first line.
 """
 
 from __future__ import annotations
@@ -102,8 +102,11 @@ def _errors(
     if problem.requirements is not None:
         return errors, ""  # a rule of its own judges replays alone
     judged = [one for one in errors if not (has_contacts(problem) and one.unit.endswith("/s"))]
-    missed = [one for one in misses("replayed", t, xs, tuple(goals)) if not one.passed]
+    unmet = [one for one in misses("replayed", t, xs, tuple(goals)) if not one.passed]
     worst = max(judged, key=lambda one: one.share)
     if worst.share > 1.0:
         return errors, f"{worst.value:.2g} {worst.unit or 'in its unit'} off"
-    return errors, f"{missed[0].value:.2g} {missed[0].unit or 'in its unit'} from a goal" if missed else ""
+    return (
+        errors,
+        f"{unmet[0].value:.2g} {unmet[0].unit or 'in its unit'} from a goal" if unmet else "",
+    )

@@ -51,6 +51,7 @@ from planner.model.mjcf.unsupported import (  # fmt: skip
     take_out,
     unsupported_elements,
 )
+from planner.model.model_origin import origin_of
 from planner.model.space import unit
 
 MAX_PHRASES = 30  # in one sentence
@@ -74,9 +75,10 @@ def read(
     With `assets` nothing is read from disk. Messages call the model `name`, by default after its file.
     """
     given = attachments(attach)
-    return read_opened(
+    mechanism = read_opened(
         lambda: with_attached(open_model_file(model, assets, name), given), ignore=ignore, contacts=contacts
     )
+    return mechanism if assets is not None else replace(mechanism, origin=origin_of(model, attach))
 
 
 def read_opened(

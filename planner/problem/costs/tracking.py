@@ -230,10 +230,10 @@ def _independent_rows(Q: np.ndarray) -> np.ndarray:
     """(r, n) rows that span the row space of a weight (n, n) in reduced echelon form: the identity for full rank."""
     scale = np.sqrt(np.maximum(np.diag(Q), np.finfo(float).tiny))
     values, vectors = np.linalg.eigh(Q / np.outer(scale, scale))
-    kept = np.abs(values) > _RANK_TOLERANCE * max(1.0, float(np.abs(values).max(initial=0.0)))
-    if np.all(kept):
+    significant = np.abs(values) > _RANK_TOLERANCE * max(1.0, float(np.abs(values).max(initial=0.0)))
+    if np.all(significant):
         return np.eye(len(Q))
-    rows, first = vectors[:, kept].T * scale, 0
+    rows, first = vectors[:, significant].T * scale, 0
     for column in range(len(Q)):
         if first == len(rows):
             break

@@ -28,7 +28,9 @@ from planner.model.mjcf.prescribed_joints import prescribed_twin
 from planner.model.mjcf.text import is_text, model_tree
 from planner.model.mjcf.unmodelled_features import UnmodelledFeatures, unmodelled_features
 from planner.model.mjcf.unsupported import modelled, take_out, unsupported_elements
+from planner.model.model_origin import URDF_KEYS
 from planner.model.twin import Twin
+from planner.model.urdf.write import as_mjcf, is_urdf
 from planner.problem.problem import Problem
 from planner.proof.replays.simulation import NATIVE_IMPLICIT, ROSENBROCK
 
@@ -107,9 +109,12 @@ class CompiledTwin:
 
 
 def with_model(twin: Twin, mjcf: str | Path | None) -> Twin:
-    """A twin with another MJCF, a path or the XML text, in place of its own; with its own for None."""
+    """A twin with another MJCF or URDF, a path or the XML text, in place of its own; with its own for None."""
     if mjcf is None:
         return twin
+    if is_urdf(mjcf):
+        text, files, _ = as_mjcf(mjcf, **{key: twin.origin[key] for key in URDF_KEYS if key in twin.origin})
+        return replace(twin, mjcf=text, assets=files)
     root, files = model_tree(mjcf, twin.assets if is_text(mjcf) else None)  # a path brings its own meshes
     return replace(twin, mjcf=ElementTree.tostring(root, encoding="unicode"), assets=files)
 
