@@ -92,21 +92,23 @@ def consistency(plan: Plan, problem: Problem, now: Recomputed) -> Section:
         exact = {
             "start_state_error": (_largest(plan.xs[0] - problem.x0) / largest, "first state against the problem's x0"),
             "stage_error": (_largest(now.defects) / largest, "each state against one stage from the last"),
-            "cost_error": (abs(now.cost - plan.cost) / scale, "the cost recomputed"),
             "time_error": (_largest(plan.t - t) / problem.duration, "the knots against n dt"),
         }
         measured = [Measurement(n, float(e), "", BOUND, f"{note}, relative") for n, (e, note) in exact.items()]
+        costs = abs(now.cost - plan.cost) / scale
         gradient = abs(now.gradient_norm - plan.gradient_norm) / size
         gains = _gain_errors(plan.K, now.sweep)
         gains = 0.0 * plan.t[:-1] if plan.status is Status.GIVEN else gains  # given gains are not from a sweep
-        known = gradient <= BOUND and np.all(gains <= GAIN_BOUND)
-        moved = (0.0, np.zeros(plan.N)) if known else _moved(plan, problem, now, size)
-        by_stage = np.clip(_MARGIN * moved[1], GAIN_BOUND, _MAX_GAINS)
+        known = costs <= BOUND and gradient <= BOUND and np.all(gains <= GAIN_BOUND)
+        moved = (0.0, 0.0, np.zeros(plan.N)) if known else _moved(plan, problem, now, scale, size)
+        by_stage = np.clip(_MARGIN * moved[2], GAIN_BOUND, _MAX_GAINS)
         worst = int(np.argmax(np.where(np.isfinite(gains), gains / by_stage, np.inf)))
-    gradient_bound, gain_bound = max(BOUND, min(_MARGIN * moved[0], _MAX_ROUNDING_SHARE)), float(by_stage[worst])
-    why = "; the bound is what rounding makes of it here"
-    note = "the norm of Eq. 19 recomputed, relative" + (why if gradient_bound > BOUND else "")
-    measured.insert(3, Measurement("gradient_error", float(gradient), "", gradient_bound, note))
+    why, gain_bound = "; the bound is what rounding makes of it here", float(by_stage[worst])
+    sums = (("cost_error", costs, "the cost recomputed"), ("gradient_error", gradient, "the norm of Eq. 19 recomputed"))
+    for place, ((name, error, note), share) in enumerate(zip(sums, moved[:2], strict=True), 2):
+        bound = max(BOUND, min(_MARGIN * share, _MAX_ROUNDING_SHARE))
+        note += ", relative" + (why if bound > BOUND else "")
+        measured.insert(place, Measurement(name, float(error), "", bound, note))
     note = "the gains against the last Riccati sweep (Eq. 31-33), relative to the largest"
     note += f"; of stage {worst}{why}" if gain_bound > GAIN_BOUND else ""
     if now.sweep is None:
@@ -168,12 +170,12 @@ def _unseen(plan: Plan, problem: Problem) -> float:
     )
 
 
-def _moved(plan: Plan, problem: Problem, now: Recomputed, size: float) -> tuple[float, np.ndarray]:
-    """Effect of rounding errors on the gradient's norm, and on the gains of each stage (N,); relative.
+def _moved(plan: Plan, problem: Problem, now: Recomputed, scale: float, size: float) -> tuple[float, float, np.ndarray]:
+    """Effect of rounding errors on cost and gradient's norm, over their sizes, and on the gains of each stage (N,).
 
     The errors are in states and controls, and in the sweep's Jacobians too, which may be constant.
     """
-    rng, gradient, gains = np.random.default_rng(0), 0.0, np.zeros(plan.N)
+    rng, cost, gradient, gains = np.random.default_rng(0), 0.0, 0.0, np.zeros(plan.N)
     for _ in range(_DRAWS):
         xs, us = (_with_wrong_digits(rng, x) for x in (plan.xs, plan.us))
         if problem.bounds is not None:
@@ -181,12 +183,13 @@ def _moved(plan: Plan, problem: Problem, now: Recomputed, size: float) -> tuple[
             held = problem.bounds.shifted_with_bounds(plan.us, plan.xs, xs)
             us = np.where(at_bound, held, us)
         other = recomputed(plan, problem, xs, us, rng)
+        cost = max(cost, abs(other.cost - now.cost) / scale)
         gradient = max(gradient, abs(other.gradient_norm - now.gradient_norm) / size)
         if now.sweep is not None:
             lost = np.inf if other.sweep is None else _gain_errors(now.sweep.K, other.sweep)
             gains = np.maximum(gains, lost)
     beside = np.pad(gains, 1)  # maximum over neighbouring stages, since a sample may miss a stage's error
-    return gradient, np.max([beside[:-2], gains, beside[2:]], axis=0)
+    return cost, gradient, np.max([beside[:-2], gains, beside[2:]], axis=0)
 
 
 def _with_wrong_digits(rng: np.random.Generator, values: np.ndarray) -> np.ndarray:
