@@ -20,6 +20,7 @@ from planner.dynamics.assembly import relative_min_singular_value
 from planner.model.capabilities import capabilities_of
 from planner.problem.costs.jerk import JerkCost
 from planner.problem.costs.terms import Quadratic
+from planner.problem.costs.tracking import TrackingCost
 from planner.problem.goals import terms_of
 from planner.problem.plan import Plan, Status
 from planner.problem.problem import Problem
@@ -183,13 +184,24 @@ def _moved(plan: Plan, problem: Problem, now: Recomputed, scale: float, size: fl
             held = problem.bounds.shifted_with_bounds(plan.us, plan.xs, xs)
             us = np.where(at_bound, held, us)
         other = recomputed(plan, problem, xs, us, rng)
-        cost = max(cost, abs(other.cost - now.cost) / scale)
+        cost = max(cost, abs(other.cost - now.cost) / scale, _rounding_of_sums(plan, problem) / scale)
         gradient = max(gradient, abs(other.gradient_norm - now.gradient_norm) / size)
         if now.sweep is not None:
             lost = np.inf if other.sweep is None else _gain_errors(now.sweep.K, other.sweep)
             gains = np.maximum(gains, lost)
     beside = np.pad(gains, 1)  # maximum over neighbouring stages, since a sample may miss a stage's error
     return cost, gradient, np.max([beside[:-2], gains, beside[2:]], axis=0)
+
+
+def _rounding_of_sums(plan: Plan, problem: Problem) -> float:
+    """Rounding of a cost whose terms cancel, as those of a weight on the sum of two angles do."""
+    total = 0.0
+    for term in terms_of(problem.cost):
+        if isinstance(term, TrackingCost):
+            e, eu = np.abs(plan.space.difference(plan.xs, term.x_ref)), np.abs(plan.us - term.u_ref)
+            total += float(np.einsum("ni,nij,nj->", e, np.abs(term.Q), e))
+            total += float(np.einsum("ni,nij,nj->", eu, np.abs(term.R), eu))
+    return float(np.finfo(float).eps) * total
 
 
 def _with_wrong_digits(rng: np.random.Generator, values: np.ndarray) -> np.ndarray:
