@@ -172,6 +172,6 @@ def _default_tolerance(one: GoalSpec, x0: np.ndarray, xs: np.ndarray | None, sha
 
 def given_tolerance(tolerance: float | Mapping[str, float] | None, goal: GoalSpec) -> float | None:
     """A problem's tolerance of a goal: by its name, its own, or that of its kind; None for the default."""
-    given = tolerance if isinstance(tolerance, Mapping) else dict.fromkeys(KINDS, tolerance)
+    given: Mapping[str, float | None] = tolerance if isinstance(tolerance, Mapping) else dict.fromkeys(KINDS, tolerance)
     kind = KINDS[goal.unit.endswith("/s")]
     return given.get(goal.name, given.get(kind) if goal.tolerance is None else goal.tolerance)

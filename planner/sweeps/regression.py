@@ -203,7 +203,7 @@ def _checked(path: Path, tolerance: float, update: bool, model: str | Path | Non
     changes = () if stored is None or foreign else tuple(_changes(stored, now, tolerance))
     new = stored is None or foreign or lacking or changes or compared.state is ModelState.CHANGED
     if update and new:
-        write_json(file, now | {key: stored[key] for key in ("refinement",) if key in (stored or {})})
+        write_json(file, now | {key: part for key, part in (stored or {}).items() if key == "refinement"})
     return replace(done, changes=changes, updated=update and bool(new))
 
 
