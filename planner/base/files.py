@@ -9,6 +9,7 @@ from __future__ import annotations
 import difflib
 import errno
 import fcntl
+import hashlib
 import json
 import math
 import os
@@ -365,3 +366,8 @@ def write_json(path: Path, content: dict[str, Any]) -> None:
     """Write a JSON document atomically."""
     with write_atomically(path) as unfinished:
         unfinished.write_text(json_text(content), encoding="utf-8")
+
+
+def digest_of(content: bytes) -> str:
+    """32 hexadecimal digits of SHA-256."""
+    return hashlib.sha256(content).hexdigest()[:32]

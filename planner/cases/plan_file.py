@@ -16,6 +16,7 @@ from planner.base.arguments import choice, short_repr
 from planner.base.errors import FileError, PlannerError
 from planner.base.files import printable
 from planner.cases import problem_file
+from planner.model.model_origin import moved
 from planner.model.space import space_of
 from planner.model.twin import Twin
 from planner.problem import stored_problem
@@ -51,7 +52,7 @@ def load_plan(
     residuals = {} if residuals is None else residuals
     _check_residuals(path, meta["recipe"], residuals, problem)
     try:
-        plan = _plan(arrays, meta)
+        plan = _plan(arrays, meta, Path(path).parent)
         if problem is not None:
             return replace(plan, problem=_fitting(plan, problem), recipe=problem.recipe)
         built = _problem(plan, arrays, meta, residuals)
@@ -63,7 +64,13 @@ def load_plan(
         raise FileError(f"{printable(path)} is damaged: {reason}.") from None
 
 
-def _plan(arrays: dict[str, np.ndarray], meta: dict[str, Any]) -> Plan:
+def _twin(meta: dict[str, Any], files: dict[str, bytes], folder: Path) -> Twin:
+    """The twin, with the paths of its origin relative to the plan's folder."""
+    twin = Twin.from_dict(meta["mjcf"], meta["twin"], files)
+    return replace(twin, origin=moved(twin.origin, lambda path: os.path.abspath(folder / path)))
+
+
+def _plan(arrays: dict[str, np.ndarray], meta: dict[str, Any], folder: Path) -> Plan:
     """The plan without its problem."""
     files = {name: arrays[FILE + digest].tobytes() for name, digest in meta["files"].items()}
     return Plan(
@@ -73,7 +80,7 @@ def _plan(arrays: dict[str, np.ndarray], meta: dict[str, Any]) -> Plan:
         status=_status(meta["status"]),
         history=tuple(Iteration(int(row[0]), *map(float, row[1:])) for row in arrays["history"]),
         recipe=None if meta["recipe"] is None else Recipe(**meta["recipe"]),
-        twin=None if meta["twin"] is None else Twin.from_dict(meta["mjcf"], meta["twin"], files),
+        twin=None if meta["twin"] is None else _twin(meta, files, folder),
         made_with=meta["versions"],
         starts=tuple(
             Start(index, _status(status), _number(cost), iterations, _number(score))

@@ -120,13 +120,13 @@ def _prove(parser: argparse.ArgumentParser) -> None:
         parser,
         {"plan": {"metavar": "PLAN", "nargs": "?", "help": "A plan.npz; leave it out with --controls."},
          "--controls": value_flag("FILE", "Instead of a plan: a CSV of times and controls, or of joint positions."),
-         "--model": value_flag("FILE", "The MJCF or URDF that the controls are for."),
+         "--model": value_flag("FILE", "Replay in this MJCF or URDF, not in the plan's own; with --controls, the model "
+                                       "of the controls."),
          "--start": value_flag("STATE", "With --controls, the start: a keyframe, numbers 0,1.57 or joints elbow=0.3."),
          "--goal": value_flag("STATE", "With --controls, the goal, in the same form."),
          "--save": value_flag("FILE", "With --controls, save them as a plan, e.g. for planner render."),
          "--feasible": boolean_flag("Judge feasibility alone: a solve that did not converge may pass.")},
-        {"--mjcf": value_flag("FILE", "Replay in this model instead of the plan's own."),
-         "--engine": {"action": "append", "metavar": "NAME", "choices": ENGINES, "default": [],
+        {"--engine": {"action": "append", "metavar": "NAME", "choices": ENGINES, "default": [],
                       "help": f"Also repeat the plan in {' or '.join(ENGINES)}. May be given twice."},
          "--out": value_flag("FILE", "Write the proof to this JSON file.")}, PROOF, ROLLOUT, WORKERS, IMPORTS, OUTPUT,
     )  # fmt: skip
@@ -183,7 +183,9 @@ def _check(parser: argparse.ArgumentParser) -> None:
     add(
         parser,
         {"paths": {"metavar": "DIR", "nargs": "+", "help": "Folders of plans, or plan files."},
-         "--update": boolean_flag("Store the new numbers where they differ."),
+         "--update": boolean_flag("Store the new numbers where they differ, and accept a changed model."),
+         "--model": value_flag("FILE", "Compare the plans' models with this MJCF or URDF. Default: the file that each "
+                                       "was made from, if it is in the plan's folder."),
          "--tolerance": value_flag("X", "Report numbers whose relative change is larger.", 0.05, number)},
         WORKERS, IMPORTS, OUTPUT,
     )  # fmt: skip

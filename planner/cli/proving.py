@@ -27,6 +27,7 @@ from planner.proof.robustness.perturbation import Perturbation
 from planner.proof.robustness.perturbed import replay_rollout
 from planner.proof.robustness.success import end_errors
 from planner.sweeps.executors import executor_of
+from planner.sweeps.stored_model import stated
 
 
 def prove_plan(arguments: argparse.Namespace, console: Console) -> int:
@@ -34,7 +35,7 @@ def prove_plan(arguments: argparse.Namespace, console: Console) -> int:
     count("rollouts", arguments.rollouts, minimum=0)
     plan, digest = _plan_of(arguments)
     if arguments.replay_rollout is not None:
-        for flag in ("mjcf", "out", "engine"):
+        for flag in ("model", "out", "engine"):
             if getattr(arguments, flag):
                 raise PlannerError(
                     f"--{flag} is given with --replay-rollout, which shows a simulation in the plan's own model, "
@@ -43,13 +44,14 @@ def prove_plan(arguments: argparse.Namespace, console: Console) -> int:
         return _show_rollout(plan, arguments, console)
     if arguments.out is not None and Path(arguments.out).suffix != ".json":
         raise PlannerError(f"cannot write the proof as {arguments.out!r}: expected a name ending in .json.")
+    other = None if arguments.controls else arguments.model
     perturbation, engines = _perturbation(plan, arguments), dict.fromkeys(arguments.engine)
     for name in engines:
         require(name)
     # an unwritable file fails before the work
     with nullcontext() if arguments.out is None else write_atomically(arguments.out) as unfinished:
         proof = prove(
-            plan, mjcf=None if arguments.mjcf is None else Path(arguments.mjcf), rollouts=0, seed=arguments.seed,
+            plan, mjcf=None if other is None else Path(other), rollouts=0, seed=arguments.seed,
             hold_seconds=arguments.hold, optimal=not (arguments.feasible or arguments.controls),
         )  # fmt: skip
         with executor_of(arguments.workers, arguments.scheduler) as executor:
@@ -72,6 +74,8 @@ def prove_plan(arguments: argparse.Namespace, console: Console) -> int:
         for one in section.measured:
             if one.name in NOTES and one.note:
                 console.write_result(f"{section.title}, {one.name.replace('_', ' ')}: {one.note}")
+    if digest is not None and (states := stated(plan)):
+        console.write_result(f"as the plan's file states: {', '.join(states)}")
     if arguments.out is not None:
         console.write_result(arguments.out)
     return console.finish("prove", 0 if proof.passed else 1, plan=plan_facts(plan), proof=found)
@@ -79,7 +83,7 @@ def prove_plan(arguments: argparse.Namespace, console: Console) -> int:
 
 def _plan_of(arguments: argparse.Namespace) -> tuple[Plan, str | None]:
     """The plan that the flags name and the digest of its file: a stored one, or that of anybody's controls."""
-    given = {name: getattr(arguments, name) for name in ("model", "start", "goal", "save")}
+    given = {name: getattr(arguments, name) for name in ("start", "goal", "save")}
     if arguments.controls is None:
         if flags := [f"--{name}" for name, value in given.items() if value is not None]:
             raise PlannerError(f"{flags[0]} is given without --controls, expected a CSV file of controls with it.")

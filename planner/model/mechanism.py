@@ -38,6 +38,7 @@ from planner.model.contact.laws import Contact, ContactLaw, Stop, slide_directio
 from planner.model.couplings import Coupling, Reduction, reduce
 from planner.model.exponential_torques import ExponentialTorque, check_curve
 from planner.model.loops import LoopClosure, PolynomialCoupling
+from planner.model.model_origin import origin_of
 from planner.model.space import StateSpace
 from planner.model.tendons import FixedTendon
 from planner.model.urdf.write import as_mjcf
@@ -97,6 +98,7 @@ class Mechanism:
     assets: dict[str, bytes] = field(default_factory=dict)  # content of the files that mjcf refers to, by name
     ignored: tuple[str, ...] = ()  # elements removed from the file, one phrase each
     original: str = ""  # XML text of the file, includes resolved, if `mjcf` was edited; else ""
+    origin: dict[str, Any] = field(default_factory=dict)  # where it was read from: planner.model.model_origin
     body_contacts: tuple[BodyContact, ...] = ()  # contacts between spheres and capsules
     curves: tuple[ExponentialTorque, ...] = ()  # exponential torques; not in the MJCF
     tendons: tuple[FixedTendon, ...] = ()  # fixed tendons with a force or a range
@@ -216,7 +218,9 @@ class Mechanism:
                 a joint moves no inertia; or as from_mjcf.
         """
         mjcf, assets, name = as_mjcf(model, base, floor, package_path, inertia)
-        return cls.from_mjcf(mjcf, ignore=ignore, contacts=contacts, assets=assets, name=name, attach=attach)
+        mechanism = cls.from_mjcf(mjcf, ignore=ignore, contacts=contacts, assets=assets, name=name, attach=attach)
+        of_urdf = {"base": base, "floor": floor, "package_path": package_path, "inertia": inertia}
+        return replace(mechanism, origin=origin_of(model, attach, **of_urdf))
 
     def with_curves(self, curves: Iterable[ExponentialTorque]) -> Mechanism:
         """The same machine with these exponential torques in place of its own.

@@ -15,15 +15,19 @@ the same, so the maps are identities.
 
 from __future__ import annotations
 
+import os
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cached_property, partial
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from planner.base.arguments import array
 from planner.base.errors import PlannerError
+from planner.base.files import digest_of
 from planner.model.exponential_torques import ExponentialTorque
+from planner.model.model_origin import is_origin, moved
 
 if TYPE_CHECKING:
     from planner.model.mechanism import Mechanism
@@ -48,6 +52,7 @@ class Twin:
         source: The XML text that the plan's mechanism was read from, if it differs from mjcf, else ""; see
             model.mjcf.prescribed_joints.
         original: The user's XML text, if it was edited before planning, else "".
+        origin: The file that the text was read from, and how (planner.model.model_origin); empty for a text.
         curves: Exponential torques in addition to the MJCF; see planner.proof.replays.passive_torque_callback.
     """
 
@@ -59,6 +64,7 @@ class Twin:
     assets: dict[str, bytes] = field(default_factory=dict)
     source: str = ""
     original: str = ""
+    origin: dict[str, Any] = field(default_factory=dict)
     curves: tuple[ExponentialTorque, ...] = ()
 
     def __post_init__(self) -> None:
@@ -77,7 +83,7 @@ class Twin:
         same, none = np.eye(mechanism.space.nx), np.zeros(mechanism.space.nx)
         return cls(
             mechanism.mjcf, same, none, same[None], none[None], dict(mechanism.assets), original=mechanism.original,
-            curves=mechanism.curves,
+            origin=mechanism.origin, curves=mechanism.curves,
         )  # fmt: skip
 
     def x_of(self, w: np.ndarray) -> np.ndarray:
@@ -98,14 +104,29 @@ class Twin:
         return not (self.to_x_offset.any() or self.to_sim_offset.any()) and all(np.array_equal(*pair) for pair in maps)
 
     @property
+    def given(self) -> str:
+        """The user's XML text."""
+        return self.original or self.planned
+
+    @property
+    def given_digest(self) -> str:
+        """The digest of the user's model, its text and its files."""
+        return model_digest(self.given, self.assets)
+
+    @property
     def planned(self) -> str:
         """The XML text that the plan's mechanism was read from."""
         return self.source or self.mjcf
 
-    def to_dict(self) -> dict[str, Any]:
-        """The maps as JSON values, with source, original and curves if not empty; without mjcf and assets."""
+    def to_dict(self, folder: Path | None = None) -> dict[str, Any]:
+        """The maps as JSON values, with source, original and curves if not empty; without mjcf and assets.
+
+        With a folder also the origin, with paths relative to it, and the digest of the user's model.
+        """
         maps = {name: getattr(self, name).tolist() for name in _MAPS}
         maps |= {name: text for name in _TEXTS if (text := getattr(self, name))}
+        if folder is not None and self.origin:
+            maps["origin"] = moved(self.origin, partial(_relative, folder)) | {"digest": self.given_digest}
         return maps | ({"curves": [curve.to_list() for curve in self.curves]} if self.curves else {})
 
     @classmethod
@@ -117,10 +138,26 @@ class Twin:
         """
         maps = dict(maps)
         texts = {name: maps.pop(name, "") for name in _TEXTS}
-        curves = maps.pop("curves", [])
+        curves, origin = maps.pop("curves", []), maps.pop("origin", {})
         if not (isinstance(curves, list) and all(isinstance(row, list) and len(row) == 4 for row in curves)):
             raise PlannerError("a twin's curves are not rows of dof, amplitude, constant and slopes.")
+        if not is_origin(origin):
+            raise PlannerError("a twin's origin is no table of a path and how it was read.")
         if not all(isinstance(text, str) for text in (mjcf, *texts.values())) or set(maps) != set(_MAPS):
             raise PlannerError(f"a twin needs its MJCF text and exactly these maps: {', '.join(_MAPS)}.")
         torques = tuple(ExponentialTorque(*row) for row in curves)
-        return cls(str(mjcf), **maps, assets=assets or {}, **texts, curves=torques)
+        return cls(str(mjcf), **maps, assets=assets or {}, **texts, origin=origin, curves=torques)
+
+
+def model_digest(text: str, files: dict[str, bytes]) -> str:
+    """A digest of a model's text and of the names and contents of its files."""
+    parts = [text.encode(), *(part for name in sorted(files) for part in (name.encode(), files[name]))]
+    return digest_of(b"\0".join(parts))
+
+
+def _relative(folder: Path, path: str) -> str:
+    """A path relative to a folder, with "/"; the path itself on another drive."""
+    try:
+        return Path(os.path.relpath(path, folder)).as_posix()
+    except ValueError:
+        return path

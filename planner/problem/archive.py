@@ -7,7 +7,6 @@ signature: a deliberate change can rewrite them.
 
 from __future__ import annotations
 
-import hashlib
 import io
 import json
 import os
@@ -21,7 +20,7 @@ from typing import IO, Any
 import numpy as np
 
 from planner.base.errors import FileError, ModelError
-from planner.base.files import finite, printable, read_input, write_atomically
+from planner.base.files import digest_of, finite, printable, read_input, write_atomically
 from planner.model.mjcf.text import check_stored
 from planner.model.space import StateSpace
 
@@ -249,8 +248,3 @@ def plan_digest(path: Path) -> str:
         with opened(Path(path)) as file:
             return digest_of(file.read())
     return digest_of(read_input(path, "the plan"))
-
-
-def digest_of(content: bytes) -> str:
-    """32 hexadecimal digits of SHA-256."""
-    return hashlib.sha256(content).hexdigest()[:32]

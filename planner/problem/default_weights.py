@@ -36,6 +36,7 @@ from planner.model.capabilities import stationary_object_dofs
 from planner.model.coordinates import coordinates_of_mechanism
 from planner.model.mechanism import Mechanism
 from planner.model.mjcf.prescribed_joints import prescribed_dofs_of
+from planner.problem.costs.goal_spec import checked_tolerance
 from planner.problem.costs.tracking import TrackingCost
 from planner.problem.goals import MIN_TOLERANCES, tolerance_share
 from planner.problem.initial_guess import minimum_jerk
@@ -287,10 +288,10 @@ def _tolerances(
     mechanism: Mechanism, usual: list[float], tolerance: float | Mapping[str, float] | None
 ) -> tuple[np.ndarray, np.ndarray]:
     """Tolerances of positions (nv,) and velocities (nv,): as given, at most the default ones."""
-    coordinates, asked = coordinates_of_mechanism(mechanism), np.array(usual)
+    coordinates, asked, known = coordinates_of_mechanism(mechanism), np.array(usual), checked_tolerance(tolerance)
     for i, (name, unit) in enumerate(coordinates[: len(usual)]):
         kind = "velocity" if unit.endswith("/s") else "position"
-        given = tolerance.get(name, tolerance.get(kind)) if isinstance(tolerance, Mapping) else tolerance
+        given = known.get(name, known.get(kind)) if isinstance(known, Mapping) else known
         if given is not None:
             asked[i] = min(asked[i], given)
     return asked[: mechanism.nv], asked[mechanism.nv :]

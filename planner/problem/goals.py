@@ -68,12 +68,14 @@ def goals_of(problem: Problem, xs: np.ndarray | None = None) -> tuple[GoalCheck,
         PlannerError: The problem's tolerance names no goal of it.
     """
     specs = goal_specs_of(problem)
-    tolerances = _given_tolerances(problem.tolerance, [one.name for one in specs])
+    if isinstance(problem.tolerance, Mapping):
+        known = [*KINDS, *dict.fromkeys(one.name for one in specs)]
+        for name in problem.tolerance:
+            choice("a goal in tolerance", name, known)
     displacements = [(static_error(one, problem.x0), one.unit) for one in specs]
     goals, share = [], tolerance_share(displacements)
     for one in specs:
-        kind = KINDS[one.unit.endswith("/s")]
-        given = tolerances.get(one.name, tolerances.get(kind) if one.tolerance is None else one.tolerance)
+        given = given_tolerance(problem.tolerance, one)
         tolerance = _default_tolerance(one, problem.x0, xs, share) if given is None else given
         goals.append(GoalCheck(one.name, one.unit, tolerance, one.error, one.times, one.tolerance is not None))
     return tuple(goals)
@@ -168,11 +170,8 @@ def _default_tolerance(one: GoalSpec, x0: np.ndarray, xs: np.ndarray | None, sha
     return max(SHARE * scale, share * MIN_TOLERANCES.get(one.unit, 1e-6))
 
 
-def _given_tolerances(tolerance: Any, names: list[str]) -> dict[str, float]:
-    """Tolerances by the name of a goal, or by one of KINDS."""
-    if tolerance is None:
-        return {}
-    if isinstance(tolerance, Mapping):
-        known = [*KINDS, *dict.fromkeys(names)]
-        return {choice("a goal in tolerance", name, known): value for name, value in tolerance.items()}
-    return dict.fromkeys(KINDS, tolerance)
+def given_tolerance(tolerance: float | Mapping[str, float] | None, goal: GoalSpec) -> float | None:
+    """A problem's tolerance of a goal: by its name, its own, or that of its kind; None for the default."""
+    given: Mapping[str, float | None] = tolerance if isinstance(tolerance, Mapping) else dict.fromkeys(KINDS, tolerance)
+    kind = KINDS[goal.unit.endswith("/s")]
+    return given.get(goal.name, given.get(kind) if goal.tolerance is None else goal.tolerance)

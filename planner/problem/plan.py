@@ -302,7 +302,7 @@ class Plan(Built, Plottable):
         Raises:
             FileError: The file cannot be written.
         """
-        arrays, meta = self._contents()
+        arrays, meta = self._contents(plan_name(path).parent)
         write_archive(plan_name(path), arrays, meta)
         if meta["recipe"] is None and self.problem is not None:
             warnings.warn(
@@ -318,8 +318,8 @@ class Plan(Built, Plottable):
         pack(file, *self._contents())
         return file.getvalue()
 
-    def _contents(self) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
-        """The arrays and the JSON metadata of the plan's file."""
+    def _contents(self, folder: Path | None = None) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
+        """The arrays and the JSON metadata of the plan's file, the model's path relative to its folder, if any."""
         recipe, parts = self.recipe, {}
         if recipe is None and self.problem is not None:
             recipe, parts = to_arrays(base_problem(self.problem)) or (None, {})
@@ -330,7 +330,7 @@ class Plan(Built, Plottable):
             "recipe": None if recipe is None else {"name": recipe.name, "parameters": recipe.parameters},
             "status": self.status.name, "cost": float(self.cost), "gradient_norm": float(self.gradient_norm),
             "iterations": self.nit, "versions": self.versions,
-            "twin": None if self.twin is None else self.twin.to_dict(),
+            "twin": None if self.twin is None else self.twin.to_dict(folder),
             "mjcf": None if self.twin is None else self.twin.mjcf, "files": names, "space": self.space.to_dict(),
             "starts": [(s.number, s.status.name, float(s.cost), s.iterations, float(s.score)) for s in self.starts],
             "options": self.options, "objective": None if objective is None else objective.weights,

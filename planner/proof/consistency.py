@@ -10,6 +10,7 @@ further steps of SLQ, as a solve ends by its actual reduction (actual_reduction_
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -20,6 +21,7 @@ from planner.model.capabilities import capabilities_of
 from planner.problem.control_bounds import StepBounds
 from planner.problem.costs.jerk import JerkCost
 from planner.problem.costs.terms import Quadratic
+from planner.problem.costs.tracking import TrackingCost
 from planner.problem.goals import terms_of
 from planner.problem.plan import Plan, Status
 from planner.problem.problem import Problem
@@ -32,7 +34,7 @@ GAIN_BOUND = 1e-6  # relative; rounding error of a Riccati sweep over unstable s
 _LAST_DIGITS = 1e-13  # relative rounding errors of states and controls: sums over a tree of links leave 13 of 16 digits
 _MARGIN = 30.0  # ratio of the largest of many rounding errors to a sampled one
 _MAX_ROUNDING_SHARE = 1e-3  # upper limit of a bound from rounding, relative
-_MAX_GAINS = 0.1  # upper limit of a gain bound, relative: an LQ regulator has a gain margin of 2
+_MAX_GAINS = 0.25  # upper limit of a gain bound, relative: half of an LQ regulator's margin, which is 1/2
 SINGULAR = 0.02  # of the largest singular value of the closed chains' Jacobian: forces are some fifty times larger
 _DRAWS = 3  # samples of rounding errors
 _MIN_COST_SHARE = 1e-3  # of the cost of errors that pass: costs smaller than that are as good as zero
@@ -71,6 +73,21 @@ def recomputed(
         return Recomputed(defects, problem.cost.value(xs, us), norm, terms, sweep, gains)
 
 
+NOT_FINITE = "parts_not_finite"
+
+
+def with_finite_parts(plan: Plan, problem: Problem) -> tuple[Plan, tuple[Measurement, ...]]:
+    """The plan, or one at rest at its start in place of what a diverged solve left, which fails by the measurement."""
+    parts = {"states": plan.xs, "controls": plan.us, "gains": plan.K}
+    bad = [name for name, values in parts.items() if not np.isfinite(values).all()]
+    if not bad:
+        return plan, ()
+    rest = np.tile(problem.x0, (plan.N + 1, 1))
+    finite = replace(plan, xs=rest, us=np.zeros_like(plan.us), K=np.zeros_like(plan.K))
+    note = f"its {', '.join(bad)} are not finite, so it is not replayed." + ("" if plan.success else f" {plan.message}")
+    return finite, (Measurement(NOT_FINITE, float(len(bad)), "", 0.0, note),)
+
+
 def consistency(plan: Plan, problem: Problem, now: Recomputed) -> Section:
     """Start, states, cost, gradient, gains and times recomputed from the plan's states and controls."""
     cost = judged_cost(problem)
@@ -82,21 +99,23 @@ def consistency(plan: Plan, problem: Problem, now: Recomputed) -> Section:
         exact = {
             "start_state_error": (_largest(plan.xs[0] - problem.x0) / largest, "first state against the problem's x0"),
             "stage_error": (_largest(now.defects) / largest, "each state against one stage from the last"),
-            "cost_error": (abs(now.cost - plan.cost) / scale, "the cost recomputed"),
             "time_error": (_largest(plan.t - t) / problem.duration, "the knots against n dt"),
         }
         measured = [Measurement(n, float(e), "", BOUND, f"{note}, relative") for n, (e, note) in exact.items()]
+        costs = abs(now.cost - plan.cost) / scale
         gradient = abs(now.gradient_norm - plan.gradient_norm) / size
         gains = _gain_errors(plan.K, now.gains)
         gains = 0.0 * plan.t[:-1] if plan.status is Status.GIVEN else gains  # given gains are not from a sweep
-        known = gradient <= BOUND and np.all(gains <= GAIN_BOUND)
-        moved = (0.0, np.zeros(plan.N)) if known else _moved(plan, problem, now, size)
-        by_stage = np.clip(_MARGIN * moved[1], GAIN_BOUND, _MAX_GAINS)
+        known = costs <= BOUND and gradient <= BOUND and np.all(gains <= GAIN_BOUND)
+        moved = (0.0, 0.0, np.zeros(plan.N)) if known else _moved(plan, problem, now, scale, size)
+        by_stage = np.clip(_MARGIN * moved[2], GAIN_BOUND, _MAX_GAINS)
         worst = int(np.argmax(np.where(np.isfinite(gains), gains / by_stage, np.inf)))
-    gradient_bound, gain_bound = max(BOUND, min(_MARGIN * moved[0], _MAX_ROUNDING_SHARE)), float(by_stage[worst])
-    why = "; the bound is what rounding makes of it here"
-    note = "the norm of Eq. 19 recomputed, relative" + (why if gradient_bound > BOUND else "")
-    measured.insert(3, Measurement("gradient_error", float(gradient), "", gradient_bound, note))
+    why, gain_bound = "; the bound is what rounding makes of it here", float(by_stage[worst])
+    sums = (("cost_error", costs, "the cost recomputed"), ("gradient_error", gradient, "the norm of Eq. 19 recomputed"))
+    for place, ((name, error, note), share) in enumerate(zip(sums, moved[:2], strict=True), 2):
+        bound = max(BOUND, min(_MARGIN * share, _MAX_ROUNDING_SHARE))
+        note += ", relative" + (why if bound > BOUND else "")
+        measured.insert(place, Measurement(name, float(error), "", bound, note))
     note = "the gains against the last Riccati sweep (Eq. 31-33), relative to the largest"
     note += f"; of stage {worst}{why}" if gain_bound > GAIN_BOUND else ""
     if now.gains is None:
@@ -158,12 +177,12 @@ def _unseen(plan: Plan, problem: Problem) -> float:
     )
 
 
-def _moved(plan: Plan, problem: Problem, now: Recomputed, size: float) -> tuple[float, np.ndarray]:
-    """Effect of rounding errors on the gradient's norm, and on the gains of each stage (N,); relative.
+def _moved(plan: Plan, problem: Problem, now: Recomputed, scale: float, size: float) -> tuple[float, float, np.ndarray]:
+    """Effect of rounding errors on cost and gradient's norm, over their sizes, and on the gains of each stage (N,).
 
     The errors are in states and controls, and in the sweep's Jacobians too, which may be constant.
     """
-    rng, gradient, gains = np.random.default_rng(0), 0.0, np.zeros(plan.N)
+    rng, cost, gradient, gains = np.random.default_rng(0), 0.0, 0.0, np.zeros(plan.N)
     for _ in range(_DRAWS):
         xs, us = (_with_wrong_digits(rng, x) for x in (plan.xs, plan.us))
         if problem.bounds is not None:
@@ -171,12 +190,24 @@ def _moved(plan: Plan, problem: Problem, now: Recomputed, size: float) -> tuple[
             held = problem.bounds.shifted_with_bounds(plan.us, plan.xs, xs)
             us = np.where(at_bound, held, us)
         other = recomputed(plan, problem, xs, us, rng)
+        cost = max(cost, abs(other.cost - now.cost) / scale, _rounding_of_sums(plan, problem) / scale)
         gradient = max(gradient, abs(other.gradient_norm - now.gradient_norm) / size)
         if now.gains is not None:
             lost = np.inf if other.gains is None else _gain_errors(now.gains, other.gains)
             gains = np.maximum(gains, lost)
     beside = np.pad(gains, 1)  # maximum over neighbouring stages, since a sample may miss a stage's error
-    return gradient, np.max([beside[:-2], gains, beside[2:]], axis=0)
+    return cost, gradient, np.max([beside[:-2], gains, beside[2:]], axis=0)
+
+
+def _rounding_of_sums(plan: Plan, problem: Problem) -> float:
+    """Rounding of a cost whose terms cancel, as those of a weight on the sum of two angles do."""
+    total = 0.0
+    for term in terms_of(problem.cost):
+        if isinstance(term, TrackingCost):
+            e, eu = np.abs(plan.space.difference(plan.xs, term.x_ref)), np.abs(plan.us - term.u_ref)
+            total += float(np.einsum("ni,nij,nj->", e, np.abs(term.Q), e))
+            total += float(np.einsum("ni,nij,nj->", eu, np.abs(term.R), eu))
+    return float(np.finfo(float).eps) * total
 
 
 def _with_wrong_digits(rng: np.random.Generator, values: np.ndarray) -> np.ndarray:

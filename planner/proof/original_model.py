@@ -9,8 +9,9 @@ acrobot's path, which is no error of a plan. A stiff file may need its own integ
 plan with implicit damping is replayed by MuJoCo's implicitfast.
 
 Elements that the plan's model lacks must have no effect: no contact of an unmodelled pair, no joint limit reached, no
-actuator clamp, no divergence, and every goal is met. Pairs that overlap at the plan's start are excluded from contact
-in the file, where MuJoCo would separate them by force. The verdict names them.
+actuator clamp, no divergence, every goal is met, and the path stays within the bounds of the path in the plan's model.
+Pairs that penetrate at the plan's start are watched in the file, where MuJoCo would separate them by force: they must
+not go deeper, nor part and meet again. The verdict names them. So are pairs that prescribed joints alone move.
 
 A plan with the model's ranges as limits reaches them exactly, so the plan itself has a tolerance of rounding, and its
 gains' request beyond a range counts only above a hundredth of it. A clamp that bounds the plan's controls is a bound of
@@ -33,8 +34,17 @@ from planner.base.gl import load_mujoco
 from planner.base.measured import Measurement, Section
 from planner.model.capabilities import capabilities_of, stationary_object_bodies, stationary_object_dofs
 from planner.model.mechanism import SCREW, Mechanism
-from planner.model.mjcf.initial_overlaps import initial_overlaps, without_pairs
-from planner.model.mjcf.model_index import named
+from planner.model.mjcf.contact_edits import watched_pairs
+from planner.model.mjcf.initial_overlaps import (
+    MAX_EMBEDDED,
+    OVERLAP_TOLERANCE,
+    TOUCH_ROUNDING,
+    distances_in,
+    initial_overlaps,
+    starts_inside,
+    watching,
+)
+from planner.model.mjcf.model_index import ModelIndex, named
 from planner.model.mjcf.prescribed_joints import in_order, prescribe_joints
 from planner.model.mjcf.unmodelled_features import names_of
 from planner.model.mjcf.unsupported import unsupported_elements
@@ -42,7 +52,16 @@ from planner.model.twin import Twin
 from planner.problem.goals import GoalCheck
 from planner.problem.plan import Plan
 from planner.problem.problem import Problem
-from planner.proof.error_scales import path_error_bounds, replayed_violations, worst_by_unit
+from planner.proof.error_scales import (
+    SHARE,
+    SMOOTHED,
+    has_contacts,
+    is_nonsmooth,
+    path_error_bounds,
+    replayed_violations,
+    worst_by_unit,
+)
+from planner.proof.own_step import own_step
 from planner.proof.replay_errors import misses
 from planner.proof.replays.compiled_twin import CompiledTwin, unmodelled_of, with_model
 from planner.proof.replays.passive_torque_callback import curves_acting
@@ -52,10 +71,10 @@ from planner.proof.replays.simulation import NATIVE_IMPLICIT, damping_of, simula
 
 TITLE = "your file"
 OPEN_LOOP_MISSES = "open_loop_goals_missed"
+PATH_IN_FILE = "path_over_its_bound"  # above 1, its note is for the first line
 MAX_NAMED = 3  # pairs, joints or actuators in a sentence
 NEGLIGIBLE_FORCE = 1e-3  # of the machine's weight: smaller contact forces of flush shapes are ignored
 MAX_GAIN_EFFORT = 0.02  # of a control's largest value: larger corrections by the gains show unmodelled forces
-PENETRATION_TOLERANCE = 1e-6  # of a machine of 1 m or more, m: flush shapes overlap by rounding
 DEEPER = 1e-3, 0.1  # m (as GRAZE), or share of the initial depth: tolerated growth of an overlap at the start
 
 
@@ -103,12 +122,18 @@ def your_file(
     for integrator in dict.fromkeys((*implicit, "RK4", own)):  # the first integrator that passes is enough
         run = replay_in(compiled, plan, feedback=True, integrator=integrator, planned=planned)
         alone = (known.t, known.xs) if known and first is None else _without_gains(run)
-        section = Section(TITLE, (*_measured(run, problem, goals), *_open_loop(plan, *alone, goals)))
+        measured = (*_measured(run, problem, goals), *_path(run, alone[1]), *_open_loop(plan, *alone, goals))
+        section = Section(TITLE, measured)
+        planned = run.plan_xs
+        if first is None or (first[1].warnings and not run.warnings):
+            first = section, run
         if section.passed:
-            return section, run
-        first, planned = first or (section, run), run.plan_xs
-    assert first is not None  # "RK4" is always tried
-    return first
+            break
+    else:
+        assert first is not None  # "RK4" is always tried
+        section, run = first
+    own_step_errors = own_step(plan, problem, compiled, goals)
+    return Section(TITLE, (*section.measured, *own_step_errors)), run
 
 
 def _measured(run: Replay, problem: Problem, goals: Sequence[GoalCheck]) -> list[Measurement]:
@@ -130,7 +155,6 @@ def _measured(run: Replay, problem: Problem, goals: Sequence[GoalCheck]) -> list
         *judged,
         *_goals(run, problem, goals),
         *kept,
-        *_path(run),
         *_objects(run, problem),
         *_forces(run, overlaps),
         step,
@@ -139,16 +163,16 @@ def _measured(run: Replay, problem: Problem, goals: Sequence[GoalCheck]) -> list
 
 def as_given(problem: Problem, twin: Twin, mjcf: str | Path | None = None) -> CompiledTwin:
     """The user's file, or `mjcf`, in place of a twin's text, unedited but for motors of prescribed joints."""
-    mechanism = capabilities_of(problem.dynamics).mechanism
-    own = not (twin.original if mjcf is None else mjcf)
-    if own or mechanism is None:
-        return CompiledTwin(with_model(twin, mjcf))
+    if mjcf is None and not twin.original:
+        return CompiledTwin(twin)
     given = with_model(twin, mjcf) if mjcf is not None else replace(twin, mjcf=twin.original)
     compiled = CompiledTwin(given)
+    mechanism, prescribed = (getattr(problem.dynamics, name, None) for name in ("mechanism", "prescribed"))
+    if mechanism is None and not twin.original:
+        return compiled  # which actuators such dynamics have is unknown
     model = compiled.model
     unused = [one.index for one in unsupported_elements(model) if one.kind == "actuator"]
-    prescribed = getattr(problem.dynamics, "prescribed", ())
-    if prescribed and model.nu - len(unused) == mechanism.nu:  # else motors exist already
+    if prescribed and mechanism and model.nu - len(unused) == mechanism.nu:  # else motors exist already
         try:
             text = prescribe_joints(given.mjcf, given.assets, model, in_order(mechanism, prescribed))
         except ModelError as error:
@@ -161,9 +185,7 @@ def as_given(problem: Problem, twin: Twin, mjcf: str | Path | None = None) -> Co
 
 
 def _without_overlaps(problem: Problem, compiled: CompiledTwin) -> CompiledTwin:
-    """The file without contacts of pairs that overlap at the start and are not in the plan's model."""
-    if capabilities_of(problem.dynamics).mechanism is None:
-        return compiled
+    """The file with pairs that overlap at the start and are not in the plan's model watched, not pushed apart."""
     model, known = compiled.model, unmodelled_of(problem, compiled).known
     start = compiled.twin.sim_of(problem.x0)
     if len(start) != model.nq + model.nv + model.na:
@@ -172,7 +194,7 @@ def _without_overlaps(problem: Problem, compiled: CompiledTwin) -> CompiledTwin:
     if not pairs:
         return compiled
     try:
-        text = without_pairs(compiled.twin.mjcf, model, pairs)
+        text = watching(compiled.twin.mjcf, model, pairs)
     except ModelError:  # generated shapes, which cannot be edited: they are judged as they are
         return compiled
     return CompiledTwin(replace(compiled.twin, mjcf=text), compiled.unused)
@@ -202,22 +224,29 @@ def _touches(run: Replay, problem: Problem) -> tuple[list[str], list[str]]:
     """Sentences about unmodelled pairs in contact, and about pairs that overlap at the start and go no deeper."""
     model, wrong, overlaps = run.compiled.model, [], []
     mechanism = capabilities_of(problem.dynamics).mechanism
-    if mechanism is None:
-        return wrong, overlaps  # the contacts of other dynamics are unknown
     beside = model.body_weldid == 0  # bodies that controls do not move: the world, and objects at rest on it
-    beside |= stationary_object_bodies(mechanism) if len(mechanism.bodies) == model.nbody else False
-    known = unmodelled_of(problem, run.compiled).known
+    if mechanism is not None and len(mechanism.bodies) == model.nbody:
+        beside |= stationary_object_bodies(mechanism)
+    known, watched, index = unmodelled_of(problem, run.compiled).known, watched_pairs(model), ModelIndex(model)
     scale = min(1.0, float(model.stat.extent))
     rubs = NEGLIGIBLE_FORCE * float(model.body_mass.sum()) * float(np.linalg.norm(model.opt.gravity) or 1.0)
     for touch in run.contact_extremes:
         if np.all(beside[model.geom_bodyid[list(touch.geoms)]]):
             continue
-        grazes, presses = touch.deepest <= PENETRATION_TOLERANCE * scale, touch.force > rubs
-        if names_of(model, touch.geoms) in known or (grazes and not presses):
+        grazes, presses = touch.deepest <= TOUCH_ROUNDING * scale, touch.force > rubs
+        acts = names_of(model, touch.geoms) in known and frozenset(touch.geoms) not in watched
+        if acts or (grazes and not presses):
             continue
         pair = " and ".join(named(model, "geom", geom) for geom in sorted(touch.geoms))
-        overlap = touch.at_start > PENETRATION_TOLERANCE * scale
-        if presses and (grazes or (overlap and _pushed(run))):  # overlapping shapes may carry load
+        overlap = touch.at_start > TOUCH_ROUNDING * scale
+        depth = touch.at_start and -distances_in(model, run.qpos[0], [touch.geoms], 0.0)[touch.geoms]  # without margins
+        if starts_inside(index, touch.geoms, run.qpos[0], depth):
+            wrong.append(
+                f"{pair} overlap by {depth:.3g} m at the start, expected at most {MAX_EMBEDDED * scale:.2g} m "
+                "of what can move out of it: move one of the two, or exclude the pair in the model "
+                "(<contact><exclude>)."
+            )
+        elif presses and (grazes or (overlap and _pushed(run))):  # overlapping shapes may carry load
             how = f"overlap by {touch.at_start:.3g} m at the start" if overlap else "lie flush"
             when = f"from t = {run.t[touch.first]:.4g} s"
             wrong.append(f"{pair} {how} and press on each other {when} with up to {touch.force:.3g} N.")
@@ -225,6 +254,8 @@ def _touches(run: Replay, problem: Problem) -> tuple[list[str], list[str]]:
             wrong.append(f"{pair} touch from t = {run.t[touch.first]:.4g} s, by up to {touch.deepest:.3g} m.")
         elif touch.deepest > touch.at_start + max(DEEPER[0] * scale, DEEPER[1] * touch.at_start):
             wrong.append(f"{pair} touch at the start by {touch.at_start:.3g} m, later by up to {touch.deepest:.3g} m.")
+        elif touch.met_again > OVERLAP_TOLERANCE * scale:
+            wrong.append(f"{pair} touch at the start, part, and meet again by up to {touch.met_again:.3g} m.")
         else:
             overlaps.append(f"{pair} touch at the start by {touch.at_start:.3g} m and go no deeper.")
     return wrong, overlaps
@@ -253,12 +284,36 @@ def _goals(run: Replay, problem: Problem, goals: Sequence[GoalCheck]) -> Sequenc
     return misses("replayed", run.t, run.xs, tuple(goals))
 
 
-def _path(run: Replay) -> list[Measurement]:
-    """The largest deviation from the plan at any step, of each unit."""
+def _path(run: Replay, without_gains: np.ndarray) -> list[Measurement]:
+    """The largest deviation from the plan at any step, of each unit, with gains or without, whichever follows better.
+
+    Objects that the plan keeps at the start may settle. Of a plan with contacts, whose law may be another than the
+    file's, the path is not judged; where the file's equalities are softer than the plan's it may be off by SMOOTHED.
+    What is beyond its own bound is said by the first measurement, for the first line.
+    """
+    plan, problem = run.plan, run.plan.problem
+    mechanism = capabilities_of(getattr(problem, "dynamics", None)).mechanism
+    moved, nv = np.ones(plan.space.ndx, dtype=bool), 0 if mechanism is None else mechanism.nv
+    if mechanism is not None and np.any(lies := stationary_object_dofs(mechanism)):
+        moved[: 2 * nv] = ~np.tile(lies, 2)
+    errors = {
+        how: list(worst_by_unit(plan, plan.space.difference(xs, run.plan_xs) * moved))
+        for how, xs in (("with gains", run.xs), ("without gains", without_gains))
+    }
+    how = min(errors, key=lambda how: max(one.share for one in errors[how]))
+    worst = max(errors[how], key=lambda one: one.share)
+    note = f"in your file {worst.value:.2g} {worst.unit} ({worst.name}) off its path {how}"
+    closed = mechanism is not None and (mechanism.has_closed_chains or mechanism.couplings)
+    softer = max(SMOOTHED / SHARE, 1.0) if closed and not is_nonsmooth(problem) else 1.0
+    bounds = [None if has_contacts(problem) else softer * one.bound for one in errors[how]]
     return [
-        Measurement(f"largest_{one.word}_error", one.value, one.unit, None, f"of {one.name} from the plan, at any step")
-        for one in worst_by_unit(run.plan, run.error)
-    ]
+        Measurement(PATH_IN_FILE, worst.share, "", None, note),
+        *(
+            Measurement(f"largest_{one.word}_error", one.value, one.unit, bound,
+                        f"of {one.name} from the plan, at any step, {how}")
+            for one, bound in zip(errors[how], bounds, strict=True)
+        ),
+    ]  # fmt: skip
 
 
 def _objects(run: Replay, problem: Problem) -> list[Measurement]:

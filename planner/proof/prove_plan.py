@@ -27,14 +27,15 @@ from planner.problem.goals import goals_of, unchecked_goals
 from planner.problem.plan import Plan
 from planner.problem.problem import Problem
 from planner.proof.compare.model_parity import parity_in
-from planner.proof.consistency import consistency, optimality, recomputed
+from planner.proof.consistency import NOT_FINITE, consistency, optimality, recomputed, with_finite_parts
 from planner.proof.contact_sensitivity import contact_sensitivity
 from planner.proof.error_propagation import propagate_errors
 from planner.proof.error_scales import worst_by_unit
 from planner.proof.feedback_rate import controller_section, slowest_rate
 from planner.proof.goal_regulator import RegulatedRun, hold_gain, hold_section, simulate_regulator
-from planner.proof.original_model import OPEN_LOOP_MISSES, your_file
+from planner.proof.original_model import OPEN_LOOP_MISSES, PATH_IN_FILE, your_file
 from planner.proof.original_model import TITLE as FILE
+from planner.proof.own_step import NAME as OWN_STEP
 from planner.proof.replay_errors import goal, tracking
 from planner.proof.replays.compiled_twin import another_model, unmodelled_of
 from planner.proof.replays.replaying import Replay, replay_in
@@ -99,15 +100,17 @@ def prove(
     twin = twin or plan.twin
     if twin is None:
         raise PlannerError("the plan has no MuJoCo model to be replayed in, expected a Problem with a twin.")
+    plan, not_finite = with_finite_parts(plan, problem)
     compiled = another_model(problem, twin, mjcf)
     sampling = sampling_of(plan)
     openly = replay_in(compiled, plan)
     fed = replay_in(compiled, plan, feedback=True, sampling=sampling, planned=openly.plan_xs)
     runs: dict[str, Replay] = {"open-loop": openly, "feedback": fed}
     now = recomputed(plan, problem, plan.xs, plan.us)
+    consistent = consistency(plan, problem, now)
     required = {
         # Step 0: consistency of the file's numbers: start, states, cost, gradient, gains, times.
-        "plan": consistency(plan, problem, now),
+        "plan": replace(consistent, measured=(*not_finite, *consistent.measured)),
         # Step 1: the plan's dynamics against MuJoCo's, at random states where the two models are the same.
         "parity": parity_in(compiled, problem, seed),
         # Step 2: MuJoCo with the plan's own integrator and step: proves the transcription, nothing else.
@@ -155,7 +158,7 @@ def prove(
         "another_model": compiled.twin is not plan.twin,
     }  # fmt: skip
     lacks = unmodelled_of(problem, compiled)
-    tested, untested = (lacks.in_the_file, lacks.overlapping_phrases) if replayed else ((), lacks.phrases)
+    tested, untested = (lacks.in_the_file, lacks.never_replayed) if replayed else ((), lacks.phrases)
     proof = Proof(
         verdict="PASS" if passed else "FAIL", mode=mode,
         reason=_reason(
@@ -164,7 +167,10 @@ def prove(
         ),
         sections=sections, replay=runs[seen], replays=runs, errors=errors, convergence=convergence, asked=asked,
         planned_without=tested,
-        not_checked=(*([f"without {' and '.join(untested)}"] if untested else []), *_unjudged(plan, problem)),
+        not_checked=(
+            *([f"without {' and '.join(untested)}"] if untested else []), *_said_in_file(given),
+            *_unjudged(plan, problem),
+        ),
     )  # fmt: skip
     if hold_seconds:
         proof = _held(proof, simulate_regulator(runs["feedback"], hold_gain(problem), hold_seconds))
@@ -244,6 +250,12 @@ def _stands_at_goal(plan: Plan, problem: Problem) -> bool:
     return bool(goals) and near and max(away) > _ROUNDING
 
 
+def _said_in_file(given: Section) -> tuple[str, ...]:
+    """What is off in the user's file and is not judged: its own step, and the path of a plan with contacts."""
+    above = {OWN_STEP: 0.0, PATH_IN_FILE: 1.0}
+    return tuple(one.note for one in given.measured if given.passed and one.value > above.get(one.name, math.inf))
+
+
 def _unjudged(plan: Plan, problem: Problem) -> tuple[str, ...]:
     """Goals of the cost that are not judged, one phrase each."""
     if problem.requirements is not None and problem.requirements.goal is not None:
@@ -273,6 +285,8 @@ def _reason(passed: bool, judged: tuple[Section, ...], steps: list[Section], run
         if broken.title == "optimal":
             why = run.plan.message if not run.plan.success else f"{broken.failures[0]}."
             return f"not optimal: {why} To judge feasibility alone: prove(..., optimal=False).{more}"
+        if broken.failures[0].name == NOT_FINITE:  # the other numbers are of no plan
+            return f"plan: {broken.failures[0].note}"
         found = [one.note if one.bound == 0.0 and broken.title == FILE else str(one) for one in broken.failures]
         failures = "; ".join(sentence.removesuffix(".") for sentence in found)
         in_file = () if broken.title == FILE else next(one for one in judged if one.title == FILE).failures

@@ -7,6 +7,9 @@ of another plan are not compared.
     regressed   the verdict or mode got worse, a plan is no longer feasible, optimal or robust, less was checked, a
                 number fails the bound that it passed, or got worse by more than the tolerance
     moved       any other number changed by more than the tolerance
+    not compared  the plan or its stored numbers cannot be read, or lack steps of the proof
+
+The model that a plan was made from is read again, and what changed in it is named (sweeps.stored_model).
 """
 
 from __future__ import annotations
@@ -16,7 +19,7 @@ import math
 import os
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import Executor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -31,6 +34,7 @@ from planner.problem.plan import Plan
 from planner.problem.residual import Residual
 from planner.proof import Proof, prove
 from planner.proof.robustness.perturbation import Perturbation
+from planner.sweeps.stored_model import ModelState, StoredModel, stated, stored_model
 
 TOLERANCE = 0.05  # relative: another release of MuJoCo or another processor changes less
 _ROUNDING = 1e-9  # smaller changes of a number without a bound are rounding
@@ -78,6 +82,8 @@ class PlanComparison:
         problem: Why nothing could be compared, or "".
         proof: The new proof, or None.
         updated: Whether the new numbers were stored.
+        model: The plan's model against the one on disk; None where the plan cannot be read.
+        stated: What the plan's file asks for, a phrase each.
     """
 
     plan: Path
@@ -85,19 +91,41 @@ class PlanComparison:
     problem: str = ""
     proof: Proof | None = None
     updated: bool = False
+    model: StoredModel | None = None
+    stated: tuple[str, ...] = ()
 
     @property
     def passed(self) -> bool:
-        """Whether nothing regressed, or the new numbers were stored."""
-        return not self.problem and (self.updated or not any(change.regressed for change in self.changes))
+        """Whether nothing regressed and the model is not known to have changed, or the new state was stored."""
+        return self.word not in ("not compared", "regressed", "model changed")
+
+    @property
+    def word(self) -> str:
+        """The outcome in a word or two."""
+        if self.problem:
+            return "not compared"
+        if self.updated:
+            return "updated"
+        if any(change.regressed for change in self.changes):
+            return "regressed"
+        if self.model is not None and self.model.state is ModelState.CHANGED:
+            return "model changed"
+        return "moved" if self.changes else "as stored"
+
+    @property
+    def line(self) -> str:
+        """The outcome, the model, the proof's first line and what the file asks for; without the numbers."""
+        model = "" if self.model is None else str(self.model)
+        verdict = "" if self.proof is None else self.proof.headline
+        states = f"as the file states: {', '.join(self.stated)}" if self.stated else ""
+        return f"{self.plan}: {'. '.join(filter(None, [self.word, self.problem.rstrip('.'), model, verdict, states]))}"
 
     def __str__(self) -> str:
-        found = self.problem or "; ".join(map(str, self.changes)) or "as stored"
-        return f"{self.plan}: {'ok' if self.passed else 'REGRESSED'}, {found}"
+        return "; ".join([self.line, *map(str, self.changes)])
 
 
 def check(
-    *paths: str | Path, tolerance: float = TOLERANCE, update: bool = False,
+    *paths: str | Path, tolerance: float = TOLERANCE, update: bool = False, model: str | Path | None = None,
     callback: Callable[[PlanComparison], object] | None = None, executor: Executor | None = None,
     residuals: Mapping[str, type[Residual]] | None = None,
 ) -> list[PlanComparison]:  # fmt: skip
@@ -106,7 +134,9 @@ def check(
     Args:
         paths: Folders, searched with all below them, or plan files.
         tolerance: Relative change that counts.
-        update: Store the new numbers where they differ.
+        update: Store the new numbers where they differ, and accept a changed model.
+        model: An MJCF or URDF file to compare the plans' models with; by default the one that each was read from, if it
+            is in the plan's folder.
         callback: Called with each PlanComparison.
         executor: Where plans are proved, any concurrent.futures.Executor; by default this process.
         residuals: Classes of your own residuals by name, as of load_plan.
@@ -119,7 +149,7 @@ def check(
     """
     number("tolerance", tolerance, greater_than=0.0)
     done = []
-    work = partial(_checked, tolerance=tolerance, update=update, residuals=residuals)
+    work = partial(_checked, tolerance=tolerance, update=update, model=model, residuals=residuals)
     for one in ordered_map(checked_executor(executor), work, _plans(paths)):
         done.append(one)
         if callback is not None:
@@ -150,9 +180,9 @@ def _plans(paths: tuple[str | Path, ...]) -> list[Path]:
 
 
 def _checked(
-    path: Path, tolerance: float, update: bool, residuals: Mapping[str, type[Residual]] | None
+    path: Path, tolerance: float, update: bool, model: str | Path | None, residuals: Mapping[str, type[Residual]] | None
 ) -> PlanComparison:
-    file = stored_proof(path)
+    file, compared, states = stored_proof(path), None, ()
     try:
         plan = load_plan(path, residuals=residuals)
         digest = plan_digest(path)
@@ -161,20 +191,32 @@ def _checked(
         if foreign and not update:
             fix = f"expected that of this {path.name}; --update replaces it"
             raise FileError(f"{file.name} is the proof of another plan file, {fix}.")
+        accepted = str((stored or {}).get("model_digest", ""))
+        compared, states = stored_model(plan, path.parent, model, accepted), stated(plan)
         proof = _proved_as(plan, stored)
     except PlannerError as error:
-        return PlanComparison(path, problem=str(error))
+        return PlanComparison(path, problem=str(error), model=compared, stated=states)
     now = proof.to_dict() | {"plan_digest": digest}
-    if stored is None or foreign:
-        if not update:
-            problem = f"it has no stored numbers, expected {file.name} beside it; --update writes it."
-            return PlanComparison(path, problem=problem, proof=proof)
-        write_json(file, now)
-        return PlanComparison(path, proof=proof, updated=True)
-    changes = tuple(_changes(stored, now, tolerance))
-    if update and changes:
-        write_json(file, now | ({"refinement": stored["refinement"]} if "refinement" in stored else {}))
-    return PlanComparison(path, changes, proof=proof, updated=update and bool(changes))
+    if compared.state in (ModelState.CHANGED, ModelState.ACCEPTED):
+        now["model_digest"] = compared.digest
+    done = PlanComparison(path, proof=proof, model=compared, stated=states)
+    lacking = () if stored is None or foreign else _lacking(stored, now)
+    if (stored is None or foreign or lacking) and not update:
+        wants = f"has no {', '.join(lacking)}" if lacking else "is not there"
+        problem = f"its {file.name} {wants}, expected the numbers of its proof; --update writes them."
+        return replace(done, problem=problem)
+    changes = () if stored is None or foreign else tuple(_changes(stored, now, tolerance))
+    new = stored is None or foreign or lacking or changes or compared.state is ModelState.CHANGED
+    if update and new:
+        write_json(file, now | {key: part for key, part in (stored or {}).items() if key == "refinement"})
+    return replace(done, changes=changes, updated=update and bool(new))
+
+
+def _lacking(stored: dict[str, Any], now: dict[str, Any]) -> tuple[str, ...]:
+    """Steps with judged numbers that a stored proof does not have."""
+    figures = {step: section.get("figures", {}) for step, section in now.items() if isinstance(section, dict)}
+    judged = [step for step, own in figures.items() if any(one.get("bound") is not None for one in own.values())]
+    return tuple(step.replace("_", " ") for step in judged if not isinstance(stored.get(step), dict))
 
 
 def _read(file: Path) -> dict[str, Any]:
@@ -192,7 +234,7 @@ def _proved_as(plan: Plan, stored: dict[str, Any] | None) -> Proof:
     asked = (stored or {}).get("asked", {})
     try:
         if asked.get("another_model"):
-            raise FileError("its numbers are of another model (prove --mjcf), expected those of its own model.")
+            raise FileError("its numbers are of another model (prove --model), expected those of its own model.")
         perturbation = Perturbation(**asked["perturbation"]) if asked.get("perturbation") else None
         options = {name: asked[name] for name in ("seed", "rollouts", "hold_seconds") if name in asked}
         options |= {"optimal": False} if asked.get("optimal") is False else {}

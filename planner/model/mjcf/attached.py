@@ -4,7 +4,8 @@
     {frame = "hand", mass = 2.0, size = [0.1, 0.1, 0.2]}            a box, m
     {frame = "flange", model = "gripper.xml"}                       the first body of another MJCF file
 
-A payload touches nothing: its shape is there to be seen.
+A plan models no contact of a payload. A size of its own touches in the replay in the user's file (read.read_opened); a
+ball of aluminium is drawn in place of a size that was not given, and touches nothing: SHAPELESS names it.
 """
 
 from __future__ import annotations
@@ -27,6 +28,8 @@ from planner.model.mjcf.text import is_text, model_tree, written
 
 ALUMINIUM = 2700.0  # kg/m^3
 COLOUR = "0.55 0.35 0.75 1"
+SHAPELESS = "shapeless "
+"""Begins the name of a custom text on a body with a mass and no shape: <text name="shapeless 1" data="payload"/>."""
 Frame = tuple[ElementTree.Element, np.ndarray, np.ndarray]  # a body's element, and position and quaternion in it
 
 
@@ -159,11 +162,13 @@ def with_attached(file: ModelFile, given: Sequence[Attachment]) -> ModelFile:
             raise PlannerError(f"name of attach is {one.name!r}, which the model has: expected another name.")
         at = {"pos": written(*position), "quat": written(*quaternion)}
         if one.model is None:
-            _add_payload(body, one, at)
+            _add_payload(root, file.survey.model, body, one, at)
         else:
             _add_model(root, files, body, one, at)
         survey = ModelIndex(compile_model(root, files, file.name))
-        file = file._replace(root=root, files=files, survey=survey, is_compiled=True)
+        shaped = (one.name,) if one.model is None and one.size is not None else ()
+        payloads = (*file.payloads, *shaped)
+        file = file._replace(root=root, files=files, survey=survey, is_compiled=True, payloads=payloads)
     return file
 
 
@@ -191,7 +196,18 @@ def _place(root: ElementTree.Element, model: Any, frame: str) -> Frame:
     return element, np.array(position), np.array(quaternion)
 
 
-def _add_payload(body: ElementTree.Element, one: Attachment, at: dict[str, str]) -> None:
+def _add_payload(
+    root: ElementTree.Element, model: Any, body: ElementTree.Element, one: Attachment, at: dict[str, str]
+) -> None:
+    """A body with the payload's mass; its shape touches whatever may touch in the file, if it has a size."""
+    masks = {"contype": "0", "conaffinity": "0"}
+    if one.size is None:
+        texts = ElementTree.SubElement(root, "custom")
+        number_of = len(root.findall("custom/text")) + 1
+        ElementTree.SubElement(texts, "text", {"name": f"{SHAPELESS}{number_of}", "data": one.name})
+    else:
+        every = [int(np.bitwise_or.reduce(getattr(model, f"geom_{name}"), initial=0)) for name in reversed(masks)]
+        masks = dict(zip(masks, map(str, every), strict=True))
     payload = ElementTree.SubElement(body, "body", {"name": one.name, **at})
     com, size = written(*np.asarray(one.com, dtype=float)), one.shape
     mass = written(float(one.mass or 0.0))
@@ -202,7 +218,7 @@ def _add_payload(body: ElementTree.Element, one: Attachment, at: dict[str, str])
     kind = {"type": "sphere" if ball else "box", "size": written(*(size if ball else 0.5 * size))}
     ElementTree.SubElement(
         payload, "geom",
-        {"name": one.name, **kind, "pos": com, "mass": mass, "contype": "0", "conaffinity": "0", "rgba": COLOUR},
+        {"name": one.name, **kind, "pos": com, "mass": mass, **masks, "rgba": COLOUR},
     )  # fmt: skip
 
 

@@ -5,6 +5,8 @@ that are not modelled (meshes, boxes of two bodies that both move) are excluded 
 
 Those numbers are relative to MuJoCo's body_invweight0, so a model whose inertias are changed needs others for the same
 law: `keep_law` writes them.
+
+A contact that is to make no force is watched: MuJoCo detects it and says how deep it is (`watch`).
 """
 
 from __future__ import annotations
@@ -25,6 +27,7 @@ from planner.model.mjcf.contacts import CONTACT_RAMP, contact_attributes, shapes
 from planner.model.mjcf.model_index import ModelIndex, Pair, compile_model
 from planner.model.mjcf.text import written
 
+WATCHED_MARGIN = -1e3  # m, where the force of a watched pair would begin
 IMPRATIO = 1000.0  # at which MuJoCo's friction is the law's to a thousandth; beyond, its own inertia shows
 
 
@@ -90,14 +93,19 @@ def force_begins(model: Any, pair: Pair) -> float:
 @cache
 def _begins(first: str, second: str, pair: str) -> float:
     """Where force begins between a plane and a ball with these margins: releases add them, or take the larger one."""
-    explicit = f'<contact><pair geom1="a" geom2="b" {pair}/></contact>' if pair else ""
+    return max(float(_plane_and_ball(first, second, pair).contact[0].includemargin), 0.0)
+
+
+def _plane_and_ball(first: str = "", second: str = "", explicit: str = "") -> Any:
+    """MuJoCo's data of a ball 0.1 m deep in a plane, with attributes of both geoms and of their <pair>, if any."""
+    pair = f'<contact><pair geom1="a" geom2="b" {explicit}/></contact>' if explicit else ""
     model = compile_model(
         f'<mujoco><worldbody><geom name="a" type="plane" size="1 1 1" {first}/><body pos="0 0 .9"><freejoint/>'
-        f'<geom name="b" size="1" {second}/></body></worldbody>{explicit}</mujoco>'
+        f'<geom name="b" size="1" {second}/></body></worldbody>{pair}</mujoco>'
     )
     data = load_mujoco().MjData(model)
     load_mujoco().mj_fwdPosition(model, data)
-    return max(float(data.contact[0].includemargin), 0.0)
+    return data
 
 
 def _body_of(root: ElementTree.Element, element: ElementTree.Element) -> ElementTree.Element:
@@ -123,16 +131,15 @@ def keep_law(root: ElementTree.Element, survey: ModelIndex, weights: np.ndarray,
     """Edit the XML so that its contacts keep their force when its bodies have other inertias, or their time constant.
 
     `weights` (nbody,) are body_invweight0[:, 0] of the model with the other inertias, 1/kg. What touches between two
-    bodies that no force moves, `still` (nbody,), is excluded.
+    bodies that no force moves, `still` (nbody,), is watched.
     """
     model = survey.model
-    body_names, elements = _names(root, model)
-    geom_names = [element.attrib["name"] for element in elements]
+    geom_names = [element.attrib["name"] for element in elements_of_geoms(root, model)]
     section = _in_place_of_pairs(root)
     for pair in survey.pairs:
         bodies = [int(model.geom_bodyid[geom]) for geom in pair.geoms]
         if np.all(still[bodies]):
-            _exclude(root, section, *(body_names[body] for body in bodies))
+            watch(section, *(geom_names[geom] for geom in pair.geoms))
             continue
         ratio = float(np.sum(weights[bodies]) / np.sum(model.body_invweight0[bodies, 0]))
         numbers = {
@@ -143,6 +150,34 @@ def keep_law(root: ElementTree.Element, survey: ModelIndex, weights: np.ndarray,
         geoms = {f"geom{i + 1}": geom_names[geom] for i, geom in enumerate(pair.geoms)}
         extent = {"condim": str(pair.condim), "margin": written(pair.margin), "gap": "0"}
         ElementTree.SubElement(section, "pair", {**geoms, **law, **extent})
+
+
+def watch(section: ElementTree.Element, first: str, second: str) -> None:
+    """Add a <pair> of two geoms whose contact MuJoCo detects and that makes no force; it replaces their own contact."""
+    margin, gap = _watched()
+    ElementTree.SubElement(section, "pair", {"geom1": first, "geom2": second, "margin": margin, "gap": gap})
+
+
+@cache
+def _watched() -> tuple[str, str]:
+    """Margin and gap with which MuJoCo detects contact at distance 0 without a force: before 4.0, or from it on."""
+    for margin in (0.0, WATCHED_MARGIN):
+        texts = written(margin), written(-WATCHED_MARGIN)
+        data = _plane_and_ball(explicit='margin="{}" gap="{}"'.format(*texts))
+        if data.ncon and not data.nefc:
+            return texts
+    raise AssertionError(f"MuJoCo {load_mujoco().__version__} has no contact without force")
+
+
+def is_watched(includemargin: np.ndarray) -> np.ndarray:
+    """Whether contacts with these margins, m, make no force at any depth: see `watch`."""
+    return includemargin <= 0.5 * WATCHED_MARGIN
+
+
+def watched_pairs(model: Any) -> set[frozenset[int]]:
+    """The pairs of geoms of a compiled model that are watched."""
+    none = (model.pair_margin <= 0.5 * WATCHED_MARGIN) | (model.pair_margin - model.pair_gap <= 0.5 * WATCHED_MARGIN)
+    return {frozenset((int(model.pair_geom1[k]), int(model.pair_geom2[k]))) for k in np.flatnonzero(none)}
 
 
 def _scaled(ratio: float, solref: np.ndarray) -> np.ndarray:

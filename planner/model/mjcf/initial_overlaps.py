@@ -4,16 +4,15 @@ Bounding spheres answer the first for all pairs: may_collide. For a pair with on
 on a grid over these joints give the least distance: min_distance_over_ranges. Random poses tell whether a robot can
 leave what it overlaps: can_separate.
 
-Many models draw a base into the link that turns on it, and MuJoCo presses the two apart, which nobody intends. So these
-pairs are taken out of the user's file and named; each geom still collides with all others, by the same contact law. A
-link that starts inside an obstacle at rest and can leave it is in collision instead.
+Many models draw a base into the link that turns on it, and MuJoCo presses the two apart, which nobody intends. So the
+contact of these pairs makes no force in the user's file: it is watched (contact_edits.watch) and named. A pair with a
+gap, and one within a margin, keeps its force. A link that starts more than MAX_EMBEDDED inside an obstacle at rest and
+can leave it keeps it too: it is in collision.
 """
 
 from __future__ import annotations
 
-import copy
 import itertools
-from collections import Counter
 from collections.abc import Collection
 from typing import Any
 from xml.etree import ElementTree
@@ -21,10 +20,9 @@ from xml.etree import ElementTree
 import numpy as np
 
 from planner.base.gl import load_mujoco
-from planner.model.mjcf.contact_edits import elements_of_geoms
+from planner.model.mjcf.contact_edits import elements_of_geoms, watch
 from planner.model.mjcf.contact_mode import falling_trees
 from planner.model.mjcf.model_index import ModelIndex
-from planner.model.mjcf.text import written
 
 GRIDS = {1: 65, 2: 17}  # poses of each joint, by the number of joints between two shapes
 TRIED = 20  # poses, to find one in which a pair is apart
@@ -177,66 +175,55 @@ def _turned(arm: np.ndarray, axis: np.ndarray, low: float, high: float) -> tuple
 
 
 OVERLAP_TOLERANCE = 1e-4  # of a machine of 1 m or more, m: shapes that are drawn flush touch as soon as anything moves
+MAX_EMBEDDED = 1e-3  # of a machine of 1 m or more, m: how deep it may start in what is at rest and could be left
+TOUCH_ROUNDING = 1e-6  # of a machine of 1 m or more, m: flush shapes overlap by it
 GeomPair = frozenset[int]
 
 
-def initial_overlaps(model: Any, qpos: np.ndarray) -> list[GeomPair]:
-    """The pairs of geoms that overlap or lie flush at qpos, but for what falls without the contact, or can leave it."""
+def initial_overlaps(model: Any, qpos: np.ndarray) -> dict[GeomPair, float]:
+    """The pairs of geoms that penetrate at qpos and their depths, m, but for what falls without the contact.
+
+    Without what starts deeper than MAX_EMBEDDED in something at rest and can leave it: see `starts_inside`.
+    """
     mujoco, survey = load_mujoco(), ModelIndex(model)
-    falling, flush = falling_trees(survey), OVERLAP_TOLERANCE * min(1.0, float(model.stat.extent))
-    model = copy.copy(model)
-    model.geom_margin += flush
-    model.pair_margin += flush
+    falling, scale = falling_trees(survey), min(1.0, float(model.stat.extent))
     data = mujoco.MjData(model)
     data.qpos[:] = qpos
     mujoco.mj_fwdPosition(model, data)
-    found: dict[GeomPair, None] = {}
+    found: dict[GeomPair, float] = {}
     for c in range(data.ncon):
         contact = data.contact[c]
-        geoms = [int(geom) for geom in contact.geom]
-        if min(geoms) < 0 or contact.includemargin < contact.dist:
+        geoms, depth = [int(geom) for geom in contact.geom], -float(contact.dist)
+        if min(geoms) < 0 or depth <= TOUCH_ROUNDING * scale:
             continue
-        if contact.dist < -flush and can_separate(survey, (geoms[0], geoms[1]), qpos, flush):
+        if starts_inside(survey, (geoms[0], geoms[1]), qpos, depth):
             continue
         roots = set(model.body_rootid[model.geom_bodyid[geoms]].tolist())
         if len(roots) == 1 or falling.keys().isdisjoint(roots):
-            found[frozenset(geoms)] = None
-    return list(found)
+            found[frozenset(geoms)] = max(depth, found.get(frozenset(geoms), 0.0))
+    return found
 
 
-def without_pairs(text: str, model: Any, pairs: Collection[GeomPair]) -> str:
-    """The text without the contact of some pairs of geoms; `model` is what it compiles to.
+def starts_inside(survey: ModelIndex, pair: tuple[int, int], qpos: np.ndarray, depth: float) -> bool:
+    """Whether a machine starts inside something at rest, deeper than MAX_EMBEDDED, that its joints could leave."""
+    scale = min(1.0, float(survey.model.stat.extent))
+    return depth > MAX_EMBEDDED * scale and can_separate(survey, pair, qpos, OVERLAP_TOLERANCE * scale)
 
-    One shape of each pair touches nothing by its masks any more, and gets a <pair> with all others that it touched.
+
+def watching(text: str, model: Any, pairs: Collection[GeomPair]) -> str:
+    """The text with the contact of some pairs of geoms watched, without force; `model` is what it compiles to.
 
     Raises:
         ModelError: The file has not all geoms of the model (<attach>, <replicate>).
     """
-    root, survey = ElementTree.fromstring(text), ModelIndex(model)
-    elements = elements_of_geoms(root, model)
-    silent, left = set(), set(pairs)
-    while left:
-        often = Counter(geom for pair in left for geom in pair)
-        silent.add(max(often, key=lambda geom: (often[geom], int(model.body_weldid[model.geom_bodyid[geom]]))))
-        left = {pair for pair in left if not pair & silent}
-    explicit = {frozenset(both) for both in zip(model.pair_geom1.tolist(), model.pair_geom2.tolist(), strict=True)}
-    for geom in silent:
-        elements[geom].attrib.update(contype="0", conaffinity="0")
-    gone = [{elements[geom].attrib["name"] for geom in pair} for pair in pairs if pair in explicit]
+    root = ElementTree.fromstring(text)
+    names = [element.attrib["name"] for element in elements_of_geoms(root, model)]
+    watched = {frozenset(names[geom] for geom in pair) for pair in pairs}
     for section in root.findall("contact"):
         for element in section.findall("pair"):
-            if {element.get("geom1"), element.get("geom2")} in gone:
+            if frozenset((element.get("geom1"), element.get("geom2"))) in watched:
                 section.remove(element)
     section = ElementTree.SubElement(root, "contact")
-    for pair in survey.pairs:
-        both = frozenset(pair.geoms)
-        if both in pairs or both in explicit or not both & silent:
-            continue
-        ends = list(pair.geoms)
-        ElementTree.SubElement(section, "pair", {
-            "geom1": elements[ends[0]].attrib["name"], "geom2": elements[ends[1]].attrib["name"],
-            "condim": str(pair.condim), "friction": written(*pair.friction), "solref": written(*pair.solref),
-            "solimp": written(*pair.solimp), "margin": written(float(model.geom_margin[ends].max())),
-            "gap": written(float(model.geom_gap[ends].max())),
-        })  # fmt: skip
+    for pair in pairs:
+        watch(section, *(names[geom] for geom in sorted(pair)))
     return ElementTree.tostring(root, encoding="unicode")

@@ -128,6 +128,7 @@ class ModelFile(NamedTuple):
     survey: ModelIndex  # Of the file with its own meshes
     name: str  # For a sentence
     is_compiled: bool  # Whether the survey's model is what root compiles to: no mesh is coarser
+    payloads: tuple[str, ...] = ()  # Names of geoms that a plan does not model: attached payloads
 
 
 def open_model_file(

@@ -26,6 +26,8 @@ VELOCITY_LIMIT = "velocity_limit"
 """Tuple of velocity limits: <tuple name="velocity_limit"><element objtype="joint" objname="elbow" prm="3.1"/>."""
 LEFT_OUT = "left_out "
 """Begins the name of a custom text on a missing part: <text name="left_out 1" data="the mesh 'hand.ply' of ..."/>."""
+EDITED = "edited"
+"""Name of the custom text of an edited file; its data is what was taken out, a phrase each, "; " between them."""
 
 RECENT: deque[tuple[str, dict[str, bytes], Any]] = deque(maxlen=8)
 """Text, files and model of what was compiled last, the latest at the end."""
@@ -223,9 +225,14 @@ def velocity_limits(model: Any) -> np.ndarray:
 
 def phrases_left_out(model: Any) -> tuple[str, ...]:
     """The phrases that a compiled model carries."""
+    return texts_of(model, LEFT_OUT)
+
+
+def texts_of(model: Any, prefix: str) -> tuple[str, ...]:
+    """The custom texts of a compiled model whose names begin with a prefix."""
     mujoco, found = load_mujoco(), []
     for i in range(model.ntext):
-        if (mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_TEXT, i) or "").startswith(LEFT_OUT):
+        if (mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_TEXT, i) or "").startswith(prefix):
             at, size = model.text_adr[i], model.text_size[i]
             found.append(bytes(model.text_data[at : at + size]).split(b"\0")[0].decode(errors="replace"))
     return tuple(found)

@@ -31,6 +31,7 @@ from planner.model.mjcf.ground_law import laws_of_ground
 from planner.model.mjcf.joint_forces import actuators_of, armature_and_damping, joint_friction
 from planner.model.mjcf.model_file import ModelFile, open_model_file
 from planner.model.mjcf.model_index import (
+    EDITED,
     ModelIndex,
     Pair,
     compile_model,
@@ -50,6 +51,7 @@ from planner.model.mjcf.unsupported import (  # fmt: skip
     take_out,
     unsupported_elements,
 )
+from planner.model.model_origin import origin_of
 from planner.model.space import unit
 
 MAX_PHRASES = 30  # in one sentence
@@ -73,9 +75,10 @@ def read(
     With `assets` nothing is read from disk. Messages call the model `name`, by default after its file.
     """
     given = attachments(attach)
-    return read_opened(
+    mechanism = read_opened(
         lambda: with_attached(open_model_file(model, assets, name), given), ignore=ignore, contacts=contacts
     )
+    return mechanism if assets is not None else replace(mechanism, origin=origin_of(model, attach))
 
 
 def read_opened(
@@ -89,9 +92,14 @@ def read_opened(
         choice("ignore", kind, KINDS)
     law = contacts if isinstance(contacts, ContactLaw) else None
     asked = "law" if law is not None else choice("contacts", _renamed(contacts), MODES)
-    given, files, survey, name, is_compiled = file()
+    given, files, survey, name, is_compiled, payloads = file()
     root = copy.deepcopy(given)
     original = ElementTree.tostring(root, encoding="unicode")
+    if payloads:  # they touch in the user's file alone
+        for geom in root.iter("geom"):
+            if geom.get("name") in payloads:
+                geom.attrib.update(contype="0", conaffinity="0")
+        survey = ModelIndex(compile_model(root, files, name))
     mode, phrase = (
         select_contact_mode(survey, asked) if asked in ("auto", "ground", "avoid", "model") else ContactMode(asked)
     )
@@ -112,8 +120,11 @@ def read_opened(
     if kept:
         let_float(root, survey.model, kept)
     phrases = ["contacts" if refusal.kind == "contacts" else refusal.phrase for refusal in found]
+    phrases += [f"contacts of {payload}" for payload in payloads]
     if unmatched:
         phrases.append(phrase_of(survey.model, unmatched))
+    if found or unmatched or kept or payloads:
+        _mark_edited(root, phrases)
     if not is_compiled or ElementTree.tostring(root, encoding="unicode") != original:
         # Compiled once for coarser meshes and edits together, which may not do what they meant.
         survey = ModelIndex(compile_model(root, files, name))
@@ -123,6 +134,15 @@ def read_opened(
     mechanism = _mechanism(survey, text, files, (*phrases_left_out(survey.model), *phrases), name)
     mechanism = replace(mechanism, contacts_mode=mode, contacts_choice=phrase)
     return mechanism if text == original else replace(mechanism, original=original)
+
+
+def _mark_edited(root: ElementTree.Element, phrases: list[str]) -> None:
+    """Say in a text what was taken out of it, since its original may get lost."""
+    mark = root.find(f"custom/text[@name='{EDITED}']")
+    if mark is None:
+        mark = ElementTree.SubElement(ElementTree.SubElement(root, "custom"), "text", {"name": EDITED, "data": ""})
+    known = list(filter(None, mark.get("data", "").split("; ")))
+    mark.set("data", "; ".join(dict.fromkeys([*known, *phrases])) or "contacts")
 
 
 def _renamed(contacts: object) -> object:

@@ -14,9 +14,10 @@ from typing import Any
 
 import numpy as np
 
+from planner.model.mjcf.attached import SHAPELESS
 from planner.model.mjcf.contact_shapes import shape_of
 from planner.model.mjcf.initial_overlaps import initial_overlaps
-from planner.model.mjcf.model_index import compile_model, contact_pairs, named
+from planner.model.mjcf.model_index import EDITED, compile_model, contact_pairs, named, texts_of
 from planner.model.mjcf.unsupported import UnsupportedElement, modelled, unsupported_elements
 
 _OF = {"frictionloss": "friction loss", "gravcomp": "gravity compensation"}  # in words
@@ -38,9 +39,11 @@ class UnmodelledFeatures:
         elements: What is not modelled and was taken out, but for contacts.
         pairs: Pairs of geoms that may touch in the file alone, e.g. "geom 'arm' and geom 'wall'".
         known: The pairs that the plan's model has.
-        overlaps: Pairs of the file alone that overlap at the start, e.g. "base and link1": see
-        model.mjcf.initial_overlaps.
-        overlapping: How many of `pairs` these are; several geoms may share a name in `overlaps`.
+        overlaps: Pairs of the file alone that overlap at the start and their depths, e.g. "base and link1 (0.02 m)":
+            see model.mjcf.initial_overlaps.
+        overlap_count: How many of `pairs` these are; several geoms may share a name in `overlaps`.
+        shapeless: Bodies that have a mass and no shape.
+        lost: What was taken out of a file that is not there, in the words of the edited text.
     """
 
     elements: tuple[UnsupportedElement, ...] = ()
@@ -48,6 +51,8 @@ class UnmodelledFeatures:
     known: frozenset[frozenset[GeomName]] = frozenset()
     overlaps: tuple[str, ...] = ()
     overlap_count: int = 0
+    shapeless: tuple[str, ...] = ()
+    lost: tuple[str, ...] = ()
 
     @property
     def kinds(self) -> frozenset[str]:
@@ -58,20 +63,22 @@ class UnmodelledFeatures:
     @property
     def phrases(self) -> tuple[str, ...]:
         """Short phrases with counts: "contacts of 12 pairs", "friction loss of 2 joints", "1 equality"."""
-        return (*self._counted(len(self.pairs)), *self.overlapping_phrases)
+        return (*self._counted(len(self.pairs)), *self.never_replayed)
 
     @property
     def in_the_file(self) -> tuple[str, ...]:
-        """The phrases about what a replay in the file has: all but pairs that overlap at the start."""
+        """The phrases about what a replay in the file has: all but those of `never_replayed`."""
         return self._counted(len(self.pairs) - self.overlap_count)
 
     @property
-    def overlapping_phrases(self) -> tuple[str, ...]:
-        """A phrase about the pairs that overlap at the start, if there are any."""
-        if not self.overlaps:
-            return ()
-        more = f" and {len(self.overlaps) - MAX_NAMED} more pairs" if len(self.overlaps) > MAX_NAMED else ""
-        return (f"contact of {', '.join(self.overlaps[:MAX_NAMED])}{more}, which overlap at the start",)
+    def never_replayed(self) -> tuple[str, ...]:
+        """The phrases about what no replay has."""
+        found = [f"{phrase}, of a file that is not in the plan" for phrase in self.lost]
+        if self.overlaps:
+            more = f" and {len(self.overlaps) - MAX_NAMED} more pairs" if len(self.overlaps) > MAX_NAMED else ""
+            found.append(f"contact of {', '.join(self.overlaps[:MAX_NAMED])}{more}, which overlap at the start")
+        found += [f"contacts of {name}, which has a mass and no shape" for name in self.shapeless]
+        return tuple(found)
 
     def _counted(self, pairs: int) -> tuple[str, ...]:
         found = [f"contacts of {_counted(pairs, 'pair')}"] if pairs else []
@@ -88,7 +95,7 @@ def unmodelled_features(
 
     `contacts` tells whether the mechanism has any; one may have none though its text has some. `compiled` is the
     model of a text that was not edited, where there is one already, and `given` that of the original; `start` is
-    MuJoCo's qpos where the plan starts.
+    MuJoCo's state where the plan starts, of which qpos comes first.
     """
     own = compiled if compiled is not None and not original else compile_model(planned, assets)
     known = pairs_by_name(own) if contacts else {}
@@ -101,12 +108,16 @@ def unmodelled_features(
     pairs = pairs_by_name(given)
     unknown = [pair for key, pair in pairs.items() if key not in known]
     names = tuple(" and ".join(named(given, "geom", geom) for geom in pair) for pair in unknown)
-    overlaps: list[str] = []  # one for each pair
-    if start is not None and unknown and len(start) == given.nq:
-        found = [tuple(sorted(pair)) for pair in initial_overlaps(given, start)]
-        overlaps = [" and ".join(_shape(given, geom) for geom in pair) for pair in found
-                    if names_of(given, pair) not in known]  # fmt: skip
-    return UnmodelledFeatures(elements, names, frozenset(known), tuple(dict.fromkeys(overlaps)), len(overlaps))
+    overlaps: dict[str, float] = {}
+    count = 0
+    if start is not None and unknown and len(start) >= given.nq == own.nq:
+        for pair, depth in initial_overlaps(given, start[: given.nq]).items():
+            if names_of(given, pair) not in known:
+                shapes = " and ".join(_shape(given, geom) for geom in sorted(pair))
+                overlaps[shapes], count = max(depth, overlaps.get(shapes, 0.0)), count + 1
+    phrases = tuple(f"{shapes} ({depth:.2g} m)" for shapes, depth in overlaps.items())
+    lost = () if original else tuple(phrase for text in texts_of(own, EDITED) for phrase in text.split("; "))
+    return UnmodelledFeatures(elements, names, frozenset(known), phrases, count, texts_of(given, SHAPELESS), lost)
 
 
 def _shape(model: Any, geom: int) -> str:

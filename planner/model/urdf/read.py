@@ -27,7 +27,7 @@ def read_model(
         ModelError: As of Mechanism.from_urdf and from_mjcf.
     """
     if assets is None and is_urdf(model):
-        return read_urdf(
+        return Mechanism.from_urdf(
             model, base=base, floor=floor, package_path=package_path, inertia=inertia, ignore=ignore,
             contacts=contacts, attach=attach,
         )  # fmt: skip
@@ -39,16 +39,6 @@ def read_model(
                     f"{key} is given for an MJCF model, expected it for a URDF alone: MJCF says it itself."
                 )
     return read(model, ignore=ignore, contacts=contacts, assets=assets, attach=attach)
-
-
-def read_urdf(
-    model: str | Path, *, base: str | None = None, floor: bool = False, package_path: str | Sequence[str] = (),
-    inertia: str = "given", ignore: Collection[str] | None = (), contacts: str | ContactLaw = "auto",
-    attach: Any = None,
-) -> Mechanism:  # fmt: skip
-    """A mechanism of a URDF file or text; see Mechanism.from_urdf."""
-    mjcf, assets, name = as_mjcf(model, base, floor, package_path, inertia)
-    return read(mjcf, ignore=ignore, contacts=contacts, assets=assets, name=name, attach=attach)
 
 
 def opened_model(model: str | Path) -> tuple[ModelFile, dict[str, Any]]:

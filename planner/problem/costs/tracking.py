@@ -179,12 +179,24 @@ class TrackingCost(Term):
         return TrackingCost(Q, R, x_ref, u_ref, self.space)
 
     def goal_specs(self, coordinates: Sequence[Coordinate]) -> tuple[GoalSpec, ...]:
-        """The reference at the end, in every component that the final weight acts on."""
-        weighed = np.flatnonzero(np.any(self.Q[-1], axis=0))
-        return tuple(GoalSpec(*coordinates[i], partial(self._missed, i)) for i in weighed.tolist())
+        """The reference at the end, in every component that the final weight acts on, or combination of components.
 
-    def _missed(self, i: int, xs: np.ndarray) -> np.ndarray:
-        return np.abs(self.space.difference(xs, self.x_ref[-1])[..., i])
+        A final weight of less than full rank asks for combinations alone: 1 on (a + b)^2 for the sum of two angles.
+        """
+        weighed = np.flatnonzero(np.any(self.Q[-1], axis=0))
+        rows = _independent_rows(self.Q[-1][np.ix_(weighed, weighed)])
+        found = []
+        for row in rows:
+            parts = {int(weighed[k]): float(row[k]) for k in np.flatnonzero(row)}
+            names = [f"{'' if share == 1.0 else f'{share:.3g} '}{coordinates[i].name}" for i, share in parts.items()]
+            units = {coordinates[i].unit for i in parts}
+            unit = units.pop() if len(units) == 1 else ""
+            found.append(GoalSpec(" + ".join(names), unit, partial(self._missed, parts)))
+        return tuple(found)
+
+    def _missed(self, parts: dict[int, float], xs: np.ndarray) -> np.ndarray:
+        e = self.space.difference(xs, self.x_ref[-1])
+        return np.abs(sum(share * e[..., i] for i, share in parts.items()))
 
     def final_cost(self, x: np.ndarray) -> float:
         """The final cost at the end state x (nx,)."""
@@ -209,6 +221,31 @@ class TrackingCost(Term):
             Jt = np.swapaxes(J, 1, 2)
             Q, q = Jt @ Q @ J, np.einsum("nij,nj->ni", Jt, q)
         return Quadratic(Q, q, self.R, np.einsum("nij,nj->ni", self.R, us - self.u_ref))
+
+
+_RANK_TOLERANCE = 1e-9  # of a weight relative to the diagonal of its components
+
+
+def _independent_rows(Q: np.ndarray) -> np.ndarray:
+    """(r, n) rows that span the row space of a weight (n, n) in reduced echelon form: the identity for full rank."""
+    scale = np.sqrt(np.maximum(np.diag(Q), np.finfo(float).tiny))
+    values, vectors = np.linalg.eigh(Q / np.outer(scale, scale))
+    significant = np.abs(values) > _RANK_TOLERANCE * max(1.0, float(np.abs(values).max(initial=0.0)))
+    if np.all(significant):
+        return np.eye(len(Q))
+    rows, first = vectors[:, significant].T * scale, 0
+    for column in range(len(Q)):
+        if first == len(rows):
+            break
+        best = first + int(np.argmax(np.abs(rows[first:, column])))
+        if abs(rows[best, column]) <= _RANK_TOLERANCE * np.abs(rows).max():
+            continue
+        rows[[first, best]] = rows[[best, first]]
+        rows[first] /= rows[first, column]
+        others = np.arange(len(rows)) != first
+        rows[others] -= np.outer(rows[others, column], rows[first])
+        first += 1
+    return np.where(np.abs(rows) > _RANK_TOLERANCE, np.round(rows, 12), 0.0)
 
 
 def tracking_of(cost: Any) -> TrackingCost | None:

@@ -29,20 +29,46 @@ def constrained_acceleration(model: Any, data: Any, mechanism: Mechanism) -> np.
     """Accelerations (nv,) from the terms of mj_forward in data; qacc_smooth for a tree. `mechanism` is the model's."""
     if not (mechanism.couplings or mechanism.loops or mechanism.polynomial_couplings):
         return data.qacc_smooth.copy()
-    mass = np.empty((model.nv, model.nv))
-    for row, axis in zip(mass, np.eye(model.nv), strict=True):
-        load_mujoco().mj_mulM(model, data, row, axis)
-    G = np.eye(model.nv) if mechanism.reduction is None else mechanism.reduction.G
-    W = G @ np.linalg.solve(G.T @ mass @ G, G.T)
+    W = _mobility(model, data, mechanism)
     free = W @ data.qfrc_smooth
     if not (mechanism.loops or mechanism.polynomial_couplings):
         return free
     J, drift, phi = _rows(model, data, mechanism.polynomial_couplings)
     lacks = drift + 2.0 * BAUMGARTE_RATE * (J @ data.qvel) + BAUMGARTE_RATE**2 * phi
-    values, vectors = np.linalg.eigh(J @ W @ J.T)
+    return free - W @ J.T @ _inverse(J @ W @ J.T) @ (lacks + J @ free)
+
+
+def closure_rounding(model: Any, data: Any, mechanism: Mechanism) -> float:
+    """Error of constrained accelerations per unit of rounding in A = J W J' and the closures' accelerations c.
+
+    It is the largest component of |W J' A^+| (|J| |W| |J'| |f| + |c|) with the forces f = A^+ c (Skeel), which grows
+    without bound where a chain comes to lie in line. 0 without loop closures.
+    """
+    if not (mechanism.loops or mechanism.polynomial_couplings):
+        return 0.0
+    W = _mobility(model, data, mechanism)
+    J, drift, _ = _rows(model, data, mechanism.polynomial_couplings)
+    inverse, free = _inverse(J @ W @ J.T), W @ data.qfrc_smooth
+    c = np.abs(J) @ (np.abs(free) + 2.0 * BAUMGARTE_RATE * np.abs(data.qvel)) + np.abs(drift)
+    f = np.abs(inverse @ (drift + 2.0 * BAUMGARTE_RATE * (J @ data.qvel) + J @ free))
+    terms = np.abs(J) @ np.abs(W) @ np.abs(J.T) @ f + c
+    return float(np.max(np.abs(W @ J.T) @ np.abs(inverse) @ terms))
+
+
+def _inverse(A: np.ndarray) -> np.ndarray:
+    """Pseudoinverse of A = J W J', without its redundant equations."""
+    values, vectors = np.linalg.eigh(A)
     keep = values > _RANK_TOLERANCE * values.max()
-    forces = -vectors[:, keep] @ ((vectors[:, keep].T @ (lacks + J @ free)) / values[keep])
-    return free + W @ J.T @ forces
+    return (vectors[:, keep] / values[keep]) @ vectors[:, keep].T
+
+
+def _mobility(model: Any, data: Any, mechanism: Mechanism) -> np.ndarray:
+    """(nv, nv) W = G (G'MG)^-1 G' of MuJoCo's mass matrix."""
+    mass = np.empty((model.nv, model.nv))
+    for row, axis in zip(mass, np.eye(model.nv), strict=True):
+        load_mujoco().mj_mulM(model, data, row, axis)
+    G = np.eye(model.nv) if mechanism.reduction is None else mechanism.reduction.G
+    return G @ np.linalg.solve(G.T @ mass @ G, G.T)
 
 
 def steps_back(model: Any, data: Any, mechanism: Mechanism, held: Sequence[int] | np.ndarray) -> None:

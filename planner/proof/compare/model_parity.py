@@ -233,13 +233,19 @@ def driven_parity(
             f"the model does not drive {', '.join(prescribed)}, expected an armature of {PRESCRIBED_ARMATURE:g} there: "
             "it is another machine."
         )
-    model.dof_armature[dofs] = armature[dofs]
+    _set_armature(model, dofs, armature[dofs])
     losses = tuple(_losses(free, mechanism_of_model(model), bound))  # before its constraints are disabled
     spread = np.where(np.arange(free.nu) < mechanism.nu, 1.0, 1.0 / PRESCRIBED_ARMATURE)  # forces of size one
     section = rigid_parity(free, model, None, states, bound, seed, spread)
-    model.dof_armature[dofs] = PRESCRIBED_ARMATURE
+    _set_armature(model, dofs, PRESCRIBED_ARMATURE)
     measured = (*section.measured, *_driven(mechanism, prescribed, model, states, bound, seed))
     return replace(section, measured=(*measured, *losses))
+
+
+def _set_armature(model: Any, dofs: np.ndarray, armature: np.ndarray | float) -> None:
+    """Give degrees of freedom an armature; what carries nothing has its mass in a constant (MuJoCo's dof_M0)."""
+    model.dof_armature[dofs] = armature
+    load_mujoco().mj_setConst(model, load_mujoco().MjData(model))
 
 
 def _losses(ours: Mechanism, theirs: Mechanism, bound: float) -> Iterator[Measurement]:

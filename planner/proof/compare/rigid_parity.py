@@ -35,7 +35,7 @@ from planner.model.mjcf.model_index import field
 from planner.model.mjcf.read import mechanism_of_model
 from planner.model.mjcf.unsupported import no_compensation, unsupported_elements
 from planner.model.space import unit
-from planner.proof.compare.constrained import constrained_acceleration
+from planner.proof.compare.constrained import closure_rounding, constrained_acceleration
 from planner.proof.compare.differences import actuator_of, differences, joint_of
 from planner.proof.replays.simulation import set_state
 
@@ -55,6 +55,7 @@ class _Terms(NamedTuple):
     actuator: np.ndarray  # (K, nv)
     acceleration: np.ndarray  # (K, nv)
     activation: np.ndarray  # (K, na)
+    closures: np.ndarray | float = 0.0  # (K,) closure_rounding of the accelerations
 
 
 def rigid_parity(
@@ -84,7 +85,7 @@ def rigid_parity(
     speed2 = np.square(xs[:, mechanism.nq : mechanism.nq + mechanism.nv]).max(axis=1)
     mass = _largest_of_each(theirs.mass)
     force = np.max([_largest_of_each(theirs.bias), _largest_of_each(theirs.actuator), mass * speed2], axis=0)
-    acceleration = np.maximum(_rounded(read, theirs, xs), speed2)
+    acceleration = np.max([_rounded(read, theirs, xs), theirs.closures, speed2], axis=0)
     own = np.sqrt(np.einsum("kii->ki", theirs.mass))
     scales = {"mass": own[:, :, None] * own[:, None, :], "bias": force, "actuator": force, "acceleration": acceleration}
     if mechanism.na:
@@ -203,10 +204,8 @@ def _soft(
     """
     mujoco, model = load_mujoco(), copy.copy(model)
     bits = mujoco.mjtDisableBit
-    off = bits.mjDSBL_CLAMPCTRL | bits.mjDSBL_CONTACT | bits.mjDSBL_LIMIT | bits.mjDSBL_FRICTIONLOSS
-    model.opt.disableflags |= off
-    model.actuator_forcelimited[:] = 0
-    model.jnt_actfrclimited[:] = 0
+    model.opt.disableflags |= bits.mjDSBL_CONTACT | bits.mjDSBL_LIMIT | bits.mjDSBL_FRICTIONLOSS
+    unclamped(model)
     set_hard(model, model.opt.timestep)
     for weights in (model.body_invweight0, model.dof_invweight0):
         weights *= HARDER
@@ -229,7 +228,7 @@ def _theirs(mechanism: Mechanism, model: Any, read: Mechanism, xs: np.ndarray, u
     unlimited(model)
     data = mujoco.MjData(model)
     shapes = ((nv, nv), (nv,), (nv,), (nv,), (nv,), (nv,), (mechanism.na,))
-    terms = _Terms._make(np.empty((K, *shape)) for shape in shapes)
+    terms = _Terms(*(np.empty((K, *shape)) for shape in shapes), closures=np.empty(K))
     # Gravity compensation that MuJoCo counts as actuator force is part of the mechanism's bias.
     by_actuators = field(model, "jnt_actgravcomp", model.njnt)[model.dof_jntid]
     compensated = bool(np.any(by_actuators)) and not no_compensation(model)
@@ -245,16 +244,23 @@ def _theirs(mechanism: Mechanism, model: Any, read: Mechanism, xs: np.ndarray, u
             mujoco.mj_mulM(model, data, terms.mass[k, i], axis)
         terms.actuator[k] = data.qfrc_actuator - lifts
         terms.acceleration[k] = constrained_acceleration(model, data, read)
+        terms.closures[k] = closure_rounding(model, data, read)
         terms.activation[k] = data.act_dot
     return terms
 
 
 def unlimited(model: Any) -> None:
-    """Disable joint ranges and contacts of a model, which are no part of the smooth dynamics."""
-    bits = load_mujoco().mjtDisableBit
-    model.opt.disableflags |= bits.mjDSBL_CLAMPCTRL | bits.mjDSBL_CONSTRAINT
+    """Disable ranges, clamps and contacts of a model, which are no part of the smooth dynamics."""
+    model.opt.disableflags |= load_mujoco().mjtDisableBit.mjDSBL_CONSTRAINT
+    unclamped(model)
+
+
+def unclamped(model: Any) -> None:
+    """Disable the clamps of a model's actuators: of controls, and of forces of actuators, joints and tendons."""
+    model.opt.disableflags |= load_mujoco().mjtDisableBit.mjDSBL_CLAMPCTRL
     model.actuator_forcelimited[:] = 0
     model.jnt_actfrclimited[:] = 0
+    field(model, "tendon_actfrclimited", model.ntendon)[:] = 0  # before release 3.3 tendons have none
 
 
 def _cause(term: str, mechanism: Mechanism, ours: _Terms, theirs: _Terms, relative: np.ndarray, bound: float) -> str:

@@ -11,7 +11,7 @@ from planner.base.errors import PlannerError
 from planner.base.gl import load_mujoco
 from planner.model.capabilities import capabilities_of
 from planner.model.mechanism import Mechanism
-from planner.model.mjcf.initial_overlaps import can_separate
+from planner.model.mjcf.initial_overlaps import TOUCH_ROUNDING, can_separate
 from planner.model.mjcf.model_index import ModelIndex, named
 from planner.model.mjcf.unmodelled_features import names_of
 from planner.problem.costs.tracking import tracking_of
@@ -19,7 +19,7 @@ from planner.problem.plan import Plan
 from planner.problem.problem import Problem
 from planner.proof.diagnostics.suggested_fix import SuggestedFix, fix, no_fix, of_file
 from planner.proof.diagnostics.velocity_weight import straightened
-from planner.proof.original_model import PENETRATION_TOLERANCE, as_given
+from planner.proof.original_model import as_given
 from planner.proof.replays.compiled_twin import unmodelled_of
 from planner.proof.verdict import Proof
 
@@ -112,7 +112,7 @@ class _Shapes:
         found: dict[tuple[int, int], float] = {}
         for contact in self._data.contact:
             pair = (int(min(contact.geom)), int(max(contact.geom)))
-            if -contact.dist > PENETRATION_TOLERANCE * self._scale and names_of(self.model, pair) not in self._known:
+            if -contact.dist > TOUCH_ROUNDING * self._scale and names_of(self.model, pair) not in self._known:
                 found[pair] = max(found.get(pair, 0.0), -float(contact.dist))
         return found
 

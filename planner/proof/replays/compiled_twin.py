@@ -28,7 +28,9 @@ from planner.model.mjcf.prescribed_joints import prescribed_twin
 from planner.model.mjcf.text import is_text, model_tree
 from planner.model.mjcf.unmodelled_features import UnmodelledFeatures, unmodelled_features
 from planner.model.mjcf.unsupported import modelled, take_out, unsupported_elements
+from planner.model.model_origin import URDF_KEYS
 from planner.model.twin import Twin
+from planner.model.urdf.write import as_mjcf, is_urdf
 from planner.problem.problem import Problem
 from planner.proof.replays.simulation import NATIVE_IMPLICIT, ROSENBROCK
 
@@ -107,9 +109,12 @@ class CompiledTwin:
 
 
 def with_model(twin: Twin, mjcf: str | Path | None) -> Twin:
-    """A twin with another MJCF, a path or the XML text, in place of its own; with its own for None."""
+    """A twin with another MJCF or URDF, a path or the XML text, in place of its own; with its own for None."""
     if mjcf is None:
         return twin
+    if is_urdf(mjcf):
+        text, files, _ = as_mjcf(mjcf, **{key: twin.origin[key] for key in URDF_KEYS if key in twin.origin})
+        return replace(twin, mjcf=text, assets=files)
     root, files = model_tree(mjcf, twin.assets if is_text(mjcf) else None)  # a path brings its own meshes
     return replace(twin, mjcf=ElementTree.tostring(root, encoding="unicode"), assets=files)
 
@@ -173,16 +178,16 @@ def pairs_left_out(problem: Problem) -> tuple[str, ...]:
 
 
 def unmodelled_of(problem: Problem, compiled: CompiledTwin | None = None) -> UnmodelledFeatures:
-    """All elements of the user's file that a problem's model lacks; none for dynamics other than a mechanism's."""
+    """All elements of the user's file that a problem's model lacks; of dynamics without a mechanism, the twin lacks."""
     twin, machine = problem.twin, capabilities_of(problem.dynamics)
-    if twin is None or machine.mechanism is None:
+    if twin is None:
         return UnmodelledFeatures()
     if problem not in _found:
         model = compiled.model if compiled is not None and compiled.twin.mjcf == twin.mjcf else None
         given = compiled.model if compiled is not None and compiled.twin.mjcf == twin.original else None
         # The text before motors were added to prescribed joints: those edits remove no moving element.
-        start = twin.sim_of(problem.x0)[: machine.mechanism.nq]
+        contacts = machine.contacts or machine.mechanism is None
         _found[problem] = unmodelled_features(
-            twin.original, twin.planned, twin.assets, machine.contacts, model, start, given
+            twin.original, twin.planned, twin.assets, contacts, model, twin.sim_of(problem.x0), given
         )
     return _found[problem]

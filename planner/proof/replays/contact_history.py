@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from planner.base.gl import load_mujoco
+from planner.model.mjcf.contact_edits import is_watched
 from planner.model.mjcf.model_index import named
 
 MAX_SAMPLES = 20_000  # 10 MB of arrays with a dozen pairs in contact
@@ -47,13 +48,18 @@ class ContactHistory:
 
 
 class Touch(NamedTuple):
-    """Contact of two geoms over a simulation; depths are relative to the onset of force, in units of length."""
+    """Contact of two geoms over a simulation; depths are relative to the onset of force, in units of length.
+
+    The depth of a pair that makes no force (mjcf.contact_edits.watch) is that of its surfaces.
+    """
 
     geoms: tuple[int, int]
     first: int  # step
     at_start: float  # depth at step 0; 0 without contact
     deepest: float  # over all steps
     force: float  # largest normal force
+    last: int  # step
+    met_again: float  # largest depth after the two had parted
 
 
 class ContactRecorder:
@@ -130,7 +136,8 @@ class ContactRecorder:
             self._waiting = self._waiting if count <= len(self._waiting) else np.empty(count, _CONTACT)
         here, contact = self._waiting[self._filled : self._filled + count], data.contact
         here["step"], here["geoms"], here["point"], here["frame"] = i, contact.geom, contact.pos, contact.frame
-        here["depth"] = contact.includemargin - contact.dist
+        begins = np.asarray(contact.includemargin)
+        here["depth"] = np.where(is_watched(begins), 0.0, begins) - contact.dist
         for c, wrench in enumerate(here["wrench"]):
             self._mujoco.mj_contactForce(self._model, data, c, wrench)
         self._filled += count
@@ -140,12 +147,12 @@ class ContactRecorder:
         contacts, self._filled = self._waiting[: self._filled], 0
         if not len(contacts):
             return
-        if self._first is None:
-            (one, other), step = contacts["geoms"][0], contacts["step"][0]
-            self._first = int(one), int(other), int(step)
         normal, points = contacts["wrench"][:, 0], contacts["point"]
         at, which = np.unique(contacts["step"], return_inverse=True)
         total = np.bincount(which, weights=normal)
+        if self._first is None and np.any(pressed := normal > 0.0):
+            (one, other), step = contacts["geoms"][pressed][0], contacts["step"][pressed][0]
+            self._first = int(one), int(other), int(step)
         moment = np.stack([np.bincount(which, weights=normal * column) for column in points.T], axis=1)
         self._force[at], loaded = total, total > 0.0
         self._point[at[loaded]] = moment[loaded] / total[loaded, None]
@@ -157,11 +164,22 @@ class ContactRecorder:
         pairs, which = np.unique(contacts["geoms"], axis=0, return_inverse=True)
         for k, (one, other) in enumerate(pairs.tolist()):
             depths, steps = contacts["depth"][which == k], contacts["step"][which == k]
-            before = self._touches.get((one, other), Touch((one, other), int(steps[0]), 0.0, 0.0, 0.0))
+            new = Touch((one, other), int(steps[0]), 0.0, 0.0, 0.0, int(steps[0]), 0.0)
+            before = self._touches.get((one, other), new)
+            parted = before.met_again > 0.0 or np.diff(steps, prepend=before.last) > 1
+            again = float(
+                np.max(depths, where=np.logical_or.accumulate(np.broadcast_to(parted, steps.shape)), initial=0.0)
+            )
             force = max(before.force, float(contacts["wrench"][which == k, 0].max()))
             start = max(before.at_start, float(np.max(depths, where=steps == 0, initial=0.0)))
             deepest = max(before.deepest, float(depths.max()))
-            self._touches[one, other] = before._replace(at_start=start, deepest=deepest, force=force)
+            self._touches[one, other] = before._replace(
+                at_start=start,
+                deepest=deepest,
+                force=force,
+                last=int(steps[-1]),
+                met_again=max(before.met_again, again),
+            )
 
     def _by_pairs(self, contacts: np.ndarray) -> None:
         """Add contacts between geoms to the sums of their pairs."""
