@@ -71,6 +71,7 @@ class Status(StrEnum):
     INTERRUPTED = "Interrupted; this is the best plan so far, and a new solve can start from its controls."
 
 
+JUDGED_PARTS = 20  # of a stage, between whose ends a plan's states are interpolated linearly to judge its goals
 _ON_LIMITS = (Status.MAX_ITERATIONS, Status.NO_DESCENT, Status.OUTSIDE_LIMITS)
 
 
@@ -209,7 +210,17 @@ class Plan(Built, Plottable):
         """Message about missed goals of a converged plan; "" for none, and for a plan without its problem."""
         if self.problem is None or self.status is not Status.CONVERGED:
             return ""
-        return missed_goal_message(self.problem, self.t, self.xs)
+        return missed_goal_message(self.problem, *self.judged_motion)
+
+    @property
+    def judged_motion(self) -> tuple[np.ndarray, np.ndarray]:
+        """Times (M,) and states (M, nx) by which goals are judged: between knots too, where one is at a time."""
+        problem = self.problem
+        goals = () if problem is None else problem.goal_specs or ()
+        if problem is None or all(one.times is None for one in goals):
+            return self.t, self.xs
+        t = np.linspace(0.0, self.t[-1], JUDGED_PARTS * self.N + 1)
+        return t, self.between_knots(JUDGED_PARTS)
 
     @property
     def space(self) -> StateSpace:

@@ -1,5 +1,6 @@
 """Wrong plans: each has a fault that was planted in its model, its numbers, its file or its making."""
 
+from corpus import wrong_between as wrong_between
 from corpus import wrong_contacts as wrong_contacts
 from corpus import wrong_models as wrong_models
 from corpus import wrong_motions as wrong_motions
