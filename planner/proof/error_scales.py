@@ -189,12 +189,13 @@ def judged_cost(problem: Problem) -> JudgedCost:
 
 
 def limit_violations(
-    problem: Problem, xs: np.ndarray, us: np.ndarray | None, whose: str, tolerances: np.ndarray | None = None
+    problem: Problem, xs: np.ndarray, us: np.ndarray | None, whose: str, replayed: Plan | None = None
 ) -> list[Measurement]:
     """The largest violation of each kind of limit; empty without limits.
 
     Of states at the knots (N+1, nx) or of a replay (N k + 1, nx), and of controls (N, nu) or None; `whose` describes
-    them in notes. Ranges of states are judged by the limits' own tolerance, or by `tolerances` (ndx,).
+    them in notes. Ranges of states are judged by the limits' own tolerance, or by the `resolutions` of the plan
+    `replayed`; exact goals by the bounds of its path.
     """
     measured = []
     if problem.bounds is not None and us is not None:
@@ -210,8 +211,10 @@ def limit_violations(
         return measured
     beyond = ranges.violation(xs)
     allowed = np.full(len(ranges.coordinates), limits.tolerance)
-    if tolerances is not None:
-        allowed = np.maximum(allowed, tolerances[ranges.component])
+    if replayed is not None:
+        own, at_end = resolutions(replayed)[ranges.component], slice(len(allowed) - ranges.at_end, None)
+        own[at_end] = path_error_bounds(replayed)[ranges.component][at_end]
+        allowed = np.maximum(allowed, own)
     kinds = [_kind(one) for one in ranges.coordinates]
     kinds[len(kinds) - ranges.at_end :] = ["exact_goal"] * ranges.at_end
     for kind in KINDS:

@@ -164,6 +164,7 @@ def prove(
         ),
         sections=sections, replay=runs[seen], replays=runs, errors=errors, convergence=convergence, asked=asked,
         planned_without=tested,
+        lost_with_gains=tuple(one for step in judged["feedback"] for one in step.failures) if mode == MODES[0] else (),
         not_checked=(*([f"without {' and '.join(untested)}"] if untested else []), *_unjudged(plan, problem)),
     )  # fmt: skip
     if hold_seconds:

@@ -27,7 +27,6 @@ from planner.proof.error_scales import (
     limit_violations,
     path_error_bounds,
     replayed_violations,
-    resolutions,
     word_of,
 )
 from planner.proof.replays.replaying import Replay
@@ -41,7 +40,7 @@ def tracking(run: Replay, problem: Problem) -> Section:
     common = (
         Measurement("simulator_warnings", float(len(run.warnings)), "", 0.0, " ".join(run.warnings)),
         Measurement("ranges_reached", float(len(run.reached)), "", None, " ".join(run.reached) or _NO_RANGES),
-        *limit_violations(problem, run.xs, _controls(run), "of the replay", resolutions(run.plan)),
+        *limit_violations(problem, run.xs, _controls(run), "of the replay", run.plan),
         *replayed_violations(run, problem),
     )
     if problem.requirements is not None and problem.requirements.tracking is not None:

@@ -6,7 +6,6 @@ from typing import Any
 import numpy as np
 
 import planner
-from corpus import machines
 from corpus.asking import reach
 from corpus.machines import arm, number
 from corpus.planting import Rng, member
@@ -120,7 +119,8 @@ def gantry(rng: Rng) -> Plan:
     """Fifty metres of one axis; the other swings past its limit between knots."""
     text = f"""<mujoco><option gravity="0 0 0"/><worldbody><body><joint name="x" type="slide" axis="1 0 0"/>
       <inertial pos="0 0 0" mass="{number(rng.uniform(1.0, 3.0))}" diaginertia="1 1 1"/>
-      <body><joint name="y" type="slide" axis="0 1 0"/><inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/></body></body>
+      <body><joint name="y" type="slide" axis="0 1 0"/><inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/></body>
+      </body>
       </worldbody><actuator><motor joint="x"/><motor joint="y"/></actuator></mujoco>"""
     speed = rng.uniform(1.5, 2.0)
     free = reach(text, [50.0, -1.0], start=[0.0, 0.0, 0.0, speed], duration=8.0, N=8)
