@@ -98,6 +98,11 @@ def missed_goal_message(problem: Problem, t: np.ndarray, xs: np.ndarray) -> str:
     )
 
 
+def has_tolerances(problem: Problem) -> bool:
+    """Whether a problem or one of its goals states a tolerance, rather than having the default ones."""
+    return problem.tolerance is not None or any(one.tolerance is not None for one in goal_specs_of(problem))
+
+
 def goal_specs_of(problem: Problem) -> tuple[GoalSpec, ...]:
     """The goals of a problem's task, else those of its cost's terms."""
     if problem.goal_specs is not None:

@@ -272,7 +272,7 @@ def _reason(passed: bool, judged: tuple[Section, ...], steps: list[Section], run
         if broken.title == "plan" and run.plan.changed:
             return f"plan: {broken.failures[-1].note}.{more}"
         if broken.title == "optimal":
-            why = run.plan.message if not run.plan.success else f"{broken.failures[0]}."
+            why = run.plan.message if broken.failures[0].name == "not_converged" else f"{broken.failures[0]}."
             return f"not optimal: {why} To judge feasibility alone: prove(..., optimal=False).{more}"
         found = [one.note if one.bound == 0.0 and broken.title == FILE else str(one) for one in broken.failures]
         failures = "; ".join(sentence.removesuffix(".") for sentence in found)

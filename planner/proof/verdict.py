@@ -29,6 +29,7 @@ from planner.proof.goal_regulator import RegulatedRun
 from planner.proof.replays.replaying import Replay
 from planner.proof.robustness.perturbation import Perturbation
 from planner.proof.robustness.perturbed import JUDGED, RobustnessResult
+from planner.proof.stationarity import curvature_unknown
 from planner.proof.step_convergence import StepConvergence
 
 TESTED = "tested in your file"
@@ -122,7 +123,11 @@ class Proof(Renderable):
         mode = f" ({self.mode})" if self.passed and self.mode else ""
         tested = f", planned without {' and '.join(self.planned_without)} ({TESTED})" if self.planned_without else ""
         without = tested + "".join(f", {phrase}" for phrase in self.not_checked)
-        words = ["feasible" if self.feasible else "not feasible", "optimal" if self.optimal else "not optimal"]
+        unknown = " (curvature not checked)" if curvature_unknown(self.sections["optimality"].measured) else ""
+        words = [
+            "feasible" if self.feasible else "not feasible",
+            f"optimal{unknown}" if self.optimal else "not optimal",
+        ]
         return f"{self.verdict}{mode}{without}; {', '.join([*words, *filter(None, [self._grade_words])])}"
 
     @property

@@ -5,5 +5,6 @@ from corpus import wrong_contacts as wrong_contacts
 from corpus import wrong_models as wrong_models
 from corpus import wrong_motions as wrong_motions
 from corpus import wrong_numbers as wrong_numbers
+from corpus import wrong_optimality as wrong_optimality
 from corpus.planting import MEMBERS as MEMBERS
 from corpus.planting import attempt_of as attempt_of
