@@ -81,9 +81,9 @@ class StateBounds:
         rows = np.repeat(np.maximum(np.arange(N), min(1, N - 1)), PARTS - 1)
         e = self.space.difference(inside, self.reference[rows])[:, self.component]
         for side, beyond in zip(sides, (self.lower[rows] - e, e - self.upper[rows]), strict=True):
-            most = beyond.reshape(N, PARTS - 1, -1).max(axis=1)
-            most = np.where(most > tolerance, most, 0.0)
-            side[1:-1, ranges] = np.maximum(most[:-1], most[1:])[:, ranges]
+            largest = beyond.reshape(N, PARTS - 1, -1).max(axis=1)
+            largest = np.where(largest > tolerance, largest, 0.0)
+            side[1:-1, ranges] = np.maximum(largest[:-1], largest[1:])[:, ranges]
         return sides[0], sides[1]
 
     def at_bound(self, xs: np.ndarray, tolerance: float) -> np.ndarray:

@@ -181,10 +181,10 @@ def judged_status(plan: Plan) -> Plan:
     try:
         if (own is None or own.goal is None) and is_unresolved(plan):
             return replace(plan, status=Status.UNRESOLVED)
-        missed = has_tolerances(plan.problem) and plan.missed_goals
+        misses_goal = bool(has_tolerances(plan.problem) and plan.missed_goals)
     except KeyboardInterrupt:
         return replace(plan, status=Status.INTERRUPTED)
-    return replace(plan, status=Status.GOAL_MISSED) if missed else plan
+    return replace(plan, status=Status.GOAL_MISSED) if misses_goal else plan
 
 
 def as_user_plan(problem: Problem, plan: Plan) -> Plan:

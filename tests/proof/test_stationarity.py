@@ -21,7 +21,8 @@ def optimality_of(plan):
 @pytest.mark.parametrize(
     ("make", "name"),
     [
-        (wrong_optimality.other_derivatives, "cost_derivative_error"), (wrong_optimality.farthest, "negative_curvature"),
+        (wrong_optimality.other_derivatives, "cost_derivative_error"),
+        (wrong_optimality.farthest, "negative_curvature"),
         (wrong_optimality.untouched, "unreached_goals"),
     ],
 )  # fmt: skip

@@ -1,4 +1,4 @@
-"""What a converged solve may not be called: its steps do not resolve it, its goal is missed, or its ends are not best."""
+"""Converged solves that are no success: steps that do not resolve the motion, a missed goal, ends that are not best."""
 
 from dataclasses import replace
 
