@@ -16,7 +16,7 @@ from planner.model.coordinates import coordinates_of
 from planner.problem.plan import Plan
 
 UNRESOLVED = 0.05  # of a range of motion: the loosest bound of a path in a proof, so no replay of such a plan passes
-COARSE = 0.5  # the same for methods of first order, whose plans are off by their order and said to be so by the proof
+COARSE = 1.0  # the same for methods of first order, which a proof judges: an error as large as the motion itself
 ORDERS = {"euler": 1, "semi-implicit-euler": 1, "rosenbrock": 2, "rk4": 4}
 MIN_RANGE = 1e-3  # rad, m, rad/s, m/s, smallest range of motion, for a machine at rest
 OF_LARGEST = 0.1  # smallest range of motion, as a share of the largest of its unit
