@@ -4,6 +4,9 @@
               2^p / (2^p - 1) of that, p the integrator's order (Hairer, Norsett and Wanner, section II.4)
     e(n+1) = (A + B K)(n) e(n) + d(n)
 
+Gains of multipliers and penalties may be so large that they amplify instead: where e(n+1) = A(n) e(n) + d(n) stays
+smaller, the controls alone resolve the motion, and its error counts.
+
 A plan with an error above UNRESOLVED (of Euler's methods COARSE) of a coordinate's range of motion is a motion of its
 integrator, not of its machine: its cost is no number of the machine either.
 """
@@ -41,12 +44,18 @@ def step_error(plan: Plan) -> float:
     ends = dynamics.step(middle, plan.us, half)
     errors = space.difference(ends, plan.xs[1:]) * 2.0**order / (2.0**order - 1.0)
     A, B = dynamics.linearize(plan.xs, plan.us)
-    e, largest = np.zeros(space.ndx), np.zeros(space.ndx)
-    for n, F in enumerate(A + B @ plan.K):
-        e = F @ e + errors[n]
-        largest = np.maximum(largest, np.abs(e))
     own = np.ptp(space.difference(plan.xs, plan.xs[0]), axis=0)
     units = np.array([one.unit for one in coordinates_of(dynamics)])
     ranges = np.maximum(own, OF_LARGEST * np.array([own[units == unit].max() for unit in units]))
-    shares = largest / np.maximum(ranges, MIN_RANGE)
-    return float(np.max(np.where(np.isnan(shares), np.inf, shares)))
+    ranges = np.maximum(ranges, MIN_RANGE)
+    return min(_propagated(F, errors / ranges, ranges) for F in (A + B @ plan.K, A))
+
+
+def _propagated(F: np.ndarray, shares: np.ndarray, ranges: np.ndarray) -> float:
+    """The largest share of the ranges (ndx,) that errors become by stage matrices F (N, ndx, ndx)."""
+    e, largest = np.zeros(len(ranges)), 0.0
+    for matrix, error in zip(F * ranges / ranges[:, None], shares, strict=True):
+        e = matrix @ e + error
+        worst = float(np.abs(e).max())
+        largest = max(largest, worst) if np.isfinite(worst) else np.inf
+    return largest

@@ -29,7 +29,7 @@ def test_the_papers_cases_are_resolved(case):
 def test_the_papers_hopper_on_the_papers_grid_keeps_its_status():
     plan = planner.solve(cases.hopper(horizon=50, integrator="euler"))
     assert plan.status is Status.CONVERGED
-    assert step_error(plan) > 0.5  # 0.76, shown in the proof, where the machine has a rule of its own
+    assert step_error(plan) > 0.2  # 0.36, shown in the proof, where the machine has a rule of its own
 
 
 def test_the_predicted_error_of_the_steps_is_that_of_finer_ones():
