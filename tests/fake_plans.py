@@ -109,5 +109,6 @@ def proof_of(verdict="PASS", mode="open-loop", **sections):
     words = f"{verdict} ({mode}), without friction loss; feasible, optimal, robust with its gains"
     return SimpleNamespace(
         verdict=verdict, mode=mode, reason="Within every bound.", sections=every, replay=None, headline=words,
-        planned_without=(), not_checked=("without friction loss",), monte_carlo=None, held=None, replays={},
+        planned_without=(), misleads=False, not_checked=("without friction loss",), monte_carlo=None, held=None,
+        replays={},
     )  # fmt: skip

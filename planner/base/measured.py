@@ -46,6 +46,21 @@ class Measurement:
         value = f"{self.name.replace('_', ' ')} {self.value:.5g} {self.unit}".rstrip()
         return f"{value} ({part} % of its bound {self.bound:.3g})"
 
+    @property
+    def over(self) -> float:
+        """Value over bound; infinite for a bound of 0, e.g. on the number of warnings, and for NaN."""
+        over = self.value / self.bound if self.bound else math.inf
+        return math.inf if math.isnan(over) else over
+
+    @property
+    def excess_text(self) -> str:
+        """Name, value and the multiple of the bound: "path angle error 0.44 rad, 17 times its bound"."""
+        name = self.name.replace("_", " ")
+        if not math.isfinite(self.value):
+            return f"{name} not finite"
+        times = f", {self.over:.2g} times its bound" if math.isfinite(self.over) else ""
+        return f"{name} {self.value:.2g} {self.unit}".rstrip() + times
+
     def to_dict(self) -> dict[str, Any]:
         """As JSON values; null if not finite."""
         return {
@@ -104,13 +119,7 @@ class Section:
 
 def bound_excess(sections: Iterable[Section]) -> float:
     """Largest ratio of value to bound among failures; 0 if all sections pass."""
-    failures = [one for section in sections for one in section.failures]
-    return max((_over(one.value, one.bound) for one in failures), default=0.0)
-
-
-def _over(value: float, bound: float | None) -> float:
-    over = value / bound if bound else math.inf  # a bound of 0, e.g. on the number of warnings
-    return math.inf if math.isnan(over) else over
+    return max((one.over for section in sections for one in section.failures), default=0.0)
 
 
 def rows_of(sections: Mapping[str, Section]) -> list[tuple[str, str, str, str, str]]:

@@ -78,6 +78,11 @@ class FunctionDynamics:
             return False
         return many.shape == xs.shape and np.allclose(many, single, rtol=1e-12, atol=1e-12, equal_nan=True)
 
+    @property
+    def has_own_jacobian(self) -> bool:
+        """Whether its derivatives are the user's, not central differences."""
+        return self._jacobian is not None
+
     def with_step(self, dt: float, integrator: str) -> FunctionDynamics:
         """The same dynamics with another length of a stage, s, and integrator.
 

@@ -100,6 +100,11 @@ def missed_goal_message(problem: Problem, t: np.ndarray, xs: np.ndarray) -> str:
     )
 
 
+def has_tolerances(problem: Problem) -> bool:
+    """Whether a problem or one of its goals states a tolerance, rather than having the default ones."""
+    return problem.tolerance is not None or any(one.tolerance is not None for one in goal_specs_of(problem))
+
+
 def goal_specs_of(problem: Problem) -> tuple[GoalSpec, ...]:
     """The goals of a problem's task, else those of its cost's terms."""
     if problem.goal_specs is not None:
@@ -125,9 +130,10 @@ def unchecked_goals(problem: Problem, xs: np.ndarray, us: np.ndarray) -> tuple[s
 
 
 def stages_asked(problem: Problem) -> np.ndarray:
-    """The stages (k,) of a task's goals, without those of paths."""
+    """The stages (k,) around the times of a task's goals, without those of paths."""
     found = [one.times[0] for one in problem.goal_specs or () if one.times is not None and len(one.times) == 1]
-    return np.unique(np.round(np.array(found) / problem.dynamics.dt)).astype(int)
+    at = np.array(found) / problem.dynamics.dt
+    return np.unique(np.concatenate([np.floor(at + 1e-9), np.ceil(at - 1e-9)])).astype(int)
 
 
 def between(t: np.ndarray, xs: np.ndarray, times: np.ndarray) -> np.ndarray:

@@ -67,10 +67,26 @@ class Status(StrEnum):
         "The motion did not come back to where it began within the passes; allow more passes or wider tolerances, or "
         "give what must come back a larger final weight."
     )
+    NOT_OPTIMAL = (
+        "The motion comes back to where it began, but another start and end of it would cost less; solve with "
+        "step='newton', which optimizes them."
+    )
+    GOAL_MISSED = "The solve converged, but a goal is missed by more than its tolerance."
+    UNRESOLVED = (
+        "The solve converged, but its steps do not resolve the motion: halving them moves it by more than 5 % of its "
+        "range; take shorter stages or more substeps, or start from calmer controls."
+    )
     GIVEN = "The controls were given, not solved for; prove them with prove(..., optimal=False)."
     INTERRUPTED = "Interrupted; this is the best plan so far, and a new solve can start from its controls."
 
+    @property
+    def converged(self) -> bool:
+        """Whether the solve converged, whatever its plan misses."""
+        return self in _OF_CONVERGED
 
+
+_OF_CONVERGED = (Status.CONVERGED, Status.GOAL_MISSED, Status.UNRESOLVED)
+JUDGED_PARTS = 20  # of a stage, between whose ends a plan's states are interpolated linearly to judge its goals
 _ON_LIMITS = (Status.MAX_ITERATIONS, Status.NO_DESCENT, Status.OUTSIDE_LIMITS)
 
 
@@ -182,14 +198,19 @@ class Plan(Built, Plottable):
 
     @property
     def success(self) -> bool:
-        """Whether the solve converged (as in SciPy)."""
+        """Whether the solve converged to a motion that its steps resolve and that meets its goals."""
         return self.status is Status.CONVERGED
+
+    @property
+    def converged(self) -> bool:
+        """Whether the solve converged, whatever its plan misses: CONVERGED, GOAL_MISSED or UNRESOLVED."""
+        return self.status.converged
 
     @property
     def message(self) -> str:
         """The status as a sentence (as in SciPy), with violated or active limits and missed goals."""
-        if self.problem is not None and self.missed_goals:
-            return f"{self.status.value[:-1]}, but {self.missed_goals}."
+        if self.problem is not None and self.status is not Status.UNRESOLVED and self.missed_goals:
+            return f"{Status.CONVERGED.value[:-1]}, but {self.missed_goals}."
         if self.problem is None or self.status not in _ON_LIMITS:
             return self.status.value
         outside = sentence_of(state_outside(self.problem, self.xs, self.t))
@@ -207,9 +228,19 @@ class Plan(Built, Plottable):
     @property
     def missed_goals(self) -> str:
         """Message about missed goals of a converged plan; "" for none, and for a plan without its problem."""
-        if self.problem is None or self.status is not Status.CONVERGED:
+        if self.problem is None or not self.converged:
             return ""
-        return missed_goal_message(self.problem, self.t, self.xs)
+        return missed_goal_message(self.problem, *self.judged_motion)
+
+    @property
+    def judged_motion(self) -> tuple[np.ndarray, np.ndarray]:
+        """Times (M,) and states (M, nx) by which goals are judged: between knots too, where one is at a time."""
+        problem = self.problem
+        goals = () if problem is None else problem.goal_specs or ()
+        if problem is None or all(one.times is None for one in goals):
+            return self.t, self.xs
+        t = np.linspace(0.0, self.t[-1], JUDGED_PARTS * self.N + 1)
+        return t, self.between_knots(JUDGED_PARTS)
 
     @property
     def space(self) -> StateSpace:

@@ -16,11 +16,13 @@ from typing import NamedTuple
 
 import numpy as np
 
+from planner.dynamics.protocol import Dynamics
 from planner.model.coordinates import Coordinate
 from planner.model.space import StateSpace
 from planner.problem.costs.terms import Quadratic
 
 ROUNDING = 1e-9  # relative violation of a bound that counts as none
+PARTS = 4  # of a stage, at whose ends ranges are checked
 
 
 class BoundPenalties(NamedTuple):
@@ -62,6 +64,27 @@ class StateBounds:
         rows[(rows == 0) & (i > 0)] = min(1, N - 1)
         e = self.space.difference(xs, self.reference[rows])[:, self.component]
         return np.maximum(np.maximum(e - self.upper[rows], self.lower[rows] - e), 0.0)
+
+    def violation_between_knots(
+        self, dynamics: Dynamics, xs: np.ndarray, us: np.ndarray, tolerance: float
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """(N+1, H) violations of the lower and upper bounds within the stages beside each knot; 0 up to `tolerance`.
+
+        At the ends of PARTS of each stage, by the plan's own integrator. The last knot has a goal: it has none.
+        """
+        sides = np.zeros((2, *self.lower.shape))
+        if getattr(dynamics, "integrator", "") == "discrete":  # a map has no states between knots
+            return sides[0], sides[1]
+        N, ranges = len(us), slice(0, self.lower.shape[1] - self.at_end)
+        times = np.tile(dynamics.dt / PARTS * np.arange(1, PARTS), N)
+        inside = dynamics.step(np.repeat(xs[:-1], PARTS - 1, axis=0), np.repeat(us, PARTS - 1, axis=0), times)
+        rows = np.repeat(np.maximum(np.arange(N), min(1, N - 1)), PARTS - 1)
+        e = self.space.difference(inside, self.reference[rows])[:, self.component]
+        for side, beyond in zip(sides, (self.lower[rows] - e, e - self.upper[rows]), strict=True):
+            largest = beyond.reshape(N, PARTS - 1, -1).max(axis=1)
+            largest = np.where(largest > tolerance, largest, 0.0)
+            side[1:-1, ranges] = np.maximum(largest[:-1], largest[1:])[:, ranges]
+        return sides[0], sides[1]
 
     def at_bound(self, xs: np.ndarray, tolerance: float) -> np.ndarray:
         """Whether (N+1, H) states are at a bound or outside of it."""

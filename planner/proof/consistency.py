@@ -26,8 +26,10 @@ from planner.problem.goals import terms_of
 from planner.problem.plan import Plan, Status
 from planner.problem.problem import Problem
 from planner.proof.error_scales import COST_BOUND, is_nonsmooth, judged_cost, limit_violations, planned_violations
+from planner.proof.stationarity import stationarity
 from planner.solvers import lq
 from planner.solvers.options import EXPECTED_REDUCTION_TOLERANCE
+from planner.solvers.resolution import step_error
 
 BOUND = 1e-9  # relative; a plan and its file agree to rounding
 GAIN_BOUND = 1e-6  # relative; rounding error of a Riccati sweep over unstable stages
@@ -144,14 +146,17 @@ def _nearest_to_singular(plan: Plan, problem: Problem) -> list[Measurement]:
 
 def optimality(plan: Plan, problem: Problem, now: Recomputed) -> Section:
     """Whether the solve converged, and whether another iteration would still lower the cost."""
-    ended = 0.0 if plan.success else 1.0
+    done = plan.converged and plan.status is not Status.UNRESOLVED  # a missed goal is judged as one
+    ended = 0.0 if done else 1.0
     measured = [Measurement("not_converged", ended, "", 0.0, plan.message)]
+    note = "of a coordinate's range of motion, by halving each stage, carried along the closed loop"
+    measured.append(Measurement("step_error", 100.0 * step_error(plan), "%", None, note))
     if now.sweep is not None:
         scale = max(abs(plan.cost), judged_cost(problem).scale(plan, problem), _unseen(plan, problem))
         left = max(0.0, -now.sweep.value)
         note = "of the cost: what one more step of SLQ promises"
         if (
-            left <= EXPECTED_REDUCTION_TOLERANCE * max(1.0, abs(plan.cost)) and plan.success
+            left <= EXPECTED_REDUCTION_TOLERANCE * max(1.0, abs(plan.cost)) and done
         ):  # the cost of a light machine may be 1e-10
             left, note = 0.0, f"{note}; {left:.3g} of {plan.cost:.3g} is less than what a solve goes on for"
         if 100.0 * left > COST_BOUND * scale and (is_nonsmooth(problem) or _approximate(problem)):
@@ -159,6 +164,8 @@ def optimality(plan: Plan, problem: Problem, now: Recomputed) -> Section:
             left = remaining_decrease(plan, problem)
         left *= 100.0 / scale
         measured.append(Measurement("decrease_left", left, "%", COST_BOUND, note))
+        if done and left <= COST_BOUND:
+            measured += stationarity(plan, problem, now.sweep, scale)
     return Section("optimal", tuple(measured))
 
 

@@ -1,13 +1,14 @@
 """Error bounds of a replay, and violations of limits and constraints with the tolerances that follow from these bounds.
 
-A coordinate's error is judged relative to its own range of motion along the plan, but at least a tenth of the largest
-range of its unit, since a simulator's error comes from the whole trajectory. A length of a standing machine is judged
-relative to the penetration of its contacts at rest.
+A coordinate's error is judged relative to its own range of motion along the plan. One that hardly moves has the range
+STILL, or a tenth of the largest of its unit where that is smaller: no motion of another joint makes its bound wider. A
+length of a standing machine is judged relative to the penetration of its contacts at rest.
 
-The plan must satisfy constraints at its knots to their tolerance. A replay is checked at every step of the simulator,
-so between knots too, and may violate h by the effect of path errors within their bounds: the root of the sum of squares
-of dh/dx_i times the bound of x_i, the largest along the plan. A constraint of controls may also be violated by a
-hundredth of its own size, since the gains add corrections.
+The plan must satisfy ranges and constraints at its knots to their own tolerance. A replay is checked at every step of
+the simulator, so between knots too, and may violate a range by its tolerance or by `resolutions`, what an error that
+nobody sees makes of it, whichever is larger; a constraint h likewise, by the root of the sum of squares of dh/dx_i
+times the resolution of x_i, the largest along the plan. With gains a constraint of controls may also be violated by a
+hundredth of its own size, since they add corrections.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from planner.base.measured import Measurement
-from planner.model.coordinates import ANGLE, LENGTH, Coordinate, coordinates_of
+from planner.model.coordinates import ANGLE, LENGTH, RATES, Coordinate, coordinates_of
 from planner.problem.constraints.constraint import Constraint
 from planner.problem.constraints.constraint_stack import ConstraintStack
 from planner.problem.control_bounds import AT_BOUND
@@ -29,7 +30,8 @@ from planner.proof.replays.replaying import Replay
 
 SHARE = 0.01  # bound of a path error, as a share of the coordinate's range of motion
 SMOOTHED = 0.05  # the same where the plan smooths contacts, stops or friction loss, and MuJoCo does not
-OF_LARGEST = 0.1  # smallest range of a coordinate, as a share of the largest range of its unit
+STILL = 0.1  # rad, m: range of a coordinate that hardly moves, so that errors up to 1 mrad or 1 mm pass
+OF_LARGEST = 0.1  # the same at most, as a share of the largest range of its unit: of small machines
 MIN_RANGE = 1e-3  # rad, m, rad/s, m/s, smallest range of motion, for a machine at rest
 COST_BOUND = 1.0  # %, bound of the error of the judged cost
 
@@ -45,14 +47,48 @@ def path_error_bounds(plan: Plan) -> np.ndarray:
     return (SMOOTHED if is_nonsmooth(plan.problem) else SHARE) * ranges_of_motion(plan)
 
 
+def resolutions(plan: Plan) -> np.ndarray:
+    """(ndx,) the violation of a range of each coordinate that passes in a replay, in its unit.
+
+    The error bound of a coordinate that hardly moves: no more, however far this one goes.
+    """
+    own, still = _own_and_still(plan)
+    ranges = np.minimum(np.maximum(own, still), _of_still(plan, own))
+    return (SMOOTHED if is_nonsmooth(plan.problem) else SHARE) * ranges
+
+
 def ranges_of_motion(plan: Plan) -> np.ndarray:
-    """(ndx,) range of motion of each coordinate along the plan; at least a tenth of the largest of its unit."""
-    assert plan.problem is not None  # its dynamics know the units
+    """(ndx,) range of motion of each coordinate along the plan; of one that hardly moves that of the module."""
+    return np.maximum(*_own_and_still(plan))
+
+
+def _own_and_still(plan: Plan) -> tuple[np.ndarray, np.ndarray]:
+    """(ndx,) range of motion of each coordinate along the plan, and the least that it is judged by."""
+    units = _units(plan)
     own = np.ptp(plan.space.difference(plan.xs, plan.xs[0]), axis=0)
-    units = np.array([one.unit for one in coordinates_of(plan.problem.dynamics)])
     largest = np.array([own[units == unit].max() for unit in units])
     least = np.where(units == LENGTH, max(MIN_RANGE, contact_penetration(plan.problem)), MIN_RANGE)
-    return np.maximum(np.maximum(own, OF_LARGEST * largest), least)
+    return own, np.maximum(np.minimum(OF_LARGEST * largest, _of_still(plan, own)), least)
+
+
+def _of_still(plan: Plan, own: np.ndarray) -> np.ndarray:
+    """(ndx,) STILL of positions, of velocities STILL times the rate of the motion; infinite for other units.
+
+    The rate is the largest ratio of a velocity's range of motion `own` (ndx,) to its position's.
+    """
+    units = _units(plan)
+    positions, velocities = np.isin(units, (ANGLE, LENGTH)), np.isin(units, RATES)
+    rate = 0.0
+    if positions.sum() == velocities.sum():
+        moves = own[positions] > MIN_RANGE
+        rate = float(np.max(own[velocities][moves] / own[positions][moves], initial=0.0))
+    rate = max(rate, 1.0 / float(plan.t[-1]))
+    return np.where(positions, STILL, np.where(velocities, STILL * rate, np.inf))
+
+
+def _units(plan: Plan) -> np.ndarray:
+    assert plan.problem is not None  # its dynamics know the units
+    return np.array([one.unit for one in coordinates_of(plan.problem.dynamics)])
 
 
 def contact_penetration(problem: Problem | None) -> float:
@@ -162,12 +198,13 @@ def judged_cost(problem: Problem) -> JudgedCost:
 
 
 def limit_violations(
-    problem: Problem, xs: np.ndarray, us: np.ndarray | None, whose: str, tolerances: np.ndarray | None = None
+    problem: Problem, xs: np.ndarray, us: np.ndarray | None, whose: str, replayed: Plan | None = None
 ) -> list[Measurement]:
     """The largest violation of each kind of limit; empty without limits.
 
     Of states at the knots (N+1, nx) or of a replay (N k + 1, nx), and of controls (N, nu) or None; `whose` describes
-    them in notes. Ranges of states are judged by the limits' own tolerance, or by `tolerances` (ndx,).
+    them in notes. Ranges of states are judged by the limits' own tolerance, or by the `resolutions` of the plan
+    `replayed`; exact goals by the bounds of its path.
     """
     measured = []
     if problem.bounds is not None and us is not None:
@@ -183,8 +220,10 @@ def limit_violations(
         return measured
     beyond = ranges.violation(xs)
     allowed = np.full(len(ranges.coordinates), limits.tolerance)
-    if tolerances is not None:
-        allowed = np.maximum(allowed, tolerances[ranges.component])
+    if replayed is not None:
+        own, at_end = resolutions(replayed)[ranges.component], slice(len(allowed) - ranges.at_end, None)
+        own[at_end] = path_error_bounds(replayed)[ranges.component][at_end]
+        allowed = np.maximum(allowed, own)
     kinds = [_kind(one) for one in ranges.coordinates]
     kinds[len(kinds) - ranges.at_end :] = ["exact_goal"] * ranges.at_end
     for kind in KINDS:
@@ -224,7 +263,7 @@ def replayed_violations(run: Replay, problem: Problem, among: Sequence[Constrain
         return []
     plan = run.plan
     us = run.ctrl if run.ctrl.shape[1] == plan.us.shape[1] else np.repeat(plan.us, run.substeps, axis=0)
-    reach, note = _reach(rows, plan), "in MuJoCo; the bound is what errors of the path make of it that pass"
+    reach, note = _reach(rows, run), "in MuJoCo; the bound is what an error of the path that nobody sees makes of it"
     allowed = {
         id(one): (one.allowed(), "in MuJoCo") if one.allowed() >= reach[id(one)] else (reach[id(one)], note)
         for one in rows.constraints
@@ -237,9 +276,10 @@ def _rows(problem: Problem) -> ConstraintStack | None:
     return None if problem.trajectory_constraints is None else problem.trajectory_constraints.rows
 
 
-def _reach(rows: ConstraintStack, plan: Plan) -> dict[int, float]:
-    """Effect of path errors within their bounds on each constraint, the largest over the knots where it applies."""
-    found, bounds = dict[int, float](), path_error_bounds(plan)
+def _reach(rows: ConstraintStack, run: Replay) -> dict[int, float]:
+    """Effect of errors within the resolutions on each constraint, the largest over the knots where it applies."""
+    plan, found = run.plan, dict[int, float]()
+    bounds = resolutions(plan)
     us = np.concatenate([plan.us, plan.us[-1:]])
     for part in rows.parts:
         columns = part.columns
@@ -247,7 +287,7 @@ def _reach(rows: ConstraintStack, plan: Plan) -> dict[int, float]:
         xs = plan.xs[n + part.at_end]
         by_x, _ = part.function.derivatives(xs, us[n], n)
         moved = float(np.sqrt(np.sum((by_x * bounds) ** 2, axis=2)).max(initial=0.0))
-        if part.function.of_controls:
+        if part.function.of_controls and run.feedback:
             moved = max(moved, CORRECTION * float(np.abs(part.function.values(xs, us[n], n)).max(initial=0.0)))
         found[id(part.constraint)] = max(found.get(id(part.constraint), 0.0), moved)
     return found

@@ -64,6 +64,7 @@ from planner.proof.error_scales import (
 from planner.proof.own_step import own_step
 from planner.proof.replay_errors import misses
 from planner.proof.replays.compiled_twin import CompiledTwin, unmodelled_of, with_model
+from planner.proof.replays.passages import passages
 from planner.proof.replays.passive_torque_callback import curves_acting
 from planner.proof.replays.ranges import Excess, efforts_in, joints_in, tendons_in
 from planner.proof.replays.replaying import Replay, replay_in, stopped_dofs
@@ -141,6 +142,7 @@ def _measured(run: Replay, problem: Problem, goals: Sequence[GoalCheck]) -> list
     touching, overlaps = _touches(run, problem)
     sentences = {
         "unknown_contacts": (touching, "touches of pairs that the plan's model lacks"),
+        "passages_between_steps": (passages(run), "shapes that pass through each other between two steps"),
         "unknown_stops": (stops_hit(run), "joints that run into a stop that the plan's model lacks"),
         "clamped_actuators": (clamps_hit(run), "actuators that are asked for more than they give"),
         "simulator_warnings": (list(run.warnings), "MuJoCo's complaints"),
@@ -433,6 +435,7 @@ def _sentence(run: Replay, planned: Excess, real: Excess, part: float, least: fl
 
 
 def _scale(planned: Excess, real: Excess) -> float:
-    """The width of a range, or the largest magnitude in it if that is smaller."""
+    """The width of a range, or the largest magnitude in it if that is smaller; of a joint at most 1 rad or 1 m."""
     used = np.abs(np.concatenate([planned.values, real.values]))
-    return min(float(np.ptp(planned.range)), float(np.nanmax(used, initial=0.0)))
+    most = 1.0 if planned.unit else np.inf  # however many turns or metres a joint has
+    return min(float(np.ptp(planned.range)), float(np.nanmax(used, initial=0.0)), most)

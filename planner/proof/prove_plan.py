@@ -167,6 +167,7 @@ def prove(
         ),
         sections=sections, replay=runs[seen], replays=runs, errors=errors, convergence=convergence, asked=asked,
         planned_without=tested,
+        lost_with_gains=tuple(one for step in judged["feedback"] for one in step.failures) if mode == MODES[0] else (),
         not_checked=(
             *([f"without {' and '.join(untested)}"] if untested else []), *_said_in_file(given),
             *_unjudged(plan, problem),
@@ -283,7 +284,7 @@ def _reason(passed: bool, judged: tuple[Section, ...], steps: list[Section], run
         if broken.title == "plan" and run.plan.changed:
             return f"plan: {broken.failures[-1].note}.{more}"
         if broken.title == "optimal":
-            why = run.plan.message if not run.plan.success else f"{broken.failures[0]}."
+            why = run.plan.message if broken.failures[0].name == "not_converged" else f"{broken.failures[0]}."
             return f"not optimal: {why} To judge feasibility alone: prove(..., optimal=False).{more}"
         if broken.failures[0].name == NOT_FINITE:  # the other numbers are of no plan
             return f"plan: {broken.failures[0].note}"

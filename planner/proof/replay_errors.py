@@ -40,7 +40,7 @@ def tracking(run: Replay, problem: Problem) -> Section:
     common = (
         Measurement("simulator_warnings", float(len(run.warnings)), "", 0.0, " ".join(run.warnings)),
         Measurement("ranges_reached", float(len(run.reached)), "", None, " ".join(run.reached) or _NO_RANGES),
-        *limit_violations(problem, run.xs, _controls(run), "of the replay", path_error_bounds(run.plan)),
+        *limit_violations(problem, run.xs, _controls(run), "of the replay", run.plan),
         *replayed_violations(run, problem),
     )
     if problem.requirements is not None and problem.requirements.tracking is not None:
@@ -104,7 +104,7 @@ def goal(run: Replay, problem: Problem) -> Section:
     goals = goals_of(problem, run.plan.xs)
     if not goals and problem.periodic is None:
         return Section("goal", not_applicable="no goal was asked for")
-    motions = {"planned": (run.plan.t, run.plan.xs), "replayed": (run.t, run.xs)}
+    motions = {"planned": (run.t, run.plan_xs), "replayed": (run.t, run.xs)}
     errors = [one for who, motion in motions.items() for one in misses(who, *motion, goals)]
     return Section("goal", (*errors, *_return(run, problem)))
 

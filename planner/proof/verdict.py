@@ -4,9 +4,13 @@ The headline states three results and the elements not tested:
 
     PASS (open-loop), planned without contacts of 1 pair (tested in your file); feasible, optimal, robust with its gains
 
-feasible: MuJoCo reproduces the plan and ends at its goal, in the mode in brackets. optimal: the solve converged. robust
-or fragile with its gains: the success rate with them on perturbed machines, whatever the open-loop rate;
-"robustness: pending" until it is known.
+feasible: MuJoCo reproduces the plan and ends at its goal, in the mode in brackets. optimal: the solve converged, and no
+direction lowers the cost. Then what the plan may be used for:
+
+    robust with its gains                           run it with its gains on the machine
+    fragile with its gains: 50 % succeed            with its gains so many machines with small errors still succeed
+    open loop only: with its gains ...              its gains lead astray: apply its controls alone
+    robustness: pending                             not known yet
 
 "planned without ..." lists elements of the user's file that the plan's model lacks; step 6 replayed the plan with them.
 "without ..." lists elements of no replay: pairs that overlap at the start, or all if the file was not replayed.
@@ -19,15 +23,17 @@ from typing import Any
 
 from planner.base.display_mixins import Renderable
 from planner.base.gl import load_mujoco
-from planner.base.measured import Section, dicts_of, rows_of
+from planner.base.measured import Measurement, Section, dicts_of, rows_of
 from planner.proof.error_propagation import ErrorPropagation
 from planner.proof.goal_regulator import RegulatedRun
 from planner.proof.replays.replaying import Replay
 from planner.proof.robustness.perturbation import Perturbation
 from planner.proof.robustness.perturbed import JUDGED, RobustnessResult
+from planner.proof.stationarity import curvature_unknown
 from planner.proof.step_convergence import StepConvergence
 
 TESTED = "tested in your file"
+OPEN_LOOP_ONLY = "open loop only"
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,6 +56,7 @@ class Proof(Renderable):
         planned_without: Elements of the user's file that the plan's model lacks and the replay of step 6 had.
             A phrase each.
         not_checked: Elements of the user's file that no replay had, and goals not judged; a phrase each.
+        lost_with_gains: What fails in the replay with gains of a plan that passed open loop.
     """
 
     verdict: str
@@ -65,6 +72,7 @@ class Proof(Renderable):
     asked: dict[str, Any] = field(default_factory=dict)
     planned_without: tuple[str, ...] = ()
     not_checked: tuple[str, ...] = ()
+    lost_with_gains: tuple[Measurement, ...] = ()
 
     @property
     def feasible(self) -> bool:
@@ -78,16 +86,36 @@ class Proof(Renderable):
 
     @property
     def robustness(self) -> str:
-        """The word "robust" or "fragile", of the rollouts with gains; "robustness: pending"; "" without rollouts."""
-        return self._robustness("")
+        """The grade: "open loop only", "robust", "fragile"; "robustness: pending"; "" without rollouts."""
+        return self._graded("", "")
 
-    def _robustness(self, judged: str) -> str:
-        """The word about robustness, followed by the judged mode."""
+    @property
+    def misleads(self) -> bool:
+        """Whether it passed, though the plan is fragile or for open loop only: a PASS with a warning."""
+        fragile = self.monte_carlo is not None and self.monte_carlo.robustness == "fragile"
+        return self.passed and (fragile or bool(self.lost_with_gains))
+
+    def _graded(self, judged: str, share: str) -> str:
+        """The grade; of rollouts followed by the judged mode, and if fragile by the share of successes."""
+        if self.lost_with_gains:
+            return OPEN_LOOP_ONLY
         if self.monte_carlo is None:
             return "robustness: pending" if self.asked.get("rollouts") else ""
         word, drawn = self.monte_carlo.robustness, self.monte_carlo.perturbation
         other = "" if drawn == Perturbation.usual(self.replay.plan.problem) else " at other than the standard errors"
-        return f"robustness: {word}{other}" if word == "pending" else f"{word}{judged}{other}"
+        share = share if word == "fragile" else ""
+        return f"robustness: {word}{other}" if word == "pending" else f"{word}{judged}{other}{share}"
+
+    @property
+    def _grade_words(self) -> str:
+        """The grade as the headline has it, with its number."""
+        if self.lost_with_gains:
+            worst = max(self.lost_with_gains, key=lambda one: one.over)
+            return f"{OPEN_LOOP_ONLY}: with its gains {worst.excess_text}"
+        share = (
+            "" if self.monte_carlo is None else f": {100.0 * self.monte_carlo.rates['feedback'].value:.0f} % succeed"
+        )
+        return self._graded(JUDGED, share)
 
     @property
     def headline(self) -> str:
@@ -95,8 +123,12 @@ class Proof(Renderable):
         mode = f" ({self.mode})" if self.passed and self.mode else ""
         tested = f", planned without {' and '.join(self.planned_without)} ({TESTED})" if self.planned_without else ""
         without = tested + "".join(f", {phrase}" for phrase in self.not_checked)
-        words = ["feasible" if self.feasible else "not feasible", "optimal" if self.optimal else "not optimal"]
-        return f"{self.verdict}{mode}{without}; {', '.join([*words, *filter(None, [self._robustness(JUDGED)])])}"
+        unknown = " (curvature not checked)" if curvature_unknown(self.sections["optimality"].measured) else ""
+        words = [
+            "feasible" if self.feasible else "not feasible",
+            f"optimal{unknown}" if self.optimal else "not optimal",
+        ]
+        return f"{self.verdict}{mode}{without}; {', '.join([*words, *filter(None, [self._grade_words])])}"
 
     @property
     def passed(self) -> bool:

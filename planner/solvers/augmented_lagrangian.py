@@ -6,7 +6,8 @@
              increase the weights of components whose violation did not fall enough
     until    violations are within the tolerance, and no multiplier acts at a bound that is not active
 
-Where clearances are violated between knots, those of the affected stages are tightened, and the rounds continue.
+Where clearances or ranges are violated between knots, those of the affected stages are tightened, and the rounds
+continue.
 
 The first round has no penalties, and is the only one if its result has no violation. The second takes its weights from
 the result of the first, as ALGENCAN does (Birgin and Martinez 2014): the penalties then cost about as much as J, those
@@ -63,19 +64,19 @@ def augmented_lagrangian(
         if plan.status is Status.INTERRUPTED:
             return replace(plan, history=tuple(history), bound_penalties=penalties if round_ else first)
         if error.max(initial=0.0) <= tolerance:
-            more, through = _between_knots(constraints, plan)
-            if tightenings == options.max_tightenings or not more.any():
-                status = Status.OUTSIDE_LIMITS if more.any() else plan.status
+            more, less, through = _between_knots(constraints, plan)
+            if tightenings == options.max_tightenings or not (more.any() or less.any()):
+                status = Status.OUTSIDE_LIMITS if more[:, constraints.split :].any() else plan.status
                 return replace(
                     plan, history=tuple(history), status=status, bound_penalties=penalties if round_ else first
                 )
-            constraints, tightenings = constraints.tightened(more), tightenings + 1
+            constraints, tightenings = constraints.tightened(more, less), tightenings + 1
             if through:
                 left, first_line = max_iterations + 1 - len(history), len(history)
                 plan, lines, again = _first_round(constraints, minimize, first_guess, left, first_line, options)
                 penalties, history = again or constraints.zero_penalties(), history + lines
             else:
-                penalties = penalties._replace(lower=penalties.lower + more)
+                penalties = penalties._replace(lower=penalties.lower + more, upper=penalties.upper - less)
             error, before = _error(constraints, penalties, plan), np.full(constraints.size, np.inf)
             violations = []
         violations.append(float(error.max()))
@@ -131,8 +132,8 @@ def _first_round(
     return plan, list(plan.history), first
 
 
-def _between_knots(constraints: TrajectoryConstraints, plan: Plan) -> tuple[np.ndarray, bool]:
-    """Required rise of the lower bounds, (N+1, H), and whether a pair may be in contact between knots."""
+def _between_knots(constraints: TrajectoryConstraints, plan: Plan) -> tuple[np.ndarray, np.ndarray, bool]:
+    """Required shifts of the lower and upper bounds, (N+1, H), and whether a pair may touch between knots."""
     assert plan.problem is not None  # set by solve()
     return constraints.violation_between_knots(plan.problem.dynamics, plan.xs, plan.us)
 

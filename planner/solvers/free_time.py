@@ -196,7 +196,7 @@ class _DurationSearch:
         limit = with_overrides(options.get("options"), max_iterations=options.get("max_iterations")).max_iterations
         most = min(LOOK, limit)
         plan = solve(problem, **options | {"warm_start": motion, "max_iterations": most})
-        ended = plan.status in (Status.CONVERGED, Status.INTERRUPTED)
+        ended = plan.converged or plan.status is Status.INTERRUPTED
         return plan if ended or not _outside(problem, plan) <= MAX_VIOLATION_RATIO * problem.limits.tolerance else None
 
     def best_plan(self, options: dict[str, Any]) -> Plan:

@@ -44,6 +44,8 @@ from planner.solvers.warm_start import warm_start
 
 LEFT = 1e-4
 """Newton passes end when the expected reduction is below this share of the cost (or see Periodic.cost_tolerance)."""
+FOLLOW_LEFT = 0.01
+"""The same share of the cost up to which a motion of "follow" is CONVERGED: what a proof allows of it."""
 _TO_CLOSE = 2  # last passes, which only close the closure error
 
 
@@ -153,7 +155,7 @@ class _PeriodicSearch:
         cost = plan.cost - terminal_goal_cost(plan)
         line = PeriodicPass(len(self.lines), cost, miss, left, plan.nit, plan.status)
         self.lines.append(line)
-        open_ = plan.status is not Status.CONVERGED or miss > 1.0
+        open_ = not plan.converged or miss > 1.0
         rank = open_, miss if open_ or not self.by_newton else cost
         if self.best is None or rank < self.best[0]:
             self.best = rank, plan
@@ -185,10 +187,21 @@ class _PeriodicSearch:
         _, periodic = periodic_problem(plan)
         if self.interrupted:
             status = Status.INTERRUPTED
-        elif status is Status.CONVERGED and not periodic.miss(plan.space, plan.xs) <= 1.0:
+        elif plan.converged and not periodic.miss(plan.space, plan.xs) <= 1.0:
             status = Status.NOT_PERIODIC
+        elif status is Status.CONVERGED and not (self.by_newton or _has_best_ends(plan)):
+            status = Status.NOT_OPTIMAL
         told = [finite([line.cost, line.miss, line.left, line.iterations]) for line in self.lines]
         return replace(plan, status=status, options=plan.options | options | {"tried": told})
+
+
+def _has_best_ends(plan: Plan) -> bool:
+    """Whether another start and end of a periodic plan would lower its cost by at most FOLLOW_LEFT."""
+    try:
+        left = response(plan).step(0.0).decrease
+    except PlannerError:  # no step is known
+        return False
+    return left <= FOLLOW_LEFT * abs(plan.cost - terminal_goal_cost(plan))
 
 
 def _followed(plan: Plan) -> Problem:

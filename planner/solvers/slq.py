@@ -33,6 +33,7 @@ from planner.base.errors import PlannerError
 from planner.base.executors import checked_executor
 from planner.model.capabilities import capabilities_of
 from planner.model.space import space_of
+from planner.problem.goals import has_tolerances
 from planner.problem.objective_problem import solver_problem
 from planner.problem.plan import Iteration, Plan, Status
 from planner.problem.problem import Problem
@@ -46,6 +47,7 @@ from planner.solvers.multiple_shooting import close_defects, guessed_states, lin
 from planner.solvers.multistart import best_of
 from planner.solvers.options import SolverOptions, with_overrides
 from planner.solvers.regularization import Regularization, unregularized_sweep
+from planner.solvers.resolution import is_unresolved
 from planner.solvers.stabilizing_guess import has_diverged, stabilizing_guess
 from planner.solvers.warm_start import tracked_warm_start
 
@@ -164,7 +166,25 @@ def solve(
             best = solved(steady)
     if best.status is Status.NOT_FINITE and (cure := stage_too_long(problem)):
         recorded["not_finite"] = cure
-    return replace(as_user_plan(problem, best), options=recorded)
+    return judged_status(replace(as_user_plan(problem, best), options=recorded))
+
+
+def judged_status(plan: Plan) -> Plan:
+    """A converged plan whose status says if its steps do not resolve its motion, or if it misses a goal.
+
+    Of goals those count whose tolerance was stated. Machines with a rule of their own are judged by it, in a proof,
+    which shows the error of the steps of every plan.
+    """
+    if plan.status is not Status.CONVERGED or plan.problem is None:
+        return plan
+    own = plan.problem.requirements
+    try:
+        if (own is None or own.goal is None) and is_unresolved(plan):
+            return replace(plan, status=Status.UNRESOLVED)
+        misses_goal = bool(has_tolerances(plan.problem) and plan.missed_goals)
+    except KeyboardInterrupt:
+        return replace(plan, status=Status.INTERRUPTED)
+    return replace(plan, status=Status.GOAL_MISSED) if misses_goal else plan
 
 
 def as_user_plan(problem: Problem, plan: Plan) -> Plan:

@@ -172,7 +172,7 @@ class Store:
     def controls(self, task: int) -> np.ndarray | None:
         """The controls (N, nu) of a finished task that converged, else None."""
         row = self.row(task)
-        return self.plan(task).us if row is not None and row["status"] == Status.CONVERGED.name else None
+        return self.plan(task).us if row is not None and Status[row["status"]].converged else None
 
     def _begin(self) -> None:
         """Reset to an empty table."""

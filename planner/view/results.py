@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 _DPI = 72  # of pictures in a notebook, which keeps them in its file
-_GREEN, _RED, _GREY = "#1a7f37", "#b3261e", "#57606a"
+_GREEN, _AMBER, _RED, _GREY = "#1a7f37", "#8a5a00", "#b3261e", "#57606a"
 
 
 def figure_of(result: Plan | Replay | Proof) -> Figure:
@@ -40,7 +40,8 @@ def figure_of(result: Plan | Replay | Proof) -> Figure:
 def html_of(result: Plan | Replay | Proof) -> str:
     """A line about a result and, beneath it, its motion as a picture: HTML without links and without scripts."""
     if isinstance(result, Proof):
-        word, colour, rest = result.verdict, _GREEN if result.passed else _RED, result.headline[len(result.verdict) :]
+        colour = _AMBER if result.misleads else _GREEN if result.passed else _RED
+        word, rest = result.verdict, result.headline[len(result.verdict) :]
         text, figure = result.reason, draw_plan(result.replay.plan, result)
     elif isinstance(result, ClosedLoopRun):
         judged = judge(result)

@@ -238,7 +238,7 @@ def test_a_path_of_the_hand_is_followed_all_along(tmp_path):
     (path,) = [one for one in goals_of(problem, plan.xs) if one.alone]
     assert (path.name, path.unit, path.tolerance) == ("path of hand", "m", 0.004)
     away = [np.linalg.norm(mujocos(plan, n)[0] - [0.25, 0.0, -0.1 + 0.003 * (n - 20) / 0.3]) for n in range(20, 51)]
-    assert path.miss(plan.t, plan.xs) == pytest.approx(max(away), abs=1e-12)
+    assert max(away) - 1e-12 <= path.miss(*plan.judged_motion) < 0.004  # between the stages too
     off = plan.xs.copy()
     off[33, 0] += 0.05
     assert path.miss(plan.t, off) > 0.01  # one stage is enough

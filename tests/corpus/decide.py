@@ -143,7 +143,7 @@ def outside(plan: Plan, xs: np.ndarray) -> str:
     beyond = np.maximum(np.maximum(e - ranges.upper[-1], ranges.lower[-1] - e), 0.0)
     beyond[:-1, len(ranges.coordinates) - ranges.at_end :] = 0.0  # exact goals are of the end
     most = beyond[1:].max(axis=0)
-    allowed = plan.problem.limits.tolerance + share(plan) * ranges_of_motion(plan)[ranges.component]
+    allowed = plan.problem.limits.tolerance + share(plan) * np.minimum(ranges_of_motion(plan), 0.1)[ranges.component]
     worst = int(np.argmax(most - allowed))
     return f"{ranges.coordinates[worst].name} by {most[worst]:.3g}" if most[worst] > allowed[worst] else ""
 

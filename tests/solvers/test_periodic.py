@@ -175,7 +175,7 @@ def test_following_comes_nearer_and_stays_dearer():
     newton = solve_periodic(swinging(tolerance=1e-3))
     assert newton.options["tried"][-1][0] < 0.5 * lines[-1].cost
     wide = solve_periodic(swinging(tolerance=0.2), step="follow", passes=5)
-    assert wide.success
+    assert wide.status is planner.problem.plan.Status.NOT_OPTIMAL  # it comes back, at twice the least cost
     assert np.abs(wide.xs[-1] - wide.xs[0]).max() <= 0.2
 
 

@@ -26,7 +26,7 @@ import numpy as np
 from planner.base.environment import processors
 from planner.base.errors import PlannerError
 from planner.paper.studies.study import timed
-from planner.problem.plan import Plan, Status
+from planner.problem.plan import Plan
 from planner.problem.problem import Problem
 from planner.solvers import lq
 from planner.solvers.multistart import smooth
@@ -59,11 +59,11 @@ def from_many(
     pool = ThreadPoolExecutor(processors())
     try:
         plans, took = timed(lambda: list(pool.map(run, range(starts))))
-        done = [plan for plan in plans if plan.status is Status.CONVERGED]
+        done = [plan for plan in plans if plan.converged]
         judged = list(pool.map(lambda plan: is_minimum(problem, plan), done))
     finally:
         pool.shutdown(cancel_futures=True)
-    failed = [plan for plan in plans if plan.status is not Status.CONVERGED]
+    failed = [plan for plan in plans if not plan.converged]
     steps = [step for plan in failed if (step := _last_step(plan)) is not None]
     return {
         "update": update, "search": search, "starts": starts, "seconds": took,

@@ -21,6 +21,8 @@ from planner.problem.constraints.constraint_stack import ConstraintStack
 from planner.problem.costs.terms import Quadratic
 from planner.problem.state_bounds import BoundPenalties, StateBounds
 
+BETWEEN_KNOTS = 5.0  # tolerances by which a range may be violated between knots: half of what passes in a replay
+
 
 class TrajectoryConstraints:
     """State bounds and constraints side by side.
@@ -70,13 +72,19 @@ class TrajectoryConstraints:
             for part in self.rows.parts if isinstance(part.function, PairClearanceFunction)
         ]  # fmt: skip
 
-    def violation_between_knots(self, dynamics: Dynamics, xs: np.ndarray, us: np.ndarray) -> tuple[np.ndarray, bool]:
-        """Required rise of the lower bounds (N+1, H), and whether a pair may have touched between two knots.
+    def violation_between_knots(
+        self, dynamics: Dynamics, xs: np.ndarray, us: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, bool]:
+        """Required shifts (N+1, H) of the lower and upper bounds, and whether a pair may have touched between knots.
 
-        Bounds rise at both ends of a stage with a violation inside. Where a pair may have touched, those of all stages
-        rise: the motion may have passed through the obstacle.
+        Bounds move inwards at both ends of a stage with a violation inside, of ranges from BETWEEN_KNOTS tolerances on.
+        Where a pair may have touched, those of all stages do: the motion may have passed through the obstacle.
         """
-        more, through = np.zeros_like(self.lower), False
+        more, less, through = np.zeros_like(self.lower), np.zeros_like(self.lower), False
+        if self.ranges is not None:
+            more[:, : self.split], less[:, : self.split] = self.ranges.violation_between_knots(
+                dynamics, xs, us, BETWEEN_KNOTS * self.tolerance
+            )
         for function, columns, scale in self._clearances():
             violation = function.clearance_violation(dynamics, xs, us)
             touched = (violation > function.lower).any(axis=0)
@@ -85,12 +93,13 @@ class TrajectoryConstraints:
             more[1:, columns] = violation
             more[:-1, columns] = np.maximum(more[:-1, columns], violation)
             through |= bool(touched.any())
-        return more, through
+        return more, less, through
 
-    def tightened(self, more: np.ndarray) -> TrajectoryConstraints:
-        """The same with lower bounds (N+1, H) tightened."""
-        tightened = copy(self)
-        tightened.lower = self.lower + more
+    def tightened(self, more: np.ndarray, less: np.ndarray) -> TrajectoryConstraints:
+        """The same with lower bounds raised and upper ones lowered by (N+1, H); where they would cross, neither."""
+        tightened, fits = copy(self), self.lower + more <= self.upper - less
+        tightened.lower = np.where(fits, self.lower + more, self.lower)
+        tightened.upper = np.where(fits, self.upper - less, self.upper)
         return tightened
 
     def of_ranges(self, penalties: BoundPenalties) -> BoundPenalties:

@@ -76,7 +76,8 @@ def task_goal_specs(task: Task) -> tuple[GoalSpec, ...]:
     mechanism, found = task.mechanism, []
     coordinates = coordinates_of_mechanism(mechanism)
     for one in task.goals:
-        times, tolerances, goal = None if one.last else (one.time,), one.tolerances, one.goal
+        at_end = one.last and one.time >= task.duration * (1.0 - 1e-9)
+        times, tolerances, goal = None if at_end else (one.time,), one.tolerances, one.goal
         for dof, value in one.joints.items():
             name, unit = coordinates[dof]
             error = partial(_joint_error, np.array([mechanism.q_address[dof]]), np.array([[value]]))
@@ -94,8 +95,8 @@ def task_goal_specs(task: Task) -> tuple[GoalSpec, ...]:
             error = partial(_speed, mechanism, goal.frame)
             found.append(GoalSpec(f"speed of {goal.frame}{one.when}", "m/s", error, times, tolerances["velocity"]))
     for path in task.follows:
-        stages = np.arange(task.span(path)[0], task.span(path)[1] + 1)
-        points, times = task.positions_at(path, stages), tuple((task.dt * stages).tolist())
+        at = task.judged_times(path)
+        points, times = path.at(at, task.duration), tuple(at.tolist())
         if path.frame is not None:
             error, unit = partial(_path_error, mechanism, path.frame, points), "m"
         else:

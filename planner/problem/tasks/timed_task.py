@@ -21,6 +21,7 @@ DEFAULT_TOLERANCES = {
     "velocity": MIN_TOLERANCES["m/s"],
 }
 PATH_TOLERANCES = {"m": 2.0 * MIN_TOLERANCES["m"], "rad": 2.0 * MIN_TOLERANCES["rad"]}  # default of a path
+PATH_PARTS = 10  # of a stage, at whose ends a path is judged: held controls bend a motion little within them
 
 
 @dataclass(frozen=True)
@@ -28,9 +29,9 @@ class TimedGoal:
     """A goal at its stage."""
 
     goal: Goal
-    stage: int  # 1 to N
-    time: float  # s, of the stage
-    last: bool  # Whether it is at the end
+    stage: int  # 1 to N, the nearest: the cost weighs its knot
+    time: float  # s, as asked for: the proof judges the motion there, between two knots too
+    last: bool  # Whether its stage is the end
     label: str  # In messages: "goal 2 (hand at 1 s)"
     tolerances: dict[str, float]  # By PARTS
     joints: dict[int, float] = field(default_factory=dict)  # Of a goal of joints: positions by degree of freedom
@@ -67,6 +68,14 @@ class Task:
         """The first and the last stage of a path."""
         times = path.times(self.duration)
         return round(float(times[0]) / self.dt), round(float(times[-1]) / self.dt)
+
+    def judged_times(self, path: Follow) -> np.ndarray:
+        """(K,) s, at which a path is judged: its own points', and PATH_PARTS equal parts of every stage."""
+        own = path.times(self.duration)
+        first, last = np.clip(own[[0, -1]], 0.0, self.duration)
+        part = self.dt / PATH_PARTS
+        even = part * np.arange(np.ceil(first / part), np.floor(last / part) + 1)
+        return np.unique(np.clip(np.concatenate([own, even]), first, last))
 
     def positions_at(self, path: Follow, stages: np.ndarray) -> np.ndarray:
         """The points (K, n) of a path at stages (K,)."""
@@ -120,7 +129,7 @@ def task_of(
             mechanism.frame(goal.frame)  # refuses an unknown name
         timed.append(
             TimedGoal(
-                goal, stage, stage * dt, stage == N, label, goal.tolerances(defaults), joints_of(mechanism, goal, label)
+                goal, stage, time, stage == N, label, goal.tolerances(defaults), joints_of(mechanism, goal, label)
             )
         )
     for path in follows:

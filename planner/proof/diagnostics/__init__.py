@@ -35,7 +35,7 @@ def suggested_fixes(plan: Plan, proof: Proof | None = None) -> tuple[SuggestedFi
         plan: With its problem.
         proof: Of the plan; None for a plan that was not replayed.
     """
-    done = plan.status in (Status.CONVERGED, Status.GIVEN, Status.INTERRUPTED) and not plan.missed_goals
+    done = (plan.converged or plan.status in (Status.GIVEN, Status.INTERRUPTED)) and not plan.missed_goals
     if done if proof is None else proof.passed:
         return ()
     if plan.problem is None or plan.problem.periodic is not None:

@@ -98,7 +98,7 @@ class FixTrials:
         self.budget.charge(plan, iterations)
         if plan.status is Status.INTERRUPTED:
             raise KeyboardInterrupt
-        if not plan.success:
+        if not plan.converged:
             spent = was_cut(plan, allowed, asked)
             self.report(FixTrial(one, "not solved", "the work budget was reached" if spent else plan.status.name))
             return None

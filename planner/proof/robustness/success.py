@@ -19,7 +19,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from planner.problem.goals import GoalCheck, goals_of
+from planner.problem.goals import GoalCheck, between, goals_of
 from planner.problem.plan import Plan
 from planner.proof.error_scales import ranges_of_motion
 
@@ -145,11 +145,13 @@ def rule_of(plan: Plan) -> SuccessRule:
 
 
 def _on_the_way(plan: Plan, goals: Sequence[GoalCheck]) -> SuccessRule:
-    """The rule of goals at their times, with states between the stored knots interpolated linearly."""
+    """The rule of goals at their times; between the stored knots deviations from the plan are interpolated linearly."""
+    t, planned = plan.judged_motion
 
     def follows(xs: np.ndarray, _: np.ndarray, stages: np.ndarray) -> np.ndarray:
-        t = plan.t[stages]
-        return np.array([all(one.miss(t, x) <= GOAL_TOLERANCES * one.tolerance for one in goals) for x in xs])
+        away = plan.space.difference(xs, np.broadcast_to(plan.xs[stages], xs.shape))
+        paths = (plan.space.integrate(planned, between(plan.t[stages], one, t)) for one in away)
+        return np.array([all(one.miss(t, x) <= GOAL_TOLERANCES * one.tolerance for one in goals) for x in paths])
 
     words = f"is within {GOAL_TOLERANCES:g} tolerances of every goal at its time"
     ends = [one for one in goals if one.times is None]

@@ -76,13 +76,11 @@ def video_player(source: str) -> str:
     )
 
 
-def verdict_box(word: str, passed: bool, words: str, more: str = "") -> str:
+def verdict_box(word: str, passed: bool, words: str, more: str = "", *, warns: bool = False) -> str:
     """The verdict in its colour with words beside it, as text, and `more` below, as HTML."""
     span = f"<span>{escape(words)}</span>" if words else ""
-    return (
-        f'<div class="verdict {"pass" if passed else "fail"}" role="status"><strong>{escape(word)}</strong>'
-        f"{span}{more}</div>"
-    )
+    kind = "warn" if warns else "pass" if passed else "fail"
+    return f'<div class="verdict {kind}" role="status"><strong>{escape(word)}</strong>{span}{more}</div>'
 
 
 def table(rows: dict[str, Any]) -> str:
@@ -126,10 +124,11 @@ def _capital(text: str) -> str:
 
 STYLE = """
 :root { color-scheme: light dark; --ink: #1d1f21; --soft: #5d6670; --line: #d9dde1; --paper: #ffffff;
-  --card: #f6f7f8; --good: #14713a; --bad: #b3261e; --good-tint: #e5f4ea; --bad-tint: #fce9e7; }
+  --card: #f6f7f8; --good: #14713a; --bad: #b3261e; --good-tint: #e5f4ea; --bad-tint: #fce9e7;
+  --warn: #7a4f00; --warn-tint: #fdf3d8; }
 @media (prefers-color-scheme: dark) { :root { --ink: #e8eaed; --soft: #a3abb3; --line: #3a3f45;
   --paper: #17191c; --card: #202327; --good: #6fd394; --bad: #ff8d84; --good-tint: #16301f;
-  --bad-tint: #3a1c1a; } }
+  --bad-tint: #3a1c1a; --warn: #f0c36d; --warn-tint: #362a10; } }
 * { box-sizing: border-box; }
 body { margin: 0 auto; padding: 1.2rem; max-width: 62rem; background: var(--paper); color: var(--ink);
   font: 16px/1.5 system-ui, -apple-system, "Segoe UI", Roboto, "Helvetica Neue", sans-serif; }
@@ -141,6 +140,7 @@ p { margin: .4rem 0; overflow-wrap: anywhere; }
 .soft { color: var(--soft); }
 .verdict { border-left: .5rem solid; border-radius: .4rem; padding: .8rem 1.1rem; }
 .verdict.pass { color: var(--good); background: var(--good-tint); }
+.verdict.warn { color: var(--warn); background: var(--warn-tint); }
 .verdict.fail { color: var(--bad); background: var(--bad-tint); }
 .verdict strong { font-size: 2.3rem; line-height: 1.2; letter-spacing: .02em; margin-right: .6rem; }
 .verdict span { font-size: 1.15rem; }

@@ -95,7 +95,7 @@ def _verdict(plan: Plan, proof: Proof | None, fixes: Sequence[SuggestedFix]) -> 
     doubt = "" if plan.success else f"<p>The solver did not converge: {escape(plan.message)}</p>"
     to_pass = f"<p>To pass: {' Or: '.join(escape(str(one)) for one in fixes)}</p>" if fixes else ""
     more = f"<p>{escape(reason)}</p>{doubt}{_unchecked(proof)}{to_pass}"
-    return verdict_box(_word(proof), _word(proof) == "PASS", words, more)
+    return verdict_box(_word(proof), _word(proof) == "PASS", words, more, warns=proof is not None and proof.misleads)
 
 
 def _unchecked(proof: Proof | None) -> str:

@@ -86,7 +86,7 @@ def _section(one: Map, sweep: Sweep, rows: dict[int, dict[str, Any]]) -> str:
 def _success(row: dict[str, Any]) -> str:
     if row.get("verdict"):
         return _GOOD if row["verdict"] == "PASS" else _BAD
-    return _BAD if row["status"] != "CONVERGED" else _UNPROVEN
+    return _UNPROVEN if row["status"] == "CONVERGED" else _BAD
 
 
 def _scale(title: str, name: str, one: Map, sweep: Sweep, rows: dict[int, dict[str, Any]]) -> str:

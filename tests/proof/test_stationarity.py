@@ -1,0 +1,87 @@
+"""A vanishing gradient is no minimum by itself: own derivatives, curvature, contacts that nothing touches."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from corpus import wrong_optimality
+from corpus.asking import reach
+from corpus.machines import arm
+
+import planner
+from planner import FunctionDynamics, Problem, TrackingCost
+from planner.proof.consistency import optimality, recomputed
+
+
+def optimality_of(plan):
+    section = optimality(plan, plan.problem, recomputed(plan, plan.problem, plan.xs, plan.us))
+    return {one.name: one for one in section.measured}
+
+
+@pytest.mark.parametrize(
+    ("make", "name"),
+    [
+        (wrong_optimality.other_derivatives, "cost_derivative_error"),
+        (wrong_optimality.farthest, "negative_curvature"),
+        (wrong_optimality.untouched, "unreached_goals"),
+    ],
+)  # fmt: skip
+def test_a_zero_gradient_is_not_optimal_where(make, name):
+    plan = make(np.random.default_rng(11))
+    assert plan.success
+    assert not optimality_of(plan)[name].passed
+
+
+def test_right_derivatives_and_a_minimum_pass():
+    plan = planner.solve(reach(arm(np.random.default_rng(3), 2), [0.8, -0.7]))
+    own = wrong_optimality.Effort(0.0, 0.0, 0.0, 2)  # value() and derivatives are zero
+    found = optimality_of(planner.solve(replace(plan.problem, cost=plan.problem.cost + own)))
+    assert found["cost_derivative_error"].value < 1e-6  # central differences of a quadratic cost
+    assert found["negative_curvature"].value == 0.0
+
+
+def double_well(wrong_sign=False):
+    """A mass at the top of 1/2 (x^2 - 1)^2 in its running cost: stationary at x = 0, and a maximum there."""
+
+    class Well(wrong_optimality.Effort):
+        def value(self, xs, us):
+            return 0.5 * float(np.sum((xs[:-1, 0] ** 2 - 1.0) ** 2))
+
+        def quadratize(self, xs, us):
+            model = super().quadratize(xs, us)
+            model.q[:-1, 0] = 2.0 * xs[:-1, 0] * (xs[:-1, 0] ** 2 - 1.0)
+            model.Q[:-1, 0, 0] = 4.0 * xs[:-1, 0] ** 2  # Gauss-Newton
+            return model
+
+    def f(x, u):
+        return np.stack([x[..., 1], u[..., 0]], axis=-1)
+
+    def jacobian(x, u):
+        fx, fu = np.zeros((len(x), 2, 2)), np.zeros((len(x), 2, 1))
+        fx[:, 0, 1], fu[:, 1, 0] = 1.0, -1.0 if wrong_sign else 1.0
+        return fx, fu
+
+    dynamics = FunctionDynamics(f, 2, 1, 0.1, jacobian=jacobian)
+    tracking = TrackingCost.reach([0.0, 0.0], 30, final=[1e-3, 1e-3], effort=0.1)
+    return Problem(dynamics, tracking + Well(1.0, 1.0, 0.0, 1), np.zeros(2), tolerance="soft")
+
+
+def test_curvature_is_checked_for_any_dynamics():
+    plan = planner.solve(double_well())
+    assert plan.nit == 0
+    assert not optimality_of(plan)["negative_curvature"].passed
+    away = planner.solve(replace(double_well(), us=np.full((30, 1), 0.5)))
+    assert away.cost < plan.cost
+    assert optimality_of(away)["negative_curvature"].passed
+
+
+def test_a_jacobian_that_is_not_that_of_the_dynamics_is_named():
+    assert optimality_of(planner.solve(double_well()))["dynamics_derivative_error"].passed
+    assert not optimality_of(planner.solve(double_well(wrong_sign=True)))["dynamics_derivative_error"].passed
+
+
+def test_the_first_line_says_where_the_curvature_was_not_checked():
+    ball = wrong_optimality.machines.ball_on_floor(np.random.default_rng(0), 1.0)
+    plan = planner.solve(reach(ball, [0.3, 0.1], contacts=wrong_optimality.ContactLaw.resting(1.0)))
+    proof = planner.prove(plan, rollouts=0, optimal=False)
+    assert "optimal (curvature not checked)" in proof.headline, proof.headline
