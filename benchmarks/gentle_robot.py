@@ -14,9 +14,8 @@ import numpy as np
 import planner
 from planner.cases.human_step.case import Phase, human_step
 from planner.cases.human_step.gait import NORMAL_GAIT
-from planner.cases.human_step.measures import measures, robot
+from planner.cases.human_step.measures import judge_tracking, measures, robot
 from planner.cases.human_step.phase import SWING, GaitPhase
-from planner.cases.human_step.tracking import judge_tracking
 from planner.cases.human_step.walker import SIDES, Walker
 
 WAYS: dict[str, dict[str, Any]] = {

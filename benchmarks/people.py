@@ -21,9 +21,8 @@ import planner
 from planner.base.executors import ordered_map
 from planner.cases.human_step.case import human_step
 from planner.cases.human_step.gait import NORMAL_GAIT
-from planner.cases.human_step.measures import CLEAR, measures
+from planner.cases.human_step.measures import CLEAR, judge_tracking, measures
 from planner.cases.human_step.phase import SWING, GaitPhase
-from planner.cases.human_step.tracking import judge_tracking
 from planner.cases.human_step.walker import SIDES, Walker
 from planner.proof.replays.replaying import replay
 from planner.sweeps.executors import executor_of

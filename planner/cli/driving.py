@@ -15,7 +15,7 @@ from planner.control.controller import Controller
 from planner.control.judging import LoopVerdict, judge
 from planner.control.robustness_map import margins
 from planner.control.simulating import simulate
-from planner.control.timing import horizon_and_rate
+from planner.control.window_parts import horizon_and_rate
 from planner.proof.replays.compiled_twin import CompiledTwin
 from planner.proof.robustness.pushes import Push, pushed_step
 from planner.view.plots import draw_loop, save

@@ -1,4 +1,4 @@
-"""The commands of the command line and their flags.
+"""The commands of the command line and their flags, and a script that lets a shell complete them.
 
 Flags are added to those commands alone that are asked for, because cases and solver take half a second to import.
 """
@@ -7,13 +7,16 @@ from __future__ import annotations
 
 import argparse
 import difflib
+import re
 from collections.abc import Callable, Container
 from functools import partial
+from importlib import import_module
 from pathlib import Path
 from typing import Any, NoReturn
 
 from planner.base.arguments import choice, short_repr
 from planner.base.errors import PlannerError
+from planner.cli.console import Console
 from planner.cli.flags import (
     IMPORTS,
     NO_VIDEO,
@@ -33,6 +36,8 @@ from planner.cli.flags import (
 
 SHELLS = ("bash", "zsh", "tcsh")
 """Shells that completion is written for."""
+FORMATS = {"csv": ".csv", "json": ".json", "yaml": ".yaml", "keyframes": ".keys.xml"}
+"""Ending of the file of each form of export."""
 
 _PLAN: Flags = {"plan": {"metavar": "PLAN", "help": "A plan.npz."}}
 _DRIVE: Flags = {
@@ -165,7 +170,6 @@ def _report(parser: argparse.ArgumentParser) -> None:
 
 
 def _export(parser: argparse.ArgumentParser) -> None:
-    from planner.cli.exporting import FORMATS
     from planner.problem.export.table import PARTS
 
     add(
@@ -282,3 +286,32 @@ def parse(argv: list[str]) -> argparse.Namespace:
     hint = f"Did you mean {near[0]}?" if near else f"See {where} --help."
     kind = "flag" if word.startswith("-") else "argument"
     raise PlannerError(f"{where!r} has no {kind} {short_repr(word)}. {hint}")
+
+
+def print_completion(arguments: argparse.Namespace, console: Console) -> int:
+    """Print the script with which a shell completes commands, machines and flags. shtab writes it.
+
+    It knows every word by itself, so a key press does not start Python. Files are completed where no word fits, so that
+    `planner run reach.toml` is too.
+    """
+    try:
+        shtab = import_module("shtab")
+    except ImportError:
+        raise PlannerError(
+            "shtab is not installed, expected it for completion: pip install slq-planner[completion]."
+        ) from None
+    parser = build()
+    for action in _subcommands(parser):
+        for command in action.choices.values():
+            for machines in _subcommands(command):
+                machines.choices.pop(PROBLEM_FILE, None)  # it stands for a file, and nobody types it
+                machines._choices_actions = [one for one in machines._choices_actions if one.dest != PROBLEM_FILE]
+    script = shtab.complete(parser, shell=arguments.shell)
+    if arguments.shell == "bash":  # files, where no word fits
+        script = re.sub(r"^complete -o", "complete -o default -o", script, flags=re.M)
+    console.write_result(script)
+    return console.finish("completion", 0, shell=arguments.shell, script=script)
+
+
+def _subcommands(parser: argparse.ArgumentParser) -> list[argparse._SubParsersAction]:
+    return [action for action in parser._actions if isinstance(action, argparse._SubParsersAction)]

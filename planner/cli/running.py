@@ -1,34 +1,171 @@
-"""The command `run`: plan, prove, solve again where the step is too coarse, plot and film, into one folder.
+"""The commands `run` (plan, prove, repair a plan that fails, plot and film, into one folder) and `solve`.
 
-After an interruption the same command continues with the missing files.
+Every file of the folder appears when it is finished. A hidden file, the mark, names the run that the files belong to.
+It is written with the first file and removed after the last one. A later run with the same identity that finds the mark
+makes only the missing files.
 """
 
 from __future__ import annotations
 
 import argparse
+import hashlib
+import json
+from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Executor
-from contextlib import ExitStack
+from contextlib import ExitStack, contextmanager, suppress
+from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from planner.base.arguments import count, number
 from planner.base.environment import installed_versions
 from planner.base.errors import PlannerError
+from planner.base.files import (
+    PathLike,
+    file_error,
+    finite,
+    folder_lock,
+    json_text,
+    open_folder,
+    remove_empty,
+    write_atomically,
+)
 from planner.cases.plan_file import load_plan
 from planner.cli import results
-from planner.cli.auto_repair import auto_repair
 from planner.cli.background_render import BackgroundRender
 from planner.cli.console import Console
-from planner.cli.problems import ProblemOf, asked_problem, name_of, solved
-from planner.cli.run_folder import ROLLOUTS, RunFolder, run_folder
-from planner.problem.archive import plan_digest
+from planner.cli.problems import ProblemOf, asked_problem, iterations_of, name_of, solved
+from planner.problem.archive import plan_digest, plan_name
 from planner.problem.plan import Plan, Status
-from planner.proof import prove
+from planner.problem.problem import Problem
+from planner.proof import Proof, prove
 from planner.proof.compare.model_parity import parity
 from planner.proof.diagnostics import suggested_fixes
 from planner.proof.goal_regulator import hold_gain
-from planner.proof.repair.refinement import Refinement
+from planner.proof.repair import Repaired, Step, Tools, repair
+from planner.proof.repair.clearance import ClearanceRefinement
+from planner.proof.repair.fixes import FixTrial
+from planner.proof.repair.refinement import Refined, Refinement
 from planner.sweeps.executors import executor_of
+
+MARK = ".planner-unfinished.json"
+ROLLOUTS = ".planner-rollouts.npz"  # finished rollouts of a Monte Carlo
+
+
+@dataclass
+class RunFolder:
+    """A folder that a run writes into."""
+
+    path: Path
+    outputs: tuple[str, ...]  # names of all files that a run may have
+    run: str  # digest of the run's identity
+    notes: dict[str, Any] = field(default_factory=dict)  # for the run that continues this one
+    began: bool = False  # files of this run exist
+
+    @property
+    def finished(self) -> frozenset[str]:
+        """Names of the finished files of this run."""
+        return frozenset(name for name in self.outputs if self.began and (self.path / name).is_file())
+
+    def begin(self, first: str, write: Callable[[Path], object], **notes: Any) -> None:
+        """Write the first file of a run, then its mark, and remove the files of older runs."""
+        with write_atomically(self.path / first) as unfinished:
+            write(unfinished)  # a failure here, e.g. a full disk, leaves the older files as they are
+            with write_atomically(self.path / MARK) as mark:
+                mark.write_text(json_text({"run": self.run, "notes": notes}), encoding="utf-8")
+            for name in {*self.outputs, ROLLOUTS} - {first}:
+                (self.path / name).unlink(missing_ok=True)
+        self.notes, self.began = notes, True
+
+    def end(self) -> None:
+        """Remove the mark of an unfinished run."""
+        for name in (MARK, ROLLOUTS):
+            (self.path / name).unlink(missing_ok=True)
+
+
+@contextmanager
+def run_folder(path: PathLike, outputs: Iterable[str], asked: dict[str, Any]) -> Iterator[RunFolder]:
+    """Open the folder of a run, created with its parents if missing; `asked` holds the run's identity as JSON values.
+
+    An exception leaves finished files; without any, created folders are removed again.
+
+    Raises:
+        FileError: The folder cannot be written, or another run is writing into it.
+    """
+    place = Path(path)
+    run = hashlib.sha256(json.dumps(finite(asked), sort_keys=True).encode()).hexdigest()
+    folder = RunFolder(place, tuple(outputs), run)
+    probe, created = open_folder(place, folder.outputs)
+    try:
+        probe.rmdir()
+        with folder_lock(place):
+            mark = _mark(place / MARK)
+            if mark.get("run") == run and (place / folder.outputs[0]).is_file():
+                folder.began, folder.notes = True, mark.get("notes", {})
+            yield folder
+    except OSError as error:
+        if error.filename is None or Path(error.filename).parent != place:
+            raise
+        raise file_error(error, place, expected="folder") from error
+    finally:
+        if not folder.began:
+            remove_empty(created)
+
+
+def _mark(path: Path) -> dict[str, Any]:
+    """The mark of an unfinished run; empty where there is none or it cannot be read."""
+    with suppress(OSError, ValueError, RecursionError):
+        mark = json.loads(path.read_text(encoding="utf-8"))
+        if isinstance(mark, dict) and isinstance(mark.get("notes"), dict):
+            return mark
+    return {}
+
+
+Store = Callable[[Plan, tuple[Refinement, ...]], None]
+_OUTCOMES = {
+    "applied": "applied automatically", "passes": "tried, PASS; left to you",
+    "not tried": "not tried, for want of work",
+    "fails": "tried, still FAIL", "refused": "tried, refused", "not solved": "tried, not solved",
+}  # fmt: skip
+
+
+def auto_repair(
+    asked: ProblemOf, plan: Plan, proof: Proof | None, path: tuple[Refinement, ...], arguments: argparse.Namespace,
+    console: Console, *, resumed: bool, store: Store,
+) -> Repaired:  # fmt: skip
+    """The plan that passes or that is best known; `store` gets each plan that takes the place of the one before."""
+
+    def solve_again(problem: Problem, max_iterations: int, purpose: str) -> tuple[Plan, int]:
+        again = asked._replace(problem=problem, starts=problem.parameters["starts"])
+        given = argparse.Namespace(**vars(arguments) | {"max_iterations": max_iterations})
+        plan, _ = solved(again, given, console, purpose=purpose)
+        return plan, iterations_of(plan)
+
+    def keep(plan: Plan, which: str, path: tuple[Refinement, ...]) -> None:
+        store(plan, path)
+        results.show_plan(plan, None, console, which)
+
+    options = {name: getattr(arguments, name) for name in ("update", "line_search", "hessian")}
+    judge = partial(prove, rollouts=0, hold_seconds=arguments.hold)
+    tools = Tools(solve_again, judge, options, arguments.max_iterations, partial(_show_step, console), keep)
+    return repair(asked.problem, plan, proof, path, tools, resumed=resumed)
+
+
+def _show_step(console: Console, step: Step) -> None:
+    if isinstance(step, Refinement):
+        if step.seconds == step.seconds:  # NaN is the failed plan's
+            console.write_progress(f"solved again at a finer step:\n{Refinement.header()}\n{step}")
+    elif isinstance(step, Refined):
+        console.write_result(f"refinements: {len(step.path) - 1}; {step.reason}")
+    elif isinstance(step, ClearanceRefinement):
+        console.write_result("\n".join(f"planned again: {note}" for note in step.notes))
+    elif isinstance(step, FixTrial) and step.outcome == "begins":
+        console.write_progress(f"the plan does not pass; trying {step.fix}")
+    else:
+        reason = f" ({step.reason})" if step.reason else ""
+        console.write_result(f"{_OUTCOMES[step.outcome]}{reason}: {step.fix}")
+
 
 INTERRUPTED = 130
 MAX_ROLLOUT_SECONDS = 20.0  # time limit of the perturbed simulations; `planner prove` has none
@@ -134,3 +271,20 @@ def _flags(arguments: argparse.Namespace) -> dict[str, Any]:
     """Flags that are not at their defaults, for the line of the report that repeats the run."""
     given = {name: getattr(arguments, name) for name in (*FLAGS, "starts", "seed")}
     return {name: value for name, value in given.items() if value != arguments.parser.get_default(name)}
+
+
+def solve_case(arguments: argparse.Namespace, console: Console) -> int:
+    """Plan a case and save the plan."""
+    asked = asked_problem(arguments)
+    out = plan_name(arguments.out)
+    # an unwritable file fails before the work
+    with write_atomically(out) as unfinished, executor_of(arguments.workers, arguments.scheduler) as executor:
+        plan, seconds = solved(asked, arguments, console, executor)
+        plan.save(unfinished)
+    results.show_plan(plan, seconds, console)
+    results.show_fixes(suggested_fixes(plan), console)
+    console.write_result(str(out))
+    facts = results.plan_facts(plan)
+    return console.finish(
+        "solve", 0 if plan.success and not plan.missed_goals else 1, plan=facts, solve_seconds=seconds, file=str(out)
+    )

@@ -27,9 +27,8 @@ import numpy as np
 from planner.base.arguments import array, count, number, short_repr
 from planner.base.errors import PlannerError
 from planner.control.fallback_control import FallbackControl, equilibrium_control
-from planner.control.goal_states import goal_states, goal_stays
 from planner.control.receding_horizon import RecedingHorizonProblem
-from planner.control.timing import TIME_TOLERANCE, horizon_and_rate, state_after
+from planner.control.window_parts import TIME_TOLERANCE, goal_states, goal_stays, horizon_and_rate, state_after
 from planner.kernels.lq.line_search import ARMIJO
 from planner.kernels.lq.workspace import ACCEPTED, CONVERGED, INDEFINITE
 from planner.model.space import space_of

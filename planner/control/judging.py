@@ -20,8 +20,8 @@ import numpy as np
 from planner.base.arguments import short_repr
 from planner.base.errors import PlannerError
 from planner.base.measured import Measurement, Section, dicts_of, rows_of
-from planner.control.goal_states import goal_states
 from planner.control.simulating import LATE, STAYS, ClosedLoopRun
+from planner.control.window_parts import goal_states
 from planner.dynamics.kinematics import frame_pose
 from planner.model.coordinates import coordinates_of
 from planner.problem.goals import MIN_TOLERANCES, GoalCheck, goals_of

@@ -19,7 +19,7 @@ import numpy as np
 from planner.base.arguments import count, number, short_repr
 from planner.base.errors import PlannerError
 from planner.control.controller import Controller
-from planner.control.fixed_plan_controller import FixedPlanController
+from planner.control.fallback_control import FixedPlanController
 from planner.control.receding_horizon import RecedingHorizonProblem
 from planner.problem.plan import Plan, Status
 from planner.problem.problem import Problem

@@ -1,22 +1,28 @@
-"""Parts of a RecedingHorizonProblem: the cost terms during and after the task, and the limits."""
+"""Parts of a RecedingHorizonProblem: stages and rate, goals, cost terms during and after the task, and limits."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import fields, replace
+from typing import Any
 
 import numpy as np
 
+from planner.base.arguments import count, number, short_repr
 from planner.base.errors import PlannerError
+from planner.model.capabilities import capabilities_of
+from planner.model.space import space_of
 from planner.problem.constraints.clearance import PairClearanceFunction
 from planner.problem.constraints.constraint_stack import ConstraintStack
 from planner.problem.costs.least_squares import LeastSquares
 from planner.problem.costs.residuals.arrays import ResidualArrays
 from planner.problem.costs.residuals.cost import ResidualCost
-from planner.problem.costs.tracking import TrackingCost
+from planner.problem.costs.tracking import TrackingCost, states, tracking_of
 from planner.problem.goals import terms_of
 from planner.problem.limits import Limits
+from planner.problem.plan import Plan
 from planner.problem.problem import Problem
+from planner.proof.goal_regulator import hold_gain
 
 SETTLING_TIME = 0.5  # s, upper limit of sqrt(velocity weight / position weight) after the end of the task
 AIMED = "position of "
@@ -129,3 +135,62 @@ def updated_rows(problem: Problem) -> tuple[ConstraintStack | None, np.ndarray]:
         [part for part in kept.rows.parts if not isinstance(part.function, PairClearanceFunction)]
     )
     return (rows if rows.parts else None), np.concatenate([*columns, ranges + which])
+
+
+def goal_states(problem: Problem, goal: Any, horizon: int) -> np.ndarray:
+    """The state (nx,) of a goal: a keyframe's name, positions (nq,) or a state; or states (horizon + 1, nx)."""
+    mechanism, space = capabilities_of(problem.dynamics).mechanism, space_of(problem.dynamics)
+    if isinstance(goal, str):
+        if mechanism is None:
+            raise PlannerError(f"goal is {short_repr(goal)}, expected a state: the machine has no keyframes.")
+        return mechanism.keyframe(goal)
+    if mechanism is not None and np.shape(goal) == (mechanism.nq,) != (space.nx,):
+        goal = np.concatenate([np.asarray(goal, dtype=float), np.zeros(space.nx - mechanism.nq)])
+    return states("goal", goal, space, () if np.ndim(goal) < 2 else (horizon + 1,))
+
+
+def goal_stays(problem: Problem) -> bool:
+    """Whether some control makes the goal an equilibrium; True for goals of frames or without a final weight."""
+    goal = tracking_of(problem.cost)
+    frames = any(isinstance(one, ResidualCost) and one.goal_rows() for one in terms_of(problem.cost))
+    if goal is None or frames or not np.any(goal.Q[-1]):
+        return True
+    try:
+        hold_gain(problem)
+    except PlannerError:
+        return False
+    return True
+
+
+TIME_TOLERANCE = 1e-6  # of a stage: smaller differences of time are zero
+
+
+def horizon_and_rate(problem: Problem, horizon: int | None = None, rate: float | None = None) -> tuple[int, float]:
+    """Number of stages and rate, Hz, of a controller; a PlannerError for invalid or incompatible arguments."""
+    if not isinstance(problem, Problem):
+        more = "; write Controller(plan.problem, plan=plan)" if isinstance(problem, Plan) else ""
+        raise PlannerError(f"problem is {short_repr(problem)}, expected a Problem{more}.")
+    dt = problem.dynamics.dt
+    H = problem.N if horizon is None else count("horizon", horizon)
+    rate = 1.0 / dt if rate is None else number("rate", rate, greater_than=0.0)
+    if rate * dt > 1.0 + 1e-9:
+        raise PlannerError(
+            f"the rate is {rate:.6g} Hz and the horizon has stages of {dt:.4g} s, expected at most one plan per "
+            f"stage, {1.0 / dt:.6g} Hz, or a problem with dt = {1.0 / rate:.4g}; in between the gains act."
+        )
+    if rate * H * dt < 1.0 - 1e-9:
+        raise PlannerError(
+            f"the rate is {rate:.4g} Hz and a plan ends after {H * dt:.4g} s, expected at least "
+            f"{1.0 / (H * dt):.4g} Hz, or a longer horizon."
+        )
+    return H, rate
+
+
+def state_after(problem: Problem, x: np.ndarray, u: np.ndarray, seconds: float) -> np.ndarray:
+    """The state (nx,) after `seconds` of constant control u (nu,) from x (nx,), by the problem's dynamics."""
+    left, dt = seconds, problem.dynamics.dt
+    while left > TIME_TOLERANCE * dt:
+        length = min(left, dt)
+        left -= length
+        x = problem.dynamics.step(x[None], u[None], np.array([length]))[0]
+    return x

@@ -34,8 +34,7 @@ from planner.sweeps.grid import Grid, check_names, grid_of
 from planner.sweeps.processes import LocalProcesses
 from planner.sweeps.running import ContinuationChains, IndependentTasks, Queue, run
 from planner.sweeps.shards import plan_place
-from planner.sweeps.store import HEAD, Store, read_head, write_head
-from planner.sweeps.table import write_tables
+from planner.sweeps.store import HEAD, Store, read_head, write_head, write_tables
 from planner.sweeps.work import LOST, TIMEOUT, Work, warm
 
 _TOLERANCE = partial(number, minimum=0.0)

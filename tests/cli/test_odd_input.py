@@ -16,7 +16,7 @@ from planner.base.errors import FileError, PlannerError
 from planner.cases.human_step.gait_file import LARGEST as MAX_OF_GAIT
 from planner.cases.human_step.gait_file import read_gait
 from planner.cases.problem_file.table import LONGEST, read_table
-from planner.cli import listing, parser
+from planner.cli import case_flags, parser
 from planner.cli.commands import INTERNAL, TRACEBACK
 from planner.cli.console import Console
 from planner.problem.limits import Limits
@@ -74,7 +74,7 @@ def test_an_internal_error_has_an_exit_code_of_its_own(capsys, monkeypatch):
     printed = capsys.readouterr()
     assert "Traceback (most recent call last)" in printed.err
     assert json.loads(printed.out)["exit_code"] == INTERNAL
-    assert listing.list_cases is not fails
+    assert case_flags.list_cases is not fails
 
 
 @pytest.mark.skipif(not hasattr(os, "setsid"), reason="no signals here")

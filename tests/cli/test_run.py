@@ -8,7 +8,7 @@ import planner
 from planner.__main__ import main
 from planner.cases.plan_file import load_plan
 from planner.cli import running as run_command
-from planner.cli.run_folder import MARK, run_folder
+from planner.cli.running import MARK, run_folder
 
 EULER = ["run", "two-link", "--integrator", "semi-implicit-euler", "--horizon", "100", "--no-video", "--quiet"]
 ARM = ["run", "two-link", "--horizon", "100", "--no-video", "--quiet"]

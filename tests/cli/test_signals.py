@@ -15,7 +15,7 @@ from PIL import Image
 
 import planner
 from planner.cli.results import OUTPUTS
-from planner.cli.run_folder import MARK, ROLLOUTS
+from planner.cli.running import MARK, ROLLOUTS
 
 ARM = ["run", "two-link", "--horizon", "100", "--no-video", "--quiet"]
 

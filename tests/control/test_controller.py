@@ -11,8 +11,7 @@ import planner
 from planner.control.controller import ControllerStatus
 from planner.control.fallback_control import FallbackControl, equilibrium_control
 from planner.control.judging import judge
-from planner.control.timing import state_after
-from planner.control.window_parts import SETTLING_TIME, holding_stage_weights
+from planner.control.window_parts import SETTLING_TIME, holding_stage_weights, state_after
 
 N = 40  # of conftest.py
 

@@ -7,8 +7,7 @@ import planner
 from planner.cases import hopper
 from planner.cases.hopper import PAPER
 from planner.dynamics import FunctionDynamics
-from planner.paper.methods.adjoint import AdjointCost, Integration
-from planner.paper.methods.continuous import ContinuousProblem
+from planner.paper.methods.adjoint import AdjointCost, ContinuousProblem, Integration
 from planner.paper.methods.control_spline import SplineCost, solve_by_splines
 from planner.paper.methods.splines import SplineSpace
 from planner.paper.studies.hopper_splines import hessian

@@ -6,7 +6,7 @@ import pytest
 import planner
 from planner.cases import hopper, two_link
 from planner.dynamics import FunctionDynamics
-from planner.paper.methods.continuous import ContinuousDynamics
+from planner.paper.methods.adjoint import ContinuousDynamics
 from planner.paper.methods.shooting import HamiltonianFlow, shoot
 from planner.paper.studies.shooting import shooting_jacobian
 from planner.solvers.lq import costates

@@ -15,7 +15,7 @@ from planner.problem.periodicity import Periodic
 from planner.problem.recipe import Recipe
 from planner.solvers.periodic import PeriodicPass, solve_periodic
 from planner.solvers.periodic_boundary import BoundaryStates, response, with_ends
-from planner.view.report.reproduce import command
+from planner.view.report.page import command
 
 N, CYCLE = 60, 2.0
 DT = CYCLE / N

@@ -12,9 +12,8 @@ from planner.problem.default_appearance import MAX_CURVES, small_multiples
 from planner.view.render.camera import swept_box, whole_motion
 from planner.view.render.environment import visible_model
 from planner.view.render.film import Film
-from planner.view.render.looks import drawn
 from planner.view.render.scene import Scene
-from planner.view.render.shapes import LinkCapsules
+from planner.view.render.shapes import LinkCapsules, drawn
 from planner.view.render.video import render_poses
 
 ARM = """<mujoco><worldbody>{world}<body name="upper" pos="0 0 {height}"><joint name="a" axis="0 1 0"/>{upper}

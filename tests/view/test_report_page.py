@@ -27,7 +27,7 @@ from planner.proof.repair.refinement import Refinement
 from planner.view.plots import draw_plan, draw_proof, save
 from planner.view.render.encode import Encoder
 from planner.view.report import write_report
-from planner.view.report.reproduce import command, problem_text
+from planner.view.report.page import command, problem_text
 
 BROWSER = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
 with_browser = pytest.mark.skipif(BROWSER is None, reason="no Chromium: apt-get install chromium")

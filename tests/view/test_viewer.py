@@ -13,9 +13,8 @@ from places import ROOT
 
 from planner.__main__ import main
 from planner.base.gl import load_mujoco
-from planner.view.playing import DOWN, END, HOME, LEFT, RIGHT, SPACE, UP, Player
 from planner.view.render.film import Film
-from planner.view.viewer import ViewerScene
+from planner.view.viewer import DOWN, END, HOME, LEFT, RIGHT, SPACE, UP, Player, ViewerScene
 
 XVFB = shutil.which("Xvfb")
 

@@ -44,10 +44,9 @@ from planner.base.errors import PlannerError
 from planner.cases.human_step.cost import StepTolerances, step_cost, step_tolerances
 from planner.cases.human_step.gait import NORMAL_GAIT, Gait
 from planner.cases.human_step.gait_file import read_gait
-from planner.cases.human_step.measures import PATIENT, closing, follows, judge_step, robot_wrench
+from planner.cases.human_step.measures import PATIENT, closing, follows, judge_step, judge_tracking, robot_wrench
 from planner.cases.human_step.phase import SWING, GaitPhase
 from planner.cases.human_step.pictures import step_pictures
-from planner.cases.human_step.tracking import judge_tracking
 from planner.cases.human_step.walker import FILE_MASS, PELVIS, SIDES, Walker
 from planner.dynamics import INTEGRATORS, RigidBodyDynamics
 from planner.dynamics.rollout import rollout_states

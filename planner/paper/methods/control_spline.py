@@ -15,8 +15,7 @@ import numpy as np
 
 from planner.base.arguments import choice, count, short_repr
 from planner.base.errors import PlannerError
-from planner.paper.methods.adjoint import AdjointCost, Integration
-from planner.paper.methods.continuous import ContinuousProblem
+from planner.paper.methods.adjoint import AdjointCost, ContinuousProblem, Integration
 from planner.paper.methods.splines import DEGREE, SplineDescent, SplineSpace, bfgs, curve
 from planner.problem.problem import Problem
 from planner.solvers.engine import acquire_engine, release_engine

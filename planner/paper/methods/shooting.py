@@ -17,7 +17,7 @@ import numpy as np
 
 from planner.base.arguments import array, choice, count, number, short_repr
 from planner.base.errors import PlannerError
-from planner.paper.methods.continuous import ContinuousProblem
+from planner.paper.methods.adjoint import ContinuousProblem
 from planner.problem.problem import Problem
 
 ROOTS = ("hybr", "lm", "krylov", "df-sane")  # of scipy.optimize.root

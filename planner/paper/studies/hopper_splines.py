@@ -13,8 +13,7 @@ from typing import Any
 import numpy as np
 
 from planner.cases.hopper import PAPER, hopper
-from planner.paper.methods.adjoint import AdjointCost, Integration
-from planner.paper.methods.continuous import ContinuousProblem
+from planner.paper.methods.adjoint import AdjointCost, ContinuousProblem, Integration
 from planner.paper.methods.control_spline import SplineControls, SplineCost, solve_by_splines
 from planner.paper.methods.splines import DEGREE, SplineSpace
 from planner.paper.studies.study import (

@@ -11,8 +11,7 @@ from planner.base.errors import PlannerError
 from planner.base.gl import load_mujoco
 from planner.problem.appearance import Appearance
 from planner.view.render.film import Film
-from planner.view.render.looks import drawn, geom_boxes, moving
-from planner.view.render.shapes import LinkCapsules
+from planner.view.render.shapes import LinkCapsules, drawn, geom_boxes, moving
 
 _MARGIN, _NARROW_MARGIN = 1.12, 1.02  # the picture's half sizes over the motion's, with words around it and without
 _LOWER = 0.2  # of half the picture's height: how far a motion is put below its middle, where there is room

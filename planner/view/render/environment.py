@@ -13,7 +13,7 @@ from planner.base import gl
 from planner.model.mjcf.model_index import compile_model
 from planner.view.render.camera import MARGIN, Box, scenery_of, swept_box
 from planner.view.render.film import Film
-from planner.view.render.looks import drawn, geom_boxes, moving, paint_links, show_one_shape_for_each_part
+from planner.view.render.shapes import drawn, geom_boxes, moving, paint_links, show_one_shape_for_each_part
 
 _CELL = 0.125  # of the machine's size, about: the side of the floor's squares
 _BELOW = 2e-3  # of the machine's size: how far our floor is below a shape that stands on it, or the two would flicker

@@ -12,8 +12,7 @@ import numpy as np
 
 from planner.base.gl import load_mujoco
 from planner.problem.appearance import Appearance
-from planner.view.render.looks import drawn, moving
-from planner.view.render.shapes import LinkCapsules, Paint, without_shadow
+from planner.view.render.shapes import LinkCapsules, Paint, drawn, moving, without_shadow
 
 GHOST = (0.05, 0.62, 0.48)
 _ASIDE = 0.34  # opacity of a ghost beside the machine

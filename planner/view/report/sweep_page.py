@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import Any
 
 from planner.base.files import finite
+from planner.sweeps.store import CSV, PARQUET
 from planner.sweeps.sweeping import Sweep
-from planner.sweeps.table import CSV, PARQUET
 from planner.view.report.markup import number, table, write_page
 from planner.view.report.sweep_maps import CSS, WIDE, Map, bar, colour, maps_of, mark_jumps, picture, word
 
