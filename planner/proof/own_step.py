@@ -84,7 +84,7 @@ def _states(
     def corrected(i: int, w: np.ndarray) -> np.ndarray:
         x, n = twin.x_of(w), stage[i : min(i + each, len(t) - 1)]
         correction = plan.K[n[0]] @ plan.space.single_difference(x, planned[i])
-        return compiled.commands(plan.within_bounds(n, plan.us[n] + correction, x))
+        return compiled.commands(plan.within_bounds(n, plan.us[n] + correction))
 
     ctrl = compiled.commands(plan.us[stage[:-1]])
     with curves_acting(twin, model):

@@ -82,7 +82,7 @@ def motion(plan: Plan, *, gains: bool) -> tuple[np.ndarray, np.ndarray]:
         if gains and (each > 1 or k % many == 0):
             correction = late
             late = plan.K[n] @ plan.space.difference(x, nominal[k])
-        u = plan.within_bounds(int(n), plan.us[n] + correction, x) if gains else plan.us[n]
+        u = plan.within_bounds(int(n), plan.us[n] + correction) if gains else plan.us[n]
         whole = times[k + 1] - times[k]
         solver = DOP853(
             lambda t, y, u=u: rates(dynamics, y, u), times[k], x, times[k + 1],
