@@ -68,7 +68,7 @@ class StateBounds:
     def bounds_for_stages(
         self, dynamics: Dynamics, xs: np.ndarray, us: np.ndarray, tolerance: float
     ) -> tuple[np.ndarray, np.ndarray]:
-        """(N+1, H) lower and upper bounds of the knots with which the stages beside them keep the ranges, else -inf, inf.
+        """(N+1, H) lower and upper bounds of knots with which the stages beside them keep the ranges, else -inf, inf.
 
         A stage is checked at the ends of its PARTS, by the plan's own integrator. From a violation of `tolerance` on,
         the nearer of its two knots must move inwards by as much. The first knot is given, the last one has a goal.
