@@ -83,12 +83,12 @@ class StateBounds:
         e = self.space.difference(inside, self.reference[rows])[:, self.component]
         knots = self.deviations(xs)
         for bound, limit, sign in zip(bounds, (self.lower, self.upper), (-1.0, 1.0), strict=True):
-            beyond = (sign * (e - limit[rows])).reshape(N, PARTS - 1, -1).max(axis=1)
-            free = sign * knots
-            free[[0, -1]] = -np.inf
-            nearer = np.maximum(free[:-1], free[1:])
-            kept = np.where(beyond > tolerance, nearer - beyond, np.inf)
-            bound[1:-1, ranges] = sign * np.minimum(kept[:-1], kept[1:])[:, ranges]
+            over = (sign * (e - limit[rows])).reshape(N, PARTS - 1, -1).max(axis=1)
+            e_knots = sign * knots
+            e_knots[[0, -1]] = -np.inf
+            nearer = np.maximum(e_knots[:-1], e_knots[1:])
+            needed = np.where(over > tolerance, nearer - over, np.inf)
+            bound[1:-1, ranges] = sign * np.minimum(needed[:-1], needed[1:])[:, ranges]
         return bounds
 
     def at_bound(self, xs: np.ndarray, tolerance: float) -> np.ndarray:

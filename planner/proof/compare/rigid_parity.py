@@ -55,7 +55,7 @@ class _Terms(NamedTuple):
     actuator: np.ndarray  # (K, nv)
     acceleration: np.ndarray  # (K, nv)
     activation: np.ndarray  # (K, na)
-    closures: np.ndarray | float = 0.0  # (K,) closure_rounding of the accelerations
+    closures: np.ndarray = np.zeros(1)  # (K,) closure_rounding of the accelerations
 
 
 def rigid_parity(
