@@ -161,7 +161,7 @@ class Mechanism:
     @classmethod
     def from_mjcf(
         cls, model: str | Path, *, ignore: Collection[str] | None = (), contacts: str | ContactLaw = "auto",
-        assets: dict[str, bytes] | None = None, name: str = "", attach: Any = None,
+        assets: dict[str, bytes] | None = None, name: str = "", attach: Any = None, obstacles: Any = None,
     ) -> Mechanism:  # fmt: skip
         """Read an MJCF file or text with MuJoCo's compiler.
 
@@ -180,6 +180,9 @@ class Mechanism:
             attach: A payload or a tool at a frame, or a list of them: {"frame": "hand", "mass": 2.0}, with `size`,
                 `com`, `inertia` and `name`; or {"frame": "hand", "model": "gripper.xml"}. See
                 planner.model.mjcf.attached. It is part of the replay and of the user's model too.
+            obstacles: A shape at rest, or a list of them: {"shape": "box", "size": [0.1, 0.4, 0.5], "position":
+                [0.5, 0, 0.25]}, with `orientation`, `name`, and `file` and `scale` of a mesh. See
+                planner.model.mjcf.obstacles. They are part of the replay and of the user's model too.
 
         Raises:
             ModelError: The file cannot be read, MuJoCo rejects it, or it has elements that change the dynamics and
@@ -187,13 +190,15 @@ class Mechanism:
         """
         from planner.model.mjcf.read import read  # local import: read imports Mechanism
 
-        return read(model, ignore=ignore, contacts=contacts, assets=assets, name=name, attach=attach)
+        return read(
+            model, ignore=ignore, contacts=contacts, assets=assets, name=name, attach=attach, obstacles=obstacles
+        )
 
     @classmethod
     def from_urdf(
         cls, model: str | Path, *, base: str | None = None, floor: bool = False, package_path: str | Sequence[str] = (),
         inertia: str = "given", ignore: Collection[str] | None = (), contacts: str | ContactLaw = "auto",
-        attach: Any = None,
+        attach: Any = None, obstacles: Any = None,
     ) -> Mechanism:  # fmt: skip
         """Read a URDF file or text: each link is a body, each one-coordinate joint gets a motor with its effort limit.
 
@@ -212,15 +217,18 @@ class Mechanism:
             ignore: See from_mjcf.
             contacts: See from_mjcf.
             attach: See from_mjcf.
+            obstacles: See from_mjcf.
 
         Raises:
             ModelError: The file cannot be read, is no tree of links or is xacro; an inertia is physically impossible;
                 a joint moves no inertia; or as from_mjcf.
         """
         mjcf, assets, name = as_mjcf(model, base, floor, package_path, inertia)
-        mechanism = cls.from_mjcf(mjcf, ignore=ignore, contacts=contacts, assets=assets, name=name, attach=attach)
+        mechanism = cls.from_mjcf(
+            mjcf, ignore=ignore, contacts=contacts, assets=assets, name=name, attach=attach, obstacles=obstacles
+        )
         of_urdf = {"base": base, "floor": floor, "package_path": package_path, "inertia": inertia}
-        return replace(mechanism, origin=origin_of(model, attach, **of_urdf))
+        return replace(mechanism, origin=origin_of(model, attach, obstacles, **of_urdf))
 
     def with_curves(self, curves: Iterable[ExponentialTorque]) -> Mechanism:
         """The same machine with these exponential torques in place of its own.

@@ -84,6 +84,7 @@ from planner.cases.problem_file.tasks import (
 from planner.dynamics import RigidBodyDynamics
 from planner.model.mechanism import Mechanism
 from planner.model.mjcf.attached import stored_attachments
+from planner.model.mjcf.obstacles import stored_obstacles
 from planner.model.twin import Twin
 from planner.problem.avoid import Avoid
 from planner.problem.constraints.constraint import Constraint
@@ -145,8 +146,9 @@ def loaded(table: dict[str, Any], path: str | Path, **instead: Any) -> ProblemFi
     table |= {name: value for name, value in instead.items() if value is not None}
     if not isinstance(table["model"], str) or not table["model"]:
         raise PlannerError(f"model is {short_repr(table['model'])}, expected the name of an MJCF or URDF file.")
-    if "attach" in table:
-        table["attach"] = stored_attachments(table["attach"], path.parent)
+    for key, stored in (("attach", stored_attachments), ("obstacle", stored_obstacles)):
+        if key in table:
+            table[key] = stored(table[key], path.parent)
     folders = {"package_path": folders_of(path.parent, table["package_path"])} if "package_path" in table else {}
     problem = _problem(table, machine_of(path.parent / table["model"], table | folders, None), str(path))
     given = problem.parameters

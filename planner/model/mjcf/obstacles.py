@@ -1,0 +1,190 @@
+"""Obstacles: shapes at rest that are added to a model's file, so plan, replay and pictures all have them.
+
+    {shape = "box", size = [0.1, 0.4, 0.5], position = [0.5, 0, 0.25]}      edges, m
+    {shape = "mesh", file = "crate.stl", orientation = {yaw = 30}}
+
+They are geoms of the world that collide with whatever can collide in the file; a mesh is its convex hull, with which
+MuJoCo collides. After the file is opened nothing distinguishes them from geoms that it had before.
+"""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Any
+from xml.etree.ElementTree import SubElement
+
+import numpy as np
+
+from planner.base.arguments import array, choice, numbers, quaternion, short_repr
+from planner.base.errors import ModelError, PlannerError
+from planner.model.mjcf.model_file import ModelFile
+from planner.model.mjcf.model_index import ModelIndex, compile_model
+from planner.model.mjcf.text import written
+from planner.model.urdf.meshes import hull, mesh_triangles, stl
+
+SIZES = {
+    "box": "its three edges", "sphere": "its radius", "capsule": "its radius and its length between the caps",
+    "cylinder": "its radius and its length", "plane": "", "mesh": "",
+}  # fmt: skip
+_COUNTS = {"box": 3, "sphere": 1, "capsule": 2, "cylinder": 2, "plane": 0, "mesh": 0}
+# Whatever the file's defaults are: MuJoCo's own values of what a default class may set.
+_PLAIN = {
+    "condim": "3", "friction": "1 0.005 0.0001", "priority": "0", "solmix": "1", "solref": "0.02 1",
+    "solimp": "0.9 0.95 0.001 0.5 2", "margin": "0", "gap": "0", "group": "0", "rgba": "0.8 0.45 0.3 1",
+}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Obstacle:
+    """A shape at rest.
+
+    Attributes:
+        shape: One of SIZES.
+        size: m: the edges of a box, the radius of a sphere, radius and length of a capsule or cylinder (along z).
+        position: (3,) m in the world, of its centre; of a mesh, of its file's origin.
+        orientation: Quaternion, w first, or a table of roll, pitch and yaw in degrees. A plane's normal is its z.
+        name: Of the geom; by default obstacle, numbered if there are several.
+        file: STL, OBJ, DAE or GLB of a mesh.
+        scale: Of a mesh: a number or three.
+
+    Raises:
+        PlannerError: An unknown shape, or a value out of range.
+    """
+
+    shape: str
+    size: Any = None
+    position: Any = (0.0, 0.0, 0.0)
+    orientation: Any = (1.0, 0.0, 0.0, 0.0)
+    name: str = ""
+    file: str | Path | None = None
+    scale: Any = 1.0
+
+    def __post_init__(self) -> None:
+        choice("shape of an obstacle", self.shape, SIZES)
+        if not isinstance(self.name, str) or not self.name.isprintable():
+            raise PlannerError(f"name of an obstacle is {short_repr(self.name)}, expected printable characters.")
+        if (self.shape == "mesh") != (self.file is not None) or not isinstance(self.file, (str, Path, type(None))):
+            raise PlannerError(
+                f"file of obstacle {self.shape!r} is {short_repr(self.file)}, expected the path of a mesh where the "
+                "shape is 'mesh', and none elsewhere."
+            )
+        array("position of an obstacle", self.position, (3,))
+        _ = self.half_sizes, self.scales, quaternion("orientation of an obstacle", self.orientation)
+
+    @property
+    def half_sizes(self) -> np.ndarray:
+        """The numbers of MJCF's size, m: radii and half lengths; () for a mesh, and for a plane without an end."""
+        count = _COUNTS[self.shape]
+        given = numbers("size of an obstacle", () if self.size is None else self.size).ravel()
+        if len(given) != count or not np.all((given > 0.0) & np.isfinite(given)):
+            what = f"expected {SIZES[self.shape]}, m, above 0" if count else "expected none"
+            raise PlannerError(f"size of obstacle {self.shape!r} is {short_repr(self.size)}, {what}.")
+        return given * (0.5 if self.shape == "box" else np.array([1.0, 0.5])[:count])
+
+    @property
+    def scales(self) -> np.ndarray:
+        """(3,) of a mesh."""
+        given = numbers("scale of an obstacle", self.scale).ravel()
+        if len(given) not in (1, 3) or not np.all(np.isfinite(given) & (given > 0.0)):
+            raise PlannerError(
+                f"scale of an obstacle is {short_repr(self.scale)}, expected a number above 0, or three of them."
+            )
+        return np.broadcast_to(given, 3)
+
+
+def obstacles_of(value: Any) -> tuple[Obstacle, ...]:
+    """Obstacles from one, from tables, or from a list of either, each with a name.
+
+    Raises:
+        PlannerError: A key that there is not, a wrong value, or a name twice.
+    """
+    if value is None:
+        return ()
+    keys = [one.name for one in fields(Obstacle)]
+    given = value if isinstance(value, Sequence) and not isinstance(value, str) else (value,)
+    found: list[Obstacle] = []
+    for number, one in enumerate(given, 1):
+        if isinstance(one, Obstacle):
+            one = {key: getattr(one, key) for key in keys}
+        if not isinstance(one, Mapping):
+            raise PlannerError(f"obstacle is {short_repr(one)}, expected a table with some of: {', '.join(keys)}.")
+        table = {choice("a key of an obstacle", key, keys): part for key, part in one.items()}
+        if "shape" not in table:
+            raise PlannerError(f"an obstacle has no key 'shape', expected one of: {', '.join(SIZES)}.")
+        name = table.get("name") or ("obstacle" if len(given) == 1 else f"obstacle {number}")
+        found.append(Obstacle(**{**table, "name": name}))
+        if name in [other.name for other in found[:-1]]:
+            raise PlannerError(f"name of an obstacle is {name!r} twice, expected one of each name.")
+    return tuple(found)
+
+
+def stored_obstacles(value: Any, folder: Path) -> list[dict[str, Any]]:
+    """Obstacles as tables of JSON values, their files relative to a folder.
+
+    Raises:
+        PlannerError: As obstacles_of().
+    """
+    tables = []
+    for one in obstacles_of(value):
+        table = {"shape": one.shape, "name": one.name, "position": array("position", one.position, (3,)).tolist()}
+        table["orientation"] = quaternion("orientation", one.orientation).tolist()
+        if one.size is not None:
+            table["size"] = numbers("size", one.size).tolist()
+        if one.file is not None:
+            table |= {"file": str(folder / one.file), "scale": one.scales.tolist()}
+        tables.append(table)
+    return tables
+
+
+def with_obstacles(file: ModelFile, given: Sequence[Obstacle]) -> ModelFile:
+    """A file with obstacles in its world, compiled again.
+
+    Raises:
+        PlannerError: A name that is taken.
+        ModelError: A mesh cannot be read, nothing of the file can collide, or MuJoCo refuses the result.
+    """
+    if not given:
+        return file
+    root, files, model = copy.deepcopy(file.root), dict(file.files), file.survey.model
+    masks = {
+        key: int(np.bitwise_or.reduce(getattr(model, f"geom_{other}"), initial=0))
+        for key, other in (("contype", "conaffinity"), ("conaffinity", "contype"))
+    }
+    if not any(masks.values()):
+        raise ModelError(
+            f"nothing of {file.name} can touch an obstacle, since contype and conaffinity of all its shapes are 0: "
+            "expected shapes that collide (of a URDF: <collision>)."
+        )
+    world = root.find("worldbody")
+    world = SubElement(root, "worldbody") if world is None else world
+    for one in given:
+        for kind, count in (("geom", model.ngeom), ("mesh", model.nmesh)):
+            if one.name in [getattr(model, kind)(i).name for i in range(count)]:
+                raise PlannerError(f"name of an obstacle is {one.name!r}, which a {kind} has: expected another name.")
+        attributes = {"name": one.name, "type": one.shape, **{key: str(bits) for key, bits in masks.items()}, **_PLAIN}
+        attributes["pos"] = written(*array("position", one.position, (3,)))
+        attributes["quat"] = written(*quaternion("orientation", one.orientation))
+        if one.shape == "mesh":
+            attributes["mesh"] = one.name
+            content = _mesh(one)
+            stored = f"{one.name}.stl"
+            if files.setdefault(stored, content) != content:
+                raise PlannerError(f"name of an obstacle is {one.name!r}, as a file of the model: expected another.")
+            mesh = {"name": one.name, "file": stored, "scale": "1 1 1", "inertia": "shell"}
+            SubElement(SubElement(root, "asset"), "mesh", mesh)
+        else:
+            attributes["size"] = written(*one.half_sizes) if one.shape != "plane" else "0 0 0.05"
+        SubElement(world, "geom", attributes)
+    return file._replace(root=root, files=files, survey=ModelIndex(compile_model(root, files, file.name)),
+                         is_compiled=True)  # fmt: skip
+
+
+def _mesh(one: Obstacle) -> bytes:
+    """The STL of a mesh's convex hull."""
+    try:
+        return stl(hull(mesh_triangles(Path(str(one.file))) * one.scales))
+    except ModelError as error:
+        raise ModelError(f"the mesh of obstacle {one.name!r}: {str(error).removesuffix('.')}.") from None
