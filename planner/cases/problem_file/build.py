@@ -82,6 +82,7 @@ from planner.cases.problem_file.tasks import (
     with_tasks,
 )
 from planner.dynamics import RigidBodyDynamics
+from planner.model.capabilities import stands_on_ground
 from planner.model.mechanism import Mechanism
 from planner.model.mjcf.attached import stored_attachments
 from planner.model.mjcf.obstacles import stored_obstacles
@@ -262,7 +263,7 @@ def _problem(
     weights = table[RESOLVED]["weights"]
     wanted = None
     if way is None:
-        straight = bool(mechanism.contacts) and "position" not in table["weights"]
+        straight = stands_on_ground(mechanism) and "position" not in table["weights"]
         cost = weighed(dynamics, x0, goal, N, weights, straight=straight)
     else:
         cost, wanted = cost_of(way, dynamics, weights)
@@ -291,7 +292,7 @@ def _off_stops(
 ) -> tuple[np.ndarray, np.ndarray, tuple[str, ...]]:
     """Start and goal off the stops whose ranges hold, and sentences about it."""
     kept = (table.get("limits") or {}).get("position")
-    if mechanism.contacts or not (kept == "model" or isinstance(kept, dict)):  # what stands has been put down
+    if stands_on_ground(mechanism) or not (kept == "model" or isinstance(kept, dict)):  # what stands has been put down
         return x0, goal, ()
     limited = kept if isinstance(kept, dict) else {}
     (x0, first), (goal, second) = (

@@ -110,7 +110,7 @@ def read_opened(
         raise ModelError(f'{words}: write contacts = "avoid".')
     found = [*unsupported_elements(survey.model), *contact_refusals(survey, all_of_them=mode in ("off", "avoid"))]
     unmatched: list[Pair] = []
-    kept = stationary_roots(survey) if mode in ("avoid", "ground") else []
+    kept = stationary_roots(survey, mode) if mode in ("avoid", "ground") else []
     if mode in ("law", "ground"):
         found = [one for one in found if one.kind != "contacts"]
         unmatched = give_law(root, survey, *_laws(survey, law))
