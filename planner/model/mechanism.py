@@ -197,7 +197,7 @@ class Mechanism:
     @classmethod
     def from_urdf(
         cls, model: str | Path, *, base: str | None = None, floor: bool = False, package_path: str | Sequence[str] = (),
-        inertia: str = "given", ignore: Collection[str] | None = (), contacts: str | ContactLaw = "auto",
+        inertia: Any = "given", ignore: Collection[str] | None = (), contacts: str | ContactLaw = "auto",
         attach: Any = None, obstacles: Any = None,
     ) -> Mechanism:  # fmt: skip
         """Read a URDF file or text: each link is a body, each one-coordinate joint gets a motor with its effort limit.
@@ -213,7 +213,8 @@ class Mechanism:
             package_path: Folder of a package or of packages, or a list of these, searched for package:// first, then
                 the folder of the file and its parents.
             inertia: "nearest" replaces a physically impossible inertia by the nearest possible one and lists it in
-                `ignored`; "given" raises.
+                `ignored`; "from shapes" gives links without <inertial> that of their shapes at 1000 kg/m^3, or at that
+                of a table {"density": 2700}; "given" raises.
             ignore: See from_mjcf.
             contacts: See from_mjcf.
             attach: See from_mjcf.

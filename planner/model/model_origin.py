@@ -37,7 +37,7 @@ def is_origin(value: Any) -> bool:
         "path": str,
         "digest": str,
         "base": str,
-        "inertia": str,
+        "inertia": (str, dict),
         "floor": bool,
         "package_path": list,
         "attach": list,

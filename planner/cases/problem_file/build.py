@@ -100,6 +100,7 @@ from planner.problem.recipe import PROBLEM_FILE, Recipe
 NAME = PROBLEM_FILE
 GAIN = 1e-4  # of the cost, by an iteration at kinks of contact, where more are worth nothing
 TOLD = (
+    "model",
     "contacts",
     "goal",
     "closed",
@@ -241,6 +242,8 @@ def _problem(
         notes.pop("goal", None)  # it has none of the whole machine
     elif table["goal"] == {}:
         reasons["goal"] = "goal names no joint, so that the machine is to end where it starts."
+    if left_out := [phrase for phrase in mechanism.ignored if phrase != "contacts"]:
+        reasons["model"] = f"The model is read without {', '.join(left_out)}."
     if closed:
         reasons["closed"] = " ".join(closed)
     if notes:

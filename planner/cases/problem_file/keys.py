@@ -14,7 +14,8 @@ KEYS = {
     "floor": "of a URDF: true to add the plane z = 0, on which a free base starts",
     "package_path": "of a URDF: folder of packages, or a list of some, where package:// is sought before the folders "
     "above the file; relative to this file",
-    "inertia": "of a URDF: nearest to replace inertias that no body has by the nearest ones, given to refuse them",
+    "inertia": "of a URDF: nearest to replace inertias that no body has by the nearest ones, given to refuse them, "
+    "'from shapes' or { density = kg/m^3 } for links without <inertial>; from shapes has 1000 kg/m^3",
     "start": "keyframe, nq numbers (at rest), nq + nv numbers, or a table of joints (the others as the model says)",
     "goal": "the same; joints that a table does not name end where they started. Or tables [[goal]], below",
     "follow": "table, below, or several [[follow]]: a path of a frame or of joints to keep to",

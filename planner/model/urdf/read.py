@@ -17,7 +17,7 @@ from planner.model.urdf.write import as_mjcf, is_urdf
 
 def read_model(
     model: str | Path, *, base: str | None = None, floor: bool = False, package_path: str | Sequence[str] = (),
-    inertia: str = "given", ignore: Collection[str] | None = (), contacts: str | ContactLaw = "auto",
+    inertia: Any = "given", ignore: Collection[str] | None = (), contacts: str | ContactLaw = "auto",
     assets: dict[str, bytes] | None = None, attach: Any = None, obstacles: Any = None,
 ) -> Mechanism:  # fmt: skip
     """A mechanism of a URDF or MJCF file or text; from `base` to `inertia`, all is for URDFs alone.
@@ -52,6 +52,7 @@ def opened_model(model: str | Path) -> tuple[ModelFile, dict[str, Any]]:
     try:
         return open_model_file(*as_mjcf(model), stored=False), {}
     except ModelError as refusal:
-        with suppress(ModelError):
-            return open_model_file(*as_mjcf(model, inertia="nearest"), stored=False), {"inertia": "nearest"}
+        for inertia in ("nearest", "from shapes"):
+            with suppress(ModelError):
+                return open_model_file(*as_mjcf(model, inertia=inertia), stored=False), {"inertia": inertia}
         raise refusal
