@@ -39,6 +39,7 @@ from planner.model.couplings import Coupling, Reduction, reduce
 from planner.model.exponential_torques import ExponentialTorque, check_curve
 from planner.model.loops import LoopClosure, PolynomialCoupling
 from planner.model.model_origin import origin_of
+from planner.model.robot_collections import model_location
 from planner.model.space import StateSpace
 from planner.model.tendons import FixedTendon
 from planner.model.urdf.write import as_mjcf
@@ -166,7 +167,7 @@ class Mechanism:
         """Read an MJCF file or text with MuJoCo's compiler.
 
         Args:
-            model: A path, or the XML text itself.
+            model: A path, the XML text itself, or "robot_descriptions:NAME" of that package.
             ignore: Kinds of elements to remove, e.g. ("frictionloss",), also from the replayed model.
             contacts: Which contacts the plan models. "model": those whose MJCF parameters are a law of
                 planner.model.contact.laws (see planner.model.mjcf.contacts): spheres, capsules and corners of boxes
@@ -190,6 +191,7 @@ class Mechanism:
         """
         from planner.model.mjcf.read import read  # local import: read imports Mechanism
 
+        model = model_location(model)
         return read(
             model, ignore=ignore, contacts=contacts, assets=assets, name=name, attach=attach, obstacles=obstacles
         )
@@ -224,6 +226,7 @@ class Mechanism:
             ModelError: The file cannot be read, is no tree of links or is xacro; an inertia is physically impossible;
                 a joint moves no inertia; or as from_mjcf.
         """
+        model = model_location(model)
         mjcf, assets, name = as_mjcf(model, base, floor, package_path, inertia)
         mechanism = cls.from_mjcf(
             mjcf, ignore=ignore, contacts=contacts, assets=assets, name=name, attach=attach, obstacles=obstacles

@@ -165,7 +165,7 @@ def test_an_obstacle_may_carry_a_machine():
         ({"shape": "sphere"}, ("size of obstacle 'sphere' is None", "radius")),
         ({"shape": "sphere", "size": -1.0}, ("is -1.0", "above 0")),
         ({"shape": "plane", "size": 1.0}, ("expected none",)),
-        ({"shape": "sphere", "size": 0.1, "at": [0, 0, 0]}, ("a key of an obstacle is 'at'", "position")),
+        ({"shape": "sphere", "size": 0.1, "at": [0, 0, 0]}, ("a key of obstacle is 'at'", "position")),
         ({"shape": "sphere", "size": 0.1, "position": [0, 0]}, ("position of an obstacle has shape (2,)",)),
         ({"shape": "sphere", "size": 0.1, "orientation": [0, 0, 0, 0]}, ("length zero",)),
         ({"shape": "sphere", "size": 0.1, "name": "fist"}, ("'fist', which a geom has",)),

@@ -86,6 +86,7 @@ from planner.model.capabilities import stands_on_ground
 from planner.model.mechanism import Mechanism
 from planner.model.mjcf.attached import stored_attachments
 from planner.model.mjcf.obstacles import stored_obstacles
+from planner.model.robot_collections import model_location
 from planner.model.twin import Twin
 from planner.problem.avoid import Avoid
 from planner.problem.constraints.constraint import Constraint
@@ -152,7 +153,7 @@ def loaded(table: dict[str, Any], path: str | Path, **instead: Any) -> ProblemFi
         if key in table:
             table[key] = stored(table[key], path.parent)
     folders = {"package_path": folders_of(path.parent, table["package_path"])} if "package_path" in table else {}
-    problem = _problem(table, machine_of(path.parent / table["model"], table | folders, None), str(path))
+    problem = _problem(table, machine_of(model_location(table["model"], path.parent), table | folders, None), str(path))
     given = problem.parameters
     reasons = given[RESOLVED]["reasons"]
     notes = tuple(reasons[key] for key in TOLD if key in reasons)

@@ -9,7 +9,7 @@ from planner.problem.objective import OBJECTIVES
 from planner.problem.tasks.timed_task import DEFAULT_TOLERANCES, PATH_TOLERANCES
 
 KEYS = {
-    "model": "MJCF or URDF file, relative to this file",
+    "model": "MJCF or URDF file, relative to this file, or robot_descriptions:NAME of that package",
     "base": "of a URDF: fixed or free, what its root link is; by default fixed, but for a floating joint of the file",
     "floor": "of a URDF: true to add the plane z = 0, on which a free base starts",
     "package_path": "of a URDF: folder of packages, or a list of some, where package:// is sought before the folders "

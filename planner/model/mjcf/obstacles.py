@@ -10,8 +10,8 @@ MuJoCo collides. After the file is opened nothing distinguishes them from geoms 
 from __future__ import annotations
 
 import copy
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 from xml.etree.ElementTree import SubElement
@@ -20,6 +20,7 @@ import numpy as np
 
 from planner.base.arguments import array, choice, numbers, quaternion, short_repr
 from planner.base.errors import ModelError, PlannerError
+from planner.model.mjcf.attached import records_of, stored_records
 from planner.model.mjcf.model_file import ModelFile
 from planner.model.mjcf.model_index import ModelIndex, compile_model
 from planner.model.mjcf.text import written
@@ -101,24 +102,11 @@ def obstacles_of(value: Any) -> tuple[Obstacle, ...]:
     Raises:
         PlannerError: A key that there is not, a wrong value, or a name twice.
     """
-    if value is None:
-        return ()
-    keys = [one.name for one in fields(Obstacle)]
-    given = value if isinstance(value, Sequence) and not isinstance(value, str) else (value,)
-    found: list[Obstacle] = []
-    for number, one in enumerate(given, 1):
-        if isinstance(one, Obstacle):
-            one = {key: getattr(one, key) for key in keys}
-        if not isinstance(one, Mapping):
-            raise PlannerError(f"obstacle is {short_repr(one)}, expected a table with some of: {', '.join(keys)}.")
-        table = {choice("a key of an obstacle", key, keys): part for key, part in one.items()}
-        if "shape" not in table:
-            raise PlannerError(f"an obstacle has no key 'shape', expected one of: {', '.join(SIZES)}.")
-        name = table.get("name") or ("obstacle" if len(given) == 1 else f"obstacle {number}")
-        found.append(Obstacle(**{**table, "name": name}))
-        if name in [other.name for other in found[:-1]]:
-            raise PlannerError(f"name of an obstacle is {name!r} twice, expected one of each name.")
-    return tuple(found)
+    given = records_of(Obstacle, value, "obstacle", "shape", f"one of: {', '.join(SIZES)}")
+    names = [one.name or ("obstacle" if len(given) == 1 else f"obstacle {k}") for k, one in enumerate(given, 1)]
+    if twice := [name for k, name in enumerate(names) if name in names[:k]]:
+        raise PlannerError(f"name of an obstacle is {twice[0]!r} twice, expected one of each name.")
+    return tuple(replace(one, name=name) for one, name in zip(given, names, strict=True))
 
 
 def stored_obstacles(value: Any, folder: Path) -> list[dict[str, Any]]:
@@ -127,16 +115,7 @@ def stored_obstacles(value: Any, folder: Path) -> list[dict[str, Any]]:
     Raises:
         PlannerError: As obstacles_of().
     """
-    tables = []
-    for one in obstacles_of(value):
-        table = {"shape": one.shape, "name": one.name, "position": array("position", one.position, (3,)).tolist()}
-        table["orientation"] = quaternion("orientation", one.orientation).tolist()
-        if one.size is not None:
-            table["size"] = numbers("size", one.size).tolist()
-        if one.file is not None:
-            table |= {"file": str(folder / one.file), "scale": one.scales.tolist()}
-        tables.append(table)
-    return tables
+    return stored_records(obstacles_of(value), "file", folder)
 
 
 def with_obstacles(file: ModelFile, given: Sequence[Obstacle]) -> ModelFile:
