@@ -65,26 +65,31 @@ class StateBounds:
         e = self.space.difference(xs, self.reference[rows])[:, self.component]
         return np.maximum(np.maximum(e - self.upper[rows], self.lower[rows] - e), 0.0)
 
-    def violation_between_knots(
+    def bounds_for_stages(
         self, dynamics: Dynamics, xs: np.ndarray, us: np.ndarray, tolerance: float
     ) -> tuple[np.ndarray, np.ndarray]:
-        """(N+1, H) violations of the lower and upper bounds within the stages beside each knot; 0 up to `tolerance`.
+        """(N+1, H) lower and upper bounds of knots with which the stages beside them keep the ranges, else -inf, inf.
 
-        At the ends of PARTS of each stage, by the plan's own integrator. The last knot has a goal: it has none.
+        A stage is checked at the ends of its PARTS, by the plan's own integrator. From a violation of `tolerance` on,
+        the nearer of its two knots must move inwards by as much. The first knot is given, the last one has a goal.
         """
-        sides = np.zeros((2, *self.lower.shape))
+        bounds = np.full(self.lower.shape, -np.inf), np.full(self.upper.shape, np.inf)
         if getattr(dynamics, "integrator", "") == "discrete":  # a map has no states between knots
-            return sides[0], sides[1]
+            return bounds
         N, ranges = len(us), slice(0, self.lower.shape[1] - self.at_end)
         times = np.tile(dynamics.dt / PARTS * np.arange(1, PARTS), N)
         inside = dynamics.step(np.repeat(xs[:-1], PARTS - 1, axis=0), np.repeat(us, PARTS - 1, axis=0), times)
         rows = np.repeat(np.maximum(np.arange(N), min(1, N - 1)), PARTS - 1)
         e = self.space.difference(inside, self.reference[rows])[:, self.component]
-        for side, beyond in zip(sides, (self.lower[rows] - e, e - self.upper[rows]), strict=True):
-            largest = beyond.reshape(N, PARTS - 1, -1).max(axis=1)
-            largest = np.where(largest > tolerance, largest, 0.0)
-            side[1:-1, ranges] = np.maximum(largest[:-1], largest[1:])[:, ranges]
-        return sides[0], sides[1]
+        knots = self.deviations(xs)
+        for bound, limit, sign in zip(bounds, (self.lower, self.upper), (-1.0, 1.0), strict=True):
+            beyond = (sign * (e - limit[rows])).reshape(N, PARTS - 1, -1).max(axis=1)
+            free = sign * knots
+            free[[0, -1]] = -np.inf
+            nearer = np.maximum(free[:-1], free[1:])
+            kept = np.where(beyond > tolerance, nearer - beyond, np.inf)
+            bound[1:-1, ranges] = sign * np.minimum(kept[:-1], kept[1:])[:, ranges]
+        return bounds
 
     def at_bound(self, xs: np.ndarray, tolerance: float) -> np.ndarray:
         """Whether (N+1, H) states are at a bound or outside of it."""

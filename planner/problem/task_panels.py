@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from planner.problem.constraints.constraint_stack import StackEntry
+from planner.problem.goals import between
 from planner.problem.pictures import BoundedPanel
 from planner.problem.problem import Problem
 
@@ -39,9 +40,12 @@ def _of_goals(problem: Problem, t: np.ndarray, motions: Sequence[StatesControls]
         if one.tolerance is None:
             continue
         asked = np.array([problem.N] if one.times is None else np.round(np.array(one.times) / problem.dynamics.dt), int)
-        stages = np.arange(problem.N + 1) if len(asked) == 1 else asked
         values, upper = np.full((len(motions), len(t)), np.nan), np.full(len(t), np.inf)
-        values[:, stages] = [one.error(xs[stages]) for xs, _ in motions]
+        for (xs, _), curve in zip(motions, values, strict=True):
+            if len(asked) == 1:
+                curve[:] = one.error(xs)
+            else:  # of a path: the largest that is nearest to each knot
+                np.fmax.at(curve, asked, one.error(between(t, xs, np.array(one.times))))
         upper[asked] = one.tolerance
         # Goals with equal errors at all times share a curve, e.g. the speed of a frame that stops twice.
         names, _, bound = units.setdefault(one.unit, {}).setdefault(values[0].tobytes(), ([], values, upper))

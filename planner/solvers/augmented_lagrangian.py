@@ -86,7 +86,7 @@ def augmented_lagrangian(
             return replace(plan, history=tuple(history), status=Status.MAX_ITERATIONS, bound_penalties=penalties)
         penalties = (
             _initial_penalties(constraints, plan, penalties, options)
-            if round_ == 0
+            if round_ == 0 or not penalties.weight.any()  # the first violation may be one between knots
             else _updated_penalties(constraints, penalties, plan, error, before, options)
         )
         before, inexact = error.max(axis=0), 0.0

@@ -65,7 +65,7 @@ def test_a_full_stdout_exits_2_and_keeps_the_files(tmp_path):
 @pytest.mark.parametrize(
     ("words", "code"),
     [(["list"], 0), ([], 0), (["run", "--help"], 0), (["fly"], 2),
-     (["solve", "two-link", "--horizon", "20", "--quiet", "--out", "p.npz"], 0)],
+     (["solve", "two-link", "--horizon", "40", "--quiet", "--out", "p.npz"], 0)],
     ids=lambda value: " ".join(value) if isinstance(value, list) else None,
 )  # fmt: skip
 def test_nobody_needs_to_listen(tmp_path, words, code):
@@ -81,7 +81,7 @@ def test_nobody_needs_to_listen(tmp_path, words, code):
 @pytest.mark.slow
 def test_a_full_disk_of_the_cache_is_not_taken_for_that_of_the_plan(tmp_path):
     """Machine code that cannot be kept is used all the same: files of more than 20 kB, which the plan is not."""
-    words = ["solve", "two-link", "--horizon", "20", "--quiet", "--out", "p.npz"]
+    words = ["solve", "two-link", "--horizon", "40", "--quiet", "--out", "p.npz"]
     done = subprocess.run(
         [sys.executable, "-c", LIMITED.format(20000), *words], cwd=tmp_path, capture_output=True, text=True,
         timeout=300, env=os.environ | {"NUMBA_CACHE_DIR": str(tmp_path / "cache")},

@@ -206,7 +206,7 @@ def test_a_plan_stays_as_it_was_while_the_next_is_made(problem, controller):
 @pytest.mark.parametrize("iterations", [1, 3])
 def test_limits_that_no_plan_met_yet_are_kept_when_the_goal_moves(problem, iterations):
     """The first plan stays within them by itself, so that it has no multipliers; the way to the new goal does not."""
-    fastest = 1.02 * np.abs(planner.solve(problem).xs[:, 2:]).max(axis=0)
+    fastest = 1.02 * np.abs(planner.solve(problem).between_knots(4)[:, 2:]).max(axis=0)
     speeds = {name: (-most, most) for name, most in zip(("shoulder", "elbow"), fastest, strict=True)}
     c = planner.Controller(replace(problem, limits=planner.Limits(velocity=speeds)), iterations=iterations)
     assert c.plan.bound_penalties is None

@@ -89,7 +89,7 @@ def test_whole_solves(name, update, line_search):
     task = example(name)
     assert isinstance(acquire_engine(task), CompiledEngine)
     plan = planner.solve(task, update=update, line_search=line_search)
-    assert plan.status is Status.CONVERGED
+    assert plan.converged
     assert_consistent(task, plan)
     assert_stationary(task, plan)
     assert all(after.cost < before.cost for before, after in zip(plan.history, plan.history[1:], strict=False))
@@ -103,7 +103,7 @@ def test_all_integrators_solve(integrator):
     for name in ("arm", "body in space"):
         task = example(name, integrator)
         plan = planner.solve(task)
-        assert plan.status is Status.CONVERGED
+        assert plan.converged
         assert_stationary(task, plan)
 
 
@@ -150,7 +150,7 @@ def test_one_iteration_solves_a_linear_machine(integrator, update):
     m = Mechanism.from_mjcf(actuated(text, np.random.default_rng(1)))
     task = problem(RigidBodyDynamics(m, 0.05, integrator), np.random.default_rng(2))
     plan = planner.solve(task, update=update, gradient_tolerance=1e-7)
-    assert plan.status is Status.CONVERGED
+    assert plan.converged
     assert plan.nit == 1
     assert plan.history[0].step == 1.0
     assert plan.history[0].expected == pytest.approx(plan.history[0].actual, rel=1e-9)
@@ -189,14 +189,15 @@ def test_many_solves_take_no_more_memory_than_one():
     release_engine(task, engine)
     gc.collect()
     tracemalloc.start()
-    before = tracemalloc.get_traced_memory()[0]
-    for _ in range(60):
-        planner.solve(task)
-    gc.collect()
+    for _ in range(2):  # the first sixty fill the interpreter's free lists
+        before = tracemalloc.get_traced_memory()[0]
+        for _ in range(60):
+            planner.solve(task)
+        gc.collect()
     grown = tracemalloc.get_traced_memory()[0] - before
     tracemalloc.stop()
     assert _idle[task] == {False: [engine]}
-    assert grown < 60 * 200  # bytes, over all sixty: one plan's states alone take 1,200, and tracing some 4,000 once
+    assert grown < 60 * 200  # bytes, over all sixty: one plan's states alone take 1,200
 
 
 @pytest.mark.parametrize("line_search", ["armijo", "wolfe"])  # on a compiled engine, and on NumPy's

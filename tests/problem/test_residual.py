@@ -106,7 +106,7 @@ def test_it_is_a_cost_and_a_goal_that_the_proof_judges_by_name_and_unit(machine)
     slope = SlopeOfHand("hand")
     cost = LeastSquares(machine, N, slope, weight=1.0, target=0.05, final_weight=1e3)
     plan = planner.solve(problem_of(machine, cost))
-    assert plan.success
+    assert plan.converged
     found = {one.name: one.unit for one in cost.goal_specs(())}
     assert found == {"SlopeOfHand": "m"}
     sections = planner.prove(plan, rollouts=0).sections.values()
@@ -127,7 +127,7 @@ def test_it_is_a_constraint_kept_to_its_tolerance(machine):
     bound = 0.5 * (values[[0, -1]].max() + values.max()) if values.max() > values[[0, -1]].max() else values.max()
     lower = 0.5 * (values[[0, -1]].min() + values.min())
     kept = planner.solve(problem_of(machine, constraints=[Constraint(slope, lower=lower, upper=bound, tolerance=1e-4)]))
-    assert kept.success
+    assert kept.converged
     assert slope.value(machine, kept.xs, kept.us).max() <= bound + 1e-4
     assert slope.value(machine, kept.xs, kept.us).min() >= lower - 1e-4
 

@@ -54,7 +54,7 @@ def plan():
 
 
 def test_the_force_of_a_servo_stays_within_its_range(plan):
-    assert plan.success
+    assert plan.converged
     F = forces(plan.problem, plan.xs, plan.us)
     assert F.min() >= -6.0 - 1e-9
     assert F.max() <= 7.0 + 1e-9

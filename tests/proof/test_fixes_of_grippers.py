@@ -33,7 +33,7 @@ def test_gains_that_shake_an_undamped_servo_get_a_shorter_stage(tmp_path):
     assert proof.refined_feedback.passed
     first = suggested_fixes(plan, proof)[0]
     assert first.key == "dt"
-    assert first.value == pytest.approx(0.005)  # the longest that people would write in which it swings 1 rad
+    assert first.value == pytest.approx(0.0025)  # the longest that people would write in which it swings half a radian
     assert first.code == "gains_too_fast"
     _, again = proved(tmp_path, more=f"{first.key} = {first.value}\n")
     assert again.passed

@@ -82,9 +82,10 @@ class TrajectoryConstraints:
         """
         more, less, through = np.zeros_like(self.lower), np.zeros_like(self.lower), False
         if self.ranges is not None:
-            more[:, : self.split], less[:, : self.split] = self.ranges.violation_between_knots(
-                dynamics, xs, us, BETWEEN_KNOTS * self.tolerance
-            )
+            k = slice(0, self.split)
+            low, high = self.ranges.bounds_for_stages(dynamics, xs, us, BETWEEN_KNOTS * self.tolerance)
+            more[:, k] = np.subtract(low, self.lower[:, k], where=np.isfinite(low), out=more[:, k].copy()).clip(0.0)
+            less[:, k] = np.subtract(self.upper[:, k], high, where=np.isfinite(high), out=less[:, k].copy()).clip(0.0)
         for function, columns, scale in self._clearances():
             violation = function.clearance_violation(dynamics, xs, us)
             touched = (violation > function.lower).any(axis=0)
@@ -119,8 +120,6 @@ class TrajectoryConstraints:
 
     def violation(self, xs: np.ndarray, us: np.ndarray) -> np.ndarray:
         """(N+1, H) at the knots, 0 within bounds."""
-        if self.rows is None and self.ranges is not None:
-            return self.ranges.violation(xs)
         e = self.deviations(xs, us)
         return np.maximum(np.maximum(e - self.upper, self.lower - e), 0.0)
 

@@ -23,7 +23,7 @@ from planner.proof.verdict import Proof
 
 TARGET_SHARE = 0.5  # of the bound: the error to aim at
 MAX_DIVISION = 16  # upper limit of the factor: with shorter stages the cause is another
-MAX_SWING = 1.0  # of the fastest oscillation's rad/s times the stage: gains then act within an oscillation period
+MAX_SWING = 0.5  # of the fastest oscillation's rad/s times the stage: gains then act within an oscillation period
 _SHORT = 1e-4  # tolerance, relative to a stage
 _SLACK = 1.001  # tolerance of 0.1 % by which a stage may be too long
 _MANTISSAS = (5.0, 4.0, 2.5, 2.0, 1.0)  # of round step lengths
