@@ -12,9 +12,9 @@ from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
 
-from planner.model.mjcf.attached import attachments, stored_attachments, with_attached
+from planner.model.mjcf.attached import attachments, stored_records, with_attached
 from planner.model.mjcf.model_file import open_model_file
-from planner.model.mjcf.obstacles import obstacles_of, stored_obstacles, with_obstacles
+from planner.model.mjcf.obstacles import obstacles_of, with_obstacles
 from planner.model.mjcf.text import is_text
 from planner.model.urdf.write import as_mjcf, is_urdf
 
@@ -25,8 +25,8 @@ def origin_of(model: str | Path, attach: Any = None, obstacles: Any = None, **of
     """The origin of a file; empty for a text. Keys of a URDF without a value are left out."""
     if is_text(model):
         return {}
-    origin = {"path": str(model), "attach": stored_attachments(attach, Path())}
-    origin["obstacles"] = stored_obstacles(obstacles, Path())
+    origin = {"path": str(model), "attach": stored_records(attachments(attach), "model", Path())}
+    origin["obstacles"] = stored_records(obstacles_of(obstacles), "file", Path())
     origin |= {key: list(value) if isinstance(value, tuple) else value for key, value in of_urdf.items()}
     return moved({key: value for key, value in origin.items() if value}, os.path.abspath)
 

@@ -3,7 +3,6 @@
 import itertools
 import re
 from pathlib import Path
-from xml.etree import ElementTree
 
 import numpy as np
 import pytest
@@ -12,7 +11,6 @@ from urdfs import BALL, inertial, joint, link, robot, shape
 
 from planner import Mechanism, PlannerError
 from planner.dynamics import mass_matrix
-from planner.model.mjcf.model_index import compile_model
 from planner.model.urdf.meshes import stl
 
 IMPOSSIBLE = (0.01, 0.02, 0.06, 0.0, 0.0, 0.0)  # 0.06 exceeds 0.01 + 0.02 by 0.03
@@ -96,35 +94,25 @@ CORNERS = np.array(list(itertools.product((0.0, 0.1), (0.0, 0.2), (0.0, 0.3))))
 
 
 @pytest.mark.parametrize(
-    "geometry",
+    ("geometry", "volume", "moments"),  # moments: of the whole over its mass, by textbooks
     [
-        '<box size="0.1 0.2 0.3"/>', '<sphere radius="0.1"/>', '<cylinder radius="0.1" length="0.3"/>',
-        '<capsule radius="0.1" length="0.3"/>', '<mesh filename="box.stl" scale="1 2 0.5"/>',
+        ('<box size="0.1 0.2 0.3"/>', 0.006, np.array([0.13, 0.10, 0.05]) / 12),
+        ('<sphere radius="0.1"/>', 4 / 3 * np.pi * 1e-3, 0.4 * np.full(3, 0.01)),
+        ('<cylinder radius="0.1" length="0.3"/>', np.pi * 3e-3, np.array([0.0075 + 0.0025, 0.0075 + 0.0025, 0.005])),
+        ('<mesh filename="box.stl" scale="1 2 0.5"/>', 0.006, np.array([0.16 + 0.0225, 0.0325, 0.17]) / 12),
     ],
-    ids=lambda geometry: geometry.split()[0][1:],
+    ids=["box", "sphere", "cylinder", "mesh"],
 )  # fmt: skip
-def test_inertias_from_shapes_are_those_of_mujocos_compiler(geometry, tmp_path, monkeypatch):
-    """MuJoCo integrates the same geoms by their density; float32 of an STL."""
+def test_inertias_from_shapes_are_those_of_their_formulas(geometry, volume, moments, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    Path("box.stl").write_bytes(stl(CORNERS[ConvexHull(CORNERS).simplices]))
+    Path("box.stl").write_bytes(stl(CORNERS[ConvexHull(CORNERS).simplices]))  # float32
     one = f'<collision><origin xyz="0.1 0.2 -0.1" rpy="0.3 -0.4 1.0"/><geometry>{geometry}</geometry></collision>'
-    ball = shape("collision", BALL, "0 0 0.4")
-    text = robot(link("a", ball), link("b", one, ball, shape("visual", BALL)), joint("j", "a", "b"))
-    ours = Mechanism.from_urdf(text, inertia={"density": 500.0}, contacts="off")
-    root = ElementTree.fromstring(ours.original or ours.mjcf)
-    for body in root.iter("body"):
-        for own in body.findall("inertial"):
-            body.remove(own)
-    root.find("compiler").set("inertiafromgeom", "true")
-    for geom in root.iter("geom"):
-        geom.attrib.pop("mass", None)
-        geom.set("density", "500" if geom.get("contype") != "0" else "0")
-    for mesh in root.iter("mesh"):
-        mesh.set("inertia", "convex")
-    theirs = compile_model(root, ours.assets).body("b")
-    assert ours.mass[0] == pytest.approx(theirs.mass[0], rel=1e-6)
-    np.testing.assert_allclose(ours.com[0], theirs.ipos, atol=1e-7)
-    np.testing.assert_allclose(np.linalg.eigvalsh(ours.inertia[0]), np.sort(theirs.inertia), rtol=1e-5)
+    links = link("a", shape("visual", BALL)), link("b", one, shape("visual", BALL))  # the collision shape counts
+    ours = Mechanism.from_urdf(robot(*links, joint("j", "a", "b")), inertia={"density": 500.0}, contacts="off")
+    assert ours.mass[0] == pytest.approx(500.0 * volume, rel=1e-6)
+    np.testing.assert_allclose(np.linalg.eigvalsh(ours.inertia[0]) / ours.mass[0], np.sort(moments), rtol=1e-5)
+    if "mesh" not in geometry:
+        np.testing.assert_allclose(ours.com[0], [0.1, 0.2, -0.1], atol=1e-12)
     assert any("the inertia of link 'b' (the file has none" in phrase for phrase in ours.ignored)
 
 

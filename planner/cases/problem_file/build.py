@@ -84,8 +84,8 @@ from planner.cases.problem_file.tasks import (
 from planner.dynamics import RigidBodyDynamics
 from planner.model.capabilities import stands_on_ground
 from planner.model.mechanism import Mechanism
-from planner.model.mjcf.attached import stored_attachments
-from planner.model.mjcf.obstacles import stored_obstacles
+from planner.model.mjcf.attached import attachments, stored_records
+from planner.model.mjcf.obstacles import obstacles_of
 from planner.model.robot_collections import model_location
 from planner.model.twin import Twin
 from planner.problem.avoid import Avoid
@@ -149,9 +149,9 @@ def loaded(table: dict[str, Any], path: str | Path, **instead: Any) -> ProblemFi
     table |= {name: value for name, value in instead.items() if value is not None}
     if not isinstance(table["model"], str) or not table["model"]:
         raise PlannerError(f"model is {short_repr(table['model'])}, expected the name of an MJCF or URDF file.")
-    for key, stored in (("attach", stored_attachments), ("obstacle", stored_obstacles)):
+    for key, records, file in (("attach", attachments, "model"), ("obstacle", obstacles_of, "file")):
         if key in table:
-            table[key] = stored(table[key], path.parent)
+            table[key] = stored_records(records(table[key]), file, path.parent)
     folders = {"package_path": folders_of(path.parent, table["package_path"])} if "package_path" in table else {}
     problem = _problem(table, machine_of(model_location(table["model"], path.parent), table | folders, None), str(path))
     given = problem.parameters

@@ -155,15 +155,6 @@ def stored_records(records: Sequence[Any], file: str, folder: Path) -> list[dict
     return tables
 
 
-def stored_attachments(value: Any, folder: Path) -> list[dict[str, Any]]:
-    """Attachments as tables of JSON values, their files relative to a folder.
-
-    Raises:
-        PlannerError: As attachments().
-    """
-    return stored_records(attachments(value), "model", folder)
-
-
 def with_attached(file: ModelFile, given: Sequence[Attachment]) -> ModelFile:
     """A file with payloads and tools in it, compiled again.
 

@@ -20,17 +20,17 @@ import numpy as np
 
 from planner.base.arguments import array, choice, numbers, quaternion, short_repr
 from planner.base.errors import ModelError, PlannerError
-from planner.model.mjcf.attached import records_of, stored_records
+from planner.model.mjcf.attached import records_of
 from planner.model.mjcf.model_file import ModelFile
 from planner.model.mjcf.model_index import ModelIndex, compile_model
 from planner.model.mjcf.text import written
 from planner.model.urdf.meshes import hull, mesh_triangles, stl
 
 SIZES = {
-    "box": "its three edges", "sphere": "its radius", "capsule": "its radius and its length between the caps",
-    "cylinder": "its radius and its length", "plane": "", "mesh": "",
+    "box": (3, "its three edges"), "sphere": (1, "its radius"), "capsule": (2, "its radius and its length"),
+    "cylinder": (2, "its radius and its length"), "plane": (0, "none"), "mesh": (0, "none"),
 }  # fmt: skip
-_COUNTS = {"box": 3, "sphere": 1, "capsule": 2, "cylinder": 2, "plane": 0, "mesh": 0}
+"""How many numbers a shape's size has, and which, m; a capsule's length is that between its caps."""
 # Whatever the file's defaults are: MuJoCo's own values of what a default class may set.
 _PLAIN = {
     "condim": "3", "friction": "1 0.005 0.0001", "priority": "0", "solmix": "1", "solref": "0.02 1",
@@ -78,22 +78,25 @@ class Obstacle:
     @property
     def half_sizes(self) -> np.ndarray:
         """The numbers of MJCF's size, m: radii and half lengths; () for a mesh, and for a plane without an end."""
-        count = _COUNTS[self.shape]
-        given = numbers("size of an obstacle", () if self.size is None else self.size).ravel()
-        if len(given) != count or not np.all((given > 0.0) & np.isfinite(given)):
-            what = f"expected {SIZES[self.shape]}, m, above 0" if count else "expected none"
-            raise PlannerError(f"size of obstacle {self.shape!r} is {short_repr(self.size)}, {what}.")
+        (count, words), given = SIZES[self.shape], _positive("size", () if self.size is None else self.size)
+        if len(given) != count:
+            raise PlannerError(f"size of obstacle {self.shape!r} is {short_repr(self.size)}, expected {words}, m.")
         return given * (0.5 if self.shape == "box" else np.array([1.0, 0.5])[:count])
 
     @property
     def scales(self) -> np.ndarray:
         """(3,) of a mesh."""
-        given = numbers("scale of an obstacle", self.scale).ravel()
-        if len(given) not in (1, 3) or not np.all(np.isfinite(given) & (given > 0.0)):
-            raise PlannerError(
-                f"scale of an obstacle is {short_repr(self.scale)}, expected a number above 0, or three of them."
-            )
+        given = _positive("scale", self.scale)
+        if len(given) not in (1, 3):
+            raise PlannerError(f"scale of an obstacle is {short_repr(self.scale)}, expected a number, or three.")
         return np.broadcast_to(given, 3)
+
+
+def _positive(what: str, value: Any) -> np.ndarray:
+    given = numbers(f"{what} of an obstacle", value).ravel()
+    if not np.all((given > 0.0) & np.isfinite(given)):
+        raise PlannerError(f"{what} of an obstacle is {short_repr(value)}, expected finite numbers above 0.")
+    return given
 
 
 def obstacles_of(value: Any) -> tuple[Obstacle, ...]:
@@ -107,15 +110,6 @@ def obstacles_of(value: Any) -> tuple[Obstacle, ...]:
     if twice := [name for k, name in enumerate(names) if name in names[:k]]:
         raise PlannerError(f"name of an obstacle is {twice[0]!r} twice, expected one of each name.")
     return tuple(replace(one, name=name) for one, name in zip(given, names, strict=True))
-
-
-def stored_obstacles(value: Any, folder: Path) -> list[dict[str, Any]]:
-    """Obstacles as tables of JSON values, their files relative to a folder.
-
-    Raises:
-        PlannerError: As obstacles_of().
-    """
-    return stored_records(obstacles_of(value), "file", folder)
 
 
 def with_obstacles(file: ModelFile, given: Sequence[Obstacle]) -> ModelFile:
@@ -137,33 +131,20 @@ def with_obstacles(file: ModelFile, given: Sequence[Obstacle]) -> ModelFile:
             f"nothing of {file.name} can touch an obstacle, since contype and conaffinity of all its shapes are 0: "
             "expected shapes that collide (of a URDF: <collision>)."
         )
-    world = root.find("worldbody")
-    world = SubElement(root, "worldbody") if world is None else world
+    world, assets = SubElement(root, "worldbody"), SubElement(root, "asset")
     for one in given:
-        for kind, count in (("geom", model.ngeom), ("mesh", model.nmesh)):
-            if one.name in [getattr(model, kind)(i).name for i in range(count)]:
-                raise PlannerError(f"name of an obstacle is {one.name!r}, which a {kind} has: expected another name.")
+        stored = f"{one.name}.stl"
+        if one.name in [geom.name for geom in map(model.geom, range(model.ngeom))] or stored in files:
+            raise PlannerError(f"name of an obstacle is {one.name!r}, which the model has: expected another name.")
         attributes = {"name": one.name, "type": one.shape, **{key: str(bits) for key, bits in masks.items()}, **_PLAIN}
         attributes["pos"] = written(*array("position", one.position, (3,)))
         attributes["quat"] = written(*quaternion("orientation", one.orientation))
         if one.shape == "mesh":
+            files[stored] = stl(hull(mesh_triangles(Path(str(one.file))) * one.scales))
             attributes["mesh"] = one.name
-            content = _mesh(one)
-            stored = f"{one.name}.stl"
-            if files.setdefault(stored, content) != content:
-                raise PlannerError(f"name of an obstacle is {one.name!r}, as a file of the model: expected another.")
-            mesh = {"name": one.name, "file": stored, "scale": "1 1 1", "inertia": "shell"}
-            SubElement(SubElement(root, "asset"), "mesh", mesh)
+            SubElement(assets, "mesh", {"name": one.name, "file": stored, "scale": "1 1 1", "inertia": "shell"})
         else:
             attributes["size"] = written(*one.half_sizes) if one.shape != "plane" else "0 0 0.05"
         SubElement(world, "geom", attributes)
-    return file._replace(root=root, files=files, survey=ModelIndex(compile_model(root, files, file.name)),
-                         is_compiled=True)  # fmt: skip
-
-
-def _mesh(one: Obstacle) -> bytes:
-    """The STL of a mesh's convex hull."""
-    try:
-        return stl(hull(mesh_triangles(Path(str(one.file))) * one.scales))
-    except ModelError as error:
-        raise ModelError(f"the mesh of obstacle {one.name!r}: {str(error).removesuffix('.')}.") from None
+    survey = ModelIndex(compile_model(root, files, file.name))
+    return file._replace(root=root, files=files, survey=survey, is_compiled=True)

@@ -47,7 +47,7 @@ def inertials(
         own = {link: body for link in links if (body := robot.links[link].inertial) is not None and _weighs(body)}
         bad = [link for link, body in own.items() if not _possible(body)]
         if bad and len(own) > 1:
-            total = total_inertial([(body, poses[link]) for link, body in own.items()])
+            total = _sum([(body, poses[link]) for link, body in own.items()])
             if _possible(total):
                 own, bad = {head: total}, []
         wrong += bad
@@ -84,7 +84,7 @@ def _weighs(body: Inertial) -> bool:
     return bool(body.mass or np.any(body.inertia))
 
 
-def total_inertial(bodies: list[tuple[Inertial, np.ndarray]]) -> Inertial:
+def _sum(bodies: list[tuple[Inertial, np.ndarray]]) -> Inertial:
     """Several bodies as one, each with the pose of its link in the common frame."""
     mass = sum(body.mass for body, _ in bodies)
     centres = [T[:3, :3] @ body.centre + T[:3, 3] for body, T in bodies]

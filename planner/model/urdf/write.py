@@ -45,7 +45,9 @@ def mjcf_of(
     """
     joints = based(robot, base)
     moving = [joint for joint in joints if joint.kind != "fixed"]
-    robot, shaped = with_shape_inertias(robot, _anchored(robot, joints), packages, density) if density else (robot, [])
+    robot, shaped = (
+        with_shape_inertias(robot, _anchored(robot, joints), packages, density, name) if density else (robot, [])
+    )
     joints, idle = without_idle(robot, joints)
     if moving and all(joint.kind == "fixed" for joint in joints):
         raise ModelError(missing_inertia(robot, moving[0], 0.0, name))
