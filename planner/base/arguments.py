@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import difflib
+import json
 import math
 import operator
+import re
 from collections.abc import Collection, Mapping, Sequence
 from typing import Any
 
@@ -143,6 +145,11 @@ def quaternion(name: str, value: Any) -> np.ndarray:
     from scipy.spatial.transform import Rotation  # 0.4 s that `planner run` need not pay
 
     return Rotation.from_euler("xyz", angles, degrees=True).as_quat()[[3, 0, 1, 2]]
+
+
+def toml_key(name: str) -> str:
+    """A name as a key of a TOML table."""
+    return name if re.fullmatch(r"[A-Za-z0-9_-]+", name) else json.dumps(name)
 
 
 def set_fields(record: Any, **values: Any) -> None:

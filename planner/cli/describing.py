@@ -113,7 +113,7 @@ def _show(path: str, known: Description, console: Console) -> None:
     facts += [("left out", _listed(known.left_out))] if known.left_out else []
     if known.loaded.keys:
         facts.append(("needs", ", ".join(f"{key} = {json.dumps(value)}" for key, value in known.loaded.keys.items())))
-    facts += [("refused", known.loaded.refusal)] if known.loaded.mechanism is None else []
+    facts += [("refused", known.loaded.refusal)] if known.loaded.refusal else []
     facts += [("problem", f"{one.problem}; write {one.fix}") for one in known.troubles]
     console.write_result()
     console.table(("fact", ""), facts, COLUMNS)

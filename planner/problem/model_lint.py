@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import json
 import math
-import re
 from typing import Any, NamedTuple
 
 import numpy as np
 
+from planner.base.arguments import toml_key
 from planner.dynamics.quasi_static import actuator_lengths, quasi_static_controls
 from planner.model.actuators import INTEGRATOR
 from planner.model.couplings import contradiction, narrowed
@@ -194,11 +193,6 @@ def within(values: Any, low: Any, high: Any) -> Any:
     """Whether values are within their ranges up to rounding; arrays of one shape, or numbers."""
     room = _ROUNDING * np.maximum(np.abs(values), 1.0)
     return (low - room <= values) & (values <= high + room)
-
-
-def toml_key(name: str) -> str:
-    """A name as a key of a TOML table."""
-    return name if re.fullmatch(r"[A-Za-z0-9_-]+", name) else json.dumps(name)
 
 
 def _few(names: list[str]) -> str:
