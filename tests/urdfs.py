@@ -29,6 +29,10 @@ def robot(*parts):
     return f'<?xml version="1.0"?><robot name="robot">{"".join(parts)}</robot>'
 
 
+UNCLEAR = tuple(f"the {what} of joint 'elbow' (the file has {has})" for what, has in (
+    ("range", "none"), ("effort limit", "0"), ("velocity limit", "0"),
+))  # fmt: skip
+"""What a plan with ARM is said to be without."""
 ARM = robot(
     link("base", inertial(3.0)),
     link("upper", inertial(2.0, rpy="0.3 -0.7 1.1")),

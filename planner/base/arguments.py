@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import difflib
+import json
 import math
 import operator
-from collections.abc import Collection, Sequence
+import re
+from collections.abc import Collection, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -122,6 +124,32 @@ def array(name: str, value: Any, shape: tuple[int | str, ...], *, any_value: boo
         index = tuple(int(i) for i in np.argwhere(~np.isfinite(result))[0])
         raise PlannerError(f"{name}{list(index)} is {result[index]}, expected finite numbers.")
     return result
+
+
+def unit_vector(name: str, value: np.ndarray, example: str) -> np.ndarray:
+    """A vector divided by its length, which must not be zero."""
+    length = float(np.linalg.norm(value))
+    if length < 1e-12:
+        raise PlannerError(f"{name} has length zero, expected e.g. {example}.")
+    return value / length
+
+
+def quaternion(name: str, value: Any) -> np.ndarray:
+    """(4,) unit quaternion, w first, of one, or of a table of roll, pitch and yaw in degrees about the world's axes."""
+    if not isinstance(value, Mapping):
+        return unit_vector(name, array(name, value, (4,)), "1, 0, 0, 0")
+    keys = ("roll", "pitch", "yaw")
+    for key in value:
+        choice(f"an angle of {name}", key, keys)
+    angles = [number(f"{key} of {name}", value.get(key, 0.0)) for key in keys]
+    from scipy.spatial.transform import Rotation  # 0.4 s that `planner run` need not pay
+
+    return Rotation.from_euler("xyz", angles, degrees=True).as_quat()[[3, 0, 1, 2]]
+
+
+def toml_key(name: str) -> str:
+    """A name as a key of a TOML table."""
+    return name if re.fullmatch(r"[A-Za-z0-9_-]+", name) else json.dumps(name)
 
 
 def set_fields(record: Any, **values: Any) -> None:

@@ -172,7 +172,7 @@ def _keys() -> dict[str, str]:
     """Every key of a problem file and what it means."""
     tables = {
         "weights": problem_keys.WEIGHTS, "goal": problem_keys.GOAL, "follow": problem_keys.FOLLOW,
-        "attach": problem_keys.ATTACH,
+        "attach": problem_keys.ATTACH, "obstacle": problem_keys.OBSTACLE,
     }  # fmt: skip
     more = {f"{table}.{name}": text for table, names in tables.items() for name, text in names.items()}
     return problem_keys.KEYS | more

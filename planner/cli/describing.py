@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 from planner.base.errors import PlannerError, RenderingUnavailable
 from planner.cli.console import Console, shown
+from planner.model.robot_collections import model_location
 from planner.model.urdf.read import opened_model
 from planner.model.urdf.write import is_urdf
 
@@ -27,6 +28,7 @@ def describe_model(arguments: argparse.Namespace, console: Console) -> int:
     """Describe a model, draw its keyframes and write a problem file."""
     if arguments.out == "":
         raise PlannerError("--out is empty, expected the name of a folder.")
+    arguments.model = str(model_location(arguments.model))
     with ThreadPoolExecutor(1) as beside:  # MuJoCo compiles in a child while this process imports
         opening = beside.submit(opened_model, arguments.model)
         from planner.problem.description import describe
@@ -111,7 +113,7 @@ def _show(path: str, known: Description, console: Console) -> None:
     facts += [("left out", _listed(known.left_out))] if known.left_out else []
     if known.loaded.keys:
         facts.append(("needs", ", ".join(f"{key} = {json.dumps(value)}" for key, value in known.loaded.keys.items())))
-    facts += [("refused", known.loaded.refusal)] if known.loaded.mechanism is None else []
+    facts += [("refused", known.loaded.refusal)] if known.loaded.refusal else []
     facts += [("problem", f"{one.problem}; write {one.fix}") for one in known.troubles]
     console.write_result()
     console.table(("fact", ""), facts, COLUMNS)

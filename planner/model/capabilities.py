@@ -92,6 +92,13 @@ def stationary_object_dofs(mechanism: Mechanism) -> np.ndarray:
     return lies
 
 
+def stands_on_ground(mechanism: Mechanism) -> bool:
+    """Whether contacts with planes carry the machine; those of objects beside it do not count."""
+    actuated, root = mechanism.directly_actuated, roots(mechanism)
+    machine = np.isin(root, root[actuated]) if actuated.any() else np.ones(mechanism.nv, dtype=bool)
+    return any(machine[contact.link] for contact in mechanism.contacts)
+
+
 def unreached_dofs(mechanism: Mechanism, prescribed: Iterable[int] = ()) -> np.ndarray:
     """(nv,) bool, degrees of freedom of trees that no actuator, contact, coupling or tendon acts on.
 

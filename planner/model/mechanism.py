@@ -39,6 +39,7 @@ from planner.model.couplings import Coupling, Reduction, reduce
 from planner.model.exponential_torques import ExponentialTorque, check_curve
 from planner.model.loops import LoopClosure, PolynomialCoupling
 from planner.model.model_origin import origin_of
+from planner.model.robot_collections import model_location
 from planner.model.space import StateSpace
 from planner.model.tendons import FixedTendon
 from planner.model.urdf.write import as_mjcf
@@ -161,12 +162,12 @@ class Mechanism:
     @classmethod
     def from_mjcf(
         cls, model: str | Path, *, ignore: Collection[str] | None = (), contacts: str | ContactLaw = "auto",
-        assets: dict[str, bytes] | None = None, name: str = "", attach: Any = None,
+        assets: dict[str, bytes] | None = None, name: str = "", attach: Any = None, obstacles: Any = None,
     ) -> Mechanism:  # fmt: skip
         """Read an MJCF file or text with MuJoCo's compiler.
 
         Args:
-            model: A path, or the XML text itself.
+            model: A path, the XML text itself, or "robot_descriptions:NAME" of that package.
             ignore: Kinds of elements to remove, e.g. ("frictionloss",), also from the replayed model.
             contacts: Which contacts the plan models. "model": those whose MJCF parameters are a law of
                 planner.model.contact.laws (see planner.model.mjcf.contacts): spheres, capsules and corners of boxes
@@ -180,6 +181,9 @@ class Mechanism:
             attach: A payload or a tool at a frame, or a list of them: {"frame": "hand", "mass": 2.0}, with `size`,
                 `com`, `inertia` and `name`; or {"frame": "hand", "model": "gripper.xml"}. See
                 planner.model.mjcf.attached. It is part of the replay and of the user's model too.
+            obstacles: A shape at rest, or a list of them: {"shape": "box", "size": [0.1, 0.4, 0.5], "position":
+                [0.5, 0, 0.25]}, with `orientation`, `name`, and `file` and `scale` of a mesh. See
+                planner.model.mjcf.obstacles. They are part of the replay and of the user's model too.
 
         Raises:
             ModelError: The file cannot be read, MuJoCo rejects it, or it has elements that change the dynamics and
@@ -187,13 +191,16 @@ class Mechanism:
         """
         from planner.model.mjcf.read import read  # local import: read imports Mechanism
 
-        return read(model, ignore=ignore, contacts=contacts, assets=assets, name=name, attach=attach)
+        model = model_location(model)
+        return read(
+            model, ignore=ignore, contacts=contacts, assets=assets, name=name, attach=attach, obstacles=obstacles
+        )
 
     @classmethod
     def from_urdf(
         cls, model: str | Path, *, base: str | None = None, floor: bool = False, package_path: str | Sequence[str] = (),
-        inertia: str = "given", ignore: Collection[str] | None = (), contacts: str | ContactLaw = "auto",
-        attach: Any = None,
+        inertia: Any = "given", ignore: Collection[str] | None = (), contacts: str | ContactLaw = "auto",
+        attach: Any = None, obstacles: Any = None,
     ) -> Mechanism:  # fmt: skip
         """Read a URDF file or text: each link is a body, each one-coordinate joint gets a motor with its effort limit.
 
@@ -208,19 +215,24 @@ class Mechanism:
             package_path: Folder of a package or of packages, or a list of these, searched for package:// first, then
                 the folder of the file and its parents.
             inertia: "nearest" replaces a physically impossible inertia by the nearest possible one and lists it in
-                `ignored`; "given" raises.
+                `ignored`; "from shapes" gives links without <inertial> that of their shapes at 1000 kg/m^3, or at that
+                of a table {"density": 2700}; "given" raises.
             ignore: See from_mjcf.
             contacts: See from_mjcf.
             attach: See from_mjcf.
+            obstacles: See from_mjcf.
 
         Raises:
             ModelError: The file cannot be read, is no tree of links or is xacro; an inertia is physically impossible;
                 a joint moves no inertia; or as from_mjcf.
         """
+        model = model_location(model)
         mjcf, assets, name = as_mjcf(model, base, floor, package_path, inertia)
-        mechanism = cls.from_mjcf(mjcf, ignore=ignore, contacts=contacts, assets=assets, name=name, attach=attach)
+        mechanism = cls.from_mjcf(
+            mjcf, ignore=ignore, contacts=contacts, assets=assets, name=name, attach=attach, obstacles=obstacles
+        )
         of_urdf = {"base": base, "floor": floor, "package_path": package_path, "inertia": inertia}
-        return replace(mechanism, origin=origin_of(model, attach, **of_urdf))
+        return replace(mechanism, origin=origin_of(model, attach, obstacles, **of_urdf))
 
     def with_curves(self, curves: Iterable[ExponentialTorque]) -> Mechanism:
         """The same machine with these exponential torques in place of its own.

@@ -1,7 +1,7 @@
 """Where a model was read from, so that a stored plan can be compared with the model on disk.
 
-An origin is a table of JSON values: the `path` of the file, and what reading it took besides (attach, and the keys of a
-URDF). Paths are absolute in memory and relative to the plan's folder in its file. A text has no origin.
+An origin is a table of JSON values: the `path` of the file, and what reading it took besides (attach, obstacles,
+keys of a URDF). Paths are absolute in memory and relative to the plan's folder in its file. A text has no origin.
 """
 
 from __future__ import annotations
@@ -12,19 +12,21 @@ from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
 
-from planner.model.mjcf.attached import attachments, stored_attachments, with_attached
+from planner.model.mjcf.attached import attachments, stored_records, with_attached
 from planner.model.mjcf.model_file import open_model_file
+from planner.model.mjcf.obstacles import obstacles_of, with_obstacles
 from planner.model.mjcf.text import is_text
 from planner.model.urdf.write import as_mjcf, is_urdf
 
 URDF_KEYS = ("base", "floor", "package_path", "inertia")
 
 
-def origin_of(model: str | Path, attach: Any = None, **of_urdf: Any) -> dict[str, Any]:
+def origin_of(model: str | Path, attach: Any = None, obstacles: Any = None, **of_urdf: Any) -> dict[str, Any]:
     """The origin of a file; empty for a text. Keys of a URDF without a value are left out."""
     if is_text(model):
         return {}
-    origin = {"path": str(model), "attach": stored_attachments(attach, Path())}
+    origin = {"path": str(model), "attach": stored_records(attachments(attach), "model", Path())}
+    origin["obstacles"] = stored_records(obstacles_of(obstacles), "file", Path())
     origin |= {key: list(value) if isinstance(value, tuple) else value for key, value in of_urdf.items()}
     return moved({key: value for key, value in origin.items() if value}, os.path.abspath)
 
@@ -35,15 +37,16 @@ def is_origin(value: Any) -> bool:
         "path": str,
         "digest": str,
         "base": str,
-        "inertia": str,
+        "inertia": (str, dict),
         "floor": bool,
         "package_path": list,
         "attach": list,
+        "obstacles": list,
     }
     return (
         isinstance(value, dict) and all(isinstance(part, kinds.get(key, ())) for key, part in value.items())
         and all(isinstance(one, str) for one in value.get("package_path", ()))
-        and all(isinstance(one, dict) for one in value.get("attach", ()))
+        and all(isinstance(one, dict) for key in ("attach", "obstacles") for one in value.get(key, ()))
     )  # fmt: skip
 
 
@@ -55,12 +58,12 @@ def moved(origin: dict[str, Any], place: Callable[[str], str]) -> dict[str, Any]
     if "package_path" in found:
         folders = found["package_path"]
         found["package_path"] = [place(one) for one in ([folders] if isinstance(folders, str) else folders)]
-    if "attach" in found:
-        found["attach"] = [
-            one | ({"model": place(one["model"])} if isinstance(one.get("model"), str) and not is_text(one["model"])
-                   else {})
-            for one in found["attach"]
-        ]  # fmt: skip
+    for key, file in (("attach", "model"), ("obstacles", "file")):
+        if key in found:
+            found[key] = [
+                one | ({file: place(one[file])} if isinstance(one.get(file), str) and not is_text(one[file]) else {})
+                for one in found[key]
+            ]
     return found
 
 
@@ -77,4 +80,5 @@ def read_again(origin: dict[str, Any], file: str | Path | None = None) -> tuple[
     else:
         file_now = open_model_file(model)
     file_now = with_attached(file_now, attachments(origin.get("attach")))
+    file_now = with_obstacles(file_now, obstacles_of(origin.get("obstacles")))
     return ElementTree.tostring(file_now.root, encoding="unicode"), file_now.files

@@ -32,7 +32,7 @@ from planner.dynamics.algorithms import bias, mass_matrix
 from planner.dynamics.assembly import feasible_directions
 from planner.dynamics.quasi_static import quasi_static_controls
 from planner.dynamics.stance import stance_inertia
-from planner.model.capabilities import stationary_object_dofs
+from planner.model.capabilities import stands_on_ground, stationary_object_dofs
 from planner.model.coordinates import coordinates_of_mechanism
 from planner.model.mechanism import Mechanism
 from planner.model.mjcf.prescribed_joints import prescribed_dofs_of
@@ -86,8 +86,9 @@ def default_weights(
     speed = np.maximum(2.0 * displacement / duration, [MIN_SPEED[unit] for unit in units[:nv]])
     velocity = np.zeros(nv)
     actuated = fully_actuated(dynamics)
-    stands = bool(mechanism.contacts) and stays and not effort_alone
-    if (actuated or bool(mechanism.contacts)) and not effort_alone:
+    carried = stands_on_ground(mechanism)
+    stands = carried and stays and not effort_alone
+    if (actuated or carried) and not effort_alone:
         velocity = 1.0 / speed**2
     share = tolerance_share(zip(displacement.tolist(), units, strict=False))
     position, rate = _tolerances(mechanism, [share * MIN_TOLERANCES[unit] for unit in units], tolerance)
@@ -150,7 +151,7 @@ def default_cost(
     """
     x0, goal = np.asarray(x0, dtype=float), np.asarray(goal, dtype=float)
     chosen: dict[str, Any] = default_weights(dynamics, x0, goal, horizon * dynamics.dt, tolerance=tolerance).weights
-    return weighed(dynamics, x0, goal, horizon, chosen | weights, straight=bool(dynamics.mechanism.contacts))
+    return weighed(dynamics, x0, goal, horizon, chosen | weights, straight=stands_on_ground(dynamics.mechanism))
 
 
 def weighed(

@@ -137,8 +137,8 @@ def _frames(model: Any, mechanism: Mechanism | None, poses: dict[str, np.ndarray
 
 def load_somehow(file: ModelFile) -> Loaded:
     """Load the machine as it is, else without the refused kinds of elements."""
-    kinds, refusal = {one.kind for one in unsupported_elements(file.survey.model)}, ""
-    for keys in ({}, {"ignore": [kind for kind in KINDS if kind in kinds]}):
+    kinds, refusal = dict.fromkeys(one.kind for one in unsupported_elements(file.survey.model)), ""
+    for keys in ({}, {"ignore": [kind for kind in kinds if kind in KINDS]}):  # in the order of the refusal
         try:
             return Loaded(read_opened(lambda: file, ignore=keys.get("ignore", ())), keys, refusal)
         except ModelError as error:

@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from planner.base.arguments import choice, number, short_repr
+from planner.base.arguments import choice, number, short_repr, toml_key
 from planner.base.errors import PlannerError
 from planner.dynamics import Dynamics
 from planner.model.coordinates import ANGLE, LENGTH, Coordinate
@@ -63,7 +63,7 @@ class Range(NamedTuple):
         name, unit = coordinate
         nearest = self.model_lower if value < self.model_lower else self.model_upper
         message = f", expected {self.model_lower:g} ... {self.model_upper:g} {unit}".rstrip() + f": write {nearest:.6g}"
-        message += f', or limits.position = {{ {name} = "off" }}.' if self.of_model else "."
+        message += f', or limits.position = {{ {toml_key(name)} = "off" }}.' if self.of_model else "."
         if unit == "rad" and abs(value) > 2.0 * np.pi:
             message += f" Angles are in rad: {value:g} deg are {np.radians(value):.6g}."
         return message

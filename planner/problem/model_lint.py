@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-import json
 import math
-import re
 from typing import Any, NamedTuple
 
 import numpy as np
 
+from planner.base.arguments import toml_key
 from planner.dynamics.quasi_static import actuator_lengths, quasi_static_controls
 from planner.model.actuators import INTEGRATOR
 from planner.model.couplings import contradiction, narrowed
 from planner.model.mechanism import Mechanism
+from planner.model.mjcf.contact_mode import machine_roots
 from planner.model.mjcf.facts import Record, free_bases, gravity_of, has_ground, overlaps
 
 _LIGHT = 1e-4  # share of the median inertia of joints of a kind; a joint with less makes the dynamics stiff
@@ -54,7 +54,9 @@ def _actuation(model: Any, joints: list[Record]) -> list[ModelWarning]:
         motors = f'<actuator><motor joint="{single[0] if single else "..."}" ctrlrange="-10 10"/></actuator>'
         prescribed = f", or prescribed = {_listed(single)} to plan accelerations" if single else ""
         found.append(ModelWarning("there are no actuators, so nothing moves the machine", f"add {motors}{prescribed}"))
-    unnamed = [joint["label"] for joint in joints if not joint["name"]]
+    machines = machine_roots(model)
+    owned = [int(model.body_rootid[body]) in machines for body in model.jnt_bodyid]
+    unnamed = [joint["label"] for joint, own in zip(joints, owned, strict=True) if own and not joint["name"]]
     if unnamed:
         which = f"{_few(unnamed)} {'has' if len(unnamed) == 1 else 'have'} no name"
         found.append(ModelWarning(
@@ -191,11 +193,6 @@ def within(values: Any, low: Any, high: Any) -> Any:
     """Whether values are within their ranges up to rounding; arrays of one shape, or numbers."""
     room = _ROUNDING * np.maximum(np.abs(values), 1.0)
     return (low - room <= values) & (values <= high + room)
-
-
-def toml_key(name: str) -> str:
-    """A name as a key of a TOML table."""
-    return name if re.fullmatch(r"[A-Za-z0-9_-]+", name) else json.dumps(name)
 
 
 def _few(names: list[str]) -> str:

@@ -19,6 +19,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from planner.base.measured import Measurement
+from planner.model.capabilities import capabilities_of, stationary_object_dofs
 from planner.model.coordinates import ANGLE, LENGTH, RATES, Coordinate, coordinates_of
 from planner.problem.constraints.constraint import Constraint
 from planner.problem.constraints.constraint_stack import ConstraintStack
@@ -136,10 +137,13 @@ class Worst(NamedTuple):
 
 
 def worst_by_unit(plan: Plan, errors: np.ndarray) -> Iterator[Worst]:
-    """For each unit, the largest of errors (K, ndx) relative to its bound."""
+    """For each unit, the largest of errors (K, ndx) relative to its bound; objects kept at the start may settle."""
     assert plan.problem is not None  # its dynamics know the units
     most, bounds = np.abs(errors).max(axis=0), path_error_bounds(plan)
     most = np.where(np.isfinite(most), most, np.inf)
+    mechanism = capabilities_of(plan.problem.dynamics).mechanism
+    if mechanism is not None:
+        most[: 2 * mechanism.nv][np.tile(stationary_object_dofs(mechanism), 2)] = 0.0
     for word, unit, which, names in by_unit(plan.problem):
         worst = int(np.argmax(most[which] / bounds[which]))
         yield Worst(word, unit, names[worst], float(most[which[worst]]), float(bounds[which[worst]]))

@@ -289,17 +289,14 @@ def _goals(run: Replay, problem: Problem, goals: Sequence[GoalCheck]) -> Sequenc
 def _path(run: Replay, without_gains: np.ndarray) -> list[Measurement]:
     """The largest deviation from the plan at any step, of each unit, with gains or without, whichever follows better.
 
-    Objects that the plan keeps at the start may settle. Of a plan with contacts, whose law may be another than the
-    file's, the path is not judged; where the file's equalities are softer than the plan's it may be off by SMOOTHED.
+    Of a plan with contacts, whose law may be another than the file's, the path is not judged; where the file's
+    equalities are softer than the plan's it may be off by SMOOTHED.
     What is beyond its own bound is said by the first measurement, for the first line.
     """
     plan, problem = run.plan, run.plan.problem
     mechanism = capabilities_of(getattr(problem, "dynamics", None)).mechanism
-    moved, nv = np.ones(plan.space.ndx, dtype=bool), 0 if mechanism is None else mechanism.nv
-    if mechanism is not None and np.any(lies := stationary_object_dofs(mechanism)):
-        moved[: 2 * nv] = ~np.tile(lies, 2)
     errors = {
-        how: list(worst_by_unit(plan, plan.space.difference(xs, run.plan_xs) * moved))
+        how: list(worst_by_unit(plan, plan.space.difference(xs, run.plan_xs)))
         for how, xs in (("with gains", run.xs), ("without gains", without_gains))
     }
     how = min(errors, key=lambda how: max(one.share for one in errors[how]))

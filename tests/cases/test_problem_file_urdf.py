@@ -2,12 +2,15 @@
 
 import numpy as np
 import pytest
-from urdfs import ARM, inertial, joint, link, robot, shape
+from urdfs import ARM, BALL, UNCLEAR, inertial, joint, link, robot, shape
 
 from planner import PlannerError, load_plan, solve
 from planner.cases.problem_file import load
 from planner.cli.parser import parse
+from planner.model.model_origin import read_again
 from planner.model.urdf.meshes import stl
+from planner.model.urdf.read import opened_model
+from planner.problem.description import describe
 
 GOAL = "start = { elbow = 0.2 }\ngoal = { elbow = 0.5 }\nduration = 0.4\ndt = 0.02\n"
 
@@ -30,11 +33,7 @@ def test_a_plan_is_loaded_without_the_urdf(folder):
     (folder / "arm.urdf").unlink()
     again = load_plan(folder / "plan.npz").problem.dynamics.mechanism
     np.testing.assert_array_equal(again.velocity_limit, [3.0, np.inf, 0.5])
-    assert (
-        again.ignored
-        == problem.dynamics.mechanism.ignored
-        == ("the effort limit of joint 'elbow' (the file has none)",)
-    )
+    assert again.ignored == problem.dynamics.mechanism.ignored == UNCLEAR
     assert again.mjcf == problem.dynamics.mechanism.mjcf
 
 
@@ -82,3 +81,21 @@ def test_packages_are_found_from_the_problem_file_and_the_command_line(folder):
 def test_a_urdf_in_place_of_a_problem_file_is_told_so():
     with pytest.raises(PlannerError, match=r"arm\.urdf is a model, expected a case"):
         parse(["run", "arm.urdf"])
+
+
+def test_a_run_says_what_planner_model_says_is_left_out(folder):
+    notes = load(write(folder)).notes
+    assert f"The model is read without {', '.join(UNCLEAR)}." in notes
+    assert describe(*opened_model(folder / "arm.urdf")).left_out == list(UNCLEAR)
+
+
+def test_a_urdf_without_inertias_runs_with_those_of_its_shapes(tmp_path):
+    bare = robot(link("base"), link("arm", shape("visual", BALL, "0 0 0.2")), joint("elbow", "base", "arm"))
+    (tmp_path / "bare.urdf").write_text(bare)
+    with pytest.raises(PlannerError, match=r"joint 'elbow' .* moves link 'arm', .* or inertia = \"from shapes\""):
+        load(write(tmp_path, model="bare.urdf"))
+    assert opened_model(tmp_path / "bare.urdf")[1] == {"inertia": "from shapes"}
+    keys = "inertia = { density = 2700 }"
+    mechanism = load(write(tmp_path, keys, model="bare.urdf")).problem.dynamics.mechanism
+    assert mechanism.mass.sum() == pytest.approx(2700 * 4 / 3 * np.pi * 0.05**3)
+    assert read_again(mechanism.origin)[0] == (mechanism.original or mechanism.mjcf)

@@ -4,8 +4,11 @@ import numpy as np
 import pytest
 from machines import dog
 
+from planner.base.errors import PlannerError
 from planner.cases.problem_file import load
 from planner.dynamics.contacts import contact_forces, contact_jacobians
+from planner.dynamics.kinematics import frame_pose
+from planner.model.mechanism import Frame
 from planner.proof import prove
 from planner.solvers.slq import solve
 
@@ -50,3 +53,30 @@ def test_a_place_that_is_asked_for_stays(tmp_path, x):
     (tmp_path / "dog.xml").write_text(dog())
     (tmp_path / "problem.toml").write_text(text)
     assert load(tmp_path / "problem.toml").problem.cost.x_ref[-1][0] == x
+
+
+def trunk_goal(tmp_path, dx, dz):
+    at = loaded(tmp_path)
+    x, _, z = frame_pose(at.dynamics.mechanism, at.x0[: at.dynamics.mechanism.nq], "trunk")[:3, 3]
+    goal = f'[[goal]]\nframe = "trunk"\nposition = [{x + dx}, 0, {z + dz}]\n'
+    text = "".join(line for line in FOUR_LINES.splitlines(True) if not line.startswith("goal"))
+    (tmp_path / "trunk.toml").write_text(text + goal)
+    return load(tmp_path / "trunk.toml").problem
+
+
+def test_a_trunk_is_brought_to_a_place_while_its_feet_stay(tmp_path):
+    """No actuator moves the trunk in the air: the legs carry it there."""
+    problem = trunk_goal(tmp_path, 0.01, -0.02)
+    m = problem.dynamics.mechanism
+    plan = solve(problem)
+    assert plan.converged
+    proof = prove(plan, rollouts=0)
+    assert proof.verdict == "PASS", proof.reason
+    shank = next(c for c in m.contacts if "fore foot" in c.name)
+    feet = [frame_pose(m, x[: m.nq], Frame(shank.link, np.eye(4)))[:3] @ [*shank.centre, 1] for x in plan.xs[[0, -1]]]
+    assert abs(feet[1][0] - feet[0][0]) < 0.035  # m: a ball rolls by its radius in a radian
+
+
+def test_a_trunk_out_of_its_legs_reach_is_refused_with_the_nearest_place(tmp_path):
+    with pytest.raises(PlannerError, match=r"goal 1 \(trunk\) is out of reach by 0\.\d+ m"):
+        trunk_goal(tmp_path, 0.0, 0.5)

@@ -5,10 +5,13 @@ import pytest
 
 import planner
 from planner.base.errors import PlannerError
+from planner.base.gl import load_mujoco
 from planner.cases.problem_file.build import load
-from planner.model.capabilities import stationary_object_bodies, stationary_object_dofs
+from planner.model.capabilities import stands_on_ground, stationary_object_bodies, stationary_object_dofs
 from planner.model.mechanism import Mechanism
+from planner.model.mjcf.facts import free_bases
 from planner.problem.constraints.clearance import pair_clearance_of
+from planner.problem.default_weights import default_weights
 
 TABLE = '<geom name="table" type="cylinder" size=".3 .1" pos="0 .5 .1"/>'  # its top is no ground that is planned
 CUBE = (
@@ -77,3 +80,39 @@ def test_an_object_that_is_to_move_is_refused(tmp_path):
     goal = "{ cube = [0, 0.7, 0.22, 1, 0, 0, 0], arm = 0.8 }"
     with pytest.raises(PlannerError, match="nothing drives or holds joint 'cube'"):
         reach(tmp_path, goal=goal)
+
+
+FLOOR = '<geom name="floor" type="plane" size="0 0 1"/>'
+
+
+@pytest.mark.parametrize("at", ["-.2 .5 .02", "-.2 .5 .3"], ids=["on the floor", "in the air"])
+def test_an_object_on_the_floor_does_not_make_an_arm_a_standing_machine(tmp_path, at):
+    problem = reach(tmp_path, table=FLOOR, at=at).problem
+    m = problem.dynamics.mechanism
+    assert m.contacts_mode == "avoid"
+    assert "body 'cube' stays at the start" in m.contacts_choice
+    plan = planner.solve(problem)
+    proof = planner.prove(plan, rollouts=0)
+    assert proof.verdict == "PASS", proof.reason
+    assert "no goal" not in proof.headline
+    assert " m/s off" not in proof.headline  # the cube's fall is no error of the arm's path
+    assert free_bases(load_mujoco().MjModel.from_xml_string(text(table=FLOOR, at=at))) == []
+
+
+def test_a_machine_that_falls_stands_with_an_object_beside_it():
+    feet = '<body name="arm" pos="0 0 .25"><freejoint/><geom name="foot" type="box" size=".1 .1 .1" mass="1"/>'
+    scene = text(table=FLOOR).replace('<body name="arm" pos="0 0 .25">', f'{feet}<body name="link" pos="0 0 .2">')
+    m = Mechanism.from_mjcf(scene.replace("</worldbody>", "</body></worldbody>"))
+    assert m.contacts_mode == "ground"
+    assert stands_on_ground(m)
+
+
+def test_the_contacts_of_an_object_alone_are_not_those_of_a_machine():
+    m = Mechanism.from_mjcf(text(table=FLOOR), contacts="ground")  # asked for: the cube gets a law
+    assert m.contacts
+    assert not stands_on_ground(m)
+    dynamics, goal = planner.RigidBodyDynamics(m, dt=0.01), m.home.copy()
+    goal[7] = 0.5
+    weights = default_weights(dynamics, m.home, goal, 1.0).weights
+    assert weights["hold"] == 0.0
+    assert weights["final_position"][6] > 0.0  # the arm's goal is judged

@@ -1,13 +1,17 @@
 """Inertias of URDFs are taken as they are, or refused with what to write."""
 
+import itertools
 import re
+from pathlib import Path
 
 import numpy as np
 import pytest
-from urdfs import inertial, joint, link, robot
+from scipy.spatial import ConvexHull
+from urdfs import BALL, inertial, joint, link, robot, shape
 
 from planner import Mechanism, PlannerError
 from planner.dynamics import mass_matrix
+from planner.model.urdf.meshes import stl
 
 IMPOSSIBLE = (0.01, 0.02, 0.06, 0.0, 0.0, 0.0)  # 0.06 exceeds 0.01 + 0.02 by 0.03
 NEAREST = (0.02, 0.03, 0.05, 0.0, 0.0, 0.0)  # a third of 0.03 each way, which is the orthogonal projection
@@ -84,3 +88,56 @@ def test_a_joint_that_turns_no_inertia_is_refused_with_a_value():
     assert float(re.findall(r'ixx="([^"]+)"', str(e.value))[0]) == pytest.approx(0.4 * 0.5 * 0.04924**2, rel=5e-3)
     m = Mechanism.from_urdf(robot(link("a"), link("b", point), joint("j", "a", "b", axis="1 0 0")))
     assert mass_matrix(m, [0.0])[0, 0] == pytest.approx(0.5 * 0.1**2, rel=1e-9)  # a point on a rod
+
+
+CORNERS = np.array(list(itertools.product((0.0, 0.1), (0.0, 0.2), (0.0, 0.3))))
+
+
+@pytest.mark.parametrize(
+    ("geometry", "volume", "moments"),  # moments: of the whole over its mass, by textbooks
+    [
+        ('<box size="0.1 0.2 0.3"/>', 0.006, np.array([0.13, 0.10, 0.05]) / 12),
+        ('<sphere radius="0.1"/>', 4 / 3 * np.pi * 1e-3, 0.4 * np.full(3, 0.01)),
+        ('<cylinder radius="0.1" length="0.3"/>', np.pi * 3e-3, np.array([0.0075 + 0.0025, 0.0075 + 0.0025, 0.005])),
+        ('<mesh filename="box.stl" scale="1 2 0.5"/>', 0.006, np.array([0.16 + 0.0225, 0.0325, 0.17]) / 12),
+    ],
+    ids=["box", "sphere", "cylinder", "mesh"],
+)  # fmt: skip
+def test_inertias_from_shapes_are_those_of_their_formulas(geometry, volume, moments, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    Path("box.stl").write_bytes(stl(CORNERS[ConvexHull(CORNERS).simplices]))  # float32
+    one = f'<collision><origin xyz="0.1 0.2 -0.1" rpy="0.3 -0.4 1.0"/><geometry>{geometry}</geometry></collision>'
+    links = link("a", shape("visual", BALL)), link("b", one, shape("visual", BALL))  # the collision shape counts
+    ours = Mechanism.from_urdf(robot(*links, joint("j", "a", "b")), inertia={"density": 500.0}, contacts="off")
+    assert ours.mass[0] == pytest.approx(500.0 * volume, rel=1e-6)
+    np.testing.assert_allclose(np.linalg.eigvalsh(ours.inertia[0]) / ours.mass[0], np.sort(moments), rtol=1e-5)
+    if "mesh" not in geometry:
+        np.testing.assert_allclose(ours.com[0], [0.1, 0.2, -0.1], atol=1e-12)
+    assert any("the inertia of link 'b' (the file has none" in phrase for phrase in ours.ignored)
+
+
+def test_limits_that_are_not_as_written_are_said():
+    def with_limit(name, limit):
+        return joint(name, "a", name, more=limit), link(name, inertial())
+
+    m = Mechanism.from_urdf(robot(
+        link("a"), *with_limit("swapped", '<limit lower="2" upper="-1" effort="3" velocity="1"/>'),
+        *with_limit("empty", '<limit lower="0" upper="0" effort="3" velocity="1"/>'), *with_limit("none", ""),
+    ))  # fmt: skip
+    assert sorted(m.joint_range.tolist()) == [[-np.inf, np.inf], [-np.inf, np.inf], [-1.0, 2.0]]
+    assert m.ignored == (
+        "the range of joint 'swapped' (written as 2 to -1, taken as -1 to 2)",
+        "the range of joint 'empty' (both of its ends are 0)",
+        "the range of joint 'none' (the file has none)",
+        "the effort limit of joint 'none' (the file has none)",
+    )
+
+
+@pytest.mark.parametrize(
+    ("inertia", "message"),
+    [("from shape", "Did you mean 'from shapes'"), ({"densty": 1.0}, "Did you mean 'density'"),
+     ({"density": -1.0}, "density of inertia is -1.0")],
+)  # fmt: skip
+def test_wrong_words_for_inertias_are_refused(inertia, message):
+    with pytest.raises(PlannerError, match=message):
+        Mechanism.from_urdf(robot(link("a"), link("b", inertial()), joint("j", "a", "b")), inertia=inertia)

@@ -88,8 +88,8 @@ STONE = '<geom type="mesh" mesh="wedge" pos="0 0 4"/>'
 
 @pytest.mark.parametrize(
     ("world", "mode"),
-    [("", ""), (FLOOR, "avoid"), (STONE, "avoid"), (f"{FLOOR}{STONE}{BALL}", "ground")],
-    ids=["nothing to touch", "held above a floor", "a mesh", "a ball that falls"],
+    [("", ""), (FLOOR, "avoid"), (STONE, "avoid"), (f"{FLOOR}{STONE}{BALL}", "avoid")],
+    ids=["nothing to touch", "held above a floor", "a mesh", "a ball beside an arm"],
 )
 def test_any_contacts_are_loaded_without_a_key_and_their_mode_is_told(world, mode):
     file = arm(world=world, head=WEDGE)

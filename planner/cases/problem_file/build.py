@@ -82,8 +82,11 @@ from planner.cases.problem_file.tasks import (
     with_tasks,
 )
 from planner.dynamics import RigidBodyDynamics
+from planner.model.capabilities import stands_on_ground
 from planner.model.mechanism import Mechanism
-from planner.model.mjcf.attached import stored_attachments
+from planner.model.mjcf.attached import attachments, stored_records
+from planner.model.mjcf.obstacles import obstacles_of
+from planner.model.robot_collections import model_location
 from planner.model.twin import Twin
 from planner.problem.avoid import Avoid
 from planner.problem.constraints.constraint import Constraint
@@ -98,6 +101,7 @@ from planner.problem.recipe import PROBLEM_FILE, Recipe
 NAME = PROBLEM_FILE
 GAIN = 1e-4  # of the cost, by an iteration at kinks of contact, where more are worth nothing
 TOLD = (
+    "model",
     "contacts",
     "goal",
     "closed",
@@ -145,10 +149,11 @@ def loaded(table: dict[str, Any], path: str | Path, **instead: Any) -> ProblemFi
     table |= {name: value for name, value in instead.items() if value is not None}
     if not isinstance(table["model"], str) or not table["model"]:
         raise PlannerError(f"model is {short_repr(table['model'])}, expected the name of an MJCF or URDF file.")
-    if "attach" in table:
-        table["attach"] = stored_attachments(table["attach"], path.parent)
+    for key, records, file in (("attach", attachments, "model"), ("obstacle", obstacles_of, "file")):
+        if key in table:
+            table[key] = stored_records(records(table[key]), file, path.parent)
     folders = {"package_path": folders_of(path.parent, table["package_path"])} if "package_path" in table else {}
-    problem = _problem(table, machine_of(path.parent / table["model"], table | folders, None), str(path))
+    problem = _problem(table, machine_of(model_location(table["model"], path.parent), table | folders, None), str(path))
     given = problem.parameters
     reasons = given[RESOLVED]["reasons"]
     notes = tuple(reasons[key] for key in TOLD if key in reasons)
@@ -238,6 +243,8 @@ def _problem(
         notes.pop("goal", None)  # it has none of the whole machine
     elif table["goal"] == {}:
         reasons["goal"] = "goal names no joint, so that the machine is to end where it starts."
+    if left_out := [phrase for phrase in mechanism.ignored if phrase != "contacts"]:
+        reasons["model"] = f"The model is read without {', '.join(left_out)}."
     if closed:
         reasons["closed"] = " ".join(closed)
     if notes:
@@ -260,7 +267,7 @@ def _problem(
     weights = table[RESOLVED]["weights"]
     wanted = None
     if way is None:
-        straight = bool(mechanism.contacts) and "position" not in table["weights"]
+        straight = stands_on_ground(mechanism) and "position" not in table["weights"]
         cost = weighed(dynamics, x0, goal, N, weights, straight=straight)
     else:
         cost, wanted = cost_of(way, dynamics, weights)
@@ -289,7 +296,7 @@ def _off_stops(
 ) -> tuple[np.ndarray, np.ndarray, tuple[str, ...]]:
     """Start and goal off the stops whose ranges hold, and sentences about it."""
     kept = (table.get("limits") or {}).get("position")
-    if mechanism.contacts or not (kept == "model" or isinstance(kept, dict)):  # what stands has been put down
+    if stands_on_ground(mechanism) or not (kept == "model" or isinstance(kept, dict)):  # what stands has been put down
         return x0, goal, ()
     limited = kept if isinstance(kept, dict) else {}
     (x0, first), (goal, second) = (

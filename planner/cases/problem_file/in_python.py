@@ -19,7 +19,7 @@ from planner.problem.problem import Problem
 from planner.problem.tasks.follow import Follow, follow_of
 from planner.problem.tasks.goal import Goal, goal_of
 
-OWN = ("model", "goal", "follow", "attach")
+OWN = ("model", "goal", "follow", "attach", "obstacle")
 
 
 def task(
@@ -31,7 +31,7 @@ def task(
     Weights, the stage and the first guess are chosen, and the limits of the model hold, as of a problem.toml.
 
     Args:
-        mechanism: The machine; a payload is attached when it is read.
+        mechanism: The machine; payloads and obstacles are added when it is read.
         start: A keyframe, positions (nq,), a state (nx,), or a table of joints.
         goals: In the order of their times; one without a time is at the end.
         duration: s.
@@ -47,7 +47,10 @@ def task(
         raise PlannerError(f"mechanism is {short_repr(mechanism)}, expected a Mechanism.")
     for key in OWN:
         if key in keys:
-            raise PlannerError(f"{key} is a key of a file, expected goals= and follow= beside the mechanism.")
+            raise PlannerError(
+                f"{key} is a key of a file, expected goals= and follow= beside the mechanism, and attach= and "
+                "obstacles= where it is read."
+            )
     asked = [goal_of(one, f"goal {k}") for k, one in enumerate(_several("goals", goals, Goal), 1)]
     paths = [follow_of(one, "follow") for one in _several("follow", follow, Follow)]
     table = {"model": "the mechanism", "start": _plain(start), "duration": duration, "title": "", **keys}

@@ -9,16 +9,18 @@ from planner.problem.objective import OBJECTIVES
 from planner.problem.tasks.timed_task import DEFAULT_TOLERANCES, PATH_TOLERANCES
 
 KEYS = {
-    "model": "MJCF or URDF file, relative to this file",
+    "model": "MJCF or URDF file, relative to this file, or robot_descriptions:NAME of that package",
     "base": "of a URDF: fixed or free, what its root link is; by default fixed, but for a floating joint of the file",
     "floor": "of a URDF: true to add the plane z = 0, on which a free base starts",
     "package_path": "of a URDF: folder of packages, or a list of some, where package:// is sought before the folders "
     "above the file; relative to this file",
-    "inertia": "of a URDF: nearest to replace inertias that no body has by the nearest ones, given to refuse them",
+    "inertia": "of a URDF: nearest to replace inertias that no body has by the nearest ones, given to refuse them, "
+    "'from shapes' or { density = kg/m^3 } for links without <inertial>; from shapes has 1000 kg/m^3",
     "start": "keyframe, nq numbers (at rest), nq + nv numbers, or a table of joints (the others as the model says)",
     "goal": "the same; joints that a table does not name end where they started. Or tables [[goal]], below",
     "follow": "table, below, or several [[follow]]: a path of a frame or of joints to keep to",
     "attach": "table, below, or several [[attach]]: a payload or tool at a frame of the model",
+    "obstacle": "table, below, or several [[obstacle]]: a shape at rest beside the model; [avoid] keeps clear of it",
     "duration": "s",
     "dt": "length of a stage, s, or auto: 0.01, less where the machine is stiff, a whole part of the duration",
     "integrator": f"one of {', '.join(TREE_INTEGRATORS)}, or auto: rk4, or rosenbrock where damping is too fast",
@@ -84,6 +86,15 @@ ATTACH = {
     "model": "in place of a mass an MJCF file, relative to this file, whose body is attached: a tool",
     "body": "which of its bodies; by default the first",
     "name": "of the new body, a frame for goals; by default payload",
+}
+OBSTACLE = {
+    "shape": "box, sphere, capsule, cylinder, plane or mesh",
+    "size": "m: the edges of a box, the radius of a sphere, radius and length of a capsule or cylinder",
+    "position": "[x, y, z] m of its centre in the world; by default the origin",
+    "orientation": "quaternion, w first, or a table of roll, pitch, yaw in degrees",
+    "file": "of a mesh: STL, OBJ, DAE or GLB, relative to this file; its convex hull counts",
+    "scale": "of a mesh: a number, or three",
+    "name": "for messages; by default obstacle, or obstacle 1, obstacle 2",
 }
 LIMITS = {
     "control": 'bounds of the controls: "model" (ctrlrange, forcerange, actuatorfrcrange), a number, "off", or a table '

@@ -1,4 +1,4 @@
-"""The machine of a problem.toml: its model, read as the table's contacts, ignore, attach and URDF keys ask for it."""
+"""The machine of a problem.toml: its model, read as the keys of its table ask for it."""
 
 from __future__ import annotations
 
@@ -32,8 +32,8 @@ def machine_of(model: str | Path, table: dict[str, Any], assets: dict[str, bytes
     if not isinstance(ignore, list) or not all(isinstance(kind, str) for kind in ignore):
         raise PlannerError(f"ignore is {short_repr(ignore)}, expected a list of some of: {', '.join(KINDS)}.")
     of_urdf = {key: table[key] for key in URDF if key in table}
-    attach = table.get("attach") if assets is None else None  # a stored model carries it already
-    opened = partial(read_model, model, ignore=tuple(ignore), assets=assets, attach=attach, **of_urdf)
+    added = {"attach": table.get("attach"), "obstacles": table.get("obstacle")} if assets is None else {}  # else stored
+    opened = partial(read_model, model, ignore=tuple(ignore), assets=assets, **added, **of_urdf)
     contacts = table["contacts"]
     if not isinstance(contacts, dict):
         choice("contacts", "model" if contacts == "on" and assets is not None else contacts, MODES)

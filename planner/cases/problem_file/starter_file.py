@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from planner.base.arguments import toml_key
 from planner.base.errors import FileError, PlannerError
 from planner.base.files import PathLike, write_atomically
 from planner.cases.problem_file.build import loaded
@@ -18,7 +19,6 @@ from planner.cases.problem_file.step import AUTO
 from planner.model.mjcf.model_file import ModelFile
 from planner.problem.description import Description
 from planner.problem.example_task import ExampleTask, actuated_joints, example_task
-from planner.problem.model_lint import toml_key
 
 _SMALL, _PART = 0.05, 0.05  # rad or m: the tolerance is written for a shorter way, as this part of it
 _WIDE = 100  # characters of a line

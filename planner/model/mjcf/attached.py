@@ -14,7 +14,7 @@ import copy
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 from xml.etree import ElementTree
 
 import numpy as np
@@ -115,34 +115,42 @@ def attachments(value: Any) -> tuple[Attachment, ...]:
     Raises:
         PlannerError: A key that there is not, or a wrong value.
     """
+    return records_of(Attachment, value, "attach", "frame", "the name of a site or body")
+
+
+Record = TypeVar("Record")
+
+
+def records_of(kind: type[Record], value: Any, what: str, required: str, expected: str) -> tuple[Record, ...]:
+    """Records from one, from tables, or from a list of either; a table has the key `required`, which is `expected`.
+
+    Raises:
+        PlannerError: A key that there is not, or a wrong value.
+    """
     if value is None:
         return ()
-    found = []
-    keys = [one.name for one in fields(Attachment)]
+    found, keys = [], [one.name for one in fields(kind)]  # pyright: ignore[reportArgumentType]
     for one in value if isinstance(value, Sequence) and not isinstance(value, str) else (value,):
         if isinstance(one, Mapping):
-            given = {choice("a key of attach", key, keys): part for key, part in one.items()}
-            if "frame" not in given:
-                raise PlannerError("attach has no key 'frame', expected the name of a site or body.")
-            one = Attachment(**given)
-        if not isinstance(one, Attachment):
-            raise PlannerError(f"attach is {short_repr(one)}, expected a table with some of: {', '.join(keys)}.")
+            given = {choice(f"a key of {what}", key, keys): part for key, part in one.items()}
+            if required not in given:
+                raise PlannerError(f"{what} has no key {required!r}, expected {expected}.")
+            one = kind(**given)
+        if not isinstance(one, kind):
+            raise PlannerError(f"{what} is {short_repr(one)}, expected a table with some of: {', '.join(keys)}.")
         found.append(one)
     return tuple(found)
 
 
-def stored_attachments(value: Any, folder: Path) -> list[dict[str, Any]]:
-    """Attachments as tables of JSON values, their files relative to a folder.
-
-    Raises:
-        PlannerError: As attachments().
-    """
+def stored_records(records: Sequence[Any], file: str, folder: Path) -> list[dict[str, Any]]:
+    """Records as tables of JSON values without defaults; the path under the key `file` is relative to a folder."""
     tables = []
-    for one in attachments(value):
-        given = {field.name: (getattr(one, field.name), field.default) for field in fields(one)}
-        table = {name: value for name, (value, default) in given.items() if value is not default and value != default}
-        if one.model is not None and not is_text(one.model):
-            table["model"] = str(folder / one.model)
+    for one in records:
+        given = {part.name: (getattr(one, part.name), part.default) for part in fields(one)}
+        table = {name: value for name, (value, default) in given.items() if value is not default}
+        table = {name: value.tolist() if isinstance(value, np.ndarray) else value for name, value in table.items()}
+        if file in table and not is_text(table[file]):
+            table[file] = str(folder / table[file])
         tables.append(table)
     return tables
 

@@ -7,7 +7,8 @@
 
 A tree of bodies can fall if it begins with a free joint, or with slides of which one is not level, and neither an
 actuator nor a spring nor gravity compensation holds them. It is a machine if actuators drive some of its joints, else
-an object. An object that lies on something of which the plan knows no contact is kept where it starts (`lying`).
+an object. The mode follows from the machines: objects beside an arm or a hand that cannot fall do not make it stand. An
+object that lies on something of which the plan knows no contact is kept where it starts (`stationary_roots`).
 """
 
 from __future__ import annotations
@@ -44,12 +45,12 @@ def select_contact_mode(survey: ModelIndex, asked: str = "auto") -> ContactMode:
     falling = falling_trees(survey)
     standing = ground_pairs(survey)
     if asked == "auto":
-        asked = (
-            "model" if all(is_modelled(survey, pair) for pair in survey.pairs) else "ground" if standing else "avoid"
-        )
+        stands = standing and falling.keys() & machine_roots(survey.model)
+        is_law = all(is_modelled(survey, pair) for pair in survey.pairs)
+        asked = "model" if is_law else "ground" if stands else "avoid"
     if asked == "model":
         return ContactMode(asked, f"contacts of {_pairs(len(survey.pairs))} are planned with the file's own law")
-    kept = stationary_roots(survey)
+    kept = stationary_roots(survey, asked)
     if asked == "ground" and standing:
         return ContactMode(asked, _of_ground(survey, standing) + _of_lying(survey, kept))
     phrase = "planned without contacts: shapes that touch in your file fail the proof" + _of_lying(survey, kept)
@@ -80,12 +81,18 @@ def ground_pairs(survey: ModelIndex) -> list[Pair]:
     return planes + [pair for root, pair in boxes if root not in on_planes or not falling[root]]
 
 
-def stationary_roots(survey: ModelIndex) -> list[int]:
-    """The root bodies of objects that the plan keeps where they start.
+def machine_roots(model: Any) -> set[int]:
+    """The root bodies of trees in which an actuator drives anything; of all trees that move where none does."""
+    actuated = _actuated_dofs(model)
+    return set(map(int, model.body_rootid[model.dof_bodyid[actuated if actuated.any() else slice(None)]]))
+
+
+def stationary_roots(survey: ModelIndex, mode: str) -> list[int]:
+    """The root bodies of objects that the plan keeps where they start, of a mode "avoid" or "ground".
 
     Nothing drives them, they begin with a free joint, and they lie on something at rest that gets no law of the ground.
     """
-    model, standing = survey.model, ground_pairs(survey)
+    model, standing = survey.model, ground_pairs(survey) if mode == "ground" else []
     carried = {int(model.body_rootid[model.geom_bodyid[geom]]) for pair in standing for geom in pair.geoms}
     rests = model.body_weldid[model.geom_bodyid] == 0
     may_lie = {

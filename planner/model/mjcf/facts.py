@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from planner.base.gl import load_mujoco
+from planner.model.mjcf.contact_mode import machine_roots
 from planner.model.mjcf.equalities import acting, joined, joins
 from planner.model.mjcf.model_index import disabled, named
 from planner.model.mjcf.unsupported import actuator_disabled
@@ -139,9 +140,10 @@ def has_ground(model: Any) -> bool:
 
 
 def free_bases(model: Any) -> list[str]:
-    """Names of the bodies that nothing holds up: on a free joint, or on an upright slide without spring or actuator.
+    """Names of machines' bodies that nothing holds up: on a free joint, or an upright slide without spring or actuator.
 
-    Those that a connect or a weld joins to the world, or to what is held, are held too.
+    Objects beside a machine do not count. Those that a connect or a weld joins to the world, or to
+    what is held, are held too.
     """
     kinds, found = load_mujoco().mjtJoint, list[int]()
     for j in range(model.njnt):
@@ -154,7 +156,7 @@ def free_bases(model: Any) -> list[str]:
         loose = upright and not held and model.body_weldid[model.body_parentid[body]] == 0
         if (model.jnt_type[j] == kinds.mjJNT_FREE or loose) and body not in found:
             found.append(body)
-    free = {int(model.body_rootid[body]) for body in found}
+    free = {int(model.body_rootid[body]) for body in found} & machine_roots(model)
     pairs = [{int(model.body_rootid[one]) for one in joined(model, i)[0]} for i in acting(model) if joins(model, i)]
     for _ in pairs:  # along chains of trees
         free -= {root for pair in pairs if pair - free for root in pair}

@@ -43,6 +43,7 @@ from planner.model.mjcf.model_index import (
     ranges_of,
     velocity_limits,
 )
+from planner.model.mjcf.obstacles import obstacles_of, with_obstacles
 from planner.model.mjcf.unsupported import (  # fmt: skip
     KINDS,
     UnsupportedElement,
@@ -68,17 +69,18 @@ _NUMBERS = (
 
 def read(
     model: str | Path, *, ignore: Collection[str] | None = (), contacts: str | ContactLaw = "auto",
-    assets: dict[str, bytes] | None = None, name: str = "", attach: Any = None,
+    assets: dict[str, bytes] | None = None, name: str = "", attach: Any = None, obstacles: Any = None,
 ) -> Mechanism:  # fmt: skip
     """A mechanism of an MJCF file or text, and of the files that it names; see Mechanism.from_mjcf.
 
     With `assets` nothing is read from disk. Messages call the model `name`, by default after its file.
     """
-    given = attachments(attach)
+    given, around = attachments(attach), obstacles_of(obstacles)
     mechanism = read_opened(
-        lambda: with_attached(open_model_file(model, assets, name), given), ignore=ignore, contacts=contacts
-    )
-    return mechanism if assets is not None else replace(mechanism, origin=origin_of(model, attach))
+        lambda: with_obstacles(with_attached(open_model_file(model, assets, name), given), around), ignore=ignore,
+        contacts=contacts,
+    )  # fmt: skip
+    return mechanism if assets is not None else replace(mechanism, origin=origin_of(model, attach, obstacles))
 
 
 def read_opened(
@@ -108,7 +110,7 @@ def read_opened(
         raise ModelError(f'{words}: write contacts = "avoid".')
     found = [*unsupported_elements(survey.model), *contact_refusals(survey, all_of_them=mode in ("off", "avoid"))]
     unmatched: list[Pair] = []
-    kept = stationary_roots(survey) if mode in ("avoid", "ground") else []
+    kept = stationary_roots(survey, mode) if mode in ("avoid", "ground") else []
     if mode in ("law", "ground"):
         found = [one for one in found if one.kind != "contacts"]
         unmatched = give_law(root, survey, *_laws(survey, law))

@@ -58,7 +58,7 @@ def inertials(
     if not nearest:
         raise ModelError(_refusal(robot, wrong, name))
     change = max(_change(body) for link in wrong if (body := robot.links[link].inertial) is not None)
-    return found, [f"the inertia of {_listed(wrong)} (no body has it; by {100 * change:.2g} % another is the nearest)"]
+    return found, [f"the inertia of {listed(wrong)} (no body has it; by {100 * change:.2g} % another is the nearest)"]
 
 
 def without_idle(robot: Robot, joints: tuple[Joint, ...]) -> tuple[tuple[Joint, ...], list[str]]:
@@ -74,7 +74,8 @@ def without_idle(robot: Robot, joints: tuple[Joint, ...]) -> tuple[tuple[Joint, 
     names = {joint.name for joint in idle}
     needed = [joint.mimic[0] for joint in joints if joint.mimic is not None and joint.name not in names]
     fixed = names - set(needed)  # a joint that others follow is refused where it moves nothing
-    phrase = f"the motion of {_listed([joint.name for joint in idle], 'joint')} (no mass hangs on what it moves)"
+    more = '; inertia = "from shapes" gives it one' if any(_has_shapes(robot, joint) for joint in idle) else ""
+    phrase = f"the motion of {listed([joint.name for joint in idle], 'joint')} (no mass hangs on what it moves{more})"
     kept = tuple(replace(j, kind="fixed", mimic=None) if j.name in fixed else j for j in joints)
     return kept, [phrase] if fixed else []
 
@@ -124,7 +125,8 @@ def _accepted(body: Inertial) -> Inertial:
     return replace(body, mass=max(body.mass, MIN_MASS), inertia=inertia)
 
 
-def _listed(links: list[str], kind: str = "link") -> str:
+def listed(links: list[str], kind: str = "link") -> str:
+    """Names for a sentence, the first of many: "links 'a', 'b'"."""
     more = f" and {len(links) - _NAMED} more" if len(links) > _NAMED else ""
     return f"{kind}{'s' * (len(links) > 1)} {', '.join(map(repr, links[:_NAMED]))}{more}"
 
@@ -134,7 +136,7 @@ def _refusal(robot: Robot, links: list[str], name: str) -> str:
     assert body is not None
     values, tensor = np.linalg.eigvalsh(body.inertia), _nearest(body.inertia)
     return (
-        f"no body has the inertia of {_listed(links)} of {name}, e.g. {links[0]!r} the principal moments "
+        f"no body has the inertia of {listed(links)} of {name}, e.g. {links[0]!r} the principal moments "
         f"{' '.join(f'{v:.4g}' for v in values)} kg m^2, where none may be negative or exceed the sum of the others: "
         f'correct the file (the nearest is {_written(tensor)}) or write inertia = "nearest" to plan with the nearest.'
     )
@@ -170,18 +172,25 @@ def _check_moved(robot: Robot, joints: tuple[Joint, ...], name: str) -> None:
             about += np.outer(p, moment[child]) + np.outer(moment[child], p)
             moves = a @ (inertia[child] + about) @ a
         if joint.kind != "fixed" and moves < _NOTHING:
-            raise ModelError(_cure(robot, joint, mass[child], name))
+            raise ModelError(missing_inertia(robot, joint, mass[child], name))
         mass[parent], moment[parent] = mass[parent] + mass[child], moment[parent] + moment[child]
         inertia[parent] = inertia[parent] + inertia[child]
 
 
-def _cure(robot: Robot, joint: Joint, mass: float, name: str) -> str:
+def _has_shapes(robot: Robot, joint: Joint) -> bool:
+    link = robot.links[joint.child]
+    return bool(link.inertial is None and (link.collisions or link.visuals))
+
+
+def missing_inertia(robot: Robot, joint: Joint, mass: float, name: str) -> str:
+    """A sentence about a joint that moves `mass` kg and no inertia, and what to write."""
     where = f"joint {joint.name!r} of {name} moves link {joint.child!r}"
     own = robot.links[joint.child].inertial
     if mass < _NOTHING:
         return (
-            f"{where}, which has no mass and carries none: write its <inertial> with a mass and an inertia, or make "
-            'the joint type="fixed".'
+            f"{where}, which has no mass and carries none: write its <inertial> with a mass and an inertia, "
+            + ('or inertia = "from shapes" in the problem file, ' if _has_shapes(robot, joint) else "")
+            + 'or make the joint type="fixed".'
         )
     ball = 0.4 * mass * (3.0 * mass / (4.0 * np.pi * _WATER)) ** (2.0 / 3.0)
     weighs = f"its {own.mass:g} kg" if own is not None and own.mass > 0.0 else f"the {mass:g} kg that it carries"

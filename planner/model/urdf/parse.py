@@ -1,7 +1,7 @@
 """Parse a URDF text to a robot: its elements, every number checked, in order as a tree. Pure XML, without MuJoCo.
 
-What the format leaves open is read as others do: a range whose lower end is not below its upper end is none, and an
-effort or a velocity of 0 is no limit.
+What the format leaves open is read as others do: a range of no width is none, and an effort or a velocity of 0 is no
+limit. A range whose ends are swapped is taken between them. Joint.unclear says so.
 """
 
 from __future__ import annotations
@@ -89,25 +89,39 @@ def joint_of(element: ElementTree.Element, name: str) -> Joint:
     if kind in (*SCALAR, "planar") and not any(axis):
         raise ModelError(f'the axis of {where} is 0 0 0, expected a direction, e.g. xyz="0 0 1".')
     limit, dynamics, mimic = element.find("limit"), element.find("dynamics"), element.find("mimic")
-    range = (
-        _number(limit, "lower", 0.0, f"the lower limit of {where}", infinite=True),
-        _number(limit, "upper", 0.0, f"the upper limit of {where}", infinite=True),
-    )
+    range, unclear = _range(limit, where) if kind in ("revolute", "prismatic") else ((-math.inf, math.inf), [])
     values = {}
     for part, keys in ((limit, ("effort", "velocity")), (dynamics, ("damping", "friction"))):
         for key in keys:
             values[key] = _number(part, key, 0.0, f"the {key} of {where}", infinite=part is limit)
             if values[key] < 0.0:
                 raise ModelError(f"the {key} of {where} is {values[key]:g}, expected at least 0.")
+    has = {} if limit is None else limit.attrib
+    for key in ("effort", "velocity") if kind in SCALAR else ():
+        if values[key] == 0.0 and (key in has if key == "velocity" else mimic is None):  # motors alone have an effort
+            unclear.append((f"{key} limit", "the file has 0" if key in has else _NONE))
     follows = None
     if mimic is not None and kind in SCALAR:
         multiplier = _number(mimic, "multiplier", 1.0, f"the multiplier of {where}")
         follows = (mimic.get("joint", ""), multiplier, _number(mimic, "offset", 0.0, f"the offset of {where}"))
     return Joint(
-        joint, kind, ends[0], ends[1], _pose(element, where), axis,
-        range if kind in ("revolute", "prismatic") and range[0] < range[1] else (-math.inf, math.inf),
-        values["effort"] or math.inf, values["velocity"] or math.inf, values["damping"], values["friction"], follows,
+        joint, kind, ends[0], ends[1], _pose(element, where), axis, range, values["effort"] or math.inf,
+        values["velocity"] or math.inf, values["damping"], values["friction"], follows, tuple(unclear),
     )  # fmt: skip
+
+
+_NONE = "the file has none"
+
+
+def _range(limit: ElementTree.Element | None, where: str) -> tuple[tuple[float, float], list[tuple[str, str]]]:
+    """The range of a joint that has one, and why it is not as written."""
+    low, high = (_number(limit, end, 0.0, f"the {end} limit of {where}", infinite=True) for end in ("lower", "upper"))
+    if low < high:
+        return (low, high), []
+    if low > high:
+        return (high, low), [("range", f"written as {low:g} to {high:g}, taken as {high:g} to {low:g}")]
+    written = limit is not None and ("lower" in limit.attrib or "upper" in limit.attrib)
+    return (-math.inf, math.inf), [("range", f"both of its ends are {low:g}" if written else _NONE)]
 
 
 def _named(element: ElementTree.Element, kind: str, name: str) -> str:

@@ -17,8 +17,8 @@ from planner.model.urdf.write import as_mjcf, is_urdf
 
 def read_model(
     model: str | Path, *, base: str | None = None, floor: bool = False, package_path: str | Sequence[str] = (),
-    inertia: str = "given", ignore: Collection[str] | None = (), contacts: str | ContactLaw = "auto",
-    assets: dict[str, bytes] | None = None, attach: Any = None,
+    inertia: Any = "given", ignore: Collection[str] | None = (), contacts: str | ContactLaw = "auto",
+    assets: dict[str, bytes] | None = None, attach: Any = None, obstacles: Any = None,
 ) -> Mechanism:  # fmt: skip
     """A mechanism of a URDF or MJCF file or text; from `base` to `inertia`, all is for URDFs alone.
 
@@ -29,7 +29,7 @@ def read_model(
     if assets is None and is_urdf(model):
         return Mechanism.from_urdf(
             model, base=base, floor=floor, package_path=package_path, inertia=inertia, ignore=ignore,
-            contacts=contacts, attach=attach,
+            contacts=contacts, attach=attach, obstacles=obstacles,
         )  # fmt: skip
     if assets is None:
         given = {"base": base, "floor": floor, "package_path": package_path, "inertia": inertia != "given"}
@@ -38,7 +38,7 @@ def read_model(
                 raise PlannerError(
                     f"{key} is given for an MJCF model, expected it for a URDF alone: MJCF says it itself."
                 )
-    return read(model, ignore=ignore, contacts=contacts, assets=assets, attach=attach)
+    return read(model, ignore=ignore, contacts=contacts, assets=assets, attach=attach, obstacles=obstacles)
 
 
 def opened_model(model: str | Path) -> tuple[ModelFile, dict[str, Any]]:
@@ -52,6 +52,7 @@ def opened_model(model: str | Path) -> tuple[ModelFile, dict[str, Any]]:
     try:
         return open_model_file(*as_mjcf(model), stored=False), {}
     except ModelError as refusal:
-        with suppress(ModelError):
-            return open_model_file(*as_mjcf(model, inertia="nearest"), stored=False), {"inertia": "nearest"}
+        for inertia in ("nearest", "from shapes"):
+            with suppress(ModelError):
+                return open_model_file(*as_mjcf(model, inertia=inertia), stored=False), {"inertia": inertia}
         raise refusal

@@ -84,6 +84,7 @@ class Joint:
     damping: float
     friction: float
     mimic: tuple[str, float, float] | None  # the joint that it follows, multiplier and offset
+    unclear: tuple[tuple[str, str], ...] = ()  # a limit that is not there, or not as written, and why: for a phrase
 
 
 @dataclass(frozen=True)

@@ -8,22 +8,24 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 from xml.etree import ElementTree
 from xml.etree.ElementTree import Element, SubElement
 
 import numpy as np
 
-from planner.base.arguments import choice, short_repr
+from planner.base.arguments import choice, number, short_repr
 from planner.base.errors import ModelError, PlannerError
 from planner.base.files import printable, read_text
 from planner.model.mjcf.model_index import LEFT_OUT, VELOCITY_LIMIT
 from planner.model.mjcf.text import is_text, written
-from planner.model.urdf.masses import inertials, without_idle
+from planner.model.urdf.masses import inertials, listed, missing_inertia, without_idle
 from planner.model.urdf.parse import robot_of
 from planner.model.urdf.robot import SCALAR, Inertial, Joint, Pose, Robot
+from planner.model.urdf.shape_inertia import WATER, with_shape_inertias
 from planner.model.urdf.shapes import GeomWriter, Packages, packages_of, placed
 
 _UNBOUNDED_RANGE = 1e10
@@ -31,19 +33,29 @@ _UNBOUNDED_RANGE = 1e10
 
 
 def mjcf_of(
-    robot: Robot, packages: Packages, name: str, *, base: str | None = None, floor: bool = False, nearest: bool = False
-) -> tuple[str, dict[str, bytes]]:
+    robot: Robot, packages: Packages, name: str, *, base: str | None = None, floor: bool = False, nearest: bool = False,
+    density: float | None = None,
+) -> tuple[str, dict[str, bytes]]:  # fmt: skip
     """MJCF text and files of a robot; see Mechanism.from_urdf.
+
+    With a density, kg/m^3, links without <inertial> have the inertia of their shapes.
 
     Raises:
         ModelError: Nothing moves, a joint moves no inertia, or no body has one.
     """
-    joints, idle = without_idle(robot, based(robot, base))
+    joints = based(robot, base)
+    moving = [joint for joint in joints if joint.kind != "fixed"]
+    robot, shaped = (
+        with_shape_inertias(robot, _anchored(robot, joints), packages, density, name) if density else (robot, [])
+    )
+    joints, idle = without_idle(robot, joints)
+    if moving and all(joint.kind == "fixed" for joint in joints):
+        raise ModelError(missing_inertia(robot, moving[0], 0.0, name))
     if all(joint.kind == "fixed" for joint in joints):
         heavy = any(link.inertial is not None and link.inertial.mass for link in robot.links.values())
         floats = ': base = "free" lets it float' if base is None and heavy else ""
         raise ModelError(f"{name} has no joints that move, expected at least one{floats}.")
-    anchored = set() if any(joint.child == robot.root for joint in joints) else _held(robot, joints)
+    anchored = _anchored(robot, joints)
     bodies_of, replaced = inertials(robot, joints, anchored, name, nearest=nearest)
     root = Element("mujoco", {"model": robot.name})
     SubElement(root, "compiler", {"angle": "radian", "eulerseq": "XYZ", "inertiafromgeom": "false"})
@@ -63,10 +75,10 @@ def mjcf_of(
     if floor and (lowest := shapes.lowest(_floating(joints))) < 0.0:
         raised.set("pos", written(0.0, 0.0, -lowest))
     _exclude_neighbours(root, joints, anchored, set(shapes.touching))
-    unlimited = _add_motors(root, joints)
+    _add_motors(root, joints)
     _add_followers(root, joints)
     _add_velocity_limits(root, {joint.name: joint.velocity for joint in joints if joint.kind in SCALAR})
-    _add_left_out(root, [*idle, *replaced, *shapes.missing_parts(), *unlimited])
+    _add_left_out(root, [*idle, *shaped, *replaced, *shapes.missing_parts(), *_unclear(joints)])
     return ElementTree.tostring(root, encoding="unicode"), shapes.files
 
 
@@ -97,6 +109,11 @@ def _held(robot: Robot, joints: Iterable[Joint]) -> set[str]:
         if joint.kind == "fixed" and joint.parent in held:
             held.add(joint.child)
     return held
+
+
+def _anchored(robot: Robot, joints: tuple[Joint, ...]) -> set[str]:
+    """Links that do not move."""
+    return set() if any(joint.child == robot.root for joint in joints) else _held(robot, joints)
 
 
 def _floating(joints: tuple[Joint, ...]) -> dict[str, np.ndarray]:
@@ -178,8 +195,17 @@ def _exclude_neighbours(root: Element, joints: tuple[Joint, ...], anchored: set[
             SubElement(contact, "exclude", {"body1": a, "body2": b if b != "world" else "world link"})
 
 
-def _add_motors(root: Element, joints: tuple[Joint, ...]) -> list[str]:
-    """Add a motor for each joint that follows no other; returns phrases about those without an effort limit."""
+def _unclear(joints: tuple[Joint, ...]) -> list[str]:
+    """Phrases about limits that the file lacks, or that are not taken as it writes them."""
+    found: dict[tuple[str, str], list[str]] = {}
+    for joint in joints:
+        for one in joint.unclear if joint.kind != "fixed" else ():
+            found.setdefault(one, []).append(joint.name)
+    return [f"the {what} of {listed(names, 'joint')} ({why})" for (what, why), names in found.items()]
+
+
+def _add_motors(root: Element, joints: tuple[Joint, ...]) -> None:
+    """Add a motor for each joint that follows no other."""
     actuated = [joint for joint in joints if joint.kind in SCALAR and joint.mimic is None]
     section = SubElement(root, "actuator") if actuated else root
     for joint in actuated:
@@ -187,10 +213,6 @@ def _add_motors(root: Element, joints: tuple[Joint, ...]) -> list[str]:
         if math.isfinite(joint.effort):
             attributes["ctrlrange"] = written(-joint.effort, joint.effort)
         SubElement(section, "motor", attributes)
-    names = [joint.name for joint in actuated if not math.isfinite(joint.effort)]
-    more = f" and {len(names) - 3} more" if len(names) > 3 else ""
-    what = f"joint{'s' * (len(names) > 1)} {', '.join(map(repr, names[:3]))}{more}"
-    return [f"the effort limit of {what} (the file has none)"] if names else []
 
 
 def _add_followers(root: Element, joints: tuple[Joint, ...]) -> None:
@@ -205,7 +227,7 @@ def _add_followers(root: Element, joints: tuple[Joint, ...]) -> None:
 
 
 BASES = ("fixed", "free")
-INERTIAS = ("given", "nearest")
+INERTIAS = ("given", "nearest", "from shapes")
 
 
 def _add_velocity_limits(root: Element, limits: dict[str, float]) -> None:
@@ -232,14 +254,23 @@ def is_urdf(model: object) -> bool:
     return isinstance(model, (str, os.PathLike)) and str(model).lower().endswith((".urdf", ".xacro"))
 
 
+def _density(inertia: Any) -> float | None:
+    """The density, kg/m^3, of the shapes from which inertias are to be taken; None for those of the file."""
+    if isinstance(inertia, Mapping):
+        for key in inertia:
+            choice("a key of inertia", key, ("density",))
+        return number("density of inertia", inertia.get("density"), greater_than=0.0)
+    return WATER if choice("inertia", inertia, INERTIAS) == "from shapes" else None
+
+
 def as_mjcf(
     model: str | Path, base: str | None = None, floor: bool = False, package_path: str | Sequence[str] = (),
-    inertia: str = "given",
+    inertia: Any = "given",
 ) -> tuple[str, dict[str, bytes], str]:  # fmt: skip
     """The MJCF that is made of a URDF, its files, and its name for messages; see Mechanism.from_urdf."""
     if base is not None:
         choice("base", base, BASES)
-    nearest = choice("inertia", inertia, INERTIAS) == "nearest"
+    density = _density(inertia)
     if not isinstance(floor, bool):
         raise PlannerError(f"floor is {short_repr(floor)}, expected true or false.")
     paths = (package_path,) if isinstance(package_path, (str, os.PathLike)) else tuple(package_path)
@@ -252,4 +283,4 @@ def as_mjcf(
         text = read_text(path, "the model", raises=ModelError)
     robot = robot_of(text, name)
     packages = packages_of(path, paths, robot.meshdir)
-    return *mjcf_of(robot, packages, name, base=base, floor=floor, nearest=nearest), name
+    return *mjcf_of(robot, packages, name, base=base, floor=floor, nearest=inertia == "nearest", density=density), name

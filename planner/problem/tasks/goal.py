@@ -13,11 +13,10 @@ from typing import Any
 
 import numpy as np
 
-from planner.base.arguments import array, choice, number, numbers, short_repr
+from planner.base.arguments import array, choice, number, numbers, quaternion, short_repr, unit_vector
 from planner.base.errors import PlannerError
 
 AXES = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
-ANGLES = ("roll", "pitch", "yaw")
 PARTS = ("position", "orientation", "pointing", "velocity")
 """Keys of a table of tolerances."""
 
@@ -79,17 +78,7 @@ class Goal:
     @property
     def quaternion(self) -> np.ndarray | None:
         """(4,) the unit quaternion of the orientation; None for none."""
-        given = self.orientation
-        if given is None:
-            return None
-        if isinstance(given, Mapping):
-            for name in given:
-                choice("an angle of a goal's orientation", name, ANGLES)
-            angles = [number(f"{name} of a goal", given.get(name, 0.0)) for name in ANGLES]
-            from scipy.spatial.transform import Rotation  # 0.4 s that `planner run` need not pay
-
-            return Rotation.from_euler("xyz", angles, degrees=True).as_quat()[[3, 0, 1, 2]]
-        return _unit("orientation of a goal", array("orientation of a goal", given, (4,)), "1, 0, 0, 0")
+        return None if self.orientation is None else quaternion("orientation of a goal", self.orientation)
 
     @property
     def direction(self) -> tuple[np.ndarray, np.ndarray] | None:
@@ -104,7 +93,7 @@ class Goal:
             axis, given = given.get("axis", "z"), given.get("to")
         axis = AXES.get(axis, axis) if isinstance(axis, str) else axis
         return tuple(
-            _unit(name, array(name, value, (3,)), "0, 0, -1")
+            unit_vector(name, array(name, value, (3,)), "0, 0, -1")
             for name, value in (("the axis of a goal's pointing", axis), ("pointing of a goal", given))
         )  # pyright: ignore
 
@@ -157,10 +146,3 @@ def json_value(value: Any) -> Any:
     if isinstance(value, (list, tuple, np.ndarray, np.number)):
         return numbers("a number of a goal", value).tolist()
     return value
-
-
-def _unit(name: str, value: np.ndarray, instead: str) -> np.ndarray:
-    length = float(np.linalg.norm(value))
-    if length < 1e-12:
-        raise PlannerError(f"{name} has length zero, expected e.g. {instead}.")
-    return value / length

@@ -10,9 +10,11 @@ import numpy as np
 from planner.base.errors import PlannerError
 from planner.dynamics import RigidBodyDynamics
 from planner.dynamics.assembly import assembled
+from planner.dynamics.contacts import contact_forces
 from planner.dynamics.inverse_kinematics import Target, inverse_kinematics, residuals
-from planner.dynamics.kinematics import frame_pose
-from planner.model.mechanism import SCREW
+from planner.dynamics.kinematics import frame_pose, jacobian
+from planner.model.capabilities import stands_on_ground
+from planner.model.mechanism import SCREW, Frame
 from planner.model.mjcf.prescribed_joints import prescribed_dofs_of
 from planner.problem.collision_checker import CollisionChecker
 from planner.problem.tasks.follow import Follow
@@ -20,6 +22,7 @@ from planner.problem.tasks.pose_constraints import PoseConstraints, ResidualAndJ
 from planner.problem.tasks.timed_task import Task, TimedGoal, unit_of
 
 MAX_CONFIGURATIONS = 60  # along a path; joints follow a spline between them
+FOOT_SCALE = 1e-3  # m that a foot on the ground is moved by a residual of 1: less than a plan's goals resolve
 PATH_STARTS = 2  # number of starts of inverse kinematics on a path with constraints, the first at the previous pose
 
 
@@ -40,6 +43,7 @@ class _Search(NamedTuple):
     check: bool
     checker: CollisionChecker | None
     constraints: PoseConstraints | None
+    feet: ResidualAndJacobian | None
 
 
 class _StageTargets(NamedTuple):
@@ -58,7 +62,8 @@ def poses_of(
 
     Args:
         task: Goals and paths.
-        dynamics: The machine; unactuated joints move only if the actuated ones do not reach the goal.
+        dynamics: The machine; unactuated joints move only if the actuated ones do not reach the goal, and where it
+            stands its feet stay then where the start has them.
         x0: (nx,) start.
         ranges: (nv, 2) rad or m, of hinges and slides.
         seed: Of the random starts of inverse kinematics.
@@ -72,7 +77,7 @@ def poses_of(
     """
     mechanism = task.mechanism
     q = x0[: mechanism.nq]
-    search = _Search(dynamics, ranges, seed, check, checker, constraints)
+    search = _Search(dynamics, ranges, seed, check, checker, constraints, _feet(dynamics, q))
     stages, found, at_rest = [0], [q], [not np.any(x0[mechanism.nq : mechanism.nq + mechanism.nv])]
     if check:
         for path in task.follows:
@@ -166,11 +171,13 @@ def _pose(
         missing: ResidualAndJacobian | None = None,
     ) -> tuple[np.ndarray, float]:  # fmt: skip
         found = None
-        for mask in _free_dofs(search.dynamics, joints):
+        for mask, feet in _free_dofs(search, joints):
             other = inverse_kinematics(
-                mechanism, targets, q, ranges=ranges, free=mask, seed=search.seed, short=short, missing=missing,
-                starts=None if here or missing is None else PATH_STARTS,
+                mechanism, targets, q, ranges=ranges, free=mask, seed=search.seed, short=short,
+                missing=_both(missing, feet), starts=None if here or missing is None else PATH_STARTS,
             )  # fmt: skip
+            if feet is not None:
+                other = other._replace(residual=max(other.residual, float(np.abs(feet(other.q)[0]).max())))
             found = other if found is None or other.rank < found.rank else found
             if found.residual <= 1.0:
                 break
@@ -247,20 +254,53 @@ def _errors(task: Task, q: np.ndarray, target: Target) -> tuple[float, float]:
     return float(np.linalg.norm(r[~turns])), float(np.linalg.norm(r[turns]))
 
 
-def _free_dofs(dynamics: RigidBodyDynamics, joints: dict[int, float]) -> list[np.ndarray]:
-    """Masks (nv,) of degrees of freedom that may move: the actuated ones, then all unless the machine stands.
+def _free_dofs(
+    search: _Search, joints: dict[int, float]
+) -> Sequence[tuple[np.ndarray, ResidualAndJacobian | None]]:  # fmt: skip
+    """Masks (nv,) of degrees of freedom that may move, each with the residuals of feet that stay: actuated, then all.
 
     All of them for closed chains. Those with a goal in `joints` are fixed.
     """
-    mechanism = dynamics.mechanism
+    dynamics, mechanism = search.dynamics, search.dynamics.mechanism
     actuated = np.any(mechanism.actuators.moment * mechanism.actuators.gain[:, None] != 0.0, axis=0)
     actuated[prescribed_dofs_of(dynamics)] = True
     everything = np.ones(mechanism.nv, dtype=bool)
-    masks = [actuated] if mechanism.contacts or actuated.all() else [actuated, everything]
-    masks = [everything] if mechanism.has_closed_chains else masks
-    for mask in masks:
+    stays = mechanism.contacts and search.feet is None  # in the air, or its contacts are with each other
+    masks = [(actuated, None)] if stays or actuated.all() else [(actuated, None), (everything, search.feet)]
+    masks = [(everything, search.feet)] if mechanism.has_closed_chains else masks
+    for mask, _ in masks:
         mask[list(joints)] = False
     return masks
+
+
+def _feet(dynamics: RigidBodyDynamics, q: np.ndarray) -> ResidualAndJacobian | None:
+    """Displacements of the loaded contacts' centres from where they are at q (nq,), over FOOT_SCALE."""
+    mechanism = dynamics.mechanism
+    if not stands_on_ground(mechanism):
+        return None
+    loaded = contact_forces(mechanism, q, np.zeros(mechanism.nv)).forces.any(axis=1)
+    frames = []
+    for k in np.flatnonzero(loaded):
+        T = np.eye(4)
+        T[:3, 3] = mechanism.contacts[k].centre
+        frames.append(Frame(mechanism.contacts[k].link, T))
+    if not frames:
+        return None
+    places = np.concatenate([frame_pose(mechanism, q, frame)[:3, 3] for frame in frames])
+
+    def displacements(at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        here = np.concatenate([frame_pose(mechanism, at, frame)[:3, 3] for frame in frames])
+        J = np.concatenate([jacobian(mechanism, at, frame)[:3] for frame in frames])
+        return (here - places) / FOOT_SCALE, J / FOOT_SCALE
+
+    return displacements
+
+
+def _both(one: ResidualAndJacobian | None, other: ResidualAndJacobian | None) -> ResidualAndJacobian | None:
+    """The residuals of both."""
+    if one is None or other is None:
+        return one or other
+    return lambda q: tuple(np.concatenate(parts) for parts in zip(one(q), other(q), strict=True))  # pyright: ignore
 
 
 def _check_path_start(task: Task, path: Follow, q: np.ndarray) -> None:

@@ -6,7 +6,7 @@ import numpy as np
 
 from planner.base.errors import PlannerError
 from planner.dynamics.statics import static_equilibrium
-from planner.model.capabilities import capabilities_of
+from planner.model.capabilities import capabilities_of, stands_on_ground
 from planner.problem.costs.tracking import tracking_of
 from planner.problem.plan import Plan
 from planner.problem.problem import Problem
@@ -25,7 +25,7 @@ def standing_goal(plan: Plan, problem: Problem, proof: Proof | None) -> list[Sug
     if asked["settle"] != "auto" or asked["contacts"] != "ground" or cost is None or problem.goal_specs is not None:
         return []
     goal = cost.x_ref[-1]
-    if mechanism is None or not mechanism.contacts or np.any(goal[mechanism.nq : mechanism.nq + mechanism.nv]):
+    if mechanism is None or not stands_on_ground(mechanism) or np.any(goal[mechanism.nq : mechanism.nq + mechanism.nv]):
         return []
     try:
         static_equilibrium(mechanism, goal)
@@ -38,7 +38,7 @@ def loses_balance(proof: Proof) -> bool:
     """Whether a standing machine falls, with joint ranges respected under its gains: joint stops are then no cause."""
     problem = proof.replay.plan.problem
     mechanism = None if problem is None else capabilities_of(problem.dynamics).mechanism
-    if mechanism is None or not mechanism.contacts or proof.mode is not None or not proof.plan.passed:
+    if mechanism is None or not stands_on_ground(mechanism) or proof.mode is not None or not proof.plan.passed:
         return False
     in_range = not any(one.name == "position_range_violation" for one in proof.refined_feedback.failures)
     return in_range and _growth_rate(proof) * proof.replay.plan.t[-1] > MAX_ERROR_GROWTH

@@ -1,0 +1,150 @@
+"""Obstacles: shapes at rest that are added to a model's file, so plan, replay and pictures all have them.
+
+    {shape = "box", size = [0.1, 0.4, 0.5], position = [0.5, 0, 0.25]}      edges, m
+    {shape = "mesh", file = "crate.stl", orientation = {yaw = 30}}
+
+They are geoms of the world that collide with whatever can collide in the file; a mesh is its convex hull, with which
+MuJoCo collides. After the file is opened nothing distinguishes them from geoms that it had before.
+"""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+from xml.etree.ElementTree import SubElement
+
+import numpy as np
+
+from planner.base.arguments import array, choice, numbers, quaternion, short_repr
+from planner.base.errors import ModelError, PlannerError
+from planner.model.mjcf.attached import records_of
+from planner.model.mjcf.model_file import ModelFile
+from planner.model.mjcf.model_index import ModelIndex, compile_model
+from planner.model.mjcf.text import written
+from planner.model.urdf.meshes import hull, mesh_triangles, stl
+
+SIZES = {
+    "box": (3, "its three edges"), "sphere": (1, "its radius"), "capsule": (2, "its radius and its length"),
+    "cylinder": (2, "its radius and its length"), "plane": (0, "none"), "mesh": (0, "none"),
+}  # fmt: skip
+"""How many numbers a shape's size has, and which, m; a capsule's length is that between its caps."""
+# Whatever the file's defaults are: MuJoCo's own values of what a default class may set.
+_PLAIN = {
+    "condim": "3", "friction": "1 0.005 0.0001", "priority": "0", "solmix": "1", "solref": "0.02 1",
+    "solimp": "0.9 0.95 0.001 0.5 2", "margin": "0", "gap": "0", "group": "0", "rgba": "0.8 0.45 0.3 1",
+}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Obstacle:
+    """A shape at rest.
+
+    Attributes:
+        shape: One of SIZES.
+        size: m: the edges of a box, the radius of a sphere, radius and length of a capsule or cylinder (along z).
+        position: (3,) m in the world, of its centre; of a mesh, of its file's origin.
+        orientation: Quaternion, w first, or a table of roll, pitch and yaw in degrees. A plane's normal is its z.
+        name: Of the geom; by default obstacle, numbered if there are several.
+        file: STL, OBJ, DAE or GLB of a mesh.
+        scale: Of a mesh: a number or three.
+
+    Raises:
+        PlannerError: An unknown shape, or a value out of range.
+    """
+
+    shape: str
+    size: Any = None
+    position: Any = (0.0, 0.0, 0.0)
+    orientation: Any = (1.0, 0.0, 0.0, 0.0)
+    name: str = ""
+    file: str | Path | None = None
+    scale: Any = 1.0
+
+    def __post_init__(self) -> None:
+        choice("shape of an obstacle", self.shape, SIZES)
+        if not isinstance(self.name, str) or not self.name.isprintable():
+            raise PlannerError(f"name of an obstacle is {short_repr(self.name)}, expected printable characters.")
+        if (self.shape == "mesh") != (self.file is not None) or not isinstance(self.file, (str, Path, type(None))):
+            raise PlannerError(
+                f"file of obstacle {self.shape!r} is {short_repr(self.file)}, expected the path of a mesh where the "
+                "shape is 'mesh', and none elsewhere."
+            )
+        array("position of an obstacle", self.position, (3,))
+        _ = self.half_sizes, self.scales, quaternion("orientation of an obstacle", self.orientation)
+
+    @property
+    def half_sizes(self) -> np.ndarray:
+        """The numbers of MJCF's size, m: radii and half lengths; () for a mesh, and for a plane without an end."""
+        (count, words), given = SIZES[self.shape], _positive("size", () if self.size is None else self.size)
+        if len(given) != count:
+            raise PlannerError(f"size of obstacle {self.shape!r} is {short_repr(self.size)}, expected {words}, m.")
+        return given * (0.5 if self.shape == "box" else np.array([1.0, 0.5])[:count])
+
+    @property
+    def scales(self) -> np.ndarray:
+        """(3,) of a mesh."""
+        given = _positive("scale", self.scale)
+        if len(given) not in (1, 3):
+            raise PlannerError(f"scale of an obstacle is {short_repr(self.scale)}, expected a number, or three.")
+        return np.broadcast_to(given, 3)
+
+
+def _positive(what: str, value: Any) -> np.ndarray:
+    given = numbers(f"{what} of an obstacle", value).ravel()
+    if not np.all((given > 0.0) & np.isfinite(given)):
+        raise PlannerError(f"{what} of an obstacle is {short_repr(value)}, expected finite numbers above 0.")
+    return given
+
+
+def obstacles_of(value: Any) -> tuple[Obstacle, ...]:
+    """Obstacles from one, from tables, or from a list of either, each with a name.
+
+    Raises:
+        PlannerError: A key that there is not, a wrong value, or a name twice.
+    """
+    given = records_of(Obstacle, value, "obstacle", "shape", f"one of: {', '.join(SIZES)}")
+    names = [one.name or ("obstacle" if len(given) == 1 else f"obstacle {k}") for k, one in enumerate(given, 1)]
+    if twice := [name for k, name in enumerate(names) if name in names[:k]]:
+        raise PlannerError(f"name of an obstacle is {twice[0]!r} twice, expected one of each name.")
+    return tuple(replace(one, name=name) for one, name in zip(given, names, strict=True))
+
+
+def with_obstacles(file: ModelFile, given: Sequence[Obstacle]) -> ModelFile:
+    """A file with obstacles in its world, compiled again.
+
+    Raises:
+        PlannerError: A name that is taken.
+        ModelError: A mesh cannot be read, nothing of the file can collide, or MuJoCo refuses the result.
+    """
+    if not given:
+        return file
+    root, files, model = copy.deepcopy(file.root), dict(file.files), file.survey.model
+    masks = {
+        key: int(np.bitwise_or.reduce(getattr(model, f"geom_{other}"), initial=0))
+        for key, other in (("contype", "conaffinity"), ("conaffinity", "contype"))
+    }
+    if not any(masks.values()):
+        raise ModelError(
+            f"nothing of {file.name} can touch an obstacle, since contype and conaffinity of all its shapes are 0: "
+            "expected shapes that collide (of a URDF: <collision>)."
+        )
+    world, assets = SubElement(root, "worldbody"), SubElement(root, "asset")
+    for one in given:
+        stored = f"{one.name}.stl"
+        if one.name in [geom.name for geom in map(model.geom, range(model.ngeom))] or stored in files:
+            raise PlannerError(f"name of an obstacle is {one.name!r}, which the model has: expected another name.")
+        attributes = {"name": one.name, "type": one.shape, **{key: str(bits) for key, bits in masks.items()}, **_PLAIN}
+        attributes["pos"] = written(*array("position", one.position, (3,)))
+        attributes["quat"] = written(*quaternion("orientation", one.orientation))
+        if one.shape == "mesh":
+            files[stored] = stl(hull(mesh_triangles(Path(str(one.file))) * one.scales))
+            attributes["mesh"] = one.name
+            SubElement(assets, "mesh", {"name": one.name, "file": stored, "scale": "1 1 1", "inertia": "shell"})
+        else:
+            attributes["size"] = written(*one.half_sizes) if one.shape != "plane" else "0 0 0.05"
+        SubElement(world, "geom", attributes)
+    survey = ModelIndex(compile_model(root, files, file.name))
+    return file._replace(root=root, files=files, survey=survey, is_compiled=True)
