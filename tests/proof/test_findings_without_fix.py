@@ -37,9 +37,27 @@ def test_a_joint_that_leans_on_its_stop_and_nothing_drives_is_named():
     assert found.values["joint"] == "joint 'flap'"
 
 
-def proof(rate=14.7, mode=None, failures=(), contacts=("a foot",)):
+HOPPER = """
+<mujoco>
+  <worldbody>
+    <geom type="plane" size="1 1 0.1"/>
+    <body pos="0 0 0.5">
+      <joint name="lift" type="slide" axis="0 0 1"/>
+      <geom type="sphere" size="0.05"/>
+      <body pos="0 0 -0.2">
+        <joint name="leg" type="slide" axis="0 0 1" range="-0.1 0.1"/>
+        <geom type="sphere" size="0.03"/>
+      </body>
+    </body>
+  </worldbody>
+  <actuator><motor name="leg" joint="leg"/></actuator>
+</mujoco>
+"""
+
+
+def proof(rate=14.7, mode=None, failures=(), contacts="ground"):
     """Of a machine whose feedback replay fails at some measurements and whose errors grow."""
-    capabilities = SimpleNamespace(mechanism=SimpleNamespace(contacts=contacts))
+    capabilities = SimpleNamespace(mechanism=Mechanism.from_mjcf(HOPPER, contacts=contacts))
     problem = SimpleNamespace(dynamics=SimpleNamespace(capabilities=capabilities))
     return SimpleNamespace(
         mode=mode, plan=SimpleNamespace(passed=True),
@@ -59,4 +77,4 @@ def test_a_machine_that_falls_is_no_matter_of_margins():
     assert not loses_balance(proof(rate=0.5))  # what is steady does not fall
     assert not loses_balance(proof(mode="feedback"))  # gains hold it
     assert not loses_balance(proof(failures=("position_range_violation",)))  # gains lead it into its stops
-    assert not loses_balance(proof(contacts=()))  # an arm has nothing to fall off
+    assert not loses_balance(proof(contacts="off"))  # an arm has nothing to fall off
