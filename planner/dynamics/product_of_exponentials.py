@@ -23,6 +23,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from planner.model.fluid import drag_wrenches
 from planner.model.mechanism import BALL, SCREW, Frame, Mechanism
 from planner.model.space import conjugate, hat, product
 from planner.model.tendons import tendon_forces
@@ -164,6 +165,7 @@ def rnea(mechanism: Mechanism, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray) -
     Vd = np.zeros((n + 1, 6), dtype=np.result_type(V, qdd))
     F, tau = np.zeros_like(Vd), np.zeros(n, dtype=Vd.dtype)
     Vd[-1, 3:] = -mechanism.gravity  # Fig. 2, Vd_0, with gravity
+    F[:-1] -= drag_wrenches(mechanism, V)
     for i in range(n):
         Vd[i] = S[i] * qdd[i] + X[i] @ Vd[parent[i]] + ad(V_base[i]) @ S[i] * qd[i]  # Fig. 2, Vd_i
     for i in reversed(range(n)):
@@ -223,6 +225,7 @@ def hybrid_dynamics(
     dtype = np.result_type(V, inputs)
     internal = internal_forces(mechanism, q, qd)
     articulated, rest = np.zeros((n + 1, 6, 6), dtype=dtype), np.zeros((n + 1, 6), dtype=dtype)
+    rest[:-1] -= drag_wrenches(mechanism, V)
     coriolis, U, D = np.zeros((n, 6), dtype=dtype), np.zeros((n, 6), dtype=dtype), np.zeros(n, dtype=dtype)
     for i in reversed(range(n)):
         articulated[i] += J[i]

@@ -15,7 +15,7 @@ with it, so the derivative of its screws uses the twist of link `base`, the pare
 The applied force tau excludes the passive forces, which are part of the bias:
 
     M(q) qdd + bias(q, qd) = tau,   bias = Coriolis + gravity + damping qd + stiffness (q - spring_rest)
-                                           - forces of tendons - gravity compensation.
+                                           - forces of tendons - gravity compensation - drag.
 
 Friction loss is not part of the bias, since it depends on qdd (planner.dynamics.friction).
 """
@@ -37,6 +37,7 @@ from planner.model.contact.body_contact import BodyContact, check_body_contact
 from planner.model.contact.laws import Contact, ContactLaw, Stop, slide_direction
 from planner.model.couplings import Coupling, Reduction, reduce
 from planner.model.exponential_torques import ExponentialTorque, check_curve
+from planner.model.fluid import Drag
 from planner.model.loops import LoopClosure, PolynomialCoupling
 from planner.model.model_origin import origin_of
 from planner.model.robot_collections import model_location
@@ -103,6 +104,7 @@ class Mechanism:
     body_contacts: tuple[BodyContact, ...] = ()  # contacts between spheres and capsules
     curves: tuple[ExponentialTorque, ...] = ()  # exponential torques; not in the MJCF
     tendons: tuple[FixedTendon, ...] = ()  # fixed tendons with a force or a range
+    drags: tuple[Drag, ...] = ()  # of a fluid around the bodies
     couplings: tuple[Coupling, ...] = ()  # linear equations of hinge and slide coordinates, satisfied exactly
     loops: tuple[LoopClosure, ...] = ()  # pairs of frames that coincide
     polynomial_couplings: tuple[PolynomialCoupling, ...] = ()  # joint coordinates that are polynomials of others

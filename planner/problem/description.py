@@ -175,7 +175,8 @@ def _planned(mechanism: Mechanism | None, joints: list[Record]) -> list[str]:
     phrases = [f"{count} {noun}{'s' * (count != 1)}{more}" for count, noun, more in counts if count]
     arrays = [(name.replace("_", " "), np.asarray(getattr(mechanism, name))) for name in _FORCES]
     phrases += [f"{name} of {_joints(int(np.count_nonzero(values)))}" for name, values in arrays if np.any(values)]
-    return [*phrases, *(["gravity compensation"] if np.any(mechanism.gravcomp_mass) else [])]
+    phrases += ["gravity compensation"] if np.any(mechanism.gravcomp_mass) else []
+    return [*phrases, *(["drag of a fluid"] if mechanism.drags else [])]
 
 
 def _joints(number: int) -> str:

@@ -7,6 +7,7 @@ from planner.kernels.numba.jit import part
 from planner.kernels.numba.lanes import any_less, at, floats, lanes, load, store
 from planner.kernels.tree.contact import add_contact_wrenches, add_stops
 from planner.kernels.tree.couplings import accelerate_coupled
+from planner.kernels.tree.fluid import add_drag
 from planner.kernels.tree.forces import applied_forces
 from planner.kernels.tree.friction import (  # fmt: skip
     FRICTION_CONVERGED,
@@ -42,6 +43,8 @@ def accelerations(m, r, q, v, u, act, a, external):
     if external is not None:
         if m[TREE.gravcomp] > 0:
             add_compensation(m, links, tau)
+        if m[TREE.drags] > 0:
+            add_drag(m, links, tau)
         _add_wrenches(m, q, links)
         if r[MEMORY.integrator] == ROSENBROCK:
             _accelerate_implicitly(m, r, q, v, tau, a)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from planner.kernels.numba.jit import inline, jit
 from planner.kernels.numba.lanes import WIDTH, as_floats, at, doubles, floats, lanes, load, pointer, spread, store
+from planner.kernels.tree.fluid import add_drag, subtract_drag_derivatives
 from planner.kernels.tree.forces import add_passive, add_passive_derivatives
 from planner.kernels.tree.gravity_compensation import add_compensation, subtract_compensation_derivatives
 from planner.kernels.tree.mechanism_table import TREE
@@ -25,7 +26,7 @@ def _gathered(m, r, q, v, third, first, destination):
 
 @inline
 def _passive(m, r, x, v):
-    """What the mechanism itself does to its joints, in MEMORY.theta; the links' poses and screws are known."""
+    """What the mechanism itself does to its joints, in MEMORY.theta; the links' poses, screws and twists are known."""
     passive = lanes(r, MEMORY.theta)
     for i in range(m[TREE.nv]):
         store(passive, i, spread(0.0))
@@ -33,6 +34,8 @@ def _passive(m, r, x, v):
     add_tendons(m, x, v, passive)
     if m[TREE.gravcomp] > 0:
         add_compensation(m, lanes(r, MEMORY.links), passive)
+    if m[TREE.drags] > 0:
+        add_drag(m, lanes(r, MEMORY.links), passive)
     return passive
 
 
@@ -91,6 +94,8 @@ def derivatives(m, r, q, v, a, M, Dq, Dv):
         add_tendon_derivatives(m, x, blocks[1], blocks[2], ld)
         if m[TREE.gravcomp] > 0:
             subtract_compensation_derivatives(m, blocks[1], ld, lanes(r, MEMORY.links))
+        if m[TREE.drags] > 0:
+            subtract_drag_derivatives(m, blocks[1], blocks[2], ld, lanes(r, MEMORY.links))
         for i in range(nv):
             for j in range(nv):
                 for lane in range(min(WIDTH, K - first)):

@@ -11,6 +11,7 @@ from planner.kernels.numba.jit import inline
 from planner.kernels.numba.lanes import WIDTH, at, floats, integers, lanes, load, spread, store
 from planner.kernels.tree.contact import add_stop_derivatives, subtract_contact_derivatives
 from planner.kernels.tree.couplings import invert_coupled
+from planner.kernels.tree.fluid import subtract_drag_derivatives
 from planner.kernels.tree.forces import add_actuator_derivatives, add_passive_derivatives
 from planner.kernels.tree.friction import add_friction_derivatives
 from planner.kernels.tree.gravity_compensation import subtract_compensation_derivatives
@@ -76,6 +77,8 @@ def acceleration_derivatives(m, r, q, v, a, dA, external):
             add_implicit(m, r, M, ld)
         if m[TREE.gravcomp] > 0:
             subtract_compensation_derivatives(m, Dq, ld, lanes(r, MEMORY.links))
+        if m[TREE.drags] > 0:
+            subtract_drag_derivatives(m, Dq, Dv, ld, lanes(r, MEMORY.links))
         subtract_contact_derivatives(m, q, Dq, Dv, ld, lanes(r, MEMORY.links))
         if m[TREE.pairs] > 0:
             subtract_pair_derivatives(m, q, Dq, Dv, ld, lanes(r, MEMORY.links))

@@ -20,7 +20,7 @@ from planner.kernels.numba.lanes import WIDTH
 from planner.kernels.numba.layout import Layout
 from planner.kernels.tree.contact_tables import contact_arrays, pair_arrays, stop_arrays
 from planner.kernels.tree.loop_arrays import loop_arrays, triples_of
-from planner.kernels.tree.passive_force_arrays import gravcomp_arrays, loss_arrays, tendon_arrays
+from planner.kernels.tree.passive_force_arrays import drag_arrays, gravcomp_arrays, loss_arrays, tendon_arrays
 from planner.model.contact.body_contact import common_carrier
 from planner.model.damping import implicit_damping
 from planner.model.tendons import acting_tendons
@@ -30,15 +30,15 @@ INERTIA_SIZE = 11  # its mass, its centre of mass (3), its inertia about that in
 SCREW, BALL, BALL_NEXT, FLOATING = 0, 1, 2, 3  # as in planner.model.mechanism, and a slide that moves a whole tree
 
 TREE = Layout(
-    "nv nq nballs nu na inputs position_terms velocity_terms contacts stops pairs curves tendons gravcomp losses "
+    "nv nq nballs nu na inputs position_terms velocity_terms contacts stops pairs curves tendons gravcomp drags losses "
     "dependents loops polynomial_couplings loop_rows triples",
     "parent base kind first q_address home inertia subtree_mass armature base_acceleration damping stiffness rest "
     "ball_q ball_v ball_stiffness ball_rest constant input_dof input_index input_value position_row position_column "
     "position_value velocity_row velocity_column velocity_value activation_input activation_gain activation_rate "
     "prescribed related_start related_rows contact_link contact_address contact_slide contact_value stop_dof "
     "stop_value pair_links pair_value curve_dof curve_value curve_start curve_slope_dof curve_slope "
-    "tendon_start tendon_dof tendon_factor tendon_value gravcomp_value gravcomp_mass loss_dof loss_value "
-    "dependent_dof dependent_start dependent_column dependent_value joined_link joined_address joined_value "
+    "tendon_start tendon_dof tendon_factor tendon_value gravcomp_value gravcomp_mass drag_link drag_value loss_dof "
+    "loss_value dependent_dof dependent_start dependent_column dependent_value joined_link joined_address joined_value "
     "loop_rigid loop_rate coupling_dof coupling_value triple_kind moved_start moved_dof reach_start reach_dof "
     "shared_start shared_dof bound_start bound_rows block_start block_stop implicit_damping",
 )
@@ -51,14 +51,14 @@ class Model:
         mechanism: A planner.Mechanism.
         prescribed: (nv,) True where the acceleration is an input instead of the force.
         actuated: Whether actuators, contacts, stops, curves and friction loss act; the public dynamics functions take
-            applied forces instead. Tendons and gravity compensation are the mechanism's own, as springs are.
+            applied forces instead. Tendons, gravity compensation and drag are the mechanism's own, as springs are.
         implicit: Whether steps take damping implicitly (kernels.tree.rosenbrock).
 
     Attributes:
         table: The argument of kernels.
-        external: True where contacts, stops, curves, tendons, gravity compensation, friction loss or couplings act, or
-            damping is implicit, else None. Kernels take it beside the table: Numba compiles them once for each type and
-            leaves out, for None, what stands under `if external is not None`.
+        external: True where contacts, stops, curves, tendons, gravity compensation, drag, friction loss or couplings
+            act, or damping is implicit, else None. Kernels take it beside the table: Numba compiles them once for each
+            type and leaves out, for None, what stands under `if external is not None`.
     """
 
     def __init__(
@@ -82,8 +82,8 @@ class Model:
         self.coupled = reduction is not None
         loops, polynomial_couplings = (mechanism.loops, mechanism.polynomial_couplings) if actuated else ((), ())
         self.loop_rows = 3 * triples_of(loops, polynomial_couplings)
-        acts = contacts or stops or pairs or curves or tendons or gravcomp or np.any(losses) or self.coupled or implicit
-        acts = acts or self.loop_rows
+        acts = contacts or stops or pairs or curves or tendons or gravcomp or mechanism.drags or np.any(losses)
+        acts = acts or self.coupled or implicit or self.loop_rows
         self.external = True if acts else None
         for tendon in tendons:
             coupled[np.ix_(tendon.dofs, tendon.dofs)] = True
@@ -108,7 +108,10 @@ class Model:
             | pair_arrays(pairs, mechanism.parent, arrays)
         )
         arrays |= _curves(curves) | tendon_arrays(tendons) | gravcomp_arrays(mechanism, arrays["frames"])
+        arrays |= (
+            drag_arrays(mechanism.drags, arrays["frames"])
         arrays |= loss_arrays(mechanism, losses) | _dependents(reduction)
+        )
         chains = [{i for link in loop.links for i in chain_of(mechanism.parent, link)} for loop in loops]
         arrays |= loop_arrays(loops, polynomial_couplings, chains, mechanism, arrays)
         arrays["implicit_damping"] = implicit_damping(mechanism)
@@ -117,7 +120,8 @@ class Model:
             "inputs": len(arrays["input_dof"]), "position_terms": len(arrays["position_row"]),
             "velocity_terms": len(arrays["velocity_row"]), "contacts": len(contacts), "stops": len(stops),
             "pairs": len(pairs), "curves": len(curves), "tendons": len(tendons), "gravcomp": int(gravcomp),
-            "losses": len(arrays["loss_dof"]), "dependents": len(arrays["dependent_dof"]),
+            "drags": len(mechanism.drags), "losses": len(arrays["loss_dof"]),
+            "dependents": len(arrays["dependent_dof"]),
             "loops": len(loops), "polynomial_couplings": len(polynomial_couplings),
             "loop_rows": self.loop_rows, "triples": self.loop_rows // 3,
         }  # fmt: skip

@@ -1,4 +1,4 @@
-"""The arrays of kernels.tree.mechanism_table for fixed tendons, gravity compensation and friction loss."""
+"""The arrays of kernels.tree.mechanism_table for fixed tendons, gravity compensation, drag and friction loss."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-TENDON_SIZE, LIFTED_SIZE, LOSS_SIZE = 4, 4, 3  # numbers of a tendon, a link and a joint that rubs
+TENDON_SIZE, LIFTED_SIZE, LOSS_SIZE, DRAG_SIZE = 4, 4, 3, 8  # numbers of a tendon, a link, a joint that rubs, a drag
 
 
 def tendon_arrays(tendons: Any) -> dict[str, np.ndarray]:
@@ -41,3 +41,14 @@ def gravcomp_arrays(mechanism: Any, frames: np.ndarray) -> dict[str, np.ndarray]
         if mechanism.parent[i] >= 0:
             beyond[mechanism.parent[i]] += beyond[i]
     return {"gravcomp_value": np.column_stack([mass, moment]), "gravcomp_mass": beyond}
+
+
+def drag_arrays(drags: Any, frames: np.ndarray) -> dict[str, np.ndarray]:
+    """Per term of drag: its link, and its direction (moment, force) in the kernels' frame and its coefficients."""
+    values = np.zeros((len(drags), DRAG_SIZE))
+    for value, drag in zip(values, drags, strict=True):
+        R, place = frames[drag.link, :3, :3], frames[drag.link, :3, 3]
+        moment, force = drag.screw[:3], drag.screw[3:]
+        value[:3], value[3:6] = R.T @ (moment - np.cross(place, force)), R.T @ force
+        value[6:] = drag.linear, drag.quadratic
+    return {"drag_link": np.array([drag.link for drag in drags], dtype=np.int64), "drag_value": values}

@@ -21,6 +21,7 @@ from planner.base.arguments import choice, short_repr
 from planner.base.errors import ModelError, PlannerError
 from planner.base.gl import load_mujoco
 from planner.model.contact.laws import ContactLaw
+from planner.model.fluid import Drag, drags_of
 from planner.model.mechanism import BALL, BALL_NEXT, SCREW, Frame, Mechanism
 from planner.model.mjcf.attached import attachments, with_attached
 from planner.model.mjcf.contact_edits import give_law, let_float
@@ -49,6 +50,7 @@ from planner.model.mjcf.unsupported import (  # fmt: skip
     UnsupportedElement,
     modelled,
     no_compensation,
+    passive_off,
     take_out,
     unsupported_elements,
 )
@@ -234,7 +236,7 @@ def _mechanism(
         bodies=tuple(Frame(int(link), T) for link, T in zip(links, poses, strict=True)),
         contacts=contacts, body_contacts=body_contacts, stops=read_stops(model), tendons=read_tendons(model),
         sites=sites, keyframes=keyframes, mjcf=text, assets=files, ignored=ignored, couplings=read_couplings(model),
-        loops=read_loops(model, links, poses), polynomial_couplings=read_cams(model),
+        drags=_drags(model, links, poses), loops=read_loops(model, links, poses), polynomial_couplings=read_cams(model),
     )  # fmt: skip
 
 
@@ -277,7 +279,7 @@ def _screws(model: Any) -> dict[str, Any]:
 def _masses(model: Any, links: np.ndarray, poses: np.ndarray) -> dict[str, Any]:
     """Mass, centre and inertia of every link: its bodies together, by the parallel axis theorem."""
     mass, com, inertia = np.zeros(model.nv), np.zeros((model.nv, 3)), np.zeros((model.nv, 3, 3))
-    frames = poses @ np.array([pose(model.body_ipos[b], model.body_iquat[b]) for b in range(model.nbody)])
+    frames = _inertial_frames(model, poses)
     for link in np.unique(links[links >= 0]):
         bodies = np.flatnonzero(links == link)
         m, centres = model.body_mass[bodies], frames[bodies, :3, 3]
@@ -289,6 +291,15 @@ def _masses(model: Any, links: np.ndarray, poses: np.ndarray) -> dict[str, Any]:
             inertia[link] += R @ np.diag(model.body_inertia[body]) @ R.T
             inertia[link] += model.body_mass[body] * (d @ d * np.eye(3) - np.outer(d, d))
     return {"mass": mass, "com": com, "inertia": inertia}
+
+
+def _inertial_frames(model: Any, poses: np.ndarray) -> np.ndarray:
+    """(nbody, 4, 4) frames of the bodies' inertias in the frames of their links."""
+    return poses @ np.array([pose(model.body_ipos[b], model.body_iquat[b]) for b in range(model.nbody)])
+
+
+def _drags(model: Any, links: np.ndarray, poses: np.ndarray) -> tuple[Drag, ...]:
+    return () if passive_off(model) else drags_of(model, links, _inertial_frames(model, poses))
 
 
 def _lifted(model: Any, links: np.ndarray, poses: np.ndarray) -> dict[str, Any]:

@@ -56,6 +56,11 @@ def no_compensation(model: Any) -> bool:
     return passive_off(model) or disabled(model, "gravity") or not np.any(model.opt.gravity)
 
 
+def _fluids(model: Any) -> list[str]:
+    """The properties that a fluid around the bodies has, if it acts."""
+    return [] if passive_off(model) else [name for name in ("density", "viscosity") if getattr(model.opt, name) > 0.0]
+
+
 def _compensated(model: Any) -> np.ndarray:
     """(nbody,) whether a share of the weight of a body is carried, and that matters."""
     return (model.body_gravcomp != 0.0) & (model.body_weldid != 0) & (model.body_mass > 0.0)
@@ -84,12 +89,13 @@ def unsupported_elements(model: Any) -> Iterator[UnsupportedElement]:
 
 
 def modelled(model: Any) -> Iterator[UnsupportedElement]:
-    """What is modelled and that `ignore` takes out all the same: friction loss, compensation, fixed tendons, loops."""
+    """What is modelled and that `ignore` takes out all the same: friction, compensation, fluids, fixed tendons, loops."""
     if not disabled(model, "constraint", "frictionloss"):
         for i in _joints_of(model, model.dof_frictionloss):
             yield _feature(model, "frictionloss", "frictionloss", "joint", i)
     for i in () if no_compensation(model) else np.flatnonzero(_compensated(model)):
         yield _feature(model, "gravcomp", "gravcomp", "body", int(i))
+    yield from (UnsupportedElement("fluid", f"fluid {name}") for name in _fluids(model))
     yield from _of_tendons(model, modelled=True)
     for i in acting(model):
         if closes(model, i):
@@ -124,9 +130,11 @@ def _bodies(model: Any) -> Iterator[UnsupportedElement]:
         for i in np.flatnonzero(clamped):
             yield _feature(model, "gravcomp", "clamped actuatorgravcomp", "joint", int(i))
     if not passive_off(model):
-        for name in ("density", "viscosity"):
-            if getattr(model.opt, name) > 0.0:
-                yield UnsupportedElement("fluid", f"fluid {name}")
+        ellipsoids = np.flatnonzero(model.geom_fluid[:, 0] > 0.0) if _fluids(model) else ()
+        for i in ellipsoids:
+            yield _feature(model, "fluid", "ellipsoid fluid forces", "geom", int(i))
+        if _fluids(model) and np.any(model.opt.wind):
+            yield UnsupportedElement("fluid", "fluid wind")
     carries = set(model.body_weldid[model.dof_bodyid]) | set(model.body_rootid[model.dof_bodyid])
     for i in np.flatnonzero(model.body_mocapid >= 0):
         if int(i) in carries:

@@ -69,6 +69,9 @@ def _all(ours: Mechanism, theirs: Mechanism) -> Iterator[str]:
         "stiffness": (ours.ball_stiffness, theirs.ball_stiffness),
         "spring reference": (ours.ball_rest, theirs.ball_rest),
     }
+    drags = [sorted((one.link, *one.screw, one.linear, one.quadratic) for one in m.drags) for m in (ours, theirs)]
+    if not _same(*map(np.array, drags)):
+        yield "the drag of the fluid"
     if len(ours.tendons) != len(theirs.tendons):
         yield f"{len(theirs.tendons)} fixed tendons act, the plan has {len(ours.tendons)}"
     for one, other in zip(ours.tendons, theirs.tendons, strict=False):

@@ -150,6 +150,8 @@ def _reason(dynamics: Any, model: Any) -> str:
         return f"the ends of range of {stopped} push back, and each engine has a law of its own"
     if np.any(mechanism.gravcomp_mass) or np.any(mechanism.gravcomp_first_moment):
         return "the model has gravity compensation, which the other engines are not given"
+    if mechanism.drags:
+        return "the model has a fluid, which the other engines are not given"
     if np.any(mechanism.friction_loss):
         return "the model has friction loss, which depends on accelerations, and the other engines are given forces"
     extra = ", ".join(one.phrase for one in unsupported_elements(model))

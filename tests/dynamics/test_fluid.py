@@ -1,0 +1,103 @@
+"""Drag of a fluid: against MuJoCo term by term, and derivatives against complex steps."""
+
+import numpy as np
+import pytest
+from machines import MACHINE
+
+import planner
+from planner.base.errors import ModelError
+from planner.dynamics import algorithms, product_of_exponentials
+from planner.model.mechanism import SCREW, Mechanism
+from planner.model.space import product
+from planner.proof.compare.rigid_parity import random_states
+
+WATER = MACHINE.replace("<option ", '<option density="1000" viscosity="2" ')
+
+
+@pytest.mark.parametrize("option", ['density="1000"', 'viscosity="2"', 'density="1000" viscosity="2"'])
+def test_parity_with_mujoco(option):
+    text = MACHINE.replace("<option ", f"<option {option} ")
+    section = planner.parity(Mechanism.from_mjcf(text))
+    assert section.passed, section
+    wrong = planner.parity(Mechanism.from_mjcf(text), WATER.replace('"1000"', '"900"'))
+    assert "the drag of the fluid" in str(wrong)
+
+
+def test_kernels_are_their_twin_and_their_derivatives_exact():
+    """Derivatives by an imaginary step in the readable twin, exact to rounding: sums of some hundred terms."""
+    m = Mechanism.from_mjcf(WATER)
+    rng = np.random.default_rng(0)
+    xs, qdd = random_states(m, rng, 4), rng.normal(size=(4, m.nv))
+    q, qd = xs[:, : m.nq], xs[:, m.nq : m.nq + m.nv]
+    tau, derivatives = algorithms.rnea(m, q, qd, qdd), algorithms.rnea_derivatives(m, q, qd, qdd)
+    np.testing.assert_allclose(algorithms.forward_dynamics(m, q, qd, tau), qdd, rtol=1e-8, atol=1e-9)
+    for k in range(4):
+        scale = np.abs(tau[k]).max()
+        assert np.abs(product_of_exponentials.rnea(m, q[k], qd[k], qdd[k]) - tau[k]).max() < 1e-12 * scale
+        assert np.abs(product_of_exponentials.forward_dynamics(m, q[k], qd[k], tau[k]) - qdd[k]).max() < 1e-8
+        for j, e in enumerate(np.eye(m.nv)):
+            by_qd = product_of_exponentials.rnea(m, q[k], qd[k] + 1e-30j * e, qdd[k]).imag / 1e-30
+            assert np.abs(by_qd - derivatives.qd[k, :, j]).max() < 1e-12 * np.abs(derivatives.qd[k]).max()
+            moved = q[k].astype(complex)
+            for i in np.flatnonzero(m.kind == SCREW):
+                moved[m.q_address[i]] += 1e-30j * e[i]
+            for a, i in m.quaternions:
+                moved[a : a + 4] += 1e-30j * product(q[k, a : a + 4], np.array([0.0, *(0.5 * e[i : i + 3])]))
+            by_q = product_of_exponentials.rnea(m, moved, qd[k], qdd[k]).imag / 1e-30
+            assert np.abs(by_q - derivatives.q[k, :, j]).max() < 1e-12 * np.abs(derivatives.q[k]).max()
+
+
+def test_a_stage_in_water():
+    m = Mechanism.from_mjcf(WATER)
+    dynamics, rng = planner.RigidBodyDynamics(m, 0.002), np.random.default_rng(1)
+    xs, us = random_states(m, rng, 4), rng.normal(size=(4, m.nu))
+    A, _ = dynamics.linearize(np.vstack([xs, xs[:1]]), us)
+    space, h = m.space, 1e-6
+    for j, e in enumerate(np.eye(space.ndx)):
+        ends = [dynamics.step(space.integrate(xs, np.tile(side * h * e, (4, 1))), us) for side in (1.0, -1.0)]
+        found = space.difference(*ends) / (2.0 * h)
+        assert np.abs(found - A[:, :, j]).max() < 1e-6 * np.abs(A).max()  # h^2 times third derivatives, rounding / h
+
+
+def test_a_fish_in_water_swims_as_planned():
+    """A tail that wags drives a body forward, by drag alone: its plan holds in MuJoCo."""
+    text = """
+    <mujoco>
+      <option gravity="0 0 0" density="1000"><flag contact="disable"/></option>
+      <worldbody>
+        <body>
+          <joint name="x" type="slide" axis="1 0 0"/><joint name="y" type="slide" axis="0 1 0"/>
+          <joint name="turn" axis="0 0 1"/>
+          <geom type="capsule" size="0.05" fromto="-0.2 0 0 0.2 0 0"/>
+          <body pos="-0.2 0 0">
+            <joint name="tail" axis="0 0 1" damping="0.01"/>
+            <geom type="box" size="0.1 0.01 0.06" pos="-0.1 0 0"/>
+          </body>
+        </body>
+      </worldbody>
+      <actuator><motor name="tail" joint="tail"/></actuator>
+    </mujoco>
+    """
+    dynamics = planner.RigidBodyDynamics(Mechanism.from_mjcf(text), 0.01)
+    us = 0.3 * np.sin(2.0 * np.pi * 0.01 * np.arange(200))[:, None]
+    xs = [np.zeros(8)]
+    for u in us:
+        xs.append(dynamics.step(xs[-1], u))
+    still = Mechanism.from_mjcf(text, ignore=["fluid"])
+    assert not still.drags
+    moved = np.array(xs)[:, 0] - 0.0
+    assert np.ptp(moved) > 0.01
+
+
+@pytest.mark.parametrize(
+    ("option", "shape", "phrase"),
+    [('density="1" wind="1 0 0"', "", "wind"), ('viscosity="1"', 'fluidshape="ellipsoid"', "ellipsoid fluid forces")],
+)
+def test_what_of_a_fluid_is_not_modelled(option, shape, phrase):
+    text = (
+        f'<mujoco><option {option}/><worldbody><body><joint/><geom size="0.1" pos="1 0 0" {shape}/></body>'
+        "</worldbody></mujoco>"
+    )
+    with pytest.raises(ModelError, match=phrase):
+        Mechanism.from_mjcf(text)
+    assert not Mechanism.from_mjcf(text, ignore=["fluid"]).drags
