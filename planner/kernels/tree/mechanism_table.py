@@ -108,10 +108,8 @@ class Model:
             | pair_arrays(pairs, mechanism.parent, arrays)
         )
         arrays |= _curves(curves) | tendon_arrays(tendons) | gravcomp_arrays(mechanism, arrays["frames"])
-        arrays |= (
-            drag_arrays(mechanism.drags, arrays["frames"])
+        arrays |= drag_arrays(mechanism.drags, arrays["frames"])
         arrays |= loss_arrays(mechanism, losses) | _dependents(reduction)
-        )
         chains = [{i for link in loop.links for i in chain_of(mechanism.parent, link)} for loop in loops]
         arrays |= loop_arrays(loops, polynomial_couplings, chains, mechanism, arrays)
         arrays["implicit_damping"] = implicit_damping(mechanism)

@@ -89,7 +89,7 @@ def unsupported_elements(model: Any) -> Iterator[UnsupportedElement]:
 
 
 def modelled(model: Any) -> Iterator[UnsupportedElement]:
-    """What is modelled and that `ignore` takes out all the same: friction, compensation, fluids, fixed tendons, loops."""
+    """What is modelled and that `ignore` takes out all the same: friction, gravcomp, fluids, fixed tendons, loops."""
     if not disabled(model, "constraint", "frictionloss"):
         for i in _joints_of(model, model.dof_frictionloss):
             yield _feature(model, "frictionloss", "frictionloss", "joint", i)
