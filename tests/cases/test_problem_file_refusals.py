@@ -101,7 +101,7 @@ def test_weights_are_a_table(tmp_path):
         ('<!DOCTYPE m [<!ENTITY a "aaaa">]>' + CART, ("entities",)),
         (CART.replace("<worldbody>", '<include file="gone.xml"/><worldbody>'), ("gone.xml",)),
         (CART.replace("<worldbody>", '<include file="cart.xml"/><worldbody>'), ("includes itself",)),
-        (CART.replace("<worldbody>", '<option density="1.2"/><worldbody>'), ("fluid",)),
+        (CART.replace("<worldbody>", '<option density="1.2" wind="1 0 0"/><worldbody>'), ("fluid wind",)),
         (CART[:200], ("not well-formed",)),
         ("", ("cart.xml",)),
     ],

@@ -87,9 +87,9 @@ def test_a_number_that_differs_is_named_with_its_joint(tree, path, attributes, w
 
 
 def test_elements_that_the_mechanism_lacks_are_named(tree):
-    section = planner.parity(tree, edited(tree.mjcf, {"option": {"density": "1.2"}}))
+    section = planner.parity(tree, edited(tree.mjcf, {"option": {"density": "1.2", "wind": "1 0 0"}}))
     assert "unmodelled_elements" in [figure.name for figure in section.failures]
-    assert section.failures[0].note == "fluid density"
+    assert section.failures[0].note == "fluid wind"
 
 
 @pytest.mark.parametrize("lossy", ["theirs", "ours", "both"])

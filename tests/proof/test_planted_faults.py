@@ -65,7 +65,7 @@ def test_without_a_fault_it_passes(plan, hopper_plan):
         ({"option": {"gravity": "0 0 -9.80665"}}, "gravity is (0, 0, -9.80665)"),
         ({".//motor": {"gear": "-1"}}, "gear of actuator 'elbow' at joint 'elbow' is -1, the plan has 1"),
         ({".//joint[@name='elbow']": {"frictionloss": "0.05"}}, "friction loss at joint 'elbow' is 0.05"),
-        ({"option": {"density": "1.2"}}, "fluid density"),
+        ({"option": {"density": "1.2"}}, "the drag of the fluid"),
         ({".//joint[@name='elbow']": {"range": "-1 1", "limited": "true"}}, "joint 'elbow' is outside its range"),
         ({".//motor": {"ctrlrange": "-1 1", "ctrllimited": "true"}}, "is asked for more than its ctrlrange"),
         ({".//motor": {"forcerange": "-1 1", "forcelimited": "true"}}, "is asked for more than its forcerange"),
