@@ -12,6 +12,7 @@ from planner.model.space import product
 from planner.proof.compare.rigid_parity import random_states
 
 WATER = MACHINE.replace("<option ", '<option density="1000" viscosity="2" ')
+DRIVEN = WATER.replace("</mujoco>", '<actuator><motor joint="swing"/></actuator></mujoco>')
 
 
 @pytest.mark.parametrize("option", ['density="1000"', 'viscosity="2"', 'density="1000" viscosity="2"'])
@@ -48,7 +49,7 @@ def test_kernels_are_their_twin_and_their_derivatives_exact():
 
 
 def test_a_stage_in_water():
-    m = Mechanism.from_mjcf(WATER)
+    m = Mechanism.from_mjcf(DRIVEN)
     dynamics, rng = planner.RigidBodyDynamics(m, 0.002), np.random.default_rng(1)
     xs, us = random_states(m, rng, 4), rng.normal(size=(4, m.nu))
     A, _ = dynamics.linearize(np.vstack([xs, xs[:1]]), us)

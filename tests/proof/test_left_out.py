@@ -22,8 +22,8 @@ MODEL = """
 """
 OUT = ("frictionloss", "equality", "fluid", "gravcomp", "polynomial")
 REST = (
-    "friction loss of 2 joints", "gravity compensation of 1 body", "2 equalities", "polynomial damping of 1 joint",
-    "fluid density",
+    "friction loss of 2 joints", "gravity compensation of 1 body", "fluid density", "2 equalities",
+    "polynomial damping of 1 joint",
 )  # fmt: skip
 
 
