@@ -237,7 +237,7 @@ def _clamps(mechanism: Mechanism, a: int) -> list[_Clamp]:
     for i in np.flatnonzero(acts.moment[a]):
         limits = mechanism.joint_force_range[i]
         if np.isfinite(limits).any():
-            alone = int(np.count_nonzero(acts.moment[:, i])) == 1
+            alone = int(np.count_nonzero(acts.acts_on[:, i])) == 1
             found.append(_Clamp("actuatorfrcrange", np.sort(limits / acts.moment[a, i]), alone))
     return found
 

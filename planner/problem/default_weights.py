@@ -28,6 +28,7 @@ from typing import Any
 import numpy as np
 
 from planner.dynamics import RigidBodyDynamics
+from planner.dynamics.actuator_moments import actuator_moments
 from planner.dynamics.algorithms import bias, mass_matrix
 from planner.dynamics.assembly import feasible_directions
 from planner.dynamics.quasi_static import quasi_static_controls
@@ -217,7 +218,7 @@ def servo_reference(dynamics: RigidBodyDynamics, xs: np.ndarray) -> np.ndarray:
 def fully_actuated(dynamics: RigidBodyDynamics) -> bool:
     """Whether actuators and prescribed joints can give every joint any acceleration."""
     mechanism, prescribed = dynamics.mechanism, prescribed_dofs_of(dynamics)
-    moment = mechanism.actuators.moment * (mechanism.actuators.gain[:, None] != 0.0)
+    moment = actuator_moments(mechanism, mechanism.qpos0) * (mechanism.actuators.gain[:, None] != 0.0)
     own, Z = np.eye(mechanism.nv)[prescribed], feasible_directions(mechanism, mechanism.qpos0)[0]
     Z = Z[
         :, ~np.any(Z[stationary_object_dofs(mechanism)], axis=0)
@@ -252,10 +253,10 @@ def _effort(
     correction = np.full(mechanism.nv, np.inf)
     if stance_error is not None:
         correction = np.maximum(inertia, stance_inertia(mechanism, goal[:nq])) * MAX_CORRECTION_RATE**2 * stance_error
-    limits, known = np.empty(dynamics.nu), []
+    limits, known, moment = np.empty(dynamics.nu), [], actuator_moments(mechanism, x0[:nq])
     servo = actuators.bias[:, 1] != 0.0
     for a in range(mechanism.nu):
-        push = np.abs(actuators.gain[a] * actuators.moment[a])
+        push = np.abs(actuators.gain[a] * moment[a])
         limit = _limit(mechanism, a, bool(servo[a]))
         if max_control is not None and not np.isfinite(limit) and not servo[a]:
             limit = float(max_control[a])

@@ -233,7 +233,7 @@ def _force(model: Any, i: int) -> Iterator[str]:
 
 
 def _transmission(model: Any, i: int) -> Iterator[str]:
-    """Reasons why an actuator's moment is not a constant row, or its length not that row times the joints."""
+    """Reasons why an actuator's moment is neither a constant row, its length that row times the joints, nor a site's."""
     mujoco = load_mujoco()
     kinds, joints = mujoco.mjtTrn, mujoco.mjtJoint
     kind, target = model.actuator_trntype[i], model.actuator_trnid[i, 0]
@@ -248,6 +248,9 @@ def _transmission(model: Any, i: int) -> Iterator[str]:
         first = model.wrap_type[model.tendon_adr[target]]
         if first != mujoco.mjtWrap.mjWRAP_JOINT:
             yield "spatial tendon"
+    elif kind == kinds.mjTRN_SITE:
+        if model.actuator_biastype[i] == mujoco.mjtBias.mjBIAS_AFFINE and np.any(model.actuator_biasprm[i, 1:3]):
+            yield "force by the position or velocity of a site"
     elif not adheres_to_nothing(model, i):
         yield f"{_lower(kinds, kind)} transmission"
 
