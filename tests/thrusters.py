@@ -28,7 +28,8 @@ QUADROTOR = """
 """
 
 # Every way to act at a site: on a body with one joint, with several, with a ball and on a floating one; from the
-# world, from another tree and from a body of the same tree, before and behind it; by the control and by activations.
+# world, from another tree and from a body of the same tree, before and behind it; in the axes of what carries a ball or
+# free joint; by the control and by activations.
 EVERY_WAY = """
 <mujoco model="every way">
   <compiler angle="radian"/>
@@ -79,6 +80,9 @@ EVERY_WAY = """
     <motor site="beside" refsite="tip" gear="0.7 0.1 -0.2 0.3 0.2 -0.1"/>
     <motor site="foot" refsite="tip" gear="0.2 0.5 0.4 -0.1 0.2 0.3"/>
     <motor joint="hip" gear="3"/>
+    <motor jointinparent="wrist" gear="0.3 0.5 -0.2"/>
+    <motor jointinparent="base" gear="0.3 0.1 0.4 0.2 -0.1 0.3"/>
+    <motor joint="wrist" gear="0.1 0.2 0.3"/>
     <general site="end" dyntype="filter" dynprm="0.08" gainprm="2" gear="0.5 1 0 0 0.2 0.1"/>
     <general site="rotor" dyntype="integrator" gainprm="1.5" biastype="affine" biasprm="0.7 0 0"
              gear="0.1 0.2 1 0.02 0 0"/>

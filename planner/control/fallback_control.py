@@ -55,7 +55,7 @@ class FallbackControl:
         qd, actuators = x[m.nq : m.nq + m.nv], m.actuators
         servo = actuators.moment.T @ (actuators.bias[:, 2] * (actuators.moment @ qd))
         damping = mass_matrix(m, x[: m.nq]) @ qd / TIME
-        inverse = self._inverse_at(x[: m.nq]) if actuators.site_wrenches else self._inverse
+        inverse = self._inverse_at(x[: m.nq]) if actuators.wrenches else self._inverse
         return quasi_static_controls(m, x, contacts=False) - inverse @ (damping + servo)
 
     def _inverse_at(self, q: np.ndarray) -> np.ndarray:

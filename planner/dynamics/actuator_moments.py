@@ -5,29 +5,23 @@ from __future__ import annotations
 import numpy as np
 
 from planner.dynamics.product_of_exponentials import jacobian, world_poses
+from planner.model.actuators import DIRECT
 from planner.model.mechanism import SCREW, Frame, Mechanism
 
 
 def actuator_moments(mechanism: Mechanism, q: np.ndarray) -> np.ndarray:
     """Moments (nu, nv) at a pose q (nq,), real or complex; `mechanism.actuators.moment` without actuators at sites."""
     actuators = mechanism.actuators
-    if not actuators.site_wrenches:
+    if not actuators.wrenches:
         return actuators.moment
     moments = actuators.moment.astype(q.dtype)
     poses = world_poses(mechanism, q)
-    for one in actuators.site_wrenches:
+    for one in actuators.wrenches:
         place, R = np.eye(4), poses[one.frame][:3, :3]
         place[:3, 3] = one.place
         J = jacobian(mechanism, q, Frame(one.link, place))[:, one.dofs]
         moments[one.actuator, one.dofs] += J[:3].T @ (R @ one.force) + J[3:].T @ (R @ one.torque)
     return moments
-
-
-def generalized_actuator_forces(mechanism: Mechanism, q: np.ndarray, forces: np.ndarray) -> np.ndarray:
-    """Generalized forces (N, nv) of the actuators' forces (N, nu) at poses q (N, nq)."""
-    if not mechanism.actuators.site_wrenches:
-        return forces @ mechanism.actuators.moment
-    return np.array([force @ actuator_moments(mechanism, one) for one, force in zip(q, forces, strict=True)])
 
 
 def actuator_lengths(mechanism: Mechanism, q: np.ndarray) -> np.ndarray:
@@ -37,3 +31,20 @@ def actuator_lengths(mechanism: Mechanism, q: np.ndarray) -> np.ndarray:
         if mechanism.kind[i] == SCREW:
             screws[:, mechanism.q_address[i]] += mechanism.actuators.moment[:, i]
     return q @ screws.T
+
+
+def force_rows(mechanism: Mechanism) -> tuple[np.ndarray, np.ndarray]:
+    """Derivatives of the actuators' forces by the state (nu, nx) and by its deviation (nu, ndx).
+
+    They depend on the state by length, its rate and activations, linearly.
+    """
+    acts, space, nv = mechanism.actuators, mechanism.space, mechanism.nv
+    by_q, by_x = np.zeros((acts.nu, space.nx)), np.zeros((acts.nu, space.ndx))
+    for i in np.flatnonzero(mechanism.kind == SCREW):  # lengths are over the hinge and slide joints
+        by_q[:, mechanism.q_address[i]] += acts.bias[:, 1] * acts.moment[:, i]
+        by_x[:, i] = acts.bias[:, 1] * acts.moment[:, i]
+    by_q[:, mechanism.nq : mechanism.nq + nv] = by_x[:, nv : 2 * nv] = acts.bias[:, 2, None] * acts.moment
+    for j in np.flatnonzero(acts.dynamics != DIRECT):
+        k = acts.activation[j]
+        by_q[j, mechanism.nq + nv + k] = by_x[j, 2 * nv + k] = acts.gain[j]
+    return by_q, by_x

@@ -4,8 +4,9 @@ Actuator a exerts the force gain u + bias[0] + bias[1] length + bias[2] (d lengt
 forces. u is the control or, for an actuator with an activation state, the activation: d act/dt = u (INTEGRATOR) or
 (u - act) / time_constant (FILTER); length = moment[a] q over the hinge and slide joints.
 
-The moment of an actuator at a site depends on the pose: it is that of its `site_wrenches`, in place of a row of
-`moment`, and its force is gain u + bias[0] alone. `planner.dynamics.actuator_moments` gives the moments at a pose.
+The moment of an actuator at a site (a thruster), or of one in the axes of a ball's parent, depends on the pose: it is
+that of its `wrenches`, in place of a row of `moment`, and its force is gain u + bias[0] alone.
+`planner.dynamics.actuator_moments` gives all moments at a pose.
 """
 
 from __future__ import annotations
@@ -18,11 +19,8 @@ DIRECT, INTEGRATOR, FILTER = 0, 1, 2
 
 
 @dataclass(frozen=True, eq=False)
-class SiteWrench:
-    """What an actuator at a site does to one link, per unit of its force; a refsite feels a second one, opposite.
-
-    Links that carry both site and refsite feel neither.
-    """
+class ActuatorWrench:
+    """What an actuator does to one link, per unit of its force; a refsite feels a second one, opposite."""
 
     actuator: int  # index
     link: int  # that it acts on
@@ -39,7 +37,7 @@ class Actuators:
     """The nu actuators of a mechanism. Ranges are data only, infinite if unlimited."""
 
     names: tuple[str, ...]  # (nu,) "" if unnamed in the file
-    moment: np.ndarray  # (nu, nv) generalized force per actuator force; 0 for those at sites
+    moment: np.ndarray  # (nu, nv) generalized force per actuator force; 0 for those with wrenches
     gain: np.ndarray  # (nu,)
     bias: np.ndarray  # (nu, 3) coefficients of 1, length, d length/dt
     dynamics: np.ndarray  # (nu,) DIRECT, INTEGRATOR or FILTER
@@ -48,7 +46,7 @@ class Actuators:
     control_range: np.ndarray  # (nu, 2)
     force_range: np.ndarray  # (nu, 2)
     activation_range: np.ndarray  # (nu, 2)
-    site_wrenches: tuple[SiteWrench, ...] = ()
+    wrenches: tuple[ActuatorWrench, ...] = ()
 
     @property
     def nu(self) -> int:
@@ -61,14 +59,14 @@ class Actuators:
         return int(np.sum(self.dynamics != DIRECT))
 
     @property
-    def at_site(self) -> np.ndarray:
+    def by_wrenches(self) -> np.ndarray:
         """(nu,) bool, whether the moment depends on the pose."""
-        return np.isin(np.arange(self.nu), [one.actuator for one in self.site_wrenches])
+        return np.isin(np.arange(self.nu), [one.actuator for one in self.wrenches])
 
     @property
     def acts_on(self) -> np.ndarray:
-        """(nu, nv) bool, the degrees of freedom that each actuator acts on; at a site, in some pose."""
+        """(nu, nv) bool, the degrees of freedom that each actuator acts on, in some pose."""
         acts = self.moment != 0.0
-        for one in self.site_wrenches:
+        for one in self.wrenches:
             acts[one.actuator, one.dofs] = True
         return acts

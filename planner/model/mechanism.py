@@ -123,7 +123,7 @@ class Mechanism:
     def _protect(self) -> None:
         """Make all arrays read-only."""
         frames = (*self.bodies, *self.sites.values())
-        wrenches = self.actuators.site_wrenches
+        wrenches = self.actuators.wrenches
         parts = [*vars(self).values(), *vars(self.actuators).values(), *(frame.T for frame in frames)]
         parts += [part for one in wrenches for part in vars(one).values()]
         for value in (*parts, *self.keyframes.values()):

@@ -20,6 +20,11 @@ def machine():
     return Mechanism.from_mjcf(EVERY_WAY)
 
 
+@pytest.fixture
+def rng():
+    return np.random.default_rng(3)
+
+
 def of_mujoco(mechanism, x, u):
     """MuJoCo's moments (nu, nv) and accelerations (nv,)."""
     model = mujoco.MjModel.from_xml_string(mechanism.mjcf)

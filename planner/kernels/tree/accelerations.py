@@ -23,7 +23,7 @@ from planner.kernels.tree.mechanism_table import TREE
 from planner.kernels.tree.memory import MEMORY
 from planner.kernels.tree.pair_contact import add_pair_wrenches
 from planner.kernels.tree.recursion import accelerate, move_links
-from planner.kernels.tree.site_wrenches import add_site_wrenches
+from planner.kernels.tree.actuator_wrenches import add_actuator_wrenches
 from planner.kernels.tree.tendons import add_tendons
 
 
@@ -43,8 +43,8 @@ def accelerations(m, r, q, v, u, act, a, external):
     if external is not None:
         if m[TREE.gravcomp] > 0:
             add_compensation(m, links, tau)
-        if m[TREE.site_wrenches] > 0:
-            add_site_wrenches(m, u, act, links, tau)
+        if m[TREE.wrenches] > 0:
+            add_actuator_wrenches(m, u, act, links, tau)
         _add_wrenches(m, q, links)
         if r[MEMORY.integrator] == ROSENBROCK:
             _accelerate_implicitly(m, r, q, v, tau, a)

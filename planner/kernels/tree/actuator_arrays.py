@@ -6,13 +6,13 @@ from typing import Any
 
 import numpy as np
 
-SITE_SIZE = 11  # numbers of a wrench at a site: place (3), force (3), torque (3), gain, constant force
+WRENCH_SIZE = 11  # numbers of an actuator's wrench: place (3), force (3), torque (3), gain, constant force
 
 
 def actuator_arrays(mechanism: Any, prescribed: np.ndarray, actuated: bool) -> dict[str, np.ndarray]:
     """Applied forces as sums of terms: constant, by input (u, then act), by position and by velocity.
 
-    Actuators at sites have their activations here, and their forces in site_arrays.
+    Actuators with wrenches have their activations here, and their forces in wrench_arrays.
     """
     a, nv = mechanism.actuators, mechanism.nv
     nu = (mechanism.nu if actuated else 0) + int(prescribed.sum())
@@ -48,25 +48,25 @@ def actuator_arrays(mechanism: Any, prescribed: np.ndarray, actuated: bool) -> d
     }  # fmt: skip
 
 
-def site_arrays(mechanism: Any, wrenches: Any, frames: np.ndarray, nu: int) -> dict[str, np.ndarray]:
-    """Per wrench of an actuator at a site: where it acts, its input, its degrees of freedom and those of its frame.
+def wrench_arrays(mechanism: Any, wrenches: Any, frames: np.ndarray, nu: int) -> dict[str, np.ndarray]:
+    """Per wrench of an actuator: where it acts, its input, its degrees of freedom and those of its frame.
 
     Place, force and torque are in the kernels' frames (nv, 4, 4) of their links; inputs are the nu controls, then act.
     """
     a, poses = mechanism.actuators, np.concatenate([frames, np.eye(4)[None]])  # the last, -1, is the world's
-    values, inputs = np.zeros((len(wrenches), SITE_SIZE)), []
+    values, inputs = np.zeros((len(wrenches), WRENCH_SIZE)), []
     for row, one in zip(values, wrenches, strict=True):
         at, R, k = poses[one.link], poses[one.frame, :3, :3], one.actuator
         row[:3], row[3:6], row[6:9] = at[:3, :3].T @ (one.place - at[:3, 3]), R.T @ one.force, R.T @ one.torque
         row[9:] = a.gain[k], a.bias[k, 0]
         inputs.append(k if a.activation[k] < 0 else nu + a.activation[k])
     return {
-        "site_link": np.array([one.link for one in wrenches], dtype=np.int64),
-        "site_frame": np.array([one.frame for one in wrenches], dtype=np.int64),
-        "site_input": np.array(inputs, dtype=np.int64),
-        "site_start": np.cumsum([0, *(len(one.dofs) for one in wrenches)]),
-        "site_dof": np.array([i for one in wrenches for i in one.dofs], dtype=np.int64),
-        "site_frame_start": np.cumsum([0, *(len(one.frame_dofs) for one in wrenches)]),
-        "site_frame_dof": np.array([i for one in wrenches for i in one.frame_dofs], dtype=np.int64),
-        "site_value": values,
+        "wrench_link": np.array([one.link for one in wrenches], dtype=np.int64),
+        "wrench_frame": np.array([one.frame for one in wrenches], dtype=np.int64),
+        "wrench_input": np.array(inputs, dtype=np.int64),
+        "wrench_start": np.cumsum([0, *(len(one.dofs) for one in wrenches)]),
+        "wrench_dof": np.array([i for one in wrenches for i in one.dofs], dtype=np.int64),
+        "wrench_frame_start": np.cumsum([0, *(len(one.frame_dofs) for one in wrenches)]),
+        "wrench_frame_dof": np.array([i for one in wrenches for i in one.frame_dofs], dtype=np.int64),
+        "wrench_value": values,
     }

@@ -21,7 +21,7 @@ from planner.kernels.tree.memory import MEMORY
 from planner.kernels.tree.pair_contact import subtract_pair_derivatives
 from planner.kernels.tree.rosenbrock import add_implicit
 from planner.kernels.tree.sensitivity import inverse_dynamics_derivatives, invert
-from planner.kernels.tree.site_wrenches import add_site_inputs, subtract_site_derivatives
+from planner.kernels.tree.actuator_wrenches import add_wrench_inputs, subtract_wrench_derivatives
 from planner.kernels.tree.tendons import add_tendon_derivatives
 
 
@@ -80,8 +80,8 @@ def acceleration_derivatives(m, r, q, v, act, a, dA, external):
             add_implicit(m, r, M, ld)
         if m[TREE.gravcomp] > 0:
             subtract_compensation_derivatives(m, Dq, ld, lanes(r, MEMORY.links))
-        if m[TREE.site_wrenches] > 0:
-            subtract_site_derivatives(m, lanes(r, MEMORY.u), act, Dq, ld, lanes(r, MEMORY.links))
+        if m[TREE.wrenches] > 0:
+            subtract_wrench_derivatives(m, lanes(r, MEMORY.u), act, Dq, ld, lanes(r, MEMORY.links))
         subtract_contact_derivatives(m, q, Dq, Dv, ld, lanes(r, MEMORY.links))
         if m[TREE.pairs] > 0:
             subtract_pair_derivatives(m, q, Dq, Dv, ld, lanes(r, MEMORY.links))
@@ -131,8 +131,8 @@ def acceleration_derivatives(m, r, q, v, act, a, dA, external):
         for i in range(nv):
             o = i * columns + k
             store(dA, o, load(dA, o) + x * load(M, i * ld + j))
-    if external is not None and m[TREE.site_wrenches] > 0:
-        add_site_inputs(m, M, ld, lanes(r, MEMORY.links), dA, columns, x0)
+    if external is not None and m[TREE.wrenches] > 0:
+        add_wrench_inputs(m, M, ld, lanes(r, MEMORY.links), dA, columns, x0)
     for p in range(nv):
         given = load(prescribed, p)
         if given >= 0:

@@ -18,7 +18,7 @@ import numpy as np
 
 from planner.kernels.numba.lanes import WIDTH
 from planner.kernels.numba.layout import Layout
-from planner.kernels.tree.actuator_arrays import actuator_arrays, site_arrays
+from planner.kernels.tree.actuator_arrays import actuator_arrays, wrench_arrays
 from planner.kernels.tree.contact_tables import contact_arrays, pair_arrays, stop_arrays
 from planner.kernels.tree.loop_arrays import loop_arrays, triples_of
 from planner.kernels.tree.passive_force_arrays import gravcomp_arrays, loss_arrays, tendon_arrays
@@ -32,7 +32,7 @@ SCREW, BALL, BALL_NEXT, FLOATING = 0, 1, 2, 3  # as in planner.model.mechanism, 
 
 TREE = Layout(
     "nv nq nballs nu na inputs position_terms velocity_terms contacts stops pairs curves tendons gravcomp losses "
-    "dependents loops polynomial_couplings loop_rows triples site_wrenches",
+    "dependents loops polynomial_couplings loop_rows triples wrenches",
     "parent base kind first q_address home inertia subtree_mass armature base_acceleration damping stiffness rest "
     "ball_q ball_v ball_stiffness ball_rest constant input_dof input_index input_value position_row position_column "
     "position_value velocity_row velocity_column velocity_value activation_input activation_gain activation_rate "
@@ -42,7 +42,7 @@ TREE = Layout(
     "dependent_dof dependent_start dependent_column dependent_value joined_link joined_address joined_value "
     "loop_rigid loop_rate coupling_dof coupling_value triple_kind moved_start moved_dof reach_start reach_dof "
     "shared_start shared_dof bound_start bound_rows block_start block_stop implicit_damping "
-    "site_link site_frame site_input site_start site_dof site_frame_start site_frame_dof site_value",
+    "wrench_link wrench_frame wrench_input wrench_start wrench_dof wrench_frame_start wrench_frame_dof wrench_value",
 )
 
 
@@ -59,7 +59,7 @@ class Model:
     Attributes:
         table: The argument of kernels.
         external: True where contacts, stops, curves, tendons, gravity compensation, friction loss, couplings or
-            actuators at sites act, or damping is implicit, else None. Kernels take it beside the table: Numba compiles them once for each type and
+            wrenches of actuators act, or damping is implicit, else None. Kernels take it beside the table: Numba compiles them once for each type and
             leaves out, for None, what stands under `if external is not None`.
     """
 
@@ -82,7 +82,7 @@ class Model:
         gravcomp = bool(np.any(mechanism.gravcomp_mass) or np.any(mechanism.gravcomp_first_moment))
         reduction = mechanism.reduction if actuated else None
         self.coupled = reduction is not None
-        wrenches = mechanism.actuators.site_wrenches if actuated else ()
+        wrenches = mechanism.actuators.wrenches if actuated else ()
         loops, polynomial_couplings = (mechanism.loops, mechanism.polynomial_couplings) if actuated else ((), ())
         self.loop_rows = 3 * triples_of(loops, polynomial_couplings)
         acts = contacts or stops or pairs or curves or tendons or gravcomp or np.any(losses) or self.coupled or implicit
@@ -117,7 +117,7 @@ class Model:
         chains = [{i for link in loop.links for i in chain_of(mechanism.parent, link)} for loop in loops]
         arrays |= loop_arrays(loops, polynomial_couplings, chains, mechanism, arrays)
         arrays["implicit_damping"] = implicit_damping(mechanism)
-        arrays |= site_arrays(mechanism, wrenches, arrays["frames"], self.nu)
+        arrays |= wrench_arrays(mechanism, wrenches, arrays["frames"], self.nu)
         sizes = {
             "nv": nv, "nq": mechanism.nq, "nballs": len(mechanism.quaternions), "nu": self.nu, "na": self.na,
             "inputs": len(arrays["input_dof"]), "position_terms": len(arrays["position_row"]),
@@ -125,7 +125,7 @@ class Model:
             "pairs": len(pairs), "curves": len(curves), "tendons": len(tendons), "gravcomp": int(gravcomp),
             "losses": len(arrays["loss_dof"]), "dependents": len(arrays["dependent_dof"]),
             "loops": len(loops), "polynomial_couplings": len(polynomial_couplings),
-            "loop_rows": self.loop_rows, "triples": self.loop_rows // 3, "site_wrenches": len(wrenches),
+            "loop_rows": self.loop_rows, "triples": self.loop_rows // 3, "wrenches": len(wrenches),
         }  # fmt: skip
         self.arrays = {name: _plain(arrays[name]) for name in TREE.arrays}  # keeps the addresses alive
         self.table = TREE.table(sizes, self.arrays)

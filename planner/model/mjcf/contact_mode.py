@@ -23,7 +23,7 @@ from planner.model.mjcf.contact_shapes import meets_plane, plane_of
 from planner.model.mjcf.contacts import is_modelled
 from planner.model.mjcf.ground_law import mass_of
 from planner.model.mjcf.model_index import ModelIndex, Pair, disabled, named
-from planner.model.mjcf.site_transmissions import is_at_site, site_wrenches
+from planner.model.mjcf.wrench_transmissions import has_wrenches, wrenches_of
 from planner.model.mjcf.unsupported import no_compensation
 
 MODES = ("auto", "avoid", "ground", "model", "off")
@@ -158,15 +158,15 @@ def actuated_dofs(survey: ModelIndex) -> np.ndarray:
     kinds, actuated = load_mujoco().mjtTrn, np.zeros(model.nv, dtype=bool)
     for i in range(len(model.actuator_trntype)):
         target = int(model.actuator_trnid[i, 0])
-        if model.actuator_trntype[i] in (int(kinds.mjTRN_JOINT), int(kinds.mjTRN_JOINTINPARENT)):
+        if has_wrenches(model, i):
+            for one in wrenches_of(survey, i):
+                actuated[one.dofs] = True
+        elif model.actuator_trntype[i] in (int(kinds.mjTRN_JOINT), int(kinds.mjTRN_JOINTINPARENT)):
             actuated[model.dof_jntid == target] = True
         elif model.actuator_trntype[i] == int(kinds.mjTRN_TENDON):
             wraps = slice(model.tendon_adr[target], model.tendon_adr[target] + model.tendon_num[target])
             joints = model.wrap_type[wraps] == int(load_mujoco().mjtWrap.mjWRAP_JOINT)
             actuated[np.isin(model.dof_jntid, model.wrap_objid[wraps][joints])] = True
-        elif is_at_site(model, i):
-            for one in site_wrenches(model, i, *survey.carriers):
-                actuated[one.dofs] = True
     return actuated
 
 

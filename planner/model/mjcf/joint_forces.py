@@ -16,7 +16,7 @@ from planner.base.gl import load_mujoco
 from planner.model.actuators import DIRECT, FILTER, INTEGRATOR, Actuators
 from planner.model.mjcf.equalities import row_of
 from planner.model.mjcf.model_index import ModelIndex, disabled, field, gear_of, names_of, ranges_of
-from planner.model.mjcf.site_transmissions import is_at_site, site_wrenches
+from planner.model.mjcf.wrench_transmissions import has_wrenches, wrenches_of
 from planner.model.mjcf.unsupported import actuator_disabled, adheres_to_nothing
 
 
@@ -37,19 +37,19 @@ def actuators_of(survey: ModelIndex) -> Actuators:
             dynamics[i], time_constant[i] = FILTER, np.inf
         if off or adheres_to_nothing(model, i):
             continue
-        if is_at_site(model, i):
-            wrenches += site_wrenches(model, i, *survey.carriers)
-        else:
-            moment[i] = _moment(model, i)
         gain[i] = model.actuator_gainprm[i, 0]
         if model.actuator_biastype[i] == mujoco.mjtBias.mjBIAS_AFFINE:
             bias[i] = model.actuator_biasprm[i, :3]
         target = model.actuator_trnid[i, 0]
+        if has_wrenches(model, i):
+            wrenches += wrenches_of(survey, i)
+            continue
+        moment[i] = _moment(model, i)
         if model.actuator_trntype[i] == mujoco.mjtTrn.mjTRN_TENDON:
             if field(model, "tendon_actfrclimited", model.ntendon)[target]:
                 low, high = model.tendon_actfrcrange[target]
                 force_range[i] = max(low, force_range[i, 0]), min(high, force_range[i, 1])
-        elif not is_at_site(model, i) and model.jnt_type[target] == mujoco.mjtJoint.mjJNT_FREE:
+        elif model.jnt_type[target] == mujoco.mjtJoint.mjJNT_FREE:
             bias[i, 1] = 0.0  # a free joint has no length
     clamped = not disabled(model, "clampctrl")
     return Actuators(
@@ -58,7 +58,7 @@ def actuators_of(survey: ModelIndex) -> Actuators:
         control_range=ranges_of(model.actuator_ctrllimited * clamped, model.actuator_ctrlrange),
         force_range=force_range,
         activation_range=ranges_of(model.actuator_actlimited, model.actuator_actrange),
-        site_wrenches=tuple(wrenches),
+        wrenches=tuple(wrenches),
     )  # fmt: skip
 
 

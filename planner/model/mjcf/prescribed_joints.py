@@ -224,7 +224,7 @@ def with_force_inputs(mechanism: Mechanism, prescribed: Collection[str]) -> Mech
     actuators = Actuators(
         names=(*a.names, *(_motor(name, axis, size) for name, size in sizes.items() for axis in range(size))),
         **{name: np.concatenate([own[name], more]) for name, more in motors.items()},
-        site_wrenches=tuple(one for one in a.site_wrenches if not silent[one.actuator]),
+        wrenches=tuple(one for one in a.wrenches if not silent[one.actuator]),
     )
     balls = given[mechanism.kind == BALL]
     return replace(

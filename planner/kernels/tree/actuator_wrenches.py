@@ -1,8 +1,8 @@
-"""Forces of actuators at sites, such as thrusters, and their exact derivatives, on lanes.
+"""Forces of actuators whose moment depends on the pose, such as thrusters, and their exact derivatives, on lanes.
 
 An actuator of force f acts on a link at p with the force F and the torque T, both per unit of f, that are constant in
-the link's axes or, with a refsite, in another link's (planner.model.actuators.SiteWrench). With J_i = v_i + w_i x p the
-velocity of p per rate of dof i (its screw (w_i, v_i) at the tree's origin),
+the axes of the link or of another one (planner.model.actuators.ActuatorWrench). With J_i = v_i + w_i x p the velocity of
+p per rate of dof i (its screw (w_i, v_i) at the tree's origin),
 
     tau_j = f S_j' W,   W = (p x F + T, F)
 
@@ -17,7 +17,7 @@ from __future__ import annotations
 from planner.kernels.algebra.spatial import add, cross, dot, load3, load9, rotated
 from planner.kernels.numba.jit import inline, part
 from planner.kernels.numba.lanes import floats, integers, load, spread, store
-from planner.kernels.tree.actuator_arrays import SITE_SIZE
+from planner.kernels.tree.actuator_arrays import WRENCH_SIZE
 from planner.kernels.tree.mechanism_table import TREE
 from planner.kernels.tree.recursion import PLACE, RECORD, SCREW_AXIS
 
@@ -27,8 +27,8 @@ FORCE, TORQUE, GAIN, CONSTANT = 3, 6, 9, 10  # offsets in a wrench's numbers, be
 @inline
 def _wrench(m, k, ws):
     """Place, force, torque, and moment about the tree's origin, of wrench k per unit of its actuator's force."""
-    value, o = floats(m, TREE.site_value), SITE_SIZE * k
-    b, frame, zero = load(integers(m, TREE.site_link), k) * RECORD, load(integers(m, TREE.site_frame), k), spread(0.0)
+    value, o = floats(m, TREE.wrench_value), WRENCH_SIZE * k
+    b, frame, zero = load(integers(m, TREE.wrench_link), k) * RECORD, load(integers(m, TREE.wrench_frame), k), spread(0.0)
     p, F, T = load3(value, o), load3(value, o + FORCE), load3(value, o + TORQUE)
     p = add(load3(ws, b + PLACE), rotated(load9(ws, b), p))
     if frame >= 0:
@@ -42,7 +42,7 @@ def _wrench(m, k, ws):
 @inline
 def _force(m, k, u, act):
     """The force of wrench k's actuator."""
-    value, o, i = floats(m, TREE.site_value), SITE_SIZE * k, load(integers(m, TREE.site_input), k)
+    value, o, i = floats(m, TREE.wrench_value), WRENCH_SIZE * k, load(integers(m, TREE.wrench_input), k)
     given = load(u, i) if i < m[TREE.nu] else load(act, i - m[TREE.nu])
     return load(value, o + GAIN) * given + load(value, o + CONSTANT)
 
@@ -55,10 +55,10 @@ def _along(ws, i, moment, force):
 
 
 @part
-def add_site_wrenches(m, u, act, ws, tau):
+def add_actuator_wrenches(m, u, act, ws, tau):
     """The forces on the joints, of links whose poses and screws are known, onto tau (nv lanes)."""
-    start, dof = integers(m, TREE.site_start), integers(m, TREE.site_dof)
-    for k in range(m[TREE.site_wrenches]):
+    start, dof = integers(m, TREE.wrench_start), integers(m, TREE.wrench_dof)
+    for k in range(m[TREE.wrenches]):
         _, F, _, moment = _wrench(m, k, ws)
         f = _force(m, k, u, act)
         for t in range(load(start, k), load(start, k + 1)):
@@ -67,12 +67,12 @@ def add_site_wrenches(m, u, act, ws, tau):
 
 
 @part
-def subtract_site_derivatives(m, u, act, Dq, ld, ws):
+def subtract_wrench_derivatives(m, u, act, Dq, ld, ws):
     """Subtract the derivatives of those forces from dtau/dq of inverse dynamics, (nv, ld) lanes."""
-    start, dof, first = integers(m, TREE.site_start), integers(m, TREE.site_dof), integers(m, TREE.first)
-    frame_start, frame_dof = integers(m, TREE.site_frame_start), integers(m, TREE.site_frame_dof)
-    link, frame = integers(m, TREE.site_link), integers(m, TREE.site_frame)
-    for k in range(m[TREE.site_wrenches]):
+    start, dof, first = integers(m, TREE.wrench_start), integers(m, TREE.wrench_dof), integers(m, TREE.first)
+    frame_start, frame_dof = integers(m, TREE.wrench_frame_start), integers(m, TREE.wrench_frame_dof)
+    link, frame = integers(m, TREE.wrench_link), integers(m, TREE.wrench_frame)
+    for k in range(m[TREE.wrenches]):
         p, F, T, _ = _wrench(m, k, ws)
         f, own = _force(m, k, u, act), load(link, k) == load(frame, k)
         for t in range(load(start, k), load(start, k + 1)):
@@ -101,13 +101,13 @@ def subtract_site_derivatives(m, u, act, Dq, ld, ws):
 
 
 @part
-def add_site_inputs(m, M, ld, ws, dA, columns, x0):
+def add_wrench_inputs(m, M, ld, ws, dA, columns, x0):
     """Add the accelerations per input to columns of dA (nv, columns) lanes; M (nv, ld) maps forces to accelerations."""
-    start, dof, prescribed = integers(m, TREE.site_start), integers(m, TREE.site_dof), integers(m, TREE.prescribed)
+    start, dof, prescribed = integers(m, TREE.wrench_start), integers(m, TREE.wrench_dof), integers(m, TREE.prescribed)
     nv, nu = m[TREE.nv], m[TREE.nu]
-    for k in range(m[TREE.site_wrenches]):
+    for k in range(m[TREE.wrenches]):
         _, F, _, moment = _wrench(m, k, ws)
-        i, gain = load(integers(m, TREE.site_input), k), load(floats(m, TREE.site_value), SITE_SIZE * k + GAIN)
+        i, gain = load(integers(m, TREE.wrench_input), k), load(floats(m, TREE.wrench_value), WRENCH_SIZE * k + GAIN)
         column = i if i < nu else i - nu + x0 + 2 * nv
         for t in range(load(start, k), load(start, k + 1)):
             j = load(dof, t)
