@@ -100,6 +100,13 @@ def stands_on_ground(mechanism: Mechanism) -> bool:
     return any(machine[contact.link] for contact in mechanism.contacts)
 
 
+def flies(mechanism: Mechanism) -> bool:
+    """Whether actuators act on a free base: a thruster carries what no ground does."""
+    actuated = mechanism.directly_actuated
+    bases = [links for links in mechanism.joint_links if links.stop - links.start == 6]
+    return any(actuated[links].any() for links in bases) and not stands_on_ground(mechanism)
+
+
 def unreached_dofs(mechanism: Mechanism, prescribed: Iterable[int] = ()) -> np.ndarray:
     """(nv,) bool, degrees of freedom of trees that no actuator, contact, coupling or tendon acts on.
 

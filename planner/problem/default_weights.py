@@ -14,7 +14,7 @@ Every weight makes its term dimensionless and about 1:
     final_velocity  10 / tolerance^2; both times the cost of the minimum-jerk motion, where jerk is the objective
     hold            for standing machines, in place of these two: the cost of staying at the goal for HOLD_SECONDS
 
-The effort of standing machines is relative to the static control at the goal. That of servos, whose control is a
+The effort of machines that stand or fly is relative to the static control at the goal. That of servos, whose control is a
 position or a velocity, is relative to the controls of a minimum-jerk motion (servo_reference): what costs is the force
 that a servo exerts beyond it, not the position that it is told. Velocities refer to that motion too.
 """
@@ -33,7 +33,7 @@ from planner.dynamics.algorithms import bias, mass_matrix
 from planner.dynamics.assembly import feasible_directions
 from planner.dynamics.quasi_static import quasi_static_controls
 from planner.dynamics.stance import stance_inertia
-from planner.model.capabilities import stands_on_ground, stationary_object_dofs
+from planner.model.capabilities import flies, stands_on_ground, stationary_object_dofs
 from planner.model.coordinates import coordinates_of_mechanism
 from planner.model.mechanism import Mechanism
 from planner.model.mjcf.prescribed_joints import prescribed_dofs_of
@@ -266,7 +266,7 @@ def _effort(
         limits[a] = min(limit, float(np.max(correction[push > 0.0] / push[push > 0.0], initial=0.0)) or limit)
     limits[mechanism.nu :] = acceleration[prescribed]
     control = None if servos_of(dynamics).any() else np.zeros(dynamics.nu)
-    if stance_error is not None:
+    if stance_error is not None or (control is not None and flies(mechanism)):
         control = np.zeros(dynamics.nu)
         control[: mechanism.nu] = quasi_static_controls(dynamics, goal)[: mechanism.nu]
     return np.maximum(1.0 / limits**2, MIN_EFFORT), control, known
