@@ -33,7 +33,11 @@ def inverse_dynamics_controls(mechanism: Mechanism, q: np.ndarray, qd: np.ndarra
     reach = G.T @ (actuators.moment.T * actuators.gain)
     closed = mechanism.has_closed_chains
     by_wrenches = bool(actuators.wrenches)  # reach is that of joints and tendons, constant
-    if by_wrenches or np.any(actuators.dynamics != DIRECT) or (not closed and np.linalg.matrix_rank(reach) < len(reach)):
+    if (
+        by_wrenches
+        or np.any(actuators.dynamics != DIRECT)
+        or (not closed and np.linalg.matrix_rank(reach) < len(reach))
+    ):
         raise PlannerError("the actuators do not reach every joint directly, expected a fully actuated machine.")
     lengths, speeds = actuator_lengths(mechanism, q), qd @ actuators.moment.T
     force = actuators.bias[:, 0] + actuators.bias[:, 1] * lengths + actuators.bias[:, 2] * speeds

@@ -34,7 +34,11 @@ REFUSED = [
     ("fluid", plain().replace("<option>", '<option viscosity="9">'), ["viscosity"]),
     ("actuator", plain(actuator=MUSCLE), ["actuator 'biceps'", "muscle"]),
     ("actuator", plain(actuator='<damper name="x" joint="h" kv="1" ctrlrange="0 1"/>'), ["'x' (affine gain)"]),
-    ("actuator", plain(actuator='<position name="x" site="p"/>'), ["'x' (force by the position or velocity of a site)"]),
+    (
+        "actuator",
+        plain(actuator='<position name="x" site="p"/>'),
+        ["'x' (force by the position or velocity of a site)"],
+    ),
     ("actuator", plain(tendon=SPATIAL % "", actuator='<motor name="x" tendon="t"/>'), ["'x' (spatial tendon)"]),
     ("actuator", plain(actuator='<velocity site="p"/>'), ["actuator number 1"]),
     (

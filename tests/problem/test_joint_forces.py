@@ -32,7 +32,9 @@ PENDULUM = """
 @pytest.fixture(scope="module")
 def problem():
     dynamics = RigidBodyDynamics(Mechanism.from_mjcf(PENDULUM, contacts="off"), 0.02)
-    cost = planner.TrackingCost.joints(dynamics, [1.2, 0.0, 0.0], 30, effort=0.01, final_position=1e3, final_velocity=1e2)
+    cost = planner.TrackingCost.joints(
+        dynamics, [1.2, 0.0, 0.0], 30, effort=0.01, final_position=1e3, final_velocity=1e2
+    )
     return planner.Problem(dynamics, cost, np.zeros(3), limits=Limits.of_model())
 
 
@@ -63,7 +65,9 @@ def test_a_plan_keeps_the_sum_within_the_joint_s_range(problem):
     ends = [JointForce("hinge").value(problem.dynamics, xs, plan.us) for xs in (plan.xs[:-1], plan.xs[1:])]
     assert np.max(ends) <= 2.0 + 1e-6
     assert np.min(ends) >= -2.5 - 1e-6
-    free = planner.solve(planner.Problem(problem.dynamics, problem.cost, problem.x0, limits=Limits(control={"slow": 1.0})))
+    free = planner.solve(
+        planner.Problem(problem.dynamics, problem.cost, problem.x0, limits=Limits(control={"slow": 1.0}))
+    )
     assert np.max(JointForce("hinge").value(problem.dynamics, free.xs[:-1], free.us)) > 2.1  # this motion needs it
 
 

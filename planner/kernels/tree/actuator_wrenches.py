@@ -28,7 +28,11 @@ FORCE, TORQUE, GAIN, CONSTANT = 3, 6, 9, 10  # offsets in a wrench's numbers, be
 def _wrench(m, k, ws):
     """Place, force, torque, and moment about the tree's origin, of wrench k per unit of its actuator's force."""
     value, o = floats(m, TREE.wrench_value), WRENCH_SIZE * k
-    b, frame, zero = load(integers(m, TREE.wrench_link), k) * RECORD, load(integers(m, TREE.wrench_frame), k), spread(0.0)
+    b, frame, zero = (
+        load(integers(m, TREE.wrench_link), k) * RECORD,
+        load(integers(m, TREE.wrench_frame), k),
+        spread(0.0),
+    )
     p, F, T = load3(value, o), load3(value, o + FORCE), load3(value, o + TORQUE)
     p = add(load3(ws, b + PLACE), rotated(load9(ws, b), p))
     if frame >= 0:

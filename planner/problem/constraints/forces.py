@@ -103,6 +103,22 @@ class JointForce(Residual):
     def __str__(self) -> str:
         return f"force of the actuators on {self.joint}"
 
+    def residual_function(self, dynamics: Dynamics, N: int) -> PythonResidual:
+        """Its function, of a machine.
+
+        Raises:
+            PlannerError: It has no such joint, or the joint's force is not one number that is linear in the state.
+        """
+        mechanism = mechanism_of(dynamics, self)
+        links = mechanism.joint(self.joint)
+        acting = mechanism.actuators.acts_on[:, links.start]
+        if links.stop - links.start != 1 or np.any(mechanism.actuators.by_wrenches[acting]):
+            raise PlannerError(
+                f"{self.joint} is a ball or free joint, or an actuator at a site moves it, expected a hinge or slide "
+                "with actuators of joints and fixed tendons."
+            )
+        return PythonResidual(self, dynamics)
+
     def value(self, dynamics: Any, xs: np.ndarray, us: np.ndarray) -> np.ndarray:
         """(K,)."""
         mechanism, moment, (by_state, _, by_control) = self._parts(dynamics)
