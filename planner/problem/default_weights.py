@@ -14,9 +14,9 @@ Every weight makes its term dimensionless and about 1:
     final_velocity  10 / tolerance^2; both times the cost of the minimum-jerk motion, where jerk is the objective
     hold            for standing machines, in place of these two: the cost of staying at the goal for HOLD_SECONDS
 
-The effort of machines that stand or fly is relative to the static control at the goal. That of servos, whose control is a
-position or a velocity, is relative to the controls of a minimum-jerk motion (servo_reference): what costs is the force
-that a servo exerts beyond it, not the position that it is told. Velocities refer to that motion too.
+The effort of machines that stand or fly is relative to the static control at the goal. That of servos, whose control is
+a position or a velocity, is relative to the controls of a minimum-jerk motion (servo_reference): what costs is the
+force that a servo exerts beyond it, not the position that it is told. Velocities refer to that motion too.
 """
 
 from __future__ import annotations

@@ -5,6 +5,7 @@ from __future__ import annotations
 from planner.kernels.integrators import ROSENBROCK
 from planner.kernels.numba.jit import part
 from planner.kernels.numba.lanes import any_less, at, floats, lanes, load, store
+from planner.kernels.tree.actuator_wrenches import add_actuator_wrenches
 from planner.kernels.tree.contact import add_contact_wrenches, add_stops
 from planner.kernels.tree.couplings import accelerate_coupled
 from planner.kernels.tree.forces import applied_forces
@@ -23,7 +24,6 @@ from planner.kernels.tree.mechanism_table import TREE
 from planner.kernels.tree.memory import MEMORY
 from planner.kernels.tree.pair_contact import add_pair_wrenches
 from planner.kernels.tree.recursion import accelerate, move_links
-from planner.kernels.tree.actuator_wrenches import add_actuator_wrenches
 from planner.kernels.tree.tendons import add_tendons
 
 

@@ -1,8 +1,8 @@
 """Forces of actuators whose moment depends on the pose, such as thrusters, and their exact derivatives, on lanes.
 
 An actuator of force f acts on a link at p with the force F and the torque T, both per unit of f, that are constant in
-the axes of the link or of another one (planner.model.actuators.ActuatorWrench). With J_i = v_i + w_i x p the velocity of
-p per rate of dof i (its screw (w_i, v_i) at the tree's origin),
+the axes of the link or of another one (planner.model.actuators.ActuatorWrench). With J_i = v_i + w_i x p the velocity
+of p per rate of dof i (its screw (w_i, v_i) at the tree's origin),
 
     tau_j = f S_j' W,   W = (p x F + T, F)
 

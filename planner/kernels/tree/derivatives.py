@@ -9,6 +9,7 @@ from __future__ import annotations
 from planner.kernels.integrators import ROSENBROCK
 from planner.kernels.numba.jit import inline
 from planner.kernels.numba.lanes import WIDTH, at, floats, integers, lanes, load, spread, store
+from planner.kernels.tree.actuator_wrenches import add_wrench_inputs, subtract_wrench_derivatives
 from planner.kernels.tree.contact import add_stop_derivatives, subtract_contact_derivatives
 from planner.kernels.tree.couplings import invert_coupled
 from planner.kernels.tree.forces import add_actuator_derivatives, add_passive_derivatives
@@ -21,7 +22,6 @@ from planner.kernels.tree.memory import MEMORY
 from planner.kernels.tree.pair_contact import subtract_pair_derivatives
 from planner.kernels.tree.rosenbrock import add_implicit
 from planner.kernels.tree.sensitivity import inverse_dynamics_derivatives, invert
-from planner.kernels.tree.actuator_wrenches import add_wrench_inputs, subtract_wrench_derivatives
 from planner.kernels.tree.tendons import add_tendon_derivatives
 
 

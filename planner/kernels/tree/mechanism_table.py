@@ -59,8 +59,8 @@ class Model:
     Attributes:
         table: The argument of kernels.
         external: True where contacts, stops, curves, tendons, gravity compensation, friction loss, couplings or
-            wrenches of actuators act, or damping is implicit, else None. Kernels take it beside the table: Numba compiles them once for each type and
-            leaves out, for None, what stands under `if external is not None`.
+            wrenches of actuators act, or damping is implicit, else None. Kernels take it beside the table: Numba
+            compiles them once for each type and leaves out, for None, what stands under `if external is not None`.
     """
 
     def __init__(

@@ -14,7 +14,7 @@ object that lies on something of which the plan knows no contact is kept where i
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -23,8 +23,8 @@ from planner.model.mjcf.contact_shapes import meets_plane, plane_of
 from planner.model.mjcf.contacts import is_modelled
 from planner.model.mjcf.ground_law import mass_of
 from planner.model.mjcf.model_index import ModelIndex, Pair, disabled, named
-from planner.model.mjcf.wrench_transmissions import has_wrenches, wrenches_of
 from planner.model.mjcf.unsupported import no_compensation
+from planner.model.mjcf.wrench_transmissions import has_wrenches, wrenches_of
 
 MODES = ("auto", "avoid", "ground", "model", "off")
 LEVEL = 0.8  # of gravity, across a plane that carries

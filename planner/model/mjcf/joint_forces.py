@@ -16,8 +16,8 @@ from planner.base.gl import load_mujoco
 from planner.model.actuators import DIRECT, FILTER, INTEGRATOR, Actuators
 from planner.model.mjcf.equalities import row_of
 from planner.model.mjcf.model_index import ModelIndex, disabled, field, gear_of, names_of, ranges_of
-from planner.model.mjcf.wrench_transmissions import has_wrenches, wrenches_of
 from planner.model.mjcf.unsupported import actuator_disabled, adheres_to_nothing
+from planner.model.mjcf.wrench_transmissions import has_wrenches, wrenches_of
 
 
 def actuators_of(survey: ModelIndex) -> Actuators:

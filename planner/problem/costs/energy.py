@@ -47,7 +47,8 @@ class EnergyCost(Term):
         smoothing: s, W: a power p = s costs 0.41 s, a large power p - s.
 
     Raises:
-        PlannerError: Other dynamics, prescribed joints, actuators at sites, a negative weight, or a smoothing that is not above 0.
+        PlannerError: Other dynamics, prescribed joints, actuators at sites, a negative weight, or a smoothing that is
+            not above 0.
     """
 
     def __init__(self, dynamics: Any, weight: float = 1.0, smoothing: float = SMOOTHING) -> None:
