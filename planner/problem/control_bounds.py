@@ -210,11 +210,12 @@ def summed_joint_forces(mechanism: Mechanism) -> dict[int, str]:
     Several actuators act on such a joint, or one through an activation.
     """
     acts, found = mechanism.actuators, {}
+    acts_on, by_wrenches = acts.acts_on, acts.by_wrenches
     limited = np.isfinite(mechanism.joint_force_range).any(axis=1)
     for name, links in zip(mechanism.joint_names, mechanism.joint_links, strict=True):
         i = links.start
-        which = np.flatnonzero(acts.acts_on[:, i])
-        reached = limited[i] and np.any(acts.gain[which] != 0.0) and not np.any(acts.by_wrenches[which])
+        which = np.flatnonzero(acts_on[:, i])
+        reached = limited[i] and np.any(acts.gain[which] != 0.0) and not np.any(by_wrenches[which])
         if name and reached and not (len(which) == 1 and _is_affine(mechanism, int(which[0]))):
             found[i] = name
     return found
@@ -257,7 +258,7 @@ def _clamps(mechanism: Mechanism, a: int) -> list[_Clamp]:
         limits = mechanism.joint_force_range[i]
         if np.isfinite(limits).any():
             alone = int(np.count_nonzero(acts.acts_on[:, i])) == 1
-            summed = int(i) in summed_joint_forces(mechanism)
+            summed = not (alone and _is_affine(mechanism, a)) and int(i) in summed_joint_forces(mechanism)
             found.append(_Clamp("actuatorfrcrange", np.sort(limits / acts.moment[a, i]), alone, summed))
     return found
 
