@@ -17,6 +17,7 @@ import numpy as np
 
 from planner.base.errors import PlannerError
 from planner.dynamics import RigidBodyDynamics
+from planner.dynamics.actuator_moments import actuator_moments
 from planner.dynamics.algorithms import mass_matrix
 from planner.dynamics.quasi_static import equilibrium, quasi_static_controls
 from planner.model.space import space_of
@@ -39,8 +40,7 @@ class FallbackControl:
         dynamics = problem.dynamics
         self._mechanism = dynamics.mechanism if isinstance(dynamics, RigidBodyDynamics) else None
         if self._mechanism is not None and not getattr(dynamics, "prescribed", ()):
-            actuators = self._mechanism.actuators
-            self._inverse = np.linalg.pinv((actuators.gain[:, None] * actuators.moment).T)
+            self._inverse = self._inverse_at(self._mechanism.qpos0)
 
     @property
     def known(self) -> bool:
@@ -55,7 +55,14 @@ class FallbackControl:
         qd, actuators = x[m.nq : m.nq + m.nv], m.actuators
         servo = actuators.moment.T @ (actuators.bias[:, 2] * (actuators.moment @ qd))
         damping = mass_matrix(m, x[: m.nq]) @ qd / TIME
-        return quasi_static_controls(m, x, contacts=False) - self._inverse @ (damping + servo)
+        inverse = self._inverse_at(x[: m.nq]) if actuators.wrenches else self._inverse
+        return quasi_static_controls(m, x, contacts=False) - inverse @ (damping + servo)
+
+    def _inverse_at(self, q: np.ndarray) -> np.ndarray:
+        """(nu, nv) the least controls for generalized forces at a pose (nq,)."""
+        m = self._mechanism
+        assert m is not None
+        return np.linalg.pinv((m.actuators.gain[:, None] * actuator_moments(m, q)).T)
 
 
 def equilibrium_control(problem: Problem, x: np.ndarray, u: np.ndarray) -> np.ndarray | None:

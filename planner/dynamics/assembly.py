@@ -113,7 +113,7 @@ def feasible_directions(mechanism: Mechanism, q: np.ndarray) -> tuple[np.ndarray
     from scipy.linalg import null_space, qr  # a fifth of a second that `import planner` does not pay
 
     N = null_space(jacobian(mechanism, q) @ G, rcond=_RANK_TOLERANCE)
-    driven = np.any(mechanism.actuators.moment[:, leading] != 0.0, axis=0)
+    driven = mechanism.directly_actuated[leading]
     order = qr(N.T * np.where(driven, _PREFERRED, 1.0), mode="r", pivoting=True)[-1]
     chosen = np.sort(order[: N.shape[1]])
     return G @ N @ np.linalg.inv(N[chosen]), leading[chosen]

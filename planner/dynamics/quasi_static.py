@@ -15,12 +15,13 @@ import numpy as np
 
 from planner.base.arguments import array, short_repr
 from planner.base.errors import PlannerError
+from planner.dynamics.actuator_moments import actuator_lengths, actuator_moments
 from planner.dynamics.algorithms import bias
 from planner.dynamics.assembly import feasible_directions, tangent_basis
 from planner.dynamics.contacts import contact_forces, contact_jacobians, generalized_forces
 from planner.model.actuators import INTEGRATOR
 from planner.model.capabilities import capabilities_of
-from planner.model.mechanism import SCREW, Mechanism
+from planner.model.mechanism import Mechanism
 from planner.model.mjcf.prescribed_joints import prescribed_dofs_of
 from planner.model.space import space_of
 
@@ -56,8 +57,9 @@ def quasi_static_controls(dynamics: Any, x: Any, *, contacts: bool = True, keep_
     fixed = actuators.dynamics == INTEGRATOR if keep_activations else np.zeros(mechanism.nu, dtype=bool)
     force = actuators.bias[:, 0] + actuators.bias[:, 1] * actuator_lengths(mechanism, q)
     force[fixed] += actuators.gain[fixed] * act[actuators.activation[fixed]]
-    missing = bias(mechanism, q, np.zeros(nv)) - actuators.moment.T @ force
-    reach = actuators.moment.T * np.where(fixed, 0.0, actuators.gain)
+    moment = actuator_moments(mechanism, q)
+    missing = bias(mechanism, q, np.zeros(nv)) - moment.T @ force
+    reach = moment.T * np.where(fixed, 0.0, actuators.gain)
     prescribed = prescribed_dofs_of(dynamics)
     Z = feasible_directions(mechanism, q)[0]  # constraint forces balance the other directions
     if len(prescribed):
@@ -68,15 +70,6 @@ def quasi_static_controls(dynamics: Any, x: Any, *, contacts: bool = True, keep_
     else:
         u = np.linalg.lstsq(Z.T @ reach, Z.T @ missing, rcond=None)[0]
     return np.append(u, np.zeros(len(prescribed)))
-
-
-def actuator_lengths(mechanism: Mechanism, q: np.ndarray) -> np.ndarray:
-    """Actuator lengths (..., nu), moment q over hinges and slides, at poses q (..., nq), m and rad."""
-    screws = np.zeros((mechanism.nu, mechanism.nq))
-    for i in range(mechanism.nv):
-        if mechanism.kind[i] == SCREW:
-            screws[:, mechanism.q_address[i]] += mechanism.actuators.moment[:, i]
-    return q @ screws.T
 
 
 def _supported_controls(

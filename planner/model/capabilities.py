@@ -70,7 +70,10 @@ def unactuated_basis(mechanism: Mechanism) -> np.ndarray:
 def _independent_directions(mechanism: Mechanism, *, actuated: bool) -> np.ndarray:
     """(nv, n) columns of G (identity without couplings) that an actuator moves, or that none moves."""
     G = np.eye(mechanism.nv) if mechanism.reduction is None else mechanism.reduction.G
-    return G[:, np.any(mechanism.actuators.moment @ G != 0.0, axis=0) == actuated]
+    acts_on = np.where(
+        mechanism.actuators.by_wrenches[:, None], mechanism.actuators.acts_on, mechanism.actuators.moment
+    )
+    return G[:, np.any(acts_on @ G != 0.0, axis=0) == actuated]
 
 
 def capabilities_of(dynamics: Any) -> Capabilities:
@@ -97,6 +100,13 @@ def stands_on_ground(mechanism: Mechanism) -> bool:
     actuated, root = mechanism.directly_actuated, roots(mechanism)
     machine = np.isin(root, root[actuated]) if actuated.any() else np.ones(mechanism.nv, dtype=bool)
     return any(machine[contact.link] for contact in mechanism.contacts)
+
+
+def flies(mechanism: Mechanism) -> bool:
+    """Whether actuators act on a free base: a thruster carries what no ground does."""
+    actuated = mechanism.directly_actuated
+    bases = [links for links in mechanism.joint_links if links.stop - links.start == 6]
+    return any(actuated[links].any() for links in bases) and not stands_on_ground(mechanism)
 
 
 def unreached_dofs(mechanism: Mechanism, prescribed: Iterable[int] = ()) -> np.ndarray:

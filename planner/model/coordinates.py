@@ -64,8 +64,8 @@ def coordinates_of_mechanism(mechanism: Mechanism) -> tuple[Coordinate, ...]:
 def controls_of_mechanism(mechanism: Mechanism) -> tuple[Coordinate, ...]:
     """Name and unit of each control (nu,).
 
-    A motor with gear 1 on one joint has that joint's force unit, a position servo the joint's coordinate unit; all
-    others "".
+    A motor with gear 1 on one joint has that joint's force unit, one at a site with a force of gear 1 has N, a
+    position servo the joint's coordinate unit; all others "".
     """
     actuators, turns = mechanism.actuators, np.any(mechanism.S[:, :3] != 0.0, axis=1)
     controls = []
@@ -78,5 +78,9 @@ def controls_of_mechanism(mechanism: Mechanism) -> tuple[Coordinate, ...]:
                 unit = MOMENT if turn else FORCE
             elif gain and abs(moment[joints[0]]) == 1.0 and bias[1] == -gain:
                 unit = ANGLE if turn else LENGTH
+        for one in actuators.wrenches:
+            if one.actuator == a and abs(gain) == 1.0 and not bias.any() and actuators.dynamics[a] != INTEGRATOR:
+                force, torque = np.linalg.norm(one.force), np.linalg.norm(one.torque)
+                unit = FORCE if np.isclose(force, 1.0) else MOMENT if force == 0.0 and np.isclose(torque, 1.0) else ""
         controls.append(Coordinate(name or f"actuator {a}", unit))
     return tuple(controls)

@@ -125,7 +125,9 @@ class Mechanism:
     def _protect(self) -> None:
         """Make all arrays read-only."""
         frames = (*self.bodies, *self.sites.values())
+        wrenches = self.actuators.wrenches
         parts = [*vars(self).values(), *vars(self.actuators).values(), *(frame.T for frame in frames)]
+        parts += [part for one in wrenches for part in vars(one).values()]
         for value in (*parts, *self.keyframes.values()):
             if isinstance(value, np.ndarray):
                 value.flags.writeable = False
@@ -267,7 +269,7 @@ class Mechanism:
     @cached_property
     def directly_actuated(self) -> np.ndarray:
         """(nv,) bool, degrees of freedom with an actuator of their own, not only through couplings."""
-        return np.any(self.actuators.moment != 0.0, axis=0)
+        return np.any(self.actuators.acts_on, axis=0)
 
     @property
     def has_closed_chains(self) -> bool:

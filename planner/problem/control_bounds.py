@@ -158,6 +158,7 @@ class _Clamp(NamedTuple):
     what: str
     range: np.ndarray
     alone: bool  # Whether the actuator is the only one that it clamps
+    summed: bool = False  # Whether the plan bounds the sum of the actuators that it clamps
 
 
 def model_bounds(mechanism: Mechanism, nu: int) -> tuple[np.ndarray, np.ndarray]:
@@ -203,6 +204,23 @@ def servo_bounds(mechanism: Mechanism, dt: float, ndx: int, without: frozenset[i
     return Servos(np.array(which), in_x[used], used, low, high, now[:, used], late[:, used], ndx)
 
 
+def summed_joint_forces(mechanism: Mechanism) -> dict[int, str]:
+    """Names of the joints, by degree of freedom, with an actuatorfrcrange that no bound of one control keeps.
+
+    Several actuators act on such a joint, or one through an activation.
+    """
+    acts, found = mechanism.actuators, {}
+    acts_on, by_wrenches = acts.acts_on, acts.by_wrenches
+    limited = np.isfinite(mechanism.joint_force_range).any(axis=1)
+    for name, links in zip(mechanism.joint_names, mechanism.joint_links, strict=True):
+        i = links.start
+        which = np.flatnonzero(acts_on[:, i])
+        reached = limited[i] and np.any(acts.gain[which] != 0.0) and not np.any(by_wrenches[which])
+        if name and reached and not (len(which) == 1 and _is_affine(mechanism, int(which[0]))):
+            found[i] = name
+    return found
+
+
 def unbounded_actuators(mechanism: Mechanism) -> frozenset[int]:
     """The actuators with clamps that the plan does not have as bounds."""
     acts = mechanism.actuators
@@ -210,7 +228,7 @@ def unbounded_actuators(mechanism: Mechanism) -> frozenset[int]:
         a
         for a in range(acts.nu)
         if np.isfinite(acts.activation_range[a]).any()
-        or any(not (clamp.alone and _is_affine(mechanism, a)) for clamp in _clamps(mechanism, a))
+        or any(not (clamp.summed or (clamp.alone and _is_affine(mechanism, a))) for clamp in _clamps(mechanism, a))
     )
 
 
@@ -219,10 +237,12 @@ def unbounded(mechanism: Mechanism) -> tuple[str, ...]:
     acts, found = mechanism.actuators, []
     for a, name in enumerate(acts.names):
         for clamp in _clamps(mechanism, a):
+            if clamp.summed:
+                continue
             if not _is_affine(mechanism, a):
                 why = "the force comes from an activation" if acts.dynamics[a] != DIRECT else "its gain is 0"
             elif not clamp.alone:
-                why = "several actuators share it"
+                why = "other actuators share it, and one acts at a site or the joint has no name"
             else:
                 continue
             found.append(f"the {clamp.what} of actuator {name!r} is not bounded in the plan: {why}.")
@@ -237,8 +257,9 @@ def _clamps(mechanism: Mechanism, a: int) -> list[_Clamp]:
     for i in np.flatnonzero(acts.moment[a]):
         limits = mechanism.joint_force_range[i]
         if np.isfinite(limits).any():
-            alone = int(np.count_nonzero(acts.moment[:, i])) == 1
-            found.append(_Clamp("actuatorfrcrange", np.sort(limits / acts.moment[a, i]), alone))
+            alone = int(np.count_nonzero(acts.acts_on[:, i])) == 1
+            summed = not (alone and _is_affine(mechanism, a)) and int(i) in summed_joint_forces(mechanism)
+            found.append(_Clamp("actuatorfrcrange", np.sort(limits / acts.moment[a, i]), alone, summed))
     return found
 
 

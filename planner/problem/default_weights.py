@@ -14,9 +14,9 @@ Every weight makes its term dimensionless and about 1:
     final_velocity  10 / tolerance^2; both times the cost of the minimum-jerk motion, where jerk is the objective
     hold            for standing machines, in place of these two: the cost of staying at the goal for HOLD_SECONDS
 
-The effort of standing machines is relative to the static control at the goal. That of servos, whose control is a
-position or a velocity, is relative to the controls of a minimum-jerk motion (servo_reference): what costs is the force
-that a servo exerts beyond it, not the position that it is told. Velocities refer to that motion too.
+The effort of machines that stand or fly is relative to the static control at the goal. That of servos, whose control is
+a position or a velocity, is relative to the controls of a minimum-jerk motion (servo_reference): what costs is the
+force that a servo exerts beyond it, not the position that it is told. Velocities refer to that motion too.
 """
 
 from __future__ import annotations
@@ -28,11 +28,12 @@ from typing import Any
 import numpy as np
 
 from planner.dynamics import RigidBodyDynamics
+from planner.dynamics.actuator_moments import actuator_moments
 from planner.dynamics.algorithms import bias, mass_matrix
 from planner.dynamics.assembly import feasible_directions
 from planner.dynamics.quasi_static import quasi_static_controls
 from planner.dynamics.stance import stance_inertia
-from planner.model.capabilities import stands_on_ground, stationary_object_dofs
+from planner.model.capabilities import flies, stands_on_ground, stationary_object_dofs
 from planner.model.coordinates import coordinates_of_mechanism
 from planner.model.mechanism import Mechanism
 from planner.model.mjcf.prescribed_joints import prescribed_dofs_of
@@ -217,7 +218,7 @@ def servo_reference(dynamics: RigidBodyDynamics, xs: np.ndarray) -> np.ndarray:
 def fully_actuated(dynamics: RigidBodyDynamics) -> bool:
     """Whether actuators and prescribed joints can give every joint any acceleration."""
     mechanism, prescribed = dynamics.mechanism, prescribed_dofs_of(dynamics)
-    moment = mechanism.actuators.moment * (mechanism.actuators.gain[:, None] != 0.0)
+    moment = actuator_moments(mechanism, mechanism.qpos0) * (mechanism.actuators.gain[:, None] != 0.0)
     own, Z = np.eye(mechanism.nv)[prescribed], feasible_directions(mechanism, mechanism.qpos0)[0]
     Z = Z[
         :, ~np.any(Z[stationary_object_dofs(mechanism)], axis=0)
@@ -252,10 +253,10 @@ def _effort(
     correction = np.full(mechanism.nv, np.inf)
     if stance_error is not None:
         correction = np.maximum(inertia, stance_inertia(mechanism, goal[:nq])) * MAX_CORRECTION_RATE**2 * stance_error
-    limits, known = np.empty(dynamics.nu), []
+    limits, known, moment = np.empty(dynamics.nu), [], actuator_moments(mechanism, x0[:nq])
     servo = actuators.bias[:, 1] != 0.0
     for a in range(mechanism.nu):
-        push = np.abs(actuators.gain[a] * actuators.moment[a])
+        push = np.abs(actuators.gain[a] * moment[a])
         limit = _limit(mechanism, a, bool(servo[a]))
         if max_control is not None and not np.isfinite(limit) and not servo[a]:
             limit = float(max_control[a])
@@ -265,7 +266,7 @@ def _effort(
         limits[a] = min(limit, float(np.max(correction[push > 0.0] / push[push > 0.0], initial=0.0)) or limit)
     limits[mechanism.nu :] = acceleration[prescribed]
     control = None if servos_of(dynamics).any() else np.zeros(dynamics.nu)
-    if stance_error is not None:
+    if stance_error is not None or (control is not None and flies(mechanism)):
         control = np.zeros(dynamics.nu)
         control[: mechanism.nu] = quasi_static_controls(dynamics, goal)[: mechanism.nu]
     return np.maximum(1.0 / limits**2, MIN_EFFORT), control, known

@@ -7,10 +7,10 @@ from dataclasses import replace
 import numpy as np
 
 from planner.base.errors import PlannerError
+from planner.dynamics.actuator_moments import actuator_lengths
 from planner.dynamics.algorithms import rnea
 from planner.dynamics.closure_forces import constraint_jacobians
 from planner.dynamics.friction import friction_forces
-from planner.dynamics.quasi_static import actuator_lengths
 from planner.model.actuators import DIRECT
 from planner.model.capabilities import stationary_object_dofs
 from planner.model.mechanism import SCREW, Mechanism
@@ -32,7 +32,12 @@ def inverse_dynamics_controls(mechanism: Mechanism, q: np.ndarray, qd: np.ndarra
     G = G[:, ~np.any(G[stationary_object_dofs(mechanism)], axis=0)]
     reach = G.T @ (actuators.moment.T * actuators.gain)
     closed = mechanism.has_closed_chains
-    if np.any(actuators.dynamics != DIRECT) or (not closed and np.linalg.matrix_rank(reach) < len(reach)):
+    by_wrenches = bool(actuators.wrenches)  # reach is that of joints and tendons, constant
+    if (
+        by_wrenches
+        or np.any(actuators.dynamics != DIRECT)
+        or (not closed and np.linalg.matrix_rank(reach) < len(reach))
+    ):
         raise PlannerError("the actuators do not reach every joint directly, expected a fully actuated machine.")
     lengths, speeds = actuator_lengths(mechanism, q), qd @ actuators.moment.T
     force = actuators.bias[:, 0] + actuators.bias[:, 1] * lengths + actuators.bias[:, 2] * speeds

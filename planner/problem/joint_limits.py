@@ -117,7 +117,7 @@ def starts_at_limit(mechanism: Mechanism, what: str, x: np.ndarray, limited: Col
     Coupling forces of other joints press them against the stop, whose reaction MuJoCo has and the plan has not.
     """
     coupled = {dof for coupling in mechanism.couplings for dof in coupling.dofs}
-    driven, names = np.any(mechanism.actuators.moment, axis=0), []
+    driven, names = mechanism.directly_actuated, []
     for i, joint_range in model_ranges(mechanism, None).items():
         value, name = float(x[mechanism.q_address[i]]), mechanism.joint_names[_joint_index(mechanism, i)]
         is_free = not driven[i] and i not in coupled and name not in limited and not mechanism.has_closed_chains

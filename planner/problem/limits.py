@@ -24,8 +24,16 @@ from planner.model.coordinates import coordinates_of
 from planner.model.couplings import contradiction
 from planner.model.mechanism import SCREW, Mechanism
 from planner.model.space import space_of
-from planner.problem.constraints.constraint import Constraint
-from planner.problem.control_bounds import ControlBounds, Servos, model_bounds, servo_bounds, unbounded_actuators
+from planner.problem.constraints.constraint import DEFAULT_TOLERANCE, Constraint
+from planner.problem.constraints.forces import JointForce
+from planner.problem.control_bounds import (
+    ControlBounds,
+    Servos,
+    model_bounds,
+    servo_bounds,
+    summed_joint_forces,
+    unbounded_actuators,
+)
 from planner.problem.costs.terms import Cost
 from planner.problem.costs.weights import places
 from planner.problem.joint_limits import Range, check_margin, model_ranges, tendon_constraint, tendon_ranges
@@ -162,6 +170,23 @@ class Limits:
             raise PlannerError(f"control {a} is limited to {given}, expected a lower bound below the upper.")
         some = servos is not None or np.isfinite(lower).any() or np.isfinite(upper).any()
         return ControlBounds(lower, upper, servos) if some else None
+
+    def joint_forces(self, dynamics: Dynamics) -> tuple[Constraint, ...]:
+        """The ranges of joints' actuatorfrcrange that no bound of one control keeps, of joints that have a force."""
+        mechanism = capabilities_of(dynamics).mechanism
+        if mechanism is None or not self.keeps_clamps:
+            return ()
+        found, own = [], self.control if isinstance(self.control, Mapping) else {}
+        for dof, joint in summed_joint_forces(mechanism).items():
+            acting, ends = np.flatnonzero(mechanism.actuators.acts_on[:, dof]), mechanism.joint_force_range[dof]
+            given = any(not is_word(own.get(mechanism.actuators.names[a], MODEL), MODEL) for a in acting)
+            if given or joint in getattr(dynamics, "prescribed", ()):
+                continue
+            tolerance = DEFAULT_TOLERANCE * float(np.abs(ends[np.isfinite(ends)]).max())
+            low, high = ends[0] + tolerance, ends[1] - tolerance  # so that the replay's clamp does not act
+            sides = {name: side for name, side in (("lower", low), ("upper", high)) if np.isfinite(side)}
+            found.append(Constraint(JointForce(joint), **sides, tolerance=tolerance))
+        return tuple(found)
 
     def position_ranges(self, dynamics: Dynamics) -> np.ndarray:
         """Lower and upper ends (nv, 2) of the ranges of a mechanism's joints, infinite where there are none.

@@ -8,12 +8,14 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from planner.base.arguments import toml_key
-from planner.dynamics.quasi_static import actuator_lengths, quasi_static_controls
+from planner.dynamics.actuator_moments import actuator_lengths
+from planner.dynamics.quasi_static import quasi_static_controls
 from planner.model.actuators import INTEGRATOR
 from planner.model.couplings import contradiction, narrowed
 from planner.model.mechanism import Mechanism
 from planner.model.mjcf.contact_mode import machine_roots
 from planner.model.mjcf.facts import Record, free_bases, gravity_of, has_ground, overlaps
+from planner.model.mjcf.model_index import ModelIndex
 
 _LIGHT = 1e-4  # share of the median inertia of joints of a kind; a joint with less makes the dynamics stiff
 _MENDED = 1e-2  # share of that median: the proposed armature
@@ -54,7 +56,7 @@ def _actuation(model: Any, joints: list[Record]) -> list[ModelWarning]:
         motors = f'<actuator><motor joint="{single[0] if single else "..."}" ctrlrange="-10 10"/></actuator>'
         prescribed = f", or prescribed = {_listed(single)} to plan accelerations" if single else ""
         found.append(ModelWarning("there are no actuators, so nothing moves the machine", f"add {motors}{prescribed}"))
-    machines = machine_roots(model)
+    machines = machine_roots(ModelIndex(model))
     owned = [int(model.body_rootid[body]) in machines for body in model.jnt_bodyid]
     unnamed = [joint["label"] for joint, own in zip(joints, owned, strict=True) if own and not joint["name"]]
     if unnamed:

@@ -178,11 +178,12 @@ class Problem(Built):
                 raise PlannerError(f"{name} is {short_repr(part)}, expected {kind.__name__} or None.")
 
     def _keep(self, us: np.ndarray) -> None:
-        """Set trajectory_constraints: state bounds and tendon ranges of the limits, and the problem's constraints."""
+        """Set trajectory_constraints: state bounds, tendon ranges and joint forces of the limits, and constraints."""
         tolerance = TOLERANCE if self.limits is None else self.limits.tolerance
         goal = tracking_of(self.cost) or self.cost
         tendons = () if self.limits is None else self.limits.tendons(self.dynamics, goal, self.x0)
-        constraints = (*self.constraints, *tendons)
+        forces = () if self.limits is None else self.limits.joint_forces(self.dynamics)
+        constraints = (*self.constraints, *tendons, *forces)
         rows = ConstraintStack(constraints, self.dynamics, self.x0, us, tolerance) if constraints else None
         if rows is not None or self.ranges is not None:
             object.__setattr__(self, "trajectory_constraints", TrajectoryConstraints(self.ranges, rows, tolerance))

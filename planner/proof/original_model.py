@@ -391,9 +391,9 @@ def _known(run: Replay) -> set[str]:
     if not isinstance(mechanism, Mechanism) or limits is None or not limits.keeps_clamps:
         return set()
     free = limits.without_clamps(mechanism)
-    moment, places = mechanism.actuators.moment, np.arange(model.nu)[run.compiled.controls]
+    acts_on, places = mechanism.actuators.acts_on, np.arange(model.nu)[run.compiled.controls]
     held, unheld = (
-        np.any(moment[[a for a in range(mechanism.nu) if (a in free) == out]], axis=0) for out in (False, True)
+        np.any(acts_on[[a for a in range(mechanism.nu) if (a in free) == out]], axis=0) for out in (False, True)
     )
     joints = zip(mechanism.joint_names, mechanism.joint_links, strict=True)
     alone = {name for name, links in joints if np.any(held[links]) and not np.any(unheld[links])}

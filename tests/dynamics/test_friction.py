@@ -103,7 +103,7 @@ def test_a_plan_with_friction_passes_in_the_file_that_has_it():
 
 
 def test_the_exact_hessian_is_refused():
-    with pytest.raises(PlannerError, match=r'of friction loss, tendons and gravity comp.*"gauss-newton"'):
+    with pytest.raises(PlannerError, match=r'of friction loss, tendons, gravity comp.*"gauss-newton"'):
         planner.solve(reach(0.02), hessian="exact")
 
 

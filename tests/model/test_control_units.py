@@ -1,5 +1,7 @@
 """The units of controls: of a motor its joint's force's, of a servo its joint's, "" where neither is plain."""
 
+from thrusters import QUADROTOR
+
 from planner.model.coordinates import controls_of_mechanism
 from planner.model.mechanism import Mechanism
 from planner.problem.default_appearance import default_appearance
@@ -20,6 +22,12 @@ def test_units_of_controls():
     assert controls_of_mechanism(mechanism) == (
         ("push", "N"), ("turn", "N m"), ("actuator 2", ""), ("goto", "rad"), ("slide to", "m"), ("speed", ""),
     )  # fmt: skip
+
+
+def test_a_rotor_pushes_with_newtons():
+    assert {unit for _, unit in controls_of_mechanism(Mechanism.from_mjcf(QUADROTOR))} == {"N"}
+    couple = QUADROTOR.replace("0 0 1 0 0 0.016", "0 0 0 0 1 0").replace("0 0 1 0 0 -0.016", "0 0 2 0 0 0")
+    assert {unit for _, unit in controls_of_mechanism(Mechanism.from_mjcf(couple))} == {"N m", ""}
 
 
 def test_a_panel_has_controls_of_one_unit():

@@ -173,6 +173,8 @@ ACTUATORS = {
     "tendon": '<position tendon="t" kp="5" kv="2" gear="0.5"/>',
     "hinge in parent": '<motor jointinparent="h" gear="3"/>',
     "ball": '<motor joint="b" gear="1 2 3"/>',
+    "ball in parent": '<motor jointinparent="b" gear="1 2 3"/>',
+    "free in parent": '<motor jointinparent="f" gear="1 2 3 4 5 6"/>',
     "ball damped": '<velocity joint="b" kv="2" gear="1 2 3"/>',
     "free": '<motor joint="f" gear="1 2 3 4 5 6"/>',
     "free with a position's bias": '<position joint="f" kp="3" kv="2" gear="1 2 3 4 5 6"/>',

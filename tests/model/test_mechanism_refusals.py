@@ -33,9 +33,13 @@ REFUSED = [
     ("fluid", plain().replace("<option>", '<option viscosity="9" wind="1 0 0">'), ["fluid wind"]),
     ("actuator", plain(actuator=MUSCLE), ["actuator 'biceps'", "muscle"]),
     ("actuator", plain(actuator='<damper name="x" joint="h" kv="1" ctrlrange="0 1"/>'), ["'x' (affine gain)"]),
-    ("actuator", plain(actuator='<motor name="x" site="p" gear="1"/>'), ["'x' (site transmission)"]),
+    (
+        "actuator",
+        plain(actuator='<position name="x" site="p"/>'),
+        ["'x' (force by the position or velocity of a site)"],
+    ),
     ("actuator", plain(tendon=SPATIAL % "", actuator='<motor name="x" tendon="t"/>'), ["'x' (spatial tendon)"]),
-    ("actuator", plain(actuator='<motor site="p"/>'), ["actuator number 1"]),
+    ("actuator", plain(actuator='<velocity site="p"/>'), ["actuator number 1"]),
     (
         "actuator",
         plain(actuator='<motor name="x" cranksite="p" slidersite="q" cranklength="1"/>'),
@@ -45,8 +49,8 @@ REFUSED = [
         "actuator",
         plain(world='<body><joint name="b" type="ball"/><geom size="0.1"/></body>')
         .replace("<option>", '<option><flag contact="disable"/>')
-        .replace("<actuator>", '<actuator><position name="x" joint="b"/><motor name="y" jointinparent="b"/>'),
-        ["'x' (force by the angle of a ball joint)", "'y' (jointinparent of a ball or free joint)"],
+        .replace("<actuator>", '<actuator><position name="x" joint="b"/><velocity name="y" jointinparent="b"/>'),
+        ["'x' (force by the angle of a ball joint)", "'y' (force by the position or velocity of a jointinparent)"],
     ),
     (
         "actearly",

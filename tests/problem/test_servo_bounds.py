@@ -216,10 +216,13 @@ def test_clamps_that_bound_no_control_are_named():
     assert unbounded(Mechanism.from_mjcf(ARM, contacts="off")) == ()
     two = '<motor name="second" joint="elbow" ctrlrange="-1 1"/></actuator>'
     text = ARM.replace('damping="0.3"', 'damping="0.3" actuatorfrcrange="-1 2"').replace("</actuator>", two)
+    assert unbounded(Mechanism.from_mjcf(text, contacts="off")) == ()  # their sum is a constraint
+    text = text.replace(two, '<motor name="jet" site="tip" gear="1"/></actuator>')
+    text = text.replace("      </body>\n    </body>", '<site name="tip"/></body></body>')
     named = unbounded(Mechanism.from_mjcf(text, contacts="off"))
-    assert len(named) == 2
+    assert len(named) == 1
     assert "actuatorfrcrange of actuator 'fold'" in named[0]
-    assert "several actuators" in named[0]
+    assert "one acts at a site" in named[0]
     slow = ARM.replace(
         "</actuator>",
         """<general name="slow" joint="elbow" dyntype="filter" dynprm="0.1"

@@ -5,6 +5,7 @@ from __future__ import annotations
 from planner.kernels.integrators import ROSENBROCK
 from planner.kernels.numba.jit import part
 from planner.kernels.numba.lanes import any_less, at, floats, lanes, load, store
+from planner.kernels.tree.actuator_wrenches import add_actuator_wrenches
 from planner.kernels.tree.contact import add_contact_wrenches, add_stops
 from planner.kernels.tree.couplings import accelerate_coupled
 from planner.kernels.tree.fluid import add_drag
@@ -45,6 +46,8 @@ def accelerations(m, r, q, v, u, act, a, external):
             add_compensation(m, links, tau)
         if m[TREE.drags] > 0:
             add_drag(m, links, tau)
+        if m[TREE.wrenches] > 0:
+            add_actuator_wrenches(m, u, act, links, tau)
         _add_wrenches(m, q, links)
         if r[MEMORY.integrator] == ROSENBROCK:
             _accelerate_implicitly(m, r, q, v, tau, a)

@@ -9,6 +9,7 @@ from __future__ import annotations
 from planner.kernels.integrators import ROSENBROCK
 from planner.kernels.numba.jit import inline
 from planner.kernels.numba.lanes import WIDTH, at, floats, integers, lanes, load, spread, store
+from planner.kernels.tree.actuator_wrenches import add_wrench_inputs, subtract_wrench_derivatives
 from planner.kernels.tree.contact import add_stop_derivatives, subtract_contact_derivatives
 from planner.kernels.tree.couplings import invert_coupled
 from planner.kernels.tree.fluid import subtract_drag_derivatives
@@ -56,8 +57,11 @@ def store_four(p, k, v):
 
 
 @inline
-def acceleration_derivatives(m, r, q, v, a, dA, external):
-    """Derivatives dA (nv, columns) of the accelerations at (q, v, a) by (u | q | v | act); external: see Model."""
+def acceleration_derivatives(m, r, q, v, act, a, dA, external):
+    """Derivatives dA (nv, columns) of the accelerations at (q, v, act, a) by (u | q | v | act).
+
+    The inputs u are those of MEMORY.u; external: see Model.
+    """
     nv, nu, ld, columns, x0 = m[TREE.nv], m[TREE.nu], r[MEMORY.ld], r[MEMORY.columns], r[MEMORY.first]
     M, Dq, Dv, held = lanes(r, MEMORY.M), lanes(r, MEMORY.Dq), lanes(r, MEMORY.Dv), lanes(r, MEMORY.held)
     zero = spread(0.0)
@@ -79,6 +83,8 @@ def acceleration_derivatives(m, r, q, v, a, dA, external):
             subtract_compensation_derivatives(m, Dq, ld, lanes(r, MEMORY.links))
         if m[TREE.drags] > 0:
             subtract_drag_derivatives(m, Dq, Dv, ld, lanes(r, MEMORY.links))
+        if m[TREE.wrenches] > 0:
+            subtract_wrench_derivatives(m, lanes(r, MEMORY.u), act, Dq, ld, lanes(r, MEMORY.links))
         subtract_contact_derivatives(m, q, Dq, Dv, ld, lanes(r, MEMORY.links))
         if m[TREE.pairs] > 0:
             subtract_pair_derivatives(m, q, Dq, Dv, ld, lanes(r, MEMORY.links))
@@ -128,6 +134,8 @@ def acceleration_derivatives(m, r, q, v, a, dA, external):
         for i in range(nv):
             o = i * columns + k
             store(dA, o, load(dA, o) + x * load(M, i * ld + j))
+    if external is not None and m[TREE.wrenches] > 0:
+        add_wrench_inputs(m, M, ld, lanes(r, MEMORY.links), dA, columns, x0)
     for p in range(nv):
         given = load(prescribed, p)
         if given >= 0:

@@ -30,6 +30,7 @@ from planner.kernels.numba.lanes import (
     store4,
 )
 from planner.kernels.tree.derivatives import acceleration_derivatives
+from planner.kernels.tree.forces import activation_rates
 from planner.kernels.tree.integrator_chain_rule import (
     add_unit,
     add_unit_rows,
@@ -49,7 +50,7 @@ from planner.kernels.tree.rosenbrock import (
     rosenbrock,
     second_stage,
 )
-from planner.kernels.tree.step import end_rotation, end_state, gather, moved, stage_state
+from planner.kernels.tree.step import end_activations, end_rotation, end_state, gather, moved, stage_state
 
 
 @inline
@@ -112,7 +113,7 @@ def linearize_structured(m, r, dt, xs, us, F, transport, external):
     for first in range(0, count, WIDTH):
         present = min(WIDTH, count - first)
         _gathered(m, r, xs, us, first, count)
-        acceleration_derivatives(m, r, x, at(x, m[TREE.nq]), a, dA, external)
+        acceleration_derivatives(m, r, x, at(x, m[TREE.nq]), at(x, m[TREE.nq] + nv), a, dA, external)
         for i in range(nv):
             scatter_row(dA, i * columns, flat, first * stride + i * width, present, stride, width)
         _transport(m, r, x, a, dt, blocks, first, present)
@@ -120,10 +121,14 @@ def linearize_structured(m, r, dt, xs, us, F, transport, external):
 
 @inline
 def _stage_derivatives(m, r, i, state, present, width, external):
-    """D of stage i at its state (q, v, a), (nv, width) for each of the knots present, into MEMORY.direct."""
-    q, v, a = state
+    """D of stage i at its state (q, v, act, a), (nv, width) for each of the knots present, into MEMORY.direct.
+
+    The activations' rates there go into act_rates.
+    """
+    q, v, act, a = state
     dA, D, block, columns = lanes(r, MEMORY.by_stage), floats(r, MEMORY.direct), r[MEMORY.block], r[MEMORY.columns]
-    acceleration_derivatives(m, r, q, v, a, dA, external)
+    acceleration_derivatives(m, r, q, v, act, a, dA, external)
+    activation_rates(m, lanes(r, MEMORY.u), act, at(lanes(r, MEMORY.act_rates), i * m[TREE.na]))
     for row in range(m[TREE.nv]):
         scatter_row(dA, row * columns, D, i * WIDTH * block + row * width, present, block, width)
 
@@ -157,7 +162,9 @@ def _rk4_substep(m, r, x, a, dt, width, knots):
             runge_kutta(m, r, dt, lane, width, floats(r, MEMORY.step))
             _after(m, r, width, at(F, lane * stride))
     if k + 1 < r[MEMORY.substeps] or m[TREE.loop_rows] > 0:
-        end_state(m, r, x, a, length, x)  # activations stay: no derivative depends on them
+        end_state(m, r, x, a, length, x)
+        act = at(x, m[TREE.nq] + m[TREE.nv])
+        end_activations(m, r, act, length, act)
 
 
 @inline
@@ -198,13 +205,16 @@ def _close(m, r, x, knots, width):
 def _rosenbrock_substep(m, r, x, a, dt, width, knots, external):
     """(B | A) of a substep of kernels.tree.rosenbrock, chained to those before; x moves to its end."""
     F, stride, present, k, length = knots
-    nv, ld, q = m[TREE.nv], r[MEMORY.ld], lanes(r, MEMORY.q_stage)
+    nv, na, ld, q = m[TREE.nv], m[TREE.na], r[MEMORY.ld], lanes(r, MEMORY.q_stage)
     begin_implicit(m, r, length)
-    _stage_derivatives(m, r, 0, (x, at(x, m[TREE.nq]), a), present, width, external)
+    act, act_stage, rates = at(x, m[TREE.nq] + nv), lanes(r, MEMORY.act_stage), lanes(r, MEMORY.act_rates)
+    _stage_derivatives(m, r, 0, (x, at(x, m[TREE.nq]), act, a), present, width, external)
+    for i in range(na):
+        store(act_stage, i, load(act, i) + length * load(rates, i))
     second_stage(m, r, x, a, length)
     keep_turns(m, r, 1)
     moved(m, x, lanes(r, MEMORY.theta), q)
-    state = (q, at(lanes(r, MEMORY.v_stages), nv), at(a, nv))
+    state = (q, at(lanes(r, MEMORY.v_stages), nv), act_stage, at(a, nv))
     _stage_derivatives(m, r, 1, state, present, width, external)
     behind_matrix(m, r, ld)
     for row in range(nv):
@@ -220,6 +230,8 @@ def _rosenbrock_substep(m, r, x, a, dt, width, knots, external):
     if k + 1 < r[MEMORY.substeps]:
         moved(m, x, lanes(r, MEMORY.theta), x)
         end_velocity(m, x, a, length, x)
+        for i in range(na):
+            store(act, i, load(act, i) + 0.5 * length * (load(rates, i) + load(rates, na + i)))
 
 
 @jit
@@ -242,11 +254,12 @@ def linearize_dense(m, r, dt, xs, us, F, external):
                 continue
             for i in range(r[MEMORY.stages]):
                 if i == 0:
-                    _stage_derivatives(m, r, 0, (x, v, a), present, width, external)
+                    _stage_derivatives(m, r, 0, (x, v, at(v, nv), a), present, width, external)
                 else:
                     stage_state(m, r, x, i, a, length)
                     keep_turns(m, r, i)
-                    state = (lanes(r, MEMORY.q_stage), at(v_stages, i * nv), at(a, i * r[MEMORY.stride]))
+                    act = lanes(r, MEMORY.act_stage)
+                    state = (lanes(r, MEMORY.q_stage), at(v_stages, i * nv), act, at(a, i * r[MEMORY.stride]))
                     _stage_derivatives(m, r, i, state, present, width, external)
             if r[MEMORY.integrator] == RK4:
                 _rk4_substep(m, r, x, a, dt, width, (at(flat, first * stride), stride, present, k, length))

@@ -18,6 +18,7 @@ import numpy as np
 
 from planner.kernels.numba.lanes import WIDTH
 from planner.kernels.numba.layout import Layout
+from planner.kernels.tree.actuator_arrays import actuator_arrays, wrench_arrays
 from planner.kernels.tree.contact_tables import contact_arrays, pair_arrays, stop_arrays
 from planner.kernels.tree.loop_arrays import loop_arrays, triples_of
 from planner.kernels.tree.passive_force_arrays import drag_arrays, gravcomp_arrays, loss_arrays, tendon_arrays
@@ -31,7 +32,7 @@ SCREW, BALL, BALL_NEXT, FLOATING = 0, 1, 2, 3  # as in planner.model.mechanism, 
 
 TREE = Layout(
     "nv nq nballs nu na inputs position_terms velocity_terms contacts stops pairs curves tendons gravcomp drags losses "
-    "dependents loops polynomial_couplings loop_rows triples",
+    "dependents loops polynomial_couplings loop_rows triples wrenches",
     "parent base kind first q_address home inertia subtree_mass armature base_acceleration damping stiffness rest "
     "ball_q ball_v ball_stiffness ball_rest constant input_dof input_index input_value position_row position_column "
     "position_value velocity_row velocity_column velocity_value activation_input activation_gain activation_rate "
@@ -40,7 +41,8 @@ TREE = Layout(
     "tendon_start tendon_dof tendon_factor tendon_value gravcomp_value gravcomp_mass drag_link drag_value loss_dof "
     "loss_value dependent_dof dependent_start dependent_column dependent_value joined_link joined_address joined_value "
     "loop_rigid loop_rate coupling_dof coupling_value triple_kind moved_start moved_dof reach_start reach_dof "
-    "shared_start shared_dof bound_start bound_rows block_start block_stop implicit_damping",
+    "shared_start shared_dof bound_start bound_rows block_start block_stop implicit_damping "
+    "wrench_link wrench_frame wrench_input wrench_start wrench_dof wrench_frame_start wrench_frame_dof wrench_value",
 )
 
 
@@ -56,9 +58,9 @@ class Model:
 
     Attributes:
         table: The argument of kernels.
-        external: True where contacts, stops, curves, tendons, gravity compensation, drag, friction loss or couplings
-            act, or damping is implicit, else None. Kernels take it beside the table: Numba compiles them once for each
-            type and leaves out, for None, what stands under `if external is not None`.
+        external: True where contacts, stops, curves, tendons, gravity compensation, drag, friction loss, couplings or
+            wrenches of actuators act, or damping is implicit, else None. Kernels take it beside the table: Numba
+            compiles them once for each type and leaves out, for None, what stands under `if external is not None`.
     """
 
     def __init__(
@@ -66,7 +68,7 @@ class Model:
     ) -> None:  # fmt: skip
         nv = mechanism.nv
         prescribed = np.zeros(nv, dtype=bool) if prescribed is None else prescribed
-        arrays: dict[str, np.ndarray] = {**_tree(mechanism), **_forces(mechanism, prescribed, actuated)}
+        arrays: dict[str, np.ndarray] = {**_tree(mechanism), **actuator_arrays(mechanism, prescribed, actuated)}
         self.nv, self.nq = nv, mechanism.nq
         self.nu = (mechanism.nu if actuated else 0) + int(prescribed.sum())
         self.na = mechanism.na if actuated else 0
@@ -80,10 +82,11 @@ class Model:
         gravcomp = bool(np.any(mechanism.gravcomp_mass) or np.any(mechanism.gravcomp_first_moment))
         reduction = mechanism.reduction if actuated else None
         self.coupled = reduction is not None
+        wrenches = mechanism.actuators.wrenches if actuated else ()
         loops, polynomial_couplings = (mechanism.loops, mechanism.polynomial_couplings) if actuated else ((), ())
         self.loop_rows = 3 * triples_of(loops, polynomial_couplings)
         acts = contacts or stops or pairs or curves or tendons or gravcomp or mechanism.drags or np.any(losses)
-        acts = acts or self.coupled or implicit or self.loop_rows
+        acts = acts or self.coupled or implicit or self.loop_rows or wrenches
         self.external = True if acts else None
         for tendon in tendons:
             coupled[np.ix_(tendon.dofs, tendon.dofs)] = True
@@ -101,6 +104,8 @@ class Model:
             coupled[np.ix_(chains[0], chains[1])] = coupled[np.ix_(chains[1], chains[0])] = True
         for coupling in polynomial_couplings:
             coupled[coupling.leader, coupling.leader] = True
+        for wrench in wrenches:
+            coupled[np.ix_(wrench.dofs, wrench.frame_dofs)] = True
         arrays["related_start"], arrays["related_rows"] = _related(mechanism.parent, coupled)
         arrays |= (
             contact_arrays(contacts, mechanism, arrays)
@@ -113,6 +118,7 @@ class Model:
         chains = [{i for link in loop.links for i in chain_of(mechanism.parent, link)} for loop in loops]
         arrays |= loop_arrays(loops, polynomial_couplings, chains, mechanism, arrays)
         arrays["implicit_damping"] = implicit_damping(mechanism)
+        arrays |= wrench_arrays(mechanism, wrenches, arrays["frames"], self.nu)
         sizes = {
             "nv": nv, "nq": mechanism.nq, "nballs": len(mechanism.quaternions), "nu": self.nu, "na": self.na,
             "inputs": len(arrays["input_dof"]), "position_terms": len(arrays["position_row"]),
@@ -121,7 +127,7 @@ class Model:
             "drags": len(mechanism.drags), "losses": len(arrays["loss_dof"]),
             "dependents": len(arrays["dependent_dof"]),
             "loops": len(loops), "polynomial_couplings": len(polynomial_couplings),
-            "loop_rows": self.loop_rows, "triples": self.loop_rows // 3,
+            "loop_rows": self.loop_rows, "triples": self.loop_rows // 3, "wrenches": len(wrenches),
         }  # fmt: skip
         self.arrays = {name: _plain(arrays[name]) for name in TREE.arrays}  # keeps the addresses alive
         self.table = TREE.table(sizes, self.arrays)
@@ -243,42 +249,6 @@ def _related(parent: np.ndarray, coupled: np.ndarray) -> tuple[np.ndarray, np.nd
             j = parent[j]
     blocks = [np.flatnonzero(related[:, j : j + WIDTH].any(axis=1)) for j in range(0, n, WIDTH)]
     return np.cumsum([0, *(len(rows) for rows in blocks)]), np.concatenate(blocks)
-
-
-def _forces(mechanism: Any, prescribed: np.ndarray, actuated: bool) -> dict[str, np.ndarray]:
-    """Applied forces as sums of terms: constant, by input (u, then act), by position and by velocity."""
-    a, nv = mechanism.actuators, mechanism.nv
-    nu = (mechanism.nu if actuated else 0) + int(prescribed.sum())
-    constant, inputs = np.zeros(nv), np.zeros((nv, nu + (mechanism.na if actuated else 0)))
-    by_position, by_velocity = np.zeros((nv, nv)), np.zeros((nv, nv))
-    states = {"input": [], "gain": [], "rate": []}
-    if actuated:
-        moment = np.where(prescribed[None, :], 0.0, a.moment)  # a prescribed joint feels no force
-        for k in range(mechanism.nu):
-            constant += moment[k] * a.bias[k, 0]
-            by_position += np.outer(moment[k], a.moment[k]) * a.bias[k, 1]
-            by_velocity += np.outer(moment[k], a.moment[k]) * a.bias[k, 2]
-            state = a.activation[k]
-            inputs[:, k if state < 0 else nu + state] += moment[k] * a.gain[k]
-        order = np.argsort(a.activation[a.activation >= 0])
-        for k in np.flatnonzero(a.activation >= 0)[order]:
-            filtering = a.dynamics[k] == 2
-            states["input"].append(k)
-            states["gain"].append(1.0 / a.time_constant[k] if filtering else 1.0)
-            states["rate"].append(-1.0 / a.time_constant[k] if filtering else 0.0)
-    which = np.full(nv, -1)
-    which[prescribed] = (mechanism.nu if actuated else 0) + np.arange(int(prescribed.sum()))
-    dof, index = np.nonzero(inputs)
-    row, column = np.nonzero(by_position)
-    vrow, vcolumn = np.nonzero(by_velocity)
-    return {
-        "constant": constant, "input_dof": dof, "input_index": index, "input_value": inputs[dof, index],
-        "position_row": row, "position_column": column, "position_value": by_position[row, column],
-        "velocity_row": vrow, "velocity_column": vcolumn, "velocity_value": by_velocity[vrow, vcolumn],
-        "activation_input": np.array(states["input"], dtype=np.int64),
-        "activation_gain": np.array(states["gain"], dtype=float),
-        "activation_rate": np.array(states["rate"], dtype=float), "prescribed": which,
-    }  # fmt: skip
 
 
 def _curves(curves: Any) -> dict[str, np.ndarray]:

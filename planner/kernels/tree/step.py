@@ -125,6 +125,15 @@ def end_state(m, r, x, a, dt, x_next):
         store(v_next, k, load(v, k) + sixth * (load(a, k) + inner + load(a, 3 * stride + k)))
 
 
+@inline
+def end_activations(m, r, act, dt, act_next):
+    """Activations at the end of an RK4 step, from act_rates; act_next may be act."""
+    na, rates, sixth = m[TREE.na], lanes(r, MEMORY.act_rates), (1.0 / 6.0) * dt
+    for k in range(na):
+        inner = 2.0 * (load(rates, na + k) + load(rates, 2 * na + k))
+        store(act_next, k, load(act, k) + sixth * (load(rates, k) + inner + load(rates, 3 * na + k)))
+
+
 @part
 def _end_rosenbrock(m, r, x, u, a, dt, x_next, external):
     """The second stage and the end of a step of kernels.tree.rosenbrock, whose first accelerations are in a."""
@@ -173,10 +182,7 @@ def _step(m, r, x, u, a, dt, x_next, external):
         accelerations(m, r, lanes(r, MEMORY.q_stage), vi, u, act_i, at(a, i * r[MEMORY.stride]), external)
         activation_rates(m, u, act_i, at(rates, i * na))
     end_state(m, r, x, a, dt, x_next)
-    sixth = (1.0 / 6.0) * dt
-    for k in range(na):
-        inner = 2.0 * (load(rates, na + k) + load(rates, 2 * na + k))
-        store(act_next, k, load(act, k) + sixth * (load(rates, k) + inner + load(rates, 3 * na + k)))
+    end_activations(m, r, act, dt, act_next)
 
 
 @part

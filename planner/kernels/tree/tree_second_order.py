@@ -101,7 +101,8 @@ def _first_derivatives(m, r, s, dt):
         for k in range(nq):
             store(q, k, load(source, k))
         D = at(lanes(s, SECOND.D), i * nv * columns)
-        acceleration_derivatives(m, r, q, _velocity(m, r, x, i), at(a, i * nv), D, None)  # nothing touches
+        v = _velocity(m, r, x, i)
+        acceleration_derivatives(m, r, q, v, v, at(a, i * nv), D, None)  # nothing touches, so nothing reads act
         inverse, M = at(lanes(s, SECOND.inverse), i * nv * ld), lanes(r, MEMORY.M)
         for k in range(nv * ld):
             store(inverse, k, load(M, k))

@@ -14,7 +14,7 @@ object that lies on something of which the plan knows no contact is kept where i
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -24,6 +24,7 @@ from planner.model.mjcf.contacts import is_modelled
 from planner.model.mjcf.ground_law import mass_of
 from planner.model.mjcf.model_index import ModelIndex, Pair, disabled, named
 from planner.model.mjcf.unsupported import no_compensation
+from planner.model.mjcf.wrench_transmissions import has_wrenches, wrenches_of
 
 MODES = ("auto", "avoid", "ground", "model", "off")
 LEVEL = 0.8  # of gravity, across a plane that carries
@@ -45,7 +46,7 @@ def select_contact_mode(survey: ModelIndex, asked: str = "auto") -> ContactMode:
     falling = falling_trees(survey)
     standing = ground_pairs(survey)
     if asked == "auto":
-        stands = standing and falling.keys() & machine_roots(survey.model)
+        stands = standing and falling.keys() & machine_roots(survey)
         is_law = all(is_modelled(survey, pair) for pair in survey.pairs)
         asked = "model" if is_law else "ground" if stands else "avoid"
     if asked == "model":
@@ -81,9 +82,9 @@ def ground_pairs(survey: ModelIndex) -> list[Pair]:
     return planes + [pair for root, pair in boxes if root not in on_planes or not falling[root]]
 
 
-def machine_roots(model: Any) -> set[int]:
+def machine_roots(survey: ModelIndex) -> set[int]:
     """The root bodies of trees in which an actuator drives anything; of all trees that move where none does."""
-    actuated = _actuated_dofs(model)
+    model, actuated = survey.model, actuated_dofs(survey)
     return set(map(int, model.body_rootid[model.dof_bodyid[actuated if actuated.any() else slice(None)]]))
 
 
@@ -132,7 +133,7 @@ def falling_trees(survey: ModelIndex) -> dict[int, bool]:
     gravity = np.array(model.opt.gravity) * (not disabled(model, "gravity"))
     if not np.any(gravity):
         return {}
-    actuated = _actuated_dofs(model)
+    actuated = actuated_dofs(survey)
     held = actuated | (model.jnt_stiffness[model.dof_jntid] > 0.0)
     found = {}
     for root in np.unique(model.body_rootid[model.dof_bodyid]):
@@ -151,12 +152,16 @@ def falling_trees(survey: ModelIndex) -> dict[int, bool]:
     return found
 
 
-def _actuated_dofs(model: Any) -> np.ndarray:
-    """(nv,) whether an actuator acts at a degree of freedom, directly or by a fixed tendon."""
+def actuated_dofs(survey: ModelIndex) -> np.ndarray:
+    """(nv,) whether an actuator acts at a degree of freedom, directly, by a fixed tendon or at a site."""
+    model = survey.model
     kinds, actuated = load_mujoco().mjtTrn, np.zeros(model.nv, dtype=bool)
     for i in range(len(model.actuator_trntype)):
         target = int(model.actuator_trnid[i, 0])
-        if model.actuator_trntype[i] in (int(kinds.mjTRN_JOINT), int(kinds.mjTRN_JOINTINPARENT)):
+        if has_wrenches(model, i):
+            for one in wrenches_of(survey, i):
+                actuated[one.dofs] = True
+        elif model.actuator_trntype[i] in (int(kinds.mjTRN_JOINT), int(kinds.mjTRN_JOINTINPARENT)):
             actuated[model.dof_jntid == target] = True
         elif model.actuator_trntype[i] == int(kinds.mjTRN_TENDON):
             wraps = slice(model.tendon_adr[target], model.tendon_adr[target] + model.tendon_num[target])

@@ -7,9 +7,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from planner.base.gl import load_mujoco
-from planner.model.mjcf.contact_mode import machine_roots
+from planner.model.mjcf.contact_mode import actuated_dofs, machine_roots
 from planner.model.mjcf.equalities import acting, joined, joins
-from planner.model.mjcf.model_index import disabled, named
+from planner.model.mjcf.model_index import ModelIndex, disabled, named
 from planner.model.mjcf.unsupported import actuator_disabled
 
 Record = dict[str, Any]
@@ -145,18 +145,16 @@ def free_bases(model: Any) -> list[str]:
     Objects beside a machine do not count. Those that a connect or a weld joins to the world, or to
     what is held, are held too.
     """
-    kinds, found = load_mujoco().mjtJoint, list[int]()
+    survey = ModelIndex(model)
+    kinds, actuated, found = load_mujoco().mjtJoint, actuated_dofs(survey), list[int]()
     for j in range(model.njnt):
         body = int(model.jnt_bodyid[j])
         upright = model.jnt_type[j] == kinds.mjJNT_SLIDE and abs(model.jnt_axis[j, 2]) > _UPRIGHT
-        held = model.jnt_stiffness[j] > 0.0 or any(
-            _word(load_mujoco().mjtTrn, kind) in ("joint", "jointinparent") and target == j
-            for kind, target in zip(model.actuator_trntype, model.actuator_trnid[:, 0], strict=True)
-        )
-        loose = upright and not held and model.body_weldid[model.body_parentid[body]] == 0
-        if (model.jnt_type[j] == kinds.mjJNT_FREE or loose) and body not in found:
+        held = actuated[model.dof_jntid == j].any() or (upright and model.jnt_stiffness[j] > 0.0)
+        loose = upright and model.body_weldid[model.body_parentid[body]] == 0
+        if (model.jnt_type[j] == kinds.mjJNT_FREE or loose) and not held and body not in found:
             found.append(body)
-    free = {int(model.body_rootid[body]) for body in found} & machine_roots(model)
+    free = {int(model.body_rootid[body]) for body in found} & machine_roots(survey)
     pairs = [{int(model.body_rootid[one]) for one in joined(model, i)[0]} for i in acting(model) if joins(model, i)]
     for _ in pairs:  # along chains of trees
         free -= {root for pair in pairs if pair - free for root in pair}

@@ -15,14 +15,15 @@ import numpy as np
 from planner.base.gl import load_mujoco
 from planner.model.actuators import DIRECT, FILTER, INTEGRATOR, Actuators
 from planner.model.mjcf.equalities import row_of
-from planner.model.mjcf.model_index import disabled, field, names_of, ranges_of
+from planner.model.mjcf.model_index import ModelIndex, disabled, field, gear_of, names_of, ranges_of
 from planner.model.mjcf.unsupported import actuator_disabled, adheres_to_nothing
+from planner.model.mjcf.wrench_transmissions import has_wrenches, wrenches_of
 
 
-def actuators_of(model: Any) -> Actuators:
+def actuators_of(survey: ModelIndex) -> Actuators:
     """The actuators; one that is disabled, or that adheres to nothing, pushes with nothing."""
-    mujoco = load_mujoco()
-    nu = int(model.nu)
+    mujoco, model = load_mujoco(), survey.model
+    nu, wrenches = int(model.nu), []
     moment, gain, bias = np.zeros((nu, model.nv)), np.zeros(nu), np.zeros((nu, 3))
     dynamics, time_constant = np.full(nu, DIRECT, dtype=np.int64), np.ones(nu)
     force_range = ranges_of(model.actuator_forcelimited, model.actuator_forcerange)
@@ -36,11 +37,14 @@ def actuators_of(model: Any) -> Actuators:
             dynamics[i], time_constant[i] = FILTER, np.inf
         if off or adheres_to_nothing(model, i):
             continue
-        moment[i] = _moment(model, i)
         gain[i] = model.actuator_gainprm[i, 0]
         if model.actuator_biastype[i] == mujoco.mjtBias.mjBIAS_AFFINE:
             bias[i] = model.actuator_biasprm[i, :3]
         target = model.actuator_trnid[i, 0]
+        if has_wrenches(model, i):
+            wrenches += wrenches_of(survey, i)
+            continue
+        moment[i] = _moment(model, i)
         if model.actuator_trntype[i] == mujoco.mjtTrn.mjTRN_TENDON:
             if field(model, "tendon_actfrclimited", model.ntendon)[target]:
                 low, high = model.tendon_actfrcrange[target]
@@ -54,13 +58,14 @@ def actuators_of(model: Any) -> Actuators:
         control_range=ranges_of(model.actuator_ctrllimited * clamped, model.actuator_ctrlrange),
         force_range=force_range,
         activation_range=ranges_of(model.actuator_actlimited, model.actuator_actrange),
+        wrenches=tuple(wrenches),
     )  # fmt: skip
 
 
 def _moment(model: Any, actuator: int) -> np.ndarray:
     """(nv,) the generalized force per force of an actuator on a joint or fixed tendon."""
     mujoco = load_mujoco()
-    gear, target = _gear(model, actuator), model.actuator_trnid[actuator, 0]
+    gear, target = gear_of(model, actuator), model.actuator_trnid[actuator, 0]
     if model.actuator_trntype[actuator] == mujoco.mjtTrn.mjTRN_TENDON:
         return gear[0] * row_of(model, target)
     row, dofs = np.zeros(model.nv), np.flatnonzero(model.dof_jntid == target)
@@ -77,13 +82,8 @@ def armature_and_damping(model: Any) -> tuple[np.ndarray, np.ndarray]:
         for i in map(int, np.flatnonzero(values)):
             joint = model.actuator_trnid[i, 0]
             scalar = np.count_nonzero(model.dof_jntid == joint) == 1
-            total[model.dof_jntid == joint] += values[i] * (_gear(model, i)[0] ** 2 if scalar else 1.0)
+            total[model.dof_jntid == joint] += values[i] * (gear_of(model, i)[0] ** 2 if scalar else 1.0)
     return armature, damping * (not disabled(model, "damper", "passive"))
-
-
-def _gear(model: Any, actuator: int) -> np.ndarray:
-    """(6,) MuJoCo 4 keeps it by force rather than by actuator."""
-    return model.actuator_gear[model.actuator_outadr[actuator] if hasattr(model, "actuator_outadr") else actuator]
 
 
 MIN_IMPEDANCE, MAX_IMPEDANCE = 1e-4, 0.9999  # MuJoCo's mjMINIMP, mjMAXIMP

@@ -75,6 +75,11 @@ def field(model: Any, name: str, count: int) -> np.ndarray:
     return np.asarray(getattr(model, name, np.zeros(count)))
 
 
+def gear_of(model: Any, actuator: int) -> np.ndarray:
+    """(6,) of an actuator; MuJoCo 4 keeps it by force rather than by actuator."""
+    return model.actuator_gear[model.actuator_outadr[actuator] if hasattr(model, "actuator_outadr") else actuator]
+
+
 def pose(position: np.ndarray, quaternion: np.ndarray) -> np.ndarray:
     """(4, 4) of a position, m, and a quaternion."""
     T, rotation = np.eye(4), np.empty(9)

@@ -211,7 +211,7 @@ def with_force_inputs(mechanism: Mechanism, prescribed: Collection[str]) -> Mech
     given = np.zeros(mechanism.nv, dtype=bool)
     given[dofs] = True
     a, n = mechanism.actuators, len(dofs)
-    silent = ~np.any(a.moment[:, ~given], axis=1)  # acts on nothing else
+    silent = ~np.any(a.acts_on[:, ~given], axis=1)  # acts on nothing else
     moment, free = np.where(silent[:, None], 0.0, a.moment), np.tile([-np.inf, np.inf], (n, 1))
     links = {name: mechanism.joint(name) for name in in_order(mechanism, prescribed)}
     sizes = {name: part.stop - part.start for name, part in links.items()}
@@ -224,6 +224,7 @@ def with_force_inputs(mechanism: Mechanism, prescribed: Collection[str]) -> Mech
     actuators = Actuators(
         names=(*a.names, *(_motor(name, axis, size) for name, size in sizes.items() for axis in range(size))),
         **{name: np.concatenate([own[name], more]) for name, more in motors.items()},
+        wrenches=tuple(one for one in a.wrenches if not silent[one.actuator]),
     )
     balls = given[mechanism.kind == BALL]
     return replace(

@@ -227,7 +227,7 @@ def _mechanism(
         **_masses(model, links, poses), armature=armature, damping=damping,
         stiffness=np.where(kind == SCREW, stiffness, 0.0), spring_rest=rest, ball_stiffness=stiffness[balls],
         ball_rest=unit(np.array([model.qpos_spring[a : a + 4] for a in screws["q_address"][balls]]).reshape(-1, 4)),
-        gravity=np.array(model.opt.gravity) * (not disabled(model, "gravity")), actuators=actuators_of(model),
+        gravity=np.array(model.opt.gravity) * (not disabled(model, "gravity")), actuators=actuators_of(survey),
         joint_names=names_of(model, "joint", model.njnt), joint_range=_joint_ranges(model),
         joint_links=tuple(slice(a, b) for a, b in itertools.pairwise(dofs)),
         joint_force_range=ranges_of(model.jnt_actfrclimited, model.jnt_actfrcrange)[model.dof_jntid],

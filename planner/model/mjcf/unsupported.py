@@ -25,6 +25,7 @@ from planner.model.mjcf.equalities import (
     read_couplings,
 )
 from planner.model.mjcf.model_index import disabled, field, flag_bit, named
+from planner.model.mjcf.wrench_transmissions import has_wrenches
 
 # Kinds that `ignore` may name.
 KINDS = (
@@ -241,16 +242,17 @@ def _force(model: Any, i: int) -> Iterator[str]:
 
 
 def _transmission(model: Any, i: int) -> Iterator[str]:
-    """Reasons why an actuator's moment is not a constant row, or its length not that row times the joints."""
+    """Reasons why an actuator's moment is neither a constant row nor that of wrenches, or its length not supported."""
     mujoco = load_mujoco()
     kinds, joints = mujoco.mjtTrn, mujoco.mjtJoint
     kind, target = model.actuator_trntype[i], model.actuator_trnid[i, 0]
     has_length = model.actuator_biastype[i] == mujoco.mjtBias.mjBIAS_AFFINE and model.actuator_biasprm[i, 1] != 0.0
-    if _is(kind, kinds.mjTRN_JOINT, kinds.mjTRN_JOINTINPARENT):
-        joint = model.jnt_type[target]
-        if _is(joint, joints.mjJNT_BALL, joints.mjJNT_FREE) and kind == kinds.mjTRN_JOINTINPARENT:
-            yield "jointinparent of a ball or free joint"
-        elif joint == joints.mjJNT_BALL and has_length:
+    if has_wrenches(model, i):
+        if model.actuator_biastype[i] == mujoco.mjtBias.mjBIAS_AFFINE and np.any(model.actuator_biasprm[i, 1:3]):
+            what = "a site" if kind == kinds.mjTRN_SITE else "a jointinparent"
+            yield f"force by the position or velocity of {what}"
+    elif _is(kind, kinds.mjTRN_JOINT, kinds.mjTRN_JOINTINPARENT):
+        if model.jnt_type[target] == joints.mjJNT_BALL and has_length:
             yield "force by the angle of a ball joint"
     elif kind == kinds.mjTRN_TENDON:
         first = model.wrap_type[model.tendon_adr[target]]

@@ -1,4 +1,4 @@
-"""Power and ChainForce: the power of an actuator, and the force that holds a closed chain together."""
+"""Power, JointForce and ChainForce: what actuators do, and the force that holds a closed chain together."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ import numpy as np
 from planner.base.arguments import choice
 from planner.base.errors import PlannerError
 from planner.dynamics import Dynamics, RigidBodyDynamics, constraint_forces
+from planner.dynamics.actuator_moments import force_rows
 from planner.model.actuators import DIRECT
 from planner.model.mechanism import SCREW, Mechanism
 from planner.model.space import space_of
@@ -38,11 +39,13 @@ class Power(Residual):
         """Its function, of a machine.
 
         Raises:
-            PlannerError: It has no such actuator.
+            PlannerError: It has no such actuator, or one at a site.
         """
         mechanism = mechanism_of(dynamics, self)
         inputs = places(mechanism, ())[1]
         index = inputs[choice("the actuator of a power", self.actuator, inputs)].start
+        if mechanism.actuators.by_wrenches[index]:
+            raise PlannerError(f"{self.actuator} acts at a site, expected an actuator of joints or a fixed tendon.")
         return PowerFunction(mechanism, index, space_of(dynamics).ndx, dynamics.nu)
 
 
@@ -84,6 +87,57 @@ class PowerFunction:
         else:
             by_x[:, 0, self._state - self._nq + self._nv] = self._gain * speed
         return by_x, by_u
+
+
+@dataclass(frozen=True)
+class JointForce(Residual):
+    """Sum of the generalized forces of the actuators on a hinge or slide, without clamps, N m or N.
+
+    Attributes:
+        joint: Its name.
+    """
+
+    joint: str
+    of_controls = True
+
+    def __str__(self) -> str:
+        return f"force of the actuators on {self.joint}"
+
+    def residual_function(self, dynamics: Dynamics, N: int) -> PythonResidual:
+        """Its function, of a machine.
+
+        Raises:
+            PlannerError: It has no such joint, or the joint's force is not one number that is linear in the state.
+        """
+        mechanism = mechanism_of(dynamics, self)
+        links = mechanism.joint(self.joint)
+        acting = mechanism.actuators.acts_on[:, links.start]
+        if links.stop - links.start != 1 or np.any(mechanism.actuators.by_wrenches[acting]):
+            raise PlannerError(
+                f"{self.joint} is a ball or free joint, or an actuator at a site moves it, expected a hinge or slide "
+                "with actuators of joints and fixed tendons."
+            )
+        return PythonResidual(self, dynamics)
+
+    def value(self, dynamics: Any, xs: np.ndarray, us: np.ndarray) -> np.ndarray:
+        """(K,)."""
+        mechanism, moment, (by_state, _, by_control) = self._parts(dynamics)
+        constant, nx = moment @ mechanism.actuators.bias[:, 0], len(by_state)
+        return constant + xs[:, :nx] @ by_state + us[:, : mechanism.nu] @ by_control
+
+    def jacobian(self, dynamics: Any, xs: np.ndarray, us: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """(K, 1, ndx) and (K, 1, nu)."""
+        _, _, (_, by_deviation, by_control) = self._parts(dynamics)
+        by_x, by_u = np.zeros((len(xs), 1, space_of(dynamics).ndx)), np.zeros((len(xs), 1, dynamics.nu))
+        by_x[:, 0, : len(by_deviation)], by_u[:, 0, : len(by_control)] = by_deviation, by_control
+        return by_x, by_u
+
+    def _parts(self, dynamics: Any) -> tuple[Mechanism, np.ndarray, list[np.ndarray]]:
+        """The machine, the moments (nu,) at the joint, and derivatives by state, its deviation and the controls."""
+        mechanism = mechanism_of(dynamics, self)
+        actuators, dof = mechanism.actuators, mechanism.joint(self.joint).start
+        moment, gain = actuators.moment[:, dof], np.where(actuators.dynamics == DIRECT, actuators.gain, 0.0)
+        return mechanism, moment, [*(moment @ rows for rows in force_rows(mechanism)), moment * gain]
 
 
 @dataclass(frozen=True)

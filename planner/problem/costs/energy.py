@@ -25,8 +25,8 @@ import numpy as np
 from planner.base.arguments import number, short_repr
 from planner.base.errors import PlannerError
 from planner.dynamics import RigidBodyDynamics
+from planner.dynamics.actuator_moments import force_rows
 from planner.model.actuators import DIRECT
-from planner.model.mechanism import SCREW, Mechanism
 from planner.model.mjcf.prescribed_joints import heavy_joints
 from planner.problem.costs.terms import Quadratic, Term
 
@@ -47,7 +47,8 @@ class EnergyCost(Term):
         smoothing: s, W: a power p = s costs 0.41 s, a large power p - s.
 
     Raises:
-        PlannerError: Other dynamics, prescribed joints, a negative weight, or a smoothing that is not above 0.
+        PlannerError: Other dynamics, prescribed joints, actuators at sites, a negative weight, or a smoothing that is
+            not above 0.
     """
 
     def __init__(self, dynamics: Any, weight: float = 1.0, smoothing: float = SMOOTHING) -> None:
@@ -57,13 +58,17 @@ class EnergyCost(Term):
         if given := dynamics.prescribed or heavy_joints(dynamics.mechanism):
             expected = "expected a machine that its actuators alone move: energy is their work"
             raise PlannerError(f"the acceleration of {', '.join(given)} is prescribed, {expected}.")
+        if dynamics.mechanism.actuators.wrenches:
+            raise PlannerError(
+                "an actuator acts at a site, expected actuators of joints and fixed tendons: energy is their work."
+            )
         self.dynamics, self.mechanism, self.dt = dynamics, dynamics.mechanism, dynamics.dt
         self.weight = number("the energy's weight", weight, minimum=0.0)
         self.smoothing = number("the energy's smoothing", smoothing, greater_than=0.0)
         self.space, self.nx, self.ndx, self.nu = dynamics.space, dynamics.nx, dynamics.ndx, dynamics.nu
         acts = self.mechanism.actuators
         self._gain = np.where(acts.dynamics == DIRECT, acts.gain, 0.0)  # of the control itself
-        self._by_q, self._by_x = _force_rows(self.mechanism)
+        self._by_q, self._by_x = force_rows(self.mechanism)
 
     def power(self, xs: np.ndarray, us: np.ndarray) -> np.ndarray:
         """(N, nu) W, the mean power of each actuator over each stage of xs (N+1, nx), us (N, nu)."""
@@ -114,17 +119,3 @@ class EnergyCost(Term):
         of_force = 0.5 * way[:, :, None] * self._by_x
         by_u = way[:, :, None] * np.diag(self._gain)
         return (by_x + of_force) / self.dt, (by_end + of_force) / self.dt, by_u / self.dt
-
-
-def _force_rows(mechanism: Mechanism) -> tuple[np.ndarray, np.ndarray]:
-    """Derivatives of the forces by the state (nu, nx) and by its deviation (nu, ndx): by length, rate, activation."""
-    acts, space, nv = mechanism.actuators, mechanism.space, mechanism.nv
-    by_q, by_x = np.zeros((acts.nu, space.nx)), np.zeros((acts.nu, space.ndx))
-    for i in np.flatnonzero(mechanism.kind == SCREW):  # lengths are over the hinge and slide joints
-        by_q[:, mechanism.q_address[i]] += acts.bias[:, 1] * acts.moment[:, i]
-        by_x[:, i] = acts.bias[:, 1] * acts.moment[:, i]
-    by_q[:, mechanism.nq : mechanism.nq + nv] = by_x[:, nv : 2 * nv] = acts.bias[:, 2, None] * acts.moment
-    for j in np.flatnonzero(acts.dynamics != DIRECT):
-        k = acts.activation[j]
-        by_q[j, mechanism.nq + nv + k] = by_x[j, 2 * nv + k] = acts.gain[j]
-    return by_q, by_x

@@ -262,7 +262,7 @@ def _free_dofs(
     All of them for closed chains. Those with a goal in `joints` are fixed.
     """
     dynamics, mechanism = search.dynamics, search.dynamics.mechanism
-    actuated = np.any(mechanism.actuators.moment * mechanism.actuators.gain[:, None] != 0.0, axis=0)
+    actuated = np.any(mechanism.actuators.acts_on[mechanism.actuators.gain != 0.0], axis=0)
     actuated[prescribed_dofs_of(dynamics)] = True
     everything = np.ones(mechanism.nv, dtype=bool)
     stays = mechanism.contacts and search.feet is None  # in the air, or its contacts are with each other

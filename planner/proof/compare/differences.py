@@ -95,6 +95,10 @@ def _all(ours: Mechanism, theirs: Mechanism) -> Iterator[str]:
         "kind of activation": (a.dynamics.astype(float), b.dynamics.astype(float)),
         "time constant": (a.time_constant, b.time_constant),
     }  # fmt: skip
+    if _at_sites(ours) != _at_sites(theirs) or not all(
+        _same(x, y) for x, y in zip(_of_sites(ours), _of_sites(theirs), strict=True)
+    ):
+        yield "what its actuators do at sites is another (site, refsite or gear)"
     for index in range(ours.nu):
         for term, (one, other) in terms.items():
             if not _same(one[index], other[index]):
@@ -122,6 +126,16 @@ def _values(ours: np.ndarray, theirs: np.ndarray) -> str:
 def _shown(values: np.ndarray) -> str:
     flat = [f"{value:.6g}" for value in np.ravel(values)]
     return flat[0] if len(flat) == 1 else f"({', '.join(flat)})"
+
+
+def _at_sites(mechanism: Mechanism) -> list[tuple[int, int, int]]:
+    """Actuator, link and frame of each wrench at a site."""
+    return [(one.actuator, one.link, one.frame) for one in mechanism.actuators.wrenches]
+
+
+def _of_sites(mechanism: Mechanism) -> list[np.ndarray]:
+    """The numbers (9,) of each wrench at a site: place, force and torque."""
+    return [np.concatenate([one.place, one.force, one.torque]) for one in mechanism.actuators.wrenches]
 
 
 def _of_chain(chain: LoopClosure | PolynomialCoupling) -> np.ndarray:

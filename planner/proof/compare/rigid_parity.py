@@ -282,7 +282,7 @@ def _cause(term: str, mechanism: Mechanism, ours: _Terms, theirs: _Terms, relati
         actuator = int(np.flatnonzero(mechanism.actuators.activation == worst)[0])
         return f"activation of {actuator_of(mechanism, actuator)}"
     if term == "actuator":
-        acting = np.flatnonzero(mechanism.actuators.moment[:, worst])
+        acting = np.flatnonzero(mechanism.actuators.acts_on[:, worst])
         which = " and ".join(actuator_of(mechanism, int(a)) for a in acting) or "no actuator of ours"
         return f"gear, gain or bias of {which} at {joint_of(mechanism, worst)}"
     return f"at {joint_of(mechanism, worst)}"

@@ -51,7 +51,7 @@ def no_actuator(plan: Plan, problem: Problem, proof: Proof | None) -> list[Sugge
         return []
     if getattr(problem.dynamics, "prescribed", ()) or mechanism.couplings or mechanism.loops:
         return []
-    beyond, driven = ranges.violation(plan.xs).max(axis=0), np.any(mechanism.actuators.moment, axis=0)
+    beyond, driven = ranges.violation(plan.xs).max(axis=0), mechanism.directly_actuated
     dofs = ranges.component[: len(ranges.component) - ranges.at_end]
     left = [h for h, dof in enumerate(dofs) if dof < mechanism.nv and not driven[dof] and beyond[h] > limits.tolerance]
     if not left:

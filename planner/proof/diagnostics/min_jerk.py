@@ -43,7 +43,8 @@ def machine_of(problem: Problem) -> Mechanism | None:
     whole = np.all(machine.kind == SCREW) and not np.any(machine.actuators.dynamics != DIRECT)
     if not whole or machine.nq != machine.nv or machine.contacts or machine.body_contacts or np.any(ends):
         return None
-    return machine if np.linalg.matrix_rank(machine.actuators.moment) == machine.nv else None
+    moment = machine.actuators.moment  # of what acts at sites 0: its motion is not worth the poses' moments here
+    return machine if np.linalg.matrix_rank(moment) == machine.nv else None
 
 
 def smooth_motion(problem: Problem, machine: Mechanism, duration: float) -> MinJerkMotion:

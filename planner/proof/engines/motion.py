@@ -11,6 +11,7 @@ from collections.abc import Callable
 
 import numpy as np
 
+from planner.dynamics.actuator_moments import actuator_moments
 from planner.model.actuators import DIRECT, INTEGRATOR
 from planner.model.exponential_torques import exponential_joint_torques
 from planner.model.mechanism import SCREW, Mechanism
@@ -116,7 +117,7 @@ class Applied:
         given[self._states] = act[self._places]
         length, rate = actuators.moment @ place, actuators.moment @ v
         force = actuators.gain * given + actuators.bias[:, 0] + actuators.bias[:, 1] * length
-        tau = actuators.moment.T @ (force + actuators.bias[:, 2] * rate)
+        tau = actuator_moments(m, q).T @ (force + actuators.bias[:, 2] * rate)
         tau -= self._damping * v + m.stiffness * (place - np.where(self._screws, m.spring_rest, 0.0))
         for (address, dof), stiffness, rest in zip(m.quaternions, m.ball_stiffness, m.ball_rest, strict=True):
             turned = log_quaternion(product(conjugate(rest), q[address : address + 4]))
