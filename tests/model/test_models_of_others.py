@@ -30,11 +30,11 @@ pytestmark = pytest.mark.skipif(
 )
 
 WHOLE = [
-    "dm acrobot", "dm cartpole", "dm cheetah", "dm dog", "dm finger", "dm fish", "dm hopper", "dm humanoid", "dm humanoid_CMU",
-    "dm manipulator", "dm pendulum", "dm point_mass", "dm quadruped", "dm reacher", "dm stacker", "dm swimmer", "dm walker",
-    "gym ant", "gym half_cheetah", "gym hopper", "gym humanoid",
-    "gym humanoidstandup", "gym inverted_double_pendulum", "gym inverted_pendulum", "gym point", "gym pusher",
-    "gym pusher_v5", "gym reacher", "gym swimmer", "gym walker2d", "gym walker2d_v5",
+    "dm acrobot", "dm cartpole", "dm cheetah", "dm dog", "dm finger", "dm fish", "dm hopper", "dm humanoid",
+    "dm humanoid_CMU", "dm manipulator", "dm pendulum", "dm point_mass", "dm quadruped", "dm reacher", "dm stacker",
+    "dm swimmer", "dm walker", "gym ant", "gym half_cheetah", "gym hopper", "gym humanoid", "gym humanoidstandup",
+    "gym inverted_double_pendulum", "gym inverted_pendulum", "gym point", "gym pusher", "gym pusher_v5",
+    "gym reacher", "gym swimmer", "gym walker2d", "gym walker2d_v5",
 ]  # fmt: skip
 # What takes out of a file what is not modelled, and words of the sentence that refuses it.
 REFUSED = {
