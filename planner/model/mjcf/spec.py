@@ -55,13 +55,13 @@ def _of_spec(spec: Any, assets: dict[str, bytes]) -> tuple[str, dict[str, bytes]
     copy = spec.copy()
     copy.assets = {**spec.assets, **assets}
     try:
-        compiled = copy.compile()
+        own = copy.compile()
         with _all_digits():
             text = copy.to_xml()
     except (ValueError, RuntimeError, mujoco.FatalError) as error:
         raise ModelError(f"MuJoCo refuses the model: {' '.join(str(error).split())}.") from None
     root, files = model_tree(text, copy.assets, folder=Path(spec.modelfiledir))
-    differs = different_field(compiled, compile_model(root, files))
+    differs = different_field(own, compile_model(root, files))
     if differs:
         raise ModelError(
             f"the XML that MuJoCo {mujoco.__version__} writes of the spec has another {differs} than the spec itself: "
