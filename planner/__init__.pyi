@@ -23,6 +23,7 @@ from planner.problem.costs.frame import FrameCost as FrameCost
 from planner.problem.costs.penalty import PenaltyCost as PenaltyCost
 from planner.problem.costs.terms import Cost as Cost
 from planner.problem.costs.tracking import TrackingCost as TrackingCost
+from planner.problem.derivative_check import check_derivatives as check_derivatives
 from planner.problem.limits import Limits as Limits
 from planner.problem.plan import Plan as Plan
 from planner.problem.plan import Status as Status

@@ -165,13 +165,15 @@ class Mechanism:
 
     @classmethod
     def from_mjcf(
-        cls, model: str | Path, *, ignore: Collection[str] | None = (), contacts: str | ContactLaw = "auto",
+        cls, model: Any, *, ignore: Collection[str] | None = (), contacts: str | ContactLaw = "auto",
         assets: dict[str, bytes] | None = None, name: str = "", attach: Any = None, obstacles: Any = None,
     ) -> Mechanism:  # fmt: skip
-        """Read an MJCF file or text with MuJoCo's compiler.
+        """Read an MJCF file, text or spec with MuJoCo's compiler.
 
         Args:
-            model: A path, the XML text itself, or "robot_descriptions:NAME" of that package.
+            model: A path, the XML text itself, "robot_descriptions:NAME" of that package, a mujoco.MjSpec, or an
+                element of dm_control.mjcf, whose whole model is read. A spec or element stays as it was, and later
+                changes of it do not change the mechanism.
             ignore: Kinds of elements to remove, e.g. ("frictionloss",), also from the replayed model.
             contacts: Which contacts the plan models. "model": those whose MJCF parameters are a law of
                 planner.model.contact.laws (see planner.model.mjcf.contacts): spheres, capsules and corners of boxes

@@ -20,7 +20,7 @@ from planner.base.arguments import choice, number, short_repr
 from planner.base.errors import PlannerError
 from planner.dynamics import Dynamics
 from planner.model.capabilities import capabilities_of
-from planner.model.coordinates import coordinates_of
+from planner.model.coordinates import Coordinate, coordinates_of
 from planner.model.couplings import contradiction
 from planner.model.mechanism import SCREW, Mechanism
 from planner.model.space import space_of
@@ -67,7 +67,8 @@ class Limits:
         position: (lower, upper) by the names of hinge and slide joints, or "model" for their ranges less the margin.
             rad or m. No default range if the mechanism models the joint's stops. Lengths of fixed tendons likewise.
         velocity: A number for all joints, or by joint a number or (lower, upper), or "model" for the limits that a
-            URDF has. rad/s or m/s.
+            URDF has. rad/s or m/s. Of dynamics without a mechanism, position and velocity are a number b for -b to b or
+            (lower, upper), of all coordinates that its `coordinates` give the unit of one, or a table by their names.
         state: (lower, upper) by the index of a component of the deviation, for a machine without named joints.
         final: "exact" for all that has a final weight, or names of joints (their positions and velocities), or
             indices of components of the deviation that end at the cost's goal.
@@ -196,7 +197,7 @@ class Limits:
         """
         mechanism = with_names(capabilities_of(dynamics).mechanism, "position")
         found = np.tile([-np.inf, np.inf], (mechanism.nv, 1))
-        for i, joint_range in self._found(mechanism, space_of(dynamics).ndx).items():
+        for i, joint_range in self._found(dynamics).items():
             if i < mechanism.nv:
                 found[i] = joint_range.low, joint_range.high
         return found
@@ -209,7 +210,7 @@ class Limits:
         """
         space, mechanism = space_of(dynamics), capabilities_of(dynamics).mechanism
         coordinates = coordinates_of(dynamics)
-        found = self._found(mechanism, space.ndx)
+        found = self._found(dynamics)
         rotations = {j + c for _, j in space.quaternions for c in range(3)}
         reference = getattr(cost, "x_ref", None)
         at_end = self._at_end(mechanism, cost, space.ndx)
@@ -265,20 +266,24 @@ class Limits:
                 given[tendon.name] = Range.of(low / scale, high / scale)
         Q, x_ref, found = getattr(cost, "Q", None), getattr(cost, "x_ref", None), []
         weighed = np.abs(Q[-1]).max(axis=0) > 0.0 if Q is not None and x_ref is not None else np.zeros(0)
-        for length, joint_range in tendon_ranges(
-            mechanism, self.margin, given, self._found(mechanism, space_of(dynamics).ndx)
-        ):
+        for length, joint_range in tendon_ranges(mechanism, self.margin, given, self._found(dynamics)):
             aims = x_ref is not None and len(weighed) and weighed[list(length.tendon.dofs)].all()
             found.append(tendon_constraint(length, joint_range, x0, x_ref[-1] if aims else None, self.tolerance))  # pyright: ignore
         return tuple(found)
 
-    def _found(self, mechanism: Mechanism | None, ndx: int) -> dict[int, Range]:
+    def _found(self, dynamics: Dynamics) -> dict[int, Range]:
         """Ranges by component."""
         found: dict[int, Range] = {}
+        mechanism, ndx = capabilities_of(dynamics).mechanism, space_of(dynamics).ndx
         if self.margin is not None:
             check_margin(with_names(mechanism, "margin"), self.margin)
-        if self.position is not None and not is_word(self.position, OFF):
-            machine = with_names(mechanism, "position")
+        ranges = {what: getattr(self, what) for what in ("position", "velocity")}
+        named = {what: value for what, value in ranges.items() if value is not None and not is_word(value, OFF)}
+        if mechanism is None:
+            for what, value in named.items():
+                found |= _of_coordinates(what, value, coordinates_of(dynamics))
+        elif "position" in named:
+            machine = mechanism
             if isinstance(self.position, str):
                 choice("the limits' position", self.position, (MODEL, OFF))
             found = model_ranges(machine, self.margin)
@@ -297,8 +302,8 @@ class Limits:
                     raise PlannerError(f"joint {joint!r} is a ball or free joint, {expected}.")
                 if not is_word(value, MODEL):
                     found[links.start] = Range.of(*pair_of(f"the range of joint {joint!r}", value))
-        if self.velocity is not None and not is_word(self.velocity, OFF):
-            found |= self._velocities(with_names(mechanism, "velocity"))
+        if mechanism is not None and "velocity" in named:
+            found |= self._velocities(mechanism)
         for i, value in ({} if self.state is None else table_of("state", self.state)).items():
             i = component_of("state", i, ndx)
             found[i] = Range.of(*pair_of(f"the range of component {i}", value))
@@ -353,3 +358,26 @@ class Limits:
             else:
                 at_end.append(component_of("final", part, ndx))
         return sorted(set(at_end))
+
+
+def _of_coordinates(what: str, value: Any, coordinates: Sequence[Coordinate]) -> dict[int, Range]:
+    """Ranges by component, of dynamics whose coordinates have names and units instead of joints."""
+    if isinstance(value, str):
+        with_names(None, what)
+    if isinstance(value, Mapping):
+        places = {one.name: i for i, one in enumerate(coordinates)}
+        return {
+            places[choice(f"the coordinate in the limits' {what}", name, places)]: Range.of(
+                *pair_of(f"the {what} range of {name!r}", part)
+            )
+            for name, part in value.items()
+        }
+    pair = Range.of(*pair_of(f"the limits' {what}", value))
+    found = {i: pair for i, one in enumerate(coordinates) if one.unit and one.is_rate == (what == "velocity")}
+    if not found:
+        raise PlannerError(
+            f"the limits' {what} is {short_repr(value)}, but no coordinate of the dynamics has the unit of one: write "
+            'coordinates=[("angle", "rad"), ("speed", "rad/s"), ...] of the dynamics, or limits by the index of the '
+            "state, state={1: (-4, 4)}."
+        )
+    return found

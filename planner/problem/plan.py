@@ -52,8 +52,8 @@ class Status(StrEnum):
     CONVERGED = "The gradient, the predicted or the actual decrease fell below its tolerance."
     MAX_ITERATIONS = "The iteration limit was reached; raise max_iterations, or start from this plan's controls."
     NO_DESCENT = (
-        "No step length lowered the cost, even strongly regularized; check the derivatives, "
-        "smooth the dynamics or start from another guess."
+        "No step length lowered the cost, even strongly regularized; check the derivatives with "
+        "planner.check_derivatives(problem), smooth the dynamics or start from another guess."
     )
     NOT_FINITE = (
         "The first guess rolls out to infinite or undefined states, or its cost or gradient is not a number; start "

@@ -24,7 +24,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -86,7 +85,7 @@ class PrescriptionError(ModelError):
 @np.errstate(all="ignore")  # a trajectory may diverge: NaN passes no bound
 def your_file(
     plan: Plan, problem: Problem, goals: Sequence[GoalCheck], *, open_loop: Replay | None = None,
-    mjcf: str | Path | None = None, twin: Twin | None = None,
+    mjcf: Any = None, twin: Twin | None = None,
 ) -> tuple[Section, Replay | None]:  # fmt: skip
     """Replay a plan with its gains in the model as the user gave it, and judge the effect of unmodelled elements.
 
@@ -163,7 +162,7 @@ def _measured(run: Replay, problem: Problem, goals: Sequence[GoalCheck]) -> list
     ]
 
 
-def as_given(problem: Problem, twin: Twin, mjcf: str | Path | None = None) -> CompiledTwin:
+def as_given(problem: Problem, twin: Twin, mjcf: Any = None) -> CompiledTwin:
     """The user's file, or `mjcf`, in place of a twin's text, unedited but for motors of prescribed joints."""
     if mjcf is None and not twin.original:
         return CompiledTwin(twin)

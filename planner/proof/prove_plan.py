@@ -14,6 +14,7 @@ from collections.abc import Callable
 from concurrent.futures import Executor
 from dataclasses import asdict, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -54,7 +55,7 @@ _LATER = "it was not asked for: it follows the verdict, with rollouts"
 
 @np.errstate(all="ignore")  # a trajectory may diverge: NaN passes no bound
 def prove(
-    plan: Plan, *, mjcf: str | Path | None = None, twin: Twin | None = None, seed: int = 0, rollouts: int = ROLLOUTS,
+    plan: Plan, *, mjcf: Any = None, twin: Twin | None = None, seed: int = 0, rollouts: int = ROLLOUTS,
     perturbation: Perturbation | None = None, hold_seconds: float = 0.0, optimal: bool = True,
     budget: float | None = None, partial: Path | None = None, progress: Callable[[int, int], object] | None = None,
     executor: Executor | None = None,
@@ -63,8 +64,8 @@ def prove(
 
     Args:
         plan: A plan of a problem with a twin.
-        mjcf: Replay in this MJCF, a path or the XML text, instead of the plan's own. It must have the same states.
-            Elements removed from the file of the plan's mechanism are removed from this one too.
+        mjcf: Replay in this MJCF (a path, the XML text or a mujoco.MjSpec) instead of the plan's own. It must have the
+            same states. Elements removed from the file of the plan's mechanism are removed from this one too.
         twin: Replay in this model, with its own maps, instead of the plan's own.
         seed: Seed of the random states of parity and of the perturbations.
         rollouts: Maximum number of perturbed simulations in step 5; 0 skips it.

@@ -24,15 +24,14 @@ from planner.base.measured import Measurement
 from planner.dynamics.function import FunctionDynamics
 from planner.model.coordinates import coordinates_of
 from planner.problem.costs.terms import Quadratic
+from planner.problem.derivative_check import AGREES, DERIVATIVE_BOUND
 from planner.problem.goals import terms_of
 from planner.problem.plan import Plan
 from planner.problem.problem import Problem
 from planner.proof.error_scales import has_contacts, is_nonsmooth
 from planner.solvers import lq
 
-DERIVATIVE_BOUND = 1e-3  # relative; central differences have 1e-8, forward differences of a user 1e-6
 DIFFERENCE = 1e-4  # step of central differences, relative to the trajectory
-AGREES = 0.1  # of an error: differences at two lengths that are further apart are of no smooth function
 SEEDS = 2  # random directions of the states, and of the controls
 CURVATURE_BOUND = 0.01  # of the LQ problem's curvature: lower ones are rounding, or a valley
 LANCZOS_STEPS = 8  # the spectrum is 1 but for a few eigenvalues: the lowest is found by then

@@ -11,7 +11,6 @@ import copy
 import itertools
 from collections.abc import Callable, Collection
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
 
@@ -45,6 +44,7 @@ from planner.model.mjcf.model_index import (
     velocity_limits,
 )
 from planner.model.mjcf.obstacles import obstacles_of, with_obstacles
+from planner.model.mjcf.spec import mjcf_source
 from planner.model.mjcf.unsupported import (  # fmt: skip
     KINDS,
     UnsupportedElement,
@@ -70,14 +70,15 @@ _NUMBERS = (
 
 
 def read(
-    model: str | Path, *, ignore: Collection[str] | None = (), contacts: str | ContactLaw = "auto",
+    model: Any, *, ignore: Collection[str] | None = (), contacts: str | ContactLaw = "auto",
     assets: dict[str, bytes] | None = None, name: str = "", attach: Any = None, obstacles: Any = None,
 ) -> Mechanism:  # fmt: skip
-    """A mechanism of an MJCF file or text, and of the files that it names; see Mechanism.from_mjcf.
+    """A mechanism of an MJCF file, text or spec, and of the files that it names; see Mechanism.from_mjcf.
 
     With `assets` nothing is read from disk. Messages call the model `name`, by default after its file.
     """
     given, around = attachments(attach), obstacles_of(obstacles)
+    model, assets = mjcf_source(model, assets)
     mechanism = read_opened(
         lambda: with_obstacles(with_attached(open_model_file(model, assets, name), given), around), ignore=ignore,
         contacts=contacts,

@@ -176,13 +176,13 @@ def model_text(path: str | Path) -> str:
 
 
 def model_tree(
-    model: str | Path, assets: dict[str, bytes] | None = None, *, stored: bool = False
+    model: str | Path, assets: dict[str, bytes] | None = None, *, stored: bool = False, folder: Path | None = None
 ) -> tuple[ElementTree.Element, dict[str, bytes]]:
     """A model that stands alone: its XML with includes resolved and the files it names, by the name it uses.
 
-    Files are sought in `assets` first; those that a text names, then from the working directory. The model of a
-    `stored` plan names only assets, by whatever folder, as MuJoCo finds them: nothing is read from disk for it. The
-    compiler's folders (meshdir, texturedir, assetdir) are gone: every file has a name without a folder.
+    Files are sought in `assets` first; those that a text names, then from `folder`, by default the working directory.
+    The model of a `stored` plan names only assets, by whatever folder, as MuJoCo finds them: nothing is read from disk
+    for it. The compiler's folders (meshdir, texturedir, assetdir) are gone: every file has a name without a folder.
     """
     if isinstance(model, str) and not model.strip():
         raise ModelError("the model is an empty text, expected MJCF or the path of a file.")
@@ -190,6 +190,7 @@ def model_tree(
         raise ModelError(f"the model is a {type(model).__name__}, expected MJCF text or the path of a file.")
     files: dict[str, bytes] = {}
     root, reading = _read(model, Budget(), ())
+    reading.folder = folder or reading.folder
     reading.stored = by_name(assets or {}) if stored else None
     root = _standing_alone(root, reading, assets or {}, files)
     check_copies(root, files)

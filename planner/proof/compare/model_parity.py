@@ -21,7 +21,6 @@ from __future__ import annotations
 import copy
 from collections.abc import Collection, Iterator
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 from weakref import WeakKeyDictionary
 
@@ -57,9 +56,7 @@ _last: WeakKeyDictionary[Problem, tuple[Twin, int, Section]] = WeakKeyDictionary
 _NOTHING = Section("parity", not_applicable="the problem names no states at which the two models are the same")
 
 
-def parity(
-    machine: Problem | Mechanism, mjcf: str | Path | None = None, *, twin: Twin | None = None, seed: int = 0
-) -> Section:
+def parity(machine: Problem | Mechanism, mjcf: Any = None, *, twin: Twin | None = None, seed: int = 0) -> Section:
     """Compare a machine's dynamics with MuJoCo's at random states, before or after planning.
 
     A mechanism is compared term by term (mass matrix, bias force, actuator force, acceleration), and a term that
@@ -68,7 +65,7 @@ def parity(
 
     Args:
         machine: A mechanism, or a problem.
-        mjcf: Compare with this MJCF, a path or the XML text, instead of the machine's own.
+        mjcf: Compare with this MJCF (a path, the XML text or a mujoco.MjSpec) instead of the machine's own.
         twin: Compare with this model instead of the problem's own.
         seed: Seed of the random states.
 

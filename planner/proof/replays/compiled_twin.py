@@ -10,7 +10,6 @@ import copy
 from collections.abc import Callable, Collection
 from dataclasses import replace
 from functools import cached_property
-from pathlib import Path
 from typing import Any
 from weakref import WeakKeyDictionary
 from xml.etree import ElementTree
@@ -25,6 +24,7 @@ from planner.model.mjcf.contacts import contact_refusals
 from planner.model.mjcf.equalities import set_hard
 from planner.model.mjcf.model_index import ModelIndex, compile_model
 from planner.model.mjcf.prescribed_joints import prescribed_twin
+from planner.model.mjcf.spec import mjcf_source
 from planner.model.mjcf.text import is_text, model_tree
 from planner.model.mjcf.unmodelled_features import UnmodelledFeatures, unmodelled_features
 from planner.model.mjcf.unsupported import modelled, take_out, unsupported_elements
@@ -108,19 +108,20 @@ class CompiledTwin:
         return model
 
 
-def with_model(twin: Twin, mjcf: str | Path | None) -> Twin:
-    """A twin with another MJCF or URDF, a path or the XML text, in place of its own; with its own for None."""
+def with_model(twin: Twin, mjcf: Any) -> Twin:
+    """A twin with another MJCF or URDF, a path, text or spec, in place of its own; with its own for None."""
     if mjcf is None:
         return twin
     if is_urdf(mjcf):
         text, files, _ = as_mjcf(mjcf, **{key: twin.origin[key] for key in URDF_KEYS if key in twin.origin})
         return replace(twin, mjcf=text, assets=files)
-    root, files = model_tree(mjcf, twin.assets if is_text(mjcf) else None)  # a path brings its own meshes
+    mjcf, files = mjcf_source(mjcf, twin.assets if is_text(mjcf) else None)  # a path brings its own meshes
+    root, files = model_tree(mjcf, files)
     return replace(twin, mjcf=ElementTree.tostring(root, encoding="unicode"), assets=files)
 
 
-def another_model(problem: Problem, twin: Twin, mjcf: str | Path | None) -> CompiledTwin:
-    """A twin with another MJCF, a path or the XML text; the twin itself for None.
+def another_model(problem: Problem, twin: Twin, mjcf: Any) -> CompiledTwin:
+    """A twin with another MJCF, a path, text or spec; the twin itself for None.
 
     A plan made with contacts="off" or ignore=(...) is proved without these elements. Its prescribed joints have motors
     in the other model too.
