@@ -5,7 +5,7 @@ Beside these the terms of planner.costs (Height, Distance, Gap, Velocity) and an
 
 from planner.problem.avoid import Avoid
 from planner.problem.constraints.constraint import Constraint
-from planner.problem.constraints.forces import ChainForce, JointForce, Power
+from planner.problem.constraints.forces import ChainForce, Power
 from planner.problem.constraints.quantities import (
     CenterOfMass,
     FrameAxisAngle,
@@ -23,6 +23,5 @@ __all__ = [
     "FrameOrientation",
     "FramePosition",
     "FramePositionAlong",
-    "JointForce",
     "Power",
 ]

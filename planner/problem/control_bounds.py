@@ -211,7 +211,7 @@ def summed_joint_forces(mechanism: Mechanism) -> dict[int, str]:
     """
     acts, found = mechanism.actuators, {}
     acts_on, by_wrenches = acts.acts_on, acts.by_wrenches
-    limited = np.isfinite(mechanism.joint_force_range).any(axis=1)
+    limited = np.any(np.isfinite(mechanism.joint_force_range), axis=1)
     for name, links in zip(mechanism.joint_names, mechanism.joint_links, strict=True):
         i = links.start
         which = np.flatnonzero(acts_on[:, i])

@@ -10,6 +10,7 @@ from planner.dynamics import RigidBodyDynamics
 from planner.dynamics.actuator_moments import actuator_moments
 from planner.dynamics.quasi_static import quasi_static_controls
 from planner.model.mechanism import Mechanism
+from planner.proof.compare.differences import differences
 
 mujoco = load_mujoco()
 WAYS = [("rk4", 1), ("rk4", 3), ("euler", 1), ("semi-implicit-euler", 1), ("rosenbrock", 1), ("rosenbrock", 2)]
@@ -90,3 +91,9 @@ def test_no_second_derivatives_of_sites():
     dynamics = RigidBodyDynamics(Mechanism.from_mjcf(QUADROTOR.replace('<freejoint name="base"/>', "<joint/>")), 0.01)
     with pytest.raises(PlannerError, match="actuators at sites"):
         dynamics.second_order_memory()
+
+
+def test_another_place_of_a_rotor_is_named():
+    ours, theirs = (Mechanism.from_mjcf(text) for text in (QUADROTOR, QUADROTOR.replace("0.085 0.01", "0.095 0.01")))
+    assert "what its actuators do at sites" in differences(ours, theirs)
+    assert differences(ours, ours) == ""

@@ -3,11 +3,16 @@
 import numpy as np
 import pytest
 from contact_machines import leg
+from thrusters import QUADROTOR
 
 from planner.base.errors import ModelError
+from planner.base.gl import load_mujoco
 from planner.model.contact.laws import ContactLaw
 from planner.model.mechanism import Mechanism
+from planner.model.mjcf.contact_mode import falling_trees
+from planner.model.mjcf.facts import free_bases
 from planner.model.mjcf.ground_law import DAMPING, REST_PENETRATION
+from planner.model.mjcf.model_index import ModelIndex
 
 FLOOR = '<geom name="floor" type="plane" size="0 0 1"/>'
 ARM = """<body name="arm"><joint name="hinge" axis="0 0 1"/>
@@ -111,3 +116,13 @@ def test_a_planned_text_is_read_with_the_same_contacts():
     for one, other in zip(m.contacts, again.contacts, strict=True):
         assert (one.name, one.link, one.radius) == (other.name, other.link, other.radius)
         np.testing.assert_array_equal(one.centre, other.centre)
+
+
+def test_rotors_carry_a_machine_and_a_push_does_not():
+    for gear, carried in (("0 0 1 0 0 0", True), ("1 0 0 0 0 0", False)):
+        text = QUADROTOR
+        for own in ("0 0 1 0 0 0.016", "0 0 1 0 0 -0.016"):
+            text = text.replace(f'gear="{own}"', f'gear="{gear}"')
+        model = load_mujoco().MjModel.from_xml_string(text)
+        assert (falling_trees(ModelIndex(model)) == {}) == carried
+        assert (free_bases(model) == []) == carried

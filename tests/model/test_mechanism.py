@@ -8,6 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from planner.base.errors import PlannerError
 from planner.base.gl import load_mujoco
+from planner.dynamics.actuator_moments import actuator_moments
 from planner.model.actuators import FILTER, INTEGRATOR
 from planner.model.mechanism import BALL, BALL_NEXT, SCREW, Mechanism
 from planner.model.space import hat
@@ -199,12 +200,13 @@ def test_actuators_push_as_mujocos(elements, flag):
         data = state(model, seed)
         screws = m.kind == SCREW  # with the slides of the free joint, which has no length
         scalar[screws] = data.qpos[m.q_address[screws]]
+        moment = actuator_moments(m, data.qpos)
         length, rate = actuators.moment @ scalar, actuators.moment @ data.qvel
         driven = actuators.activation >= 0
         u = np.where(driven, data.act[actuators.activation] if model.na else 0.0, data.ctrl)
         bias = actuators.bias
         force = actuators.gain * u + bias[:, 0] + bias[:, 1] * length + bias[:, 2] * rate
-        np.testing.assert_allclose(actuators.moment.T @ force, data.qfrc_actuator, atol=1e-12)
+        np.testing.assert_allclose(moment.T @ force, data.qfrc_actuator, atol=1e-12)
         # Activations move as MuJoCo steps them, one short step with Euler's rule.
         rates = np.where(actuators.dynamics == INTEGRATOR, data.ctrl, 0.0)
         rates += np.where(actuators.dynamics == FILTER, (data.ctrl - u) / actuators.time_constant, 0.0)

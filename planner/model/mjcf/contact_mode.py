@@ -134,7 +134,7 @@ def falling_trees(survey: ModelIndex) -> dict[int, bool]:
     if not np.any(gravity):
         return {}
     actuated = actuated_dofs(survey)
-    held = actuated | (model.jnt_stiffness[model.dof_jntid] > 0.0)
+    held = actuated_dofs(survey, at_sites=False) | (model.jnt_stiffness[model.dof_jntid] > 0.0)
     found = {}
     for root in np.unique(model.body_rootid[model.dof_bodyid]):
         body = int(root)
@@ -142,24 +142,25 @@ def falling_trees(survey: ModelIndex) -> dict[int, bool]:
         for joint in range(model.body_jntadr[body], model.body_jntadr[body] + model.body_jntnum[body]):
             dof = int(model.jnt_dofadr[joint])
             if model.jnt_type[joint] == int(joints.mjJNT_FREE):
-                falls = not held[dof : dof + 6].any()
+                falls = not (held[dof : dof + 6].any() or survey.carried_by_actuators(np.arange(dof, dof + 6)))
             elif model.jnt_type[joint] == int(joints.mjJNT_SLIDE):
                 slope = abs(float(home.xaxis[joint] @ gravity))
-                falls |= bool(slope > _STEEP * np.linalg.norm(gravity) and not held[dof])
+                steep = bool(slope > _STEEP * np.linalg.norm(gravity))
+                falls |= steep and not (held[dof] or survey.carried_by_actuators(np.array([dof])))
         weighs = 1.0 if no_compensation(model) else 1.0 - model.body_gravcomp[tree]  # what floats does not fall
         if falls and np.sum(model.body_mass[tree] * weighs) > _STEEP * model.body_mass[tree].sum():
             found[body] = bool(actuated[model.body_rootid[model.dof_bodyid] == root].any())
     return found
 
 
-def actuated_dofs(survey: ModelIndex) -> np.ndarray:
+def actuated_dofs(survey: ModelIndex, at_sites: bool = True) -> np.ndarray:
     """(nv,) whether an actuator acts at a degree of freedom, directly, by a fixed tendon or at a site."""
     model = survey.model
     kinds, actuated = load_mujoco().mjtTrn, np.zeros(model.nv, dtype=bool)
     for i in range(len(model.actuator_trntype)):
         target = int(model.actuator_trnid[i, 0])
         if has_wrenches(model, i):
-            for one in wrenches_of(survey, i):
+            for one in wrenches_of(survey, i) if at_sites else ():
                 actuated[one.dofs] = True
         elif model.actuator_trntype[i] in (int(kinds.mjTRN_JOINT), int(kinds.mjTRN_JOINTINPARENT)):
             actuated[model.dof_jntid == target] = True

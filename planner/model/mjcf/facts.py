@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from planner.base.gl import load_mujoco
-from planner.model.mjcf.contact_mode import actuated_dofs, machine_roots
+from planner.model.mjcf.contact_mode import machine_roots
 from planner.model.mjcf.equalities import acting, joined, joins
 from planner.model.mjcf.model_index import ModelIndex, disabled, named
 from planner.model.mjcf.unsupported import actuator_disabled
@@ -146,11 +146,11 @@ def free_bases(model: Any) -> list[str]:
     what is held, are held too.
     """
     survey = ModelIndex(model)
-    kinds, actuated, found = load_mujoco().mjtJoint, actuated_dofs(survey), list[int]()
+    kinds, found = load_mujoco().mjtJoint, list[int]()
     for j in range(model.njnt):
         body = int(model.jnt_bodyid[j])
         upright = model.jnt_type[j] == kinds.mjJNT_SLIDE and abs(model.jnt_axis[j, 2]) > _UPRIGHT
-        held = actuated[model.dof_jntid == j].any() or (upright and model.jnt_stiffness[j] > 0.0)
+        held = survey.carried_by_actuators(model.dof_jntid == j) or (upright and model.jnt_stiffness[j] > 0.0)
         loose = upright and model.body_weldid[model.body_parentid[body]] == 0
         if (model.jnt_type[j] == kinds.mjJNT_FREE or loose) and not held and body not in found:
             found.append(body)

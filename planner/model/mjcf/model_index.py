@@ -21,6 +21,7 @@ from planner.model.mjcf.compile_subprocess import compile_in_subprocess
 MAX_TOUCHING = 5000  # geoms: a table of all pairs of them has some 100 MB
 MAX_PAIRS = 100_000
 MAX_KEPT = 2**28  # bytes of compiled models
+_BALANCED = 1e-6  # of a weight: what forces leave of it that balance it
 
 VELOCITY_LIMIT = "velocity_limit"
 """Tuple of velocity limits: <tuple name="velocity_limit"><element objtype="joint" objname="elbow" prm="3.1"/>."""
@@ -112,6 +113,28 @@ class ModelIndex:
         home = load_mujoco().MjData(self.model)
         load_mujoco().mj_kinematics(self.model, home)
         return home
+
+    def carried_by_actuators(self, dofs: np.ndarray) -> bool:
+        """Whether forces of the actuators, of any size, balance gravity at some degrees of freedom at home."""
+        moments, weight = self._statics
+        reach = moments[:, dofs].T
+        forces = np.linalg.lstsq(reach, weight[dofs], rcond=None)[0]
+        left = np.abs(reach @ forces - weight[dofs]).max()
+        return bool(reach.any() and left <= _BALANCED * np.abs(weight[dofs]).max())
+
+    @cached_property
+    def _statics(self) -> tuple[np.ndarray, np.ndarray]:
+        """Moments of the actuators (nu, nv), and the weight (nv,) that they balance at home."""
+        mujoco, model = load_mujoco(), self.model
+        data, weight = mujoco.MjData(model), np.zeros(model.nv)
+        for stage in (mujoco.mj_kinematics, mujoco.mj_comPos, mujoco.mj_tendon, mujoco.mj_transmission):
+            stage(model, data)
+        mujoco.mj_comVel(model, data)
+        mujoco.mj_rne(model, data, 0, weight)
+        moments = np.zeros((len(data.moment_rownnz), model.nv))
+        rows = data.moment_rownnz, data.moment_rowadr, data.moment_colind
+        mujoco.mju_sparse2dense(moments, data.actuator_moment, *rows)
+        return moments, weight
 
     @cached_property
     def carriers(self) -> tuple[np.ndarray, np.ndarray]:
