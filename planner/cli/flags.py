@@ -77,9 +77,10 @@ IMPORTS: Flags = {
     "--allow-import": {"action": "append", "metavar": "MODULE", "default": [],
                        "help": "Import this module, or file MODULE.py, for residuals of your own. May be repeated."},
 }  # fmt: skip
-OUTPUT: Flags = {
+COMMON: Flags = {
     "--json": boolean_flag("Print one JSON document on stdout."),
     "--quiet": boolean_flag("Print no progress."),
+    "--confine": value_flag("DIR", "Read no input outside of this folder: for models and problem files of strangers."),
 }
 
 
