@@ -124,7 +124,7 @@ def _table(path: Path) -> tuple[list[str], np.ndarray]:
         raise FileError(f"{what} are no CSV: {error}.") from None
     header = [name.strip() for name in rows[0]] if rows else []
     if len(header) < 2 or header[0].lower() != TIME:
-        raise FileError(f"{what} have no header of their columns, expected time, then names of actuators or joints.")
+        raise FileError(f"{what} do not begin with time, expected a header: time, then names of actuators or joints.")
     if not 2 <= len(rows) - 1 <= LONGEST_HORIZON:
         raise FileError(f"{what} have {len(rows) - 1} rows below the header, expected 2 to {LONGEST_HORIZON}.")
     table = np.full((len(rows) - 1, len(header)), np.nan)

@@ -31,8 +31,17 @@ def _width_and_height(text: str) -> tuple[int, int]:
     return width, height
 
 
+def _direction(text: str) -> str | tuple[float, float]:
+    """A camera's name, or its azimuth and elevation."""
+    if "," not in text:
+        return text
+    azimuth, elevation = map(float, text.split(","))
+    return azimuth, elevation
+
+
 number, whole = _word_as(float, "a number"), _word_as(int, "a whole number")
 size = _word_as(_width_and_height, "a size like 1280x720")
+direction = _word_as(_direction, "a camera's name, or azimuth and elevation like 90,-15")
 
 
 def value_flag(metavar: str, text: str, default: Any = None, kind: Callable[[str], Any] = str) -> dict[str, Any]:

@@ -30,6 +30,7 @@ from planner.cli.flags import (
     Flags,
     add,
     boolean_flag,
+    direction,
     number,
     size,
     value_flag,
@@ -156,6 +157,9 @@ def _render(parser: argparse.ArgumentParser) -> None:
         parser, _PLAN,
         {"--out": value_flag("FILE", "A name ending in .mp4 makes a video, in .png a strip of poses.", "video.mp4"),
          "--size": value_flag("WxH", "Size in pixels. Default: 1280x720, for a strip 1920x540.", kind=size),
+         "--camera": value_flag("CAMERA", "Look as this camera of the model does, or at azimuth,elevation in degrees, "
+                                          "e.g. --camera=90,-15; from where all of the motion is seen.",
+                                kind=direction),
          "--fps": value_flag("N", "Frames per second.", 30, whole),
          "--speed": value_flag("X", "Playback speed, e.g. 0.25. Default: the case's.", kind=number)},
         ROLLOUT, IMPORTS, COMMON,
