@@ -59,6 +59,7 @@ _URDF: Flags = {
 def add_cases(parser: argparse.ArgumentParser, *groups: Flags) -> None:
     """Give a command its machines, each with its own flags, those of the solver and some others."""
     machines = parser.add_subparsers(dest="case", metavar="CASE", required=True)
+    shared: set[str] = set()
     for case, build_case in CASES.items():
         child = machines.add_parser(
             case, help=summary(build_case), description=f"{parser.description} {summary(build_case)}"
@@ -66,12 +67,12 @@ def add_cases(parser: argparse.ArgumentParser, *groups: Flags) -> None:
         child.set_defaults(parser=child)
         _add_case(child, build_case)
         add(child, _LIMITS, _SOLVER, *groups, COMMON)
+        shared = set(child._option_string_actions) - {"-h", "--help"}
     keys = f"Its keys: {', '.join(value_of('planner.cases.problem_file.keys', 'KEYS'))}."
     own = machines.add_parser(PROBLEM_FILE, help=_OWN, description=f"{parser.description} {_OWN}", epilog=keys)
     own.set_defaults(parser=own, control_limit=None, exact_goal=False)
     own.add_argument("problem", metavar="FILE", help="A problem.toml.")
     add(own, _URDF, _SOLVER, *groups, COMMON)
-    shared = {flag for flag in child._option_string_actions if flag not in ("-h", "--help")}
     parser.set_defaults(shared=[one for one in own._actions if not shared.isdisjoint(one.option_strings)])
 
 

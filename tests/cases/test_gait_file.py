@@ -99,7 +99,7 @@ def fewer(*missing):
     [
         ({"names": without("knee", "tilt"), "angles": fewer("knee", "tilt")},
          ("no column tilt, knee,", "expected a header with them")),
-        ({"when": "frame"}, ("no column percent or time;", "frame")),
+        ({"when": "frame"}, ("no column percent or time,", "expected a header with them")),
         ({"names": [*ANGLES[:-1], "pelvis_tilt"]}, ("two columns of tilt, tilt and pelvis_tilt",)),
         ({"names": [*ANGLES[:-1], "ankle_rad"]}, ("unit of its angles differently",)),
         ({"times": PERCENT[::4]}, ("13 rows", "at least 20")),
