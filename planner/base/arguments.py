@@ -137,6 +137,12 @@ def unit_vector(name: str, value: np.ndarray, example: str) -> np.ndarray:
 def quaternion(name: str, value: Any) -> np.ndarray:
     """(4,) unit quaternion, w first, of one, or of a table of roll, pitch and yaw in degrees about the world's axes."""
     if not isinstance(value, Mapping):
+        given = numbers(name, value)
+        if given.shape != (4,):
+            raise PlannerError(
+                f"{name} is {short_repr(value)}, expected the four numbers of a quaternion, w first, e.g. 1, 0, 0, 0, "
+                "or a table of roll, pitch and yaw in degrees."
+            )
         return unit_vector(name, array(name, value, (4,)), "1, 0, 0, 0")
     keys = ("roll", "pitch", "yaw")
     for key in value:

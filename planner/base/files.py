@@ -55,8 +55,46 @@ _SENTENCES = {
 }
 
 
+CONFINE = "PLANNER_CONFINE"
+"""Variable of the environment, also of child processes: the folder beside the package outside of which nothing is read
+as an input; see `confined`."""
+_OWN = (Path(__file__).parents[1], Path(__file__).parents[2] / "mjcf")  # models of cases are inputs too
+
+
+@contextmanager
+def confined(folder: PathLike | None) -> Iterator[None]:
+    """A context in which inputs outside of a folder are refused, links followed; None changes nothing.
+
+    Raises:
+        FileError: It is no folder.
+    """
+    if folder is not None and not os.path.isdir(folder):
+        raise FileError(f"--confine is {printable(folder)}, expected an existing folder.")
+    before = os.environ.get(CONFINE)
+    if folder is not None:
+        os.environ[CONFINE] = os.path.realpath(folder)
+    try:
+        yield
+    finally:
+        if before is None:
+            os.environ.pop(CONFINE, None)
+        else:
+            os.environ[CONFINE] = before
+
+
+def check_confined(path: PathLike, what: str, raises: type[PlannerError] = FileError) -> None:
+    """Raise unless a file lies in the folder to which inputs are confined, or in the package."""
+    folder = os.environ.get(CONFINE)
+    if not folder or "\0" in os.fsdecode(path):  # no file can have that name
+        return
+    place = Path(os.path.realpath(path))
+    if not any(place.is_relative_to(root) for root in (folder, *_OWN)):
+        raise raises(f"{what} {printable(path)} is outside of {printable(folder)}, expected a file in it (--confine).")
+
+
 def read_input(path: PathLike, what: str, *, most: int = ASSET_LIMIT, raises: type[PlannerError] = FileError) -> bytes:
     """The content of an ordinary file of at most `most` bytes; messages call it `what`, e.g. "the model"."""
+    check_confined(path, what, raises)
     try:
         with open(path, "rb", opener=_without_waiting) as file:
             state = os.fstat(file.fileno())

@@ -124,8 +124,7 @@ def _table(path: Path) -> tuple[list[str], np.ndarray]:
         raise FileError(f"{what} are no CSV: {error}.") from None
     header = [name.strip() for name in rows[0]] if rows else []
     if len(header) < 2 or header[0].lower() != TIME:
-        begin = ", ".join(header)[:80]
-        raise FileError(f"{what} begin with {begin!r}, expected a header: time, then names of actuators or joints.")
+        raise FileError(f"{what} do not begin with time, expected a header: time, then names of actuators or joints.")
     if not 2 <= len(rows) - 1 <= LONGEST_HORIZON:
         raise FileError(f"{what} have {len(rows) - 1} rows below the header, expected 2 to {LONGEST_HORIZON}.")
     table = np.full((len(rows) - 1, len(header)), np.nan)
@@ -135,7 +134,7 @@ def _table(path: Path) -> tuple[list[str], np.ndarray]:
             with suppress(ValueError):
                 table[i, j] = float(word)
             if not np.isfinite(table[i, j]):
-                raise FileError(f"{what} have {word[:40]!r} in row {i + 1} of {header[j]}, expected a finite number.")
+                raise FileError(f"{what} have no finite number in row {i + 1} of column {j + 1}.")
     return header, table
 
 

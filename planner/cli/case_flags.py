@@ -14,14 +14,18 @@ from collections.abc import Callable
 from typing import Any, get_args, get_type_hints
 
 from planner.base.arguments import choice
-from planner.cases import CASES
-from planner.cases.problem_file import keys as problem_keys
 from planner.cli.console import Console
-from planner.cli.flags import OUTPUT, PROBLEM_FILE, Flags, add, boolean_flag, choice_flag, number, value_flag, whole
-from planner.dynamics import INTEGRATORS
-from planner.problem.objective import OBJECTIVES
-from planner.solvers.options import HESSIANS, LINE_SEARCHES, UPDATES
+from planner.cli.flags import COMMON, PROBLEM_FILE, Flags, add, boolean_flag, choice_flag, number, value_flag, whole
+from planner.cli.source_values import value_of
 
+CASES: dict[str, Callable[..., Any]] = value_of("planner.cases", "CASES")
+"""The cases, with their signatures and docstrings alone."""
+INTEGRATORS = value_of("planner.kernels.integrators", "INTEGRATORS")
+OBJECTIVES = value_of("planner.problem.objective", "OBJECTIVES")
+HESSIANS, LINE_SEARCHES, UPDATES = (
+    value_of("planner.solvers.options", name) for name in ("HESSIANS", "LINE_SEARCHES", "UPDATES")
+)
+DEFAULTS = value_of("planner.cases.problem_file.keys", "DEFAULTS")
 _OWN = "A machine of your own: an MJCF file, a start, a goal, weights (docs/own-machine.md)."
 
 _LIMITS: Flags = {
@@ -55,18 +59,21 @@ _URDF: Flags = {
 def add_cases(parser: argparse.ArgumentParser, *groups: Flags) -> None:
     """Give a command its machines, each with its own flags, those of the solver and some others."""
     machines = parser.add_subparsers(dest="case", metavar="CASE", required=True)
+    shared: set[str] = set()
     for case, build_case in CASES.items():
         child = machines.add_parser(
             case, help=summary(build_case), description=f"{parser.description} {summary(build_case)}"
         )
         child.set_defaults(parser=child)
         _add_case(child, build_case)
-        add(child, _LIMITS, _SOLVER, *groups, OUTPUT)
-    keys = f"Its keys: {', '.join(problem_keys.KEYS)}."
+        add(child, _LIMITS, _SOLVER, *groups, COMMON)
+        shared = set(child._option_string_actions) - {"-h", "--help"}
+    keys = f"Its keys: {', '.join(value_of('planner.cases.problem_file.keys', 'KEYS'))}."
     own = machines.add_parser(PROBLEM_FILE, help=_OWN, description=f"{parser.description} {_OWN}", epilog=keys)
     own.set_defaults(parser=own, control_limit=None, exact_goal=False)
     own.add_argument("problem", metavar="FILE", help="A problem.toml.")
-    add(own, _URDF, _SOLVER, *groups, OUTPUT)
+    add(own, _URDF, _SOLVER, *groups, COMMON)
+    parser.set_defaults(shared=[one for one in own._actions if not shared.isdisjoint(one.option_strings)])
 
 
 def documented_arguments(case: Callable[..., Any]) -> dict[str, str]:
@@ -124,6 +131,7 @@ def list_cases(arguments: argparse.Namespace, console: Console) -> int:
     """List the machines, or the flags of one, or the keys of a problem file."""
     name = arguments.machine
     if name is not None:
+        name = PROBLEM_FILE if name.lower().endswith(".toml") else name  # whoever has one asks for its keys
         choice("the machine", name, (*CASES, PROBLEM_FILE))
     shown = CASES if name is None else {} if name == PROBLEM_FILE else {name: CASES[name]}
     document = [_described(one, case) for one, case in shown.items()]
@@ -140,10 +148,9 @@ def list_cases(arguments: argparse.Namespace, console: Console) -> int:
     keys = _keys()
     if name == PROBLEM_FILE:
         console.write_result(f"{PROBLEM_FILE}: {_OWN_SUMMARY}; see docs/own-machine.md")
-        defaults = problem_keys.DEFAULTS
-        lines = [(f"  {key}", json.dumps(defaults[key]) if key in defaults else "", text) for key, text in keys.items()]
+        lines = [(f"  {key}", json.dumps(DEFAULTS[key]) if key in DEFAULTS else "", text) for key, text in keys.items()]
         console.table(("  key", "default", ""), lines, COLUMNS)
-    return console.finish("list", 0, cases=document, problem_file={"keys": keys, "defaults": problem_keys.DEFAULTS})
+    return console.finish("list", 0, cases=document, problem_file={"keys": keys, "defaults": DEFAULTS})
 
 
 def _described(name: str, case: Any) -> dict[str, Any]:
@@ -171,8 +178,8 @@ def _show_flags(name: str, console: Console) -> None:
 def _keys() -> dict[str, str]:
     """Every key of a problem file and what it means."""
     tables = {
-        "weights": problem_keys.WEIGHTS, "goal": problem_keys.GOAL, "follow": problem_keys.FOLLOW,
-        "attach": problem_keys.ATTACH, "obstacle": problem_keys.OBSTACLE,
-    }  # fmt: skip
+        name: value_of("planner.cases.problem_file.keys", name.upper())
+        for name in ("weights", "goal", "follow", "attach", "obstacle")
+    }
     more = {f"{table}.{name}": text for table, names in tables.items() for name, text in names.items()}
-    return problem_keys.KEYS | more
+    return value_of("planner.cases.problem_file.keys", "KEYS") | more

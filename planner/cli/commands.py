@@ -13,8 +13,8 @@ from collections.abc import Callable
 import numpy as np
 
 from planner.base.arguments import short_repr
-from planner.base.environment import installed_versions
 from planner.base.errors import PlannerError
+from planner.base.files import confined
 from planner.cli import parser
 from planner.cli.console import Console
 
@@ -51,13 +51,17 @@ def _run(words: list[str], console: Console) -> int:
     try:
         arguments = parser.parse(words)
         if arguments.version:
+            from planner.base.environment import installed_versions  # local: 0.1 s
+
             versions = {"planner": "", **installed_versions()}  # planner first
             console.write_result("  ".join(f"{name} {version}" for name, version in versions.items()))
             return 0
         if arguments.command is None:
             parser.build(()).print_help()
             return 0
-        code = _function(arguments.command)(arguments, console)
+        with confined(arguments.confine):
+            parser.check_inputs(arguments)
+            code = _function(arguments.command)(arguments, console)
         if console.lost:
             console.write_error(f"the results could not be printed: {console.lost}.")
             return 2

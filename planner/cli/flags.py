@@ -31,8 +31,17 @@ def _width_and_height(text: str) -> tuple[int, int]:
     return width, height
 
 
+def _direction(text: str) -> str | tuple[float, float]:
+    """A camera's name, or its azimuth and elevation."""
+    if "," not in text:
+        return text
+    azimuth, elevation = map(float, text.split(","))
+    return azimuth, elevation
+
+
 number, whole = _word_as(float, "a number"), _word_as(int, "a whole number")
 size = _word_as(_width_and_height, "a size like 1280x720")
+direction = _word_as(_direction, "a camera's name, or azimuth and elevation like 90,-15")
 
 
 def value_flag(metavar: str, text: str, default: Any = None, kind: Callable[[str], Any] = str) -> dict[str, Any]:
@@ -77,9 +86,10 @@ IMPORTS: Flags = {
     "--allow-import": {"action": "append", "metavar": "MODULE", "default": [],
                        "help": "Import this module, or file MODULE.py, for residuals of your own. May be repeated."},
 }  # fmt: skip
-OUTPUT: Flags = {
+COMMON: Flags = {
     "--json": boolean_flag("Print one JSON document on stdout."),
     "--quiet": boolean_flag("Print no progress."),
+    "--confine": value_flag("DIR", "Read no input outside of this folder: for models and problem files of strangers."),
 }
 
 

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import argparse
 import difflib
+import os
 import re
 from collections.abc import Callable, Container
 from functools import partial
@@ -16,11 +17,12 @@ from typing import Any, NoReturn
 
 from planner.base.arguments import choice, short_repr
 from planner.base.errors import PlannerError
+from planner.base.files import check_confined, read_input
 from planner.cli.console import Console
 from planner.cli.flags import (
+    COMMON,
     IMPORTS,
     NO_VIDEO,
-    OUTPUT,
     PROBLEM_FILE,
     PROOF,
     ROLLOUT,
@@ -28,11 +30,14 @@ from planner.cli.flags import (
     Flags,
     add,
     boolean_flag,
+    direction,
     number,
     size,
     value_flag,
     whole,
 )
+from planner.cli.source_values import value_of
+from planner.model.robot_collections import PREFIX
 
 SHELLS = ("bash", "zsh", "tcsh")
 """Shells that completion is written for."""
@@ -80,6 +85,17 @@ class _Parser(argparse.ArgumentParser):
         layout = partial(argparse.HelpFormatter, max_help_position=32, width=110)
         super().__init__(allow_abbrev=False, formatter_class=layout, **options)
 
+    def format_help(self) -> str:
+        """The help, with the flags that all machines of the command share."""
+        shared, text = self.get_default("shared"), super().format_help()
+        if shared is None:
+            return text
+        formatter = self._get_formatter()
+        formatter.start_section("flags of every CASE, after its name")
+        formatter.add_arguments(shared)
+        formatter.end_section()
+        return f"{text}\n{formatter.format_help()}"
+
     def error(self, message: str) -> NoReturn:
         raise PlannerError(f"{message.removeprefix('argument ').rstrip('.')} (see {self.prog} --help).")
 
@@ -95,7 +111,7 @@ class _Parser(argparse.ArgumentParser):
 
 def _list(parser: argparse.ArgumentParser) -> None:
     help = f"A machine, to see its flags, or {PROBLEM_FILE}, to see the keys of a problem file."
-    add(parser, {"machine": {"metavar": "NAME", "nargs": "?", "help": help}}, OUTPUT)
+    add(parser, {"machine": {"metavar": "NAME", "nargs": "?", "help": help}}, COMMON)
 
 
 def _model(parser: argparse.ArgumentParser) -> None:
@@ -105,7 +121,7 @@ def _model(parser: argparse.ArgumentParser) -> None:
          "--write": value_flag("FILE", "Also write a problem file to start from, which runs as it is."),
          "--out": value_flag("DIR", "Folder of the picture of its keyframes. Default: renders/MODEL."),
          "--no-picture": boolean_flag("Draw no picture (drawing needs OpenGL).")},
-        OUTPUT,
+        COMMON,
     )  # fmt: skip
 
 
@@ -119,8 +135,7 @@ def _with_cases(*groups: Flags) -> Callable[[argparse.ArgumentParser], None]:
 
 
 def _prove(parser: argparse.ArgumentParser) -> None:
-    from planner.proof.engines import ENGINES
-
+    engines = value_of("planner.proof.engines", "ENGINES")
     add(
         parser,
         {"plan": {"metavar": "PLAN", "nargs": "?", "help": "A plan.npz; leave it out with --controls."},
@@ -131,9 +146,9 @@ def _prove(parser: argparse.ArgumentParser) -> None:
          "--goal": value_flag("STATE", "With --controls, the goal, in the same form."),
          "--save": value_flag("FILE", "With --controls, save them as a plan, e.g. for planner render."),
          "--feasible": boolean_flag("Judge feasibility alone: a solve that did not converge may pass.")},
-        {"--engine": {"action": "append", "metavar": "NAME", "choices": ENGINES, "default": [],
-                      "help": f"Also repeat the plan in {' or '.join(ENGINES)}. May be given twice."},
-         "--out": value_flag("FILE", "Write the proof to this JSON file.")}, PROOF, ROLLOUT, WORKERS, IMPORTS, OUTPUT,
+        {"--engine": {"action": "append", "metavar": "NAME", "choices": engines, "default": [],
+                      "help": f"Also repeat the plan in {' or '.join(engines)}. May be given twice."},
+         "--out": value_flag("FILE", "Write the proof to this JSON file.")}, PROOF, ROLLOUT, WORKERS, IMPORTS, COMMON,
     )  # fmt: skip
 
 
@@ -142,9 +157,12 @@ def _render(parser: argparse.ArgumentParser) -> None:
         parser, _PLAN,
         {"--out": value_flag("FILE", "A name ending in .mp4 makes a video, in .png a strip of poses.", "video.mp4"),
          "--size": value_flag("WxH", "Size in pixels. Default: 1280x720, for a strip 1920x540.", kind=size),
+         "--camera": value_flag("CAMERA", "Look as this camera of the model does, or at azimuth,elevation in degrees, "
+                                          "e.g. --camera=90,-15; from where all of the motion is seen.",
+                                kind=direction),
          "--fps": value_flag("N", "Frames per second.", 30, whole),
          "--speed": value_flag("X", "Playback speed, e.g. 0.25. Default: the case's.", kind=number)},
-        ROLLOUT, IMPORTS, OUTPUT,
+        ROLLOUT, IMPORTS, COMMON,
     )  # fmt: skip
 
 
@@ -153,7 +171,7 @@ def _view(parser: argparse.ArgumentParser) -> None:
         parser,
         {"plan": {"metavar": "PLAN", "help": "A plan.npz, or a folder of planner run."},
          "--rollouts": value_flag("N", "Number of perturbed simulations that key 7 shows.", 8, whole),
-         "--speed": value_flag("X", "Playback speed, e.g. 0.25. Default: the case's.", kind=number)}, IMPORTS, OUTPUT,
+         "--speed": value_flag("X", "Playback speed, e.g. 0.25. Default: the case's.", kind=number)}, IMPORTS, COMMON,
     )  # fmt: skip
 
 
@@ -165,21 +183,20 @@ def _report(parser: argparse.ArgumentParser) -> None:
         {"--out": value_flag("DIR", "Folder of the results.", "report")},
         PROOF,
         IMPORTS,
-        OUTPUT,
+        COMMON,
     )
 
 
 def _export(parser: argparse.ArgumentParser) -> None:
-    from planner.problem.export.table import PARTS
-
+    parts = value_of("planner.problem.export.table", "PARTS")
     add(
         parser, _PLAN,
         {"--to": {"choices": FORMATS, "required": True,
                   "help": "csv: a table; json, yaml: ROS 2's JointTrajectory; keyframes: an MJCF to include."},
          "--rate": value_flag("HZ", "Samples per second. Default: the plan's own knots.", kind=number),
-         "--only": {"choices": PARTS, "help": "Write only these columns of a csv. Default: both."},
+         "--only": {"choices": parts, "help": "Write only these columns of a csv. Default: both."},
          "--out": value_flag("FILE", "The file to write. Default: PLAN with the ending of the format.")},
-        IMPORTS, OUTPUT,
+        IMPORTS, COMMON,
     )  # fmt: skip
 
 
@@ -191,7 +208,7 @@ def _check(parser: argparse.ArgumentParser) -> None:
          "--model": value_flag("FILE", "Compare the plans' models with this MJCF or URDF. Default: the file that each "
                                        "was made from, if it is in the plan's folder."),
          "--tolerance": value_flag("X", "Report numbers whose relative change is larger.", 0.05, number)},
-        WORKERS, IMPORTS, OUTPUT,
+        WORKERS, IMPORTS, COMMON,
     )  # fmt: skip
 
 
@@ -206,16 +223,16 @@ def _paper(parser: argparse.ArgumentParser) -> None:
          "--proofs": boolean_flag("Write the table of proofs of all machines instead."),
          "--out": value_flag("DIR", "Folder of the results. Default: paper, in a checkout docs and "
                                     "renders/gallery/paper; for single studies and for --proofs renders/paper.")},
-        WORKERS, OUTPUT,
+        WORKERS, COMMON,
     )  # fmt: skip
 
 
 def _completion(parser: argparse.ArgumentParser) -> None:
-    add(parser, {"shell": {"choices": SHELLS, "metavar": "SHELL", "help": f"One of {', '.join(SHELLS)}."}}, OUTPUT)
+    add(parser, {"shell": {"choices": SHELLS, "metavar": "SHELL", "help": f"One of {', '.join(SHELLS)}."}}, COMMON)
 
 
 def _warmup(parser: argparse.ArgumentParser) -> None:
-    add(parser, {"--all": boolean_flag("Also compile the kernels that only --hessian exact needs.")}, OUTPUT)
+    add(parser, {"--all": boolean_flag("Also compile the kernels that only --hessian exact needs.")}, COMMON)
 
 
 _COMMANDS: dict[str, tuple[str, Callable[[argparse.ArgumentParser], None]]] = {
@@ -269,10 +286,9 @@ def parse(argv: list[str]) -> argparse.Namespace:
         if ending.endswith(".toml"):
             argv = [argv[0], PROBLEM_FILE, *argv[1:]]
         elif ending.endswith((".xml", ".mjcf", ".urdf", ".xacro")):
-            from planner.cases import CASES
-
+            cases = value_of("planner.cases", "CASES")
             raise PlannerError(
-                f"{argv[1]} is a model, expected a case ({', '.join(CASES)}) or a {PROBLEM_FILE} that names the model "
+                f"{argv[1]} is a model, expected a case ({', '.join(cases)}) or a {PROBLEM_FILE} that names the model "
                 f"(planner model {argv[1]} --write {Path(argv[1]).stem}.toml writes one to start from)."
             )
     arguments, unknown = build(argv).parse_known_args(argv)
@@ -282,10 +298,25 @@ def parse(argv: list[str]) -> argparse.Namespace:
     where = parser.prog if parser is not None else "planner"
     word = unknown[0]
     known = [flag for action in parser._actions for flag in action.option_strings] if parser is not None else []
-    near = difflib.get_close_matches(word.split("=")[0], known, n=1)
-    hint = f"Did you mean {near[0]}?" if near else f"See {where} --help."
+    key = word.split("=")[0].lstrip("-")
+    near = difflib.get_close_matches(key, [flag.lstrip("-") for flag in known], n=1)  # dashes make all flags alike
+    hint = f"Did you mean --{near[0]}?" if near else f"See {where} --help."
+    if getattr(arguments, "case", None) == PROBLEM_FILE:
+        keys = value_of("planner.cases.problem_file.keys", "KEYS")
+        if (named := key.replace("-", "_")) in keys:
+            hint = f"{named} is a key of the file: write it in {arguments.problem}."
     kind = "flag" if word.startswith("-") else "argument"
     raise PlannerError(f"{where!r} has no {kind} {short_repr(word)}. {hint}")
+
+
+def check_inputs(arguments: argparse.Namespace) -> None:
+    """Raise FileError for an input that is not there or may not be read, before what reads it is imported."""
+    for name, what in (("problem", "the problem file"), ("model", "the model")):
+        path = getattr(arguments, name, None)
+        if isinstance(path, str) and path and not path.startswith(PREFIX):
+            check_confined(path, what)
+            if not os.path.exists(path):
+                read_input(path, what)  # which says why it is not there
 
 
 def print_completion(arguments: argparse.Namespace, console: Console) -> int:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 from contextlib import ExitStack
 from pathlib import Path
+from typing import Any
 
 from planner.base.arguments import count, number
 from planner.base.errors import PlannerError
@@ -31,12 +32,15 @@ def render_plan(arguments: argparse.Namespace, console: Console) -> int:
     plan = load_allowed(arguments.plan, arguments)
     require_backend()
     shown = prove(plan, rollouts=0) if arguments.replay_rollout is None else rollout_of(plan, arguments)
-    size = {} if arguments.size is None else dict(zip(("width", "height"), arguments.size, strict=True))
+    looks: dict[str, Any] = (
+        {} if arguments.size is None else dict(zip(("width", "height"), arguments.size, strict=True))
+    )
+    looks["camera"] = arguments.camera
     if out.suffix == ".png":
-        render_strip(shown.replay if isinstance(shown, Proof) else shown, out, **size)
+        render_strip(shown.replay if isinstance(shown, Proof) else shown, out, **looks)
     else:
         progress = console.progress("video")
-        render_video(shown, out, fps=arguments.fps, speed=arguments.speed, progress=progress, **size)
+        render_video(shown, out, fps=arguments.fps, speed=arguments.speed, progress=progress, **looks)
     console.write_result(str(out))
     return console.finish("render", 0, file=str(out))
 

@@ -20,7 +20,7 @@ from typing import IO, Any
 import numpy as np
 
 from planner.base.errors import FileError, ModelError
-from planner.base.files import digest_of, finite, printable, read_input, write_atomically
+from planner.base.files import check_confined, digest_of, finite, printable, read_input, write_atomically
 from planner.model.mjcf.text import check_stored
 from planner.model.space import StateSpace
 
@@ -85,6 +85,7 @@ def opened(path: Path) -> IO[bytes]:
         FileError: There is none.
         OSError: It cannot be read.
     """
+    check_confined(path, "the plan")
     if os.path.isfile(path):  # no folder, pipe or device, say
         return open(path, "rb")
     if path.parent.suffix == ".zip" and os.path.isfile(path.parent):

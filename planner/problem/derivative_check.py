@@ -198,7 +198,7 @@ def _compared(
     given: np.ndarray, along: Callable[[float], np.ndarray], size: np.ndarray, scale: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Differences of `along`, steps of whose variable have `size`, and the relative errors of given derivatives."""
-    differences = []
+    differences, rounding = [], np.zeros_like(given)
     for h in STEPS:
         ahead, back = along(h), along(-h)
         rounding = 1e-13 * (1.0 + np.maximum(np.abs(ahead), np.abs(back))) / (h * size)

@@ -98,8 +98,8 @@ def fewer(*missing):
     ("form", "fragments"),
     [
         ({"names": without("knee", "tilt"), "angles": fewer("knee", "tilt")},
-         ("no column tilt, knee;", "its columns are: percent, list, rotation")),
-        ({"when": "frame"}, ("no column percent or time;", "frame")),
+         ("no column tilt, knee,", "expected a header with them")),
+        ({"when": "frame"}, ("no column percent or time,", "expected a header with them")),
         ({"names": [*ANGLES[:-1], "pelvis_tilt"]}, ("two columns of tilt, tilt and pelvis_tilt",)),
         ({"names": [*ANGLES[:-1], "ankle_rad"]}, ("unit of its angles differently",)),
         ({"times": PERCENT[::4]}, ("13 rows", "at least 20")),
@@ -111,7 +111,7 @@ def fewer(*missing):
         ({"angles": changed("knee", lambda knee: -knee)}, ("knee that extends by 58.4 deg", "knee_flexion")),
         ({"angles": changed("ankle", lambda ankle: ankle + 0.2 * PERCENT)}, ("20 deg from where it begins in ankle",)),
         ({"angles": changed("ankle", lambda ankle: ankle + 8 * (-1) ** np.arange(51))}, ("8 deg rms", "in ankle")),
-        ({"angles": changed("ankle", lambda ankle: ankle * np.nan)}, ("'nan' in row 1 of ankle_deg",)),
+        ({"angles": changed("ankle", lambda ankle: ankle * np.nan)}, ("something else in row 1 of ankle_deg",)),
         ({"angles": changed("knee", lambda knee: 1e5 * knee)}, ("an angle of 5.838e+06 deg",)),
     ],
 )  # fmt: skip
@@ -131,10 +131,10 @@ def test_files_without_a_gait_are_refused(tmp_path, form, fragments):
         (b"", "is empty"),
         (b"\xff\xfe\x00", "not text"),
         (b"percent,knee\n" + b"1,2\n" * 30, "no column tilt, list"),
-        (("percent," + ",".join(ANGLES) + "\n" + "1,2\n" * 30).encode(), "has '' in row 1 of list"),
+        (("percent," + ",".join(ANGLES) + "\n" + "1,2\n" * 30).encode(), "has something else in row 1 of list"),
         (
             ("percent," + ",".join(ANGLES) + "\n" + "0" + ",soon" * 8 + "\n" * 2 + "1,2\n" * 30).encode(),
-            "'soon' in row 1",
+            "something else in row 1",
         ),
         (b'a,"' + b"b" * 200_000 + b'"\n', "no CSV"),
     ],

@@ -230,6 +230,11 @@ def test_the_command_names_starts_and_the_options_that_were_given(plan):
     assert command(made, (), options) == "planner run acrobot --update open-loop --seed 3 --no-refine --starts 4"
 
 
+def test_the_command_of_a_stored_plan_names_the_settings_that_made_it(plan):
+    made = replace(of_case(plan, "acrobot"), options={"update": "open-loop", "hessian": "gauss-newton", "seed": 0})
+    assert command(made) == "planner run acrobot --update open-loop"
+
+
 def test_the_command_of_a_refined_plan_makes_the_plan_that_it_began_with(plan):
     refined = of_case(plan, "acrobot", horizon=300)
     first = of_case(plan, "acrobot", horizon=150, integrator="semi-implicit-euler")

@@ -107,8 +107,7 @@ def _columns(header: list[str], what: str) -> tuple[int, list[int], list[str], n
     if not when:
         missing.insert(0, " or ".join(WHEN))
     if missing:
-        there = ", ".join(name for name in header if name) or "none"
-        raise FileError(f"{what} has no column {', '.join(missing)}; its columns are: {there[:300]}.")
+        raise FileError(f"{what} has no column {', '.join(missing)}, expected a header with them.")
     if len(when) == 2:
         raise FileError(f"{what} has columns percent and time, expected one of them.")
     places, units, stems = zip(*(found[angle] for angle in ANGLES), strict=True)
@@ -129,7 +128,7 @@ def _numbers(rows: list[list[str]], header: list[str], columns: list[int], what:
                 table[i, j] = math.nan
             if not abs(table[i, j]) <= LARGEST:
                 raise FileError(
-                    f"{what} has {word[:40]!r} in row {i + 1} of {header[column][:40]}, expected a number of at most "
+                    f"{what} has something else in row {i + 1} of {header[column][:40]} than a number of at most "
                     f"{LARGEST:g}."
                 )
     return table

@@ -28,6 +28,8 @@ _PART = r"""(?:"[^"\n]*"|'[^'\n]*'|[\w-]+)"""
 _DEEP = re.compile(rf"(?:^|[\[{{,])[ \t]*(?:{_PART}[ \t]*\.[ \t]*){{{MAX_DOTS}}}", re.M)
 """A dotted key of many parts, which takes tomllib the square of their number."""
 
+_VALUE = re.compile(r"""\s*(?P<key>[\w-]+)\s*=\s*(?:(?P<bare>[A-Za-z_][\w./-]*)\s*(?:\#.*)?$|.)""")
+
 
 def read_table(path: Path) -> dict[str, Any]:
     """The file's table; FileError where it cannot be read."""
@@ -41,11 +43,29 @@ def read_table(path: Path) -> dict[str, Any]:
     try:
         return tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
-        raise FileError(f"{path} is not TOML: {str(error).removesuffix('.')}.") from None
+        raise FileError(f"{path} is not TOML: {_likely_cause(text) or str(error).removesuffix('.')}.") from None
     except ValueError:  # Python reads no integers of more than 4300 digits
         raise FileError(f"{path} has a number of thousands of digits, expected numbers that fit 64 bits.") from None
     except RecursionError:
         raise FileError(f"{path} is nested too deeply, expected a table of numbers and names.") from None
+
+
+def _likely_cause(text: str) -> str:
+    """What most often is wrong in a text that is not TOML; "" for something else."""
+    values: dict[str, int] = {}
+    for n, line in enumerate(text.splitlines(), 1):
+        found = _VALUE.match(line)
+        if found and found["bare"] and found["bare"] not in ("true", "false", "inf", "nan"):
+            return f'line {n} has a text without quotes, expected {found["key"]} = "{found["bare"]}"'
+        if line.lstrip().startswith("["):
+            name = line.strip().strip("[]").strip()
+            if name in values and line.lstrip().startswith("[["):
+                return (
+                    f"{name} is a value in line {values[name]} and a table [[{name}]] in line {n}, expected one of them"
+                )
+        elif found:
+            values.setdefault(found["key"], n)
+    return ""
 
 
 def with_defaults(table: dict[str, Any], where: str, stored: bool = False) -> dict[str, Any]:

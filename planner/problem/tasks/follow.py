@@ -146,12 +146,12 @@ def with_points(table: Mapping[str, Any], folder: Path) -> dict[str, Any]:
             raise FileError(f"{printable(path)} has no heading t,JOINT,..., {expected}.")
         rest["joints"] = heading[1:]
     elif heading and table.get("frame") is not None and heading not in (["t", *COORDINATES], [*COORDINATES]):
-        raise FileError(f"{printable(path)} has the heading {','.join(heading)}, expected t,x,y,z.")
+        raise FileError(f"{printable(path)} has another heading than t,x,y,z.")
     return {**rest, "points": rows}
 
 
 def read_rows(path: Path) -> tuple[list[str], list[list[float]]]:
-    """The heading of a CSV file, if it has one, and its rows of numbers."""
+    """The heading of a CSV file, if it has one, and its rows of numbers; no message has a word of the file."""
     lines = [row for row in csv.reader(io.StringIO(read_text(path, "the path to follow"))) if any(map(str.strip, row))]
     if len(lines) > MAX_ROWS:
         raise FileError(f"{printable(path)} has {len(lines)} rows, expected at most {MAX_ROWS}.")
@@ -159,8 +159,7 @@ def read_rows(path: Path) -> tuple[list[str], list[list[float]]]:
     rows = []
     for i, cells in enumerate(lines[bool(heading) :], 1 + bool(heading)):
         if not all(map(_is_number, cells)) or len(cells) != len(lines[-1]):
-            row = ",".join(cells)[:60]
-            raise FileError(f"row {i} of {printable(path)} is {row!r}, expected {len(lines[-1])} numbers.")
+            raise FileError(f"row {i} of {printable(path)} has other things than {len(lines[-1])} numbers.")
         rows.append([float(cell) for cell in cells])
     return heading, rows
 

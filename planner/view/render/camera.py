@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from planner.base.arguments import short_repr
 from planner.base.errors import PlannerError
 from planner.base.gl import load_mujoco
 from planner.problem.appearance import Appearance
@@ -135,3 +136,22 @@ def directions(azimuth: float, elevation: float) -> tuple[np.ndarray, np.ndarray
     ahead = np.array([np.cos(e) * np.cos(a), np.cos(e) * np.sin(a), np.sin(e)])
     up = np.array([-np.sin(e) * np.cos(a), -np.sin(e) * np.sin(a), np.cos(e)])
     return ahead, np.cross(ahead, up), up
+
+
+def angles_of_camera(model: Any, name: str) -> tuple[float, float]:
+    """Azimuth and elevation, degrees, in which a camera of the model looks in its home pose.
+
+    Raises:
+        PlannerError: The model has no camera of this name.
+    """
+    mujoco = load_mujoco()
+    names = [model.camera(i).name for i in range(model.ncam)]
+    if name not in names:
+        known = f"one of: {', '.join(names)}, or azimuth and elevation" if names else "azimuth and elevation, degrees"
+        raise PlannerError(f"the model has no camera {short_repr(name)}, expected {known}.")
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    mujoco.mj_comPos(model, data)
+    mujoco.mj_camlight(model, data)
+    x, y, z = -data.cam_xmat[names.index(name)].reshape(3, 3)[:, 2]  # a camera looks along its -z
+    return float(np.degrees(np.arctan2(y, x))), float(np.degrees(np.arcsin(np.clip(z, -1.0, 1.0))))

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import math
 import os
+from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -11,12 +13,14 @@ import numpy as np
 from PIL import Image
 
 from planner.base import gl
-from planner.base.arguments import count, number
+from planner.base.arguments import array, count, number
 from planner.base.errors import PlannerError
 from planner.base.files import PathLike, file_error, write_atomically
+from planner.model.mjcf.model_index import compile_model
 from planner.problem.default_appearance import appearance_of
 from planner.proof.replays.replaying import Replay
 from planner.view.plots.style import MODE_WORDS
+from planner.view.render.camera import angles_of_camera
 from planner.view.render.drawing import Job, Progress, carry_out
 from planner.view.render.film import Caption, Film
 
@@ -36,6 +40,7 @@ def render_video(
     height: int = 720,
     fps: float = 30,
     speed: float | None = None,
+    camera: str | Sequence[float] | None = None,
     progress: Progress | None = None,
 ) -> Path:
     """Write a film of a replay, or of both replays of a proof side by side: H.264 in MP4, for any browser or player.
@@ -48,6 +53,9 @@ def render_video(
         height: Pixels, even.
         fps: Frames per second.
         speed: Playback speed, 0.25 is four times slow motion; None takes the appearance's.
+        camera: Azimuth and elevation of the line of sight, degrees, as of MuJoCo's viewer, or the name of a camera of
+            the model, in whose direction the film looks from where it sees the whole motion; None takes the
+            appearance's.
         progress: Called with (frames done, frames in all).
 
     Returns:
@@ -74,7 +82,7 @@ def render_video(
         )
     frames = max(1, math.ceil((end - start) * fps / speed - 1e-9))
     t = np.minimum(start + np.arange(frames + 1) * speed / fps, end)
-    films = [Film.of(replay, t, caption) for replay, caption in replays.items()]
+    films = [_seen_from(Film.of(replay, t, caption), camera) for replay, caption in replays.items()]
     gl.require_backend()
     with write_atomically(path) as hidden:
         job = Job("video", width, height, fps, speed, str(hidden.absolute()), str(path))
@@ -93,7 +101,10 @@ def _captioned(proof: Proof) -> dict[Replay, Caption | None]:
     return captioned
 
 
-def render_strip(replay: Replay, path: PathLike, *, poses: int = 8, width: int = 1920, height: int = 540) -> Path:
+def render_strip(
+    replay: Replay, path: PathLike, *, poses: int = 8, width: int = 1920, height: int = 540,
+    camera: str | Sequence[float] | None = None,
+) -> Path:  # fmt: skip
     """Write a PNG with poses at equal times side by side, as in the paper's figures.
 
     Args:
@@ -102,6 +113,7 @@ def render_strip(replay: Replay, path: PathLike, *, poses: int = 8, width: int =
         poses: How many poses, with the first and the last one.
         width: Of the whole picture, pixels.
         height: Pixels.
+        camera: See render_video.
 
     Returns:
         The path.
@@ -114,7 +126,7 @@ def render_strip(replay: Replay, path: PathLike, *, poses: int = 8, width: int =
     _check_suffix(path, ".png")
     _check_size(width, height)
     count("poses", poses, minimum=2, maximum=max(2, width // 16))  # 16 pixels each
-    film = Film.of(replay, np.linspace(replay.t[0], replay.t[-1], poses))
+    film = _seen_from(Film.of(replay, np.linspace(replay.t[0], replay.t[-1], poses)), camera)
     gl.require_backend()
     _write_png(carry_out([film], Job("strip", width, height)), path)
     return Path(path)
@@ -156,7 +168,9 @@ def _write_png(picture: np.ndarray, path: PathLike) -> None:
             raise file_error(error, path) from error
 
 
-def render_frame(replay: Replay, t: float, *, width: int = 1280, height: int = 720) -> np.ndarray:
+def render_frame(
+    replay: Replay, t: float, *, width: int = 1280, height: int = 720, camera: str | Sequence[float] | None = None
+) -> np.ndarray:
     """Draw one picture of a replay.
 
     Args:
@@ -164,6 +178,7 @@ def render_frame(replay: Replay, t: float, *, width: int = 1280, height: int = 7
         t: The instant to show, s.
         width: Of the picture, pixels.
         height: Of the picture, pixels.
+        camera: See render_video.
 
     Returns:
         (height, width, 3), uint8.
@@ -175,9 +190,21 @@ def render_frame(replay: Replay, t: float, *, width: int = 1280, height: int = 7
     _check_size(width, height)
     if not replay.t[0] <= t <= replay.t[-1]:
         raise PlannerError(f"t is {t!r}, expected {replay.t[0]:g} to {replay.t[-1]:g} s.")
-    film = Film.of(replay, np.array([float(t)]))
+    film = _seen_from(Film.of(replay, np.array([float(t)])), camera)
     gl.require_backend()
     return carry_out([film], Job("frame", width, height))
+
+
+def _seen_from(film: Film, camera: str | Sequence[float] | None) -> Film:
+    """The film from one camera in this direction, placed so that it sees the whole motion."""
+    if camera is None:
+        return film
+    if isinstance(camera, str):
+        azimuth, elevation = angles_of_camera(compile_model(film.mjcf, film.assets), camera)
+    else:
+        azimuth, elevation = map(float, array("camera", camera, (2,)))
+    own = replace(film.appearance, azimuth=azimuth, elevation=elevation, distance=None, views=())
+    return replace(film, appearance=own)
 
 
 def _check_suffix(path: PathLike, suffix: str) -> None:

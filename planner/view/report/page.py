@@ -22,6 +22,7 @@ from planner.cases.problem_file.keys import RESOLVED
 from planner.cases.problem_file.resolved_defaults import resolved_defaults
 from planner.problem.default_appearance import appearance_of
 from planner.problem.plan import Plan
+from planner.solvers.options import SolverOptions
 from planner.view.plots import case_pictures
 from planner.view.report.assessment import assessment
 from planner.view.report.curves import SCRIPT, interactive
@@ -254,7 +255,10 @@ def command(plan: Plan, path: Sequence[Refinement] = (), options: Mapping[str, A
         words += [plan.case, *_flags(_needed(plan.case, parameters))]
     else:
         return ""
-    given = dict(options or {})
+    usual = SolverOptions()
+    made_by = {name: plan.options.get(name) for name in ("update", "line_search", "hessian")}
+    given = {name: value for name, value in made_by.items() if value not in (None, getattr(usual, name))}
+    given |= dict(options or {})
     if len(plan.starts) > 1 and plan.case in cases.CASES:
         given.setdefault("starts", len(plan.starts))
     return shlex.join([*words, *_flags(given)])

@@ -1,0 +1,114 @@
+"""A command line is checked before anything slow is imported, with the words of the modules that are not imported."""
+
+import inspect
+import json
+import subprocess
+import sys
+from typing import get_type_hints
+
+import pytest
+
+import planner
+from planner.cases.problem_file import keys
+from planner.cli import case_flags
+from planner.cli.source_values import value_of
+
+SLOW = ("mujoco", "numba", "scipy", "matplotlib")
+
+
+def said(words, folder):
+    """Exit code and message of a command line, and the slow packages that were imported for it."""
+    code = (
+        "import json, sys\nfrom planner.__main__ import main\n"
+        f"code = main({words!r})\nprint(json.dumps([code, [m for m in {SLOW!r} if m in sys.modules]]))"
+    )
+    done = subprocess.run([sys.executable, "-c", code], cwd=folder, capture_output=True, text=True, timeout=120)
+    code, slow = json.loads(done.stdout.splitlines()[-1])
+    return code, done.stderr + done.stdout, slow
+
+
+@pytest.mark.parametrize(
+    ("words", "sentence"),
+    [
+        (["runn"], "COMMAND is 'runn'"),
+        (["run", "nosuch"], "CASE is 'nosuch'"),
+        (["run", "hopper", "--hihgt", "3"], "Did you mean --height?"),
+        (["run", "reach.toml", "--goal", "3"], "goal is a key of the file: write it in reach.toml."),
+        (["run", "reach.toml"], "cannot read the problem file reach.toml: No such file"),
+        (["run", "hopper", "--height", "tall"], "--height"),
+        (["model", "arm.xml"], "cannot read the model arm.xml: No such file"),
+        (["prove", "plan.npz", "--bad"], "no flag '--bad'"),
+        (["export", "plan.npz"], "--to"),
+        (["list", "pik"], "the machine is 'pik'"),
+    ],
+)
+def test_wrong_words_are_answered_without_mujoco_or_numba(words, sentence, tmp_path):
+    code, message, slow = said(words, tmp_path)
+    assert (code, slow) == (2, [])
+    assert sentence in message
+
+
+def test_a_list_of_keys_needs_no_mujoco_either(tmp_path):
+    code, message, slow = said(["list", "pick.toml"], tmp_path)
+    assert (code, slow) == (0, [])
+    assert "goal.tolerance" in message
+
+
+def test_help_of_a_command_lists_the_flags_of_all_its_cases(capsys):
+    from planner.cli.parser import build
+
+    text = build(["run"])._subparsers._group_actions[0].choices["run"].format_help()
+    assert "flags of every CASE" in text
+    for flag in ("--max-iterations", "--no-video", "--hold", "--json"):
+        assert flag in text
+    assert "--height" not in text  # of one case
+    assert "--package-path" not in text  # of problem files
+
+
+@pytest.mark.parametrize("name", planner.cases.CASES)
+def test_signatures_read_from_the_sources_are_those_of_the_cases(name):
+    light, case = case_flags.CASES[name], planner.cases.CASES[name]
+    hints = get_type_hints(case)
+    hints.pop("return")
+    assert inspect.signature(light).parameters == inspect.signature(case).parameters
+    assert get_type_hints(light) == hints
+    assert inspect.getdoc(light) == inspect.getdoc(case)
+
+
+def test_constants_read_from_the_sources_are_those_of_the_modules():
+    from planner.problem.export.table import PARTS
+    from planner.problem.objective import OBJECTIVES
+    from planner.proof.engines import ENGINES
+    from planner.solvers import options
+
+    assert list(case_flags.CASES) == list(planner.cases.CASES)
+    assert case_flags.INTEGRATORS == planner.dynamics.INTEGRATORS
+    assert (case_flags.OBJECTIVES, case_flags.DEFAULTS) == (OBJECTIVES, keys.DEFAULTS)
+    for name in ("HESSIANS", "LINE_SEARCHES", "UPDATES"):
+        assert getattr(case_flags, name) == getattr(options, name)
+    for name in ("KEYS", "WEIGHTS", "GOAL", "FOLLOW", "ATTACH", "OBSTACLE"):
+        assert value_of("planner.cases.problem_file.keys", name) == getattr(keys, name)
+    assert value_of("planner.proof.engines", "ENGINES") == ENGINES
+    assert value_of("planner.problem.export.table", "PARTS") == PARTS
+
+
+@pytest.mark.parametrize(
+    ("text", "cause"),
+    [
+        ("model = arm.xml", 'line 1 has a text without quotes, expected model = "arm.xml"'),
+        (
+            "goal = { elbow = 1 }\n[[goal]]\nframe = 'hand'",
+            r"goal is a value in line 1 and a table \[\[goal\]\] in line 2",
+        ),
+        ("start = [1, 2", "is not TOML: "),
+    ],
+)
+def test_a_file_that_is_not_toml_is_told_what_is_wrong(text, cause, tmp_path):
+    (tmp_path / "reach.toml").write_text(text)
+    with pytest.raises(planner.PlannerError, match=cause):
+        planner.load_problem(tmp_path / "reach.toml")
+
+
+def test_a_quaternion_of_three_numbers_is_told_its_order():
+    with pytest.raises(planner.PlannerError, match="expected the four numbers of a quaternion, w first"):
+        planner.Goal(frame="hand", orientation=[0.0, 0.0, 1.0])
