@@ -132,8 +132,7 @@ def your_file(
     else:
         assert first is not None  # "RK4" is always tried
         section, run = first
-    own_step_errors = own_step(plan, problem, compiled, goals)
-    return Section(TITLE, (*section.measured, *own_step_errors)), run
+    return Section(TITLE, (*section.measured, *own_step(plan, problem, run, goals))), run
 
 
 def _measured(run: Replay, problem: Problem, goals: Sequence[GoalCheck]) -> list[Measurement]:

@@ -21,6 +21,7 @@ from planner.proof.error_scales import has_contacts, worst_by_unit
 from planner.proof.replay_errors import misses
 from planner.proof.replays.compiled_twin import CompiledTwin
 from planner.proof.replays.passive_torque_callback import curves_acting
+from planner.proof.replays.replaying import Replay
 from planner.proof.replays.sampled_gains import PERIOD
 from planner.proof.replays.simulation import MAX_STEPS, simulate
 
@@ -28,15 +29,18 @@ NAME = "own_step_errors"
 _ROUNDING = 1e-9  # of a stage or step
 
 
-def own_step(plan: Plan, problem: Problem, compiled: CompiledTwin, goals: Sequence[GoalCheck]) -> list[Measurement]:
-    """Errors at the file's own step, open loop and with gains.
+def own_step(plan: Plan, problem: Problem, run: Replay, goals: Sequence[GoalCheck]) -> list[Measurement]:
+    """Errors at the file's own step, open loop and with gains, where that is not the step of a replay `run` in it.
 
     The first measurement counts what is beyond its bound; its note says so for the first line.
     """
-    h, dt = float(compiled.model.opt.timestep), problem.dynamics.dt
+    compiled, dt = run.compiled, problem.dynamics.dt
+    h = float(compiled.model.opt.timestep)
     M = math.ceil(plan.N * dt / h - _ROUNDING)
     integrator = load_mujoco().mjtIntegrator(compiled.model.opt.integrator).name.removeprefix("mjINT_")
     step = f"{h:.3g} s {'Euler' if integrator == 'EULER' else integrator}"
+    if integrator == run.integrator and abs(h - run.timestep) <= _ROUNDING * h:
+        return [Measurement(NAME, 0.0, "", None, f"none beside the above: your file's own step is {step}, too")]
     if M > MAX_STEPS:
         return [Measurement(NAME, 0.0, "", None, f"not simulated: {M} steps of {step}")]
     t = h * np.arange(M + 1)
@@ -105,7 +109,8 @@ def _errors(
     unmet = [one for one in misses("replayed", t, xs, tuple(goals)) if not one.passed]
     worst = max(judged, key=lambda one: one.share)
     if worst.share > 1.0:
-        return errors, f"{worst.value:.2g} {worst.unit or 'in its unit'} off"
+        far = np.isfinite(worst.value)
+        return errors, f"{worst.value:.2g} {worst.unit or 'in its unit'} off" if far else "the motion runs away"
     return (
         errors,
         f"{unmet[0].value:.2g} {unmet[0].unit or 'in its unit'} from a goal" if unmet else "",

@@ -150,7 +150,7 @@ class _ReducedHessian:
 
     def __init__(self, plan: Plan, problem: Problem, sweep: lq.Sweep, A: np.ndarray, B: np.ndarray, scale: float):
         self.plan, self.problem, self.sweep = plan, problem, sweep
-        self.size = float(np.sqrt(scale))
+        self.size, self.B, self.F = float(np.sqrt(scale)), B, A + B @ sweep.K
         bounds = problem.bounds
         held = np.zeros(plan.us.shape, dtype=bool) if bounds is None else bounds.at_bound(plan.xs, plan.us)
         model = self._model(plan.xs, plan.us, A, B)
@@ -165,10 +165,14 @@ class _ReducedHessian:
             model = constraints.with_penalties(self.plan.bound_penalties, model, xs, us, A, B)
         return model
 
+    def _by_controls(self, ws: np.ndarray) -> np.ndarray:
+        """Changes v (K, N, nu) of the controls beside the gains, of coordinates w (K, N, nu)."""
+        return np.einsum("nij,kni->knj", self.inverse, np.where(self.free, ws, 0.0))
+
     def _moved(self, ws: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """States (K, N+1, nx) and controls (K, N, nu) of coordinates w (K, N, nu)."""
         plan, K = self.plan, len(ws)
-        vs = np.einsum("nij,kni->knj", self.inverse, np.where(self.free, ws, 0.0))
+        vs = self._by_controls(ws)
         xs, us = np.empty((K, *plan.xs.shape)), np.empty((K, *plan.us.shape))
         xs[:, 0] = plan.xs[0]
         for n in range(plan.N):
@@ -181,18 +185,27 @@ class _ReducedHessian:
         """(N, nu) by w, by the adjoint equation of the closed loop (Eq. 16-18 with A + BK)."""
         A, B = self.problem.dynamics.linearize(xs, us)
         model, K = self._model(xs, us, A, B), self.sweep.K
-        found, costate = np.empty_like(us), model.q[-1]
+        F, q = A + B @ K, model.q.copy()
+        q[:-1] += np.einsum("nji,nj->ni", K, model.r)
         for n in reversed(range(len(us))):
-            found[n] = model.r[n] + B[n].T @ costate
-            costate = model.q[n] + A[n].T @ costate + K[n].T @ found[n]
+            q[n] += q[n + 1] @ F[n]  # the costate
+        found = model.r + np.einsum("nji,nj->ni", B, q[1:])
         return np.where(self.free, np.einsum("nij,nj->ni", self.inverse, np.where(self.free, found, 0.0)), 0.0)
 
     def times(self, w: np.ndarray, h: float) -> np.ndarray:
-        """The Hessian times w (N, nu), by differences of length h."""
-        xs, us = self._moved(np.stack([h * w, -h * w]))
-        if not np.isfinite(xs).all():
+        """The Hessian times w (N, nu), by differences of length h.
+
+        The states are moved by the linearized closed loop: what they lack is of second order, the same both ways.
+        """
+        plan, v = self.plan, self._by_controls(w[None])[0]
+        dx, pushed = np.zeros((plan.N + 1, plan.space.ndx)), np.einsum("nij,nj->ni", self.B, v)
+        for n in range(plan.N):
+            dx[n + 1] = self.F[n] @ dx[n] + pushed[n]
+        du = v + np.einsum("nij,nj->ni", self.sweep.K, dx[:-1])
+        ways = [(plan.space.integrate(plan.xs, step * dx), plan.us + step * du) for step in (h, -h)]
+        if not all(np.isfinite(xs).all() for xs, _ in ways):
             return np.full_like(w, np.nan)
-        return (self._gradient(xs[0], us[0]) - self._gradient(xs[1], us[1])) / (2.0 * h)
+        return (self._gradient(*ways[0]) - self._gradient(*ways[1])) / (2.0 * h)
 
     def lowest(self) -> tuple[float, np.ndarray]:
         """The lowest eigenvalue and its vector (N, nu), by Lanczos' method; NaN where the cost is not smooth."""
@@ -237,12 +250,16 @@ class _ReducedHessian:
         return np.nan
 
     def _falls(self, w: np.ndarray, curvature: float) -> bool:
-        """Whether the cost is lower somewhere along w (N, nu), either way, by more than rounding."""
+        """Whether the mean of the cost both ways along w (N, nu) is lower somewhere, by more than rounding.
+
+        The mean, since a slope that is left lowers it one way; differences of gradients may be rounding alone.
+        """
         lengths = [self.size * min(np.sqrt(2.0 * fall / -curvature), 1.0) for fall in FALLS]
         ways = [sign * length * w for length in lengths for sign in (1.0, -1.0)]
         xs, us = self._moved(np.stack([0.0 * w, *ways]))
         costs = np.array([self._cost(*one) for one in zip(xs, us, strict=True)])
-        return bool(np.nanmin(costs[1:]) < costs[0] - 1e-9 * self.size**2)
+        means = 0.5 * (costs[1::2] + costs[2::2])
+        return bool(np.nanmin(means) < costs[0] - 1e-9 * self.size**2)
 
     def _cost(self, xs: np.ndarray, us: np.ndarray) -> float:
         if not np.isfinite(xs).all():

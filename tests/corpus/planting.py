@@ -22,6 +22,7 @@ from planner.proof.consistency import recomputed
 Rng = np.random.Generator
 Attempt = tuple[Plan, dict[str, Any]]  # a plan and the arguments of prove()
 MEMBERS: dict[str, Callable[[Rng], Attempt]] = {}
+KNOTS_ONLY = planner.SolverOptions(max_tightenings=0)  # of solve(), which else keeps ranges between the knots too
 
 
 def member(name: str, make: Callable[[Rng], Attempt | Plan]) -> None:

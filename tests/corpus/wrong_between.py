@@ -8,7 +8,7 @@ import numpy as np
 import planner
 from corpus.asking import reach
 from corpus.machines import arm, number
-from corpus.planting import Rng, member
+from corpus.planting import KNOTS_ONLY, Rng, member
 from planner import Follow, Goal, Limits, Mechanism, Plan, Problem, RigidBodyDynamics, TrackingCost
 from planner.dynamics.kinematics import frame_pose
 
@@ -107,7 +107,7 @@ def beside_spindle(rng: Rng) -> Plan:
         free = spindle(rng)
         hinge = free.dynamics.mechanism.joint("j0").start
         highest = rng.uniform(0.5, 0.95) * float(planner.solve(free).xs[:, hinge].max())
-        plan = planner.solve(replace(free, limits=Limits(position={"j0": (-10.0, highest)})))
+        plan = planner.solve(replace(free, limits=Limits(position={"j0": (-10.0, highest)})), KNOTS_ONLY)
         if plan.between_knots(50)[:, hinge].max() > highest + 0.01:  # exact: its torque is held, nothing else acts
             return plan
 
@@ -126,7 +126,8 @@ def gantry(rng: Rng) -> Plan:
     free = reach(text, [50.0, -1.0], start=[0.0, 0.0, 0.0, speed], duration=8.0, N=8)
     most = float(planner.solve(free).xs[:, 1].max())
     limits = Limits(position={"y": (-10.0, 0.6 * most)})
-    return planner.solve(reach(text, [50.0, -1.0], start=[0.0, 0.0, 0.0, speed], duration=8.0, N=8, limits=limits))
+    limited = reach(text, [50.0, -1.0], start=[0.0, 0.0, 0.0, speed], duration=8.0, N=8, limits=limits)
+    return planner.solve(limited, KNOTS_ONLY)
 
 
 siblings("a gantry passes its limit between knots", gantry)

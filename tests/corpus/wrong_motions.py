@@ -10,7 +10,7 @@ import planner
 from corpus import machines
 from corpus.asking import placed, reach
 from corpus.machines import arm, cart
-from corpus.planting import Attempt, Rng, honest, member, of, rolled, soft_stopped
+from corpus.planting import KNOTS_ONLY, Attempt, Rng, honest, member, of, rolled, soft_stopped
 from planner import FrameCost, Limits, Mechanism, Plan, Problem, RigidBodyDynamics, Status, TrackingCost, cases
 from planner.model.mjcf.text import edited
 
@@ -148,7 +148,8 @@ def bulging(name: str, **limits: Any) -> None:
     def make(rng: Rng) -> Plan:
         text = arm(rng, 1, gravity="0 0 0").replace('axis="0 -1 0"', 'type="slide" axis="1 0 0"')
         start = [0.0, 4.0]
-        return planner.solve(reach(text, [0.0, -1.0], start=start, duration=1.0, N=4, limits=Limits(**limits)))
+        problem = reach(text, [0.0, -1.0], start=start, duration=1.0, N=4, limits=Limits(**limits))
+        return planner.solve(problem, KNOTS_ONLY)
 
     member(name, make)
 
@@ -163,7 +164,8 @@ def fast_between(rng: Rng) -> Plan:
     problem = reach(text, [-np.pi / 2 + 1.4, 0.0], start=low, duration=0.9, N=5, effort=1e-3)
     plan = planner.solve(problem)
     most = float(np.abs(plan.xs[:, 1]).max())
-    return planner.solve(replace(problem, limits=Limits(velocity={"j0": 1.01 * most}), us=plan.us))
+    limited = replace(problem, limits=Limits(velocity={"j0": 1.01 * most}), us=plan.us)
+    return planner.solve(limited, KNOTS_ONLY)
 
 
 member("a limit of speed that is broken between the knots", fast_between)

@@ -186,3 +186,11 @@ def test_the_files_own_step_is_shown_and_said_where_it_fails():
     assert {one.name: one.note for one in fine.your_file.measured}["own_step_errors"] == (
         "none, at your file's own step 0.0001 s Euler"
     )
+
+
+def test_a_file_with_the_step_of_the_replay_is_not_simulated_twice():
+    own = arm(option='<option timestep="0.001" integrator="RK4"/>')  # the replay's is a twentieth of the stage
+    section = proof_of(plan_of(own, [1.5])).your_file
+    notes = {one.name: one.note for one in section.measured}
+    assert notes["own_step_errors"] == "none beside the above: your file's own step is 0.001 s RK4, too"
+    assert not [name for name in notes if name.startswith("own_step_with")]

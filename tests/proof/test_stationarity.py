@@ -10,6 +10,7 @@ from corpus.machines import arm
 
 import planner
 from planner import FunctionDynamics, Problem, TrackingCost
+from planner.dynamics.quasi_static import quasi_static_controls
 from planner.proof.consistency import optimality, recomputed
 
 
@@ -38,6 +39,26 @@ def test_right_derivatives_and_a_minimum_pass():
     found = optimality_of(planner.solve(replace(plan.problem, cost=plan.problem.cost + own)))
     assert found["cost_derivative_error"].value < 1e-6  # central differences of a quadratic cost
     assert found["negative_curvature"].value == 0.0
+
+
+MILLIGRAM = """<mujoco><worldbody><body><joint name="a" axis="0 1 0" damping="1e-9"/>
+  <geom type="capsule" fromto="0 0 0 .01 0 0" size=".0005" mass="5e-7" contype="0" conaffinity="0"/>
+  <body pos=".01 0 0"><joint name="b" axis="0 1 0" damping="1e-9"/>
+    <geom type="capsule" fromto="0 0 0 .01 0 0" size=".0005" mass="5e-7" contype="0" conaffinity="0"/></body></body>
+  </worldbody><actuator><motor joint="a"/><motor joint="b"/></actuator></mujoco>"""
+
+
+def test_a_curvature_that_is_rounding_is_none():
+    """A cost of 4e-7, whose solve ends before its slope is zero: it falls one way, and not on average."""
+    m = planner.Mechanism.from_mjcf(MILLIGRAM)
+    dynamics = planner.RigidBodyDynamics(m, 0.0025)
+    cost = TrackingCost.joints(
+        dynamics, [0.8, -0.5, 0.0, 0.0], 200, effort=1e10, final_position=1e3, final_velocity=1e2
+    )  # fmt: skip
+    us = np.tile(quasi_static_controls(m, m.home), (200, 1))
+    plan = planner.solve(Problem(dynamics, cost, m.home, us=us))
+    assert plan.success
+    assert optimality_of(plan)["negative_curvature"].passed
 
 
 def double_well(wrong_sign=False):
