@@ -16,6 +16,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from typing import Any, NamedTuple
 
@@ -113,10 +114,8 @@ def solve_for(
     if alone:
         problem = _exact(problem)
     search = _DurationSearch(problem, weights, options, callback)
-    if alone:
-        _least(search, shortest, longest, tolerance)
-    else:
-        _cheapest(search, shortest, longest, tolerance)
+    with suppress(_Cut):
+        (_least if alone else _cheapest)(search, shortest, longest, tolerance)
     return search.best_plan({"durations": [shortest, longest], "tolerance": tolerance})
 
 
@@ -128,6 +127,10 @@ def _exact(problem: Problem) -> Problem:
         )
     assert problem.limits is not None  # bounds exist
     return problem if problem.limits.final else replace(problem, limits=replace(problem.limits, final=EXACT))
+
+
+class _Cut(Exception):
+    """The budget of the search is exhausted."""
 
 
 class _DurationSearch:
@@ -151,10 +154,14 @@ class _DurationSearch:
         self.plans: dict[float, Plan] = {}  # feasible plans by duration
         self.last: Plan | None = None
         self.best: tuple[float, float] | None = None  # lowest value, and its duration
+        self.budget, self.is_cut = options.get("budget"), False
 
     def at(self, duration: float, value: Callable[[DurationTrial], float]) -> float:
         """Solve at a duration, s; the value of its trial, infinite if the limits are violated."""
         duration = float(duration)
+        if self.last is not None and self.budget is not None and self.budget.exhausted:
+            self.is_cut = True
+            raise _Cut
         problem = with_objective(retimed(base_problem(self.problem), duration), self.rest)
         options = single_start(self.options) if self.tried else self.options
         plan = None
@@ -206,7 +213,8 @@ class _DurationSearch:
         assert plan.problem is not None
         wanted = with_objective(plan.problem, self.weights | {"effort": self.rest.get("effort", 0.0)})
         told = options | {"tried": [[line.duration, line.cost, line.violation] for line in self.tried]}
-        return replace(as_user_plan(wanted, plan), options=plan.options | told)
+        plan = replace(as_user_plan(wanted, plan), options=plan.options | told)
+        return replace(plan, status=self.budget.end) if self.is_cut and plan.converged else plan
 
 
 def _outside(problem: Problem, plan: Plan) -> float:

@@ -126,6 +126,7 @@ class ProblemFile(NamedTuple):
     objective: dict[str, float] | None  # weights by names of OBJECTIVES, for solve_for; None for the problem as it is
     durations: list[float] | None  # the shortest and the longest, s, for an objective with time
     notes: tuple[str, ...] = ()  # sentences about contacts, and about what was done to start and goal
+    work: float | None = None  # of the run
 
 
 def load(path: str | Path, **instead: Any) -> ProblemFile:
@@ -157,7 +158,9 @@ def loaded(table: dict[str, Any], path: str | Path, **instead: Any) -> ProblemFi
     given = problem.parameters
     reasons = given[RESOLVED]["reasons"]
     notes = tuple(reasons[key] for key in TOLD if key in reasons)
-    return ProblemFile(problem, given["starts"], given["seed"], given.get("objective"), given.get("durations"), notes)
+    return ProblemFile(
+        problem, given["starts"], given["seed"], given.get("objective"), given.get("durations"), notes, given.get("work")
+    )  # fmt: skip
 
 
 def case_in(path: str | Path) -> tuple[str, dict[str, Any], int, int] | None:
