@@ -150,13 +150,13 @@ def show_plan(plan: Plan, seconds: float | None, console: Console, which: str = 
     if not plan.success or plan.missed_goals:
         console.write_result(plan.message)
     for key in ("first_guess", "not_finite", "cut"):  # what became of a guess that ran away; what a budget cut
-        if key in plan.options and plan.options[key] != plan.status:
+        if key in plan.options and plan.options[key] != plan.status.name:
             console.write_result(f"{key.replace('_', ' ')}: {plan.options[key]}")
 
 
 def show_work(budget: WorkBudget, console: Console) -> None:
     """Print where the work of a run went, and which limit ended it, if any."""
-    console.write_result(f"work: {budget}" + (f"; {budget.end.value}" if budget.exhausted else ""))
+    console.write_result(f"work: {budget}" + (f"; ended by its {budget.end.name}" if budget.exhausted else ""))
 
 
 def show_proof(proof: Proof, fixes: Sequence[SuggestedFix], console: Console) -> None:

@@ -189,11 +189,11 @@ def _with_cut(plan: Plan, budget: WorkBudget, fewer: bool, recorded: dict[str, A
         status is Status.INTERRUPTED for status in (plan.status, *(start.status for start in plan.starts))
     )
     if by_clock:
-        recorded["cut"] = Status.TIME_LIMIT.value
+        recorded["cut"] = Status.TIME_LIMIT.name
     if by_clock and plan.status is Status.INTERRUPTED:
         return replace(plan, status=Status.TIME_LIMIT)
     if fewer and plan.status is Status.MAX_ITERATIONS:
-        recorded["cut"], recorded["work"] = Status.WORK_LIMIT.value, budget.whole.limit
+        recorded["cut"], recorded["work"] = Status.WORK_LIMIT.name, budget.whole.limit
         return replace(plan, status=Status.WORK_LIMIT)
     return plan
 

@@ -37,7 +37,7 @@ def first_guess(plan: Plan, problem: Problem, proof: Proof | None) -> list[Sugge
 
 def more_iterations(plan: Plan, problem: Problem, proof: Proof | None) -> list[SuggestedFix]:
     """Number of iterations, extrapolated from the trend of the decrease."""
-    if not plan.status.cut:
+    if plan.status not in (Status.MAX_ITERATIONS, Status.WORK_LIMIT):
         return []
     lines = [line for line in plan.history if line.step > 0.0]
     needed = iterations_needed(lines, plan.cost)
