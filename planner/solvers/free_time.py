@@ -81,7 +81,8 @@ def solve_for(
 ) -> Plan:  # fmt: skip
     """Optimize a problem with another objective than its own; with time in it also the duration.
 
-    Objectives other than effort start from the controls of minimum effort.
+    Objectives other than effort start from the controls of minimum effort; those of a problem file from the plan that
+    it has without an objective, whose weights of velocities keep joints from swinging.
 
     Args:
         problem: The problem to solve; see with_objective.
@@ -105,8 +106,9 @@ def solve_for(
     between = checked_durations(durations, weights)
     if between is None:
         wanted = with_objective(problem, weights)
-        if set(weights) != {"effort"}:
-            wanted = replace(wanted, us=solve(base_problem(problem), **single_start(options)).us)
+        default = _without_objective(problem)
+        if set(weights) != {"effort"} or default.cost is not base_problem(problem).cost:
+            wanted = replace(wanted, us=solve(default, **single_start(options)).us)
         return solve(wanted, callback=callback, **options)
     shortest, longest = between
     number("tolerance", tolerance, greater_than=0.0)
@@ -117,6 +119,14 @@ def solve_for(
     with suppress(_Cut):
         (_least if alone else _cheapest)(search, shortest, longest, tolerance)
     return search.best_plan({"durations": [shortest, longest], "tolerance": tolerance})
+
+
+def _without_objective(problem: Problem) -> Problem:
+    """The problem without its objective; that of a file has its default weights again."""
+    recipe = problem.recipe
+    if recipe is None or recipe.build is None or recipe.parameters.get("objective") is None:
+        return base_problem(problem)
+    return recipe.rebuilt(objective=None, durations=None, resolved=None)
 
 
 def _exact(problem: Problem) -> Problem:
@@ -174,8 +184,10 @@ class _DurationSearch:
                     problem, us=warm_start(_at_pace(self.plans[nearest_duration], nearest_duration / duration), problem)
                 )
         elif problem.bounds is not None or set(self.rest) != {"effort"}:
-            free = solve(replace(base_problem(problem), limits=None, constraints=()), **single_start(options))
-            problem = replace(problem, us=warm_start(free, problem))
+            free = retimed(_without_objective(self.problem), duration)
+            if not free.constraints:  # else a path through an obstacle is a bad guess
+                free = replace(free, limits=None)
+            problem = replace(problem, us=warm_start(solve(free, **single_start(options)), problem))
         plan = self.last = solve(problem, **options) if plan is None else plan
         outside = _outside(problem, plan)
         line = DurationTrial(len(self.tried), duration, plan.cost, outside, plan.nit, plan.status)

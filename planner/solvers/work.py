@@ -25,11 +25,11 @@ from planner.problem.problem import Problem
 
 DEFAULT_WORK = 60.0
 """Of `planner run`."""
-PROOF = 1.0, 40.0  # of a proof: work, and iterations of a solve that take as long as the rest
+PROOF = 1.0, 80.0  # of a proof: work, and iterations of a solve that take as long as the rest
 # Work of one stage in an iteration, measured on models of 2 to 76 states, to within a factor of 2 or so.
 CALL = 2e-6
-RATES = 2e-8  # times evaluations times (degrees of freedom and rows of closures)^2
-CONTACT = 7e-8  # times evaluations
+RATES = 4e-8  # times evaluations times (degrees of freedom and rows of closures)^2
+CONTACT = 1e-7  # times evaluations
 RICCATI = 8e-10  # times ndx^3
 PAIR = 3e-6  # of shapes that are kept apart
 EVALUATIONS = {"euler": 1, "semi-implicit-euler": 1}  # per step; 4 of other integrators

@@ -207,9 +207,12 @@ def load_problem(path: str | Path) -> Problem:
 def again(mechanism: Mechanism, *constraints: Constraint, **table: Any) -> Problem:
     """The problem of a table and a machine that was read already, and constraints beside those of the table.
 
+    None stands for a key that the table does not have.
+
     Raises:
         PlannerError: A key is unknown, missing or wrong.
     """
+    table = {name: value for name, value in table.items() if value is not None}
     table = with_defaults(table, "the problem file", stored=True)
     return _problem(table, mechanism, "the problem file", constraints)
 
@@ -321,7 +324,7 @@ def _resolved(
         default = weights_of(table, dynamics, x0, way, limits)
     else:
         default = default_weights(
-            dynamics, x0, goal, table["duration"], tolerance=table["tolerance"], effort_alone="objective" in table,
+            dynamics, x0, goal, table["duration"], tolerance=table["tolerance"], named="objective" in table,
             stays="position" not in given, jerk=table.get("objective", {}).get("jerk", 0.0),
         )  # fmt: skip
     filled = {name: weight.tolist() for name, weight in default.weights.items() if name not in given}
