@@ -17,6 +17,7 @@ from typing import Any
 
 from planner.base.arguments import number, short_repr
 from planner.base.errors import PlannerError
+from planner.dynamics import CompiledDynamics
 from planner.model.capabilities import capabilities_of
 from planner.model.space import space_of
 from planner.problem.constraints.clearance import pair_clearance_of
@@ -32,6 +33,7 @@ RATES = 4e-8  # times evaluations times (degrees of freedom and rows of closures
 CONTACT = 1e-7  # times evaluations
 RICCATI = 8e-10  # times ndx^3
 PAIR = 3e-6  # of shapes that are kept apart
+IN_NUMPY = 5e-4  # of what no kernel computes: dynamics of the user's own, jerk
 EVALUATIONS = {"euler": 1, "semi-implicit-euler": 1}  # per step; 4 of other integrators
 CLOSURE_ROWS = 3
 
@@ -175,4 +177,6 @@ def work_of_stage(problem: Problem) -> float:
         size = mechanism.nv + CLOSURE_ROWS * (len(mechanism.loops) + len(mechanism.polynomial_couplings))
         contacts = len(mechanism.contacts) + len(mechanism.body_contacts)
     rates = evaluations * (RATES * size**2 + CONTACT * contacts)
+    jerk = problem.objective is not None and "jerk" in problem.objective.weights
+    rates += IN_NUMPY if jerk or not isinstance(dynamics, CompiledDynamics) else 0.0
     return CALL + rates + RICCATI * ndx**3 + PAIR * (0 if pairs is None else len(pairs.pairs))
