@@ -170,8 +170,8 @@ def _show_step(console: Console, step: Step) -> None:
 INTERRUPTED = 130
 FIRST_SHARE = 0.5  # of the work, at most, for the first solve: the rest is for the repair of a plan that fails
 MAX_ROLLOUT_SECONDS = 20.0  # time limit of the perturbed simulations; `planner prove` has none
-FLAGS = ("update", "line_search", "hessian", "max_iterations", "rank", "no_refine", "rollouts", "hold", "work", "budget",
-         "objective", "durations", "control_limit", "exact_goal")  # fmt: skip
+FLAGS = ("update", "line_search", "hessian", "max_iterations", "rank", "no_refine", "rollouts", "hold", "work",
+         "budget", "objective", "durations", "control_limit", "exact_goal")  # fmt: skip
 """Flags that decide plan and proof, beside those of the problem, its starts and seed."""
 
 
@@ -183,7 +183,8 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
     number("hold", arguments.hold, minimum=0.0)
     budget = WorkBudget(seconds=arguments.budget)  # from here on: loading takes a part of the time
     asked = asked_problem(arguments)
-    budget.limit = WorkBudget(next(work for work in (arguments.work, asked.work, DEFAULT_WORK) if work is not None)).limit
+    works = (arguments.work, asked.work, DEFAULT_WORK)
+    budget.limit = number("work", next(work for work in works if work is not None), minimum=0.0)
     if arguments.hold:
         hold_gain(asked.problem)  # refuses a goal that cannot be held before any work
     place = Path(arguments.out or f"renders/{name_of(arguments)}")
@@ -244,7 +245,7 @@ def _run(
         fixes = suggested_fixes(plan, proof)
     results.show_work(budget, console)
     digest = plan_digest(folder.path / "plan.npz")
-    results.write_proof(plan, proof, folder.path, digest, fixes, path, budget)  # without the rollouts, which may be interrupted
+    results.write_proof(plan, proof, folder.path, digest, fixes, path, budget)  # rollouts may be interrupted
     films = None
     with ExitStack() as drawing:
         if proof is not None:

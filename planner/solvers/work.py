@@ -4,8 +4,8 @@
 
 A unit is about a second of one core of 2024. It is estimated from the sizes of the problem alone: its degrees of
 freedom, contacts, closures, pairs kept apart and evaluations of the dynamics per stage. A proof counts as some
-iterations. A budget may also have a deadline by the clock. A plan that the deadline cut depends on the computer, and its
-status says so.
+iterations. A budget may also have a deadline by the clock. A plan that the deadline cut depends on the computer, and
+its status says so.
 """
 
 from __future__ import annotations
@@ -61,8 +61,8 @@ class WorkBudget:
         self.seconds = None if seconds is None else number("budget", seconds, greater_than=0.0)
         self.deadline = None if self.seconds is None else time.monotonic() + self.seconds
         self.spent: dict[str, float] = {}
-        self._parent: WorkBudget | None
-        self._purpose, self._parent = "solve", None
+        self._purpose = "solve"
+        self._parent: WorkBudget | None = None
 
     def part(self, purpose: str, share: float = 1.0) -> WorkBudget:
         """A budget with a share of what is left, whose work counts here too, under its purpose."""

@@ -274,8 +274,8 @@ POST = """
 def test_around_a_post_an_objective_starts_from_the_default_plan(tmp_path, objective):
     """Without a weight of velocities j3, which costs nearly nothing, swings at 12 rad/s for a way of 0.3 rad."""
     (tmp_path / "arm.xml").write_text(POST)
-    lines = ["start = { j1 = -0.5, j2 = 0.3 }", "goal = { j1 = 0.7, j2 = 0.2, j3 = 0.3 }", "duration = 1.5", "dt = 0.02"]
-    lines = ['model = "arm.xml"', *lines, f'objective = "{objective}"', "[avoid]", ""]
+    poses = ["start = { j1 = -0.5, j2 = 0.3 }", "goal = { j1 = 0.7, j2 = 0.2, j3 = 0.3 }"]
+    lines = ['model = "arm.xml"', *poses, "duration = 1.5", "dt = 0.02", f'objective = "{objective}"', "[avoid]", ""]
     (tmp_path / "problem.toml").write_text("\n".join(lines))
     file = load(tmp_path / "problem.toml")
     default = file.problem.recipe.rebuilt(objective=None, resolved=None)

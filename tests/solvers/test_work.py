@@ -120,5 +120,5 @@ def test_refusals(given, said):
 
 
 def test_a_budget_is_one():
-    with pytest.raises(PlannerError, match="budget is 3.0, expected a WorkBudget or None"):
+    with pytest.raises(PlannerError, match=r"budget is 3\.0, expected a WorkBudget or None"):
         planner.solve(cases.two_link(horizon=10), budget=3.0)

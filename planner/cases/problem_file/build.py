@@ -159,7 +159,8 @@ def loaded(table: dict[str, Any], path: str | Path, **instead: Any) -> ProblemFi
     reasons = given[RESOLVED]["reasons"]
     notes = tuple(reasons[key] for key in TOLD if key in reasons)
     return ProblemFile(
-        problem, given["starts"], given["seed"], given.get("objective"), given.get("durations"), notes, given.get("work")
+        problem, given["starts"], given["seed"], given.get("objective"), given.get("durations"), notes,
+        given.get("work"),
     )  # fmt: skip
 
 

@@ -77,8 +77,8 @@ def repair(
     work = WorkBudget(DEFAULT_WORK) if budget is None else budget
     if proof is not None and not path and not standing_goal(plan, problem, proof):
         done = refine(
-            plan, proof, budget=work.part("finer steps"), prove=tools.prove, callback=tools.report, max_iterations=tools.max_iterations,
-            **tools.options,
+            plan, proof, budget=work.part("finer steps"), prove=tools.prove, callback=tools.report,
+            max_iterations=tools.max_iterations, **tools.options,
         )  # fmt: skip
         if done.plan.status is Status.INTERRUPTED:
             raise KeyboardInterrupt  # the next run begins an interrupted refinement again
