@@ -41,7 +41,6 @@ from planner.solvers.free_time import solve_for as solve_for
 from planner.solvers.options import SolverOptions as SolverOptions
 from planner.solvers.periodic import solve_periodic as solve_periodic
 from planner.solvers.slq import solve as solve
-from planner.solvers.work import WorkBudget as WorkBudget
 from planner.sweeps.regression import check as check
 from planner.sweeps.sweeping import sweep as sweep
 from planner.view.render.video import render_frame as render_frame

@@ -35,6 +35,7 @@ from planner.problem.trajectory import Trajectory
 from planner.solvers.options import single_start, with_overrides
 from planner.solvers.slq import as_user_plan, solve
 from planner.solvers.warm_start import warm_start
+from planner.solvers.work import budget_of
 
 TOLERANCE = 1e-3
 """Default tolerance of the duration, relative."""
@@ -104,6 +105,7 @@ def solve_for(
     if not isinstance(problem, Problem):
         raise PlannerError(f"problem is {short_repr(problem)}, expected a Problem.")
     between = checked_durations(durations, weights)
+    options["budget"] = budget_of(options.get("budget"))  # one for all solves
     if between is None:
         wanted = with_objective(problem, weights)
         default = _without_objective(problem)

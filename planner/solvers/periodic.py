@@ -41,6 +41,7 @@ from planner.solvers.periodic_boundary import (
 )
 from planner.solvers.slq import solve
 from planner.solvers.warm_start import warm_start
+from planner.solvers.work import budget_of
 
 LEFT = 1e-4
 """Newton passes end when the expected reduction is below this share of the cost (or see Periodic.cost_tolerance)."""
@@ -113,6 +114,7 @@ def solve_periodic(
             'ranges of states and constraints are no part of the step "newton", expected step="follow" with them.'
         )
     tracking(problem)
+    options["budget"] = budget_of(options.get("budget"))  # one for all passes
     search = _PeriodicSearch(problem, by_newton, passes, callback, options)
     try:
         while search.next is not None and len(search.lines) < search.passes and not search.is_cut:

@@ -50,7 +50,7 @@ from planner.solvers.regularization import Regularization, unregularized_sweep
 from planner.solvers.resolution import is_unresolved
 from planner.solvers.stabilizing_guess import has_diverged, stabilizing_guess
 from planner.solvers.warm_start import tracked_warm_start
-from planner.solvers.work import UntilDeadline, WorkBudget, checked_budget, iterations_of
+from planner.solvers.work import UntilDeadline, WorkBudget, budget_of, iterations_of
 
 
 def solve(
@@ -62,7 +62,7 @@ def solve(
     callback: Callable[[Any], object] | None = None,
     rank: Callable[[Plan], float] | None = None,
     executor: Executor | None = None,
-    budget: WorkBudget | None = None,
+    budget: WorkBudget | float | None = None,
     update: str | None = None,
     line_search: str | None = None,
     hessian: str | None = None,
@@ -93,9 +93,9 @@ def solve(
             is its cost in MuJoCo. Non-finite values rank last.
         executor: Any concurrent.futures.Executor for the starts; by default threads. The plan is the same to the last
             bit.
-        budget: Work that the solve may take, counted so that the plan is the same on any computer; of several starts
-            each gets an equal share. A solve that it cuts ends with WORK_LIMIT, one that its deadline cuts with
-            TIME_LIMIT. None (default) for no limit.
+        budget: Work that the solve may take, or a WorkBudget (see solvers.work): counted, about a unit a second, so that
+            the plan is the same on any computer. Of several starts each gets an equal share. A solve that it cuts ends
+            with WORK_LIMIT, one that its deadline cuts with TIME_LIMIT. None (default) for no limit.
         update: "feedback" (default) or "open-loop" (the paper's Eq. 36).
         line_search: "armijo" (default), "exact", "wolfe" or "goldstein".
         hessian: "gauss-newton" (default, the paper's) or "exact", with the second derivatives of the dynamics (DDP).
@@ -129,9 +129,10 @@ def solve(
     settings = own.for_problem(problem)
     checked_executor(executor)
     asked, deadline = settings.max_iterations, None
-    if checked_budget(budget) is not None:
-        deadline = budget.deadline
-        settings = with_overrides(settings, max_iterations=budget.iterations(problem, asked, settings.starts))
+    work = budget_of(budget)
+    if work is not None:
+        deadline = work.deadline
+        settings = with_overrides(settings, max_iterations=work.iterations(problem, asked, settings.starts))
     if callback is not None and not callable(callback):
         raise PlannerError(f"callback is {short_repr(callback)}, expected a function of one line of progress.")
     if rank is not None and not callable(rank):
@@ -177,9 +178,9 @@ def solve(
             best = solved(steady)
     if best.status is Status.NOT_FINITE and (cure := stage_too_long(problem)):
         recorded["not_finite"] = cure
-    if budget is not None:
-        budget.charge(problem, iterations_of(best))
-        best = _with_cut(best, budget, settings.max_iterations < asked, recorded)
+    if work is not None:
+        work.charge(problem, iterations_of(best))
+        best = _with_cut(best, work, settings.max_iterations < asked, recorded)
     return judged_status(replace(as_user_plan(problem, best), options=recorded))
 
 

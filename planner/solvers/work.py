@@ -15,8 +15,7 @@ import time
 from collections.abc import Callable
 from typing import Any
 
-from planner.base.arguments import number, short_repr
-from planner.base.errors import PlannerError
+from planner.base.arguments import number
 from planner.dynamics import CompiledDynamics
 from planner.model.capabilities import capabilities_of
 from planner.model.space import space_of
@@ -151,15 +150,13 @@ class UntilDeadline:
             raise StopIteration
 
 
-def checked_budget(budget: Any) -> WorkBudget | None:
-    """The budget of a solve.
+def budget_of(given: WorkBudget | float | None) -> WorkBudget | None:
+    """The budget that a WorkBudget or a number of work stands for; None for none.
 
     Raises:
-        PlannerError: It is neither a WorkBudget nor None.
+        PlannerError: A negative number, or no number.
     """
-    if budget is None or isinstance(budget, WorkBudget):
-        return budget
-    raise PlannerError(f"budget is {short_repr(budget)}, expected a WorkBudget or None.")
+    return given if given is None or isinstance(given, WorkBudget) else WorkBudget(number("budget", given, minimum=0.0))
 
 
 def iterations_of(plan: Plan) -> int:

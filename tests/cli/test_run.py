@@ -220,7 +220,7 @@ def test_a_run_ends_with_its_work_and_says_where_it_went(tmp_path, capsys):
     assert set(said["budget"]["spent"]) == {"first solve", "proofs"}
     assert said["verdict"] == "FAIL"
     assert "cut by its WORK_LIMIT" in said["headline"]
-    assert said["cures"][0]["key"] == "work"
+    assert "work" in {one["key"] for one in said["cures"]}
     assert said["budget"] == same["budget"]
     assert (load_plan(tmp_path / "o" / "plan.npz").us == load_plan(tmp_path / "again" / "plan.npz").us).all()
     assert "work: " in capsys.readouterr().err

@@ -26,7 +26,7 @@ from planner.proof import prove as full_proof
 from planner.proof.original_model import your_file
 from planner.solvers.slq import solve
 from planner.solvers.warm_start import warm_start
-from planner.solvers.work import DEFAULT_WORK, WorkBudget
+from planner.solvers.work import DEFAULT_WORK, WorkBudget, budget_of
 
 MAX_REFINEMENTS = 3  # times
 CLEARANCE_SHARE = 0.5  # of the required clearance, added to the depth
@@ -46,7 +46,7 @@ class ClearanceRefinement(NamedTuple):
 
 
 def refine_clearance(
-    plan: Plan, proof: Proof, *, limit: int = MAX_REFINEMENTS, budget: WorkBudget | None = None,
+    plan: Plan, proof: Proof, *, limit: int = MAX_REFINEMENTS, budget: WorkBudget | float | None = None,
     prove: Callable[[Plan], Proof] | None = None, max_iterations: int = 1000, **options: Any,
 ) -> ClearanceRefinement:  # fmt: skip
     """Solve and prove again with changed clearances of pairs that collide, or whose fits are too conservative.
@@ -61,7 +61,7 @@ def refine_clearance(
         options: Of solve().
     """
     prove, changes = prove or partial(full_proof, rollouts=0), list[dict[str, float]]()
-    work = WorkBudget(DEFAULT_WORK) if budget is None else budget
+    work = budget_of(budget) or WorkBudget(DEFAULT_WORK)
     while len(changes) < limit and not work.exhausted:
         more = _collided(plan, proof) or _far(plan, proof)
         if plan.problem is None or not more:

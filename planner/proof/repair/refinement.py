@@ -29,7 +29,7 @@ from planner.proof.error_scales import shares_of_bounds
 from planner.proof.replays.replaying import reached_by_plan
 from planner.solvers.slq import solve
 from planner.solvers.warm_start import warm_start
-from planner.solvers.work import DEFAULT_WORK, WorkBudget
+from planner.solvers.work import DEFAULT_WORK, WorkBudget, budget_of
 
 
 class Refinement(NamedTuple):
@@ -105,7 +105,7 @@ class Refined:
 
 
 def refine(
-    plan: Plan, proof: Proof, *, limit: int = 4, budget: WorkBudget | None = None,
+    plan: Plan, proof: Proof, *, limit: int = 4, budget: WorkBudget | float | None = None,
     prove: Callable[[Plan], Proof] | None = None, callback: Callable[[Refinement], object] | None = None,
     max_iterations: int = 1000, **options: Any,
 ) -> Refined:  # fmt: skip
@@ -136,7 +136,7 @@ def refine(
         raise PlannerError(f"proof is {short_repr(proof)}, expected the Proof of the plan.")
     count("limit", limit, minimum=0)
     count("max_iterations", max_iterations)
-    work = WorkBudget(DEFAULT_WORK) if budget is None else budget
+    work = budget_of(budget) or WorkBudget(DEFAULT_WORK)
     prove = prove or partial(full_proof, rollouts=0)
     path: list[Refinement] = []
 
