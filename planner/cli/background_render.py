@@ -6,6 +6,7 @@ Child processes draw, so that a thread of this one has little to do. What comes 
 from __future__ import annotations
 
 import threading
+import time
 from collections.abc import Collection
 from contextlib import suppress
 from pathlib import Path
@@ -36,8 +37,10 @@ class BackgroundRender:
         if self.names:
             self._thread.start()
 
-    def finish(self) -> None:
-        """Wait for the files and show how far they are.
+    def finish(self, deadline: float | None = None) -> bool:
+        """Wait for the files, until a deadline of time.monotonic() at most, and show how far they are.
+
+        Returns whether they are finished.
 
         Raises:
             RenderingUnavailable: The OpenGL library is there but does not work.
@@ -46,12 +49,15 @@ class BackgroundRender:
         show = self._console.progress("video")
         while self._thread.is_alive():
             self._thread.join(_PATIENCE)
+            if deadline is not None and time.monotonic() >= deadline and self._thread.is_alive():
+                return False
             if 0 < self._done[0] < self._done[1]:
                 show(*self._done)
         if self._error is not None:
             raise self._error
         if self._done[1]:
             show(*self._done)
+        return True
 
     def __enter__(self) -> BackgroundRender:
         return self

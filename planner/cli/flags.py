@@ -81,6 +81,13 @@ ROLLOUT: Flags = {
     "--perturb": {"action": "append", "metavar": "NAME=X",
                   "help": "Size of a perturbation, e.g. mass=0.1 or delay=0 (docs/proof.md). May be repeated."},
 }  # fmt: skip
+BUDGET: Flags = {
+    "--work": value_flag("N", "Work that the run may take, about N s of one core; counted, so that the plan is the "
+                              "same on any computer. Default: that of the problem file, else about a minute.",
+                         kind=number),
+    "--budget": value_flag("SECONDS", "Last stop by the clock: solves end, and what is not drawn yet is left out. The "
+                                      "plan then depends on the computer, and says so. Default: none.", kind=number),
+}  # fmt: skip
 NO_VIDEO = {"--no-video": boolean_flag("Make no video and no strip of poses (drawing needs OpenGL).")}
 IMPORTS: Flags = {
     "--allow-import": {"action": "append", "metavar": "MODULE", "default": [],

@@ -20,6 +20,7 @@ from planner.base.errors import PlannerError
 from planner.base.files import check_confined, read_input
 from planner.cli.console import Console
 from planner.cli.flags import (
+    BUDGET,
     COMMON,
     IMPORTS,
     NO_VIDEO,
@@ -239,7 +240,7 @@ _COMMANDS: dict[str, tuple[str, Callable[[argparse.ArgumentParser], None]]] = {
     "list": ("List the machines, a line each, or the flags of one.", _list),
     "model": ("Describe a model of your own: its joints, actuators and contacts, and what looks wrong.", _model),
     "run": ("Plan, prove, plot and film a case or a problem file.", _with_cases(
-        {"--no-refine": boolean_flag("Do not solve a failed plan again at a finer step.")}, PROOF, NO_VIDEO,
+        {"--no-refine": boolean_flag("Do not solve a failed plan again at a finer step.")}, BUDGET, PROOF, NO_VIDEO,
         {"--out": value_flag("DIR", "Folder of the results. Default: renders/CASE.")}, WORKERS)),
     "drive": ("Plan again and again in the loop with MuJoCo, and judge the loop.", _with_cases(
         _DRIVE, NO_VIDEO, {"--out": value_flag("DIR", "Folder of the results. Default: renders/CASE-loop.")})),

@@ -25,6 +25,7 @@ from planner.solvers.free_time import solve_for
 from planner.solvers.options import MAX_STARTS
 from planner.solvers.periodic import solve_periodic
 from planner.solvers.slq import solve
+from planner.solvers.work import WorkBudget
 
 RANKS = {"cost": None, "proven-cost": proven_cost}
 
@@ -38,6 +39,7 @@ class ProblemOf(NamedTuple):
     objective: dict[str, float] | None
     durations: list[float] | None
     notes: tuple[str, ...] = ()  # sentences about what was chosen by itself
+    work: float | None = None  # of the file, for its budget
 
 
 def asked_problem(arguments: argparse.Namespace) -> ProblemOf:
@@ -106,7 +108,7 @@ def name_of(arguments: argparse.Namespace) -> str:
 
 def solved(
     asked: ProblemOf, arguments: argparse.Namespace, console: Console, executor: Executor | None = None,
-    purpose: str = "",
+    purpose: str = "", budget: WorkBudget | None = None,
 ) -> tuple[Plan, float]:  # fmt: skip
     """The plan and the time of its solve, s; `purpose` of a solve after the first is printed with its table."""
     problem = asked.problem
@@ -121,7 +123,7 @@ def solved(
     options = {
         "update": arguments.update, "line_search": arguments.line_search, "hessian": arguments.hessian,
         "starts": asked.starts, "seed": asked.seed, "max_iterations": arguments.max_iterations,
-        "rank": RANKS[arguments.rank], "executor": executor,
+        "rank": RANKS[arguments.rank], "executor": executor, "budget": budget,
     }  # fmt: skip
     shown = console.iteration if asked.durations is None and asked.starts == 1 else console.row
 
@@ -132,8 +134,3 @@ def solved(
     else:
         plan = solve_for(problem, asked.objective, durations=asked.durations, callback=shown, **options)
     return plan, time.perf_counter() - began
-
-
-def iterations_of(plan: Plan) -> int:
-    """Iterations of a solve with all its starts."""
-    return sum(start.iterations for start in plan.starts) or plan.nit

@@ -17,6 +17,7 @@ from planner.problem.plan import Plan, Status
 from planner.proof import Proof
 from planner.proof.diagnostics import SuggestedFix
 from planner.proof.prove_plan import with_informative_sections, with_rollouts
+from planner.solvers.work import WorkBudget
 from planner.view.plots import CASE_PICTURES, case_pictures, draw_case_picture, draw_plan, draw_proof, save
 from planner.view.report import NAME as REPORT
 from planner.view.report import write_report
@@ -25,6 +26,7 @@ if TYPE_CHECKING:
     from planner.proof.repair.refinement import Refinement
 
 INTERRUPTED = "The drawing of pictures was interrupted."
+OUT_OF_TIME = "The time budget was reached before all pictures were drawn."
 PICTURES = ("plots.png", *CASE_PICTURES.values(), "proof.png", "strip.png", "video.mp4")
 Draw = Callable[[Path], object]
 OUTPUTS = ("plan.npz", "proof.json", *PICTURES, REPORT)
@@ -37,12 +39,12 @@ def is_finite(plan: Plan) -> bool:
 
 def write_proof(
     plan: Plan, proof: Proof | None, folder: Path, digest: str, fixes: Sequence[SuggestedFix],
-    path: Sequence[Refinement] = (),
+    path: Sequence[Refinement] = (), budget: WorkBudget | None = None,
 ) -> None:  # fmt: skip
     """Write proof.json, also for a plan that was not replayed.
 
     `digest` is that of the plan's file, `fixes` say what to write so that it passes, and `path` lists the refinements
-    of the plan.
+    of the plan. `budget` says where the work went.
     """
     failed = {"verdict": "FAIL", "mode": None, "reason": f"The plan was not replayed. {plan.message}"}
     content = (failed if proof is None else proof.to_dict()) | {"plan_digest": digest}
@@ -50,6 +52,8 @@ def write_proof(
         content["cures"] = [one.to_dict() for one in fixes]
     if path:
         content["refinement"] = [refinement_row(line) for line in path]
+    if budget is not None:
+        content["budget"] = budget.to_dict()
     write_json(folder / "proof.json", content)
 
 
@@ -64,12 +68,13 @@ def draw_results(
     keep: Collection[str] = frozenset(),
     options: Mapping[str, Any] | None = None,
     films: BackgroundRender | None = None,
+    budget: WorkBudget | None = None,
 ) -> str:
     """Draw the pictures and the report into a folder; returns why there is no video, or "".
 
     Files named in `keep` are of this plan and stay; other pictures are removed first. An interruption leaves the
     finished pictures and a report of them. `path` (the refinements) and `options` (the flags) are for the report.
-    `films` are on their way into this folder already.
+    `films` are on their way into this folder already. After the deadline of a `budget` no more are drawn.
     """
     coming = films.names if films is not None else ()
     wanted = {name: draw for name, draw in _pictures(plan, proof, video, console).items() if name not in keep}
@@ -83,10 +88,12 @@ def draw_results(
         film_status = "There is nothing to film: the plan was not replayed."
     try:
         for name, draw in wanted.items():
-            if name not in coming:
+            if budget is not None and budget.out_of_time:
+                film_status = OUT_OF_TIME
+            elif name not in coming:
                 draw(folder / name)
-        if films is not None:
-            films.finish()
+        if films is not None and not films.finish(None if budget is None else budget.deadline):
+            film_status = OUT_OF_TIME
     except RenderingUnavailable as error:
         film_status = str(error)
     except KeyboardInterrupt:  # the plan and its proof are worth keeping without pictures
@@ -142,9 +149,14 @@ def show_plan(plan: Plan, seconds: float | None, console: Console, which: str = 
         console.write_result(f"start {plan.start} of {len(plan.starts)} is the best; {converged} converged")
     if not plan.success or plan.missed_goals:
         console.write_result(plan.message)
-    for key in ("first_guess", "not_finite"):  # what became of a guess that ran away
-        if key in plan.options:
+    for key in ("first_guess", "not_finite", "cut"):  # what became of a guess that ran away; what a budget cut
+        if key in plan.options and plan.options[key] != plan.status.name:
             console.write_result(f"{key.replace('_', ' ')}: {plan.options[key]}")
+
+
+def show_work(budget: WorkBudget, console: Console) -> None:
+    """Print where the work of a run went, and which limit ended it, if any."""
+    console.write_result(f"work: {budget}" + (f"; ended by its {budget.end.name}" if budget.exhausted else ""))
 
 
 def show_proof(proof: Proof, fixes: Sequence[SuggestedFix], console: Console) -> None:

@@ -35,7 +35,7 @@ from planner.cases.plan_file import load_plan
 from planner.cli import results
 from planner.cli.background_render import BackgroundRender
 from planner.cli.console import Console
-from planner.cli.problems import ProblemOf, asked_problem, iterations_of, name_of, solved
+from planner.cli.problems import ProblemOf, asked_problem, name_of, solved
 from planner.problem.archive import plan_digest, plan_name
 from planner.problem.plan import Plan, Status
 from planner.problem.problem import Problem
@@ -47,6 +47,7 @@ from planner.proof.repair import Repaired, Step, Tools, repair
 from planner.proof.repair.clearance import ClearanceRefinement
 from planner.proof.repair.fixes import FixTrial
 from planner.proof.repair.refinement import Refined, Refinement
+from planner.solvers.work import DEFAULT_WORK, WorkBudget
 from planner.sweeps.executors import executor_of
 
 MARK = ".planner-unfinished.json"
@@ -132,15 +133,14 @@ _OUTCOMES = {
 
 def auto_repair(
     asked: ProblemOf, plan: Plan, proof: Proof | None, path: tuple[Refinement, ...], arguments: argparse.Namespace,
-    console: Console, *, resumed: bool, store: Store,
+    console: Console, *, resumed: bool, store: Store, budget: WorkBudget,
 ) -> Repaired:  # fmt: skip
     """The plan that passes or that is best known; `store` gets each plan that takes the place of the one before."""
 
-    def solve_again(problem: Problem, max_iterations: int, purpose: str) -> tuple[Plan, int]:
+    def solve_again(problem: Problem, max_iterations: int, purpose: str, budget: WorkBudget) -> Plan:
         again = asked._replace(problem=problem, starts=problem.parameters["starts"])
         given = argparse.Namespace(**vars(arguments) | {"max_iterations": max_iterations})
-        plan, _ = solved(again, given, console, purpose=purpose)
-        return plan, iterations_of(plan)
+        return solved(again, given, console, purpose=purpose, budget=budget)[0]
 
     def keep(plan: Plan, which: str, path: tuple[Refinement, ...]) -> None:
         store(plan, path)
@@ -149,7 +149,7 @@ def auto_repair(
     options = {name: getattr(arguments, name) for name in ("update", "line_search", "hessian")}
     judge = partial(prove, rollouts=0, hold_seconds=arguments.hold)
     tools = Tools(solve_again, judge, options, arguments.max_iterations, partial(_show_step, console), keep)
-    return repair(asked.problem, plan, proof, path, tools, resumed=resumed)
+    return repair(asked.problem, plan, proof, path, tools, resumed=resumed, budget=budget)
 
 
 def _show_step(console: Console, step: Step) -> None:
@@ -168,9 +168,10 @@ def _show_step(console: Console, step: Step) -> None:
 
 
 INTERRUPTED = 130
+FIRST_SHARE = 0.5  # of the work, at most, for the first solve: the rest is for the repair of a plan that fails
 MAX_ROLLOUT_SECONDS = 20.0  # time limit of the perturbed simulations; `planner prove` has none
-FLAGS = ("update", "line_search", "hessian", "max_iterations", "rank", "no_refine", "rollouts", "hold", "objective",
-         "durations", "control_limit", "exact_goal")  # fmt: skip
+FLAGS = ("update", "line_search", "hessian", "max_iterations", "rank", "no_refine", "rollouts", "hold", "work",
+         "budget", "objective", "durations", "control_limit", "exact_goal")  # fmt: skip
 """Flags that decide plan and proof, beside those of the problem, its starts and seed."""
 
 
@@ -180,14 +181,17 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
         raise PlannerError("--out is empty, expected the name of a folder.")
     count("rollouts", arguments.rollouts, minimum=0)
     number("hold", arguments.hold, minimum=0.0)
+    budget = WorkBudget(seconds=arguments.budget)  # from here on: loading takes a part of the time
     asked = asked_problem(arguments)
+    works = (arguments.work, asked.work, DEFAULT_WORK)
+    budget.limit = number("work", next(work for work in works if work is not None), minimum=0.0)
     if arguments.hold:
         hold_gain(asked.problem)  # refuses a goal that cannot be held before any work
     place = Path(arguments.out or f"renders/{name_of(arguments)}")
     with run_folder(place, results.OUTPUTS, _identity(asked, arguments)) as folder:
         try:
             with executor_of(arguments.workers, arguments.scheduler) as executor:
-                code, document = _run(asked, arguments, folder, console, executor)
+                code, document = _run(asked, arguments, folder, console, executor, budget)
         except KeyboardInterrupt:
             if not folder.began:
                 raise
@@ -208,15 +212,16 @@ def _identity(asked: ProblemOf, arguments: argparse.Namespace) -> dict[str, Any]
 
 
 def _run(
-    asked: ProblemOf, arguments: argparse.Namespace, folder: RunFolder, console: Console, executor: Executor | None
-) -> tuple[int, dict[str, Any]]:
+    asked: ProblemOf, arguments: argparse.Namespace, folder: RunFolder, console: Console, executor: Executor | None,
+    budget: WorkBudget,
+) -> tuple[int, dict[str, Any]]:  # fmt: skip
     stored = load_plan(folder.path / "plan.npz") if "plan.npz" in folder.finished else None
     if stored is None or stored.status is Status.INTERRUPTED:
         resumed, path = False, ()
         failures = parity(asked.problem).failures
         if failures:
             raise PlannerError(f"the plan's dynamics and MuJoCo's differ: {failures[0]}, {failures[0].note}.")
-        plan, seconds = solved(asked, arguments, console, executor)
+        plan, seconds = solved(asked, arguments, console, executor, budget=budget.part("first solve", FIRST_SHARE))
         folder.begin("plan.npz", plan.save, seconds=seconds)
     else:
         console.write_progress(f"continuing {folder.path}, which holds {', '.join(sorted(folder.finished))}")
@@ -224,34 +229,39 @@ def _run(
         path = tuple(Refinement(**{**row, "status": Status[row["status"]]}) for row in folder.notes.get("path", []))
     results.show_plan(plan, seconds, console)
     proof = prove(plan, rollouts=0, hold_seconds=arguments.hold) if results.is_finite(plan) else None
+    if proof is not None and plan.problem is not None:
+        budget.charge_proof(plan.problem)
 
     def store(better: Plan, path: tuple[Refinement, ...]) -> None:
         notes = {"path": [results.refinement_row(line) for line in path]} if path else {}
         folder.begin("plan.npz", better.save, seconds=seconds, **notes)
 
     if not (arguments.no_refine or plan.status is Status.INTERRUPTED or (proof is not None and proof.passed)):
-        repaired = auto_repair(asked, plan, proof, path, arguments, console, resumed=resumed, store=store)
+        repaired = auto_repair(
+            asked, plan, proof, path, arguments, console, resumed=resumed, store=store, budget=budget
+        )  # fmt: skip
         plan, proof, path, fixes = repaired
     else:
         fixes = suggested_fixes(plan, proof)
+    results.show_work(budget, console)
     digest = plan_digest(folder.path / "plan.npz")
-    results.write_proof(plan, proof, folder.path, digest, fixes, path)  # without the rollouts, which may be interrupted
+    results.write_proof(plan, proof, folder.path, digest, fixes, path, budget)  # rollouts may be interrupted
     films = None
     with ExitStack() as drawing:
         if proof is not None:
-            if not arguments.no_video:  # beside the rollouts, which know nothing of it
+            if not (arguments.no_video or budget.out_of_time):  # beside the rollouts, which know nothing of it
                 films = drawing.enter_context(BackgroundRender(proof, folder.path, folder.finished, console))
             proof = results.completed(
-                proof, arguments.rollouts, console, budget=MAX_ROLLOUT_SECONDS, partial=folder.path / ROLLOUTS,
-                executor=executor,
+                proof, 0 if budget.out_of_time else arguments.rollouts, console, partial=folder.path / ROLLOUTS,
+                budget=min(MAX_ROLLOUT_SECONDS, budget.seconds_left), executor=executor,
             )  # fmt: skip
-            results.write_proof(plan, proof, folder.path, digest, fixes, path)
+            results.write_proof(plan, proof, folder.path, digest, fixes, path, budget)
             results.show_proof(proof, fixes, console)
         else:
             results.show_fixes(fixes, console)
         film_status = results.draw_results(
             plan, proof, folder.path, fixes, not arguments.no_video, console, path=path, keep=folder.finished,
-            options=_flags(arguments), films=films,
+            options=_flags(arguments), films=films, budget=budget,
         )  # fmt: skip
     if film_status == results.INTERRUPTED:
         raise KeyboardInterrupt
@@ -264,6 +274,7 @@ def _run(
         "plan": results.plan_facts(plan), "solve_seconds": seconds, "proof": None if proof is None else proof.to_dict(),
         "refinement": [results.refinement_row(line) for line in path], "resumed": resumed, "files": files,
         "video_note": film_status, "cures": [one.to_dict() for one in fixes],
+        "budget": budget.to_dict(),
     }  # fmt: skip
 
 

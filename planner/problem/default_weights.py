@@ -7,7 +7,8 @@ Every weight makes its term dimensionless and about 1:
                     machines at most the force that corrects STANCE_TOLERANCES at MAX_CORRECTION_RATE, with the larger
                     of the joint's inertias in the air and with fixed feet
     velocity        1 / v^2 of each joint, v = 2 displacement / duration (peak of a triangle), at least MIN_SPEED;
-                    only for fully actuated or standing machines: others need to swing
+                    only for fully actuated or standing machines: others need to swing. VELOCITY_SHARE of it where
+                    an objective is named
     position        1 / (STANCE_TOLERANCES tolerances)^2 of the distance from the straight line to the goal, for
                     machines that stand on the ground; none for others
     final_position  4 / tolerance^2, so that an error of the tolerance costs 2, more than the whole effort
@@ -41,6 +42,7 @@ from planner.problem.costs.goal_spec import checked_tolerance
 from planner.problem.costs.tracking import TrackingCost
 from planner.problem.goals import MIN_TOLERANCES, tolerance_share
 from planner.problem.initial_guess import minimum_jerk
+from planner.problem.objective import VELOCITY_SHARE
 from planner.problem.terminal_holding_cost import terminal_holding_cost
 
 MIN_SPEED = {"rad": 0.5, "m": 0.1}  # rad/s, m/s: speed of a joint without displacement whose cost is 1
@@ -63,7 +65,7 @@ class DefaultWeights:
 
 def default_weights(
     dynamics: RigidBodyDynamics, x0: np.ndarray, goal: np.ndarray, duration: float, *,
-    tolerance: float | Mapping[str, float] | None = None, effort_alone: bool = False, stays: bool = True,
+    tolerance: float | Mapping[str, float] | None = None, named: bool = False, stays: bool = True,
     displacement: np.ndarray | None = None, max_control: np.ndarray | None = None, jerk: float = 0.0,
 ) -> DefaultWeights:  # fmt: skip
     """Weights for reaching a goal (nx,) from x0 (nx,) within a duration, s.
@@ -74,7 +76,7 @@ def default_weights(
         goal: (nx,) end.
         duration: s.
         tolerance: Of the goal, as of Problem; smaller ones make the weights larger.
-        effort_alone: Whether the running weight of velocities is zero.
+        named: Whether an objective is named, which has VELOCITY_SHARE of the running weight of velocities.
         stays: Whether a standing machine has weights for the straight line and for staying at the goal.
         displacement: (nv,) rad or m of each degree of freedom; by default from x0 to the goal.
         max_control: (nu,) max magnitude of each control where the model has no limit; infinite or None for none.
@@ -88,9 +90,9 @@ def default_weights(
     velocity = np.zeros(nv)
     actuated = fully_actuated(dynamics)
     carried = stands_on_ground(mechanism)
-    stands = carried and stays and not effort_alone
-    if (actuated or carried) and not effort_alone:
-        velocity = 1.0 / speed**2
+    stands = carried and stays
+    if actuated or carried:
+        velocity = (VELOCITY_SHARE if named else 1.0) / speed**2
     share = tolerance_share(zip(displacement.tolist(), units, strict=False))
     position, rate = _tolerances(mechanism, [share * MIN_TOLERANCES[unit] for unit in units], tolerance)
     stance_error = STANCE_TOLERANCES * position if stands else None
@@ -113,8 +115,8 @@ def default_weights(
                   "force that balances gravity and accelerates the inertia") + (
                   f", at most what corrects {STANCE_TOLERANCES:g} tolerances within 1 / {MAX_CORRECTION_RATE:g} s" if
                   stands else ""),
-        "velocity": "1 / v^2 of each joint, v = 2 displacement / duration" if np.any(velocity) else
-                    "none: the objective is given" if actuated else
+        "velocity": (f"{VELOCITY_SHARE:g}, beside the objective, of " if named else "")
+                    + "1 / v^2 of each joint, v = 2 displacement / duration" if np.any(velocity) else
                     "none: not every joint has an actuator, and a swing must be free",
         "position": f"1 / ({STANCE_TOLERANCES:g} tolerances)^2 from the straight line: the machine stands"
                     if stands else "none on the way",

@@ -24,6 +24,8 @@ from planner.problem.costs.terms import Cost
 OBJECTIVES = ("effort", "energy", "jerk", "time")
 EFFORT_SHARE = 0.01
 """Weight of the effort where an objective has none: relative to the problem's own."""
+VELOCITY_SHARE = 0.01
+"""Of a file's default weights of velocities, where an objective is named: without any, joints swing for little."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -77,6 +77,14 @@ class Status(StrEnum):
         "range; take shorter stages or more substeps, or start from calmer controls."
     )
     GIVEN = "The controls were given, not solved for; prove them with prove(..., optimal=False)."
+    WORK_LIMIT = (
+        "The work budget of the run was reached; this is the best plan so far. Allow more (work in a problem.toml, "
+        "--work), or give the motion more time, wider limits or a shorter way."
+    )
+    TIME_LIMIT = (
+        "The time budget of the run was reached, so this plan depends on the speed of the computer; it is the best so "
+        "far. Allow more seconds (--budget)."
+    )
     INTERRUPTED = "Interrupted; this is the best plan so far, and a new solve can start from its controls."
 
     @property
@@ -84,10 +92,14 @@ class Status(StrEnum):
         """Whether the solve converged, whatever its plan misses."""
         return self in _OF_CONVERGED
 
+    @property
+    def cut(self) -> bool:
+        """Whether the solve ended at a limit of iterations, work or time, and might have gone on."""
+        return self in (Status.MAX_ITERATIONS, Status.WORK_LIMIT, Status.TIME_LIMIT)
+
 
 _OF_CONVERGED = (Status.CONVERGED, Status.GOAL_MISSED, Status.UNRESOLVED)
 JUDGED_PARTS = 20  # of a stage, between whose ends a plan's states are interpolated linearly to judge its goals
-_ON_LIMITS = (Status.MAX_ITERATIONS, Status.NO_DESCENT, Status.OUTSIDE_LIMITS)
 
 
 class Iteration(NamedTuple):
@@ -211,7 +223,7 @@ class Plan(Built, Plottable):
         """The status as a sentence (as in SciPy), with violated or active limits and missed goals."""
         if self.problem is not None and self.status is not Status.UNRESOLVED and self.missed_goals:
             return f"{Status.CONVERGED.value[:-1]}, but {self.missed_goals}."
-        if self.problem is None or self.status not in _ON_LIMITS:
+        if self.problem is None or not (self.status.cut or self.status in (Status.NO_DESCENT, Status.OUTSIDE_LIMITS)):
             return self.status.value
         outside = sentence_of(state_outside(self.problem, self.xs, self.t))
         held = sentence_of(control_at_bound(self.problem, self.xs, self.us))
@@ -221,7 +233,7 @@ class Plan(Built, Plottable):
             return f"{self.status.value[:-1]}: {found}." if found else self.status.value
         if broken:
             return f"{self.status.value[:-1]}: {broken}; where that does not change, no motion keeps them."
-        if not held or (self.status is Status.MAX_ITERATIONS and not stalled(self.history, self.cost)):
+        if not held or (self.status.cut and not stalled(self.history, self.cost)):
             return self.status.value
         return f"The solve stalls between bounds: {held}; give the motion more time or wider limits."
 

@@ -128,6 +128,8 @@ class Proof(Renderable):
             "feasible" if self.feasible else "not feasible",
             f"optimal{unknown}" if self.optimal else "not optimal",
         ]
+        if "cut" in (options := self.replay.plan.options):
+            words.append(f"cut by its {options['cut']}")
         return f"{self.verdict}{mode}{without}; {', '.join([*words, *filter(None, [self._grade_words])])}"
 
     @property

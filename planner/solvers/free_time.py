@@ -16,6 +16,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from typing import Any, NamedTuple
 
@@ -34,6 +35,7 @@ from planner.problem.trajectory import Trajectory
 from planner.solvers.options import single_start, with_overrides
 from planner.solvers.slq import as_user_plan, solve
 from planner.solvers.warm_start import warm_start
+from planner.solvers.work import budget_of
 
 TOLERANCE = 1e-3
 """Default tolerance of the duration, relative."""
@@ -80,7 +82,8 @@ def solve_for(
 ) -> Plan:  # fmt: skip
     """Optimize a problem with another objective than its own; with time in it also the duration.
 
-    Objectives other than effort start from the controls of minimum effort.
+    Objectives other than effort start from the controls of minimum effort; those of a problem file from the plan that
+    it has without an objective, whose weights of velocities keep joints from swinging.
 
     Args:
         problem: The problem to solve; see with_objective.
@@ -102,10 +105,12 @@ def solve_for(
     if not isinstance(problem, Problem):
         raise PlannerError(f"problem is {short_repr(problem)}, expected a Problem.")
     between = checked_durations(durations, weights)
+    options["budget"] = budget_of(options.get("budget"))  # one for all solves
     if between is None:
         wanted = with_objective(problem, weights)
-        if set(weights) != {"effort"}:
-            wanted = replace(wanted, us=solve(base_problem(problem), **single_start(options)).us)
+        default = _without_objective(problem)
+        if set(weights) != {"effort"} or default.cost is not base_problem(problem).cost:
+            wanted = replace(wanted, us=solve(default, **single_start(options)).us)
         return solve(wanted, callback=callback, **options)
     shortest, longest = between
     number("tolerance", tolerance, greater_than=0.0)
@@ -113,11 +118,17 @@ def solve_for(
     if alone:
         problem = _exact(problem)
     search = _DurationSearch(problem, weights, options, callback)
-    if alone:
-        _least(search, shortest, longest, tolerance)
-    else:
-        _cheapest(search, shortest, longest, tolerance)
+    with suppress(_Cut):
+        (_least if alone else _cheapest)(search, shortest, longest, tolerance)
     return search.best_plan({"durations": [shortest, longest], "tolerance": tolerance})
+
+
+def _without_objective(problem: Problem) -> Problem:
+    """The problem without its objective; that of a file has its default weights again."""
+    recipe = problem.recipe
+    if recipe is None or recipe.build is None or recipe.parameters.get("objective") is None:
+        return base_problem(problem)
+    return recipe.rebuilt(objective=None, durations=None, resolved=None)
 
 
 def _exact(problem: Problem) -> Problem:
@@ -128,6 +139,10 @@ def _exact(problem: Problem) -> Problem:
         )
     assert problem.limits is not None  # bounds exist
     return problem if problem.limits.final else replace(problem, limits=replace(problem.limits, final=EXACT))
+
+
+class _Cut(Exception):
+    """The budget of the search is exhausted."""
 
 
 class _DurationSearch:
@@ -151,10 +166,14 @@ class _DurationSearch:
         self.plans: dict[float, Plan] = {}  # feasible plans by duration
         self.last: Plan | None = None
         self.best: tuple[float, float] | None = None  # lowest value, and its duration
+        self.budget, self.is_cut = options.get("budget"), False
 
     def at(self, duration: float, value: Callable[[DurationTrial], float]) -> float:
         """Solve at a duration, s; the value of its trial, infinite if the limits are violated."""
         duration = float(duration)
+        if self.last is not None and self.budget is not None and self.budget.exhausted:
+            self.is_cut = True
+            raise _Cut
         problem = with_objective(retimed(base_problem(self.problem), duration), self.rest)
         options = single_start(self.options) if self.tried else self.options
         plan = None
@@ -167,8 +186,10 @@ class _DurationSearch:
                     problem, us=warm_start(_at_pace(self.plans[nearest_duration], nearest_duration / duration), problem)
                 )
         elif problem.bounds is not None or set(self.rest) != {"effort"}:
-            free = solve(replace(base_problem(problem), limits=None, constraints=()), **single_start(options))
-            problem = replace(problem, us=warm_start(free, problem))
+            free = retimed(_without_objective(self.problem), duration)
+            if not free.constraints:  # else a path through an obstacle is a bad guess
+                free = replace(free, limits=None)
+            problem = replace(problem, us=warm_start(solve(free, **single_start(options)), problem))
         plan = self.last = solve(problem, **options) if plan is None else plan
         outside = _outside(problem, plan)
         line = DurationTrial(len(self.tried), duration, plan.cost, outside, plan.nit, plan.status)
@@ -206,7 +227,8 @@ class _DurationSearch:
         assert plan.problem is not None
         wanted = with_objective(plan.problem, self.weights | {"effort": self.rest.get("effort", 0.0)})
         told = options | {"tried": [[line.duration, line.cost, line.violation] for line in self.tried]}
-        return replace(as_user_plan(wanted, plan), options=plan.options | told)
+        plan = replace(as_user_plan(wanted, plan), options=plan.options | told)
+        return replace(plan, status=self.budget.end) if self.is_cut and plan.converged else plan
 
 
 def _outside(problem: Problem, plan: Plan) -> float:

@@ -41,6 +41,7 @@ from planner.solvers.periodic_boundary import (
 )
 from planner.solvers.slq import solve
 from planner.solvers.warm_start import warm_start
+from planner.solvers.work import budget_of
 
 LEFT = 1e-4
 """Newton passes end when the expected reduction is below this share of the cost (or see Periodic.cost_tolerance)."""
@@ -113,9 +114,10 @@ def solve_periodic(
             'ranges of states and constraints are no part of the step "newton", expected step="follow" with them.'
         )
     tracking(problem)
+    options["budget"] = budget_of(options.get("budget"))  # one for all passes
     search = _PeriodicSearch(problem, by_newton, passes, callback, options)
     try:
-        while search.next is not None and len(search.lines) < search.passes:
+        while search.next is not None and len(search.lines) < search.passes and not search.is_cut:
             search.go(search.next)
     except (KeyboardInterrupt, StopIteration):
         search.interrupted = True
@@ -175,6 +177,12 @@ class _PeriodicSearch:
             )
 
     @property
+    def is_cut(self) -> bool:
+        """Whether the budget of the passes is exhausted before they have converged."""
+        budget = self.options.get("budget")
+        return self.next is not None and budget is not None and bool(self.lines) and budget.exhausted
+
+    @property
     def _is_late(self) -> bool:
         """Whether the remaining passes only close the closure error."""
         return self.passes - len(self.lines) <= _TO_CLOSE
@@ -187,6 +195,8 @@ class _PeriodicSearch:
         _, periodic = periodic_problem(plan)
         if self.interrupted:
             status = Status.INTERRUPTED
+        elif self.is_cut:
+            status = self.options["budget"].end
         elif plan.converged and not periodic.miss(plan.space, plan.xs) <= 1.0:
             status = Status.NOT_PERIODIC
         elif status is Status.CONVERGED and not (self.by_newton or _has_best_ends(plan)):

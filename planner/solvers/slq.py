@@ -50,6 +50,7 @@ from planner.solvers.regularization import Regularization, unregularized_sweep
 from planner.solvers.resolution import is_unresolved
 from planner.solvers.stabilizing_guess import has_diverged, stabilizing_guess
 from planner.solvers.warm_start import tracked_warm_start
+from planner.solvers.work import UntilDeadline, WorkBudget, budget_of, iterations_of
 
 
 def solve(
@@ -61,6 +62,7 @@ def solve(
     callback: Callable[[Any], object] | None = None,
     rank: Callable[[Plan], float] | None = None,
     executor: Executor | None = None,
+    budget: WorkBudget | float | None = None,
     update: str | None = None,
     line_search: str | None = None,
     hessian: str | None = None,
@@ -91,6 +93,9 @@ def solve(
             is its cost in MuJoCo. Non-finite values rank last.
         executor: Any concurrent.futures.Executor for the starts; by default threads. The plan is the same to the last
             bit.
+        budget: Work that the solve may take, or a WorkBudget (see solvers.work): counted, about a unit a second, so that
+            the plan is the same on any computer. Of several starts each gets an equal share. A solve that it cuts ends
+            with WORK_LIMIT, one that its deadline cuts with TIME_LIMIT. None (default) for no limit.
         update: "feedback" (default) or "open-loop" (the paper's Eq. 36).
         line_search: "armijo" (default), "exact", "wolfe" or "goldstein".
         hessian: "gauss-newton" (default, the paper's) or "exact", with the second derivatives of the dynamics (DDP).
@@ -123,6 +128,11 @@ def solve(
     )  # fmt: skip
     settings = own.for_problem(problem)
     checked_executor(executor)
+    asked, deadline = settings.max_iterations, None
+    work = budget_of(budget)
+    if work is not None:
+        deadline = work.deadline
+        settings = with_overrides(settings, max_iterations=work.iterations(problem, asked, settings.starts))
     if callback is not None and not callable(callback):
         raise PlannerError(f"callback is {short_repr(callback)}, expected a function of one line of progress.")
     if rank is not None and not callable(rank):
@@ -137,7 +147,9 @@ def solve(
     core = solver_problem(problem)
     if states is None and beside is not None and core.dynamics.nx == problem.dynamics.nx:  # jerk augments the state
         states = beside
-    solve_one = partial(_solve_from_guess, core, settings, guessed_states(core, states), penalties)
+    solve_one = partial(
+        _solve_from_guess, core, settings, guessed_states(core, states), penalties, deadline=deadline
+    )  # fmt: skip
     recorded = own.recorded(problem)
     if states is not None and warm_start is None:
         recorded["states"] = "line" if isinstance(states, str) else "given"
@@ -150,9 +162,9 @@ def solve(
     def solved(guess: np.ndarray) -> Plan:
         if settings.starts == 1:
             return solve_one(guess, settings.max_iterations, callback)
-        pilot, others = partial(_solve_from_guess, core, settings, None, None), solve_one
+        pilot, others = partial(solve_one.func, core, settings, None, None, **solve_one.keywords), solve_one
         if states is None and (line := line_to_the_end(core)) is not None:
-            others = partial(_solve_from_guess, core, settings, line, penalties)
+            others = partial(solve_one.func, core, settings, line, penalties, **solve_one.keywords)
         return best_of(guess, solve_one, settings, callback, ranking, pilot, others, executor)
 
     best = solved(core.first_guess)
@@ -166,7 +178,25 @@ def solve(
             best = solved(steady)
     if best.status is Status.NOT_FINITE and (cure := stage_too_long(problem)):
         recorded["not_finite"] = cure
+    if work is not None:
+        work.charge(problem, iterations_of(best))
+        best = _with_cut(best, work, settings.max_iterations < asked, recorded)
     return judged_status(replace(as_user_plan(problem, best), options=recorded))
+
+
+def _with_cut(plan: Plan, budget: WorkBudget, fewer: bool, recorded: dict[str, Any]) -> Plan:
+    """The plan with the status of a solve that a budget cut, if it did; `fewer`: it allowed less than was asked for."""
+    by_clock = budget.out_of_time and any(
+        status is Status.INTERRUPTED for status in (plan.status, *(start.status for start in plan.starts))
+    )
+    if by_clock:
+        recorded["cut"] = Status.TIME_LIMIT.name
+    if by_clock and plan.status is Status.INTERRUPTED:
+        return replace(plan, status=Status.TIME_LIMIT)
+    if fewer and plan.status is Status.MAX_ITERATIONS:
+        recorded["cut"], recorded["work"] = Status.WORK_LIMIT.name, budget.whole.limit
+        return replace(plan, status=Status.WORK_LIMIT)
+    return plan
 
 
 def judged_status(plan: Plan) -> Plan:
@@ -200,8 +230,10 @@ def as_user_plan(problem: Problem, plan: Plan) -> Plan:
 def _solve_from_guess(
     problem: Problem, options: SolverOptions, states: np.ndarray | None, penalties: BoundPenalties | None,
     first_guess: np.ndarray, max_iterations: int, callback: Callable[[Iteration], object] | None,
+    deadline: float | None = None,
 ) -> Plan:  # fmt: skip
-    """One solve from first controls (N, nu), states (N+1, nx) or None, and penalties or None."""
+    """One solve from first controls (N, nu), states (N+1, nx) or None, and penalties or None, until a deadline."""
+    callback = callback if deadline is None else UntilDeadline(deadline, callback)
     minimize = partial(_inner_solve, problem, options, callback, states)
     if problem.trajectory_constraints is None:
         return minimize(first_guess, None, max_iterations, 0)

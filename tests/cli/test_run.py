@@ -3,6 +3,7 @@
 import json
 
 import pytest
+from carts import write
 
 import planner
 from planner.__main__ import main
@@ -203,3 +204,37 @@ def test_without_rollouts_nothing_is_waited_for(tmp_path, capsys):
     assert words == {"headline": headline, "feasible": True, "optimal": True, "robustness": "", "not_checked": []}
     assert "What is measured now" not in printed.err
     assert printed.err.count(headline) == 1  # with --json the table is there
+
+
+# Budgets
+
+
+def test_a_run_ends_with_its_work_and_says_where_it_went(tmp_path, capsys):
+    """Half of so little work are a few iterations; the proof uses up the rest, so that no repair begins."""
+    words = [*ARM, "--rollouts", "0", "--json", "--work", "0.004"]
+    for name in ("o", "again"):
+        assert main([*words, "--out", str(tmp_path / name)]) == 1
+    said, same = (json.loads((tmp_path / name / "proof.json").read_text()) for name in ("o", "again"))
+    assert said["budget"]["exhausted"] == "WORK_LIMIT"
+    assert said["budget"]["work"] == 0.004
+    assert set(said["budget"]["spent"]) == {"first solve", "proofs"}
+    assert said["verdict"] == "FAIL"
+    assert "cut by its WORK_LIMIT" in said["headline"]
+    assert "work" in {one["key"] for one in said["cures"]}
+    assert said["budget"] == same["budget"]
+    assert (load_plan(tmp_path / "o" / "plan.npz").us == load_plan(tmp_path / "again" / "plan.npz").us).all()
+    assert "work: " in capsys.readouterr().err
+
+
+def test_a_run_whose_time_is_over_draws_nothing_more(tmp_path, capsys):
+    assert main([*ARM, "--json", "--budget", "1e-6", "--out", str(tmp_path / "o")]) == 1
+    said = document(capsys)
+    assert said["plan"]["status"] == said["budget"]["exhausted"] == "TIME_LIMIT"
+    assert said["files"] == ["plan.npz", "proof.json", "report.html"]
+    assert said["proof"]["asked"]["rollouts"] == 0
+
+
+def test_work_of_a_problem_file(tmp_path, capsys):
+    words = ["run", str(write(tmp_path, work="0.001")), "--no-video", "--quiet", "--rollouts", "0", "--json"]
+    assert main([*words, "--out", str(tmp_path / "o")]) == 1
+    assert document(capsys)["budget"]["work"] == 0.001

@@ -6,6 +6,7 @@ import pytest
 import planner
 from planner.costs import default_cost
 from planner.problem.default_weights import default_weights, fully_actuated
+from planner.problem.objective import VELOCITY_SHARE
 
 ARM = """
 <mujoco>
@@ -68,9 +69,10 @@ def test_a_machine_with_a_free_joint_keeps_its_swing():
     assert fully_actuated(planner.RigidBodyDynamics(one_motor.mechanism, 0.01, prescribed=["shoulder"]))
 
 
-def test_effort_alone_leaves_velocities_free():
-    found = chosen(arm(), [1.0, 0.0], effort_alone=True)
-    assert not np.any(found.weights["velocity"])
+def test_an_objective_keeps_a_small_weight_of_velocities():
+    usual, found = chosen(arm(), [1.0, 0.0]), chosen(arm(), [1.0, 0.0], named=True)
+    np.testing.assert_allclose(found.weights["velocity"], VELOCITY_SHARE * usual.weights["velocity"])
+    assert f"{VELOCITY_SHARE:g}, beside the objective" in found.reasons["velocity"]
 
 
 def test_goals_are_as_tight_as_they_are_judged():

@@ -11,8 +11,8 @@ import planner
 from planner.base.measured import Measurement, Section
 from planner.problem.plan import Status
 from planner.proof.repair import refinement
-from planner.proof.repair.budget import WorkBudget
 from planner.proof.repair.refinement import Refinement, refine
+from planner.solvers.work import WorkBudget, work_of_stage
 
 
 @pytest.fixture(scope="module")
@@ -183,8 +183,9 @@ def test_the_limit_of_refinements_ends_refinement(failed):
 def test_the_work_budget_ends_refinement(failed):
     _, proof = failed
     plan = planner.solve(planner.cases.two_link(horizon=50, integrator="semi-implicit-euler"))  # of 26 iterations
-    refined = refine(plan, proof, budget=WorkBudget(500.0), prove=lambda _: proof)
-    assert refined.reason.startswith("The work budget of 500 ")
+    work = 10 * plan.N * work_of_stage(plan.problem)
+    refined = refine(plan, proof, budget=WorkBudget(work), prove=lambda _: proof)
+    assert refined.reason.startswith("The work budget of the run was reached")
     assert refined.plan is plan  # a solve that was cut has no plan to prove, and is no Ctrl-C
     assert len(refined.path) == 1
     assert len(refine(plan, proof, budget=WorkBudget(0.0)).path) == 1

@@ -126,6 +126,7 @@ class ProblemFile(NamedTuple):
     objective: dict[str, float] | None  # weights by names of OBJECTIVES, for solve_for; None for the problem as it is
     durations: list[float] | None  # the shortest and the longest, s, for an objective with time
     notes: tuple[str, ...] = ()  # sentences about contacts, and about what was done to start and goal
+    work: float | None = None  # of the run
 
 
 def load(path: str | Path, **instead: Any) -> ProblemFile:
@@ -157,7 +158,10 @@ def loaded(table: dict[str, Any], path: str | Path, **instead: Any) -> ProblemFi
     given = problem.parameters
     reasons = given[RESOLVED]["reasons"]
     notes = tuple(reasons[key] for key in TOLD if key in reasons)
-    return ProblemFile(problem, given["starts"], given["seed"], given.get("objective"), given.get("durations"), notes)
+    return ProblemFile(
+        problem, given["starts"], given["seed"], given.get("objective"), given.get("durations"), notes,
+        given.get("work"),
+    )  # fmt: skip
 
 
 def case_in(path: str | Path) -> tuple[str, dict[str, Any], int, int] | None:
@@ -204,9 +208,12 @@ def load_problem(path: str | Path) -> Problem:
 def again(mechanism: Mechanism, *constraints: Constraint, **table: Any) -> Problem:
     """The problem of a table and a machine that was read already, and constraints beside those of the table.
 
+    None stands for a key that the table does not have.
+
     Raises:
         PlannerError: A key is unknown, missing or wrong.
     """
+    table = {name: value for name, value in table.items() if value is not None}
     table = with_defaults(table, "the problem file", stored=True)
     return _problem(table, mechanism, "the problem file", constraints)
 
@@ -318,7 +325,7 @@ def _resolved(
         default = weights_of(table, dynamics, x0, way, limits)
     else:
         default = default_weights(
-            dynamics, x0, goal, table["duration"], tolerance=table["tolerance"], effort_alone="objective" in table,
+            dynamics, x0, goal, table["duration"], tolerance=table["tolerance"], named="objective" in table,
             stays="position" not in given, jerk=table.get("objective", {}).get("jerk", 0.0),
         )  # fmt: skip
     filled = {name: weight.tolist() for name, weight in default.weights.items() if name not in given}

@@ -38,6 +38,7 @@ KEYS = {
     "prescribed": "list of joints whose acceleration is a control instead of their force; none by default",
     "starts": "number of first guesses to try",
     "seed": "of the first guesses after the first",
+    "work": "that planner run may take, about so many s of one core, counted; by default about a minute",
     "tolerance": "how far from the goal passes: a number in rad, m, rad/s, m/s, or a table by position, velocity and "
     "joint; 'soft' for no check; by default 2 % of the way",
     "title": "shown in pictures",

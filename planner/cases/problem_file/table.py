@@ -134,6 +134,8 @@ def checked_values(table: dict[str, Any]) -> tuple[dict[str, Any], int]:
         "substeps": _substeps(table["substeps"]),
         "guess": choice("guess", table["guess"], GUESSES),
     }  # fmt: skip
+    if "work" in table:
+        table["work"] = number("work", table["work"], greater_than=0.0)
     if not isinstance(table["title"], str):
         raise PlannerError(f"title is {short_repr(table['title'])}, expected a text.")
     if table.get("limits"):

@@ -144,13 +144,13 @@ def weights_of(
     bounds = None if limits is None else limits.bounds(dynamics, way.task.N)
     most = None if bounds is None else np.maximum(np.abs(bounds.lower), np.abs(bounds.upper)).max(axis=0)
     there = joint_displacement(way.task, way.poses)
-    alone, jerk = "objective" in table, table.get("objective", {}).get("jerk", 0.0)
+    named, jerk = "objective" in table, table.get("objective", {}).get("jerk", 0.0)
     found = default_weights(
         dynamics,
         x0,
         way.rows[-1],
         table["duration"],
-        effort_alone=alone,
+        named=named,
         stays=False,
         displacement=there,
         max_control=most,

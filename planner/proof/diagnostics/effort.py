@@ -73,7 +73,7 @@ def more_time(plan: Plan, problem: Problem, proof: Proof | None) -> list[Suggest
 
 def _short_of_force(plan: Plan, problem: Problem, proof: Proof | None) -> bool:
     """Whether the plan missed a goal or limit, or the solve did not converge, though the goal is feasible."""
-    if plan.status in (Status.OUTSIDE_LIMITS, Status.MAX_ITERATIONS, Status.NO_DESCENT):
+    if plan.status.cut or plan.status in (Status.OUTSIDE_LIMITS, Status.NO_DESCENT):
         return True
     if proof is None:
         return False

@@ -9,7 +9,7 @@ import numpy as np
 from planner.problem.plan import Iteration, Plan, Status
 from planner.problem.problem import Problem
 from planner.proof.diagnostics.stage import rates_at_start, rounded_step
-from planner.proof.diagnostics.suggested_fix import SuggestedFix, fix, no_fix, of_file, rounded_up
+from planner.proof.diagnostics.suggested_fix import ITERATIONS, SuggestedFix, fix, no_fix, of_file, rounded_up
 from planner.proof.verdict import Proof
 from planner.solvers.options import EXPECTED_REDUCTION_TOLERANCE
 
@@ -37,19 +37,22 @@ def first_guess(plan: Plan, problem: Problem, proof: Proof | None) -> list[Sugge
 
 def more_iterations(plan: Plan, problem: Problem, proof: Proof | None) -> list[SuggestedFix]:
     """Number of iterations, extrapolated from the trend of the decrease."""
-    if plan.status is not Status.MAX_ITERATIONS:
+    if plan.status not in (Status.MAX_ITERATIONS, Status.WORK_LIMIT):
         return []
     lines = [line for line in plan.history if line.step > 0.0]
     needed = iterations_needed(lines, plan.cost)
     if needed is None:
         return []
     left = lines[-1].expected / max(1.0, abs(plan.cost))
-    return [fix(problem, "max_iterations", needed, "more_iterations", iterations=plan.nit, left=left)]
+    key, value = ITERATIONS, needed
+    if plan.status is Status.WORK_LIMIT:
+        key, value = "work", rounded_up(plan.options["work"] * max(needed / max(plan.nit, 1), 2.0))
+    return [fix(problem, key, value, "more_iterations", iterations=plan.nit, left=left)]
 
 
 def other_guesses(plan: Plan, problem: Problem, proof: Proof | None) -> list[SuggestedFix]:
     """Several first guesses, for a solve that did not converge from one."""
-    ended = plan.status not in (Status.MAX_ITERATIONS, Status.NO_DESCENT)
+    ended = not plan.status.cut and plan.status is not Status.NO_DESCENT
     if ended or problem.parameters.get("starts", 1) != 1 or len(plan.starts) > 1:
         return []
     return [fix(problem, "starts", STARTS, "stalled", cost=plan.cost, gradient=plan.gradient_norm)]

@@ -16,7 +16,7 @@ from planner.proof.diagnostics.sentences import SENTENCES, TRIED
 
 ITERATIONS = "max_iterations"
 TABLES = ("weights", "limits")
-FLAGS = (ITERATIONS, "starts")  # of solve() and the command line, for all problems
+FLAGS = (ITERATIONS, "starts", "work")  # of solve() and the command line, for all problems
 
 
 @dataclass(frozen=True)
@@ -94,7 +94,7 @@ def _short(value: Any) -> Any:
 def _written(problem: Problem, key: str, value: Any) -> str:
     table, _, name = key.rpartition(".")
     flag = f"--{name.replace('_', '-')} {value}"
-    if key in FLAGS and not (of_file(problem) and key == "starts"):
+    if key in FLAGS and not (of_file(problem) and key != ITERATIONS):
         return f"solve(..., {key}={value})" if problem.case is None else flag
     if of_file(problem):
         return f"{key} = {_toml(value)}"

@@ -5,8 +5,8 @@
                            motion itself, which are only reported: fixes.py
     3. clearance           larger where shapes collide in MuJoCo, smaller where only their fits do: clearance.py
 
-One budget of work, iterations times stages, is shared by all solves, so that the result is the same on a machine of any
-speed and load. Proofs are not counted: there are at most four of step 1, three of step 3, and one for each fix.
+All solves and proofs share one budget of work (solvers.work), so that the result is the same on a machine of any speed
+and load.
 """
 
 from __future__ import annotations
@@ -19,11 +19,11 @@ from planner.problem.plan import Plan, Status
 from planner.problem.problem import Problem
 from planner.proof.diagnostics import SuggestedFix, standing_goal, suggested_fixes
 from planner.proof.diagnostics.suggested_fix import of_file
-from planner.proof.repair.budget import WorkBudget
 from planner.proof.repair.clearance import ClearanceRefinement, refine_clearance
 from planner.proof.repair.fixes import FixTrial, FixTrials, Solve
 from planner.proof.repair.refinement import Refined, Refinement, refine
 from planner.proof.verdict import Proof
+from planner.solvers.work import DEFAULT_WORK, WorkBudget
 
 Step = Refinement | Refined | FixTrial | ClearanceRefinement
 """What is reported of a repair: each refinement and their end, each trial of a fix, the changes of clearance."""
@@ -72,13 +72,13 @@ def repair(
         path: Refinements that were made before.
         tools: What to solve and prove with.
         resumed: The plan is of a run that goes on, which tried the fixes then; refinements are made again.
-        budget: By default WorkBudget.of_repair(problem).
+        budget: Of the repair; by default DEFAULT_WORK.
     """
-    work = WorkBudget.of_repair(problem) if budget is None else budget
+    work = WorkBudget(DEFAULT_WORK) if budget is None else budget
     if proof is not None and not path and not standing_goal(plan, problem, proof):
         done = refine(
-            plan, proof, budget=work, prove=tools.prove, callback=tools.report, max_iterations=tools.max_iterations,
-            **tools.options,
+            plan, proof, budget=work.part("finer steps"), prove=tools.prove, callback=tools.report,
+            max_iterations=tools.max_iterations, **tools.options,
         )  # fmt: skip
         if done.plan.status is Status.INTERRUPTED:
             raise KeyboardInterrupt  # the next run begins an interrupted refinement again
@@ -96,7 +96,9 @@ def repair(
             plan, proof, path = *better, ()
             tools.store(plan, "repaired", path)
     if proof is not None and not proof.passed:
-        wider = refine_clearance(plan, proof, budget=work, prove=tools.prove, max_iterations=tools.max_iterations)
+        wider = refine_clearance(
+            plan, proof, budget=work.part("clearance"), prove=tools.prove, max_iterations=tools.max_iterations
+        )  # fmt: skip
         if wider.changes:
             plan, proof, path = wider.plan, wider.proof, ()
             tools.report(wider)

@@ -24,9 +24,9 @@ from planner.problem.problem import Problem
 from planner.proof import Proof
 from planner.proof import prove as full_proof
 from planner.proof.original_model import your_file
-from planner.proof.repair.budget import WorkBudget, was_cut
 from planner.solvers.slq import solve
 from planner.solvers.warm_start import warm_start
+from planner.solvers.work import DEFAULT_WORK, WorkBudget, budget_of
 
 MAX_REFINEMENTS = 3  # times
 CLEARANCE_SHARE = 0.5  # of the required clearance, added to the depth
@@ -46,7 +46,7 @@ class ClearanceRefinement(NamedTuple):
 
 
 def refine_clearance(
-    plan: Plan, proof: Proof, *, limit: int = MAX_REFINEMENTS, budget: WorkBudget | None = None,
+    plan: Plan, proof: Proof, *, limit: int = MAX_REFINEMENTS, budget: WorkBudget | float | None = None,
     prove: Callable[[Plan], Proof] | None = None, max_iterations: int = 1000, **options: Any,
 ) -> ClearanceRefinement:  # fmt: skip
     """Solve and prove again with changed clearances of pairs that collide, or whose fits are too conservative.
@@ -55,24 +55,24 @@ def refine_clearance(
         plan: A plan whose problem has collision avoidance (planner.constraints.Avoid).
         proof: Of the plan.
         limit: Maximum number of refinements.
-        budget: The work of the solves; by default that of a whole repair.
+        budget: The work of the solves and proofs; by default DEFAULT_WORK.
         prove: Judges the plans; by default without perturbed rollouts.
         max_iterations: Of each solve.
         options: Of solve().
     """
     prove, changes = prove or partial(full_proof, rollouts=0), list[dict[str, float]]()
-    assert plan.problem is not None
-    work = WorkBudget.of_repair(plan.problem) if budget is None else budget
+    work = budget_of(budget) or WorkBudget(DEFAULT_WORK)
     while len(changes) < limit and not work.exhausted:
         more = _collided(plan, proof) or _far(plan, proof)
         if plan.problem is None or not more:
             break
         problem = with_clearance(plan.problem, more)
-        allowed = work.iterations(problem, max_iterations)
-        better = solve(replace(problem, us=warm_start(plan, problem)), max_iterations=allowed, **options)
-        work.charge(better)
-        if better.status is Status.NOT_FINITE or was_cut(better, allowed, max_iterations):
+        better = solve(
+            replace(problem, us=warm_start(plan, problem)), max_iterations=max_iterations, budget=work, **options
+        )  # fmt: skip
+        if better.status in (Status.NOT_FINITE, Status.WORK_LIMIT, Status.TIME_LIMIT):
             break
+        work.charge_proof(problem)
         changes.append(more)
         plan, proof = better, prove(better)
         if plan.status is Status.INTERRUPTED:

@@ -11,17 +11,18 @@ from planner.problem.plan import Plan, Status
 from planner.problem.problem import Problem
 from planner.proof.diagnostics import SuggestedFix, longer
 from planner.proof.diagnostics.suggested_fix import ITERATIONS
-from planner.proof.repair.budget import WorkBudget, was_cut
 from planner.proof.verdict import Proof
+from planner.solvers.work import WorkBudget
 
 AUTOMATIC_KEYS = ("dt", "substeps", "integrator", "guess", "starts", "limits.margin", ITERATIONS)
 """Keys about the computation, in addition to the weights. Keys that change the task itself are the user's to set."""
-READ_AGAIN = ("contacts", "ignore", "model", "start")  # keys that require reading the file again
+NOT_TRIED = ("contacts", "ignore", "model", "start", "work")  # require reading the file again, or another budget
+SHARE = 0.5  # of the work that is left, at most, for the trial of a fix
 MAX_DURATIONS = 6  # maximum number tried, each 1.5 times the last: up to 7.6 times
 _RESOLVED = "resolved"  # key of a problem file's table: default choices and their reasons
 
-Solve = Callable[[Problem, int, str], tuple[Plan, int]]
-"""A solve of (problem, most iterations, what it is for): the plan, and the iterations of all its starts and trials."""
+Solve = Callable[[Problem, int, str, WorkBudget], Plan]
+"""A solve of (problem, most iterations, what it is for, its budget)."""
 
 
 class FixTrial(NamedTuple):
@@ -55,7 +56,7 @@ class FixTrials:
             return None, found
         failed: list[SuggestedFix] = []
         for one in sorted(found, key=lambda one: not is_automatic(one.key)):
-            if one.key in READ_AGAIN:
+            if one.key in NOT_TRIED:
                 continue
             if self.budget.exhausted:
                 self.report(FixTrial(one, "not tried"))
@@ -93,15 +94,13 @@ class FixTrials:
             except PlannerError as error:
                 self.report(FixTrial(one, "refused", str(error)))
                 return None
-        allowed = self.budget.iterations(problem, asked, problem.parameters.get("starts", 1))
-        plan, iterations = self.solve(problem, allowed, ", with a suggested fix")
-        self.budget.charge(plan, iterations)
+        plan = self.solve(problem, asked, ", with a suggested fix", self.budget.part("suggested fixes", SHARE))
         if plan.status is Status.INTERRUPTED:
             raise KeyboardInterrupt
         if not plan.converged:
-            spent = was_cut(plan, allowed, asked)
-            self.report(FixTrial(one, "not solved", "the work budget was reached" if spent else plan.status.name))
+            self.report(FixTrial(one, "not solved", plan.status.name))
             return None
+        self.budget.charge_proof(problem)
         proof = self.prove(plan)
         if not proof.passed:
             self.report(FixTrial(one, "fails", proof.reason))

@@ -26,10 +26,10 @@ from planner.proof import Proof
 from planner.proof import prove as full_proof
 from planner.proof.error_propagation import FACTOR
 from planner.proof.error_scales import shares_of_bounds
-from planner.proof.repair.budget import WorkBudget, was_cut
 from planner.proof.replays.replaying import reached_by_plan
 from planner.solvers.slq import solve
 from planner.solvers.warm_start import warm_start
+from planner.solvers.work import DEFAULT_WORK, WorkBudget, budget_of
 
 
 class Refinement(NamedTuple):
@@ -105,7 +105,7 @@ class Refined:
 
 
 def refine(
-    plan: Plan, proof: Proof, *, limit: int = 4, budget: WorkBudget | None = None,
+    plan: Plan, proof: Proof, *, limit: int = 4, budget: WorkBudget | float | None = None,
     prove: Callable[[Plan], Proof] | None = None, callback: Callable[[Refinement], object] | None = None,
     max_iterations: int = 1000, **options: Any,
 ) -> Refined:  # fmt: skip
@@ -115,8 +115,7 @@ def refine(
         plan: A plan with its problem.
         proof: The proof of that plan.
         limit: The most refinements.
-        budget: The work of the solves; by default that of a whole repair. A solve that would take more is ended and
-            forgotten.
+        budget: The work of the solves and proofs; by default DEFAULT_WORK. A solve that it cuts is forgotten.
         prove: The function that judges the refined plans; by default prove() without perturbed rollouts.
         callback: Called with each Refinement, that of the given plan included; print makes a table. It may raise
             StopIteration to end.
@@ -137,7 +136,7 @@ def refine(
         raise PlannerError(f"proof is {short_repr(proof)}, expected the Proof of the plan.")
     count("limit", limit, minimum=0)
     count("max_iterations", max_iterations)
-    work = WorkBudget.of_repair(plan.problem) if budget is None else budget
+    work = budget_of(budget) or WorkBudget(DEFAULT_WORK)
     prove = prove or partial(full_proof, rollouts=0)
     path: list[Refinement] = []
 
@@ -154,7 +153,7 @@ def refine(
     while True:
         reason = _done(proof, len(path) - 1, limit) or ("It was interrupted." if interrupted else "")
         if reason or work.exhausted:
-            reason = reason or f"The work budget of {work.limit:.3g} iterations times stages was reached."
+            reason = reason or work.end.value
             break
         began = time.monotonic()
         assert plan.problem is not None
@@ -163,16 +162,17 @@ def refine(
         except PlannerError as error:
             reason = f"It cannot be refined: {error}"
             break
-        allowed = work.iterations(problem, max_iterations)
-        better = solve(replace(problem, us=warm_start(plan, problem)), max_iterations=allowed, **options)
-        work.charge(better)
+        better = solve(
+            replace(problem, us=warm_start(plan, problem)), max_iterations=max_iterations, budget=work, **options
+        )  # fmt: skip
         stage = f"at a stage of {problem.dynamics.dt:.3g} s"
         if better.status is Status.NOT_FINITE:
             reason = f"The plan's controls lead to infinite states {stage}."
             break
-        if was_cut(better, allowed, max_iterations):
-            reason = f"The work budget of {work.limit:.3g} iterations times stages was reached {stage}."
+        if better.status in (Status.WORK_LIMIT, Status.TIME_LIMIT):
+            reason = f"{better.status.value[:-1]}, {stage}."
             break
+        work.charge_proof(problem)
         interrupted = better.status is Status.INTERRUPTED
         plan, proof = better, prove(better)
         interrupted |= ended(_line(plan, proof, time.monotonic() - began))
