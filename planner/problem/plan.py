@@ -76,6 +76,10 @@ class Status(StrEnum):
         "The solve converged, but its steps do not resolve the motion: halving them moves it by more than 5 % of its "
         "range; take shorter stages or more substeps, or start from calmer controls."
     )
+    INFEASIBLE = (
+        "The motion is solved without its limits, and within them it is infeasible as far as found; give it more time "
+        "or wider limits."
+    )
     GIVEN = "The controls were given, not solved for; prove them with prove(..., optimal=False)."
     INTERRUPTED = "Interrupted; this is the best plan so far, and a new solve can start from its controls."
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from copy import copy
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -186,6 +187,16 @@ class Problem(Built):
         rows = ConstraintStack(constraints, self.dynamics, self.x0, us, tolerance) if constraints else None
         if rows is not None or self.ranges is not None:
             object.__setattr__(self, "trajectory_constraints", TrajectoryConstraints(self.ranges, rows, tolerance))
+
+    def with_bounds(self, bounds: ControlBounds | None, ranges: StateBounds | None) -> Problem:
+        """A copy with other bounds and ranges than its limits state; constraints stay as they are."""
+        problem, kept = copy(self), self.trajectory_constraints
+        rows = None if kept is None else kept.rows
+        if kept is not None:
+            kept = None if ranges is None and rows is None else TrajectoryConstraints(ranges, rows, kept.tolerance)
+        for name, part in (("bounds", bounds), ("ranges", ranges), ("trajectory_constraints", kept)):
+            object.__setattr__(problem, name, part)
+        return problem
 
     def __repr__(self) -> str:
         title = "" if self.appearance is None else self.appearance.title

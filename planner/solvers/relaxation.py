@@ -1,0 +1,226 @@
+"""Relaxation: solve without limits first, then tighten these to the problem's own, where a direct solve does not end well.
+
+Bounds that act from the first iteration may trap a solve: a swing-up that pumps with its full torque has the right sign of
+the torque at no stage of a wrong swing. The free problem is easy, and its plan is followed into the limits by a
+continuation (solvers.continuation) in the logarithm of the factor by which they are wider (solvers.wider_limits).
+
+Where a branch ends above the factor 1, others begin at the factor SWING_FACTOR with as many half oscillations of the
+start's slowest mode as the duration has, one less and one more, of either sign. If all end, the motion is infeasible as far
+as found, and the continuation goes on in a longer duration, until the limits hold: that is the duration that passes.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field, replace
+from functools import partial
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from planner.base.errors import PlannerError
+from planner.problem.goals import missed_goal_message
+from planner.problem.plan import Plan, Status
+from planner.problem.problem import Problem
+from planner.problem.rediscretize import lengthened
+from planner.problem.trajectory import Trajectory
+from planner.solvers.continuation import Continuation
+from planner.solvers.options import DEFAULT, SolverOptions
+from planner.solvers.warm_start import tracked_warm_start
+from planner.solvers.wider_limits import WiderLimits, at_limits, free_problem
+
+SWING_FACTOR = 2.0  # of the limits, at which branches with other numbers of swings begin
+SWING_ITERATIONS = 300  # limit of their first solves
+LENGTHENING = 1.1  # ratio of successive durations
+MAX_DURATIONS = 8  # number of them: up to 2.1 times
+_UNSUCCESSFUL = (Status.MAX_ITERATIONS, Status.NO_DESCENT, Status.OUTSIDE_LIMITS)
+
+# One solve from states (N+1, nx) or None, penalties or None, and controls (N, nu), with an iteration limit.
+SolveOne = Callable[..., Plan]
+
+
+class RelaxationStep(NamedTuple):
+    """One solve of a relaxation."""
+
+    number: int  # Counted from 0
+    stage: str  # "free", "limits", "swing" or "duration"
+    factor: float  # By which the limits are wider; inf without limits
+    duration: float  # s
+    cost: float
+    iterations: int
+    status: Status
+    kept: bool  # Whether it meets the goal, so that the next solve starts from it
+
+    def __str__(self) -> str:
+        row = (
+            f"{self.number:5d}  {self.stage:8s}  {self.factor:7.4g}  {self.duration:11.5g}  {self.cost:15.8g}  "
+            f"{self.iterations:10d}  {self.status.name}{'' if self.kept else ', not kept'}"
+        )
+        return row if self.number else f"{self.header()}\n{row}"
+
+    @staticmethod
+    def header() -> str:
+        """The heading of the table of str(); part of the first row."""
+        return f"{'relax':>5}  stage     {'limits':>7}  {'duration, s':>11}  {'cost':>15}  {'iterations':>10}  status"
+
+
+def is_trapped(problem: Problem, plan: Plan, options: SolverOptions) -> bool:
+    """Whether a direct solve ended without success at its limits, and a relaxation may help.
+
+    Not where an iteration limit below the default cut it: who asks for little work gets little.
+    """
+    if not options.homotopy or options.max_iterations < DEFAULT.max_iterations or problem.periodic is not None:
+        return False
+    failed = plan.status in _UNSUCCESSFUL or bool(plan.missed_goals)
+    return failed and at_limits(problem, plan)
+
+
+def relaxed(
+    problem: Problem, direct: Plan, solve_one: SolveOne, options: SolverOptions, callback: Callable[[Any], object] | None
+) -> tuple[Plan, dict[str, Any]]:
+    """The plan of a relaxation, else the direct one; and a record of its solves as JSON values.
+
+    Args:
+        problem: With limits.
+        direct: Its plan by a direct solve, without success.
+        solve_one: One solve of (problem, options, states, penalties, controls, iteration limit, callback).
+        options: Of the solves.
+        callback: Called with each RelaxationStep; it may raise StopIteration.
+
+    Returns:
+        The direct plan has the status INFEASIBLE where the free problem is solved, and this one is not.
+    """
+    work = _Relaxation(problem, solve_one, options, callback)
+    try:
+        plan = work.run(direct)
+    except (KeyboardInterrupt, StopIteration):
+        plan = replace(direct, status=Status.INTERRUPTED)
+    return plan, work.record()
+
+
+@dataclass
+class _Relaxation:
+    problem: Problem
+    solve_one: SolveOne
+    options: SolverOptions
+    callback: Callable[[Any], object] | None
+    steps: list[RelaxationStep] = field(default_factory=list)
+    found: dict[str, float] = field(default_factory=dict)  # the factor and the duration that pass
+
+    def run(self, direct: Plan) -> Plan:
+        problem, limit = self.problem, self.options.max_iterations
+        free = self._solve(free_problem(problem), None, limit)
+        self._report("free", math.inf, free, _meets_goals(free))
+        if not _meets_goals(free):
+            return direct
+        family = WiderLimits.around(problem, free)
+        lowest: tuple[float, Plan] | None = None
+        for s, plan in self._branches(family, free):
+            s, plan = self._continuation("limits", family).follow(s, plan)
+            if s == 0.0:
+                return replace(plan, starts=direct.starts)
+            if lowest is None or s < lowest[0]:
+                lowest = s, plan
+        if _meets_goals(direct) and direct.status is not Status.OUTSIDE_LIMITS or lowest is None:
+            return direct  # slow, but not infeasible
+        self.found["factor"] = math.exp(lowest[0])
+        duration = self._passing_duration(*lowest)
+        if duration is not None:
+            self.found["duration"] = duration
+        return replace(direct, status=Status.INFEASIBLE)
+
+    def _branches(self, family: WiderLimits, free: Plan) -> Iterator[tuple[float, Plan]]:
+        """The free plan, then those of other numbers of swings that meet the goal in wider limits, and their s."""
+        yield max(math.log(max(family.factor, 1.0)), Continuation.min_step), free
+        factor = min(SWING_FACTOR, max(family.factor, 1.0))
+        wider = family.at(factor)
+        for us in _swings(self.problem):
+            plan = self.solve_one(wider, self.options, None, None, us, SWING_ITERATIONS, None)
+            kept = _meets_goals(plan)
+            self._report("swing", factor, plan, kept)
+            if kept:
+                yield max(math.log(factor), Continuation.min_step), plan
+
+    def _passing_duration(self, s: float, plan: Plan) -> float | None:
+        """The first of longer durations in which the limits hold, followed from a plan with limits wider by exp(s)."""
+        for k in range(1, MAX_DURATIONS + 1):
+            try:
+                longer = lengthened(self.problem, LENGTHENING**k)
+            except PlannerError:  # parts that cannot have another duration
+                return None
+            family = WiderLimits(longer, 1.0, None, None)
+            wider = self._solve(family.at(math.exp(s)), plan.motion.stretched(longer.duration), SWING_ITERATIONS)
+            kept = _meets_goals(wider)
+            self._report("duration", math.exp(s), wider, kept)
+            if kept:
+                s, plan = self._continuation("duration", family).follow(s, wider)
+            if s == 0.0:
+                return longer.duration
+        return None
+
+    def _continuation(self, stage: str, family: WiderLimits) -> Continuation:
+        def report(s: float, plan: Plan, kept: bool) -> None:
+            self._report(stage, math.exp(s), plan, kept)
+
+        return Continuation(
+            lambda s: family.at(math.exp(s)), self._solve, _meets_goals, report,
+            last_iterations=self.options.max_iterations,
+        )  # fmt: skip
+
+    def _solve(self, problem: Problem, motion: Trajectory | None, max_iterations: int) -> Plan:
+        solve = partial(self.solve_one, problem, self.options)
+        if motion is None:
+            return solve(None, None, problem.first_guess, max_iterations, None)
+        us, states, penalties = tracked_warm_start(problem, motion, self.options.max_warm_start_cost_ratio)
+        us = us if problem.bounds is None else problem.bounds.clip(slice(None), us, None)
+        return solve(states, penalties, us, max_iterations, None)
+
+    def _report(self, stage: str, factor: float, plan: Plan, kept: bool) -> None:
+        duration = float(plan.t[-1])
+        step = RelaxationStep(len(self.steps), stage, factor, duration, plan.cost, plan.nit, plan.status, kept)
+        self.steps.append(step)
+        if plan.status is Status.INTERRUPTED:
+            raise KeyboardInterrupt
+        if self.callback is not None:
+            self.callback(step)
+
+    def record(self) -> dict[str, Any]:
+        """The solves, and the factor of the limits and the duration at which they pass, as JSON values."""
+        rows = [[*step[1:6], step.status.name, step.kept] for step in self.steps]
+        return {"steps": rows, **self.found}
+
+
+def _meets_goals(plan: Plan) -> bool:
+    """Whether a plan, converged or not, meets its goals within its limits."""
+    if plan.problem is None or not np.isfinite(plan.xs).all() or plan.status is Status.OUTSIDE_LIMITS:
+        return False
+    return not missed_goal_message(plan.problem, *plan.judged_motion)
+
+
+def _swings(problem: Problem) -> list[np.ndarray]:
+    """Controls (N, nu) that swing between their bounds, with half cycles of the slowest oscillation about the start."""
+    if problem.bounds is None:
+        return []
+    start = np.stack([problem.x0, problem.x0])
+    A = problem.dynamics.linearize(start, problem.first_guess[:1])[0][0]
+    halves = np.abs(np.angle(np.linalg.eigvals(A))) * problem.N / np.pi  # half cycles within the duration
+    halves = halves[halves > 0.5]
+    if not len(halves):
+        return []
+    middle, size = _middle_and_size(problem)
+    share = (np.arange(problem.N)[:, None] + 0.5) / problem.N
+    n = round(float(halves.min()))
+    return [
+        middle + sign * size * np.sin(np.pi * count * share)
+        for count in (n, n - 1, n + 1) if count > 0 for sign in (1.0, -1.0)
+    ]  # fmt: skip
+
+
+def _middle_and_size(problem: Problem) -> tuple[np.ndarray, np.ndarray]:
+    """Middle and half width (N, nu) of the bounds of the controls; the first guess and 0 where one is infinite."""
+    assert problem.bounds is not None
+    lower, upper = problem.bounds.lower, problem.bounds.upper
+    with np.errstate(invalid="ignore"):
+        both, middle, half = np.isfinite(upper - lower), 0.5 * (lower + upper), 0.5 * (upper - lower)
+    return np.where(both, middle, problem.first_guess), np.where(both, half, 0.0)
