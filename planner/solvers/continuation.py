@@ -7,7 +7,7 @@ a softer ground. From a plan at some s, until s = 0:
     correct    solve problem_at(s) from there, by multiple shooting where a rollout does not follow the prediction
     step       longer after a quick solve; shorter where the plan misses its goal: it fell off its branch
 
-(Allgower and Georg, Numerical Continuation Methods, 1990, sections 2 and 6). The intermediate plans need not converge.
+(Allgower and Georg, Numerical Continuation Methods, 1990, sections 2 and 6).
 """
 
 from __future__ import annotations
@@ -33,8 +33,8 @@ class Continuation:
         reaches: Whether a plan, converged or not, meets the goals of its problem.
         report: Called with s, the plan of each solve and whether it was kept.
         max_solves: Limit of the solves of one call.
-        max_iterations: Limit of the iterations of an intermediate solve.
-        last_iterations: Limit of the iterations of the last solve, at s = 0.
+        look_iterations: Number of iterations after which a solve goes on only if its plan meets the goals.
+        max_iterations: Limit of those that it goes on with: a plan that has converged predicts the next one better.
         min_step: Smallest step of s.
     """
 
@@ -43,8 +43,8 @@ class Continuation:
     reaches: Callable[[Plan], bool]
     report: Callable[[float, Plan, bool], object]
     max_solves: int = 16
-    max_iterations: int = 60
-    last_iterations: int = 1000
+    look_iterations: int = 60
+    max_iterations: int = 1000
     min_step: float = 0.01
 
     def follow(self, s: float, plan: Plan) -> tuple[float, Plan]:
@@ -58,7 +58,7 @@ class Continuation:
             found, kept = self._corrected(to, _predicted(to, s, plan, before))
             if kept:
                 before, s, plan = (s, plan), to, found
-                step = min(1.5 * step, s) if found.nit < 0.5 * self.max_iterations else min(step, s)
+                step = min(1.5 * step, s) if found.nit < self.look_iterations else min(step, s)
             else:
                 step = 0.4 * min(step, s)
         return s, plan
@@ -66,9 +66,10 @@ class Continuation:
     def _corrected(self, s: float, guess: Trajectory) -> tuple[Plan, bool]:
         """The plan at s from a predicted trajectory, and whether it meets its goals; at s = 0 it must converge too."""
         problem = self.problem_at(s)
-        plan = self.solve(problem, guess, self.max_iterations)
-        if s == 0.0 and plan.status is Status.MAX_ITERATIONS and self.reaches(plan):
-            plan = self.solve(problem, plan.motion, self.last_iterations)
+        plan = self.solve(problem, guess, self.look_iterations)
+        if plan.status is Status.MAX_ITERATIONS and self.reaches(plan):
+            self.report(s, plan, True)
+            plan = self.solve(problem, plan.motion, self.max_iterations)
         kept = self.reaches(plan) and (s > 0.0 or plan.converged)
         self.report(s, plan, kept)
         return plan, kept

@@ -32,6 +32,7 @@ from planner.solvers.wider_limits import WiderLimits, at_limits, free_problem
 
 SWING_FACTOR = 2.0  # of the limits, at which branches with other numbers of swings begin
 SWING_ITERATIONS = 300  # limit of their first solves
+SAME_COST = 1e-3  # relative difference of the costs below which two of them are the same branch, or its mirror image
 LENGTHENING = 1.1  # ratio of successive durations
 MAX_DURATIONS = 8  # number of them: up to 2.1 times
 _UNSUCCESSFUL = (Status.MAX_ITERATIONS, Status.NO_DESCENT, Status.OUTSIDE_LIMITS)
@@ -134,12 +135,12 @@ class _Relaxation:
         """The free plan, then those of other numbers of swings that meet the goal in wider limits, and their s."""
         yield max(math.log(max(family.factor, 1.0)), Continuation.min_step), free
         factor = min(SWING_FACTOR, max(family.factor, 1.0))
-        wider = family.at(factor)
+        wider, seen = family.at(factor), list[float]()
         for us in _swings(self.problem):
             plan = self.solve_one(wider, self.options, None, None, us, SWING_ITERATIONS, None)
-            kept = _meets_goals(plan)
-            self._report("swing", factor, plan, kept)
-            if kept:
+            kept = _meets_goals(plan) and not any(math.isclose(plan.cost, cost, rel_tol=SAME_COST) for cost in seen)
+            seen.append(plan.cost)
+            if self._report("swing", factor, plan, kept):
                 yield max(math.log(factor), Continuation.min_step), plan
 
     def _passing_duration(self, s: float, plan: Plan) -> float | None:
@@ -149,11 +150,12 @@ class _Relaxation:
                 longer = lengthened(self.problem, LENGTHENING**k)
             except PlannerError:  # parts that cannot have another duration
                 return None
+            direct = self._solve(longer, None, SWING_ITERATIONS)
+            if self._report("duration", 1.0, direct, direct.converged and _meets_goals(direct)):
+                return longer.duration
             family = WiderLimits(longer, 1.0, None, None)
             wider = self._solve(family.at(math.exp(s)), plan.motion.stretched(longer.duration), SWING_ITERATIONS)
-            kept = _meets_goals(wider)
-            self._report("duration", math.exp(s), wider, kept)
-            if kept:
+            if self._report("duration", math.exp(s), wider, _meets_goals(wider)):
                 s, plan = self._continuation("duration", family).follow(s, wider)
             if s == 0.0:
                 return longer.duration
@@ -165,7 +167,7 @@ class _Relaxation:
 
         return Continuation(
             lambda s: family.at(math.exp(s)), self._solve, _meets_goals, report,
-            last_iterations=self.options.max_iterations,
+            max_iterations=self.options.max_iterations,
         )  # fmt: skip
 
     def _solve(self, problem: Problem, motion: Trajectory | None, max_iterations: int) -> Plan:
@@ -176,7 +178,7 @@ class _Relaxation:
         us = us if problem.bounds is None else problem.bounds.clip(slice(None), us, None)
         return solve(states, penalties, us, max_iterations, None)
 
-    def _report(self, stage: str, factor: float, plan: Plan, kept: bool) -> None:
+    def _report(self, stage: str, factor: float, plan: Plan, kept: bool) -> bool:
         duration = float(plan.t[-1])
         step = RelaxationStep(len(self.steps), stage, factor, duration, plan.cost, plan.nit, plan.status, kept)
         self.steps.append(step)
@@ -184,6 +186,7 @@ class _Relaxation:
             raise KeyboardInterrupt
         if self.callback is not None:
             self.callback(step)
+        return kept
 
     def record(self) -> dict[str, Any]:
         """The solves, and the factor of the limits and the duration at which they pass, as JSON values."""
@@ -210,7 +213,7 @@ def _swings(problem: Problem) -> list[np.ndarray]:
         return []
     middle, size = _middle_and_size(problem)
     share = (np.arange(problem.N)[:, None] + 0.5) / problem.N
-    n = round(float(halves.min()))
+    n = int(halves.min())  # a larger swing takes longer than the small one of the linearization
     return [
         middle + sign * size * np.sin(np.pi * count * share)
         for count in (n, n - 1, n + 1) if count > 0 for sign in (1.0, -1.0)
