@@ -136,4 +136,4 @@ def solved(
 
 def iterations_of(plan: Plan) -> int:
     """Iterations of a solve with all its starts."""
-    return sum(start.iterations for start in plan.starts) or plan.nit
+    return plan.total_iterations

@@ -31,7 +31,14 @@ from planner.base.files import printable
 from planner.model.space import StateSpace, euclidean, space_of
 from planner.model.twin import Twin
 from planner.problem.archive import FILE, HINGES, PART, digest_of, pack, plan_name, write_archive
-from planner.problem.bound_messages import constraints_broken, control_at_bound, sentence_of, stalled, state_outside
+from planner.problem.bound_messages import (
+    constraints_broken,
+    control_at_bound,
+    infeasible_message,
+    sentence_of,
+    stalled,
+    state_outside,
+)
 from planner.problem.costs.goal_spec import stored_tolerance
 from planner.problem.export.joint_trajectory import joint_trajectory
 from planner.problem.export.keyframes import write_keyframes
@@ -201,6 +208,12 @@ class Plan(Built, Plottable):
         return max(len(self.history) - 1, 0)
 
     @property
+    def total_iterations(self) -> int:
+        """Number of iterations of all starts, and of all solves of a relaxation."""
+        relaxed = sum(step[4] for step in self.options.get("relaxation", {}).get("steps", ()))
+        return sum(start.iterations for start in self.starts) + relaxed or self.nit
+
+    @property
     def success(self) -> bool:
         """Whether the solve converged to a motion that its steps resolve and that meets its goals."""
         return self.status is Status.CONVERGED
@@ -215,6 +228,8 @@ class Plan(Built, Plottable):
         """The status as a sentence (as in SciPy), with violated or active limits and missed goals."""
         if self.problem is not None and self.status is not Status.UNRESOLVED and self.missed_goals:
             return f"{Status.CONVERGED.value[:-1]}, but {self.missed_goals}."
+        if self.status is Status.INFEASIBLE:
+            return infeasible_message(self.status.value, self.options.get("relaxation", {}))
         if self.problem is None or self.status not in _ON_LIMITS:
             return self.status.value
         outside = sentence_of(state_outside(self.problem, self.xs, self.t))

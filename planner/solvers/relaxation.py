@@ -23,7 +23,7 @@ from planner.base.errors import PlannerError
 from planner.problem.goals import missed_goal_message
 from planner.problem.plan import Plan, Status
 from planner.problem.problem import Problem
-from planner.problem.rediscretize import lengthened
+from planner.problem.rediscretize import lengthened, rounded_duration
 from planner.problem.trajectory import Trajectory
 from planner.solvers.continuation import Continuation
 from planner.solvers.options import DEFAULT, SolverOptions
@@ -32,6 +32,7 @@ from planner.solvers.wider_limits import WiderLimits, at_limits, free_problem
 
 SWING_FACTOR = 2.0  # of the limits, at which branches with other numbers of swings begin
 SWING_ITERATIONS = 300  # limit of their first solves
+MAX_REPEATS = 2  # number of swings that lead to a branch that was followed, after which no others are tried
 SAME_COST = 1e-3  # relative difference of the costs below which two of them are the same branch, or its mirror image
 LENGTHENING = 1.1  # ratio of successive durations
 MAX_DURATIONS = 8  # number of them: up to 2.1 times
@@ -45,7 +46,7 @@ class RelaxationStep(NamedTuple):
     """One solve of a relaxation."""
 
     number: int  # Counted from 0
-    stage: str  # "free", "limits", "swing" or "duration"
+    stage: str  # "direct", "free", "limits", "swing" or "duration"
     factor: float  # By which the limits are wider; inf without limits
     duration: float  # s
     cost: float
@@ -111,6 +112,7 @@ class _Relaxation:
 
     def run(self, direct: Plan) -> Plan:
         problem, limit = self.problem, self.options.max_iterations
+        self._report("direct", 1.0, direct, False)
         free = self._solve(free_problem(problem), None, limit)
         self._report("free", math.inf, free, _meets_goals(free))
         if not _meets_goals(free):
@@ -135,13 +137,16 @@ class _Relaxation:
         """The free plan, then those of other numbers of swings that meet the goal in wider limits, and their s."""
         yield max(math.log(max(family.factor, 1.0)), Continuation.min_step), free
         factor = min(SWING_FACTOR, max(family.factor, 1.0))
-        wider, seen = family.at(factor), list[float]()
+        wider, seen, again = family.at(factor), list[float](), 0
         for us in _swings(self.problem):
             plan = self.solve_one(wider, self.options, None, None, us, SWING_ITERATIONS, None)
-            kept = _meets_goals(plan) and not any(math.isclose(plan.cost, cost, rel_tol=SAME_COST) for cost in seen)
+            same = any(math.isclose(plan.cost, cost, rel_tol=SAME_COST) for cost in seen)
+            kept, again = _meets_goals(plan) and not same, again + same
             seen.append(plan.cost)
             if self._report("swing", factor, plan, kept):
                 yield max(math.log(factor), Continuation.min_step), plan
+            if again == MAX_REPEATS:
+                return
 
     def _passing_duration(self, s: float, plan: Plan) -> float | None:
         """The first of longer durations in which the limits hold, followed from a plan with limits wider by exp(s)."""
@@ -152,13 +157,13 @@ class _Relaxation:
                 return None
             direct = self._solve(longer, None, SWING_ITERATIONS)
             if self._report("duration", 1.0, direct, direct.converged and _meets_goals(direct)):
-                return longer.duration
+                return rounded_duration(longer, 1.0)
             family = WiderLimits(longer, 1.0, None, None)
             wider = self._solve(family.at(math.exp(s)), plan.motion.stretched(longer.duration), SWING_ITERATIONS)
             if self._report("duration", math.exp(s), wider, _meets_goals(wider)):
                 s, plan = self._continuation("duration", family).follow(s, wider)
             if s == 0.0:
-                return longer.duration
+                return rounded_duration(longer, 1.0)
         return None
 
     def _continuation(self, stage: str, family: WiderLimits) -> Continuation:

@@ -86,7 +86,8 @@ def solve(
             first controls track it; where tracking fails, its states are a first guess. Limits and constraints begin
             with its multipliers. Its step and duration may differ from the problem's. None (default) starts from the
             problem's own guess.
-        callback: Called with each Iteration, or for several starts with each Start as it ends; print makes a table.
+        callback: Called with each Iteration, or for several starts with each Start as it ends, and with each
+            RelaxationStep where a solve without success is relaxed; print makes a table.
             It may raise StopIteration to end the solve.
         rank: A function of a Plan: the start with the lowest value is returned. By default its cost; proof.proven_cost
             is its cost in MuJoCo. Non-finite values rank last.
@@ -166,7 +167,7 @@ def solve(
             )
             best = solved(steady)
     if warm_start is None and core.dynamics is problem.dynamics and is_trapped(core, best, settings):
-        best, recorded["continuation"] = relaxed(core, best, _solve_from_guess, settings, callback)
+        best, recorded["relaxation"] = relaxed(core, best, _solve_from_guess, settings, callback)
     if best.status is Status.NOT_FINITE and (cure := stage_too_long(problem)):
         recorded["not_finite"] = cure
     return judged_status(replace(as_user_plan(problem, best), options=recorded))

@@ -47,6 +47,15 @@ class _Need(NamedTuple):
     values: Mapping[str, Any] = MappingProxyType({})  # of the finding
 
 
+def passing_duration(plan: Plan, problem: Problem, proof: Proof | None) -> list[SuggestedFix]:
+    """The duration that a relaxation found to pass (see planner.solvers.relaxation)."""
+    found = plan.options.get("relaxation", {})
+    if plan.status is not Status.INFEASIBLE or "duration" not in found:
+        return []
+    values = {"duration": Quantity(problem.duration, "s"), "factor": found["factor"]}
+    return [fix(problem, "duration", found["duration"], "infeasible", **values)]
+
+
 def more_time(plan: Plan, problem: Problem, proof: Proof | None) -> list[SuggestedFix]:
     """The duration of a feasible minimum-jerk trajectory, for a plan that has not met its goal or its limits."""
     if problem.limits is None or not _short_of_force(plan, problem, proof):

@@ -32,8 +32,7 @@ class WorkBudget:
 
     def charge(self, plan: Plan, iterations: int | None = None) -> None:
         """Count a solve; its iterations are the plan's, or of all its starts, unless given."""
-        taken = sum(start.iterations for start in plan.starts) or plan.nit
-        self.used += plan.N * (taken if iterations is None else iterations)
+        self.used += plan.N * (plan.total_iterations if iterations is None else iterations)
 
 
 def was_cut(plan: Plan, allowed: int, asked: int) -> bool:
