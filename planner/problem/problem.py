@@ -189,7 +189,10 @@ class Problem(Built):
             object.__setattr__(self, "trajectory_constraints", TrajectoryConstraints(self.ranges, rows, tolerance))
 
     def with_bounds(self, bounds: ControlBounds | None, ranges: StateBounds | None) -> Problem:
-        """A copy with other bounds and ranges than its limits state; constraints stay as they are."""
+        """A copy with other bounds and ranges than its limits state; constraints stay as they are.
+
+        dataclasses.replace() of the copy has those of the limits again.
+        """
         problem, kept = copy(self), self.trajectory_constraints
         rows = None if kept is None else kept.rows
         if kept is not None:

@@ -19,6 +19,8 @@ from planner.problem.plan import Plan, Status
 from planner.problem.problem import Problem
 from planner.problem.trajectory import Trajectory
 
+MIN_SHARE = 0.1  # of s: smallest step, below which a branch ends far from the asked problem
+
 # One solve from a trajectory, or from the problem's first guess for None, with an iteration limit.
 SolveFrom = Callable[[Problem, Trajectory | None, int], Plan]
 
@@ -52,7 +54,7 @@ class Continuation:
         before: tuple[float, Plan] | None = None
         step = max(0.5 * s, self.min_step)
         for _ in range(self.max_solves):
-            if s == 0.0 or step < self.min_step:
+            if s == 0.0 or step < max(self.min_step, MIN_SHARE * s):
                 break
             to = s - step if s - step >= self.min_step else 0.0
             found, kept = self._corrected(to, _predicted(to, s, plan, before))

@@ -81,7 +81,7 @@ def is_trapped(problem: Problem, plan: Plan, options: SolverOptions) -> bool:
 def relaxed(
     problem: Problem, direct: Plan, solve_one: SolveOne, options: SolverOptions, callback: Callable[[Any], object] | None
 ) -> tuple[Plan, dict[str, Any]]:
-    """The plan of a relaxation, else the direct one; and a record of its solves as JSON values.
+    """The plan of a relaxation, else the direct one; and a record of its solves (stage, factor, duration, ...) for a file.
 
     Args:
         problem: With limits.
@@ -194,8 +194,12 @@ class _Relaxation:
         return kept
 
     def record(self) -> dict[str, Any]:
-        """The solves, and the factor of the limits and the duration at which they pass, as JSON values."""
-        rows = [[*step[1:6], step.status.name, step.kept] for step in self.steps]
+        """The solves, and the factor of the limits and the duration at which they pass; infinity is None."""
+        factors = [step.factor if math.isfinite(step.factor) else None for step in self.steps]
+        rows = [
+            [step.stage, factor, *step[3:6], step.status.name, step.kept]
+            for step, factor in zip(self.steps, factors, strict=True)
+        ]
         return {"steps": rows, **self.found}
 
 
