@@ -193,11 +193,12 @@ class Problem(Built):
 
         dataclasses.replace() of the copy has those of the limits again.
         """
-        problem, kept = copy(self), self.trajectory_constraints
-        rows = None if kept is None else kept.rows
-        if kept is not None:
-            kept = None if ranges is None and rows is None else TrajectoryConstraints(ranges, rows, kept.tolerance)
-        for name, part in (("bounds", bounds), ("ranges", ranges), ("trajectory_constraints", kept)):
+        problem, constraints = copy(self), self.trajectory_constraints
+        if constraints is not None:
+            rows, tolerance = constraints.rows, constraints.tolerance
+            none = ranges is None and rows is None
+            constraints = None if none else TrajectoryConstraints(ranges, rows, tolerance)
+        for name, part in (("bounds", bounds), ("ranges", ranges), ("trajectory_constraints", constraints)):
             object.__setattr__(problem, name, part)
         return problem
 

@@ -1,7 +1,7 @@
 """Continuation: follow the plans of a family of problems from an easy member to the one that is asked for.
 
-A family is a function of s >= 0: problem_at(0) is the asked problem, a larger s an easier one, e.g. with wider limits or
-a softer ground. From a plan at some s, until s = 0:
+A family is a function of s >= 0: problem_at(0) is the asked problem, a larger s an easier one, e.g. with wider limits
+or a softer ground. From a plan at some s, until s = 0:
 
     predict    states and controls, linear in s through the last two plans
     correct    solve problem_at(s) from there, by multiple shooting where a rollout does not follow the prediction
@@ -32,7 +32,7 @@ class Continuation:
     Attributes:
         problem_at: The problem at s.
         solve: One solve.
-        reaches: Whether a plan, converged or not, meets the goals of its problem.
+        meets_goals: Whether a plan, converged or not, meets the goals of its problem.
         report: Called with s, the plan of each solve and whether it was kept.
         max_solves: Limit of the solves of one call.
         look_iterations: Number of iterations after which a solve goes on only if its plan meets the goals.
@@ -42,14 +42,14 @@ class Continuation:
 
     problem_at: Callable[[float], Problem]
     solve: SolveFrom
-    reaches: Callable[[Plan], bool]
+    meets_goals: Callable[[Plan], bool]
     report: Callable[[float, Plan, bool], object]
     max_solves: int = 16
     look_iterations: int = 60
     max_iterations: int = 1000
     min_step: float = 0.01
 
-    def follow(self, s: float, plan: Plan) -> tuple[float, Plan]:
+    def run(self, s: float, plan: Plan) -> tuple[float, Plan]:
         """The smallest s that was reached from a plan at s, and its plan: at 0 the one of the asked problem."""
         before: tuple[float, Plan] | None = None
         step = max(0.5 * s, self.min_step)
@@ -69,10 +69,10 @@ class Continuation:
         """The plan at s from a predicted trajectory, and whether it meets its goals; at s = 0 it must converge too."""
         problem = self.problem_at(s)
         plan = self.solve(problem, guess, self.look_iterations)
-        if plan.status is Status.MAX_ITERATIONS and self.reaches(plan):
+        if plan.status is Status.MAX_ITERATIONS and self.meets_goals(plan):
             self.report(s, plan, True)
             plan = self.solve(problem, plan.motion, self.max_iterations)
-        kept = self.reaches(plan) and (s > 0.0 or plan.converged)
+        kept = self.meets_goals(plan) and (s > 0.0 or plan.converged)
         self.report(s, plan, kept)
         return plan, kept
 

@@ -1,12 +1,13 @@
-"""Relaxation: solve without limits first, then tighten these to the problem's own, where a direct solve does not end well.
+"""Relaxation: solve without limits first and then tighten them, where a direct solve ends without success.
 
-Bounds that act from the first iteration may trap a solve: a swing-up that pumps with its full torque has the right sign of
-the torque at no stage of a wrong swing. The free problem is easy, and its plan is followed into the limits by a
-continuation (solvers.continuation) in the logarithm of the factor by which they are wider (solvers.wider_limits).
+Bounds that act from the first iteration may trap a solve. The free problem is easy; its plan is followed into the
+limits by a continuation (solvers.continuation) in the logarithm of the factor by which they are wider
+(solvers.wider_limits).
 
-Where a branch ends above the factor 1, others begin at the factor SWING_FACTOR with as many half oscillations of the
-start's slowest mode as the duration has, one less and one more, of either sign. If all end, the motion is infeasible as far
-as found, and the continuation goes on in a longer duration, until the limits hold: that is the duration that passes.
+Where this branch ends above the factor 1, others begin at SWING_FACTOR from controls that swing between their bounds:
+with as many half periods as the slowest oscillation about the start has in the duration, with one less and with one
+more, of either sign. If all end, the motion is infeasible as far as found. Then the continuation goes on in longer
+durations, until the limits hold: that is the duration that passes.
 """
 
 from __future__ import annotations
@@ -52,12 +53,12 @@ class RelaxationStep(NamedTuple):
     cost: float
     iterations: int
     status: Status
-    kept: bool  # Whether it meets the goal, so that the next solve starts from it
+    meets_goal: bool  # Whether it meets the goal, so that the next solve starts from it
 
     def __str__(self) -> str:
         row = (
             f"{self.number:5d}  {self.stage:8s}  {self.factor:7.4g}  {self.duration:11.5g}  {self.cost:15.8g}  "
-            f"{self.iterations:10d}  {self.status.name}{'' if self.kept else ', not kept'}"
+            f"{self.iterations:10d}  {self.status.name}{'' if self.meets_goal else ', not kept'}"
         )
         return row if self.number else f"{self.header()}\n{row}"
 
@@ -78,10 +79,14 @@ def is_trapped(problem: Problem, plan: Plan, options: SolverOptions) -> bool:
     return failed and at_limits(problem, plan)
 
 
-def relaxed(
-    problem: Problem, direct: Plan, solve_one: SolveOne, options: SolverOptions, callback: Callable[[Any], object] | None
+def relax(
+    problem: Problem,
+    direct: Plan,
+    solve_one: SolveOne,
+    options: SolverOptions,
+    callback: Callable[[Any], object] | None,
 ) -> tuple[Plan, dict[str, Any]]:
-    """The plan of a relaxation, else the direct one; and a record of its solves (stage, factor, duration, ...) for a file.
+    """The plan of a relaxation, else the direct one; and a record of its solves for its options.
 
     Args:
         problem: With limits.
@@ -108,7 +113,7 @@ class _Relaxation:
     options: SolverOptions
     callback: Callable[[Any], object] | None
     steps: list[RelaxationStep] = field(default_factory=list)
-    found: dict[str, float] = field(default_factory=dict)  # the factor and the duration that pass
+    passing: dict[str, float] = field(default_factory=dict)  # the factor and the duration that pass
 
     def run(self, direct: Plan) -> Plan:
         problem, limit = self.problem, self.options.max_iterations
@@ -120,17 +125,17 @@ class _Relaxation:
         family = WiderLimits.around(problem, free)
         lowest: tuple[float, Plan] | None = None
         for s, plan in self._branches(family, free):
-            s, plan = self._continuation("limits", family).follow(s, plan)
+            s, plan = self._continuation("limits", family).run(s, plan)
             if s == 0.0:
                 return replace(plan, starts=direct.starts)
             if lowest is None or s < lowest[0]:
                 lowest = s, plan
-        if _meets_goals(direct) and direct.status is not Status.OUTSIDE_LIMITS or lowest is None:
+        if lowest is None or _meets_goals(direct):
             return direct  # slow, but not infeasible
-        self.found["factor"] = math.exp(lowest[0])
+        self.passing["factor"] = math.exp(lowest[0])
         duration = self._passing_duration(*lowest)
         if duration is not None:
-            self.found["duration"] = duration
+            self.passing["duration"] = duration
         return replace(direct, status=Status.INFEASIBLE)
 
     def _branches(self, family: WiderLimits, free: Plan) -> Iterator[tuple[float, Plan]]:
@@ -161,7 +166,7 @@ class _Relaxation:
             family = WiderLimits(longer, 1.0, None, None)
             wider = self._solve(family.at(math.exp(s)), plan.motion.stretched(longer.duration), SWING_ITERATIONS)
             if self._report("duration", math.exp(s), wider, _meets_goals(wider)):
-                s, plan = self._continuation("duration", family).follow(s, wider)
+                s, plan = self._continuation("duration", family).run(s, wider)
             if s == 0.0:
                 return rounded_duration(longer, 1.0)
         return None
@@ -197,10 +202,10 @@ class _Relaxation:
         """The solves, and the factor of the limits and the duration at which they pass; infinity is None."""
         factors = [step.factor if math.isfinite(step.factor) else None for step in self.steps]
         rows = [
-            [step.stage, factor, *step[3:6], step.status.name, step.kept]
+            [step.stage, factor, *step[3:6], step.status.name, step.meets_goal]
             for step, factor in zip(self.steps, factors, strict=True)
         ]
-        return {"steps": rows, **self.found}
+        return {"steps": rows, **self.passing}
 
 
 def _meets_goals(plan: Plan) -> bool:

@@ -47,7 +47,7 @@ from planner.solvers.multiple_shooting import close_defects, guessed_states, lin
 from planner.solvers.multistart import best_of
 from planner.solvers.options import SolverOptions, with_overrides
 from planner.solvers.regularization import Regularization, unregularized_sweep
-from planner.solvers.relaxation import is_trapped, relaxed
+from planner.solvers.relaxation import is_trapped, relax
 from planner.solvers.resolution import is_unresolved
 from planner.solvers.stabilizing_guess import has_diverged, stabilizing_guess
 from planner.solvers.warm_start import tracked_warm_start
@@ -167,7 +167,7 @@ def solve(
             )
             best = solved(steady)
     if warm_start is None and core.dynamics is problem.dynamics and is_trapped(core, best, settings):
-        best, recorded["relaxation"] = relaxed(core, best, _solve_from_guess, settings, callback)
+        best, recorded["relaxation"] = relax(core, best, _solve_from_guess, settings, callback)
     if best.status is Status.NOT_FINITE and (cure := stage_too_long(problem)):
         recorded["not_finite"] = cure
     return judged_status(replace(as_user_plan(problem, best), options=recorded))

@@ -1,6 +1,7 @@
-"""Limits that trap a solve are widened until it is free, and tightened again; else it says in which duration they hold."""
+"""Limits that trap a solve are widened and tightened again; else a duration in which they hold is named."""
 
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -11,7 +12,7 @@ from planner import Limits, PlannerError, Problem, RigidBodyDynamics, SolverOpti
 from planner.proof.diagnostics import suggested_fixes
 from planner.solvers import slq
 from planner.solvers.continuation import Continuation
-from planner.solvers.relaxation import RelaxationStep, relaxed
+from planner.solvers.relaxation import RelaxationStep, relax
 from planner.solvers.wider_limits import WiderLimits, at_limits, free_problem
 
 DT = 0.05
@@ -32,7 +33,7 @@ def relaxation_of(problem, direct=None):
     """The plan and the record of a relaxation, whatever the direct solve leads to; by default one that was cut."""
     options = DIRECT.for_problem(problem)
     direct = planner.solve(problem, DIRECT, max_iterations=2) if direct is None else direct
-    return relaxed(problem, direct, slq._solve_from_guess, options, None)
+    return relax(problem, direct, slq._solve_from_guess, options, None)
 
 
 @pytest.fixture(scope="module")
@@ -188,8 +189,8 @@ def test_a_continuation_steps_back_where_a_plan_falls_off_and_ends_at_the_proble
 
     s, plan = Continuation(
         lambda s: swing_up(4.0, 3.0 * np.exp(s)) if s else problem, solve, reaches, report
-    ).follow(1.0, start)  # fmt: skip
+    ).run(1.0, start)  # fmt: skip
     assert s == 0.0
     assert plan.success
     assert not seen[0][1]
-    assert all(a > b for (a, kept), (b, _) in zip(seen, seen[1:], strict=False) if kept)
+    assert all(a > b for (a, kept), (b, _) in pairwise(seen) if kept)
