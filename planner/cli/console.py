@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from planner.problem.plan import Iteration, Start
     from planner.solvers.free_time import DurationTrial
     from planner.solvers.periodic import PeriodicPass
+    from planner.solvers.relaxation import RelaxationStep
 
 _LONGEST = 1000  # characters of a sentence that quotes what it was given
 
@@ -97,9 +98,9 @@ class Console:
         for row in (list(heads), ["-" * width for width in widths], *cells):
             self.write_result("  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip())
 
-    def iteration(self, line: Iteration) -> None:
-        """Print a line of the table of iterations: every one on a terminal, fewer in a log."""
-        i = line.iteration
+    def iteration(self, line: Iteration | RelaxationStep) -> None:
+        """Print a line of the table of iterations: every one on a terminal, fewer in a log; all of a relaxation."""
+        i = getattr(line, "iteration", 0)
         if self._live or i < 10 or (i < 100 and i % 10 == 0) or i % 100 == 0:
             self.write_progress(str(line))
 

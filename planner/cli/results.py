@@ -131,6 +131,7 @@ def plan_facts(plan: Plan) -> dict[str, Any]:
         "case": plan.case, "parameters": plan.parameters, "status": plan.status.name, "success": plan.success,
         "message": plan.message, "cost": plan.cost, "gradient_norm": plan.gradient_norm, "iterations": plan.nit,
         "starts": [start._asdict() | {"status": start.status.name} for start in plan.starts], "start": plan.start,
+        "relaxation": plan.options.get("relaxation"),
         "horizon": plan.N, "dt": plan.dt, "versions": plan.versions,
         "objective": None if plan.problem is None or plan.problem.objective is None else plan.problem.objective.weights,
     }  # fmt: skip
@@ -147,6 +148,9 @@ def show_plan(plan: Plan, seconds: float | None, console: Console, which: str = 
     if plan.starts:
         converged = sum(start.status is Status.CONVERGED for start in plan.starts)
         console.write_result(f"start {plan.start} of {len(plan.starts)} is the best; {converged} converged")
+    if "relaxation" in plan.options:
+        solves = len(plan.options["relaxation"]["steps"])
+        console.write_result(f"relaxed: {solves} solves, {plan.total_iterations} iterations in all")
     if not plan.success or plan.missed_goals:
         console.write_result(plan.message)
     for key in ("first_guess", "not_finite", "cut"):  # what became of a guess that ran away; what a budget cut

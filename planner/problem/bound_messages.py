@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -97,6 +98,16 @@ def constraints_broken(problem: Problem, xs: np.ndarray, us: np.ndarray, t: np.n
     ]  # fmt: skip
     more = len(broken) - _MAX_NAMED
     return [*found, Diagnostic("more_violated", {"count": more})] if more > 0 else found
+
+
+def infeasible_message(message: str, found: Mapping[str, Any]) -> str:
+    """A message about limits that no motion was found to keep, with the duration and the factor that pass."""
+    passes = []
+    if "duration" in found:
+        passes.append(f"in {found['duration']:.6g} s")
+    if "factor" in found:
+        passes.append(f"with limits {math.ceil(100.0 * found['factor']) / 100.0:.6g} times as wide")
+    return f"{message[:-1]}: it passes {', or '.join(passes)}." if passes else message
 
 
 def stalled(history: Sequence[Any], cost: float) -> bool:

@@ -31,7 +31,14 @@ from planner.base.files import printable
 from planner.model.space import StateSpace, euclidean, space_of
 from planner.model.twin import Twin
 from planner.problem.archive import FILE, HINGES, PART, digest_of, pack, plan_name, write_archive
-from planner.problem.bound_messages import constraints_broken, control_at_bound, sentence_of, stalled, state_outside
+from planner.problem.bound_messages import (
+    constraints_broken,
+    control_at_bound,
+    infeasible_message,
+    sentence_of,
+    stalled,
+    state_outside,
+)
 from planner.problem.costs.goal_spec import stored_tolerance
 from planner.problem.export.joint_trajectory import joint_trajectory
 from planner.problem.export.keyframes import write_keyframes
@@ -75,6 +82,10 @@ class Status(StrEnum):
     UNRESOLVED = (
         "The solve converged, but its steps do not resolve the motion: halving them moves it by more than 5 % of its "
         "range; take shorter stages or more substeps, or start from calmer controls."
+    )
+    INFEASIBLE = (
+        "The motion is solved without its limits, and within them it is infeasible as far as found; give it more time "
+        "or wider limits."
     )
     GIVEN = "The controls were given, not solved for; prove them with prove(..., optimal=False)."
     WORK_LIMIT = (
@@ -209,6 +220,12 @@ class Plan(Built, Plottable):
         return max(len(self.history) - 1, 0)
 
     @property
+    def total_iterations(self) -> int:
+        """Number of iterations of all starts, and of all solves of a relaxation."""
+        relaxed = sum(step[4] for step in self.options.get("relaxation", {}).get("steps", ()))
+        return sum(start.iterations for start in self.starts) + relaxed or self.nit
+
+    @property
     def success(self) -> bool:
         """Whether the solve converged to a motion that its steps resolve and that meets its goals."""
         return self.status is Status.CONVERGED
@@ -223,6 +240,8 @@ class Plan(Built, Plottable):
         """The status as a sentence (as in SciPy), with violated or active limits and missed goals."""
         if self.problem is not None and self.status is not Status.UNRESOLVED and self.missed_goals:
             return f"{Status.CONVERGED.value[:-1]}, but {self.missed_goals}."
+        if self.status is Status.INFEASIBLE:
+            return infeasible_message(self.status.value, self.options.get("relaxation", {}))
         if self.problem is None or not (self.status.cut or self.status in (Status.NO_DESCENT, Status.OUTSIDE_LIMITS)):
             return self.status.value
         outside = sentence_of(state_outside(self.problem, self.xs, self.t))

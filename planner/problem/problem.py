@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from copy import copy
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -187,6 +188,20 @@ class Problem(Built):
         rows = ConstraintStack(constraints, self.dynamics, self.x0, us, tolerance) if constraints else None
         if rows is not None or self.ranges is not None:
             object.__setattr__(self, "trajectory_constraints", TrajectoryConstraints(self.ranges, rows, tolerance))
+
+    def with_bounds(self, bounds: ControlBounds | None, ranges: StateBounds | None) -> Problem:
+        """A copy with other bounds and ranges than its limits state; constraints stay as they are.
+
+        dataclasses.replace() of the copy has those of the limits again.
+        """
+        problem, constraints = copy(self), self.trajectory_constraints
+        if constraints is not None:
+            rows, tolerance = constraints.rows, constraints.tolerance
+            none = ranges is None and rows is None
+            constraints = None if none else TrajectoryConstraints(ranges, rows, tolerance)
+        for name, part in (("bounds", bounds), ("ranges", ranges), ("trajectory_constraints", constraints)):
+            object.__setattr__(problem, name, part)
+        return problem
 
     def __repr__(self) -> str:
         title = "" if self.appearance is None else self.appearance.title

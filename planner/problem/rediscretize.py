@@ -74,6 +74,31 @@ def retimed(problem: Problem, duration: float) -> Problem:
     )
 
 
+def lengthened(problem: Problem, ratio: float) -> Problem:
+    """The same task in about `ratio` times its duration, in stages of the same length where its recipe says so.
+
+    The duration is rounded up to tenths of a second where that adds little.
+
+    Raises:
+        PlannerError: As retimed.
+    """
+    dt = problem.dynamics.dt
+    duration = rounded_duration(problem, ratio)
+    names = () if problem.recipe is None else problem.recipe.parameters
+    if problem.objective is None and problem.recipe is not None and {"duration", "dt"} <= set(names):
+        return replace(problem.recipe.rebuilt(duration=duration, dt=dt), limits=problem.limits)
+    return retimed(problem, duration)
+
+
+def rounded_duration(problem: Problem, ratio: float) -> float:
+    """A duration at least `ratio` times as long, s: of whole stages, in tenths of a second where that adds little."""
+    dt, N = problem.dynamics.dt, int(np.ceil(problem.N * ratio - 1e-9))
+    tenth = round(0.1 / dt)
+    if tenth and abs(tenth * dt - 0.1) < 1e-12 and tenth <= 0.1 * N:
+        N = -(-N // tenth) * tenth
+    return float(f"{N * dt:.6g}")
+
+
 def substeps_reason(problem: Problem) -> str:
     """Message with the reason for the number of substeps; "" for dynamics without a mechanism or without RK4."""
     dynamics, goal = problem.dynamics, tracking_of(problem.cost)

@@ -159,7 +159,9 @@ class _DurationSearch:
         self, problem: Problem, weights: dict[str, float], options: dict[str, Any],
         callback: Callable[[DurationTrial], object] | None,
     ) -> None:  # fmt: skip
-        self.problem, self.weights, self.options, self.callback = problem, weights, options, callback
+        self.problem, self.weights, self.callback = problem, weights, callback
+        # The search itself finds the durations that are long enough, and starts each from a free plan.
+        self.options = options | {"options": with_overrides(options.get("options"), homotopy=False)}
         rest = {name: weight for name, weight in weights.items() if name != "time"}
         self.rest, self.alone = rest or {"effort": 1.0}, not rest
         self.tried: list[DurationTrial] = []

@@ -52,6 +52,10 @@ class SolverOptions:
         spread: Size of the random changes, relative to the controls.
         pilot_iterations: Iterations after which the controls have the size that `spread` scales.
 
+        homotopy: Whether a solve that ends at its limits without success is repeated without limits, which are then
+            tightened step by step (see solvers.relaxation). Not with a warm start, nor with a lower max_iterations
+            than the default.
+
         min_regularization: Smallest weight mu on the controls' steps, relative to the largest entry of R; below it mu
             is zero (Levenberg and Marquardt; N&W 10.3).
         max_regularization: Largest mu, relative to the same: a solve that needs more ends with NO_DESCENT.
@@ -113,6 +117,8 @@ class SolverOptions:
     seed: int = 0
     spread: float = 1.0
     pilot_iterations: int = 5
+
+    homotopy: bool = True
 
     min_regularization: float = 1e-6
     max_regularization: float = 1e10
@@ -218,6 +224,10 @@ def _checked(name: str, value: Any) -> Any:
         return choice(name, value, _CHOICES[name])
     if value is None and default is None:
         return None
+    if isinstance(default, bool):
+        if not isinstance(value, bool):
+            raise PlannerError(f"{name} is {short_repr(value)}, expected True or False.")
+        return value
     if isinstance(default, int):
         maximum = MAX_STARTS if name == "starts" else None
         return count(name, value, minimum=0 if name in ("seed", "max_tightenings") else 1, maximum=maximum)

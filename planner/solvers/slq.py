@@ -47,10 +47,11 @@ from planner.solvers.multiple_shooting import close_defects, guessed_states, lin
 from planner.solvers.multistart import best_of
 from planner.solvers.options import SolverOptions, with_overrides
 from planner.solvers.regularization import Regularization, unregularized_sweep
+from planner.solvers.relaxation import is_trapped, relax
 from planner.solvers.resolution import is_unresolved
 from planner.solvers.stabilizing_guess import has_diverged, stabilizing_guess
 from planner.solvers.warm_start import tracked_warm_start
-from planner.solvers.work import UntilDeadline, WorkBudget, budget_of, iterations_of
+from planner.solvers.work import UntilDeadline, WorkBudget, budget_of
 
 
 def solve(
@@ -87,7 +88,8 @@ def solve(
             first controls track it; where tracking fails, its states are a first guess. Limits and constraints begin
             with its multipliers. Its step and duration may differ from the problem's. None (default) starts from the
             problem's own guess.
-        callback: Called with each Iteration, or for several starts with each Start as it ends; print makes a table.
+        callback: Called with each Iteration, or for several starts with each Start as it ends, and with each
+            RelaxationStep where a solve without success is relaxed; print makes a table.
             It may raise StopIteration to end the solve.
         rank: A function of a Plan: the start with the lowest value is returned. By default its cost; proof.proven_cost
             is its cost in MuJoCo. Non-finite values rank last.
@@ -176,10 +178,17 @@ def solve(
                 "that hold or brake the machine with feedback."
             )
             best = solved(steady)
+    if work is not None:
+        work.charge(problem, best.total_iterations)
+    if (
+        warm_start is None and core.dynamics is problem.dynamics and not (work is not None and work.exhausted)
+        and is_trapped(core, best, settings)
+    ):  # fmt: skip
+        solve_again = partial(_solve_from_guess, deadline=deadline)
+        best, recorded["relaxation"] = relax(core, best, solve_again, settings, callback, work)
     if best.status is Status.NOT_FINITE and (cure := stage_too_long(problem)):
         recorded["not_finite"] = cure
     if work is not None:
-        work.charge(problem, iterations_of(best))
         best = _with_cut(best, work, settings.max_iterations < asked, recorded)
     return judged_status(replace(as_user_plan(problem, best), options=recorded))
 

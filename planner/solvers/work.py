@@ -20,7 +20,7 @@ from planner.dynamics import CompiledDynamics
 from planner.model.capabilities import capabilities_of
 from planner.model.space import space_of
 from planner.problem.constraints.clearance import pair_clearance_of
-from planner.problem.plan import Plan, Status
+from planner.problem.plan import Status
 from planner.problem.problem import Problem
 
 DEFAULT_WORK = 60.0
@@ -157,11 +157,6 @@ def budget_of(given: WorkBudget | float | None) -> WorkBudget | None:
         PlannerError: A negative number, or no number.
     """
     return given if given is None or isinstance(given, WorkBudget) else WorkBudget(number("budget", given, minimum=0.0))
-
-
-def iterations_of(plan: Plan) -> int:
-    """Iterations of a solve with all its starts."""
-    return sum(start.iterations for start in plan.starts) or plan.nit
 
 
 def work_of_stage(problem: Problem) -> float:

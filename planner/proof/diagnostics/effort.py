@@ -27,6 +27,7 @@ from planner.model.mechanism import Mechanism
 from planner.problem.bound_messages import control_at_bound, control_name, sentence_of, state_at_bound, state_outside
 from planner.problem.plan import Plan, Status
 from planner.problem.problem import Problem
+from planner.problem.rediscretize import rounded_duration
 from planner.proof.diagnostics.min_jerk import MinJerkMotion, machine_of, smooth_motion
 from planner.proof.diagnostics.suggested_fix import SuggestedFix, fix, no_fix
 from planner.proof.verdict import Proof
@@ -44,6 +45,15 @@ class _Need(NamedTuple):
     load: float  # over the available range; infeasible above 1
     what: str = "force"  # or "speed"
     values: Mapping[str, Any] = MappingProxyType({})  # of the finding
+
+
+def passing_duration(plan: Plan, problem: Problem, proof: Proof | None) -> list[SuggestedFix]:
+    """The duration that a relaxation found to pass (see planner.solvers.relaxation)."""
+    found = plan.options.get("relaxation", {})
+    if plan.status is not Status.INFEASIBLE or "duration" not in found:
+        return []
+    values = {"duration": Quantity(problem.duration, "s"), "factor": found["factor"]}
+    return [fix(problem, "duration", found["duration"], "infeasible", **values)]
 
 
 def more_time(plan: Plan, problem: Problem, proof: Proof | None) -> list[SuggestedFix]:
@@ -68,7 +78,7 @@ def more_time(plan: Plan, problem: Problem, proof: Proof | None) -> list[Suggest
         fits = _need(problem, machine, middle * duration).load <= USABLE_SHARE
         low, high = (low, middle) if fits else (middle, high)
     values = {**now.values, "duration": Quantity(duration, "s")}
-    return [fix(problem, "duration", _whole(problem, high), f"too_little_{now.what}", **values)]
+    return [fix(problem, "duration", rounded_duration(problem, high), f"too_little_{now.what}", **values)]
 
 
 def _short_of_force(plan: Plan, problem: Problem, proof: Proof | None) -> bool:
@@ -82,7 +92,7 @@ def _short_of_force(plan: Plan, problem: Problem, proof: Proof | None) -> bool:
 
 def longer(problem: Problem, tried: SuggestedFix) -> SuggestedFix:
     """A duration 1.5 times as long as one that was tried and too short."""
-    value = _whole(problem, LENGTHENING * tried.value / problem.duration)
+    value = rounded_duration(problem, LENGTHENING * tried.value / problem.duration)
     written = fix(problem, "duration", value, tried.code).written
     return replace(tried, value=value, written=written)
 
@@ -98,7 +108,7 @@ def _of_bounds(plan: Plan, problem: Problem, proof: Proof | None) -> list[Sugges
     at_bounds = (control_at_bound(problem, plan.xs, plan.us), state_at_bound(problem, plan.xs)) if misses else ()
     found = [one for one in (state_outside(problem, plan.xs, plan.t), *at_bounds) if one is not None]
     values = {"duration": Quantity(problem.duration, "s"), "bounds": ", and ".join(map(sentence_of, found))}
-    return [fix(problem, "duration", _whole(problem, LENGTHENING), "at_bounds", **values)] if found else []
+    return [fix(problem, "duration", rounded_duration(problem, LENGTHENING), "at_bounds", **values)] if found else []
 
 
 def _at_goal(problem: Problem, machine: Mechanism) -> _Need:
@@ -168,12 +178,3 @@ def _of_velocities(problem: Problem, machine: Mechanism, qd: np.ndarray) -> list
 def _unit(machine: Mechanism, a: int) -> str:
     joint = int(np.argmax(np.abs(machine.actuators.moment[a])))
     return "N m" if np.any(machine.S[joint, :3] != 0.0) else "N"
-
-
-def _whole(problem: Problem, times: float) -> float:
-    """A duration at least `times` as long: rounded up to tenths of a second where that adds little."""
-    dt, N = problem.dynamics.dt, int(np.ceil(problem.N * times - 1e-9))
-    tenth = round(0.1 / dt)
-    if tenth and abs(tenth * dt - 0.1) < 1e-12 and tenth <= 0.1 * N:
-        N = -(-N // tenth) * tenth
-    return float(f"{N * dt:.6g}")

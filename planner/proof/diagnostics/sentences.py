@@ -30,6 +30,8 @@ SENTENCES = {
     "needs {needed} of {limit}.",
     "speed_never_enough": "No duration lets the joints follow the path to the goal: even in {duration} the {joint} "
     "needs {needed} of {limit}.",
+    "infeasible": "in {duration} the motion is followed from the free one into limits {factor:.4g} times as wide, and "
+    "not further",
     "at_bounds": "in {duration} {bounds}",
     # Ranges
     "range_unknown": "the plan does not know that {joint} goes {excess} beyond {limit:.4g} at t = {time}",

@@ -1,0 +1,264 @@
+"""Relaxation: solve without limits first and then tighten them, where a direct solve ends without success.
+
+Bounds that act from the first iteration may trap a solve. The free problem is easy; its plan is followed into the
+limits by a continuation (solvers.continuation) in the logarithm of the factor by which they are wider
+(solvers.wider_limits).
+
+Where this branch ends above the factor 1, others begin at SWING_FACTOR from controls that swing between their bounds:
+with as many half periods as the slowest oscillation about the start has in the duration, with one less and with one
+more, of either sign. If all end, the motion is infeasible as far as found. Then the continuation goes on in longer
+durations, until the limits hold: that is the duration that passes.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field, replace
+from functools import partial
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from planner.base.errors import PlannerError
+from planner.problem.goals import missed_goal_message
+from planner.problem.plan import Plan, Status
+from planner.problem.problem import Problem
+from planner.problem.rediscretize import lengthened, rounded_duration
+from planner.problem.trajectory import Trajectory
+from planner.solvers.continuation import Continuation
+from planner.solvers.options import DEFAULT, SolverOptions
+from planner.solvers.warm_start import tracked_warm_start
+from planner.solvers.wider_limits import WiderLimits, at_limits, free_problem
+from planner.solvers.work import WorkBudget
+
+SWING_FACTOR = 2.0  # of the limits, at which branches with other numbers of swings begin
+SWING_ITERATIONS = 300  # limit of their first solves
+MAX_REPEATS = 2  # number of swings that lead to a branch that was followed, after which no others are tried
+SAME_COST = 1e-3  # relative difference of the costs below which two of them are the same branch, or its mirror image
+LENGTHENING = 1.1  # ratio of successive durations
+MAX_DURATIONS = 8  # number of them: up to 2.1 times
+_UNSUCCESSFUL = (Status.MAX_ITERATIONS, Status.NO_DESCENT, Status.OUTSIDE_LIMITS)
+
+# One solve from states (N+1, nx) or None, penalties or None, and controls (N, nu), with an iteration limit.
+SolveOne = Callable[..., Plan]
+
+
+class RelaxationStep(NamedTuple):
+    """One solve of a relaxation."""
+
+    number: int  # Counted from 0
+    stage: str  # "direct", "free", "limits", "swing" or "duration"
+    factor: float  # By which the limits are wider; inf without limits
+    duration: float  # s
+    cost: float
+    iterations: int
+    status: Status
+    meets_goal: bool  # Whether it meets the goal, so that the next solve starts from it
+
+    def __str__(self) -> str:
+        row = (
+            f"{self.number:5d}  {self.stage:8s}  {self.factor:7.4g}  {self.duration:11.5g}  {self.cost:15.8g}  "
+            f"{self.iterations:10d}  {self.status.name}{'' if self.meets_goal else ', not kept'}"
+        )
+        return row if self.number else f"{self.header()}\n{row}"
+
+    @staticmethod
+    def header() -> str:
+        """The heading of the table of str(); part of the first row."""
+        return f"{'relax':>5}  stage     {'limits':>7}  {'duration, s':>11}  {'cost':>15}  {'iterations':>10}  status"
+
+
+def is_trapped(problem: Problem, plan: Plan, options: SolverOptions) -> bool:
+    """Whether a direct solve ended without success at its limits, and a relaxation may help.
+
+    Not where an iteration limit below the default cut it: who asks for little work gets little.
+    """
+    if not options.homotopy or options.max_iterations < DEFAULT.max_iterations or problem.periodic is not None:
+        return False
+    failed = plan.status in _UNSUCCESSFUL or bool(plan.missed_goals)
+    return failed and at_limits(problem, plan)
+
+
+def relax(
+    problem: Problem,
+    direct: Plan,
+    solve_one: SolveOne,
+    options: SolverOptions,
+    callback: Callable[[Any], object] | None,
+    budget: WorkBudget | None = None,
+) -> tuple[Plan, dict[str, Any]]:
+    """The plan of a relaxation, else the direct one; and a record of its solves for its options.
+
+    Args:
+        problem: With limits.
+        direct: Its plan by a direct solve, without success.
+        solve_one: One solve of (problem, options, states, penalties, controls, iteration limit, callback).
+        options: Of the solves.
+        callback: Called with each RelaxationStep; it may raise StopIteration.
+        budget: That the solves after the direct one are charged to, and that ends them.
+
+    Returns:
+        The direct plan has the status INFEASIBLE where the free problem is solved, and this one is not; and the one of
+        the budget where that ended the search.
+    """
+    work = _Relaxation(problem, solve_one, options, callback, budget)
+    try:
+        plan = work.run(direct)
+    except _OutOfWorkError as end:
+        plan = replace(direct, status=end.status)
+    except (KeyboardInterrupt, StopIteration):
+        plan = replace(direct, status=Status.INTERRUPTED)
+    return plan, work.record()
+
+
+class _OutOfWorkError(Exception):
+    """The budget of a relaxation is used up."""
+
+    def __init__(self, status: Status) -> None:
+        self.status = status
+
+
+@dataclass
+class _Relaxation:
+    problem: Problem
+    solve_one: SolveOne
+    options: SolverOptions
+    callback: Callable[[Any], object] | None
+    budget: WorkBudget | None
+    steps: list[RelaxationStep] = field(default_factory=list)
+    passing: dict[str, float] = field(default_factory=dict)  # the factor and the duration that pass
+
+    def run(self, direct: Plan) -> Plan:
+        problem, limit = self.problem, self.options.max_iterations
+        self._report("direct", 1.0, direct, False)
+        free = self._solve(free_problem(problem), None, limit)
+        self._report("free", math.inf, free, _meets_goals(free))
+        if not _meets_goals(free):
+            return direct
+        family = WiderLimits.around(problem, free)
+        lowest: tuple[float, Plan] | None = None
+        for s, plan in self._branches(family, free):
+            s, plan = self._continuation("limits", family).run(s, plan)
+            if s == 0.0:
+                return replace(plan, starts=direct.starts)
+            if lowest is None or s < lowest[0]:
+                lowest = s, plan
+        if lowest is None or _meets_goals(direct):
+            return direct  # slow, but not infeasible
+        self.passing["factor"] = math.exp(lowest[0])
+        duration = self._passing_duration(*lowest)
+        if duration is not None:
+            self.passing["duration"] = duration
+        return replace(direct, status=Status.INFEASIBLE)
+
+    def _branches(self, family: WiderLimits, free: Plan) -> Iterator[tuple[float, Plan]]:
+        """The free plan, then those of other numbers of swings that meet the goal in wider limits, and their s."""
+        yield max(math.log(max(family.factor, 1.0)), Continuation.min_step), free
+        factor = min(SWING_FACTOR, max(family.factor, 1.0))
+        wider, seen, again = family.at(factor), list[float](), 0
+        for us in _swings(self.problem):
+            plan = self.solve_one(wider, self.options, None, None, us, self._allowed(wider, SWING_ITERATIONS), None)
+            same = any(math.isclose(plan.cost, cost, rel_tol=SAME_COST) for cost in seen)
+            kept, again = _meets_goals(plan) and not same, again + same
+            seen.append(plan.cost)
+            if self._report("swing", factor, plan, kept):
+                yield max(math.log(factor), Continuation.min_step), plan
+            if again == MAX_REPEATS:
+                return
+
+    def _passing_duration(self, s: float, plan: Plan) -> float | None:
+        """The first of longer durations in which the limits hold, followed from a plan with limits wider by exp(s)."""
+        for k in range(1, MAX_DURATIONS + 1):
+            try:
+                longer = lengthened(self.problem, LENGTHENING**k)
+            except PlannerError:  # parts that cannot have another duration
+                return None
+            direct = self._solve(longer, None, SWING_ITERATIONS)
+            if self._report("duration", 1.0, direct, direct.converged and _meets_goals(direct)):
+                return rounded_duration(longer, 1.0)
+            family = WiderLimits(longer, 1.0, None, None)
+            wider = self._solve(family.at(math.exp(s)), plan.motion.stretched(longer.duration), SWING_ITERATIONS)
+            if self._report("duration", math.exp(s), wider, _meets_goals(wider)):
+                s, plan = self._continuation("duration", family).run(s, wider)
+            if s == 0.0:
+                return rounded_duration(longer, 1.0)
+        return None
+
+    def _continuation(self, stage: str, family: WiderLimits) -> Continuation:
+        def report(s: float, plan: Plan, kept: bool) -> None:
+            self._report(stage, math.exp(s), plan, kept)
+
+        return Continuation(
+            lambda s: family.at(math.exp(s)), self._solve, _meets_goals, report,
+            max_iterations=self.options.max_iterations,
+        )  # fmt: skip
+
+    def _solve(self, problem: Problem, motion: Trajectory | None, max_iterations: int) -> Plan:
+        solve, max_iterations = partial(self.solve_one, problem, self.options), self._allowed(problem, max_iterations)
+        if motion is None:
+            return solve(None, None, problem.first_guess, max_iterations, None)
+        us, states, penalties = tracked_warm_start(problem, motion, self.options.max_warm_start_cost_ratio)
+        us = us if problem.bounds is None else problem.bounds.clip(slice(None), us, None)
+        return solve(states, penalties, us, max_iterations, None)
+
+    def _allowed(self, problem: Problem, iterations: int) -> int:
+        return iterations if self.budget is None else self.budget.iterations(problem, iterations)
+
+    def _report(self, stage: str, factor: float, plan: Plan, kept: bool) -> bool:
+        duration = float(plan.t[-1])
+        step = RelaxationStep(len(self.steps), stage, factor, duration, plan.cost, plan.nit, plan.status, kept)
+        self.steps.append(step)
+        if plan.status is Status.INTERRUPTED:
+            raise KeyboardInterrupt
+        if self.budget is not None and stage != "direct":
+            self.budget.charge(self.problem, plan.nit)
+            if self.budget.exhausted and not (kept and factor == 1.0):
+                raise _OutOfWorkError(self.budget.end)
+        if self.callback is not None:
+            self.callback(step)
+        return kept
+
+    def record(self) -> dict[str, Any]:
+        """The solves, and the factor of the limits and the duration at which they pass; infinity is None."""
+        factors = [step.factor if math.isfinite(step.factor) else None for step in self.steps]
+        rows = [
+            [step.stage, factor, *step[3:6], step.status.name, step.meets_goal]
+            for step, factor in zip(self.steps, factors, strict=True)
+        ]
+        return {"steps": rows, **self.passing}
+
+
+def _meets_goals(plan: Plan) -> bool:
+    """Whether a plan, converged or not, meets its goals within its limits."""
+    if plan.problem is None or not np.isfinite(plan.xs).all() or plan.status is Status.OUTSIDE_LIMITS:
+        return False
+    return not missed_goal_message(plan.problem, *plan.judged_motion)
+
+
+def _swings(problem: Problem) -> list[np.ndarray]:
+    """Controls (N, nu) that swing between their bounds, with half cycles of the slowest oscillation about the start."""
+    if problem.bounds is None:
+        return []
+    start = np.stack([problem.x0, problem.x0])
+    A = problem.dynamics.linearize(start, problem.first_guess[:1])[0][0]
+    halves = np.abs(np.angle(np.linalg.eigvals(A))) * problem.N / np.pi  # half cycles within the duration
+    halves = halves[halves > 0.5]
+    if not len(halves):
+        return []
+    middle, size = _middle_and_size(problem)
+    share = (np.arange(problem.N)[:, None] + 0.5) / problem.N
+    n = int(halves.min())  # a larger swing takes longer than the small one of the linearization
+    return [
+        middle + sign * size * np.sin(np.pi * count * share)
+        for count in (n, n - 1, n + 1) if count > 0 for sign in (1.0, -1.0)
+    ]  # fmt: skip
+
+
+def _middle_and_size(problem: Problem) -> tuple[np.ndarray, np.ndarray]:
+    """Middle and half width (N, nu) of the bounds of the controls; the first guess and 0 where one is infinite."""
+    assert problem.bounds is not None
+    lower, upper = problem.bounds.lower, problem.bounds.upper
+    with np.errstate(invalid="ignore"):
+        both, middle, half = np.isfinite(upper - lower), 0.5 * (lower + upper), 0.5 * (upper - lower)
+    return np.where(both, middle, problem.first_guess), np.where(both, half, 0.0)

@@ -1,0 +1,196 @@
+"""Limits that trap a solve are widened and tightened again; else a duration in which they hold is named."""
+
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+import pytest
+import swings
+
+import planner
+from planner import Limits, PlannerError, Problem, RigidBodyDynamics, SolverOptions, Status, TrackingCost
+from planner.proof.diagnostics import suggested_fixes
+from planner.solvers import slq
+from planner.solvers.continuation import Continuation
+from planner.solvers.relaxation import RelaxationStep, relax
+from planner.solvers.wider_limits import WiderLimits, at_limits, free_problem
+
+DT = 0.05
+DIRECT = SolverOptions(homotopy=False)
+
+
+def swing_up(duration, torque=None, **more):
+    """A pendulum of 1 kg and 1 m from hanging to upright; 9.81 N m would lift it at once."""
+    machine, N = swings.mechanism(), round(duration / DT)
+    dynamics = RigidBodyDynamics(machine, DT, "rk4")
+    weights = {"final_position": 1e4, "final_velocity": 1e3, "effort": 1.0}
+    cost = TrackingCost.joints(machine, [np.pi, 0.0], N, dt=DT, **weights)
+    limits = Limits(control=torque, **more) if torque or more else None
+    return Problem(dynamics, cost, x0=[0.0, 0.0], twin=planner.Twin.of(machine), limits=limits)
+
+
+def relaxation_of(problem, direct=None):
+    """The plan and the record of a relaxation, whatever the direct solve leads to; by default one that was cut."""
+    options = DIRECT.for_problem(problem)
+    direct = planner.solve(problem, DIRECT, max_iterations=2) if direct is None else direct
+    return relax(problem, direct, slq._solve_from_guess, options, None)
+
+
+@pytest.fixture(scope="module")
+def weak():
+    return planner.solve(swing_up(2.0, 5.0))
+
+
+def test_a_solve_that_meets_its_goal_stays_as_it_is_bit_for_bit():
+    problem = swing_up(4.0, 3.0)
+    plan, direct = planner.solve(problem), planner.solve(problem, DIRECT)
+    assert plan.success
+    assert "relaxation" not in plan.options
+    assert np.array_equal(plan.us, direct.us)
+    assert np.array_equal(plan.K, direct.K)
+
+
+@pytest.mark.parametrize("more", [{}, {"position": {"pivot": (-1.5, 3.3)}}])
+def test_a_relaxation_ends_at_a_plan_within_the_limits(more):
+    problem = swing_up(4.0, 3.0, **more)
+    plan, record = relaxation_of(problem)
+    assert plan.status is Status.CONVERGED
+    assert plan.problem is problem
+    assert not plan.missed_goals
+    assert np.abs(plan.us).max() <= 3.0
+    if more:
+        assert problem.ranges.violation(plan.xs).max() <= problem.limits.tolerance
+    stages = [step[0] for step in record["steps"]]
+    assert stages[:3] == ["direct", "free", "limits"]
+    assert record["steps"][-1][1] == 1.0
+    # The direct solve of this problem ends at 14.77 without a range; another branch may cost less.
+    assert plan.cost < 1.1 * planner.solve(problem, DIRECT).cost
+
+
+def test_a_relaxation_is_the_same_bit_for_bit_each_time():
+    first, second = (relaxation_of(swing_up(4.0, 3.0)) for _ in range(2))
+    assert np.array_equal(first[0].us, second[0].us)
+    assert first[1] == second[1]
+
+
+def test_too_short_a_duration_says_which_one_passes(weak):
+    found = weak.options["relaxation"]
+    assert weak.status is Status.INFEASIBLE
+    assert not weak.converged
+    assert 1.0 < found["factor"] < 2.0
+    assert f"it passes in {found['duration']:g} s" in weak.message
+    assert planner.solve(swing_up(found["duration"], 5.0)).success
+    fix = suggested_fixes(weak)[0]
+    assert (fix.key, fix.value, fix.code) == ("duration", found["duration"], "infeasible")
+
+
+def test_the_factor_that_was_reached_passes_too(weak):
+    assert planner.solve(swing_up(2.0, 5.0 * weak.options["relaxation"]["factor"] * 1.01)).success
+
+
+def test_the_plan_of_the_direct_solve_is_kept_where_none_is_found(weak):
+    direct = planner.solve(swing_up(2.0, 5.0), DIRECT)
+    assert direct.status is Status.CONVERGED
+    assert np.array_equal(weak.us, direct.us)
+    assert weak.nit == direct.nit
+    assert weak.total_iterations > 50
+
+
+def test_a_stored_plan_has_the_relaxation(weak, tmp_path):
+    stored = planner.load_plan(weak.save(tmp_path / "plan.npz"), problem=weak.problem)
+    assert stored.options["relaxation"] == weak.options["relaxation"]
+    assert stored.message == weak.message
+
+
+def test_nothing_is_relaxed_where_little_work_was_asked_for_or_no_limit_acts(weak):
+    assert "relaxation" not in planner.solve(swing_up(2.0, 5.0), max_iterations=100).options
+    assert "relaxation" not in planner.solve(swing_up(2.0, 5.0), warm_start=weak).options
+    soft = swing_up(2.0, 5.0)
+    soft = replace(soft, cost=replace_final(soft.cost, 1e-3), limits=Limits(control=500.0))
+    plan = planner.solve(soft)
+    assert plan.missed_goals
+    assert "relaxation" not in plan.options
+
+
+def replace_final(cost, share):
+    """A cost with a share of its final weights, with which a plan misses its goal."""
+    Q = cost.Q.copy()
+    Q[-1] *= share
+    return TrackingCost(Q, cost.R, cost.x_ref)
+
+
+def test_each_solve_is_reported_and_may_be_the_last():
+    lines = []
+
+    def callback(line):
+        lines.append(line)
+        if isinstance(line, RelaxationStep) and line.stage == "limits":
+            raise StopIteration
+
+    plan = planner.solve(swing_up(2.0, 5.0), callback=callback)
+    assert plan.status is Status.INTERRUPTED
+    steps = [line for line in lines if isinstance(line, RelaxationStep)]
+    assert [step.stage for step in steps] == ["direct", "free", "limits"]
+    assert str(steps[0]).splitlines()[0] == RelaxationStep.header()
+    assert [len(str(step).splitlines()) for step in steps] == [2, 1, 1]
+
+
+def test_homotopy_is_true_or_false():
+    with pytest.raises(PlannerError, match="homotopy is 1, expected True or False"):
+        SolverOptions(homotopy=1)
+
+
+def test_limits_widen_until_the_free_plan_is_within():
+    problem = swing_up(2.0, 5.0, position={"pivot": (-0.5, 3.5)})
+    free = planner.solve(free_problem(problem))
+    family = WiderLimits.around(problem, free)
+    assert family.at(1.0) is problem
+    admits = family.at(family.factor)
+    assert np.all(np.abs(free.us) <= admits.bounds.upper * (1.0 + 1e-12))
+    assert admits.ranges.violation(free.xs).max() <= 1e-12
+    assert family.at(2.0).bounds.upper[0, 0] == 10.0
+    # -0.5 to 3.5 rad about 1.5: twice as wide is -2.5 to 5.5, as deviations from the goal at pi
+    assert family.at(2.0).ranges.lower[1, 0] == pytest.approx(-2.5 - np.pi)
+    assert at_limits(problem, planner.solve(problem, DIRECT))
+    assert free_problem(problem).bounds is free_problem(problem).ranges is None
+
+
+def test_a_bound_without_an_opposite_one_has_room_for_the_free_plan():
+    problem = swing_up(2.0, (-2.0, np.inf))
+    free = planner.solve(free_problem(problem))
+    assert free.us.min() < -2.0
+    family = WiderLimits.around(problem, free)
+    assert family.at(family.factor).bounds.lower[0, 0] == pytest.approx(free.us.min())
+    assert np.isinf(family.at(family.factor).bounds.upper).all()
+
+
+def test_exact_goals_stay_exact_in_a_free_problem():
+    problem = swing_up(2.0, 5.0, final="exact", position={"pivot": (-1.0, 4.0)})
+    plan = planner.solve(free_problem(problem))
+    assert np.abs(plan.xs[-1] - [np.pi, 0.0]).max() <= problem.limits.tolerance
+
+
+def test_a_continuation_steps_back_where_a_plan_falls_off_and_ends_at_the_problem():
+    """By the plans of wider torques: a plan from further away than 0.3 of the logarithm is said to be lost."""
+    problem = swing_up(4.0, 3.0)
+    start = planner.solve(swing_up(4.0, 3.0 * np.e))
+    seen = []
+
+    def solve(asked, motion, limit):
+        return planner.solve(asked, DIRECT, warm_start=motion)
+
+    def reaches(plan):
+        s = np.log(plan.problem.bounds.upper[0, 0] / 3.0)
+        last = min((s for s, kept in seen if kept), default=1.0)
+        return last - s < 0.3
+
+    def report(s, plan, kept):
+        seen.append((s, kept))
+
+    s, plan = Continuation(
+        lambda s: swing_up(4.0, 3.0 * np.exp(s)) if s else problem, solve, reaches, report
+    ).run(1.0, start)  # fmt: skip
+    assert s == 0.0
+    assert plan.success
+    assert not seen[0][1]
+    assert all(a > b for (a, kept), (b, _) in pairwise(seen) if kept)
