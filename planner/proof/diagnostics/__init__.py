@@ -22,7 +22,7 @@ from planner.proof.verdict import Proof
 __all__ = ["SuggestedFix", "longer", "standing_goal", "suggested_fixes"]
 
 _CAUSES = (
-    passing_duration, standing_goal, first_guess, no_actuator, avoid_contact, more_time, penalize_velocity,
+    standing_goal, first_guess, no_actuator, avoid_contact, more_time, passing_duration, penalize_velocity,
     within_limits, without_ignored, more_iterations, shorter_stage, calmer_gains, wider_margin, larger_weights,
     other_guesses, falling, not_a_minimum,
 )  # fmt: skip

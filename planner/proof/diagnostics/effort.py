@@ -103,7 +103,9 @@ def _missed(proof: Proof | None) -> bool:
 
 
 def _of_bounds(plan: Plan, problem: Problem, proof: Proof | None) -> list[SuggestedFix]:
-    """1.5 times the duration, for a plan with controls or states often at their bounds, or that left a range."""
+    """The duration that passes if known, else 1.5 times it, for a plan often at its bounds, or that left a range."""
+    if passing := passing_duration(plan, problem, proof):
+        return passing
     misses = not plan.converged or _missed(proof)  # else full use of ranges is fine
     at_bounds = (control_at_bound(problem, plan.xs, plan.us), state_at_bound(problem, plan.xs)) if misses else ()
     found = [one for one in (state_outside(problem, plan.xs, plan.t), *at_bounds) if one is not None]

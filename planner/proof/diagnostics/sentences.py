@@ -55,6 +55,8 @@ SENTENCES = {
     "not_a_minimum": "The solve ended, but one more step is expected to take {left:.3g} % off the cost: go on from "
     "this plan by solve(problem, warm_start=plan), or ask `planner prove --feasible`, for which it need not be a "
     "minimum.",
+    "saddle": "The solve ended where the gradient vanishes, and in one direction the cost still falls, by a curvature "
+    "of {curvature:.3g}: ask `planner prove --feasible`, for which the plan need not be a minimum.",
     "unknown": f"For {{failed}} {_NO_KEY}; docs/questions.md has what others met.",
     # The stage
     "first_order": "with {integrator} plan and MuJoCo differ by {share} what passes, an error of first order",

@@ -81,10 +81,12 @@ def iterations_needed(lines: list[Iteration], cost: float) -> int | None:
 
 def not_a_minimum(plan: Plan, problem: Problem, proof: Proof | None) -> list[SuggestedFix]:
     """For a solve that ended though its cost may still fall: how to continue it, or to skip the optimality check."""
-    left = [] if proof is None else [one for one in proof.optimality.failures if one.name == "decrease_left"]
-    if not left:
-        return []
-    return [no_fix("optimal", "not_a_minimum", left=left[0].value)]
+    failures = {} if proof is None else {one.name: one.value for one in proof.optimality.failures}
+    if "decrease_left" in failures:
+        return [no_fix("optimal", "not_a_minimum", left=failures["decrease_left"])]
+    if "negative_curvature" in failures:
+        return [no_fix("optimal", "saddle", curvature=failures["negative_curvature"])]
+    return []
 
 
 def nothing_known(plan: Plan, problem: Problem, proof: Proof | None) -> SuggestedFix:
