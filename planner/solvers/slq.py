@@ -93,9 +93,9 @@ def solve(
             is its cost in MuJoCo. Non-finite values rank last.
         executor: Any concurrent.futures.Executor for the starts; by default threads. The plan is the same to the last
             bit.
-        budget: Work that the solve may take, or a WorkBudget (see solvers.work): counted, about a unit a second, so that
-            the plan is the same on any computer. Of several starts each gets an equal share. A solve that it cuts ends
-            with WORK_LIMIT, one that its deadline cuts with TIME_LIMIT. None (default) for no limit.
+        budget: Work that the solve may take, or a WorkBudget (see solvers.work): counted, about a unit a second, so
+            that the plan is the same on any computer. Of several starts each gets an equal share. A solve that it cuts
+            ends with WORK_LIMIT, one that its deadline cuts with TIME_LIMIT. None (default) for no limit.
         update: "feedback" (default) or "open-loop" (the paper's Eq. 36).
         line_search: "armijo" (default), "exact", "wolfe" or "goldstein".
         hessian: "gauss-newton" (default, the paper's) or "exact", with the second derivatives of the dynamics (DDP).
