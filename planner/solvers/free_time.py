@@ -230,7 +230,8 @@ class _DurationSearch:
         wanted = with_objective(plan.problem, self.weights | {"effort": self.rest.get("effort", 0.0)})
         told = options | {"tried": [[line.duration, line.cost, line.violation] for line in self.tried]}
         plan = replace(as_user_plan(wanted, plan), options=plan.options | told)
-        return replace(plan, status=self.budget.end) if self.is_cut and plan.converged else plan
+        budget = self.budget if self.is_cut and plan.converged else None
+        return plan if budget is None else replace(plan, status=budget.end)
 
 
 def _outside(problem: Problem, plan: Plan) -> float:
