@@ -128,7 +128,7 @@ def _numbers(rows: list[list[str]], header: list[str], columns: list[int], what:
                 table[i, j] = math.nan
             if not abs(table[i, j]) <= LARGEST:
                 raise FileError(
-                    f"{what} has something else in row {i + 1} of {header[column][:40]} than a number of at most "
+                    f"{what} has something else in row {i + 1} of {header[column][:40]}, expected a number of at most "
                     f"{LARGEST:g}."
                 )
     return table
