@@ -47,6 +47,7 @@ from planner.proof.repair import Repaired, Step, Tools, repair
 from planner.proof.repair.clearance import ClearanceRefinement
 from planner.proof.repair.fixes import FixTrial
 from planner.proof.repair.refinement import Refined, Refinement
+from planner.proof.repair.saddle import SaddleStep
 from planner.solvers.work import DEFAULT_WORK, WorkBudget
 from planner.sweeps.executors import executor_of
 
@@ -160,6 +161,8 @@ def _show_step(console: Console, step: Step) -> None:
         console.write_result(f"refinements: {len(step.path) - 1}; {step.reason}")
     elif isinstance(step, ClearanceRefinement):
         console.write_result("\n".join(f"planned again: {note}" for note in step.notes))
+    elif isinstance(step, SaddleStep):
+        console.write_result(str(step))
     elif isinstance(step, FixTrial) and step.outcome == "begins":
         console.write_progress(f"the plan does not pass; trying {step.fix}")
     else:

@@ -254,12 +254,16 @@ class _ReducedHessian:
 
         The mean, since a slope that is left lowers it one way; differences of gradients may be rounding alone.
         """
+        _, costs = self.along(w, curvature)
+        means = 0.5 * (costs[1::2] + costs[2::2])
+        return bool(np.nanmin(means) < costs[0] - 1e-9 * self.size**2)
+
+    def along(self, w: np.ndarray, curvature: float) -> tuple[np.ndarray, np.ndarray]:
+        """Controls (K, N, nu) and costs (K,) of the plan and of motions both ways along w (N, nu), ever longer."""
         lengths = [self.size * min(np.sqrt(2.0 * fall / -curvature), 1.0) for fall in FALLS]
         ways = [sign * length * w for length in lengths for sign in (1.0, -1.0)]
         xs, us = self._moved(np.stack([0.0 * w, *ways]))
-        costs = np.array([self._cost(*one) for one in zip(xs, us, strict=True)])
-        means = 0.5 * (costs[1::2] + costs[2::2])
-        return bool(np.nanmin(means) < costs[0] - 1e-9 * self.size**2)
+        return us, np.array([self._cost(*one) for one in zip(xs, us, strict=True)])
 
     def _cost(self, xs: np.ndarray, us: np.ndarray) -> float:
         if not np.isfinite(xs).all():
@@ -268,6 +272,19 @@ class _ReducedHessian:
         if self.plan.bound_penalties is not None and constraints is not None:
             cost += constraints.value(self.plan.bound_penalties, xs, us)
         return cost
+
+
+def cheaper_along_lowest_curvature(plan: Plan, problem: Problem, sweep: lq.Sweep) -> np.ndarray | None:
+    """Controls (N, nu) of the cheapest motion along the lowest negative curvature; None if none is cheaper."""
+    A, B = problem.dynamics.linearize(plan.xs, plan.us)
+    hessian = _ReducedHessian(plan, problem, sweep, A, B, max(abs(plan.cost), float(np.finfo(float).tiny)))
+    lowest, w = hessian.lowest()
+    if not lowest < -CURVATURE_BOUND:
+        return None
+    us, costs = hessian.along(w, lowest)
+    best = int(np.nanargmin(costs))
+    us = us if problem.bounds is None else problem.bounds.clip(slice(None), us, None)
+    return us[best] if best > 0 else None
 
 
 def curvature_unknown(measured: Any) -> bool:

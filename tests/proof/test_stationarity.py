@@ -1,6 +1,7 @@
 """A vanishing gradient is no minimum by itself: own derivatives, curvature, contacts that nothing touches."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -12,6 +13,8 @@ import planner
 from planner import FunctionDynamics, Problem, TrackingCost
 from planner.dynamics.quasi_static import quasi_static_controls
 from planner.proof.consistency import optimality, recomputed
+from planner.proof.repair.saddle import leave_saddles
+from planner.solvers.work import WorkBudget
 
 
 def optimality_of(plan):
@@ -94,6 +97,20 @@ def test_curvature_is_checked_for_any_dynamics():
     away = planner.solve(replace(double_well(), us=np.full((30, 1), 0.5)))
     assert away.cost < plan.cost
     assert optimality_of(away)["negative_curvature"].passed
+
+
+def test_a_saddle_is_left_along_its_lowest_curvature():
+    """The repair solves again from beside it, until the proof finds no negative curvature."""
+
+    def prove(plan):
+        section = optimality(plan, plan.problem, recomputed(plan, plan.problem, plan.xs, plan.us))
+        return SimpleNamespace(sections={"optimality": section}, verdict="PASS" if section.passed else "FAIL")
+
+    plan, budget, steps = planner.solve(double_well()), WorkBudget(), []
+    better, proof = leave_saddles(plan, prove(plan), budget, prove, 1000, steps.append)
+    assert proof.verdict == "PASS"
+    assert better.cost < plan.cost == steps[0].cost
+    assert leave_saddles(better, proof, budget, prove, 1000, steps.append) == (better, proof)
 
 
 def test_a_jacobian_that_is_not_that_of_the_dynamics_is_named():

@@ -1,9 +1,10 @@
 """repair(): try to make a plan pass, in this order, until it passes or the work budget is exhausted.
 
     1. finer steps         RK4 in place of Euler, half the stage: refinement.py
-    2. suggested fixes     of how the motion is computed; the first that passes is applied. Then those that change the
+    2. saddles             a stationary point that is no minimum is left along its lowest curvature: saddle.py
+    3. suggested fixes     of how the motion is computed; the first that passes is applied. Then those that change the
                            motion itself, which are only reported: fixes.py
-    3. clearance           larger where shapes collide in MuJoCo, smaller where only their fits do: clearance.py
+    4. clearance           larger where shapes collide in MuJoCo, smaller where only their fits do: clearance.py
 
 All solves and proofs share one budget of work (solvers.work), so that the result is the same on a machine of any speed
 and load.
@@ -22,11 +23,12 @@ from planner.proof.diagnostics.suggested_fix import of_file
 from planner.proof.repair.clearance import ClearanceRefinement, refine_clearance
 from planner.proof.repair.fixes import FixTrial, FixTrials, Solve
 from planner.proof.repair.refinement import Refined, Refinement, refine
+from planner.proof.repair.saddle import SaddleStep, leave_saddles
 from planner.proof.verdict import Proof
 from planner.solvers.work import DEFAULT_WORK, WorkBudget
 
-Step = Refinement | Refined | FixTrial | ClearanceRefinement
-"""What is reported of a repair: each refinement and their end, each trial of a fix, the changes of clearance."""
+Step = Refinement | Refined | SaddleStep | FixTrial | ClearanceRefinement
+"""What is reported of a repair: each refinement and their end, saddles, each trial of a fix, changes of clearance."""
 
 
 class Repaired(NamedTuple):
@@ -86,6 +88,13 @@ def repair(
             plan, proof, path = done.plan, done.proof, done.path
             tools.report(done)
             tools.store(plan, "refined", path)
+    if proof is not None and not proof.passed:
+        better, judged = leave_saddles(
+            plan, proof, work.part("saddles"), tools.prove, tools.max_iterations, tools.report, **tools.options
+        )  # fmt: skip
+        if better is not plan:
+            plan, proof, path = better, judged, ()
+            tools.store(plan, "repaired", path)
     found = suggested_fixes(plan, proof)
     if resumed or (proof is not None and proof.passed):
         return Repaired(plan, proof, path, found)

@@ -1,0 +1,56 @@
+"""Leave a saddle: solve again from beside a stationary point that is no minimum, along its lowest curvature.
+
+SLQ's model of the cost has no negative curvature (Gauss-Newton), so a solve may end where the gradient is small and the
+cost still falls to both sides (N&W 3.4). The proof finds that direction; from the cheapest motion along it the solve
+goes on.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any, NamedTuple
+
+from planner.problem.plan import Plan
+from planner.proof.consistency import recomputed
+from planner.proof.stationarity import cheaper_along_lowest_curvature
+from planner.proof.verdict import Proof
+from planner.solvers.slq import solve
+from planner.solvers.work import WorkBudget
+
+MAX_SADDLES = 6  # times: a swing-up has a few, one after another
+
+
+class SaddleStep(NamedTuple):
+    """A plan that was solved from beside a saddle, and its proof."""
+
+    plan: Plan
+    proof: Proof
+    cost: float  # of the saddle
+
+    def __str__(self) -> str:
+        return f"solved again from beside a saddle: cost {self.cost:.6g} -> {self.plan.cost:.6g}, {self.proof.verdict}"
+
+
+def leave_saddles(
+    plan: Plan, proof: Proof, budget: WorkBudget, prove: Callable[[Plan], Proof], max_iterations: int,
+    report: Callable[[SaddleStep], object], **options: Any,
+) -> tuple[Plan, Proof]:  # fmt: skip
+    """The last cheaper plan and its proof, of a plan that fails by negative curvature alone; else those given."""
+    for _ in range(MAX_SADDLES):
+        failures = [one.name for one in proof.sections["optimality"].failures]
+        problem = plan.problem
+        if problem is None or failures != ["negative_curvature"] or budget.exhausted:
+            break
+        sweep = recomputed(plan, problem, plan.xs, plan.us).sweep
+        us = None if sweep is None else cheaper_along_lowest_curvature(plan, problem, sweep)
+        if us is None:
+            break
+        better = solve(replace(problem, us=us), max_iterations=max_iterations, budget=budget, **options)
+        if not (better.converged and better.cost < plan.cost):
+            break
+        budget.charge_proof(problem)
+        step = SaddleStep(better, prove(better), plan.cost)
+        report(step)
+        plan, proof = step.plan, step.proof
+    return plan, proof
