@@ -44,7 +44,7 @@ def write_proof(
     """Write proof.json, also for a plan that was not replayed.
 
     `digest` is that of the plan's file, `fixes` say what to write so that it passes, and `path` lists the refinements
-    of the plan. `budget` says where the work went.
+    of the plan. A `budget` that ended the run says where its work went.
     """
     failed = {"verdict": "FAIL", "mode": None, "reason": f"The plan was not replayed. {plan.message}"}
     content = (failed if proof is None else proof.to_dict()) | {"plan_digest": digest}
@@ -52,7 +52,7 @@ def write_proof(
         content["cures"] = [one.to_dict() for one in fixes]
     if path:
         content["refinement"] = [refinement_row(line) for line in path]
-    if budget is not None:
+    if budget is not None and budget.exhausted:  # else the file is that of `planner prove`
         content["budget"] = budget.to_dict()
     write_json(folder / "proof.json", content)
 
