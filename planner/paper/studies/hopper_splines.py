@@ -126,7 +126,8 @@ def _page(results: dict[str, Any]) -> list[str]:
     ]  # fmt: skip
     return [
         "## The hopper by B-splines (section 2.4)", "",
-        "The paper's problem (semi-implicit Euler, N = 50, q_fin = 1000), u(t) a quintic B-spline, from zero, by BFGS.", "",
+        "The paper's problem (semi-implicit Euler, N = 50, q_fin = 1000), u(t) a quintic B-spline, from zero,",
+        "by BFGS.", "",
         "![cost by iteration, error of the gradient](hopper_splines.png)", "",
         "With the exact gradient of the discretized J (Eq. 16-19 times the basis functions):", "",
         *table({
