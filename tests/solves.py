@@ -81,9 +81,9 @@ HOPPERS = {
     "default": {},
     "short": {"height": 7.5, "horizon": 40, "smoothing": 0.2},
     "semi-implicit": {"height": 5.0, "integrator": "semi-implicit-euler", "horizon": 100},
-    "paper 1": {**PAPER, "height": 1.0},
-    "paper 10": {**PAPER, "height": 10.0},
-    "paper 50": {**PAPER, "height": 50.0},
+    "paper 1": {**PAPER, "integrator": "euler", "height": 1.0},
+    "paper 10": {**PAPER, "integrator": "euler", "height": 10.0},
+    "paper 50": {**PAPER, "integrator": "euler", "height": 50.0},
 }
 hoppers = pytest.mark.parametrize("name", HOPPERS)
 

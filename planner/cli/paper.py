@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 import os
 import signal
-import time
 import tomllib
 from collections.abc import Iterator
 from concurrent.futures import Executor
@@ -18,7 +17,7 @@ from planner.base.environment import processors
 from planner.base.errors import PlannerError
 from planner.base.files import json_text, read_text, staged_folder
 from planner.cli.console import Console
-from planner.paper.studies.page import STUDIES, Finished, chosen, complete, page, run_studies, table_rows
+from planner.paper.studies.page import STUDIES, Finished, Store, chosen, complete, page, run_studies, table_rows
 from planner.paper.studies.proof_table import proofs, proofs_markdown
 from planner.sweeps.executors import executor_of
 
@@ -34,16 +33,17 @@ def paper(arguments: argparse.Namespace, console: Console) -> int:
             return _proofs(Path(arguments.out or "renders/paper"), console)
         if arguments.studies:
             few = executor_of(arguments.workers, arguments.scheduler)
-            return _some(arguments.studies, Path(arguments.out or "renders/paper"), few, console)
+            return _some(arguments.studies, Path(arguments.out or "renders/paper"), few, console, arguments.full)
         workers = arguments.workers
         if workers is None and arguments.scheduler is None and processors() > 1:
             workers = processors()
-        return _all(*_places(arguments.out), executor_of(workers, arguments.scheduler), console)
+        places = _places(arguments.out, arguments.full)
+        return _all(*places, executor_of(workers, arguments.scheduler), console, arguments.full)
 
 
-def _places(out: str | None) -> tuple[Path, Path]:
-    """Folders of the page and of its pictures and numbers."""
-    if out is None and _in_checkout():
+def _places(out: str | None, full: bool) -> tuple[Path, Path]:
+    """Folders of the page and of its pictures and numbers; the documents have the full ones."""
+    if out is None and full and _in_checkout():
         return Path("docs"), Path("renders", "gallery", "paper")
     return Path(out or "paper"), Path(out or "paper")
 
@@ -59,22 +59,25 @@ def _in_checkout() -> bool:
     return isinstance(project, dict) and project.get("name") == "slq-planner"
 
 
-def _all(at: Path, pictures: Path, executor: AbstractContextManager[Executor | None], console: Console) -> int:
-    """The whole page."""
+def _all(
+    at: Path, pictures: Path, executor: AbstractContextManager[Executor | None], console: Console, full: bool
+) -> int:
+    """The whole page. If it is stopped, the next one goes on after the studies that were finished."""
+    store = Store(pictures / ".unfinished", full)
     files = [name for study in STUDIES for name in (f"{study.name}.json", *study.pictures)]
     stale = [f"{study.name}.md" for study in STUDIES]  # of single studies, which the page replaces
     with staged_folder(pictures, [*files, *stale, NUMBERS]) as shown, staged_folder(at, [PAGE]) as text:
-        began = time.perf_counter()
         with executor as pool:
-            done = run_studies(STUDIES, shown, console.write_progress, pool)
+            done = run_studies(STUDIES, shown, console.write_progress, pool, full=full, store=store)
         rows = table_rows(done)
         way = "" if at == pictures else f"{Path(os.path.relpath(pictures, at)).as_posix()}/"
-        (text / PAGE).write_text(page(done, rows, way, time.perf_counter() - began), encoding="utf-8")
+        (text / PAGE).write_text(page(done, rows, way, full), encoding="utf-8")
         for one in done:
             _write_results(one, shown)
         studies = {one.study.name: {"seconds": one.seconds, "problem": one.problem} for one in done}
         summary = {"rows": [row._asdict() for row in rows], "studies": studies}
         (shown / NUMBERS).write_text(json_text(summary), encoding="utf-8")
+    store.drop()
     code = 0 if complete(done, rows) else 1
     console.table(("where", "the paper says", "we get"), [row[:3] for row in rows])
     console.write_result(f"{at / PAGE}: {len(rows)} rows; {pictures}: {', '.join([*files, NUMBERS])}")
@@ -83,14 +86,14 @@ def _all(at: Path, pictures: Path, executor: AbstractContextManager[Executor | N
 
 
 def _some(
-    names: list[str], folder: Path, executor: AbstractContextManager[Executor | None], console: Console
+    names: list[str], folder: Path, executor: AbstractContextManager[Executor | None], console: Console, full: bool
 ) -> int:  # fmt: skip
     """Some studies, each with a page of its own."""
     studies = chosen(names)
     files = [name for study in studies for name in (f"{study.name}.md", f"{study.name}.json", *study.pictures)]
     with staged_folder(folder, files) as staged:
         with executor as pool:
-            done = run_studies(studies, staged, console.write_progress, pool)
+            done = run_studies(studies, staged, console.write_progress, pool, full=full)
         for one in done:
             _write_results(one, staged)
             if one.results is None:

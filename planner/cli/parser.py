@@ -222,7 +222,8 @@ def _paper(parser: argparse.ArgumentParser) -> None:
         {"studies": {"metavar": "STUDY", "nargs": "*",
                      "help": f"Studies to compute, each on a page of its own: {names}. Default: all."},
          "--proofs": boolean_flag("Write the table of proofs of all machines instead."),
-         "--out": value_flag("DIR", "Folder of the results. Default: paper, in a checkout docs and "
+         "--full": boolean_flag("Compute the numbers of the documents, with more random starts and arms."),
+         "--out": value_flag("DIR", "Folder of the results. Default: paper, with --full in a checkout docs and "
                                     "renders/gallery/paper; for single studies and for --proofs renders/paper.")},
         WORKERS, COMMON,
     )  # fmt: skip

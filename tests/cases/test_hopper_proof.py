@@ -95,13 +95,13 @@ def test_default_contact_softness_fails(plan):
 
 
 @pytest.mark.parametrize("final_weight", [100.0, 1e4])  # the paper leaves q_fin open
-def test_the_papers_own_plan_fails(final_weight):
-    problem = planner.cases.hopper(height=20.0, **{**PAPER, "final_weight": final_weight})
+def test_the_papers_own_plan_by_explicit_euler_fails(final_weight):
+    problem = planner.cases.hopper(height=20.0, **{**PAPER, "integrator": "euler", "final_weight": final_weight})
     plan = planner.solve(problem, update="open-loop")
     assert plan.success
     assert abs(plan.xs[-1, 0] - 20.0) < 0.5  # on paper it arrives
     proof = fails(plan)
-    assert 6.5 < figures(proof)["final_height"] < 9.5  # the study: 7 to 9 in, depending on q_fin
+    assert 6.5 < figures(proof)["final_height"] < 9.5  # explicit Euler adds energy at every step: less than half
 
 
 @pytest.mark.parametrize(

@@ -1,6 +1,6 @@
 """The hopper by B-splines and BFGS (section 2.4), which the paper could not make converge.
 
-The problem is the paper's discretized one (explicit Euler, N = 50; see cases.hopper.PAPER). Once with the exact
+The problem is the paper's discretized one (semi-implicit Euler, N = 50; see cases.hopper.PAPER). Once with the exact
 gradient of that very sum by the discrete costate (Eq. 16-19), once as in sections 2.2 and 2.3: J integrated
 adaptively and its gradient by Eq. 7. Both from controls of zero; SLQ beside them.
 """
@@ -126,7 +126,8 @@ def _page(results: dict[str, Any]) -> list[str]:
     ]  # fmt: skip
     return [
         "## The hopper by B-splines (section 2.4)", "",
-        "The paper's problem (explicit Euler, N = 50, q_fin = 1000), u(t) a quintic B-spline, from zero, by BFGS.", "",
+        "The paper's problem (semi-implicit Euler, N = 50, q_fin = 1000), u(t) a quintic B-spline, from zero,",
+        "by BFGS.", "",
         "![cost by iteration, error of the gradient](hopper_splines.png)", "",
         "With the exact gradient of the discretized J (Eq. 16-19 times the basis functions):", "",
         *table({

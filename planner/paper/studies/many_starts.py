@@ -15,7 +15,6 @@ eigenvalues (Sylvester's law of inertia), so that of the whole Hessian (N nu, N 
 
 from __future__ import annotations
 
-import time
 from collections import Counter
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
@@ -38,22 +37,14 @@ TOLERANCE = 1e-6  # expected reduction of a solve, relative to J; three digits b
 LAST = 20  # last iterations of a failed solve, whose step lengths are reported
 
 
-def from_many(
-    problem: Problem, size: float, starts: int, update: str, search: str, seconds: float = np.inf
-) -> dict[str, Any]:
-    """Solve from random controls of an RMS, each for so long at most, and record how each solve ends."""
+def from_many(problem: Problem, size: float, starts: int, update: str, search: str) -> dict[str, Any]:
+    """Solve from random controls of an RMS, and record how each solve ends."""
 
     def run(number: int) -> Plan:
-        end = time.monotonic() + seconds
-
-        def heed(_: Any) -> None:
-            if time.monotonic() > end:
-                raise StopIteration
-
         us = size * smooth(np.random.default_rng([0, number]), problem.first_guess.shape)
         return solve(
             replace(problem, us=us), update=update, line_search=search, max_iterations=LIMIT,
-            expected_reduction_tolerance=TOLERANCE, actual_reduction_tolerance=0.0, callback=heed,
+            expected_reduction_tolerance=TOLERANCE, actual_reduction_tolerance=0.0,
         )  # fmt: skip
 
     pool = ThreadPoolExecutor(processors())

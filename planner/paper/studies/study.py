@@ -38,12 +38,13 @@ class Study:
 
     name: str  # in the command and in file names
     title: str  # one line about it
-    run: Callable[..., dict[str, Any]]  # computes the results, as JSON values
+    run: Callable[..., dict[str, Any]]  # computes the results, as JSON values, in a short time
     lines: Callable[[dict[str, Any]], list[str]]  # of a page of Markdown, from the results
     rows: Callable[[dict[str, Any]], list[Row]]  # of the table, from the results
     pictures: Mapping[str, Callable[[dict[str, Any], Path], None]] = field(default_factory=dict)
     """For each file name a function that draws it, given the results and a path."""
     seconds: float = 10.0  # rough duration; the longest studies start first
+    full: Callable[[], dict[str, Any]] | None = None  # computes those of the documents, where they take longer
 
     def page(self, results: dict[str, Any]) -> str:
         """The page of Markdown."""

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -34,7 +35,9 @@ from planner.solvers.slq import solve
 from planner.view.plots.style import RED, SOFT, dress, grid_of, save
 
 RANDOM = 300  # LQ problems
-STARTS = 200  # per case with the feedback update and Armijo's rule, the issue's number
+UPDATES = ("open-loop", "feedback")  # that of Eq. 43, and ours
+STARTS = 200  # per case with the feedback update and Armijo's rule, for the documents
+SHORT = 3  # starts otherwise
 
 
 @dataclass(frozen=True)
@@ -46,38 +49,37 @@ class Family:
     few: int  # starts of the paper's own update, Eq. 43, and of the other line searches
     along: Callable[[], Problem] | None = None  # the problem along whose solve Eq. 42 is computed; by default build
     most: int = STARTS  # with the feedback update and Armijo's rule, where they take long
-    wolfe: tuple[int, float] | None = None  # starts by Wolfe's rule and s for each, where `few` would take an hour
+    rules: tuple[str, ...] = LINE_SEARCHES  # of the line search
 
 
 # Arms at 50 stages a second, where 200 solves take a minute. 1 N m is a tenth of what holds the arm out horizontally;
 # with 3 most starts whirl through several turns, and end far from everything. 10 in/s moves the piston by inches.
-# The human step is its swing: accelerations of the pelvis of the size of their tolerance.
+# The human step is its swing: accelerations of the pelvis of the size of their tolerance. Wolfe's rule is not compiled
+# for arms, where an iteration takes 0.1 s.
+ON_ARMS = tuple(rule for rule in LINE_SEARCHES if rule != "wolfe")
 FAMILIES: dict[str, Family] = {
     "hopper": Family(lambda: cases.build("hopper", height=20.0, **PAPER), 10.0, STARTS),
-    "two-link": Family(lambda: cases.two_link(horizon=100), 1.0, 20, cases.two_link, wolfe=(2, 30.0)),
-    "acrobot": Family(lambda: cases.acrobot(horizon=150), 1.0, 10, cases.acrobot, most=50, wolfe=(2, 30.0)),
+    "two-link": Family(lambda: cases.two_link(horizon=100), 1.0, 10, cases.two_link, rules=ON_ARMS),
+    "acrobot": Family(lambda: cases.acrobot(horizon=150), 1.0, 5, cases.acrobot, most=50, rules=ON_ARMS),
     "human-step": Family(lambda: cases.human_step("swing", cost="study"), 5.0, 10, most=50),
 }
 
 
 def theorem_results(
-    families: Mapping[str, Family] = FAMILIES, starts: int = STARTS, problems: int = RANDOM
+    families: Mapping[str, Family] = FAMILIES, starts: int = SHORT, problems: int = RANDOM
 ) -> dict[str, Any]:
     """Both theorems in numbers: at most `starts` of each family, `problems` random LQ problems."""
     found = []
     for name, family in families.items():
         problem = family.build()
-        runs = {}
-        for update in ("feedback", "open-loop"):
-            for search in LINE_SEARCHES:
+        runs = []
+        for update in UPDATES:
+            for search in family.rules:
                 many = family.most if (update, search) == ("feedback", "armijo") else family.few
-                count, seconds = (family.wolfe or (many, np.inf)) if search == "wolfe" else (many, np.inf)
-                runs[update, search] = from_many(problem, family.size, min(count, starts), update, search, seconds)
+                runs.append(from_many(problem, family.size, min(many, starts), update, search))
         found.append({
             "case": name, "N": problem.N, "size": family.size,
-            "along": _along(family.along() if family.along else problem),
-            "feedback": runs["feedback", "armijo"], "open-loop": runs["open-loop", "armijo"],
-            "searches": [run for (_, search), run in runs.items() if search != "armijo"],
+            "along": _along(family.along() if family.along else problem), "runs": runs,
         })  # fmt: skip
     return {"random": random_identity(problems), "problems": problems, "starts": starts, "cases": found}
 
@@ -136,8 +138,8 @@ def _few(values: list[int]) -> str:
     return f"{min(values)} / {np.median(values):.0f} / {max(values)}" if values else "none"
 
 
-def _minima(entry: dict[str, Any], most: int = 4) -> str:
-    """The most frequent local minima."""
+def _minima(entry: dict[str, Any], most: int = 2) -> str:
+    """The number of local minima, and the most frequent of them."""
     often = sorted(entry["minima"], key=lambda one: -one["count"])[:most]
     listed = ", ".join(f"{one['cost']:.4g} ({one['count']:.0f})" for one in often)
     return f"{len(entry['minima'])}: {listed}" if often else "none"
@@ -147,31 +149,22 @@ def _share(entry: dict[str, Any]) -> str:
     return f"{entry['converged']} of {entry['starts']}"
 
 
-def _iterations(entry: dict[str, Any]) -> str:
-    return f" in {_few(entry['iterations'])} iterations" if entry["iterations"] else ""
+def _run_of(case: dict[str, Any], update: str, search: str = "armijo") -> dict[str, Any]:
+    return next(run for run in case["runs"] if (run["update"], run["search"]) == (update, search))
 
 
-def _others(case: dict[str, Any], update: str) -> str:
-    """How many converged with each of the other line searches."""
-    runs = [run for run in case["searches"] if run["update"] == update]
-    return ", ".join(f"{run['search']} {_share(run)}" for run in runs)
-
-
-def _no_minima(results: dict[str, Any]) -> str:
-    """Ends that are no local minima, and how many ends were asked."""
-    ends, none = 0, []
-    for case in results["cases"]:
-        for run in (case["feedback"], case["open-loop"], *case["searches"]):
-            ends += run["converged"]
-            none += [f"{case['case']} {cost:.4g}" for cost in run["no_minima"]]
-    listed = f", at J: {', '.join(none[:12])}{' ...' if len(none) > 12 else ''}" if none else ""
-    return f"{len(none)} of {ends} converged ends are no local minima{listed}"
+def _counted(case: dict[str, Any], update: str) -> str:
+    """Starts and ends of an update by all line searches, as numbers that anyone can count."""
+    runs = [run for run in case["runs"] if run["update"] == update]
+    starts, converged = (sum(run[key] for run in runs) for key in ("starts", "converged"))
+    minima = converged - sum(len(run["no_minima"]) for run in runs)
+    return f"{case['case']}: {starts} starts by {len(runs)} rules, {converged} converged, {minima} local minima"
 
 
 def _steps(results: dict[str, Any], update: str) -> str:
-    """Median of the last steps of the starts that failed, of every case."""
-    steps = {case["case"]: case[update]["failed_step"] for case in results["cases"]}
-    return "; ".join(f"{case} {'none failed' if step is None else f'{step:.2g}'}" for case, step in steps.items())
+    """Median of the last steps of the starts that failed by Armijo's rule, of every case where some did."""
+    steps = {case["case"]: _run_of(case, update)["failed_step"] for case in results["cases"]}
+    return ", ".join(f"{case} {step:.2g}" for case, step in steps.items() if step is not None) or "none failed"
 
 
 def _page(results: dict[str, Any]) -> list[str]:
@@ -181,46 +174,33 @@ def _page(results: dict[str, Any]) -> list[str]:
         name, found = f"{case['case']}, N = ", case["along"]
         lowered = f"{found['falls']} of {found['steps']}"
         along.append({"where": f"{name}{found['N']}, every iterate", "lowered": lowered, **found})
-        for entry in (case["feedback"], case["open-loop"], *case["searches"]):
-            ended = ", ".join(f"{count} {name}" for name, count in sorted(entry["statuses"].items()))
+        for run in case["runs"]:
             many.append({
-                "case": f"{case['case']}, N = {case['N']}", "size": case["size"], "share": _share(entry),
-                "ended": ended, "few": _few(entry["iterations"]), "listed": _minima(entry),
-                "none": len(entry["no_minima"]), **entry,
+                "case": f"{case['case']}, N = {case['N']}", "size": case["size"],
+                "few": _few(run["iterations"]), "listed": _minima(run), "none": len(run["no_minima"]), **run,
             })  # fmt: skip
     return [
         "# Theorems 1 and 2 in numbers (section 3.4)", "",
         "![Eq. 42 along solves; iterations and final costs from random starts](theorems.png)", "",
-        "## Theorem 1: Eq. 42 as an identity", "",
-        "Three numbers must be one: grad J . dU (Eq. 39), minus the sum of squares on the right of Eq. 42, and the",
-        "slope that the Riccati sweep returns. Largest relative difference to the sum of squares, and the slope",
-        "nearest to zero, which must be negative. At iterates, what remains near the end of a solve is rounding of a",
-        "gradient that is nearly zero:", "",
+        "Theorem 1. Three numbers must be one: grad J . dU (Eq. 39), minus the sum of squares on the right of Eq. 42,",
+        "and the slope that the Riccati sweep returns. Largest relative difference to the sum of squares:", "",
         *table({
             "where": "{where}", "LQ problems": "{iterates}", "grad J . dU": "{gradient_error:.1e}",
             "the sweep's slope": "{sweep_error:.1e}", "slope nearest to zero": "{largest_slope:.1e}",
             "steps that lowered J": "{lowered}",
         }, along), "",
-        "## Theorem 2: convergence from random starts", "",
-        f"Smooth random controls (six cosines, seeds from 0 on) of a given RMS; at most {LIMIT} iterations for every",
-        f"update and line search. A solve has converged when the LQ model promises less than {TOLERANCE:g} of J.",
-        "An end counts as a local minimum where Newton's method, started there, comes to a stationary point of the",
-        f"same cost (to {100.0 * SAME_COST_TOLERANCE:g} %) at which the exact Hessian of J over all controls, with",
-        "second derivatives of the dynamics, has no negative eigenvalue; costs that differ by less are one minimum.",
-        f"{_no_minima(results)}.", "",
+        f"Theorem 2. Smooth random controls (six cosines, seeds from 0 on) of a given RMS; at most {LIMIT} iterations;",
+        f"converged: the LQ model promises less than {TOLERANCE:g} of J. A local minimum: Newton's method, started at",
+        f"the end, comes to a stationary point of the same cost (to {100.0 * SAME_COST_TOLERANCE:g} %) at which the",
+        "exact Hessian of J over all controls has no negative eigenvalue. Costs that differ by less are one minimum.",
+        "Open-loop is Eq. 43. All other starts reached the limit while J still fell, by short steps: the median of",
+        f"their last {LAST} by Armijo's rule, where 1 is the LQ problem's own, is {_steps(results, 'open-loop')} "
+        f"(open-loop) and {_steps(results, 'feedback')} (feedback).", "",
         *table({
-            "case": "{case}", "update": "{update}", "line search": "{search}", "RMS": "{size:g}",
-            "converged": "{share}", "ended": "{ended}", "iterations: least / median / most": "{few}",
-            "local minima: cost (starts)": "{listed}", "no minima": "{none}", "s": "{seconds:.1f}",
-        }, many), "",
-        "Open-loop is Eq. 43 as printed. MAX_ITERATIONS is slow convergence, not divergence: every step lowers the",
-        "cost, but the LQ problem leaves out the curvature of the dynamics, and where that is large (a final state far",
-        "from the goal, arms that whirl) it promises too much and only short steps are taken. INTERRUPTED is Wolfe's",
-        "rule on the arms, which takes 0.1 s an iteration here (it is not compiled): 2 starts of 30 s each. Median of",
-        f"the last {LAST} step lengths of the starts that failed by Armijo's rule, where 1 is the LQ problem's own, "
-        f"with the feedback update: {_steps(results, 'feedback')}; open-loop: {_steps(results, 'open-loop')}.",
-        "NOT_FINITE are starts whose first rollout leaves the range of numbers; Theorem 2 assumes it does not. The",
-        "theorem promises a local minimum and says nothing of which: the table shows how many there are.",
+            "case": "{case}", "update": "{update}", "line search": "{search}", "RMS": "{size:g}", "starts": "{starts}",
+            "converged": "{converged}", "no minima": "{none}", "iterations: least / median / most": "{few}",
+            "local minima: cost (starts)": "{listed}",
+        }, many),
     ]  # fmt: skip
 
 
@@ -229,28 +209,20 @@ def _rows(results: dict[str, Any]) -> list[Row]:
     worst = max([random["gradient_error"], *(case["along"]["gradient_error"] for case in cases_)])
     falls = sum(case["along"]["falls"] for case in cases_), sum(case["along"]["steps"] for case in cases_)
     iterates_ = sum(case["along"]["iterates"] for case in cases_)
-
-    def ended(update: str) -> str:
-        return "; ".join(f"{case['case']} {_share(case[update])}{_iterations(case[update])}" for case in cases_)
-
     return [
         Row("3.4, Theorem 1, Eq. 42", "The direction descends: grad J . dU = -(sum of squares) < 0",
             f"relative difference at most {worst:.1e} on {results['problems']} random LQ problems and at all "
             f"{iterates_} iterates of {len(cases_)} solves; {falls[0]} of {falls[1]} steps lowered J",
             "it does not differ"),
-        Row("3.4, Theorem 2, Eq. 43", "From an arbitrary start U + alpha dU converges to a local minimum",
-            f"converged within {LIMIT} iterations by Armijo's rule (least / median / most): {ended('open-loop')}; "
-            + "; ".join(f"{case['case']}: {_others(case, 'open-loop')}" for case in cases_),
-            "the theorem has no limit of iterations. Every step descends. On the arms only short steps do, since the "
-            f"rollout has no feedback (median {_steps(results, 'open-loop')}), and many starts need more iterations"),
-        Row("3.4, Theorem 2", "The same, with any of the usual line searches",
-            f"with the feedback update, within the same limit, by Armijo's rule: {ended('feedback')}; "
-            + "; ".join(f"{case['case']}: {_others(case, 'feedback')}" for case in cases_) + ". Local minima: "
-            + "; ".join(f"{case['case']} {_minima(case['feedback'], 2)}" for case in cases_)
-            + f". {_no_minima(results)}",
-            "the other starts were still descending, by short steps, at the limit: median "
-            f"{_steps(results, 'feedback')}. "
-            "Which local minimum is reached depends on the start; the theorem does not say which"),
+        Row("3.4, Theorem 2, Eq. 43",
+            "From an arbitrary start U + alpha dU converges to a local minimum, by any of the usual line searches",
+            f"within {LIMIT} iterations: " + "; ".join(_counted(case, "open-loop") for case in cases_),
+            "the theorem has no limit of iterations; the other starts were still descending. On the arms only short "
+            f"steps lower J, since the rollout has no feedback (median {_steps(results, 'open-loop')})"),
+        Row("3.4, Theorem 2", "The same with a feedback update: not in the paper",
+            "; ".join(_counted(case, "feedback") for case in cases_) + ". Different local minima by Armijo's rule: "
+            + "; ".join(f"{case['case']} {_minima(_run_of(case, 'feedback'))}" for case in cases_),
+            "which local minimum is reached depends on the start; the theorem does not say which"),
     ]  # fmt: skip
 
 
@@ -261,7 +233,7 @@ def _draw(results: dict[str, Any], path: Path) -> None:
     for column, case in enumerate(results["cases"]):
         top, middle, bottom = grid[:, column]
         first = column == 0
-        along, entry = case["along"], case["feedback"]
+        along, entry = case["along"], _run_of(case, "feedback")
         dress(top, f"{case['case']}: Eq. 42 along a solve", "relative difference" if first else "", "iteration")
         top.semilogy(np.maximum(along["errors"], 1e-17), ".", color="#0b5aa6", ms=4)
         top.set_ylim(1e-17, 1.0)  # from rounding to nothing in common
@@ -283,7 +255,8 @@ def _draw(results: dict[str, Any], path: Path) -> None:
 
 
 STUDY = Study("theorems", "Theorems 1 and 2 in numbers",
-              theorem_results, _page, _rows, {"theorems.png": _draw}, seconds=400)  # fmt: skip
+              theorem_results, _page, _rows, {"theorems.png": _draw}, seconds=60,
+              full=partial(theorem_results, starts=STARTS))  # fmt: skip
 
 
 class RecordedSweep(NamedTuple):
@@ -313,7 +286,7 @@ class _RecordingDynamics:
 
     def search(self, w: Any, memory: Any, rule: int, feedback: bool, cost: float, slope: float) -> tuple[float, float]:
         """Line search from w.xs, w.us; see CompiledDynamics.search."""
-        if np.isfinite(cost):  # which is not so where the first guess is rolled out
+        if slope < 0.0:  # which is not so where the first guess or an extrapolation is rolled out
             K = w.K[:, :, w.first : w.first + w.ndx].copy()
             self.sweeps.append(RecordedSweep(w.xs.copy(), w.us.copy(), w.gradient.copy(), K, w.k.copy(), slope, 0.0))
         return self._dynamics.search(w, memory, rule, feedback, cost, slope)

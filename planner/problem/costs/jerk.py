@@ -1,13 +1,15 @@
 """Jerk cost: squared differences of the joints' accelerations between stages.
 
-    J = weight/2 sum dt |r_n|^2,     r_n = (a_n - a_{n-1}) / dt,     a_n = qdd(x_n, u_n)
+    J = weight/2 sum dt |r_n|^2,     r_n = (a_n - a_{n-1}) / dt,     a_n = (qd after stage n - qd_n) / dt
 
-A machine at rest at its start has a_{-1} = 0; one at rest at its goal adds a term with a_N = 0. If it moves at the
-start or the end, that first or last term is omitted.
+a_n is the mean acceleration of a stage, which is that of its middle to second order in dt. A machine at rest at its
+start has a_{-1} = 0; one at rest at its goal adds a term with a_N = 0. These changes happen at the ends, half a stage
+from the middle: jerk is twice as large for half as long, so their terms count twice. If the machine moves at the start
+or the end, that first or last term is omitted.
 
 r_n depends on two stages, so SLQ solves the problem with the previous acceleration as an added state:
 
-    y_n = (x_n, a_{n-1}),     y_{n+1} = (f(x_n, u_n), qdd(x_n, u_n)).
+    y_n = (x_n, a_{n-1}),     y_{n+1} = (f(x_n, u_n), a_n).
 
 `with_acceleration` makes that problem. `JerkCost` is the same cost on the machine's own states, for the resulting plan.
 Its gradient is exact. A Quadratic cannot hold a Hessian that couples two stages; the problem's control weights R take
@@ -42,7 +44,7 @@ from planner.problem.problem import Problem
 
 
 class Accelerations:
-    """qdd(x, u) of a machine and its exact derivatives."""
+    """Mean accelerations of a machine's stages and their exact derivatives."""
 
     def __init__(self, dynamics: Any) -> None:
         if not isinstance(dynamics, RigidBodyDynamics):
@@ -50,20 +52,26 @@ class Accelerations:
                 f"the machine is {short_repr(dynamics)}, expected RigidBodyDynamics: jerk is that of joints."
             )
         self.dynamics, self.nv = dynamics, dynamics.mechanism.nv
-        # After one explicit Euler step of 1 s a velocity is v + qdd: its Jacobian less the identity is that of qdd.
-        self._euler = RigidBodyDynamics(dynamics.mechanism, 1.0, "euler", dynamics.prescribed)
+        self._velocities = slice(dynamics.mechanism.nq, dynamics.mechanism.nq + self.nv)
 
     def __call__(self, xs: np.ndarray, us: np.ndarray) -> np.ndarray:
         """(K, nv) at xs (K, nx) with us (K, nu)."""
-        return self.dynamics.rates(xs, us)[:, self.nv : 2 * self.nv]
+        return self.between(xs, self.dynamics.step(xs, us))
+
+    def between(self, xs: np.ndarray, ends: np.ndarray) -> np.ndarray:
+        """(K, nv) of stages from xs (K, nx) to ends (K, nx)."""
+        return (ends[:, self._velocities] - xs[:, self._velocities]) / self.dynamics.dt
 
     def derivatives(self, xs: np.ndarray, us: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Derivatives by a deviation of x (K, nv, ndx), and by u (K, nv, nu)."""
+        return self.of_jacobians(*self.dynamics.linearize(np.concatenate([xs, xs[:1]]), us))
+
+    def of_jacobians(self, A: np.ndarray, B: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """The same of stages with Jacobians A (K, ndx, ndx) and B (K, ndx, nu)."""
         rows = slice(self.nv, 2 * self.nv)
-        A, B = self._euler.linearize(np.concatenate([xs, xs[:1]]), us)
         by_x = A[:, rows].copy()
         by_x[:, :, rows] -= np.eye(self.nv)
-        return by_x, B[:, rows]
+        return by_x / self.dynamics.dt, B[:, rows] / self.dynamics.dt
 
 
 class JerkDynamics:
@@ -80,14 +88,16 @@ class JerkDynamics:
     def step(self, ys: np.ndarray, us: np.ndarray, dt: np.ndarray | None = None) -> np.ndarray:
         """The ends (K, nx) of K stages from ys (K, nx) with us (K, nu); see Dynamics.step."""
         xs = np.ascontiguousarray(ys[:, : self.own.nx])
-        return np.concatenate([self.own.step(xs, us, dt), self.accelerations(xs, us)], axis=1)
+        ends = self.own.step(xs, us, dt)
+        means = self.accelerations.between(xs, ends) if dt is None else self.accelerations(xs, us)
+        return np.concatenate([ends, means], axis=1)
 
     def linearize(self, ys: np.ndarray, us: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """A (N, ndx, ndx) and B (N, ndx, nu) along ys (N+1, nx), us (N, nu), exact."""
         xs, ndx = np.ascontiguousarray(ys[:, : self.own.nx]), self.own.ndx
         A, B = np.zeros((len(us), self.ndx, self.ndx)), np.zeros((len(us), self.ndx, self.nu))
         A[:, :ndx, :ndx], B[:, :ndx] = self.own.linearize(xs, us)
-        A[:, ndx:, :ndx], B[:, ndx:] = self.accelerations.derivatives(xs[: len(us)], us)
+        A[:, ndx:, :ndx], B[:, ndx:] = self.accelerations.of_jacobians(A[:, :ndx, :ndx], B[:, :ndx])
         return A, B
 
 
@@ -120,15 +130,15 @@ class JerkCost(Term):
         self.space, self.nu = dynamics.space, dynamics.nu
         self.nx, self.ndx = dynamics.nx, dynamics.ndx
         self.R = np.zeros((horizon, self.nu, self.nu)) if R is None else R
-        self.counts = np.ones(horizon + 1)  # (N+1,) factor of r_n, 0 or 1
-        self.counts[0], self.counts[-1] = from_rest, to_rest
+        self.counts = np.ones(horizon + 1)  # (N+1,) factor of r_n
+        self.counts[[0, -1]] *= np.sqrt(2.0) * np.array([from_rest, to_rest])
 
     def augmented(self, own: StateSpace, space: StateSpace) -> AugmentedStateJerkCost:
         """The same cost on states extended by the previous acceleration."""
         return AugmentedStateJerkCost(self, space)
 
     def jerks(self, xs: np.ndarray, us: np.ndarray) -> np.ndarray:
-        """(N+1, nv) r_n, rad/s^3 or m/s^3; zero for omitted terms."""
+        """(N+1, nv) r_n by the root of how often each counts, rad/s^3 or m/s^3."""
         a = self.accelerations(xs[: len(us)], us)
         still = np.zeros((1, a.shape[1]))
         return self.counts[:, None] * np.diff(np.concatenate([still, a, still]), axis=0) / self.dt
@@ -140,7 +150,7 @@ class JerkCost(Term):
     def quadratize(self, xs: np.ndarray, us: np.ndarray) -> Quadratic:
         """Exact gradients, with R in place of the Hessian."""
         N, ndx = len(us), self.ndx
-        slope = -self.weight * np.diff(self.jerks(xs, us), axis=0)  # of J with respect to a_n
+        slope = -self.weight * np.diff(self.counts[:, None] * self.jerks(xs, us), axis=0)  # of J with respect to a_n
         by_x, by_u = self.accelerations.derivatives(xs[:N], us)
         q = np.zeros((N + 1, ndx))
         q[:N] = np.einsum("nax,na->nx", by_x, slope)
@@ -156,7 +166,7 @@ class AugmentedStateJerkCost(Term):
         self.nx, self.ndx, self.nu = space.nx, space.ndx, cost.nu
 
     def _jerks(self, xs: np.ndarray, us: np.ndarray) -> np.ndarray:
-        """(N+1, nv) r_n, rad/s^3 or m/s^3; zero for omitted terms."""
+        """(N+1, nv) r_n by the root of how often each counts, rad/s^3 or m/s^3."""
         own = self.cost
         a = own.accelerations(np.ascontiguousarray(xs[: len(us), : own.nx]), us)
         a = np.concatenate([a, np.zeros((1, a.shape[1]))])
