@@ -53,7 +53,7 @@ gallery: setup ## make the committed pictures and videos again
 	done
 	@$(PYTHON) examples/montage.py $(GALLERY)
 	$(PYTHON) docs/figures/draw.py
-	$(PLANNER) paper
+	$(PLANNER) paper --full
 	$(PLANNER) paper --proofs --out renders/proofs
 
 clean: ## remove .venv and caches; results in renders/ stay
