@@ -63,7 +63,9 @@ WRONG = {
         ARM.mechanism, [True, False]
     ),
     "frame is ['hand'], expected one of: ": lambda: planner.dynamics.jacobian(ARM.mechanism, np.zeros(2), ["hand"]),
-    "the model is a NoneType, expected MJCF text or the path of a file.": lambda: planner.Mechanism.from_mjcf(None),
+    "the model is a NoneType, expected MJCF text, the path of a file, a mujoco.MjSpec": (
+        lambda: planner.Mechanism.from_mjcf(None)
+    ),
 }
 
 
