@@ -161,7 +161,7 @@ class _DurationSearch:
     ) -> None:  # fmt: skip
         self.problem, self.weights, self.callback = problem, weights, callback
         # The search itself finds the durations that are long enough, and starts each from a free plan.
-        self.options = options | {"options": with_overrides(options.get("options"), homotopy=False)}
+        self.options: dict[str, Any] = options | {"options": with_overrides(options.get("options"), homotopy=False)}
         rest = {name: weight for name, weight in weights.items() if name != "time"}
         self.rest, self.alone = rest or {"effort": 1.0}, not rest
         self.tried: list[DurationTrial] = []

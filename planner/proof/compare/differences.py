@@ -70,7 +70,7 @@ def _all(ours: Mechanism, theirs: Mechanism) -> Iterator[str]:
         "spring reference": (ours.ball_rest, theirs.ball_rest),
     }
     drags = [sorted((one.link, *one.screw, one.linear, one.quadratic) for one in m.drags) for m in (ours, theirs)]
-    if not _same(*map(np.array, drags)):
+    if not _same(np.array(drags[0]), np.array(drags[1])):
         yield "the drag of the fluid"
     if len(ours.tendons) != len(theirs.tendons):
         yield f"{len(theirs.tendons)} fixed tendons act, the plan has {len(ours.tendons)}"
