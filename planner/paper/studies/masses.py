@@ -194,8 +194,9 @@ def _conclusion(results: dict[str, Any]) -> str:
     without = sorted(set(KINDS) - set(kinds))
     lower = all(c["slq_starts"]["effort"] < c["last"] for c in results["candidates"])
     return (
-        f"Only arms with {', '.join(kinds)} have both numbers. No arm with {' or '.join(without)} has them, from a "
-        "quintic first guess. But two numbers do not determine an arm: several have both. And another smooth first "
+        f"Of the arms that are tried here, those with {', '.join(kinds)} have both numbers; none with "
+        f"{' or '.join(without)} has them, from a quintic first guess. With other lengths such arms have both too. "
+        "Two numbers do not determine an arm: several have both. And another smooth first "
         "guess can lead to another minimum of the same arm. So the 9.9 depends on the guess and the optimizer as "
         "much as on the arm." + (" Several starts of SLQ end lower on each." if lower else "")
     )
