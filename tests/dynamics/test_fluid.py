@@ -3,12 +3,11 @@
 import numpy as np
 import pytest
 from machines import MACHINE
+from twins import assert_kernels_are_their_twin
 
 import planner
 from planner.base.errors import ModelError
-from planner.dynamics import algorithms, product_of_exponentials
-from planner.model.mechanism import SCREW, Mechanism
-from planner.model.space import product
+from planner.model.mechanism import Mechanism
 from planner.proof.compare.rigid_parity import random_states
 
 WATER = MACHINE.replace("<option ", '<option density="1000" viscosity="2" ')
@@ -25,27 +24,7 @@ def test_parity_with_mujoco(option):
 
 
 def test_kernels_are_their_twin_and_their_derivatives_exact():
-    """Derivatives by an imaginary step in the readable twin, exact to rounding: sums of some hundred terms."""
-    m = Mechanism.from_mjcf(WATER)
-    rng = np.random.default_rng(0)
-    xs, qdd = random_states(m, rng, 4), rng.normal(size=(4, m.nv))
-    q, qd = xs[:, : m.nq], xs[:, m.nq : m.nq + m.nv]
-    tau, derivatives = algorithms.rnea(m, q, qd, qdd), algorithms.rnea_derivatives(m, q, qd, qdd)
-    np.testing.assert_allclose(algorithms.forward_dynamics(m, q, qd, tau), qdd, rtol=1e-8, atol=1e-9)
-    for k in range(4):
-        scale = np.abs(tau[k]).max()
-        assert np.abs(product_of_exponentials.rnea(m, q[k], qd[k], qdd[k]) - tau[k]).max() < 1e-12 * scale
-        assert np.abs(product_of_exponentials.forward_dynamics(m, q[k], qd[k], tau[k]) - qdd[k]).max() < 1e-8
-        for j, e in enumerate(np.eye(m.nv)):
-            by_qd = product_of_exponentials.rnea(m, q[k], qd[k] + 1e-30j * e, qdd[k]).imag / 1e-30
-            assert np.abs(by_qd - derivatives.qd[k, :, j]).max() < 1e-12 * np.abs(derivatives.qd[k]).max()
-            moved = q[k].astype(complex)
-            for i in np.flatnonzero(m.kind == SCREW):
-                moved[m.q_address[i]] += 1e-30j * e[i]
-            for a, i in m.quaternions:
-                moved[a : a + 4] += 1e-30j * product(q[k, a : a + 4], np.array([0.0, *(0.5 * e[i : i + 3])]))
-            by_q = product_of_exponentials.rnea(m, moved, qd[k], qdd[k]).imag / 1e-30
-            assert np.abs(by_q - derivatives.q[k, :, j]).max() < 1e-12 * np.abs(derivatives.q[k]).max()
+    assert_kernels_are_their_twin(Mechanism.from_mjcf(WATER))
 
 
 def test_a_stage_in_water():
