@@ -76,8 +76,9 @@ class RigidBodyDynamics:
         self._code = TREE_INTEGRATORS.index(self.integrator)
         self.structured = self._code == SEMI_IMPLICIT_EULER and mechanism.na == 0
         self.has_slopes = False
-        used = ("tree search", "tree structured" if self.structured else "tree dense")
-        self.kernels = tuple(variant(name, self._model) for name in used)
+        self.dense_kernels = tuple(variant(name, self._model) for name in ("tree search", "tree dense"))
+        search, dense = self.dense_kernels
+        self.kernels = (search, variant("tree structured", self._model) if self.structured else dense)
         self.second_order_kernels = ("tree second order", "costates")
 
     def _make_tables(self) -> None:
@@ -167,16 +168,29 @@ class RigidBodyDynamics:
         """A (N, ndx, ndx) and B (N, ndx, nu) along xs (N+1, nx), us (N, nu), exact (Eq. 35)."""
         xs, us = self._checked(np.asarray(xs)[: len(us)], us)
         announce_named(variant("tree steps", self._model))
-        N, first, rows = len(us), padded(self.nu), self.mechanism.nv if self.structured else self.ndx
-        F, m, memory = np.empty((N, rows, first + padded(self.ndx))), self._model.table, self.memory(N)
+        N, m, memory = len(us), self._model.table, self.memory(len(us))
         tree_step.steps(m, memory.table, np.full(N, self.dt), xs, us, np.empty_like(xs), True, self._model.external)
         if self.structured:
-            transport = np.zeros((N, len(self.space.quaternions), 18))
+            F, transport = self._derivative_rows(N, self.mechanism.nv), np.zeros((N, len(self.space.quaternions), 18))
             tree_linearize.linearize_structured(m, memory.table, self.dt, xs, us, F, transport, self._model.external)
-            by_u, by_x = F[:, :, : self.nu], F[:, :, first : first + self.ndx]
+            by_u, by_x = self._blocks(F)
             return self._semi_implicit(by_x, transport), self._semi_implicit_inputs(by_u, transport)
-        tree_linearize.linearize_dense(m, memory.table, self.dt, xs, us, F, self._model.external)
-        return F[:, :, first : first + self.ndx].copy(), F[:, :, : self.nu].copy()
+        B, A = self.linearize_dense(xs, us, memory)
+        return A.copy(), B.copy()
+
+    def linearize_dense(self, xs: np.ndarray, us: np.ndarray, memory: TreeMemory) -> tuple[np.ndarray, np.ndarray]:
+        """B (N, ndx, nu) and A (N, ndx, ndx) along states and controls whose accelerations are in the memory."""
+        F = self._derivative_rows(len(us), self.ndx)
+        tree_linearize.linearize_dense(self._model.table, memory.table, self.dt, xs, us, F, self._model.external)
+        return self._blocks(F)
+
+    def _derivative_rows(self, N: int, rows: int) -> np.ndarray:
+        return np.empty((N, rows, padded(self.nu) + padded(self.ndx)))
+
+    def _blocks(self, F: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """The columns of u and of x."""
+        first = padded(self.nu)
+        return F[:, :, : self.nu], F[:, :, first : first + self.ndx]
 
     def second_order(self, xs: np.ndarray, us: np.ndarray, costates: np.ndarray) -> np.ndarray:
         """T (N, ndx+nu, ndx+nu) = sum_k costate_k d2 f_k / dz2 with z = (x, u), exact; see Dynamics.second_order.
@@ -217,9 +231,9 @@ class RigidBodyDynamics:
         rate = self.dt * by_u
         return np.concatenate([self.dt * (self._turns(transport)[1] @ rate), rate], axis=1)
 
-    def memory(self, N: int) -> TreeMemory:
-        """Scratch memory of a solve of N stages."""
-        return TreeMemory(self._model, self._code, N, substeps=self.substeps)
+    def memory(self, N: int, appended: int = 0) -> TreeMemory:
+        """Scratch memory of a solve of N stages, of states with `appended` components behind the machine's own."""
+        return TreeMemory(self._model, self._code, N, substeps=self.substeps, appended=appended)
 
     def second_order_memory(self) -> tree_second.SecondOrderMemory:
         """Scratch memory of second_order_nominal; PlannerError for features without second derivatives."""

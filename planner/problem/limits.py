@@ -340,7 +340,8 @@ class Limits:
             raise PlannerError("the cost has no goal of its own to be met exactly, expected a TrackingCost.")
         if isinstance(self.final, str):
             choice("the limits' final", self.final, (EXACT,))
-            at_end = np.flatnonzero(np.abs(Q[-1]).max(axis=0)).tolist()
+            own = ndx if mechanism is None else mechanism.space.ndx  # appended components are no goals
+            at_end = np.flatnonzero(np.abs(Q[-1]).max(axis=0)[:own]).tolist()
             if not at_end:
                 raise PlannerError("no final weight is above 0, expected one where the goal is to be met exactly.")
             return at_end

@@ -8,15 +8,18 @@ from scipy.linalg import block_diag
 from trees import CHAINS, driven, random_state
 
 import planner
-from planner import PlannerError, RigidBodyDynamics, cases
+from planner import Limits, PlannerError, RigidBodyDynamics, cases
 from planner.cases.problem_file import load
-from planner.costs import EnergyCost, JerkCost
-from planner.problem.costs.jerk import AugmentedStateJerkCost, JerkDynamics
+from planner.costs import EnergyCost, JerkCost, TrackingCost
+from planner.kernels.lq import line_search
+from planner.problem.costs.jerk import JerkDynamics
 from planner.problem.initial_guess import inverse_dynamics_controls, minimum_jerk
 from planner.problem.objective import EFFORT_SHARE, weights_of
-from planner.problem.objective_problem import base_problem, with_objective
+from planner.problem.objective_problem import base_problem, solver_problem, with_objective
+from planner.problem.problem import Problem
 from planner.proof.consistency import consistency, recomputed
 from planner.solvers import lq
+from planner.solvers.engine import CompiledEngine, NumpyEngine, acquire_engine
 
 SCALES = [np.pi / 2.0 / 2.0**order for order in range(3)]
 """Of the arm's way to upright in 2 s: rad, rad/s, rad/s^2."""
@@ -48,28 +51,28 @@ def test_jerk_gradients_are_differences_of_the_value(name, prescribe):
     xs, us = walk(dynamics, rng, 3)
     cost = JerkCost(dynamics, 3, 1e-3, to_rest=False)
     assert_gradients(cost, dynamics.space, xs, us)
-    lifted = JerkDynamics(dynamics)
-    ys = np.concatenate([xs, rng.normal(size=(4, dynamics.mechanism.nv))], axis=1)
-    assert_gradients(AugmentedStateJerkCost(cost, lifted.space), lifted.space, ys, us)
 
 
 def test_an_added_state_is_the_same_cost():
     """Along a rollout the state remembers what the other cost looks up."""
     dynamics, _, _, rng = driven(CHAINS["balls"], 5, 1)
     lifted, us = JerkDynamics(dynamics), rng.normal(size=(6, dynamics.nu))
-    ys = [np.concatenate([random_state(dynamics.space, rng, unnormalized=False), np.zeros(dynamics.mechanism.nv)])]
+    appended = np.zeros(2 * dynamics.mechanism.nv)
+    ys = [np.concatenate([random_state(dynamics.space, rng, unnormalized=False), appended])]
     for u in us:
         ys.append(lifted.step(ys[-1][None], u[None])[0])
     ys = np.array(ys)
     own = JerkCost(dynamics, 6, 0.5)
-    assert AugmentedStateJerkCost(own, lifted.space).value(ys, us) == pytest.approx(own.value(ys[:, : dynamics.nx], us))
+    e = lifted.space.difference(ys, ys[0])
+    value = 0.5 * np.einsum("ni,nij,nj->", e, own.weights(lifted.space), e)
+    assert value == pytest.approx(own.value(ys[:, : dynamics.nx], us))
 
 
 def test_added_state_jacobians():
     dynamics, _, _, rng = driven(CHAINS["body in space"], 6, 1)
     lifted, h = JerkDynamics(dynamics), 1e-6
     x, us = random_state(dynamics.space, rng, unnormalized=False), rng.normal(size=(1, dynamics.nu))
-    ys = np.concatenate([x, rng.normal(size=dynamics.mechanism.nv)])[None].repeat(2, axis=0)
+    ys = np.concatenate([x, rng.normal(size=2 * dynamics.mechanism.nv)])[None].repeat(2, axis=0)
     A, B = lifted.linearize(ys, us)
     space = lifted.space
     for i, d in enumerate(h * np.eye(lifted.ndx)):
@@ -78,6 +81,32 @@ def test_added_state_jacobians():
     for i, d in enumerate(h * np.eye(lifted.nu)):
         ends = [lifted.step(ys[:1], us + s * d) for s in (1.0, -1.0)]
         np.testing.assert_allclose(space.difference(*ends)[0] / (2 * h), B[0, :, i], rtol=1e-5, atol=1e-5)
+
+
+@pytest.mark.parametrize(("name", "integrator"), [
+    ("arm", "semi-implicit-euler"), ("balls", "semi-implicit-euler"), ("body in space", "rk4"), ("arm", "rosenbrock"),
+])  # fmt: skip
+def test_least_jerk_is_compiled_and_does_what_numpy_does(name, integrator):
+    dynamics, xs, us, _ = driven(CHAINS[name], 7, 9, integrator, prescribe=False)
+    cost = TrackingCost.joints(dynamics, xs[0], 8, effort=1e-2, velocity=0.1, final_position=1.0)
+    limits = Limits(control=2.0)
+    given = Problem(dynamics, cost, xs[1], us[:8], limits=limits)
+    problem = solver_problem(with_objective(given, {"effort": 1.0, "jerk": 1e-4}))
+    ours, twin = acquire_engine(problem), NumpyEngine(problem)
+    assert isinstance(ours, CompiledEngine)
+    first = [engine.start_from_controls(problem.x0, problem.first_guess) for engine in (ours, twin)]
+    assert first[0] == pytest.approx(first[1], rel=1e-10)
+    a, b = (
+        engine.iterate(True, line_search.ARMIJO, 0.0, True, J, 0.0, -1.0)
+        for engine, J in zip((ours, twin), first, strict=True)
+    )
+    assert (a.kind, a.step) == (b.kind, b.step)
+    assert a.cost == pytest.approx(b.cost, rel=1e-8)
+    np.testing.assert_allclose(
+        ours.gains(), twin.gains(), atol=1e-7 * np.abs(twin.gains()).max()
+    )  # sums by another order
+    ends = [engine.set_trajectory(*twin.trajectory()) for engine in (ours, twin)]  # defects: none along a rollout
+    np.testing.assert_allclose(*ends, atol=1e-9 * (1.0 + np.abs(twin.trajectory()[0]).max()))
 
 
 def test_energy_is_at_least_what_the_motion_gains():

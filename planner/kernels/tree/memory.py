@@ -20,9 +20,14 @@ MEMORY = Layout(
 
 
 class TreeMemory:
-    """Arrays for a Model; accelerations of N stages of some substeps are kept, of none for single calls."""
+    """Arrays for a Model; accelerations of N stages of some substeps are kept, of none for single calls.
 
-    def __init__(self, model: Any, integrator: int, N: int, linearizing: bool = True, substeps: int = 1) -> None:
+    States of a solve may have `appended` components behind the model's own.
+    """
+
+    def __init__(
+        self, model: Any, integrator: int, N: int, linearizing: bool = True, substeps: int = 1, appended: int = 0
+    ) -> None:
         nv, nq, nu, na = model.nv, model.nq, model.nu, model.na
         stages = {RK4: 4, ROSENBROCK: 2}.get(integrator, 1)
         ld, first = padded(nv), padded(nu)
@@ -35,7 +40,8 @@ class TreeMemory:
         block = padded(nv) * (columns - WIDTH)  # of a knot's derivatives, one row an acceleration
         slack = 4 * columns  # tiles read past the end
         lanes = {
-            "links": max(nv * RECORD, 2 * nv + nq + na), "x": nq + nv + na, "u": nu, "tau": nv, "scratch": 16,
+            "links": max(nv * RECORD, 2 * nv + nq + na), "x": nq + nv + na + appended, "u": nu, "tau": nv,
+            "scratch": 16,
             "rates": na, "theta": nv,
             "q_stage": nq, "v_stages": 4 * nv, "act_stage": na, "act_rates": 4 * na, "a": kept,
             "trial_a": N * kept, "M": (nv if model.coupled or rows else n) * ld, "Dq": n * ld, "Dv": n * ld,

@@ -9,6 +9,7 @@ from planner.kernels.lq.quadratic import control_terms, penalties_of, state_term
 from planner.kernels.lq.workspace import ALPHA, BRACKET, COSTS, GIVEN, SLOPES, W, accept, take_lane
 from planner.kernels.numba.jit import inline, jit, part
 from planner.kernels.numba.lanes import at, floats, integers, lanes, load, maximum, minimum, pointer, spread, store
+from planner.kernels.tree.mechanism_table import TREE
 from planner.kernels.tree.memory import MEMORY
 from planner.kernels.tree.residuals.evaluate import residual_cost
 from planner.kernels.tree.step import stage
@@ -146,6 +147,17 @@ def _controls(w, n, alpha, feedback, dx, U):
         store(U, a, load(U, a) + (s0 + s1))
 
 
+@inline
+def _append_accelerations(m, x, x_next, dt):
+    """After a stage from x to x_next: its mean acceleration, and the change of that by dt (problem.costs.jerk)."""
+    nv, v = m[TREE.nv], m[TREE.nq]
+    a = v + nv + m[TREE.na]
+    for k in range(nv):
+        mean = (load(x_next, v + k) - load(x, v + k)) / dt
+        store(x_next, a + k, mean)
+        store(x_next, a + nv + k, (mean - load(x, a + k)) / dt)
+
+
 @part
 def rollout(w, m, r, search, dt, feedback, external, p, solids):
     """Four step lengths at once: states trial_x, controls trial_u, accelerations trial_a and costs.
@@ -153,6 +165,7 @@ def rollout(w, m, r, search, dt, feedback, external, p, solids):
     p is the table of residuals or, where there are none, None: then nothing of them is compiled.
     """
     nx, nu, ndx, kept = w[W.nx], w[W.nu], w[W.ndx], r[MEMORY.kept]
+    with_accelerations = nx > m[TREE.nq] + m[TREE.nv] + m[TREE.na]
     X_, U_, A_, e = lanes(w, W.trial_x), lanes(w, W.trial_u), lanes(r, MEMORY.trial_a), lanes(w, W.deviations)
     xs = floats(w, W.xs)
     dx, lengths = at(e, ndx), at(e, 2 * ndx)
@@ -172,6 +185,8 @@ def rollout(w, m, r, search, dt, feedback, external, p, solids):
             _clip(w, n, U)
         control = _control_cost(w, U, n, lengths)
         stage(m, r, X, U, at(A_, n * kept), length, at(X_, (n + 1) * nx), external)
+        if with_accelerations:
+            _append_accelerations(m, X, at(X_, (n + 1) * nx), length)
         if p is not None:  # but for RK4 the stage has left the links where X has them
             J += residual_cost(m, pointer(p), X, lanes(r, MEMORY.links), n, r[MEMORY.integrator] != RK4, solids)
         J += control

@@ -7,13 +7,14 @@ start has a_{-1} = 0; one at rest at its goal adds a term with a_N = 0. These ch
 from the middle: jerk is twice as large for half as long, so their terms count twice. If the machine moves at the start
 or the end, that first or last term is omitted.
 
-r_n depends on two stages, so SLQ solves the problem with the previous acceleration as an added state:
+r_n depends on two stages, so SLQ solves the problem with the previous acceleration and its rate as added states:
 
-    y_n = (x_n, a_{n-1}),     y_{n+1} = (f(x_n, u_n), a_n).
+    y_n = (x_n, a_{n-1}, r_{n-1}),     y_{n+1} = (f(x_n, u_n), a_n, (a_n - a_{n-1}) / dt).
 
-`with_acceleration` makes that problem. `JerkCost` is the same cost on the machine's own states, for the resulting plan.
-Its gradient is exact. A Quadratic cannot hold a Hessian that couples two stages; the problem's control weights R take
-its place, so the gains are those of minimum effort along the minimum-jerk trajectory.
+The cost is then quadratic in the state, as any TrackingCost. `with_acceleration` makes that problem. `JerkCost` is the
+same cost on the machine's own states, for the resulting plan. Its gradient is exact. A Quadratic cannot hold a Hessian
+that couples two stages; the problem's control weights R take its place, so the gains are those of minimum effort along
+the minimum-jerk trajectory.
 
 For joints whose acceleration is an input, that acceleration can be the added state, and its derivative the control:
 
@@ -34,12 +35,16 @@ import numpy as np
 from planner.base.arguments import array, number, short_repr
 from planner.base.errors import PlannerError
 from planner.dynamics import RigidBodyDynamics
+from planner.kernels.lq.workspace import Workspace
+from planner.kernels.tree.memory import TreeMemory
+from planner.kernels.tree.residuals.table import ResidualTable
 from planner.model.mechanism import Mechanism
 from planner.model.mjcf.model_index import compile_model
 from planner.model.mjcf.prescribed_joints import heavy_joints, in_order, prescribe_joints, twin_of
 from planner.model.mjcf.read import read
 from planner.model.space import StateSpace
-from planner.problem.costs.terms import Quadratic, Term, extended_cost
+from planner.problem.costs.terms import Cost, Quadratic, SumCost, Term, extended_cost
+from planner.problem.costs.tracking import TrackingCost
 from planner.problem.problem import Problem
 
 
@@ -75,30 +80,105 @@ class Accelerations:
 
 
 class JerkDynamics:
-    """A machine with the state (x, a): its own, then the accelerations (nv,) of the stage before."""
+    """A machine with the state (x, a, r): its own, the accelerations (nv,) of the stage before, and their rates (nv,).
+
+    It is compiled as the machine itself is (see planner.dynamics.ResidualDynamics).
+    """
+
+    has_slopes, structured, second_order_kernels = False, False, ()
 
     def __init__(self, dynamics: RigidBodyDynamics) -> None:
-        self.accelerations = Accelerations(dynamics)
         self.own, self.mechanism, self.prescribed = dynamics, dynamics.mechanism, dynamics.prescribed
         self.capabilities = replace(dynamics.capabilities, exact_hessian=False)
-        self.space = augmented(dynamics.space, self.mechanism.nv)
+        self.space = augmented(dynamics.space, 2 * self.mechanism.nv)
         self.nx, self.ndx, self.nu, self.dt = self.space.nx, self.space.ndx, dynamics.nu, dynamics.dt
         self.batched = True
+        self.kernels = dynamics.dense_kernels
+        nv, ndx = self.mechanism.nv, dynamics.ndx
+        self._velocities = slice(nv, 2 * nv)  # rows of A and B
+        self._accelerations, self._rates = slice(ndx, ndx + nv), slice(ndx + nv, ndx + 2 * nv)
 
     def step(self, ys: np.ndarray, us: np.ndarray, dt: np.ndarray | None = None) -> np.ndarray:
         """The ends (K, nx) of K stages from ys (K, nx) with us (K, nu); see Dynamics.step."""
         xs = np.ascontiguousarray(ys[:, : self.own.nx])
         ends = self.own.step(xs, us, dt)
-        means = self.accelerations.between(xs, ends) if dt is None else self.accelerations(xs, us)
-        return np.concatenate([ends, means], axis=1)
+        return self._appended(ys, ends if dt is None else self.own.step(xs, us), ends)
+
+    def _appended(self, ys: np.ndarray, whole: np.ndarray, ends: np.ndarray) -> np.ndarray:
+        """(K, nx) own ends (K, own.nx) with the accelerations of the whole stages and their rates."""
+        v, a = slice(self.mechanism.nq, self.mechanism.nq + self.mechanism.nv), self.own.nx
+        means = (whole[:, v] - ys[:, v]) / self.dt
+        return np.concatenate([ends, means, (means - ys[:, a : a + self.mechanism.nv]) / self.dt], axis=1)
 
     def linearize(self, ys: np.ndarray, us: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """A (N, ndx, ndx) and B (N, ndx, nu) along ys (N+1, nx), us (N, nu), exact."""
         xs, ndx = np.ascontiguousarray(ys[:, : self.own.nx]), self.own.ndx
         A, B = np.zeros((len(us), self.ndx, self.ndx)), np.zeros((len(us), self.ndx, self.nu))
         A[:, :ndx, :ndx], B[:, :ndx] = self.own.linearize(xs, us)
-        A[:, ndx:, :ndx], B[:, ndx:] = self.accelerations.of_jacobians(A[:, :ndx, :ndx], B[:, :ndx])
+        self._append_rows(B, A)
         return A, B
+
+    def _append_rows(self, by_u: np.ndarray, by_x: np.ndarray) -> None:
+        """Fill the rows of the accelerations and their rates from those of the velocities."""
+        k = np.arange(self.mechanism.nv)
+        for part in (by_u, by_x):
+            part[:, self._accelerations] = part[:, self._velocities] / self.dt
+        by_x[:, self._accelerations.start + k, self._velocities.start + k] -= 1.0 / self.dt
+        for part in (by_u, by_x):
+            part[:, self._rates] = part[:, self._accelerations] / self.dt
+        by_x[:, self._rates.start + k, self._accelerations.start + k] -= 1.0 / self.dt
+
+    def memory(self, N: int) -> TreeMemory:
+        """Scratch memory of a solve of N stages."""
+        return self.own.memory(N, appended=2 * self.mechanism.nv)
+
+    def linearize_nominal(self, w: Workspace, memory: TreeMemory) -> None:
+        """Fill w.F along w.xs, w.us."""
+        own, by_x = self.own, slice(w.first, w.first + self.ndx)
+        B, A = own.linearize_dense(np.ascontiguousarray(w.xs[:, : own.nx]), w.us, memory)
+        w.F[:, : own.ndx, : self.nu], w.F[:, : own.ndx, by_x][:, :, : own.ndx] = B, A
+        self._append_rows(w.F[:, :, : self.nu], w.F[:, :, by_x])
+
+    def stage_ends(self, w: Workspace, memory: TreeMemory) -> np.ndarray:
+        """The states (N, nx) after one stage from each of w.xs, w.us; prepares linearize_nominal."""
+        ends = self.own.stage_ends(w, memory)[:, : self.own.nx]
+        return self._appended(w.xs[:-1], ends, ends)
+
+    def search(
+        self, w: Workspace, memory: TreeMemory, rule: int, feedback: bool, cost: float, slope: float
+    ) -> tuple[float, float]:
+        """Line search from w.xs, w.us; see CompiledDynamics.search."""
+        return self.own.search(w, memory, rule, feedback, cost, slope)
+
+    def take(self, w: Workspace, memory: TreeMemory, lane: int) -> None:
+        """Make candidate `lane` of a rejected line search the nominal trajectory."""
+        self.own.take(w, memory, lane)
+
+    def nominal_jacobians(self, w: Workspace) -> tuple[np.ndarray, np.ndarray]:
+        """A (N, ndx, ndx) and B (N, ndx, nu) of Eq. 35, from the last linearize_nominal."""
+        return w.F[:, :, w.first : w.first + self.ndx], w.F[:, :, : self.nu]
+
+    def residual_kernels(self, solids: bool | None) -> tuple[str, ...]:
+        """Names of the kernels used with residuals, in place of `kernels`."""
+        search, *_, residuals = self.own.residual_kernels(solids)
+        return search, *self.kernels[1:], residuals
+
+    def residuals(self, measures: Any) -> ResidualTable:
+        """Kernel table of the cost residuals in a problem.costs.residuals.arrays.ResidualArrays."""
+        return self.own.residuals(measures)
+
+    def quadratize_nominal(self, w: Workspace, memory: TreeMemory) -> None:
+        """Add the residuals' gradients along w.xs to w.l, and store their Hessians for the backward sweep."""
+        self.own.quadratize_nominal(w, memory)
+
+    def second_order_memory(self) -> Any:
+        """PlannerError: there are none."""
+        raise PlannerError(
+            'hessian="exact" has no second derivatives of accelerations, expected hessian="gauss-newton" for jerk.'
+        )
+
+    def second_order_nominal(self, w: Workspace, memory: Any, second: Any) -> None:
+        """Never called; see second_order_memory."""
 
 
 class JerkCost(Term):
@@ -133,9 +213,14 @@ class JerkCost(Term):
         self.counts = np.ones(horizon + 1)  # (N+1,) factor of r_n
         self.counts[[0, -1]] *= np.sqrt(2.0) * np.array([from_rest, to_rest])
 
-    def augmented(self, own: StateSpace, space: StateSpace) -> AugmentedStateJerkCost:
-        """The same cost on states extended by the previous acceleration."""
-        return AugmentedStateJerkCost(self, space)
+    def weights(self, space: StateSpace) -> np.ndarray:
+        """Q (N+1, ndx, ndx) of the same cost on the states (x, a, r) of JerkDynamics, in their space."""
+        nv, N = self.accelerations.nv, self.N
+        a, r = np.arange(self.ndx, self.ndx + nv), np.arange(self.ndx + nv, space.ndx)
+        Q = np.zeros((N + 1, space.ndx, space.ndx))
+        Q[1:, r, r] = (self.weight * self.dt * self.counts[:-1] ** 2)[:, None]
+        Q[N, a, a] = self.weight * self.counts[-1] ** 2 / self.dt
+        return Q
 
     def jerks(self, xs: np.ndarray, us: np.ndarray) -> np.ndarray:
         """(N+1, nv) r_n by the root of how often each counts, rad/s^3 or m/s^3."""
@@ -158,55 +243,37 @@ class JerkCost(Term):
         return Quadratic(np.zeros((N + 1, ndx, ndx)), q, self.R, r)
 
 
-class AugmentedStateJerkCost(Term):
-    """A JerkCost on states of `space`, extended by the previous acceleration: separable by stage, Gauss-Newton."""
-
-    def __init__(self, cost: JerkCost, space: StateSpace) -> None:
-        self.cost, self.space, self.N = cost, space, cost.N
-        self.nx, self.ndx, self.nu = space.nx, space.ndx, cost.nu
-
-    def _jerks(self, xs: np.ndarray, us: np.ndarray) -> np.ndarray:
-        """(N+1, nv) r_n by the root of how often each counts, rad/s^3 or m/s^3."""
-        own = self.cost
-        a = own.accelerations(np.ascontiguousarray(xs[: len(us), : own.nx]), us)
-        a = np.concatenate([a, np.zeros((1, a.shape[1]))])
-        return own.counts[:, None] * (a - xs[:, own.nx :]) / own.dt
-
-    def value(self, xs: np.ndarray, us: np.ndarray) -> float:
-        """J of a trajectory xs (N+1, nx), us (N, nu)."""
-        return 0.5 * self.cost.weight * self.cost.dt * float(np.sum(self._jerks(xs, us) ** 2))
-
-    def quadratize(self, xs: np.ndarray, us: np.ndarray) -> Quadratic:
-        """Exact gradients, and the Hessian of the linearized jerks."""
-        own, (N, nu), nv = self.cost, us.shape, self.cost.accelerations.nv
-        jerks, weight = self._jerks(xs, us), own.weight * own.dt
-        J, Ju = np.zeros((N + 1, nv, self.ndx)), np.zeros((N, nv, nu))
-        by_x, by_u = own.accelerations.derivatives(np.ascontiguousarray(xs[:N, : own.nx]), us)
-        J[:N, :, : own.ndx], J[:, :, own.ndx :] = by_x, -np.eye(nv)
-        J *= own.counts[:, None, None] / own.dt
-        Ju[:] = own.counts[:N, None, None] / own.dt * by_u
-        Jt, Jut = np.swapaxes(J, 1, 2), np.swapaxes(Ju, 1, 2)
-        q, r = np.einsum("naj,na->nj", J, jerks), np.einsum("naj,na->nj", Ju, jerks[:N])
-        return Quadratic(weight * (Jt @ J), weight * q, weight * (Jut @ Ju), weight * r, weight * (Jut @ J[:N]))
-
-
 def augmented(space: StateSpace, more: int) -> StateSpace:
     """A state space with `more` vector components appended."""
     return StateSpace(space.nx + more, space.ndx + more, space.quaternions)
 
 
 def with_acceleration(problem: Problem, **changes: Any) -> Problem:
-    """The problem, of RigidBodyDynamics, with the previous acceleration as an added state, 0 at the start."""
+    """The problem, of RigidBodyDynamics, with the states of JerkDynamics; accelerations and rates start from 0."""
     if not isinstance(problem.dynamics, RigidBodyDynamics):
         raise PlannerError(f"the dynamics are {short_repr(problem.dynamics)}, expected RigidBodyDynamics for jerk.")
     dynamics = JerkDynamics(problem.dynamics)
-    x0 = np.concatenate([array("x0", problem.x0, ("nx",)), np.zeros(dynamics.mechanism.nv)])
+    x0 = np.concatenate([array("x0", problem.x0, ("nx",)), np.zeros(2 * dynamics.mechanism.nv)])
     return replace(
         problem, dynamics=dynamics, x0=x0, twin=None, requirements=None,
-        cost=extended_cost(problem.cost, problem.dynamics.space, dynamics.space),
+        cost=_with_jerk_weights(problem.cost, problem.dynamics.space, dynamics.space),
         constraints=[replace(one, states=one.states or problem.dynamics.nx) for one in problem.constraints],
         **changes,
     )  # fmt: skip
+
+
+def _with_jerk_weights(cost: Any, own: StateSpace, space: StateSpace) -> Cost:
+    """A cost of states in `own` on those of JerkDynamics: JerkCosts become weights of its TrackingCost."""
+    terms = getattr(cost, "costs", (cost,))
+    jerk = [term for term in terms if isinstance(term, JerkCost)]
+    others = [extended_cost(term, own, space) for term in terms if not isinstance(term, JerkCost)]
+    k = next((k for k, term in enumerate(others) if type(term) is TrackingCost), None)
+    if k is None:
+        raise PlannerError("the cost has no TrackingCost, expected one for jerk: TrackingCost(...) + your own cost.")
+    track = others[k]
+    Q = sum((term.weights(space) for term in jerk), start=track.Q)
+    others[k] = TrackingCost(Q, track.R, track.x_ref, track.u_ref, space)
+    return others[0] if len(others) == 1 else SumCost(*others)
 
 
 def driven_by_jerk(mechanism: Mechanism, joints: Collection[str]) -> Mechanism:

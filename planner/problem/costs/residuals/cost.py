@@ -18,6 +18,7 @@ import numpy as np
 from planner.dynamics.contacts import ramp
 from planner.model.coordinates import Coordinate
 from planner.model.mechanism import Mechanism
+from planner.model.space import StateSpace
 from planner.problem.costs.goal_spec import GoalSpec
 from planner.problem.costs.residuals.arrays import ResidualArrays, resampled
 from planner.problem.costs.residuals.functions import RESIDUALS, KinematicsCache
@@ -80,6 +81,12 @@ class ResidualCost(Term):
         cost = copy(self)
         cost.N = None if self.N is None else parts * self.N
         cost.residual_arrays = resampled(self.residual_arrays, 1 if self.N is None else parts, ratio)
+        return cost
+
+    def augmented(self, own: StateSpace, space: StateSpace) -> ResidualCost:
+        """The same cost on a state with appended components."""
+        cost = copy(self)
+        cost.space, cost.nx, cost.ndx = space, space.nx, space.ndx
         return cost
 
     def goal_specs(self, _: Sequence[Coordinate]) -> tuple[GoalSpec, ...]:
