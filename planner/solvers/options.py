@@ -65,6 +65,8 @@ class SolverOptions:
         state_regularization_factor: It grows by this after a short step, by its square after a failed iteration, and
             shrinks by it after a full step.
         short_step: Step length below which the weight on changes of the states grows.
+        max_short_steps: After so many short steps in a row changes of the states are regularized, except with contacts,
+            whose nonsmoothness causes short steps.
 
         acceleration_steps: Number of last steps in Anderson acceleration (Walker and Ni 2011). 1: none.
         acceleration_max_reduction: Only iterations that reduce the cost by less than this of the cost are accelerated.
@@ -126,6 +128,7 @@ class SolverOptions:
     max_state_regularization: float = 1e12
     state_regularization_factor: float = 5.0
     short_step: float = 0.2
+    max_short_steps: int = 8
 
     acceleration_steps: int = 5
     acceleration_max_reduction: float = 1e-3

@@ -34,18 +34,24 @@ class Regularization:
     """
 
     def __init__(
-        self, engine: Engine, exact: bool, regularize_states: bool = False, at_bounds: bool = False,
+        self, engine: Engine, exact: bool, regularize_states: bool = False, at_bounds: bool = False, smooth: bool = False,
         options: SolverOptions = DEFAULT,
     ) -> None:  # fmt: skip
         self._engine, self._exact, self._options = engine, exact, options
-        self.of_states, self._always = regularize_states or at_bounds, regularize_states
+        self._smooth, self._short_steps = smooth, 0
         self._min, self._factor = options.min_regularization, options.regularization_factor
         self._max, self._failed_factor = options.max_regularization, self._factor
-        if self.of_states:
-            self._factor, self._max = options.state_regularization_factor, options.max_state_regularization
-            self._failed_factor = self._factor**2
+        self.of_states, self._always = False, regularize_states
+        if regularize_states or at_bounds:
+            self._regularize_states()
         self._relative, self._tried_unregularized, self._second_order = 0.0, False, exact
         self._dropped = 0.0  # weight before decrease() set it to zero at a nonsmooth point
+
+    def _regularize_states(self) -> None:
+        """Have the weight on changes of the states from now on."""
+        self.of_states, self._relative = True, 0.0
+        self._factor, self._max = self._options.state_regularization_factor, self._options.max_state_regularization
+        self._failed_factor = self._factor**2
 
     @property
     def mu(self) -> float:  # noqa: D102
@@ -78,6 +84,10 @@ class Regularization:
 
     def decrease(self, step: float, nonsmooth: bool) -> None:
         """After a step length `step`; with `nonsmooth` bounds or penalties a step below 1 sets the weight to zero."""
+        self._short_steps = self._short_steps + 1 if step < self._options.short_step else 0
+        if self._smooth and not self._always and self._short_steps >= self._options.max_short_steps:
+            self._always = True
+            self._regularize_states()
         if step >= 1.0:
             self._set(self._relative / self._factor if self._relative > self._min else 0.0)
         elif nonsmooth:
