@@ -1,7 +1,7 @@
 """Regularization: weights that make the LQ problems positive definite and line searches succeed.
 
-Gauss-Newton from controls adds mu to R + B'PB, only after a failure. A solve with exact Hessians, from states, or with
-bounds of controls regularizes changes of the states instead (Engine.state_regularization), more after short steps: the
+Gauss-Newton from controls adds mu to R + B'PB, only after a failure. A solve with exact Hessians, from states, with
+bounds of controls, or after many short steps regularizes changes of the states instead (Engine.state_regularization), more after short steps: the
 higher gains limit the rollout's deviation from the trajectory, which a weight on the controls' steps does not (Tassa,
 Erez and Todorov 2012). With controls at their bounds step lengths may be small for hundreds of iterations.
 """
@@ -25,6 +25,8 @@ class Regularization:
         regularize_states: Whether short steps increase the weight on changes of the states.
         at_bounds: Whether they do so while controls are at their bounds. False for contacts, whose nonsmoothness
             causes short steps: a hop then takes 1,200 iterations instead of 320.
+        smooth: Whether max_short_steps short steps in a row begin to do so: a model that is wrong beyond a small part
+            of its step stays so, in free flight for hundreds of iterations.
         options: Limits and factors of the weights.
 
     Attributes:

@@ -21,7 +21,7 @@ from solves import (
 )
 
 import planner
-from planner import FunctionDynamics, Problem, Status
+from planner import FunctionDynamics, Problem, SolverOptions, Status, cases
 from planner.solvers import lq
 from planner.solvers.engine import CompiledEngine, NumpyEngine, acquire_engine
 
@@ -225,3 +225,16 @@ def test_gains_hold_the_plan(problem):
         promised = 0.5 * d @ (open_P - sweep.P[0]) @ d
         assert promised >= 0.0
         assert saved >= 0.5 * promised - 1e-13 * plan.cost
+
+
+def test_eight_short_steps_in_a_row_have_changes_of_the_states_weighed():
+    """The weight is zero up to them and above from then on, and the paper's own update never has it."""
+    problem = cases.acrobot(horizon=150)
+    plan, short, limit = planner.solve(problem, max_iterations=40), 0, SolverOptions().short_step
+    for line in plan.history[:-1]:
+        assert (line.regularization > 0.0) == (short >= SolverOptions().max_short_steps)
+        short = short + 1 if line.step < limit or short >= SolverOptions().max_short_steps else 0
+    assert short >= SolverOptions().max_short_steps
+    printed = planner.solve(problem, update="open-loop", max_iterations=30)
+    assert sum(line.step < limit for line in printed.history[:-1]) == 30
+    assert not any(line.regularization for line in printed.history)

@@ -16,7 +16,7 @@ import logging
 import os
 import shutil
 import tempfile
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -59,12 +59,13 @@ def cache_is_shared() -> bool:
     return not cache_directory().name.startswith(_TEMPORARY)
 
 
-def arguments_of(types: Sequence[str]) -> tuple[Any, ...]:
+@cache  # to parse them takes longer than an iteration of two joints
+def arguments_of(types: tuple[str, ...]) -> tuple[Any, ...]:
     """The types that a kernel is called with, as the cache knows them: not by their text."""
     return normalize_signature(f"({', '.join(types)},)")[0]
 
 
-def is_warm(kernel: Any, types: Sequence[str] | None = None) -> bool:
+def is_warm(kernel: Any, types: tuple[str, ...] | None = None) -> bool:
     """Whether machine code of a kernel for arguments of these types (None: any) is in this process or in the cache."""
     if types is not None and arguments_of(types) in kernel.overloads:
         return True
@@ -119,7 +120,7 @@ def inline(function: Callable[..., Any]) -> Any:
 _announced = False
 
 
-def announce(kernel: Callable[..., Any], types: Sequence[str] | None = None) -> None:
+def announce(kernel: Callable[..., Any], types: tuple[str, ...] | None = None) -> None:
     """Say once that something is about to be compiled, if `kernel` is: the first run takes its time."""
     global _announced
     if not _announced and not is_warm(kernel, types):
