@@ -1,9 +1,10 @@
 """Regularization: weights that make the LQ problems positive definite and line searches succeed.
 
 Gauss-Newton from controls adds mu to R + B'PB, only after a failure. A solve with exact Hessians, from states, with
-bounds of controls, or after many short steps regularizes changes of the states instead (Engine.state_regularization), more after short steps: the
-higher gains limit the rollout's deviation from the trajectory, which a weight on the controls' steps does not (Tassa,
-Erez and Todorov 2012). With controls at their bounds step lengths may be small for hundreds of iterations.
+bounds of controls, or after many short steps regularizes changes of the states instead (Engine.state_regularization),
+more after short steps: the higher gains limit the rollout's deviation from the trajectory, which a weight on the
+controls' steps does not (Tassa, Erez and Todorov 2012). With controls at their bounds step lengths may be small for
+hundreds of iterations.
 """
 
 from __future__ import annotations
@@ -36,8 +37,8 @@ class Regularization:
     """
 
     def __init__(
-        self, engine: Engine, exact: bool, regularize_states: bool = False, at_bounds: bool = False, smooth: bool = False,
-        options: SolverOptions = DEFAULT,
+        self, engine: Engine, exact: bool, regularize_states: bool = False, at_bounds: bool = False,
+        smooth: bool = False, options: SolverOptions = DEFAULT,
     ) -> None:  # fmt: skip
         self._engine, self._exact, self._options = engine, exact, options
         self._smooth, self._short_steps = smooth, 0
