@@ -18,7 +18,9 @@ class AssertPlanHolds(Protocol):
 
     def __call__(
         self, plan: str | Path, model: str | Path | None = None, *, tolerances: Mapping[str, float] | None = None
-    ) -> PlanComparison: ...
+    ) -> PlanComparison:
+        """The plan proved again; the test has failed unless it holds."""
+        ...
 
 
 @pytest.fixture

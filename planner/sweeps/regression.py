@@ -5,7 +5,8 @@ rollouts and perturbation of the proof, so that the same is measured again, and 
 of another plan are not compared.
 
     regressed   the verdict or mode got worse, a plan is no longer feasible, optimal or robust, less was checked, a
-                number fails the bound that it passed, is judged by a wider bound, or got worse by more than the tolerance
+                number fails the bound that it passed, or is judged by a wider one, or got worse by more than the
+                tolerance
     moved       any other number changed by more than the tolerance
     not compared  the plan or its stored numbers cannot be read, or lack steps of the proof
 

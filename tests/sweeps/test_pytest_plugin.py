@@ -4,12 +4,12 @@ import shutil
 from pathlib import Path
 
 import pytest
+from test_stored_model import ARM, forged, loosened, stored_in
 
 import planner
 from planner.model.mjcf.text import edited
 from planner.sweeps.pytest_plugin import _assert_plan_holds as holds
 from planner.sweeps.regression import check, stored_proof
-from test_stored_model import ARM, forged, loosened, stored_in
 
 ROOT = Path(__file__).parents[2]
 
