@@ -133,7 +133,8 @@ def _in_its_duration(
     """A plan of the objective in the problem's own duration, from that of a similar problem where there is one."""
     wanted = with_objective(problem, weights)
     if before is not None:
-        return solve(wanted, callback=callback, **single_start(options) | {"warm_start": before})
+        again: dict[str, Any] = single_start(options) | {"warm_start": before}
+        return solve(wanted, callback=callback, **again)
     default = _without_objective(problem)
     if set(weights) != {"effort"} or default.cost is not base_problem(problem).cost:
         wanted = replace(wanted, us=solve(default, **single_start(options)).us)
