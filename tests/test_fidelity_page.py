@@ -27,7 +27,7 @@ def repository(tmp_path_factory):
     (root / "bin").mkdir()
     for name, command in (
         ("planner", "-m planner"),
-        ("pytest", "-m pytest -q -p no:cacheprovider"),
+        ("pytest", "-m pytest -q -p no:cacheprovider -p planner.sweeps.pytest_plugin"),
         ("pip", "-c pass"),
     ):
         (root / "bin" / name).write_text(f'#!/bin/sh\nexec "{sys.executable}" {command} "$@"\n')

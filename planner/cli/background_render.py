@@ -5,19 +5,41 @@ Child processes draw, so that a thread of this one has little to do. What comes 
 
 from __future__ import annotations
 
+import argparse
 import threading
 import time
 from collections.abc import Collection
 from contextlib import suppress
 from pathlib import Path
 from types import TracebackType
+from typing import Any
 
 from planner.base.gl import backend
 from planner.cli.console import Console
+from planner.model.mjcf.model_index import compile_model
+from planner.model.twin import Twin
 from planner.proof import Proof
 
 NAMES = ("strip.png", "video.mp4")
 _PATIENCE = 0.1  # s between two looks at the progress
+
+
+def checked_looks(arguments: argparse.Namespace, twin: Twin | None, *, film: bool = True) -> dict[str, Any]:
+    """Width, height and camera that the flags ask for, as arguments of render_video (a strip's where it is no film).
+
+    Raises:
+        PlannerError: A size that no film can have, or a camera that the model does not have.
+    """
+    from planner.view.render.camera import angles_of_camera
+    from planner.view.render.video import check_size
+
+    looks: dict[str, Any] = {"camera": arguments.camera}
+    if arguments.size is not None:
+        looks |= dict(zip(("width", "height"), arguments.size, strict=True))
+        check_size(*arguments.size, even=film)
+    if isinstance(arguments.camera, str) and twin is not None:
+        angles_of_camera(compile_model(twin.mjcf, twin.assets), arguments.camera)
+    return looks
 
 
 class _Stopped(Exception):
@@ -27,10 +49,16 @@ class _Stopped(Exception):
 class BackgroundRender:
     """Strip and film of a proof on their way into a folder; a context manager, at whose end nothing draws any more."""
 
-    def __init__(self, proof: Proof, folder: Path, keep: Collection[str], console: Console) -> None:
-        """Begin with the files that are not named in `keep`. Without an OpenGL library there is nothing to do."""
+    def __init__(
+        self, proof: Proof, folder: Path, keep: Collection[str], console: Console, looks: dict[str, Any] | None = None
+    ) -> None:
+        """Begin with the files that are not named in `keep`. Without an OpenGL library there is nothing to do.
+
+        `looks` are width, height and camera of the film (checked_looks()); the strip has the camera.
+        """
         self.names = tuple(name for name in NAMES if name not in keep) if backend() is not None else ()
         self._proof, self._folder, self._console = proof, folder, console
+        self._looks = looks or {}
         self._stop, self._error = threading.Event(), None
         self._done = (0, 0)  # frames, and frames in all
         self._thread = threading.Thread(target=self._draw, name="film", daemon=True)
@@ -74,9 +102,9 @@ class BackgroundRender:
 
         try:
             if "strip.png" in self.names:
-                render_strip(self._proof.replay, self._folder / "strip.png")
+                render_strip(self._proof.replay, self._folder / "strip.png", camera=self._looks.get("camera"))
             if "video.mp4" in self.names:
-                render_video(self._proof, self._folder / "video.mp4", progress=self._count)
+                render_video(self._proof, self._folder / "video.mp4", progress=self._count, **self._looks)
         except _Stopped:
             pass
         except BaseException as error:

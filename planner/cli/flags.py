@@ -88,6 +88,11 @@ BUDGET: Flags = {
     "--budget": value_flag("SECONDS", "Last stop by the clock: solves end, and what is not drawn yet is left out. The "
                                       "plan then depends on the computer, and says so. Default: none.", kind=number),
 }  # fmt: skip
+LOOKS: Flags = {
+    "--size": value_flag("WxH", "Size of the film in pixels. Default: 1280x720, for a strip 1920x540.", kind=size),
+    "--camera": value_flag("CAMERA", "Look as this camera of the model does, or at azimuth,elevation in degrees, e.g. "
+                                     "--camera=90,-15; from where all of the motion is seen.", kind=direction),
+}  # fmt: skip
 NO_VIDEO = {"--no-video": boolean_flag("Make no video and no strip of poses (drawing needs OpenGL).")}
 IMPORTS: Flags = {
     "--allow-import": {"action": "append", "metavar": "MODULE", "default": [],

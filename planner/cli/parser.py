@@ -23,6 +23,7 @@ from planner.cli.flags import (
     BUDGET,
     COMMON,
     IMPORTS,
+    LOOKS,
     NO_VIDEO,
     PROBLEM_FILE,
     PROOF,
@@ -31,9 +32,7 @@ from planner.cli.flags import (
     Flags,
     add,
     boolean_flag,
-    direction,
     number,
-    size,
     value_flag,
     whole,
 )
@@ -157,13 +156,9 @@ def _render(parser: argparse.ArgumentParser) -> None:
     add(
         parser, _PLAN,
         {"--out": value_flag("FILE", "A name ending in .mp4 makes a video, in .png a strip of poses.", "video.mp4"),
-         "--size": value_flag("WxH", "Size in pixels. Default: 1280x720, for a strip 1920x540.", kind=size),
-         "--camera": value_flag("CAMERA", "Look as this camera of the model does, or at azimuth,elevation in degrees, "
-                                          "e.g. --camera=90,-15; from where all of the motion is seen.",
-                                kind=direction),
          "--fps": value_flag("N", "Frames per second.", 30, whole),
          "--speed": value_flag("X", "Playback speed, e.g. 0.25. Default: the case's.", kind=number)},
-        ROLLOUT, IMPORTS, COMMON,
+        LOOKS, ROLLOUT, IMPORTS, COMMON,
     )  # fmt: skip
 
 
@@ -181,6 +176,7 @@ def _report(parser: argparse.ArgumentParser) -> None:
         parser,
         _PLAN,
         NO_VIDEO,
+        LOOKS,
         {"--out": value_flag("DIR", "Folder of the results.", "report")},
         PROOF,
         IMPORTS,
@@ -242,7 +238,7 @@ _COMMANDS: dict[str, tuple[str, Callable[[argparse.ArgumentParser], None]]] = {
     "model": ("Describe a model of your own: its joints, actuators and contacts, and what looks wrong.", _model),
     "run": ("Plan, prove, plot and film a case or a problem file.", _with_cases(
         {"--no-refine": boolean_flag("Do not solve a failed plan again at a finer step.")}, BUDGET, PROOF, NO_VIDEO,
-        {"--out": value_flag("DIR", "Folder of the results. Default: renders/CASE.")}, WORKERS)),
+        LOOKS, {"--out": value_flag("DIR", "Folder of the results. Default: renders/CASE.")}, WORKERS)),
     "drive": ("Plan again and again in the loop with MuJoCo, and judge the loop.", _with_cases(
         _DRIVE, NO_VIDEO, {"--out": value_flag("DIR", "Folder of the results. Default: renders/CASE-loop.")})),
     "solve": ("Plan a case or a problem file and save the plan.", _with_cases(

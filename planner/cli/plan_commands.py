@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 from contextlib import ExitStack
 from pathlib import Path
-from typing import Any
 
 from planner.base.arguments import count, number
 from planner.base.errors import PlannerError
@@ -23,6 +22,7 @@ from planner.proof.diagnostics import suggested_fixes
 
 def render_plan(arguments: argparse.Namespace, console: Console) -> int:
     """Film both replays of a stored plan, or one perturbed simulation."""
+    from planner.cli.background_render import checked_looks
     from planner.cli.proving import rollout_of
     from planner.view.render.video import render_strip, render_video
 
@@ -30,12 +30,9 @@ def render_plan(arguments: argparse.Namespace, console: Console) -> int:
     if out.suffix not in (".mp4", ".png"):
         raise PlannerError(f"cannot render to {out}: expected a name ending in .mp4 or .png.")
     plan = load_allowed(arguments.plan, arguments)
+    looks = checked_looks(arguments, plan.twin, film=out.suffix == ".mp4")
     require_backend()
     shown = prove(plan, rollouts=0) if arguments.replay_rollout is None else rollout_of(plan, arguments)
-    looks: dict[str, Any] = (
-        {} if arguments.size is None else dict(zip(("width", "height"), arguments.size, strict=True))
-    )
-    looks["camera"] = arguments.camera
     if out.suffix == ".png":
         render_strip(shown.replay if isinstance(shown, Proof) else shown, out, **looks)
     else:
@@ -64,16 +61,17 @@ def view_plan(arguments: argparse.Namespace, console: Console) -> int:
 
 def report_plan(arguments: argparse.Namespace, console: Console) -> int:
     """Prove a stored plan again and write all its files."""
-    from planner.cli.background_render import BackgroundRender
+    from planner.cli.background_render import BackgroundRender, checked_looks
     from planner.cli.results import OUTPUTS, completed, draw_results, is_finite, show_proof, write_proof
 
     plan = load_allowed(arguments.plan, arguments)
+    looks = checked_looks(arguments, plan.twin)
     with staged_folder(arguments.out, OUTPUTS) as staged, ExitStack() as drawing:
         proof, films = None, None
         if is_finite(plan):
             proof = prove(plan, rollouts=0, hold_seconds=arguments.hold)
             if not arguments.no_video:
-                films = drawing.enter_context(BackgroundRender(proof, staged, (), console))
+                films = drawing.enter_context(BackgroundRender(proof, staged, (), console, looks))
             proof = completed(proof, arguments.rollouts, console)
         plan.save(staged / "plan.npz")
         fixes = suggested_fixes(plan, proof)

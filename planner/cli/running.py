@@ -33,7 +33,7 @@ from planner.base.files import (
 )
 from planner.cases.plan_file import load_plan
 from planner.cli import results
-from planner.cli.background_render import BackgroundRender
+from planner.cli.background_render import BackgroundRender, checked_looks
 from planner.cli.console import Console
 from planner.cli.problems import ProblemOf, asked_problem, name_of, solved
 from planner.problem.archive import plan_digest, plan_name
@@ -190,6 +190,7 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
     budget.limit = number("work", next(work for work in works if work is not None), minimum=0.0)
     if arguments.hold:
         hold_gain(asked.problem)  # refuses a goal that cannot be held before any work
+    checked_looks(arguments, asked.problem.twin)  # refuses a wrong size or camera before any work
     place = Path(arguments.out or f"renders/{name_of(arguments)}")
     with run_folder(place, results.OUTPUTS, _identity(asked, arguments)) as folder:
         try:
@@ -253,7 +254,9 @@ def _run(
     with ExitStack() as drawing:
         if proof is not None:
             if not (arguments.no_video or budget.out_of_time):  # beside the rollouts, which know nothing of it
-                films = drawing.enter_context(BackgroundRender(proof, folder.path, folder.finished, console))
+                looks = checked_looks(arguments, plan.twin)
+                drawn = BackgroundRender(proof, folder.path, folder.finished, console, looks)
+                films = drawing.enter_context(drawn)
             proof = results.completed(
                 proof, 0 if budget.out_of_time else arguments.rollouts, console, partial=folder.path / ROLLOUTS,
                 budget=min(MAX_ROLLOUT_SECONDS, budget.seconds_left), executor=executor,

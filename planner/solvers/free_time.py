@@ -35,6 +35,7 @@ from planner.problem.trajectory import Trajectory
 from planner.solvers.options import single_start, with_overrides
 from planner.solvers.slq import as_user_plan, solve
 from planner.solvers.warm_start import warm_start
+from planner.solvers.waypoints import best_waypoints, free_waypoints
 from planner.solvers.work import budget_of
 
 TOLERANCE = 1e-3
@@ -106,21 +107,62 @@ def solve_for(
         raise PlannerError(f"problem is {short_repr(problem)}, expected a Problem.")
     between = checked_durations(durations, weights)
     options["budget"] = budget_of(options.get("budget"))  # one for all solves
-    if between is None:
-        wanted = with_objective(problem, weights)
-        default = _without_objective(problem)
-        if set(weights) != {"effort"} or default.cost is not base_problem(problem).cost:
-            wanted = replace(wanted, us=solve(default, **single_start(options)).us)
-        return solve(wanted, callback=callback, **options)
-    shortest, longest = between
     number("tolerance", tolerance, greater_than=0.0)
     alone = set(weights) == {"time"}
-    if alone:
-        problem = _exact(problem)
+    problem = _exact(problem) if alone else problem
+
+    def solved(problem: Problem, before: Plan | None = None) -> Plan | None:
+        if between is None:
+            return _in_its_duration(problem, weights, before, callback, options)
+        return _over_durations(problem, weights, between, tolerance, before, callback, options)
+
+    def value(plan: Plan) -> float:
+        return np.inf if not plan.success else float(plan.t[-1]) if alone else plan.cost
+
+    if free_waypoints(problem):
+        return best_waypoints(problem, solved, value, options["budget"])
+    plan = solved(problem)
+    assert plan is not None  # the first is always returned
+    return plan
+
+
+def _in_its_duration(
+    problem: Problem, weights: dict[str, float], before: Plan | None, callback: Callable[[Any], object] | None,
+    options: dict[str, Any],
+) -> Plan:  # fmt: skip
+    """A plan of the objective in the problem's own duration, from that of a similar problem where there is one."""
+    wanted = with_objective(problem, weights)
+    if before is not None:
+        again: dict[str, Any] = single_start(options) | {"warm_start": before}
+        return solve(wanted, callback=callback, **again)
+    default = _without_objective(problem)
+    if set(weights) != {"effort"} or default.cost is not base_problem(problem).cost:
+        wanted = replace(wanted, us=solve(default, **single_start(options)).us)
+    return solve(wanted, callback=callback, **options)
+
+
+def _over_durations(
+    problem: Problem, weights: dict[str, float], between: tuple[float, float], tolerance: float, before: Plan | None,
+    callback: Callable[[Any], object] | None, options: dict[str, Any],
+) -> Plan | None:  # fmt: skip
+    """The plan of the best duration; None where a similar problem has one (`before`), and no better one is found."""
+    (shortest, longest), alone, own = between, set(weights) == {"time"}, 0.0
     search = _DurationSearch(problem, weights, options, callback)
+    if before is not None:
+        search.plans[own := float(before.t[-1])] = before
+        longest = min(longest, own * (1.0 - 2.0 * tolerance) if alone else own / _SHRINK)
+        shortest = max(shortest, 0.0 if alone else _SHRINK * own)
+        search.problem = retimed(problem, float(np.clip(own, shortest, longest)))
+        if shortest >= longest:
+            return None
     with suppress(_Cut):
+        # At the best duration the objective does not change with it, so what is not better there is no better near it.
+        if before is not None and not alone and search.at(own, search.total) >= before.cost:
+            return None
         (_least if alone else _cheapest)(search, shortest, longest, tolerance)
-    return search.best_plan({"durations": [shortest, longest], "tolerance": tolerance})
+    if before is not None and search.best is None:
+        return None
+    return search.best_plan({"durations": list(between), "tolerance": tolerance})
 
 
 def _without_objective(problem: Problem) -> Problem:
@@ -201,13 +243,18 @@ class _DurationSearch:
         if plan.status is Status.INTERRUPTED:
             raise KeyboardInterrupt
         allowed = Limits.tolerance if problem.limits is None else problem.limits.tolerance
-        if not (np.isfinite(plan.xs).all() and outside <= allowed):
+        goal_missed = self.alone and problem.goal_specs is not None and bool(plan.missed_goals)  # which nothing keeps
+        if not (np.isfinite(plan.xs).all() and outside <= allowed) or goal_missed:
             return math.inf
         self.plans[duration] = plan
         worth = value(line)
         if self.best is None or worth < self.best[0]:
             self.best = worth, duration
         return worth
+
+    def total(self, trial: DurationTrial) -> float:
+        """The objective of a trial, time included."""
+        return self.weights["time"] * trial.duration + trial.cost
 
     def _first_look(self, problem: Problem, motion: Trajectory, options: dict[str, Any]) -> Plan | None:
         """A solve warm-started from a stretched trajectory, at most LOOK iterations; None if it is undecided.
@@ -274,7 +321,7 @@ def _cheapest(search: _DurationSearch, shortest: float, longest: float, toleranc
         up.append(min(longest, up[-1] / _SHRINK))
 
     def total(duration: float) -> float:
-        return search.at(duration, lambda line: search.weights["time"] * line.duration + line.cost)
+        return search.at(duration, search.total)
 
     values = {duration: total(duration) for duration in (*down, *up[1:])}
     ladder = sorted(values)

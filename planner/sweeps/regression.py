@@ -5,7 +5,8 @@ rollouts and perturbation of the proof, so that the same is measured again, and 
 of another plan are not compared.
 
     regressed   the verdict or mode got worse, a plan is no longer feasible, optimal or robust, less was checked, a
-                number fails the bound that it passed, or got worse by more than the tolerance
+                number fails the bound that it passed, or is judged by a wider one, or got worse by more than the
+                tolerance
     moved       any other number changed by more than the tolerance
     not compared  the plan or its stored numbers cannot be read, or lack steps of the proof
 
@@ -19,7 +20,7 @@ import math
 import os
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import Executor
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -34,7 +35,7 @@ from planner.problem.plan import Plan
 from planner.problem.residual import Residual
 from planner.proof import Proof, prove
 from planner.proof.robustness.perturbation import Perturbation
-from planner.sweeps.stored_model import ModelState, StoredModel, stated, stored_model
+from planner.sweeps.stored_model import ModelState, StoredModel, stated, stated_tolerances, stored_model
 
 TOLERANCE = 0.05  # relative: another release of MuJoCo or another processor changes less
 _ROUNDING = 1e-9  # smaller changes of a number without a bound are rounding
@@ -84,6 +85,7 @@ class PlanComparison:
         updated: Whether the new numbers were stored.
         model: The plan's model against the one on disk; None where the plan cannot be read.
         stated: What the plan's file asks for, a phrase each.
+        tolerances: The largest of those that it asks for, by unit.
     """
 
     plan: Path
@@ -93,6 +95,7 @@ class PlanComparison:
     updated: bool = False
     model: StoredModel | None = None
     stated: tuple[str, ...] = ()
+    tolerances: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def passed(self) -> bool:
@@ -199,7 +202,7 @@ def _checked(
     now = proof.to_dict() | {"plan_digest": digest}
     if compared.state in (ModelState.CHANGED, ModelState.ACCEPTED):
         now["model_digest"] = compared.digest
-    done = PlanComparison(path, proof=proof, model=compared, stated=states)
+    done = PlanComparison(path, proof=proof, model=compared, stated=states, tolerances=stated_tolerances(plan))
     lacking = () if stored is None or foreign else _lacking(stored, now)
     if (stored is None or foreign or lacking) and not update:
         wants = f"has no {', '.join(lacking)}" if lacking else "is not there"
@@ -213,10 +216,15 @@ def _checked(
 
 
 def _lacking(stored: dict[str, Any], now: dict[str, Any]) -> tuple[str, ...]:
-    """Steps with judged numbers that a stored proof does not have."""
-    figures = {step: section.get("figures", {}) for step, section in now.items() if isinstance(section, dict)}
-    judged = [step for step, own in figures.items() if any(one.get("bound") is not None for one in own.values())]
-    return tuple(step.replace("_", " ") for step in judged if not isinstance(stored.get(step), dict))
+    """Words of the first line, and steps of which a judged number is missing, that a stored proof does not have."""
+    found = [word for word in ("feasible", "optimal", "not_checked") if word not in stored]
+    for step, section in now.items():
+        own = section.get("figures", {}) if isinstance(section, dict) else {}
+        judged = {name for name, one in own.items() if one.get("bound") is not None}
+        before = stored.get(step)
+        if judged - set(_numbers(before.get("figures")) if isinstance(before, dict) else ()):
+            found.append(step)
+    return tuple(one.replace("_", " ") for one in found)
 
 
 def _read(file: Path) -> dict[str, Any]:
@@ -260,7 +268,7 @@ def _changes(stored: dict[str, Any], now: dict[str, Any], tolerance: float) -> I
 
 
 def _words(stored: dict[str, Any], now: dict[str, Any]) -> Iterator[NumberChange]:
-    """Changes of feasible, optimal, robustness and not checked; a proof of an older version has none of them."""
+    """Changes of feasible, optimal, robustness and not checked."""
     for word in ("feasible", "optimal"):
         if isinstance(was := stored.get(word), bool) and was is not now[word]:
             yield NumberChange("headline", word, _yes(was), _yes(now[word]), None, was)
@@ -291,7 +299,9 @@ def _change(step: str, name: str, old: Any, new: Any, tolerance: float) -> Itera
         before, now = (one.get("value") if isinstance(one, dict) else None for one in (old, new))
         yield NumberChange(step, name, before, now, None, regressed=not isinstance(new, dict))
         return
-    bound = new.get("bound")
+    bound, before = new.get("bound"), old.get("bound")
+    if isinstance(before, (int, float)) and (bound is None or bound > before * (1.0 + tolerance)):
+        yield NumberChange(step, f"bound of {name}", before, bound, None, regressed=True)
     a, b = (math.inf if one.get("value") is None else float(one["value"]) for one in (old, new))
     if a == b:
         return

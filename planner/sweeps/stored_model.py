@@ -20,7 +20,7 @@ from planner.model.mjcf.model_changes import model_changes
 from planner.model.mjcf.prescribed_joints import heavy_joints
 from planner.model.model_origin import read_again
 from planner.model.twin import model_digest
-from planner.problem.goals import given_tolerance, goal_specs_of
+from planner.problem.goals import MIN_TOLERANCES, given_tolerance, goal_specs_of
 from planner.problem.plan import Plan
 
 MAX_NAMED = 5  # changes in a sentence
@@ -42,16 +42,19 @@ class StoredModel(NamedTuple):
         state: Of the model.
         details: What changed, a sentence each; or why it was not looked at.
         digest: Of the model on disk; "" where it was not read.
+        file: Name of the file that was read; "" for none.
     """
 
     state: ModelState
     details: tuple[str, ...] = ()
     digest: str = ""
+    file: str = ""
 
     def __str__(self) -> str:
         more = f"; and {len(self.details) - MAX_NAMED} more" if len(self.details) > MAX_NAMED else ""
         details = "; ".join(self.details[:MAX_NAMED]) + more
-        return f"model {self.state}" + (f": {details}" if details else "")
+        source = f" ({self.file})" if self.file else ""
+        return f"model {self.state}{source}" + (f": {details}" if details else "")
 
 
 def stored_model(plan: Plan, folder: Path, model: str | Path | None = None, accepted: str = "") -> StoredModel:
@@ -74,6 +77,7 @@ def stored_model(plan: Plan, folder: Path, model: str | Path | None = None, acce
         return StoredModel(ModelState.UNREAD, ("its joints are driven by jerk",))
     if model is None and plan.case in CASES and plan.problem is not None and plan.problem.twin is not None:
         text, files = plan.problem.twin.given, plan.problem.twin.assets  # load_plan() has built the case again
+        name = ""
     else:
         file = twin.origin.get("path") if model is None else str(model)
         if not isinstance(file, str):
@@ -84,10 +88,10 @@ def stored_model(plan: Plan, folder: Path, model: str | Path | None = None, acce
         if model is None and not os.path.isfile(file):
             return StoredModel(ModelState.UNREAD, (f"{printable(Path(file).name)} is absent, expected --model FILE",))
         text, files = read_again(twin.origin, file)
+        name = printable(Path(file).name)
     changes, digest = model_changes(twin.given, text, twin.assets, files), model_digest(text, files)
-    if not changes:
-        return StoredModel(ModelState.SAME, (), digest)
-    return StoredModel(ModelState.ACCEPTED if digest == accepted else ModelState.CHANGED, changes, digest)
+    changed = ModelState.ACCEPTED if digest == accepted else ModelState.CHANGED
+    return StoredModel(changed if changes else ModelState.SAME, changes, digest, name)
 
 
 def _inside(file: Path, folder: Path) -> bool:
@@ -95,21 +99,37 @@ def _inside(file: Path, folder: Path) -> bool:
     return Path(os.path.realpath(file)).is_relative_to(os.path.realpath(folder))
 
 
+def stated_tolerances(plan: Plan) -> dict[str, float]:
+    """The largest tolerance that a plan's file asks for, by unit ("rad", "m/s", ...): of its goals and constraints.
+
+    Those that its goals have by default are not in it. A soft goal has an infinite one.
+    """
+    problem, largest = plan.problem, {}
+    if problem is None:
+        return {}
+    asked = [(goal.unit, given_tolerance(problem.tolerance, goal)) for goal in goal_specs_of(problem)]
+    asked += [  # those of an [avoid] and of a case are smaller than any goal's
+        (one.unit, one.tolerance) for one in problem.constraints
+        if one.tolerance is not None and one.tolerance > MIN_TOLERANCES.get(one.unit, 0.0)
+    ]  # fmt: skip
+    if problem.limits is not None and problem.limits.tolerance != type(problem.limits)().tolerance:
+        asked.append(("limits", problem.limits.tolerance))
+    for unit, value in asked:
+        if value is not None:
+            largest[unit] = max(value, largest.get(unit, 0.0))
+    return largest
+
+
 def stated(plan: Plan) -> tuple[str, ...]:
     """What a plan's file asks for in its proof, a phrase each: tolerances that were given, and a model that is missing.
 
     A file can be edited: whoever reads a PASS should see what it was measured by.
     """
-    phrases, problem = [], plan.problem
-    if problem is not None:
-        largest: dict[str, float] = {}
-        for goal in goal_specs_of(problem):
-            if (value := given_tolerance(problem.tolerance, goal)) is not None:
-                largest[goal.unit] = max(value, largest.get(goal.unit, 0.0))
-        for unit, value in largest.items():
-            phrases.append(f"tolerance {'soft, in' if np.isinf(value) else f'{value:g}'} {unit}".rstrip())
-        if problem.limits is not None and problem.limits.tolerance != type(problem.limits)().tolerance:
-            phrases.append(f"tolerance of limits {problem.limits.tolerance:g}")
+    phrases = [
+        f"tolerance {'soft, in' if np.isinf(value) else f'{value:g}'} {unit}".rstrip()
+        if unit != "limits" else f"tolerance of limits {value:g}"
+        for unit, value in stated_tolerances(plan).items()
+    ]  # fmt: skip
     twin = plan.twin
     digest = "" if twin is None else twin.origin.get("digest", "")
     if twin is not None and digest and digest != twin.given_digest:

@@ -79,11 +79,11 @@ def test_looks_and_comments_are_no_change():
 def test_a_changed_model_is_named_and_can_be_accepted(folder, capsys):
     assert one(folder).model.state is ModelState.SAME
     assert main(["check", str(folder), "--quiet"]) == 0
-    assert "as stored. model same." in capsys.readouterr().out
+    assert "as stored. model same (arm.xml)." in capsys.readouterr().out
     (folder / "arm.xml").write_text(edited(ARM, {".//geom[@name='arm']": {"mass": "5.05"}}))
     assert main(["check", str(folder), "--quiet"]) == 1
     said = capsys.readouterr().out
-    assert "model changed: mass of body 'link' is 5.05, was 5 (+1 %)" in said
+    assert "model changed (arm.xml): mass of body 'link' is 5.05, was 5 (+1 %)" in said
     assert main(["check", str(folder), "--quiet", "--update"]) == 0
     assert one(folder).model.state is ModelState.ACCEPTED
     assert main(["check", str(folder), "--quiet"]) == 0
@@ -152,11 +152,12 @@ def forged(path: Path, **changes: object) -> None:
     write_archive(path, arrays, meta)
 
 
+def loosened(recipe):
+    return recipe | {"parameters": recipe["parameters"] | {"tolerance": 0.9}}
+
+
 def test_a_forged_file_says_what_it_asks_for(folder, capsys):
     path = folder / "plan.npz"
-
-    def loosened(recipe):
-        return recipe | {"parameters": recipe["parameters"] | {"tolerance": 0.9}}
 
     forged(path, tolerance=lambda _: 0.9, recipe=loosened)
     found = one(folder)
@@ -172,3 +173,32 @@ def test_a_file_without_its_original_says_so(tmp_path):
     found = one(path)
     assert "the model that it was made from is not in the file" in found.stated
     assert "of a file that is not in the plan" in found.proof.headline
+
+
+def edited_proof(folder: Path, change: object) -> None:
+    file = stored_proof(folder / "plan.npz")
+    content = json.loads(file.read_text())
+    for key in ("plan", "goal") if change == "figures" else ("feasible", "optimal"):
+        content[key]["figures"].clear() if change == "figures" else content.pop(key)
+    file.write_text(json.dumps(content))
+
+
+@pytest.mark.parametrize(("change", "lacks"), [("figures", "has no plan, goal"), ("words", "has no feasible, optimal")])
+def test_numbers_and_words_taken_out_of_a_proof_are_missed(folder, change, lacks):
+    edited_proof(folder, change)
+    found = one(folder)
+    assert not found.passed
+    assert lacks in found.problem
+
+
+def test_a_bound_wider_than_the_stored_one_is_worse(folder):
+    forged(folder / "plan.npz", tolerance=lambda _: 0.9, recipe=loosened)
+    found = one(folder)
+    assert found.word == "regressed"
+    assert {change.name for change in found.changes} >= {"bound of planned_angle_miss", "bound of replayed_angle_miss"}
+
+
+def test_a_path_that_was_led_to_another_file_is_named(folder):
+    shutil.copy(folder / "arm.xml", folder / "copy.xml")
+    forged(folder / "plan.npz", twin=lambda twin: twin | {"origin": twin["origin"] | {"path": "copy.xml"}})
+    assert "model same (copy.xml)" in str(one(folder))

@@ -97,6 +97,7 @@ from planner.problem.limits import Limits
 from planner.problem.objective_problem import with_objective
 from planner.problem.problem import Problem
 from planner.problem.recipe import PROBLEM_FILE, Recipe
+from planner.problem.tasks.waypoints import WAYPOINTS
 
 NAME = PROBLEM_FILE
 GAIN = 1e-4  # of the cost, by an iteration at kinks of contact, where more are worth nothing
@@ -270,6 +271,10 @@ def _problem(
         reasons["avoid"] = f"{told.removesuffix('.')}; the report names them." if details else told
         if details:
             reasons["avoid, details"] = " ".join(details)
+    if way is not None and way.waypoints:
+        table = table | {"goal": [one.goal.to_dict() for one in way.task.goals]}
+        passed = ", ".join(f"{way.task.goals[k].time:.3g}" for k in way.waypoints)
+        reasons["goal"] = f"Via points without times are passed at {passed} s, in proportion to the way of the joints."
     table = _resolved(table, dynamics, x0, goal, reasons, way, limits)
     weights = table[RESOLVED]["weights"]
     wanted = None
@@ -330,4 +335,5 @@ def _resolved(
         )  # fmt: skip
     filled = {name: weight.tolist() for name, weight in default.weights.items() if name not in given}
     reasons = reasons | {name: reason for name, reason in default.reasons.items() if name not in given}
-    return table | {RESOLVED: {"weights": {**filled, **given}, "reasons": reasons}}
+    waypoints = {} if way is None or not way.waypoints else {WAYPOINTS: list(way.waypoints)}
+    return table | {RESOLVED: {"weights": {**filled, **given}, "reasons": reasons, **waypoints}}

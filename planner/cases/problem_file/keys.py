@@ -64,7 +64,8 @@ GOAL = {
     "pointing": "[x, y, z] the direction to which the frame's z axis points, free to turn about it; or a table of axis "
     "(x, y, z or numbers) and to",
     "time": "s; by default the end",
-    "through": "true to pass without stopping",
+    "share": "of the duration, 0 to 1, in place of a time",
+    "through": "true to pass without stopping; before the goal of the end also without a time, which is then chosen",
     "tolerance": "how far from it passes, m and rad, or a table of position, orientation, pointing, velocity; by "
     f"default {1e3 * DEFAULT_TOLERANCES['position']:g} mm, {DEFAULT_TOLERANCES['orientation']:g} rad, "
     f"{DEFAULT_TOLERANCES['velocity']:g} m/s",

@@ -8,7 +8,7 @@ from collections.abc import Collection
 from pathlib import Path
 from typing import Any
 
-from planner.base.arguments import choice, count, did_you_mean, number, short_repr
+from planner.base.arguments import choice, count, did_you_mean, number, numbers, short_repr
 from planner.base.errors import FileError, PlannerError
 from planner.base.files import printable, read_text
 from planner.cases.problem_file.keys import AVOID, DEFAULTS, KEYS, LIMITS, MODEL_LIMITS, RESOLVED, WEIGHTS
@@ -19,6 +19,7 @@ from planner.problem.limit_values import OFF
 from planner.problem.limits import Limits
 from planner.problem.objective import checked_durations, weights_of
 from planner.problem.rediscretize import MAX_STAGES
+from planner.problem.tasks.waypoints import WAYPOINTS
 from planner.solvers.options import MAX_STARTS
 
 _FEW = 8  # keys that are listed before the nearest one is suggested
@@ -75,7 +76,7 @@ def with_defaults(table: dict[str, Any], where: str, stored: bool = False) -> di
     """
     check_keys(table, (*KEYS, RESOLVED) if stored else KEYS, where)
     for name, keys in (
-        ("weights", WEIGHTS), ("limits", LIMITS), ("avoid", AVOID), (RESOLVED, ("weights", "reasons")),
+        ("weights", WEIGHTS), ("limits", LIMITS), ("avoid", AVOID), (RESOLVED, ("weights", "reasons", WAYPOINTS)),
     ):  # fmt: skip
         part = table.get(name, {})
         if not isinstance(part, dict):
@@ -99,6 +100,7 @@ def _check_resolved(resolved: dict[str, Any], where: str) -> None:
     check_keys(resolved["weights"], (*WEIGHTS, "control"), f"[{RESOLVED}.weights] of {where}")
     if "effort" not in resolved["weights"]:
         raise PlannerError(f"[{RESOLVED}.weights] of {where} has no key 'effort', expected a weight of the controls.")
+    numbers("a waypoint of the plan", resolved.get(WAYPOINTS, []))
     for name, reason in resolved["reasons"].items():
         if not isinstance(reason, str):
             raise PlannerError(f"the reason for {short_repr(name)} is {short_repr(reason)}, expected a sentence.")

@@ -31,6 +31,7 @@ from planner.problem.tasks.pose_constraints import PoseConstraints
 from planner.problem.tasks.poses import Poses, is_screws, poses_of
 from planner.problem.tasks.reference_motion import controls, joint_displacement, reference_states, with_via_poses
 from planner.problem.tasks.timed_task import Task, task_of
+from planner.problem.tasks.waypoints import dated_by_way, dated_evenly, undated_waypoints
 
 MAX_GOALS = 1000  # goals
 _OF_GOALS = ("final_position", "hold")  # weights of an end in joints, which a task's goals take the place of
@@ -43,6 +44,7 @@ class ResolvedTask(NamedTuple):
     poses: Poses
     rows: np.ndarray  # (N+1, nx) the states of the motion through them
     apart: AvoidanceConstraint | None  # What is kept apart
+    waypoints: tuple[int, ...] = ()  # goals whose share of the duration was chosen
 
 
 def is_task(table: dict[str, Any], mechanism: Mechanism) -> bool:
@@ -105,17 +107,21 @@ def resolve_task(
     follows = [Follow(**path) for path in table.get("follow", [])]
     if "time" in objective and (follows or any(goal.time is not None for goal in goals)):
         raise PlannerError(
-            "the objective has time, which changes the duration, and goals have times of their own: expected goals at "
-            "the end alone, or another objective."
+            "the objective has time, which changes the duration, and goals have times of their own: expected "
+            "through = true without a time, a share of the duration, or another objective."
         )
-    task = task_of(dynamics.mechanism, goals, follows, N, dynamics.dt, table["tolerance"])
+    waypoints = undated_waypoints(goals)
     ranges = np.tile([-np.inf, np.inf], (dynamics.mechanism.nv, 1))
     if limits is not None:
         ranges = limits.position_ranges(dynamics)
     kept = PoseConstraints(constraints, dynamics, x0, N) if constraints else None
-    search = partial(
-        poses_of, task, dynamics, x0, ranges, seed=table["seed"], check=RESOLVED not in table, constraints=kept
-    )
+    poses_for = partial(poses_of, seed=table["seed"], check=RESOLVED not in table, constraints=kept)
+    task_from = partial(task_of, dynamics.mechanism, follows=follows, N=N, dt=dynamics.dt, tolerance=table["tolerance"])
+    if waypoints:
+        evenly = task_from(dated_evenly(goals, waypoints, N))
+        goals = dated_by_way(evenly, waypoints, poses_for(evenly, dynamics, x0, ranges))
+    task = task_from(goals)
+    search = partial(poses_for, task, dynamics, x0, ranges)
     if avoid is None:
         poses, apart = search(), None
     else:
@@ -124,7 +130,7 @@ def resolve_task(
         apart = avoid.constraint(dynamics.mechanism, x0, _of_goals(task, poses))  # they are known now
         if not _is_direct(task) and is_screws(task):
             poses = with_via_poses(poses, free(apart.constraint.of), table["seed"])
-    return ResolvedTask(task, poses, reference_states(task, poses, x0), apart)
+    return ResolvedTask(task, poses, reference_states(task, poses, x0), apart, waypoints)
 
 
 def _of_goals(task: Task, poses: Poses) -> dict[str, np.ndarray]:

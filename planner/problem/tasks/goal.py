@@ -34,7 +34,9 @@ class Goal:
             direction, and `axis`, "x", "y", "z" or (3,) in the frame. The rotation about it is free.
         joints: Positions by joint, a keyframe's name, or all positions; rad or m.
         time: s from the start; None for the end.
-        through: Whether it is a via point, passed without stopping; else the machine is at rest there.
+        share: In place of a time, of the duration: 0.5 is half-way, whatever the duration becomes.
+        through: Whether it is a via point, passed without stopping; else the machine is at rest there. One without a
+            time or a share before the end's goal is passed when it fits best.
         tolerance: Largest error that passes: a number in m and rad, or a table of position, orientation, pointing and
             velocity (at rest, m/s). By default 5 mm, 0.02 rad and 0.05 m/s.
 
@@ -48,6 +50,7 @@ class Goal:
     pointing: Any = None
     joints: Any = None
     time: float | None = None
+    share: float | None = None
     through: bool = False
     tolerance: Any = None
 
@@ -71,9 +74,22 @@ class Goal:
             raise PlannerError(f"through of a goal is {short_repr(self.through)}, expected true or false.")
         if self.time is not None:
             number("time of a goal", self.time, greater_than=0.0)
+        if self.share is not None:
+            number("share of a goal", self.share, greater_than=0.0, maximum=1.0)
+            if self.time is not None:
+                raise PlannerError("a goal has a time and a share of the duration, expected one of the two.")
         if self.position is not None:
             array("position of a goal", self.position, (3,))
         _ = self.quaternion, self.direction, self.tolerances({})
+
+    @property
+    def undated(self) -> bool:
+        """Whether it says neither when it is met nor to be met at rest: a via point, if a goal comes after it."""
+        return self.through and self.time is None and self.share is None
+
+    def after(self, duration: float) -> float:
+        """When it is met in a motion of a duration (s), s from the start."""
+        return duration * (1.0 if self.share is None else self.share) if self.time is None else float(self.time)
 
     @property
     def quaternion(self) -> np.ndarray | None:

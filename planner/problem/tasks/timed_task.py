@@ -114,9 +114,8 @@ def task_of(
     defaults = Goal(frame="", pointing=(0, 0, 1), tolerance=_goal_tolerances(tolerance)).tolerances(DEFAULT_TOLERANCES)
     timed, before = [], 0.0
     for k, goal in enumerate(goals, 1):
-        time = N * dt if goal.time is None else float(goal.time)
-        name = goal.frame or "joints"
-        label = f"goal {k} ({name})" if goal.time is None else f"goal {k} ({name} at {time:g} s)"
+        time, name = goal.after(N * dt), goal.frame or "joints"
+        label = f"goal {k} ({name})" if goal.time is goal.share is None else f"goal {k} ({name} at {time:g} s)"
         if time > N * dt * (1.0 + 1e-9):
             raise PlannerError(f"{label} is after the end, expected a time of at most the duration of {N * dt:g} s.")
         if time < before - 1e-9:

@@ -1,4 +1,4 @@
-"""Place a camera that sees a whole motion: the box that the moving shapes sweep, and the distance to it."""
+"""Place a camera that sees a whole motion: the points that the moving shapes sweep, and the distance to them."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ from planner.problem.appearance import Appearance
 from planner.view.render.film import Film
 from planner.view.render.shapes import LinkCapsules, drawn, geom_boxes, moving
 
-_MARGIN, _NARROW_MARGIN = 1.12, 1.02  # the picture's half sizes over the motion's, with words around it and without
-_LOWER = 0.2  # of half the picture's height: how far a motion is put below its middle, where there is room
+_MARGIN, _NARROW_MARGIN = 1.25, 1.06  # the picture's half sizes over the motion's, with words around it and without
+_LOWER = 0.15  # of half the picture's height: how far a motion is put below its middle, where there is room
 MARGIN = 0.05  # around what moves, in parts of its largest side
 _ASTRAY = 0.5  # how far a replay that leaves the plan is followed, in largest sides of the plan's box
 
@@ -25,15 +25,6 @@ class Box(NamedTuple):
 
     low: np.ndarray  # (3,)
     high: np.ndarray  # (3,)
-
-    def beside(self, offset: np.ndarray) -> Box:
-        """The box around this box and its displaced copy."""
-        return Box(np.minimum(self.low, self.low + offset), np.maximum(self.high, self.high + offset))
-
-    def joined(self, other: Box, most: float) -> Box:
-        """The box around this box and another, at most `most` larger on every side."""
-        low = np.maximum(np.minimum(self.low, other.low), self.low - most)
-        return Box(low, np.minimum(np.maximum(self.high, other.high), self.high + most))
 
 
 def whole_motion(
@@ -46,20 +37,22 @@ def whole_motion(
     motion fills the picture. A diverging replay is followed only close to the plan.
     """
     scenery = scenery_of(model, appearance)[0]
-    plan = box = swept_box(model, films[0].path_ghost_qpos, scenery)
-    for film in films:
-        swept = swept_box(model, film.path_qpos, scenery)
-        box = box.joined(plan.joined(swept, _ASTRAY * float(np.max(plan.high - plan.low))), np.inf)
+    plan = swept_points(model, films[0].path_ghost_qpos, scenery)
+    low, high = plan.min(axis=0), plan.max(axis=0)
+    far = _ASTRAY * float(np.max(high - low))
+    swept = [np.clip(swept_points(model, film.path_qpos, scenery), low - far, high + far) for film in films]
+    points = np.concatenate([plan, *swept])
     if ghost:
-        box = box.beside(np.asarray(appearance.ghost_offset))
+        points = np.concatenate([points, points + np.asarray(appearance.ghost_offset)])
     goals = [one.position for one in appearance.goals if one.position is not None]
-    for places in (np.reshape(goals, (-1, 3)), *appearance.paths):
-        if len(places):
-            box = box.joined(Box(places.min(axis=0), places.max(axis=0)), np.inf)
+    points = np.concatenate([points, np.reshape(goals, (-1, 3)), *appearance.paths])
     angles = appearance.azimuth, appearance.elevation, model.vis.global_.fovy
-    distance = standing_back(box, *angles, aspect, room, _MARGIN if words else _NARROW_MARGIN)
-    above = below_words(box, *angles, distance) if room == 1.0 and words else 0.0
-    return 0.5 * (box.low + box.high) + above, distance
+    axes = np.stack(directions(*angles[:2]))
+    along = points @ axes.T
+    middle = 0.5 * (along.min(axis=0) + along.max(axis=0)) @ axes
+    distance = standing_back(points - middle, *angles, aspect, room, _MARGIN if words else _NARROW_MARGIN)
+    above = below_words(points - middle, *angles, distance) if room == 1.0 and words else 0.0
+    return middle + above, distance
 
 
 def scenery_of(model: Any, appearance: Appearance) -> tuple[np.ndarray, np.ndarray]:
@@ -79,7 +72,15 @@ def scenery_of(model: Any, appearance: Appearance) -> tuple[np.ndarray, np.ndarr
 
 
 def swept_box(model: Any, path: np.ndarray, scenery: np.ndarray) -> Box:
-    """The box around everything that moves and carries it, without the scenery (nbody,), over the poses path (P, nq).
+    """The box around swept_points(), with room around it."""
+    points = swept_points(model, path, scenery)
+    low, high = points.min(axis=0), points.max(axis=0)
+    least = MARGIN * max(float(np.max(high - low)), 1e-3)
+    return Box(low - least, high + least)
+
+
+def swept_points(model: Any, path: np.ndarray, scenery: np.ndarray) -> np.ndarray:
+    """Points (M, 3) around all that moves and carries it, without the scenery (nbody,), in the poses path (P, nq).
 
     Bodies at rest that carry nothing, a wall for example, may be anywhere: no camera goes back to see them.
     """
@@ -88,17 +89,15 @@ def swept_box(model: Any, path: np.ndarray, scenery: np.ndarray) -> Box:
     moved = moving(model) & ~scenery[model.geom_bodyid]
     geoms = np.flatnonzero(moved & drawn(model) if np.any(moved & drawn(model)) else moved)
     bodies, capsules = np.flatnonzero(~scenery & _carrying(model))[1:], LinkCapsules(model)
-    low, high = np.full(3, np.inf), np.full(3, -np.inf)
+    swept = []
     for qpos in path:
         data.qpos[:] = qpos
         mujoco.mj_kinematics(model, data)
-        points = np.concatenate([*geom_boxes(model, data, geoms), data.xpos[bodies], capsules.ends(data)])
-        if len(points):
-            low, high = np.minimum(low, points.min(axis=0)), np.maximum(high, points.max(axis=0))
-    if not np.isfinite(low).all():  # nothing but a world
-        low, high = model.stat.center - model.stat.extent / 2, model.stat.center + model.stat.extent / 2
-    least = MARGIN * max(float(np.max(high - low)), 1e-3)
-    return Box(low - least, high + least)
+        swept += [*geom_boxes(model, data, geoms), data.xpos[bodies], capsules.ends(data)]
+    points = np.concatenate([np.reshape(one, (-1, 3)) for one in swept])
+    if len(points):
+        return points
+    return model.stat.center + 0.5 * model.stat.extent * np.array([[-1.0] * 3, [1.0] * 3])  # nothing but a world
 
 
 def _carrying(model: Any) -> np.ndarray:
@@ -110,24 +109,25 @@ def _carrying(model: Any) -> np.ndarray:
 
 
 def standing_back(
-    box: Box, azimuth: float, elevation: float, fovy: float, aspect: float, room: float = 1.0,
+    points: np.ndarray, azimuth: float, elevation: float, fovy: float, aspect: float, room: float = 1.0,
     margin: float = _MARGIN,
 ) -> float:  # fmt: skip
-    """Distance from the box's centre at which a camera, angles in degrees, sees all of the box; see whole_motion()."""
+    """Distance at which a camera, angles in degrees, sees points (M, 3) about what it looks at; see whole_motion()."""
     ahead, right, up = directions(azimuth, elevation)
-    half = 0.5 * (box.high - box.low)
-    corners = half * np.array(np.meshgrid([-1, 1], [-1, 1], [-1, 1])).reshape(3, -1).T
     tangent = np.tan(0.5 * np.radians(fovy))
-    needed = np.maximum(np.abs(corners @ up) / (tangent * room), np.abs(corners @ right) / (tangent * aspect))
-    return float(np.max(margin * needed - corners @ ahead))
+    needed = np.maximum(np.abs(points @ up) / (tangent * room), np.abs(points @ right) / (tangent * aspect))
+    return float(np.max(margin * needed - points @ ahead))
 
 
-def below_words(box: Box, azimuth: float, elevation: float, fovy: float, distance: float) -> np.ndarray:
-    """Displacement (3,), m, of the camera's point above a box, which stays in the picture: numbers are at the top."""
-    _, _, up = directions(azimuth, elevation)
-    visible = distance * np.tan(0.5 * np.radians(fovy))
-    free = visible - _MARGIN * 0.5 * float((box.high - box.low) @ np.abs(up))
-    return up * max(0.0, min(free, _LOWER * visible))
+def below_words(points: np.ndarray, azimuth: float, elevation: float, fovy: float, distance: float) -> np.ndarray:
+    """Displacement (3,), m, of what a camera looks at, above points (M, 3) about it, which stay in the picture.
+
+    Numbers are at its top.
+    """
+    ahead, _, up = directions(azimuth, elevation)
+    tangent = np.tan(0.5 * np.radians(fovy))
+    free = float(np.min(points @ up + (distance + points @ ahead) * tangent / _MARGIN))
+    return up * max(0.0, min(free, _LOWER * distance * tangent))
 
 
 def directions(azimuth: float, elevation: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

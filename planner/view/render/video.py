@@ -67,7 +67,7 @@ def render_video(
         FileError: The file cannot be written.
     """
     _check_suffix(path, ".mp4")
-    _check_size(width, height, even=True)
+    check_size(width, height, even=True)
     number("fps", fps, greater_than=0.0)
     replays: dict[Replay, Caption | None] = {shown: None} if isinstance(shown, Replay) else _captioned(shown)
     first = next(iter(replays))
@@ -124,7 +124,7 @@ def render_strip(
         FileError: The file cannot be written.
     """
     _check_suffix(path, ".png")
-    _check_size(width, height)
+    check_size(width, height)
     count("poses", poses, minimum=2, maximum=max(2, width // 16))  # 16 pixels each
     film = _seen_from(Film.of(replay, np.linspace(replay.t[0], replay.t[-1], poses)), camera)
     gl.require_backend()
@@ -153,7 +153,7 @@ def render_poses(
         FileError: The file cannot be written.
     """
     _check_suffix(path, ".png")
-    _check_size(width, height)
+    check_size(width, height)
     count("poses", len(poses), maximum=max(1, width // 16))
     gl.require_backend()
     _write_png(carry_out([Film.of_poses(mechanism, poses)], Job("strip", width, height)), path)
@@ -187,7 +187,7 @@ def render_frame(
         PlannerError: An argument is wrong.
         RenderingUnavailable: No OpenGL library was found.
     """
-    _check_size(width, height)
+    check_size(width, height)
     if not replay.t[0] <= t <= replay.t[-1]:
         raise PlannerError(f"t is {t!r}, expected {replay.t[0]:g} to {replay.t[-1]:g} s.")
     film = _seen_from(Film.of(replay, np.array([float(t)])), camera)
@@ -212,7 +212,8 @@ def _check_suffix(path: PathLike, suffix: str) -> None:
         raise PlannerError(f"the file is {os.fspath(path)!r}, expected a name ending in {suffix}.")
 
 
-def _check_size(width: int, height: int, *, even: bool = False) -> None:
+def check_size(width: int, height: int, *, even: bool = False) -> None:
+    """Refuse a size, pixels, that no picture can have, or no film where it is to be `even`."""
     for name, value in (("width", width), ("height", height)):
         if count(name, value, minimum=16, maximum=_LARGEST) % 2 and even:
             raise PlannerError(f"{name} is {value!r}, expected an even number of pixels: H.264 films need it.")
