@@ -79,7 +79,7 @@ class Kernels:
     """The compiled calls of an engine's plan, which it counts the seconds of while a controller is called."""
 
     def __init__(self, controller: planner.Controller) -> None:
-        self.seconds, engine = 0.0, controller._engine
+        self.seconds, engine = 0.0, controller._replanner.engine
         engine._riccati = self._timed(engine._riccati)  # type: ignore[attr-defined]
 
     def _timed(self, kernel: Any) -> Any:

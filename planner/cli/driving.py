@@ -98,7 +98,7 @@ def _show(verdict: LoopVerdict, console: Console) -> None:
     console.write_result()
     console.table(("step", "measured", "value", "bound", ""), verdict.rows())
     for event in verdict.loop.events[:10]:
-        console.write_result(event)
+        console.write_result(str(event))
     console.write_result(f"\n{verdict.headline}")
 
 

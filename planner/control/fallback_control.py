@@ -43,15 +43,25 @@ class FallbackControl:
             self._inverse = self._inverse_at(self._mechanism.qpos0)
 
     @property
+    def how(self) -> str:
+        """In words."""
+        return "by gravity compensation and damping" if self.known else "by the last control of its plan"
+
+    @property
     def known(self) -> bool:
         """Whether the dynamics have a mechanism, without prescribed joints, for gravity compensation."""
         return bool(self._inverse.size)
 
-    def __call__(self, x: np.ndarray, otherwise: np.ndarray) -> np.ndarray:
-        """The control (nu,) at a state x (nx,), before bounds; `otherwise` (nu,) unless `known`."""
+    def __call__(self, x: np.ndarray, otherwise: np.ndarray, damped: bool = True) -> np.ndarray:
+        """The control (nu,) at a state x (nx,), before bounds; `otherwise` (nu,) unless `known`.
+
+        Without damping it is gravity compensation alone, for a state that is not measured.
+        """
         m = self._mechanism
         if m is None or not self.known:
             return otherwise
+        if not damped:
+            return quasi_static_controls(m, x, contacts=False)
         qd, actuators = x[m.nq : m.nq + m.nv], m.actuators
         servo = actuators.moment.T @ (actuators.bias[:, 2] * (actuators.moment @ qd))
         damping = mass_matrix(m, x[: m.nq]) @ qd / TIME

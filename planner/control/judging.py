@@ -91,7 +91,7 @@ class LoopVerdict:
         return {
             "verdict": self.verdict, "headline": self.headline,
             **dicts_of(self.sections),
-            "asked": run.errors, "events": list(run.events),
+            "asked": run.errors, "events": [one.to_dict() for one in run.events],
             "map": {"times": self.times.tolist(), **{who: values.tolist() for who, values in
             self.robustness_maps.items()}},
         }  # fmt: skip

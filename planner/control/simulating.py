@@ -19,6 +19,7 @@ import numpy as np
 from planner.base.arguments import count, number, short_repr
 from planner.base.errors import PlannerError
 from planner.control.controller import Controller
+from planner.control.controller_states import Event
 from planner.control.fallback_control import FixedPlanController
 from planner.control.receding_horizon import RecedingHorizonProblem
 from planner.problem.plan import Plan, Status
@@ -60,7 +61,7 @@ class ClosedLoopRun(Replay):
         controller: The simulated Controller or FixedPlanController.
         errors: Arguments of simulate(), as JSON values.
         call_seconds: Wall-clock time of each planning call, s.
-        events: Messages of the controller.
+        events: Events of the controller.
         goal: Goal as a function of time, or None.
         late: Largest latency that acted, s, in whole simulator steps.
     """
@@ -68,7 +69,7 @@ class ClosedLoopRun(Replay):
     controller: Any = None
     errors: dict[str, Any] = field(default_factory=dict)
     call_seconds: np.ndarray = field(default_factory=lambda: np.zeros(0))
-    events: tuple[str, ...] = ()
+    events: tuple[Event, ...] = ()
     goal: Goal | None = None
     late: float = 0.0
 
@@ -126,6 +127,11 @@ def simulate(
     asked: ControllerProtocol = FixedPlanController(controller) if isinstance(controller, Plan) else controller
     if not isinstance(asked, (Controller, FixedPlanController)):
         raise PlannerError(f"controller is {short_repr(controller)}, expected a planner.Controller or a Plan.")
+    if getattr(asked, "threaded", False):
+        raise PlannerError(
+            "the controller is threaded: its plans take wall time and the loop has simulated time, expected "
+            "threaded=False."
+        )
     problem = asked.problem
     if problem.twin is None:
         raise PlannerError("the problem has no MuJoCo model to be simulated in, expected a Problem with a twin.")
@@ -162,7 +168,7 @@ def simulate(
     t = dt / n * np.arange(M + 1)
     qpos, qvel, act = np.split(w, [model.nq, model.nq + model.nv], axis=1)
     us, expected = ctrl[:, compiled.controls], asking.expected(t)
-    events = tuple(str(one) for one in getattr(asked, "events", ()))
+    events = tuple(getattr(asked, "events", ()))
     errors = {
         "duration": stages * dt, "latency": latency, "pushes": [push.to_dict() for push in pushes],
         "mass": dict(mass) if isinstance(mass, Mapping) else mass, "friction": friction,
