@@ -4,8 +4,8 @@
     feedback   u = us[n] + K[n] (x - xs(t)), within bounds, some tens of microseconds
     call       both: it plans from the measured x where a plan is due
 
-To first order the gains of a plan for a predicted state give the control that a plan from the measured one would, as in
-real-time iteration. The states, and what leads from one to another, are in planner.control.controller_states.
+The feedback is the minimum of the LQ problem of the last iteration from the measured state, as in real-time iteration.
+The states, and what leads from one to another, are in planner.control.controller_states.
 """
 
 from __future__ import annotations
@@ -64,6 +64,7 @@ class Controller(StateMachine):
         planned: Whether the last call made a plan.
         keeps_goal: Whether the goal remains after the end of the task: some control makes it an equilibrium.
         seconds: Wall time of the last plan, s; 0 where the last call did not plan.
+        processor_seconds: Processor time of it, s, of its thread.
 
     Raises:
         PlannerError: A rate above one plan per stage, a number out of range, a cost without a window (see
@@ -111,6 +112,13 @@ class Controller(StateMachine):
             raise PlannerError(f"the controller has no plan to begin with: {plan.message}")
         return plan
 
+    def with_timing(self, rate: float, latency: float) -> Controller:
+        """One with another rate, Hz, and latency, s, and the same first plan."""
+        return Controller(
+            self.problem, self.horizon, rate, self.iterations, self.budget, self.patience, self.plan, latency,
+            self.threaded,
+        )  # fmt: skip
+
     def reset(self, x0: Any = None) -> None:
         """Restart the task with the next call; from another start (nx,) after a new solve. Leaves STOPPED."""
         if self._pending is not None:
@@ -122,7 +130,7 @@ class Controller(StateMachine):
         self._adopt()
         self.restart()
         self._begin, self._asked = math.nan, -math.inf
-        self.planned, self.seconds, self._waits = False, 0.0, False
+        self.planned, self.seconds, self.processor_seconds, self._waits = False, 0.0, 0.0, False
         self._acting, self._seen, self._last_t = self._us[0].copy(), self.plan.xs[0].copy(), -math.inf
         if self._goal is None:
             end = self.plan.xs[-1] if self._window.frames else self._window.x_ref[-1]
@@ -181,7 +189,7 @@ class Controller(StateMachine):
         The state of a Mechanism is MuJoCo's qpos, qvel and act. Any measurement is answered by a control that is finite
         and within the bounds: while one is unusable, the plan goes on without feedback, then the machine is held.
         """
-        self.planned, self.seconds = False, 0.0
+        self.planned, self.seconds, self.processor_seconds = False, 0.0, 0.0
         fault = self._fault(t, x)
         if fault is not None:
             return self._without(t, fault)
@@ -257,11 +265,11 @@ class Controller(StateMachine):
         self._held = self.status is ControllerStatus.HOLDING
 
     def _timed(self, t: float, x: np.ndarray) -> Fault | None:
-        """One solve from x at t, and its wall time; of a threaded controller in its thread."""
-        began = time.perf_counter()
+        """One solve from x at t, and its times; of a threaded controller in its thread."""
+        began, worked = time.perf_counter(), time.thread_time()
         held = self._holding(x, self._us[-1]) if self._held and np.isfinite(x).all() else None
         fault = self._replanner.replan(t, x, held, self._leads_back)
-        self._seconds = time.perf_counter() - began
+        self._taken = time.perf_counter() - began, time.thread_time() - worked
         return fault
 
     def _plan(self, t: float, x: np.ndarray) -> bool:
@@ -271,8 +279,8 @@ class Controller(StateMachine):
     def _ended(self, t: float, fault: Fault | None) -> bool:
         """Take what a solve for time t left; whether it succeeded."""
         self._adopt()
-        self.planned, self.seconds = True, self._seconds
-        return self.ended(t, fault, self._seconds, iteration_seconds=self._replanner.iteration_seconds)
+        self.planned, (self.seconds, self.processor_seconds) = True, self._taken
+        return self.ended(t, fault, self.seconds, iteration_seconds=self._replanner.iteration_seconds)
 
     def _adopt(self) -> None:
         """Track the last plan of the replanner; a copy where the next is made in another thread."""

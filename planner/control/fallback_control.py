@@ -93,7 +93,7 @@ _TIME_TOLERANCE = 1e-6  # of a stage: smaller differences of time are zero
 class FixedPlanController:
     """u = us[n] + K[n] (x - x_plan(t)), then regulation of the goal."""
 
-    planned, seconds = False, 0.0
+    planned, seconds, processor_seconds = False, 0.0, 0.0
 
     def __init__(self, plan: Plan) -> None:
         self.plan, self.problem = plan, problem_of(plan)

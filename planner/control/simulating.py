@@ -45,6 +45,7 @@ class ControllerProtocol(Protocol):
     plan: Plan
     planned: bool
     seconds: float
+    processor_seconds: float
 
     def __call__(self, t: float, x: np.ndarray) -> np.ndarray: ...  # noqa: D102
     def expected(self, t: float) -> np.ndarray: ...  # noqa: D102
@@ -60,7 +61,8 @@ class ClosedLoopRun(Replay):
     Attributes:
         controller: The simulated Controller or FixedPlanController.
         errors: Arguments of simulate(), as JSON values.
-        call_seconds: Wall-clock time of each planning call, s.
+        call_seconds: Wall time of each planning call, s.
+        call_processor_seconds: Processor time of each, s.
         events: Events of the controller.
         goal: Goal as a function of time, or None.
         late: Largest latency that acted, s, in whole simulator steps.
@@ -69,6 +71,7 @@ class ClosedLoopRun(Replay):
     controller: Any = None
     errors: dict[str, Any] = field(default_factory=dict)
     call_seconds: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    call_processor_seconds: np.ndarray = field(default_factory=lambda: np.zeros(0))
     events: tuple[Event, ...] = ()
     goal: Goal | None = None
     late: float = 0.0
@@ -180,7 +183,8 @@ def simulate(
         ctrl=us, xs=compiled.twin.x_of(w), plan_xs=expected, contact_force=recorder.force,
         contact_point=recorder.point, substeps=n, warnings=warnings, contacts=recorder.history(t),
         contact_extremes=recorder.contact_extremes, controller=asked, errors=errors,
-        call_seconds=np.array(asking.seconds), events=events, goal=goal, late=asking.late,
+        call_seconds=np.array(asking.seconds), call_processor_seconds=np.array(asking.worked),
+        events=events, goal=goal, late=asking.late,
     )  # fmt: skip
 
 
@@ -208,7 +212,7 @@ class _Asking:
         self._u = asked.plan.us[0]
         self._coming: tuple[int, np.ndarray] | None = None  # the step at which a control is ready, and the control
         self._times, self._expected = list[float](), list[np.ndarray]()
-        self.seconds, self.late = list[float](), 0.0
+        self.seconds, self.worked, self.late = list[float](), list[float](), 0.0
 
     def __call__(self, i: int, w: np.ndarray) -> np.ndarray:
         """MuJoCo's controls (steps per tick, nu) from simulator step i on, at MuJoCo's state w (nw,)."""
@@ -244,6 +248,7 @@ class _Asking:
             self._u = u
             return
         self.seconds.append(self._asked.seconds)
+        self.worked.append(self._asked.processor_seconds)
         late = self._asked.seconds if self._latency is None else self._latency
         steps = math.ceil(late / self._step - 1e-9)
         self.late = max(self.late, steps * self._step)
