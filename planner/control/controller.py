@@ -51,7 +51,8 @@ class Controller(StateMachine):
         latency: s, from a planning call until its control acts. It plans for that instant, from the state that the
             problem's dynamics predict for then under the present control.
         threaded: Whether a call only begins a plan, in a thread of its own, and returns the feedback of the last one.
-            Results then depend on the computer.
+            The plan acts from `latency` on, or when it is ready. It begins in the state that the feedback of the last
+            one leads to by then. Results depend on the computer, except in simulate().
 
     Attributes:
         plan: The first plan of the whole task, converged; solved again by reset(x0).
@@ -61,6 +62,7 @@ class Controller(StateMachine):
         faults: Unusable measurements since the reset.
         plans: Plans made since the reset.
         overruns: Plans that took longer than the period of the rate, or than the budget, of wall time.
+        simulated: Whether time is: simulate() sets it, a threaded plan is then made at once and acts after `latency`.
         planned: Whether the last call made a plan.
         keeps_goal: Whether the goal remains after the end of the task: some control makes it an equilibrium.
         seconds: Wall time of the last plan, s; 0 where the last call did not plan.
@@ -113,10 +115,10 @@ class Controller(StateMachine):
         return plan
 
     def with_timing(self, rate: float, latency: float) -> Controller:
-        """One with another rate, Hz, and latency, s, and the same first plan."""
+        """One with another rate, Hz, and latency, s, and the same first plan; threaded if that is above a stage."""
         return Controller(
             self.problem, self.horizon, rate, self.iterations, self.budget, self.patience, self.plan, latency,
-            self.threaded,
+            threaded=latency > self._dt * (1.0 + TIME_TOLERANCE),
         )  # fmt: skip
 
     def reset(self, x0: Any = None) -> None:
@@ -129,6 +131,7 @@ class Controller(StateMachine):
         self._replanner.reset(self.plan)
         self._adopt()
         self.restart()
+        self.simulated = False
         self._begin, self._asked = math.nan, -math.inf
         self.planned, self.seconds, self.processor_seconds, self._waits = False, 0.0, 0.0, False
         self._acting, self._seen, self._last_t = self._us[0].copy(), self.plan.xs[0].copy(), -math.inf
@@ -200,16 +203,20 @@ class Controller(StateMachine):
         if not due or self._pending is not None or not self._plans:
             return self._control(t, x)
         self._started(t)
+        if self._thread is not None:
+            self._slide(t + self.latency)
+            self._pending_at, self._submitted = t + self.latency, time.perf_counter()
+            if self.simulated:
+                self._pending = Future()
+                self._pending.set_result(self._timed(t, x, self.latency))
+            else:
+                self._pending = self._thread.submit(self._timed, t, x, self.latency)
+            return self._control(t, x)
         if self.latency:
             t, x = t + self.latency, state_after(self.problem, x, self._acting, self.latency)
-        if self._thread is not None:
-            self._slide(t)
-            self._pending_at, self._submitted = t, time.perf_counter()
-            self._pending = self._thread.submit(self._timed, t, x.copy())
-            return self._control(self._now, self._seen)
         if self._plan(t, x):
             self._acting = self._us[0].copy()
-            return self._acting
+            return self._acting.copy()
         return self._control(t, x)
 
     def prepare(self, t: float, x: np.ndarray | None = None) -> bool:
@@ -264,9 +271,13 @@ class Controller(StateMachine):
         self._leads_back = self._goal is None and self._window.stage < self.problem.N
         self._held = self.status is ControllerStatus.HOLDING
 
-    def _timed(self, t: float, x: np.ndarray) -> Fault | None:
-        """One solve from x at t, and its times; of a threaded controller in its thread."""
+    def _timed(self, t: float, x: np.ndarray, ahead: float = 0.0) -> Fault | None:
+        """One solve from x at t, or from where the last plan leads `ahead` s later, and its times."""
         began, worked = time.perf_counter(), time.thread_time()
+        while ahead > TIME_TOLERANCE * self._dt:
+            part = min(ahead, self._dt)
+            x = state_after(self.problem, x, self._acting if self._held else self._tracked(t, x), part)
+            t, ahead = t + part, ahead - part
         held = self._holding(x, self._us[-1]) if self._held and np.isfinite(x).all() else None
         fault = self._replanner.replan(t, x, held, self._leads_back)
         self._taken = time.perf_counter() - began, time.thread_time() - worked
@@ -328,9 +339,12 @@ class Controller(StateMachine):
         now = max(t, self._now) if abs(t) < LATEST else self._now
         self.unusable(now, fault)
         if self.status in (ControllerStatus.HOLDING, ControllerStatus.STOPPED):
-            return self._bounded(now, self._holding(self._seen, self._us[-1], damped=False))
-        stages = 0.0 if math.isnan(self._made) else max((now - self._made) / self._dt, 0.0)
-        return self._bounded(now, self._us[min(int(stages + TIME_TOLERANCE), self.horizon - 1)])
+            u = self._holding(self._seen, self._us[-1], damped=False)
+        else:
+            stages = 0.0 if math.isnan(self._made) else max((now - self._made) / self._dt, 0.0)
+            u = self._us[min(int(stages + TIME_TOLERANCE), self.horizon - 1)]
+        self._acting = self._clipped(now, u)
+        return self._acting.copy()
 
     def _control(self, t: float, x: np.ndarray) -> np.ndarray:
         """The control (nu,) of the last plan with its feedback, or what holds the machine."""
@@ -339,19 +353,25 @@ class Controller(StateMachine):
         if n >= self.horizon and self.status is ControllerStatus.LATE:
             self.hold(t, "the plan has ended")
         if self.status in (ControllerStatus.HOLDING, ControllerStatus.STOPPED):
-            return self._bounded(t, self._holding(x, self._us[-1]))
-        n = min(n, self.horizon - 1)
-        return self._bounded(t, self._us[n] + self._K[n] @ self._space.single_difference(x, self.expected(t)))
+            self._acting = self._clipped(t, self._holding(x, self._us[-1]))
+            return self._acting.copy()
+        self._acting = self._tracked(t, x)
+        return self._acting.copy()
 
-    def _bounded(self, t: float, u: np.ndarray) -> np.ndarray:
+    def _tracked(self, t: float, x: np.ndarray) -> np.ndarray:
+        """The control (nu,) of the last plan with its feedback, within the bounds."""
+        stages = 0.0 if math.isnan(self._made) else max((t - self._made) / self._dt, 0.0)
+        n = min(int(stages + TIME_TOLERANCE), self.horizon - 1)
+        return self._clipped(t, self._us[n] + self._K[n] @ self._space.single_difference(x, self.expected(t)))
+
+    def _clipped(self, t: float, u: np.ndarray) -> np.ndarray:
         """A control (nu,) within the bounds; the one before in place of one that is not finite."""
         if not math.isfinite(u.dot(u)):
             u = self._acting
-        if self._bounds is not None:
-            stage = 0 if math.isnan(self._begin) else int((t - self._begin) / self._dt + TIME_TOLERANCE)
-            u = self._bounds.clip(min(max(stage, 0), self.problem.N - 1), u, None)
-        self._acting = u.copy()
-        return self._acting
+        if self._bounds is None:
+            return u
+        stage = 0 if math.isnan(self._begin) else int((t - self._begin) / self._dt + TIME_TOLERANCE)
+        return self._bounds.clip(min(max(stage, 0), self.problem.N - 1), u, None)
 
     def expected(self, t: float) -> np.ndarray:
         """The state (nx,) of the plan at time t, s, integrated from the knot before."""

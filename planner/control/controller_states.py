@@ -134,7 +134,7 @@ class StateMachine:
             return False
         self.overruns, self._in_time = self.overruns + 1, 0
         if not self._slow:
-            words = f"plans are late: one took {1e3 * seconds:.3g} ms of wall time and may take {1e3 * self._most:.3g} ms"
+            words = f"plans are late, one took {1e3 * seconds:.3g} ms of wall time, beyond {1e3 * self._most:.3g} ms"
             self._late(t, EventCode.OVERRUN, words, {"seconds": seconds, "most": self._most})
         self._slow = True
         return True

@@ -109,7 +109,8 @@ def simulate(
             end.
         duration: Length of the run, s, rounded up to whole stages; by default that of the problem plus 2 s.
         latency: Time from the start of a planning call until its control acts, s. None measures each call on this
-            computer: results then differ between computers; with a number they are the same to the last bit.
+            computer: results then differ between computers; with a number they are the same to the last bit. That of a
+            threaded controller is its own, and the feedback of the last plan acts meanwhile.
         pushes: Forces on bodies.
         mass: Relative error of body masses and inertias: 0.2 for 20 % heavier; one for all bodies or a table by name.
         friction: Dry friction of each joint, as a share of its largest planned force.
@@ -130,11 +131,6 @@ def simulate(
     asked: ControllerProtocol = FixedPlanController(controller) if isinstance(controller, Plan) else controller
     if not isinstance(asked, (Controller, FixedPlanController)):
         raise PlannerError(f"controller is {short_repr(controller)}, expected a planner.Controller or a Plan.")
-    if getattr(asked, "threaded", False):
-        raise PlannerError(
-            "the controller is threaded: its plans take wall time and the loop has simulated time, expected "
-            "threaded=False."
-        )
     problem = asked.problem
     if problem.twin is None:
         raise PlannerError("the problem has no MuJoCo model to be simulated in, expected a Problem with a twin.")
@@ -142,6 +138,13 @@ def simulate(
     dt = problem.dynamics.dt
     duration = problem.duration + LATE + STAYS if duration is None else number("duration", duration, greater_than=0.0)
     latency = None if latency is None else number("latency", latency, minimum=0.0)
+    threaded = isinstance(asked, Controller) and asked.threaded
+    if threaded:
+        if latency not in (None, asked.latency):
+            raise PlannerError(
+                f"latency is {latency:g} s and that of the threaded controller {asked.latency:g} s, expected the same."
+            )
+        latency = asked.latency
     seed = count("seed", seed, minimum=0)
     noise = number("noise", noise, minimum=0.0)
     pushes = (pushes,) if isinstance(pushes, Push) else tuple(pushes)
@@ -164,6 +167,8 @@ def simulate(
     x0 = problem.x0 if start is None else asked.plan.xs[0]
     asking = _Asking(asked, compiled, dt / n, held, latency, noise, seed, goal, tick.period if encoders else None)
     ctrl = np.zeros((M, model.nu))
+    if threaded:
+        asked.simulated = True
     with curves_acting(compiled.twin, model), np.errstate(all="ignore"):  # a diverging run sets its warnings
         w, warnings = run_model(
             model, compiled.twin.sim_of(x0), ctrl, control=asking, held=held, recorder=recorder, every=n, step=step
@@ -249,6 +254,9 @@ class _Asking:
             return
         self.seconds.append(self._asked.seconds)
         self.worked.append(self._asked.processor_seconds)
+        if getattr(self._asked, "threaded", False):
+            self._u, self.late = u, max(self.late, self._asked.latency)
+            return
         late = self._asked.seconds if self._latency is None else self._latency
         steps = math.ceil(late / self._step - 1e-9)
         self.late = max(self.late, steps * self._step)

@@ -342,9 +342,22 @@ def test_a_thread_plans_while_the_gains_control(problem):
     c.close()
     assert np.abs(x - [np.pi / 2, 0, 0, 0]).max() < 0.3
     with pytest.raises(planner.PlannerError, match="threaded"):
-        planner.simulate(c)
-    with pytest.raises(planner.PlannerError, match="threaded"):
         c.prepare(0.0)
+
+
+def test_a_threaded_loop_in_simulated_time_is_the_same_again_and_better_than_a_held_control(problem):
+    """Plans are five stages late. Without a thread the last control is held for so long."""
+    late, off = 5 * problem.dynamics.dt, {}
+    for threaded in (True, False):
+        c = planner.Controller(problem, latency=late, rate=1.0 / late, threaded=threaded)
+        loop = planner.simulate(c, latency=late, pushes=[planner.Push("forearm", 5.0, 1.0)])
+        off[threaded] = np.abs(loop.xs[loop.t > 3.0] - [np.pi / 2, 0, 0, 0]).max()
+        if threaded:
+            assert c.plans == 15  # of 16 begun
+            np.testing.assert_array_equal(loop.xs, planner.simulate(c, pushes=[planner.Push("forearm", 5.0, 1.0)]).xs)
+            with pytest.raises(planner.PlannerError, match="threaded controller 0.25 s"):
+                planner.simulate(c, latency=0.01)
+    assert off[True] < 0.1 < off[False]
 
 
 def test_stop_is_for_good_until_the_reset(begun):
