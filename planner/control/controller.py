@@ -25,7 +25,14 @@ from planner.control.controller_states import PATIENCE, ControllerStatus, Fault,
 from planner.control.fallback_control import FallbackControl, equilibrium_control
 from planner.control.goal_checks import goal_fault
 from planner.control.replanning import Replanner
-from planner.control.window_parts import TIME_TOLERANCE, goal_states, goal_stays, horizon_and_rate, state_after
+from planner.control.tracked_plan import TIME_TOLERANCE, TrackedPlan
+from planner.control.window_parts import (
+    goal_states,
+    goal_stays,
+    horizon_and_rate,
+    state_after,
+    window_dynamics,
+)
 from planner.model.space import space_of
 from planner.problem.costs.tracking import states
 from planner.problem.plan import Plan
@@ -85,12 +92,14 @@ class Controller(StateMachine):
         patience = count("patience", patience)
         self.latency, self.threaded = number("latency", latency, minimum=0.0), bool(threaded)
         self._dt, self._space, self._bounds = problem.dynamics.dt, space_of(problem.dynamics), problem.bounds
-        # The goal remains after the end of the task if some control makes it an equilibrium.
-        self._replanner = Replanner(problem, H, goal_stays(problem), self.iterations, self.budget, patience)
-        self._window, self._holding = self._replanner.window, FallbackControl(problem)
         if plan is not None and (not isinstance(plan, Plan) or plan.us.shape != (problem.N, problem.dynamics.nu)):
             raise PlannerError(f"plan is {short_repr(plan)}, expected a Plan of the problem, or None.")
         self.plan = self._solved(problem.x0) if plan is None else plan
+        dynamics = window_dynamics(problem, self.plan.xs[:: max(problem.N // 4, 1)])
+        self._model = problem if dynamics is problem.dynamics else replace(problem, dynamics=dynamics)
+        # The goal remains after the end of the task if some control makes it an equilibrium.
+        self._replanner = Replanner(self._model, H, goal_stays(problem), self.iterations, self.budget, patience)
+        self._window, self._holding = self._replanner.window, FallbackControl(problem)
         self.keeps_goal = self._window.keeps
         self._goal: Any = None
         self._new_goal: np.ndarray | None = None
@@ -134,10 +143,10 @@ class Controller(StateMachine):
         self.simulated = False
         self._begin, self._asked = math.nan, -math.inf
         self.planned, self.seconds, self.processor_seconds, self._waits = False, 0.0, 0.0, False
-        self._acting, self._seen, self._last_t = self._us[0].copy(), self.plan.xs[0].copy(), -math.inf
+        self._acting, self._seen, self._last_t = self._tracked.us[0].copy(), self.plan.xs[0].copy(), -math.inf
         if self._goal is None:
             end = self.plan.xs[-1] if self._window.frames else self._window.x_ref[-1]
-            self._rest = equilibrium_control(self.problem, end, self.plan.us[-1])
+            self._rest = equilibrium_control(self._model, end, self.plan.us[-1])
             self._window.rest(self._rest)
         largest = max(1.0, np.abs(self.plan.xs).max(), np.abs(self._window.x_ref).max())
         self._farthest = FARTHEST * float(largest)
@@ -213,9 +222,9 @@ class Controller(StateMachine):
                 self._pending = self._thread.submit(self._timed, t, x, self.latency)
             return self._control(t, x)
         if self.latency:
-            t, x = t + self.latency, state_after(self.problem, x, self._acting, self.latency)
-        if self._plan(t, x):
-            self._acting = self._us[0].copy()
+            t, x = t + self.latency, self._usable(state_after(self._model, x, self._acting, self.latency))
+        if self._replan(t, x):
+            self._acting = self._tracked.us[0].copy()
             return self._acting.copy()
         return self._control(t, x)
 
@@ -232,9 +241,9 @@ class Controller(StateMachine):
             return False
         if x is None:
             since = min(t - self._last_t, self.horizon * self._dt) if self._last_t > -math.inf else 0.0
-            x = state_after(self.problem, self._seen, self._acting, since)
+            x = self._usable(state_after(self._model, self._seen, self._acting, since))
         self._started(t)
-        return self._plan(t, x)
+        return self._replan(t, x)
 
     def feedback(self, x: np.ndarray, t: float | None = None) -> np.ndarray:
         """The control (nu,) at state x (nx,) by the last plan; nothing is planned.
@@ -245,7 +254,7 @@ class Controller(StateMachine):
         """
         if math.isnan(self._begin):
             raise PlannerError("the controller has not planned yet, expected prepare(t) or controller(t, x) before.")
-        t = self._made if t is None else t
+        t = self._tracked.made if t is None else t
         fault = self._fault(t, x)
         return self._control(t, self._measured(t, x)) if fault is None else self._without(t, fault)
 
@@ -257,14 +266,16 @@ class Controller(StateMachine):
         """A plan is asked for at t, the first one at the begin of the task."""
         self._asked = t
         if math.isnan(self._begin):
-            self._begin = self._made = self._replanner.made = t
+            self._begin = self._tracked.made = self._replanner.made = t
 
     def _slide(self, t: float) -> None:
         """Move the window to the plan for time t, with the last goal."""
-        stage = int((t - self._begin) / self._dt + TIME_TOLERANCE)
+        stage = self._stage(t)
         if self._new_goal is not None:
             last = np.atleast_2d(self._new_goal)[-1]
-            self._rest = equilibrium_control(self.problem, last, self._us[-1] if self._rest is None else self._rest)
+            self._rest = equilibrium_control(
+                self._model, last, self._tracked.us[-1] if self._rest is None else self._rest
+            )
             self._window.aim(self._new_goal, self._rest, stage)
             self._new_goal = None
         self._window.slide(stage)
@@ -274,16 +285,25 @@ class Controller(StateMachine):
     def _timed(self, t: float, x: np.ndarray, ahead: float = 0.0) -> Fault | None:
         """One solve from x at t, or from where the last plan leads `ahead` s later, and its times."""
         began, worked = time.perf_counter(), time.thread_time()
-        while ahead > TIME_TOLERANCE * self._dt:
-            part = min(ahead, self._dt)
-            x = state_after(self.problem, x, self._acting if self._held else self._tracked(t, x), part)
-            t, ahead = t + part, ahead - part
-        held = self._holding(x, self._us[-1]) if self._held and np.isfinite(x).all() else None
+        if ahead:
+            x = self._usable(self._led(t, x, ahead))
+            t += ahead
+        held = self._holding(x, self._tracked.us[-1]) if self._held and np.isfinite(x).all() else None
         fault = self._replanner.replan(t, x, held, self._leads_back)
         self._taken = time.perf_counter() - began, time.thread_time() - worked
         return fault
 
-    def _plan(self, t: float, x: np.ndarray) -> bool:
+    def _led(self, t: float, x: np.ndarray, ahead: float) -> np.ndarray:
+        """The state (nx,) `ahead` s after x at t, under the feedback of the last plan or what holds the machine."""
+        end = t + ahead
+        while end - t > TIME_TOLERANCE * self._dt:
+            part = min(end - t, self._dt)
+            u = self._acting if self._held else self._clipped(t, self._tracked.control(t, x))
+            x = state_after(self._model, x, u, part)
+            t += part
+        return x
+
+    def _replan(self, t: float, x: np.ndarray) -> bool:
         self._slide(t)
         return self._ended(t, self._timed(t, x))
 
@@ -295,8 +315,9 @@ class Controller(StateMachine):
 
     def _adopt(self) -> None:
         """Track the last plan of the replanner; a copy where the next is made in another thread."""
-        parts, self._made = self._replanner.trajectory, self._replanner.made
-        self._xs, self._us, self._K = (part.copy() for part in parts) if self.threaded else parts
+        xs, us, K = self._replanner.trajectory
+        own = (xs.copy(), us.copy(), K.copy()) if self.threaded else (xs, us, K)
+        self._tracked = TrackedPlan(self._model.dynamics, own, self._replanner.made)
 
     def _collect(self, t: float, due: bool) -> None:
         """Take the plan of the thread, from the time on that it was made for."""
@@ -326,6 +347,10 @@ class Controller(StateMachine):
             return Fault.SIZE
         return Fault.CLOCK_BACK if t < self._last_t - TIME_TOLERANCE * self._dt else None
 
+    def _usable(self, x: np.ndarray) -> np.ndarray:
+        """A predicted state (nx,); the last measured one where the prediction runs away."""
+        return x if np.abs(x).max() <= self._farthest else self._seen
+
     def _measured(self, t: float, x: Any) -> np.ndarray:
         """Take a usable measurement."""
         if self._last_t == -math.inf:
@@ -339,47 +364,32 @@ class Controller(StateMachine):
         now = max(t, self._now) if abs(t) < LATEST else self._now
         self.unusable(now, fault)
         if self.status in (ControllerStatus.HOLDING, ControllerStatus.STOPPED):
-            u = self._holding(self._seen, self._us[-1], damped=False)
+            u = self._holding(self._seen, self._tracked.us[-1], damped=False)
         else:
-            stages = 0.0 if math.isnan(self._made) else max((now - self._made) / self._dt, 0.0)
-            u = self._us[min(int(stages + TIME_TOLERANCE), self.horizon - 1)]
+            u = self._tracked.feedforward(now)
         self._acting = self._clipped(now, u)
         return self._acting.copy()
 
     def _control(self, t: float, x: np.ndarray) -> np.ndarray:
         """The control (nu,) of the last plan with its feedback, or what holds the machine."""
-        stages = 0.0 if math.isnan(self._made) else max((t - self._made) / self._dt, 0.0)
-        n = int(stages + TIME_TOLERANCE)
-        if n >= self.horizon and self.status is ControllerStatus.LATE:
+        if self.status is ControllerStatus.LATE and self._tracked.ended(t):
             self.hold(t, "the plan has ended")
-        if self.status in (ControllerStatus.HOLDING, ControllerStatus.STOPPED):
-            self._acting = self._clipped(t, self._holding(x, self._us[-1]))
-            return self._acting.copy()
-        self._acting = self._tracked(t, x)
+        holds = self.status in (ControllerStatus.HOLDING, ControllerStatus.STOPPED)
+        self._acting = self._clipped(
+            t, self._holding(x, self._tracked.us[-1]) if holds else self._tracked.control(t, x)
+        )
         return self._acting.copy()
-
-    def _tracked(self, t: float, x: np.ndarray) -> np.ndarray:
-        """The control (nu,) of the last plan with its feedback, within the bounds."""
-        stages = 0.0 if math.isnan(self._made) else max((t - self._made) / self._dt, 0.0)
-        n = min(int(stages + TIME_TOLERANCE), self.horizon - 1)
-        return self._clipped(t, self._us[n] + self._K[n] @ self._space.single_difference(x, self.expected(t)))
 
     def _clipped(self, t: float, u: np.ndarray) -> np.ndarray:
         """A control (nu,) within the bounds; the one before in place of one that is not finite."""
         if not math.isfinite(u.dot(u)):
             u = self._acting
-        if self._bounds is None:
-            return u
-        stage = 0 if math.isnan(self._begin) else int((t - self._begin) / self._dt + TIME_TOLERANCE)
-        return self._bounds.clip(min(max(stage, 0), self.problem.N - 1), u, None)
+        return u if self._bounds is None else self._bounds.clip(min(self._stage(t), self.problem.N - 1), u, None)
+
+    def _stage(self, t: float) -> int:
+        """The stage of the task at t, s, at least 0."""
+        return 0 if math.isnan(self._begin) else max(int((t - self._begin) / self._dt + TIME_TOLERANCE), 0)
 
     def expected(self, t: float) -> np.ndarray:
         """The state (nx,) of the plan at time t, s, integrated from the knot before."""
-        stages = 0.0 if math.isnan(self._made) else max((t - self._made) / self._dt, 0.0)
-        n = int(stages + TIME_TOLERANCE)
-        if n >= self.horizon:
-            return self._xs[-1].copy()
-        part = stages - n
-        if part <= TIME_TOLERANCE:
-            return self._xs[n].copy()  # the next plan overwrites the memory
-        return self.problem.dynamics.step(self._xs[n : n + 1], self._us[n : n + 1], np.array([part * self._dt]))[0]
+        return self._tracked.expected(t)

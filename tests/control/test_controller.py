@@ -83,8 +83,8 @@ def test_between_its_plans_the_gains_act(problem):
     assert not np.array_equal(expected, slow.expected(dt))
     u, moved = slow(1.5 * dt, expected), slow(1.5 * dt, expected + away)
     assert slow.plans == 1
-    np.testing.assert_allclose(u, slow._us[1])
-    np.testing.assert_allclose(moved - u, slow._K[1] @ away, atol=1e-12)
+    np.testing.assert_allclose(u, slow._tracked.us[1])
+    np.testing.assert_allclose(moved - u, slow._tracked.K[1] @ away, atol=1e-12)
 
 
 def test_a_failed_solve_goes_on_with_the_last_plan_then_holds_and_recovers(problem):
@@ -95,7 +95,7 @@ def test_a_failed_solve_goes_on_with_the_last_plan_then_holds_and_recovers(probl
     expected = c.expected(dt)
     assert not c.prepare(dt, nothing)
     assert c.status is ControllerStatus.LATE
-    np.testing.assert_allclose(c.feedback(expected, dt), c._us[1])
+    np.testing.assert_allclose(c.feedback(expected, dt), c._tracked.us[1])
     for n in range(2, 5):
         c.prepare(n * dt, nothing)
     assert c.status is ControllerStatus.HOLDING
@@ -152,7 +152,7 @@ def test_more_iterations_and_a_budget(problem):
     costs = []
     for c in (one, three, timed):
         c.prepare(0.0, x)
-        costs.append(c._window.problem.cost.value(c._xs, c._us))
+        costs.append(c._window.problem.cost.value(c._tracked.xs, c._tracked.us))
     assert costs[2] <= costs[1] <= costs[0]
 
 
@@ -186,11 +186,13 @@ def test_costs_without_a_window_and_goals_of_no_frame_are_refused(problem, contr
 def test_a_plan_stays_as_it_was_while_the_next_is_made(problem, controller):
     controller.reset()
     controller(0.0, problem.x0)
-    kept = [part.copy() for part in (controller._xs, controller._us, controller._K)]
+    kept = [part.copy() for part in (controller._tracked.xs, controller._tracked.us, controller._tracked.K)]
     controller(problem.dynamics.dt, np.full(problem.dynamics.nx, np.inf))  # fails
-    controller._replanner.engine.start_from_trajectory(problem.x0, (controller._xs, controller._us, controller._K), 2.0)
+    controller._replanner.engine.start_from_trajectory(
+        problem.x0, (controller._tracked.xs, controller._tracked.us, controller._tracked.K), 2.0
+    )
     controller._replanner.engine.sweep(0.0, True)
-    for part, before in zip((controller._xs, controller._us, controller._K), kept, strict=True):
+    for part, before in zip((controller._tracked.xs, controller._tracked.us, controller._tracked.K), kept, strict=True):
         np.testing.assert_array_equal(part, before)
 
 

@@ -68,8 +68,8 @@ def test_bad_measurements_lead_from_tracking_to_stopped(begun, fault):
         u = checked(c, t, BAD[fault](x))
         reached.append(c.status)
         if k == 1:
-            n = round((t - c._made) / c._dt)
-            np.testing.assert_allclose(u, np.clip(c._us[n], -MOST, MOST))  # the plan without feedback
+            n = round((t - c._tracked.made) / c._dt)
+            np.testing.assert_allclose(u, np.clip(c._tracked.us[n], -MOST, MOST))  # the plan without feedback
         t += c.problem.dynamics.dt
     assert reached == (c.patience - 1) * [LATE] + (BLIND - 1) * c.patience * [HOLDING] + [STOPPED]
     assert [(e.code, e.status) for e in c.events] == [
@@ -355,7 +355,7 @@ def test_a_threaded_loop_in_simulated_time_is_the_same_again_and_better_than_a_h
         if threaded:
             assert c.plans == 15  # of 16 begun
             np.testing.assert_array_equal(loop.xs, planner.simulate(c, pushes=[planner.Push("forearm", 5.0, 1.0)]).xs)
-            with pytest.raises(planner.PlannerError, match="threaded controller 0.25 s"):
+            with pytest.raises(planner.PlannerError, match=r"threaded controller 0\.25 s"):
                 planner.simulate(c, latency=0.01)
     assert off[True] < 0.1 < off[False]
 

@@ -199,17 +199,25 @@ def test_the_command_writes_its_files_and_refuses_in_one_sentence(tmp_path):
     assert written["verdict"] == "PASS"
     assert written["asked"]["pushes"][0]["body"] == "forearm"
     assert 0.0 < written["measured"]["median"] <= written["measured"]["percentile_99"]
-    assert {"median_call", "longest_call", "overruns", "overrun_share"} <= written["calls"].keys()
+    assert {"median_call", "longest_call", "overruns", "overrun_share"} <= written["calls"]["figures"].keys()
     for words, fragments in (
         (("--rate", "500"), ("rate is 500 Hz", "stages of")),
         (("--push", "trunk=10N@1s"), ("no body 'trunk'", "upper_arm, forearm")),
         (("--push", "trunk"), ("push is 'trunk'", "BODY=FORCE@TIME")),
         (("--latency", "soon"), ("latency is 'soon'", "4ms")),
-        (("--latency", "1us"), ("--latency is 0.001 ms", "ms of processor time (median of", "write --latency")),
         (("--robustness-map", "trunk"), ("no body 'trunk'",)),
     ):
         refused(run("drive", "two-link", *words, "--out", "p", cwd=tmp_path), *fragments)
         assert not (tmp_path / "p").exists()
+    for words, fragment in (
+        (("--latency", "1us"), "write --latency"),
+        (("--horizon", 2000, "--rate", 1000), "write --rate"),
+    ):
+        done = run("drive", "two-link", *words, "--out", "p", cwd=tmp_path)
+        assert (done.returncode, (tmp_path / "p").exists()) == (2, False)
+        last = done.stderr.strip().splitlines()[-1]  # after the lines of the solver
+        assert "ms of processor time (median of" in last
+        assert fragment in last
 
 
 @pytest.mark.parametrize(
