@@ -209,10 +209,8 @@ def test_the_command_writes_its_files_and_refuses_in_one_sentence(tmp_path):
     ):
         refused(run("drive", "two-link", *words, "--out", "p", cwd=tmp_path), *fragments)
         assert not (tmp_path / "p").exists()
-    for words, fragment in (
-        (("--latency", "1us"), "write --latency"),
-        (("--horizon", 2000, "--rate", 1000), "write --rate"),
-    ):
+    fine = ("--horizon", 2000, "--rate", 1000)
+    for words, fragment in ((("--latency", "1us"), "write --latency"), (fine, "write --rate")):
         done = run("drive", "two-link", *words, "--out", "p", cwd=tmp_path)
         assert (done.returncode, (tmp_path / "p").exists()) == (2, False)
         last = done.stderr.strip().splitlines()[-1]  # after the lines of the solver
