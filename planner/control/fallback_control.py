@@ -92,6 +92,7 @@ class FixedPlanController:
     """u = us[n] + K[n] (x - x_plan(t)), then regulation of the goal."""
 
     planned, seconds, processor_seconds = False, 0.0, 0.0
+    threaded, simulated, latency = False, False, 0.0
 
     def __init__(self, plan: Plan) -> None:
         self.plan, self.problem = plan, problem_of(plan)

@@ -46,6 +46,9 @@ class ControllerProtocol(Protocol):
     planned: bool
     seconds: float
     processor_seconds: float
+    threaded: bool
+    simulated: bool
+    latency: float
 
     def __call__(self, t: float, x: np.ndarray) -> np.ndarray: ...  # noqa: D102
     def expected(self, t: float) -> np.ndarray: ...  # noqa: D102
@@ -138,8 +141,7 @@ def simulate(
     dt = problem.dynamics.dt
     duration = problem.duration + LATE + STAYS if duration is None else number("duration", duration, greater_than=0.0)
     latency = None if latency is None else number("latency", latency, minimum=0.0)
-    threaded = isinstance(asked, Controller) and asked.threaded
-    if threaded:
+    if asked.threaded:
         if latency not in (None, asked.latency):
             raise PlannerError(
                 f"latency is {latency:g} s and that of the threaded controller {asked.latency:g} s, expected the same."
@@ -167,8 +169,7 @@ def simulate(
     x0 = problem.x0 if start is None else asked.plan.xs[0]
     asking = _Asking(asked, compiled, dt / n, held, latency, noise, seed, goal, tick.period if encoders else None)
     ctrl = np.zeros((M, model.nu))
-    if threaded:
-        asked.simulated = True
+    asked.simulated = True
     with curves_acting(compiled.twin, model), np.errstate(all="ignore"):  # a diverging run sets its warnings
         w, warnings = run_model(
             model, compiled.twin.sim_of(x0), ctrl, control=asking, held=held, recorder=recorder, every=n, step=step
@@ -254,7 +255,7 @@ class _Asking:
             return
         self.seconds.append(self._asked.seconds)
         self.worked.append(self._asked.processor_seconds)
-        if getattr(self._asked, "threaded", False):
+        if self._asked.threaded:
             self._u, self.late = u, max(self.late, self._asked.latency)
             return
         late = self._asked.seconds if self._latency is None else self._latency

@@ -161,7 +161,7 @@ def _done(work: Work, task: int, controls: np.ndarray | None) -> tuple[Done, Pla
     except (Exception, SystemExit, KeyboardInterrupt) as error:
         done = failed(work, task, FAILED, reason_of(error))
     left = [one.name for one in threading.enumerate() if one not in before and not one.daemon]
-    if left:
+    if left and threading.current_thread() is threading.main_thread():  # else other tasks may have begun them
         done.row["reason"] = f"{done.row['reason']} It left a thread running: {', '.join(left)}.".strip()
     return done, plan
 
