@@ -1,12 +1,16 @@
 """Controllers in the loop: the time of a call from x to u, its own Python, and Crocoddyl's one iteration beside it.
 
-    python benchmarks/loop.py [--crocoddyl PYTHON] [--no-table] [--shown [NAME ...]] [--packages SITE_PACKAGES]
+    python benchmarks/loop.py [--crocoddyl PYTHON] [--no-table] [--deadlines] [--shown [NAME ...]]
+                              [--packages SITE_PACKAGES]
 
 A call plans once with one iteration: the plan before is rolled out from x with its gains, then linearized, swept and
 searched. What it takes beside its kernels is counted within the same calls: the compiled calls are timed, and what is
 left of the whole is Python's.
 Crocoddyl has one iteration from a trajectory whose rollout it is given for nothing. One core each, by turns in one run,
 medians and minima: on a computer that does other things, too, minima tell more.
+
+--deadlines times `prepare` and `feedback`, and counts the calls of seven joints that are over their period: with motors
+at 500 Hz and with servos at 200 Hz.
 
 --shown drives the machines that docs/loop.md shows, all or by name, with figures of each (loop_shown).
 """
@@ -15,6 +19,8 @@ from __future__ import annotations
 
 import argparse
 import os
+import re
+import tempfile
 import time
 from pathlib import Path
 from typing import Any
@@ -79,7 +85,7 @@ class Kernels:
     """The compiled calls of an engine's plan, which it counts the seconds of while a controller is called."""
 
     def __init__(self, controller: planner.Controller) -> None:
-        self.seconds, engine = 0.0, controller._engine
+        self.seconds, engine = 0.0, controller._replanner.engine
         engine._riccati = self._timed(engine._riccati)  # type: ignore[attr-defined]
 
     def _timed(self, kernel: Any) -> Any:
@@ -136,10 +142,63 @@ def compare(python: str) -> None:
         worker.close()
 
 
+SERVO = '<position name="{0}" joint="{0}" kp="{1:.0f}" kv="{2:.0f}" ctrlrange="-3 3" forcerange="-{3} {3}"/>'
+CALLS, LONG = 1000, 25  # calls of a loop; stages of its plans
+
+
+def arm(servos: bool, dt: float) -> planner.Controller:
+    """The arm of examples/tasks with its motors, or with servos as stiff as 50 N m per rad and N m of torque."""
+    text = (Path(__file__).parents[1] / "examples" / "tasks" / "arm.xml").read_text(encoding="utf-8")
+    if servos:
+        text = re.sub(
+            r'<motor name="(\w+)" joint="\w+" ctrlrange="-\d+ (\d+)"/>',
+            lambda m: SERVO.format(m[1], 50.0 * float(m[2]), 2.5 * float(m[2]), m[2]), text,
+        )  # fmt: skip
+    with tempfile.TemporaryDirectory() as folder:
+        (Path(folder) / "arm.xml").write_text(text, encoding="utf-8")
+        words = f'model = "arm.xml"\nstart = "home"\ngoal = {{ waist = 0.8, elbow = 1.0 }}\nduration = 1.0\ndt = {dt}\n'
+        (Path(folder) / "arm.toml").write_text(words, encoding="utf-8")
+        problem = planner.load_problem(Path(folder) / "arm.toml")
+    return planner.Controller(problem, LONG, plan=planner.solve(problem))
+
+
+def deadlines() -> None:
+    """Times of prepare and feedback, and overruns of loops in their own dynamics: wall and processor time."""
+    problem = problem_of("arm7")
+    controller = controller_of(problem)
+    taken = np.empty((2, 500))
+    for k in range(taken.shape[1]):
+        t = k * controller.problem.dynamics.dt
+        began = time.perf_counter()
+        controller.prepare(t)
+        prepared = time.perf_counter()
+        controller.feedback(controller.problem.x0)
+        taken[:, k] = prepared - began, time.perf_counter() - prepared
+    for name, times in zip(("prepare", "feedback"), 1e6 * taken, strict=True):
+        print(f"7 joints, 50 stages, {name}: {np.median(times):.0f} us (least {times.min():.0f})")
+    for name, servos, rate in (("motors", False, 500.0), ("servos", True, 200.0)):
+        c = arm(servos, 1.0 / rate)
+        model, x, times = c._model.dynamics, c.problem.x0, np.empty((CALLS, 2))
+        for k in range(CALLS):
+            u = c(k / rate, x)
+            times[k] = c.seconds, c.processor_seconds
+            x = model.step(x[None], u[None])[0]
+        (wall, processor), most = times.T, 1e3 / rate
+        print(
+            f"7 joints, {name}, {rate:.0f} Hz, {LONG} stages, {model.integrator} in {model.substeps}: period {most:g} ms"
+        )
+        for clock, spent in (("wall", wall), ("processor", processor)):
+            print(
+                f"  {clock}: median {1e3 * np.median(spent):.2f} ms, 99 % {1e3 * np.percentile(spent, 99):.2f}, "
+                f"most {1e3 * spent.max():.2f}, over the period {100 * np.mean(spent > 1 / rate):.1f} %"
+            )
+
+
 if __name__ == "__main__":
     arguments = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     arguments.add_argument("--crocoddyl", help="an interpreter that has Crocoddyl")
     arguments.add_argument("--no-table", action="store_true", help="without the table of times")
+    arguments.add_argument("--deadlines", action="store_true", help="time prepare and feedback, and count overruns")
     arguments.add_argument("--shown", nargs="*", metavar="NAME", help=f"drive machines: {', '.join(SHOWN)}; or all")
     arguments.add_argument("--starts", type=int, default=100, help="of the acrobot, at random")
     arguments.add_argument("--packages", type=Path, help="site-packages with dm_control, for the walker")
@@ -149,5 +208,7 @@ if __name__ == "__main__":
         arguments.error(f"--shown names {', '.join(unknown)}, expected some of: {', '.join(SHOWN)}")
     if not asked.no_table:
         compare(asked.crocoddyl or "")
+    if asked.deadlines:
+        deadlines()
     if asked.shown is not None:
         drive(asked.shown or list(SHOWN), asked.starts, asked.packages)

@@ -2,8 +2,12 @@
 
 import os
 import signal
+import sys
+import threading
 import time
 from pathlib import Path
+
+import numpy as np
 
 import planner
 
@@ -17,6 +21,18 @@ def troubled(height=20.0, how="", bad=3, once=""):
             raise ZeroDivisionError("no such machine")
         if how == "hang":
             time.sleep(600)
+        if how == "exit":
+            sys.exit(5)
+        if how == "interrupt":
+            raise KeyboardInterrupt
+        if how == "memory":
+            raise MemoryError("4 GB")
+        if how == "recursion":
+            troubled(height, how, bad)
+        if how == "garbage":
+            return np.full(3, np.nan)
+        if how == "thread":
+            threading.Thread(target=time.sleep, args=(600,), name="left").start()
         if how == "kill":
             os.kill(os.getpid(), signal.SIGKILL)
     return planner.cases.hopper(height=height, horizon=50)

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 from planner.base.arguments import count, number, short_repr
 from planner.base.errors import PlannerError, RenderingUnavailable
@@ -11,6 +13,7 @@ from planner.base.files import open_folder, remove_empty, write_json
 from planner.cli.console import Console
 from planner.cli.problems import asked_problem, name_of, solved
 from planner.cli.results import show_plan
+from planner.control.call_times import CallTimes, fitting_rate, measured_calls
 from planner.control.controller import Controller
 from planner.control.judging import LoopVerdict, judge
 from planner.control.robustness_map import margins
@@ -40,7 +43,7 @@ def drive(arguments: argparse.Namespace, console: Console) -> int:
     compiled = CompiledTwin(problem.twin)
     named = [*pushes, *([] if arguments.robustness_map is None else [Push(arguments.robustness_map, 1.0, 0.0)])]
     pushed_step(compiled.model, named)  # refuses a body that there is not, before any work
-    given = {"rate": arguments.rate, "iterations": count("iterations", arguments.iterations), "latency": latency or 0.0}
+    given: dict[str, Any] = {"iterations": count("iterations", arguments.iterations)}
     if arguments.stages is not None:
         given["horizon"] = count("stages", arguments.stages)
     horizon_and_rate(problem, given.get("horizon"), arguments.rate)
@@ -50,16 +53,22 @@ def drive(arguments: argparse.Namespace, console: Console) -> int:
     try:
         plan, seconds = solved(asked, arguments, console)
         show_plan(plan, seconds, console)
-        controller = Controller(problem, plan=plan, **given)
-        console.write_progress(f"driving {name_of(arguments)}: {controller}")
-        loop = simulate(
-            controller, duration=arguments.seconds, latency=latency, pushes=pushes, mass=arguments.mass_error,
-            friction=arguments.joint_friction, noise=arguments.noise, encoders=arguments.encoders, compiled=compiled,
-        )  # fmt: skip
-        verdict = judge(loop)
+        controller, calls = _timed(Controller(problem, plan=plan, **given), arguments.rate, latency)
+        console.write_progress(f"driving {name_of(arguments)}: {controller}, {1e3 * controller.latency:.3g} ms late")
+
+        def driven(controller: Controller) -> LoopVerdict:
+            return judge(simulate(
+                controller, duration=arguments.seconds, latency=controller.latency, pushes=pushes,
+                mass=arguments.mass_error, friction=arguments.joint_friction, noise=arguments.noise,
+                encoders=arguments.encoders, compiled=compiled,
+            ))  # fmt: skip
+
+        verdict = driven(controller)
+        loop = verdict.loop
+        advice = "" if verdict.passed else _advice(controller, calls, driven)
         if arguments.robustness_map is not None:
             found = margins(
-                controller, arguments.robustness_map, latency=latency or 0.0, progress=console.progress("pushes")
+                controller, arguments.robustness_map, latency=controller.latency, progress=console.progress("pushes")
             )
             verdict = verdict.with_margins(*found)
     except BaseException:
@@ -67,18 +76,68 @@ def drive(arguments: argparse.Namespace, console: Console) -> int:
         raise
     for name in OUTPUTS:
         (place / name).unlink(missing_ok=True)
-    write_json(place / "drive.json", {"case": problem.case, "parameters": problem.parameters, **verdict.to_dict()})
+    write_json(
+        place / "drive.json",
+        {
+            "case": problem.case,
+            "parameters": problem.parameters,
+            **verdict.to_dict(),
+            "measured": calls._asdict(),
+            "advice": advice,
+        },
+    )
     plan.save(place / "plan.npz")
     save(draw_loop(verdict), place / "loop.png")
     film_status = _film(arguments, loop, place, console)
     write_loop_page(verdict, place, film_status)
     _show(verdict, console)
+    if advice:
+        console.write_result(advice)
     files = [name for name in OUTPUTS if (place / name).is_file()]
     console.write_result(f"\n{place}: {', '.join(files)}")
     if film_status and not arguments.no_video:
         console.write_result(f"no video: {film_status}")
     code = 0 if verdict.passed else 1
-    return console.finish("drive", code, **verdict.to_dict(), folder=str(place), files=files, video_note=film_status)
+    return console.finish("drive", code, **verdict.to_dict(), folder=str(place), files=files, video_note=film_status,
+                          advice=advice)  # fmt: skip
+
+
+def _timed(controller: Controller, rate: float | None, latency: float | None) -> tuple[Controller, CallTimes]:
+    """The controller with a rate and a latency that its measured calls keep, and their times.
+
+    Raises:
+        PlannerError: A stated rate or latency that they do not keep.
+    """
+    calls = measured_calls(controller)
+    took = f"a call takes {1e3 * calls.median:.3g} ms of processor time (median of {calls.calls} on this computer)"
+    if latency is not None and latency < calls.median:
+        raise PlannerError(
+            f"--latency is {1e3 * latency:.3g} ms and {took}, expected at least that: write --latency "
+            f"{1e3 * calls.latency:.3g}ms, or leave it out."
+        )
+    latency = calls.latency if latency is None else latency
+    fits = fitting_rate(controller, calls.latency)
+    if rate is not None and rate * calls.median > 1.0:
+        raise PlannerError(
+            f"--rate is {rate:.6g} Hz, a period of {1e3 / rate:.3g} ms, and {took}, expected at most {fits:.4g} Hz: "
+            f"write --rate {fits:.4g}, or leave it out."
+        )
+    return controller.with_timing(fits if rate is None else rate, latency), calls
+
+
+def _advice(controller: Controller, calls: CallTimes, driven: Callable[[Controller], LoopVerdict]) -> str:
+    """What to write where a loop fails by its latency alone; "" where it fails without one, too."""
+    if controller.latency == 0.0 or not driven(controller.with_timing(controller.rate, 0.0)).passed:
+        return ""
+    late = f"It fails by its latency of {1e3 * controller.latency:.3g} ms alone: without one it passes."
+    if calls.latency < controller.latency and driven(controller.with_timing(controller.rate, calls.latency)).passed:
+        return f"{late} With that of its calls it passes, too: write --latency {1e3 * calls.latency:.3g}ms."
+    for stages in (controller.horizon // 2, controller.horizon // 4):
+        if stages > 1:
+            fewer = Controller(controller.problem, stages, plan=controller.plan, iterations=controller.iterations)
+            if driven(_timed(fewer, None, None)[0]).passed:
+                return f"{late} With fewer stages its calls are short enough: write --stages {stages}."
+    return f"{late} It needs a faster computer, or a task with longer stages."
 
 
 def _film(arguments: argparse.Namespace, loop: object, place: Path, console: Console) -> str:
@@ -98,7 +157,7 @@ def _show(verdict: LoopVerdict, console: Console) -> None:
     console.write_result()
     console.table(("step", "measured", "value", "bound", ""), verdict.rows())
     for event in verdict.loop.events[:10]:
-        console.write_result(event)
+        console.write_result(str(event))
     console.write_result(f"\n{verdict.headline}")
 
 

@@ -48,9 +48,9 @@ _PLAN: Flags = {"plan": {"metavar": "PLAN", "help": "A plan.npz."}}
 _DRIVE: Flags = {
     "--push": {"action": "append", "metavar": "BODY=FORCE@TIME", "default": [],
                "help": "A push: torso=50N@1.0s is along x, torso=0,50,0N@1.0s/0.2s lasts 0.2 s. May be repeated."},
-    "--latency": value_flag("TIME", "From the measurement until the new plan acts, e.g. 4ms. Default: as measured "
-                                    "here."),
-    "--rate": value_flag("HZ", "Plans per second. Default: one per stage.", kind=number),
+    "--latency": value_flag("TIME", "From the measurement until the new plan acts, e.g. 4ms. Default: what its "
+                                    "calls take here, rounded up."),
+    "--rate": value_flag("HZ", "Plans per second. Default: one per stage, or as many as its calls allow.", kind=number),
     "--iterations": value_flag("N", "Iterations of each plan.", 1, whole),
     "--stages": value_flag("N", "Stages that each plan looks ahead. Default: those of the problem.", kind=whole),
     "--seconds": value_flag("S", "Length of the run. Default: the task's and two seconds more.", kind=number),

@@ -1,16 +1,11 @@
 """Controller: u = controller(t, x), model predictive control that replans from the measured state.
 
-    plan     at the rate, from the measured x: warm start from the last plan, shifted by the elapsed time and rolled out
-             from x with its gains; then a fixed number of SLQ iterations (solvers.slq), or a time budget of them
-    between  u = us[n] + K[n] (x - xs(t)), within bounds, so that it may be called more often than it plans
+    prepare    at the rate: one solve of the window (planner.control.replanning) for the state that the model predicts
+    feedback   u = us[n] + K[n] (x - xs(t)), within bounds, some tens of microseconds
+    call       both: it plans from the measured x where a plan is due
 
-After a large push the rollout of the last plan may diverge, which one iteration does not correct. So where it costs
-more than THROWN times the planned cost, the first plan of the task is rolled out from x too, and the cheaper rollout is
-the warm start.
-
-After a failed solve the last plan continues, with an event. After the last stage of that plan, or after `patience`
-failures in a row, the control is gravity compensation and damping within the bounds (planner.control.fallback_control).
-Solves continue, and the first success is an event.
+The feedback is the minimum of the LQ problem of the last iteration from the measured state, as in real-time iteration.
+The states, and what leads from one to another, are in planner.control.controller_states.
 """
 
 from __future__ import annotations
@@ -18,53 +13,37 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Mapping
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import replace
-from enum import StrEnum
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
 from planner.base.arguments import array, count, number, short_repr
 from planner.base.errors import PlannerError
+from planner.control.controller_states import PATIENCE, ControllerStatus, Fault, StateMachine
 from planner.control.fallback_control import FallbackControl, equilibrium_control
-from planner.control.receding_horizon import RecedingHorizonProblem
-from planner.control.window_parts import TIME_TOLERANCE, goal_states, goal_stays, horizon_and_rate, state_after
-from planner.kernels.lq.line_search import ARMIJO
-from planner.kernels.lq.workspace import ACCEPTED, CONVERGED, INDEFINITE
+from planner.control.goal_checks import goal_fault
+from planner.control.replanning import Replanner
+from planner.control.tracked_plan import TIME_TOLERANCE, TrackedPlan
+from planner.control.window_parts import (
+    goal_states,
+    goal_stays,
+    horizon_and_rate,
+    state_after,
+    window_dynamics,
+)
 from planner.model.space import space_of
 from planner.problem.costs.tracking import states
 from planner.problem.plan import Plan
 from planner.problem.problem import Problem
-from planner.solvers.engine.tracked_trajectory import TrajectoryArrays
-from planner.solvers.options import DEFAULT, EXPECTED_REDUCTION_TOLERANCE
 from planner.solvers.slq import solve
-from planner.solvers.stabilizing_guess import DIVERGENCE_FACTOR
 
-PATIENCE = 10  # failed solves in a row before gravity compensation and damping
-SOLVED = 0.1  # upper limit of -slope / cost of a plan whose violations update the multipliers
-THROWN = 2.0  # ratio of rollout cost to planned cost above which the first plan is tried as warm start
-_MAX_EVENTS = 1000
+FARTHEST = 100.0  # times the largest number of plan and goal, at least 1, that a measured state may have
+LATEST = 1e12  # s, of clocks: those of Unix show 2e9
 
 
-class ControllerStatus(StrEnum):
-    """State of a controller; its value is a sentence."""
-
-    PLANNING = "It follows the plan that it has just made."
-    LAST_PLAN = "The last solve failed; it goes on with the plan before."
-    HOLDING = "It holds the machine where it is, by gravity compensation and damping, until a solve succeeds."
-
-
-class Event(NamedTuple):
-    """A message of a controller with its time."""
-
-    t: float  # s
-    words: str
-
-    def __str__(self) -> str:
-        return f"t = {self.t:.4g} s: {self.words}"
-
-
-class Controller:
+class Controller(StateMachine):
     """Model predictive control of a problem from the measured state; `u = controller(t, x)`.
 
     Args:
@@ -72,22 +51,29 @@ class Controller:
         horizon: Number of stages of each plan; by default that of the problem.
         rate: Plans per second, Hz; at most one per stage, which is the default.
         iterations: SLQ iterations of each plan.
-        budget: s, in place of a number of iterations: as many as begin within it, at least one. Results then depend on
-            the computer.
-        patience: Failed solves in a row before gravity compensation and damping.
+        budget: s of wall time, in place of a number of iterations: one begins only if what one took lately fits in
+            what is left. Results then depend on the computer.
+        patience: Failed solves, or unusable measurements, in a row before gravity compensation and damping.
         plan: The first plan of the problem; solved by default.
         latency: s, from a planning call until its control acts. It plans for that instant, from the state that the
             problem's dynamics predict for then under the present control.
+        threaded: Whether a call only begins a plan, in a thread of its own, and returns the feedback of the last one.
+            The plan acts from `latency` on, or when it is ready. It begins in the state that the feedback of the last
+            one leads to by then. Results depend on the computer, except in simulate().
 
     Attributes:
         plan: The first plan of the whole task, converged; solved again by reset(x0).
         status: A ControllerStatus.
-        events: Failures and recoveries, each with its time.
+        events: Transitions of the status, failures and recoveries: planner.control.controller_states.Event.
         failures: Failed solves since the reset.
+        faults: Unusable measurements since the reset.
         plans: Plans made since the reset.
+        overruns: Plans that took longer than the period of the rate, or than the budget, of wall time.
+        simulated: Whether time is: simulate() sets it, a threaded plan is then made at once and acts after `latency`.
         planned: Whether the last call made a plan.
         keeps_goal: Whether the goal remains after the end of the task: some control makes it an equilibrium.
-        seconds: Wall-clock time of the last planning call, s; 0 where it did not plan.
+        seconds: Wall time of the last plan, s; 0 where the last call did not plan.
+        processor_seconds: Processor time of it, s, of its thread.
 
     Raises:
         PlannerError: A rate above one plan per stage, a number out of range, a cost without a window (see
@@ -97,33 +83,36 @@ class Controller:
     def __init__(
         self, problem: Problem, horizon: int | None = None, rate: float | None = None, iterations: int = 1,
         budget: float | None = None, patience: int = PATIENCE, plan: Plan | None = None, latency: float = 0.0,
+        threaded: bool = False,
     ) -> None:  # fmt: skip
         H, rate = horizon_and_rate(problem, horizon, rate)
-        dt = problem.dynamics.dt
         self.problem, self.horizon, self.rate = problem, H, rate
         self.iterations = count("iterations", iterations)
         self.budget = None if budget is None else number("budget", budget, greater_than=0.0)
-        self.patience = count("patience", patience)
-        self.latency = number("latency", latency, minimum=0.0)
-        self._dt, self._space, self._bounds = dt, space_of(problem.dynamics), problem.bounds
-        # The goal remains after the end of the task if some control makes it an equilibrium.
-        self._window, self._holding = (
-            RecedingHorizonProblem(problem, H, keeps=goal_stays(problem)),
-            FallbackControl(problem),
-        )
-        self._engine = self._window.engine
+        patience = count("patience", patience)
+        self.latency, self.threaded = number("latency", latency, minimum=0.0), bool(threaded)
+        self._dt, self._space, self._bounds = problem.dynamics.dt, space_of(problem.dynamics), problem.bounds
         if plan is not None and (not isinstance(plan, Plan) or plan.us.shape != (problem.N, problem.dynamics.nu)):
             raise PlannerError(f"plan is {short_repr(plan)}, expected a Plan of the problem, or None.")
         self.plan = self._solved(problem.x0) if plan is None else plan
+        dynamics = window_dynamics(problem, self.plan.xs[:: max(problem.N // 4, 1)])
+        self._model = problem if dynamics is problem.dynamics else replace(problem, dynamics=dynamics)
+        # The goal remains after the end of the task if some control makes it an equilibrium.
+        self._replanner = Replanner(self._model, H, goal_stays(problem), self.iterations, self.budget, patience)
+        self._window, self._holding = self._replanner.window, FallbackControl(problem)
         self.keeps_goal = self._window.keeps
         self._goal: Any = None
         self._new_goal: np.ndarray | None = None
+        self._thread = ThreadPoolExecutor(1, "planner") if self.threaded else None
+        self._pending: Future[Fault | None] | None = None
+        most = 1.0 / rate if self.budget is None else min(1.0 / rate, self.budget)
+        super().__init__(patience, most, self._holding.how)
         self.reset()
 
     def __repr__(self) -> str:
         return (
             f"Controller({self.horizon} stages of {self._dt:g} s, {self.rate:g} Hz, iterations {self.iterations}: "
-            f"{self.status.name.lower().replace('_', ' ')})"
+            f"{self.status.name.lower()})"
         )
 
     def _solved(self, x0: np.ndarray) -> Plan:
@@ -134,31 +123,46 @@ class Controller:
             raise PlannerError(f"the controller has no plan to begin with: {plan.message}")
         return plan
 
+    def with_timing(self, rate: float, latency: float) -> Controller:
+        """One with another rate, Hz, and latency, s, and the same first plan; threaded if that is above a stage."""
+        return Controller(
+            self.problem, self.horizon, rate, self.iterations, self.budget, self.patience, self.plan, latency,
+            threaded=latency > self._dt * (1.0 + TIME_TOLERANCE),
+        )  # fmt: skip
+
     def reset(self, x0: Any = None) -> None:
-        """Restart the task with the next call; from another start (nx,) after a new solve."""
+        """Restart the task with the next call; from another start (nx,) after a new solve. Leaves STOPPED."""
+        if self._pending is not None:
+            self._pending.result()  # the engine has one user
+        self._pending = None
         if x0 is not None:
             self.plan = self._solved(states("x0", x0, self._space, ()))
-        self._xs, self._us, self._K = self._plan_now = self._first_plan(0)
-        self._window.set_penalties(self.plan, self.problem.trajectory_constraints)  # resets the multipliers
-        self._window.slide(0)
-        self._engine.start_from_controls(self.problem.x0, self._us)
-        self._begin, self._made, self._asked = math.nan, math.nan, -math.inf
-        self._mu, self._in_a_row, self._cost = 0.0, 0, math.inf
-        self.status, self.events = ControllerStatus.PLANNING, list[Event]()
-        self.failures = self.plans = self.stalls = 0
-        self.planned, self.seconds = False, 0.0
-        self._acting = self._us[0].copy()
+        self._replanner.reset(self.plan)
+        self._adopt()
+        self.restart()
+        self.simulated = False
+        self._begin, self._asked = math.nan, -math.inf
+        self.planned, self.seconds, self.processor_seconds, self._waits = False, 0.0, 0.0, False
+        self._acting, self._seen, self._last_t = self._tracked.us[0].copy(), self.plan.xs[0].copy(), -math.inf
         if self._goal is None:
             end = self.plan.xs[-1] if self._window.frames else self._window.x_ref[-1]
-            self._rest = equilibrium_control(self.problem, end, self.plan.us[-1])
+            self._rest = equilibrium_control(self._model, end, self.plan.us[-1])
             self._window.rest(self._rest)
+        largest = max(1.0, np.abs(self.plan.xs).max(), np.abs(self._window.x_ref).max())
+        self._farthest = FARTHEST * float(largest)
+
+    @property
+    def stalls(self) -> int:
+        """Solves that found no lower cost than the plan before: no failure."""
+        return self._replanner.stalls
 
     @property
     def goal(self) -> Any:
         """The goal of the task; it may be set at any time.
 
         A keyframe's name, positions (nq,), a state (nx,) or its trajectory over the horizon (horizon + 1, nx); or a
-        table of frames with world positions, m, (3,) or (horizon + 1, 3): {"hand": [0.4, 0, 0.6]}.
+        table of frames with world positions, m, (3,) or (horizon + 1, 3): {"hand": [0.4, 0, 0.6]}. One that cannot be
+        met (planner.control.goal_checks) is an event, and the machine is held until the next goal.
         """
         return self._window.x_ref[-1].copy() if self._goal is None else self._goal
 
@@ -167,163 +171,225 @@ class Controller:
         if isinstance(goal, Mapping):
             if not self._window.frames:
                 raise PlannerError("goal is a table of frames and no frame of this problem has one, expected a state.")
-            for frame, places in goal.items():
-                shape = (3,) if np.ndim(places) < 2 else (self.horizon + 1, 3)
-                self._window.point(str(frame), array(f"the goal of {frame}", places, shape))
+            places = {
+                str(frame): array(f"the goal of {frame}", at, (3,) if np.ndim(at) < 2 else (self.horizon + 1, 3))
+                for frame, at in goal.items()
+            }
+            fault = goal_fault(self.problem, places)
+            for frame, at in places.items() if fault is None else ():
+                self._window.point(frame, at)
         else:
-            self._new_goal = goal_states(self.problem, goal, self.horizon)  # used by the next plan
-        self._goal = goal
+            new = goal_states(self.problem, goal, self.horizon)
+            fault = goal_fault(self.problem, new)
+            if fault is None:
+                self._new_goal = new  # used by the next plan
+                self._farthest = max(self._farthest, FARTHEST * float(np.abs(new).max()))
+        if fault is not None and not self._waits:
+            self.refused(self._now, fault)
+        self._waits = fault is not None
+        if fault is None:
+            self._goal = goal
+
+    def close(self) -> None:
+        """End the thread of a threaded controller."""
+        if self._thread is not None:
+            self._thread.shutdown()
 
     def __call__(self, t: float, x: np.ndarray) -> np.ndarray:
         """The control (nu,) at time t, s, and state x (nx,); plans if a plan is due.
 
-        Times must not decrease between resets. The state of a Mechanism is MuJoCo's qpos, qvel and act.
+        The state of a Mechanism is MuJoCo's qpos, qvel and act. Any measurement is answered by a control that is finite
+        and within the bounds: while one is unusable, the plan goes on without feedback, then the machine is held.
         """
-        self.planned, self.seconds = False, 0.0
-        if (t - self._asked) * self.rate >= 1.0 - TIME_TOLERANCE:
-            began = time.perf_counter()
-            self._asked = t
-            if self.latency:
-                t, x = t + self.latency, state_after(self.problem, x, self._acting, self.latency)
-            self.make_plan(t, x)
-            self.planned, self.seconds = True, time.perf_counter() - began
-            if self.status is ControllerStatus.PLANNING:
-                self._acting = self._us[0].copy()
-                return self._acting
-        self._acting = self.control(t, x)
-        return self._acting
+        self.planned, self.seconds, self.processor_seconds = False, 0.0, 0.0
+        fault = self._fault(t, x)
+        if fault is not None:
+            return self._without(t, fault)
+        x = self._measured(t, x)
+        due = (t - self._asked) * self.rate >= 1.0 - TIME_TOLERANCE
+        if self._pending is not None:
+            self._collect(t, due)
+        if not due or self._pending is not None or not self._plans:
+            return self._control(t, x)
+        self._started(t)
+        if self._thread is not None:
+            self._slide(t + self.latency)
+            self._pending_at, self._submitted = t + self.latency, time.perf_counter()
+            if self.simulated:
+                self._pending = Future()
+                self._pending.set_result(self._timed(t, x, self.latency))
+            else:
+                self._pending = self._thread.submit(self._timed, t, x, self.latency)
+            return self._control(t, x)
+        if self.latency:
+            t, x = t + self.latency, self._usable(state_after(self._model, x, self._acting, self.latency))
+        if self._replan(t, x):
+            self._acting = self._tracked.us[0].copy()
+            return self._acting.copy()
+        return self._control(t, x)
 
-    def make_plan(self, t: float, x: np.ndarray) -> bool:
-        """Plan from x (nx,) at time t, s; whether it succeeded. `control` then tracks the plan."""
+    def prepare(self, t: float, x: np.ndarray | None = None) -> bool:
+        """Plan for time t, s; whether it succeeded. `feedback` then tracks that plan.
+
+        Args:
+            t: s, of the measurement to come.
+            x: (nx,) the state then; by default what the problem's dynamics predict from the last measurement.
+        """
+        if self.threaded:
+            raise PlannerError("a threaded controller prepares its plans by itself, expected controller(t, x).")
+        if not self._plans:
+            return False
+        if x is None:
+            since = min(t - self._last_t, self.horizon * self._dt) if self._last_t > -math.inf else 0.0
+            x = self._usable(state_after(self._model, self._seen, self._acting, since))
+        self._started(t)
+        return self._replan(t, x)
+
+    def feedback(self, x: np.ndarray, t: float | None = None) -> np.ndarray:
+        """The control (nu,) at state x (nx,) by the last plan; nothing is planned.
+
+        Args:
+            x: (nx,) measured state.
+            t: s; by default the time that the last plan was prepared for.
+        """
         if math.isnan(self._begin):
-            self._begin = self._made = t - self.latency
-        stage = int((t - self._begin) / self._dt + TIME_TOLERANCE)
+            raise PlannerError("the controller has not planned yet, expected prepare(t) or controller(t, x) before.")
+        t = self._tracked.made if t is None else t
+        fault = self._fault(t, x)
+        return self._control(t, self._measured(t, x)) if fault is None else self._without(t, fault)
+
+    @property
+    def _plans(self) -> bool:
+        return self.status is not ControllerStatus.STOPPED and not self._waits
+
+    def _started(self, t: float) -> None:
+        """A plan is asked for at t, the first one at the begin of the task."""
+        self._asked = t
+        if math.isnan(self._begin):
+            self._begin = self._tracked.made = self._replanner.made = t
+
+    def _slide(self, t: float) -> None:
+        """Move the window to the plan for time t, with the last goal."""
+        stage = self._stage(t)
         if self._new_goal is not None:
             last = np.atleast_2d(self._new_goal)[-1]
-            self._rest = equilibrium_control(self.problem, last, self._us[-1] if self._rest is None else self._rest)
+            self._rest = equilibrium_control(
+                self._model, last, self._tracked.us[-1] if self._rest is None else self._rest
+            )
             self._window.aim(self._new_goal, self._rest, stage)
             self._new_goal = None
         self._window.slide(stage)
-        trouble = self._solve(t, x)
-        if trouble:
-            self._failed(t, trouble)
-            return False
-        if self._in_a_row:
-            self._say(t, f"a solve succeeded after {self._in_a_row} that failed.")
-        self._made, self._in_a_row, self.status = t, 0, ControllerStatus.PLANNING
-        self.plans += 1
-        return True
+        self._leads_back = self._goal is None and self._window.stage < self.problem.N
+        self._held = self.status is ControllerStatus.HOLDING
 
-    def _solve(self, t: float, x: np.ndarray) -> str:
-        """Shift the plan to (t, x) and iterate; "" or the reason of failure."""
-        engine, began = self._engine, time.perf_counter()
-        cost = engine.start_from_trajectory(x, self._plan_now, (t - self._made) / self._dt)
-        if not cost <= THROWN * self._cost and self._has_way_back(x):
-            cost = self._back(t, x, cost)
-        if not math.isfinite(cost) and not np.isfinite(x).all():
-            return "the measured state is not finite"
-        if not math.isfinite(cost) and self.status is ControllerStatus.HOLDING:  # the last plan is too old
-            held = self._holding(x, self._us[-1])
-            cost = engine.start_from_controls(x, np.tile(held, (self.horizon, 1)))
-        if not math.isfinite(cost):
-            return "the plan before, followed from here, runs away"
-        least, factor = DEFAULT.min_regularization, DEFAULT.regularization_factor
-        fresh, kind, done, slope = True, CONVERGED, 0, 0.0
-        while done < self.iterations if self.budget is None else self._within(began, done):
-            mu = self._mu * engine.largest_control_weight
-            promise = -1.0 if self._mu else EXPECTED_REDUCTION_TOLERANCE * max(1.0, abs(cost))
-            outcome = engine.iterate(True, ARMIJO, mu, fresh, cost, 0.0, promise)
-            done, kind, fresh, cost = done + 1, outcome.kind, outcome.kind == ACCEPTED, outcome.cost
-            slope = outcome.slope
-            if kind == CONVERGED:
-                break
-            if fresh:
-                self._mu = self._mu / factor if outcome.step >= 1.0 and self._mu > least else 0.0
-            else:
-                self._mu = min(max(least, factor * self._mu), DEFAULT.max_regularization)
-        if kind == INDEFINITE:
-            return "the sweep is not definite"
-        if not math.isfinite(slope):
-            return "the gains are not finite"
-        self.stalls += kind not in (ACCEPTED, CONVERGED)  # no step lowers the cost: the shifted plan remains
-        plan = engine.read(DIVERGENCE_FACTOR) if math.isfinite(cost) else None
-        if plan is None:
-            return "the plan is not finite"
-        self._xs, self._us, self._K = self._plan_now = plan
-        self._window.update_hinges(self._xs, self._us, cost, solved=-slope <= SOLVED * abs(cost))
-        self._cost = cost
-        return ""
+    def _timed(self, t: float, x: np.ndarray, ahead: float = 0.0) -> Fault | None:
+        """One solve from x at t, or from where the last plan leads `ahead` s later, and its times."""
+        began, worked = time.perf_counter(), time.thread_time()
+        if ahead:
+            x = self._usable(self._led(t, x, ahead))
+            t += ahead
+        held = self._holding(x, self._tracked.us[-1]) if self._held and np.isfinite(x).all() else None
+        fault = self._replanner.replan(t, x, held, self._leads_back)
+        self._taken = time.perf_counter() - began, time.thread_time() - worked
+        return fault
 
-    def _has_way_back(self, x: np.ndarray) -> bool:
-        """Whether the first plan may be rolled out from x: the goal is unchanged and the task has not ended."""
-        return self._goal is None and self._window.stage < self.problem.N and bool(np.isfinite(x).all())
+    def _led(self, t: float, x: np.ndarray, ahead: float) -> np.ndarray:
+        """The state (nx,) `ahead` s after x at t, under the feedback of the last plan or what holds the machine."""
+        end = t + ahead
+        while end - t > TIME_TOLERANCE * self._dt:
+            part = min(end - t, self._dt)
+            u = self._acting if self._held else self._clipped(t, self._tracked.control(t, x))
+            x = state_after(self._model, x, u, part)
+            t += part
+        return x
 
-    def _back(self, t: float, x: np.ndarray, cost: float) -> float:
-        """Start from the rollout of the first plan if it is cheaper than that of the last one; the lower cost."""
-        engine, last = self._engine, [part.copy() for part in self._plan_now]  # the engine overwrites it
-        first = self._first_plan(self._window.stage)
-        back = engine.start_from_trajectory(x, first)
-        if not math.isfinite(back) or back >= cost:
-            self._xs, self._us, self._K = self._plan_now = last[0], last[1], last[2]
-            return engine.start_from_trajectory(x, self._plan_now, (t - self._made) / self._dt)
-        self._xs, self._us, self._K = self._plan_now = first
-        self._made = t
-        return back
+    def _replan(self, t: float, x: np.ndarray) -> bool:
+        self._slide(t)
+        return self._ended(t, self._timed(t, x))
 
-    def _first_plan(self, stage: int) -> TrajectoryArrays:
-        """The first plan over the window from a stage of the task on; its last state and control after its end."""
-        plan, n = self.plan, stage + np.arange(self.horizon + 1)
-        before = np.minimum(n[:-1], plan.N - 1)
-        return plan.xs[np.minimum(n, plan.N)], plan.us[before], plan.K[before]
+    def _ended(self, t: float, fault: Fault | None) -> bool:
+        """Take what a solve for time t left; whether it succeeded."""
+        self._adopt()
+        self.planned, (self.seconds, self.processor_seconds) = True, self._taken
+        return self.ended(t, fault, self.seconds, iteration_seconds=self._replanner.iteration_seconds)
 
-    def _within(self, began: float, done: int) -> bool:
-        assert self.budget is not None
-        return done == 0 or time.perf_counter() - began < self.budget
+    def _adopt(self) -> None:
+        """Track the last plan of the replanner; a copy where the next is made in another thread."""
+        xs, us, K = self._replanner.trajectory
+        own = (xs.copy(), us.copy(), K.copy()) if self.threaded else (xs, us, K)
+        self._tracked = TrackedPlan(self._model.dynamics, own, self._replanner.made)
 
-    def _failed(self, t: float, trouble: str) -> None:
-        self.failures, self._in_a_row = self.failures + 1, self._in_a_row + 1
-        if self.status is not ControllerStatus.HOLDING:
-            self.status = ControllerStatus.LAST_PLAN
-        if self._in_a_row == 1:
-            self._say(t, f"a solve failed, {trouble}; it goes on with the plan before.")
-        if self._in_a_row == self.patience:
-            self._hold(t, f"{self.patience} solves failed in a row")
+    def _collect(self, t: float, due: bool) -> None:
+        """Take the plan of the thread, from the time on that it was made for."""
+        assert self._pending is not None
+        if not self._pending.done():
+            if due and not self._slow:
+                self.overran(t, time.perf_counter() - self._submitted)
+            return
+        if t >= self._pending_at - TIME_TOLERANCE * self._dt:
+            pending, self._pending = self._pending, None
+            self._ended(t, pending.result())
 
-    def _hold(self, t: float, why: str) -> None:
-        if self.status is not ControllerStatus.HOLDING:
-            how = "by gravity compensation and damping" if self._holding.known else "by the last control of its plan"
-            self._say(t, f"{why}; it holds the machine {how}.")
-        self.status = ControllerStatus.HOLDING
+    def _fault(self, t: float, x: Any) -> Fault | None:
+        """Why a measurement cannot be used, or None."""
+        if not abs(t) < LATEST:
+            return Fault.CLOCK
+        try:
+            x = np.asarray(x, dtype=float)
+        except (TypeError, ValueError):
+            return Fault.LENGTH
+        if x.shape != self._seen.shape:
+            return Fault.LENGTH
+        largest = float(np.abs(x).max())
+        if not math.isfinite(largest):
+            return Fault.STATE
+        if largest > self._farthest:
+            return Fault.SIZE
+        return Fault.CLOCK_BACK if t < self._last_t - TIME_TOLERANCE * self._dt else None
 
-    def _say(self, t: float, words: str) -> None:
-        if len(self.events) < _MAX_EVENTS:
-            self.events.append(Event(t, words))
+    def _usable(self, x: np.ndarray) -> np.ndarray:
+        """A predicted state (nx,); the last measured one where the prediction runs away."""
+        return x if np.abs(x).max() <= self._farthest else self._seen
 
-    def control(self, t: float, x: np.ndarray) -> np.ndarray:
-        """The control (nu,) at time t, s, and state x (nx,) of the last plan with its feedback."""
-        if math.isnan(self._made):
-            raise PlannerError("the controller has not planned yet, expected controller(t, x) before control(t, x).")
-        stages = max((t - self._made) / self._dt, 0.0)
-        n = int(stages + TIME_TOLERANCE)
-        if n >= self.horizon and self.status is not ControllerStatus.PLANNING:
-            self._hold(t, "the plan has ended")
-        at = min(int((t - self._begin) / self._dt + TIME_TOLERANCE), self.problem.N - 1)
-        if not math.isfinite(x.dot(x)):  # no feedback from a non-finite state
-            u = self._acting
-        elif self.status is ControllerStatus.HOLDING:
-            u = self._holding(x, self._us[-1])
+    def _measured(self, t: float, x: Any) -> np.ndarray:
+        """Take a usable measurement."""
+        if self._last_t == -math.inf:
+            self._now = t
+        self.usable(t, 1.0 / self.rate)
+        self._last_t, self._seen = t, np.array(x, dtype=float)
+        return self._seen
+
+    def _without(self, t: float, fault: Fault) -> np.ndarray:
+        """The control without a usable measurement: of the plan alone, or what holds the machine where it was seen."""
+        now = max(t, self._now) if abs(t) < LATEST else self._now
+        self.unusable(now, fault)
+        if self.status in (ControllerStatus.HOLDING, ControllerStatus.STOPPED):
+            u = self._holding(self._seen, self._tracked.us[-1], damped=False)
         else:
-            n = min(n, self.horizon - 1)
-            u = self._us[n] + self._K[n] @ self._space.single_difference(x, self.expected(t))
-        return u if self._bounds is None else self._bounds.clip(at, u, None)
+            u = self._tracked.feedforward(now)
+        self._acting = self._clipped(now, u)
+        return self._acting.copy()
+
+    def _control(self, t: float, x: np.ndarray) -> np.ndarray:
+        """The control (nu,) of the last plan with its feedback, or what holds the machine."""
+        if self.status is ControllerStatus.LATE and self._tracked.ended(t):
+            self.hold(t, "the plan has ended")
+        holds = self.status in (ControllerStatus.HOLDING, ControllerStatus.STOPPED)
+        self._acting = self._clipped(
+            t, self._holding(x, self._tracked.us[-1]) if holds else self._tracked.control(t, x)
+        )
+        return self._acting.copy()
+
+    def _clipped(self, t: float, u: np.ndarray) -> np.ndarray:
+        """A control (nu,) within the bounds; the one before in place of one that is not finite."""
+        if not math.isfinite(u.dot(u)):
+            u = self._acting
+        return u if self._bounds is None else self._bounds.clip(min(self._stage(t), self.problem.N - 1), u, None)
+
+    def _stage(self, t: float) -> int:
+        """The stage of the task at t, s, at least 0."""
+        return 0 if math.isnan(self._begin) else max(int((t - self._begin) / self._dt + TIME_TOLERANCE), 0)
 
     def expected(self, t: float) -> np.ndarray:
         """The state (nx,) of the plan at time t, s, integrated from the knot before."""
-        stages = max((t - self._made) / self._dt, 0.0)
-        n = int(stages + TIME_TOLERANCE)
-        if n >= self.horizon:
-            return self._xs[-1].copy()
-        part = stages - n
-        if part <= TIME_TOLERANCE:
-            return self._xs[n].copy()  # the next plan overwrites the memory
-        return self.problem.dynamics.step(self._xs[n : n + 1], self._us[n : n + 1], np.array([part * self._dt]))[0]
+        return self._tracked.expected(t)

@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 
 from planner.base.errors import PlannerError
+from planner.control.tracked_plan import TIME_TOLERANCE, TrackedPlan
 from planner.dynamics import RigidBodyDynamics
 from planner.dynamics.actuator_moments import actuator_moments
 from planner.dynamics.algorithms import mass_matrix
@@ -43,15 +44,25 @@ class FallbackControl:
             self._inverse = self._inverse_at(self._mechanism.qpos0)
 
     @property
+    def how(self) -> str:
+        """In words."""
+        return "by gravity compensation and damping" if self.known else "by the last control of its plan"
+
+    @property
     def known(self) -> bool:
         """Whether the dynamics have a mechanism, without prescribed joints, for gravity compensation."""
         return bool(self._inverse.size)
 
-    def __call__(self, x: np.ndarray, otherwise: np.ndarray) -> np.ndarray:
-        """The control (nu,) at a state x (nx,), before bounds; `otherwise` (nu,) unless `known`."""
+    def __call__(self, x: np.ndarray, otherwise: np.ndarray, damped: bool = True) -> np.ndarray:
+        """The control (nu,) at a state x (nx,), before bounds; `otherwise` (nu,) unless `known`.
+
+        Without damping it is gravity compensation alone, for a state that is not measured.
+        """
         m = self._mechanism
         if m is None or not self.known:
             return otherwise
+        if not damped:
+            return quasi_static_controls(m, x, contacts=False)
         qd, actuators = x[m.nq : m.nq + m.nv], m.actuators
         servo = actuators.moment.T @ (actuators.bias[:, 2] * (actuators.moment @ qd))
         damping = mass_matrix(m, x[: m.nq]) @ qd / TIME
@@ -77,16 +88,15 @@ def equilibrium_control(problem: Problem, x: np.ndarray, u: np.ndarray) -> np.nd
     return u if kept else None
 
 
-_TIME_TOLERANCE = 1e-6  # of a stage: smaller differences of time are zero
-
-
 class FixedPlanController:
     """u = us[n] + K[n] (x - x_plan(t)), then regulation of the goal."""
 
-    planned, seconds = False, 0.0
+    planned, seconds, processor_seconds = False, 0.0, 0.0
+    threaded, simulated, latency = False, False, 0.0
 
     def __init__(self, plan: Plan) -> None:
         self.plan, self.problem = plan, problem_of(plan)
+        self._tracked = TrackedPlan(self.problem.dynamics, (plan.xs, plan.us, plan.K), 0.0)
         self._hold: GoalRegulator | None = None
         self._holding = FallbackControl(self.problem)
         try:
@@ -104,23 +114,13 @@ class FixedPlanController:
     def __call__(self, t: float, x: np.ndarray) -> np.ndarray:
         """The control (nu,) at time t, s, and state x (nx,)."""
         plan, bounds = self.plan, self.problem.bounds
-        n = int(t / self.problem.dynamics.dt + _TIME_TOLERANCE)
-        if n < plan.N:
-            u = plan.us[n] + plan.K[n] @ plan.space.difference(x, self.expected(t))
+        if not self._tracked.ended(t):
+            u = self._tracked.control(t, x)
         else:
             u = self._holding(x, plan.us[-1]) if self._hold is None else self._hold.control(x)
+        n = int(t / self.problem.dynamics.dt + TIME_TOLERANCE)
         return u if bounds is None else bounds.clip(min(n, plan.N - 1), u, None)
 
     def expected(self, t: float) -> np.ndarray:
         """The state (nx,) of the plan at time t, s."""
-        plan, dynamics = self.plan, self.problem.dynamics
-        stages = t / dynamics.dt
-        n = int(stages + _TIME_TOLERANCE)
-        if n >= plan.N:
-            return plan.xs[-1] if self._hold is None else self._hold.x_goal
-        part = max(stages - n, 0.0)
-        return (
-            dynamics.step(plan.xs[n : n + 1], plan.us[n : n + 1], np.array([part * dynamics.dt]))[0]
-            if part > _TIME_TOLERANCE
-            else plan.xs[n]
-        )
+        return self._hold.x_goal if self._hold is not None and self._tracked.ended(t) else self._tracked.expected(t)

@@ -20,6 +20,7 @@ import numpy as np
 from planner.base.arguments import short_repr
 from planner.base.errors import PlannerError
 from planner.base.measured import Measurement, Section, dicts_of, rows_of
+from planner.control.call_times import times_of
 from planner.control.simulating import LATE, STAYS, ClosedLoopRun
 from planner.control.window_parts import goal_states
 from planner.dynamics.kinematics import frame_pose
@@ -91,7 +92,7 @@ class LoopVerdict:
         return {
             "verdict": self.verdict, "headline": self.headline,
             **dicts_of(self.sections),
-            "asked": run.errors, "events": list(run.events),
+            "asked": run.errors, "events": [one.to_dict() for one in run.events],
             "map": {"times": self.times.tolist(), **{who: values.tolist() for who, values in
             self.robustness_maps.items()}},
         }  # fmt: skip
@@ -234,21 +235,26 @@ def _constraints(loop: ClosedLoopRun) -> Section:
 
 
 def _calls(loop: ClosedLoopRun) -> Section:
-    """Wall-clock time of the planning calls on this computer, s, and the number of failed ones."""
+    """Wall and processor time of the planning calls on this computer, s, and the latency, which is simulated time."""
     controller, seconds = loop.controller, loop.call_seconds
     if not len(seconds):
         return Section("calls", not_applicable="nothing was planned again")
-    latency = loop.errors["latency"]
-    how = "stated" if latency is not None else "measured"
-    late = Measurement(
-        "latency", latency if latency is not None else float(np.median(seconds)), "s", None, f"{how}; it acted"
-    )
+    latency, times, period = loop.errors["latency"], times_of(seconds), 1.0 / controller.rate
+    worked, over = times_of(loop.call_processor_seconds), int(np.sum(seconds > period))
+    how = f"simulated time; {'stated' if latency is not None else 'the wall time of each call'}"
+    wall = "wall time from a state to a plan, on this computer"
     return Section("calls", (
         Measurement("plans", float(len(seconds)), "", None, "solves on the way"),
         Measurement("failed", float(controller.failures), "", None, "the plan before went on"),
-        Measurement("median_call", float(np.median(seconds)), "s", None, "from a state to a plan, on this computer"),
-        Measurement("call_99_percentile", float(np.percentile(seconds, 99.0)), "s", None, "likewise"),
-        late,
+        Measurement("median_call", times.median, "s", None, wall),
+        Measurement("call_99_percentile", times.percentile_99, "s", None, "likewise"),
+        Measurement("longest_call", times.maximum, "s", None, "likewise"),
+        Measurement("processor_time", worked.median, "s", None, "median of a call; without what else ran meanwhile"),
+        Measurement("processor_time_99_percentile", worked.percentile_99, "s", None, "likewise"),
+        Measurement("period", period, "s", None, f"from plan to plan, at {controller.rate:.4g} Hz"),
+        Measurement("overruns", float(over), "", None, "calls whose wall time is above the period"),
+        Measurement("overrun_share", over / len(seconds), "", None, "of the calls"),
+        Measurement("latency", times.median if latency is None else latency, "s", None, f"{how}; it acted"),
     ))  # fmt: skip
 
 

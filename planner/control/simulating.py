@@ -19,6 +19,7 @@ import numpy as np
 from planner.base.arguments import count, number, short_repr
 from planner.base.errors import PlannerError
 from planner.control.controller import Controller
+from planner.control.controller_states import Event
 from planner.control.fallback_control import FixedPlanController
 from planner.control.receding_horizon import RecedingHorizonProblem
 from planner.problem.plan import Plan, Status
@@ -44,6 +45,10 @@ class ControllerProtocol(Protocol):
     plan: Plan
     planned: bool
     seconds: float
+    processor_seconds: float
+    threaded: bool
+    simulated: bool
+    latency: float
 
     def __call__(self, t: float, x: np.ndarray) -> np.ndarray: ...  # noqa: D102
     def expected(self, t: float) -> np.ndarray: ...  # noqa: D102
@@ -59,8 +64,9 @@ class ClosedLoopRun(Replay):
     Attributes:
         controller: The simulated Controller or FixedPlanController.
         errors: Arguments of simulate(), as JSON values.
-        call_seconds: Wall-clock time of each planning call, s.
-        events: Messages of the controller.
+        call_seconds: Wall time of each planning call, s.
+        call_processor_seconds: Processor time of each, s.
+        events: Events of the controller.
         goal: Goal as a function of time, or None.
         late: Largest latency that acted, s, in whole simulator steps.
     """
@@ -68,7 +74,8 @@ class ClosedLoopRun(Replay):
     controller: Any = None
     errors: dict[str, Any] = field(default_factory=dict)
     call_seconds: np.ndarray = field(default_factory=lambda: np.zeros(0))
-    events: tuple[str, ...] = ()
+    call_processor_seconds: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    events: tuple[Event, ...] = ()
     goal: Goal | None = None
     late: float = 0.0
 
@@ -105,7 +112,8 @@ def simulate(
             end.
         duration: Length of the run, s, rounded up to whole stages; by default that of the problem plus 2 s.
         latency: Time from the start of a planning call until its control acts, s. None measures each call on this
-            computer: results then differ between computers; with a number they are the same to the last bit.
+            computer: results then differ between computers; with a number they are the same to the last bit. That of a
+            threaded controller is its own, and the feedback of the last plan acts meanwhile.
         pushes: Forces on bodies.
         mass: Relative error of body masses and inertias: 0.2 for 20 % heavier; one for all bodies or a table by name.
         friction: Dry friction of each joint, as a share of its largest planned force.
@@ -133,6 +141,12 @@ def simulate(
     dt = problem.dynamics.dt
     duration = problem.duration + LATE + STAYS if duration is None else number("duration", duration, greater_than=0.0)
     latency = None if latency is None else number("latency", latency, minimum=0.0)
+    if asked.threaded:
+        if latency not in (None, asked.latency):
+            raise PlannerError(
+                f"latency is {latency:g} s and that of the threaded controller {asked.latency:g} s, expected the same."
+            )
+        latency = asked.latency
     seed = count("seed", seed, minimum=0)
     noise = number("noise", noise, minimum=0.0)
     pushes = (pushes,) if isinstance(pushes, Push) else tuple(pushes)
@@ -155,6 +169,7 @@ def simulate(
     x0 = problem.x0 if start is None else asked.plan.xs[0]
     asking = _Asking(asked, compiled, dt / n, held, latency, noise, seed, goal, tick.period if encoders else None)
     ctrl = np.zeros((M, model.nu))
+    asked.simulated = True
     with curves_acting(compiled.twin, model), np.errstate(all="ignore"):  # a diverging run sets its warnings
         w, warnings = run_model(
             model, compiled.twin.sim_of(x0), ctrl, control=asking, held=held, recorder=recorder, every=n, step=step
@@ -162,7 +177,7 @@ def simulate(
     t = dt / n * np.arange(M + 1)
     qpos, qvel, act = np.split(w, [model.nq, model.nq + model.nv], axis=1)
     us, expected = ctrl[:, compiled.controls], asking.expected(t)
-    events = tuple(str(one) for one in getattr(asked, "events", ()))
+    events = tuple(getattr(asked, "events", ()))
     errors = {
         "duration": stages * dt, "latency": latency, "pushes": [push.to_dict() for push in pushes],
         "mass": dict(mass) if isinstance(mass, Mapping) else mass, "friction": friction,
@@ -174,7 +189,8 @@ def simulate(
         ctrl=us, xs=compiled.twin.x_of(w), plan_xs=expected, contact_force=recorder.force,
         contact_point=recorder.point, substeps=n, warnings=warnings, contacts=recorder.history(t),
         contact_extremes=recorder.contact_extremes, controller=asked, errors=errors,
-        call_seconds=np.array(asking.seconds), events=events, goal=goal, late=asking.late,
+        call_seconds=np.array(asking.seconds), call_processor_seconds=np.array(asking.worked),
+        events=events, goal=goal, late=asking.late,
     )  # fmt: skip
 
 
@@ -202,7 +218,7 @@ class _Asking:
         self._u = asked.plan.us[0]
         self._coming: tuple[int, np.ndarray] | None = None  # the step at which a control is ready, and the control
         self._times, self._expected = list[float](), list[np.ndarray]()
-        self.seconds, self.late = list[float](), 0.0
+        self.seconds, self.worked, self.late = list[float](), list[float](), 0.0
 
     def __call__(self, i: int, w: np.ndarray) -> np.ndarray:
         """MuJoCo's controls (steps per tick, nu) from simulator step i on, at MuJoCo's state w (nw,)."""
@@ -238,6 +254,10 @@ class _Asking:
             self._u = u
             return
         self.seconds.append(self._asked.seconds)
+        self.worked.append(self._asked.processor_seconds)
+        if self._asked.threaded:
+            self._u, self.late = u, max(self.late, self._asked.latency)
+            return
         late = self._asked.seconds if self._latency is None else self._latency
         steps = math.ceil(late / self._step - 1e-9)
         self.late = max(self.late, steps * self._step)

@@ -10,6 +10,9 @@ import numpy as np
 
 from planner.base.arguments import count, number, short_repr
 from planner.base.errors import PlannerError
+from planner.control.tracked_plan import TIME_TOLERANCE
+from planner.dynamics import RigidBodyDynamics
+from planner.dynamics.step_stability import implicit_error
 from planner.model.capabilities import capabilities_of
 from planner.model.space import space_of
 from planner.problem.constraints.clearance import PairClearanceFunction
@@ -25,6 +28,7 @@ from planner.problem.problem import Problem
 from planner.proof.goal_regulator import hold_gain
 
 SETTLING_TIME = 0.5  # s, upper limit of sqrt(velocity weight / position weight) after the end of the task
+WINDOW_ERROR = 1e-2  # ten times what a plan of the whole task may have, which no later one corrects
 AIMED = "position of "
 """Name prefix of the frame goals that controller.goal can change (planner.problem.costs.frame)."""
 
@@ -43,6 +47,24 @@ def parts_of(problem: Problem) -> tuple[TrackingCost, list[ResidualCost], list[L
             "past its end."
         )
     return tracking[0], residuals, python
+
+
+def window_dynamics(problem: Problem, states: np.ndarray) -> Any:
+    """The dynamics of a window: with implicit damping in fewer substeps where the problem's need more than one.
+
+    As few as change no entry of a stage's Jacobian by more than WINDOW_ERROR at some states (K, nx): what a plan of a
+    window misses, the next one sees. Machines that touch keep their own.
+    """
+    own = problem.dynamics
+    if type(own) is not RigidBodyDynamics or own.mechanism.has_closed_chains or capabilities_of(own).contacts:
+        return own
+    evaluations = own.substeps * (2 if own.integrator == "rosenbrock" else 4)
+    for k in (1, 2, 4, 8):
+        if 2 * k >= evaluations or own.substeps == 1:
+            break
+        if implicit_error(own.mechanism, own.dt, states, own.prescribed, k) <= WINDOW_ERROR:
+            return RigidBodyDynamics(own.mechanism, own.dt, "rosenbrock", own.prescribed, k)
+    return own
 
 
 class SlidingLeastSquares:
@@ -160,9 +182,6 @@ def goal_stays(problem: Problem) -> bool:
     except PlannerError:
         return False
     return True
-
-
-TIME_TOLERANCE = 1e-6  # of a stage: smaller differences of time are zero
 
 
 def horizon_and_rate(problem: Problem, horizon: int | None = None, rate: float | None = None) -> tuple[int, float]:

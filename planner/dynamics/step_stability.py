@@ -130,16 +130,17 @@ def substeps_of(found: FastestMode, dt: float) -> int:
 
 
 def implicit_error(
-    mechanism: Mechanism, dt: float, states: np.ndarray | Iterable[np.ndarray], prescribed: Collection[str] = ()
-) -> float:
+    mechanism: Mechanism, dt: float, states: np.ndarray | Iterable[np.ndarray], prescribed: Collection[str] = (),
+    substeps: int = MAX_SUBSTEPS,
+) -> float:  # fmt: skip
     """Largest change of the state Jacobian A of a stage of dt s when it is split in two, by the Rosenbrock method.
 
-    Both use 16 substeps per stage. Velocities are multiplied by dt, so the change of positions and velocities is
-    comparable. States (K, nx) as in fastest_mode. Infinite if a stage diverges.
+    Both use as many substeps per stage, by default 16. Velocities are multiplied by dt, so the change of positions and
+    velocities is comparable. States (K, nx) as in fastest_mode. Infinite if a stage diverges.
     """
     xs, change = _rows(states), 0.0
     for one in _held_and_slipping(mechanism):
-        whole, half = (RigidBodyDynamics(one, step, "rosenbrock", prescribed, MAX_SUBSTEPS) for step in (dt, 0.5 * dt))
+        whole, half = (RigidBodyDynamics(one, step, "rosenbrock", prescribed, substeps) for step in (dt, 0.5 * dt))
         us, scale = np.zeros((len(xs), whole.nu)), np.ones(whole.ndx)
         scale[mechanism.nv : 2 * mechanism.nv] = dt
         with np.errstate(all="ignore"):

@@ -26,6 +26,7 @@ from planner.base.environment import VARIABLE
 from planner.base.errors import PlannerError
 
 ONE_THREAD = (VARIABLE, "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
+_GRACE = 5.0  # s, that processes have to end by themselves after the last call
 _SHORT = 2.0  # s; a process that takes longer per call gets no second one in advance
 _environment = threading.Lock()
 
@@ -99,8 +100,15 @@ class LocalProcesses(Executor):
             while self._at_once and self._waiting:
                 self._waiting.popleft().future.cancel()
             self._hand_out()
+        processes = [process for worker in self._workers for process in worker.processes()]
         for worker in self._workers:
-            worker.pool.shutdown()
+            worker.pool.shutdown(wait=False)
+        ends = time.monotonic() + _GRACE
+        for process in processes:
+            process.join(max(ends - time.monotonic(), 0.0))
+            if process.is_alive():  # e.g. a call left a thread in it, which it would wait for
+                process.kill()
+                process.join()
 
     def _hand_out(self) -> None:
         """Give waiting calls to the processes that have the fewest."""
@@ -194,15 +202,16 @@ class _Worker:
 
     def lives(self) -> bool:
         """Whether its process has not ended."""
-        return not self.ended and all(process.is_alive() for process in self._processes())
+        return not self.ended and all(process.is_alive() for process in self.processes())
 
     def end(self) -> None:
         """Kill its process, if it has begun."""
-        for process in self._processes():  # one that still loads, too
+        for process in self.processes():  # one that still loads, too
             with suppress(OSError, ValueError):
                 process.kill()
 
-    def _processes(self) -> list[Any]:
+    def processes(self) -> list[Any]:
+        """The one that there is, if it has begun."""
         return list((getattr(self.pool, "_processes", None) or {}).values())
 
 

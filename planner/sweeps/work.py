@@ -8,6 +8,7 @@ controls of the neighbour before it too.
 from __future__ import annotations
 
 import copy
+import threading
 import time
 from collections.abc import Callable
 from contextlib import suppress
@@ -152,11 +153,17 @@ def reason_of(error: BaseException) -> str:
 
 
 def _done(work: Work, task: int, controls: np.ndarray | None) -> tuple[Done, Plan | None]:
+    """A task's row and plan. SystemExit and KeyboardInterrupt are its own here: Ctrl-C does not reach workers."""
+    before, plan = set(threading.enumerate()), None
     try:
         with np.errstate(all="ignore"):
-            return _planned(work, task, controls)
-    except Exception as error:
-        return failed(work, task, FAILED, reason_of(error)), None
+            done, plan = _planned(work, task, controls)
+    except (Exception, SystemExit, KeyboardInterrupt) as error:
+        done = failed(work, task, FAILED, reason_of(error))
+    left = [one.name for one in threading.enumerate() if one not in before and not one.daemon]
+    if left and threading.current_thread() is threading.main_thread():  # else other tasks may have begun them
+        done.row["reason"] = f"{done.row['reason']} It left a thread running: {', '.join(left)}.".strip()
+    return done, plan
 
 
 def _planned(work: Work, task: int, controls: np.ndarray | None) -> tuple[Done, Plan]:

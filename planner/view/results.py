@@ -46,7 +46,7 @@ def html_of(result: Plan | Replay | Proof) -> str:
     elif isinstance(result, ClosedLoopRun):
         judged = judge(result)
         word, colour, rest = judged.verdict, _GREEN if judged.passed else _RED, judged.headline[len(judged.verdict) :]
-        text, figure = " ".join([judged.reason, *result.events[:3]]).strip(), draw_loop(judged)
+        text, figure = " ".join([judged.reason, *map(str, result.events[:3])]).strip(), draw_loop(judged)
     elif isinstance(result, Replay):
         word, colour, rest, text = "Replay", _GREY, repr(result).removeprefix("Replay"), " ".join(result.warnings)
         figure = draw_plan(result.plan, result)

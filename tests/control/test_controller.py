@@ -8,7 +8,7 @@ from scipy.integrate import solve_ivp
 from scipy.linalg import solve_discrete_are
 
 import planner
-from planner.control.controller import ControllerStatus
+from planner.control.controller_states import ControllerStatus
 from planner.control.fallback_control import FallbackControl, equilibrium_control
 from planner.control.judging import judge
 from planner.control.window_parts import SETTLING_TIME, holding_stage_weights, state_after
@@ -42,7 +42,7 @@ def test_undisturbed_it_follows_the_plan_to_its_end_and_stays(problem, controlle
     apart = np.abs(xs[:N] - controller.plan.xs[:N]).max()  # a window asks for what comes after the end, too
     assert apart < 0.05 * np.abs(controller.plan.xs).max()
     assert np.abs(xs[N:] - [np.pi / 2, 0, 0, 0]).max() < 0.05
-    assert (controller.failures, controller.plans, controller.status) == (0, 2 * N, ControllerStatus.PLANNING)
+    assert (controller.failures, controller.plans, controller.status) == (0, 2 * N, ControllerStatus.TRACKING)
 
 
 def test_after_a_jump_it_comes_back(controller):
@@ -70,7 +70,7 @@ def test_bounds_hold_of_plans_and_of_gains(problem):
     for n in range(N):
         far = x + np.array([1.0, -1.0, 3.0, 0.0])
         assert np.abs(bounded(n * dt, x)).max() <= 14.0
-        assert np.abs(bounded.control((n + 0.5) * dt, far)).max() <= 14.0
+        assert np.abs(bounded.feedback(far, (n + 0.5) * dt)).max() <= 14.0
         x = bounded.problem.dynamics.step(x[None], bounded(n * dt, x)[None])[0]
 
 
@@ -83,8 +83,8 @@ def test_between_its_plans_the_gains_act(problem):
     assert not np.array_equal(expected, slow.expected(dt))
     u, moved = slow(1.5 * dt, expected), slow(1.5 * dt, expected + away)
     assert slow.plans == 1
-    np.testing.assert_allclose(u, slow._us[1])
-    np.testing.assert_allclose(moved - u, slow._K[1] @ away, atol=1e-12)
+    np.testing.assert_allclose(u, slow._tracked.us[1])
+    np.testing.assert_allclose(moved - u, slow._tracked.K[1] @ away, atol=1e-12)
 
 
 def test_a_failed_solve_goes_on_with_the_last_plan_then_holds_and_recovers(problem):
@@ -93,18 +93,18 @@ def test_a_failed_solve_goes_on_with_the_last_plan_then_holds_and_recovers(probl
     dt, x = problem.dynamics.dt, problem.x0
     c(0.0, x)
     expected = c.expected(dt)
-    assert not c.make_plan(dt, nothing)
-    assert c.status is ControllerStatus.LAST_PLAN
-    np.testing.assert_allclose(c.control(dt, expected), c._us[1])
+    assert not c.prepare(dt, nothing)
+    assert c.status is ControllerStatus.LATE
+    np.testing.assert_allclose(c.feedback(expected, dt), c._tracked.us[1])
     for n in range(2, 5):
-        c.make_plan(n * dt, nothing)
+        c.prepare(n * dt, nothing)
     assert c.status is ControllerStatus.HOLDING
     assert c.failures == 4
     assert "not finite" in str(c.events[0])
     assert "gravity compensation" in str(c.events[1])
-    np.testing.assert_allclose(c.control(5 * dt, x), FallbackControl(problem)(x, None))
-    assert c.make_plan(6 * dt, x)
-    assert c.status is ControllerStatus.PLANNING
+    np.testing.assert_allclose(c.feedback(x, 5 * dt), FallbackControl(problem)(x, None))
+    assert c.prepare(6 * dt, x)
+    assert c.status is ControllerStatus.TRACKING
     assert "succeeded after 4" in str(c.events[-1])
 
 
@@ -113,8 +113,8 @@ def test_after_the_last_plans_end_it_holds(problem):
     dt = problem.dynamics.dt
     c(0.0, problem.x0)
     for n in range(1, 5):
-        c.make_plan(n * dt, np.full(4, np.nan))
-        c.control(n * dt, problem.x0)
+        c.prepare(n * dt, np.full(4, np.nan))
+        c.feedback(problem.x0, n * dt)
     assert c.status is ControllerStatus.HOLDING
     assert "the plan has ended" in str(c.events[-1])
 
@@ -151,8 +151,8 @@ def test_more_iterations_and_a_budget(problem):
     x = problem.x0 + np.array([0.2, 0.1, 0.0, 0.5])
     costs = []
     for c in (one, three, timed):
-        c.make_plan(0.0, x)
-        costs.append(c._window.problem.cost.value(c._xs, c._us))
+        c.prepare(0.0, x)
+        costs.append(c._window.problem.cost.value(c._tracked.xs, c._tracked.us))
     assert costs[2] <= costs[1] <= costs[0]
 
 
@@ -180,26 +180,19 @@ def test_costs_without_a_window_and_goals_of_no_frame_are_refused(problem, contr
     with pytest.raises(planner.PlannerError, match="no frame of this problem"):
         controller.goal = {"hand": [0, 0, 0]}
     with pytest.raises(planner.PlannerError, match="not planned yet"):
-        planner.Controller(problem).control(0.0, problem.x0)
-
-
-def test_a_state_that_is_not_finite_keeps_the_control(problem, controller):
-    controller.reset()
-    u = controller(0.0, problem.x0)
-    dt = problem.dynamics.dt
-    for k in range(1, controller.patience + 2):  # until it holds, and on
-        np.testing.assert_array_equal(controller(k * dt, np.full(problem.dynamics.nx, np.nan)), u)
-    assert controller.failures == controller.patience + 1
+        planner.Controller(problem).feedback(problem.x0)
 
 
 def test_a_plan_stays_as_it_was_while_the_next_is_made(problem, controller):
     controller.reset()
     controller(0.0, problem.x0)
-    kept = [part.copy() for part in (controller._xs, controller._us, controller._K)]
+    kept = [part.copy() for part in (controller._tracked.xs, controller._tracked.us, controller._tracked.K)]
     controller(problem.dynamics.dt, np.full(problem.dynamics.nx, np.inf))  # fails
-    controller._engine.start_from_trajectory(problem.x0, (controller._xs, controller._us, controller._K), 2.0)
-    controller._engine.sweep(0.0, True)
-    for part, before in zip((controller._xs, controller._us, controller._K), kept, strict=True):
+    controller._replanner.engine.start_from_trajectory(
+        problem.x0, (controller._tracked.xs, controller._tracked.us, controller._tracked.K), 2.0
+    )
+    controller._replanner.engine.sweep(0.0, True)
+    for part, before in zip((controller._tracked.xs, controller._tracked.us, controller._tracked.K), kept, strict=True):
         np.testing.assert_array_equal(part, before)
 
 
@@ -244,9 +237,9 @@ def test_the_first_guess_of_compiled_calls_is_that_of_numpy(problem, controller)
     """Two stages on, from another state: the rollout of the plan moved by arrays."""
     controller.reset()
     controller(0.0, problem.x0)
-    engine, (xs, us, K) = controller._engine, [part.copy() for part in controller._plan_now]
+    engine, (xs, us, K) = controller._replanner.engine, [part.copy() for part in controller._replanner.trajectory]
     x = xs[2] + np.array([0.05, -0.02, 0.3, 0.1])
-    engine.start_from_trajectory(x, controller._plan_now, 2.0)
+    engine.start_from_trajectory(x, controller._replanner.trajectory, 2.0)
     found = engine.trajectory()
     dynamics, at = problem.dynamics, np.minimum(np.arange(2, N + 2), N - 1)
     expected = [x]

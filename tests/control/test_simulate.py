@@ -3,6 +3,7 @@
 import copy
 import json
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -11,6 +12,8 @@ from places import ROOT
 
 import planner
 from planner.base.errors import PlannerError
+from planner.cli.driving import _advice
+from planner.control.call_times import CallTimes, fitting_rate
 from planner.control.judging import judge, passes_disturbed
 from planner.control.robustness_map import margins
 from planner.model.mjcf.model_index import compile_model
@@ -195,6 +198,8 @@ def test_the_command_writes_its_files_and_refuses_in_one_sentence(tmp_path):
     written = json.loads((tmp_path / "o" / "drive.json").read_text())
     assert written["verdict"] == "PASS"
     assert written["asked"]["pushes"][0]["body"] == "forearm"
+    assert 0.0 < written["measured"]["median"] <= written["measured"]["percentile_99"]
+    assert {"median_call", "longest_call", "overruns", "overrun_share"} <= written["calls"]["figures"].keys()
     for words, fragments in (
         (("--rate", "500"), ("rate is 500 Hz", "stages of")),
         (("--push", "trunk=10N@1s"), ("no body 'trunk'", "upper_arm, forearm")),
@@ -204,6 +209,44 @@ def test_the_command_writes_its_files_and_refuses_in_one_sentence(tmp_path):
     ):
         refused(run("drive", "two-link", *words, "--out", "p", cwd=tmp_path), *fragments)
         assert not (tmp_path / "p").exists()
+    fine = ("--horizon", 2000, "--rate", 1000)
+    for words, fragment in ((("--latency", "1us"), "write --latency"), (fine, "write --rate")):
+        done = run("drive", "two-link", *words, "--out", "p", cwd=tmp_path)
+        assert (done.returncode, (tmp_path / "p").exists()) == (2, False)
+        last = done.stderr.strip().splitlines()[-1]  # after the lines of the solver
+        assert "ms of processor time (median of" in last
+        assert fragment in last
+
+
+@pytest.mark.parametrize(
+    ("passes", "advice"),
+    [
+        (lambda c: c.latency == 0.0, "a faster computer"),
+        (lambda c: c.latency < 0.5, "write --latency 2ms"),
+        (lambda c: c.latency == 0.0 or c.horizon < N, f"write --stages {N // 2}"),
+        (lambda c: False, ""),
+    ],
+)
+def test_a_loop_that_fails_by_its_latency_alone_ends_with_the_flag_to_write(problem, controller, passes, advice):
+    late = controller.with_timing(1.0, 1.0)
+    calls = CallTimes(0.001, 0.0015, 0.002, 100)
+    assert calls.latency == pytest.approx(0.002)
+    found = _advice(late, calls, lambda c: SimpleNamespace(passed=passes(c)))
+    assert found.endswith(f"{advice}.") or (f"{advice}, or" in found if advice else found == "")
+    assert (fitting_rate(controller, 0.12), late.threaded) == (pytest.approx(1.0 / 0.15), True)  # stages of 0.05 s
+    with pytest.raises(PlannerError, match="a call takes 3e"):
+        fitting_rate(controller, 3.0)
+
+
+def test_the_section_of_calls_counts_those_over_their_period(controller):
+    loop = planner.simulate(controller, latency=0.0, duration=0.5)
+    seconds = np.full(10, 0.01)
+    seconds[:2] = 0.06, 0.2  # of a period of 0.05 s
+    section = judge(replace(loop, call_seconds=seconds, call_processor_seconds=0.1 * seconds)).sections["calls"]
+    names = {one.name: one.value for one in section.measured}
+    assert (names["overruns"], names["overrun_share"], names["period"]) == (2, 0.2, pytest.approx(0.05))
+    assert (names["median_call"], names["longest_call"], names["processor_time"]) == (0.01, 0.2, pytest.approx(0.001))
+    assert section.passed  # wall time of a computer with other work is no verdict
 
 
 def test_a_controller_that_knows_its_latency_expects_what_comes(problem):

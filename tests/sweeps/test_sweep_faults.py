@@ -13,7 +13,7 @@ import pytest
 from troubled_problems import slow, troubled
 
 import planner
-from planner.sweeps import running
+from planner.sweeps import processes, running
 from planner.sweeps.executors import dask_executor
 from planner.sweeps.store import TIMES
 from planner.sweeps.sweeping import read_sweep, sweep
@@ -75,6 +75,21 @@ def test_a_task_that_raises_comes_back_with_its_reason(executor, tmp_path):
     bad, rows = statuses(tmp_path / "out")
     assert bad == {3: "FAILED"}
     assert rows[2]["reason"] == "ZeroDivisionError: no such machine"
+
+
+@pytest.mark.parametrize("how", ["exit", "interrupt"])
+def test_a_task_that_ends_its_process_is_a_row_of_a_whole_sweep(how, tmp_path):
+    assert sweep(troubled, GRID, out=tmp_path / "out", workers=2, fixed={"how": how}).complete
+    assert statuses(tmp_path / "out")[0] == {3: "FAILED"}
+
+
+def test_a_thread_that_a_task_leaves_is_said_and_not_waited_for(tmp_path, monkeypatch):
+    monkeypatch.setattr(processes, "_GRACE", 1.0)
+    began = time.perf_counter()
+    assert sweep(troubled, GRID, out=tmp_path / "out", workers=2, fixed={"how": "thread"}).complete
+    assert time.perf_counter() - began < 60.0  # of a thread that sleeps for 600 s
+    bad, rows = statuses(tmp_path / "out")
+    assert (bad, rows[2]["reason"]) == ({}, "It left a thread running: left.")
 
 
 def test_processes_and_dask_give_the_same_table(tmp_path):

@@ -13,9 +13,11 @@ from commands import refused, run
 from troubled_problems import troubled
 
 import planner
+from planner.sweeps.grid import Grid
 from planner.sweeps.shards import Shards, plan_place
 from planner.sweeps.store import TIMES
 from planner.sweeps.sweeping import read_sweep, sweep
+from planner.sweeps.work import Work, run_batch
 
 GRID = {"height": [1, 2, 3, 4, 5], "horizon": [50, 60]}
 
@@ -261,3 +263,18 @@ def test_the_command_refuses_what_does_not_exist(tmp_path):
     refused(run("sweep", "hopper", "--set", "height=1:2", cwd=tmp_path), "START:STOP:COUNT")
     refused(run("sweep", "hopper", "--set", "height=", cwd=tmp_path), "no part of a grid")
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("how", "reason"),
+    [
+        ("exit", "SystemExit: 5"), ("interrupt", "KeyboardInterrupt:"), ("memory", "MemoryError: 4 GB"),
+        ("recursion", "RecursionError: maximum recursion depth exceeded"), ("garbage", "expected a Problem."),
+    ],
+)  # fmt: skip
+def test_what_a_task_does_to_its_process_is_a_row(how, reason):
+    """The same call that a worker makes; tests of executors let rows travel."""
+    work = Work(Grid({"height": (1, 2, 3, 4, 5, 6)}), troubled, fixed={"how": how})
+    rows = [one.row for one in run_batch(work, [1, 2, 3]).done]
+    assert [row["status"] for row in rows] == ["CONVERGED", "FAILED", "CONVERGED"]
+    assert reason in rows[1]["reason"]

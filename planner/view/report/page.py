@@ -234,7 +234,7 @@ def write_loop_page(verdict: LoopVerdict, folder: Path, video_note: str = "") ->
         "<h2>Measured</h2>",
         *[measured_table(section) for section in verdict.sections.values()],
         "<h2>Settings</h2>\n" + table(settings),
-        "<h2>Messages of the controller</h2>\n<pre>" + (escape("\n".join(run.events)) or "nothing") + "</pre>",
+        f"<h2>Events of the controller</h2>\n<pre>{escape(chr(10).join(map(str, run.events))) or 'none'}</pre>",
     ]  # fmt: skip
     return write_page(folder / NAME, f"{verdict.verdict}: {title}", parts)
 

@@ -1,0 +1,369 @@
+"""What a robot does to its loop, a test each: bad measurements, clocks, goals, late plans. No call raises."""
+
+import time
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from places import ROOT
+
+import planner
+from planner.control.controller_states import BLIND, ControllerStatus, EventCode, Fault
+from planner.control.goal_checks import goal_fault, reach
+from planner.control.window_parts import goal_states
+from planner.dynamics.kinematics import frame_pose
+
+MOST = 14.0  # N m, about the plan's largest control of conftest.py's problem
+TRACKING, LATE, HOLDING, STOPPED = ControllerStatus
+HAND = """
+<mujoco><option gravity="0 0 0"/><worldbody><body name="upper"><joint name="a" axis="0 0 1" damping="0.1"/>
+  <geom type="capsule" fromto="0 0 0 0.4 0 0" size="0.03"/><body name="lower" pos="0.4 0 0">
+  <joint name="b" axis="0 0 1" damping="0.1"/><geom type="capsule" fromto="0 0 0 0.3 0 0" size="0.03"/>
+  <site name="hand" pos="0.3 0 0"/></body></body></worldbody>
+  <actuator><motor joint="a" ctrlrange="-5 5"/><motor joint="b" ctrlrange="-5 5"/></actuator></mujoco>"""
+
+
+@pytest.fixture(scope="module")
+def bounded(problem):
+    return planner.Controller(replace(problem, limits=planner.Limits(control=MOST)), patience=4)
+
+
+@pytest.fixture
+def begun(bounded):
+    """A controller in the middle of its task, the time and the state of the next call."""
+    bounded.goal = [np.pi / 2, 0.0]
+    bounded.reset()
+    return bounded, *stages(bounded, 0.0, bounded.problem.x0, 5)
+
+
+def stages(c, t, x, number, seen=lambda x: x):
+    """Call a controller of the plan's own dynamics for some stages; the next time and state."""
+    dynamics = c.problem.dynamics
+    for _ in range(number):
+        u = checked(c, t, seen(x))
+        x, t = dynamics.step(x[None], u[None])[0], t + dynamics.dt
+    return t, x
+
+
+def checked(c, t, x):
+    u = c(t, x)
+    assert u.shape == (2,)
+    assert np.isfinite(u).all()
+    assert np.abs(u).max() <= MOST
+    return u
+
+
+BAD = {
+    Fault.STATE: lambda x: np.where([0, 1, 0, 0], np.nan, x), Fault.LENGTH: lambda x: x[:3],
+    Fault.SIZE: lambda x: np.where([0, 0, 1, 0], 1e6, x),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("fault", BAD)
+def test_bad_measurements_lead_from_tracking_to_stopped(begun, fault):
+    c, t, x = begun
+    assert c.status is TRACKING
+    reached = []
+    for k in range(1, BLIND * c.patience + 1):
+        u = checked(c, t, BAD[fault](x))
+        reached.append(c.status)
+        if k == 1:
+            n = round((t - c._tracked.made) / c._dt)
+            np.testing.assert_allclose(u, np.clip(c._tracked.us[n], -MOST, MOST))  # the plan without feedback
+        t += c.problem.dynamics.dt
+    assert reached == (c.patience - 1) * [LATE] + (BLIND - 1) * c.patience * [HOLDING] + [STOPPED]
+    assert [(e.code, e.status) for e in c.events] == [
+        (EventCode.UNUSABLE, LATE), (EventCode.HOLDS, HOLDING), (EventCode.STOPS, STOPPED),
+    ]  # fmt: skip
+    assert c.events[0].values == {"fault": fault.name}
+    assert str(fault) in str(c.events[0])
+    assert c.faults == BLIND * c.patience
+    plans = c.plans
+    checked(c, t, x)
+    assert (c.status, c.plans) == (STOPPED, plans)  # a good measurement does not begin again by itself
+    c.reset()
+    checked(c, 0.0, c.problem.x0)
+    assert c.status is TRACKING
+
+
+@pytest.mark.parametrize("bad", ["text", [1.0, "b", 3.0, 4.0], None, [[1.0, 2.0, 3.0, 4.0]]])
+def test_what_is_no_state_is_a_fault(begun, bad):
+    c, t, _ = begun
+    checked(c, t, bad)
+    assert (c.status, c.events[-1].values) == (LATE, {"fault": "LENGTH"})
+
+
+def test_a_good_measurement_after_some_that_were_not_tracks_again(begun):
+    c, t, x = begun
+    for k in range(c.patience + 2):
+        checked(c, t + k * c.problem.dynamics.dt, x * np.nan)
+    assert c.status is HOLDING
+    checked(c, t + (c.patience + 2) * c.problem.dynamics.dt, x)
+    assert c.status is TRACKING
+    assert c.events[-1].code is EventCode.RECOVERED
+    assert c.events[-1].values == {"unusable": c.patience + 2}
+
+
+def test_a_bad_first_measurement_gets_the_first_control_of_the_plan(bounded):
+    bounded.reset()
+    u = checked(bounded, 0.0, np.full(4, np.nan))
+    np.testing.assert_allclose(u, bounded.plan.us[0])
+    stages(bounded, 0.05, bounded.problem.x0, 2)
+    assert bounded.status is TRACKING
+
+
+@pytest.mark.parametrize("t", [np.nan, np.inf, -np.inf, 1e300])
+def test_a_time_that_is_none_is_a_fault(begun, t):
+    c, now, x = begun
+    checked(c, t, x)
+    assert (c.status, c.events[-1].values) == (LATE, {"fault": "CLOCK"})
+    stages(c, now, x, 1)
+    assert c.status is TRACKING
+
+
+def test_a_clock_that_goes_back_is_a_fault_until_it_has_caught_up(begun):
+    c, t, x = begun
+    plans = c.plans
+    for k in range(3):
+        checked(c, 0.0 + k * 0.05, x)
+    assert (c.plans, c.status) == (plans, LATE)
+    assert [e.values for e in c.events] == [{"fault": "CLOCK_BACK"}]
+    for k in range(30):
+        checked(c, 1e-3 * k, x)
+    assert c.status is HOLDING
+    stages(c, t, x, 1)
+    assert c.status is TRACKING
+
+
+def test_a_repeated_measurement_gets_the_same_control_and_no_plan(begun):
+    c, t, x = begun
+    first, plans = checked(c, t, x).copy(), c.plans
+    np.testing.assert_allclose(checked(c, t, x), first, atol=1e-12)
+    assert (c.plans, c.status, c.events) == (plans, TRACKING, [])
+
+
+def test_a_measurement_out_of_order_is_left_out(begun):
+    c, t, x = begun
+    dt = c.problem.dynamics.dt
+    checked(c, t, x)
+    checked(c, t - 0.5 * dt, c.problem.x0)
+    assert c.events[-1].values == {"fault": "CLOCK_BACK"}
+    stages(c, t + dt, x, 1)
+    assert c.status is TRACKING
+
+
+def test_missed_seconds_are_an_event_and_planned_from(begun):
+    c, t, x = begun
+    t += 7.0
+    t, x = stages(c, t, x, 60)
+    assert c.events[0].code is EventCode.GAP
+    assert c.events[0].values["seconds"] == pytest.approx(7.05)
+    assert c.status is TRACKING
+    assert np.abs(x - [np.pi / 2, 0, 0, 0]).max() < 0.05
+
+
+def test_a_jump_is_planned_from(begun):
+    c, t, x = begun
+    t, x = stages(c, t, x + np.array([0.4, -0.4, 1.0, -1.0]), 80)
+    assert c.status is TRACKING
+    assert np.abs(x - [np.pi / 2, 0, 0, 0]).max() < 0.05
+
+
+def test_quantised_positions_are_followed(begun):
+    c, t, x = begun
+    step = 2 * np.pi / 2**12  # an encoder of 12 bits
+    t, x = stages(c, t, x, 80, seen=lambda x: np.concatenate([step * np.round(x[:2] / step), x[2:]]))
+    assert c.status is TRACKING
+    assert np.abs(x[:2] - [np.pi / 2, 0]).max() < 0.05
+
+
+@pytest.mark.parametrize("goal", [[1e300, 0.0], [0.0, 0.0, 1e12, 0.0]])
+def test_a_goal_beyond_all_numbers_holds_until_another(begun, goal):
+    c, t, x = begun
+    before = c.goal
+    c.goal = goal
+    assert c.status is HOLDING
+    assert [(e.code, e.status) for e in c.events] == [(EventCode.GOAL, HOLDING)]
+    assert c.events[0].values == {"fault": "GOAL_SIZE"}
+    plans = c.plans
+    t, x = stages(c, t, x, 40)
+    assert c.plans == plans
+    assert np.abs(x[2:]).max() < 0.1  # rad/s: damped
+    c.goal = goal  # the same again is no event
+    assert len(c.events) == 1
+    c.goal = before
+    t, x = stages(c, t, x, 80)
+    assert c.status is TRACKING
+    assert np.abs(x - [np.pi / 2, 0, 0, 0]).max() < 0.05
+
+
+def test_a_goal_beyond_a_range_holds(problem):
+    c = planner.Controller(replace(problem, limits=planner.Limits(position={"elbow": (-2.0, 2.0)})))
+    c(0.0, problem.x0)
+    c.goal = [1.0, 1.9]
+    assert c.status is TRACKING
+    c.goal = [1.0, 2.1]
+    assert (c.status, c.events[0].values) == (HOLDING, {"fault": "GOAL_RANGE"})
+
+
+def hand_problem(**more):
+    arm = planner.Mechanism.from_mjcf(HAND, **more)
+    goal = planner.Goal(frame="hand", position=[0.5, 0.3, 0.0])
+    return planner.task(arm, start=arm.home, goals=goal, duration=1.0)
+
+
+def test_a_place_out_of_reach_holds_the_arm(recwarn):
+    problem = hand_problem()
+    c = planner.Controller(problem)
+    x, t, dt = problem.x0, 0.0, problem.dynamics.dt
+    for place, status in (([0.0, 0.69, 0.0], TRACKING), ([0.0, 0.72, 0.0], HOLDING), ([0.3, 0.3, 0.0], TRACKING)):
+        c.goal = {"hand": place}
+        for _ in range(round(2.0 / dt)):
+            x, t = problem.dynamics.step(x[None], c(t, x)[None])[0], t + dt
+        assert c.status is status
+        assert np.abs(x[2:]).max() < 0.05  # rad/s: it spun at 21 rad/s for a place out of reach
+    assert np.linalg.norm(frame_pose(problem.dynamics.mechanism, x[:2], "hand")[:3, 3] - place) < 0.01
+    assert [e.values.get("fault") for e in c.events if e.code is EventCode.GOAL] == ["GOAL_REACH"]
+
+
+def test_the_reach_is_that_of_the_stretched_arm_and_never_less_than_a_pose():
+    arm = planner.Mechanism.from_mjcf(HAND)
+    center, most = reach(arm, "hand")
+    assert most == pytest.approx(0.7)
+    rng = np.random.default_rng(0)
+    for name, frame in (("puma", None),):
+        m = planner.cases.build(name).dynamics.mechanism
+        frame = m.body_names[-1]
+        center, most = reach(m, frame)
+        qs = rng.uniform(-np.pi, np.pi, (500, m.nq))
+        away = np.linalg.norm(frame_pose(m, qs, frame)[:, :3, 3] - center, axis=1)
+        assert away.max() <= most + 1e-9
+        assert away.max() > 0.5 * most  # of 500 random poses one is that far
+
+
+def test_a_goal_inside_an_obstacle_is_refused_and_one_beside_it_is_not():
+    problem = planner.load_problem(ROOT / "examples" / "tasks" / "around_a_post.toml")
+    goal = goal_states(problem, "right", problem.N)
+    assert goal_fault(problem, goal) is None
+    goal[0] = 0.0  # the base joint, with which the arm is in the post
+    assert goal_fault(problem, goal) is Fault.GOAL_COLLIDES
+
+
+def slow(c, seconds):
+    """Let solves of a controller take so much wall time."""
+    replan = c._replanner.replan
+
+    def later(*arguments):
+        time.sleep(seconds[0])
+        return replan(*arguments)
+
+    c._replanner.replan = later
+
+
+def test_late_plans_are_events_with_numbers_until_enough_are_in_time(problem):
+    c, seconds = planner.Controller(problem, patience=3), [0.06]
+    slow(c, seconds)
+    x, dt = problem.x0, problem.dynamics.dt
+    for n in range(2):
+        c(n * dt, x)
+    assert (c.status, c.overruns, c.plans) == (LATE, 2, 2)
+    (event,) = c.events
+    assert event.code is EventCode.OVERRUN
+    assert event.values["most"] == pytest.approx(dt)
+    assert 0.06 < event.values["seconds"] == pytest.approx(0.06, abs=0.05)
+    seconds[0] = 0.0
+    for n in range(2, 5):
+        c(n * dt, x)
+    assert (c.status, c.overruns) == (TRACKING, 2)
+    assert (c.events[-1].code, c.events[-1].values) == (EventCode.RECOVERED, {"overruns": 2})
+
+
+def test_an_iteration_begins_only_if_it_fits_in_the_budget(problem):
+    c, x, dt = planner.Controller(problem, budget=1e-9, patience=3), problem.x0, problem.dynamics.dt
+    taken = c._replanner.iteration_seconds
+    assert taken > 1e-9
+    assert not c.prepare(0.0, x)
+    assert c.status is LATE
+    assert c.events[-1].values["fault"] == "BUDGET"
+    assert c.events[-1].values["iteration_seconds"] == taken
+    assert not c.prepare(dt, x)
+    assert c.prepare(2 * dt, x)  # every third one is made, and timed again
+    counted, iterate = [], c._replanner._iterate
+    wide = planner.Controller(problem, budget=0.02)
+    wide._replanner._iterate = lambda cost, fresh: counted.append(1) or (2, -1.0, cost)
+    wide._replanner.iteration_seconds = 0.021
+    assert not wide.prepare(0.0, x)
+    assert not counted
+    assert iterate is not None
+
+
+CART = """
+<mujoco><worldbody><body><joint name="x" type="slide" axis="1 0 0" damping="0.5"/><geom size="0.1" mass="2"/></body>
+</worldbody><actuator><motor joint="x"/></actuator></mujoco>"""
+
+
+def test_prepare_and_feedback_are_a_call_where_the_problem_is_linear():
+    """One iteration solves it from any state, so that the gains of a plan for a predicted state are exact."""
+    cart = planner.Mechanism.from_mjcf(CART)
+    problem = planner.task(cart, start=cart.home, goals=planner.Goal(joints={"x": 1.0}), duration=1.0)
+    both, split = planner.Controller(problem), planner.Controller(problem)
+    x = problem.x0 + np.array([0.3, -0.4])
+    assert split.prepare(0.0)
+    before = split.feedback(problem.x0)
+    u = split.feedback(x)
+    np.testing.assert_allclose(u, both(0.0, x), rtol=1e-6)
+    assert abs(u - before)[0] > 0.1  # N, of feedback
+
+
+def test_a_loop_of_prepare_and_feedback_arrives(problem):
+    c, x, dt = planner.Controller(problem), problem.x0, problem.dynamics.dt
+    c.prepare(0.0)
+    for n in range(80):
+        u = c.feedback(x)
+        x = problem.dynamics.step(x[None], u[None])[0]
+        c.prepare((n + 1) * dt)
+    assert np.abs(x - [np.pi / 2, 0, 0, 0]).max() < 0.05
+    assert (c.plans, c.status, c.events) == (81, TRACKING, [])
+
+
+def test_a_thread_plans_while_the_gains_control(problem):
+    c, dt = planner.Controller(problem, threaded=True), problem.dynamics.dt
+    seconds = [0.03]
+    slow(c, seconds)
+    x, began, asked = problem.x0, time.perf_counter(), []
+    for n in range(160):
+        at = time.perf_counter()
+        u = c(0.25 * n * dt, x)
+        asked.append(time.perf_counter() - at)
+        x = problem.dynamics.step(x[None], u[None], np.array([0.25 * dt]))[0]
+        time.sleep(max(began + 0.25 * (n + 1) * dt - time.perf_counter(), 0.0))
+    assert np.median(asked) < 0.003  # s, of plans that take 0.03
+    assert c.plans >= 30
+    c.close()
+    assert np.abs(x - [np.pi / 2, 0, 0, 0]).max() < 0.3
+    with pytest.raises(planner.PlannerError, match="threaded"):
+        c.prepare(0.0)
+
+
+def test_a_threaded_loop_in_simulated_time_is_the_same_again_and_better_than_a_held_control(problem):
+    """Plans are five stages late. Without a thread the last control is held for so long."""
+    late, off = 5 * problem.dynamics.dt, {}
+    for threaded in (True, False):
+        c = planner.Controller(problem, latency=late, rate=1.0 / late, threaded=threaded)
+        loop = planner.simulate(c, latency=late, pushes=[planner.Push("forearm", 5.0, 1.0)])
+        off[threaded] = np.abs(loop.xs[loop.t > 3.0] - [np.pi / 2, 0, 0, 0]).max()
+        if threaded:
+            assert c.plans == 15  # of 16 begun
+            np.testing.assert_array_equal(loop.xs, planner.simulate(c, pushes=[planner.Push("forearm", 5.0, 1.0)]).xs)
+            with pytest.raises(planner.PlannerError, match=r"threaded controller 0\.25 s"):
+                planner.simulate(c, latency=0.01)
+    assert off[True] < 0.1 < off[False]
+
+
+def test_stop_is_for_good_until_the_reset(begun):
+    c, t, x = begun
+    c.stop()
+    t, x = stages(c, t, x, 40)
+    assert c.status is STOPPED
+    assert np.abs(x[2:]).max() < 0.1  # rad/s
+    assert not c.prepare(t)
