@@ -23,12 +23,13 @@ from planner.problem.costs.frame import FrameCost
 from planner.problem.costs.goal_spec import GoalSpec
 from planner.problem.costs.terms import SumCost
 from planner.problem.costs.tracking import TrackingCost
-from planner.problem.default_weights import VELOCITY, servo_reference, servos_of
+from planner.problem.default_weights import VELOCITY, servo_reference, servos_of, staying_cost
 from planner.problem.goals import MIN_TOLERANCES
 from planner.problem.tasks.follow import Follow
 from planner.problem.tasks.timed_task import Task, TimedGoal, unit_of
 
 WEIGHT = 4.0  # in 1 / tolerance^2
+REST_SHARE = 1.0 / 16.0  # of the weight of goals at the end, where the poses of them have weights before and after it
 PATH_RATE = 25.0  # 1/s, weight of a path relative to a goal
 
 
@@ -41,11 +42,13 @@ def task_cost(
         task: Goals and paths.
         dynamics: The machine.
         reference: (N+1, nx) the states through its poses, at rest at the end.
-        weights: Arguments of TrackingCost.joints, and `goal` in place of WEIGHT.
+        weights: Arguments of TrackingCost.joints, `goal` in place of WEIGHT, hold and rest.
     """
     mechanism, N = task.mechanism, task.N
     weights = dict(weights)
     factor = number("weights.goal", weights.pop("goal", WEIGHT), greater_than=0.0)
+    hold, rest = weights.pop("hold", 0.0), weights.pop("rest", 0.0)
+    last_factor = factor * (REST_SHARE if rest else 1.0)
     if not task.rests:
         weights["final_velocity"] = 0.0
     at_rest = reference.copy()
@@ -53,18 +56,19 @@ def task_cost(
     if "control" not in weights and servos_of(dynamics).any():
         weights["control"] = servo_reference(dynamics, reference)
     base = TrackingCost.joints(dynamics, at_rest[N], N, reference=at_rest, **weights)
+    base = staying_cost(dynamics, base, hold, rest)
     Q, x_ref = base.Q.copy(), base.x_ref.copy()
     terms: list[Any] = []
     for one in task.goals:
         for dof, value in one.joints.items():
-            Q[one.stage, dof, dof] += factor / one.tolerances[_part(unit_of(mechanism, dof))] ** 2
+            Q[one.stage, dof, dof] += (last_factor if one.last else factor) / one.tolerances[_part(unit_of(mechanism, dof))] ** 2
             x_ref[one.stage, mechanism.q_address[dof]] = value
         if not (one.goal.through or one.last):
             for dof in _moving_dofs(mechanism, one):
                 i = mechanism.nv + dof
                 Q[one.stage, i, i] += VELOCITY / MIN_TOLERANCES[f"{unit_of(mechanism, dof)}/s"] ** 2
         if one.goal.frame is not None:
-            terms.append(_of_frame(task, one, factor))
+            terms.append(_of_frame(task, one, last_factor if one.last else factor))
     for path in task.follows:
         terms += _of_path(task, path, factor, Q, x_ref)
     tracking = TrackingCost(Q, base.R, x_ref, base.u_ref, base.space)
