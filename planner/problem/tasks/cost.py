@@ -29,7 +29,7 @@ from planner.problem.tasks.follow import Follow
 from planner.problem.tasks.timed_task import Task, TimedGoal, unit_of
 
 WEIGHT = 4.0  # in 1 / tolerance^2
-REST_SHARE = 1.0 / 16.0  # of the weight of goals at the end, where the poses of them have weights before and after it
+REST_SHARE = 0.01  # of the weight of goals at the end, whose poses have weights before it, and after it by hold
 PATH_RATE = 25.0  # 1/s, weight of a path relative to a goal
 
 
