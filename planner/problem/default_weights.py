@@ -12,7 +12,7 @@ Every weight makes its term dimensionless and about 1:
     position        1 / (STANCE_TOLERANCES tolerances)^2 of the distance from the straight line to the goal, for
                     machines that stand on the ground; none for others
     final_position  4 / tolerance^2, so that an error of the tolerance costs 2, more than the whole effort
-    final_velocity  10 / tolerance^2; both times the cost of the minimum-jerk motion, where jerk is the objective
+    final_velocity  10 / tolerance^2; neither for a free base that nothing from outside can stop; both times the cost of the minimum-jerk motion, where jerk is the objective
     hold            for standing machines, in place of these two: the cost of staying at the goal for HOLD_SECONDS
     rest            share of the duration, at the end, in which a machine whose feet have to move is to be at its goal.
                     Before, positions have no weight and velocities WAY_SHARE of theirs: it may hop, step or crawl. Its
@@ -39,7 +39,7 @@ from planner.dynamics.algorithms import bias, mass_matrix
 from planner.dynamics.assembly import feasible_directions
 from planner.dynamics.quasi_static import quasi_static_controls
 from planner.dynamics.stance import contact_stiffness, feet_move, stance_inertia
-from planner.model.capabilities import flies, stands_on_ground, stationary_object_dofs
+from planner.model.capabilities import ballistic_dofs, flies, stands_on_ground, stationary_object_dofs
 from planner.model.coordinates import coordinates_of_mechanism
 from planner.model.mechanism import Mechanism
 from planner.model.mjcf.prescribed_joints import prescribed_dofs_of
@@ -114,7 +114,8 @@ def default_weights(
         stationary_object_dofs(mechanism) & (displacement == 0.0) & (x0[mechanism.nq : mechanism.nq + nv] == 0.0)
     )
     jerk_cost = max(1.0, jerk * min_jerk_cost(displacement, duration))
-    ends = jerk_cost * (not stands) * ~stationary
+    falling = ballistic_dofs(mechanism, x0)
+    ends = jerk_cost * (not stands) * ~stationary * ~falling
     weights = {
         "effort": effort, **({} if control is None else {"control": control}), "velocity": velocity,
         "position": stands * ~stationary / (STANCE_TOLERANCES * position) ** 2,
@@ -123,6 +124,7 @@ def default_weights(
         **({"rest": np.array((1.0 - MOVING_SHARE) * last_share)} if steps else {}),
     }  # fmt: skip
     held = "none: the weight is that of staying at the goal"
+    falls = ", none where the machine falls or drifts freely" if falling.any() else ""
     times = f", times {jerk_cost:.3g}, the cost of the minimum-jerk motion" if jerk_cost > 1.0 else ""
     return DefaultWeights(weights, {
         "effort": "1 / limit^2 of each control" + ("" if all(known) else ", where the model has no limit from the "
@@ -135,8 +137,8 @@ def default_weights(
                     "none: not every joint has an actuator, and a swing must be free",
         "position": f"1 / ({STANCE_TOLERANCES:g} tolerances)^2 from the straight line: the machine stands"
                     if stands else "none on the way",
-        "final_position": held if stands else f"{POSITION:g} / tolerance^2{times}",
-        "final_velocity": held if stands else f"{VELOCITY:g} / tolerance^2{times}",
+        "final_position": held if stands else f"{POSITION:g} / tolerance^2{times}{falls}",
+        "final_velocity": held if stands else f"{VELOCITY:g} / tolerance^2{times}{falls}",
         "hold": f"the cost of staying at the goal for {HOLD_SECONDS:g} s" if stands else
                 "none: the machine does not stand",
         **({"rest": f"feet have to move: the machine is at its goal for the last {1.0 - MOVING_SHARE:g} of the time "

@@ -171,7 +171,7 @@ def cost_of(
     way: ResolvedTask, dynamics: RigidBodyDynamics, weights: dict[str, Any]
 ) -> tuple[Cost, tuple[GoalSpec, ...]]:
     """The cost of a task and what its proof judges."""
-    return task_cost(way.task, dynamics, way.rows, weights), task_goal_specs(way.task)
+    return task_cost(way.task, dynamics, way.rows, weights), task_goal_specs(way.task, way.rows[0])
 
 
 def guess_of(way: ResolvedTask, dynamics: RigidBodyDynamics, x0: np.ndarray) -> ReferenceTrajectory:

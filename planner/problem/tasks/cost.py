@@ -17,6 +17,7 @@ from planner.dynamics import RigidBodyDynamics
 from planner.dynamics.inverse_kinematics import Target
 from planner.dynamics.kinematics import frame_pose, jacobian
 from planner.kernels.tree.mechanism_table import chain_of
+from planner.model.capabilities import ballistic_dofs
 from planner.model.coordinates import coordinates_of_mechanism
 from planner.model.mechanism import Mechanism
 from planner.problem.costs.frame import FrameCost
@@ -75,8 +76,8 @@ def task_cost(
     return SumCost(tracking, *terms) if terms else tracking
 
 
-def task_goal_specs(task: Task) -> tuple[GoalSpec, ...]:
-    """The goals for the proof: every goal and path, and rest at the end."""
+def task_goal_specs(task: Task, x0: np.ndarray) -> tuple[GoalSpec, ...]:
+    """The goals for the proof: every goal and path, and rest at the end, of all that something can stop from x0."""
     mechanism, found = task.mechanism, []
     coordinates = coordinates_of_mechanism(mechanism)
     for one in task.goals:
@@ -108,7 +109,8 @@ def task_goal_specs(task: Task) -> tuple[GoalSpec, ...]:
         found.append(GoalSpec(f"path of {path.what}", unit, error, times, task.tolerance(path)))
     if task.rests:
         nv, states = mechanism.nv, slice(mechanism.nq, mechanism.nq + mechanism.nv)
-        found += [GoalSpec(*coordinates[nv + i], partial(_abs_velocity, states.start + i)) for i in range(nv)]
+        stopped = np.flatnonzero(~ballistic_dofs(mechanism, x0))
+        found += [GoalSpec(*coordinates[nv + i], partial(_abs_velocity, states.start + int(i))) for i in stopped]
     return tuple(found)
 
 
