@@ -9,8 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from planner.dynamics.contact_kinematics import PlaneContactKinematics
-from planner.dynamics.contacts import contact_forces
+from planner.dynamics.contacts import PlaneContactKinematics, contact_forces
 from planner.dynamics.momentum import center_of_mass
 from planner.dynamics.stance import STRIDE
 from planner.model.capabilities import capabilities_of, stands_on_ground
