@@ -1,4 +1,4 @@
-"""Default goal of a standing robot: the pose reached with minimum foot slip.
+"""Feet of a standing robot: its default goal, the pose reached with minimum foot slip, and whether feet have to move.
 
 A goal of leg joints leaves the position of the trunk open, and a trunk that stays would drag the feet. At rest on level
 ground horizontal displacements are free, so the goal pose is displaced by the dq of the unactuated degrees of freedom
@@ -18,6 +18,7 @@ from planner.model.mechanism import Mechanism
 
 TURNS = 5  # largest number of iterations of the midpoint Jacobian
 POSE_TOLERANCE = 1e-9  # m or rad, largest change of the goal at convergence
+STRIDE = 0.05  # m: feet that slip or rise by less on the way roll or deform, and need not leave the ground
 RANK = 1e-6  # relative to the largest singular value: rank tolerance of the contact Jacobian
 
 
@@ -60,6 +61,40 @@ def goal_without_foot_slip(mechanism: Mechanism, start: np.ndarray, goal: np.nda
         if np.abs(step).max() < POSE_TOLERANCE:
             break
     return goal
+
+
+def feet_move(mechanism: Mechanism, qs: np.ndarray) -> bool:
+    """Whether a foot that bears load at the first of configurations (E, nq) has moved by more than STRIDE at another.
+
+    Along the ground it is the slip J dq, which is zero where the foot rolls; away from it the distance.
+    """
+    space, nq, nv = mechanism.space, mechanism.nq, mechanism.nv
+    xs = np.hstack([qs, np.zeros((len(qs), space.nx - nq))])
+    states = contact_forces(mechanism, qs, np.zeros((len(qs), nv)))
+    carry = np.flatnonzero(states.forces[0].any(axis=1))
+    slip = np.zeros((len(carry), 3))
+    for k in range(1, len(qs)):
+        if not carry.size or np.any(states.depths[k, carry] < -STRIDE):
+            break
+        way = space.difference(xs[k], xs[k - 1])
+        J = contact_jacobians(mechanism, space.integrate(xs[k - 1], 0.5 * way)[:nq], carry)
+        n = np.array([mechanism.contacts[c].plane.normal for c in carry])
+        moved = J @ way[:nv]
+        slip += moved - n * np.einsum("ka,ka->k", n, moved)[:, None]
+        if np.linalg.norm(slip, axis=1).max() > STRIDE:
+            break
+    else:
+        return False
+    return bool(carry.size)
+
+
+def contact_stiffness(mechanism: Mechanism, q: np.ndarray) -> np.ndarray:
+    """(nv,) N/m or N m/rad of the loaded contacts at q (nq,), as each degree of freedom feels it: sum_k K_k |J_k|^2."""
+    carry = np.flatnonzero(contact_forces(mechanism, q, np.zeros(mechanism.nv)).forces.any(axis=1))
+    if not carry.size:
+        return np.zeros(mechanism.nv)
+    K = np.array([mechanism.contacts[k].law.stiffness for k in carry])
+    return np.einsum("k,kaj->j", K, contact_jacobians(mechanism, q, carry) ** 2)
 
 
 def stance_inertia(mechanism: Mechanism, q: np.ndarray) -> np.ndarray:

@@ -109,6 +109,29 @@ def flies(mechanism: Mechanism) -> bool:
     return any(actuated[links].any() for links in bases) and not stands_on_ground(mechanism)
 
 
+def ballistic_dofs(mechanism: Mechanism, x0: np.ndarray) -> np.ndarray:
+    """(nv,) bool, translations of free bases that no force from outside stops: they fall, or drift as x0 (nx,) does.
+
+    Of trees that begin with a free joint, without contacts, loop closures, tendons or actuators on that joint.
+    """
+    root, nv, found = roots(mechanism), mechanism.nv, np.zeros(mechanism.nv, dtype=bool)
+    acted = {contact.link for contact in mechanism.contacts}
+    acted |= {shape.link for pair in mechanism.body_contacts for shape in (pair.first, pair.second)} - {-1}
+    acted |= {end for loop in mechanism.loops for end in loop.links} - {-1}
+    acted |= {dof for one in (*mechanism.couplings, *mechanism.polynomial_couplings, *mechanism.tendons)
+              for dof in one.dofs} - {-1}  # fmt: skip
+    outside = {int(root[dof]) for dof in acted}
+    for links in mechanism.joint_links:
+        if links.stop - links.start < 6 or mechanism.parent[links.start] >= 0 or links.start in outside:
+            continue
+        tree = root == links.start
+        held = mechanism.gravcomp_mass[tree].sum() >= mechanism.mass[tree].sum() * (1.0 - 1e-9)
+        falls = np.any(mechanism.gravity) and not held
+        if (falls or np.any(x0[mechanism.nq : mechanism.nq + nv][tree])) and not mechanism.directly_actuated[links].any():
+            found[links.start : links.start + 3] = True
+    return found
+
+
 def unreached_dofs(mechanism: Mechanism, prescribed: Iterable[int] = ()) -> np.ndarray:
     """(nv,) bool, degrees of freedom of trees that no actuator, contact, coupling or tendon acts on.
 

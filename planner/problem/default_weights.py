@@ -12,8 +12,12 @@ Every weight makes its term dimensionless and about 1:
     position        1 / (STANCE_TOLERANCES tolerances)^2 of the distance from the straight line to the goal, for
                     machines that stand on the ground; none for others
     final_position  4 / tolerance^2, so that an error of the tolerance costs 2, more than the whole effort
-    final_velocity  10 / tolerance^2; both times the cost of the minimum-jerk motion, where jerk is the objective
+    final_velocity  10 / tolerance^2; neither for a free base that nothing from outside can stop; both times the cost of the minimum-jerk motion, where jerk is the objective
     hold            for standing machines, in place of these two: the cost of staying at the goal for HOLD_SECONDS
+    rest            share of the duration, at the end, in which a machine whose feet have to move is to be at its goal.
+                    Before, positions have no weight and velocities WAY_SHARE of theirs: it may hop, step or crawl. Its
+                    effort is at least that at which the gains of the position weight are GAIN_SHARE of the stiffness
+                    of its contacts: a foot that lands early or late meets gains that its ground bears
 
 The effort of machines that stand or fly is relative to the static control at the goal. That of servos, whose control is
 a position or a velocity, is relative to the controls of a minimum-jerk motion (servo_reference): what costs is the
@@ -28,13 +32,14 @@ from typing import Any
 
 import numpy as np
 
+from planner.base.arguments import number
 from planner.dynamics import RigidBodyDynamics
 from planner.dynamics.actuator_moments import actuator_moments
 from planner.dynamics.algorithms import bias, mass_matrix
 from planner.dynamics.assembly import feasible_directions
 from planner.dynamics.quasi_static import quasi_static_controls
-from planner.dynamics.stance import stance_inertia
-from planner.model.capabilities import flies, stands_on_ground, stationary_object_dofs
+from planner.dynamics.stance import contact_stiffness, feet_move, stance_inertia
+from planner.model.capabilities import ballistic_dofs, flies, stands_on_ground, stationary_object_dofs
 from planner.model.coordinates import coordinates_of_mechanism
 from planner.model.mechanism import Mechanism
 from planner.model.mjcf.prescribed_joints import prescribed_dofs_of
@@ -51,6 +56,8 @@ MOVING_SHARE = 0.75  # of the duration, in which the reference of a standing mac
 STANCE_TOLERANCES = 2.0  # in tolerances of the goal: position error along the plan whose cost is 1
 HOLD_SECONDS = 1.0  # s: longer than a standing machine takes to come to rest
 MAX_CORRECTION_RATE = 60.0  # 1/s: faster gains amplify errors of the ground model and of stages of 10 ms
+WAY_SHARE = 0.01  # of the velocity weights, while feet that have to move are on the way
+GAIN_SHARE = 1.0 / 3.0  # of the stiffness of the contacts: the gains' limit where feet land
 POSITION, VELOCITY = 4.0, 10.0  # final weights times the squared tolerance of the goal
 MIN_EFFORT = 1e-12  # lower limit of an effort weight: very large limits still leave it positive definite
 
@@ -59,7 +66,7 @@ MIN_EFFORT = 1e-12  # lower limit of an effort weight: very large limits still l
 class DefaultWeights:
     """Weights by arguments of TrackingCost.joints, and the reason of each as text."""
 
-    weights: dict[str, np.ndarray]  # effort (nu,), control (nu,), position, velocity, final ones (nv,), hold ()
+    weights: dict[str, np.ndarray]  # effort (nu,), control (nu,), position, velocity, final ones (nv,); hold, rest ()
     reasons: dict[str, str]
 
 
@@ -67,6 +74,7 @@ def default_weights(
     dynamics: RigidBodyDynamics, x0: np.ndarray, goal: np.ndarray, duration: float, *,
     tolerance: float | Mapping[str, float] | None = None, named: bool = False, stays: bool = True,
     displacement: np.ndarray | None = None, max_control: np.ndarray | None = None, jerk: float = 0.0,
+    way: np.ndarray | None = None, last_share: float = 1.0,
 ) -> DefaultWeights:  # fmt: skip
     """Weights for reaching a goal (nx,) from x0 (nx,) within a duration, s.
 
@@ -81,6 +89,8 @@ def default_weights(
         displacement: (nv,) rad or m of each degree of freedom; by default from x0 to the goal.
         max_control: (nu,) max magnitude of each control where the model has no limit; infinite or None for none.
         jerk: The weight of jerk in the objective.
+        way: (E, nq) configurations from the start to the goal, where more than these two are known.
+        last_share: Share of the duration after the last goal before the end.
     """
     mechanism = dynamics.mechanism
     nv = mechanism.nv
@@ -90,40 +100,49 @@ def default_weights(
     velocity = np.zeros(nv)
     actuated = fully_actuated(dynamics)
     carried = stands_on_ground(mechanism)
-    stands = carried and stays
+    between = np.stack([x0, goal])[:, : mechanism.nq] if way is None else way
+    steps = carried and (stays or way is not None) and feet_move(mechanism, between)
+    stands = carried and (stays or steps)
     if actuated or carried:
         velocity = (VELOCITY_SHARE if named else 1.0) / speed**2
     share = tolerance_share(zip(displacement.tolist(), units, strict=False))
     position, rate = _tolerances(mechanism, [share * MIN_TOLERANCES[unit] for unit in units], tolerance)
     stance_error = STANCE_TOLERANCES * position if stands else None
-    effort, control, known = _effort(dynamics, x0, goal, duration, displacement, stance_error, max_control)
+    gained = 1.0 / (STANCE_TOLERANCES * position) ** 2 if steps else None
+    effort, control, known = _effort(dynamics, x0, goal, duration, displacement, stance_error, max_control, gained)
     stationary = (
         stationary_object_dofs(mechanism) & (displacement == 0.0) & (x0[mechanism.nq : mechanism.nq + nv] == 0.0)
     )
     jerk_cost = max(1.0, jerk * min_jerk_cost(displacement, duration))
-    ends = jerk_cost * (not stands) * ~stationary
+    falling = ballistic_dofs(mechanism, x0)
+    ends = jerk_cost * (not stands) * ~stationary * ~falling
     weights = {
         "effort": effort, **({} if control is None else {"control": control}), "velocity": velocity,
         "position": stands * ~stationary / (STANCE_TOLERANCES * position) ** 2,
         "final_position": ends * POSITION / position**2, "final_velocity": ends * VELOCITY / rate**2,
         "hold": np.array(HOLD_SECONDS * stands),
+        **({"rest": np.array((1.0 - MOVING_SHARE) * last_share)} if steps else {}),
     }  # fmt: skip
     held = "none: the weight is that of staying at the goal"
+    falls = ", none where the machine falls or drifts freely" if falling.any() else ""
     times = f", times {jerk_cost:.3g}, the cost of the minimum-jerk motion" if jerk_cost > 1.0 else ""
     return DefaultWeights(weights, {
         "effort": "1 / limit^2 of each control" + ("" if all(known) else ", where the model has no limit from the "
                   "force that balances gravity and accelerates the inertia") + (
                   f", at most what corrects {STANCE_TOLERANCES:g} tolerances within 1 / {MAX_CORRECTION_RATE:g} s" if
-                  stands else ""),
+                  stands else "") + (f", at least that of gains of {GAIN_SHARE:.2g} of the contacts' stiffness" if
+                  steps else ""),
         "velocity": (f"{VELOCITY_SHARE:g}, beside the objective, of " if named else "")
                     + "1 / v^2 of each joint, v = 2 displacement / duration" if np.any(velocity) else
                     "none: not every joint has an actuator, and a swing must be free",
         "position": f"1 / ({STANCE_TOLERANCES:g} tolerances)^2 from the straight line: the machine stands"
                     if stands else "none on the way",
-        "final_position": held if stands else f"{POSITION:g} / tolerance^2{times}",
-        "final_velocity": held if stands else f"{VELOCITY:g} / tolerance^2{times}",
+        "final_position": held if stands else f"{POSITION:g} / tolerance^2{times}{falls}",
+        "final_velocity": held if stands else f"{VELOCITY:g} / tolerance^2{times}{falls}",
         "hold": f"the cost of staying at the goal for {HOLD_SECONDS:g} s" if stands else
                 "none: the machine does not stand",
+        **({"rest": f"feet have to move: the machine is at its goal for the last {1.0 - MOVING_SHARE:g} of the time "
+            f"to it; before, positions have no weight and velocities {WAY_SHARE:g} of theirs"} if steps else {}),
     })  # fmt: skip
 
 
@@ -161,7 +180,7 @@ def weighed(
     dynamics: RigidBodyDynamics, x0: np.ndarray, goal: np.ndarray, horizon: int, weights: Mapping[str, Any], *,
     straight: bool,
 ) -> TrackingCost:  # fmt: skip
-    """The cost from x0 (nx,) to a goal (nx,), with weights by the arguments of TrackingCost.joints, and hold.
+    """The cost from x0 (nx,) to a goal (nx,), with weights by the arguments of TrackingCost.joints, hold and rest.
 
     The running weights refer to straight_reference if `straight`, else to the goal.
 
@@ -169,14 +188,30 @@ def weighed(
         PlannerError: As TrackingCost.joints and terminal_holding_cost.
     """
     chosen = dict(weights)
-    hold = chosen.pop("hold", 0.0)
+    hold, rest = chosen.pop("hold", 0.0), chosen.pop("rest", 0.0)
     if straight:
         chosen.setdefault("reference", straight_reference(dynamics, x0, goal, horizon))
     elif servos_of(dynamics).any() and "control" not in chosen:
         reference = straight_reference(dynamics, x0, goal, horizon, moving_share=1.0)
         chosen |= {"control": servo_reference(dynamics, reference)}
         chosen.setdefault("reference", reference)
-    return terminal_holding_cost(dynamics, TrackingCost.joints(dynamics, goal, horizon, **chosen), hold)
+    return staying_cost(dynamics, TrackingCost.joints(dynamics, goal, horizon, **chosen), hold, rest)
+
+
+def staying_cost(dynamics: RigidBodyDynamics, cost: TrackingCost, hold: Any, rest: Any) -> TrackingCost:
+    """A cost at whose last reference the machine is to be for a share `rest` of its stages, and `hold` s after the end.
+
+    Raises:
+        PlannerError: rest is not from 0 to 1, or as terminal_holding_cost.
+    """
+    rest = number("rest", rest, minimum=0.0, maximum=1.0)
+    if rest > 0.0:
+        nv, N = dynamics.mechanism.nv, len(cost.Q) - 1
+        Q, first = cost.Q.copy(), N - round(rest * N)
+        Q[:first, :nv] = Q[:first, :, :nv] = 0.0
+        Q[:first, nv : 2 * nv, nv : 2 * nv] *= WAY_SHARE
+        cost = TrackingCost(Q, cost.R, np.tile(cost.x_ref[-1], (N + 1, 1)), cost.u_ref, cost.space)
+    return terminal_holding_cost(dynamics, cost, hold)
 
 
 def straight_reference(
@@ -230,13 +265,14 @@ def fully_actuated(dynamics: RigidBodyDynamics) -> bool:
 
 def _effort(
     dynamics: RigidBodyDynamics, x0: np.ndarray, goal: np.ndarray, duration: float, displacement: np.ndarray,
-    stance_error: np.ndarray | None, max_control: np.ndarray | None,
+    stance_error: np.ndarray | None, max_control: np.ndarray | None, gained: np.ndarray | None,
 ) -> tuple[np.ndarray, np.ndarray | None, list[bool]]:  # fmt: skip
     """Weights and reference of the controls (nu,), and whether each has a limit in the model or in `max_control`.
 
     The reference is None where servos follow a motion.
 
     `stance_error` (nv,): position errors, rad or m, that a standing machine corrects at MAX_CORRECTION_RATE; else None.
+    `gained` (nv,): position weights whose gains GAIN_SHARE of the stiffness of the contacts limits; else None.
     """
     mechanism, prescribed = dynamics.mechanism, prescribed_dofs_of(dynamics)
     actuators, nq = mechanism.actuators, mechanism.nq
@@ -255,6 +291,9 @@ def _effort(
     correction = np.full(mechanism.nv, np.inf)
     if stance_error is not None:
         correction = np.maximum(inertia, stance_inertia(mechanism, goal[:nq])) * MAX_CORRECTION_RATE**2 * stance_error
+    borne = np.zeros(mechanism.nv)  # N or N m: the control whose weight 1 / u^2 has the gain sqrt(Q / R) in the limit
+    if gained is not None:
+        borne = GAIN_SHARE * contact_stiffness(mechanism, goal[:nq]) / np.sqrt(gained)
     limits, known, moment = np.empty(dynamics.nu), [], actuator_moments(mechanism, x0[:nq])
     servo = actuators.bias[:, 1] != 0.0
     for a in range(mechanism.nu):
@@ -266,6 +305,8 @@ def _effort(
         if not known[-1]:
             limit = float(np.max(force[push > 0.0] / push[push > 0.0], initial=0.0)) or 1.0
         limits[a] = min(limit, float(np.max(correction[push > 0.0] / push[push > 0.0], initial=0.0)) or limit)
+        bears = (push > 0.0) & (borne > 0.0)
+        limits[a] = min(limits[a], float(np.min(borne[bears] / push[bears], initial=np.inf)))
     limits[mechanism.nu :] = acceleration[prescribed]
     control = None if servos_of(dynamics).any() else np.zeros(dynamics.nu)
     if stance_error is not None or (control is not None and flies(mechanism)):

@@ -171,7 +171,7 @@ def prove(
         lost_with_gains=tuple(one for step in judged["feedback"] for one in step.failures) if mode == MODES[0] else (),
         not_checked=(
             *([f"without {' and '.join(untested)}"] if untested else []), *_said_in_file(given),
-            *_unjudged(plan, problem),
+            *_unjudged(plan, problem), *skating(plan, problem),
         ),
     )  # fmt: skip
     if hold_seconds:

@@ -133,6 +133,8 @@ WEIGHTS = {
     "velocity": "on the squared velocity error / 2 on the way, per second; by default (duration / 2 way)^2",
     "hold": "s: what it costs to stay at the goal as long is added at the end; by default 1 for machines that stand on "
     "the ground, in place of final weights, else 0",
+    "rest": "share of the duration, at the end, in which the machine is to be at its goal, before which positions have "
+    "no weight; by default a quarter of the time to the last goal where feet have to move, else 0: all of it",
     "goal": "on each goal of [[goal]], over the square of its tolerance; 4 by default, and 25 times as much per second "
     "on a path",
 }

@@ -151,6 +151,7 @@ def weights_of(
     most = None if bounds is None else np.maximum(np.abs(bounds.lower), np.abs(bounds.upper)).max(axis=0)
     there = joint_displacement(way.task, way.poses)
     named, jerk = "objective" in table, table.get("objective", {}).get("jerk", 0.0)
+    rests = way.task.rests and not way.task.follows and "position" not in table["weights"]
     found = default_weights(
         dynamics,
         x0,
@@ -161,9 +162,12 @@ def weights_of(
         displacement=there,
         max_control=most,
         jerk=jerk,
+        way=way.poses.q if rests else None,
+        last_share=float(np.diff(way.poses.stages)[-1] / way.task.N),
     )
-    weights = {name: weight for name, weight in found.weights.items() if name not in _OF_GOALS}
-    reasons = {name: reason for name, reason in found.reasons.items() if name not in _OF_GOALS}
+    left = () if "rest" in found.weights else _OF_GOALS
+    weights = {name: weight for name, weight in found.weights.items() if name not in left}
+    reasons = {name: reason for name, reason in found.reasons.items() if name not in left}
     if jerk:
         weights["goal"] = np.array(WEIGHT * max(1.0, jerk * min_jerk_cost(there, table["duration"])))
     return DefaultWeights(weights, reasons)
@@ -173,7 +177,7 @@ def cost_of(
     way: ResolvedTask, dynamics: RigidBodyDynamics, weights: dict[str, Any]
 ) -> tuple[Cost, tuple[GoalSpec, ...]]:
     """The cost of a task and what its proof judges."""
-    return task_cost(way.task, dynamics, way.rows, weights), task_goal_specs(way.task)
+    return task_cost(way.task, dynamics, way.rows, weights), task_goal_specs(way.task, way.rows[0])
 
 
 def guess_of(way: ResolvedTask, dynamics: RigidBodyDynamics, x0: np.ndarray) -> ReferenceTrajectory:

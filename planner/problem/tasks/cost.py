@@ -17,18 +17,20 @@ from planner.dynamics import RigidBodyDynamics
 from planner.dynamics.inverse_kinematics import Target
 from planner.dynamics.kinematics import frame_pose, jacobian
 from planner.kernels.tree.mechanism_table import chain_of
+from planner.model.capabilities import ballistic_dofs
 from planner.model.coordinates import coordinates_of_mechanism
 from planner.model.mechanism import Mechanism
 from planner.problem.costs.frame import FrameCost
 from planner.problem.costs.goal_spec import GoalSpec
 from planner.problem.costs.terms import SumCost
 from planner.problem.costs.tracking import TrackingCost
-from planner.problem.default_weights import VELOCITY, servo_reference, servos_of
+from planner.problem.default_weights import VELOCITY, servo_reference, servos_of, staying_cost
 from planner.problem.goals import MIN_TOLERANCES
 from planner.problem.tasks.follow import Follow
 from planner.problem.tasks.timed_task import Task, TimedGoal, unit_of
 
 WEIGHT = 4.0  # in 1 / tolerance^2
+REST_SHARE = 0.01  # of the weight of goals at the end, whose poses have weights before it, and after it by hold
 PATH_RATE = 25.0  # 1/s, weight of a path relative to a goal
 
 
@@ -41,11 +43,13 @@ def task_cost(
         task: Goals and paths.
         dynamics: The machine.
         reference: (N+1, nx) the states through its poses, at rest at the end.
-        weights: Arguments of TrackingCost.joints, and `goal` in place of WEIGHT.
+        weights: Arguments of TrackingCost.joints, `goal` in place of WEIGHT, hold and rest.
     """
     mechanism, N = task.mechanism, task.N
     weights = dict(weights)
     factor = number("weights.goal", weights.pop("goal", WEIGHT), greater_than=0.0)
+    hold, rest = weights.pop("hold", 0.0), weights.pop("rest", 0.0)
+    last_factor = factor * (REST_SHARE if rest else 1.0)
     if not task.rests:
         weights["final_velocity"] = 0.0
     at_rest = reference.copy()
@@ -53,26 +57,27 @@ def task_cost(
     if "control" not in weights and servos_of(dynamics).any():
         weights["control"] = servo_reference(dynamics, reference)
     base = TrackingCost.joints(dynamics, at_rest[N], N, reference=at_rest, **weights)
+    base = staying_cost(dynamics, base, hold, rest)
     Q, x_ref = base.Q.copy(), base.x_ref.copy()
     terms: list[Any] = []
     for one in task.goals:
         for dof, value in one.joints.items():
-            Q[one.stage, dof, dof] += factor / one.tolerances[_part(unit_of(mechanism, dof))] ** 2
+            Q[one.stage, dof, dof] += (last_factor if one.last else factor) / one.tolerances[_part(unit_of(mechanism, dof))] ** 2
             x_ref[one.stage, mechanism.q_address[dof]] = value
         if not (one.goal.through or one.last):
             for dof in _moving_dofs(mechanism, one):
                 i = mechanism.nv + dof
                 Q[one.stage, i, i] += VELOCITY / MIN_TOLERANCES[f"{unit_of(mechanism, dof)}/s"] ** 2
         if one.goal.frame is not None:
-            terms.append(_of_frame(task, one, factor))
+            terms.append(_of_frame(task, one, last_factor if one.last else factor))
     for path in task.follows:
         terms += _of_path(task, path, factor, Q, x_ref)
     tracking = TrackingCost(Q, base.R, x_ref, base.u_ref, base.space)
     return SumCost(tracking, *terms) if terms else tracking
 
 
-def task_goal_specs(task: Task) -> tuple[GoalSpec, ...]:
-    """The goals for the proof: every goal and path, and rest at the end."""
+def task_goal_specs(task: Task, x0: np.ndarray) -> tuple[GoalSpec, ...]:
+    """The goals for the proof: every goal and path, and rest at the end, of all that something can stop from x0."""
     mechanism, found = task.mechanism, []
     coordinates = coordinates_of_mechanism(mechanism)
     for one in task.goals:
@@ -104,7 +109,8 @@ def task_goal_specs(task: Task) -> tuple[GoalSpec, ...]:
         found.append(GoalSpec(f"path of {path.what}", unit, error, times, task.tolerance(path)))
     if task.rests:
         nv, states = mechanism.nv, slice(mechanism.nq, mechanism.nq + mechanism.nv)
-        found += [GoalSpec(*coordinates[nv + i], partial(_abs_velocity, states.start + i)) for i in range(nv)]
+        stopped = np.flatnonzero(~ballistic_dofs(mechanism, x0))
+        found += [GoalSpec(*coordinates[nv + i], partial(_abs_velocity, states.start + int(i))) for i in stopped]
     return tuple(found)
 
 

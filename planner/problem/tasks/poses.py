@@ -13,7 +13,8 @@ from planner.dynamics.assembly import assembled
 from planner.dynamics.contacts import contact_forces
 from planner.dynamics.inverse_kinematics import Target, inverse_kinematics, residuals
 from planner.dynamics.kinematics import frame_pose, jacobian
-from planner.model.capabilities import stands_on_ground
+from planner.dynamics.statics import static_equilibrium
+from planner.model.capabilities import stands_on_ground, unreached_dofs
 from planner.model.mechanism import SCREW, Frame
 from planner.model.mjcf.prescribed_joints import prescribed_dofs_of
 from planner.problem.collision_checker import CollisionChecker
@@ -43,7 +44,14 @@ class _Search(NamedTuple):
     check: bool
     checker: CollisionChecker | None
     constraints: PoseConstraints | None
-    feet: ResidualAndJacobian | None
+    feet: _Feet | None
+
+
+class _Feet(NamedTuple):
+    """Residuals of the contacts that bear load at the start."""
+
+    fixed: ResidualAndJacobian | None  # They stay where they are; None unless they carry the machine
+    on_ground: ResidualAndJacobian  # They may be elsewhere on their planes
 
 
 class _StageTargets(NamedTuple):
@@ -62,8 +70,8 @@ def poses_of(
 
     Args:
         task: Goals and paths.
-        dynamics: The machine; unactuated joints move only if the actuated ones do not reach the goal, and where it
-            stands its feet stay then where the start has them.
+        dynamics: The machine; unactuated joints move only if the actuated ones do not reach the goal. Then its feet
+            stay where the start has them, or if that is too near stand elsewhere, or leave the ground at a via point.
         x0: (nx,) start.
         ranges: (nv, 2) rad or m, of hinges and slides.
         seed: Of the random starts of inverse kinematics.
@@ -164,14 +172,14 @@ def _pose(
     if not asked.targets:
         if search.check and missing is not None:
             _check_constraints(task, search, q, stage, here)
-        return q
+        return _on_ground(task, search, q, asked, here)
 
     def tried(
         targets: list[Target], joints: dict[int, float], short: Callable[[np.ndarray], float] | None = None,
         missing: ResidualAndJacobian | None = None,
     ) -> tuple[np.ndarray, float]:  # fmt: skip
         found = None
-        for mask, feet in _free_dofs(search, joints):
+        for mask, feet in _free_dofs(search, joints, any(one.goal.through for one in here)):
             other = inverse_kinematics(
                 mechanism, targets, q, ranges=ranges, free=mask, seed=search.seed, short=short,
                 missing=_both(missing, feet), starts=None if here or missing is None else PATH_STARTS,
@@ -255,45 +263,80 @@ def _errors(task: Task, q: np.ndarray, target: Target) -> tuple[float, float]:
 
 
 def _free_dofs(
-    search: _Search, joints: dict[int, float]
+    search: _Search, joints: dict[int, float], passed: bool
 ) -> Sequence[tuple[np.ndarray, ResidualAndJacobian | None]]:  # fmt: skip
-    """Masks (nv,) of degrees of freedom that may move, each with the residuals of feet that stay: actuated, then all.
+    """Masks (nv,) of degrees of freedom that may move, each with the residuals of feet, in the order to try them.
 
-    All of them for closed chains. Those with a goal in `joints` are fixed.
+    The actuated ones; all, with feet that stay; all, with feet elsewhere on the ground; and all without feet, in the
+    air or at a via point (`passed`). All of them for closed chains. Those with a goal in `joints` are fixed, and what
+    nothing acts on.
     """
     dynamics, mechanism = search.dynamics, search.dynamics.mechanism
+    prescribed = prescribed_dofs_of(dynamics)
     actuated = np.any(mechanism.actuators.acts_on[mechanism.actuators.gain != 0.0], axis=0)
-    actuated[prescribed_dofs_of(dynamics)] = True
+    actuated[prescribed] = True
     everything = np.ones(mechanism.nv, dtype=bool)
-    stays = mechanism.contacts and search.feet is None  # in the air, or its contacts are with each other
-    masks = [(actuated, None)] if stays or actuated.all() else [(actuated, None), (everything, search.feet)]
-    masks = [(everything, search.feet)] if mechanism.has_closed_chains else masks
-    for mask, _ in masks:
-        mask[list(joints)] = False
-    return masks
+    feet = search.feet
+    if mechanism.has_closed_chains:
+        masks = [(everything, None if feet is None else feet.fixed)]
+    else:
+        reached = everything if feet is None else ~unreached_dofs(mechanism, prescribed)
+        masks: list[tuple[np.ndarray, ResidualAndJacobian | None]] = [(actuated, None)]
+        if feet is not None and feet.fixed is not None:
+            masks.append((everything, feet.fixed))
+        if feet is not None:
+            masks.append((reached, feet.on_ground))
+        if passed or feet is None:
+            masks.append((reached, None))
+        masks = masks[:1] if actuated.all() else masks
+    return [(mask & ~np.isin(np.arange(mechanism.nv), list(joints)), rows) for mask, rows in masks]
 
 
-def _feet(dynamics: RigidBodyDynamics, q: np.ndarray) -> ResidualAndJacobian | None:
+def _feet(dynamics: RigidBodyDynamics, q: np.ndarray) -> _Feet | None:
     """Displacements of the loaded contacts' centres from where they are at q (nq,), over FOOT_SCALE."""
     mechanism = dynamics.mechanism
-    if not stands_on_ground(mechanism):
+    if not mechanism.contacts:
         return None
-    loaded = contact_forces(mechanism, q, np.zeros(mechanism.nv)).forces.any(axis=1)
+    loaded = np.flatnonzero(contact_forces(mechanism, q, np.zeros(mechanism.nv)).forces.any(axis=1))
+    if not loaded.size:
+        return None
     frames = []
-    for k in np.flatnonzero(loaded):
+    for k in loaded:
         T = np.eye(4)
         T[:3, 3] = mechanism.contacts[k].centre
         frames.append(Frame(mechanism.contacts[k].link, T))
-    if not frames:
-        return None
-    places = np.concatenate([frame_pose(mechanism, q, frame)[:3, 3] for frame in frames])
+    places = np.array([frame_pose(mechanism, q, frame)[:3, 3] for frame in frames])
+    normals = np.array([mechanism.contacts[k].plane.normal for k in loaded])
 
     def displacements(at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        here = np.concatenate([frame_pose(mechanism, at, frame)[:3, 3] for frame in frames])
-        J = np.concatenate([jacobian(mechanism, at, frame)[:3] for frame in frames])
+        here = np.array([frame_pose(mechanism, at, frame)[:3, 3] for frame in frames])
+        J = np.array([jacobian(mechanism, at, frame)[:3] for frame in frames])
         return (here - places) / FOOT_SCALE, J / FOOT_SCALE
 
-    return displacements
+    def fixed(at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        away, J = displacements(at)
+        return away.ravel(), J.reshape(-1, mechanism.nv)
+
+    def on_ground(at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        away, J = displacements(at)
+        return np.einsum("ka,ka->k", normals, away), np.einsum("ka,kaj->kj", normals, J)
+
+    return _Feet(fixed if stands_on_ground(mechanism) else None, on_ground)
+
+
+def _on_ground(
+    task: Task, search: _Search, q: np.ndarray, asked: _StageTargets, here: Sequence[TimedGoal]
+) -> np.ndarray:  # fmt: skip
+    """The pose (nq,) at rest of joints that have goals: a machine that stood stands, where the legs then carry it."""
+    mechanism = task.mechanism
+    if search.feet is None or search.feet.fixed is None or not here or any(one.goal.through for one in here):
+        return q
+    try:
+        there = static_equilibrium(mechanism, q)[: mechanism.nq]
+    except PlannerError:  # it does not balance
+        return q
+    asked_q = [int(mechanism.q_address[dof]) for dof in asked.joints]
+    return q if np.abs(there - q)[asked_q].max(initial=0.0) > FOOT_SCALE else there
 
 
 def _both(one: ResidualAndJacobian | None, other: ResidualAndJacobian | None) -> ResidualAndJacobian | None:

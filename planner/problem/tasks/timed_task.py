@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 
-from planner.base.arguments import choice, number
+from planner.base.arguments import array, choice, number
 from planner.base.errors import PlannerError
 from planner.model.mechanism import SCREW, Mechanism
 from planner.problem.goals import MIN_TOLERANCES
@@ -126,11 +126,9 @@ def task_of(
         before, stage = time, max(round(time / dt), 1)
         if goal.frame is not None:
             mechanism.frame(goal.frame)  # refuses an unknown name
-        timed.append(
-            TimedGoal(
-                goal, stage, time, stage == N, label, goal.tolerances(defaults), joints_of(mechanism, goal, label)
-            )
-        )
+        for one in _with_bases(mechanism, goal, label):
+            joints = joints_of(mechanism, one, label)
+            timed.append(TimedGoal(one, stage, time, stage == N, label, one.tolerances(defaults), joints))
     for path in follows:
         _check_path(mechanism, path, N * dt)
     return Task(mechanism, tuple(timed), tuple(follows), N, dt)
@@ -141,6 +139,34 @@ def _goal_tolerances(tolerance: Any) -> Any:
     if isinstance(tolerance, dict):
         return {name: value for name, value in tolerance.items() if name in PARTS and value != "soft"} or None
     return None if tolerance == "soft" else tolerance
+
+
+def _with_bases(mechanism: Mechanism, goal: Goal, label: str) -> list[Goal]:
+    """The goal; if it has free joints, one of the other joints, and one of the pose of the body of each free joint."""
+    bases = {
+        name: links for name, links in zip(mechanism.joint_names, mechanism.joint_links, strict=True)
+        if links.stop - links.start == 6
+    }  # fmt: skip
+    given = goal.joints
+    if given is None or not bases or (isinstance(given, dict) and not set(given) & set(bases)):
+        return [goal]
+    if not isinstance(given, dict):
+        q = mechanism.keyframe(given)[: mechanism.nq] if isinstance(given, str) else np.asarray(given, dtype=float)
+        if q.shape != (mechanism.nq,):
+            return [goal]  # joints_of says what is expected
+        starts = [int(mechanism.q_address[links.start]) for links in mechanism.joint_links]
+        ends = [*starts[1:], mechanism.nq]
+        parts = zip(mechanism.joint_names, starts, ends, strict=True)
+        given = {name: q[a:b] if b - a > 1 else float(q[a]) for name, a, b in parts}
+    found, others = [], {name: value for name, value in given.items() if name not in bases}
+    for name in (one for one in given if one in bases):
+        pose = array(f"{name} of {label}, [x, y, z] m and a quaternion, w first", given[name], (7,))
+        body = next((k for k, one in enumerate(mechanism.bodies) if one.link == bases[name].stop - 1), -1)
+        frame = mechanism.body_names[body] if body >= 0 else ""
+        if not frame:
+            raise PlannerError(f"{label} names {name!r}, whose body has no name: expected a name in the model.")
+        found.append(replace(goal, joints=None, frame=frame, position=pose[:3], orientation=pose[3:]))
+    return [*found, *([replace(goal, joints=others)] if others else [])]
 
 
 def joints_of(mechanism: Mechanism, goal: Goal, label: str) -> dict[int, float]:
@@ -156,7 +182,7 @@ def joints_of(mechanism: Mechanism, goal: Goal, label: str) -> dict[int, float]:
         for name, value in given.items():
             i = mechanism.joint(choice(f"a joint of {label}", name, [n for n in mechanism.joint_names if n])).start
             if i not in screws:
-                raise PlannerError(f"{label} names {name!r}, a ball or free joint: expected hinges and slides.")
+                raise PlannerError(f"{label} names {name!r}, a ball joint: expected hinges, slides and free joints.")
             found[i] = number(f"{name} of {label}", value)
         return found
     given = np.asarray(given, dtype=float).ravel()
