@@ -1,7 +1,7 @@
 """Figures 1 to 4: the machines, inverse dynamics, closed chains, and the motions of both arms.
 
 The paper draws its arms as frames at equal intervals of time (Fig. 3, Fig. 4); so are ours. For Fig. 3 it gives the
-efforts 73.6 and 9.9 and no masses: the first row is an arm that has both, by the paper's own method (see masses.py).
+efforts 73.6 and 9.9 and no masses: arms that have both, by the paper's own method, are in masses.py.
 
 Closed chains (section 1.2) are compared with a closed form. Two equal cranks and a coupler that does not rotate are a
 parallelogram, whose one coordinate, the angle q of its cranks from upright, has
@@ -24,7 +24,6 @@ from planner.dynamics import RigidBodyDynamics, product_of_exponentials
 from planner.dynamics import algorithms as rigid_body
 from planner.dynamics.loops import misses
 from planner.model.mechanism import Mechanism
-from planner.paper.studies.masses import arm_mechanism, by_splines, with_first_effort
 from planner.paper.studies.study import Row, Study, plan_record, table, timed
 from planner.solvers.slq import solve
 from planner.view.plots.style import INK, SOFT, grid_of, save
@@ -33,7 +32,6 @@ FRAMES = 14  # as many as Fig. 3 has
 STATES = 50  # random ones per arm, for Fig. 2
 STARTS = 8  # first guesses of the better local minimum
 LIMIT = 300  # iterations of each; those that need more end higher
-LENGTH = 1.078  # m, of both links with equal points at their tips: an arm of the masses study with both efforts
 
 
 def _run() -> dict[str, Any]:
@@ -45,7 +43,6 @@ def _run() -> dict[str, Any]:
         "closed_form_error": closed_form_error(),
         "drift": drift(),
         "motions": [
-            _papers_arm(),
             _motion("Fig. 3: two-link, from the paper's first guess", "two-link", 1),
             _motion(f"Fig. 3: two-link, best of {STARTS} first guesses", "two-link", STARTS),
             _motion("Fig. 4: acrobot, from the paper's first guess", "acrobot", 1),
@@ -75,26 +72,11 @@ def _motion(title: str, case: str, starts: int) -> dict[str, Any]:
         "title": title, "case": case, **plan_record(plan), "first_effort": first,
         "effort": problem.dynamics.dt * 0.5 * float(np.sum(plan.us**2)),
         "seconds": seconds, "miss": float(np.abs(plan.xs[-1] - [0.5 * np.pi, 0.0, 0.0, 0.0]).max()),
-        **_drawn(plan.t, plan.xs[:, :2], plan.xs[:, 2], [float(plan.parameters[f"length{i}"]) for i in (1, 2)]),
+        **drawn(plan.t, plan.xs[:, :2], plan.xs[:, 2], [float(plan.parameters[f"length{i}"]) for i in (1, 2)]),
     }  # fmt: skip
 
 
-def _papers_arm() -> dict[str, Any]:
-    """The arm of 73.6 and 9.9 and its motion, by quintic B-splines and BFGS from the paper's first guess."""
-    arm = with_first_effort("points at the tips", 1.0, LENGTH)
-    found, seconds = timed(lambda: by_splines(arm_mechanism(arm)))
-    t = np.linspace(0.0, 2.0, 201)
-    q = found.spline(t)
-    return {
-        "title": f"Fig. 3: points of {arm.mass1:.3f} kg at the tips of {LENGTH:g} m, by splines",
-        "case": "two-link", "status": "CONVERGED" if found.success else "NO_DESCENT", "iterations": found.iterations,
-        "mass": arm.mass1, "cost": found.cost, "first_effort": found.first_cost, "effort": found.cost,
-        "seconds": seconds, "miss": 0.0,
-        **_drawn(t, q, np.gradient(q[:, 0], t), [LENGTH, LENGTH]),
-    }  # fmt: skip
-
-
-def _drawn(t: np.ndarray, q: np.ndarray, rate: np.ndarray, lengths: list[float]) -> dict[str, Any]:
+def drawn(t: np.ndarray, q: np.ndarray, rate: np.ndarray, lengths: list[float]) -> dict[str, Any]:
     """Measures and frames of a motion q (K, 2) at t (K,), with the upper arm's rate (K,) and both lengths."""
     chosen = np.linspace(0, len(t) - 1, FRAMES).round().astype(int)
     joints = [q[:, 0], q[:, 0] + q[:, 1]]
@@ -133,7 +115,7 @@ def _page(results: dict[str, Any]) -> list[str]:
 
 
 def _rows(results: dict[str, Any]) -> list[Row]:
-    theirs, paper, best, acrobot = results["motions"]
+    paper, best, acrobot = results["motions"]
     machines = ", ".join(m["case"] for m in results["machines"])
 
     def described(m: dict[str, Any]) -> str:
@@ -153,16 +135,10 @@ def _rows(results: dict[str, Any]) -> list[Row]:
             f"a parallelogram against its closed form: relative difference {results['closed_form_error']:.1e}; open by "
             f"at most {results['drift']:.1e} m while it swings for {SECONDS:g} s",
             "it does not differ; the paper gives no example"),
-        Row("2.1, Fig. 3",
-            "The arm swings down while folding the second link, then swings up and pumps the second link upright",
-            f"the arm whose efforts are the paper's {theirs['first_effort']:.1f} and {theirs['effort']:.1f} (points "
-            f"of {theirs['mass']:.3f} kg at the tips of {LENGTH:g} m), by the paper's method: swings down to q1 = "
-            f"{theirs['lowest_q1']:.2f} rad at {theirs['at']:.2f} s while it folds to q2 = {theirs['folds'][1]:.2f} "
-            f"rad, then up, and the second link follows. Our own rods need {paper['first_effort']:.1f} on the first "
-            f"guess; by SLQ from there: {described(paper)}; best of {STARTS} guesses: {described(best)}",
-            "the paper states no masses: that arm is one of several with both numbers, and does what the paper says. "
-            "SLQ on our rods is another method, another arm, and ends in other local minima: from the paper's guess it "
-            "does not swing down; the paper calls its own locally optimal"),
+        Row("2.1, Fig. 3", "The same motion, by the paper's new method",
+            f"our own rods (0.5 kg, 1 m) need {paper['first_effort']:.1f} on the first guess; by SLQ from there: "
+            f"{described(paper)}; best of {STARTS} guesses: {described(best)}",
+            "another arm, another method and other local minima: from the paper's guess it does not swing down"),
         Row("2.2, Fig. 4", "From q1 = -1.0 the elbow pumps energy until the arm stands upright",
             f"{described(acrobot)}; q1 turns back {acrobot['swings']} times",
             "the paper gives neither masses nor t_f, so only the kind of motion can be compared"),
@@ -170,8 +146,11 @@ def _rows(results: dict[str, Any]) -> list[Row]:
 
 
 def _draw(results: dict[str, Any], path: Path) -> None:
+    draw_frames(results["motions"], path)
+
+
+def draw_frames(motions: list[dict[str, Any]], path: Path) -> None:
     """Frames at equal intervals, one row per motion."""
-    motions = results["motions"]
     figure, grid = grid_of(len(motions), 1, 14.0, 1.75 * len(motions))
     for axes, motion in zip(grid[:, 0], motions, strict=True):
         a, b = motion["lengths"]
