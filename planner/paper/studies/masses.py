@@ -44,7 +44,7 @@ ENOUGH = 0.05  # of the second number: what rounds to it
 SIMPSON = 1e-6  # Matlab's default tolerance
 KINDS = {"rods": (0.5, 1.0 / 12.0), "points at the tips": (1.0, 0.0), "points halfway": (0.5, 0.0)}
 """Centre of mass over length, and inertia about it over mass length^2."""
-SHORT = (np.array([0.4, 1.0, 1.6]), np.geomspace(0.25, 4.0, 4))
+SHORT = (np.array([1.0, 1.6]), np.geomspace(0.5, 4.0, 3))
 FULL = (np.geomspace(0.3, 2.4, 7), np.geomspace(0.125, 8.0, 9))
 """Lengths of each link, m, and ratios of the second mass to the first."""
 RISES: dict[str, Callable[[np.ndarray], np.ndarray]] = {
@@ -54,7 +54,6 @@ RISES: dict[str, Callable[[np.ndarray], np.ndarray]] = {
 }
 """Smooth ways from 0 to 1 for s from 0 to 1, at rest at both ends."""
 STARTS, TRIALS = 8, 6
-MOST = 300  # iterations of BFGS in the search: an arm that needs more is too slow to be told from its neighbours
 
 _POINT = 1e-6  # inertia of a point over mass length^2: MuJoCo refuses a body without any
 
@@ -113,14 +112,13 @@ def arms_with_both(kind: str, lengths: np.ndarray, ratios: np.ndarray) -> list[d
 
         def beyond(exponent: float, at: tuple[float, float] = (length1, length2), tried: Any = tried) -> float:
             if exponent not in tried:
-                arm = arm_mechanism(with_first_effort(kind, math.exp(exponent), *at))
-                tried[exponent] = by_splines(arm, max_iterations=MOST)
+                tried[exponent] = by_splines(arm_mechanism(with_first_effort(kind, math.exp(exponent), *at)))
             return tried[exponent].cost - LAST
 
         for low, high in pairwise(map(math.log, ratios)):
             if beyond(low) * beyond(high) < 0.0:  # where the minimum does not jump past 9.9
                 brentq(beyond, low, high, xtol=1e-4, maxiter=TRIALS, disp=False)
-            nearest = min((one for one in tried if low <= one < high), key=lambda one: abs(tried[one].cost - LAST))  # noqa: B023
+            nearest = min((one for one in tried if low <= one < high), key=lambda one: abs(tried[one].cost - LAST))
             if abs(tried[nearest].cost - LAST) < ENOUGH:
                 arm = with_first_effort(kind, math.exp(nearest), length1, length2)
                 found.append(_motion(arm, tried[nearest]))

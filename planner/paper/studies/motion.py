@@ -24,8 +24,10 @@ from planner.dynamics import RigidBodyDynamics, product_of_exponentials
 from planner.dynamics import algorithms as rigid_body
 from planner.dynamics.loops import misses
 from planner.model.mechanism import Mechanism
+from planner.paper.studies.step_run import FRAMES as POINTS
 from planner.paper.studies.study import Row, Study, plan_record, table, timed
 from planner.solvers.slq import solve
+from planner.view.plots.stick_figures import frame_points
 from planner.view.plots.style import INK, SOFT, grid_of, save
 
 FRAMES = 14  # as many as Fig. 3 has
@@ -39,6 +41,7 @@ def _run() -> dict[str, Any]:
         solve(cases.build(case), max_iterations=1)  # so that nothing is compiled on the clock
     return {
         "machines": [_machine(name) for name in cases.CASES],
+        "walker": _walker(),
         "inverse_dynamics_error": max(inverse_dynamics_error(case) for case in ("two-link", "acrobot")),
         "closed_form_error": closed_form_error(),
         "drift": drift(),
@@ -53,6 +56,13 @@ def _run() -> dict[str, Any]:
 def _machine(name: str) -> dict[str, Any]:
     problem = cases.build(name)
     return {"case": name, "states": problem.dynamics.nx, "controls": problem.dynamics.nu, "t_f": problem.duration}
+
+
+def _walker() -> list[list[float]]:
+    """Hips, knees, ankles, heels and toes of the human step at its start, from the side, m."""
+    problem = cases.build("human-step")
+    points = frame_points(problem.dynamics.mechanism, problem.x0[None], POINTS)[0]  # type: ignore[attr-defined]
+    return np.round(points[:, [0, 2]], 4).tolist()
 
 
 def inverse_dynamics_error(case: str, states: int = STATES) -> float:
@@ -98,6 +108,7 @@ def _swings(rate: np.ndarray) -> int:
 def _page(results: dict[str, Any]) -> list[str]:
     return [
         "# The machines and their motions (Fig. 1 to 4)", "",
+        "![the four systems of Fig. 1](machines.png)", "",
         *table(
             {"machine of Fig. 1": "{case}", "states": "{states}", "controls": "{controls}", "t_f, s": "{t_f:g}"},
             results["machines"],
@@ -171,8 +182,45 @@ def draw_frames(motions: list[dict[str, Any]], path: Path) -> None:
     save(figure, path)
 
 
+def _draw_machines(results: dict[str, Any], path: Path) -> None:
+    """The four systems of Fig. 1; filled joints have a motor, open ones none, arrows are what else is driven."""
+    figure, grid = grid_of(1, 4, 13.0, 3.2)
+    arm, acrobot, step, hop = grid[0]
+    for axes, title, motors in ((arm, "Case 1", (INK, INK)), (acrobot, "Case 2", ("white", INK))):
+        x, y = np.cumsum([0.0, np.cos(0.9), np.cos(0.2)]), np.cumsum([0.0, np.sin(0.9), np.sin(0.2)])
+        axes.plot([-0.3, 0.3], [0.0, 0.0], color=SOFT, lw=4)
+        axes.plot(x, y, color="#08306b", lw=4, zorder=1, solid_capstyle="round")
+        axes.scatter(x[:2], y[:2], s=130, c=motors, edgecolors=INK, zorder=2)
+        axes.set_title(f"{title}: 2R arm, {'two motors' if motors[0] == INK else 'elbow motor alone'}", fontsize=9.5)
+    points = np.array(results["walker"]).reshape(2, -1, 2)  # (side, point, 2)
+    for leg, colour in zip(points, ("#c1570a", SOFT), strict=True):
+        step.plot(*leg[[0, 1, 2, 3, 4, 2]].T, color=colour, lw=3)
+        step.scatter(*leg[:3].T, s=60, c="white", edgecolors=INK, zorder=2)
+    hip = points[:, 0].mean(axis=0)
+    step.plot([hip[0], hip[0]], [hip[1], hip[1] + 0.5], color=INK, lw=6, solid_capstyle="round")
+    step.axhline(0.0, color=SOFT, lw=4)
+    step.annotate(
+        "robot", hip + np.array([0.0, 0.1]), hip + np.array([0.55, 0.1]), arrowprops={"arrowstyle": "->"}, va="center"
+    )
+    step.set_title("Case 3: pelvis driven, legs passive", fontsize=9.5)
+    coils = np.linspace(0.1, 0.9, 9)
+    hop.axhline(0.0, color=SOFT, lw=4)
+    hop.plot(0.12 * (-1.0) ** np.arange(9) * (np.arange(9) % 8 > 0), coils, color="#08306b", lw=2)
+    hop.plot([-0.15, 0.15], [0.1, 0.1], color=INK, lw=3)  # the foot
+    hop.fill_between([-0.35, 0.35], 0.95, 1.4, color="#c1570a")
+    for label, place in (("mass m, height y", 1.17), ("spring k, piston $y_p$, flow u", 0.5)):
+        hop.annotate(label, (0.4, place), fontsize=9, va="center")
+    hop.set_title("Case 4: hopper", fontsize=9.5)
+    limits = {arm: (-0.6, 2.0, -0.3, 1.6), acrobot: (-0.6, 2.0, -0.3, 1.6), hop: (-0.7, 1.9, -0.3, 1.6),
+              step: (hip[0] - 0.9, hip[0] + 1.1, -0.1, hip[1] + 0.6)}  # fmt: skip
+    for axes, (left, right, low, high) in limits.items():
+        axes.set(xlim=(left, right), ylim=(low, high), aspect="equal")
+        axes.set_axis_off()
+    save(figure, path)
+
+
 STUDY = Study("motions", "the machines, inverse dynamics and the motions of the arms (Fig. 1 to 4)",
-              _run, _page, _rows, {"motions.png": _draw})  # fmt: skip
+              _run, _page, _rows, {"machines.png": _draw_machines, "motions.png": _draw})  # fmt: skip
 
 
 CRANK, INERTIA, COUPLER, CRANK_LENGTH, CENTRE = 1.0, 0.01, 2.0, 0.4, 0.2  # kg, kg m^2, kg, m, m

@@ -26,6 +26,7 @@ from planner.base.files import digest_of, json_text, write_json
 from planner.paper.studies import (
     dive,
     elbow,
+    extremals,
     gradient,
     hopper,
     hopper_splines,
@@ -35,6 +36,7 @@ from planner.paper.studies import (
     puma,
     shooting,
     step_page,
+    step_splines,
     table_1,
     theorem,
 )
@@ -45,8 +47,8 @@ HEADS = ("where", "the paper says", "we get", "why it differs")
 STUDIES: tuple[Study, ...] = tuple(
     module.STUDY
     for module in (
-        motion, masses, shooting, elbow, hopper_splines, table_1, gradient, theorem, hopper, objective, puma, dive,
-        step_page,
+        motion, masses, shooting, elbow, step_page, step_splines, hopper_splines, table_1, gradient, extremals, theorem,
+        hopper, objective, puma, dive,
     )
 )  # fmt: skip
 
