@@ -176,13 +176,14 @@ def _page(results: dict[str, Any]) -> list[str]:
         "Quasilinearization: Newton's method on states, controls and costates, full steps, from the rollout of SLQ's",
         "first guess. SLQ with exact Hessians has the same second derivatives, a rollout and a line search.", "",
         *table({
-            "problem": "{case}", "quasilinearization": "{ended}", "SLQ, exact Hessian":
-            "{exact[iterations]} iterations", "J": "{exact[cost]:.6g}", "SLQ": "{slq[iterations]} iterations", "its J": "{slq[cost]:.6g}",
+            "problem": "{case}", "quasilinearization": "{ended}",
+            "SLQ, exact Hessian": "{exact[iterations]} iterations", "J": "{exact[cost]:.6g}",
+            "SLQ": "{slq[iterations]} iterations", "its J": "{slq[cost]:.6g}",
         }, ({**one, "ended": _ended(one["newton"])} for one in results["cases"])), "",
         "Neighbouring extremals: from another start, the gains of the sweep at the two-link plan, with and without",
-        "the second derivatives W of the dynamics, against the plan solved again from there (RMS, N m). The errors fall",
-        f"with order {orders['with W']:.2f} and {orders['without']:.2f}. A plan keeps the gains without W, those of",
-        f"Eq. 31, also with `hessian=\"exact\"` (relative difference {kept['without']:.0e}; to those with W "
+        "the second derivatives W of the dynamics, against the plan solved again from there (RMS, N m). The errors",
+        f"fall with order {orders['with W']:.2f} and {orders['without']:.2f}. A plan keeps the gains without W, those",
+        f"of Eq. 31, also with `hessian=\"exact\"` (relative difference {kept['without']:.0e}; to those with W "
         f"{kept['with W']:.2f}).", "",
         "![steps of quasilinearization, and errors of feedback](extremals.png)", "",
         *table({"start off by": "{start:g}", "optimal controls change by": "{change:.1e}", "gains with W: error":
@@ -198,8 +199,8 @@ def _rows(results: dict[str, Any]) -> list[Row]:
             "full Newton steps on states and costates: quick near a solution, no descent far from one"),
         Row("3.3, [18]", "Neighbouring extremals do so too (no example)",
             f"gains with the dynamics' second derivatives are that feedback: from another start their controls are off "
-            f"by order {orders['with W']:.2f}; the gains of Eq. 31, which a plan keeps, by order {orders['without']:.2f}: "
-            f"{last['without'] / last['change']:.0%} of the change",
+            f"by order {orders['with W']:.2f}; the gains of Eq. 31, which a plan keeps, by order "
+            f"{orders['without']:.2f}: {last['without'] / last['change']:.0%} of the change",
             "two-link arm; the paper's LQ problem leaves the second derivatives out, and its gains still stabilize"),
     ]  # fmt: skip
 
@@ -216,11 +217,10 @@ def _draw(results: dict[str, Any], path: Path) -> None:
     steps.axhline(CONVERGED, color=SOFT, lw=0.8, ls=":")
     dress(errors, "Feedback from another start, two-link arm", "RMS of controls, N m", "start off by")
     starts = results["neighbours"]["starts"]
-    for hue, (key, label) in zip(HUES, (("change", "change of the optimal controls"), ("without", "error of gains without W"),
-                                        ("with W", "error of gains with W")), strict=False):  # fmt: skip
-        errors.loglog(
-            [one["start"] for one in starts], [one[key] for one in starts], marker="o", ms=4, color=hue[1], label=label
-        )
+    labels = {"change": "change of the optimal controls", "without": "error of gains without W",
+              "with W": "error of gains with W"}  # fmt: skip
+    for hue, (key, label) in zip(HUES, labels.items(), strict=False):
+        errors.loglog(*([one[k] for one in starts] for k in ("start", key)), "o-", ms=4, color=hue[1], label=label)
     for axes in (steps, errors):
         axes.legend(frameon=False, fontsize=8)
     save(figure, path)

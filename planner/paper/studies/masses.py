@@ -34,7 +34,7 @@ from planner.paper.studies.study import Row, Study, plan_record, table, timed
 from planner.problem.initial_guess import inverse_dynamics_controls, minimum_jerk, quintic
 from planner.problem.problem import Problem
 from planner.solvers.slq import solve
-from planner.view.plots.style import INK, dress, panels_of, save
+from planner.view.plots.style import INK, dress, grid_of, save
 
 FIRST, LAST = 73.6, 9.9  # section 2.1
 AMPLITUDES = 12  # of each joint, section 2.1
@@ -199,12 +199,12 @@ def _counts(results: dict[str, Any]) -> str:
 def _page(results: dict[str, Any]) -> list[str]:
     return [
         "## Which arm has the efforts 73.6 and 9.9 (section 2.1)", "",
-        f"{results['searched']} arms that have {FIRST} along the first guess (a quintic in time, q2 = 0; g = "
-        f"{GRAVITY}), two lengths and a ratio of masses, by the paper's method: quintic B-splines on {INTERVALS}",
-        f"intervals, ends at rest. Between neighbours lie arms whose minimum is {LAST}: {_counts(results)}. The number",
-        "off Fig. 3 is in rad: of the first link from hanging and of the second from folded at the lowest point, and",
-        "2 pi for every turn of the first link beyond one. The print's masses are not known; two numbers do not",
-        "determine an arm, and another smooth first guess can lead to another minimum of the same arm.", "",
+        f"{results['searched']} arms on a grid of two lengths and a ratio of masses, each with {FIRST} along the first",
+        f"guess (a quintic in time, q2 = 0; g = {GRAVITY}), by the paper's method: quintic B-splines on {INTERVALS}",
+        f"intervals, ends at rest. Between neighbours lie arms whose minimum is {LAST}: {_counts(results)}.",
+        "The table has the nearest of each kind to Fig. 3, and ours. The number off Fig. 3 is in rad: of the first",
+        "link from hanging and of the second from folded at the lowest point, and 2 pi for every turn of the first",
+        "link beyond one. Other arms may have both numbers too, beyond the grid and between its lengths.", "",
         "![arms with both efforts](masses.png)", "", "![the motion nearest to Fig. 3](fig3.png)", "",
         *table({
             "arm": "{name}", "first": "{first:.2f}", "BFGS": "{last:.3f}", "off Fig. 3": "{off:.2f}",
@@ -229,9 +229,9 @@ def _rows(results: dict[str, Any]) -> list[Row]:
     return [
         Row("2.1", f"Quintic B-splines and BFGS: effort {FIRST} to {LAST}; no masses given",
             "; ".join(f"{_name(c)}: {c['first']:.2f} to {c['last']:.3f}" for c in found),
-            f"the paper gives no masses or lengths, nor which smooth guess. Of {results['searched']} arms searched, "
-            f"{_counts(results)} have both numbers; these are the nearest to Fig. 3 of each kind. Two numbers do not "
-            "determine an arm, and another guess can lead to another minimum"),
+            "the paper gives no masses or lengths, nor which smooth guess. Between the neighbours of a grid of "
+            f"{results['searched']} arms lie {_counts(results)} with both numbers; these are the nearest to Fig. 3 of "
+            "each kind. Two numbers do not determine an arm, and another guess can lead to another minimum"),
         Row("2.1, Fig. 3",
             "The arm swings down while folding the second link, then swings up and pumps the second link upright",
             f"{_name(chosen)}, by the paper's method: swings down to q1 = {chosen['lowest_q1']:.2f} rad at "
@@ -256,21 +256,27 @@ def _rows(results: dict[str, Any]) -> list[Row]:
 
 
 def _draw(results: dict[str, Any], path: Path) -> None:
-    """All arms with both efforts by kind, lengths and ratio of masses; the stars are the nearest to Fig. 3."""
-    from matplotlib.colors import LogNorm
+    """All arms with both efforts by kind, length and ratio of masses; the stars are the nearest to Fig. 3."""
+    from matplotlib.colors import Normalize
 
-    figure, panels = panels_of(len(KINDS))
-    ratios = [arm["mass2"] / arm["mass1"] for arm in results["arms"]]
-    norm = LogNorm(min(ratios), max(ratios))
-    for axes, kind in zip(panels, KINDS, strict=True):
+    figure, grid = grid_of(1, len(KINDS), 13.5, 4.0)
+    forearms = [arm["length2"] for arm in results["arms"]]
+    norm = Normalize(min(forearms), max(forearms))
+    for axes, kind in zip(grid[0], KINDS, strict=True):
         arms = [arm for arm in results["arms"] if arm["kind"] == kind]
         best = [arm for arm in results["candidates"] if arm["kind"] == kind]
-        dress(axes, f"{kind}: {len(arms)} arms with {FIRST} and {LAST}", "length of the forearm, m",
-              "length of the upper arm, m")  # fmt: skip
-        dots = axes.scatter(*([arm[f"length{i}"] for arm in arms] for i in (1, 2)), norm=norm, cmap="viridis", s=40,
-                            c=[arm["mass2"] / arm["mass1"] for arm in arms])  # fmt: skip
-        axes.plot(*([arm[f"length{i}"] for arm in best] for i in (1, 2)), "*", ms=15, mfc="none", color=INK)
-        figure.colorbar(dots, ax=axes, label="mass of the forearm over that of the upper arm")
+        dress(axes, f"{kind}: {len(arms)} arms", "mass of the forearm / of the upper arm", "length of the upper arm, m")
+        places = [([arm["length1"] for arm in some], [arm["mass2"] / arm["mass1"] for arm in some])
+                  for some in (arms, best)]  # fmt: skip
+        dots = axes.scatter(*places[0], norm=norm, cmap="viridis", s=45, c=[arm["length2"] for arm in arms])
+        axes.plot(*places[1], "*", ms=16, mfc="none", color=INK)
+        axes.set_yscale("log")
+        for labels in (axes.yaxis.set_major_formatter, axes.yaxis.set_minor_formatter):
+            labels("{x:g}")
+        axes.tick_params(axis="y", which="both", labelsize=8)
+    bar = figure.colorbar(dots, ax=grid[0, -1])
+    bar.set_label("length of the forearm, m", size=8)
+    bar.ax.tick_params(labelsize=8)
     save(figure, path)
 
 

@@ -109,19 +109,19 @@ def _page(results: dict[str, Any]) -> list[str]:
     return [
         "# The machines and their motions (Fig. 1 to 4)", "",
         "![the four systems of Fig. 1](machines.png)", "",
-        *table(
-            {"machine of Fig. 1": "{case}", "states": "{states}", "controls": "{controls}", "t_f, s": "{t_f:g}"},
-            results["machines"],
-        ), "",
-        f"Fig. 2, inverse dynamics line by line, against the compiled code at random states of the arms: relative "
-        f"difference {results['inverse_dynamics_error']:.1e}.", "",
         "![frames of the arms at equal intervals](motions.png)", "",
         *table({
             "motion": "{title}", "status": "{status}", "iterations": "{iterations}", "s": "{seconds:.3g}",
             "effort of the guess": "{first_effort:.1f}", "effort": "{effort:.2f}", "cost": "{cost:.2f}",
             "lowest q1": "{lowest_q1:.2f} rad at {at:.2f} s", "q2 between": "{folds[0]:.2f} and {folds[1]:.2f} rad",
             "turns of q1": "{swings}", "miss": "{miss:.3f}",
-        }, results["motions"]),
+        }, results["motions"]), "",
+        *table(
+            {"machine": "{case}", "states": "{states}", "controls": "{controls}", "t_f, s": "{t_f:g}"},
+            results["machines"],
+        ), "",
+        f"Fig. 2, inverse dynamics line by line, against the compiled code at random states of the arms: relative "
+        f"difference {results['inverse_dynamics_error']:.1e}.",
     ]  # fmt: skip
 
 

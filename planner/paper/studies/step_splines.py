@@ -22,7 +22,7 @@ from planner.paper.methods.adjoint import AdjointCost, Integration
 from planner.paper.methods.control_spline import SplineCost, solve_by_splines
 from planner.paper.methods.splines import SplineSpace, bfgs, nearest_amplitudes
 from planner.paper.methods.timed_problem import TimedProblem
-from planner.paper.studies.study import Row, Study, draw_errors, errors_at, errors_table, plan_record, table, timed
+from planner.paper.studies.study import Row, Study, draw_errors, errors_at, errors_table, plan_record, table
 from planner.problem.costs.residuals.cost import ResidualCost
 from planner.problem.costs.terms import SumCost
 from planner.problem.problem import Problem
@@ -50,10 +50,10 @@ def stiffened(problem: Problem, factor: float) -> Problem:
 
 def _at(factor: float, tolerances: tuple[float, ...], reference: float, iterations: int, most: int) -> dict[str, Any]:
     problem = stiffened(human_step(phase="swing", cost="study"), factor)
-    plan, slq_seconds = timed(lambda: solve(problem))
-    exact, exact_seconds = timed(lambda: solve_by_splines(
+    plan = solve(problem)
+    exact = solve_by_splines(
         problem, coefficients=COEFFICIENTS, degree=DEGREE, gradient_tolerance=1e-6, max_iterations=most
-    ))  # fmt: skip
+    )
     basis, system = SplineSpace(COEFFICIENTS - DEGREE, DEGREE).basis(problem.duration), TimedProblem(problem)
     by_tolerance = {
         tolerance: AdjointCost(system, basis, system.z0, Integration(tolerance))
@@ -62,15 +62,13 @@ def _at(factor: float, tolerances: tuple[float, ...], reference: float, iteratio
     shape = (COEFFICIENTS, problem.dynamics.nu)
     middle = problem.dynamics.dt * (np.arange(problem.N) + 0.5)
     first = nearest_amplitudes(basis(middle), problem.first_guess, np.zeros(shape), slice(None)).reshape(shape)
-    evaluated = [0]
 
     def cost(free: np.ndarray) -> tuple[float, np.ndarray]:
-        evaluated[0] += 1
         J, gradient = by_tolerance[DESCENT](free.reshape(shape))
         return J, gradient.ravel()
 
     scale = abs(cost(first.ravel())[0])
-    (free, facts), seconds = timed(lambda: bfgs(cost, first.ravel(), 1e-6, iterations, scale=scale))
+    free, facts = bfgs(cost, first.ravel(), 1e-6, iterations, scale=scale)
     whole = SplineCost(problem, basis)
     points = [
         errors_at(f"x {factor:g}, {name}", by_tolerance[reference](P), [by_tolerance[t](P) for t in tolerances])
@@ -81,9 +79,9 @@ def _at(factor: float, tolerances: tuple[float, ...], reference: float, iteratio
         "steps": len(by_tolerance[tolerances[-1]].forward(exact.spline.c).t) - 1,
         "costs": facts["costs"].tolist(), "sum": whole(free)[0], "success": facts["success"],
         "message": facts["message"], "iterations": len(facts["costs"]) - 1, "evaluations": facts["evaluations"],
-        "seconds": seconds, "exact": exact.discrete_cost, "exact_iterations": exact.iterations,
-        "exact_success": exact.success, "exact_costs": exact.costs.tolist(), "exact_seconds": exact_seconds,
-        "slq": {**plan_record(plan), "seconds": slq_seconds, "costs": [line.cost for line in plan.history]},
+        "exact": exact.discrete_cost, "exact_iterations": exact.iterations,
+        "exact_success": exact.success, "exact_costs": exact.costs.tolist(),
+        "slq": {**plan_record(plan), "costs": [line.cost for line in plan.history]},
     }  # fmt: skip
     whole.close()
     return found
@@ -105,17 +103,17 @@ def _page(results: dict[str, Any]) -> list[str]:
         f"{found[0]['parameters']} parameters: accelerations of the pelvis as cubic B-splines; passive legs; the swing",
         "of `cost=\"study\"` with the weights of its penalties (foot off the ground, legs apart, reach) multiplied,",
         "their ramps divided by the root of that. The cost between knots is interpolated. BFGS has J and its gradient",
-        f"by Eq. 7 at a tolerance of {DESCENT:g}, at most {results['limit']} iterations; beside it the exact gradient of",
-        f"the sum (at most {results['exact']}), and SLQ. J is the sum.", "",
+        f"by Eq. 7 at a tolerance of {DESCENT:g}, at most {results['limit']} iterations; beside it the exact gradient",
+        f"of the sum (at most {results['exact']}), and SLQ. J is the sum.", "",
         "![error of the gradient, and J by iteration](step_splines.png)", "",
         *table({
             "penalties": "x {weight:g}", f"steps at {results['tolerances'][-1]:g}": "{steps}", "Eq. 7: J": "{sum:.1f}",
             "iterations": "{iterations}", "evaluations": "{evaluations}", "BFGS says": "{message}",
-            "s": "{seconds:.1f}", "exact gradient: J": "{exact:.1f}", "its iterations": "{exact_iterations}", "its s": "{exact_seconds:.1f}",
-            "SLQ: J": "{slq[cost]:.1f}", "SLQ's iterations": "{slq[iterations]}", "SLQ's s": "{slq[seconds]:.2f}",
+            "exact gradient: J": "{exact:.1f}", "its iterations": "{exact_iterations}",
+            "SLQ: J": "{slq[cost]:.1f}", "SLQ's iterations": "{slq[iterations]}",
         }, found), "",
-        f"Relative error of the gradient of Eq. 7 against one at {results['reference']:g}, at the first guess and where",
-        "the exact gradient ended:", "",
+        f"Relative error of the gradient of Eq. 7 against one at {results['reference']:g}, at the first guess and",
+        "where the exact gradient ended:", "",
         *errors_table([point for one in found for point in one["points"]], results["tolerances"]),
     ]  # fmt: skip
 
@@ -131,11 +129,11 @@ def _rows(results: dict[str, Any]) -> list[Row]:
         Row("2.3, Eq. 7", "Stepping by splines and Eq. 7 is not numerically stable; penalties make it stiff, and worse",
             f"error of the gradient at tolerance {loosest:g}, by the weight of the penalties: {errors(0)} at the first "
             f"guess, {errors(1)} where the exact gradient ends. With x {hard['weight']:g} BFGS ends at J "
-            f"{hard['sum']:.3g} after {hard['iterations']} iterations ({hard['message'].rstrip('.')}); by the exact gradient at "
-            f"{hard['exact']:.3g}, SLQ at {hard['slq']['cost']:.3g} in {hard['slq']['iterations']}. With x "
+            f"{hard['sum']:.3g} after {hard['iterations']} iterations ({hard['message'].rstrip('.')}); by the exact "
+            f"gradient at {hard['exact']:.3g}, SLQ at {hard['slq']['cost']:.3g} in {hard['slq']['iterations']}. With x "
             f"{soft['weight']:g}: {soft['sum']:.3g}, {soft['exact']:.3g}, {soft['slq']['cost']:.3g}",
             "truncation, not round-off: the error is that of the integration's tolerance while the gradient shrinks. "
-            "The gradient of the sum has none; BFGS is slow with it, too. Person, weights and parametrization are ours"),
+            "The gradient of the sum has none; BFGS is slow with it, too. Person, weights and splines are ours"),
     ]  # fmt: skip
 
 
