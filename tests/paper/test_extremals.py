@@ -79,10 +79,12 @@ def test_gains_of_eq_31_are_what_a_plan_keeps():
 
 
 def test_growth_tells_where_eq_36_suffices():
-    """On the two-link arm it crawls, on the hopper it does not (docs/paper.md)."""
+    """On the two-link arm it crawls, on the hopper and the human step it does not (docs/paper.md)."""
     hop = planner.cases.build("hopper", **{**PAPER, "height": 20.0})
     arm = planner.cases.two_link()
+    swing = planner.cases.human_step(phase="swing", cost="study")
     assert growth(hop, planner.solve(hop).us) < 20.0
+    assert growth(swing, planner.solve(swing).us) < 200.0
     assert growth(arm, planner.solve(arm).us) > 1000.0
 
 

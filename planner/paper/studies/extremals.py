@@ -196,7 +196,8 @@ def _rows(results: dict[str, Any]) -> list[Row]:
     return [
         Row("3.3, [3]", "Quasilinearization linearizes the adjoint equations too (no example)",
             "; ".join(f"{one['case']}: {_ended(one['newton'])}, SLQ {one['slq']['iterations']}" for one in found),
-            "full Newton steps on states and costates: quick near a solution, no descent far from one"),
+            "full Newton steps on states and costates: quick near a solution, no descent far from one, and to any "
+            "stationary point"),
         Row("3.3, [18]", "Neighbouring extremals do so too (no example)",
             f"gains with the dynamics' second derivatives are that feedback: from another start their controls are off "
             f"by order {orders['with W']:.2f}; the gains of Eq. 31, which a plan keeps, by order "

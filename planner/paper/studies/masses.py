@@ -237,7 +237,8 @@ def _rows(results: dict[str, Any]) -> list[Row]:
             f"{_name(chosen)}, by the paper's method: swings down to q1 = {chosen['lowest_q1']:.2f} rad at "
             f"{chosen['at']:.2f} s while it folds to q2 = {max(chosen['folds'], key=abs):.2f} rad, then up, and the "
             "second link follows",
-            "the nearest to the words of the print among the arms with both numbers; the figure has no scale"),
+            "the nearest to the words of the print among the arms found; nearer ones may lie beyond the grid. The "
+            "figure has no scale"),
         Row("2.1, Eq. 5", "Soft ends, c = 100, and 12 amplitudes a joint of quintic splines on 12 intervals",
             "; ".join(f"ends {p['ends']}, {p['intervals']} intervals: effort {p['effort']:.4g}" for p in printed[:4]),
             f"the print contradicts itself: {INTERVALS} intervals have {INTERVALS + DEGREE} amplitudes. Our default "

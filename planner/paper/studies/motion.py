@@ -146,7 +146,7 @@ def _rows(results: dict[str, Any]) -> list[Row]:
             f"a parallelogram against its closed form: relative difference {results['closed_form_error']:.1e}; open by "
             f"at most {results['drift']:.1e} m while it swings for {SECONDS:g} s",
             "it does not differ; the paper gives no example"),
-        Row("2.1, Fig. 3", "The same motion, by the paper's new method",
+        Row("2.1, Fig. 3", "The same by the new algorithm: not in the paper",
             f"our own rods (0.5 kg, 1 m) need {paper['first_effort']:.1f} on the first guess; by SLQ from there: "
             f"{described(paper)}; best of {STARTS} guesses: {described(best)}",
             "another arm, another method and other local minima: from the paper's guess it does not swing down"),

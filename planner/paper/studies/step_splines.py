@@ -104,7 +104,7 @@ def _page(results: dict[str, Any]) -> list[str]:
         "of `cost=\"study\"` with the weights of its penalties (foot off the ground, legs apart, reach) multiplied,",
         "their ramps divided by the root of that. The cost between knots is interpolated. BFGS has J and its gradient",
         f"by Eq. 7 at a tolerance of {DESCENT:g}, at most {results['limit']} iterations; beside it the exact gradient",
-        f"of the sum (at most {results['exact']}), and SLQ. J is the sum.", "",
+        f"of the sum (at most {results['exact']}), and SLQ, which moves the control of every stage. J is the sum.", "",
         "![error of the gradient, and J by iteration](step_splines.png)", "",
         *table({
             "penalties": "x {weight:g}", f"steps at {results['tolerances'][-1]:g}": "{steps}", "Eq. 7: J": "{sum:.1f}",
