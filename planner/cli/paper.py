@@ -6,7 +6,7 @@ import argparse
 import os
 import signal
 import tomllib
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from concurrent.futures import Executor
 from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
@@ -19,6 +19,7 @@ from planner.base.files import json_text, read_text, staged_folder
 from planner.cli.console import Console
 from planner.paper.studies.page import STUDIES, Finished, Store, chosen, complete, page, run_studies, table_rows
 from planner.paper.studies.proof_table import proofs, proofs_markdown
+from planner.paper.studies.study import Study
 from planner.sweeps.executors import executor_of
 
 PAGE, NUMBERS = "paper-results.md", "paper-results.json"
@@ -64,9 +65,8 @@ def _all(
 ) -> int:
     """The whole page. If it is stopped, the next one goes on after the studies that were finished."""
     store = Store(pictures / ".unfinished", full)
-    files = [name for study in STUDIES for name in (f"{study.name}.json", *study.pictures)]
-    stale = [f"{study.name}.md" for study in STUDIES]  # of single studies, which the page replaces
-    with staged_folder(pictures, [*files, *stale, NUMBERS]) as shown, staged_folder(at, [PAGE]) as text:
+    files = _files(STUDIES)
+    with staged_folder(pictures, [*files, NUMBERS]) as shown, staged_folder(at, [PAGE]) as text:
         with executor as pool:
             done = run_studies(STUDIES, shown, console.write_progress, pool, full=full, store=store)
         rows = table_rows(done)
@@ -90,7 +90,7 @@ def _some(
 ) -> int:  # fmt: skip
     """Some studies, each with a page of its own."""
     studies = chosen(names)
-    files = [name for study in studies for name in (f"{study.name}.md", f"{study.name}.json", *study.pictures)]
+    files = _files(studies)
     with staged_folder(folder, files) as staged:
         with executor as pool:
             done = run_studies(studies, staged, console.write_progress, pool, full=full)
@@ -98,9 +98,7 @@ def _some(
             _write_results(one, staged)
             if one.results is None:
                 raise PlannerError(f"the study {one.study.name} failed: {one.problem}")
-            text = one.study.page(one.results)
-            (staged / f"{one.study.name}.md").write_text(text, encoding="utf-8")
-            console.write_result(text)
+            console.write_result(one.study.page(one.results))
     console.write_result(f"{folder}: {', '.join(files)}")
     results: dict[str, Any] = {one.study.name: one.results for one in done}
     alone = (done[0].results or {}) if len(done) == 1 else {}
@@ -110,8 +108,15 @@ def _some(
     return console.finish("paper", 0 if complete(done, rows) else 1, **document)
 
 
+def _files(studies: Sequence[Study]) -> list[str]:
+    """What studies write."""
+    return [name for study in studies for name in (f"{study.name}.md", f"{study.name}.json", *study.pictures)]
+
+
 def _write_results(one: Finished, folder: Path) -> None:
+    """The results of a study as numbers and as a page of its own."""
     if one.results is not None:
+        (folder / f"{one.study.name}.md").write_text(one.study.page(one.results), encoding="utf-8")
         (folder / f"{one.study.name}.json").write_text(json_text(one.results), encoding="utf-8")
 
 

@@ -84,6 +84,6 @@ def test_a_saddle_is_no_minimum():
 def test_every_search_has_the_same_limit_and_says_how_it_ended():
     problem = cases.build("hopper", height=1.0)
     for search in ("armijo", "exact", "wolfe", "goldstein"):
-        run = from_many(problem, 1.0, 3, "open-loop", search)
+        run = from_many(problem, 1.0, 3, "open-loop", search, 2000)
         assert run["converged"] == 3
         assert sum(one["count"] for one in run["minima"]) + len(run["no_minima"]) == 3

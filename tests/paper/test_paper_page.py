@@ -86,6 +86,18 @@ def test_page_has_headings_links_and_cells_in_order(tmp_path):
     assert (tmp_path / "one.png").read_text() == "picture of 7"
 
 
+def test_a_section_ends_with_the_first_table_and_the_page_says_where_the_others_are(tmp_path):
+    both = ["# Head", "", "words", "", "| a |", "|---|", "| 1 |", "", "later", "", "| b |", "|---:|", "| 2 |"]
+    one = replace(study(), lines=lambda _: both)
+    text = page(run_studies([one], tmp_path), [], "x/", True)
+    section = text[text.index("## Head") :]
+    assert section.split("\n") == [
+        "## Head", "", "words", "", "| a |", "|---|", "| 1 |", "", "![about one](x/one.png)", "",
+    ]  # fmt: skip
+    assert "[one](x/one.md)" in text
+    assert "later" in one.page({})
+
+
 def test_a_study_that_fails_is_a_row(tmp_path):
     lines = []
     done = run_studies([study(results=fails), study("two")], tmp_path, lines.append)
@@ -124,7 +136,7 @@ def test_the_page_goes_into_a_checkout_or_beside_us(small, tmp_path, monkeypatch
     small(study())
     monkeypatch.chdir(tmp_path)
     assert main(["paper", "--quiet"]) == 0
-    files = {"paper-results.md", "paper-results.json", "one.json", "one.png"}
+    files = {"paper-results.md", "paper-results.json", "one.md", "one.json", "one.png"}
     assert {file.name for file in (tmp_path / "paper").iterdir()} == files
     (tmp_path / "docs").mkdir()
     (tmp_path / "renders").mkdir()

@@ -22,18 +22,33 @@ def test_points_at_the_tips_are_points_at_the_tips():
 
 @pytest.mark.parametrize("kind", masses_study.KINDS)
 def test_the_scale_of_the_masses_gives_the_papers_first_effort(kind):
-    arm = masses_study.with_first_effort(kind, 0.6, 0.8)
+    arm = masses_study.with_first_effort(kind, 0.6, 0.8, 0.9)
     assert masses_study.by_splines(masses_study.arm_mechanism(arm)).first_cost == pytest.approx(
         masses_study.FIRST, abs=0.01
     )
 
 
-def test_a_pair_of_masses_has_both_of_the_papers_efforts():
-    """Section 2.1: 73.6 and 9.9. Two equal points at the tips of links of 1.078 m, as the study finds."""
-    arm = masses_study.with_first_effort("points at the tips", 1.0, 1.078)
-    motion = masses_study.by_splines(masses_study.arm_mechanism(arm))
+@pytest.mark.parametrize(
+    ("kind", "masses", "lengths"),
+    [
+        ("rods", (0.0531, 0.3586), (1.4476, 1.6696)),  # found by others, from these two numbers alone
+        ("points halfway", (1.1385, 0.9945), (0.3341, 0.9909)),
+    ],
+)
+def test_arms_of_other_kinds_have_both_of_the_papers_efforts(kind, masses, lengths):
+    """Section 2.1: 73.6 and 9.9."""
+    motion = masses_study.by_splines(masses_study.arm_mechanism(masses_study.Arm(kind, *masses, *lengths)))
     assert motion.success
     assert (round(motion.first_cost, 1), round(motion.cost, 1)) == (masses_study.FIRST, masses_study.LAST)
+
+
+def test_the_search_finds_an_arm_between_its_grid_s_ratios():
+    """Two equal points at the tips of links of 1.078 m have both efforts."""
+    ratios = np.array([0.9, 1.2])
+    (arm,) = masses_study.arms_with_both("points at the tips", np.array([1.078]), ratios)
+    assert arm["last"] == pytest.approx(masses_study.LAST, abs=masses_study.ENOUGH)
+    assert ratios[0] < arm["mass2"] / arm["mass1"] < ratios[1]
+    assert arm["swings"] == 1
 
 
 def test_the_discrete_gradient_is_exact_at_any_step():

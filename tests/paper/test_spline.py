@@ -10,7 +10,15 @@ from scipy.optimize import check_grad
 import planner
 from planner.cases import two_link
 from planner.dynamics.algorithms import rnea
-from planner.paper.methods.splines import Boundary, Quadrature, SplineSpace, effort_of, minimize_effort
+from planner.paper.methods.splines import (
+    NODES,
+    Boundary,
+    Quadrature,
+    SplineSpace,
+    adaptive_simpson,
+    effort_of,
+    minimize_effort,
+)
 
 UP = np.array([np.pi / 2, 0.0])
 
@@ -45,6 +53,37 @@ def test_the_quadrature_is_that_of_an_adaptive_rule(arm, found):
 
     exact, _ = quad_vec(power, 0.0, 2.0, epsabs=1e-11, epsrel=1e-11, limit=2000)
     assert found.cost == pytest.approx(exact, rel=1e-8)
+
+
+def test_simpson_s_rule_is_exact_for_cubics_and_as_good_as_its_tolerance():
+    breaks = np.linspace(0.0, 2.0, 4)
+    cubic = adaptive_simpson(lambda t: (t**3)[:, None], breaks, 1e-12)
+    assert cubic[0] == pytest.approx(4.0, rel=1e-14)
+    peak = adaptive_simpson(lambda t: np.stack([1.0 / (1e-2 + t**2), np.exp(t)], axis=1), breaks, 1e-8)
+    assert peak == pytest.approx([10.0 * np.arctan(20.0), np.expm1(2.0)], abs=1e-8)
+
+
+def test_quadrature_does_not_matter(arm):
+    quadrature = Quadrature(SplineSpace(7).basis(2.0), 8)
+    P = 0.2 * np.random.default_rng(0).normal(size=(12, 2))
+    by_gauss, by_simpson = (effort_of(arm, quadrature, P, tolerance) for tolerance in (None, 1e-6))
+    assert by_simpson[0] == pytest.approx(by_gauss[0], rel=1e-6)
+    assert np.abs(by_simpson[1] - by_gauss[1]).max() < 1e-6 * np.abs(by_gauss[1]).max()
+
+
+def test_soft_ends_are_eq_5(arm):
+    """J is the effort and the misses with c1 = c2 = 100; at its minimum it is below that of exact ends."""
+    space, goal, c = SplineSpace(7), np.array([UP, np.zeros(2)]), (100.0, 100.0)
+    soft = minimize_effort(arm, Boundary(np.zeros(2), UP, 2.0), space=space, end_weights=c)
+    end = np.array([soft.spline(2.0), soft.spline(2.0, 1)])
+    assert soft.success
+    assert soft.cost == pytest.approx(soft.effort + 100.0 * np.sum((end - goal) ** 2), rel=1e-12)
+    assert soft.cost < minimize_effort(arm, Boundary(np.zeros(2), UP, 2.0), space=space).cost
+    # Stationary: the gradient of Eq. 5 by every free amplitude is zero to BFGS's tolerance.
+    quadrature = Quadrature(space.basis(2.0), NODES)
+    last = np.array([quadrature.basis(2.0, nu=order) for order in range(2)])
+    gradient = effort_of(arm, quadrature, soft.spline.c)[1] + 200.0 * last.T @ (end - goal)
+    assert np.abs(gradient[2:]).max() < 1e-4
 
 
 def test_the_papers_arm(found):

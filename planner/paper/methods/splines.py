@@ -5,7 +5,9 @@
     J(P)    = 1/2 integral of |u|^2 dt       the effort of Eq. 5, by Gauss-Legendre quadrature in every interval
     dJ/dP   = integral of u' (du/dq b + du/dqd b' + M b'') dt     exact, by the recursive sensitivities
 
-Positions and velocities at both ends decide the two first and the two last amplitudes; BFGS moves the others.
+Positions and velocities at both ends decide the two first and the two last amplitudes; BFGS moves the others. As Eq. 5
+is printed, the end is soft, c1 |q(t_f) - q_d|^2 + c2 |qd(t_f)|^2, and BFGS moves the last two as well; and the paper's
+quadrature is an adaptive Simpson rule.
 """
 
 from __future__ import annotations
@@ -136,12 +138,19 @@ class SplineDescent:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class SplineMotion(SplineDescent):
-    """Result of minimize_effort(): the spline is of all joints, (n, nv), and J is the effort."""
+    """Result of minimize_effort(): the spline is of all joints, (n, nv), and J the effort and the cost of a soft end.
+
+    Attributes:
+        effort: 1/2 integral of |u|^2 dt alone.
+    """
+
+    effort: float
 
 
 def minimize_effort(
     mechanism: Mechanism, boundary: Boundary, *, space: SplineSpace | None = None, nodes: int = NODES,
     guess: Guess | None = None, gradient_tolerance: float = 1e-5, max_iterations: int = 1000,
+    end_weights: tuple[float, float] | None = None, simpson: float | None = None,
 ) -> SplineMotion:  # fmt: skip
     """The motion of least effort between two poses, among splines.
 
@@ -153,6 +162,8 @@ def minimize_effort(
         guess: t (M,) -> positions (M, nv) of a first motion; by default straight, at rest at both ends.
         gradient_tolerance: BFGS ends when no component of the gradient is larger.
         max_iterations: Limit.
+        end_weights: c1 and c2 of Eq. 5, by which the goal is a cost; by default it is met exactly.
+        simpson: Tolerance of an adaptive Simpson rule in place of the Gauss-Legendre nodes.
 
     Raises:
         PlannerError: An argument of a wrong shape or out of range, or a joint that is neither hinge nor slide.
@@ -161,24 +172,34 @@ def minimize_effort(
     count("intervals", space.intervals, minimum=4, maximum=1000)
     quadrature = Quadrature(space.basis(boundary.duration, least_degree=3), nodes)
     basis, t = quadrature.basis, quadrature.t
-    fixed = end_amplitudes(basis, *ends)
+    (start, _), goal = ends
+    fixed = end_amplitudes(basis, ends[0], None if end_weights else goal)
+    moved = slice(2, None if end_weights else -2)
+    c1, c2 = (number("end weight", c, minimum=0.0) for c in end_weights or (0.0, 0.0))
+    last = np.array([basis(boundary.duration, nu=order) for order in range(2)])  # (2, n)
     s = (t / boundary.duration)[:, None]
-    (start, _), (goal, _) = ends
-    straight = start + minimum_jerk(s)[0] * (goal - start)
+    straight = start + minimum_jerk(s)[0] * (goal[0] - start)
     motion = straight if guess is None else array("guess(t)", guess(t), straight.shape)
-    first = nearest_amplitudes(basis(t), motion, fixed, slice(2, -2))
+    first = nearest_amplitudes(basis(t), motion, fixed, moved)
+    if simpson is not None:
+        simpson = number("simpson", simpson, greater_than=0.0)
 
     def whole(free: np.ndarray) -> np.ndarray:
         amplitudes = fixed.copy()
-        amplitudes[2:-2] = free.reshape(-1, fixed.shape[1])
+        amplitudes[moved] = free.reshape(-1, fixed.shape[1])
         return amplitudes
 
     def cost(free: np.ndarray) -> tuple[float, np.ndarray]:
-        effort, gradient = effort_of(mechanism, quadrature, whole(free))
-        return effort, gradient[2:-2].ravel()
+        amplitudes = whole(free)
+        effort, gradient = effort_of(mechanism, quadrature, amplitudes, simpson)
+        weighted = np.array([[c1], [c2]]) * (miss := last @ amplitudes - goal)
+        gradient = gradient + 2.0 * last.T @ weighted
+        return effort + float(np.sum(weighted * miss)), gradient[moved].ravel()  # Eq. 5
 
     free, facts = bfgs(cost, first, gradient_tolerance, max_iterations)
-    return SplineMotion(spline=curve(basis, whole(free)), **facts)
+    amplitudes = whole(free)
+    effort = effort_of(mechanism, quadrature, amplitudes, simpson)[0]
+    return SplineMotion(spline=curve(basis, amplitudes), effort=effort, **facts)
 
 
 class Quadrature:
@@ -194,16 +215,50 @@ class Quadrature:
         self.b = [basis(self.t, nu=order) for order in range(3)]  # basis functions and derivatives, (M, n) each
 
 
-def effort_of(mechanism: Mechanism, quadrature: Quadrature, amplitudes: np.ndarray) -> tuple[float, np.ndarray]:
-    """J and its gradient (n, nv) by all amplitudes (n, nv)."""
-    q, qd, qdd = (b @ amplitudes for b in quadrature.b)
-    u = rnea(mechanism, q, qd, qdd)
-    by = rnea_derivatives(mechanism, q, qd, qdd)
-    weighted = quadrature.weights[:, None] * u
-    gradient = np.zeros_like(amplitudes)
-    for b, part in zip(quadrature.b, by, strict=True):  # du/dq, du/dqd, and du/dqdd, which is M
-        gradient += b.T @ np.einsum("mi,mij->mj", weighted, part)
-    return float(0.5 * np.sum(weighted * u)), gradient
+def effort_of(
+    mechanism: Mechanism, quadrature: Quadrature, amplitudes: np.ndarray, simpson: float | None = None
+) -> tuple[float, np.ndarray]:
+    """J and its gradient (n, nv) by all amplitudes (n, nv), by Gauss or, to a tolerance, by Simpson."""
+
+    def rates(b: list[np.ndarray]) -> np.ndarray:
+        """dJ/dt and the gradient's, (M, 1 + n nv), where the basis functions and their derivatives are b (M, n)."""
+        q, qd, qdd = (one @ amplitudes for one in b)
+        u = rnea(mechanism, q, qd, qdd)
+        by = rnea_derivatives(mechanism, q, qd, qdd)  # du/dq, du/dqd, and du/dqdd, which is M
+        gradient = sum(one[:, :, None] * np.einsum("mi,mij->mj", u, part)[:, None]
+                       for one, part in zip(b, by, strict=True))  # fmt: skip
+        return np.column_stack([0.5 * np.sum(u * u, axis=1), np.reshape(gradient, (len(u), -1))])
+
+    basis = quadrature.basis
+    if simpson is None:
+        J, *gradient = quadrature.weights @ rates(quadrature.b)
+    else:
+        at = lambda t: rates([basis(t, nu=order) for order in range(3)])  # noqa: E731
+        J, *gradient = adaptive_simpson(at, basis.t[basis.k : -basis.k], simpson)
+    return float(J), np.reshape(gradient, amplitudes.shape)
+
+
+def adaptive_simpson(f: Callable[[np.ndarray], np.ndarray], breaks: np.ndarray, tolerance: float) -> np.ndarray:
+    """The integral (K,) of f, t (M,) -> (M, K), between the first and the last of some breaks.
+
+    An interval is halved until the difference of Simpson's rule on it and on its halves, over 15, which is the error,
+    is below its share of the tolerance in every component.
+    """
+    a, b = breaks[:-1], breaks[1:]
+    ends, middle, total = [f(a), f(b)], f(0.5 * (a + b)), 0.0
+    while len(a):
+        h, m = (b - a)[:, None], 0.5 * (a + b)
+        left, right = f(0.5 * (a + m)), f(0.5 * (m + b))
+        whole, both = ends[0] + ends[1], ends[0] + ends[1] + 4.0 * (left + right) + 2.0 * middle
+        halves = h / 12.0 * both
+        error = (halves - h / 6.0 * (whole + 4.0 * middle)) / 15.0
+        done = np.abs(error).max(axis=1) <= tolerance * h[:, 0] / (breaks[-1] - breaks[0])
+        total = total + (halves + error)[done].sum(axis=0)
+        go = ~done
+        ends = [np.concatenate([ends[0][go], middle[go]]), np.concatenate([middle[go], ends[1][go]])]
+        a, b = np.concatenate([a[go], m[go]]), np.concatenate([m[go], b[go]])
+        middle = np.concatenate([left[go], right[go]])
+    return np.asarray(total)
 
 
 def curve(basis: BSpline, amplitudes: np.ndarray) -> BSpline:

@@ -15,8 +15,9 @@ import numpy as np
 
 from planner import cases
 from planner.cases.hopper import PAPER
+from planner.dynamics.rollout import rollout_states
 from planner.paper.methods.gradient_methods import Descended, cost_and_gradient, minimize_by_gradient
-from planner.paper.studies.study import Row, Study, table
+from planner.paper.studies.study import Row, Study, row_of, table
 from planner.problem.plan import Iteration, Plan
 from planner.problem.problem import Problem
 from planner.solvers.slq import solve
@@ -52,8 +53,21 @@ def gradient_results(problems: Mapping[str, Callable[[], Problem]] = PROBLEMS, l
         for method, word in GRADIENT.items():
             minimize_by_gradient(problem, word, max_iterations=1)
             methods[method] = _by_gradient(problem, limit, word)
-        found.append({"case": name, "N": problem.N, "gradient_error": gradient_error(problem), "methods": methods})
+        found.append({
+            "case": name, "N": problem.N, "gradient_error": gradient_error(problem), "methods": methods,
+            "growth": growth(problem, solve(problem).us),
+        })  # fmt: skip
     return {"limit": limit, "cases": found}
+
+
+def growth(problem: Problem, us: np.ndarray) -> float:
+    """The largest growth of a small change of the start along us (N, nu): the largest norm of A(n) ... A(0)."""
+    A, _ = problem.dynamics.linearize(rollout_states(problem.dynamics, problem.x0, us), us)
+    flow, most = np.eye(A.shape[1]), 1.0
+    for one in A:
+        flow = one @ flow
+        most = max(most, float(np.linalg.norm(flow, 2)))
+    return most
 
 
 def gradient_error(problem: Problem, directions: int = 5) -> float:
@@ -116,6 +130,15 @@ def _page(results: dict[str, Any]) -> list[str]:
         f"{results['limit']} iterations each.", "",
         "![cost against iterations and against time](gradients.png)", "",
     ]  # fmt: skip
+    methods = results["cases"][0]["methods"]
+    ends = {case["case"]: f"{{{i}[status]}} {{{i}[iterations]}}: {{{i}[cost]:.6g}}"
+            for i, case in enumerate(results["cases"])}  # fmt: skip
+    lines += [
+        "How each ended, its iterations and cost:", "",
+        row_of(["method", *ends]), "|---" * (1 + len(ends)) + "|",
+        *(row_of([name, *(form.format(*(case["methods"][name] for case in results["cases"]))
+                          for form in ends.values())]) for name in methods), "",
+    ]  # fmt: skip
     for case in results["cases"]:
         entries = [
             {"method": name, "each": 1e3 * entry["seconds"] / max(entry["iterations"], 1), **entry}
@@ -127,7 +150,8 @@ def _page(results: dict[str, Any]) -> list[str]:
                 "method": "{method}", "ended": "{status}", "iterations": "{iterations}", "cost": "{cost:.6g}",
                 "norm of the gradient": "{gradient_norm:.1e}", "s": "{seconds:.3g}", "ms an iteration": "{each:.2g}",
             }, entries), "",
-            f"Costate gradient against differences: relative error {case['gradient_error']:.1e}.", "",
+            f"Costate gradient against differences: relative error {case['gradient_error']:.1e}. A small change of the",
+            f"start grows up to {case['growth']:.0f} times along the plan.", "",
         ]  # fmt: skip
     lines += [
         "NO_DESCENT of L-BFGS at a small gradient is rounding: its line search finds no lower cost any more. Different",
@@ -155,8 +179,9 @@ def _rows(results: dict[str, Any]) -> list[Row]:
         Row("3.3", "The direction of the LQ problem is not the steepest descent direction",
             ". ".join(map(all_cases, GRADIENT)), "the paper shows no such comparison"),
         Row("3.3, Eq. 36", "U + alpha dU, rolled out without feedback", all_cases(open_loop),
-            "right for the hopper; on arms that fall over small changes of early controls grow along the motion, and "
-            "only tiny steps lower the cost"),
+            "it suffices where a small change of the start does not grow much along the motion ("
+            + ", ".join(f"{case['case']} {case['growth']:.0f} times" for case in results["cases"])
+            + "); on arms that fall only tiny steps lower the cost. Our default rolls out with the gains"),
         Row("3.3, Eq. 37", "The LQ problem has the Hessian of the cost alone (Gauss-Newton)",
             f"with the dynamics' second derivatives too, {all_cases(exact)}",
             "away from a minimum the exact Hessian is indefinite and needs regularization: it pays where "

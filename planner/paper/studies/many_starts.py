@@ -31,19 +31,18 @@ from planner.solvers import lq
 from planner.solvers.multistart import smooth
 from planner.solvers.slq import solve
 
-LIMIT = 2000  # iterations of every solve, after which it counts as not converged
 SAME_COST_TOLERANCE = 1e-3  # relative; costs that differ by less count as one local minimum
 TOLERANCE = 1e-6  # expected reduction of a solve, relative to J; three digits below SAME_COST_TOLERANCE
 LAST = 20  # last iterations of a failed solve, whose step lengths are reported
 
 
-def from_many(problem: Problem, size: float, starts: int, update: str, search: str) -> dict[str, Any]:
-    """Solve from random controls of an RMS, and record how each solve ends."""
+def from_many(problem: Problem, size: float, starts: int, update: str, search: str, limit: int) -> dict[str, Any]:
+    """Solve from random controls of an RMS, and record how each solve ends; after `limit` iterations it has failed."""
 
     def run(number: int) -> Plan:
         us = size * smooth(np.random.default_rng([0, number]), problem.first_guess.shape)
         return solve(
-            replace(problem, us=us), update=update, line_search=search, max_iterations=LIMIT,
+            replace(problem, us=us), update=update, line_search=search, max_iterations=limit,
             expected_reduction_tolerance=TOLERANCE, actual_reduction_tolerance=0.0,
         )  # fmt: skip
 

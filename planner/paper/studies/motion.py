@@ -1,7 +1,7 @@
 """Figures 1 to 4: the machines, inverse dynamics, closed chains, and the motions of both arms.
 
 The paper draws its arms as frames at equal intervals of time (Fig. 3, Fig. 4); so are ours. For Fig. 3 it gives the
-efforts 73.6 and 9.9 and no masses: the first row is an arm that has both, by the paper's own method (see masses.py).
+efforts 73.6 and 9.9 and no masses: arms that have both, by the paper's own method, are in masses.py.
 
 Closed chains (section 1.2) are compared with a closed form. Two equal cranks and a coupler that does not rotate are a
 parallelogram, whose one coordinate, the angle q of its cranks from upright, has
@@ -24,16 +24,16 @@ from planner.dynamics import RigidBodyDynamics, product_of_exponentials
 from planner.dynamics import algorithms as rigid_body
 from planner.dynamics.loops import misses
 from planner.model.mechanism import Mechanism
-from planner.paper.studies.masses import arm_mechanism, by_splines, with_first_effort
+from planner.paper.studies.step_run import FRAMES as POINTS
 from planner.paper.studies.study import Row, Study, plan_record, table, timed
 from planner.solvers.slq import solve
+from planner.view.plots.stick_figures import frame_points
 from planner.view.plots.style import INK, SOFT, grid_of, save
 
 FRAMES = 14  # as many as Fig. 3 has
 STATES = 50  # random ones per arm, for Fig. 2
 STARTS = 8  # first guesses of the better local minimum
 LIMIT = 300  # iterations of each; those that need more end higher
-LENGTH = 1.078  # m, of both links with equal points at their tips: an arm of the masses study with both efforts
 
 
 def _run() -> dict[str, Any]:
@@ -41,11 +41,11 @@ def _run() -> dict[str, Any]:
         solve(cases.build(case), max_iterations=1)  # so that nothing is compiled on the clock
     return {
         "machines": [_machine(name) for name in cases.CASES],
+        "walker": _walker(),
         "inverse_dynamics_error": max(inverse_dynamics_error(case) for case in ("two-link", "acrobot")),
         "closed_form_error": closed_form_error(),
         "drift": drift(),
         "motions": [
-            _papers_arm(),
             _motion("Fig. 3: two-link, from the paper's first guess", "two-link", 1),
             _motion(f"Fig. 3: two-link, best of {STARTS} first guesses", "two-link", STARTS),
             _motion("Fig. 4: acrobot, from the paper's first guess", "acrobot", 1),
@@ -56,6 +56,13 @@ def _run() -> dict[str, Any]:
 def _machine(name: str) -> dict[str, Any]:
     problem = cases.build(name)
     return {"case": name, "states": problem.dynamics.nx, "controls": problem.dynamics.nu, "t_f": problem.duration}
+
+
+def _walker() -> list[list[float]]:
+    """Hips, knees, ankles, heels and toes of the human step at its start, from the side, m."""
+    problem = cases.build("human-step")
+    points = frame_points(problem.dynamics.mechanism, problem.x0[None], POINTS)[0]  # type: ignore[attr-defined]
+    return np.round(points[:, [0, 2]], 4).tolist()
 
 
 def inverse_dynamics_error(case: str, states: int = STATES) -> float:
@@ -75,26 +82,11 @@ def _motion(title: str, case: str, starts: int) -> dict[str, Any]:
         "title": title, "case": case, **plan_record(plan), "first_effort": first,
         "effort": problem.dynamics.dt * 0.5 * float(np.sum(plan.us**2)),
         "seconds": seconds, "miss": float(np.abs(plan.xs[-1] - [0.5 * np.pi, 0.0, 0.0, 0.0]).max()),
-        **_drawn(plan.t, plan.xs[:, :2], plan.xs[:, 2], [float(plan.parameters[f"length{i}"]) for i in (1, 2)]),
+        **drawn(plan.t, plan.xs[:, :2], plan.xs[:, 2], [float(plan.parameters[f"length{i}"]) for i in (1, 2)]),
     }  # fmt: skip
 
 
-def _papers_arm() -> dict[str, Any]:
-    """The arm of 73.6 and 9.9 and its motion, by quintic B-splines and BFGS from the paper's first guess."""
-    arm = with_first_effort("points at the tips", 1.0, LENGTH)
-    found, seconds = timed(lambda: by_splines(arm_mechanism(arm)))
-    t = np.linspace(0.0, 2.0, 201)
-    q = found.spline(t)
-    return {
-        "title": f"Fig. 3: points of {arm.mass1:.3f} kg at the tips of {LENGTH:g} m, by splines",
-        "case": "two-link", "status": "CONVERGED" if found.success else "NO_DESCENT", "iterations": found.iterations,
-        "mass": arm.mass1, "cost": found.cost, "first_effort": found.first_cost, "effort": found.cost,
-        "seconds": seconds, "miss": 0.0,
-        **_drawn(t, q, np.gradient(q[:, 0], t), [LENGTH, LENGTH]),
-    }  # fmt: skip
-
-
-def _drawn(t: np.ndarray, q: np.ndarray, rate: np.ndarray, lengths: list[float]) -> dict[str, Any]:
+def drawn(t: np.ndarray, q: np.ndarray, rate: np.ndarray, lengths: list[float]) -> dict[str, Any]:
     """Measures and frames of a motion q (K, 2) at t (K,), with the upper arm's rate (K,) and both lengths."""
     chosen = np.linspace(0, len(t) - 1, FRAMES).round().astype(int)
     joints = [q[:, 0], q[:, 0] + q[:, 1]]
@@ -116,24 +108,25 @@ def _swings(rate: np.ndarray) -> int:
 def _page(results: dict[str, Any]) -> list[str]:
     return [
         "# The machines and their motions (Fig. 1 to 4)", "",
-        *table(
-            {"machine of Fig. 1": "{case}", "states": "{states}", "controls": "{controls}", "t_f, s": "{t_f:g}"},
-            results["machines"],
-        ), "",
-        f"Fig. 2, inverse dynamics line by line, against the compiled code at random states of the arms: relative "
-        f"difference {results['inverse_dynamics_error']:.1e}.", "",
+        "![the four systems of Fig. 1](machines.png)", "",
         "![frames of the arms at equal intervals](motions.png)", "",
         *table({
             "motion": "{title}", "status": "{status}", "iterations": "{iterations}", "s": "{seconds:.3g}",
             "effort of the guess": "{first_effort:.1f}", "effort": "{effort:.2f}", "cost": "{cost:.2f}",
             "lowest q1": "{lowest_q1:.2f} rad at {at:.2f} s", "q2 between": "{folds[0]:.2f} and {folds[1]:.2f} rad",
             "turns of q1": "{swings}", "miss": "{miss:.3f}",
-        }, results["motions"]),
+        }, results["motions"]), "",
+        *table(
+            {"machine": "{case}", "states": "{states}", "controls": "{controls}", "t_f, s": "{t_f:g}"},
+            results["machines"],
+        ), "",
+        f"Fig. 2, inverse dynamics line by line, against the compiled code at random states of the arms: relative "
+        f"difference {results['inverse_dynamics_error']:.1e}.",
     ]  # fmt: skip
 
 
 def _rows(results: dict[str, Any]) -> list[Row]:
-    theirs, paper, best, acrobot = results["motions"]
+    paper, best, acrobot = results["motions"]
     machines = ", ".join(m["case"] for m in results["machines"])
 
     def described(m: dict[str, Any]) -> str:
@@ -153,16 +146,10 @@ def _rows(results: dict[str, Any]) -> list[Row]:
             f"a parallelogram against its closed form: relative difference {results['closed_form_error']:.1e}; open by "
             f"at most {results['drift']:.1e} m while it swings for {SECONDS:g} s",
             "it does not differ; the paper gives no example"),
-        Row("2.1, Fig. 3",
-            "The arm swings down while folding the second link, then swings up and pumps the second link upright",
-            f"the arm whose efforts are the paper's {theirs['first_effort']:.1f} and {theirs['effort']:.1f} (points "
-            f"of {theirs['mass']:.3f} kg at the tips of {LENGTH:g} m), by the paper's method: swings down to q1 = "
-            f"{theirs['lowest_q1']:.2f} rad at {theirs['at']:.2f} s while it folds to q2 = {theirs['folds'][1]:.2f} "
-            f"rad, then up, and the second link follows. Our own rods need {paper['first_effort']:.1f} on the first "
-            f"guess; by SLQ from there: {described(paper)}; best of {STARTS} guesses: {described(best)}",
-            "the paper states no masses: that arm is one of several with both numbers, and does what the paper says. "
-            "SLQ on our rods is another method, another arm, and ends in other local minima: from the paper's guess it "
-            "does not swing down; the paper calls its own locally optimal"),
+        Row("2.1, Fig. 3", "The same by the new algorithm: not in the paper",
+            f"our own rods (0.5 kg, 1 m) need {paper['first_effort']:.1f} on the first guess; by SLQ from there: "
+            f"{described(paper)}; best of {STARTS} guesses: {described(best)}",
+            "another arm, another method and other local minima: from the paper's guess it does not swing down"),
         Row("2.2, Fig. 4", "From q1 = -1.0 the elbow pumps energy until the arm stands upright",
             f"{described(acrobot)}; q1 turns back {acrobot['swings']} times",
             "the paper gives neither masses nor t_f, so only the kind of motion can be compared"),
@@ -170,8 +157,11 @@ def _rows(results: dict[str, Any]) -> list[Row]:
 
 
 def _draw(results: dict[str, Any], path: Path) -> None:
+    draw_frames(results["motions"], path)
+
+
+def draw_frames(motions: list[dict[str, Any]], path: Path) -> None:
     """Frames at equal intervals, one row per motion."""
-    motions = results["motions"]
     figure, grid = grid_of(len(motions), 1, 14.0, 1.75 * len(motions))
     for axes, motion in zip(grid[:, 0], motions, strict=True):
         a, b = motion["lengths"]
@@ -192,8 +182,45 @@ def _draw(results: dict[str, Any], path: Path) -> None:
     save(figure, path)
 
 
+def _draw_machines(results: dict[str, Any], path: Path) -> None:
+    """The four systems of Fig. 1; filled joints have a motor, open ones none, arrows are what else is driven."""
+    figure, grid = grid_of(1, 4, 13.0, 3.2)
+    arm, acrobot, step, hop = grid[0]
+    for axes, title, motors in ((arm, "Case 1", (INK, INK)), (acrobot, "Case 2", ("white", INK))):
+        x, y = np.cumsum([0.0, np.cos(0.9), np.cos(0.2)]), np.cumsum([0.0, np.sin(0.9), np.sin(0.2)])
+        axes.plot([-0.3, 0.3], [0.0, 0.0], color=SOFT, lw=4)
+        axes.plot(x, y, color="#08306b", lw=4, zorder=1, solid_capstyle="round")
+        axes.scatter(x[:2], y[:2], s=130, c=motors, edgecolors=INK, zorder=2)
+        axes.set_title(f"{title}: 2R arm, {'two motors' if motors[0] == INK else 'elbow motor alone'}", fontsize=9.5)
+    points = np.array(results["walker"]).reshape(2, -1, 2)  # (side, point, 2)
+    for leg, colour in zip(points, ("#c1570a", SOFT), strict=True):
+        step.plot(*leg[[0, 1, 2, 3, 4, 2]].T, color=colour, lw=3)
+        step.scatter(*leg[:3].T, s=60, c="white", edgecolors=INK, zorder=2)
+    hip = points[:, 0].mean(axis=0)
+    step.plot([hip[0], hip[0]], [hip[1], hip[1] + 0.5], color=INK, lw=6, solid_capstyle="round")
+    step.axhline(0.0, color=SOFT, lw=4)
+    step.annotate(
+        "robot", hip + np.array([0.0, 0.1]), hip + np.array([0.55, 0.1]), arrowprops={"arrowstyle": "->"}, va="center"
+    )
+    step.set_title("Case 3: pelvis driven, legs passive", fontsize=9.5)
+    coils = np.linspace(0.1, 0.9, 9)
+    hop.axhline(0.0, color=SOFT, lw=4)
+    hop.plot(0.12 * (-1.0) ** np.arange(9) * (np.arange(9) % 8 > 0), coils, color="#08306b", lw=2)
+    hop.plot([-0.15, 0.15], [0.1, 0.1], color=INK, lw=3)  # the foot
+    hop.fill_between([-0.35, 0.35], 0.95, 1.4, color="#c1570a")
+    for label, place in (("mass m, height y", 1.17), ("spring k, piston $y_p$, flow u", 0.5)):
+        hop.annotate(label, (0.4, place), fontsize=9, va="center")
+    hop.set_title("Case 4: hopper", fontsize=9.5)
+    limits = {arm: (-0.6, 2.0, -0.3, 1.6), acrobot: (-0.6, 2.0, -0.3, 1.6), hop: (-0.7, 1.9, -0.3, 1.6),
+              step: (hip[0] - 0.9, hip[0] + 1.1, -0.1, hip[1] + 0.6)}  # fmt: skip
+    for axes, (left, right, low, high) in limits.items():
+        axes.set(xlim=(left, right), ylim=(low, high), aspect="equal")
+        axes.set_axis_off()
+    save(figure, path)
+
+
 STUDY = Study("motions", "the machines, inverse dynamics and the motions of the arms (Fig. 1 to 4)",
-              _run, _page, _rows, {"motions.png": _draw})  # fmt: skip
+              _run, _page, _rows, {"machines.png": _draw_machines, "motions.png": _draw})  # fmt: skip
 
 
 CRANK, INERTIA, COUPLER, CRANK_LENGTH, CENTRE = 1.0, 0.01, 2.0, 0.4, 0.2  # kg, kg m^2, kg, m, m

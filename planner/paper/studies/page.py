@@ -26,6 +26,7 @@ from planner.base.files import digest_of, json_text, write_json
 from planner.paper.studies import (
     dive,
     elbow,
+    extremals,
     gradient,
     hopper,
     hopper_splines,
@@ -35,18 +36,21 @@ from planner.paper.studies import (
     puma,
     shooting,
     step_page,
+    step_splines,
     table_1,
     theorem,
 )
 from planner.paper.studies.study import Row, Study, row_of
+
+_FIRST_TABLE = re.compile(r"(?:(?!\|).*\n)*(?:\|.*\n)*")  # all lines before a table, and the table
 
 HEADS = ("where", "the paper says", "we get", "why it differs")
 
 STUDIES: tuple[Study, ...] = tuple(
     module.STUDY
     for module in (
-        motion, masses, shooting, elbow, hopper_splines, table_1, gradient, theorem, hopper, objective, puma, dive,
-        step_page,
+        motion, masses, shooting, elbow, step_page, step_splines, hopper_splines, table_1, gradient, extremals, theorem,
+        hopper, objective, puma, dive,
     )
 )  # fmt: skip
 
@@ -170,8 +174,9 @@ def page(done: Sequence[Finished], rows: Sequence[Row], pictures: str, full: boo
     lines = [
         "# The paper beside ours", "",
         'Bobrow, Park, Sideris, "Recent Advances on the Algorithmic Optimization of Robot Motion". Made by',
-        f"`planner paper{' --full' if full else ''}` in {sum(one.seconds for one in done):.0f} s of processor time ("
-        + ", ".join(f"{one.study.name} {one.seconds:.0f}" for one in done) + ").",
+        f"`planner paper{' --full' if full else ''}` in {sum(one.seconds for one in done):.0f} s of processor time. "
+        "Here is the first table of every study; all of it, with its seconds: "
+        + ", ".join(f"[{one.study.name}]({pictures}{one.study.name}.md) {one.seconds:.0f}" for one in done) + ".",
         "The paper's times are those of a Pentium III at 800 MHz. Failures that the paper reports are results here",
         "too.", "",
         row_of(HEADS), "|---|---|---|---|", *(row_of(map(_cell, row)) for row in rows), "",
@@ -193,7 +198,10 @@ def _section(row: Row) -> tuple[int, int]:
 
 
 def _section_of(one: Finished, pictures: str) -> str:
-    """A study's page as a section of the whole one: headings from the second level on, pictures where they are."""
+    """A study's page as a section of the whole one: to the end of its first table, and its pictures.
+
+    Headings begin at the second level.
+    """
     if one.results is None:
         return f"## {one.study.name}\n\nFailed: {one.problem}"
     text = one.study.page(one.results).strip()
@@ -202,6 +210,7 @@ def _section_of(one: Finished, pictures: str) -> str:
         text = re.sub(r"^(#+) ", lambda marks: "#" * (len(marks[1]) - min(levels) + 2) + " ", text, flags=re.M)
     else:
         text = f"## {one.study.title}\n\n{text}"
+    text = _FIRST_TABLE.match(text + "\n")[0].strip()  # type: ignore[index]
     for name in one.study.pictures:
         if f"]({name})" not in text:
             text += f"\n\n![{one.study.title}]({name})"

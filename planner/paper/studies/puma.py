@@ -125,6 +125,14 @@ def _page(results: dict[str, Any]) -> list[str]:
         'The paper: a weightlifting problem for a Puma 762, "where we tripled the payload above the manufacturers',
         'specifications". A 762\'s inertias are not published, so the arm is a Puma 560 grown to the 762\'s reach',
         "(its numbers: `mjcf/README.md`); the lift is ours, from hanging to upright.", "",
+        "![torques over limits, path of the payload, bisection](puma.png)", "",
+        *table({
+            "duration, s": "{duration:g}", "speed limit, rad/s": "{speed}", "largest payload, kg": "{payload:.1f}",
+            "not lifted, kg": "{missed}", "over static limit": "{ratio:.2f}",
+            "held still on the same way, kg": "{held:.1f} ({held_joint})",
+            "fastest joint, rad/s": "{fastest:.1f} ({fastest_joint})", "attempts": "{tried}",
+            "seconds": "{seconds:.1f}",
+        }, searches), "",
         "Torque limits, N m: " + ", ".join(f"{name} {limit:.0f}" for name, limit in limits) + ".",
         "They are the 560's times one factor, chosen so that a slow straight lift can just hold "
         f"{results['rated']:g} kg:",
@@ -132,16 +140,7 @@ def _page(results: dict[str, Any]) -> list[str]:
         "A payload counts as lifted by a swing when a plan converged, ended at the goal and kept every torque within",
         "its limit. The largest payload is found by bisection. Each attempt starts from the motion of the last "
         "payload that",
-        "was lifted; if there is none yet, from four swings.",
-        "", "![torques over limits, path of the payload, bisection](puma.png)", "",
-        *table({
-            "duration, s": "{duration:g}", "speed limit, rad/s": "{speed}", "largest payload, kg": "{payload:.1f}",
-            "not lifted, kg": "{missed}", "over static limit": "{ratio:.2f}",
-            "held still on the same way, kg": "{held:.1f} ({held_joint})",
-            "fastest joint, rad/s": "{fastest:.1f} ({fastest_joint})", "attempts": "{tried}",
-            "seconds": "{seconds:.1f}",
-        }, searches),
-        "",
+        "was lifted; if there is none yet, from four swings.", "",
         'The column "held still" is the payload that the motors could hold in every pose of the swing: the swing goes',
         "where no slow motion with that load could go. Our largest payload is a lower bound, since SLQ finds local "
         "minima.",
