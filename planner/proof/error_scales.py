@@ -33,7 +33,7 @@ SHARE = 0.01  # bound of a path error, as a share of the coordinate's range of m
 SMOOTHED = 0.05  # the same where the plan smooths contacts, stops or friction loss, and MuJoCo does not
 STILL = 0.1  # rad, m: range of a coordinate that hardly moves, so that errors up to 1 mrad or 1 mm pass
 OF_LARGEST = 0.1  # the same at most, as a share of the largest range of its unit: of small machines
-MIN_RANGE = 1e-3  # rad, m, rad/s, m/s, smallest range of motion, for a machine at rest
+MIN_RANGE = 1e-3  # rad, m, smallest range of motion, for a machine at rest; of velocities at the rate of the motion
 COST_BOUND = 1.0  # %, bound of the error of the judged cost
 
 KINDS = ("exact_goal", "position_range", "velocity_range", "state_range")  # kinds of state limits
@@ -69,22 +69,28 @@ def _own_and_still(plan: Plan) -> tuple[np.ndarray, np.ndarray]:
     own = np.ptp(plan.space.difference(plan.xs, plan.xs[0]), axis=0)
     largest = np.array([own[units == unit].max() for unit in units])
     least = np.where(units == LENGTH, max(MIN_RANGE, contact_penetration(plan.problem)), MIN_RANGE)
+    least[np.isin(units, RATES)] *= max(1.0, _rate(units, plan, own))
     return own, np.maximum(np.minimum(OF_LARGEST * largest, _of_still(plan, own)), least)
 
 
 def _of_still(plan: Plan, own: np.ndarray) -> np.ndarray:
-    """(ndx,) STILL of positions, of velocities STILL times the rate of the motion; infinite for other units.
-
-    The rate is the largest ratio of a velocity's range of motion `own` (ndx,) to its position's.
-    """
+    """(ndx,) STILL of positions, of velocities STILL times the rate of the motion; infinite for other units."""
     units = _units(plan)
+    velocities = np.where(np.isin(units, RATES), STILL * _rate(units, plan, own), np.inf)
+    return np.where(np.isin(units, (ANGLE, LENGTH)), STILL, velocities)
+
+
+def _rate(units: np.ndarray, plan: Plan, own: np.ndarray) -> float:
+    """The rate of the motion, per s: the largest ratio of a velocity's range of motion `own` (ndx,) to its position's.
+
+    It makes an error of a velocity of one of its position.
+    """
     positions, velocities = np.isin(units, (ANGLE, LENGTH)), np.isin(units, RATES)
     rate = 0.0
     if positions.sum() == velocities.sum():
         moves = own[positions] > MIN_RANGE
         rate = float(np.max(own[velocities][moves] / own[positions][moves], initial=0.0))
-    rate = max(rate, 1.0 / float(plan.t[-1]))
-    return np.where(positions, STILL, np.where(velocities, STILL * rate, np.inf))
+    return max(rate, 1.0 / float(plan.t[-1]))
 
 
 def _units(plan: Plan) -> np.ndarray:

@@ -33,6 +33,22 @@ def test_what_hardly_moves_is_judged_by_no_other_joints_motion():
     assert path_error_bounds(plan)[hinge] == pytest.approx(0.01 * moved[hinge])
 
 
+FINGER = """<mujoco><worldbody><body><joint name="arm" axis="0 1 0" damping=".1"/>
+<geom type="capsule" size=".02" fromto="0 0 0 .5 0 0" mass="1"/><body pos=".5 0 0"><joint name="finger" type="slide"
+axis="0 1 0" damping="1"/><geom size=".01" pos="0 .1 0" mass=".05"/></body></body></worldbody>
+<actuator><motor joint="arm"/><motor joint="finger"/></actuator></mujoco>"""
+
+
+def test_the_speed_of_what_hardly_moves_is_judged_at_the_rate_of_the_motion():
+    """A finger that moves half a millimetre while its arm turns by a radian: 1 mm at the arm's rate is its range."""
+    problem = reach(FINGER, [1.0, 5e-4], start=[0.0, 0.0, 0.0, 0.0], N=50)
+    plan = planner.solve(problem)
+    moved = np.ptp(plan.xs, axis=0)
+    assert moved[2] / moved[0] > 1.5
+    assert path_error_bounds(plan)[3] == pytest.approx(0.01 * 1e-3 * moved[2] / moved[0])
+    assert planner.prove(plan, rollouts=0).passed
+
+
 def test_a_range_is_kept_between_the_knots_too():
     """A mass that turns round at its range: between two knots it would leave it by far more than passes."""
     problem = reach(SLIDE, [-1.0], start=[0.0, 2.0], N=10, limits=Limits(position={"x": (-5.0, 0.12)}))

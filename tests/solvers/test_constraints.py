@@ -224,18 +224,18 @@ def test_power_of_a_motor_is_kept_and_proved():
 
 
 def test_an_objective_of_jerk_keeps_them():
-    """Its states are longer by the last accelerations."""
+    """Its states are longer by the last accelerations and their rates."""
     problem = with_objective(arm([Constraint(Power("elbow"), upper=1.0)]), {"effort": 1.0, "jerk": 1e-5})
     hinges = problem.trajectory_constraints.zero_penalties()
     longer = solver_problem(problem)
-    assert longer.dynamics.nx == 6
-    xs = np.concatenate([solve(arm([])).xs, np.zeros((problem.N + 1, 2))], axis=1)
+    assert longer.dynamics.nx == 8
+    xs = np.concatenate([solve(arm([])).xs, np.zeros((problem.N + 1, 4))], axis=1)
     A, B = longer.dynamics.linearize(xs, problem.first_guess)
     weighed = hinges._replace(weight=np.isfinite(hinges.upper).astype(float))
     n, by_z, _, _ = longer.trajectory_constraints.penalty_derivatives(weighed, xs, problem.first_guess, A, B)
     assert len(n) > 0
-    assert by_z.shape[2] == 8
-    assert not by_z[:, 0, 4:6].any()  # the power at the start of a stage knows nothing of the last acceleration
+    assert by_z.shape[2] == 10
+    assert not by_z[:, 0, 4:8].any()  # the power at the start of a stage knows nothing of the last acceleration
 
 
 def test_a_plan_that_breaks_a_constraint_fails():

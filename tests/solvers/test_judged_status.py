@@ -12,7 +12,7 @@ from planner.solvers.resolution import UNRESOLVED, step_error
 
 
 def test_a_motion_that_its_steps_do_not_resolve_is_unresolved():
-    plan = wrong_optimality.unresolved(np.random.default_rng(7))
+    plan = wrong_optimality.unresolved(np.random.default_rng(6))
     assert plan.status is Status.UNRESOLVED
     assert plan.converged
     assert not plan.success
