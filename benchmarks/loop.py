@@ -185,7 +185,7 @@ def deadlines() -> None:
             x = model.step(x[None], u[None])[0]
         (wall, processor), most = times.T, 1e3 / rate
         print(
-            f"7 joints, {name}, {rate:.0f} Hz, {LONG} stages, {model.integrator} in {model.substeps}: period {most:g} ms"
+            f"7 joints, {name}, {rate:.0f} Hz, {LONG} stages, {model.integrator} x {model.substeps}: period {most:g} ms"
         )
         for clock, spent in (("wall", wall), ("processor", processor)):
             print(

@@ -207,14 +207,15 @@ class Controller(StateMachine):
             return self._without(t, fault)
         x = self._measured(t, x)
         due = (t - self._asked) * self.rate >= 1.0 - TIME_TOLERANCE
-        if self._pending is not None:
-            self._collect(t, due)
+        if self._pending is not None and self._pending.done() and t >= self._pending_at - TIME_TOLERANCE * self._dt:
+            fault, self._pending = self._pending.result(), None
+            self._ended(t, fault)
         if not due or self._pending is not None or not self._plans:
             return self._control(t, x)
         self._started(t)
         if self._thread is not None:
             self._slide(t + self.latency)
-            self._pending_at, self._submitted = t + self.latency, time.perf_counter()
+            self._pending_at = t + self.latency
             if self.simulated:
                 self._pending = Future()
                 self._pending.set_result(self._timed(t, x, self.latency))
@@ -237,12 +238,12 @@ class Controller(StateMachine):
         """
         if self.threaded:
             raise PlannerError("a threaded controller prepares its plans by itself, expected controller(t, x).")
+        self._started(t)
         if not self._plans:
             return False
         if x is None:
             since = min(t - self._last_t, self.horizon * self._dt) if self._last_t > -math.inf else 0.0
             x = self._usable(state_after(self._model, self._seen, self._acting, since))
-        self._started(t)
         return self._replan(t, x)
 
     def feedback(self, x: np.ndarray, t: float | None = None) -> np.ndarray:
@@ -319,17 +320,6 @@ class Controller(StateMachine):
         own = (xs.copy(), us.copy(), K.copy()) if self.threaded else (xs, us, K)
         self._tracked = TrackedPlan(self._model.dynamics, own, self._replanner.made)
 
-    def _collect(self, t: float, due: bool) -> None:
-        """Take the plan of the thread, from the time on that it was made for."""
-        assert self._pending is not None
-        if not self._pending.done():
-            if due and not self._slow:
-                self.overran(t, time.perf_counter() - self._submitted)
-            return
-        if t >= self._pending_at - TIME_TOLERANCE * self._dt:
-            pending, self._pending = self._pending, None
-            self._ended(t, pending.result())
-
     def _fault(self, t: float, x: Any) -> Fault | None:
         """Why a measurement cannot be used, or None."""
         if not abs(t) < LATEST:
@@ -372,7 +362,7 @@ class Controller(StateMachine):
 
     def _control(self, t: float, x: np.ndarray) -> np.ndarray:
         """The control (nu,) of the last plan with its feedback, or what holds the machine."""
-        if self.status is ControllerStatus.LATE and self._tracked.ended(t):
+        if self._tracked.ended(t):
             self.hold(t, "the plan has ended")
         holds = self.status in (ControllerStatus.HOLDING, ControllerStatus.STOPPED)
         self._acting = self._clipped(

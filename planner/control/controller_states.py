@@ -103,7 +103,7 @@ class StateMachine:
 
     def ended(self, t: float, fault: Fault | None, seconds: float, iteration_seconds: float) -> bool:
         """A solve for time t ended after `seconds` of wall time, an iteration taking so many; whether it succeeded."""
-        in_time = not self.overran(t, seconds)
+        in_time = not self._overran(t, seconds)
         if fault is not None:
             self.failures, self._failed_in_a_row = self.failures + 1, self._failed_in_a_row + 1
             if self._failed_in_a_row == 1:
@@ -127,7 +127,7 @@ class StateMachine:
             self._say(t, EventCode.RECOVERED, words, {"overruns": self.overruns})
         return True
 
-    def overran(self, t: float, seconds: float) -> bool:
+    def _overran(self, t: float, seconds: float) -> bool:
         """Whether a plan that took `seconds` of wall time is late."""
         if seconds <= self._most:
             self._in_time += 1

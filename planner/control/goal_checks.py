@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from planner.control.controller_states import Fault
-from planner.dynamics.kinematics import link_chain
+from planner.kernels.tree.mechanism_table import chain_of
 from planner.model.capabilities import capabilities_of
 from planner.model.mechanism import SCREW, Mechanism
 from planner.problem.constraints.clearance import PairClearanceFunction
@@ -58,7 +58,7 @@ def reach(mechanism: Mechanism, frame: str) -> tuple[np.ndarray, float]:
     own, length = mechanism.frame(frame), 0.0
     before: np.ndarray | None = None  # point of the last axis, in the frame of its link
     center = own.T[:3, 3]
-    for i in link_chain(mechanism, own.link):
+    for i in chain_of(mechanism.parent, own.link)[::-1]:
         w, v = mechanism.S[i, :3], mechanism.S[i, 3:]
         hinge = float(w @ w) > 0.0
         if mechanism.kind[i] != SCREW:

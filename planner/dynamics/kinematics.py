@@ -80,7 +80,7 @@ def frame_pose(mechanism: Mechanism, q: Any, frame: str | Frame) -> np.ndarray:
     return b.out(link_places(b)[0][:, f.link] @ f.T)
 
 
-def link_chain(mechanism: Mechanism, link: int) -> list[int]:
+def _moving(mechanism: Mechanism, link: int) -> list[int]:
     """Indices of a link and its ancestors, from the root to the link."""
     return chain_of(mechanism.parent, link)[::-1]
 
@@ -104,7 +104,7 @@ def jacobian(mechanism: Mechanism, q: Any, frame: str | Frame) -> np.ndarray:
     J = np.zeros((b.K, 6, mechanism.nv))
     if f.link >= 0:
         p = (T[:, f.link] @ f.T)[:, None, :3, 3] - origin[:, None, f.link]
-        chain = link_chain(mechanism, f.link)
+        chain = _moving(mechanism, f.link)
         angular, linear = screws[:, chain, :3], screws[:, chain, 3:]
         J[:, 3:, chain] = np.swapaxes(angular, 1, 2)
         J[:, :3, chain] = np.swapaxes(linear + cross(angular, p), 1, 2)
@@ -132,7 +132,7 @@ def points_of(
         return b.out(places), np.empty(0)
     J = np.zeros((b.K, len(links), mechanism.nv, 3))
     for p, link in enumerate(links):
-        chain = link_chain(mechanism, int(link))
+        chain = _moving(mechanism, int(link))
         arm = places[:, p] - origin[:, link]
         J[:, p, chain] = screws[:, chain, 3:] + cross(screws[:, chain, :3], arm[:, None])
     return b.out(places), b.out(np.swapaxes(J, 2, 3))
@@ -175,7 +175,7 @@ def jacobian_derivatives(mechanism: Mechanism, q: Any, frame: str | Frame) -> np
     if f.link < 0:
         return b.out(D)
     J = jacobian(mechanism, b["q"], f)
-    chain = link_chain(mechanism, f.link)
+    chain = _moving(mechanism, f.link)
     block = np.array(mechanism.base)  # axes of one ball rotate together
     for k in chain:
         turn = hat(J[:, 3:, k])

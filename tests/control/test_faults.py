@@ -212,7 +212,7 @@ def hand_problem(**more):
     return planner.task(arm, start=arm.home, goals=goal, duration=1.0)
 
 
-def test_a_place_out_of_reach_holds_the_arm(recwarn):
+def test_a_place_out_of_reach_holds_the_arm():
     problem = hand_problem()
     c = planner.Controller(problem)
     x, t, dt = problem.x0, 0.0, problem.dynamics.dt
@@ -230,15 +230,12 @@ def test_the_reach_is_that_of_the_stretched_arm_and_never_less_than_a_pose():
     arm = planner.Mechanism.from_mjcf(HAND)
     center, most = reach(arm, "hand")
     assert most == pytest.approx(0.7)
-    rng = np.random.default_rng(0)
-    for name, frame in (("puma", None),):
-        m = planner.cases.build(name).dynamics.mechanism
-        frame = m.body_names[-1]
-        center, most = reach(m, frame)
-        qs = rng.uniform(-np.pi, np.pi, (500, m.nq))
-        away = np.linalg.norm(frame_pose(m, qs, frame)[:, :3, 3] - center, axis=1)
-        assert away.max() <= most + 1e-9
-        assert away.max() > 0.5 * most  # of 500 random poses one is that far
+    puma = planner.cases.build("puma").dynamics.mechanism
+    frame = puma.body_names[-1]
+    center, most = reach(puma, frame)
+    qs = np.random.default_rng(0).uniform(-np.pi, np.pi, (500, puma.nq))
+    away = np.linalg.norm(frame_pose(puma, qs, frame)[:, :3, 3] - center, axis=1)
+    assert 0.5 * most < away.max() <= most + 1e-9  # one of 500 random poses is that far
 
 
 def test_a_goal_inside_an_obstacle_is_refused_and_one_beside_it_is_not():
@@ -288,13 +285,12 @@ def test_an_iteration_begins_only_if_it_fits_in_the_budget(problem):
     assert c.events[-1].values["iteration_seconds"] == taken
     assert not c.prepare(dt, x)
     assert c.prepare(2 * dt, x)  # every third one is made, and timed again
-    counted, iterate = [], c._replanner._iterate
+    counted = []
     wide = planner.Controller(problem, budget=0.02)
     wide._replanner._iterate = lambda cost, fresh: counted.append(1) or (2, -1.0, cost)
     wide._replanner.iteration_seconds = 0.021
     assert not wide.prepare(0.0, x)
     assert not counted
-    assert iterate is not None
 
 
 CART = """
