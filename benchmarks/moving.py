@@ -2,8 +2,8 @@
 
     python benchmarks/moving.py [--only monopod]
 
-One line per file of benchmarks/moving: iterations, processor time of the solve, time with every foot off the ground, and
-the verdict's first line. One thread, the defaults of `planner run` without its repairs and rollouts.
+One line per file of benchmarks/moving: iterations, processor time of the solve, time with every foot off the ground,
+and the verdict's first line. One thread, the defaults of `planner run` without its repairs and rollouts.
 """
 
 from __future__ import annotations

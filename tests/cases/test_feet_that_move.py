@@ -60,7 +60,7 @@ def test_its_weights_leave_the_way_open_and_ask_for_the_goal_in_the_last_quarter
 
 
 def test_its_gains_stay_below_the_stiffness_of_its_ground(forward):
-    """sqrt(Q / R), the stationary stiffness that a position weight Q and an effort R give, is a share of the ground's."""
+    """sqrt(Q / R), the stationary stiffness of a position weight Q and an effort R, is a share of the ground's."""
     m = forward.dynamics.mechanism
     ground = contact_stiffness(m, forward.cost.x_ref[-1][: m.nq])[2:]
     assert ground[1] == pytest.approx(m.contacts[0].law.stiffness)  # the leg presses straight on it
@@ -76,12 +76,12 @@ def test_a_machine_whose_feet_stay_has_the_straight_line(tmp_path):
 
 def test_feet_move_by_slip_or_by_height(forward):
     m, q = forward.dynamics.mechanism, forward.x0[:4]
-    assert not feet_move(m, np.array([q, q + [0.5 * STRIDE, 0, 0, 0]]))
-    assert feet_move(m, np.array([q, q + [1.1 * STRIDE, 0, 0, 0]]))
-    assert not feet_move(m, np.array([q, q + [0, 0.5 * STRIDE, 0, 0]]))
-    assert feet_move(m, np.array([q, q + [0, 1.1 * STRIDE, 0, 0], q]))
-    off = q + [0, 1.0, 0, 0]
-    assert not feet_move(m, np.array([off, off + [1.0, 0, 0, 0]]))  # in the air there are none
+    forwards, up, off = STRIDE * np.eye(4)[0], STRIDE * np.eye(4)[1], np.eye(4)[1]
+    assert not feet_move(m, np.array([q, q + 0.5 * forwards]))
+    assert feet_move(m, np.array([q, q + 1.1 * forwards]))
+    assert not feet_move(m, np.array([q, q + 0.5 * up]))
+    assert feet_move(m, np.array([q, q + 1.1 * up, q]))
+    assert not feet_move(m, np.array([q + off, q + off + np.eye(4)[0]]))  # in the air there are none
 
 
 JUMP = """duration = 1.4
@@ -96,7 +96,7 @@ joints = {{ x = 0.0, hip = 0.0, leg = 0.15 }}
 
 
 def test_a_jump_needs_no_pose_of_the_whole_machine(tmp_path):
-    """The trunk is passed 10 cm above where the leg reaches from the ground: it leaves it, and stands again at the end."""
+    """The trunk is passed 10 cm above where the leg reaches from the ground; at the end the foot stands again."""
     problem = problem_of(tmp_path, JUMP.format(through="true"))
     m, end = problem.dynamics.mechanism, problem.cost.costs[0].x_ref[-1]
     carried = contact_forces(m, end[:4], np.zeros(4)).forces[0, 2]

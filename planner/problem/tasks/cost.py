@@ -49,7 +49,7 @@ def task_cost(
     weights = dict(weights)
     given, hold, rest = weights.pop("goal", None), weights.pop("hold", 0.0), weights.pop("rest", 0.0)
     factor = number("weights.goal", WEIGHT if given is None else given, greater_than=0.0)
-    last_factor = 0.0 if rest and given is None else factor  # the pose of the goals has weights before and after the end
+    last_factor = 0.0 if rest and given is None else factor  # the goals' pose has weights before and after the end
     if not task.rests:
         weights["final_velocity"] = 0.0
     at_rest = reference.copy()
@@ -61,14 +61,14 @@ def task_cost(
     Q, x_ref = base.Q.copy(), base.x_ref.copy()
     terms: list[Any] = []
     for one in task.goals:
+        weight = last_factor if one.last else factor
         for dof, value in one.joints.items():
-            Q[one.stage, dof, dof] += (last_factor if one.last else factor) / one.tolerances[_part(unit_of(mechanism, dof))] ** 2
+            Q[one.stage, dof, dof] += weight / one.tolerances[_part(unit_of(mechanism, dof))] ** 2
             x_ref[one.stage, mechanism.q_address[dof]] = value
         if not (one.goal.through or one.last):
             for dof in _moving_dofs(mechanism, one):
                 i = mechanism.nv + dof
                 Q[one.stage, i, i] += VELOCITY / MIN_TOLERANCES[f"{unit_of(mechanism, dof)}/s"] ** 2
-        weight = last_factor if one.last else factor
         if one.goal.frame is not None and weight > 0.0:
             terms.append(_of_frame(task, one, weight))
     for path in task.follows:
