@@ -79,8 +79,8 @@ def feet_move(mechanism: Mechanism, qs: np.ndarray) -> bool:
         way = space.difference(xs[k], xs[k - 1])
         J = contact_jacobians(mechanism, space.integrate(xs[k - 1], 0.5 * way)[:nq], carry)
         n = np.array([mechanism.contacts[c].plane.normal for c in carry])
-        moved = J @ way[:nv]
-        slip += moved - n * np.einsum("ka,ka->k", n, moved)[:, None]
+        shift = J @ way[:nv]
+        slip += shift - n * np.einsum("ka,ka->k", n, shift)[:, None]
         if np.linalg.norm(slip, axis=1).max() > STRIDE:
             break
     else:

@@ -126,8 +126,8 @@ def ballistic_dofs(mechanism: Mechanism, x0: np.ndarray) -> np.ndarray:
             continue
         tree = root == links.start
         held = mechanism.gravcomp_mass[tree].sum() >= mechanism.mass[tree].sum() * (1.0 - 1e-9)
-        falls = np.any(mechanism.gravity) and not held
-        if (falls or np.any(x0[mechanism.nq : mechanism.nq + nv][tree])) and not mechanism.directly_actuated[links].any():
+        carried_off = (np.any(mechanism.gravity) and not held) or np.any(x0[mechanism.nq : mechanism.nq + nv][tree])
+        if carried_off and not mechanism.directly_actuated[links].any():
             found[links.start : links.start + 3] = True
     return found
 

@@ -12,7 +12,8 @@ Every weight makes its term dimensionless and about 1:
     position        1 / (STANCE_TOLERANCES tolerances)^2 of the distance from the straight line to the goal, for
                     machines that stand on the ground; none for others
     final_position  4 / tolerance^2, so that an error of the tolerance costs 2, more than the whole effort
-    final_velocity  10 / tolerance^2; neither for a free base that nothing from outside can stop; both times the cost of the minimum-jerk motion, where jerk is the objective
+    final_velocity  10 / tolerance^2; both times the cost of the minimum-jerk motion, where jerk is the objective. None
+                    of both for translations of a free base that nothing from outside can stop
     hold            for standing machines, in place of these two: the cost of staying at the goal for HOLD_SECONDS
     rest            share of the duration, at the end, in which a machine whose feet have to move is to be at its goal.
                     Before, positions have no weight and velocities WAY_SHARE of theirs: it may hop, step or crawl. Its

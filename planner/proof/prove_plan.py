@@ -45,6 +45,7 @@ from planner.proof.robustness.perturbation import Perturbation
 from planner.proof.robustness.perturbed import MonteCarloSettings, perturbed
 from planner.proof.robustness.rollouts import MODES
 from planner.proof.same_step import same_step
+from planner.proof.skating import skating
 from planner.proof.step_convergence import step_convergence
 from planner.proof.verdict import Proof
 

@@ -1,5 +1,6 @@
 """The cost of a task, and its goals: one error for each, in m, rad or m/s, at its time.
 
+Goals at the end have no weight of their own where the machine rests there (weights `rest`): their pose has.
 A goal has the weight WEIGHT / tolerance^2 on its squared error / 2 at its stage, so that an error of the tolerance
 costs more than the whole effort. A path has PATH_RATE times that weight. Unless a goal is a via point, velocities of
 the joints that move the frame have a weight there.
@@ -30,7 +31,6 @@ from planner.problem.tasks.follow import Follow
 from planner.problem.tasks.timed_task import Task, TimedGoal, unit_of
 
 WEIGHT = 4.0  # in 1 / tolerance^2
-REST_SHARE = 0.01  # of the weight of goals at the end, whose poses have weights before it, and after it by hold
 PATH_RATE = 25.0  # 1/s, weight of a path relative to a goal
 
 
@@ -47,9 +47,9 @@ def task_cost(
     """
     mechanism, N = task.mechanism, task.N
     weights = dict(weights)
-    factor = number("weights.goal", weights.pop("goal", WEIGHT), greater_than=0.0)
-    hold, rest = weights.pop("hold", 0.0), weights.pop("rest", 0.0)
-    last_factor = factor * (REST_SHARE if rest else 1.0)
+    given, hold, rest = weights.pop("goal", None), weights.pop("hold", 0.0), weights.pop("rest", 0.0)
+    factor = number("weights.goal", WEIGHT if given is None else given, greater_than=0.0)
+    last_factor = 0.0 if rest and given is None else factor  # the goals' pose has weights before and after the end
     if not task.rests:
         weights["final_velocity"] = 0.0
     at_rest = reference.copy()
@@ -61,15 +61,16 @@ def task_cost(
     Q, x_ref = base.Q.copy(), base.x_ref.copy()
     terms: list[Any] = []
     for one in task.goals:
+        weight = last_factor if one.last else factor
         for dof, value in one.joints.items():
-            Q[one.stage, dof, dof] += (last_factor if one.last else factor) / one.tolerances[_part(unit_of(mechanism, dof))] ** 2
+            Q[one.stage, dof, dof] += weight / one.tolerances[_part(unit_of(mechanism, dof))] ** 2
             x_ref[one.stage, mechanism.q_address[dof]] = value
         if not (one.goal.through or one.last):
             for dof in _moving_dofs(mechanism, one):
                 i = mechanism.nv + dof
                 Q[one.stage, i, i] += VELOCITY / MIN_TOLERANCES[f"{unit_of(mechanism, dof)}/s"] ** 2
-        if one.goal.frame is not None:
-            terms.append(_of_frame(task, one, last_factor if one.last else factor))
+        if one.goal.frame is not None and weight > 0.0:
+            terms.append(_of_frame(task, one, weight))
     for path in task.follows:
         terms += _of_path(task, path, factor, Q, x_ref)
     tracking = TrackingCost(Q, base.R, x_ref, base.u_ref, base.space)

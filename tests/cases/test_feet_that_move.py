@@ -1,0 +1,120 @@
+"""Machines that have to leave or move their feet: a monopod that goes forward, jumps, and says that it skates."""
+
+import numpy as np
+import pytest
+
+import planner
+from planner.base.errors import PlannerError
+from planner.cases.problem_file import load
+from planner.dynamics.contacts import contact_forces
+from planner.dynamics.stance import STRIDE, contact_stiffness, feet_move
+from planner.problem.default_weights import GAIN_SHARE, MOVING_SHARE, STANCE_TOLERANCES, WAY_SHARE
+
+MONOPOD = """<mujoco model="monopod"><option timestep="0.002"/>
+<worldbody><geom name="floor" type="plane" size="0 0 1"/>
+ <body name="trunk" pos="0 0 0.6"><joint name="x" type="slide" axis="1 0 0"/><joint name="z" type="slide" axis="0 0 1"/>
+  <geom type="box" size=".12 .1 .08" mass="5" contype="0" conaffinity="0"/>
+  <body name="thigh"><joint name="hip" axis="0 -1 0" range="-60 60" damping=".2"/>
+   <geom type="capsule" fromto="0 0 0 0 0 -.25" size=".03" mass=".8" contype="0" conaffinity="0"/>
+   <body name="shank"><joint name="leg" type="slide" axis="0 0 1" range="-.05 .3" damping="2"/>
+    <geom type="capsule" fromto="0 0 -.25 0 0 -.55" size=".02" mass=".3" contype="0" conaffinity="0"/>
+    <geom name="foot" type="sphere" pos="0 0 -.57" size=".03" mass=".1"/></body></body></body></worldbody>
+<actuator><motor joint="hip" ctrlrange="-60 60"/><motor joint="leg" ctrlrange="-300 300"/></actuator></mujoco>"""
+START = 'model = "monopod.xml"\nstart = { leg = 0.15 }\n'
+
+
+def problem_of(tmp_path, text):
+    (tmp_path / "monopod.xml").write_text(MONOPOD)
+    (tmp_path / "problem.toml").write_text(START + text)
+    return load(tmp_path / "problem.toml").problem
+
+
+def weights_of(problem):
+    return problem.parameters["resolved"]["weights"]
+
+
+@pytest.fixture(scope="module")
+def forward(tmp_path_factory):
+    return problem_of(tmp_path_factory.mktemp("forward"), "goal = { x = 0.5 }\nduration = 1.5\n")
+
+
+def test_a_monopod_goes_forward_with_four_lines(forward):
+    plan = planner.solve(forward)
+    assert plan.converged
+    assert plan.nit < 60  # it takes 16
+    proof = planner.prove(plan, rollouts=0)
+    assert proof.passed, proof
+    # Nothing but friction costs slip, so this foot is dragged with little load: the verdict's line says it.
+    assert "foot' slides 0." in proof.headline
+    assert "while the machine travels 0.5" in proof.headline
+
+
+def test_its_weights_leave_the_way_open_and_ask_for_the_goal_in_the_last_quarter(forward):
+    cost, N, nv = forward.cost, forward.N, 4
+    first = N - round((1.0 - MOVING_SHARE) * N)
+    assert weights_of(forward)["rest"] == 1.0 - MOVING_SHARE
+    assert not cost.Q[:first, :nv].any()
+    assert np.all(np.diagonal(cost.Q[first:N, :nv, :nv], axis1=1, axis2=2) > 0.0)
+    speeds = np.diagonal(cost.Q[:, nv:, nv:], axis1=1, axis2=2)
+    np.testing.assert_allclose(speeds[0], WAY_SHARE * speeds[first])
+
+
+def test_its_gains_stay_below_the_stiffness_of_its_ground(forward):
+    """sqrt(Q / R), the stationary stiffness of a position weight Q and an effort R, is a share of the ground's."""
+    m = forward.dynamics.mechanism
+    ground = contact_stiffness(m, forward.cost.x_ref[-1][: m.nq])[2:]
+    assert ground[1] == pytest.approx(m.contacts[0].law.stiffness)  # the leg presses straight on it
+    gains = np.sqrt(np.array(weights_of(forward)["position"])[2:] / np.array(weights_of(forward)["effort"]))
+    np.testing.assert_allclose(gains, GAIN_SHARE * ground)
+
+
+def test_a_machine_whose_feet_stay_has_the_straight_line(tmp_path):
+    problem = problem_of(tmp_path, "goal = { leg = 0.1 }\nduration = 1.0\n")
+    assert "rest" not in weights_of(problem)
+    assert problem.cost.Q[0, 3, 3] == pytest.approx(problem.dynamics.dt / (STANCE_TOLERANCES * 5e-3) ** 2)
+
+
+def test_feet_move_by_slip_or_by_height(forward):
+    m, q = forward.dynamics.mechanism, forward.x0[:4]
+    forwards, up, off = STRIDE * np.eye(4)[0], STRIDE * np.eye(4)[1], np.eye(4)[1]
+    assert not feet_move(m, np.array([q, q + 0.5 * forwards]))
+    assert feet_move(m, np.array([q, q + 1.1 * forwards]))
+    assert not feet_move(m, np.array([q, q + 0.5 * up]))
+    assert feet_move(m, np.array([q, q + 1.1 * up, q]))
+    assert not feet_move(m, np.array([q + off, q + off + np.eye(4)[0]]))  # in the air there are none
+
+
+JUMP = """duration = 1.4
+[[goal]]
+frame = "trunk"
+position = [0, 0, 0.75]
+time = 0.6
+through = {through}
+[[goal]]
+joints = {{ x = 0.0, hip = 0.0, leg = 0.15 }}
+"""
+
+
+def test_a_jump_needs_no_pose_of_the_whole_machine(tmp_path):
+    """The trunk is passed 10 cm above where the leg reaches from the ground; at the end the foot stands again."""
+    problem = problem_of(tmp_path, JUMP.format(through="true"))
+    m, end = problem.dynamics.mechanism, problem.cost.costs[0].x_ref[-1]
+    carried = contact_forces(m, end[:4], np.zeros(4)).forces[0, 2]
+    assert carried == pytest.approx(6.2 * 9.81, rel=1e-3)  # kg, m/s^2
+    plan = planner.solve(problem)
+    assert plan.converged
+    depths = contact_forces(m, plan.xs[:, :4], plan.xs[:, 4:]).depths[:, 0]
+    assert np.count_nonzero(depths < 0.0) * problem.dynamics.dt > 0.2  # s, in the air
+    assert planner.prove(plan, rollouts=0).passed
+
+
+def test_a_stop_in_the_air_is_refused(tmp_path):
+    with pytest.raises(PlannerError, match=r"goal 1 \(trunk at 0.6 s\) is out of reach by 0\.\d+ m"):
+        problem_of(tmp_path, JUMP.format(through="false"))
+
+
+def test_a_place_where_the_foot_must_stand_elsewhere_is_no_refusal(tmp_path):
+    problem = problem_of(tmp_path, 'duration = 1.5\n[[goal]]\nframe = "trunk"\nposition = [0.8, 0, 0.44]\n')
+    end = problem.cost.x_ref[-1]
+    assert end[0] == pytest.approx(0.8, abs=5e-3)
+    assert abs(end[3] - 0.15) < 0.02  # the leg's length hardly changes: the foot is elsewhere
