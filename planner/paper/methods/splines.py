@@ -177,9 +177,8 @@ def minimize_effort(
     soft = end_weights is not None
     fixed = end_amplitudes(basis, ends[0], None if soft else goal)
     moved = slice(2, None if soft else -2)
-    c1, c2 = (
-        number("end weight", c, minimum=0.0) for c in array("end_weights", end_weights if soft else (0.0, 0.0), (2,))
-    )
+    weights = array("end_weights", end_weights if soft else (0.0, 0.0), (2,)).tolist()
+    c1, c2 = (number("end weight", c, minimum=0.0) for c in weights)
     last = np.array([basis(boundary.duration, nu=order) for order in range(2)])  # (2, n)
     s = (t / boundary.duration)[:, None]
     straight = start + minimum_jerk(s)[0] * (goal[0] - start)
