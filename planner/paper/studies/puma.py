@@ -32,12 +32,12 @@ TRIPLED = 3.0  # the paper's
 SLOW = 2.5  # rad/s: every joint, in a search that only asks whether the rated payload can be tripled
 
 
-def _run(resolution: float | None = None) -> dict[str, Any]:
-    resolution = resolution or COARSE
+def _run(full: bool = False) -> dict[str, Any]:
+    durations, resolution = (DURATIONS, RESOLUTION) if full else ((SHOWN,), COARSE)
     limits, static = torque_limits(), static_limit()
     found: dict[float, LargestPayload] = {}
     searches = []
-    for duration in DURATIONS:
+    for duration in durations:
         found[duration], seconds = timed(lambda: largest_payload(duration=duration, resolution=resolution))  # noqa: B023
         searches.append(_search(found[duration], duration, None, seconds))
     slow, seconds = timed(lambda: largest_payload(
@@ -212,4 +212,4 @@ def _draw(results: dict[str, Any], path: Path) -> None:
 
 
 STUDY = Study("puma", "weightlifting with a Puma-like arm (reference 20)",
-              _run, _page, _rows, {"puma.png": _draw}, seconds=20, full=partial(_run, RESOLUTION))  # fmt: skip
+              _run, _page, _rows, {"puma.png": _draw}, seconds=20, full=partial(_run, True))  # fmt: skip
