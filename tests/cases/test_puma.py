@@ -281,7 +281,7 @@ def test_wrong_paths_are_refused():
 def test_the_puma_study_finds_what_its_page_says(monkeypatch, tmp_path):
     monkeypatch.setattr(puma_study, "DURATIONS", (1.5,))
     monkeypatch.setattr(puma_study, "SHOWN", 1.5)
-    monkeypatch.setattr(puma_study, "RESOLUTION", 40.0)
+    monkeypatch.setattr(puma_study, "COARSE", 40.0)
     monkeypatch.setattr(puma_study, "TRIPLED", 1.2)
     results = puma_study.STUDY.run()
     (row,) = puma_study.STUDY.rows(results)

@@ -11,13 +11,17 @@ from planner.paper.studies.extremals import (
     STUDY,
     boundary_problem,
     curvature,
-    neighbours,
     quasilinearize,
     with_curvature,
 )
 from planner.paper.studies.gradient import growth
 from planner.solvers import lq
 from tests.solves import linear
+
+
+@pytest.fixture(scope="module")
+def results():
+    return STUDY.run({"hop": lambda: planner.cases.build("hopper", **{**PAPER, "height": 1.0})})
 
 
 def test_the_boundary_problem_is_solved_with_defects_and_mixed_terms():
@@ -60,9 +64,9 @@ def test_quasilinearization_ends_where_slq_does_on_a_low_hop():
     assert not quasilinearize(planner.cases.acrobot(horizon=60))["converged"]  # full steps from far away
 
 
-def test_gains_with_curvature_are_those_of_neighbouring_optimal_plans():
+def test_gains_with_curvature_are_those_of_neighbouring_optimal_plans(results):
     """Off by second order in the start; those without by first order."""
-    starts = neighbours()["starts"]
+    starts = results["neighbours"]["starts"]
     for one, other in itertools.pairwise(starts[1:]):
         assert np.log10(one["with W"] / other["with W"]) == pytest.approx(2.0, abs=0.1)
         assert np.log10(one["without"] / other["without"]) == pytest.approx(1.0, abs=0.1)
@@ -88,8 +92,7 @@ def test_growth_tells_where_eq_36_suffices():
     assert growth(arm, planner.solve(arm).us) > 1000.0
 
 
-def test_rows_and_page_of_a_small_run(tmp_path):
-    results = STUDY.run({"hop": lambda: planner.cases.build("hopper", **{**PAPER, "height": 1.0})})
+def test_rows_and_page_of_a_small_run(results, tmp_path):
     assert all(cell for row in STUDY.rows(results) for cell in row)
     assert "| hop |" in STUDY.page(results)
     STUDY.pictures["extremals.png"](results, tmp_path / "e.png")

@@ -60,6 +60,7 @@ def test_simpson_s_rule_is_exact_for_cubics_and_as_good_as_its_tolerance():
     cubic = adaptive_simpson(lambda t: (t**3)[:, None], breaks, 1e-12)
     assert cubic[0] == pytest.approx(4.0, rel=1e-14)
     peak = adaptive_simpson(lambda t: np.stack([1.0 / (1e-2 + t**2), np.exp(t)], axis=1), breaks, 1e-8)
+    assert np.isnan(adaptive_simpson(lambda t: np.full((len(t), 1), np.nan), breaks, 1e-8)).all()
     assert peak == pytest.approx([10.0 * np.arctan(20.0), np.expm1(2.0)], abs=1e-8)
 
 
@@ -126,6 +127,8 @@ def test_more_intervals_cost_no_more(arm):
         ({"boundary": Boundary([0.0, 0.0], UP, 0.0)}, "duration is 0"),
         ({"space": SplineSpace(degree=2)}, "degree is 2"), ({"space": SplineSpace(1)}, "intervals is 1"),
         ({"nodes": 0}, "nodes is 0"), ({"mechanism": None}, "expected a Mechanism"),
+        ({"end_weights": (1.0, -1.0)}, "end weight is -1"), ({"end_weights": (1.0,)}, "end_weights has shape"),
+        ({"simpson": 0.0}, "simpson is 0"),
         ({"guess": lambda t: t}, r"guess\(t\) has shape"),
     ],
 )  # fmt: skip

@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from scipy.interpolate import BSpline
 
 DEGREE, INTERVALS = 5, 12  # the paper's: quintic, 12 uniform knot intervals
+ROUNDING = 1e-14  # relative, of the integral over an interval
 NODES = 16  # of the quadrature in each interval; agrees with an adaptive rule to 1e-8
 
 Guess = Callable[[np.ndarray], np.ndarray]
@@ -173,16 +174,18 @@ def minimize_effort(
     quadrature = Quadrature(space.basis(boundary.duration, least_degree=3), nodes)
     basis, t = quadrature.basis, quadrature.t
     (start, _), goal = ends
-    fixed = end_amplitudes(basis, ends[0], None if end_weights else goal)
-    moved = slice(2, None if end_weights else -2)
-    c1, c2 = (number("end weight", c, minimum=0.0) for c in end_weights or (0.0, 0.0))
+    soft = end_weights is not None
+    fixed = end_amplitudes(basis, ends[0], None if soft else goal)
+    moved = slice(2, None if soft else -2)
+    weights = array("end_weights", end_weights if soft else (0.0, 0.0), (2,)).tolist()
+    c1, c2 = (number("end weight", c, minimum=0.0) for c in weights)
     last = np.array([basis(boundary.duration, nu=order) for order in range(2)])  # (2, n)
     s = (t / boundary.duration)[:, None]
     straight = start + minimum_jerk(s)[0] * (goal[0] - start)
     motion = straight if guess is None else array("guess(t)", guess(t), straight.shape)
     first = nearest_amplitudes(basis(t), motion, fixed, moved)
     if simpson is not None:
-        simpson = number("simpson", simpson, greater_than=0.0)
+        simpson = number("simpson", simpson, minimum=1e-12)
 
     def whole(free: np.ndarray) -> np.ndarray:
         amplitudes = fixed.copy()
@@ -252,7 +255,8 @@ def adaptive_simpson(f: Callable[[np.ndarray], np.ndarray], breaks: np.ndarray, 
         whole, both = ends[0] + ends[1], ends[0] + ends[1] + 4.0 * (left + right) + 2.0 * middle
         halves = h / 12.0 * both
         error = (halves - h / 6.0 * (whole + 4.0 * middle)) / 15.0
-        done = np.abs(error).max(axis=1) <= tolerance * h[:, 0] / (breaks[-1] - breaks[0])
+        enough = np.maximum(tolerance * h / (breaks[-1] - breaks[0]), ROUNDING * np.abs(halves))
+        done = ~(np.abs(error) > enough).any(axis=1)  # what is not finite stays so in its halves
         total = total + (halves + error)[done].sum(axis=0)
         go = ~done
         ends = [np.concatenate([ends[0][go], middle[go]]), np.concatenate([middle[go], ends[1][go]])]

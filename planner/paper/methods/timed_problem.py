@@ -42,7 +42,7 @@ class TimedProblem:
         self._engines = [_engine(problem, n) for n in range(problem.N)]
         zero = np.zeros((1, self.inputs, self.nx))  # no gains: a start that checks nothing, which thousands are
         self._held = np.zeros((2, self.nx)), np.zeros((1, self.inputs)), zero
-        self._end = _one_stage(problem, problem.N - 1, at_end=True).costs
+        self._end = _one_stage(problem, problem.N - 1, at_end=True)
 
     def _costs(self, z: np.ndarray, u: np.ndarray) -> list[tuple[CompiledEngine, float, float]]:
         """The engines of both stages about a time, with their shares over dt and their costs at x, u."""
@@ -80,7 +80,7 @@ class TimedProblem:
 
 def _engine(problem: Problem, n: int) -> CompiledEngine:
     """An engine of stage n alone, whose end costs nothing."""
-    cost, us = _one_stage(problem, n, at_end=False), np.zeros((1, problem.dynamics.nu))
+    cost, us = SumCost(*_one_stage(problem, n, at_end=False)), np.zeros((1, problem.dynamics.nu))
     engine = acquire_engine(Problem(problem.dynamics, cost, problem.x0, us))
     if not isinstance(engine, CompiledEngine):
         raise PlannerError(f"the dynamics is a {type(problem.dynamics).__name__}, expected compiled ones.")
@@ -89,7 +89,7 @@ def _engine(problem: Problem, n: int) -> CompiledEngine:
     return engine
 
 
-def _one_stage(problem: Problem, n: int, at_end: bool) -> SumCost:
+def _one_stage(problem: Problem, n: int, at_end: bool) -> list[TrackingCost | ResidualCost]:
     """The cost of stage n without that of the next knot, or the other way round."""
     tracking, residuals, python = parts_of(problem)
     if python:
@@ -103,4 +103,4 @@ def _one_stage(problem: Problem, n: int, at_end: bool) -> SumCost:
     for term in residuals:
         arrays = at_stages(term.residual_arrays_for(problem.N), slice(n, n + 2))
         parts.append(ResidualCost(term.mechanism, replace(arrays, weight=keep * arrays.weight), 1))
-    return SumCost(*parts)
+    return parts

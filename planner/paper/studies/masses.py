@@ -258,6 +258,7 @@ def _rows(results: dict[str, Any]) -> list[Row]:
 
 def _draw(results: dict[str, Any], path: Path) -> None:
     """All arms with both efforts by kind, length and ratio of masses; the stars are the nearest to Fig. 3."""
+    from matplotlib.cm import ScalarMappable
     from matplotlib.colors import Normalize
 
     figure, grid = grid_of(1, len(KINDS), 13.5, 4.0)
@@ -269,13 +270,13 @@ def _draw(results: dict[str, Any], path: Path) -> None:
         dress(axes, f"{kind}: {len(arms)} arms", "mass of the forearm / of the upper arm", "length of the upper arm, m")
         places = [([arm["length1"] for arm in some], [arm["mass2"] / arm["mass1"] for arm in some])
                   for some in (arms, best)]  # fmt: skip
-        dots = axes.scatter(*places[0], norm=norm, cmap="viridis", s=45, c=[arm["length2"] for arm in arms])
+        axes.scatter(*places[0], norm=norm, cmap="viridis", s=45, c=[arm["length2"] for arm in arms])
         axes.plot(*places[1], "*", ms=16, mfc="none", color=INK)
         axes.set_yscale("log")
         for labels in (axes.yaxis.set_major_formatter, axes.yaxis.set_minor_formatter):
             labels("{x:g}")
         axes.tick_params(axis="y", which="both", labelsize=8)
-    bar = figure.colorbar(dots, ax=grid[0, -1])
+    bar = figure.colorbar(ScalarMappable(norm, "viridis"), ax=grid[0, -1])
     bar.set_label("length of the forearm, m", size=8)
     bar.ax.tick_params(labelsize=8)
     save(figure, path)
