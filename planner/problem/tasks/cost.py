@@ -102,7 +102,7 @@ def task_goal_specs(task: Task) -> tuple[GoalSpec, ...]:
             found.append(GoalSpec(f"path of {path.what}", "m", error, times, task.tolerance(path)))
             continue
         for k, address in enumerate(_addresses(mechanism, path)):  # each joint in its own unit
-            error = partial(_joint_error, [address], points[:, [k]])
+            error = partial(_joint_error, np.array([address]), points[:, [k]])
             found.append(GoalSpec(f"path of {path.joints[k]}", task.units(path)[k], error, times, task.tolerance(path)))
     if task.rests:
         nv, states = mechanism.nv, slice(mechanism.nq, mechanism.nq + mechanism.nv)
