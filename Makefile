@@ -53,6 +53,7 @@ gallery: setup ## make the committed pictures and videos again
 	done
 	@$(PYTHON) examples/montage.py $(GALLERY)
 	$(PYTHON) docs/figures/draw.py
+	$(PYTHON) docs/figures/gallery.py
 	$(PLANNER) paper --full
 	$(PLANNER) paper --proofs --out renders/proofs
 

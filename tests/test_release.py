@@ -44,3 +44,23 @@ def test_the_workflow_tries_every_python_from_the_least(jobs):
     tried = jobs["distributions"]["strategy"]["matrix"]["python"]
     assert tried[0] == least
     assert tried == [f"3.{minor}" for minor in range(int(least[2:]), int(least[2:]) + len(tried))]
+
+
+def test_the_conda_recipe_asks_for_what_the_project_does():
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    recipe = yaml.safe_load((ROOT / "conda" / "recipe.yaml").read_text(encoding="utf-8"))
+    names = {"mujoco": "mujoco-python", "matplotlib": "matplotlib-base"}  # of conda-forge
+    parts = [re.fullmatch(r"([\w-]+)(.*)", one).groups() for one in project["dependencies"]]
+    wanted = [f"python {project['requires-python']}", *(f"{names.get(name, name)} {rest}" for name, rest in parts)]
+    assert recipe["requirements"]["run"] == wanted
+    assert recipe["context"]["version"] == planner.__version__
+
+
+def test_containers_draw_without_a_display():
+    text = (ROOT / "Dockerfile").read_text(encoding="utf-8")
+    container = yaml.safe_load((ROOT / ".devcontainer" / "devcontainer.json").read_text(encoding="utf-8"))
+    assert "libosmesa6" in text
+    assert "MUJOCO_GL=osmesa" in text
+    assert container["containerEnv"]["MUJOCO_GL"] == "osmesa"
+    assert f"make {container['postCreateCommand'].split()[1]}" == "make setup-test"
+    assert "\nsetup-test:" in (ROOT / "Makefile").read_text(encoding="utf-8")

@@ -149,9 +149,17 @@ def test_convergence_shows_the_costs_above_the_last(plan):
     axes = panel(figure, "Convergence")
     (line,) = axes.get_lines()
     assert axes.get_yscale() == "log"
-    np.testing.assert_allclose(line.get_ydata(), [100, 10, 1, 0.1, 0.01, 1e-3], rtol=1e-9)
+    np.testing.assert_allclose(line.get_ydata(), [100, 10, 1, 0.1, 0.01, 1e-3, np.nan], rtol=1e-9)
     (gradient,) = next(axes for axes in figure.axes if axes.get_ylabel() == "gradient norm").get_lines()
     np.testing.assert_allclose(gradient.get_ydata(), [line.gradient_norm for line in plan.history])
+
+
+def test_a_cost_below_the_last_leaves_a_gap_that_no_line_bridges(plan):
+    """A multiplier's step may raise the cost again."""
+    history = tuple(line._replace(cost=4.0) if k == 2 else line for k, line in enumerate(plan.history))
+    (line,) = panel(draw_plan(replace(plan, history=history), None), "Convergence").get_lines()
+    assert np.isnan(line.get_ydata()[2])
+    assert np.isfinite(line.get_ydata()[[1, 3]]).all()
 
 
 @pytest.mark.parametrize("length", [0, 1])

@@ -103,6 +103,7 @@ def test_a_large_film_stays_beside_the_page(tmp_path, monkeypatch):
 
 DRIVER = """
 <script>addEventListener("load", () => setTimeout(async () => {
+  document.querySelectorAll("details").forEach(one => { one.open = true; });
   const say = (name, value) => document.body.setAttribute("data-" + name, value);
   const film = document.querySelector("video"), svg = document.querySelector("svg[data-chart]");
   const box = svg.getBoundingClientRect(), at = part => box.left + box.width * part;

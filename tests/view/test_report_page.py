@@ -86,6 +86,15 @@ def test_the_verdict_comes_first_then_pictures_figures_parameters(plan, tmp_path
     assert "FAIL" not in text
 
 
+def test_the_first_screen_has_verdict_and_film_and_the_rest_is_folded(plan, tmp_path):
+    text = write_report(plan, proof_of(), tmp_path).read_text(encoding="utf-8")
+    first, _, rest = text[text.index("<body>") :].partition("<details")
+    assert all(words in first for words in ("PASS", "robust with its gains", "Not checked", "No video was made"))
+    assert not any(words in first for words in ("<svg", "<table"))
+    folded = re.findall(r'class="part"><summary>([^<]*)', rest)
+    assert folded == ["Curves", "Proof", "How it was made"]
+
+
 def test_a_figure_beyond_its_bound_is_marked_by_word_and_colour(plan, tmp_path):
     section = Section(
         "goal", (Measurement("height_error", math.inf, "%", 0.2), Measurement("speed", math.nan, "", 1.0))
@@ -117,8 +126,9 @@ def test_pictures_and_video_are_embedded_byte_for_byte(plan, tmp_path):
         (tmp_path / name).write_bytes(content)
     page = page_of(plan, proof_of(), tmp_path, note="never shown")
     embedded = [source.partition(";base64,") for source in page.sources]
-    assert [kind for kind, _, _ in embedded] == ["data:video/mp4"] + ["data:image/png"] * 3
-    assert [base64.b64decode(text) for _, _, text in embedded] == list(data.values())
+    assert [kind for kind, _, _ in embedded] == ["data:video/mp4"] + ["data:image/png"] * 2
+    shown = [data[name] for name in ("video.mp4", "strip.png", "proof.png")]  # the page draws the curves of plots.png
+    assert [base64.b64decode(text) for _, _, text in embedded] == shown
     assert "never shown" not in page.text
     assert "link" not in page.tags
 

@@ -104,10 +104,12 @@ def task_goal_specs(task: Task, x0: np.ndarray) -> tuple[GoalSpec, ...]:
         at = task.judged_times(path)
         points, times = path.at(at, task.duration), tuple(at.tolist())
         if path.frame is not None:
-            error, unit = partial(_path_error, mechanism, path.frame, points), "m"
-        else:
-            error, unit = partial(_joint_error, _addresses(mechanism, path), points), task.units(path)[0]
-        found.append(GoalSpec(f"path of {path.what}", unit, error, times, task.tolerance(path)))
+            error = partial(_path_error, mechanism, path.frame, points)
+            found.append(GoalSpec(f"path of {path.what}", "m", error, times, task.tolerance(path)))
+            continue
+        for k, address in enumerate(_addresses(mechanism, path)):  # each joint in its own unit
+            error = partial(_joint_error, np.array([address]), points[:, [k]])
+            found.append(GoalSpec(f"path of {path.joints[k]}", task.units(path)[k], error, times, task.tolerance(path)))
     if task.rests:
         nv, states = mechanism.nv, slice(mechanism.nq, mechanism.nq + mechanism.nv)
         stopped = np.flatnonzero(~ballistic_dofs(mechanism, x0))

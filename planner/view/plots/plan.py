@@ -265,14 +265,14 @@ def draw_convergence(axes: Axes, plan: Plan) -> None:
         (None, "gradient norm", gradient, HUES[1][0], "s"),
     ):
         # A log scale has no zero: the last cost, which is the final one, falls out, and so does rounding.
-        result = np.isfinite(positive(values))
-        if not np.any(result):
+        shown = positive(values)  # not finite where there is nothing to draw: a gap, which no line bridges
+        if not np.any(np.isfinite(shown)):
             continue
         if axis is None:
             axis = right_axis(axes, "") if drawn else axes
         axis.set_yscale("log")
         mark = marker if len(iterations) < _MARKED else ""
-        axis.plot(iterations[result], values[result], color=dark, lw=1.2, marker=mark, ms=3.5)
+        axis.plot(iterations, shown, color=dark, lw=1.2, marker=mark, ms=3.5)
         axis.set_ylabel(label, color=dark, fontsize=8.5)
         axis.tick_params(axis="y", which="both", colors=dark)
         axis.tick_params(axis="y", which="minor", length=1.5)

@@ -38,9 +38,7 @@ def whole_motion(
     """
     scenery = scenery_of(model, appearance)[0]
     plan = swept_points(model, films[0].path_ghost_qpos, scenery)
-    low, high = plan.min(axis=0), plan.max(axis=0)
-    far = _ASTRAY * float(np.max(high - low))
-    swept = [np.clip(swept_points(model, film.path_qpos, scenery), low - far, high + far) for film in films]
+    swept = [kept_near(plan, swept_points(model, film.path_qpos, scenery)) for film in films]
     points = np.concatenate([plan, *swept])
     if ghost:
         points = np.concatenate([points, points + np.asarray(appearance.ghost_offset)])
@@ -53,6 +51,13 @@ def whole_motion(
     distance = standing_back(points - middle, *angles, aspect, room, _MARGIN if words else _NARROW_MARGIN)
     above = below_words(points - middle, *angles, distance) if room == 1.0 and words else 0.0
     return middle + above, distance
+
+
+def kept_near(plan: np.ndarray, points: np.ndarray) -> np.ndarray:
+    """Points (M, 3), at most _ASTRAY of the plan's largest side beyond the box of its points (P, 3)."""
+    low, high = plan.min(axis=0), plan.max(axis=0)
+    most = _ASTRAY * float(np.max(high - low))
+    return np.clip(points, low - most, high + most)
 
 
 def scenery_of(model: Any, appearance: Appearance) -> tuple[np.ndarray, np.ndarray]:

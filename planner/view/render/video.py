@@ -30,6 +30,7 @@ if TYPE_CHECKING:
 
 _LARGEST = 4096  # pixels; scene.py draws twice as large, and OpenGL gives little more than 8192
 _LONGEST = 100_000  # frames
+_UNSEEN, _UNSEEN_REST = 0.02, 1e-3  # of a coordinate's range, and rad or m: a difference of replays that no film shows
 
 
 def render_video(
@@ -47,7 +48,8 @@ def render_video(
 
     Args:
         shown: A replay, or a proof for its open-loop replay at the left and the one with gains at the
-            right, each with the ghost of the plan. A replay that ran away stays in its last pose.
+            right, each with the ghost of the plan; one of them where both pass and look the same. A replay that ran
+            away stays in its last pose.
         path: The file, ending in .mp4.
         width: Pixels, even.
         height: Pixels, even.
@@ -90,8 +92,20 @@ def render_video(
     return Path(path)
 
 
+def one_replay_shows_both(proof: Proof) -> bool:
+    """Whether both replays of a proof pass, and no coordinate differs between them by what could be seen."""
+    if proof.mode is None or not (proof.refined_open_loop.passed and proof.refined_feedback.passed):
+        return False
+    one, other = (proof.replays[mode].qpos for mode in MODE_WORDS)
+    return one.shape == other.shape and bool(
+        np.all(np.abs(one - other) <= _UNSEEN * np.ptp(one, axis=0) + _UNSEEN_REST)
+    )
+
+
 def _captioned(proof: Proof) -> dict[Replay, Caption | None]:
-    """The replays of a proof, open loop first, with the words under each."""
+    """The replays of a proof, open loop first, with the words under each; one for both where they look the same."""
+    if one_replay_shows_both(proof):
+        return {proof.replays["open-loop"]: Caption("open loop, and with gains the same", "PASS")}
     sections = {"open-loop": proof.refined_open_loop, "feedback": proof.refined_feedback}
     captioned: dict[Replay, Caption | None] = {}
     for mode, words in MODE_WORDS.items():

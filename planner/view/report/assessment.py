@@ -43,7 +43,7 @@ class _Part:
 
 def assessment(plan: Plan, proof: Proof) -> str:
     """The section of the page about a proof."""
-    return "\n".join(["<h2>Proof</h2>", *(_shown(part) for part in _parts(plan, proof))])
+    return "\n".join(_shown(part) for part in _parts(plan, proof))
 
 
 def _shown(part: _Part) -> str:

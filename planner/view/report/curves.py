@@ -83,7 +83,7 @@ def interactive(plan: Plan, proof: Proof | None) -> str:
         keys.append('<span class="key bound"></span> bound')
     block = json.dumps(data, separators=(",", ":")).replace("<", "\\u003c")  # no name can end the block
     return (
-        f'<h2>Curves</h2>\n<p class="keys">{" &nbsp; ".join(keys)}</p>\n<div class="charts">\n'
+        f'<p class="keys">{" &nbsp; ".join(keys)}</p>\n<div class="charts">\n'
         + "\n".join(drawn)
         + f'\n</div>\n<script type="application/json" id="curves">{block}</script>'
     )
@@ -227,7 +227,17 @@ SCRIPT = """
   const now = Object.assign(document.createElement("output"), {id: "now"});
   const bar = Object.assign(document.createElement("p"), {className: "bar"});
   bar.append(slider, now);
-  document.querySelector(".charts").before(bar);
+  if (film) {  // below it: a player's own controls hide the verdict that is written at its foot
+    film.removeAttribute("controls");
+    const play = Object.assign(document.createElement("button"), {type: "button", textContent: "\\u25b6"});
+    const toggle = () => film.paused ? film.play() : film.pause();
+    play.setAttribute("aria-label", "play or pause");
+    [play, film].forEach(one => one.addEventListener("click", toggle));
+    ["play", "pause"].forEach(name => film.addEventListener(name, () => {
+      play.textContent = film.paused ? "\\u25b6" : "\\u275a\\u275a"; }));
+    bar.prepend(play);
+    film.after(bar);
+  } else document.querySelector(".charts").before(bar);
   let hovered = false;
   const clip = t => Math.min(data.end, Math.max(data.start, t));
   const round = v => Math.abs(v) >= 1e5 || (v && Math.abs(v) < 1e-3) ? v.toExponential(3) : +v.toPrecision(4) + "";

@@ -162,7 +162,7 @@ td.value { overflow-wrap: anywhere; }
 .word.none { color: var(--soft); font-weight: 400; }
 figure { margin: 0 0 1.2rem; }
 figcaption { color: var(--soft); font-size: .9rem; }
-img, video { display: block; max-width: 100%; height: auto; border-radius: .4rem; background: #fff; }
+img, video { display: block; max-width: 100%; height: auto; max-height: 72vh; border-radius: .4rem; background: #fff; }
 details { margin-top: 1.2rem; }
 summary { cursor: pointer; font-weight: 600; }
 pre { overflow-x: auto; background: var(--card); padding: .8rem; border-radius: .4rem; font-size: .8rem; }
@@ -183,6 +183,7 @@ svg .cursor { stroke: #d0021b; stroke-width: 1; visibility: hidden; }
 .key { display: inline-block; width: 1.6rem; vertical-align: middle; border-top: 4px solid #ccc; }
 .key.gains { border-top: 3px solid #8a8a8a; } .key.plan { border-top: 2px dashed currentColor; }
 .key.bound { border-top: 2px dotted #555; }
-.bar { display: flex; gap: .8rem; align-items: center; position: sticky; top: 0; background: var(--paper); z-index: 1; }
+.bar { display: flex; gap: .8rem; align-items: center; }
+.part > summary { font-size: 1.15rem; padding: .4rem 0; border-top: 1px solid var(--line); }
 .bar input { flex: 1; } #now { min-width: 7rem; font-variant-numeric: tabular-nums; }
 """

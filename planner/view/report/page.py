@@ -24,6 +24,7 @@ from planner.problem.default_appearance import appearance_of
 from planner.problem.plan import Plan
 from planner.solvers.options import SolverOptions
 from planner.view.plots import case_pictures
+from planner.view.render.video import one_replay_shows_both
 from planner.view.report.assessment import assessment
 from planner.view.report.curves import SCRIPT, interactive
 from planner.view.report.markup import measured_table, number, table, verdict_box, video_player, write_page
@@ -38,9 +39,10 @@ if TYPE_CHECKING:
 NAME = "report.html"
 _EMBEDDED = 16e6  # bytes of the largest film within the page
 
+CURVES = "plots.png"
 _PICTURES = (
     ("strip.png", "Poses over the motion"),
-    ("plots.png", "Plan and replays over time, and the convergence of the solver"),
+    (CURVES, "Plan and replays over time, and the convergence of the solver"),
     ("proof.png", "Errors beside their bounds, their growth, order, perturbed machines and other grounds"),
 )
 
@@ -57,9 +59,10 @@ def write_report(
 ) -> Path:
     """Write report.html into `folder` and return its path.
 
-    The page embeds strip.png, plots.png, proof.png and video.mp4 as far as they lie in `folder`, which must exist; a
-    film of more than 16 MB stays beside it. Hovering over its curves shows values, clicking moves the film; without
-    scripts the curves are pictures.
+    The first screen has the verdict, what was not checked, and the film; the rest is folded. The page embeds strip.png,
+    proof.png and video.mp4 as far as they lie in `folder`, which must exist; a film of more than 16 MB stays beside it,
+    and so does plots.png, whose curves the page draws. Hovering over its curves shows values, clicking moves the film;
+    without scripts the curves are pictures.
     `video_note` says why there is no video, `path` lists the plan's refinements, `options` holds the flags that were
     given: {"starts": 8, "no_refine": True}. `fixes` say what to write so that a plan that failed passes.
 
@@ -68,14 +71,9 @@ def write_report(
     """
     folder = Path(folder)
     title = appearance_of(plan.problem).title or plan.case or "Plan"
-    parts = [
-        f"<h1>{escape(title)}</h1>",
-        _verdict(plan, proof, fixes),
-        _film(plan, folder, video_note),  # people look before they read
-        interactive(plan, proof),
-        _pictures(plan, proof, folder),
+    curves = interactive(plan, proof)
+    made = [
         _refinement(path),
-        "" if proof is None else assessment(plan, proof),
         _solver(plan),
         _parameters(plan),
         _chosen(plan),
@@ -83,7 +81,22 @@ def write_report(
         "<h2>Made with</h2>\n" + table(plan.versions),
         _model(plan),
     ]
+    parts = [
+        f"<h1>{escape(title)}</h1>",
+        _verdict(plan, proof, fixes),
+        _film(plan, proof, folder, video_note),  # people look before they read
+        _folded("Curves", curves),
+        _folded("Pictures", _pictures(plan, proof, folder, with_curves=not curves)),
+        _folded("Proof", "" if proof is None else assessment(plan, proof)),
+        _folded("How it was made", *made),
+    ]
     return write_page(folder / NAME, f"{_word(proof)}: {title}", [*parts, f"<script>{SCRIPT}</script>"])
+
+
+def _folded(title: str, *parts: str) -> str:
+    """What is below the first screen, folded under its title; "" where there is none of it."""
+    inside = "\n".join(filter(None, parts))
+    return f'<details class="part"><summary>{title}</summary>\n{inside}\n</details>' if inside else ""
 
 
 def _word(proof: Proof | None) -> str:
@@ -100,7 +113,9 @@ def _verdict(plan: Plan, proof: Proof | None, fixes: Sequence[SuggestedFix]) -> 
     doubt = "" if plan.success else f"<p>The solver did not converge: {escape(plan.message)}</p>"
     to_pass = f"<p>To pass: {' Or: '.join(escape(str(one)) for one in fixes)}</p>" if fixes else ""
     more = f"<p>{escape(reason)}</p>{doubt}{_unchecked(proof)}{to_pass}"
-    return verdict_box(_word(proof), _word(proof) == "PASS", words, more, warns=proof is not None and proof.misleads)
+    grade = "" if proof is None else str(getattr(proof, "robustness", ""))
+    word = f"{_word(proof)}, {grade}" if grade and ":" not in grade else _word(proof)
+    return verdict_box(word, _word(proof) == "PASS", words, more, warns=proof is not None and proof.misleads)
 
 
 def _unchecked(proof: Proof | None) -> str:
@@ -111,10 +126,13 @@ def _unchecked(proof: Proof | None) -> str:
         sentences.append(f"The plan was made without {lacking}; the replay in your file (step 6) had all of it.")
     if proof is not None and proof.not_checked:
         sentences.append(f"Not checked: {'; '.join(proof.not_checked)}.")
+    elif proof is not None:
+        sentences.append("Not checked: whether the model is the machine (see Validation under Proof).")
     return "".join(f"<p>{escape(sentence)}</p>" for sentence in sentences)
 
 
-def _film(plan: Plan, folder: Path, note: str) -> str:
+def _film(plan: Plan, proof: Proof | None, folder: Path, note: str) -> str:
+    """The film, or the strip of poses where there is none."""
     file = folder / "video.mp4"
     beside = file.is_file() and file.stat().st_size > _EMBEDDED
     video = "video.mp4" if beside else embedded(file, "video/mp4")
@@ -122,26 +140,33 @@ def _film(plan: Plan, folder: Path, note: str) -> str:
         appearance = appearance_of(plan.problem)
         ghost = "plan" if appearance.ghost is None else appearance.ghost.label
         goals = "; goals as balls, axes and arrows" if appearance.goals else ""
-        sides = "at the left open loop, at the right with the plan's gains"
+        alike = proof is not None and hasattr(proof, "refined_open_loop") and one_replay_shows_both(proof)
+        sides = (
+            "open loop; with the plan's gains it looks the same" if alike
+            else "at the left open loop, at the right with the plan's gains"
+        )  # fmt: skip
         caption = f"MuJoCo solid, the {ghost} as a ghost; {sides}{goals}"
         if beside:
             caption += "; the film is the file video.mp4 beside this page"
-        return f"<h2>Video</h2>\n<figure>{video_player(video)}<figcaption>{escape(caption)}</figcaption></figure>"
-    return f'<h2>Video</h2>\n<p class="soft">{escape(note or "No video was made.")}</p>'
+        return f"<figure>{video_player(video)}<figcaption>{escape(caption)}</figcaption></figure>"
+    return f'<p class="soft">Video: {escape(note or "No video was made.")}</p>'
 
 
-def _pictures(plan: Plan, proof: Proof | None, folder: Path) -> str:
+def _pictures(plan: Plan, proof: Proof | None, folder: Path, *, with_curves: bool) -> str:
+    """The pictures of the folder; plots.png only where the page has not drawn its curves already."""
     own = {} if proof is None else case_pictures(plan, proof.replay)
     first, *others = _PICTURES
     figures = []
     for name, caption in (first, *((name, picture.caption) for name, picture in own.items()), *others):
+        if name == CURVES and not with_curves:
+            continue
         source = embedded(folder / name, "image/png")
         if source:
             figures.append(
                 f'<figure><img src="{source}" alt="{escape(caption)}">'
                 f"<figcaption>{escape(caption)}</figcaption></figure>"
             )
-    return "<h2>Pictures</h2>\n" + "\n".join(figures) if figures else ""
+    return "\n".join(figures)
 
 
 def _refinement(path: Sequence[Refinement]) -> str:

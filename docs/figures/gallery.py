@@ -1,0 +1,56 @@
+"""Make docs/gallery.md and its pictures: `python docs/figures/gallery.py [FOLDER]`, `make gallery` too.
+
+Each entry is planned, proved and drawn as its command does: what the page says of it is what came out.
+"""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import planner
+from planner.proof.replays.replaying import replay
+
+ROOT = Path(__file__).parents[2]
+CASES = ("hopper", "two_link", "acrobot", "puma", "high_dive", "human_step")  # the paper's first
+SHOWN = 5  # poses
+SIZE = 1000, 220  # pixels
+HEAD = """# Gallery
+
+Each picture is the plan's replay in MuJoCo, at equal times; the verdict is that of `planner run`, before its perturbed
+simulations. `python docs/figures/gallery.py` makes this page again: it plans, proves and draws everything on it.
+"""
+
+
+def entries() -> list[tuple[str, str, planner.Problem]]:
+    """Title, command and problem of each."""
+    found = []
+    for name in CASES:
+        case = name.replace("_", "-")
+        found.append((case, f"planner run {case}", getattr(planner.cases, name)()))
+    files = [*sorted((ROOT / "examples" / "tasks").glob("*.toml")), ROOT / "examples" / "crane.toml"]
+    files += sorted((ROOT / "examples" / "closed_chains").glob("*.toml"))
+    for file in files:
+        where = file.relative_to(ROOT).as_posix()
+        found.append((file.stem.replace("_", " "), f"planner run {where}", planner.load_problem(file)))
+    return found
+
+
+def main(folder: Path) -> None:
+    """Write gallery.md into a folder, and its pictures beside it."""
+    pictures, page = folder / "figures" / "gallery", [HEAD]
+    pictures.mkdir(parents=True, exist_ok=True)
+    for title, command, problem in entries():
+        plan = planner.solve(problem)
+        proof = planner.prove(plan, rollouts=0)
+        name = command.split("/")[-1].split()[-1].replace(".toml", "").replace("_", "-")
+        name += "-chain" if "closed_chains" in command else ""
+        planner.render_strip(replay(plan), pictures / f"{name}.png", poses=SHOWN, width=SIZE[0], height=SIZE[1])
+        text = f"## {title.capitalize()}\n\n![{title}](figures/gallery/{name}.png)\n\n"
+        page.append(f"{text}`{command}`\n\n{proof.headline}. {plan.N} stages, {plan.nit} iterations.\n")
+        print(title, proof.headline, flush=True)
+    (folder / "gallery.md").write_text("\n".join(page), encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main(Path(sys.argv[1]) if len(sys.argv) > 1 else ROOT / "docs")
