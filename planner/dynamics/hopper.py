@@ -10,6 +10,7 @@ from planner.kernels.hopper import second as hopper_second
 from planner.kernels.hopper import step as kernel
 from planner.kernels.lq.workspace import Workspace
 from planner.kernels.numba.lanes import WIDTH, lane_array
+from planner.model.capabilities import Capabilities
 
 
 class HopperDynamics:
@@ -31,6 +32,7 @@ class HopperDynamics:
     coordinates = (("height", "in"), ("velocity of height", "in/s"), ("piston", "in"))
     structured = False
     has_slopes = True
+    capabilities = Capabilities(contacts=True, exact_hessian=True)
     has_ranges = False  # its compiled rollout has no cost of state ranges: solves with these use NumPy
     kernels = ("hopper search", "hopper linearize")
     second_order_kernels = ("hopper second order", "costates")

@@ -66,7 +66,7 @@ class SolverOptions:
             shrinks by it after a full step.
         short_step: Step length below which the weight on changes of the states grows.
         max_short_steps: After so many short steps in a row changes of the states are regularized, except with contacts,
-            whose nonsmoothness causes short steps.
+            stops and friction loss, whose nonsmoothness causes short steps.
 
         acceleration_steps: Number of last steps in Anderson acceleration (Walker and Ni 2011). 1: none.
         acceleration_max_reduction: Only iterations that reduce the cost by less than this of the cost are accelerated.

@@ -277,8 +277,9 @@ def _inner_solve(
         return _not_finite(problem, engine, cost)
 
     # Where contacts are nonsmooth, a weight on changes of the states does not help.
-    smooth = options.feedback and not capabilities_of(problem.dynamics).contacts
-    at_bounds = problem.bounds is not None and not capabilities_of(problem.dynamics).contacts
+    machine = capabilities_of(problem.dynamics)
+    smooth = options.feedback and not (machine.contacts or machine.stops or machine.friction_loss)
+    at_bounds = problem.bounds is not None and not machine.contacts
     regularization = Regularization(engine, exact, exact or states is not None, at_bounds, smooth, options)
     acceleration = AndersonAcceleration(problem, engine, options)
     has_inequalities = problem.limits is not None or problem.trajectory_constraints is not None
