@@ -30,7 +30,7 @@ from planner.problem.costs.terms import Quadratic
 from planner.problem.plan import Plan
 from planner.problem.problem import Problem
 from planner.solvers import lq
-from planner.solvers.options import LINE_SEARCHES
+from planner.solvers.options import LINE_SEARCHES, SolverOptions
 from planner.solvers.slq import solve
 from planner.view.plots.style import RED, SOFT, dress, grid_of, save
 
@@ -299,11 +299,13 @@ class _RecordingDynamics:
 def record_solve(problem: Problem, **options: Any) -> tuple[Plan, list[RecordedSweep]]:
     """Solve with options of solve(), and return with the plan the LQ problem of every step that was taken.
 
-    The problem has compiled dynamics and a cost whose R + B'PB is positive definite throughout.
+    The problem has compiled dynamics and a cost whose R + B'PB is positive definite throughout. Its LQ problems are the
+    paper's: none has a weight on changes of the states.
     """
     if not isinstance(problem.dynamics, CompiledDynamics):
         raise PlannerError("the problem's dynamics are not compiled, expected RigidBodyDynamics or HopperDynamics.")
     dynamics = _RecordingDynamics(problem.dynamics)
-    plan = solve(replace(problem, dynamics=dynamics, twin=None, requirements=None), **options)
+    printed = SolverOptions(max_short_steps=LIMIT)  # more than there are
+    plan = solve(replace(problem, dynamics=dynamics, twin=None, requirements=None), printed, **options)
     lines = zip(plan.history, dynamics.sweeps, strict=False)  # the last line is the plan, where nothing is searched
     return plan, [step._replace(regularization=line.regularization) for line, step in lines if line.step > 0.0]
