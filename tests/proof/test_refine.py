@@ -48,7 +48,10 @@ def test_a_swing_up_that_a_semi_implicit_step_had_deceived():
     assert refined.path[0].end_error > 10.0  # bounds
     assert refined.path[-1].mode == "feedback"
     assert sum(line.seconds for line in refined.path[1:]) < 60.0
-    assert refined.plan.cost < 3.0  # the motion is kept: another local minimum costs 6.6
+    first = planner.solve(problem)
+    for furthest in (np.min, np.max):  # the motion is kept: in others of the acrobot the elbow turns by radians more
+        kept = furthest(refined.plan.xs[:, :2], axis=0) - furthest(first.xs[:, :2], axis=0)
+        assert np.abs(kept).max() < 0.5
 
 
 def test_a_refined_plan_is_stored_with_its_integrator(tmp_path):
