@@ -2,6 +2,7 @@
 
 import json
 import os
+import pickle
 import signal
 from dataclasses import replace
 
@@ -295,3 +296,9 @@ def test_one_study_as_a_command(tmp_path, capsys):
     document = json.loads(capsys.readouterr().out)
     assert document["difference"] < 1e-8
     assert {path.name for path in (tmp_path / "p").iterdir()} == {"table.md", "table.json"}
+
+
+@pytest.mark.parametrize("study", pages.STUDIES, ids=lambda study: study.name)
+def test_a_study_can_be_sent_to_a_process(study):
+    """As `planner paper` does with all of them."""
+    assert pickle.loads(pickle.dumps(study)).name == study.name
