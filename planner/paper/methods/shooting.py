@@ -86,7 +86,7 @@ class HamiltonianFlow:
 
     def rates(self, y: np.ndarray) -> np.ndarray:
         """d(x, lambda)/dt (2 nx,)."""
-        x, costate = np.split(y, 2)
+        x, costate = y[: len(y) // 2], y[len(y) // 2 :]
         u = self.control(x, costate)
         f_x, _ = self.system.f.partials(x, u)
         H_x = self.system.Q @ (x - self.system.x_ref) + f_x.T @ costate  # Eq. 3

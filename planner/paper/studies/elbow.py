@@ -9,6 +9,7 @@ up. SLQ's gradient is that of the sum it computes, at any step: set against diff
 from __future__ import annotations
 
 from dataclasses import asdict
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -41,6 +42,7 @@ TOLERANCES = (1e-3, 1e-4, 1e-5, 1e-6, 1e-8, 1e-10)
 REFERENCE = Integration(1e-11, "DOP853")
 DESCENTS = ((1e-3, 40), (1e-4, 50))  # tolerance and iterations of BFGS from the first guess
 POLISH = (1e-5, 25)  # and from where the last of these gave up
+SHORT: dict[str, Any] = {"descents": ((1e-3, 15), (1e-4, 20)), "polish": (1e-5, 10), "tolerances": (1e-3, 1e-4, 1e-6)}
 STAGES = (150, 300)  # of SLQ's discretization
 GRADIENT_RATIO = 2e-3  # of the first gradient: as small as that of Eq. 7 gets here
 DURATION = 3.0  # s, that of our acrobot
@@ -114,24 +116,27 @@ def _slq(stages: int) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def _run() -> dict[str, Any]:
-    tried = {tolerance: problem_at(Integration(tolerance)) for tolerance in TOLERANCES}
-    descents, last = [], tried[TOLERANCES[0]].first
-    for tolerance, iterations in DESCENTS:
+def _run(
+    descents: tuple[tuple[float, int], ...] = DESCENTS, polish: tuple[float, int] = POLISH,
+    tolerances: tuple[float, ...] = TOLERANCES,
+) -> dict[str, Any]:  # fmt: skip
+    tried = {tolerance: problem_at(Integration(tolerance)) for tolerance in tolerances}
+    done, last = [], tried[tolerances[0]].first
+    for tolerance, iterations in descents:
         found, last = _descent(tolerance, iterations)
-        descents.append(found)
-    polished, best = _descent(*POLISH, first=last)
+        done.append(found)
+    polished, best = _descent(*polish, first=last)
     exact = problem_at(REFERENCE)
     points = [
         errors_at(name, exact(free), [problem(free) for problem in tried.values()])
         for name, free in (
-            ("first guess", exact.first), (f"where BFGS ended at {DESCENTS[-1][0]:g}", last),
-            (f"gone on from there at {POLISH[0]:g}", best),
+            ("first guess", exact.first), (f"where BFGS ended at {descents[-1][0]:g}", last),
+            (f"gone on from there at {polish[0]:g}", best),
         )
     ]  # fmt: skip
     return {
-        "tolerances": list(TOLERANCES), "reference": asdict(REFERENCE), "points": points,
-        "descents": [*descents, polished], "slq": [_slq(stages) for stages in STAGES],
+        "tolerances": list(tolerances), "reference": asdict(REFERENCE), "points": points,
+        "descents": [*done, polished], "slq": [_slq(stages) for stages in STAGES],
     }  # fmt: skip
 
 
@@ -212,5 +217,5 @@ def _draw(results: dict[str, Any], path: Path) -> None:
     save(figure, path)
 
 
-STUDY = Study("elbow", "the adjoint gradient of Eq. 7 near convergence (2.2)",
-              _run, _page, _rows, {"elbow_gradient.png": _draw}, seconds=25)  # fmt: skip
+STUDY = Study("elbow", "the adjoint gradient of Eq. 7 near convergence (2.2)", partial(_run, **SHORT), _page, _rows,
+              {"elbow_gradient.png": _draw}, seconds=10, full=_run)  # fmt: skip

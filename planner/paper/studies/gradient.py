@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +24,7 @@ from planner.problem.problem import Problem
 from planner.solvers.slq import solve
 from planner.view.plots.style import dress, grid_of, save
 
-LIMIT = 1000  # iterations
+LIMIT, SHORT = 1000, 200  # iterations, for the documents and otherwise
 SHOWN = 160  # points of a curve
 DIFFERENCES = (1e-3, 1e-4, 1e-5, 1e-6, 1e-7)  # of controls, in their unit
 PROBLEMS: dict[str, Callable[[], Problem]] = {
@@ -218,4 +219,5 @@ def _draw(results: dict[str, Any], path: Path) -> None:
 
 
 STUDY = Study("gradients", "gradient methods beside SLQ",
-              gradient_results, _page, _rows, {"gradients.png": _draw}, seconds=35)  # fmt: skip
+              partial(gradient_results, limit=SHORT), _page, _rows, {"gradients.png": _draw}, seconds=10,
+              full=gradient_results)  # fmt: skip

@@ -39,6 +39,7 @@ CYCLE_TIME = 1.2  # s, of the case's default cadence
 DEGREE = 3  # of the splines: with quintics 32 parameters for 6 controls are too few
 COEFFICIENTS = (5, 32)  # of each of 6 controls: 30 parameters, about the paper's 32; and 32 for each
 MAX_BFGS_ITERATIONS = (1000, 100)  # iterations of BFGS: the second is to be seen beside the first, not to converge
+FEW_BFGS_ITERATIONS = (150, 20)  # where the numbers are not for the documents
 GRADIENT = 1e-6  # where BFGS ends, relative to J of the guess
 LIMITS = {"feedback": 100, "open-loop": 100, "feedforward alone": 40}
 WITHIN = (0.05, 0.01, 0.001)  # of the end, whose first iteration is told
@@ -88,7 +89,7 @@ def feedforward_alone(problem: Problem, iterations: int) -> list[float]:
     return costs
 
 
-def step_results() -> dict[str, Any]:
+def step_results(most: tuple[int, int] = MAX_BFGS_ITERATIONS) -> dict[str, Any]:
     """Splines, updates, stance and swing, replays, and the default motions in the pictures, as JSON values."""
     problems = {name: human_step(phase=name, cost="study") for name in ("swing", "cycle")}
     for problem in problems.values():
@@ -100,9 +101,7 @@ def step_results() -> dict[str, Any]:
     long = human_step(cost="study", cycles=CYCLES)
     return {
         "updates": updates,
-        "splines": [
-            _splines(problems["swing"], n, most) for n, most in zip(COEFFICIENTS, MAX_BFGS_ITERATIONS, strict=True)
-        ],
+        "splines": [_splines(problems["swing"], n, few) for n, few in zip(COEFFICIENTS, most, strict=True)],
         "swing": _motion(plans["swing"]),
         "cycle": _motion(plans["cycle"]),
         "cycles": {"cycles": CYCLES, **_solved(long)[1]},

@@ -33,7 +33,7 @@ COEFFICIENTS, DEGREE = 5, 3  # of each of six accelerations: 30 parameters; the 
 WEIGHTS = (1.0, 100.0, 1e4)  # of the penalties, times those of the case
 DESCENT = 1e-4  # tolerance of the integrations in BFGS
 TOLERANCES, REFERENCE = (1e-3, 1e-4, 1e-5, 1e-6), 1e-8
-SHORT = {"weights": WEIGHTS[::2], "tolerances": TOLERANCES[:2], "reference": 1e-6, "iterations": 10, "exact": 100}
+SHORT = {"weights": WEIGHTS[::2], "tolerances": TOLERANCES[:2], "reference": 1e-6, "iterations": 5, "exact": 50}
 
 
 def stiffened(problem: Problem, factor: float) -> Problem:
