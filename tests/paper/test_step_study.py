@@ -18,8 +18,7 @@ pytestmark = pytest.mark.slow
 def results():
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(step_study, "CYCLES", 1)
-        patch.setattr(step_study, "LIMITS", {"feedback": 100, "open-loop": 30, "feedforward alone": 2})
-        return step_study.step_results((20, 2))
+        return step_study.step_results((20, 2), {"feedback": 100, "open-loop": 30, "feedforward alone": 2})
 
 
 def test_numbers_are_json_and_the_page_has_no_empty_cell(results):

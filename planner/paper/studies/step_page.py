@@ -14,9 +14,9 @@ from planner.paper.studies.step_run import (
     COEFFICIENTS,
     CYCLE_TIME,
     DEGREE,
-    FEW_BFGS_ITERATIONS,
     FRAMES,
     LIMITS,
+    SHORT,
     WITHIN,
     first_within,
     step_results,
@@ -117,7 +117,7 @@ def _page(results: dict[str, Any]) -> list[str]:
         "", "Open-loop is the paper's Eq. 36: the direction dU holds the states of the LQ problem (Eq. 25, 30).",
         "Feedforward alone is U + alpha k, what is left when they are forgotten: no direction of the paper's, and the",
         "one that crawls on the swing and gets stuck on the cycle. It is counted in NumPy, so its seconds are not the",
-        f"others'; limits {', '.join(f'{limit} ({name})' for name, limit in LIMITS.items())}.", "",
+        f"others'; limits {', '.join(f'{limit} ({name})' for name, limit in results['limits'].items())}.", "",
         f"The swing by B-splines: six accelerations of the pelvis of degree {DEGREE}, BFGS, exact gradient by the",
         f"costate. {COEFFICIENTS[0]} coefficients each are nearly the paper's {PAPERS} parameters:", "",
         *table({
@@ -244,6 +244,6 @@ def draw_step_methods(results: dict[str, Any], path: Path) -> None:
     save(figure, path)
 
 
-STUDY = Study("step", "the human step (2.3)", partial(step_results, FEW_BFGS_ITERATIONS), _page, _rows, {
+STUDY = Study("step", "the human step (2.3)", partial(step_results, **SHORT), _page, _rows, {
     "step_fig5.png": draw_step, "step_cycle.png": draw_step_cycle, "step_methods.png": draw_step_methods,
 }, seconds=18, full=step_results)  # fmt: skip

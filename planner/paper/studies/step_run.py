@@ -13,6 +13,7 @@ The last is what remains of Eq. 36 when Eq. 30 is left out, an easy mistake.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import asdict
 from typing import Any
 
@@ -39,9 +40,9 @@ CYCLE_TIME = 1.2  # s, of the case's default cadence
 DEGREE = 3  # of the splines: with quintics 32 parameters for 6 controls are too few
 COEFFICIENTS = (5, 32)  # of each of 6 controls: 30 parameters, about the paper's 32; and 32 for each
 MAX_BFGS_ITERATIONS = (1000, 100)  # iterations of BFGS: the second is to be seen beside the first, not to converge
-FEW_BFGS_ITERATIONS = (150, 20)  # where the numbers are not for the documents
 GRADIENT = 1e-6  # where BFGS ends, relative to J of the guess
 LIMITS = {"feedback": 100, "open-loop": 100, "feedforward alone": 40}
+SHORT: dict[str, Any] = {"most": (150, 20), "limits": {**LIMITS, "feedforward alone": 15}}  # not for the documents
 WITHIN = (0.05, 0.01, 0.001)  # of the end, whose first iteration is told
 POSES = 41  # of the swing, to draw some of
 CYCLES = 3
@@ -89,18 +90,19 @@ def feedforward_alone(problem: Problem, iterations: int) -> list[float]:
     return costs
 
 
-def step_results(most: tuple[int, int] = MAX_BFGS_ITERATIONS) -> dict[str, Any]:
+def step_results(most: tuple[int, int] = MAX_BFGS_ITERATIONS, limits: Mapping[str, int] = LIMITS) -> dict[str, Any]:
     """Splines, updates, stance and swing, replays, and the default motions in the pictures, as JSON values."""
     problems = {name: human_step(phase=name, cost="study") for name in ("swing", "cycle")}
     for problem in problems.values():
         solve(problem, max_iterations=1)  # so that nothing is compiled on the clock
     plans, updates = {}, {}
     for name, problem in problems.items():
-        plans[name], updates[name] = _updates(problem)
+        plans[name], updates[name] = _updates(problem, limits)
     lowest = human_step(phase="swing", cost="study", clearance=0.0)
     long = human_step(cost="study", cycles=CYCLES)
     return {
         "updates": updates,
+        "limits": dict(limits),
         "splines": [_splines(problems["swing"], n, few) for n, few in zip(COEFFICIENTS, most, strict=True)],
         "swing": _motion(plans["swing"]),
         "cycle": _motion(plans["cycle"]),
@@ -115,12 +117,12 @@ def _solved(problem: Problem, **options: Any) -> tuple[Plan, dict[str, Any]]:
     return plan, {**plan_record(plan), "seconds": seconds, "costs": [line.cost for line in plan.history]}
 
 
-def _updates(problem: Problem) -> tuple[Plan, dict[str, Any]]:
+def _updates(problem: Problem, limits: Mapping[str, int]) -> tuple[Plan, dict[str, Any]]:
     """The plan, and the three updates on one problem."""
     found = {}
-    plan, found["feedback"] = _solved(problem, max_iterations=LIMITS["feedback"])
-    _, found["open-loop"] = _solved(problem, update="open-loop", max_iterations=LIMITS["open-loop"])
-    most = LIMITS["feedforward alone"]
+    plan, found["feedback"] = _solved(problem, max_iterations=limits["feedback"])
+    _, found["open-loop"] = _solved(problem, update="open-loop", max_iterations=limits["open-loop"])
+    most = limits["feedforward alone"]
     costs, seconds = timed(lambda: feedforward_alone(problem, most))
     found["feedforward alone"] = {
         "status": "MAX_ITERATIONS" if len(costs) > most else "NO_DESCENT", "iterations": len(costs) - 1,

@@ -63,7 +63,7 @@ FAMILIES: dict[str, Family] = {
     "acrobot": Family(lambda: cases.acrobot(horizon=150), 1.0, 5, cases.acrobot, most=50, rules=ON_ARMS),
     "human-step": Family(lambda: cases.human_step("swing", cost="study"), 5.0, 10, most=50),
 }
-QUICK = {name: replace(family, rules=ON_ARMS if name == "human-step" else family.rules)
+QUICK = {name: replace(family, rules=("armijo", "goldstein") if name == "human-step" else family.rules)
          for name, family in FAMILIES.items()}  # fmt: skip
 
 
