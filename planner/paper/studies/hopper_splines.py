@@ -37,11 +37,6 @@ COEFFICIENTS = (8, 17, 32)  # of the quintic splines; 17 are those of section 2.
 DRAWN = (20.0, 17)  # height and coefficients of the curves
 # height and tolerance of the paper's own way
 ADJOINT: tuple[tuple[float, float], ...] = ((1.0, 1e-3), (20.0, 1e-3), (20.0, 1e-6), (50.0, 1e-3))
-    (1.0, 1e-3),
-    (20.0, 1e-3),
-    (20.0, 1e-6),
-    (50.0, 1e-3),
-)  # height and tolerance of the paper's own way
 ADJOINT_ITERATIONS, FEW = 25, 8  # for the documents, and otherwise
 TOLERANCES = (1e-2, 1e-3, 1e-4, 1e-5, 1e-6, 1e-8)
 REFERENCE = 1e-11
