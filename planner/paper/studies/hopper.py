@@ -226,8 +226,8 @@ def _rows(results: dict[str, Any]) -> list[Row]:
             "it does not differ where every larger r needs fewer; low hops take a few iterations at any r"),
         Row("4", "Failed to converge for alpha < 1e-5", _on_alpha(results),
             f"failed is not within {LIMIT} iterations: slow, not divergent. The paper's update from zero fails sooner "
-            "than printed, continuation by the feedback update where it is printed, and exact Hessians, which see the "
-            "spring's curvature, lift the limit"),
+            "than printed, continuation by the feedback update near where it is printed, and exact Hessians, which "
+            "see the spring's curvature, lift the limit"),
         Row("4, figure of the hop",
             "An alternating sequence of stance and flight, with its switches found by the algorithm",
             stances, "agrees in kind; the figure has no numbers to compare"),

@@ -241,8 +241,9 @@ def _rows(results: dict[str, Any]) -> list[Row]:
             "figure has no scale"),
         Row("2.1, Eq. 5", "Soft ends, c = 100, and 12 amplitudes a joint of quintic splines on 12 intervals",
             "; ".join(f"ends {p['ends']}, {p['intervals']} intervals: effort {p['effort']:.4g}" for p in printed[:4]),
-            f"the print contradicts itself: {INTERVALS} intervals have {INTERVALS + DEGREE} amplitudes. Our default "
-            "meets the ends and has all of them"),
+            f"the numbers of the print do not fit: quintics on {INTERVALS} intervals have {INTERVALS + DEGREE} "
+            f"amplitudes, {INTERVALS + DEGREE - 2} with the start met. Our default meets both ends and has the other "
+            f"{INTERVALS + DEGREE - 4} free"),
         Row("2.1", "Adaptive Simpson quadrature",
             f"effort {simpson['effort']:.8g} at {SIMPSON:g}, by Gauss's nodes {gauss['effort']:.8g}",
             f"it does not matter, but for time: {simpson['seconds']:.2g} s in place of {gauss['seconds']:.2g} s"),

@@ -213,7 +213,8 @@ def _rows(results: dict[str, Any]) -> list[Row]:
         Row("1", "Criteria: effort, energy, jerk, time",
             ", ".join(f"{name} {values[name][name]:.4g} {unit}" for name, unit in MEASURES.items())
             + f", each with torques within {BOUND:g} N m",
-            "the paper plans by effort only; two-link arm, "
+            "the paper names them; its arms are planned by effort, its step by nearness to a gait, its hopper by "
+            "fuel. Two-link arm, "
             + ("each the least of its own criterion" if own else "not each the least of its own: local minima")),
         Row("1", "Minimum time",
             f"cart {cart['found_s']:.4f} s (exact: 2 s); arm {arm['found_s']:.4f} s with torques within "

@@ -177,7 +177,7 @@ def page(done: Sequence[Finished], rows: Sequence[Row], pictures: str, full: boo
         f"`planner paper{' --full' if full else ''}` in {sum(one.seconds for one in done):.0f} s of processor time. "
         "Here is the first table of every study; all of it, with its seconds: "
         + ", ".join(f"[{one.study.name}]({pictures}{one.study.name}.md) {one.seconds:.0f}" for one in done) + ".",
-        "The paper's times are those of a Pentium III at 800 MHz. Failures that the paper reports are results here",
+        "Where the paper names a computer, it is a Pentium III at 800 MHz. Failures that it reports are results here",
         "too.", "",
         row_of(HEADS), "|---|---|---|---|", *(row_of(map(_cell, row)) for row in rows), "",
     ]  # fmt: skip

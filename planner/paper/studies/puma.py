@@ -105,8 +105,8 @@ def _rows(results: dict[str, Any]) -> list[Row]:
             f"rad/s; {shown['payload']:.0f} kg in {shown['duration']:g} s replayed in MuJoCo: {shown['verdict']} "
             f"({shown['mode']})",
             "another arm and another lift: inertias are a 560's, scaled, and torque limits are chosen so that "
-            f"the static limit is the rated {results['rated']:g} kg. [20] has speed limits; without them ours needs up "
-            f"to {fastest:.0f} rad/s, which is why it lifts more")
+            f"the static limit is the rated {results['rated']:g} kg. Without limits of speed it needs up to "
+            f"{fastest:.0f} rad/s, which is why it lifts more than three times as much")
     ]  # fmt: skip
 
 
@@ -150,7 +150,7 @@ def _page(results: dict[str, Any]) -> list[str]:
         f"The lift of {shown['payload']:.1f} kg in {shown['duration']:g} s at the case's own step: {shown['status']} "
         f"after {shown['iterations']} iterations.",
         f"MuJoCo: {shown['verdict']} ({shown['mode']}); end errors: {ends}.", "",
-        "[20] limits the speeds of the joints. Only our last row does. Without a limit the swings here are far "
+        "Only the last row limits the speeds of the joints. Without a limit the swings here are far "
         "faster than",
         "the joints of a real Puma, and the ratio is one of torques alone. Friction is left out.",
     ]  # fmt: skip

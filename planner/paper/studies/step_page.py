@@ -58,7 +58,7 @@ def _rows(results: dict[str, Any]) -> list[Row]:
             "the paper gives no numbers, nor the size of the person; we take them from a table. The knee is passive "
             "and bends less than a walker's. The pelvis is listed more than it is twisted. At the end it is tilted, "
             "which shortens the step: the cost asks for angles, not for the place where the foot lands"),
-        Row("2.3", "Approximately 4 hours to converge (PIII-800)",
+        Row("2.3", "Approximately 4 hours to converge (no computer named)",
             f"swing {swing['feedback']['seconds']:.2g} s, stance and swing of both legs {slq['seconds']:.2g} s",
             "today's processor is some tens of times as fast: hours become minutes. The rest comes from exact "
             f"derivatives, and from {swing['feedback']['iterations']} iterations in place of hundreds: BFGS with "
@@ -72,7 +72,7 @@ def _rows(results: dict[str, Any]) -> list[Row]:
             "pelvis as controls, and rollouts with the gains. Eq. 36 converges too, more slowly and to a slightly "
             "higher minimum. Without the states of the LQ problem it fails"),
         Row("2.3",
-            '"In just a few minutes" with the new algorithm, stance and swing together',
+            'Believed possible: "in just a few minutes" by the new algorithm, stance and swing together',
             f"{slq['seconds']:.2g} s for a cycle, {results['cycles']['seconds']:.2g} s for "
             f"{results['cycles']['cycles']} at once (the default cost: {drawn['cycle']['seconds']:.2g} s for a "
             f"cycle); MuJoCo is {both['replay_deg']['open-loop']:.2g} deg RMS from the plan without feedback, "
