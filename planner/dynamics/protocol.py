@@ -2,12 +2,32 @@
 
 from __future__ import annotations
 
-from typing import Any, Protocol, runtime_checkable
+from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 
 from planner.kernels.integrators import INTEGRATORS
 from planner.kernels.lq.workspace import Workspace
+
+
+class Integrator(NamedTuple):
+    """What is known of an integrator outside of its stage and its derivatives, which are kernels."""
+
+    order: int | None  # of its error in the step; None where nobody knows
+    evaluations: int = 4  # of the dynamics in a step, for a budget of work; a factorization counts as one
+    mujoco: str = ""  # MuJoCo's method that is the same; "" where it has none
+
+
+KNOWN_INTEGRATORS = {
+    "euler": Integrator(1, 1), "semi-implicit-euler": Integrator(1, 1, "EULER"), "rk4": Integrator(4, 4, "RK4"),
+    "rosenbrock": Integrator(2, 4),
+}  # fmt: skip
+
+
+def integrator_of(dynamics: Any) -> Integrator:
+    """What is known of the integrator of some dynamics, which may be discrete or Python of their own."""
+    return KNOWN_INTEGRATORS.get(getattr(dynamics, "integrator", ""), Integrator(None))
+
 
 __all__ = ["INTEGRATORS", "CompiledDynamics", "Dynamics", "ResidualDynamics"]
 

@@ -14,6 +14,7 @@ import numpy as np
 
 from planner.base.errors import PlannerError
 from planner.dynamics import RigidBodyDynamics
+from planner.dynamics.protocol import integrator_of
 from planner.dynamics.step_stability import MAX_RATE_STEP, fastest_mode, reason, substeps_of
 from planner.problem.costs.terms import call_if_supported
 from planner.problem.costs.tracking import tracking_of
@@ -23,7 +24,6 @@ from planner.problem.problem import Problem
 MAX_STAGES = 100_000
 FINEST = "rk4"
 IMPLICIT = "rosenbrock"  # unchanged by finer(), since explicit integrators cannot replace it
-FIRST_ORDER = ("euler", "semi-implicit-euler")
 
 
 def finer(problem: Problem) -> Problem:
@@ -38,7 +38,7 @@ def finer(problem: Problem) -> Problem:
     """
     if problem.objective is not None:
         return with_objective(finer(base_problem(problem)), problem.objective.weights)
-    parts = 1 if getattr(problem.dynamics, "integrator", None) in FIRST_ORDER else 2
+    parts = 1 if integrator_of(problem.dynamics).order == 1 else 2
     if parts * problem.N > MAX_STAGES:
         raise PlannerError(f"half the stage makes {parts * problem.N} stages, expected at most {MAX_STAGES}.")
     dt = problem.dynamics.dt / parts

@@ -23,6 +23,7 @@ import numpy as np
 
 from planner.base.gl import load_mujoco
 from planner.base.measured import Measurement, Section
+from planner.dynamics.protocol import KNOWN_INTEGRATORS
 from planner.model.capabilities import capabilities_of
 from planner.model.mechanism import Mechanism
 from planner.model.mjcf.prescribed_joints import prescribed_dofs_of
@@ -173,9 +174,11 @@ def stage_function(
     own: dict[str, Stage] = {
         "euler": explicit_euler, "rk4": lambda x, u: munthe_kaas(rates, space, x, u, dt, integrate)
     }  # fmt: skip
-    named = {"semi-implicit-euler": "EULER"} | ({} if space.quaternions or len(driven) else {"rk4": "RK4"})
+    native = KNOWN_INTEGRATORS[integrator].mujoco if integrator in KNOWN_INTEGRATORS and constrained is None else ""
+    if native == "RK4" and (space.quaternions or len(driven)):
+        native = ""
     if constrained is not None:
-        own["semi-implicit-euler"], named = velocity_first, {}
+        own["semi-implicit-euler"] = velocity_first
     if integrator == ROSENBROCK and damping is not None and not len(driven):
         exact = None if constrained is None else functools.partial(constrained_acceleration, mechanism=constrained)
         move = implicit_step(model, dt, damping, acceleration=exact)
@@ -186,9 +189,9 @@ def stage_function(
             return twin.x_of(state_of(data))
 
         return ACCELERATIONS, implicit
-    if integrator in named:
-        model.opt.integrator = getattr(mujoco.mjtIntegrator, f"mjINT_{named[integrator]}")
-        return f"MuJoCo's {named[integrator]}", step
+    if native:
+        model.opt.integrator = getattr(mujoco.mjtIntegrator, f"mjINT_{native}")
+        return f"MuJoCo's {native}", step
     if integrator in own:
         return ACCELERATIONS, own[integrator]
     return None

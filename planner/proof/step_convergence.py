@@ -16,6 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from planner.base.measured import Measurement, Section
+from planner.dynamics.protocol import KNOWN_INTEGRATORS
 from planner.model.capabilities import capabilities_of
 from planner.model.tendons import slack_tendons
 from planner.problem.plan import Plan
@@ -27,7 +28,6 @@ from planner.proof.replays.replaying import Replay
 from planner.proof.replays.simulation import ROSENBROCK, damping_of
 from planner.proof.same_step import advancing
 
-NOMINAL = {"euler": 1.0, "semi-implicit-euler": 1.0, "rk4": 4.0, ROSENBROCK: 2.0}
 ORDER_BOUND = 0.2  # largest amount by which the observed order may be below the nominal one, for a smooth machine
 LEVELS = 5  # number of step sizes: a stage, its half, ... a sixteenth
 LEVELS_OF_SUBSTEPS = 3  # number of step sizes from a substep on: the minimum that shows an order
@@ -98,8 +98,8 @@ def step_convergence(problem: Problem, run: Replay) -> StepConvergence:
         count = 3
     least, count = (max(run.substeps // 2, 1), 3) if refined_only else (own, count)
     substeps = [least << k for k in range(count)]
-    nominal = NOMINAL.get("rk4" if refined_only else integrator, 4.0)
-    kind = "rk4" if refined_only or integrator not in NOMINAL else integrator
+    kind = "rk4" if refined_only or integrator not in KNOWN_INTEGRATORS else integrator
+    nominal = float(KNOWN_INTEGRATORS[kind].order or 4)
     why = _unjudged(run, problem)
     why = why or ("damping is faster than these steps, which hides the order" if kind == ROSENBROCK else "")
     why = why or ("" if kind == integrator else "the plan's own stage is none of MuJoCo's")
@@ -183,7 +183,7 @@ def _level(run: Replay, problem: Problem, integrator: str, substeps: int) -> tup
         xs = run.xs[::substeps]
         return xs[-1], problem.cost.value(xs, plan.us)
     advance = advancing(integrator, plan.dt / substeps, model, twin, plan.space, damping_of(problem.dynamics))
-    assert advance is not None  # every integrator in NOMINAL is supported
+    assert advance is not None  # every integrator in KNOWN_INTEGRATORS is supported
     xs = np.empty_like(plan.xs)
     xs[0] = problem.x0
     with curves_acting(twin, model):

@@ -15,20 +15,20 @@ from __future__ import annotations
 
 import numpy as np
 
+from planner.dynamics.protocol import integrator_of
 from planner.model.coordinates import coordinates_of
 from planner.problem.plan import Plan
 
 UNRESOLVED = 0.05  # of a range of motion: the loosest bound of a path in a proof, so no replay of such a plan passes
 COARSE = 1.0  # the same for methods of first order, which a proof judges: an error as large as the motion itself
-ORDERS = {"euler": 1, "semi-implicit-euler": 1, "rosenbrock": 2, "rk4": 4}
 MIN_RANGE = 1e-3  # rad, m, rad/s, m/s, smallest range of motion, for a machine at rest
 OF_LARGEST = 0.1  # smallest range of motion, as a share of the largest of its unit
 
 
 def is_unresolved(plan: Plan) -> bool:
     """Whether the predicted error of a plan's steps is above its bound."""
-    first_order = ORDERS.get(getattr(getattr(plan.problem, "dynamics", None), "integrator", "")) == 1
-    return step_error(plan) > (COARSE if first_order else UNRESOLVED)
+    dynamics = None if plan.problem is None else plan.problem.dynamics
+    return step_error(plan) > (COARSE if integrator_of(dynamics).order == 1 else UNRESOLVED)
 
 
 @np.errstate(all="ignore")  # of a linear prediction that overflows: infinite
@@ -36,7 +36,7 @@ def step_error(plan: Plan) -> float:
     """The largest predicted error of a coordinate over its range of motion; NaN where no stage can be halved."""
     assert plan.problem is not None  # its dynamics step
     dynamics, space = plan.problem.dynamics, plan.space
-    order = ORDERS.get(getattr(dynamics, "integrator", ""))
+    order = integrator_of(dynamics).order
     if order is None or not np.isfinite(plan.xs).all() or not np.isfinite(plan.K).all():
         return np.nan
     half = np.full(plan.N, 0.5 * dynamics.dt)

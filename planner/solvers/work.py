@@ -17,6 +17,7 @@ from typing import Any
 
 from planner.base.arguments import number
 from planner.dynamics import CompiledDynamics
+from planner.dynamics.protocol import integrator_of
 from planner.model.capabilities import capabilities_of
 from planner.model.space import space_of
 from planner.problem.constraints.clearance import pair_clearance_of
@@ -33,7 +34,6 @@ CONTACT = 1e-7  # times evaluations
 RICCATI = 8e-10  # times ndx^3
 PAIR = 3e-6  # of shapes that are kept apart
 IN_NUMPY = 5e-4  # of what no kernel computes: dynamics of the user's own, jerk
-EVALUATIONS = {"euler": 1, "semi-implicit-euler": 1}  # per step; 4 of other integrators
 CLOSURE_ROWS = 3
 
 
@@ -163,7 +163,7 @@ def work_of_stage(problem: Problem) -> float:
     """The work of one stage in one iteration, by the sizes of the problem: derivatives, Riccati sweep, line search."""
     dynamics, ndx = problem.dynamics, space_of(problem.dynamics).ndx
     mechanism, pairs = capabilities_of(dynamics).mechanism, pair_clearance_of(problem.constraints)
-    evaluations = getattr(dynamics, "substeps", 1) * EVALUATIONS.get(getattr(dynamics, "integrator", ""), 4)
+    evaluations = getattr(dynamics, "substeps", 1) * integrator_of(dynamics).evaluations
     size, contacts = ndx // 2, 0
     if mechanism is not None:
         size = mechanism.nv + CLOSURE_ROWS * (len(mechanism.loops) + len(mechanism.polynomial_couplings))

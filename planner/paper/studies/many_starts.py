@@ -43,7 +43,7 @@ def from_many(problem: Problem, size: float, starts: int, update: str, search: s
         us = size * smooth(np.random.default_rng([0, number]), problem.first_guess.shape)
         return solve(
             replace(problem, us=us), update=update, line_search=search, max_iterations=limit,
-            expected_reduction_tolerance=TOLERANCE, actual_reduction_tolerance=0.0,
+            expected_reduction_tolerance=TOLERANCE, actual_reduction_tolerance=0.0, homotopy=False,
         )  # fmt: skip
 
     pool = ThreadPoolExecutor(processors())

@@ -12,13 +12,12 @@ from typing import Any
 import numpy as np
 
 from planner.base.diagnostic import Quantity
+from planner.dynamics.protocol import integrator_of
 from planner.problem.plan import Plan
 from planner.problem.problem import Problem
-from planner.problem.rediscretize import FIRST_ORDER
 from planner.proof.diagnostics.suggested_fix import SuggestedFix, fix
 from planner.proof.error_propagation import FACTOR
 from planner.proof.original_model import OPEN_LOOP_MISSES
-from planner.proof.step_convergence import NOMINAL
 from planner.proof.verdict import Proof
 
 TARGET_SHARE = 0.5  # of the bound: the error to aim at
@@ -42,9 +41,9 @@ def shorter_stage(plan: Plan, problem: Problem, proof: Proof | None) -> list[Sug
     as_predicted = ratio is not None and ratio <= FACTOR
     if not (predicted > 1.0 or (as_predicted and max(share, _cost_share(proof)) > 1.0)):
         return []
-    if integrator in FIRST_ORDER:
+    if integrator_of(problem.dynamics).order == 1:
         return [fix(problem, "integrator", "rk4", "first_order", integrator=integrator, share=_times(share))]
-    step_order = _order(proof, integrator)
+    step_order = _order(proof, problem)
     worst = max(one for one in (share, predicted, _cost_share(proof)) if math.isfinite(one) or one == predicted)
     parts = (worst / TARGET_SHARE) ** (1.0 / step_order) if math.isfinite(worst) else float(MAX_DIVISION)
     value = rounded_step(problem.duration, dt / min(max(parts, 2.0), MAX_DIVISION))
@@ -99,8 +98,8 @@ def _times(share: float) -> Quantity | str:
     return Quantity(share, "times") if math.isfinite(share) else "any number of times"
 
 
-def _order(proof: Proof, integrator: str) -> float:
-    nominal = NOMINAL.get(integrator, 4.0)
+def _order(proof: Proof, problem: Problem) -> float:
+    nominal = float(integrator_of(problem.dynamics).order or 4)
     observed = proof.convergence.observed
     known = observed is not None and np.isfinite(observed) and not proof.convergence.judged
     return float(min(max(observed, 1.0), nominal)) if known else nominal  # type: ignore[arg-type]
