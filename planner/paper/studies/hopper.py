@@ -273,6 +273,7 @@ def _draw(results: dict[str, Any], path: Path) -> None:
         small.loglog(*zip(*points, strict=True), marker="o", ms=4, label=way)
     small.axvline(1e-5, color="0.6", lw=0.8, ls=":")
     dress(small, f"by smoothing, {heights[-1]:g} in; no point: failed", "iterations", "smoothing alpha, in")
+    small.set_ylim(top=2e4)  # room for the legend
     small.legend(fontsize=8, frameon=False, loc="upper left")
     save(figure, path)
 
