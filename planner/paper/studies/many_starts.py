@@ -29,6 +29,7 @@ from planner.problem.plan import Plan
 from planner.problem.problem import Problem
 from planner.solvers import lq
 from planner.solvers.multistart import smooth
+from planner.solvers.options import SolverOptions
 from planner.solvers.slq import solve
 
 SAME_COST_TOLERANCE = 1e-3  # relative; costs that differ by less count as one local minimum
@@ -38,13 +39,14 @@ LAST = 20  # last iterations of a failed solve, whose step lengths are reported
 
 def from_many(problem: Problem, size: float, starts: int, update: str, search: str, limit: int) -> dict[str, Any]:
     """Solve from random controls of an RMS, and record how each solve ends; after `limit` iterations it has failed."""
+    options = SolverOptions(
+        update=update, line_search=search, max_iterations=limit, expected_reduction_tolerance=TOLERANCE,
+        actual_reduction_tolerance=0.0, homotopy=False,
+    )  # fmt: skip
 
     def run(number: int) -> Plan:
         us = size * smooth(np.random.default_rng([0, number]), problem.first_guess.shape)
-        return solve(
-            replace(problem, us=us), update=update, line_search=search, max_iterations=limit,
-            expected_reduction_tolerance=TOLERANCE, actual_reduction_tolerance=0.0, homotopy=False,
-        )  # fmt: skip
+        return solve(replace(problem, us=us), options)
 
     pool = ThreadPoolExecutor(processors())
     try:
