@@ -69,11 +69,12 @@ class Controller(StateMachine):
         faults: Unusable measurements since the reset.
         plans: Plans made since the reset.
         overruns: Plans that took longer than the period of the rate, or than the budget, of wall time.
-        simulated: Whether time is: simulate() sets it, a threaded plan is then made at once and acts after `latency`.
+        simulated: Whether time is: set it after a reset, as simulate() does. Wall time then has no part in status and
+            events; a threaded plan is made at once and acts after `latency`.
         planned: Whether the last call made a plan.
         keeps_goal: Whether the goal remains after the end of the task: some control makes it an equilibrium.
         seconds: Wall time of the last plan, s; 0 where the last call did not plan.
-        processor_seconds: Processor time of it, s, of its thread.
+        processor_seconds: Processor time of it, s, of its thread; measured where time is simulated.
 
     Raises:
         PlannerError: A rate above one plan per stage, a number out of range, a cost without a window (see
@@ -285,14 +286,18 @@ class Controller(StateMachine):
 
     def _timed(self, t: float, x: np.ndarray, ahead: float = 0.0) -> Fault | None:
         """One solve from x at t, or from where the last plan leads `ahead` s later, and its times."""
-        began, worked = time.perf_counter(), time.thread_time()
+        began, worked = time.perf_counter(), self._processor_time()
         if ahead:
             x = self._usable(self._led(t, x, ahead))
             t += ahead
         held = self._holding(x, self._tracked.us[-1]) if self._held and np.isfinite(x).all() else None
         fault = self._replanner.replan(t, x, held, self._leads_back)
-        self._taken = time.perf_counter() - began, time.thread_time() - worked
+        self._taken = time.perf_counter() - began, self._processor_time() - worked
         return fault
+
+    def _processor_time(self) -> float:
+        """The thread's, s; 0 on a robot: it is asked of the system, which in a sandbox takes as long as a plan."""
+        return time.thread_time() if self.simulated else 0.0
 
     def _led(self, t: float, x: np.ndarray, ahead: float) -> np.ndarray:
         """The state (nx,) `ahead` s after x at t, under the feedback of the last plan or what holds the machine."""
@@ -312,7 +317,8 @@ class Controller(StateMachine):
         """Take what a solve for time t left; whether it succeeded."""
         self._adopt()
         self.planned, (self.seconds, self.processor_seconds) = True, self._taken
-        return self.ended(t, fault, self.seconds, iteration_seconds=self._replanner.iteration_seconds)
+        seconds = 0.0 if self.simulated else self.seconds
+        return self.ended(t, fault, seconds, iteration_seconds=self._replanner.iteration_seconds)
 
     def _adopt(self) -> None:
         """Track the last plan of the replanner; a copy where the next is made in another thread."""

@@ -76,7 +76,7 @@ class Replanner:
         """
         engine, began = self.engine, time.perf_counter()
         cost = engine.start_from_trajectory(x, self.trajectory, (t - self.made) / self._dt)
-        finite = bool(np.isfinite(x).all())
+        finite = math.isfinite(x.dot(x))
         if not cost <= THROWN * self._cost and leads_back and finite:
             cost = self._back(t, x, cost)
         if not math.isfinite(cost) and not finite:

@@ -209,7 +209,7 @@ def state_after(problem: Problem, x: np.ndarray, u: np.ndarray, seconds: float) 
     """The state (nx,) after `seconds` of constant control u (nu,) from x (nx,), by the problem's dynamics."""
     left, dt = seconds, problem.dynamics.dt
     while left > TIME_TOLERANCE * dt:
-        length = min(left, dt)
-        left -= length
-        x = problem.dynamics.step(x[None], u[None], np.array([length]))[0]
+        whole = left >= dt * (1.0 - TIME_TOLERANCE)  # the usual one, and faster without a length of its own
+        x = problem.dynamics.step(x[None], u[None], None if whole else np.array([left]))[0]
+        left -= dt
     return x
