@@ -95,7 +95,7 @@ class Controller(StateMachine):
         self._dt, self._space, self._bounds = problem.dynamics.dt, space_of(problem.dynamics), problem.bounds
         if plan is not None and (not isinstance(plan, Plan) or plan.us.shape != (problem.N, problem.dynamics.nu)):
             raise PlannerError(f"plan is {short_repr(plan)}, expected a Plan of the problem, or None.")
-        self.plan = self._solved(problem.x0) if plan is None else plan
+        self.plan = self._begun = self._solved(problem.x0) if plan is None else plan
         dynamics = window_dynamics(problem, self.plan.xs[:: max(problem.N // 4, 1)])
         self._model = problem if dynamics is problem.dynamics else replace(problem, dynamics=dynamics)
         # The goal remains after the end of the task if some control makes it an equilibrium.
@@ -116,10 +116,10 @@ class Controller(StateMachine):
             f"{self.status.name.lower()})"
         )
 
-    def _solved(self, x0: np.ndarray) -> Plan:
+    def _solved(self, x0: np.ndarray, warm_start: Plan | None = None) -> Plan:
         """The plan of the whole task from a state x0 (nx,)."""
         asked = self.problem if np.array_equal(x0, self.problem.x0) else replace(self.problem, x0=x0)
-        plan = solve(asked)
+        plan = solve(asked, warm_start=warm_start)
         if not (np.isfinite(plan.xs).all() and np.isfinite(plan.K).all()):
             raise PlannerError(f"the controller has no plan to begin with: {plan.message}")
         return plan
@@ -132,12 +132,17 @@ class Controller(StateMachine):
         )  # fmt: skip
 
     def reset(self, x0: Any = None) -> None:
-        """Restart the task with the next call; from another start (nx,) after a new solve. Leaves STOPPED."""
+        """Restart the task with the next call. Leaves STOPPED.
+
+        Args:
+            x0: Another start (nx,): the task is solved again, warm-started by the plan that the controller began with.
+                So a machine hops on from where it landed, with its contacts where that plan has them to begin with.
+        """
         if self._pending is not None:
             self._pending.result()  # the engine has one user
         self._pending = None
         if x0 is not None:
-            self.plan = self._solved(states("x0", x0, self._space, ()))
+            self.plan = self._solved(states("x0", x0, self._space, ()), self._begun)
         self._replanner.reset(self.plan)
         self._adopt()
         self.restart()
