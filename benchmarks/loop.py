@@ -9,7 +9,7 @@ within the same calls: the compiled calls are timed, and what is left of the who
 Crocoddyl has one iteration from a trajectory whose rollout it is given for nothing. One core each, by turns in one run,
 medians and minima: on a computer that does other things, too, minima tell more.
 
---deadlines counts the calls of seven joints that are over their period: with motors at 500 Hz and with servos at 200 Hz.
+--deadlines counts the calls of seven joints that are over their period: with motors at 500 Hz, with servos at 200 Hz.
 
 --shown drives the machines that docs/loop.md shows, all or by name, with figures of each (loop_shown).
 """
@@ -116,9 +116,7 @@ def compare(python: str) -> None:
     worker = Worker(python, "crocoddyl_worker.py", {"OMP_NUM_THREADS": "1"}, "Crocoddyl") if python else None
     if worker is not None:
         print(f"Crocoddyl {worker.hello.get('version', worker.hello)}")
-    print(
-        "           stages prepare us (least)    99 %  feedback us (least)  beside its kernels  Crocoddyl (least)   ratio"
-    )
+    print("           stages prepare us (least)    99 %   feedback (least)  beside its kernels  Crocoddyl (least)   ratio")
     rng = np.random.default_rng(0)
     for name in SIZES:
         problem = problem_of(name)
@@ -137,7 +135,7 @@ def compare(python: str) -> None:
         other, beside = 1e6 * np.array(theirs) if theirs else np.array([np.nan]), whole - inside
         print(
             f"{name:10}{SIZES[name]:7}{np.median(prepared):9.0f} ({prepared.min():6.0f})"
-            f"{np.percentile(prepared, 99):8.0f}{np.median(answered):13.0f} ({answered.min():4.0f})"
+            f"{np.percentile(prepared, 99):8.0f}{np.median(answered):12.0f} ({answered.min():4.0f})"
             f"{np.median(beside):13.0f} ({beside.min():3.0f}){np.median(other):12.0f} ({other.min():6.0f})"
             f"{np.median(other) / np.median(prepared):8.1f} ({other.min() / prepared.min():.1f})"
         )

@@ -15,6 +15,7 @@ import time
 from collections.abc import Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import replace
+from numbers import Real
 from typing import Any
 
 import numpy as np
@@ -91,8 +92,8 @@ class Controller(StateMachine):
         self.iterations = count("iterations", iterations)
         self.budget = None if budget is None else number("budget", budget, greater_than=0.0)
         patience = count("patience", patience)
-        self.latency, self.threaded = number("latency", latency, minimum=0.0), bool(threaded)
         self._dt, self._space, self._bounds = problem.dynamics.dt, space_of(problem.dynamics), problem.bounds
+        self.latency, self.threaded = number("latency", latency, minimum=0.0, maximum=H * self._dt), bool(threaded)
         if plan is not None and (not isinstance(plan, Plan) or plan.us.shape != (problem.N, problem.dynamics.nu)):
             raise PlannerError(f"plan is {short_repr(plan)}, expected a Plan of the problem, or None.")
         self.plan = self._begun = self._solved(problem.x0) if plan is None else plan
@@ -104,8 +105,7 @@ class Controller(StateMachine):
         self.keeps_goal = self._window.keeps
         self._goal: Any = None
         self._new_goal: np.ndarray | None = None
-        self._thread = ThreadPoolExecutor(1, "planner") if self.threaded else None
-        self._pending: Future[Fault | None] | None = None
+        self._thread: ThreadPoolExecutor | None = None
         most = 1.0 / rate if self.budget is None else min(1.0 / rate, self.budget)
         super().__init__(patience, most, self._holding.how)
         self.reset()
@@ -134,13 +134,12 @@ class Controller(StateMachine):
     def reset(self, x0: Any = None) -> None:
         """Restart the task with the next call. Leaves STOPPED.
 
-        Args:
-            x0: Another start (nx,): the task is solved again, warm-started by the plan that the controller began with.
-                So a machine hops on from where it landed, with its contacts where that plan has them to begin with.
+        From another start x0 (nx,) the task is solved again, warm-started by the first plan: a machine hops on.
         """
-        if self._pending is not None:
-            self._pending.result()  # the engine has one user
-        self._pending = None
+        if self._thread is not None:
+            self._thread.shutdown()  # the engine has one user
+        self._thread = ThreadPoolExecutor(1, "planner") if self.threaded else None
+        self._pending: Future[Fault | None] | None = None
         if x0 is not None:
             self.plan = self._solved(states("x0", x0, self._space, ()), self._begun)
         self._replanner.reset(self.plan)
@@ -197,9 +196,10 @@ class Controller(StateMachine):
             self._goal = goal
 
     def close(self) -> None:
-        """End the thread of a threaded controller."""
+        """End the thread of a threaded controller, which then holds the machine until a reset."""
         if self._thread is not None:
             self._thread.shutdown()
+            self.stop()
 
     def __call__(self, t: float, x: np.ndarray) -> np.ndarray:
         """The control (nu,) at time t, s, and state x (nx,); plans if a plan is due.
@@ -244,13 +244,17 @@ class Controller(StateMachine):
         """
         if self.threaded:
             raise PlannerError("a threaded controller prepares its plans by itself, expected controller(t, x).")
+        fault = self._fault(t, self._seen if x is None else x)
+        if fault in (Fault.CLOCK, Fault.LENGTH):
+            self._without(t, fault)
+            return False
         self._started(t)
         if not self._plans:
             return False
         if x is None:
             since = min(t - self._last_t, self.horizon * self._dt) if self._last_t > -math.inf else 0.0
             x = self._usable(state_after(self._model, self._seen, self._acting, since))
-        return self._replan(t, x)
+        return self._replan(t, np.asarray(x, dtype=float))
 
     def feedback(self, x: np.ndarray, t: float | None = None) -> np.ndarray:
         """The control (nu,) at state x (nx,) by the last plan; nothing is planned.
@@ -333,13 +337,13 @@ class Controller(StateMachine):
 
     def _fault(self, t: float, x: Any) -> Fault | None:
         """Why a measurement cannot be used, or None."""
-        if not abs(t) < LATEST:
+        if not isinstance(t, Real) or not abs(t) < LATEST:
             return Fault.CLOCK
         try:
-            x = np.asarray(x, dtype=float)
-        except (TypeError, ValueError):
+            x = np.asarray(x)
+        except ValueError:  # rows of several lengths
             return Fault.LENGTH
-        if x.shape != self._seen.shape:
+        if x.shape != self._seen.shape or x.dtype.kind not in "fiub":
             return Fault.LENGTH
         largest = float(np.abs(x).max())
         if not math.isfinite(largest):
@@ -362,7 +366,7 @@ class Controller(StateMachine):
 
     def _without(self, t: float, fault: Fault) -> np.ndarray:
         """The control without a usable measurement: of the plan alone, or what holds the machine where it was seen."""
-        now = max(t, self._now) if abs(t) < LATEST else self._now
+        now = self._now if fault is Fault.CLOCK else max(t, self._now)
         self.unusable(now, fault)
         if self.status in (ControllerStatus.HOLDING, ControllerStatus.STOPPED):
             u = self._holding(self._seen, self._tracked.us[-1], damped=False)

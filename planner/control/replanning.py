@@ -76,7 +76,7 @@ class Replanner:
         """
         engine, began = self.engine, time.perf_counter()
         cost = engine.start_from_trajectory(x, self.trajectory, (t - self.made) / self._dt)
-        finite = math.isfinite(x.dot(x))
+        finite = bool(np.isfinite(x).all())
         if not cost <= THROWN * self._cost and leads_back and finite:
             cost = self._back(t, x, cost)
         if not math.isfinite(cost) and not finite:

@@ -80,7 +80,10 @@ def test_an_internal_error_has_an_exit_code_of_its_own(capsys, monkeypatch):
 
 @pytest.mark.parametrize(
     ("error", "words"),
-    [(MemoryError(), "not enough memory"), (load_mujoco().FatalError("Could not allocate memory"), "Could not allocate memory")],
+    [
+        (MemoryError(), "not enough memory"),
+        (load_mujoco().FatalError("Could not allocate memory"), "Could not allocate memory"),
+    ],
 )
 def test_memory_that_ends_is_a_sentence_also_where_mujoco_asks_for_it(monkeypatch, capsys, error, words):
     def failing(*_):

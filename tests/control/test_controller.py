@@ -167,6 +167,8 @@ def test_more_iterations_and_a_budget(problem):
         ({"iterations": 0}, ("iterations",)),
         ({"budget": -1.0}, ("budget",)),
         ({"plan": 3}, ("plan is 3",)),
+        ({"horizon": 10**9}, ("horizon is 1000000000", "at most")),
+        ({"latency": 2.1}, ("latency is 2.1", "at most 2.")),
     ],
 )
 def test_what_does_not_fit_is_refused(problem, given, fragments):

@@ -88,11 +88,16 @@ def test_bad_measurements_lead_from_tracking_to_stopped(begun, fault):
     assert c.status is TRACKING
 
 
-@pytest.mark.parametrize("bad", ["text", [1.0, "b", 3.0, 4.0], None, [[1.0, 2.0, 3.0, 4.0]]])
+@pytest.mark.parametrize(
+    "bad", ["text", [1.0, "b", 3.0, 4.0], None, [[1.0, 2.0, 3.0, 4.0]], np.ones(4) * 1j, [[1], []]]
+)
 def test_what_is_no_state_is_a_fault(begun, bad):
     c, t, _ = begun
     checked(c, t, bad)
     assert (c.status, c.events[-1].values) == (LATE, {"fault": "LENGTH"})
+    if bad is not None:  # then the state is predicted
+        assert not c.prepare(t, bad)
+        assert (c.faults, c.failures) == (2, 0)
 
 
 def test_a_good_measurement_after_some_that_were_not_tracks_again(begun):
@@ -115,11 +120,13 @@ def test_a_bad_first_measurement_gets_the_first_control_of_the_plan(bounded):
     assert bounded.status is TRACKING
 
 
-@pytest.mark.parametrize("t", [np.nan, np.inf, -np.inf, 1e300])
+@pytest.mark.parametrize("t", [np.nan, np.inf, -np.inf, 1e300, "now", None])
 def test_a_time_that_is_none_is_a_fault(begun, t):
     c, now, x = begun
     checked(c, t, x)
     assert (c.status, c.events[-1].values) == (LATE, {"fault": "CLOCK"})
+    assert not c.prepare(t)
+    assert (c.faults, c.failures) == (2, 0)
     stages(c, now, x, 1)
     assert c.status is TRACKING
 
@@ -358,6 +365,12 @@ def test_a_thread_plans_while_the_gains_control(problem):
     assert np.abs(x - [np.pi / 2, 0, 0, 0]).max() < 0.3
     with pytest.raises(planner.PlannerError, match="threaded"):
         c.prepare(0.0)
+    assert np.isfinite(c(10.0, x)).all()  # closed, it holds the arm
+    assert c.status is STOPPED
+    c.reset()
+    c(0.0, problem.x0)
+    assert c.status is TRACKING
+    c.close()
 
 
 def test_a_threaded_loop_in_simulated_time_is_the_same_again_and_better_than_a_held_control(problem):

@@ -183,6 +183,12 @@ def test_bodies_that_are_not_there_are_refused(controller):
         planner.simulate(controller, pushes=[Push("torso", 1.0, 0.0)])
     with pytest.raises(planner.PlannerError, match="mass names the body 'torso', expected one of"):
         planner.simulate(controller, mass={"torso": 0.1})
+    for given, words in (
+        ({"goal": 3}, "expected a function of time"),
+        ({"pushes": 3}, "expected a list of planner.Push"),
+    ):
+        with pytest.raises(planner.PlannerError, match=words):
+            planner.simulate(controller, **given)
 
 
 def test_the_command_writes_its_files_and_refuses_in_one_sentence(tmp_path):
