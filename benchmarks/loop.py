@@ -116,7 +116,7 @@ def compare(python: str) -> None:
     worker = Worker(python, "crocoddyl_worker.py", {"OMP_NUM_THREADS": "1"}, "Crocoddyl") if python else None
     if worker is not None:
         print(f"Crocoddyl {worker.hello.get('version', worker.hello)}")
-    print("           stages prepare us (least)    99 %   feedback (least)  beside its kernels  Crocoddyl (least)   ratio")
+    print("           stages prepare us (least)    99 %  feedback (least)  beside kernels  Crocoddyl (least)   ratio")
     rng = np.random.default_rng(0)
     for name in SIZES:
         problem = problem_of(name)
@@ -135,8 +135,8 @@ def compare(python: str) -> None:
         other, beside = 1e6 * np.array(theirs) if theirs else np.array([np.nan]), whole - inside
         print(
             f"{name:10}{SIZES[name]:7}{np.median(prepared):9.0f} ({prepared.min():6.0f})"
-            f"{np.percentile(prepared, 99):8.0f}{np.median(answered):12.0f} ({answered.min():4.0f})"
-            f"{np.median(beside):13.0f} ({beside.min():3.0f}){np.median(other):12.0f} ({other.min():6.0f})"
+            f"{np.percentile(prepared, 99):8.0f}{np.median(answered):11.0f} ({answered.min():4.0f})"
+            f"{np.median(beside):10.0f} ({beside.min():3.0f}){np.median(other):12.0f} ({other.min():6.0f})"
             f"{np.median(other) / np.median(prepared):8.1f} ({other.min() / prepared.min():.1f})"
         )
     if worker is not None:

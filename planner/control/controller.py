@@ -245,7 +245,7 @@ class Controller(StateMachine):
         if self.threaded:
             raise PlannerError("a threaded controller prepares its plans by itself, expected controller(t, x).")
         fault = self._fault(t, self._seen if x is None else x)
-        if fault in (Fault.CLOCK, Fault.LENGTH):
+        if fault is Fault.CLOCK or fault is Fault.LENGTH:
             self._without(t, fault)
             return False
         self._started(t)
