@@ -1,16 +1,15 @@
-"""Controllers in the loop: the time of a call from x to u, its own Python, and Crocoddyl's one iteration beside it.
+"""Controllers in the loop: the times of prepare and feedback, their own Python, and Crocoddyl's one iteration beside.
 
     python benchmarks/loop.py [--crocoddyl PYTHON] [--no-table] [--deadlines] [--shown [NAME ...]]
                               [--packages SITE_PACKAGES]
 
-A call plans once with one iteration: the plan before is rolled out from x with its gains, then linearized, swept and
-searched. What it takes beside its kernels is counted within the same calls: the compiled calls are timed, and what is
-left of the whole is Python's.
+`prepare` plans once with one iteration: the plan before is rolled out from the predicted state with its gains, then
+linearized, swept and searched. `feedback` answers the measurement. What prepare takes beside its kernels is counted
+within the same calls: the compiled calls are timed, and what is left of the whole is Python's.
 Crocoddyl has one iteration from a trajectory whose rollout it is given for nothing. One core each, by turns in one run,
 medians and minima: on a computer that does other things, too, minima tell more.
 
---deadlines times `prepare` and `feedback`, and counts the calls of seven joints that are over their period: with motors
-at 500 Hz and with servos at 200 Hz.
+--deadlines counts the calls of seven joints that are over their period: with motors at 500 Hz, with servos at 200 Hz.
 
 --shown drives the machines that docs/loop.md shows, all or by name, with figures of each (loop_shown).
 """
@@ -63,18 +62,20 @@ def controller_of(problem: dict[str, Any]) -> planner.Controller:
 
 
 def call_times(controller: planner.Controller, repeats: int, rng: np.random.Generator, kernels: Any) -> np.ndarray:
-    """Seconds (repeats, 2) of calls one stage apart and of the kernels in them.
+    """Seconds (repeats, 3) of prepare, of feedback and of the kernels in prepare, one stage apart.
 
     The machine moves in the plan's own dynamics with a little noise.
     """
-    dynamics, times = controller.problem.dynamics, np.empty((repeats, 2))
+    dynamics, times = controller.problem.dynamics, np.empty((repeats, 3))
     controller.reset()
     x, space = controller.problem.x0, controller.plan.space
     for k in range(repeats):
         kernels.seconds = 0.0
         began = time.perf_counter()
-        u = controller(k * dynamics.dt, x)
-        times[k] = time.perf_counter() - began, kernels.seconds
+        controller.prepare(k * dynamics.dt)
+        prepared, inside = time.perf_counter(), kernels.seconds
+        u = controller.feedback(x)
+        times[k] = prepared - began, time.perf_counter() - prepared, inside
         x = space.integrate(dynamics.step(x[None], u[None])[0], 1e-4 * rng.standard_normal(space.ndx))
     if controller.failures:
         print(f"  {controller.failures} solves failed: {controller.events[0]}")
@@ -115,7 +116,7 @@ def compare(python: str) -> None:
     worker = Worker(python, "crocoddyl_worker.py", {"OMP_NUM_THREADS": "1"}, "Crocoddyl") if python else None
     if worker is not None:
         print(f"Crocoddyl {worker.hello.get('version', worker.hello)}")
-    print("           stages   call us (least)    99 %  calls/s  beside its kernels  Crocoddyl (least)   ratio")
+    print("           stages prepare us (least)    99 %  feedback (least)  beside kernels  Crocoddyl (least)   ratio")
     rng = np.random.default_rng(0)
     for name in SIZES:
         problem = problem_of(name)
@@ -125,18 +126,18 @@ def compare(python: str) -> None:
             known = "failed" not in worker.ask("load", problem=problem, probes=probes(problem))
         calls, counted, theirs, kernels = [], [], [], Kernels(controller)
         for _ in range(ROUNDS):
-            calls.append(call_times(controller, REPEATS, rng, kernels)[:, 0])
+            calls.append(call_times(controller, REPEATS, rng, kernels)[:, :2])
             with kernels:
                 counted.append(call_times(controller, REPEATS, rng, kernels))
             if known:
                 theirs += worker.ask("iterate", repeats=REPEATS, seconds=5.0)["times"]  # type: ignore[union-attr]
-        call, (whole, inside) = 1e6 * np.concatenate(calls), 1e6 * np.concatenate(counted).T
+        (prepared, answered), (whole, _answers, inside) = (1e6 * np.concatenate(rows).T for rows in (calls, counted))
         other, beside = 1e6 * np.array(theirs) if theirs else np.array([np.nan]), whole - inside
         print(
-            f"{name:10}{SIZES[name]:7}{np.median(call):9.0f} ({call.min():6.0f}){np.percentile(call, 99):8.0f}"
-            f"{1e6 / np.median(call):9.0f}{np.median(beside):13.0f} ({beside.min():3.0f})"
-            f"{np.median(other):12.0f} ({other.min():6.0f})"
-            f"{np.median(other) / np.median(call):8.1f} ({other.min() / call.min():.1f})"
+            f"{name:10}{SIZES[name]:7}{np.median(prepared):9.0f} ({prepared.min():6.0f})"
+            f"{np.percentile(prepared, 99):8.0f}{np.median(answered):11.0f} ({answered.min():4.0f})"
+            f"{np.median(beside):10.0f} ({beside.min():3.0f}){np.median(other):12.0f} ({other.min():6.0f})"
+            f"{np.median(other) / np.median(prepared):8.1f} ({other.min() / prepared.min():.1f})"
         )
     if worker is not None:
         worker.close()
@@ -163,21 +164,10 @@ def arm(servos: bool, dt: float) -> planner.Controller:
 
 
 def deadlines() -> None:
-    """Times of prepare and feedback, and overruns of loops in their own dynamics: wall and processor time."""
-    problem = problem_of("arm7")
-    controller = controller_of(problem)
-    taken = np.empty((2, 500))
-    for k in range(taken.shape[1]):
-        t = k * controller.problem.dynamics.dt
-        began = time.perf_counter()
-        controller.prepare(t)
-        prepared = time.perf_counter()
-        controller.feedback(controller.problem.x0)
-        taken[:, k] = prepared - began, time.perf_counter() - prepared
-    for name, times in zip(("prepare", "feedback"), 1e6 * taken, strict=True):
-        print(f"7 joints, 50 stages, {name}: {np.median(times):.0f} us (least {times.min():.0f})")
+    """Overruns of loops in their own dynamics: wall and processor time."""
     for name, servos, rate in (("motors", False, 500.0), ("servos", True, 200.0)):
         c = arm(servos, 1.0 / rate)
+        c.simulated = True  # it then measures processor time
         model, x, times = c._model.dynamics, c.problem.x0, np.empty((CALLS, 2))
         for k in range(CALLS):
             u = c(k / rate, x)
@@ -198,7 +188,7 @@ if __name__ == "__main__":
     arguments = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     arguments.add_argument("--crocoddyl", help="an interpreter that has Crocoddyl")
     arguments.add_argument("--no-table", action="store_true", help="without the table of times")
-    arguments.add_argument("--deadlines", action="store_true", help="time prepare and feedback, and count overruns")
+    arguments.add_argument("--deadlines", action="store_true", help="count overruns")
     arguments.add_argument("--shown", nargs="*", metavar="NAME", help=f"drive machines: {', '.join(SHOWN)}; or all")
     arguments.add_argument("--starts", type=int, default=100, help="of the acrobot, at random")
     arguments.add_argument("--packages", type=Path, help="site-packages with dm_control, for the walker")

@@ -121,6 +121,29 @@ def hopper(_: Asked) -> Iterator[Driven]:
         yield driven
 
 
+def monopod(_: Asked) -> Iterator[Driven]:
+    """Hops half a metre again and again, each from where the one before landed, pushed with up to 20 N to and fro."""
+    rng, x = np.random.default_rng(0), None
+    controller = planner.Controller(moving("monopod-forward"), rate=50.0, latency=LATE)
+    for _number in range(HOPS // 2):
+        push = planner.Push("trunk", rng.uniform(-20.0, 20.0), 0.4)
+        driven = run(controller, duration=controller.problem.duration, start=x, pushes=[push])
+        x = driven.loop.xs[-1] - np.array([0.5, *np.zeros(7)])
+        yield driven
+
+
+def quadruped(_: Asked) -> Iterator[Driven]:
+    """Rises on its four feet and stands, pushed with 50 N either way at 0.5 s."""
+    controller = planner.Controller(moving("quadruped-rise"), rate=10.0, latency=LATE)
+    for force in (50.0, -50.0):
+        yield run(controller, alone=True, pushes=[planner.Push("trunk", force, 0.5)], duration=2.0)
+
+
+def moving(name: str) -> planner.Problem:
+    """A problem file beside this file."""
+    return planner.load_problem(ROOT / "benchmarks" / "moving" / f"{name}.toml")
+
+
 def human_step(_: Asked) -> Iterator[Driven]:
     """Patients of 50 to 90 kg and 1.6 to 1.9 m, whose legs are 20 % heavier than planned."""
     rng = np.random.default_rng(0)
@@ -143,8 +166,8 @@ def walker(asked: Asked) -> Iterator[Driven]:
 
 SHOWN = {
     "cart-pole": cart_pole, "acrobot": acrobot, "two-link": two_link, "two-link-follows": two_link_follows,
-    "arm": arm, "arm-follows": arm_follows, "arm-limits": arm_limits, "hopper": hopper, "human-step": human_step,
-    "walker": walker,
+    "arm": arm, "arm-follows": arm_follows, "arm-limits": arm_limits, "hopper": hopper, "monopod": monopod,
+    "quadruped": quadruped, "human-step": human_step, "walker": walker,
 }  # fmt: skip
 
 

@@ -42,3 +42,12 @@ def slow(height=20.0):
     """The hopper, after a while."""
     time.sleep(0.3)
     return planner.cases.hopper(height=height, horizon=50)
+
+
+def mortal(height=20.0, deaths=(), folder=""):
+    """The hopper, over few stages; at the heights of `deaths` its process is killed, the first time."""
+    mark = Path(folder) / f"{height:.17g}"
+    if height in deaths and not mark.exists():
+        mark.touch()
+        os.kill(os.getpid(), signal.SIGKILL)
+    return planner.cases.hopper(height=height, horizon=20)

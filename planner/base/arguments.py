@@ -102,28 +102,36 @@ def numbers(name: str, value: Any) -> np.ndarray:
 
 def _floats(value: Any) -> np.ndarray:
     """A copy as float64 in C order; TypeError, ValueError or OverflowError if an entry is not a number."""
-    if getattr(getattr(value, "dtype", None), "kind", None) == "c":  # NumPy drops imaginary parts with a warning
+    kind = getattr(getattr(value, "dtype", None), "kind", None)
+    if kind == "c":  # NumPy drops imaginary parts with a warning
         raise TypeError
     result = np.array(value, dtype=np.float64, order="C")
-    if _no_number(value):  # np.array above has rejected too deep nesting
+    if kind != "f" and _no_number(value):  # np.array above has rejected too deep nesting
         raise TypeError
     return result
 
 
 def array(name: str, value: Any, shape: tuple[int | str, ...], *, any_value: bool = False) -> np.ndarray:
     """Return a float64 array in C order, finite unless any_value. A letter in `shape` matches any size."""
-    expected = f"({', '.join(map(str, shape))}{',' if len(shape) == 1 else ''})"
     try:
         result = _floats(value)
     except (TypeError, ValueError, OverflowError):
-        raise PlannerError(f"{name} is not an array of numbers, expected shape {expected}.") from None
-    sizes = zip(result.shape, shape, strict=False)
-    if result.ndim != len(shape) or not all(isinstance(size, str) or has == size for has, size in sizes):
-        raise PlannerError(f"{name} has shape {result.shape}, expected {expected}.")
+        raise PlannerError(f"{name} is not an array of numbers, expected shape {_shape_words(shape)}.") from None
+    if result.shape != shape and not _matches(result.shape, shape):
+        raise PlannerError(f"{name} has shape {result.shape}, expected {_shape_words(shape)}.")
     if not any_value and not np.isfinite(result).all():
         index = tuple(int(i) for i in np.argwhere(~np.isfinite(result))[0])
         raise PlannerError(f"{name}{list(index)} is {result[index]}, expected finite numbers.")
     return result
+
+
+def _shape_words(shape: tuple[int | str, ...]) -> str:
+    return f"({', '.join(map(str, shape))}{',' if len(shape) == 1 else ''})"
+
+
+def _matches(has: tuple[int, ...], shape: tuple[int | str, ...]) -> bool:
+    sizes = zip(has, shape, strict=False)
+    return len(has) == len(shape) and all(isinstance(size, str) or one == size for one, size in sizes)
 
 
 def unit_vector(name: str, value: np.ndarray, example: str) -> np.ndarray:

@@ -60,6 +60,11 @@ def load_mujoco() -> Any:
     return mujoco
 
 
+def fatal_error() -> type[Exception]:
+    """What MuJoCo raises where it cannot go on, as without memory; MemoryError where it was never loaded."""
+    return MemoryError if "mujoco" not in sys.modules else sys.modules["mujoco"].FatalError  # type: ignore[attr-defined]
+
+
 def load_rollout() -> Any:
     """Import mujoco.rollout, which simulates many models in threads."""
     load_mujoco()

@@ -15,6 +15,7 @@ import numpy as np
 from planner.base.arguments import short_repr
 from planner.base.errors import PlannerError
 from planner.base.files import confined
+from planner.base.gl import fatal_error
 from planner.cli import parser
 from planner.cli.console import Console
 
@@ -70,6 +71,9 @@ def _run(words: list[str], console: Console) -> int:
         return _refuse(console, str(error), 2)
     except MemoryError:
         return _refuse(console, "there is not enough memory for this problem, expected a shorter horizon.", 2)
+    except fatal_error() as error:
+        said = short_repr(str(error))
+        return _refuse(console, f"MuJoCo cannot go on ({said}), expected more memory, or a smaller model.", 2)
     except KeyboardInterrupt:
         return _refuse(console, "interrupted; nothing was written.", 130)
     except Exception as error:

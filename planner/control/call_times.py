@@ -43,6 +43,7 @@ def times_of(seconds: np.ndarray) -> CallTimes:
 def measured_calls(controller: Controller) -> CallTimes:
     """Processor times of planning calls, one per period, in the problem's own dynamics; resets the controller."""
     controller.reset()
+    controller.simulated = True
     dynamics, x, taken, began = controller.problem.dynamics, controller.problem.x0, list[float](), time.perf_counter()
     period = 1.0 / controller.rate
     for k in range(CALLS):

@@ -15,6 +15,7 @@ import time
 from collections.abc import Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import replace
+from numbers import Real
 from typing import Any
 
 import numpy as np
@@ -69,11 +70,12 @@ class Controller(StateMachine):
         faults: Unusable measurements since the reset.
         plans: Plans made since the reset.
         overruns: Plans that took longer than the period of the rate, or than the budget, of wall time.
-        simulated: Whether time is: simulate() sets it, a threaded plan is then made at once and acts after `latency`.
+        simulated: Whether time is: set it after a reset, as simulate() does. Wall time then has no part in status and
+            events; a threaded plan is made at once and acts after `latency`.
         planned: Whether the last call made a plan.
         keeps_goal: Whether the goal remains after the end of the task: some control makes it an equilibrium.
         seconds: Wall time of the last plan, s; 0 where the last call did not plan.
-        processor_seconds: Processor time of it, s, of its thread.
+        processor_seconds: Processor time of it, s, of its thread; measured where time is simulated.
 
     Raises:
         PlannerError: A rate above one plan per stage, a number out of range, a cost without a window (see
@@ -90,11 +92,11 @@ class Controller(StateMachine):
         self.iterations = count("iterations", iterations)
         self.budget = None if budget is None else number("budget", budget, greater_than=0.0)
         patience = count("patience", patience)
-        self.latency, self.threaded = number("latency", latency, minimum=0.0), bool(threaded)
         self._dt, self._space, self._bounds = problem.dynamics.dt, space_of(problem.dynamics), problem.bounds
+        self.latency, self.threaded = number("latency", latency, minimum=0.0, maximum=H * self._dt), bool(threaded)
         if plan is not None and (not isinstance(plan, Plan) or plan.us.shape != (problem.N, problem.dynamics.nu)):
             raise PlannerError(f"plan is {short_repr(plan)}, expected a Plan of the problem, or None.")
-        self.plan = self._solved(problem.x0) if plan is None else plan
+        self.plan = self._begun = self._solved(problem.x0) if plan is None else plan
         dynamics = window_dynamics(problem, self.plan.xs[:: max(problem.N // 4, 1)])
         self._model = problem if dynamics is problem.dynamics else replace(problem, dynamics=dynamics)
         # The goal remains after the end of the task if some control makes it an equilibrium.
@@ -103,8 +105,7 @@ class Controller(StateMachine):
         self.keeps_goal = self._window.keeps
         self._goal: Any = None
         self._new_goal: np.ndarray | None = None
-        self._thread = ThreadPoolExecutor(1, "planner") if self.threaded else None
-        self._pending: Future[Fault | None] | None = None
+        self._thread: ThreadPoolExecutor | None = None
         most = 1.0 / rate if self.budget is None else min(1.0 / rate, self.budget)
         super().__init__(patience, most, self._holding.how)
         self.reset()
@@ -115,10 +116,10 @@ class Controller(StateMachine):
             f"{self.status.name.lower()})"
         )
 
-    def _solved(self, x0: np.ndarray) -> Plan:
+    def _solved(self, x0: np.ndarray, warm_start: Plan | None = None) -> Plan:
         """The plan of the whole task from a state x0 (nx,)."""
         asked = self.problem if np.array_equal(x0, self.problem.x0) else replace(self.problem, x0=x0)
-        plan = solve(asked)
+        plan = solve(asked, warm_start=warm_start)
         if not (np.isfinite(plan.xs).all() and np.isfinite(plan.K).all()):
             raise PlannerError(f"the controller has no plan to begin with: {plan.message}")
         return plan
@@ -131,12 +132,16 @@ class Controller(StateMachine):
         )  # fmt: skip
 
     def reset(self, x0: Any = None) -> None:
-        """Restart the task with the next call; from another start (nx,) after a new solve. Leaves STOPPED."""
-        if self._pending is not None:
-            self._pending.result()  # the engine has one user
-        self._pending = None
+        """Restart the task with the next call. Leaves STOPPED.
+
+        From another start x0 (nx,) the task is solved again, warm-started by the first plan: a machine hops on.
+        """
+        if self._thread is not None:
+            self._thread.shutdown()  # the engine has one user
+        self._thread = ThreadPoolExecutor(1, "planner") if self.threaded else None
+        self._pending: Future[Fault | None] | None = None
         if x0 is not None:
-            self.plan = self._solved(states("x0", x0, self._space, ()))
+            self.plan = self._solved(states("x0", x0, self._space, ()), self._begun)
         self._replanner.reset(self.plan)
         self._adopt()
         self.restart()
@@ -191,9 +196,10 @@ class Controller(StateMachine):
             self._goal = goal
 
     def close(self) -> None:
-        """End the thread of a threaded controller."""
+        """End the thread of a threaded controller, which then holds the machine until a reset."""
         if self._thread is not None:
             self._thread.shutdown()
+            self.stop()
 
     def __call__(self, t: float, x: np.ndarray) -> np.ndarray:
         """The control (nu,) at time t, s, and state x (nx,); plans if a plan is due.
@@ -238,13 +244,17 @@ class Controller(StateMachine):
         """
         if self.threaded:
             raise PlannerError("a threaded controller prepares its plans by itself, expected controller(t, x).")
+        fault = self._fault(t, self._seen if x is None else x)
+        if fault is Fault.CLOCK or fault is Fault.LENGTH:
+            self._without(t, fault)
+            return False
         self._started(t)
         if not self._plans:
             return False
         if x is None:
             since = min(t - self._last_t, self.horizon * self._dt) if self._last_t > -math.inf else 0.0
             x = self._usable(state_after(self._model, self._seen, self._acting, since))
-        return self._replan(t, x)
+        return self._replan(t, np.asarray(x, dtype=float))
 
     def feedback(self, x: np.ndarray, t: float | None = None) -> np.ndarray:
         """The control (nu,) at state x (nx,) by the last plan; nothing is planned.
@@ -285,14 +295,18 @@ class Controller(StateMachine):
 
     def _timed(self, t: float, x: np.ndarray, ahead: float = 0.0) -> Fault | None:
         """One solve from x at t, or from where the last plan leads `ahead` s later, and its times."""
-        began, worked = time.perf_counter(), time.thread_time()
+        began, worked = time.perf_counter(), self._processor_time()
         if ahead:
             x = self._usable(self._led(t, x, ahead))
             t += ahead
         held = self._holding(x, self._tracked.us[-1]) if self._held and np.isfinite(x).all() else None
         fault = self._replanner.replan(t, x, held, self._leads_back)
-        self._taken = time.perf_counter() - began, time.thread_time() - worked
+        self._taken = time.perf_counter() - began, self._processor_time() - worked
         return fault
+
+    def _processor_time(self) -> float:
+        """The thread's, s; 0 on a robot: it is asked of the system, which in a sandbox takes as long as a plan."""
+        return time.thread_time() if self.simulated else 0.0
 
     def _led(self, t: float, x: np.ndarray, ahead: float) -> np.ndarray:
         """The state (nx,) `ahead` s after x at t, under the feedback of the last plan or what holds the machine."""
@@ -312,7 +326,8 @@ class Controller(StateMachine):
         """Take what a solve for time t left; whether it succeeded."""
         self._adopt()
         self.planned, (self.seconds, self.processor_seconds) = True, self._taken
-        return self.ended(t, fault, self.seconds, iteration_seconds=self._replanner.iteration_seconds)
+        seconds = 0.0 if self.simulated else self.seconds
+        return self.ended(t, fault, seconds, iteration_seconds=self._replanner.iteration_seconds)
 
     def _adopt(self) -> None:
         """Track the last plan of the replanner; a copy where the next is made in another thread."""
@@ -322,13 +337,13 @@ class Controller(StateMachine):
 
     def _fault(self, t: float, x: Any) -> Fault | None:
         """Why a measurement cannot be used, or None."""
-        if not abs(t) < LATEST:
+        if not isinstance(t, Real) or not abs(t) < LATEST:
             return Fault.CLOCK
         try:
-            x = np.asarray(x, dtype=float)
-        except (TypeError, ValueError):
+            x = np.asarray(x)
+        except ValueError:  # rows of several lengths
             return Fault.LENGTH
-        if x.shape != self._seen.shape:
+        if x.shape != self._seen.shape or x.dtype.kind not in "fiub":
             return Fault.LENGTH
         largest = float(np.abs(x).max())
         if not math.isfinite(largest):
@@ -351,7 +366,7 @@ class Controller(StateMachine):
 
     def _without(self, t: float, fault: Fault) -> np.ndarray:
         """The control without a usable measurement: of the plan alone, or what holds the machine where it was seen."""
-        now = max(t, self._now) if abs(t) < LATEST else self._now
+        now = self._now if fault is Fault.CLOCK else max(t, self._now)
         self.unusable(now, fault)
         if self.status in (ControllerStatus.HOLDING, ControllerStatus.STOPPED):
             u = self._holding(self._seen, self._tracked.us[-1], damped=False)

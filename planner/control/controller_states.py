@@ -39,7 +39,7 @@ class Fault(StrEnum):
     NOT_FINITE = "the plan is not finite"
     BUDGET = "no iteration fits in the budget"
     # of a measurement
-    LENGTH = "the measured state has the wrong length"
+    LENGTH = "the measured state is no array of numbers of its length"
     STATE = "the measured state is not finite"
     SIZE = "the measured state is far beyond the plan and the goal"
     CLOCK = "the time is not finite"

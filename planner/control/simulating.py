@@ -149,9 +149,11 @@ def simulate(
         latency = asked.latency
     seed = count("seed", seed, minimum=0)
     noise = number("noise", noise, minimum=0.0)
-    pushes = (pushes,) if isinstance(pushes, Push) else tuple(pushes)
-    if not all(isinstance(push, Push) for push in pushes):
+    pushes = (pushes,) if isinstance(pushes, Push) else pushes
+    if not isinstance(pushes, Sequence) or not all(isinstance(push, Push) for push in pushes):
         raise PlannerError(f"pushes is {short_repr(pushes)}, expected a list of planner.Push.")
+    if goal is not None and not callable(goal):
+        raise PlannerError(f"goal is {short_repr(goal)}, expected a function of time, such as lambda t: goal.")
     stages, tick = max(math.ceil(duration / dt - 1e-9), 1), sampling_in(dt)
     n = _substeps(problem, compiled, tick.in_stages(dt).denominator)
     held, M = max(round(tick.in_stages(dt) * n), 1), stages * n

@@ -2,7 +2,8 @@
 
 Tasks are independent, or chains of neighbours in which each task waits for the one before it. Batches take about half a
 second, so that scheduling costs little, and no more are submitted than the executor has workers: memory does not grow
-with the sweep. A batch whose worker ended is done again one task at a time: the task that ends workers costs no other.
+with the sweep. A batch whose worker ended is done again one task at a time: the task that ends workers costs no other,
+and none is blamed for a worker that another's end or a stranger took from it.
 """
 
 from __future__ import annotations
@@ -31,12 +32,14 @@ class QueuedBatch(NamedTuple):
     Attributes:
         tasks: Their numbers.
         controls: (N, nu) of the neighbour before the first of them, or None.
-        alone: Whether a worker has ended with this one task before. It is then worked on while no other batch is.
+        alone: Whether it was lost with a worker before. It is then one task, worked on while no other batch is.
+        ends: Workers that have ended while it was alone.
     """
 
     tasks: list[int]
     controls: np.ndarray | None = None
     alone: bool = False
+    ends: int = 0
 
 
 class Queue(Protocol):
@@ -64,12 +67,12 @@ class IndependentTasks:
 
     def __init__(self, tasks: Iterable[int]) -> None:
         self._tasks = iter(tasks)
-        self._alone: deque[int] = deque()
+        self._alone: deque[QueuedBatch] = deque()
 
     def take(self, size: int) -> QueuedBatch | None:
         """At most so many tasks, those that are to be done alone first."""
         if self._alone:
-            return QueuedBatch([self._alone.popleft()], alone=True)
+            return self._alone.popleft()
         tasks = list(islice(self._tasks, size))
         return QueuedBatch(tasks) if tasks else None
 
@@ -78,7 +81,7 @@ class IndependentTasks:
 
     def lost(self, batch: QueuedBatch) -> None:
         """Each task of it alone."""
-        self._alone.extend(batch.tasks)
+        self._alone.extend(QueuedBatch([task], None, True, batch.ends + batch.alone) for task in batch.tasks)
 
 
 class ContinuationChains:
@@ -97,38 +100,40 @@ class ContinuationChains:
         controls_of: Callable[[int], np.ndarray | None],
     ) -> None:  # fmt: skip
         self._fresh = self._started(chains, finished, controls_of)
-        self._ready: deque[tuple[list[int], np.ndarray | None, int]] = deque()  # rest, controls, how many alone
+        # Rest, controls, how many of it alone, and workers that ended with the first.
+        self._ready: deque[tuple[list[int], np.ndarray | None, int, int]] = deque()
         self._running: dict[int, tuple[list[int], int]] = {}  # by the first task of its batch
 
     @staticmethod
     def _started(
         chains: Iterable[list[int]], finished: Callable[[int], bool], controls_of: Callable[[int], np.ndarray | None]
-    ) -> Iterator[tuple[list[int], np.ndarray | None, int]]:
+    ) -> Iterator[tuple[list[int], np.ndarray | None, int, int]]:
         for chain in chains:
             done = next((k for k, task in enumerate(chain) if not finished(task)), len(chain))
             if done < len(chain):
-                yield chain[done:], None if done == 0 else controls_of(chain[done - 1]), 0
+                yield chain[done:], None if done == 0 else controls_of(chain[done - 1]), 0, 0
 
     def take(self, size: int) -> QueuedBatch | None:
         """The next tasks of a chain that waits for no other."""
         following = self._ready.popleft() if self._ready else next(self._fresh, None)
         if following is None:
             return None
-        tasks, controls, alone = following
+        tasks, controls, alone, ends = following
         count = 1 if alone else size
         self._running[tasks[0]] = tasks[count:], max(alone - 1, 0)
-        return QueuedBatch(tasks[:count], controls, alone > 0)
+        return QueuedBatch(tasks[:count], controls, alone > 0, ends)
 
     def ended(self, batch: QueuedBatch, controls: np.ndarray | None) -> None:
         """The rest of its chain may go on."""
         rest, alone = self._running.pop(batch.tasks[0])
         if rest:
-            self._ready.append((rest, controls, alone))
+            self._ready.append((rest, controls, alone, 0))
 
     def lost(self, batch: QueuedBatch) -> None:
         """The chain begins again at the batch, one task at a time."""
         rest, alone = self._running.pop(batch.tasks[0])
-        self._ready.appendleft((batch.tasks + rest, batch.controls, len(batch.tasks) + alone))
+        ends = batch.ends + batch.alone
+        self._ready.appendleft((batch.tasks + rest, batch.controls, len(batch.tasks) + alone, ends))
 
 
 SECONDS = 0.5  # that a batch should take
@@ -233,7 +238,8 @@ def _taken(
         if not hasattr(executor, "end"):
             raise PlannerError("a worker of the executor ended, which takes no more work; resume goes on.") from error
         late = flight.ended
-        if len(batch.tasks) > 1 or not (batch.alone or (late and hasattr(executor, "tells_begin"))):
+        blamed = batch.alone or hasattr(executor, "tells_begin") if late else batch.ends > 0
+        if len(batch.tasks) > 1 or not blamed:
             queue.lost(batch)
             return None
         found = BatchResult([failed(work, batch.tasks[0], *_why(work, late))], None)

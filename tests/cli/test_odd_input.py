@@ -13,6 +13,7 @@ from carts import write as write_problem
 from planner.__main__ import main
 from planner.base.arguments import did_you_mean
 from planner.base.errors import FileError, PlannerError
+from planner.base.gl import load_mujoco
 from planner.cases.human_step.gait_file import LARGEST as MAX_OF_GAIT
 from planner.cases.human_step.gait_file import read_gait
 from planner.cases.problem_file.table import LONGEST, read_table
@@ -75,6 +76,21 @@ def test_an_internal_error_has_an_exit_code_of_its_own(capsys, monkeypatch):
     assert "Traceback (most recent call last)" in printed.err
     assert json.loads(printed.out)["exit_code"] == INTERNAL
     assert case_flags.list_cases is not fails
+
+
+@pytest.mark.parametrize(
+    ("error", "words"),
+    [
+        (MemoryError(), "not enough memory"),
+        (load_mujoco().FatalError("Could not allocate memory"), "Could not allocate memory"),
+    ],
+)
+def test_memory_that_ends_is_a_sentence_also_where_mujoco_asks_for_it(monkeypatch, capsys, error, words):
+    def failing(*_):
+        raise error
+
+    monkeypatch.setattr("planner.cli.commands._function", lambda name: failing)
+    assert words in sentence(capsys, "list", code=2)
 
 
 @pytest.mark.skipif(not hasattr(os, "setsid"), reason="no signals here")

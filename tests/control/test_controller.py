@@ -20,6 +20,7 @@ def driven(controller, stages, moved=None, seen=None):
     """States of the plan's own dynamics under a controller that is asked once a stage."""
     dynamics = controller.problem.dynamics
     controller.reset()
+    controller.simulated = True  # a busy computer's wall time is no event here
     xs = [controller.problem.x0]
     for n in range(stages):
         x = xs[-1] if moved is None or moved[0] != n else xs[-1] + moved[1]
@@ -89,6 +90,7 @@ def test_between_its_plans_the_gains_act(problem):
 
 def test_a_failed_solve_goes_on_with_the_last_plan_then_holds_and_recovers(problem):
     c = planner.Controller(problem, patience=4)
+    c.simulated = True
     nothing = np.full(4, np.nan)
     dt, x = problem.dynamics.dt, problem.x0
     c(0.0, x)
@@ -165,6 +167,8 @@ def test_more_iterations_and_a_budget(problem):
         ({"iterations": 0}, ("iterations",)),
         ({"budget": -1.0}, ("budget",)),
         ({"plan": 3}, ("plan is 3",)),
+        ({"horizon": 10**9}, ("horizon is 1000000000", "at most")),
+        ({"latency": 2.1}, ("latency is 2.1", "at most 2.")),
     ],
 )
 def test_what_does_not_fit_is_refused(problem, given, fragments):

@@ -33,6 +33,7 @@ def begun(bounded):
     """A controller in the middle of its task, the time and the state of the next call."""
     bounded.goal = [np.pi / 2, 0.0]
     bounded.reset()
+    bounded.simulated = True  # a busy computer's wall time is no event here
     return bounded, *stages(bounded, 0.0, bounded.problem.x0, 5)
 
 
@@ -82,15 +83,21 @@ def test_bad_measurements_lead_from_tracking_to_stopped(begun, fault):
     checked(c, t, x)
     assert (c.status, c.plans) == (STOPPED, plans)  # a good measurement does not begin again by itself
     c.reset()
+    c.simulated = True
     checked(c, 0.0, c.problem.x0)
     assert c.status is TRACKING
 
 
-@pytest.mark.parametrize("bad", ["text", [1.0, "b", 3.0, 4.0], None, [[1.0, 2.0, 3.0, 4.0]]])
+@pytest.mark.parametrize(
+    "bad", ["text", [1.0, "b", 3.0, 4.0], None, [[1.0, 2.0, 3.0, 4.0]], np.ones(4) * 1j, [[1], []]]
+)
 def test_what_is_no_state_is_a_fault(begun, bad):
     c, t, _ = begun
     checked(c, t, bad)
     assert (c.status, c.events[-1].values) == (LATE, {"fault": "LENGTH"})
+    if bad is not None:  # then the state is predicted
+        assert not c.prepare(t, bad)
+        assert (c.faults, c.failures) == (2, 0)
 
 
 def test_a_good_measurement_after_some_that_were_not_tracks_again(begun):
@@ -106,17 +113,20 @@ def test_a_good_measurement_after_some_that_were_not_tracks_again(begun):
 
 def test_a_bad_first_measurement_gets_the_first_control_of_the_plan(bounded):
     bounded.reset()
+    bounded.simulated = True
     u = checked(bounded, 0.0, np.full(4, np.nan))
     np.testing.assert_allclose(u, bounded.plan.us[0])
     stages(bounded, 0.05, bounded.problem.x0, 2)
     assert bounded.status is TRACKING
 
 
-@pytest.mark.parametrize("t", [np.nan, np.inf, -np.inf, 1e300])
+@pytest.mark.parametrize("t", [np.nan, np.inf, -np.inf, 1e300, "now", None])
 def test_a_time_that_is_none_is_a_fault(begun, t):
     c, now, x = begun
     checked(c, t, x)
     assert (c.status, c.events[-1].values) == (LATE, {"fault": "CLOCK"})
+    assert not c.prepare(t)
+    assert (c.faults, c.failures) == (2, 0)
     stages(c, now, x, 1)
     assert c.status is TRACKING
 
@@ -199,6 +209,7 @@ def test_a_goal_beyond_all_numbers_holds_until_another(begun, goal):
 
 def test_a_goal_beyond_a_range_holds(problem):
     c = planner.Controller(replace(problem, limits=planner.Limits(position={"elbow": (-2.0, 2.0)})))
+    c.simulated = True
     c(0.0, problem.x0)
     c.goal = [1.0, 1.9]
     assert c.status is TRACKING
@@ -215,6 +226,7 @@ def hand_problem(**more):
 def test_a_place_out_of_reach_holds_the_arm():
     problem = hand_problem()
     c = planner.Controller(problem)
+    c.simulated = True
     x, t, dt = problem.x0, 0.0, problem.dynamics.dt
     for place, status in (([0.0, 0.69, 0.0], TRACKING), ([0.0, 0.72, 0.0], HOLDING), ([0.3, 0.3, 0.0], TRACKING)):
         c.goal = {"hand": place}
@@ -275,6 +287,19 @@ def test_late_plans_are_events_with_numbers_until_enough_are_in_time(problem):
     assert (c.events[-1].code, c.events[-1].values) == (EventCode.RECOVERED, {"overruns": 2})
 
 
+def test_wall_time_has_no_part_in_simulated_time(problem):
+    """A busy computer changes no status and no event of a simulation; its calls are counted beside."""
+    c = planner.Controller(problem)
+    slow(c, [0.06])
+    loop = planner.simulate(c, latency=0.0, duration=0.2)
+    assert (c.status, c.overruns, loop.events) == (TRACKING, 0, ())
+    assert loop.call_seconds.min() > 0.06
+    assert 0.0 < loop.call_processor_seconds.max() < 0.06
+    c.reset()
+    c(0.0, problem.x0)
+    assert (c.status, c.processor_seconds) == (LATE, 0.0)
+
+
 def test_an_iteration_begins_only_if_it_fits_in_the_budget(problem):
     c, x, dt = planner.Controller(problem, budget=1e-9, patience=3), problem.x0, problem.dynamics.dt
     taken = c._replanner.iteration_seconds
@@ -313,6 +338,7 @@ def test_prepare_and_feedback_are_a_call_where_the_problem_is_linear():
 
 def test_a_loop_of_prepare_and_feedback_arrives(problem):
     c, x, dt = planner.Controller(problem), problem.x0, problem.dynamics.dt
+    c.simulated = True
     c.prepare(0.0)
     for n in range(80):
         u = c.feedback(x)
@@ -339,6 +365,12 @@ def test_a_thread_plans_while_the_gains_control(problem):
     assert np.abs(x - [np.pi / 2, 0, 0, 0]).max() < 0.3
     with pytest.raises(planner.PlannerError, match="threaded"):
         c.prepare(0.0)
+    assert np.isfinite(c(10.0, x)).all()  # closed, it holds the arm
+    assert c.status is STOPPED
+    c.reset()
+    c(0.0, problem.x0)
+    assert c.status is TRACKING
+    c.close()
 
 
 def test_a_threaded_loop_in_simulated_time_is_the_same_again_and_better_than_a_held_control(problem):

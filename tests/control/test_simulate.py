@@ -183,6 +183,12 @@ def test_bodies_that_are_not_there_are_refused(controller):
         planner.simulate(controller, pushes=[Push("torso", 1.0, 0.0)])
     with pytest.raises(planner.PlannerError, match="mass names the body 'torso', expected one of"):
         planner.simulate(controller, mass={"torso": 0.1})
+    for given, words in (
+        ({"goal": 3}, "expected a function of time"),
+        ({"pushes": 3}, "expected a list of planner.Push"),
+    ):
+        with pytest.raises(planner.PlannerError, match=words):
+            planner.simulate(controller, **given)
 
 
 def test_the_command_writes_its_files_and_refuses_in_one_sentence(tmp_path):
@@ -256,6 +262,26 @@ def test_a_controller_that_knows_its_latency_expects_what_comes(problem):
         loop = planner.simulate(planner.Controller(problem, latency=known), latency=late, duration=1.0)
         misses.append(np.abs(loop.xs[:: loop.substeps][2:] - loop.plan.xs[2:]).max())
     assert misses[0] < 0.02 * misses[1]
+
+
+FILTERED = """
+<mujoco><worldbody><body><joint name="hinge" axis="0 -1 0" damping="0.1"/>
+  <geom type="capsule" fromto="0 0 0 0.5 0 0" size="0.02" mass="1"/></body></worldbody>
+  <actuator><general joint="hinge" dyntype="filterexact" dynprm="0.05" ctrlrange="-20 20"/></actuator></mujoco>"""
+
+
+def test_a_motor_behind_a_filter_and_a_latency_is_driven_as_the_model_has_them():
+    """The filter is a state, predicted over the latency as the others; without it the torque is 0.05 s late."""
+    arm = planner.Mechanism.from_mjcf(FILTERED)
+    assert arm.na == 1
+    problem = planner.task(arm, start=arm.home, goals=planner.Goal(joints={"hinge": 1.0}), duration=1.0)
+    late = problem.dynamics.dt
+    loop = planner.simulate(planner.Controller(problem, latency=late), latency=late)
+    assert judge(loop).passed
+    act = loop.act[:, 0]
+    assert np.abs(np.diff(act)).max() < np.abs(np.diff(loop.ctrl[:, 0])).max()  # it lags the control
+    first = loop.xs[:: loop.substeps][2:] - loop.plan.xs[2:]
+    assert np.abs(first).max() < 0.02  # rad, rad/s, N m of motions of several: only the simulator's step differs
 
 
 @pytest.mark.slow

@@ -9,8 +9,9 @@ import time
 from contextlib import contextmanager, nullcontext
 from functools import partial
 
+import numpy as np
 import pytest
-from troubled_problems import slow, troubled
+from troubled_problems import mortal, slow, troubled
 
 import planner
 from planner.sweeps import processes, running
@@ -56,6 +57,24 @@ def test_a_worker_that_is_killed_once_costs_nothing(executor, tmp_path):
         sweep(troubled, GRID, out=tmp_path / "out", executor=pool, workers=2, fixed=fixed)
     assert (tmp_path / "killed").exists()
     assert statuses(tmp_path / "out")[0] == {}
+
+
+def test_ten_thousand_points_outlive_four_workers(tmp_path):
+    heights = np.linspace(1.0, 60.0, 10_000).tolist()
+    deaths = tuple(heights[2000::2000])
+    with on_dask() as pool:
+        done = sweep(
+            mortal, {"height": heights}, out=tmp_path / "out", executor=pool,
+            fixed={"deaths": deaths, "folder": str(tmp_path)},
+        )  # fmt: skip
+    assert done.complete
+    assert len(list(tmp_path.iterdir())) == 1 + len(deaths) == 5
+    with open(tmp_path / "out" / "table.csv", encoding="utf-8", newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert [int(row["task"]) for row in rows] == list(range(10_000))
+    assert {row["status"] for row in rows} == {"CONVERGED"}
+    for k in (0, 2000, 9999):
+        assert float(rows[k]["cost"]) == planner.solve(mortal(heights[k])).cost
 
 
 @pytest.mark.parametrize("executor", EXECUTORS)

@@ -247,5 +247,5 @@ def _check_names(model: Any, name: str) -> None:
 def _reason(error: Exception) -> str:
     reason = " ".join(str(error).split()) or "it does not say why"
     if "unknown exception" in reason or "allocate memory" in reason:
-        reason = f"it asks for more than {MEMORY / 2**30:g} GB ({reason.rstrip('.!')})"
+        reason = f"it asks for more than {MEMORY / 2**30:g} GB, or than there is ({reason.rstrip('.!')})"
     return reason if reason.endswith((".", "!", "?")) else f"{reason}."
