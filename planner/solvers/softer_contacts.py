@@ -3,10 +3,10 @@
     K / f,    B / sqrt(f),    f a,     f >= 1
 
 of the stiffness, the damping and the ramp of every contact with the ground and between bodies: a machine at rest sinks
-f times as deep, its bounces keep their damping ratio, and the force ramp is the same. A hard contact is nearly a switch,
-about which the LQ problem knows nothing until it happens; a soft one has a gradient over a longer part of the way, and
-its plan takes off and lands as the hard one does (Mordatch, Todorov and Popovic 2012; Posa, Cantu and Tedrake 2014
-relax the complementarity instead). At f = 1 it is the problem itself. Stops of joints and friction stay.
+f times as deep, its bounces keep their damping ratio, and the force ramp is the same. A hard contact is nearly a
+switch, about which the LQ problem knows nothing until it happens; a soft one has a gradient over a longer part of the
+way, and its plan takes off and lands as the hard one does (Mordatch, Todorov and Popovic 2012; Posa, Cantu and
+Tedrake 2014 relax the complementarity instead). At f = 1 it is the problem itself. Stops of joints and friction stay.
 """
 
 from __future__ import annotations
