@@ -181,11 +181,11 @@ class _Relaxation:
             return _meets_goals(plan) if plan.problem is self.problem else plan.status is Status.CONVERGED
 
         family = SofterContacts(self.problem)
-        follow = replace(self._continuation("contacts", family), meets_goals=is_kept)
-        soft = self._solve(family.at(SOFT_FACTOR), None, follow.look_iterations)
+        continuation = replace(self._continuation("contacts", family), meets_goals=is_kept)
+        soft = self._solve(family.at(SOFT_FACTOR), None, continuation.look_iterations)
         if not self._report("contacts", SOFT_FACTOR, soft, bool(np.isfinite(soft.xs).all())):
             return None
-        s, plan = follow.run(math.log(SOFT_FACTOR), soft)
+        s, plan = continuation.run(math.log(SOFT_FACTOR), soft)
         return plan if s == 0.0 else None
 
     def _branches(self, family: WiderLimits, free: Plan) -> Iterator[tuple[float, Plan]]:
