@@ -9,6 +9,7 @@ import sys
 from pathlib import Path
 
 import planner
+from planner.base.packaged import problem_files
 from planner.proof.replays.replaying import replay
 
 ROOT = Path(__file__).parents[2]
@@ -28,6 +29,7 @@ def entries() -> list[tuple[str, str, planner.Problem]]:
     for name in CASES:
         case = name.replace("_", "-")
         found.append((case, f"planner run {case}", getattr(planner.cases, name)()))
+    found += [(name, f"planner run {name}", planner.load_problem(name)) for name in problem_files()]
     files = [*sorted((ROOT / "examples" / "tasks").glob("*.toml")), ROOT / "examples" / "crane.toml"]
     files += sorted((ROOT / "examples" / "closed_chains").glob("*.toml"))
     for file in files:

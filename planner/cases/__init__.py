@@ -8,6 +8,7 @@ from typing import Any
 
 from planner.base.arguments import choice
 from planner.base.errors import PlannerError
+from planner.base.packaged import problem_files
 from planner.cases.acrobot import acrobot
 from planner.cases.high_dive.case import high_dive
 from planner.cases.hopper import hopper
@@ -35,6 +36,8 @@ def build(name: str, /, **parameters: Any) -> Problem:
     Raises:
         PlannerError: No such case, no such parameter, or a value that is out of range.
     """
+    if name in problem_files():
+        raise PlannerError(f"{name} is a problem file of the package, expected planner.load_problem({name!r}).")
     case = CASES[choice("case", name, CASES)]
     known = inspect.signature(case).parameters
     for parameter in parameters:

@@ -14,6 +14,7 @@ from collections.abc import Callable
 from typing import Any, get_args, get_type_hints
 
 from planner.base.arguments import choice
+from planner.base.packaged import problem_files, problem_summary
 from planner.cli.console import Console
 from planner.cli.flags import COMMON, PROBLEM_FILE, Flags, add, boolean_flag, choice_flag, number, value_flag, whole
 from planner.cli.source_values import value_of
@@ -69,11 +70,16 @@ def add_cases(parser: argparse.ArgumentParser, *groups: Flags) -> None:
         add(child, _LIMITS, _SOLVER, *groups, COMMON)
         shared = set(child._option_string_actions) - {"-h", "--help"}
     keys = f"Its keys: {', '.join(value_of('planner.cases.problem_file.keys', 'KEYS'))}."
-    own = machines.add_parser(PROBLEM_FILE, help=_OWN, description=f"{parser.description} {_OWN}", epilog=keys)
-    own.set_defaults(parser=own, control_limit=None, exact_goal=False)
-    own.add_argument("problem", metavar="FILE", help="A problem.toml.")
-    add(own, _URDF, _SOLVER, *groups, COMMON)
-    parser.set_defaults(shared=[one for one in own._actions if not shared.isdisjoint(one.option_strings)])
+    for name, file in {**problem_files(), PROBLEM_FILE: None}.items():
+        text = _OWN if file is None else problem_summary(file)
+        own = machines.add_parser(name, help=text, description=f"{parser.description} {text}", epilog=keys)
+        own.set_defaults(parser=own, control_limit=None, exact_goal=False)
+        if file is None:
+            own.add_argument("problem", metavar="FILE", help="A problem.toml.")
+        else:
+            own.set_defaults(case=PROBLEM_FILE, problem=str(file))
+        add(own, _URDF, _SOLVER, *groups, COMMON)
+        parser.set_defaults(shared=[one for one in own._actions if not shared.isdisjoint(one.option_strings)])
 
 
 def documented_arguments(case: Callable[..., Any]) -> dict[str, str]:
@@ -129,19 +135,23 @@ _OWN_SUMMARY = "a machine of your own: its MJCF or URDF, a start, a goal"
 
 def list_cases(arguments: argparse.Namespace, console: Console) -> int:
     """List the machines, or the flags of one, or the keys of a problem file."""
-    name = arguments.machine
+    name, files = arguments.machine, problem_files()
+    if name in files:
+        console.write_result(f"{files[name]}:\n\n{files[name].read_text(encoding='utf-8')}")
+        return console.finish("list", 0, cases=[], problem_file={"path": str(files[name])})
     if name is not None:
         name = PROBLEM_FILE if name.lower().endswith(".toml") else name  # whoever has one asks for its keys
-        choice("the machine", name, (*CASES, PROBLEM_FILE))
+        choice("the machine", name, (*CASES, *files, PROBLEM_FILE))
     shown = CASES if name is None else {} if name == PROBLEM_FILE else {name: CASES[name]}
     document = [_described(one, case) for one, case in shown.items()]
     if name is None:
-        width = max(map(len, (*shown, PROBLEM_FILE)))
-        for row in (*document, {"case": PROBLEM_FILE, "summary": _OWN_SUMMARY}):
-            text = textwrap.shorten(row["summary"], COLUMNS - width - 2, placeholder=" ...")
-            console.write_result(f"{row['case']:{width}}  {text}")
+        rows = {row["case"]: row["summary"] for row in document}
+        rows |= {one: problem_summary(file) for one, file in files.items()} | {PROBLEM_FILE: _OWN_SUMMARY}
+        width = max(map(len, rows))
+        for one, text in rows.items():
+            console.write_result(f"{one:{width}}  {textwrap.shorten(text, COLUMNS - width - 2, placeholder=' ...')}")
         console.write_result(
-            f"\nplanner list NAME shows the flags of one, planner list {PROBLEM_FILE} the keys of a problem file."
+            f"\nplanner list NAME shows the flags or the file of one, planner list {PROBLEM_FILE} the keys of a file."
         )
     elif name in shown:
         _show_flags(name, console)

@@ -59,7 +59,8 @@ class Continuation:
             to = s - step if s - step >= self.min_step else 0.0
             found, kept = self._corrected(to, _predicted(to, s, plan, before))
             if kept:
-                before, s, plan = (s, plan), to, found
+                before = (s, plan) if plan.converged else None  # a plan on its way predicts nothing
+                s, plan = to, found
                 step = min(1.5 * step, s) if found.nit < self.look_iterations else min(step, s)
             else:
                 step = 0.4 * min(step, s)

@@ -1,6 +1,10 @@
-"""Relaxation: solve without limits first and then tighten them, where a direct solve ends without success.
+"""Relaxation: where a direct solve ends without success, solve an easier problem and follow its plan to the asked one.
 
-Bounds that act from the first iteration may trap a solve. The free problem is easy; its plan is followed into the
+With contacts the easier problem has softer ones (solvers.softer_contacts): sinking SOFT_FACTOR times as deep, then less
+and less. It is also tried where a direct solve takes more than MAX_QUICK_ITERATIONS: the plan is the one of the two
+that costs less. The last solve always has the contacts of the problem.
+
+Bounds that act from the first iteration may trap a solve too. The free problem is easy; its plan is followed into the
 limits by a continuation (solvers.continuation) in the logarithm of the factor by which they are wider
 (solvers.wider_limits).
 
@@ -28,10 +32,13 @@ from planner.problem.rediscretize import lengthened, rounded_duration
 from planner.problem.trajectory import Trajectory
 from planner.solvers.continuation import Continuation
 from planner.solvers.options import DEFAULT, SolverOptions
+from planner.solvers.softer_contacts import SofterContacts, has_softer
 from planner.solvers.warm_start import tracked_warm_start
 from planner.solvers.wider_limits import WiderLimits, at_limits, free_problem
 from planner.solvers.work import WorkBudget
 
+SOFT_FACTOR = 10.0  # of the depth that contacts sink in, at which a continuation in the contact begins
+MAX_QUICK_ITERATIONS = 100  # of a direct solve with contacts, beyond which it crawls along their kinks
 SWING_FACTOR = 2.0  # of the limits, at which branches with other numbers of swings begin
 SWING_ITERATIONS = 300  # limit of their first solves
 MAX_REPEATS = 2  # number of swings that lead to a branch that was followed, after which no others are tried
@@ -48,8 +55,8 @@ class RelaxationStep(NamedTuple):
     """One solve of a relaxation."""
 
     number: int  # Counted from 0
-    stage: str  # "direct", "free", "limits", "swing" or "duration"
-    factor: float  # By which the limits are wider; inf without limits
+    stage: str  # "direct", "contacts", "free", "limits", "swing" or "duration"
+    factor: float  # By which contacts sink deeper, or limits are wider; inf without limits
     duration: float  # s
     cost: float
     iterations: int
@@ -66,18 +73,23 @@ class RelaxationStep(NamedTuple):
     @staticmethod
     def header() -> str:
         """The heading of the table of str(); part of the first row."""
-        return f"{'relax':>5}  stage     {'limits':>7}  {'duration, s':>11}  {'cost':>15}  {'iterations':>10}  status"
+        return f"{'relax':>5}  stage     {'factor':>7}  {'duration, s':>11}  {'cost':>15}  {'iterations':>10}  status"
 
 
 def is_trapped(problem: Problem, plan: Plan, options: SolverOptions) -> bool:
-    """Whether a direct solve ended without success at its limits, and a relaxation may help.
+    """Whether a direct solve ended without success at its limits or with contacts, or was slow with contacts.
 
     Not where an iteration limit below the default cut it: who asks for little work gets little.
     """
     if not options.homotopy or options.max_iterations < DEFAULT.max_iterations or problem.periodic is not None:
         return False
-    failed = plan.status in _UNSUCCESSFUL or bool(plan.missed_goals)
-    return failed and at_limits(problem, plan)
+    if has_softer(problem) and (_failed(plan) or plan.nit > MAX_QUICK_ITERATIONS):
+        return True
+    return _failed(plan) and at_limits(problem, plan)
+
+
+def _failed(plan: Plan) -> bool:
+    return plan.status in _UNSUCCESSFUL or bool(plan.missed_goals)
 
 
 def relax(
@@ -91,8 +103,8 @@ def relax(
     """The plan of a relaxation, else the direct one; and a record of its solves for its options.
 
     Args:
-        problem: With limits.
-        direct: Its plan by a direct solve, without success.
+        problem: With limits or contacts.
+        direct: Its plan by a direct solve, without success or slow.
         solve_one: One solve of (problem, options, states, penalties, controls, iteration limit, callback).
         options: Of the solves.
         callback: Called with each RelaxationStep; it may raise StopIteration.
@@ -106,7 +118,7 @@ def relax(
     try:
         plan = work.run(direct)
     except _OutOfWorkError as end:
-        plan = replace(direct, status=end.status)
+        plan = replace(direct, status=end.status) if _failed(direct) else direct
     except (KeyboardInterrupt, StopIteration):
         plan = replace(direct, status=Status.INTERRUPTED)
     return plan, work.record()
@@ -131,7 +143,13 @@ class _Relaxation:
 
     def run(self, direct: Plan) -> Plan:
         problem, limit = self.problem, self.options.max_iterations
-        self._report("direct", 1.0, direct, False)
+        self._report("direct", 1.0, direct, not _failed(direct))
+        if has_softer(problem):
+            plan = self._by_softer_contacts()
+            if plan is not None and (_failed(direct) or plan.cost < direct.cost):
+                return replace(plan, starts=direct.starts)
+            if not (_failed(direct) and at_limits(problem, direct)):
+                return direct
         free = self._solve(free_problem(problem), None, limit)
         self._report("free", math.inf, free, _meets_goals(free))
         if not _meets_goals(free):
@@ -151,6 +169,24 @@ class _Relaxation:
         if duration is not None:
             self.passing["duration"] = duration
         return replace(direct, status=Status.INFEASIBLE)
+
+    def _by_softer_contacts(self) -> Plan | None:
+        """The plan of the problem that one of softer contacts leads to; None where its branch ends before.
+
+        What stands on softer ground stands lower, so that only the last plan has to meet the goals; the first one need
+        not have converged.
+        """
+
+        def is_kept(plan: Plan) -> bool:
+            return _meets_goals(plan) if plan.problem is self.problem else plan.status is Status.CONVERGED
+
+        family = SofterContacts(self.problem)
+        continuation = replace(self._continuation("contacts", family), meets_goals=is_kept)
+        soft = self._solve(family.at(SOFT_FACTOR), None, continuation.look_iterations)
+        if not self._report("contacts", SOFT_FACTOR, soft, bool(np.isfinite(soft.xs).all())):
+            return None
+        s, plan = continuation.run(math.log(SOFT_FACTOR), soft)
+        return plan if s == 0.0 else None
 
     def _branches(self, family: WiderLimits, free: Plan) -> Iterator[tuple[float, Plan]]:
         """The free plan, then those of other numbers of swings that meet the goal in wider limits, and their s."""
@@ -185,7 +221,7 @@ class _Relaxation:
                 return rounded_duration(longer, 1.0)
         return None
 
-    def _continuation(self, stage: str, family: WiderLimits) -> Continuation:
+    def _continuation(self, stage: str, family: WiderLimits | SofterContacts) -> Continuation:
         def report(s: float, plan: Plan, kept: bool) -> None:
             self._report(stage, math.exp(s), plan, kept)
 

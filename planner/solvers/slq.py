@@ -89,7 +89,7 @@ def solve(
             with its multipliers. Its step and duration may differ from the problem's. None (default) starts from the
             problem's own guess.
         callback: Called with each Iteration, or for several starts with each Start as it ends, and with each
-            RelaxationStep where a solve without success is relaxed; print makes a table.
+            RelaxationStep where a solve without success, or a slow one with contacts, is relaxed; print makes a table.
             It may raise StopIteration to end the solve.
         rank: A function of a Plan: the start with the lowest value is returned. By default its cost; proof.proven_cost
             is its cost in MuJoCo. Non-finite values rank last.
@@ -182,7 +182,7 @@ def solve(
         work.charge(problem, best.total_iterations)
     if (
         warm_start is None and core.dynamics is problem.dynamics and not (work is not None and work.exhausted)
-        and is_trapped(core, best, settings)
+        and is_trapped(core, best, replace(settings, max_iterations=asked))  # the budget has not cut it: some is left
     ):  # fmt: skip
         solve_again = partial(_solve_from_guess, deadline=deadline)
         best, recorded["relaxation"] = relax(core, best, solve_again, settings, callback, work)

@@ -11,6 +11,7 @@ from commands import launch, refused, run
 from places import ROOT
 
 import planner
+from planner.base.packaged import problem_files
 from planner.cli.results import OUTPUTS
 
 EXAMPLES = ROOT / "examples"
@@ -175,8 +176,9 @@ def test_list_shows_a_line_for_each_machine(tmp_path):
     done = run("list", cwd=tmp_path)
     lines = done.stdout.splitlines()
     assert done.returncode == 0
-    assert [line.split()[0] for line in lines[: len(planner.cases.CASES)]] == list(planner.cases.CASES)
-    assert len(lines) <= len(planner.cases.CASES) + 3
+    machines = [*planner.cases.CASES, *problem_files()]
+    assert [line.split()[0] for line in lines[: len(machines)]] == machines
+    assert len(lines) <= len(machines) + 3
     assert max(map(len, lines)) <= 100
     cases = json.loads(run("list", "--json", cwd=tmp_path).stdout)["cases"]
     assert {case["case"]: case["parameters"] for case in cases}["hopper"]["height"] == 20.0

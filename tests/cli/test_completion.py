@@ -7,6 +7,7 @@ import pytest
 from commands import refused, run
 
 import planner
+from planner.base.packaged import problem_files
 
 ASK = """
 source script.bash
@@ -31,7 +32,7 @@ def folder(tmp_path_factory):
     ("words", "expected"),
     [
         (("ex",), "export"),
-        (("run", ""), " ".join(planner.cases.CASES)),  # and no PROBLEM.toml, which nobody types
+        (("run", ""), " ".join([*planner.cases.CASES, *problem_files()])),  # and no PROBLEM.toml, which nobody types
         (("run", "hopper", "--flow"), "--flow-weight"),
         (("export", "a.npz", "--to", "k"), "keyframes"),
     ],

@@ -55,6 +55,7 @@ import numpy as np
 from planner import cases
 from planner.base.arguments import choice, count, short_repr
 from planner.base.errors import PlannerError
+from planner.base.packaged import problem_files
 from planner.cases.problem_file.constraints import constraints_of
 from planner.cases.problem_file.feasibility_checks import check_goal_controllable, check_goal_differs
 from planner.cases.problem_file.ground_placement import place_on_ground
@@ -197,11 +198,13 @@ def of_table(table: dict[str, Any], twin: Twin | None) -> Problem:
 def load_problem(path: str | Path) -> Problem:
     """The problem of a problem.toml: of a machine of one's own, or of a case that the file names.
 
-    Its starts, seed and durations are for `planner run`; give them to solve or solve_for yourself.
+    Its starts, seed and durations are for `planner run`; give them to solve or solve_for yourself. The name of a
+    problem file of the package, e.g. "quadrotor", stands for it.
 
     Raises:
         PlannerError: The file cannot be read, a key is unknown, missing or wrong, or the model cannot be used.
     """
+    path = problem_files().get(str(path), path)
     named = case_in(path)
     return load(path).problem if named is None else cases.build(named[0], **named[1])
 

@@ -18,6 +18,7 @@ from pathlib import Path
 from planner.base.arguments import short_repr
 from planner.base.errors import ModelError
 from planner.base.files import printable, read_input, read_text
+from planner.base.packaged import MODEL_FOLDERS
 
 MAX_ELEMENTS = 200_000  # written, includes resolved
 MAX_FILES = 1000  # read for them
@@ -152,16 +153,12 @@ def base(file: str) -> str:
     return re.split(r"[/\\]", file)[-1].lower()
 
 
-# In the wheel mjcf/ lies inside the package, in a checkout beside it.
-_FOLDERS = (Path(__file__).parents[2] / "mjcf", Path(__file__).parents[3] / "mjcf")
-
-
 def model_path(name: str) -> Path:
     """The folder of a model that comes with the package, e.g. "hopper"."""
-    for folder in _FOLDERS:
+    for folder in MODEL_FOLDERS:
         if (folder / name / "scene.xml").is_file():
             return folder / name
-    known = sorted({scene.parent.name for folder in _FOLDERS for scene in folder.glob("*/scene.xml")})
+    known = sorted({scene.parent.name for folder in MODEL_FOLDERS for scene in folder.glob("*/scene.xml")})
     raise ModelError(f"there is no model {name!r}, expected one of: {', '.join(known)}.")
 
 

@@ -1,0 +1,76 @@
+"""Problem files of the package: each is short, converges and meets its goals by its name; slow, it passes its proof."""
+
+import tomllib
+
+import pytest
+from commands import refused, run
+
+import planner
+from planner.base.packaged import problem_files
+from planner.problem.goals import goals_of
+
+FILES = problem_files()
+
+
+@pytest.fixture(scope="module")
+def plans():
+    return {}
+
+
+def plan_of(name, plans):
+    if name not in plans:
+        plans[name] = planner.solve(planner.load_problem(name))
+    return plans[name]
+
+
+@pytest.mark.parametrize("name", FILES)
+def test_it_converges_and_meets_every_goal(name, plans):
+    plan = plan_of(name, plans)
+    assert plan.success
+    goals = goals_of(plan.problem, plan.xs)
+    assert goals
+    for one in goals:
+        assert one.miss(plan.t, plan.xs) <= one.tolerance, one.name
+
+
+@pytest.mark.parametrize("name", FILES)
+def test_its_file_is_short_and_weighs_nothing(name):
+    text = FILES[name].read_text(encoding="utf-8")
+    assert len([line for line in text.splitlines() if not line.startswith("#")]) <= 12
+    assert "weights" not in tomllib.loads(text)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", FILES)
+def test_it_passes(name, plans):
+    proof = planner.prove(plan_of(name, plans), rollouts=0)
+    assert proof.passed, proof.reason
+
+
+def test_the_lander_pushes_only_and_the_quadrotor_goes_through_its_window(plans):
+    lander, drone = plan_of("lander", plans), plan_of("quadrotor", plans)
+    assert lander.us[:, 0].min() >= 0.0
+    x, y, z = drone.xs[abs(drone.xs[:, 0] - 1.2) < 0.04, :3].T  # between the faces of the window's frame
+    assert len(x)
+    assert abs(y).max() < 0.44  # its opening: see mjcf/quadrotor/scene.xml
+    assert z.min() > 1.2
+    assert z.max() < 1.7
+
+
+def test_the_monopod_leaves_the_ground_and_the_satellite_turns_without_momentum(plans):
+    hop, turn = plan_of("monopod", plans), plan_of("satellite", plans)
+    assert (hop.xs[:, 1] + hop.xs[:, 3]).max() > 0.1  # m: a sole is at z + leg where the leg is upright
+    mechanism = turn.problem.dynamics.mechanism
+    for q, qd in zip(turn.xs[:, : mechanism.nq], turn.xs[:, mechanism.nq :], strict=True):
+        assert abs(planner.dynamics.angular_momentum(mechanism, q, qd)).max() < 1e-4  # N m s; RK4 keeps it so nearly
+
+
+def test_a_name_stands_for_its_file(tmp_path):
+    with pytest.raises(planner.PlannerError, match=r"expected planner.load_problem\('lander'\)"):
+        planner.cases.build("lander")
+    shown = run("list", "lander", cwd=tmp_path).stdout
+    assert FILES["lander"].read_text(encoding="utf-8") in shown
+    refused(run("run", "landr", cwd=tmp_path), "Did you mean 'lander'?")
+    done = run("solve", "lander", "--out", "a.npz", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert planner.load_plan(tmp_path / "a.npz").converged
