@@ -35,6 +35,7 @@ def test_softer_contacts_sink_deeper_and_bounce_alike(problem):
     assert not has_softer(planner.cases.two_link(horizon=10))
 
 
+@pytest.mark.slow  # a jump takes 10 s
 def test_a_slow_jump_costs_less_by_way_of_softer_ground(problem, jump):
     direct = planner.solve(problem, DIRECT)
     steps = jump.options["relaxation"]["steps"]
@@ -49,6 +50,7 @@ def test_a_slow_jump_costs_less_by_way_of_softer_ground(problem, jump):
     assert "relaxation" not in direct.options
 
 
+@pytest.mark.slow  # a jump takes 10 s
 def test_it_is_the_same_bit_for_bit_each_time_and_is_stored(problem, jump, tmp_path):
     assert np.array_equal(planner.solve(problem).us, jump.us)
     assert planner.load_plan(jump.save(tmp_path / "plan.npz")).options["relaxation"] == jump.options["relaxation"]
