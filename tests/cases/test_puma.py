@@ -277,6 +277,7 @@ def test_wrong_paths_are_refused():
         static_limit(np.zeros((3, 5)))
 
 
+@pytest.mark.pictures
 @pytest.mark.slow
 def test_the_puma_study_finds_what_its_page_says(monkeypatch, tmp_path):
     monkeypatch.setattr(puma_study, "DURATIONS", (1.5,))
