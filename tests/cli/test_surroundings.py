@@ -11,6 +11,7 @@ import planner
 
 LIMITED = (
     "import resource, signal, sys; signal.signal(signal.SIGXFSZ, signal.SIG_IGN);"
+    "sys.dont_write_bytecode = True;"  # a module that is cut off there would break the next import
     "resource.setrlimit(resource.RLIMIT_FSIZE, ({0}, {0}));"
     "from planner.__main__ import main; sys.exit(main(sys.argv[1:]))"
 )
