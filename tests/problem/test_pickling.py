@@ -85,21 +85,22 @@ def test_costs_of_every_kind_are_copied(way):
 
 @pytest.fixture(scope="module")
 def proved():
-    """A plan and its proof."""
+    """A plan, its proof and one of the proof's perturbed rollouts."""
     plan = planner.solve(arm())
-    return plan, planner.prove(plan, rollouts=4)
+    proof = planner.prove(plan, rollouts=4)
+    return plan, proof, replay_rollout(proof.replay.plan, proof.replay.compiled, 1)
 
 
 @pytest.mark.parametrize("way", WAYS)
 def test_plan_proof_and_replays_are_copied(proved, way):
-    plan, proof = proved
+    plan, proof, run = proved
     copied_plan, copied = WAYS[way]((plan, proof))
     assert same_bits(plan, copied_plan)
     assert copied.to_dict() == proof.to_dict()
     assert copied.parity == proof.parity
     if way == "pickle":  # what goes to another process; the perturbed rollouts take most of a proof
         assert planner.prove(copied.replay.plan, rollouts=4).to_dict() == proof.to_dict()
-    run, other = (replay_rollout(of.replay.plan, of.replay.compiled, 1) for of in (proof, copied))
+    other = replay_rollout(copied.replay.plan, copied.replay.compiled, 1)
     assert run.xs.tobytes() == other.xs.tobytes()
 
 
