@@ -1,4 +1,4 @@
-"""What all tests share: signals that a shell takes away from its background jobs, a library to draw with, blank plots."""
+"""What all tests share: signals that a shell takes away from its background jobs, a drawing library, blank plots."""
 
 import base64
 import contextlib
@@ -13,9 +13,7 @@ from matplotlib.figure import Figure
 from planner.base import gl
 
 PICTURES = {"view", "paper"}  # folders whose tests draw
-PIXEL = base64.b64decode(
-    "iVBORw0KGgoAAAANSUhEUgAAAAEAAAABCAAAAAA6fptVAAAACklEQVR4nGP4DwABAQEAsTj2FAAAAABJRU5ErkJggg=="
-)
+PIXEL = base64.b64decode("iVBORw0KGgoAAAANSUhEUgAAAAEAAAABCAAAAAA6fptVAAAACklEQVR4nGP4DwABAQEAsTj2FAAAAABJRU5ErkJggg==")
 
 
 def pytest_configure():

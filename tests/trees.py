@@ -154,7 +154,9 @@ def machines(examples, max_dofs=40, max_bodies=12, plain=False, **more):
         texts = mechanism_texts(max_dofs, max_bodies, plain)
         whole = given(text=texts, seed=st.integers(0, 2**32 - 1), **more)(test)
         checks = [HealthCheck.too_slow, HealthCheck.data_too_large, HealthCheck.large_base_example]
-        return settings(max_examples=share_of(examples), deadline=None, derandomize=True, suppress_health_check=checks)(whole)
+        return settings(max_examples=share_of(examples), deadline=None, derandomize=True, suppress_health_check=checks)(
+            whole
+        )
 
     return decorate
 

@@ -20,7 +20,7 @@ FOLDER = ROOT / "examples" / "closed_chains"
 
 def files(slow=()):
     """The files, of which some take long: the poses of the platform's goal alone take 8 s."""
-    marks = {name: pytest.mark.slow for name in slow}
+    marks = dict.fromkeys(slow, pytest.mark.slow)
     return [pytest.param(path, id=path.stem, marks=marks.get(path.stem, ())) for path in sorted(FOLDER.glob("*.toml"))]
 
 

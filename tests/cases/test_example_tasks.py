@@ -23,9 +23,7 @@ def plan_of(path, plans):
     return plans[path]
 
 
-@pytest.mark.parametrize(
-    "path", [pytest.param(path, id=path.stem, marks=LONG.get(path.stem, ())) for path in TASKS]
-)
+@pytest.mark.parametrize("path", [pytest.param(path, id=path.stem, marks=LONG.get(path.stem, ())) for path in TASKS])
 def test_it_converges_and_meets_every_goal(path, plans):
     plan = plan_of(path, plans)
     assert plan.success

@@ -123,8 +123,8 @@ def test_a_problem_file_is_run_proved_and_solved_like_a_case(tmp_path):
 
 def test_a_failing_plan_is_saved_and_exits_1(tmp_path):
     done = run(
-        "run", "two-link", "--integrator", "euler", "--horizon", 50, "--no-video", "--json", "--no-refine", "--out", "o",
-        cwd=tmp_path,
+        "run", "two-link", "--integrator", "euler", "--horizon", 50, "--no-video", "--json", "--no-refine",
+        "--out", "o", cwd=tmp_path,
     )  # fmt: skip
     assert done.returncode == 1
     document = json.loads(done.stdout)
