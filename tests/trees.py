@@ -4,6 +4,7 @@ Hypothesis draws the structure, so that a failing tree shrinks to a small one; t
 Hypothesis seeds.
 """
 
+import os
 import re
 from dataclasses import dataclass
 
@@ -18,6 +19,9 @@ from planner.model.mechanism import SCREW, Mechanism
 from planner.model.space import exp_quaternion, product
 
 mujoco = load_mujoco()
+
+SHARE = float(os.environ.get("PLANNER_MACHINES", "0.5"))
+"""Share of its random machines that a test tries; .ci/run tries them all, where it runs the kernels a second time."""
 
 DOFS = {"hinge": 1, "slide": 1, "ball": 3, "free": 6}
 # What one body may carry in one row: MuJoCo allows no rotation after a ball and nothing beside a free joint.
@@ -138,6 +142,11 @@ def mechanism_texts(max_dofs=40, max_bodies=12, plain=False):
     )
 
 
+def share_of(examples):
+    """How many random machines a test tries of those that it names."""
+    return max(4, round(SHARE * examples))
+
+
 def machines(examples, max_dofs=40, max_bodies=12, plain=False, **more):
     """Decorator: a test of (text, seed, ...) on that many random machines, the same ones in every run."""
 
@@ -145,7 +154,9 @@ def machines(examples, max_dofs=40, max_bodies=12, plain=False, **more):
         texts = mechanism_texts(max_dofs, max_bodies, plain)
         whole = given(text=texts, seed=st.integers(0, 2**32 - 1), **more)(test)
         checks = [HealthCheck.too_slow, HealthCheck.data_too_large, HealthCheck.large_base_example]
-        return settings(max_examples=examples, deadline=None, derandomize=True, suppress_health_check=checks)(whole)
+        return settings(max_examples=share_of(examples), deadline=None, derandomize=True, suppress_health_check=checks)(
+            whole
+        )
 
     return decorate
 

@@ -9,6 +9,7 @@ from planner.cases.problem_file import load
 from planner.problem.goals import goals_of
 
 TASKS = sorted((ROOT / "examples" / "tasks").glob("*.toml"))
+LONG = {"through_a_window": pytest.mark.slow}  # 8 s for its poses; the proof below, which is slow anyway, shares them
 
 
 @pytest.fixture(scope="module")
@@ -22,7 +23,7 @@ def plan_of(path, plans):
     return plans[path]
 
 
-@pytest.mark.parametrize("path", TASKS, ids=lambda path: path.stem)
+@pytest.mark.parametrize("path", [pytest.param(path, id=path.stem, marks=LONG.get(path.stem, ())) for path in TASKS])
 def test_it_converges_and_meets_every_goal(path, plans):
     plan = plan_of(path, plans)
     assert plan.success

@@ -109,7 +109,7 @@ def test_the_model_is_that_of_prescribed_accelerations(plans):
     np.testing.assert_allclose(robot_wrench(jerked, plan.xs, plan.us), wrench, atol=1e-2)  # of 1000 N
 
 
-@pytest.mark.parametrize("phase", ["swing", "cycle"])
+@pytest.mark.parametrize("phase", ["swing", pytest.param("cycle", marks=pytest.mark.slow)])
 def test_mujoco_repeats_the_gentle_step(plans, phase):
     """PASS, and as near as without a weight of jerk; gains act on the accelerations, too."""
     plan = plans[phase, "jerk"]

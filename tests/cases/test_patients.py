@@ -137,7 +137,7 @@ def test_monte_carlo_over_patients(swing):
 # forces as controls, and effort
 
 
-@pytest.mark.parametrize("phase", ["swing", "cycle"])
+@pytest.mark.parametrize("phase", ["swing", pytest.param("cycle", marks=pytest.mark.slow)])
 def test_forces_are_proved(phase):
     plan = planner.solve(human_step(phase=phase, pelvis="force"))
     assert plan.success

@@ -6,7 +6,7 @@ from commands import launch
 
 @pytest.fixture(scope="session")
 def finished(tmp_path_factory):
-    """One run of the hopper without pictures."""
+    """One run of the two-link arm without a film."""
     folder = tmp_path_factory.mktemp("run")
-    done = launch("run", "hopper", "--height", 12, "--no-video", "--out", "out", cwd=folder)
+    done = launch("run", "two-link", "--horizon", 100, "--mass2", 0.3, "--no-video", "--out", "out", cwd=folder)
     return folder, done

@@ -34,8 +34,8 @@ def test_run_writes_plan_proof_plots_and_report(finished):
     assert (proof["verdict"], proof["mode"]) == ("PASS", "open-loop")
     with np.load(folder / "out" / "plan.npz", allow_pickle=False) as file:
         meta = json.loads(str(file["meta"]))
-        assert file["us"].shape == (200, 1)
-    assert meta["recipe"]["parameters"]["height"] == 12.0
+        assert file["us"].shape == (100, 2)
+    assert meta["recipe"]["parameters"]["mass2"] == 0.3
     page = (folder / "out" / "report.html").read_text()
     assert page.index("PASS") < page.index("<table")
     assert "http" not in page.replace("http://www.w3.org", "")  # self-contained
@@ -43,7 +43,8 @@ def test_run_writes_plan_proof_plots_and_report(finished):
 
 def test_the_same_command_writes_the_same_bytes_in_another_process(finished, tmp_path):
     folder, _ = finished
-    assert run("run", "hopper", "--height", 12, "--no-video", "--out", tmp_path, cwd=tmp_path).returncode == 0
+    words = ["run", "two-link", "--horizon", 100, "--mass2", 0.3, "--no-video", "--out", tmp_path]
+    assert run(*words, cwd=tmp_path).returncode == 0
     for name in ("plan.npz", "proof.json"):
         assert (tmp_path / name).read_bytes() == (folder / "out" / name).read_bytes()
 
@@ -122,9 +123,9 @@ def test_a_problem_file_is_run_proved_and_solved_like_a_case(tmp_path):
 
 
 def test_a_failing_plan_is_saved_and_exits_1(tmp_path):
-    done = launch(
-        "run", "hopper", "--integrator", "euler", "--horizon", 50, "--no-video", "--json", "--no-refine", "--out", "o",
-        cwd=tmp_path,
+    done = run(
+        "run", "two-link", "--integrator", "euler", "--horizon", 50, "--no-video", "--json", "--no-refine",
+        "--out", "o", cwd=tmp_path,
     )  # fmt: skip
     assert done.returncode == 1
     document = json.loads(done.stdout)
@@ -156,7 +157,7 @@ def test_prove_with_an_edited_a_broken_and_a_missing_model(finished, tmp_path):
     folder, _ = finished
     plan = planner.load_plan(folder / "out" / "plan.npz")
     other = tmp_path / "other.xml"
-    other.write_text(plan.twin.mjcf.replace('gainprm="100"', 'gainprm="90"'))
+    other.write_text(plan.twin.mjcf.replace('mass="0.3"', 'mass="0.4"'))
     assert run("prove", folder / "out" / "plan.npz", "--model", other, cwd=tmp_path).returncode == 1
     other.write_text(plan.twin.mjcf[:1000])
     refused(run("prove", folder / "out" / "plan.npz", "--model", other, cwd=tmp_path), "not well-formed XML")
@@ -166,7 +167,8 @@ def test_prove_with_an_edited_a_broken_and_a_missing_model(finished, tmp_path):
 def test_stale_pictures_do_not_stay_beside_a_new_plan(tmp_path):
     (tmp_path / "video.mp4").write_bytes(b"an older plan's")
     (tmp_path / "mine.mp4").write_bytes(b"not ours")
-    assert run("run", "hopper", "--no-video", "--quiet", "--out", tmp_path, cwd=tmp_path).returncode == 0
+    words = ["run", "two-link", "--horizon", 100, "--no-video", "--quiet", "--out", tmp_path]
+    assert run(*words, cwd=tmp_path).returncode == 0
     assert not (tmp_path / "video.mp4").exists()
     assert (tmp_path / "mine.mp4").exists()
     assert {p.name for p in tmp_path.iterdir()} - {"mine.mp4"} <= set(OUTPUTS)

@@ -27,7 +27,7 @@ def test_a_wrong_problem_file_is_refused_in_one_sentence(tmp_path):
 
 def test_prove_refuses_the_model_of_another_machine(finished, tmp_path):
     folder, _ = finished
-    other = planner.cases.acrobot().twin
+    other = planner.cases.hopper().twin
     assert other is not None
     (tmp_path / "other.xml").write_text(other.mjcf)
     refused(run("prove", folder / "out" / "plan.npz", "--model", "other.xml", cwd=tmp_path), "the plan was made for")

@@ -8,6 +8,7 @@ from carts import write
 import planner
 from planner.__main__ import main
 from planner.cases.plan_file import load_plan
+from planner.cases.problem_file import load
 from planner.cli import running as run_command
 from planner.cli.running import MARK, run_folder
 
@@ -132,9 +133,7 @@ def test_a_goal_that_cannot_be_held_is_refused_before_any_work(tmp_path, capsys)
 
 
 def test_one_rollout_is_shown(tmp_path, capsys):
-    from planner import cases, solve
-
-    plan = solve(cases.two_link(horizon=100)).save(tmp_path / "plan.npz")
+    plan = planner.solve(load(write(tmp_path)).problem).save(tmp_path / "plan.npz")
     assert main(["prove", str(plan), "--rollouts", "4", "--json", "--quiet"]) == 0
     carlo = document(capsys)["proof"]["monte_carlo"]
     for mode, found in carlo["modes"].items():
@@ -157,9 +156,7 @@ def test_one_rollout_is_shown(tmp_path, capsys):
     ],
 )
 def test_wrong_flags_of_a_proof_are_one_sentence(tmp_path, capsys, words, said):
-    from planner import cases, solve
-
-    plan = solve(cases.two_link(horizon=20)).save(tmp_path / "plan.npz")
+    plan = planner.solve(planner.cases.two_link(horizon=20)).save(tmp_path / "plan.npz")
     assert main(["prove", str(plan), "--quiet", *words]) == 2
     error = capsys.readouterr().err
     assert said in error
@@ -175,9 +172,10 @@ def test_the_verdict_is_printed_before_what_is_only_shown(tmp_path, capsys, monk
     say, note = Console.write_result, Console.write_progress
     monkeypatch.setattr(Console, "write_result", lambda self, text="": (order.append(text.strip()), say(self, text)))
     monkeypatch.setattr(Console, "write_progress", lambda self, text: (order.append(text.strip()), note(self, text)))
-    plan = planner.solve(planner.cases.two_link(horizon=100)).save(tmp_path / "plan.npz")
+    problem = write(tmp_path)
+    plan = planner.solve(load(problem).problem).save(tmp_path / "plan.npz")
     words = {
-        "run": ["run", "two-link", "--horizon", "100", "--no-video", "--out", str(tmp_path / "o")],
+        "run": ["run", str(problem), "--no-video", "--out", str(tmp_path / "o")],
         "prove": ["prove", str(plan)], "report": ["report", str(plan), "--no-video", "--out", str(tmp_path / "o")],
     }  # fmt: skip
     assert main([*words[command], "--rollouts", "4"]) == 0

@@ -11,6 +11,7 @@ from trees import (
     mujoco,
     random_state,
     relative_error,
+    share_of,
     simulated,
     simulated_inverse,
     site_jacobian,
@@ -29,7 +30,7 @@ def machines(examples, max_dofs=40):
     def decorate(test):
         checks = [HealthCheck.too_slow, HealthCheck.data_too_large]
         given_both = given(text=mechanism_texts(max_dofs), seed=st.integers(0, 2**32 - 1))
-        return settings(max_examples=examples, deadline=None, suppress_health_check=checks)(given_both(test))
+        return settings(max_examples=share_of(examples), deadline=None, suppress_health_check=checks)(given_both(test))
 
     return decorate
 

@@ -271,6 +271,7 @@ def test_wrong_objectives_are_refused(message, call):
     assert "\n" not in str(caught.value)
 
 
+@pytest.mark.pictures
 def test_the_study_says_what_it_found(tmp_path):
     """Its page, rows and picture, of a result made up of three motions."""
     from planner.paper.studies import objective as study

@@ -5,6 +5,7 @@ import multiprocessing
 import pickle
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -35,12 +36,17 @@ def arm(**changes):
     return replace(cases.two_link(horizon=20), requirements=None, **changes)
 
 
+@cache
+def solved(name):
+    problem = cases.build(name)
+    return problem, planner.solve(problem, max_iterations=1)
+
+
 @pytest.mark.parametrize("way", WAYS)
 @pytest.mark.parametrize("name", cases.CASES)
 def test_every_case_solves_to_the_same_bits_when_it_was_copied(name, way):
-    problem = cases.build(name)
-    plan = planner.solve(WAYS[way](problem), max_iterations=1)
-    assert same_bits(plan, planner.solve(problem, max_iterations=1))
+    problem, plan = solved(name)
+    assert same_bits(plan, planner.solve(WAYS[way](problem), max_iterations=1))
 
 
 def test_the_machine_of_a_copy_is_read_only_and_one():
@@ -77,17 +83,24 @@ def test_costs_of_every_kind_are_copied(way):
         assert WAYS[way](cost).value(xs, problem.us) == cost.value(xs, problem.us)
 
 
-@pytest.mark.parametrize("way", WAYS)
-def test_plan_proof_and_replays_are_copied(way):
+@pytest.fixture(scope="module")
+def proved():
+    """A plan, its proof and one of the proof's perturbed rollouts."""
     plan = planner.solve(arm())
     proof = planner.prove(plan, rollouts=4)
+    return plan, proof, replay_rollout(proof.replay.plan, proof.replay.compiled, 1)
+
+
+@pytest.mark.parametrize("way", WAYS)
+def test_plan_proof_and_replays_are_copied(proved, way):
+    plan, proof, run = proved
     copied_plan, copied = WAYS[way]((plan, proof))
     assert same_bits(plan, copied_plan)
     assert copied.to_dict() == proof.to_dict()
     assert copied.parity == proof.parity
-    again = planner.prove(copied.replay.plan, rollouts=4)
-    assert again.to_dict() == proof.to_dict()
-    run, other = (replay_rollout(of.replay.plan, of.replay.compiled, 1) for of in (proof, copied))
+    if way == "pickle":  # what goes to another process; the perturbed rollouts take most of a proof
+        assert planner.prove(copied.replay.plan, rollouts=4).to_dict() == proof.to_dict()
+    other = replay_rollout(copied.replay.plan, copied.replay.compiled, 1)
     assert run.xs.tobytes() == other.xs.tobytes()
 
 

@@ -245,7 +245,7 @@ def test_a_user_bounds_a_servo_himself():
 def test_a_plan_at_a_servo_s_limit_is_replayed_without_a_clamp():
     plan = planner.solve(arm(N=160, dt=0.005))
     assert plan.problem.bounds.at_bound(plan.xs, plan.us)[:, 0].any()
-    proof = planner.prove(plan)
+    proof = planner.prove(plan, rollouts=0)
     assert proof.passed, str(proof)
     found = {one.name: one for one in proof.your_file.measured}
     assert found["clamped_actuators"].value == 0.0, found["clamped_actuators"].note

@@ -100,7 +100,8 @@ def test_wrong_ranks_are_refused(rank, error, fragment):
 
 
 def test_the_proven_cost_is_the_lesser_of_both_replays():
-    for problem, better in ((coarse(), None), (planner.cases.hopper(horizon=50, integrator="euler"), True)):
+    hop = planner.cases.hopper(height=5.0, duration=0.5, horizon=25, integrator="euler")
+    for problem, better in ((coarse(), None), (hop, True)):
         plan = planner.solve(problem)
         costs = {feedback: planner.replay(plan, feedback=feedback).cost for feedback in (True, False)}
         assert proven_cost(plan) == min(costs.values())
@@ -131,10 +132,11 @@ def test_threads_may_ask_at_once():
 
 def test_starts_are_ranked_by_what_they_come_to():
     problem = planner.cases.hopper(height=5.0, horizon=50, integrator="euler")
-    cheap = planner.solve(problem, starts=6)
-    proven = planner.solve(problem, starts=6, rank=proven_cost)
+    cheap = planner.solve(problem, starts=3)
+    proven = planner.solve(problem, starts=3, rank=proven_cost)
     np.testing.assert_equal([start[:4] for start in proven.starts], [start[:4] for start in cheap.starts])
-    assert proven.start == int(np.argmin([start.score for start in proven.starts]))
+    scores = [start.score for start in proven.starts]
+    assert proven.start == int(np.argmin(scores))
     assert proven.options["rank"] == "proven_cost"
     assert proven.cost > cheap.cost
-    assert proven_cost(proven) < 0.9 * proven_cost(cheap)
+    assert proven_cost(proven) == scores[proven.start] < 0.9 * scores[cheap.start]

@@ -30,6 +30,11 @@ def stored_in(folder: Path, model: str = "arm.xml", more: str = "") -> Path:
     (folder / model).write_text(ARM)
     (folder / "problem.toml").write_text(TABLE.format(model, more))
     plan = planner.solve(planner.cases.problem_file.load(folder / "problem.toml").problem)
+    return stored_with_proof(plan, folder)
+
+
+def stored_with_proof(plan: planner.Plan, folder: Path) -> Path:
+    """The plan's file, with a proof without rollouts beside it; without one, check() does all that it can."""
     path = plan.save(folder / "plan.npz")
     stored_proof(path).write_text(json.dumps(planner.prove(plan, rollouts=0).to_dict()))
     return path
@@ -114,7 +119,7 @@ def test_a_plan_of_a_mechanism_with_a_payload_remembers_how_it_was_read(tmp_path
     m = planner.Mechanism.from_mjcf(tmp_path / "arm.xml", attach=payload, contacts="off")
     d = planner.RigidBodyDynamics(m, 0.02)
     cost = planner.TrackingCost.joints(d, np.array([1.0, 0.0]), 50, effort=0.01, final_position=1e3)
-    path = planner.solve(planner.Problem(d, cost, np.zeros(2))).save(tmp_path / "plan.npz")
+    path = stored_with_proof(planner.solve(planner.Problem(d, cost, np.zeros(2))), tmp_path)
     assert read_archive(path, len(Iteration._fields))[1]["twin"]["origin"]["path"] == "arm.xml"
     assert one(path, update=True).model.state is ModelState.SAME
     (tmp_path / "arm.xml").write_text(ARM.replace('damping="0.1"', 'damping="0.2"'))
@@ -131,7 +136,7 @@ def test_a_urdf_is_compared_and_proved_in_as_well(tmp_path):
     (tmp_path / "arm.urdf").write_text(URDF.format(5.0))
     (tmp_path / "problem.toml").write_text(TABLE.format("arm.urdf", ""))
     plan = planner.solve(planner.cases.problem_file.load(tmp_path / "problem.toml").problem)
-    path = plan.save(tmp_path / "plan.npz")
+    path = stored_with_proof(plan, tmp_path)
     assert one(path, update=True).model.state is ModelState.SAME
     words = ["prove", str(path), "--rollouts", "0", "--quiet", "--model", str(tmp_path / "arm.urdf")]
     assert main(words) == 0

@@ -238,7 +238,8 @@ def test_a_second_ctrl_c_says_what_is_there(tmp_path, monkeypatch):
     assert len(table(tmp_path / "out")) == 2
 
 
-def test_a_full_disk_keeps_what_is_finished(done, tmp_path):
+def test_a_full_disk_keeps_what_is_finished(done, tmp_path, monkeypatch):
+    monkeypatch.setattr("sys.dont_write_bytecode", True)  # a module that is cut off there would break the next import
     before = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (60_000, before[1]))  # the archive outgrows it
     try:
