@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from planner.cases import acrobot
-from planner.dynamics.algorithms import mass_matrix
+from planner.dynamics.algorithms import bias, mass_matrix
 from planner.paper.methods.adjoint import Integration
 from planner.paper.studies import elbow as elbow_study
 from planner.paper.studies import masses as masses_study
@@ -18,6 +18,14 @@ def test_points_at_the_tips_are_points_at_the_tips():
     assert np.allclose(
         mass_matrix(masses_study.arm_mechanism(arm), [0.0, 0.0]), [[shoulder, both], [both, elbow]], rtol=1e-5
     )
+
+
+@pytest.mark.parametrize("kind", masses_study.KINDS)
+def test_masses_that_are_not_compiled_give_the_same_arm(kind):
+    arm, q = masses_study.Arm(kind, 0.4, 0.3, 1.1, 0.7), [0.3, -0.8]
+    by_file, quick = masses_study.arm_mechanism(arm), masses_study._quick_mechanism(arm)
+    assert np.allclose(mass_matrix(quick, q), mass_matrix(by_file, q), rtol=1e-12)
+    assert np.allclose(bias(quick, q, [1.0, 2.0]), bias(by_file, q, [1.0, 2.0]), rtol=1e-12)
 
 
 @pytest.mark.parametrize("kind", masses_study.KINDS)

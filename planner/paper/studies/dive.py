@@ -27,11 +27,11 @@ from planner.view.plots.style import HUES, INK, dress, grid_of, legend_below, sa
 DIVES = ((1.5, 0.0, 4.0), (1.5, 1.0, 4.0), (2.5, 0.0, 6.0))  # somersaults, twists, rad/s at take-off
 SHOWN = 1  # the default one: it is drawn, and its momentum is followed
 PARTS = (1, 2, 4, 8)  # of the plan's stage
-SHORT = DIVES[: SHOWN + 1]
 MAX_ITERATIONS = 300
+SHORT: dict[str, Any] = {"asked": DIVES[: SHOWN + 1], "most": 60}
 
 
-def _run(asked: tuple[tuple[float, float, float], ...] = DIVES) -> dict[str, Any]:
+def _run(asked: tuple[tuple[float, float, float], ...] = DIVES, most: int = MAX_ITERATIONS) -> dict[str, Any]:
     plans, dives = [], []
     for somersaults, twists, rate in asked:
         plan, seconds = timed(lambda: solve(
@@ -41,7 +41,7 @@ def _run(asked: tuple[tuple[float, float, float], ...] = DIVES) -> dict[str, Any
         plans.append(plan)
         dives.append(_dive(plan, seconds))
     plan = plans[SHOWN]
-    alone = solve(high_dive(twists=0.0, posture_weight=0.0, calm_weight=0.0), max_iterations=MAX_ITERATIONS)
+    alone = solve(high_dive(twists=0.0, posture_weight=0.0, calm_weight=0.0), max_iterations=most)
     mechanism, run = _mechanism(plan), replay(plan, feedback=True)
     names = mechanism.joint_names[1:]
     return {
@@ -192,5 +192,5 @@ def _draw(results: dict[str, Any], path: Path) -> None:
     save(figure, path)
 
 
-STUDY = Study("dive", "a high dive (reference 16)", partial(_run, SHORT), _page, _rows, {"dive.png": _draw}, seconds=12,
-              full=_run)  # fmt: skip
+STUDY = Study("dive", "a high dive (reference 16)", partial(_run, **SHORT), _page, _rows, {"dive.png": _draw},
+              seconds=12, full=_run)  # fmt: skip

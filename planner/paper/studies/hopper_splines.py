@@ -37,7 +37,8 @@ COEFFICIENTS = (8, 17, 32)  # of the quintic splines; 17 are those of section 2.
 DRAWN = (20.0, 17)  # height and coefficients of the curves
 # height and tolerance of the paper's own way
 ADJOINT: tuple[tuple[float, float], ...] = ((1.0, 1e-3), (20.0, 1e-3), (20.0, 1e-6), (50.0, 1e-3))
-ADJOINT_ITERATIONS, FEW = 25, 8  # for the documents, and otherwise
+ADJOINT_ITERATIONS = 25
+SHORT: dict[str, Any] = {"most": 8, "tried": ADJOINT[1:3], "heights": (1.0, 20.0, 50.0)}  # not for the documents
 TOLERANCES = (1e-2, 1e-3, 1e-4, 1e-5, 1e-6, 1e-8)
 REFERENCE = 1e-11
 REACHED = 0.01  # of SLQ's cost: a minimum among splines may lie so much above it, or anywhere below
@@ -97,9 +98,12 @@ def _gradient_errors(amplitudes: np.ndarray) -> list[dict[str, Any]]:
     ]
 
 
-def _run(most: int = ADJOINT_ITERATIONS, tried: tuple[tuple[float, float], ...] = ADJOINT) -> dict[str, Any]:
+def _run(
+    most: int = ADJOINT_ITERATIONS, tried: tuple[tuple[float, float], ...] = ADJOINT,
+    heights: tuple[float, ...] = HEIGHTS,
+) -> dict[str, Any]:  # fmt: skip
     plans, exact, curve, drawn = [], [], [], np.zeros((DRAWN[1], 1))
-    for height in HEIGHTS:
+    for height in heights:
         plan = solve(_problem(height), update="open-loop", max_iterations=2000)
         plans.append({"height": height, **plan_record(plan), "costs": [line.cost for line in plan.history]})
         for coefficients in COEFFICIENTS:
@@ -206,5 +210,5 @@ def _draw(results: dict[str, Any], path: Path) -> None:
 
 
 STUDY = Study("hopper-splines", "the hopper by B-splines (2.4)",
-              partial(_run, FEW, ADJOINT[1:3]), _page, _rows, {"hopper_splines.png": _draw}, seconds=15,
+              partial(_run, **SHORT), _page, _rows, {"hopper_splines.png": _draw}, seconds=15,
               full=_run)  # fmt: skip

@@ -16,7 +16,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from functools import partial
+from dataclasses import replace
+from functools import cache, partial
 from itertools import pairwise, product
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -83,6 +84,17 @@ def arm_mechanism(arm: Arm) -> Mechanism:
     return Mechanism.from_mjcf(edited(text, edits))
 
 
+@cache
+def _of_unit_masses(kind: str, length1: float, length2: float) -> Mechanism:
+    return arm_mechanism(Arm(kind, 1.0, 1.0, length1, length2))
+
+
+def _quick_mechanism(arm: Arm) -> Mechanism:
+    """The dynamics of arm_mechanism() without compiling a file: for a search over masses. Its `mjcf` is another's."""
+    unit, masses = _of_unit_masses(arm.kind, arm.length1, arm.length2), np.array(arm[1:3])
+    return replace(unit, mass=masses * unit.mass, inertia=masses[:, None, None] * unit.inertia)
+
+
 def by_splines(mechanism: Mechanism, rise: str = "quintic", **options: Any) -> SplineMotion:
     """The paper's direct method from the paper's first guess."""
     return minimize_effort(
@@ -97,7 +109,7 @@ def with_first_effort(kind: str, ratio: float, length1: float, length2: float) -
     points, weights = np.polynomial.legendre.leggauss(64)
     share, rate, acceleration = minimum_jerk(0.5 * (1.0 + points)[:, None])
     q, qd, qdd = share * UPRIGHT, rate * UPRIGHT / DURATION, acceleration * UPRIGHT / DURATION**2
-    power = 0.5 * np.sum(rnea(arm_mechanism(arm), q, qd, qdd) ** 2, axis=1)
+    power = 0.5 * np.sum(rnea(_quick_mechanism(arm), q, qd, qdd) ** 2, axis=1)
     mass = math.sqrt(FIRST / (0.5 * DURATION * float(weights @ power)))
     return Arm(kind, mass, ratio * mass, length1, length2)
 
@@ -112,7 +124,7 @@ def arms_with_both(kind: str, lengths: np.ndarray, ratios: np.ndarray) -> list[d
 
         def beyond(exponent: float, at: tuple[float, float] = (length1, length2), tried: Any = tried) -> float:
             if exponent not in tried:
-                tried[exponent] = by_splines(arm_mechanism(with_first_effort(kind, math.exp(exponent), *at)))
+                tried[exponent] = by_splines(_quick_mechanism(with_first_effort(kind, math.exp(exponent), *at)))
             return tried[exponent].cost - LAST
 
         for low, high in pairwise(map(math.log, ratios)):

@@ -27,7 +27,7 @@ from planner.view.plots.style import HUES, INK, RED, SOFT, dress, grid_of, save
 
 DURATIONS = (1.5, 2.0, 2.5)  # s
 SHOWN = 2.0  # s, of the lift that is proved and drawn
-RESOLUTION, COARSE = 4.0, 30.0  # kg, for the documents and otherwise
+RESOLUTION, COARSE = 4.0, 60.0  # kg, for the documents and otherwise
 TRIPLED = 3.0  # the paper's
 SLOW = 2.5  # rad/s: every joint, in a search that only asks whether the rated payload can be tripled
 

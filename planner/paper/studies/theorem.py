@@ -37,7 +37,7 @@ RANDOM = 300  # LQ problems
 UPDATES = ("open-loop", "feedback")  # that of Eq. 43, and ours
 STARTS = 200  # per case with the feedback update and Armijo's rule, for the documents
 SHORT = 2  # starts otherwise
-LIMIT, SHORT_LIMIT = 2000, 150  # iterations of every solve, after which it has failed; for the documents, and otherwise
+LIMIT, SHORT_LIMIT = 2000, 100  # iterations of every solve, after which it has failed; for the documents, and otherwise
 
 
 @dataclass(frozen=True)
