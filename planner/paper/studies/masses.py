@@ -45,7 +45,7 @@ ENOUGH = 0.05  # of the second number: what rounds to it
 SIMPSON = 1e-6  # Matlab's default tolerance
 KINDS = {"rods": (0.5, 1.0 / 12.0), "points at the tips": (1.0, 0.0), "points halfway": (0.5, 0.0)}
 """Centre of mass over length, and inertia about it over mass length^2."""
-SHORT = (np.array([1.0, 1.6]), np.geomspace(0.5, 4.0, 3))
+SHORT = (np.array([1.6]), np.geomspace(0.5, 4.0, 4))
 FULL = (np.geomspace(0.3, 2.4, 7), np.geomspace(0.125, 8.0, 9))
 """Lengths of each link, m, and ratios of the second mass to the first."""
 RISES: dict[str, Callable[[np.ndarray], np.ndarray]] = {

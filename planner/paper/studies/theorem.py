@@ -33,7 +33,7 @@ from planner.solvers.options import LINE_SEARCHES, SolverOptions
 from planner.solvers.slq import solve
 from planner.view.plots.style import RED, SOFT, dress, grid_of, save
 
-RANDOM = 300  # LQ problems
+RANDOM, FEW_RANDOM = 300, 100  # LQ problems, for the documents and otherwise
 UPDATES = ("open-loop", "feedback")  # that of Eq. 43, and ours
 STARTS = 200  # per case with the feedback update and Armijo's rule, for the documents
 SHORT = 2  # starts otherwise
@@ -68,7 +68,7 @@ QUICK = {name: replace(family, rules=("armijo", "goldstein") if name == "human-s
 
 
 def theorem_results(
-    families: Mapping[str, Family] = QUICK, starts: int = SHORT, problems: int = RANDOM, limit: int = SHORT_LIMIT
+    families: Mapping[str, Family] = QUICK, starts: int = SHORT, problems: int = FEW_RANDOM, limit: int = SHORT_LIMIT
 ) -> dict[str, Any]:
     """Both theorems in numbers: at most `starts` of each family, `problems` random LQ problems."""
     found = []
@@ -88,7 +88,7 @@ def theorem_results(
 
 def full_theorem_results() -> dict[str, Any]:
     """The results for the documents. A function of its own: a process that computes it imports it by its name."""
-    return theorem_results(FAMILIES, STARTS, limit=LIMIT)
+    return theorem_results(FAMILIES, STARTS, RANDOM, LIMIT)
 
 
 def identity_errors(A: np.ndarray, B: np.ndarray, model: Quadratic, step: RecordedSweep) -> tuple[float, float, float]:
