@@ -1,6 +1,7 @@
 """Problem files of the package: each is short, converges and meets its goals by its name; slow, it passes its proof."""
 
 import tomllib
+from functools import cache
 
 import pytest
 from commands import refused, run
@@ -12,20 +13,14 @@ from planner.problem.goals import goals_of
 FILES = problem_files()
 
 
-@pytest.fixture(scope="module")
-def plans():
-    return {}
-
-
-def plan_of(name, plans):
-    if name not in plans:
-        plans[name] = planner.solve(planner.load_problem(name))
-    return plans[name]
+@cache
+def plan_of(name):
+    return planner.solve(planner.load_problem(name))
 
 
 @pytest.mark.parametrize("name", FILES)
-def test_it_converges_and_meets_every_goal(name, plans):
-    plan = plan_of(name, plans)
+def test_it_converges_and_meets_every_goal(name):
+    plan = plan_of(name)
     assert plan.success
     goals = goals_of(plan.problem, plan.xs)
     assert goals
@@ -42,13 +37,13 @@ def test_its_file_is_short_and_weighs_nothing(name):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", FILES)
-def test_it_passes(name, plans):
-    proof = planner.prove(plan_of(name, plans), rollouts=0)
+def test_it_passes(name):
+    proof = planner.prove(plan_of(name), rollouts=0)
     assert proof.passed, proof.reason
 
 
-def test_the_lander_pushes_only_and_the_quadrotor_goes_through_its_window(plans):
-    lander, drone = plan_of("lander", plans), plan_of("quadrotor", plans)
+def test_the_lander_pushes_only_and_the_quadrotor_goes_through_its_window():
+    lander, drone = plan_of("lander"), plan_of("quadrotor")
     assert lander.us[:, 0].min() >= 0.0
     x, y, z = drone.xs[abs(drone.xs[:, 0] - 1.2) < 0.04, :3].T  # between the faces of the window's frame
     assert len(x)
@@ -57,8 +52,8 @@ def test_the_lander_pushes_only_and_the_quadrotor_goes_through_its_window(plans)
     assert z.max() < 1.7
 
 
-def test_the_monopod_leaves_the_ground_and_the_satellite_turns_without_momentum(plans):
-    hop, turn = plan_of("monopod", plans), plan_of("satellite", plans)
+def test_the_monopod_leaves_the_ground_and_the_satellite_turns_without_momentum():
+    hop, turn = plan_of("monopod"), plan_of("satellite")
     assert (hop.xs[:, 1] + hop.xs[:, 3]).max() > 0.1  # m: a sole is at z + leg where the leg is upright
     mechanism = turn.problem.dynamics.mechanism
     for q, qd in zip(turn.xs[:, : mechanism.nq], turn.xs[:, mechanism.nq :], strict=True):

@@ -21,6 +21,7 @@ from planner.view.render.scene import Scene
 from planner.view.render.video import render_strip
 
 TASKS = sorted((ROOT / "examples" / "tasks").glob("*.toml"))
+LONG = {"through_a_window": pytest.mark.slow}  # 8 s for its poses
 SIZE = (320, 180)
 STAGE = Appearance(title="", azimuth=90.0, elevation=-5.0, distance=2.5, look_at=(0.4, 0.0, 0.3))
 
@@ -38,9 +39,7 @@ def pictures(run, stage, frames=(0.0, 0.3, 0.6)):
 
 
 @pytest.mark.render
-@pytest.mark.parametrize(
-    "path", [path for path in TASKS if path.stem != "through_a_window"], ids=lambda path: path.stem
-)
+@pytest.mark.parametrize("path", [pytest.param(path, id=path.stem, marks=LONG.get(path.stem, ())) for path in TASKS])
 def test_pictures_of_each_example_are_drawn(path):
     plan = rolled_out(planner.load_problem(path))
     run = planner.replay(plan)

@@ -169,12 +169,13 @@ def _conclusion(results: dict[str, Any]) -> str:
     first, *_, last = results["points"]
     ratios = [b / a for a, b in zip(first["relative_errors"], last["relative_errors"], strict=True)]
     spoiled = [t for t, e in zip(results["tolerances"], last["relative_errors"], strict=True) if e > 0.1]
+    above = dict.fromkeys(f"{one:g}" for one in (max(spoiled), min(spoiled))) if spoiled else {}
     most = max(s[at]["relative_error"] for s in results["slq"] for at in ("first", "near"))
     gave_up = [f"{d['tolerance']:g}" for d in results["descents"] if not d["success"]]
     return (
         f"With the same tolerance the relative error is {min(ratios):.0f} to {max(ratios):.0f} times as large as at "
         "the first guess: the error stays, and the gradient shrinks. "
-        + (f"At {max(spoiled):g} to {min(spoiled):g} it is above 10 %. " if spoiled else "")
+        + (f"At {' to '.join(above)} it is above 10 %. " if spoiled else "")
         + (f"BFGS did not reach its tolerance at {', '.join(gave_up)}, in its iterations. " if gave_up else "")
         + "The cause is truncation, not round-off: with a tighter tolerance the error goes away, and the "
         "integration takes "

@@ -41,6 +41,7 @@ ADJOINT_ITERATIONS = 25
 SHORT: dict[str, Any] = {"most": 8, "tried": ADJOINT[1:3], "heights": (1.0, 20.0, 50.0)}  # not for the documents
 TOLERANCES = (1e-2, 1e-3, 1e-4, 1e-5, 1e-6, 1e-8)
 REFERENCE = 1e-11
+FLAT = 0.02  # of J: by less it hardly falls in an iteration
 REACHED = 0.01  # of SLQ's cost: a minimum among splines may lie so much above it, or anywhere below
 
 
@@ -153,6 +154,19 @@ def _page(results: dict[str, Any]) -> list[str]:
     ]  # fmt: skip
 
 
+def _plateau(results: dict[str, Any], stuck: list[dict[str, Any]]) -> str:
+    """What the descents by Eq. 7 that do not converge have in common; nothing where J still falls at their ends."""
+    if any(r["costs"][-2] > (1.0 + FLAT) * r["costs"][-1] for r in stuck):
+        return "J still falls there. With --full they go on to a plateau."
+    worst = results["gradient_errors"][-1]["relative_errors"]
+    return (
+        "With tight and loose tolerances they come to the same plateau, where J hardly falls any more. "
+        f"The exact gradient leaves such a plateau after tens of iterations; a gradient that is off by {worst[1]:.0e} "
+        f"(at {results['tolerances'][1]:g}) does not. We did not try whether a tight tolerance leaves it after "
+        "hundreds of iterations: that takes minutes."
+    )
+
+
 def _conclusion(results: dict[str, Any]) -> str:
     exact, adjoint = results["exact"], results["adjoint"]
     converged, stuck = [r for r in exact if r["success"]], [r for r in adjoint if not r["success"]]
@@ -160,7 +174,6 @@ def _conclusion(results: dict[str, Any]) -> str:
     near = [r for r in exact if r["cost"] < (1.0 + REACHED) * _slq_cost(results, r["height"])]
     counts = [r["iterations"] for r in exact]
     lost = [r for r in stuck if "precision loss" in r["message"]]
-    worst = results["gradient_errors"][-1]["relative_errors"]
     return (
         f"With the exact gradient {len(converged)} of {len(exact)} converge, in {min(counts)} to {max(counts)} "
         f"iterations; SLQ needs {min(p['iterations'] for p in results['slq'])} to "
@@ -168,10 +181,7 @@ def _conclusion(results: dict[str, Any]) -> str:
         "cost or below it. They are slow because the Hessian by the amplitudes has a condition of "
         f"{min(conditions):.0e} to {max(conditions):.0e}. By Eq. 7 {len(stuck)} of {len(adjoint)} do not converge: "
         f"{len(lost)} end in a line search that finds no step, the others at our limit of {results['limit']} "
-        "iterations. With tight and loose tolerances they come to the same plateau, where J hardly falls any more. "
-        f"The exact gradient leaves such a plateau after tens of iterations; a gradient that is off by {worst[1]:.0e} "
-        f"(at {results['tolerances'][1]:g}) does not. We did not try whether a tight tolerance leaves it after "
-        "hundreds of iterations: that takes minutes."
+        f"iterations. {_plateau(results, stuck)}"
     )
 
 
