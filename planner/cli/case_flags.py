@@ -79,7 +79,8 @@ def add_cases(parser: argparse.ArgumentParser, *groups: Flags) -> None:
         else:
             own.set_defaults(case=PROBLEM_FILE, problem=str(file))
         add(own, _URDF, _SOLVER, *groups, COMMON)
-    parser.set_defaults(shared=[one for one in own._actions if not shared.isdisjoint(one.option_strings)])
+        if file is None:  # the last one: all of them share the same
+            parser.set_defaults(shared=[one for one in own._actions if not shared.isdisjoint(one.option_strings)])
 
 
 def documented_arguments(case: Callable[..., Any]) -> dict[str, str]:
