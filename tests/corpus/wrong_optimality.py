@@ -78,23 +78,25 @@ siblings("a thing that is never touched", untouched)
 
 
 def unresolved(rng: Rng) -> Plan:
-    """A two-link arm whirls, and the same controls in twenty steps a stage cost something else entirely."""
+    """A two-link arm whirls, and in twenty steps a stage its controls cost something else, with its gains too."""
     problem = replace(cases.two_link(), tolerance="soft")
     while True:
         us = np.cumsum(rng.normal(size=problem.first_guess.shape), axis=0)
         plan = planner.solve(replace(problem, us=3.0 * us / np.sqrt(np.mean(us**2))))
-        if not 0.5 < _fine_cost(plan) / plan.cost < 2.0:
+        if not any(0.5 < _fine_cost(plan, K) / plan.cost < 2.0 for K in (0.0 * plan.K, plan.K)):
             return plan
 
 
-def _fine_cost(plan: Plan) -> float:
-    dynamics, xs = plan.problem.dynamics, [plan.problem.x0]
-    for u in plan.us:
+def _fine_cost(plan: Plan, K: np.ndarray) -> float:
+    """The cost in twenty steps a stage of the controls with gains K, which act at the knots."""
+    dynamics, xs, us = plan.problem.dynamics, [plan.problem.x0], plan.us.copy()
+    for n in range(plan.N):
+        us[n] += K[n] @ (xs[-1] - plan.xs[n])
         x = xs[-1][None]
         for _ in range(20):
-            x = dynamics.step(x, u[None], np.array([dynamics.dt / 20]))
+            x = dynamics.step(x, us[n : n + 1], np.array([dynamics.dt / 20]))
         xs.append(x[0])
-    return plan.problem.cost.value(np.array(xs), plan.us)
+    return plan.problem.cost.value(np.array(xs), us)
 
 
 siblings("a two-link arm that whirls", unresolved)
