@@ -3,10 +3,10 @@
     python benchmarks/loop.py [--crocoddyl PYTHON] [--no-table] [--deadlines] [--shown [NAME ...]]
                               [--packages SITE_PACKAGES]
 
-`prepare` plans once with one iteration: the plan before is rolled out from the predicted state with its gains, then
-linearized, swept and searched. `feedback` answers the measurement. What prepare takes beside its kernels is counted
+`prepare` plans once with one iteration: the plan before is rolled out from the predicted state with its gains and its
+step, then linearized and swept. `feedback` answers the measurement. What prepare takes beside its kernels is counted
 within the same calls: the compiled calls are timed, and what is left of the whole is Python's.
-Crocoddyl has one iteration from a trajectory whose rollout it is given for nothing. One core each, by turns in one run,
+Crocoddyl has one iteration, from a trajectory: derivatives, sweep and one rollout. One core each, by turns in one run,
 medians and minima: on a computer that does other things, too, minima tell more.
 
 --deadlines counts the calls of seven joints that are over their period: with motors at 500 Hz, with servos at 200 Hz.

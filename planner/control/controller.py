@@ -254,7 +254,7 @@ class Controller(StateMachine):
         if x is None:
             since = min(t - self._last_t, self.horizon * self._dt) if self._last_t > -math.inf else 0.0
             x = self._usable(state_after(self._model, self._seen, self._acting, since))
-        return self._replan(t, np.asarray(x, dtype=float))
+        return self._replan(t, np.asarray(x, dtype=float), searched=False)
 
     def feedback(self, x: np.ndarray, t: float | None = None) -> np.ndarray:
         """The control (nu,) at state x (nx,) by the last plan; nothing is planned.
@@ -293,14 +293,14 @@ class Controller(StateMachine):
         self._leads_back = self._goal is None and self._window.stage < self.problem.N
         self._held = self.status is ControllerStatus.HOLDING
 
-    def _timed(self, t: float, x: np.ndarray, ahead: float = 0.0) -> Fault | None:
+    def _timed(self, t: float, x: np.ndarray, ahead: float = 0.0, searched: bool = True) -> Fault | None:
         """One solve from x at t, or from where the last plan leads `ahead` s later, and its times."""
         began, worked = time.perf_counter(), self._processor_time()
         if ahead:
             x = self._usable(self._led(t, x, ahead))
             t += ahead
         held = self._holding(x, self._tracked.us[-1]) if self._held and np.isfinite(x).all() else None
-        fault = self._replanner.replan(t, x, held, self._leads_back)
+        fault = self._replanner.replan(t, x, held, self._leads_back, searched)
         self._taken = time.perf_counter() - began, self._processor_time() - worked
         return fault
 
@@ -318,9 +318,9 @@ class Controller(StateMachine):
             t += part
         return x
 
-    def _replan(self, t: float, x: np.ndarray) -> bool:
+    def _replan(self, t: float, x: np.ndarray, searched: bool = True) -> bool:
         self._slide(t)
-        return self._ended(t, self._timed(t, x))
+        return self._ended(t, self._timed(t, x, searched=searched))
 
     def _ended(self, t: float, fault: Fault | None) -> bool:
         """Take what a solve for time t left; whether it succeeded."""
@@ -345,16 +345,18 @@ class Controller(StateMachine):
             return Fault.LENGTH
         if x.shape != self._seen.shape or x.dtype.kind not in "fiub":
             return Fault.LENGTH
-        largest = float(np.abs(x).max())
-        if not math.isfinite(largest):
-            return Fault.STATE
-        if largest > self._farthest:
-            return Fault.SIZE
+        x = x.astype(float, copy=False)
+        if not self._near(x):
+            return Fault.SIZE if np.isfinite(x).all() else Fault.STATE
         return Fault.CLOCK_BACK if t < self._last_t - TIME_TOLERANCE * self._dt else None
+
+    def _near(self, x: np.ndarray) -> bool:
+        """Whether no entry of a state (nx,) is farther than a measured one may be; False where one is not finite."""
+        return bool(x.dot(x) <= self._farthest**2 or np.abs(x).max() <= self._farthest)  # the first is a quick yes
 
     def _usable(self, x: np.ndarray) -> np.ndarray:
         """A predicted state (nx,); the last measured one where the prediction runs away."""
-        return x if np.abs(x).max() <= self._farthest else self._seen
+        return x if self._near(x) else self._seen
 
     def _measured(self, t: float, x: Any) -> np.ndarray:
         """Take a usable measurement."""

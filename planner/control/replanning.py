@@ -4,6 +4,10 @@ The plan before is shifted to the new time and rolled out from x with its gains.
 diverge, which one iteration does not correct. So where it costs more than THROWN times the planned cost, the first plan
 of the task is rolled out from x too, and the cheaper rollout is the warm start. A number of SLQ iterations follows, or
 those that fit in a budget of wall time: an iteration begins only if what one took lately fits in what is left.
+
+Without a budget the last iteration of `prepare` is one of real-time iteration: the whole step is taken, and the rollout
+that begins the next plan tells whether it lowered the cost. Where it did not, as after a push, the plan begins without
+that step if this is cheaper, and its iterations search.
 """
 
 from __future__ import annotations
@@ -49,6 +53,7 @@ class Replanner:
     def reset(self, plan: Plan) -> None:
         """Begin with the first plan of the task; one iteration loads the kernels and is timed."""
         self._first, self._mu, self._cost = plan, 0.0, math.inf
+        self._step: np.ndarray | None = None  # (H, nu) of the last plan's controls, whose cost no rollout has told
         self.stalls = self._skipped = 0
         self.trajectory, self.made = self._first_plan(0), math.nan
         self.window.set_penalties(plan, self._problem.trajectory_constraints)  # resets the multipliers
@@ -65,7 +70,9 @@ class Replanner:
         before = np.minimum(n[:-1], plan.N - 1)
         return plan.xs[np.minimum(n, plan.N)], plan.us[before], plan.K[before]
 
-    def replan(self, t: float, x: np.ndarray, held: np.ndarray | None, leads_back: bool) -> Fault | None:
+    def replan(
+        self, t: float, x: np.ndarray, held: np.ndarray | None, leads_back: bool, searched: bool
+    ) -> Fault | None:
         """Shift the plan to (t, x) and iterate; None or why it failed.
 
         Args:
@@ -73,21 +80,23 @@ class Replanner:
             x: (nx,) state at t.
             held: (nu,) control that holds the machine, to begin with where the last plan is too old; or None.
             leads_back: Whether the first plan of the task may be the warm start.
+            searched: Whether the last iteration has a line search, too.
         """
         engine, began = self.engine, time.perf_counter()
-        cost = engine.start_from_trajectory(x, self.trajectory, (t - self.made) / self._dt)
-        finite = bool(np.isfinite(x).all())
-        if not cost <= THROWN * self._cost and leads_back and finite:
-            cost = self._back(t, x, cost)
-        if not math.isfinite(cost) and not finite:
+        cost, lowered = self._begin(t, x)
+        searched = searched or self._budget is not None or not lowered
+        if not math.isfinite(cost) and not np.isfinite(x).all():
             return Fault.NOT_FINITE_START
+        if not cost <= THROWN * self._cost and leads_back:
+            cost = self._back(t, x, cost)
         if not math.isfinite(cost) and held is not None:
             cost = engine.start_from_controls(x, np.tile(held, (self._H, 1)))
         if not math.isfinite(cost):
             return Fault.RUNS_AWAY
         fresh, kind, done, slope = True, CONVERGED, 0, 0.0
         while self._goes_on(began, done):
-            kind, slope, cost = self._iterate(cost, fresh)
+            whole = not searched and done == self._iterations - 1
+            kind, slope, cost = self._sweep(cost, fresh) if whole else self._iterate(cost, fresh)
             done, fresh = done + 1, kind == ACCEPTED
             if kind == CONVERGED:
                 break
@@ -103,7 +112,34 @@ class Replanner:
             return Fault.NOT_FINITE
         self.trajectory, self.made, self._cost = plan, t, cost
         self.window.update_hinges(plan[0], plan[1], cost, solved=-slope <= SOLVED * abs(cost))
+        self._step = None if searched or kind != ACCEPTED else engine.whole_step()
+        if self._step is not None:
+            plan[1][:] += self._step
         return None
+
+    def _begin(self, t: float, x: np.ndarray) -> tuple[float, bool]:
+        """Start from the last plan, moved on to (t, x): the cost, and whether a step that was not searched lowered it."""
+        stages, step, us = (t - self.made) / self._dt, self._step, self.trajectory[1]
+        cost = self.engine.start_from_trajectory(x, self.trajectory, stages)
+        self._step = None
+        if step is None or cost <= self._cost:
+            return cost, True
+        us -= step
+        without = self.engine.start_from_trajectory(x, self.trajectory, stages)
+        if cost < without:
+            us += step
+            return self.engine.start_from_trajectory(x, self.trajectory, stages), False
+        return without, False
+
+    def _sweep(self, cost: float, fresh: bool) -> tuple[int, float, float]:
+        """An iteration whose whole step is taken without a rollout: its kind, slope, and the cost before it."""
+        direction = self.engine.compute_direction(self._mu * self.engine.largest_control_weight, fresh)
+        least, factor = DEFAULT.min_regularization, DEFAULT.regularization_factor
+        if direction.definite:
+            self._mu = self._mu / factor if self._mu > least else 0.0
+            return ACCEPTED, direction.slope, cost
+        self._mu = min(max(least, factor * self._mu), DEFAULT.max_regularization)
+        return INDEFINITE, 0.0, cost
 
     def _iterate(self, cost: float, fresh: bool) -> tuple[int, float, float]:
         """One iteration: its kind, slope and cost."""

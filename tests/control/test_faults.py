@@ -348,6 +348,29 @@ def test_a_loop_of_prepare_and_feedback_arrives(problem):
     assert (c.plans, c.status, c.events) == (81, TRACKING, [])
 
 
+def test_prepare_takes_whole_steps_and_searches_where_the_next_cost_is_not_lower(problem):
+    c, x, dt = planner.Controller(problem), problem.x0, problem.dynamics.dt
+    c.simulated, searches = True, []
+    iterate = c._replanner._iterate
+    c._replanner._iterate = lambda *given: searches.append(c.plans) or iterate(*given)
+    c.prepare(0.0)
+    for n in range(40):
+        u = c.feedback(x)
+        x = problem.dynamics.step(x[None], u[None])[0]
+        if n == 20:
+            x = x + [0.0, 0.0, 2.0, -2.0]  # rad/s: the plan after it begins in a state that nobody predicted
+            c.prepare((n + 1) * dt, x)
+        else:
+            c.prepare((n + 1) * dt)
+    assert 21 in searches
+    assert len(searches) < 8  # of 41 plans
+    for n in range(40, 120):
+        u = c.feedback(x)
+        x = problem.dynamics.step(x[None], u[None])[0]
+        c.prepare((n + 1) * dt)
+    assert np.abs(x - [np.pi / 2, 0, 0, 0]).max() < 0.05
+
+
 def test_a_thread_plans_while_the_gains_control(problem):
     c, dt = planner.Controller(problem, threaded=True), problem.dynamics.dt
     seconds = [0.03]

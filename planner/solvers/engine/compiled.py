@@ -131,6 +131,10 @@ class CompiledEngine(Engine):
         """Whether the last sweep had controls at their bounds."""
         return bool(self._w.active_bounds.any())
 
+    def whole_step(self) -> np.ndarray:
+        """A copy of the step (N, nu) of the controls, without feedback, that the last sweep found."""
+        return self._w.k.copy()
+
     def start_from_trajectory(self, x0: np.ndarray, trajectory: TrajectoryArrays, stages: float = 0.0) -> float:
         """Set the rollout of u = us + K (x - xs) of a trajectory, shifted by `stages`, from x0 (nx,); its cost."""
         w = self._w

@@ -107,6 +107,11 @@ class NumpyEngine(Engine):
         """Whether the last sweep had controls at their bounds."""
         return bool(self._active.any())
 
+    def whole_step(self) -> np.ndarray:
+        """A copy of the step (N, nu) of the controls, without feedback, that the last sweep found."""
+        assert self._sweep is not None
+        return self._sweep.k.copy()
+
     def start_from_trajectory(self, x0: np.ndarray, trajectory: TrajectoryArrays, stages: float = 0.0) -> float:
         """Set the rollout of u = us + K (x - xs) of a trajectory, shifted by `stages`, from x0 (nx,); its cost."""
         xs, us, K = np.empty_like(trajectory[0]), np.empty_like(trajectory[1]), trajectory[2]

@@ -109,6 +109,10 @@ class Engine(Protocol):
         """Whether the last sweep had controls at their bounds."""
         ...
 
+    def whole_step(self) -> np.ndarray:
+        """A copy of the step (N, nu) of the controls, without feedback, that the last sweep found."""
+        ...
+
     def start_from_trajectory(self, x0: np.ndarray, trajectory: TrajectoryArrays, stages: float = 0.0) -> float:
         """Roll out u = us + K (x - xs) of a trajectory, some stages on, from x0 (nx,), and take it; its cost.
 
