@@ -186,6 +186,11 @@ def _tracked(
     links = [mechanism.joint_links[j].start for j in joints]
     q = np.empty_like(positions)
     q[:, mechanism.q_address[links]] = positions
+    if x0 is not None and np.abs(x0[: mechanism.nq] - q[0]).max() > _START_TOLERANCE:
+        raise PlannerError(
+            f"the start is {np.abs(x0[: mechanism.nq] - q[0]).max():.3g} from the first row of positions, expected the "
+            "same: leave --start out."
+        )
     t = dt * np.arange(N + 1)
     spline = make_interp_spline(t, q, k=5)
     middle = t[:-1] + 0.5 * dt  # the best time for a control that is constant over a stage
@@ -195,10 +200,10 @@ def _tracked(
     size = np.maximum(np.abs(us).max(axis=0), np.finfo(float).tiny)
     Q, R = dt * np.eye(dynamics.ndx), dt * _CONTROL_WEIGHT * np.diag(1.0 / size**2)
     K = tracking_gains(A, B, np.tile(Q, (N + 1, 1, 1)), np.tile(R, (N, 1, 1)))
-    assert K is not None  # R is positive definite, Q semidefinite
-    if x0 is not None and np.abs(x0[: mechanism.nq] - q[0]).max() > _START_TOLERANCE:
+    if K is None:  # R is positive definite, Q semidefinite: the numbers are too far apart
+        fastest = float(np.abs(spline(t, 2)).max())
         raise PlannerError(
-            f"the start is {np.abs(x0[: mechanism.nq] - q[0]).max():.3g} from the first row of positions, expected the "
-            "same: leave --start out."
+            f"the positions jump, by accelerations up to {fastest:.3g} in rad/s^2 or m/s^2, and no gains follow them, "
+            "expected a motion of the joints: columns of controls bear the names of actuators."
         )
     return *rollout(dynamics, reference[0] if x0 is None else x0, us, feedback_control(dynamics, reference, us, K)), K

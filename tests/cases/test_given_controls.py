@@ -62,6 +62,17 @@ def test_controls_that_miss_the_goal_fail(solved, model, tmp_path):
     assert "angle miss" in proof.reason
 
 
+def test_controls_named_as_joints_are_no_motion(tmp_path):
+    """Torques of thousands of newton metres under the joints' names are positions that jump."""
+    (tmp_path / "arm.xml").write_text(
+        '<mujoco><worldbody><body><joint name="a"/><geom size="0.1" mass="1"/></body></worldbody>'
+        '<actuator><motor name="m" joint="a"/></actuator></mujoco>'
+    )
+    jumps = 1e160 * np.random.default_rng(0).normal(size=(20, 1))  # no LQ problem in floating point holds them
+    with pytest.raises(PlannerError, match="jump"):
+        plan_of_controls(write(tmp_path / "q.csv", ["a"], jumps, 0.01), tmp_path / "arm.xml")
+
+
 def test_positions_are_followed(solved, model, tmp_path):
     names = ["position of shoulder", "position of elbow"]
     plan = plan_of_controls(write(tmp_path / "q.csv", names, solved.xs[:, :2], solved.dt), model)
