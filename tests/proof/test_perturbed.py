@@ -61,7 +61,7 @@ def test_the_margin_is_the_largest_level_that_is_kept(arm, monkeypatch, top):
         campaign = MonteCarlo(simulator, follows, NONE, 0, 64)
         assert campaign.per_level == 20
         assert campaign._margin("feedback", 0) == (LEVELS[top] if top >= 0 else 0.0)
-    assert len(ran) <= 4
+    assert len(set(ran)) <= 4
 
 
 @pytest.mark.parametrize(("every", "word", "done"), [(1, "robust", 32), (10, "robust", 96), (4, "fragile", 160)])

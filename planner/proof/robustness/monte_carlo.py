@@ -34,7 +34,7 @@ from planner.proof.robustness.success import LOOKS, SuccessRule, enough, next_lo
 ENOUGH = 0.95  # success rate required at a mass error within the margin
 LEVELS = (0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5)  # mass errors, relative
 _PER_LEVEL = 20  # smallest number of rollouts with a 95 % rate below all
-_QUICK = 5  # rollouts of a level where fewer than the first look are requested
+_QUICK = 5  # of these, first; all where fewer rollouts than the first look are requested
 _MAX_LEVELS = 4  # maximum number of bisection steps over nine levels
 
 
@@ -93,14 +93,18 @@ class MonteCarlo:
         """The largest level with enough successes, assuming monotone rates; `others` simulations remain after it."""
         sizes, left = self.simulator.nominal.sizes, _MAX_LEVELS * self.per_level
 
+        allowed = int(self.per_level * (1.0 - ENOUGH) + 1e-9)  # failures
+
         def survives(level: int) -> bool:
             nonlocal left
             left -= self.per_level
-            part, least = f"level {level}", self.per_level
-            self._extend(
-                part, mode, least, lambda k: draw_masses(LEVELS[level], self._seed, level, k, sizes), left + others
-            )
-            return bool(self._succeeded(part, mode)[:least].mean() >= ENOUGH)
+            part = f"level {level}"
+            for count in (_QUICK, self.per_level):  # where most fail, a few tell
+                draw_one = partial(draw_masses, LEVELS[level], self._seed, level, sizes=sizes)
+                self._extend(part, mode, count, draw_one, left + others + self.per_level - count)
+                if np.count_nonzero(~self._succeeded(part, mode)[:count]) > allowed:
+                    return False
+            return True
 
         most = largest_survived(len(LEVELS), survives)
         return LEVELS[most] if most >= 0 else 0.0
