@@ -159,7 +159,7 @@ class RigidBodyDynamics:
         announce_named(variant("tree steps", self._model))
         ends, memory = np.empty_like(xs), self._scratch()
         if dt is not None and self._heavier:  # partial stages, each with the armatures of its length
-            shares, group = np.unique(np.round(lengths / self.dt, 9), return_inverse=True)
+            shares, group = np.unique(np.round(lengths / self.dt, 10), return_inverse=True)
             for k, share in enumerate(shares):
                 m, rows = self._model_of(share * self.dt), group == k
                 some = np.empty_like(xs[rows])
