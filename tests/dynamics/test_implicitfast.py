@@ -11,7 +11,6 @@ from trees import CHAINS, actuated, driven, machines, random_state
 
 from planner import Mechanism, RigidBodyDynamics
 from planner.base.errors import PlannerError
-from planner.problem.rediscretize import stage_too_long
 
 SERVO = """
 <mujoco><option integrator="implicitfast" timestep="0.01"/><worldbody><body><joint name="a" axis="0 1 0" damping="0.3"/>
@@ -80,8 +79,9 @@ def test_rates_are_the_machines_own():
 
 def test_second_derivatives_are_differences_of_the_first():
     m = Mechanism.from_mjcf(actuated(CHAINS["arm"], np.random.default_rng(0), activations=False))
-    dynamics, rng = RigidBodyDynamics(replace(m, damping=np.array([50.0, 9.0, 300.0, 4.0])), 0.05, "implicitfast"), (
-        np.random.default_rng(2)
+    dynamics, rng = (
+        RigidBodyDynamics(replace(m, damping=np.array([50.0, 9.0, 300.0, 4.0])), 0.05, "implicitfast"),
+        (np.random.default_rng(2)),
     )
     x, u, costate, h = rng.normal(size=dynamics.nx), rng.normal(size=dynamics.nu), rng.normal(size=dynamics.nx), 1e-5
     T = dynamics.second_order(np.stack([x, x]), u[None], np.stack([costate, costate]))[0]

@@ -180,17 +180,6 @@ def test_springs_are_not_what_it_is_for():
     assert not follows_all_but_damping(stiff, 0.01, stiff.home)
 
 
-def test_a_servo_far_from_zero_is_judged_where_it_is_told_to_be():
-    """Told to be at zero, it would leave at once, and a second joint would feel it."""
-    text = CHAINS["arm"].replace("</mujoco>", "<actuator>")
-    text += "".join(
-        f'<position joint="{name}" kp="1e6" kv="1e5"/>' for name in Mechanism.from_mjcf(CHAINS["arm"]).joint_names
-    )
-    m = Mechanism.from_mjcf(text.replace('stiffness="', 'user="') + "</actuator></mujoco>")
-    at_zero, away = (implicit_error(m, 0.01, np.concatenate([np.full(m.nv, q), np.zeros(m.nv)])) for q in (0.0, 1.5))
-    assert max(at_zero, away) < IMPLICIT
-
-
 def test_what_it_lacks_is_said():
     dynamics = RigidBodyDynamics(Mechanism.from_mjcf(FINGER.format(damping=1.0)), 0.01, "rosenbrock")
     with pytest.raises(PlannerError, match="rosenbrock"):
