@@ -138,8 +138,9 @@ def implicit_error(
 ) -> float:  # fmt: skip
     """Largest change of the state Jacobian A of a stage of dt s when it is split in two, by the Rosenbrock method.
 
-    The controls are those that hold a state: a servo that is told to be elsewhere would leave it at once. Both use as many substeps per stage, by default 16. Velocities are multiplied by dt, so the change of positions and
-    velocities is comparable. States (K, nx) as in fastest_mode. Infinite if a stage diverges.
+    The controls are those that hold a state: a servo that is told to be elsewhere would leave it at once. Both use as
+    many substeps per stage, by default 16. Velocities are multiplied by dt, so the change of positions and velocities
+    is comparable. States (K, nx) as in fastest_mode. Infinite if a stage diverges.
     """
     xs, change = _rows(states), 0.0
     for one in _held_and_slipping(mechanism):

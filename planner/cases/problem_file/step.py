@@ -37,7 +37,8 @@ def with_step(
     The states (nx,), with home where no ground is near, are where the machine's fastest motion is looked for. A stage
     is 0.01 s with RK4. Where 16 substeps cannot follow the machine's fastest motion, its damping is taken implicitly,
     at the stage or a half, a quarter or an eighth of it, by the Rosenbrock method; where that is too coarse, too, the
-    stage is what RK4 can follow, but never below SHORTEST, where damping of single joints is taken implicitly. It is a little less than that: a whole number of stages is the duration.
+    stage is what RK4 can follow, but never below SHORTEST, where damping of single joints is taken implicitly. It is a
+    little less than that: a whole number of stages is the duration.
 
     Raises:
         PlannerError: The duration is no number, or the dt that is asked for takes more than 16 substeps.
