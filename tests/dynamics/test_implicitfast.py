@@ -7,10 +7,13 @@ from dataclasses import replace
 import mujoco
 import numpy as np
 import pytest
+from closed_chains import four_bar
 from trees import CHAINS, actuated, driven, machines, random_state
 
 from planner import Mechanism, RigidBodyDynamics
 from planner.base.errors import PlannerError
+from planner.cases.problem_file.step import with_step
+from planner.dynamics.step_stability import fastest_mode
 
 SERVO = """
 <mujoco><option integrator="implicitfast" timestep="0.01"/><worldbody><body><joint name="a" axis="0 1 0" damping="0.3"/>
@@ -115,3 +118,19 @@ def test_a_stage_is_one_step():
     m = Mechanism.from_mjcf(SERVO.format(more="", actuator=""))
     with pytest.raises(PlannerError, match="substeps is 2 and the integrator 'implicitfast'"):
         RigidBodyDynamics(m, 0.01, "implicitfast", substeps=2)
+
+
+def test_it_is_chosen_where_a_closed_chain_has_stiff_damping():
+    """Which the Rosenbrock method does not keep, and RK4 would follow in stages below 0.5 ms."""
+    m = four_bar(damping=1e5)
+    assert fastest_mode(m, m.home).rate > 16 * 2.0 / 5e-4
+    auto = {"dt": "auto", "substeps": "auto", "integrator": "auto", "duration": 1.0}
+    table, substeps, reasons = with_step(auto, m, (), [m.home])
+    assert (table["integrator"], table["dt"], substeps) == ("implicitfast", 0.01, 1)
+    assert "1 step a stage" in reasons["substeps"]
+    dynamics, h = RigidBodyDynamics(m, 0.01, "implicitfast"), 1e-6
+    x, u, space = dynamics.step(m.home[None], np.full((1, m.nu), 1e4))[0], np.full((1, m.nu), 1e4), m.space
+    A, _ = dynamics.linearize(np.stack([x, x]), u)
+    ends = [[dynamics.step((x + s * h * e)[None], u)[0] for s in (1, -1)] for e in np.eye(space.ndx)]
+    theirs = np.array([(ahead - back) / (2.0 * h) for ahead, back in ends]).T
+    np.testing.assert_allclose(A[0], theirs, atol=1e-7)  # rounding over h, of states of size 1
