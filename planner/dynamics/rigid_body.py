@@ -11,7 +11,8 @@ import numpy as np
 
 from planner.base.arguments import array, choice, count, number, short_repr
 from planner.base.errors import PlannerError
-from planner.kernels.integrators import SEMI_IMPLICIT_EULER, TREE_INTEGRATORS
+from planner.dynamics.protocol import KNOWN_INTEGRATORS
+from planner.kernels.integrators import ROSENBROCK, SEMI_IMPLICIT_EULER
 from planner.kernels.lq.workspace import Workspace
 from planner.kernels.numba.lanes import padded
 from planner.kernels.precompile import announce_named, variant
@@ -24,6 +25,7 @@ from planner.kernels.tree.memory import TreeMemory
 from planner.kernels.tree.residuals.evaluate import quadratize_residuals
 from planner.kernels.tree.residuals.table import ResidualTable
 from planner.model.capabilities import Capabilities
+from planner.model.damping import damped_implicitly
 from planner.model.mechanism import Mechanism
 from planner.model.space import StateSpace
 
@@ -38,8 +40,9 @@ class RigidBodyDynamics:
     Args:
         mechanism: The machine.
         dt: Length of a stage, s.
-        integrator: "euler", "semi-implicit-euler" (velocity first, as MuJoCo's Euler), "rk4", or "rosenbrock", of
-            second order with implicit damping, for damping too stiff for RK4 (kernels.tree.rosenbrock).
+        integrator: "euler", "semi-implicit-euler" (velocity first, as MuJoCo's Euler), "rk4", or with implicit
+            damping, for damping too stiff for RK4, "rosenbrock", of second order (kernels.tree.rosenbrock), and
+            "implicitfast", of first order, MuJoCo's, for damping of single joints.
         prescribed: Names of joints whose accelerations are inputs (the paper's Cases 2 and 3); their actuators have
             no effect.
         substeps: Equal integration steps of a stage, 1 to 16, of "rk4" and "rosenbrock", for stability (see
@@ -47,7 +50,8 @@ class RigidBodyDynamics:
 
     Raises:
         PlannerError: dt is not positive, the integrator or a joint is unknown, there is no control, an Euler integrator
-            has substeps, a prescribed joint is coupled, or "rosenbrock" with closed chains.
+            or "implicitfast" has substeps, a prescribed joint is coupled, "rosenbrock" with closed chains, or
+            "implicitfast" with damping that couples joints.
     """
 
     def __init__(
@@ -57,7 +61,7 @@ class RigidBodyDynamics:
         if not isinstance(mechanism, Mechanism):
             raise PlannerError(f"mechanism is {short_repr(mechanism)}, expected a Mechanism.")
         self.mechanism, self.dt = mechanism, number("dt", dt, greater_than=0.0)
-        self.integrator = choice("integrator", integrator, TREE_INTEGRATORS)
+        self.integrator = choice("integrator", integrator, KNOWN_INTEGRATORS)
         self.substeps = count("substeps", substeps, maximum=MAX_SUBSTEPS)
         if self.substeps > 1 and self.integrator not in WITH_SUBSTEPS:
             raise PlannerError(
@@ -69,11 +73,12 @@ class RigidBodyDynamics:
         self.prescribed = (prescribed,) if isinstance(prescribed, str) else tuple(prescribed)
         self.space: StateSpace = mechanism.space
         self.nx, self.ndx = self.space.nx, self.space.ndx
+        known = KNOWN_INTEGRATORS[self.integrator]
+        self._code, self._heavier = known.stage, known.implicit and known.stage != ROSENBROCK
         self._make_tables()
         self.nu = self._model.nu
         if self.nu == 0:
             raise PlannerError("the model has no actuators, expected at least one <actuator> or a prescribed joint.")
-        self._code = TREE_INTEGRATORS.index(self.integrator)
         self.structured = self._code == SEMI_IMPLICIT_EULER and mechanism.na == 0
         self.has_slopes = False
         self.dense_kernels = tuple(variant(name, self._model) for name in ("tree search", "tree dense"))
@@ -93,14 +98,20 @@ class RigidBodyDynamics:
                     f"{coupling.name} couples {names} and one of them is prescribed, expected prescribed joints that "
                     "no equality couples."
                 )
-        implicit = self.integrator == "rosenbrock"
+        implicit = self._code == ROSENBROCK
         if implicit and self.mechanism.has_closed_chains:
             raise PlannerError(
                 'the integrator "rosenbrock" keeps no closed chains and this machine has some, expected "rk4", or less '
                 "damping."
             )
-        self._model, self._steps = Model(self.mechanism, driven, implicit=implicit), local()
+        self._driven, self._steps = driven, local()
+        self._model = self._model_of(self.dt)
         self.capabilities = Capabilities.of_mechanism(self.mechanism, driven, exact_hessian=not implicit)
+
+    def _model_of(self, h: float) -> Model:
+        """The kernel table for steps of h s."""
+        machine = damped_implicitly(self.mechanism, h) if self._heavier else self.mechanism
+        return Model(machine, self._driven, implicit=self._code == ROSENBROCK)
 
     def __getstate__(self) -> dict[str, Any]:
         """All attributes but the tables, whose addresses are valid in this process only."""
@@ -151,6 +162,14 @@ class RigidBodyDynamics:
         lengths = np.full(len(xs), self.dt) if dt is None else array("dt", dt, (len(xs),))
         announce_named(variant("tree steps", self._model))
         ends, memory = np.empty_like(xs), self._scratch()
+        if dt is not None and self._heavier:  # partial stages, each with the armatures of its length
+            shares, group = np.unique(np.round(lengths / self.dt, 10), return_inverse=True)
+            for k, share in enumerate(shares):
+                m, rows = self._model_of(share * self.dt), group == k
+                some = np.empty_like(xs[rows])
+                tree_step.steps(m.table, memory.table, lengths[rows], xs[rows], us[rows], some, False, m.external)
+                ends[rows] = some
+            return ends
         tree_step.steps(self._model.table, memory.table, lengths, xs, us, ends, False, self._model.external)
         return ends
 
@@ -165,7 +184,8 @@ class RigidBodyDynamics:
         xs, us = self._checked(xs, us)
         announce_named(variant("tree rates", self._model))
         out, memory = np.empty((len(xs), self.ndx)), self._scratch()
-        tree_step.rates(self._model.table, memory.table, xs, us, out, self._model.external)
+        m = self._model_of(0.0) if self._heavier else self._model
+        tree_step.rates(m.table, memory.table, xs, us, out, m.external)
         return out
 
     def linearize(self, xs: np.ndarray, us: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

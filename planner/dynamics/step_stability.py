@@ -5,7 +5,8 @@ friction, contacts, stops. RK4 is stable for lambda in the left half plane where
 
     |1 + z + z^2/2 + z^3/6 + z^4/24| <= 1,   z = lambda h:   |z| <= 2.78 on the real axis, 2.61 in every direction.
 
-Faster damping is integrated implicitly (kernels.tree.rosenbrock), if implicit_error of a stage is at most IMPLICIT.
+Faster damping is integrated implicitly (kernels.tree.rosenbrock), if implicit_error of a stage is at most IMPLICIT,
+else by "implicitfast", of first order, if nothing but damping of single joints is faster than a stage.
 
 A rate is attributed to the joint with the largest participation factor, the product of its entries in the right and
 left eigenvectors, which has no unit (Perez-Arriaga, Verghese and Schweppe, IEEE Trans. Power App. Syst. 101, 1982).
@@ -21,8 +22,10 @@ from typing import NamedTuple
 import numpy as np
 
 from planner.base.errors import PlannerError
+from planner.dynamics.quasi_static import quasi_static_controls
 from planner.dynamics.rigid_body import MAX_SUBSTEPS, RigidBodyDynamics
 from planner.model.coordinates import coordinates_of_mechanism
+from planner.model.damping import damped_implicitly
 from planner.model.mechanism import Mechanism
 
 # Target |lambda| h of a substep: RK4 then reproduces the decay exp(-0.7) to 0.3 %, so that a replay at finer steps
@@ -135,13 +138,15 @@ def implicit_error(
 ) -> float:  # fmt: skip
     """Largest change of the state Jacobian A of a stage of dt s when it is split in two, by the Rosenbrock method.
 
-    Both use as many substeps per stage, by default 16. Velocities are multiplied by dt, so the change of positions and
-    velocities is comparable. States (K, nx) as in fastest_mode. Infinite if a stage diverges.
+    The controls are those that hold a state: a servo that is told to be elsewhere would leave it at once. Both use as
+    many substeps per stage, by default 16. Velocities are multiplied by dt, so the change of positions and velocities
+    is comparable. States (K, nx) as in fastest_mode. Infinite if a stage diverges.
     """
     xs, change = _rows(states), 0.0
     for one in _held_and_slipping(mechanism):
         whole, half = (RigidBodyDynamics(one, step, "rosenbrock", prescribed, substeps) for step in (dt, 0.5 * dt))
-        us, scale = np.zeros((len(xs), whole.nu)), np.ones(whole.ndx)
+        us = np.array([quasi_static_controls(whole, x, contacts=False) for x in xs])
+        scale = np.ones(whole.ndx)
         scale[mechanism.nv : 2 * mechanism.nv] = dt
         with np.errstate(all="ignore"):
             middle = half.step(xs, us)
@@ -150,6 +155,17 @@ def implicit_error(
             apart = float(np.abs(scale[:, None] * (second @ first - A) / scale).max())
         change = max(change, apart if np.isfinite(apart) else math.inf)
     return change
+
+
+def follows_all_but_damping(
+    mechanism: Mechanism, dt: float, states: np.ndarray | Iterable[np.ndarray], prescribed: Collection[str] = ()
+) -> bool:
+    """Whether one step of dt s of "implicitfast" is stable: what it takes implicitly is damping of single joints."""
+    try:
+        machine = damped_implicitly(mechanism, dt)
+    except PlannerError:
+        return False
+    return fastest_mode(machine, states, prescribed).rate * dt <= MAX_RATE_STEP
 
 
 def reason(found: FastestMode, substeps: int) -> str:

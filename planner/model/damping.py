@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
+from planner.base.errors import PlannerError
 from planner.model.tendons import acting_tendons
 
 
@@ -27,3 +29,27 @@ def implicit_damping(mechanism: Any) -> np.ndarray:
     As a matrix it bounds the damping matrix from above, so damping that couples joints is stable too.
     """
     return np.abs(damping_matrix(mechanism)).sum(axis=1)
+
+
+def damped_implicitly(mechanism: Any, h: float) -> Any:
+    """The mechanism with M + h D in place of M, for MuJoCo's implicitfast step of h s; D is the damping matrix.
+
+    With D diagonal that is a larger armature. MuJoCo's D holds no constraint forces, so neither does this.
+
+    Raises:
+        PlannerError: D is not diagonal, negative, or depends on the pose, as that of fluid drag.
+    """
+    D, why = damping_matrix(mechanism), ""
+    own = np.diag(D)
+    for i, j in np.argwhere(D - np.diag(own))[:1]:
+        why = f"damps {mechanism.joint_of(int(i))} and {mechanism.joint_of(int(j))} together"
+    for i in np.flatnonzero(own < 0.0)[:1]:
+        why = f"drives {mechanism.joint_of(int(i))} by negative damping"
+    if mechanism.drags:
+        why = "has fluid drag"
+    if why:
+        raise PlannerError(
+            f'the integrator "implicitfast" takes damping of single joints and this machine {why}, expected '
+            '"rosenbrock", or "rk4".'
+        )
+    return replace(mechanism, armature=mechanism.armature + h * own)

@@ -16,33 +16,33 @@ from planner.base.errors import PlannerError
 from planner.dynamics import RigidBodyDynamics
 from planner.dynamics.protocol import integrator_of
 from planner.dynamics.step_stability import MAX_RATE_STEP, fastest_mode, reason, substeps_of
+from planner.model.damping import damped_implicitly
 from planner.problem.costs.terms import call_if_supported
 from planner.problem.costs.tracking import tracking_of
 from planner.problem.objective_problem import base_problem, with_objective
 from planner.problem.problem import Problem
 
 MAX_STAGES = 100_000
-FINEST = "rk4"
-IMPLICIT = "rosenbrock"  # unchanged by finer(), since explicit integrators cannot replace it
+FINEST = "rk4"  # of explicit integrators
 
 
 def finer(problem: Problem) -> Problem:
     """A problem with the next finer discretization.
 
-    An integrator of first order (both of Euler's) becomes RK4 at the same stage, which leaves the cost as it is. RK4
-    and the implicit method get stages of half the length: a stage weight becomes two of half its size, with the same
-    reference, and the final weight stays, so that the cost still approximates the same integral.
+    An integrator of first order becomes the one of its kind that is finer at the same stage, which leaves the cost as
+    it is. RK4 and the implicit method get stages of half the length: a stage weight becomes two of half its size, with
+    the same reference, and the final weight stays, so that the cost still approximates the same integral.
 
     Raises:
         PlannerError: Parts without with_step and resampled, or more than 100 000 stages.
     """
     if problem.objective is not None:
         return with_objective(finer(base_problem(problem)), problem.objective.weights)
-    parts = 1 if integrator_of(problem.dynamics).order == 1 else 2
+    known = integrator_of(problem.dynamics)
+    parts, finest = 1 if known.order == 1 else 2, known.finer
     if parts * problem.N > MAX_STAGES:
         raise PlannerError(f"half the stage makes {parts * problem.N} stages, expected at most {MAX_STAGES}.")
     dt = problem.dynamics.dt / parts
-    finest = IMPLICIT if getattr(problem.dynamics, "integrator", None) == IMPLICIT else FINEST
     limits = None if problem.limits is None else problem.limits.repeated(parts)
     if problem.recipe is not None and "integrator" in problem.recipe.parameters:
         step = {"dt": dt} if "dt" in problem.recipe.parameters else {"horizon": parts * problem.N}
@@ -111,14 +111,18 @@ def substeps_reason(problem: Problem) -> str:
 def stage_too_long(problem: Problem) -> str:
     """Message with a fix if the integration step is too long for the machine's fastest mode; else ""."""
     dynamics = problem.dynamics
-    if not isinstance(dynamics, RigidBodyDynamics) or dynamics.integrator == IMPLICIT:
+    known = integrator_of(dynamics)
+    if not isinstance(dynamics, RigidBodyDynamics) or dynamics.integrator == known.finer != FINEST:
         return ""
-    found = fastest_mode(dynamics.mechanism, [problem.x0, dynamics.mechanism.home], dynamics.prescribed)
+    machine = damped_implicitly(dynamics.mechanism, dynamics.dt) if known.implicit else dynamics.mechanism
+    found = fastest_mode(machine, [problem.x0, machine.home], dynamics.prescribed)
     step = dynamics.dt / dynamics.substeps
     if found.rate * step <= MAX_RATE_STEP:
         return ""
     try:
-        wanted = f'integrator="rk4", substeps={substeps_of(found, dynamics.dt)}'
+        wanted = f'integrator="{known.finer}"'
+        if known.finer == FINEST:
+            wanted += f", substeps={substeps_of(found, dynamics.dt)}"
     except PlannerError as error:
         return str(error)
     return f"{found.joint} has a rate of {found.rate:.4g} per s and a step takes {step:.3g} s, expected {wanted}."

@@ -175,10 +175,14 @@ def stage_function(
         "euler": explicit_euler, "rk4": lambda x, u: munthe_kaas(rates, space, x, u, dt, integrate)
     }  # fmt: skip
     native = KNOWN_INTEGRATORS[integrator].mujoco if integrator in KNOWN_INTEGRATORS and constrained is None else ""
-    if native == "RK4" and (space.quaternions or len(driven)):
+    if (native == "RK4" and space.quaternions) or (native != "EULER" and len(driven)):
         native = ""
     if constrained is not None:
         own["semi-implicit-euler"] = velocity_first
+    if damping is not None and integrator != ROSENBROCK and not native:  # MuJoCo's step is of a heavier machine
+        model.dof_armature[:] += dt * damping
+        model.dof_M0[:] += dt * damping
+        own[integrator] = velocity_first
     if integrator == ROSENBROCK and damping is not None and not len(driven):
         exact = None if constrained is None else functools.partial(constrained_acceleration, mechanism=constrained)
         move = implicit_step(model, dt, damping, acceleration=exact)

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from planner.base.measured import Measurement, Section
-from planner.dynamics.protocol import KNOWN_INTEGRATORS
+from planner.dynamics.protocol import KNOWN_INTEGRATORS, integrator_of
 from planner.model.capabilities import capabilities_of
 from planner.model.tendons import slack_tendons
 from planner.problem.plan import Plan
@@ -25,7 +25,7 @@ from planner.proof.error_scales import COST_BOUND, judged_cost, shares_of_bounds
 from planner.proof.replays.contact_history import may_touch
 from planner.proof.replays.passive_torque_callback import curves_acting
 from planner.proof.replays.replaying import Replay
-from planner.proof.replays.simulation import ROSENBROCK, damping_of
+from planner.proof.replays.simulation import damping_of
 from planner.proof.same_step import advancing
 
 ORDER_BOUND = 0.2  # largest amount by which the observed order may be below the nominal one, for a smooth machine
@@ -94,14 +94,15 @@ def step_convergence(problem: Problem, run: Replay) -> StepConvergence:
     # Where a replay at the plan's own step is not informative, steps are halved from the refined replay's.
     own = getattr(problem.dynamics, "substeps", 1)
     count = LEVELS if own == 1 else LEVELS_OF_SUBSTEPS
-    if integrator == ROSENBROCK:  # its order is not judged, and 16 substeps suffice
+    implicit = integrator_of(problem.dynamics).implicit
+    if implicit:  # its order is not judged, and 16 substeps suffice
         count = 3
     least, count = (max(run.substeps // 2, 1), 3) if refined_only else (own, count)
     substeps = [least << k for k in range(count)]
     kind = "rk4" if refined_only or integrator not in KNOWN_INTEGRATORS else integrator
     nominal = float(KNOWN_INTEGRATORS[kind].order or 4)
     why = _unjudged(run, problem)
-    why = why or ("damping is faster than these steps, which hides the order" if kind == ROSENBROCK else "")
+    why = why or ("damping is faster than these steps, which hides the order" if implicit else "")
     why = why or ("" if kind == integrator else "the plan's own stage is none of MuJoCo's")
     with np.errstate(all="ignore"):
         scale = cost.scale(plan, problem)
@@ -109,7 +110,7 @@ def step_convergence(problem: Problem, run: Replay) -> StepConvergence:
         levels = [_level(run, problem, kind, count) for count in substeps]
         changes, observed = _observed_between(plan, levels)
         factor, uncertainty = _uncertainty(levels, nominal, observed)
-        most = len(levels) if refined_only or integrator == ROSENBROCK or (why and cost.final) else MAX_LEVELS
+        most = len(levels) if refined_only or implicit or (why and cost.final) else MAX_LEVELS
         while (
             len(levels) < most and 2 * substeps[-1] <= MAX_STEPS
             and observed is not None and observed < nominal - ORDER_BOUND and not uncertainty <= enough

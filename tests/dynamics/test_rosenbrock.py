@@ -14,7 +14,7 @@ from trees import CHAINS, actuated, driven, machines, random_state
 from planner import Mechanism, RigidBodyDynamics
 from planner.base.errors import PlannerError
 from planner.dynamics import product_of_exponentials
-from planner.dynamics.step_stability import IMPLICIT, implicit_error
+from planner.dynamics.step_stability import IMPLICIT, follows_all_but_damping, implicit_error
 from planner.model.couplings import Coupling
 from planner.model.damping import damping_matrix, implicit_damping
 from planner.proof.replays.simulation import implicit_step
@@ -89,24 +89,25 @@ def check_slopes(dynamics, x, u):
         np.testing.assert_allclose(ours[0], theirs, atol=1e-7 * max(1.0, np.abs(ours).max()))
 
 
-@pytest.mark.parametrize("substeps", [1, 3])
+@pytest.mark.parametrize(("integrator", "substeps"), [("rosenbrock", 1), ("rosenbrock", 3), ("implicitfast", 1)])
 @pytest.mark.parametrize("name", CHAINS)
-def test_derivatives_are_those_of_differences(name, substeps):
+def test_derivatives_are_those_of_differences(name, integrator, substeps):
     rng = np.random.default_rng(1)
     m = Mechanism.from_mjcf(actuated(CHAINS[name], np.random.default_rng(0)))
     m = replace(m, damping=10.0 ** rng.uniform(-1, 4, m.nv))
-    dynamics = RigidBodyDynamics(m, 0.03, "rosenbrock", substeps=substeps)
+    dynamics = RigidBodyDynamics(m, 0.03, integrator, substeps=substeps)
     check_slopes(dynamics, m.space.integrate(m.home, 0.3 * rng.normal(size=m.space.ndx)), rng.normal(size=m.nu))
 
 
-def test_derivatives_of_what_is_coupled_prescribed_or_rubs_are_those_of_differences():
+@pytest.mark.parametrize(("integrator", "substeps"), [("rosenbrock", 2), ("implicitfast", 1)])
+def test_derivatives_of_what_is_coupled_prescribed_or_rubs_are_those_of_differences(integrator, substeps):
     rng = np.random.default_rng(2)
     m = replace(Mechanism.from_mjcf(FRICTION_ARM), damping=np.array([50.0, 900.0, 4000.0]))
     coupled = replace(m, couplings=(Coupling("mimic", (2, 1), (1.0, -0.7), 0.0),))
     x, u = 0.3 * rng.normal(size=6), 3.0 * rng.normal(size=3)
     x[[2, 5]] = 0.7 * x[[1, 4]]
     for machine, prescribed in ((m, ()), (coupled, ()), (m, ("lift",))):
-        dynamics = RigidBodyDynamics(machine, 0.02, "rosenbrock", prescribed, 2)
+        dynamics = RigidBodyDynamics(machine, 0.02, integrator, prescribed, substeps)
         check_slopes(dynamics, x, rng.normal(size=dynamics.nu) if prescribed else u)
 
 
@@ -173,8 +174,10 @@ def test_the_damping_that_is_taken_is_no_less_than_the_machines():
 def test_springs_are_not_what_it_is_for():
     m = Mechanism.from_mjcf(FINGER.format(damping=1.0))
     assert implicit_error(m, 0.01, m.home) < IMPLICIT
+    assert follows_all_but_damping(m, 0.01, m.home)
     stiff = Mechanism.from_mjcf(re.sub("damping=", 'stiffness="1e4" damping=', FINGER.format(damping=1e-3)))
     assert implicit_error(stiff, 0.01, stiff.home) > IMPLICIT
+    assert not follows_all_but_damping(stiff, 0.01, stiff.home)
 
 
 def test_what_it_lacks_is_said():

@@ -11,8 +11,8 @@ from machines import FAST_FINGER
 import planner
 from planner import Mechanism, RigidBodyDynamics
 from planner.cases.problem_file import load
-from planner.dynamics.step_stability import MAX_RATE_STEP, fastest_mode, substeps_for
-from planner.problem.rediscretize import finer, substeps_reason
+from planner.dynamics.step_stability import IMPLICIT, MAX_RATE_STEP, fastest_mode, implicit_error, substeps_for
+from planner.problem.rediscretize import finer, stage_too_long, substeps_reason
 from planner.proof.replay_errors import tracking
 from planner.proof.replays.compiled_twin import CompiledTwin, with_model
 from planner.proof.replays.replaying import replay_in
@@ -130,3 +130,74 @@ def test_a_joint_that_slips_is_faster_than_one_that_is_held():
     m = Mechanism.from_mjcf(light)
     slipping = replace(m, friction_loss=np.zeros(2))
     assert fastest_mode(m, m.home).rate == fastest_mode(slipping, m.home).rate > 500.0
+
+
+MOBILE_BASE = """
+<mujoco><compiler angle="radian"/><option timestep="0.01" integrator="implicitfast"/><worldbody><body name="base">
+  <joint name="x" type="slide" axis="1 0 0" range="-2 2"/><joint name="yaw" axis="0 0 1" range="-3 3"/>
+  <inertial mass="4" pos="0.02 0 0" diaginertia="0.1 0.1 0.1"/><body name="arm" pos="0.1 0 0.1">
+  <joint name="arm" axis="0 1 0" damping="1" range="-2 2"/>
+  <inertial mass="1" pos="0 0 0.2" diaginertia="0.01 0.01 0.01"/></body></body></worldbody>
+  <actuator><position joint="x" kp="9e6" kv="1.5e6"/><position joint="yaw" kp="2.4e5" kv="4e4"/>
+  <position joint="arm" kp="100" kv="5"/></actuator></mujoco>
+"""
+
+
+def mobile_base(folder, more=""):
+    (folder / "base.xml").write_text(MOBILE_BASE, encoding="utf-8")
+    lines = f'model = "base.xml"\nstart = [0.0, 0.0, 0.3]\ngoal = [0.3, 0.4, 0.5]\nduration = 0.3\n{more}'
+    (folder / "base.toml").write_text(lines, encoding="utf-8")
+    return load(folder / "base.toml").problem
+
+
+def test_servos_of_3e5_per_s_are_planned_at_ten_milliseconds_and_pass(tmp_path):
+    problem = mobile_base(tmp_path)
+    dynamics, goal = problem.dynamics, problem.cost.x_ref[-1]
+    assert fastest_mode(dynamics.mechanism, problem.x0).rate > 3e5
+    # where servos hold the goal: told to be at zero they would leave it at 6 rad/s, and the arm would feel it
+    assert implicit_error(dynamics.mechanism, 0.01, goal) < IMPLICIT
+    assert (dynamics.integrator, dynamics.dt, dynamics.substeps) == ("rosenbrock", 0.01, 16)
+    proof = planner.prove(planner.solve(problem), rollouts=0)
+    assert proof.passed, proof.reason
+
+
+def test_a_plan_at_the_files_own_step_is_what_the_file_does(tmp_path):
+    problem = mobile_base(tmp_path, 'integrator = "implicitfast"\n')
+    plan = planner.solve(problem)
+    assert (plan.success, problem.dynamics.dt, problem.dynamics.substeps) == (True, 0.01, 1)
+    section = same_step(plan, problem, CompiledTwin(plan.twin))
+    assert section.passed
+    assert all("MuJoCo's IMPLICITFAST" in one.note for one in section.measured[:1])
+    assert max(one.value for one in section.measured) < 1e-12
+    run = replay_in(CompiledTwin(plan.twin), plan, substeps=1, integrator="IMPLICITFAST", feedback=True)
+    assert np.abs(run.error).max() < 1e-12
+    assert np.abs(replay_in(CompiledTwin(plan.twin), plan).error).max() > 1e-2  # as refined steps see it
+    assert (finer(problem).dynamics.integrator, finer(problem).dynamics.dt) == ("rosenbrock", 0.01)
+
+
+def test_stages_of_implicitfast_are_limited_by_what_is_not_damping(tmp_path):
+    problem = mobile_base(tmp_path, 'integrator = "implicitfast"\n')
+    assert stage_too_long(problem) == ""
+    m = problem.dynamics.mechanism
+    stiff = replace(m, stiffness=np.array([1e9, 0.0, 0.0]))  # sqrt(1e9 N/m / 15005 kg) = 258 per s
+    long = replace(problem, dynamics=RigidBodyDynamics(stiff, 0.01, "implicitfast"))
+    assert 'expected integrator="rosenbrock"' in stage_too_long(long)
+
+
+@pytest.mark.parametrize("case", ["prescribed", "coupled"])
+def test_what_mujoco_has_no_step_for_is_repeated_with_its_accelerations(tmp_path, case):
+    if case == "coupled":
+        text = MOBILE_BASE.replace("<actuator>", '<equality><joint joint1="arm" joint2="yaw"/></equality><actuator>')
+        m = Mechanism.from_mjcf(text)
+        x0 = np.zeros(6)
+        cost = planner.TrackingCost.joints(
+            RigidBodyDynamics(m, 0.01), np.array([0.3, 0.4, 0.4, 0.0, 0.0, 0.0]), 30, effort=0.01,
+            final_position=1e3, final_velocity=1e3,
+        )  # fmt: skip
+        problem = planner.Problem(RigidBodyDynamics(m, 0.01, "implicitfast"), cost, x0)
+    else:
+        problem = mobile_base(tmp_path, 'prescribed = ["arm"]\nintegrator = "implicitfast"\n')
+    plan = planner.solve(problem)
+    section = same_step(plan, problem, CompiledTwin(plan.twin))
+    assert section.passed, section.failures
+    assert "MuJoCo's accelerations" in section.measured[0].note

@@ -9,12 +9,13 @@ from typing import Any
 import numpy as np
 
 from planner.base.arguments import number
-from planner.dynamics.rigid_body import MAX_SUBSTEPS
+from planner.dynamics.rigid_body import MAX_SUBSTEPS, WITH_SUBSTEPS
 from planner.dynamics.step_stability import (
     IMPLICIT,
     MAX_RATE_STEP,
     FastestMode,
     fastest_mode,
+    follows_all_but_damping,
     implicit_error,
     reason,
     substeps_of,
@@ -35,8 +36,9 @@ def with_step(
 
     The states (nx,), with home where no ground is near, are where the machine's fastest motion is looked for. A stage
     is 0.01 s with RK4. Where 16 substeps cannot follow the machine's fastest motion, its damping is taken implicitly,
-    at the stage or a half, a quarter or an eighth of it; where that is too coarse, too, the stage is what RK4 can
-    follow, but never below SHORTEST. It is a little less than that: a whole number of stages is the duration.
+    at the stage or a half, a quarter or an eighth of it, by the Rosenbrock method; where that is too coarse, too, the
+    stage is what RK4 can follow, but never below SHORTEST, where damping of single joints is taken implicitly. It is a
+    little less than that: a whole number of stages is the duration.
 
     Raises:
         PlannerError: The duration is no number, or the dt that is asked for takes more than 16 substeps.
@@ -49,28 +51,36 @@ def with_step(
     found = FastestMode(0.0, "") if known else fastest_mode(mechanism, states, prescribed)
     reasons, dt, substeps, integrator = {}, table["dt"], table["substeps"], table["integrator"]
     most = substeps if isinstance(substeps, int) else MAX_SUBSTEPS
-    closed = mechanism.has_closed_chains  # which the implicit method does not keep
+    closed = mechanism.has_closed_chains  # which the Rosenbrock method does not keep
     if integrator == AUTO:
-        integrator = "rk4"
-        for longest in (
-            [USUAL * 0.5**k for k in range(HALVINGS + 1)] if dt == AUTO else [number("dt", dt, greater_than=0.0)]
-        ):
-            if found.rate * longest <= most * MAX_RATE_STEP or closed:
+        integrator, implicit = "rk4", ""
+        lengths = [USUAL * 0.5**k for k in range(HALVINGS + 1)] if dt == AUTO else [number("dt", dt, greater_than=0.0)]
+        for longest in lengths:
+            if found.rate * longest <= most * MAX_RATE_STEP:
                 break
-            if substeps in (AUTO, MAX_SUBSTEPS) and implicit_error(mechanism, longest, states, prescribed) <= IMPLICIT:
-                integrator, dt = "rosenbrock", _whole(table["duration"], longest) if dt == AUTO else dt
-                reasons["substeps"] = (
-                    f"damping is taken implicitly in {MAX_SUBSTEPS} substeps a stage of {dt:.4g} s, because "
-                    f"{found.joint} has a rate of {found.rate:.4g} per s."
-                )
+            if closed or substeps not in (AUTO, MAX_SUBSTEPS):
+                continue
+            if implicit_error(mechanism, longest, states, prescribed) <= IMPLICIT:
+                implicit = "rosenbrock"
                 break
+        else:
+            longest, shortest = lengths[0], SHORTEST if dt == AUTO else lengths[0]
+            if substeps in (AUTO, 1) and found.rate * shortest > most * MAX_RATE_STEP:
+                implicit = "implicitfast" * follows_all_but_damping(mechanism, longest, states, prescribed)
+        if implicit:
+            integrator, dt = implicit, _whole(table["duration"], longest) if dt == AUTO else dt
+            steps = f"{MAX_SUBSTEPS} substeps" if integrator in WITH_SUBSTEPS else "1 step"
+            reasons["substeps"] = (
+                f"damping is taken implicitly in {steps} a stage of {dt:.4g} s, because {found.joint} has a rate of "
+                f"{found.rate:.4g} per s."
+            )
     if dt == AUTO:
         longest = min(USUAL, max(most * MAX_RATE_STEP / found.rate, SHORTEST)) if found.rate > 0.0 else USUAL
         dt = _whole(table["duration"], longest)
         if longest < USUAL:
             reasons["dt"] = f"{dt:.4g} s: {found.joint} has a rate of {found.rate:.4g} per s"
     if substeps == AUTO:
-        substeps = MAX_SUBSTEPS if integrator == "rosenbrock" else 1
+        substeps = MAX_SUBSTEPS if integrator in WITH_SUBSTEPS else 1
         if integrator == "rk4":
             substeps = substeps_of(found, number("dt", dt, greater_than=0.0))
             if substeps > 1:

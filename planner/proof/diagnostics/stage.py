@@ -41,8 +41,9 @@ def shorter_stage(plan: Plan, problem: Problem, proof: Proof | None) -> list[Sug
     as_predicted = ratio is not None and ratio <= FACTOR
     if not (predicted > 1.0 or (as_predicted and max(share, _cost_share(proof)) > 1.0)):
         return []
-    if integrator_of(problem.dynamics).order == 1:
-        return [fix(problem, "integrator", "rk4", "first_order", integrator=integrator, share=_times(share))]
+    known = integrator_of(problem.dynamics)
+    if known.order == 1:
+        return [fix(problem, "integrator", known.finer, "first_order", integrator=integrator, share=_times(share))]
     step_order = _order(proof, problem)
     worst = max(one for one in (share, predicted, _cost_share(proof)) if math.isfinite(one) or one == predicted)
     parts = (worst / TARGET_SHARE) ** (1.0 / step_order) if math.isfinite(worst) else float(MAX_DIVISION)

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from planner.base.gl import load_mujoco, load_rollout
+from planner.dynamics.protocol import integrator_of
 from planner.model.capabilities import capabilities_of
 from planner.model.damping import implicit_damping
 from planner.model.mjcf.model_index import named
@@ -128,9 +129,7 @@ Acceleration = Callable[[Any, Any], np.ndarray]  # (model, data) after mj_forwar
 def damping_of(dynamics: Any) -> np.ndarray | None:
     """(nv,) damping that a plan's dynamics integrate implicitly; None for explicit integration."""
     mechanism = capabilities_of(dynamics).mechanism
-    if getattr(dynamics, "integrator", "") != ROSENBROCK or mechanism is None:
-        return None
-    return implicit_damping(mechanism)
+    return implicit_damping(mechanism) if mechanism is not None and integrator_of(dynamics).implicit else None
 
 
 def implicit_step(
