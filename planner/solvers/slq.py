@@ -284,10 +284,11 @@ def _inner_solve(
     acceleration = AndersonAcceleration(problem, engine, options)
     has_inequalities = problem.limits is not None or problem.trajectory_constraints is not None
     tolerance = max(inexact_tolerance, options.expected_reduction_tolerance or 0.0)
-    relinearize, stationary, converged_inexactly = True, False, False
+    relinearize, fresh, stationary, converged_inexactly = True, True, False, False
     try:
         while len(history) < max_iterations and status is not Status.INTERRUPTED:
             # 1. Linearize and solve the LQ problem.
+            fresh = relinearize
             direction = engine.compute_direction(regularization.mu, relinearize)
             if not direction.definite and regularization.drop_second_order():
                 relinearize = False
@@ -340,8 +341,10 @@ def _inner_solve(
     xs, us = engine.trajectory()
     if stationary:
         gradient_norm = history[-1].gradient_norm
-        if regularization.of_states or not regularization.unregularized:
-            unregularized_sweep(engine, options)  # the gains of a plan are those of the LQ problem of Eq. 31
+        if regularization.of_states or not regularization.unregularized or not fresh:
+            # The gains of a plan are those of the LQ problem of Eq. 31. Where the last sweep had an earlier one's active
+            # penalties, a violation of rounding's size times their weight was in its gradient.
+            gradient_norm = unregularized_sweep(engine, options).gradient_norm
     else:  # gains and gradient belong to an earlier trajectory
         cost, last = problem.cost.value(xs, us), unregularized_sweep(engine, options)
         gradient_norm = last.gradient_norm
