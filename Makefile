@@ -10,7 +10,7 @@ PYTEST_FLAGS ?= -n 2 --dist loadfile
 GALLERY = renders/gallery
 
 .DEFAULT_GOAL = run
-.PHONY: run test test-slow test-all lint docs linkcheck gallery clean help setup setup-test
+.PHONY: run test test-slow test-all lint docs linkcheck gallery assets clean help setup setup-test
 
 run: setup ## plan, prove and film the hopper into renders/hopper (the default)
 	@$(PLANNER) run hopper --out renders/hopper
@@ -56,6 +56,15 @@ gallery: setup ## make the committed pictures and videos again
 	$(PYTHON) docs/figures/gallery.py
 	$(PLANNER) paper --full
 	$(PLANNER) paper --proofs --out renders/proofs
+
+assets: ## bundle three.js for the 3-D view of reports again (needs npm and the network)
+	@rm -rf build/assets && mkdir -p build/assets && cp planner/view/assets/three.entry.js build/assets/entry.js
+	@cd build/assets && npm install --silent --no-save three@0.170.0 esbuild@0.24.0 && \
+	    npx esbuild entry.js --bundle --minify --format=iife --global-name=THREE --legal-comments=inline \
+	    --outfile=three.min.js
+	@cp build/assets/three.min.js planner/view/assets/three.min.js
+	@cp build/assets/node_modules/three/LICENSE planner/view/assets/LICENSE-three.txt
+	@sha256sum planner/view/assets/three.min.js # NOTICE has the digest
 
 clean: ## remove .venv and caches; results in renders/ stay
 	rm -rf .venv build dist docs/_build *.egg-info .pytest_cache .ruff_cache .hypothesis

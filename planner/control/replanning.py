@@ -118,7 +118,7 @@ class Replanner:
         return None
 
     def _begin(self, t: float, x: np.ndarray) -> tuple[float, bool]:
-        """Start from the last plan, moved on to (t, x): the cost, and whether a step that was not searched lowered it."""
+        """Start from the last plan, moved on to (t, x): the cost, and whether a step without a search lowered it."""
         stages, step, us = (t - self.made) / self._dt, self._step, self.trajectory[1]
         cost = self.engine.start_from_trajectory(x, self.trajectory, stages)
         self._step = None

@@ -342,8 +342,8 @@ def _inner_solve(
     if stationary:
         gradient_norm = history[-1].gradient_norm
         if regularization.of_states or not regularization.unregularized or not fresh:
-            # The gains of a plan are those of the LQ problem of Eq. 31. Where the last sweep had an earlier one's active
-            # penalties, a violation of rounding's size times their weight was in its gradient.
+            # The gains of a plan are those of the LQ problem of Eq. 31. A sweep with an earlier one's active penalties
+            # may have violations of rounding's size, times their weight, in its gradient.
             gradient_norm = unregularized_sweep(engine, options).gradient_norm
     else:  # gains and gradient belong to an earlier trajectory
         cost, last = problem.cost.value(xs, us), unregularized_sweep(engine, options)

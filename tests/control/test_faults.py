@@ -358,7 +358,7 @@ def test_prepare_takes_whole_steps_and_searches_where_the_next_cost_is_not_lower
         u = c.feedback(x)
         x = problem.dynamics.step(x[None], u[None])[0]
         if n == 20:
-            x = x + [0.0, 0.0, 2.0, -2.0]  # rad/s: the plan after it begins in a state that nobody predicted
+            x = x + np.array([0.0, 0.0, 2.0, -2.0])  # rad/s: the plan after it begins in a state that nobody predicted
             c.prepare((n + 1) * dt, x)
         else:
             c.prepare((n + 1) * dt)

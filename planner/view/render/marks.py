@@ -105,6 +105,22 @@ class Marks:
                 vector = _PUSH * self._size / self._strongest * force
                 shapes.arrow(data.xipos[body] - vector, vector, PUSH)
 
+    @property
+    def lines(self) -> list[tuple[np.ndarray, Paint]]:
+        """Points (P, 3) and colours of whole trails, and of paths that are to be followed."""
+        paths = [(np.asarray(path), PATH) for path in self._appearance.paths]
+        return paths + [(trail.path, trail.paint) for trail in self._trails]
+
+    @property
+    def goals(self) -> list[np.ndarray]:
+        """Places (3,) of the goals."""
+        return [position for _, position in self._goals]
+
+    @property
+    def size(self) -> float:
+        """The machine's largest side, m; 0 where no mark needs it."""
+        return self._size
+
     def difference(self, other: Marks, t: float) -> float:
         """The largest distance between the trails of two films of one plan at time t, s, in the model's unit."""
         return max(

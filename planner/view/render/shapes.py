@@ -120,7 +120,15 @@ class LinkCapsule(NamedTuple):
 
 
 class LinkCapsules:
-    """The links of a model without any shape that is drawn."""
+    """The links of a model without any shape that is drawn.
+
+    Attributes:
+        capsules: One or more for each link.
+        radius: Of all of them, m.
+        paint: Their colour.
+    """
+
+    paint = _LINK_PAINT
 
     def __init__(self, model: Any) -> None:
         """Find them where the file puts the joints."""
@@ -129,16 +137,14 @@ class LinkCapsules:
         mujoco.mj_kinematics(model, data)
         mujoco.mj_comPos(model, data)
         self._model = model
-        self._link_capsules = tuple(_link_capsules(model, data))
-        self._radius = _LINK_RADIUS * float(
-            np.ptp(data.xanchor, axis=0).max(initial=0.0) + _longest(self._link_capsules)
-        )
+        self.capsules = tuple(_link_capsules(model, data))
+        self.radius = _LINK_RADIUS * float(np.ptp(data.xanchor, axis=0).max(initial=0.0) + _longest(self.capsules))
 
     def ends(self, data: Any) -> np.ndarray:
         """(2 S, 3) the ends of the sticks where MuJoCo's data puts the bodies."""
         return np.array([
             data.xpos[stick.body] + data.xmat[stick.body].reshape(3, 3) @ end
-            for stick in self._link_capsules for end in (stick.start, stick.end)
+            for stick in self.capsules for end in (stick.start, stick.end)
         ]).reshape(-1, 3)  # fmt: skip
 
     def add(self, data: Any, scene: Any, paint: Paint = _LINK_PAINT) -> None:
@@ -147,10 +153,10 @@ class LinkCapsules:
         pairs = self.ends(data).reshape(-1, 2, 3)
         for ends in pairs[: max(0, scene.maxgeom - scene.ngeom)]:
             geom = scene.geoms[scene.ngeom]
-            rgba, size = np.array(paint, np.float32), np.full(3, self._radius)
+            rgba, size = np.array(paint, np.float32), np.full(3, self.radius)
             mujoco.mjv_initGeom(geom, mujoco.mjtGeom.mjGEOM_SPHERE, size, ends[0], np.eye(3).ravel(), rgba)
             if np.linalg.norm(ends[1] - ends[0]) > 1e-9:
-                mujoco.mjv_connector(geom, mujoco.mjtGeom.mjGEOM_CAPSULE, self._radius, *ends)
+                mujoco.mjv_connector(geom, mujoco.mjtGeom.mjGEOM_CAPSULE, self.radius, *ends)
             geom.category = mujoco.mjtCatBit.mjCAT_DYNAMIC
             scene.ngeom += 1
 
@@ -219,8 +225,9 @@ def show_one_shape_for_each_part(model: Any) -> None:
     """Hide the colliding shapes of links that have others to be seen; show the hidden ones of a link without others.
 
     Groups say which are which by convention alone, so what collides decides: shapes of a link that do not collide, and
-    that are about as large as those that do, are there to be seen. Where the colliding ones have a group of their own,
-    no link that has anything else shows a shape of that group; nor is any shown that one can see through.
+    that are about as large as those that do, are there to be seen, unless the file puts both into one group above 0.
+    Where the colliding ones have a group of their own, no link that has anything else shows a shape of that group; nor
+    is any shown that one can see through.
     """
     mujoco = gl.load_mujoco()
     parts = _parts(model)
@@ -237,7 +244,8 @@ def show_one_shape_for_each_part(model: Any) -> None:
         seen, solids = (np.flatnonzero(shown & (parts == part) & (collides == on)) for on in (False, True))
         if len(seen) and len(solids):
             size = [np.linalg.norm(high[few].max(axis=0) - low[few].min(axis=0)) for few in (seen, solids)]
-            hidden[solids] = size[0] >= _COVERS * size[1]
+            groups = model.geom_group[solids]  # one that the file gives to both kinds is to be seen
+            hidden[solids] = (size[0] >= _COVERS * size[1]) & ~((groups > 0) & np.isin(groups, model.geom_group[seen]))
     proxies = set(model.geom_group[hidden]) - set(model.geom_group[shown & ~collides])
     for part in set(map(int, parts[shown & ~collides])):
         hidden |= shown & collides & (parts == part) & np.isin(model.geom_group, list(proxies))

@@ -271,6 +271,7 @@ SCRIPT = """
   const ofFilm = () => clip(data.start + film.currentTime * data.speed);
   function seek(t) {
     show(t);
+    document.dispatchEvent(new CustomEvent("planner-time", {detail: t}));
     if (film) film.currentTime = (t - data.start) / data.speed;
   }
   const timeAt = (svg, event) => {

@@ -183,6 +183,10 @@ svg .cursor { stroke: #d0021b; stroke-width: 1; visibility: hidden; }
 .key { display: inline-block; width: 1.6rem; vertical-align: middle; border-top: 4px solid #ccc; }
 .key.gains { border-top: 3px solid #8a8a8a; } .key.plan { border-top: 2px dashed currentColor; }
 .key.bound { border-top: 2px dotted #555; }
+#view canvas { display: block; width: 100%; border-radius: .4rem; background: linear-gradient(#cfdcea, #f3f5f7);
+  cursor: grab; touch-action: none; }
+#view .keys label { margin-right: .9rem; }
+button[aria-pressed="true"] { font-weight: 700; }
 .bar { display: flex; gap: .8rem; align-items: center; }
 .part > summary { font-size: 1.15rem; padding: .4rem 0; border-top: 1px solid var(--line); }
 .bar input { flex: 1; } #now { min-width: 7rem; font-variant-numeric: tabular-nums; }

@@ -28,6 +28,7 @@ from planner.view.render.video import one_replay_shows_both
 from planner.view.report.assessment import assessment
 from planner.view.report.curves import SCRIPT, interactive
 from planner.view.report.markup import measured_table, number, table, verdict_box, video_player, write_page
+from planner.view.report.view_3d import view_3d
 
 if TYPE_CHECKING:
     from planner.control.judging import LoopVerdict
@@ -85,6 +86,7 @@ def write_report(
         f"<h1>{escape(title)}</h1>",
         _verdict(plan, proof, fixes),
         _film(plan, proof, folder, video_note),  # people look before they read
+        _view(plan, proof),
         _folded("Curves", curves),
         _folded("Pictures", _pictures(plan, proof, folder, with_curves=not curves)),
         _folded("Proof", "" if proof is None else assessment(plan, proof)),
@@ -150,6 +152,17 @@ def _film(plan: Plan, proof: Proof | None, folder: Path, note: str) -> str:
             caption += "; the film is the file video.mp4 beside this page"
         return f"<figure>{video_player(video)}<figcaption>{escape(caption)}</figcaption></figure>"
     return f'<p class="soft">Video: {escape(note or "No video was made.")}</p>'
+
+
+def _view(plan: Plan, proof: Proof | None) -> str:
+    """The 3-D view of the judged replay; "" where there is nothing to draw, which the film's note says."""
+    if proof is None:
+        return ""
+    ghost = appearance_of(plan.problem).ghost
+    try:
+        return view_3d(proof.replay, "plan" if ghost is None else ghost.label)
+    except PlannerError:
+        return ""
 
 
 def _pictures(plan: Plan, proof: Proof | None, folder: Path, *, with_curves: bool) -> str:

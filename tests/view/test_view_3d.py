@@ -1,0 +1,99 @@
+"""The 3-D view of a report: the replay's poses, MuJoCo's shapes, and the three.js that NOTICE names."""
+
+import base64
+import hashlib
+import json
+import re
+from importlib.resources import files
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+
+import planner
+from planner.view.render.environment import visible_model
+from planner.view.report.page import write_report
+from planner.view.report.view_3d import film_of, simplified, view_data
+
+ROOT = Path(__file__).parents[2]
+ASSETS = files("planner.view") / "assets"
+
+
+@pytest.fixture(scope="module")
+def proof():
+    return planner.prove(planner.solve(planner.cases.hopper()), rollouts=0)
+
+
+@pytest.fixture(scope="module")
+def data(proof):
+    return json.loads(json.dumps(view_data(film_of(proof.replay))))
+
+
+def unpacked(text, *shape):
+    return np.frombuffer(base64.b64decode(text), np.float32).reshape(shape)
+
+
+@pytest.mark.parametrize("share", [0.0, 0.4, 1.0])
+def test_shapes_are_where_mujoco_has_them(proof, data, share):
+    """Each shape that moves, by the pose of its body: the centre that mj_forward gives it."""
+    frame = round(share * (len(data["t"]) - 1))
+    t = data["t"][frame]
+    model = visible_model([film_of(proof.replay)])
+    state = mujoco.MjData(model)
+    state.qpos[:] = [np.interp(t, proof.replay.t, column) for column in proof.replay.qpos.T]
+    mujoco.mj_forward(model, state)
+    poses = unpacked(data["poses"], len(data["t"]), data["bodies"], 7)[frame].astype(float)
+    centres = []
+    for shape in data["shapes"]:
+        if shape["body"] >= 0:
+            turned, pose = np.empty(3), poses[shape["body"]]
+            mujoco.mju_rotVecQuat(turned, np.array(shape["at"][:3]), pose[3:])
+            centres.append(pose[:3] + turned)
+    drawn = (model.geom_bodyid > 0) & (model.geom_rgba[:, 3] > 0.0) & (model.geom_group < 3)
+    distance = np.linalg.norm(np.array(centres)[:, None] - state.geom_xpos[drawn], axis=-1)
+    size = model.stat.extent
+    assert len(centres) == np.count_nonzero(drawn)
+    assert distance.min(axis=1).max() < 1e-5 * size  # single precision and six digits
+
+
+def test_the_ghost_is_the_plan_and_forces_act_in_the_stance(proof, data):
+    frames = len(data["t"])
+    apart = unpacked(data["poses"], frames, -1) - unpacked(data["ghost"], frames, -1)
+    assert 0.0 < np.abs(apart).max() < 0.5  # in: the replay is near its plan, and not the plan
+    forces = unpacked(data["forces"], frames, data["contacts"], 6)
+    up = forces[..., 5] > 0.0
+    assert 0.1 < up.mean() < 0.9  # some of the time, the rest is flight
+    assert data["tendons"][0]["points"] == 2  # the spring
+
+
+def test_the_page_holds_the_view_and_asks_for_nothing(proof, tmp_path):
+    text = write_report(proof.replay.plan, proof, tmp_path).read_text(encoding="utf-8")
+    assert 5e5 < len(text) < 8e6
+    block = re.search(r'<script type="application/json" id="view-data">(.*?)</script>', text, re.DOTALL)
+    assert json.loads(block[1])["bodies"] > 0
+    assert not re.search(r"<script[^>]* src|<link|@import|import\(|fetch\(\"http", text)
+
+
+def test_a_mesh_is_simplified_to_its_share_and_keeps_its_shape():
+    """A ball of 20,000 triangles."""
+    u, v = np.meshgrid(np.linspace(0, 2 * np.pi, 101)[:-1], np.linspace(0, np.pi, 101), indexing="ij")
+    points = np.stack([np.cos(u) * np.sin(v), np.sin(u) * np.sin(v), np.cos(v)], axis=-1)
+    at = np.arange(100 * 101).reshape(100, 101)
+    a, b, c, d = at[:, :-1], np.roll(at, -1, 0)[:, :-1], np.roll(at, -1, 0)[:, 1:], at[:, 1:]
+    faces = np.concatenate([np.stack([a, b, c], -1).reshape(-1, 3), np.stack([a, c, d], -1).reshape(-1, 3)])
+    vertices, triangles = simplified(points.reshape(-1, 3), faces, 2000)
+    assert 1000 < len(triangles) <= 2000
+    assert np.linalg.norm(vertices, axis=1).min() > 0.95  # a cell is a tenth of the radius wide
+    same = simplified(points.reshape(-1, 3), faces, len(faces))
+    assert same[1] is faces
+
+
+def test_three_js_is_the_one_that_notice_names():
+    digest = hashlib.sha256((ASSETS / "three.min.js").read_bytes()).hexdigest()
+    notice = (ROOT / "NOTICE").read_text(encoding="utf-8")
+    assert digest in notice
+    version = re.search(r"three\.js (\S+),", notice)[1]
+    assert f"three@{version} " in (ROOT / "Makefile").read_text(encoding="utf-8")
+    assert f'"{version.split(".")[1]}"' in (ASSETS / "three.min.js").read_text(encoding="utf-8")  # its REVISION
+    assert "MIT License" in (ASSETS / "LICENSE-three.txt").read_text(encoding="utf-8")
