@@ -284,11 +284,11 @@ def _inner_solve(
     acceleration = AndersonAcceleration(problem, engine, options)
     has_inequalities = problem.limits is not None or problem.trajectory_constraints is not None
     tolerance = max(inexact_tolerance, options.expected_reduction_tolerance or 0.0)
-    relinearize, fresh, stationary, converged_inexactly = True, True, False, False
+    relinearize, linearized, stationary, converged_inexactly = True, True, False, False
     try:
         while len(history) < max_iterations and status is not Status.INTERRUPTED:
             # 1. Linearize and solve the LQ problem.
-            fresh = relinearize
+            linearized = relinearize
             direction = engine.compute_direction(regularization.mu, relinearize)
             if not direction.definite and regularization.drop_second_order():
                 relinearize = False
@@ -341,7 +341,7 @@ def _inner_solve(
     xs, us = engine.trajectory()
     if stationary:
         gradient_norm = history[-1].gradient_norm
-        if regularization.of_states or not regularization.unregularized or not fresh:
+        if regularization.of_states or not regularization.unregularized or not linearized:
             # The gains of a plan are those of the LQ problem of Eq. 31. A sweep with an earlier one's active penalties
             # may have violations of rounding's size, times their weight, in its gradient.
             gradient_norm = unregularized_sweep(engine, options).gradient_norm
