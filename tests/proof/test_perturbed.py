@@ -221,6 +221,8 @@ def test_what_is_robust_says_with_what_and_how_many_rollouts_it_took(arm, robust
     assert found.end_error["open-loop"][worst[0]] == found.end_error["open-loop"].max()
     lines = found.lines()
     assert "robustness: robust with its gains" in lines
+    cut = replace(found, success=found.success | {"open-loop": np.zeros(0, dtype=bool)})  # the time was up
+    assert "robustness, open loop: not simulated" in cut.lines()
     assert lines[0] == ("robustness: 64 rollouts were asked for, 32 were run: by then the rate with gains is decided.")
     proof = replace(planner.prove(arm, rollouts=0), monte_carlo=found)
     assert proof.headline.endswith("; feasible, optimal, robust with its gains")

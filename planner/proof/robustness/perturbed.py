@@ -111,7 +111,8 @@ class RobustnessResult:
         for mode, rate in self.rates.items() if self.done else ():
             worst = ", ".join(map(str, self.worst[mode]))
             how = "open loop" if mode == "open-loop" else "with gains"
-            lines.append(f"robustness, {how}: {rate} succeed; farthest off (--replay-rollout): {worst}")
+            found = f"{rate} succeed; farthest off (--replay-rollout): {worst}" if rate.of else "not simulated"
+            lines.append(f"robustness, {how}: {found}")
         return lines
 
     def to_dict(self) -> dict[str, Any]:
