@@ -20,8 +20,8 @@ def arm(lower):
         (x, _, z), most = LINKS[(i + 1) % 7][0], 80 if i < 5 else 12
         ends = f"{lower} 3.75" if i == 5 else "-2.9 2.9"
         bodies += (
-            f'<body pos="{place[0]} {place[1]} {place[2]}"><joint name="j{i}" axis="{axis}" damping="0.1" armature="0.1" '
-            f'range="{ends}"/><geom type="capsule" fromto="0 0 0 {x} 0 {max(z, 0.05)}" size="0.05" mass="{mass}"/>'
+            f'<body pos="{place[0]} {place[1]} {place[2]}"><joint name="j{i}" axis="{axis}" range="{ends}" '
+            f'damping="0.1" armature="0.1"/><geom type="capsule" fromto="0 0 0 {x} 0 {max(z, 0.05)}" size="0.05" mass="{mass}"/>'
         )
         motors += f'<motor joint="j{i}" ctrlrange="-{most} {most}"/>'
     return (
