@@ -21,7 +21,8 @@ def arm(lower):
         ends = f"{lower} 3.75" if i == 5 else "-2.9 2.9"
         bodies += (
             f'<body pos="{place[0]} {place[1]} {place[2]}"><joint name="j{i}" axis="{axis}" range="{ends}" '
-            f'damping="0.1" armature="0.1"/><geom type="capsule" fromto="0 0 0 {x} 0 {max(z, 0.05)}" size="0.05" mass="{mass}"/>'
+            f'damping="0.1" armature="0.1"/><geom type="capsule" size="0.05" mass="{mass}" '
+            f'fromto="0 0 0 {x} 0 {max(z, 0.05)}"/>'
         )
         motors += f'<motor joint="j{i}" ctrlrange="-{most} {most}"/>'
     return (
