@@ -106,8 +106,7 @@ class Controller(StateMachine):
         self._goal: Any = None
         self._new_goal: np.ndarray | None = None
         self._thread: ThreadPoolExecutor | None = None
-        most = 1.0 / rate if self.budget is None else min(1.0 / rate, self.budget)
-        super().__init__(patience, most, self._holding.how)
+        super().__init__(patience, min(1.0 / rate, self.budget or math.inf), self._holding.how)
         self.reset()
 
     def __repr__(self) -> str:
@@ -339,15 +338,15 @@ class Controller(StateMachine):
         """Why a measurement cannot be used, or None."""
         if not isinstance(t, Real) or not abs(t) < LATEST:
             return Fault.CLOCK
-        try:
-            x = np.asarray(x)
-        except ValueError:  # rows of several lengths
-            return Fault.LENGTH
-        if x.shape != self._seen.shape or x.dtype.kind not in "fiub":
-            return Fault.LENGTH
-        x = x.astype(float, copy=False)
-        if not self._near(x):
-            return Fault.SIZE if np.isfinite(x).all() else Fault.STATE
+        if x is not self._seen:  # which was usable
+            try:
+                x = np.asarray(x)
+            except ValueError:  # rows of several lengths
+                return Fault.LENGTH
+            if x.shape != self._seen.shape or x.dtype.kind not in "fiub":
+                return Fault.LENGTH
+            if not self._near(x.astype(float, copy=False)):
+                return Fault.SIZE if np.isfinite(x).all() else Fault.STATE
         return Fault.CLOCK_BACK if t < self._last_t - TIME_TOLERANCE * self._dt else None
 
     def _near(self, x: np.ndarray) -> bool:
@@ -382,9 +381,8 @@ class Controller(StateMachine):
         if self._tracked.ended(t):
             self.hold(t, "the plan has ended")
         holds = self.status in (ControllerStatus.HOLDING, ControllerStatus.STOPPED)
-        self._acting = self._clipped(
-            t, self._holding(x, self._tracked.us[-1]) if holds else self._tracked.control(t, x)
-        )
+        u = self._holding(x, self._tracked.us[-1]) if holds else self._tracked.control(t, x)
+        self._acting = self._clipped(t, u)
         return self._acting.copy()
 
     def _clipped(self, t: float, u: np.ndarray) -> np.ndarray:

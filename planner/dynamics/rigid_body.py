@@ -74,6 +74,7 @@ class RigidBodyDynamics:
         self.space: StateSpace = mechanism.space
         self.nx, self.ndx = self.space.nx, self.space.ndx
         known = KNOWN_INTEGRATORS[self.integrator]
+        self._one_stage = np.full(1, self.dt)
         self._code, self._heavier = known.stage, known.implicit and known.stage != ROSENBROCK
         self._make_tables()
         self.nu = self._model.nu
@@ -159,7 +160,10 @@ class RigidBodyDynamics:
     def step(self, xs: np.ndarray, us: np.ndarray, dt: np.ndarray | None = None) -> np.ndarray:
         """The states (K, nx) after one stage from xs (K, nx) with us (K, nu); see Dynamics.step."""
         xs, us = self._checked(xs, us)
-        lengths = np.full(len(xs), self.dt) if dt is None else array("dt", dt, (len(xs),))
+        if dt is None:
+            lengths = self._one_stage if len(xs) == 1 else np.full(len(xs), self.dt)
+        else:
+            lengths = array("dt", dt, (len(xs),))
         announce_named(variant("tree steps", self._model))
         ends, memory = np.empty_like(xs), self._scratch()
         if dt is not None and self._heavier:  # partial stages, each with the armatures of its length

@@ -371,6 +371,19 @@ def test_prepare_takes_whole_steps_and_searches_where_the_next_cost_is_not_lower
     assert np.abs(x - [np.pi / 2, 0, 0, 0]).max() < 0.05
 
 
+def test_a_plan_that_is_ready_after_the_stop_starts_nothing(problem):
+    c = planner.Controller(problem, threaded=True)
+    c(0.0, problem.x0)  # begins a plan
+    c._pending.result()
+    c.stop()
+    c(0.5, problem.x0)
+    assert c.status is STOPPED
+    assert c._pending is None
+    c(1.0, problem.x0)
+    assert c.status is STOPPED
+    c.close()
+
+
 def test_a_thread_plans_while_the_gains_control(problem):
     c, dt = planner.Controller(problem, threaded=True), problem.dynamics.dt
     seconds = [0.03]
