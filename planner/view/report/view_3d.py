@@ -89,10 +89,11 @@ def view_data(film: Film) -> dict[str, Any]:
             one["mesh"] = meshes.setdefault(mesh, len(meshes))
         listed.append(one)
     marks = Marks(film, model, ghost_paint(seen))
-    follows = seen.accompany is not None and seen.distance is not None
-    target, distance = (
-        (np.asarray(seen.look_at), seen.distance) if follows else whole_motion([film], model, seen, _ASPECT, True)
-    )
+    follows, target, distance = False, np.asarray(seen.look_at), seen.distance
+    if seen.accompany is not None and distance is not None:
+        follows = True
+    else:
+        target, distance = whole_motion([film], model, seen, _ASPECT, True)
     return {
         "t": _short(film.t), "speed": seen.speed, "shapes": listed, "meshes": _meshes(model, list(meshes)),
         "bodies": len(moving), "poses": _packed(_poses(model, film.qpos, moving)),
