@@ -6,7 +6,7 @@ Hypothesis seeds.
 
 import os
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from hypothesis import HealthCheck, given, settings
@@ -217,6 +217,16 @@ def driven(text, seed, K, integrator="rk4", dt=0.02, prescribe=True):
     dynamics = RigidBodyDynamics(m, dt, integrator, prescribed)
     xs = np.array([random_state(m.space, rng) for _ in range(K)])
     return dynamics, xs, rng.normal(size=(K, dynamics.nu)), rng
+
+
+def damped(text, seed):
+    """A drawn machine with dampers of 0.1 to 1e4, a state, a control (1, nu), and its model in MuJoCo."""
+    dynamics, _, us, rng = driven(text, seed, K=1, prescribe=False)
+    m = replace(dynamics.mechanism, damping=10.0 ** rng.uniform(-1, 4, dynamics.mechanism.nv))
+    x = random_state(m.space, rng, unnormalized=False)
+    model = mujoco.MjModel.from_xml_string(m.mjcf)
+    model.dof_damping[:] = m.damping
+    return m, x, us, model
 
 
 def chain(*rows, seed=0):

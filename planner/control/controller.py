@@ -214,7 +214,8 @@ class Controller(StateMachine):
         due = (t - self._asked) * self.rate >= 1.0 - TIME_TOLERANCE
         if self._pending is not None and self._pending.done() and t >= self._pending_at - TIME_TOLERANCE * self._dt:
             fault, self._pending = self._pending.result(), None
-            self._ended(t, fault)
+            if self._plans:  # no stop, nor a goal that cannot be met, came meanwhile
+                self._ended(t, fault)
         if not due or self._pending is not None or not self._plans:
             return self._control(t, x)
         self._started(t)
@@ -283,9 +284,8 @@ class Controller(StateMachine):
         stage = self._stage(t)
         if self._new_goal is not None:
             last = np.atleast_2d(self._new_goal)[-1]
-            self._rest = equilibrium_control(
-                self._model, last, self._tracked.us[-1] if self._rest is None else self._rest
-            )
+            near = self._tracked.us[-1] if self._rest is None else self._rest
+            self._rest = equilibrium_control(self._model, last, near)
             self._window.aim(self._new_goal, self._rest, stage)
             self._new_goal = None
         self._window.slide(stage)

@@ -103,8 +103,6 @@ class StateMachine:
 
     def ended(self, t: float, fault: Fault | None, seconds: float, iteration_seconds: float) -> bool:
         """A solve for time t ended after `seconds` of wall time, an iteration taking so many; whether it succeeded."""
-        if self.status is ControllerStatus.STOPPED:  # while it was made
-            return False
         in_time = not self._overran(t, seconds)
         if fault is not None:
             self.failures, self._failed_in_a_row = self.failures + 1, self._failed_in_a_row + 1

@@ -134,25 +134,26 @@ class Replanner:
     def _sweep(self, cost: float, fresh: bool) -> tuple[int, float, float]:
         """An iteration whose whole step is taken without a rollout: its kind, slope, and the cost before it."""
         direction = self.engine.compute_direction(self._mu * self.engine.largest_control_weight, fresh)
-        least, factor = DEFAULT.min_regularization, DEFAULT.regularization_factor
-        if direction.definite:
-            self._mu = self._mu / factor if self._mu > least else 0.0
-            return ACCEPTED, direction.slope, cost
-        self._mu = min(max(least, factor * self._mu), DEFAULT.max_regularization)
-        return INDEFINITE, 0.0, cost
+        self._regularize(ACCEPTED if direction.definite else INDEFINITE, 1.0)
+        return (ACCEPTED, direction.slope, cost) if direction.definite else (INDEFINITE, 0.0, cost)
 
     def _iterate(self, cost: float, fresh: bool) -> tuple[int, float, float]:
         """One iteration: its kind, slope and cost."""
-        least, factor, began = DEFAULT.min_regularization, DEFAULT.regularization_factor, time.perf_counter()
+        began = time.perf_counter()
         promise = -1.0 if self._mu else EXPECTED_REDUCTION_TOLERANCE * max(1.0, abs(cost))
         mu = self._mu * self.engine.largest_control_weight
         outcome = self.engine.iterate(True, ARMIJO, mu, fresh, cost, 0.0, promise)
-        if outcome.kind == ACCEPTED:
-            self._mu = self._mu / factor if outcome.step >= 1.0 and self._mu > least else 0.0
-        elif outcome.kind != CONVERGED:
-            self._mu = min(max(least, factor * self._mu), DEFAULT.max_regularization)
+        self._regularize(outcome.kind, outcome.step)
         self.iteration_seconds = max(time.perf_counter() - began, FORGOTTEN * self.iteration_seconds)
         return outcome.kind, outcome.slope, outcome.cost
+
+    def _regularize(self, kind: int, step: float) -> None:
+        """The weight of the next iteration, after one with a step of this length."""
+        least, factor = DEFAULT.min_regularization, DEFAULT.regularization_factor
+        if kind == ACCEPTED:
+            self._mu = self._mu / factor if step >= 1.0 and self._mu > least else 0.0
+        elif kind != CONVERGED:
+            self._mu = min(max(least, factor * self._mu), DEFAULT.max_regularization)
 
     def _goes_on(self, began: float, done: int) -> bool:
         """Whether another iteration begins. Every `patience`-th plan has one at any cost, so that it is timed again."""

@@ -177,6 +177,8 @@ def stage_function(
     native = KNOWN_INTEGRATORS[integrator].mujoco if integrator in KNOWN_INTEGRATORS and constrained is None else ""
     if (native == "RK4" and space.quaternions) or (native != "EULER" and len(driven)):
         native = ""
+    if native == "IMPLICITFAST" and floats_alone(model):
+        native = ""
     if constrained is not None:
         own["semi-implicit-euler"] = velocity_first
     if damping is not None and integrator != ROSENBROCK and not native:  # MuJoCo's step is of a heavier machine
@@ -199,6 +201,13 @@ def stage_function(
     if integrator in own:
         return ACCELERATIONS, own[integrator]
     return None
+
+
+def floats_alone(model: Any) -> bool:
+    """Whether a body with a free joint carries no other joint: MuJoCo takes its gyroscopic forces implicitly, too."""
+    free = model.jnt_type == load_mujoco().mjtJoint.mjJNT_FREE
+    trees = model.dof_treeid[model.jnt_dofadr[free]]
+    return bool(np.any(np.bincount(model.dof_treeid)[trees] == 6))
 
 
 def advancing(

@@ -9,7 +9,7 @@ import mujoco
 import numpy as np
 import pytest
 from machines import FRICTION_ARM
-from trees import CHAINS, actuated, driven, machines, random_state
+from trees import CHAINS, actuated, damped, driven, machines, random_state
 
 from planner import Mechanism, RigidBodyDynamics
 from planner.base.errors import PlannerError
@@ -113,11 +113,7 @@ def test_derivatives_of_what_is_coupled_prescribed_or_rubs_are_those_of_differen
 
 @machines(8, max_dofs=12)
 def test_mujocos_forces_give_the_same_step(text, seed):
-    dynamics, _, us, rng = driven(text, seed, K=1, prescribe=False)
-    m = replace(dynamics.mechanism, damping=10.0 ** rng.uniform(-1, 4, dynamics.mechanism.nv))
-    x = random_state(m.space, rng, unnormalized=False)
-    model = mujoco.MjModel.from_xml_string(m.mjcf)
-    model.dof_damping[:] = m.damping
+    m, x, us, model = damped(text, seed)
     model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONSTRAINT
     data = mujoco.MjData(model)
     data.qpos[:], data.qvel[:], data.act[:] = np.split(x, [m.nq, m.nq + m.nv])

@@ -184,7 +184,13 @@ def test_stages_of_implicitfast_are_limited_by_what_is_not_damping(tmp_path):
     assert 'expected integrator="rosenbrock"' in stage_too_long(long)
 
 
-@pytest.mark.parametrize("case", ["prescribed", "coupled"])
+FLOATING = """
+<mujoco><option gravity="0 0 0"/><worldbody><body><joint type="free" damping="0.5"/><geom type="box" size="0.3 0.2 0.1" mass="5"/>
+  <site name="one" pos="0.2 0.1 0"/><site name="two" pos="-0.1 0.2 0.1"/></body></worldbody>
+  <actuator><general site="one" gear="0 0 1 0 0 0.1"/><general site="two" gear="1 0 0 0.2 0 0"/></actuator></mujoco>"""
+
+
+@pytest.mark.parametrize("case", ["prescribed", "coupled", "floating"])
 def test_what_mujoco_has_no_step_for_is_repeated_with_its_accelerations(tmp_path, case):
     if case == "coupled":
         text = MOBILE_BASE.replace("<actuator>", '<equality><joint joint1="arm" joint2="yaw"/></equality><actuator>')
@@ -195,6 +201,12 @@ def test_what_mujoco_has_no_step_for_is_repeated_with_its_accelerations(tmp_path
             final_position=1e3, final_velocity=1e3,
         )  # fmt: skip
         problem = planner.Problem(RigidBodyDynamics(m, 0.01, "implicitfast"), cost, x0)
+    elif case == "floating":  # a body alone, which tumbles
+        m = Mechanism.from_mjcf(FLOATING)
+        x0 = m.home.copy()
+        x0[7:] = 0.1, 0.2, 0.3, 2.0, -1.0, 3.0
+        dynamics = RigidBodyDynamics(m, 0.01, "implicitfast")
+        problem = planner.Problem(dynamics, planner.TrackingCost.joints(dynamics, m.home, 30, effort=0.1), x0)
     else:
         problem = mobile_base(tmp_path, 'prescribed = ["arm"]\nintegrator = "implicitfast"\n')
     plan = planner.solve(problem)

@@ -23,7 +23,7 @@ KEYS = {
     "obstacle": "table, below, or several [[obstacle]]: a shape at rest beside the model; [avoid] keeps clear of it",
     "duration": "s",
     "dt": "length of a stage, s, or auto: 0.01, less where the machine is stiff, a whole part of the duration",
-    "integrator": f"one of {', '.join(KNOWN_INTEGRATORS)}, or auto: rk4, or rosenbrock where damping is too fast",
+    "integrator": f"one of {', '.join(KNOWN_INTEGRATORS)}, or auto: rk4, or one of the last two for fast damping",
     "substeps": "in a stage: 1 to 16, or auto: as many as the machine's fastest motion needs",
     "guess": "first controls: line (straight to the goal in joint space, by inverse dynamics), collision-free (a "
     "path that keeps its distance from what is avoided), tracking (feedback gains along that line), hold (the start "

@@ -66,7 +66,8 @@ def with_step(
         else:
             longest, shortest = lengths[0], SHORTEST if dt == AUTO else lengths[0]
             if substeps in (AUTO, 1) and found.rate * shortest > most * MAX_RATE_STEP:
-                implicit = "implicitfast" * follows_all_but_damping(mechanism, longest, states, prescribed)
+                follows = follows_all_but_damping(mechanism, longest, states, prescribed)
+                implicit = "implicitfast" if follows else ""
         if implicit:
             integrator, dt = implicit, _whole(table["duration"], longest) if dt == AUTO else dt
             steps = f"{MAX_SUBSTEPS} substeps" if integrator in WITH_SUBSTEPS else "1 step"
