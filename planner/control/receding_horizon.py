@@ -112,8 +112,8 @@ class RecedingHorizonProblem:
         self._tables = {name: np.ascontiguousarray(values) for name, values in rows.items()}
         self.x_ref, self.u_ref = self._tables["x_ref"], self._tables["u_ref"]
         self._entries = np.array([getattr(W, name) for name in rows])
-        self._addresses = np.array([values.ctypes.data for values in self._tables.values()])
-        self._strides = np.array([values.strides[0] for values in self._tables.values()])
+        begins, strides = np.array([(values.ctypes.data, values.strides[0]) for values in self._tables.values()]).T
+        self._addresses = begins + np.arange(self.N + 1)[:, None] * strides  # (N+1, tables) of a stage's rows
         at_end = arrays["final_row"], arrays["final_column"]
         self._values_at_end, self._ends = [Q[at_end] for Q in (self._last, self._final)], -1
         self._own_bounds: list[tuple[np.ndarray, np.ndarray]] = []
@@ -258,7 +258,7 @@ class RecedingHorizonProblem:
         engine = self.engine
         if isinstance(engine, CompiledEngine):
             arrays = self._arrays
-            engine.use_tables(self._entries, self._addresses + stage * self._strides)
+            engine.use_tables(self._entries, self._addresses[stage])
             ends = int(self.keeps or stage + H <= self.N)
             if ends != self._ends:
                 self._ends, arrays["final_value"][:] = ends, self._values_at_end[ends]

@@ -114,7 +114,7 @@ class Replanner:
         self.window.update_hinges(plan[0], plan[1], cost, solved=-slope <= SOLVED * abs(cost))
         self._step = None if searched or kind != ACCEPTED else engine.whole_step()
         if self._step is not None:
-            plan[1][:] += self._step
+            np.add(plan[1], self._step, out=plan[1])
         return None
 
     def _begin(self, t: float, x: np.ndarray) -> tuple[float, bool]:

@@ -150,9 +150,8 @@ class RigidBodyDynamics:
         return RigidBodyDynamics(self.mechanism, dt, integrator, self.prescribed, substeps)
 
     def _checked(self, xs: np.ndarray, us: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        if all(type(a) is np.ndarray and a.dtype == np.float64 and a.flags.c_contiguous for a in (xs, us)) and (
-            us.ndim == 2 and us.shape[1] == self.nu and xs.shape == (len(us), self.nx)
-        ):
+        ready = _are_floats(xs) and _are_floats(us) and us.ndim == 2
+        if ready and us.shape[1] == self.nu and xs.shape == (len(us), self.nx):
             return xs, us  # without the copies that take as long as a step
         us = array("us", us, ("K", self.nu), any_value=True)
         return array("xs", xs, (len(us), self.nx), any_value=True), us
@@ -366,3 +365,8 @@ class RigidBodyDynamics:
         tree_second.second_order(
             self._model.table, memory.table, second.table, self.dt, w.xs, w.us, w.costates, w.T[:-1]
         )
+
+
+def _are_floats(a: Any) -> bool:
+    """Whether kernels can read it as it is."""
+    return type(a) is np.ndarray and a.dtype == np.float64 and a.flags.c_contiguous

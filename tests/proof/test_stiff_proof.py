@@ -185,7 +185,8 @@ def test_stages_of_implicitfast_are_limited_by_what_is_not_damping(tmp_path):
 
 
 FLOATING = """
-<mujoco><option gravity="0 0 0"/><worldbody><body><joint type="free" damping="0.5"/><geom type="box" size="0.3 0.2 0.1" mass="5"/>
+<mujoco><option gravity="0 0 0"/><worldbody><body><joint type="free" damping="0.5"/>
+  <geom type="box" size="0.3 0.2 0.1" mass="5"/>
   <site name="one" pos="0.2 0.1 0"/><site name="two" pos="-0.1 0.2 0.1"/></body></worldbody>
   <actuator><general site="one" gear="0 0 1 0 0 0.1"/><general site="two" gear="1 0 0 0.2 0 0"/></actuator></mujoco>"""
 
