@@ -167,6 +167,7 @@ class Mechanism:
     def from_mjcf(
         cls, model: Any, *, ignore: Collection[str] | None = (), contacts: str | ContactLaw = "auto",
         assets: dict[str, bytes] | None = None, name: str = "", attach: Any = None, obstacles: Any = None,
+        exclude: Any = None,
     ) -> Mechanism:  # fmt: skip
         """Read an MJCF file, text or spec with MuJoCo's compiler.
 
@@ -190,6 +191,7 @@ class Mechanism:
             obstacles: A shape at rest, or a list of them: {"shape": "box", "size": [0.1, 0.4, 0.5], "position":
                 [0.5, 0, 0.25]}, with `orientation`, `name`, and `file` and `scale` of a mesh. See
                 planner.model.mjcf.obstacles. They are part of the replay and of the user's model too.
+            exclude: Pairs of bodies, or of their shapes, that do not touch each other: [("palm", "thumb")].
 
         Raises:
             ModelError: The file cannot be read, MuJoCo rejects it, or it has elements that change the dynamics and
@@ -199,14 +201,15 @@ class Mechanism:
 
         model = model_location(model)
         return read(
-            model, ignore=ignore, contacts=contacts, assets=assets, name=name, attach=attach, obstacles=obstacles
-        )
+            model, ignore=ignore, contacts=contacts, assets=assets, name=name, attach=attach, obstacles=obstacles,
+            exclude=exclude,
+        )  # fmt: skip
 
     @classmethod
     def from_urdf(
         cls, model: str | Path, *, base: str | None = None, floor: bool = False, package_path: str | Sequence[str] = (),
         inertia: Any = "given", ignore: Collection[str] | None = (), contacts: str | ContactLaw = "auto",
-        attach: Any = None, obstacles: Any = None,
+        attach: Any = None, obstacles: Any = None, exclude: Any = None,
     ) -> Mechanism:  # fmt: skip
         """Read a URDF file or text: each link is a body, each one-coordinate joint gets a motor with its effort limit.
 
@@ -227,6 +230,7 @@ class Mechanism:
             contacts: See from_mjcf.
             attach: See from_mjcf.
             obstacles: See from_mjcf.
+            exclude: See from_mjcf.
 
         Raises:
             ModelError: The file cannot be read, is no tree of links or is xacro; an inertia is physically impossible;
@@ -235,10 +239,11 @@ class Mechanism:
         model = model_location(model)
         mjcf, assets, name = as_mjcf(model, base, floor, package_path, inertia)
         mechanism = cls.from_mjcf(
-            mjcf, ignore=ignore, contacts=contacts, assets=assets, name=name, attach=attach, obstacles=obstacles
-        )
+            mjcf, ignore=ignore, contacts=contacts, assets=assets, name=name, attach=attach, obstacles=obstacles,
+            exclude=exclude,
+        )  # fmt: skip
         of_urdf = {"base": base, "floor": floor, "package_path": package_path, "inertia": inertia}
-        return replace(mechanism, origin=origin_of(model, attach, obstacles, **of_urdf))
+        return replace(mechanism, origin=origin_of(model, attach, obstacles, exclude, **of_urdf))
 
     def with_curves(self, curves: Iterable[ExponentialTorque]) -> Mechanism:
         """The same machine with these exponential torques in place of its own.

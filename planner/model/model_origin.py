@@ -1,7 +1,7 @@
 """Where a model was read from, so that a stored plan can be compared with the model on disk.
 
 An origin is a table of JSON values: the `path` of the file, and what reading it took besides (attach, obstacles,
-keys of a URDF). Paths are absolute in memory and relative to the plan's folder in its file. A text has no origin.
+exclude, keys of a URDF). Paths are absolute in memory and relative to the plan's folder in its file. A text has none.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ from typing import Any
 from xml.etree import ElementTree
 
 from planner.model.mjcf.attached import attachments, stored_records, with_attached
+from planner.model.mjcf.excluded import excluded_pairs, with_excluded
 from planner.model.mjcf.model_file import open_model_file
 from planner.model.mjcf.obstacles import obstacles_of, with_obstacles
 from planner.model.mjcf.text import is_text
@@ -21,12 +22,15 @@ from planner.model.urdf.write import as_mjcf, is_urdf
 URDF_KEYS = ("base", "floor", "package_path", "inertia")
 
 
-def origin_of(model: str | Path, attach: Any = None, obstacles: Any = None, **of_urdf: Any) -> dict[str, Any]:
+def origin_of(
+    model: str | Path, attach: Any = None, obstacles: Any = None, exclude: Any = None, **of_urdf: Any
+) -> dict[str, Any]:
     """The origin of a file; empty for a text. Keys of a URDF without a value are left out."""
     if is_text(model):
         return {}
     origin = {"path": str(model), "attach": stored_records(attachments(attach), "model", Path())}
     origin["obstacles"] = stored_records(obstacles_of(obstacles), "file", Path())
+    origin["exclude"] = [list(pair) for pair in excluded_pairs(exclude)]
     origin |= {key: list(value) if isinstance(value, tuple) else value for key, value in of_urdf.items()}
     return moved({key: value for key, value in origin.items() if value}, os.path.abspath)
 
@@ -42,11 +46,13 @@ def is_origin(value: Any) -> bool:
         "package_path": list,
         "attach": list,
         "obstacles": list,
+        "exclude": list,
     }
     return (
         isinstance(value, dict) and all(isinstance(part, kinds.get(key, ())) for key, part in value.items())
         and all(isinstance(one, str) for one in value.get("package_path", ()))
         and all(isinstance(one, dict) for key in ("attach", "obstacles") for one in value.get(key, ()))
+        and all(isinstance(one, list) and [*map(type, one)] == [str, str] for one in value.get("exclude", ()))
     )  # fmt: skip
 
 
@@ -81,4 +87,5 @@ def read_again(origin: dict[str, Any], file: str | Path | None = None) -> tuple[
         file_now = open_model_file(model)
     file_now = with_attached(file_now, attachments(origin.get("attach")))
     file_now = with_obstacles(file_now, obstacles_of(origin.get("obstacles")))
+    file_now = with_excluded(file_now, excluded_pairs(origin.get("exclude")))
     return ElementTree.tostring(file_now.root, encoding="unicode"), file_now.files

@@ -5,8 +5,10 @@ with its own options at a refined step, under the plan's controls and gains. Pre
 motors in it too, and torques that MJCF cannot express act in it too.
 
 The integrator is MuJoCo's RK4, as in the rest of a proof: Euler's error at the refined step alone is 0.4 rad of the
-acrobot's path, which is no error of a plan. A stiff file may need its own integrator, which is used where RK4 fails; a
-plan with implicit damping is replayed by MuJoCo's implicitfast.
+acrobot's path, which is no error of a plan. A stiff file may need its own integrator, which is used where RK4 fails. A
+plan with implicit damping is replayed by MuJoCo's implicitfast. That is of first order: where damping is as fast as its
+step, its own error after a control jump is a fifth of the jump. If it fails, the plan's method takes smaller steps with
+the accelerations that MuJoCo computes of the file.
 
 Elements that the plan's model lacks must have no effect: no contact of an unmodelled pair, no joint limit reached, no
 actuator clamp, no divergence, every goal is met, and the path stays within the bounds of the path in the plan's model.
@@ -66,8 +68,8 @@ from planner.proof.replays.compiled_twin import CompiledTwin, unmodelled_of, wit
 from planner.proof.replays.passages import passages
 from planner.proof.replays.passive_torque_callback import curves_acting
 from planner.proof.replays.ranges import Excess, efforts_in, joints_in, tendons_in
-from planner.proof.replays.replaying import Replay, replay_in, stopped_dofs
-from planner.proof.replays.simulation import NATIVE_IMPLICIT, damping_of, simulate
+from planner.proof.replays.replaying import Replay, replay_in, step_of, stopped_dofs
+from planner.proof.replays.simulation import NATIVE_IMPLICIT, ROSENBROCK, damping_of, simulate
 
 TITLE = "your file"
 OPEN_LOOP_MISSES = "open_loop_goals_missed"
@@ -117,20 +119,21 @@ def your_file(
     known = open_loop if open_loop is not None and compiled is open_loop.compiled else None
     planned = None if open_loop is None else open_loop.plan_xs
     own = load_mujoco().mjtIntegrator(compiled.model.opt.integrator).name.removeprefix("mjINT_")
-    implicit = [] if damping_of(problem.dynamics) is None else [NATIVE_IMPLICIT]
+    explicit = damping_of(problem.dynamics) is None
+    tried = ("RK4", own) if explicit else (NATIVE_IMPLICIT, ROSENBROCK, own)
     first: tuple[Section, Replay] | None = None
-    for integrator in dict.fromkeys((*implicit, "RK4", own)):  # the first integrator that passes is enough
+    for integrator in dict.fromkeys(tried):  # the first one that passes is enough
         run = replay_in(compiled, plan, feedback=True, integrator=integrator, planned=planned)
         alone = (known.t, known.xs) if known and first is None else _without_gains(run)
         measured = (*_measured(run, problem, goals), *_path(run, alone[1]), *_open_loop(plan, *alone, goals))
         section = Section(TITLE, measured)
         planned = run.plan_xs
-        if first is None or (first[1].warnings and not run.warnings):
+        if first is None or len(section.failures) < len(first[0].failures):
             first = section, run
         if section.passed:
             break
     else:
-        assert first is not None  # "RK4" is always tried
+        assert first is not None  # there is always one
         section, run = first
     return Section(TITLE, (*section.measured, *own_step(plan, problem, run, goals))), run
 
@@ -149,7 +152,8 @@ def _measured(run: Replay, problem: Problem, goals: Sequence[GoalCheck]) -> list
         Measurement(name, float(len(found)), "", 0.0, _together(found) or meaning)
         for name, (found, meaning) in sentences.items()
     ]
-    step = Measurement("timestep", run.timestep, "s", None, f"of MuJoCo's {run.integrator}, for this step of the proof")
+    method = "Rosenbrock, with MuJoCo's accelerations" if run.integrator == ROSENBROCK else f"MuJoCo's {run.integrator}"
+    step = Measurement("timestep", run.timestep, "s", None, f"of {method}, for this step of the proof")
     kept = replayed_violations(run, problem, problem.constraints)  # joint ranges are judged by stops_hit()
     return [
         *judged,
@@ -252,13 +256,18 @@ def _touches(run: Replay, problem: Problem) -> tuple[list[str], list[str]]:
             wrong.append(f"{pair} {how} and press on each other {when} with up to {touch.force:.3g} N.")
         elif not overlap:
             wrong.append(f"{pair} touch from t = {run.t[touch.first]:.4g} s, by up to {touch.deepest:.3g} m.")
-        elif touch.deepest > touch.at_start + max(DEEPER[0] * scale, DEEPER[1] * touch.at_start):
+        elif goes_deeper(touch.at_start, touch.deepest - touch.at_start, scale):
             wrong.append(f"{pair} touch at the start by {touch.at_start:.3g} m, later by up to {touch.deepest:.3g} m.")
         elif touch.met_again > OVERLAP_TOLERANCE * scale:
             wrong.append(f"{pair} touch at the start, part, and meet again by up to {touch.met_again:.3g} m.")
         else:
             overlaps.append(f"{pair} touch at the start by {touch.at_start:.3g} m and go no deeper.")
     return wrong, overlaps
+
+
+def goes_deeper(at_start: float, by: float, scale: float) -> bool:
+    """Whether an overlap at the start grows by more than is tolerated, in a model of a scale, m."""
+    return by > max(DEEPER[0] * scale, DEEPER[1] * at_start)
 
 
 def _pushed(run: Replay) -> bool:
@@ -355,7 +364,7 @@ def _without_gains(run: Replay) -> tuple[np.ndarray, np.ndarray]:
     ctrl = compiled.commands(np.repeat(run.plan.us, run.substeps, axis=0))
     start = np.concatenate([run.qpos[0], run.qvel[0], run.act[0]])
     with curves_acting(compiled.twin, model):
-        w, _ = simulate(model, start, ctrl)
+        w, _ = simulate(model, start, ctrl, step=step_of(run.plan, model, run.integrator))
     return run.t, compiled.twin.x_of(w)
 
 

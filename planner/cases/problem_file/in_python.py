@@ -19,7 +19,7 @@ from planner.problem.problem import Problem
 from planner.problem.tasks.follow import Follow, follow_of
 from planner.problem.tasks.goal import Goal, goal_of
 
-OWN = ("model", "goal", "follow", "attach", "obstacle")
+OWN = ("model", "goal", "follow", "attach", "obstacle", "exclude")
 
 
 def task(
@@ -48,8 +48,8 @@ def task(
     for key in OWN:
         if key in keys:
             raise PlannerError(
-                f"{key} is a key of a file, expected goals= and follow= beside the mechanism, and attach= and "
-                "obstacles= where it is read."
+                f"{key} is a key of a file, expected goals= and follow= beside the mechanism, and attach=, obstacles= "
+                "and exclude= where it is read."
             )
     asked = [goal_of(one, f"goal {k}") for k, one in enumerate(_several("goals", goals, Goal), 1)]
     paths = [follow_of(one, "follow") for one in _several("follow", follow, Follow)]

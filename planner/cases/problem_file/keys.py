@@ -21,6 +21,7 @@ KEYS = {
     "follow": "table, below, or several [[follow]]: a path of a frame or of joints to keep to",
     "attach": "table, below, or several [[attach]]: a payload or tool at a frame of the model",
     "obstacle": "table, below, or several [[obstacle]]: a shape at rest beside the model; [avoid] keeps clear of it",
+    "exclude": "list of pairs of bodies or shapes that do not touch each other, whatever the model says",
     "duration": "s",
     "dt": "length of a stage, s, or auto: 0.01, less where the machine is stiff, a whole part of the duration",
     "integrator": f"one of {', '.join(KNOWN_INTEGRATORS)}, or auto: rk4, or one of the last two for fast damping",

@@ -19,6 +19,8 @@ from planner.model.mjcf.contact_mode import MODES
 from planner.model.mjcf.unsupported import KINDS
 from planner.model.urdf.read import read_model
 
+ADDED = {"attach": "attach", "obstacles": "obstacle", "exclude": "exclude"}
+"""What a file may add to its model: the argument of read_model(), and its key."""
 _LAW_ARGUMENTS = {"friction_smoothing": "bend", "penetration": "sink"}
 
 
@@ -32,7 +34,7 @@ def machine_of(model: str | Path, table: dict[str, Any], assets: dict[str, bytes
     if not isinstance(ignore, list) or not all(isinstance(kind, str) for kind in ignore):
         raise PlannerError(f"ignore is {short_repr(ignore)}, expected a list of some of: {', '.join(KINDS)}.")
     of_urdf = {key: table[key] for key in URDF if key in table}
-    added = {"attach": table.get("attach"), "obstacles": table.get("obstacle")} if assets is None else {}  # else stored
+    added = {} if assets is not None else {key: table.get(name) for key, name in ADDED.items()}  # else stored
     opened = partial(read_model, model, ignore=tuple(ignore), assets=assets, **added, **of_urdf)
     contacts = table["contacts"]
     if not isinstance(contacts, dict):

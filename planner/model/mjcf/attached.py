@@ -5,7 +5,7 @@
     {frame = "flange", model = "gripper.xml"}                       the first body of another MJCF file
 
 A plan models no contact of a payload. A size of its own touches in the replay in the user's file (read.read_opened); a
-ball of aluminium is drawn in place of a size that was not given, and touches nothing: SHAPELESS names it.
+ball of aluminium is drawn in place of a size that was not given, and touches nothing: NEVER_REPLAYED says so.
 """
 
 from __future__ import annotations
@@ -23,13 +23,11 @@ from planner.base.arguments import array, choice, number, numbers, short_repr
 from planner.base.errors import ModelError, PlannerError
 from planner.base.gl import load_mujoco
 from planner.model.mjcf.model_file import ModelFile
-from planner.model.mjcf.model_index import ModelIndex, compile_model
+from planner.model.mjcf.model_index import NEVER_REPLAYED, ModelIndex, compile_model
 from planner.model.mjcf.text import is_text, model_tree, written
 
 ALUMINIUM = 2700.0  # kg/m^3
 COLOUR = "0.55 0.35 0.75 1"
-SHAPELESS = "shapeless "
-"""Begins the name of a custom text on a body with a mass and no shape: <text name="shapeless 1" data="payload"/>."""
 Frame = tuple[ElementTree.Element, np.ndarray, np.ndarray]  # a body's element, and position and quaternion in it
 
 
@@ -212,7 +210,8 @@ def _add_payload(
     if one.size is None:
         texts = ElementTree.SubElement(root, "custom")
         number_of = len(root.findall("custom/text")) + 1
-        ElementTree.SubElement(texts, "text", {"name": f"{SHAPELESS}{number_of}", "data": one.name})
+        phrase = f"contacts of {one.name}, which has a mass and no shape"
+        ElementTree.SubElement(texts, "text", {"name": f"{NEVER_REPLAYED}{number_of}", "data": phrase})
     else:
         every = [int(np.bitwise_or.reduce(getattr(model, f"geom_{name}"), initial=0)) for name in reversed(masks)]
         masks = dict(zip(masks, map(str, every), strict=True))

@@ -27,6 +27,8 @@ VELOCITY_LIMIT = "velocity_limit"
 """Tuple of velocity limits: <tuple name="velocity_limit"><element objtype="joint" objname="elbow" prm="3.1"/>."""
 LEFT_OUT = "left_out "
 """Begins the name of a custom text on a missing part: <text name="left_out 1" data="the mesh 'hand.ply' of ..."/>."""
+NEVER_REPLAYED = "never_replayed "
+"""Begins the name of a custom text on what no replay has: <text name="never_replayed 1" data="contacts of tool"/>."""
 EDITED = "edited"
 """Name of the custom text of an edited file; its data is what was taken out, a phrase each, "; " between them."""
 

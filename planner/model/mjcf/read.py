@@ -27,6 +27,7 @@ from planner.model.mjcf.contact_edits import give_law, let_float
 from planner.model.mjcf.contact_mode import MODES, ContactMode, ground_pairs, select_contact_mode, stationary_roots
 from planner.model.mjcf.contacts import contact_refusals, phrase_of, read_contacts, read_stops
 from planner.model.mjcf.equalities import harden, read_cams, read_couplings, read_loops, read_tendons
+from planner.model.mjcf.excluded import excluded_pairs, with_excluded
 from planner.model.mjcf.ground_law import laws_of_ground
 from planner.model.mjcf.joint_forces import actuators_of, armature_and_damping, joint_friction
 from planner.model.mjcf.model_file import ModelFile, open_model_file
@@ -72,18 +73,20 @@ _NUMBERS = (
 def read(
     model: Any, *, ignore: Collection[str] | None = (), contacts: str | ContactLaw = "auto",
     assets: dict[str, bytes] | None = None, name: str = "", attach: Any = None, obstacles: Any = None,
+    exclude: Any = None,
 ) -> Mechanism:  # fmt: skip
     """A mechanism of an MJCF file, text or spec, and of the files that it names; see Mechanism.from_mjcf.
 
     With `assets` nothing is read from disk. Messages call the model `name`, by default after its file.
     """
-    given, around = attachments(attach), obstacles_of(obstacles)
+    given, around, apart = attachments(attach), obstacles_of(obstacles), excluded_pairs(exclude)
     model, assets = mjcf_source(model, assets)
     mechanism = read_opened(
-        lambda: with_obstacles(with_attached(open_model_file(model, assets, name), given), around), ignore=ignore,
-        contacts=contacts,
+        lambda: with_excluded(
+            with_obstacles(with_attached(open_model_file(model, assets, name), given), around), apart
+        ), ignore=ignore, contacts=contacts,
     )  # fmt: skip
-    return mechanism if assets is not None else replace(mechanism, origin=origin_of(model, attach, obstacles))
+    return mechanism if assets is not None else replace(mechanism, origin=origin_of(model, attach, obstacles, exclude))
 
 
 def read_opened(

@@ -14,10 +14,9 @@ from typing import Any
 
 import numpy as np
 
-from planner.model.mjcf.attached import SHAPELESS
 from planner.model.mjcf.contact_shapes import shape_of
 from planner.model.mjcf.initial_overlaps import initial_overlaps
-from planner.model.mjcf.model_index import EDITED, compile_model, contact_pairs, named, texts_of
+from planner.model.mjcf.model_index import EDITED, NEVER_REPLAYED, compile_model, contact_pairs, named, texts_of
 from planner.model.mjcf.unsupported import UnsupportedElement, modelled, unsupported_elements
 
 _OF = {"frictionloss": "friction loss", "gravcomp": "gravity compensation"}  # in words
@@ -42,7 +41,7 @@ class UnmodelledFeatures:
         overlaps: Pairs of the file alone that overlap at the start and their depths, e.g. "base and link1 (0.02 m)":
             see model.mjcf.initial_overlaps.
         overlap_count: How many of `pairs` these are; several geoms may share a name in `overlaps`.
-        shapeless: Bodies that have a mass and no shape.
+        unreplayed: Phrases of the model itself about what no replay has.
         lost: What was taken out of a file that is not there, in the words of the edited text.
     """
 
@@ -51,7 +50,7 @@ class UnmodelledFeatures:
     known: frozenset[frozenset[GeomName]] = frozenset()
     overlaps: tuple[str, ...] = ()
     overlap_count: int = 0
-    shapeless: tuple[str, ...] = ()
+    unreplayed: tuple[str, ...] = ()
     lost: tuple[str, ...] = ()
 
     @property
@@ -77,8 +76,7 @@ class UnmodelledFeatures:
         if self.overlaps:
             more = f" and {len(self.overlaps) - MAX_NAMED} more pairs" if len(self.overlaps) > MAX_NAMED else ""
             found.append(f"contact of {', '.join(self.overlaps[:MAX_NAMED])}{more}, which overlap at the start")
-        found += [f"contacts of {name}, which has a mass and no shape" for name in self.shapeless]
-        return tuple(found)
+        return (*found, *self.unreplayed)
 
     def _counted(self, pairs: int) -> tuple[str, ...]:
         found = [f"contacts of {_counted(pairs, 'pair')}"] if pairs else []
@@ -117,7 +115,7 @@ def unmodelled_features(
                 overlaps[shapes], count = max(depth, overlaps.get(shapes, 0.0)), count + 1
     phrases = tuple(f"{shapes} ({depth:.2g} m)" for shapes, depth in overlaps.items())
     lost = () if original else tuple(phrase for text in texts_of(own, EDITED) for phrase in text.split("; "))
-    return UnmodelledFeatures(elements, names, frozenset(known), phrases, count, texts_of(given, SHAPELESS), lost)
+    return UnmodelledFeatures(elements, names, frozenset(known), phrases, count, texts_of(given, NEVER_REPLAYED), lost)
 
 
 def _shape(model: Any, geom: int) -> str:

@@ -18,7 +18,7 @@ from planner.model.urdf.write import as_mjcf, is_urdf
 def read_model(
     model: str | Path, *, base: str | None = None, floor: bool = False, package_path: str | Sequence[str] = (),
     inertia: Any = "given", ignore: Collection[str] | None = (), contacts: str | ContactLaw = "auto",
-    assets: dict[str, bytes] | None = None, attach: Any = None, obstacles: Any = None,
+    assets: dict[str, bytes] | None = None, attach: Any = None, obstacles: Any = None, exclude: Any = None,
 ) -> Mechanism:  # fmt: skip
     """A mechanism of a URDF or MJCF file or text; from `base` to `inertia`, all is for URDFs alone.
 
@@ -29,7 +29,7 @@ def read_model(
     if assets is None and is_urdf(model):
         return Mechanism.from_urdf(
             model, base=base, floor=floor, package_path=package_path, inertia=inertia, ignore=ignore,
-            contacts=contacts, attach=attach, obstacles=obstacles,
+            contacts=contacts, attach=attach, obstacles=obstacles, exclude=exclude,
         )  # fmt: skip
     if assets is None:
         given = {"base": base, "floor": floor, "package_path": package_path, "inertia": inertia != "given"}
@@ -38,7 +38,9 @@ def read_model(
                 raise PlannerError(
                     f"{key} is given for an MJCF model, expected it for a URDF alone: MJCF says it itself."
                 )
-    return read(model, ignore=ignore, contacts=contacts, assets=assets, attach=attach, obstacles=obstacles)
+    return read(
+        model, ignore=ignore, contacts=contacts, assets=assets, attach=attach, obstacles=obstacles, exclude=exclude
+    )
 
 
 def opened_model(model: str | Path) -> tuple[ModelFile, dict[str, Any]]:

@@ -20,6 +20,7 @@ import numpy as np
 from planner.base.arguments import choice, number, short_repr
 from planner.base.errors import ModelError, PlannerError
 from planner.base.files import printable, read_text
+from planner.model.mjcf.equalities import HARD
 from planner.model.mjcf.model_index import LEFT_OUT, VELOCITY_LIMIT
 from planner.model.mjcf.text import is_text, written
 from planner.model.urdf.masses import inertials, listed, missing_inertia, without_idle
@@ -223,7 +224,7 @@ def _add_followers(root: Element, joints: tuple[Joint, ...]) -> None:
         leader, multiplier, offset = joint.mimic
         polynomial = written(offset, multiplier, 0.0, 0.0, 0.0)
         attributes = {"name": joint.name, "joint1": joint.name, "joint2": leader, "polycoef": polynomial}
-        SubElement(section, "joint", attributes)
+        SubElement(section, "joint", attributes | HARD)  # a URDF's followers are rigid, MuJoCo's default gives way
 
 
 BASES = ("fixed", "free")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from typing import Any
 
 import numpy as np
@@ -19,7 +20,7 @@ from planner.problem.plan import Plan
 from planner.problem.problem import Problem
 from planner.proof.diagnostics.suggested_fix import SuggestedFix, fix, no_fix, of_file
 from planner.proof.diagnostics.velocity_weight import straightened
-from planner.proof.original_model import as_given
+from planner.proof.original_model import as_given, goes_deeper
 from planner.proof.replays.compiled_twin import unmodelled_of
 from planner.proof.verdict import Proof
 
@@ -55,8 +56,8 @@ def avoid_contact(plan: Plan, problem: Problem, proof: Proof | None) -> list[Sug
             return [fix(problem, "avoid", {}, "goal_collides", **worst)]
         return [no_fix("goal", "goal_collides_anyhow", **worst)]
     first = next((pair for q in knots for pair in shapes.depths(q)), None)
-    if first is None:
-        return []  # pairs that overlap at the start
+    if first is None:  # pairs that lie flush or overlap at the start, and are pressed
+        return shapes.to_exclude(start, knots)
     pair = shapes.names(first)
     straight_is_free = not any(shapes.depths(q) for q in shapes.straight(start, goal))
     if straight_is_free and (found := straightened(problem, "path_collides_straight_free", pair=pair)):
@@ -101,18 +102,34 @@ class _Shapes:
         pair = max(depths, key=lambda pair: depths[pair])
         return {"pair": self.names(pair), "depth": Quantity(depths[pair], "m")}
 
+    def to_exclude(self, start: np.ndarray, poses: list[np.ndarray]) -> list[SuggestedFix]:
+        """The pairs that go deeper than at the start, else those that lie flush, to be excluded."""
+        began, deeper = self.touching(start, 0.0), dict[tuple[int, int], float]()
+        for q in poses:
+            for pair, depth in self.touching(q, 0.0).items():
+                deeper[pair] = max(deeper.get(pair, -np.inf), depth - began.get(pair, 0.0))
+        worse = [pair for pair in deeper if goes_deeper(began.get(pair, 0.0), deeper[pair], self._scale)]
+        pairs = worse or [pair for pair in deeper if pair not in self.at_start]
+        if not pairs:
+            return []
+        bodies = {
+            tuple(self.model.body(int(self.model.geom_bodyid[geom])).name for geom in pair): None for pair in pairs
+        }
+        values = {"pair": self.names(pairs[0]), "bodies": json.dumps([*bodies], ensure_ascii=False)}
+        return [no_fix("exclude", "overlap_deepens", **values)]
+
     def is_ground(self, pair: tuple[int, int]) -> bool:
         """Whether one of the two geoms is fixed."""
         return any(self.model.body_weldid[self.model.geom_bodyid[geom]] == 0 for geom in pair)
 
-    def touching(self, q: np.ndarray) -> dict[tuple[int, int], float]:
+    def touching(self, q: np.ndarray, rounding: float = TOUCH_ROUNDING) -> dict[tuple[int, int], float]:
         """Unmodelled pairs in contact, and their depths, m."""
         self._data.qpos[:] = q
         self._mujoco.mj_fwdPosition(self.model, self._data)
         found: dict[tuple[int, int], float] = {}
         for contact in self._data.contact:
             pair = (int(min(contact.geom)), int(max(contact.geom)))
-            if -contact.dist > TOUCH_ROUNDING * self._scale and names_of(self.model, pair) not in self._known:
+            if -contact.dist >= rounding * self._scale and names_of(self.model, pair) not in self._known:
                 found[pair] = max(found.get(pair, 0.0), -float(contact.dist))
         return found
 

@@ -16,6 +16,8 @@ SENTENCES = {
     "ground_removed": '{pair} collide, and contacts = "off" removes the ground',
     "start_collides": "Another `start` is needed, or a model that excludes the pair: at the start {pair} overlap by "
     "{depth:.2g}.",
+    "overlap_deepens": "{pair} of the file overlap or lie flush at the start, and the motion presses them together: if "
+    "the real ones do not touch, write exclude = {bodies}; else another `start` or `goal` is needed.",
     "goal_collides": "in the goal itself {pair} overlap by {depth:.2g}; with it another pose of the goal is sought",
     "goal_collides_anyhow": "Another `goal` is needed: in the goal itself {pair} overlap by {depth:.2g}.",
     "path_collides_straight_free": "{pair} collide on the way, and the straight path from start to goal is free; only "

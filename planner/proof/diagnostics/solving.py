@@ -90,6 +90,10 @@ def not_a_minimum(plan: Plan, problem: Problem, proof: Proof | None) -> list[Sug
 
 
 def nothing_known(plan: Plan, problem: Problem, proof: Proof | None) -> SuggestedFix:
-    """The finding without a known cause."""
-    failed = [] if proof is None else [one for section in proof.sections.values() for one in section.failures]
+    """The finding without a known cause: the first that failed, but of the replay that was judged."""
+    failed = []
+    if proof is not None:
+        other = ("refined_open_loop", "order") if proof.replay.feedback else ("refined_feedback",)
+        sections = [section for name, section in proof.sections.items() if name not in other]
+        failed = [one for section in sections for one in section.failures]
     return no_fix("", "unknown", failed=failed[0].name.replace("_", " ") if failed else "the solve")

@@ -25,7 +25,7 @@ from planner.proof.replays.contact_history import ContactHistory, ContactRecorde
 from planner.proof.replays.passive_torque_callback import curves_acting
 from planner.proof.replays.ranges import ranges_reached
 from planner.proof.replays.sampled_gains import Gains, Sampling
-from planner.proof.replays.simulation import MAX_STEPS, ROSENBROCK, damping_of, implicit_step, simulate
+from planner.proof.replays.simulation import MAX_STEPS, ROSENBROCK, Step, damping_of, implicit_step, simulate
 
 REFINEMENT = 20  # minimum number of simulator steps per stage
 PARTS = 8  # of a step with implicit damping: the error after a control jump is then at most 1e-3 of it, for any damping
@@ -159,13 +159,13 @@ def replay_in(
     """replay() in a compiled model; `planned` is plan_xs of another replay, reused if its shape fits."""
     problem = problem_of(plan)
     compiled.check(plan.us.shape[1])
-    dt, damping = problem.dynamics.dt, damping_of(problem.dynamics)
-    integrator = integrator or ("RK4" if damping is None else ROSENBROCK)
+    dt, explicit = problem.dynamics.dt, damping_of(problem.dynamics) is None
+    integrator = integrator or ("RK4" if explicit else ROSENBROCK)
     sampling = sampling if feedback else None
     parts = 1 if sampling is None else sampling.in_stages(dt).denominator  # steps per stage are a multiple
     if substeps is None:
         step = number("the model's timestep", compiled.model.opt.timestep, greater_than=0.0)
-        own = 1 if damping is not None else int(getattr(problem.dynamics, "substeps", 1))
+        own = int(getattr(problem.dynamics, "substeps", 1)) if explicit else 1
         least = max(REFINEMENT, SUBSTEP_REFINEMENT * own)
         substeps = max(least, math.ceil(min(dt / step, 1e12) - 1e-9))
         substeps += -substeps % parts
@@ -180,7 +180,6 @@ def replay_in(
     recorder = ContactRecorder(model, M)
     ctrl = compiled.commands(np.repeat(plan.us, n, axis=0))
 
-    move = implicit_step(model, dt / n, damping, PARTS) if integrator == ROSENBROCK and damping is not None else None
     gains = Gains(plan, twin, model, plan_xs, n, sampling) if feedback else None
 
     def with_gains(i: int, w: np.ndarray) -> np.ndarray:
@@ -191,7 +190,7 @@ def replay_in(
     with curves_acting(twin, model):
         w, warnings = simulate(
             model, start, ctrl, control=with_gains if gains else None, held=gains.held if gains else 1,
-            recorder=recorder, every=n, step=move,
+            recorder=recorder, every=n, step=step_of(plan, model, integrator),
         )  # fmt: skip
     t = model.opt.timestep * np.arange(M + 1)
     qpos, qvel, act = np.split(w, [model.nq, model.nq + model.nv], axis=1)
@@ -203,6 +202,13 @@ def replay_in(
         reached=(*ranges_reached(model, t, w, ctrl, stopped_dofs(plan)), *([surprise] if surprise else [])),
         contacts=recorder.history(t), sampling=sampling, contact_extremes=recorder.contact_extremes,
     )  # fmt: skip
+
+
+def step_of(plan: Plan, model: Any, integrator: str) -> Step | None:
+    """A step of a model by the Rosenbrock method, for a plan with implicit damping; None for MuJoCo's own methods."""
+    damping = damping_of(problem_of(plan).dynamics)
+    implicit = integrator == ROSENBROCK and damping is not None
+    return implicit_step(model, model.opt.timestep, damping, PARTS) if implicit else None
 
 
 def problem_of(plan: Plan) -> Problem:
