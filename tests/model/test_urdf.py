@@ -130,6 +130,7 @@ def test_mimic_joints_become_equalities_without_motors():
     right, left = model.joint("right").id, model.joint("left").id
     assert (model.eq_obj1id[0], model.eq_obj2id[0]) == (right, left)
     np.testing.assert_array_equal(model.eq_data[0, :5], [0.1, -2, 0, 0, 0])  # right = 0.1 - 2 left
+    assert model.eq_solref[0, 0] < 1e-3  # s: rigid; MuJoCo's default gives way with 0.02 s
 
 
 def test_planar_spherical_and_inner_floating_joints():
