@@ -1,6 +1,6 @@
 """Try `planner run` on machines by others, each with a problem file of four lines, and print what came of it.
 
-    python benchmarks/robots.py --packages SITE_PACKAGES [--only TEXT] [--limit 5] [--json FILE] [--markdown]
+    python benchmarks/robots.py --packages SITE_PACKAGES [--goals moderate] [--seed 3] [--only TEXT] [--json FILE]
 
 The machines are files of pip packages that SITE_PACKAGES holds (robots_table.MACHINES); nothing of them is kept here,
 and a package that is not there is left out. The problem files follow one rule (robots_problems). Every machine has a
@@ -29,12 +29,13 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[1]
 sys.path[:0] = [str(ROOT), str(ROOT / "benchmarks")]
 
-from robots_problems import problem_text  # noqa: E402 (beside this file)
+from robots_problems import SHARE, Goals, problem_text  # noqa: E402 (beside this file)
 from robots_table import KINDS, MACHINES, Machine  # noqa: E402
 
 LIMIT = 120.0  # s for a machine
 PHYSICAL = (  # words of the reasons that lie in a machine or its file, and not in the planner
     "contradicts itself", "No plan stays at the goal", "does not balance by itself", "No duration lets the actuators",
+    "overlap or lie flush at the start", "overlap by",
 )  # fmt: skip
 VERDICT = re.compile(r"^(PASS|FAIL)\b")
 CHILD = """
@@ -71,12 +72,12 @@ class Row:
         return self.verdict != "PASS" and any(words in f"{self.message} {self.cure}" for words in PHYSICAL)
 
 
-def tried(machine: Machine, packages: Path, limit: float = LIMIT) -> Row:
+def tried(machine: Machine, packages: Path, limit: float = LIMIT, goals: Goals | None = None) -> Row:
     """Write the machine's problem file and run it."""
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         try:
-            text = problem_text(packages / machine.path, machine.kind, folder)
+            text = problem_text(packages / machine.path, machine.kind, folder, goals)
         except Exception as error:  # a file that MuJoCo cannot read is a row, too
             return Row(*_words(machine), None, "no problem", _line(str(error)))
         (folder / "problem.toml").write_text(text)
@@ -195,6 +196,8 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--packages", type=Path, default=Path(sysconfig.get_paths()["purelib"]),
                         help="site-packages folder with the packages (default: this interpreter's)")  # fmt: skip
     parser.add_argument("--only", default="", help="machines whose package, kind or path has this text")
+    parser.add_argument("--goals", default="small", choices=list(SHARE), help="how far they are (default small)")
+    parser.add_argument("--seed", type=int, help="draws the goals of a third of the machines anew")
     parser.add_argument("--limit", type=int, default=len(MACHINES), help="at most so many machines")
     parser.add_argument("--seconds", type=float, default=LIMIT, help=f"for each machine (default {LIMIT:g})")
     parser.add_argument("--json", type=Path, help="also write the rows into a file")
@@ -205,7 +208,8 @@ def main(arguments: list[str] | None = None) -> int:
     print(f"{len(present)} of {len(asked)} machines are in {given.packages}", flush=True)
     rows: list[Row] = []
     for machine in present[: given.limit]:
-        rows.append(tried(machine, given.packages, given.seconds))
+        goals = Goals.of(given.goals, given.seed, machine.path)
+        rows.append(tried(machine, given.packages, given.seconds, goals))
         print("  ".join(_cells(rows[-1], 300)), flush=True)
         if given.json:
             given.json.write_text(json.dumps([asdict(row) for row in rows], indent=1))

@@ -6,8 +6,10 @@
     start     the first keyframe, else the pose of the file; put within the ranges where it is outside, and joints that
               their motors cannot hold there go to the nearest angle at which they can; legs that topple there with
               stiff joints lean at the ankles, as little as makes them stand
-    goal      the start with the driven joints moved, to the side of more room: by 15 % of the range for arms and hands,
-              3 % for machines with legs, 0.5 rad where there is no range; the cart of an underactuated machine by 0.5 m
+    goal      the start with the driven joints moved, to the side of more room, 0.5 rad where there is no range; the cart
+              of an underactuated machine by 0.5 m. Small goals: by 15 % of the range for arms and hands, 3 % for
+              machines with legs; moderate: 40 %, at most 0.5 rad, and 8 %; large: 60 % and 15 %. With a seed a third of
+              the machines have other goals: each joint anywhere between that far to one side and to the other
     duration  1.5 s for arms, 2 s for underactuated machines, 1 s for the others
 
 Joints that equalities tie to others go where those take them; joints that nothing drives end where they began. A joint
@@ -25,6 +27,7 @@ import copy
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Callable
 from pathlib import Path
+from typing import NamedTuple
 
 import mujoco
 import numpy as np
@@ -32,7 +35,14 @@ import numpy as np
 from planner.model.urdf.read import opened_model
 
 DURATION = {"arm": 1.5, "hand": 1.0, "legged": 1.0, "underactuated": 2.0}
-SHARE = {"arm": 0.15, "hand": 0.15, "legged": 0.03}  # of a range
+SHARE = {  # of a range, by the size of the goals
+    "small": {"arm": 0.15, "hand": 0.15, "legged": 0.03},
+    "moderate": {"arm": 0.4, "hand": 0.4, "legged": 0.08},
+    "large": {"arm": 0.6, "hand": 0.6, "legged": 0.15},
+}
+MODERATE = 0.5  # rad or m, at most
+INSIDE = 0.02  # of a range, that a goal stays away from its ends
+REDRAWN = 1.0 / 3.0  # of the machines, with a seed
 UNLIMITED = 0.5  # rad or m
 HALVINGS, LINE = 3, 11
 TIES = 4  # Newton steps onto equalities
@@ -50,10 +60,40 @@ FULL_TURN = 6.3  # rad: ranges in degrees are wider
 FLOOR = '<geom name="corpus floor" type="plane" size="0 0 0.05" pos="0 0 {:.9g}"/>'
 
 
-def problem_text(file: Path, kind: str, folder: Path) -> str:
+class Goals(NamedTuple):
+    """How far joints are to go."""
+
+    size: str = "small"  # one of SHARE
+    rng: np.random.Generator | None = None  # draws each way between that far to one side and to the other
+
+    @classmethod
+    def of(cls, size: str, seed: int | None, name: str) -> Goals:
+        """Those of a machine: with a seed, a third of all names are drawn."""
+        rng = None if seed is None else np.random.default_rng([seed, *name.encode()])
+        return cls(size, rng if rng is not None and rng.random() < REDRAWN else None)
+
+    def way(self, value: float, limits: np.ndarray | None, kind: str) -> float:
+        """How far a joint is to move from a value."""
+        if kind == "underactuated" or limits is None:
+            far = UNLIMITED
+        else:
+            most = MODERATE if self.size == "moderate" else np.inf
+            far = min(SHARE[self.size][kind] * np.ptp(limits), most)
+        to_other_side = limits is not None and value - limits[0] > limits[1] - value
+        far = far * (-1.0 if to_other_side else 1.0)
+        if self.rng is not None:
+            far *= self.rng.uniform(-1.0, 1.0)
+        if limits is None or self == Goals():
+            return float(far)
+        inner = limits + INSIDE * np.ptp(limits) * np.array([1.0, -1.0])
+        return float(np.clip(value + far, min(inner[0], value), max(inner[1], value)) - value)
+
+
+def problem_text(file: Path, kind: str, folder: Path, goals: Goals | None = None) -> str:
     """The text of a problem.toml for a machine's file; a scene with a floor is written into the folder."""
+    goals = goals or Goals()
     if file.suffix == ".urdf":
-        start, goal = _of_urdf(file, kind)
+        start, goal = _of_urdf(file, kind, goals)
     else:
         model = mujoco.MjModel.from_xml_path(str(file))
         if _written_in_radians(file):
@@ -62,11 +102,11 @@ def problem_text(file: Path, kind: str, folder: Path) -> str:
         if kind == "legged" and not _has_floor(model):
             file = _with_floor(file, folder)
             model = mujoco.MjModel.from_xml_path(str(file))
-        start, goal = _of_model(model, kind)
+        start, goal = _of_model(model, kind, goals)
     return f'model = "{file}"\nstart = {start}\ngoal = {goal}\nduration = {DURATION[kind]}\n'
 
 
-def _of_model(model: mujoco.MjModel, kind: str) -> tuple[str, str]:
+def _of_model(model: mujoco.MjModel, kind: str, goals: Goals) -> tuple[str, str]:
     """Start and goal as TOML values, of a compiled model."""
     first = model.key(0).name if model.nkey else ""
     start = model.key_qpos[0].copy() if model.nkey else model.qpos0.copy()
@@ -83,7 +123,7 @@ def _of_model(model: mujoco.MjModel, kind: str) -> tuple[str, str]:
     for i, j in place.items():
         limits = model.jnt_range[j] if model.jnt_limited[j] else None
         if driven[model.jnt_dofadr[j]] and not (kind == "legged" and _leans(model, j, start, limits)):
-            way[i] = _way(start[i], limits, kind)
+            way[i] = goals.way(start[i], limits, kind)
             way[i] *= _share_within(model, start, np.where(np.arange(model.nq) == i, way, 0.0), driven)
     way = _held_way(model, start, way, driven, place, DURATION[kind]) if held else way
     for _ in range(HALVINGS):
@@ -280,7 +320,7 @@ def _meets(model: mujoco.MjModel, start: np.ndarray, way: np.ndarray, driven: np
     return False
 
 
-def _of_urdf(file: Path, kind: str) -> tuple[str, str]:
+def _of_urdf(file: Path, kind: str, given: Goals) -> tuple[str, str]:
     """The same, of the joints that a URDF gives an effort."""
     starts, ways = {}, {}
     for joint in ElementTree.parse(file).getroot().findall("joint"):
@@ -291,7 +331,7 @@ def _of_urdf(file: Path, kind: str) -> tuple[str, str]:
         lower, upper = (float(limit.get(side, 0.0)) for side in ("lower", "upper"))
         limits = None if joint.get("type") == "continuous" or lower >= upper else np.array([lower, upper])
         starts[joint.get("name")] = 0.0 if limits is None else float(np.clip(0.0, *limits))
-        ways[joint.get("name")] = _way(starts[joint.get("name")], limits, kind)
+        ways[joint.get("name")] = given.way(starts[joint.get("name")], limits, kind)
     share = _share_without_touch(file, starts, ways)
     goals = {name: value + share * ways[name] for name, value in starts.items()}
     texts = [", ".join(f'"{name}" = {value:.9g}' for name, value in one.items()) for one in (starts, goals)]
@@ -311,12 +351,6 @@ def _share_without_touch(file: Path, starts: dict[str, float], ways: dict[str, f
         if not _meets(model, start, 0.5**halvings * way, driven):
             return 0.5**halvings
     return 0.5**HALVINGS
-
-
-def _way(value: float, limits: np.ndarray | None, kind: str) -> float:
-    """How far a joint is to move."""
-    way = UNLIMITED if kind == "underactuated" or limits is None else SHARE[kind] * (limits[1] - limits[0])
-    return -way if limits is not None and value - limits[0] > limits[1] - value else way
 
 
 def _driven(model: mujoco.MjModel, qpos: np.ndarray) -> np.ndarray:
