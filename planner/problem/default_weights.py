@@ -20,9 +20,11 @@ Every weight makes its term dimensionless and about 1:
                     effort is at least that at which the gains of the position weight are GAIN_SHARE of the stiffness
                     of its contacts: a foot that lands early or late meets gains that its ground bears
 
-The effort of machines that stand or fly is relative to the static control at the goal. That of servos, whose control is
-a position or a velocity, is relative to the controls of a minimum-jerk motion (servo_reference): what costs is the
-force that a servo exerts beyond it, not the position that it is told. Velocities refer to that motion too.
+Velocities refer to a minimum-jerk motion where every joint has an actuator: relative to rest, a joint with much damping
+and little inertia would move at constant velocity, and start and stop within a stage. The effort of machines that stand
+or fly is relative to the static control at the goal. That of servos, whose control is a position or a velocity, is
+relative to the controls of that motion (servo_reference): what costs is the force that a servo exerts beyond it, not
+the position that it is told.
 """
 
 from __future__ import annotations
@@ -134,7 +136,8 @@ def default_weights(
                   stands else "") + (f", at least that of gains of {GAIN_SHARE:.2g} of the contacts' stiffness" if
                   steps else ""),
         "velocity": (f"{VELOCITY_SHARE:g}, beside the objective, of " if named else "")
-                    + "1 / v^2 of each joint, v = 2 displacement / duration" if np.any(velocity) else
+                    + "1 / v^2 of each joint from a minimum-jerk motion, v = 2 displacement / duration" if
+                    np.any(velocity) else
                     "none: not every joint has an actuator, and a swing must be free",
         "position": f"1 / ({STANCE_TOLERANCES:g} tolerances)^2 from the straight line: the machine stands"
                     if stands else "none on the way",
@@ -183,7 +186,8 @@ def weighed(
 ) -> TrackingCost:  # fmt: skip
     """The cost from x0 (nx,) to a goal (nx,), with weights by the arguments of TrackingCost.joints, hold and rest.
 
-    The running weights refer to straight_reference if `straight`, else to the goal.
+    The running weights refer to straight_reference if `straight`, and of machines whose joints all have actuators, or
+    that have servos; of others to the goal.
 
     Raises:
         PlannerError: As TrackingCost.joints and terminal_holding_cost.
@@ -192,10 +196,11 @@ def weighed(
     hold, rest = chosen.pop("hold", 0.0), chosen.pop("rest", 0.0)
     if straight:
         chosen.setdefault("reference", straight_reference(dynamics, x0, goal, horizon))
-    elif servos_of(dynamics).any() and "control" not in chosen:
+    elif fully_actuated(dynamics) or servos_of(dynamics).any():
         reference = straight_reference(dynamics, x0, goal, horizon, moving_share=1.0)
-        chosen |= {"control": servo_reference(dynamics, reference)}
         chosen.setdefault("reference", reference)
+        if servos_of(dynamics).any():
+            chosen.setdefault("control", servo_reference(dynamics, reference))
     return staying_cost(dynamics, TrackingCost.joints(dynamics, goal, horizon, **chosen), hold, rest)
 
 

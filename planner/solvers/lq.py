@@ -28,6 +28,10 @@ from planner.problem.state_bounds import BoundPenalties, StateBounds, sides_of
 MAX_NEWTON_STEPS = 100  # of one box QP
 MIN_STEP = 1e-10  # of its line search: smaller steps only change rounding errors
 ARMIJO_C1 = 0.1  # of its line search (N&W 3.1)
+MAX_GRADIENT = 1e12
+"""Norm of Eq. 19 above which rounding hides the slope g'du of bounded directions. Its open-loop costates grow along
+motions that only feedback makes stable. The change of the convex model stands for the slope, which is below it.
+"""
 
 
 class Sweep(NamedTuple):
@@ -177,7 +181,8 @@ def riccati(
     if bounds is None or defects is not None:
         return Sweep(K, k, P, s, slope, 0.5 * slope if bounds is None else value)
     _, dus = direction(A, B, Sweep(K, k, P, s, slope, value), bounds)
-    slope = float(np.sum(gradient(A, B, quadratic) * dus))
+    g = gradient(A, B, quadratic)
+    slope = float(np.sum(g * dus)) if np.linalg.norm(g) < MAX_GRADIENT else value
     return Sweep(K, k, P, s, slope, value, active, by_controls if active_bounds is not None else ())
 
 

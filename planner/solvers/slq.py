@@ -358,8 +358,11 @@ def _inner_solve(
         unregularized_sweep(engine, options)
         engine.holds_bounds = False
     K = engine.gains()
-    if status is not Status.INTERRUPTED and not (math.isfinite(gradient_norm) and np.isfinite(K).all()):
-        status = Status.NOT_FINITE  # stages so unstable that costates overflow
+    # Open-loop costates overflow where stages are too long for the machine, and in long motions that only feedback
+    # makes stable: there the LQ problem says whether the plan is stationary.
+    overflows = not math.isfinite(gradient_norm) and bool(stage_too_long(problem))
+    if status is not Status.INTERRUPTED and (overflows or not np.isfinite(K).all()):
+        status = Status.NOT_FINITE
     release_engine(problem, engine, rule)
     return _plan(problem, xs, us, K, cost, gradient_norm, status, history)
 

@@ -130,3 +130,21 @@ def test_a_solve_whose_gradient_overflows_is_not_finite():
     rate = fastest_mode(m, [still.x0, m.home]).rate
     expected = f'expected integrator="rk4", substeps={substeps_of(FastestMode(rate, ""), still.dynamics.dt)}.'
     assert plan.options["not_finite"] == f"cart has a rate of {rate:.4g} per s and a step takes 0.02 s, {expected}"
+
+
+ROD = """<mujoco><worldbody><body><joint name="hinge" axis="0 1 0"/>
+  <inertial mass="1" pos="0 0 0.3" diaginertia="0.01 0.01 0.01"/></body></worldbody>
+  <actuator><motor joint="hinge"/></actuator></mujoco>"""
+
+
+@pytest.mark.parametrize("limits", [None, Limits(control=20.0)], ids=["free", "bounded"])
+def test_a_long_motion_that_only_feedback_makes_stable_converges(limits):
+    """The rod's errors grow by 5.4 per s: open-loop costates (Eq. 19) overflow over 200 s, the LQ problem's do not."""
+    dynamics, N = RigidBodyDynamics(Mechanism.from_mjcf(ROD), 0.02), 10_000
+    goal = np.array([0.3, 0.0])
+    cost = TrackingCost.joints(dynamics, goal, N, effort=0.1, position=1.0, final_position=1e4, final_velocity=1e4)
+    plan = planner.solve(Problem(dynamics, cost, np.zeros(2), limits=limits))
+    assert plan.status is Status.CONVERGED
+    assert not np.isfinite(plan.gradient_norm)
+    assert np.isfinite(plan.K).all()
+    np.testing.assert_allclose(plan.xs[-1], goal, atol=1e-3)

@@ -131,7 +131,8 @@ WEIGHTS = {
     "final_position": "on the squared distance from the goal / 2 at the end; by default 4 / tolerance^2",
     "final_velocity": "on the squared velocity error / 2 at the end; by default 10 / tolerance^2",
     "position": "on the squared distance from the goal / 2 on the way, per second; by default 0",
-    "velocity": "on the squared velocity error / 2 on the way, per second; by default (duration / 2 way)^2",
+    "velocity": "on the squared distance / 2 from the velocity of a smooth motion to the goal, per second; by default "
+    "(duration / 2 way)^2",
     "hold": "s: what it costs to stay at the goal as long is added at the end; by default 1 for machines that stand on "
     "the ground, in place of final weights, else 0",
     "rest": "share of the duration, at the end, in which the machine is to be at its goal, before which positions have "

@@ -23,6 +23,7 @@ from planner.problem.problem import Problem
 from planner.problem.state_bounds import BoundPenalties
 from planner.solvers.engine.protocol import MAX_SETS, ActiveSetSchedule, DefectStep, Direction, Engine, state_weights
 from planner.solvers.engine.tracked_trajectory import TrackedTrajectory, TrajectoryArrays
+from planner.solvers.lq import MAX_GRADIENT
 
 _EXACT = W.exact
 # Arrays of a Workspace that solves do not write; step bounds of servos are computed before each sweep.
@@ -194,7 +195,12 @@ class CompiledEngine(Engine):
         norm, value, definite = self._riccati(w.table, mu, dt, *([False] if bounded else []))
         if not bounded:
             return Direction(norm, value, 0.5 * value, definite)
-        return Direction(norm, bounded_direction(w.table, dt) if definite else 0.0, value, definite)
+        return Direction(norm, self._bounded_slope(norm, value) if definite else 0.0, value, definite)
+
+    def _bounded_slope(self, gradient_norm: float, value: float) -> float:
+        """The slope of J along the clipped direction, or the model's change where rounding hides it."""
+        slope = bounded_direction(self._w.table, self._dynamics.dt)
+        return slope if gradient_norm < MAX_GRADIENT else value
 
     def _active_set_direction(self, mu: float) -> Direction | None:
         """The direction with the converged active set of bounds and penalties; None if it does not converge."""
@@ -209,7 +215,7 @@ class CompiledEngine(Engine):
             changes, more_cost, more_slope = update_active_set(w.table, dt, False)
             if changes == 0:
                 self._schedule.record_convergence()
-                slope = bounded_direction(w.table, dt) if bounded else value
+                slope = self._bounded_slope(gradient_norm, value) if bounded else value
                 change = (value if bounded else 0.5 * value) + more_cost
                 return Direction(gradient_norm, slope + more_slope, change, True)
         self._schedule.record_cycle()
