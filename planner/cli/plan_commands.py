@@ -29,12 +29,15 @@ def render_plan(arguments: argparse.Namespace, console: Console) -> int:
     out = Path(arguments.out)
     if out.suffix not in (".mp4", ".png"):
         raise PlannerError(f"cannot render to {out}: expected a name ending in .mp4 or .png.")
+    if arguments.transparent and out.suffix != ".png":
+        raise PlannerError(f"--transparent is for pictures, not for {out}: expected a name ending in .png.")
     plan = load_allowed(arguments.plan, arguments)
     looks = checked_looks(arguments, plan.twin, film=out.suffix == ".mp4")
     require_backend()
     shown = prove(plan, rollouts=0) if arguments.replay_rollout is None else rollout_of(plan, arguments)
     if out.suffix == ".png":
-        render_strip(shown.replay if isinstance(shown, Proof) else shown, out, **looks)
+        shown = shown.replay if isinstance(shown, Proof) else shown
+        render_strip(shown, out, transparent=arguments.transparent, **looks)
     else:
         progress = console.progress("video")
         render_video(shown, out, fps=arguments.fps, speed=arguments.speed, progress=progress, **looks)
