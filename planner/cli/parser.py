@@ -139,7 +139,10 @@ def _prove(parser: argparse.ArgumentParser) -> None:
     add(
         parser,
         {"plan": {"metavar": "PLAN", "nargs": "?", "help": "A plan.npz; leave it out with --controls."},
-         "--controls": value_flag("FILE", "Instead of a plan: a CSV of times and controls, or of joint positions."),
+         "--controls": value_flag("FILE", "Instead of a plan: a CSV of times and controls, or of joint positions; or "
+                                          "joint positions of a ROS bag or a LeRobot data set."),
+         "--part": value_flag("PART", "With --controls, topic of a bag or episode of a data set; where several are."),
+         "--degrees": boolean_flag("With --controls, the file has degrees."),
          "--model": value_flag("FILE", "Replay in this MJCF or URDF, not in the plan's own; with --controls, the model "
                                        "of the controls."),
          "--start": value_flag("STATE", "With --controls, the start: a keyframe, numbers 0,1.57 or joints elbow=0.3."),
