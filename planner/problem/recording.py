@@ -116,9 +116,9 @@ def _read_bag(path: Path, what: str, part: Any) -> Recording:
 
 def _read_episode(path: Path, what: str, part: Any) -> Recording:
     """The states of an episode of a LeRobot data set; its meta/info.json has their names."""
-    parquet = _optional("pyarrow.parquet", "lerobot")
+    parquet, content = _optional("pyarrow.parquet", "lerobot"), read_input(path, what)
     try:
-        table = parquet.read_table(io.BytesIO(read_input(path, what)))
+        table = parquet.read_table(io.BytesIO(content))
         columns = {name: table[name].to_pylist() for name in (_STATE, _EPISODE, _TIMESTAMP)}
     except (ValueError, KeyError, OSError) as error:
         raise FileError(
@@ -131,8 +131,9 @@ def _read_episode(path: Path, what: str, part: Any) -> Recording:
     info = next((file for one in path.absolute().parents if (file := one / "meta" / "info.json").is_file()), None)
     if info is None:
         raise FileError(f"{what} {printable(path)} has no meta/info.json in a folder above it, expected the data set.")
+    facts = read_text(info, "the data set")
     try:
-        names = json.loads(read_text(info, "the data set"))["features"][_STATE]["names"]
+        names = json.loads(facts)["features"][_STATE]["names"]
         names = next(iter(names.values())) if isinstance(names, dict) else names
         names = [name.removesuffix(_POSITION) for name in names]
     except (ValueError, KeyError, TypeError, AttributeError, StopIteration):
