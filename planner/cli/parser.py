@@ -171,6 +171,8 @@ def _view(parser: argparse.ArgumentParser) -> None:
         parser,
         {"plan": {"metavar": "PLAN", "help": "A plan.npz, or a folder of planner run."},
          "--rollouts": value_flag("N", "Number of perturbed simulations that key 7 shows.", 8, whole),
+         "--browser": boolean_flag("Play it in a browser instead, drag the goal there and plan again."),
+         "--port": value_flag("N", "With --browser, port of this machine.", 8080, whole),
          "--speed": value_flag("X", "Playback speed, e.g. 0.25. Default: the case's.", kind=number)}, IMPORTS, COMMON,
     )  # fmt: skip
 
@@ -250,7 +252,7 @@ _COMMANDS: dict[str, tuple[str, Callable[[argparse.ArgumentParser], None]]] = {
     "sweep": ("Plan a case or a problem file at many parameters, into one table.", _with_cases(_SWEEP, WORKERS)),
     "prove": ("Replay a stored plan, or controls of your own, in MuJoCo and judge them.", _prove),
     "render": ("Film the replay of a stored plan.", _render),
-    "view": ("Look at a stored plan in MuJoCo's viewer.", _view),
+    "view": ("Look at a stored plan in MuJoCo's viewer or in a browser.", _view),
     "report": ("Prove a stored plan again and write report.html with all its pictures.", _report),
     "export": ("Write a stored plan for other programs.", _export),
     "check": ("Prove stored plans again and compare with the numbers stored beside them.", _check),
