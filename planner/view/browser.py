@@ -21,7 +21,7 @@ from planner.view.render.camera import directions, whole_motion
 from planner.view.render.environment import visible_model
 from planner.view.render.film import Film
 from planner.view.render.ghost import ghost_paint
-from planner.view.replanner import Replanner, Outcome
+from planner.view.replanner import Outcome, Replanner
 from planner.view.report.view_3d import body_poses, drawn_shapes, mesh_of, place_in_world
 from planner.view.viewer import Player
 

@@ -14,7 +14,7 @@ import planner
 from planner.base.gl import load_mujoco
 from planner.proof.replays.compiled_twin import CompiledTwin
 from planner.proof.replays.replaying import replay_in
-from planner.view.replanner import Replanner, Outcome
+from planner.view.replanner import Outcome, Replanner
 
 ARM = """<mujoco model="arm"><option timestep="0.002"/><worldbody>
   <geom name="stone" type="sphere" pos="0 1 0.1" size="0.1" contype="0" conaffinity="0"/>
