@@ -14,7 +14,8 @@ import planner
 from planner.base.gl import load_mujoco
 from planner.proof.replays.compiled_twin import CompiledTwin
 from planner.proof.replays.replaying import replay_in
-from planner.view.replanner import Outcome, Replanner
+from planner.view.browser import Replanner, Stage, _paths, browse
+from planner.view.render.film import Film
 
 ARM = """<mujoco model="arm"><option timestep="0.002"/><worldbody>
   <geom name="stone" type="sphere" pos="0 1 0.1" size="0.1" contype="0" conaffinity="0"/>
@@ -59,22 +60,19 @@ def test_a_moved_goal_is_planned_for_and_proved(plan):
     assert replanner.goals == {PLACE: [0.4, 0.0, 0.4]}
     worker = threading.Thread(target=replanner.work, daemon=True)
     worker.start()
-    until(lambda: replanner.shown.proof is not None)
-    assert replanner.shown.plan is plan  # it was proved first
+    assert replanner.replay.plan is plan
+    until(lambda: "PASS" in replanner.words)  # it is proved first
     replanner.move(PLACE, [0.3, 0.0, 0.5])
     replanner.move(PLACE, [0.5, 0.0, 0.3])  # the newest counts
-    until(lambda: replanner.shown.plan is not plan and replanner.shown.proof is not None)
-    shown = replanner.shown
-    np.testing.assert_allclose(hand(shown.plan), [0.5, 0.0, 0.3], atol=5e-3)  # its tolerance
-    assert shown.proof.passed
-    assert "PASS" in str(shown)
-    assert "Planned in" in str(shown)
+    until(lambda: replanner.replay.plan is not plan and "PASS" in replanner.words)
+    moved = replanner.replay.plan
+    np.testing.assert_allclose(hand(moved), [0.5, 0.0, 0.3], atol=5e-3)  # its tolerance
+    assert "Planned in" in replanner.words
     replanner.move(PLACE, [float("nan")] * 3)  # what building the problem refuses
-    until(lambda: replanner.shown.refusal)
-    assert "position" in str(replanner.shown)
-    assert replanner.shown.plan is shown.plan  # which is shown on
+    until(lambda: "position" in replanner.words)
+    assert replanner.replay.plan is moved  # which is shown on
     replanner.move(PLACE, [0.5, 0.0, 0.3])
-    until(lambda: not replanner.shown.refusal)
+    until(lambda: "PASS" in replanner.words)
     replanner.end()
     worker.join(10.0)
     assert not worker.is_alive()
@@ -84,11 +82,10 @@ def test_goals_of_joints_are_numbers_and_a_plan_without_a_goal_has_none():
     replanner = Replanner(solved(goals=planner.Goal(joints={"elbow": 1.0})))
     assert replanner.goals == {"goal 1: elbow": 1.0}
     replanner.move("goal 1: elbow", 1.2)
-    replanner._step()
-    assert abs(replanner.shown.plan.xs[-1, 1] - 1.2) < 0.02
-    assert Replanner(SimpleNamespace(parameters={"goal": {"elbow": 1.0, "root": [0, 0, 1]}})).goals == {"elbow": 1.0}
-    assert Replanner(SimpleNamespace(parameters={"goal": "home"})).goals == {}
-    assert Replanner(SimpleNamespace(parameters={"duration": 1.0})).goals == {}
+    replanner.step()
+    assert abs(replanner.replay.plan.xs[-1, 1] - 1.2) < 0.02
+    assert _paths({"elbow": 1.0, "root": [0, 0, 1]}) == {"elbow": ("elbow",)}
+    assert _paths("home") == _paths(None) == {}
 
 
 class Recorded:
@@ -108,16 +105,14 @@ class Recorded:
 def test_shapes_are_where_mujoco_has_them(plan):
     """The box's corners and the stone, posed by the frames of their bodies."""
     pytest.importorskip("trimesh")
-    from planner.view.browser import Stage
-    from planner.view.render.film import Film
-
     mujoco, scene = load_mujoco(), Recorded()
     film = Film.of(replay_in(CompiledTwin(plan.twin), plan, feedback=True), plan.t)
     stage = Stage(scene, film)
-    stage.pose(stage.motion(Outcome(plan)), 1.0)
+    stage.set_motion(film)
+    stage.pose(1.0)
     model = mujoco.MjModel.from_xml_string(ARM)
     data = mujoco.MjData(model)
-    data.qpos[:] = plan.xs[-1, :2]
+    data.qpos[:] = film.qpos[-1]
     mujoco.mj_kinematics(model, data)
     fore = scene.nodes["/machine/2"]
     np.testing.assert_allclose(fore.position, data.body("fore").xpos, atol=1e-9)
@@ -134,8 +129,6 @@ def test_shapes_are_where_mujoco_has_them(plan):
 
 def test_the_page_is_served_to_this_machine_and_ends(plan, capsys):
     pytest.importorskip("viser")
-    from planner.view.browser import browse
-
     pages, times = [], []
 
     def each(player, replanner):
