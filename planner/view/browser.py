@@ -8,9 +8,7 @@ import threading
 import time
 from collections.abc import Callable
 from contextlib import redirect_stdout
-from functools import reduce
 from importlib import import_module
-from operator import getitem
 from typing import Any
 
 import numpy as np
@@ -47,16 +45,17 @@ class Replanner:
     def __init__(self, plan: Plan) -> None:
         """Take a plan, whose problem has a twin; without a `goal` in its recipe nothing can be changed."""
         self._plan, self._took, self._ended = plan, "", False
-        self._goal = plan.parameters.get("goal")
-        self._paths = _paths(self._goal)
-        self.goals: dict[str, Any] = {name: reduce(getitem, path, self._goal) for name, path in self._paths.items()}
+        self._goal = copy.deepcopy(plan.parameters.get("goal"))
+        self._slots = _slots(self._goal)
+        self.goals: dict[str, Any] = {name: table[key] for name, (table, key) in self._slots.items()}
         self._changed = threading.Event()
         self._changed.set()  # the first plan is to be proved
         self._show()
 
     def move(self, name: str, value: Any) -> None:
         """Ask for another value of a goal; takes no time."""
-        self.goals[name] = value
+        table, key = self._slots[name]
+        self.goals[name] = table[key] = value
         self._changed.set()
 
     def work(self) -> None:
@@ -76,8 +75,6 @@ class Replanner:
     def step(self) -> None:
         """Plan for the goals as they are now, unless the plan is, then prove it."""
         began, goal = time.monotonic(), copy.deepcopy(self._goal)
-        for name, (*path, last) in self._paths.items():
-            reduce(getitem, path, goal)[last] = self.goals[name]
         if goal != self._plan.parameters.get("goal"):
             assert self._plan.recipe is not None
             plan = solve(self._plan.recipe.rebuilt(goal=goal), warm_start=self._plan)
@@ -96,18 +93,16 @@ class Replanner:
         self.words = f"{self._plan.status.name}, not proved yet.{self._took}"
 
 
-def _paths(goal: Any) -> dict[str, tuple[Any, ...]]:
-    """Where the places and joints of a `goal` are in it, by name: a table of joints, or a list of [[goal]]."""
+def _slots(goal: Any, prefix: str = "") -> dict[str, tuple[dict[str, Any], str]]:
+    """Tables and keys of the places and joints in a `goal`, by name: a table of joints, or a list of [[goal]]."""
     if isinstance(goal, dict):
-        return {joint: (joint,) for joint, value in goal.items() if isinstance(value, (int, float))}
+        return {prefix + joint: (goal, joint) for joint, value in goal.items() if isinstance(value, (int, float))}
     found = {}
-    for i, one in enumerate(goal if isinstance(goal, list) else ()):
+    for i, one in enumerate(goal if isinstance(goal, list) else (), 1):
         if isinstance(one, dict) and "position" in one:
-            found[f"goal {i + 1}: {one['frame']}"] = (i, "position")
+            found[f"goal {i}: {one['frame']}"] = (one, "position")
         elif isinstance(one, dict):
-            found |= {
-                f"goal {i + 1}: {joint}": (i, "joints", *path) for joint, path in _paths(one.get("joints")).items()
-            }
+            found |= _slots(one.get("joints"), f"goal {i}: ")
     return found
 
 
@@ -123,19 +118,16 @@ class Stage:
         shapes, paint = drawn_shapes(model, data), ghost_paint(film.appearance)
         self._bodies = sorted({int(body) for body, *_ in shapes if model.body_weldid[body]})
         self.ghost = scene.add_frame("/ghost", show_axes=False)
-        self._frames = [
-            [scene.add_frame(f"/{part}/{body}", show_axes=False) for body in self._bodies]
-            for part in ("machine", "ghost")
-        ]
+        self._frames = [[scene.add_frame(f"/{part}/{body}", show_axes=False) for body in self._bodies]
+                        for part in ("machine", "ghost")]  # fmt: skip
         for i, (body, kind, size, place, colour, mesh) in enumerate(shapes):
             if kind == "plane":
                 scene.add_grid(f"/floor/{i}", infinite_grid=True, position=(0.0, 0.0, place[2]))
                 continue
             at = place if body in self._bodies else place_in_world(data.xpos[body], data.xquat[body], place)
             vertices, faces = _shape(model, kind, size, mesh)
-            for part, rgba in (
-                {"machine": colour, "ghost": paint}.items() if body in self._bodies else [("world", colour)]
-            ):
+            copies = {"machine": colour, "ghost": paint} if body in self._bodies else {"world": colour}
+            for part, rgba in copies.items():
                 scene.add_mesh_simple(
                     f"/{part}/{body}/{i}", vertices, faces, color=tuple(map(float, rgba[:3])), position=at[:3],
                     wxyz=at[3:], opacity=float(rgba[3]) if rgba[3] < 1.0 else None, cast_shadow=part != "ghost",

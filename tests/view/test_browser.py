@@ -14,7 +14,7 @@ import planner
 from planner.base.gl import load_mujoco
 from planner.proof.replays.compiled_twin import CompiledTwin
 from planner.proof.replays.replaying import replay_in
-from planner.view.browser import Replanner, Stage, _paths, browse
+from planner.view.browser import Replanner, Stage, _slots, browse
 from planner.view.render.film import Film
 
 ARM = """<mujoco model="arm"><option timestep="0.002"/><worldbody>
@@ -84,8 +84,8 @@ def test_goals_of_joints_are_numbers_and_a_plan_without_a_goal_has_none():
     replanner.move("goal 1: elbow", 1.2)
     replanner.step()
     assert abs(replanner.replay.plan.xs[-1, 1] - 1.2) < 0.02
-    assert _paths({"elbow": 1.0, "root": [0, 0, 1]}) == {"elbow": ("elbow",)}
-    assert _paths("home") == _paths(None) == {}
+    assert [*_slots({"elbow": 1.0, "root": [0, 0, 1]})] == ["elbow"]
+    assert _slots("home") == _slots(None) == {}
 
 
 class Recorded:
