@@ -38,19 +38,24 @@ def entries() -> list[tuple[str, str, planner.Problem]]:
     return found
 
 
+def entry(title: str, command: str, problem: planner.Problem, pictures: Path) -> str:
+    """Text of an entry, whose picture is drawn into a folder."""
+    plan = planner.solve(problem)
+    proof = planner.prove(plan, rollouts=0)
+    name = command.split("/")[-1].split()[-1].replace(".toml", "").replace("_", "-")
+    name += "-chain" if "closed_chains" in command else ""
+    planner.render_strip(replay(plan), pictures / f"{name}.png", poses=SHOWN, width=SIZE[0], height=SIZE[1])
+    print(title, proof.headline, flush=True)
+    text = f"## {title.capitalize()}\n\n![{title}](figures/gallery/{name}.png)\n\n"
+    return f"{text}`{command}`\n\n{proof.headline}. {plan.N} stages, {plan.nit} iterations.\n"
+
+
 def main(folder: Path) -> None:
     """Write gallery.md into a folder, and its pictures beside it."""
     pictures, page = folder / "figures" / "gallery", [HEAD]
     pictures.mkdir(parents=True, exist_ok=True)
     for title, command, problem in entries():
-        plan = planner.solve(problem)
-        proof = planner.prove(plan, rollouts=0)
-        name = command.split("/")[-1].split()[-1].replace(".toml", "").replace("_", "-")
-        name += "-chain" if "closed_chains" in command else ""
-        planner.render_strip(replay(plan), pictures / f"{name}.png", poses=SHOWN, width=SIZE[0], height=SIZE[1])
-        text = f"## {title.capitalize()}\n\n![{title}](figures/gallery/{name}.png)\n\n"
-        page.append(f"{text}`{command}`\n\n{proof.headline}. {plan.N} stages, {plan.nit} iterations.\n")
-        print(title, proof.headline, flush=True)
+        page.append(entry(title, command, problem, pictures))
     (folder / "gallery.md").write_text("\n".join(page), encoding="utf-8")
 
 

@@ -1,8 +1,10 @@
-"""A plan from a CSV file of controls or of joint positions to track, for a proof.
+"""A plan from a recording of controls or of joint positions to track, for a proof.
 
     time, shoulder, elbow          a header with `time` (s) and the names of actuators, or of joints
-    0.00, 1.2, -0.3                rows at equal times
+    0.00, 1.2, -0.3                rows at equal times (of positions at any)
     0.01, 1.3, -0.2
+
+Instead of a CSV the file may be any that read_recording() knows.
 
 Columns named as actuators are controls, each row held until the next one's time; actuators without a column get zero.
 Columns named as joints (with `position of ` before the name where an actuator is called the same) are positions to be
@@ -13,9 +15,6 @@ the proof says so, and replays the file as it is.
 
 from __future__ import annotations
 
-import csv
-import io
-from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -23,10 +22,11 @@ import numpy as np
 
 from planner.base.arguments import LONGEST_HORIZON
 from planner.base.errors import FileError, ModelError, PlannerError
-from planner.base.files import printable, read_text
+from planner.base.files import printable
 from planner.cases.problem_file.states import state_of
 from planner.dynamics import RigidBodyDynamics
 from planner.dynamics.rollout import feedback_control, rollout, rollout_states
+from planner.model.coordinates import coordinates_of
 from planner.model.mechanism import SCREW, Mechanism
 from planner.model.mjcf.unsupported import KINDS
 from planner.model.urdf.read import read_model
@@ -34,10 +34,12 @@ from planner.problem.costs.tracking import TrackingCost
 from planner.problem.initial_guess import inverse_dynamics_controls
 from planner.problem.plan import Plan, Status
 from planner.problem.problem import Problem
+from planner.problem.recording import TIME, read_recording
+from planner.proof.replays.replaying import Replay
 from planner.solvers import lq
 from planner.solvers.lqr import tracking_gains
 
-TIME, POSITION = "time", "position of "
+POSITION = "position of "
 EVEN = 0.01  # relative, of the spacing of times
 _CONTROL_WEIGHT = 0.01  # of a control of the largest size, where 1 rad and 1 rad/s have the weight 1
 _START_TOLERANCE = 0.01  # rad or m, between a given start and the first row of positions
@@ -45,16 +47,19 @@ _EFFORT = 1e-6  # weight of the given controls: the cost is only shown
 
 
 def plan_of_controls(
-    path: str | Path, model: str | Path, *, start: Any = None, goal: Any = None, tolerance: Any = None
-) -> Plan:
-    """The plan whose controls are in a CSV file, of the machine in an MJCF or URDF file.
+    path: str | Path, model: str | Path, *, start: Any = None, goal: Any = None, tolerance: Any = None,
+    part: str | None = None, degrees: bool = False,
+) -> Plan:  # fmt: skip
+    """The plan whose controls or positions are recorded in a file, of the machine in an MJCF or URDF file.
 
     Args:
-        path: The CSV file.
+        path: The file.
         model: The MJCF or URDF file.
         start: A keyframe, numbers, or positions by joint; by default the model's own, at rest, or the file's first row.
         goal: The same, for the proof to judge the end by; None for none.
         tolerance: How far from the goal passes, as of Problem.
+        part: Topic of a bag, or number of an episode; see read_recording().
+        degrees: Whether the file has degrees.
 
     Returns:
         A plan with the status GIVEN: feasibility can be proved, optimality cannot.
@@ -62,33 +67,36 @@ def plan_of_controls(
     Raises:
         PlannerError: The file or the model cannot be used.
     """
-    header, table = _table(Path(path))
+    header, table = _table(Path(path), part, degrees)
     mechanism = _readable(model)
     if mechanism.nu == 0:
         raise ModelError(f"{model} has no actuators, expected at least one that the file's columns drive.")
-    dt = _spacing(table[:, 0], path)
     actuators, joints = _columns(header[1:], mechanism, path)
+    dt = _spacing(table[:, 0], path, even=not joints)
     dynamics, with_goal = RigidBodyDynamics(mechanism, dt), goal is not None
     x0 = mechanism.home.copy() if start is None else state_of("start", start, mechanism, mechanism.home)
     if joints:
-        xs, us, K = _tracked(dynamics, table[:, 1:], joints, x0 if start is not None else None)
+        reference, xs, us, K = _tracked(dynamics, table, joints, x0 if start is not None else None)
         goal = _last(table[-1, 1:], joints, mechanism) if goal is None else goal
     else:
         us = np.zeros((len(table), mechanism.nu))
         us[:, actuators] = table[:, 1:]
         xs, K = rollout_states(dynamics, x0, us), np.zeros((len(us), mechanism.nu, dynamics.ndx))
+        reference = xs
     if not np.isfinite(xs).all():
         raise PlannerError(f"the controls of {path} lead to infinite states, expected those of this model.")
-    return _planned(dynamics, xs, us, K, goal, tolerance, moving=bool(joints) and not with_goal)
+    return _planned(dynamics, reference, xs, us, K, goal, tolerance, moving=bool(joints) and not with_goal)
 
 
 def _planned(
-    dynamics: RigidBodyDynamics, xs: np.ndarray, us: np.ndarray, K: np.ndarray, goal: Any, tolerance: Any, moving: bool
-) -> Plan:
+    dynamics: RigidBodyDynamics, reference: np.ndarray, xs: np.ndarray, us: np.ndarray, K: np.ndarray, goal: Any,
+    tolerance: Any, moving: bool,
+) -> Plan:  # fmt: skip
+    """The plan; its cost refers to the recorded states (N+1, nx), which weigh nothing but at a goal."""
     mechanism, N = dynamics.mechanism, len(us)
     Q = np.zeros((N + 1, dynamics.ndx, dynamics.ndx))
     R = np.tile(_EFFORT * dynamics.dt * np.eye(dynamics.nu), (N, 1, 1))
-    x_ref = xs.copy()
+    x_ref = reference.copy()
     if goal is not None:
         at_rest = xs[-1].copy()
         at_rest[mechanism.nq :] = 0.0
@@ -116,36 +124,29 @@ def _readable(model: str | Path) -> Mechanism:
         return read_model(model, ignore=KINDS, contacts="off")
 
 
-def _table(path: Path) -> tuple[list[str], np.ndarray]:
-    what = f"the controls {printable(path)}"
-    try:
-        rows = [row for row in csv.reader(io.StringIO(read_text(path, "the controls")), skipinitialspace=True) if row]
-    except csv.Error as error:
-        raise FileError(f"{what} are no CSV: {error}.") from None
-    header = [name.strip() for name in rows[0]] if rows else []
-    if len(header) < 2 or header[0].lower() != TIME:
-        raise FileError(f"{what} do not begin with time, expected a header: time, then names of actuators or joints.")
-    if not 2 <= len(rows) - 1 <= LONGEST_HORIZON:
-        raise FileError(f"{what} have {len(rows) - 1} rows below the header, expected 2 to {LONGEST_HORIZON}.")
-    table = np.full((len(rows) - 1, len(header)), np.nan)
-    for i, row in enumerate(rows[1:]):
-        for j in range(len(header)):
-            word = row[j].strip() if j < len(row) else ""
-            with suppress(ValueError):
-                table[i, j] = float(word)
-            if not np.isfinite(table[i, j]):
-                raise FileError(f"{what} have no finite number in row {i + 1} of column {j + 1}.")
-    return header, table
+def _table(path: Path, part: str | None, degrees: bool) -> tuple[list[str], np.ndarray]:
+    """The heading and the rows of a recording."""
+    what = "the controls"
+    heading, table = read_recording(path, what, part, degrees)
+    if len(heading) < 2 or heading[0] != TIME:
+        raise FileError(
+            f"{what} {printable(path)} do not begin with time, expected a header: time, then names of actuators or "
+            "joints."
+        )
+    if not 2 <= len(table) <= LONGEST_HORIZON:
+        raise FileError(
+            f"{what} {printable(path)} have {len(table)} rows below the header, expected 2 to {LONGEST_HORIZON}."
+        )
+    return list(heading), table
 
 
-def _spacing(times: np.ndarray, path: str | Path) -> float:
+def _spacing(times: np.ndarray, path: str | Path, even: bool) -> float:
+    """The mean time between rows, s, which is that of each where they are to be `even`."""
     steps = np.diff(times)
     dt = float(np.mean(steps))
-    if not (dt > 0.0 and np.all(np.abs(steps - dt) <= EVEN * dt)):
-        raise FileError(
-            f"the times of {path} are {steps.min():.4g} to {steps.max():.4g} s apart, expected rows at equal times; "
-            "resample them."
-        )
+    if not np.all(steps > 0.0) or (even and np.any(np.abs(steps - dt) > EVEN * dt)):
+        expected = "rows at equal times; resample them" if even else "times that rise"
+        raise FileError(f"the times of {path} are {steps.min():.4g} to {steps.max():.4g} s apart, expected {expected}.")
     return dt
 
 
@@ -173,29 +174,32 @@ def _last(row: np.ndarray, joints: list[int], mechanism: Mechanism) -> dict[str,
 
 
 def _tracked(
-    dynamics: RigidBodyDynamics, positions: np.ndarray, joints: list[int], x0: np.ndarray | None
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """States (N+1, nx), controls (N, nu) and gains (N, nu, ndx) along columns of positions (N+1, nv)."""
+    dynamics: RigidBodyDynamics, table: np.ndarray, joints: list[int], x0: np.ndarray | None
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Recorded and followed states (N+1, nx), controls (N, nu) and gains (N, nu, ndx).
+
+    The table (N+1, 1 + nv) has times and positions, of which a spline gives those at equal times.
+    """
     from scipy.interpolate import make_interp_spline
 
-    mechanism, dt, N = dynamics.mechanism, dynamics.dt, len(positions) - 1
+    mechanism, dt, N = dynamics.mechanism, dynamics.dt, len(table) - 1
     if not np.all(mechanism.kind == SCREW):
         raise PlannerError("the model has ball or free joints, expected hinges and slides to follow joint positions.")
     if N < 6:
         raise PlannerError(f"{N + 1} rows of positions are given, expected at least 7 to know accelerations.")
     links = [mechanism.joint_links[j].start for j in joints]
-    q = np.empty_like(positions)
-    q[:, mechanism.q_address[links]] = positions
+    q = np.empty((N + 1, mechanism.nq))
+    q[:, mechanism.q_address[links]] = table[:, 1:]
     if x0 is not None and np.abs(x0[: mechanism.nq] - q[0]).max() > _START_TOLERANCE:
         raise PlannerError(
             f"the start is {np.abs(x0[: mechanism.nq] - q[0]).max():.3g} from the first row of positions, expected the "
             "same: leave --start out."
         )
     t = dt * np.arange(N + 1)
-    spline = make_interp_spline(t, q, k=5)
+    spline = make_interp_spline(table[:, 0] - table[0, 0], q, k=5)
     middle = t[:-1] + 0.5 * dt  # the best time for a control that is constant over a stage
     us = inverse_dynamics_controls(mechanism, spline(middle), spline(middle, 1), spline(middle, 2))
-    reference = np.concatenate([q, spline(t, 1)], axis=1)
+    reference = np.concatenate([spline(t), spline(t, 1)], axis=1)
     A, B = dynamics.linearize(reference, us)
     size = np.maximum(np.abs(us).max(axis=0), np.finfo(float).tiny)
     Q, R = dt * np.eye(dynamics.ndx), dt * _CONTROL_WEIGHT * np.diag(1.0 / size**2)
@@ -206,4 +210,19 @@ def _tracked(
             f"the positions jump, by accelerations up to {fastest:.3g} in rad/s^2 or m/s^2, and no gains follow them, "
             "expected a motion of the joints: columns of controls bear the names of actuators."
         )
-    return *rollout(dynamics, reference[0] if x0 is None else x0, us, feedback_control(dynamics, reference, us, K)), K
+    start = reference[0] if x0 is None else x0
+    return reference, *rollout(dynamics, start, us, feedback_control(dynamics, reference, us, K)), K
+
+
+def recording_errors(replay: Replay) -> list[tuple[str, ...]]:
+    """How far each joint of a replay is from its recording: name, largest error, its time, root mean square."""
+    problem = replay.plan.problem
+    assert problem is not None
+    assert isinstance(problem.cost, TrackingCost)
+    rows = []
+    for i, joint in enumerate(coordinates_of(problem.dynamics)[: problem.dynamics.nx // 2]):  # no ball or free joints
+        recorded = np.interp(replay.t, replay.plan.t, problem.cost.x_ref[:, i])
+        error = np.abs(replay.xs[:, i] - recorded)
+        worst, rms = int(np.argmax(error)), float(np.sqrt(np.mean(error**2)))
+        rows.append((joint.name, f"{error[worst]:.3g} {joint.unit}", f"{replay.t[worst]:.2f} s", f"{rms:.3g}"))
+    return rows

@@ -139,7 +139,10 @@ def _prove(parser: argparse.ArgumentParser) -> None:
     add(
         parser,
         {"plan": {"metavar": "PLAN", "nargs": "?", "help": "A plan.npz; leave it out with --controls."},
-         "--controls": value_flag("FILE", "Instead of a plan: a CSV of times and controls, or of joint positions."),
+         "--controls": value_flag("FILE", "Instead of a plan: a CSV of times and controls, or of joint positions; or "
+                                          "joint positions of a ROS bag or a LeRobot data set."),
+         "--part": value_flag("PART", "With --controls, topic of a bag or episode of a data set; where several are."),
+         "--degrees": boolean_flag("With --controls, the file has degrees."),
          "--model": value_flag("FILE", "Replay in this MJCF or URDF, not in the plan's own; with --controls, the model "
                                        "of the controls."),
          "--start": value_flag("STATE", "With --controls, the start: a keyframe, numbers 0,1.57 or joints elbow=0.3."),
@@ -157,7 +160,8 @@ def _render(parser: argparse.ArgumentParser) -> None:
         parser, _PLAN,
         {"--out": value_flag("FILE", "A name ending in .mp4 makes a video, in .png a strip of poses.", "video.mp4"),
          "--fps": value_flag("N", "Frames per second.", 30, whole),
-         "--speed": value_flag("X", "Playback speed, e.g. 0.25. Default: the case's.", kind=number)},
+         "--speed": value_flag("X", "Playback speed, e.g. 0.25. Default: the case's.", kind=number),
+         "--transparent": boolean_flag("A strip without sky and floor, on a transparent ground.")},
         LOOKS, ROLLOUT, IMPORTS, COMMON,
     )  # fmt: skip
 
@@ -167,6 +171,8 @@ def _view(parser: argparse.ArgumentParser) -> None:
         parser,
         {"plan": {"metavar": "PLAN", "help": "A plan.npz, or a folder of planner run."},
          "--rollouts": value_flag("N", "Number of perturbed simulations that key 7 shows.", 8, whole),
+         "--browser": boolean_flag("Play it in a browser instead, drag the goal there and plan again."),
+         "--port": value_flag("N", "With --browser, port of this machine.", 8080, whole),
          "--speed": value_flag("X", "Playback speed, e.g. 0.25. Default: the case's.", kind=number)}, IMPORTS, COMMON,
     )  # fmt: skip
 
@@ -246,7 +252,7 @@ _COMMANDS: dict[str, tuple[str, Callable[[argparse.ArgumentParser], None]]] = {
     "sweep": ("Plan a case or a problem file at many parameters, into one table.", _with_cases(_SWEEP, WORKERS)),
     "prove": ("Replay a stored plan, or controls of your own, in MuJoCo and judge them.", _prove),
     "render": ("Film the replay of a stored plan.", _render),
-    "view": ("Look at a stored plan in MuJoCo's viewer.", _view),
+    "view": ("Look at a stored plan in MuJoCo's viewer or in a browser.", _view),
     "report": ("Prove a stored plan again and write report.html with all its pictures.", _report),
     "export": ("Write a stored plan for other programs.", _export),
     "check": ("Prove stored plans again and compare with the numbers stored beside them.", _check),

@@ -29,12 +29,15 @@ def render_plan(arguments: argparse.Namespace, console: Console) -> int:
     out = Path(arguments.out)
     if out.suffix not in (".mp4", ".png"):
         raise PlannerError(f"cannot render to {out}: expected a name ending in .mp4 or .png.")
+    if arguments.transparent and out.suffix != ".png":
+        raise PlannerError(f"--transparent is for pictures, not for {out}: expected a name ending in .png.")
     plan = load_allowed(arguments.plan, arguments)
     looks = checked_looks(arguments, plan.twin, film=out.suffix == ".mp4")
     require_backend()
     shown = prove(plan, rollouts=0) if arguments.replay_rollout is None else rollout_of(plan, arguments)
     if out.suffix == ".png":
-        render_strip(shown.replay if isinstance(shown, Proof) else shown, out, **looks)
+        shown = shown.replay if isinstance(shown, Proof) else shown
+        render_strip(shown, out, transparent=arguments.transparent, **looks)
     else:
         progress = console.progress("video")
         render_video(shown, out, fps=arguments.fps, speed=arguments.speed, progress=progress, **looks)
@@ -43,17 +46,24 @@ def render_plan(arguments: argparse.Namespace, console: Console) -> int:
 
 
 def view_plan(arguments: argparse.Namespace, console: Console) -> int:
-    """Play the replays of a plan, or of the plan in a folder of `planner run`, in a window."""
+    """Play the replays of a plan, or of the plan in a folder of `planner run`, in a window or a browser."""
     from planner.view.viewer import KEYS, require_display, view
 
     count("rollouts", arguments.rollouts, minimum=0)
+    count("port", arguments.port, maximum=65535)
     if arguments.speed is not None:
         number("speed", arguments.speed, greater_than=0.0)
-    require_display()  # before the work
+    if not arguments.browser:
+        require_display()  # before the work
     path = Path(arguments.plan)
     plan = load_allowed(path / "plan.npz" if path.is_dir() else path, arguments)
     if plan.twin is None:
         raise PlannerError("the plan holds no MuJoCo model, expected a plan of a Problem with a twin.")
+    if arguments.browser:
+        from planner.view.browser import browse
+
+        browse(plan, port=arguments.port, speed=arguments.speed, ready=console.write_result)
+        return console.finish("view", 0)
     console.table(("key", "what it does"), KEYS)
     view(plan, rollouts=arguments.rollouts, speed=arguments.speed)
     return console.finish("view", 0)

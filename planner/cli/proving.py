@@ -7,11 +7,13 @@ from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
+
 from planner.base.arguments import choice, count
 from planner.base.arguments import short_repr as quoted
 from planner.base.errors import PlannerError
 from planner.base.files import json_text, write_atomically
-from planner.cases.given_controls import plan_of_controls
+from planner.cases.given_controls import plan_of_controls, recording_errors
 from planner.cli.allowed_imports import load_allowed
 from planner.cli.console import Console, shown
 from planner.cli.results import completed, plan_facts, show_proof
@@ -74,6 +76,11 @@ def prove_plan(arguments: argparse.Namespace, console: Console) -> int:
         for one in section.measured:
             if one.name in NOTES and one.note:
                 console.write_result(f"{section.title}, {one.name.replace('_', ' ')}: {one.note}")
+    if arguments.controls is not None and np.any(plan.K):  # positions that gains follow
+        console.write_result()
+        console.table(
+            ("joint", "farthest from the recording", "at", "root mean square"), recording_errors(proof.replay)
+        )
     if digest is not None and (states := stated(plan)):
         console.write_result(f"as the plan's file states: {', '.join(states)}")
     if arguments.out is not None:
@@ -83,9 +90,9 @@ def prove_plan(arguments: argparse.Namespace, console: Console) -> int:
 
 def _plan_of(arguments: argparse.Namespace) -> tuple[Plan, str | None]:
     """The plan that the flags name and the digest of its file: a stored one, or that of anybody's controls."""
-    given = {name: getattr(arguments, name) for name in ("start", "goal", "save")}
+    given = {name: getattr(arguments, name) for name in ("start", "goal", "save", "part", "degrees")}
     if arguments.controls is None:
-        if flags := [f"--{name}" for name, value in given.items() if value is not None]:
+        if flags := [f"--{name}" for name, value in given.items() if value]:
             raise PlannerError(f"{flags[0]} is given without --controls, expected a CSV file of controls with it.")
         if arguments.plan is None:
             raise PlannerError("prove was given no plan, expected a plan.npz, or --controls u.csv --model m.xml.")
@@ -94,7 +101,9 @@ def _plan_of(arguments: argparse.Namespace) -> tuple[Plan, str | None]:
         what = "a plan and" if arguments.plan is not None else "no --model with"
         raise PlannerError(f"prove was given {what} --controls, expected --controls u.csv --model m.xml and no plan.")
     start, goal = (None if given[name] is None else _state(given[name]) for name in ("start", "goal"))
-    plan = plan_of_controls(arguments.controls, Path(arguments.model), start=start, goal=goal)
+    plan = plan_of_controls(
+        arguments.controls, Path(arguments.model), start=start, goal=goal, part=given["part"], degrees=given["degrees"]
+    )
     if arguments.save is not None:
         plan.save(arguments.save)
     return plan, None

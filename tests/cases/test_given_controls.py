@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from commands import refused, run
 
 import planner
 from planner import PlannerError, cases
@@ -91,10 +92,10 @@ def test_positions_are_followed(solved, model, tmp_path):
     ("text", "words"),
     [
         ("", "expected a header"),
-        ("t,shoulder,elbow\n0,1,1\n1,1,1\n", "expected a header"),
+        ("shoulder,elbow\n1,1\n1,1\n", "expected a header"),
         ("time,shoulder,elbow\n0,1,1\n", "expected 2 to"),
-        ("time,shoulder,elbow\n0,1,1\n1,1,x\n", "no finite number in row 2 of column 3"),
-        ("time,shoulder,elbow\n0,1,1\n1,1\n", "no finite number in row 2 of column 3"),
+        ("time,shoulder,elbow\n0,1,1\n1,1,x\n", "row 3 of"),
+        ("time,shoulder,elbow\n0,1,1\n1,1\n", "other things than 3 numbers"),
         ("time,shoulder,elbow\n0,1,1\n1,1,1\n3,1,1\n", "expected rows at equal times"),
         ("time,shoulder,elbow\n0,1,1\n0,1,1\n", "expected rows at equal times"),
         ("time,shoulder,wrist\n0,1,1\n1,1,1\n", "shoulder, elbow"),
@@ -109,3 +110,25 @@ def test_a_wrong_file_is_refused(text, words, model, tmp_path):
         plan_of_controls(file, model)
     assert words in str(caught.value)
     assert "\n" not in str(caught.value)
+
+
+def test_positions_at_uneven_times_are_followed_and_compared_with_the_replay(solved, model, tmp_path):
+    """A recorder's times jitter by a third of their spacing: the path stays that of the plan that was recorded."""
+    t = solved.t + solved.dt * np.random.default_rng(0).uniform(-0.3, 0.3, len(solved.t))
+    t[[0, -1]] = solved.t[[0, -1]]
+    q = np.stack([np.interp(t, solved.t, column) for column in solved.xs[:, :2].T], axis=1)
+    lines = ["t,position of shoulder,position of elbow"]
+    lines += [",".join(repr(float(value)) for value in (at, *row)) for at, row in zip(t, np.degrees(q), strict=True)]
+    file = tmp_path / "q.csv"
+    file.write_text("\n".join(lines), encoding="utf-8")
+    done = run("prove", "--controls", file, "--model", model, "--degrees", "--save", "plan.npz", cwd=tmp_path)
+    assert "farthest from the recording" in done.stdout
+    rows = [line.split() for line in done.stdout.splitlines() if line.startswith(("shoulder ", "elbow "))]
+    assert len(rows) == 2
+    for name, error, unit, *_ in rows:
+        assert float(error) < 0.02, name  # as above
+        assert unit == "rad"
+    np.testing.assert_allclose(planner.load_plan(tmp_path / "plan.npz").xs[:, :2], solved.xs[:, :2], atol=0.02)
+    (tmp_path / "back.csv").write_text("t,shoulder,elbow\n" + "0,1,1\n" * 8, encoding="utf-8")
+    refused(run("prove", "--controls", tmp_path / "back.csv", "--model", model, cwd=tmp_path), "expected rows at equal")
+    refused(run("prove", "plan.npz", "--part", "3", cwd=tmp_path), "--part is given without --controls")

@@ -66,6 +66,7 @@ def test_prove_refuses_the_model_of_another_machine(finished, tmp_path):
         (("run", "hopper", "extra"), ("'extra'",)),
         (("prove", "nowhere.npz"), ("nowhere.npz", "does not exist")),
         (("render", "nowhere.npz", "--out", "x.gif"), ("x.gif", ".mp4")),
+        (("render", "nowhere.npz", "--transparent"), ("--transparent", "video.mp4", ".png")),
         (("render", "nowhere.npz", "--size", "big"), ("'big' is not a size",)),
         (("paper", "gripper"), ("gripper", "hopper")),
     ],

@@ -3,11 +3,13 @@
 import numpy as np
 import pytest
 from films import make_replay
+from PIL import Image
 
 import planner
 from planner.base.errors import PlannerError
 from planner.model.mjcf.model_index import compile_model
 from planner.view.render.camera import angles_of_camera, directions
+from planner.view.render.scene import matted
 
 MODEL = """<mujoco><worldbody>
 <camera name="front" pos="0 -2 1" xyaxes="1 0 0 0 0 1"/><camera name="down" pos="3 0 3" xyaxes="0 1 0 -0.6 0 0.8"/>
@@ -36,3 +38,29 @@ def test_a_frame_is_seen_from_the_direction_asked_for():
     assert above.shape == usual.shape
     assert np.abs(above.astype(float) - usual).mean() > 1.0  # of 255: another picture
     assert above.std() > 10  # and not an empty one
+
+
+def test_opacity_is_found_from_a_picture_on_black_and_one_on_white():
+    """Alpha a, colour c on a background b is a c + (1 - a) b: solid red, half a green, and nothing."""
+    on_black = np.array([[[255, 0, 0], [0, 128, 0], [0, 0, 0]]], np.uint8)
+    on_white = np.array([[[255, 0, 0], [127, 255, 127], [255, 255, 255]]], np.uint8)
+    assert matted(on_black, on_white).tolist() == [[[255, 0, 0, 255], [0, 255, 0, 128], [0, 0, 0, 0]]]
+
+
+@pytest.mark.render
+def test_a_transparent_picture_has_the_machine_and_neither_sky_nor_floor(tmp_path):
+    replay, size = make_replay(), {"width": 160, "height": 96}
+    usual = planner.render_frame(replay, 0.1, **size)
+    picture = planner.render_frame(replay, 0.1, transparent=True, **size)
+    alpha = picture[..., 3]
+    assert picture.shape == (96, 160, 4)
+    assert (alpha[:10] == 0).all()  # sky
+    assert (alpha[-10:] == 0).all()  # floor
+    assert 50 < (alpha == 255).sum() < 0.3 * alpha.size
+    assert ((alpha > 20) & (alpha < 200)).sum() > 20  # the ghost, and edges
+    solid = alpha == 255  # there it has the usual picture's colours, but for marks and words on that
+    assert np.median(np.abs(picture[solid][:, :3].astype(int) - usual[solid]).max(axis=-1)) <= 8
+    path = planner.render_strip(replay, tmp_path / "strip.png", poses=3, width=240, height=80, transparent=True)
+    with Image.open(path) as strip:
+        assert strip.mode == "RGBA"
+        assert strip.getpixel((0, 0))[3] == 0

@@ -75,7 +75,9 @@ FOLLOW = {
     "frame": "a site or body, or",
     "joints": "list of the joints that points are of; a file has them in its heading",
     "points": "rows of t, x, y, z, or without t for equal parts of the duration",
-    "file": "CSV of such rows, relative to this file",
+    "file": "CSV of such rows, a ROS bag or a LeRobot data set's parquet, relative to this file",
+    "part": "of a bag the topic, of a data set the episode; where there are several",
+    "degrees": "true where the file has degrees",
     "tolerance": f"how far from the path passes, m or rad; by default {1e3 * PATH_TOLERANCES['m']:g} mm or "
     f"{PATH_TOLERANCES['rad']:g} rad",
 }

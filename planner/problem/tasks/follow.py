@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from pathlib import Path
@@ -13,11 +11,12 @@ import numpy as np
 
 from planner.base.arguments import choice, number, numbers, short_repr
 from planner.base.errors import FileError, PlannerError
-from planner.base.files import printable, read_text
+from planner.base.files import printable
+from planner.problem.recording import TIME, read_recording
 from planner.problem.tasks.goal import json_value
 
-MAX_ROWS = 100_000  # of a file
 COORDINATES = ("x", "y", "z")
+_OF_A_FILE = ("file", "part", "degrees")
 
 
 @dataclass(frozen=True)
@@ -116,16 +115,17 @@ def follow_of(value: Any, name: str) -> Follow:
         raise PlannerError(
             f"{name} is {short_repr(value)}, expected a Follow or a table with some of: {', '.join(keys)}."
         )
-    given = {choice(f"a key of {name}", key, (*keys, "file")): part for key, part in value.items()}
+    given = {choice(f"a key of {name}", key, (*keys, *_OF_A_FILE)): part for key, part in value.items()}
     if "points" not in given:
         raise PlannerError(f'{name} has no points, expected points = [[t, x, y, z], ...] or file = "path.csv".')
     return Follow(**given)
 
 
 def with_points(table: Mapping[str, Any], folder: Path) -> dict[str, Any]:
-    """The table with its `file`, a CSV relative to a folder, replaced by the points in it.
+    """The table with its `file`, a recording relative to a folder, replaced by the points in it.
 
-    A heading t,x,y,z may be left out for a frame; for joints it has their names.
+    A heading t,x,y,z may be left out for a frame; for joints it has their names. `part` and `degrees` are those of
+    read_recording().
 
     Raises:
         FileError: It cannot be read, or is no table of numbers.
@@ -136,37 +136,20 @@ def with_points(table: Mapping[str, Any], folder: Path) -> dict[str, Any]:
     if "points" in table:
         raise PlannerError("follow has a file and points, expected one of the two.")
     if not isinstance(table["file"], str):
-        raise PlannerError(f"file of follow is {short_repr(table['file'])}, expected the name of a CSV file.")
+        raise PlannerError(f"file of follow is {short_repr(table['file'])}, expected the name of a file.")
     path = folder / table["file"]
-    heading, rows = read_rows(path)
-    rest = {key: value for key, value in table.items() if key != "file"}
-    if table.get("frame") is None and table.get("joints") is None:
-        if not heading or heading[0] != "t" or len(heading) < 2:
+    if not isinstance(degrees := table.get("degrees", False), bool):
+        raise PlannerError(f"degrees of follow is {short_repr(degrees)}, expected true or false.")
+    heading, rows = read_recording(path, "the path to follow", table.get("part"), degrees)
+    joints = table.get("joints")
+    rest = {key: value for key, value in table.items() if key not in _OF_A_FILE}
+    if table.get("frame") is None and joints is None:
+        if not heading or heading[0] != TIME or len(heading) < 2:
             expected = 'expected one, or frame = "..." in [follow]'
             raise FileError(f"{printable(path)} has no heading t,JOINT,..., {expected}.")
-        rest["joints"] = heading[1:]
-    elif heading and table.get("frame") is not None and heading not in (["t", *COORDINATES], [*COORDINATES]):
+        rest["joints"] = list(heading[1:])
+    elif heading and table.get("frame") is not None and heading not in ((TIME, *COORDINATES), COORDINATES):
         raise FileError(f"{printable(path)} has another heading than t,x,y,z.")
-    return {**rest, "points": rows}
-
-
-def read_rows(path: Path) -> tuple[list[str], list[list[float]]]:
-    """The heading of a CSV file, if it has one, and its rows of numbers; no message has a word of the file."""
-    lines = [row for row in csv.reader(io.StringIO(read_text(path, "the path to follow"))) if any(map(str.strip, row))]
-    if len(lines) > MAX_ROWS:
-        raise FileError(f"{printable(path)} has {len(lines)} rows, expected at most {MAX_ROWS}.")
-    heading = [cell.strip() for cell in lines[0]] if lines and not all(map(_is_number, lines[0])) else []
-    rows = []
-    for i, cells in enumerate(lines[bool(heading) :], 1 + bool(heading)):
-        if not all(map(_is_number, cells)) or len(cells) != len(lines[-1]):
-            raise FileError(f"row {i} of {printable(path)} has other things than {len(lines[-1])} numbers.")
-        rows.append([float(cell) for cell in cells])
-    return heading, rows
-
-
-def _is_number(cell: str) -> bool:
-    try:
-        float(cell)
-    except ValueError:
-        return False
-    return True
+    elif isinstance(joints, list) and heading[:1] == (TIME,) and all(name in heading for name in joints):
+        rows = rows[:, [0, *map(heading.index, joints)]]
+    return {**rest, "points": rows.tolist()}

@@ -57,6 +57,7 @@ class Job:
     speed: float | None = None  # of a video; None for stills
     output: str = ""  # the file of a video
     target: str = ""  # the path in errors, where output is a temporary file
+    transparent: bool = False  # a strip or still with an alpha channel, without sky, floor and panels of words
 
 
 def carry_out(films: Sequence[Film], job: Job, progress: Progress | None = None) -> np.ndarray:
@@ -137,9 +138,10 @@ def _tiles(films: Sequence[Film], job: Job, scenes: ExitStack) -> list[list[_Til
             )  # fmt: skip
             scene = Scene(
                 film, widths[j], heights[i], oversize=_VIDEO_OVERSIZE if job.kind == "video" else 2.0, beside=beside,
-                narrow=len(row) > 1 or len(views) > 1, quick=job.kind == "video", model=copy.copy(model),
+                narrow=len(row) > 1 or len(views) > 1, quick=job.kind == "video", transparent=job.transparent,
+                model=copy.copy(model),
             )  # fmt: skip
-            written = overlay.Overlay(film.appearance, widths[j], heights[i], words)
+            written = None if job.transparent else overlay.Overlay(film.appearance, widths[j], heights[i], words)
             tiles[-1].append(_Tile(film, written, scenes.enter_context(scene)))
     return tiles
 
@@ -167,12 +169,14 @@ class _Tile(NamedTuple):
     """A film from one camera, with its words."""
 
     film: Film
-    words: overlay.Overlay
+    words: overlay.Overlay | None
     scene: Scene
 
     def draw(self, frame: int, like: Scene | None = None) -> np.ndarray:
         """Frame number `frame`: (height, width, 3), uint8; see Scene.draw()."""
         drawn, film = self.scene.draw(frame, like), self.film
+        if self.words is None:
+            return drawn
         ends = [self.scene.project(np.asarray(end)) for end in film.appearance.goal_line or ()]
         visible = [end for end in ends if end is not None]
         marks = [overlay.beside(label) for label in self.scene.labels(frame)]
@@ -186,12 +190,14 @@ def _draw_strip(film: Film, job: Job) -> np.ndarray:
         middle = 0.5 * (film.shift.min(axis=0) + film.shift.max(axis=0))
         film = replace(film, shift=np.tile(middle, (len(film), 1)))
     heights = _shares(job.height, len(film.views))
-    strips = [_draw_poses(view, job.width, high) for view, high in zip(film.views, heights, strict=True)]
+    strips = [
+        _draw_poses(view, job.width, high, job.transparent) for view, high in zip(film.views, heights, strict=True)
+    ]
     return np.concatenate(strips)
 
 
-def _draw_poses(film: Film, width: int, height: int) -> np.ndarray:
-    """All poses from one camera: (height, width, 3)."""
+def _draw_poses(film: Film, width: int, height: int, transparent: bool) -> np.ndarray:
+    """All poses from one camera: (height, width, 3), or 4 for a transparent strip."""
     gap = max(1, round(height / 270))
     model = visible_model([film])
     rows = best_rows(film, model, width, height)
@@ -200,10 +206,10 @@ def _draw_poses(film: Film, width: int, height: int) -> np.ndarray:
     high = (height - gap * (rows - 1)) // rows
     unit = min(height / 540, tile / 160)
     band = min(round(30 * unit), high // 3)
-    strip = np.full((height, width, 3), 255, np.uint8)
+    strip = np.zeros((height, width, 4), np.uint8) if transparent else np.full((height, width, 3), 255, np.uint8)
     # Both sides share the remainder of the division.
     left = (width - tile * columns - gap * (columns - 1)) // 2
-    with Scene(film, tile, high - band, ghost=False, words=False, model=model) as scene:
+    with Scene(film, tile, high - band, ghost=False, words=False, transparent=transparent, model=model) as scene:
         for frame, t in enumerate(film.t):
             row, column = (frame // columns) * (high + gap), left + (frame % columns) * (tile + gap)
             words = film.words[frame] if film.words else overlay.time_words(t, unstable=t >= film.unstable)

@@ -263,9 +263,10 @@ def time_words(t: float, *, unstable: bool) -> str:
 def write_below(
     picture: np.ndarray, words: str, band: int, unit: float, marks: Sequence[Mark] = (), *, bad: bool = False
 ) -> np.ndarray:
-    """A pose of a strip with marks in it and words in a band under it: (height + band, width, 3)."""
-    height, width, _ = picture.shape
-    image = Image.new("RGB", (width, height + band), _PAPER)
+    """A pose of a strip with marks in it and words in a band under it: (height + band, width, channels)."""
+    height, width, channels = picture.shape
+    blank = (*_INK, 0) if channels == 4 else _PAPER  # ink's own colour, or the edges of letters would be another
+    image = Image.new("RGBA" if channels == 4 else "RGB", (width, height + band), blank)
     image.paste(Image.fromarray(picture), (0, 0))
     for mark in marks:
         _write_mark(ImageDraw.Draw(image), mark, _font("DejaVuSans.ttf", 13 * unit), unit)

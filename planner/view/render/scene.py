@@ -42,15 +42,15 @@ class Scene:
     def __init__(
         self, film: Film, width: int, height: int, *, ghost: bool = True, oversize: float = 2.0,
         beside: Sequence[Film] = (), narrow: bool = False, quick: bool = False, words: bool = True,
-        model: Any = None,
+        transparent: bool = False, model: Any = None,
     ) -> None:  # fmt: skip
         """Open the model and an OpenGL context for a picture of width x height pixels.
 
         The picture is drawn `oversize` times larger in both directions, then shrunk: in software this costs no more
         than OpenGL's own multisampling, and smooths the edges of shadows too. The camera must also suit the films
         `beside` this one, of the same plan. `narrow` says that the picture is a part of a larger one, `quick` that it
-        is one of many, `words` that some are written on it. `model` is the film's visible_model(), where there is one
-        already; it is changed.
+        is one of many, `words` that some are written on it. A `transparent` one has an alpha channel, and neither sky
+        nor floor. `model` is the film's visible_model(), where there is one already; it is changed.
 
         Raises:
             ModelError: MuJoCo refuses the model's text.
@@ -88,12 +88,15 @@ class Scene:
         is_plane = model.geom_type == mujoco.mjtGeom.mjGEOM_PLANE
         self._ground = is_plane | (model.geom_rbound > _FLOOR * self._camera.distance)
         self._marks = Marks(film, model, ghost_paint(film.appearance) if ghost else None)
-        self._renderer = gl.renderer(model, rows, columns)
+        if transparent:
+            _hide(model, "geom", self._ground)
+        backgrounds = [_before_sky(model, grey) for grey in (0, 255)] if transparent else [model]
+        self._renderers = [gl.renderer(background, rows, columns) for background in backgrounds]
         self._pixels = np.empty((rows, columns, 3), np.uint8)
         self._outline = Outline(model, scenery_of(model, self._appearance)[0], self._link_capsules)
         self._pixel = 2.0 * self._camera.distance * np.tan(0.5 * np.radians(model.vis.global_.fovy)) / height  # m
         self._points = self._ghost_points = np.empty((0, 3))  # of the frame drawn last
-        self._picture, self._eyes = np.empty(0), self._renderer.scene.camera
+        self._picture, self._eyes = np.empty(0), self._renderers[0].scene.camera
 
     def __enter__(self) -> Scene:
         return self
@@ -101,10 +104,11 @@ class Scene:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        self._renderer.close()
+        for renderer in self._renderers:
+            renderer.close()
 
     def draw(self, frame: int, like: Scene | None = None) -> np.ndarray:
-        """Frame number `frame` of the film: (height, width, 3) uint8.
+        """Frame number `frame` of the film: (height, width, 3) uint8, (height, width, 4) of a transparent one.
 
         `like` is a scene of a film of the same plan, seen by the same camera, that has just drawn this frame. Where
         nothing in the two pictures would be as much as half a pixel apart, its picture is taken.
@@ -119,8 +123,14 @@ class Scene:
         if like is not None and self._is_like(like, frame):
             self._picture, self._eyes = like._picture, like._eyes
             return self._picture
-        self._renderer.update_scene(self._data, self._camera, self._option)
-        scene = self._renderer.scene
+        pictures = [self._rendered(renderer, frame) for renderer in self._renderers]
+        self._picture = pictures[0] if len(pictures) == 1 else matted(*pictures)
+        return self._picture
+
+    def _rendered(self, renderer: Any, frame: int) -> np.ndarray:
+        """The machines as they are posed, drawn by one renderer: (height, width, 3) uint8."""
+        renderer.update_scene(self._data, self._camera, self._option)
+        scene = renderer.scene
         for geom in scene.geoms[: scene.ngeom]:
             if geom.objtype == self._mujoco.mjtObj.mjOBJ_GEOM and self._ground[geom.objid]:
                 without_shadow(geom)
@@ -138,9 +148,8 @@ class Scene:
             start, end = np.asarray(self._appearance.goal_line, dtype=float)
             shapes.dashes(start, end, GOAL)
         self._eyes = scene.camera
-        large = Image.fromarray(self._renderer.render(out=self._pixels))
-        self._picture = np.asarray(large.resize((self._width, self._height), Image.Resampling.BOX))
-        return self._picture
+        large = Image.fromarray(renderer.render(out=self._pixels))
+        return np.asarray(large.resize((self._width, self._height), Image.Resampling.BOX))
 
     @property
     def difference(self) -> float:
@@ -234,8 +243,33 @@ def _without_scenery(model: Any, appearance: Appearance) -> Any:
     bodies, tendons = scenery_of(model, appearance)
     bare = copy.copy(model)
     for kind in ("geom", "site"):
-        hidden = bodies[getattr(bare, f"{kind}_bodyid")]
-        getattr(bare, f"{kind}_matid")[hidden] = -1  # or its colour would be the material's
-        getattr(bare, f"{kind}_rgba")[hidden] = 0.0
+        _hide(bare, kind, bodies[getattr(bare, f"{kind}_bodyid")])
     bare.tendon_matid[tendons], bare.tendon_rgba[tendons] = -1, 0.0
     return bare
+
+
+def _hide(model: Any, kind: str, hidden: np.ndarray) -> None:
+    """Make the geoms or sites with this mask invisible."""
+    getattr(model, f"{kind}_matid")[hidden] = -1  # or its colour would be the material's
+    getattr(model, f"{kind}_rgba")[hidden] = 0.0
+
+
+def _before_sky(model: Any, grey: int) -> Any:
+    """The model under a sky of one brightness, 0 to 255."""
+    skies = np.flatnonzero(model.tex_type == gl.load_mujoco().mjtTexture.mjTEXTURE_SKYBOX)
+    changed = copy.copy(model)
+    for i in skies:
+        size = model.tex_width[i] * model.tex_height[i] * model.tex_nchannel[i]
+        changed.tex_data[model.tex_adr[i] : model.tex_adr[i] + size] = grey
+    return changed
+
+
+def matted(on_black: np.ndarray, on_white: np.ndarray) -> np.ndarray:
+    """Colour and opacity (H, W, 4) uint8 of what was drawn (H, W, 3) on black and on white.
+
+    On a background of brightness b a pixel of opacity a and colour c is a c + (1 - a) b, so the two differ by 1 - a.
+    """
+    black = on_black.astype(float)
+    alpha = 255.0 - np.clip((on_white - black).mean(axis=-1, keepdims=True), 0.0, 255.0)
+    colour = np.clip(255.0 * black / np.maximum(alpha, 1.0), 0.0, 255.0)
+    return np.concatenate([colour, alpha], axis=-1).round().astype(np.uint8)

@@ -117,7 +117,7 @@ def _captioned(proof: Proof) -> dict[Replay, Caption | None]:
 
 def render_strip(
     replay: Replay, path: PathLike, *, poses: int = 8, width: int = 1920, height: int = 540,
-    camera: str | Sequence[float] | None = None,
+    camera: str | Sequence[float] | None = None, transparent: bool = False,
 ) -> Path:  # fmt: skip
     """Write a PNG with poses at equal times side by side, as in the paper's figures.
 
@@ -128,6 +128,7 @@ def render_strip(
         width: Of the whole picture, pixels.
         height: Pixels.
         camera: See render_video.
+        transparent: Without sky and floor, on a transparent ground.
 
     Returns:
         The path.
@@ -142,7 +143,7 @@ def render_strip(
     count("poses", poses, minimum=2, maximum=max(2, width // 16))  # 16 pixels each
     film = _seen_from(Film.of(replay, np.linspace(replay.t[0], replay.t[-1], poses)), camera)
     gl.require_backend()
-    _write_png(carry_out([film], Job("strip", width, height)), path)
+    _write_png(carry_out([film], Job("strip", width, height, transparent=transparent)), path)
     return Path(path)
 
 
@@ -183,8 +184,9 @@ def _write_png(picture: np.ndarray, path: PathLike) -> None:
 
 
 def render_frame(
-    replay: Replay, t: float, *, width: int = 1280, height: int = 720, camera: str | Sequence[float] | None = None
-) -> np.ndarray:
+    replay: Replay, t: float, *, width: int = 1280, height: int = 720, camera: str | Sequence[float] | None = None,
+    transparent: bool = False,
+) -> np.ndarray:  # fmt: skip
     """Draw one picture of a replay.
 
     Args:
@@ -193,9 +195,10 @@ def render_frame(
         width: Of the picture, pixels.
         height: Of the picture, pixels.
         camera: See render_video.
+        transparent: With an alpha channel, and without sky, floor and panels of words.
 
     Returns:
-        (height, width, 3), uint8.
+        (height, width, 3), uint8; (height, width, 4) of a transparent one.
 
     Raises:
         PlannerError: An argument is wrong.
@@ -206,7 +209,7 @@ def render_frame(
         raise PlannerError(f"t is {t!r}, expected {replay.t[0]:g} to {replay.t[-1]:g} s.")
     film = _seen_from(Film.of(replay, np.array([float(t)])), camera)
     gl.require_backend()
-    return carry_out([film], Job("frame", width, height))
+    return carry_out([film], Job("frame", width, height, transparent=transparent))
 
 
 def _seen_from(film: Film, camera: str | Sequence[float] | None) -> Film:

@@ -74,7 +74,7 @@ def view_data(film: Film) -> dict[str, Any]:
     data = mujoco.MjData(model)
     data.qpos[:] = film.qpos[0]
     mujoco.mj_forward(model, data)
-    shapes = _shapes(model, data)
+    shapes = drawn_shapes(model, data)
     moving = sorted({int(body) for body, *_ in shapes if model.body_weldid[body]})
     of_body = {body: number for number, body in enumerate(moving)}
     scenery = scenery_of(model, seen)[0]
@@ -83,7 +83,7 @@ def view_data(film: Film) -> dict[str, Any]:
         one: dict[str, Any] = {"kind": kind, "size": _short(size), "at": _short(place), "colour": _short(colour)}
         one["body"] = of_body.get(body, -1)
         if one["body"] < 0:  # at rest in the world
-            one["at"] = _short(_moved(data.xpos[body], data.xquat[body], place))
+            one["at"] = _short(place_in_world(data.xpos[body], data.xquat[body], place))
         one["ghost"] = one["body"] >= 0 and not scenery[body]
         if mesh >= 0:
             one["mesh"] = meshes.setdefault(mesh, len(meshes))
@@ -96,8 +96,8 @@ def view_data(film: Film) -> dict[str, Any]:
         target, distance = whole_motion([film], model, seen, _ASPECT, True)
     return {
         "t": _short(film.t), "speed": seen.speed, "shapes": listed, "meshes": _meshes(model, list(meshes)),
-        "bodies": len(moving), "poses": _packed(_poses(model, film.qpos, moving)),
-        "ghost": _packed(_poses(model, film.ghost_qpos, moving)), "ghost_colour": _short(ghost_paint(seen)),
+        "bodies": len(moving), "poses": _packed(body_poses(model, film.qpos, moving)),
+        "ghost": _packed(body_poses(model, film.ghost_qpos, moving)), "ghost_colour": _short(ghost_paint(seen)),
         "ghost_offset": _short(seen.ghost_offset), "contacts": film.forces.shape[1],
         "forces": _packed(_forces(film)), "lines": [[_short(points), _short(paint)] for points, paint in marks.lines],
         "goals": [_short(place) for place in marks.goals],
@@ -109,7 +109,7 @@ def view_data(film: Film) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def _shapes(model: Any, data: Any) -> list[tuple[int, str, np.ndarray, np.ndarray, np.ndarray, int]]:
+def drawn_shapes(model: Any, data: Any) -> list[tuple[int, str, np.ndarray, np.ndarray, np.ndarray, int]]:
     """(body, kind, size (3,), place and quaternion in the body (7,), colour (4,), mesh or -1) of what MuJoCo draws."""
     mujoco = load_mujoco()
     scene = mujoco.MjvScene(model, model.ngeom + model.nsite + 2 * model.nbody + 1000)
@@ -137,7 +137,7 @@ def _shapes(model: Any, data: Any) -> list[tuple[int, str, np.ndarray, np.ndarra
     return found
 
 
-def _moved(position: np.ndarray, quaternion: np.ndarray, place: np.ndarray) -> np.ndarray:
+def place_in_world(position: np.ndarray, quaternion: np.ndarray, place: np.ndarray) -> np.ndarray:
     """A place (7,) in a frame, in the world."""
     mujoco, at, quat = load_mujoco(), np.empty(3), np.empty(4)
     mujoco.mju_rotVecQuat(at, place[:3], quaternion)
@@ -145,7 +145,7 @@ def _moved(position: np.ndarray, quaternion: np.ndarray, place: np.ndarray) -> n
     return np.concatenate([position + at, quat])
 
 
-def _poses(model: Any, qpos: np.ndarray, bodies: list[int]) -> np.ndarray:
+def body_poses(model: Any, qpos: np.ndarray, bodies: list[int]) -> np.ndarray:
     """(F, B, 7) positions and quaternions of bodies in poses (F, nq)."""
     mujoco, found = load_mujoco(), np.empty((len(qpos), len(bodies), 7))
     data = mujoco.MjData(model)
@@ -192,13 +192,17 @@ def _meshes(model: Any, numbers: list[int]) -> list[dict[str, str]]:
     share = min(1.0, TRIANGLES / max(float(counts.sum()), 1.0))
     found = []
     for number in numbers:
-        first, count = model.mesh_vertadr[number], model.mesh_vertnum[number]
-        vertices = np.array(model.mesh_vert[first : first + count], dtype=float)
-        first, count = model.mesh_faceadr[number], model.mesh_facenum[number]
-        faces = np.array(model.mesh_face[first : first + count])
-        vertices, faces = simplified(vertices, faces, max(LEAST, int(share * count)))
+        vertices, faces = mesh_of(model, number, max(LEAST, int(share * model.mesh_facenum[number])))
         found.append({"vertices": _packed(vertices), "triangles": _packed(faces, np.uint32)})
     return found
+
+
+def mesh_of(model: Any, number: int, most: int) -> tuple[np.ndarray, np.ndarray]:
+    """Vertices (V, 3) and at most some `most` triangles (T, 3) of a mesh."""
+    first, count = model.mesh_vertadr[number], model.mesh_vertnum[number]
+    vertices = np.array(model.mesh_vert[first : first + count], dtype=float)
+    first, count = model.mesh_faceadr[number], model.mesh_facenum[number]
+    return simplified(vertices, np.array(model.mesh_face[first : first + count]), most)
 
 
 def simplified(vertices: np.ndarray, faces: np.ndarray, most: int) -> tuple[np.ndarray, np.ndarray]:

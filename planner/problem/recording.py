@@ -1,0 +1,168 @@
+"""A recorded motion as a table of times and named columns: of a CSV file, a ROS bag or a LeRobot data set.
+
+The ending of a path chooses the reader. Messages have no word of a file's content but names of topics and episodes.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+from collections.abc import Iterable
+from importlib import import_module
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from planner.base.errors import FileError, PlannerError
+from planner.base.files import check_confined, printable, read_input, read_text
+
+MAX_ROWS = 100_000
+TIME = "time"
+_TIMES = ("t", TIME)  # headings of the column of times
+_JOINT_STATE = "sensor_msgs/msg/JointState"
+_STATE, _EPISODE, _TIMESTAMP = "observation.state", "episode_index", "timestamp"  # LeRobot's columns
+_POSITION = ".pos"  # LeRobot's ending of a motor's position
+
+
+class Recording(NamedTuple):
+    """Rows of numbers with a heading."""
+
+    heading: tuple[str, ...]  # of all columns, that of times being TIME; empty for a CSV without
+    table: np.ndarray  # (M, n); times in s, from the first row on where they are of a bag or data set
+
+
+def read_recording(path: Path, what: str, part: Any = None, degrees: bool = False) -> Recording:
+    """Read a file, or the folder of a bag; messages call it `what`.
+
+    Args:
+        path: `.csv`; `.bag`, `.mcap`, `.db3` or a folder: a ROS bag; `.parquet`: of a LeRobot data set.
+        what: E.g. "the path to follow".
+        part: Topic of a bag, or number of an episode; None where there is one alone.
+        degrees: Whether all columns but the time are degrees, to be read as rad.
+
+    Raises:
+        FileError: It cannot be read, or is no table of numbers.
+        PlannerError: The package that reads it is not installed.
+    """
+    if path.suffix.lower() == ".parquet":
+        found = _read_episode(path, what, part)
+    elif path.is_dir() or path.suffix.lower() in (".bag", ".mcap", ".db3"):
+        found = _read_bag(path, what, part)
+    elif part is not None:
+        raise FileError(f"{what} {printable(path)} has no parts, expected part for a ROS bag or a data set alone.")
+    else:
+        found = _read_csv(path, what)
+    if len(found.table) > MAX_ROWS:
+        raise FileError(f"{what} {printable(path)} has {len(found.table)} rows, expected at most {MAX_ROWS}.")
+    if degrees and not found.heading:
+        raise FileError(f"{what} {printable(path)} has no heading t,JOINT,..., expected one to know what is degrees.")
+    if degrees:
+        found.table[:, [name != TIME for name in found.heading]] *= np.pi / 180.0
+    return found
+
+
+def _read_csv(path: Path, what: str) -> Recording:
+    try:
+        lines = [row for row in csv.reader(io.StringIO(read_text(path, what))) if any(map(str.strip, row))]
+    except csv.Error as error:
+        raise FileError(f"{what} {printable(path)} is no CSV: {error}.") from None
+    heading = [cell.strip() for cell in lines[0]] if lines and not np.isfinite([*map(_number, lines[0])]).all() else []
+    if heading and heading[0].lower() in _TIMES:
+        heading[0] = TIME
+    rows = [[*map(_number, cells)] for cells in lines[bool(heading) :]]
+    width = len(heading or (rows[-1] if rows else ()))
+    for i, row in enumerate(rows, 1 + bool(heading)):
+        if len(row) != width or not np.isfinite(row).all():
+            raise FileError(f"row {i} of {printable(path)} has other things than {width} numbers.")
+    return Recording(tuple(heading), np.reshape(np.array(rows, dtype=float), (len(rows), width)))
+
+
+def _number(cell: str) -> float:
+    try:
+        return float(cell)
+    except ValueError:
+        return np.nan
+
+
+def _read_bag(path: Path, what: str, part: Any) -> Recording:
+    """The positions of a topic of joint states, of ROS 1 or 2."""
+    reading, types = _optional("rosbags.highlevel", "ros"), _optional("rosbags.typesys", "ros")
+    folder = path if path.is_dir() or path.suffix.lower() == ".bag" else path.parent
+    for file in (folder, *(folder.iterdir() if folder.is_dir() else ())):
+        check_confined(file, what)
+    if not path.exists():
+        read_input(path, what)  # which says why it is not there
+    stamps, rows, names = [], [], None
+    try:
+        with reading.AnyReader([folder], default_typestore=types.get_typestore(types.Stores.LATEST)) as bag:
+            found = [one for one in bag.connections if one.msgtype == _JOINT_STATE and one.msgcount]
+            topic = _chosen(path, what, part, dict.fromkeys(one.topic for one in found), f"topics of {_JOINT_STATE}")
+            for one, _, raw in bag.messages([one for one in found if one.topic == topic]):
+                message = bag.deserialize(raw, one.msgtype)
+                names = sorted(message.name) if names is None else names
+                if sorted(message.name) != names or len(message.position) != len(names):
+                    raise FileError(f"messages of {topic} in {printable(path)} have positions of different joints.")
+                stamps.append((message.header.stamp.sec, message.header.stamp.nanosec))
+                rows.append([position for _, position in sorted(zip(message.name, message.position, strict=True))])
+    except PlannerError:
+        raise
+    except Exception as error:  # rosbags' own, and those of broken files
+        raise FileError(f"{what} {printable(path)} is no ROS bag that can be read: {type(error).__name__}.") from None
+    ticks = np.array(stamps, dtype=np.int64) - stamps[0]  # whole numbers: seconds since 1970 leave floats 0.2 us
+    return _timed(names or [], ticks @ [1.0, 1e-9], np.array(rows), path, what)
+
+
+def _read_episode(path: Path, what: str, part: Any) -> Recording:
+    """The states of an episode of a LeRobot data set; its meta/info.json has their names."""
+    parquet, content = _optional("pyarrow.parquet", "lerobot"), read_input(path, what)
+    try:
+        table = parquet.read_table(io.BytesIO(content))
+        columns = {name: table[name].to_pylist() for name in (_STATE, _EPISODE, _TIMESTAMP)}
+    except (ValueError, KeyError, OSError) as error:
+        raise FileError(
+            f"{what} {printable(path)} is no LeRobot data, expected {_STATE}, {_EPISODE} and {_TIMESTAMP}: "
+            f"{type(error).__name__}."
+        ) from None
+    episode = _chosen(path, what, part, dict.fromkeys(columns[_EPISODE]), "episodes")
+    chosen = np.array(columns[_EPISODE]) == episode
+    state, t = np.array(columns[_STATE], dtype=float)[chosen], np.array(columns[_TIMESTAMP], dtype=float)[chosen]
+    info = next((file for one in path.absolute().parents if (file := one / "meta" / "info.json").is_file()), None)
+    if info is None:
+        raise FileError(f"{what} {printable(path)} has no meta/info.json in a folder above it, expected the data set.")
+    facts = read_text(info, "the data set")
+    try:
+        names = json.loads(facts)["features"][_STATE]["names"]
+        names = next(iter(names.values())) if isinstance(names, dict) else names
+        names = [name.removesuffix(_POSITION) for name in names]
+    except (ValueError, KeyError, TypeError, AttributeError, StopIteration):
+        raise FileError(f"{printable(info)} has no names of {_STATE}, expected a list of them.") from None
+    return _timed(names, t - t[0], state, path, what)
+
+
+def _chosen(path: Path, what: str, part: Any, parts: Iterable[Any], kind: str) -> Any:
+    """The part that is asked for, or the only one."""
+    known = {str(one): one for one in parts}
+    if part is None and len(known) == 1:
+        return next(iter(known.values()))
+    if str(part) not in known:
+        listed = f"{', '.join([*known][:20])}" if known else "none"
+        raise FileError(f"{what} {printable(path)} has the {kind} {listed}, expected part to be one of them.")
+    return known[str(part)]
+
+
+def _timed(names: list[str], t: np.ndarray, values: np.ndarray, path: Path, what: str) -> Recording:
+    if values.shape != (len(t), len(names)) or not (np.isfinite(values).all() and np.isfinite(t).all()):
+        raise FileError(f"{what} {printable(path)} has other things than {len(names)} finite numbers in each row.")
+    return Recording((TIME, *names), np.column_stack([t, values]))
+
+
+def _optional(module: str, extra: str) -> Any:
+    try:
+        return import_module(module)
+    except ImportError:
+        package = module.partition(".")[0]
+        raise PlannerError(
+            f"{package} is not installed, expected it for this file: pip install slq-planner[{extra}]."
+        ) from None
