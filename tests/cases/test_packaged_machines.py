@@ -75,6 +75,14 @@ def test_the_quadruped_rises_and_its_feet_stay():
         assert slip < 0.1 * STRIDE  # more than STRIDE is what the proof calls sliding
 
 
+def test_the_pusher_moves_a_trolley_that_no_motor_drives():
+    push = plan_of("pusher")
+    mechanism = push.problem.dynamics.mechanism
+    trolley = mechanism.joint("along").start
+    assert not mechanism.directly_actuated[trolley]
+    assert abs(push.xs[-1, trolley] - 0.2) < 0.02  # m: the goal and its tolerance in the file
+
+
 def test_a_name_stands_for_its_file(tmp_path):
     with pytest.raises(planner.PlannerError, match=r"expected planner.load_problem\('lander'\)"):
         planner.cases.build("lander")
