@@ -19,8 +19,6 @@ from planner.problem.plan import Plan, Status
 from planner.problem.problem import Problem
 from planner.problem.trajectory import Trajectory
 
-MIN_SHARE = 0.1  # of s: smallest step, below which a branch ends far from the asked problem
-
 # One solve from a trajectory, or from the problem's first guess for None, with an iteration limit.
 SolveFrom = Callable[[Problem, Trajectory | None, int], Plan]
 
@@ -38,6 +36,9 @@ class Continuation:
         look_iterations: Number of iterations after which a solve goes on only if its plan meets the goals.
         max_iterations: Limit of those that it goes on with: a plan that has converged predicts the next one better.
         min_step: Smallest step of s.
+        first_share: First step over s.
+        growth: Ratio of a step to the one before it, after a quick solve.
+        min_share: Smallest step over s: below it a branch ends far from the asked problem.
     """
 
     problem_at: Callable[[float], Problem]
@@ -48,20 +49,23 @@ class Continuation:
     look_iterations: int = 60
     max_iterations: int = 1000
     min_step: float = 0.01
+    first_share: float = 0.5
+    growth: float = 1.5
+    min_share: float = 0.1
 
     def run(self, s: float, plan: Plan) -> tuple[float, Plan]:
         """The smallest s that was reached from a plan at s, and its plan: at 0 the one of the asked problem."""
         before: tuple[float, Plan] | None = None
-        step = max(0.5 * s, self.min_step)
+        step = max(self.first_share * s, self.min_step)
         for _ in range(self.max_solves):
-            if s == 0.0 or step < max(self.min_step, MIN_SHARE * s):
+            if s == 0.0 or step < max(self.min_step, self.min_share * s):
                 break
             to = s - step if s - step >= self.min_step else 0.0
             found, kept = self._corrected(to, _predicted(to, s, plan, before))
             if kept:
                 before = (s, plan) if plan.converged else None  # a plan on its way predicts nothing
                 s, plan = to, found
-                step = min(1.5 * step, s) if found.nit < self.look_iterations else min(step, s)
+                step = min(self.growth * step, s) if found.nit < self.look_iterations else min(step, s)
             else:
                 step = 0.4 * min(step, s)
         return s, plan

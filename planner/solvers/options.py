@@ -53,8 +53,8 @@ class SolverOptions:
         pilot_iterations: Iterations after which the controls have the size that `spread` scales.
 
         homotopy: Whether a solve that ends at its limits without success is repeated without limits, which are then
-            tightened step by step, and one with contacts, without success or slow, with softer contacts, which are
-            then hardened (see solvers.relaxation). Not with a warm start, nor with a lower max_iterations than the
+            tightened step by step, and one with contacts, without success or slow, with forces at a distance or softer
+            contacts, which are then hardened (see solvers.relaxation). Not with a warm start, nor with a lower max_iterations than the
             default.
 
         min_regularization: Smallest weight mu on the controls' steps, relative to the largest entry of R; below it mu

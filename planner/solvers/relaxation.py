@@ -1,7 +1,7 @@
 """Relaxation: where a direct solve ends without success, solve an easier problem and follow its plan to the asked one.
 
-With contacts the easier problem has softer ones (solvers.softer_contacts): sinking SOFT_FACTOR times as deep, then less
-and less. It is also tried where a direct solve takes more than MAX_QUICK_ITERATIONS: the plan is the one of the two
+With contacts the easier problem has softer ones (solvers.softer_contacts): sinking ten times as deep, then less and
+less. Where objects are to be pushed that nothing touches, it has forces at a distance, first from afar. It is also tried where a direct solve takes more than MAX_QUICK_ITERATIONS: the plan is the one of the two
 that costs less. The last solve always has the contacts of the problem.
 
 Bounds that act from the first iteration may trap a solve too. The free problem is easy; its plan is followed into the
@@ -32,15 +32,14 @@ from planner.problem.rediscretize import lengthened, rounded_duration
 from planner.problem.trajectory import Trajectory
 from planner.solvers.continuation import Continuation
 from planner.solvers.options import DEFAULT, SolverOptions
-from planner.solvers.softer_contacts import SofterContacts, has_softer
+from planner.solvers.softer_contacts import DistantContacts, SofterContacts, has_softer
 from planner.solvers.warm_start import tracked_warm_start
 from planner.solvers.wider_limits import WiderLimits, at_limits, free_problem
 from planner.solvers.work import WorkBudget
 
-SOFT_FACTOR = 10.0  # of the depth that contacts sink in, at which a continuation in the contact begins
 MAX_QUICK_ITERATIONS = 100  # of a direct solve with contacts, beyond which it crawls along their kinks
 SWING_FACTOR = 2.0  # of the limits, at which branches with other numbers of swings begin
-SWING_ITERATIONS = 300  # limit of their first solves
+FIRST_ITERATIONS = 300  # limit of the first solve of a branch
 MAX_REPEATS = 2  # number of swings that lead to a branch that was followed, after which no others are tried
 SAME_COST = 1e-3  # relative difference of the costs below which two of them are the same branch, or its mirror image
 LENGTHENING = 1.1  # ratio of successive durations
@@ -55,7 +54,7 @@ class RelaxationStep(NamedTuple):
     """One solve of a relaxation."""
 
     number: int  # Counted from 0
-    stage: str  # "direct", "contacts", "free", "limits", "swing" or "duration"
+    stage: str  # "direct", "distance", "contacts", "free", "limits", "swing" or "duration"
     factor: float  # By which contacts sink deeper, or limits are wider; inf without limits
     duration: float  # s
     cost: float
@@ -145,7 +144,8 @@ class _Relaxation:
         problem, limit = self.problem, self.options.max_iterations
         self._report("direct", 1.0, direct, not _failed(direct))
         if has_softer(problem):
-            plan = self._by_softer_contacts()
+            plan = self._by_forces_at_a_distance() if _failed(direct) else None
+            plan = plan or self._by_softer_contacts()
             if plan is not None and (_failed(direct) or plan.cost < direct.cost):
                 return replace(plan, starts=direct.starts)
             if not (_failed(direct) and at_limits(problem, direct)):
@@ -170,6 +170,24 @@ class _Relaxation:
             self.passing["duration"] = duration
         return replace(direct, status=Status.INFEASIBLE)
 
+    def _by_forces_at_a_distance(self) -> Plan | None:
+        """The plan of the problem that one whose objects feel their pushers from afar leads to, else None."""
+        family = DistantContacts(self.problem)
+        if family.factor <= 1.0:
+            return None
+        first = self._solve(family.at(family.factor), None, FIRST_ITERATIONS)
+        if not self._report("distance", family.factor, first, _meets_goals(first)):
+            return None
+        # Beyond the reach of the force there is no gradient, so each step halves it. A plan whose pusher lost its object
+        # has converged soon; one that meets the goals gets time, since the next begins with it.
+        s, halvings = math.log(family.factor), math.ceil(math.log2(family.factor))
+        steps = replace(
+            self._continuation("distance", family), first_share=1.0 / halvings, growth=1.0, min_share=0.1 / halvings,
+            max_solves=2 * halvings + 16, look_iterations=MAX_QUICK_ITERATIONS,
+        )  # fmt: skip
+        s, plan = steps.run(s, first)
+        return plan if s == 0.0 else None
+
     def _by_softer_contacts(self) -> Plan | None:
         """The plan of the problem that one of softer contacts leads to; None where its branch ends before.
 
@@ -182,10 +200,10 @@ class _Relaxation:
 
         family = SofterContacts(self.problem)
         continuation = replace(self._continuation("contacts", family), meets_goals=is_kept)
-        soft = self._solve(family.at(SOFT_FACTOR), None, continuation.look_iterations)
-        if not self._report("contacts", SOFT_FACTOR, soft, bool(np.isfinite(soft.xs).all())):
+        soft = self._solve(family.at(family.factor), None, continuation.look_iterations)
+        if not self._report("contacts", family.factor, soft, bool(np.isfinite(soft.xs).all())):
             return None
-        s, plan = continuation.run(math.log(SOFT_FACTOR), soft)
+        s, plan = continuation.run(math.log(family.factor), soft)
         return plan if s == 0.0 else None
 
     def _branches(self, family: WiderLimits, free: Plan) -> Iterator[tuple[float, Plan]]:
@@ -194,7 +212,7 @@ class _Relaxation:
         factor = min(SWING_FACTOR, max(family.factor, 1.0))
         wider, seen, again = family.at(factor), list[float](), 0
         for us in _swings(self.problem):
-            plan = self.solve_one(wider, self.options, None, None, us, self._allowed(wider, SWING_ITERATIONS), None)
+            plan = self.solve_one(wider, self.options, None, None, us, self._allowed(wider, FIRST_ITERATIONS), None)
             same = any(math.isclose(plan.cost, cost, rel_tol=SAME_COST) for cost in seen)
             kept, again = _meets_goals(plan) and not same, again + same
             seen.append(plan.cost)
@@ -210,18 +228,18 @@ class _Relaxation:
                 longer = lengthened(self.problem, LENGTHENING**k)
             except PlannerError:  # parts that cannot have another duration
                 return None
-            direct = self._solve(longer, None, SWING_ITERATIONS)
+            direct = self._solve(longer, None, FIRST_ITERATIONS)
             if self._report("duration", 1.0, direct, direct.converged and _meets_goals(direct)):
                 return rounded_duration(longer, 1.0)
             family = WiderLimits(longer, 1.0, None, None)
-            wider = self._solve(family.at(math.exp(s)), plan.motion.stretched(longer.duration), SWING_ITERATIONS)
+            wider = self._solve(family.at(math.exp(s)), plan.motion.stretched(longer.duration), FIRST_ITERATIONS)
             if self._report("duration", math.exp(s), wider, _meets_goals(wider)):
                 s, plan = self._continuation("duration", family).run(s, wider)
             if s == 0.0:
                 return rounded_duration(longer, 1.0)
         return None
 
-    def _continuation(self, stage: str, family: WiderLimits | SofterContacts) -> Continuation:
+    def _continuation(self, stage: str, family: WiderLimits | SofterContacts | DistantContacts) -> Continuation:
         def report(s: float, plan: Plan, kept: bool) -> None:
             self._report(stage, math.exp(s), plan, kept)
 

@@ -3,11 +3,14 @@
 import tomllib
 from functools import cache
 
+import numpy as np
 import pytest
 from commands import refused, run
 
 import planner
 from planner.base.packaged import problem_files
+from planner.dynamics.contacts import PlaneContactKinematics
+from planner.dynamics.stance import STRIDE
 from planner.problem.goals import goals_of
 
 FILES = problem_files()
@@ -58,6 +61,26 @@ def test_the_monopod_leaves_the_ground_and_the_satellite_turns_without_momentum(
     mechanism = turn.problem.dynamics.mechanism
     for q, qd in zip(turn.xs[:, : mechanism.nq], turn.xs[:, mechanism.nq :], strict=True):
         assert abs(planner.dynamics.angular_momentum(mechanism, q, qd)).max() < 1e-4  # N m s; RK4 keeps it so nearly
+
+
+def test_the_quadruped_rises_and_its_feet_stay():
+    rise = plan_of("quadruped")
+    mechanism = rise.problem.dynamics.mechanism
+    q, qd = rise.xs[:, : mechanism.nq], rise.xs[:, mechanism.nq :]
+    assert q[-1, 2] - q[0, 2] > 0.15  # m
+    assert len(mechanism.contacts) == 4
+    for foot in mechanism.contacts:
+        at = PlaneContactKinematics(mechanism, foot, q, qd)
+        slip = rise.problem.dynamics.dt * np.linalg.norm(at.v[:, :2], axis=1).sum()
+        assert slip < 0.1 * STRIDE  # more than STRIDE is what the proof calls sliding
+
+
+def test_the_pusher_moves_a_trolley_that_no_motor_drives():
+    push = plan_of("pusher")
+    mechanism = push.problem.dynamics.mechanism
+    trolley = mechanism.joint("along").start
+    assert not mechanism.directly_actuated[trolley]
+    assert abs(push.xs[-1, trolley] - 0.2) < 0.02  # m: the goal and its tolerance in the file
 
 
 def test_a_name_stands_for_its_file(tmp_path):

@@ -1,11 +1,15 @@
 """Continuation in the contact: softer ground first, and the last solve on the ground of the file."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 import planner
+from planner.dynamics import RigidBodyDynamics, body_contact_forces
+from planner.solvers.engine import CompiledEngine, NumpyEngine, acquire_engine
 from planner.solvers.options import SolverOptions
-from planner.solvers.softer_contacts import SofterContacts, has_softer
+from planner.solvers.softer_contacts import REACH, DistantContacts, SofterContacts, has_softer
 
 DIRECT = SolverOptions(homotopy=False)
 
@@ -61,3 +65,55 @@ def test_a_quick_solve_with_contacts_stays_as_it_is():
     plan = planner.solve(problem, max_iterations=1000)
     assert plan.nit < 100
     assert "relaxation" not in plan.options
+
+
+@pytest.fixture(scope="module")
+def push():
+    return planner.load_problem("pusher")
+
+
+def test_a_contact_with_an_object_begins_at_a_distance(push):
+    family = DistantContacts(push)
+    assert family.at(1.0) is push
+    nq, start, still = push.dynamics.mechanism.nq, push.x0[: push.dynamics.mechanism.nq], np.zeros(3)
+    near, far = (body_contact_forces(family.at(f).dynamics.mechanism, start, still) for f in (1.0, family.factor))
+    assert nq == 3
+    assert not near.forces.any()
+    assert far.forces.any()
+    (hard,), (soft,) = (family.at(f).dynamics.mechanism.body_contacts for f in (1.0, family.factor))
+    assert soft.law.ramp / 2.0 == pytest.approx(REACH * -near.depths[0])  # of its gap
+    assert soft.law.stiffness * soft.law.ramp / 8.0 == pytest.approx(hard.law.stiffness * hard.law.ramp)  # in touch
+    assert family.at(4.0).dynamics.mechanism.body_contacts[0].law.stiffness == hard.law.stiffness
+
+
+def test_only_what_nothing_drives_is_pushed_from_afar(problem, push):
+    assert DistantContacts(problem).factor == 1.0  # feet alone
+    assert DistantContacts(planner.cases.two_link(horizon=10)).factor == 1.0
+    mechanism = push.dynamics.mechanism
+    motor = replace(mechanism.actuators, moment=np.roll(mechanism.actuators.moment, 1, axis=1))
+    driven = replace(push, dynamics=RigidBodyDynamics(replace(mechanism, actuators=motor), push.dynamics.dt))
+    assert motor.moment[:, 2].any() != mechanism.actuators.moment[:, 2].any()  # the trolley has a motor, too
+    assert DistantContacts(driven).factor == 1.0
+
+
+def test_an_object_that_nothing_touches_is_pushed_and_the_last_solve_has_the_files_law(push):
+    """The direct solve has no gradient: wherever the finger is, the trolley does not feel it."""
+    plan = planner.solve(push)
+    steps = plan.options["relaxation"]["steps"]
+    assert plan.success
+    assert plan.problem is push
+    assert (steps[0][0], steps[0][-1]) == ("direct", False)
+    assert {step[0] for step in steps[1:]} == {"distance"}
+    assert steps[-1][1] == 1.0
+    q, qd = np.split(plan.xs, 2, axis=1)
+    touching = body_contact_forces(push.dynamics.mechanism, q, qd).forces.any(axis=(1, 2))
+    assert touching.any()
+    assert not touching[[0, -1]].any()
+
+
+def test_other_contacts_keep_the_compiled_engine_and_other_masses_do_not(problem):
+    assert isinstance(acquire_engine(SofterContacts(problem).at(10.0)), CompiledEngine)
+    dynamics = problem.dynamics
+    heavier = replace(dynamics.mechanism, mass=2.0 * dynamics.mechanism.mass)
+    other = replace(problem, dynamics=RigidBodyDynamics(heavier, dynamics.dt), recipe=None)
+    assert isinstance(acquire_engine(other), NumpyEngine)

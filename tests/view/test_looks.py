@@ -139,11 +139,10 @@ def test_a_wall_far_away_does_not_move_the_camera_nor_make_marks_larger():
 
 def test_a_strip_has_no_words_and_its_motion_fills_it():
     made, model = film(poses=((0.0, 0.0), (1.0, 0.5)), upper=box("a", 0, SEEN), fore=box("b", 0, SEEN))
-    (middle, near), (raised, far) = (
+    (_, near), (_, far) = (
         whole_motion([made], model, made.appearance, 1.5, False, words=words) for words in (False, True)
     )
     assert near < 0.95 * far
-    assert raised[2] >= middle[2]
 
 
 @pytest.mark.render

@@ -13,8 +13,9 @@ from planner.model.mjcf.text import edited
 from planner.model.space import exp_quaternion
 from planner.problem.appearance import Appearance
 from planner.problem.default_appearance import default_appearance
-from planner.view.render.camera import below_words, directions, standing_back
+from planner.view.render.camera import between_words, directions, standing_back
 from planner.view.render.film import Film
+from planner.view.render.overlay import Overlay, Words
 from planner.view.render.scene import Scene
 
 
@@ -139,10 +140,17 @@ def test_the_ghost_of_a_tree_stands_where_its_quaternions_say():
     assert (ghost & machine).sum() > 0.85 * (ghost | machine).sum()
 
 
-def test_a_motion_stands_below_the_numbers_where_there_is_room():
+@pytest.mark.parametrize(("half", "lowered"), [((2.0, 0.1, 0.3), 0.15), ((0.3, 0.1, 2.0), None)], ids=["wide", "tall"])
+def test_a_motion_stands_below_the_numbers_where_there_is_room_and_above_the_caption_always(half, lowered):
+    caption = Overlay(Appearance(title=""), 1280, 720, Words(np.zeros(0), numbers=False, difference=True))._panels[-1]
+    corners = np.array(list(itertools.product((-1.0, 1.0), repeat=3))) * half
     angles = 90.0, 0.0, 45.0
-    for half, wanted in (([2.0, 0.1, 0.3], 0.15), ([0.3, 0.1, 2.0], 0.0)):  # wide; as high as the picture
-        corners = np.array(list(itertools.product((-1.0, 1.0), repeat=3))) * half
-        distance = standing_back(corners, *angles, 16 / 9)
-        seen = distance * np.tan(np.radians(22.5))
-        np.testing.assert_allclose(below_words(corners, *angles, distance), [0.0, 0.0, wanted * seen], atol=0.06 * seen)
+    distance = standing_back(corners, *angles, 16 / 9, 0.9)
+    aside = between_words(corners, *angles, distance)
+    ahead, _, up = directions(*angles[:2])
+    depth, tangent = distance + corners @ ahead, np.tan(np.radians(22.5))
+    rows = 360.0 * (1.0 - (corners - aside) @ up / (depth * tangent))
+    assert rows.max() < caption[1][1]
+    assert rows.min() > 0.1 * 360.0
+    if lowered is not None:
+        np.testing.assert_allclose(aside, [0.0, 0.0, lowered * distance * tangent])

@@ -5,10 +5,12 @@ acquire_engine chooses the engine of a solve. An engine refers to parts of its P
 
 from __future__ import annotations
 
+from dataclasses import fields
 from weakref import WeakKeyDictionary
 
 from planner.dynamics import CompiledDynamics, ResidualDynamics
 from planner.kernels.lq import line_search
+from planner.model.mechanism import Mechanism
 from planner.model.space import space_of
 from planner.problem.costs.residuals.arrays import ResidualArrays, joined
 from planner.problem.costs.residuals.cost import ResidualCost
@@ -102,10 +104,18 @@ def _compiled(problem: Problem, terms: list[Cost]) -> tuple[TrackingCost | NoTra
         return None
     if not residuals:
         return tracking[0], None
-    if isinstance(dynamics, ResidualDynamics) and all(term.mechanism is dynamics.mechanism for term in residuals):
+    if isinstance(dynamics, ResidualDynamics) and all(
+        _moves_alike(term.mechanism, dynamics.mechanism) for term in residuals
+    ):
         quadratic = tracking[0] if tracking else NoTracking(problem.N, space_of(dynamics), problem.dynamics.nu)
         return quadratic, joined([term.residual_arrays_for(problem.N) for term in residuals])
     return None
+
+
+def _moves_alike(one: Mechanism, other: Mechanism) -> bool:
+    """Whether two mechanisms have the same parts but for the laws of their contacts, which no residual depends on."""
+    parts = {part.name for part in fields(one)} - {"contacts", "body_contacts"}
+    return all(getattr(one, part) is getattr(other, part) for part in parts)
 
 
 def release_engine(problem: Problem, engine: Engine, rule: int = line_search.ARMIJO) -> None:

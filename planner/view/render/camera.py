@@ -15,7 +15,9 @@ from planner.view.render.film import Film
 from planner.view.render.shapes import LinkCapsules, drawn, geom_boxes, moving
 
 _MARGIN, _NARROW_MARGIN = 1.25, 1.06  # the picture's half sizes over the motion's, with words around it and without
-_LOWER = 0.15  # of half the picture's height: how far a motion is put below its middle, where there is room
+# Of half the picture's height: how far a motion is put below its middle, where there is room; where the free part of a
+# picture ends, above and below. Its caption begins at 0.71 (overlay.py).
+_LOWER, _TOP, _BOTTOM = 0.15, 0.8, 0.69
 MARGIN = 0.05  # around what moves, in parts of its largest side
 _ASTRAY = 0.5  # how far a replay that leaves the plan is followed, in largest sides of the plan's box
 
@@ -48,9 +50,10 @@ def whole_motion(
     axes = np.stack(directions(*angles[:2]))
     along = points @ axes.T
     middle = 0.5 * (along.min(axis=0) + along.max(axis=0)) @ axes
-    distance = standing_back(points - middle, *angles, aspect, room, _MARGIN if words else _NARROW_MARGIN)
-    above = below_words(points - middle, *angles, distance) if room == 1.0 and words else 0.0
-    return middle + above, distance
+    if not words or room < 1.0:
+        return middle, standing_back(points - middle, *angles, aspect, room, _MARGIN if words else _NARROW_MARGIN)
+    distance = standing_back(points - middle, *angles, aspect, 0.5 * (_TOP + _BOTTOM) * _MARGIN)
+    return middle + between_words(points - middle, *angles, distance), distance
 
 
 def kept_near(plan: np.ndarray, points: np.ndarray) -> np.ndarray:
@@ -124,15 +127,16 @@ def standing_back(
     return float(np.max(margin * needed - points @ ahead))
 
 
-def below_words(points: np.ndarray, azimuth: float, elevation: float, fovy: float, distance: float) -> np.ndarray:
-    """Displacement (3,), m, of what a camera looks at, above points (M, 3) about it, which stay in the picture.
+def between_words(points: np.ndarray, azimuth: float, elevation: float, fovy: float, distance: float) -> np.ndarray:
+    """Displacement (3,), m, of what a camera looks at, from what points (M, 3) are about: they stay clear of the words.
 
-    Numbers are at its top.
+    Numbers are at the picture's top, captions at its bottom.
     """
     ahead, _, up = directions(azimuth, elevation)
-    tangent = np.tan(0.5 * np.radians(fovy))
-    free = float(np.min(points @ up + (distance + points @ ahead) * tangent / _MARGIN))
-    return up * max(0.0, min(free, _LOWER * distance * tangent))
+    tangent, height = np.tan(0.5 * np.radians(fovy)), points @ up
+    half = tangent * (distance + points @ ahead)  # of the picture's height, at each point
+    highest, lowest = np.min(height + _BOTTOM * half), np.max(height - _TOP * half)
+    return up * float(np.clip(_LOWER * distance * tangent, lowest, highest))
 
 
 def directions(azimuth: float, elevation: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
