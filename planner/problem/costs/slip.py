@@ -24,7 +24,7 @@ from planner.problem.costs.residuals.arrays import ResidualList
 from planner.problem.costs.residuals.cost import ResidualCost
 from planner.problem.costs.tracking import mechanism_and_step
 
-CLEARANCE = 0.03  # m: default of a foot that is lifted enough
+CLEARANCE = 0.06  # m: default of a foot that is lifted enough; a foot at 5 m/s crosses it in a stage, not unseen
 
 
 class SlipCost(ResidualCost):
