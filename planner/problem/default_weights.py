@@ -72,7 +72,9 @@ MIN_EFFORT = 1e-12  # lower limit of an effort weight: very large limits still l
 class DefaultWeights:
     """Weights by arguments of TrackingCost.joints, and the reason of each as text."""
 
-    weights: dict[str, np.ndarray]  # effort (nu,), control (nu,), position, velocity, final ones (nv,); hold, rest, slip ()
+    weights: dict[
+        str, np.ndarray
+    ]  # effort (nu,), control (nu,), position, velocity, final ones (nv,); hold, rest, slip ()
     reasons: dict[str, str]
 
 
@@ -127,7 +129,7 @@ def default_weights(
         "position": stands * ~stationary / (STANCE_TOLERANCES * position) ** 2,
         "final_position": ends * POSITION / position**2, "final_velocity": ends * VELOCITY / rate**2,
         "hold": np.array(HOLD_SECONDS * stands),
-        **({"rest": np.array((1.0 - MOVING_SHARE) * last_share), "slip": np.array(1.0 / SLIP_SPEED**2)} if steps else {}),
+        **({"rest": np.array((1.0 - MOVING_SHARE) * last_share), "slip": np.array(SLIP_SPEED**-2)} if steps else {}),
     }  # fmt: skip
     held = "none: the weight is that of staying at the goal"
     falls = ", none where the machine falls or drifts freely" if falling.any() else ""
@@ -149,7 +151,7 @@ def default_weights(
                 "none: the machine does not stand",
         **({"rest": f"feet have to move: the machine is at its goal for the last {1.0 - MOVING_SHARE:g} of the time "
             f"to it; before, positions have no weight and velocities {WAY_SHARE:g} of theirs",
-            "slip": f"1 / ({SLIP_SPEED:g} m/s)^2: feet have to move, and are lifted rather than dragged"} if steps else {}),
+            "slip": f"1 / ({SLIP_SPEED:g} m/s)^2: feet are lifted rather than dragged"} if steps else {}),
     })  # fmt: skip
 
 

@@ -81,7 +81,7 @@ REST_PENETRATION = (
 )
 LOAD = 0.25  # of the weight, on one foot
 DAMPING = 1.0  # of critical, for that ground creeps back where it was pressed
-SLIP = 0.2  # m/s at which viscous friction is all there is: MuJoCo's feet creep more slowly still, its contacts are stiffer
+SLIP = 0.2  # m/s at which viscous friction is all there is: on MuJoCo's default contact feet creep more slowly still
 FASTEST = 2000.0  # 1/s: what 16 substeps of a stage of 10 ms follow, and some to spare for other poses
 MAX_KEYFRAMES = 10
 TOGETHER = 0.1  # of a foot's size: points that are no higher above its lowest one stand together

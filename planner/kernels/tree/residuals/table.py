@@ -19,9 +19,10 @@ from planner.kernels.numba.lanes import WIDTH, lane_array, padded
 from planner.kernels.numba.layout import Layout
 from planner.kernels.tree.mechanism_table import chain_of
 
-# Kinds of terms, those of one file next to each other: scalars, frames, turns, mass_centre; tilt (of frames); foot_slip;
+# Kinds of terms, those of one file next to each other: scalars, frames, turns, mass_centre; tilt (of frames); slip;
 # solids.
-HEIGHT, DISTANCE, VELOCITY, POSITION, POINTING, LINEAR, ANGULAR, ORIENTATION, POSE, MASS_CENTRE, TILT, SLIP = range(12)
+HEIGHT, DISTANCE, VELOCITY, POSITION, POINTING, LINEAR, ANGULAR, ORIENTATION, POSE, MASS_CENTRE, TILT = range(11)
+SLIP = 11
 LINE_BOX, BOXES, OVER_PLANE = range(12, 15)
 ROWS = (1, 1, 1, 3, 3, 3, 3, 3, 6, 3, 1, 3, 1, 1, 1)  # of each kind
 REFERENCES = (0, 0, 0, 0, 0, 0, 0, 9, 12, 0, 0, 0, 0, 0, 0)  # numbers per stage of each kind

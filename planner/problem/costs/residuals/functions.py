@@ -208,7 +208,7 @@ def center_of_mass_residual(cache: KinematicsCache, t: int, derivatives: bool) -
 def slip_residual(cache: KinematicsCache, t: int, derivatives: bool) -> tuple[np.ndarray, np.ndarray]:
     """Tangential velocity of the lowest point of a sphere near a plane, times how near it is: three rows, m/s."""
     n, (level, radius, per) = cache.arrays.constant[t, :3], cache.arrays.constant[t, 3:6]
-    frame, nv = cache.frame(int(cache.arrays.ends[t, 0])), cache.nv
+    frame = cache.frame(int(cache.arrays.ends[t, 0]))
     J = cache.jacobian(frame)
     share, slope = smoothstep(1.0 / per - cache.pose(frame)[:, :3, 3] @ n + level, 1.0 / per)
     along = np.eye(3) - np.outer(n, n)
