@@ -19,6 +19,8 @@ Every weight makes its term dimensionless and about 1:
                     Before, positions have no weight and velocities WAY_SHARE of theirs: it may hop, step or crawl. Its
                     effort is at least that at which the gains of the position weight are GAIN_SHARE of the stiffness
                     of its contacts: a foot that lands early or late meets gains that its ground bears
+    slip            1 / SLIP_SPEED^2 of the speed of feet along the ground, or close to it, where feet have to move:
+                    they are lifted, not dragged (problem.costs.slip)
 
 Velocities refer to a minimum-jerk motion where every joint has an actuator: relative to rest, a joint with much damping
 and little inertia would move at constant velocity, and start and stop within a stage. The effort of machines that stand
@@ -47,6 +49,8 @@ from planner.model.coordinates import coordinates_of_mechanism
 from planner.model.mechanism import Mechanism
 from planner.model.mjcf.prescribed_joints import prescribed_dofs_of
 from planner.problem.costs.goal_spec import checked_tolerance
+from planner.problem.costs.slip import SlipCost
+from planner.problem.costs.terms import SumCost
 from planner.problem.costs.tracking import TrackingCost
 from planner.problem.goals import MIN_TOLERANCES, tolerance_share
 from planner.problem.initial_guess import minimum_jerk
@@ -62,6 +66,7 @@ MAX_CORRECTION_RATE = 60.0  # 1/s: faster gains amplify errors of the ground mod
 WAY_SHARE = 0.01  # of the velocity weights, while feet that have to move are on the way
 GAIN_SHARE = 1.0 / 3.0  # of the stiffness of the contacts: the gains' limit where feet land
 POSITION, VELOCITY = 4.0, 10.0  # final weights times the squared tolerance of the goal
+SLIP_SPEED = 0.05  # m/s: of a foot on the ground, whose cost is 1; it slips by STRIDE in a second
 MIN_EFFORT = 1e-12  # lower limit of an effort weight: very large limits still leave it positive definite
 
 
@@ -69,7 +74,9 @@ MIN_EFFORT = 1e-12  # lower limit of an effort weight: very large limits still l
 class DefaultWeights:
     """Weights by arguments of TrackingCost.joints, and the reason of each as text."""
 
-    weights: dict[str, np.ndarray]  # effort (nu,), control (nu,), position, velocity, final ones (nv,); hold, rest ()
+    weights: dict[
+        str, np.ndarray
+    ]  # effort (nu,), control (nu,), position, velocity, final ones (nv,); hold, rest, slip ()
     reasons: dict[str, str]
 
 
@@ -124,7 +131,7 @@ def default_weights(
         "position": stands * ~stationary / (STANCE_TOLERANCES * position) ** 2,
         "final_position": ends * POSITION / position**2, "final_velocity": ends * VELOCITY / rate**2,
         "hold": np.array(HOLD_SECONDS * stands),
-        **({"rest": np.array((1.0 - MOVING_SHARE) * last_share)} if steps else {}),
+        **({"rest": np.array((1.0 - MOVING_SHARE) * last_share), "slip": np.array(SLIP_SPEED**-2)} if steps else {}),
     }  # fmt: skip
     held = "none: the weight is that of staying at the goal"
     falls = ", none where the machine falls or drifts freely" if falling.any() else ""
@@ -146,7 +153,8 @@ def default_weights(
         "hold": f"the cost of staying at the goal for {HOLD_SECONDS:g} s" if stands else
                 "none: the machine does not stand",
         **({"rest": f"feet have to move: the machine is at its goal for the last {1.0 - MOVING_SHARE:g} of the time "
-            f"to it; before, positions have no weight and velocities {WAY_SHARE:g} of theirs"} if steps else {}),
+            f"to it; before, positions have no weight and velocities {WAY_SHARE:g} of theirs",
+            "slip": f"1 / ({SLIP_SPEED:g} m/s)^2: feet are lifted rather than dragged"} if steps else {}),
     })  # fmt: skip
 
 
@@ -161,7 +169,7 @@ def min_jerk_cost(displacement: np.ndarray, duration: float) -> float:
 def default_cost(
     dynamics: RigidBodyDynamics, x0: Any, goal: Any, horizon: int, *,
     tolerance: float | Mapping[str, float] | None = None, **weights: Any,
-) -> TrackingCost:  # fmt: skip
+) -> TrackingCost | SumCost:  # fmt: skip
     """A cost for reaching a goal (nx,) from x0 (nx,), with default weights.
 
     Args:
@@ -183,8 +191,8 @@ def default_cost(
 def weighed(
     dynamics: RigidBodyDynamics, x0: np.ndarray, goal: np.ndarray, horizon: int, weights: Mapping[str, Any], *,
     straight: bool,
-) -> TrackingCost:  # fmt: skip
-    """The cost from x0 (nx,) to a goal (nx,), with weights by the arguments of TrackingCost.joints, hold and rest.
+) -> TrackingCost | SumCost:  # fmt: skip
+    """The cost from x0 (nx,) to a goal (nx,), with weights by the arguments of TrackingCost.joints, hold, rest, slip.
 
     The running weights refer to straight_reference if `straight`, and of machines whose joints all have actuators, or
     that have servos; of others to the goal.
@@ -193,7 +201,7 @@ def weighed(
         PlannerError: As TrackingCost.joints and terminal_holding_cost.
     """
     chosen = dict(weights)
-    hold, rest = chosen.pop("hold", 0.0), chosen.pop("rest", 0.0)
+    hold, rest, slip = (chosen.pop(name, 0.0) for name in ("hold", "rest", "slip"))
     if straight:
         chosen.setdefault("reference", straight_reference(dynamics, x0, goal, horizon))
     elif fully_actuated(dynamics) or servos_of(dynamics).any():
@@ -201,7 +209,17 @@ def weighed(
         chosen.setdefault("reference", reference)
         if servos_of(dynamics).any():
             chosen.setdefault("control", servo_reference(dynamics, reference))
-    return staying_cost(dynamics, TrackingCost.joints(dynamics, goal, horizon, **chosen), hold, rest)
+    cost = staying_cost(dynamics, TrackingCost.joints(dynamics, goal, horizon, **chosen), hold, rest)
+    return with_slip(cost, dynamics, slip)
+
+
+def with_slip(cost: Any, dynamics: RigidBodyDynamics, slip: Any) -> Any:
+    """A cost, and the one of feet that slide with a weight `slip`, 0 for none.
+
+    Raises:
+        PlannerError: A negative weight.
+    """
+    return SumCost(cost, SlipCost(dynamics, slip)) if number("weights.slip", slip, minimum=0.0) > 0.0 else cost
 
 
 def staying_cost(dynamics: RigidBodyDynamics, cost: TrackingCost, hold: Any, rest: Any) -> TrackingCost:

@@ -1,8 +1,9 @@
 """Relaxation: where a direct solve ends without success, solve an easier problem and follow its plan to the asked one.
 
 With contacts the easier problem has softer ones (solvers.softer_contacts): sinking ten times as deep, then less and
-less. Where objects are to be pushed that nothing touches, it has forces at a distance, first from afar. It is also tried where a direct solve takes more than MAX_QUICK_ITERATIONS: the plan is the one of the two
-that costs less. The last solve always has the contacts of the problem.
+less. Where objects are to be pushed that nothing touches, it has forces at a distance, first from afar. It is also tried
+where a direct solve has not converged after MAX_QUICK_ITERATIONS; that goes on only where the easier ones lead to no
+plan that costs less. The last solve always has the contacts of the problem.
 
 Bounds that act from the first iteration may trap a solve too. The free problem is easy; its plan is followed into the
 limits by a continuation (solvers.continuation) in the logarithm of the factor by which they are wider
@@ -37,7 +38,8 @@ from planner.solvers.warm_start import tracked_warm_start
 from planner.solvers.wider_limits import WiderLimits, at_limits, free_problem
 from planner.solvers.work import WorkBudget
 
-MAX_QUICK_ITERATIONS = 100  # of a direct solve with contacts, beyond which it crawls along their kinks
+MAX_QUICK_ITERATIONS = Continuation.look_iterations  # of a direct solve with contacts: then it crawls along their kinks
+DISTANT_ITERATIONS = 100  # after which a solve with forces at a distance goes on only if its plan meets the goals
 SWING_FACTOR = 2.0  # of the limits, at which branches with other numbers of swings begin
 FIRST_ITERATIONS = 300  # limit of the first solve of a branch
 MAX_REPEATS = 2  # number of swings that lead to a branch that was followed, after which no others are tried
@@ -54,7 +56,7 @@ class RelaxationStep(NamedTuple):
     """One solve of a relaxation."""
 
     number: int  # Counted from 0
-    stage: str  # "direct", "distance", "contacts", "free", "limits", "swing" or "duration"
+    stage: str  # "direct", "distance", "contacts", "resumed", "free", "limits", "swing" or "duration"
     factor: float  # By which contacts sink deeper, or limits are wider; inf without limits
     duration: float  # s
     cost: float
@@ -76,15 +78,19 @@ class RelaxationStep(NamedTuple):
 
 
 def is_trapped(problem: Problem, plan: Plan, options: SolverOptions) -> bool:
-    """Whether a direct solve ended without success at its limits or with contacts, or was slow with contacts.
+    """Whether a direct solve ended without success at its limits or with contacts."""
+    return _is_relaxed(problem, options) and _failed(plan) and (has_softer(problem) or at_limits(problem, plan))
 
-    Not where an iteration limit below the default cut it: who asks for little work gets little.
-    """
-    if not options.homotopy or options.max_iterations < DEFAULT.max_iterations or problem.periodic is not None:
-        return False
-    if has_softer(problem) and (_failed(plan) or plan.nit > MAX_QUICK_ITERATIONS):
-        return True
-    return _failed(plan) and at_limits(problem, plan)
+
+def direct_iterations(problem: Problem, options: SolverOptions) -> int:
+    """Limit of the iterations of a direct solve, after which softer contacts are tried where there are any."""
+    most = options.max_iterations
+    return min(most, MAX_QUICK_ITERATIONS) if _is_relaxed(problem, options) and has_softer(problem) else most
+
+
+def _is_relaxed(problem: Problem, options: SolverOptions) -> bool:
+    """Not where an iteration limit below the default cuts a solve: who asks for little work gets little."""
+    return options.homotopy and options.max_iterations >= DEFAULT.max_iterations and problem.periodic is None
 
 
 def _failed(plan: Plan) -> bool:
@@ -103,7 +109,7 @@ def relax(
 
     Args:
         problem: With limits or contacts.
-        direct: Its plan by a direct solve, without success or slow.
+        direct: Its plan by a direct solve without success, or after direct_iterations.
         solve_one: One solve of (problem, options, states, penalties, controls, iteration limit, callback).
         options: Of the solves.
         callback: Called with each RelaxationStep; it may raise StopIteration.
@@ -146,6 +152,8 @@ class _Relaxation:
         if has_softer(problem):
             plan = self._by_forces_at_a_distance() if _failed(direct) else None
             plan = plan or self._by_softer_contacts()
+            if direct.status is Status.MAX_ITERATIONS and (plan is None or plan.cost >= direct.cost):
+                direct = self._resumed(direct, limit)
             if plan is not None and (_failed(direct) or plan.cost < direct.cost):
                 return replace(plan, starts=direct.starts)
             if not (_failed(direct) and at_limits(problem, direct)):
@@ -183,7 +191,7 @@ class _Relaxation:
         s, halvings = math.log(family.factor), math.ceil(math.log2(family.factor))
         steps = replace(
             self._continuation("distance", family), first_share=1.0 / halvings, growth=1.0, min_share=0.1 / halvings,
-            max_solves=2 * halvings + 16, look_iterations=MAX_QUICK_ITERATIONS,
+            max_solves=2 * halvings + 16, look_iterations=DISTANT_ITERATIONS,
         )  # fmt: skip
         s, plan = steps.run(s, first)
         return plan if s == 0.0 else None
@@ -205,6 +213,16 @@ class _Relaxation:
             return None
         s, plan = continuation.run(math.log(family.factor), soft)
         return plan if s == 0.0 else None
+
+    def _resumed(self, direct: Plan, limit: int) -> Plan:
+        """The direct solve to its end, from where direct_iterations stopped it."""
+        if direct.nit >= limit:
+            return direct
+        allowed = self._allowed(self.problem, limit - direct.nit)
+        plan = self.solve_one(self.problem, self.options, None, direct.bound_penalties, direct.us, allowed, None)
+        plan = replace(plan, starts=direct.starts)
+        self._report("resumed", 1.0, plan, not _failed(plan))
+        return plan
 
     def _branches(self, family: WiderLimits, free: Plan) -> Iterator[tuple[float, Plan]]:
         """The free plan, then those of other numbers of swings that meet the goal in wider limits, and their s."""

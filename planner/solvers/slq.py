@@ -47,7 +47,7 @@ from planner.solvers.multiple_shooting import close_defects, guessed_states, lin
 from planner.solvers.multistart import best_of
 from planner.solvers.options import SolverOptions, with_overrides
 from planner.solvers.regularization import Regularization, unregularized_sweep
-from planner.solvers.relaxation import is_trapped, relax
+from planner.solvers.relaxation import direct_iterations, is_trapped, relax
 from planner.solvers.resolution import is_unresolved
 from planner.solvers.stabilizing_guess import has_diverged, stabilizing_guess
 from planner.solvers.warm_start import tracked_warm_start
@@ -142,6 +142,7 @@ def solve(
             f"rank is {short_repr(rank)}, expected a function of a Plan, e.g. planner.proof.proven_cost."
         )
 
+    whole = with_overrides(settings, max_iterations=asked)
     beside = penalties = None
     if warm_start is not None:
         us, beside, penalties = tracked_warm_start(problem, warm_start, settings.max_warm_start_cost_ratio)
@@ -161,9 +162,12 @@ def solve(
         recorded["rank"] = getattr(rank, "__name__", type(rank).__name__)
     ranking = rank if rank is None or core is problem else lambda plan: rank(as_user_plan(problem, plan))
 
+    may_relax = warm_start is None and core.dynamics is problem.dynamics
+
     def solved(guess: np.ndarray) -> Plan:
         if settings.starts == 1:
-            return solve_one(guess, settings.max_iterations, callback)
+            most = direct_iterations(core, whole) if may_relax else asked
+            return solve_one(guess, min(settings.max_iterations, most), callback)
         pilot, others = partial(solve_one.func, core, settings, None, None, **solve_one.keywords), solve_one
         if states is None and (line := line_to_the_end(core)) is not None:
             others = partial(solve_one.func, core, settings, line, penalties, **solve_one.keywords)
@@ -181,8 +185,8 @@ def solve(
     if work is not None:
         work.charge(problem, best.total_iterations)
     if (
-        warm_start is None and core.dynamics is problem.dynamics and not (work is not None and work.exhausted)
-        and is_trapped(core, best, replace(settings, max_iterations=asked))  # the budget has not cut it: some is left
+        may_relax and not (work is not None and work.exhausted)
+        and is_trapped(core, best, whole)  # the budget has not cut it: some is left
     ):  # fmt: skip
         solve_again = partial(_solve_from_guess, deadline=deadline)
         best, recorded["relaxation"] = relax(core, best, solve_again, settings, callback, work)

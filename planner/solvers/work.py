@@ -69,6 +69,12 @@ class WorkBudget:
         part.seconds, part.deadline, part._purpose, part._parent = self.seconds, self.deadline, purpose, self
         return part
 
+    def before_proof(self, problem: Problem) -> WorkBudget:
+        """For a solve: what is left without the proof of its plan, which makes it exhausted if that is nothing."""
+        part = self.part(self._purpose)
+        part.limit = max(0.0, self.left - work_of_proof(problem))
+        return part
+
     @property
     def whole(self) -> WorkBudget:
         """The budget that this is a part of, or itself."""
@@ -115,7 +121,7 @@ class WorkBudget:
 
     def charge_proof(self, problem: Problem) -> None:
         """Count a proof of a plan of a problem."""
-        self._count(PROOF[0] + PROOF[1] * problem.N * work_of_stage(problem), "proofs")
+        self._count(work_of_proof(problem), "proofs")
 
     def _count(self, work: float, purpose: str) -> None:
         self.spent[purpose] = self.spent.get(purpose, 0.0) + work
@@ -157,6 +163,11 @@ def budget_of(given: WorkBudget | float | None) -> WorkBudget | None:
         PlannerError: A negative number, or no number.
     """
     return given if given is None or isinstance(given, WorkBudget) else WorkBudget(number("budget", given, minimum=0.0))
+
+
+def work_of_proof(problem: Problem) -> float:
+    """The work of a proof, without rollouts."""
+    return PROOF[0] + PROOF[1] * problem.N * work_of_stage(problem)
 
 
 def work_of_stage(problem: Problem) -> float:

@@ -8,7 +8,9 @@ from planner.base.errors import PlannerError
 from planner.cases.problem_file import load
 from planner.dynamics.contacts import contact_forces
 from planner.dynamics.stance import STRIDE, contact_stiffness, feet_move
-from planner.problem.default_weights import GAIN_SHARE, MOVING_SHARE, STANCE_TOLERANCES, WAY_SHARE
+from planner.problem.costs.slip import CLEARANCE, SlipCost
+from planner.problem.costs.tracking import tracking_of
+from planner.problem.default_weights import GAIN_SHARE, MOVING_SHARE, SLIP_SPEED, STANCE_TOLERANCES, WAY_SHARE
 
 MONOPOD = """<mujoco model="monopod"><option timestep="0.002"/>
 <worldbody><geom name="floor" type="plane" size="0 0 1"/>
@@ -44,13 +46,32 @@ def test_a_monopod_goes_forward_with_four_lines(forward):
     assert plan.nit < 60  # it takes 16
     proof = planner.prove(plan, rollouts=0)
     assert proof.passed, proof
-    # Nothing but friction costs slip, so this foot is dragged with little load: the verdict's line says it.
-    assert "foot' slides 0." in proof.headline
-    assert "while the machine travels 0.5" in proof.headline
+    assert "slides" not in proof.headline
+
+
+def test_a_foot_that_is_dragged_with_little_load_is_named(forward):
+    """Without a cost of slip nothing but friction keeps the foot from being dragged."""
+    dragged = planner.solve(forward.recipe.rebuilt(weights={"slip": 0.0}, resolved=None))
+    assert "foot' slides 0." in planner.prove(dragged, rollouts=0).headline
+
+
+def test_its_foot_is_lifted(forward):
+    """The cost of slip is that of speeds along the ground below the clearance, which the test sums by itself."""
+    terms = forward.cost.costs
+    slip = terms[-1]
+    assert isinstance(slip, SlipCost)
+    assert weights_of(forward)["slip"] == SLIP_SPEED**-2
+    q, v = forward.x0[:4].copy(), np.array([0.3, 0.0, 0.0, 0.0])
+    still = planner.dynamics.contact_forces(forward.dynamics.mechanism, q, 0.0 * v).depths[0]
+    for height, share in ((0.0, 1.0), (0.5, 0.5), (1.0, 0.0)):  # in clearances; 3 t^2 - 2 t^3 of t = 1/2 is 1/2
+        q[1] = forward.x0[1] + still + height * CLEARANCE
+        xs = np.tile(np.concatenate([q, v]), (forward.N + 1, 1))
+        expected = 0.5 * forward.duration * (share * 0.3 / SLIP_SPEED) ** 2
+        assert slip.value(xs, np.zeros((forward.N, 2))) == pytest.approx(expected, rel=1e-2, abs=1e-9)
 
 
 def test_its_weights_leave_the_way_open_and_ask_for_the_goal_in_the_last_quarter(forward):
-    cost, N, nv = forward.cost, forward.N, 4
+    cost, N, nv = tracking_of(forward.cost), forward.N, 4
     first = N - round((1.0 - MOVING_SHARE) * N)
     assert weights_of(forward)["rest"] == 1.0 - MOVING_SHARE
     assert not cost.Q[:first, :nv].any()
@@ -62,7 +83,7 @@ def test_its_weights_leave_the_way_open_and_ask_for_the_goal_in_the_last_quarter
 def test_its_gains_stay_below_the_stiffness_of_its_ground(forward):
     """sqrt(Q / R), the stationary stiffness of a position weight Q and an effort R, is a share of the ground's."""
     m = forward.dynamics.mechanism
-    ground = contact_stiffness(m, forward.cost.x_ref[-1][: m.nq])[2:]
+    ground = contact_stiffness(m, tracking_of(forward.cost).x_ref[-1][: m.nq])[2:]
     assert ground[1] == pytest.approx(m.contacts[0].law.stiffness)  # the leg presses straight on it
     gains = np.sqrt(np.array(weights_of(forward)["position"])[2:] / np.array(weights_of(forward)["effort"]))
     np.testing.assert_allclose(gains, GAIN_SHARE * ground)
@@ -115,6 +136,6 @@ def test_a_stop_in_the_air_is_refused(tmp_path):
 
 def test_a_place_where_the_foot_must_stand_elsewhere_is_no_refusal(tmp_path):
     problem = problem_of(tmp_path, 'duration = 1.5\n[[goal]]\nframe = "trunk"\nposition = [0.8, 0, 0.44]\n')
-    end = problem.cost.x_ref[-1]
+    end = tracking_of(problem.cost).x_ref[-1]
     assert end[0] == pytest.approx(0.8, abs=5e-3)
     assert abs(end[3] - 0.15) < 0.02  # the leg's length hardly changes: the foot is elsewhere

@@ -16,8 +16,10 @@ from planner.costs import CenterOfMassCost, FrameCost, Height, PenaltyCost, Poin
 from planner.dynamics import center_of_mass
 from planner.dynamics.protocol import INTEGRATORS
 from planner.kernels.lq import line_search
+from planner.model.contact.laws import Contact, ContactLaw, Plane
 from planner.model.space import log_jacobian
 from planner.problem.costs.residuals.cost import ResidualCost
+from planner.problem.costs.slip import SlipCost
 from planner.problem.rediscretize import finer
 from planner.solvers.engine import CompiledEngine, HybridEngine, NumpyEngine, acquire_engine, compiled_costs
 
@@ -34,7 +36,7 @@ BALL = """
   <actuator><motor joint="ball" gear="1 0 0"/></actuator>
 </mujoco>
 """
-KINDS = ("position", "orientation", "pose", "pointing", "velocity", "angular_velocity", "centre")
+KINDS = ("position", "orientation", "pose", "pointing", "velocity", "angular_velocity", "centre", "slip")
 
 
 def some_target(rng, kind, N):
@@ -54,6 +56,10 @@ def some_cost(rng, dynamics, N, kind):
     m = dynamics.mechanism
     if kind == "centre":
         return CenterOfMassCost(dynamics, target, position_weight=weight, final_position_weight=final)
+    if kind == "slip":  # of a sphere on some link, over a plane, under it or within the clearance
+        plane = Plane(rng.normal(size=3), rng.normal())
+        sphere = Contact(int(rng.integers(m.nv)), 0.1 * rng.normal(size=3), 0.05, plane, ContactLaw(1.0))
+        return SlipCost(dynamics, 1.0 + rng.random(), [sphere], clearance=1.0)
     frame = rng.choice([*m.sites, *m.body_names])
     return FrameCost(dynamics, str(frame), **{kind: target, f"{kind}_weight": weight, f"final_{kind}_weight": final})
 

@@ -8,7 +8,7 @@ from planner import Mechanism
 from planner.dynamics.statics import static_equilibrium
 from planner.dynamics.step_stability import fastest_mode
 from planner.model.contact.laws import ContactLaw
-from planner.model.mjcf.ground_law import DAMPING, DEEPEST, FASTEST, LOAD, REST_PENETRATION, rest_penetration
+from planner.model.mjcf.ground_law import DAMPING, DEEPEST, FASTEST, LOAD, REST_PENETRATION, SLIP, rest_penetration
 from planner.model.mjcf.model_index import ModelIndex, compile_model
 
 # A trunk of 20 kg on a foot of `foot` kg, a plate on an ankle that a motor holds.
@@ -27,7 +27,7 @@ def laws(foot, contact=""):
 
 def test_a_foot_that_is_not_light_has_the_damping_of_the_whole_machine():
     _, law = laws(40.0)
-    whole = ContactLaw.resting(60.0, sink=REST_PENETRATION, damping_ratio=DAMPING)
+    whole = ContactLaw.resting(60.0, sink=REST_PENETRATION, damping_ratio=DAMPING, slip=SLIP)
     assert law.stiffness == pytest.approx(whole.stiffness, rel=1e-9)
     assert law.slip_damping == pytest.approx(whole.slip_damping, rel=1e-9)
 

@@ -139,6 +139,8 @@ WEIGHTS = {
     "the ground, in place of final weights, else 0",
     "rest": "share of the duration, at the end, in which the machine is to be at its goal, before which positions have "
     "no weight; by default a quarter of the time to the last goal where feet have to move, else 0: all of it",
+    "slip": "on the squared speed / 2 of feet along the ground, or less than 6 cm above it, per second; by default 400 "
+    "where feet have to move, else 0",
     "goal": "on each goal of [[goal]], over the square of its tolerance; 4 by default, and 25 times as much per second "
     "on a path",
 }

@@ -25,7 +25,14 @@ from planner.problem.costs.frame import FrameCost
 from planner.problem.costs.goal_spec import GoalSpec
 from planner.problem.costs.terms import SumCost
 from planner.problem.costs.tracking import TrackingCost
-from planner.problem.default_weights import VELOCITY, fully_actuated, servo_reference, servos_of, staying_cost
+from planner.problem.default_weights import (
+    VELOCITY,
+    fully_actuated,
+    servo_reference,
+    servos_of,
+    staying_cost,
+    with_slip,
+)
 from planner.problem.goals import MIN_TOLERANCES
 from planner.problem.tasks.follow import Follow
 from planner.problem.tasks.timed_task import Task, TimedGoal, unit_of
@@ -43,11 +50,11 @@ def task_cost(
         task: Goals and paths.
         dynamics: The machine.
         reference: (N+1, nx) the states through its poses, at rest at the end.
-        weights: Arguments of TrackingCost.joints, `goal` in place of WEIGHT, hold and rest.
+        weights: Arguments of TrackingCost.joints, `goal` in place of WEIGHT, hold, rest and slip.
     """
     mechanism, N = task.mechanism, task.N
     weights = dict(weights)
-    given, hold, rest = weights.pop("goal", None), weights.pop("hold", 0.0), weights.pop("rest", 0.0)
+    given, (hold, rest, slip) = weights.pop("goal", None), (weights.pop(name, 0.0) for name in ("hold", "rest", "slip"))
     factor = number("weights.goal", WEIGHT if given is None else given, greater_than=0.0)
     last_factor = 0.0 if rest and given is None else factor  # the goals' pose has weights before and after the end
     if not task.rests:
@@ -76,7 +83,7 @@ def task_cost(
     for path in task.follows:
         terms += _of_path(task, path, factor, Q, x_ref)
     tracking = TrackingCost(Q, base.R, x_ref, base.u_ref, base.space)
-    return SumCost(tracking, *terms) if terms else tracking
+    return with_slip(SumCost(tracking, *terms) if terms else tracking, dynamics, slip)
 
 
 def task_goal_specs(task: Task, x0: np.ndarray) -> tuple[GoalSpec, ...]:

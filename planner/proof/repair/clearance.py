@@ -67,8 +67,9 @@ def refine_clearance(
         if plan.problem is None or not more:
             break
         problem = with_clearance(plan.problem, more)
+        allowed = work.before_proof(problem)
         better = solve(
-            replace(problem, us=warm_start(plan, problem)), max_iterations=max_iterations, budget=work, **options
+            replace(problem, us=warm_start(plan, problem)), max_iterations=max_iterations, budget=allowed, **options
         )  # fmt: skip
         if better.status in (Status.NOT_FINITE, Status.WORK_LIMIT, Status.TIME_LIMIT):
             break

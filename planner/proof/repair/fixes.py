@@ -58,7 +58,7 @@ class FixTrials:
         for one in sorted(found, key=lambda one: not is_automatic(one.key)):
             if one.key in NOT_TRIED:
                 continue
-            if self.budget.exhausted:
+            if self.budget.before_proof(self.problem).exhausted:
                 self.report(FixTrial(one, "not tried"))
                 break
             last, better = self._first_passing(one)
@@ -94,7 +94,9 @@ class FixTrials:
             except PlannerError as error:
                 self.report(FixTrial(one, "refused", str(error)))
                 return None
-        plan = self.solve(problem, asked, ", with a suggested fix", self.budget.part("suggested fixes", SHARE))
+        plan = self.solve(
+            problem, asked, ", with a suggested fix", self.budget.part("suggested fixes", SHARE).before_proof(problem)
+        )
         if plan.status is Status.INTERRUPTED:
             raise KeyboardInterrupt
         if not plan.converged:

@@ -162,8 +162,12 @@ def refine(
         except PlannerError as error:
             reason = f"It cannot be refined: {error}"
             break
+        allowed = work.before_proof(problem)
+        if allowed.exhausted:
+            reason = work.end.value
+            break
         better = solve(
-            replace(problem, us=warm_start(plan, problem)), max_iterations=max_iterations, budget=work, **options
+            replace(problem, us=warm_start(plan, problem)), max_iterations=max_iterations, budget=allowed, **options
         )  # fmt: skip
         stage = f"at a stage of {problem.dynamics.dt:.3g} s"
         if better.status is Status.NOT_FINITE:
@@ -207,6 +211,8 @@ def _other_cause(proof: Proof) -> str:
     goal_failures = [one for one in proof.goal.failures if one.name.startswith("planned")]
     if goal_failures:
         return f"the plan itself misses its goal: {goal_failures[0]}."
+    if proof.replay.plan.status is Status.UNRESOLVED:
+        return ""
     for mode, section in (("open-loop", proof.refined_open_loop), ("feedback", proof.refined_feedback)):
         if section.passed:
             return f"MuJoCo repeats the plan ({mode}): {proof.reason}"

@@ -40,13 +40,16 @@ def leave_saddles(
     for _ in range(MAX_SADDLES):
         failures = [one.name for one in proof.sections["optimality"].failures]
         problem = plan.problem
-        if problem is None or failures != ["negative_curvature"] or budget.exhausted:
+        if problem is None or failures != ["negative_curvature"]:
+            break
+        allowed = budget.before_proof(problem)
+        if allowed.exhausted:
             break
         sweep = recomputed(plan, problem, plan.xs, plan.us).sweep
         us = None if sweep is None else cheaper_along_lowest_curvature(plan, problem, sweep)
         if us is None:
             break
-        better = solve(replace(problem, us=us), max_iterations=max_iterations, budget=budget, **options)
+        better = solve(replace(problem, us=us), max_iterations=max_iterations, budget=allowed, **options)
         if not (better.converged and better.cost < plan.cost):
             break
         budget.charge_proof(problem)

@@ -30,6 +30,7 @@ from planner.kernels.numba.lanes import (
 )
 from planner.kernels.tree.linearize import scatter_row
 from planner.kernels.tree.memory import MEMORY
+from planner.kernels.tree.residuals.foot_slip import slip_rows, slip_value
 from planner.kernels.tree.residuals.frames import frame_value, place_rows, speed_rows, tilt_row, tilt_value
 from planner.kernels.tree.residuals.mass_centre import mass_centre_rows, mass_centre_value
 from planner.kernels.tree.residuals.orientation import orientation_rows, orientation_value
@@ -45,6 +46,7 @@ from planner.kernels.tree.residuals.table import (
     POINTING,
     POSE,
     RESIDUALS,
+    SLIP,
     TILT,
     TILT_BEND,
     VELOCITY,
@@ -70,6 +72,8 @@ def _measure(m, p, q, ws, t, n, knots, solids):
         mass_centre_value(m, p, q, ws, t)
     elif kind == TILT:
         tilt_value(p, ws, t)
+    elif kind == SLIP:
+        slip_value(p, ws, t)
 
 
 @part
@@ -94,6 +98,8 @@ def _differentiate(m, p, ws, t, solids):
         mass_centre_rows(m, p, ws, t)
     elif kind == TILT:
         tilt_row(m, p, ws, t)
+    elif kind == SLIP:
+        slip_rows(m, p, ws, t)
 
 
 @inline

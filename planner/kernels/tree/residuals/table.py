@@ -19,12 +19,14 @@ from planner.kernels.numba.lanes import WIDTH, lane_array, padded
 from planner.kernels.numba.layout import Layout
 from planner.kernels.tree.mechanism_table import chain_of
 
-# Kinds of terms, those of one file next to each other: scalars, frames, turns, mass_centre; tilt (of frames); solids.
+# Kinds of terms, those of one file next to each other: scalars, frames, turns, mass_centre; tilt (of frames); slip;
+# solids.
 HEIGHT, DISTANCE, VELOCITY, POSITION, POINTING, LINEAR, ANGULAR, ORIENTATION, POSE, MASS_CENTRE, TILT = range(11)
-LINE_BOX, BOXES, OVER_PLANE = range(11, 14)
-ROWS = (1, 1, 1, 3, 3, 3, 3, 3, 6, 3, 1, 1, 1, 1)  # of each kind
-REFERENCES = (0, 0, 0, 0, 0, 0, 0, 9, 12, 0, 0, 0, 0, 0)  # numbers per stage of each kind
-FAST = (VELOCITY, LINEAR, ANGULAR)  # kinds that depend on velocities
+SLIP = 11
+LINE_BOX, BOXES, OVER_PLANE = range(12, 15)
+ROWS = (1, 1, 1, 3, 3, 3, 3, 3, 6, 3, 1, 3, 1, 1, 1)  # of each kind
+REFERENCES = (0, 0, 0, 0, 0, 0, 0, 9, 12, 0, 0, 0, 0, 0, 0)  # numbers per stage of each kind
+FAST = (VELOCITY, LINEAR, ANGULAR, SLIP)  # kinds that depend on velocities
 SOLIDS = (LINE_BOX, BOXES, OVER_PLANE)  # kinds of two solids
 FIRST_AXES, FIRST_HALF, SECOND_AXES, SECOND_HALF, TAKEN_OFF, REACH = 0, 9, 12, 21, 24, 25
 """Offsets in the constants of two solids: axes in their links and half lengths, what is taken off the distance of their

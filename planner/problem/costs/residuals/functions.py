@@ -12,6 +12,7 @@ from functools import cached_property
 
 import numpy as np
 
+from planner.dynamics.contacts import smoothstep
 from planner.dynamics.kinematics import frame_pose, jacobian, jacobian_derivatives, points_of
 from planner.kernels.tree.residuals.table import (
     ANGULAR,
@@ -32,6 +33,7 @@ from planner.kernels.tree.residuals.table import (
     POSITION,
     SECOND_AXES,
     SECOND_HALF,
+    SLIP,
     TAKEN_OFF,
     TILT,
     TINY,
@@ -203,6 +205,23 @@ def center_of_mass_residual(cache: KinematicsCache, t: int, derivatives: bool) -
     return value, np.einsum("l,nlai->nai", share, J) if derivatives else J
 
 
+def slip_residual(cache: KinematicsCache, t: int, derivatives: bool) -> tuple[np.ndarray, np.ndarray]:
+    """Tangential velocity of the lowest point of a sphere near a plane, times how near it is: three rows, m/s."""
+    n, (level, radius, per) = cache.arrays.constant[t, :3], cache.arrays.constant[t, 3:6]
+    frame = cache.frame(int(cache.arrays.ends[t, 0]))
+    J = cache.jacobian(frame)
+    share, slope = smoothstep(1.0 / per - cache.pose(frame)[:, :3, 3] @ n + level, 1.0 / per)
+    along = np.eye(3) - np.outer(n, n)
+    lowest = along @ np.hstack([np.eye(3), radius * hat(n)])  # of a twist at the centre, with the arm -radius n
+    speed = np.einsum("nai,ni->na", lowest @ J, cache.v)
+    value = share[:, None] * speed
+    if not derivatives:
+        return value, np.empty(0)
+    by_q = share[:, None, None] * (lowest @ cache.jacobian_rates(frame))
+    by_q -= (slope[:, None] * speed)[:, :, None] * (n @ J[:, :3])[:, None]
+    return value, np.concatenate([by_q, share[:, None, None] * (lowest @ J)], axis=2)
+
+
 _SHAPE_DISTANCES = {
     LINE_BOX: signed_distance.segment_box,
     BOXES: signed_distance.of_boxes,
@@ -306,5 +325,5 @@ RESIDUALS: dict[int, ResidualFunctionOfKind] = {
     **dict.fromkeys((POSITION, POINTING, LINEAR, ANGULAR), frame_residual),
     **dict.fromkeys((ORIENTATION, POSE), orientation_residual),
     **dict.fromkeys((LINE_BOX, BOXES, OVER_PLANE), distance_residual),
-    MASS_CENTRE: center_of_mass_residual, TILT: tilt_residual,
+    MASS_CENTRE: center_of_mass_residual, TILT: tilt_residual, SLIP: slip_residual,
 }  # fmt: skip
