@@ -41,7 +41,7 @@ linkcheck: ## check every link: files, headings, and pages of others (none so fa
 
 gallery: setup ## make the committed pictures and videos again
 	@mkdir -p $(GALLERY)
-	@for case in hopper two-link acrobot puma high-dive human-step lander monopod quadrotor quadruped satellite; do \
+	@for case in hopper two-link acrobot puma high-dive human-step lander monopod pusher quadrotor quadruped satellite; do \
 	    $(PLANNER) run $$case --out renders/$$case && \
 	    cp renders/$$case/video.mp4 $(GALLERY)/$$case.mp4 && \
 	    cp renders/$$case/strip.png $(GALLERY)/$$case.strip.png && \

@@ -1,9 +1,9 @@
 """Relaxation: where a direct solve ends without success, solve an easier problem and follow its plan to the asked one.
 
 With contacts the easier problem has softer ones (solvers.softer_contacts): sinking ten times as deep, then less and
-less. Where objects are to be pushed that nothing touches, it has forces at a distance, first from afar. It is also tried
-where a direct solve has not converged after MAX_QUICK_ITERATIONS; that goes on only where the easier ones lead to no
-plan that costs less. The last solve always has the contacts of the problem.
+less. Where objects are to be moved that nothing touches it has forces at a distance instead, from afar and then from
+nearer. Softer ones are also tried where a direct solve has not converged after MAX_QUICK_ITERATIONS; that goes on only
+where they lead to no plan that costs less. The last solve always has the contacts of the problem.
 
 Bounds that act from the first iteration may trap a solve too. The free problem is easy; its plan is followed into the
 limits by a continuation (solvers.continuation) in the logarithm of the factor by which they are wider
@@ -186,8 +186,7 @@ class _Relaxation:
         first = self._solve(family.at(family.factor), None, FIRST_ITERATIONS)
         if not self._report("distance", family.factor, first, _meets_goals(first)):
             return None
-        # Beyond the reach of the force there is no gradient, so each step halves it. A plan whose pusher lost its object
-        # has converged soon; one that meets the goals gets time, since the next begins with it.
+        # Beyond the reach of the force there is no gradient, so each step halves it, and no step is longer.
         s, halvings = math.log(family.factor), math.ceil(math.log2(family.factor))
         steps = replace(
             self._continuation("distance", family), first_share=1.0 / halvings, growth=1.0, min_share=0.1 / halvings,

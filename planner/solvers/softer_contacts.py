@@ -26,9 +26,7 @@ from planner.dynamics.contacts import body_contact_forces
 from planner.dynamics.rigid_body import RigidBodyDynamics
 from planner.model.capabilities import roots
 from planner.model.contact.body_contact import BodyContact
-from planner.model.contact.laws import ContactLaw
 from planner.problem.problem import Problem
-
 
 SOFT_FACTOR = 10.0  # of the depth that contacts sink in, at which a continuation in the contact begins
 REACH = 2.0  # distance at which a force at a distance begins, over the gap at the start
