@@ -231,7 +231,7 @@ WRIST = """
 def test_a_joint_that_stops_within_a_step_of_the_simulator_passes_in_the_file(tmp_path):
     """The wrist, of a rate of 1e4 per s, stops in 0.1 ms: MuJoCo's first-order method is off by a part of the jump."""
     (tmp_path / "wrist.xml").write_text(WRIST, encoding="utf-8")
-    lines = 'model = "wrist.xml"\nstart = [0.0, 0.0]\ngoal = [0.5, 1.0]\nduration = 0.8\n'
+    lines = 'model = "wrist.xml"\nstart = [0.0, 0.0]\ngoal = [0.5, 1.0]\nduration = 0.8\n[weights]\nvelocity = 0.0\n'
     (tmp_path / "wrist.toml").write_text(lines, encoding="utf-8")
     plan = planner.solve(load(tmp_path / "wrist.toml").problem)
     assert np.abs(np.diff(plan.xs[-2:, 3])).max() > 0.5 * np.abs(plan.xs[:, 3]).max()  # it stops in the last stage

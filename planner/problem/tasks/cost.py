@@ -25,14 +25,7 @@ from planner.problem.costs.frame import FrameCost
 from planner.problem.costs.goal_spec import GoalSpec
 from planner.problem.costs.terms import SumCost
 from planner.problem.costs.tracking import TrackingCost
-from planner.problem.default_weights import (
-    VELOCITY,
-    fully_actuated,
-    servo_reference,
-    servos_of,
-    staying_cost,
-    with_slip,
-)
+from planner.problem.default_weights import VELOCITY, servo_reference, servos_of, staying_cost, with_slip
 from planner.problem.goals import MIN_TOLERANCES
 from planner.problem.tasks.follow import Follow
 from planner.problem.tasks.timed_task import Task, TimedGoal, unit_of
@@ -63,8 +56,7 @@ def task_cost(
     at_rest[:, mechanism.nq : mechanism.nq + mechanism.nv] = 0.0
     if "control" not in weights and servos_of(dynamics).any():
         weights["control"] = servo_reference(dynamics, reference)
-    moving = reference if fully_actuated(dynamics) or servos_of(dynamics).any() else at_rest
-    base = TrackingCost.joints(dynamics, at_rest[N], N, reference=moving, **weights)
+    base = TrackingCost.joints(dynamics, at_rest[N], N, reference=at_rest, **weights)
     base = staying_cost(dynamics, base, hold, rest)
     Q, x_ref = base.Q.copy(), base.x_ref.copy()
     terms: list[Any] = []
@@ -77,7 +69,6 @@ def task_cost(
             for dof in _moving_dofs(mechanism, one):
                 i = mechanism.nv + dof
                 Q[one.stage, i, i] += VELOCITY / MIN_TOLERANCES[f"{unit_of(mechanism, dof)}/s"] ** 2
-                x_ref[one.stage, mechanism.nq + dof] = 0.0
         if one.goal.frame is not None and weight > 0.0:
             terms.append(_of_frame(task, one, weight))
     for path in task.follows:

@@ -27,6 +27,7 @@ from planner.model.mechanism import Mechanism
 from planner.problem.bound_messages import control_at_bound, control_name, sentence_of, state_at_bound, state_outside
 from planner.problem.plan import Plan, Status
 from planner.problem.problem import Problem
+from planner.problem.costs.tracking import tracking_of
 from planner.problem.rediscretize import rounded_duration
 from planner.proof.diagnostics.min_jerk import MinJerkMotion, machine_of, smooth_motion
 from planner.proof.diagnostics.suggested_fix import SuggestedFix, fix, no_fix
@@ -162,12 +163,14 @@ def _of_velocities(problem: Problem, machine: Mechanism, qd: np.ndarray) -> list
     ranges, needs = problem.ranges, []
     if ranges is None:
         return []
-    coordinates = coordinates_of(problem.dynamics)
+    coordinates, cost = coordinates_of(problem.dynamics), tracking_of(problem.cost)
+    assert cost is not None  # checked by machine_of()
     for h in range(len(ranges.component) - ranges.at_end):
         i = int(ranges.component[h]) - machine.nv
         if not 0 <= i < machine.nv:
             continue
-        upper, lower = ranges.upper[1:, h].min(), ranges.lower[1:, h].max()  # zero velocity at the goal: no offset
+        reference = cost.x_ref[1:, machine.nq + i]  # which ranges are relative to
+        upper, lower = (ranges.upper[1:, h] + reference).min(), (ranges.lower[1:, h] + reference).max()
         most = qd[np.argmax(np.abs(qd[:, i])), i]
         limit = upper if most > 0.0 else lower
         name, unit = coordinates[machine.nv + i]
