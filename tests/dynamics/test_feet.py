@@ -13,7 +13,7 @@ from planner.dynamics.quasi_static import quasi_static_controls
 from planner.dynamics.statics import static_equilibrium
 from planner.model.contact.laws import ContactLaw
 from planner.model.mechanism import Mechanism
-from planner.model.mjcf.ground_law import DAMPING, REST_PENETRATION
+from planner.model.mjcf.ground_law import DAMPING, REST_PENETRATION, SLIP
 
 others = pytest.mark.skipif(None in PLACES.values(), reason="no models of others")
 
@@ -133,7 +133,7 @@ def written(tmp_path, contacts, more="settle = true"):
 @pytest.mark.parametrize(
     ("contacts", "law"),
     [
-        ('"ground"', ContactLaw.resting(MASS, sink=REST_PENETRATION, damping_ratio=DAMPING)),
+        ('"ground"', ContactLaw.resting(MASS, sink=REST_PENETRATION, damping_ratio=DAMPING, slip=SLIP)),
         ("{ penetration = 0.01, friction = 0.7 }", ContactLaw.resting(MASS, sink=0.01, friction=0.7)),
         (
             "{ stiffness = 1e4, damping = 100, ramp = 1e-3, slip_damping = 200, friction = 0.5 }",
