@@ -9,6 +9,7 @@ from planner.cases.problem_file import load
 from planner.dynamics.contacts import contact_forces, contact_jacobians
 from planner.dynamics.kinematics import frame_pose
 from planner.model.mechanism import Frame
+from planner.problem.costs.tracking import tracking_of
 from planner.proof import prove
 from planner.solvers.slq import solve
 
@@ -52,7 +53,7 @@ def test_a_place_that_is_asked_for_stays(tmp_path, x):
     text = FOUR_LINES.replace("goal = {", f"goal = {{ x = {x},")
     (tmp_path / "dog.xml").write_text(dog())
     (tmp_path / "problem.toml").write_text(text)
-    assert load(tmp_path / "problem.toml").problem.cost.x_ref[-1][0] == x
+    assert tracking_of(load(tmp_path / "problem.toml").problem.cost).x_ref[-1][0] == x
 
 
 def trunk_goal(tmp_path, dx, dz):

@@ -13,7 +13,7 @@ from planner.dynamics.quasi_static import quasi_static_controls
 from planner.dynamics.statics import static_equilibrium
 from planner.model.contact.laws import ContactLaw
 from planner.model.mechanism import Mechanism
-from planner.model.mjcf.ground_law import DAMPING, REST_PENETRATION
+from planner.model.mjcf.ground_law import DAMPING, REST_PENETRATION, SLIP
 
 others = pytest.mark.skipif(None in PLACES.values(), reason="no models of others")
 
@@ -133,7 +133,7 @@ def written(tmp_path, contacts, more="settle = true"):
 @pytest.mark.parametrize(
     ("contacts", "law"),
     [
-        ('"ground"', ContactLaw.resting(MASS, sink=REST_PENETRATION, damping_ratio=DAMPING)),
+        ('"ground"', ContactLaw.resting(MASS, sink=REST_PENETRATION, damping_ratio=DAMPING, slip=SLIP)),
         ("{ penetration = 0.01, friction = 0.7 }", ContactLaw.resting(MASS, sink=0.01, friction=0.7)),
         (
             "{ stiffness = 1e4, damping = 100, ramp = 1e-3, slip_damping = 200, friction = 0.5 }",
@@ -146,8 +146,10 @@ def test_problem_files_give_a_law(tmp_path, contacts, law):
     dynamics = problem.dynamics
     assert isinstance(dynamics, planner.RigidBodyDynamics)
     touch = dynamics.mechanism.contacts[0].law
-    for name in ("stiffness", "damping", "ramp", "slip_damping", "friction"):
+    for name in ("stiffness", "damping", "ramp", "friction"):
         assert getattr(touch, name) == pytest.approx(getattr(law, name), rel=1e-9)
+    less = touch.slip_damping / law.slip_damping  # of this light foot, by tests/model/test_ground_law's rule
+    assert 0.5 < less < 1.0 if contacts == '"ground"' else less == pytest.approx(1.0, rel=1e-9)
     rates = dynamics.rates(problem.x0[None], problem.first_guess[:1])
     np.testing.assert_allclose(rates, 0.0, atol=1e-5)  # start and guess rest on the ground
 

@@ -11,7 +11,7 @@ from planner.model.contact.laws import ContactLaw
 from planner.model.mechanism import Mechanism
 from planner.model.mjcf.contact_mode import falling_trees
 from planner.model.mjcf.facts import free_bases
-from planner.model.mjcf.ground_law import DAMPING, REST_PENETRATION
+from planner.model.mjcf.ground_law import DAMPING, REST_PENETRATION, SLIP
 from planner.model.mjcf.model_index import ModelIndex
 
 FLOOR = '<geom name="floor" type="plane" size="0 0 1"/>'
@@ -65,7 +65,7 @@ def test_the_choice(text, mode):
 
 def test_a_ground_is_for_the_mass_that_stands_on_it():
     _, m = chosen(walker())
-    law = ContactLaw.resting(8.0, sink=REST_PENETRATION, damping_ratio=DAMPING)
+    law = ContactLaw.resting(8.0, sink=REST_PENETRATION, damping_ratio=DAMPING, slip=SLIP)
     assert len(m.contacts) == 4  # the ends of two legs
     assert m.body_contacts == ()  # the legs must not touch each other
     for contact in m.contacts:

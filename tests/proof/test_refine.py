@@ -127,6 +127,14 @@ def test_other_failures_are_left_alone(failed, changes, fragment):
     assert refined.reason.startswith("A finer step does not help where ")
 
 
+def test_a_plan_that_its_steps_do_not_resolve_is_refined(failed):
+    plan, proof = failed
+    plan = replace(plan, status=Status.UNRESOLVED)
+    repeated = proof.sections | {"refined_feedback": section("refined", value=0.0)}
+    proof = replace(proof, sections=repeated, replay=replace(proof.replay, plan=plan))
+    assert refine(plan, proof).passed
+
+
 def test_a_goal_that_only_the_replay_misses_is_refined(failed):
     plan, proof = failed
     sections = proof.sections | {"goal": section("goal", "replayed_goal_error")}

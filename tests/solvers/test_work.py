@@ -8,7 +8,7 @@ import pytest
 import planner
 from planner import PlannerError, Status, cases
 from planner.problem.problem import Problem
-from planner.solvers.work import WorkBudget, work_of_stage
+from planner.solvers.work import WorkBudget, work_of_proof, work_of_stage
 
 
 def swing(horizon=60):
@@ -61,6 +61,17 @@ def test_parts_count_in_the_whole():
     assert whole.used == pytest.approx(part.used + whole.spent["proofs"])
     assert inner.whole is whole
     assert str(whole).startswith(f"{whole.used:.2g} of 10: fixes ")
+
+
+def test_a_solve_before_a_proof_leaves_room_for_it():
+    problem, whole = swing(), WorkBudget(100.0)
+    part = whole.part("finer steps").before_proof(problem)
+    assert part.limit == pytest.approx(100.0 - work_of_proof(problem))
+    part.charge(problem, 3)
+    whole.charge_proof(problem)
+    assert whole.spent == pytest.approx({"finer steps": work_of(problem, 3), "proofs": work_of_proof(problem)})
+    assert WorkBudget(0.5 * work_of_proof(problem)).before_proof(problem).exhausted
+    assert not WorkBudget().before_proof(problem).exhausted
 
 
 def test_a_deadline_ends_a_solve_and_is_named():
