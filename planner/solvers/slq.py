@@ -362,9 +362,9 @@ def _inner_solve(
         unregularized_sweep(engine, options)
         engine.holds_bounds = False
     K = engine.gains()
-    # Open-loop costates overflow where stages are too long for the machine, and in long motions that only feedback
+    # Open-loop costates overflow where stages are too long for a machine, and in long motions that only feedback
     # makes stable: there the LQ problem says whether the plan is stationary.
-    overflows = not math.isfinite(gradient_norm) and bool(stage_too_long(problem))
+    overflows = not math.isfinite(gradient_norm) and (machine.mechanism is None or bool(stage_too_long(problem)))
     if status is not Status.INTERRUPTED and (overflows or not np.isfinite(K).all()):
         status = Status.NOT_FINITE
     release_engine(problem, engine, rule)

@@ -68,8 +68,8 @@ def test_a_stored_plan_knows_what_it_keeps_apart(problem_of, tmp_path):
 
 def test_what_is_kept_apart_at_knots_is_kept_apart_between_them(problem_of, monkeypatch):
     """A thin wall above which the tool is fast: the corner that it goes over lies between two knots."""
-    scene = {"wall": 'type="box" size="0.01 0.5 0.3"', "tool": 'type="sphere" size="0.02"'}
-    text = TOML.replace("duration = 2.0", "duration = 1.0")
+    scene = {"wall": 'type="box" size="0.01 0.5 0.45"', "tool": 'type="sphere" size="0.02"'}
+    text = TOML.replace("duration = 2.0", "duration = 1.5")
 
     def nearest(**options):
         problem = problem_of(AVOID, **scene)
