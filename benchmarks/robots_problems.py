@@ -6,8 +6,8 @@
     start     the first keyframe, else the pose of the file; put within the ranges where it is outside, and joints that
               their motors cannot hold there go to the nearest angle at which they can; legs that topple there with
               stiff joints lean at the ankles, as little as makes them stand
-    goal      the start with the driven joints moved, to the side of more room, 0.5 rad where there is no range; the cart
-              of an underactuated machine by 0.5 m. Small goals: by 15 % of the range for arms and hands, 3 % for
+    goal      the start with the driven joints moved, to the side of more room, 0.5 rad where there is no range; the
+              cart of an underactuated machine by 0.5 m. Small goals: by 15 % of the range for arms and hands, 3 % for
               machines with legs; moderate: 40 %, at most 0.5 rad, and 8 %; large: 60 % and 15 %. With a seed a third of
               the machines have other goals: each joint anywhere between that far to one side and to the other
     duration  1.5 s for arms, 2 s for underactuated machines, 1 s for the others
