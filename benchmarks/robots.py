@@ -29,7 +29,8 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[1]
 sys.path[:0] = [str(ROOT), str(ROOT / "benchmarks")]
 
-from robots_problems import SHARE, Goals, problem_text  # noqa: E402 (beside this file)
+from robots_goals import SHARE, Goals  # noqa: E402 (beside this file)
+from robots_problems import problem_text  # noqa: E402
 from robots_table import KINDS, MACHINES, Machine  # noqa: E402
 
 LIMIT = 120.0  # s for a machine

@@ -362,8 +362,7 @@ def _inner_solve(
         unregularized_sweep(engine, options)
         engine.holds_bounds = False
     K = engine.gains()
-    # Open-loop costates overflow where stages are too long for a machine, and in long motions that only feedback
-    # makes stable: there the LQ problem says whether the plan is stationary.
+    # Open-loop costates overflow where stages are too long, and in long motions that only feedback makes stable.
     overflows = not math.isfinite(gradient_norm) and (machine.mechanism is None or bool(stage_too_long(problem)))
     if status is not Status.INTERRUPTED and (overflows or not np.isfinite(K).all()):
         status = Status.NOT_FINITE
@@ -395,8 +394,7 @@ def _plan(
     problem: Problem, xs: np.ndarray, us: np.ndarray, K: np.ndarray, cost: float, gradient_norm: float,
     status: Status, history: list[Iteration],
 ) -> Plan:  # fmt: skip
-    t = problem.dynamics.dt * np.arange(len(xs))
     return Plan(
-        t, xs, us, K, cost, gradient_norm, status, tuple(history), problem,
+        problem.dynamics.dt * np.arange(len(xs)), xs, us, K, cost, gradient_norm, status, tuple(history), problem,
         problem.recipe, problem.twin,
     )  # fmt: skip

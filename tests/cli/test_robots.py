@@ -5,8 +5,10 @@ import sysconfig
 import tomllib
 from pathlib import Path
 
+import numpy as np
 import pytest
 from robots import tried
+from robots_goals import SHARE, Goals
 from robots_problems import problem_text
 from robots_table import MACHINES, Machine
 
@@ -151,3 +153,14 @@ def test_legs_that_topple_lean_at_the_ankle(tmp_path, heel, leans):
     assert (start[7] != 0.0) == leans
     if leans:  # the foot turns up in front of the shin, so that flat on the ground the rod leans forwards
         assert -0.1 <= start[7] < 0.0
+
+
+def test_goals_of_other_sizes_and_of_seeds_stay_within_the_ranges():
+    limits, ways = np.array([-1.0, 3.0]), {}
+    for size in SHARE:
+        ways[size] = Goals.of(size, None, "arm.xml").way(0.0, limits, "arm")
+        drawn = [Goals.of(size, seed, "arm.xml") for seed in range(90)]
+        assert 15 < sum(one.rng is not None for one in drawn) < 45  # a third
+        assert all(-0.92 <= one.way(0.0, limits, "arm") <= abs(ways[size]) for one in drawn)
+    assert ways == pytest.approx({"small": 0.6, "moderate": 0.5, "large": 2.4})
+    assert Goals("large").way(1.5, limits, "arm") == pytest.approx(-2.4)  # to the side of more room
