@@ -207,8 +207,9 @@ def replay_in(
 def step_of(plan: Plan, model: Any, integrator: str) -> Step | None:
     """A step of a model by the Rosenbrock method, for a plan with implicit damping; None for MuJoCo's own methods."""
     damping = damping_of(problem_of(plan).dynamics)
-    implicit = integrator == ROSENBROCK and damping is not None
-    return implicit_step(model, model.opt.timestep, damping, PARTS) if implicit else None
+    if integrator != ROSENBROCK or damping is None:
+        return None
+    return implicit_step(model, model.opt.timestep, damping, PARTS)
 
 
 def problem_of(plan: Plan) -> Problem:
