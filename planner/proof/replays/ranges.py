@@ -41,6 +41,9 @@ class Excess(NamedTuple):
         return f"{self.name} {self.what} from t = {since:.4g} s, by up to {beyond.max():.3g} {self.unit}".rstrip() + "."
 
 
+REACHED = 1e-6  # of a range, at most rad, m, N or N m: a stop that is passed by less has no force to speak of
+
+
 def ranges_reached(
     model: Any, t: np.ndarray, w: np.ndarray, ctrl: np.ndarray, stopped: Collection[int] = ()
 ) -> tuple[str, ...]:
@@ -50,7 +53,7 @@ def ranges_reached(
     model, and are excluded.
     """
     found = (*joints_in(model, w, stopped), *tendons_in(model, w), *efforts_in(model, w, ctrl))
-    return tuple(filter(None, (one.sentence(t) for one in found)))
+    return tuple(filter(None, (one.sentence(t, REACHED * min(1.0, float(np.ptp(one.range)))) for one in found)))
 
 
 def joints_in(model: Any, w: np.ndarray, stopped: Collection[int] = ()) -> Iterator[Excess]:
