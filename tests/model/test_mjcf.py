@@ -29,7 +29,7 @@ def simulate(model, seconds=1.0):
     rng = np.random.default_rng(0)
     data = mujoco.MjData(model)
     if model.nkey:
-        mujoco.mj_resetDataKeyframe(model, data, model.key("start").id)
+        mujoco.mj_resetDataKeyframe(model, data, 0)
     held = max(1, round(0.01 / model.opt.timestep))
     states = []
     for step in range(round(seconds / model.opt.timestep)):

@@ -77,7 +77,7 @@ def starter_text(model: str, name: str, file: ModelFile, known: Description) -> 
     if known.name:
         lines += _line("title", json.dumps(known.name), KEYS["title"])
     lines += [
-        "# Least effort, the default, may reach its speed within a few stages. This starts and stops gently:",
+        "# The default has least effort near a smooth motion. This is the smoothest motion that there is:",
         '# objective = "jerk"', "",
         "# [weights]  numbers, or tables by joint (effort: by actuator); `planner list` names them all",
         "# [limits]   bounds of controls, positions and velocities, exact goals", "",
