@@ -74,9 +74,8 @@ MIN_EFFORT = 1e-12  # lower limit of an effort weight: very large limits still l
 class DefaultWeights:
     """Weights by arguments of TrackingCost.joints, and the reason of each as text."""
 
-    weights: dict[
-        str, np.ndarray
-    ]  # effort (nu,), control (nu,), position, velocity, final ones (nv,); hold, rest, slip ()
+    # effort (nu,), control (nu,), position, velocity, final ones (nv,); hold, rest, slip ()
+    weights: dict[str, np.ndarray]
     reasons: dict[str, str]
 
 
