@@ -88,3 +88,5 @@ def test_names_that_the_model_lacks_and_shapes_of_one_body_are_refused():
         planner.Mechanism.from_mjcf(HAND, exclude=[("plam", "tip")])
     with pytest.raises(planner.ModelError, match="one body"):
         planner.Mechanism.from_mjcf(HAND, exclude=[("palm", "pad")])
+    with pytest.raises(planner.ModelError, match="without a name"):
+        planner.Mechanism.from_mjcf(HAND.replace('<body name="tip"', "<body"), exclude=[("palm", "ball")])

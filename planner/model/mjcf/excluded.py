@@ -40,7 +40,7 @@ def with_excluded(file: ModelFile, given: Sequence[BodyPair]) -> ModelFile:
     """A file in which the bodies of each pair do not touch, compiled again; a shape stands for its body.
 
     Raises:
-        ModelError: A name that the model does not have, or two shapes of one body.
+        ModelError: A name that the model does not have, two shapes of one body, or a shape of a body without a name.
     """
     if not given:
         return file
@@ -55,6 +55,10 @@ def with_excluded(file: ModelFile, given: Sequence[BodyPair]) -> ModelFile:
                 hint = did_you_mean(name, list(places))
                 raise ModelError(f"exclude names {name!r}, expected a body or a shape of {file.name}.{hint}")
         first, second = (model.body(places[name]).name for name in pair)
+        if not (first and second):
+            raise ModelError(
+                f"exclude names {pair[0]!r} and {pair[1]!r}, of a body without a name: expected one with it."
+            )
         if first == second:
             raise ModelError(f"exclude names {pair[0]!r} and {pair[1]!r}, which belong to one body: they never touch.")
         SubElement(section, "exclude", {"body1": first, "body2": second})

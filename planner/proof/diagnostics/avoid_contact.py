@@ -112,10 +112,10 @@ class _Shapes:
         pairs = worse or [pair for pair in deeper if pair not in self.at_start]
         if not pairs:
             return []
-        bodies = {
-            tuple(self.model.body(int(self.model.geom_bodyid[geom])).name for geom in pair): None for pair in pairs
-        }
-        values = {"pair": self.names(pairs[0]), "bodies": json.dumps([*bodies], ensure_ascii=False)}
+        names = {tuple(self.model.body(int(self.model.geom_bodyid[geom])).name for geom in pair) for pair in pairs}
+        if not all(map(all, names)):  # MuJoCo excludes bodies by their names
+            return []
+        values = {"pair": self.names(pairs[0]), "bodies": json.dumps(sorted(names), ensure_ascii=False)}
         return [no_fix("exclude", "overlap_deepens", **values)]
 
     def is_ground(self, pair: tuple[int, int]) -> bool:
