@@ -274,8 +274,13 @@ class _ReducedHessian:
         return cost
 
 
-def cheaper_along_lowest_curvature(plan: Plan, problem: Problem, sweep: lq.Sweep) -> np.ndarray | None:
-    """Controls (N, nu) of the cheapest motion along the lowest negative curvature; None if none is cheaper."""
+def cheaper_along_lowest_curvature(
+    plan: Plan, problem: Problem, sweep: lq.Sweep
+) -> tuple[np.ndarray, float] | None:  # fmt: skip
+    """Controls (N, nu) of the cheapest motion along the lowest negative curvature, and its fall of the cost.
+
+    None if none is cheaper.
+    """
     A, B = problem.dynamics.linearize(plan.xs, plan.us)
     hessian = _ReducedHessian(plan, problem, sweep, A, B, max(abs(plan.cost), float(np.finfo(float).tiny)))
     lowest, w = hessian.lowest()
@@ -284,7 +289,7 @@ def cheaper_along_lowest_curvature(plan: Plan, problem: Problem, sweep: lq.Sweep
     us, costs = hessian.along(w, lowest)
     best = int(np.nanargmin(costs))
     us = us if problem.bounds is None else problem.bounds.clip(slice(None), us, None)
-    return us[best] if best > 0 else None
+    return (us[best], float(costs[0] - costs[best])) if best > 0 else None
 
 
 def curvature_unknown(measured: Any) -> bool:

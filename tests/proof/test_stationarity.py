@@ -64,17 +64,17 @@ def test_a_curvature_that_is_rounding_is_none():
     assert optimality_of(plan)["negative_curvature"].passed
 
 
-def double_well(wrong_sign=False):
+def double_well(wrong_sign=False, scale=1.0):
     """A mass at the top of 1/2 (x^2 - 1)^2 in its running cost: stationary at x = 0, and a maximum there."""
 
     class Well(wrong_optimality.Effort):
         def value(self, xs, us):
-            return 0.5 * float(np.sum((xs[:-1, 0] ** 2 - 1.0) ** 2))
+            return 0.5 * scale * float(np.sum((xs[:-1, 0] ** 2 - 1.0) ** 2))
 
         def quadratize(self, xs, us):
             model = super().quadratize(xs, us)
-            model.q[:-1, 0] = 2.0 * xs[:-1, 0] * (xs[:-1, 0] ** 2 - 1.0)
-            model.Q[:-1, 0, 0] = 4.0 * xs[:-1, 0] ** 2  # Gauss-Newton
+            model.q[:-1, 0] = scale * 2.0 * xs[:-1, 0] * (xs[:-1, 0] ** 2 - 1.0)
+            model.Q[:-1, 0, 0] = scale * 4.0 * xs[:-1, 0] ** 2  # Gauss-Newton
             return model
 
     def f(x, u):
@@ -86,7 +86,7 @@ def double_well(wrong_sign=False):
         return fx, fu
 
     dynamics = FunctionDynamics(f, 2, 1, 0.1, jacobian=jacobian)
-    tracking = TrackingCost.reach([0.0, 0.0], 30, final=[1e-3, 1e-3], effort=0.1)
+    tracking = TrackingCost.reach([0.0, 0.0], 30, final=[1e-3 * scale, 1e-3 * scale], effort=0.1 * scale)
     return Problem(dynamics, tracking + Well(1.0, 1.0, 0.0, 1), np.zeros(2), tolerance="soft")
 
 
@@ -99,17 +99,23 @@ def test_curvature_is_checked_for_any_dynamics():
     assert optimality_of(away)["negative_curvature"].passed
 
 
-def test_a_saddle_is_left_along_its_lowest_curvature():
-    """The repair solves again from beside it, until the proof finds no negative curvature."""
+@pytest.mark.parametrize("scale", [1.0, 1e-11])
+def test_a_saddle_is_left_along_its_lowest_curvature(scale):
+    """The repair solves again from beside it, until the proof finds no negative curvature.
+
+    All reductions of the small cost are below the default tolerance, 1e-10: only those of the saddle count.
+    """
 
     def prove(plan):
         section = optimality(plan, plan.problem, recomputed(plan, plan.problem, plan.xs, plan.us))
         return SimpleNamespace(sections={"optimality": section}, verdict="PASS" if section.passed else "FAIL")
 
-    plan, budget, steps = planner.solve(double_well()), WorkBudget(), []
+    plan, budget, steps = planner.solve(double_well(scale=scale)), WorkBudget(), []
     better, proof = leave_saddles(plan, prove(plan), budget, prove, 1000, steps.append)
     assert proof.verdict == "PASS"
     assert better.cost < plan.cost == steps[0].cost
+    away = planner.solve(replace(double_well(), us=np.full((30, 1), 0.5)))
+    assert better.cost / scale == pytest.approx(away.cost, rel=1e-3)  # SHARE_OF_FALL of the reduction, and its rate
     assert leave_saddles(better, proof, budget, prove, 1000, steps.append) == (better, proof)
 
 

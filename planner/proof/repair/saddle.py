@@ -15,10 +15,12 @@ from planner.problem.plan import Plan
 from planner.proof.consistency import recomputed
 from planner.proof.stationarity import cheaper_along_lowest_curvature
 from planner.proof.verdict import Proof
+from planner.solvers.options import SolverOptions
 from planner.solvers.slq import solve
 from planner.solvers.work import WorkBudget
 
 MAX_SADDLES = 6  # times: a swing-up has a few, one after another
+SHARE_OF_FALL = 1e-4  # of what the direction gains: beside a saddle the gradient is small, and no reason to stop
 
 
 class SaddleStep(NamedTuple):
@@ -46,10 +48,17 @@ def leave_saddles(
         if allowed.exhausted:
             break
         sweep = recomputed(plan, problem, plan.xs, plan.us).sweep
-        us = None if sweep is None else cheaper_along_lowest_curvature(plan, problem, sweep)
-        if us is None:
+        found = None if sweep is None else cheaper_along_lowest_curvature(plan, problem, sweep)
+        if found is None:
             break
-        better = solve(replace(problem, us=us), max_iterations=max_iterations, budget=allowed, **options)
+        us, fall = found
+        asked = replace(SolverOptions(), **options).for_problem(problem).expected_reduction_tolerance or 0.0
+        tolerance = min(asked, SHARE_OF_FALL * fall / max(1.0, abs(plan.cost)))
+        better = solve(
+            replace(problem, us=us), budget=allowed,
+            **options | {"max_iterations": max_iterations, "expected_reduction_tolerance": tolerance,
+                         "gradient_tolerance": 0.0},
+        )  # fmt: skip
         if not (better.converged and better.cost < plan.cost):
             break
         budget.charge_proof(problem)
