@@ -30,7 +30,8 @@ from planner.problem.constraints.quantities import mechanism_of
 SHARE = 0.01  # of a range, the default margin
 MIN_MARGINS = {ANGLE: 0.01, LENGTH: 1e-3}  # rad, m: a constant control overshoots by a dt^2 / 8 between knots
 MAX_SHARE = 0.1  # of a range, upper limit of the margin: the fingers of a gripper move by few millimetres
-START_OFFSET = 1e-4  # rad or m, by which a start at a limit is moved inside: the tolerance of limits
+START_OFFSET = 1e-3  # rad or m, by which a start at a limit is moved inside: a replay that errs meets no stop
+GOAL_OFFSET = 1e-4  # rad or m, the same of a goal, whose tolerance may be small: the tolerance of limits
 TENDON_ROUNDING = 1e-9  # rad or m, rounding of a length that equalities fix
 ROUNDING = 1e-6  # share of a range; a start outside by less is at the limit
 
@@ -89,7 +90,7 @@ def moved_inside_limits(
     """A state (nx,) whose joints outside of the model's ranges by at most a margin are moved to the limit.
 
     A start at the limit is moved inside by START_OFFSET, because coupling forces may first move the joint towards the
-    limit. Unchanged are coupled joints and those in `limited`, which have a range from the user.
+    limit; a goal by GOAL_OFFSET. Unchanged are coupled joints and those in `limited`, which have a range from the user.
 
     Returns:
         The state, and a message about the moved joints; `what` is "start" or "goal". "" if none was moved.
@@ -98,7 +99,8 @@ def moved_inside_limits(
     moved, names, largest = x.copy(), [], 0.0
     for i, joint_range in model_ranges(mechanism, None).items():
         name, address = mechanism.joint_names[_joint_index(mechanism, i)], int(mechanism.q_address[i])
-        off = min(START_OFFSET, SHARE * (joint_range.model_upper - joint_range.model_lower)) if what == "start" else 0.0
+        off = START_OFFSET if what == "start" else GOAL_OFFSET
+        off = min(off, SHARE * (joint_range.model_upper - joint_range.model_lower))
         end = min(max(x[address], joint_range.model_lower + off), joint_range.model_upper - off)
         displacement = abs(end - x[address])
         if 0.0 < displacement <= off + _margin(mechanism, name, i, None) and i not in coupled and name not in limited:
