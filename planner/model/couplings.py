@@ -125,6 +125,11 @@ def narrowed(mechanism: Any, ranges: np.ndarray) -> np.ndarray:
     return _narrowed(mechanism, ranges)[0]
 
 
+def fixed_dofs(mechanism: Any, ranges: np.ndarray) -> np.ndarray:
+    """(nv,) whether couplings and `ranges` (nv, 2) together leave a degree of freedom one value, and its range more."""
+    return (np.ptp(narrowed(mechanism, ranges), axis=1) < _SLIGHT) & (np.ptp(ranges, axis=1) > _SLIGHT)
+
+
 class Contradiction(NamedTuple):
     """A coupling that no pose within the joint ranges satisfies."""
 

@@ -67,7 +67,9 @@ MAX_CORRECTION_RATE = 60.0  # 1/s: faster gains amplify errors of the ground mod
 WAY_SHARE = 0.01  # of the velocity weights, while feet that have to move are on the way
 GAIN_SHARE = 1.0 / 3.0  # of the stiffness of the contacts: the gains' limit where feet land
 POSITION, VELOCITY = 4.0, 10.0  # final weights times the squared tolerance of the goal
-STEP_SHARE = 0.25  # of the final weights, beside hold, where feet have to move: a slip of a stride costs less than a goal
+STEP_SHARE = (
+    0.25  # of the final weights, beside hold, where feet have to move: a slip of a stride costs less than a goal
+)
 SLIP_SPEED = 0.05  # m/s: of a foot on the ground, whose cost is 1; it slips by STRIDE in a second
 MIN_EFFORT = 1e-12  # lower limit of an effort weight: very large limits still leave it positive definite
 

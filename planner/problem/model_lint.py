@@ -11,7 +11,7 @@ from planner.base.arguments import toml_key
 from planner.dynamics.actuator_moments import actuator_lengths
 from planner.dynamics.quasi_static import quasi_static_controls
 from planner.model.actuators import INTEGRATOR
-from planner.model.couplings import contradiction, narrowed
+from planner.model.couplings import contradiction, fixed_dofs
 from planner.model.mechanism import Mechanism
 from planner.model.mjcf.contact_mode import machine_roots
 from planner.model.mjcf.facts import Record, free_bases, gravity_of, has_ground, overlaps
@@ -22,7 +22,6 @@ _MENDED = 1e-2  # share of that median: the proposed armature
 _SHALLOW = 1e-3  # share of the machine's size: overlap without a warning, about that of feet in the ground
 _DEGREES = math.radians(2.0 * math.pi)  # rad: 2 pi, read as degrees
 _ROUNDING = 1e-9  # relative to a control or force, and absolute below 1
-_HELD = 1e-6  # rad or m, range below which a joint cannot move
 _SPARE = 1.5  # the proposed range over the static control or force
 _MAX_PER_KIND = 4  # warnings of one kind that are listed
 
@@ -154,9 +153,7 @@ def _coupled(mechanism: Mechanism) -> list[ModelWarning]:
     ranges = np.array(mechanism.joint_range)
     if contradicted := contradiction(mechanism, ranges):
         return [ModelWarning(f"{contradicted.cause}, expected ranges with a pose that keeps it", contradicted.fix)]
-    left = narrowed(mechanism, ranges)
-    held = (np.ptp(left, axis=1) < _HELD) & (np.ptp(ranges, axis=1) > _HELD)
-    names = [mechanism.joint_of(int(i)) for i in np.flatnonzero(held)]
+    names = [mechanism.joint_of(int(i)) for i in np.flatnonzero(fixed_dofs(mechanism, ranges))]
     words = f"equalities and ranges together hold {_few(names)} at one place, so nothing moves there"
     return [ModelWarning(words, "a wider range in the file, or goals that leave them there")] if names else []
 

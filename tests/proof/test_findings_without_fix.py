@@ -3,11 +3,13 @@
 from types import SimpleNamespace
 
 import numpy as np
+import pytest
 
 import planner
 from planner import Limits, Mechanism, Problem, RigidBodyDynamics, TrackingCost
 from planner.proof.diagnostics import suggested_fixes
 from planner.proof.diagnostics.balance import falling, loses_balance
+from planner.proof.diagnostics.limits import fixed_joints
 
 ARM = """
 <mujoco>
@@ -35,6 +37,24 @@ def test_a_joint_that_leans_on_its_stop_and_nothing_drives_is_named():
     (found,) = suggested_fixes(plan)
     assert (found.code, found.key, found.value) == ("no_actuator", "start", None)
     assert found.values["joint"] == "joint 'flap'"
+
+
+FINGER = (
+    ARM.replace(' range="-60 0"', ' range="0 60"')
+    .replace('name="turn"', 'name="turn" range="0 60" limited="true"')
+    .replace("<actuator>", '<equality><joint joint1="turn" joint2="flap" polycoef="0 {} 0 0 0"/></equality><actuator>')
+)
+
+
+@pytest.mark.parametrize(("coefficient", "fixed"), [(-1.0, True), (1.0, False)])
+def test_joints_that_equalities_and_ranges_leave_one_value_are_named(coefficient, fixed):
+    """Of turn = -flap and two ranges from 0 only 0 is left, and the file's stops hold it there."""
+    dynamics = RigidBodyDynamics(Mechanism.from_mjcf(FINGER.format(coefficient), contacts="off"), 0.02)
+    cost = TrackingCost.joints(dynamics, [0.0, 0.0, 0.0, 0.0], 5, effort=1.0)
+    problem = Problem(dynamics, cost, np.zeros(4))
+    failed = SimpleNamespace(your_file=SimpleNamespace(failures=("replayed_angle_miss",)))
+    found = fixed_joints(None, problem, failed)
+    assert [one.code for one in found] == ["fixed_joints"] * fixed
 
 
 HOPPER = """

@@ -10,6 +10,7 @@ import numpy as np
 from planner.base.diagnostic import Quantity
 from planner.model.capabilities import capabilities_of
 from planner.model.coordinates import ANGLE
+from planner.model.couplings import fixed_dofs
 from planner.problem.limits import MODEL, Limits
 from planner.problem.plan import Plan
 from planner.problem.problem import Problem
@@ -58,6 +59,18 @@ def no_actuator(plan: Plan, problem: Problem, proof: Proof | None) -> list[Sugge
         return []
     h = max(left, key=lambda h: beyond[h])
     return [no_fix("start", "no_actuator", joint=mechanism.joint_of(int(dofs[h])), excess=float(beyond[h]))]
+
+
+def fixed_joints(plan: Plan, problem: Problem, proof: Proof | None) -> list[SuggestedFix]:
+    """Joints that equalities and ranges of the file leave one value: they lean on stops, and only MuJoCo has those."""
+    mechanism = capabilities_of(problem.dynamics).mechanism
+    if proof is None or mechanism is None or not mechanism.couplings or not proof.your_file.failures:
+        return []
+    fixed = np.flatnonzero(fixed_dofs(mechanism, np.array(mechanism.joint_range)))
+    if not fixed.size:
+        return []
+    joint, more = mechanism.joint_of(int(fixed[0])), len(fixed) - 1
+    return [no_fix("model", "fixed_joints", joint=joint, others=f" and {more} more" if more else "")]
 
 
 def wider_margin(plan: Plan, problem: Problem, proof: Proof | None) -> list[SuggestedFix]:

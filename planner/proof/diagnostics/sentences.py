@@ -42,6 +42,8 @@ SENTENCES = {
     "no_actuator": "{joint} has no actuator and leaves its range by {excess:.3g}: in MuJoCo its stop holds it, and a "
     "plan has no force there; couple it to an actuated joint in the file, or write a `start` and a `goal` in which it "
     "is off its stop, by 0.1 rad or more",
+    "fixed_joints": "equalities and ranges of the file together leave {joint}{others} one value, at which they lean on "
+    "their stops, which only MuJoCo has: write wider ranges in the file, or another equality.",
     "excursion": "{joint} swings {excess:.3g} beyond both start and goal; only effort costs something on the way",
     # Goals and weights
     "goal_missed": "the plan ends {miss} from the goal of {goal}, and {tolerance} pass",
