@@ -9,9 +9,13 @@ hundreds of iterations.
 
 from __future__ import annotations
 
+import math
+
 from planner.kernels.lq.workspace import CONVERGED
 from planner.solvers.engine import Engine, IterationResult
 from planner.solvers.options import DEFAULT, SolverOptions
+
+RETRY_SHARE = 0.1  # of the expected reduction at which a weight was set to zero in vain, before the next try
 
 
 class Regularization:
@@ -45,9 +49,11 @@ class Regularization:
         self._min, self._factor = options.min_regularization, options.regularization_factor
         self._max, self._failed_factor = options.max_regularization, self._factor
         self.of_states, self._always = False, regularize_states
+        self._too_large = False  # the steps of the model, for max_short_steps in a row
         if regularize_states or at_bounds:
             self._regularize_states()
         self._relative, self._tried_unregularized, self._second_order = 0.0, False, exact
+        self._tried_at, self._retry = math.inf, math.inf  # expected reductions: at the last try, and for the next
         self._dropped = 0.0  # weight before decrease() set it to zero at a nonsmooth point
 
     def _regularize_states(self) -> None:
@@ -89,28 +95,39 @@ class Regularization:
         """After a step length `step`; with `nonsmooth` bounds or penalties a step below 1 sets the weight to zero."""
         self._short_steps = self._short_steps + 1 if step < self._options.short_step else 0
         if self._smooth and not self._always and self._short_steps >= self._options.max_short_steps:
-            self._always = True
+            self._always = self._too_large = True
             self._regularize_states()
         if step >= 1.0:
             self._set(self._relative / self._factor if self._relative > self._min else 0.0)
-        elif nonsmooth:
+        elif nonsmooth and not self._too_large:
             self._dropped = self._relative  # increase() returns to it at once
             self._set(0.0)
         elif self.of_states:
             short = step < self._options.short_step and (self._always or self._engine.has_active_bounds)
             self._set(max(self._min, self._factor * self._relative) if short else self._relative)
 
-    def try_unregularized(self, accepted: bool, small_expected_reduction: bool) -> bool:
-        """Set a weight on the states to zero once if the expected reduction is small, for fast final convergence.
+    def try_unregularized(self, accepted: bool, reduction: float, small: float) -> bool:
+        """Set a weight on the states to zero if the expected reduction is small, for fast final convergence.
 
-        `accepted`: whether the last iteration took a step. Returns whether the weight was reset.
+        The weight itself makes it small: where without it the reduction is not, the next try waits until it has fallen
+        by RETRY_SHARE.
+
+        Args:
+            accepted: Whether the last iteration took a step.
+            reduction: What its LQ problem expects of a full step.
+            small: What is small.
+
+        Returns:
+            Whether the weight was set to zero.
         """
-        if accepted and not small_expected_reduction:
+        if accepted and reduction > small:
+            if self._tried_unregularized and self.unregularized:
+                self._retry = RETRY_SHARE * self._tried_at
             self._tried_unregularized = False
-        if self._tried_unregularized or self.unregularized or not (self.of_states and small_expected_reduction):
+        if self._tried_unregularized or self.unregularized or not self.of_states or reduction > min(small, self._retry):
             return False
         self._set(0.0)
-        self._tried_unregularized = True
+        self._tried_unregularized, self._tried_at = True, reduction
         return True
 
     def _set(self, relative: float) -> None:

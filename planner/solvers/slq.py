@@ -327,13 +327,12 @@ def _inner_solve(
                 break
 
             # 5. Increase or decrease the regularization.
+            reduction = -0.5 * direction.slope if direction.definite else math.inf
             min_reduction = tolerance * max(1.0, abs(cost))
-            if regularization.try_unregularized(
-                relinearize, direction.definite and -0.5 * direction.slope <= min_reduction
-            ):
+            if regularization.try_unregularized(relinearize, reduction, min_reduction):
                 continue
             if relinearize:
-                regularization.decrease(step, has_inequalities and expected <= min_reduction)
+                regularization.decrease(step, has_inequalities and reduction <= min_reduction)
                 continue
             regularization.increase()
             if regularization.exhausted:
