@@ -19,6 +19,9 @@ from planner.problem.plan import Plan, Status
 from planner.problem.problem import Problem
 from planner.problem.trajectory import Trajectory
 
+FALL_ITERATIONS, FALL_SHARE = 10, 0.02  # a solve whose cost falls by this share in so many iterations goes on
+BETTER_SHARE = 0.5  # of the cost of the plan before: a solve that is below it has found a better branch
+
 # One solve from a trajectory, or from the problem's first guess for None, with an iteration limit.
 SolveFrom = Callable[[Problem, Trajectory | None, int], Plan]
 
@@ -33,7 +36,8 @@ class Continuation:
         meets_goals: Whether a plan, converged or not, meets the goals of its problem.
         report: Called with s, the plan of each solve and whether it was kept.
         max_solves: Limit of the solves of one call.
-        look_iterations: Number of iterations after which a solve goes on only if its plan meets the goals.
+        look_iterations: Number of iterations after which a solve goes on only if its cost is falling, its plan meets
+            the goals, or costs less than BETTER_SHARE of the plan before it.
         max_iterations: Limit of those that it goes on with: a plan that has converged predicts the next one better.
         min_step: Smallest step of s.
         first_share: First step over s.
@@ -61,7 +65,7 @@ class Continuation:
             if s == 0.0 or step < max(self.min_step, self.min_share * s):
                 break
             to = s - step if s - step >= self.min_step else 0.0
-            found, kept = self._corrected(to, _predicted(to, s, plan, before))
+            found, kept = self._corrected(to, _predicted(to, s, plan, before), BETTER_SHARE * plan.cost)
             if kept:
                 before = (s, plan) if plan.converged else None  # a plan on its way predicts nothing
                 s, plan = to, found
@@ -70,16 +74,27 @@ class Continuation:
                 step = 0.4 * min(step, s)
         return s, plan
 
-    def _corrected(self, s: float, guess: Trajectory) -> tuple[Plan, bool]:
-        """The plan at s from a predicted trajectory, and whether it meets its goals; at s = 0 it must converge too."""
+    def _corrected(self, s: float, guess: Trajectory, better: float) -> tuple[Plan, bool]:
+        """The plan at s from a predicted trajectory, and whether it meets its goals; at s = 0 it must converge too.
+
+        It goes on also where its cost is below `better`: it has left the branch for one that is worth its iterations.
+        """
         problem = self.problem_at(s)
         plan = self.solve(problem, guess, self.look_iterations)
-        if plan.status is Status.MAX_ITERATIONS and self.meets_goals(plan):
+        while plan.status is Status.MAX_ITERATIONS and _is_falling(plan):
+            self.report(s, plan, True)
+            plan = self.solve(problem, plan.motion, self.look_iterations)
+        if plan.status is Status.MAX_ITERATIONS and (self.meets_goals(plan) or plan.cost < better):
             self.report(s, plan, True)
             plan = self.solve(problem, plan.motion, self.max_iterations)
         kept = self.meets_goals(plan) and (s > 0.0 or plan.converged)
         self.report(s, plan, kept)
         return plan, kept
+
+
+def _is_falling(plan: Plan) -> bool:
+    """Whether the last FALL_ITERATIONS of a solve have reduced its cost by more than FALL_SHARE of it."""
+    return plan.nit > FALL_ITERATIONS and plan.history[-FALL_ITERATIONS].cost > (1.0 + FALL_SHARE) * plan.cost
 
 
 def _predicted(to: float, s: float, plan: Plan, before: tuple[float, Plan] | None) -> Trajectory:
