@@ -19,7 +19,7 @@ Every weight makes its term dimensionless and about 1:
                     Before, positions have no weight and velocities WAY_SHARE of theirs: it may hop, step or crawl. Its
                     effort is at least that at which the gains of the position weight are GAIN_SHARE of the stiffness
                     of its contacts: a foot that lands early or late meets gains that its ground bears. STEP_SHARE of
-                    the final weights, beside hold, keeps the goal from being given up for less slip
+                    the final weights, beside hold, keeps a plain goal from being given up for less slip
     slip            1 / SLIP_SPEED^2 of the speed of feet along the ground, or close to it, where feet have to move:
                     they are lifted, not dragged (problem.costs.slip)
 
@@ -128,7 +128,8 @@ def default_weights(
     )
     jerk_cost = max(1.0, jerk * min_jerk_cost(displacement, duration))
     falling = ballistic_dofs(mechanism, x0)
-    share_of_end = STEP_SHARE if steps else float(not stands)
+    own_end = steps and way is None  # goals in tables have weights of their own
+    share_of_end = STEP_SHARE if own_end else float(not stands)
     ends = jerk_cost * share_of_end * ~stationary * ~falling
     weights = {
         "effort": effort, **({} if control is None else {"control": control}), "velocity": velocity,
@@ -152,8 +153,8 @@ def default_weights(
                     "none: not every joint has an actuator, and a swing must be free",
         "position": f"1 / ({STANCE_TOLERANCES:g} tolerances)^2 from the straight line: the machine stands"
                     if stands else "none on the way",
-        "final_position": held if stands and not steps else f"{POSITION * share_of_end:g} / tolerance^2{times}{falls}",
-        "final_velocity": held if stands and not steps else f"{VELOCITY * share_of_end:g} / tolerance^2{times}{falls}",
+        "final_position": held if stands and not own_end else f"{POSITION * share_of_end:g} / tolerance^2{times}{falls}",
+        "final_velocity": held if stands and not own_end else f"{VELOCITY * share_of_end:g} / tolerance^2{times}{falls}",
         "hold": f"the cost of staying at the goal for {HOLD_SECONDS:g} s" if stands else
                 "none: the machine does not stand",
         **({"rest": f"feet have to move: the machine is at its goal for the last {1.0 - MOVING_SHARE:g} of the time "

@@ -332,7 +332,8 @@ def _inner_solve(
             if regularization.try_unregularized(relinearize, reduction, min_reduction):
                 continue
             if relinearize:
-                regularization.decrease(step, has_inequalities and reduction <= min_reduction)
+                small = (reduction if smooth else expected) <= min_reduction
+                regularization.decrease(step, has_inequalities and small)
                 continue
             regularization.increase()
             if regularization.exhausted:
