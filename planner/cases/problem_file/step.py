@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from planner.base.arguments import number
-from planner.dynamics.rigid_body import MAX_SUBSTEPS, WITH_SUBSTEPS
+from planner.dynamics.rigid_body import MAX_SUBSTEPS
 from planner.dynamics.step_stability import (
     IMPLICIT,
     MAX_RATE_STEP,
@@ -20,6 +20,7 @@ from planner.dynamics.step_stability import (
     reason,
     substeps_of,
 )
+from planner.kernels.integrators import KNOWN_INTEGRATORS, WITH_SUBSTEPS
 from planner.model.mechanism import Mechanism
 
 USUAL, SHORTEST = 0.01, 5e-4  # s: shorter ones are asked for, because a plan of them takes long
@@ -43,7 +44,8 @@ def with_step(
     Raises:
         PlannerError: The duration is no number, or the dt that is asked for takes more than 16 substeps.
     """
-    known = table["integrator"] not in (AUTO, "rk4")
+    divided = [name for name in WITH_SUBSTEPS if not KNOWN_INTEGRATORS[name].implicit]  # until they are stable
+    known = table["integrator"] not in (AUTO, *divided)
     if AUTO not in (table["dt"], table["substeps"], table["integrator"]):
         return table, table["substeps"], {}
     if not mechanism.contacts:  # which may have home deep in the ground
@@ -82,7 +84,7 @@ def with_step(
             reasons["dt"] = f"{dt:.4g} s: {found.joint} has a rate of {found.rate:.4g} per s"
     if substeps == AUTO:
         substeps = MAX_SUBSTEPS if integrator in WITH_SUBSTEPS else 1
-        if integrator == "rk4":
+        if integrator in divided:
             substeps = substeps_of(found, number("dt", dt, greater_than=0.0))
             if substeps > 1:
                 reasons["substeps"] = reason(found, substeps)

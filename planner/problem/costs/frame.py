@@ -8,7 +8,7 @@ import numpy as np
 
 from planner.base.arguments import array, numbers, short_repr
 from planner.base.errors import PlannerError
-from planner.kernels.tree.residuals.table import (
+from planner.kernels.tree.residuals.kinds import (
     ANGULAR,
     LINEAR,
     MASS_CENTRE,

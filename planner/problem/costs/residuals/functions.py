@@ -2,7 +2,7 @@
 
 Each function takes a KinematicsCache of K states, the number t of a term and whether its Jacobian is required. It
 returns the value (K, rows) and the Jacobian (K, rows, nv), or (K, rows, 2 nv) of velocities; the module
-kernels.tree.residuals.table lists the kinds.
+kernels.tree.residuals.kinds lists the kinds.
 """
 
 from __future__ import annotations
@@ -14,30 +14,31 @@ import numpy as np
 
 from planner.dynamics.contacts import smoothstep
 from planner.dynamics.kinematics import frame_pose, jacobian, jacobian_derivatives, points_of
-from planner.kernels.tree.residuals.table import (
+from planner.kernels.tree.residuals.frames import BLUNT
+from planner.kernels.tree.residuals.kinds import (
     ANGULAR,
-    BLUNT,
     BOXES,
     DISTANCE,
-    FIRST_AXES,
-    FIRST_HALF,
     HEIGHT,
     LINE_BOX,
     LINEAR,
     MASS_CENTRE,
     ORIENTATION,
     OVER_PLANE,
-    PARALLEL,
     POINTING,
     POSE,
     POSITION,
+    SLIP,
+    TILT,
+    VELOCITY,
+)
+from planner.kernels.tree.residuals.layout import PARALLEL, TINY
+from planner.kernels.tree.residuals.solids import (
+    FIRST_AXES,
+    FIRST_HALF,
     SECOND_AXES,
     SECOND_HALF,
-    SLIP,
     TAKEN_OFF,
-    TILT,
-    TINY,
-    VELOCITY,
 )
 from planner.model.contact import signed_distance
 from planner.model.contact.signed_distance import PlacedShapes
@@ -46,6 +47,20 @@ from planner.model.space import cross, hat, log_jacobian, log_quaternion
 from planner.problem.costs.residuals.arrays import ResidualArrays
 
 _SERIES_THRESHOLD = 0.04  # rad^2, squared angle below which a series is used: its next term is below rounding
+
+
+ResidualFunctionOfKind = Callable[["KinematicsCache", int, bool], tuple[np.ndarray, np.ndarray]]
+RESIDUALS: dict[int, ResidualFunctionOfKind] = {}
+
+
+def of_kinds(*kinds: int) -> Callable[[ResidualFunctionOfKind], ResidualFunctionOfKind]:
+    """Decorator of the function of some kinds."""
+
+    def register(function: ResidualFunctionOfKind) -> ResidualFunctionOfKind:
+        RESIDUALS.update(dict.fromkeys(kinds, function))
+        return function
+
+    return register
 
 
 class KinematicsCache:
@@ -103,6 +118,7 @@ class KinematicsCache:
         return np.einsum("najk,nj->nak", jacobian_derivatives(self.mechanism, self.q, frame), self.v)
 
 
+@of_kinds(HEIGHT, DISTANCE, VELOCITY)
 def point_residual(cache: KinematicsCache, t: int, derivatives: bool) -> tuple[np.ndarray, np.ndarray]:
     """Height, distance or velocity of points, one row.
 
@@ -153,6 +169,7 @@ def nearest_on_segments(
     return r + s[..., None] * v - u[..., None] * w, s, u
 
 
+@of_kinds(POSITION, POINTING, LINEAR, ANGULAR)
 def frame_residual(cache: KinematicsCache, t: int, derivatives: bool) -> tuple[np.ndarray, np.ndarray]:
     """Position of a frame, direction of an axis, linear or angular velocity: three rows, in the world's axes."""
     kind, frame = cache.arrays.kind[t], cache.frame(int(cache.arrays.ends[t, 0]))
@@ -169,6 +186,7 @@ def frame_residual(cache: KinematicsCache, t: int, derivatives: bool) -> tuple[n
     return value, np.concatenate([cache.jacobian_rates(frame)[:, rows], J], axis=2) if derivatives else np.empty(0)
 
 
+@of_kinds(TILT)
 def tilt_residual(cache: KinematicsCache, t: int, derivatives: bool) -> tuple[np.ndarray, np.ndarray]:
     """The angle between a frame's axis and a direction, rad: one row."""
     _, n, sine, cosine = _arc(cache, t)
@@ -195,6 +213,7 @@ def _arc(cache: KinematicsCache, t: int) -> tuple[np.ndarray, np.ndarray, np.nda
     return b, normal / sine[:, None], sine, b @ d
 
 
+@of_kinds(MASS_CENTRE)
 def center_of_mass_residual(cache: KinematicsCache, t: int, derivatives: bool) -> tuple[np.ndarray, np.ndarray]:
     """The centre of mass, m: three rows, means of the links' weighted by their masses."""
     m = cache.mechanism
@@ -205,6 +224,7 @@ def center_of_mass_residual(cache: KinematicsCache, t: int, derivatives: bool) -
     return value, np.einsum("l,nlai->nai", share, J) if derivatives else J
 
 
+@of_kinds(SLIP)
 def slip_residual(cache: KinematicsCache, t: int, derivatives: bool) -> tuple[np.ndarray, np.ndarray]:
     """Tangential velocity of the lowest point of a sphere near a plane, times how near it is: three rows, m/s."""
     n, (level, radius, per) = cache.arrays.constant[t, :3], cache.arrays.constant[t, 3:6]
@@ -229,6 +249,7 @@ _SHAPE_DISTANCES = {
 }
 
 
+@of_kinds(LINE_BOX, BOXES, OVER_PLANE)
 def distance_residual(cache: KinematicsCache, t: int, derivatives: bool) -> tuple[np.ndarray, np.ndarray]:
     """The signed distance of two collision shapes, m: one row.
 
@@ -256,6 +277,7 @@ def distance_residual(cache: KinematicsCache, t: int, derivatives: bool) -> tupl
     return value, row[:, None]
 
 
+@of_kinds(ORIENTATION, POSE)
 def orientation_residual(cache: KinematicsCache, t: int, derivatives: bool) -> tuple[np.ndarray, np.ndarray]:
     """Rotation vector from a reference (3 rows), or logarithm of SE(3) (6 rows); kernels' orientation has formulas."""
     frame, reference = cache.frame_of(t), cache.arrays.references(t)
@@ -317,13 +339,3 @@ def quaternion_of(R: np.ndarray) -> np.ndarray:
     largest = np.argmax(np.diagonal(outer, axis1=-2, axis2=-1), axis=-1)
     rows = np.take_along_axis(outer, largest[..., None, None], axis=-2)[..., 0, :]
     return rows / np.linalg.norm(rows, axis=-1, keepdims=True)
-
-
-ResidualFunctionOfKind = Callable[[KinematicsCache, int, bool], tuple[np.ndarray, np.ndarray]]
-RESIDUALS: dict[int, ResidualFunctionOfKind] = {
-    **dict.fromkeys((HEIGHT, DISTANCE, VELOCITY), point_residual),
-    **dict.fromkeys((POSITION, POINTING, LINEAR, ANGULAR), frame_residual),
-    **dict.fromkeys((ORIENTATION, POSE), orientation_residual),
-    **dict.fromkeys((LINE_BOX, BOXES, OVER_PLANE), distance_residual),
-    MASS_CENTRE: center_of_mass_residual, TILT: tilt_residual, SLIP: slip_residual,
-}  # fmt: skip
