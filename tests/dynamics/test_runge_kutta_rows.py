@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
+from machines import HAND_ARM
 from trees import CHAINS, actuated
 
+import planner
 from planner import Mechanism, RigidBodyDynamics
 from planner.kernels.integrators import KNOWN_INTEGRATORS, Integrator
 
@@ -57,3 +61,33 @@ def test_it_is_of_its_order_and_its_derivatives_are_those_of_differences(name, i
     # central differences: h^2 of the third derivatives and rounding over h, both about 1e-10 of entries of size 1
     np.testing.assert_allclose(A, by_x, atol=1e-7 * np.abs(A).max())
     np.testing.assert_allclose(B, by_u, atol=1e-7 * max(1.0, np.abs(B).max()))
+
+
+def test_its_second_derivatives_are_differences_of_first_ones():
+    dynamics, x, u = at_random("arm", "heun", dt=0.1)
+    rng, h, n = np.random.default_rng(2), 1e-5, dynamics.ndx
+    costates = rng.normal(size=(2, n))
+
+    def gradient(z):
+        A, B = dynamics.linearize(np.stack([z[:n], z[:n]]), z[n:][None])
+        return np.concatenate([A[0], B[0]], axis=1).T @ costates[1]
+
+    z = np.concatenate([x, u])
+    T = np.stack([(gradient(z + d) - gradient(z - d)) / (2.0 * h) for d in h * np.eye(len(z))])
+    found = dynamics.second_order(np.stack([x, x]), u[None], costates)[0]
+    assert np.abs(found - T).max() < 1e-7 * np.abs(T).max()  # h^2 and 1e-16 / h
+
+
+def test_a_plan_with_it_is_repeated_to_rounding_shows_its_order_and_is_stored(tmp_path):
+    arm = Mechanism.from_mjcf(HAND_ARM)
+    goals = planner.Goal(joints={arm.joint_names[0]: 0.5})
+    problem = planner.task(arm, start=arm.home, goals=goals, duration=0.5)
+    dynamics = problem.dynamics.with_step(problem.dynamics.dt, "heun")
+    plan = planner.solve(replace(problem, dynamics=dynamics))
+    proof = planner.prove(plan, rollouts=0)
+    assert plan.success
+    assert proof.same_step.passed  # 1e-10 of a stage
+    assert proof.same_step.measured
+    assert abs(proof.convergence.observed - 2.0) < 0.2  # what a proof judges it by, ORDER_BOUND
+    again = planner.load_plan(plan.save(tmp_path / "plan.npz"))
+    assert again.problem.dynamics.integrator == "heun"
