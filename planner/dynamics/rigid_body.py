@@ -11,7 +11,7 @@ import numpy as np
 
 from planner.base.arguments import array, choice, count, number, short_repr
 from planner.base.errors import PlannerError
-from planner.kernels.integrators import KNOWN_INTEGRATORS, ROSENBROCK, SEMI_IMPLICIT_EULER, WITH_SUBSTEPS
+from planner.kernels.integrators import KNOWN_INTEGRATORS, ROSENBROCK, SEMI_IMPLICIT_EULER
 from planner.kernels.lq.workspace import Workspace
 from planner.kernels.numba.lanes import padded
 from planner.kernels.precompile import announce_named, variant
@@ -61,17 +61,18 @@ class RigidBodyDynamics:
         self.mechanism, self.dt = mechanism, number("dt", dt, greater_than=0.0)
         self.integrator = choice("integrator", integrator, KNOWN_INTEGRATORS)
         self.substeps = count("substeps", substeps, maximum=MAX_SUBSTEPS)
-        if self.substeps > 1 and self.integrator not in WITH_SUBSTEPS:
+        known = KNOWN_INTEGRATORS[self.integrator]
+        if self.substeps > 1 and not known.lengths:
+            able = " or ".join(f'"{name}"' for name, one in KNOWN_INTEGRATORS.items() if one.lengths)
             raise PlannerError(
                 f"substeps is {self.substeps} and the integrator {self.integrator!r}, expected integrator = "
-                f"{' or '.join(map(repr, WITH_SUBSTEPS))}, or substeps = 1."
+                f"{able}, or substeps = 1."
             )
         if not isinstance(prescribed, (str, Collection)):
             raise PlannerError(f"prescribed is {short_repr(prescribed)}, expected names of joints.")
         self.prescribed = (prescribed,) if isinstance(prescribed, str) else tuple(prescribed)
         self.space: StateSpace = mechanism.space
         self.nx, self.ndx = self.space.nx, self.space.ndx
-        known = KNOWN_INTEGRATORS[self.integrator]
         self._one_stage = np.full(1, self.dt)
         self._known, self._heavier = known, known.implicit and known.form != ROSENBROCK
         self._make_tables()
