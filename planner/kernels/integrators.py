@@ -35,7 +35,7 @@ class Integrator(NamedTuple):
     mujoco: str = ""  # MuJoCo's method that is the same; "" where it has none
     implicit: bool = False  # whether it takes damping implicitly
     finer: str = "rk4"  # the one to take where this is too coarse; itself: shorter stages
-    lengths: tuple[float, ...] = ()  # of the stages behind the first, shares of the step
+    lengths: tuple[float, ...] = ()  # of the stages behind the first, shares of the step; none: no substeps
     middle: float = 1.0  # weight of the rates between the first and the last, which weigh 1
     turned: tuple[float, float] = (0.0, 0.0)  # h^2 times it: of v1 x v2 in stage 3, and of v1 x v_last in the end
 
@@ -64,5 +64,3 @@ KNOWN_INTEGRATORS = {
     "rosenbrock": Integrator(2, ROSENBROCK, 4, implicit=True, finer="rosenbrock", lengths=(1.0,)),
     "implicitfast": Integrator(1, SEMI_IMPLICIT_EULER, 1, "IMPLICITFAST", implicit=True, finer="rosenbrock"),
 }
-WITH_SUBSTEPS = tuple(name for name, one in KNOWN_INTEGRATORS.items() if one.lengths)
-"""Integrators whose stage may be divided: a step of several evaluations is worth repeating under one control."""

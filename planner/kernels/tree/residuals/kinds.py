@@ -10,37 +10,14 @@ from typing import NamedTuple
 
 from planner.kernels.numba.jit import part
 from planner.kernels.numba.lanes import integers, load
+from planner.kernels.tree.residuals import frames
 from planner.kernels.tree.residuals.foot_slip import SLIP, slip_rows, slip_value
-from planner.kernels.tree.residuals.frames import (
-    ANGULAR,
-    LINEAR,
-    POINTING,
-    POSITION,
-    TILT,
-    frame_value,
-    place_rows,
-    speed_rows,
-    tilt_row,
-    tilt_value,
-)
+from planner.kernels.tree.residuals.frames import ANGULAR, LINEAR, POINTING, POSITION, TILT
 from planner.kernels.tree.residuals.layout import RESIDUALS
 from planner.kernels.tree.residuals.mass_centre import MASS_CENTRE, mass_centre_rows, mass_centre_value
 from planner.kernels.tree.residuals.orientation import ORIENTATION, POSE, orientation_rows, orientation_value
-from planner.kernels.tree.residuals.scalars import (
-    DISTANCE,
-    HEIGHT,
-    VELOCITY,
-    scalar_row,
-    scalar_value,
-    velocity_row,
-)
-from planner.kernels.tree.residuals.solids import (
-    BOXES,
-    LINE_BOX,
-    OVER_PLANE,
-    solid_row,
-    solid_value,
-)
+from planner.kernels.tree.residuals.scalars import DISTANCE, HEIGHT, VELOCITY, scalar_row, scalar_value, velocity_row
+from planner.kernels.tree.residuals.solids import BOXES, LINE_BOX, OVER_PLANE, solid_row, solid_value
 
 
 class Kind(NamedTuple):
@@ -67,19 +44,19 @@ def measure(m, p, q, ws, t, n, knots, solids):
     """The rows of term t's value, in RESIDUALS.value."""
     kind = load(integers(p, RESIDUALS.kind), t)
     if solids is not None:  # noqa: SIM102 - Numba leaves out what hangs on this alone
-        if kind >= LINE_BOX:
+        if kind >= LINE_BOX and kind <= OVER_PLANE:
             solid_value(p, ws, t, kind, n, knots)
             return
     if kind <= VELOCITY:
         scalar_value(p, t, kind)
     elif kind <= ANGULAR:
-        frame_value(p, ws, t, kind)
+        frames.frame_value(p, ws, t, kind)
     elif kind <= POSE:
         orientation_value(p, ws, t, kind, n, knots)
     elif kind == MASS_CENTRE:
         mass_centre_value(m, p, q, ws, t)
     elif kind == TILT:
-        tilt_value(p, ws, t)
+        frames.tilt_value(p, ws, t)
     elif kind == SLIP:
         slip_value(p, ws, t)
 
@@ -89,7 +66,7 @@ def differentiate(m, p, ws, t, solids):
     """The derivative of term t's value, in RESIDUALS.row, which was zero; after measure."""
     kind = load(integers(p, RESIDUALS.kind), t)
     if solids is not None:  # noqa: SIM102 - Numba leaves out what hangs on this alone
-        if kind >= LINE_BOX:
+        if kind >= LINE_BOX and kind <= OVER_PLANE:
             solid_row(m, p, ws, t)
             return
     if kind < VELOCITY:
@@ -97,14 +74,14 @@ def differentiate(m, p, ws, t, solids):
     elif kind == VELOCITY:
         velocity_row(m, p, ws, t)
     elif kind <= POINTING:
-        place_rows(m, p, ws, t, kind)
+        frames.place_rows(m, p, ws, t, kind)
     elif kind <= ANGULAR:
-        speed_rows(m, p, ws, t, kind)
+        frames.speed_rows(m, p, ws, t, kind)
     elif kind <= POSE:
         orientation_rows(m, p, ws, t, kind)
     elif kind == MASS_CENTRE:
         mass_centre_rows(m, p, ws, t)
     elif kind == TILT:
-        tilt_row(m, p, ws, t)
+        frames.tilt_row(m, p, ws, t)
     elif kind == SLIP:
         slip_rows(m, p, ws, t)
