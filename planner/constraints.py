@@ -4,24 +4,11 @@ Beside these the terms of planner.costs (Height, Distance, Gap, Velocity) and an
 """
 
 from planner.problem.avoid import Avoid
+from planner.problem.constraints import forces, quantities
 from planner.problem.constraints.constraint import Constraint
-from planner.problem.constraints.forces import ChainForce, Power
-from planner.problem.constraints.quantities import (
-    CenterOfMass,
-    FrameAxisAngle,
-    FrameOrientation,
-    FramePosition,
-    FramePositionAlong,
-)
+from planner.problem.constraints.forces import *  # noqa: F403
+from planner.problem.constraints.quantities import *  # noqa: F403
 
-__all__ = [
-    "Avoid",
-    "CenterOfMass",
-    "ChainForce",
-    "Constraint",
-    "FrameAxisAngle",
-    "FrameOrientation",
-    "FramePosition",
-    "FramePositionAlong",
-    "Power",
-]
+__all__ = ["Avoid", "Constraint"]
+__all__ += forces.__all__
+__all__ += quantities.__all__

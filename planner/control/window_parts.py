@@ -12,6 +12,7 @@ from planner.base.arguments import LONGEST_HORIZON, count, number, numbers, shor
 from planner.base.errors import PlannerError
 from planner.control.tracked_plan import TIME_TOLERANCE
 from planner.dynamics import RigidBodyDynamics
+from planner.dynamics.protocol import integrator_of
 from planner.dynamics.step_stability import implicit_error
 from planner.model.capabilities import capabilities_of
 from planner.model.space import space_of
@@ -58,7 +59,7 @@ def window_dynamics(problem: Problem, states: np.ndarray) -> Any:
     own = problem.dynamics
     if type(own) is not RigidBodyDynamics or own.mechanism.has_closed_chains or capabilities_of(own).contacts:
         return own
-    evaluations = own.substeps * (2 if own.integrator == "rosenbrock" else 4)
+    evaluations = own.substeps * integrator_of(own).stages
     for k in (1, 2, 4, 8):
         if 2 * k >= evaluations or own.substeps == 1:
             break

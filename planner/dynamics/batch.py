@@ -9,7 +9,7 @@ import numpy as np
 
 from planner.base.arguments import array, short_repr
 from planner.base.errors import PlannerError
-from planner.kernels.integrators import EULER
+from planner.kernels.integrators import KNOWN_INTEGRATORS
 from planner.kernels.numba.jit import announce
 from planner.kernels.tree.mechanism_table import Model
 from planner.kernels.tree.memory import TreeMemory
@@ -68,7 +68,7 @@ class KernelCall:
         try:
             memory = idle.pop()
         except IndexError:
-            memory = TreeMemory(model, EULER, 0, linearizing)
+            memory = TreeMemory(model, KNOWN_INTEGRATORS["euler"], 0, linearizing)
         kernel(model.table, memory.table, self["q"], *arrays)
         idle.append(memory)
 

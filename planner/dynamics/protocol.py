@@ -2,36 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple, Protocol, runtime_checkable
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 
-from planner.kernels.integrators import EULER, INTEGRATORS, RK4, ROSENBROCK, SEMI_IMPLICIT_EULER
+from planner.kernels.integrators import INTEGRATORS, KNOWN_INTEGRATORS, Integrator
 from planner.kernels.lq.workspace import Workspace
-
-
-class Integrator(NamedTuple):
-    """What is known of an integrator outside of its stage and its derivatives, which are kernels.
-
-    An integrator that takes damping implicitly, by a stage that does not, is that stage with heavier armatures: of
-    first order (M + h D) a = forces and v+ = v + h a, with D the damping, h the step (dynamics.rigid_body).
-    """
-
-    order: int | None  # of its error in the step; None where nobody knows
-    evaluations: int = 4  # of the dynamics in a step, for a budget of work; a factorization counts as one
-    mujoco: str = ""  # MuJoCo's method that is the same; "" where it has none
-    stage: int = RK4  # the kernels' code of its stage
-    implicit: bool = False  # whether it takes damping implicitly
-    finer: str = "rk4"  # the one to take where this is too coarse; itself: shorter stages
-
-
-KNOWN_INTEGRATORS = {
-    "euler": Integrator(1, 1, stage=EULER),
-    "semi-implicit-euler": Integrator(1, 1, "EULER", SEMI_IMPLICIT_EULER),
-    "rk4": Integrator(4, 4, "RK4"),
-    "rosenbrock": Integrator(2, 4, "", ROSENBROCK, True, "rosenbrock"),
-    "implicitfast": Integrator(1, 1, "IMPLICITFAST", SEMI_IMPLICIT_EULER, True, "rosenbrock"),
-}  # fmt: skip
 
 
 def integrator_of(dynamics: Any) -> Integrator:

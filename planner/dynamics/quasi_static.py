@@ -55,7 +55,7 @@ def quasi_static_controls(dynamics: Any, x: Any, *, contacts: bool = True, keep_
     x = array("x", x, (nq if np.shape(x) == (nq,) else mechanism.space.nx,))
     q, act = x[:nq], np.append(x[nq + nv :], np.zeros(mechanism.na))
     fixed = actuators.dynamics == INTEGRATOR if keep_activations else np.zeros(mechanism.nu, dtype=bool)
-    force = actuators.bias[:, 0] + actuators.bias[:, 1] * actuator_lengths(mechanism, q)
+    force = actuators.passive_forces(actuator_lengths(mechanism, q))
     force[fixed] += actuators.gain[fixed] * act[actuators.activation[fixed]]
     moment = actuator_moments(mechanism, q)
     missing = bias(mechanism, q, np.zeros(nv)) - moment.T @ force

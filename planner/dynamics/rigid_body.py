@@ -11,8 +11,7 @@ import numpy as np
 
 from planner.base.arguments import array, choice, count, number, short_repr
 from planner.base.errors import PlannerError
-from planner.dynamics.protocol import KNOWN_INTEGRATORS
-from planner.kernels.integrators import ROSENBROCK, SEMI_IMPLICIT_EULER
+from planner.kernels.integrators import KNOWN_INTEGRATORS, ROSENBROCK, SEMI_IMPLICIT_EULER
 from planner.kernels.lq.workspace import Workspace
 from planner.kernels.numba.lanes import padded
 from planner.kernels.precompile import announce_named, variant
@@ -29,7 +28,6 @@ from planner.model.damping import damped_implicitly
 from planner.model.mechanism import Mechanism
 from planner.model.space import StateSpace
 
-WITH_SUBSTEPS = ("rk4", "rosenbrock")
 MAX_SUBSTEPS = 16  # largest number in a stage; shorter stages should replace more
 ROUNDING = 1e-9  # relative tolerance of a ratio of lengths
 
@@ -63,24 +61,25 @@ class RigidBodyDynamics:
         self.mechanism, self.dt = mechanism, number("dt", dt, greater_than=0.0)
         self.integrator = choice("integrator", integrator, KNOWN_INTEGRATORS)
         self.substeps = count("substeps", substeps, maximum=MAX_SUBSTEPS)
-        if self.substeps > 1 and self.integrator not in WITH_SUBSTEPS:
+        known = KNOWN_INTEGRATORS[self.integrator]
+        if self.substeps > 1 and not known.lengths:
+            able = " or ".join(f'"{name}"' for name, one in KNOWN_INTEGRATORS.items() if one.lengths)
             raise PlannerError(
                 f"substeps is {self.substeps} and the integrator {self.integrator!r}, expected integrator = "
-                f'"{WITH_SUBSTEPS[0]}" or "{WITH_SUBSTEPS[1]}", or substeps = 1.'
+                f"{able}, or substeps = 1."
             )
         if not isinstance(prescribed, (str, Collection)):
             raise PlannerError(f"prescribed is {short_repr(prescribed)}, expected names of joints.")
         self.prescribed = (prescribed,) if isinstance(prescribed, str) else tuple(prescribed)
         self.space: StateSpace = mechanism.space
         self.nx, self.ndx = self.space.nx, self.space.ndx
-        known = KNOWN_INTEGRATORS[self.integrator]
         self._one_stage = np.full(1, self.dt)
-        self._code, self._heavier = known.stage, known.implicit and known.stage != ROSENBROCK
+        self._known, self._heavier = known, known.implicit and known.form != ROSENBROCK
         self._make_tables()
         self.nu = self._model.nu
         if self.nu == 0:
             raise PlannerError("the model has no actuators, expected at least one <actuator> or a prescribed joint.")
-        self.structured = self._code == SEMI_IMPLICIT_EULER and mechanism.na == 0
+        self.structured = known.form == SEMI_IMPLICIT_EULER and mechanism.na == 0
         self.has_slopes = False
         self.dense_kernels = tuple(variant(name, self._model) for name in ("tree search", "tree dense"))
         search, dense = self.dense_kernels
@@ -99,7 +98,7 @@ class RigidBodyDynamics:
                     f"{coupling.name} couples {names} and one of them is prescribed, expected prescribed joints that "
                     "no equality couples."
                 )
-        implicit = self._code == ROSENBROCK
+        implicit = self._known.form == ROSENBROCK
         if implicit and self.mechanism.has_closed_chains:
             raise PlannerError(
                 'the integrator "rosenbrock" keeps no closed chains and this machine has some, expected "rk4", or less '
@@ -112,7 +111,7 @@ class RigidBodyDynamics:
     def _model_of(self, h: float) -> Model:
         """The kernel table for steps of h s."""
         machine = damped_implicitly(self.mechanism, h) if self._heavier else self.mechanism
-        return Model(machine, self._driven, implicit=self._code == ROSENBROCK)
+        return Model(machine, self._driven, implicit=self._known.form == ROSENBROCK)
 
     def __getstate__(self) -> dict[str, Any]:
         """All attributes but the tables, whose addresses are valid in this process only."""
@@ -179,7 +178,7 @@ class RigidBodyDynamics:
     def _scratch(self) -> TreeMemory:
         """Scratch memory of single steps, one per thread, since allocation takes longer than a step."""
         if not hasattr(self._steps, "memory"):
-            self._steps.memory = TreeMemory(self._model, self._code, 0, False, self.substeps)
+            self._steps.memory = TreeMemory(self._model, self._known, 0, False, self.substeps)
         return self._steps.memory
 
     def rates(self, xs: np.ndarray, us: np.ndarray) -> np.ndarray:
@@ -260,7 +259,7 @@ class RigidBodyDynamics:
 
     def memory(self, N: int, appended: int = 0) -> TreeMemory:
         """Scratch memory of a solve of N stages, of states with `appended` components behind the machine's own."""
-        return TreeMemory(self._model, self._code, N, substeps=self.substeps, appended=appended)
+        return TreeMemory(self._model, self._known, N, substeps=self.substeps, appended=appended)
 
     def second_order_memory(self) -> tree_second.SecondOrderMemory:
         """Scratch memory of second_order_nominal; PlannerError for features without second derivatives."""
@@ -269,9 +268,9 @@ class RigidBodyDynamics:
                 f'hessian="exact" has no second derivatives of substeps and a stage has {self.substeps}, expected '
                 f'hessian="gauss-newton", or stages of dt = {self.dt / self.substeps:.3g} and substeps=1.'
             )
-        if self.integrator == "rosenbrock":
+        if self._known.form == ROSENBROCK:
             raise PlannerError(
-                'hessian="exact" has no second derivatives of the integrator "rosenbrock", expected '
+                f'hessian="exact" has no second derivatives of the integrator "{self.integrator}", expected '
                 'hessian="gauss-newton".'
             )
         if self.space.quaternions:
@@ -304,7 +303,7 @@ class RigidBodyDynamics:
                 'hessian="exact" has no second derivatives of friction loss, tendons, gravity compensation, drag and '
                 'actuators at sites and this machine has some, expected hessian="gauss-newton".'
             )
-        return tree_second.SecondOrderMemory(self._model, self._code)
+        return tree_second.SecondOrderMemory(self._model, self._known)
 
     def linearize_nominal(self, w: Workspace, memory: TreeMemory) -> None:
         """Fill w.F along w.xs, w.us."""

@@ -48,6 +48,10 @@ class Actuators:
     activation_range: np.ndarray  # (nu, 2)
     wrenches: tuple[ActuatorWrench, ...] = ()
 
+    def passive_forces(self, lengths: np.ndarray, rates: np.ndarray | float = 0.0) -> np.ndarray:
+        """Forces (..., nu) without input, at lengths and rates (..., nu)."""
+        return self.bias[:, 0] + self.bias[:, 1] * lengths + self.bias[:, 2] * rates
+
     @property
     def nu(self) -> int:
         """Number of actuators."""

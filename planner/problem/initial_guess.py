@@ -39,8 +39,7 @@ def inverse_dynamics_controls(mechanism: Mechanism, q: np.ndarray, qd: np.ndarra
         or (not closed and np.linalg.matrix_rank(reach) < len(reach))
     ):
         raise PlannerError("the actuators do not reach every joint directly, expected a fully actuated machine.")
-    lengths, speeds = actuator_lengths(mechanism, q), qd @ actuators.moment.T
-    force = actuators.bias[:, 0] + actuators.bias[:, 1] * lengths + actuators.bias[:, 2] * speeds
+    force = actuators.passive_forces(actuator_lengths(mechanism, q), qd @ actuators.moment.T)
     tree = replace(mechanism, loops=(), polynomial_couplings=()) if closed else mechanism
     tau = rnea(tree, q, qd, qdd) - friction_forces(mechanism, qd, qdd)[0] - force @ actuators.moment
     if not closed:

@@ -184,7 +184,7 @@ def holding(mechanism: Mechanism, qpos: np.ndarray) -> tuple[np.ndarray, np.ndar
     """
     actuators = mechanism.actuators
     u = quasi_static_controls(mechanism, qpos, contacts=False, keep_activations=False)
-    force = actuators.gain * u + actuators.bias[:, 0] + actuators.bias[:, 1] * actuator_lengths(mechanism, qpos)
+    force = actuators.gain * u + actuators.passive_forces(actuator_lengths(mechanism, qpos))
     return np.where(actuators.dynamics == INTEGRATOR, 0.0, u), force
 
 

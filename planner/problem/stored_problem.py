@@ -20,15 +20,8 @@ from planner.model.mechanism import Mechanism
 from planner.model.mjcf.prescribed_joints import twin_of
 from planner.model.mjcf.read import read
 from planner.model.twin import Twin
+from planner.problem.constraints import forces, quantities
 from planner.problem.constraints.constraint import Constraint
-from planner.problem.constraints.forces import ChainForce, Power
-from planner.problem.constraints.quantities import (
-    CenterOfMass,
-    FrameAxisAngle,
-    FrameOrientation,
-    FramePosition,
-    FramePositionAlong,
-)
 from planner.problem.costs.least_squares import TABLES, LeastSquares
 from planner.problem.costs.terms import SumCost
 from planner.problem.costs.tracking import TrackingCost
@@ -43,9 +36,8 @@ NAME = "mechanism and tracking cost"
 _COST = ("Q", "R", "x_ref", "u_ref")
 ARRAYS = (*_COST, "x0", "us")
 _BOUNDS = ("equal", "lower", "upper")  # of a constraint
-LIBRARY = {
-    one.__name__: one
-    for one in (CenterOfMass, ChainForce, FrameAxisAngle, FrameOrientation, FramePosition, FramePositionAlong, Power)
+LIBRARY: dict[str, type[Residual]] = {
+    name: getattr(module, name) for module in (forces, quantities) for name in module.__all__
 }
 """Residuals that are known without being named to load_plan."""
 
@@ -96,7 +88,7 @@ def unstorable_part(problem: Problem) -> str:
         return f"its constraints ({', '.join(other)})"
     for residual in (*(term.residual for term in terms[1:]), *(one.of for one in problem.constraints)):
         if _parameters_of(residual) is None:
-            return f"its residual {residual}, whose parameters are no JSON values"
+            return f"its residual {residual}, whose arguments are not all attributes and JSON values"
     own = twin_of(dynamics.mechanism, dynamics.prescribed)
     if twin is None or any(getattr(twin, part) != getattr(own, part) for part in ("mjcf", "source", "curves")):
         return "its model in MuJoCo, which is not the mechanism's own"

@@ -23,7 +23,8 @@ import numpy as np
 
 from planner.base.gl import load_mujoco
 from planner.base.measured import Measurement, Section
-from planner.dynamics.protocol import KNOWN_INTEGRATORS
+from planner.dynamics.protocol import integrator_of
+from planner.kernels.integrators import KNOWN_INTEGRATORS, ROSENBROCK, RUNGE_KUTTA, SEMI_IMPLICIT_EULER, Integrator
 from planner.model.capabilities import capabilities_of
 from planner.model.mechanism import Mechanism
 from planner.model.mjcf.prescribed_joints import prescribed_dofs_of
@@ -34,7 +35,7 @@ from planner.problem.problem import Problem
 from planner.proof.compare.constrained import constrained_acceleration, steps_back
 from planner.proof.replays.compiled_twin import CompiledTwin
 from planner.proof.replays.passive_torque_callback import curves_acting
-from planner.proof.replays.simulation import ROSENBROCK, damping_of, implicit_step, set_state, state_of
+from planner.proof.replays.simulation import damping_of, implicit_step, set_state, state_of
 
 PATH_BOUND = 1e-8  # of the largest state
 STAGE_BOUND = 1e-10  # of the largest state: one stage does not amplify errors, rounding is 1e-14
@@ -70,6 +71,7 @@ def same_step(plan: Plan, problem: Problem, compiled: CompiledTwin) -> Section:
     integrator = getattr(problem.dynamics, "integrator", "")
     substeps = getattr(problem.dynamics, "substeps", 1)
     chains = machine.mechanism if machine.loops else None
+    closes = integrator_of(problem.dynamics).form == RUNGE_KUTTA
     constrained = chains or (
         machine.mechanism if machine.mechanism is not None and machine.mechanism.couplings else None
     )
@@ -84,7 +86,7 @@ def same_step(plan: Plan, problem: Problem, compiled: CompiledTwin) -> Section:
     def stage(x: np.ndarray, u: np.ndarray) -> np.ndarray:
         for _ in range(substeps):
             x = one(x, u)
-        if chains is not None and integrator == "rk4":  # a plan's stages end on the loop closures
+        if chains is not None and closes:  # a plan's stages end on the loop closures
             set_state(model, data, twin.sim_of(x))
             steps_back(model, data, chains, driven)
             x = twin.x_of(state_of(data))
@@ -163,29 +165,23 @@ def stage_function(
 
     integrate = on_group if space.quaternions else space.integrate
 
-    def explicit_euler(x: np.ndarray, u: np.ndarray) -> np.ndarray:
-        return integrate(x, dt * rates(x, u))
-
     def velocity_first(x: np.ndarray, u: np.ndarray) -> np.ndarray:
         dx = dt * rates(x, u)
         dx[: model.nv] += dt * dx[model.nv : 2 * model.nv]
         return integrate(x, dx)
 
-    own: dict[str, Stage] = {
-        "euler": explicit_euler, "rk4": lambda x, u: munthe_kaas(rates, space, x, u, dt, integrate)
-    }  # fmt: skip
-    native = KNOWN_INTEGRATORS[integrator].mujoco if integrator in KNOWN_INTEGRATORS and constrained is None else ""
+    known = KNOWN_INTEGRATORS.get(integrator)
+    if known is None:
+        return None
+    native = known.mujoco if constrained is None else ""
     if (native == "RK4" and space.quaternions) or (native != "EULER" and len(driven)):
         native = ""
     if native == "IMPLICITFAST" and floats_alone(model):
         native = ""
-    if constrained is not None:
-        own["semi-implicit-euler"] = velocity_first
-    if damping is not None and integrator != ROSENBROCK and not native:  # MuJoCo's step is of a heavier machine
+    if damping is not None and known.form != ROSENBROCK and not native:  # MuJoCo's step is of a heavier machine
         model.dof_armature[:] += dt * damping
         model.dof_M0[:] += dt * damping
-        own[integrator] = velocity_first
-    if integrator == ROSENBROCK and damping is not None and not len(driven):
+    if known.form == ROSENBROCK and damping is not None and not len(driven):
         exact = None if constrained is None else functools.partial(constrained_acceleration, mechanism=constrained)
         move = implicit_step(model, dt, damping, acceleration=exact)
 
@@ -198,9 +194,11 @@ def stage_function(
     if native:
         model.opt.integrator = getattr(mujoco.mjtIntegrator, f"mjINT_{native}")
         return f"MuJoCo's {native}", step
-    if integrator in own:
-        return ACCELERATIONS, own[integrator]
-    return None
+    if known.form == ROSENBROCK:
+        return None
+    if known.form == SEMI_IMPLICIT_EULER:
+        return ACCELERATIONS, velocity_first
+    return ACCELERATIONS, lambda x, u: munthe_kaas(rates, space, x, u, dt, integrate, known)
 
 
 def floats_alone(model: Any) -> bool:
@@ -240,12 +238,13 @@ def advancing(
 
 
 def munthe_kaas(
-    rates: Rates, space: StateSpace, x: np.ndarray, u: np.ndarray, dt: float, integrate: Integrate | None = None
-) -> np.ndarray:
-    """One stage of the classic Runge-Kutta method, in Munthe-Kaas's form where states hold quaternions.
+    rates: Rates, space: StateSpace, x: np.ndarray, u: np.ndarray, dt: float, integrate: Integrate | None = None,
+    method: Integrator = KNOWN_INTEGRATORS["rk4"],
+) -> np.ndarray:  # fmt: skip
+    """One stage of an explicit Runge-Kutta method, in Munthe-Kaas's form where states hold quaternions.
 
     Rotation vectors do not add: the increments of a quaternion are corrected by the cross products of the body's
-    rotation increments, so that the method is of fourth order on rotations too. `integrate` is the space's by default.
+    rotation increments, so that RK4 is of fourth order on rotations too. `integrate` is the space's by default.
     """
     integrate = integrate or space.integrate
 
@@ -256,8 +255,8 @@ def munthe_kaas(
             result[j : j + 3] = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
         return result
 
-    k1 = dt * rates(x, u)
-    k2 = dt * rates(integrate(x, 0.5 * k1), u)
-    k3 = dt * rates(integrate(x, 0.5 * k2 + product(k1, k2) / 8.0), u)
-    k4 = dt * rates(integrate(x, k3), u)
-    return integrate(x, (k1 + 2.0 * k2 + 2.0 * k3 + k4) / 6.0 + product(k1, k4) / 12.0)
+    ks = [dt * rates(x, u)]
+    for length in method.lengths:
+        moved = length * ks[-1] + (method.turned[0] * product(ks[0], ks[1]) if len(ks) == 2 else 0.0)
+        ks.append(dt * rates(integrate(x, moved), u))
+    return integrate(x, np.array(method.weights) @ ks + method.turned[1] * product(ks[0], ks[-1]))

@@ -16,7 +16,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from planner.base.measured import Measurement, Section
-from planner.dynamics.protocol import KNOWN_INTEGRATORS, integrator_of
+from planner.dynamics.protocol import integrator_of
+from planner.kernels.integrators import KNOWN_INTEGRATORS
 from planner.model.capabilities import capabilities_of
 from planner.model.tendons import slack_tendons
 from planner.problem.plan import Plan

@@ -8,7 +8,7 @@ from hypothesis.extra.numpy import arrays
 from numba import njit
 
 from planner.kernels.hopper.step import push, spring, step
-from planner.kernels.integrators import EULER, RK4, SEMI_IMPLICIT_EULER
+from planner.kernels.integrators import EULER, RUNGE_KUTTA, SEMI_IMPLICIT_EULER
 from planner.kernels.numba.jit import FASTMATH
 from planner.kernels.numba.lanes import (
     WIDTH,
@@ -162,7 +162,7 @@ def stages(integrator, z, dt, out):
         store(r, 7 * i + 6, c)
 
 
-@pytest.mark.parametrize("integrator", [EULER, SEMI_IMPLICIT_EULER, RK4])
+@pytest.mark.parametrize("integrator", [EULER, SEMI_IMPLICIT_EULER, RUNGE_KUTTA])
 @settings(max_examples=50, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 @given(seed=st.integers(0, 2**32 - 1), spread_of=st.sampled_from([1e-7, 1e-2, 1.0, 100.0]))
 def test_one_source_two_builds_same_bits(integrator, seed, spread_of):

@@ -16,9 +16,11 @@ from planner.costs import CenterOfMassCost, FrameCost, Height, PenaltyCost, Poin
 from planner.dynamics import center_of_mass
 from planner.dynamics.protocol import INTEGRATORS
 from planner.kernels.lq import line_search
+from planner.kernels.tree.residuals.kinds import KINDS as COMPILED
 from planner.model.contact.laws import Contact, ContactLaw, Plane
 from planner.model.space import log_jacobian
 from planner.problem.costs.residuals.cost import ResidualCost
+from planner.problem.costs.residuals.functions import RESIDUALS
 from planner.problem.costs.slip import SlipCost
 from planner.problem.rediscretize import finer
 from planner.solvers.engine import CompiledEngine, HybridEngine, NumpyEngine, acquire_engine, compiled_costs
@@ -37,6 +39,11 @@ BALL = """
 </mujoco>
 """
 KINDS = ("position", "orientation", "pose", "pointing", "velocity", "angular_velocity", "centre", "slip")
+
+
+def test_each_kind_has_a_number_of_its_own_and_a_twin():
+    assert sorted(COMPILED) == list(range(len(COMPILED)))  # two kinds of one number leave a hole
+    assert set(COMPILED) == set(RESIDUALS)
 
 
 def some_target(rng, kind, N):

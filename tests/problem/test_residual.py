@@ -214,3 +214,13 @@ def test_commands_import_only_what_is_allowed(machine, tmp_path):
 def test_wrong_arguments_are_named(machine, make, said):
     with pytest.raises(PlannerError, match=said):
         make(machine)
+
+
+def test_a_target_of_a_wrong_shape_is_called_target():
+    problem = planner.cases.two_link(horizon=5)
+    height = planner.constraints.FramePositionAlong("tip")
+    with pytest.raises(planner.PlannerError, match=r"^the target of place of tip has the shape \(2,\)"):
+        planner.costs.LeastSquares(problem.dynamics, 5, height, weight=1.0, target=[1.0, 2.0])
+    above = planner.costs.LeastSquares(problem.dynamics, 5, height, weight=1.0, lower=0.3)
+    assert (above.lower == 0.3).all()
+    assert (above.upper == np.inf).all()

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from typing import Any
 
-from planner.dynamics.protocol import KNOWN_INTEGRATORS
+from planner.kernels.integrators import KNOWN_INTEGRATORS
 from planner.problem.objective import OBJECTIVES
 from planner.problem.tasks.timed_task import DEFAULT_TOLERANCES, PATH_TOLERANCES
 
+_IMPLICIT = [name for name, one in KNOWN_INTEGRATORS.items() if one.implicit]
 KEYS = {
     "model": "MJCF or URDF file, relative to this file, or robot_descriptions:NAME of that package",
     "base": "of a URDF: fixed or free, what its root link is; by default fixed, but for a floating joint of the file",
@@ -24,7 +25,7 @@ KEYS = {
     "exclude": "list of pairs of bodies or shapes that do not touch each other, whatever the model says",
     "duration": "s",
     "dt": "length of a stage, s, or auto: 0.01, less where the machine is stiff, a whole part of the duration",
-    "integrator": f"one of {', '.join(KNOWN_INTEGRATORS)}, or auto: rk4, or one of the last two for fast damping",
+    "integrator": f"one of {', '.join(KNOWN_INTEGRATORS)}, or auto: rk4, or {' or '.join(_IMPLICIT)} for fast damping",
     "substeps": "in a stage: 1 to 16, or auto: as many as the machine's fastest motion needs",
     "guess": "first controls: line (straight to the goal in joint space, by inverse dynamics), collision-free (a "
     "path that keeps its distance from what is avoided), tracking (feedback gains along that line), hold (the start "

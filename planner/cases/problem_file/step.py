@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from planner.base.arguments import number
-from planner.dynamics.rigid_body import MAX_SUBSTEPS, WITH_SUBSTEPS
+from planner.dynamics.rigid_body import MAX_SUBSTEPS
 from planner.dynamics.step_stability import (
     IMPLICIT,
     MAX_RATE_STEP,
@@ -20,6 +20,7 @@ from planner.dynamics.step_stability import (
     reason,
     substeps_of,
 )
+from planner.kernels.integrators import KNOWN_INTEGRATORS
 from planner.model.mechanism import Mechanism
 
 USUAL, SHORTEST = 0.01, 5e-4  # s: shorter ones are asked for, because a plan of them takes long
@@ -43,7 +44,9 @@ def with_step(
     Raises:
         PlannerError: The duration is no number, or the dt that is asked for takes more than 16 substeps.
     """
-    known = table["integrator"] not in (AUTO, "rk4")
+    able = [name for name, one in KNOWN_INTEGRATORS.items() if one.lengths]
+    divided = [name for name in able if not KNOWN_INTEGRATORS[name].implicit]  # until they are stable
+    known = table["integrator"] not in (AUTO, *divided)
     if AUTO not in (table["dt"], table["substeps"], table["integrator"]):
         return table, table["substeps"], {}
     if not mechanism.contacts:  # which may have home deep in the ground
@@ -70,7 +73,7 @@ def with_step(
                 implicit = "implicitfast" if follows else ""
         if implicit:
             integrator, dt = implicit, _whole(table["duration"], longest) if dt == AUTO else dt
-            steps = f"{MAX_SUBSTEPS} substeps" if integrator in WITH_SUBSTEPS else "1 step"
+            steps = f"{MAX_SUBSTEPS} substeps" if integrator in able else "1 step"
             reasons["substeps"] = (
                 f"damping is taken implicitly in {steps} a stage of {dt:.4g} s, because {found.joint} has a rate of "
                 f"{found.rate:.4g} per s."
@@ -81,8 +84,8 @@ def with_step(
         if longest < USUAL:
             reasons["dt"] = f"{dt:.4g} s: {found.joint} has a rate of {found.rate:.4g} per s"
     if substeps == AUTO:
-        substeps = MAX_SUBSTEPS if integrator in WITH_SUBSTEPS else 1
-        if integrator == "rk4":
+        substeps = MAX_SUBSTEPS if integrator in able else 1
+        if integrator in divided:
             substeps = substeps_of(found, number("dt", dt, greater_than=0.0))
             if substeps > 1:
                 reasons["substeps"] = reason(found, substeps)

@@ -11,7 +11,7 @@ mu goes backward as in kernels.tree.tree_second_order, where da/dy = -s, the spr
 from __future__ import annotations
 
 from planner.kernels.hopper.step import step
-from planner.kernels.integrators import EULER, RK4
+from planner.kernels.integrators import EULER, RUNGE_KUTTA
 from planner.kernels.numba.jit import inline, jit
 
 
@@ -44,7 +44,7 @@ def second_order(integrator, dt, parameters, xs, us, costates, T):
         _, slopes = step(integrator, (xs[n, 0], xs[n, 1], xs[n, 2]), us[n, 0], dt, spring)
         s0, s1, s2, s3 = slopes
         g0 = (0.0, -1.0, 0.0, 1.0)
-        if integrator != RK4:
+        if integrator != RUNGE_KUTTA:
             mu = dt * lv + (0.0 if integrator == EULER else dt * dt * ly)
             _add(T, n, mu, s0, g0, first, spring)
             continue

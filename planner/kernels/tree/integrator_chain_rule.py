@@ -1,11 +1,11 @@
 """The chain rule through the stages of an integrator (Eq. 35), one knot at a time: exact A and B of a step.
 
-Stage i of RK4 evaluates accelerations a_i, with derivatives D_i = (Du | Dq | Dv | Dact) by what they are evaluated at
-and A_i by z = (u | dq | dv | dact) at the start of the step, which are sought. The states there move by
+Stage i of a Runge-Kutta method evaluates accelerations a_i, with derivatives D_i = (Du | Dq | Dv | Dact) by what they
+are evaluated at and A_i by z = (u | dq | dv | dact) at the start of the step, which are sought. States there move by
 
     dq_i = T dq + W (dv + c_{i-1} A_{i-2} dz) + V dv,        dv_i = dv + c_i A_{i-1} dz,
 
-where c = dt/2, dt/2, dt and, but for rotations, T = 1, W = c_i, V = 0. So
+where c = dt/2, dt/2, dt of RK4 and, but for rotations, T = 1, W = c_i, V = 0. So
 
     A_i = (Du | Dq T | Dv + Dq (W + V) | Dact) + c_{i-1} Dq W A_{i-2} + c_i Dv A_{i-1},
 
@@ -18,7 +18,15 @@ from __future__ import annotations
 from planner.kernels.algebra.rotations import carried, right_jacobian_times
 from planner.kernels.algebra.spatial import load3
 from planner.kernels.algebra.tiles import four_rows
-from planner.kernels.integrators import SEMI_IMPLICIT_EULER
+from planner.kernels.integrators import (
+    END_TURNED,
+    LENGTHS,
+    MAX_STAGES,
+    MIDDLE,
+    SEMI_IMPLICIT_EULER,
+    SHARE,
+    TURNED,
+)
 from planner.kernels.numba.jit import inline, part
 from planner.kernels.numba.lanes import (
     WIDTH,
@@ -41,7 +49,7 @@ TURN_SIZE = 18  # of a rotation's T and J, row by row
 
 @inline
 def keep_turns(m, r, i):
-    """T and J of every ball for the rotation vectors in MEMORY.theta, of stage i (4: the end of the step)."""
+    """T and J of every ball for the rotation vectors in MEMORY.theta, of stage i (MAX_STAGES: the end of the step)."""
     balls, ball_v, theta = m[TREE.nballs], integers(m, TREE.ball_v), lanes(r, MEMORY.theta)
     turns = lanes(r, MEMORY.turns)
     one, zero = spread(1.0), spread(0.0)
@@ -242,19 +250,20 @@ def turn_balls(m, r, i, lane, width, F):
 
 @inline
 def _add_end_commutators(m, r, dt, lane, width, F, A2):
-    """dt^2/12 times d(v1 x v4) in the balls' rows: [v1] (dv + dt A2 dz) - [v4] dv."""
+    """The end's factor times d(v1 x v4) in the balls' rows: [v1] (dv + c A2 dz) - [v4] dv, of four stages."""
     nv, ball_v, v = m[TREE.nv], integers(m, TREE.ball_v), as_floats(lanes(r, MEMORY.v_stages))
-    at_v = r[MEMORY.first] + m[TREE.nv]
-    k = dt * dt / 12.0
+    at_v, last, method = r[MEMORY.first] + m[TREE.nv], r[MEMORY.stages] - 1, floats(r, MEMORY.method)
+    k = dt * dt * load(method, END_TURNED)
+    c = k * (load(method, LENGTHS + last) * dt)
     for b in range(m[TREE.nballs]):
         i = load(ball_v, b)
-        v1, v4 = _three(v, i * WIDTH + lane), _three(v, (3 * nv + i) * WIDTH + lane)
+        v1, v4 = _three(v, i * WIDTH + lane), _three(v, (last * nv + i) * WIDTH + lane)
         p0, p1, p2 = i * width, (i + 1) * width, (i + 2) * width
         for j in range(0, width, WIDTH):
             x, y, z = load4(A2, p0 + j), load4(A2, p1 + j), load4(A2, p2 + j)
-            store4(F, p0 + j, load4(F, p0 + j) + (k * dt) * (v1[1] * z - v1[2] * y))
-            store4(F, p1 + j, load4(F, p1 + j) + (k * dt) * (v1[2] * x - v1[0] * z))
-            store4(F, p2 + j, load4(F, p2 + j) + (k * dt) * (v1[0] * y - v1[1] * x))
+            store4(F, p0 + j, load4(F, p0 + j) + c * (v1[1] * z - v1[2] * y))
+            store4(F, p1 + j, load4(F, p1 + j) + c * (v1[2] * x - v1[0] * z))
+            store4(F, p2 + j, load4(F, p2 + j) + c * (v1[0] * y - v1[1] * x))
         d = (k * (v1[0] - v4[0]), k * (v1[1] - v4[1]), k * (v1[2] - v4[2]))
         o = at_v + i
         add_unit(F, o + p0 + 1, -1.0 * d[2])
@@ -267,43 +276,46 @@ def _add_end_commutators(m, r, dt, lane, width, F, A2):
 
 @part
 def runge_kutta(m, r, dt, lane, width, F):
-    """The rows F of (B | A) of an RK4 step, from D of its four stages and the rotations kept."""
-    nv, balls, block = m[TREE.nv], m[TREE.nballs], r[MEMORY.block]
+    """The rows F of (B | A) of an explicit Runge-Kutta step, from D of its stages and the rotations kept."""
+    nv, balls, block, last = m[TREE.nv], m[TREE.nballs], r[MEMORY.block], r[MEMORY.stages] - 1
     direct, A0, Xa = floats(r, MEMORY.direct), floats(r, MEMORY.chained), floats(r, MEMORY.Xa)
-    at_q = r[MEMORY.first]
-    at_v = at_q + nv
+    method, at_q, factor = floats(r, MEMORY.method), r[MEMORY.first], 0.0
+    at_v, middle = at_q + nv, load(method, MIDDLE)
     begin_activations(m, Xa)
     sum_activations(m, Xa, 1.0)
-    for i in range(4):
+    for i in range(last + 1):
         D, A = at(direct, (i * WIDTH + lane) * block), at(A0, i * block)
-        factor = 0.0 if i == 0 else dt if i == 3 else 0.5 * dt
+        before, factor = factor, load(method, LENGTHS + i) * dt
         copy_with(D, A, width, nv, at_q, factor)
         if i == 0:
             continue
         if balls > 0:
-            turn_columns(m, r, i, lane, (factor, 0.25 * dt if i == 2 else 0.0), D, A, width)
+            turned = load(method, TURNED) * dt / load(method, LENGTHS + 2) if i == 2 else 0.0
+            turn_columns(m, r, i, lane, (factor, turned), D, A, width)
         stage_activations(m, Xa, factor)
-        sum_activations(m, Xa, 1.0 if i == 3 else 2.0)
+        sum_activations(m, Xa, 1.0 if i == last else middle)
         add_activations(m, Xa, A, width, at_q)
         add_product(A, D, at_v, at(A0, (i - 1) * block), factor, nv, width)
         if i > 1:
-            add_product(A, D, at_q, at(A0, (i - 2) * block), 0.5 * dt * factor, nv, width)
-    A1, A2, A3 = at(A0, block), at(A0, 2 * block), at(A0, 3 * block)
-    sixth = dt / 6.0
+            add_product(A, D, at_q, at(A0, (i - 2) * block), before * factor, nv, width)
+    share, zero = load(method, SHARE) * dt, spread(0.0)
     for i in range(nv):
         q, v = i * width, (nv + i) * width
         for j in range(0, width, WIDTH):
-            inner = load4(A1, q + j) + load4(A2, q + j)
-            first = load4(A0, q + j)
-            store4(F, q + j, (dt * sixth) * (first + inner))
-            store4(F, v + j, sixth * (first + 2.0 * inner + load4(A3, q + j)))
+            o, inner = q + j, zero
+            place = load(method, LENGTHS + last) * load4(A0, (last - 1) * block + o)
+            for k in range(last - 1, 0, -1):
+                place += (middle * load(method, LENGTHS + k)) * load4(A0, (k - 1) * block + o)
+                inner += load4(A0, k * block + o)
+            store4(F, q + j, (dt * share) * place)
+            store4(F, v + j, share * (load4(A0, o) + middle * inner + load4(A0, last * block + o)))
         add_unit(F, q + at_v + i, dt)
         add_unit(F, v + at_v + i, 1.0)
     if balls > 0:
-        _add_end_commutators(m, r, dt, lane, width, F, A2)
-        turn_balls(m, r, 4, lane, width, F)
+        _add_end_commutators(m, r, dt, lane, width, F, at(A0, (last - 1) * block))
+        turn_balls(m, r, MAX_STAGES, lane, width, F)
     add_unit_rows(m, F, width, at_q)
-    end_activations(m, Xa, sixth)
+    end_activations(m, Xa, share)
     activation_rows(m, Xa, at(F, 2 * nv * width), width, at_q)
 
 

@@ -11,7 +11,7 @@ from __future__ import annotations
 from planner.kernels.algebra.rotations import carried, right_jacobian_times
 from planner.kernels.algebra.spatial import store3
 from planner.kernels.algebra.tiles import four_rows
-from planner.kernels.integrators import RK4, ROSENBROCK, SEMI_IMPLICIT_EULER
+from planner.kernels.integrators import MAX_STAGES, ROSENBROCK, RUNGE_KUTTA, SEMI_IMPLICIT_EULER
 from planner.kernels.numba.jit import inline, jit, part
 from planner.kernels.numba.lane_math import transpose
 from planner.kernels.numba.lanes import (
@@ -150,11 +150,11 @@ def _after(m, r, width, F):
 
 
 @inline
-def _rk4_substep(m, r, x, a, dt, width, knots):
-    """(B | A) of RK4 substep k, whose stages' D are kept, chained to those before; x moves to its end."""
+def _runge_kutta_substep(m, r, x, a, dt, width, knots):
+    """(B | A) of Runge-Kutta substep k, whose stages' D are kept, chained to those before; x moves to its end."""
     F, stride, present, k, length = knots
     end_rotation(m, r, x, a, length)
-    keep_turns(m, r, 4)
+    keep_turns(m, r, MAX_STAGES)
     for lane in range(present):
         if k == 0:
             runge_kutta(m, r, dt, lane, width, at(F, lane * stride))
@@ -175,7 +175,7 @@ def _close(m, r, x, knots, width):
     theta, v, E = lanes(r, MEMORY.theta), at(x, m[TREE.nq]), lanes(r, MEMORY.by_stage)
     direct, chained = floats(r, MEMORY.direct), floats(r, MEMORY.chained)
     step_derivatives(m, r, x, v, POSITIONS, theta, E)
-    keep_turns(m, r, 4)
+    keep_turns(m, r, MAX_STAGES)
     for row in range(nv):
         scatter_row(E, row * columns, direct, row * width, present, block, width)
     moved(m, x, theta, x)
@@ -184,7 +184,7 @@ def _close(m, r, x, knots, width):
         scatter_row(E, row * columns, direct, WIDTH * block + row * width, present, block, width)
     for lane in range(present):
         by_q, by_v, A = at(direct, lane * block), at(direct, (WIDTH + lane) * block), at(F, lane * stride)
-        turn_balls(m, r, 4, lane, width, by_q)
+        turn_balls(m, r, MAX_STAGES, lane, width, by_q)
         add_unit_rows(m, by_q, width, at_q)
         for i in range(nv):
             add_unit(by_v, i * width + at_q + nv + i, 1.0)
@@ -220,7 +220,7 @@ def _rosenbrock_substep(m, r, x, a, dt, width, knots, external):
     for row in range(nv):
         scatter_row(lanes(r, MEMORY.M), row * ld, floats(r, MEMORY.behind_rows), row * ld, present, ld * ld, ld)
     end_displacement(m, r, x, a, length)
-    keep_turns(m, r, 4)
+    keep_turns(m, r, MAX_STAGES)
     for lane in range(present):
         if k == 0:
             rosenbrock(m, r, dt, lane, width, at(F, lane * stride))
@@ -261,8 +261,8 @@ def linearize_dense(m, r, dt, xs, us, F, external):
                     act = lanes(r, MEMORY.act_stage)
                     state = (lanes(r, MEMORY.q_stage), at(v_stages, i * nv), act, at(a, i * r[MEMORY.stride]))
                     _stage_derivatives(m, r, i, state, present, width, external)
-            if r[MEMORY.integrator] == RK4:
-                _rk4_substep(m, r, x, a, dt, width, (at(flat, first * stride), stride, present, k, length))
+            if r[MEMORY.integrator] == RUNGE_KUTTA:
+                _runge_kutta_substep(m, r, x, a, dt, width, (at(flat, first * stride), stride, present, k, length))
                 continue
             for i in range(nv):
                 later = dt * load(a, i) if r[MEMORY.integrator] == SEMI_IMPLICIT_EULER else spread(0.0)
@@ -270,5 +270,5 @@ def linearize_dense(m, r, dt, xs, us, F, external):
             keep_turns(m, r, 0)
             for lane in range(present):
                 euler(m, r, dt, lane, width, at(flat, (first + lane) * stride))
-        if external is not None and r[MEMORY.integrator] == RK4 and m[TREE.loop_rows] > 0:
+        if external is not None and r[MEMORY.integrator] == RUNGE_KUTTA and m[TREE.loop_rows] > 0:
             _close(m, r, x, (at(flat, first * stride), stride, present), width)

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from planner.kernels.integrators import RK4, ROSENBROCK
+from planner.kernels.integrators import MAX_STAGES, ROSENBROCK, Integrator
 from planner.kernels.numba.lanes import WIDTH, lane_array, padded
 from planner.kernels.numba.layout import Layout
 from planner.kernels.tree.recursion import RECORD
@@ -15,7 +15,7 @@ MEMORY = Layout(
     "integrator stages ld columns first block substeps kept stride loop_width",
     "links x u tau scratch rates theta q_stage v_stages act_stage act_rates a trial_a accelerations M Dq Dv held "
     "by_stage turns direct chained Xa step product heavier pushed before asked rest "
-    "loop_J loop_WJ loop_N loop_least loop_c loop_f loop_D loop_Y implicit behind own behind_rows",
+    "loop_J loop_WJ loop_N loop_least loop_c loop_f loop_D loop_Y implicit behind own behind_rows method",
 )
 
 
@@ -26,10 +26,10 @@ class TreeMemory:
     """
 
     def __init__(
-        self, model: Any, integrator: int, N: int, linearizing: bool = True, substeps: int = 1, appended: int = 0
+        self, model: Any, integrator: Integrator, N: int, linearizing: bool = True, substeps: int = 1, appended: int = 0
     ) -> None:
         nv, nq, nu, na = model.nv, model.nq, model.nu, model.na
-        stages = {RK4: 4, ROSENBROCK: 2}.get(integrator, 1)
+        stages = integrator.stages
         ld, first = padded(nv), padded(nu)
         columns = first + padded(2 * nv + na) + WIDTH  # products are written four columns at a time
         n = nv if linearizing else 0
@@ -43,7 +43,7 @@ class TreeMemory:
             "links": max(nv * RECORD, 2 * nv + nq + na), "x": nq + nv + na + appended, "u": nu, "tau": nv,
             "scratch": 16,
             "rates": na, "theta": nv,
-            "q_stage": nq, "v_stages": 4 * nv, "act_stage": na, "act_rates": 4 * na, "a": kept,
+            "q_stage": nq, "v_stages": MAX_STAGES * nv, "act_stage": na, "act_rates": MAX_STAGES * na, "a": kept,
             "trial_a": N * kept, "M": (nv if model.coupled or rows else n) * ld, "Dq": n * ld, "Dv": n * ld,
             "held": n * nu,
             "heavier": nv, "pushed": nv, "before": nv, "asked": nv, "rest": nv, "implicit": nv, "behind": nv,
@@ -51,7 +51,7 @@ class TreeMemory:
             "loop_J": rows * ld, "loop_WJ": rows * ld, "loop_N": rows * rows, "loop_c": rows,
             "loop_f": rows,
             "loop_least": 3 if rows else 0, "loop_D": rows * loop_width, "loop_Y": rows * ld,
-            "by_stage": n * columns, "turns": 5 * 18 * len(model.arrays["ball_v"]),
+            "by_stage": n * columns, "turns": (MAX_STAGES + 1) * 18 * len(model.arrays["ball_v"]),
         }  # fmt: skip
         self._arrays = {name: lane_array(count + 1, WIDTH) for name, count in lanes.items()}
         self._arrays["accelerations"] = np.zeros(N * kept + 1)
@@ -61,11 +61,12 @@ class TreeMemory:
         self._arrays["chained"] = lane_array((stages if stages > 1 else 0) * blocks + slack)
         whole = padded(2 * nv + na) * (columns - WIDTH) if linearizing and substeps > 1 else 0  # (B | A) of a substep
         self._arrays["step"], self._arrays["product"] = lane_array(whole + slack), lane_array(whole + slack)
-        behind = WIDTH * ld * ld if linearizing and integrator == ROSENBROCK else 0
+        behind = WIDTH * ld * ld if linearizing and integrator.form == ROSENBROCK else 0
         self._arrays["behind_rows"] = lane_array(behind + slack)
+        self._arrays["method"] = integrator.numbers
         sizes = {
-            "integrator": integrator, "stages": stages, "ld": ld, "columns": columns, "first": first, "block": block,
-            "substeps": substeps, "kept": kept, "stride": stride, "loop_width": loop_width,
+            "integrator": integrator.form, "stages": stages, "ld": ld, "columns": columns, "first": first,
+            "block": block, "substeps": substeps, "kept": kept, "stride": stride, "loop_width": loop_width,
         }  # fmt: skip
         self.table = MEMORY.table(sizes, self._arrays)
 

@@ -1,4 +1,4 @@
-"""One stage of a tree on four lanes, by explicit Euler, semi-implicit Euler, RK4 or a Rosenbrock method.
+"""One stage of a tree on four lanes, by explicit Euler, semi-implicit Euler, Runge-Kutta or a Rosenbrock method.
 
 Quaternions follow their rotation vector: Q+ = Q exp(theta). For RK4 to be of fourth order on them, the stages carry
 Munthe-Kaas' commutators (Iserles et al., Acta Numerica 2000, section 6): with K_i = dt omega_i in the body frame,
@@ -11,7 +11,16 @@ from __future__ import annotations
 
 from planner.kernels.algebra.rotations import turned
 from planner.kernels.algebra.spatial import cross, load3, store3
-from planner.kernels.integrators import RK4, ROSENBROCK, SEMI_IMPLICIT_EULER
+from planner.kernels.integrators import (
+    END_TURNED,
+    LENGTHS,
+    MIDDLE,
+    ROSENBROCK,
+    RUNGE_KUTTA,
+    SEMI_IMPLICIT_EULER,
+    SHARE,
+    TURNED,
+)
 from planner.kernels.numba.jit import inline, jit, part
 from planner.kernels.numba.lane_math import transpose
 from planner.kernels.numba.lanes import (
@@ -70,68 +79,66 @@ def add_commutator(m, theta, first, second, factor):
         store3(theta, k, (t[0] + factor * c[0], t[1] + factor * c[1], t[2] + factor * c[2]))
 
 
-@inline
-def _stage_state(m, r, x, i, factor, velocity, acceleration):
-    """State i (1, 2, 3) of a Runge-Kutta stage: velocity, activation and theta from those before."""
-    nv, na = m[TREE.nv], m[TREE.na]
-    v, act = at(x, m[TREE.nq]), at(x, m[TREE.nq] + nv)
-    vi, theta = at(lanes(r, MEMORY.v_stages), i * nv), lanes(r, MEMORY.theta)
+@part
+def stage_state(m, r, x, i, a, dt):
+    """State (q_stage, v_stages[i], act_stage) of Runge-Kutta stage i > 0, from the accelerations a so far."""
+    nq, nv, na, method = m[TREE.nq], m[TREE.nv], m[TREE.na], floats(r, MEMORY.method)
+    v, act, all_v, theta = at(x, nq), at(x, nq + nv), lanes(r, MEMORY.v_stages), lanes(r, MEMORY.theta)
+    if i == 1:
+        for k in range(nv):
+            store(all_v, k, load(v, k))
+    before, own, acceleration = at(all_v, (i - 1) * nv), at(all_v, i * nv), at(a, (i - 1) * r[MEMORY.stride])
+    factor = load(method, LENGTHS + i) * dt
     for k in range(nv):
-        store(vi, k, load(v, k) + factor * load(acceleration, k))
-        store(theta, k, factor * load(velocity, k))
+        store(own, k, load(v, k) + factor * load(acceleration, k))
+        store(theta, k, factor * load(before, k))
     rate, act_i = at(lanes(r, MEMORY.act_rates), (i - 1) * na), lanes(r, MEMORY.act_stage)
     for k in range(na):
         store(act_i, k, load(act, k) + factor * load(rate, k))
-
-
-@part
-def stage_state(m, r, x, i, a, dt):
-    """State (q_stage, v_stages[i], act_stage) of Runge-Kutta stage i = 1, 2, 3, from the accelerations a so far."""
-    nv, stride = m[TREE.nv], r[MEMORY.stride]
-    v1, theta = lanes(r, MEMORY.v_stages), lanes(r, MEMORY.theta)
-    if i == 1:
-        for k in range(nv):
-            store(v1, k, load(x, m[TREE.nq] + k))
-        _stage_state(m, r, x, 1, 0.5 * dt, v1, a)
-    elif i == 2:
-        _stage_state(m, r, x, 2, 0.5 * dt, at(v1, nv), at(a, stride))
-        add_commutator(m, theta, v1, at(v1, nv), 0.125 * dt * dt)
-    else:
-        _stage_state(m, r, x, 3, dt, at(v1, 2 * nv), at(a, 2 * stride))
+    if i == 2:
+        add_commutator(m, theta, all_v, before, load(method, TURNED) * dt * dt)
     moved(m, x, theta, lanes(r, MEMORY.q_stage))
+
+
+@inline
+def _weighed(r, p, stride, k, dt):
+    """Dt times the weighted mean over a Runge-Kutta method's stages of entry k of p, whose stages lie stride apart."""
+    method, last = floats(r, MEMORY.method), r[MEMORY.stages] - 1
+    total = load(p, k)
+    if last > 1:
+        inner = load(p, stride + k)
+        for i in range(2, last):
+            inner += load(p, i * stride + k)
+        total += load(method, MIDDLE) * inner
+    return load(method, SHARE) * dt * (total + load(p, last * stride + k))
 
 
 @part
 def end_rotation(m, r, x, a, dt):
-    """The displacement theta of the configuration over a whole RK4 stage, from v_stages."""
-    nv = m[TREE.nv]
-    v1, theta = lanes(r, MEMORY.v_stages), lanes(r, MEMORY.theta)
+    """The displacement theta of the configuration over a whole Runge-Kutta step, from v_stages."""
+    nv, v, theta = m[TREE.nv], lanes(r, MEMORY.v_stages), lanes(r, MEMORY.theta)
     for k in range(nv):
-        inner = 2.0 * (load(v1, nv + k) + load(v1, 2 * nv + k))
-        store(theta, k, (1.0 / 6.0) * dt * (load(v1, k) + inner + load(v1, 3 * nv + k)))
-    add_commutator(m, theta, v1, at(v1, 3 * nv), (1.0 / 12.0) * dt * dt)
+        store(theta, k, _weighed(r, v, nv, k, dt))
+    turned = load(floats(r, MEMORY.method), END_TURNED)
+    add_commutator(m, theta, v, at(v, (r[MEMORY.stages] - 1) * nv), turned * dt * dt)
 
 
 @part
 def end_state(m, r, x, a, dt, x_next):
-    """Configuration and velocity at the end of an RK4 step, from v_stages; x_next may be x."""
-    nv, stride = m[TREE.nv], r[MEMORY.stride]
+    """Configuration and velocity at the end of a Runge-Kutta step, from v_stages; x_next may be x."""
     v, v_next = at(x, m[TREE.nq]), at(x_next, m[TREE.nq])
     end_rotation(m, r, x, a, dt)
     moved(m, x, lanes(r, MEMORY.theta), x_next)
-    sixth = (1.0 / 6.0) * dt
-    for k in range(nv):
-        inner = 2.0 * (load(a, stride + k) + load(a, 2 * stride + k))
-        store(v_next, k, load(v, k) + sixth * (load(a, k) + inner + load(a, 3 * stride + k)))
+    for k in range(m[TREE.nv]):
+        store(v_next, k, load(v, k) + _weighed(r, a, r[MEMORY.stride], k, dt))
 
 
 @inline
 def end_activations(m, r, act, dt, act_next):
-    """Activations at the end of an RK4 step, from act_rates; act_next may be act."""
-    na, rates, sixth = m[TREE.na], lanes(r, MEMORY.act_rates), (1.0 / 6.0) * dt
+    """Activations at the end of a Runge-Kutta step, from act_rates; act_next may be act."""
+    na, rates = m[TREE.na], lanes(r, MEMORY.act_rates)
     for k in range(na):
-        inner = 2.0 * (load(rates, na + k) + load(rates, 2 * na + k))
-        store(act_next, k, load(act, k) + sixth * (load(rates, k) + inner + load(rates, 3 * na + k)))
+        store(act_next, k, load(act, k) + _weighed(r, rates, na, k, dt))
 
 
 @part
@@ -167,7 +174,7 @@ def _step(m, r, x, u, a, dt, x_next, external):
     if external is not None and integrator == ROSENBROCK:
         _end_rosenbrock(m, r, x, u, a, dt, x_next, external)
         return
-    if integrator != RK4:
+    if integrator != RUNGE_KUTTA:
         for k in range(nv):
             rate = load(v, k) + dt * load(a, k)
             store(theta, k, dt * (rate if integrator == SEMI_IMPLICIT_EULER else load(v, k)))
@@ -176,7 +183,7 @@ def _step(m, r, x, u, a, dt, x_next, external):
             store(act_next, k, load(act, k) + dt * load(rates, k))
         moved(m, x, theta, x_next)
         return
-    for i in range(1, 4):
+    for i in range(1, r[MEMORY.stages]):
         stage_state(m, r, x, i, a, dt)
         vi, act_i = at(lanes(r, MEMORY.v_stages), i * nv), lanes(r, MEMORY.act_stage)
         accelerations(m, r, lanes(r, MEMORY.q_stage), vi, u, act_i, at(a, i * r[MEMORY.stride]), external)
@@ -204,7 +211,7 @@ def stage(m, r, x, u, a, dt, x_next, external):
     _step(m, r, x, u, a, length, x_next, external)
     for i in range(1, substeps):
         _step(m, r, x_next, u, at(a, i * r[MEMORY.stages] * r[MEMORY.stride]), length, x_next, external)
-    if external is not None and r[MEMORY.integrator] == RK4 and m[TREE.loop_rows] > 0:
+    if external is not None and r[MEMORY.integrator] == RUNGE_KUTTA and m[TREE.loop_rows] > 0:
         close_state(m, r, x_next)
 
 

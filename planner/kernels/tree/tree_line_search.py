@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from planner.kernels.algebra.rotations import difference
-from planner.kernels.integrators import RK4
+from planner.kernels.integrators import RUNGE_KUTTA
 from planner.kernels.lq.line_search import batches, choose, first_step_lengths, refine
 from planner.kernels.lq.quadratic import control_terms, penalties_of, state_terms
 from planner.kernels.lq.workspace import ALPHA, BRACKET, COSTS, GIVEN, SLOPES, W, accept, take_lane
@@ -187,8 +187,8 @@ def rollout(w, m, r, search, dt, feedback, external, p, solids):
         stage(m, r, X, U, at(A_, n * kept), length, at(X_, (n + 1) * nx), external)
         if with_accelerations:
             _append_accelerations(m, X, at(X_, (n + 1) * nx), length)
-        if p is not None:  # but for RK4 the stage has left the links where X has them
-            J += residual_cost(m, pointer(p), X, lanes(r, MEMORY.links), n, r[MEMORY.integrator] != RK4, solids)
+        if p is not None:  # but for Runge-Kutta the stage has left the links where X has them
+            J += residual_cost(m, pointer(p), X, lanes(r, MEMORY.links), n, r[MEMORY.integrator] != RUNGE_KUTTA, solids)
         J += control
     J += _state_cost(w, at(X_, w[W.N] * nx), w[W.N], e)
     if p is not None:

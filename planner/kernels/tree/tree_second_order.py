@@ -5,8 +5,8 @@ acceleration a_i of the integrator's stage i, and y_i = (q, v, u, act) the stage
 
     T = sum_i (dy_i/dz)' S_i (dy_i/dz),      S_i = d2 (mu_i' a_i) / dy_i2.
 
-mu goes backward through the stages, with p_i = (da_i/dq)' mu_i and r_i = (da_i/dv)' mu_i; for RK4 of weights w_i and
-lengths c_i (the state of stage i is that of the start plus c_i times the rates of stage i - 1)
+mu goes backward through the stages, with p_i = (da_i/dq)' mu_i and r_i = (da_i/dv)' mu_i; for Runge-Kutta of weights
+w_i and lengths c_i (the state of stage i is that of the start plus c_i times the rates of stage i - 1)
 
     mu_{i-1} = w_{i-1} l_v + c_i (w_i l_q + r_i + c_{i+1} p_{i+1}).
 
@@ -27,7 +27,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from planner.kernels.integrators import RK4, SEMI_IMPLICIT_EULER
+from planner.kernels.integrators import LENGTHS, MIDDLE, SEMI_IMPLICIT_EULER, SHARE, Integrator
 from planner.kernels.numba.duals import duals
 from planner.kernels.numba.jit import inline, jit
 from planner.kernels.numba.lanes import (
@@ -63,9 +63,9 @@ SECOND = Layout(
 class SecondOrderMemory:
     """Scratch of second_order for a Model, beside the TreeMemory of the same integrator."""
 
-    def __init__(self, model: Any, integrator: int) -> None:
+    def __init__(self, model: Any, integrator: Integrator) -> None:
         nv, nq, nu, na = model.nv, model.nq, model.nu, model.na
-        stages = 4 if integrator == RK4 else 1
+        stages = integrator.stages
         ld, columns = padded(nv), padded(nu) + padded(2 * nv + na) + WIDTH
         square, rows = nv * ld, nv * columns
         lengths = {
@@ -127,17 +127,21 @@ def _adjoints(m, r, s, dt):
         for k in range(nv):
             store(all_mu, k, dt * load(l, nv + k) + later * load(l, k))
         return
+    method = floats(r, MEMORY.method)
+    outer, length_next = load(method, SHARE) * dt, 0.0
+    inner = load(method, MIDDLE) * outer
     for k in range(nv):
-        store(all_mu, 3 * nv + k, (dt / 6.0) * load(l, nv + k))
-    for i in range(3, 0, -1):
-        D, D_next = at(all_D, i * nv * columns), at(all_D, min(i + 1, 3) * nv * columns)
-        mu, mu_next = at(all_mu, i * nv), at(all_mu, min(i + 1, 3) * nv)
-        weight, weight_before = (dt / 6.0 if i == 3 else dt / 3.0), (dt / 6.0 if i == 1 else dt / 3.0)
-        length, length_next = (dt if i == 3 else 0.5 * dt), (0.0 if i == 3 else dt if i == 2 else 0.5 * dt)
+        store(all_mu, last * nv + k, outer * load(l, nv + k))
+    for i in range(last, 0, -1):
+        D, D_next = at(all_D, i * nv * columns), at(all_D, min(i + 1, last) * nv * columns)
+        mu, mu_next = at(all_mu, i * nv), at(all_mu, min(i + 1, last) * nv)
+        weight, weight_before = (outer if i == last else inner), (outer if i == 1 else inner)
+        length = load(method, LENGTHS + i) * dt
         for k in range(nv):
             by_rate = weight * load(l, k) + _column_sum(D, columns, x0 + nv + k, mu, nv)
             by_rate += length_next * _column_sum(D_next, columns, x0 + k, mu_next, nv)
             store(all_mu, (i - 1) * nv + k, weight_before * load(l, nv + k) + length * by_rate)
+        length_next = length
 
 
 @inline
@@ -324,7 +328,7 @@ def second_order(m, r, s, dt, xs, us, costates, T):
             for j in range(i, nu + ndx):
                 store(T_lanes, _column(i, nu, x0) * columns + _column(j, nu, x0), spread(0.0))
         for i in range(r[MEMORY.stages]):
-            length = dt if i == 3 else 0.5 * dt
+            length = load(floats(r, MEMORY.method), LENGTHS + i) * dt
             _move_activations(m, r, i, length)
             _eta(m, r, s, i)
             _along_positions(m, r, s, i, x)

@@ -27,7 +27,7 @@ import numpy as np
 from planner.base.arguments import array, choice, number, short_repr
 from planner.base.errors import PlannerError
 from planner.dynamics import Dynamics, RigidBodyDynamics
-from planner.kernels.integrators import EULER
+from planner.kernels.integrators import KNOWN_INTEGRATORS
 from planner.kernels.numba.lanes import padded
 from planner.kernels.precompile import announce_named, variant
 from planner.kernels.tree import linearize as tree_linearize
@@ -250,7 +250,7 @@ class _Tree:
         for name in dynamics.prescribed:
             driven[mechanism.joint(name)] = True
         self._model = Model(mechanism, driven)
-        self._memory, self._chained = TreeMemory(self._model, EULER, 0), TreeMemory(self._model, EULER, 1)
+        self._memory, self._chained = (TreeMemory(self._model, KNOWN_INTEGRATORS["euler"], N) for N in (0, 1))
         self.nx, self.nu, self._first = dynamics.nx, dynamics.nu, padded(dynamics.nu)
         self._eye, self._one = np.eye(self.nx), np.ones(1)
         for name in ("tree rates", "tree steps", "tree dense"):

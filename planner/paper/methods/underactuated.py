@@ -18,7 +18,7 @@ import numpy as np
 
 from planner.base.arguments import array, number, short_repr
 from planner.base.errors import PlannerError
-from planner.kernels.integrators import EULER
+from planner.kernels.integrators import KNOWN_INTEGRATORS
 from planner.kernels.numba.jit import announce
 from planner.kernels.tree import batch as tree_batch
 from planner.kernels.tree.mechanism_table import Model
@@ -93,7 +93,7 @@ class DrivenSystem:
         self._masses = [np.ix_(rows, f) for rows in (f, d)]
         # One model and its scratch for all calls: an integration makes thousands of them, one state at a time.
         self._hybrid, self._inverse = Model(mechanism, mask, actuated=False), Model(mechanism, actuated=False)
-        self._memory = [TreeMemory(model, EULER, 0) for model in (self._hybrid, self._inverse)]
+        self._memory = [TreeMemory(model, KNOWN_INTEGRATORS["euler"], 0) for model in (self._hybrid, self._inverse)]
         for kernel in (tree_batch.forward, tree_batch.derivatives):
             announce(kernel)
 

@@ -18,6 +18,8 @@ from planner.problem.constraints.quantities import mechanism_of
 from planner.problem.costs.weights import places
 from planner.problem.residual import PythonResidual, Residual
 
+__all__ = ["ChainForce", "Power"]
+
 
 @dataclass(frozen=True)
 class Power(Residual):

@@ -20,7 +20,7 @@ import numpy as np
 from planner.base.arguments import array, choice, set_fields, short_repr
 from planner.base.errors import PlannerError
 from planner.dynamics import Dynamics
-from planner.kernels.tree.residuals.table import HEIGHT, MASS_CENTRE, ORIENTATION, POSITION, TILT
+from planner.kernels.tree.residuals.kinds import HEIGHT, MASS_CENTRE, ORIENTATION, POSITION, TILT
 from planner.model.capabilities import capabilities_of
 from planner.model.mechanism import Frame, Mechanism
 from planner.model.space import space_of
@@ -30,6 +30,8 @@ from planner.problem.costs.residuals.arrays import ResidualArrays, ResidualList
 from planner.problem.costs.residuals.cost import values_and_jacobians, values_of
 from planner.problem.costs.residuals.functions import KinematicsCache, rotation_of, tilt_curvature
 from planner.problem.residual import Residual
+
+__all__ = ["CenterOfMass", "FrameAxisAngle", "FrameOrientation", "FramePosition", "FramePositionAlong"]
 
 
 class KernelResidual:

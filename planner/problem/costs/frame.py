@@ -8,15 +8,7 @@ import numpy as np
 
 from planner.base.arguments import array, numbers, short_repr
 from planner.base.errors import PlannerError
-from planner.kernels.tree.residuals.table import (
-    ANGULAR,
-    LINEAR,
-    MASS_CENTRE,
-    ORIENTATION,
-    POINTING,
-    POSE,
-    POSITION,
-)
+from planner.kernels.tree.residuals import kinds
 from planner.model.mechanism import Frame
 from planner.problem.costs.residuals.arrays import ResidualList, StageData, WeightedTarget
 from planner.problem.costs.residuals.cost import GoalRows, ResidualCost
@@ -121,12 +113,12 @@ class _Kind(NamedTuple):
 
 _ALL = slice(None)
 _KINDS = {
-    "position": _Kind(POSITION, (("position", "m", _ALL),)),
-    "orientation": _Kind(ORIENTATION, (("orientation", "rad", _ALL),)),
-    "pose": _Kind(POSE, (("position", "m", slice(0, 3)), ("orientation", "rad", slice(3, 6)))),
-    "pointing": _Kind(POINTING, (("direction", "rad", _ALL),)),
-    "velocity": _Kind(LINEAR, (("velocity", "m/s", _ALL),)),
-    "angular_velocity": _Kind(ANGULAR, (("angular velocity", "rad/s", _ALL),)),
+    "position": _Kind(kinds.POSITION, (("position", "m", _ALL),)),
+    "orientation": _Kind(kinds.ORIENTATION, (("orientation", "rad", _ALL),)),
+    "pose": _Kind(kinds.POSE, (("position", "m", slice(0, 3)), ("orientation", "rad", slice(3, 6)))),
+    "pointing": _Kind(kinds.POINTING, (("direction", "rad", _ALL),)),
+    "velocity": _Kind(kinds.LINEAR, (("velocity", "m/s", _ALL),)),
+    "angular_velocity": _Kind(kinds.ANGULAR, (("angular velocity", "rad/s", _ALL),)),
 }
 
 
@@ -153,11 +145,11 @@ def _term(
 ) -> dict[str, Any]:
     """Keyword arguments of ResidualList.add for a term, in addition to its weights."""
     target = stages.rows(asked.target)
-    if kind not in (ORIENTATION, POSE):
-        return {"bound": target.T, "constant": rotation @ axis if kind == POINTING else ()}
+    if kind not in (kinds.ORIENTATION, kinds.POSE):
+        return {"bound": target.T, "constant": rotation @ axis if kind == kinds.POINTING else ()}
     length = np.linalg.norm(target[:, -4:], axis=1, keepdims=True)
     if length.min() < 1e-12:
-        name = "orientation" if kind == ORIENTATION else "pose's quaternion"
+        name = "orientation" if kind == kinds.ORIENTATION else "pose's quaternion"
         raise PlannerError(f"{name} has length zero, expected a quaternion, e.g. 1, 0, 0, 0.")
     turn = rotation_of(target[:, -4:] / length).reshape(-1, 9)
     return {"constant": rotation, "reference": np.concatenate([turn, target[:, :-4]], axis=1).T}
@@ -191,6 +183,6 @@ class CenterOfMassCost(ResidualCost):
         if asked is None:
             raise PlannerError("position is None, expected where the centre of mass is to be.")
         residual_arrays = ResidualList(stages.horizon)
-        residual_arrays.add(MASS_CENTRE, [], asked.weight, bound=stages.rows(asked.target).T)
+        residual_arrays.add(kinds.MASS_CENTRE, [], asked.weight, bound=stages.rows(asked.target).T)
         goals = [GoalRows("position of the centre of mass", "m", 0)] if asked.final else []
         super().__init__(mechanism, residual_arrays.arrays(), stages.N, goals)

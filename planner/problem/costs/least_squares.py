@@ -71,11 +71,11 @@ class LeastSquares(Term):
             self.weight[-1] = 0.0
         if not (np.isfinite(self.weight).all() and self.weight.min() >= 0.0 and self.weight.any()):
             raise PlannerError(f"the weight of {residual} is {short_repr(weight)}, expected one above 0, none below.")
-        low, high = (target, target) if target is not None else (lower, upper)
+        given = {"lower": lower, "upper": upper} if target is None else {"target": target}
+        tables = [self._table(name, np.nan if one is None else one) for name, one in given.items()]
         self.lower, self.upper = (
-            np.full(self.weight.shape, none) if side is None else np.where(np.isnan(table), none, table)
-            for name, side, none in (("lower", low, -np.inf), ("upper", high, np.inf))
-            for table in (self._table(name, np.nan if side is None else side),)
+            np.where(np.isnan(table), none, table)
+            for table, none in zip((tables[0], tables[-1]), (-np.inf, np.inf), strict=True)
         )
 
     def _table(self, name: str, given: Any) -> np.ndarray:

@@ -14,7 +14,7 @@ import numpy as np
 
 from planner.base.arguments import LONGEST_HORIZON, choice, count, short_repr
 from planner.base.errors import PlannerError
-from planner.kernels.tree.residuals.table import BOXES, DISTANCE, HEIGHT, LINE_BOX, OVER_PLANE, VELOCITY
+from planner.kernels.tree.residuals.kinds import BOXES, DISTANCE, HEIGHT, LINE_BOX, OVER_PLANE, VELOCITY
 from planner.model.contact.laws import Contact
 from planner.model.contact.signed_distance import BOX, CAPSULE, PLANE
 from planner.model.mechanism import Frame, Mechanism

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from planner.base.arguments import number
-from planner.kernels.tree.residuals.table import SLIP
+from planner.kernels.tree.residuals.kinds import SLIP
 from planner.model.contact.laws import Contact
 from planner.problem.costs.residuals.arrays import ResidualList
 from planner.problem.costs.residuals.cost import ResidualCost

@@ -53,5 +53,4 @@ def smooth_motion(problem: Problem, machine: Mechanism, duration: float) -> MinJ
     assert cost is not None  # checked by machine_of()
     q, qd, qdd = quintic(problem.x0[: machine.nq], cost.x_ref[-1][: machine.nq], duration, problem.N)
     forces = np.linalg.lstsq(acts.moment.T, rnea(machine, q, qd, qdd).T, rcond=None)[0].T
-    bias = acts.bias[:, 0] + acts.bias[:, 1] * (q @ acts.moment.T) + acts.bias[:, 2] * (qd @ acts.moment.T)
-    return MinJerkMotion(q, qd, forces, bias)
+    return MinJerkMotion(q, qd, forces, acts.passive_forces(q @ acts.moment.T, qd @ acts.moment.T))

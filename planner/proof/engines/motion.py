@@ -115,9 +115,8 @@ class Applied:
         place = np.where(self._screws, q[m.q_address], 0.0)
         given = np.array(u, dtype=float)
         given[self._states] = act[self._places]
-        length, rate = actuators.moment @ place, actuators.moment @ v
-        force = actuators.gain * given + actuators.bias[:, 0] + actuators.bias[:, 1] * length
-        tau = actuator_moments(m, q).T @ (force + actuators.bias[:, 2] * rate)
+        force = actuators.gain * given + actuators.passive_forces(actuators.moment @ place, actuators.moment @ v)
+        tau = actuator_moments(m, q).T @ force
         tau -= self._damping * v + m.stiffness * (place - np.where(self._screws, m.spring_rest, 0.0))
         for (address, dof), stiffness, rest in zip(m.quaternions, m.ball_stiffness, m.ball_rest, strict=True):
             turned = log_quaternion(product(conjugate(rest), q[address : address + 4]))

@@ -30,76 +30,11 @@ from planner.kernels.numba.lanes import (
 )
 from planner.kernels.tree.linearize import scatter_row
 from planner.kernels.tree.memory import MEMORY
-from planner.kernels.tree.residuals.foot_slip import slip_rows, slip_value
-from planner.kernels.tree.residuals.frames import frame_value, place_rows, speed_rows, tilt_row, tilt_value
-from planner.kernels.tree.residuals.mass_centre import mass_centre_rows, mass_centre_value
-from planner.kernels.tree.residuals.orientation import orientation_rows, orientation_value
+from planner.kernels.tree.residuals.frames import TILT, TILT_BEND
+from planner.kernels.tree.residuals.kinds import differentiate, measure
+from planner.kernels.tree.residuals.layout import LAW_SIZE, MAX_ROWS, RESIDUALS
 from planner.kernels.tree.residuals.points import place_links, place_points
-from planner.kernels.tree.residuals.scalars import scalar_row, scalar_value, velocity_row
-from planner.kernels.tree.residuals.solids import solid_row, solid_value
-from planner.kernels.tree.residuals.table import (
-    ANGULAR,
-    LAW_SIZE,
-    LINE_BOX,
-    MASS_CENTRE,
-    MAX_ROWS,
-    POINTING,
-    POSE,
-    RESIDUALS,
-    SLIP,
-    TILT,
-    TILT_BEND,
-    VELOCITY,
-)
 from planner.kernels.tree.step import gather
-
-
-@part
-def _measure(m, p, q, ws, t, n, knots, solids):
-    """The rows of term t's value, in RESIDUALS.value."""
-    kind = load(integers(p, RESIDUALS.kind), t)
-    if solids is not None:  # noqa: SIM102 - Numba leaves out what hangs on this alone
-        if kind >= LINE_BOX:
-            solid_value(p, ws, t, kind, n, knots)
-            return
-    if kind <= VELOCITY:
-        scalar_value(p, t, kind)
-    elif kind <= ANGULAR:
-        frame_value(p, ws, t, kind)
-    elif kind <= POSE:
-        orientation_value(p, ws, t, kind, n, knots)
-    elif kind == MASS_CENTRE:
-        mass_centre_value(m, p, q, ws, t)
-    elif kind == TILT:
-        tilt_value(p, ws, t)
-    elif kind == SLIP:
-        slip_value(p, ws, t)
-
-
-@part
-def _differentiate(m, p, ws, t, solids):
-    """The derivative of term t's value, in RESIDUALS.row, which was zero; after _measure."""
-    kind = load(integers(p, RESIDUALS.kind), t)
-    if solids is not None:  # noqa: SIM102 - Numba leaves out what hangs on this alone
-        if kind >= LINE_BOX:
-            solid_row(m, p, ws, t)
-            return
-    if kind < VELOCITY:
-        scalar_row(m, p, ws, t, kind)
-    elif kind == VELOCITY:
-        velocity_row(m, p, ws, t)
-    elif kind <= POINTING:
-        place_rows(m, p, ws, t, kind)
-    elif kind <= ANGULAR:
-        speed_rows(m, p, ws, t, kind)
-    elif kind <= POSE:
-        orientation_rows(m, p, ws, t, kind)
-    elif kind == MASS_CENTRE:
-        mass_centre_rows(m, p, ws, t)
-    elif kind == TILT:
-        tilt_row(m, p, ws, t)
-    elif kind == SLIP:
-        slip_rows(m, p, ws, t)
 
 
 @inline
@@ -128,7 +63,7 @@ def residual_cost(m, p, x, ws, n, placed, solids):
         first, value, on = integers(p, RESIDUALS.first_row), lanes(p, RESIDUALS.value), floats(p, RESIDUALS.on)
         for t in range(p[RESIDUALS.terms]):
             if load(on, t * stride + n) > 0.0:
-                _measure(m, p, x, ws, t, n, False, solids)
+                measure(m, p, x, ws, t, n, False, solids)
                 start = load(first, t)
                 for row in range(start, load(first, t + 1)):
                     weight = load(weights, row * stride + n)
@@ -208,7 +143,7 @@ def quadratize_residuals(w, m, r, p, solids):
                 store(lanes(p, RESIDUALS.hessian), i * ld + j, 0.0)
         for t in range(p[RESIDUALS.terms]):
             if any_less(0.0, load4(on, t * stride + first)):
-                _measure(m, p, x, ws, t, first, True, solids)
+                measure(m, p, x, ws, t, first, True, solids)
                 start, end, moved = load(first_row, t), load(first_row, t + 1), False
                 for row in range(start, end):
                     k, o = row - start, row * stride + first
@@ -218,7 +153,7 @@ def quadratize_residuals(w, m, r, p, solids):
                     store(lanes(p, RESIDUALS.curvature), k, weight * slope * slope)
                     moved = moved or any_less(0.0, weight * slope * slope)
                 if moved:
-                    _differentiate(m, p, ws, t, solids)
+                    differentiate(m, p, ws, t, solids)
                     rows = end - start
                     if load(integers(p, RESIDUALS.kind), t) == TILT:
                         bend = load(lanes(p, RESIDUALS.factor), 0) * load(lanes(p, RESIDUALS.kept), TILT_BEND)

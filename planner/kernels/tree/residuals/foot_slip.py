@@ -10,7 +10,7 @@ all of the slip of a foot that stands, none of one that is lifted by d. The arm 
     d V_p / dq_i = Y_i(c) + w_i x V + (W_base x w_i + w_i x W) x a,    d V_p / dqd_i = v_i + w_i x p,
     d h / dq_i   = n'(v_i + w_i x c),                                  Y_i = V_base x S_i    (see frames).
 
-The twin is problem.costs.residuals.functions.
+The twin is in problem.costs.residuals.functions.
 """
 
 from __future__ import annotations
@@ -20,10 +20,12 @@ from planner.kernels.algebra.spatial import add, axpy, cross, dot, load3, scaled
 from planner.kernels.numba.jit import inline, part
 from planner.kernels.numba.lanes import integers, lanes, load, spread, store
 from planner.kernels.tree.mechanism_table import TREE
-from planner.kernels.tree.recursion import RECORD, SCREW_AXIS, TWIST
+from planner.kernels.tree.recursion import RECORD, TWIST
+from planner.kernels.tree.residuals.frames import screw_rates
+from planner.kernels.tree.residuals.layout import MAX_ROWS, PLACE_SIZE, RESIDUALS
 from planner.kernels.tree.residuals.points import constants_of, point_of
-from planner.kernels.tree.residuals.table import MAX_ROWS, PLACE_SIZE, RESIDUALS
 
+SLIP = 11  # number of its kind
 LEVEL, RADIUS, PER_CLEARANCE = 3, 4, 5  # offsets in a term's constants, after the normal
 
 
@@ -51,7 +53,7 @@ def slip_value(p, ws, t):
 @part
 def slip_rows(m, p, ws, t):
     """The derivatives by positions and by velocities, after the value."""
-    parent, base, nv = integers(m, TREE.parent), integers(m, TREE.base), m[TREE.nv]
+    parent, nv = integers(m, TREE.parent), m[TREE.nv]
     row, kept, term, zero = lanes(p, RESIDUALS.row), lanes(p, RESIDUALS.kept), constants_of(p, t), spread(0.0)
     places, o = lanes(p, RESIDUALS.places), PLACE_SIZE * point_of(p, t, 0)
     j = load(integers(p, RESIDUALS.point_link), point_of(p, t, 0))
@@ -59,12 +61,7 @@ def slip_rows(m, p, ws, t):
     share, slope, vt, n = load(kept, 0), load(kept, 1), load3(kept, 2), load3(term, 0)
     arm = scaled(zero - load(term, RADIUS), n)
     while j >= 0:
-        b, twist = j * RECORD + SCREW_AXIS, load(base, j) * RECORD + TWIST
-        sw, sv = load3(ws, b), load3(ws, b + 3)
-        bw, bv = (zero, zero, zero), (zero, zero, zero)
-        if load(base, j) >= 0:
-            bw, bv = load3(ws, twist), load3(ws, twist + 3)
-        Yw, Yv = cross(bw, sw), add(cross(bw, sv), cross(bv, sw))
+        sw, sv, Yw, Yv = screw_rates(m, ws, j)
         dV = add(add(Yv, cross(Yw, c)), cross(sw, V))
         by_q = _tangential(add(dV, cross(add(Yw, cross(sw, W)), arm)), n)
         at_centre = add(sv, cross(sw, c))

@@ -13,7 +13,7 @@ With the screw (w_i, v_i) of a dof that moves the frame, its origin p, moving at
 A tilt has a second row, which has no value: how far the axis moves across the arc from b to d, w_i'(b x n). Along it
 theta has the second derivative 1 / tan(theta), which is large where theta is small (the axis is on a narrow cone).
 
-The twin is problem.costs.residuals.frames.
+The twin is in problem.costs.residuals.functions.
 """
 
 from __future__ import annotations
@@ -26,18 +26,13 @@ from planner.kernels.numba.lane_math import quarter_angle, sqrt
 from planner.kernels.numba.lanes import integers, lanes, load, select, spread, store
 from planner.kernels.tree.mechanism_table import TREE
 from planner.kernels.tree.recursion import RECORD, SCREW_AXIS, TWIST
+from planner.kernels.tree.residuals.layout import MAX_ROWS, PLACE_SIZE, RESIDUALS, TINY
 from planner.kernels.tree.residuals.points import constants_of, point_of
-from planner.kernels.tree.residuals.table import (
-    ANGULAR,
-    BLUNT,
-    LINEAR,
-    MAX_ROWS,
-    PLACE_SIZE,
-    POINTING,
-    RESIDUALS,
-    TILT_BEND,
-    TINY,
-)
+
+POSITION, POINTING, LINEAR, ANGULAR = range(3, 7)  # numbers of kinds
+TILT = 10
+TILT_BEND = 6  # of KEPT, where a tilt leaves its second derivative across
+BLUNT = 1e-6  # rad^2, added to squares of sines: at the kink of a tilt of zero the second derivative would be infinite
 
 
 @inline
@@ -102,23 +97,28 @@ def place_rows(m, p, ws, t, kind):
         j = load(parent, j)
 
 
+@inline
+def screw_rates(m, ws, j):
+    """The screw (w, v) of dof j, and its rate by its base's twist, Y = V_base x S."""
+    b, base, zero = j * RECORD + SCREW_AXIS, load(integers(m, TREE.base), j), spread(0.0)
+    sw, sv = load3(ws, b), load3(ws, b + 3)
+    bw, bv = (zero, zero, zero), (zero, zero, zero)
+    if base >= 0:
+        bw, bv = load3(ws, base * RECORD + TWIST), load3(ws, base * RECORD + TWIST + 3)
+    return sw, sv, cross(bw, sw), add(cross(bw, sv), cross(bv, sw))
+
+
 @part
 def speed_rows(m, p, ws, t, kind):
     """The derivatives of a linear or angular velocity, by positions and by velocities."""
-    parent, base, nv = integers(m, TREE.parent), integers(m, TREE.base), m[TREE.nv]
-    row, link, o, zero = lanes(p, RESIDUALS.row), link_of(p, t), PLACE_SIZE * point_of(p, t, 0), spread(0.0)
+    parent, nv = integers(m, TREE.parent), m[TREE.nv]
+    row, link, o = lanes(p, RESIDUALS.row), link_of(p, t), PLACE_SIZE * point_of(p, t, 0)
     c, V, j = load3(lanes(p, RESIDUALS.places), o), load3(lanes(p, RESIDUALS.places), o + 6), link
     while j >= 0:
-        b, twist = j * RECORD + SCREW_AXIS, load(base, j) * RECORD + TWIST
-        sw, sv = load3(ws, b), load3(ws, b + 3)
-        bw, bv = (zero, zero, zero), (zero, zero, zero)
-        if load(base, j) >= 0:
-            bw, bv = load3(ws, twist), load3(ws, twist + 3)
-        Yw = cross(bw, sw)
+        sw, sv, Yw, Yv = screw_rates(m, ws, j)
         if kind == ANGULAR:
             by_q, by_v = add(Yw, cross(sw, load3(ws, link * RECORD + TWIST))), sw
         else:
-            Yv = add(cross(bw, sv), cross(bv, sw))
             by_q, by_v = add(add(Yv, cross(Yw, c)), cross(sw, V)), add(sv, cross(sw, c))
         store3(row, MAX_ROWS * j, by_q)
         store3(row, MAX_ROWS * (nv + j), by_v)

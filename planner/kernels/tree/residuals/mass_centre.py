@@ -2,8 +2,8 @@
 
     c = sum m_i c_i / M,      d c / dq_i = (m v_i + w_i x h) / M,    h = sum of m_k c_k and m = sum of m_k
 
-over the links k that i carries, i included, about the origin of i's tree. The twin is
-problem.costs.residuals.mass_centre.
+over the links k that i carries, i included, about the origin of i's tree. The twin is in
+problem.costs.residuals.functions.
 """
 
 from __future__ import annotations
@@ -13,9 +13,10 @@ from planner.kernels.numba.jit import part
 from planner.kernels.numba.lanes import floats, integers, lanes, load, spread
 from planner.kernels.tree.mechanism_table import INERTIA_SIZE, TREE
 from planner.kernels.tree.recursion import PLACE, RECORD, SCREW_AXIS
+from planner.kernels.tree.residuals.layout import MAX_ROWS, RESIDUALS
 from planner.kernels.tree.residuals.points import constants_of
-from planner.kernels.tree.residuals.table import MAX_ROWS, RESIDUALS
 
+MASS_CENTRE = 9  # number of its kind
 PER_MASS = 3  # offset in the constants, after where the trees stand
 
 

@@ -7,7 +7,7 @@
     Jr^-1(phi) = 1 + hat(phi)/2 + f hat(phi)^2,    Jl^-1 = 1 - hat(phi)/2 + f hat(phi)^2,
     f = (1 - (a/2) cot(a/2)) / a^2,   a = |phi|      (Barfoot, State Estimation for Robotics, section 7.1)
 
-for the screws (w_i, v_i) of the dofs that move the frame. The twin is problem.costs.residuals.turns.
+for the screws (w_i, v_i) of the dofs that move the frame. The twin is in problem.costs.residuals.functions.
 """
 
 from __future__ import annotations
@@ -19,9 +19,10 @@ from planner.kernels.numba.lanes import integers, lanes, load, select, spread, s
 from planner.kernels.tree.mechanism_table import TREE
 from planner.kernels.tree.recursion import RECORD, SCREW_AXIS
 from planner.kernels.tree.residuals.frames import link_of
+from planner.kernels.tree.residuals.layout import MAX_ROWS, PLACE_SIZE, RESIDUALS, TINY
 from planner.kernels.tree.residuals.points import constants_of, point_of, reference3
-from planner.kernels.tree.residuals.table import MAX_ROWS, PLACE_SIZE, POSE, RESIDUALS, TINY
 
+ORIENTATION, POSE = 7, 8  # numbers of kinds
 # Offsets in KEPT: the frame's rotation in the world (9), phi (3), f and its derivative by a^2, t (3).
 _R, _PHI, _F, _SLOPE, _T = 0, 9, 12, 13, 14
 _SERIES_THRESHOLD = 0.04  # rad^2, below it a series: its next term is below rounding

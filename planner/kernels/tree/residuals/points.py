@@ -7,7 +7,7 @@ from planner.kernels.numba.jit import inline, part
 from planner.kernels.numba.lanes import at, floats, integers, lanes, load, load4, spread
 from planner.kernels.tree.mechanism_table import TREE
 from planner.kernels.tree.recursion import PLACE, RECORD, TWIST, place, placement
-from planner.kernels.tree.residuals.table import PLACE_SIZE, POINT_SIZE, RESIDUALS
+from planner.kernels.tree.residuals.layout import PLACE_SIZE, POINT_SIZE, RESIDUALS
 
 
 @inline

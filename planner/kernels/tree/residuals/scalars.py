@@ -10,7 +10,7 @@ tree's origin. The velocity V of a point, along d, has by q_i and v_i the deriva
 
     d'(Y_i(p) + w_i x V),   d'(v_i + w_i x p),   Y_i = V_base x S_i    (see kernels.tree.contact, where p is the link's)
 
-The twin is problem.costs.residuals.scalars.
+The twin is in problem.costs.residuals.functions.
 """
 
 from __future__ import annotations
@@ -22,19 +22,10 @@ from planner.kernels.numba.lane_math import sqrt
 from planner.kernels.numba.lanes import floats, integers, lanes, load, spread, store
 from planner.kernels.tree.mechanism_table import TREE
 from planner.kernels.tree.recursion import RECORD, SCREW_AXIS, TWIST
+from planner.kernels.tree.residuals.layout import MAX_ROWS, PARALLEL, PLACE_SIZE, POINT_SIZE, RESIDUALS, TINY
 from planner.kernels.tree.residuals.points import constants_of, point_of
-from planner.kernels.tree.residuals.table import (
-    DISTANCE,
-    HEIGHT,
-    MAX_ROWS,
-    PARALLEL,
-    PLACE_SIZE,
-    POINT_SIZE,
-    RESIDUALS,
-    TINY,
-    VELOCITY,
-)
 
+HEIGHT, DISTANCE, VELOCITY = range(3)  # numbers of kinds
 LEVEL = 3  # offset in a term's constants, after its direction
 
 

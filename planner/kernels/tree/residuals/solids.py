@@ -28,21 +28,13 @@ from planner.kernels.numba.lanes import (
 )
 from planner.kernels.tree.mechanism_table import TREE
 from planner.kernels.tree.recursion import RECORD, SCREW_AXIS
+from planner.kernels.tree.residuals.layout import MAX_ROWS, PLACE_SIZE, RESIDUALS
 from planner.kernels.tree.residuals.points import constants_of, point_of, stage_value
-from planner.kernels.tree.residuals.table import (
-    FIRST_AXES,
-    FIRST_HALF,
-    LINE_BOX,
-    MAX_ROWS,
-    OVER_PLANE,
-    PLACE_SIZE,
-    REACH,
-    RESIDUALS,
-    SECOND_AXES,
-    SECOND_HALF,
-    TAKEN_OFF,
-)
 
+LINE_BOX, BOXES, OVER_PLANE = range(12, 15)  # numbers of kinds
+FIRST_AXES, FIRST_HALF, SECOND_AXES, SECOND_HALF, TAKEN_OFF, REACH = 0, 9, 12, 21, 24, 25
+"""Offsets in the constants of two solids: axes in their links and half lengths, what is taken off the distance of their
+cores, and the radius of the balls around both cores together (of a plane only the other's)."""
 TOUCHING, PARALLEL, TINY = 1e-9, 1e-12, 1e-300  # as the twin's
 FLAT = 1e-12  # of a direction's components, below which a face or edge lies across it
 R_, X_ = 6, 15  # in KEPT, after n and p: the first's axes and place as the second's frame has them

@@ -4,9 +4,6 @@ A term has a kind, up to four points, some constants, references per stage, and 
 with a bound (or target) per stage, one-sided or not, and weighed per stage. What varies over the stages has them along
 its last axis, so that four knots are one load. Points and frames are given in the kernels' frames of their links and
 about the origins of their trees (see kernels.tree.mechanism_table).
-
-To add a kind: a number and its rows here, a file with its value and its derivative beside this one, their two lines in
-`evaluate`, and the NumPy twin in problem.costs.residuals.
 """
 
 from __future__ import annotations
@@ -16,37 +13,10 @@ from typing import Any
 import numpy as np
 
 from planner.kernels.numba.lanes import WIDTH, lane_array, padded
-from planner.kernels.numba.layout import Layout
 from planner.kernels.tree.mechanism_table import chain_of
-
-# Kinds of terms, those of one file next to each other: scalars, frames, turns, mass_centre; tilt (of frames); slip;
-# solids.
-HEIGHT, DISTANCE, VELOCITY, POSITION, POINTING, LINEAR, ANGULAR, ORIENTATION, POSE, MASS_CENTRE, TILT = range(11)
-SLIP = 11
-LINE_BOX, BOXES, OVER_PLANE = range(12, 15)
-ROWS = (1, 1, 1, 3, 3, 3, 3, 3, 6, 3, 1, 3, 1, 1, 1)  # of each kind
-REFERENCES = (0, 0, 0, 0, 0, 0, 0, 9, 12, 0, 0, 0, 0, 0, 0)  # numbers per stage of each kind
-FAST = (VELOCITY, LINEAR, ANGULAR, SLIP)  # kinds that depend on velocities
-SOLIDS = (LINE_BOX, BOXES, OVER_PLANE)  # kinds of two solids
-FIRST_AXES, FIRST_HALF, SECOND_AXES, SECOND_HALF, TAKEN_OFF, REACH = 0, 9, 12, 21, 24, 25
-"""Offsets in the constants of two solids: axes in their links and half lengths, what is taken off the distance of their
-cores, and the radius of the balls around both cores together (of a plane only the other's)."""
-MAX_ROWS = max(ROWS)
-PARALLEL = 1e-12
-"""Share of the squared lengths that keeps the nearest points of parallel lines in their middles."""
-TINY = 1e-40  # added to squares before their root or a division by them: a distance of zero has no direction
-POINT_SIZE = 4  # of a point's constants: its place in the link's frame (3), share
-PLACE_SIZE = 9  # of a point where it is: about its tree's origin (3), as terms see it (3); how its link moves it (3)
-LAW_SIZE = 3  # of a row: side (0 for a target, 1 for most, -1 for least), ramp and its inverse
-KEPT_SIZE = 32  # lanes that a term's value leaves for its derivative
-TILT_BEND = 6  # of these, the one where a tilt leaves its second derivative across
-BLUNT = 1e-6  # rad^2, added to squares of sines: at the kink of a tilt of zero the second derivative would be infinite
-
-RESIDUALS = Layout(
-    "points terms stride constants columns ld moved fast massive",
-    "links point_link point_address point_value world active kind ends first_row constant first_reference reference "
-    "on bound weight law start dof tree_address places value kept factor curvature row scaled moments gradient hessian",
-)
+from planner.kernels.tree.residuals.kinds import FAST, KINDS, MASS_CENTRE, SOLIDS
+from planner.kernels.tree.residuals.layout import KEPT_SIZE, MAX_ROWS, PLACE_SIZE, RESIDUALS
+from planner.kernels.tree.residuals.solids import FIRST_AXES, SECOND_AXES
 
 
 class ResidualTable:
@@ -136,11 +106,10 @@ def _own_constants(model: Any, m: Any, link: np.ndarray) -> np.ndarray:
     constant, frames = np.array(m.constant), _inverse_frames(model, link)[:, :3, :3]
     for t, (kind, ends) in enumerate(zip(m.kind, m.ends, strict=True)):
         turn = frames[ends[0]] if 0 <= ends[0] < len(frames) else np.eye(3)  # one without points has none
-        if kind in (ORIENTATION, POSE):
-            constant[t, :9] = (turn @ constant[t, :9].reshape(3, 3)).ravel()
-        elif kind in (POINTING, TILT):
-            constant[t, :3] = turn @ constant[t, :3]
-        elif kind == MASS_CENTRE:  # where the trees that do not float stand, and the inverse of the mass
+        turned = KINDS[int(kind)].turned
+        if turned:
+            constant[t, :turned] = (turn @ constant[t, :turned].reshape(3, -1)).ravel()
+        if kind == MASS_CENTRE:  # where the trees that do not float stand, and the inverse of the mass
             roots = np.flatnonzero((model.arrays["parent"][: model.nv] < 0) & (model.floating_address < 0))
             mass = model.arrays["subtree_mass"]
             total = mass[np.flatnonzero(model.arrays["parent"][: model.nv] < 0)].sum()

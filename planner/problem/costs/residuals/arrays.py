@@ -1,6 +1,6 @@
 """Residuals as arrays over stages, for NumPy and kernels: names resolved to indices, bounds and weights per stage.
 
-A term has up to six functions e of the state, its rows (kinds in kernels.tree.residuals.table). Each row is compared
+A term has up to six functions e of the state, its rows (kinds in kernels.tree.residuals.kinds). Each row is compared
 with a target or bound b at each stage and costs w r^2 / 2:
 
     target b     r = e - b
@@ -18,7 +18,7 @@ import numpy as np
 
 from planner.base.arguments import array, numbers
 from planner.base.errors import PlannerError
-from planner.kernels.tree.residuals.table import REFERENCES, ROWS
+from planner.kernels.tree.residuals.kinds import KINDS
 
 CONSTANTS = 26  # max number of constants of a term: those of two collision shapes
 
@@ -106,13 +106,14 @@ class ResidualList:
         self, kind: int, ends: Sequence[int], weight: Any, *, bound: Any = 0.0, constant: Any = (), reference: Any = (),
         side: float = 0.0, ramp: float = 0.0,
     ) -> None:  # fmt: skip
-        """Add a term: weight and bound broadcast to (rows, N+1), reference reshaped to (REFERENCES[kind], N+1)."""
-        shape, constants = (ROWS[kind], self.N + 1), np.zeros(CONSTANTS)
+        """Add a term: weight and bound broadcast to (rows, N+1), reference reshaped to (its kind's references, N+1)."""
+        rows, references = KINDS[kind][:2]
+        shape, constants = (rows, self.N + 1), np.zeros(CONSTANTS)
         constants[: np.size(constant)] = np.ravel(constant)
         self._terms.append((
             kind, [*ends, *(4 - len(ends)) * [ends[0] if ends else -1]], constants,
-            np.asarray(reference, dtype=float).reshape(REFERENCES[kind], self.N + 1),
-            np.full(ROWS[kind], side), np.full(ROWS[kind], ramp), np.array(np.broadcast_to(bound, shape), dtype=float),
+            np.asarray(reference, dtype=float).reshape(references, self.N + 1),
+            np.full(rows, side), np.full(rows, ramp), np.array(np.broadcast_to(bound, shape), dtype=float),
             np.array(np.broadcast_to(weight, shape), dtype=float),
         ))  # fmt: skip
 
@@ -125,7 +126,7 @@ class ResidualList:
         """The points and terms as ResidualArrays."""
         stages, terms = self.N + 1, self._terms
         kind = np.array([term[0] for term in terms], dtype=np.int64)
-        rows, references = ([0, *(sizes[k] for k in kind)] for sizes in (ROWS, REFERENCES))
+        rows, references = ([0, *(KINDS[int(k)][i] for k in kind)] for i in range(2))
         empty = (np.zeros((0, stages)), np.zeros(0), np.zeros(0), np.zeros((0, stages)), np.zeros((0, stages)))
         reference, side, ramp, bound, weight = (
             np.concatenate([none, *(term[i] for term in terms)]) for i, none in enumerate(empty, 3)

@@ -2,7 +2,7 @@
 
 Each function takes a KinematicsCache of K states, the number t of a term and whether its Jacobian is required. It
 returns the value (K, rows) and the Jacobian (K, rows, nv), or (K, rows, 2 nv) of velocities; the module
-kernels.tree.residuals.table lists the kinds.
+kernels.tree.residuals.kinds lists the kinds.
 """
 
 from __future__ import annotations
@@ -14,31 +14,10 @@ import numpy as np
 
 from planner.dynamics.contacts import smoothstep
 from planner.dynamics.kinematics import frame_pose, jacobian, jacobian_derivatives, points_of
-from planner.kernels.tree.residuals.table import (
-    ANGULAR,
-    BLUNT,
-    BOXES,
-    DISTANCE,
-    FIRST_AXES,
-    FIRST_HALF,
-    HEIGHT,
-    LINE_BOX,
-    LINEAR,
-    MASS_CENTRE,
-    ORIENTATION,
-    OVER_PLANE,
-    PARALLEL,
-    POINTING,
-    POSE,
-    POSITION,
-    SECOND_AXES,
-    SECOND_HALF,
-    SLIP,
-    TAKEN_OFF,
-    TILT,
-    TINY,
-    VELOCITY,
-)
+from planner.kernels.tree.residuals import kinds
+from planner.kernels.tree.residuals.frames import BLUNT
+from planner.kernels.tree.residuals.layout import PARALLEL, TINY
+from planner.kernels.tree.residuals.solids import FIRST_AXES, FIRST_HALF, SECOND_AXES, SECOND_HALF, TAKEN_OFF
 from planner.model.contact import signed_distance
 from planner.model.contact.signed_distance import PlacedShapes
 from planner.model.mechanism import Frame, Mechanism
@@ -46,6 +25,20 @@ from planner.model.space import cross, hat, log_jacobian, log_quaternion
 from planner.problem.costs.residuals.arrays import ResidualArrays
 
 _SERIES_THRESHOLD = 0.04  # rad^2, squared angle below which a series is used: its next term is below rounding
+
+
+ResidualFunctionOfKind = Callable[["KinematicsCache", int, bool], tuple[np.ndarray, np.ndarray]]
+RESIDUALS: dict[int, ResidualFunctionOfKind] = {}
+
+
+def of_kinds(*numbers: int) -> Callable[[ResidualFunctionOfKind], ResidualFunctionOfKind]:
+    """Decorator of the function of some kinds."""
+
+    def register(function: ResidualFunctionOfKind) -> ResidualFunctionOfKind:
+        RESIDUALS.update(dict.fromkeys(numbers, function))
+        return function
+
+    return register
 
 
 class KinematicsCache:
@@ -103,6 +96,7 @@ class KinematicsCache:
         return np.einsum("najk,nj->nak", jacobian_derivatives(self.mechanism, self.q, frame), self.v)
 
 
+@of_kinds(kinds.HEIGHT, kinds.DISTANCE, kinds.VELOCITY)
 def point_residual(cache: KinematicsCache, t: int, derivatives: bool) -> tuple[np.ndarray, np.ndarray]:
     """Height, distance or velocity of points, one row.
 
@@ -110,13 +104,13 @@ def point_residual(cache: KinematicsCache, t: int, derivatives: bool) -> tuple[n
     with d between the nearest points of two segments: since those are nearest, their motion along the segments does not
     change |d| to first order, and the Jacobian is that of two fixed points.
     """
-    m, of_velocity = cache.arrays, cache.arrays.kind[t] == VELOCITY
+    m, of_velocity = cache.arrays, cache.arrays.kind[t] == kinds.VELOCITY
     i, j, k, l = (int(end) for end in m.ends[t])
     n, level, ones = m.constant[t, :3], m.constant[t, 3], np.ones(len(cache.q))
     direction = np.tile(n, (len(cache.q), 1))
     if of_velocity:
         value, points, factors = (cache.velocities[:, i] - cache.velocities[:, j]) @ n, (i, j), (ones, -ones)
-    elif m.kind[t] == HEIGHT:
+    elif m.kind[t] == kinds.HEIGHT:
         value, points, factors = cache.positions[:, i] @ n - level, (i,), (ones,)
     else:
         d, s, u = nearest_on_segments(*(cache.positions[:, end] for end in (i, j, k, l)))
@@ -153,22 +147,24 @@ def nearest_on_segments(
     return r + s[..., None] * v - u[..., None] * w, s, u
 
 
+@of_kinds(kinds.POSITION, kinds.POINTING, kinds.LINEAR, kinds.ANGULAR)
 def frame_residual(cache: KinematicsCache, t: int, derivatives: bool) -> tuple[np.ndarray, np.ndarray]:
     """Position of a frame, direction of an axis, linear or angular velocity: three rows, in the world's axes."""
     kind, frame = cache.arrays.kind[t], cache.frame(int(cache.arrays.ends[t, 0]))
-    if kind in (POSITION, POINTING):
+    if kind in (kinds.POSITION, kinds.POINTING):
         T = cache.pose(frame)
-        value = T[:, :3, 3] if kind == POSITION else T[:, :3, :3] @ cache.arrays.constant[t, :3]
+        value = T[:, :3, 3] if kind == kinds.POSITION else T[:, :3, :3] @ cache.arrays.constant[t, :3]
         if not derivatives:
             return value, np.empty(0)
         J = cache.jacobian(frame)
-        return value, J[:, :3] if kind == POSITION else np.cross(J[:, 3:], value[:, :, None], axis=1)
-    rows = slice(3, 6) if kind == ANGULAR else slice(0, 3)
+        return value, J[:, :3] if kind == kinds.POSITION else np.cross(J[:, 3:], value[:, :, None], axis=1)
+    rows = slice(3, 6) if kind == kinds.ANGULAR else slice(0, 3)
     J = cache.jacobian(frame)[:, rows]
     value = np.einsum("nai,ni->na", J, cache.v)
     return value, np.concatenate([cache.jacobian_rates(frame)[:, rows], J], axis=2) if derivatives else np.empty(0)
 
 
+@of_kinds(kinds.TILT)
 def tilt_residual(cache: KinematicsCache, t: int, derivatives: bool) -> tuple[np.ndarray, np.ndarray]:
     """The angle between a frame's axis and a direction, rad: one row."""
     _, n, sine, cosine = _arc(cache, t)
@@ -195,6 +191,7 @@ def _arc(cache: KinematicsCache, t: int) -> tuple[np.ndarray, np.ndarray, np.nda
     return b, normal / sine[:, None], sine, b @ d
 
 
+@of_kinds(kinds.MASS_CENTRE)
 def center_of_mass_residual(cache: KinematicsCache, t: int, derivatives: bool) -> tuple[np.ndarray, np.ndarray]:
     """The centre of mass, m: three rows, means of the links' weighted by their masses."""
     m = cache.mechanism
@@ -205,6 +202,7 @@ def center_of_mass_residual(cache: KinematicsCache, t: int, derivatives: bool) -
     return value, np.einsum("l,nlai->nai", share, J) if derivatives else J
 
 
+@of_kinds(kinds.SLIP)
 def slip_residual(cache: KinematicsCache, t: int, derivatives: bool) -> tuple[np.ndarray, np.ndarray]:
     """Tangential velocity of the lowest point of a sphere near a plane, times how near it is: three rows, m/s."""
     n, (level, radius, per) = cache.arrays.constant[t, :3], cache.arrays.constant[t, 3:6]
@@ -223,12 +221,13 @@ def slip_residual(cache: KinematicsCache, t: int, derivatives: bool) -> tuple[np
 
 
 _SHAPE_DISTANCES = {
-    LINE_BOX: signed_distance.segment_box,
-    BOXES: signed_distance.of_boxes,
-    OVER_PLANE: signed_distance.from_plane,
+    kinds.LINE_BOX: signed_distance.segment_box,
+    kinds.BOXES: signed_distance.of_boxes,
+    kinds.OVER_PLANE: signed_distance.from_plane,
 }
 
 
+@of_kinds(kinds.LINE_BOX, kinds.BOXES, kinds.OVER_PLANE)
 def distance_residual(cache: KinematicsCache, t: int, derivatives: bool) -> tuple[np.ndarray, np.ndarray]:
     """The signed distance of two collision shapes, m: one row.
 
@@ -256,13 +255,14 @@ def distance_residual(cache: KinematicsCache, t: int, derivatives: bool) -> tupl
     return value, row[:, None]
 
 
+@of_kinds(kinds.ORIENTATION, kinds.POSE)
 def orientation_residual(cache: KinematicsCache, t: int, derivatives: bool) -> tuple[np.ndarray, np.ndarray]:
     """Rotation vector from a reference (3 rows), or logarithm of SE(3) (6 rows); kernels' orientation has formulas."""
     frame, reference = cache.frame_of(t), cache.arrays.references(t)
     T, R_ref = cache.pose(frame), reference[:, :9].reshape(-1, 3, 3)
     R, back = T[:, :3, :3], np.swapaxes(R_ref, 1, 2)
     phi, shift = log_quaternion(quaternion_of(back @ R)), np.zeros((len(T), 3))
-    value, of_pose = phi, cache.arrays.kind[t] == POSE
+    value, of_pose = phi, cache.arrays.kind[t] == kinds.POSE
     if of_pose:
         shift = np.einsum("nij,nj->ni", back, T[:, :3, 3] - reference[:, 9:])
         value = np.concatenate([np.einsum("nij,nj->ni", log_jacobian(-phi), shift), phi], axis=1)
@@ -317,13 +317,3 @@ def quaternion_of(R: np.ndarray) -> np.ndarray:
     largest = np.argmax(np.diagonal(outer, axis1=-2, axis2=-1), axis=-1)
     rows = np.take_along_axis(outer, largest[..., None, None], axis=-2)[..., 0, :]
     return rows / np.linalg.norm(rows, axis=-1, keepdims=True)
-
-
-ResidualFunctionOfKind = Callable[[KinematicsCache, int, bool], tuple[np.ndarray, np.ndarray]]
-RESIDUALS: dict[int, ResidualFunctionOfKind] = {
-    **dict.fromkeys((HEIGHT, DISTANCE, VELOCITY), point_residual),
-    **dict.fromkeys((POSITION, POINTING, LINEAR, ANGULAR), frame_residual),
-    **dict.fromkeys((ORIENTATION, POSE), orientation_residual),
-    **dict.fromkeys((LINE_BOX, BOXES, OVER_PLANE), distance_residual),
-    MASS_CENTRE: center_of_mass_residual, TILT: tilt_residual, SLIP: slip_residual,
-}  # fmt: skip
