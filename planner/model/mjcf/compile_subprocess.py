@@ -112,7 +112,7 @@ class _Child:
         theirs.close()
 
     def knows(self, assets: dict[str, bytes]) -> bool:
-        """Whether it is a child of this process that waits to be asked and has some of these files, if there are any."""
+        """Whether it is a child of this process that waits to be asked and has some of these files, if any."""
         if self._parent != os.getpid() or time.monotonic() - self._asked > 0.5 * IDLE:
             return False
         known = not assets or any(id(content) in self._files for content in assets.values())

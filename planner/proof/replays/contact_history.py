@@ -70,7 +70,8 @@ class ContactRecorder:
         """For M steps of MuJoCo's model; `records` is False if contacts are not needed."""
         mujoco, self._model = load_mujoco(), model
         self._step, self._forward, self._force_of = mujoco.mj_step, mujoco.mj_forward, mujoco.mj_contactForce
-        self._checks, self._integrate = (mujoco.mj_checkPos, mujoco.mj_checkVel, mujoco.mj_checkAcc), _integrating(model)
+        self._checks = mujoco.mj_checkPos, mujoco.mj_checkVel, mujoco.mj_checkAcc
+        self._integrate = _integrating(model)
         self.records = may_touch(model) if records is None else records  # whether contacts are recorded
         self._each = -(-(steps + 1) // MAX_SAMPLES)  # steps per sample
         # Of each pair of geoms (S, 7), by sample: the force's impulse (3,), the normal force, and its moment (3,).
