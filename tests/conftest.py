@@ -2,6 +2,7 @@
 
 import base64
 import contextlib
+import gc
 import os
 import signal
 import sys
@@ -14,6 +15,9 @@ from planner.base import gl
 
 PICTURES = {"view", "paper"}  # folders whose tests draw
 PIXEL = base64.b64decode("iVBORw0KGgoAAAANSUhEUgAAAAEAAAABCAAAAAA6fptVAAAACklEQVR4nGP4DwABAQEAsTj2FAAAAABJRU5ErkJggg==")
+
+
+gc.set_threshold(50_000, 20, 20)  # by default a third of the collection's time goes to a search for garbage
 
 
 def pytest_configure():
@@ -48,6 +52,10 @@ def _blank_plots(request, monkeypatch):
             opened.write(content)
 
     monkeypatch.setattr(Figure, "savefig", savefig)
+
+
+def pytest_collection_finish():
+    gc.freeze()  # five thousand tests and their modules stay to the end: no search for garbage looks at them again
 
 
 def pytest_collection_modifyitems(items):

@@ -5,6 +5,7 @@ import importlib
 import re
 import subprocess
 import sys
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -13,7 +14,6 @@ ROOT = Path(__file__).parent.parent
 PACKAGE = ROOT / "planner"
 PAGES = [page for page in sorted((ROOT / "docs").rglob("*.md")) if "_build" not in page.parts]
 FILES = {path: path.relative_to(PACKAGE) for path in sorted(PACKAGE.rglob("*.py"))}
-TREES = {path: ast.parse(path.read_text(encoding="utf-8")) for path in FILES}
 
 # Data flow down this list: a folder imports only from those before it. docs/architecture.md has the same table.
 FOLDERS = [
@@ -30,23 +30,34 @@ def module_of(path):
 MODULES = {module_of(path): path for path in FILES}
 
 
-def imports(path):
-    """Modules that a file imports, wherever in it; the one exception is Mechanism.from_mjcf."""
-    skipped = set()
-    for node in ast.walk(TREES[path]):
+@cache
+def read(path):
+    """Modules that a file imports, wherever in it but in Mechanism.from_mjcf, and whether it prints.
+
+    The trees themselves are not kept: half a million nodes would slow down every fork and every search for garbage.
+    """
+    found, prints, skipped = [], False, set()
+    nodes = list(ast.walk(ast.parse(path.read_text(encoding="utf-8"))))
+    for node in nodes:
         if isinstance(node, ast.ClassDef) and node.name == "Mechanism":
             reading = [child for child in node.body if getattr(child, "name", "") == "from_mjcf"]
             skipped |= {id(child) for function in reading for child in ast.walk(function)}
-    for node in ast.walk(TREES[path]):
+        prints |= isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id == "print"
+    for node in nodes:
         if id(node) in skipped:
             continue
         if isinstance(node, ast.Import):
-            yield from (alias.name for alias in node.names)
+            found += [alias.name for alias in node.names]
         elif isinstance(node, ast.ImportFrom):
             assert node.level == 0, f"{path.name}: relative import"
             for alias in node.names:
                 full = f"{node.module}.{alias.name}"
-                yield full if full in MODULES else str(node.module)
+                found.append(full if full in MODULES else str(node.module))
+    return tuple(found), prints
+
+
+def imports(path):
+    return read(path)[0]
 
 
 def test_folders_import_from_those_before_them():
@@ -94,11 +105,8 @@ def test_mujoco_is_loaded_by_one_file_and_used_by_the_folders_that_read_replay_a
 
 
 def test_only_the_console_prints():
-    printing = set()
-    for path, tree in TREES.items():
-        calls = [node for node in ast.walk(tree) if isinstance(node, ast.Call)]
-        if any(isinstance(node.func, ast.Name) and node.func.id == "print" for node in calls):
-            printing.add(path.name)
+    printing = {path.name for path in FILES if read(path)[1]}
+    assert "console.py" in printing  # the search finds it
     assert printing <= {"console.py", "video.py", "drawing.py"}  # a child that draws answers by lines on a pipe
 
 

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
 
 import pytest
 
-from planner.base.errors import PlannerError
-from planner.sweeps.regression import PlanComparison, check
-from planner.sweeps.stored_model import ModelState
+if TYPE_CHECKING:  # every run of pytest loads this file, and few of them prove a plan
+    from planner.sweeps.regression import PlanComparison
 
 
 class AssertPlanHolds(Protocol):
@@ -38,6 +37,10 @@ def assert_plan_holds() -> AssertPlanHolds:
 def _assert_plan_holds(
     plan: str | Path, model: str | Path | None = None, *, tolerances: Mapping[str, float] | None = None
 ) -> PlanComparison:
+    from planner.base.errors import PlannerError
+    from planner.sweeps.regression import check
+    from planner.sweeps.stored_model import ModelState
+
     __tracebackhide__ = True
     if Path(plan).is_dir():
         pytest.fail(f"{plan} is a folder, expected one plan.npz: one test for each plan.")

@@ -128,7 +128,7 @@ def test_parity_sees_a_wrong_constant(plan, edit):
 
 
 def test_parameters_reach_the_model():
-    plan = planner.solve(planner.cases.hopper(height=9.0, stiffness=80.0, gravity=300.0, smoothing=0.03))
+    plan = planner.solve(planner.cases.hopper(9.0, 0.5, 100, stiffness=80.0, gravity=300.0, smoothing=0.03))
     proof = planner.prove(plan, rollouts=0)
     assert proof.passed, proof.reason
 

@@ -263,7 +263,7 @@ def test_a_file_keeps_limits_and_hinges(tmp_path):
 
 def test_limits_of_the_hopper():
     """Its states' ranges go through NumPy; the flow's bounds through its own kernel."""
-    hopper = cases.hopper(height=10.0, duration=0.5, horizon=100)
+    hopper = cases.hopper(height=10.0, duration=0.5, horizon=50)
     free = planner.solve(hopper)
     problem = replace(hopper, limits=Limits(control=0.5 * np.abs(free.us).max(), final=[0]))
     plan = planner.solve(problem, max_iterations=200)

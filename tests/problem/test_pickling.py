@@ -33,7 +33,7 @@ def same_bits(a, b):
 
 def arm(**changes):
     """The two-link arm by the general rules of a proof."""
-    return replace(cases.two_link(horizon=20), requirements=None, **changes)
+    return replace(cases.two_link(duration=0.4, horizon=20), requirements=None, **changes)
 
 
 @cache

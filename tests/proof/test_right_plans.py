@@ -85,11 +85,11 @@ RHOMBUS = """<mujoco><worldbody><body><joint axis="0 1 0" damping=".01"/>
   <actuator><motor joint="e"/></actuator></mujoco>"""
 
 
-def test_a_chain_nearly_in_line_has_parity_but_not_with_another_mass():
+def test_a_chain_nearly_in_line_has_parity_but_not_with_another_mass(monkeypatch):
     m = Mechanism.from_mjcf(RHOMBUS)
-    for seed in (0, 2):  # 2: its accelerations are off by 1.2e-10 of the terms without those of the closure
-        section = planner.parity(m, seed=seed)
-        assert section.passed, section.failures
+    section = planner.parity(m, seed=2)  # its accelerations are off by 1.2e-10 of the terms without the closure's
+    assert section.passed, section.failures
+    monkeypatch.setattr("planner.proof.compare.model_parity.STATES", 16)  # another mass is wrong at any state
     heavier = planner.parity(m, RHOMBUS.replace('mass=".01"', 'mass=".0101"'))
     assert "acceleration_error" in {one.name for one in heavier.failures}
 

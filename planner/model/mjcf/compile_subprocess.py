@@ -5,8 +5,9 @@ is, or end the process. So a child compiles the model and places its bodies once
 MuJoCo's binary: what ends the child is one sentence here. The child is a fork, which takes a few milliseconds, because
 nothing is imported again. Forks are safe beside other threads on Linux only; elsewhere models are compiled in place.
 
-MuJoCo keeps meshes that it has read, which are nearly all of the work. So a child of a model with files stays for the
-next text about the same files, with limits of its own for each: the second text takes a tenth of the time.
+The child stays for the next text, with limits of its own for each, since a fork of a large process takes longer than
+a small model. MuJoCo keeps meshes that it has read, which are nearly all of the work of a model with files: so such a
+model is asked of a child that has some of them, or of a new one, to which a fork gives them without a copy.
 """
 
 from __future__ import annotations
@@ -60,7 +61,7 @@ def compile_in_subprocess(text: str, assets: dict[str, bytes], name: str) -> Any
 
 
 def _taken(assets: dict[str, bytes]) -> _Child | None:
-    """The child that was kept, if it has some of these files."""
+    """The child that was kept, if it has some of these files, or none are needed."""
     with suppress(IndexError):  # none is kept, or another thread was first
         child = _kept.pop()
         if child.knows(assets):
@@ -70,7 +71,7 @@ def _taken(assets: dict[str, bytes]) -> _Child | None:
 
 
 def _asked(child: _Child, text: str, assets: dict[str, bytes], name: str) -> Any:
-    """A child's model; the child is kept for the next text where there are files, and closed otherwise.
+    """A child's model; the child is kept for the next text, and closed where this one failed.
 
     Raises:
         EOFError: It gave no answer; it is closed, and how it ended is known.
@@ -79,7 +80,7 @@ def _asked(child: _Child, text: str, assets: dict[str, bytes], name: str) -> Any
     keep = False
     try:
         model = child.compile(text, assets, name)
-        keep = bool(assets)
+        keep = True
         return model
     finally:
         if keep and not _kept:
@@ -111,10 +112,10 @@ class _Child:
         theirs.close()
 
     def knows(self, assets: dict[str, bytes]) -> bool:
-        """Whether it is a child of this process that waits to be asked and has some of these files."""
+        """Whether it is a child of this process that waits to be asked and has some of these files, if any."""
         if self._parent != os.getpid() or time.monotonic() - self._asked > 0.5 * IDLE:
             return False
-        known = any(id(content) in self._files for content in assets.values())
+        known = not assets or any(id(content) in self._files for content in assets.values())
         return known and os.waitid(os.P_PID, self._pid, os.WEXITED | os.WNOHANG | os.WNOWAIT) is None
 
     def compile(self, text: str, assets: dict[str, bytes], name: str) -> Any:

@@ -75,7 +75,7 @@ def rigid_parity(
     rng = np.random.default_rng(seed)
     xs = random_states(mechanism, rng, states)
     if mechanism.loops or mechanism.polynomial_couplings:
-        xs = np.array([_nearest_assembled(mechanism, x) for x in xs])
+        xs = _nearest_assembled(mechanism, xs)
     us = spread * rng.normal(size=(states, mechanism.nu))
     shown = [_soft(mechanism, model, dynamics, xs, us)] if constrained else []
     ours = _ours(mechanism, dynamics, xs, us)
@@ -181,16 +181,20 @@ def _felt(mechanism: Mechanism, xs: np.ndarray, forces: np.ndarray) -> np.ndarra
     return felt
 
 
-def _nearest_assembled(mechanism: Mechanism, x: np.ndarray) -> np.ndarray:
-    """The state (nx,) on the constraints nearest to x, or to a pose between x and home from which loops close."""
+def _nearest_assembled(mechanism: Mechanism, xs: np.ndarray) -> np.ndarray:
+    """States (K, nx) on the constraints nearest to xs, or to poses between them and home from which loops close."""
     start = assembled(mechanism, mechanism.home)
-    for share in (1.0, 0.5, 0.25, 0.125, 0.0):
-        between = mechanism.space.integrate(start, share * mechanism.space.difference(x, start))
-        try:
-            return assembled(mechanism, between)
-        except PlannerError:  # loops cannot be closed from there
-            continue
-    return start
+
+    def nearest(x: np.ndarray) -> np.ndarray:
+        for share in (1.0, 0.5, 0.25, 0.125, 0.0):
+            between = mechanism.space.integrate(start, share * mechanism.space.difference(x, start))
+            try:
+                return assembled(mechanism, between)
+            except PlannerError:  # loops cannot be closed from there
+                continue
+        return start
+
+    return np.array([nearest(x) for x in xs])
 
 
 def _soft(
@@ -209,7 +213,7 @@ def _soft(
     set_hard(model, model.opt.timestep)
     for weights in (model.body_invweight0, model.dof_invweight0):
         weights *= HARDER
-    xs = np.array([_nearest_assembled(mechanism, x) for x in xs])
+    xs = _nearest_assembled(mechanism, xs)
     ours = _smooth(mechanism, dynamics).rates(xs, us)[:, mechanism.nv : 2 * mechanism.nv] if mechanism.nu else None
     data, apart = mujoco.MjData(model), 0.0
     for k, (x, u) in enumerate(zip(xs, us, strict=True)):

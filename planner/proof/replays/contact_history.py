@@ -7,6 +7,7 @@ over several steps, to limit memory.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -21,7 +22,7 @@ MAX_PAIRS = 32  # maximum number of pairs with individual forces; a heap of bloc
 _AT_ONCE = 4096  # contacts summed per call: one by one would be slower than MuJoCo's steps
 _CONTACT = np.dtype(
     [("step", int), ("geoms", int, 2), ("point", float, 3), ("frame", float, 9), ("wrench", float, 6),
-     ("depth", float)]
+     ("margin", float), ("distance", float)]
 )  # fmt: skip
 
 
@@ -67,7 +68,10 @@ class ContactRecorder:
 
     def __init__(self, model: Any, steps: int, records: bool | None = None) -> None:
         """For M steps of MuJoCo's model; `records` is False if contacts are not needed."""
-        self._mujoco, self._model = load_mujoco(), model
+        mujoco, self._model = load_mujoco(), model
+        self._step, self._forward, self._force_of = mujoco.mj_step, mujoco.mj_forward, mujoco.mj_contactForce
+        self._checks = mujoco.mj_checkPos, mujoco.mj_checkVel, mujoco.mj_checkAcc
+        self._integrate = _integrating(model)
         self.records = may_touch(model) if records is None else records  # whether contacts are recorded
         self._each = -(-(steps + 1) // MAX_SAMPLES)  # steps per sample
         # Of each pair of geoms (S, 7), by sample: the force's impulse (3,), the normal force, and its moment (3,).
@@ -77,6 +81,7 @@ class ContactRecorder:
         self._first: tuple[int, int, int] | None = None
         self._touches: dict[tuple[int, int], Touch] = {}
         self._waiting, self._filled = np.empty(_AT_ONCE if self.records else 0, _CONTACT), 0  # contacts not yet summed
+        self._columns = [self._waiting[name] for name in _CONTACT.names or ()]
 
     @property
     def force(self) -> np.ndarray:
@@ -105,26 +110,22 @@ class ContactRecorder:
     def look(self, i: int, data: Any) -> None:
         """Record the contacts of step i, by a forward pass at the state in `data`."""
         if self.records:
-            self._mujoco.mj_forward(self._model, data)
+            self._forward(self._model, data)
             self._record(i, data)
 
     def step(self, i: int, data: Any) -> None:
         """Record the contacts of step i and advance: mj_step in two parts that share one forward pass."""
-        mujoco, model = self._mujoco, self._model
+        model = self._model
         if not self.records:
-            mujoco.mj_step(model, data)
+            self._step(model, data)
             return
-        mujoco.mj_checkPos(model, data)
-        mujoco.mj_checkVel(model, data)
-        self.look(i, data)
-        mujoco.mj_checkAcc(model, data)
-        kinds = mujoco.mjtIntegrator
-        if model.opt.integrator == kinds.mjINT_RK4:
-            mujoco.mj_RungeKutta(model, data, 4)
-        elif model.opt.integrator == kinds.mjINT_EULER:
-            mujoco.mj_Euler(model, data)
-        else:
-            mujoco.mj_implicit(model, data)
+        position, velocity, acceleration = self._checks
+        position(model, data)
+        velocity(model, data)
+        self._forward(model, data)
+        self._record(i, data)
+        acceleration(model, data)
+        self._integrate(model, data)
 
     def _record(self, i: int, data: Any) -> None:
         """Store the contacts of a forward pass in `data`, to be summed later."""
@@ -133,14 +134,17 @@ class ContactRecorder:
             return
         if self._filled + count > len(self._waiting):
             self._sum_up()
-            self._waiting = self._waiting if count <= len(self._waiting) else np.empty(count, _CONTACT)
-        here, contact = self._waiting[self._filled : self._filled + count], data.contact
-        here["step"], here["geoms"], here["point"], here["frame"] = i, contact.geom, contact.pos, contact.frame
-        begins = np.asarray(contact.includemargin)
-        here["depth"] = np.where(is_watched(begins), 0.0, begins) - contact.dist
-        for c, wrench in enumerate(here["wrench"]):
-            self._mujoco.mj_contactForce(self._model, data, c, wrench)
-        self._filled += count
+            if count > len(self._waiting):
+                self._waiting = np.empty(count, _CONTACT)
+                self._columns = [self._waiting[name] for name in _CONTACT.names or ()]
+        first, contact = self._filled, data.contact
+        self._filled = until = first + count
+        steps, geoms, points, frames, wrenches, margins, distances = self._columns
+        steps[first:until], geoms[first:until], points[first:until] = i, contact.geom, contact.pos
+        frames[first:until], margins[first:until] = contact.frame, contact.includemargin
+        distances[first:until] = contact.dist
+        for c in range(count):
+            self._force_of(self._model, data, c, wrenches[first + c])
 
     def _sum_up(self) -> None:
         """Add the stored contacts to the sums; those of one step are not separated."""
@@ -156,14 +160,17 @@ class ContactRecorder:
         moment = np.stack([np.bincount(which, weights=normal * column) for column in points.T], axis=1)
         self._force[at], loaded = total, total > 0.0
         self._point[at[loaded]] = moment[loaded] / total[loaded, None]
-        self._touch(contacts[(contacts["depth"] > 0.0) & (contacts["geoms"].min(axis=1) >= 0)])
-        self._by_pairs(contacts[(normal > 0.0) & (contacts["geoms"].min(axis=1) >= 0)])  # a flex has no geom
+        begins, are_geoms = contacts["margin"], contacts["geoms"].min(axis=1) >= 0  # a flex has no geom
+        depths = np.where(is_watched(begins), 0.0, begins) - contacts["distance"]
+        deep = (depths > 0.0) & are_geoms
+        self._touch(contacts[deep], depths[deep])
+        self._by_pairs(contacts[(normal > 0.0) & are_geoms])
 
-    def _touch(self, contacts: np.ndarray) -> None:
-        """Update the penetration depths of pairs of geoms."""
+    def _touch(self, contacts: np.ndarray, all_depths: np.ndarray) -> None:
+        """Update the penetration depths of pairs of geoms, those of the contacts (C,)."""
         pairs, which = np.unique(contacts["geoms"], axis=0, return_inverse=True)
         for k, (one, other) in enumerate(pairs.tolist()):
-            depths, steps = contacts["depth"][which == k], contacts["step"][which == k]
+            depths, steps = all_depths[which == k], contacts["step"][which == k]
             new = Touch((one, other), int(steps[0]), 0.0, 0.0, 0.0, int(steps[0]), 0.0)
             before = self._touches.get((one, other), new)
             parted = before.met_again > 0.0 or np.diff(steps, prepend=before.last) > 1
@@ -229,6 +236,14 @@ class ContactRecorder:
     def _name(self, geom: int) -> str:
         model = self._model
         return model.geom(geom).name or model.body(int(model.geom_bodyid[geom])).name or f"geom {geom}"
+
+
+def _integrating(model: Any) -> Callable[[Any, Any], None]:
+    """The second half of mj_step, from accelerations on; chosen once, since a comparison of enums takes as long."""
+    mujoco, kind = load_mujoco(), int(model.opt.integrator)
+    if kind == int(mujoco.mjtIntegrator.mjINT_RK4):
+        return lambda model, data: mujoco.mj_RungeKutta(model, data, 4)
+    return mujoco.mj_Euler if kind == int(mujoco.mjtIntegrator.mjINT_EULER) else mujoco.mj_implicit
 
 
 def may_touch(model: Any) -> bool:

@@ -95,7 +95,7 @@ class Gains:
         assert plan.problem is not None  # its dynamics give the stage length
         dt = plan.problem.dynamics.dt
         self.held = 1 if sampling is None else int(sampling.in_stages(dt) * substeps)  # steps per sampling period
-        self._plan, self._twin, self._plan_xs = plan, twin, plan_xs
+        self._plan, self._twin, self._plan_xs, self._space = plan, twin, plan_xs, plan.space
         self._us, self._stage = np.repeat(plan.us, substeps, axis=0), np.repeat(np.arange(plan.N), substeps)
         self._late = deque([np.zeros(plan.us.shape[1])] * (0 if sampling is None else sampling.delay))
         self._encoders = Encoders(model, sampling.period) if sampling is not None and sampling.encoders else None
@@ -104,7 +104,7 @@ class Gains:
         """The controls (held, nu) from step i on, whose state is w (nw,)."""
         w = w if self._encoders is None else self._encoders(w)
         x = self._twin.x_of(w)
-        dx = self._plan.space.single_difference(x, self._plan_xs[i])
+        dx = self._space.single_difference(x, self._plan_xs[i])
         self._late.append(self._plan.K[self._stage[i]] @ dx)
         until = slice(i, i + self.held)
         return self._plan.within_bounds(self._stage[until], self._us[until] + self._late.popleft())

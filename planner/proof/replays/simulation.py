@@ -55,17 +55,18 @@ def simulate(
         return w, ()
     set_state(model, data, w0)
     nq, nv = model.nq, model.nv
+    qpos, qvel, act, applied = data.qpos, data.qvel, data.act, data.ctrl  # views: to ask for them again takes time
     for i in range(len(ctrl)):
         if control is not None and i % held == 0:
             ctrl[i : i + held] = control(i, w[i])
-        data.ctrl[:] = ctrl[i]
+        applied[:] = ctrl[i]
         if step is None:
             recorder.step(i, data)
         else:
             recorder.look(i, data)
             step(data)
         row = w[i + 1]
-        row[:nq], row[nq : nq + nv], row[nq + nv :] = data.qpos, data.qvel, data.act
+        row[:nq], row[nq : nq + nv], row[nq + nv :] = qpos, qvel, act
         if i % every == 0 and not np.all(np.abs(row) < RUNAWAY):
             break
     warnings = (*_unstable_at(model, w, start), *warnings_of(data))

@@ -225,7 +225,9 @@ def replay_rollout(
         batch, M = rollouts.batch([errors]), rollouts.steps
         piece, commands = rollouts.pieces(batch, MODES[feedback])
         model = batch.models[0]
-        data, complaints = mujoco.MjData(model), []
+        data = mujoco.MjData(model)
+        complaints: np.ndarray = data.warning.number  # a view: to count warning by warning takes longer than a step
+        before = complaints.tolist()
         w, ctrl = np.full((M + 1, batch.start.shape[1]), np.nan), np.zeros((M, model.nu))
         recorder = ContactRecorder(model, M)
         w[0] = batch.start[0]
@@ -233,11 +235,11 @@ def replay_rollout(
         with rollouts.curves(batch, [data]):
             for i in range(M):
                 if i % piece == 0:
-                    n, complaints = min(piece, M - i), [warning.number for warning in data.warning]
+                    n, before = min(piece, M - i), complaints.tolist()
                     with np.errstate(all="ignore"):  # of a diverging rollout
                         ctrl[i : i + n] = commands(i, n, w[i : i + 1])[0]
                     data.qacc_warmstart[:] = 0.0  # as in every segment of the Monte Carlo
-                elif complaints != [warning.number for warning in data.warning]:  # where mujoco.rollout ends it
+                elif before != complaints.tolist():  # where mujoco.rollout ends it
                     w[i] = np.nan
                     break
                 data.ctrl[:] = ctrl[i]
