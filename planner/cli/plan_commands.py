@@ -72,7 +72,8 @@ def view_plan(arguments: argparse.Namespace, console: Console) -> int:
 def report_plan(arguments: argparse.Namespace, console: Console) -> int:
     """Prove a stored plan again and write all its files."""
     from planner.cli.background_render import BackgroundRender, checked_looks
-    from planner.cli.results import OUTPUTS, completed, draw_results, is_finite, show_proof, write_proof
+    from planner.cli.results import OUTPUTS, completed, draw_results, is_finite, write_proof
+    from planner.cli.showing import show_proof
 
     plan = load_allowed(arguments.plan, arguments)
     looks = checked_looks(arguments, plan.twin)

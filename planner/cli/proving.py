@@ -16,7 +16,8 @@ from planner.base.files import json_text, write_atomically
 from planner.cases.given_controls import plan_of_controls, recording_errors
 from planner.cli.allowed_imports import load_allowed
 from planner.cli.console import Console, shown
-from planner.cli.results import completed, plan_facts, show_proof
+from planner.cli.results import completed
+from planner.cli.showing import plan_facts, show_proof
 from planner.problem.archive import plan_digest
 from planner.problem.plan import Plan
 from planner.proof import prove
