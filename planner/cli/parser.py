@@ -160,8 +160,7 @@ def _render(parser: argparse.ArgumentParser) -> None:
         parser, _PLAN,
         {"--out": value_flag("FILE", "A name ending in .mp4 makes a video, in .png a strip of poses.", "video.mp4"),
          "--fps": value_flag("N", "Frames per second.", 30, whole),
-         "--speed": value_flag("X", "Playback speed, e.g. 0.25. Default: the case's.", kind=number),
-         "--transparent": boolean_flag("A strip without sky and floor, on a transparent ground.")},
+         "--speed": value_flag("X", "Playback speed, e.g. 0.25. Default: the case's.", kind=number)},
         LOOKS, ROLLOUT, IMPORTS, COMMON,
     )  # fmt: skip
 

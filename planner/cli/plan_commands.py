@@ -37,7 +37,7 @@ def render_plan(arguments: argparse.Namespace, console: Console) -> int:
     shown = prove(plan, rollouts=0) if arguments.replay_rollout is None else rollout_of(plan, arguments)
     if out.suffix == ".png":
         shown = shown.replay if isinstance(shown, Proof) else shown
-        render_strip(shown, out, transparent=arguments.transparent, **looks)
+        render_strip(shown, out, **looks)
     else:
         progress = console.progress("video")
         render_video(shown, out, fps=arguments.fps, speed=arguments.speed, progress=progress, **looks)
@@ -82,7 +82,8 @@ def report_plan(arguments: argparse.Namespace, console: Console) -> int:
         if is_finite(plan):
             proof = prove(plan, rollouts=0, hold_seconds=arguments.hold)
             if not arguments.no_video:
-                films = drawing.enter_context(BackgroundRender(proof, staged, (), console, looks))
+                drawn = BackgroundRender(proof, staged, (), console, looks, arguments.transparent)
+                films = drawing.enter_context(drawn)
             proof = completed(proof, arguments.rollouts, console)
         plan.save(staged / "plan.npz")
         fixes = suggested_fixes(plan, proof)

@@ -27,6 +27,7 @@ from planner.solvers.periodic import solve_periodic
 from planner.solvers.slq import solve
 from planner.solvers.work import WorkBudget
 
+
 class ProblemOf(NamedTuple):
     """The problem of a command line and how to solve it."""
 

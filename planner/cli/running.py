@@ -255,7 +255,7 @@ def _run(
         if proof is not None:
             if not (arguments.no_video or budget.out_of_time):  # beside the rollouts, which know nothing of it
                 looks = checked_looks(arguments, plan.twin)
-                drawn = BackgroundRender(proof, folder.path, folder.finished, console, looks)
+                drawn = BackgroundRender(proof, folder.path, folder.finished, console, looks, arguments.transparent)
                 films = drawing.enter_context(drawn)
             proof = results.completed(
                 proof, 0 if budget.out_of_time else arguments.rollouts, console, partial=folder.path / ROLLOUTS,
