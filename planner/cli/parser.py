@@ -151,6 +151,7 @@ def _prove(parser: argparse.ArgumentParser) -> None:
          "--feasible": boolean_flag("Judge feasibility alone: a solve that did not converge may pass.")},
         {"--engine": {"action": "append", "metavar": "NAME", "choices": engines, "default": [],
                       "help": f"Also repeat the plan in {' or '.join(engines)}. May be given twice."},
+         "--plot": value_flag("FILE", "Draw plan or recording and its replays over time into this picture."),
          "--out": value_flag("FILE", "Write the proof to this JSON file.")}, PROOF, ROLLOUT, WORKERS, IMPORTS, COMMON,
     )  # fmt: skip
 
