@@ -1,7 +1,8 @@
 """Choose a headless OpenGL library and import mujoco with it.
 
-MuJoCo reads the environment variable MUJOCO_GL when it is imported: a later change has no effect, and a library that is
-not installed makes the import fail. So only this file imports mujoco, on first use, after probing the libraries.
+MuJoCo reads the environment variable MUJOCO_GL when it is imported, and a library that is not installed makes the
+import fail. So only this file imports mujoco, on first use, without OpenGL, and probes the libraries; the one that is
+usable is imported with the first picture.
 """
 
 from __future__ import annotations
@@ -43,10 +44,9 @@ def load_mujoco() -> Any:
     """Import mujoco with a usable OpenGL library; without one everything but rendering works."""
     if "mujoco" in sys.modules:
         return sys.modules["mujoco"]
-    chosen = backend()
     before = os.environ.get("MUJOCO_GL")
-    if chosen != "native":
-        os.environ["MUJOCO_GL"] = chosen or "disable"
+    if sys.platform.startswith("linux"):
+        os.environ["MUJOCO_GL"] = "disable"
     try:
         mujoco: Any = importlib.import_module("mujoco")
     finally:
@@ -55,9 +55,16 @@ def load_mujoco() -> Any:
             os.environ.pop("MUJOCO_GL", None)
         else:
             os.environ["MUJOCO_GL"] = before
+    if sys.platform.startswith("linux") and backend() is not None:
+        mujoco.GLContext = sys.modules[mujoco.Renderer.__module__].gl_context.GLContext = _context
     if mujoco.get_mju_user_warning() is None:  # MuJoCo's own handler writes a file into the user's folder
         mujoco.set_mju_user_warning(lambda message: _log.info("MuJoCo: %s", message))
     return mujoco
+
+
+def _context(width: int, height: int) -> Any:
+    """An OpenGL context; PyOpenGL, a tenth of a second, is imported with the first one, which few commands need."""
+    return importlib.import_module(f"mujoco.{backend()}").GLContext(width, height)
 
 
 def fatal_error() -> type[Exception]:
@@ -82,6 +89,8 @@ def can_render_here() -> bool:
     if chosen is None or chosen == "native":
         return chosen is not None
     context = getattr(load_mujoco(), "GLContext", None)
+    if context is _context:
+        return True
     # mujoco.osmesa, mujoco.egl or, at the user's wish, mujoco.glfw; missing or a placeholder without a library
     name = getattr(context, "__module__", "").removeprefix("mujoco.")
     return name in ("osmesa", "egl", chosen) and _usable(name)

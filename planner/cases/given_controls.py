@@ -71,7 +71,8 @@ def plan_of_controls(
     mechanism = _readable(model)
     if mechanism.nu == 0:
         raise ModelError(f"{model} has no actuators, expected at least one that the file's columns drive.")
-    actuators, joints = _columns(header[1:], mechanism, path)
+    motion = degrees or Path(path).suffix != ".csv"  # bags and data sets hold positions
+    actuators, joints = _columns(header[1:], mechanism, path, motion)
     dt = _spacing(table[:, 0], path, even=not joints)
     dynamics, with_goal = RigidBodyDynamics(mechanism, dt), goal is not None
     x0 = mechanism.home.copy() if start is None else state_of("start", start, mechanism, mechanism.home)
@@ -150,12 +151,18 @@ def _spacing(times: np.ndarray, path: str | Path, even: bool) -> float:
     return dt
 
 
-def _columns(names: list[str], mechanism: Mechanism, path: str | Path) -> tuple[list[int], list[int]]:
-    """The actuators that columns drive, or the joints that they are positions of; one of the two is empty."""
+def _columns(
+    names: list[str], mechanism: Mechanism, path: str | Path, motion: bool
+) -> tuple[list[int], list[int]]:  # fmt: skip
+    """The actuators that columns drive, or the joints that they are positions of; one of the two is empty.
+
+    Of a table that is no `motion` by its kind, names of actuators are controls, as in an export: a URDF's actuators
+    have the names of its joints.
+    """
     actuators = {name: a for a, name in enumerate(mechanism.actuators.names) if name}
     joints = {name: j for j, name in enumerate(mechanism.joint_names) if name}
     if len(set(names)) == len(names):
-        if all(name in actuators for name in names):
+        if not motion and all(name in actuators for name in names):
             return [actuators[name] for name in names], []
         stems = [name.removeprefix(POSITION) for name in names]
         if set(stems) == set(joints):

@@ -25,7 +25,9 @@ _PATIENCE = 0.1  # s between two looks at the progress
 
 
 def checked_looks(arguments: argparse.Namespace, twin: Twin | None, *, film: bool = True) -> dict[str, Any]:
-    """Width, height and camera that the flags ask for, as arguments of render_video (a strip's where it is no film).
+    """Width, height and camera that the flags ask for, as arguments of render_video.
+
+    Where it is no `film` but a strip, also whether that is transparent, as arguments of render_strip.
 
     Raises:
         PlannerError: A size that no film can have, or a camera that the model does not have.
@@ -33,7 +35,7 @@ def checked_looks(arguments: argparse.Namespace, twin: Twin | None, *, film: boo
     from planner.view.render.camera import angles_of_camera
     from planner.view.render.video import check_size
 
-    looks: dict[str, Any] = {"camera": arguments.camera}
+    looks: dict[str, Any] = {"camera": arguments.camera} | ({} if film else {"transparent": arguments.transparent})
     if arguments.size is not None:
         looks |= dict(zip(("width", "height"), arguments.size, strict=True))
         check_size(*arguments.size, even=film)
@@ -50,15 +52,17 @@ class BackgroundRender:
     """Strip and film of a proof on their way into a folder; a context manager, at whose end nothing draws any more."""
 
     def __init__(
-        self, proof: Proof, folder: Path, keep: Collection[str], console: Console, looks: dict[str, Any] | None = None
-    ) -> None:
+        self, proof: Proof, folder: Path, keep: Collection[str], console: Console,
+        looks: dict[str, Any] | None = None, transparent: bool = False,
+    ) -> None:  # fmt: skip
         """Begin with the files that are not named in `keep`. Without an OpenGL library there is nothing to do.
 
-        `looks` are width, height and camera of the film (checked_looks()); the strip has the camera.
+        `looks` are width, height and camera of the film (checked_looks()); the strip has the camera, and may be
+        `transparent`.
         """
         self.names = tuple(name for name in NAMES if name not in keep) if backend() is not None else ()
         self._proof, self._folder, self._console = proof, folder, console
-        self._looks = looks or {}
+        self._looks, self._transparent = looks or {}, transparent
         self._stop, self._error = threading.Event(), None
         self._done = (0, 0)  # frames, and frames in all
         self._thread = threading.Thread(target=self._draw, name="film", daemon=True)
@@ -102,7 +106,8 @@ class BackgroundRender:
 
         try:
             if "strip.png" in self.names:
-                render_strip(self._proof.replay, self._folder / "strip.png", camera=self._looks.get("camera"))
+                strip, camera = self._folder / "strip.png", self._looks.get("camera")
+                render_strip(self._proof.replay, strip, camera=camera, transparent=self._transparent)
             if "video.mp4" in self.names:
                 render_video(self._proof, self._folder / "video.mp4", progress=self._count, **self._looks)
         except _Stopped:

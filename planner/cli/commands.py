@@ -25,7 +25,7 @@ TRACEBACK = "PLANNER_TRACEBACK"
 
 _COMMANDS = {
     "list": "case_flags.list_cases", "model": "describing.describe_model", "run": "running.run",
-    "drive": "driving.drive", "solve": "running.solve_case", "prove": "proving.prove_plan",
+    "drive": "driving.drive", "solve": "solving.solve_case", "prove": "proving.prove_plan",
     "render": "plan_commands.render_plan", "view": "plan_commands.view_plan", "report": "plan_commands.report_plan",
     "check": "checking.check_plans", "sweep": "sweeping.sweep_case", "completion": "parser.print_completion",
     "export": "plan_commands.export_plan", "paper": "paper.paper", "warmup": "compiling.warmup",

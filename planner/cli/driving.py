@@ -12,7 +12,7 @@ from planner.base.errors import PlannerError, RenderingUnavailable
 from planner.base.files import open_folder, remove_empty, write_json
 from planner.cli.console import Console
 from planner.cli.problems import asked_problem, name_of, solved
-from planner.cli.results import show_plan
+from planner.cli.showing import show_plan
 from planner.control.call_times import CallTimes, fitting_rate, measured_calls
 from planner.control.controller import Controller
 from planner.control.judging import LoopVerdict, judge

@@ -92,6 +92,7 @@ LOOKS: Flags = {
     "--size": value_flag("WxH", "Size of the film in pixels. Default: 1280x720, for a strip 1920x540.", kind=size),
     "--camera": value_flag("CAMERA", "Look as this camera of the model does, or at azimuth,elevation in degrees, e.g. "
                                      "--camera=90,-15; from where all of the motion is seen.", kind=direction),
+    "--transparent": boolean_flag("The strip of poses without sky and floor, on a transparent ground."),
 }  # fmt: skip
 NO_VIDEO = {"--no-video": boolean_flag("Make no video and no strip of poses (drawing needs OpenGL).")}
 IMPORTS: Flags = {

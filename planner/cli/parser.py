@@ -151,6 +151,7 @@ def _prove(parser: argparse.ArgumentParser) -> None:
          "--feasible": boolean_flag("Judge feasibility alone: a solve that did not converge may pass.")},
         {"--engine": {"action": "append", "metavar": "NAME", "choices": engines, "default": [],
                       "help": f"Also repeat the plan in {' or '.join(engines)}. May be given twice."},
+         "--plot": value_flag("FILE", "Draw plan or recording and its replays over time into this picture."),
          "--out": value_flag("FILE", "Write the proof to this JSON file.")}, PROOF, ROLLOUT, WORKERS, IMPORTS, COMMON,
     )  # fmt: skip
 
@@ -160,8 +161,7 @@ def _render(parser: argparse.ArgumentParser) -> None:
         parser, _PLAN,
         {"--out": value_flag("FILE", "A name ending in .mp4 makes a video, in .png a strip of poses.", "video.mp4"),
          "--fps": value_flag("N", "Frames per second.", 30, whole),
-         "--speed": value_flag("X", "Playback speed, e.g. 0.25. Default: the case's.", kind=number),
-         "--transparent": boolean_flag("A strip without sky and floor, on a transparent ground.")},
+         "--speed": value_flag("X", "Playback speed, e.g. 0.25. Default: the case's.", kind=number)},
         LOOKS, ROLLOUT, IMPORTS, COMMON,
     )  # fmt: skip
 

@@ -37,7 +37,7 @@ def render_plan(arguments: argparse.Namespace, console: Console) -> int:
     shown = prove(plan, rollouts=0) if arguments.replay_rollout is None else rollout_of(plan, arguments)
     if out.suffix == ".png":
         shown = shown.replay if isinstance(shown, Proof) else shown
-        render_strip(shown, out, transparent=arguments.transparent, **looks)
+        render_strip(shown, out, **looks)
     else:
         progress = console.progress("video")
         render_video(shown, out, fps=arguments.fps, speed=arguments.speed, progress=progress, **looks)
@@ -72,7 +72,8 @@ def view_plan(arguments: argparse.Namespace, console: Console) -> int:
 def report_plan(arguments: argparse.Namespace, console: Console) -> int:
     """Prove a stored plan again and write all its files."""
     from planner.cli.background_render import BackgroundRender, checked_looks
-    from planner.cli.results import OUTPUTS, completed, draw_results, is_finite, show_proof, write_proof
+    from planner.cli.results import OUTPUTS, completed, draw_results, is_finite, write_proof
+    from planner.cli.showing import show_proof
 
     plan = load_allowed(arguments.plan, arguments)
     looks = checked_looks(arguments, plan.twin)
@@ -81,7 +82,8 @@ def report_plan(arguments: argparse.Namespace, console: Console) -> int:
         if is_finite(plan):
             proof = prove(plan, rollouts=0, hold_seconds=arguments.hold)
             if not arguments.no_video:
-                films = drawing.enter_context(BackgroundRender(proof, staged, (), console, looks))
+                drawn = BackgroundRender(proof, staged, (), console, looks, arguments.transparent)
+                films = drawing.enter_context(drawn)
             proof = completed(proof, arguments.rollouts, console)
         plan.save(staged / "plan.npz")
         fixes = suggested_fixes(plan, proof)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import time
+from collections.abc import Callable
 from concurrent.futures import Executor
 from dataclasses import replace
 from pathlib import Path
@@ -20,14 +21,11 @@ from planner.problem.objective import checked_durations, weights_of
 from planner.problem.objective_problem import with_objective
 from planner.problem.plan import Plan
 from planner.problem.problem import Problem
-from planner.proof.replays.replaying import proven_cost
 from planner.solvers.free_time import solve_for
 from planner.solvers.options import MAX_STARTS
 from planner.solvers.periodic import solve_periodic
 from planner.solvers.slq import solve
 from planner.solvers.work import WorkBudget
-
-RANKS = {"cost": None, "proven-cost": proven_cost}
 
 
 class ProblemOf(NamedTuple):
@@ -123,7 +121,7 @@ def solved(
     options = {
         "update": arguments.update, "line_search": arguments.line_search, "hessian": arguments.hessian,
         "starts": asked.starts, "seed": asked.seed, "max_iterations": arguments.max_iterations,
-        "rank": RANKS[arguments.rank], "executor": executor, "budget": budget,
+        "rank": _rank(arguments.rank), "executor": executor, "budget": budget,
     }  # fmt: skip
     shown = console.iteration if asked.durations is None and asked.starts == 1 else console.row
 
@@ -134,3 +132,12 @@ def solved(
     else:
         plan = solve_for(problem, asked.objective, durations=asked.durations, callback=shown, **options)
     return plan, time.perf_counter() - began
+
+
+def _rank(name: str) -> Callable[[Plan], float] | None:
+    """What --rank orders several starts by."""
+    if name == "cost":
+        return None
+    from planner.proof.replays.replaying import proven_cost  # local, so that `solve` does not import what replays
+
+    return proven_cost

@@ -16,7 +16,8 @@ from planner.base.files import json_text, write_atomically
 from planner.cases.given_controls import plan_of_controls, recording_errors
 from planner.cli.allowed_imports import load_allowed
 from planner.cli.console import Console, shown
-from planner.cli.results import completed, plan_facts, show_proof
+from planner.cli.results import completed
+from planner.cli.showing import plan_facts, show_proof
 from planner.problem.archive import plan_digest
 from planner.problem.plan import Plan
 from planner.proof import prove
@@ -31,13 +32,17 @@ from planner.proof.robustness.success import end_errors
 from planner.sweeps.executors import executor_of
 from planner.sweeps.stored_model import stated
 
+_PICTURES = (".png", ".svg", ".pdf")
+
 
 def prove_plan(arguments: argparse.Namespace, console: Console) -> int:
     """Replay a stored plan and judge it."""
     count("rollouts", arguments.rollouts, minimum=0)
+    if arguments.plot is not None and Path(arguments.plot).suffix not in _PICTURES:
+        raise PlannerError(f"cannot draw {arguments.plot!r}: expected a name ending in {' or '.join(_PICTURES)}.")
     plan, digest = _plan_of(arguments)
     if arguments.replay_rollout is not None:
-        for flag in ("model", "out", "engine"):
+        for flag in ("model", "out", "engine", "plot"):
             if getattr(arguments, flag):
                 raise PlannerError(
                     f"--{flag} is given with --replay-rollout, which shows a simulation in the plan's own model, "
@@ -81,10 +86,17 @@ def prove_plan(arguments: argparse.Namespace, console: Console) -> int:
         console.table(
             ("joint", "farthest from the recording", "at", "root mean square"), recording_errors(proof.replay)
         )
+    elif arguments.controls is not None:
+        console.write_result("the columns were read as controls; those of positions are named 'position of JOINT'")
     if digest is not None and (states := stated(plan)):
         console.write_result(f"as the plan's file states: {', '.join(states)}")
-    if arguments.out is not None:
-        console.write_result(arguments.out)
+    if arguments.plot is not None:
+        from planner.view.plots import draw_plan, save  # local: Matplotlib takes a second
+
+        save(draw_plan(plan, proof), arguments.plot)
+    for file in (arguments.out, arguments.plot):
+        if file is not None:
+            console.write_result(file)
     return console.finish("prove", 0 if proof.passed else 1, plan=plan_facts(plan), proof=found)
 
 

@@ -1,4 +1,4 @@
-"""The commands `run` (plan, prove, repair a plan that fails, plot and film, into one folder) and `solve`.
+"""The command `run` (plan, prove, repair a plan that fails, plot and film, into one folder).
 
 Every file of the folder appears when it is finished. A hidden file, the mark, names the run that the files belong to.
 It is written with the first file and removed after the last one. A later run with the same identity that finds the mark
@@ -32,11 +32,11 @@ from planner.base.files import (
     write_atomically,
 )
 from planner.cases.plan_file import load_plan
-from planner.cli import results
+from planner.cli import results, showing
 from planner.cli.background_render import BackgroundRender, checked_looks
 from planner.cli.console import Console
 from planner.cli.problems import ProblemOf, asked_problem, name_of, solved
-from planner.problem.archive import plan_digest, plan_name
+from planner.problem.archive import plan_digest
 from planner.problem.plan import Plan, Status
 from planner.problem.problem import Problem
 from planner.proof import Proof, prove
@@ -145,7 +145,7 @@ def auto_repair(
 
     def keep(plan: Plan, which: str, path: tuple[Refinement, ...]) -> None:
         store(plan, path)
-        results.show_plan(plan, None, console, which)
+        showing.show_plan(plan, None, console, which)
 
     options = {name: getattr(arguments, name) for name in ("update", "line_search", "hessian")}
     judge = partial(prove, rollouts=0, hold_seconds=arguments.hold)
@@ -231,13 +231,13 @@ def _run(
         console.write_progress(f"continuing {folder.path}, which holds {', '.join(sorted(folder.finished))}")
         resumed, plan, seconds = True, stored, float(folder.notes.get("seconds", 0.0))
         path = tuple(Refinement(**{**row, "status": Status[row["status"]]}) for row in folder.notes.get("path", []))
-    results.show_plan(plan, seconds, console)
+    showing.show_plan(plan, seconds, console)
     proof = prove(plan, rollouts=0, hold_seconds=arguments.hold) if results.is_finite(plan) else None
     if proof is not None and plan.problem is not None:
         budget.charge_proof(plan.problem)
 
     def store(better: Plan, path: tuple[Refinement, ...]) -> None:
-        notes = {"path": [results.refinement_row(line) for line in path]} if path else {}
+        notes = {"path": [showing.refinement_row(line) for line in path]} if path else {}
         folder.begin("plan.npz", better.save, seconds=seconds, **notes)
 
     if not (arguments.no_refine or plan.status is Status.INTERRUPTED or (proof is not None and proof.passed)):
@@ -247,7 +247,7 @@ def _run(
         plan, proof, path, fixes = repaired
     else:
         fixes = suggested_fixes(plan, proof)
-    results.show_work(budget, console)
+    showing.show_work(budget, console)
     digest = plan_digest(folder.path / "plan.npz")
     results.write_proof(plan, proof, folder.path, digest, fixes, path, budget)  # rollouts may be interrupted
     films = None
@@ -255,16 +255,16 @@ def _run(
         if proof is not None:
             if not (arguments.no_video or budget.out_of_time):  # beside the rollouts, which know nothing of it
                 looks = checked_looks(arguments, plan.twin)
-                drawn = BackgroundRender(proof, folder.path, folder.finished, console, looks)
+                drawn = BackgroundRender(proof, folder.path, folder.finished, console, looks, arguments.transparent)
                 films = drawing.enter_context(drawn)
             proof = results.completed(
                 proof, 0 if budget.out_of_time else arguments.rollouts, console, partial=folder.path / ROLLOUTS,
                 budget=min(MAX_ROLLOUT_SECONDS, budget.seconds_left), executor=executor,
             )  # fmt: skip
             results.write_proof(plan, proof, folder.path, digest, fixes, path, budget)
-            results.show_proof(proof, fixes, console)
+            showing.show_proof(proof, fixes, console)
         else:
-            results.show_fixes(fixes, console)
+            showing.show_fixes(fixes, console)
         film_status = results.draw_results(
             plan, proof, folder.path, fixes, not arguments.no_video, console, path=path, keep=folder.finished,
             options=_flags(arguments), films=films, budget=budget,
@@ -277,8 +277,8 @@ def _run(
     if film_status and not arguments.no_video:
         console.write_result(f"no video: {film_status}")
     return 0 if plan.success and proof is not None and proof.passed else 1, {
-        "plan": results.plan_facts(plan), "solve_seconds": seconds, "proof": None if proof is None else proof.to_dict(),
-        "refinement": [results.refinement_row(line) for line in path], "resumed": resumed, "files": files,
+        "plan": showing.plan_facts(plan), "solve_seconds": seconds, "proof": None if proof is None else proof.to_dict(),
+        "refinement": [showing.refinement_row(line) for line in path], "resumed": resumed, "files": files,
         "video_note": film_status, "cures": [one.to_dict() for one in fixes],
         "budget": budget.to_dict(),
     }  # fmt: skip
@@ -288,20 +288,3 @@ def _flags(arguments: argparse.Namespace) -> dict[str, Any]:
     """Flags that are not at their defaults, for the line of the report that repeats the run."""
     given = {name: getattr(arguments, name) for name in (*FLAGS, "starts", "seed")}
     return {name: value for name, value in given.items() if value != arguments.parser.get_default(name)}
-
-
-def solve_case(arguments: argparse.Namespace, console: Console) -> int:
-    """Plan a case and save the plan."""
-    asked = asked_problem(arguments)
-    out = plan_name(arguments.out)
-    # an unwritable file fails before the work
-    with write_atomically(out) as unfinished, executor_of(arguments.workers, arguments.scheduler) as executor:
-        plan, seconds = solved(asked, arguments, console, executor)
-        plan.save(unfinished)
-    results.show_plan(plan, seconds, console)
-    results.show_fixes(suggested_fixes(plan), console)
-    console.write_result(str(out))
-    facts = results.plan_facts(plan)
-    return console.finish(
-        "solve", 0 if plan.success and not plan.missed_goals else 1, plan=facts, solve_seconds=seconds, file=str(out)
-    )

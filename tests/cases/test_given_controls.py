@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from commands import refused, run
+from PIL import Image
 
 import planner
 from planner import PlannerError, cases
@@ -49,6 +50,8 @@ def test_a_urdf_is_read_as_everywhere(tmp_path):
     plan = plan_of_controls(file, tmp_path / "arm.urdf")
     proof = planner.prove(plan, rollouts=0, optimal=False)
     assert proof.passed, proof.reason
+    assert not plan.K.any()  # controls, as in an export; a file in degrees can only hold positions
+    assert plan_of_controls(file, tmp_path / "arm.urdf", degrees=True).K.any()
 
 
 def test_columns_may_come_in_any_order(solved, model, tmp_path):
@@ -121,7 +124,21 @@ def test_positions_at_uneven_times_are_followed_and_compared_with_the_replay(sol
     lines += [",".join(repr(float(value)) for value in (at, *row)) for at, row in zip(t, np.degrees(q), strict=True)]
     file = tmp_path / "q.csv"
     file.write_text("\n".join(lines), encoding="utf-8")
-    done = run("prove", "--controls", file, "--model", model, "--degrees", "--save", "plan.npz", cwd=tmp_path)
+    done = run(
+        "prove",
+        "--controls",
+        file,
+        "--model",
+        model,
+        "--degrees",
+        "--save",
+        "plan.npz",
+        "--plot",
+        "both.png",
+        cwd=tmp_path,
+    )
+    with Image.open(tmp_path / "both.png") as picture:
+        assert picture.width > 1000  # its curves are those of tests/view/test_plots_report.py
     assert "farthest from the recording" in done.stdout
     rows = [line.split() for line in done.stdout.splitlines() if line.startswith(("shoulder ", "elbow "))]
     assert len(rows) == 2

@@ -68,6 +68,7 @@ def test_prove_refuses_the_model_of_another_machine(finished, tmp_path):
         (("render", "nowhere.npz", "--out", "x.gif"), ("x.gif", ".mp4")),
         (("render", "nowhere.npz", "--transparent"), ("--transparent", "video.mp4", ".png")),
         (("render", "nowhere.npz", "--size", "big"), ("'big' is not a size",)),
+        (("prove", "nowhere.npz", "--plot", "x.gif"), ("x.gif", ".svg")),
         (("paper", "gripper"), ("gripper", "hopper")),
     ],
     ids=lambda value: " ".join(value) if isinstance(value, tuple) else None,

@@ -1,5 +1,7 @@
 """A camera by its name or its angles: the direction is the model's, the motion stays in the picture."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from films import make_replay
@@ -7,6 +9,8 @@ from PIL import Image
 
 import planner
 from planner.base.errors import PlannerError
+from planner.cli.background_render import BackgroundRender
+from planner.cli.console import Console
 from planner.model.mjcf.model_index import compile_model
 from planner.view.render.camera import angles_of_camera, directions
 from planner.view.render.scene import matted
@@ -64,3 +68,16 @@ def test_a_transparent_picture_has_the_machine_and_neither_sky_nor_floor(tmp_pat
     with Image.open(path) as strip:
         assert strip.mode == "RGBA"
         assert strip.getpixel((0, 0))[3] == 0
+
+
+def test_the_strip_of_a_run_is_transparent_where_asked_and_its_film_has_a_ground(monkeypatch, tmp_path):
+    drawn = {}
+    for name in ("render_strip", "render_video"):
+        call = lambda shown, path, name=name, **looks: drawn.update({name: looks})  # noqa: E731
+        monkeypatch.setattr(f"planner.view.render.video.{name}", call)
+    replay = make_replay()
+    films = BackgroundRender(SimpleNamespace(replay=replay), tmp_path, (), Console(), {"camera": (90, 0)}, True)
+    with films:
+        assert films.finish()
+    assert drawn["render_strip"] == {"camera": (90, 0), "transparent": True}
+    assert drawn["render_video"].keys() == {"camera", "progress"}
