@@ -31,6 +31,7 @@ from planner.problem.default_weights import (
 from planner.problem.goals import ROUNDING, static_error
 from planner.problem.limits import Limits
 from planner.problem.tasks.cost import WEIGHT, task_cost, task_goal_specs
+from planner.problem.tasks.flight import check_flight
 from planner.problem.tasks.follow import Follow, follow_of, with_points
 from planner.problem.tasks.gait import gait_of
 from planner.problem.tasks.goal import Goal, goal_of
@@ -144,6 +145,8 @@ def resolve_task(
         apart = avoid.constraint(dynamics.mechanism, x0, _of_goals(task, poses))  # they are known now
         if not _is_direct(task) and is_screws(task):
             poses = with_via_poses(poses, free(apart.constraint.of), table["seed"])
+    if RESOLVED not in table:
+        check_flight(task, poses, dynamics, ranges)
     if "gait" not in table:
         return ResolvedTask(task, poses, reference_states(task, poses, x0), apart, waypoints)
     rows = reference_states(task, resting(poses, 1.0 - MOVING_SHARE), x0)

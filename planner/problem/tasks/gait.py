@@ -99,9 +99,11 @@ class Gait:
         h = float(normals[0] @ (center_of_mass(mechanism, rows[0, :nq]) - dragged[0].mean(axis=0)))
         duty = 1.0 - (1.0 - OVERLAP) / slots if self.duty is None else self.duty
         lead = max(0.0, 1.0 / slots - (1.0 - duty))
-        way = float(np.linalg.norm(np.diff(dragged, axis=0), axis=2).sum(axis=0).max())
+        distance = float(np.linalg.norm(np.diff(dragged, axis=0), axis=2).sum(axis=0).max())
         g = float(np.linalg.norm(mechanism.gravity)) or 1.0
-        cycles = round(moving / (slots * math.sqrt(h / g))) if self.stride is None else math.ceil(way / self.stride)
+        cycles = (
+            round(moving / (slots * math.sqrt(h / g))) if self.stride is None else math.ceil(distance / self.stride)
+        )
         cycles = max(1, cycles)
         T = moving / (cycles - 1 + lead + float(turns.max()) + 1.0 - duty)
         lift = min(CLEARANCE, 0.2 * h) if self.lift is None else self.lift
@@ -219,8 +221,8 @@ def _stepping(
 
 def _longest(places: np.ndarray) -> float:
     """m, of the longest step: feet stand between steps."""
-    moved = np.linalg.norm(np.diff(places, axis=0), axis=2)
-    steps = [part.sum() for row in moved.T for part in np.split(row, np.flatnonzero(row == 0.0))]
+    displacements = np.linalg.norm(np.diff(places, axis=0), axis=2)
+    steps = [part.sum() for row in displacements.T for part in np.split(row, np.flatnonzero(row == 0.0))]
     return float(max(steps, default=0.0))
 
 
@@ -245,11 +247,11 @@ def _with_legs(
         damped = J @ np.swapaxes(J, 1, 2) + DAMPING**2 * np.eye(3 * F)
         step = np.swapaxes(J, 1, 2) @ np.linalg.solve(damped, away[:, :, None])
         q[:, at] = np.clip(q[:, at] + step[:, :, 0], *ranges[own].T)
-    missed = np.linalg.norm((places - points_of(mechanism, q, links, points, moving=False)[0]), axis=2)
-    if missed.max() > REACHED:
-        k = int(missed.max(axis=0).argmax())
+    errors = np.linalg.norm((places - points_of(mechanism, q, links, points, moving=False)[0]), axis=2)
+    if errors.max() > REACHED:
+        k = int(errors.max(axis=0).argmax())
         raise PlannerError(
-            f"the gait takes {feet[k].name} {missed.max():.2g} m further than its leg reaches within its ranges: "
+            f"the gait takes {feet[k].name} {errors.max():.2g} m further than its leg reaches within its ranges: "
             "expected a smaller stride or lift, a lower trunk, or a longer duration."
         )
     return q
