@@ -8,6 +8,7 @@ import planner
 from planner.cases.problem_file import load
 from planner.dynamics.contacts import contact_forces
 from planner.dynamics.kinematics import points_of
+from planner.problem.costs.tracking import tracking_of
 from planner.problem.default_weights import MOVING_SHARE, straight_reference
 from planner.problem.tasks.gait import TURNS, Gait, gait_of
 
@@ -100,14 +101,22 @@ def test_trotting_half_a_metre_passes():
     assert "slides" not in proof.headline
 
 
-def test_goals_of_frames_and_turns_of_feet(tmp_path):
-    """The same gait, by names: its first guess is the same, bit for bit."""
+def test_turns_of_feet_are_the_gait_of_that_name(straight):
+    mechanism, rows, dt = straight
+    feet = {f"{name}_shank": 0.5 * (name in ("front_right", "rear_left")) for name in FEET}
+    ranges = np.tile([-np.inf, np.inf], (mechanism.nv, 1))
+    named, listed = (gait_of(one).motion(mechanism, rows, dt, ranges)[0] for one in ("trot", {"feet": feet}))
+    np.testing.assert_array_equal(named, listed)
+
+
+def test_goals_of_frames_have_a_gait_too(tmp_path):
     goal = '[[goal]]\nframe = "trunk"\nposition = [0.25, 0, 0.326]\norientation = [1, 0, 0, 0]\n'
-    model = WALKING.replace("goal", "#")
-    turns = ", ".join(f"{name}_shank = {0.5 * (name in ('front_right', 'rear_left'))}" for name in FEET)
-    gaits = '"trot"', f"{{ feet = {{ {turns} }} }}"
-    one, other = (loaded(tmp_path, model + f"gait = {gait}\n" + goal) for gait in gaits)
-    np.testing.assert_array_equal(one.first_guess, other.first_guess)
+    problem = loaded(tmp_path, WALKING.replace("goal", "#") + 'gait = "trot"\n' + goal)
+    weights = problem.parameters["resolved"]["weights"]
+    assert "rest" not in weights
+    assert weights["hold"] > 0.0
+    swings = feet_of(problem.dynamics.mechanism, tracking_of(problem.cost).x_ref)[:, :, 2] > 0.05
+    assert np.all(swings.any(axis=0))  # of 0.055 m, at the middle of each swing
 
 
 @pytest.mark.parametrize(

@@ -71,10 +71,6 @@ def first_guess(
         )
     if way is None and kind in ("line", "tracking", "auto"):
         way = _closed(problem, goal)
-    hold = np.tile(quasi_static_controls(problem.dynamics, problem.x0), (problem.N, 1))
-    if way is not None and way.walks and kind == "auto":
-        shot = solve(problem, states=way.states, max_iterations=SHOTS).us
-        return shot if _rollout_cost(problem, shot) < _rollout_cost(problem, hold) else hold
     if kind in ("line", "auto") and not dynamics.prescribed:
         reference = _along(problem, _straight(problem, goal) if way is None else way)
         if reference is not None:
@@ -84,8 +80,11 @@ def first_guess(
             "guess is 'line', expected 'tracking', 'hold' or 'zero': a line is for machines of hinges and slides "
             "that are at rest at both ends, whose actuators reach every joint, without contacts."
         )
+    hold = np.tile(quasi_static_controls(problem.dynamics, problem.x0), (problem.N, 1))
     found = None
-    if kind != "hold":
+    if kind == "auto" and way is not None and way.walks:
+        found = solve(problem, states=way.states, max_iterations=SHOTS).us
+    elif kind != "hold":
         found = line_tracking_controls(problem, goal) if way is None else tracking_controls(problem, way.states)
     if found is None and kind == "tracking":
         raise PlannerError("guess is 'tracking', expected 'hold' or 'zero': this machine diverges with the gains.")

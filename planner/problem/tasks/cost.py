@@ -58,7 +58,8 @@ def task_cost(
     at_rest[:, mechanism.nq : mechanism.nq + mechanism.nv] = 0.0
     if "control" not in weights and servos_of(dynamics).any():
         weights["control"] = servo_reference(dynamics, reference)
-    base = TrackingCost.joints(dynamics, at_rest[N], N, **({"reference": at_rest} | weights))
+    weights.setdefault("reference", at_rest)
+    base = TrackingCost.joints(dynamics, at_rest[N], N, **weights)
     base = staying_cost(dynamics, base, hold, rest)
     Q, x_ref = base.Q.copy(), base.x_ref.copy()
     terms: list[Any] = []

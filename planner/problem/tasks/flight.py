@@ -73,11 +73,11 @@ def check_flight(task: Task, poses: Poses, dynamics: RigidBodyDynamics, ranges: 
 def _refusal(mechanism: Mechanism, c: float, t: float, T: float, ranges: np.ndarray) -> str:
     """Why nothing is a height c, m, above what stands at t, and stands again at T, s; "" where it may be."""
     g = float(np.linalg.norm(mechanism.gravity))
-    most = 0.5 * g * t * (T - t)
-    if c > most:
+    allowed = 0.5 * g * t * (T - t)
+    if c > allowed:
         return (
-            f"is {c:.3g} m higher than the machine reaches from the ground, and gravity allows {most:.3g} m at {t:.3g} "
-            f"s of what stands again at {T:.3g} s: expected a lower goal, or to stand again after "
+            f"is {c:.3g} m higher than the machine reaches from the ground, and gravity allows {allowed:.3g} m at "
+            f"{t:.3g} s of what stands again at {T:.3g} s: expected a lower goal, or to stand again after "
             f"{math.sqrt(8.0 * c / g):.2g} s or more with the goal half-way."
         )
     if np.any(mechanism.stiffness) or np.any(mechanism.ball_stiffness) or c <= 0.0:
@@ -111,14 +111,14 @@ def _missing_with(
     T[:3, 3], n = contact.centre, np.array(contact.plane.normal)
     foot = Frame(contact.link, T)
     level = float(n @ frame_pose(mechanism, q, foot)[:3, 3])
-    soft = [one._replace(metre_scale=GOAL_SCALE) for one in targets]
+    scaled = [one._replace(metre_scale=GOAL_SCALE) for one in targets]
 
     def on_ground(at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         away = n @ frame_pose(mechanism, at, foot)[:3, 3] - level
         return np.array([away / FOOT_SCALE]), (n @ jacobian(mechanism, at, foot)[:3])[None] / FOOT_SCALE
 
-    free = ~unreached_dofs(mechanism)
-    found = inverse_kinematics(mechanism, soft, q, ranges=ranges, free=free, starts=1, missing=on_ground).q
+    reached = ~unreached_dofs(mechanism)
+    found = inverse_kinematics(mechanism, scaled, q, ranges=ranges, free=reached, starts=1, missing=on_ground).q
     away = [
         float(np.linalg.norm(frame_pose(mechanism, found, one.frame)[:3, 3] - one.position))
         for one in targets if one.position is not None

@@ -166,9 +166,9 @@ def gait_of(value: Any) -> Gait:
         choice("gait", given["kind"], TURNS)
     for foot, turn in feet.items():
         number(f"the turn of {foot}", turn, minimum=0.0, maximum=1.0)
-    for key, most in (("duty", 0.95), ("stride", math.inf), ("lift", math.inf)):
+    for key, upper in (("duty", 0.95), ("stride", math.inf), ("lift", math.inf)):
         if key in given:
-            number(f"{key} of gait", given[key], greater_than=0.0, maximum=most)
+            number(f"{key} of gait", given[key], greater_than=0.0, maximum=upper)
     return Gait(**given)
 
 
