@@ -141,7 +141,7 @@ def test_a_place_where_the_foot_must_stand_elsewhere_is_no_refusal(tmp_path):
     assert abs(end[3] - 0.15) < 0.02  # the leg's length hardly changes: the foot is elsewhere
 
 
-JUMP = """duration = {duration}
+HIGHER = """duration = {duration}
 [[goal]]
 frame = "trunk"
 position = [0, 0, {height}]
@@ -167,11 +167,11 @@ joints = {{ x = 0.0, hip = 0.0, leg = 0.15 }}
 )
 def test_a_jump_that_cannot_be_is_refused(tmp_path, height, time, duration, fragments):
     with pytest.raises(PlannerError) as error:
-        problem_of(tmp_path, JUMP.format(height=height, time=time, duration=duration))
+        problem_of(tmp_path, HIGHER.format(height=height, time=time, duration=duration))
     for fragment in fragments:
         assert fragment in str(error.value)
 
 
 def test_a_high_jump_is_not_refused(tmp_path):
     """2.3 of the 2.35 m that gravity allows at 0.6 s of 1.4 s, at 6.7 m/s of the 8.6 m/s above."""
-    assert problem_of(tmp_path, JUMP.format(height=2.94, time=0.6, duration=1.4)).goal_specs
+    assert problem_of(tmp_path, HIGHER.format(height=2.94, time=0.6, duration=1.4)).goal_specs
