@@ -212,17 +212,17 @@ def _duration(mechanism: Mechanism, start: np.ndarray, goal: dict[int, float]) -
     driven = mechanism.directly_actuated
     duration = _SHORTEST if np.all(driven) else _TIPPING
     inertia = np.diagonal(mass_matrix(mechanism, start))
-    strongest = _strongest(mechanism)
+    peak = strongest(mechanism)
     for j, end in goal.items():
         i = mechanism.joint_links[j].start
         displacement = abs(end - start[mechanism.q_address[i]])
         duration = max(duration, _PEAK_SPEED * displacement / (_SHARE * mechanism.velocity_limit[i]))
-        if strongest[i] > 0.0:
-            duration = max(duration, math.sqrt(_PEAK_FORCE * displacement * inertia[i] / (_SHARE * strongest[i])))
+        if peak[i] > 0.0:
+            duration = max(duration, math.sqrt(_PEAK_FORCE * displacement * inertia[i] / (_SHARE * peak[i])))
     return math.ceil(10.0 * min(duration, _LONGEST)) / 10.0
 
 
-def _strongest(mechanism: Mechanism) -> np.ndarray:
+def strongest(mechanism: Mechanism) -> np.ndarray:
     """(nv,) max generalized force of the actuators at each degree of freedom; infinite without limits."""
     actuators = mechanism.actuators
     control = np.abs(actuators.control_range).max(axis=1, initial=0.0)

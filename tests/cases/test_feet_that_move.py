@@ -139,3 +139,39 @@ def test_a_place_where_the_foot_must_stand_elsewhere_is_no_refusal(tmp_path):
     end = tracking_of(problem.cost).x_ref[-1]
     assert end[0] == pytest.approx(0.8, abs=5e-3)
     assert abs(end[3] - 0.15) < 0.02  # the leg's length hardly changes: the foot is elsewhere
+
+
+HIGHER = """duration = {duration}
+[[goal]]
+frame = "trunk"
+position = [0, 0, {height}]
+time = {time}
+through = true
+[[goal]]
+joints = {{ x = 0.0, hip = 0.0, leg = 0.15 }}
+"""
+
+
+@pytest.mark.parametrize(
+    ("height", "time", "duration", "fragments"),
+    [
+        # The leg reaches 0.65 m (0.05 m of slide beyond the straight one at 0.6 m), less the margin and contact. From
+        # there 9.81 0.2 (1.4 - 0.2) / 2 = 1.18 m, and sqrt(8 1.36 / 9.81) = 1.05 s.
+        (2.0, 0.2, 1.4, ("1.36 m higher", "allows 1.18 m at 0.2 s", "again at 1.4 s", "after 1.1 s or more")),
+        # 300 N over 0.35 m and 60 N m over 120 degrees, less margins of 1 % at both ends, are 226 J for 6.2 kg:
+        # 8.54 m/s, or 3.7 m. Up to 5.36 m above its reach takes sqrt(2 9.81 5.36) = 10.25 m/s.
+        (6.0, 1.5, 3.0, ("leaves the ground at 10.3 m/s", "gives 8.54 m/s at most", "at most 3.7 m above")),
+        # In 0.1 s to 1.36 m: 1.36 / 0.1 + 9.81 0.1 / 2 m/s.
+        (2.0, 0.1, 30.0, ("leaves the ground at 14.1 m/s",)),
+    ],
+)
+def test_a_jump_that_cannot_be_is_refused(tmp_path, height, time, duration, fragments):
+    with pytest.raises(PlannerError) as error:
+        problem_of(tmp_path, HIGHER.format(height=height, time=time, duration=duration))
+    for fragment in fragments:
+        assert fragment in str(error.value)
+
+
+def test_a_high_jump_is_not_refused(tmp_path):
+    """2.3 of the 2.35 m that gravity allows at 0.6 s of 1.4 s, at 6.7 m/s of the 8.6 m/s above."""
+    assert problem_of(tmp_path, HIGHER.format(height=2.94, time=0.6, duration=1.4)).goal_specs

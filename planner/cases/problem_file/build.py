@@ -61,7 +61,7 @@ from planner.cases.problem_file.feasibility_checks import check_goal_controllabl
 from planner.cases.problem_file.ground_placement import place_on_ground
 from planner.cases.problem_file.keys import REQUIRED, RESOLVED
 from planner.cases.problem_file.machine import folders_of, machine_of, prescribed_of
-from planner.cases.problem_file.reference_guess import first_guess
+from planner.cases.problem_file.reference_guess import ReferenceTrajectory, first_guess
 from planner.cases.problem_file.states import state_of, states_of
 from planner.cases.problem_file.step import with_step
 from planner.cases.problem_file.table import (
@@ -77,7 +77,9 @@ from planner.cases.problem_file.tasks import (
     cost_of,
     guess_of,
     is_task,
+    path_lengths,
     resolve_task,
+    walking_weights,
     weights_of,
     with_files,
     with_tasks,
@@ -92,12 +94,13 @@ from planner.model.twin import Twin
 from planner.problem.avoid import Avoid
 from planner.problem.constraints.constraint import Constraint
 from planner.problem.default_appearance import default_appearance, with_marks
-from planner.problem.default_weights import default_weights, weighed
+from planner.problem.default_weights import default_weights, straight_reference, weighed
 from planner.problem.joint_limits import moved_inside_limits, starts_at_limit
 from planner.problem.limits import Limits
 from planner.problem.objective_problem import with_objective
 from planner.problem.problem import Problem
 from planner.problem.recipe import PROBLEM_FILE, Recipe
+from planner.problem.tasks.gait import gait_of
 from planner.problem.tasks.waypoints import WAYPOINTS
 
 NAME = PROBLEM_FILE
@@ -109,6 +112,7 @@ TOLD = (
     "closed",
     "settle",
     "stops",
+    "gait",
     "avoid",
     "dt",
     "substeps",
@@ -278,12 +282,21 @@ def _problem(
         table = table | {"goal": [one.goal.to_dict() for one in way.task.goals]}
         passed = ", ".join(f"{way.task.goals[k].time:.3g}" for k in way.waypoints)
         reasons["goal"] = f"Via points without times are passed at {passed} s, in proportion to the way of the joints."
-    table = _resolved(table, dynamics, x0, goal, reasons, way, limits)
+    along = None if way is None else guess_of(way, dynamics, x0)
+    if way is None and "gait" in table:
+        ranges = (limits or Limits(position="off")).position_ranges(dynamics)
+        straight = straight_reference(dynamics, x0, goal, N)
+        rows, reasons["gait"] = gait_of(table["gait"]).motion(mechanism, straight, dynamics.dt, ranges)
+        along = ReferenceTrajectory(None, rows, direct=True, walks=True)
+    elif way is not None and way.gait:
+        reasons["gait"] = way.gait
+    table = _resolved(table, dynamics, x0, goal, reasons, way, limits, along)
     weights = table[RESOLVED]["weights"]
     wanted = None
     if way is None:
         straight = stands_on_ground(mechanism) and "position" not in table["weights"]
-        cost = weighed(dynamics, x0, goal, N, weights, straight=straight)
+        walked = {} if along is None else {"reference": along.states}
+        cost = weighed(dynamics, x0, goal, N, weights | walked, straight=straight)
     else:
         cost, wanted = cost_of(way, dynamics, weights)
     kept = (*asked, *(() if apart is None else (apart.constraint,)), *constraints)
@@ -296,7 +309,6 @@ def _problem(
         tolerance=None if tasked else table["tolerance"], expected_reduction_tolerance=DECREASE,
         actual_reduction_tolerance=GAIN if mechanism.contacts else DECREASE if mechanism.has_closed_chains else 0.0,
     )  # fmt: skip
-    along = None if way is None else guess_of(way, dynamics, x0)
     problem = replace(problem, us=first_guess(problem, table["guess"], goal, along))
     if way is None or wanted is None:
         check_goal_differs(problem)
@@ -323,7 +335,7 @@ def _off_stops(
 
 def _resolved(
     table: dict[str, Any], dynamics: RigidBodyDynamics, x0: np.ndarray, goal: np.ndarray, reasons: dict[str, str],
-    way: ResolvedTask | None, limits: Limits | None,
+    way: ResolvedTask | None, limits: Limits | None, along: ReferenceTrajectory | None,
 ) -> dict[str, Any]:  # fmt: skip
     """The table with what was chosen by itself: weights and their reasons. A stored plan has them already."""
     if RESOLVED in table:
@@ -335,7 +347,9 @@ def _resolved(
         default = default_weights(
             dynamics, x0, goal, table["duration"], tolerance=table["tolerance"], named="objective" in table,
             stays="position" not in given, jerk=table.get("objective", {}).get("jerk", 0.0),
+            displacement=None if along is None else path_lengths(dynamics, along.states),
         )  # fmt: skip
+        default = default if along is None else walking_weights(default)
     filled = {name: weight.tolist() for name, weight in default.weights.items() if name not in given}
     reasons = reasons | {name: reason for name, reason in default.reasons.items() if name not in given}
     waypoints = {} if way is None or not way.waypoints else {WAYPOINTS: list(way.waypoints)}

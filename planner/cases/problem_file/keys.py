@@ -6,6 +6,7 @@ from typing import Any
 
 from planner.kernels.integrators import KNOWN_INTEGRATORS
 from planner.problem.objective import OBJECTIVES
+from planner.problem.tasks.gait import TURNS
 from planner.problem.tasks.timed_task import DEFAULT_TOLERANCES, PATH_TOLERANCES
 
 _IMPLICIT = [name for name, one in KNOWN_INTEGRATORS.items() if one.implicit]
@@ -20,6 +21,8 @@ KEYS = {
     "start": "keyframe, nq numbers (at rest), nq + nv numbers, or a table of joints (the others as the model says)",
     "goal": "the same; joints that a table does not name end where they started. Or tables [[goal]], below",
     "follow": "table, below, or several [[follow]]: a path of a frame or of joints to keep to",
+    "gait": f"{', '.join(TURNS)}, or a table of kind, stride (m, at most), duty (share of a cycle in which a foot "
+    "stands), lift (m), or of feet (turns from 0 to 1 by bodies) in place of kind: which feet swing when",
     "attach": "table, below, or several [[attach]]: a payload or tool at a frame of the model",
     "obstacle": "table, below, or several [[obstacle]]: a shape at rest beside the model; [avoid] keeps clear of it",
     "exclude": "list of pairs of bodies or shapes that do not touch each other, whatever the model says",

@@ -7,7 +7,8 @@ tracking        gains of a regulator that tracks that line, for any other machin
 hold            the start held against gravity, as far as the actuators can
 zero            no control
 auto            collision-free where something is avoided and there is such a path, line where there is one, else
-                tracking where that ends nearer to the goal than hold does, else hold
+                tracking where that ends nearer to the goal than hold does, else hold; of a gait the controls that a
+                few iterations of multiple shooting find along it
 """
 
 from __future__ import annotations
@@ -25,8 +26,10 @@ from planner.problem.closed_chain_reference import closed_chain_reference
 from planner.problem.constraints.clearance import pair_clearance_of
 from planner.problem.initial_guess import interpolated_states, straight_line
 from planner.problem.problem import Problem
+from planner.solvers.slq import solve
 from planner.solvers.stabilizing_guess import line_tracking_controls, tracking_controls
 
+SHOTS = 6  # iterations along a gait: a rollout closes the defects after one to three, then the solver is as good
 STRAYS = 0.1  # of the largest motion: from there on gains keep a guess on its way
 GUESSES = ("auto", "line", "collision-free", "tracking", "hold", "zero")
 
@@ -37,6 +40,7 @@ class ReferenceTrajectory(NamedTuple):
     controls: np.ndarray | None  # (N, nu) controls along it by inverse dynamics; None where there are none
     states: np.ndarray  # (N+1, nx) its states
     direct: bool  # whether its end alone is asked for
+    walks: bool = False  # whether feet swing and stand on it, so that no controls of a pose at rest follow it
 
 
 def first_guess(
@@ -78,7 +82,9 @@ def first_guess(
         )
     hold = np.tile(quasi_static_controls(problem.dynamics, problem.x0), (problem.N, 1))
     found = None
-    if kind != "hold":
+    if kind == "auto" and way is not None and way.walks:
+        found = solve(problem, states=way.states, max_iterations=SHOTS).us
+    elif kind != "hold":
         found = line_tracking_controls(problem, goal) if way is None else tracking_controls(problem, way.states)
     if found is None and kind == "tracking":
         raise PlannerError("guess is 'tracking', expected 'hold' or 'zero': this machine diverges with the gains.")

@@ -21,15 +21,29 @@ from planner.problem.collision_checker import CollisionChecker
 from planner.problem.constraints.constraint import Constraint
 from planner.problem.costs.goal_spec import GoalSpec
 from planner.problem.costs.terms import Cost
-from planner.problem.default_weights import DefaultWeights, default_weights, min_jerk_cost
+from planner.problem.default_weights import (
+    MOVING_SHARE,
+    STANCE_TOLERANCES,
+    DefaultWeights,
+    default_weights,
+    min_jerk_cost,
+)
 from planner.problem.goals import ROUNDING, static_error
 from planner.problem.limits import Limits
 from planner.problem.tasks.cost import WEIGHT, task_cost, task_goal_specs
+from planner.problem.tasks.flight import check_flight
 from planner.problem.tasks.follow import Follow, follow_of, with_points
+from planner.problem.tasks.gait import gait_of
 from planner.problem.tasks.goal import Goal, goal_of
 from planner.problem.tasks.pose_constraints import PoseConstraints
 from planner.problem.tasks.poses import Poses, is_screws, poses_of
-from planner.problem.tasks.reference_motion import controls, joint_displacement, reference_states, with_via_poses
+from planner.problem.tasks.reference_motion import (
+    controls,
+    joint_displacement,
+    reference_states,
+    resting,
+    with_via_poses,
+)
 from planner.problem.tasks.timed_task import Task, task_of
 from planner.problem.tasks.waypoints import dated_by_way, dated_evenly, undated_waypoints
 
@@ -45,6 +59,7 @@ class ResolvedTask(NamedTuple):
     rows: np.ndarray  # (N+1, nx) the states of the motion through them
     apart: AvoidanceConstraint | None  # What is kept apart
     waypoints: tuple[int, ...] = ()  # goals whose share of the duration was chosen
+    gait: str = ""  # Sentence about the gait that the rows are; "" for none
 
 
 def is_task(table: dict[str, Any], mechanism: Mechanism) -> bool:
@@ -130,7 +145,13 @@ def resolve_task(
         apart = avoid.constraint(dynamics.mechanism, x0, _of_goals(task, poses))  # they are known now
         if not _is_direct(task) and is_screws(task):
             poses = with_via_poses(poses, free(apart.constraint.of), table["seed"])
-    return ResolvedTask(task, poses, reference_states(task, poses, x0), apart, waypoints)
+    if RESOLVED not in table:
+        check_flight(task, poses, dynamics, ranges)
+    if "gait" not in table:
+        return ResolvedTask(task, poses, reference_states(task, poses, x0), apart, waypoints)
+    rows = reference_states(task, resting(poses, 1.0 - MOVING_SHARE), x0)
+    rows, said = gait_of(table["gait"]).motion(dynamics.mechanism, rows, dynamics.dt, ranges)
+    return ResolvedTask(task, poses, rows, apart, waypoints, said)
 
 
 def _of_goals(task: Task, poses: Poses) -> dict[str, np.ndarray]:
@@ -149,7 +170,8 @@ def weights_of(
     """The default weights along the poses, by the controls' own limits; ends are weighed by the goals."""
     bounds = None if limits is None else limits.bounds(dynamics, way.task.N)
     most = None if bounds is None else np.maximum(np.abs(bounds.lower), np.abs(bounds.upper)).max(axis=0)
-    there = joint_displacement(way.task, way.poses)
+    walks = bool(way.gait)
+    there = path_lengths(dynamics, way.rows) if walks else joint_displacement(way.task, way.poses)
     named, jerk = "objective" in table, table.get("objective", {}).get("jerk", 0.0)
     rests = way.task.rests and not way.task.follows and "position" not in table["weights"]
     found = default_weights(
@@ -158,31 +180,46 @@ def weights_of(
         way.rows[-1],
         table["duration"],
         named=named,
-        stays=False,
+        stays=walks,
         displacement=there,
         max_control=most,
         jerk=jerk,
         way=way.poses.q if rests else None,
         last_share=float(np.diff(way.poses.stages)[-1] / way.task.N),
     )
-    left = () if "rest" in found.weights else _OF_GOALS
+    left = () if "rest" in found.weights or walks else _OF_GOALS
     weights = {name: weight for name, weight in found.weights.items() if name not in left}
     reasons = {name: reason for name, reason in found.reasons.items() if name not in left}
     if jerk:
         weights["goal"] = np.array(WEIGHT * max(1.0, jerk * min_jerk_cost(there, table["duration"])))
-    return DefaultWeights(weights, reasons)
+    return walking_weights(DefaultWeights(weights, reasons)) if walks else DefaultWeights(weights, reasons)
+
+
+def walking_weights(found: DefaultWeights) -> DefaultWeights:
+    """The default weights where a gait is what positions refer to: all the time, and not only at the end."""
+    weights = {name: weight for name, weight in found.weights.items() if name != "rest"}
+    reasons = {name: reason for name, reason in found.reasons.items() if name != "rest"}
+    return DefaultWeights(weights, reasons | {"position": f"1 / ({STANCE_TOLERANCES:g} tolerances)^2 from the gait"})
+
+
+def path_lengths(dynamics: RigidBodyDynamics, rows: np.ndarray) -> np.ndarray:
+    """(nv,) the way of each degree of freedom along states (N+1, nx), rad or m."""
+    return np.abs(dynamics.space.difference(rows[1:], rows[:-1])).sum(axis=0)[: dynamics.mechanism.nv]
 
 
 def cost_of(
     way: ResolvedTask, dynamics: RigidBodyDynamics, weights: dict[str, Any]
 ) -> tuple[Cost, tuple[GoalSpec, ...]]:
     """The cost of a task and what its proof judges."""
+    weights = weights | {"reference": way.rows} if way.gait else weights
     return task_cost(way.task, dynamics, way.rows, weights), task_goal_specs(way.task, way.rows[0])
 
 
 def guess_of(way: ResolvedTask, dynamics: RigidBodyDynamics, x0: np.ndarray) -> ReferenceTrajectory:
     """What the first controls may be made of."""
     mechanism = dynamics.mechanism
+    if way.gait:
+        return ReferenceTrajectory(None, way.rows, _is_direct(way.task), walks=True)
     if mechanism.has_closed_chains:
         found = closed_chain_reference(mechanism, x0, way.poses.stages, way.poses.q, way.poses.at_rest, dynamics.dt)
         if found is not None:

@@ -1,6 +1,6 @@
 """The cost of a task, and its goals: one error for each, in m, rad or m/s, at its time.
 
-Goals at the end have no weight of their own where the machine rests there (weights `rest`): their pose has.
+Goals at the end have no weight of their own where the machine rests there (weights `rest`, or a gait): their pose has.
 A goal has the weight WEIGHT / tolerance^2 on its squared error / 2 at its stage, so that an error of the tolerance
 costs more than the whole effort. A path has PATH_RATE times that weight. Unless a goal is a via point, velocities of
 the joints that move the frame have a weight there.
@@ -43,20 +43,23 @@ def task_cost(
         task: Goals and paths.
         dynamics: The machine.
         reference: (N+1, nx) the states through its poses, at rest at the end.
-        weights: Arguments of TrackingCost.joints, `goal` in place of WEIGHT, hold, rest and slip.
+        weights: Arguments of TrackingCost.joints, `goal` in place of WEIGHT, hold, rest and slip. Their reference is
+            that of the positions' poses, at rest, unless it is given.
     """
     mechanism, N = task.mechanism, task.N
     weights = dict(weights)
     given, (hold, rest, slip) = weights.pop("goal", None), (weights.pop(name, 0.0) for name in ("hold", "rest", "slip"))
     factor = number("weights.goal", WEIGHT if given is None else given, greater_than=0.0)
-    last_factor = 0.0 if rest and given is None else factor  # the goals' pose has weights before and after the end
+    posed = bool(rest) or "reference" in weights  # the goals' pose has weights before and after the end
+    last_factor = 0.0 if posed and given is None else factor
     if not task.rests:
         weights["final_velocity"] = 0.0
     at_rest = reference.copy()
     at_rest[:, mechanism.nq : mechanism.nq + mechanism.nv] = 0.0
     if "control" not in weights and servos_of(dynamics).any():
         weights["control"] = servo_reference(dynamics, reference)
-    base = TrackingCost.joints(dynamics, at_rest[N], N, reference=at_rest, **weights)
+    weights.setdefault("reference", at_rest)
+    base = TrackingCost.joints(dynamics, at_rest[N], N, **weights)
     base = staying_cost(dynamics, base, hold, rest)
     Q, x_ref = base.Q.copy(), base.x_ref.copy()
     terms: list[Any] = []

@@ -54,7 +54,7 @@ class _Feet(NamedTuple):
     on_ground: ResidualAndJacobian  # They may be elsewhere on their planes
 
 
-class _StageTargets(NamedTuple):
+class StageTargets(NamedTuple):
     """Goals at one stage."""
 
     targets: list[Target]
@@ -94,7 +94,7 @@ def poses_of(
         here = [one for one in task.goals if one.stage == stage]
         if check and stage < task.N:  # the limits check the end
             _check_joints(task, here, ranges)
-        asked = _stage_targets(task, stage, here)
+        asked = stage_targets(task, stage, here)
         q = _pose(task, search, q, asked, stage, here)
         stages.append(stage)
         found.append(q)
@@ -125,7 +125,12 @@ def _stages(task: Task) -> list[int]:
     return sorted(stages - {0})
 
 
-def _stage_targets(task: Task, stage: int, here: Sequence[TimedGoal]) -> _StageTargets:
+def stage_targets(task: Task, stage: int, here: Sequence[TimedGoal]) -> StageTargets:
+    """What goals `here` and paths ask for at a stage.
+
+    Raises:
+        PlannerError: Goals that contradict each other.
+    """
     targets, labels, joints = [], [], {}
     for one in here:
         goal = one.goal
@@ -151,11 +156,11 @@ def _stage_targets(task: Task, stage: int, here: Sequence[TimedGoal]) -> _StageT
             else:
                 named = zip(path.joints, point, strict=True)
                 joints |= {task.mechanism.joint(name).start: value for name, value in named}
-    return _StageTargets(targets, labels, joints)
+    return StageTargets(targets, labels, joints)
 
 
 def _pose(
-    task: Task, search: _Search, q: np.ndarray, asked: _StageTargets, stage: int, here: Sequence[TimedGoal]
+    task: Task, search: _Search, q: np.ndarray, asked: StageTargets, stage: int, here: Sequence[TimedGoal]
 ) -> np.ndarray:  # fmt: skip
     """The configuration (nq,) at a stage."""
     mechanism, ranges = task.mechanism, search.ranges
@@ -325,7 +330,7 @@ def _feet(dynamics: RigidBodyDynamics, q: np.ndarray) -> _Feet | None:
 
 
 def _on_ground(
-    task: Task, search: _Search, q: np.ndarray, asked: _StageTargets, here: Sequence[TimedGoal]
+    task: Task, search: _Search, q: np.ndarray, asked: StageTargets, here: Sequence[TimedGoal]
 ) -> np.ndarray:  # fmt: skip
     """The pose (nq,) at rest of joints that have goals: a machine that stood stands, where the legs then carry it."""
     mechanism = task.mechanism

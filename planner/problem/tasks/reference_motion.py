@@ -46,6 +46,17 @@ def with_via_poses(poses: Poses, checker: CollisionChecker, seed: int = 0) -> Po
     return Poses(np.array(stages), np.array(q), np.array(at_rest))
 
 
+def resting(poses: Poses, share: float) -> Poses:
+    """The poses, the last one reached a share of its interval earlier, for rest until the end."""
+    first, last = poses.stages[-2:]
+    arrival = int(last - round(share * (last - first)))
+    return Poses(
+        np.insert(poses.stages, -1, arrival),
+        np.concatenate([poses.q, poses.q[-1:]]),
+        np.insert(poses.at_rest, -1, True),
+    )
+
+
 def interpolate(task: Task, poses: Poses, x0: np.ndarray, t: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Positions (K, nq), velocities and accelerations (K, nv) at times t (K,), for hinges and slides alone."""
     from scipy.interpolate import BPoly, CubicSpline  # 0.4 s that `planner run` need not pay

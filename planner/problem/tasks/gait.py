@@ -1,0 +1,257 @@
+"""Gait: which feet swing when, and the motion of a machine that walks so, as a reference.
+
+The machine follows `rows`, a motion of the whole of it in which the feet are dragged; its legs are bent so that its
+feet step instead. In each of n cycles of T seconds a foot stands for the share `duty` and swings for the rest. Cycles
+have as many slots as feet have different turns; foot k leaves the ground in cycle c at
+
+    t = T (c + turn_k + max(0, 1 / slots - (1 - duty))),    turn_k in 0 ... 1.
+
+It stands where the motion has it in the middle of its stance, so that the body passes over it symmetrically (Raibert,
+Legged Robots That Balance, 1986), at first where it stood at the start and at last where the motion ends. On its way it
+rises by lift 64 (s (1 - s))^3, at rest at both ends. By default a slot lasts sqrt(h / g), h the height of the centre of
+mass: in that time an inverted pendulum falls away by a factor e.
+
+Nothing enforces contacts. Weights of positions and velocities refer to this motion; the solver finds the forces, and
+when feet touch.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from planner.base.arguments import choice, number, short_repr
+from planner.base.errors import PlannerError
+from planner.dynamics.contacts import contact_forces
+from planner.dynamics.kinematics import points_of
+from planner.dynamics.momentum import center_of_mass
+from planner.kernels.tree.mechanism_table import chain_of
+from planner.model.mechanism import Mechanism
+from planner.problem.costs.slip import CLEARANCE
+from planner.problem.initial_guess import minimum_jerk
+
+# Turns of the rear left, rear right, front left and front right foot; walk has the lateral sequence.
+TURNS = {
+    "trot": (0.5, 0.0, 0.0, 0.5),
+    "walk": (0.0, 0.5, 0.25, 0.75),
+    "bound": (0.5, 0.5, 0.0, 0.0),
+    "pace": (0.0, 0.5, 0.0, 0.5),
+}
+OVERLAP = 0.2  # of a slot, in which feet of two turns stand by default
+NEWTON = 50  # iterations of the legs' inverse kinematics
+REACHED = 1e-3  # m: of a foot from its place
+STILL = 1e-6  # m or rad and their rates: by which a motion at rest changes by rounding alone
+DAMPING = 1e-3  # m: of a singular leg, which is stretched
+
+
+class _Foot(NamedTuple):
+    """A body that stands on the ground at the start."""
+
+    name: str
+    link: int
+    point: np.ndarray  # (3,) m, the middle of its loaded contacts in the link's frame
+    normal: np.ndarray  # (3,) of the ground
+
+
+@dataclass(frozen=True)
+class Gait:
+    """A gait.
+
+    Attributes:
+        kind: One of TURNS, for machines of four feet; None with `feet`.
+        feet: Turns by the names of bodies, 0 to 1: when in a cycle each begins to swing.
+        duty: Share of a cycle in which a foot stands; by default feet of two turns overlap by OVERLAP of a slot.
+        stride: m, at most, of the motion in a cycle; by default a slot lasts sqrt(h / g).
+        lift: m, of a swinging foot; by default a fifth of the height of the centre of mass, at most CLEARANCE.
+    """
+
+    kind: str | None = None
+    feet: Mapping[str, float] = field(default_factory=dict)
+    duty: float | None = None
+    stride: float | None = None
+    lift: float | None = None
+
+    def motion(self, mechanism: Mechanism, rows: np.ndarray, dt: float, ranges: np.ndarray) -> tuple[np.ndarray, str]:
+        """The states (N+1, nx) of the gait along a motion `rows` (N+1, nx), and a sentence about it.
+
+        Args:
+            mechanism: The machine.
+            rows: Begins and ends at rest, on the ground.
+            dt: s.
+            ranges: (nv, 2) rad or m, of hinges and slides.
+
+        Raises:
+            PlannerError: The machine has other feet, or its legs do not reach their footholds.
+        """
+        nq, nv, space = mechanism.nq, mechanism.nv, mechanism.space
+        standing = _standing(mechanism, rows[0])
+        if not standing:
+            raise PlannerError("the machine stands on no foot at the start, expected one on the ground, or no gait.")
+        links, points = np.array([foot.link for foot in standing]), np.array([foot.point for foot in standing])
+        dragged = points_of(mechanism, rows[:, :nq], links, points, moving=False)[0]
+        turns = self._turns(standing, dragged)
+        normals = np.array([foot.normal for foot in standing])
+        slots, moving = len(np.unique(turns)), dt * _last_change(rows)
+        h = float(normals[0] @ (center_of_mass(mechanism, rows[0, :nq]) - dragged[0].mean(axis=0)))
+        duty = 1.0 - (1.0 - OVERLAP) / slots if self.duty is None else self.duty
+        lead = max(0.0, 1.0 / slots - (1.0 - duty))
+        distance = float(np.linalg.norm(np.diff(dragged, axis=0), axis=2).sum(axis=0).max())
+        g = float(np.linalg.norm(mechanism.gravity)) or 1.0
+        cycles = (
+            round(moving / (slots * math.sqrt(h / g))) if self.stride is None else math.ceil(distance / self.stride)
+        )
+        cycles = max(1, cycles)
+        T = moving / (cycles - 1 + lead + float(turns.max()) + 1.0 - duty)
+        lift = min(CLEARANCE, 0.2 * h) if self.lift is None else self.lift
+        swings = T * (np.arange(cycles)[:, None] + lead + turns)  # (cycles, feet): when they begin, s
+        places = _stepping(dragged, normals, swings, (1.0 - duty) * T, lift, dt)
+        q = _with_legs(mechanism, rows[:, :nq], standing, places, ranges)
+        xs = rows.copy()
+        xs[:, :nq] = q
+        xs[1:-1, nq : nq + nv] = space.difference(xs[2:], xs[:-2])[:, :nv] / (2.0 * dt)
+        return xs, (
+            f"Gait: {cycles} cycles of {T:.3g} s, steps of up to {_longest(places):.2g} m, feet lifted by {lift:.2g} m "
+            f"and standing for {duty:.2g} of the time."
+        )
+
+    def _turns(self, standing: list[_Foot], dragged: np.ndarray) -> np.ndarray:
+        """(F,) the turn of each standing foot."""
+        names = [foot.name for foot in standing]
+        if self.feet:
+            for name in self.feet:
+                choice("a foot of the gait", name, names)
+            if missing := [name for name in names if name not in self.feet]:
+                raise PlannerError(f"the gait has no turn of {missing[0]!r}, expected one for: {', '.join(names)}.")
+            return np.array([self.feet[name] for name in names])
+        if len(standing) != 4:
+            raise PlannerError(
+                f"gait is {self.kind!r}, for machines of four feet, and this one stands on {len(standing)} "
+                f"({', '.join(names)}): expected gait = {{ feet = {{ NAME = turn from 0 to 1, ... }} }}."
+            )
+        # The longer side of the feet is the machine's; forwards is where it goes.
+        at, up = dragged[0] - dragged[0].mean(axis=0), standing[0].normal
+        forward = np.linalg.svd(at - np.outer(at @ up, up))[2][0]
+        ahead = (dragged[-1] - dragged[0]).mean(axis=0) @ forward
+        forward *= -1.0 if ahead < 0.0 or (ahead == 0.0 and forward.sum() < 0.0) else 1.0
+        left = np.cross(up, forward)
+        order = np.argsort(at @ forward, kind="stable")
+        order = np.concatenate([part[np.argsort(-at[part] @ left, kind="stable")] for part in (order[:2], order[2:])])
+        turns = np.empty(4)
+        turns[order] = TURNS[str(self.kind)]
+        return turns
+
+
+def gait_of(value: Any) -> Gait:
+    """A Gait from the name of one, or from a table of its attributes.
+
+    Raises:
+        PlannerError: Another type, an unknown name or key, or a number out of range.
+    """
+    table: Any = {"kind": value} if isinstance(value, str) else value
+    keys = ("kind", "feet", "duty", "stride", "lift")
+    if not isinstance(table, Mapping):
+        raise PlannerError(
+            f"gait is {short_repr(value)}, expected one of {', '.join(TURNS)}, or a table of some of: "
+            f"{', '.join(keys)}."
+        )
+    given = {choice("a key of gait", key, keys): part for key, part in table.items()}
+    feet = given.get("feet", {})
+    if ("kind" in given) == bool(feet) or not isinstance(feet, Mapping):
+        raise PlannerError(f"gait has kind and feet, or neither: expected one of {', '.join(TURNS)}, or turns of feet.")
+    if "kind" in given:
+        choice("gait", given["kind"], TURNS)
+    for foot, turn in feet.items():
+        number(f"the turn of {foot}", turn, minimum=0.0, maximum=1.0)
+    for key, upper in (("duty", 0.95), ("stride", math.inf), ("lift", math.inf)):
+        if key in given:
+            number(f"{key} of gait", given[key], greater_than=0.0, maximum=upper)
+    return Gait(**given)
+
+
+def _standing(mechanism: Mechanism, x: np.ndarray) -> list[_Foot]:
+    """The bodies that bear load at a state (nx,)."""
+    forces = contact_forces(mechanism, x[: mechanism.nq], np.zeros(mechanism.nv)).forces
+    loaded = [one for one, force in zip(mechanism.contacts, forces, strict=True) if force.any()]
+    feet = []
+    for link in dict.fromkeys(one.link for one in loaded):
+        own = [one for one in loaded if one.link == link]
+        name = next((mechanism.body_names[k] for k, body in enumerate(mechanism.bodies) if body.link == link), "")
+        feet.append(_Foot(name, link, np.mean([one.centre for one in own], axis=0), np.array(own[0].plane.normal)))
+    return feet
+
+
+def _last_change(rows: np.ndarray) -> int:
+    """The knot at which a motion (N+1, nx) comes to rest; all of it where it does not move."""
+    changes = np.flatnonzero(np.abs(np.diff(rows, axis=0)).max(axis=1) > STILL)
+    return int(changes[-1]) + 1 if len(changes) else len(rows) - 1
+
+
+def _stepping(
+    dragged: np.ndarray, normals: np.ndarray, swings: np.ndarray, lasting: float, lift: float, dt: float
+) -> np.ndarray:  # fmt: skip
+    """(N+1, F, 3) m, feet that stand and swing along where they are dragged.
+
+    Args:
+        dragged: (N+1, F, 3) m.
+        normals: (F, 3) of the ground, along which feet stay as high as at the start.
+        swings: (cycles, F) s, when swings begin.
+        lasting: s, of a swing.
+        lift: m.
+        dt: s.
+    """
+    t = dt * np.arange(len(dragged))
+    places = np.tile(dragged[0], (len(t), 1, 1))
+    for k, n in enumerate(normals):
+        level = dragged[:, k] - np.outer((dragged[:, k] - dragged[0, k]) @ n, n)
+        here = level[0]
+        for begin, following in zip(swings[:, k], [*swings[1:, k], np.inf], strict=True):
+            middle = min(0.5 * (begin + lasting + following), t[-1])
+            there = np.array([np.interp(middle, t, level[:, axis]) for axis in range(3)])
+            after = t > begin
+            s = np.minimum((t[after] - begin) / lasting, 1.0)
+            places[after, k] = here + minimum_jerk(s)[0][:, None] * (there - here)
+            places[after, k] += lift * 64.0 * ((s * (1.0 - s)) ** 3)[:, None] * n
+            here = there
+    return places
+
+
+def _longest(places: np.ndarray) -> float:
+    """m, of the longest step: feet stand between steps."""
+    displacements = np.linalg.norm(np.diff(places, axis=0), axis=2)
+    steps = [part.sum() for row in displacements.T for part in np.split(row, np.flatnonzero(row == 0.0))]
+    return float(max(steps, default=0.0))
+
+
+def _with_legs(
+    mechanism: Mechanism, q: np.ndarray, feet: list[_Foot], places: np.ndarray, ranges: np.ndarray
+) -> np.ndarray:  # fmt: skip
+    """Configurations (N+1, nq) with feet at places (N+1, F, 3), m, by Newton steps of the legs from q (N+1, nq)."""
+    if mechanism.reduction is not None or mechanism.has_closed_chains:
+        raise PlannerError("gait is for legs without closed chains and coupled joints, expected a [[goal]] without it.")
+    legs = np.zeros(mechanism.nv, dtype=bool)
+    for foot in feet:
+        legs[chain_of(mechanism.parent, foot.link)] = True
+    own = np.flatnonzero(legs & mechanism.directly_actuated)
+    links, points, at = np.array([f.link for f in feet]), np.array([f.point for f in feet]), mechanism.q_address[own]
+    q, F = q.copy(), len(feet)
+    for _ in range(NEWTON):
+        here, J = points_of(mechanism, q, links, points)
+        away = (places - here).reshape(len(q), 3 * F)
+        if np.abs(away).max() < 0.01 * REACHED:
+            break
+        J = J.reshape(len(q), 3 * F, mechanism.nv)[:, :, own]
+        damped = J @ np.swapaxes(J, 1, 2) + DAMPING**2 * np.eye(3 * F)
+        step = np.swapaxes(J, 1, 2) @ np.linalg.solve(damped, away[:, :, None])
+        q[:, at] = np.clip(q[:, at] + step[:, :, 0], *ranges[own].T)
+    errors = np.linalg.norm((places - points_of(mechanism, q, links, points, moving=False)[0]), axis=2)
+    if errors.max() > REACHED:
+        k = int(errors.max(axis=0).argmax())
+        raise PlannerError(
+            f"the gait takes {feet[k].name} {errors.max():.2g} m further than its leg reaches within its ranges: "
+            "expected a smaller stride or lift, a lower trunk, or a longer duration."
+        )
+    return q
