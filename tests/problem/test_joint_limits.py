@@ -10,6 +10,7 @@ import planner
 from planner import Limits, Mechanism, PlannerError, Problem, RigidBodyDynamics, TrackingCost
 from planner.cases.problem_file import load
 from planner.model.contact.laws import Law, Stop
+from planner.problem.joint_limits import GOAL_OFFSET, START_OFFSET
 
 REACH = """
 <mujoco>
@@ -172,8 +173,8 @@ def test_a_start_at_a_stop_is_put_off_it(tmp_path):
     file.write_text(file.read_text().replace("[0.0, 0.0]", "[-0.5, 0.996]"), encoding="utf-8")
     problem = load(file).problem
     turn = 1.0 - 0.01  # where the stop lets go
-    np.testing.assert_allclose(problem.x0[:2], [-0.5 + 1e-4, turn - 1e-4])
-    np.testing.assert_allclose(problem.cost.x_ref[-1, :2], [0.5, turn])  # a goal at an end stays there
+    np.testing.assert_allclose(problem.x0[:2], [-0.5 + START_OFFSET, turn - START_OFFSET])
+    np.testing.assert_allclose(problem.cost.x_ref[-1, :2], [0.5 - GOAL_OFFSET, turn - GOAL_OFFSET])
     assert "joint 'slide' and 1 more at a stop" in problem.recipe.parameters["resolved"]["reasons"]["stops"]
     refuse(problem_file(tmp_path, goal="{ turn = 1.02 }", text=stopped), "the goal has turn at 1.02 rad")
 
