@@ -153,8 +153,8 @@ def default_weights(
                     "none: not every joint has an actuator, and a swing must be free",
         "position": f"1 / ({STANCE_TOLERANCES:g} tolerances)^2 from the straight line: the machine stands"
                     if stands else "none on the way",
-        "final_position": held if stands and not own_end else f"{POSITION * share_of_end:g} / tolerance^2{times}{falls}",
-        "final_velocity": held if stands and not own_end else f"{VELOCITY * share_of_end:g} / tolerance^2{times}{falls}",
+        "final_position": f"{POSITION * share_of_end:g} / tolerance^2{times}{falls}" if share_of_end else held,
+        "final_velocity": f"{VELOCITY * share_of_end:g} / tolerance^2{times}{falls}" if share_of_end else held,
         "hold": f"the cost of staying at the goal for {HOLD_SECONDS:g} s" if stands else
                 "none: the machine does not stand",
         **({"rest": f"feet have to move: the machine is at its goal for the last {1.0 - MOVING_SHARE:g} of the time "

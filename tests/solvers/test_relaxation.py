@@ -11,7 +11,7 @@ import planner
 from planner import Limits, PlannerError, Problem, RigidBodyDynamics, SolverOptions, Status, TrackingCost
 from planner.proof.diagnostics import suggested_fixes
 from planner.solvers import slq
-from planner.solvers.continuation import Continuation
+from planner.solvers.continuation import FALL_ITERATIONS, Continuation
 from planner.solvers.relaxation import RelaxationStep, relax
 from planner.solvers.wider_limits import WiderLimits, at_limits, free_problem
 
@@ -194,3 +194,27 @@ def test_a_continuation_steps_back_where_a_plan_falls_off_and_ends_at_the_proble
     assert plan.success
     assert not seen[0][1]
     assert all(a > b for (a, kept), (b, _) in pairwise(seen) if kept)
+
+
+def test_a_continuation_goes_on_while_the_cost_falls_or_on_a_better_branch():
+    """Looks of a few iterations: what falls, or costs less than the plan before, is solved to its end at once."""
+    problem = swing_up(4.0, 3.0)
+    start = planner.solve(swing_up(4.0, 3.0 * np.e))
+
+    def solve(asked, motion, limit):
+        return planner.solve(asked, replace(DIRECT, max_iterations=limit), warm_start=motion)
+
+    def run(plan, look):
+        seen = []
+        Continuation(
+            lambda s: swing_up(4.0, 3.0 * np.exp(s)) if s else problem, solve, lambda plan: plan.converged,
+            lambda s, plan, kept: seen.append((s, plan.status, kept)), max_solves=1, look_iterations=look,
+        ).run(0.5, plan)  # fmt: skip
+        return seen
+
+    falls = run(start, FALL_ITERATIONS + 1)
+    assert len({s for s, *_ in falls}) == 1
+    assert falls[-1][1:] == (Status.CONVERGED, True)
+    dear = replace(start, cost=1e3 * start.cost)
+    assert [kept for *_, kept in run(start, 1)] == [False]
+    assert run(dear, 1)[-1][1:] == (Status.CONVERGED, True)

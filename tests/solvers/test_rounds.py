@@ -84,3 +84,14 @@ def test_speeds_that_a_free_plan_exceeds_take_less_than_twice_its_iterations():
         plan = solve(held)
         assert plan.status is Status.CONVERGED
         assert plan.nit <= 2 * free.nit  # 33, 24 and more beside 25; 48 and 42 where each round had a last line
+
+
+def test_short_steps_far_from_the_end_of_a_round_are_regularized():
+    """A hand in free flight, whose full steps promise much and are wrong beyond a thousandth of it.
+
+    801 iterations while what such a short step promises counted as the end of a round.
+    """
+    plan = solve(load_problem(Path(__file__).parents[2] / "benchmarks" / "moving" / "satellite-grasp.toml"))
+    assert plan.success
+    assert plan.nit < 400
+    assert max(line.regularization for line in plan.history[:12]) > 0.0
