@@ -13,6 +13,7 @@ from planner import Mechanism, RigidBodyDynamics
 from planner.cases.problem_file import load
 from planner.dynamics.step_stability import IMPLICIT, MAX_RATE_STEP, fastest_mode, implicit_error, substeps_for
 from planner.problem.goals import goals_of
+from planner.problem.joint_limits import START_OFFSET
 from planner.problem.rediscretize import finer, stage_too_long, substeps_reason
 from planner.proof.error_scales import path_error_bounds
 from planner.proof.original_model import your_file
@@ -100,7 +101,7 @@ def test_damping_that_rk4_does_not_follow_is_taken_implicitly(hand):
     assert "damping is taken implicitly" in hand.problem.recipe.parameters["resolved"]["reasons"]["substeps"]
     half = finer(hand.problem).dynamics
     assert (half.integrator, half.dt, half.substeps) == ("rosenbrock", 0.005, 16)
-    assert hand.problem.x0[1] == pytest.approx(1e-4)  # off its stop
+    assert hand.problem.x0[1] == pytest.approx(START_OFFSET)  # off its stop
 
 
 def test_such_a_plan_passes_and_comes_back_from_its_file(hand, tmp_path):

@@ -24,8 +24,8 @@ from planner.solvers.engine import CompiledEngine, _idle, acquire_engine, compil
 BOTH = {"velocity": 2.0, "control": 20.0}
 """Ranges with an open side, that of the start, and bounds of the controls."""
 
-NOT_SPOILED = compiled._READ_ONLY | {"implicit", "behind"}
-"""Arrays that solves only read, and two of the dynamics' that are zero between steps."""
+NOT_SPOILED = compiled._READ_ONLY | {"implicit", "behind", "method"}
+"""Arrays that solves only read (of the dynamics, the integrator's numbers), and two that are zero between steps."""
 
 
 # Problems
