@@ -18,8 +18,7 @@ Every weight makes its term dimensionless and about 1:
     rest            share of the duration, at the end, in which a machine whose feet have to move is to be at its goal.
                     Before, positions have no weight and velocities WAY_SHARE of theirs: it may hop, step or crawl. Its
                     effort is at least that at which the gains of the position weight are GAIN_SHARE of the stiffness
-                    of its contacts: a foot that lands early or late meets gains that its ground bears. STEP_SHARE of
-                    the final weights, beside hold, keeps a plain goal from being given up for less slip
+                    of its contacts: a foot that lands early or late meets gains that its ground bears
     slip            1 / SLIP_SPEED^2 of the speed of feet along the ground, or close to it, where feet have to move:
                     they are lifted, not dragged (problem.costs.slip)
 
@@ -67,9 +66,6 @@ MAX_CORRECTION_RATE = 60.0  # 1/s: faster gains amplify errors of the ground mod
 WAY_SHARE = 0.01  # of the velocity weights, while feet that have to move are on the way
 GAIN_SHARE = 1.0 / 3.0  # of the stiffness of the contacts: the gains' limit where feet land
 POSITION, VELOCITY = 4.0, 10.0  # final weights times the squared tolerance of the goal
-STEP_SHARE = (
-    0.25  # of the final weights, beside hold, where feet have to move: a slip of a stride costs less than a goal
-)
 SLIP_SPEED = 0.05  # m/s: of a foot on the ground, whose cost is 1; it slips by STRIDE in a second
 MIN_EFFORT = 1e-12  # lower limit of an effort weight: very large limits still leave it positive definite
 
@@ -128,9 +124,7 @@ def default_weights(
     )
     jerk_cost = max(1.0, jerk * min_jerk_cost(displacement, duration))
     falling = ballistic_dofs(mechanism, x0)
-    own_end = steps and way is None  # goals in tables have weights of their own
-    share_of_end = STEP_SHARE if own_end else float(not stands)
-    ends = jerk_cost * share_of_end * ~stationary * ~falling
+    ends = jerk_cost * (not stands) * ~stationary * ~falling
     weights = {
         "effort": effort, **({} if control is None else {"control": control}), "velocity": velocity,
         "position": stands * ~stationary / (STANCE_TOLERANCES * position) ** 2,
@@ -153,8 +147,8 @@ def default_weights(
                     "none: not every joint has an actuator, and a swing must be free",
         "position": f"1 / ({STANCE_TOLERANCES:g} tolerances)^2 from the straight line: the machine stands"
                     if stands else "none on the way",
-        "final_position": f"{POSITION * share_of_end:g} / tolerance^2{times}{falls}" if share_of_end else held,
-        "final_velocity": f"{VELOCITY * share_of_end:g} / tolerance^2{times}{falls}" if share_of_end else held,
+        "final_position": held if stands else f"{POSITION:g} / tolerance^2{times}{falls}",
+        "final_velocity": held if stands else f"{VELOCITY:g} / tolerance^2{times}{falls}",
         "hold": f"the cost of staying at the goal for {HOLD_SECONDS:g} s" if stands else
                 "none: the machine does not stand",
         **({"rest": f"feet have to move: the machine is at its goal for the last {1.0 - MOVING_SHARE:g} of the time "
