@@ -20,7 +20,7 @@ from planner.problem.problem import Problem
 from planner.problem.trajectory import Trajectory
 
 FALL_ITERATIONS, FALL_SHARE = 10, 0.02  # a solve whose cost falls by this share in so many iterations goes on
-BETTER_SHARE = 0.5  # of the cost of the plan before: a solve that is below it has found a better branch
+BETTER_SHARE = 0.5  # of the cost of the plan before: a solve that is cheaper by it has found a better branch
 
 # One solve from a trajectory, or from the problem's first guess for None, with an iteration limit.
 SolveFrom = Callable[[Problem, Trajectory | None, int], Plan]
@@ -37,7 +37,7 @@ class Continuation:
         report: Called with s, the plan of each solve and whether it was kept.
         max_solves: Limit of the solves of one call.
         look_iterations: Number of iterations after which a solve goes on only if its cost is falling, its plan meets
-            the goals, or costs less than BETTER_SHARE of the plan before it.
+            the goals, or it costs less than the plan before by BETTER_SHARE.
         max_iterations: Limit of those that it goes on with: a plan that has converged predicts the next one better.
         min_step: Smallest step of s.
         first_share: First step over s.
@@ -65,7 +65,8 @@ class Continuation:
             if s == 0.0 or step < max(self.min_step, self.min_share * s):
                 break
             to = s - step if s - step >= self.min_step else 0.0
-            found, kept = self._corrected(to, _predicted(to, s, plan, before), BETTER_SHARE * plan.cost)
+            better = plan.cost - BETTER_SHARE * abs(plan.cost)
+            found, kept = self._corrected(to, _predicted(to, s, plan, before), better)
             if kept:
                 before = (s, plan) if plan.converged else None  # a plan on its way predicts nothing
                 s, plan = to, found
@@ -81,7 +82,9 @@ class Continuation:
         """
         problem = self.problem_at(s)
         plan = self.solve(problem, guess, self.look_iterations)
-        while plan.status is Status.MAX_ITERATIONS and _is_falling(plan):
+        for _ in range(self.max_iterations // self.look_iterations):
+            if not (plan.status is Status.MAX_ITERATIONS and _is_falling(plan)):
+                break
             self.report(s, plan, True)
             plan = self.solve(problem, plan.motion, self.look_iterations)
         if plan.status is Status.MAX_ITERATIONS and (self.meets_goals(plan) or plan.cost < better):
@@ -94,7 +97,7 @@ class Continuation:
 
 def _is_falling(plan: Plan) -> bool:
     """Whether the last FALL_ITERATIONS of a solve have reduced its cost by more than FALL_SHARE of it."""
-    return plan.nit > FALL_ITERATIONS and plan.history[-FALL_ITERATIONS].cost > (1.0 + FALL_SHARE) * plan.cost
+    return plan.nit > FALL_ITERATIONS and plan.history[-FALL_ITERATIONS].cost - plan.cost > FALL_SHARE * abs(plan.cost)
 
 
 def _predicted(to: float, s: float, plan: Plan, before: tuple[float, Plan] | None) -> Trajectory:

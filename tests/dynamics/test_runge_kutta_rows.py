@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from gradients import assert_step_derivatives
 from machines import HAND_ARM
 from trees import CHAINS, actuated
 
@@ -49,18 +50,7 @@ def test_it_is_of_its_order_and_its_derivatives_are_those_of_differences(name, i
     changes = [np.abs(space.difference(a, b)).max() for a, b in zip(ends[1:], ends[:-1], strict=True)]
     assert abs(np.log2(changes[0] / changes[1]) - 2.0) < 0.2  # the next term of the error is a few percent here
 
-    A, B = (part[0] for part in dynamics.linearize(np.stack([x, x]), u[None]))
-    end, h = dynamics.step(x[None], u[None])[0], 1e-6
-
-    def slope(dx, du):
-        ahead, back = (dynamics.step(space.integrate(x, s * dx)[None], (u + s * du)[None])[0] for s in (h, -h))
-        return (space.difference(ahead, end) - space.difference(back, end)) / (2.0 * h)
-
-    by_x = np.stack([slope(e, np.zeros(dynamics.nu)) for e in np.eye(space.ndx)], axis=1)
-    by_u = np.stack([slope(np.zeros(space.ndx), e) for e in np.eye(dynamics.nu)], axis=1)
-    # central differences: h^2 of the third derivatives and rounding over h, both about 1e-10 of entries of size 1
-    np.testing.assert_allclose(A, by_x, atol=1e-7 * np.abs(A).max())
-    np.testing.assert_allclose(B, by_u, atol=1e-7 * max(1.0, np.abs(B).max()))
+    assert_step_derivatives(dynamics, x, u)
 
 
 def test_its_second_derivatives_are_differences_of_first_ones():

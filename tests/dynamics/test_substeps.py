@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from gradients import assert_step_derivatives
 from machines import FAST_FINGER
 from trees import CHAINS, actuated, driven, machines, relative_error
 
@@ -45,18 +46,7 @@ def test_derivatives_of_substeps_are_those_of_differences(name):
     m, rng = Mechanism.from_mjcf(actuated(CHAINS[name], np.random.default_rng(0))), np.random.default_rng(1)
     dynamics, space = RigidBodyDynamics(m, 0.03, substeps=3), m.space
     x, u = space.integrate(m.home, 0.3 * rng.normal(size=m.space.ndx)), rng.normal(size=m.nu)
-    A, B = (part[0] for part in dynamics.linearize(np.stack([x, x]), u[None]))
-    end, h = dynamics.step(x[None], u[None])[0], 1e-6
-
-    def slope(dx, du):
-        ahead, back = (dynamics.step(space.integrate(x, s * dx)[None], (u + s * du)[None])[0] for s in (h, -h))
-        return (space.difference(ahead, end) - space.difference(back, end)) / (2.0 * h)
-
-    by_x = np.stack([slope(e, np.zeros(m.nu)) for e in np.eye(space.ndx)], axis=1)
-    by_u = np.stack([slope(np.zeros(space.ndx), e) for e in np.eye(m.nu)], axis=1)
-    # central differences: h^2 of the third derivatives and rounding over h, both about 1e-10 of entries of size 1
-    np.testing.assert_allclose(A, by_x, atol=1e-7 * np.abs(A).max())
-    np.testing.assert_allclose(B, by_u, atol=1e-7 * max(1.0, np.abs(B).max()))
+    assert_step_derivatives(dynamics, x, u)
 
 
 def reach(substeps, N=30, dt=0.01):
