@@ -12,7 +12,7 @@ from places import ROOT
 
 import planner
 from planner.cases.problem_file import load, of_table
-from planner.cases.problem_file.keys import ATTACH, DEFAULTS, FOLLOW, GOAL, KEYS, WEIGHTS
+from planner.cases.problem_file.keys import ATTACH, DEFAULTS, FOLLOW, GOAL, KEYS, PHASE, WEIGHTS
 from planner.dynamics.quasi_static import quasi_static_controls
 from planner.dynamics.step_stability import substeps_for
 from planner.problem.initial_guess import inverse_dynamics_controls
@@ -207,7 +207,7 @@ def test_hold_leaves_integrators_and_fills_filters():
 def test_every_key_is_described_and_documented():
     page = "".join((ROOT / "docs" / name).read_text(encoding="utf-8") for name in ("own-machine.md", "tasks.md"))
     assert set(DEFAULTS) < set(KEYS)
-    for key in (*KEYS, *WEIGHTS, *GOAL, *FOLLOW, *ATTACH):
+    for key in (*KEYS, *WEIGHTS, *GOAL, *FOLLOW, *ATTACH, *PHASE):
         assert f"`{key}`" in page or f"`[{key}]`" in page, key
 
 

@@ -145,3 +145,83 @@ def test_a_machine_in_the_air_has_no_gait(straight):
     lifted[:, 2] += 1.0
     with pytest.raises(planner.PlannerError, match=r"stands on no foot"):
         gait_of("trot").motion(mechanism, lifted, dt, np.tile([-9.0, 9.0], (mechanism.nv, 1)))
+
+
+LEGS = tuple(f"{name}_shank" for name in FEET)
+DIAGONAL = ("front_left_shank", "rear_right_shank")
+
+
+def phases(*rows):
+    """Lists of tables [[phase]] of (until, stand) rows, None for no end."""
+    return [{**({} if t is None else {"until": t}), "stand": list(stand)} for t, stand in rows]
+
+
+def test_phases_say_who_stands_when(straight):
+    mechanism, rows, dt = straight
+    ranges = np.tile([-np.inf, np.inf], (mechanism.nv, 1))
+    given = phases((0.3, LEGS), (0.7, DIAGONAL), (None, LEGS))
+    rows = rows.copy()
+    rows[:, 0] = rows[0, 0] + 0.2 * (rows[:, 0] - rows[0, 0])  # 8 cm: what a leg reaches that stands all along
+    xs, said = gait_of(given).motion(mechanism, rows, dt, ranges)
+    assert said.startswith("Gait: 3 phases")
+    places = feet_of(mechanism, xs)
+    swings = places[:, :, 2] - places[0, :, 2] > 1e-4
+    t = dt * np.arange(len(xs))
+    for k, (begin, end) in enumerate([(9.0, 9.0), (0.3, 0.7), (0.3, 0.7), (9.0, 9.0)]):
+        inside = (t > begin + 0.05) & (t < end - 0.05)  # 0.05 s from its ends it is 0.2 mm up or more
+        np.testing.assert_array_equal(swings[:, k] & (t > begin) & (t < end), swings[:, k])
+        assert np.all(swings[inside, k])
+    np.testing.assert_allclose(places[-1, 1:3], feet_of(mechanism, rows)[-1, 1:3], atol=1e-4)  # those that stepped
+    np.testing.assert_allclose(places[-1, [0, 3]], places[0, [0, 3]], atol=1e-4)
+
+
+def test_a_foot_that_swings_to_the_end_stays_in_the_air(straight):
+    mechanism, rows, dt = straight
+    xs, _ = gait_of(phases((0.3, LEGS), (None, LEGS[1:]))).motion(
+        mechanism, lifted_foot(mechanism, rows), dt, np.tile([-np.inf, np.inf], (mechanism.nv, 1))
+    )
+    height = feet_of(mechanism, xs)[:, 0, 2]
+    assert np.all(np.diff(height) > -1e-4)
+    assert height[-1] - height[0] > 0.03  # the shank's turn by 0.6 rad lifts it by 0.2 m (cos a - cos(a + 0.6))
+
+
+def lifted_foot(mechanism, rows):
+    """States at which the front left knee bends by 0.6 rad more at the end."""
+    bent = np.tile(rows[0], (len(rows), 1))
+    knee = 6 + mechanism.joint_names.index("front_left_knee")  # a free joint has 7 positions
+    bent[:, knee] -= 0.6 * np.linspace(0.0, 1.0, len(rows))
+    return bent
+
+
+@pytest.mark.slow
+def test_a_step_by_phases_passes(tmp_path):
+    text = WALKING.replace("0.25", "0.2").replace("1.0\n", "1.6\n")
+    for t, stand in ((0.2, LEGS), (0.5, DIAGONAL), (0.6, LEGS), (0.9, LEGS[1:3]), (1.6, LEGS)):
+        text += f"[[phase]]\nuntil = {t}\nstand = {list(stand)}\n"
+    plan = planner.solve(loaded(tmp_path, text))
+    proof = planner.prove(plan, rollouts=0)
+    assert proof.passed, proof
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ('[[phase]]\nstand = ["shank"]\n', r"a foot that stands in \[\[phase\]\] 1 is 'shank'"),
+        ("[[phase]]\nstand = []\n[[phase]]\nstand = []\n", r"\[\[phase\]\] 1 has no `until`"),
+        ("[[phase]]\nuntil = 0.5\n", r"stand of \[\[phase\]\] 1 is None"),
+        ("[[phase]]\nuntil = 0.5\nstand = []\n", "the phases end at 0.5 s, expected times that grow to the duration"),
+        ("[[phase]]\nfrom = 0.5\nstand = []\n", r"a key of \[\[phase\]\] 1 is 'from'"),
+        ('gait = "trot"\n[[phase]]\nstand = []\n', r"gait and \[\[phase\]\], expected one of them"),
+    ],
+)
+def test_phases_that_cannot_be_meant_are_refused(tmp_path, text, message):
+    with pytest.raises(planner.PlannerError, match=message):
+        loaded(tmp_path, WALKING + text)
+
+
+def test_a_flight_that_no_work_of_the_legs_pushes_is_refused(straight):
+    """Of 15 s: v = g T / 2 = 73.6 m/s."""
+    mechanism, rows, dt = straight
+    still = np.tile(rows[0], (1501, 1))
+    with pytest.raises(planner.PlannerError, match=r"\[\[phase\]\] 1 has no foot on the ground for 15 s.* 73\.6 m/s"):
+        gait_of(phases((None, []))).motion(mechanism, still, dt, np.tile([-2.0, 2.0], (mechanism.nv, 1)))

@@ -79,6 +79,7 @@ from planner.cases.problem_file.tasks import (
     is_task,
     path_lengths,
     resolve_task,
+    steps_of,
     walking_weights,
     weights_of,
     with_files,
@@ -100,7 +101,6 @@ from planner.problem.limits import Limits
 from planner.problem.objective_problem import with_objective
 from planner.problem.problem import Problem
 from planner.problem.recipe import PROBLEM_FILE, Recipe
-from planner.problem.tasks.gait import gait_of
 from planner.problem.tasks.waypoints import WAYPOINTS
 
 NAME = PROBLEM_FILE
@@ -283,10 +283,11 @@ def _problem(
         passed = ", ".join(f"{way.task.goals[k].time:.3g}" for k in way.waypoints)
         reasons["goal"] = f"Via points without times are passed at {passed} s, in proportion to the way of the joints."
     along = None if way is None else guess_of(way, dynamics, x0)
-    if way is None and "gait" in table:
+    steps = steps_of(table)
+    if way is None and steps is not None:
         ranges = (limits or Limits(position="off")).position_ranges(dynamics)
         straight = straight_reference(dynamics, x0, goal, N)
-        rows, reasons["gait"] = gait_of(table["gait"]).motion(mechanism, straight, dynamics.dt, ranges)
+        rows, reasons["gait"] = steps.motion(mechanism, straight, dynamics.dt, ranges)
         along = ReferenceTrajectory(None, rows, direct=True, walks=True)
     elif way is not None and way.gait:
         reasons["gait"] = way.gait

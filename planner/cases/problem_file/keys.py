@@ -23,6 +23,7 @@ KEYS = {
     "follow": "table, below, or several [[follow]]: a path of a frame or of joints to keep to",
     "gait": f"{', '.join(TURNS)}, or a table of kind, stride (m, at most), duty (share of a cycle in which a foot "
     "stands), lift (m), or of feet (turns from 0 to 1 by bodies) in place of kind: which feet swing when",
+    "phase": "tables [[phase]], below, in place of gait: which feet stand when",
     "attach": "table, below, or several [[attach]]: a payload or tool at a frame of the model",
     "obstacle": "table, below, or several [[obstacle]]: a shape at rest beside the model; [avoid] keeps clear of it",
     "exclude": "list of pairs of bodies or shapes that do not touch each other, whatever the model says",
@@ -104,6 +105,10 @@ OBSTACLE = {
     "file": "of a mesh: STL, OBJ, DAE or GLB, relative to this file; its convex hull counts",
     "scale": "of a mesh: a number, or three",
     "name": "for messages; by default obstacle, or obstacle 1, obstacle 2",
+}
+PHASE = {
+    "until": "s, when it ends; the last one lasts to the end",
+    "stand": "list of the bodies that stand on the ground; other feet swing, [] for a flight",
 }
 LIMITS = {
     "control": 'bounds of the controls: "model" (ctrlrange, forcerange, actuatorfrcrange), a number, "off", or a table '

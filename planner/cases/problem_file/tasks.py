@@ -33,7 +33,7 @@ from planner.problem.limits import Limits
 from planner.problem.tasks.cost import WEIGHT, task_cost, task_goal_specs
 from planner.problem.tasks.flight import check_flight
 from planner.problem.tasks.follow import Follow, follow_of, with_points
-from planner.problem.tasks.gait import gait_of
+from planner.problem.tasks.gait import Gait, gait_of
 from planner.problem.tasks.goal import Goal, goal_of
 from planner.problem.tasks.pose_constraints import PoseConstraints
 from planner.problem.tasks.poses import Poses, is_screws, poses_of
@@ -147,11 +147,20 @@ def resolve_task(
             poses = with_via_poses(poses, free(apart.constraint.of), table["seed"])
     if RESOLVED not in table:
         check_flight(task, poses, dynamics, ranges)
-    if "gait" not in table:
+    steps = steps_of(table)
+    if steps is None:
         return ResolvedTask(task, poses, reference_states(task, poses, x0), apart, waypoints)
     rows = reference_states(task, resting(poses, 1.0 - MOVING_SHARE), x0)
-    rows, said = gait_of(table["gait"]).motion(dynamics.mechanism, rows, dynamics.dt, ranges)
+    rows, said = steps.motion(dynamics.mechanism, rows, dynamics.dt, ranges)
     return ResolvedTask(task, poses, rows, apart, waypoints, said)
+
+
+def steps_of(table: dict[str, Any]) -> Gait | None:
+    """Which feet swing when: the gait of a table, or its phases; None where it says nothing about it."""
+    given = [key for key in ("gait", "phase") if key in table]
+    if len(given) > 1:
+        raise PlannerError("there are gait and [[phase]], expected one of them: both say which feet swing when.")
+    return gait_of(table[given[0]]) if given else None
 
 
 def _of_goals(task: Task, poses: Poses) -> dict[str, np.ndarray]:
@@ -199,7 +208,9 @@ def walking_weights(found: DefaultWeights) -> DefaultWeights:
     """The default weights where a gait is what positions refer to: all the time, and not only at the end."""
     weights = {name: weight for name, weight in found.weights.items() if name != "rest"}
     reasons = {name: reason for name, reason in found.reasons.items() if name != "rest"}
-    return DefaultWeights(weights, reasons | {"position": f"1 / ({STANCE_TOLERANCES:g} tolerances)^2 from the gait"})
+    return DefaultWeights(weights, reasons | {
+        "position": f"1 / ({STANCE_TOLERANCES:g} tolerances)^2 from the gait",
+    })  # fmt: skip
 
 
 def path_lengths(dynamics: RigidBodyDynamics, rows: np.ndarray) -> np.ndarray:

@@ -80,13 +80,11 @@ def _refusal(mechanism: Mechanism, c: float, t: float, T: float, ranges: np.ndar
             f"{t:.3g} s of what stands again at {T:.3g} s: expected a lower goal, or to stand again after "
             f"{math.sqrt(8.0 * c / g):.2g} s or more with the goal half-way."
         )
-    if np.any(mechanism.stiffness) or np.any(mechanism.ball_stiffness) or c <= 0.0:
+    if c <= 0.0:
         return ""
     rising = min(t, math.sqrt(2.0 * c / g))
     needed = c / rising + 0.5 * g * rising
-    force, stroke = strongest(mechanism), np.diff(ranges, axis=1)[:, 0]
-    pushing = mechanism.directly_actuated & (force > 0.0)
-    reached = math.sqrt(2.0 * float(force[pushing] @ stroke[pushing]) / float(mechanism.mass.sum()))
+    reached = _takeoff_speed(mechanism, ranges)
     if reached >= needed:
         return ""
     return (
@@ -94,6 +92,37 @@ def _refusal(mechanism: Mechanism, c: float, t: float, T: float, ranges: np.ndar
         f"the whole ranges of their joints gives {reached:.3g} m/s at most: expected a lower goal, of at most "
         f"{0.5 * reached**2 / g:.2g} m above what it reaches from the ground, or stronger actuators."
     )
+
+
+def check_flight_time(mechanism: Mechanism, label: str, seconds: float, ranges: np.ndarray) -> None:
+    """Refuse a flight of `seconds` that the legs cannot push: v = g T / 2, where it lands as high as it leaves.
+
+    Args:
+        mechanism: The machine.
+        label: Of the flight, for the message.
+        seconds: T, without a foot on the ground.
+        ranges: (nv, 2) rad or m, of hinges and slides.
+
+    Raises:
+        PlannerError: See above.
+    """
+    g = float(np.linalg.norm(mechanism.gravity))
+    needed, reached = 0.5 * g * seconds, _takeoff_speed(mechanism, ranges)
+    if needed > reached:
+        raise PlannerError(
+            f"{label} has no foot on the ground for {seconds:.3g} s, for which the machine leaves it at {needed:.3g} "
+            f"m/s, and the work of its actuators over the whole ranges of their joints gives {reached:.3g} m/s at "
+            f"most: expected a foot that stands, or at most {2.0 * reached / g:.2g} s."
+        )
+
+
+def _takeoff_speed(mechanism: Mechanism, ranges: np.ndarray) -> float:
+    """m/s, at most, by the actuators' work over ranges (nv, 2); inf with springs, which may have stored more."""
+    if np.any(mechanism.stiffness) or np.any(mechanism.ball_stiffness):
+        return math.inf
+    force, stroke = strongest(mechanism), np.diff(ranges, axis=1)[:, 0]
+    pushing = mechanism.directly_actuated & (force > 0.0)
+    return math.sqrt(2.0 * float(force[pushing] @ stroke[pushing]) / float(mechanism.mass.sum()))
 
 
 def _missing_height(mechanism: Mechanism, targets: Sequence[Target], q: np.ndarray, ranges: np.ndarray) -> float:

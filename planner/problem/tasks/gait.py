@@ -1,4 +1,4 @@
-"""Gait: which feet swing when, and the motion of a machine that walks so, as a reference.
+"""Gait: which feet swing when, by name or by phases, and the motion of a machine that steps so, as a reference.
 
 The machine follows `rows`, a motion of the whole of it in which the feet are dragged; its legs are bent so that its
 feet step instead. In each of n cycles of T seconds a foot stands for the share `duty` and swings for the rest. Cycles
@@ -10,6 +10,9 @@ It stands where the motion has it in the middle of its stance, so that the body 
 Legged Robots That Balance, 1986), at first where it stood at the start and at last where the motion ends. On its way it
 rises by lift 64 (s (1 - s))^3, at rest at both ends. By default a slot lasts sqrt(h / g), h the height of the centre of
 mass: in that time an inverted pendulum falls away by a factor e.
+
+Phases say the times of each swing in place of these rules. A foot that is still in the air at the end goes to where the
+motion has it.
 
 Nothing enforces contacts. Weights of positions and velocities refer to this motion; the solver finds the forces, and
 when feet touch.
@@ -33,6 +36,7 @@ from planner.kernels.tree.mechanism_table import chain_of
 from planner.model.mechanism import Mechanism
 from planner.problem.costs.slip import CLEARANCE
 from planner.problem.initial_guess import minimum_jerk
+from planner.problem.tasks.flight import check_flight_time
 
 # Turns of the rear left, rear right, front left and front right foot; walk has the lateral sequence.
 TURNS = {
@@ -46,6 +50,13 @@ NEWTON = 50  # iterations of the legs' inverse kinematics
 REACHED = 1e-3  # m: of a foot from its place
 STILL = 1e-6  # m or rad and their rates: by which a motion at rest changes by rounding alone
 DAMPING = 1e-3  # m: of a singular leg, which is stretched
+
+
+class Phase(NamedTuple):
+    """A part of a motion, and who stands in it."""
+
+    until: float  # s
+    stand: tuple[str, ...]  # names of bodies; the other feet swing
 
 
 class _Foot(NamedTuple):
@@ -62,11 +73,12 @@ class Gait:
     """A gait.
 
     Attributes:
-        kind: One of TURNS, for machines of four feet; None with `feet`.
+        kind: One of TURNS, for machines of four feet; None with `feet` or `phases`.
         feet: Turns by the names of bodies, 0 to 1: when in a cycle each begins to swing.
         duty: Share of a cycle in which a foot stands; by default feet of two turns overlap by OVERLAP of a slot.
         stride: m, at most, of the motion in a cycle; by default a slot lasts sqrt(h / g).
         lift: m, of a swinging foot; by default a fifth of the height of the centre of mass, at most CLEARANCE.
+        phases: One after another, in place of turns; the last lasts to the end of the motion.
     """
 
     kind: str | None = None
@@ -74,6 +86,7 @@ class Gait:
     duty: float | None = None
     stride: float | None = None
     lift: float | None = None
+    phases: tuple[Phase, ...] = ()
 
     def motion(self, mechanism: Mechanism, rows: np.ndarray, dt: float, ranges: np.ndarray) -> tuple[np.ndarray, str]:
         """The states (N+1, nx) of the gait along a motion `rows` (N+1, nx), and a sentence about it.
@@ -93,10 +106,35 @@ class Gait:
             raise PlannerError("the machine stands on no foot at the start, expected one on the ground, or no gait.")
         links, points = np.array([foot.link for foot in standing]), np.array([foot.point for foot in standing])
         dragged = points_of(mechanism, rows[:, :nq], links, points, moving=False)[0]
-        turns = self._turns(standing, dragged)
         normals = np.array([foot.normal for foot in standing])
-        slots, moving = len(np.unique(turns)), dt * _last_change(rows)
         h = float(normals[0] @ (center_of_mass(mechanism, rows[0, :nq]) - dragged[0].mean(axis=0)))
+        lift = min(CLEARANCE, 0.2 * h) if self.lift is None else self.lift
+        if self.phases:
+            swings, said = self._swings_of_phases(standing, dt * (len(rows) - 1))
+            for k, (begin, phase) in enumerate(zip(self._begins, self.phases, strict=True), 1):
+                if not phase.stand:
+                    end = min(phase.until, dt * (len(rows) - 1))
+                    check_flight_time(mechanism, f"[[phase]] {k}", end - begin, ranges)
+        else:
+            swings, said = self._swings_of_turns(mechanism, standing, dragged, dt * _last_change(rows), h)
+        places = _stepping(dragged, normals, swings, lift, dt)
+        q = _with_legs(mechanism, rows[:, :nq], standing, places, ranges)
+        xs = rows.copy()
+        xs[:, :nq] = q
+        xs[1:-1, nq : nq + nv] = space.difference(xs[2:], xs[:-2])[:, :nv] / (2.0 * dt)
+        return xs, f"Gait: {said}, steps of up to {_longest(places):.2g} m, feet lifted by {lift:.2g} m."
+
+    @property
+    def _begins(self) -> list[float]:
+        """s, when each phase begins."""
+        return [0.0, *(phase.until for phase in self.phases[:-1])]
+
+    def _swings_of_turns(
+        self, mechanism: Mechanism, standing: list[_Foot], dragged: np.ndarray, moving: float, h: float
+    ) -> tuple[list[list[tuple[float, float]]], str]:
+        """Begin and end of each foot's swings, s, in `moving` s, by a centre of mass h m high; and words about them."""
+        turns = self._turns(standing, dragged)
+        slots = len(np.unique(turns))
         duty = 1.0 - (1.0 - OVERLAP) / slots if self.duty is None else self.duty
         lead = max(0.0, 1.0 / slots - (1.0 - duty))
         distance = float(np.linalg.norm(np.diff(dragged, axis=0), axis=2).sum(axis=0).max())
@@ -106,17 +144,31 @@ class Gait:
         )
         cycles = max(1, cycles)
         T = moving / (cycles - 1 + lead + float(turns.max()) + 1.0 - duty)
-        lift = min(CLEARANCE, 0.2 * h) if self.lift is None else self.lift
-        swings = T * (np.arange(cycles)[:, None] + lead + turns)  # (cycles, feet): when they begin, s
-        places = _stepping(dragged, normals, swings, (1.0 - duty) * T, lift, dt)
-        q = _with_legs(mechanism, rows[:, :nq], standing, places, ranges)
-        xs = rows.copy()
-        xs[:, :nq] = q
-        xs[1:-1, nq : nq + nv] = space.difference(xs[2:], xs[:-2])[:, :nv] / (2.0 * dt)
-        return xs, (
-            f"Gait: {cycles} cycles of {T:.3g} s, steps of up to {_longest(places):.2g} m, feet lifted by {lift:.2g} m "
-            f"and standing for {duty:.2g} of the time."
-        )
+        begins = T * (np.arange(cycles)[:, None] + lead + turns)  # (cycles, feet) s
+        swings = [[(float(t), float(t + (1.0 - duty) * T)) for t in column] for column in begins.T]
+        return swings, f"{cycles} cycles of {T:.3g} s, feet standing for {duty:.2g} of the time"
+
+    def _swings_of_phases(
+        self, standing: list[_Foot], duration: float
+    ) -> tuple[list[list[tuple[float, float]]], str]:  # fmt: skip
+        """Begin and end of each foot's swings, s, by the phases; and words about them."""
+        names = [foot.name for foot in standing]
+        for k, phase in enumerate(self.phases, 1):
+            for name in phase.stand:
+                choice(f"a foot that stands in [[phase]] {k}", name, names)
+        ends = [*self._begins[1:], min(self.phases[-1].until, duration)]
+        if ends[-1] < duration or np.any(np.diff([0.0, *ends]) <= 0.0):
+            raise PlannerError(
+                f"the phases end at {', '.join(f'{t:g}' for t in ends)} s, expected times that grow to the duration, "
+                f"{duration:g} s, or no `until` in the last phase."
+            )
+        swings = []
+        for name in names:
+            up = [j for j, phase in enumerate(self.phases) if name not in phase.stand]
+            runs = [(j, next(i for i in range(j, len(ends) + 1) if i not in up)) for j in up if j - 1 not in up]
+            landings = [*ends[:-1], math.inf]
+            swings.append([(self._begins[first], landings[after - 1]) for first, after in runs])
+        return swings, f"{len(ends)} phases"
 
     def _turns(self, standing: list[_Foot], dragged: np.ndarray) -> np.ndarray:
         """(F,) the turn of each standing foot."""
@@ -146,11 +198,13 @@ class Gait:
 
 
 def gait_of(value: Any) -> Gait:
-    """A Gait from the name of one, or from a table of its attributes.
+    """A Gait from the name of one, from a table of its attributes, or from a list of tables of phases.
 
     Raises:
         PlannerError: Another type, an unknown name or key, or a number out of range.
     """
+    if isinstance(value, list):
+        return Gait(phases=tuple(_phase(table, k, len(value)) for k, table in enumerate(value, 1)))
     table: Any = {"kind": value} if isinstance(value, str) else value
     keys = ("kind", "feet", "duty", "stride", "lift")
     if not isinstance(table, Mapping):
@@ -172,6 +226,22 @@ def gait_of(value: Any) -> Gait:
     return Gait(**given)
 
 
+def _phase(table: Any, k: int, of: int) -> Phase:
+    """Phase k of a list, from its table."""
+    where = f"[[phase]] {k}"
+    if not isinstance(table, Mapping):
+        raise PlannerError(f"{where} is {short_repr(table)}, expected a table of until and stand.")
+    for key in table:
+        choice(f"a key of {where}", key, ("until", "stand"))
+    stand = table.get("stand")
+    if not isinstance(stand, (list, tuple)) or not all(isinstance(name, str) for name in stand):
+        raise PlannerError(f"stand of {where} is {short_repr(stand)}, expected names of bodies, [] for none.")
+    if "until" not in table and k < of:
+        raise PlannerError(f"{where} has no `until`, expected the time of its end, s; only the last needs none.")
+    until = number(f"until of {where}", table["until"], greater_than=0.0) if "until" in table else math.inf
+    return Phase(until, tuple(stand))
+
+
 def _standing(mechanism: Mechanism, x: np.ndarray) -> list[_Foot]:
     """The bodies that bear load at a state (nx,)."""
     forces = contact_forces(mechanism, x[: mechanism.nq], np.zeros(mechanism.nv)).forces
@@ -191,15 +261,14 @@ def _last_change(rows: np.ndarray) -> int:
 
 
 def _stepping(
-    dragged: np.ndarray, normals: np.ndarray, swings: np.ndarray, lasting: float, lift: float, dt: float
+    dragged: np.ndarray, normals: np.ndarray, swings: list[list[tuple[float, float]]], lift: float, dt: float
 ) -> np.ndarray:  # fmt: skip
     """(N+1, F, 3) m, feet that stand and swing along where they are dragged.
 
     Args:
         dragged: (N+1, F, 3) m.
         normals: (F, 3) of the ground, along which feet stay as high as at the start.
-        swings: (cycles, F) s, when swings begin.
-        lasting: s, of a swing.
+        swings: Of each foot, s, when swings begin and end; inf for one that ends in the air.
         lift: m.
         dt: s.
     """
@@ -208,13 +277,17 @@ def _stepping(
     for k, n in enumerate(normals):
         level = dragged[:, k] - np.outer((dragged[:, k] - dragged[0, k]) @ n, n)
         here = level[0]
-        for begin, following in zip(swings[:, k], [*swings[1:, k], np.inf], strict=True):
-            middle = min(0.5 * (begin + lasting + following), t[-1])
+        following = [*(begin for begin, _ in swings[k]), np.inf][1:]
+        for (begin, end), then in zip(swings[k], following, strict=True):
+            middle = min(0.5 * (end + then), t[-1])
             there = np.array([np.interp(middle, t, level[:, axis]) for axis in range(3)])
+            if end == math.inf:
+                there = dragged[-1, k]
             after = t > begin
-            s = np.minimum((t[after] - begin) / lasting, 1.0)
+            s = np.minimum((t[after] - begin) / (min(end, t[-1]) - begin), 1.0)
             places[after, k] = here + minimum_jerk(s)[0][:, None] * (there - here)
-            places[after, k] += lift * 64.0 * ((s * (1.0 - s)) ** 3)[:, None] * n
+            if end < math.inf:
+                places[after, k] += lift * 64.0 * ((s * (1.0 - s)) ** 3)[:, None] * n
             here = there
     return places
 
