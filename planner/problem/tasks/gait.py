@@ -64,7 +64,7 @@ class _Foot(NamedTuple):
 
     name: str
     link: int
-    point: np.ndarray  # (3,) m, the middle of its loaded contacts in the link's frame
+    points: np.ndarray  # (K, 3) m, its loaded contacts in the link's frame: of a sole its corners
     normal: np.ndarray  # (3,) of the ground
 
 
@@ -104,10 +104,11 @@ class Gait:
         standing = _standing(mechanism, rows[0])
         if not standing:
             raise PlannerError("the machine stands on no foot at the start, expected one on the ground, or no gait.")
-        links, points = np.array([foot.link for foot in standing]), np.array([foot.point for foot in standing])
-        dragged = points_of(mechanism, rows[:, :nq], links, points, moving=False)[0]
+        dragged = _points_of(mechanism, rows[:, :nq], standing)[0]
+        firsts = np.cumsum([0, *(len(foot.points) for foot in standing[:-1])])
+        feet = np.stack([part.mean(axis=1) for part in np.split(dragged, firsts[1:], axis=1)], axis=1)
         normals = np.array([foot.normal for foot in standing])
-        h = float(normals[0] @ (center_of_mass(mechanism, rows[0, :nq]) - dragged[0].mean(axis=0)))
+        h = float(normals[0] @ (center_of_mass(mechanism, rows[0, :nq]) - feet[0].mean(axis=0)))
         lift = min(CLEARANCE, 0.2 * h) if self.lift is None else self.lift
         if self.phases:
             swings, said = self._swings_of_phases(standing, dt * (len(rows) - 1))
@@ -116,8 +117,9 @@ class Gait:
                     end = min(phase.until, dt * (len(rows) - 1))
                     check_flight_time(mechanism, f"[[phase]] {k}", end - begin, ranges)
         else:
-            swings, said = self._swings_of_turns(mechanism, standing, dragged, dt * _last_change(rows), h)
-        places = _stepping(dragged, normals, swings, lift, dt)
+            swings, said = self._swings_of_turns(mechanism, standing, feet, dt * _last_change(rows), h)
+        of_foot = np.repeat(np.arange(len(standing)), [len(foot.points) for foot in standing])
+        places = _stepping(dragged, normals[of_foot], [swings[k] for k in of_foot], lift, dt)
         q = _with_legs(mechanism, rows[:, :nq], standing, places, ranges)
         xs = rows.copy()
         xs[:, :nq] = q
@@ -250,8 +252,14 @@ def _standing(mechanism: Mechanism, x: np.ndarray) -> list[_Foot]:
     for link in dict.fromkeys(one.link for one in loaded):
         own = [one for one in loaded if one.link == link]
         name = next((mechanism.body_names[k] for k, body in enumerate(mechanism.bodies) if body.link == link), "")
-        feet.append(_Foot(name, link, np.mean([one.centre for one in own], axis=0), np.array(own[0].plane.normal)))
+        feet.append(_Foot(name, link, np.array([one.centre for one in own]), np.array(own[0].plane.normal)))
     return feet
+
+
+def _points_of(mechanism: Mechanism, q: np.ndarray, feet: list[_Foot]) -> tuple[np.ndarray, np.ndarray]:
+    """Places (N, K, 3) m of the feet's points at configurations q (N, nq), and Jacobians (N, K, 3, nv)."""
+    links = np.repeat([foot.link for foot in feet], [len(foot.points) for foot in feet])
+    return points_of(mechanism, q, links, np.vstack([foot.points for foot in feet]))
 
 
 def _last_change(rows: np.ndarray) -> int:
@@ -302,29 +310,29 @@ def _longest(places: np.ndarray) -> float:
 def _with_legs(
     mechanism: Mechanism, q: np.ndarray, feet: list[_Foot], places: np.ndarray, ranges: np.ndarray
 ) -> np.ndarray:  # fmt: skip
-    """Configurations (N+1, nq) with feet at places (N+1, F, 3), m, by Newton steps of the legs from q (N+1, nq)."""
+    """Configurations (N+1, nq) with the feet's points at places (N+1, K, 3), m, by Newton steps of the legs from q."""
     if mechanism.reduction is not None or mechanism.has_closed_chains:
         raise PlannerError("gait is for legs without closed chains and coupled joints, expected a [[goal]] without it.")
     legs = np.zeros(mechanism.nv, dtype=bool)
     for foot in feet:
         legs[chain_of(mechanism.parent, foot.link)] = True
     own = np.flatnonzero(legs & mechanism.directly_actuated)
-    links, points, at = np.array([f.link for f in feet]), np.array([f.point for f in feet]), mechanism.q_address[own]
-    q, F = q.copy(), len(feet)
+    at = mechanism.q_address[own]
+    q, K = q.copy(), places.shape[1]
     for _ in range(NEWTON):
-        here, J = points_of(mechanism, q, links, points)
-        away = (places - here).reshape(len(q), 3 * F)
+        here, J = _points_of(mechanism, q, feet)
+        away = (places - here).reshape(len(q), 3 * K)
         if np.abs(away).max() < 0.01 * REACHED:
             break
-        J = J.reshape(len(q), 3 * F, mechanism.nv)[:, :, own]
-        damped = J @ np.swapaxes(J, 1, 2) + DAMPING**2 * np.eye(3 * F)
+        J = J.reshape(len(q), 3 * K, mechanism.nv)[:, :, own]
+        damped = J @ np.swapaxes(J, 1, 2) + DAMPING**2 * np.eye(3 * K)
         step = np.swapaxes(J, 1, 2) @ np.linalg.solve(damped, away[:, :, None])
         q[:, at] = np.clip(q[:, at] + step[:, :, 0], *ranges[own].T)
-    errors = np.linalg.norm((places - points_of(mechanism, q, links, points, moving=False)[0]), axis=2)
+    errors = np.linalg.norm((places - _points_of(mechanism, q, feet)[0]), axis=2)
     if errors.max() > REACHED:
-        k = int(errors.max(axis=0).argmax())
+        names, worst = [foot.name for foot in feet for _ in foot.points], int(errors.max(axis=0).argmax())
         raise PlannerError(
-            f"the gait takes {feet[k].name} {errors.max():.2g} m further than its leg reaches within its ranges: "
+            f"the gait takes {names[worst]} {errors.max():.2g} m further than its leg reaches within its ranges: "
             "expected a smaller stride or lift, a lower trunk, or a longer duration."
         )
     return q
