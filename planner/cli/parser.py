@@ -183,7 +183,10 @@ def _report(parser: argparse.ArgumentParser) -> None:
         _PLAN,
         NO_VIDEO,
         LOOKS,
-        {"--out": value_flag("DIR", "Folder of the results.", "report")},
+        {
+            "--out": value_flag("DIR", "Folder of the results.", "report"),
+            "--files": boolean_flag("Only list what is packed into the plan; prove and write nothing."),
+        },
         PROOF,
         IMPORTS,
         COMMON,

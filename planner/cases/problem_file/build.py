@@ -238,7 +238,10 @@ def _problem(
     for key in (*REQUIRED, *(() if "follow" in table else ("goal",))):
         if key not in table:
             wanted = "a number of seconds" if key == "duration" else states_of(mechanism)
-            wanted += "; start = {} is the pose of the model" if key == "start" else ""
+            if key == "start":
+                wanted += (
+                    ": as drawn, the machine is outside of a range or overlaps; `planner model FILE --write` has one"
+                )
             more = ", or tables [[goal]] or [follow] for its frames" if key == "goal" else ""
             raise PlannerError(f"{where} has no key {key!r}, expected {wanted}{more}.")
     tasked = is_task(table, mechanism)
