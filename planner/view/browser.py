@@ -17,6 +17,7 @@ import numpy as np
 from planner.base.errors import PlannerError
 from planner.base.gl import load_mujoco
 from planner.cases.problem_file.states import state_of
+from planner.dynamics import RigidBodyDynamics
 from planner.problem.plan import Plan
 from planner.problem.recipe import PROBLEM_FILE
 from planner.proof import prove
@@ -108,6 +109,7 @@ def _changeable(plan: Plan) -> dict[str, Any]:
         return {}
     goal = copy.deepcopy(given["goal"])
     if isinstance(goal, str) or (goal and isinstance(goal, list) and not isinstance(goal[0], dict)):  # a whole pose
+        assert isinstance(plan.problem.dynamics, RigidBodyDynamics)  # as of every problem file
         mechanism = plan.problem.dynamics.mechanism
         x = state_of("goal", goal, mechanism, plan.problem.x0)
         if all(mechanism.joint_names):
