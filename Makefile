@@ -41,7 +41,7 @@ linkcheck: ## check every link: files, headings, and pages of others (none so fa
 
 gallery: setup ## make the committed pictures and videos again
 	@mkdir -p $(GALLERY)
-	@for case in hopper two-link acrobot puma high-dive human-step lander monopod pusher quadrotor quadruped satellite; do \
+	@for case in hopper two-link acrobot puma high-dive human-step; do \
 	    $(PLANNER) run $$case --out renders/$$case && \
 	    cp renders/$$case/video.mp4 $(GALLERY)/$$case.mp4 && \
 	    cp renders/$$case/strip.png $(GALLERY)/$$case.strip.png && \
@@ -51,7 +51,11 @@ gallery: setup ## make the committed pictures and videos again
 	@for name in poses measures paths; do \
 	    cp renders/human-step/$$name.png $(GALLERY)/human-step.$$name.png || exit 1; \
 	done
-	@$(PYTHON) examples/montage.py $(GALLERY)
+	@for film in quadruped quadrotor examples/tasks/around_a_post.toml; do \
+	    name=$$(basename $$film .toml | tr _ -) && $(PLANNER) run $$film --out renders/$$name && \
+	    cp renders/$$name/video.mp4 $(GALLERY)/$$name.mp4 || exit 1; \
+	done
+	@$(PYTHON) examples/montage.py renders $(GALLERY)/planner.gif
 	$(PYTHON) docs/figures/draw.py
 	$(PYTHON) docs/figures/gallery.py
 	$(PLANNER) paper --full

@@ -183,7 +183,10 @@ def _report(parser: argparse.ArgumentParser) -> None:
         _PLAN,
         NO_VIDEO,
         LOOKS,
-        {"--out": value_flag("DIR", "Folder of the results.", "report")},
+        {
+            "--out": value_flag("DIR", "Folder of the results.", "report"),
+            "--files": boolean_flag("Only list what is packed into the plan; prove and write nothing."),
+        },
         PROOF,
         IMPORTS,
         COMMON,
@@ -321,6 +324,11 @@ def check_inputs(arguments: argparse.Namespace) -> None:
             check_confined(path, what)
             if not os.path.exists(path):
                 read_input(path, what)  # which says why it is not there
+    plan = getattr(arguments, "plan", None)
+    if isinstance(plan, str) and not os.path.exists(plan):
+        from planner.problem.archive import opened  # local: a third of a second
+
+        opened(Path(plan)).close()  # it says so, too, but for a plan within an archive of many
 
 
 def print_completion(arguments: argparse.Namespace, console: Console) -> int:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import json
 from contextlib import ExitStack
 from pathlib import Path
 
@@ -16,6 +17,7 @@ from planner.cli.parser import FORMATS
 from planner.problem.archive import plan_digest
 from planner.problem.export.joint_trajectory import left_out
 from planner.problem.export.sampled import sampled
+from planner.problem.plan import Plan
 from planner.proof import Proof, prove
 from planner.proof.diagnostics import suggested_fixes
 
@@ -76,6 +78,10 @@ def report_plan(arguments: argparse.Namespace, console: Console) -> int:
     from planner.cli.showing import show_proof
 
     plan = load_allowed(arguments.plan, arguments)
+    if arguments.files:
+        packed = {name: len(content) for name, content in _packed(plan).items()}
+        console.table(("packed into the plan", "bytes"), [(name, str(size)) for name, size in packed.items()])
+        return console.finish("report", 0, files=packed)
     looks = checked_looks(arguments, plan.twin)
     with staged_folder(arguments.out, OUTPUTS) as staged, ExitStack() as drawing:
         proof, films = None, None
@@ -94,6 +100,17 @@ def report_plan(arguments: argparse.Namespace, console: Console) -> int:
     console.write_result(f"\n{Path(arguments.out) / 'report.html'}")
     passed = plan.success and proof is not None and proof.passed
     return console.finish("report", 0 if passed else 1, folder=arguments.out)
+
+
+def _packed(plan: Plan) -> dict[str, bytes]:
+    """What a plan holds of other files, by name: the task with tables that it named, the models, what these name."""
+    packed: dict[str, bytes] = {}
+    if plan.recipe is not None:
+        packed[f"task: {plan.recipe.name}"] = json.dumps(plan.recipe.parameters).encode()
+    if plan.twin is not None:
+        texts = {"model, as planned": plan.twin.mjcf, "model, as given": plan.twin.original}
+        packed |= {name: text.encode() for name, text in texts.items() if text} | plan.twin.assets
+    return packed
 
 
 def export_plan(arguments: argparse.Namespace, console: Console) -> int:

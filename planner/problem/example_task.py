@@ -10,6 +10,7 @@ import numpy as np
 from planner.dynamics.algorithms import bias, bias_derivatives, mass_matrix
 from planner.model.mechanism import SCREW, Mechanism
 from planner.model.mjcf.facts import Record, free_bases, overlaps
+from planner.model.mjcf.model_index import compile_model
 from planner.problem.model_lint import holding, within
 
 _WAY = 0.15  # displacement of a joint, as a share of its range
@@ -53,6 +54,35 @@ def example_task(model: Any, mechanism: Mechanism, joints: list[Record]) -> Exam
     return ExampleTask(keyframe, start, {} if keyframe else displaced, goal, _duration(mechanism, start, goal))
 
 
+def start_of_model(mechanism: Mechanism) -> str | dict[str, float] | None:
+    """The start of a problem that names none: a keyframe within all ranges, else {}, as the file draws the machine.
+
+    None where that pose is outside of a range, or moving bodies overlap in it.
+    """
+    if name := keyframe_within_ranges(mechanism):
+        return name
+    model = compile_model(mechanism.original or mechanism.mjcf, mechanism.assets)
+    return {} if _within_ranges(mechanism, mechanism.qpos0) and not _overlap(model, mechanism.qpos0) else None
+
+
+def keyframe_within_ranges(mechanism: Mechanism) -> str:
+    """The keyframe "home" within all ranges of joints, else the first one that is; "" for none."""
+    names = sorted(mechanism.keyframes, key=lambda name: name != "home")  # the others stay in the file's order
+    return next((name for name in names if _within_ranges(mechanism, mechanism.keyframes[name])), "")
+
+
+def _within_ranges(mechanism: Mechanism, x: np.ndarray) -> bool:
+    """Whether the hinges and slides of a state (nx,) or positions (nq,) are within their ranges."""
+    single = mechanism.kind == SCREW
+    q, (low, high) = x[mechanism.q_address[single]], mechanism.joint_range[single].T
+    return bool(np.all(within(q, low, high)))
+
+
+def _overlap(model: Any, pose: np.ndarray) -> bool:
+    """Whether bodies that move are within each other at a pose (nq,)."""
+    return any("world" not in one.bodies for one in overlaps(model, pose))
+
+
 def actuated_joints(mechanism: Mechanism) -> list[int]:
     """Numbers of the hinges and slides with an actuator; of all hinges and slides if there is no actuator."""
     reached = mechanism.directly_actuated | (mechanism.nu == 0)
@@ -92,15 +122,13 @@ def _off_tendons(
 
 
 def _start(model: Any, mechanism: Mechanism, joints: list[Record]) -> tuple[str, np.ndarray]:
-    """Name and positions (nq,) of the first keyframe within all ranges; else "" and a pose within them.
+    """Name and positions (nq,) of a keyframe within all ranges; else "" and a pose within them.
 
     The pose is the first on the line from qpos0 to the middle of the ranges in which no moving bodies overlap; qpos0,
     clipped to the ranges, if there is none or the base is free.
     """
-    for name, x in mechanism.keyframes.items():
-        if all(low <= x[one["position"]] <= high for one in joints for low, high in [one["range"] or (-np.inf, np.inf)]
-               if one["unit"]):  # fmt: skip
-            return name, x[: mechanism.nq].copy()
+    if name := keyframe_within_ranges(mechanism):
+        return name, mechanism.keyframes[name][: mechanism.nq].copy()
     own, middle = np.array(model.qpos0), np.array(model.qpos0)
     for one in joints:
         if one["range"] is not None and one["unit"]:
@@ -113,7 +141,7 @@ def _start(model: Any, mechanism: Mechanism, joints: list[Record]) -> tuple[str,
         return "", own
     for part in _TO_THE_MIDDLE:
         start = own if part == 0.0 else np.array([_short(x) for x in own + part * (middle - own)])
-        if not any("world" not in one.bodies for one in overlaps(model, start)):
+        if not _overlap(model, start):
             return "", start
     return "", own
 

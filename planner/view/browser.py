@@ -9,13 +9,17 @@ import time
 from collections.abc import Callable
 from contextlib import redirect_stdout
 from importlib import import_module
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
 
 from planner.base.errors import PlannerError
 from planner.base.gl import load_mujoco
+from planner.cases.problem_file.states import state_of
+from planner.dynamics import RigidBodyDynamics
 from planner.problem.plan import Plan
+from planner.problem.recipe import PROBLEM_FILE
 from planner.proof import prove
 from planner.proof.replays.compiled_twin import CompiledTwin
 from planner.proof.replays.replaying import replay_in
@@ -37,16 +41,17 @@ class Replanner:
     """Plans for the newest goals from the plan before, and proves that plan if no newer ones were given meanwhile.
 
     Attributes:
-        goals: What can be changed, by name: positions (3,) of frames, m, or values of joints, rad or m.
+        goals: What can be changed, by name: positions (3,) of frames, m, joints, rad or m, or numbers of a case.
         replay: Of the newest plan.
         words: What is known of it, or why there is none for these goals.
     """
 
     def __init__(self, plan: Plan) -> None:
-        """Take a plan, whose problem has a twin; without a `goal` in its recipe nothing can be changed."""
+        """Take a plan, whose problem has a twin; without a recipe nothing can be changed."""
         self._plan, self._took, self._ended = plan, "", False
-        self._goal = copy.deepcopy(plan.parameters.get("goal"))
-        self._slots = _slots(self._goal)
+        self._asked = _changeable(plan)
+        self._planned = copy.deepcopy(self._asked)
+        self._slots = _slots(self._asked.get("goal", self._asked))
         self.goals: dict[str, Any] = {name: table[key] for name, (table, key) in self._slots.items()}
         self._changed = threading.Event()
         self._changed.set()  # the first plan is to be proved
@@ -74,13 +79,13 @@ class Replanner:
 
     def step(self) -> None:
         """Plan for the goals as they are now, unless the plan is, then prove it."""
-        began, goal = time.monotonic(), copy.deepcopy(self._goal)
-        if goal != self._plan.parameters.get("goal"):
+        began, asked = time.monotonic(), copy.deepcopy(self._asked)
+        if asked != self._planned:
             assert self._plan.recipe is not None
-            plan = solve(self._plan.recipe.rebuilt(goal=goal), warm_start=self._plan)
+            plan = solve(self._plan.recipe.rebuilt(**asked), warm_start=self._plan)
             if not np.isfinite(plan.xs).all():
                 raise PlannerError(plan.message)
-            self._plan = plan
+            self._plan, self._planned = plan, asked
             self._took = f" Planned in {1e3 * (time.monotonic() - began):.0f} ms."
             self._show()
         if not self._changed.is_set():
@@ -91,6 +96,28 @@ class Replanner:
         assert self._plan.twin is not None
         self.replay = replay_in(CompiledTwin(self._plan.twin), self._plan, feedback=True)
         self.words = f"{self._plan.status.name}, not proved yet.{self._took}"
+
+
+def _changeable(plan: Plan) -> dict[str, Any]:
+    """Parameters of a plan's recipe that may change: a problem file's goal, where it has one; the numbers of a case."""
+    if plan.recipe is None or plan.problem is None:
+        return {}
+    given = plan.parameters
+    if plan.recipe.name != PROBLEM_FILE:
+        return {name: value for name, value in given.items() if isinstance(value, float)}
+    if "goal" not in given:
+        return {}
+    goal = copy.deepcopy(given["goal"])
+    if isinstance(goal, str) or (goal and isinstance(goal, list) and not isinstance(goal[0], dict)):  # a whole pose
+        assert isinstance(plan.problem.dynamics, RigidBodyDynamics)  # as of every problem file
+        mechanism = plan.problem.dynamics.mechanism
+        x = state_of("goal", goal, mechanism, plan.problem.x0)
+        if all(mechanism.joint_names):
+            ends = np.append([mechanism.q_address[links.start] for links in mechanism.joint_links], mechanism.nq)
+            values = [x[first:last].tolist() for first, last in pairwise(ends)]
+            pairs = zip(mechanism.joint_names, values, strict=True)
+            goal = {name: value[0] if len(value) == 1 else value for name, value in pairs}
+    return {"goal": goal}
 
 
 def _slots(goal: Any, prefix: str = "") -> dict[str, tuple[dict[str, Any], str]]:

@@ -13,8 +13,11 @@ from places import ROOT
 import planner
 from planner.cases.problem_file import load, of_table
 from planner.cases.problem_file.keys import ATTACH, DEFAULTS, FOLLOW, GOAL, KEYS, PHASE, WEIGHTS
+from planner.cases.problem_file.starter_file import write_first_problem
 from planner.dynamics.quasi_static import quasi_static_controls
 from planner.dynamics.step_stability import substeps_for
+from planner.model.mjcf.model_file import open_model_file
+from planner.problem.description import describe
 from planner.problem.initial_guess import inverse_dynamics_controls
 from planner.problem.rediscretize import finer
 
@@ -202,6 +205,39 @@ def test_hold_leaves_integrators_and_fills_filters():
     assert 4.0 * x[5] == pytest.approx(held)
     with pytest.raises(planner.PlannerError, match="fully actuated"):
         inverse_dynamics_controls(servos, *np.zeros((3, 5, 2)))
+
+
+HINGE = """<mujoco><compiler angle="radian"/><worldbody>
+  <body><joint name="hinge" axis="0 1 0" range="{range}" limited="true"/>
+    <geom type="capsule" fromto="0 0 0 .5 0 0" size=".02"/></body>{more}
+  </worldbody><actuator><motor joint="hinge"/></actuator>{keyframes}</mujoco>"""
+TWO_POSES = '<keyframe><key name="folded" qpos="1"/><key name="home" qpos="{}"/></keyframe>'
+IN_THE_WAY = '<body pos=".3 0 0"><joint name="other" axis="0 0 1"/><geom size=".1"/></body>'
+
+
+@pytest.mark.parametrize(
+    ("range", "more", "keyframes", "start"),
+    [
+        ("-2 2", "", TWO_POSES.format(0.5), 0.5),
+        ("-2 2", "", TWO_POSES.format(3.0), 1.0),
+        ("-2 2", "", "", 0.0),
+        ("0.2 2", "", "", None),
+        ("-2 2", IN_THE_WAY, "", None),
+    ],
+    ids=["home", "home is out of range, the first is not", "as it is drawn", "drawn out of range", "drawn overlapping"],
+)
+def test_a_start_that_nobody_names_is_the_models_and_said(tmp_path, range, more, keyframes, start):
+    model, path = tmp_path / "hinge.xml", tmp_path / "hinge.toml"
+    model.write_text(HINGE.format(range=range, more=more, keyframes=keyframes), encoding="utf-8")
+    path.write_text('model = "hinge.xml"\ngoal = { hinge = 1.5 }\nduration = 1.0\n', encoding="utf-8")
+    if start is None:
+        refuse(path, "no key 'start'", "as drawn, the machine is outside of a range or overlaps")
+        return
+    found = load(path)
+    assert found.problem.x0[0] == start
+    assert any(note.startswith("start is ") for note in found.notes)
+    file = open_model_file(model)
+    assert load(write_first_problem(tmp_path / "first.toml", model, file, describe(file))).problem.x0[0] == start
 
 
 def test_every_key_is_described_and_documented():

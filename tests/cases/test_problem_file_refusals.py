@@ -16,7 +16,6 @@ from planner.problem.goals import goals_of
     [
         ({"gaol": "1"}, ("key 'gaol'", "Did you mean 'goal'", "duration")),
         ({"model": None}, ("no key 'model'",)),
-        ({"start": None}, ("no key 'start'", "left, right", "slider, pole")),
         ({"goal": None}, ("no key 'goal'", "2 or 4 numbers")),
         ({"duration": None}, ("no key 'duration'", "seconds")),
         ({"model": '"no.xml"'}, ("no.xml",)),

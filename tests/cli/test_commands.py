@@ -153,6 +153,26 @@ def test_a_stored_plan_is_proved_and_reported(finished, tmp_path):
     assert (tmp_path / "r" / "report.html").is_file()
 
 
+def test_what_is_packed_into_a_plan_is_listed_and_nothing_is_written(tmp_path):
+    wedge = "v 0 0 0\nv .1 0 0\nv 0 .1 0\nv 0 0 .1\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n"
+    (tmp_path / "wedge.obj").write_text(wedge)
+    model = """<mujoco><asset><mesh name="wedge" file="wedge.obj"/></asset><worldbody><body>
+      <joint name="hinge" axis="0 1 0"/><geom type="mesh" mesh="wedge" mass="1"/></body></worldbody>
+      <actuator><motor joint="hinge"/></actuator></mujoco>"""
+    (tmp_path / "one.xml").write_text(model)
+    (tmp_path / "one.toml").write_text('model = "one.xml"\ngoal = { hinge = 0.5 }\nduration = 0.5\n')
+    assert run("solve", "one.toml", "--out", "one.npz", "--quiet", cwd=tmp_path).returncode == 0
+    before = set(tmp_path.iterdir())
+    done = run("report", "one.npz", "--files", "--json", cwd=tmp_path)
+    packed = json.loads(done.stdout)["files"]
+    assert done.returncode == 0
+    assert set(tmp_path.iterdir()) == before
+    twin = planner.load_plan(tmp_path / "one.npz").twin
+    assert packed["model, as planned"] == len(twin.mjcf)
+    assert {name: packed[name] for name in twin.assets} == {name: len(data) for name, data in twin.assets.items()}
+    assert any("wedge" in name for name in packed)
+
+
 def test_prove_with_an_edited_a_broken_and_a_missing_model(finished, tmp_path):
     folder, _ = finished
     plan = planner.load_plan(folder / "out" / "plan.npz")

@@ -38,6 +38,8 @@ def said(words, folder):
         (["run", "hopper", "--height", "tall"], "--height"),
         (["model", "arm.xml"], "cannot read the model arm.xml: No such file"),
         (["prove", "plan.npz", "--bad"], "no flag '--bad'"),
+        (["prove", "plan.npz"], "plan.npz does not exist, expected a plan.npz"),
+        (["view", "plan.npz", "--browser"], "plan.npz does not exist, expected a plan.npz"),
         (["export", "plan.npz"], "--to"),
         (["list", "pik"], "the machine is 'pik'"),
     ],

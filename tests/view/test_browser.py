@@ -3,6 +3,7 @@
 import sys
 import threading
 import time
+from dataclasses import replace
 from types import SimpleNamespace
 from urllib.request import urlopen
 
@@ -85,7 +86,24 @@ def test_goals_of_joints_are_numbers_and_a_plan_without_a_goal_has_none():
     replanner.step()
     assert abs(replanner.replay.plan.xs[-1, 1] - 1.2) < 0.02
     assert [*_slots({"elbow": 1.0, "root": [0, 0, 1]})] == ["elbow"]
-    assert _slots("home") == _slots(None) == {}
+    assert Replanner(replace(replanner.replay.plan, recipe=None)).goals == {}
+
+
+def test_a_whole_pose_is_changed_by_its_joints_and_a_case_by_its_numbers(tmp_path):
+    (tmp_path / "arm.xml").write_text(ARM, encoding="utf-8")
+    (tmp_path / "arm.toml").write_text(
+        'model = "arm.xml"\nstart = {}\ngoal = [0.5, 0.2]\nduration = 0.5\ndt = 0.02\n', encoding="utf-8"
+    )
+    replanner = Replanner(planner.solve(planner.load_problem(tmp_path / "arm.toml")))
+    assert replanner.goals == {"shoulder": 0.5, "elbow": 0.2}
+    replanner.move("elbow", 0.4)
+    replanner.step()
+    np.testing.assert_allclose(replanner.replay.plan.xs[-1, :2], [0.5, 0.4], atol=0.02)
+    replanner = Replanner(planner.solve(planner.cases.hopper()))
+    assert replanner.goals["height"] == 20.0
+    replanner.move("height", 18.0)
+    replanner.step()
+    assert abs(replanner.replay.plan.xs[-1, 0] - 18.0) < 0.1
 
 
 class Recorded:

@@ -164,7 +164,10 @@ def test_a_cost_below_the_last_leaves_a_gap_that_no_line_bridges(plan):
 
 @pytest.mark.parametrize("length", [0, 1])
 def test_a_solve_that_ended_at_once(plan, length):
-    draw_plan(replace(plan, history=plan.history[:length]), None).draw_without_rendering()
+    figure = draw_plan(replace(plan, history=plan.history[:length]), None)
+    figure.draw_without_rendering()
+    titles = [axes.get_title(loc="left") or axes.get_title() for axes in figure.axes]
+    assert ("Convergence" in titles) == bool(length)  # a recording was not solved: no empty panel
 
 
 @pytest.mark.parametrize("bad", [math.nan, math.inf, -1e300])

@@ -299,6 +299,9 @@ def test_seeds_are_named(plan, tmp_path):
 
 # In a browser
 
+SLIDES = """<mujoco><worldbody><body><inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/>
+  <joint type="slide"/><joint type="slide" axis="1 0 0"/></body></worldbody></mujoco>"""
+
 
 def browse(page, *flags):
     """What Chromium prints and logs; it cannot reach any network."""
@@ -314,6 +317,7 @@ def browse(page, *flags):
 def page(tmp_path_factory):
     """A whole page, with a film of three grey frames."""
     plan, tmp_path = make_plan(), tmp_path_factory.mktemp("page")
+    plan = replace(plan, twin=replace(plan.twin, mjcf=SLIDES))
     proof = make_proof(plan)
     save(draw_plan(plan, proof), tmp_path / "plots.png")
     save(draw_proof(proof), tmp_path / "proof.png")

@@ -46,6 +46,13 @@ def test_two_that_pass_and_look_the_same_are_one_picture():
     assert caption == Caption("open loop, and with gains the same", "PASS")
 
 
+@pytest.mark.parametrize(("apart", "pictures"), [(0.2, 1), (0.6, 2)])  # in: 2.6 and 8 pixels of 500 for 38 in
+def test_how_far_apart_two_may_be_to_look_the_same_follows_from_the_picture(apart, pictures):
+    other = make_replay()
+    other.qpos[5:9, 0] += apart
+    assert len(_captioned(make_proof(make_replay(), other, "open-loop"))) == pictures
+
+
 # A replay that ran away
 
 

@@ -96,6 +96,7 @@ from planner.problem.avoid import Avoid
 from planner.problem.constraints.constraint import Constraint
 from planner.problem.default_appearance import default_appearance, with_marks
 from planner.problem.default_weights import default_weights, straight_reference, weighed
+from planner.problem.example_task import start_of_model
 from planner.problem.joint_limits import moved_inside_limits, starts_at_limit
 from planner.problem.limits import Limits
 from planner.problem.objective_problem import with_objective
@@ -107,6 +108,7 @@ NAME = PROBLEM_FILE
 GAIN = 1e-4  # of the cost, by an iteration at kinks of contact, where more are worth nothing
 TOLD = (
     "model",
+    "start",
     "contacts",
     "goal",
     "closed",
@@ -229,10 +231,17 @@ def again(mechanism: Mechanism, *constraints: Constraint, **table: Any) -> Probl
 def _problem(
     table: dict[str, Any], mechanism: Mechanism, where: str, constraints: tuple[Constraint, ...] = ()
 ) -> Problem:
+    told = ""
+    if "start" not in table and (own := start_of_model(mechanism)) is not None:
+        table = table | {"start": own}
+        told = f"start is {f'the keyframe {own!r}' if own else 'the pose in which the file draws it'}: none is given."
     for key in (*REQUIRED, *(() if "follow" in table else ("goal",))):
         if key not in table:
             wanted = "a number of seconds" if key == "duration" else states_of(mechanism)
-            wanted += "; start = {} is the pose of the model" if key == "start" else ""
+            if key == "start":
+                wanted += (
+                    ": as drawn, the machine is outside of a range or overlaps; `planner model FILE --write` has one"
+                )
             more = ", or tables [[goal]] or [follow] for its frames" if key == "goal" else ""
             raise PlannerError(f"{where} has no key {key!r}, expected {wanted}{more}.")
     tasked = is_task(table, mechanism)
@@ -252,6 +261,8 @@ def _problem(
     table, substeps, reasons = with_step(table, mechanism, prescribed, (x0, goal))
     table, N = checked_values(table)
     dynamics = RigidBodyDynamics(mechanism, table["dt"], table["integrator"], prescribed, substeps)
+    if told:
+        reasons["start"] = told
     if mechanism.contacts_choice:
         reasons["contacts"] = f"{mechanism.contacts_choice}."
     if tasked:

@@ -18,7 +18,8 @@ KEYS = {
     "above the file; relative to this file",
     "inertia": "of a URDF: nearest to replace inertias that no body has by the nearest ones, given to refuse them, "
     "'from shapes' or { density = kg/m^3 } for links without <inertial>; from shapes has 1000 kg/m^3",
-    "start": "keyframe, nq numbers (at rest), nq + nv numbers, or a table of joints (the others as the model says)",
+    "start": "keyframe, nq numbers (at rest), nq + nv numbers, or a table of joints (the others as the model says); "
+    "by default the model's keyframe 'home', else its first one, else the pose in which it is drawn",
     "goal": "the same; joints that a table does not name end where they started. Or tables [[goal]], below",
     "follow": "table, below, or several [[follow]]: a path of a frame or of joints to keep to",
     "gait": f"{', '.join(TURNS)}, or a table of kind, stride (m, at most), duty (share of a cycle in which a foot "

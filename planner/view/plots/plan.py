@@ -79,7 +79,7 @@ def draw_plan(plan: Plan, result: Proof | Replay | None) -> Figure:
     touched = [replay for replay in replays if np.any(replay.contact_force > 0)]
     shaded = any(np.mean(replay.contact_force > 0) < _ALWAYS for replay in touched)
     chains = _chains(plan)
-    figure, cells = figure_of(len(tasks) + len(panels) + bool(touched) + len(chains) + 1)
+    figure, cells = figure_of(len(tasks) + len(panels) + bool(touched) + len(chains) + bool(plan.history))
     timed: list[Axes] = []
     for task, cell in zip(tasks, cells, strict=False):
         timed.append(figure.add_subplot(cell))
@@ -99,7 +99,8 @@ def draw_plan(plan: Plan, result: Proof | Replay | None) -> Figure:
                 stance.t, 0.0, 1.0, where=stance.contact_force > 0, transform=axes.get_xaxis_transform(),
                 color=STANCE, lw=0, zorder=0,
             )  # fmt: skip
-    draw_convergence(figure.add_subplot(cells[-1]), plan)
+    if plan.history:  # controls that were given have none
+        draw_convergence(figure.add_subplot(cells[-1]), plan)
     _head(figure, plan, replays, shaded, {str(line.get_label()) for axes in timed for line in axes.get_lines()})
     return figure
 

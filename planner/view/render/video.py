@@ -20,9 +20,10 @@ from planner.model.mjcf.model_index import compile_model
 from planner.problem.default_appearance import appearance_of
 from planner.proof.replays.replaying import Replay
 from planner.view.plots.style import MODE_WORDS
-from planner.view.render.camera import angles_of_camera
+from planner.view.render.camera import angles_of_camera, scenery_of, swept_points
 from planner.view.render.drawing import Job, Progress, carry_out
 from planner.view.render.film import Caption, Film
+from planner.view.render.ghost import screen_difference
 
 if TYPE_CHECKING:
     from planner.model.mechanism import Mechanism
@@ -30,7 +31,7 @@ if TYPE_CHECKING:
 
 _LARGEST = 4096  # pixels; scene.py draws twice as large, and OpenGL gives little more than 8192
 _LONGEST = 100_000  # frames
-_UNSEEN, _UNSEEN_REST = 0.02, 1e-3  # of a coordinate's range, and rad or m: a difference of replays that no film shows
+_UNSEEN = 4.0 / 500.0  # of the motion's largest side, about 500 pixels of a film: at 4 pixels a ghost is drawn in full
 
 
 def render_video(
@@ -93,13 +94,16 @@ def render_video(
 
 
 def one_replay_shows_both(proof: Proof) -> bool:
-    """Whether both replays of a proof pass, and no coordinate differs between them by what could be seen."""
+    """Whether both replays of a proof pass, and no point of the machine is as far apart in them as could be seen."""
     if proof.mode is None or not (proof.refined_open_loop.passed and proof.refined_feedback.passed):
         return False
-    one, other = (proof.replays[mode].qpos for mode in MODE_WORDS)
-    return one.shape == other.shape and bool(
-        np.all(np.abs(one - other) <= _UNSEEN * np.ptp(one, axis=0) + _UNSEEN_REST)
-    )
+    one, other = (Film.of(proof.replays[mode], np.zeros(1)) for mode in MODE_WORDS)
+    if math.isfinite(min(one.unstable, other.unstable)):
+        return False
+    model = compile_model(one.mjcf, one.assets)
+    scenery = scenery_of(model, one.appearance)[0]
+    first, second = (swept_points(model, film.path_qpos, scenery) for film in (one, other))
+    return screen_difference(first, second) <= _UNSEEN * float(np.ptp(first, axis=0).max())
 
 
 def _captioned(proof: Proof) -> dict[Replay, Caption | None]:
