@@ -49,6 +49,18 @@ def test_a_monopod_goes_forward_with_four_lines(forward):
     assert "slides" not in proof.headline
 
 
+def test_a_machine_that_stands_keeps_its_balance_at_a_goal_of_its_trunk(tmp_path):
+    """A frame's goal alone weighs nothing that keeps a machine upright; the poses through its goals do."""
+    problem = problem_of(tmp_path, 'duration = 1.0\n[[goal]]\nframe = "trunk"\nposition = [0, 0, 0.41]\n')
+    weights, cost = weights_of(problem), tracking_of(problem.cost)
+    assert weights["hold"] > 0.0
+    assert "rest" not in weights
+    assert min(weights["position"]) > 0.0
+    first = problem.N - round((1.0 - MOVING_SHARE) * problem.N)
+    np.testing.assert_allclose(cost.x_ref[first:], np.tile(cost.x_ref[-1], (problem.N + 1 - first, 1)), atol=1e-9)
+    assert planner.solve(problem).converged
+
+
 def test_a_foot_that_is_dragged_with_little_load_is_named(forward):
     """Without a cost of slip nothing but friction keeps the foot from being dragged."""
     dragged = planner.solve(forward.recipe.rebuilt(weights={"slip": 0.0}, resolved=None))

@@ -52,6 +52,19 @@ def test_rubber_feet_sink_in_as_they_do_in_the_file():
     assert np.all([contact.law == law for contact in m.contacts if "box" in contact.name or contact is m.contacts[-1]])
 
 
+def test_rubber_balls_are_as_deep_and_as_stiff_as_in_the_file():
+    radius, weight = 0.022, 15.0 * 9.81  # of small quadrupeds: a foot sinks in by more than half of its radius
+    text = f"""<mujoco><option cone="elliptic"/><worldbody><geom type="plane" size="0 0 1"/>
+      <body pos="0 0 .2"><joint name="z" type="slide" axis="0 0 1"/>
+        <geom size="{radius}" mass="15" priority="1" condim="6" solimp=".015 1 .05"/></body></worldbody></mujoco>"""
+    contact, model = Mechanism.from_mjcf(text, contacts="ground").contacts[0], compile_model(text)
+    depth, slope = rest_penetration(model, ModelIndex(model).pairs[0], LOAD * weight)
+    recess = radius - contact.radius
+    assert 0.5 * radius < recess < radius
+    assert contact.law.stiffness == pytest.approx(slope, rel=1e-9)
+    assert recess + LOAD * weight / contact.law.stiffness == pytest.approx(depth, rel=1e-6)
+
+
 BALL = """<mujoco><option cone="{cone}" impratio="{impratio}" timestep=".001"/><worldbody>
   <geom type="plane" size="0 0 1"/><body pos="0 0 .1"><freejoint/>
     <geom size=".1" mass="2" priority="1" condim="{condim}" friction="{mu}" solref="{solref}" solimp="{solimp}"/>

@@ -14,6 +14,8 @@ from planner.base.errors import PlannerError
 from planner.cases.problem_file.keys import GOAL, RESOLVED
 from planner.cases.problem_file.reference_guess import ReferenceTrajectory
 from planner.dynamics import RigidBodyDynamics
+from planner.dynamics.stance import feet_move
+from planner.model.capabilities import stands_on_ground
 from planner.model.mechanism import Mechanism
 from planner.problem.avoid import Avoid, AvoidanceConstraint
 from planner.problem.closed_chain_reference import closed_chain_reference
@@ -60,6 +62,7 @@ class ResolvedTask(NamedTuple):
     apart: AvoidanceConstraint | None  # What is kept apart
     waypoints: tuple[int, ...] = ()  # goals whose share of the duration was chosen
     gait: str = ""  # Sentence about the gait that the rows are; "" for none
+    stands: bool = False  # Whether positions refer to the rows all the time: a machine on feet that stay, or a gait
 
 
 def is_task(table: dict[str, Any], mechanism: Mechanism) -> bool:
@@ -148,11 +151,18 @@ def resolve_task(
     if RESOLVED not in table:
         check_flight(task, poses, dynamics, ranges)
     steps = steps_of(table)
+    stands = steps is not None or _stands_all_along(table, task, poses)
+    rows = reference_states(task, resting(poses, 1.0 - MOVING_SHARE) if stands else poses, x0)
     if steps is None:
-        return ResolvedTask(task, poses, reference_states(task, poses, x0), apart, waypoints)
-    rows = reference_states(task, resting(poses, 1.0 - MOVING_SHARE), x0)
+        return ResolvedTask(task, poses, rows, apart, waypoints, stands=stands)
     rows, said = steps.motion(dynamics.mechanism, rows, dynamics.dt, ranges)
-    return ResolvedTask(task, poses, rows, apart, waypoints, said)
+    return ResolvedTask(task, poses, rows, apart, waypoints, said, stands)
+
+
+def _stands_all_along(table: dict[str, Any], task: Task, poses: Poses) -> bool:
+    """Whether a machine stands, at the end at rest, on feet that stay where they are: its poses keep its balance."""
+    asked = bool(task.follows) or "position" in table["weights"]
+    return task.rests and not asked and stands_on_ground(task.mechanism) and not feet_move(task.mechanism, poses.q)
 
 
 def steps_of(table: dict[str, Any]) -> Gait | None:
@@ -179,38 +189,36 @@ def weights_of(
     """The default weights along the poses, by the controls' own limits; ends are weighed by the goals."""
     bounds = None if limits is None else limits.bounds(dynamics, way.task.N)
     most = None if bounds is None else np.maximum(np.abs(bounds.lower), np.abs(bounds.upper)).max(axis=0)
-    walks = bool(way.gait)
-    there = path_lengths(dynamics, way.rows) if walks else joint_displacement(way.task, way.poses)
-    named, jerk = "objective" in table, table.get("objective", {}).get("jerk", 0.0)
     rests = way.task.rests and not way.task.follows and "position" not in table["weights"]
+    there = path_lengths(dynamics, way.rows) if way.gait else joint_displacement(way.task, way.poses)
+    named, jerk = "objective" in table, table.get("objective", {}).get("jerk", 0.0)
     found = default_weights(
         dynamics,
         x0,
         way.rows[-1],
         table["duration"],
         named=named,
-        stays=walks,
+        stays=way.stands,
         displacement=there,
         max_control=most,
         jerk=jerk,
         way=way.poses.q if rests else None,
         last_share=float(np.diff(way.poses.stages)[-1] / way.task.N),
     )
-    left = () if "rest" in found.weights or walks else _OF_GOALS
+    left = () if "rest" in found.weights or way.stands else _OF_GOALS
     weights = {name: weight for name, weight in found.weights.items() if name not in left}
     reasons = {name: reason for name, reason in found.reasons.items() if name not in left}
     if jerk:
         weights["goal"] = np.array(WEIGHT * max(1.0, jerk * min_jerk_cost(there, table["duration"])))
-    return walking_weights(DefaultWeights(weights, reasons)) if walks else DefaultWeights(weights, reasons)
+    return walking_weights(DefaultWeights(weights, reasons)) if way.stands else DefaultWeights(weights, reasons)
 
 
 def walking_weights(found: DefaultWeights) -> DefaultWeights:
-    """The default weights where a gait is what positions refer to: all the time, and not only at the end."""
+    """The default weights where positions refer to a gait, or to the motion of the poses: all the time."""
     weights = {name: weight for name, weight in found.weights.items() if name != "rest"}
     reasons = {name: reason for name, reason in found.reasons.items() if name != "rest"}
-    return DefaultWeights(weights, reasons | {
-        "position": f"1 / ({STANCE_TOLERANCES:g} tolerances)^2 from the gait",
-    })  # fmt: skip
+    words = f"1 / ({STANCE_TOLERANCES:g} tolerances)^2 from the motion through its poses, of its feet too"
+    return DefaultWeights(weights, reasons | {"position": words})
 
 
 def path_lengths(dynamics: RigidBodyDynamics, rows: np.ndarray) -> np.ndarray:
@@ -222,7 +230,7 @@ def cost_of(
     way: ResolvedTask, dynamics: RigidBodyDynamics, weights: dict[str, Any]
 ) -> tuple[Cost, tuple[GoalSpec, ...]]:
     """The cost of a task and what its proof judges."""
-    weights = weights | {"reference": way.rows} if way.gait else weights
+    weights = weights | {"reference": way.rows} if way.stands else weights
     return task_cost(way.task, dynamics, way.rows, weights), task_goal_specs(way.task, way.rows[0])
 
 

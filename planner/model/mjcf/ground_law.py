@@ -125,7 +125,7 @@ def _for_mass(survey: ModelIndex, pair: Pair) -> Ground:
         return Ground(usual, 0.0)
     recess, match = depth - LOAD * weight / slope, meets_plane(survey, pair.geoms)
     spheres = spheres_of(model, match[1]) if match else []
-    if not (spheres and spheres[0].radius > 2.0 * recess > 0.0):
+    if not (spheres and spheres[0].radius > recess > 0.0):
         recess, slope = 0.0, min(LOAD * weight / depth, usual.stiffness)
     law = ContactLaw.resting(
         mass, gravity=gravity, sink=weight / slope, damping_ratio=DAMPING, ramp=usual.ramp, slip=SLIP
