@@ -1,6 +1,7 @@
 """The contact law of the ground under a robot: for its mass, as soft as the file's contact, slow enough to integrate.
 
 A robot of mass m penetrates the ground by REST_PENETRATION on one contact and does not bounce: ContactLaw.resting.
+Its coefficient of friction is the file's, at most MAX_FRICTION.
 Where the file's own contact is softer under a foot's LOAD, its slope there is the stiffness, and spheres begin to press
 as much later (`contact_offset`) as gives the file's depth: rubber feet, whose solimp begins near zero. A foot that is
 light beside the robot feels the damping B of the whole robot and the friction before it slips c as
