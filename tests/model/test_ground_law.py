@@ -32,6 +32,21 @@ def test_a_foot_that_is_not_light_has_the_damping_of_the_whole_machine():
     assert law.slip_damping == pytest.approx(whole.slip_damping, rel=1e-9)
 
 
+@pytest.mark.parametrize(
+    ("contact", "friction"),
+    [
+        ('friction=".4" priority="1"', 0.4),  # a plan with more slides in the file
+        ('friction=".4"', 1.0),  # MuJoCo takes the larger one of both geoms; the floor has 1
+        ('friction="2"', 1.0),  # what is beyond 1 stays a margin
+        ('condim="1" priority="1"', 0.0),
+    ],
+)
+def test_the_friction_of_a_plan_is_the_files(contact, friction):
+    m, law = laws(2.0, contact)
+    assert law.friction == friction
+    np.testing.assert_allclose(static_equilibrium(m, m.home)[0], m.home[0], atol=0.1)  # stands without friction, too
+
+
 @pytest.mark.parametrize("foot", [0.5, 0.05])
 def test_light_feet_come_to_rest_no_faster_than_a_plan_follows(foot):
     m, law = laws(foot)

@@ -1,6 +1,7 @@
 """The contact law of the ground under a robot: for its mass, as soft as the file's contact, slow enough to integrate.
 
 A robot of mass m penetrates the ground by REST_PENETRATION on one contact and does not bounce: ContactLaw.resting.
+Its coefficient of friction is the file's, at most MAX_FRICTION.
 Where the file's own contact is softer under a foot's LOAD, its slope there is the stiffness, and spheres begin to press
 as much later (`contact_offset`) as gives the file's depth: rubber feet, whose solimp begins near zero. A foot that is
 light beside the robot feels the damping B of the whole robot and the friction before it slips c as
@@ -82,6 +83,7 @@ REST_PENETRATION = (
 LOAD = 0.25  # of the weight, on one foot
 DAMPING = 1.0  # of critical, for that ground creeps back where it was pressed
 SLIP = 0.2  # m/s at which viscous friction is all there is: on MuJoCo's default contact feet creep more slowly still
+MAX_FRICTION = 1.0  # where the file has more, the plan keeps the rest as a margin
 FASTEST = 2000.0  # 1/s: what 16 substeps of a stage of 10 ms follow, and some to spare for other poses
 MAX_KEYFRAMES = 10
 TOGETHER = 0.1  # of a foot's size: points that are no higher above its lowest one stand together
@@ -120,17 +122,21 @@ def _for_mass(survey: ModelIndex, pair: Pair) -> Ground:
     model, mass, gravity = survey.model, mass_of(survey, pair), float(np.linalg.norm(survey.model.opt.gravity))
     weight = mass * gravity
     depth, slope = rest_penetration(model, pair, LOAD * weight)
-    usual = ContactLaw.resting(mass, gravity=gravity, sink=REST_PENETRATION, damping_ratio=DAMPING, slip=SLIP)
+    own = {"damping_ratio": DAMPING, "slip": SLIP, "friction": friction_of(pair)}
+    usual = ContactLaw.resting(mass, gravity=gravity, sink=REST_PENETRATION, **own)
     if slope >= usual.stiffness:
         return Ground(usual, 0.0)
     recess, match = depth - LOAD * weight / slope, meets_plane(survey, pair.geoms)
     spheres = spheres_of(model, match[1]) if match else []
     if not (spheres and spheres[0].radius > recess > 0.0):
         recess, slope = 0.0, min(LOAD * weight / depth, usual.stiffness)
-    law = ContactLaw.resting(
-        mass, gravity=gravity, sink=weight / slope, damping_ratio=DAMPING, ramp=usual.ramp, slip=SLIP
-    )  # fmt: skip
+    law = ContactLaw.resting(mass, gravity=gravity, sink=weight / slope, ramp=usual.ramp, **own)
     return Ground(law, recess)
+
+
+def friction_of(pair: Pair) -> float:
+    """The plan's coefficient of friction: the file's, at most MAX_FRICTION; 0 of a contact without friction."""
+    return min(float(pair.friction[0]), MAX_FRICTION) if pair.condim > 1 else 0.0
 
 
 def _body_of(survey: ModelIndex, pair: Pair) -> int:
