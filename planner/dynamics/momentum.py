@@ -34,6 +34,17 @@ def center_of_mass(mechanism: Mechanism, q: Any) -> np.ndarray:
     return np.einsum("l,...li->...i", masses, places) / masses.sum()
 
 
+def center_of_mass_jacobian(mechanism: Mechanism, q: Any) -> np.ndarray:
+    """Derivative of center_of_mass by the velocities at q (..., nq): (..., 3, nv), in m per unit of each.
+
+    Raises:
+        PlannerError: As center_of_mass.
+    """
+    masses, offsets, links = _massive(mechanism)
+    _, J = points_of(mechanism, q, links, offsets)
+    return np.einsum("l,...lij->...ij", masses, J) / masses.sum()
+
+
 def angular_momentum(mechanism: Mechanism, q: Any, qd: Any) -> np.ndarray:
     """Angular momentum about the centre of mass, in the world's axes, (..., 3), kg m^2/s.
 

@@ -23,6 +23,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -31,7 +32,7 @@ from planner.base.arguments import choice, number, short_repr
 from planner.base.errors import PlannerError
 from planner.dynamics.contacts import contact_forces
 from planner.dynamics.kinematics import points_of
-from planner.dynamics.momentum import center_of_mass
+from planner.dynamics.momentum import center_of_mass, center_of_mass_jacobian
 from planner.kernels.tree.mechanism_table import chain_of
 from planner.model.mechanism import Mechanism
 from planner.problem.costs.slip import CLEARANCE
@@ -47,7 +48,8 @@ TURNS = {
 }
 OVERLAP = 0.2  # of a slot, in which feet of two turns stand by default
 NEWTON = 50  # iterations of the legs' inverse kinematics
-REACHED = 1e-3  # m: of a foot from its place
+LONGEST_STEP = 0.3  # rad or m: beyond it a leg that is nearly stretched turns over
+REACHED = 5e-3  # m: of a foot from its place; a sole that turns on its way is bent by less
 STILL = 1e-6  # m or rad and their rates: by which a motion at rest changes by rounding alone
 DAMPING = 1e-3  # m: of a singular leg, which is stretched
 
@@ -120,7 +122,13 @@ class Gait:
             swings, said = self._swings_of_turns(mechanism, standing, feet, dt * _last_change(rows), h)
         of_foot = np.repeat(np.arange(len(standing)), [len(foot.points) for foot in standing])
         places = _stepping(dragged, normals[of_foot], [swings[k] for k in of_foot], lift, dt)
-        q = _with_legs(mechanism, rows[:, :nq], standing, places, ranges)
+        q = rows[:, :nq]
+        if self.phases:
+            t = dt * np.arange(len(rows))
+            swinging = [sum(((t > a) & (t < b) for a, b in own), np.zeros(len(t), dtype=bool)) for own in swings]
+            stands = ~np.array(swinging).T
+            q = _over_support(mechanism, q, places, stands[:, of_foot], normals[0])
+        q = _with_legs(mechanism, q, standing, places, ranges)
         xs = rows.copy()
         xs[:, :nq] = q
         xs[1:-1, nq : nq + nv] = space.difference(xs[2:], xs[:-2])[:, :nv] / (2.0 * dt)
@@ -300,6 +308,39 @@ def _stepping(
     return places
 
 
+def _over_support(
+    mechanism: Mechanism, q: np.ndarray, places: np.ndarray, stands: np.ndarray, n: np.ndarray
+) -> np.ndarray:  # fmt: skip
+    """Configurations whose base is shifted along the ground such that the standing feet carry the machine.
+
+    Where some feet swing the centre of mass is above the middle of the others (quasi-static); before, between and after
+    it the shift changes smoothly.
+
+    Args:
+        mechanism: The machine.
+        q: (N+1, nq), where the motion has it.
+        places: (N+1, K, 3) m, of the feet's points.
+        stands: (N+1, K) bool.
+        n: (3,) the normal of the ground.
+    """
+    whole = center_of_mass_jacobian(mechanism, q[0])  # of slides that move all of the machine it is their axis
+    base = np.flatnonzero((np.abs(np.linalg.norm(whole, axis=0) - 1.0) < 1e-9) & ~mechanism.directly_actuated)
+    if stands.all() or not base.size:
+        return q
+    some = stands.any(axis=1) & ~stands.all(axis=1)
+    weights = stands[some] / stands[some].sum(axis=1, keepdims=True)
+    shift = np.zeros((len(q), 3))
+    shift[some] = np.einsum("nk,nka->na", weights, places[some]) - center_of_mass(mechanism, q[some])
+    knots = np.flatnonzero(some)
+    ends = np.unique([*([] if some[0] else [0]), *knots, *([] if some[-1] else [len(q) - 1])])
+    for a, b in pairwise(ends):
+        share = minimum_jerk(np.linspace(0.0, 1.0, b - a + 1))[0][1:-1, None]
+        shift[a + 1 : b] = shift[a] + share * (shift[b] - shift[a])
+    q, level = q.copy(), shift - np.outer(shift @ n, n)
+    q[:, mechanism.q_address[base]] += level @ np.linalg.pinv(whole[:, base]).T
+    return q
+
+
 def _longest(places: np.ndarray) -> float:
     """m, of the longest step: feet stand between steps."""
     displacements = np.linalg.norm(np.diff(places, axis=0), axis=2)
@@ -318,17 +359,35 @@ def _with_legs(
         legs[chain_of(mechanism.parent, foot.link)] = True
     own = np.flatnonzero(legs & mechanism.directly_actuated)
     at = mechanism.q_address[own]
-    q, K = q.copy(), places.shape[1]
-    for _ in range(NEWTON):
-        here, J = _points_of(mechanism, q, feet)
-        away = (places - here).reshape(len(q), 3 * K)
-        if np.abs(away).max() < 0.01 * REACHED:
-            break
-        J = J.reshape(len(q), 3 * K, mechanism.nv)[:, :, own]
-        damped = J @ np.swapaxes(J, 1, 2) + DAMPING**2 * np.eye(3 * K)
-        step = np.swapaxes(J, 1, 2) @ np.linalg.solve(damped, away[:, :, None])
-        q[:, at] = np.clip(q[:, at] + step[:, :, 0], *ranges[own].T)
-    errors = np.linalg.norm((places - _points_of(mechanism, q, feet)[0]), axis=2)
+
+    def newton(q: np.ndarray, places: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """The configurations and the errors (N+1, K) m of their points."""
+        q, rows = q.copy(), 3 * places.shape[1]
+        for _ in range(NEWTON):
+            here, J = _points_of(mechanism, q, feet)
+            away = (places - here).reshape(len(q), rows)
+            if np.abs(away).max() < 0.002 * REACHED:
+                break
+            J = J.reshape(len(q), rows, mechanism.nv)[:, :, own]
+            damped = J @ np.swapaxes(J, 1, 2) + DAMPING**2 * np.eye(rows)
+            step = (np.swapaxes(J, 1, 2) @ np.linalg.solve(damped, away[:, :, None]))[:, :, 0]
+            q[:, at] = np.clip(q[:, at] + np.clip(step, -LONGEST_STEP, LONGEST_STEP), *ranges[own].T)
+        return q, np.linalg.norm(places - _points_of(mechanism, q, feet)[0], axis=2)
+
+    q, errors = newton(q, places)
+    for k in np.flatnonzero(errors.max(axis=1) > REACHED):  # a leg nearly stretched: again, from the knot before
+
+        def away(y: np.ndarray, k: int = k) -> tuple[np.ndarray, np.ndarray]:
+            q[k, at] = y
+            here, J = _points_of(mechanism, q[k : k + 1], feet)
+            return (here[0] - places[k]).ravel(), J.reshape(-1, mechanism.nv)[:, own]
+
+        from scipy.optimize import least_squares  # 0.4 s that `planner run` need not pay
+
+        low, high = ranges[own].T
+        begin = np.clip(q[max(k - 1, 0), at], low + STILL, high - STILL)
+        found = least_squares(lambda y: away(y)[0], begin, lambda y: away(y)[1], bounds=(low, high))  # pyright: ignore
+        errors[k] = np.linalg.norm(away(found.x)[0].reshape(-1, 3), axis=1)
     if errors.max() > REACHED:
         names, worst = [foot.name for foot in feet for _ in foot.points], int(errors.max(axis=0).argmax())
         raise PlannerError(

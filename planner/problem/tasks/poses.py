@@ -10,20 +10,19 @@ import numpy as np
 from planner.base.errors import PlannerError
 from planner.dynamics import RigidBodyDynamics
 from planner.dynamics.assembly import assembled
-from planner.dynamics.contacts import contact_forces
 from planner.dynamics.inverse_kinematics import Target, inverse_kinematics, residuals
-from planner.dynamics.kinematics import frame_pose, jacobian
+from planner.dynamics.kinematics import frame_pose
 from planner.dynamics.statics import static_equilibrium
-from planner.model.capabilities import stands_on_ground, unreached_dofs
-from planner.model.mechanism import SCREW, Frame
+from planner.model.capabilities import unreached_dofs
+from planner.model.mechanism import SCREW, Frame, Mechanism
 from planner.model.mjcf.prescribed_joints import prescribed_dofs_of
 from planner.problem.collision_checker import CollisionChecker
+from planner.problem.tasks.feet import FOOT_SCALE, Feet, feet_of
 from planner.problem.tasks.follow import Follow
 from planner.problem.tasks.pose_constraints import PoseConstraints, ResidualAndJacobian
 from planner.problem.tasks.timed_task import Task, TimedGoal, unit_of
 
 MAX_CONFIGURATIONS = 60  # along a path; joints follow a spline between them
-FOOT_SCALE = 1e-3  # m that a foot on the ground is moved by a residual of 1: less than a plan's goals resolve
 PATH_STARTS = 2  # number of starts of inverse kinematics on a path with constraints, the first at the previous pose
 
 
@@ -44,14 +43,7 @@ class _Search(NamedTuple):
     check: bool
     checker: CollisionChecker | None
     constraints: PoseConstraints | None
-    feet: _Feet | None
-
-
-class _Feet(NamedTuple):
-    """Residuals of the contacts that bear load at the start."""
-
-    fixed: ResidualAndJacobian | None  # They stay where they are; None unless they carry the machine
-    on_ground: ResidualAndJacobian  # They may be elsewhere on their planes
+    feet: Feet | None
 
 
 class StageTargets(NamedTuple):
@@ -85,7 +77,7 @@ def poses_of(
     """
     mechanism = task.mechanism
     q = x0[: mechanism.nq]
-    search = _Search(dynamics, ranges, seed, check, checker, constraints, _feet(dynamics, q))
+    search = _Search(dynamics, ranges, seed, check, checker, constraints, feet_of(mechanism, q))
     stages, found, at_rest = [0], [q], [not np.any(x0[mechanism.nq : mechanism.nq + mechanism.nv])]
     if check:
         for path in task.follows:
@@ -184,7 +176,7 @@ def _pose(
         missing: ResidualAndJacobian | None = None,
     ) -> tuple[np.ndarray, float]:  # fmt: skip
         found = None
-        for mask, feet in _free_dofs(search, joints, any(one.goal.through for one in here)):
+        for mask, feet in _free_dofs(search, targets, joints, any(one.goal.through for one in here)):
             other = inverse_kinematics(
                 mechanism, targets, q, ranges=ranges, free=mask, seed=search.seed, short=short,
                 missing=_both(missing, feet), starts=None if here or missing is None else PATH_STARTS,
@@ -268,13 +260,14 @@ def _errors(task: Task, q: np.ndarray, target: Target) -> tuple[float, float]:
 
 
 def _free_dofs(
-    search: _Search, joints: dict[int, float], passed: bool
+    search: _Search, targets: Sequence[Target], joints: dict[int, float], passed: bool
 ) -> Sequence[tuple[np.ndarray, ResidualAndJacobian | None]]:  # fmt: skip
     """Masks (nv,) of degrees of freedom that may move, each with the residuals of feet, in the order to try them.
 
-    The actuated ones; all, with feet that stay; all, with feet elsewhere on the ground; and all without feet, in the
-    air or at a via point (`passed`). All of them for closed chains. Those with a goal in `joints` are fixed, and what
-    nothing acts on.
+    Where the targets move some feet, all, with the others where they are and those elsewhere on the ground, or in the
+    air and the others carrying the machine. Then the actuated ones; all, with feet that stay; all, with feet elsewhere
+    on the ground; and all without feet, in the air or at a via point (`passed`). All of them for closed chains. Those
+    with a goal in `joints` are fixed, and what nothing acts on.
     """
     dynamics, mechanism = search.dynamics, search.dynamics.mechanism
     prescribed = prescribed_dofs_of(dynamics)
@@ -283,12 +276,15 @@ def _free_dofs(
     everything = np.ones(mechanism.nv, dtype=bool)
     feet = search.feet
     if mechanism.has_closed_chains:
-        masks = [(everything, None if feet is None else feet.fixed)]
+        masks = [(everything, feet.fixed if feet is not None and feet.carry else None)]
     else:
         reached = everything if feet is None else ~unreached_dofs(mechanism, prescribed)
         masks: list[tuple[np.ndarray, ResidualAndJacobian | None]] = [(actuated, None)]
-        if feet is not None and feet.fixed is not None:
+        if feet is not None and feet.carry:
             masks.append((everything, feet.fixed))
+            moved = np.isin(feet.links, [_link(mechanism, target.frame) for target in targets])
+            if moved.any() and not moved.all() and not passed:
+                masks = [(everything, feet.stepped(moved)), (everything, feet.lifted(moved)), *masks]
         if feet is not None:
             masks.append((reached, feet.on_ground))
         if passed or feet is None:
@@ -297,36 +293,8 @@ def _free_dofs(
     return [(mask & ~np.isin(np.arange(mechanism.nv), list(joints)), rows) for mask, rows in masks]
 
 
-def _feet(dynamics: RigidBodyDynamics, q: np.ndarray) -> _Feet | None:
-    """Displacements of the loaded contacts' centres from where they are at q (nq,), over FOOT_SCALE."""
-    mechanism = dynamics.mechanism
-    if not mechanism.contacts:
-        return None
-    loaded = np.flatnonzero(contact_forces(mechanism, q, np.zeros(mechanism.nv)).forces.any(axis=1))
-    if not loaded.size:
-        return None
-    frames = []
-    for k in loaded:
-        T = np.eye(4)
-        T[:3, 3] = mechanism.contacts[k].centre
-        frames.append(Frame(mechanism.contacts[k].link, T))
-    places = np.array([frame_pose(mechanism, q, frame)[:3, 3] for frame in frames])
-    normals = np.array([mechanism.contacts[k].plane.normal for k in loaded])
-
-    def displacements(at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        here = np.array([frame_pose(mechanism, at, frame)[:3, 3] for frame in frames])
-        J = np.array([jacobian(mechanism, at, frame)[:3] for frame in frames])
-        return (here - places) / FOOT_SCALE, J / FOOT_SCALE
-
-    def fixed(at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        away, J = displacements(at)
-        return away.ravel(), J.reshape(-1, mechanism.nv)
-
-    def on_ground(at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        away, J = displacements(at)
-        return np.einsum("ka,ka->k", normals, away), np.einsum("ka,kaj->kj", normals, J)
-
-    return _Feet(fixed if stands_on_ground(mechanism) else None, on_ground)
+def _link(mechanism: Mechanism, frame: str | Frame) -> int:
+    return (mechanism.frame(frame) if isinstance(frame, str) else frame).link
 
 
 def _on_ground(
@@ -334,7 +302,7 @@ def _on_ground(
 ) -> np.ndarray:  # fmt: skip
     """The pose (nq,) at rest of joints that have goals: a machine that stood stands, where the legs then carry it."""
     mechanism = task.mechanism
-    if search.feet is None or search.feet.fixed is None or not here or any(one.goal.through for one in here):
+    if search.feet is None or not search.feet.carry or not here or any(one.goal.through for one in here):
         return q
     try:
         there = static_equilibrium(mechanism, q)[: mechanism.nq]
