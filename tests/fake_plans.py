@@ -26,6 +26,8 @@ APPEARANCE = Appearance(
 )
 COORDINATES = (("height", "in"), ("velocity of height", "in/s"), ("piston", "in"))
 N, SUBSTEPS, DT = 20, 5, 0.1
+MODEL = """<mujoco model='a & b'><worldbody><body><joint type="slide"/><geom size=".1"/>
+  <body><joint type="slide"/><geom size=".1"/></body></body></worldbody></mujoco>"""
 
 
 def states(t):
@@ -43,7 +45,7 @@ def make_plan():
     )  # fmt: skip
     history = [Iteration(n, 5.0 + 10.0 ** (2 - n), 10.0 ** (1 - n), 1.0, 1.0, 1.0, 0.0) for n in range(6)]
     history.append(Iteration(6, 5.0, 1e-6, 0.0, 0.0, 0.0, 0.0))
-    twin = Twin("<mujoco model='a & b'/>", np.eye(3), np.zeros(3), np.eye(3)[None], np.zeros((1, 3)))
+    twin = Twin(MODEL, np.eye(3), np.zeros(3), np.eye(3)[None], np.zeros((1, 3)))
     return Plan(
         t, states(t), np.linspace(0.2, 1.0, N)[:, None], np.zeros((N, 1, 3)), 5.0, 1e-6,
         Status.CONVERGED, tuple(history), problem=problem, twin=twin,

@@ -78,7 +78,7 @@ def test_the_verdict_comes_first_then_pictures_figures_parameters(plan, tmp_path
         "Mass matrix", "3e-14", "≤ 1e-10", "pass", "Contact <is> solved otherwise.", "Solution verification",
         "0.002 in", "1.5 1/s", "shown", "Validation", "No experiment was made", "Solver",
         Status.CONVERGED.value, "Parameters of the case spring", "height", "20", "rk4", "0.1.0",
-        "<mujoco model='a & b'/>",
+        "<mujoco model='a & b'>",
     )  # fmt: skip
     place = text.index("PASS", text.index("A mass on a spring"))
     for words in expected:

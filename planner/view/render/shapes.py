@@ -138,7 +138,8 @@ class LinkCapsules:
         mujoco.mj_comPos(model, data)
         self._model = model
         self.capsules = tuple(_link_capsules(model, data))
-        self.radius = _LINK_RADIUS * float(np.ptp(data.xanchor, axis=0).max(initial=0.0) + _longest(self.capsules))
+        spread = float(np.ptp(data.xanchor, axis=0).max()) if model.njnt else 0.0
+        self.radius = _LINK_RADIUS * (spread + _longest(self.capsules))
 
     def ends(self, data: Any) -> np.ndarray:
         """(2 S, 3) the ends of the sticks where MuJoCo's data puts the bodies."""
