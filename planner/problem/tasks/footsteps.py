@@ -1,0 +1,175 @@
+"""Footsteps: places of feet that stand and swing along a motion, and the whole machine's configurations over them.
+
+Feet that stand stay, those that swing move along a smooth curve to where the motion has them. Where some swing slowly,
+the base is shifted such that the others carry the machine; inverse kinematics bends the legs.
+"""
+
+from __future__ import annotations
+
+import math
+from itertools import pairwise
+from typing import NamedTuple
+
+import numpy as np
+
+from planner.base.errors import PlannerError
+from planner.dynamics.contacts import contact_forces
+from planner.dynamics.kinematics import points_of
+from planner.dynamics.momentum import center_of_mass, center_of_mass_jacobian
+from planner.kernels.tree.mechanism_table import chain_of
+from planner.model.mechanism import Mechanism
+from planner.problem.initial_guess import minimum_jerk
+
+NEWTON = 50  # iterations of the legs' inverse kinematics
+LONGEST_STEP = 0.3  # rad or m: beyond it a leg that is nearly stretched turns over
+REACHED = 5e-3  # m: of a foot from its place; a sole that turns on its way is bent by less
+DAMPING = 1e-3  # m: of a singular leg, which is stretched
+AT_BOUND = 1e-6  # rad or m: by which the search for a leg begins within its ranges
+
+
+class Foot(NamedTuple):
+    """A body that stands on the ground at the start."""
+
+    name: str
+    link: int
+    points: np.ndarray  # (K, 3) m, its loaded contacts in the link's frame: of a sole its corners
+    normal: np.ndarray  # (3,) of the ground
+
+
+def standing_feet(mechanism: Mechanism, x: np.ndarray) -> list[Foot]:
+    """The bodies that bear load at a state (nx,)."""
+    forces = contact_forces(mechanism, x[: mechanism.nq], np.zeros(mechanism.nv)).forces
+    loaded = [one for one, force in zip(mechanism.contacts, forces, strict=True) if force.any()]
+    feet = []
+    for link in dict.fromkeys(one.link for one in loaded):
+        own = [one for one in loaded if one.link == link]
+        name = next((mechanism.body_names[k] for k, body in enumerate(mechanism.bodies) if body.link == link), "")
+        feet.append(Foot(name, link, np.array([one.centre for one in own]), np.array(own[0].plane.normal)))
+    return feet
+
+
+def points_of_feet(mechanism: Mechanism, q: np.ndarray, feet: list[Foot]) -> tuple[np.ndarray, np.ndarray]:
+    """Places (N, K, 3) m of the feet's points at configurations q (N, nq), and Jacobians (N, K, 3, nv)."""
+    links = np.repeat([foot.link for foot in feet], [len(foot.points) for foot in feet])
+    return points_of(mechanism, q, links, np.vstack([foot.points for foot in feet]))
+
+
+def stepping(
+    dragged: np.ndarray, normals: np.ndarray, swings: list[list[tuple[float, float]]], lift: float, dt: float
+) -> np.ndarray:  # fmt: skip
+    """(N+1, F, 3) m, feet that stand and swing along where they are dragged.
+
+    Args:
+        dragged: (N+1, F, 3) m.
+        normals: (F, 3) of the ground, along which feet stay as high as at the start.
+        swings: Of each foot, s, when swings begin and end; inf for one that ends in the air.
+        lift: m.
+        dt: s.
+    """
+    t = dt * np.arange(len(dragged))
+    places = np.tile(dragged[0], (len(t), 1, 1))
+    for k, n in enumerate(normals):
+        level = dragged[:, k] - np.outer((dragged[:, k] - dragged[0, k]) @ n, n)
+        here = level[0]
+        following = [*(begin for begin, _ in swings[k]), np.inf][1:]
+        for (begin, end), then in zip(swings[k], following, strict=True):
+            middle = min(0.5 * (end + then), t[-1])
+            there = np.array([np.interp(middle, t, level[:, axis]) for axis in range(3)])
+            if end == math.inf:
+                there = dragged[-1, k]
+            after = t > begin
+            s = np.minimum((t[after] - begin) / (min(end, t[-1]) - begin), 1.0)
+            places[after, k] = here + minimum_jerk(s)[0][:, None] * (there - here)
+            if end < math.inf:
+                places[after, k] += lift * 64.0 * ((s * (1.0 - s)) ** 3)[:, None] * n
+            here = there
+    return places
+
+
+def over_support(
+    mechanism: Mechanism, q: np.ndarray, places: np.ndarray, stands: np.ndarray, n: np.ndarray
+) -> np.ndarray:  # fmt: skip
+    """Configurations whose base is shifted along the ground such that the standing feet carry the machine.
+
+    Where some feet swing the centre of mass is above the middle of the others (quasi-static); before, between and after
+    it the shift changes smoothly.
+
+    Args:
+        mechanism: The machine.
+        q: (N+1, nq), where the motion has it.
+        places: (N+1, K, 3) m, of the feet's points.
+        stands: (N+1, K) bool.
+        n: (3,) the normal of the ground.
+    """
+    whole = center_of_mass_jacobian(mechanism, q[0])  # of slides that move all of the machine it is their axis
+    base = np.flatnonzero((np.abs(np.linalg.norm(whole, axis=0) - 1.0) < 1e-9) & ~mechanism.directly_actuated)
+    if stands.all() or not base.size:
+        return q
+    some = stands.any(axis=1) & ~stands.all(axis=1)
+    weights = stands[some] / stands[some].sum(axis=1, keepdims=True)
+    shift = np.zeros((len(q), 3))
+    shift[some] = np.einsum("nk,nka->na", weights, places[some]) - center_of_mass(mechanism, q[some])
+    knots = np.flatnonzero(some)
+    ends = np.unique([*([] if some[0] else [0]), *knots, *([] if some[-1] else [len(q) - 1])])
+    for a, b in pairwise(ends):
+        share = minimum_jerk(np.linspace(0.0, 1.0, b - a + 1))[0][1:-1, None]
+        shift[a + 1 : b] = shift[a] + share * (shift[b] - shift[a])
+    q, level = q.copy(), shift - np.outer(shift @ n, n)
+    q[:, mechanism.q_address[base]] += level @ np.linalg.pinv(whole[:, base]).T
+    return q
+
+
+def longest_step(places: np.ndarray) -> float:
+    """m, of the longest step: feet stand between steps."""
+    displacements = np.linalg.norm(np.diff(places, axis=0), axis=2)
+    steps = [part.sum() for row in displacements.T for part in np.split(row, np.flatnonzero(row == 0.0))]
+    return float(max(steps, default=0.0))
+
+
+def with_legs(
+    mechanism: Mechanism, q: np.ndarray, feet: list[Foot], places: np.ndarray, ranges: np.ndarray
+) -> np.ndarray:  # fmt: skip
+    """Configurations (N+1, nq) with the feet's points at places (N+1, K, 3), m, by Newton steps of the legs from q."""
+    if mechanism.reduction is not None or mechanism.has_closed_chains:
+        raise PlannerError("gait is for legs without closed chains and coupled joints, expected a [[goal]] without it.")
+    legs = np.zeros(mechanism.nv, dtype=bool)
+    for foot in feet:
+        legs[chain_of(mechanism.parent, foot.link)] = True
+    own = np.flatnonzero(legs & mechanism.directly_actuated)
+    at = mechanism.q_address[own]
+
+    def newton(q: np.ndarray, places: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """The configurations and the errors (N+1, K) m of their points."""
+        q, rows = q.copy(), 3 * places.shape[1]
+        for _ in range(NEWTON):
+            here, J = points_of_feet(mechanism, q, feet)
+            away = (places - here).reshape(len(q), rows)
+            if np.abs(away).max() < 0.002 * REACHED:
+                break
+            J = J.reshape(len(q), rows, mechanism.nv)[:, :, own]
+            damped = J @ np.swapaxes(J, 1, 2) + DAMPING**2 * np.eye(rows)
+            step = (np.swapaxes(J, 1, 2) @ np.linalg.solve(damped, away[:, :, None]))[:, :, 0]
+            q[:, at] = np.clip(q[:, at] + np.clip(step, -LONGEST_STEP, LONGEST_STEP), *ranges[own].T)
+        return q, np.linalg.norm(places - points_of_feet(mechanism, q, feet)[0], axis=2)
+
+    q, errors = newton(q, places)
+    for k in np.flatnonzero(errors.max(axis=1) > REACHED):  # a leg nearly stretched: again, from the knot before
+
+        def away(y: np.ndarray, k: int = k) -> tuple[np.ndarray, np.ndarray]:
+            q[k, at] = y
+            here, J = points_of_feet(mechanism, q[k : k + 1], feet)
+            return (here[0] - places[k]).ravel(), J.reshape(-1, mechanism.nv)[:, own]
+
+        from scipy.optimize import least_squares  # 0.4 s that `planner run` need not pay
+
+        low, high = ranges[own].T
+        begin = np.clip(q[max(k - 1, 0), at], low + AT_BOUND, high - AT_BOUND)
+        found = least_squares(lambda y: away(y)[0], begin, lambda y: away(y)[1], bounds=(low, high))  # pyright: ignore
+        errors[k] = np.linalg.norm(away(found.x)[0].reshape(-1, 3), axis=1)
+    if errors.max() > REACHED:
+        names, worst = [foot.name for foot in feet for _ in foot.points], int(errors.max(axis=0).argmax())
+        raise PlannerError(
+            f"the gait takes {names[worst]} {errors.max():.2g} m further than its leg reaches within its ranges: "
+            "expected a smaller stride or lift, a lower trunk, or a longer duration."
+        )
+    return q
