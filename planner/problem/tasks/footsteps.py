@@ -105,13 +105,11 @@ def over_support(
     base = np.flatnonzero((np.abs(np.linalg.norm(whole, axis=0) - 1.0) < 1e-9) & ~mechanism.directly_actuated)
     if stands.all() or not base.size:
         return q
-    some = stands.any(axis=1) & ~stands.all(axis=1)
+    some = np.asarray(stands.any(axis=1) & ~stands.all(axis=1))
     weights = stands[some] / stands[some].sum(axis=1, keepdims=True)
     shift = np.zeros((len(q), 3))
     shift[some] = np.einsum("nk,nka->na", weights, places[some]) - center_of_mass(mechanism, q[some])
-    knots = np.flatnonzero(some)
-    ends = np.unique([*([] if some[0] else [0]), *knots, *([] if some[-1] else [len(q) - 1])])
-    for a, b in pairwise(ends):
+    for a, b in pairwise(sorted({0, len(q) - 1, *np.flatnonzero(some).tolist()})):
         share = minimum_jerk(np.linspace(0.0, 1.0, b - a + 1))[0][1:-1, None]
         shift[a + 1 : b] = shift[a] + share * (shift[b] - shift[a])
     q, level = q.copy(), shift - np.outer(shift @ n, n)
@@ -153,7 +151,9 @@ def with_legs(
         return q, np.linalg.norm(places - points_of_feet(mechanism, q, feet)[0], axis=2)
 
     q, errors = newton(q, places)
-    for k in np.flatnonzero(errors.max(axis=1) > REACHED):  # a leg nearly stretched: again, from the knot before
+    for k in np.flatnonzero(
+        errors.max(axis=1) > REACHED
+    ).tolist():  # a leg nearly stretched: again, from the knot before
 
         def away(y: np.ndarray, k: int = k) -> tuple[np.ndarray, np.ndarray]:
             q[k, at] = y
