@@ -24,7 +24,7 @@ NEWTON = 50  # iterations of the legs' inverse kinematics
 LONGEST_STEP = 0.3  # rad or m: beyond it a leg that is nearly stretched turns over
 REACHED = 5e-3  # m: of a foot from its place; a sole that turns on its way is bent by less
 DAMPING = 1e-3  # m: of a singular leg, which is stretched
-AT_BOUND = 1e-6  # rad or m: by which the search for a leg begins within its ranges
+RANGE_MARGIN = 1e-6  # rad or m: by which the search for a leg begins within its ranges
 
 
 class Foot(NamedTuple):
@@ -163,7 +163,7 @@ def with_legs(
         from scipy.optimize import least_squares  # 0.4 s that `planner run` need not pay
 
         low, high = ranges[own].T
-        begin = np.clip(q[max(k - 1, 0), at], low + AT_BOUND, high - AT_BOUND)
+        begin = np.clip(q[max(k - 1, 0), at], low + RANGE_MARGIN, high - RANGE_MARGIN)
         found = least_squares(lambda y: away(y)[0], begin, lambda y: away(y)[1], bounds=(low, high))  # pyright: ignore
         errors[k] = np.linalg.norm(away(found.x)[0].reshape(-1, 3), axis=1)
     if errors.max() > REACHED:
