@@ -1,6 +1,6 @@
 """Feet of a machine at rest on the ground: where they stay, where else they may stand, and what they carry.
 
-Residuals of inverse kinematics, of the contacts that bear load at the start. A machine of which one foot is moved by a
+Residuals of inverse kinematics, of the contacts that bear load at the start. A machine of which one foot is targeted by a
 goal stands on the others: their contacts stay, and its centre of mass is above their middle (quasi-static balance).
 """
 
@@ -17,7 +17,7 @@ from planner.dynamics.momentum import center_of_mass, center_of_mass_jacobian
 from planner.model.capabilities import stands_on_ground
 from planner.model.mechanism import Frame, Mechanism
 
-FOOT_SCALE = 1e-3  # m that a foot on the ground is moved by a residual of 1: less than a plan's goals resolve
+FOOT_SCALE = 1e-3  # m that a foot on the ground is targeted by a residual of 1: less than a plan's goals resolve
 BALANCE_SCALE = 0.01  # m of the centre of mass: a third of half the breadth of a child's foot
 
 Residual = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
@@ -64,17 +64,17 @@ class Feet:
         n = self.normals[which]
         return np.einsum("ka,ka->k", n, away), np.einsum("ka,kaj->kj", n, J)
 
-    def stepped(self, moved: np.ndarray) -> Residual:
-        """Residuals of feet: those of the contacts `moved` (C,) bool stand elsewhere, the others where they are."""
-        stay, step = np.flatnonzero(~moved), np.flatnonzero(moved)
+    def stepped(self, targeted: np.ndarray) -> Residual:
+        """Residuals of feet: those of the contacts `targeted` (C,) bool stand elsewhere, the others where they are."""
+        stay, step = np.flatnonzero(~targeted), np.flatnonzero(targeted)
         return lambda q: _joined(self.fixed(q, stay), self.on_ground(q, step))
 
-    def lifted(self, moved: np.ndarray) -> Residual:
-        """Residuals of feet: those of the contacts `moved` (C,) bool are in the air, the others carry the machine.
+    def lifted(self, targeted: np.ndarray) -> Residual:
+        """Residuals of feet: those of the contacts `targeted` (C,) bool are in the air, the others carry the machine.
 
         Its centre of mass stays as high as at the start, so that the feet in the air reach the ground from there.
         """
-        stay = np.flatnonzero(~moved)
+        stay = np.flatnonzero(~targeted)
         n, middle = self.normals[stay[0]], self.places[stay].mean(axis=0)
         above = middle + n * (n @ (self.center - middle))
 

@@ -282,9 +282,9 @@ def _free_dofs(
         masks: list[tuple[np.ndarray, ResidualAndJacobian | None]] = [(actuated, None)]
         if feet is not None and feet.carry:
             masks.append((everything, feet.fixed))
-            moved = np.isin(feet.links, [_link(mechanism, target.frame) for target in targets])
-            if moved.any() and not moved.all() and not passed:
-                masks = [(everything, feet.stepped(moved)), (everything, feet.lifted(moved)), *masks]
+            targeted = np.isin(feet.links, [_link(mechanism, target.frame) for target in targets])
+            if targeted.any() and not targeted.all() and not passed:
+                masks = [(everything, feet.stepped(targeted)), (everything, feet.lifted(targeted)), *masks]
         if feet is not None:
             masks.append((reached, feet.on_ground))
         if passed or feet is None:
