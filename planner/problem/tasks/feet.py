@@ -1,7 +1,8 @@
 """Feet of a machine at rest on the ground: where they stay, where else they may stand, and what they carry.
 
-Residuals of inverse kinematics, of the contacts that bear load at the start. A machine of which one foot is targeted by a
-goal stands on the others: their contacts stay, and its centre of mass is above their middle (quasi-static balance).
+Residuals of inverse kinematics, of the contacts that bear load at the start. A machine that stands and of which a goal
+moves one foot stands on the others: their contacts stay, and its centre of mass is above their middle (quasi-static
+balance).
 """
 
 from __future__ import annotations
