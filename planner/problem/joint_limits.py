@@ -59,6 +59,14 @@ class Range(NamedTuple):
         inside = min(max(value, self.model_lower), self.model_upper)
         return self._replace(low=min(self.low, inside), high=max(self.high, inside))
 
+    def with_state(self, what: str, coordinate: Coordinate, value: float) -> Range:
+        """The range widened to a start or goal `what`; PlannerError for a value outside of the model's range."""
+        widened = self.widened_to(value)
+        if widened is None:
+            said = f"the {what} has {coordinate[0]} at {value:.6g} {coordinate[1]}".rstrip()
+            raise PlannerError(said + self.refusal(coordinate, value))
+        return widened
+
     def refusal(self, coordinate: Coordinate, value: float) -> str:
         """The end of a message about a value outside of the range: expected range and fix."""
         name, unit = coordinate

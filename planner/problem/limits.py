@@ -23,7 +23,7 @@ from planner.model.capabilities import capabilities_of
 from planner.model.coordinates import Coordinate, coordinates_of
 from planner.model.couplings import contradiction
 from planner.model.mechanism import SCREW, Mechanism
-from planner.model.space import space_of
+from planner.model.space import StateSpace, space_of
 from planner.problem.constraints.constraint import DEFAULT_TOLERANCE, Constraint
 from planner.problem.constraints.forces import JointForce
 from planner.problem.control_bounds import (
@@ -218,9 +218,7 @@ class Limits:
             reference = np.tile(x0, (N + 1, 1))
         if not found and not at_end:
             return None
-        origin = np.zeros(space.nx)
-        for i, _ in space.quaternions:
-            origin[i] = 1.0
+        origin = _origin(space)
         offset, start = space.difference(reference, origin), space.difference(x0, origin)
         lower, upper = np.full((2, N + 1, len(found) + len(at_end)), np.inf)
         lower = -lower
@@ -230,23 +228,28 @@ class Limits:
         if getattr(cost, "x_ref", None) is not None and getattr(cost, "Q", None) is not None:
             weighed = np.abs(cost.Q[-1]).max(axis=0) > 0.0  # pyright: ignore
         for h, (i, joint_range) in enumerate(found.items()):
-            name, unit = coordinates[i]
             if i in rotations:
+                name = coordinates[i][0]
                 raise PlannerError(f"{name} is an orientation, expected ranges of hinges, slides or velocities.")
             aims = exact[i] or (joint_range.of_model and weighed[i])
             for what, value in (("start", start[i]), *((("goal", offset[-1, i]),) if aims else ())):
-                widened = joint_range.widened_to(float(value))
-                if widened is None:
-                    raise PlannerError(
-                        f"the {what} has {name} at {value:.6g} {unit}".rstrip()
-                        + joint_range.refusal(coordinates[i], value)
-                    )
-                joint_range = widened
+                joint_range = joint_range.with_state(what, coordinates[i], float(value))
             lower[1:, h], upper[1:, h] = joint_range.low - offset[1:, i], joint_range.high - offset[1:, i]
         lower[N, len(found) :] = upper[N, len(found) :] = 0.0
         limited = tuple(coordinates[i] for i in (*found, *at_end))
         component = np.array([*found, *at_end], dtype=np.int64)
         return StateBounds(space, np.asarray(reference), component, lower, upper, len(at_end), limited)
+
+    def check_start(self, dynamics: Dynamics, x0: np.ndarray) -> None:
+        """Refuse a start (nx,) outside its ranges, before anything is sought from there.
+
+        Raises:
+            PlannerError: As for the class; a start outside its range.
+        """
+        space, coordinates = space_of(dynamics), coordinates_of(dynamics)
+        start = space.difference(x0, _origin(space))
+        for i, joint_range in self._found(dynamics).items():
+            joint_range.with_state("start", coordinates[i], float(start[i]))
 
     def tendons(self, dynamics: Dynamics, cost: Cost, x0: np.ndarray) -> tuple[Constraint, ...]:
         """The ranges of fixed tendons.
@@ -382,3 +385,11 @@ def _of_coordinates(what: str, value: Any, coordinates: Sequence[Coordinate]) ->
             "state, state={1: (-4, 4)}."
         )
     return found
+
+
+def _origin(space: StateSpace) -> np.ndarray:
+    """(nx,) the state whose deviations are coordinates: zero, without rotation."""
+    origin = np.zeros(space.nx)
+    for i, _ in space.quaternions:
+        origin[i] = 1.0
+    return origin

@@ -1,8 +1,13 @@
 """Goals and paths that cannot be meant: one sentence each, with what to write instead."""
 
+import shutil
+
 import pytest
 from arms import hand, refuse, write
 from commands import refused, run
+from places import ROOT
+
+import planner
 
 GOAL = '[[goal]]\nframe = "hand"\nposition = [0.3, 0.0, -0.2]\n'
 
@@ -134,3 +139,12 @@ def test_the_command_ends_with_two(tmp_path):
     write(tmp_path, goals(at("[0.9, 0.0, 0.0]")))
     refused(run("run", "task.toml", cwd=tmp_path), "goal 1 (hand) is out of reach by 0.2 m")
     assert not (tmp_path / "renders").exists()
+
+
+def test_a_start_outside_its_range_is_refused_before_a_goal_is_sought_from_there(tmp_path):
+    """Angles of a file in degrees by oversight: the knee's range is 2.4 deg, and the goal is out of reach within it."""
+    model = (ROOT / "benchmarks" / "moving" / "biped.xml").read_text().replace('<compiler angle="radian"/>', "")
+    (tmp_path / "biped.xml").write_text(model)
+    shutil.copy(ROOT / "benchmarks" / "moving" / "biped-lift.toml", tmp_path)
+    with pytest.raises(planner.PlannerError, match=r"the start has left_pitch at -0\.3 rad, expected -0"):
+        planner.load_problem(tmp_path / "biped-lift.toml")

@@ -280,6 +280,8 @@ def _problem(
     limits = Limits.from_dict(table["limits"]) if table.get("limits") else None
     avoid = Avoid(**table["avoid"]) if "avoid" in table else None
     asked = constraints_of(table.get("constraint", []))
+    if tasked and limits is not None:
+        limits.check_start(dynamics, x0)
     way = resolve_task(table, dynamics, x0, N, limits, avoid, (*asked, *constraints)) if tasked else None
     apart = None if way is None else way.apart
     if avoid is not None and way is None:
