@@ -8,6 +8,7 @@ import planner
 from planner.dynamics.contacts import contact_forces
 from planner.dynamics.inverse_kinematics import integrate_base
 from planner.dynamics.momentum import center_of_mass, center_of_mass_jacobian
+from planner.problem.costs.tracking import tracking_of
 from planner.problem.tasks.feet import BALANCE_SCALE, FOOT_SCALE, feet_of
 
 BIPED = ROOT / "benchmarks" / "moving"
@@ -40,8 +41,6 @@ def test_jacobians_are_differences(problem):
 def test_a_foot_is_lifted_over_the_other_one(problem):
     """The centre of mass of the goal's pose is above the sole that stays, within what its residuals resolve."""
     mechanism = problem.dynamics.mechanism
-    from planner.problem.costs.tracking import tracking_of
-
     rows = tracking_of(problem.cost).x_ref[:, : mechanism.nq]
     loads = contact_forces(mechanism, rows[:1], np.zeros((1, mechanism.nv))).forces[0].any(axis=1)
     assert loads.sum() == 8  # the corners of both soles

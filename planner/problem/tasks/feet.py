@@ -7,8 +7,8 @@ balance).
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
@@ -17,12 +17,10 @@ from planner.dynamics.kinematics import frame_pose, jacobian
 from planner.dynamics.momentum import center_of_mass, center_of_mass_jacobian
 from planner.model.capabilities import stands_on_ground
 from planner.model.mechanism import Frame, Mechanism
+from planner.problem.tasks.pose_constraints import ResidualAndJacobian, both
 
 FOOT_SCALE = 1e-3  # m that a foot on the ground is targeted by a residual of 1: less than a plan's goals resolve
-BALANCE_SCALE = 0.01  # m of the centre of mass: a third of half the breadth of a child's foot
-
-Residual = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
-"""Of a configuration (nq,): r (R,) over its tolerances, and its Jacobian (R, nv)."""
+BALANCE_SCALE = 0.01  # m that the centre of mass is off by a residual of 1: small beside a sole
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,12 +63,12 @@ class Feet:
         n = self.normals[which]
         return np.einsum("ka,ka->k", n, away), np.einsum("ka,kaj->kj", n, J)
 
-    def stepped(self, targeted: np.ndarray) -> Residual:
+    def stepped(self, targeted: np.ndarray) -> ResidualAndJacobian:
         """Residuals of feet: those of the contacts `targeted` (C,) bool stand elsewhere, the others where they are."""
         stay, step = np.flatnonzero(~targeted), np.flatnonzero(targeted)
-        return lambda q: _joined(self.fixed(q, stay), self.on_ground(q, step))
+        return both(partial(self.fixed, which=stay), partial(self.on_ground, which=step))
 
-    def lifted(self, targeted: np.ndarray) -> Residual:
+    def lifted(self, targeted: np.ndarray) -> ResidualAndJacobian:
         """Residuals of feet: those of the contacts `targeted` (C,) bool are in the air, the others carry the machine.
 
         Its centre of mass stays as high as at the start, so that the feet in the air reach the ground from there.
@@ -83,11 +81,7 @@ class Feet:
             away, J = center_of_mass(self.mechanism, q) - above, center_of_mass_jacobian(self.mechanism, q)
             return away / BALANCE_SCALE, J / BALANCE_SCALE
 
-        return lambda q: _joined(self.fixed(q, stay), balance(q))
-
-
-def _joined(one: tuple[np.ndarray, np.ndarray], other: tuple[np.ndarray, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
-    return np.concatenate([one[0], other[0]]), np.vstack([one[1], other[1]])
+        return both(partial(self.fixed, which=stay), balance)
 
 
 def feet_of(mechanism: Mechanism, q: np.ndarray) -> Feet | None:

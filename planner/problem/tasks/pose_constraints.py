@@ -18,6 +18,17 @@ from planner.problem.costs.penalty_terms import Velocity
 
 POSE_TOLERANCE = 1e-3  # m or rad, violation of a constraint in addition to its tolerance at which the search ends
 ResidualAndJacobian = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
+"""Of a configuration (nq,): r (R,) over its tolerances, and its Jacobian (R, nv)."""
+
+
+def both(one: ResidualAndJacobian, other: ResidualAndJacobian) -> ResidualAndJacobian:
+    """The residuals of both, one's first."""
+
+    def joined(q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        (r, J), (s, K) = one(q), other(q)
+        return np.concatenate([r, s]), np.vstack([J, K])
+
+    return joined
 
 
 class PoseConstraints:

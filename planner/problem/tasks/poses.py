@@ -19,7 +19,7 @@ from planner.model.mjcf.prescribed_joints import prescribed_dofs_of
 from planner.problem.collision_checker import CollisionChecker
 from planner.problem.tasks.feet import FOOT_SCALE, Feet, feet_of
 from planner.problem.tasks.follow import Follow
-from planner.problem.tasks.pose_constraints import PoseConstraints, ResidualAndJacobian
+from planner.problem.tasks.pose_constraints import PoseConstraints, ResidualAndJacobian, both
 from planner.problem.tasks.timed_task import Task, TimedGoal, unit_of
 
 MAX_CONFIGURATIONS = 60  # along a path; joints follow a spline between them
@@ -62,8 +62,9 @@ def poses_of(
 
     Args:
         task: Goals and paths.
-        dynamics: The machine; unactuated joints move only if the actuated ones do not reach the goal. Then its feet
-            stay where the start has them, or if that is too near stand elsewhere, or leave the ground at a via point.
+        dynamics: The machine. Where a goal moves a foot of it, it stands on the others. Else unactuated joints move
+            only if the actuated ones do not reach the goal: its feet stay where the start has them, or if that is too
+            near stand elsewhere, or leave the ground at a via point.
         x0: (nx,) start.
         ranges: (nv, 2) rad or m, of hinges and slides.
         seed: Of the random starts of inverse kinematics.
@@ -177,9 +178,10 @@ def _pose(
     ) -> tuple[np.ndarray, float]:  # fmt: skip
         found = None
         for mask, feet in _free_dofs(search, targets, joints, any(one.goal.through for one in here)):
+            kept = both(missing, feet) if missing is not None and feet is not None else missing or feet
             other = inverse_kinematics(
                 mechanism, targets, q, ranges=ranges, free=mask, seed=search.seed, short=short,
-                missing=_both(missing, feet), starts=None if here or missing is None else PATH_STARTS,
+                missing=kept, starts=None if here or missing is None else PATH_STARTS,
             )  # fmt: skip
             if feet is not None:
                 other = other._replace(residual=max(other.residual, float(np.abs(feet(other.q)[0]).max())))
@@ -310,13 +312,6 @@ def _on_ground(
         return q
     asked_q = [int(mechanism.q_address[dof]) for dof in asked.joints]
     return q if np.abs(there - q)[asked_q].max(initial=0.0) > FOOT_SCALE else there
-
-
-def _both(one: ResidualAndJacobian | None, other: ResidualAndJacobian | None) -> ResidualAndJacobian | None:
-    """The residuals of both."""
-    if one is None or other is None:
-        return one or other
-    return lambda q: tuple(np.concatenate(parts) for parts in zip(one(q), other(q), strict=True))  # pyright: ignore
 
 
 def _check_path_start(task: Task, path: Follow, q: np.ndarray) -> None:
