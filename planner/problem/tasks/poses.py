@@ -178,10 +178,10 @@ def _pose(
     ) -> tuple[np.ndarray, float]:  # fmt: skip
         found = None
         for mask, feet in _free_dofs(search, targets, joints, any(one.goal.through for one in here)):
-            kept = both(missing, feet) if missing is not None and feet is not None else missing or feet
+            further = both(missing, feet) if missing is not None and feet is not None else missing or feet
             other = inverse_kinematics(
                 mechanism, targets, q, ranges=ranges, free=mask, seed=search.seed, short=short,
-                missing=kept, starts=None if here or missing is None else PATH_STARTS,
+                missing=further, starts=None if here or missing is None else PATH_STARTS,
             )  # fmt: skip
             if feet is not None:
                 other = other._replace(residual=max(other.residual, float(np.abs(feet(other.q)[0]).max())))
