@@ -50,6 +50,7 @@ from planner.solvers.regularization import Regularization, unregularized_sweep
 from planner.solvers.relaxation import direct_iterations, is_trapped, relax
 from planner.solvers.resolution import is_unresolved
 from planner.solvers.stabilizing_guess import has_diverged, stabilizing_guess
+from planner.solvers.uncertain_ground import has_uncertain_ground, robust_gains
 from planner.solvers.warm_start import tracked_warm_start
 from planner.solvers.work import UntilDeadline, WorkBudget, budget_of
 
@@ -362,6 +363,8 @@ def _inner_solve(
         unregularized_sweep(engine, options)
         engine.holds_bounds = False
     K = engine.gains()
+    if has_uncertain_ground(problem) and (robust := robust_gains(problem, xs, us, penalties)) is not None:
+        K = robust
     # Open-loop costates overflow where stages are too long, and in long motions that only feedback makes stable.
     overflows = not math.isfinite(gradient_norm) and (machine.mechanism is None or bool(stage_too_long(problem)))
     if status is not Status.INTERRUPTED and (overflows or not np.isfinite(K).all()):

@@ -78,18 +78,22 @@ class ContactLaw(Law):
         impratio: Of MuJoCo's projection onto the friction cone; infinite for none.
         bend: b, how gradually friction turns from viscous to Coulomb's, 0 (at once) to 1. In an MJCF it goes with a
             ramp: without one friction is cut off at once.
+        uncertainty: The factor within which the stiffness is known, either way; at least 1. A plan's gains allow for
+            it (solvers.uncertain_ground); nothing else depends on it.
     """
 
     slip_damping: float = 0.0
     friction: float = 0.0
     impratio: float = math.inf
     bend: float = BEND
+    uncertainty: float = 1.0
 
     def __post_init__(self) -> None:
         super().__post_init__()
         for name in ("slip_damping", "friction"):
             set_fields(self, **{name: number(name, getattr(self, name), minimum=0.0)})
         set_fields(self, bend=number("bend", self.bend, minimum=0.0, maximum=1.0))
+        set_fields(self, uncertainty=number("uncertainty", self.uncertainty, minimum=1.0))
         if self.impratio != math.inf:
             set_fields(self, impratio=number("impratio", self.impratio, greater_than=0.0))
 

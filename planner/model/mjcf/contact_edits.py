@@ -23,7 +23,7 @@ from planner.base.errors import ModelError
 from planner.base.gl import load_mujoco
 from planner.model.contact.laws import ContactLaw
 from planner.model.mjcf.contact_shapes import add_points, meets_plane
-from planner.model.mjcf.contacts import CONTACT_RAMP, contact_attributes, shapes_fit
+from planner.model.mjcf.contacts import contact_attributes, shapes_fit
 from planner.model.mjcf.model_index import ModelIndex, Pair, compile_model
 from planner.model.mjcf.text import written
 
@@ -32,13 +32,14 @@ IMPRATIO = 1000.0  # at which MuJoCo's friction is the law's to a thousandth; be
 
 
 def give_law(
-    root: ElementTree.Element, survey: ModelIndex, law_of: Callable[[Pair], ContactLaw | None], smoothing: str,
-    recesses: Mapping[tuple[int, int], float] | None = None,
+    root: ElementTree.Element, survey: ModelIndex, law_of: Callable[[Pair], ContactLaw | None],
+    numbers: Mapping[str, str], recesses: Mapping[tuple[int, int], float] | None = None,
 ) -> list[Pair]:  # fmt: skip
     """Edit the XML so that its contacts have the laws of `law_of`; returns the contacts that are left out.
 
     The survey is of what the root compiles to. Pairs without a law, and of shapes that are not modelled, are excluded.
-    Of an infinite impratio becomes IMPRATIO; all laws have the same one, and the same `smoothing` (CONTACT_RAMP).
+    Of an infinite impratio becomes IMPRATIO; all laws have the same one, and the same `numbers` by their names
+    (CONTACT_RAMP, CONTACT_UNCERTAINTY).
     With `recesses` of pairs by their geoms, m, shapes with a margin get points that are larger by it, since there the
     file's own force begins, and smaller by the recess.
     """
@@ -74,10 +75,11 @@ def give_law(
     option = ElementTree.SubElement(root, "option", {"cone": "elliptic", "impratio": repr(impratio)})
     ElementTree.SubElement(option, "flag", {"refsafe": "disable"})
     for custom in root.findall("custom"):
-        for element in custom.findall(f"numeric[@name='{CONTACT_RAMP}']"):
+        for element in [one for one in custom.findall("numeric") if one.get("name") in numbers]:
             custom.remove(element)
-    attributes = {"name": CONTACT_RAMP, "data": smoothing}
-    ElementTree.SubElement(ElementTree.SubElement(root, "custom"), "numeric", attributes)
+    custom = ElementTree.SubElement(root, "custom")
+    for name, data in numbers.items():
+        ElementTree.SubElement(custom, "numeric", {"name": name, "data": data})
     return unmatched
 
 

@@ -12,7 +12,8 @@ MuJoCo's model, so the file says it in numbers of its own:
     <custom><numeric name="contact_ramp" data="0.002 1 0.5"/> <numeric name="stop_ramp" data="0.03"/></custom>
 
 a ramp in m (stops: of their joint's coordinate), one of the force, and how gradually friction bends; the last two may
-be left out, and without any there is no smoothing.
+be left out, and without any there is no smoothing. That named contact_uncertainty has the factor within which the
+stiffness of contacts is known.
 """
 
 from __future__ import annotations
@@ -36,6 +37,7 @@ SOFT = 1e-4  # the impedance d, the least that MuJoCo knows
 SOFTEST = 1e-3  # up to here R is still a thousand times A, and the forces differ by less than a percent
 MIN_IMPRATIO = 100.0  # of smoothed friction, which knows no projection
 CONTACT_RAMP, STOP_RAMP = "contact_ramp", "stop_ramp"
+CONTACT_UNCERTAINTY = "contact_uncertainty"
 
 
 def contact_attributes(
@@ -188,7 +190,8 @@ def _law_of(model: Any, pair: Pair) -> ContactLaw:
     ramp, force_ramp, bend = _smoothing(model, CONTACT_RAMP)
     if ramp == 0.0:
         return ContactLaw.exact(K, B, ct, mu, impratio)
-    return ContactLaw(K, B, ramp, force_ramp, ct, mu, bend=bend)
+    uncertainty = _numbers(model, CONTACT_UNCERTAINTY) or [1.0]
+    return ContactLaw(K, B, ramp, force_ramp, ct, mu, bend=bend, uncertainty=uncertainty[0])
 
 
 def read_stops(model: Any) -> tuple[Stop, ...]:
@@ -211,13 +214,20 @@ def read_stops(model: Any) -> tuple[Stop, ...]:
 
 def _smoothing(model: Any, name: str) -> tuple[float, float | None, float]:
     """Read the smoothing from the file's <numeric> of that name: ramp, force ramp (None by default) and bend."""
-    mujoco = load_mujoco()
-    k = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_NUMERIC, name)
-    if k < 0:
+    data = _numbers(model, name)
+    if data is None:
         return 0.0, 0.0, BEND
-    start = int(model.numeric_adr[k])
-    data = [float(x) for x in model.numeric_data[start : start + int(model.numeric_size[k])]]
     most, more = (3, ", and a bend within 0 to 1") if name == CONTACT_RAMP else (2, "")
     if not (1 <= len(data) <= most and all(0.0 <= x < math.inf for x in data) and max(data[2:], default=0.0) <= 1.0):
         raise ModelError(f"numeric {name!r} is {data}, expected a length and perhaps a force, of at least 0{more}.")
     return data[0], data[1] if len(data) > 1 else None, data[2] if len(data) > 2 else BEND
+
+
+def _numbers(model: Any, name: str) -> list[float] | None:
+    """The numbers of the file's <numeric> of that name; None where it has none."""
+    mujoco = load_mujoco()
+    k = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_NUMERIC, name)
+    if k < 0:
+        return None
+    start = int(model.numeric_adr[k])
+    return [float(x) for x in model.numeric_data[start : start + int(model.numeric_size[k])]]

@@ -85,6 +85,7 @@ DAMPING = 1.0  # of critical, for that ground creeps back where it was pressed
 SLIP = 0.2  # m/s at which viscous friction is all there is: on MuJoCo's default contact feet creep more slowly still
 MAX_FRICTION = 1.0  # where the file has more, the plan keeps the rest as a margin
 FASTEST = 2000.0  # 1/s: what 16 substeps of a stage of 10 ms follow, and some to spare for other poses
+UNCERTAINTY = 4.0  # of the stiffness: under a light load the file's own contact differs by as much, either way
 MAX_KEYFRAMES = 10
 TOGETHER = 0.1  # of a foot's size: points that are no higher above its lowest one stand together
 
@@ -124,6 +125,7 @@ def _for_mass(survey: ModelIndex, pair: Pair) -> Ground:
     depth, slope = rest_penetration(model, pair, LOAD * weight)
     own = {"damping_ratio": DAMPING, "slip": SLIP, "friction": friction_of(pair)}
     usual = ContactLaw.resting(mass, gravity=gravity, sink=REST_PENETRATION, **own)
+    usual = replace(usual, uncertainty=UNCERTAINTY)
     if slope >= usual.stiffness:
         return Ground(usual, 0.0)
     recess, match = depth - LOAD * weight / slope, meets_plane(survey, pair.geoms)
@@ -131,7 +133,7 @@ def _for_mass(survey: ModelIndex, pair: Pair) -> Ground:
     if not (spheres and spheres[0].radius > recess > 0.0):
         recess, slope = 0.0, min(LOAD * weight / depth, usual.stiffness)
     law = ContactLaw.resting(mass, gravity=gravity, sink=weight / slope, ramp=usual.ramp, **own)
-    return Ground(law, recess)
+    return Ground(replace(law, uncertainty=UNCERTAINTY), recess)
 
 
 def friction_of(pair: Pair) -> float:

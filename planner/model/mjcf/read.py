@@ -25,7 +25,14 @@ from planner.model.mechanism import BALL, BALL_NEXT, SCREW, Frame, Mechanism
 from planner.model.mjcf.attached import attachments, with_attached
 from planner.model.mjcf.contact_edits import give_law, let_float
 from planner.model.mjcf.contact_mode import MODES, ContactMode, ground_pairs, select_contact_mode, stationary_roots
-from planner.model.mjcf.contacts import contact_refusals, phrase_of, read_contacts, read_stops
+from planner.model.mjcf.contacts import (
+    CONTACT_RAMP,
+    CONTACT_UNCERTAINTY,
+    contact_refusals,
+    phrase_of,
+    read_contacts,
+    read_stops,
+)
 from planner.model.mjcf.equalities import harden, read_cams, read_couplings, read_loops, read_tendons
 from planner.model.mjcf.excluded import excluded_pairs, with_excluded
 from planner.model.mjcf.ground_law import laws_of_ground
@@ -161,14 +168,17 @@ def _renamed(contacts: object) -> object:
 
 def _laws(
     survey: ModelIndex, law: ContactLaw | None
-) -> tuple[Callable[[Pair], ContactLaw | None], str, dict[tuple[int, int], float] | None]:
-    """The law of each pair, that of the ground by default, their smoothing and their recesses, for give_law."""
+) -> tuple[Callable[[Pair], ContactLaw | None], dict[str, str], dict[tuple[int, int], float] | None]:
+    """The law of each pair, that of the ground by default, the numbers they share and their recesses, for give_law."""
     if law is not None:
-        return (lambda _: law), f"{law.ramp!r} {law.force_ramp!r} {law.bend!r}", None
+        smoothing = f"{law.ramp!r} {law.force_ramp!r} {law.bend!r}"
+        return (lambda _: law), {CONTACT_RAMP: smoothing, CONTACT_UNCERTAINTY: repr(law.uncertainty)}, None
     grounds = laws_of_ground(survey, ground_pairs(survey))
     recesses = {geoms: ground.contact_offset for geoms, ground in grounds.items()}
     laws = {geoms: ground.law for geoms, ground in grounds.items()}
-    return (lambda pair: laws.get(pair.geoms)), repr(next(iter(laws.values())).ramp), recesses
+    one = next(iter(laws.values()))
+    numbers = {CONTACT_RAMP: repr(one.ramp), CONTACT_UNCERTAINTY: repr(one.uncertainty)}
+    return (lambda pair: laws.get(pair.geoms)), numbers, recesses
 
 
 def _refuse(found: list[UnsupportedElement], name: str, survey: ModelIndex) -> None:
