@@ -30,7 +30,7 @@ from planner.proof.stationarity import stationarity
 from planner.solvers import lq
 from planner.solvers.options import EXPECTED_REDUCTION_TOLERANCE
 from planner.solvers.resolution import step_error
-from planner.solvers.uncertain_ground import for_uncertain_ground, has_uncertain_ground
+from planner.solvers.uncertain_ground import has_uncertain_ground, robust_gains
 
 BOUND = 1e-9  # relative; a plan and its file agree to rounding
 GAIN_BOUND = 1e-6  # relative; rounding error of a Riccati sweep over unstable stages
@@ -71,14 +71,10 @@ def recomputed(
         sweep = held = lq.riccati(*rounded, quadratic, bounds=moves) if known else None
         if known and moves is not None and moves.lower_by_x is not None:
             held = lq.riccati(*rounded, quadratic, bounds=StepBounds(moves.lower, moves.upper))
-        if held is not None and has_uncertain_ground(problem):
-            held = lq.riccati(
-                *rounded,
-                for_uncertain_ground(problem, xs, us, *rounded, quadratic, held.P),
-                bounds=None if moves is None else StepBounds(moves.lower, moves.upper),
-            )
         gains = None if held is None else held.K
         terms = float(np.linalg.norm(quadratic.r)) + norm
+        if gains is not None and has_uncertain_ground(problem):
+            gains = robust_gains(problem, xs, us, *rounded, quadratic, moves)
         return Recomputed(defects, problem.cost.value(xs, us), norm, terms, sweep, gains)
 
 

@@ -50,7 +50,7 @@ from planner.solvers.regularization import Regularization, unregularized_sweep
 from planner.solvers.relaxation import direct_iterations, is_trapped, relax
 from planner.solvers.resolution import is_unresolved
 from planner.solvers.stabilizing_guess import has_diverged, stabilizing_guess
-from planner.solvers.uncertain_ground import has_uncertain_ground, robust_gains
+from planner.solvers.uncertain_ground import with_robust_gains
 from planner.solvers.warm_start import tracked_warm_start
 from planner.solvers.work import UntilDeadline, WorkBudget, budget_of
 
@@ -195,7 +195,7 @@ def solve(
         recorded["not_finite"] = cure
     if work is not None:
         best = _with_cut(best, work, settings.max_iterations < asked, recorded)
-    return judged_status(replace(as_user_plan(problem, best), options=recorded))
+    return judged_status(with_robust_gains(replace(as_user_plan(problem, best), options=recorded)))
 
 
 def _with_cut(plan: Plan, budget: WorkBudget, fewer: bool, recorded: dict[str, Any]) -> Plan:
@@ -363,8 +363,6 @@ def _inner_solve(
         unregularized_sweep(engine, options)
         engine.holds_bounds = False
     K = engine.gains()
-    if has_uncertain_ground(problem) and (robust := robust_gains(problem, xs, us, penalties)) is not None:
-        K = robust
     # Open-loop costates overflow where stages are too long, and in long motions that only feedback makes stable.
     overflows = not math.isfinite(gradient_norm) and (machine.mechanism is None or bool(stage_too_long(problem)))
     if status is not Status.INTERRUPTED and (overflows or not np.isfinite(K).all()):

@@ -26,8 +26,8 @@ import numpy as np
 from planner.dynamics.rigid_body import RigidBodyDynamics
 from planner.problem.control_bounds import StepBounds
 from planner.problem.costs.terms import Quadratic
+from planner.problem.plan import Plan
 from planner.problem.problem import Problem
-from planner.problem.state_bounds import BoundPenalties
 from planner.solvers import lq
 
 
@@ -39,10 +39,28 @@ def has_uncertain_ground(problem: Problem) -> bool:
     )
 
 
-def for_uncertain_ground(
-    problem: Problem, xs: np.ndarray, us: np.ndarray, A: np.ndarray, B: np.ndarray, quadratic: Quadratic, P: np.ndarray
-) -> Quadratic:
-    """The quadratic model whose Riccati sweep has gains for contacts of uncertain stiffness.
+def with_robust_gains(plan: Plan) -> Plan:
+    """The plan with gains for contacts of uncertain stiffness; as it is where none is, or a sweep is not definite."""
+    problem, xs, us = plan.problem, plan.xs, plan.us
+    if problem is None or not has_uncertain_ground(problem) or not np.isfinite(plan.K).all():
+        return plan
+    with np.errstate(all="ignore"):  # a diverged trajectory may contain any numbers
+        A, B = problem.dynamics.linearize(xs, us)
+        quadratic: Quadratic = problem.cost.quadratize(xs, us)
+        if plan.bound_penalties is not None and problem.trajectory_constraints is not None:
+            quadratic = problem.trajectory_constraints.with_penalties(plan.bound_penalties, quadratic, xs, us, A, B)
+        bounds = None if problem.bounds is None else problem.bounds.step_bounds(xs, us)
+        if not (np.isfinite(A).all() and np.isfinite(B).all() and quadratic.finite):
+            return plan
+        K = robust_gains(problem, xs, us, A, B, quadratic, bounds)
+    return plan if K is None or not np.isfinite(K).all() else replace(plan, K=K)
+
+
+def robust_gains(
+    problem: Problem, xs: np.ndarray, us: np.ndarray, A: np.ndarray, B: np.ndarray, quadratic: Quadratic,
+    bounds: StepBounds | None,
+) -> np.ndarray | None:  # fmt: skip
+    """Gains (N, nu, ndx) for contacts of uncertain stiffness; None where a sweep is not positive definite.
 
     Args:
         problem: With uncertain ground.
@@ -50,39 +68,23 @@ def for_uncertain_ground(
         us: Controls (N, nu).
         A: (N, ndx, ndx) along them.
         B: (N, ndx, nu).
-        quadratic: Quadratic model of the cost along them.
-        P: (N+1, ndx, ndx) Hessians of its cost-to-go.
+        quadratic: Quadratic model of the cost along them, with active penalties.
+        bounds: Of the control steps; those that depend on the state are taken for constant.
     """
-    Q, R = quadratic.Q.copy(), quadratic.R.copy()
-    S = np.zeros((*us.shape, A.shape[2])) if quadratic.S is None else quadratic.S.copy()
+    constant = None if bounds is None else StepBounds(bounds.lower, bounds.upper)
+    sweep = lq.riccati(A, B, quadratic, bounds=constant)
+    if sweep is None:
+        return None
+    P, S = sweep.P, quadratic.S
+    Q, R, S = quadratic.Q.copy(), quadratic.R.copy(), np.zeros(sweep.K.shape) if S is None else S.copy()
     for side in (-1.0, 1.0):
         other_A, other_B = _with_other_stiffness(problem.dynamics, side).linearize(xs, us)
         dA, dB = other_A - A, other_B - B
-        P_dA = P[1:] @ dA
+        P_dA, dB_T = P[1:] @ dA, dB.transpose(0, 2, 1)
         Q[:-1] += dA.transpose(0, 2, 1) @ P_dA
-        R += dB.transpose(0, 2, 1) @ P[1:] @ dB
-        S += dB.transpose(0, 2, 1) @ P_dA
-    return quadratic._replace(Q=Q, R=R, S=S)
-
-
-def robust_gains(
-    problem: Problem, xs: np.ndarray, us: np.ndarray, penalties: BoundPenalties | None
-) -> np.ndarray | None:
-    """Gains (N, nu, ndx) of a plan for contacts of uncertain stiffness; None where a sweep is not positive definite."""
-    with np.errstate(all="ignore"):  # a diverged trajectory may contain any numbers
-        A, B = problem.dynamics.linearize(xs, us)
-        quadratic: Quadratic = problem.cost.quadratize(xs, us)
-        if penalties is not None and problem.trajectory_constraints is not None:
-            quadratic = problem.trajectory_constraints.with_penalties(penalties, quadratic, xs, us, A, B)
-        bounds = None if problem.bounds is None else problem.bounds.step_bounds(xs, us)
-        constant = None if bounds is None else StepBounds(bounds.lower, bounds.upper)
-        if not (np.isfinite(A).all() and np.isfinite(B).all() and quadratic.finite):
-            return None
-        sweep = lq.riccati(A, B, quadratic, bounds=constant)
-        if sweep is None or not np.isfinite(sweep.P).all():
-            return None
-        quadratic = for_uncertain_ground(problem, xs, us, A, B, quadratic, sweep.P)
-        sweep = lq.riccati(A, B, quadratic, bounds=constant)
+        R += dB_T @ P[1:] @ dB
+        S += dB_T @ P_dA
+    sweep = lq.riccati(A, B, quadratic._replace(Q=Q, R=R, S=S), bounds=constant)
     return None if sweep is None else sweep.K
 
 

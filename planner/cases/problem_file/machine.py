@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -16,6 +17,7 @@ from planner.cases.problem_file.table import check_keys
 from planner.model.contact.laws import ContactLaw
 from planner.model.mechanism import Mechanism
 from planner.model.mjcf.contact_mode import MODES
+from planner.model.mjcf.ground_law import UNCERTAINTY
 from planner.model.mjcf.unsupported import KINDS
 from planner.model.urdf.read import read_model
 
@@ -67,7 +69,10 @@ def _contact_law(law: dict[str, Any], mechanism: Mechanism) -> ContactLaw:
         return ContactLaw(**_renamed(law))
     check_keys(law, GROUND, "a contacts table without stiffness")
     gravity = float(np.linalg.norm(mechanism.gravity))
-    return ContactLaw.resting(float(mechanism.mass.sum()), gravity=gravity, **_renamed(law))
+    arguments: dict[str, Any] = {"uncertainty": UNCERTAINTY, **_renamed(law)}
+    uncertainty = arguments.pop("uncertainty")
+    resting = ContactLaw.resting(float(mechanism.mass.sum()), gravity=gravity, **arguments)
+    return replace(resting, uncertainty=uncertainty)
 
 
 def _renamed(law: dict[str, Any]) -> dict[str, Any]:
