@@ -215,7 +215,7 @@ def summed_joint_forces(mechanism: Mechanism) -> dict[int, str]:
     for name, links in zip(mechanism.joint_names, mechanism.joint_links, strict=True):
         i = links.start
         which = np.flatnonzero(acts_on[:, i])
-        reached = limited[i] and np.any(acts.gain[which] != 0.0) and not np.any(by_wrenches[which])
+        reached = limited[i] and np.any(acts.pushes[which]) and not np.any(by_wrenches[which])
         if name and reached and not (len(which) == 1 and _is_affine(mechanism, int(which[0]))):
             found[i] = name
     return found
@@ -240,7 +240,10 @@ def unbounded(mechanism: Mechanism) -> tuple[str, ...]:
             if clamp.summed:
                 continue
             if not _is_affine(mechanism, a):
-                why = "the force comes from an activation" if acts.dynamics[a] != DIRECT else "its gain is 0"
+                why = (
+                    "the force comes from an activation" if acts.dynamics[a] != DIRECT
+                    else "the force is not linear in the state" if acts.by_law[a] else "its gain is 0"
+                )  # fmt: skip
             elif not clamp.alone:
                 why = "other actuators share it, and one acts at a site or the joint has no name"
             else:
@@ -264,8 +267,9 @@ def _clamps(mechanism: Mechanism, a: int) -> list[_Clamp]:
 
 
 def _is_affine(mechanism: Mechanism, a: int) -> bool:
-    """Whether an actuator's force is gain u + bias of the state."""
-    return bool(mechanism.actuators.dynamics[a] == DIRECT and mechanism.actuators.gain[a] != 0.0)
+    """Whether an actuator's force is gain u + a bias that is affine in the state."""
+    acts = mechanism.actuators
+    return bool(acts.dynamics[a] == DIRECT and acts.gain[a] != 0.0 and not acts.by_law[a])
 
 
 def _bounds_control(mechanism: Mechanism, a: int) -> bool:
@@ -275,7 +279,7 @@ def _bounds_control(mechanism: Mechanism, a: int) -> bool:
 
 def _depends_on_state(mechanism: Mechanism, a: int) -> bool:
     """Whether an actuator's force depends on the state."""
-    return bool(np.any(mechanism.actuators.bias[a, 1:]))
+    return bool(mechanism.actuators.depends_on_state[a])
 
 
 def _control_range(mechanism: Mechanism, a: int) -> tuple[float, float]:

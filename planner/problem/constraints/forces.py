@@ -10,9 +10,9 @@ import numpy as np
 from planner.base.arguments import choice
 from planner.base.errors import PlannerError
 from planner.dynamics import Dynamics, RigidBodyDynamics, constraint_forces
-from planner.dynamics.actuator_moments import force_rows
+from planner.dynamics.actuator_moments import StateForces, forces_at
 from planner.model.actuators import DIRECT
-from planner.model.mechanism import SCREW, Mechanism
+from planner.model.mechanism import Mechanism
 from planner.model.space import space_of
 from planner.problem.constraints.quantities import mechanism_of
 from planner.problem.costs.weights import places
@@ -57,37 +57,27 @@ class PowerFunction:
     rows = 1
 
     def __init__(self, mechanism: Mechanism, a: int, ndx: int, nu: int) -> None:
-        one = mechanism.actuators
-        self._a, self._nu, self._nv, self._nq = a, nu, mechanism.nv, mechanism.nq
-        self._moment, self._gain, self._bias = one.moment[a], float(one.gain[a]), one.bias[a]
-        self.of_controls = bool(one.dynamics[a] == DIRECT)
-        self._state = mechanism.nq + mechanism.nv + int(one.activation[a])  # of its activation, where it has one
-        screws = np.flatnonzero((mechanism.kind == SCREW) & (self._moment != 0.0))
-        self._screws, self._address = screws, mechanism.q_address[screws]
-        self._ndx, self.same = ndx, ("power", a)
+        self._mechanism, self._a, self._ndx, self._nu = mechanism, a, ndx, nu
+        self.of_controls, self.same = bool(mechanism.actuators.dynamics[a] == DIRECT), ("power", a)
 
-    def _parts(self, xs: np.ndarray, us: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Force and speed (K,)."""
-        speed = xs[:, self._nq : self._nq + self._nv] @ self._moment
-        length = xs[:, self._address] @ self._moment[self._screws]
-        input_ = us[:, self._a] if self.of_controls else xs[:, self._state]
-        return self._gain * input_ + self._bias[0] + self._bias[1] * length + self._bias[2] * speed, speed
+    def _parts(self, xs: np.ndarray, us: np.ndarray) -> tuple[StateForces, np.ndarray]:
+        """Forces of the actuators, and the speed (K,) of this one."""
+        m = self._mechanism
+        forces = forces_at(m, xs[:, : m.space.nx], us[:, : m.nu])
+        return forces, xs[:, m.nq : m.nq + m.nv] @ m.actuators.moment[self._a]
 
     def values(self, xs: np.ndarray, us: np.ndarray, n: np.ndarray) -> np.ndarray:
         """(K, 1) W."""
-        force, speed = self._parts(xs, us)
-        return (force * speed)[:, None]
+        forces, speed = self._parts(xs, us)
+        return (forces.force[:, self._a] * speed)[:, None]
 
     def derivatives(self, xs: np.ndarray, us: np.ndarray, n: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """(K, 1, ndx) and (K, 1, nu)."""
-        force, speed = self._parts(xs, us)
+        (forces, speed), a, nv = self._parts(xs, us), self._a, self._mechanism.nv
         by_x, by_u = np.zeros((len(xs), 1, self._ndx)), np.zeros((len(xs), 1, self._nu))
-        by_x[:, 0, self._nv : 2 * self._nv] = (force + self._bias[2] * speed)[:, None] * self._moment
-        by_x[:, 0, self._screws] = (self._bias[1] * speed)[:, None] * self._moment[self._screws]
-        if self.of_controls:
-            by_u[:, 0, self._a] = self._gain * speed
-        else:
-            by_x[:, 0, self._state - self._nq + self._nv] = self._gain * speed
+        by_x[:, 0, : forces.by_x.shape[2]] = speed[:, None] * forces.by_x[:, a]
+        by_x[:, 0, nv : 2 * nv] += forces.force[:, a, None] * self._mechanism.actuators.moment[a]
+        by_u[:, 0, a] = forces.by_u[:, a] * speed
         return by_x, by_u
 
 
@@ -109,7 +99,7 @@ class JointForce(Residual):
         """Its function, of a machine.
 
         Raises:
-            PlannerError: It has no such joint, or the joint's force is not one number that is linear in the state.
+            PlannerError: It has no such joint, or the joint's force is not one number.
         """
         mechanism = mechanism_of(dynamics, self)
         links = mechanism.joint(self.joint)
@@ -123,23 +113,22 @@ class JointForce(Residual):
 
     def value(self, dynamics: Any, xs: np.ndarray, us: np.ndarray) -> np.ndarray:
         """(K,)."""
-        mechanism, moment, (by_state, _, by_control) = self._parts(dynamics)
-        constant, nx = moment @ mechanism.actuators.bias[:, 0], len(by_state)
-        return constant + xs[:, :nx] @ by_state + us[:, : mechanism.nu] @ by_control
+        moment, forces = self._parts(dynamics, xs, us)
+        return forces.force @ moment
 
     def jacobian(self, dynamics: Any, xs: np.ndarray, us: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """(K, 1, ndx) and (K, 1, nu)."""
-        _, _, (_, by_deviation, by_control) = self._parts(dynamics)
+        moment, forces = self._parts(dynamics, xs, us)
         by_x, by_u = np.zeros((len(xs), 1, space_of(dynamics).ndx)), np.zeros((len(xs), 1, dynamics.nu))
-        by_x[:, 0, : len(by_deviation)], by_u[:, 0, : len(by_control)] = by_deviation, by_control
+        by_x[:, 0, : forces.by_x.shape[2]] = moment @ forces.by_x
+        by_u[:, 0, : len(moment)] = moment * forces.by_u
         return by_x, by_u
 
-    def _parts(self, dynamics: Any) -> tuple[Mechanism, np.ndarray, list[np.ndarray]]:
-        """The machine, the moments (nu,) at the joint, and derivatives by state, its deviation and the controls."""
+    def _parts(self, dynamics: Any, xs: np.ndarray, us: np.ndarray) -> tuple[np.ndarray, StateForces]:
+        """The actuators' moments (nu,) at the joint, and their forces."""
         mechanism = mechanism_of(dynamics, self)
-        actuators, dof = mechanism.actuators, mechanism.joint(self.joint).start
-        moment, gain = actuators.moment[:, dof], np.where(actuators.dynamics == DIRECT, actuators.gain, 0.0)
-        return mechanism, moment, [*(moment @ rows for rows in force_rows(mechanism)), moment * gain]
+        moment = mechanism.actuators.moment[:, mechanism.joint(self.joint).start]
+        return moment, forces_at(mechanism, xs[:, : mechanism.space.nx], us[:, : mechanism.nu])
 
 
 @dataclass(frozen=True)
