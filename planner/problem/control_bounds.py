@@ -158,7 +158,7 @@ class _Clamp(NamedTuple):
     what: str
     range: np.ndarray
     alone: bool  # Whether the actuator is the only one that it clamps
-    summed: bool = False  # Whether the plan bounds the sum of the actuators that it clamps
+    constrained: bool = False  # Whether a constraint of the plan keeps it, on the sum of all that it clamps
 
 
 def model_bounds(mechanism: Mechanism, nu: int) -> tuple[np.ndarray, np.ndarray]:
@@ -221,6 +221,13 @@ def summed_joint_forces(mechanism: Mechanism) -> dict[int, str]:
     return found
 
 
+def constrained_forces(mechanism: Mechanism) -> dict[int, str]:
+    """Names of the actuators, by index, with a force law and a forcerange, which a constraint of the plan keeps."""
+    acts = mechanism.actuators
+    ranged = np.any(np.isfinite(acts.force_range), axis=1) & acts.by_law
+    return {int(a): acts.names[a] for a in np.flatnonzero(ranged) if acts.names[a]}
+
+
 def unbounded_actuators(mechanism: Mechanism) -> frozenset[int]:
     """The actuators with clamps that the plan does not have as bounds."""
     acts = mechanism.actuators
@@ -228,7 +235,7 @@ def unbounded_actuators(mechanism: Mechanism) -> frozenset[int]:
         a
         for a in range(acts.nu)
         if np.isfinite(acts.activation_range[a]).any()
-        or any(not (clamp.summed or (clamp.alone and _is_affine(mechanism, a))) for clamp in _clamps(mechanism, a))
+        or any(not (clamp.constrained or (clamp.alone and _is_affine(mechanism, a))) for clamp in _clamps(mechanism, a))
     )
 
 
@@ -237,7 +244,7 @@ def unbounded(mechanism: Mechanism) -> tuple[str, ...]:
     acts, found = mechanism.actuators, []
     for a, name in enumerate(acts.names):
         for clamp in _clamps(mechanism, a):
-            if clamp.summed:
+            if clamp.constrained:
                 continue
             if not _is_affine(mechanism, a):
                 why = (
@@ -256,13 +263,15 @@ def unbounded(mechanism: Mechanism) -> tuple[str, ...]:
 
 def _clamps(mechanism: Mechanism, a: int) -> list[_Clamp]:
     acts = mechanism.actuators
-    found = [_Clamp("forcerange", acts.force_range[a], True)] if np.isfinite(acts.force_range[a]).any() else []
+    found = []
+    if np.isfinite(acts.force_range[a]).any():
+        found.append(_Clamp("forcerange", acts.force_range[a], True, a in constrained_forces(mechanism)))
     for i in np.flatnonzero(acts.moment[a]):
         limits = mechanism.joint_force_range[i]
         if np.isfinite(limits).any():
             alone = int(np.count_nonzero(acts.acts_on[:, i])) == 1
-            summed = not (alone and _is_affine(mechanism, a)) and int(i) in summed_joint_forces(mechanism)
-            found.append(_Clamp("actuatorfrcrange", np.sort(limits / acts.moment[a, i]), alone, summed))
+            constrained = not (alone and _is_affine(mechanism, a)) and int(i) in summed_joint_forces(mechanism)
+            found.append(_Clamp("actuatorfrcrange", np.sort(limits / acts.moment[a, i]), alone, constrained))
     return found
 
 

@@ -1,6 +1,7 @@
 """Actuators with a gain that depends on the state: MuJoCo's forces, derivatives against differences, a plan's proof."""
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,7 +15,7 @@ from planner.dynamics import RigidBodyDynamics
 from planner.dynamics.actuator_moments import actuator_forces, actuator_lengths, force_slopes
 from planner.kernels.force_laws import LAW_SIZE, LAWS
 from planner.model.mechanism import Mechanism
-from planner.problem.constraints.forces import JointForce
+from planner.problem.constraints.forces import ActuatorForce, JointForce
 from planner.problem.control_bounds import unbounded
 from planner.problem.costs.energy import EnergyCost
 from planner.proof.compare.differences import differences
@@ -88,18 +89,19 @@ def test_derivatives_of_a_step_are_exact(arm, integrator, prescribed):
 @pytest.mark.parametrize("kind", LAWS)
 def test_a_law_has_the_derivatives_that_it_states_and_is_affine_in_what_it_is_given(kind):
     p, at = tuple(np.random.default_rng(1).normal(size=LAW_SIZE)), (0.7, -0.4, 1.3)
-    terms = LAWS[kind](*at, p)
+    law: Any = LAWS[kind]
+    terms = law(*at, p)
     for i in range(3):  # a complex step: exact to rounding, as laws are arithmetic alone
         moved = [x + 1e-30j * (j == i) for j, x in enumerate(at)]
-        assert LAWS[kind](*moved, p)[0].imag / 1e-30 == pytest.approx(terms[1 + i], rel=1e-14)
-    none, twice = LAWS[kind](0.0, *at[1:], p)[0], LAWS[kind](2.0 * at[0], *at[1:], p)[0]
+        assert law(*moved, p)[0].imag / 1e-30 == pytest.approx(terms[1 + i], rel=1e-14)
+    none, twice = law(0.0, *at[1:], p)[0], law(2.0 * at[0], *at[1:], p)[0]
     assert twice - none == pytest.approx(2.0 * (terms[0] - none), rel=1e-13)
 
 
 def test_power_joint_force_and_energy_have_exact_derivatives(arm):
     xs, us = random_states(arm)
     dynamics, h = RigidBodyDynamics(arm, 0.01), 1e-6
-    for residual in (Power("brake"), Power("late"), JointForce("slide")):
+    for residual in (Power("brake"), Power("late"), JointForce("slide"), ActuatorForce("cord")):
         function = residual.residual_function(dynamics, len(us))
         n = np.arange(len(us))
         by_x, by_u = function.derivatives(xs, us, n)
@@ -115,7 +117,9 @@ def test_power_joint_force_and_energy_have_exact_derivatives(arm):
 
 
 def test_what_the_plan_does_not_bound_or_integrate_is_said(arm):
-    assert [one for one in unbounded(arm) if "forcerange of actuator 'cord'" in one and "not linear" in one]
+    nameless = replace(arm, actuators=replace(arm.actuators, names=("", "", "", "")))
+    assert [one for one in unbounded(nameless) if "forcerange" in one and "not linear" in one]
+    assert unbounded(arm) == ()  # the cord's is a constraint, see below
     with pytest.raises(PlannerError, match="'brake', with a damping that depends on the state"):
         RigidBodyDynamics(arm, 0.01, "implicitfast")
     with pytest.raises(PlannerError, match="force laws"):
@@ -132,6 +136,33 @@ def test_a_brake_holds_nothing_at_rest(arm):
     slopes = force_slopes(arm.actuators, np.zeros(arm.nu), np.zeros(arm.nu))
     np.testing.assert_array_equal(slopes.gain[1:3], [0.0, 3.0])
     assert arm.actuators.pushes.all()
+
+
+# A slide whose motor has a gain that grows with position.
+SLIDE = """
+<mujoco model="slide">
+  <option timestep="0.002" integrator="RK4" gravity="0 0 0"/>
+  <worldbody>
+    <body><joint name="x" type="slide" axis="1 0 0"/><inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/></body>
+  </worldbody>
+  <actuator><general name="a" joint="x" gaintype="affine" gainprm="2 1" forcerange="-%s %s"/></actuator>
+</mujoco>
+"""
+
+
+def test_a_forcerange_is_kept_where_the_gain_depends_on_the_state():
+    """From rest to rest over 1 m in 1 s no force of less than 4 N moves 1 kg, by bang-bang."""
+
+    def largest(limit):
+        arm = Mechanism.from_mjcf(SLIDE % (limit, limit))
+        plan = planner.solve(planner.task(arm, start={}, goals=planner.Goal(joints={"x": 1.0}), duration=1.0))
+        assert plan.converged
+        return plan, np.abs((2.0 + plan.xs[:-1, 0]) * plan.us[:, 0]).max()
+
+    assert largest(100)[1] > 5.0
+    plan, force = largest(5)
+    assert 4.0 < force <= 5.0
+    assert planner.prove(plan, rollouts=0).passed
 
 
 def test_a_falling_arm_is_braked_and_the_plan_passes():

@@ -1,4 +1,4 @@
-"""Power, JointForce and ChainForce: what actuators do, and the force that holds a closed chain together."""
+"""Forces as residuals: what actuators do, and the force that holds a closed chain together."""
 
 from __future__ import annotations
 
@@ -81,8 +81,44 @@ class PowerFunction:
         return by_x, by_u
 
 
+class _SumOfForces(Residual):
+    """A weighted sum of the actuators' forces, without clamps."""
+
+    of_controls = True
+
+    def weights(self, mechanism: Mechanism) -> np.ndarray:
+        """The weight (nu,) of each force."""
+        raise NotImplementedError
+
+    def residual_function(self, dynamics: Dynamics, N: int) -> PythonResidual:
+        """Its function, of a machine.
+
+        Raises:
+            PlannerError: It has no such joint or actuator, or the sum is not one number.
+        """
+        self.weights(mechanism_of(dynamics, self))
+        return PythonResidual(self, dynamics)
+
+    def value(self, dynamics: Any, xs: np.ndarray, us: np.ndarray) -> np.ndarray:
+        """(K,)."""
+        weights, forces = self._parts(dynamics, xs, us)
+        return forces.force @ weights
+
+    def jacobian(self, dynamics: Any, xs: np.ndarray, us: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """(K, 1, ndx) and (K, 1, nu)."""
+        weights, forces = self._parts(dynamics, xs, us)
+        by_x, by_u = np.zeros((len(xs), 1, space_of(dynamics).ndx)), np.zeros((len(xs), 1, dynamics.nu))
+        by_x[:, 0, : forces.by_x.shape[2]] = weights @ forces.by_x
+        by_u[:, 0, : len(weights)] = weights * forces.by_u
+        return by_x, by_u
+
+    def _parts(self, dynamics: Any, xs: np.ndarray, us: np.ndarray) -> tuple[np.ndarray, StateForces]:
+        mechanism = mechanism_of(dynamics, self)
+        return self.weights(mechanism), forces_at(mechanism, xs[:, : mechanism.space.nx], us[:, : mechanism.nu])
+
+
 @dataclass(frozen=True)
-class JointForce(Residual):
+class JointForce(_SumOfForces):
     """Sum of the generalized forces of the actuators on a hinge or slide, without clamps, N m or N.
 
     Attributes:
@@ -90,18 +126,12 @@ class JointForce(Residual):
     """
 
     joint: str
-    of_controls = True
 
     def __str__(self) -> str:
         return f"force of the actuators on {self.joint}"
 
-    def residual_function(self, dynamics: Dynamics, N: int) -> PythonResidual:
-        """Its function, of a machine.
-
-        Raises:
-            PlannerError: It has no such joint, or the joint's force is not one number.
-        """
-        mechanism = mechanism_of(dynamics, self)
+    def weights(self, mechanism: Mechanism) -> np.ndarray:
+        """The moments (nu,) at the joint; PlannerError unless its force is one number."""
         links = mechanism.joint(self.joint)
         acting = mechanism.actuators.acts_on[:, links.start]
         if links.stop - links.start != 1 or np.any(mechanism.actuators.by_wrenches[acting]):
@@ -109,26 +139,26 @@ class JointForce(Residual):
                 f"{self.joint} is a ball or free joint, or an actuator at a site moves it, expected a hinge or slide "
                 "with actuators of joints and fixed tendons."
             )
-        return PythonResidual(self, dynamics)
+        return mechanism.actuators.moment[:, links.start]
 
-    def value(self, dynamics: Any, xs: np.ndarray, us: np.ndarray) -> np.ndarray:
-        """(K,)."""
-        moment, forces = self._parts(dynamics, xs, us)
-        return forces.force @ moment
 
-    def jacobian(self, dynamics: Any, xs: np.ndarray, us: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """(K, 1, ndx) and (K, 1, nu)."""
-        moment, forces = self._parts(dynamics, xs, us)
-        by_x, by_u = np.zeros((len(xs), 1, space_of(dynamics).ndx)), np.zeros((len(xs), 1, dynamics.nu))
-        by_x[:, 0, : forces.by_x.shape[2]] = moment @ forces.by_x
-        by_u[:, 0, : len(moment)] = moment * forces.by_u
-        return by_x, by_u
+@dataclass(frozen=True)
+class ActuatorForce(_SumOfForces):
+    """Force of an actuator, without clamps, N m or N.
 
-    def _parts(self, dynamics: Any, xs: np.ndarray, us: np.ndarray) -> tuple[np.ndarray, StateForces]:
-        """The actuators' moments (nu,) at the joint, and their forces."""
-        mechanism = mechanism_of(dynamics, self)
-        moment = mechanism.actuators.moment[:, mechanism.joint(self.joint).start]
-        return moment, forces_at(mechanism, xs[:, : mechanism.space.nx], us[:, : mechanism.nu])
+    Attributes:
+        actuator: Its name.
+    """
+
+    actuator: str
+
+    def __str__(self) -> str:
+        return f"force of {self.actuator}"
+
+    def weights(self, mechanism: Mechanism) -> np.ndarray:
+        """1 (nu,) for this one."""
+        names = mechanism.actuators.names
+        return np.eye(len(names))[names.index(choice("the actuator of a force", self.actuator, names))]
 
 
 @dataclass(frozen=True)
