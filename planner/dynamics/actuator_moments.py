@@ -32,11 +32,12 @@ def actuator_moments(mechanism: Mechanism, q: np.ndarray) -> np.ndarray:
 
 def actuator_lengths(mechanism: Mechanism, q: np.ndarray) -> np.ndarray:
     """Actuator lengths (..., nu), moment q over hinges and slides, at poses q (..., nq), m and rad; 0 at sites."""
-    screws = np.zeros((mechanism.nu, mechanism.nq))
-    for i in range(mechanism.nv):
-        if mechanism.kind[i] == SCREW:
-            screws[:, mechanism.q_address[i]] += mechanism.actuators.moment[:, i]
-    return q @ screws.T
+    return q[..., mechanism.q_address] @ _length_rows(mechanism).T
+
+
+def _length_rows(mechanism: Mechanism) -> np.ndarray:
+    """(nu, nv) derivatives of the lengths, which are over the hinge and slide joints."""
+    return np.where(mechanism.kind == SCREW, mechanism.actuators.moment, 0.0)
 
 
 class ForceSlopes(NamedTuple):
@@ -85,26 +86,27 @@ def gains_at(actuators: Actuators, lengths: np.ndarray, rates: np.ndarray | None
     return force_slopes(actuators, np.zeros_like(lengths), lengths, rates).gain
 
 
-class StateForces(NamedTuple):
-    """Forces (K, nu) of the actuators at states, and their derivatives."""
-
-    force: np.ndarray
-    by_x: np.ndarray  # (K, nu, ndx) by the deviation of a mechanism's state
-    by_u: np.ndarray  # (K, nu) by each one's own control, 0 for those with activations
+def forces_at(mechanism: Mechanism, xs: np.ndarray, us: np.ndarray) -> np.ndarray:
+    """The actuators' forces (K, nu), without clamps, at states xs (K, nx) and controls us (K, nu)."""
+    return actuator_forces(mechanism.actuators, *_inputs(mechanism, xs, us))
 
 
-def forces_at(mechanism: Mechanism, xs: np.ndarray, us: np.ndarray) -> StateForces:
-    """The actuators' forces at states xs (K, nx) and controls us (K, nu), with derivatives."""
-    acts, nq, nv = mechanism.actuators, mechanism.nq, mechanism.nv
-    own = np.flatnonzero(acts.dynamics != DIRECT)
-    given = us.copy()
-    given[:, own] = xs[:, nq + nv + acts.activation[own]]
-    lengths, rates = actuator_lengths(mechanism, xs[:, :nq]), xs[:, nq : nq + nv] @ acts.moment.T
-    slopes, by_x = force_slopes(acts, given, lengths, rates), np.zeros((len(xs), acts.nu, mechanism.space.ndx))
-    screws = np.where(mechanism.kind == SCREW, acts.moment, 0.0)  # lengths are over the hinge and slide joints
-    by_x[:, :, :nv] = slopes.by_length[:, :, None] * screws
+def force_derivatives_at(mechanism: Mechanism, xs: np.ndarray, us: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Derivatives of forces_at by the deviation (K, nu, ndx) and by each one's own control (K, nu).
+
+    The latter are 0 for actuators with activations.
+    """
+    acts, nv, own = mechanism.actuators, mechanism.nv, np.flatnonzero(mechanism.actuators.dynamics != DIRECT)
+    slopes, by_x = force_slopes(acts, *_inputs(mechanism, xs, us)), np.zeros((len(xs), acts.nu, mechanism.space.ndx))
+    by_x[:, :, :nv] = slopes.by_length[:, :, None] * _length_rows(mechanism)
     by_x[:, :, nv : 2 * nv] = slopes.by_rate[:, :, None] * acts.moment
     by_x[:, own, 2 * nv + acts.activation[own]] = slopes.gain[:, own]
-    return StateForces(
-        actuator_forces(acts, given, lengths, rates), by_x, np.where(acts.dynamics == DIRECT, slopes.gain, 0.0)
-    )
+    return by_x, np.where(acts.dynamics == DIRECT, slopes.gain, 0.0)
+
+
+def _inputs(mechanism: Mechanism, xs: np.ndarray, us: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Controls or activations, lengths and length rates, each (K, nu)."""
+    acts, nq, nv, given = mechanism.actuators, mechanism.nq, mechanism.nv, us.copy()
+    own = np.flatnonzero(acts.dynamics != DIRECT)
+    given[:, own] = xs[:, nq + nv + acts.activation[own]]
+    return given, actuator_lengths(mechanism, xs[:, :nq]), xs[:, nq : nq + nv] @ acts.moment.T

@@ -10,7 +10,7 @@ import numpy as np
 from planner.base.arguments import choice
 from planner.base.errors import PlannerError
 from planner.dynamics import Dynamics, RigidBodyDynamics, constraint_forces
-from planner.dynamics.actuator_moments import StateForces, forces_at
+from planner.dynamics.actuator_moments import force_derivatives_at, forces_at
 from planner.model.actuators import DIRECT
 from planner.model.mechanism import Mechanism
 from planner.model.space import space_of
@@ -60,24 +60,28 @@ class PowerFunction:
         self._mechanism, self._a, self._ndx, self._nu = mechanism, a, ndx, nu
         self.of_controls, self.same = bool(mechanism.actuators.dynamics[a] == DIRECT), ("power", a)
 
-    def _parts(self, xs: np.ndarray, us: np.ndarray) -> tuple[StateForces, np.ndarray]:
-        """Forces of the actuators, and the speed (K,) of this one."""
+    def _at(self, xs: np.ndarray, us: np.ndarray) -> tuple[Mechanism, np.ndarray, np.ndarray]:
+        """Arguments of forces_at."""
+        return self._mechanism, xs[:, : self._mechanism.space.nx], us[:, : self._mechanism.nu]
+
+    def _parts(self, xs: np.ndarray, us: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Force and speed (K,)."""
         m = self._mechanism
-        forces = forces_at(m, xs[:, : m.space.nx], us[:, : m.nu])
-        return forces, xs[:, m.nq : m.nq + m.nv] @ m.actuators.moment[self._a]
+        return forces_at(*self._at(xs, us))[:, self._a], xs[:, m.nq : m.nq + m.nv] @ m.actuators.moment[self._a]
 
     def values(self, xs: np.ndarray, us: np.ndarray, n: np.ndarray) -> np.ndarray:
         """(K, 1) W."""
-        forces, speed = self._parts(xs, us)
-        return (forces.force[:, self._a] * speed)[:, None]
+        force, speed = self._parts(xs, us)
+        return (force * speed)[:, None]
 
     def derivatives(self, xs: np.ndarray, us: np.ndarray, n: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """(K, 1, ndx) and (K, 1, nu)."""
-        (forces, speed), a, nv = self._parts(xs, us), self._a, self._mechanism.nv
+        (force, speed), a, nv = self._parts(xs, us), self._a, self._mechanism.nv
+        of_x, of_u = force_derivatives_at(*self._at(xs, us))
         by_x, by_u = np.zeros((len(xs), 1, self._ndx)), np.zeros((len(xs), 1, self._nu))
-        by_x[:, 0, : forces.by_x.shape[2]] = speed[:, None] * forces.by_x[:, a]
-        by_x[:, 0, nv : 2 * nv] += forces.force[:, a, None] * self._mechanism.actuators.moment[a]
-        by_u[:, 0, a] = forces.by_u[:, a] * speed
+        by_x[:, 0, : of_x.shape[2]] = speed[:, None] * of_x[:, a]
+        by_x[:, 0, nv : 2 * nv] += force[:, None] * self._mechanism.actuators.moment[a]
+        by_u[:, 0, a] = of_u[:, a] * speed
         return by_x, by_u
 
 
@@ -101,20 +105,21 @@ class _SumOfForces(Residual):
 
     def value(self, dynamics: Any, xs: np.ndarray, us: np.ndarray) -> np.ndarray:
         """(K,)."""
-        weights, forces = self._parts(dynamics, xs, us)
-        return forces.force @ weights
+        mechanism, *at = self._at(dynamics, xs, us)
+        return forces_at(mechanism, *at) @ self.weights(mechanism)
 
     def jacobian(self, dynamics: Any, xs: np.ndarray, us: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """(K, 1, ndx) and (K, 1, nu)."""
-        weights, forces = self._parts(dynamics, xs, us)
+        mechanism, *at = self._at(dynamics, xs, us)
+        weights, (of_x, of_u) = self.weights(mechanism), force_derivatives_at(mechanism, *at)
         by_x, by_u = np.zeros((len(xs), 1, space_of(dynamics).ndx)), np.zeros((len(xs), 1, dynamics.nu))
-        by_x[:, 0, : forces.by_x.shape[2]] = weights @ forces.by_x
-        by_u[:, 0, : len(weights)] = weights * forces.by_u
+        by_x[:, 0, : of_x.shape[2]], by_u[:, 0, : len(weights)] = weights @ of_x, weights * of_u
         return by_x, by_u
 
-    def _parts(self, dynamics: Any, xs: np.ndarray, us: np.ndarray) -> tuple[np.ndarray, StateForces]:
+    def _at(self, dynamics: Any, xs: np.ndarray, us: np.ndarray) -> tuple[Mechanism, np.ndarray, np.ndarray]:
+        """Arguments of forces_at."""
         mechanism = mechanism_of(dynamics, self)
-        return self.weights(mechanism), forces_at(mechanism, xs[:, : mechanism.space.nx], us[:, : mechanism.nu])
+        return mechanism, xs[:, : mechanism.space.nx], us[:, : mechanism.nu]
 
 
 @dataclass(frozen=True)

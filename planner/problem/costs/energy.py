@@ -25,7 +25,7 @@ import numpy as np
 from planner.base.arguments import number, short_repr
 from planner.base.errors import PlannerError
 from planner.dynamics import RigidBodyDynamics
-from planner.dynamics.actuator_moments import forces_at
+from planner.dynamics.actuator_moments import force_derivatives_at, forces_at
 from planner.model.mjcf.prescribed_joints import heavy_joints
 from planner.problem.costs.terms import Quadratic, Term
 
@@ -99,7 +99,7 @@ class EnergyCost(Term):
     def _parts(self, xs: np.ndarray, us: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Mean forces f (N, nu), displacements d (N, nu), and deviations (N, ndx) from one knot to the next."""
         move = self.space.difference(xs[1:], xs[:-1])
-        force = 0.5 * (forces_at(self.mechanism, xs[1:], us).force + forces_at(self.mechanism, xs[:-1], us).force)
+        force = 0.5 * forces_at(self.mechanism, *_both_ends(xs, us)).reshape(2, *us.shape).sum(axis=0)
         return force, move[:, : self.mechanism.nv] @ self.mechanism.actuators.moment.T, move
 
     def _derivatives(self, xs: np.ndarray, us: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -110,8 +110,13 @@ class EnergyCost(Term):
         along[:, :nv] = acts.moment
         by_end = force[:, :, None] * (along @ self.space.difference_jacobian(move))
         by_x = -force[:, :, None] * (along @ self.space.difference_jacobian(-move))
-        start, end = forces_at(self.mechanism, xs[:-1], us), forces_at(self.mechanism, xs[1:], us)
-        by_x += 0.5 * way[:, :, None] * start.by_x
-        by_end += 0.5 * way[:, :, None] * end.by_x
-        by_u = 0.5 * (way * (start.by_u + end.by_u))[:, :, None] * np.eye(self.nu)
+        of_x, of_u = force_derivatives_at(self.mechanism, *_both_ends(xs, us))
+        by_x += 0.5 * way[:, :, None] * of_x[: len(us)]
+        by_end += 0.5 * way[:, :, None] * of_x[len(us) :]
+        by_u = 0.5 * (way * (of_u[: len(us)] + of_u[len(us) :]))[:, :, None] * np.eye(self.nu)
         return by_x / self.dt, by_end / self.dt, by_u / self.dt
+
+
+def _both_ends(xs: np.ndarray, us: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """States (2N, nx) at the start of each stage, then at its end, and their controls (2N, nu)."""
+    return np.concatenate([xs[:-1], xs[1:]]), np.concatenate([us, us])
