@@ -18,7 +18,7 @@ import numpy as np
 from planner.base.errors import PlannerError
 from planner.control.tracked_plan import TIME_TOLERANCE, TrackedPlan
 from planner.dynamics import RigidBodyDynamics
-from planner.dynamics.actuator_moments import actuator_moments
+from planner.dynamics.actuator_moments import actuator_lengths, actuator_moments, force_slopes, gains_at
 from planner.dynamics.algorithms import mass_matrix
 from planner.dynamics.quasi_static import equilibrium, quasi_static_controls
 from planner.model.space import space_of
@@ -64,16 +64,18 @@ class FallbackControl:
         if not damped:
             return quasi_static_controls(m, x, contacts=False)
         qd, actuators = x[m.nq : m.nq + m.nv], m.actuators
-        servo = actuators.moment.T @ (actuators.bias[:, 2] * (actuators.moment @ qd))
+        lengths, rates = actuator_lengths(m, x[: m.nq]), actuators.moment @ qd
+        servo = actuators.moment.T @ (force_slopes(actuators, np.zeros(m.nu), lengths, rates).by_rate * rates)
         damping = mass_matrix(m, x[: m.nq]) @ qd / TIME
-        inverse = self._inverse_at(x[: m.nq]) if actuators.wrenches else self._inverse
+        inverse = self._inverse_at(x[: m.nq]) if actuators.wrenches or actuators.laws else self._inverse
         return quasi_static_controls(m, x, contacts=False) - inverse @ (damping + servo)
 
     def _inverse_at(self, q: np.ndarray) -> np.ndarray:
         """(nu, nv) the least controls for generalized forces at a pose (nq,)."""
         m = self._mechanism
         assert m is not None
-        return np.linalg.pinv((m.actuators.gain[:, None] * actuator_moments(m, q)).T)
+        gain = gains_at(m.actuators, actuator_lengths(m, q))
+        return np.linalg.pinv((gain[:, None] * actuator_moments(m, q)).T)
 
 
 def equilibrium_control(problem: Problem, x: np.ndarray, u: np.ndarray) -> np.ndarray | None:

@@ -1,11 +1,17 @@
-"""Moments of the actuators at a pose: the generalized forces per unit of their forces, as MuJoCo's actuator_moment."""
+"""Moments of the actuators at a pose, as MuJoCo's actuator_moment, and their forces at a state, with derivatives.
+
+What asks for forces, stiffness, damping or gains asks here: nothing outside knows the force laws.
+"""
 
 from __future__ import annotations
+
+from typing import NamedTuple
 
 import numpy as np
 
 from planner.dynamics.product_of_exponentials import jacobian, world_poses
-from planner.model.actuators import DIRECT
+from planner.kernels.force_laws import law_terms
+from planner.model.actuators import DIRECT, Actuators
 from planner.model.mechanism import SCREW, Frame, Mechanism
 
 
@@ -26,25 +32,81 @@ def actuator_moments(mechanism: Mechanism, q: np.ndarray) -> np.ndarray:
 
 def actuator_lengths(mechanism: Mechanism, q: np.ndarray) -> np.ndarray:
     """Actuator lengths (..., nu), moment q over hinges and slides, at poses q (..., nq), m and rad; 0 at sites."""
-    screws = np.zeros((mechanism.nu, mechanism.nq))
-    for i in range(mechanism.nv):
-        if mechanism.kind[i] == SCREW:
-            screws[:, mechanism.q_address[i]] += mechanism.actuators.moment[:, i]
-    return q @ screws.T
+    return q[..., mechanism.q_address] @ _length_rows(mechanism).T
 
 
-def force_rows(mechanism: Mechanism) -> tuple[np.ndarray, np.ndarray]:
-    """Derivatives of the actuators' forces by the state (nu, nx) and by its deviation (nu, ndx).
+def _length_rows(mechanism: Mechanism) -> np.ndarray:
+    """(nu, nv) derivatives of the lengths, which are over the hinge and slide joints."""
+    return np.where(mechanism.kind == SCREW, mechanism.actuators.moment, 0.0)
 
-    They depend on the state by length, its rate and activations, linearly.
+
+class ForceSlopes(NamedTuple):
+    """Derivatives (..., nu) of the actuators' forces."""
+
+    gain: np.ndarray  # by control or activation
+    by_length: np.ndarray
+    by_rate: np.ndarray
+
+
+def actuator_forces(
+    actuators: Actuators, given: np.ndarray, lengths: np.ndarray, rates: np.ndarray | None = None
+) -> np.ndarray:
+    """Forces (..., nu) without clamps; `given` are controls or activations, all (..., nu). Without rates: at rest."""
+    rates = np.zeros_like(lengths) if rates is None else rates
+    force = actuators.gain * given + (
+        actuators.bias[:, 0] + actuators.bias[:, 1] * lengths + actuators.bias[:, 2] * rates
+    )
+    for law in actuators.laws:
+        a = law.actuator
+        force[..., a] += law_terms(law, given[..., a], lengths[..., a], rates[..., a])[0]
+    return force
+
+
+def passive_forces(actuators: Actuators, lengths: np.ndarray, rates: np.ndarray | None = None) -> np.ndarray:
+    """Forces (..., nu) without input: the force is this plus the gain at the state times what is given."""
+    return actuator_forces(actuators, np.zeros_like(lengths), lengths, rates)
+
+
+def force_slopes(
+    actuators: Actuators, given: np.ndarray, lengths: np.ndarray, rates: np.ndarray | None = None
+) -> ForceSlopes:
+    """Derivatives of actuator_forces."""
+    rates = np.zeros_like(lengths) if rates is None else rates
+    shape = np.shape(lengths)
+    slopes = ForceSlopes(*(np.tile(part, (*shape[:-1], 1)) for part in (actuators.gain, *actuators.bias[:, 1:].T)))
+    for law in actuators.laws:
+        a = law.actuator
+        for slope, term in zip(slopes, law_terms(law, given[..., a], lengths[..., a], rates[..., a])[1:], strict=True):
+            slope[..., a] += term
+    return slopes
+
+
+def gains_at(actuators: Actuators, lengths: np.ndarray, rates: np.ndarray | None = None) -> np.ndarray:
+    """Force per unit of control or activation (..., nu) at lengths and rates (..., nu)."""
+    return force_slopes(actuators, np.zeros_like(lengths), lengths, rates).gain
+
+
+def forces_at(mechanism: Mechanism, xs: np.ndarray, us: np.ndarray) -> np.ndarray:
+    """The actuators' forces (K, nu), without clamps, at states xs (K, nx) and controls us (K, nu)."""
+    return actuator_forces(mechanism.actuators, *_inputs(mechanism, xs, us))
+
+
+def force_derivatives_at(mechanism: Mechanism, xs: np.ndarray, us: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Derivatives of forces_at by the deviation (K, nu, ndx) and by each one's own control (K, nu).
+
+    The latter are 0 for actuators with activations.
     """
-    acts, space, nv = mechanism.actuators, mechanism.space, mechanism.nv
-    by_q, by_x = np.zeros((acts.nu, space.nx)), np.zeros((acts.nu, space.ndx))
-    for i in np.flatnonzero(mechanism.kind == SCREW):  # lengths are over the hinge and slide joints
-        by_q[:, mechanism.q_address[i]] += acts.bias[:, 1] * acts.moment[:, i]
-        by_x[:, i] = acts.bias[:, 1] * acts.moment[:, i]
-    by_q[:, mechanism.nq : mechanism.nq + nv] = by_x[:, nv : 2 * nv] = acts.bias[:, 2, None] * acts.moment
-    for j in np.flatnonzero(acts.dynamics != DIRECT):
-        k = acts.activation[j]
-        by_q[j, mechanism.nq + nv + k] = by_x[j, 2 * nv + k] = acts.gain[j]
-    return by_q, by_x
+    acts, nv, own = mechanism.actuators, mechanism.nv, np.flatnonzero(mechanism.actuators.dynamics != DIRECT)
+    slopes, by_x = force_slopes(acts, *_inputs(mechanism, xs, us)), np.zeros((len(xs), acts.nu, mechanism.space.ndx))
+    by_x[:, :, :nv] = slopes.by_length[:, :, None] * _length_rows(mechanism)
+    by_x[:, :, nv : 2 * nv] = slopes.by_rate[:, :, None] * acts.moment
+    by_x[:, own, 2 * nv + acts.activation[own]] = slopes.gain[:, own]
+    return by_x, np.where(acts.dynamics == DIRECT, slopes.gain, 0.0)
+
+
+def _inputs(mechanism: Mechanism, xs: np.ndarray, us: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Controls or activations, lengths and length rates, each (K, nu)."""
+    acts, nq, nv, given = mechanism.actuators, mechanism.nq, mechanism.nv, us.copy()
+    own = np.flatnonzero(acts.dynamics != DIRECT)
+    given[:, own] = xs[:, nq + nv + acts.activation[own]]
+    return given, actuator_lengths(mechanism, xs[:, :nq]), xs[:, nq : nq + nv] @ acts.moment.T

@@ -15,7 +15,7 @@ import numpy as np
 
 from planner.base.arguments import array, short_repr
 from planner.base.errors import PlannerError
-from planner.dynamics.actuator_moments import actuator_lengths, actuator_moments
+from planner.dynamics.actuator_moments import actuator_lengths, actuator_moments, gains_at, passive_forces
 from planner.dynamics.algorithms import bias
 from planner.dynamics.assembly import feasible_directions, tangent_basis
 from planner.dynamics.contacts import contact_forces, contact_jacobians, generalized_forces
@@ -55,11 +55,12 @@ def quasi_static_controls(dynamics: Any, x: Any, *, contacts: bool = True, keep_
     x = array("x", x, (nq if np.shape(x) == (nq,) else mechanism.space.nx,))
     q, act = x[:nq], np.append(x[nq + nv :], np.zeros(mechanism.na))
     fixed = actuators.dynamics == INTEGRATOR if keep_activations else np.zeros(mechanism.nu, dtype=bool)
-    force = actuators.passive_forces(actuator_lengths(mechanism, q))
-    force[fixed] += actuators.gain[fixed] * act[actuators.activation[fixed]]
+    lengths = actuator_lengths(mechanism, q)
+    force, gain = passive_forces(actuators, lengths), gains_at(actuators, lengths)
+    force[fixed] += gain[fixed] * act[actuators.activation[fixed]]
     moment = actuator_moments(mechanism, q)
     missing = bias(mechanism, q, np.zeros(nv)) - moment.T @ force
-    reach = moment.T * np.where(fixed, 0.0, actuators.gain)
+    reach = moment.T * np.where(fixed, 0.0, gain)
     prescribed = prescribed_dofs_of(dynamics)
     Z = feasible_directions(mechanism, q)[0]  # constraint forces balance the other directions
     if len(prescribed):

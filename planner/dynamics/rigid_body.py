@@ -300,8 +300,8 @@ class RigidBodyDynamics:
             )
         if self._model.external:
             raise PlannerError(
-                'hessian="exact" has no second derivatives of friction loss, tendons, gravity compensation, drag and '
-                'actuators at sites and this machine has some, expected hessian="gauss-newton".'
+                'hessian="exact" has no second derivatives of friction loss, tendons, gravity compensation, drag, '
+                'actuators at sites and force laws, and this machine has some, expected hessian="gauss-newton".'
             )
         return tree_second.SecondOrderMemory(self._model, self._known)
 

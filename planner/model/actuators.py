@@ -4,9 +4,11 @@ Actuator a exerts the force gain u + bias[0] + bias[1] length + bias[2] (d lengt
 forces. u is the control or, for an actuator with an activation state, the activation: d act/dt = u (INTEGRATOR) or
 (u - act) / time_constant (FILTER); length = moment[a] q over the hinge and slide joints.
 
+An actuator may have a force law beside that, a force that is added to it (planner.kernels.force_laws).
+
 The moment of an actuator at a site (a thruster), or of one in the axes of a ball's parent, depends on the pose: it is
 that of its `wrenches`, in place of a row of `moment`, and its force is gain u + bias[0] alone.
-`planner.dynamics.actuator_moments` gives all moments at a pose.
+`planner.dynamics.actuator_moments` gives all moments at a pose, and all forces with their derivatives at a state.
 """
 
 from __future__ import annotations
@@ -32,6 +34,15 @@ class ActuatorWrench:
     frame_dofs: np.ndarray  # of those that turn `frame` alone, ascending; none where the frame is the link
 
 
+@dataclass(frozen=True)
+class ForceLaw:
+    """What one actuator exerts beside gain u + bias: a function of u, length and length rate, affine in u."""
+
+    actuator: int  # index
+    kind: str  # in planner.kernels.force_laws.LAWS
+    numbers: tuple[float, ...]  # its constants, at most LAW_SIZE
+
+
 @dataclass(frozen=True, eq=False)
 class Actuators:
     """The nu actuators of a mechanism. Ranges are data only, infinite if unlimited."""
@@ -47,10 +58,7 @@ class Actuators:
     force_range: np.ndarray  # (nu, 2)
     activation_range: np.ndarray  # (nu, 2)
     wrenches: tuple[ActuatorWrench, ...] = ()
-
-    def passive_forces(self, lengths: np.ndarray, rates: np.ndarray | float = 0.0) -> np.ndarray:
-        """Forces (..., nu) without input, at lengths and rates (..., nu)."""
-        return self.bias[:, 0] + self.bias[:, 1] * lengths + self.bias[:, 2] * rates
+    laws: tuple[ForceLaw, ...] = ()
 
     @property
     def nu(self) -> int:
@@ -66,6 +74,21 @@ class Actuators:
     def by_wrenches(self) -> np.ndarray:
         """(nu,) bool, whether the moment depends on the pose."""
         return np.isin(np.arange(self.nu), [one.actuator for one in self.wrenches])
+
+    @property
+    def by_law(self) -> np.ndarray:
+        """(nu,) bool, whether the force has a law beside gain u + bias."""
+        return np.isin(np.arange(self.nu), [one.actuator for one in self.laws])
+
+    @property
+    def depends_on_state(self) -> np.ndarray:
+        """(nu,) bool, whether the force depends on length or length rate: servos, dampers and the like."""
+        return np.any(self.bias[:, 1:] != 0.0, axis=1) | self.by_law
+
+    @property
+    def pushes(self) -> np.ndarray:
+        """(nu,) bool, whether the input changes the force, in some state."""
+        return (self.gain != 0.0) | self.by_law
 
     @property
     def acts_on(self) -> np.ndarray:

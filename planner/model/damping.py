@@ -12,7 +12,10 @@ from planner.model.tendons import acting_tendons
 
 
 def damping_matrix(mechanism: Any) -> np.ndarray:
-    """Damping matrix (nv, nv) = -d(tau)/d(qd) of dampers, actuators and tendons, N m s/rad and N s/m."""
+    """Damping matrix (nv, nv) = -d(tau)/d(qd) of dampers, actuators and tendons, N m s/rad and N s/m.
+
+    Without that of the actuators' force laws, which depends on the state.
+    """
     actuators = mechanism.actuators
     D = np.diag(np.array(mechanism.damping, dtype=float))
     D -= actuators.moment.T @ (actuators.bias[:, 2:3] * actuators.moment)
@@ -47,6 +50,8 @@ def damped_implicitly(mechanism: Any, h: float) -> Any:
         why = f"drives {mechanism.joint_of(int(i))} by negative damping"
     if mechanism.drags:
         why = "has fluid drag"
+    for law in mechanism.actuators.laws[:1]:
+        why = f"has an actuator, {mechanism.actuators.names[law.actuator]!r}, with a damping that depends on the state"
     if why:
         raise PlannerError(
             f'the integrator "implicitfast" takes damping of single joints and this machine {why}, expected '

@@ -144,6 +144,10 @@ class Mechanism:
             for a, *_ in np.argwhere(~np.isfinite(getattr(self.actuators, name)))[:1]:
                 actuator = self.actuators.names[a]
                 raise ModelError(f"actuator {actuator!r} has a {name} that is not finite, expected finite numbers.")
+        for law in self.actuators.laws:
+            if not np.isfinite(law.numbers).all():
+                actuator = self.actuators.names[law.actuator]
+                raise ModelError(f"actuator {actuator!r} has a {law.kind} that is not finite, expected finite numbers.")
 
     def _check_links(self) -> None:
         """Raise PlannerError for a contact on a link without a body, or a stop or torque not on hinges and slides."""

@@ -158,7 +158,7 @@ class _Clamp(NamedTuple):
     what: str
     range: np.ndarray
     alone: bool  # Whether the actuator is the only one that it clamps
-    summed: bool = False  # Whether the plan bounds the sum of the actuators that it clamps
+    constrained: bool = False  # Whether a constraint of the plan keeps it, on the sum of all that it clamps
 
 
 def model_bounds(mechanism: Mechanism, nu: int) -> tuple[np.ndarray, np.ndarray]:
@@ -215,10 +215,17 @@ def summed_joint_forces(mechanism: Mechanism) -> dict[int, str]:
     for name, links in zip(mechanism.joint_names, mechanism.joint_links, strict=True):
         i = links.start
         which = np.flatnonzero(acts_on[:, i])
-        reached = limited[i] and np.any(acts.gain[which] != 0.0) and not np.any(by_wrenches[which])
+        reached = limited[i] and np.any(acts.pushes[which]) and not np.any(by_wrenches[which])
         if name and reached and not (len(which) == 1 and _is_affine(mechanism, int(which[0]))):
             found[i] = name
     return found
+
+
+def constrained_forces(mechanism: Mechanism) -> dict[int, str]:
+    """Names of the actuators, by index, with a force law and a forcerange, which a constraint of the plan keeps."""
+    acts = mechanism.actuators
+    ranged = np.any(np.isfinite(acts.force_range), axis=1) & acts.by_law
+    return {int(a): acts.names[a] for a in np.flatnonzero(ranged) if acts.names[a]}
 
 
 def unbounded_actuators(mechanism: Mechanism) -> frozenset[int]:
@@ -228,7 +235,7 @@ def unbounded_actuators(mechanism: Mechanism) -> frozenset[int]:
         a
         for a in range(acts.nu)
         if np.isfinite(acts.activation_range[a]).any()
-        or any(not (clamp.summed or (clamp.alone and _is_affine(mechanism, a))) for clamp in _clamps(mechanism, a))
+        or any(not (clamp.constrained or (clamp.alone and _is_affine(mechanism, a))) for clamp in _clamps(mechanism, a))
     )
 
 
@@ -237,10 +244,13 @@ def unbounded(mechanism: Mechanism) -> tuple[str, ...]:
     acts, found = mechanism.actuators, []
     for a, name in enumerate(acts.names):
         for clamp in _clamps(mechanism, a):
-            if clamp.summed:
+            if clamp.constrained:
                 continue
             if not _is_affine(mechanism, a):
-                why = "the force comes from an activation" if acts.dynamics[a] != DIRECT else "its gain is 0"
+                why = (
+                    "the force comes from an activation" if acts.dynamics[a] != DIRECT
+                    else "the force is not linear in the state" if acts.by_law[a] else "its gain is 0"
+                )  # fmt: skip
             elif not clamp.alone:
                 why = "other actuators share it, and one acts at a site or the joint has no name"
             else:
@@ -253,19 +263,22 @@ def unbounded(mechanism: Mechanism) -> tuple[str, ...]:
 
 def _clamps(mechanism: Mechanism, a: int) -> list[_Clamp]:
     acts = mechanism.actuators
-    found = [_Clamp("forcerange", acts.force_range[a], True)] if np.isfinite(acts.force_range[a]).any() else []
+    found = []
+    if np.isfinite(acts.force_range[a]).any():
+        found.append(_Clamp("forcerange", acts.force_range[a], True, a in constrained_forces(mechanism)))
     for i in np.flatnonzero(acts.moment[a]):
         limits = mechanism.joint_force_range[i]
         if np.isfinite(limits).any():
             alone = int(np.count_nonzero(acts.acts_on[:, i])) == 1
-            summed = not (alone and _is_affine(mechanism, a)) and int(i) in summed_joint_forces(mechanism)
-            found.append(_Clamp("actuatorfrcrange", np.sort(limits / acts.moment[a, i]), alone, summed))
+            constrained = not (alone and _is_affine(mechanism, a)) and int(i) in summed_joint_forces(mechanism)
+            found.append(_Clamp("actuatorfrcrange", np.sort(limits / acts.moment[a, i]), alone, constrained))
     return found
 
 
 def _is_affine(mechanism: Mechanism, a: int) -> bool:
-    """Whether an actuator's force is gain u + bias of the state."""
-    return bool(mechanism.actuators.dynamics[a] == DIRECT and mechanism.actuators.gain[a] != 0.0)
+    """Whether an actuator's force is gain u + a bias that is affine in the state."""
+    acts = mechanism.actuators
+    return bool(acts.dynamics[a] == DIRECT and acts.gain[a] != 0.0 and not acts.by_law[a])
 
 
 def _bounds_control(mechanism: Mechanism, a: int) -> bool:
@@ -275,7 +288,7 @@ def _bounds_control(mechanism: Mechanism, a: int) -> bool:
 
 def _depends_on_state(mechanism: Mechanism, a: int) -> bool:
     """Whether an actuator's force depends on the state."""
-    return bool(np.any(mechanism.actuators.bias[a, 1:]))
+    return bool(mechanism.actuators.depends_on_state[a])
 
 
 def _control_range(mechanism: Mechanism, a: int) -> tuple[float, float]:

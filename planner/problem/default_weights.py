@@ -39,7 +39,7 @@ import numpy as np
 
 from planner.base.arguments import number
 from planner.dynamics import RigidBodyDynamics
-from planner.dynamics.actuator_moments import actuator_moments
+from planner.dynamics.actuator_moments import actuator_lengths, actuator_moments, force_slopes, gains_at
 from planner.dynamics.algorithms import bias, mass_matrix
 from planner.dynamics.assembly import feasible_directions
 from planner.dynamics.quasi_static import quasi_static_controls
@@ -257,7 +257,7 @@ def straight_reference(
 def servos_of(dynamics: RigidBodyDynamics) -> np.ndarray:
     """(nu,) whether the force of each control depends on the state: position and velocity servos."""
     found = np.zeros(dynamics.nu, dtype=bool)
-    found[: dynamics.mechanism.nu] = np.any(dynamics.mechanism.actuators.bias[:, 1:] != 0.0, axis=1)
+    found[: dynamics.mechanism.nu] = dynamics.mechanism.actuators.depends_on_state
     return found
 
 
@@ -270,15 +270,17 @@ def servo_reference(dynamics: RigidBodyDynamics, xs: np.ndarray) -> np.ndarray:
     nq, nv, actuators = mechanism.nq, mechanism.nv, mechanism.actuators
     middle = space.integrate(xs[:-1], 0.5 * space.difference(xs[1:], xs[:-1]))
     us = np.array([quasi_static_controls(dynamics, x) for x in middle])
-    gain = np.where(actuators.gain == 0.0, 1.0, actuators.gain)
-    us[:, : mechanism.nu] -= middle[:, nq : nq + nv] @ actuators.moment.T * (actuators.bias[:, 2] / gain)
+    rates, own = middle[:, nq : nq + nv] @ actuators.moment.T, us[:, : mechanism.nu]
+    slopes = force_slopes(actuators, own, actuator_lengths(mechanism, middle[:, :nq]), rates)
+    own -= rates * (slopes.by_rate / np.where(slopes.gain == 0.0, 1.0, slopes.gain))
     return np.where(servos, us, 0.0)
 
 
 def fully_actuated(dynamics: RigidBodyDynamics) -> bool:
     """Whether actuators and prescribed joints can give every joint any acceleration."""
     mechanism, prescribed = dynamics.mechanism, prescribed_dofs_of(dynamics)
-    moment = actuator_moments(mechanism, mechanism.qpos0) * (mechanism.actuators.gain[:, None] != 0.0)
+    gain = gains_at(mechanism.actuators, actuator_lengths(mechanism, mechanism.qpos0))
+    moment = actuator_moments(mechanism, mechanism.qpos0) * (gain[:, None] != 0.0)
     own, Z = np.eye(mechanism.nv)[prescribed], feasible_directions(mechanism, mechanism.qpos0)[0]
     Z = Z[
         :, ~np.any(Z[stationary_object_dofs(mechanism)], axis=0)
@@ -318,10 +320,11 @@ def _effort(
     if gained is not None:
         borne = GAIN_SHARE * contact_stiffness(mechanism, goal[:nq]) / np.sqrt(gained)
     limits, known, moment = np.empty(dynamics.nu), [], actuator_moments(mechanism, x0[:nq])
-    servo = actuators.bias[:, 1] != 0.0
+    slopes = force_slopes(actuators, np.zeros(mechanism.nu), actuator_lengths(mechanism, x0[:nq]))
+    servo, gain = slopes.by_length != 0.0, np.abs(slopes.gain)
     for a in range(mechanism.nu):
-        push = np.abs(actuators.gain[a] * moment[a])
-        limit = _limit(mechanism, a, bool(servo[a]))
+        push = gain[a] * np.abs(moment[a])
+        limit = _limit(mechanism, a, bool(servo[a]), gain[a])
         if max_control is not None and not np.isfinite(limit) and not servo[a]:
             limit = float(max_control[a])
         known.append(np.isfinite(limit))
@@ -338,12 +341,11 @@ def _effort(
     return np.maximum(1.0 / limits**2, MIN_EFFORT), control, known
 
 
-def _limit(mechanism: Mechanism, a: int, servo: bool) -> float:
+def _limit(mechanism: Mechanism, a: int, servo: bool, gain: float) -> float:
     """Max magnitude of a control by the model's control and force limits; infinite without one."""
     actuators = mechanism.actuators
     low, high = actuators.control_range[a]
     found = [0.5 * (high - low) if servo else max(abs(low), abs(high))]
-    gain = abs(actuators.gain[a])
     if gain > 0.0:
         found.append(np.abs(actuators.force_range[a]).max() / gain)
         for i in np.flatnonzero(actuators.moment[a]):

@@ -254,8 +254,8 @@ def strongest(mechanism: Mechanism) -> np.ndarray:
     """(nv,) max generalized force of the actuators at each degree of freedom; infinite without limits."""
     actuators = mechanism.actuators
     control = np.abs(actuators.control_range).max(axis=1, initial=0.0)
-    motors = (actuators.bias[:, 1:] == 0.0).all(axis=1)  # a servo's force has no bound from its control
-    force = np.where(motors, np.abs(actuators.gain) * control, np.inf)
+    # the force of one that depends on the state has no bound from its control
+    force = np.where(actuators.depends_on_state, np.inf, np.abs(actuators.gain) * control)
     force = np.minimum(force, np.abs(actuators.force_range).max(axis=1, initial=0.0))
     moment = np.abs(actuators.moment)
     each = np.multiply(moment, force[:, None], out=np.zeros_like(moment), where=moment > 0.0)

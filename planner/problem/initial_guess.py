@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from planner.base.errors import PlannerError
-from planner.dynamics.actuator_moments import actuator_lengths
+from planner.dynamics.actuator_moments import actuator_lengths, gains_at, passive_forces
 from planner.dynamics.algorithms import rnea
 from planner.dynamics.closure_forces import constraint_jacobians
 from planner.dynamics.friction import friction_forces
@@ -30,16 +30,19 @@ def inverse_dynamics_controls(mechanism: Mechanism, q: np.ndarray, qd: np.ndarra
     actuators = mechanism.actuators
     G = np.eye(mechanism.nv) if mechanism.reduction is None else mechanism.reduction.G
     G = G[:, ~np.any(G[stationary_object_dofs(mechanism)], axis=0)]
-    reach = G.T @ (actuators.moment.T * actuators.gain)
+    lengths, rates = actuator_lengths(mechanism, q), qd @ actuators.moment.T
+    gain = gains_at(actuators, lengths, rates)
+    reach = G.T @ (actuators.moment.T * gain[0])
     closed = mechanism.has_closed_chains
     by_wrenches = bool(actuators.wrenches)  # reach is that of joints and tendons, constant
     if (
         by_wrenches
         or np.any(actuators.dynamics != DIRECT)
+        or np.any(gain != gain[0])
         or (not closed and np.linalg.matrix_rank(reach) < len(reach))
     ):
         raise PlannerError("the actuators do not reach every joint directly, expected a fully actuated machine.")
-    force = actuators.passive_forces(actuator_lengths(mechanism, q), qd @ actuators.moment.T)
+    force = passive_forces(actuators, lengths, rates)
     tree = replace(mechanism, loops=(), polynomial_couplings=()) if closed else mechanism
     tau = rnea(tree, q, qd, qdd) - friction_forces(mechanism, qd, qdd)[0] - force @ actuators.moment
     if not closed:

@@ -25,10 +25,11 @@ from planner.model.couplings import contradiction
 from planner.model.mechanism import SCREW, Mechanism
 from planner.model.space import StateSpace, space_of
 from planner.problem.constraints.constraint import DEFAULT_TOLERANCE, Constraint
-from planner.problem.constraints.forces import JointForce
+from planner.problem.constraints.forces import ActuatorForce, JointForce
 from planner.problem.control_bounds import (
     ControlBounds,
     Servos,
+    constrained_forces,
     model_bounds,
     servo_bounds,
     summed_joint_forces,
@@ -173,20 +174,25 @@ class Limits:
         return ControlBounds(lower, upper, servos) if some else None
 
     def joint_forces(self, dynamics: Dynamics) -> tuple[Constraint, ...]:
-        """The ranges of joints' actuatorfrcrange that no bound of one control keeps, of joints that have a force."""
+        """The actuatorfrcrange of joints and the forcerange of actuators that no bound of one control keeps."""
         mechanism = capabilities_of(dynamics).mechanism
         if mechanism is None or not self.keeps_clamps:
             return ()
         found, own = [], self.control if isinstance(self.control, Mapping) else {}
-        for dof, joint in summed_joint_forces(mechanism).items():
-            acting, ends = np.flatnonzero(mechanism.actuators.acts_on[:, dof]), mechanism.joint_force_range[dof]
-            given = any(not is_word(own.get(mechanism.actuators.names[a], MODEL), MODEL) for a in acting)
-            if given or joint in getattr(dynamics, "prescribed", ()):
+        acts, prescribed = mechanism.actuators, getattr(dynamics, "prescribed", ())
+        clamps = [
+            (JointForce(joint), np.flatnonzero(acts.acts_on[:, dof]), mechanism.joint_force_range[dof])
+            for dof, joint in summed_joint_forces(mechanism).items()
+            if joint not in prescribed
+        ]
+        clamps += [(ActuatorForce(name), [a], acts.force_range[a]) for a, name in constrained_forces(mechanism).items()]
+        for residual, acting, ends in clamps:
+            if any(not is_word(own.get(acts.names[a], MODEL), MODEL) for a in acting):
                 continue
             tolerance = DEFAULT_TOLERANCE * float(np.abs(ends[np.isfinite(ends)]).max())
             low, high = ends[0] + tolerance, ends[1] - tolerance  # so that the replay's clamp does not act
             sides = {name: side for name, side in (("lower", low), ("upper", high)) if np.isfinite(side)}
-            found.append(Constraint(JointForce(joint), **sides, tolerance=tolerance))
+            found.append(Constraint(residual, **sides, tolerance=tolerance))
         return tuple(found)
 
     def position_ranges(self, dynamics: Dynamics) -> np.ndarray:

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from planner.base.arguments import toml_key
-from planner.dynamics.actuator_moments import actuator_lengths
+from planner.dynamics.actuator_moments import actuator_forces, actuator_lengths
 from planner.dynamics.quasi_static import quasi_static_controls
 from planner.model.actuators import INTEGRATOR
 from planner.model.couplings import contradiction, fixed_dofs
@@ -184,7 +184,7 @@ def holding(mechanism: Mechanism, qpos: np.ndarray) -> tuple[np.ndarray, np.ndar
     """
     actuators = mechanism.actuators
     u = quasi_static_controls(mechanism, qpos, contacts=False, keep_activations=False)
-    force = actuators.gain * u + actuators.passive_forces(actuator_lengths(mechanism, qpos))
+    force = actuator_forces(actuators, u, actuator_lengths(mechanism, qpos))
     return np.where(actuators.dynamics == INTEGRATOR, 0.0, u), force
 
 

@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from planner.base.errors import PlannerError
 from planner.base.gl import load_mujoco
-from planner.dynamics.actuator_moments import actuator_moments
+from planner.dynamics.actuator_moments import actuator_forces, actuator_moments
 from planner.model.actuators import FILTER, INTEGRATOR
 from planner.model.mechanism import BALL, BALL_NEXT, SCREW, Mechanism
 from planner.model.space import hat
@@ -168,6 +168,9 @@ ACTUATORS = {
     "cylinder": '<cylinder joint="s" area="2" timeconst="0.3" bias="1 2 3"/>',
     "bias": '<general joint="s" gainprm="2" biastype="affine" biasprm="3 4 5" gear="6"/>',
     "affine gain without effect": '<general joint="s" gaintype="affine" gainprm="2"/>',
+    "damper": '<general joint="h" gaintype="affine" gainprm="0 0 -3" gear="2"/>',
+    "affine gain": '<general tendon="t" gaintype="affine" gainprm="2 3 4" biastype="affine" biasprm="5 6 7" gear="2"/>',
+    "affine gain of an activation": '<general joint="s" gaintype="affine" gainprm="2 3 4" dyntype="integrator"/>',
     "no bias": '<general joint="s" gainprm="2" biastype="none" biasprm="3 4 5"/>',
     "integrator": '<general joint="s" gainprm="2" dyntype="integrator"/>',
     "filter": '<general joint="s" gainprm="2" dyntype="filter" dynprm="0.4"/>',
@@ -204,8 +207,7 @@ def test_actuators_push_as_mujocos(elements, flag):
         length, rate = actuators.moment @ scalar, actuators.moment @ data.qvel
         driven = actuators.activation >= 0
         u = np.where(driven, data.act[actuators.activation] if model.na else 0.0, data.ctrl)
-        bias = actuators.bias
-        force = actuators.gain * u + bias[:, 0] + bias[:, 1] * length + bias[:, 2] * rate
+        force = actuator_forces(actuators, u, length, rate)
         np.testing.assert_allclose(moment.T @ force, data.qfrc_actuator, atol=1e-12)
         # Activations move as MuJoCo steps them, one short step with Euler's rule.
         rates = np.where(actuators.dynamics == INTEGRATOR, data.ctrl, 0.0)

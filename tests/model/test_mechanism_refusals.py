@@ -32,7 +32,12 @@ REFUSED = [
     ),
     ("fluid", plain().replace("<option>", '<option viscosity="9" wind="1 0 0">'), ["fluid wind"]),
     ("actuator", plain(actuator=MUSCLE), ["actuator 'biceps'", "muscle"]),
-    ("actuator", plain(actuator='<damper name="x" joint="h" kv="1" ctrlrange="0 1"/>'), ["'x' (affine gain)"]),
+    ("actuator", plain(actuator='<general name="x" joint="h" gaintype="user"/>'), ["'x' (user gain)"]),
+    (
+        "actuator",
+        plain(actuator='<damper name="x" site="p" kv="1" ctrlrange="0 1"/>'),
+        ["'x' (force by the position or velocity of a site)"],
+    ),
     (
         "actuator",
         plain(actuator='<position name="x" site="p"/>'),

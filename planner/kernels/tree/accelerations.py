@@ -5,6 +5,7 @@ from __future__ import annotations
 from planner.kernels.integrators import ROSENBROCK
 from planner.kernels.numba.jit import part
 from planner.kernels.numba.lanes import any_less, at, floats, lanes, load, store
+from planner.kernels.tree.actuator_laws import add_laws
 from planner.kernels.tree.actuator_wrenches import add_actuator_wrenches
 from planner.kernels.tree.contact import add_contact_wrenches, add_stops
 from planner.kernels.tree.couplings import accelerate_coupled
@@ -40,6 +41,8 @@ def accelerations(m, r, q, v, u, act, a, external):
         add_stops(m, q, v, tau)
         add_curves(m, q, tau)
         add_tendons(m, q, v, tau)
+        if m[TREE.laws] > 0:
+            add_laws(m, q, v, u, act, tau)
     move_links(m, q, v, links)
     if external is not None:
         if m[TREE.gravcomp] > 0:

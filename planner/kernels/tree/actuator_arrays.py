@@ -6,6 +6,8 @@ from typing import Any
 
 import numpy as np
 
+from planner.kernels.force_laws import LAW_SIZE, LAWS
+
 WRENCH_SIZE = 11  # numbers of an actuator's wrench: place (3), force (3), torque (3), gain, constant force
 
 
@@ -70,3 +72,22 @@ def wrench_arrays(mechanism: Any, wrenches: Any, frames: np.ndarray, nu: int) ->
         "wrench_frame_dof": np.array([i for one in wrenches for i in one.frame_dofs], dtype=np.int64),
         "wrench_value": values,
     }
+
+
+def law_arrays(mechanism: Any, laws: Any, prescribed: np.ndarray, nu: int) -> dict[str, np.ndarray]:
+    """Per force law: its kind, input and numbers, and its actuator's moment (`factor`) from law_start on.
+
+    `push` is the moment without prescribed joints, which feel no force; inputs are the nu controls, then act.
+    """
+    a, values = mechanism.actuators, np.zeros((len(laws), LAW_SIZE))
+    for row, law in zip(values, laws, strict=True):
+        row[: len(law.numbers)] = law.numbers
+    which = np.array([law.actuator for law in laws], dtype=np.int64)
+    row, dof = np.nonzero(a.moment[which])
+    factor, state = a.moment[which][row, dof], a.activation[which]
+    return {
+        "law_kind": np.array([list(LAWS).index(law.kind) for law in laws], dtype=np.int64),
+        "law_input": np.where(state < 0, which, nu + state), "law_value": values,
+        "law_start": np.searchsorted(row, np.arange(len(laws) + 1)), "law_dof": dof,
+        "law_factor": factor, "law_push": np.where(prescribed[dof], 0.0, factor),
+    }  # fmt: skip

@@ -9,6 +9,7 @@ from __future__ import annotations
 from planner.kernels.integrators import ROSENBROCK
 from planner.kernels.numba.jit import inline
 from planner.kernels.numba.lanes import WIDTH, at, floats, integers, lanes, load, spread, store
+from planner.kernels.tree.actuator_laws import add_law_inputs, subtract_law_derivatives
 from planner.kernels.tree.actuator_wrenches import add_wrench_inputs, subtract_wrench_derivatives
 from planner.kernels.tree.contact import add_stop_derivatives, subtract_contact_derivatives
 from planner.kernels.tree.couplings import invert_coupled
@@ -76,6 +77,8 @@ def acceleration_derivatives(m, r, q, v, act, a, dA, external):
         add_stop_derivatives(m, q, v, Dq, Dv, ld)
         subtract_curve_derivatives(m, q, Dq, ld)
         add_tendon_derivatives(m, q, Dq, Dv, ld)
+        if m[TREE.laws] > 0:
+            subtract_law_derivatives(m, q, v, lanes(r, MEMORY.u), act, Dq, Dv, ld)
         add_friction_derivatives(m, v, a, M, Dv, ld)
         if r[MEMORY.integrator] == ROSENBROCK:
             add_implicit(m, r, M, ld)
@@ -134,8 +137,11 @@ def acceleration_derivatives(m, r, q, v, act, a, dA, external):
         for i in range(nv):
             o = i * columns + k
             store(dA, o, load(dA, o) + x * load(M, i * ld + j))
-    if external is not None and m[TREE.wrenches] > 0:
-        add_wrench_inputs(m, M, ld, lanes(r, MEMORY.links), dA, columns, x0)
+    if external is not None:
+        if m[TREE.wrenches] > 0:
+            add_wrench_inputs(m, M, ld, lanes(r, MEMORY.links), dA, columns, x0)
+        if m[TREE.laws] > 0:
+            add_law_inputs(m, q, v, lanes(r, MEMORY.u), act, M, ld, dA, columns, x0)
     for p in range(nv):
         given = load(prescribed, p)
         if given >= 0:

@@ -18,7 +18,7 @@ import numpy as np
 
 from planner.kernels.numba.lanes import WIDTH
 from planner.kernels.numba.layout import Layout
-from planner.kernels.tree.actuator_arrays import actuator_arrays, wrench_arrays
+from planner.kernels.tree.actuator_arrays import actuator_arrays, law_arrays, wrench_arrays
 from planner.kernels.tree.contact_tables import contact_arrays, pair_arrays, stop_arrays
 from planner.kernels.tree.loop_arrays import loop_arrays, triples_of
 from planner.kernels.tree.passive_force_arrays import drag_arrays, gravcomp_arrays, loss_arrays, tendon_arrays
@@ -32,7 +32,7 @@ SCREW, BALL, BALL_NEXT, FLOATING = 0, 1, 2, 3  # as in planner.model.mechanism, 
 
 TREE = Layout(
     "nv nq nballs nu na inputs position_terms velocity_terms contacts stops pairs curves tendons gravcomp drags losses "
-    "dependents loops polynomial_couplings loop_rows triples wrenches",
+    "dependents loops polynomial_couplings loop_rows triples wrenches laws",
     "parent base kind first q_address home inertia subtree_mass armature base_acceleration damping stiffness rest "
     "ball_q ball_v ball_stiffness ball_rest constant input_dof input_index input_value position_row position_column "
     "position_value velocity_row velocity_column velocity_value activation_input activation_gain activation_rate "
@@ -42,7 +42,8 @@ TREE = Layout(
     "loss_value dependent_dof dependent_start dependent_column dependent_value joined_link joined_address joined_value "
     "loop_rigid loop_rate coupling_dof coupling_value triple_kind moved_start moved_dof reach_start reach_dof "
     "shared_start shared_dof bound_start bound_rows block_start block_stop implicit_damping "
-    "wrench_link wrench_frame wrench_input wrench_start wrench_dof wrench_frame_start wrench_frame_dof wrench_value",
+    "wrench_link wrench_frame wrench_input wrench_start wrench_dof wrench_frame_start wrench_frame_dof wrench_value "
+    "law_kind law_input law_value law_start law_dof law_factor law_push",
 )
 
 
@@ -59,8 +60,9 @@ class Model:
     Attributes:
         table: The argument of kernels.
         external: True where contacts, stops, curves, tendons, gravity compensation, drag, friction loss, couplings or
-            wrenches of actuators act, or damping is implicit, else None. Kernels take it beside the table: Numba
-            compiles them once for each type and leaves out, for None, what stands under `if external is not None`.
+            wrenches or force laws of actuators act, or damping is implicit, else None. Kernels take it beside the
+            table: Numba compiles them once for each type and leaves out, for None, what stands under
+            `if external is not None`.
     """
 
     def __init__(
@@ -83,13 +85,16 @@ class Model:
         reduction = mechanism.reduction if actuated else None
         self.coupled = reduction is not None
         wrenches = mechanism.actuators.wrenches if actuated else ()
+        laws = mechanism.actuators.laws if actuated else ()
         loops, polynomial_couplings = (mechanism.loops, mechanism.polynomial_couplings) if actuated else ((), ())
         self.loop_rows = 3 * triples_of(loops, polynomial_couplings)
         acts = contacts or stops or pairs or curves or tendons or gravcomp or mechanism.drags or np.any(losses)
-        acts = acts or self.coupled or implicit or self.loop_rows or wrenches
+        acts = acts or self.coupled or implicit or self.loop_rows or wrenches or laws
         self.external = True if acts else None
         for tendon in tendons:
             coupled[np.ix_(tendon.dofs, tendon.dofs)] = True
+        for law in laws:
+            coupled[np.ix_(*2 * [np.flatnonzero(mechanism.actuators.moment[law.actuator])])] = True
         for curve in curves:
             for j, _ in curve.slopes:
                 coupled[curve.dof, j] = True
@@ -119,6 +124,7 @@ class Model:
         arrays |= loop_arrays(loops, polynomial_couplings, chains, mechanism, arrays)
         arrays["implicit_damping"] = implicit_damping(mechanism)
         arrays |= wrench_arrays(mechanism, wrenches, arrays["frames"], self.nu)
+        arrays |= law_arrays(mechanism, laws, prescribed, self.nu)
         sizes = {
             "nv": nv, "nq": mechanism.nq, "nballs": len(mechanism.quaternions), "nu": self.nu, "na": self.na,
             "inputs": len(arrays["input_dof"]), "position_terms": len(arrays["position_row"]),
@@ -127,7 +133,7 @@ class Model:
             "drags": len(mechanism.drags), "losses": len(arrays["loss_dof"]),
             "dependents": len(arrays["dependent_dof"]),
             "loops": len(loops), "polynomial_couplings": len(polynomial_couplings),
-            "loop_rows": self.loop_rows, "triples": self.loop_rows // 3, "wrenches": len(wrenches),
+            "loop_rows": self.loop_rows, "triples": self.loop_rows // 3, "wrenches": len(wrenches), "laws": len(laws),
         }  # fmt: skip
         self.arrays = {name: _plain(arrays[name]) for name in TREE.arrays}  # keeps the addresses alive
         self.table = TREE.table(sizes, self.arrays)

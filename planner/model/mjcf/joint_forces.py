@@ -15,6 +15,7 @@ import numpy as np
 from planner.base.gl import load_mujoco
 from planner.model.actuators import DIRECT, FILTER, INTEGRATOR, Actuators
 from planner.model.mjcf.equalities import row_of
+from planner.model.mjcf.force_laws import affine_force, law_of
 from planner.model.mjcf.model_index import ModelIndex, disabled, field, gear_of, names_of, ranges_of
 from planner.model.mjcf.unsupported import actuator_disabled, adheres_to_nothing
 from planner.model.mjcf.wrench_transmissions import has_wrenches, wrenches_of
@@ -23,7 +24,7 @@ from planner.model.mjcf.wrench_transmissions import has_wrenches, wrenches_of
 def actuators_of(survey: ModelIndex) -> Actuators:
     """The actuators; one that is disabled, or that adheres to nothing, pushes with nothing."""
     mujoco, model = load_mujoco(), survey.model
-    nu, wrenches = int(model.nu), []
+    nu, wrenches, laws = int(model.nu), [], []
     moment, gain, bias = np.zeros((nu, model.nv)), np.zeros(nu), np.zeros((nu, 3))
     dynamics, time_constant = np.full(nu, DIRECT, dtype=np.int64), np.ones(nu)
     force_range = ranges_of(model.actuator_forcelimited, model.actuator_forcerange)
@@ -37,9 +38,8 @@ def actuators_of(survey: ModelIndex) -> Actuators:
             dynamics[i], time_constant[i] = FILTER, np.inf
         if off or adheres_to_nothing(model, i):
             continue
-        gain[i] = model.actuator_gainprm[i, 0]
-        if model.actuator_biastype[i] == mujoco.mjtBias.mjBIAS_AFFINE:
-            bias[i] = model.actuator_biasprm[i, :3]
+        (gain[i], bias[i]), law = affine_force(model, i), law_of(model, i)
+        laws += [law] if law else []
         target = model.actuator_trnid[i, 0]
         if has_wrenches(model, i):
             wrenches += wrenches_of(survey, i)
@@ -58,7 +58,7 @@ def actuators_of(survey: ModelIndex) -> Actuators:
         control_range=ranges_of(model.actuator_ctrllimited * clamped, model.actuator_ctrlrange),
         force_range=force_range,
         activation_range=ranges_of(model.actuator_actlimited, model.actuator_actrange),
-        wrenches=tuple(wrenches),
+        wrenches=tuple(wrenches), laws=tuple(laws),
     )  # fmt: skip
 
 

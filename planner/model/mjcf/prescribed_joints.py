@@ -225,6 +225,7 @@ def with_force_inputs(mechanism: Mechanism, prescribed: Collection[str]) -> Mech
         names=(*a.names, *(_motor(name, axis, size) for name, size in sizes.items() for axis in range(size))),
         **{name: np.concatenate([own[name], more]) for name, more in motors.items()},
         wrenches=tuple(one for one in a.wrenches if not silent[one.actuator]),
+        laws=tuple(one for one in a.laws if not silent[one.actuator]),
     )
     balls = given[mechanism.kind == BALL]
     return replace(

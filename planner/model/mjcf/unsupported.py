@@ -24,6 +24,7 @@ from planner.model.mjcf.equalities import (
     kind_of,
     read_couplings,
 )
+from planner.model.mjcf.force_laws import affine_force, law_of, unknown_force
 from planner.model.mjcf.model_index import disabled, field, flag_bit, named
 from planner.model.mjcf.wrench_transmissions import has_wrenches
 
@@ -198,7 +199,7 @@ def _actuators(model: Any, i: int) -> Iterator[UnsupportedElement]:
     )
     reasons: list[str] = []
     if any(several) or not actuator_disabled(model, i):
-        reasons = [*_dynamics(model, i), *_force(model, i), *_transmission(model, i)]
+        reasons = [*_dynamics(model, i), *unknown_force(model, i), *_transmission(model, i)]
     if any(several) and not reasons:
         reasons = ["several controls, forces or activations"]
     if field(model, "actuator_delay", n)[i] > 0.0:
@@ -231,29 +232,22 @@ def _dynamics(model: Any, i: int) -> Iterator[str]:
         yield f"{_lower(kinds, model.actuator_dyntype[i])} dynamics"
 
 
-def _force(model: Any, i: int) -> Iterator[str]:
-    gains, biases = load_mujoco().mjtGain, load_mujoco().mjtBias
-    gain, bias = model.actuator_gaintype[i], model.actuator_biastype[i]
-    fixed = gain == gains.mjGAIN_AFFINE and not np.any(model.actuator_gainprm[i, 1:3])
-    if gain != gains.mjGAIN_FIXED and not fixed:
-        yield f"{_lower(gains, gain)} gain"
-    if not _is(bias, biases.mjBIAS_NONE, biases.mjBIAS_AFFINE):
-        yield f"{_lower(biases, bias)} bias"
-
-
 def _transmission(model: Any, i: int) -> Iterator[str]:
     """Reasons why an actuator's moment is neither a constant row nor that of wrenches, or its length not supported."""
     mujoco = load_mujoco()
     kinds, joints = mujoco.mjtTrn, mujoco.mjtJoint
     kind, target = model.actuator_trntype[i], model.actuator_trnid[i, 0]
-    has_length = model.actuator_biastype[i] == mujoco.mjtBias.mjBIAS_AFFINE and model.actuator_biasprm[i, 1] != 0.0
+    (_, bias), law = affine_force(model, i), law_of(model, i)
     if has_wrenches(model, i):
-        if model.actuator_biastype[i] == mujoco.mjtBias.mjBIAS_AFFINE and np.any(model.actuator_biasprm[i, 1:3]):
+        if law or np.any(bias[1:]):
             what = "a site" if kind == kinds.mjTRN_SITE else "a jointinparent"
             yield f"force by the position or velocity of {what}"
     elif _is(kind, kinds.mjTRN_JOINT, kinds.mjTRN_JOINTINPARENT):
-        if model.jnt_type[target] == joints.mjJNT_BALL and has_length:
+        joint = model.jnt_type[target]
+        if joint == joints.mjJNT_BALL and (law or bias[1] != 0.0):
             yield "force by the angle of a ball joint"
+        elif joint == joints.mjJNT_FREE and law:
+            yield "force by the velocity of a free joint"
     elif kind == kinds.mjTRN_TENDON:
         first = model.wrap_type[model.tendon_adr[target]]
         if first != mujoco.mjtWrap.mjWRAP_JOINT:

@@ -1,4 +1,4 @@
-"""Power, JointForce and ChainForce: what actuators do, and the force that holds a closed chain together."""
+"""Forces as residuals: what actuators do, and the force that holds a closed chain together."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ import numpy as np
 from planner.base.arguments import choice
 from planner.base.errors import PlannerError
 from planner.dynamics import Dynamics, RigidBodyDynamics, constraint_forces
-from planner.dynamics.actuator_moments import force_rows
+from planner.dynamics.actuator_moments import force_derivatives_at, forces_at
 from planner.model.actuators import DIRECT
-from planner.model.mechanism import SCREW, Mechanism
+from planner.model.mechanism import Mechanism
 from planner.model.space import space_of
 from planner.problem.constraints.quantities import mechanism_of
 from planner.problem.costs.weights import places
@@ -57,21 +57,17 @@ class PowerFunction:
     rows = 1
 
     def __init__(self, mechanism: Mechanism, a: int, ndx: int, nu: int) -> None:
-        one = mechanism.actuators
-        self._a, self._nu, self._nv, self._nq = a, nu, mechanism.nv, mechanism.nq
-        self._moment, self._gain, self._bias = one.moment[a], float(one.gain[a]), one.bias[a]
-        self.of_controls = bool(one.dynamics[a] == DIRECT)
-        self._state = mechanism.nq + mechanism.nv + int(one.activation[a])  # of its activation, where it has one
-        screws = np.flatnonzero((mechanism.kind == SCREW) & (self._moment != 0.0))
-        self._screws, self._address = screws, mechanism.q_address[screws]
-        self._ndx, self.same = ndx, ("power", a)
+        self._mechanism, self._a, self._ndx, self._nu = mechanism, a, ndx, nu
+        self.of_controls, self.same = bool(mechanism.actuators.dynamics[a] == DIRECT), ("power", a)
+
+    def _at(self, xs: np.ndarray, us: np.ndarray) -> tuple[Mechanism, np.ndarray, np.ndarray]:
+        """Arguments of forces_at."""
+        return self._mechanism, xs[:, : self._mechanism.space.nx], us[:, : self._mechanism.nu]
 
     def _parts(self, xs: np.ndarray, us: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Force and speed (K,)."""
-        speed = xs[:, self._nq : self._nq + self._nv] @ self._moment
-        length = xs[:, self._address] @ self._moment[self._screws]
-        input_ = us[:, self._a] if self.of_controls else xs[:, self._state]
-        return self._gain * input_ + self._bias[0] + self._bias[1] * length + self._bias[2] * speed, speed
+        m = self._mechanism
+        return forces_at(*self._at(xs, us))[:, self._a], xs[:, m.nq : m.nq + m.nv] @ m.actuators.moment[self._a]
 
     def values(self, xs: np.ndarray, us: np.ndarray, n: np.ndarray) -> np.ndarray:
         """(K, 1) W."""
@@ -80,19 +76,54 @@ class PowerFunction:
 
     def derivatives(self, xs: np.ndarray, us: np.ndarray, n: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """(K, 1, ndx) and (K, 1, nu)."""
-        force, speed = self._parts(xs, us)
+        (force, speed), a, nv = self._parts(xs, us), self._a, self._mechanism.nv
+        of_x, of_u = force_derivatives_at(*self._at(xs, us))
         by_x, by_u = np.zeros((len(xs), 1, self._ndx)), np.zeros((len(xs), 1, self._nu))
-        by_x[:, 0, self._nv : 2 * self._nv] = (force + self._bias[2] * speed)[:, None] * self._moment
-        by_x[:, 0, self._screws] = (self._bias[1] * speed)[:, None] * self._moment[self._screws]
-        if self.of_controls:
-            by_u[:, 0, self._a] = self._gain * speed
-        else:
-            by_x[:, 0, self._state - self._nq + self._nv] = self._gain * speed
+        by_x[:, 0, : of_x.shape[2]] = speed[:, None] * of_x[:, a]
+        by_x[:, 0, nv : 2 * nv] += force[:, None] * self._mechanism.actuators.moment[a]
+        by_u[:, 0, a] = of_u[:, a] * speed
         return by_x, by_u
 
 
+class _SumOfForces(Residual):
+    """A weighted sum of the actuators' forces, without clamps."""
+
+    of_controls = True
+
+    def weights(self, mechanism: Mechanism) -> np.ndarray:
+        """The weight (nu,) of each force."""
+        raise NotImplementedError
+
+    def residual_function(self, dynamics: Dynamics, N: int) -> PythonResidual:
+        """Its function, of a machine.
+
+        Raises:
+            PlannerError: It has no such joint or actuator, or the sum is not one number.
+        """
+        self.weights(mechanism_of(dynamics, self))
+        return PythonResidual(self, dynamics)
+
+    def value(self, dynamics: Any, xs: np.ndarray, us: np.ndarray) -> np.ndarray:
+        """(K,)."""
+        mechanism, *at = self._at(dynamics, xs, us)
+        return forces_at(mechanism, *at) @ self.weights(mechanism)
+
+    def jacobian(self, dynamics: Any, xs: np.ndarray, us: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """(K, 1, ndx) and (K, 1, nu)."""
+        mechanism, *at = self._at(dynamics, xs, us)
+        weights, (of_x, of_u) = self.weights(mechanism), force_derivatives_at(mechanism, *at)
+        by_x, by_u = np.zeros((len(xs), 1, space_of(dynamics).ndx)), np.zeros((len(xs), 1, dynamics.nu))
+        by_x[:, 0, : of_x.shape[2]], by_u[:, 0, : len(weights)] = weights @ of_x, weights * of_u
+        return by_x, by_u
+
+    def _at(self, dynamics: Any, xs: np.ndarray, us: np.ndarray) -> tuple[Mechanism, np.ndarray, np.ndarray]:
+        """Arguments of forces_at."""
+        mechanism = mechanism_of(dynamics, self)
+        return mechanism, xs[:, : mechanism.space.nx], us[:, : mechanism.nu]
+
+
 @dataclass(frozen=True)
-class JointForce(Residual):
+class JointForce(_SumOfForces):
     """Sum of the generalized forces of the actuators on a hinge or slide, without clamps, N m or N.
 
     Attributes:
@@ -100,18 +131,12 @@ class JointForce(Residual):
     """
 
     joint: str
-    of_controls = True
 
     def __str__(self) -> str:
         return f"force of the actuators on {self.joint}"
 
-    def residual_function(self, dynamics: Dynamics, N: int) -> PythonResidual:
-        """Its function, of a machine.
-
-        Raises:
-            PlannerError: It has no such joint, or the joint's force is not one number that is linear in the state.
-        """
-        mechanism = mechanism_of(dynamics, self)
+    def weights(self, mechanism: Mechanism) -> np.ndarray:
+        """The moments (nu,) at the joint; PlannerError unless its force is one number."""
         links = mechanism.joint(self.joint)
         acting = mechanism.actuators.acts_on[:, links.start]
         if links.stop - links.start != 1 or np.any(mechanism.actuators.by_wrenches[acting]):
@@ -119,27 +144,26 @@ class JointForce(Residual):
                 f"{self.joint} is a ball or free joint, or an actuator at a site moves it, expected a hinge or slide "
                 "with actuators of joints and fixed tendons."
             )
-        return PythonResidual(self, dynamics)
+        return mechanism.actuators.moment[:, links.start]
 
-    def value(self, dynamics: Any, xs: np.ndarray, us: np.ndarray) -> np.ndarray:
-        """(K,)."""
-        mechanism, moment, (by_state, _, by_control) = self._parts(dynamics)
-        constant, nx = moment @ mechanism.actuators.bias[:, 0], len(by_state)
-        return constant + xs[:, :nx] @ by_state + us[:, : mechanism.nu] @ by_control
 
-    def jacobian(self, dynamics: Any, xs: np.ndarray, us: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """(K, 1, ndx) and (K, 1, nu)."""
-        _, _, (_, by_deviation, by_control) = self._parts(dynamics)
-        by_x, by_u = np.zeros((len(xs), 1, space_of(dynamics).ndx)), np.zeros((len(xs), 1, dynamics.nu))
-        by_x[:, 0, : len(by_deviation)], by_u[:, 0, : len(by_control)] = by_deviation, by_control
-        return by_x, by_u
+@dataclass(frozen=True)
+class ActuatorForce(_SumOfForces):
+    """Force of an actuator, without clamps, N m or N.
 
-    def _parts(self, dynamics: Any) -> tuple[Mechanism, np.ndarray, list[np.ndarray]]:
-        """The machine, the moments (nu,) at the joint, and derivatives by state, its deviation and the controls."""
-        mechanism = mechanism_of(dynamics, self)
-        actuators, dof = mechanism.actuators, mechanism.joint(self.joint).start
-        moment, gain = actuators.moment[:, dof], np.where(actuators.dynamics == DIRECT, actuators.gain, 0.0)
-        return mechanism, moment, [*(moment @ rows for rows in force_rows(mechanism)), moment * gain]
+    Attributes:
+        actuator: Its name.
+    """
+
+    actuator: str
+
+    def __str__(self) -> str:
+        return f"force of {self.actuator}"
+
+    def weights(self, mechanism: Mechanism) -> np.ndarray:
+        """1 (nu,) for this one."""
+        names = mechanism.actuators.names
+        return np.eye(len(names))[names.index(choice("the actuator of a force", self.actuator, names))]
 
 
 @dataclass(frozen=True)

@@ -25,8 +25,7 @@ import numpy as np
 from planner.base.arguments import number, short_repr
 from planner.base.errors import PlannerError
 from planner.dynamics import RigidBodyDynamics
-from planner.dynamics.actuator_moments import force_rows
-from planner.model.actuators import DIRECT
+from planner.dynamics.actuator_moments import force_derivatives_at, forces_at
 from planner.model.mjcf.prescribed_joints import heavy_joints
 from planner.problem.costs.terms import Quadratic, Term
 
@@ -66,9 +65,6 @@ class EnergyCost(Term):
         self.weight = number("the energy's weight", weight, minimum=0.0)
         self.smoothing = number("the energy's smoothing", smoothing, greater_than=0.0)
         self.space, self.nx, self.ndx, self.nu = dynamics.space, dynamics.nx, dynamics.ndx, dynamics.nu
-        acts = self.mechanism.actuators
-        self._gain = np.where(acts.dynamics == DIRECT, acts.gain, 0.0)  # of the control itself
-        self._by_q, self._by_x = force_rows(self.mechanism)
 
     def power(self, xs: np.ndarray, us: np.ndarray) -> np.ndarray:
         """(N, nu) W, the mean power of each actuator over each stage of xs (N+1, nx), us (N, nu)."""
@@ -102,11 +98,9 @@ class EnergyCost(Term):
 
     def _parts(self, xs: np.ndarray, us: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Mean forces f (N, nu), displacements d (N, nu), and deviations (N, ndx) from one knot to the next."""
-        acts = self.mechanism.actuators
         move = self.space.difference(xs[1:], xs[:-1])
-        of_state = xs @ self._by_q.T
-        force = acts.bias[:, 0] + 0.5 * (of_state[1:] + of_state[:-1]) + self._gain * us
-        return force, move[:, : self.mechanism.nv] @ acts.moment.T, move
+        force = 0.5 * forces_at(self.mechanism, *_both_ends(xs, us)).reshape(2, *us.shape).sum(axis=0)
+        return force, move[:, : self.mechanism.nv] @ self.mechanism.actuators.moment.T, move
 
     def _derivatives(self, xs: np.ndarray, us: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Derivatives of the power by both ends (N, nu, ndx) of each stage, and by its controls (N, nu, nu)."""
@@ -116,6 +110,13 @@ class EnergyCost(Term):
         along[:, :nv] = acts.moment
         by_end = force[:, :, None] * (along @ self.space.difference_jacobian(move))
         by_x = -force[:, :, None] * (along @ self.space.difference_jacobian(-move))
-        of_force = 0.5 * way[:, :, None] * self._by_x
-        by_u = way[:, :, None] * np.diag(self._gain)
-        return (by_x + of_force) / self.dt, (by_end + of_force) / self.dt, by_u / self.dt
+        of_x, of_u = force_derivatives_at(self.mechanism, *_both_ends(xs, us))
+        by_x += 0.5 * way[:, :, None] * of_x[: len(us)]
+        by_end += 0.5 * way[:, :, None] * of_x[len(us) :]
+        by_u = 0.5 * (way * (of_u[: len(us)] + of_u[len(us) :]))[:, :, None] * np.eye(self.nu)
+        return by_x / self.dt, by_end / self.dt, by_u / self.dt
+
+
+def _both_ends(xs: np.ndarray, us: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """States (2N, nx) at the start of each stage, then at its end, and their controls (2N, nu)."""
+    return np.concatenate([xs[:-1], xs[1:]]), np.concatenate([us, us])

@@ -273,7 +273,7 @@ def _free_dofs(
     """
     dynamics, mechanism = search.dynamics, search.dynamics.mechanism
     prescribed = prescribed_dofs_of(dynamics)
-    actuated = np.any(mechanism.actuators.acts_on[mechanism.actuators.gain != 0.0], axis=0)
+    actuated = np.any(mechanism.actuators.acts_on[mechanism.actuators.pushes], axis=0)
     actuated[prescribed] = True
     everything = np.ones(mechanism.nv, dtype=bool)
     feet = search.feet

@@ -99,6 +99,8 @@ def _all(ours: Mechanism, theirs: Mechanism) -> Iterator[str]:
         _same(x, y) for x, y in zip(_of_sites(ours), _of_sites(theirs), strict=True)
     ):
         yield "what its actuators do at sites is another (site, refsite or gear)"
+    if a.laws != b.laws:
+        yield "the force laws of its actuators are others"
     for index in range(ours.nu):
         for term, (one, other) in terms.items():
             if not _same(one[index], other[index]):

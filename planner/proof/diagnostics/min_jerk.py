@@ -10,6 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from planner.dynamics import RigidBodyDynamics
+from planner.dynamics.actuator_moments import gains_at, passive_forces
 from planner.dynamics.algorithms import rnea
 from planner.model.actuators import DIRECT
 from planner.model.mechanism import SCREW, Mechanism
@@ -25,11 +26,12 @@ class MinJerkMotion(NamedTuple):
     qd: np.ndarray  # (N, nv)
     forces: np.ndarray  # (N, nu)
     bias: np.ndarray  # (N, nu) actuator forces at zero control
+    gain: np.ndarray  # (N, nu) actuator forces per control
 
-    def controls(self, machine: Mechanism) -> np.ndarray:
+    @property
+    def controls(self) -> np.ndarray:
         """(N, nu) controls that give the forces."""
-        gain = machine.actuators.gain
-        return (self.forces - self.bias) / np.where(gain == 0.0, np.inf, gain)
+        return (self.forces - self.bias) / np.where(self.gain == 0.0, np.inf, self.gain)
 
 
 def machine_of(problem: Problem) -> Mechanism | None:
@@ -53,4 +55,5 @@ def smooth_motion(problem: Problem, machine: Mechanism, duration: float) -> MinJ
     assert cost is not None  # checked by machine_of()
     q, qd, qdd = quintic(problem.x0[: machine.nq], cost.x_ref[-1][: machine.nq], duration, problem.N)
     forces = np.linalg.lstsq(acts.moment.T, rnea(machine, q, qd, qdd).T, rcond=None)[0].T
-    return MinJerkMotion(q, qd, forces, acts.passive_forces(q @ acts.moment.T, qd @ acts.moment.T))
+    lengths, rates = q @ acts.moment.T, qd @ acts.moment.T
+    return MinJerkMotion(q, qd, forces, passive_forces(acts, lengths, rates), gains_at(acts, lengths, rates))

@@ -45,7 +45,7 @@ def straightened(problem: Problem, code: str, **values: Any) -> list[SuggestedFi
     if machine is None or cost is None or np.any(np.diagonal(cost.Q[0])[machine.nv :]):
         return []
     motion = smooth_motion(problem, machine, problem.duration)
-    us = motion.controls(machine) - cost.u_ref
+    us = motion.controls - cost.u_ref
     effort = 0.5 * float(np.einsum("ni,nij,nj->", us, cost.R, us))
     speeds = 0.5 * float(np.sum(motion.qd**2)) * problem.dynamics.dt
     if speeds == 0.0 or effort == 0.0:

@@ -11,7 +11,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from planner.dynamics.actuator_moments import actuator_moments
+from planner.dynamics.actuator_moments import actuator_forces, actuator_moments
 from planner.model.actuators import DIRECT, INTEGRATOR
 from planner.model.exponential_torques import exponential_joint_torques
 from planner.model.mechanism import SCREW, Mechanism
@@ -115,7 +115,7 @@ class Applied:
         place = np.where(self._screws, q[m.q_address], 0.0)
         given = np.array(u, dtype=float)
         given[self._states] = act[self._places]
-        force = actuators.gain * given + actuators.passive_forces(actuators.moment @ place, actuators.moment @ v)
+        force = actuator_forces(actuators, given, actuators.moment @ place, actuators.moment @ v)
         tau = actuator_moments(m, q).T @ force
         tau -= self._damping * v + m.stiffness * (place - np.where(self._screws, m.spring_rest, 0.0))
         for (address, dof), stiffness, rest in zip(m.quaternions, m.ball_stiffness, m.ball_rest, strict=True):
