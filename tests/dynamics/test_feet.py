@@ -176,7 +176,7 @@ def test_problem_files_name_what_is_wrong(tmp_path, contacts, more, words):
 
 
 def test_a_stored_plan_keeps_its_ground(tmp_path):
-    plan = planner.solve(load(written(tmp_path, '"ground"')).problem)
+    plan = planner.solve(load(written(tmp_path, '"ground"')).problem, max_iterations=2)
     plan.save(tmp_path / "plan.npz")
     stored = planner.load_plan(tmp_path / "plan.npz").problem
     assert stored is not None
