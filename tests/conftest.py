@@ -56,6 +56,21 @@ def _blank_plots(request, monkeypatch):
     monkeypatch.setattr(FigureCanvasAgg, "print_png", write)  # which plots.style.save() calls by itself
 
 
+@pytest.fixture(scope="session")
+def quick():
+    """For tests marked render."""
+    from quick_pictures import quick_pictures
+
+    with quick_pictures():
+        yield
+
+
+@pytest.fixture(autouse=True)
+def _quick(request):
+    if request.node.get_closest_marker("render"):
+        request.getfixturevalue("quick")
+
+
 def pytest_collection_finish():
     gc.freeze()  # five thousand tests and their modules stay to the end: no search for garbage looks at them again
 

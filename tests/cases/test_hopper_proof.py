@@ -104,7 +104,8 @@ def test_default_contact_softness_fails(short):
     fails(short, mjcf=edited(short.twin.mjcf, {CONTACT: soft}))
 
 
-@pytest.mark.parametrize("final_weight", [100.0, pytest.param(1e4, marks=pytest.mark.slow)])  # the paper leaves q_fin open
+# The paper leaves q_fin open.
+@pytest.mark.parametrize("final_weight", [100.0, pytest.param(1e4, marks=pytest.mark.slow)])
 def test_the_papers_own_plan_by_explicit_euler_fails(final_weight):
     problem = planner.cases.hopper(height=20.0, **{**PAPER, "integrator": "euler", "final_weight": final_weight})
     plan = planner.solve(problem, update="open-loop")

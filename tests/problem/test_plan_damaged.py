@@ -59,7 +59,10 @@ def changes(meta, values=VALUES):
             yield meta | {key: meta[key] | {"unknown": 1}}
 
 
-@pytest.mark.parametrize(("name", "step"), [("case", 3), ("file", 83), *(pytest.param(name, 1, marks=pytest.mark.slow) for name in ("case", "file"))])
+@pytest.mark.parametrize(
+    ("name", "step"),
+    [("case", 3), ("file", 83), *(pytest.param(name, 1, marks=pytest.mark.slow) for name in ("case", "file"))],
+)
 def test_every_damage_to_the_meta_is_one_sentence(stored, tmp_path, name, step):
     """The fast tests make every third damage of a case, and fewer of a file, whose model is compiled each time."""
     arrays, meta = stored[name]
