@@ -84,9 +84,8 @@ def test_wrong_start_keyframe_fails(short):
     assert [f.name for f in fails(short, mjcf=text).parity.failures] == ["start_error"]
 
 
-@pytest.mark.parametrize("damping", [1e-6, 1.0])  # critical is 2 sqrt(k m) = 20
-def test_damped_leg_fails(short, damping):
-    fails(short, mjcf=edited(short.twin.mjcf, {LEG: {"damping": str(damping)}}))
+def test_damped_leg_fails(short):
+    fails(short, mjcf=edited(short.twin.mjcf, {LEG: {"damping": "1e-6"}}))  # critical is 2 sqrt(k m) = 20
 
 
 def test_heavy_foot_fails_and_the_error_falls_with_its_mass(short):

@@ -193,7 +193,7 @@ STANDS = {
 
 
 @others
-@pytest.mark.parametrize("name", ["dm hopper", pytest.param("dm walker", marks=pytest.mark.slow)])
+@pytest.mark.parametrize("name", [pytest.param(one, marks=pytest.mark.slow) for one in ("dm hopper", "dm walker")])
 def test_models_of_others_stand_up_and_mujoco_repeats_it(name):
     """Within the ranges of joints and motors; MuJoCo follows with the plan's gains, as one who balances does."""
     crouch, upright, dt = STANDS[name]

@@ -9,7 +9,7 @@ from planner.solvers.anderson import AndersonAcceleration
 CASES = ("two-link", "high-dive")
 
 
-@pytest.fixture(scope="module", params=CASES)
+@pytest.fixture(scope="module", params=[CASES[0], pytest.param(CASES[1], marks=pytest.mark.slow)])
 def problem(request):
     return planner.cases.build(request.param)
 
