@@ -1,7 +1,9 @@
 """Pictures of tests take a third of the time: small maps of shadows, and OpenGL's contexts used again."""
 
 import importlib
+from collections import defaultdict
 from contextlib import contextmanager
+from threading import get_ident
 
 import numpy as np
 import pytest
@@ -27,19 +29,19 @@ def quick_pictures():
 
 
 def _pooled(context):
-    closed = []
+    closed = defaultdict(list)  # by thread, in which a context may still be the current one
 
     class Pooled(context):
         def free(self):
-            closed.append(self)
+            closed[get_ident()].append(self)
 
         def __del__(self):
             pass
 
     def opened(width, height):
-        if not closed:
+        if not closed[get_ident()]:
             return Pooled(width, height)
-        again = closed.pop()
+        again = closed[get_ident()].pop()
         again._width, again._height, again._buffer = width, height, np.zeros((height, width, 4), np.float32)
         return again
 
