@@ -41,7 +41,7 @@ def plan():
 @pytest.fixture(scope="module")
 def found():
     """Coarse in stages and in kg: what it says is checked, not how much."""
-    return largest_payload(duration=1.5, horizon=30, resolution=16.0)
+    return largest_payload(duration=1.5, horizon=20, resolution=16.0)
 
 
 def share(plan):
