@@ -20,7 +20,8 @@ def quick_pictures():
     context, which takes longer than a small picture.
     """
     with pytest.MonkeyPatch.context() as patch:
-        patch.setitem(Scene.__init__.__kwdefaults__, "quick", True)
+        defaults = Scene.__init__.__kwdefaults__ or {}
+        patch.setattr(Scene.__init__, "__kwdefaults__", defaults | {"quick": True})
         if gl.backend() == "osmesa":
             gl.load_mujoco()
             osmesa = importlib.import_module("mujoco.osmesa")
