@@ -15,6 +15,9 @@ GALLERY = renders/gallery
 run: setup ## plan, prove and film the hopper into renders/hopper (the default)
 	@$(PLANNER) run hopper --out renders/hopper
 
+# The matrices of the tests are small: more threads of linear algebra than one only wait for each other.
+test test-slow test-all: export OPENBLAS_NUM_THREADS = 1
+
 test: setup-test ## run the tests; e.g. make test PYTEST_FLAGS="-k hopper"
 	$(PYTHON) -m pytest -m "not slow" $(PYTEST_FLAGS)
 

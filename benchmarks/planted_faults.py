@@ -157,8 +157,8 @@ FAULTS = (
     Fault(
         "latency-part",
         "stage",
-        "u[None], np.array([length]))[0]",
-        "u[None], np.array([dt]))[0]",
+        "None if whole else np.array([left]))[0]",
+        "None if whole else np.array([dt]))[0]",
         "tests/control",
     ),
     Fault(

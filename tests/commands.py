@@ -8,6 +8,9 @@ import sys
 from planner.__main__ import main
 
 PLANNER = [sys.executable, "-m", "planner"]
+# The two-link arm in a third of its time, with weights that still bring it to its goal: a proof takes a third, too.
+QUICK_ARM = {"duration": 0.6, "horizon": 30, "position_weight": 2e3, "velocity_weight": 2e3}
+ARM = ["two-link", *(word for name, value in QUICK_ARM.items() for word in (f"--{name.replace('_', '-')}", str(value)))]
 
 
 def without_rollouts(words):

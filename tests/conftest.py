@@ -9,6 +9,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from planner.base import gl
@@ -46,12 +47,28 @@ def _blank_plots(request, monkeypatch):
     if request.path.parent.name in PICTURES or request.node.get_closest_marker("pictures"):
         return
 
-    def savefig(figure, file, *, format=None, **_):
+    def write(_, file, *, format=None, **__):
         content = PIXEL if (format or Path(file).suffix[1:]) == "png" else b"<svg xmlns='http://www.w3.org/2000/svg'/>"
         with contextlib.nullcontext(file) if hasattr(file, "write") else open(file, "wb") as opened:
             opened.write(content)
 
-    monkeypatch.setattr(Figure, "savefig", savefig)
+    monkeypatch.setattr(Figure, "savefig", write)
+    monkeypatch.setattr(FigureCanvasAgg, "print_png", write)  # which plots.style.save() calls by itself
+
+
+@pytest.fixture(scope="session")
+def quick():
+    """For tests marked render."""
+    from quick_pictures import quick_pictures
+
+    with quick_pictures():
+        yield
+
+
+@pytest.fixture(autouse=True)
+def _quick(request):
+    if request.node.get_closest_marker("render"):
+        request.getfixturevalue("quick")
 
 
 def pytest_collection_finish():

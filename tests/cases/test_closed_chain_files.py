@@ -82,11 +82,12 @@ def test_a_start_that_is_moved_is_told_and_one_that_cannot_close_is_refused(tmp_
 
 def test_a_pin_is_loaded_no_more_than_it_may_be(tmp_path):
     """The largest force of the plan without the constraint is more than what the file then allows."""
-    free = planner.solve(load(four_bar(tmp_path)).problem)
+    short = {"dt": 0.05, "duration": 0.75}  # a force is differentiated in Python, stage by stage
+    free = planner.solve(load(four_bar(tmp_path, **short)).problem)
     dynamics = free.problem.dynamics
     largest = np.linalg.norm(constraint_forces(dynamics, free.xs[:-1], free.us), axis=1).max()
     most = 0.9 * largest
-    path = four_bar(tmp_path, more=f'[[constraint]]\nchain = "pin"\nupper = {most}\n')
+    path = four_bar(tmp_path, **short, more=f'[[constraint]]\nchain = "pin"\nupper = {most}\n')
     plan = planner.solve(load(path).problem)
     assert plan.success
     assert np.linalg.norm(constraint_forces(dynamics, plan.xs[:-1], plan.us), axis=1).max() <= most * (1.0 + 1e-3)

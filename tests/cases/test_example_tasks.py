@@ -9,7 +9,8 @@ from planner.cases.problem_file import load
 from planner.problem.goals import goals_of
 
 TASKS = sorted((ROOT / "examples" / "tasks").glob("*.toml"))
-LONG = {"through_a_window": pytest.mark.slow}  # 8 s for its poses; the proof below, which is slow anyway, shares them
+# 8 s for its poses, which the proof below shares; test_walking_gaits.py has a trot.
+LONG = dict.fromkeys(("through_a_window", "trot"), pytest.mark.slow)
 
 
 @pytest.fixture(scope="module")

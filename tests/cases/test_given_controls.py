@@ -115,6 +115,7 @@ def test_a_wrong_file_is_refused(text, words, model, tmp_path):
     assert "\n" not in str(caught.value)
 
 
+@pytest.mark.pictures
 def test_positions_at_uneven_times_are_followed_and_compared_with_the_replay(solved, model, tmp_path):
     """A recorder's times jitter by a third of their spacing: the path stays that of the plan that was recorded."""
     t = solved.t + solved.dt * np.random.default_rng(0).uniform(-0.3, 0.3, len(solved.t))

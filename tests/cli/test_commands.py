@@ -7,7 +7,7 @@ import json
 
 import numpy as np
 import pytest
-from commands import launch, refused, run
+from commands import ARM, launch, refused, run
 from places import ROOT
 
 import planner
@@ -34,7 +34,7 @@ def test_run_writes_plan_proof_plots_and_report(finished):
     assert (proof["verdict"], proof["mode"]) == ("PASS", "open-loop")
     with np.load(folder / "out" / "plan.npz", allow_pickle=False) as file:
         meta = json.loads(str(file["meta"]))
-        assert file["us"].shape == (100, 2)
+        assert file["us"].shape == (30, 2)
     assert meta["recipe"]["parameters"]["mass2"] == 0.3
     page = (folder / "out" / "report.html").read_text()
     assert page.index("PASS") < page.index("<table")
@@ -43,14 +43,15 @@ def test_run_writes_plan_proof_plots_and_report(finished):
 
 def test_the_same_command_writes_the_same_bytes_in_another_process(finished, tmp_path):
     folder, _ = finished
-    words = ["run", "two-link", "--horizon", 100, "--mass2", 0.3, "--no-video", "--out", tmp_path]
+    words = ["run", *ARM, "--mass2", 0.3, "--no-video", "--out", tmp_path]
     assert run(*words, cwd=tmp_path).returncode == 0
     for name in ("plan.npz", "proof.json"):
         assert (tmp_path / name).read_bytes() == (folder / "out" / name).read_bytes()
 
 
 def test_with_json_stdout_is_one_document(tmp_path):
-    done = run("run", "hopper", "--no-video", "--json", "--no-refine", "--out", "o", cwd=tmp_path)
+    short = ("--height", 10, "--duration", 0.5)
+    done = run("run", "hopper", *short, "--no-video", "--json", "--no-refine", "--out", "o", cwd=tmp_path)
     document = json.loads(done.stdout)
     assert done.returncode == document["exit_code"] == 0
     assert document["proof"]["verdict"] == "PASS"
@@ -83,9 +84,8 @@ def test_flags_reach_the_plan(tmp_path, flags):
     assert document["plan"]["iterations"] > 0
 
 
-@pytest.mark.parametrize("words", [("two-link",), ("acrobot",), ("acrobot", "--start", "hanging")], ids=" ".join)
-def test_the_arms_pass_and_their_stored_plans_prove_the_same(tmp_path, words):
-    done = run("run", *words, "--no-video", "--json", "--out", "o", cwd=tmp_path)
+def test_the_acrobot_passes_and_its_stored_plan_proves_the_same(tmp_path):
+    done = run("run", "acrobot", "--start", "hanging", "--no-video", "--json", "--out", "o", cwd=tmp_path)
     document = json.loads(done.stdout)
     assert done.returncode == 0, done.stderr
     assert (document["plan"]["status"], document["proof"]["verdict"]) == ("CONVERGED", "PASS")
@@ -114,9 +114,7 @@ def test_a_problem_file_is_run_proved_and_solved_like_a_case(tmp_path):
     assert "PASS" in done.stdout
     folder = tmp_path / "renders" / "crane"  # named after the file
     assert {p.name for p in folder.iterdir()} == FILES
-    done = run("prove", folder / "plan.npz", "--json", cwd=tmp_path)
-    assert done.returncode == 0, done.stderr
-    assert json.loads(done.stdout)["plan"]["parameters"]["goal"] == {"trolley": 2.0}
+    assert planner.load_plan(folder / "plan.npz").parameters["goal"] == {"trolley": 2.0}
     done = run("solve", EXAMPLES / "crane.toml", "--starts", 2, "--seed", 1, "--out", "p.npz", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     assert planner.load_plan(tmp_path / "p.npz").parameters["starts"] == 2
@@ -124,8 +122,7 @@ def test_a_problem_file_is_run_proved_and_solved_like_a_case(tmp_path):
 
 def test_a_failing_plan_is_saved_and_exits_1(tmp_path):
     done = run(
-        "run", "two-link", "--integrator", "euler", "--horizon", 50, "--no-video", "--json", "--no-refine",
-        "--out", "o", cwd=tmp_path,
+        "run", *ARM, "--integrator", "euler", "--no-video", "--json", "--no-refine", "--out", "o", cwd=tmp_path
     )  # fmt: skip
     assert done.returncode == 1
     document = json.loads(done.stdout)
@@ -187,7 +184,7 @@ def test_prove_with_an_edited_a_broken_and_a_missing_model(finished, tmp_path):
 def test_stale_pictures_do_not_stay_beside_a_new_plan(tmp_path):
     (tmp_path / "video.mp4").write_bytes(b"an older plan's")
     (tmp_path / "mine.mp4").write_bytes(b"not ours")
-    words = ["run", "two-link", "--horizon", 100, "--no-video", "--quiet", "--out", tmp_path]
+    words = ["run", *ARM, "--no-video", "--quiet", "--out", tmp_path]
     assert run(*words, cwd=tmp_path).returncode == 0
     assert not (tmp_path / "video.mp4").exists()
     assert (tmp_path / "mine.mp4").exists()

@@ -16,44 +16,42 @@ from planner.cli.source_values import value_of
 SLOW = ("mujoco", "numba", "scipy", "matplotlib")
 
 
-def said(words, folder):
-    """Exit code and message of a command line, and the slow packages that were imported for it."""
-    code = (
-        "import json, sys\nfrom planner.__main__ import main\n"
-        f"code = main({words!r})\nprint(json.dumps([code, [m for m in {SLOW!r} if m in sys.modules]]))"
-    )
-    done = subprocess.run([sys.executable, "-c", code], cwd=folder, capture_output=True, text=True, timeout=120)
-    code, slow = json.loads(done.stdout.splitlines()[-1])
-    return code, done.stderr + done.stdout, slow
+WRONG = [
+    (["runn"], "COMMAND is 'runn'"),
+    (["run", "nosuch"], "CASE is 'nosuch'"),
+    (["run", "hopper", "--hihgt", "3"], "Did you mean --height?"),
+    (["run", "reach.toml", "--goal", "3"], "goal is a key of the file: write it in reach.toml."),
+    (["run", "reach.toml"], "cannot read the problem file reach.toml: No such file"),
+    (["run", "hopper", "--height", "tall"], "--height"),
+    (["model", "arm.xml"], "cannot read the model arm.xml: No such file"),
+    (["prove", "plan.npz", "--bad"], "no flag '--bad'"),
+    (["prove", "plan.npz"], "plan.npz does not exist, expected a plan.npz"),
+    (["view", "plan.npz", "--browser"], "plan.npz does not exist, expected a plan.npz"),
+    (["export", "plan.npz"], "--to"),
+    (["list", "pik"], "the machine is 'pik'"),
+]
+EACH = """
+import contextlib, io, json, sys
+from planner.__main__ import main
+for words in json.loads(sys.argv[1]):
+    with contextlib.redirect_stdout(io.StringIO()) as text, contextlib.redirect_stderr(text):
+        code = main(words)
+    print(json.dumps([words, code, text.getvalue(), [m for m in {slow!r} if m in sys.modules]]))
+"""
 
 
-@pytest.mark.parametrize(
-    ("words", "sentence"),
-    [
-        (["runn"], "COMMAND is 'runn'"),
-        (["run", "nosuch"], "CASE is 'nosuch'"),
-        (["run", "hopper", "--hihgt", "3"], "Did you mean --height?"),
-        (["run", "reach.toml", "--goal", "3"], "goal is a key of the file: write it in reach.toml."),
-        (["run", "reach.toml"], "cannot read the problem file reach.toml: No such file"),
-        (["run", "hopper", "--height", "tall"], "--height"),
-        (["model", "arm.xml"], "cannot read the model arm.xml: No such file"),
-        (["prove", "plan.npz", "--bad"], "no flag '--bad'"),
-        (["prove", "plan.npz"], "plan.npz does not exist, expected a plan.npz"),
-        (["view", "plan.npz", "--browser"], "plan.npz does not exist, expected a plan.npz"),
-        (["export", "plan.npz"], "--to"),
-        (["list", "pik"], "the machine is 'pik'"),
-    ],
-)
-def test_wrong_words_are_answered_without_mujoco_or_numba(words, sentence, tmp_path):
-    code, message, slow = said(words, tmp_path)
-    assert (code, slow) == (2, [])
-    assert sentence in message
-
-
-def test_a_list_of_keys_needs_no_mujoco_either(tmp_path):
-    code, message, slow = said(["list", "pick.toml"], tmp_path)
-    assert (code, slow) == (0, [])
-    assert "goal.tolerance" in message
+def test_words_that_are_wrong_or_ask_for_keys_are_answered_without_mujoco_or_numba(tmp_path):
+    """All in one process, whose start takes longer than an answer."""
+    asked = {0: [(["list", "pick.toml"], "goal.tolerance")], 2: WRONG}
+    sentences = {tuple(words): (code, sentence) for code, each in asked.items() for words, sentence in each}
+    code = [sys.executable, "-c", EACH.format(slow=SLOW), json.dumps(list(sentences))]
+    done = subprocess.run(code, cwd=tmp_path, capture_output=True, text=True, timeout=120)
+    answers = [json.loads(line) for line in done.stdout.splitlines()]
+    assert len(answers) == len(sentences), done.stderr
+    for words, code, message, slow in answers:
+        expected, sentence = sentences[tuple(words)]
+        assert (code, slow) == (expected, []), words
+        assert sentence in message
 
 
 def test_help_of_a_command_lists_the_flags_of_all_its_cases(capsys):

@@ -2,6 +2,7 @@
 
 import json
 
+import commands
 import pytest
 from carts import write
 
@@ -12,8 +13,8 @@ from planner.cases.problem_file import load
 from planner.cli import running as run_command
 from planner.cli.running import MARK, run_folder
 
-EULER = ["run", "two-link", "--integrator", "semi-implicit-euler", "--horizon", "100", "--no-video", "--quiet"]
-ARM = ["run", "two-link", "--horizon", "100", "--no-video", "--quiet"]
+ARM = ["run", *commands.ARM, "--no-video", "--quiet"]
+EULER = [*ARM, "--integrator", "semi-implicit-euler"]
 
 
 def document(capsys):
@@ -31,7 +32,7 @@ def test_a_plan_that_fails_by_its_step_is_refined_until_it_passes(tmp_path, caps
     assert json.loads((tmp_path / "o" / "proof.json").read_text())["refinement"] == path
     assert load_plan(tmp_path / "o" / "plan.npz").parameters["integrator"] == "rk4"
     report = (tmp_path / "o" / "report.html").read_text()
-    assert "planner run two-link --horizon 100 --integrator semi-implicit-euler" in report
+    assert "planner run two-link --duration 0.6 --horizon 30 --integrator semi-implicit-euler" in report
 
 
 def test_not_refined_when_told_so(tmp_path, capsys):
@@ -193,7 +194,7 @@ def test_the_verdict_is_printed_before_what_is_only_shown(tmp_path, capsys, monk
 
 
 def test_without_rollouts_nothing_is_waited_for(tmp_path, capsys):
-    plan = planner.solve(planner.cases.two_link(horizon=100)).save(tmp_path / "plan.npz")
+    plan = planner.solve(planner.cases.two_link(**commands.QUICK_ARM)).save(tmp_path / "plan.npz")
     assert main(["prove", str(plan), "--rollouts", "0", "--json"]) == 0
     printed = capsys.readouterr()
     proof = json.loads(printed.out)["proof"]
@@ -209,12 +210,12 @@ def test_without_rollouts_nothing_is_waited_for(tmp_path, capsys):
 
 def test_a_run_ends_with_its_work_and_says_where_it_went(tmp_path, capsys):
     """Half of so little work are a few iterations; the proof uses up the rest, so that no repair begins."""
-    words = [*ARM, "--rollouts", "0", "--json", "--work", "0.004"]
+    words = [*ARM, "--rollouts", "0", "--json", "--work", "0.001"]
     for name in ("o", "again"):
         assert main([*words, "--out", str(tmp_path / name)]) == 1
     said, same = (json.loads((tmp_path / name / "proof.json").read_text()) for name in ("o", "again"))
     assert said["budget"]["exhausted"] == "WORK_LIMIT"
-    assert said["budget"]["work"] == 0.004
+    assert said["budget"]["work"] == 0.001
     assert set(said["budget"]["spent"]) == {"first solve", "proofs"}
     assert said["verdict"] == "FAIL"
     assert "cut by its WORK_LIMIT" in said["headline"]

@@ -362,7 +362,7 @@ def crane(tmp_path_factory):
     return planner.Controller(planner.load_problem(folder / "crane.toml"), latency=0.004)
 
 
-@pytest.mark.parametrize("force", [10.0, 30.0])
+@pytest.mark.parametrize("force", [pytest.param(10.0, marks=pytest.mark.slow), 30.0])
 def test_a_push_beyond_a_range_is_got_over(crane, force):
     """Multipliers of plans that are far from a minimum would drive the trolley to and fro for ever."""
     loop = planner.simulate(crane, latency=0.004, pushes=[planner.Push("load", force=force, time=1.0)])

@@ -8,8 +8,7 @@ import verdicts
 from corpus import right, wrong
 
 QUICK_RIGHT = [
-    "a planar arm of 1 joint", "an arm of 10 cm in plain weights", "an arm at the stops of its file",
-    "an arm that is to stay upright", "a cart swings its pole up", "contacts left out and never touched, loaded",
+    "an arm at the stops of its file", "an arm that is to stay upright", "contacts left out and never touched, loaded",
     "closed fingers that open, 1", "a sum of two angles, 1",
 ]  # fmt: skip
 QUICK_WRONG = [

@@ -176,7 +176,7 @@ def test_problem_files_name_what_is_wrong(tmp_path, contacts, more, words):
 
 
 def test_a_stored_plan_keeps_its_ground(tmp_path):
-    plan = planner.solve(load(written(tmp_path, '"ground"')).problem)
+    plan = planner.solve(load(written(tmp_path, '"ground"')).problem, max_iterations=2)
     plan.save(tmp_path / "plan.npz")
     stored = planner.load_plan(tmp_path / "plan.npz").problem
     assert stored is not None
@@ -193,7 +193,7 @@ STANDS = {
 
 
 @others
-@pytest.mark.parametrize("name", ["dm hopper", pytest.param("dm walker", marks=pytest.mark.slow)])
+@pytest.mark.parametrize("name", [pytest.param(one, marks=pytest.mark.slow) for one in ("dm hopper", "dm walker")])
 def test_models_of_others_stand_up_and_mujoco_repeats_it(name):
     """Within the ranges of joints and motors; MuJoCo follows with the plan's gains, as one who balances does."""
     crouch, upright, dt = STANDS[name]

@@ -47,6 +47,17 @@ def test_tracking_gradients_are_differences_of_the_value(space, seed):
         assert np.linalg.eigvalsh(H).min() > -1e-12 * np.abs(H).max()
 
 
+@spaces
+def test_the_final_cost_is_what_the_end_state_adds(space):
+    """By two trajectories that differ at the end alone."""
+    rng = np.random.default_rng(0)
+    cost = random_cost(rng, space)
+    xs, us = near(rng, cost)
+    other = np.vstack([xs[:-1], near(rng, cost)[0][-1:]])
+    added = cost.final_cost(other[-1]) - cost.final_cost(xs[-1])
+    assert cost.value(other, us) - cost.value(xs, us) == pytest.approx(added, rel=1e-9)
+
+
 @settings(max_examples=10, deadline=None)
 @given(seed=seeds)
 def test_vectors_have_the_weights_themselves(seed):

@@ -59,9 +59,12 @@ def changes(meta, values=VALUES):
             yield meta | {key: meta[key] | {"unknown": 1}}
 
 
-@pytest.mark.parametrize(("name", "step"), [("case", 1), ("file", 41), pytest.param("file", 1, marks=pytest.mark.slow)])
+@pytest.mark.parametrize(
+    ("name", "step"),
+    [("case", 3), ("file", 83), *(pytest.param(name, 1, marks=pytest.mark.slow) for name in ("case", "file"))],
+)
 def test_every_damage_to_the_meta_is_one_sentence(stored, tmp_path, name, step):
-    """Of a file, whose model is compiled each time, the fast tests make every forty-first damage."""
+    """The fast tests make every third damage of a case, and fewer of a file, whose model is compiled each time."""
     arrays, meta = stored[name]
     count = 0
     for changed in islice(changes(meta), 0, None, step):

@@ -145,7 +145,7 @@ def test_the_observed_order_of_changes(changes, order):
 
 
 def test_contact_is_shown_and_not_judged():
-    proof = proof_of(cases.hopper())
+    proof = proof_of(cases.hopper(height=10.0, duration=0.5, horizon=100))
     assert proof.convergence.judged
     assert proof.passed
     assert values(proof.order)["cost_change"] < 1.0

@@ -8,7 +8,7 @@ from planner.cases.problem_file import load
 
 
 # At the end of reach the next step promises 2.6 times the bound, at the end of reach_upright a hundredth of it.
-@pytest.mark.parametrize("task", ["reach", "reach_upright"])
+@pytest.mark.parametrize("task", ["reach", pytest.param("reach_upright", marks=pytest.mark.slow)])
 def test_a_plan_of_least_jerk_is_optimal(task):
     problem = load(ROOT / "examples" / "tasks" / f"{task}.toml", objective="jerk").problem
     plan = planner.solve(problem)

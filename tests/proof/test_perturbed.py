@@ -28,8 +28,8 @@ SLIGHT = Perturbation(mass=0.01, inertia=0.01)
 
 @pytest.fixture(scope="module")
 def calm():
-    """The arm in twice the time, in which no standard error matters with gains."""
-    return planner.solve(planner.cases.two_link(horizon=100))
+    """The arm in half more than its time, in which no standard error matters with gains."""
+    return planner.solve(planner.cases.two_link(duration=1.5, horizon=75))
 
 
 @pytest.fixture(scope="module")

@@ -69,7 +69,7 @@ def proved_elsewhere(plan, name, folder, path=()):
 
 
 @pytest.mark.parametrize(
-    "name", ["hopper", "own", *(pytest.param(one, marks=pytest.mark.slow) for one in ("two-link", "acrobot"))]
+    "name", ["own", *(pytest.param(one, marks=pytest.mark.slow) for one in ("hopper", "two-link", "acrobot"))]
 )
 def test_a_plan_file_proves_to_the_last_bit_alone_in_a_folder(stored, name, tmp_path):
     file, figures = stored(name)

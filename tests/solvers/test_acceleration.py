@@ -9,9 +9,15 @@ from planner.solvers.anderson import AndersonAcceleration
 CASES = ("two-link", "high-dive")
 
 
-@pytest.fixture(scope="module", params=CASES)
+@pytest.fixture(scope="module", params=[CASES[0], pytest.param(CASES[1], marks=pytest.mark.slow)])
 def problem(request):
     return planner.cases.build(request.param)
+
+
+@pytest.fixture(scope="module")
+def slow(problem):
+    with pytest.MonkeyPatch.context() as patch:
+        return plain(patch, problem)
 
 
 def plain(monkeypatch, problem, **options):
@@ -21,8 +27,8 @@ def plain(monkeypatch, problem, **options):
         return planner.solve(problem, **options)
 
 
-def test_slow_steps_need_fewer(monkeypatch, problem):
-    slow, fast = plain(monkeypatch, problem), planner.solve(problem)
+def test_slow_steps_need_fewer(problem, slow):
+    fast = planner.solve(problem)
     assert slow.success
     assert fast.success
     assert fast.nit < slow.nit
@@ -30,7 +36,7 @@ def test_slow_steps_need_fewer(monkeypatch, problem):
     assert fast.cost == pytest.approx(slow.cost, rel=1e-8)
 
 
-def test_a_guess_that_costs_more_leaves_no_trace(monkeypatch, problem):
+def test_a_guess_that_costs_more_leaves_no_trace(monkeypatch, problem, slow):
     """The next step begins where the last one led, to the last bit."""
     tried = []
 
@@ -38,7 +44,6 @@ def test_a_guess_that_costs_more_leaves_no_trace(monkeypatch, problem):
         tried.append(step)
         return np.zeros((us[0] + 1, self._space.ndx)), np.full(us, 1e4)
 
-    slow = plain(monkeypatch, problem)
     monkeypatch.setattr(AndersonAcceleration, "_point", astray)
     after = planner.solve(problem)
     assert tried

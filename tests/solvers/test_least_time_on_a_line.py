@@ -46,6 +46,7 @@ def least_time(mechanism, start, goal, speeds):
     return float(np.sum(2.0 / M / (np.sqrt(found[1:]) + np.sqrt(found[:-1]))))
 
 
+@pytest.mark.slow
 def test_on_a_line_it_is_little_longer_and_free_of_it_shorter_than_the_least(benchmark, tmp_path):
     text = re.sub(r' damping="[\d.]+"', "", benchmark.ARM.read_text(encoding="utf-8"))
     (tmp_path / "arm.xml").write_text(text, encoding="utf-8")

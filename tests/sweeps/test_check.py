@@ -5,6 +5,7 @@ import shutil
 from dataclasses import replace
 
 import pytest
+from commands import QUICK_ARM
 
 import planner
 from planner.__main__ import main
@@ -17,7 +18,7 @@ from planner.sweeps.regression import check, stored_proof
 def stored(tmp_path_factory):
     """Two plans with their proofs."""
     folder = tmp_path_factory.mktemp("plans")
-    plan = planner.solve(planner.cases.two_link(horizon=100))
+    plan = planner.solve(planner.cases.two_link(**QUICK_ARM))
     proof = json.dumps(planner.prove(plan, rollouts=0).to_dict())
     (folder / "arm").mkdir()
     for path in (folder / "arm" / "plan.npz", folder / "second.npz"):
@@ -72,7 +73,7 @@ def test_a_figure_that_was_worse_has_moved(folder):
 
 
 def test_a_verdict_that_was_better_is_a_regression(folder):
-    plan = planner.solve(planner.cases.two_link(horizon=100, integrator="semi-implicit-euler"))
+    plan = planner.solve(planner.cases.two_link(**QUICK_ARM, integrator="semi-implicit-euler"))
     plan.save(folder / "arm" / "plan.npz")  # the figures beside it are of the plan that passed
     done = check(folder / "arm")[0]
     assert not done.passed
@@ -166,9 +167,9 @@ def test_wrong_paths_and_tolerances_are_refused_in_one_sentence(tmp_path, capsys
 
 def test_a_proof_of_another_plan_is_not_compared(tmp_path, capsys):
     one, other = tmp_path / "one", tmp_path / "other"
-    for folder, horizon in ((one, 40), (other, 44)):
+    for folder, horizon in ((one, 30), (other, 33)):
         folder.mkdir()
-        plan = planner.solve(planner.cases.two_link(horizon=horizon)).save(folder / "plan.npz")
+        plan = planner.solve(planner.cases.two_link(**QUICK_ARM | {"horizon": horizon})).save(folder / "plan.npz")
         words = ["prove", str(plan), "--rollouts", "0", "--quiet", "--out", str(folder / "proof.json")]
         assert main(words) in (0, 1)
     shutil.copy(one / "proof.json", other / "proof.json")

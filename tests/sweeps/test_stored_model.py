@@ -21,7 +21,7 @@ ARM = """<mujoco><worldbody><geom name="wall" type="box" size=".05 .05 .2" pos="
   <body name="link"><joint name="hinge" axis="0 0 1" damping="0.1"/>
   <geom name="arm" type="capsule" fromto=".2 0 0 1 0 0" size=".02" mass="5"/><site name="tip" pos="1 0 0"/></body>
   </worldbody><actuator><motor name="motor" joint="hinge"/></actuator></mujoco>"""
-TABLE = """model = "{}"\nstart = {{}}\ngoal = {{ hinge = 1.0 }}\nduration = 1.0\ndt = 0.02\n{}"""
+TABLE = """model = "{}"\nstart = {{}}\ngoal = {{ hinge = 1.0 }}\nduration = 0.5\ndt = 0.02\n{}"""
 
 
 def stored_in(folder: Path, model: str = "arm.xml", more: str = "") -> Path:

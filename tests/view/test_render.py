@@ -267,7 +267,6 @@ reports = []
 render.render_video(make_replay(), "film.mp4", width=64, height=36, fps=10, progress=lambda *r: reports.append(r))
 assert reports[-1] == (15, 15), reports[-1]
 render.render_strip(make_replay(), "strip.png", poses=2, width=64, height=36)
-assert render.render_frame(make_replay(), 0.1, width=64, height=36).std() > 10
 """
 
 

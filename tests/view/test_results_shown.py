@@ -7,6 +7,7 @@ from html.parser import HTMLParser
 
 import numpy as np
 import pytest
+from commands import QUICK_ARM
 from matplotlib.figure import Figure
 
 import planner
@@ -15,7 +16,7 @@ from planner.problem.plan import Status
 
 @pytest.fixture(scope="module")
 def proof():
-    return planner.prove(planner.solve(planner.cases.two_link(horizon=100)), rollouts=0)
+    return planner.prove(planner.solve(planner.cases.two_link(**QUICK_ARM)), rollouts=0)
 
 
 class Words(HTMLParser):

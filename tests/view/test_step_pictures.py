@@ -50,8 +50,10 @@ def chart_of(charts, title, unit=""):
 
 
 def test_one_picture_of_each_kind(shown, tmp_path):
-    _, _, pictures = shown
+    step, _, pictures = shown
     assert {type(picture): name for name, picture in pictures.items()} == CASE_PICTURES
+    if len(step.walker.legs) < 2:
+        return  # a picture takes most of a second, and the step of one leg has the same kinds
     for name, picture in pictures.items():
         save(draw_case_picture(picture), tmp_path / name)
         assert (tmp_path / name).read_bytes().startswith(b"\x89PNG")

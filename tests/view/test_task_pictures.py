@@ -21,7 +21,8 @@ from planner.view.render.scene import Scene
 from planner.view.render.video import render_strip
 
 TASKS = sorted((ROOT / "examples" / "tasks").glob("*.toml"))
-LONG = {"through_a_window": pytest.mark.slow}  # 8 s for its poses
+# One with each kind of goal and panel: a wall, a path, joints, several goals, a constraint, limits.
+KINDS = {"around_a_post", "circle", "double_pendulum", "pick_and_place", "reach_upright_cup", "reach_within_limits"}
 SIZE = (320, 180)
 STAGE = Appearance(title="", azimuth=90.0, elevation=-5.0, distance=2.5, look_at=(0.4, 0.0, 0.3))
 
@@ -39,7 +40,9 @@ def pictures(run, stage, frames=(0.0, 0.3, 0.6)):
 
 
 @pytest.mark.render
-@pytest.mark.parametrize("path", [pytest.param(path, id=path.stem, marks=LONG.get(path.stem, ())) for path in TASKS])
+@pytest.mark.parametrize(
+    "path", [pytest.param(p, id=p.stem, marks=() if p.stem in KINDS else pytest.mark.slow) for p in TASKS]
+)
 def test_pictures_of_each_example_are_drawn(path):
     plan = rolled_out(planner.load_problem(path))
     run = planner.replay(plan)

@@ -176,12 +176,12 @@ def test_cameras_stand_side_by_side_with_one_set_of_words(replay):
     assert both.shape == (360, 640, 3)
     left, right = halves(both)
     for half, seen in zip((left, right), film.views, strict=True):
-        with Scene(seen, 320, 360, narrow=True) as scene:
+        with Scene(seen, 320, 360, narrow=True, quick=False) as scene:  # as a frame is drawn
             alone = scene.draw(0)
         middle = slice(100, 320)  # below the labels, above the legend
         assert changed(half[middle, 4:-4], alone[middle, 4:-4]) == 0
     assert changed(*halves(both)) > 2000  # two cameras
-    with Scene(film.views[1], 320, 360, narrow=True) as scene:
+    with Scene(film.views[1], 320, 360, narrow=True, quick=False) as scene:
         words = np.abs(right.astype(int) - scene.draw(0).astype(int)).max(axis=-1) > 8
     assert not words[30:-30, 4:160].any()  # the right one has a label and no numbers
     assert words[:30, 220:].any()
