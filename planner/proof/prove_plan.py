@@ -200,11 +200,11 @@ def with_informative_sections(proof: Proof, note: Callable[[str], object] = lamb
 
     with np.errstate(all="ignore"):
         note("the slowest rate at which the gains still hold")
-        rates = slowest_rate(plan, compiled, passes)
-        note("the same with encoders")
         planned = runs["feedback"].plan_xs
+        rates = slowest_rate(plan, compiled, passes, planned)
+        note("the same with encoders")
         encoding = replace(sampling_of(plan), encoders=True)
-        encoded = replay_in(compiled, plan, feedback=True, sampling=encoding, planned=planned)
+        encoded = replay_in(compiled, plan, feedback=True, sampling=encoding, planned=planned, contacts=False)
         units = [one.unit for one in coordinates_of(problem.dynamics)]
         note("contact sensitivity")
         as_judged = functools.partial(replay_in, sampling=sampling_of(plan), planned=planned)
