@@ -69,7 +69,8 @@ class Limits:
         velocity: A number for all joints, or by joint a number or (lower, upper), or "model" for the limits that a
             URDF has. rad/s or m/s. Of dynamics without a mechanism, position and velocity are a number b for -b to b or
             (lower, upper), of all coordinates that its `coordinates` give the unit of one, or a table by their names.
-        state: (lower, upper) by the index of a component of the deviation, for a machine without named joints.
+        state: (lower, upper) by the index of a component of the deviation, for a machine without named joints; a number
+            or a pair alone is of all components.
         final: "exact" for all that has a final weight, or names of joints (their positions and velocities), or
             indices of components of the deviation that end at the cost's goal.
         tolerance: Largest violation of a range or of an exact goal.
@@ -307,7 +308,8 @@ class Limits:
                     found[links.start] = Range.of(*pair_of(f"the range of joint {joint!r}", value))
         if mechanism is not None and "velocity" in named:
             found |= self._velocities(mechanism)
-        for i, value in ({} if self.state is None else table_of("state", self.state)).items():
+        state: Any = {} if self.state is None or is_word(self.state, OFF) else self.state
+        for i, value in (state if isinstance(state, Mapping) else dict.fromkeys(range(ndx), state)).items():
             i = component_of("state", i, ndx)
             found[i] = Range.of(*pair_of(f"the range of component {i}", value))
         return {
@@ -382,7 +384,7 @@ def _of_coordinates(what: str, value: Any, coordinates: Sequence[Coordinate]) ->
         raise PlannerError(
             f"the limits' {what} is {short_repr(value)}, but no coordinate of the dynamics has the unit of one: write "
             'coordinates=[("angle", "rad"), ("speed", "rad/s"), ...] of the dynamics, or limits by the index of the '
-            "state, state={1: (-4, 4)}."
+            "state, state={1: (-4, 4)}, or of all of it, state=4."
         )
     return found
 
