@@ -143,12 +143,8 @@ def replay(
     """
     if not isinstance(plan, Plan):
         raise PlannerError(f"plan is {short_repr(plan)}, expected a Plan.")
-    twin = twin or plan.twin
-    if twin is None:
-        raise PlannerError("the plan has no MuJoCo model to be replayed in, expected a Problem with a twin.")
-    return replay_in(
-        CompiledTwin(twin), plan, feedback=feedback, substeps=substeps, integrator=integrator, sampling=sampling
-    )
+    compiled = CompiledTwin(twin or twin_of(plan))
+    return replay_in(compiled, plan, feedback=feedback, substeps=substeps, integrator=integrator, sampling=sampling)
 
 
 @np.errstate(all="ignore")  # a trajectory may diverge, which is reported
@@ -214,6 +210,16 @@ def step_of(plan: Plan, model: Any, integrator: str) -> Step | None:
     if integrator != ROSENBROCK or damping is None:
         return None
     return implicit_step(model, model.opt.timestep, damping, PARTS)
+
+
+def twin_of(plan: Plan) -> Twin:
+    """The twin of a plan; raises if it has none."""
+    if plan.twin is None:
+        raise PlannerError(
+            "the plan has no MuJoCo model to be replayed in, expected a Problem with a twin: of an MJCF file of the "
+            "same machine, Problem(..., twin=planner.Twin.of(planner.Mechanism.from_mjcf(path)))."
+        )
+    return plan.twin
 
 
 def problem_of(plan: Plan) -> Problem:
