@@ -157,6 +157,15 @@ def printable(path: PathLike) -> str:
     return str(path) if str(path).isprintable() else repr(str(path))
 
 
+PLANS = "a folder of plans or a plan.npz"
+
+
+def check_exists(path: PathLike, expected: str) -> None:
+    """FileError where there is no file or folder of this name; `expected` says what would have been right."""
+    if not os.path.exists(path):  # Path.exists() raises OSError for long names
+        raise FileError(f"{printable(path)} does not exist, expected {expected}.")
+
+
 @contextmanager
 def write_atomically(path: PathLike) -> Iterator[Path]:
     """Yield a hidden path in the folder of `path`; on success it replaces `path`, on any exception it is removed.

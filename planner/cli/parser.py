@@ -17,7 +17,7 @@ from typing import Any, NoReturn
 
 from planner.base.arguments import choice, short_repr
 from planner.base.errors import PlannerError
-from planner.base.files import check_confined, read_input
+from planner.base.files import PLANS, check_confined, check_exists, read_input
 from planner.cli.console import Console
 from planner.cli.flags import (
     BUDGET,
@@ -324,6 +324,8 @@ def check_inputs(arguments: argparse.Namespace) -> None:
             check_confined(path, what)
             if not os.path.exists(path):
                 read_input(path, what)  # which says why it is not there
+    for path in getattr(arguments, "paths", ()):  # of check
+        check_exists(path, PLANS)
     plan = getattr(arguments, "plan", None)
     if isinstance(plan, str) and not os.path.exists(plan):
         from planner.problem.archive import opened  # local: a third of a second

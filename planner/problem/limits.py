@@ -20,7 +20,7 @@ from planner.base.arguments import choice, number, short_repr
 from planner.base.errors import PlannerError
 from planner.dynamics import Dynamics
 from planner.model.capabilities import capabilities_of
-from planner.model.coordinates import Coordinate, coordinates_of
+from planner.model.coordinates import coordinates_of
 from planner.model.couplings import contradiction
 from planner.model.mechanism import SCREW, Mechanism
 from planner.model.space import StateSpace, space_of
@@ -69,8 +69,10 @@ class Limits:
             rad or m. No default range if the mechanism models the joint's stops. Lengths of fixed tendons likewise.
         velocity: A number for all joints, or by joint a number or (lower, upper), or "model" for the limits that a
             URDF has. rad/s or m/s. Of dynamics without a mechanism, position and velocity are a number b for -b to b or
-            (lower, upper), of all coordinates that its `coordinates` give the unit of one, or a table by their names.
-        state: (lower, upper) by the index of a component of the deviation, for a machine without named joints.
+            (lower, upper), of all coordinates that its `coordinates` give the unit of one, or that semi-implicit Euler
+            takes for one, or a table by their names.
+        state: (lower, upper) by the index of a component of the deviation, for a machine without named joints; a number
+            or a pair alone is of all components.
         final: "exact" for all that has a final weight, or names of joints (their positions and velocities), or
             indices of components of the deviation that end at the cost's goal.
         tolerance: Largest violation of a range or of an exact goal.
@@ -290,7 +292,7 @@ class Limits:
         named = {what: value for what, value in ranges.items() if value is not None and not is_word(value, OFF)}
         if mechanism is None:
             for what, value in named.items():
-                found |= _of_coordinates(what, value, coordinates_of(dynamics))
+                found |= _of_coordinates(what, value, dynamics)
         elif "position" in named:
             machine = mechanism
             if isinstance(self.position, str):
@@ -313,7 +315,8 @@ class Limits:
                     found[links.start] = Range.of(*pair_of(f"the range of joint {joint!r}", value))
         if mechanism is not None and "velocity" in named:
             found |= self._velocities(mechanism)
-        for i, value in ({} if self.state is None else table_of("state", self.state)).items():
+        state: Any = {} if self.state is None or is_word(self.state, OFF) else self.state
+        for i, value in (state if isinstance(state, Mapping) else dict.fromkeys(range(ndx), state)).items():
             i = component_of("state", i, ndx)
             found[i] = Range.of(*pair_of(f"the range of component {i}", value))
         return {
@@ -370,8 +373,9 @@ class Limits:
         return sorted(set(at_end))
 
 
-def _of_coordinates(what: str, value: Any, coordinates: Sequence[Coordinate]) -> dict[int, Range]:
+def _of_coordinates(what: str, value: Any, dynamics: Dynamics) -> dict[int, Range]:
     """Ranges by component, of dynamics whose coordinates have names and units instead of joints."""
+    coordinates = coordinates_of(dynamics)
     if isinstance(value, str):
         with_names(None, what)
     if isinstance(value, Mapping):
@@ -383,12 +387,15 @@ def _of_coordinates(what: str, value: Any, coordinates: Sequence[Coordinate]) ->
             for name, part in value.items()
         }
     pair = Range.of(*pair_of(f"the limits' {what}", value))
-    found = {i: pair for i, one in enumerate(coordinates) if one.unit and one.is_rate == (what == "velocity")}
+    halves = getattr(dynamics, "integrator", None) == "semi-implicit-euler"  # positions, then as many velocities
+    last = [2 * i >= len(coordinates) if halves else None for i in range(len(coordinates))]
+    rates = [one.is_rate if one.unit else known for one, known in zip(coordinates, last, strict=True)]
+    found = {i: pair for i, rate in enumerate(rates) if rate is (what == "velocity")}
     if not found:
         raise PlannerError(
             f"the limits' {what} is {short_repr(value)}, but no coordinate of the dynamics has the unit of one: write "
             'coordinates=[("angle", "rad"), ("speed", "rad/s"), ...] of the dynamics, or limits by the index of the '
-            "state, state={1: (-4, 4)}."
+            "state, state={1: (-4, 4)}, or of all of it, state=4."
         )
     return found
 

@@ -59,10 +59,13 @@ def controller_section(rates: FeedbackRates, encoded: Replay) -> Section:
     return Section("feedback rate", tuple(measured))
 
 
-def slowest_rate(plan: Plan, compiled: CompiledTwin, passes: Callable[[Replay], bool]) -> FeedbackRates:
+def slowest_rate(
+    plan: Plan, compiled: CompiledTwin, passes: Callable[[Replay], bool], planned: np.ndarray | None = None
+) -> FeedbackRates:
     """Replay a plan at half the feedback rate again and again, from a proof's rate on, until a replay fails.
 
-    Ends after ten rates, or where the period would exceed half of the duration. `passes` judges a replay.
+    Ends after ten rates, or where the period would exceed half of the duration. `passes` judges a replay, which has no
+    contacts; `planned` is as of replay_in().
 
     Raises:
         PlannerError: The plan cannot be simulated.
@@ -70,7 +73,7 @@ def slowest_rate(plan: Plan, compiled: CompiledTwin, passes: Callable[[Replay], 
     problem, sampling = problem_of(plan), sampling_of(plan)
 
     def at(sampling: Sampling) -> FeedbackRateTrial:
-        run = replay_in(compiled, plan, feedback=True, sampling=sampling)
+        run = replay_in(compiled, plan, feedback=True, sampling=sampling, planned=planned, contacts=False)
         return FeedbackRateTrial(sampling, bool(passes(run)), np.abs(run.error).max(axis=0))
 
     tried = [at(sampling)]

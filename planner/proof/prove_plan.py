@@ -39,7 +39,7 @@ from planner.proof.original_model import TITLE as FILE
 from planner.proof.own_step import NAME as OWN_STEP
 from planner.proof.replay_errors import goal, tracking
 from planner.proof.replays.compiled_twin import another_model, unmodelled_of
-from planner.proof.replays.replaying import Replay, replay_in
+from planner.proof.replays.replaying import Replay, replay_in, twin_of
 from planner.proof.replays.sampled_gains import sampling_of
 from planner.proof.robustness.perturbation import Perturbation
 from planner.proof.robustness.perturbed import MonteCarloSettings, perturbed
@@ -99,9 +99,7 @@ def prove(
     count("rollouts", rollouts, minimum=0)
     checked_executor(executor)
     number("hold_seconds", hold_seconds, minimum=0.0)
-    twin = twin or plan.twin
-    if twin is None:
-        raise PlannerError("the plan has no MuJoCo model to be replayed in, expected a Problem with a twin.")
+    twin = twin or twin_of(plan)
     plan, not_finite = with_finite_parts(plan, problem)
     compiled = another_model(problem, twin, mjcf)
     sampling = sampling_of(plan)
@@ -200,11 +198,11 @@ def with_informative_sections(proof: Proof, note: Callable[[str], object] = lamb
 
     with np.errstate(all="ignore"):
         note("the slowest rate at which the gains still hold")
-        rates = slowest_rate(plan, compiled, passes)
-        note("the same with encoders")
         planned = runs["feedback"].plan_xs
+        rates = slowest_rate(plan, compiled, passes, planned)
+        note("the same with encoders")
         encoding = replace(sampling_of(plan), encoders=True)
-        encoded = replay_in(compiled, plan, feedback=True, sampling=encoding, planned=planned)
+        encoded = replay_in(compiled, plan, feedback=True, sampling=encoding, planned=planned, contacts=False)
         units = [one.unit for one in coordinates_of(problem.dynamics)]
         note("contact sensitivity")
         as_judged = functools.partial(replay_in, sampling=sampling_of(plan), planned=planned)

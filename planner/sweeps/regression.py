@@ -17,7 +17,6 @@ from __future__ import annotations
 
 import json
 import math
-import os
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import Executor
 from dataclasses import dataclass, field, replace
@@ -28,7 +27,7 @@ from typing import Any, NamedTuple
 from planner.base.arguments import count, number
 from planner.base.errors import FileError, PlannerError
 from planner.base.executors import checked_executor, ordered_map
-from planner.base.files import printable, read_text, write_json
+from planner.base.files import PLANS, check_exists, read_text, write_json
 from planner.cases.plan_file import load_plan
 from planner.problem.archive import plan_digest
 from planner.problem.plan import Plan
@@ -170,10 +169,9 @@ def _plans(paths: tuple[str | Path, ...]) -> list[Path]:
     if not paths:
         raise PlannerError("check was given nothing, expected folders of plans or plan files.")
     for given in map(Path, paths):
-        if not os.path.exists(given):  # Path.exists() raises OSError for long names
-            raise FileError(f"{printable(given)} does not exist, expected a folder of plans or a plan.npz.")
+        check_exists(given, PLANS)
         if not given.is_dir() and given.suffix != ".npz":
-            raise FileError(f"{given} is not a plan, expected a folder of plans or a plan.npz.")
+            raise FileError(f"{given} is not a plan, expected {PLANS}.")
         inside = sorted(given.rglob("*.npz")) if given.is_dir() else [given]
         own = [path for path in inside if not any(part.startswith(".") for part in path.relative_to(given).parts)]
         if not own:

@@ -28,7 +28,7 @@ from planner.view.render.camera import directions, whole_motion
 from planner.view.render.environment import visible_model
 from planner.view.render.film import Film
 from planner.view.render.ghost import ghost_paint
-from planner.view.report.view_3d import body_poses, drawn_shapes, mesh_of, place_in_world
+from planner.view.report.view_3d import body_poses, drawn_shapes, mesh_of, place_in_world, simplified
 from planner.view.viewer import Player
 
 _RATE = 30.0  # poses a second
@@ -175,7 +175,7 @@ class Stage:
 def _shape(model: Any, kind: str, size: np.ndarray, mesh: int) -> tuple[np.ndarray, np.ndarray]:
     """Vertices (V, 3) about its middle and triangles (T, 3) of a shape; `size` are MuJoCo's half lengths."""
     if kind == "mesh":
-        return mesh_of(model, mesh, _TRIANGLES)
+        return simplified(*mesh_of(model, mesh), _TRIANGLES)
     make = import_module("trimesh.creation")  # viser brings it
     if kind in ("cylinder", "capsule"):
         found = getattr(make, kind)(radius=size[0], height=2.0 * size[2])

@@ -215,8 +215,9 @@ def of_arm(folder, start, goal, more=""):
     return path
 
 
-def test_a_keyframe_of_a_model_without_any_gets_what_to_write(tmp_path):
-    refuse(of_arm(tmp_path, '"home"', "{ shoulder = 1.0 }"), "start is 'home'", "The model has no keyframe; start = {}")
+def test_home_is_the_pose_of_a_file_without_keyframes_and_no_other_name_is(tmp_path):
+    refuse(of_arm(tmp_path, '"rest"', "{ shoulder = 1.0 }"), "start is 'rest', expected a keyframe (home)")
+    assert load(of_arm(tmp_path, '"home"', "{ shoulder = 1.0 }")).problem.x0.tolist() == [0.0, 0.0]
 
 
 def test_degrees_in_place_of_radians_get_the_radians(tmp_path):

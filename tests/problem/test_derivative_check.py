@@ -121,3 +121,17 @@ def test_limits_of_positions_and_refusals_of_own_dynamics():
         machine = dynamics if isinstance(given.velocity, dict) else unnamed
         with pytest.raises(PlannerError, match=said):
             Problem(machine, cost, [0.0, 0.0], limits=given)
+
+
+def test_one_number_limits_all_that_it_can_only_mean():
+    """Semi-implicit Euler takes positions, then as many velocities; `state` is all of both."""
+    halves = FunctionDynamics(pendulum, nx=2, nu=1, dt=0.02, integrator="semi-implicit-euler")
+    cost = TrackingCost.reach([0.0, 0.0], 5, final=1.0, effort=1.0, dt=0.02)
+    for given, components in (
+        (Limits(velocity=4.0), [1]),
+        (Limits(position=(-1.0, 2.0)), [0]),
+        (Limits(state=4.0), [0, 1]),
+    ):
+        ranges = Problem(halves, cost, [0.0, 0.0], limits=given).ranges
+        assert ranges.component.tolist() == components
+        assert ranges.upper[-1].tolist() == [2.0 if given.position else 4.0] * len(components)

@@ -31,16 +31,36 @@ def model(integrator, floor=""):
     return compile_model(text.replace('<joint axis="0 1 0"/>', '<joint name="elbow" axis="0 1 0"/>'))
 
 
+def pushing_back(i, w):
+    return -5.0 * w[:1]
+
+
+@pytest.mark.parametrize("control", [None, pushing_back])
 @pytest.mark.parametrize("integrator", ["RK4", "Euler"])
-def test_all_steps_at_once_are_those_one_by_one(monkeypatch, integrator):
+def test_all_steps_at_once_are_those_one_by_one(monkeypatch, integrator, control):
     arm, ctrl = model(integrator), np.random.default_rng(0).normal(size=(300, 1))
     arm.geom_contype[:] = 0
     monkeypatch.setattr(simulation, "_AT_ONCE", 70)  # limits are reached, and the solver starts warm in every piece
-    at_once, _ = simulate(arm, np.zeros(5), ctrl)
-    monkeypatch.setattr(simulation, "_at_once", lambda *_: False)
-    one_by_one, warnings = simulate(arm, np.zeros(5), ctrl)
+    at_once, _ = simulate(arm, np.zeros(5), ctrl.copy(), control=control, held=40)
+    monkeypatch.setattr(simulation, "_advance", lambda *_: False)
+    one_by_one, warnings = simulate(arm, np.zeros(5), ctrl, control=control, held=40)
     np.testing.assert_array_equal(at_once, one_by_one)
     assert not warnings
+
+
+def test_a_piece_that_diverges_is_stepped_again_to_say_when(monkeypatch):
+    arm, ctrl = model("Euler"), np.zeros((300, 1))
+    arm.geom_contype[:] = 0
+    ctrl[200:] = 1e12  # MuJoCo warns of it and leaves it out
+
+    def run():
+        return simulate(arm, np.ones(5), ctrl, control=lambda i, w: ctrl[i : i + 30], held=30)
+
+    at_once = run()
+    monkeypatch.setattr(simulation, "_advance", lambda *_: False)
+    one_by_one = run()
+    np.testing.assert_array_equal(at_once[0], one_by_one[0])
+    assert at_once[1] == one_by_one[1] == ("MuJoCo warned of badctrl 100 times.",)  # steps 200 to 299
 
 
 @pytest.mark.parametrize("integrator", ["RK4", "Euler", "implicit", "implicitfast"])

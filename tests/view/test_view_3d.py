@@ -14,7 +14,7 @@ import pytest
 import planner
 from planner.view.render.environment import visible_model
 from planner.view.report.page import write_report
-from planner.view.report.view_3d import film_of, simplified, view_data
+from planner.view.report.view_3d import drawn_shapes, film_of, mesh_of, simplified, view_data
 
 ROOT = Path(__file__).parents[2]
 ASSETS = files("planner.view") / "assets"
@@ -87,6 +87,30 @@ def test_a_mesh_is_simplified_to_its_share_and_keeps_its_shape():
     assert np.linalg.norm(vertices, axis=1).min() > 0.95  # a cell is a tenth of the radius wide
     same = simplified(points.reshape(-1, 3), faces, len(faces))
     assert same[1] is faces
+
+
+HILLS = """
+<mujoco><asset><hfield name="hills" nrow="3" ncol="4" size="1.5 1 0.4 0.1"
+  elevation="0 1 2 0  3 1 4 1  0 2 0 5"/></asset>
+<worldbody><geom type="hfield" hfield="hills" pos="1 0 0.2"/></worldbody></mujoco>
+"""
+
+
+def test_a_height_field_is_drawn_where_mujoco_has_it():
+    """Rays straight down end on the triangle that is drawn there."""
+    model = mujoco.MjModel.from_xml_string(HILLS)
+    state = mujoco.MjData(model)
+    mujoco.mj_forward(model, state)
+    ((_, kind, _, place, _, mesh),) = drawn_shapes(model, state)
+    assert kind == "mesh"
+    vertices, faces = mesh_of(model, mesh)
+    assert len(faces) == 2 * 2 * 3
+    weights = np.array([0.6, 0.3, 0.1])  # inside of each triangle
+    for corners in vertices[faces]:
+        point = place[:3] + weights @ corners
+        distance = mujoco.mj_ray(model, state, [*point[:2], 9.0], [0.0, 0.0, -1.0], None, 1, -1, np.zeros(1, np.int32))
+        assert 9.0 - distance == pytest.approx(point[2], abs=1e-6)  # MuJoCo keeps heights in single precision
+        assert np.cross(corners[1] - corners[0], corners[2] - corners[0])[2] > 0.0  # its outside is above
 
 
 def test_three_js_is_the_one_that_notice_names():

@@ -16,12 +16,13 @@ from planner.problem.costs.tracking import states
 
 MOVED = 1e-3  # rad or m: to close chains a start or a goal may move so far without a word
 SOFT = 0.02  # rad or m, a goal's own tolerance: numbers and keyframes that nearly keep a coupling are put on it
+HOME = "home"  # of a model without a keyframe of that name: the pose in which its file draws it, Mechanism.home
 
 
 def states_of(mechanism: Mechanism) -> str:
     """The forms of a start or a goal, for a message."""
     nq, nv = mechanism.nq, mechanism.nv
-    keyframes = f"a keyframe ({', '.join(mechanism.keyframes)}), " if mechanism.keyframes else ""
+    keyframes = f"a keyframe ({', '.join({**mechanism.keyframes, HOME: None})}), "
     joints = ", ".join(name for name in mechanism.joint_names if name) or "but no joint has a name"
     return f"{keyframes}{nq} or {nq + nv} numbers (positions, velocities), or a table of joints ({joints})"
 
@@ -38,12 +39,11 @@ def state_of(
     nq, nv = mechanism.nq, mechanism.nv
     x, given, most = base.copy(), set(), CLOSED
     if isinstance(value, str):
-        if value not in mechanism.keyframes:
-            hint = did_you_mean(value, mechanism.keyframes)
-            if not mechanism.keyframes:
-                hint = f" The model has no keyframe; {name} = {{}} is the pose in which the file draws it."
+        poses = {HOME: mechanism.home} | mechanism.keyframes
+        if value not in poses:
+            hint = did_you_mean(value, poses)
             raise PlannerError(f"{name} is {short_repr(value)}, expected {states_of(mechanism)}.{hint}")
-        x, most = mechanism.keyframe(value), SOFT
+        x, most = poses[value].copy(), SOFT
     elif isinstance(value, list) and not any(isinstance(part, (list, dict)) for part in value):
         if len(value) not in (nq, nq + nv, len(x)):
             raise PlannerError(f"{name} has {len(value)} numbers, expected {states_of(mechanism)}.")

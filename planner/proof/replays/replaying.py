@@ -143,20 +143,20 @@ def replay(
     """
     if not isinstance(plan, Plan):
         raise PlannerError(f"plan is {short_repr(plan)}, expected a Plan.")
-    twin = twin or plan.twin
-    if twin is None:
-        raise PlannerError("the plan has no MuJoCo model to be replayed in, expected a Problem with a twin.")
-    return replay_in(
-        CompiledTwin(twin), plan, feedback=feedback, substeps=substeps, integrator=integrator, sampling=sampling
-    )
+    compiled = CompiledTwin(twin or twin_of(plan))
+    return replay_in(compiled, plan, feedback=feedback, substeps=substeps, integrator=integrator, sampling=sampling)
 
 
 @np.errstate(all="ignore")  # a trajectory may diverge, which is reported
 def replay_in(
     compiled: CompiledTwin, plan: Plan, *, feedback: bool = False, substeps: int | None = None,
     integrator: str | None = None, sampling: Sampling | None = None, planned: np.ndarray | None = None,
+    contacts: bool = True,
 ) -> Replay:  # fmt: skip
-    """replay() in a compiled model; `planned` is plan_xs of another replay, reused if its shape fits."""
+    """replay() in a compiled model; `planned` is plan_xs of another replay, reused if its shape fits.
+
+    Without `contacts` those that the plan knows of act but are not recorded, which is several times faster.
+    """
     problem = problem_of(plan)
     compiled.check(plan.us.shape[1])
     dt, explicit = problem.dynamics.dt, damping_of(problem.dynamics) is None
@@ -177,7 +177,7 @@ def replay_in(
         raise PlannerError(f"the replay would take {M} steps of {dt / n:.3g} s, expected at most {MAX_STEPS}.")
     twin, model = compiled.twin, compiled.stepping(dt / n, integrator)
     plan_xs = planned if planned is not None and len(planned) == M + 1 else plan.between_knots(n)
-    recorder = ContactRecorder(model, M)
+    recorder = ContactRecorder(model, M, records=None if contacts or not knows_contacts(plan) else False)
     ctrl = compiled.commands(np.repeat(plan.us, n, axis=0))
 
     gains = Gains(plan, twin, model, plan_xs, n, sampling) if feedback else None
@@ -210,6 +210,16 @@ def step_of(plan: Plan, model: Any, integrator: str) -> Step | None:
     if integrator != ROSENBROCK or damping is None:
         return None
     return implicit_step(model, model.opt.timestep, damping, PARTS)
+
+
+def twin_of(plan: Plan) -> Twin:
+    """The twin of a plan; raises if it has none."""
+    if plan.twin is None:
+        raise PlannerError(
+            "the plan has no MuJoCo model to be replayed in, expected a Problem with a twin: of an MJCF file of the "
+            "same machine, Problem(..., twin=planner.Twin.of(planner.Mechanism.from_mjcf(path)))."
+        )
+    return plan.twin
 
 
 def problem_of(plan: Plan) -> Problem:

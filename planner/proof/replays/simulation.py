@@ -51,14 +51,33 @@ def simulate(
     recorder = recorder or ContactRecorder(model, 0, records=False)
     data, w = load_mujoco().MjData(model), np.full((len(ctrl) + 1, len(w0)), np.nan)
     w[0] = w0
-    if step is None and control is None and not recorder.records and _at_once(model, w, ctrl):
-        return w, ()
     set_state(model, data, w0)
+    held = _AT_ONCE if control is None else held
+    with load_rollout().Rollout(nthread=0) as pool:
+        in_c = step is None and not recorder.records and held > 1
+        for i in range(0, len(ctrl), held):
+            until = min(i + held, len(ctrl))
+            if control is not None:
+                ctrl[i:until] = control(i, w[i])
+            if in_c and _advance(pool, model, data, w[i : until + 1], ctrl[i:until]):
+                continue
+            in_c = False  # the rest step by step, to say when it diverged
+            if not _step_through(model, data, w, ctrl, range(i, until), recorder, step, every):
+                break
+    warnings = (*_unstable_at(model, w, start), *warnings_of(data))
+    if np.isfinite(w[-1]).all():
+        recorder.look(len(ctrl), data)
+    return w, warnings
+
+
+def _step_through(
+    model: Any, data: Any, w: np.ndarray, ctrl: np.ndarray, steps: range, recorder: ContactRecorder, step: Step | None,
+    every: int,
+) -> bool:  # fmt: skip
+    """Fill the rows of w (M+1, nw) after these steps, one by one; False where it has diverged."""
     nq, nv = model.nq, model.nv
     qpos, qvel, act, applied = data.qpos, data.qvel, data.act, data.ctrl  # views: to ask for them again takes time
-    for i in range(len(ctrl)):
-        if control is not None and i % held == 0:
-            ctrl[i : i + held] = control(i, w[i])
+    for i in steps:
         applied[:] = ctrl[i]
         if step is None:
             recorder.step(i, data)
@@ -68,35 +87,28 @@ def simulate(
         row = w[i + 1]
         row[:nq], row[nq : nq + nv], row[nq + nv :] = qpos, qvel, act
         if i % every == 0 and not np.all(np.abs(row) < RUNAWAY):
-            break
-    warnings = (*_unstable_at(model, w, start), *warnings_of(data))
-    if np.isfinite(w[-1]).all():
-        recorder.look(len(ctrl), data)
-    return w, warnings
+            return False
+    return True
 
 
-def _at_once(model: Any, w: np.ndarray, ctrl: np.ndarray) -> bool:
-    """Fill w (M+1, nw) from its first row by mujoco.rollout, with equal bits; False if MuJoCo warns."""
+def _advance(pool: Any, model: Any, data: Any, w: np.ndarray, ctrl: np.ndarray) -> bool:
+    """Fill w (n+1, nw) from its first row by mujoco.rollout, with equal bits; False, data restored, if it warns."""
     mujoco = load_mujoco()
-    data, full = mujoco.MjData(model), mujoco.mjtState.mjSTATE_FULLPHYSICS
-    set_state(model, data, w[0])
-    row = np.empty((1, mujoco.mj_stateSize(model, full)))
+    full = mujoco.mjtState.mjSTATE_FULLPHYSICS
+    row, warm = np.empty((1, mujoco.mj_stateSize(model, full))), data.qacc_warmstart[None].copy()
     mujoco.mj_getState(model, data, row[0], full)
-    with load_rollout().Rollout(nthread=0) as pool:
-        for i in range(0, len(ctrl), _AT_ONCE):
-            n = min(_AT_ONCE, len(ctrl) - i)
-            states = np.empty((1, n, row.shape[1]))
-            pool.rollout(
-                [model], [data], row, ctrl[None, i : i + n], nstep=n, state=states, skip_checks=True,
-                initial_warmstart=data.qacc_warmstart[None].copy(),
-            )  # fmt: skip
-            row = states[:, -1].copy()
-            w[i + 1 : i + 1 + n] = states[0, :, 1 : 1 + w.shape[1]]
-            if warnings_of(data):  # MuJoCo has stopped
-                break
-    sound = not warnings_of(data) and bool(np.all(np.abs(w) < RUNAWAY))
-    w[1:] = w[1:] if sound else np.nan
-    return sound
+    states = np.empty((1, len(ctrl), row.shape[1]))
+    pool.rollout(
+        [model], [data], row, ctrl[None], nstep=len(ctrl), state=states, skip_checks=True, initial_warmstart=warm
+    )  # fmt: skip
+    w[1:] = states[0, :, 1 : 1 + w.shape[1]]
+    if not data.warning.number.any() and bool(np.all(np.abs(w) < RUNAWAY)):
+        return True
+    w[1:] = np.nan
+    mujoco.mj_resetData(model, data)
+    mujoco.mj_setState(model, data, row[0], full)
+    data.qacc_warmstart[:] = warm[0]
+    return False
 
 
 def _unstable_at(model: Any, w: np.ndarray, start: float) -> tuple[str, ...]:

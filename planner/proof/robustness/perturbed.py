@@ -239,13 +239,13 @@ def replay_rollout(
                     with np.errstate(all="ignore"):  # of a diverging rollout
                         ctrl[i : i + n] = commands(i, n, w[i : i + 1])[0]
                     data.qacc_warmstart[:] = 0.0  # as in every segment of the Monte Carlo
-                elif before != complaints.tolist():  # where mujoco.rollout ends it
-                    w[i] = np.nan
-                    break
+                    if not np.all(np.abs(ctrl[i : i + n]) < RUNAWAY):
+                        break
                 data.ctrl[:] = ctrl[i]
                 recorder.step(i, data)
                 w[i + 1] = state_of(data)
-                if not np.all(np.abs(w[i + 1]) < RUNAWAY):
+                stopped = before != complaints.tolist() and (i + 1) % piece and i + 1 < M  # by mujoco.rollout
+                if stopped or not rollouts.in_time(data.time, i + 1) or not np.all(np.abs(w[i + 1]) < RUNAWAY):
                     w[i + 1] = np.nan
                     break
             warnings = warnings_of(data)

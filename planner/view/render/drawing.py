@@ -39,6 +39,7 @@ Progress = Callable[[int, int], object]
 
 _HOLD = 1.0  # s, how long the last frame stays
 _VIDEO_OVERSIZE = 1.25  # pixels drawn over pixels written, each way: a third of the time of 2, which looks the same
+_LEGIBLE = 0.8  # of the words under a pose in a strip of 540 rows: 14 pixels, which a page may show smaller
 _MAX_CHILDREN = 8  # more would wait for the process that encodes
 _NICE = 5  # lower priority of a child, so that rollouts with a time limit come first
 _WORTH_A_CHILD = 24  # frames: a child needs a second or two before its first
@@ -204,7 +205,7 @@ def _draw_poses(film: Film, width: int, height: int, transparent: bool) -> np.nd
     columns = math.ceil(len(film) / rows)
     tile = (width - gap * (columns - 1)) // columns
     high = (height - gap * (rows - 1)) // rows
-    unit = min(height / 540, tile / 160)
+    unit = max(min(height / 540, tile / 160), _LEGIBLE)
     band = min(round(30 * unit), high // 3)
     strip = np.zeros((height, width, 4), np.uint8) if transparent else np.full((height, width, 3), 255, np.uint8)
     # Both sides share the remainder of the division.

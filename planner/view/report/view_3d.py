@@ -110,7 +110,10 @@ def view_data(film: Film) -> dict[str, Any]:
 
 
 def drawn_shapes(model: Any, data: Any) -> list[tuple[int, str, np.ndarray, np.ndarray, np.ndarray, int]]:
-    """(body, kind, size (3,), place and quaternion in the body (7,), colour (4,), mesh or -1) of what MuJoCo draws."""
+    """(body, kind, size (3,), place and quaternion in the body (7,), colour (4,), mesh or -1) of what MuJoCo draws.
+
+    Height fields are meshes, numbered after those of the model.
+    """
     mujoco = load_mujoco()
     scene = mujoco.MjvScene(model, model.ngeom + model.nsite + 2 * model.nbody + 1000)
     everything = mujoco.mjtCatBit.mjCAT_ALL.value
@@ -121,10 +124,9 @@ def drawn_shapes(model: Any, data: Any) -> list[tuple[int, str, np.ndarray, np.n
         if geom.objtype != mujoco.mjtObj.mjOBJ_GEOM or colour[3] <= 0.0 or geom.type >= len(_KINDS):
             continue
         kind, mesh = _KINDS[geom.type], -1
-        if kind == "hfield":
-            continue
-        if kind == "mesh":
-            mesh = int(model.geom_dataid[number])
+        if kind in ("mesh", "hfield"):
+            mesh = int(model.geom_dataid[number]) + (model.nmesh if kind == "hfield" else 0)
+            kind = "mesh"
         place = np.concatenate([model.geom_pos[number], model.geom_quat[number]])
         found.append((int(model.geom_bodyid[number]), kind, np.array(geom.size), place, colour, mesh))
     links = LinkCapsules(model)
@@ -188,21 +190,31 @@ def _forces(film: Film) -> np.ndarray:
 
 def _meshes(model: Any, numbers: list[int]) -> list[dict[str, str]]:
     """Vertices (V, 3) and triangles (T, 3) of meshes, simplified where they have too many triangles together."""
-    counts = model.mesh_facenum[numbers]
-    share = min(1.0, TRIANGLES / max(float(counts.sum()), 1.0))
-    found = []
-    for number in numbers:
-        vertices, faces = mesh_of(model, number, max(LEAST, int(share * model.mesh_facenum[number])))
-        found.append({"vertices": _packed(vertices), "triangles": _packed(faces, np.uint32)})
-    return found
+    whole = [mesh_of(model, number) for number in numbers]
+    share = min(1.0, TRIANGLES / max(sum(len(faces) for _, faces in whole), 1))
+    found = [simplified(vertices, faces, max(LEAST, int(share * len(faces)))) for vertices, faces in whole]
+    return [{"vertices": _packed(vertices), "triangles": _packed(faces, np.uint32)} for vertices, faces in found]
 
 
-def mesh_of(model: Any, number: int, most: int) -> tuple[np.ndarray, np.ndarray]:
-    """Vertices (V, 3) and at most some `most` triangles (T, 3) of a mesh."""
+def mesh_of(model: Any, number: int) -> tuple[np.ndarray, np.ndarray]:
+    """Vertices (V, 3) and triangles (T, 3) of a mesh, or of the upper side of a height field: see drawn_shapes()."""
+    if number >= model.nmesh:
+        return _height_field(model, number - model.nmesh)
     first, count = model.mesh_vertadr[number], model.mesh_vertnum[number]
     vertices = np.array(model.mesh_vert[first : first + count], dtype=float)
     first, count = model.mesh_faceadr[number], model.mesh_facenum[number]
-    return simplified(vertices, np.array(model.mesh_face[first : first + count]), most)
+    return vertices, np.array(model.mesh_face[first : first + count])
+
+
+def _height_field(model: Any, number: int) -> tuple[np.ndarray, np.ndarray]:
+    """Vertices and triangles of a height field; a cell's diagonal is that of MuJoCo's rays."""
+    rows, columns, first = model.hfield_nrow[number], model.hfield_ncol[number], model.hfield_adr[number]
+    half_x, half_y, high, _ = model.hfield_size[number]
+    x, y = np.meshgrid(np.linspace(-half_x, half_x, columns), np.linspace(-half_y, half_y, rows))
+    heights = high * model.hfield_data[first : first + rows * columns]
+    corner = (columns * np.arange(rows - 1)[:, None] + np.arange(columns - 1)).reshape(-1, 1)
+    cells = [corner + offset for offset in (0, 1, columns + 1, 0, columns + 1, columns)]
+    return np.stack([x.ravel(), y.ravel(), heights], axis=-1), np.concatenate(cells, axis=1).reshape(-1, 3)
 
 
 def simplified(vertices: np.ndarray, faces: np.ndarray, most: int) -> tuple[np.ndarray, np.ndarray]:
