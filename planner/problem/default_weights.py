@@ -42,6 +42,7 @@ from planner.dynamics import RigidBodyDynamics
 from planner.dynamics.actuator_moments import actuator_lengths, actuator_moments, force_slopes, gains_at
 from planner.dynamics.algorithms import bias, mass_matrix
 from planner.dynamics.assembly import feasible_directions
+from planner.dynamics.contacts import contact_forces
 from planner.dynamics.quasi_static import quasi_static_controls
 from planner.dynamics.stance import contact_stiffness, feet_move, stance_inertia
 from planner.model.capabilities import ballistic_dofs, flies, stands_on_ground, stationary_object_dofs
@@ -209,16 +210,24 @@ def weighed(
         if servos_of(dynamics).any():
             chosen.setdefault("control", servo_reference(dynamics, reference))
     cost = staying_cost(dynamics, TrackingCost.joints(dynamics, goal, horizon, **chosen), hold, rest)
-    return with_slip(cost, dynamics, slip)
+    return with_slip(cost, dynamics, slip, np.stack([x0, goal]))
 
 
-def with_slip(cost: Any, dynamics: RigidBodyDynamics, slip: Any) -> Any:
+def with_slip(cost: Any, dynamics: RigidBodyDynamics, slip: Any, xs: np.ndarray) -> Any:
     """A cost, and the one of feet that slide with a weight `slip`, 0 for none.
+
+    Feet are the bodies that bear load at one of the states xs (E, nx); all that may touch where none does.
 
     Raises:
         PlannerError: A negative weight.
     """
-    return SumCost(cost, SlipCost(dynamics, slip)) if number("weights.slip", slip, minimum=0.0) > 0.0 else cost
+    if number("weights.slip", slip, minimum=0.0) == 0.0:
+        return cost
+    mechanism = dynamics.mechanism
+    forces = contact_forces(mechanism, xs[:, : mechanism.nq], np.zeros((len(xs), mechanism.nv))).forces
+    loaded = {mechanism.contacts[k].link for k in np.flatnonzero(forces.any(axis=(0, 2)))}
+    feet = [one for one in mechanism.contacts if one.link in loaded or not loaded]
+    return SumCost(cost, SlipCost(dynamics, slip, feet))
 
 
 def staying_cost(dynamics: RigidBodyDynamics, cost: TrackingCost, hold: Any, rest: Any) -> TrackingCost:
