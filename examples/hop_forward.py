@@ -75,7 +75,7 @@ HOPPERS = {
     ),
     "dm-hopper": Hopper(
         "dm_control", "suite/hopper.xml",
-        {"waist": 0.2, "hip": -0.9, "knee": 1.2, "ankle": -0.5}, ("foot",), ("rooty", "waist"), sink=0.01,
+        {"waist": 0.2, "hip": -0.9, "knee": 1.2, "ankle": -0.5}, ("foot",), ("rooty", "waist"), dt=2.5e-3, sink=0.01,
     ),
     "dm-walker": Hopper(
         "dm_control", "suite/walker.xml",

@@ -195,7 +195,7 @@ def solve(
         recorded["not_finite"] = cure
     if work is not None:
         best = _with_cut(best, work, settings.max_iterations < asked, recorded)
-    return judged_status(with_robust_gains(replace(as_user_plan(problem, best), options=recorded)))
+    return with_robust_gains(judged_status(replace(as_user_plan(problem, best), options=recorded)))
 
 
 def _with_cut(plan: Plan, budget: WorkBudget, fewer: bool, recorded: dict[str, Any]) -> Plan:

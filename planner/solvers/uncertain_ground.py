@@ -1,16 +1,16 @@
 """Gains for contacts whose stiffness is not known exactly.
 
 A foot that stands lightly on stiff ground tells by its depth how hard it presses. The LQ problem uses this: gains of an
-ankle may have the wrong sign for a foot in the air, since the ground holds it. Where the file's contact is softer or
-stiffer than the plan's law, such gains run away within a few stages. So the contact's part in the dynamics is taken for
-random: with the stiffness K of every contact multiplied and divided by its law's uncertainty,
+ankle may have the wrong sign for a foot in the air, since the ground holds it. Where the file's contact is softer than
+the plan's law, as MuJoCo's is under light bodies, such gains run away within a few stages. So the ground's part in the
+dynamics is taken for random: with the stiffness K of every contact divided by its law's uncertainty,
 
-    A + sum_i w_i (A_i - A),   B + sum_i w_i (B_i - B),   w_i white noise of variance 1,
+    A + w dA,   B + w dB,   dA = A(K / uncertainty) - A(K),   dB alike,   w white noise of variance 1,
 
-A_i, B_i the linearizations with those stiffnesses along the same trajectory. The expected cost-to-go of the next stage
-adds to the stage's Hessians (Wonham 1967; de Koning 1982)
+along the same trajectory. The expected cost-to-go of the next stage adds to the stage's Hessians (Wonham 1967; de
+Koning 1982)
 
-    Q + sum_i dA_i' P dA_i,   R + sum_i dB_i' P dB_i,   S + sum_i dB_i' P dA_i,   dA_i = A_i - A,
+    Q + dA' P dA,   R + dB' P dB,   S + dB' P dA
 
 P of the LQ problem without noise. With P of the one with it, by fixed-point iteration, the gains differ little. The
 plan's states and controls are those of the plan's own law; the gains alone change.
@@ -75,25 +75,23 @@ def robust_gains(
     sweep = lq.riccati(A, B, quadratic, bounds=constant)
     if sweep is None:
         return None
-    P, S = sweep.P, quadratic.S
+    P, S = sweep.P[1:], quadratic.S
     Q, R, S = quadratic.Q.copy(), quadratic.R.copy(), np.zeros(sweep.K.shape) if S is None else S.copy()
-    for side in (-1.0, 1.0):
-        other_A, other_B = _with_other_stiffness(problem.dynamics, side).linearize(xs, us)
-        dA, dB = other_A - A, other_B - B
-        P_dA, dB_T = P[1:] @ dA, dB.transpose(0, 2, 1)
-        Q[:-1] += dA.transpose(0, 2, 1) @ P_dA
-        R += dB_T @ P[1:] @ dB
-        S += dB_T @ P_dA
+    softer_A, softer_B = _on_softer_ground(problem.dynamics).linearize(xs, us)
+    dA, dB = softer_A - A, softer_B - B
+    P_dA, dB_T = P @ dA, dB.transpose(0, 2, 1)
+    Q[:-1] += dA.transpose(0, 2, 1) @ P_dA
+    R += dB_T @ P @ dB
+    S += dB_T @ P_dA
     sweep = lq.riccati(A, B, quadratic._replace(Q=Q, R=R, S=S), bounds=constant)
     return None if sweep is None else sweep.K
 
 
-def _with_other_stiffness(dynamics: Any, side: float) -> RigidBodyDynamics:
-    """The dynamics with each contact's stiffness at one side of its uncertainty."""
+def _on_softer_ground(dynamics: Any) -> RigidBodyDynamics:
+    """The dynamics with each contact as soft as its law's uncertainty allows."""
 
-    def other(contact: Any) -> Any:
-        law = contact.law
-        return replace(contact, law=replace(law, stiffness=law.stiffness * law.uncertainty**side))
+    def softer(contact: Any) -> Any:
+        return replace(contact, law=replace(contact.law, stiffness=contact.law.stiffness / contact.law.uncertainty))
 
-    mechanism = replace(dynamics.mechanism, contacts=tuple(map(other, dynamics.mechanism.contacts)))
+    mechanism = replace(dynamics.mechanism, contacts=tuple(map(softer, dynamics.mechanism.contacts)))
     return RigidBodyDynamics(mechanism, dynamics.dt, dynamics.integrator, dynamics.prescribed, dynamics.substeps)

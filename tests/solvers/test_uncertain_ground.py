@@ -1,7 +1,6 @@
-"""Gains for ground whose stiffness is known within a factor."""
+"""Gains for ground that may be softer than the plan's."""
 
 from dataclasses import replace
-from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -60,12 +59,11 @@ def test_the_gains_of_one_stage_minimize_the_expected_cost():
     us = np.array([[-30.0]])
     problem, xs, A, B, quadratic = one_stage(4.0, us)
     K = robust(problem, xs, us, A, B, quadratic)
-    others = [other_dynamics(problem, factor).linearize(xs, us) for factor in (0.25, 4.0)]
+    other_A, other_B = other_dynamics(problem, 0.25).linearize(xs, us)
     H = G = 0.0
-    for signs in product((-1.0, 1.0), repeat=2):  # w_i of mean 0 and variance 1
-        a = A[0] + sum(w * (one[0][0] - A[0]) for w, one in zip(signs, others, strict=True))
-        b = B[0] + sum(w * (one[1][0] - B[0]) for w, one in zip(signs, others, strict=True))
-        H, G = H + 0.25 * b.T @ quadratic.Q[1] @ b, G + 0.25 * b.T @ quadratic.Q[1] @ a
+    for w in (-1.0, 1.0):  # of mean 0 and variance 1
+        a, b = A[0] + w * (other_A[0] - A[0]), B[0] + w * (other_B[0] - B[0])
+        H, G = H + 0.5 * b.T @ quadratic.Q[1] @ b, G + 0.5 * b.T @ quadratic.Q[1] @ a
     expected = -np.linalg.solve(H + quadratic.R[0], G)
     assert np.allclose(K[0], expected, rtol=1e-9, atol=1e-12 * np.abs(expected).max())
     plain = plain_gains(A, B, quadratic)[0]
@@ -111,6 +109,6 @@ def test_a_biped_that_has_just_stepped_stands_on_softer_ground_too():
             carried = (softer[0][n] + softer[1][n] @ K[n]) @ carried
         return np.linalg.norm(carried, 2)
 
-    assert growth(plan.K) < 100.0 < 1000.0 < growth(plain)  # 15 and 9e5
+    assert growth(plan.K) < 100.0 < 1000.0 < growth(plain)  # 23 and 9e5
     assert np.array_equal(with_robust_gains(plan).K, plan.K)  # they do not depend on the gains that were there
     assert planner.prove(plan, rollouts=0).passed

@@ -161,13 +161,13 @@ LAW = {
     "slip_damping": "N s/m, of friction before it slips",
     "friction": "mu",
     "friction_smoothing": "how gradually friction turns from viscous to Coulomb's, 0 to 1",
-    "uncertainty": "factor within which the stiffness is known, at least 1, for which gains allow; by default 1",
+    "uncertainty": "how many times softer the ground may be, at least 1, for which gains allow; by default 1",
 }
 GROUND = {
     "penetration": "m, how deep the contact is when it stands on one contact",
     "friction": "mu",
     "damping_ratio": "of the machine bouncing on one contact",
-    "uncertainty": "factor within which the stiffness is known, at least 1, for which gains allow; by default 4",
+    "uncertainty": "how many times softer the ground may be, at least 1, for which gains allow; by default 4",
     "slip": "m/s, at which viscous friction would be all there is",
     "ramp": "m of smoothing",
 }

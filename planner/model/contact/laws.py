@@ -78,8 +78,8 @@ class ContactLaw(Law):
         impratio: Of MuJoCo's projection onto the friction cone; infinite for none.
         bend: b, how gradually friction turns from viscous to Coulomb's, 0 (at once) to 1. In an MJCF it goes with a
             ramp: without one friction is cut off at once.
-        uncertainty: The factor within which the stiffness is known, either way; at least 1. A plan's gains allow for
-            it (solvers.uncertain_ground); nothing else depends on it.
+        uncertainty: How many times softer the ground may be; at least 1. A plan's gains allow for it
+            (solvers.uncertain_ground); nothing else depends on it.
     """
 
     slip_damping: float = 0.0

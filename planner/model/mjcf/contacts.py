@@ -12,8 +12,8 @@ MuJoCo's model, so the file says it in numbers of its own:
     <custom><numeric name="contact_ramp" data="0.002 1 0.5"/> <numeric name="stop_ramp" data="0.03"/></custom>
 
 a ramp in m (stops: of their joint's coordinate), one of the force, and how gradually friction bends; the last two may
-be left out, and without any there is no smoothing. That named contact_uncertainty has the factor within which the
-stiffness of contacts is known.
+be left out, and without any there is no smoothing. That named contact_uncertainty says how many times softer
+contacts may be.
 """
 
 from __future__ import annotations
