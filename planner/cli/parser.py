@@ -325,6 +325,7 @@ def check_inputs(arguments: argparse.Namespace) -> None:
             if not os.path.exists(path):
                 read_input(path, what)  # which says why it is not there
     for path in getattr(arguments, "paths", ()):  # of check
+        check_confined(path, "the plan")
         check_exists(path, PLANS)
     plan = getattr(arguments, "plan", None)
     if isinstance(plan, str) and not os.path.exists(plan):

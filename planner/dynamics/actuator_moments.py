@@ -1,6 +1,7 @@
 """Moments of the actuators at a pose, as MuJoCo's actuator_moment, and their forces at a state, with derivatives.
 
-What asks for forces, stiffness, damping or gains asks here: nothing outside knows the force laws.
+Forces at a state, and their slopes, are asked here, so that nothing outside knows the force laws. Actuators.by_law and
+depends_on_state say where gain u + bias does not suffice.
 """
 
 from __future__ import annotations

@@ -72,7 +72,7 @@ def controls_of_mechanism(mechanism: Mechanism) -> tuple[Coordinate, ...]:
     for a, name in enumerate(actuators.names):
         moment, gain, bias = actuators.moment[a], actuators.gain[a], actuators.bias[a]
         joints, unit = np.flatnonzero(moment), ""
-        if len(joints) == 1 and actuators.dynamics[a] != INTEGRATOR:
+        if len(joints) == 1 and actuators.dynamics[a] != INTEGRATOR and not actuators.by_law[a]:
             turn = turns[joints[0]]
             if abs(gain * moment[joints[0]]) == 1.0 and not bias.any():
                 unit = MOMENT if turn else FORCE

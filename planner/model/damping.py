@@ -50,7 +50,8 @@ def damped_implicitly(mechanism: Any, h: float) -> Any:
         why = f"drives {mechanism.joint_of(int(i))} by negative damping"
     if mechanism.drags:
         why = "has fluid drag"
-    for law in mechanism.actuators.laws[:1]:
+    by_rate = [law for law in mechanism.actuators.laws if law.kind != "affine gain" or law.numbers[1] != 0.0]
+    for law in by_rate[:1]:
         why = f"has an actuator, {mechanism.actuators.names[law.actuator]!r}, with a damping that depends on the state"
     if why:
         raise PlannerError(

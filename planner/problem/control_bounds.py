@@ -207,7 +207,7 @@ def servo_bounds(mechanism: Mechanism, dt: float, ndx: int, without: frozenset[i
 def summed_joint_forces(mechanism: Mechanism) -> dict[int, str]:
     """Names of the joints, by degree of freedom, with an actuatorfrcrange that no bound of one control keeps.
 
-    Several actuators act on such a joint, or one through an activation.
+    Several actuators act on such a joint, or one through an activation or with a force law.
     """
     acts, found = mechanism.actuators, {}
     acts_on, by_wrenches = acts.acts_on, acts.by_wrenches

@@ -3,7 +3,7 @@
 A foot that stands lightly on stiff ground tells by its depth how hard it presses. The LQ problem uses this: gains of an
 ankle may have the wrong sign for a foot in the air, since the ground holds it. Where the file's contact is softer than
 the plan's law, as MuJoCo's is under light bodies, such gains run away within a few stages. So the ground's part in the
-dynamics is taken for random: with the stiffness K of every contact divided by its law's uncertainty,
+dynamics is taken for random: with the stiffness K of every contact with a plane divided by its law's uncertainty,
 
     A + w dA,   B + w dB,   dA = A(K / uncertainty) - A(K),   dB alike,   w white noise of variance 1,
 

@@ -1,5 +1,7 @@
 """Machines that have to leave or move their feet: a monopod that goes forward, jumps, and says that it skates."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -10,7 +12,14 @@ from planner.dynamics.contacts import contact_forces
 from planner.dynamics.stance import STRIDE, contact_stiffness, feet_move
 from planner.problem.costs.slip import CLEARANCE, SlipCost
 from planner.problem.costs.tracking import tracking_of
-from planner.problem.default_weights import GAIN_SHARE, MOVING_SHARE, SLIP_SPEED, STANCE_TOLERANCES, WAY_SHARE
+from planner.problem.default_weights import (
+    GAIN_SHARE,
+    MOVING_SHARE,
+    SLIP_SPEED,
+    STANCE_TOLERANCES,
+    WAY_SHARE,
+    with_slip,
+)
 
 MONOPOD = """<mujoco model="monopod"><option timestep="0.002"/>
 <worldbody><geom name="floor" type="plane" size="0 0 1"/>
@@ -80,6 +89,22 @@ def test_its_foot_is_lifted(forward):
         xs = np.tile(np.concatenate([q, v]), (forward.N + 1, 1))
         expected = 0.5 * forward.duration * (share * 0.3 / SLIP_SPEED) ** 2
         assert slip.value(xs, np.zeros((forward.N, 2))) == pytest.approx(expected, rel=1e-2, abs=1e-9)
+
+
+def test_slip_is_of_the_bodies_that_bear_load(forward):
+    """A trunk that may touch the ground, too, is none while a foot stands; in the air every contact is one."""
+    mechanism = forward.dynamics.mechanism
+    trunk = replace(mechanism.contacts[0], link=2, centre=np.zeros(3), name="trunk")
+    dynamics = planner.RigidBodyDynamics(
+        replace(mechanism, contacts=(*mechanism.contacts, trunk)), forward.dynamics.dt, forward.dynamics.integrator,
+        substeps=forward.dynamics.substeps,
+    )  # fmt: skip
+    foot, air = len(mechanism.contacts), forward.x0.copy()
+    air[1] += 1.0
+    for xs, expected in (((forward.x0, air), foot), ((air, forward.x0), foot), ((air, air), foot + 1)):
+        slip = with_slip(forward.cost, dynamics, 400.0, np.array(xs)).costs[-1]
+        assert isinstance(slip, SlipCost)
+        assert len(slip.residual_arrays.kind) == expected
 
 
 def test_its_weights_leave_the_way_open_and_ask_for_the_goal_in_the_last_quarter(forward):

@@ -14,6 +14,7 @@ from planner.constraints import Power
 from planner.dynamics import RigidBodyDynamics
 from planner.dynamics.actuator_moments import actuator_forces, actuator_lengths, force_slopes
 from planner.kernels.force_laws import LAW_SIZE, LAWS
+from planner.model.actuators import ForceLaw
 from planner.model.mechanism import Mechanism
 from planner.problem.constraints.forces import ActuatorForce, JointForce
 from planner.problem.control_bounds import unbounded
@@ -122,6 +123,8 @@ def test_what_the_plan_does_not_bound_or_integrate_is_said(arm):
     assert unbounded(arm) == ()  # the cord's is a constraint, see below
     with pytest.raises(PlannerError, match="'brake', with a damping that depends on the state"):
         RigidBodyDynamics(arm, 0.01, "implicitfast")
+    by_length = ForceLaw(0, "affine gain", (3.0, 0.0))
+    RigidBodyDynamics(replace(arm, actuators=replace(arm.actuators, laws=(by_length,))), 0.01, "implicitfast")
     with pytest.raises(PlannerError, match="force laws"):
         RigidBodyDynamics(arm, 0.01).second_order_memory()
 

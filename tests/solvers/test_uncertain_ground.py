@@ -87,6 +87,8 @@ def test_ground_of_a_file_is_uncertain_and_a_law_that_a_user_gives_is_not():
     assert {c.law.uncertainty for c in planner.Mechanism.from_mjcf(LEG, contacts=law).contacts} == {1.0}
     law = replace(law, uncertainty=2.0)
     assert {c.law.uncertainty for c in planner.Mechanism.from_mjcf(LEG, contacts=law).contacts} == {2.0}
+    plain = ContactLaw(2e4, 100.0, uncertainty=3.0)  # without a ramp
+    assert {c.law.uncertainty for c in planner.Mechanism.from_mjcf(LEG, contacts=plain).contacts} == {3.0}
     with pytest.raises(planner.PlannerError, match="uncertainty"):
         replace(law, uncertainty=0.5)
 

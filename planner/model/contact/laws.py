@@ -78,7 +78,7 @@ class ContactLaw(Law):
         impratio: Of MuJoCo's projection onto the friction cone; infinite for none.
         bend: b, how gradually friction turns from viscous to Coulomb's, 0 (at once) to 1. In an MJCF it goes with a
             ramp: without one friction is cut off at once.
-        uncertainty: How many times softer the ground may be; at least 1. A plan's gains allow for it
+        uncertainty: How many times softer a plane may be; at least 1. A plan's gains allow for it
             (solvers.uncertain_ground); nothing else depends on it.
     """
 

@@ -20,6 +20,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -188,10 +189,12 @@ def _law_of(model: Any, pair: Pair) -> ContactLaw:
     slips = -pair.solreffriction[1] / weight if np.any(pair.solreffriction) else B
     mu, ct = (float(pair.friction[0]), impratio * slips) if pair.condim == 3 else (0.0, 0.0)
     ramp, force_ramp, bend = _smoothing(model, CONTACT_RAMP)
+    uncertainty, *_ = _numbers(model, CONTACT_UNCERTAINTY) or [1.0]
+    if not 1.0 <= uncertainty < math.inf:
+        raise ModelError(f"numeric {CONTACT_UNCERTAINTY!r} is {uncertainty:g}, expected a factor of at least 1.")
     if ramp == 0.0:
-        return ContactLaw.exact(K, B, ct, mu, impratio)
-    uncertainty = _numbers(model, CONTACT_UNCERTAINTY) or [1.0]
-    return ContactLaw(K, B, ramp, force_ramp, ct, mu, bend=bend, uncertainty=uncertainty[0])
+        return replace(ContactLaw.exact(K, B, ct, mu, impratio), uncertainty=uncertainty)
+    return ContactLaw(K, B, ramp, force_ramp, ct, mu, bend=bend, uncertainty=uncertainty)
 
 
 def read_stops(model: Any) -> tuple[Stop, ...]:

@@ -99,7 +99,9 @@ def _all(ours: Mechanism, theirs: Mechanism) -> Iterator[str]:
         _same(x, y) for x, y in zip(_of_sites(ours), _of_sites(theirs), strict=True)
     ):
         yield "what its actuators do at sites is another (site, refsite or gear)"
-    if a.laws != b.laws:
+    if [(law.actuator, law.kind) for law in a.laws] != [(law.actuator, law.kind) for law in b.laws] or not all(
+        _same(np.array(x.numbers), np.array(y.numbers)) for x, y in zip(a.laws, b.laws, strict=True)
+    ):
         yield "the force laws of its actuators are others"
     for index in range(ours.nu):
         for term, (one, other) in terms.items():

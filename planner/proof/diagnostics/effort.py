@@ -135,9 +135,9 @@ def _of_forces(problem: Problem, machine: Mechanism, motion: MinJerkMotion) -> l
         if problem.bounds is not None and acts.pushes[a]:
             ends = np.array([problem.bounds.lower[:, a].max(), problem.bounds.upper[:, a].min()])
             with np.errstate(invalid="ignore"):  # no gain times no bound
-                ends = np.outer(ends, motion.gain[:, a])
-            lower = np.fmax(lower, ends.min(axis=0) + motion.bias[:, a])
-            upper = np.fmin(upper, ends.max(axis=0) + motion.bias[:, a])
+                ends = np.nan_to_num(np.outer(ends, motion.gain[:, a]), nan=0.0, posinf=np.inf, neginf=-np.inf)
+            lower = np.maximum(lower, ends.min(axis=0) + motion.bias[:, a])
+            upper = np.minimum(upper, ends.max(axis=0) + motion.bias[:, a])
         alone = np.flatnonzero(acts.moment[a])
         if len(alone) == 1 and np.count_nonzero(acts.moment[:, alone[0]]) == 1:
             ends = machine.joint_force_range[alone[0]] / acts.moment[a, alone[0]]
