@@ -124,7 +124,8 @@ def test_what_the_plan_does_not_bound_or_integrate_is_said(arm):
     with pytest.raises(PlannerError, match="'brake', with a damping that depends on the state"):
         RigidBodyDynamics(arm, 0.01, "implicitfast")
     by_length = ForceLaw(0, "affine gain", (3.0, 0.0))
-    RigidBodyDynamics(replace(arm, actuators=replace(arm.actuators, laws=(by_length,))), 0.01, "implicitfast")
+    with pytest.raises(PlannerError, match="together"):  # the brake is no reason, a tendon's damping is
+        RigidBodyDynamics(replace(arm, actuators=replace(arm.actuators, laws=(by_length,))), 0.01, "implicitfast")
     with pytest.raises(PlannerError, match="force laws"):
         RigidBodyDynamics(arm, 0.01).second_order_memory()
 

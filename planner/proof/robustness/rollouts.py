@@ -1,9 +1,9 @@
 """Many perturbed simulations of one plan at once, by mujoco.rollout on all cores: open loop and with the plan's gains.
 
 The gains act at control steps, the integer fraction of a stage closest to 500 Hz. The simulator takes the same step, by
-RK4, or a finer one where the plan's own is: half of it moved what succeeds by at most 2e-4 of its range, on three machines. Where contacts are possible it
-takes the model's timestep, by semi-implicit Euler in place of RK4 (a quarter of the work, and RK4 has no order across
-an impact) if the unperturbed trajectory is then the same.
+RK4, or a finer one where the plan's own is; half of it moved what succeeds by at most 2e-4 of its range, on three
+machines. Where contacts are possible it takes the model's timestep, by semi-implicit Euler in place of RK4 (a quarter
+of the work, and RK4 has no order across an impact) if the unperturbed trajectory is then the same.
 
 A rollout is the same to the last bit in any batch and on any number of threads: every segment starts from the physical
 state alone (no warm start), and what NumPy does here for many rollouts it does elementwise, since a matrix product
