@@ -85,7 +85,7 @@ DAMPING = 1.0  # of critical, for that ground creeps back where it was pressed
 SLIP = 0.2  # m/s at which viscous friction is all there is: on MuJoCo's default contact feet creep more slowly still
 MAX_FRICTION = 1.0  # where the file has more, the plan keeps the rest as a margin
 FASTEST = 2000.0  # 1/s: what 16 substeps of a stage of 10 ms follow, and some to spare for other poses
-UNCERTAINTY = 4.0  # how many times softer a foot may find the file's contact; with 3 to 6 gains hardly differ
+UNCERTAINTY = 4.0  # how many times softer a foot may find the file's contact; with 3 to 6 replays end nearly alike
 MAX_KEYFRAMES = 10
 TOGETHER = 0.1  # of a foot's size: points that are no higher above its lowest one stand together
 
