@@ -17,7 +17,7 @@ from planner.cases.problem_file import case_in, load
 from planner.cli.console import Console
 from planner.cli.flags import PROBLEM_FILE
 from planner.problem.limits import EXACT, Limits
-from planner.problem.objective import checked_durations, weights_of
+from planner.problem.objective import checked_durations, durations_or_default, weights_of
 from planner.problem.objective_problem import with_objective
 from planner.problem.plan import Plan
 from planner.problem.problem import Problem
@@ -49,7 +49,7 @@ def asked_problem(arguments: argparse.Namespace) -> ProblemOf:
     if arguments.case == PROBLEM_FILE and named is None:
         given = {"starts": arguments.starts, "seed": arguments.seed, "package_path": _absolute(arguments.package_path)}
         file = load(arguments.problem, **given, objective=objective, durations=durations)
-        return ProblemOf(*file)
+        return _with_durations(ProblemOf(*file))
     flags = {name[5:]: value for name, value in vars(arguments).items() if name.startswith("case_")}
     case, given, starts, seed = named or (arguments.case, flags, 1, 0)
     starts = starts if arguments.starts is None else count("starts", arguments.starts, maximum=MAX_STARTS)
@@ -66,7 +66,17 @@ def asked_problem(arguments: argparse.Namespace) -> ProblemOf:
     if objective is not None:
         problem = with_objective(problem, objective)
     checked_durations(durations, objective or {})
-    return ProblemOf(problem, starts, seed, objective, durations)
+    return _with_durations(ProblemOf(problem, starts, seed, objective, durations))
+
+
+def _with_durations(asked: ProblemOf) -> ProblemOf:
+    """With the durations that an objective with time chooses between, which are said where nobody gave them."""
+    own = asked.problem.N * asked.problem.dynamics.dt
+    between = durations_or_default(asked.durations, asked.objective or {}, own)
+    if between is asked.durations:
+        return asked
+    said = "{:.3g} to {:.3g} s, a fifth and twice the problem's own: --durations SHORTEST,LONGEST asks for others."
+    return asked._replace(durations=list(between), notes=(*asked.notes, "durations " + said.format(*between)))
 
 
 def _absolute(folder: str | None) -> str | None:

@@ -156,6 +156,26 @@ def unreached_dofs(mechanism: Mechanism, prescribed: Iterable[int] = ()) -> np.n
     return ~np.isin(root, root[sorted(reached)])
 
 
+def constrained_dofs(mechanism: Mechanism) -> np.ndarray:
+    """(nv,) bool, degrees of freedom that couplings or loop closures hold: of a loop, those of both its branches."""
+    held = np.zeros(mechanism.nv, dtype=bool)
+    for one in (*mechanism.couplings, *mechanism.polynomial_couplings):
+        held[[dof for dof in one.dofs if dof >= 0]] = True
+    for loop in mechanism.loops:
+        branches = [_ancestors(mechanism, link) for link in loop.links]
+        held[list(branches[0] ^ branches[1])] = True
+    return held
+
+
+def _ancestors(mechanism: Mechanism, link: int) -> set[int]:
+    """The links from the root to one, this one with them; none of the world."""
+    found = set()
+    while link >= 0:
+        found.add(int(link))
+        link = int(mechanism.parent[link])
+    return found
+
+
 def roots(mechanism: Mechanism) -> np.ndarray:
     """(nv,) index of the root link of each link's kinematic tree."""
     root = np.arange(mechanism.nv)

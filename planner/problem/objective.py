@@ -56,6 +56,11 @@ def weights_of(objective: Any) -> dict[str, float]:
     return weights
 
 
+def durations_or_default(durations: Any, weights: Mapping[str, float], duration: float) -> Any:
+    """Durations as given; a fifth and twice the problem's own duration, s, where time is weighed and none are given."""
+    return (duration / 5.0, 2.0 * duration) if durations is None and "time" in weights else durations
+
+
 def checked_durations(durations: Any, weights: Mapping[str, float]) -> tuple[float, float] | None:
     """Checked min and max duration, s: required by an objective with time, None and refused for any other."""
     if "time" not in weights:

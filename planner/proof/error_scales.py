@@ -19,7 +19,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from planner.base.measured import Measurement
-from planner.model.capabilities import capabilities_of, stationary_object_dofs
+from planner.model.capabilities import capabilities_of, constrained_dofs, stationary_object_dofs
 from planner.model.coordinates import ANGLE, LENGTH, RATES, Coordinate, coordinates_of
 from planner.problem.constraints.constraint import Constraint
 from planner.problem.constraints.constraint_stack import ConstraintStack
@@ -142,10 +142,35 @@ class Worst(NamedTuple):
         return self.value / self.bound
 
 
-def worst_by_unit(plan: Plan, errors: np.ndarray) -> Iterator[Worst]:
-    """For each unit, the largest of errors (K, ndx) relative to its bound; objects kept at the start may settle."""
+def bounds_in_file(plan: Plan, spring_rate: float) -> np.ndarray:
+    """(ndx,) upper bound of each coordinate's path error in the user's file, in its unit.
+
+    The plan keeps equalities exactly, the file's are springs of a natural frequency, `spring_rate` in rad/s. A machine
+    with them may be off by SMOOTHED of its motion. A coordinate that they hold may also be off by SHARE of its joint's
+    range, at most of STILL, and by that times the frequency in velocity, however little it moves.
+    """
+    bounds, problem = path_error_bounds(plan), plan.problem
+    assert problem is not None
+    mechanism = capabilities_of(problem.dynamics).mechanism
+    if mechanism is None or is_nonsmooth(problem):
+        return bounds
+    held = np.concatenate([constrained_dofs(mechanism)] * 2)
+    widths = np.clip(np.ptp(mechanism.joint_range, axis=1), 0.0, STILL)
+    still = SHARE * np.concatenate([widths, widths * spring_rate])
+    if np.any(held):
+        bounds = bounds * SMOOTHED / SHARE  # of all: the joints beside move with those that are held
+    bounds[: len(held)] = np.where(held, np.maximum(bounds[: len(held)], still), bounds[: len(held)])
+    return bounds
+
+
+def worst_by_unit(plan: Plan, errors: np.ndarray, bounds: np.ndarray | None = None) -> Iterator[Worst]:
+    """For each unit, the largest of errors (K, ndx) relative to its bound; objects kept at the start may settle.
+
+    The bounds (ndx,) are those of the path unless given.
+    """
     assert plan.problem is not None  # its dynamics know the units
-    most, bounds = np.abs(errors).max(axis=0), path_error_bounds(plan)
+    bounds = path_error_bounds(plan) if bounds is None else bounds
+    most = np.abs(errors).max(axis=0)
     most = np.where(np.isfinite(most), most, np.inf)
     mechanism = capabilities_of(plan.problem.dynamics).mechanism
     if mechanism is not None:

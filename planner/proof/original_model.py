@@ -54,10 +54,8 @@ from planner.problem.goals import GoalCheck
 from planner.problem.plan import Plan
 from planner.problem.problem import Problem
 from planner.proof.error_scales import (
-    SHARE,
-    SMOOTHED,
+    bounds_in_file,
     has_contacts,
-    is_nonsmooth,
     path_error_bounds,
     replayed_violations,
     worst_by_unit,
@@ -227,10 +225,7 @@ def _same_model(one: Twin, other: Twin) -> bool:
 def _touches(run: Replay, problem: Problem) -> tuple[list[str], list[str]]:
     """Sentences about unmodelled pairs in contact, and about pairs that overlap at the start and go no deeper."""
     model, wrong, overlaps = run.compiled.model, [], []
-    mechanism = capabilities_of(problem.dynamics).mechanism
-    beside = model.body_weldid == 0  # bodies that controls do not move: the world, and objects at rest on it
-    if mechanism is not None and len(mechanism.bodies) == model.nbody:
-        beside |= stationary_object_bodies(mechanism)
+    beside = bodies_at_rest(problem, model)
     known, watched, index = unmodelled_of(problem, run.compiled).known, watched_pairs(model), ModelIndex(model)
     scale = min(1.0, float(model.stat.extent))
     rubs = NEGLIGIBLE_FORCE * float(model.body_mass.sum()) * float(np.linalg.norm(model.opt.gravity) or 1.0)
@@ -263,6 +258,14 @@ def _touches(run: Replay, problem: Problem) -> tuple[list[str], list[str]]:
         else:
             overlaps.append(f"{pair} touch at the start by {touch.at_start:.3g} m and go no deeper.")
     return wrong, overlaps
+
+
+def bodies_at_rest(problem: Problem, model: Any) -> np.ndarray:
+    """(nbody,) bool, bodies that no control moves: those fixed to the world, and objects at rest on it."""
+    mechanism, fixed = capabilities_of(problem.dynamics).mechanism, model.body_weldid == 0
+    if mechanism is not None and len(mechanism.bodies) == model.nbody:
+        fixed = fixed | stationary_object_bodies(mechanism)
+    return np.asarray(fixed)
 
 
 def goes_deeper(at_start: float, by: float, scale: float) -> bool:
@@ -300,18 +303,15 @@ def _path(run: Replay, without_gains: np.ndarray) -> list[Measurement]:
     equalities are softer than the plan's it may be off by SMOOTHED.
     What is beyond its own bound is said by the first measurement, for the first line.
     """
-    plan, problem = run.plan, run.plan.problem
-    mechanism = capabilities_of(getattr(problem, "dynamics", None)).mechanism
+    plan, allowed = run.plan, bounds_in_file(run.plan, _spring_rate(run.compiled.model))
     errors = {
-        how: list(worst_by_unit(plan, plan.space.difference(xs, run.plan_xs)))
+        how: list(worst_by_unit(plan, plan.space.difference(xs, run.plan_xs), allowed))
         for how, xs in (("with gains", run.xs), ("without gains", without_gains))
     }
     how = min(errors, key=lambda how: max(one.share for one in errors[how]))
     worst = max(errors[how], key=lambda one: one.share)
     note = f"in your file {worst.value:.2g} {worst.unit} ({worst.name}) off its path {how}"
-    closed = mechanism is not None and (mechanism.has_closed_chains or mechanism.couplings)
-    softer = max(SMOOTHED / SHARE, 1.0) if closed and not is_nonsmooth(problem) else 1.0
-    bounds = [None if has_contacts(problem) else softer * one.bound for one in errors[how]]
+    bounds = [None if has_contacts(plan.problem) else one.bound for one in errors[how]]
     return [
         Measurement(PATH_IN_FILE, worst.share, "", None, note),
         *(
@@ -320,6 +320,13 @@ def _path(run: Replay, without_gains: np.ndarray) -> list[Measurement]:
             for one, bound in zip(errors[how], bounds, strict=True)
         ),
     ]  # fmt: skip
+
+
+def _spring_rate(model: Any) -> float:
+    """The largest natural frequency of the model's equalities, rad/s: (time constant, ratio) or (-stiffness, ..)."""
+    first, ratio = model.eq_solref[model.eq_active0.astype(bool)].T
+    rates = np.where(first > 0.0, 1.0 / np.maximum(first * ratio, np.finfo(float).tiny), np.sqrt(np.abs(first)))
+    return float(np.max(rates, initial=0.0))
 
 
 def _objects(run: Replay, problem: Problem) -> list[Measurement]:

@@ -26,7 +26,7 @@ from planner.base.arguments import number, short_repr
 from planner.base.errors import PlannerError
 from planner.model.capabilities import capabilities_of
 from planner.problem.limits import EXACT, Limits
-from planner.problem.objective import checked_durations, weights_of
+from planner.problem.objective import checked_durations, durations_or_default, weights_of
 from planner.problem.objective_problem import base_problem, with_objective
 from planner.problem.plan import Plan, Status
 from planner.problem.problem import Problem
@@ -90,7 +90,7 @@ def solve_for(
         problem: The problem to solve; see with_objective.
         objective: "effort", "energy", "jerk", "time", or weights by these names, e.g. {"effort": 1, "time": 2}. Time
             alone needs limits of the controls, and meets the goal exactly.
-        durations: Lower and upper bound of the duration, s; required with time, else not allowed.
+        durations: Lower and upper bound of the duration, s, with time only; by default a fifth and twice the problem's.
         tolerance: Of the duration, relative.
         callback: As of solve; with time it is called with each DurationTrial.
         options: Of solve().
@@ -99,13 +99,14 @@ def solve_for(
         A Plan of the problem with that objective, at the best duration.
 
     Raises:
-        PlannerError: As with_objective and solve; durations missing, not allowed or not two increasing ones; time alone
+        PlannerError: As with_objective and solve; durations not allowed or not two increasing ones; time alone
             without bounds of the controls.
     """
     weights = weights_of(objective)
     if not isinstance(problem, Problem):
         raise PlannerError(f"problem is {short_repr(problem)}, expected a Problem.")
-    between = checked_durations(durations, weights)
+    own = problem.N * problem.dynamics.dt
+    between = checked_durations(durations_or_default(durations, weights, own), weights)
     options["budget"] = budget_of(options.get("budget"))  # one for all solves
     number("tolerance", tolerance, greater_than=0.0)
     alone = set(weights) == {"time"}

@@ -77,6 +77,24 @@ def test_a_motion_that_presses_an_overlap_names_the_line_that_excludes_it_and_pa
     assert planner.prove(stored, rollouts=0).not_checked == proof.not_checked
 
 
+# A column that turns lies flush on the floor, as the cube does beside it.
+COLUMN = """<mujoco><worldbody><geom name="floor" type="plane" size="2 2 0.1"/>
+  <body name="column" pos="0 0 0.2"><joint name="yaw" axis="0 0 1" damping="1"/>
+    <geom type="cylinder" size="0.08 0.2"/><body pos="0.1 0 0.1"><joint name="elbow" axis="0 1 0" damping="1"/>
+      <geom type="capsule" size="0.02" fromto="0 0 0 0.3 0 0" mass="1"/></body></body>
+  <body name="cube" pos="0.4 0.4 0.03"><freejoint/><geom type="box" size="0.03 0.03 0.03" mass="0.1"/></body>
+  </worldbody><actuator><motor joint="yaw"/><motor joint="elbow"/></actuator></mujoco>"""
+
+
+def test_an_object_that_rests_on_the_floor_is_not_named(tmp_path):
+    (tmp_path / "column.xml").write_text(COLUMN, encoding="utf-8")
+    lines = 'model = "column.xml"\nstart = "home"\ngoal = { yaw = 0.5, elbow = -0.5 }\nduration = 1.0'
+    (tmp_path / "column.toml").write_text(lines, encoding="utf-8")
+    plan = planner.solve(load(tmp_path / "column.toml").problem)
+    (fix,) = suggested_fixes(plan, planner.prove(plan, rollouts=0))
+    assert fix.values["bodies"] == '[["world", "column"]]'
+
+
 @pytest.mark.parametrize("wrong", ["palm", [["palm"]], [["palm", 3]], [["palm", "palm"]], {"palm": "tip"}])
 def test_what_is_no_list_of_pairs_is_refused(wrong):
     with pytest.raises(planner.PlannerError, match=r"^exclude is "):

@@ -1,5 +1,7 @@
 """Criteria: energy and jerk against differences and what mechanics says of them, objectives in solves and in files."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from carts import arm, cart, refuse, write
@@ -14,7 +16,7 @@ from planner.costs import EnergyCost, JerkCost, TrackingCost
 from planner.kernels.lq import line_search
 from planner.problem.costs.jerk import JerkDynamics
 from planner.problem.initial_guess import inverse_dynamics_controls, minimum_jerk
-from planner.problem.objective import EFFORT_SHARE, weights_of
+from planner.problem.objective import EFFORT_SHARE, durations_or_default, weights_of
 from planner.problem.objective_problem import base_problem, solver_problem, with_objective
 from planner.problem.problem import Problem
 from planner.proof.consistency import consistency, recomputed
@@ -239,6 +241,19 @@ def test_weights_and_shares():
     np.testing.assert_array_equal(changed.cost.R, 2.0 * problem.cost.R)
 
 
+def test_time_chooses_around_the_problems_own_duration():
+    """From a fifth to twice of it, unless durations are given."""
+    problem = replace(cart(20), limits=Limits(control=1.0))
+    own = problem.N * problem.dynamics.dt
+    plans = [
+        planner.solve_for(problem, {"effort": 1.0, "time": 2.0}, durations=between)
+        for between in (None, (own / 5, 2 * own))
+    ]
+    np.testing.assert_array_equal(plans[0].us, plans[1].us)
+    assert durations_or_default((1.0, 2.0), {"time": 1.0}, own) == (1.0, 2.0)
+    assert durations_or_default(None, {"effort": 1.0}, own) is None
+
+
 def test_problem_file_has_an_objective(tmp_path):
     file = load(write(tmp_path, objective="{ effort = 1, time = 2 }", durations="[0.5, 2.0]"))
     assert (file.objective, file.durations) == ({"effort": 1.0, "time": 2.0}, [0.5, 2.0])
@@ -254,7 +269,7 @@ def test_problem_file_has_an_objective(tmp_path):
         "objective is 'speed', expected one of: effort, energy, jerk, time": lambda p: planner.solve_for(p, "speed"),
         "the weight of jerk is -1.0, expected a finite number": lambda p: planner.solve_for(p, {"jerk": -1.0}),
         "no weight of the objective is above 0": lambda p: planner.solve_for(p, {}),
-        "durations is None, expected (shortest, longest) in s": lambda p: planner.solve_for(p, "time"),
+        "durations is 2.0, expected (shortest, longest) in s": lambda p: planner.solve_for(p, "time", durations=2.0),
         "time alone needs bounds of the controls": lambda p: planner.solve_for(p, "time", durations=(0.5, 2.0)),
         "expected RigidBodyDynamics": lambda p: planner.solve_for(cases.hopper(), "energy"),
         "jerk is that of joints": lambda p: planner.solve_for(cases.hopper(), "jerk"),

@@ -110,3 +110,29 @@ def test_other_engines_are_not_asked(proven):
     _, plan, _ = proven
     reason = _reason(plan.problem.dynamics, CompiledTwin(plan.twin).model)
     assert "coupled by equality 'mimic'" in reason
+
+
+# An arm that turns about the vertical pulls its fingers outwards, and the file's equality, a spring, gives.
+FINGERS = """<mujoco><worldbody><body><joint name="yaw" axis="0 0 1" damping="1"/>
+  <inertial pos=".3 0 0" mass="2" diaginertia=".02 .1 .1"/>
+  <body name="one" pos=".5 0 0"><joint name="left" type="slide" axis="1 0 0" range="-.02 .02"/>
+    <inertial pos=".05 0 0" mass=".05" diaginertia="1e-4 1e-4 1e-4"/></body>
+  <body name="two" pos=".5 0 0"><joint name="right" type="slide" axis="1 0 0" damping="1" range="-.02 .02"/>
+    <inertial pos=".05 0 0" mass=".05" diaginertia="1e-4 1e-4 1e-4"/></body></body></worldbody>
+  <equality><joint joint1="right" joint2="left" solref="{time} 1"/></equality>
+  <actuator><motor joint="yaw"/><position joint="left" kp="400" kv="9"/></actuator></mujoco>"""
+
+
+def still_fingers(time):
+    mechanism = planner.Mechanism.from_mjcf(FINGERS.format(time=time))
+    goals = planner.Goal(joints={"yaw": 1.5, "left": 0.0})
+    return planner.prove(planner.solve(planner.task(mechanism, mechanism.home, goals, duration=1.0)), rollouts=0)
+
+
+def test_a_finger_that_hardly_moves_may_give_as_its_equality_does():
+    """By a hundredth of its range of 40 mm, which is more than a finger that the plan does not move may be off elsewhere."""
+    proof = still_fingers(0.02)
+    assert proof.passed, proof.reason
+    off = measured(proof.your_file, "largest_distance_error")
+    assert 5e-5 < off.value < off.bound == pytest.approx(4e-4)
+    assert not still_fingers(0.2).passed  # a spring a hundred times as soft: the finger goes its own way

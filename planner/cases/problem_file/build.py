@@ -237,7 +237,7 @@ def _problem(
         told = f"start is {f'the keyframe {own!r}' if own else 'the pose in which the file draws it'}: none is given."
     for key in (*REQUIRED, *(() if "follow" in table else ("goal",))):
         if key not in table:
-            wanted = "a number of seconds" if key == "duration" else states_of(mechanism)
+            wanted = "a number of seconds, e.g. duration = 2.0" if key == "duration" else states_of(mechanism)
             if key == "start":
                 wanted += (
                     ": as drawn, the machine is outside of a range or overlaps; `planner model FILE --write` has one"

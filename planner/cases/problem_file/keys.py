@@ -51,7 +51,8 @@ KEYS = {
     "title": "shown in pictures",
     "weights": "table, below",
     "objective": f"one of {', '.join(OBJECTIVES)}, or a table of weights by these names; by default the effort",
-    "durations": "[shortest, longest] s, between which an objective with time chooses",
+    "durations": "[shortest, longest] s, between which an objective with time chooses; by default a fifth and twice "
+    "the duration",
     "constraint": "tables [[constraint]], below: what the plan keeps of a frame or an actuator",
     "limits": 'table, below; by default the model\'s own, "off" for none',
     "avoid": "table, below: what is kept apart; nothing by default",

@@ -57,10 +57,14 @@ def compile_model(
 
 
 def named(model: Any, kind: str, index: int) -> str:
-    """An element for a sentence: "joint 'hip'", or its place where it has no name."""
+    """An element for a sentence: "joint 'hip'"; its place and its body where it has no name."""
     mujoco = load_mujoco()
     name = mujoco.mj_id2name(model, getattr(mujoco.mjtObj, f"mjOBJ_{kind.upper()}"), index)
-    return f"{kind} {name!r}" if name else f"{kind} number {index}"
+    if name:
+        return f"{kind} {name!r}"
+    owners = {"geom": model.geom_bodyid, "joint": model.jnt_bodyid, "site": model.site_bodyid}
+    body = model.body(int(owners[kind][index])).name if kind in owners else ""
+    return f"{kind} number {index} of body {body!r}" if body else f"{kind} number {index}"
 
 
 def flag_bit(group: str, prefix: str, name: str) -> int:

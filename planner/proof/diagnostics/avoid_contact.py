@@ -20,7 +20,7 @@ from planner.problem.plan import Plan
 from planner.problem.problem import Problem
 from planner.proof.diagnostics.suggested_fix import SuggestedFix, fix, no_fix, of_file
 from planner.proof.diagnostics.velocity_weight import straightened
-from planner.proof.original_model import as_given, goes_deeper
+from planner.proof.original_model import as_given, bodies_at_rest, goes_deeper
 from planner.proof.replays.compiled_twin import unmodelled_of
 from planner.proof.verdict import Proof
 
@@ -81,6 +81,7 @@ class _Shapes:
         self._mujoco, self.model = load_mujoco(), model
         self._data = self._mujoco.MjData(model)
         self._known = unmodelled_of(problem).known
+        self._at_rest = bodies_at_rest(problem, model)[model.geom_bodyid]
         self._scale = min(1.0, float(model.stat.extent))
         self.at_start: set[tuple[int, int]] = set()
         self.unactuated = not self._moment().any(axis=0).all()  # whether a degree of freedom has no actuator
@@ -129,6 +130,8 @@ class _Shapes:
         found: dict[tuple[int, int], float] = {}
         for contact in self._data.contact:
             pair = (int(min(contact.geom)), int(max(contact.geom)))
+            if np.all(self._at_rest[list(pair)]):
+                continue
             if -contact.dist >= rounding * self._scale and names_of(self.model, pair) not in self._known:
                 found[pair] = max(found.get(pair, 0.0), -float(contact.dist))
         return found
