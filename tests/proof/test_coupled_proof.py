@@ -130,7 +130,7 @@ def still_fingers(time):
 
 
 def test_a_finger_that_hardly_moves_may_give_as_its_equality_does():
-    """By a hundredth of its range of 40 mm, which is more than a finger that the plan does not move may be off elsewhere."""
+    """By a hundredth of its range of 40 mm, more than a finger that the plan does not move may be off elsewhere."""
     proof = still_fingers(0.02)
     assert proof.passed, proof.reason
     off = measured(proof.your_file, "largest_distance_error")
