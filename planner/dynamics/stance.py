@@ -13,7 +13,7 @@ import numpy as np
 from planner.dynamics.algorithms import mass_matrix
 from planner.dynamics.contacts import contact_forces, contact_jacobians
 from planner.dynamics.statics import along_ground
-from planner.model.capabilities import unactuated_basis
+from planner.model.capabilities import rolling_radii, unactuated_basis
 from planner.model.mechanism import Mechanism
 
 TURNS = 5  # largest number of iterations of the midpoint Jacobian
@@ -86,6 +86,17 @@ def feet_move(mechanism: Mechanism, qs: np.ndarray) -> bool:
     else:
         return False
     return bool(carry.size)
+
+
+def rolling_dofs(mechanism: Mechanism, q: np.ndarray) -> np.ndarray:
+    """(nv,) bool, degrees of freedom along the ground, not driven, of a machine that stands on wheels at q (nq,)."""
+    found = np.zeros(mechanism.nv, dtype=bool)
+    carry = contact_forces(mechanism, q, np.zeros(mechanism.nv)).forces.any(axis=1)
+    links = np.unique([mechanism.contacts[k].link for k in np.flatnonzero(carry)])
+    free = unactuated_basis(mechanism)
+    if np.any(rolling_radii(mechanism)[links.astype(int)]) and free.shape[1]:
+        found = np.any(np.abs(free @ along_ground(mechanism, q, free, links)) > RANK, axis=1)
+    return found
 
 
 def contact_stiffness(mechanism: Mechanism, q: np.ndarray) -> np.ndarray:

@@ -12,7 +12,9 @@ from typing import Any
 
 import numpy as np
 
-from planner.model.mechanism import Mechanism
+from planner.model.mechanism import SCREW, Mechanism
+
+ON_AXIS = 0.02  # of its radius: how far the centre of a wheel may be from its axis
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,6 +102,22 @@ def stands_on_ground(mechanism: Mechanism) -> bool:
     actuated, root = mechanism.directly_actuated, roots(mechanism)
     machine = np.isin(root, root[actuated]) if actuated.any() else np.ones(mechanism.nv, dtype=bool)
     return any(machine[contact.link] for contact in mechanism.contacts)
+
+
+def rolling_radii(mechanism: Mechanism) -> np.ndarray:
+    """(nv,) m, radius at which each hinge rolls on the ground; 0 of those that do not.
+
+    A wheel: every contact of its link is a sphere whose centre is on the hinge's axis.
+    """
+    radii = np.zeros(mechanism.nv)
+    for link in {contact.link for contact in mechanism.contacts if contact.law.friction > 0.0}:
+        turn, shift = mechanism.S[link, :3], mechanism.S[link, 3:]
+        spheres = [contact for contact in mechanism.contacts if contact.link == link]
+        off = max(float(np.linalg.norm(shift + np.cross(turn, one.centre))) for one in spheres)
+        radius = min(one.radius for one in spheres)
+        if mechanism.kind[link] == SCREW and np.any(turn) and off <= ON_AXIS * radius:
+            radii[link] = radius
+    return radii
 
 
 def flies(mechanism: Mechanism) -> bool:

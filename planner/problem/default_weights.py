@@ -45,7 +45,13 @@ from planner.dynamics.assembly import feasible_directions
 from planner.dynamics.contacts import contact_forces
 from planner.dynamics.quasi_static import quasi_static_controls
 from planner.dynamics.stance import contact_stiffness, feet_move, stance_inertia
-from planner.model.capabilities import ballistic_dofs, flies, stands_on_ground, stationary_object_dofs
+from planner.model.capabilities import (
+    ballistic_dofs,
+    flies,
+    rolling_radii,
+    stands_on_ground,
+    stationary_object_dofs,
+)
 from planner.model.coordinates import coordinates_of_mechanism
 from planner.model.mechanism import Mechanism
 from planner.model.mjcf.prescribed_joints import prescribed_dofs_of
@@ -68,6 +74,7 @@ WAY_SHARE = 0.01  # of the velocity weights, while feet that have to move are on
 GAIN_SHARE = 1.0 / 3.0  # of the stiffness of the contacts: the gains' limit where feet land
 POSITION, VELOCITY = 4.0, 10.0  # final weights times the squared tolerance of the goal
 SLIP_SPEED = 0.05  # m/s: of a foot on the ground, whose cost is 1; it slips by STRIDE in a second
+STILL = 1e-6  # rad: a wheel that no goal turns
 MIN_EFFORT = 1e-12  # lower limit of an effort weight: very large limits still leave it positive definite
 
 
@@ -106,6 +113,7 @@ def default_weights(
     nv = mechanism.nv
     units = [one.unit for one in coordinates_of_mechanism(mechanism)[: 2 * nv]]
     displacement = np.abs(mechanism.space.difference(x0, goal)[:nv]) if displacement is None else displacement
+    radii = np.where(displacement < STILL, rolling_radii(mechanism), 0.0)  # of wheels, which turn as far as they like
     speed = np.maximum(2.0 * displacement / duration, [MIN_SPEED[unit] for unit in units[:nv]])
     velocity = np.zeros(nv)
     actuated = fully_actuated(dynamics)
@@ -128,7 +136,7 @@ def default_weights(
     ends = jerk_cost * (not stands) * ~stationary * ~falling
     weights = {
         "effort": effort, **({} if control is None else {"control": control}), "velocity": velocity,
-        "position": stands * ~stationary / (STANCE_TOLERANCES * position) ** 2,
+        "position": stands * (~stationary & (radii == 0.0)) / (STANCE_TOLERANCES * position) ** 2,
         "final_position": ends * POSITION / position**2, "final_velocity": ends * VELOCITY / rate**2,
         "hold": np.array(HOLD_SECONDS * stands),
         **({"rest": np.array((1.0 - MOVING_SHARE) * last_share), "slip": np.array(SLIP_SPEED**-2)} if steps else {}),
@@ -216,7 +224,8 @@ def weighed(
 def with_slip(cost: Any, dynamics: RigidBodyDynamics, slip: Any, xs: np.ndarray) -> Any:
     """A cost, and the one of feet that slide with a weight `slip`, 0 for none.
 
-    Feet are the bodies that bear load at one of the states xs (E, nx); all that may touch where none does.
+    Feet are the bodies that bear load at one of the states xs (E, nx); all that may touch where none does. A contact
+    without friction is there to slide.
 
     Raises:
         PlannerError: A negative weight.
@@ -226,8 +235,8 @@ def with_slip(cost: Any, dynamics: RigidBodyDynamics, slip: Any, xs: np.ndarray)
     mechanism = dynamics.mechanism
     forces = contact_forces(mechanism, xs[:, : mechanism.nq], np.zeros((len(xs), mechanism.nv))).forces
     loaded = {mechanism.contacts[k].link for k in np.flatnonzero(forces.any(axis=(0, 2)))}
-    feet = [one for one in mechanism.contacts if one.link in loaded or not loaded]
-    return SumCost(cost, SlipCost(dynamics, slip, feet))
+    feet = [one for one in mechanism.contacts if one.law.friction > 0.0 and (one.link in loaded or not loaded)]
+    return SumCost(cost, SlipCost(dynamics, slip, feet)) if feet else cost
 
 
 def staying_cost(dynamics: RigidBodyDynamics, cost: TrackingCost, hold: Any, rest: Any) -> TrackingCost:

@@ -121,13 +121,13 @@ def rounding_amplification(A: np.ndarray) -> float:
 
 def stage_function(
     integrator: str, dt: float, model: Any, twin: Twin, space: StateSpace, driven: Sequence[int] | np.ndarray = (),
-    constrained: Mechanism | None = None, damping: np.ndarray | None = None,
+    constrained: Mechanism | None = None, damping: np.ndarray | None = None, exact: bool = True,
 ) -> tuple[str, Stage] | None:  # fmt: skip
     """One stage of dt in MuJoCo: the method's name, and the function (x, u) -> x at its end; None if unsupported.
 
     The model is changed. Accelerations of prescribed (`driven`) degrees of freedom, the last controls, are met to
     rounding. Equalities of a constrained mechanism are exact, and its other constraints do not act. `damping` (nv,) is
-    integrated implicitly.
+    integrated implicitly. `exact` as of advancing().
     """
     mujoco = load_mujoco()
     data = mujoco.MjData(model)
@@ -174,7 +174,7 @@ def stage_function(
     if known is None:
         return None
     native = known.mujoco if constrained is None else ""
-    if (native == "RK4" and space.quaternions) or (native != "EULER" and len(driven)):
+    if (native == "RK4" and space.quaternions and exact) or (native != "EULER" and len(driven)):
         native = ""
     if native == "IMPLICITFAST" and floats_alone(model):
         native = ""
@@ -209,13 +209,20 @@ def floats_alone(model: Any) -> bool:
 
 
 def advancing(
-    integrator: str, step: float, model: Any, twin: Twin, space: StateSpace, damping: np.ndarray | None = None
+    integrator: str,
+    step: float,
+    model: Any,
+    twin: Twin,
+    space: StateSpace,
+    damping: np.ndarray | None = None,
+    exact: bool = True,
 ) -> Advance | None:
     """Many steps in MuJoCo: the function (x0, us, steps per control) -> the state after each control, or None.
 
-    MuJoCo's own integrators run without reset: the simulator may have more states than the plan.
+    MuJoCo's own integrators run without reset: the simulator may have more states than the plan. Without `exact` they
+    are also taken where they are of lower order than the plan's, on rotations.
     """
-    found = stage_function(integrator, step, model, twin, space, damping=damping)
+    found = stage_function(integrator, step, model, twin, space, damping=damping, exact=exact)
     if found is None:
         return None
     mujoco, (how, stage) = load_mujoco(), found

@@ -30,7 +30,8 @@ def skating(plan: Plan, problem: Problem) -> tuple[str, ...]:
     slip = np.zeros(len(mechanism.contacts))
     for k, contact in enumerate(mechanism.contacts):
         bears = np.flatnonzero(forces[:, k].any(axis=1))
-        if not bears.size or np.any(contact.plane.velocity) or contact.plane.slide >= 0:  # belts
+        belt = np.any(contact.plane.velocity) or contact.plane.slide >= 0
+        if not bears.size or belt or contact.law.friction == 0.0:
             continue
         v, n = PlaneContactKinematics(mechanism, contact, qs[bears], qds[bears]).v, contact.plane.normal
         slip[k] = problem.dynamics.dt * np.linalg.norm(v - (v @ n)[:, None] * n, axis=1).sum()

@@ -26,7 +26,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from planner.base.errors import PlannerError
-from planner.problem.goals import missed_goal_message
+from planner.problem.goals import goals_of, missed_goal_message
 from planner.problem.plan import Plan, Status
 from planner.problem.problem import Problem
 from planner.problem.rediscretize import lengthened, rounded_duration
@@ -46,6 +46,7 @@ MAX_REPEATS = 2  # number of swings that lead to a branch that was followed, aft
 SAME_COST = 1e-3  # relative difference of the costs below which two of them are the same branch, or its mirror image
 LENGTHENING = 1.1  # ratio of successive durations
 MAX_DURATIONS = 8  # number of them: up to 2.1 times
+NEAR = 0.1  # of the largest error of a goal along a plan: what misses it by less needs weight, not another motion
 _UNSUCCESSFUL = (Status.MAX_ITERATIONS, Status.NO_DESCENT, Status.OUTSIDE_LIMITS)
 
 # One solve from states (N+1, nx) or None, penalties or None, and controls (N, nu), with an iteration limit.
@@ -78,8 +79,10 @@ class RelaxationStep(NamedTuple):
 
 
 def is_trapped(problem: Problem, plan: Plan, options: SolverOptions) -> bool:
-    """Whether a direct solve ended without success at its limits or with contacts."""
-    return _is_relaxed(problem, options) and _failed(plan) and (has_softer(problem) or at_limits(problem, plan))
+    """Whether a direct solve ended without success at its limits, or with contacts and far from its goals."""
+    if not (_is_relaxed(problem, options) and _failed(plan)):
+        return False
+    return at_limits(problem, plan) or (has_softer(problem) and not _lacks_weight(problem, plan))
 
 
 def direct_iterations(problem: Problem, options: SolverOptions) -> int:
@@ -95,6 +98,17 @@ def _is_relaxed(problem: Problem, options: SolverOptions) -> bool:
 
 def _failed(plan: Plan) -> bool:
     return plan.status in _UNSUCCESSFUL or bool(plan.missed_goals)
+
+
+def _lacks_weight(problem: Problem, plan: Plan) -> bool:
+    """Whether a converged plan misses its goals by so little that weights are missing, and no other motion."""
+    if plan.status is not Status.CONVERGED:
+        return False
+    for one in goals_of(problem, plan.xs):
+        farthest = 0.0 if one.times is not None else NEAR * float(np.max(one.error(plan.xs)))
+        if not one.miss(plan.t, plan.xs) <= max(one.tolerance, farthest):
+            return False
+    return True
 
 
 def relax(

@@ -105,7 +105,9 @@ def test_the_replay_itself_is_one_of_the_halved_steps():
     """A hopper's order is about its refined step: that replay is not run again, and its bits are those of another."""
     plan = planner.solve(cases.hopper(horizon=50, height=5.0))
     run = planner.replay(plan)
-    own, again = (_level(one, plan.problem, "rk4", run.substeps) for one in (run, replace(run, integrator="EULER")))
+    own, again = (
+        _level(one, plan.problem, "rk4", run.substeps, exact=False) for one in (run, replace(run, integrator="EULER"))
+    )
     np.testing.assert_array_equal(own[0], again[0])
     assert own[1] == again[1]
 

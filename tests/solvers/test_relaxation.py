@@ -14,6 +14,7 @@ from planner.solvers import slq
 from planner.solvers.continuation import FALL_ITERATIONS, Continuation
 from planner.solvers.relaxation import RelaxationStep, relax
 from planner.solvers.wider_limits import WiderLimits, at_limits, free_problem
+from planner.solvers.work import work_of_stage
 
 DT = 0.05
 DIRECT = SolverOptions(homotopy=False)
@@ -94,6 +95,17 @@ def test_the_plan_of_the_direct_solve_is_kept_where_none_is_found(weak):
     assert np.array_equal(weak.us, direct.us)
     assert weak.nit == direct.nit
     assert weak.total_iterations > 50
+
+
+def test_a_relaxation_that_a_budget_ends_says_how_much_work_it_was_given():
+    """Also where the direct solve had ended by itself."""
+    problem = swing_up(2.0, 5.0)
+    direct = planner.solve(problem, DIRECT)
+    limit = (direct.nit + 5) * problem.N * work_of_stage(problem)
+    plan = planner.solve(problem, budget=limit)
+    assert (direct.status, plan.status) == (Status.CONVERGED, Status.WORK_LIMIT)
+    assert (plan.options["cut"], plan.options["work"]) == ("WORK_LIMIT", limit)
+    suggested_fixes(plan)  # reads it
 
 
 def test_a_stored_plan_has_the_relaxation(weak, tmp_path):

@@ -14,7 +14,7 @@ from planner.base.errors import PlannerError
 from planner.cases.problem_file.keys import GOAL, RESOLVED
 from planner.cases.problem_file.reference_guess import ReferenceTrajectory
 from planner.dynamics import RigidBodyDynamics
-from planner.dynamics.stance import feet_move
+from planner.dynamics.stance import feet_move, rolling_dofs
 from planner.model.capabilities import stands_on_ground
 from planner.model.mechanism import Mechanism
 from planner.problem.avoid import Avoid, AvoidanceConstraint
@@ -210,6 +210,10 @@ def weights_of(
     reasons = {name: reason for name, reason in found.reasons.items() if name not in left}
     if jerk:
         weights["goal"] = np.array(WEIGHT * max(1.0, jerk * min_jerk_cost(there, table["duration"])))
+    if "rest" in weights and np.any(rolls := rolling_dofs(dynamics.mechanism, x0[: dynamics.mechanism.nq])):
+        # A vehicle gets to where it is asked to be by steering: the pose there is not known before.
+        weights |= {"position": np.where(rolls, 0.0, weights["position"]), "goal": np.array(WEIGHT)}
+        reasons["position"] += "; none of a vehicle along the ground, for which its goals have weights"
     return walking_weights(DefaultWeights(weights, reasons)) if way.stands else DefaultWeights(weights, reasons)
 
 

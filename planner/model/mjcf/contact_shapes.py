@@ -5,7 +5,9 @@ a box's corners it takes the lowest four at most). Of cylinders, meshes and elli
 which jump from edge to edge while the geom rolls. A plan wants points that stay on the body, so its text gets spheres
 of POINT_RADIUS there, which touch planes and nothing else. MuJoCo replays the plan's text with the same spheres, and
 "your file" judges the true shape. A cylinder has RIM of them at each rim, a mesh and an ellipsoid up to MAX_POINTS that
-nearly span the hull. `shortfall` is the distance by which the shape reaches beyond its points.
+nearly span the hull. A wheel, a round shape that a hinge turns about its own axis, rolls on two spheres of its radius
+in the planes of its rims: on a level axis they touch where it does. `shortfall` is the distance by which the shape
+reaches beyond its points.
 """
 
 from __future__ import annotations
@@ -124,15 +126,60 @@ RADIUS = 1e-4  # m: the excess of a point over its shape
 RIM = 8  # points of a circle: their octagon is 7.6 % of the radius inside it midway between two
 MAX_POINTS = 12  # points of a mesh or an ellipsoid
 CLOSE = 1e-3  # of a shape's size: what is missing of it then does not matter
-_DIRECTIONS = 400
+ROUND = 0.02  # of a wheel's radius: how far its tread may be from a circle
+_DIRECTIONS, _TURNS = 400, 72
 _NAME = re.compile(r"(.*) \(point \d+\)")
 
 
+class Wheel(NamedTuple):
+    """A round shape that a hinge turns about its own axis."""
+
+    axis: np.ndarray  # (3,) unit vector in the geom's frame
+    centre: np.ndarray  # (3,) m, on the axis, midway between the rims
+    radius: float  # m
+    half_width: float  # m, from the centre to each rim
+
+
+def wheel_of(model: Any, geom: int) -> Wheel | None:
+    """A shape as a wheel; None where no hinge of its body turns it about an axis around which it is round."""
+    mujoco, body = load_mujoco(), int(model.geom_bodyid[geom])
+    joint = int(model.body_jntadr[body])
+    if model.body_jntnum[body] != 1 or model.jnt_type[joint] != int(mujoco.mjtJoint.mjJNT_HINGE):
+        return None
+    T = pose(model.geom_pos[geom], model.geom_quat[geom])
+    axis, centre = T[:3, :3].T @ model.jnt_axis[joint], T[:3, :3].T @ (model.jnt_pos[joint] - T[:3, 3])
+    turns = 2.0 * np.pi * np.arange(_TURNS) / _TURNS
+    across = np.linalg.svd(axis[None])[2][1:]  # (2, 3), perpendicular to the axis
+    directions = np.stack([np.cos(turns), np.sin(turns)], axis=1) @ across
+    if model.geom_type[geom] == int(mujoco.mjtGeom.mjGEOM_CYLINDER):
+        radius, half = model.geom_size[geom][:2]
+        reach = radius * np.hypot(directions[:, 0], directions[:, 1]) + half * np.abs(directions[:, 2])
+        reach, rims = reach - directions @ centre, np.array([-half, half])
+    else:
+        surface = _surface(model, geom) - centre
+        reach, away = (surface @ directions.T).max(axis=0), np.linalg.norm(surface @ across.T, axis=1)
+        rims = (surface @ axis)[away >= (1.0 - ROUND) * away.max()] + centre @ axis
+    if np.ptp(reach) > ROUND * reach.max():
+        return None
+    middle = centre + axis * (0.5 * (rims.min() + rims.max()) - centre @ axis)
+    return Wheel(axis, middle, float(reach.max()), float(0.5 * np.ptp(rims)))
+
+
+def point_radius(model: Any, geom: int) -> float:
+    """Radius of the spheres around a shape's points, m; 0 of those that are points."""
+    if spheres := spheres_of(model, geom):
+        return spheres[0].radius
+    wheel = wheel_of(model, geom)
+    return 0.0 if wheel is None else wheel.radius
+
+
 def points_of(model: Any, geom: int) -> np.ndarray:
-    """(P, 3) points of a shape in the geom's frame; of a sphere and a capsule the centres."""
+    """(P, 3) points of a shape in the geom's frame; of a sphere and a capsule, and of a wheel, the centres."""
     kinds, size = load_mujoco().mjtGeom, model.geom_size[geom]
     if spheres := spheres_of(model, geom):
         return np.array([sphere.centre for sphere in spheres])
+    if (wheel := wheel_of(model, geom)) is not None:
+        return wheel.centre + np.outer([-wheel.half_width, wheel.half_width], wheel.axis)
     if model.geom_type[geom] == int(kinds.mjGEOM_CYLINDER):
         angles = 2.0 * np.pi * np.arange(RIM) / RIM
         rim = np.stack([size[0] * np.cos(angles), size[0] * np.sin(angles), np.full(RIM, size[1])], axis=1)
@@ -159,8 +206,7 @@ def add_points(
     `before` tells how many sets of points there are: one shape may have several, of several margins.
     """
     names, T = [], pose(model.geom_pos[geom], model.geom_quat[geom])
-    spheres = spheres_of(model, geom)
-    radius = margin + max(RADIUS, spheres[0].radius if spheres else 0.0)
+    radius = margin + max(RADIUS, point_radius(model, geom))
     for k, point in enumerate(points_of(model, geom)):
         names.append(f"{element.attrib['name']} (point {100 * before + k + 1})")
         ElementTree.SubElement(body, "geom", {

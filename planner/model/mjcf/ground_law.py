@@ -32,7 +32,7 @@ import numpy as np
 
 from planner.base.gl import load_mujoco
 from planner.model.contact.laws import ContactLaw
-from planner.model.mjcf.contact_shapes import meets_plane, plane_of, points_of, spheres_of
+from planner.model.mjcf.contact_shapes import meets_plane, plane_of, point_radius, points_of, spheres_of
 from planner.model.mjcf.model_index import ModelIndex, Pair
 
 DEEPEST = 0.1  # m: what sinks in further does not stand
@@ -186,8 +186,7 @@ class _Pose:
             flat, other = match
             plane = plane_of(self._survey, flat)
             normal = normal if plane is None else plane.normal
-            spheres = spheres_of(self._model, other)
-            radius = spheres[0].radius if spheres else 0.0
+            radius = point_radius(self._model, other)
             R = self._data.geom_xmat[other].reshape(3, 3)
             points.append(points_of(self._model, other) @ R.T + self._data.geom_xpos[other] - radius * normal)
         every = np.concatenate(points) if points else np.zeros((0, 3))

@@ -183,7 +183,8 @@ class TrackingCost(Term):
 
         A final weight of less than full rank asks for combinations alone: 1 on (a + b)^2 for the sum of two angles.
         """
-        weighed = np.flatnonzero(np.any(self.Q[-1], axis=0))
+        sizes = np.abs(self.Q[-1]).max(axis=0)
+        weighed = np.flatnonzero(sizes > _ROUNDING * sizes.max(initial=0.0))
         rows = _independent_rows(self.Q[-1][np.ix_(weighed, weighed)])
         found = []
         for row in rows:
@@ -223,6 +224,7 @@ class TrackingCost(Term):
         return Quadratic(Q, q, self.R, np.einsum("nij,nj->ni", self.R, us - self.u_ref))
 
 
+_ROUNDING = 1e-20  # of the largest weight: what is left of none after the steps of a Riccati equation
 _RANK_TOLERANCE = 1e-9  # of a weight relative to the diagonal of its components
 
 

@@ -129,6 +129,7 @@ def _forces(model: Any, w: np.ndarray, ctrl: np.ndarray, limits: str) -> tuple[n
     mujoco = load_mujoco()
     free = copy.copy(model)
     getattr(free, limits)[:] = 0
+    free.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONSTRAINT)  # no force of an actuator depends on contacts
     data = mujoco.MjData(free)
     forces, sums = np.empty((len(ctrl), model.nu)), np.empty((len(ctrl), model.nv))
     for i, u in enumerate(ctrl):

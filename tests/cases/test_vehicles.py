@@ -1,0 +1,114 @@
+"""Machines on wheels: what rolls, on which spheres, and goals in the plane that need steering."""
+
+import numpy as np
+import pytest
+from trees import mujoco
+
+import planner
+from planner.cases.problem_file import load
+from planner.dynamics.contacts import contact_forces
+from planner.dynamics.stance import rolling_dofs
+from planner.model.capabilities import rolling_radii
+from planner.model.mjcf.contact_shapes import ROUND, wheel_of
+from planner.problem.costs.tracking import tracking_of
+from planner.proof.diagnostics import suggested_fixes
+from planner.proof.skating import skating
+
+RADIUS, HALF = 0.06, 0.015  # m
+TYRES = {
+    "cylinder": f'type="cylinder" size="{RADIUS} {HALF}" euler="90 0 0"',
+    "mesh": 'type="mesh" mesh="tyre"',
+    "ellipsoid": f'type="ellipsoid" size="{RADIUS} {HALF} {RADIUS}"',
+}
+# A prism of 48 sides: its flats are 0.2 % of the radius inside its corners.
+TURNS = 2.0 * np.pi * np.arange(48) / 48
+PRISM = " ".join(
+    f"{RADIUS * np.cos(a):.8f} {y} {RADIUS * np.sin(a):.8f}" for y in (-HALF, HALF) for a in TURNS.tolist()
+)
+WHEEL = """<body name="{side}" pos="0 {y} 0"><joint name="{side}" axis="0 1 0" damping=".01"/>
+  <geom name="{side}" {tyre} mass=".2"/></body>"""
+
+
+def drive(tyre="cylinder"):
+    """A base on two wheels with a motor each, and two balls without friction before and behind."""
+    wheels = "".join(WHEEL.format(side=side, y=y, tyre=TYRES[tyre]) for side, y in (("left", 0.12), ("right", -0.12)))
+    balls = "".join(
+        f'<geom name="ball{x}" size=".02" pos="{x} 0 -.04" mass=".05" condim="1" priority="1"/>' for x in (-0.12, 0.12)
+    )
+    return f"""<mujoco><option timestep="0.002"/><asset><mesh name="tyre" vertex="{PRISM}"/></asset><worldbody>
+      <geom name="floor" type="plane" size="5 5 .1"/><body name="base" pos="0 0 {RADIUS}"><freejoint/>
+        <geom type="box" size=".15 .1 .03" mass="3" pos="0 0 .02"/>{balls}{wheels}</body></worldbody>
+      <actuator><motor joint="left" ctrlrange="-2 2"/><motor joint="right" ctrlrange="-2 2"/></actuator></mujoco>"""
+
+
+def task(folder, position, duration=2.5, more=""):
+    (folder / "drive.xml").write_text(drive(), encoding="utf-8")
+    lines = ['model = "drive.xml"', 'start = "home"', f"duration = {duration}", "[[goal]]", 'frame = "base"']
+    (folder / "drive.toml").write_text("\n".join([*lines, f"position = {position}", more]), encoding="utf-8")
+    return load(folder / "drive.toml").problem
+
+
+@pytest.mark.parametrize("tyre", TYRES)
+def test_a_wheel_rolls_on_spheres_that_touch_where_it_does(tyre):
+    machine, model = planner.Mechanism.from_mjcf(drive(tyre)), mujoco.MjModel.from_xml_string(drive(tyre))
+    found = wheel_of(model, model.geom("left").id)
+    assert found.radius == pytest.approx(RADIUS, rel=1e-3)
+    tread = np.sqrt(1.0 - (1.0 - ROUND) ** 2) if tyre == "ellipsoid" else 1.0  # of the width is as high as its middle
+    assert found.half_width == pytest.approx(tread * HALF, rel=0.05)
+    wheels = [machine.joint(side).start for side in ("left", "right")]
+    np.testing.assert_allclose(rolling_radii(machine)[wheels], found.radius)
+    assert np.count_nonzero(rolling_radii(machine)) == 2
+    mine = [k for k, contact in enumerate(machine.contacts) if contact.link in wheels]
+    data, rng = mujoco.MjData(model), np.random.default_rng(0)
+    for _ in range(10):  # level, turned about the vertical, the wheels anyhow
+        turn = rng.uniform(-3.0, 3.0)
+        q = np.concatenate([[0.0, 0.0, 0.1, np.cos(turn), 0.0, 0.0, np.sin(turn)], rng.uniform(-9.0, 9.0, 2)])
+        data.qpos[:] = q
+        mujoco.mj_kinematics(model, data)
+        true = mujoco.mj_geomDistance(model, data, model.geom("floor").id, model.geom("left").id, 1.0, None)
+        depths = contact_forces(machine, q, np.zeros(machine.nv)).depths[mine]
+        # of a prism the flats lie above the circle of its corners, as far as ROUND allows
+        assert -1e-5 <= true + depths.max() <= (ROUND * RADIUS if tyre == "mesh" else 1e-5)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [('axis="0 1 0"', 'axis="0 1 1"'), ('euler="90 0 0"', 'euler="90 0 0" pos=".01 0 0"'), ('euler="90 0 0"', "")],
+)
+def test_what_turns_about_another_axis_is_no_wheel(change):
+    model = mujoco.MjModel.from_xml_string(drive().replace(*change))
+    assert wheel_of(model, model.geom("left").id) is None
+
+
+def test_a_vehicles_wheels_and_place_have_no_pose_to_be_held_at(tmp_path):
+    problem = task(tmp_path, [0.8, 0.3, RADIUS])
+    machine = problem.dynamics.mechanism
+    np.testing.assert_array_equal(
+        np.flatnonzero(rolling_dofs(machine, problem.x0[: machine.nq])), [0, 1, 5]
+    )  # x, y, yaw
+    weights = np.diagonal(tracking_of(problem.cost).Q[-2])
+    wheels = [machine.joint(side).start for side in ("left", "right")]
+    np.testing.assert_array_equal(weights[[0, 1, 5, *wheels]], 0.0)
+    assert np.all(weights[[2, 3, 4]] > 0.0)  # its height and its tilt
+
+
+def test_a_vehicle_steers_to_a_goal_beside_it(tmp_path):
+    problem = task(tmp_path, [0.8, 0.3, RADIUS])
+    plan = planner.solve(problem)
+    assert plan.success, plan.message
+    assert plan.total_iterations <= 30  # 11 measured; on an octagon's corners it did not converge in 275
+    assert skating(plan, problem) == ()  # the balls are there to slide
+
+
+def test_a_goal_that_is_nearly_met_needs_weight_and_no_softer_contacts(tmp_path):
+    plan = planner.solve(task(tmp_path, [0.8, 0.3, RADIUS], more="[weights]\ngoal = 0.02\n"))
+    assert plan.status is planner.Status.GOAL_MISSED
+    assert "relaxation" not in plan.options
+    (fix,) = [one for one in suggested_fixes(plan) if one.key == "weights.goal"]
+    assert fix.value > 0.02
+
+
+@pytest.mark.slow
+def test_a_drive_straight_ahead_passes(tmp_path):
+    proof = planner.prove(planner.solve(task(tmp_path, [0.8, 0.0, RADIUS])), rollouts=0)
+    assert proof.passed, proof.reason
