@@ -337,6 +337,8 @@ def _effort(
     borne = np.zeros(mechanism.nv)  # N or N m: the control whose weight 1 / u^2 has the gain sqrt(Q / R) in the limit
     if gained is not None:
         borne = GAIN_SHARE * contact_stiffness(mechanism, goal[:nq]) / np.sqrt(gained)
+    swings = not (fully_actuated(dynamics) or stands_on_ground(mechanism))
+    swing = np.minimum([MIN_DISPLACEMENT[unit] for unit in units], 0.5 * np.ptp(mechanism.joint_range, axis=1))
     limits, known, moment = np.empty(dynamics.nu), [], actuator_moments(mechanism, x0[:nq])
     slopes = force_slopes(actuators, np.zeros(mechanism.nu), actuator_lengths(mechanism, x0[:nq]))
     servo, gain = slopes.by_length != 0.0, np.abs(slopes.gain)
@@ -348,6 +350,8 @@ def _effort(
         known.append(np.isfinite(limit))
         if not known[-1]:
             limit = float(np.max(force[push > 0.0] / push[push > 0.0], initial=0.0)) or 1.0
+        if servo[a] and swings:  # where it is told to go is not known: it is no force beyond a reference
+            limit = max(limit, float(np.min(swing[push > 0.0] / np.abs(moment[a, push > 0.0]), initial=np.inf)))
         limits[a] = min(limit, float(np.max(correction[push > 0.0] / push[push > 0.0], initial=0.0)) or limit)
         bears = (push > 0.0) & (borne > 0.0)
         limits[a] = min(limits[a], float(np.min(borne[bears] / push[bears], initial=np.inf)))

@@ -131,3 +131,23 @@ def test_arms_of_any_size_arrive_in_a_few_iterations(size):
     assert plan.success
     assert plan.nit <= 20  # issue: 3 to 15 on nine arms of others
     assert planner.prove(plan, rollouts=0).passed
+
+
+# A rocket that steers by its nozzle, which nothing asks to move: neither a force limit nor a reference says how far.
+ROCKET = """<mujoco><worldbody><body name="rocket"><freejoint/><geom type="cylinder" size=".1 .8" mass="10"/>
+  <body name="nozzle" pos="0 0 -.8"><joint name="gimbal" axis="0 1 0" {range} damping=".1" armature=".01"/>
+    <geom type="cylinder" size=".06 .1" pos="0 0 -.1" mass=".5"/><site name="thrust"/></body></body></worldbody>
+  <actuator><motor site="thrust" gear="0 0 1 0 0 0" ctrlrange="20 250"/><position joint="gimbal" kp="20" kv="2"/>
+  </actuator></mujoco>"""
+
+
+@pytest.mark.parametrize(("limited", "limit"), [('range="-12 12"', np.radians(12.0)), ("", 0.25)])
+def test_a_servo_of_a_machine_that_swings_may_move_its_joint(limited, limit):
+    """By half of its range, or the least displacement of a joint: 1e4 times what accelerates the nozzle alone."""
+    mechanism = planner.Mechanism.from_mjcf(ROCKET.format(range=limited), contacts="off")
+    dynamics = planner.RigidBodyDynamics(mechanism, 0.01)
+    weights = chosen(dynamics, [1.0], duration=3.0).weights
+    assert weights["effort"][1] == pytest.approx(1.0 / limit**2)
+    goals = planner.Goal("rocket", position=(1.0, 0.0, -1.0), orientation=(1.0, 0.0, 0.0, 0.0))
+    plan = planner.solve(planner.task(mechanism, mechanism.home, goals, duration=3.0))
+    assert plan.success, plan.message
