@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import math
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -19,6 +20,8 @@ from planner.control.judging import LoopVerdict, judge
 from planner.control.robustness_map import margins
 from planner.control.simulating import simulate
 from planner.control.window_parts import horizon_and_rate
+from planner.problem.goals import goals_of
+from planner.problem.problem import Problem
 from planner.proof.replays.compiled_twin import CompiledTwin
 from planner.proof.robustness.pushes import Push, pushed_step
 from planner.view.plots import draw_loop, save
@@ -115,7 +118,7 @@ def _timed(controller: Controller, rate: float | None, latency: float | None) ->
             f"--latency is {1e3 * latency:.3g} ms and {took}, expected at least that: write --latency "
             f"{1e3 * calls.latency:.3g}ms, or leave it out."
         )
-    latency = calls.latency if latency is None else latency
+    latency = latency_of(controller.problem, calls.latency) if latency is None else latency
     fits = fitting_rate(controller, calls.latency)
     if rate is not None and rate * calls.median > 1.0:
         raise PlannerError(
@@ -123,6 +126,16 @@ def _timed(controller: Controller, rate: float | None, latency: float | None) ->
             f"write --rate {fits:.4g}, or leave it out."
         )
     return controller.with_timing(fits if rate is None else rate, latency), calls
+
+
+def latency_of(problem: Problem, taken: float) -> float:
+    """The latency, s, of calls that take so long: whole stages where goals have times.
+
+    Goals at times lie at knots. A plan that begins between two knots has them beside it, by up to half a stage.
+    """
+    if all(one.times is None for one in goals_of(problem)):
+        return taken
+    return math.ceil(taken / problem.dynamics.dt - 1e-9) * problem.dynamics.dt
 
 
 def _advice(controller: Controller, calls: CallTimes, driven: Callable[[Controller], LoopVerdict]) -> str:

@@ -12,7 +12,7 @@ from places import ROOT
 
 import planner
 from planner.base.errors import PlannerError
-from planner.cli.driving import _advice
+from planner.cli.driving import _advice, latency_of
 from planner.control.call_times import CallTimes, fitting_rate
 from planner.control.judging import judge, passes_disturbed
 from planner.control.robustness_map import margins
@@ -242,6 +242,16 @@ def test_a_loop_that_fails_by_its_latency_alone_ends_with_the_flag_to_write(prob
     assert (fitting_rate(controller, 0.12), late.threaded) == (pytest.approx(1.0 / 0.15), True)  # stages of 0.05 s
     with pytest.raises(PlannerError, match="a call takes 3e"):
         fitting_rate(controller, 3.0)
+
+
+def test_goals_at_times_have_a_latency_of_whole_stages(problem):
+    dt = problem.dynamics.dt
+    assert latency_of(problem, 0.3 * dt) == 0.3 * dt
+    window = planner.load_problem("quadrotor")  # which it passes at a time
+    stage = window.dynamics.dt
+    np.testing.assert_allclose(
+        [latency_of(window, share * stage) for share in (0.3, 1.0, 1.2)], [stage, stage, 2 * stage]
+    )
 
 
 def test_the_section_of_calls_counts_those_over_their_period(controller):
