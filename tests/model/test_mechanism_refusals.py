@@ -203,7 +203,7 @@ def test_elements_that_cannot_act_are_no_reason_to_refuse():
 
 def test_contacts_are_taken_out_by_their_option_alone():
     text = plain(world='<geom name="floor" type="plane" size="1 1 1"/>')
-    with pytest.raises(PlannerError, match="contacts of geom 'floor' and geom number 1 and 1 more pairs"):
+    with pytest.raises(PlannerError, match="contacts of geom 'floor' and geom number 1 of body 'one' and 1 more pairs"):
         Mechanism.from_mjcf(text, contacts="model")
     with pytest.raises(PlannerError, match=r"contacts is 'on', expected one of: .* Did you mean 'model'\?"):
         Mechanism.from_mjcf(text, contacts="on")

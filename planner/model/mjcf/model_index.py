@@ -57,10 +57,11 @@ def compile_model(
 
 
 def named(model: Any, kind: str, index: int) -> str:
-    """An element for a sentence: "joint 'hip'", or its place where it has no name."""
+    """An element for a sentence: "joint 'hip'", or its place where it has no name, of a geom with its body's name."""
     mujoco = load_mujoco()
     name = mujoco.mj_id2name(model, getattr(mujoco.mjtObj, f"mjOBJ_{kind.upper()}"), index)
-    return f"{kind} {name!r}" if name else f"{kind} number {index}"
+    body = model.body(int(model.geom_bodyid[index])).name if kind == "geom" and not name else ""
+    return f"{kind} {name!r}" if name else f"{kind} number {index}" + (f" of body {body!r}" if body else "")
 
 
 def flag_bit(group: str, prefix: str, name: str) -> int:
