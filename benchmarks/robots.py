@@ -36,7 +36,8 @@ from robots_table import KINDS, MACHINES, Machine  # noqa: E402
 LIMIT = 120.0  # s for a machine
 PHYSICAL = (  # words of the reasons that lie in a machine or its file, and not in the planner
     "contradicts itself", "No plan stays at the goal", "does not balance by itself", "No duration lets the actuators",
-    "overlap or lie flush at the start", "overlap by", "equalities and ranges of the file together leave",
+    "overlap or lie flush at the start", "overlap by", "in the goal itself",
+    "equalities and ranges of the file together leave",
 )  # fmt: skip
 VERDICT = re.compile(r"^(PASS|FAIL)\b")
 CHILD = """

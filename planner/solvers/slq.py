@@ -207,9 +207,10 @@ def _with_cut(plan: Plan, budget: WorkBudget, fewer: bool, recorded: dict[str, A
         recorded["cut"] = Status.TIME_LIMIT.name
     if by_clock and plan.status is Status.INTERRUPTED:
         return replace(plan, status=Status.TIME_LIMIT)
-    if plan.status is Status.WORK_LIMIT or (fewer and plan.status is Status.MAX_ITERATIONS):  # of a relaxation, or here
+    if fewer and plan.status is Status.MAX_ITERATIONS:
+        plan = replace(plan, status=Status.WORK_LIMIT)
+    if plan.status is Status.WORK_LIMIT:  # of the solve, or of a relaxation after it
         recorded["cut"], recorded["work"] = Status.WORK_LIMIT.name, budget.whole.limit
-        return replace(plan, status=Status.WORK_LIMIT)
     return plan
 
 

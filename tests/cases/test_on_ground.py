@@ -6,6 +6,7 @@ import pytest
 import planner
 from planner.cases.plan_file import load_plan
 from planner.cases.problem_file import load
+from planner.cases.problem_file.ground_placement import STANCE_RAMP
 from planner.dynamics.contacts import contact_forces
 from planner.dynamics.statics import clearance
 from planner.model.mjcf.ground_law import REST_PENETRATION
@@ -67,6 +68,25 @@ def test_what_rests_is_put_down_from_any_height_unless_the_file_says_no(tmp_path
     # sinks by a quarter of 5 mm
     assert clearance(file.problem.dynamics.mechanism, file.problem.x0) == pytest.approx(height, abs=2.5e-3)
     assert [one for one in file.notes if one.startswith("start")] == ([note] if note else [])
+
+
+def test_feet_that_stay_stand_on_ground_that_is_hardly_smoothed(tmp_path):
+    usual = 0.2 * REST_PENETRATION  # a ground's ramp: a fifth of how deep the machine sinks in
+    file = loaded(tmp_path)
+    (law,) = {one.law for one in file.problem.dynamics.mechanism.contacts}
+    assert law.ramp == STANCE_RAMP
+    assert law.force_ramp == pytest.approx(
+        0.2 * law.stiffness * law.ramp, rel=1e-12
+    )  # its share of the ramp, as before
+    plan = planner.solve(file.problem, max_iterations=1)
+    plan.save(tmp_path / "p.npz")
+    assert load_plan(tmp_path / "p.npz").problem.dynamics.mechanism.contacts[0].law == law
+    parameters = file.problem.parameters
+    older = {name: value for name, value in parameters["resolved"].items() if name != "ramp"}
+    before = file.problem.recipe.build(**parameters | {"resolved": older})  # a plan that was made before there was one
+    away = loaded(tmp_path, goal="{ root = [0.2, 0, -0.95, 1, 0, 0, 0] }")  # the balls have to go by 20 cm
+    for problem in (before, away.problem):
+        assert problem.dynamics.mechanism.contacts[0].law.ramp == pytest.approx(usual, rel=1e-12)
 
 
 def test_a_goal_that_settles_to_the_start_is_the_start(tmp_path):

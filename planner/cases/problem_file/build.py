@@ -58,8 +58,8 @@ from planner.base.errors import PlannerError
 from planner.base.packaged import problem_files
 from planner.cases.problem_file.constraints import constraints_of
 from planner.cases.problem_file.feasibility_checks import check_goal_controllable, check_goal_differs
-from planner.cases.problem_file.ground_placement import place_on_ground
-from planner.cases.problem_file.keys import REQUIRED, RESOLVED
+from planner.cases.problem_file.ground_placement import place_on_ground, stance_ramp, with_ramp
+from planner.cases.problem_file.keys import RAMP, REQUIRED, RESOLVED
 from planner.cases.problem_file.machine import folders_of, machine_of, prescribed_of
 from planner.cases.problem_file.reference_guess import ReferenceTrajectory, first_guess
 from planner.cases.problem_file.states import state_of, states_of
@@ -257,6 +257,9 @@ def _problem(
         table = table | {"contacts": mechanism.contacts_mode}  # a stored model has but one mode left
     x0, goal, notes = place_on_ground(mechanism, table, x0, goal)
     x0, goal, stops = _off_stops(mechanism, table, x0, goal)
+    build = partial(again, mechanism, *constraints)
+    ramp = None if tasked or steps_of(table) else stance_ramp(mechanism, table, x0, goal)
+    mechanism = with_ramp(mechanism, ramp)
     prescribed = prescribed_of(table, mechanism)
     table, substeps, reasons = with_step(table, mechanism, prescribed, (x0, goal))
     table, N = checked_values(table)
@@ -304,7 +307,7 @@ def _problem(
         along = ReferenceTrajectory(None, rows, direct=True, walks=True)
     elif way is not None and way.gait:
         reasons["gait"] = way.gait
-    table = _resolved(table, dynamics, x0, goal, reasons, way, limits, along)
+    table = _resolved(table, dynamics, x0, goal, reasons, way, limits, along, ramp)
     weights = table[RESOLVED]["weights"]
     wanted = None
     if way is None:
@@ -317,7 +320,7 @@ def _problem(
     appearance = default_appearance(mechanism, prescribed)
     appearance = with_marks(appearance, None if way is None else way.task, kept)
     problem = Problem(
-        dynamics, cost, x0, recipe=Recipe(NAME, table, partial(again, mechanism, *constraints)),
+        dynamics, cost, x0, recipe=Recipe(NAME, table, build),
         appearance=replace(appearance, title=table["title"] or appearance.title),
         limits=limits, constraints=kept, goal_specs=wanted,
         tolerance=None if tasked else table["tolerance"], expected_reduction_tolerance=DECREASE,
@@ -349,7 +352,7 @@ def _off_stops(
 
 def _resolved(
     table: dict[str, Any], dynamics: RigidBodyDynamics, x0: np.ndarray, goal: np.ndarray, reasons: dict[str, str],
-    way: ResolvedTask | None, limits: Limits | None, along: ReferenceTrajectory | None,
+    way: ResolvedTask | None, limits: Limits | None, along: ReferenceTrajectory | None, ramp: float | None,
 ) -> dict[str, Any]:  # fmt: skip
     """The table with what was chosen by itself: weights and their reasons. A stored plan has them already."""
     if RESOLVED in table:
@@ -367,4 +370,5 @@ def _resolved(
     filled = {name: weight.tolist() for name, weight in default.weights.items() if name not in given}
     reasons = reasons | {name: reason for name, reason in default.reasons.items() if name not in given}
     waypoints = {} if way is None or not way.waypoints else {WAYPOINTS: list(way.waypoints)}
-    return table | {RESOLVED: {"weights": {**filled, **given}, "reasons": reasons, **waypoints}}
+    ramps = {} if ramp is None else {RAMP: ramp}
+    return table | {RESOLVED: {"weights": {**filled, **given}, "reasons": reasons, **waypoints, **ramps}}

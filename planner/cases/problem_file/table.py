@@ -11,7 +11,7 @@ from typing import Any
 from planner.base.arguments import choice, count, did_you_mean, number, numbers, short_repr
 from planner.base.errors import FileError, PlannerError
 from planner.base.files import printable, read_text
-from planner.cases.problem_file.keys import AVOID, DEFAULTS, KEYS, LIMITS, MODEL_LIMITS, RESOLVED, WEIGHTS
+from planner.cases.problem_file.keys import AVOID, DEFAULTS, KEYS, LIMITS, MODEL_LIMITS, RAMP, RESOLVED, WEIGHTS
 from planner.cases.problem_file.reference_guess import GUESSES
 from planner.dynamics.rigid_body import MAX_SUBSTEPS
 from planner.problem.costs.goal_spec import checked_tolerance, stored_tolerance
@@ -76,7 +76,7 @@ def with_defaults(table: dict[str, Any], where: str, stored: bool = False) -> di
     """
     check_keys(table, (*KEYS, RESOLVED) if stored else KEYS, where)
     for name, keys in (
-        ("weights", WEIGHTS), ("limits", LIMITS), ("avoid", AVOID), (RESOLVED, ("weights", "reasons", WAYPOINTS)),
+        ("weights", WEIGHTS), ("limits", LIMITS), ("avoid", AVOID), (RESOLVED, ("weights", "reasons", WAYPOINTS, RAMP)),
     ):  # fmt: skip
         part = table.get(name, {})
         if not isinstance(part, dict):
@@ -101,6 +101,8 @@ def _check_resolved(resolved: dict[str, Any], where: str) -> None:
     if "effort" not in resolved["weights"]:
         raise PlannerError(f"[{RESOLVED}.weights] of {where} has no key 'effort', expected a weight of the controls.")
     numbers("a waypoint of the plan", resolved.get(WAYPOINTS, []))
+    if RAMP in resolved:
+        number("the ramp of the plan", resolved[RAMP], greater_than=0.0)
     for name, reason in resolved["reasons"].items():
         if not isinstance(reason, str):
             raise PlannerError(f"the reason for {short_repr(name)} is {short_repr(reason)}, expected a sentence.")

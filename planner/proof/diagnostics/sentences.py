@@ -5,13 +5,12 @@
 
 from __future__ import annotations
 
-_NO_KEY = "no key of the problem is known to help"
-
 SENTENCES = {
     # The goal and the ground
     "goal_unbalanced": "No plan stays at the goal, which is put on the ground, where it does not balance: {cause}",
-    "falls": f"The machine loses its balance: an error grows as exp({{rate:.3g}} t), t in s, and with the plan's gains "
-    f"it becomes {{share:.3g}} times what passes; {_NO_KEY}",
+    "falls": "The machine loses its balance: an error grows as exp({rate:.3g} t), t in s, and with the plan's gains it "
+    "becomes {share:.3g} times what passes. No key is known to help: begin with a goal nearer to the start, or write a "
+    "`start` and a `goal` with the centre of mass over the middle of the feet.",
     # Shapes
     "ground_removed": '{pair} collide, and contacts = "off" removes the ground',
     "start_collides": "Another `start` is needed, or a model that excludes the pair: at the start {pair} overlap by "
@@ -61,7 +60,7 @@ SENTENCES = {
     "minimum.",
     "saddle": "The solve ended where the gradient vanishes, and in one direction the cost still falls, by a curvature "
     "of {curvature:.3g}: ask `planner prove --feasible`, for which the plan need not be a minimum.",
-    "unknown": f"For {{failed}} {_NO_KEY}; docs/questions.md has what others met.",
+    "unknown": "For {failed} no key of the problem is known to help; docs/questions.md has what others met.",
     # The stage
     "first_order": "with {integrator} plan and MuJoCo differ by {share} what passes, an error of first order",
     "stage_too_long": "at {dt:.4g} plan and MuJoCo differ by {share} what passes, an error that falls with the power "
