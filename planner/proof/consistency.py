@@ -35,6 +35,7 @@ from planner.solvers.uncertain_ground import has_uncertain_ground, robust_gains
 BOUND = 1e-9  # relative; a plan and its file agree to rounding
 GAIN_BOUND = 1e-6  # relative; rounding error of a Riccati sweep over unstable stages
 _LAST_DIGITS = 1e-13  # relative rounding errors of states and controls: sums over a tree of links leave 13 of 16 digits
+_LAST_STEP = 1e-8  # rad, m: by how much the last step of a converged solve may move a state
 _MARGIN = 30.0  # ratio of the largest of many rounding errors to a sampled one
 _MAX_ROUNDING_SHARE = 1e-3  # upper limit of a bound from rounding, relative
 _MAX_GAINS = 0.25  # upper limit of a gain bound, relative: half of an LQ regulator's margin, which is 1/2
@@ -57,13 +58,21 @@ class Recomputed(NamedTuple):
 def recomputed(
     plan: Plan, problem: Problem, xs: np.ndarray, us: np.ndarray, rng: np.random.Generator | None = None
 ) -> Recomputed:
-    """At states xs (N+1, nx) and controls us (N, nu); with a rng, the sweep's Jacobians have random rounding errors."""
+    """At states xs (N+1, nx) and controls us (N, nu).
+
+    With a rng, the sweep's Jacobians have random rounding errors, and the bounds of states those of a last step: whether
+    a state that lies on its bound without force counts as beyond it is anybody's guess.
+    """
     with np.errstate(all="ignore"):  # a plan may contain any numbers; a NaN passes no bound
         defects = plan.space.difference(problem.dynamics.step(xs[:-1], us), xs[1:])
         A, B = problem.dynamics.linearize(xs, us)
         quadratic: Quadratic = problem.cost.quadratize(xs, us)
         if plan.bound_penalties is not None and problem.trajectory_constraints is not None:
-            quadratic = problem.trajectory_constraints.with_penalties(plan.bound_penalties, quadratic, xs, us, A, B)
+            penalties = plan.bound_penalties
+            if rng is not None:
+                shift = _LAST_STEP * rng.uniform(-1.0, 1.0, penalties.lower.shape)
+                penalties = penalties._replace(lower=penalties.lower + shift, upper=penalties.upper + shift)
+            quadratic = problem.trajectory_constraints.with_penalties(penalties, quadratic, xs, us, A, B)
         moves = None if problem.bounds is None else problem.bounds.step_bounds(xs, us)
         norm = float(np.linalg.norm(lq.projected(lq.reduced_gradient(A, B, quadratic, moves), moves)))
         known = np.isfinite(A).all() and np.isfinite(B).all() and quadratic.finite

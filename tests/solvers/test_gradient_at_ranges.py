@@ -1,10 +1,13 @@
 """The gradient of a plan that leans on its ranges is that of the penalties that are active along it."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
+from carts import cart
 
 import planner
-from planner.proof.consistency import recomputed
+from planner.proof.consistency import GAIN_BOUND, consistency, recomputed
 
 # Anchor in the link before, m, axis, mass, kg, of an arm of seven joints.
 LINKS = (
@@ -43,3 +46,23 @@ def test_the_gradient_is_that_of_the_plan(seed):
     plan = planner.solve(problem)
     again = recomputed(plan, problem, plan.xs, plan.us)
     assert plan.gradient_norm == pytest.approx(again.gradient_norm, rel=1e-8)  # rounding of sums of 1e-16
+
+
+@pytest.mark.parametrize(("away", "passes"), [(1e-9, True), (1e-4, False)])
+def test_gains_may_count_a_state_on_its_bound_as_beyond_it_or_not(away, passes):
+    """Without a force there the plan is the same; the gains differ, by whether the bound would push back."""
+    problem = cart(20, position={"rail": (-5.0, 5.0)})
+    plan = planner.solve(problem)
+    given, k = plan.bound_penalties, 8
+    place = problem.ranges.deviations(plan.xs)[k, 0]
+
+    def with_bound(at):
+        lower, weight = given.lower.copy(), given.weight.copy()
+        lower[k, 0], weight[k, 0] = at, 10.0
+        return replace(plan, bound_penalties=given._replace(lower=lower, weight=weight))
+
+    inside, beyond = with_bound(place - away), with_bound(place + away)
+    gains = [recomputed(one, problem, one.xs, one.us).gains for one in (inside, beyond)]
+    assert np.abs(gains[0] - gains[1]).max() > 100.0 * GAIN_BOUND * np.abs(gains[0]).max()
+    section = consistency(replace(inside, K=gains[1]), problem, recomputed(inside, problem, plan.xs, plan.us))
+    assert ("gain_error" not in {one.name for one in section.failures}) == passes
