@@ -1,5 +1,8 @@
 """Relaxation: where a direct solve ends without success, solve an easier problem and follow its plan to the asked one.
 
+A guess may be a saddle: a car that is to go sideways gets nowhere by any small change of its controls from rest. Where
+a solve converges as far from its goals as it began, it begins again from slightly shaken controls.
+
 With contacts the easier problem has softer ones (solvers.softer_contacts): sinking ten times as deep, then less and
 less. Where objects are to be moved that nothing touches it has forces at a distance instead, from afar and then from
 nearer. Softer ones are also tried where a direct solve has not converged after MAX_QUICK_ITERATIONS; that goes on only
@@ -32,6 +35,7 @@ from planner.problem.problem import Problem
 from planner.problem.rediscretize import lengthened, rounded_duration
 from planner.problem.trajectory import Trajectory
 from planner.solvers.continuation import Continuation
+from planner.solvers.multistart import smooth
 from planner.solvers.options import DEFAULT, SolverOptions
 from planner.solvers.softer_contacts import DistantContacts, SofterContacts, has_softer
 from planner.solvers.warm_start import tracked_warm_start
@@ -47,6 +51,7 @@ SAME_COST = 1e-3  # relative difference of the costs below which two of them are
 LENGTHENING = 1.1  # ratio of successive durations
 MAX_DURATIONS = 8  # number of them: up to 2.1 times
 NEAR = 0.1  # of the largest error of a goal along a plan: what misses it by less needs weight, not another motion
+SHAKE = 0.01  # of each control's limit
 _UNSUCCESSFUL = (Status.MAX_ITERATIONS, Status.NO_DESCENT, Status.OUTSIDE_LIMITS)
 
 # One solve from states (N+1, nx) or None, penalties or None, and controls (N, nu), with an iteration limit.
@@ -57,7 +62,7 @@ class RelaxationStep(NamedTuple):
     """One solve of a relaxation."""
 
     number: int  # Counted from 0
-    stage: str  # "direct", "distance", "contacts", "resumed", "free", "limits", "swing" or "duration"
+    stage: str  # "direct", "shaken", "distance", "contacts", "resumed", "free", "limits", "swing" or "duration"
     factor: float  # By which contacts sink deeper, or limits are wider; inf without limits
     duration: float  # s
     cost: float
@@ -82,7 +87,9 @@ def is_trapped(problem: Problem, plan: Plan, options: SolverOptions) -> bool:
     """Whether a direct solve ended without success at its limits, or with contacts and far from its goals."""
     if not (_is_relaxed(problem, options) and _failed(plan)):
         return False
-    return at_limits(problem, plan) or (has_softer(problem) and not _lacks_weight(problem, plan))
+    if at_limits(problem, plan) or _stays_away(problem, plan):
+        return True
+    return has_softer(problem) and not _lacks_weight(problem, plan)
 
 
 def direct_iterations(problem: Problem, options: SolverOptions) -> int:
@@ -109,6 +116,28 @@ def _lacks_weight(problem: Problem, plan: Plan) -> bool:
         if not one.miss(plan.t, plan.xs) <= max(one.tolerance, farthest):
             return False
     return True
+
+
+def _stays_away(problem: Problem, plan: Plan) -> bool:
+    """Whether a converged plan ends as far from a goal as it begins."""
+    if plan.status is not Status.CONVERGED:
+        return False
+    for one in goals_of(problem, plan.xs):
+        if one.times is None and np.isfinite(one.tolerance):
+            begins, ends = (float(one.error(x[None])[0]) for x in plan.xs[[0, -1]])
+            if begins > one.tolerance and ends >= (1.0 - NEAR) * begins:
+                return True
+    return False
+
+
+def _shaken(problem: Problem) -> np.ndarray:
+    """The first guess (N, nu) and a smooth random function of SHAKE of each control's limit, the same each time."""
+    us = problem.first_guess
+    sizes = np.maximum(np.abs(us).max(axis=0), 1.0)
+    if problem.bounds is not None:
+        widths = 0.5 * np.ptp([problem.bounds.lower, problem.bounds.upper], axis=0).reshape(-1, us.shape[1]).min(axis=0)
+        sizes = np.where(np.isfinite(widths), widths, sizes)
+    return us + SHAKE * sizes * smooth(np.random.default_rng(0), us.shape)
 
 
 def relax(
@@ -163,6 +192,15 @@ class _Relaxation:
     def run(self, direct: Plan) -> Plan:
         problem, limit = self.problem, self.options.max_iterations
         self._report("direct", 1.0, direct, not _failed(direct))
+        if _stays_away(problem, direct) and not self._distant():
+            allowed = self._allowed(problem, limit)
+            plan = self.solve_one(problem, self.options, None, None, _shaken(problem), allowed, None)
+            if self._report("shaken", 1.0, plan, not _failed(plan)) or (
+                plan.status is Status.CONVERGED and plan.cost < direct.cost
+            ):
+                direct = replace(plan, starts=direct.starts)
+                if not is_trapped(problem, direct, self.options):
+                    return direct
         if has_softer(problem):
             plan = self._by_forces_at_a_distance() if _failed(direct) else None
             plan = plan or self._by_softer_contacts()
@@ -192,11 +230,15 @@ class _Relaxation:
             self.passing["duration"] = duration
         return replace(direct, status=Status.INFEASIBLE)
 
+    def _distant(self) -> bool:
+        """Whether objects are to be moved that nothing touches: no motion nearby reaches them."""
+        return has_softer(self.problem) and DistantContacts(self.problem).factor > 1.0
+
     def _by_forces_at_a_distance(self) -> Plan | None:
         """The plan of the problem that one whose objects feel their pushers from afar leads to, else None."""
-        family = DistantContacts(self.problem)
-        if family.factor <= 1.0:
+        if not self._distant():
             return None
+        family = DistantContacts(self.problem)
         first = self._solve(family.at(family.factor), None, FIRST_ITERATIONS)
         if not self._report("distance", family.factor, first, _meets_goals(first)):
             return None

@@ -112,3 +112,12 @@ def test_a_goal_that_is_nearly_met_needs_weight_and_no_softer_contacts(tmp_path)
 def test_a_drive_straight_ahead_passes(tmp_path):
     proof = planner.prove(planner.solve(task(tmp_path, [0.8, 0.0, RADIUS])), rollouts=0)
     assert proof.passed, proof.reason
+
+
+def test_a_goal_straight_beside_a_vehicle_is_reached_from_shaken_controls(tmp_path):
+    """From rest no small change of the wheels' torques moves it sideways: the first guess is a saddle."""
+    plan = planner.solve(task(tmp_path, [0.0, 0.3, RADIUS], duration=3.0))
+    np.testing.assert_allclose(plan.xs[-1, :2], [0.0, 0.3], atol=0.005)
+    steps = plan.options["relaxation"]["steps"]
+    assert [step[0] for step in steps] == ["direct", "shaken"]
+    assert plan.total_iterations <= 60
