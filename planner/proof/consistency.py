@@ -60,8 +60,8 @@ def recomputed(
 ) -> Recomputed:
     """At states xs (N+1, nx) and controls us (N, nu).
 
-    With a rng, the sweep's Jacobians have random rounding errors, and the bounds of states those of a last step: one that
-    lies on its bound without force may count as beyond it or not.
+    With a rng, the sweep's Jacobians have random rounding errors, and bounds of states those of a last step: a
+    state that lies on its bound without force may count as beyond it or not.
     """
     with np.errstate(all="ignore"):  # a plan may contain any numbers; a NaN passes no bound
         defects = plan.space.difference(problem.dynamics.step(xs[:-1], us), xs[1:])

@@ -18,7 +18,7 @@ from planner.dynamics import RigidBodyDynamics
 from planner.dynamics.inverse_kinematics import Target
 from planner.dynamics.kinematics import frame_pose, jacobian
 from planner.kernels.tree.mechanism_table import chain_of
-from planner.model.capabilities import ballistic_dofs
+from planner.model.capabilities import ballistic_dofs, rolling_radii
 from planner.model.coordinates import coordinates_of_mechanism
 from planner.model.mechanism import Mechanism
 from planner.problem.costs.frame import FrameCost
@@ -121,7 +121,12 @@ def task_goal_specs(task: Task, x0: np.ndarray) -> tuple[GoalSpec, ...]:
     if task.rests:
         nv, states = mechanism.nv, slice(mechanism.nq, mechanism.nq + mechanism.nv)
         stopped = np.flatnonzero(~ballistic_dofs(mechanism, x0))
-        found += [GoalSpec(*coordinates[nv + i], partial(_abs_velocity, states.start + int(i))) for i in stopped]
+        radii = rolling_radii(mechanism)
+        for i in stopped:
+            name, unit = coordinates[nv + i]
+            # A wheel is at rest where its rim is, as the machine on it.
+            name, unit, size = (f"{name} at its rim", "m/s", radii[i]) if radii[i] > 0.0 else (name, unit, 1.0)
+            found.append(GoalSpec(name, unit, partial(_abs_velocity, states.start + int(i), size)))
     return tuple(found)
 
 
@@ -184,8 +189,8 @@ def _joint_error(addresses: np.ndarray, points: np.ndarray, xs: np.ndarray) -> n
     return np.abs(xs[:, addresses] - points).max(axis=1)
 
 
-def _abs_velocity(address: int, xs: np.ndarray) -> np.ndarray:
-    return np.abs(xs[:, address])
+def _abs_velocity(address: int, size: float, xs: np.ndarray) -> np.ndarray:
+    return size * np.abs(xs[:, address])
 
 
 def _where_finite(mechanism: Mechanism, xs: np.ndarray, error_of: Any) -> np.ndarray:
