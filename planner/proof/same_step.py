@@ -182,8 +182,8 @@ def stage_function(
         model.dof_armature[:] += dt * damping
         model.dof_M0[:] += dt * damping
     if known.form == ROSENBROCK and damping is not None and not len(driven):
-        exact = None if constrained is None else functools.partial(constrained_acceleration, mechanism=constrained)
-        move = implicit_step(model, dt, damping, acceleration=exact)
+        own = None if constrained is None else functools.partial(constrained_acceleration, mechanism=constrained)
+        move = implicit_step(model, dt, damping, acceleration=own)
 
         def implicit(x: np.ndarray, u: np.ndarray) -> np.ndarray:
             begin(x, u)
