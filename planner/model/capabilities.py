@@ -107,7 +107,7 @@ def stands_on_ground(mechanism: Mechanism) -> bool:
 def rolling_radii(mechanism: Mechanism) -> np.ndarray:
     """(nv,) m, radius at which each hinge rolls on the ground; 0 of those that do not.
 
-    A wheel: every contact of its link is a sphere whose centre is on the hinge's axis.
+    A wheel: a hinge without a range, and every contact of its link is a sphere whose centre is on its axis.
     """
     radii = np.zeros(mechanism.nv)
     for link in {contact.link for contact in mechanism.contacts if contact.law.friction > 0.0}:
@@ -115,7 +115,8 @@ def rolling_radii(mechanism: Mechanism) -> np.ndarray:
         spheres = [contact for contact in mechanism.contacts if contact.link == link]
         off = max(float(np.linalg.norm(shift + np.cross(turn, one.centre))) for one in spheres)
         radius = min(one.radius for one in spheres)
-        if mechanism.kind[link] == SCREW and np.any(turn) and off <= ON_AXIS * radius:
+        turns = mechanism.kind[link] == SCREW and np.any(turn) and np.all(np.isinf(mechanism.joint_range[link]))
+        if turns and off <= ON_AXIS * radius:
             radii[link] = radius
     return radii
 

@@ -80,6 +80,12 @@ def test_what_turns_about_another_axis_is_no_wheel(change):
     assert wheel_of(model, model.geom("left").id) is None
 
 
+def test_a_hinge_with_a_range_is_no_wheel():
+    """A round foot on an ankle: it has a pose to be held at."""
+    machine = planner.Mechanism.from_mjcf(drive().replace('damping=".01"', 'damping=".01" range="-90 90"'))
+    assert not rolling_radii(machine).any()
+
+
 def test_a_vehicles_wheels_and_place_have_no_pose_to_be_held_at(tmp_path):
     problem = task(tmp_path, [0.8, 0.3, RADIUS])
     machine = problem.dynamics.mechanism
