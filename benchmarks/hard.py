@@ -1,104 +1,129 @@
-"""Hard problems from random starts: the share solved within the goal, and the median time, with and without relaxation.
+"""Hard problems from random starts: the share solved within the goal and the median penalized time, beside peers.
 
-    python benchmarks/hard.py [--starts 20] [--only cart-1] [--seed 7]
+    python benchmarks/hard.py [--starts 20] [--only cart] [--seed 7] [--peer PYTHON] [--json FILE]
 
-Half of the starts are the same at each run, the others are drawn anew from a seed that is printed. A start is a smooth
-random change of zero controls with the size of their limits. A solve counts where it converges within the goal's
-tolerance; one that does not counts ten times the longest solve of its row. Processor time, one thread.
+The problems are those of hard_problems.py. Half of the starts are the same at each run, the others are drawn anew from
+a seed that is printed. A start is a smooth random change of the first controls. All solvers have the same cost, start
+and stop. A start is solved where the controls, within their bounds, bring our rollout to the goal within its tolerance
+and within the bounds of the states, in at most LIMIT seconds of processor time (one thread); one that is not counts
+PENALTY times LIMIT. The peers, from the environment of PYTHON (see README.md), are Crocoddyl's BoxFDDP (FDDP without
+bounds; it knows no bounds of states) and the CSQP of mim_solvers.
 """
 
 from __future__ import annotations
 
 import argparse
-import time
-from collections.abc import Callable
-from dataclasses import replace
+import json
+import statistics
+import sys
+from pathlib import Path
+from typing import Any
 
 import numpy as np
+from hard_problems import OWN, STATED
+from problems import SINGLE_THREAD
+from serving import Worker
 
-import planner
-from planner.solvers.multistart import smooth
-
-POLE = """<body pos="{at}"><joint name="pole{i}" axis="0 1 0" damping="0.01"/>
-<geom type="capsule" size="0.02" mass="0.2" fromto="0 0 0 0 0 -0.5"/>"""
-PENALTY = 10.0  # times the longest solve, for one that is not solved
-DT = 0.02
-
-
-def swing_up(
-    poles: int, limit: float, duration: float, driven: str = "slider", rail: float = np.inf
-) -> planner.Problem:
-    """Poles in series on a cart, or without one where the first or the last pole is driven, from hanging to upright."""
-    cart = driven == "slider"
-    text = "".join(POLE.format(i=i, at="0 0 -0.5" if i else "0 0 0") for i in range(poles)) + poles * "</body>"
-    if cart:
-        joint = '<joint name="slider" type="slide" axis="1 0 0" damping="0.05"/><geom size="0.1" mass="1"/>'
-        text = f"<body>{joint}{text}</body>"
-    flag = '<flag contact="disable"/>'
-    motor = f'<actuator><motor joint="{driven}"/></actuator>'
-    machine = planner.Mechanism.from_mjcf(
-        f"<mujoco><option>{flag}</option><worldbody>{text}</worldbody>{motor}</mujoco>"
-    )
-    N, n = round(duration / DT), poles + cart
-    goal = np.zeros(2 * n)
-    goal[int(cart)] = np.pi
-    weights = {"final_position": 1e4, "final_velocity": 1e3, "effort": 1.0 / limit**2}
-    cost = planner.TrackingCost.joints(machine, goal, N, dt=DT, **weights)
-    ranges = {"slider": (-rail, rail)} if np.isfinite(rail) else None
-    limits = planner.Limits(control=limit, position=ranges)
-    return planner.Problem(planner.RigidBodyDynamics(machine, DT, "rk4"), cost, np.zeros(2 * n), limits=limits)
-
-
-PROBLEMS: dict[str, Callable[[], planner.Problem]] = {
-    "pendulum, 0.25 N m, 4 s": lambda: swing_up(1, 0.25, 4.0, "pole0"),
-    "pendulum, 0.15 N m, 5 s": lambda: swing_up(1, 0.15, 5.0, "pole0"),
-    "pendulum, 0.10 N m, 7 s": lambda: swing_up(1, 0.10, 7.0, "pole0"),
-    "cart-1, 5 N, 2.5 s": lambda: swing_up(1, 5.0, 2.5),
-    "cart-1, 3 N, 4 s, rail": lambda: swing_up(1, 3.0, 4.0, rail=0.4),
-    "cart-2, 20 N, 2 s": lambda: swing_up(2, 20.0, 2.0),
-    "cart-2, 12 N, 3 s, rail": lambda: swing_up(2, 12.0, 3.0, rail=0.6),
-    "cart-3, 40 N, 2.5 s": lambda: swing_up(3, 40.0, 2.5),
-    "acrobot, 1 N m, 4 s": lambda: swing_up(2, 1.0, 4.0, "pole1"),
-    "pendubot, 1 N m, 4 s": lambda: swing_up(2, 1.0, 4.0, "pole0"),
-}
+LIMIT = 10.0  # s
+PENALTY = 10.0
+PEERS = {"fddp": "Crocoddyl", "csqp": "mim_solvers"}
 
 
 def main() -> None:
-    """One line per problem and way."""
-    parser = argparse.ArgumentParser(description=__doc__)
+    """One line per problem and solver, then the sums."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--starts", type=int, default=20)
-    parser.add_argument("--only", default="")
+    parser.add_argument("--only", default="", help="problems whose names begin with this")
     parser.add_argument("--seed", type=int, default=None)
+    parser.add_argument("--peer", help="Python that has Crocoddyl and mim_solvers")
+    parser.add_argument("--solvers", nargs="+", choices=PEERS, default=list(PEERS), help="of that environment")
+    parser.add_argument("--json", type=Path, help="file for one row per problem and solver")
     options = parser.parse_args()
     drawn = int(np.random.SeedSequence(options.seed).entropy) % 2**32  # pyright: ignore[reportArgumentType]
     print(f"{options.starts} starts, half of them of seed {drawn}")
-    for name, build in PROBLEMS.items():
+    workers = {"ours": _worker(sys.executable, "ours")}
+    if options.peer:
+        workers |= {name: _worker(options.peer, name) for name in options.solvers}
+    rows = []
+    for name in [*STATED, *OWN]:
         if name.startswith(options.only):
-            problem = build()
-            planner.solve(problem, max_iterations=1)  # compiled
-            for way, homotopy in (("direct", False), ("relaxed", True)):
-                _measure(f"{name}, {way}", problem, homotopy, options.starts, drawn)
+            for row in measured(name, workers, options.starts, drawn, options.peer):
+                rows.append(row)
+                times = f"median {row['median']:8.3f} s, of the solved {row['median_solved']:8.3f} s"
+                counts = f"{row['solved']:3d} of {row['starts']}"
+                print(f"{name:40s} {row['solver']:6s} {counts}, {times}  {row['ended']}", flush=True)
+    summary(rows)
+    if options.json:
+        options.json.write_text(json.dumps(rows, indent=1), encoding="utf-8")
 
 
-def _measure(name: str, problem: planner.Problem, homotopy: bool, starts: int, drawn: int) -> None:
-    """Solve from all starts and print."""
-    assert problem.bounds is not None
-    settings, seconds, solved = planner.SolverOptions(homotopy=homotopy), list[float](), list[bool]()
-    durations = 0
+def _worker(python: str, solver: str) -> Worker:
+    worker = Worker(python, "hard_worker.py", SINGLE_THREAD, solver, solver)
+    if "version" not in worker.hello:
+        sys.exit(f"{solver}: {worker.hello}")
+    return worker
+
+
+def measured(name: str, workers: dict[str, Worker], starts: int, drawn: int, python: str) -> list[dict[str, Any]]:
+    """One row a solver."""
+    stated = STATED[name]() if name in STATED else None
+    known = ["ours"] if stated is None else [one for one in workers if one != "fddp" or stated["states"] is None]
+    for one in known:
+        answer = workers[one].ask("load", stated=stated, name=name)
+        if "failed" in answer:
+            sys.exit(f"{name}, {one}: {answer['failed']}")
+    found: dict[str, list[dict[str, Any]]] = {one: [] for one in known}
     for k in range(starts):
-        rng = np.random.default_rng([k % 2 * drawn, k])
-        us = problem.bounds.upper * smooth(rng, (problem.N, problem.dynamics.nu))
-        began = time.process_time()
-        plan = planner.solve(replace(problem, us=us), settings)
-        seconds.append(time.process_time() - began)
-        solved.append(plan.success and not plan.missed_goals)
-        durations += "duration" in plan.options.get("relaxation", {})
-    worst = PENALTY * max(seconds)
-    median = np.median([one if ok else worst for one, ok in zip(seconds, solved, strict=True)])
-    print(
-        f"{name}: {sum(solved)} of {starts} solved, {durations} name a longer duration that passes, "
-        f"median penalized time {median:.2f} s", flush=True,
-    )  # fmt: skip
+        seed = [k % 2 * drawn, k]
+        us = None if stated is None else first_controls(stated, seed)
+        for one in known:
+            answer = workers[one].ask("solve", us=us, seed=seed, limit=LIMIT)
+            if "failed" in answer and one != "ours":  # an exception of CSQP's threads ends its process or comes later
+                workers[one].close()
+                workers[one] = _worker(python, one)
+                workers[one].ask("load", stated=stated, name=name)
+            if "us" in answer:
+                answer["solved"] = workers["ours"].ask("judge", us=answer.pop("us"))["solved"]
+            found[one].append(answer)
+    return [_row(name, one, answers) for one, answers in found.items()]
+
+
+def first_controls(stated: dict[str, Any], seed: list[int]) -> list[list[float]]:
+    """Controls (N, nu) of a random start, within their bounds."""
+    from planner.solvers.multistart import smooth
+
+    us, limits = np.array(stated["us"]), np.array(stated["limits"])
+    us = us + np.array(stated["random"]) * smooth(np.random.default_rng(seed), us.shape)
+    return np.clip(us, -limits, limits).tolist()
+
+
+def _row(name: str, solver: str, answers: list[dict[str, Any]]) -> dict[str, Any]:
+    solved = [bool(one.get("solved")) and one["seconds"] <= LIMIT for one in answers]
+    times = [one["seconds"] if good else PENALTY * LIMIT for one, good in zip(answers, solved, strict=True)]
+    good = [one for one, kept in zip(times, solved, strict=True) if kept]
+    ended = [str(one.get("ended", one.get("failed"))) for one in answers]
+    return {
+        "problem": name, "solver": solver, "starts": len(answers), "solved": sum(solved),
+        "median": statistics.median(times), "median_solved": statistics.median(good) if good else float("nan"),
+        "slowest": max(float(one.get("seconds", np.inf)) for one in answers),
+        "ended": ", ".join(f"{ended.count(one)} {one}" for one in dict.fromkeys(ended)),
+    }  # fmt: skip
+
+
+def summary(rows: list[dict[str, Any]]) -> None:
+    """Shares of all starts, and medians over the problems that the peers state, too."""
+    for solver in dict.fromkeys(row["solver"] for row in rows):
+        own = [row for row in rows if row["solver"] == solver]
+        others = {row["problem"] for row in own}
+        same = [row for row in rows if row["solver"] == "ours" and row["problem"] in others]
+        share = sum(row["solved"] for row in own) / sum(row["starts"] for row in own)
+        line = f"{solver}: {len(own)} problems, {100 * share:.1f} % of the starts solved"
+        if solver != "ours":
+            ours = sum(row["solved"] for row in same) / sum(row["starts"] for row in same)
+            ratios = [mine["median"] / theirs["median"] for mine, theirs in zip(same, own, strict=True)]
+            line += f" (ours there {100 * ours:.1f} %), our median penalized time is {statistics.median(ratios):.3f}"
+            line += " of theirs (median of the problems)"
+        print(line)
 
 
 if __name__ == "__main__":

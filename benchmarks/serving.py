@@ -58,15 +58,17 @@ class Worker:
         script: File of this folder.
         environment: Added to ours.
         label: For tables.
+        arguments: Of the script.
     """
 
-    def __init__(self, python: str, script: str, environment: dict[str, str], label: str) -> None:
+    def __init__(self, python: str, script: str, environment: dict[str, str], label: str, *arguments: str) -> None:
         self.label = label
         self._errors = tempfile.TemporaryFile("w+", errors="replace")  # noqa: SIM115 (it lives as long as the process)
         try:
+            command = [python, str(Path(__file__).with_name(script)), *arguments]
             self._process = subprocess.Popen(
-                [python, str(Path(__file__).with_name(script))], stdin=subprocess.PIPE, stdout=subprocess.PIPE,
-                stderr=self._errors, text=True, env={**os.environ, **environment},
+                command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=self._errors, text=True,
+                env={**os.environ, **environment},
             )  # fmt: skip
         except OSError as error:
             sys.exit(f"cannot run {python} for {label}: {error.strerror}")

@@ -1,7 +1,8 @@
 """Relaxation: where a direct solve ends without success, solve an easier problem and follow its plan to the asked one.
 
-A guess may be a saddle: a car that is to go sideways gets nowhere by any small change of its controls from rest. Where
-a solve converges as far from its goals as it began, it begins again from slightly shaken controls.
+A guess may be a bad one, or a saddle: a car that is to go sideways gets nowhere by any small change of its controls
+from rest. So a solve without contacts begins again from other first guesses (solvers.other_guesses), and any that
+converges as far from its goals as it began from slightly shaken controls.
 
 With contacts the easier problem has softer ones (solvers.softer_contacts): sinking ten times as deep, then less and
 less. Where objects are to be moved that nothing touches it has forces at a distance instead, from afar and then from
@@ -29,14 +30,15 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from planner.base.errors import PlannerError
+from planner.problem.constraints.clearance import pair_clearance_of
 from planner.problem.goals import goals_of, missed_goal_message
 from planner.problem.plan import Plan, Status
 from planner.problem.problem import Problem
 from planner.problem.rediscretize import lengthened, rounded_duration
 from planner.problem.trajectory import Trajectory
 from planner.solvers.continuation import Continuation
-from planner.solvers.multistart import smooth
 from planner.solvers.options import DEFAULT, SolverOptions
+from planner.solvers.other_guesses import other_guesses, shaken, swings
 from planner.solvers.softer_contacts import DistantContacts, SofterContacts, has_softer
 from planner.solvers.warm_start import tracked_warm_start
 from planner.solvers.wider_limits import WiderLimits, at_limits, free_problem
@@ -45,13 +47,13 @@ from planner.solvers.work import WorkBudget
 MAX_QUICK_ITERATIONS = Continuation.look_iterations  # of a direct solve with contacts: then it crawls along their kinks
 DISTANT_ITERATIONS = 100  # after which a solve with forces at a distance goes on only if its plan meets the goals
 SWING_FACTOR = 2.0  # of the limits, at which branches with other numbers of swings begin
-FIRST_ITERATIONS = 300  # limit of the first solve of a branch
+FIRST_ITERATIONS = 300  # limit of the first solve of a branch, and of a direct one past obstacles
 MAX_REPEATS = 2  # number of swings that lead to a branch that was followed, after which no others are tried
+GUESS_WORK = 2.0  # limit of the work of a solve from another first guess (solvers.work)
 SAME_COST = 1e-3  # relative difference of the costs below which two of them are the same branch, or its mirror image
 LENGTHENING = 1.1  # ratio of successive durations
 MAX_DURATIONS = 8  # number of them: up to 2.1 times
 NEAR = 0.1  # of the largest error of a goal along a plan: what misses it by less needs weight, not another motion
-SHAKE = 0.01  # of each control's limit
 _UNSUCCESSFUL = (Status.MAX_ITERATIONS, Status.NO_DESCENT, Status.OUTSIDE_LIMITS)
 
 # One solve from states (N+1, nx) or None, penalties or None, and controls (N, nu), with an iteration limit.
@@ -62,7 +64,9 @@ class RelaxationStep(NamedTuple):
     """One solve of a relaxation."""
 
     number: int  # Counted from 0
-    stage: str  # "direct", "shaken", "distance", "contacts", "resumed", "free", "limits", "swing" or "duration"
+    # "direct", "collision-free", "tracked", "held", "line", "shaken" (see solvers.other_guesses), "distance",
+    # "contacts", "resumed", "free", "limits", "swing" or "duration"
+    stage: str
     factor: float  # By which contacts sink deeper, or limits are wider; inf without limits
     duration: float  # s
     cost: float
@@ -89,13 +93,20 @@ def is_trapped(problem: Problem, plan: Plan, options: SolverOptions) -> bool:
         return False
     if at_limits(problem, plan) or _stays_away(problem, plan):
         return True
-    return has_softer(problem) and not _lacks_weight(problem, plan)
+    return not _lacks_weight(problem, plan)
 
 
 def direct_iterations(problem: Problem, options: SolverOptions) -> int:
-    """Limit of the iterations of a direct solve, after which softer contacts are tried where there are any."""
+    """Limit of the iterations of a direct solve, after which softer contacts or ways around obstacles are tried."""
     most = options.max_iterations
-    return min(most, MAX_QUICK_ITERATIONS) if _is_relaxed(problem, options) and has_softer(problem) else most
+    return int(min(most, _look_iterations(problem))) if _is_relaxed(problem, options) else most
+
+
+def _look_iterations(problem: Problem) -> float:
+    """Iterations after which a direct solve waits for other ones; infinite where it does not."""
+    if has_softer(problem):
+        return MAX_QUICK_ITERATIONS
+    return math.inf if pair_clearance_of(problem.constraints) is None else FIRST_ITERATIONS
 
 
 def _is_relaxed(problem: Problem, options: SolverOptions) -> bool:
@@ -128,16 +139,6 @@ def _stays_away(problem: Problem, plan: Plan) -> bool:
             if begins > one.tolerance and ends >= (1.0 - NEAR) * begins:
                 return True
     return False
-
-
-def _shaken(problem: Problem) -> np.ndarray:
-    """The first guess (N, nu) and a smooth random function of SHAKE of each control's limit, the same each time."""
-    us = problem.first_guess
-    sizes = np.maximum(np.abs(us).max(axis=0), 1.0)
-    if problem.bounds is not None:
-        widths = 0.5 * np.ptp([problem.bounds.lower, problem.bounds.upper], axis=0).reshape(-1, us.shape[1]).min(axis=0)
-        sizes = np.where(np.isfinite(widths), widths, sizes)
-    return us + SHAKE * sizes * smooth(np.random.default_rng(0), us.shape)
 
 
 def relax(
@@ -194,7 +195,7 @@ class _Relaxation:
         self._report("direct", 1.0, direct, not _failed(direct))
         if _stays_away(problem, direct) and not self._distant():
             allowed = self._allowed(problem, limit)
-            plan = self.solve_one(problem, self.options, None, None, _shaken(problem), allowed, None)
+            plan = self.solve_one(problem, self.options, None, None, shaken(problem), allowed, None)
             if self._report("shaken", 1.0, plan, not _failed(plan)) or (
                 plan.status is Status.CONVERGED and plan.cost < direct.cost
             ):
@@ -204,12 +205,15 @@ class _Relaxation:
         if has_softer(problem):
             plan = self._by_forces_at_a_distance() if _failed(direct) else None
             plan = plan or self._by_softer_contacts()
-            if direct.status is Status.MAX_ITERATIONS and (plan is None or plan.cost >= direct.cost):
-                direct = self._resumed(direct, limit)
-            if plan is not None and (_failed(direct) or plan.cost < direct.cost):
-                return replace(plan, starts=direct.starts)
-            if not (_failed(direct) and at_limits(problem, direct)):
-                return direct
+        else:
+            plan = None if _meets_goals(direct) else self._by_other_guesses(direct)
+        costs_more = plan is None or (has_softer(problem) and plan.cost >= direct.cost)
+        if direct.status is Status.MAX_ITERATIONS and _look_iterations(problem) < limit and costs_more:
+            direct = self._resumed(direct, limit)
+        if plan is not None and (_failed(direct) or plan.cost < direct.cost):
+            return replace(plan, starts=direct.starts)
+        if not (_failed(direct) and at_limits(problem, direct)):
+            return direct
         free = self._solve(free_problem(problem), None, limit)
         self._report("free", math.inf, free, _meets_goals(free))
         if not _meets_goals(free):
@@ -229,6 +233,23 @@ class _Relaxation:
         if duration is not None:
             self.passing["duration"] = duration
         return replace(direct, status=Status.INFEASIBLE)
+
+    def _by_other_guesses(self, direct: Plan) -> Plan | None:
+        """The first plan that converges and meets the goals from another first guess.
+
+        None also once two guesses lead to the same minimum: then the weights or the limits keep it off its goals.
+        """
+        most = WorkBudget(GUESS_WORK).iterations(self.problem, self.options.max_iterations)
+        costs = [direct.cost] if direct.converged else []
+        for stage, states, us in other_guesses(self.problem):
+            allowed = self._allowed(self.problem, max(most, Continuation.look_iterations))
+            plan = self.solve_one(self.problem, self.options, states, None, us, allowed, None)
+            if self._report(stage, 1.0, plan, plan.converged and not plan.missed_goals):
+                return plan
+            if plan.converged and any(math.isclose(plan.cost, cost, rel_tol=SAME_COST) for cost in costs):
+                return None
+            costs += [plan.cost] if plan.converged else []
+        return None
 
     def _distant(self) -> bool:
         """Whether objects are to be moved that nothing touches: no motion nearby reaches them."""
@@ -284,7 +305,7 @@ class _Relaxation:
         yield max(math.log(max(family.factor, 1.0)), Continuation.min_step), free
         factor = min(SWING_FACTOR, max(family.factor, 1.0))
         wider, seen, again = family.at(factor), list[float](), 0
-        for us in _swings(self.problem):
+        for us in swings(self.problem):
             plan = self.solve_one(wider, self.options, None, None, us, self._allowed(wider, FIRST_ITERATIONS), None)
             same = any(math.isclose(plan.cost, cost, rel_tol=SAME_COST) for cost in seen)
             kept, again = _meets_goals(plan) and not same, again + same
@@ -361,31 +382,3 @@ def _meets_goals(plan: Plan) -> bool:
     if plan.problem is None or not np.isfinite(plan.xs).all() or plan.status is Status.OUTSIDE_LIMITS:
         return False
     return not missed_goal_message(plan.problem, *plan.judged_motion)
-
-
-def _swings(problem: Problem) -> list[np.ndarray]:
-    """Controls (N, nu) that swing between their bounds, with half cycles of the slowest oscillation about the start."""
-    if problem.bounds is None:
-        return []
-    start = np.stack([problem.x0, problem.x0])
-    A = problem.dynamics.linearize(start, problem.first_guess[:1])[0][0]
-    halves = np.abs(np.angle(np.linalg.eigvals(A))) * problem.N / np.pi  # half cycles within the duration
-    halves = halves[halves > 0.5]
-    if not len(halves):
-        return []
-    middle, size = _middle_and_size(problem)
-    share = (np.arange(problem.N)[:, None] + 0.5) / problem.N
-    n = int(halves.min())  # a larger swing takes longer than the small one of the linearization
-    return [
-        middle + sign * size * np.sin(np.pi * count * share)
-        for count in (n, n - 1, n + 1) if count > 0 for sign in (1.0, -1.0)
-    ]  # fmt: skip
-
-
-def _middle_and_size(problem: Problem) -> tuple[np.ndarray, np.ndarray]:
-    """Middle and half width (N, nu) of the bounds of the controls; the first guess and 0 where one is infinite."""
-    assert problem.bounds is not None
-    lower, upper = problem.bounds.lower, problem.bounds.upper
-    with np.errstate(invalid="ignore"):
-        both, middle, half = np.isfinite(upper - lower), 0.5 * (lower + upper), 0.5 * (upper - lower)
-    return np.where(both, middle, problem.first_guess), np.where(both, half, 0.0)

@@ -186,7 +186,7 @@ def solve(
     if work is not None:
         work.charge(problem, best.total_iterations)
     if (
-        may_relax and not (work is not None and work.exhausted)
+        may_relax and not (work is not None and (work.exhausted or work.iterations(core, 2) < 2))
         and is_trapped(core, best, whole)  # the budget has not cut it: some is left
     ):  # fmt: skip
         solve_again = partial(_solve_from_guess, deadline=deadline)
