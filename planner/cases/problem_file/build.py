@@ -56,21 +56,20 @@ from planner import cases
 from planner.base.arguments import choice, count, short_repr
 from planner.base.errors import PlannerError
 from planner.base.packaged import problem_files
+from planner.base.toml_table import check_file, read_table
 from planner.cases.problem_file.constraints import constraints_of
-from planner.cases.problem_file.feasibility_checks import check_goal_controllable, check_goal_differs
+from planner.cases.problem_file.feasibility_checks import (
+    check_goal_controllable,
+    check_goal_differs,
+    check_goal_in_time,
+)
 from planner.cases.problem_file.ground_placement import place_on_ground, stance_ramp, with_ramp
-from planner.cases.problem_file.keys import RAMP, REQUIRED, RESOLVED
+from planner.cases.problem_file.keys import KEYS, RAMP, RESOLVED, TABLES
 from planner.cases.problem_file.machine import folders_of, machine_of, prescribed_of
 from planner.cases.problem_file.reference_guess import ReferenceTrajectory, first_guess
 from planner.cases.problem_file.states import state_of, states_of
 from planner.cases.problem_file.step import with_step
-from planner.cases.problem_file.table import (
-    checked_starts,
-    checked_values,
-    read_table,
-    with_defaults,
-    with_model_limits,
-)
+from planner.cases.problem_file.table import checked_starts, checked_values, with_defaults, with_model_limits
 from planner.cases.problem_file.tasks import (
     ResolvedTask,
     check_task_departure,
@@ -153,9 +152,9 @@ def loaded(table: dict[str, Any], path: str | Path, **instead: Any) -> ProblemFi
         PlannerError: A key is unknown, missing or wrong, or the model cannot be used.
     """
     path = Path(path)
-    table = with_defaults(with_model_limits(table), str(path))
-    table = with_files(table, path.parent)
-    table |= {name: value for name, value in instead.items() if value is not None}
+    table = table | {name: value for name, value in instead.items() if value is not None}
+    check_file(table, KEYS, TABLES, str(path))
+    table = with_files(with_defaults(with_model_limits(table), str(path)), path.parent)
     if not isinstance(table["model"], str) or not table["model"]:
         raise PlannerError(f"model is {short_repr(table['model'])}, expected the name of an MJCF or URDF file.")
     for key, records, file in (("attach", attachments, "model"), ("obstacle", obstacles_of, "file")):
@@ -235,9 +234,9 @@ def _problem(
     if "start" not in table and (own := start_of_model(mechanism)) is not None:
         table = table | {"start": own}
         told = f"start is {f'the keyframe {own!r}' if own else 'the pose in which the file draws it'}: none is given."
-    for key in (*REQUIRED, *(() if "follow" in table else ("goal",))):
+    for key in ("start", *(() if "follow" in table else ("goal",))):
         if key not in table:
-            wanted = "a number of seconds, e.g. duration = 2.0" if key == "duration" else states_of(mechanism)
+            wanted = states_of(mechanism)
             if key == "start":
                 wanted += (
                     ": as drawn, the machine is outside of a range or overlaps; `planner model FILE --write` has one"
@@ -330,6 +329,7 @@ def _problem(
     if way is None or wanted is None:
         check_goal_differs(problem)
         check_goal_controllable(problem)
+        check_goal_in_time(problem, max(table["duration"], *(table.get("durations") or (0.0,))))
     else:
         check_task_departure(x0, wanted, way.task)
     return with_objective(problem, table["objective"]) if "objective" in table else problem

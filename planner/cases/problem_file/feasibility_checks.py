@@ -8,11 +8,14 @@ from planner.base.errors import PlannerError
 from planner.dynamics import RigidBodyDynamics
 from planner.dynamics.rollout import rollout_states
 from planner.model.capabilities import unreached_dofs
+from planner.model.coordinates import coordinates_of
 from planner.model.mjcf.prescribed_joints import prescribed_dofs_of
 from planner.model.space import space_of
 from planner.problem.costs.tracking import tracking_of
 from planner.problem.goals import ROUNDING, goals_of
 from planner.problem.problem import Problem
+
+MIN_JERK_PEAK = 1.875  # velocity of a minimum-jerk motion, over its mean
 
 
 def check_goal_differs(problem: Problem) -> None:
@@ -33,6 +36,27 @@ def check_goal_differs(problem: Problem) -> None:
         )
     if ways[largest.name] == 0.0 and not np.any(np.abs(cost.Q).max(axis=(0, 1))[way > 0.0]):
         raise PlannerError("no weight is above 0 where start and goal differ, expected one: nothing would move.")
+
+
+def check_goal_in_time(problem: Problem, longest: float) -> None:
+    """Refuse a goal of a joint that is farther than the limit of its velocity lets it go in the longest time, s."""
+    dynamics, cost, x0 = problem.dynamics, tracking_of(problem.cost), problem.x0
+    assert isinstance(dynamics, RigidBodyDynamics)  # a problem file has them
+    assert cost is not None
+    if problem.limits is None:
+        return
+    way = dynamics.space.difference(cost.x_ref[-1], x0)
+    tolerances = {goal.name: goal.tolerance for goal in goals_of(problem)}
+    for i, ends in enumerate(problem.limits.velocity_ranges(dynamics)):
+        name, unit = coordinates_of(dynamics)[i]
+        fastest = float(ends[int(way[i] > 0.0)])
+        if abs(way[i]) > abs(fastest) * longest + tolerances.get(name, np.inf):
+            duration = float(f"{1.05 * MIN_JERK_PEAK * way[i] / fastest:.2g}") if fastest else np.inf
+            raise PlannerError(
+                f"the goal has {name} {abs(way[i]):.3g} {unit} from the start, and its velocity limit of "
+                f"{abs(fastest):.3g} {unit}/s lets it go {abs(fastest) * longest:.3g} {unit} in {longest:g} s, "
+                f"expected more time, e.g. duration = {duration:g}, or a higher limit."
+            )
 
 
 def check_goal_controllable(problem: Problem) -> None:

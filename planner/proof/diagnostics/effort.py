@@ -86,6 +86,8 @@ def _short_of_force(plan: Plan, problem: Problem, proof: Proof | None) -> bool:
     """Whether the plan missed a goal or limit, or the solve did not converge, though the goal is feasible."""
     if plan.status.cut or plan.status in (Status.OUTSIDE_LIMITS, Status.NO_DESCENT):
         return True
+    if plan.status is Status.INFEASIBLE and not passing_duration(plan, problem, proof):
+        return True
     if proof is None:
         return False
     return _missed(proof) or any(one.name == "clamped_actuators" for one in proof.your_file.failures)
