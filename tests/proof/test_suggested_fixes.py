@@ -202,6 +202,18 @@ def test_no_time_helps_a_motor_that_cannot_hold_the_goal(tmp_path):
     assert (found.code, found.values["duration"]) == ("force_never_enough", (10.0, "s"))
 
 
+def test_a_servo_whose_gear_ends_its_range_before_the_goal_is_named(tmp_path):
+    """Classes pass a motor's gear on to servos: a ctrlrange of 3.14 is 0.2 rad of the joint then."""
+    motor, servo = '<motor name="at elbow" joint="elbow" {motor}/>', '<position name="at elbow" joint="elbow" kp="60"'
+    model = ARM.replace(motor, f'{servo} dampratio="1" gear="15" ctrllimited="true" ctrlrange="-3.14 3.14"/>')
+    keys = {"goal": "[-0.5, 0.8]"}
+    problem = file(tmp_path, model.format(**USUAL | {"gravity": 0}), keys, limits={"control": '"model"'})
+    plan = planner.solve(problem, SolverOptions(homotopy=False))
+    found = suggested_fixes(replace(plan, status=planner.Status.OUTSIDE_LIMITS))[0]
+    assert (found.code, found.values["actuator"]) == ("servo_ends", "actuator 'at elbow'")
+    assert found.values["limit"].value == pytest.approx(60.0 * (3.14 - 15.0 * 0.8), rel=1e-3)  # towards its range
+
+
 def test_a_goal_in_a_wall_and_a_way_that_is_longer_than_straight(tmp_path):
     # least effort swings the arm beyond its goal
     wall = '<geom name="wall" type="box" size="0.05 0.5 0.5" pos="-0.06 0 0.75"/>'

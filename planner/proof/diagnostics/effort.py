@@ -72,7 +72,8 @@ def more_time(plan: Plan, problem: Problem, proof: Proof | None) -> list[Suggest
         if _at_goal(problem, machine).load <= 1.0 and (swinging := _of_bounds(plan, problem, proof)):
             return swinging
         values = {**longest.values, "duration": Quantity(MAX_LENGTHENING * duration, "s")}
-        return [no_fix("goal", f"{longest.what}_never_enough", **values)]
+        against = "needed" in values and values["needed"].value * values["limit"].value < 0.0
+        return [no_fix("goal", "servo_ends" if against else f"{longest.what}_never_enough", **values)]
     low, high = 1.0, MAX_LENGTHENING
     for _ in range(_STEPS):
         middle = (low * high) ** 0.5
