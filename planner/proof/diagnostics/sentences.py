@@ -29,8 +29,8 @@ SENTENCES = {
     "too_little_speed": "in {duration} the {joint} needs {needed} of {limit}",
     "force_never_enough": "No duration lets the actuators hold the path to the goal: even in {duration} {actuator} "
     "needs {needed} of {limit}.",
-    "servo_ends": "Even in {duration} {actuator} has {limit} where {needed} is needed: its control range ends before the "
-    "pose of the goal. A servo's ctrlrange is in the unit of its joint, times its gear (which classes inherit).",
+    "servo_ends": "Even in {duration} {actuator} has {limit} where {needed} is needed: its control range ends before "
+    "the pose of the goal. A servo's ctrlrange is in the unit of its joint, times its gear (which classes inherit).",
     "speed_never_enough": "No duration lets the joints follow the path to the goal: even in {duration} the {joint} "
     "needs {needed} of {limit}.",
     "infeasible": "in {duration} the motion is followed from the free one into limits {factor:.4g} times as wide, and "

@@ -17,8 +17,8 @@ SPARE = 2.0  # of what passes, by which the stiffer equality is to give less
 def soft_equalities(plan: Plan, problem: Problem, proof: Proof | None) -> list[SuggestedFix]:
     """The time constant with which the file's equalities give as much as passes.
 
-    A force deflects a spring by the inverse square of its natural frequency, as long as it changes slowly. Where a contact, a stop or a clamp of the
-    file is unknown to the plan, that is the cause.
+    A force deflects a spring by the inverse square of its natural frequency, as long as it changes slowly. Where a
+    contact, a stop or a clamp of the file is unknown to the plan, that is the cause.
     """
     mechanism = capabilities_of(problem.dynamics).mechanism
     if proof is None or mechanism is None or not constrained_dofs(mechanism).any():
