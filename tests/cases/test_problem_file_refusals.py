@@ -106,6 +106,9 @@ def test_a_speed_limit_that_no_motion_keeps_is_refused_with_a_duration(tmp_path)
     refuse(write(tmp_path, slow.format(1.9)), "slider 2 m from the start", "1.9 m in 1 s", "duration = 2.1")
     assert load(write(tmp_path, slow.format(1.9), duration="2.1")).problem.N == 42
     assert load(write(tmp_path, slow.format(1.97))).problem.N == 20
+    least = load(write(tmp_path, slow.format(1.9), objective='"time"')).problem  # between 0.2 and 2 s
+    assert least.recipe is not None
+    assert least.recipe.rebuilt(duration=0.5).duration == 0.5  # a search may ask for too little
     aside = slow.format(1.9) + "[weights]\nfinal_position = { pole = 1.0 }\n"
     assert load(write(tmp_path, aside)).problem.N == 20  # nobody asks where the slider ends
 

@@ -98,6 +98,7 @@ from planner.problem.default_weights import default_weights, straight_reference,
 from planner.problem.example_task import start_of_model
 from planner.problem.joint_limits import moved_inside_limits, starts_at_limit
 from planner.problem.limits import Limits
+from planner.problem.objective import durations_or_default
 from planner.problem.objective_problem import with_objective
 from planner.problem.problem import Problem
 from planner.problem.recipe import PROBLEM_FILE, Recipe
@@ -230,7 +231,7 @@ def again(mechanism: Mechanism, *constraints: Constraint, **table: Any) -> Probl
 def _problem(
     table: dict[str, Any], mechanism: Mechanism, where: str, constraints: tuple[Constraint, ...] = ()
 ) -> Problem:
-    told = ""
+    told, rebuilt = "", RESOLVED in table
     if "start" not in table and (own := start_of_model(mechanism)) is not None:
         table = table | {"start": own}
         told = f"start is {f'the keyframe {own!r}' if own else 'the pose in which the file draws it'}: none is given."
@@ -328,10 +329,13 @@ def _problem(
     problem = replace(problem, us=first_guess(problem, table["guess"], goal, along))
     if way is None or wanted is None:
         check_goal_differs(problem)
-        check_goal_controllable(problem)
-        check_goal_in_time(problem, max(table["duration"], *(table.get("durations") or (0.0,))))
+        check_goal_controllable(problem, goal[None])
+        if not rebuilt:  # a search over durations goes below those that suffice
+            between = durations_or_default(table.get("durations"), table.get("objective", {}), table["duration"])
+            check_goal_in_time(problem, max(table["duration"], *(between or (0.0,))))
     else:
         check_task_departure(x0, wanted, way.task)
+        check_goal_controllable(problem, way.rows)
     return with_objective(problem, table["objective"]) if "objective" in table else problem
 
 

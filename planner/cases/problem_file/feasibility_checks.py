@@ -59,24 +59,29 @@ def check_goal_in_time(problem: Problem, longest: float) -> None:
             )
 
 
-def check_goal_controllable(problem: Problem) -> None:
-    """Refuse goals of what nothing drives and nothing touches in the plan: it moves alike whatever the controls do."""
-    dynamics, cost = problem.dynamics, tracking_of(problem.cost)
+def check_goal_controllable(problem: Problem, rows: np.ndarray) -> None:
+    """Refuse goals of what nothing drives and nothing touches in the plan: it moves alike whatever the controls do.
+
+    Args:
+        problem: Of a file.
+        rows: (M, nx) states at rising times up to the end in which all else is as asked; one of them is the end.
+    """
+    dynamics = problem.dynamics
     assert isinstance(dynamics, RigidBodyDynamics)  # a problem file has them
-    assert cost is not None
     loose = unreached_dofs(dynamics.mechanism, prescribed_dofs_of(dynamics))
     if not np.any(loose):
         return
     space, mechanism = dynamics.space, dynamics.mechanism
-    end = rollout_states(dynamics, problem.x0, problem.first_guess)[-1]
+    by_itself = rollout_states(dynamics, problem.x0, problem.first_guess)[-len(rows) :]
     theirs = np.concatenate([loose, loose, np.zeros(mechanism.na, dtype=bool)])
-    reached = space.integrate(cost.x_ref[-1], np.where(theirs, space.difference(end, cost.x_ref[-1]), 0.0))
+    reached = space.integrate(rows, np.where(theirs, space.difference(by_itself, rows), 0.0))
+    t = problem.dynamics.dt * np.arange(problem.N + 1)[-len(rows) :]
     for goal in goals_of(problem):
-        miss = float(goal.error(reached[None])[0])
+        miss = goal.miss(t, reached)
         if miss > goal.tolerance:
             first = mechanism.joint_of(int(np.flatnonzero(loose)[0]))
             raise PlannerError(
                 f"nothing drives or holds {first} in the plan, so that {goal.name} ends {miss:.3g} {goal.unit} from "
-                "the goal whatever the controls do, expected a plane or a box under it, a goal where it gets by "
-                "itself, or a model without that joint."
+                'the goal whatever the controls do, expected a plane or a box at rest under it, contacts = "model" if '
+                "the machine pushes it, a goal where it gets by itself, or a model without that joint."
             )
