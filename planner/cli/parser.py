@@ -18,6 +18,7 @@ from typing import Any, NoReturn
 from planner.base.arguments import choice, short_repr
 from planner.base.errors import PlannerError
 from planner.base.files import PLANS, check_confined, check_exists, read_input
+from planner.base.toml_table import check_file, read_table
 from planner.cli.console import Console
 from planner.cli.flags import (
     BUDGET,
@@ -317,13 +318,15 @@ def parse(argv: list[str]) -> argparse.Namespace:
 
 
 def check_inputs(arguments: argparse.Namespace) -> None:
-    """Raise FileError for an input that is not there or may not be read, before what reads it is imported."""
+    """Raise PlannerError for an input that is not there, may not be read or has wrong keys, before slow imports."""
     for name, what in (("problem", "the problem file"), ("model", "the model")):
         path = getattr(arguments, name, None)
         if isinstance(path, str) and path and not path.startswith(PREFIX):
             check_confined(path, what)
             if not os.path.exists(path):
                 read_input(path, what)  # which says why it is not there
+            if name == "problem" and arguments.command != "sweep":  # which may add keys
+                _check_problem_file(arguments)
     for path in getattr(arguments, "paths", ()):  # of check
         check_confined(path, "the plan")
         check_exists(path, PLANS)
@@ -332,6 +335,15 @@ def check_inputs(arguments: argparse.Namespace) -> None:
         from planner.problem.archive import opened  # local: a third of a second
 
         opened(Path(plan)).close()  # it says so, too, but for a plan within an archive of many
+
+
+def _check_problem_file(arguments: argparse.Namespace) -> None:
+    """Refuse a problem file of a machine of one's own by its keys alone."""
+    table = read_table(Path(arguments.problem))
+    if "case" not in table:
+        keys, parts = (value_of("planner.cases.problem_file.keys", name) for name in ("KEYS", "TABLES"))
+        given = {} if arguments.durations is None else {"durations": arguments.durations}
+        check_file(table | given, keys, parts, arguments.problem)
 
 
 def print_completion(arguments: argparse.Namespace, console: Console) -> int:

@@ -210,6 +210,19 @@ class Limits:
                 found[i] = joint_range.low, joint_range.high
         return found
 
+    def velocity_ranges(self, dynamics: Dynamics) -> np.ndarray:
+        """Lower and upper ends (nv, 2) of the velocities of a mechanism's joints, infinite where there are none.
+
+        Raises:
+            PlannerError: As for the class.
+        """
+        mechanism = with_names(capabilities_of(dynamics).mechanism, "velocity")
+        found = np.tile([-np.inf, np.inf], (mechanism.nv, 1))
+        for i, joint_range in self._found(dynamics).items():
+            if mechanism.nv <= i < 2 * mechanism.nv:
+                found[i - mechanism.nv] = joint_range.low, joint_range.high
+        return found
+
     def ranges(self, dynamics: Dynamics, cost: Cost, x0: np.ndarray, N: int) -> StateBounds | None:
         """The ranges of the states, and exact goals; None without either.
 

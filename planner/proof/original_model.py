@@ -71,6 +71,7 @@ from planner.proof.replays.simulation import NATIVE_IMPLICIT, ROSENBROCK, dampin
 
 TITLE = "your file"
 OPEN_LOOP_MISSES = "open_loop_goals_missed"
+EQUALITY_RATE = "equality_rate"
 PATH_IN_FILE = "path_over_its_bound"  # above 1, its note is for the first line
 MAX_NAMED = 3  # pairs, joints or actuators in a sentence
 NEGLIGIBLE_FORCE = 1e-3  # of the machine's weight: smaller contact forces of flush shapes are ignored
@@ -303,7 +304,8 @@ def _path(run: Replay, without_gains: np.ndarray) -> list[Measurement]:
     equalities are softer than the plan's it may be off by SMOOTHED.
     What is beyond its own bound is said by the first measurement, for the first line.
     """
-    plan, allowed = run.plan, bounds_in_file(run.plan, _spring_rate(run.compiled.model))
+    plan, rate = run.plan, _spring_rate(run.compiled.model)
+    allowed = bounds_in_file(plan, rate)
     errors = {
         how: list(worst_by_unit(plan, plan.space.difference(xs, run.plan_xs), allowed))
         for how, xs in (("with gains", run.xs), ("without gains", without_gains))
@@ -319,6 +321,7 @@ def _path(run: Replay, without_gains: np.ndarray) -> list[Measurement]:
                         f"of {one.name} from the plan, at any step, {how}")
             for one, bound in zip(errors[how], bounds, strict=True)
         ),
+        Measurement(EQUALITY_RATE, rate, "rad/s", None, "largest natural frequency of equalities, 0 without any"),
     ]  # fmt: skip
 
 

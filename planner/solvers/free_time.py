@@ -245,7 +245,8 @@ class _DurationSearch:
             raise KeyboardInterrupt
         allowed = Limits.tolerance if problem.limits is None else problem.limits.tolerance
         goal_missed = self.alone and problem.goal_specs is not None and bool(plan.missed_goals)  # which nothing keeps
-        if not (np.isfinite(plan.xs).all() and outside <= allowed) or goal_missed:
+        left = plan.status is Status.OUTSIDE_LIMITS  # also between the knots
+        if not (np.isfinite(plan.xs).all() and outside <= allowed) or left or goal_missed:
             return math.inf
         self.plans[duration] = plan
         worth = value(line)

@@ -197,7 +197,7 @@ class _Relaxation:
             allowed = self._allowed(problem, limit)
             plan = self.solve_one(problem, self.options, None, None, shaken(problem), allowed, None)
             if self._report("shaken", 1.0, plan, not _failed(plan)) or (
-                plan.status is Status.CONVERGED and plan.cost < direct.cost
+                plan.status in (Status.CONVERGED, Status.MAX_ITERATIONS) and plan.cost < direct.cost
             ):
                 direct = replace(plan, starts=direct.starts)
                 if not is_trapped(problem, direct, self.options):

@@ -21,8 +21,8 @@ import numpy as np
 from planner import cases
 from planner.base.arguments import short_repr
 from planner.base.errors import PlannerError
+from planner.base.toml_table import read_table
 from planner.cases.problem_file import ProblemFile, case_in, loaded
-from planner.cases.problem_file.table import read_table
 from planner.problem.limits import Limits
 from planner.problem.objective_problem import with_objective
 from planner.problem.plan import Plan, Status

@@ -47,7 +47,7 @@ from planner.problem.goals import goals_of
         ({"goal": "{ pole = true }"}, ("goal of pole is True", "a finite number")),
         ({"goal": '["1", "2"]'}, ("goal is not an array of numbers",)),
         ({"goal": "[[1, 2]]"}, ("goal is [[1, 2]]", "2 or 4 numbers", "slider, pole")),
-        ({"goal": "[{ pole = 1 }]"}, ("a key of goal 1 is 'pole'", "frame", "joints")),
+        ({"goal": "[{ pole = 1 }]"}, ("[[goal]] number 1 of", "the key 'pole'", "frame", "joints")),
         ({"goal": "[[1.0, 2.0]]"}, ("goal is [[1.0, 2.0]]", "2 or 4 numbers")),
         ({"duration": "true"}, ("duration is True",)),
         ({"ignore": '"foo"'}, ("ignore is 'foo'", "frictionloss", "equality")),
@@ -83,6 +83,40 @@ def test_wrong_keys_are_named(tmp_path, keys, fragments):
 )
 def test_wrong_weights_are_named(tmp_path, weights, fragments):
     refuse(write(tmp_path, f"[weights]\n{weights}\n"), *fragments)
+
+
+@pytest.mark.parametrize(
+    ("below", "fragments"),
+    [
+        ("[weights]\neffort = 1.0\nduration = 1.0\n", ("duration stands in [weights]", "above the first heading")),
+        ("[goal]\npole = 1.0\nduration = 1.0\n", ("duration stands in [goal]",)),
+        ('[[goal]]\nframe = "cart"\nduration = 1.0\n', ("duration stands in [[goal]] number 1",)),
+        ('[[obstacle]]\nshape = "box"\ncontacts = "off"\n', ("contacts stands in [[obstacle]] number 1",)),
+    ],
+)
+def test_a_key_below_a_heading_belongs_to_its_table(tmp_path, below, fragments):
+    gone = {"duration": None} if "duration" in below else {}
+    gone |= {"goal": None} if "goal" in below else {}
+    refuse(write(tmp_path, below, **gone), *fragments)
+
+
+def test_a_speed_limit_that_no_motion_keeps_is_refused_with_a_duration(tmp_path):
+    """The slider goes 2 m in 1 s; 0.04 m pass."""
+    slow = "[limits]\nvelocity = {{ slider = {} }}\n"
+    refuse(write(tmp_path, slow.format(1.9)), "slider 2 m from the start", "1.9 m in 1 s", "duration = 2.1")
+    assert load(write(tmp_path, slow.format(1.9), duration="2.1")).problem.N == 42
+    assert load(write(tmp_path, slow.format(1.97))).problem.N == 20
+    least = load(write(tmp_path, slow.format(1.9), objective='"time"')).problem  # between 0.2 and 2 s
+    assert least.recipe is not None
+    assert least.recipe.rebuilt(duration=0.5).duration == 0.5  # a search may ask for too little
+    aside = slow.format(1.9) + "[weights]\nfinal_position = { pole = 1.0 }\n"
+    assert load(write(tmp_path, aside)).problem.N == 20  # nobody asks where the slider ends
+
+
+def test_least_time_begins_at_the_longest_duration_where_none_is_given(tmp_path):
+    path = write(tmp_path, duration=None, objective='"time"', durations="[0.5, 3.0]")
+    assert load(path).problem.duration == pytest.approx(3.0)
+    refuse(write(tmp_path, duration=None, objective='"time"'), "no key 'duration'")
 
 
 def test_weights_are_a_table(tmp_path):

@@ -99,3 +99,16 @@ def test_a_urdf_without_inertias_runs_with_those_of_its_shapes(tmp_path):
     mechanism = load(write(tmp_path, keys, model="bare.urdf")).problem.dynamics.mechanism
     assert mechanism.mass.sum() == pytest.approx(2700 * 4 / 3 * np.pi * 0.05**3)
     assert read_again(mechanism.origin)[0] == (mechanism.original or mechanism.mjcf)
+
+
+def test_a_refusal_names_joints_that_the_model_is_read_without(folder):
+    """A link without <inertial>: its joint does not move, and neither does the hand on it."""
+    parts = link("base"), link("upper", inertial(1.0)), link("lower", shape("collision", BALL)), link("hand")
+    arm = (
+        joint("shoulder", "base", "upper"),
+        joint("elbow", "upper", "lower"),
+        joint("grip", "lower", "hand", "fixed", more=""),
+    )
+    (folder / "arm.urdf").write_text(robot(*parts, *arm))
+    with pytest.raises(PlannerError, match=r"joint in start is 'elbow'.*without the motion of joint 'elbow' \(no mass"):
+        load(write(folder))

@@ -94,6 +94,18 @@ def test_the_plan_meets_every_goal_and_the_proof_says_so_by_name(solved):
     assert "replayed_position_of_hand_at_0.4_s_miss" in str(proof.to_dict()["goal"])  # proof.json
 
 
+def test_a_stop_is_weighed_as_its_goal_is_and_by_its_own_tolerance(tmp_path):
+    """So that weights.goal, which a miss suggests, slows the frame down: by 1 / tolerance^2, as of all goals."""
+    plain = GOALS.replace(", velocity = 0.02", "")  # 0.05 m/s
+
+    def weight(goals, more=""):
+        cost = load(write(tmp_path, goals + more)).problem.cost.costs[0]
+        return cost.Q[35, 2:, 2:].diagonal() - cost.Q[34, 2:, 2:].diagonal()
+
+    np.testing.assert_allclose(weight(plain, "[weights]\ngoal = 40.0\n"), 10.0 * weight(plain))
+    np.testing.assert_allclose(weight(GOALS), (0.05 / 0.02) ** 2 * weight(plain))
+
+
 def test_what_is_judged_is_what_mujoco_measures(solved):
     plan, _ = solved
     goals = {one.name: one for one in goals_of(plan.problem, plan.xs)}

@@ -29,7 +29,17 @@ WRONG = [
     (["view", "plan.npz", "--browser"], "plan.npz does not exist, expected a plan.npz"),
     (["export", "plan.npz"], "--to"),
     (["list", "pik"], "the machine is 'pik'"),
+    (["run", "late.toml"], "duration stands in [[goal]] number 1 of late.toml"),
+    (["solve", "unit.toml"], "line 1 has a unit, s, expected duration = 2:"),
+    (["run", "negative.toml"], "duration is -2"),
+    (["drive", "word.toml"], "Did you mean 'tolerance'?"),
 ]
+FILES = {
+    "late": 'model = "arm.xml"\n[[goal]]\nframe = "hand"\nduration = 2\n',
+    "unit": "duration = 2s\n",
+    "negative": 'model = "arm.xml"\nduration = -2\n',
+    "word": 'model = "arm.xml"\nduration = 2\ntolerence = 1\n',
+}
 EACH = """
 import contextlib, io, json, sys
 from planner.__main__ import main
@@ -42,6 +52,8 @@ for words in json.loads(sys.argv[1]):
 
 def test_words_that_are_wrong_or_ask_for_keys_are_answered_without_mujoco_or_numba(tmp_path):
     """All in one process, whose start takes longer than an answer."""
+    for name, text in FILES.items():
+        (tmp_path / f"{name}.toml").write_text(text)
     asked = {0: [(["list", "pick.toml"], "goal.tolerance")], 2: WRONG}
     sentences = {tuple(words): (code, sentence) for code, each in asked.items() for words, sentence in each}
     code = [sys.executable, "-c", EACH.format(slow=SLOW), json.dumps(list(sentences))]

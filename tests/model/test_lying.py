@@ -80,6 +80,8 @@ def test_an_object_that_is_to_move_is_refused(tmp_path):
     goal = "{ cube = [0, 0.7, 0.22, 1, 0, 0, 0], arm = 0.8 }"
     with pytest.raises(PlannerError, match="nothing drives or holds joint 'cube'"):
         reach(tmp_path, goal=goal)
+    with pytest.raises(PlannerError, match=r"position of cube ends 0\.2 m from the goal whatever the controls do"):
+        reach(tmp_path, goal='[{ frame = "cube", position = [0, 0.5, 0.22] }]')
 
 
 FLOOR = '<geom name="floor" type="plane" size="0 0 1"/>'

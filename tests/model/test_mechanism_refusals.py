@@ -261,3 +261,15 @@ def test_friction_of_a_tendon_that_an_equality_holds_does_nothing():
     Mechanism.from_mjcf(held)
     with pytest.raises(PlannerError, match="frictionloss of tendon 't'"):
         Mechanism.from_mjcf(plain(tendon=TENDON % 'frictionloss="1"'))
+
+
+def test_who_would_take_all_actuators_out_is_told():
+    """To ignore them leads to the next refusal: a machine that nothing drives."""
+    text = (
+        '<mujoco><worldbody><body><joint name="h"/><geom size=".1"/></body></worldbody><actuator>{}</actuator></mujoco>'
+    )
+    with pytest.raises(PlannerError, match="That leaves no actuator: put motors or servos on joints"):
+        Mechanism.from_mjcf(text.format(MUSCLE))
+    with pytest.raises(PlannerError) as caught:
+        Mechanism.from_mjcf(text.format(MUSCLE + '<motor joint="h"/>'))
+    assert "That leaves" not in str(caught.value)

@@ -5,6 +5,7 @@ import pytest
 
 import planner
 from planner.model.couplings import closed_state
+from planner.proof.diagnostics import suggested_fixes
 from planner.proof.engines.section import _reason
 from planner.proof.goal_regulator import hold_gain, hold_section, simulate_regulator
 from planner.proof.replays.compiled_twin import CompiledTwin
@@ -135,4 +136,13 @@ def test_a_finger_that_hardly_moves_may_give_as_its_equality_does():
     assert proof.passed, proof.reason
     off = measured(proof.your_file, "largest_distance_error")
     assert 5e-5 < off.value < off.bound == pytest.approx(4e-4)
-    assert not still_fingers(0.2).passed  # a spring a hundred times as soft: the finger goes its own way
+
+
+def test_an_equality_that_gives_too_much_is_told_with_the_stiffness_that_passes():
+    """A spring four times as soft: the finger goes its own way."""
+    proof = still_fingers(0.04)
+    assert not proof.passed
+    found = suggested_fixes(proof.replay.plan, proof)[-1]
+    assert (found.code, found.values["rate"]) == ("equality_gives", pytest.approx(25.0))
+    assert 'solref="' in found.sentence
+    assert still_fingers(found.values["time"]).passed

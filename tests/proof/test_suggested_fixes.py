@@ -153,6 +153,12 @@ def test_a_clamp_that_the_plan_does_not_know(tmp_path):
     assert (first.code, first.values["lower"], first.values["upper"]) == ("clamp_unknown", -0.6, 0.6)
 
 
+TIGHT, WEAK = (
+    {"control": '"model"', "velocity": 0.82},
+    {"gravity": 0, "motor": 'ctrllimited="true" ctrlrange="-1 1"', "elbow": 'armature="0.2"'},
+)
+
+
 def test_too_little_time_for_a_motor(tmp_path):
     problem = arm(
         tmp_path,
@@ -166,11 +172,23 @@ def test_too_little_time_for_a_motor(tmp_path):
 
 
 def test_too_little_time_for_a_speed(tmp_path):
-    problem = arm(tmp_path, limits={"velocity": 0.7}, model={"gravity": 0})
+    """The motors leave no time to speed up. A limit below the mean speed of 0.8 rad in 1 s would be refused."""
+    problem = arm(tmp_path, limits=TIGHT, model=WEAK)
     first = passes_with(problem, "duration")
-    # 15/8 of the mean speed of 0.8 rad in 1 s, and 0.9 of 0.7 rad/s
-    assert first.value == pytest.approx(15.0 / 8.0 * 0.8 / 0.63, rel=0.1)
+    # 15/8 of the mean speed, and 0.9 of 0.82 rad/s
+    assert first.value == pytest.approx(15.0 / 8.0 * 0.8 / 0.738, rel=0.1)
     assert first.code == "too_little_speed"
+
+
+def test_an_infeasible_plan_without_a_duration_that_passes_gets_one(tmp_path):
+    """Where longer durations were tried in vain (up to 2.1 times), it is that of a smooth motion."""
+    plan = planner.solve(arm(tmp_path, limits=TIGHT, model=WEAK), SolverOptions(homotopy=False))
+    vain = replace(plan, status=planner.Status.INFEASIBLE, options=plan.options | {"relaxation": {"factor": 2.0}})
+    (found,) = [one for one in suggested_fixes(vain) if one.key == "duration"]
+    assert found.code == "too_little_speed"
+    known = replace(vain, options=plan.options | {"relaxation": {"factor": 2.0, "duration": 1.7}})
+    (found,) = [one for one in suggested_fixes(known) if one.key == "duration"]
+    assert (found.code, found.value) == ("infeasible", 1.7)
 
 
 def test_no_time_helps_a_motor_that_cannot_hold_the_goal(tmp_path):
@@ -182,6 +200,18 @@ def test_no_time_helps_a_motor_that_cannot_hold_the_goal(tmp_path):
     found = suggested_fixes(plan, proof)[0]
     assert found.value is None
     assert (found.code, found.values["duration"]) == ("force_never_enough", (10.0, "s"))
+
+
+def test_a_servo_whose_gear_ends_its_range_before_the_goal_is_named(tmp_path):
+    """Classes pass a motor's gear on to servos: a ctrlrange of 3.14 is 0.2 rad of the joint then."""
+    motor, servo = '<motor name="at elbow" joint="elbow" {motor}/>', '<position name="at elbow" joint="elbow" kp="60"'
+    model = ARM.replace(motor, f'{servo} dampratio="1" gear="15" ctrllimited="true" ctrlrange="-3.14 3.14"/>')
+    keys = {"goal": "[-0.5, 0.8]"}
+    problem = file(tmp_path, model.format(**USUAL | {"gravity": 0}), keys, limits={"control": '"model"'})
+    plan = planner.solve(problem, SolverOptions(homotopy=False))
+    found = suggested_fixes(replace(plan, status=planner.Status.OUTSIDE_LIMITS))[0]
+    assert (found.code, found.values["actuator"]) == ("servo_ends", "actuator 'at elbow'")
+    assert found.values["limit"].value == pytest.approx(60.0 * (3.14 - 15.0 * 0.8), rel=1e-3)  # towards its range
 
 
 def test_a_goal_in_a_wall_and_a_way_that_is_longer_than_straight(tmp_path):

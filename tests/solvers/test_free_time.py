@@ -10,6 +10,7 @@ from scipy.optimize import root
 
 import planner
 from planner import Limits, cases
+from planner.solvers import free_time
 from planner.solvers.free_time import retimed
 
 
@@ -23,6 +24,19 @@ def test_a_cart_in_least_time_is_bang_bang():
     assert np.all(plan.us[-24:] < -0.99)
     assert plan.problem.limits.final == "exact"
     assert plan.cost == pytest.approx(0.5 * plan.dt * np.sum(plan.us**2) + plan.t[-1], rel=1e-3)
+
+
+def test_a_plan_that_leaves_its_limits_between_the_knots_took_too_little_time(monkeypatch):
+    """It is within them at the knots, and its status says that it is not."""
+
+    def leaves(problem, **options):
+        plan = planner.solve(problem, **options)
+        return replace(plan, status=planner.Status.OUTSIDE_LIMITS) if plan.t[-1] < 2.4 else plan
+
+    monkeypatch.setattr(free_time, "solve", leaves)
+    plan = planner.solve_for(cart(control=1.0), "time", durations=(0.5, 8.0))
+    assert plan.success
+    assert plan.t[-1] == pytest.approx(2.4, rel=5e-3)
 
 
 @pytest.mark.parametrize("weight", [0.5, 2.0])

@@ -104,6 +104,18 @@ def test_too_short_a_duration_says_which_one_passes(weak):
     assert (fix.key, fix.value, fix.code) == ("duration", found["duration"], "infeasible")
 
 
+def test_shaken_controls_that_lead_nearer_are_kept_before_they_converge():
+    """A swimmer's straight body is a saddle, and its way from there may take more iterations than allowed."""
+    problem = swing_up(4.0)
+    stays = replace(problem, us=np.zeros((problem.N, 1)))  # hangs: no small torque lowers the cost of the end alone
+    direct = replace(planner.solve(stays, DIRECT, max_iterations=1), us=stays.us, xs=np.zeros((problem.N + 1, 2)))
+    direct = replace(direct, status=Status.CONVERGED, cost=1e9)
+    nearer = planner.solve(problem, DIRECT, max_iterations=2)
+    assert nearer.status is Status.MAX_ITERATIONS
+    plan, _ = relax(stays, direct, lambda *_: nearer, DIRECT.for_problem(stays), None)
+    assert np.array_equal(plan.us, nearer.us)
+
+
 def test_the_factor_that_was_reached_passes_too(weak):
     assert planner.solve(swing_up(2.0, 5.0 * weak.options["relaxation"]["factor"] * 1.01)).success
 

@@ -56,21 +56,20 @@ from planner import cases
 from planner.base.arguments import choice, count, short_repr
 from planner.base.errors import PlannerError
 from planner.base.packaged import problem_files
+from planner.base.toml_table import check_file, read_table
 from planner.cases.problem_file.constraints import constraints_of
-from planner.cases.problem_file.feasibility_checks import check_goal_controllable, check_goal_differs
+from planner.cases.problem_file.feasibility_checks import (
+    check_goal_controllable,
+    check_goal_differs,
+    check_goal_in_time,
+)
 from planner.cases.problem_file.ground_placement import place_on_ground, stance_ramp, with_ramp
-from planner.cases.problem_file.keys import RAMP, REQUIRED, RESOLVED
+from planner.cases.problem_file.keys import KEYS, RAMP, RESOLVED, TABLES
 from planner.cases.problem_file.machine import folders_of, machine_of, prescribed_of
 from planner.cases.problem_file.reference_guess import ReferenceTrajectory, first_guess
 from planner.cases.problem_file.states import state_of, states_of
 from planner.cases.problem_file.step import with_step
-from planner.cases.problem_file.table import (
-    checked_starts,
-    checked_values,
-    read_table,
-    with_defaults,
-    with_model_limits,
-)
+from planner.cases.problem_file.table import checked_starts, checked_values, with_defaults, with_model_limits
 from planner.cases.problem_file.tasks import (
     ResolvedTask,
     check_task_departure,
@@ -92,6 +91,7 @@ from planner.model.mjcf.attached import attachments, stored_records
 from planner.model.mjcf.obstacles import obstacles_of
 from planner.model.robot_collections import model_location
 from planner.model.twin import Twin
+from planner.model.urdf.masses import MOTION_OF
 from planner.problem.avoid import Avoid
 from planner.problem.constraints.constraint import Constraint
 from planner.problem.default_appearance import default_appearance, with_marks
@@ -99,6 +99,7 @@ from planner.problem.default_weights import default_weights, straight_reference,
 from planner.problem.example_task import start_of_model
 from planner.problem.joint_limits import moved_inside_limits, starts_at_limit
 from planner.problem.limits import Limits
+from planner.problem.objective import durations_or_default
 from planner.problem.objective_problem import with_objective
 from planner.problem.problem import Problem
 from planner.problem.recipe import PROBLEM_FILE, Recipe
@@ -153,9 +154,9 @@ def loaded(table: dict[str, Any], path: str | Path, **instead: Any) -> ProblemFi
         PlannerError: A key is unknown, missing or wrong, or the model cannot be used.
     """
     path = Path(path)
-    table = with_defaults(with_model_limits(table), str(path))
-    table = with_files(table, path.parent)
-    table |= {name: value for name, value in instead.items() if value is not None}
+    table = table | {name: value for name, value in instead.items() if value is not None}
+    check_file(table, KEYS, TABLES, str(path))
+    table = with_files(with_defaults(with_model_limits(table), str(path)), path.parent)
     if not isinstance(table["model"], str) or not table["model"]:
         raise PlannerError(f"model is {short_repr(table['model'])}, expected the name of an MJCF or URDF file.")
     for key, records, file in (("attach", attachments, "model"), ("obstacle", obstacles_of, "file")):
@@ -231,13 +232,24 @@ def again(mechanism: Mechanism, *constraints: Constraint, **table: Any) -> Probl
 def _problem(
     table: dict[str, Any], mechanism: Mechanism, where: str, constraints: tuple[Constraint, ...] = ()
 ) -> Problem:
-    told = ""
+    """The problem of a table; what is refused says which joints the model was read without."""
+    try:
+        return _built(table, mechanism, where, constraints)
+    except PlannerError as error:
+        fixed = [phrase for phrase in mechanism.ignored if phrase.startswith(MOTION_OF)]
+        if not fixed:
+            raise
+        raise type(error)(f"{error} The model is read without {', '.join(fixed)}.") from None
+
+
+def _built(table: dict[str, Any], mechanism: Mechanism, where: str, constraints: tuple[Constraint, ...]) -> Problem:
+    told, rebuilt = "", RESOLVED in table
     if "start" not in table and (own := start_of_model(mechanism)) is not None:
         table = table | {"start": own}
         told = f"start is {f'the keyframe {own!r}' if own else 'the pose in which the file draws it'}: none is given."
-    for key in (*REQUIRED, *(() if "follow" in table else ("goal",))):
+    for key in ("start", *(() if "follow" in table else ("goal",))):
         if key not in table:
-            wanted = "a number of seconds, e.g. duration = 2.0" if key == "duration" else states_of(mechanism)
+            wanted = states_of(mechanism)
             if key == "start":
                 wanted += (
                     ": as drawn, the machine is outside of a range or overlaps; `planner model FILE --write` has one"
@@ -329,9 +341,13 @@ def _problem(
     problem = replace(problem, us=first_guess(problem, table["guess"], goal, along))
     if way is None or wanted is None:
         check_goal_differs(problem)
-        check_goal_controllable(problem)
+        check_goal_controllable(problem, goal[None])
+        if not rebuilt:  # a search over durations goes below those that suffice
+            between = durations_or_default(table.get("durations"), table.get("objective", {}), table["duration"])
+            check_goal_in_time(problem, max(table["duration"], *(between or (0.0,))))
     else:
         check_task_departure(x0, wanted, way.task)
+        check_goal_controllable(problem, way.rows)
     return with_objective(problem, table["objective"]) if "objective" in table else problem
 
 

@@ -8,11 +8,14 @@ from planner.base.errors import PlannerError
 from planner.dynamics import RigidBodyDynamics
 from planner.dynamics.rollout import rollout_states
 from planner.model.capabilities import unreached_dofs
+from planner.model.coordinates import coordinates_of
 from planner.model.mjcf.prescribed_joints import prescribed_dofs_of
 from planner.model.space import space_of
 from planner.problem.costs.tracking import tracking_of
 from planner.problem.goals import ROUNDING, goals_of
 from planner.problem.problem import Problem
+
+MIN_JERK_PEAK = 1.875  # velocity of a minimum-jerk motion, over its mean
 
 
 def check_goal_differs(problem: Problem) -> None:
@@ -35,24 +38,50 @@ def check_goal_differs(problem: Problem) -> None:
         raise PlannerError("no weight is above 0 where start and goal differ, expected one: nothing would move.")
 
 
-def check_goal_controllable(problem: Problem) -> None:
-    """Refuse goals of what nothing drives and nothing touches in the plan: it moves alike whatever the controls do."""
-    dynamics, cost = problem.dynamics, tracking_of(problem.cost)
+def check_goal_in_time(problem: Problem, longest: float) -> None:
+    """Refuse a goal of a joint that is farther than the limit of its velocity lets it go in the longest time, s."""
+    dynamics, cost, x0 = problem.dynamics, tracking_of(problem.cost), problem.x0
     assert isinstance(dynamics, RigidBodyDynamics)  # a problem file has them
     assert cost is not None
+    if problem.limits is None:
+        return
+    way = dynamics.space.difference(cost.x_ref[-1], x0)
+    tolerances = {goal.name: goal.tolerance for goal in goals_of(problem)}
+    for i, ends in enumerate(problem.limits.velocity_ranges(dynamics)):
+        name, unit = coordinates_of(dynamics)[i]
+        fastest = float(ends[int(way[i] > 0.0)])
+        if abs(way[i]) > abs(fastest) * longest + tolerances.get(name, np.inf):
+            duration = float(f"{1.05 * MIN_JERK_PEAK * way[i] / fastest:.2g}") if fastest else np.inf
+            raise PlannerError(
+                f"the goal has {name} {abs(way[i]):.3g} {unit} from the start, and its velocity limit of "
+                f"{abs(fastest):.3g} {unit}/s lets it go {abs(fastest) * longest:.3g} {unit} in {longest:g} s, "
+                f"expected more time, e.g. duration = {duration:g}, or a higher limit."
+            )
+
+
+def check_goal_controllable(problem: Problem, rows: np.ndarray) -> None:
+    """Refuse goals of what nothing drives and nothing touches in the plan: it moves alike whatever the controls do.
+
+    Args:
+        problem: Of a file.
+        rows: (M, nx) states at rising times up to the end in which all else is as asked; one of them is the end.
+    """
+    dynamics = problem.dynamics
+    assert isinstance(dynamics, RigidBodyDynamics)  # a problem file has them
     loose = unreached_dofs(dynamics.mechanism, prescribed_dofs_of(dynamics))
     if not np.any(loose):
         return
     space, mechanism = dynamics.space, dynamics.mechanism
-    end = rollout_states(dynamics, problem.x0, problem.first_guess)[-1]
+    by_itself = rollout_states(dynamics, problem.x0, problem.first_guess)[-len(rows) :]
     theirs = np.concatenate([loose, loose, np.zeros(mechanism.na, dtype=bool)])
-    reached = space.integrate(cost.x_ref[-1], np.where(theirs, space.difference(end, cost.x_ref[-1]), 0.0))
+    reached = space.integrate(rows, np.where(theirs, space.difference(by_itself, rows), 0.0))
+    t = problem.dynamics.dt * np.arange(problem.N + 1)[-len(rows) :]
     for goal in goals_of(problem):
-        miss = float(goal.error(reached[None])[0])
+        miss = goal.miss(t, reached)
         if miss > goal.tolerance:
             first = mechanism.joint_of(int(np.flatnonzero(loose)[0]))
             raise PlannerError(
                 f"nothing drives or holds {first} in the plan, so that {goal.name} ends {miss:.3g} {goal.unit} from "
-                "the goal whatever the controls do, expected a plane or a box under it, a goal where it gets by "
-                "itself, or a model without that joint."
+                'the goal whatever the controls do, expected a plane or a box at rest under it, contacts = "model" if '
+                "the machine pushes it, a goal where it gets by itself, or a model without that joint."
             )

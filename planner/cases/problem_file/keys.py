@@ -177,7 +177,10 @@ RAMP = "ramp"  # in that table: of the ground under feet that stay, m
 MODEL_LIMITS = {"control": "model", "position": "model", "velocity": "model"}
 """What holds unless it is switched off: a key of it is "off", or limits itself is."""
 URDF = ("base", "floor", "package_path", "inertia")
-REQUIRED = ("model", "start", "duration")
+TABLES = {
+    "weights": WEIGHTS, "limits": LIMITS, "avoid": AVOID, "goal": GOAL, "follow": FOLLOW, "attach": ATTACH,
+    "obstacle": OBSTACLE, "phase": PHASE, "constraint": CONSTRAINT,
+}  # fmt: skip
 DEFAULTS: dict[str, Any] = {
     "dt": "auto", "integrator": "auto", "substeps": "auto", "guess": "auto", "contacts": "auto",
     "settle": "auto", "ignore": [], "starts": 1, "seed": 0, "title": "",

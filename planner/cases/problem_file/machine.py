@@ -12,8 +12,8 @@ import numpy as np
 
 from planner.base.arguments import choice, number, short_repr
 from planner.base.errors import ModelError, PlannerError
+from planner.base.toml_table import check_keys
 from planner.cases.problem_file.keys import GROUND, LAW, URDF
-from planner.cases.problem_file.table import check_keys
 from planner.model.contact.laws import ContactLaw
 from planner.model.mechanism import Mechanism
 from planner.model.mjcf.contact_mode import MODES

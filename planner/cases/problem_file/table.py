@@ -1,16 +1,12 @@
-"""The table of a problem.toml: read, with its keys checked and its defaults filled in."""
+"""The table of a problem.toml with its values checked and its defaults filled in."""
 
 from __future__ import annotations
 
-import re
-import tomllib
-from collections.abc import Collection
-from pathlib import Path
 from typing import Any
 
-from planner.base.arguments import choice, count, did_you_mean, number, numbers, short_repr
-from planner.base.errors import FileError, PlannerError
-from planner.base.files import printable, read_text
+from planner.base.arguments import choice, count, number, numbers, short_repr
+from planner.base.errors import PlannerError
+from planner.base.toml_table import check_keys
 from planner.cases.problem_file.keys import AVOID, DEFAULTS, KEYS, LIMITS, MODEL_LIMITS, RAMP, RESOLVED, WEIGHTS
 from planner.cases.problem_file.reference_guess import GUESSES
 from planner.dynamics.rigid_body import MAX_SUBSTEPS
@@ -21,52 +17,6 @@ from planner.problem.objective import checked_durations, weights_of
 from planner.problem.rediscretize import MAX_STAGES
 from planner.problem.tasks.waypoints import WAYPOINTS
 from planner.solvers.options import MAX_STARTS
-
-_FEW = 8  # keys that are listed before the nearest one is suggested
-LONGEST = 2**20  # characters; guesses and weights are short, models are files of their own
-MAX_DOTS = 20
-_PART = r"""(?:"[^"\n]*"|'[^'\n]*'|[\w-]+)"""
-_DEEP = re.compile(rf"(?:^|[\[{{,])[ \t]*(?:{_PART}[ \t]*\.[ \t]*){{{MAX_DOTS}}}", re.M)
-"""A dotted key of many parts, which takes tomllib the square of their number."""
-
-_VALUE = re.compile(r"""\s*(?P<key>[\w-]+)\s*=\s*(?:(?P<bare>[A-Za-z_][\w./-]*)\s*(?:\#.*)?$|.)""")
-
-
-def read_table(path: Path) -> dict[str, Any]:
-    """The file's table; FileError where it cannot be read."""
-    text = read_text(path, "the problem file")
-    if len(text) > LONGEST:
-        raise FileError(f"{printable(path)} has {len(text)} characters, expected a table of at most {LONGEST}.")
-    if _DEEP.search(text):
-        raise FileError(
-            f"{printable(path)} has a key of more than {MAX_DOTS} parts, expected some of KEY or TABLE.KEY."
-        )
-    try:
-        return tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
-        raise FileError(f"{path} is not TOML: {_likely_cause(text) or str(error).removesuffix('.')}.") from None
-    except ValueError:  # Python reads no integers of more than 4300 digits
-        raise FileError(f"{path} has a number of thousands of digits, expected numbers that fit 64 bits.") from None
-    except RecursionError:
-        raise FileError(f"{path} is nested too deeply, expected a table of numbers and names.") from None
-
-
-def _likely_cause(text: str) -> str:
-    """What most often is wrong in a text that is not TOML; "" for something else."""
-    values: dict[str, int] = {}
-    for n, line in enumerate(text.splitlines(), 1):
-        found = _VALUE.match(line)
-        if found and found["bare"] and found["bare"] not in ("true", "false", "inf", "nan"):
-            return f'line {n} has a text without quotes, expected {found["key"]} = "{found["bare"]}"'
-        if line.lstrip().startswith("["):
-            name = line.strip().strip("[]").strip()
-            if name in values and line.lstrip().startswith("[["):
-                return (
-                    f"{name} is a value in line {values[name]} and a table [[{name}]] in line {n}, expected one of them"
-                )
-        elif found:
-            values.setdefault(found["key"], n)
-    return ""
 
 
 def with_defaults(table: dict[str, Any], where: str, stored: bool = False) -> dict[str, Any]:
@@ -88,6 +38,10 @@ def with_defaults(table: dict[str, Any], where: str, stored: bool = False) -> di
         _check_resolved(table[RESOLVED], where)
     if "model" not in table:
         raise PlannerError(f"{where} has no key 'model', expected the name of an MJCF or URDF file.")
+    if "duration" not in table and isinstance(table.get("durations"), (list, tuple)) and table["durations"]:
+        table = table | {"duration": table["durations"][-1]}  # a search begins where there is time enough
+    if "duration" not in table:
+        raise PlannerError(f"{where} has no key 'duration', expected a number of seconds, e.g. duration = 2.0.")
     return {**DEFAULTS, **table, "weights": dict(table.get("weights", {}))}
 
 
@@ -116,16 +70,6 @@ def with_model_limits(table: dict[str, Any]) -> dict[str, Any]:
     if not isinstance(limits, dict):
         raise PlannerError(f"limits is {short_repr(limits)}, expected {OFF!r} or a table [limits].")
     return table | {"limits": MODEL_LIMITS | limits}
-
-
-def check_keys(table: dict[str, Any], keys: Collection[str], where: str) -> None:
-    """Refuse a key that is unknown, and suggest the nearest known one."""
-    for key in table:
-        if key not in keys:
-            hint, known = did_you_mean(key, keys), ", ".join(keys)
-            if hint and len(keys) > _FEW:  # the cure first: nobody reads on after thirty names
-                raise PlannerError(f"{where} has no key {short_repr(key)}.{hint} Its keys are: {known}.")
-            raise PlannerError(f"{where} has the key {short_repr(key)}, expected some of: {known}.{hint}")
 
 
 def checked_values(table: dict[str, Any]) -> tuple[dict[str, Any], int]:

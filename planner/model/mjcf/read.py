@@ -195,7 +195,13 @@ def _refuse(found: list[UnsupportedElement], name: str, survey: ModelIndex) -> N
     if firm:
         advice = f"nothing takes a {' or '.join(firm)} out"
         raise ModelError(f"{name} has what changes its motion and is not modelled: {what}; {advice}.")
-    raise ModelError(f"{' and '.join(ways)} loads {name} without what changes its motion and is not modelled: {what}.")
+    driving = sum(refusal.kind == "actuator" and not refusal.feature for refusal in found)
+    left = ""
+    if 0 < driving == survey.model.nu:
+        left = " That leaves no actuator: put motors or servos on joints or fixed tendons, or prescribe accelerations."
+    raise ModelError(
+        f"{' and '.join(ways)} loads {name} without what changes its motion and is not modelled: {what}.{left}"
+    )
 
 
 def mechanism_of_model(model: Any) -> Mechanism:

@@ -3,7 +3,7 @@
 Goals at the end have no weight of their own where the machine rests there (weights `rest`, or a gait): their pose has.
 A goal has the weight WEIGHT / tolerance^2 on its squared error / 2 at its stage, so that an error of the tolerance
 costs more than the whole effort. A path has PATH_RATE times that weight. Unless a goal is a via point, velocities of
-the joints that move the frame have a weight there.
+the joints that move the frame have a weight there, which rises with that of the goal.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from planner.problem.costs.tracking import TrackingCost
 from planner.problem.default_weights import VELOCITY, servo_reference, servos_of, staying_cost, with_slip
 from planner.problem.goals import MIN_TOLERANCES
 from planner.problem.tasks.follow import Follow
-from planner.problem.tasks.timed_task import Task, TimedGoal, unit_of
+from planner.problem.tasks.timed_task import DEFAULT_TOLERANCES, Task, TimedGoal, unit_of
 
 WEIGHT = 4.0  # in 1 / tolerance^2
 PATH_RATE = 25.0  # 1/s, weight of a path relative to a goal
@@ -69,9 +69,10 @@ def task_cost(
             Q[one.stage, dof, dof] += weight / one.tolerances[_part(unit_of(mechanism, dof))] ** 2
             x_ref[one.stage, mechanism.q_address[dof]] = value
         if not (one.goal.through or one.last):
+            strict = factor / WEIGHT * (DEFAULT_TOLERANCES["velocity"] / one.tolerances["velocity"]) ** 2
             for dof in _moving_dofs(mechanism, one):
                 i = mechanism.nv + dof
-                Q[one.stage, i, i] += VELOCITY / MIN_TOLERANCES[f"{unit_of(mechanism, dof)}/s"] ** 2
+                Q[one.stage, i, i] += strict * VELOCITY / MIN_TOLERANCES[f"{unit_of(mechanism, dof)}/s"] ** 2
         if one.goal.frame is not None and weight > 0.0:
             terms.append(_of_frame(task, one, weight))
     for path in task.follows:

@@ -13,6 +13,7 @@ from planner.proof.diagnostics.balance import falling, standing_goal
 from planner.proof.diagnostics.effort import longer, more_time, passing_duration
 from planner.proof.diagnostics.goals import larger_weights, without_ignored
 from planner.proof.diagnostics.limits import fixed_joints, no_actuator, wider_margin, within_limits
+from planner.proof.diagnostics.soft_equalities import soft_equalities
 from planner.proof.diagnostics.solving import first_guess, more_iterations, not_a_minimum, nothing_known, other_guesses
 from planner.proof.diagnostics.stage import calmer_gains, shorter_stage
 from planner.proof.diagnostics.suggested_fix import SuggestedFix
@@ -24,7 +25,7 @@ __all__ = ["SuggestedFix", "longer", "standing_goal", "suggested_fixes"]
 _CAUSES = (
     standing_goal, first_guess, no_actuator, avoid_contact, fixed_joints, more_time, passing_duration,
     penalize_velocity, within_limits, without_ignored, more_iterations, shorter_stage, calmer_gains, wider_margin,
-    larger_weights, other_guesses, falling, not_a_minimum,
+    larger_weights, other_guesses, falling, not_a_minimum, soft_equalities,
 )  # fmt: skip
 
 

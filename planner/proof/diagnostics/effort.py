@@ -72,7 +72,8 @@ def more_time(plan: Plan, problem: Problem, proof: Proof | None) -> list[Suggest
         if _at_goal(problem, machine).load <= 1.0 and (swinging := _of_bounds(plan, problem, proof)):
             return swinging
         values = {**longest.values, "duration": Quantity(MAX_LENGTHENING * duration, "s")}
-        return [no_fix("goal", f"{longest.what}_never_enough", **values)]
+        against = "needed" in values and values["needed"].value * values["limit"].value < 0.0
+        return [no_fix("goal", "servo_ends" if against else f"{longest.what}_never_enough", **values)]
     low, high = 1.0, MAX_LENGTHENING
     for _ in range(_STEPS):
         middle = (low * high) ** 0.5
@@ -85,6 +86,8 @@ def more_time(plan: Plan, problem: Problem, proof: Proof | None) -> list[Suggest
 def _short_of_force(plan: Plan, problem: Problem, proof: Proof | None) -> bool:
     """Whether the plan missed a goal or limit, or the solve did not converge, though the goal is feasible."""
     if plan.status.cut or plan.status in (Status.OUTSIDE_LIMITS, Status.NO_DESCENT):
+        return True
+    if plan.status is Status.INFEASIBLE and not passing_duration(plan, problem, proof):
         return True
     if proof is None:
         return False

@@ -29,6 +29,8 @@ SENTENCES = {
     "too_little_speed": "in {duration} the {joint} needs {needed} of {limit}",
     "force_never_enough": "No duration lets the actuators hold the path to the goal: even in {duration} {actuator} "
     "needs {needed} of {limit}.",
+    "servo_ends": "Even in {duration} {actuator} has {limit} where {needed} is needed: its control range ends before "
+    "the pose of the goal. A servo's ctrlrange is in the unit of its joint, times its gear (which classes inherit).",
     "speed_never_enough": "No duration lets the joints follow the path to the goal: even in {duration} the {joint} "
     "needs {needed} of {limit}.",
     "infeasible": "in {duration} the motion is followed from the free one into limits {factor:.4g} times as wide, and "
@@ -43,6 +45,8 @@ SENTENCES = {
     "is off its stop, by 0.1 rad or more",
     "fixed_joints": "equalities and ranges of the file together leave {joint}{others} one value, at which they lean on "
     "their stops, which only MuJoCo has: write wider ranges in the file, or another equality.",
+    "equality_gives": "The equalities of your file give: they are springs of {rate:.3g} rad/s there, and exact in the "
+    'plan. Write solref="{time:.2g} 1" at them, or move more slowly.',
     "excursion": "{joint} swings {excess:.3g} beyond both start and goal; only effort costs something on the way",
     # Goals and weights
     "goal_missed": "the plan ends {miss} from the goal of {goal}, and {tolerance} pass",

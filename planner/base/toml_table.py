@@ -1,0 +1,110 @@
+"""Read a table of TOML and check its keys, with what is needed for nothing else: a wrong file is answered at once."""
+
+from __future__ import annotations
+
+import re
+import tomllib
+from collections.abc import Collection, Mapping
+from pathlib import Path
+from typing import Any
+
+from planner.base.arguments import did_you_mean, number, short_repr
+from planner.base.errors import FileError, PlannerError
+from planner.base.files import printable, read_text
+
+_FEW = 8  # keys that are listed before the nearest one is suggested
+LONGEST = 2**20  # characters; guesses and weights are short, models are files of their own
+MAX_DOTS = 20
+_PART = r"""(?:"[^"\n]*"|'[^'\n]*'|[\w-]+)"""
+_DEEP = re.compile(rf"(?:^|[\[{{,])[ \t]*(?:{_PART}[ \t]*\.[ \t]*){{{MAX_DOTS}}}", re.M)
+"""A dotted key of many parts, which takes tomllib the square of their number."""
+
+_VALUE = re.compile(
+    r"""\s*(?P<key>[\w-]+)\s*=\s*(?:(?:(?P<number>[-+\d.]+)\s*)?(?P<bare>[A-Za-z_][\w./-]*)\s*(?:\#.*)?$|.)"""
+)
+
+
+def read_table(path: Path) -> dict[str, Any]:
+    """The file's table; FileError where it cannot be read."""
+    text = read_text(path, "the problem file")
+    if len(text) > LONGEST:
+        raise FileError(f"{printable(path)} has {len(text)} characters, expected a table of at most {LONGEST}.")
+    if _DEEP.search(text):
+        raise FileError(
+            f"{printable(path)} has a key of more than {MAX_DOTS} parts, expected some of KEY or TABLE.KEY."
+        )
+    try:
+        return tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise FileError(f"{path} is not TOML: {_likely_cause(text) or str(error).removesuffix('.')}.") from None
+    except ValueError:  # Python reads no integers of more than 4300 digits
+        raise FileError(f"{path} has a number of thousands of digits, expected numbers that fit 64 bits.") from None
+    except RecursionError:
+        raise FileError(f"{path} is nested too deeply, expected a table of numbers and names.") from None
+
+
+def _likely_cause(text: str) -> str:
+    """What most often is wrong in a text that is not TOML; "" for something else."""
+    values: dict[str, int] = {}
+    for n, line in enumerate(text.splitlines(), 1):
+        found = _VALUE.match(line)
+        if found and found["bare"] and found["number"]:
+            return (
+                f"line {n} has a unit, {found['bare']}, expected {found['key']} = {found['number']}: s, m, kg, rad are "
+                "what numbers mean"
+            )
+        if found and found["bare"] and found["bare"] not in ("true", "false", "inf", "nan"):
+            return f'line {n} has a text without quotes, expected {found["key"]} = "{found["bare"]}"'
+        if line.lstrip().startswith("["):
+            name = line.strip().strip("[]").strip()
+            if name in values and line.lstrip().startswith("[["):
+                return (
+                    f"{name} is a value in line {values[name]} and a table [[{name}]] in line {n}, expected one of them"
+                )
+        elif found:
+            values.setdefault(found["key"], n)
+    return ""
+
+
+def check_keys(table: dict[str, Any], keys: Collection[str], where: str) -> None:
+    """Refuse a key that is unknown, and suggest the nearest known one."""
+    for key in table:
+        if key not in keys:
+            hint, known = did_you_mean(key, keys), ", ".join(keys)
+            if hint and len(keys) > _FEW:  # the cure first: nobody reads on after thirty names
+                raise PlannerError(f"{where} has no key {short_repr(key)}.{hint} Its keys are: {known}.")
+            raise PlannerError(f"{where} has the key {short_repr(key)}, expected some of: {known}.{hint}")
+
+
+def check_file(table: dict[str, Any], keys: Collection[str], parts: Mapping[str, Collection[str]], where: str) -> None:
+    """Refuse unknown keys of a file and of its tables, and a duration that is missing or no number.
+
+    Args:
+        table: Of the file.
+        keys: That it may have.
+        parts: Keys of its tables by their names; a table `goal`, other than a list of them, has names of joints.
+        where: The file's name.
+
+    Raises:
+        PlannerError: Also for a key that stands below the heading of a table, to which it then belongs.
+    """
+    check_keys(table, keys, where)
+    for name, known in parts.items():
+        given = table.get(name)
+        for k, part in enumerate(given if isinstance(given, list) else [given], 1):
+            if not isinstance(part, dict):
+                continue
+            place = f"[[{name}]] number {k}" if part is not given else f"[{name}]"
+            joints = name == "goal" and part is given
+            for key in part:
+                if key not in known and key not in table and key in (("duration",) if joints else keys):
+                    raise PlannerError(
+                        f"{key} stands in {place} of {where}, expected above the first heading: what stands below a "
+                        "heading belongs to its table."
+                    )
+            if not joints:
+                check_keys(part, known, f"{place} of {where}")
+    if "duration" in table:
+        number("duration", table["duration"], greater_than=0.0)
+    elif "durations" not in table:
+        raise PlannerError(f"{where} has no key 'duration', expected a number of seconds, e.g. duration = 2.0.")
