@@ -76,7 +76,7 @@ class RelaxationStep(NamedTuple):
 
     def __str__(self) -> str:
         row = (
-            f"{self.number:5d}  {self.stage:8s}  {self.factor:7.4g}  {self.duration:11.5g}  {self.cost:15.8g}  "
+            f"{self.number:5d}  {self.stage:14s}  {self.factor:7.4g}  {self.duration:11.5g}  {self.cost:15.8g}  "
             f"{self.iterations:10d}  {self.status.name}{'' if self.meets_goal else ', not kept'}"
         )
         return row if self.number else f"{self.header()}\n{row}"
@@ -84,7 +84,7 @@ class RelaxationStep(NamedTuple):
     @staticmethod
     def header() -> str:
         """The heading of the table of str(); part of the first row."""
-        return f"{'relax':>5}  stage     {'factor':>7}  {'duration, s':>11}  {'cost':>15}  {'iterations':>10}  status"
+        return f"{'relax':>5}  stage           {'factor':>7}  {'duration, s':>11}  {'cost':>15}  {'iterations':>10}  status"
 
 
 def is_trapped(problem: Problem, plan: Plan, options: SolverOptions) -> bool:
