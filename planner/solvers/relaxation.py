@@ -84,7 +84,8 @@ class RelaxationStep(NamedTuple):
     @staticmethod
     def header() -> str:
         """The heading of the table of str(); part of the first row."""
-        return f"{'relax':>5}  stage           {'factor':>7}  {'duration, s':>11}  {'cost':>15}  {'iterations':>10}  status"
+        columns = f"{'factor':>7}  {'duration, s':>11}  {'cost':>15}  {'iterations':>10}  status"
+        return f"{'relax':>5}  stage           {columns}"
 
 
 def is_trapped(problem: Problem, plan: Plan, options: SolverOptions) -> bool:

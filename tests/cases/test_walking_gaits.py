@@ -210,7 +210,10 @@ def test_a_step_by_phases_passes(tmp_path):
         ("[[phase]]\nstand = []\n[[phase]]\nstand = []\n", r"\[\[phase\]\] 1 has no `until`"),
         ("[[phase]]\nuntil = 0.5\n", r"stand of \[\[phase\]\] 1 is None"),
         ("[[phase]]\nuntil = 0.5\nstand = []\n", "the phases end at 0.5 s, expected times that grow to the duration"),
-        ("[[phase]]\nfrom = 0.5\nstand = []\n", r"a key of \[\[phase\]\] 1 is 'from'"),
+        (
+            "[[phase]]\nfrom = 0.5\nstand = []\n",
+            r"\[\[phase\]\] number 1 of .* has the key 'from', expected some of: until, stand",
+        ),
         ('gait = "trot"\n[[phase]]\nstand = []\n', r"gait and \[\[phase\]\], expected one of them"),
     ],
 )

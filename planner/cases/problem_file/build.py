@@ -91,7 +91,6 @@ from planner.model.mjcf.attached import attachments, stored_records
 from planner.model.mjcf.obstacles import obstacles_of
 from planner.model.robot_collections import model_location
 from planner.model.twin import Twin
-from planner.model.urdf.masses import MOTION_OF
 from planner.problem.avoid import Avoid
 from planner.problem.constraints.constraint import Constraint
 from planner.problem.default_appearance import default_appearance, with_marks
@@ -232,14 +231,13 @@ def again(mechanism: Mechanism, *constraints: Constraint, **table: Any) -> Probl
 def _problem(
     table: dict[str, Any], mechanism: Mechanism, where: str, constraints: tuple[Constraint, ...] = ()
 ) -> Problem:
-    """The problem of a table; what is refused says which joints the model was read without."""
+    """The problem of a table; what is refused says what the model was read without: a joint may be missed."""
     try:
         return _built(table, mechanism, where, constraints)
     except PlannerError as error:
-        fixed = [phrase for phrase in mechanism.ignored if phrase.startswith(MOTION_OF)]
-        if not fixed:
+        if not mechanism.ignored:
             raise
-        raise type(error)(f"{error} The model is read without {', '.join(fixed)}.") from None
+        raise type(error)(f"{error} The model is read without {' and '.join(mechanism.ignored)}.") from None
 
 
 def _built(table: dict[str, Any], mechanism: Mechanism, where: str, constraints: tuple[Constraint, ...]) -> Problem:

@@ -15,7 +15,6 @@ import numpy as np
 from planner.base.errors import ModelError
 from planner.model.urdf.robot import SCALAR, Inertial, Joint, Robot
 
-MOTION_OF = "the motion of "  # with which the phrase about joints begins that are read as fixed
 MIN_MASS = 1e-14
 """kg and kg m^2; MuJoCo refuses less than 1e-15."""
 _NOTHING = 1e-11  # kg or kg m^2 that a joint moves: what it moves is lost in rounding
@@ -76,7 +75,7 @@ def without_idle(robot: Robot, joints: tuple[Joint, ...]) -> tuple[tuple[Joint, 
     needed = [joint.mimic[0] for joint in joints if joint.mimic is not None and joint.name not in names]
     fixed = names - set(needed)  # a joint that others follow is refused where it moves nothing
     more = '; inertia = "from shapes" gives it one' if any(_has_shapes(robot, joint) for joint in idle) else ""
-    phrase = f"{MOTION_OF}{listed([joint.name for joint in idle], 'joint')} (no mass hangs on what it moves{more})"
+    phrase = f"the motion of {listed([joint.name for joint in idle], 'joint')} (no mass hangs on what it moves{more})"
     kept = tuple(replace(j, kind="fixed", mimic=None) if j.name in fixed else j for j in joints)
     return kept, [phrase] if fixed else []
 
