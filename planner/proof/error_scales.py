@@ -152,12 +152,12 @@ def bounds_in_file(plan: Plan, spring_rate: float) -> np.ndarray:
     bounds, problem = path_error_bounds(plan), plan.problem
     assert problem is not None
     mechanism = capabilities_of(problem.dynamics).mechanism
-    if mechanism is None or is_nonsmooth(problem):
+    if mechanism is None:
         return bounds
     held = np.concatenate([constrained_dofs(mechanism)] * 2)
     widths = np.clip(np.ptp(mechanism.joint_range, axis=1), 0.0, STILL)
     still = SHARE * np.concatenate([widths, widths * spring_rate])
-    if np.any(held):
+    if np.any(held) and not is_nonsmooth(problem):  # whose bounds are SMOOTHED already
         bounds = bounds * SMOOTHED / SHARE  # of all: the joints beside move with those that are held
     bounds[: len(held)] = np.where(held, np.maximum(bounds[: len(held)], still), bounds[: len(held)])
     return bounds

@@ -124,8 +124,9 @@ FINGERS = """<mujoco><worldbody><body><joint name="yaw" axis="0 0 1" damping="1"
   <actuator><motor joint="yaw"/><position joint="left" kp="400" kv="9"/></actuator></mujoco>"""
 
 
-def still_fingers(time):
-    mechanism = planner.Mechanism.from_mjcf(FINGERS.format(time=time))
+def still_fingers(time, more=""):
+    text = FINGERS.format(time=time).replace('axis="0 0 1" damping="1"', f'axis="0 0 1" damping="1"{more}')
+    mechanism = planner.Mechanism.from_mjcf(text)
     goals = planner.Goal(joints={"yaw": 1.5, "left": 0.0})
     return planner.prove(planner.solve(planner.task(mechanism, mechanism.home, goals, duration=1.0)), rollouts=0)
 
