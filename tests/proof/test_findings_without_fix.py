@@ -75,7 +75,7 @@ HOPPER = """
 """
 
 
-def proof(rate=14.7, mode=None, failures=(), contacts="ground"):
+def proof(rate=14.7, mode=None, failures=(), contacts="ground", share=12.8):
     """Of a machine whose feedback replay fails at some measurements and whose errors grow."""
     capabilities = SimpleNamespace(mechanism=Mechanism.from_mjcf(HOPPER, contacts=contacts))
     problem = SimpleNamespace(dynamics=SimpleNamespace(capabilities=capabilities))
@@ -85,7 +85,7 @@ def proof(rate=14.7, mode=None, failures=(), contacts="ground"):
         refined_feedback=SimpleNamespace(failures=[SimpleNamespace(name=name) for name in failures]),
         growth=SimpleNamespace(measured=[SimpleNamespace(name="growth_rate_open_loop", value=rate)]),
         errors=SimpleNamespace(
-            measured={"feedback": np.array([0.0, 12.8])}
+            measured={"feedback": np.array([0.0, share])}
         ),
     )  # fmt: skip
 
@@ -94,6 +94,8 @@ def test_a_machine_that_falls_is_no_matter_of_margins():
     (found,) = falling(None, None, proof())
     assert (found.code, found.value) == ("falls", None)
     assert found.values == {"rate": 14.7, "share": 12.8}
+    (held,) = falling(None, None, proof(share=0.3))  # the gains hold it in the plan's model
+    assert held.code == "ground_differs"
     assert not loses_balance(proof(rate=0.5))  # what is steady does not fall
     assert not loses_balance(proof(mode="feedback"))  # gains hold it
     assert not loses_balance(proof(failures=("position_range_violation",)))  # gains lead it into its stops

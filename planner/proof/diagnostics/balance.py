@@ -50,8 +50,8 @@ def _growth_rate(proof: Proof) -> float:
 
 
 def falling(plan: Plan, problem: Problem, proof: Proof | None) -> list[SuggestedFix]:
-    """The finding that the machine loses its balance along the trajectory; listed after its fixes."""
+    """The finding that the machine loses its balance, by itself or where MuJoCo's ground differs; after its fixes."""
     if proof is None or not loses_balance(proof):
         return []
     share = float(proof.errors.measured["feedback"].max())
-    return [no_fix("goal", "falls", rate=_growth_rate(proof), share=share)]
+    return [no_fix("goal", "falls" if share > 1.0 else "ground_differs", rate=_growth_rate(proof), share=share)]
