@@ -12,8 +12,8 @@ SENTENCES = {
     "becomes {share:.3g} times what passes. No key is known to help: begin with a goal nearer to the start, or write a "
     "`start` and a `goal` with the centre of mass over the middle of the feet.",
     "ground_differs": "The plan's gains hold the machine in the plan's own model: an error that grows as "
-    "exp({rate:.3g} t), t in s, becomes {share:.3g} times what passes. MuJoCo's contacts act otherwise there: they slip "
-    "less and give more (docs/contact.md). No key is known to help: begin with a shorter or slower motion.",
+    "exp({rate:.3g} t), t in s, becomes {share:.3g} times what passes. MuJoCo's contacts act otherwise there: they "
+    "slip less and give more (docs/contact.md). No key is known to help: begin with a shorter or slower motion.",
     # Shapes
     "ground_removed": '{pair} collide, and contacts = "off" removes the ground',
     "start_collides": "Another `start` is needed, or a model that excludes the pair: at the start {pair} overlap by "
