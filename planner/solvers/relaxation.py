@@ -203,13 +203,14 @@ class _Relaxation:
                 direct = replace(plan, starts=direct.starts)
                 if not is_trapped(problem, direct, self.options):
                     return direct
+        stopped = direct.status is Status.MAX_ITERATIONS and _look_iterations(problem) < limit
+        plan = None
         if has_softer(problem):
             plan = self._by_forces_at_a_distance() if _failed(direct) else None
             plan = plan or self._by_softer_contacts()
-        else:
-            plan = None if _meets_goals(direct) else self._by_other_guesses(direct)
-        costs_more = plan is None or (has_softer(problem) and plan.cost >= direct.cost)
-        if direct.status is Status.MAX_ITERATIONS and _look_iterations(problem) < limit and costs_more:
+        elif stopped or not _meets_goals(direct):
+            plan = self._by_other_guesses(direct)
+        if stopped and (plan is None or (has_softer(problem) and plan.cost >= direct.cost)):
             direct = self._resumed(direct, limit)
         if plan is not None and (_failed(direct) or plan.cost < direct.cost):
             return replace(plan, starts=direct.starts)
