@@ -49,7 +49,7 @@ DISTANT_ITERATIONS = 100  # after which a solve with forces at a distance goes o
 SWING_FACTOR = 2.0  # of the limits, at which branches with other numbers of swings begin
 FIRST_ITERATIONS = 300  # limit of the first solve of a branch, and of a direct one past obstacles
 MAX_REPEATS = 2  # number of swings that lead to a branch that was followed, after which no others are tried
-GUESS_WORK = 2.0  # limit of the work of a solve from another first guess (solvers.work)
+GUESS_WORK = 10.0  # limit of the work of a solve from the first other guess (solvers.work), half of it for each next
 SAME_COST = 1e-3  # relative difference of the costs below which two of them are the same branch, or its mirror image
 LENGTHENING = 1.1  # ratio of successive durations
 MAX_DURATIONS = 8  # number of them: up to 2.1 times
@@ -241,9 +241,9 @@ class _Relaxation:
 
         None also once two guesses lead to the same minimum: then the weights or the limits keep it off its goals.
         """
-        most = WorkBudget(GUESS_WORK).iterations(self.problem, self.options.max_iterations)
         costs = [direct.cost] if direct.converged else []
-        for stage, states, us in other_guesses(self.problem):
+        for k, (stage, states, us) in enumerate(other_guesses(self.problem)):
+            most = WorkBudget(GUESS_WORK / 2**k).iterations(self.problem, self.options.max_iterations)
             allowed = self._allowed(self.problem, max(most, Continuation.look_iterations))
             plan = self.solve_one(self.problem, self.options, states, None, us, allowed, None)
             if self._report(stage, 1.0, plan, plan.converged and not plan.missed_goals):
