@@ -203,24 +203,18 @@ class Limits:
         Raises:
             PlannerError: As for the class.
         """
-        mechanism = with_names(capabilities_of(dynamics).mechanism, "position")
-        found = np.tile([-np.inf, np.inf], (mechanism.nv, 1))
-        for i, joint_range in self._found(dynamics).items():
-            if i < mechanism.nv:
-                found[i] = joint_range.low, joint_range.high
-        return found
+        return self._ends(dynamics, "position")
 
     def velocity_ranges(self, dynamics: Dynamics) -> np.ndarray:
-        """Lower and upper ends (nv, 2) of the velocities of a mechanism's joints, infinite where there are none.
+        """The same of the joints' velocities."""
+        return self._ends(dynamics, "velocity")
 
-        Raises:
-            PlannerError: As for the class.
-        """
-        mechanism = with_names(capabilities_of(dynamics).mechanism, "velocity")
-        found = np.tile([-np.inf, np.inf], (mechanism.nv, 1))
+    def _ends(self, dynamics: Dynamics, what: str) -> np.ndarray:
+        mechanism = with_names(capabilities_of(dynamics).mechanism, what)
+        found, first = np.tile([-np.inf, np.inf], (mechanism.nv, 1)), mechanism.nv * (what == "velocity")
         for i, joint_range in self._found(dynamics).items():
-            if mechanism.nv <= i < 2 * mechanism.nv:
-                found[i - mechanism.nv] = joint_range.low, joint_range.high
+            if first <= i < first + mechanism.nv:
+                found[i - first] = joint_range.low, joint_range.high
         return found
 
     def ranges(self, dynamics: Dynamics, cost: Cost, x0: np.ndarray, N: int) -> StateBounds | None:

@@ -52,10 +52,10 @@ class SolverOptions:
         spread: Size of the random changes, relative to the controls.
         pilot_iterations: Iterations after which the controls have the size that `spread` scales.
 
-        homotopy: Whether a solve that ends at its limits without success is repeated without limits, which are then
-            tightened step by step, and one with contacts, without success or slow, with forces at a distance or softer
-            contacts, which are then hardened (see solvers.relaxation). Not with a warm start, nor with a lower
-            max_iterations than the default.
+        homotopy: Whether a solve without success begins again from other first guesses; one that ends at limits then
+            without limits, which are tightened step by step; one with contacts, without success or slow, with forces at
+            a distance or softer contacts, which are then hardened (see solvers.relaxation). Not with a warm start, nor
+            with a lower max_iterations than the default.
 
         min_regularization: Smallest weight mu on the controls' steps, relative to the largest entry of R; below it mu
             is zero (Levenberg and Marquardt; N&W 10.3).

@@ -89,7 +89,7 @@ class RelaxationStep(NamedTuple):
 
 
 def is_trapped(problem: Problem, plan: Plan, options: SolverOptions) -> bool:
-    """Whether a direct solve ended without success at its limits, or with contacts and far from its goals."""
+    """Whether a direct solve ended without success, and not only because its weights are too small."""
     if not (_is_relaxed(problem, options) and _failed(plan)):
         return False
     if at_limits(problem, plan) or _stays_away(problem, plan):
@@ -153,7 +153,7 @@ def relax(
     """The plan of a relaxation, else the direct one; and a record of its solves for its options.
 
     Args:
-        problem: With limits or contacts.
+        problem: Any.
         direct: Its plan by a direct solve without success, or after direct_iterations.
         solve_one: One solve of (problem, options, states, penalties, controls, iteration limit, callback).
         options: Of the solves.
