@@ -1,6 +1,7 @@
 """suggested_fixes(): what a FAIL says to write is computed, and with it the plan passes."""
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -13,6 +14,8 @@ from planner.proof.diagnostics import SuggestedFix, longer, suggested_fixes
 from planner.proof.diagnostics.solving import not_a_minimum
 from planner.proof.diagnostics.stage import rounded_step
 from planner.proof.diagnostics.suggested_fix import rounded_up
+from planner.proof.repair import Tools, repair
+from planner.proof.repair.refinement import refine
 
 ARM = """
 <mujoco>
@@ -116,6 +119,34 @@ def test_a_goal_that_is_asked_for_too_little(tmp_path):
     assert first.code == "goal_missed"
     assert first.values["miss"].unit == "rad"
     assert first.written == f"`weights.final_position = {first.value}`"
+
+
+def test_position_and_velocity_that_are_missed_are_one_fix(tmp_path):
+    """A larger weight of one of them alone is met by missing the other by more."""
+    first = passes_with(arm(tmp_path, weights={"final_position": 20, "final_velocity": 2}), "weights")
+    assert set(first.value) == {"final_position", "final_velocity"}
+    assert first.value["final_position"] > 20.0
+    assert first.value["final_velocity"] > 2.0
+
+
+def test_a_fix_whose_plan_then_has_too_long_a_step_goes_on_at_a_finer_one(tmp_path):
+    """Neither the fix alone nor finer steps alone make it pass."""
+    problem = arm(tmp_path, weights={"final_position": 20}, integrator='"euler"')
+    plan, proof = tried(problem)
+    assert proof is not None
+    assert not tried(cured(problem, suggested_fixes(plan, proof)[0]))[1].passed
+    assert len(refine(plan, proof).path) == 1
+
+    def solve(problem, max_iterations, purpose, budget):
+        return planner.solve(problem, max_iterations=max_iterations, budget=budget)
+
+    steps, judge = [], partial(planner.prove, rollouts=0)
+    tools = Tools(solve, judge, {}, 1000, steps.append, lambda *_: None)
+    done = repair(problem, plan, proof, (), tools)
+    assert done.proof is not None
+    assert done.proof.passed
+    assert [line.integrator for line in done.path] == ["euler", "rk4"]
+    assert steps[-1].outcome == "applied"
 
 
 def test_a_weight_by_joint_stays_one_by_joint(tmp_path):
@@ -335,7 +366,7 @@ def test_a_swing_up_that_hangs_on_its_motor_needs_time_and_no_weight(tmp_path):
     weights = {"effort": 0.06, "final_position": 1e4, "final_velocity": 1e3}
     problem = file(tmp_path, model, keys, weights, {"control": '"model"', "position": '"model"'})
     found = suggested_fixes(*tried(problem))
-    assert [one.key for one in found][:2] == ["duration", "weights.final_position"]
+    assert [one.key for one in found][:2] == ["duration", "weights"]
     assert found[0].code == "at_bounds"
     value = found[0].value
     assert longer(problem, found[0]).value > 1.4 * value

@@ -53,6 +53,9 @@ def larger_weights(plan: Plan, problem: Problem, proof: Proof | None) -> list[Su
             key = _WEIGHTS[goal.unit.endswith("/s")]
             times[key][coordinates.index((goal.name, goal.unit))] = _raised(problem, goal, miss)
     own = [_of_weight(problem, cost, key, found) for key, found in times.items() if found]
+    if len(own) > 1:  # one without the other is met by missing the other by more
+        both = {one.key.partition(".")[2]: one.value for one in own}
+        own = [fix(problem, "weights", both, own[0].code, **own[0].values)]
     return [*_of_task(plan, problem), *own]
 
 

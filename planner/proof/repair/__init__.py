@@ -2,8 +2,9 @@
 
     1. finer steps         RK4 in place of Euler, half the stage: refinement.py
     2. saddles             a stationary point that is no minimum is left along its lowest curvature: saddle.py
-    3. suggested fixes     of how the motion is computed; the first that passes is applied. Then those that change the
-                           motion itself, which are only reported: fixes.py
+    3. suggested fixes     of how the motion is computed, with finer steps where only these are then wrong; the first
+                           that passes is applied. Then those that change the motion itself, which are only reported:
+                           fixes.py
     4. clearance           larger where shapes collide in MuJoCo, smaller where only their fits do: clearance.py
 
 All solves and proofs share one budget of work (solvers.work), so that the result is the same on a machine of any speed
@@ -77,11 +78,15 @@ def repair(
         budget: Of the repair; by default DEFAULT_WORK.
     """
     work = WorkBudget(DEFAULT_WORK) if budget is None else budget
-    if proof is not None and not path and not standing_goal(plan, problem, proof):
-        done = refine(
+
+    def refined(plan: Plan, proof: Proof) -> Refined:
+        return refine(
             plan, proof, budget=work.part("finer steps"), prove=tools.prove, callback=tools.report,
             max_iterations=tools.max_iterations, **tools.options,
         )  # fmt: skip
+
+    if proof is not None and not path and not standing_goal(plan, problem, proof):
+        done = refined(plan, proof)
         if done.plan.status is Status.INTERRUPTED:
             raise KeyboardInterrupt  # the next run begins an interrupted refinement again
         if len(done.path) > 1:
@@ -99,10 +104,10 @@ def repair(
     if resumed or (proof is not None and proof.passed):
         return Repaired(plan, proof, path, found)
     if of_file(problem):
-        trials = FixTrials(problem, tools.solve, tools.prove, work, tools.max_iterations, tools.report)
+        trials = FixTrials(problem, tools.solve, tools.prove, refined, work, tools.max_iterations, tools.report)
         better, found = trials.run(found)
         if better is not None:
-            plan, proof, path = *better, ()
+            plan, proof, path = better.plan, better.proof, better.path if better.path[1:] else ()
             tools.store(plan, "repaired", path)
     if proof is not None and not proof.passed:
         wider = refine_clearance(

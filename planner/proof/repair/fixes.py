@@ -1,4 +1,4 @@
-"""Solve and prove with the suggested fixes of a failed plan, until one passes."""
+"""Solve and prove with the suggested fixes of a failed plan, then at finer steps if need be, until one passes."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from planner.problem.plan import Plan, Status
 from planner.problem.problem import Problem
 from planner.proof.diagnostics import SuggestedFix, longer
 from planner.proof.diagnostics.suggested_fix import ITERATIONS
+from planner.proof.repair.refinement import Refined
 from planner.proof.verdict import Proof
 from planner.solvers.work import WorkBudget
 
@@ -44,13 +45,12 @@ class FixTrials:
     problem: Problem
     solve: Solve
     prove: Callable[[Plan], Proof]
+    refine: Callable[[Plan, Proof], Refined]
     budget: WorkBudget
     max_iterations: int
     report: Callable[[FixTrial], object]
 
-    def run(
-        self, found: tuple[SuggestedFix, ...]
-    ) -> tuple[tuple[Plan, Proof] | None, tuple[SuggestedFix, ...]]:  # fmt: skip
+    def run(self, found: tuple[SuggestedFix, ...]) -> tuple[Refined | None, tuple[SuggestedFix, ...]]:
         """The plan and proof that passed with a fix applied, or None; and the updated fixes, failed ones last."""
         if any(one.value is None for one in found):
             return None, found
@@ -74,7 +74,7 @@ class FixTrials:
         rest = [one for one in found if one not in failed]
         return None, (*rest, *(replace(one, tried="fails") for one in found if one in failed))
 
-    def _first_passing(self, one: SuggestedFix) -> tuple[SuggestedFix, tuple[Plan, Proof] | None]:
+    def _first_passing(self, one: SuggestedFix) -> tuple[SuggestedFix, Refined | None]:
         """The fix, with a longer duration if the suggested one is too short; and the passing plan and proof or None."""
         for _ in range(MAX_DURATIONS if one.key == "duration" else 1):
             better = self._tried(one)
@@ -83,7 +83,7 @@ class FixTrials:
             one = longer(self.problem, one)
         return one, None
 
-    def _tried(self, one: SuggestedFix) -> tuple[Plan, Proof] | None:
+    def _tried(self, one: SuggestedFix) -> Refined | None:
         self.report(FixTrial(one, "begins"))
         problem, asked = self.problem, self.max_iterations
         if one.key == ITERATIONS:
@@ -103,11 +103,11 @@ class FixTrials:
             self.report(FixTrial(one, "not solved", plan.status.name))
             return None
         self.budget.charge_proof(problem)
-        proof = self.prove(plan)
-        if not proof.passed:
-            self.report(FixTrial(one, "fails", proof.reason))
+        done = self.refine(plan, self.prove(plan))
+        if not done.passed:
+            self.report(FixTrial(one, "fails", done.proof.reason))
             return None
-        return plan, proof
+        return done
 
 
 def with_fix(problem: Problem, one: SuggestedFix) -> Problem:
