@@ -20,16 +20,21 @@ from planner.base.files import PathLike, file_error
 class Encoder:
     """A video being written; a context manager. Memory does not grow with the number of frames."""
 
-    def __init__(self, path: Path, width: int, height: int, fps: float, target: PathLike) -> None:
-        """Start ffmpeg. Width and height are even; an error names the path `target`, as `path` may be temporary."""
+    def __init__(
+        self, path: Path, width: int, height: int, fps: float, target: PathLike, hold: float = 0.0
+    ) -> None:  # fmt: skip
+        """Start ffmpeg, which shows the last frame for `hold` s more.
+
+        Width and height are even; an error names the path `target`, as `path` may be temporary.
+        """
         self._target = target
         self._log = tempfile.TemporaryFile()  # noqa: SIM115, closed by __exit__
         command = [
             _ffmpeg(target), "-loglevel", "error", "-y",
             "-f", "rawvideo", "-pix_fmt", "rgb24", "-s", f"{width}x{height}", "-r", f"{fps:g}", "-i", "pipe:0",
             # Say which YUV it is: players guess by picture size, and half of them would shift the colours.
-            "-vf", "scale=out_color_matrix=bt709:out_range=tv", "-colorspace", "bt709",
-            "-color_primaries", "bt709", "-color_trc", "bt709", "-color_range", "tv",
+            "-vf", f"scale=out_color_matrix=bt709:out_range=tv,tpad=stop_mode=clone:stop_duration={hold:g}",
+            "-colorspace", "bt709", "-color_primaries", "bt709", "-color_trc", "bt709", "-color_range", "tv",
             "-c:v", "libx264", "-preset", "veryfast", "-crf", "18", "-pix_fmt", "yuv420p",
             # The index in front lets a browser start before it has everything.
             "-movflags", "+faststart", "-f", "mp4", str(path),

@@ -49,8 +49,8 @@ def render_video(
 
     Args:
         shown: A replay, or a proof for its open-loop replay at the left and the one with gains at the
-            right, each with the ghost of the plan; one of them where both pass and look the same. A replay that ran
-            away stays in its last pose.
+            right, each with the ghost of the plan; one of them where both pass or fail and look the same. A replay that
+            ran away stays in its last pose.
         path: The file, ending in .mp4.
         width: Pixels, even.
         height: Pixels, even.
@@ -94,8 +94,8 @@ def render_video(
 
 
 def one_replay_shows_both(proof: Proof) -> bool:
-    """Whether both replays of a proof pass, and no point of the machine is as far apart in them as could be seen."""
-    if proof.mode is None or not (proof.refined_open_loop.passed and proof.refined_feedback.passed):
+    """Whether both replays of a proof pass or both fail, and no point of the machine is visibly apart in them."""
+    if proof.refined_open_loop.passed != proof.refined_feedback.passed:
         return False
     one, other = (Film.of(proof.replays[mode], np.zeros(1)) for mode in MODE_WORDS)
     if math.isfinite(min(one.unstable, other.unstable)):
@@ -109,7 +109,8 @@ def one_replay_shows_both(proof: Proof) -> bool:
 def _captioned(proof: Proof) -> dict[Replay, Caption | None]:
     """The replays of a proof, open loop first, with the words under each; one for both where they look the same."""
     if one_replay_shows_both(proof):
-        return {proof.replays["open-loop"]: Caption("open loop, and with gains the same", "PASS")}
+        verdict = "PASS" if proof.mode else "" if proof.refined_open_loop.passed else "FAIL"
+        return {proof.replays["open-loop"]: Caption("open loop, and with gains the same", verdict)}
     sections = {"open-loop": proof.refined_open_loop, "feedback": proof.refined_feedback}
     captioned: dict[Replay, Caption | None] = {}
     for mode, words in MODE_WORDS.items():
