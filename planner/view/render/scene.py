@@ -174,15 +174,18 @@ class Scene:
         if self._fixed and np.any(np.ptp(film.shift, axis=0)):
             return Window(0, 0, self._width, self._height)
         forces = film.points + np.asarray(seen.force_offset)
-        parts = [swept(self._model, film.qpos), forces, forces + seen.force_scale * film.forces]
+        machine = swept(self._model, film.qpos)
+        parts = [forces, forces + seen.force_scale * film.forces]
         if self._ghost:
             parts.append(swept(self._ghost_model, film.ghost_qpos) + np.asarray(seen.ghost_offset))
         parts += [points for points, _ in self._marks.lines] + self._marks.goals
-        points = np.concatenate([np.reshape(part, (-1, 3)) for part in parts])
+        others = np.concatenate([np.reshape(part, (-1, 3)) for part in parts])
+        if not hasattr(self._mujoco.MjvGeom, "castshadow"):  # before MuJoCo 4 ghosts and arrows cast shadows, too
+            machine = np.concatenate([machine, others])
         axes = np.stack(directions(self._camera.azimuth, self._camera.elevation))
         eye = self._look_at - self._camera.distance * axes[0]
         reach = self._marks.reach + self._link_capsules.radius
-        return moving_window(self._model, points, reach, eye, axes, self._width, self._height)
+        return moving_window(self._model, machine, others, reach, eye, axes, self._width, self._height)
 
     @property
     def difference(self) -> float:

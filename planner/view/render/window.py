@@ -71,13 +71,15 @@ def swept(model: Any, path: np.ndarray) -> np.ndarray:
 
 
 def moving_window(
-    model: Any, points: np.ndarray, reach: float, eye: np.ndarray, axes: np.ndarray, width: int, height: int
-) -> Window:
+    model: Any, machine: np.ndarray, others: np.ndarray, reach: float, eye: np.ndarray, axes: np.ndarray,
+    width: int, height: int,
+) -> Window:  # fmt: skip
     """The window in which all is that moves; the whole picture where that is not known.
 
     Args:
         model: MuJoCo's, as it is drawn.
-        points: (M, 3) around what moves, without shadows and reflections.
+        machine: (M, 3) points around what moves and casts shadows.
+        others: (K, 3) points around what moves and casts none.
         reach: How far something may be beyond these points, in the model's unit of length.
         eye: (3,) where the camera is.
         axes: (3, 3) the directions ahead, right and up, as rows.
@@ -88,15 +90,15 @@ def moving_window(
         The window; its sides are multiples of four pixels, or the picture's.
     """
     whole = Window(0, 0, width, height)
-    points = points[np.isfinite(points).all(axis=1)]
-    if model.nskin or model.nflex or not len(points):
+    machine, others = (points[np.isfinite(points).all(axis=1)] for points in (machine, others))
+    if model.nskin or model.nflex or not len(machine):
         return whole
     data = load_mujoco().MjData(model)
     load_mujoco().mj_kinematics(model, data)
     load_mujoco().mj_comPos(model, data)
     load_mujoco().mj_camlight(model, data)
-    shadows = [_shadow(model, data, light, points) for light in np.flatnonzero(model.light_castshadow).tolist()]
-    points = np.concatenate([points, *shadows])
+    shadows = [_shadow(model, data, light, machine) for light in np.flatnonzero(model.light_castshadow).tolist()]
+    points = np.concatenate([machine, others, *shadows])
     points = np.concatenate([points, *(_mirrored(model, data, geom, points) for geom in _mirrors(model))])
     depth, right, up = ((points - eye) @ axes.T).T
     scale = 0.5 * height / np.tan(0.5 * np.radians(model.vis.global_.fovy))  # pixels of what is 1 wide at a depth of 1
