@@ -175,6 +175,18 @@ def test_video_has_size_frames_and_format(tmp_path):
 
 
 @pytest.mark.render
+def test_a_gif_has_the_frames_of_the_video_and_plays_again(tmp_path):
+    path = render.render_video(make_replay(), tmp_path / "film.gif", **SMALL, fps=20)
+    with Image.open(path) as film:
+        assert (film.format, film.size, film.n_frames, film.info["loop"]) == ("GIF", (320, 180), 29, 0)
+        assert film.info["duration"] == 50  # ms
+        film.seek(4)
+        middle = np.asarray(film.convert("RGB"))
+    sharp = render.render_frame(make_replay(), 0.1, width=320, height=180)
+    assert np.abs(middle.astype(int) - sharp)[60:].mean() < 6.0  # of 255: a palette of 256 colours, no dithering
+
+
+@pytest.mark.render
 def test_what_rests_is_drawn_once_and_looks_as_in_a_whole_picture(monkeypatch):
     """The window has the machine, its ghost, its shadow and the force's arrow in every frame."""
     film = Film.of(make_replay(plan_offset=3.0), np.linspace(0.0, 0.1, 4))

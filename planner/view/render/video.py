@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from planner.model.mechanism import Mechanism
     from planner.proof import Proof
 
+FILMS = (".mp4", ".gif")
 _LARGEST = 4096  # pixels; scene.py draws twice as large, and OpenGL gives little more than 8192
 _LONGEST = 100_000  # frames
 _UNSEEN = 4.0 / 500.0  # of the motion's largest side, about 500 pixels of a film: at 4 pixels a ghost is drawn in full
@@ -45,13 +46,13 @@ def render_video(
     camera: str | Sequence[float] | None = None,
     progress: Progress | None = None,
 ) -> Path:
-    """Write a film of a replay, or of both replays of a proof side by side: H.264 in MP4, for any browser or player.
+    """Write a film of a replay, or of both replays of a proof side by side, as H.264 in MP4 or as GIF.
 
     Args:
         shown: A replay, or a proof for its open-loop replay at the left and the one with gains at the
             right, each with the ghost of the plan; one of them where both pass or fail and look the same. A replay that
             ran away stays in its last pose.
-        path: The file, ending in .mp4.
+        path: The file, ending in .mp4, or in .gif for pages that show no videos.
         width: Pixels, even.
         height: Pixels, even.
         fps: Frames per second.
@@ -69,7 +70,7 @@ def render_video(
         RenderingUnavailable: No OpenGL library was found.
         FileError: The file cannot be written.
     """
-    _check_suffix(path, ".mp4")
+    _check_suffix(path, *FILMS)
     check_size(width, height, even=True)
     number("fps", fps, greater_than=0.0)
     replays: dict[Replay, Caption | None] = {shown: None} if isinstance(shown, Replay) else _captioned(shown)
@@ -229,9 +230,9 @@ def _seen_from(film: Film, camera: str | Sequence[float] | None) -> Film:
     return replace(film, appearance=own)
 
 
-def _check_suffix(path: PathLike, suffix: str) -> None:
-    if Path(path).suffix.lower() != suffix:
-        raise PlannerError(f"the file is {os.fspath(path)!r}, expected a name ending in {suffix}.")
+def _check_suffix(path: PathLike, *suffixes: str) -> None:
+    if Path(path).suffix.lower() not in suffixes:
+        raise PlannerError(f"the file is {os.fspath(path)!r}, expected a name ending in {' or '.join(suffixes)}.")
 
 
 def check_size(width: int, height: int, *, even: bool = False) -> None:
