@@ -20,6 +20,7 @@ extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon"]
 html_math_renderer = "mathtext"  # MathJax would come from the network
 html_theme = "furo"
 html_title = f"planner {release}"
+html_static_path = html_css_files = ["site.css"]
 exclude_patterns = ["_build"]
 myst_heading_anchors = 4
 myst_enable_extensions = ["dollarmath", "deflist"]

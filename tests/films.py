@@ -21,7 +21,7 @@ SMALL = {"width": 320, "height": 180}
 APPEARANCE = Appearance(
     title="test", readouts=(Readout("height", 0, "in"),), ghost_offset=(26.0, 0.0, 0.0),
     goal_line=((-16.0, 0.0, 34.0), (42.0, 0.0, 34.0)), goal_label="goal",
-    look_at=(13.0, 0.0, 24.0), height_tracking=(0, 0.5), distance=100.0, azimuth=100.0, elevation=-10.0,
+    look_at=(13.0, 0.0, 24.0), distance=100.0, azimuth=100.0, elevation=-10.0,
     force_scale=0.05, force_offset=(-12.0, 0.0, 0.0), speed=0.5,
 )  # fmt: skip
 

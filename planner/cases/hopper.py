@@ -136,15 +136,13 @@ def _twin(dynamics: HopperDynamics) -> Twin:
 
 
 def _appearance(height: float) -> Appearance:
-    # The camera shows ground and goal, and follows a part of the machine's rise.
-    goal, top, follow = STANDING + height, STANDING + height + 14.0, 0.3
+    goal = STANDING + height
     return Appearance(
         title=f"Hopper, goal {height:g} in",
         readouts=(Readout("height", 0, "in"), Readout("rate", 1, "in/s"), Readout("piston", 2, "in")),
         ghost_offset=(26.0, 0.0, 0.0), speed=0.25,
         goal_line=((-12.0, 0.0, goal), (42.0, 0.0, goal)), goal_label=f"goal {height:g} in",
-        look_at=(13.0, 0.0, 0.5 * (top - follow * height)), height_tracking=(0, follow),
-        distance=1.75 * top + 15.0, azimuth=103.0, elevation=-13.0,
+        azimuth=103.0, elevation=-13.0,
         force_scale=0.01, force_unit="in/s^2, per mass", length_unit="in", force_offset=(-11.0, 0.0, 0.0),
         plots=(
             Panel("Height", "height, in", states=((0, "height"),), difference=True),

@@ -6,9 +6,12 @@ import argparse
 import importlib
 import os
 import signal
+import subprocess
 import sys
+import time
 import traceback
 from collections.abc import Callable
+from pathlib import Path
 
 import numpy as np
 
@@ -49,6 +52,7 @@ def _function(name: str) -> Callable[[argparse.Namespace, Console], int]:
 
 
 def _run(words: list[str], console: Console) -> int:
+    began = time.time()
     try:
         arguments = parser.parse(words)
         if arguments.version:
@@ -63,6 +67,8 @@ def _run(words: list[str], console: Console) -> int:
         with confined(arguments.confine):
             parser.check_inputs(arguments)
             code = _function(arguments.command)(arguments, console)
+        if arguments.command != "warmup":
+            _compile_the_rest(console, began)
         if console.lost:
             console.write_error(f"the results could not be printed: {console.lost}.")
             return 2
@@ -83,6 +89,22 @@ def _run(words: list[str], console: Console) -> int:
         kind = f"{type(error).__name__}: {short_repr(str(error))}"
         how = f"please report it, with the command and what {TRACEBACK}=1 makes it print"
         return _refuse(console, f"this is an error of the planner itself ({kind}); {how}.", INTERNAL)
+
+
+def _compile_the_rest(console: Console, began: float) -> None:
+    """In the background, where somebody at a terminal has waited for a part of the core: other machines need more."""
+    jit = sys.modules.get("planner.kernels.numba.jit")
+    if not console.live or jit is None or not jit.cache_is_shared():
+        return
+    if not any(kernel.stat().st_mtime > began for kernel in jit.cache_directory().glob("*.nbc")):
+        return
+    root = str(Path(__file__).parents[2])
+    subprocess.Popen(
+        ["nice", "-n", "19", sys.executable, "-m", "planner", "warmup", "--quiet"],
+        env={**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, [root, os.environ.get("PYTHONPATH", "")]))},
+        stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True,
+    )  # fmt: skip
+    console.write_progress("what other machines need is compiled in the background, as by planner warmup")
 
 
 def _refuse(console: Console, sentence: str, code: int) -> int:

@@ -41,7 +41,7 @@ class Console:
     def __init__(self, as_json: bool = False, quiet: bool = False) -> None:
         self.as_json, self.quiet = as_json, quiet
         self.lost = ""  # why results could not be printed
-        self._live = sys.stderr is not None and sys.stderr.isatty()
+        self.live = sys.stderr is not None and sys.stderr.isatty()
         self._drawn = 0.0
 
     def _print(self, text: str, *, result: bool, end: str = "\n") -> None:
@@ -101,7 +101,7 @@ class Console:
     def iteration(self, line: Iteration | RelaxationStep) -> None:
         """Print a line of the table of iterations: every one on a terminal, fewer in a log; all of a relaxation."""
         i = getattr(line, "iteration", 0)
-        if self._live or i < 10 or (i < 100 and i % 10 == 0) or i % 100 == 0:
+        if self.live or i < 10 or (i < 100 and i % 10 == 0) or i % 100 == 0:
             self.write_progress(str(line))
 
     def row(self, line: Start | DurationTrial | PeriodicPass) -> None:
@@ -113,10 +113,10 @@ class Console:
 
         def show(done: int, total: int) -> None:
             now, ended = time.monotonic(), done == total
-            if self.quiet or not (ended or (self._live and now - self._drawn > 0.1)):
+            if self.quiet or not (ended or (self.live and now - self._drawn > 0.1)):
                 return
             self._drawn = now
-            start = "\r" if self._live else ""
+            start = "\r" if self.live else ""
             self._print(f"{start}{work}: {done}/{total}", result=False, end="\n" if ended else "")
 
         return show

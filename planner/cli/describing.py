@@ -75,9 +75,10 @@ def _picture(arguments: argparse.Namespace, known: Description) -> tuple[Path | 
 
 
 def _show(path: str, known: Description, console: Console) -> None:
-    size = f"{known.degrees_of_freedom} degree{'s' * (known.degrees_of_freedom != 1)} of freedom"
+    dofs, actuators = known.degrees_of_freedom, len(known.actuators)
+    size = f"{dofs} degree{'s' * (dofs != 1)} of freedom, {actuators} actuator{'s' * (actuators != 1)}"
     name = f"{path}{f' ({known.name})' if known.name else ''}"
-    console.write_result(f"{name}: {size}, {len(known.actuators)} actuators, {known.mass:.4g} kg that move")
+    console.write_result(f"{name}: {size}, {known.mass:.4g} kg that move")
     rows = [
         (one["name"] or one["label"], one["kind"], _range(one["range"], one["unit"]),
          *(shown(one[key]) for key in ("damping", "armature", "friction_loss")), _spring(one),

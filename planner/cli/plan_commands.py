@@ -26,15 +26,15 @@ def render_plan(arguments: argparse.Namespace, console: Console) -> int:
     """Film both replays of a stored plan, or one perturbed simulation."""
     from planner.cli.background_render import checked_looks
     from planner.cli.proving import rollout_of
-    from planner.view.render.video import render_strip, render_video
+    from planner.view.render.video import FILMS, render_strip, render_video
 
     out = Path(arguments.out)
-    if out.suffix not in (".mp4", ".png"):
-        raise PlannerError(f"cannot render to {out}: expected a name ending in .mp4 or .png.")
+    if out.suffix not in (*FILMS, ".png"):
+        raise PlannerError(f"cannot render to {out}: expected a name ending in {', '.join(FILMS)} or .png.")
     if arguments.transparent and out.suffix != ".png":
         raise PlannerError(f"--transparent is for pictures, not for {out}: expected a name ending in .png.")
     plan = load_allowed(arguments.plan, arguments)
-    looks = checked_looks(arguments, plan.twin, film=out.suffix == ".mp4")
+    looks = checked_looks(arguments, plan.twin, film=out.suffix in FILMS)
     require_backend()
     shown = prove(plan, rollouts=0) if arguments.replay_rollout is None else rollout_of(plan, arguments)
     if out.suffix == ".png":

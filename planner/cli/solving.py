@@ -15,8 +15,8 @@ from planner.sweeps.executors import executor_of
 
 def solve_case(arguments: argparse.Namespace, console: Console) -> int:
     """Plan a case and save the plan."""
-    asked = asked_problem(arguments)
     out = plan_name(arguments.out)
+    asked = asked_problem(arguments)
     # an unwritable file fails before the work
     with write_atomically(out) as unfinished, executor_of(arguments.workers, arguments.scheduler) as executor:
         plan, seconds = solved(asked, arguments, console, executor)

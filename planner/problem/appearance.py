@@ -71,12 +71,10 @@ class Appearance:
     goal_line: tuple[Point, Point] | None = None  # Two end points of a line that marks the goal, or None
     goal_label: str = "goal"  # Label of that line
     look_at: Point = (0.0, 0.0, 0.0)  # The point the camera looks at
-    # (state index, fraction): the camera's point is raised by fraction * x[index].
-    height_tracking: tuple[int, float] | None = None
     # Indices of the state's entries x, y and z of a position that the camera's point follows, for a machine that
-    # travels; look_at is then relative to that position. None uses height_tracking.
+    # travels; look_at is then relative to that position.
     accompany: tuple[int, int, int] | None = None
-    # From the camera to its point; None looks at the whole motion instead of look_at and height_tracking.
+    # From the camera to its point; None looks at the whole motion instead of look_at.
     distance: float | None = None
     azimuth: float = 90.0  # Of the camera, degrees (MuJoCo's convention)
     elevation: float = -10.0  # Of the camera, degrees (negative looks down)

@@ -66,7 +66,7 @@ def test_prove_refuses_the_model_of_another_machine(finished, tmp_path):
         (("run", "hopper", "extra"), ("'extra'",)),
         (("prove", "nowhere.npz"), ("nowhere.npz", "does not exist")),
         # a folder, since a plan that is not there is told before what the flags say
-        (("render", ".", "--out", "x.gif"), ("x.gif", ".mp4")),
+        (("render", ".", "--out", "x.webm"), ("x.webm", ".mp4")),
         (("render", ".", "--transparent"), ("--transparent", "video.mp4", ".png")),
         (("render", "nowhere.npz", "--size", "big"), ("'big' is not a size",)),
         (("prove", ".", "--plot", "x.gif"), ("x.gif", ".svg")),

@@ -3,11 +3,15 @@
 import os
 import subprocess
 import sys
+import time
 
 import pytest
 from commands import PLANNER, launch, refused, run
 
 import planner
+from planner.cli import commands as cli_commands
+from planner.cli.console import Console
+from planner.kernels.numba import jit
 
 LIMITED = (
     "import resource, signal, sys; signal.signal(signal.SIGXFSZ, signal.SIG_IGN);"
@@ -90,3 +94,17 @@ def test_a_full_disk_of_the_cache_is_not_taken_for_that_of_the_plan(tmp_path):
     assert done.returncode == 0, done.stderr
     assert planner.load_plan(tmp_path / "p.npz").success
     assert all(file.stat().st_size <= 20000 for file in (tmp_path / "cache").rglob("*.nbc"))
+
+
+def test_who_waited_for_a_kernel_does_not_wait_for_the_rest(monkeypatch, tmp_path):
+    """At a terminal the rest of the core is compiled in the background; a script, and a warm cache, start nothing."""
+    started = []
+    monkeypatch.setattr(cli_commands.subprocess, "Popen", lambda words, **options: started.append(words))
+    monkeypatch.setattr(jit, "cache_directory", lambda: tmp_path)
+    console = Console()
+    (tmp_path / "kernel.nbc").touch()
+    for live, began in ((False, 0.0), (True, time.time() + 60.0), (True, 0.0)):
+        console.live = live
+        cli_commands._compile_the_rest(console, began)
+    (words,) = started
+    assert words[-2:] == ["warmup", "--quiet"]

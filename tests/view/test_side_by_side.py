@@ -41,9 +41,11 @@ def test_captions_say_mode_and_verdict():
     assert [caption.verdict for caption in both] == ["PASS", ""]
 
 
-def test_two_that_pass_and_look_the_same_are_one_picture():
-    (caption,) = _captioned(make_proof(make_replay(), make_replay(), "open-loop")).values()
-    assert caption == Caption("open loop, and with gains the same", "PASS")
+def test_two_that_look_the_same_are_one_picture():
+    words = "open loop, and with gains the same"
+    for offset, mode, verdict in ((0.0, "open-loop", "PASS"), (-0.25, None, "FAIL")):
+        (caption,) = _captioned(make_proof(*(make_replay(plan_offset=offset) for _ in range(2)), mode)).values()
+        assert caption == Caption(words, verdict)
 
 
 @pytest.mark.parametrize(("apart", "pictures"), [(0.2, 1), (0.6, 2)])  # in: 2.6 and 8 pixels of 500 for 38 in

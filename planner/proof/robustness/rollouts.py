@@ -42,6 +42,7 @@ CONTROL_RATE = 500.0  # Hz, of a controller
 AGREES = 0.01  # of each coordinate's range of motion: largest difference of Euler from RK4
 MAX_KNOTS = 200  # maximum number of stored knots
 _SEGMENT = 16384  # numbers per rollout that MuJoCo returns at a time
+_WORTH_THREADS = 6e-4  # s of simulation in a call: below, waking threads takes longer than they save
 _MEMORY = 256e6  # upper limit of a batch's models and states, bytes
 
 
@@ -95,6 +96,8 @@ class Rollouts:
         threads = processors() if threads is None else threads
         self._data = [mujoco.MjData(model) for _ in range(threads)]
         self._pool = load_rollout().Rollout(nthread=threads if threads > 1 else 0)
+        self._alone = load_rollout().Rollout(nthread=0)
+        self.integrator = "RK4"  # until it is known
         self.integrator = NATIVE_IMPLICIT if implicit else "EULER" if stiff and self._euler_agrees() else "RK4"
 
     def __enter__(self) -> Rollouts:
@@ -136,9 +139,12 @@ class Rollouts:
     @property
     def seconds(self) -> float:
         """Estimated duration of a rollout in one mode, s, from the sizes alone."""
+        return self._seconds(self.steps)
+
+    def _seconds(self, steps: int) -> float:
         evaluations = 4 if self.integrator == "RK4" else 1
         own = 0.125 * (5e-6 + 2.5e-6 * self.nominal.model.nv)
-        return evaluations * self.steps * own
+        return evaluations * steps * own
 
     @property
     def batch_size(self) -> int:
@@ -179,6 +185,8 @@ class Rollouts:
         xs = np.empty((K, len(at), self.plan.xs.shape[1]))
         xs[:, 0] = self.x_of(batch.start)
         states = np.empty((K, n, len(self._row)))
+        together = self._seconds(K * n) > _WORTH_THREADS
+        pool, data = (self._pool, self._data) if together else (self._alone, self._data[:1])
         with self.curves(batch, self._data):
             for i in range(0, self.steps, n):
                 if time.monotonic() > deadline:
@@ -188,8 +196,8 @@ class Rollouts:
                     states = np.empty((K, n, len(self._row)))
                 with np.errstate(all="ignore"):  # of a diverging one
                     ctrl = commands(i, n, row[:, 1 : 1 + nw])
-                self._pool.rollout(
-                    batch.models, self._data, row, ctrl, nstep=n, initial_warmstart=warm, state=states, skip_checks=True
+                pool.rollout(
+                    batch.models, data, row, ctrl, nstep=n, initial_warmstart=warm, state=states, skip_checks=True
                 )
                 row[:] = states[:, -1]
                 sound &= np.all(np.abs(row) < RUNAWAY, axis=1) & self.in_time(row[:, 0], i + n)

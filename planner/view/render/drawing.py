@@ -103,16 +103,14 @@ def _draw_row(row: Sequence[_Tile], frame: int, *, alike: bool) -> np.ndarray:
     return np.concatenate(pictures, axis=1)
 
 
-def _encode(frames: Iterator[np.ndarray], drawn: int, job: Job, progress: Progress | None) -> np.ndarray:
-    """Write the frames of a video, the last of them for a second."""
-    total = drawn + round(_HOLD * job.fps)
-    with Encoder(Path(job.output), job.width, job.height, job.fps, job.target) as encoder:
+def _encode(frames: Iterator[np.ndarray], total: int, job: Job, progress: Progress | None) -> np.ndarray:
+    """Write the frames of a video; the last of them stays for a second."""
+    with Encoder(Path(job.output), job.width, job.height, job.fps, job.target, _HOLD) as encoder:
         image = np.empty(0)
-        for done in range(total):
-            image = next(frames, image)
+        for done, image in enumerate(frames, 1):
             encoder.write(image)
             if progress is not None:
-                progress(done + 1, total)
+                progress(done, total)
     return image
 
 

@@ -1,4 +1,4 @@
-"""Encode frames as an H.264 file that a browser plays, by the ffmpeg that imageio-ffmpeg brings.
+"""Encode frames as an H.264 file that a browser plays, or as a GIF, by the ffmpeg that imageio-ffmpeg brings.
 
 imageio's own writer ignores ffmpeg's exit code: a disk that fills up at the end would leave a broken file and no error.
 """
@@ -16,23 +16,39 @@ import numpy as np
 from planner.base.errors import FileError
 from planner.base.files import PathLike, file_error
 
+# Filters, where the last frame is repeated among them, and the form of the file.
+_H264 = (
+    # Say which YUV it is: players guess by picture size, and half of them would shift the colours.
+    "scale=out_color_matrix=bt709:out_range=tv,{held}",
+    "-colorspace", "bt709", "-color_primaries", "bt709", "-color_trc", "bt709", "-color_range", "tv",
+    "-c:v", "libx264", "-preset", "veryfast", "-crf", "18", "-pix_fmt", "yuv420p",
+    # The index in front lets a browser start before it has everything.
+    "-movflags", "+faststart", "-f", "mp4",
+)  # fmt: skip
+_GIF = (
+    # The palette is the first frame's, which has all colours: one from all frames would keep the film in memory.
+    "{held},split[a][b];[a]trim=end_frame=1,palettegen[p];[b][p]paletteuse=dither=none:diff_mode=rectangle",
+    "-loop", "0", "-f", "gif",
+)  # fmt: skip
+
 
 class Encoder:
     """A video being written; a context manager. Memory does not grow with the number of frames."""
 
-    def __init__(self, path: Path, width: int, height: int, fps: float, target: PathLike) -> None:
-        """Start ffmpeg. Width and height are even; an error names the path `target`, as `path` may be temporary."""
+    def __init__(
+        self, path: Path, width: int, height: int, fps: float, target: PathLike, hold: float = 0.0
+    ) -> None:  # fmt: skip
+        """Start ffmpeg, which shows the last frame for `hold` s more.
+
+        Width and height are even; an error names the path `target`, as `path` may be temporary.
+        """
         self._target = target
         self._log = tempfile.TemporaryFile()  # noqa: SIM115, closed by __exit__
+        filters, *form = _GIF if Path(target).suffix.lower() == ".gif" else _H264
         command = [
             _ffmpeg(target), "-loglevel", "error", "-y",
             "-f", "rawvideo", "-pix_fmt", "rgb24", "-s", f"{width}x{height}", "-r", f"{fps:g}", "-i", "pipe:0",
-            # Say which YUV it is: players guess by picture size, and half of them would shift the colours.
-            "-vf", "scale=out_color_matrix=bt709:out_range=tv", "-colorspace", "bt709",
-            "-color_primaries", "bt709", "-color_trc", "bt709", "-color_range", "tv",
-            "-c:v", "libx264", "-preset", "veryfast", "-crf", "18", "-pix_fmt", "yuv420p",
-            # The index in front lets a browser start before it has everything.
-            "-movflags", "+faststart", "-f", "mp4", str(path),
+            "-vf", filters.format(held=f"tpad=stop_mode=clone:stop_duration={hold:g}"), *form, str(path),
         ]  # fmt: skip
         try:
             self._ffmpeg = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, stderr=self._log)

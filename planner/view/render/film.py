@@ -14,7 +14,6 @@ import numpy as np
 from planner.base.arguments import array
 from planner.base.errors import PlannerError
 from planner.problem.appearance import Appearance, Ghost
-from planner.problem.default_appearance import appearance_of, default_appearance
 
 if TYPE_CHECKING:
     from planner.model.mechanism import Mechanism
@@ -66,6 +65,8 @@ class Film:
             PlannerError: The replay begins with, or its plan holds, infinite or undefined numbers, or the ghost
                 is no motion of this machine.
         """
+        from planner.problem.default_appearance import appearance_of  # children that draw a film do without it
+
         known = _known(replay)
         if known == 0 or not np.all(np.isfinite(replay.plan_xs)):
             name = "plan_xs" if known else "its first state"
@@ -101,6 +102,8 @@ class Film:
     @classmethod
     def of_poses(cls, mechanism: Mechanism, poses: dict[str, np.ndarray]) -> Film:
         """A frame for each pose qpos (nq,) of a machine, by the words under it."""
+        from planner.problem.default_appearance import default_appearance
+
         qpos, none = np.array(list(poses.values())), np.zeros((len(poses), 0, 3))
         t = np.arange(float(len(poses)))
         return cls(
@@ -148,10 +151,7 @@ def _arrows(contacts: ContactHistory, t: np.ndarray) -> tuple[np.ndarray, np.nda
 
 def _shift(appearance: Appearance, xs: np.ndarray) -> np.ndarray:
     """Displacement (F, 3) of the camera's point at states (F, nx)."""
-    if appearance.accompany is not None:
-        return xs[:, list(appearance.accompany)]
-    index, fraction = appearance.height_tracking or (0, 0.0)
-    return fraction * xs[:, [index]] * np.array([0.0, 0.0, 1.0])
+    return np.zeros((len(xs), 3)) if appearance.accompany is None else xs[:, list(appearance.accompany)]
 
 
 def _known(replay: Replay) -> int:

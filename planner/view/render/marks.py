@@ -121,6 +121,11 @@ class Marks:
         """The machine's largest side, m; 0 where no mark needs it."""
         return self._size
 
+    @property
+    def reach(self) -> float:
+        """How far axes and arrows may be from the machine and the goals, m."""
+        return self._size * (_PUSH if self._pushes else _ARROW)
+
     def difference(self, other: Marks, t: float) -> float:
         """The largest distance between the trails of two films of one plan at time t, s, in the model's unit."""
         return max(

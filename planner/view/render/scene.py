@@ -18,6 +18,7 @@ from planner.view.render.film import Film
 from planner.view.render.ghost import SAME_PICTURE_PIXELS, GhostDrawer, Outline, ghost_paint, screen_difference
 from planner.view.render.marks import Marks
 from planner.view.render.shapes import LinkCapsules, SceneGeoms, without_shadow
+from planner.view.render.window import Window, moving_window, swept
 
 FORCE = (0.89, 0.12, 0.14, 1.0)
 GOAL = (0.16, 0.17, 0.20, 1.0)
@@ -60,10 +61,8 @@ class Scene:
         mujoco = gl.load_mujoco()
         self._mujoco = mujoco
         self._film, self._appearance, self._ghost = film, film.appearance, ghost
-        self._width, self._height = width, height
+        self._width, self._height, self._oversize = width, height, oversize
         model = visible_model([film]) if model is None else model
-        # The frame buffer that the model asks for may be smaller than the picture.
-        columns, rows = round(oversize * width), round(oversize * height)
         model.vis.quality.offsamples = 0
         narrow = narrow or bool(beside)
         if quick:
@@ -71,8 +70,6 @@ class Scene:
             most = _LARGE if height > _FEW else _SMALL
             for name, value in zip(("shadowsize", "numslices", "numstacks"), most, strict=True):
                 setattr(quality, name, min(getattr(quality, name), value))
-        model.vis.global_.offwidth = max(model.vis.global_.offwidth, columns)
-        model.vis.global_.offheight = max(model.vis.global_.offheight, rows)
         self._model = model
         self._ghost_model = _without_scenery(model, self._appearance)
         self._data, self._ghost_data = mujoco.MjData(model), mujoco.MjData(model)
@@ -90,13 +87,19 @@ class Scene:
         self._marks = Marks(film, model, ghost_paint(film.appearance) if ghost else None)
         if transparent:
             _hide(model, "geom", self._ground)
+        self._pixel = 2.0 * self._camera.distance * np.tan(0.5 * np.radians(model.vis.global_.fovy)) / height  # m
+        self._window = self._moving_window() if quick and not transparent else Window(0, 0, width, height)
+        columns, rows = round(oversize * self._window.width), round(oversize * self._window.height)
+        # The frame buffer that the model asks for may be smaller than the picture.
+        model.vis.global_.offwidth = max(model.vis.global_.offwidth, columns)
+        model.vis.global_.offheight = max(model.vis.global_.offheight, rows)
         backgrounds = [_before_sky(model, grey) for grey in (0, 255)] if transparent else [model]
         self._renderers = [gl.renderer(background, rows, columns) for background in backgrounds]
         self._pixels = np.empty((rows, columns, 3), np.uint8)
         self._outline = Outline(model, scenery_of(model, self._appearance)[0], self._link_capsules)
-        self._pixel = 2.0 * self._camera.distance * np.tan(0.5 * np.radians(model.vis.global_.fovy)) / height  # m
         self._points = self._ghost_points = np.empty((0, 3))  # of the frame drawn last
         self._picture, self._eyes = np.empty(0), self._renderers[0].scene.camera
+        self._background: np.ndarray | None = None  # the picture drawn first
 
     def __enter__(self) -> Scene:
         return self
@@ -140,7 +143,7 @@ class Scene:
                 scene, self._ghost_data, ghost_paint(self._appearance), np.asarray(self._appearance.ghost_offset),
                 self.difference, self._pixel, self._eye(), self._camera.distance,
             )  # fmt: skip
-        shapes = SceneGeoms(scene, self._eye(), self._camera.distance, self._pixel * self._height / len(self._pixels))
+        shapes = SceneGeoms(scene, self._eye(), self._camera.distance, self._pixel / self._oversize)
         self._marks.add(shapes, self._data, float(self._film.t[frame]))
         for point, vector in zip(*self._arrows(frame), strict=True):
             shapes.arrow(point, vector, FORCE)
@@ -148,8 +151,41 @@ class Scene:
             start, end = np.asarray(self._appearance.goal_line, dtype=float)
             shapes.dashes(start, end, GOAL)
         self._eyes = scene.camera
-        large = Image.fromarray(renderer.render(out=self._pixels))
-        return np.asarray(large.resize((self._width, self._height), Image.Resampling.BOX))
+        return self._shown(renderer)
+
+    def _shown(self, renderer: Any) -> np.ndarray:
+        """The scene that a renderer holds, around which nothing moves but in the window: (height, width, 3) uint8."""
+        size, whole = (self._width, self._height), self._background
+        picture = np.empty((self._height, self._width, 3), np.uint8) if whole is None else whole.copy()
+        eyes = [(one, one.frustum_center, one.frustum_bottom, one.frustum_top) for one in renderer.scene.camera]
+        for window in self._window.tiles(*size) if whole is None else [self._window]:
+            for camera, *frustum in eyes:
+                camera.frustum_center, camera.frustum_bottom, camera.frustum_top = frustum
+            window.look_through(renderer.scene.camera, *size)
+            large = Image.fromarray(renderer.render(out=self._pixels))
+            window.paste(np.asarray(large.resize((window.width, window.height), Image.Resampling.BOX)), picture)
+        if self._window != Window(0, 0, *size):
+            self._background = picture
+        return picture
+
+    def _moving_window(self) -> Window:
+        """The part of the picture in which anything moves in the whole film."""
+        film, seen = self._film, self._appearance
+        if self._fixed and np.any(np.ptp(film.shift, axis=0)):
+            return Window(0, 0, self._width, self._height)
+        forces = film.points + np.asarray(seen.force_offset)
+        machine = swept(self._model, film.qpos)
+        parts = [forces, forces + seen.force_scale * film.forces]
+        if self._ghost:
+            parts.append(swept(self._ghost_model, film.ghost_qpos) + np.asarray(seen.ghost_offset))
+        parts += [points for points, _ in self._marks.lines] + self._marks.goals
+        others = np.concatenate([np.reshape(part, (-1, 3)) for part in parts])
+        if not hasattr(self._mujoco.MjvGeom, "castshadow"):  # before MuJoCo 4 ghosts and arrows cast shadows, too
+            machine = np.concatenate([machine, others])
+        axes = np.stack(directions(self._camera.azimuth, self._camera.elevation))
+        eye = self._look_at - self._camera.distance * axes[0]
+        reach = self._marks.reach + self._link_capsules.radius
+        return moving_window(self._model, machine, others, reach, eye, axes, self._width, self._height)
 
     @property
     def difference(self) -> float:
@@ -197,7 +233,7 @@ class Scene:
         x, y, depth = np.stack([np.cross(ahead, up), up, ahead]) @ (np.asarray(point, dtype=float) - eye)
         if depth <= camera.frustum_near:
             return None
-        scale = self._height / 2 * camera.frustum_near / (camera.frustum_top * depth)
+        scale = self._camera.distance / (self._pixel * depth)
         return self._width / 2 + scale * x, self._height / 2 - scale * y
 
     def _pose(self, model: Any, data: Any, qpos: np.ndarray) -> None:

@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from planner.model.mechanism import Mechanism
     from planner.proof import Proof
 
+FILMS = (".mp4", ".gif")
 _LARGEST = 4096  # pixels; scene.py draws twice as large, and OpenGL gives little more than 8192
 _LONGEST = 100_000  # frames
 _UNSEEN = 4.0 / 500.0  # of the motion's largest side, about 500 pixels of a film: at 4 pixels a ghost is drawn in full
@@ -45,13 +46,13 @@ def render_video(
     camera: str | Sequence[float] | None = None,
     progress: Progress | None = None,
 ) -> Path:
-    """Write a film of a replay, or of both replays of a proof side by side: H.264 in MP4, for any browser or player.
+    """Write a film of a replay, or of both replays of a proof side by side, as H.264 in MP4 or as GIF.
 
     Args:
         shown: A replay, or a proof for its open-loop replay at the left and the one with gains at the
-            right, each with the ghost of the plan; one of them where both pass and look the same. A replay that ran
-            away stays in its last pose.
-        path: The file, ending in .mp4.
+            right, each with the ghost of the plan; one of them where both pass or fail and look the same. A replay that
+            ran away stays in its last pose.
+        path: The file, ending in .mp4, or in .gif for pages that show no videos.
         width: Pixels, even.
         height: Pixels, even.
         fps: Frames per second.
@@ -69,7 +70,7 @@ def render_video(
         RenderingUnavailable: No OpenGL library was found.
         FileError: The file cannot be written.
     """
-    _check_suffix(path, ".mp4")
+    _check_suffix(path, *FILMS)
     check_size(width, height, even=True)
     number("fps", fps, greater_than=0.0)
     replays: dict[Replay, Caption | None] = {shown: None} if isinstance(shown, Replay) else _captioned(shown)
@@ -94,8 +95,8 @@ def render_video(
 
 
 def one_replay_shows_both(proof: Proof) -> bool:
-    """Whether both replays of a proof pass, and no point of the machine is as far apart in them as could be seen."""
-    if proof.mode is None or not (proof.refined_open_loop.passed and proof.refined_feedback.passed):
+    """Whether both replays of a proof pass or both fail, and no point of the machine is visibly apart in them."""
+    if proof.refined_open_loop.passed != proof.refined_feedback.passed:
         return False
     one, other = (Film.of(proof.replays[mode], np.zeros(1)) for mode in MODE_WORDS)
     if math.isfinite(min(one.unstable, other.unstable)):
@@ -109,7 +110,8 @@ def one_replay_shows_both(proof: Proof) -> bool:
 def _captioned(proof: Proof) -> dict[Replay, Caption | None]:
     """The replays of a proof, open loop first, with the words under each; one for both where they look the same."""
     if one_replay_shows_both(proof):
-        return {proof.replays["open-loop"]: Caption("open loop, and with gains the same", "PASS")}
+        verdict = "PASS" if proof.mode else "" if proof.refined_open_loop.passed else "FAIL"
+        return {proof.replays["open-loop"]: Caption("open loop, and with gains the same", verdict)}
     sections = {"open-loop": proof.refined_open_loop, "feedback": proof.refined_feedback}
     captioned: dict[Replay, Caption | None] = {}
     for mode, words in MODE_WORDS.items():
@@ -228,9 +230,9 @@ def _seen_from(film: Film, camera: str | Sequence[float] | None) -> Film:
     return replace(film, appearance=own)
 
 
-def _check_suffix(path: PathLike, suffix: str) -> None:
-    if Path(path).suffix.lower() != suffix:
-        raise PlannerError(f"the file is {os.fspath(path)!r}, expected a name ending in {suffix}.")
+def _check_suffix(path: PathLike, *suffixes: str) -> None:
+    if Path(path).suffix.lower() not in suffixes:
+        raise PlannerError(f"the file is {os.fspath(path)!r}, expected a name ending in {' or '.join(suffixes)}.")
 
 
 def check_size(width: int, height: int, *, even: bool = False) -> None:

@@ -8,6 +8,7 @@ from __future__ import annotations
 import base64
 import json
 import math
+import re
 import shlex
 from collections.abc import Mapping, Sequence
 from html import escape
@@ -107,14 +108,15 @@ def _word(proof: Proof | None) -> str:
 
 def _verdict(plan: Plan, proof: Proof | None, fixes: Sequence[SuggestedFix]) -> str:
     if proof is not None:
-        reason, words = proof.reason, proof.headline.removeprefix(proof.verdict).strip(" ;")
+        reason, words = proof.reason, proof.headline.removeprefix(proof.verdict).strip(" ;,")
     elif math.isfinite(plan.cost):
         reason, words = "The plan was not replayed in MuJoCo, so nothing is proven.", ""
     else:
         reason, words = "There is no finite plan that could be replayed.", ""
     doubt = "" if plan.success else f"<p>The solver did not converge: {escape(plan.message)}</p>"
-    to_pass = f"<p>To pass: {' Or: '.join(escape(str(one)) for one in fixes)}</p>" if fixes else ""
-    more = f"<p>{escape(reason)}</p>{doubt}{_unchecked(proof)}{to_pass}"
+    advice = re.sub(r"`([^`]+)`", r"<code>\1</code>", escape(" Or: ".join(map(str, fixes))))
+    to_pass = f"<p>To pass: {advice}</p>" if fixes else ""
+    more = f"<p>{escape(reason)}</p>{to_pass}{doubt}{_unchecked(proof)}"
     grade = "" if proof is None else str(getattr(proof, "robustness", ""))
     word = f"{_word(proof)}, {grade}" if grade and ":" not in grade else _word(proof)
     return verdict_box(word, _word(proof) == "PASS", words, more, warns=proof is not None and proof.misleads)
@@ -256,7 +258,7 @@ def write_loop_page(verdict: LoopVerdict, folder: Path, video_note: str = "") ->
     """Write report.html into a folder, with loop.png and video.mp4 in it as far as they lie there."""
     run = verdict.loop
     title = f"{appearance_of(run.controller.problem).title or 'Loop'}, in the loop"
-    words = verdict.headline.removeprefix(verdict.verdict).strip(" ;")
+    words = verdict.headline.removeprefix(verdict.verdict).strip(" ;,")
     video, picture = embedded(folder / "video.mp4", "video/mp4"), embedded(folder / "loop.png", "image/png")
     film = video_player(video) if video else f'<p class="soft">{escape(video_note)}</p>'
     caption = "MuJoCo solid, what the controller expected as a ghost"
