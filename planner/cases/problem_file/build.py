@@ -98,6 +98,7 @@ from planner.problem.default_weights import default_weights, straight_reference,
 from planner.problem.example_task import start_of_model
 from planner.problem.joint_limits import moved_inside_limits, starts_at_limit
 from planner.problem.limits import Limits
+from planner.problem.model_lint import ranges_in_degrees
 from planner.problem.objective import durations_or_default
 from planner.problem.objective_problem import with_objective
 from planner.problem.problem import Problem
@@ -231,13 +232,16 @@ def again(mechanism: Mechanism, *constraints: Constraint, **table: Any) -> Probl
 def _problem(
     table: dict[str, Any], mechanism: Mechanism, where: str, constraints: tuple[Constraint, ...] = ()
 ) -> Problem:
-    """The problem of a table; what is refused says what the model was read without: a joint may be missed."""
+    """The problem of a table; what is refused says how the model was read: a joint, or its range, may be missed."""
     try:
         return _built(table, mechanism, where, constraints)
     except PlannerError as error:
-        if not mechanism.ignored:
+        read = [f"The model is read without {' and '.join(mechanism.ignored)}."] if mechanism.ignored else []
+        hinges = mechanism.joint_range[np.any(mechanism.S[:, :3], axis=1)]
+        read += [f"Mind that {one.problem}: {one.fix}." for one in ranges_in_degrees(hinges)]
+        if not read:
             raise
-        raise type(error)(f"{error} The model is read without {' and '.join(mechanism.ignored)}.") from None
+        raise type(error)(" ".join([str(error), *read])) from None
 
 
 def _built(table: dict[str, Any], mechanism: Mechanism, where: str, constraints: tuple[Constraint, ...]) -> Problem:
