@@ -91,7 +91,7 @@ def default_weights(
     dynamics: RigidBodyDynamics, x0: np.ndarray, goal: np.ndarray, duration: float, *,
     tolerance: float | Mapping[str, float] | None = None, named: bool = False, stays: bool = True,
     displacement: np.ndarray | None = None, max_control: np.ndarray | None = None, jerk: float = 0.0,
-    way: np.ndarray | None = None, last_share: float = 1.0,
+    way: np.ndarray | None = None, last_share: float = 1.0, carried_along: np.ndarray | None = None,
 ) -> DefaultWeights:  # fmt: skip
     """Weights for reaching a goal (nx,) from x0 (nx,) within a duration, s.
 
@@ -108,6 +108,7 @@ def default_weights(
         jerk: The weight of jerk in the objective.
         way: (E, nq) configurations from the start to the goal, where more than these two are known.
         last_share: Share of the duration after the last goal before the end.
+        carried_along: (nv,) bool, degrees of freedom that may end anywhere; by default none.
     """
     mechanism = dynamics.mechanism
     nv = mechanism.nv
@@ -134,15 +135,19 @@ def default_weights(
     jerk_cost = max(1.0, jerk * min_jerk_cost(displacement, duration))
     falling = ballistic_dofs(mechanism, x0)
     ends = jerk_cost * (not stands) * ~stationary * ~falling
+    placed = np.ones(nv) if carried_along is None else 1.0 * ~carried_along
     weights = {
         "effort": effort, **({} if control is None else {"control": control}), "velocity": velocity,
         "position": stands * (~stationary & (radii == 0.0)) / (STANCE_TOLERANCES * position) ** 2,
-        "final_position": ends * POSITION / position**2, "final_velocity": ends * VELOCITY / rate**2,
+        "final_position": ends * placed * POSITION / position**2, "final_velocity": ends * VELOCITY / rate**2,
         "hold": np.array(HOLD_SECONDS * stands),
         **({"rest": np.array((1.0 - MOVING_SHARE) * last_share), "slip": np.array(SLIP_SPEED**-2)} if steps else {}),
     }  # fmt: skip
     held = "none: the weight is that of staying at the goal"
     falls = ", none where the machine falls or drifts freely" if falling.any() else ""
+    follows = (
+        "" if np.all(placed) else ", none of a base that no goal names and that follows the joints by its momentum"
+    )
     times = f", times {jerk_cost:.3g}, the cost of the minimum-jerk motion" if jerk_cost > 1.0 else ""
     return DefaultWeights(weights, {
         "effort": "1 / limit^2 of each control" + ("" if all(known) else ", where the model has no limit from the "
@@ -156,7 +161,7 @@ def default_weights(
                     "none: not every joint has an actuator, and a swing must be free",
         "position": f"1 / ({STANCE_TOLERANCES:g} tolerances)^2 from the straight line: the machine stands"
                     if stands else "none on the way",
-        "final_position": held if stands else f"{POSITION:g} / tolerance^2{times}{falls}",
+        "final_position": held if stands else f"{POSITION:g} / tolerance^2{times}{falls}{follows}",
         "final_velocity": held if stands else f"{VELOCITY:g} / tolerance^2{times}{falls}",
         "hold": f"the cost of staying at the goal for {HOLD_SECONDS:g} s" if stands else
                 "none: the machine does not stand",

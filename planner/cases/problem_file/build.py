@@ -62,12 +62,13 @@ from planner.cases.problem_file.feasibility_checks import (
     check_goal_controllable,
     check_goal_differs,
     check_goal_in_time,
+    check_momentum,
 )
 from planner.cases.problem_file.ground_placement import place_on_ground, stance_ramp, with_ramp
 from planner.cases.problem_file.keys import KEYS, RAMP, RESOLVED, TABLES
 from planner.cases.problem_file.machine import folders_of, machine_of, prescribed_of
 from planner.cases.problem_file.reference_guess import ReferenceTrajectory, first_guess
-from planner.cases.problem_file.states import state_of, states_of
+from planner.cases.problem_file.states import carried_along, state_of, states_of
 from planner.cases.problem_file.step import with_step
 from planner.cases.problem_file.table import checked_starts, checked_values, with_defaults, with_model_limits
 from planner.cases.problem_file.tasks import (
@@ -344,6 +345,7 @@ def _built(table: dict[str, Any], mechanism: Mechanism, where: str, constraints:
     if way is None or wanted is None:
         check_goal_differs(problem)
         check_goal_controllable(problem, goal[None])
+        check_momentum(problem, goal)
         if not rebuilt:  # a search over durations goes below those that suffice
             between = durations_or_default(table.get("durations"), table.get("objective", {}), table["duration"])
             check_goal_in_time(problem, max(table["duration"], *(between or (0.0,))))
@@ -383,6 +385,7 @@ def _resolved(
             dynamics, x0, goal, table["duration"], tolerance=table["tolerance"], named="objective" in table,
             stays="position" not in given, jerk=table.get("objective", {}).get("jerk", 0.0),
             displacement=None if along is None else path_lengths(dynamics, along.states),
+            carried_along=carried_along(table["goal"], dynamics),
         )  # fmt: skip
         default = default if along is None else walking_weights(default)
     filled = {name: weight.tolist() for name, weight in default.weights.items() if name not in given}

@@ -6,8 +6,9 @@ import numpy as np
 
 from planner.base.errors import PlannerError
 from planner.dynamics import RigidBodyDynamics
+from planner.dynamics.momentum import center_of_mass, center_of_mass_jacobian
 from planner.dynamics.rollout import rollout_states
-from planner.model.capabilities import unreached_dofs
+from planner.model.capabilities import momentum_dofs, unreached_dofs
 from planner.model.coordinates import coordinates_of
 from planner.model.mjcf.prescribed_joints import prescribed_dofs_of
 from planner.model.space import space_of
@@ -85,3 +86,24 @@ def check_goal_controllable(problem: Problem, rows: np.ndarray) -> None:
                 'the goal whatever the controls do, expected a plane or a box at rest under it, contacts = "model" if '
                 "the machine pushes it, a goal where it gets by itself, or a model without that joint."
             )
+
+
+def check_momentum(problem: Problem, goal: np.ndarray) -> None:
+    """Refuse a goal (nx,) of a base that floats at rest and whose centre of mass would have to move for it."""
+    dynamics, x0 = problem.dynamics, problem.x0
+    assert isinstance(dynamics, RigidBodyDynamics)  # a problem file has them
+    mechanism = dynamics.mechanism
+    asked = {one.name: one.tolerance for one in goals_of(problem)}
+    names = coordinates_of(dynamics)
+    slides = [i for i in np.flatnonzero(momentum_dofs(mechanism)) if names[i].unit == "m" and names[i].name in asked]
+    if not slides or np.any(x0[mechanism.nq : mechanism.nq + mechanism.nv]):
+        return
+    shift = center_of_mass(mechanism, goal[: mechanism.nq]) - center_of_mass(mechanism, x0[: mechanism.nq])
+    J = center_of_mass_jacobian(mechanism, goal[: mechanism.nq])[:, slides]
+    back = np.linalg.lstsq(J, -shift, rcond=None)[0]
+    if np.any(np.abs(back) > [asked[names[i].name] for i in slides]):
+        there = ", ".join(f"{names[i].name} {by:+.4g} m" for i, by in zip(slides, back, strict=True))
+        raise PlannerError(
+            f"the goal moves the centre of mass by {np.linalg.norm(J @ back):.3g} m, and nothing pushes the machine "
+            f"from outside, expected {there} from there, or a table of joints without its base."
+        )
