@@ -5,7 +5,7 @@ Every weight makes its term dimensionless and about 1:
     effort          1 / limit^2 of each control, the limit of the model or, without one, the force that balances
                     gravity and accelerates the inertia over the displacement in half of the time. For standing
                     machines at most the force that corrects STANCE_TOLERANCES at MAX_CORRECTION_RATE, with the larger
-                    of the joint's inertias in the air and with fixed feet
+                    of the joint's inertias in the air and with fixed feet; of velocity servos of wheels how they roll
     velocity        1 / v^2 of each joint, v = 2 displacement / duration (peak of a triangle), at least MIN_SPEED;
                     only for fully actuated or standing machines: others need to swing. VELOCITY_SHARE of it where
                     an objective is named
@@ -44,7 +44,7 @@ from planner.dynamics.algorithms import bias, mass_matrix
 from planner.dynamics.assembly import feasible_directions
 from planner.dynamics.contacts import contact_forces
 from planner.dynamics.quasi_static import quasi_static_controls
-from planner.dynamics.stance import contact_stiffness, feet_move, stance_inertia
+from planner.dynamics.stance import contact_stiffness, feet_move, rolling_speeds, stance_inertia
 from planner.model.capabilities import (
     ballistic_dofs,
     flies,
@@ -128,7 +128,10 @@ def default_weights(
     position, rate = _tolerances(mechanism, [share * MIN_TOLERANCES[unit] for unit in units], tolerance)
     stance_error = STANCE_TOLERANCES * position if stands else None
     gained = 1.0 / (STANCE_TOLERANCES * position) ** 2 if steps else None
-    effort, control, known = _effort(dynamics, x0, goal, duration, displacement, stance_error, max_control, gained)
+    rolling = rolling_speeds(mechanism, x0[: mechanism.nq], radii, speed)
+    effort, control, known = _effort(
+        dynamics, x0, goal, duration, displacement, stance_error, max_control, gained, rolling
+    )
     stationary = (
         stationary_object_dofs(mechanism) & (displacement == 0.0) & (x0[mechanism.nq : mechanism.nq + nv] == 0.0)
     )
@@ -305,15 +308,14 @@ def fully_actuated(dynamics: RigidBodyDynamics) -> bool:
     gain = gains_at(mechanism.actuators, actuator_lengths(mechanism, mechanism.qpos0))
     moment = actuator_moments(mechanism, mechanism.qpos0) * (gain[:, None] != 0.0)
     own, Z = np.eye(mechanism.nv)[prescribed], feasible_directions(mechanism, mechanism.qpos0)[0]
-    Z = Z[
-        :, ~np.any(Z[stationary_object_dofs(mechanism)], axis=0)
-    ]  # objects at rest, separate from the machine, need no actuator
+    lies = stationary_object_dofs(mechanism)  # separate from the machine, and needs no actuator
+    Z = Z[:, ~np.any(Z[lies], axis=0)]
     return bool(np.linalg.matrix_rank(np.vstack([moment, own]) @ Z) == Z.shape[1])
 
 
 def _effort(
     dynamics: RigidBodyDynamics, x0: np.ndarray, goal: np.ndarray, duration: float, displacement: np.ndarray,
-    stance_error: np.ndarray | None, max_control: np.ndarray | None, gained: np.ndarray | None,
+    stance_error: np.ndarray | None, max_control: np.ndarray | None, gained: np.ndarray | None, rolling: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray | None, list[bool]]:  # fmt: skip
     """Weights and reference of the controls (nu,), and whether each has a limit in the model or in `max_control`.
 
@@ -321,6 +323,7 @@ def _effort(
 
     `stance_error` (nv,): position errors, rad or m, that a standing machine corrects at MAX_CORRECTION_RATE; else None.
     `gained` (nv,): position weights whose gains GAIN_SHARE of the stiffness of the contacts limits; else None.
+    `rolling` (nv,): rad/s of wheels that may turn as far as they like, which their velocity servos are told; else 0.
     """
     mechanism, prescribed = dynamics.mechanism, prescribed_dofs_of(dynamics)
     actuators, nq = mechanism.actuators, mechanism.nq
@@ -357,6 +360,9 @@ def _effort(
             limit = float(np.max(force[push > 0.0] / push[push > 0.0], initial=0.0)) or 1.0
         if servo[a] and swings:  # where it is told to go is not known: it is no force beyond a reference
             limit = max(limit, float(np.min(swing[push > 0.0] / np.abs(moment[a, push > 0.0]), initial=np.inf)))
+        if slopes.by_rate[a] != 0.0 and not servo[a] and np.any(rolls := (push > 0.0) & (rolling > 0.0)):
+            limits[a] = max(limit, float(np.max(rolling[rolls] * np.abs(moment[a, rolls]))))
+            continue  # a wheel neither lands nor has a place that gains would hold
         limits[a] = min(limit, float(np.max(correction[push > 0.0] / push[push > 0.0], initial=0.0)) or limit)
         bears = (push > 0.0) & (borne > 0.0)
         limits[a] = min(limits[a], float(np.min(borne[bears] / push[bears], initial=np.inf)))

@@ -120,6 +120,22 @@ def test_a_drive_straight_ahead_passes(tmp_path):
     assert proof.passed, proof.reason
 
 
+SERVOS = drive().replace("<motor ", '<velocity kv=".5" forcerange="-2 2" ').replace('ctrlrange="-2 2"', "")
+
+
+@pytest.mark.parametrize(
+    "goal", ['[[goal]]\nframe = "base"\nposition = [1, 0, 0.06]', "goal = { root = [1, 0, 0.06, 1, 0, 0, 0] }"]
+)
+def test_servos_of_velocity_drive_a_metre(tmp_path, goal):
+    """To tell a wheel to roll as the vehicle goes is no effort; and a plain goal leaves open how far it turns."""
+    (tmp_path / "drive.xml").write_text(SERVOS.replace("<freejoint/>", '<freejoint name="root"/>'), encoding="utf-8")
+    (tmp_path / "drive.toml").write_text(f'model = "drive.xml"\nduration = 3.0\n{goal}', encoding="utf-8")
+    plan = planner.solve(load(tmp_path / "drive.toml").problem)
+    assert plan.converged
+    assert plan.nit < 20  # of 60, after which softer ground is tried
+    assert planner.prove(plan, rollouts=0).passed
+
+
 def test_a_goal_straight_beside_a_vehicle_is_reached_from_shaken_controls(tmp_path):
     """From rest no small change of the wheels' torques moves it sideways: the first guess is a saddle."""
     plan = planner.solve(task(tmp_path, [0.0, 0.3, RADIUS], duration=3.0))
