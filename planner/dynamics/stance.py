@@ -110,6 +110,15 @@ def rolling_speeds(mechanism: Mechanism, q: np.ndarray, radii: np.ndarray, speed
     return found
 
 
+def carriers(mechanism: Mechanism, links: np.ndarray) -> np.ndarray:
+    """(nv,) bool, degrees of freedom between the base and some links (nv,) bool: those that steer wheels."""
+    found = np.zeros(mechanism.nv, dtype=bool)
+    for i in np.flatnonzero(links):
+        while (i := int(mechanism.parent[i])) >= 0:
+            found[i] = True
+    return found
+
+
 def contact_stiffness(mechanism: Mechanism, q: np.ndarray) -> np.ndarray:
     """(nv,) N/m or N m/rad of the loaded contacts at q (nq,), as each degree of freedom feels it: sum_k K_k |J_k|^2."""
     carry = np.flatnonzero(contact_forces(mechanism, q, np.zeros(mechanism.nv)).forces.any(axis=1))

@@ -146,17 +146,16 @@ def ballistic_dofs(mechanism: Mechanism, x0: np.ndarray) -> np.ndarray:
     return found
 
 
-def momentum_dofs(mechanism: Mechanism) -> np.ndarray:
-    """(nv,) bool, degrees of freedom of bases whose motion follows from that of the joints, by conserved momentum.
+def floating_dofs(mechanism: Mechanism) -> np.ndarray:
+    """(nv,) bool, of bases that nothing holds or drives, and that go where the motion of the joints takes them.
 
     Slides at the root of a tree, and the hinge or ball joint behind them: a free joint, or those of a planar machine.
-    No actuator, spring, damper or friction acts on them, and no contact, closure, tendon or fluid on their tree.
-    Gravity turns nothing about a base that falls with it, along its slides.
+    No actuator, spring or friction acts on them, and no contact, loop closure or tendon on their tree. Gravity turns
+    nothing about a base that falls with it, along its slides.
     """
     root, found = roots(mechanism), np.zeros(mechanism.nv, dtype=bool)
-    outside = _trees_acted_on(mechanism) | {int(root[drag.link]) for drag in mechanism.drags}
-    passive = (mechanism.stiffness != 0.0) | (mechanism.damping != 0.0) | (mechanism.friction_loss != 0.0)
-    pushed = mechanism.directly_actuated | passive
+    outside = _trees_acted_on(mechanism)
+    pushed = mechanism.directly_actuated | (mechanism.stiffness != 0.0) | (mechanism.friction_loss != 0.0)
     for first in set(root.tolist()) - outside:
         tree, i, frame, axes = root == first, first, np.eye(3), []
         lifted = mechanism.gravcomp_mass[tree].sum() >= mechanism.mass[tree].sum() * (1.0 - 1e-9)

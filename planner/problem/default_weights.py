@@ -44,7 +44,7 @@ from planner.dynamics.algorithms import bias, mass_matrix
 from planner.dynamics.assembly import feasible_directions
 from planner.dynamics.contacts import contact_forces
 from planner.dynamics.quasi_static import quasi_static_controls
-from planner.dynamics.stance import contact_stiffness, feet_move, rolling_speeds, stance_inertia
+from planner.dynamics.stance import carriers, contact_stiffness, feet_move, rolling_speeds, stance_inertia
 from planner.model.capabilities import (
     ballistic_dofs,
     flies,
@@ -62,6 +62,7 @@ from planner.problem.costs.tracking import TrackingCost
 from planner.problem.goals import MIN_TOLERANCES, tolerance_share
 from planner.problem.initial_guess import minimum_jerk
 from planner.problem.objective import VELOCITY_SHARE
+from planner.problem.servo_reference import servo_reference, servos_of
 from planner.problem.terminal_holding_cost import terminal_holding_cost
 
 MIN_SPEED = {"rad": 0.5, "m": 0.1}  # rad/s, m/s: speed of a joint without displacement whose cost is 1
@@ -148,9 +149,7 @@ def default_weights(
     }  # fmt: skip
     held = "none: the weight is that of staying at the goal"
     falls = ", none where the machine falls or drifts freely" if falling.any() else ""
-    follows = (
-        "" if np.all(placed) else ", none of a base that no goal names and that follows the joints by its momentum"
-    )
+    follows = "" if np.all(placed) else ", none of a base that no goal names and nothing holds"
     times = f", times {jerk_cost:.3g}, the cost of the minimum-jerk motion" if jerk_cost > 1.0 else ""
     return DefaultWeights(weights, {
         "effort": "1 / limit^2 of each control" + ("" if all(known) else ", where the model has no limit from the "
@@ -280,28 +279,6 @@ def straight_reference(
     return xs
 
 
-def servos_of(dynamics: RigidBodyDynamics) -> np.ndarray:
-    """(nu,) whether the force of each control depends on the state: position and velocity servos."""
-    found = np.zeros(dynamics.nu, dtype=bool)
-    found[: dynamics.mechanism.nu] = dynamics.mechanism.actuators.depends_on_state
-    return found
-
-
-def servo_reference(dynamics: RigidBodyDynamics, xs: np.ndarray) -> np.ndarray:
-    """Controls (N, nu) with which servos go along states (N+1, nx) without inertia; 0 for motors.
-
-    Each is the static control in the middle of its stage, and what balances the servo's own damping there.
-    """
-    mechanism, servos, space = dynamics.mechanism, servos_of(dynamics), dynamics.space
-    nq, nv, actuators = mechanism.nq, mechanism.nv, mechanism.actuators
-    middle = space.integrate(xs[:-1], 0.5 * space.difference(xs[1:], xs[:-1]))
-    us = np.array([quasi_static_controls(dynamics, x) for x in middle])
-    rates, own = middle[:, nq : nq + nv] @ actuators.moment.T, us[:, : mechanism.nu]
-    slopes = force_slopes(actuators, own, actuator_lengths(mechanism, middle[:, :nq]), rates)
-    own -= rates * (slopes.by_rate / np.where(slopes.gain == 0.0, 1.0, slopes.gain))
-    return np.where(servos, us, 0.0)
-
-
 def fully_actuated(dynamics: RigidBodyDynamics) -> bool:
     """Whether actuators and prescribed joints can give every joint any acceleration."""
     mechanism, prescribed = dynamics.mechanism, prescribed_dofs_of(dynamics)
@@ -346,6 +323,7 @@ def _effort(
     if gained is not None:
         borne = GAIN_SHARE * contact_stiffness(mechanism, goal[:nq]) / np.sqrt(gained)
     swings = not (fully_actuated(dynamics) or stands_on_ground(mechanism))
+    steers = carriers(mechanism, rolling > 0.0)
     swing = np.minimum([MIN_DISPLACEMENT[unit] for unit in units], 0.5 * np.ptp(mechanism.joint_range, axis=1))
     limits, known, moment = np.empty(dynamics.nu), [], actuator_moments(mechanism, x0[:nq])
     slopes = force_slopes(actuators, np.zeros(mechanism.nu), actuator_lengths(mechanism, x0[:nq]))
@@ -358,11 +336,14 @@ def _effort(
         known.append(np.isfinite(limit))
         if not known[-1]:
             limit = float(np.max(force[push > 0.0] / push[push > 0.0], initial=0.0)) or 1.0
-        if servo[a] and swings:  # where it is told to go is not known: it is no force beyond a reference
-            limit = max(limit, float(np.min(swing[push > 0.0] / np.abs(moment[a, push > 0.0]), initial=np.inf)))
-        if slopes.by_rate[a] != 0.0 and not servo[a] and np.any(rolls := (push > 0.0) & (rolling > 0.0)):
-            limits[a] = max(limit, float(np.max(rolling[rolls] * np.abs(moment[a, rolls]))))
-            continue  # a wheel neither lands nor has a place that gains would hold
+        told = 0.0  # to a servo, where no reference says it: that is no force beyond one
+        if servo[a] and (swings or np.all(steers[push > 0.0])):
+            told = float(np.min(swing[push > 0.0] / np.abs(moment[a, push > 0.0]), initial=np.inf))
+        elif slopes.by_rate[a] != 0.0:
+            told = float(np.max(rolling * np.abs(moment[a])))
+        if told > 0.0:
+            limits[a] = max(limit, told)
+            continue
         limits[a] = min(limit, float(np.max(correction[push > 0.0] / push[push > 0.0], initial=0.0)) or limit)
         bears = (push > 0.0) & (borne > 0.0)
         limits[a] = min(limits[a], float(np.min(borne[bears] / push[bears], initial=np.inf)))

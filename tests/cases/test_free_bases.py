@@ -6,7 +6,7 @@ import pytest
 import planner
 from planner.base.errors import PlannerError
 from planner.cases.problem_file import load
-from planner.model.capabilities import ballistic_dofs, momentum_dofs
+from planner.model.capabilities import ballistic_dofs, floating_dofs
 from planner.problem.goals import goals_of
 
 CAT = """<mujoco model="cat"><option gravity="0 0 {gravity}"/><worldbody>
@@ -58,19 +58,20 @@ PLANAR = """<mujoco><option gravity="0 0 {gravity}"/><worldbody>
     [
         (0, "", [True, True, True, False]),
         (-9.81, "", [True, True, True, False]),  # it falls along z, and nothing turns it
-        (0, 'damping=".1"', [True, False, False, False]),  # z is held back, and pushes pitch
+        (0, 'damping=".1"', [True, True, True, False]),  # z is slowed down, and held nowhere
+        (0, 'frictionloss=".1"', [True, False, False, False]),
         (-9.81, 'stiffness="50"', [True, False, False, False]),
     ],
 )
-def test_momentum_moves_bases_that_nothing_outside_pushes(gravity, more, found):
+def test_bases_float_that_nothing_holds_or_drives(gravity, more, found):
     planar = planner.Mechanism.from_mjcf(PLANAR.format(gravity=gravity, more=more))
-    np.testing.assert_array_equal(momentum_dofs(planar), found)
+    np.testing.assert_array_equal(floating_dofs(planar), found)
     cat = CAT.format(gravity=gravity)
-    assert momentum_dofs(planner.Mechanism.from_mjcf(cat)).tolist() == [True] * 6 + [False]
+    assert floating_dofs(planner.Mechanism.from_mjcf(cat)).tolist() == [True] * 6 + [False]
     lifted = cat.replace("<actuator>", '<actuator><motor name="lift" joint="root" gear="0 0 1 0 0 0"/>')
-    assert not momentum_dofs(planner.Mechanism.from_mjcf(lifted))[2:].any()
+    assert not floating_dofs(planner.Mechanism.from_mjcf(lifted))[2:].any()
     pendulum = cat.replace('<freejoint name="root"/>', '<joint name="root" axis="0 1 0"/>')
-    assert momentum_dofs(planner.Mechanism.from_mjcf(pendulum)).tolist() == [gravity == 0, False]
+    assert floating_dofs(planner.Mechanism.from_mjcf(pendulum)).tolist() == [gravity == 0, False]
 
 
 @pytest.mark.parametrize("gravity", [0, -9.81])

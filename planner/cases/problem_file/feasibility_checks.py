@@ -8,7 +8,7 @@ from planner.base.errors import PlannerError
 from planner.dynamics import RigidBodyDynamics
 from planner.dynamics.momentum import center_of_mass, center_of_mass_jacobian
 from planner.dynamics.rollout import rollout_states
-from planner.model.capabilities import momentum_dofs, unreached_dofs
+from planner.model.capabilities import floating_dofs, unreached_dofs
 from planner.model.coordinates import coordinates_of
 from planner.model.mjcf.prescribed_joints import prescribed_dofs_of
 from planner.model.space import space_of
@@ -95,8 +95,9 @@ def check_momentum(problem: Problem, goal: np.ndarray) -> None:
     mechanism = dynamics.mechanism
     asked = {one.name: one.tolerance for one in goals_of(problem)}
     names = coordinates_of(dynamics)
-    slides = [i for i in np.flatnonzero(momentum_dofs(mechanism)) if names[i].unit == "m" and names[i].name in asked]
-    if not slides or np.any(x0[mechanism.nq : mechanism.nq + mechanism.nv]):
+    floats = floating_dofs(mechanism) & (mechanism.damping == 0.0) & (mechanism.armature == 0.0)
+    slides = [i for i in np.flatnonzero(floats) if names[i].unit == "m" and names[i].name in asked]
+    if not slides or mechanism.drags or np.any(x0[mechanism.nq : mechanism.nq + mechanism.nv]):
         return
     shift = center_of_mass(mechanism, goal[: mechanism.nq]) - center_of_mass(mechanism, x0[: mechanism.nq])
     J = center_of_mass_jacobian(mechanism, goal[: mechanism.nq])[:, slides]

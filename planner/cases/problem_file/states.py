@@ -10,7 +10,7 @@ from planner.base.arguments import array, choice, did_you_mean, number, short_re
 from planner.base.errors import PlannerError
 from planner.dynamics.assembly import assembled, assembled_along, check_assembled
 from planner.dynamics.rigid_body import RigidBodyDynamics
-from planner.model.capabilities import momentum_dofs
+from planner.model.capabilities import floating_dofs
 from planner.model.coordinates import coordinates_of_mechanism
 from planner.model.couplings import CLOSED, check_closed
 from planner.model.mechanism import BALL, Mechanism
@@ -77,11 +77,11 @@ def state_of(
 
 
 def carried_along(goal: Any, dynamics: RigidBodyDynamics) -> np.ndarray:
-    """(nv,) bool, bases that a table of joints does not name, and that no force from outside can bring back."""
+    """(nv,) bool, bases that a table of joints does not name, and that nothing holds or drives."""
     mechanism = dynamics.mechanism
     if not isinstance(goal, dict):
         return np.zeros(mechanism.nv, dtype=bool)
-    found = momentum_dofs(mechanism)
+    found = floating_dofs(mechanism)
     found[prescribed_dofs_of(dynamics)] = False
     for name in goal:
         found[mechanism.joint(name)] = False
