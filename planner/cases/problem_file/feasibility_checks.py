@@ -93,7 +93,7 @@ def check_goal_controllable(problem: Problem, rows: np.ndarray) -> None:
 
 
 def check_momentum(problem: Problem, goal: np.ndarray) -> None:
-    """Refuse a goal (nx,) of a base that floats at rest and whose centre of mass would have to move for it."""
+    """Refuse a goal (nx,) of a base that floats at rest, without weight, whose centre of mass would have to move."""
     dynamics, x0 = problem.dynamics, problem.x0
     assert isinstance(dynamics, RigidBodyDynamics)  # a problem file has them
     mechanism = dynamics.mechanism
@@ -101,7 +101,8 @@ def check_momentum(problem: Problem, goal: np.ndarray) -> None:
     names = coordinates_of(dynamics)
     floats = floating_dofs(mechanism) & (mechanism.damping == 0.0) & (mechanism.armature == 0.0)
     slides = [i for i in np.flatnonzero(floats) if names[i].unit == "m" and names[i].name in asked]
-    if not slides or mechanism.drags or np.any(x0[mechanism.nq : mechanism.nq + mechanism.nv]):
+    falls = np.any(mechanism.gravity) and mechanism.gravcomp_mass.sum() < mechanism.mass.sum() * (1.0 - 1e-9)
+    if not slides or falls or mechanism.drags or np.any(x0[mechanism.nq : mechanism.nq + mechanism.nv]):
         return
     shift = center_of_mass(mechanism, goal[: mechanism.nq]) - center_of_mass(mechanism, x0[: mechanism.nq])
     J = center_of_mass_jacobian(mechanism, goal[: mechanism.nq])[:, slides]
