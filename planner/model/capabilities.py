@@ -149,15 +149,17 @@ def ballistic_dofs(mechanism: Mechanism, x0: np.ndarray) -> np.ndarray:
 def floating_dofs(mechanism: Mechanism) -> np.ndarray:
     """(nv,) bool, of bases that nothing holds or drives, and that go where the motion of the joints takes them.
 
-    Slides at the root of a tree, and the hinge or ball joint behind them: a free joint, or those of a planar machine.
-    No actuator, spring or friction acts on them, and no contact, loop closure or tendon on their tree. Gravity turns
-    nothing about a base that falls with it, along its slides.
+    Slides at the root of a tree with actuators, and the hinge or ball joint behind them: a free joint, or those of a
+    planar machine. No actuator, spring or friction acts on them, and no contact, loop closure or tendon on their tree.
+    Gravity turns nothing about a base that falls with it, along its slides.
     """
     root, found = roots(mechanism), np.zeros(mechanism.nv, dtype=bool)
     outside = _trees_acted_on(mechanism)
     pushed = mechanism.directly_actuated | (mechanism.stiffness != 0.0) | (mechanism.friction_loss != 0.0)
     for first in set(root.tolist()) - outside:
         tree, i, frame, axes = root == first, first, np.eye(3), []
+        if not np.any(mechanism.directly_actuated[tree]):
+            continue
         lifted = mechanism.gravcomp_mass[tree].sum() >= mechanism.mass[tree].sum() * (1.0 - 1e-9)
         weight = np.zeros(3) if lifted else mechanism.gravity
         while not pushed[i] and not np.any(mechanism.S[i, :3]):
