@@ -96,7 +96,7 @@ from planner.problem.avoid import Avoid
 from planner.problem.constraints.constraint import Constraint
 from planner.problem.default_appearance import default_appearance, with_marks
 from planner.problem.default_weights import default_weights, straight_reference, weighed
-from planner.problem.example_task import start_of_model
+from planner.problem.example_task import conflict_as_drawn, start_of_model
 from planner.problem.joint_limits import moved_inside_limits, starts_at_limit
 from planner.problem.limits import Limits
 from planner.problem.model_lint import ranges_in_degrees
@@ -254,9 +254,7 @@ def _built(table: dict[str, Any], mechanism: Mechanism, where: str, constraints:
         if key not in table:
             wanted = states_of(mechanism)
             if key == "start":
-                wanted += (
-                    ": as drawn, the machine is outside of a range or overlaps; `planner model FILE --write` has one"
-                )
+                wanted += f": as drawn, {conflict_as_drawn(mechanism)}; `planner model FILE --write` has one"
             more = ", or tables [[goal]] or [follow] for its frames" if key == "goal" else ""
             raise PlannerError(f"{where} has no key {key!r}, expected {wanted}{more}.")
     tasked = is_task(table, mechanism)
