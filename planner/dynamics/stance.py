@@ -99,6 +99,26 @@ def rolling_dofs(mechanism: Mechanism, q: np.ndarray) -> np.ndarray:
     return found
 
 
+def rolling_speeds(mechanism: Mechanism, q: np.ndarray, radii: np.ndarray, speed: np.ndarray) -> np.ndarray:
+    """(nv,) rad/s of wheels of radii (nv,) m, 0 of others, at q (nq,) on a machine that moves at speeds (nv,)."""
+    found = np.zeros(mechanism.nv)
+    for k, contact in enumerate(mechanism.contacts):
+        if radii[contact.link] > 0.0:
+            J = np.abs(contact_jacobians(mechanism, q, np.array([k]))[0])
+            J[:, contact.link] = 0.0
+            found[contact.link] = max(found[contact.link], float(np.linalg.norm(J @ speed)) / radii[contact.link])
+    return found
+
+
+def carriers(mechanism: Mechanism, links: np.ndarray) -> np.ndarray:
+    """(nv,) bool, degrees of freedom between the base and some links (nv,) bool: those that steer wheels."""
+    found = np.zeros(mechanism.nv, dtype=bool)
+    for i in np.flatnonzero(links):
+        while (i := int(mechanism.parent[i])) >= 0:
+            found[i] = True
+    return found
+
+
 def contact_stiffness(mechanism: Mechanism, q: np.ndarray) -> np.ndarray:
     """(nv,) N/m or N m/rad of the loaded contacts at q (nq,), as each degree of freedom feels it: sum_k K_k |J_k|^2."""
     carry = np.flatnonzero(contact_forces(mechanism, q, np.zeros(mechanism.nv)).forces.any(axis=1))

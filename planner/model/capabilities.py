@@ -134,12 +134,7 @@ def ballistic_dofs(mechanism: Mechanism, x0: np.ndarray) -> np.ndarray:
     Of trees that begin with a free joint, without contacts, loop closures, tendons or actuators on that joint.
     """
     root, nv, found = roots(mechanism), mechanism.nv, np.zeros(mechanism.nv, dtype=bool)
-    acted = {contact.link for contact in mechanism.contacts}
-    acted |= {shape.link for pair in mechanism.body_contacts for shape in (pair.first, pair.second)} - {-1}
-    acted |= {end for loop in mechanism.loops for end in loop.links} - {-1}
-    acted |= {dof for one in (*mechanism.couplings, *mechanism.polynomial_couplings, *mechanism.tendons)
-              for dof in one.dofs} - {-1}  # fmt: skip
-    outside = {int(root[dof]) for dof in acted}
+    outside = _trees_acted_on(mechanism)
     for links in mechanism.joint_links:
         if links.stop - links.start < 6 or mechanism.parent[links.start] >= 0 or links.start in outside:
             continue
@@ -149,6 +144,48 @@ def ballistic_dofs(mechanism: Mechanism, x0: np.ndarray) -> np.ndarray:
         if carried_off and not mechanism.directly_actuated[links].any():
             found[links.start : links.start + 3] = True
     return found
+
+
+def floating_dofs(mechanism: Mechanism) -> np.ndarray:
+    """(nv,) bool, of bases that nothing holds or drives, and that go where the motion of the joints takes them.
+
+    Slides at the root of a tree with actuators, and the hinge or ball joint behind them: a free joint, or those of a
+    planar machine. No actuator, spring or friction acts on them, and no contact, loop closure or tendon on their tree.
+    Gravity turns nothing about a base that falls with it, along its slides.
+    """
+    root, found = roots(mechanism), np.zeros(mechanism.nv, dtype=bool)
+    outside = _trees_acted_on(mechanism)
+    pushed = mechanism.directly_actuated | (mechanism.stiffness != 0.0) | (mechanism.friction_loss != 0.0)
+    for first in set(root.tolist()) - outside:
+        tree, i, frame, axes = root == first, first, np.eye(3), []
+        if not np.any(mechanism.directly_actuated[tree]):
+            continue
+        lifted = mechanism.gravcomp_mass[tree].sum() >= mechanism.mass[tree].sum() * (1.0 - 1e-9)
+        weight = np.zeros(3) if lifted else mechanism.gravity
+        while not pushed[i] and not np.any(mechanism.S[i, :3]):
+            found[i] = True
+            frame = frame @ mechanism.T_home[i, :3, :3]
+            axes.append(frame @ mechanism.S[i, 3:])
+            children = np.flatnonzero(mechanism.parent == i)
+            if len(children) != 1:
+                break
+            i = int(children[0])
+        turns = slice(i, i + (1 if mechanism.kind[i] == SCREW else 3))
+        along = np.reshape(axes, (-1, 3)).T @ np.linalg.pinv(np.reshape(axes, (-1, 3)).T) @ weight
+        if not np.any(pushed[turns]) and np.allclose(along, weight):
+            found[turns] = True
+    return found
+
+
+def _trees_acted_on(mechanism: Mechanism) -> set[int]:
+    """Roots of the trees with contacts, loop closures, couplings or tendons."""
+    root = roots(mechanism)
+    acted = {contact.link for contact in mechanism.contacts}
+    acted |= {shape.link for pair in mechanism.body_contacts for shape in (pair.first, pair.second)} - {-1}
+    acted |= {end for loop in mechanism.loops for end in loop.links} - {-1}
+    acted |= {dof for one in (*mechanism.couplings, *mechanism.polynomial_couplings, *mechanism.tendons)
+              for dof in one.dofs} - {-1}  # fmt: skip
+    return {int(root[dof]) for dof in acted}
 
 
 def unreached_dofs(mechanism: Mechanism, prescribed: Iterable[int] = ()) -> np.ndarray:

@@ -5,7 +5,7 @@ Every weight makes its term dimensionless and about 1:
     effort          1 / limit^2 of each control, the limit of the model or, without one, the force that balances
                     gravity and accelerates the inertia over the displacement in half of the time. For standing
                     machines at most the force that corrects STANCE_TOLERANCES at MAX_CORRECTION_RATE, with the larger
-                    of the joint's inertias in the air and with fixed feet
+                    of the joint's inertias in the air and with fixed feet; of velocity servos of wheels how they roll
     velocity        1 / v^2 of each joint, v = 2 displacement / duration (peak of a triangle), at least MIN_SPEED;
                     only for fully actuated or standing machines: others need to swing. VELOCITY_SHARE of it where
                     an objective is named
@@ -45,7 +45,7 @@ from planner.dynamics.algorithms import bias, mass_matrix
 from planner.dynamics.assembly import feasible_directions
 from planner.dynamics.contacts import contact_forces
 from planner.dynamics.quasi_static import quasi_static_controls
-from planner.dynamics.stance import contact_stiffness, feet_move, stance_inertia
+from planner.dynamics.stance import carriers, contact_stiffness, feet_move, rolling_speeds, stance_inertia
 from planner.model.capabilities import (
     ballistic_dofs,
     flies,
@@ -63,6 +63,7 @@ from planner.problem.costs.tracking import TrackingCost
 from planner.problem.goals import MIN_TOLERANCES, tolerance_share
 from planner.problem.initial_guess import minimum_jerk
 from planner.problem.objective import VELOCITY_SHARE
+from planner.problem.servo_reference import servo_reference, servos_of
 from planner.problem.terminal_holding_cost import terminal_holding_cost
 
 MIN_SPEED = {"rad": 0.5, "m": 0.1}  # rad/s, m/s: speed of a joint without displacement whose cost is 1
@@ -92,7 +93,7 @@ def default_weights(
     dynamics: RigidBodyDynamics, x0: np.ndarray, goal: np.ndarray, duration: float, *,
     tolerance: float | Mapping[str, float] | None = None, named: bool = False, stays: bool = True,
     displacement: np.ndarray | None = None, max_control: np.ndarray | None = None, jerk: float = 0.0,
-    way: np.ndarray | None = None, last_share: float = 1.0,
+    way: np.ndarray | None = None, last_share: float = 1.0, carried_along: np.ndarray | None = None,
 ) -> DefaultWeights:  # fmt: skip
     """Weights for reaching a goal (nx,) from x0 (nx,) within a duration, s.
 
@@ -109,6 +110,7 @@ def default_weights(
         jerk: The weight of jerk in the objective.
         way: (E, nq) configurations from the start to the goal, where more than these two are known.
         last_share: Share of the duration after the last goal before the end.
+        carried_along: (nv,) bool, degrees of freedom that may end anywhere; by default none.
     """
     mechanism = dynamics.mechanism
     nv = mechanism.nv
@@ -128,22 +130,27 @@ def default_weights(
     position, rate = _tolerances(mechanism, [share * MIN_TOLERANCES[unit] for unit in units], tolerance)
     stance_error = STANCE_TOLERANCES * position if stands else None
     gained = 1.0 / (STANCE_TOLERANCES * position) ** 2 if steps else None
-    effort, control, known = _effort(dynamics, x0, goal, duration, displacement, stance_error, max_control, gained)
+    rolling = rolling_speeds(mechanism, x0[: mechanism.nq], radii, speed)
+    effort, control, known = _effort(
+        dynamics, x0, goal, duration, displacement, stance_error, max_control, gained, rolling
+    )
     stationary = (
         stationary_object_dofs(mechanism) & (displacement == 0.0) & (x0[mechanism.nq : mechanism.nq + nv] == 0.0)
     )
     jerk_cost = max(1.0, jerk * min_jerk_cost(displacement, duration))
     falling = ballistic_dofs(mechanism, x0)
     ends = jerk_cost * (not stands) * ~stationary * ~falling
+    placed = np.ones(nv) if carried_along is None else 1.0 * ~carried_along
     weights = {
         "effort": effort, **({} if control is None else {"control": control}), "velocity": velocity,
         "position": stands * (~stationary & (radii == 0.0)) / (STANCE_TOLERANCES * position) ** 2,
-        "final_position": ends * POSITION / position**2, "final_velocity": ends * VELOCITY / rate**2,
+        "final_position": ends * placed * POSITION / position**2, "final_velocity": ends * VELOCITY / rate**2,
         "hold": np.array(HOLD_SECONDS * stands),
         **({"rest": np.array((1.0 - MOVING_SHARE) * last_share), "slip": np.array(SLIP_SPEED**-2)} if steps else {}),
     }  # fmt: skip
     held = "none: the weight is that of staying at the goal"
     falls = ", none where the machine falls or drifts freely" if falling.any() else ""
+    follows = "" if np.all(placed) else ", none of a base that no goal names and nothing holds"
     times = f", times {jerk_cost:.3g}, the cost of the minimum-jerk motion" if jerk_cost > 1.0 else ""
     return DefaultWeights(weights, {
         "effort": "1 / limit^2 of each control" + ("" if all(known) else ", where the model has no limit from the "
@@ -157,7 +164,7 @@ def default_weights(
                     "none: not every joint has an actuator, and a swing must be free",
         "position": f"1 / ({STANCE_TOLERANCES:g} tolerances)^2 from the straight line: the machine stands"
                     if stands else "none on the way",
-        "final_position": held if stands else f"{POSITION:g} / tolerance^2{times}{falls}",
+        "final_position": held if stands else f"{POSITION:g} / tolerance^2{times}{falls}{follows}",
         "final_velocity": held if stands else f"{VELOCITY:g} / tolerance^2{times}{falls}",
         "hold": f"the cost of staying at the goal for {HOLD_SECONDS:g} s" if stands else
                 "none: the machine does not stand",
@@ -278,43 +285,20 @@ def straight_reference(
     return xs
 
 
-def servos_of(dynamics: RigidBodyDynamics) -> np.ndarray:
-    """(nu,) whether the force of each control depends on the state: position and velocity servos."""
-    found = np.zeros(dynamics.nu, dtype=bool)
-    found[: dynamics.mechanism.nu] = dynamics.mechanism.actuators.depends_on_state
-    return found
-
-
-def servo_reference(dynamics: RigidBodyDynamics, xs: np.ndarray) -> np.ndarray:
-    """Controls (N, nu) with which servos go along states (N+1, nx) without inertia; 0 for motors.
-
-    Each is the static control in the middle of its stage, and what balances the servo's own damping there.
-    """
-    mechanism, servos, space = dynamics.mechanism, servos_of(dynamics), dynamics.space
-    nq, nv, actuators = mechanism.nq, mechanism.nv, mechanism.actuators
-    middle = space.integrate(xs[:-1], 0.5 * space.difference(xs[1:], xs[:-1]))
-    us = np.array([quasi_static_controls(dynamics, x) for x in middle])
-    rates, own = middle[:, nq : nq + nv] @ actuators.moment.T, us[:, : mechanism.nu]
-    slopes = force_slopes(actuators, own, actuator_lengths(mechanism, middle[:, :nq]), rates)
-    own -= rates * (slopes.by_rate / np.where(slopes.gain == 0.0, 1.0, slopes.gain))
-    return np.where(servos, us, 0.0)
-
-
 def fully_actuated(dynamics: RigidBodyDynamics) -> bool:
     """Whether actuators and prescribed joints can give every joint any acceleration."""
     mechanism, prescribed = dynamics.mechanism, prescribed_dofs_of(dynamics)
     gain = gains_at(mechanism.actuators, actuator_lengths(mechanism, mechanism.qpos0))
     moment = actuator_moments(mechanism, mechanism.qpos0) * (gain[:, None] != 0.0)
     own, Z = np.eye(mechanism.nv)[prescribed], feasible_directions(mechanism, mechanism.qpos0)[0]
-    Z = Z[
-        :, ~np.any(Z[stationary_object_dofs(mechanism)], axis=0)
-    ]  # objects at rest, separate from the machine, need no actuator
+    lies = stationary_object_dofs(mechanism)  # separate from the machine, and needs no actuator
+    Z = Z[:, ~np.any(Z[lies], axis=0)]
     return bool(np.linalg.matrix_rank(np.vstack([moment, own]) @ Z) == Z.shape[1])
 
 
 def _effort(
     dynamics: RigidBodyDynamics, x0: np.ndarray, goal: np.ndarray, duration: float, displacement: np.ndarray,
-    stance_error: np.ndarray | None, max_control: np.ndarray | None, gained: np.ndarray | None,
+    stance_error: np.ndarray | None, max_control: np.ndarray | None, gained: np.ndarray | None, rolling: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray | None, list[bool]]:  # fmt: skip
     """Weights and reference of the controls (nu,), and whether each has a limit in the model or in `max_control`.
 
@@ -322,6 +306,7 @@ def _effort(
 
     `stance_error` (nv,): position errors, rad or m, that a standing machine corrects at MAX_CORRECTION_RATE; else None.
     `gained` (nv,): position weights whose gains GAIN_SHARE of the stiffness of the contacts limits; else None.
+    `rolling` (nv,): rad/s of wheels that may turn as far as they like, which their velocity servos are told; else 0.
     """
     mechanism, prescribed = dynamics.mechanism, prescribed_dofs_of(dynamics)
     actuators, nq = mechanism.actuators, mechanism.nq
@@ -344,6 +329,7 @@ def _effort(
     if gained is not None:
         borne = GAIN_SHARE * contact_stiffness(mechanism, goal[:nq]) / np.sqrt(gained)
     swings = not (fully_actuated(dynamics) or stands_on_ground(mechanism))
+    steers = carriers(mechanism, rolling > 0.0)
     swing = np.minimum([MIN_DISPLACEMENT[unit] for unit in units], 0.5 * np.ptp(mechanism.joint_range, axis=1))
     limits, known, moment = np.empty(dynamics.nu), [], actuator_moments(mechanism, x0[:nq])
     slopes = force_slopes(actuators, np.zeros(mechanism.nu), actuator_lengths(mechanism, x0[:nq]))
@@ -356,8 +342,14 @@ def _effort(
         known.append(np.isfinite(limit))
         if not known[-1]:
             limit = float(np.max(force[push > 0.0] / push[push > 0.0], initial=0.0)) or 1.0
-        if servo[a] and swings:  # where it is told to go is not known: it is no force beyond a reference
-            limit = max(limit, float(np.min(swing[push > 0.0] / np.abs(moment[a, push > 0.0]), initial=np.inf)))
+        told = 0.0  # to a servo, where no reference says it: that is no force beyond one
+        if servo[a] and (swings or np.all(steers[push > 0.0])):
+            told = float(np.min(swing[push > 0.0] / np.abs(moment[a, push > 0.0]), initial=np.inf))
+        elif slopes.by_rate[a] != 0.0:
+            told = float(np.max(rolling * np.abs(moment[a])))
+        if told > 0.0:
+            limits[a] = max(limit, told)
+            continue
         limits[a] = min(limit, float(np.max(correction[push > 0.0] / push[push > 0.0], initial=0.0)) or limit)
         bears = (push > 0.0) & (borne > 0.0)
         limits[a] = min(limits[a], float(np.min(borne[bears] / push[bears], initial=np.inf)))

@@ -61,8 +61,18 @@ def start_of_model(mechanism: Mechanism) -> str | dict[str, float] | None:
     """
     if name := keyframe_within_ranges(mechanism):
         return name
+    return None if conflict_as_drawn(mechanism) else {}
+
+
+def conflict_as_drawn(mechanism: Mechanism) -> str:
+    """Why a motion does not start as the file draws the machine: a joint outside of its range, or an overlap; or ""."""
+    for i in np.flatnonzero(mechanism.kind == SCREW):
+        value, (low, high) = float(mechanism.qpos0[mechanism.q_address[i]]), mechanism.joint_range[i]
+        if not within(value, low, high):
+            return f"{mechanism.joint_of(int(i))} is at {value:.4g}, outside of its range {low:.4g} to {high:.4g}"
     model = compile_model(mechanism.original or mechanism.mjcf, mechanism.assets)
-    return {} if _within_ranges(mechanism, mechanism.qpos0) and not _overlap(model, mechanism.qpos0) else None
+    pairs = [one for one in overlaps(model, mechanism.qpos0) if "world" not in one.bodies]
+    return f"{pairs[0].shapes} overlap by {pairs[0].depth:.2g} m" if pairs else ""
 
 
 def keyframe_within_ranges(mechanism: Mechanism) -> str:

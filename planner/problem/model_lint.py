@@ -77,13 +77,19 @@ def _surroundings(model: Any) -> list[ModelWarning]:
     return found
 
 
-def _narrow(joints: list[Record]) -> list[ModelWarning]:
-    """Ranges meant in radians that MuJoCo reads as degrees, its default."""
-    widths = [joint["range"][1] - joint["range"][0] for joint in joints if joint["unit"] == "rad" and joint["range"]]
-    if not widths or max(widths) > _DEGREES:
+def ranges_in_degrees(ranges: np.ndarray) -> list[ModelWarning]:
+    """Ranges (J, 2) rad of hinges, meant in radians, that MuJoCo reads as degrees, its default: a warning, or none."""
+    widths = ranges[:, 1] - ranges[:, 0]
+    widest = widths[np.isfinite(widths)].max(initial=0.0)
+    if not 0.0 < widest <= _DEGREES:
         return []
-    words = f"no hinge may turn by more than {max(widths):.3g} rad, as if its range in radians were read as degrees"
+    words = f"no hinge may turn by more than {widest:.3g} rad, as if its range in radians were read as degrees"
     return [ModelWarning(words, '<compiler angle="radian"/>, if that is so')]
+
+
+def _narrow(joints: list[Record]) -> list[ModelWarning]:
+    ranges = [joint["range"] for joint in joints if joint["unit"] == "rad" and joint["range"]]
+    return ranges_in_degrees(np.reshape(ranges, (-1, 2)))
 
 
 def _light(joints: list[Record]) -> list[ModelWarning]:

@@ -60,6 +60,8 @@ def terminal_holding_cost(
                 return cost
             P = Q + A.T @ PA - S.T @ np.linalg.solve(H, S)
             P = 0.5 * (P + P.T)
+    rounding = np.abs(np.diagonal(P)) < np.finfo(float).eps * np.abs(P).max()  # of where a wheel is
+    P[rounding] = P[:, rounding] = 0.0
     return TrackingCost(
         np.concatenate([cost.Q[:-1], [cost.Q[-1] + P]]), cost.R, cost.x_ref, cost.u_ref, cost.space
     )  # fmt: skip

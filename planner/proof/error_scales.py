@@ -35,6 +35,7 @@ STILL = 0.1  # rad, m: range of a coordinate that hardly moves, so that errors u
 OF_LARGEST = 0.1  # the same at most, as a share of the largest range of its unit: of small machines
 MIN_RANGE = 1e-3  # rad, m, smallest range of motion, for a machine at rest; of velocities at the rate of the motion
 COST_BOUND = 1.0  # %, bound of the error of the judged cost
+ROUNDED = 1e-9  # of a control, at least of 1: what rounding makes of one that only holds
 
 KINDS = ("exact_goal", "position_range", "velocity_range", "state_range")  # kinds of state limits
 WORDS = {
@@ -207,11 +208,16 @@ class JudgedCost(NamedTuple):
         return float(sum(term.final_cost(x) for term in self.final))
 
     def scale(self, plan: Plan, problem: Problem) -> float:
-        """Reference of relative errors: its value on the plan, or at least its value for an error at its bound."""
+        """Reference of relative errors: its value on the plan, or at least its value for an error at its bound.
+
+        Controls have none; a plan that only stays, by controls that cost nothing, is judged by what rounding costs.
+        """
         quadratic = problem.cost.quadratize(plan.xs, plan.us)
         weights = np.abs(np.diagonal(quadratic.Q[:-1] if self.final else quadratic.Q, axis1=1, axis2=2))
+        efforts = np.abs(np.diagonal(quadratic.R, axis1=1, axis2=2))
         of_errors = 0.5 * float(np.sum(weights @ path_error_bounds(plan) ** 2))
-        return max(abs(self(problem, plan.xs, plan.us)), of_errors, np.finfo(float).tiny)
+        of_rounding = 0.5 * float(np.sum(efforts * (ROUNDED * np.maximum(1.0, np.abs(plan.us))) ** 2))
+        return max(abs(self(problem, plan.xs, plan.us)), of_errors, of_rounding, np.finfo(float).tiny)
 
     def change_by_errors(self, plan: Plan, problem: Problem) -> float:
         """By how much path errors at their bounds change it to first order: sum |dJ/dx| e.

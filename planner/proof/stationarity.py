@@ -25,7 +25,7 @@ from planner.dynamics.function import FunctionDynamics
 from planner.model.coordinates import coordinates_of
 from planner.problem.costs.terms import Quadratic
 from planner.problem.derivative_check import AGREES, DERIVATIVE_BOUND
-from planner.problem.goals import terms_of
+from planner.problem.goals import goals_of, terms_of
 from planner.problem.plan import Plan
 from planner.problem.problem import Problem
 from planner.proof.error_scales import has_contacts, is_nonsmooth
@@ -135,14 +135,24 @@ def _unreached(plan: Plan, problem: Problem, A: np.ndarray, B: np.ndarray, scale
     G = np.zeros((plan.space.ndx, plan.space.ndx))  # of the end, by controls of the plan's own size
     for n in range(plan.N):
         G = A[n] @ G @ A[n].T + (B[n] * efforts) @ (B[n] * efforts).T
-    q, Q = model.q[-1], np.diagonal(model.Q[-1])
-    weighed = Q > 0.0
-    wanted = np.where(weighed, np.abs(q) / np.where(weighed, Q, 1.0), 0.0)
+    q = model.q[-1]
+    wanted = np.abs(np.linalg.lstsq(model.Q[-1], q, rcond=1e-12)[0])  # together: weights couple coordinates
     gain = 0.5 * np.abs(q) * wanted
-    lost = (gain > WANTED * scale) & (np.sqrt(np.maximum(np.diag(G), 0.0)) < UNREACHED * wanted)
+    lost = (
+        (gain > WANTED * scale)
+        & (wanted > _passing(plan, problem))
+        & (np.sqrt(np.maximum(np.diag(G), 0.0)) < UNREACHED * wanted)
+    )
     names = [one.name for one, out in zip(coordinates_of(problem.dynamics), lost, strict=True) if out]
     note = f"no control moves {', '.join(names[:3])}: nothing touches it along the plan" if names else "goals untouched"
     return Measurement("unreached_goals", float(len(names)), "", 0.0, note)
+
+
+def _passing(plan: Plan, problem: Problem) -> np.ndarray:
+    """(ndx,) the distance from a goal that passes whatever it is of: the smallest tolerance of its unit, 0 of none."""
+    goals, units = goals_of(problem, plan.xs), [one.unit for one in coordinates_of(problem.dynamics)]
+    found = {unit: min((one.tolerance for one in goals if one.unit == unit), default=0.0) for unit in set(units)}
+    return np.array([found[unit] if np.isfinite(found[unit]) else 0.0 for unit in units])
 
 
 class _ReducedHessian:

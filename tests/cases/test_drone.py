@@ -57,3 +57,13 @@ def test_a_frame_s_goal_moves_the_base(folder):
     plan = planner.solve(planner.load_problem(file))
     assert plan.converged
     np.testing.assert_allclose(plan.xs[-1, :3], [0.0, 0.8, 0.9], atol=5e-3)
+
+
+def test_a_drone_that_stays_is_not_judged_by_rounding(folder):
+    """Its running cost is some 1e-30, of controls off the hover by rounding: no percent of that is an error."""
+    file = folder / "hover.toml"
+    pose = "{ base = [0, 0, 0.5, 1, 0, 0, 0] }"
+    file.write_text(f'model = "quadrotor.xml"\nduration = 1\nstart = {pose}\ngoal = {pose}')
+    proof = planner.prove(planner.solve(planner.load_problem(file)), rollouts=0)
+    for section in (proof.refined_open_loop, proof.refined_feedback):
+        assert section.passed, section

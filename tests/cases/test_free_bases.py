@@ -6,7 +6,7 @@ import pytest
 import planner
 from planner.base.errors import PlannerError
 from planner.cases.problem_file import load
-from planner.model.capabilities import ballistic_dofs
+from planner.model.capabilities import ballistic_dofs, floating_dofs
 from planner.problem.goals import goals_of
 
 CAT = """<mujoco model="cat"><option gravity="0 0 {gravity}"/><worldbody>
@@ -44,6 +44,52 @@ def test_what_falls_or_drifts_is_not_stopped(tmp_path):
     assert not ballistic_dofs(floating, x).any()
     x[floating.nq] = 0.1
     np.testing.assert_array_equal(ballistic_dofs(floating, x), [True] * 3 + [False] * 4)
+
+
+PLANAR = """<mujoco><option gravity="0 0 {gravity}"/><worldbody>
+  <body><joint name="x" type="slide" axis="1 0 0"/><joint name="z" type="slide" axis="0 0 1" {more}/>
+   <joint name="pitch" axis="0 1 0"/><geom size=".2" mass="4" contype="0" conaffinity="0"/>
+   <body><joint name="arm" axis="0 1 0"/><geom type="capsule" fromto="0 0 0 .5 0 0" size=".05" mass="1" contype="0"
+    conaffinity="0"/></body></body></worldbody><actuator><motor joint="arm" gear="5"/></actuator></mujoco>"""
+
+
+@pytest.mark.parametrize(
+    ("gravity", "more", "found"),
+    [
+        (0, "", [True, True, True, False]),
+        (-9.81, "", [True, True, True, False]),  # it falls along z, and nothing turns it
+        (0, 'damping=".1"', [True, True, True, False]),  # z is slowed down, and held nowhere
+        (0, 'frictionloss=".1"', [True, False, False, False]),
+        (-9.81, 'stiffness="50"', [True, False, False, False]),
+    ],
+)
+def test_bases_float_that_nothing_holds_or_drives(gravity, more, found):
+    planar = planner.Mechanism.from_mjcf(PLANAR.format(gravity=gravity, more=more))
+    np.testing.assert_array_equal(floating_dofs(planar), found)
+    cat = CAT.format(gravity=gravity)
+    assert floating_dofs(planner.Mechanism.from_mjcf(cat)).tolist() == [True] * 6 + [False]
+    lifted = cat.replace("<actuator>", '<actuator><motor name="lift" joint="root" gear="0 0 1 0 0 0"/>')
+    assert not floating_dofs(planner.Mechanism.from_mjcf(lifted))[2:].any()
+    pendulum = cat.replace('<freejoint name="root"/>', '<joint name="root" axis="0 1 0"/>')
+    assert floating_dofs(planner.Mechanism.from_mjcf(pendulum)).tolist() == [gravity == 0, False]
+
+
+@pytest.mark.parametrize("gravity", [0, -9.81])
+def test_a_base_that_no_goal_names_goes_where_momentum_takes_it(tmp_path, gravity):
+    """Of equal halves each turns by half of the bend, against the other: the chest by -0.5 rad and not by 0."""
+    problem = problem_of(tmp_path, "goal = { bend = 1.0 }\n", gravity)
+    assert "root" not in " ".join(one.name for one in goals_of(problem) if one.unit in ("rad", "m"))
+    plan = planner.solve(problem)
+    assert plan.converged
+    pitch = 2.0 * np.arctan2(plan.xs[-1, 5], plan.xs[-1, 3])
+    assert pitch == pytest.approx(-0.5, abs=0.02)  # rad: with the armature of nothing, to the goal's tolerance
+    assert planner.prove(plan, rollouts=0).passed
+
+
+def test_a_goal_that_moves_the_centre_of_mass_of_a_floating_machine_is_refused(tmp_path):
+    """The hips swing up by 1 rad: 0.15 sin(1) = 0.1262 m of their centre, of which the whole has half."""
+    with pytest.raises(PlannerError, match=r"moves the centre of mass by .* root z \+0.06311 m"):
+        problem_of(tmp_path, "goal = { root = [0, 0, 3, 1, 0, 0, 0], bend = 1.0 }\n", gravity=0)
 
 
 def test_a_free_joint_in_a_goal_is_the_pose_of_its_body(tmp_path):

@@ -10,6 +10,7 @@ from planner.cases.problem_file.ground_placement import STANCE_RAMP
 from planner.dynamics.contacts import contact_forces
 from planner.dynamics.statics import clearance
 from planner.model.mjcf.ground_law import REST_PENETRATION
+from planner.problem.goals import static_error
 from planner.proof.diagnostics.balance import standing_goal
 
 # A sled of 2 kg on four balls, with a mast that a motor turns; the file lets it fall from 0.3 m above the floor.
@@ -93,6 +94,16 @@ def test_a_goal_that_settles_to_the_start_is_the_start(tmp_path):
     """Asked to stand 1 cm lower than it can: then to stay is the task, and not a motion of 1e-10 m."""
     file = loaded(tmp_path, "{ root = [0, 0, -0.95, 1, 0, 0, 0] }", "{ root = [0, 0, -0.96, 1, 0, 0, 0] }")
     np.testing.assert_array_equal(file.problem.cost.x_ref[-1], file.problem.x0)
+
+
+@pytest.mark.parametrize(("more", "off"), [("", 0.0), ("settle = false", 0.3)])
+def test_a_goal_table_with_a_whole_pose_is_put_down_as_a_plain_goal_is(tmp_path, more, off):
+    pose = "[0, 0, -0.65, 1, 0, 0, 0, 0.1]"
+    stands = loaded(tmp_path, goal=pose).problem.cost.x_ref[-1]
+    task = loaded(tmp_path, goal=f"[{{ joints = {pose} }}]", more=more).problem
+    errors = {one.name: static_error(one, stands) for one in task.goal_specs or ()}
+    assert errors.pop("position of sled") == pytest.approx(off, abs=2.5e-3 if off else 1e-4)  # sinks in, as above
+    assert max(errors.values()) < 1e-4  # rad: the end of a plain goal also has feet that do not slip
 
 
 def test_what_does_not_balance_is_put_down_as_it_is(tmp_path):

@@ -231,7 +231,8 @@ def test_a_start_that_nobody_names_is_the_models_and_said(tmp_path, range, more,
     model.write_text(HINGE.format(range=range, more=more, keyframes=keyframes), encoding="utf-8")
     path.write_text('model = "hinge.xml"\ngoal = { hinge = 1.5 }\nduration = 1.0\n', encoding="utf-8")
     if start is None:
-        refuse(path, "no key 'start'", "as drawn, the machine is outside of a range or overlaps")
+        why = "overlap by" if more else "as drawn, joint 'hinge' is at 0, outside of its range 0.2 to 2"
+        refuse(path, "no key 'start'", why)
         return
     found = load(path)
     assert found.problem.x0[0] == start

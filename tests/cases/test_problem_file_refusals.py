@@ -100,6 +100,13 @@ def test_a_key_below_a_heading_belongs_to_its_table(tmp_path, below, fragments):
     refuse(write(tmp_path, below, **gone), *fragments)
 
 
+def test_what_is_refused_tells_of_ranges_that_may_be_in_radians(tmp_path):
+    file = write(tmp_path, goal="{ pole = 0.5 }")
+    model = next(tmp_path.glob("*.xml"))
+    model.write_text(model.read_text().replace('name="pole"', 'name="pole" range="-1.5 1.5"'))
+    refuse(file, "expected -0.0261799 ... 0.0261799 rad", "as if its range in radians", '<compiler angle="radian"/>')
+
+
 def test_a_speed_limit_that_no_motion_keeps_is_refused_with_a_duration(tmp_path):
     """The slider goes 2 m in 1 s; 0.04 m pass."""
     slow = "[limits]\nvelocity = {{ slider = {} }}\n"

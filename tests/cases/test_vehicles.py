@@ -120,6 +120,43 @@ def test_a_drive_straight_ahead_passes(tmp_path):
     assert proof.passed, proof.reason
 
 
+SERVOS = drive().replace("<motor ", '<velocity kv=".5" forcerange="-2 2" ').replace('ctrlrange="-2 2"', "")
+AHEAD = '[[goal]]\nframe = "base"\nposition = [1, 0, 0.06]'
+TURN = '[[goal]]\nframe = "base"\nposition = [0, 0, 0.06]\norientation = { yaw = 90 }'
+
+
+@pytest.mark.parametrize("goal", [AHEAD, "goal = { root = [1, 0, 0.06, 1, 0, 0, 0] }", TURN])
+def test_servos_of_velocity_drive_a_metre_and_turn(tmp_path, goal):
+    """To tell a wheel to roll as the vehicle goes is no effort, and a plain goal leaves open how far it turns.
+
+    Nothing lifts the base to the height of its goal, above which it sinks in by less than what passes.
+    """
+    (tmp_path / "drive.xml").write_text(SERVOS.replace("<freejoint/>", '<freejoint name="root"/>'), encoding="utf-8")
+    (tmp_path / "drive.toml").write_text(f'model = "drive.xml"\nduration = 3.0\n{goal}', encoding="utf-8")
+    plan = planner.solve(load(tmp_path / "drive.toml").problem)
+    assert plan.converged
+    assert plan.nit < 20  # of 60, after which softer ground is tried
+    proof = planner.prove(plan, rollouts=0)
+    assert proof.passed, proof
+
+
+def test_a_servo_that_steers_is_not_held_straight(tmp_path):
+    """Where it is to be told to go is not known: of a fork that carries a wheel the weight is that of a swing."""
+    wheel = WHEEL.format(side="front", y=0, tyre=TYRES["cylinder"])
+    fork = f"""<body pos=".25 0 0"><joint name="steer" axis="0 0 1" range="-57 57" damping=".1" armature=".01"/>
+      <inertial pos="0 0 0" mass=".2" diaginertia="1e-3 1e-3 1e-3"/>{wheel}</body>"""
+    arm = """<body pos="0 0 .1"><joint name="arm" axis="0 1 0"/>
+      <geom size=".05" mass=".2" pos="0 0 .1" contype="0" conaffinity="0"/></body>"""
+    servo = '<actuator><position name="{0}" joint="{0}" kp="30" kv="1"/></actuator>'
+    text = SERVOS.replace('<body name="left"', f'{fork}{arm}<body name="left"', 1)
+    text = text.replace("</mujoco>", f"{servo.format('steer')}{servo.format('arm')}</mujoco>")
+    (tmp_path / "drive.xml").write_text(text, encoding="utf-8")
+    (tmp_path / "drive.toml").write_text(f'model = "drive.xml"\nduration = 3.0\n{AHEAD}', encoding="utf-8")
+    weights = load(tmp_path / "drive.toml").problem.parameters["resolved"]["weights"]["effort"]
+    assert weights[2] == pytest.approx(1.0 / 0.25**2)  # the module's MIN_DISPLACEMENT, in rad
+    assert weights[3] > 100.0 * weights[2]  # the reference says where the arm is to be
+
+
 def test_a_goal_straight_beside_a_vehicle_is_reached_from_shaken_controls(tmp_path):
     """From rest no small change of the wheels' torques moves it sideways: the first guess is a saddle."""
     plan = planner.solve(task(tmp_path, [0.0, 0.3, RADIUS], duration=3.0))

@@ -118,3 +118,27 @@ def test_the_contacts_of_an_object_alone_are_not_those_of_a_machine():
     weights = default_weights(dynamics, m.home, goal, 1.0).weights
     assert weights["hold"] == 0.0
     assert weights["final_position"][6] > 0.0  # the arm's goal is judged
+
+
+PUSHED = """<mujoco><worldbody><geom name="floor" type="plane" size="0 0 1"/>
+  <body pos="0 0 .05"><joint name="finger" type="slide" axis="1 0 0" damping="5"/><geom size=".03" mass=".5"/></body>
+  <body name="object" pos=".2 0 .05"><freejoint name="object"/><geom type="{shape}" mass=".3"/></body></worldbody>
+  <actuator><motor joint="finger" ctrlrange="-20 20"/></actuator></mujoco>"""
+LAW = "contacts = { penetration = 0.003, friction = 0.8 }"
+
+
+@pytest.mark.parametrize(
+    ("shape", "more", "refused"),
+    [('sphere" size=".05', LAW, False), ('box" size=".05 .05 .05', LAW, True), ('sphere" size=".05', "", True)],
+    ids=["sphere", "box", "avoided"],
+)
+def test_what_only_the_ground_touches_in_the_plan_has_no_goal_elsewhere(tmp_path, shape, more, refused):
+    """Spheres and capsules touch each other in a plan. A box on the floor beside a finger stays, whatever it does."""
+    (tmp_path / "m.xml").write_text(PUSHED.format(shape=shape), encoding="utf-8")
+    goal = '[[goal]]\nframe = "object"\nposition = [0.5, 0, 0.05]\n'
+    (tmp_path / "p.toml").write_text(f'model = "m.xml"\nduration = 2\n{more}\n{goal}', encoding="utf-8")
+    if refused:
+        with pytest.raises(PlannerError, match=r"nothing drives or holds joint 'object'.* penetration = 0\.003"):
+            load(tmp_path / "p.toml")
+    else:
+        load(tmp_path / "p.toml")

@@ -5,6 +5,7 @@ from functools import partial
 
 import numpy as np
 import pytest
+from places import ROOT
 
 import planner
 from planner import SolverOptions
@@ -406,3 +407,28 @@ def test_every_fail_says_something(tmp_path, monkeypatch):
     assert (only.code, only.value) == ("unknown", None)
     (left,) = not_a_minimum(plan, plan.problem, proof)
     assert (left.code, left.value) == ("not_a_minimum", None)
+
+
+@pytest.mark.parametrize(
+    ("goal", "more", "asked"),
+    [
+        ("goal = { root = [0.4, 0, 0.326, 1, 0, 0, 0] }", "", ["trot"]),
+        ("goal = { root = [0.4, 0, 0.326, 1, 0, 0, 0] }", 'gait = "trot"', []),
+        (
+            'goal = [{ frame = "trunk", position = [0, 0, 0.5], share = 0.5, through = true }, { joints = "stand" }]',
+            "",
+            [],
+        ),
+    ],
+    ids=["elsewhere", "by a gait", "a jump"],
+)
+def test_a_quadruped_that_is_to_be_elsewhere_is_offered_a_gait(tmp_path, goal, more, asked):
+    scene = (ROOT / "mjcf" / "quadruped" / "scene.xml").as_posix()
+    (tmp_path / "p.toml").write_text(f'model = "{scene}"\nstart = "stand"\nduration = 1.5\n{goal}\n{more}\n')
+    problem = planner.load_problem(tmp_path / "p.toml")
+    x = problem.x0.copy()
+    x[0] += 0.4  # as if the solve had brought it there, and failed in another way
+    plan = planner.solve(problem, max_iterations=1, options=SolverOptions(homotopy=False))
+    plan = replace(plan, xs=np.concatenate([plan.xs[:-1], x[None]]))
+    found = [one.value for one in suggested_fixes(plan) if one.key == "gait"]
+    assert found == asked

@@ -62,12 +62,13 @@ from planner.cases.problem_file.feasibility_checks import (
     check_goal_controllable,
     check_goal_differs,
     check_goal_in_time,
+    check_momentum,
 )
 from planner.cases.problem_file.ground_placement import place_on_ground, stance_ramp, with_ramp
 from planner.cases.problem_file.keys import KEYS, RAMP, RESOLVED, TABLES
 from planner.cases.problem_file.machine import folders_of, machine_of, prescribed_of
 from planner.cases.problem_file.reference_guess import ReferenceTrajectory, first_guess
-from planner.cases.problem_file.states import state_of, states_of
+from planner.cases.problem_file.states import carried_along, state_of, states_of
 from planner.cases.problem_file.step import with_step
 from planner.cases.problem_file.table import checked_starts, checked_values, with_defaults, with_model_limits
 from planner.cases.problem_file.tasks import (
@@ -95,9 +96,10 @@ from planner.problem.avoid import Avoid
 from planner.problem.constraints.constraint import Constraint
 from planner.problem.default_appearance import default_appearance, with_marks
 from planner.problem.default_weights import default_weights, straight_reference, weighed
-from planner.problem.example_task import start_of_model
+from planner.problem.example_task import conflict_as_drawn, start_of_model
 from planner.problem.joint_limits import moved_inside_limits, starts_at_limit
 from planner.problem.limits import Limits
+from planner.problem.model_lint import ranges_in_degrees
 from planner.problem.objective import durations_or_default
 from planner.problem.objective_problem import with_objective
 from planner.problem.problem import Problem
@@ -231,13 +233,16 @@ def again(mechanism: Mechanism, *constraints: Constraint, **table: Any) -> Probl
 def _problem(
     table: dict[str, Any], mechanism: Mechanism, where: str, constraints: tuple[Constraint, ...] = ()
 ) -> Problem:
-    """The problem of a table; what is refused says what the model was read without: a joint may be missed."""
+    """The problem of a table; what is refused says how the model was read: a joint, or its range, may be missed."""
     try:
         return _built(table, mechanism, where, constraints)
     except PlannerError as error:
-        if not mechanism.ignored:
+        read = [f"The model is read without {' and '.join(mechanism.ignored)}."] if mechanism.ignored else []
+        hinges = mechanism.joint_range[np.any(mechanism.S[:, :3], axis=1)]
+        read += [f"Mind that {one.problem}: {one.fix}." for one in ranges_in_degrees(hinges)]
+        if not read:
             raise
-        raise type(error)(f"{error} The model is read without {' and '.join(mechanism.ignored)}.") from None
+        raise type(error)(" ".join([str(error), *read])) from None
 
 
 def _built(table: dict[str, Any], mechanism: Mechanism, where: str, constraints: tuple[Constraint, ...]) -> Problem:
@@ -249,9 +254,7 @@ def _built(table: dict[str, Any], mechanism: Mechanism, where: str, constraints:
         if key not in table:
             wanted = states_of(mechanism)
             if key == "start":
-                wanted += (
-                    ": as drawn, the machine is outside of a range or overlaps; `planner model FILE --write` has one"
-                )
+                wanted += f": as drawn, {conflict_as_drawn(mechanism)}; `planner model FILE --write` has one"
             more = ", or tables [[goal]] or [follow] for its frames" if key == "goal" else ""
             raise PlannerError(f"{where} has no key {key!r}, expected {wanted}{more}.")
     tasked = is_task(table, mechanism)
@@ -340,6 +343,7 @@ def _built(table: dict[str, Any], mechanism: Mechanism, where: str, constraints:
     if way is None or wanted is None:
         check_goal_differs(problem)
         check_goal_controllable(problem, goal[None])
+        check_momentum(problem, goal)
         if not rebuilt:  # a search over durations goes below those that suffice
             between = durations_or_default(table.get("durations"), table.get("objective", {}), table["duration"])
             check_goal_in_time(problem, max(table["duration"], *(between or (0.0,))))
@@ -379,6 +383,7 @@ def _resolved(
             dynamics, x0, goal, table["duration"], tolerance=table["tolerance"], named="objective" in table,
             stays="position" not in given, jerk=table.get("objective", {}).get("jerk", 0.0),
             displacement=None if along is None else path_lengths(dynamics, along.states),
+            carried_along=carried_along(table["goal"], dynamics),
         )  # fmt: skip
         default = default if along is None else walking_weights(default)
     filled = {name: weight.tolist() for name, weight in default.weights.items() if name not in given}

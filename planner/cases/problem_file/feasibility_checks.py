@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from planner.base.errors import PlannerError
 from planner.dynamics import RigidBodyDynamics
+from planner.dynamics.momentum import center_of_mass, center_of_mass_jacobian
 from planner.dynamics.rollout import rollout_states
-from planner.model.capabilities import unreached_dofs
+from planner.model.capabilities import floating_dofs, unreached_dofs
 from planner.model.coordinates import coordinates_of
 from planner.model.mjcf.prescribed_joints import prescribed_dofs_of
 from planner.model.space import space_of
@@ -60,7 +63,7 @@ def check_goal_in_time(problem: Problem, longest: float) -> None:
 
 
 def check_goal_controllable(problem: Problem, rows: np.ndarray) -> None:
-    """Refuse goals of what nothing drives and nothing touches in the plan: it moves alike whatever the controls do.
+    """Refuse goals of what nothing drives and nothing but the ground touches in the plan: no control moves it.
 
     Args:
         problem: Of a file.
@@ -68,10 +71,11 @@ def check_goal_controllable(problem: Problem, rows: np.ndarray) -> None:
     """
     dynamics = problem.dynamics
     assert isinstance(dynamics, RigidBodyDynamics)  # a problem file has them
-    loose = unreached_dofs(dynamics.mechanism, prescribed_dofs_of(dynamics))
+    space, mechanism = dynamics.space, dynamics.mechanism
+    belts = tuple(one for one in mechanism.contacts if one.plane.slide >= 0)
+    loose = unreached_dofs(replace(mechanism, contacts=belts), prescribed_dofs_of(dynamics))
     if not np.any(loose):
         return
-    space, mechanism = dynamics.space, dynamics.mechanism
     by_itself = rollout_states(dynamics, problem.x0, problem.first_guess)[-len(rows) :]
     theirs = np.concatenate([loose, loose, np.zeros(mechanism.na, dtype=bool)])
     reached = space.integrate(rows, np.where(theirs, space.difference(by_itself, rows), 0.0))
@@ -82,6 +86,30 @@ def check_goal_controllable(problem: Problem, rows: np.ndarray) -> None:
             first = mechanism.joint_of(int(np.flatnonzero(loose)[0]))
             raise PlannerError(
                 f"nothing drives or holds {first} in the plan, so that {goal.name} ends {miss:.3g} {goal.unit} from "
-                'the goal whatever the controls do, expected a plane or a box at rest under it, contacts = "model" if '
-                "the machine pushes it, a goal where it gets by itself, or a model without that joint."
+                "the goal whatever the controls do, expected a plane or a box at rest under it, where the machine "
+                "pushes it contacts = { penetration = 0.003, friction = 0.8 } and a sphere or capsule of each, a goal "
+                "where it gets by itself, or a model without that joint."
             )
+
+
+def check_momentum(problem: Problem, goal: np.ndarray) -> None:
+    """Refuse a goal (nx,) of a base that floats at rest, without weight, whose centre of mass would have to move."""
+    dynamics, x0 = problem.dynamics, problem.x0
+    assert isinstance(dynamics, RigidBodyDynamics)  # a problem file has them
+    mechanism = dynamics.mechanism
+    asked = {one.name: one.tolerance for one in goals_of(problem)}
+    names = coordinates_of(dynamics)
+    floats = floating_dofs(mechanism) & (mechanism.damping == 0.0) & (mechanism.armature == 0.0)
+    slides = [i for i in np.flatnonzero(floats) if names[i].unit == "m" and names[i].name in asked]
+    falls = np.any(mechanism.gravity) and mechanism.gravcomp_mass.sum() < mechanism.mass.sum() * (1.0 - 1e-9)
+    if not slides or falls or mechanism.drags or np.any(x0[mechanism.nq : mechanism.nq + mechanism.nv]):
+        return
+    shift = center_of_mass(mechanism, goal[: mechanism.nq]) - center_of_mass(mechanism, x0[: mechanism.nq])
+    J = center_of_mass_jacobian(mechanism, goal[: mechanism.nq])[:, slides]
+    back = np.linalg.lstsq(J, -shift, rcond=None)[0]
+    if np.any(np.abs(back) > [asked[names[i].name] for i in slides]):
+        there = ", ".join(f"{names[i].name} {by:+.4g} m" for i, by in zip(slides, back, strict=True))
+        raise PlannerError(
+            f"the goal moves the centre of mass by {np.linalg.norm(J @ back):.3g} m, and nothing pushes the machine "
+            f"from outside, expected {there} from there, or a table of joints without its base."
+        )

@@ -5,6 +5,7 @@ And how far its contacts are smoothed for a motion on feet that stay.
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -13,11 +14,13 @@ import numpy as np
 from planner.base.arguments import short_repr
 from planner.base.errors import PlannerError
 from planner.cases.problem_file.keys import RAMP, RESOLVED
+from planner.cases.problem_file.states import state_of
 from planner.dynamics.contacts import contact_forces
 from planner.dynamics.stance import feet_move, goal_without_foot_slip
 from planner.dynamics.statics import lowered_to_ground, static_equilibrium
 from planner.model.contact.laws import ContactLaw
 from planner.model.mechanism import Mechanism
+from planner.problem.tasks.goal import Goal, json_value
 
 MAX_PLACEMENT_SHIFT = 0.05  # m or rad: who writes a pose puts feet down to some centimetres
 STANCE_RAMP = 6e-5
@@ -44,7 +47,7 @@ def place_on_ground(
         raise PlannerError(f"settle is {short_repr(settle)}, expected true, false or 'auto'.")
     if settle is True:
         return _settled("start", start, mechanism), _settled("goal", goal, mechanism), {}
-    if settle is False or table["contacts"] != "ground" or not mechanism.contacts:
+    if not _puts_down(mechanism, table):
         return start, goal, {}
     asked = np.abs(mechanism.space.difference(goal, start)[: mechanism.nv]) > SAME_POSE_TOLERANCE
     start, note = _lower_to_ground("start", start, mechanism)
@@ -57,6 +60,13 @@ def place_on_ground(
     if np.abs(mechanism.space.difference(goal, start)).max() < SAME_POSE_TOLERANCE:
         goal = start.copy()
     return start, goal, {name: said for name, said in (("start", note), ("goal", other)) if said}
+
+
+def whole_poses_on_ground(mechanism: Mechanism, table: dict[str, Any], goals: Sequence[Goal]) -> list[Goal]:
+    """Goals as they are planned: whole poses at rest, of a keyframe or of all positions, put on the ground."""
+    if not _puts_down(mechanism, table):
+        return list(goals)
+    return [_goal_on_ground(mechanism, goal) for goal in goals]
 
 
 def stance_ramp(mechanism: Mechanism, table: dict[str, Any], start: np.ndarray, goal: np.ndarray) -> float | None:
@@ -84,6 +94,20 @@ def with_ramp(mechanism: Mechanism, ramp: float | None) -> Mechanism:
         return replace(law, ramp=share * law.ramp, force_ramp=share * float(law.force_ramp or 0.0))
 
     return replace(mechanism, contacts=tuple(replace(one, law=sharper(one.law)) for one in mechanism.contacts))
+
+
+def _puts_down(mechanism: Mechanism, table: dict[str, Any]) -> bool:
+    """Whether poses at rest are put on the ground without being asked to."""
+    return table["settle"] is not False and table["contacts"] == "ground" and bool(mechanism.contacts)
+
+
+def _goal_on_ground(mechanism: Mechanism, goal: Goal) -> Goal:
+    if goal.through or goal.joints is None or isinstance(goal.joints, Mapping):
+        return goal
+    x = state_of("joints of a goal", json_value(goal.joints), mechanism, mechanism.home)
+    x[mechanism.nq :] = 0.0
+    there, _ = _lower_to_ground("goal", x, mechanism)
+    return replace(goal, joints=there[: mechanism.nq])
 
 
 def _settled(name: str, x: np.ndarray, mechanism: Mechanism) -> np.ndarray:

@@ -9,9 +9,12 @@ import numpy as np
 from planner.base.arguments import array, choice, did_you_mean, number, short_repr
 from planner.base.errors import PlannerError
 from planner.dynamics.assembly import assembled, assembled_along, check_assembled
+from planner.dynamics.rigid_body import RigidBodyDynamics
+from planner.model.capabilities import floating_dofs
 from planner.model.coordinates import coordinates_of_mechanism
 from planner.model.couplings import CLOSED, check_closed
 from planner.model.mechanism import BALL, Mechanism
+from planner.model.mjcf.prescribed_joints import prescribed_dofs_of
 from planner.problem.costs.tracking import states
 
 MOVED = 1e-3  # rad or m: to close chains a start or a goal may move so far without a word
@@ -71,3 +74,15 @@ def state_of(
             place = coordinates_of_mechanism(mechanism)[most]
             notes.append(f"{name} is moved so that its chains close, {place.name} by {moved[most]:.3g} {place.unit}.")
     return states(name, x, mechanism.space, ())
+
+
+def carried_along(goal: Any, dynamics: RigidBodyDynamics) -> np.ndarray:
+    """(nv,) bool, bases that a table of joints does not name, and that nothing holds or drives."""
+    mechanism = dynamics.mechanism
+    if not isinstance(goal, dict):
+        return np.zeros(mechanism.nv, dtype=bool)
+    found = floating_dofs(mechanism)
+    found[prescribed_dofs_of(dynamics)] = False
+    for name in goal:
+        found[mechanism.joint(name)] = False
+    return found

@@ -11,6 +11,7 @@ import numpy as np
 
 from planner.base.arguments import short_repr
 from planner.base.errors import PlannerError
+from planner.cases.problem_file.ground_placement import whole_poses_on_ground
 from planner.cases.problem_file.keys import GOAL, RESOLVED
 from planner.cases.problem_file.reference_guess import ReferenceTrajectory
 from planner.dynamics import RigidBodyDynamics
@@ -122,6 +123,7 @@ def resolve_task(
     """
     objective = table.get("objective", {})
     goals = [goal_of(goal, f"goal {k}") for k, goal in enumerate(table.get("goal", []), 1)]
+    goals = whole_poses_on_ground(dynamics.mechanism, table, goals)
     follows = [Follow(**path) for path in table.get("follow", [])]
     if "time" in objective and (follows or any(goal.time is not None for goal in goals)):
         raise PlannerError(

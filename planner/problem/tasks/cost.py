@@ -25,8 +25,9 @@ from planner.problem.costs.frame import FrameCost
 from planner.problem.costs.goal_spec import GoalSpec
 from planner.problem.costs.terms import SumCost
 from planner.problem.costs.tracking import TrackingCost
-from planner.problem.default_weights import VELOCITY, servo_reference, servos_of, slip_cost, staying_cost
+from planner.problem.default_weights import VELOCITY, slip_cost, staying_cost
 from planner.problem.goals import MIN_TOLERANCES
+from planner.problem.servo_reference import servo_reference, servos_of
 from planner.problem.tasks.follow import Follow
 from planner.problem.tasks.timed_task import DEFAULT_TOLERANCES, Task, TimedGoal, unit_of
 

@@ -232,9 +232,14 @@ def _pose(
                 f"{label} is out of reach{within}: {target.frame} gets to its position but not with that orientation, "
                 f"at best {distance:.3g} m and {angle:.3g} rad away."
             )
-    others = [one.label for one in here if one.joints]
+    together = list(dict.fromkeys([*asked.labels, *(one.label for one in here if one.joints)]))
+    if len(together) == 1:
+        stands = ", and its feet cannot stand where they are or elsewhere" if search.feet is not None else ""
+        raise PlannerError(
+            f"{together[0]} is out of reach{within}{stands}: the pose is missed by at least {residual:.2g} tolerances."
+        )
     raise PlannerError(
-        f"{' and '.join([*asked.labels, *others])} contradict each other at {stage * task.dt:.4g} s{within}: together "
+        f"{' and '.join(together)} contradict each other at {stage * task.dt:.4g} s{within}: together "
         f"they are missed by at least {residual:.2g} tolerances; move one, or give it another time."
     )
 

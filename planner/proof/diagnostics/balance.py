@@ -4,13 +4,17 @@ from __future__ import annotations
 
 import numpy as np
 
+from planner.base.diagnostic import Quantity
 from planner.base.errors import PlannerError
+from planner.dynamics.momentum import center_of_mass
+from planner.dynamics.stance import STRIDE
 from planner.dynamics.statics import static_equilibrium
-from planner.model.capabilities import capabilities_of, stands_on_ground
+from planner.model.capabilities import capabilities_of, rolling_radii, stands_on_ground
 from planner.problem.costs.tracking import tracking_of
 from planner.problem.plan import Plan
 from planner.problem.problem import Problem
-from planner.proof.diagnostics.suggested_fix import SuggestedFix, no_fix, of_file
+from planner.problem.tasks.footsteps import standing_feet
+from planner.proof.diagnostics.suggested_fix import SuggestedFix, fix, no_fix, of_file
 from planner.proof.verdict import Proof
 
 MAX_ERROR_GROWTH = 5.0  # exponent over a plan: an error grows by exp(5), 150 times
@@ -32,6 +36,22 @@ def standing_goal(plan: Plan, problem: Problem, proof: Proof | None) -> list[Sug
     except PlannerError as error:
         return [no_fix("goal", "goal_unbalanced", cause=str(error))]
     return []
+
+
+def gait_needed(plan: Plan, problem: Problem, proof: Proof | None) -> list[SuggestedFix]:
+    """The gait for a machine of four feet that a file asks to be elsewhere at rest, without saying which feet swing."""
+    asked, mechanism = problem.parameters, capabilities_of(problem.dynamics).mechanism
+    if not of_file(problem) or mechanism is None or "rest" not in asked.get("resolved", {}).get("weights", {}):
+        return []
+    goals = asked.get("goal")
+    passes = isinstance(goals, list) and any(isinstance(one, dict) and one.get("through") for one in goals)
+    feet = standing_feet(mechanism, plan.xs[0])
+    if passes or len(feet) != 4 or np.any(rolling_radii(mechanism)):
+        return []
+    way = np.diff(center_of_mass(mechanism, plan.xs[[0, -1], : mechanism.nq]), axis=0)[0]
+    way -= feet[0].normal * (feet[0].normal @ way)
+    distance = float(np.linalg.norm(way))
+    return [fix(problem, "gait", "trot", "gait_needed", distance=Quantity(distance, "m"))] if distance > STRIDE else []
 
 
 def loses_balance(proof: Proof) -> bool:

@@ -14,6 +14,8 @@ SENTENCES = {
     "ground_differs": "The plan's gains hold the machine in the plan's own model: an error that grows as "
     "exp({rate:.3g} t), t in s, becomes {share:.3g} times what passes. MuJoCo's contacts act otherwise there: they "
     "slip less and give more (docs/contact.md). No key is known to help: begin with a shorter or slower motion.",
+    "gait_needed": "its four feet have to go {distance:.2g}, by a dozen steps that no first guess knows: a gait says "
+    "which feet swing when (docs/contact.md)",
     # Shapes
     "ground_removed": '{pair} collide, and contacts = "off" removes the ground',
     "start_collides": "Another `start` is needed, or a model that excludes the pair: at the start {pair} overlap by "
