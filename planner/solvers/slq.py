@@ -52,7 +52,7 @@ from planner.solvers.resolution import is_unresolved
 from planner.solvers.stabilizing_guess import has_diverged, stabilizing_guess
 from planner.solvers.uncertain_ground import with_robust_gains
 from planner.solvers.warm_start import tracked_warm_start
-from planner.solvers.work import UntilDeadline, WorkBudget, budget_of
+from planner.solvers.work import UntilDeadline, WorkBudget, budget_of, with_cut
 
 
 def solve(
@@ -194,24 +194,8 @@ def solve(
     if best.status is Status.NOT_FINITE and (cure := stage_too_long(problem)):
         recorded["not_finite"] = cure
     if work is not None:
-        best = _with_cut(best, work, settings.max_iterations < asked, recorded)
+        best = with_cut(best, work, settings.max_iterations < asked, recorded)
     return with_robust_gains(judged_status(replace(as_user_plan(problem, best), options=recorded)))
-
-
-def _with_cut(plan: Plan, budget: WorkBudget, fewer: bool, recorded: dict[str, Any]) -> Plan:
-    """The plan with the status of a solve that a budget cut, if it did; `fewer`: it allowed less than was asked for."""
-    by_clock = budget.out_of_time and any(
-        status is Status.INTERRUPTED for status in (plan.status, *(start.status for start in plan.starts))
-    )
-    if by_clock:
-        recorded["cut"] = Status.TIME_LIMIT.name
-    if by_clock and plan.status is Status.INTERRUPTED:
-        return replace(plan, status=Status.TIME_LIMIT)
-    if fewer and plan.status is Status.MAX_ITERATIONS:
-        plan = replace(plan, status=Status.WORK_LIMIT)
-    if plan.status is Status.WORK_LIMIT:  # of the solve, or of a relaxation after it
-        recorded["cut"], recorded["work"] = Status.WORK_LIMIT.name, budget.whole.limit
-    return plan
 
 
 def judged_status(plan: Plan) -> Plan:

@@ -13,6 +13,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 from planner.base.arguments import number
@@ -21,7 +22,7 @@ from planner.dynamics.protocol import integrator_of
 from planner.model.capabilities import capabilities_of
 from planner.model.space import space_of
 from planner.problem.constraints.clearance import pair_clearance_of
-from planner.problem.plan import Status
+from planner.problem.plan import Plan, Status
 from planner.problem.problem import Problem
 
 DEFAULT_WORK = 60.0
@@ -183,3 +184,19 @@ def work_of_stage(problem: Problem) -> float:
     jerk = problem.objective is not None and "jerk" in problem.objective.weights
     rates += IN_NUMPY if jerk or not isinstance(dynamics, CompiledDynamics) else 0.0
     return CALL + rates + RICCATI * ndx**3 + PAIR * (0 if pairs is None else len(pairs.pairs))
+
+
+def with_cut(plan: Plan, budget: WorkBudget, fewer: bool, recorded: dict[str, Any]) -> Plan:
+    """The plan with the status of a solve that a budget cut, if it did; `fewer`: it allowed less than was asked for."""
+    by_clock = budget.out_of_time and any(
+        status is Status.INTERRUPTED for status in (plan.status, *(start.status for start in plan.starts))
+    )
+    if by_clock:
+        recorded["cut"] = Status.TIME_LIMIT.name
+    if by_clock and plan.status is Status.INTERRUPTED:
+        return replace(plan, status=Status.TIME_LIMIT)
+    if fewer and plan.status is Status.MAX_ITERATIONS:
+        plan = replace(plan, status=Status.WORK_LIMIT)
+    if plan.status is Status.WORK_LIMIT:  # of the solve, or of a relaxation after it
+        recorded["cut"], recorded["work"] = Status.WORK_LIMIT.name, budget.whole.limit
+    return plan

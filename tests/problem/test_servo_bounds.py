@@ -8,7 +8,7 @@ import pytest
 import planner
 from planner import Limits, Mechanism, Problem, RigidBodyDynamics, TrackingCost
 from planner.problem.control_bounds import unbounded
-from planner.proof.original_model import clamps_hit
+from planner.proof.reached_limits import clamps_hit
 from planner.solvers import lq
 from planner.solvers.engine import CompiledEngine, NumpyEngine
 

@@ -16,7 +16,7 @@ from planner.problem.plan import Plan
 from planner.problem.problem import Problem
 from planner.proof.diagnostics.balance import loses_balance
 from planner.proof.diagnostics.suggested_fix import SuggestedFix, fix, no_fix, rounded_up
-from planner.proof.original_model import OVERLAP, ROUNDING
+from planner.proof.reached_limits import OVERLAP, ROUNDING
 from planner.proof.replays.ranges import Excess, efforts_in, joints_in
 from planner.proof.replays.replaying import Replay, stopped_dofs
 from planner.proof.verdict import Proof
