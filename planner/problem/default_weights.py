@@ -14,8 +14,7 @@ Every weight makes its term dimensionless and about 1:
     final_position  4 / tolerance^2, so that an error of the tolerance costs 2, more than the whole effort
     final_velocity  10 / tolerance^2; both times the cost of the minimum-jerk motion, where jerk is the objective. None
                     of both for translations of a free base that nothing from outside can stop
-    hold            for standing machines, in place of these two: the cost of staying at the goal for HOLD_SECONDS, with
-                    that of feet that slide, where they have to move
+    hold            for standing machines, in place of these two: the cost of staying at the goal for HOLD_SECONDS
     rest            share of the duration, at the end, in which a machine whose feet have to move is to be at its goal.
                     Before, positions have no weight and velocities WAY_SHARE of theirs: it may hop, step or crawl. Its
                     effort is at least that at which the gains of the position weight are GAIN_SHARE of the stiffness
@@ -225,13 +224,12 @@ def weighed(
         chosen.setdefault("reference", reference)
         if servos_of(dynamics).any():
             chosen.setdefault("control", servo_reference(dynamics, reference))
-    slides = slip_cost(dynamics, slip, np.stack([x0, goal]))
-    cost = staying_cost(dynamics, TrackingCost.joints(dynamics, goal, horizon, **chosen), hold, rest, slides)
-    return cost if slides is None else SumCost(cost, slides)
+    cost = staying_cost(dynamics, TrackingCost.joints(dynamics, goal, horizon, **chosen), hold, rest)
+    return with_slip(cost, dynamics, slip, np.stack([x0, goal]))
 
 
-def slip_cost(dynamics: RigidBodyDynamics, slip: Any, xs: np.ndarray) -> SlipCost | None:
-    """The cost of feet that slide with a weight `slip`; None for 0, or without feet.
+def with_slip(cost: Any, dynamics: RigidBodyDynamics, slip: Any, xs: np.ndarray) -> Any:
+    """A cost, and the one of feet that slide with a weight `slip`, 0 for none.
 
     Feet are the bodies that bear load at one of the states xs (E, nx); all that may touch where none does. A contact
     without friction is there to slide.
@@ -240,20 +238,16 @@ def slip_cost(dynamics: RigidBodyDynamics, slip: Any, xs: np.ndarray) -> SlipCos
         PlannerError: A negative weight.
     """
     if number("weights.slip", slip, minimum=0.0) == 0.0:
-        return None
+        return cost
     mechanism = dynamics.mechanism
     forces = contact_forces(mechanism, xs[:, : mechanism.nq], np.zeros((len(xs), mechanism.nv))).forces
     loaded = {mechanism.contacts[k].link for k in np.flatnonzero(forces.any(axis=(0, 2)))}
     feet = [one for one in mechanism.contacts if one.law.friction > 0.0 and (one.link in loaded or not loaded)]
-    return SlipCost(dynamics, slip, feet) if feet else None
+    return SumCost(cost, SlipCost(dynamics, slip, feet)) if feet else cost
 
 
-def staying_cost(
-    dynamics: RigidBodyDynamics, cost: TrackingCost, hold: Any, rest: Any, slides: SlipCost | None
-) -> TrackingCost:
+def staying_cost(dynamics: RigidBodyDynamics, cost: TrackingCost, hold: Any, rest: Any) -> TrackingCost:
     """A cost at whose last reference the machine is to be for a share `rest` of its stages, and `hold` s after the end.
-
-    `slides`: the cost of feet that slide beside it; None for none.
 
     Raises:
         PlannerError: rest is not from 0 to 1, or as terminal_holding_cost.
@@ -265,7 +259,7 @@ def staying_cost(
         Q[:first, :nv] = Q[:first, :, :nv] = 0.0
         Q[:first, nv : 2 * nv, nv : 2 * nv] *= WAY_SHARE
         cost = TrackingCost(Q, cost.R, np.tile(cost.x_ref[-1], (N + 1, 1)), cost.u_ref, cost.space)
-    return terminal_holding_cost(dynamics, cost, hold, slides)
+    return terminal_holding_cost(dynamics, cost, hold)
 
 
 def straight_reference(

@@ -20,15 +20,12 @@ import numpy as np
 from planner.base.arguments import number
 from planner.dynamics import RigidBodyDynamics
 from planner.dynamics.quasi_static import quasi_static_controls
-from planner.problem.costs.terms import Cost
 from planner.problem.costs.tracking import TrackingCost
 
 LARGEST = 1e12  # upper limit of the entries of P; above it the cost is returned unchanged
 
 
-def terminal_holding_cost(
-    dynamics: RigidBodyDynamics, cost: TrackingCost, seconds: Any, added: Cost | None = None
-) -> TrackingCost:
+def terminal_holding_cost(dynamics: RigidBodyDynamics, cost: TrackingCost, seconds: Any) -> TrackingCost:
     """A cost whose final weights include the cost-to-go of staying at its goal for a time.
 
     The cost is unchanged if the cost-to-go of the linearized machine diverges.
@@ -37,8 +34,6 @@ def terminal_holding_cost(
         dynamics: The machine, with actuators.
         cost: Its last reference is the goal; its last running weights are those of staying.
         seconds: Time at the goal, s, at least 0; 0 gives the cost itself.
-        added: A cost of each stage beside it, as that of feet that slide: what it makes expensive to correct after the
-            end, the machine is to have corrected by then.
 
     Raises:
         PlannerError: seconds is negative or no number.
@@ -49,8 +44,6 @@ def terminal_holding_cost(
     goal, u = cost.x_ref[-1], quasi_static_controls(dynamics, cost.x_ref[-1])
     A, B = (part[0] for part in dynamics.linearize(np.stack([goal, goal]), u[None]))
     Q, R = cost.Q[-2], cost.R[-1]
-    if added is not None:
-        Q = Q + added.quadratize(np.stack([goal, goal]), u[None]).Q[0]
     P = Q
     with np.errstate(all="ignore"):
         for _ in range(stages):

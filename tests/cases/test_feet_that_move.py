@@ -18,7 +18,7 @@ from planner.problem.default_weights import (
     SLIP_SPEED,
     STANCE_TOLERANCES,
     WAY_SHARE,
-    slip_cost,
+    with_slip,
 )
 
 MONOPOD = """<mujoco model="monopod"><option timestep="0.002"/>
@@ -102,7 +102,7 @@ def test_slip_is_of_the_bodies_that_bear_load(forward):
     foot, air = len(mechanism.contacts), forward.x0.copy()
     air[1] += 1.0
     for xs, expected in (((forward.x0, air), foot), ((air, forward.x0), foot), ((air, air), foot + 1)):
-        slip = slip_cost(dynamics, 400.0, np.array(xs))
+        slip = with_slip(forward.cost, dynamics, 400.0, np.array(xs)).costs[-1]
         assert isinstance(slip, SlipCost)
         assert len(slip.residual_arrays.kind) == expected
 

@@ -48,16 +48,6 @@ def test_its_weights_are_added_to_the_final_ones(dynamics):
     assert terminal_holding_cost(dynamics, plain, 0.0) is plain
 
 
-def test_a_cost_beside_it_is_paid_after_the_end_too(dynamics):
-    """That of a speed, as of feet that slide, makes it dear to come back slowly: as if it were in the cost itself."""
-    plain, whole = cost_of(dynamics, 20), cost_of(dynamics, 20, velocity=0.5 + 300.0)
-    zero = dict.fromkeys(("effort", "position"), 0.0) | {"effort": 1e-12}
-    beside = TrackingCost.joints(dynamics, [0.0, 0.0], 1, velocity=300.0, **zero)
-    P = terminal_holding_cost(dynamics, plain, 1.0, beside).Q[-1]
-    np.testing.assert_allclose(P, terminal_holding_cost(dynamics, whole, 1.0).Q[-1], rtol=1e-12)
-    assert P[0, 0] > terminal_holding_cost(dynamics, plain, 1.0).Q[-1][0, 0]
-
-
 def test_it_is_a_number_of_seconds(dynamics):
     with pytest.raises(PlannerError, match="hold is -1, expected a finite number of at least 0"):
         terminal_holding_cost(dynamics, cost_of(dynamics, 20), -1)

@@ -25,7 +25,7 @@ from planner.problem.costs.frame import FrameCost
 from planner.problem.costs.goal_spec import GoalSpec
 from planner.problem.costs.terms import SumCost
 from planner.problem.costs.tracking import TrackingCost
-from planner.problem.default_weights import VELOCITY, slip_cost, staying_cost
+from planner.problem.default_weights import VELOCITY, staying_cost, with_slip
 from planner.problem.goals import MIN_TOLERANCES
 from planner.problem.servo_reference import servo_reference, servos_of
 from planner.problem.tasks.follow import Follow
@@ -61,10 +61,9 @@ def task_cost(
         weights["control"] = servo_reference(dynamics, reference)
     weights.setdefault("reference", at_rest)
     base = TrackingCost.joints(dynamics, at_rest[N], N, **weights)
-    slides = slip_cost(dynamics, slip, reference[[0, *(one.stage for one in task.goals), N]])
-    base = staying_cost(dynamics, base, hold, rest, slides)
+    base = staying_cost(dynamics, base, hold, rest)
     Q, x_ref = base.Q.copy(), base.x_ref.copy()
-    terms: list[Any] = [] if slides is None else [slides]
+    terms: list[Any] = []
     for one in task.goals:
         weight = last_factor if one.last else factor
         for dof, value in one.joints.items():
@@ -80,7 +79,12 @@ def task_cost(
     for path in task.follows:
         terms += _of_path(task, path, factor, Q, x_ref)
     tracking = TrackingCost(Q, base.R, x_ref, base.u_ref, base.space)
-    return SumCost(tracking, *terms) if terms else tracking
+    return with_slip(
+        SumCost(tracking, *terms) if terms else tracking,
+        dynamics,
+        slip,
+        reference[[0, *(one.stage for one in task.goals), N]],
+    )
 
 
 def task_goal_specs(task: Task, x0: np.ndarray) -> tuple[GoalSpec, ...]:
