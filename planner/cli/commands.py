@@ -11,6 +11,7 @@ import sys
 import time
 import traceback
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
@@ -94,17 +95,18 @@ def _run(words: list[str], console: Console) -> int:
 def _compile_the_rest(console: Console, began: float) -> None:
     """In the background, where somebody at a terminal has waited for a part of the core: other machines need more."""
     jit = sys.modules.get("planner.kernels.numba.jit")
-    if not console.live or jit is None or not jit.cache_is_shared():
-        return
-    if not any(kernel.stat().st_mtime > began for kernel in jit.cache_directory().glob("*.nbc")):
+    if not console.live or console.quiet or jit is None or not jit.cache_is_shared():
         return
     root = str(Path(__file__).parents[2])
-    subprocess.Popen(
-        ["nice", "-n", "19", sys.executable, "-m", "planner", "warmup", "--quiet"],
-        env={**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, [root, os.environ.get("PYTHONPATH", "")]))},
-        stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True,
-    )  # fmt: skip
-    console.write_progress("what other machines need is compiled in the background, as by planner warmup")
+    with suppress(OSError):  # what was asked for is done: nothing of this may make it fail
+        if not any(kernel.stat().st_mtime > began for kernel in jit.cache_directory().glob("*.nbc")):
+            return
+        subprocess.Popen(
+            ["nice", "-n", "19", sys.executable, "-m", "planner", "warmup", "--quiet"],
+            env={**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, [root, os.environ.get("PYTHONPATH", "")]))},
+            stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True,
+        )  # fmt: skip
+        console.write_progress("what other machines need is compiled in the background, as by planner warmup")
 
 
 def _refuse(console: Console, sentence: str, code: int) -> int:
