@@ -10,8 +10,6 @@ import difflib
 import errno
 import fcntl
 import hashlib
-import json
-import math
 import os
 import shutil
 import stat
@@ -19,7 +17,6 @@ import tempfile
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Any
 
 from planner.base.arguments import short_repr
 from planner.base.errors import FileError, PlannerError
@@ -391,28 +388,6 @@ def _quoted(path: PathLike) -> str:
     """A path for a message: quoted, with escapes, without hidden folders."""
     parts = [part for part in Path(path).parts if not part.startswith(_HIDDEN)]
     return repr(str(Path(*parts)))
-
-
-def finite(value: Any) -> Any:
-    """Replace nonfinite floats by None, since JSON has no NaN and no infinity."""
-    if isinstance(value, dict):
-        return {key: finite(entry) for key, entry in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [finite(entry) for entry in value]
-    if isinstance(value, float) and not math.isfinite(value):
-        return None
-    return value
-
-
-def json_text(content: dict[str, Any]) -> str:
-    """The text of a JSON file."""
-    return json.dumps(finite(content), indent=2, allow_nan=False) + "\n"
-
-
-def write_json(path: Path, content: dict[str, Any]) -> None:
-    """Write a JSON document atomically."""
-    with write_atomically(path) as unfinished:
-        unfinished.write_text(json_text(content), encoding="utf-8")
 
 
 def digest_of(content: bytes) -> str:

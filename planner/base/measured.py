@@ -7,7 +7,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from planner.base.files import finite
+from planner.base.json_files import finite
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,8 @@ from typing import Any
 
 from planner.base.arguments import count, number, short_repr
 from planner.base.errors import PlannerError, RenderingUnavailable
-from planner.base.files import open_folder, remove_empty, write_json
+from planner.base.files import open_folder, remove_empty
+from planner.base.json_files import write_json
 from planner.cli.console import Console
 from planner.cli.problems import asked_problem, name_of, solved
 from planner.cli.showing import show_plan

@@ -12,7 +12,8 @@ import numpy as np
 from planner.base.arguments import choice, count
 from planner.base.arguments import short_repr as quoted
 from planner.base.errors import PlannerError
-from planner.base.files import json_text, write_atomically
+from planner.base.files import write_atomically
+from planner.base.json_files import json_text
 from planner.cases.given_controls import plan_of_controls, recording_errors
 from planner.cli.allowed_imports import load_allowed
 from planner.cli.console import Console, shown

@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from planner.base.errors import RenderingUnavailable
-from planner.base.files import file_error, write_json
+from planner.base.files import file_error
+from planner.base.json_files import write_json
 from planner.cli.background_render import BackgroundRender
 from planner.cli.console import Console
 from planner.cli.showing import refinement_row

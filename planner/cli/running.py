@@ -21,16 +21,8 @@ from typing import Any
 from planner.base.arguments import count, number
 from planner.base.environment import installed_versions
 from planner.base.errors import PlannerError
-from planner.base.files import (
-    PathLike,
-    file_error,
-    finite,
-    folder_lock,
-    json_text,
-    open_folder,
-    remove_empty,
-    write_atomically,
-)
+from planner.base.files import PathLike, file_error, folder_lock, open_folder, remove_empty, write_atomically
+from planner.base.json_files import finite, json_text
 from planner.cases.plan_file import load_plan
 from planner.cli import results, showing
 from planner.cli.background_render import BackgroundRender, checked_looks

@@ -7,8 +7,10 @@ from typing import Any
 
 import numpy as np
 
-from planner.base.arguments import array, number, numbers, short_repr
+from planner.base.arguments import array, choice, number, numbers, short_repr
 from planner.base.errors import PlannerError
+from planner.dynamics import Dynamics
+from planner.model.coordinates import coordinates_of
 from planner.model.mechanism import Mechanism
 
 OFF = "off"
@@ -96,3 +98,30 @@ def spread(bound: np.ndarray, N: int, nu: int) -> np.ndarray:
     if bound.ndim <= 1:
         bound = np.broadcast_to(bound, (N, nu))
     return array("the limits' control", bound, (N, nu), any_value=True)
+
+
+def pairs_of_coordinates(what: str, value: Any, dynamics: Dynamics) -> dict[int, Pair]:
+    """Limits by component, of dynamics whose coordinates have names and units instead of joints."""
+    coordinates = coordinates_of(dynamics)
+    if isinstance(value, str):
+        with_names(None, what)
+    if isinstance(value, Mapping):
+        places = {one.name: i for i, one in enumerate(coordinates)}
+        return {
+            places[choice(f"the coordinate in the limits' {what}", name, places)]: pair_of(
+                f"the {what} range of {name!r}", part
+            )
+            for name, part in value.items()
+        }
+    pair = pair_of(f"the limits' {what}", value)
+    halves = getattr(dynamics, "integrator", None) == "semi-implicit-euler"  # positions, then as many velocities
+    last = [2 * i >= len(coordinates) if halves else None for i in range(len(coordinates))]
+    rates = [one.is_rate if one.unit else known for one, known in zip(coordinates, last, strict=True)]
+    found = {i: pair for i, rate in enumerate(rates) if rate is (what == "velocity")}
+    if not found:
+        raise PlannerError(
+            f"the limits' {what} is {short_repr(value)}, but no coordinate of the dynamics has the unit of one: write "
+            'coordinates=[("angle", "rad"), ("speed", "rad/s"), ...] of the dynamics, or limits by the index of the '
+            "state, state={1: (-4, 4)}, or of all of it, state=4."
+        )
+    return found

@@ -44,6 +44,7 @@ from planner.problem.limit_values import (
     is_word,
     json_value,
     pair_of,
+    pairs_of_coordinates,
     sides_of,
     spread,
     table_of,
@@ -299,7 +300,8 @@ class Limits:
         named = {what: value for what, value in ranges.items() if value is not None and not is_word(value, OFF)}
         if mechanism is None:
             for what, value in named.items():
-                found |= _of_coordinates(what, value, dynamics)
+                pairs = pairs_of_coordinates(what, value, dynamics)
+                found |= {i: Range.of(*pair) for i, pair in pairs.items()}
         elif "position" in named:
             machine = mechanism
             if isinstance(self.position, str):
@@ -378,33 +380,6 @@ class Limits:
             else:
                 at_end.append(component_of("final", part, ndx))
         return sorted(set(at_end))
-
-
-def _of_coordinates(what: str, value: Any, dynamics: Dynamics) -> dict[int, Range]:
-    """Ranges by component, of dynamics whose coordinates have names and units instead of joints."""
-    coordinates = coordinates_of(dynamics)
-    if isinstance(value, str):
-        with_names(None, what)
-    if isinstance(value, Mapping):
-        places = {one.name: i for i, one in enumerate(coordinates)}
-        return {
-            places[choice(f"the coordinate in the limits' {what}", name, places)]: Range.of(
-                *pair_of(f"the {what} range of {name!r}", part)
-            )
-            for name, part in value.items()
-        }
-    pair = Range.of(*pair_of(f"the limits' {what}", value))
-    halves = getattr(dynamics, "integrator", None) == "semi-implicit-euler"  # positions, then as many velocities
-    last = [2 * i >= len(coordinates) if halves else None for i in range(len(coordinates))]
-    rates = [one.is_rate if one.unit else known for one, known in zip(coordinates, last, strict=True)]
-    found = {i: pair for i, rate in enumerate(rates) if rate is (what == "velocity")}
-    if not found:
-        raise PlannerError(
-            f"the limits' {what} is {short_repr(value)}, but no coordinate of the dynamics has the unit of one: write "
-            'coordinates=[("angle", "rad"), ("speed", "rad/s"), ...] of the dynamics, or limits by the index of the '
-            "state, state={1: (-4, 4)}, or of all of it, state=4."
-        )
-    return found
 
 
 def _origin(space: StateSpace) -> np.ndarray:

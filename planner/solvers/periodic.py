@@ -24,7 +24,7 @@ import numpy as np
 
 from planner.base.arguments import choice, count, short_repr
 from planner.base.errors import PlannerError
-from planner.base.files import finite
+from planner.base.json_files import finite
 from planner.problem.periodicity import STEPS
 from planner.problem.plan import Plan, Status
 from planner.problem.problem import Problem

@@ -24,7 +24,8 @@ from typing import IO, Any
 import numpy as np
 
 from planner.base.errors import FileError
-from planner.base.files import file_error, read_text, write_atomically, write_json
+from planner.base.files import file_error, read_text, write_atomically
+from planner.base.json_files import write_json
 from planner.cases.plan_file import load_plan
 from planner.problem.plan import Plan, Status
 from planner.sweeps.shards import Shards, plan_place

@@ -6,93 +6,16 @@ from functools import partial
 import numpy as np
 import pytest
 from places import ROOT
+from problem_files import ARM, POLE, USUAL, arm, cured, file, tried, without_limits
 
 import planner
 from planner import SolverOptions
-from planner.cases.problem_file import load, of_table
-from planner.cases.problem_file.keys import RESOLVED
 from planner.proof.diagnostics import SuggestedFix, longer, suggested_fixes
 from planner.proof.diagnostics.solving import not_a_minimum
 from planner.proof.diagnostics.stage import rounded_step
 from planner.proof.diagnostics.suggested_fix import rounded_up
 from planner.proof.repair import Tools, repair
 from planner.proof.repair.refinement import refine
-
-ARM = """
-<mujoco>
-  <compiler angle="radian"/>
-  <option gravity="0 0 {gravity}"/>
-  <worldbody>
-    {world}
-    <body>
-      <joint name="shoulder" axis="0 1 0" damping="0.1" {shoulder}/>
-      <geom name="upper" type="capsule" size="0.03" fromto="0 0 0 0.4 0 0" mass="2" {collides}/>
-      <body pos="0.4 0 0">
-        <joint name="elbow" axis="0 1 0" damping="0.1" {elbow}/>
-        <geom name="lower" type="capsule" size="0.03" fromto="0 0 0 0.3 0 0" mass="1" {collides}/>
-      </body>
-    </body>
-  </worldbody>
-  <actuator>
-    <motor name="at shoulder" joint="shoulder" {motor}/><motor name="at elbow" joint="elbow" {motor}/>
-  </actuator>
-</mujoco>
-"""
-USUAL = {
-    "gravity": -9.81, "world": "", "shoulder": "", "elbow": "", "motor": "", "collides": 'contype="0" conaffinity="0"',
-}  # fmt: skip
-POLE = """
-<mujoco>
-  <compiler angle="radian"/>
-  <worldbody>
-    <body>
-      <joint name="slider" type="slide" axis="1 0 0" damping="0.1" {slider}/>
-      <inertial pos="0 0 0" mass="1" diaginertia="0.1 0.1 0.1"/>
-      <body>
-        <joint name="pole" axis="0 1 0"/>
-        <inertial pos="0 0 0.5" mass="0.2" diaginertia="0.01 0.01 0.01"/>
-      </body>
-    </body>
-  </worldbody>
-  <actuator><motor name="push" joint="slider"/></actuator>
-</mujoco>
-"""
-
-
-MARGIN = {"margin": 0.0} if "margin" in planner.Limits.__dataclass_fields__ else {}
-WEIGHTS = {"effort": 1.0, "final_position": 1000.0, "final_velocity": 1000.0, "position": 0.0, "velocity": 0.0}
-
-
-def file(folder, model, keys, weights=None, limits=None):
-    """A problem file of a model's text, with TOML by key."""
-    (folder / "machine.xml").write_text(model, encoding="utf-8")
-    keys = {"model": '"machine.xml"', "start": "[0.0, 0.0]", "duration": "1.0", "dt": "0.01"} | keys
-    lines = [f"{key} = {value}" for key, value in keys.items()]
-    for name, table in (("weights", WEIGHTS | (weights or {})), ("limits", limits)):
-        lines += [f"[{name}]", *(f"{key} = {value}" for key, value in table.items())] if table else []
-    (folder / "problem.toml").write_text("\n".join(lines), encoding="utf-8")
-    return load(folder / "problem.toml").problem
-
-
-def arm(folder, *, weights=None, limits=None, goal="[-0.5, 0.8]", model=None, **keys):
-    return file(folder, ARM.format(**USUAL | (model or {})), {"goal": goal} | keys, weights, limits)
-
-
-def without_limits(problem):
-    """A problem that does not know the limits of its file."""
-    return replace(problem, limits=None)
-
-
-def tried(problem, **options):
-    plan = planner.solve(problem, **options)
-    proof = planner.prove(plan, rollouts=0) if np.isfinite(plan.xs).all() else None
-    return plan, proof
-
-
-def cured(problem, cure):
-    """The problem with a cure written into the table of its file; what was chosen by itself is chosen again."""
-    table = {name: value for name, value in problem.parameters.items() if name != RESOLVED}
-    return of_table(cure.applied(table), problem.twin)
 
 
 def passes_with(problem, *keys):
@@ -288,16 +211,15 @@ def test_a_margin_grows_by_what_a_joint_was_beyond_it(tmp_path):
     model = POLE.format(slider='limited="true" range="-0.02 1"')
     weights = {"final_position": 1e5, "final_velocity": 1e5}
     keys = {"goal": "[0.5, 0.0]", "duration": "2.0", "dt": "0.25", "substeps": "1"}
-    problem = file(tmp_path, model, keys, weights, {"position": '"model"'} | MARGIN)
+    problem = file(tmp_path, model, keys, weights, {"position": '"model"', "margin": 0.0})
     plan, proof = tried(problem, options=SolverOptions(max_tightenings=0))  # else the solver sees to it
     stage, margin = suggested_fixes(plan, proof)
     assert (stage.key, margin.key) == ("dt", "limits.margin")
     beyond = -0.02 - plan.between_knots(20)[:, 0].min()
     assert 1.4 * beyond < margin.value < 10.0 * beyond
     assert tried(cured(problem, stage))[1].passed
-    if MARGIN:
-        _, proof = tried(cured(problem, margin))
-        assert proof.your_file.measured[1].passed
+    _, proof = tried(cured(problem, margin))
+    assert proof.your_file.measured[1].passed
 
 
 def test_a_way_that_swings_out_of_a_range(tmp_path):

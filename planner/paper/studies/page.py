@@ -22,7 +22,8 @@ import planner
 from planner.base.arguments import choice
 from planner.base.errors import PlannerError
 from planner.base.executors import ordered_map
-from planner.base.files import digest_of, json_text, write_json
+from planner.base.files import digest_of
+from planner.base.json_files import json_text, write_json
 from planner.paper.studies import (
     dive,
     elbow,

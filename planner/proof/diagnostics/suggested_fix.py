@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from planner.base.diagnostic import Diagnostic, Quantity
-from planner.base.files import finite
+from planner.base.json_files import finite
 from planner.problem.problem import Problem
 from planner.problem.recipe import PROBLEM_FILE
 from planner.proof.diagnostics.sentences import SENTENCES, TRIED

@@ -8,7 +8,7 @@ from html import escape
 from pathlib import Path
 from typing import Any
 
-from planner.base.files import finite
+from planner.base.json_files import finite
 from planner.sweeps.store import CSV, PARQUET
 from planner.sweeps.sweeping import Sweep
 from planner.view.report.markup import number, table, write_page
