@@ -18,6 +18,7 @@ import numpy as np
 from planner.base.arguments import array
 from planner.dynamics import kinematics
 from planner.dynamics.contact_kinematics import BodyContactKinematics
+from planner.dynamics.lead_force import lead_force
 from planner.model.contact.body_contact import BodyContact
 from planner.model.contact.laws import Contact, ContactLaw, Law, slide_direction
 from planner.model.exponential_torques import curve_torque_derivatives, exponential_joint_torques
@@ -236,9 +237,12 @@ def contact_force(
         law: Parameters of the contact law.
         n: (3,) or (K, 3) unit normal.
         e: (K,) penetration into the law's surface, m.
-        v: (K, 3) velocity relative to the surface, m/s.
+        v: (K, 3) velocity relative to the surface, m/s; of a law with a lead that which it has a lead later.
     """
     n = np.broadcast_to(n, v.shape)
+    if law.lead > 0.0:
+        (r, dr), (s, ds) = ramp(e, law.ramp), smoothstep(e, law.ramp)
+        return lead_force(law, n, (law.stiffness * r, law.stiffness * dr), (law.damping * s, law.damping * ds), v)
     mu, across = law.friction, np.eye(3) - n[:, :, None] * n[:, None]
     opening, vt = np.einsum("ka,ka->k", v, n), np.einsum("ka,kab->kb", v, across)
     speed = np.linalg.norm(vt, axis=1)

@@ -121,6 +121,12 @@ class ContactLaw(Law):
         if self.lead > 0.0 and self.cone == "elliptic" and self.friction > 0.0 and self.impratio == math.inf:
             raise PlannerError("impratio is inf, expected a finite number for an elliptic cone with a lead.")
 
+    @property
+    def surface_offset(self) -> float:
+        """How far the law's surface is raised, m; each edge of a pyramidal cone has a ramp of its own."""
+        edges = 4 if self.lead > 0.0 and self.cone == "pyramidal" and self.friction > 0.0 else 1
+        return 0.5 * self.ramp + 0.5 * edges * float(self.force_ramp or 0.0) / self.stiffness
+
     @classmethod
     def resting(
         cls, mass: float, *, sink: float = 5e-3, friction: float = 1.0, damping_ratio: float = 0.2, slip: float = 0.5,
