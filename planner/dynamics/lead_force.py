@@ -5,7 +5,7 @@ later, relative to the surface. With W = n n' + sqrt(impratio) (1 - n n') an ell
 
     f = W P(y),   y = K depth n - B s W x,   df/dx = -B s W DP W
 
-P the projection onto the cone |g_t| <= mu g_n / sqrt(impratio) and DP its derivative.
+P the smoothed projection onto the cone |g_t| <= mu g_n / sqrt(impratio) and DP its derivative.
 """
 
 from __future__ import annotations
@@ -13,6 +13,8 @@ from __future__ import annotations
 import numpy as np
 
 from planner.model.contact.laws import ContactLaw
+
+_MIN_BEND = 1e-9  # so that no number is divided by 0
 
 
 def contact_frames(n: np.ndarray) -> np.ndarray:
@@ -49,14 +51,14 @@ def lead_force(
         root = np.sqrt(law.impratio)
         W = root * np.eye(3) + (1.0 - root) * n[:, :, None] * n[:, None]
         Wx = np.einsum("kab,kb->ka", W, x)
-        g, slope = _projection(law.friction / root, n, k[:, None] * n - b[:, None] * Wx)
+        g, slope = _projection(law.friction / root, law.bend, n, k[:, None] * n - b[:, None] * Wx)
         by = W @ slope
         by_e = np.einsum("kab,kb->ka", by, dk[:, None] * n - db[:, None] * Wx)
         return np.einsum("kab,kb->ka", W, g), by_e, -b[:, None, None] * (by @ W)
     d = edges(law, n)
     share = 1.0 / d.shape[1]
     along = np.einsum("kea,ka->ke", d, x)
-    y, f = share * (k[:, None] - b[:, None] * along), float(law.force_ramp or 0.0)
+    y, f = share * (k[:, None] - b[:, None] * along), share * float(law.force_ramp or 0.0)
     slope = np.clip(y / f, 0.0, 1.0) if f > 0.0 else (y > 0.0).astype(float)
     force = slope * (y - 0.5 * f * slope)
     by_e = slope * share * (dk[:, None] - db[:, None] * along)
@@ -64,18 +66,28 @@ def lead_force(
     return np.einsum("ke,kea->ka", force, d), np.einsum("ke,kea->ka", by_e, d), by_x
 
 
-def _projection(mu: float, n: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The point of the cone |g_t| <= mu g_n nearest to y (K, 3), and its derivative by y (K, 3, 3)."""
+def _projection(mu: float, bend: float, n: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The point of the cone |g_t| <= mu g_n nearest to y (K, 3), smoothed by bend, and its derivative (K, 3, 3)."""
     y_n = np.einsum("ka,ka->k", y, n)
     y_t = y - y_n[:, None] * n
     slip = np.linalg.norm(y_t, axis=1)
-    inside, outside = slip <= mu * y_n, mu * slip <= -y_n
-    u = y_t / np.where(slip > 0.0, slip, 1.0)[:, None]
-    edge, share = n + mu * u, 1.0 / (1.0 + mu**2)
-    g_n = share * (y_n + mu * slip)
+    size = np.where(slip > 0.0, slip, 1.0)
+    u, w, per = y_t / size[:, None], max(bend, _MIN_BEND) * mu, 1.0 / np.sqrt(1.0 + mu**2)
+    p, c = per * (y_n + mu * slip), per * (mu * y_n - slip)
+    presses = p > 0.0  # else y is in the polar cone
+    t = np.divide(c, p, out=np.zeros_like(c), where=presses)
+    z, beyond = np.clip((t + w) / (2.0 * w), 0.0, 1.0), np.maximum(t - w, 0.0)
+    psi = w**2 * (2.0 / 3.0 * z**3 - 1.0 / 6.0) + beyond * (w + 0.5 * beyond)
+    by_t = w * z**2 + beyond  # psi'; its own derivative is z
+    along, across = presses * p * (1.0 + 2.0 * psi - t * by_t), presses * p * by_t
+    g_n, g_t = per * (along + mu * across), per * (mu * along - across)
+    H = [[1.0 + 2.0 * psi - 2.0 * t * by_t + t**2 * z, by_t - t * z], [by_t - t * z, z]]
+    edge, inwards = per * (n + mu * u), per * (mu * n - u)
+    slope = sum(
+        H[i][j][:, None, None] * one[:, :, None] * other[:, None]
+        for i, one in enumerate((edge, inwards)) for j, other in enumerate((edge, inwards))
+    )  # fmt: skip
+    turning = np.where(t >= w, 1.0, g_t / size)
     around = np.eye(3) - n[:, :, None] * n[:, None] - u[:, :, None] * u[:, None]
-    turning = mu * g_n / np.where(slip > 0.0, slip, 1.0)
-    slope = share * edge[:, :, None] * edge[:, None] + turning[:, None, None] * around
-    g = np.where(inside[:, None], y, np.where(outside[:, None], 0.0, g_n[:, None] * edge))
-    whole, none = np.eye(3), np.zeros((3, 3))
-    return g, np.where(inside[:, None, None], whole, np.where(outside[:, None, None], none, slope))
+    slope = presses[:, None, None] * (slope + turning[:, None, None] * around)
+    return g_n[:, None] * n + g_t[:, None] * u, slope

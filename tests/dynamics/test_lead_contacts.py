@@ -127,6 +127,7 @@ LAWS = {
     "pyramid": ContactLaw(5e3, 60.0, 5e-3, 5.0, friction=0.6, lead=0.02, cone="pyramidal"),
     "sharp pyramid": ContactLaw(5e3, 60.0, force_ramp=0.0, friction=0.6, lead=0.02, cone="pyramidal"),
     "cone": ContactLaw(5e3, 60.0, 5e-3, friction=0.6, impratio=10.0, lead=0.02),
+    "sharp cone": ContactLaw(5e3, 60.0, force_ramp=0.0, friction=0.6, impratio=10.0, bend=0.0, lead=0.02),
     "no friction": ContactLaw(5e3, 60.0, 5e-3, 5.0, lead=0.02),
 }
 
@@ -168,7 +169,7 @@ def test_the_force_is_minus_the_gradient_of_a_convex_function_and_stays_in_its_c
 
 
 def test_deep_inside_a_smoothed_law_presses_as_the_sharp_one():
-    """surface_offset makes up for the ramps of the depth and of each edge: K (e - a/2) - 4 f/2 is K depth."""
+    """surface_offset makes up for the ramps of the depth and of all edges: K (e - a/2) - f/2 is K depth."""
     law, depth = LAWS["pyramid"], 0.03
     f = contact_force(law, np.array([[0.0, 0.0, 1.0]]), np.array([depth + law.surface_offset]), np.zeros((1, 3)))[0]
     assert f[0, 2] == pytest.approx(law.stiffness * depth, rel=1e-12)

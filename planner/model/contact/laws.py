@@ -25,14 +25,15 @@ the velocity that the contact will have `lead` seconds later, x = v + lead J qac
 the Jacobian's own change, so the force depends on the acceleration. With x_n = n'x, x_t the rest, depth = ramp(e; a)
 and s = s(e; a), a pyramidal cone has the sum over four edges d = n +- mu t1, n +- mu t2 of
 
-    r(y; f) d,   y = (K depth - B s d'x) / 4,   r = ramp, r(y; 0) = max(y, 0)
+    r(y; f/4) d,   y = (K depth - B s d'x) / 4,   r = ramp, r(y; 0) = max(y, 0)
 
-with t1, t2 of MuJoCo's contact frame; without friction it is the one edge d = n, y = K depth - B s x_n. An elliptic
-cone has, with i = impratio and (g_n, g_t) the point of |g_t| <= mu g_n / sqrt(i) that is nearest to (y_n, y_t),
+with t1, t2 of MuJoCo's contact frame; without friction it is one edge, r(K depth - B s x_n; f) n. An elliptic
+cone has, with i = impratio and (g_n, g_t) the point of |g_t| <= m g_n, m = mu / sqrt(i), that is nearest to (y_n, y_t),
 
     f_n = g_n,   f_t = sqrt(i) g_t,   y_n = K depth - B s x_n,   y_t = -B s sqrt(i) x_t.
 
-Both are minus the gradient of a convex function of x, so the acceleration minimizes a convex function (Todorov,
+It slips gradually: with p and c the parts of y along the edge of the cone beside it and across, inwards, g is the
+gradient of p^2 (1/2 + psi(c/p)), where psi'' = 0 below -b m, 1 above b m, and a line between. Both are minus the gradient of a convex function of x, so the acceleration minimizes a convex function (Todorov,
 "Convex and analytically-invertible dynamics with contacts and constraints", 2014).
 """
 
@@ -96,8 +97,8 @@ class ContactLaw(Law):
             ramp: without one friction is cut off at once.
         uncertainty: How many times softer a plane may be; at least 1. A plan's gains allow for it
             (solvers.uncertain_ground); nothing else depends on it.
-        lead: s, how much later the contact has the velocity that is damped; 0 for now. A law with a lead has no use
-            for slip_damping and bend.
+        lead: s, how much later the contact has the velocity that is damped; 0 for now. Of a law with a lead
+            slip_damping follows from the rest and is not used.
         cone: "elliptic" or "pyramidal", the friction cone of a law with a lead.
     """
 
@@ -120,12 +121,6 @@ class ContactLaw(Law):
         choice("cone", self.cone, CONES)
         if self.lead > 0.0 and self.cone == "elliptic" and self.friction > 0.0 and self.impratio == math.inf:
             raise PlannerError("impratio is inf, expected a finite number for an elliptic cone with a lead.")
-
-    @property
-    def surface_offset(self) -> float:
-        """How far the law's surface is raised, m; each edge of a pyramidal cone has a ramp of its own."""
-        edges = 4 if self.lead > 0.0 and self.cone == "pyramidal" and self.friction > 0.0 else 1
-        return 0.5 * self.ramp + 0.5 * edges * float(self.force_ramp or 0.0) / self.stiffness
 
     @classmethod
     def resting(
