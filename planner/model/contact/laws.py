@@ -33,8 +33,9 @@ cone has, with i = impratio and (g_n, g_t) the point of |g_t| <= m g_n, m = mu /
     f_n = g_n,   f_t = sqrt(i) g_t,   y_n = K depth - B s x_n,   y_t = -B s sqrt(i) x_t.
 
 It slips gradually: with p and c the parts of y along the edge of the cone beside it and across, inwards, g is the
-gradient of p^2 (1/2 + psi(c/p)), where psi'' = 0 below -b m, 1 above b m, and a line between. Both are minus the gradient of a convex function of x, so the acceleration minimizes a convex function (Todorov,
-"Convex and analytically-invertible dynamics with contacts and constraints", 2014).
+gradient of p^2 (1/2 + psi(c/p)), psi(t) = t^2/2 for t > b m, psi'' = 0 for t < -b m, and a line between. Both forces
+are minus the gradient of a convex function of x, so the acceleration minimizes a convex function (Todorov, "Convex and
+analytically-invertible dynamics with contacts and constraints", 2014).
 """
 
 from __future__ import annotations
@@ -97,8 +98,8 @@ class ContactLaw(Law):
             ramp: without one friction is cut off at once.
         uncertainty: How many times softer a plane may be; at least 1. A plan's gains allow for it
             (solvers.uncertain_ground); nothing else depends on it.
-        lead: s, how much later the contact has the velocity that is damped; 0 for now. Of a law with a lead
-            slip_damping follows from the rest and is not used.
+        lead: s, how much later the contact has the velocity that is damped; 0 for now. Friction of a law with a lead
+            follows from damping, friction, impratio and cone; slip_damping says it and does not change it.
         cone: "elliptic" or "pyramidal", the friction cone of a law with a lead.
     """
 

@@ -49,12 +49,11 @@ def file_law(model: Any, pair: Pair, depth: float = math.inf) -> ContactLaw:
     """
     if reason := file_law_reason(model, pair):
         raise ModelError(f"{' and '.join(named(model, 'geom', geom) for geom in pair.geoms)}: {reason}.")
-    K, B = coefficients(model, pair, depth)
-    cone = "pyramidal" if _is_pyramidal(model, pair) else "elliptic"
-    return ContactLaw(
-        K, B, 0.0, 0.0, friction=_friction(pair), impratio=_impratio(model), bend=0.0,
-        lead=1.0 / _rates(model, pair.solref, pair.solimp)[1], cone=cone,
-    )  # fmt: skip
+    (K, B), mu, impratio = coefficients(model, pair, depth), _friction(pair), _impratio(model)
+    lead, pyramidal = 1.0 / _rates(model, pair.solref, pair.solimp)[1], _is_pyramidal(model, pair)
+    slip_damping = B * (0.5 * mu**2 if pyramidal else impratio * (mu > 0.0))
+    cone = "pyramidal" if pyramidal else "elliptic"
+    return ContactLaw(K, B, 0.0, 0.0, slip_damping, mu, impratio, 0.0, lead=lead, cone=cone)
 
 
 def coefficients(model: Any, pair: Pair, depth: float) -> tuple[float, float]:
