@@ -58,7 +58,7 @@ def lead_force(
     d = edges(law, n)
     share = 1.0 / d.shape[1]
     along = np.einsum("kea,ka->ke", d, x)
-    y, f = share * (k[:, None] - b[:, None] * along), share * float(law.force_ramp or 0.0)
+    y, f = share * (k[:, None] - b[:, None] * along), float(law.force_ramp or 0.0)
     slope = np.clip(y / f, 0.0, 1.0) if f > 0.0 else (y > 0.0).astype(float)
     force = slope * (y - 0.5 * f * slope)
     by_e = slope * share * (dk[:, None] - db[:, None] * along)

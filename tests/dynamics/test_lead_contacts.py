@@ -169,7 +169,7 @@ def test_the_force_is_minus_the_gradient_of_a_convex_function_and_stays_in_its_c
 
 
 def test_deep_inside_a_smoothed_law_presses_as_the_sharp_one():
-    """surface_offset makes up for the ramps of the depth and of all edges: K (e - a/2) - f/2 is K depth."""
+    """surface_offset makes up for the ramps of the depth and of each edge: K (e - a/2) - 4 f/2 is K depth."""
     law, depth = LAWS["pyramid"], 0.03
     f = contact_force(law, np.array([[0.0, 0.0, 1.0]]), np.array([depth + law.surface_offset]), np.zeros((1, 3)))[0]
     assert f[0, 2] == pytest.approx(law.stiffness * depth, rel=1e-12)

@@ -25,7 +25,7 @@ the velocity that the contact will have `lead` seconds later, x = v + lead J qac
 the Jacobian's own change, so the force depends on the acceleration. With x_n = n'x, x_t the rest, depth = ramp(e; a)
 and s = s(e; a), a pyramidal cone has the sum over four edges d = n +- mu t1, n +- mu t2 of
 
-    r(y; f/4) d,   y = (K depth - B s d'x) / 4,   r = ramp, r(y; 0) = max(y, 0)
+    r(y; f) d,   y = (K depth - B s d'x) / 4,   r = ramp, r(y; 0) = max(y, 0)
 
 with t1, t2 of MuJoCo's contact frame; without friction it is one edge, r(K depth - B s x_n; f) n. An elliptic
 cone has, with i = impratio and (g_n, g_t) the point of |g_t| <= m g_n, m = mu / sqrt(i), that is nearest to (y_n, y_t),
@@ -122,6 +122,12 @@ class ContactLaw(Law):
         choice("cone", self.cone, CONES)
         if self.lead > 0.0 and self.cone == "elliptic" and self.friction > 0.0 and self.impratio == math.inf:
             raise PlannerError("impratio is inf, expected a finite number for an elliptic cone with a lead.")
+
+    @property
+    def surface_offset(self) -> float:
+        """How far the law's surface is raised, m; each edge of a pyramidal cone has a ramp of its own."""
+        edges = 4 if self.lead > 0.0 and self.cone == "pyramidal" and self.friction > 0.0 else 1
+        return 0.5 * self.ramp + 0.5 * edges * float(self.force_ramp or 0.0) / self.stiffness
 
     @classmethod
     def resting(
