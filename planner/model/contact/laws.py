@@ -19,6 +19,21 @@ contact tends to the same force (see model.mjcf.contacts): friction is then c_t 
 it slips MuJoCo's projection onto the friction cone raises the normal force to
 
     f_n = (K e - B v_n + mu c_t |v_t| / impratio) / (1 + mu^2 / impratio).
+
+A law with a `lead` is the force of MuJoCo's usual contact, of any file (model.mjcf.file_law). There the damper feels
+the velocity that the contact will have `lead` seconds later, x = v + lead J qacc, relative to the surface and without
+the Jacobian's own change, so the force depends on the acceleration. With x_n = n'x, x_t the rest, depth = ramp(e; a)
+and s = s(e; a), a pyramidal cone has the sum over four edges d = n +- mu t1, n +- mu t2 of
+
+    r(y; f) d,   y = (K depth - B s d'x) / 4,   r = ramp, r(y; 0) = max(y, 0)
+
+with t1, t2 of MuJoCo's contact frame; without friction it is the one edge d = n, y = K depth - B s x_n. An elliptic
+cone has, with i = impratio and (g_n, g_t) the point of the cone |g_t| <= mu g_n / sqrt(i) that is nearest to (y_n, y_t),
+
+    f_n = g_n,   f_t = sqrt(i) g_t,   y_n = K depth - B s x_n,   y_t = -B s sqrt(i) x_t.
+
+Both are minus the gradient of a convex function of x, so the acceleration minimizes a convex function (Todorov,
+"Convex and analytically-invertible dynamics with contacts and constraints", 2014).
 """
 
 from __future__ import annotations
@@ -29,12 +44,13 @@ from typing import Any
 
 import numpy as np
 
-from planner.base.arguments import array, count, number, set_fields
+from planner.base.arguments import array, choice, count, number, set_fields
 from planner.base.errors import PlannerError
 
 ALONG = 1e-9  # of a direction along a plane, its part across
 FORCE_SHARE = 0.2  # of stiffness * ramp: how much of the force the second ramp smooths, as the step study's 5 N of 25
 BEND = 0.5  # of the cone either way: less is hardly nearer to MuJoCo; the human step has its own
+CONES = ("elliptic", "pyramidal")
 RAMP_SHARE = 0.2  # of how deep a machine at rest sinks in: then its feet stand where the law is that of a plain spring
 
 
@@ -80,6 +96,9 @@ class ContactLaw(Law):
             ramp: without one friction is cut off at once.
         uncertainty: How many times softer a plane may be; at least 1. A plan's gains allow for it
             (solvers.uncertain_ground); nothing else depends on it.
+        lead: s, how much later the contact has the velocity that is damped; 0 for now. A law with a lead has no use
+            for slip_damping and bend.
+        cone: "elliptic" or "pyramidal", the friction cone of a law with a lead.
     """
 
     slip_damping: float = 0.0
@@ -87,15 +106,20 @@ class ContactLaw(Law):
     impratio: float = math.inf
     bend: float = BEND
     uncertainty: float = 1.0
+    lead: float = 0.0
+    cone: str = "elliptic"
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        for name in ("slip_damping", "friction"):
+        for name in ("slip_damping", "friction", "lead"):
             set_fields(self, **{name: number(name, getattr(self, name), minimum=0.0)})
         set_fields(self, bend=number("bend", self.bend, minimum=0.0, maximum=1.0))
         set_fields(self, uncertainty=number("uncertainty", self.uncertainty, minimum=1.0))
         if self.impratio != math.inf:
             set_fields(self, impratio=number("impratio", self.impratio, greater_than=0.0))
+        choice("cone", self.cone, CONES)
+        if self.lead > 0.0 and self.cone == "elliptic" and self.friction > 0.0 and self.impratio == math.inf:
+            raise PlannerError("impratio is inf, expected a finite number for an elliptic cone with a lead.")
 
     @classmethod
     def resting(
