@@ -227,6 +227,21 @@ def _force(place: PlaneContactKinematics | BodyContactKinematics) -> tuple[np.nd
     return contact_force(place.contact.law, place.n, place.e, place.v)
 
 
+def _pressed(law, e):
+    depth, t = ramp(e, law.ramp)
+    s, ds = smoothstep(e, 0.5 * law.ramp)
+    first, last, width, mid = law.impedance
+    x = np.clip((e - 0.5 * law.ramp) / width, 0, 1)
+    rise = np.where(x > mid, 1 - (1 - x) ** 2 / (1 - mid), x * x / mid)
+    slope = np.where(x > mid, 2 * (1 - x) / (1 - mid), 2 * x / mid) / width
+    d, dd = first + (last - first) * rise, (last - first) * slope
+    scale = (1 - last) / last
+    g, dg = scale * d / (1 - d), scale * dd / (1 - d) ** 2
+    w, dw = s * g, ds * g + s * dg
+    K = law.stiffness / last
+    return K * d * w * depth, K * (dd * w * depth + d * dw * depth + d * w * t), -law.damping * w
+
+
 def contact_force(
     law: ContactLaw, n: np.ndarray, e: np.ndarray, v: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -238,6 +253,10 @@ def contact_force(
         e: (K,) penetration into the law's surface, m.
         v: (K, 3) velocity relative to the surface, m/s.
     """
+    if law.lead > 0.0:  # as slow as to have no friction
+        f, by_e, by_opening = _pressed(law, e)
+        n = np.broadcast_to(n, v.shape)
+        return f[:, None] * n, by_e[:, None] * n, by_opening[:, None, None] * n[:, :, None] * n[:, None]
     n = np.broadcast_to(n, v.shape)
     mu, across = law.friction, np.eye(3) - n[:, :, None] * n[:, None]
     opening, vt = np.einsum("ka,ka->k", v, n), np.einsum("ka,kab->kb", v, across)

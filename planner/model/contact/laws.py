@@ -108,6 +108,7 @@ class ContactLaw(Law):
     uncertainty: float = 1.0
     lead: float = 0.0
     cone: str = "elliptic"
+    impedance: tuple[float, float, float, float] = (0.9, 0.9, 1.0, 0.5)
 
     def __post_init__(self) -> None:
         super().__post_init__()

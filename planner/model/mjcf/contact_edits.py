@@ -48,7 +48,7 @@ def give_law(
     model = survey.model
     body_names, geoms = _names(root, model)
     section, unmatched, points = _in_place_of_pairs(root), [], {}
-    impratio = IMPRATIO
+    impratio, soft = IMPRATIO, False
     for pair in survey.pairs:
         bodies = [int(model.geom_bodyid[geom]) for geom in pair.geoms]
         law, names = law_of(pair), [[geoms[geom].attrib["name"]] for geom in pair.geoms]
@@ -66,14 +66,21 @@ def give_law(
                 points[other, margin] = add_points(geoms[other], body, model, other, margin, len(points))
             names = [[geoms[flat].attrib["name"]], points[other, margin]]
             _exclude(root, section, *(body_names[body] for body in bodies))
+        if law.lead > 0.0:
+            attributes = own_attributes(pair)
+            soft = True
+            for one, other in itertools.product(*names):
+                ElementTree.SubElement(section, "pair", {"geom1": one, "geom2": other, **attributes})
+            continue
         impratio = law.impratio if np.isfinite(law.impratio) else IMPRATIO
         weight = float(np.sum(model.body_invweight0[bodies, 0]))
         attributes = contact_attributes(law.stiffness, law.damping, law.slip_damping, law.friction, weight, impratio)
         for one, other in itertools.product(*names):
             both = {"geom1": one, "geom2": other}
             ElementTree.SubElement(section, "pair", {**both, **attributes, "margin": "0", "gap": "0"})
-    option = ElementTree.SubElement(root, "option", {"cone": "elliptic", "impratio": repr(impratio)})
-    ElementTree.SubElement(option, "flag", {"refsafe": "disable"})
+    if not soft:
+        option = ElementTree.SubElement(root, "option", {"cone": "elliptic", "impratio": repr(impratio)})
+        ElementTree.SubElement(option, "flag", {"refsafe": "disable"})
     for custom in root.findall("custom"):
         for element in [one for one in custom.findall("numeric") if one.get("name") in numbers]:
             custom.remove(element)
@@ -81,6 +88,14 @@ def give_law(
     for name, data in numbers.items():
         ElementTree.SubElement(custom, "numeric", {"name": name, "data": data})
     return unmatched
+
+
+def own_attributes(pair: Pair) -> dict[str, str]:
+    """The attributes of a <pair> with the numbers of a pair of the file."""
+    numbers = {
+        "friction": pair.friction, "solref": pair.solref, "solreffriction": pair.solreffriction, "solimp": pair.solimp,
+    }  # fmt: skip
+    return {**{name: written(*values) for name, values in numbers.items()}, "condim": str(pair.condim), "margin": "0", "gap": "0"}
 
 
 def force_begins(model: Any, pair: Pair) -> float:

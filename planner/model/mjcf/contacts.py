@@ -117,6 +117,8 @@ def _reason(survey: ModelIndex, pair: Pair) -> str:
 
 def _law_reason(model: Any, pair: Pair) -> str:
     """The reason why MuJoCo's force is not a law of ours; "" where it is."""
+    if _is_soft(model, pair):
+        return "" if pair.margin == 0.0 else f"margin {pair.margin:g}, expected 0"
     if pair.condim not in (1, 3):
         return f"condim {pair.condim}, expected 1 or 3"
     if pair.margin != 0.0:
@@ -134,6 +136,12 @@ def _law_reason(model: Any, pair: Pair) -> str:
     if ramp > 0.0 and model.opt.impratio < MIN_IMPRATIO:
         return f"impratio {model.opt.impratio:g}, expected at least {MIN_IMPRATIO:g} for smoothed friction"
     return ""
+
+
+def _is_soft(model: Any, pair: Pair) -> bool:
+    ramp = _numbers(model, CONTACT_RAMP)
+    moves = all(model.body_weldid[model.geom_bodyid[g]] != 0 for g in pair.geoms)
+    return ramp is not None and ramp[0] > 0.0 and bool(_direct_reason(pair.solref, pair.solimp)) and not moves
 
 
 def _direct_reason(solref: np.ndarray, solimp: np.ndarray) -> str:
@@ -166,7 +174,7 @@ def read_contacts(survey: ModelIndex) -> tuple[tuple[Contact, ...], tuple[BodyCo
     for pair in survey.pairs:
         if _reason(survey, pair):
             continue
-        law = _law_of(model, pair)
+        law = _law_of(survey, pair)
         match = plane_and_spheres(survey, pair.geoms)
         if match is None:
             name = " and ".join(named(model, "geom", geom) for geom in pair.geoms)
@@ -182,7 +190,12 @@ def read_contacts(survey: ModelIndex) -> tuple[tuple[Contact, ...], tuple[BodyCo
     return tuple(with_planes), tuple(of_bodies)
 
 
-def _law_of(model: Any, pair: Pair) -> ContactLaw:
+def _law_of(survey: ModelIndex, pair: Pair) -> ContactLaw:
+    model = survey.model
+    if _is_soft(model, pair):
+        from planner.model.mjcf.ground_law import LOAD, mass_of, soft_law
+        weight = mass_of(survey, pair) * float(np.linalg.norm(model.opt.gravity))
+        return soft_law(model, pair, LOAD * weight, _smoothing(model, CONTACT_RAMP)[0], (_numbers(model, CONTACT_UNCERTAINTY) or [1.0])[0])
     weight = float(np.sum(model.body_invweight0[model.geom_bodyid[list(pair.geoms)], 0])) * (1.0 - pair.solimp[0])
     K, B = -pair.solref / weight
     impratio = float(model.opt.impratio)

@@ -35,6 +35,8 @@ from planner.model.contact.laws import ContactLaw
 from planner.model.mjcf.contact_shapes import meets_plane, plane_of, point_radius, points_of, spheres_of
 from planner.model.mjcf.model_index import ModelIndex, Pair
 
+import os
+SOFT_RAMP = float(os.environ.get("SOFT_RAMP", "1e-3"))
 DEEPEST = 0.1  # m: what sinks in further does not stand
 _HALVINGS = 50
 
@@ -77,6 +79,31 @@ def _force(model: Any, pair: Pair, r: float) -> float:
     return share * k * d * r * d / (max(A, 1e-15) * (1.0 - d))
 
 
+def soft_law(model: Any, pair: Pair, load: float, ramp: float, uncertainty: float) -> ContactLaw:
+    """MuJoCo's own law of a pair, at the depth at which it bears a load, N."""
+    depth, _ = rest_penetration(model, pair, load)
+    d0, dmax, width, midpoint, _ = (float(one) for one in pair.solimp)
+    d0, dmax, midpoint = (float(x) for x in np.clip([d0, dmax, midpoint], 1e-4, 0.9999))
+    A = float(model.body_invweight0[model.geom_bodyid[list(pair.geoms)], 0].sum())
+    share, cone = 1.0, "elliptic"
+    mu = float(pair.friction[0]) if pair.condim > 1 else 0.0
+    if pair.condim > 1 and model.opt.cone == int(load_mujoco().mjtCone.mjCONE_PYRAMIDAL):
+        mu = max(mu, 1e-5)
+        share, cone = 4.0 / (2.0 * mu**2 / float(model.opt.impratio) * (1.0 + mu**2)), "pyramidal"
+    mass = share * dmax / (max(A, 1e-15) * (1.0 - dmax))
+    if pair.solref[0] > 0.0:
+        timeconst = max(float(pair.solref[0]), 2.0 * float(model.opt.timestep))
+        b = 2.0 / (dmax * timeconst)
+        k = 1.0 / max((dmax * timeconst * float(pair.solref[1])) ** 2, 1e-15)
+    else:
+        b, k = -float(pair.solref[1]) / dmax, -float(pair.solref[0]) / dmax**2
+    return ContactLaw(
+        mass * k * dmax, mass * b, 2.0 * ramp, 0.0, friction=mu,
+        impratio=float(model.opt.impratio), lead=1.0 / b, cone=cone, uncertainty=uncertainty,
+        impedance=(d0, dmax, max(width, 1e-15), midpoint),
+    )
+
+
 REST_PENETRATION = (
     3e-3  # m, of the whole machine on one contact: MuJoCo's default ground is stiffer still, but kinks want a ramp
 )
@@ -99,22 +126,10 @@ class Ground(NamedTuple):
 
 def laws_of_ground(survey: ModelIndex, pairs: Iterable[Pair]) -> dict[tuple[int, int], Ground]:
     """The law of each pair of a plane and what stands on it, by the pair's geoms."""
-    laws, of_body = {}, dict[int, list[Pair]]()
+    laws = {}
     for pair in pairs:
-        laws[pair.geoms] = _for_mass(survey, pair)
-        of_body.setdefault(_body_of(survey, pair), []).append(pair)
-    poses = _poses(survey)
-    for body, own in of_body.items():
-        slip = max(laws[pair.geoms].law.slip_damping for pair in own)
-        damping = max(laws[pair.geoms].law.damping for pair in own)
-        along, across = (
-            max(pose.fastest(body, own, *dampings) for pose in poses) for dampings in ((0.0, slip), (damping, 0.0))
-        )
-        less = [min(1.0, FASTEST / max(rate, 1e-300)) for rate in (along, across)]
-        for pair in own:
-            law, recess = laws[pair.geoms]
-            law = replace(law, slip_damping=less[0] * law.slip_damping, damping=less[1] * law.damping)
-            laws[pair.geoms] = Ground(law, recess)
+        weight = mass_of(survey, pair) * float(np.linalg.norm(survey.model.opt.gravity))
+        laws[pair.geoms] = Ground(soft_law(survey.model, pair, LOAD * weight, SOFT_RAMP, 1.0), 0.0)
     return laws
 
 
