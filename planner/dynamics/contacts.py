@@ -18,6 +18,7 @@ import numpy as np
 from planner.base.arguments import array
 from planner.dynamics import kinematics
 from planner.dynamics.contact_kinematics import BodyContactKinematics
+from planner.dynamics.lead_force import lead_force
 from planner.model.contact.body_contact import BodyContact
 from planner.model.contact.laws import Contact, ContactLaw, Law, slide_direction
 from planner.model.exponential_torques import curve_torque_derivatives, exponential_joint_torques
@@ -227,19 +228,20 @@ def _force(place: PlaneContactKinematics | BodyContactKinematics) -> tuple[np.nd
     return contact_force(place.contact.law, place.n, place.e, place.v)
 
 
-def _pressed(law, e):
-    depth, t = ramp(e, law.ramp)
-    s, ds = smoothstep(e, 0.5 * law.ramp)
-    first, last, width, mid = law.impedance
-    x = np.clip((e - 0.5 * law.ramp) / width, 0, 1)
-    rise = np.where(x > mid, 1 - (1 - x) ** 2 / (1 - mid), x * x / mid)
-    slope = np.where(x > mid, 2 * (1 - x) / (1 - mid), 2 * x / mid) / width
-    d, dd = first + (last - first) * rise, (last - first) * slope
-    scale = (1 - last) / last
-    g, dg = scale * d / (1 - d), scale * dd / (1 - d) ** 2
-    w, dw = s * g, ds * g + s * dg
-    K = law.stiffness / last
-    return K * d * w * depth, K * (dd * w * depth + d * dw * depth + d * w * t), -law.damping * w
+def _spring_and_damper(law: ContactLaw, e: np.ndarray) -> tuple[tuple[np.ndarray, np.ndarray], ...]:
+    """Force of the spring and damping of a law with a lead, each (K,) with its derivative by the penetration."""
+    (depth, t), (s, ds) = ramp(e, law.ramp), smoothstep(e, 0.5 * law.ramp)
+    first, last, width, midpoint = law.impedance
+    x = np.clip((e - 0.5 * law.ramp) / width, 0.0, 1.0)
+    above = x > midpoint
+    rise = np.where(above, 1.0 - (1.0 - x) ** 2 / (1.0 - midpoint), x**2 / midpoint)
+    slope = 2.0 * np.where(above, (1.0 - x) / (1.0 - midpoint), x / midpoint) / width
+    d, by_r = first + (last - first) * rise, (last - first) * slope
+    scale = (1.0 - last) / last
+    gain, by_gain = scale * d / (1.0 - d), scale * by_r / (1.0 - d) ** 2
+    w, dw, K = s * gain, ds * gain + s * by_gain, law.stiffness / last
+    spring = K * d * w * depth, K * (by_r * w * depth + d * dw * depth + d * w * t)
+    return spring, (law.damping * w, law.damping * dw)
 
 
 def contact_force(
@@ -251,13 +253,11 @@ def contact_force(
         law: Parameters of the contact law.
         n: (3,) or (K, 3) unit normal.
         e: (K,) penetration into the law's surface, m.
-        v: (K, 3) velocity relative to the surface, m/s.
+        v: (K, 3) velocity relative to the surface, m/s; of a law with a lead that which it has a lead later.
     """
-    if law.lead > 0.0:  # as slow as to have no friction
-        f, by_e, by_opening = _pressed(law, e)
-        n = np.broadcast_to(n, v.shape)
-        return f[:, None] * n, by_e[:, None] * n, by_opening[:, None, None] * n[:, :, None] * n[:, None]
     n = np.broadcast_to(n, v.shape)
+    if law.lead > 0.0:
+        return lead_force(law, n, *_spring_and_damper(law, e), v)
     mu, across = law.friction, np.eye(3) - n[:, :, None] * n[:, None]
     opening, vt = np.einsum("ka,ka->k", v, n), np.einsum("ka,kab->kb", v, across)
     speed = np.linalg.norm(vt, axis=1)

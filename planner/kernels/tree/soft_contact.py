@@ -68,7 +68,7 @@ def _edge(value, o, d, pressed, pressed_e, s, ds, x):
     """The force of an edge d of the pyramid, its derivative by e, and C along d."""
     along, damping = dot(x, d), 0.25 * load(value, o + DAMPING)
     y, y_e = 0.25 * pressed - damping * (s * along), 0.25 * pressed_e - damping * (ds * along)
-    force, slope = ramp(y, 0.25 * load(value, o + FORCE), 4.0 * load(value, o + PER_FORCE))
+    force, slope = ramp(y, load(value, o + FORCE), load(value, o + PER_FORCE))
     return force, slope * y_e, damping * (slope * s)
 
 

@@ -28,7 +28,7 @@ and s = s(e; a), a pyramidal cone has the sum over four edges d = n +- mu t1, n 
     r(y; f) d,   y = (K depth - B s d'x) / 4,   r = ramp, r(y; 0) = max(y, 0)
 
 with t1, t2 of MuJoCo's contact frame; without friction it is the one edge d = n, y = K depth - B s x_n. An elliptic
-cone has, with i = impratio and (g_n, g_t) the point of the cone |g_t| <= mu g_n / sqrt(i) that is nearest to (y_n, y_t),
+cone has, with i = impratio and (g_n, g_t) the point of |g_t| <= mu g_n / sqrt(i) that is nearest to (y_n, y_t),
 
     f_n = g_n,   f_t = sqrt(i) g_t,   y_n = K depth - B s x_n,   y_t = -B s sqrt(i) x_t.
 
@@ -121,6 +121,12 @@ class ContactLaw(Law):
         choice("cone", self.cone, CONES)
         if self.lead > 0.0 and self.cone == "elliptic" and self.friction > 0.0 and self.impratio == math.inf:
             raise PlannerError("impratio is inf, expected a finite number for an elliptic cone with a lead.")
+
+    @property
+    def surface_offset(self) -> float:
+        """How far the law's surface is raised, m; each edge of a pyramidal cone has a ramp of its own."""
+        edges = 4 if self.lead > 0.0 and self.cone == "pyramidal" and self.friction > 0.0 else 1
+        return 0.5 * self.ramp + 0.5 * edges * float(self.force_ramp or 0.0) / self.stiffness
 
     @classmethod
     def resting(

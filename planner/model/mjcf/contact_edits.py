@@ -23,7 +23,7 @@ from planner.base.errors import ModelError
 from planner.base.gl import load_mujoco
 from planner.model.contact.laws import ContactLaw
 from planner.model.mjcf.contact_shapes import add_points, meets_plane
-from planner.model.mjcf.contacts import contact_attributes, shapes_fit
+from planner.model.mjcf.contacts import CONTACT_LAW, OF_FILE, contact_attributes, shapes_fit
 from planner.model.mjcf.model_index import ModelIndex, Pair, compile_model
 from planner.model.mjcf.text import written
 
@@ -78,7 +78,10 @@ def give_law(
         for one, other in itertools.product(*names):
             both = {"geom1": one, "geom2": other}
             ElementTree.SubElement(section, "pair", {**both, **attributes, "margin": "0", "gap": "0"})
-    if not soft:
+    if soft:
+        custom = ElementTree.SubElement(root, "custom")
+        ElementTree.SubElement(custom, "text", {"name": CONTACT_LAW, "data": OF_FILE})
+    else:
         option = ElementTree.SubElement(root, "option", {"cone": "elliptic", "impratio": repr(impratio)})
         ElementTree.SubElement(option, "flag", {"refsafe": "disable"})
     for custom in root.findall("custom"):

@@ -14,6 +14,8 @@ MuJoCo's model, so the file says it in numbers of its own:
 a ramp in m (stops: of their joint's coordinate), one of the force, and how gradually friction bends; the last two may
 be left out, and without any there is no smoothing. That named contact_uncertainty says how many times softer
 contacts may be.
+
+A file whose custom text named contact_law is "file" asks for MuJoCo's law as it is, a law with a lead (file_law).
 """
 
 from __future__ import annotations
@@ -31,7 +33,8 @@ from planner.base.gl import load_mujoco
 from planner.model.contact.body_contact import BodyContact
 from planner.model.contact.laws import BEND, Contact, ContactLaw, Law, Stop
 from planner.model.mjcf.contact_shapes import are_capsules, capsule_of, part_name, plane_and_spheres
-from planner.model.mjcf.model_index import ModelIndex, Pair, disabled, named
+from planner.model.mjcf.file_law import file_law, file_law_reason
+from planner.model.mjcf.model_index import ModelIndex, Pair, disabled, named, texts_of
 from planner.model.mjcf.unsupported import UnsupportedElement
 
 SOFT = 1e-4  # the impedance d, the least that MuJoCo knows
@@ -39,6 +42,7 @@ SOFTEST = 1e-3  # up to here R is still a thousand times A, and the forces diffe
 MIN_IMPRATIO = 100.0  # of smoothed friction, which knows no projection
 CONTACT_RAMP, STOP_RAMP = "contact_ramp", "stop_ramp"
 CONTACT_UNCERTAINTY = "contact_uncertainty"
+CONTACT_LAW, OF_FILE = "contact_law", "file"
 
 
 def contact_attributes(
@@ -117,8 +121,8 @@ def _reason(survey: ModelIndex, pair: Pair) -> str:
 
 def _law_reason(model: Any, pair: Pair) -> str:
     """The reason why MuJoCo's force is not a law of ours; "" where it is."""
-    if _is_soft(model, pair):
-        return "" if pair.margin == 0.0 else f"margin {pair.margin:g}, expected 0"
+    if has_file_laws(model):
+        return file_law_reason(model, pair)
     if pair.condim not in (1, 3):
         return f"condim {pair.condim}, expected 1 or 3"
     if pair.margin != 0.0:
@@ -136,12 +140,6 @@ def _law_reason(model: Any, pair: Pair) -> str:
     if ramp > 0.0 and model.opt.impratio < MIN_IMPRATIO:
         return f"impratio {model.opt.impratio:g}, expected at least {MIN_IMPRATIO:g} for smoothed friction"
     return ""
-
-
-def _is_soft(model: Any, pair: Pair) -> bool:
-    ramp = _numbers(model, CONTACT_RAMP)
-    moves = all(model.body_weldid[model.geom_bodyid[g]] != 0 for g in pair.geoms)
-    return ramp is not None and ramp[0] > 0.0 and bool(_direct_reason(pair.solref, pair.solimp)) and not moves
 
 
 def _direct_reason(solref: np.ndarray, solimp: np.ndarray) -> str:
@@ -174,7 +172,7 @@ def read_contacts(survey: ModelIndex) -> tuple[tuple[Contact, ...], tuple[BodyCo
     for pair in survey.pairs:
         if _reason(survey, pair):
             continue
-        law = _law_of(survey, pair)
+        law = _law_of(model, pair)
         match = plane_and_spheres(survey, pair.geoms)
         if match is None:
             name = " and ".join(named(model, "geom", geom) for geom in pair.geoms)
@@ -190,18 +188,20 @@ def read_contacts(survey: ModelIndex) -> tuple[tuple[Contact, ...], tuple[BodyCo
     return tuple(with_planes), tuple(of_bodies)
 
 
-def _law_of(survey: ModelIndex, pair: Pair) -> ContactLaw:
-    model = survey.model
-    if _is_soft(model, pair):
-        from planner.model.mjcf.ground_law import LOAD, mass_of, soft_law
-        weight = mass_of(survey, pair) * float(np.linalg.norm(model.opt.gravity))
-        return soft_law(model, pair, LOAD * weight, _smoothing(model, CONTACT_RAMP)[0], (_numbers(model, CONTACT_UNCERTAINTY) or [1.0])[0])
+def has_file_laws(model: Any) -> bool:
+    """Whether a file asks for the law with a lead that MuJoCo computes from its numbers."""
+    return OF_FILE in texts_of(model, CONTACT_LAW)
+
+
+def _law_of(model: Any, pair: Pair) -> ContactLaw:
+    ramp, force_ramp, bend = _smoothing(model, CONTACT_RAMP)
+    if has_file_laws(model):
+        return replace(file_law(model, pair), ramp=ramp, force_ramp=force_ramp)
     weight = float(np.sum(model.body_invweight0[model.geom_bodyid[list(pair.geoms)], 0])) * (1.0 - pair.solimp[0])
     K, B = -pair.solref / weight
     impratio = float(model.opt.impratio)
     slips = -pair.solreffriction[1] / weight if np.any(pair.solreffriction) else B
     mu, ct = (float(pair.friction[0]), impratio * slips) if pair.condim == 3 else (0.0, 0.0)
-    ramp, force_ramp, bend = _smoothing(model, CONTACT_RAMP)
     uncertainty, *_ = _numbers(model, CONTACT_UNCERTAINTY) or [1.0]
     if not 1.0 <= uncertainty < math.inf:
         raise ModelError(f"numeric {CONTACT_UNCERTAINTY!r} is {uncertainty:g}, expected a factor of at least 1.")

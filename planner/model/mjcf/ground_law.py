@@ -13,13 +13,7 @@ the ends of ranges: a straight leg gives way less than a bent one. An integrator
 where the largest is above FASTEST the damping is reduced in proportion, and so is c for the rates of friction. The
 depth at rest does not change. MuJoCo's default contact yields to light bodies by itself.
 
-MuJoCo's soft contact at rest: with r the depth, d(r) the impedance of solimp and A the sum of body_invweight0 of both
-bodies, MuJoCo's documentation ("Solver parameters") has
-
-    f = k d(r) r / R,   R = A (1 - d(r)) / d(r),   k = 1 / (dmax timeconst dampratio)^2,  or -solref[0] / dmax^2
-
-for a frictionless contact or an elliptic cone. The 2 (condim - 1) edges of a pyramidal cone with friction mu share the
-load with R = 2 mu^2 (1 + mu^2) A (1 - d) / d each, mu^2 over impratio in the first position.
+How MuJoCo's soft contact gives way at rest, with the impedance of its depth, is said in file_law.
 """
 
 from __future__ import annotations
@@ -33,10 +27,11 @@ import numpy as np
 from planner.base.gl import load_mujoco
 from planner.model.contact.laws import ContactLaw
 from planner.model.mjcf.contact_shapes import meets_plane, plane_of, point_radius, points_of, spheres_of
+from planner.model.mjcf.file_law import coefficients, file_law
 from planner.model.mjcf.model_index import ModelIndex, Pair
 
 import os
-SOFT_RAMP = float(os.environ.get("SOFT_RAMP", "1e-3"))
+SOFT_RAMP = float(os.environ.get("SOFT_RAMP", "2e-3"))
 DEEPEST = 0.1  # m: what sinks in further does not stand
 _HALVINGS = 50
 
@@ -57,51 +52,7 @@ def rest_penetration(model: Any, pair: Pair, load: float) -> tuple[float, float]
 
 def _force(model: Any, pair: Pair, r: float) -> float:
     """The normal force, N, at rest at a depth r, m."""
-    d0, dmax, width, midpoint, power = (float(one) for one in pair.solimp)
-    least, most = 1e-4, 0.9999  # mjMINIMP, mjMAXIMP
-    d0, dmax = np.clip([d0, dmax], least, most)
-    x = min(r / max(width, 1e-15), 1.0)
-    midpoint, power = float(np.clip(midpoint, least, most)), max(power, 1.0)
-    if x <= midpoint:
-        d = d0 + (dmax - d0) * x**power / midpoint ** (power - 1.0)
-    else:
-        d = dmax - (dmax - d0) * (1.0 - x) ** power / (1.0 - midpoint) ** (power - 1.0)
-    if pair.solref[0] > 0.0:
-        timeconst = max(float(pair.solref[0]), 2.0 * float(model.opt.timestep))
-        k = 1.0 / max((dmax * timeconst * float(pair.solref[1])) ** 2, 1e-15)
-    else:
-        k = -float(pair.solref[0]) / dmax**2
-    A = float(model.body_invweight0[model.geom_bodyid[list(pair.geoms)], 0].sum())
-    share = 1.0
-    if pair.condim > 1 and model.opt.cone == int(load_mujoco().mjtCone.mjCONE_PYRAMIDAL):
-        mu = max(float(pair.friction[0]), 1e-5)
-        share = 2.0 * (pair.condim - 1) / (2.0 * mu**2 / float(model.opt.impratio) * (1.0 + mu**2))
-    return share * k * d * r * d / (max(A, 1e-15) * (1.0 - d))
-
-
-def soft_law(model: Any, pair: Pair, load: float, ramp: float, uncertainty: float) -> ContactLaw:
-    """MuJoCo's own law of a pair, at the depth at which it bears a load, N."""
-    depth, _ = rest_penetration(model, pair, load)
-    d0, dmax, width, midpoint, _ = (float(one) for one in pair.solimp)
-    d0, dmax, midpoint = (float(x) for x in np.clip([d0, dmax, midpoint], 1e-4, 0.9999))
-    A = float(model.body_invweight0[model.geom_bodyid[list(pair.geoms)], 0].sum())
-    share, cone = 1.0, "elliptic"
-    mu = float(pair.friction[0]) if pair.condim > 1 else 0.0
-    if pair.condim > 1 and model.opt.cone == int(load_mujoco().mjtCone.mjCONE_PYRAMIDAL):
-        mu = max(mu, 1e-5)
-        share, cone = 4.0 / (2.0 * mu**2 / float(model.opt.impratio) * (1.0 + mu**2)), "pyramidal"
-    mass = share * dmax / (max(A, 1e-15) * (1.0 - dmax))
-    if pair.solref[0] > 0.0:
-        timeconst = max(float(pair.solref[0]), 2.0 * float(model.opt.timestep))
-        b = 2.0 / (dmax * timeconst)
-        k = 1.0 / max((dmax * timeconst * float(pair.solref[1])) ** 2, 1e-15)
-    else:
-        b, k = -float(pair.solref[1]) / dmax, -float(pair.solref[0]) / dmax**2
-    return ContactLaw(
-        mass * k * dmax, mass * b, 2.0 * ramp, 0.0, friction=mu,
-        impratio=float(model.opt.impratio), lead=1.0 / b, cone=cone, uncertainty=uncertainty,
-        impedance=(d0, dmax, max(width, 1e-15), midpoint),
-    )
+    return r * coefficients(model, pair, r)[0]
 
 
 REST_PENETRATION = (
@@ -128,8 +79,7 @@ def laws_of_ground(survey: ModelIndex, pairs: Iterable[Pair]) -> dict[tuple[int,
     """The law of each pair of a plane and what stands on it, by the pair's geoms."""
     laws = {}
     for pair in pairs:
-        weight = mass_of(survey, pair) * float(np.linalg.norm(survey.model.opt.gravity))
-        laws[pair.geoms] = Ground(soft_law(survey.model, pair, LOAD * weight, SOFT_RAMP, 1.0), 0.0)
+        laws[pair.geoms] = Ground(replace(file_law(survey.model, pair), ramp=SOFT_RAMP, force_ramp=0.0), 0.0)
     return laws
 
 

@@ -1,0 +1,81 @@
+"""Force of a contact law with a lead, in NumPy, with exact derivatives.
+
+The law is that of model.contact.laws. It depends on x = v + lead J qacc, the velocity that the contact has a lead
+later, relative to the surface. With W = n n' + sqrt(impratio) (1 - n n') an elliptic cone's force is
+
+    f = W P(y),   y = K depth n - B s W x,   df/dx = -B s W DP W
+
+P the projection onto the cone |g_t| <= mu g_n / sqrt(impratio) and DP its derivative.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from planner.model.contact.laws import ContactLaw
+
+
+def contact_frames(n: np.ndarray) -> np.ndarray:
+    """(K, 3, 3) MuJoCo's frames of contacts with normals n (K, 3): rows n, t1 and t2 (mju_makeFrame)."""
+    start = np.where(np.abs(n[:, 1:2]) < 0.5, np.eye(3)[1], np.eye(3)[2])
+    t1 = start - n * np.einsum("ka,ka->k", n, start)[:, None]
+    t1 /= np.linalg.norm(t1, axis=1, keepdims=True)
+    return np.stack([n, t1, np.cross(n, t1)], axis=1)
+
+
+def edges(law: ContactLaw, n: np.ndarray) -> np.ndarray:
+    """(K, E, 3) directions of the force of a pyramidal cone, or of a contact without friction."""
+    frames, mu = contact_frames(n), law.friction
+    if mu == 0.0:
+        return frames[:, :1]
+    return np.stack([n + side * mu * frames[:, k] for k in (1, 2) for side in (1.0, -1.0)], axis=1)
+
+
+def lead_force(
+    law: ContactLaw, n: np.ndarray, spring: tuple[np.ndarray, np.ndarray], damping: tuple[np.ndarray, np.ndarray],
+    x: np.ndarray,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:  # fmt: skip
+    """Contact force (K, 3), N, and its derivatives by penetration (K, 3) and by x (K, 3, 3).
+
+    Args:
+        law: With a lead.
+        n: (K, 3) unit normal.
+        spring: (K,) K depth, N, and its derivative by the penetration.
+        damping: (K,) B s, N s/m, and its derivative by the penetration.
+        x: (K, 3) m/s, the velocity relative to the surface a lead later.
+    """
+    (k, dk), (b, db) = spring, damping
+    if law.cone == "elliptic" and law.friction > 0.0:
+        root = np.sqrt(law.impratio)
+        W = root * np.eye(3) + (1.0 - root) * n[:, :, None] * n[:, None]
+        Wx = np.einsum("kab,kb->ka", W, x)
+        g, slope = _projection(law.friction / root, n, k[:, None] * n - b[:, None] * Wx)
+        by = W @ slope
+        by_e = np.einsum("kab,kb->ka", by, dk[:, None] * n - db[:, None] * Wx)
+        return np.einsum("kab,kb->ka", W, g), by_e, -b[:, None, None] * (by @ W)
+    d = edges(law, n)
+    share = 1.0 / d.shape[1]
+    along = np.einsum("kea,ka->ke", d, x)
+    y, f = share * (k[:, None] - b[:, None] * along), float(law.force_ramp or 0.0)
+    slope = np.clip(y / f, 0.0, 1.0) if f > 0.0 else (y > 0.0).astype(float)
+    force = slope * (y - 0.5 * f * slope)
+    by_e = slope * share * (dk[:, None] - db[:, None] * along)
+    by_x = -share * b[:, None, None] * np.einsum("ke,kea,keb->kab", slope, d, d)
+    return np.einsum("ke,kea->ka", force, d), np.einsum("ke,kea->ka", by_e, d), by_x
+
+
+def _projection(mu: float, n: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The point of the cone |g_t| <= mu g_n nearest to y (K, 3), and its derivative by y (K, 3, 3)."""
+    y_n = np.einsum("ka,ka->k", y, n)
+    y_t = y - y_n[:, None] * n
+    slip = np.linalg.norm(y_t, axis=1)
+    inside, outside = slip <= mu * y_n, mu * slip <= -y_n
+    u = y_t / np.where(slip > 0.0, slip, 1.0)[:, None]
+    edge, share = n + mu * u, 1.0 / (1.0 + mu**2)
+    g_n = share * (y_n + mu * slip)
+    around = np.eye(3) - n[:, :, None] * n[:, None] - u[:, :, None] * u[:, None]
+    turning = mu * g_n / np.where(slip > 0.0, slip, 1.0)
+    slope = share * edge[:, :, None] * edge[:, None] + turning[:, None, None] * around
+    g = np.where(inside[:, None], y, np.where(outside[:, None], 0.0, g_n[:, None] * edge))
+    whole, none = np.eye(3), np.zeros((3, 3))
+    return g, np.where(inside[:, None, None], whole, np.where(outside[:, None, None], none, slope))

@@ -1,0 +1,129 @@
+"""The contact law of a pair as MuJoCo computes it from the file's own numbers: a law with a lead (model.contact.laws).
+
+MuJoCo's constraint (documentation, "Computation"; engine_core_constraint.c, mj_diagApprox and mj_makeImpedance) gives a
+row of velocity v, penetration r and acceleration a = J qacc the force
+
+    max(0, -b v + k d r - a) / R,   R = A (1 - d)/d,   b = 2/(dmax timeconst) or -solref[1]/dmax
+
+with k of solref likewise and A the sum of body_invweight0 of both bodies. The force is that of a velocity 1/b later, so
+
+    lead = 1/b,   B = b/R,   K = k d/R
+
+are those of a contact without friction and of an elliptic cone, whose friction has impratio times the B. Each of the
+E = 2 (condim - 1) edges of a pyramidal cone has R_py = 2 mu^2/impratio (1 + mu^2) A (1 - d)/d in place of R, and
+
+    B = E b/R_py,   K = E k d/R_py.
+
+What differs from MuJoCo's: the impedance d is constant here, while the file's may rise with the depth; a cone of condim
+4 or 6 has the friction of condim 3 and the normal force of all its edges.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+from planner.base.errors import ModelError
+from planner.base.gl import load_mujoco
+from planner.model.contact.laws import ContactLaw
+from planner.model.mjcf.model_index import Pair, disabled, field, named
+
+_MIN_IMPEDANCE, _MAX_IMPEDANCE = 1e-4, 0.9999  # mjMINIMP, mjMAXIMP
+_MIN_FRICTION, _TINY = 1e-5, 1e-15  # mjMINMU, mjMINVAL
+_DEFAULT_SOLREF = (0.02, 1.0)
+
+
+def file_law(model: Any, pair: Pair, depth: float = math.inf) -> ContactLaw:
+    """The law of any pair of a compiled MJCF, without smoothing.
+
+    Args:
+        model: MuJoCo's MjModel.
+        pair: Of ModelIndex.pairs.
+        depth: m, at which the impedance of solimp is taken; by default so deep that it is dmax.
+
+    Raises:
+        ModelError: MuJoCo's force is not of this form: a margin, friction that differs along and across, friction with
+            another rate than the normal force, or no damping.
+    """
+    if reason := file_law_reason(model, pair):
+        raise ModelError(f"{' and '.join(named(model, 'geom', geom) for geom in pair.geoms)}: {reason}.")
+    K, B = coefficients(model, pair, depth)
+    first, last, midpoint = (float(x) for x in np.clip(pair.solimp[[0, 1, 3]], _MIN_IMPEDANCE, _MAX_IMPEDANCE))
+    width = float(pair.solimp[2])
+    if first == last or width <= _TINY:
+        first = last = 0.5 * (first + last)
+        width = 1.0
+    cone = "pyramidal" if _is_pyramidal(model, pair) else "elliptic"
+    return ContactLaw(
+        K, B, 0.0, 0.0, friction=_friction(pair), impratio=_impratio(model), bend=0.0,
+        lead=1.0 / _rates(model, pair.solref, pair.solimp)[1], cone=cone,
+        impedance=(first, last, width, midpoint),
+    )  # fmt: skip
+
+
+def coefficients(model: Any, pair: Pair, depth: float) -> tuple[float, float]:
+    """K, N/m, and B, N s/m, of a pair with the impedance of a depth, m: K depth is the normal force at rest there."""
+    d, (k, b) = impedance(pair.solimp, depth), _rates(model, pair.solref, pair.solimp)
+    A = float(model.body_invweight0[model.geom_bodyid[list(pair.geoms)], 0].sum())
+    edges, mu = 1, _friction(pair)
+    if _is_pyramidal(model, pair):
+        edges, A = 2 * (pair.condim - 1), 2.0 * mu**2 / _impratio(model) * (1.0 + mu**2) * A
+    per = edges / max(A * (1.0 - d) / d, _TINY)
+    return per * k * d, per * b
+
+
+def file_law_reason(model: Any, pair: Pair) -> str:
+    """The reason why a pair's force has no `file_law`; "" where it has one."""
+    if pair.margin != 0.0:
+        return f"margin {pair.margin:g}, expected 0"
+    for name in ("adhesion", "surfacevel"):  # of MuJoCo 4
+        if np.any(field(model, f"geom_{name}", model.ngeom)[list(pair.geoms)]):
+            return f"{name}, expected none"
+    k, b = _rates(model, pair.solref, pair.solimp)
+    if not (k > 0.0 and b > 0.0):
+        return f"solref {pair.solref[0]:g} {pair.solref[1]:g}, expected stiffness and damping"
+    if pair.condim > 1 and pair.friction[0] != pair.friction[1]:
+        return "other friction along than across, expected one number"
+    own = pair.condim > 1 and not _is_pyramidal(model, pair) and np.any(pair.solreffriction)
+    if own and not np.isclose(_rates(model, pair.solreffriction, pair.solimp)[1], b, rtol=1e-9):
+        return "solreffriction has another damping than solref, expected the same or none"
+    return ""
+
+
+def impedance(solimp: np.ndarray, depth: float) -> float:
+    """The impedance d of a solimp (5,) at a depth, m."""
+    d0, dmax, midpoint = np.clip(solimp[[0, 1, 3]], _MIN_IMPEDANCE, _MAX_IMPEDANCE)
+    width, power = float(solimp[2]), max(float(solimp[4]), 1.0)
+    if d0 == dmax or width <= _TINY:
+        return float(0.5 * (d0 + dmax))
+    x = min(depth / width, 1.0)
+    if x <= midpoint:
+        return float(d0 + (dmax - d0) * x**power / midpoint ** (power - 1.0))
+    return float(dmax - (dmax - d0) * (1.0 - x) ** power / (1.0 - midpoint) ** (power - 1.0))
+
+
+def _is_pyramidal(model: Any, pair: Pair) -> bool:
+    return pair.condim > 1 and model.opt.cone == int(load_mujoco().mjtCone.mjCONE_PYRAMIDAL)
+
+
+def _friction(pair: Pair) -> float:
+    return max(float(pair.friction[0]), _MIN_FRICTION) if pair.condim > 1 else 0.0
+
+
+def _impratio(model: Any) -> float:
+    return max(float(model.opt.impratio), _TINY)
+
+
+def _rates(model: Any, solref: np.ndarray, solimp: np.ndarray) -> tuple[float, float]:
+    """k, 1/s^2, and b, 1/s, of a solref (2,) in either format."""
+    first, second = map(float, solref)
+    dmax = float(np.clip(solimp[1], _MIN_IMPEDANCE, _MAX_IMPEDANCE))
+    if (first > 0.0) != (second > 0.0):  # MuJoCo warns and takes its default
+        first, second = _DEFAULT_SOLREF
+    if first <= 0.0:
+        return -first / dmax**2, -second / dmax
+    if not disabled(model, "refsafe"):
+        first = max(first, 2.0 * float(model.opt.timestep))
+    return 1.0 / max((dmax * first * second) ** 2, _TINY), 2.0 / max(dmax * first, _TINY)

@@ -1,0 +1,174 @@
+"""Contact laws with a lead: MuJoCo's accelerations of files with usual contacts, derivatives against differences."""
+
+import itertools
+
+import numpy as np
+import pytest
+from contact_machines import moved
+from lead_contacts import accelerations
+from trees import mujoco
+
+from planner.dynamics.contacts import contact_force
+from planner.model.contact.laws import ContactLaw
+from planner.model.mechanism import Mechanism
+
+HEAD = """<mujoco><compiler angle="radian"/>
+  <option cone="{cone}" impratio="{impratio}" tolerance="1e-15" iterations="200" ls_iterations="100"
+    ls_tolerance="1e-10"/>
+  <custom><text name="contact_law" data="file"/></custom>
+  <default><geom condim="{condim}" friction=".6" solref="{solref}" solimp=".9 .9 .001"/></default><worldbody>"""
+
+BOX = (
+    HEAD
+    + """<geom name="floor" type="plane" size="0 0 1" euler="0.3 0.2 0"/>
+  <body><freejoint/><geom type="box" size=".1 .08 .05" mass="2"/></body></worldbody></mujoco>"""
+)
+
+LEGS = (
+    HEAD
+    + """<geom name="floor" type="plane" size="0 0 1"/>
+  <body name="trunk" pos="0 0 .55"><freejoint/><geom type="box" size=".1 .15 .1" mass="6" contype="0" conaffinity="0"/>
+    <body pos="0 .1 -.1"><joint axis="0 1 0" ref=".5" damping=".2"/><joint axis="1 0 0"/>
+      <geom type="capsule" fromto="0 0 -.05 0 0 -.2" size=".03" mass="1" contype="0" conaffinity="0"/>
+      <body pos="0 0 -.2"><joint axis="0 1 0" armature=".01"/><geom name="foot" pos="0 0 -.22" size=".03" mass=".2"/>
+        </body></body>
+    <body pos="0 -.1 -.1"><joint axis="0 1 0"/><joint axis="1 0 0"/>
+      <geom type="capsule" fromto="0 0 -.05 0 0 -.2" size=".03" mass="1" contype="0" conaffinity="0"/>
+      <body pos="0 0 -.2"><joint axis="0 1 0"/><geom pos="0 0 -.22" size=".03" mass=".2"/></body></body></body>
+  </worldbody></mujoco>"""
+)
+
+RAFT = (
+    HEAD
+    + """<body name="raft" pos="0 0 .5"><joint type="slide" axis="0 0 1"/><joint type="ball"/>
+      <geom type="capsule" fromto="-.1 -.2 0 .1 .2 0" size=".04" mass="4"/></body>
+    <body pos=".01 .02 .58"><freejoint/><geom type="{shape}" size=".05 .1" mass="2" euler="0 1.3 0"/></body></worldbody>
+  </mujoco>"""
+)
+
+# Newton's method of MuJoCo ends in elliptic cones when rounding of its cost hides further progress: 7e-10 at most here.
+BOUNDS = {"pyramidal": 1e-11, "elliptic": 5e-9}
+
+every_law = pytest.mark.parametrize(
+    ("cone", "impratio", "condim", "solref"),
+    [
+        *itertools.product(BOUNDS, (1, 10, 100), (3,), (".02 1", "-4000 -60")),
+        ("pyramidal", 1, 1, ".02 1"),
+        ("elliptic", 1, 1, ".003 .7"),  # below twice the step: refsafe
+    ],
+)
+
+
+def beside_mujoco(text, states):
+    """The largest difference of our accelerations and MuJoCo's, relative to the largest one, and the contacts seen."""
+    m, model = Mechanism.from_mjcf(text, contacts="model"), mujoco.MjModel.from_xml_string(text)
+    data, worst, seen = mujoco.MjData(model), 0.0, []
+    for q, v, tau in states(m):
+        data.qpos[:], data.qvel[:], data.qfrc_applied[:], data.qacc_warmstart[:] = q, v, tau, 0.0
+        mujoco.mj_forward(model, data)
+        difference = np.abs(accelerations(m, q, v, tau) - data.qacc).max()
+        worst = max(worst, difference / max(1.0, np.abs(data.qacc).max()))
+        seen.append(data.ncon)
+    return worst, seen
+
+
+def lying(m):
+    """States of a box whose lower corners are in a tilted floor at several depths, moving and pushed."""
+    rng, floor = np.random.default_rng(0), m.contacts[0].plane
+    for _ in range(20):
+        q, turn = m.home[: m.nq], np.empty(4)
+        mujoco.mju_quatZ2Vec(turn, floor.normal)
+        mujoco.mju_mulQuat(q[3:7], turn, np.append(1.0, rng.normal(size=3) * 0.03))
+        q[3:7] /= np.linalg.norm(q[3:7])
+        q[:3] = floor.normal * (0.05 + rng.uniform(-0.003, 0.006))
+        yield q, rng.normal(size=6) * rng.choice([0.01, 0.3, 2.0]), rng.normal(size=6) * 5.0
+
+
+def moving(dof, low, high):
+    """States around home, with a degree of freedom raised by low to high, m; slow ones stick and fast ones slide."""
+
+    def states(m):
+        rng = np.random.default_rng(1)
+        for _ in range(20):
+            direction = rng.normal(size=m.nv) * 0.01
+            direction[dof] = rng.uniform(low, high)
+            q = moved(m, m.home[: m.nq], direction)
+            yield q, rng.normal(size=m.nv) * rng.choice([0.003, 0.3, 3.0]), rng.normal(size=m.nv) * 5.0
+
+    return states
+
+
+@every_law
+def test_a_box_has_mujocos_accelerations(cone, impratio, condim, solref):
+    text = BOX.format(cone=cone, impratio=impratio, condim=condim, solref=solref)
+    worst, seen = beside_mujoco(text, lying)
+    assert max(seen) >= 3
+    assert worst < BOUNDS[cone]
+
+
+@every_law
+def test_two_legs_have_mujocos_accelerations(cone, impratio, condim, solref):
+    text = LEGS.format(cone=cone, impratio=impratio, condim=condim, solref=solref)
+    worst, seen = beside_mujoco(text, moving(2, -0.004, 0.003))
+    assert set(seen) == {0, 1, 2}
+    assert worst < BOUNDS[cone]
+
+
+@pytest.mark.parametrize("shape", ["sphere", "capsule"])
+@pytest.mark.parametrize("cone", BOUNDS)
+def test_two_bodies_have_mujocos_accelerations(cone, shape):
+    text = RAFT.format(cone=cone, impratio=10, condim=3, solref=".02 1", shape=shape)
+    worst, seen = beside_mujoco(text, moving(-4, -0.002, 0.015))
+    assert set(seen) == {0, 1}
+    assert worst < BOUNDS["elliptic"]  # closest points of capsules are those of axis_regularization, to 1e-9
+
+
+LAWS = {
+    "pyramid": ContactLaw(5e3, 60.0, 5e-3, 5.0, friction=0.6, lead=0.02, cone="pyramidal"),
+    "sharp pyramid": ContactLaw(5e3, 60.0, force_ramp=0.0, friction=0.6, lead=0.02, cone="pyramidal"),
+    "cone": ContactLaw(5e3, 60.0, 5e-3, friction=0.6, impratio=10.0, lead=0.02),
+    "no friction": ContactLaw(5e3, 60.0, 5e-3, 5.0, lead=0.02),
+}
+
+
+def states_of_a_law(law):
+    """Normals (K, 3), penetrations (K,) and velocities (K, 3) in which a contact sticks, slides, or is open."""
+    rng = np.random.default_rng(3)
+    n = rng.normal(size=(400, 3))
+    n /= np.linalg.norm(n, axis=1, keepdims=True)
+    return n, rng.uniform(-0.2, 3.0, size=400) * (law.ramp or 5e-3), rng.normal(size=(400, 3)) * 0.3
+
+
+@pytest.mark.parametrize("law", LAWS.values(), ids=LAWS)
+def test_derivatives_of_a_law_with_a_lead(law):
+    n, e, x = states_of_a_law(law)
+    f, by_e, by_x = contact_force(law, n, e, x)
+    assert np.max(np.abs(f)) > 10.0
+    h = 1e-7
+    slope = (contact_force(law, n, e + h, x)[0] - contact_force(law, n, e - h, x)[0]) / (2 * h)
+    away = np.abs(slope - by_e).max(axis=1) < 1e-5 * law.stiffness
+    assert np.mean(away) > 0.99  # but where a kink lies between the two
+    for axis in range(3):
+        d = h * np.eye(3)[axis]
+        slope = (contact_force(law, n, e, x + d)[0] - contact_force(law, n, e, x - d)[0]) / (2 * h)
+        assert np.mean(np.abs(slope - by_x[:, :, axis]).max(axis=1) < 1e-5 * law.damping) > 0.99
+
+
+@pytest.mark.parametrize("law", LAWS.values(), ids=LAWS)
+def test_the_force_is_minus_the_gradient_of_a_convex_function_and_stays_in_its_cone(law):
+    n, e, x = states_of_a_law(law)
+    f, _, by_x = contact_force(law, n, e, x)
+    np.testing.assert_allclose(by_x, np.swapaxes(by_x, 1, 2), atol=1e-10 * law.damping)
+    assert np.linalg.eigvalsh(by_x).max() <= 1e-10 * law.damping
+    normal = np.einsum("ka,ka->k", f, n)
+    along = np.linalg.norm(f - normal[:, None] * n, axis=1)
+    assert np.all(normal >= 0.0)
+    assert np.all(along <= law.friction * normal + 1e-9)
+    assert np.any(normal == 0.0)
+
+
+def test_deep_inside_a_smoothed_law_presses_as_the_sharp_one():
+    """surface_offset makes up for the ramps of the depth and of each edge: K (e - a/2) - 4 f/2 is K depth."""
+    law, depth = LAWS["pyramid"], 0.03
+    f = contact_force(law, np.array([[0.0, 0.0, 1.0]]), np.array([depth + law.surface_offset]), np.zeros((1, 3)))[0]
+    assert f[0, 2] == pytest.approx(law.stiffness * depth, rel=1e-12)

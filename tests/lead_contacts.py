@@ -1,0 +1,52 @@
+"""Accelerations of a mechanism whose contacts have laws with a lead, by Newton's method on dense matrices.
+
+With a lead the force depends on the acceleration a. It is minus the gradient of a convex function of x = v + lead J a,
+so a is where the convex function (a - a0)'M (a - a0)/2 + sum_k Phi_k(x_k)/lead_k is least, a0 the one without contacts.
+"""
+
+import numpy as np
+
+from planner.dynamics import bias, mass_matrix
+from planner.dynamics.contacts import contact_force, contact_kinematics
+
+MAX_ITERATIONS, HALVINGS = 100, 60
+
+
+def accelerations(mechanism, q, v, tau):
+    """qacc (nv,) at q (nq,), v (nv,) and generalized forces tau (nv,); every contact's law has a lead."""
+    M = mass_matrix(mechanism, q)
+    free = tau - bias(mechanism, q, v)
+    contacts = (*mechanism.contacts, *mechanism.body_contacts)
+    places = [contact_kinematics(mechanism, one, q[None], v[None]) for one in contacts]
+    places = [place for place in places if place.e[0] > 0.0]
+
+    def residual(a):
+        """M a - tau + bias - J'f, the function's gradient, and its derivative by a."""
+        r, H = M @ a - free, M.copy()
+        for place in places:
+            law, J = place.contact.law, place.J[0]
+            f, _, by_x = contact_force(law, place.n, place.e, place.v + law.lead * (J @ a))
+            r -= J.T @ f[0]
+            H -= law.lead * J.T @ by_x[0] @ J
+        return r, H
+
+    a = np.linalg.solve(M, free)
+    scale = np.abs(free).max() + np.abs(M).max()
+    for _ in range(MAX_ITERATIONS):
+        r, H = residual(a)
+        if np.abs(r).max() <= 1e-13 * scale:  # rounding
+            break
+        step = -np.linalg.solve(H, r)
+        a = a + _length(residual, a, step) * step
+    return a
+
+
+def _length(residual, a, step):
+    """The step length at which the convex function's slope along the step is 0, by bisection; 1 where it is below."""
+    if residual(a + step)[0] @ step <= 0.0:
+        return 1.0
+    low, high = 0.0, 1.0
+    for _ in range(HALVINGS):
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if residual(a + middle * step)[0] @ step <= 0.0 else (low, middle)
+    return high
