@@ -196,7 +196,7 @@ def has_file_laws(model: Any) -> bool:
 def _law_of(model: Any, pair: Pair) -> ContactLaw:
     ramp, force_ramp, bend = _smoothing(model, CONTACT_RAMP)
     if has_file_laws(model):
-        return replace(file_law(model, pair), ramp=ramp, force_ramp=force_ramp)
+        return replace(file_law(model, pair), ramp=ramp, force_ramp=force_ramp or 0.0)
     weight = float(np.sum(model.body_invweight0[model.geom_bodyid[list(pair.geoms)], 0])) * (1.0 - pair.solimp[0])
     K, B = -pair.solref / weight
     impratio = float(model.opt.impratio)
