@@ -24,6 +24,8 @@ from planner.model.contact.laws import Contact, ContactLaw, Law, slide_direction
 from planner.model.exponential_torques import curve_torque_derivatives, exponential_joint_torques
 from planner.model.mechanism import Frame, Mechanism
 
+_Sloped = tuple[np.ndarray, np.ndarray]  # a value and its derivative by the penetration
+
 
 class ContactForces(NamedTuple):
     """Points, depths and forces of all plane contacts, or all body contacts, at each state."""
@@ -228,6 +230,22 @@ def _force(place: PlaneContactKinematics | BodyContactKinematics) -> tuple[np.nd
     return contact_force(place.contact.law, place.n, place.e, place.v)
 
 
+def _spring_and_damper(law: ContactLaw, e: np.ndarray) -> tuple[_Sloped, _Sloped]:
+    """Force of the spring and damping of a law with a lead, each (K,) with its derivative by the penetration."""
+    (depth, t), (s, ds) = ramp(e, law.ramp), smoothstep(e, 0.5 * law.ramp)
+    first, last, width, midpoint = law.impedance
+    x = np.clip((e - 0.5 * law.ramp) / width, 0.0, 1.0)
+    above = x > midpoint
+    rise = np.where(above, 1.0 - (1.0 - x) ** 2 / (1.0 - midpoint), x**2 / midpoint)
+    slope = 2.0 * np.where(above, (1.0 - x) / (1.0 - midpoint), x / midpoint) / width
+    d, dd = first + (last - first) * rise, (last - first) * slope
+    scale = (1.0 - last) / last
+    w, dw = scale * d / (1.0 - d), scale * dd / (1.0 - d) ** 2
+    w, dw, K = s * w, ds * w + s * dw, law.stiffness / last
+    spring = K * d * w * depth, K * (dd * w * depth + d * dw * depth + d * w * t)
+    return spring, (law.damping * w, law.damping * dw)
+
+
 def contact_force(
     law: ContactLaw, n: np.ndarray, e: np.ndarray, v: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -241,8 +259,7 @@ def contact_force(
     """
     n = np.broadcast_to(n, v.shape)
     if law.lead > 0.0:
-        (r, dr), (s, ds) = ramp(e, law.ramp), smoothstep(e, law.ramp)
-        return lead_force(law, n, (law.stiffness * r, law.stiffness * dr), (law.damping * s, law.damping * ds), v)
+        return lead_force(law, n, *_spring_and_damper(law, e), v)
     mu, across = law.friction, np.eye(3) - n[:, :, None] * n[:, None]
     opening, vt = np.einsum("ka,ka->k", v, n), np.einsum("ka,kab->kb", v, across)
     speed = np.linalg.norm(vt, axis=1)

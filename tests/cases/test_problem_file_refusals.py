@@ -34,7 +34,7 @@ from planner.problem.goals import goals_of
         ({"dt": '"fast"'}, ("dt is 'fast'",)),
         ({"integrator": '"rk5"'}, ("rk5", "rk4")),
         ({"guess": '"good"'}, ("guess", "hold, zero")),
-        ({"contacts": "false"}, ("contacts is False", "auto, avoid, ground")),
+        ({"contacts": "false"}, ("contacts is False", "auto, avoid, file, ground")),
         ({"ignore": '"friction"'}, ("ignore is 'friction'", "list")),
         ({"ignore": '["friction"]'}, ("friction", "frictionloss")),
         ({"starts": "0"}, ("starts is 0",)),

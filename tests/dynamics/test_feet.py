@@ -157,7 +157,7 @@ def test_problem_files_give_a_law(tmp_path, contacts, law):
 @pytest.mark.parametrize(
     ("contacts", "more", "words"),
     [
-        ('"soft"', "", "contacts is 'soft', expected one of: auto, avoid, ground, model, off"),
+        ('"soft"', "", "contacts is 'soft', expected one of: auto, avoid, file, ground, model, off"),
         ("{ stifness = 1e4 }", "", "has the key 'stifness', expected some of: penetration, friction"),
         (
             "{ stiffness = 1e4, penetration = 0.01 }",

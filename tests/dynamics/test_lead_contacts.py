@@ -16,7 +16,7 @@ HEAD = """<mujoco><compiler angle="radian"/>
   <option cone="{cone}" impratio="{impratio}" tolerance="1e-15" iterations="200" ls_iterations="100"
     ls_tolerance="1e-10"/>
   <custom><text name="contact_law" data="file"/></custom>
-  <default><geom condim="{condim}" friction=".6" solref="{solref}" solimp=".9 .9 .001"/></default><worldbody>"""
+  <default><geom condim="{condim}" friction=".6" solref="{solref}" solimp="{solimp}"/></default><worldbody>"""
 
 BOX = (
     HEAD
@@ -49,12 +49,15 @@ RAFT = (
 # Newton's method of MuJoCo ends in elliptic cones when rounding of its cost hides further progress: 7e-10 at most here.
 BOUNDS = {"pyramidal": 1e-11, "elliptic": 5e-9}
 
+FLAT, USUAL, RUBBER = ".9 .9 .001", ".9 .95 .001", ".015 1 .01 .4 2"  # solimp: constant, the default, and rising far
+
 every_law = pytest.mark.parametrize(
-    ("cone", "impratio", "condim", "solref"),
+    ("cone", "impratio", "condim", "solref", "solimp"),
     [
-        *itertools.product(BOUNDS, (1, 10, 100), (3,), (".02 1", "-4000 -60")),
-        ("pyramidal", 1, 1, ".02 1"),
-        ("elliptic", 1, 1, ".003 .7"),  # below twice the step: refsafe
+        *itertools.product(BOUNDS, (1, 10, 100), (3,), (".02 1", "-4000 -60"), (FLAT,)),
+        *itertools.product(BOUNDS, (10,), (3,), (".02 1",), (USUAL, RUBBER)),
+        ("pyramidal", 1, 1, ".02 1", USUAL),
+        ("elliptic", 1, 1, ".003 .7", FLAT),  # below twice the step: refsafe
     ],
 )
 
@@ -99,16 +102,16 @@ def moving(dof, low, high):
 
 
 @every_law
-def test_a_box_has_mujocos_accelerations(cone, impratio, condim, solref):
-    text = BOX.format(cone=cone, impratio=impratio, condim=condim, solref=solref)
+def test_a_box_has_mujocos_accelerations(cone, impratio, condim, solref, solimp):
+    text = BOX.format(cone=cone, impratio=impratio, condim=condim, solref=solref, solimp=solimp)
     worst, seen = beside_mujoco(text, lying)
     assert max(seen) >= 3
     assert worst < BOUNDS[cone]
 
 
 @every_law
-def test_two_legs_have_mujocos_accelerations(cone, impratio, condim, solref):
-    text = LEGS.format(cone=cone, impratio=impratio, condim=condim, solref=solref)
+def test_two_legs_have_mujocos_accelerations(cone, impratio, condim, solref, solimp):
+    text = LEGS.format(cone=cone, impratio=impratio, condim=condim, solref=solref, solimp=solimp)
     worst, seen = beside_mujoco(text, moving(2, -0.004, 0.003))
     assert set(seen) == {0, 1, 2}
     assert worst < BOUNDS[cone]
@@ -117,7 +120,7 @@ def test_two_legs_have_mujocos_accelerations(cone, impratio, condim, solref):
 @pytest.mark.parametrize("shape", ["sphere", "capsule"])
 @pytest.mark.parametrize("cone", BOUNDS)
 def test_two_bodies_have_mujocos_accelerations(cone, shape):
-    text = RAFT.format(cone=cone, impratio=10, condim=3, solref=".02 1", shape=shape)
+    text = RAFT.format(cone=cone, impratio=10, condim=3, solref=".02 1", solimp=USUAL, shape=shape)
     worst, seen = beside_mujoco(text, moving(-4, -0.002, 0.015))
     assert set(seen) == {0, 1}
     assert worst < BOUNDS["elliptic"]  # closest points of capsules are those of axis_regularization, to 1e-9
@@ -129,6 +132,7 @@ LAWS = {
     "cone": ContactLaw(5e3, 60.0, 5e-3, friction=0.6, impratio=10.0, lead=0.02),
     "sharp cone": ContactLaw(5e3, 60.0, force_ramp=0.0, friction=0.6, impratio=10.0, bend=0.0, lead=0.02),
     "no friction": ContactLaw(5e3, 60.0, 5e-3, 5.0, lead=0.02),
+    "rising": ContactLaw(5e3, 60.0, 5e-3, 0.0, friction=0.6, impratio=2.0, lead=0.02, impedance=(0.1, 0.8, 0.01, 0.3)),
 }
 
 

@@ -58,7 +58,7 @@ def test_a_law_replaces_that_of_the_file():
 
 
 def test_laws_that_cannot_be_given():
-    with pytest.raises(PlannerError, match="contacts is 3, expected one of: auto, avoid, ground"):
+    with pytest.raises(PlannerError, match="contacts is 3, expected one of: auto, avoid, file, ground"):
         Mechanism.from_mjcf(leg(), contacts=3)
     replicated = leg().replace('<geom name="foot"', '<replicate count="2"><geom name="foot"')
     replicated = replicated.replace('mass=".1"/>', 'mass=".1"/></replicate>')

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import numpy as np
@@ -10,6 +11,8 @@ from planner.model.contact.body_contact import common_carrier
 from planner.model.contact.laws import slide_direction
 
 CONTACT_SIZE, STOP_SIZE = 25, 8  # numbers of a contact and of a stop: see contact_arrays
+SOFT_SIZE = 32  # of a soft contact: see soft_arrays
+MIN_BEND = 1e-9  # of the elliptic cone, so that no number is divided by 0
 PAIR_SIZE, PAIR_LINKS_SIZE = 32, 5  # numbers and links of a contact of two bodies: see pair_arrays
 
 
@@ -21,15 +24,47 @@ def contact_arrays(contacts: Any, mechanism: Any, tree: dict[str, np.ndarray]) -
     link = np.array([contact.link for contact in contacts], dtype=np.int64)
     value = np.zeros((len(contacts), CONTACT_SIZE))
     for row, contact in zip(value, contacts, strict=True):
-        plane, law, i = contact.plane, contact.law, contact.link
-        row[:3] = (np.linalg.inv(tree["frames"][i]) @ np.append(contact.centre, 1.0))[:3]
-        row[3:6], row[8:11] = plane.normal, plane.velocity
-        row[6] = contact.radius + law.surface_offset + plane.offset - plane.normal @ tree["origin"][i]
-        row[7] = contact.radius + 0.5 * law.surface_offset
-        row[11:14], row[14:] = slide_direction(mechanism, plane), _contact_law_numbers(law)
+        row[:11] = _geometry(contact, tree)
+        row[11:14], row[14:] = slide_direction(mechanism, contact.plane), _contact_law_numbers(contact.law)
     slide = np.array([contact.plane.slide for contact in contacts], dtype=np.int64)
     address = tree["floating_address"][link]
     return {"contact_link": link, "contact_address": address, "contact_slide": slide, "contact_value": value}
+
+
+def _geometry(contact: Any, tree: dict[str, np.ndarray]) -> np.ndarray:
+    """(11,) centre, normal, level, arm and surface velocity of a contact: see contact_arrays."""
+    plane, i = contact.plane, contact.link
+    centre = np.linalg.inv(tree["frames"][i]) @ np.append(contact.centre, 1.0)
+    level = contact.radius + contact.law.surface_offset + plane.offset - plane.normal @ tree["origin"][i]
+    arm = contact.radius + 0.5 * contact.law.surface_offset
+    return np.concatenate([centre[:3], plane.normal, [level, arm], plane.velocity])
+
+
+def soft_arrays(contacts: Any, tree: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """Per soft contact: centre (3), normal (3), level, arm, surface velocity (3), two tangents (3), fifteen of its law.
+
+    The first eleven as in contact_arrays. Of the law: six of _law_numbers, lead, friction, the root of impratio, the
+    smoothing of the cone, whether the cone is elliptic, and the impedance: first, last, one over its width, midpoint.
+    """
+    link = np.array([contact.link for contact in contacts], dtype=np.int64)
+    value = np.zeros((len(contacts), SOFT_SIZE))
+    for row, contact in zip(value, contacts, strict=True):
+        law, elliptic = contact.law, contact.law.cone == "elliptic" and contact.law.friction > 0.0
+        root = math.sqrt(law.impratio) if elliptic else 1.0
+        row[:11], row[11:17] = _geometry(contact, tree), np.concatenate(tangents(contact.plane.normal))
+        row[17:23] = _law_numbers(law)
+        first, last, width, midpoint = law.impedance
+        row[28:] = first, last, 1.0 / width, midpoint
+        row[23:28] = law.lead, law.friction, root, max(law.bend, MIN_BEND) * law.friction / root, float(elliptic)
+    return {"soft_link": link, "soft_address": tree["floating_address"][link], "soft_value": value}
+
+
+def tangents(normal: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Two directions (3,) of a contact's frame across its normal, as mju_makeFrame chooses them."""
+    first = np.array([0.0, 1.0, 0.0]) if abs(normal[1]) < 0.5 else np.array([0.0, 0.0, 1.0])
+    first -= normal * (normal @ first)
+    first /= np.linalg.norm(first)
+    return first, np.cross(normal, first)
 
 
 def stop_arrays(stops: Any) -> dict[str, np.ndarray]:

@@ -24,6 +24,7 @@ from planner.kernels.tree.memory import MEMORY
 from planner.kernels.tree.pair_contact import subtract_pair_derivatives
 from planner.kernels.tree.rosenbrock import add_implicit
 from planner.kernels.tree.sensitivity import inverse_dynamics_derivatives, invert
+from planner.kernels.tree.soft_contact import subtract_soft_derivatives
 from planner.kernels.tree.tendons import add_tendon_derivatives
 
 
@@ -89,6 +90,8 @@ def acceleration_derivatives(m, r, q, v, act, a, dA, external):
         if m[TREE.wrenches] > 0:
             subtract_wrench_derivatives(m, lanes(r, MEMORY.u), act, Dq, ld, lanes(r, MEMORY.links))
         subtract_contact_derivatives(m, q, Dq, Dv, ld, lanes(r, MEMORY.links))
+        if m[TREE.softs] > 0:
+            subtract_soft_derivatives(m, q, a, M, Dq, Dv, ld, lanes(r, MEMORY.links))
         if m[TREE.pairs] > 0:
             subtract_pair_derivatives(m, q, Dq, Dv, ld, lanes(r, MEMORY.links))
         if m[TREE.loop_rows] > 0:

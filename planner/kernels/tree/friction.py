@@ -7,23 +7,19 @@ for
 
 a force and an armature, for which the recursion finds the next a. The accelerations are the minimum of a convex
 function whose gradient is T - f, T = M a + bias - tau being the force that friction would have to give; T is linear in
-a, so the way to the next a is cut where the function is least on it. Lanes that have met the law keep their numbers,
-so that a state's acceleration does not depend on the states beside it.
+a, so the way to the next a is cut where the function is least on it: see kernels.tree.rounds.
 """
 
 from __future__ import annotations
 
 from planner.kernels.numba.jit import inline, part
-from planner.kernels.numba.lanes import any_less, floats, integers, load, maximum, minimum, select, spread, store
+from planner.kernels.numba.lanes import floats, integers, load, maximum, minimum, select, spread, store
 from planner.kernels.tree.mechanism_table import TREE
 from planner.kernels.tree.passive_force_arrays import LOSS_SIZE
 
 FRICTION_SMOOTHING = (
     0.08  # as in planner.dynamics.friction; here too, because the cache's key covers the kernels' sources alone
 )
-MAX_ROUNDS = 30  # of Newton's method, which takes three or four
-FRICTION_CONVERGED = 1e-12  # of the loss: what is left of the law when a lane has met it
-HALVINGS = 12  # of the way to the next accelerations
 LOSS, INERTIA, RATE = range(LOSS_SIZE)  # offsets in the numbers of a joint's friction
 
 
@@ -93,7 +89,7 @@ def first_error(m, v, tau, a, armatures, force, asked):
 
 
 @part
-def _uphill(m, v, tau, a, armatures, force, before, asked, part_of_way):
+def friction_uphill(m, v, tau, a, armatures, force, before, asked, part_of_way):
     """The slope of the convex function along the way from `before` to a, a part of it gone."""
     slope, dof = spread(0.0), integers(m, TREE.loss_dof)
     for k in range(m[TREE.losses]):
@@ -106,27 +102,18 @@ def _uphill(m, v, tau, a, armatures, force, before, asked, part_of_way):
 
 
 @part
-def next_error(m, v, tau, a, armatures, force, before, asked, error):
-    """Go as far from `before` towards a as the convex function sinks; lanes whose error was met stay. The new error."""
-    low, high, prescribed = spread(0.0), spread(1.0), integers(m, TREE.prescribed)
-    whole = _uphill(m, v, tau, a, armatures, force, before, asked, high)
-    if any_less(0.0, whole):
-        for _ in range(HALVINGS):
-            middle = 0.5 * (low + high)
-            slope = _uphill(m, v, tau, a, armatures, force, before, asked, middle)
-            low, high = select(0.0, slope, low, middle), select(0.0, slope, middle, high)
-        high = select(0.0, whole, high, 1.0)
-    high = select(FRICTION_CONVERGED, error, high, 0.0)
+def friction_error(m, v, tau, a, armatures, force, before, asked, gone):
+    """Go a part (lanes) of the way from `before` to a; the largest error (lanes) there."""
+    error, prescribed = spread(0.0), integers(m, TREE.prescribed)
     for k in range(m[TREE.losses]):
-        store(asked, k, load(asked, k) + high * (_asked(m, k, tau, a, armatures, force) - load(asked, k)))
+        store(asked, k, load(asked, k) + gone * (_asked(m, k, tau, a, armatures, force) - load(asked, k)))
     for i in range(m[TREE.nv]):
-        cut = load(before, i) + high * (load(a, i) - load(before, i))
-        store(a, i, select(high, 1.0, cut, load(a, i)))  # the whole way without rounding
-    left = spread(0.0)
+        cut = load(before, i) + gone * (load(a, i) - load(before, i))
+        store(a, i, select(gone, 1.0, cut, load(a, i)))  # the whole way without rounding
     for k in range(m[TREE.losses]):
         if load(prescribed, load(integers(m, TREE.loss_dof), k)) < 0:
-            left = maximum(left, _error(m, k, v, a, load(asked, k)))
-    return left
+            error = maximum(error, _error(m, k, v, a, load(asked, k)))
+    return error
 
 
 @part

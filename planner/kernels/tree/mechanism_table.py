@@ -19,7 +19,7 @@ import numpy as np
 from planner.kernels.numba.lanes import WIDTH
 from planner.kernels.numba.layout import Layout
 from planner.kernels.tree.actuator_arrays import actuator_arrays, law_arrays, wrench_arrays
-from planner.kernels.tree.contact_tables import contact_arrays, pair_arrays, stop_arrays
+from planner.kernels.tree.contact_tables import contact_arrays, pair_arrays, soft_arrays, stop_arrays
 from planner.kernels.tree.loop_arrays import loop_arrays, triples_of
 from planner.kernels.tree.passive_force_arrays import drag_arrays, gravcomp_arrays, loss_arrays, tendon_arrays
 from planner.model.contact.body_contact import common_carrier
@@ -32,7 +32,7 @@ SCREW, BALL, BALL_NEXT, FLOATING = 0, 1, 2, 3  # as in planner.model.mechanism, 
 
 TREE = Layout(
     "nv nq nballs nu na inputs position_terms velocity_terms contacts stops pairs curves tendons gravcomp drags losses "
-    "dependents loops polynomial_couplings loop_rows triples wrenches laws",
+    "dependents loops polynomial_couplings loop_rows triples wrenches laws softs",
     "parent base kind first q_address home inertia subtree_mass armature base_acceleration damping stiffness rest "
     "ball_q ball_v ball_stiffness ball_rest constant input_dof input_index input_value position_row position_column "
     "position_value velocity_row velocity_column velocity_value activation_input activation_gain activation_rate "
@@ -43,7 +43,7 @@ TREE = Layout(
     "loop_rigid loop_rate coupling_dof coupling_value triple_kind moved_start moved_dof reach_start reach_dof "
     "shared_start shared_dof bound_start bound_rows block_start block_stop implicit_damping "
     "wrench_link wrench_frame wrench_input wrench_start wrench_dof wrench_frame_start wrench_frame_dof wrench_value "
-    "law_kind law_input law_value law_start law_dof law_factor law_push",
+    "law_kind law_input law_value law_start law_dof law_factor law_push soft_link soft_address soft_value",
 )
 
 
@@ -88,7 +88,10 @@ class Model:
         laws = mechanism.actuators.laws if actuated else ()
         loops, polynomial_couplings = (mechanism.loops, mechanism.polynomial_couplings) if actuated else ((), ())
         self.loop_rows = 3 * triples_of(loops, polynomial_couplings)
-        acts = contacts or stops or pairs or curves or tendons or gravcomp or mechanism.drags or np.any(losses)
+        soft = [contact for contact in contacts if contact.law.lead > 0.0]
+        contacts = [contact for contact in contacts if contact.law.lead == 0.0]
+        self.softs = len(soft)
+        acts = contacts or soft or stops or pairs or curves or tendons or gravcomp or mechanism.drags or np.any(losses)
         acts = acts or self.coupled or implicit or self.loop_rows or wrenches or laws
         self.external = True if acts else None
         for tendon in tendons:
@@ -114,6 +117,7 @@ class Model:
         arrays["related_start"], arrays["related_rows"] = _related(mechanism.parent, coupled)
         arrays |= (
             contact_arrays(contacts, mechanism, arrays)
+            | soft_arrays(soft, arrays)
             | stop_arrays(stops)
             | pair_arrays(pairs, mechanism.parent, arrays)
         )
@@ -134,6 +138,7 @@ class Model:
             "dependents": len(arrays["dependent_dof"]),
             "loops": len(loops), "polynomial_couplings": len(polynomial_couplings),
             "loop_rows": self.loop_rows, "triples": self.loop_rows // 3, "wrenches": len(wrenches), "laws": len(laws),
+            "softs": len(soft),
         }  # fmt: skip
         self.arrays = {name: _plain(arrays[name]) for name in TREE.arrays}  # keeps the addresses alive
         self.table = TREE.table(sizes, self.arrays)

@@ -23,7 +23,7 @@ it slips MuJoCo's projection onto the friction cone raises the normal force to
 A law with a `lead` is the force of MuJoCo's usual contact, of any file (model.mjcf.file_law). There the damper feels
 the velocity that the contact will have `lead` seconds later, x = v + lead J qacc, relative to the surface and without
 the Jacobian's own change, so the force depends on the acceleration. With x_n = n'x, x_t the rest, depth = ramp(e; a)
-and s = s(e; a), a pyramidal cone has the sum over four edges d = n +- mu t1, n +- mu t2 of
+and s = s(e; a/2), a pyramidal cone has the sum over four edges d = n +- mu t1, n +- mu t2 of
 
     r(y; f) d,   y = (K depth - B s d'x) / 4,   r = ramp, r(y; 0) = max(y, 0)
 
@@ -35,7 +35,10 @@ cone has, with i = impratio and (g_n, g_t) the point of |g_t| <= m g_n, m = mu /
 It slips gradually: with p and c the parts of y along the edge of the cone beside it and across, inwards, g is the
 gradient of p^2 (1/2 + psi(c/p)), psi(t) = t^2/2 for t > b m, psi'' = 0 for t < -b m, and a line between. Both forces
 are minus the gradient of a convex function of x, so the acceleration minimizes a convex function (Todorov, "Convex and
-analytically-invertible dynamics with contacts and constraints", 2014).
+analytically-invertible dynamics with contacts and constraints", 2014). K and B are those of deep contacts: before, they
+grow with the depth r = e - a/2 as MuJoCo's impedance d(r) does, from d_0 to d_1 at a width, to
+
+    K w d/d_1,   B w,   w = d/(1 - d) (1 - d_1)/d_1.
 """
 
 from __future__ import annotations
@@ -101,6 +104,8 @@ class ContactLaw(Law):
         lead: s, how much later the contact has the velocity that is damped; 0 for now. Friction of a law with a lead
             follows from damping, friction, impratio and cone; slip_damping says it and does not change it.
         cone: "elliptic" or "pyramidal", the friction cone of a law with a lead.
+        impedance: Of a law with a lead d_0, d_1, the width, m, and the midpoint of the rise as a part of the width;
+            d_0 = d_1 for the same stiffness at all depths.
     """
 
     slip_damping: float = 0.0
@@ -110,6 +115,7 @@ class ContactLaw(Law):
     uncertainty: float = 1.0
     lead: float = 0.0
     cone: str = "elliptic"
+    impedance: tuple[float, float, float, float] = (0.9, 0.9, 1.0, 0.5)
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -120,6 +126,9 @@ class ContactLaw(Law):
         if self.impratio != math.inf:
             set_fields(self, impratio=number("impratio", self.impratio, greater_than=0.0))
         choice("cone", self.cone, CONES)
+        first, last, width, midpoint = self.impedance
+        if not (0.0 < first < 1.0 and 0.0 < last < 1.0 and width > 0.0 and 0.0 < midpoint < 1.0):
+            raise PlannerError(f"impedance is {self.impedance}, expected d_0, d_1, a width and a midpoint of 0 to 1.")
         if self.lead > 0.0 and self.cone == "elliptic" and self.friction > 0.0 and self.impratio == math.inf:
             raise PlannerError("impratio is inf, expected a finite number for an elliptic cone with a lead.")
 

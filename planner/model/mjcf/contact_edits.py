@@ -23,7 +23,7 @@ from planner.base.errors import ModelError
 from planner.base.gl import load_mujoco
 from planner.model.contact.laws import ContactLaw
 from planner.model.mjcf.contact_shapes import add_points, meets_plane
-from planner.model.mjcf.contacts import contact_attributes, shapes_fit
+from planner.model.mjcf.contacts import CONTACT_LAW, OF_FILE, law_attributes, shapes_fit
 from planner.model.mjcf.model_index import ModelIndex, Pair, compile_model
 from planner.model.mjcf.text import written
 
@@ -33,7 +33,7 @@ IMPRATIO = 1000.0  # at which MuJoCo's friction is the law's to a thousandth; be
 
 def give_law(
     root: ElementTree.Element, survey: ModelIndex, law_of: Callable[[Pair], ContactLaw | None],
-    numbers: Mapping[str, str], recesses: Mapping[tuple[int, int], float] | None = None,
+    numbers: Mapping[str, str], recesses: Mapping[tuple[int, int], float] | None = None, own: bool = False,
 ) -> list[Pair]:  # fmt: skip
     """Edit the XML so that its contacts have the laws of `law_of`; returns the contacts that are left out.
 
@@ -41,14 +41,15 @@ def give_law(
     Of an infinite impratio becomes IMPRATIO; all laws have the same one, and the same `numbers` by their names
     (CONTACT_RAMP, CONTACT_UNCERTAINTY).
     With `recesses` of pairs by their geoms, m, shapes with a margin get points that are larger by it, since there the
-    file's own force begins, and smaller by the recess.
+    file's own force begins, and smaller by the recess. With `own` contacts keep the file's own numbers, of which the
+    laws are.
     """
     if not survey.pairs:
         return []
     model = survey.model
     body_names, geoms = _names(root, model)
     section, unmatched, points = _in_place_of_pairs(root), [], {}
-    impratio = IMPRATIO
+    impratio, cone, leads = IMPRATIO, "elliptic", False
     for pair in survey.pairs:
         bodies = [int(model.geom_bodyid[geom]) for geom in pair.geoms]
         law, names = law_of(pair), [[geoms[geom].attrib["name"]] for geom in pair.geoms]
@@ -66,18 +67,21 @@ def give_law(
                 points[other, margin] = add_points(geoms[other], body, model, other, margin, len(points))
             names = [[geoms[flat].attrib["name"]], points[other, margin]]
             _exclude(root, section, *(body_names[body] for body in bodies))
-        impratio = law.impratio if np.isfinite(law.impratio) else IMPRATIO
+        impratio, cone, leads = law.impratio if np.isfinite(law.impratio) else IMPRATIO, law.cone, law.lead > 0.0
         weight = float(np.sum(model.body_invweight0[bodies, 0]))
-        attributes = contact_attributes(law.stiffness, law.damping, law.slip_damping, law.friction, weight, impratio)
+        attributes = _attributes(pair) if own else law_attributes(law, weight, impratio)
         for one, other in itertools.product(*names):
             both = {"geom1": one, "geom2": other}
             ElementTree.SubElement(section, "pair", {**both, **attributes, "margin": "0", "gap": "0"})
-    option = ElementTree.SubElement(root, "option", {"cone": "elliptic", "impratio": repr(impratio)})
-    ElementTree.SubElement(option, "flag", {"refsafe": "disable"})
+    if not own:
+        option = ElementTree.SubElement(root, "option", {"cone": cone, "impratio": repr(impratio)})
+        ElementTree.SubElement(option, "flag", {"refsafe": "disable"})
     for custom in root.findall("custom"):
-        for element in [one for one in custom.findall("numeric") if one.get("name") in numbers]:
+        for element in [one for one in custom if one.get("name") in {*numbers, CONTACT_LAW}]:
             custom.remove(element)
     custom = ElementTree.SubElement(root, "custom")
+    if leads:
+        ElementTree.SubElement(custom, "text", {"name": CONTACT_LAW, "data": OF_FILE})
     for name, data in numbers.items():
         ElementTree.SubElement(custom, "numeric", {"name": name, "data": data})
     return unmatched
@@ -144,14 +148,9 @@ def keep_law(root: ElementTree.Element, survey: ModelIndex, weights: np.ndarray,
             watch(section, *(geom_names[geom] for geom in pair.geoms))
             continue
         ratio = float(np.sum(weights[bodies]) / np.sum(model.body_invweight0[bodies, 0]))
-        numbers = {
-            "friction": pair.friction, "solref": _scaled(ratio, pair.solref),
-            "solreffriction": _scaled(ratio, pair.solreffriction), "solimp": pair.solimp,
-        }  # fmt: skip
-        law = {name: written(*values) for name, values in numbers.items()}
         geoms = {f"geom{i + 1}": geom_names[geom] for i, geom in enumerate(pair.geoms)}
-        extent = {"condim": str(pair.condim), "margin": written(pair.margin), "gap": "0"}
-        ElementTree.SubElement(section, "pair", {**geoms, **law, **extent})
+        extent = {"margin": written(pair.margin), "gap": "0"}
+        ElementTree.SubElement(section, "pair", {**geoms, **_attributes(pair, ratio), **extent})
 
 
 def watch(section: ElementTree.Element, first: str, second: str) -> None:
@@ -180,6 +179,15 @@ def watched_pairs(model: Any) -> set[frozenset[int]]:
     """The pairs of geoms of a compiled model that are watched."""
     none = (model.pair_margin <= 0.5 * WATCHED_MARGIN) | (model.pair_margin - model.pair_gap <= 0.5 * WATCHED_MARGIN)
     return {frozenset((int(model.pair_geom1[k]), int(model.pair_geom2[k]))) for k in np.flatnonzero(none)}
+
+
+def _attributes(pair: Pair, ratio: float = 1.0) -> dict[str, str]:
+    """The attributes of a <pair> with a pair's own numbers, where the invweight0 is larger by a ratio."""
+    numbers = {
+        "friction": pair.friction, "solref": _scaled(ratio, pair.solref),
+        "solreffriction": _scaled(ratio, pair.solreffriction), "solimp": pair.solimp,
+    }  # fmt: skip
+    return {"condim": str(pair.condim), **{name: written(*values) for name, values in numbers.items()}}
 
 
 def _scaled(ratio: float, solref: np.ndarray) -> np.ndarray:

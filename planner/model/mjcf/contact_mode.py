@@ -3,6 +3,8 @@
     "model"   every pair of shapes has a law that the plan computes (see model.mjcf.contacts)
     "ground"  something falls unless the ground carries it: its contacts with planes get a law for its mass
               (ground_law), all others are avoided
+    "file"    contacts with planes are planned with the law that MuJoCo computes from the file's numbers (file_law), all
+              others are avoided
     "avoid"   planned without contacts; a proof fails where shapes touch in the user's file
 
 A tree of bodies can fall if it begins with a free joint, or with slides of which one is not level, and neither an
@@ -26,7 +28,7 @@ from planner.model.mjcf.model_index import ModelIndex, Pair, disabled, named
 from planner.model.mjcf.unsupported import no_compensation
 from planner.model.mjcf.wrench_transmissions import has_wrenches, wrenches_of
 
-MODES = ("auto", "avoid", "ground", "model", "off")
+MODES = ("auto", "avoid", "file", "ground", "model", "off")
 LEVEL = 0.8  # of gravity, across a plane that carries
 MAX_NAMED = 3  # objects in a sentence
 _STEEP = 1e-6  # of gravity, along a slide that is not level
@@ -35,7 +37,7 @@ _STEEP = 1e-6  # of gravity, along a slide that is not level
 class ContactMode(NamedTuple):
     """A mode, and the sentence that says why."""
 
-    mode: str  # "model", "ground" or "avoid"; "" where no shapes can touch
+    mode: str  # "model", "ground", "file" or "avoid"; "" where no shapes can touch
     phrase: str = ""
 
 
@@ -52,6 +54,9 @@ def select_contact_mode(survey: ModelIndex, asked: str = "auto") -> ContactMode:
     if asked == "model":
         return ContactMode(asked, f"contacts of {_pairs(len(survey.pairs))} are planned with the file's own law")
     kept = stationary_roots(survey, asked)
+    if asked == "file" and (pairs := file_pairs(survey)):
+        phrase = f"contacts of {_pairs(len(pairs))} with planes are planned with the file's own law"
+        return ContactMode(asked, phrase + _of_others(survey, pairs) + _of_lying(survey, kept))
     if asked == "ground" and standing:
         return ContactMode(asked, _of_ground(survey, standing) + _of_lying(survey, kept))
     phrase = "planned without contacts: shapes that touch in your file fail the proof" + _of_lying(survey, kept)
@@ -82,6 +87,19 @@ def ground_pairs(survey: ModelIndex) -> list[Pair]:
     return planes + [pair for root, pair in boxes if root not in on_planes or not falling[root]]
 
 
+def file_pairs(survey: ModelIndex) -> list[Pair]:
+    """The pairs of a shape and a plane at rest, or the top of a box at rest that it lies above."""
+    found = []
+    for pair in survey.pairs:
+        flat, other = meets_plane(survey, pair.geoms) or (-1, -1)
+        plane = plane_of(survey, flat) if flat >= 0 else None
+        if plane is None or plane.slide >= 0:
+            continue
+        is_plane = survey.model.geom_type[flat] == int(load_mujoco().mjtGeom.mjGEOM_PLANE)
+        found += [pair] if is_plane or _lies_above(survey, flat, other) else []
+    return found
+
+
 def machine_roots(survey: ModelIndex) -> set[int]:
     """The root bodies of trees in which an actuator drives anything; of all trees that move where none does."""
     model, actuated = survey.model, actuated_dofs(survey)
@@ -89,11 +107,12 @@ def machine_roots(survey: ModelIndex) -> set[int]:
 
 
 def stationary_roots(survey: ModelIndex, mode: str) -> list[int]:
-    """The root bodies of objects that the plan keeps where they start, of a mode "avoid" or "ground".
+    """The root bodies of objects that the plan keeps where they start, of a mode "avoid", "ground" or "file".
 
-    Nothing drives them, they begin with a free joint, and they lie on something at rest that gets no law of the ground.
+    Nothing drives them, they begin with a free joint, and they lie on something at rest that gets no law.
     """
-    model, standing = survey.model, ground_pairs(survey) if mode == "ground" else []
+    pairs_of = {"ground": ground_pairs, "file": file_pairs}
+    model, standing = survey.model, pairs_of[mode](survey) if mode in pairs_of else []
     carried = {int(model.body_rootid[model.geom_bodyid[geom]]) for pair in standing for geom in pair.geoms}
     rests = model.body_weldid[model.geom_bodyid] == 0
     may_lie = {
@@ -118,9 +137,13 @@ def _of_lying(survey: ModelIndex, kept: Sequence[int]) -> str:
 def _of_ground(survey: ModelIndex, standing: Sequence[Pair]) -> str:
     masses = sorted({round(mass_of(survey, pair), 3) for pair in standing}, reverse=True)
     law = " and ".join(f"{mass:g} kg" for mass in masses[:3]) + (" and more" if len(masses) > 3 else "")
-    others = len(survey.pairs) - len(standing)
     phrase = f"contacts of {_pairs(len(standing))} with the ground are planned with a law for {law}"
-    return phrase + (f"; {others} other pair{'s' * (others != 1)} must not touch" if others else "")
+    return phrase + _of_others(survey, standing)
+
+
+def _of_others(survey: ModelIndex, modelled: Sequence[Pair]) -> str:
+    others = len(survey.pairs) - len(modelled)
+    return f"; {others} other pair{'s' * (others != 1)} must not touch" if others else ""
 
 
 def _pairs(number: int) -> str:

@@ -28,12 +28,12 @@ from typing import Any
 import numpy as np
 
 from planner.base.arguments import number
-from planner.base.errors import ModelError
+from planner.base.errors import ModelError, PlannerError
 from planner.base.gl import load_mujoco
 from planner.model.contact.body_contact import BodyContact
 from planner.model.contact.laws import BEND, Contact, ContactLaw, Law, Stop
 from planner.model.mjcf.contact_shapes import are_capsules, capsule_of, part_name, plane_and_spheres
-from planner.model.mjcf.file_law import file_law, file_law_reason
+from planner.model.mjcf.file_law import MAX_IMPEDANCE, MIN_IMPEDANCE, edge_weight, file_law, file_law_reason
 from planner.model.mjcf.model_index import ModelIndex, Pair, disabled, named, texts_of
 from planner.model.mjcf.unsupported import UnsupportedElement
 
@@ -71,6 +71,30 @@ def contact_attributes(
     slip = law.slip_damping / law.impratio
     rubs = {"condim": "3", "friction": _text(mu, mu, 0.005, 0.0001, 0.0001)}
     return {**rubs, **_direct(law, per, ""), "solreffriction": _text(-law.stiffness * per, -slip * per)}
+
+
+def law_attributes(law: ContactLaw, invweight: float, impratio: float = 1000.0) -> dict[str, str]:
+    """The attributes of a <pair> in which MuJoCo computes a law; see contact_attributes.
+
+    Of a law with a lead the option's cone and impratio are the law's, which file_law reads again from these numbers.
+
+    Raises:
+        PlannerError: A law with a lead whose impedance rises, or is none of MuJoCo's.
+    """
+    if law.lead == 0.0:
+        return contact_attributes(law.stiffness, law.damping, law.slip_damping, law.friction, invweight, impratio)
+    if law.impedance[0] != law.impedance[1]:
+        raise PlannerError(f"impedance is {law.impedance}, expected a constant one of a law with a lead that is given.")
+    mu, pyramidal = law.friction, law.cone == "pyramidal" and law.friction > 0.0
+    per = number("invweight", invweight, greater_than=0.0)
+    per *= edge_weight(mu, law.impratio) / 4.0 if pyramidal else 1.0
+    share = per * law.damping * law.lead  # d/(1 - d)
+    d = share / (1.0 + share)
+    if not MIN_IMPEDANCE <= d <= MAX_IMPEDANCE:
+        raise PlannerError(f"damping * lead is {law.damping * law.lead:g} kg, which MuJoCo has no impedance for.")
+    solref = _text(-law.stiffness / law.damping / law.lead * d, -d / law.lead)
+    rubs = {"condim": "3", "friction": _text(mu, mu, 0.005, 0.0001, 0.0001)} if mu > 0.0 else {"condim": "1"}
+    return {**rubs, "solref": solref, "solimp": _text(d, d, 1.0, 0.5, 2.0)}
 
 
 def stop_attributes(stiffness: float, damping: float, invweight: float) -> dict[str, str]:
@@ -194,20 +218,25 @@ def has_file_laws(model: Any) -> bool:
 
 
 def _law_of(model: Any, pair: Pair) -> ContactLaw:
+    law = file_law(model, pair) if has_file_laws(model) else _exact_law(model, pair)
     ramp, force_ramp, bend = _smoothing(model, CONTACT_RAMP)
-    if has_file_laws(model):
-        return replace(file_law(model, pair), ramp=ramp, force_ramp=force_ramp)
+    uncertainty, *_ = _numbers(model, CONTACT_UNCERTAINTY) or [1.0]
+    if not 1.0 <= uncertainty < math.inf:
+        raise ModelError(f"numeric {CONTACT_UNCERTAINTY!r} is {uncertainty:g}, expected a factor of at least 1.")
+    if ramp == 0.0:
+        return replace(law, uncertainty=uncertainty)
+    impratio = law.impratio if law.lead > 0.0 else math.inf
+    return replace(law, ramp=ramp, force_ramp=force_ramp, bend=bend, impratio=impratio, uncertainty=uncertainty)
+
+
+def _exact_law(model: Any, pair: Pair) -> ContactLaw:
+    """The law of a pair whose impedance is next to nothing."""
     weight = float(np.sum(model.body_invweight0[model.geom_bodyid[list(pair.geoms)], 0])) * (1.0 - pair.solimp[0])
     K, B = -pair.solref / weight
     impratio = float(model.opt.impratio)
     slips = -pair.solreffriction[1] / weight if np.any(pair.solreffriction) else B
     mu, ct = (float(pair.friction[0]), impratio * slips) if pair.condim == 3 else (0.0, 0.0)
-    uncertainty, *_ = _numbers(model, CONTACT_UNCERTAINTY) or [1.0]
-    if not 1.0 <= uncertainty < math.inf:
-        raise ModelError(f"numeric {CONTACT_UNCERTAINTY!r} is {uncertainty:g}, expected a factor of at least 1.")
-    if ramp == 0.0:
-        return replace(ContactLaw.exact(K, B, ct, mu, impratio), uncertainty=uncertainty)
-    return ContactLaw(K, B, ramp, force_ramp, ct, mu, bend=bend, uncertainty=uncertainty)
+    return ContactLaw.exact(K, B, ct, mu, impratio)
 
 
 def read_stops(model: Any) -> tuple[Stop, ...]:

@@ -14,8 +14,9 @@ E = 2 (condim - 1) edges of a pyramidal cone has R_py = 2 mu^2/impratio (1 + mu^
 
     B = E b/R_py,   K = E k d/R_py.
 
-What differs from MuJoCo's: the impedance d is constant here, while the file's may rise with the depth; a cone of condim
-4 or 6 has the friction of condim 3 and the normal force of all its edges.
+K and B are of the impedance dmax of deep contacts, and the law's `impedance` says how d rises to it. What differs from
+MuJoCo's: a rise of a power (the last number of solimp) other than 2 is taken for one of 2, and a cone of condim 4 or 6
+has the friction of condim 3 and the normal force of all its edges.
 """
 
 from __future__ import annotations
@@ -30,18 +31,18 @@ from planner.base.gl import load_mujoco
 from planner.model.contact.laws import ContactLaw
 from planner.model.mjcf.model_index import Pair, disabled, field, named
 
-_MIN_IMPEDANCE, _MAX_IMPEDANCE = 1e-4, 0.9999  # mjMINIMP, mjMAXIMP
+MIN_IMPEDANCE, MAX_IMPEDANCE = 1e-4, 0.9999  # mjMINIMP, mjMAXIMP
 _MIN_FRICTION, _TINY = 1e-5, 1e-15  # mjMINMU, mjMINVAL
+FILE_SMOOTHING = (2e-3, 0.0, 0.5)  # ramp, m, force ramp, N, and bend of a plan that has these laws
 _DEFAULT_SOLREF = (0.02, 1.0)
 
 
-def file_law(model: Any, pair: Pair, depth: float = math.inf) -> ContactLaw:
+def file_law(model: Any, pair: Pair) -> ContactLaw:
     """The law of any pair of a compiled MJCF, without smoothing.
 
     Args:
         model: MuJoCo's MjModel.
         pair: Of ModelIndex.pairs.
-        depth: m, at which the impedance of solimp is taken; by default so deep that it is dmax.
 
     Raises:
         ModelError: MuJoCo's force is not of this form: a margin, friction that differs along and across, friction with
@@ -49,22 +50,28 @@ def file_law(model: Any, pair: Pair, depth: float = math.inf) -> ContactLaw:
     """
     if reason := file_law_reason(model, pair):
         raise ModelError(f"{' and '.join(named(model, 'geom', geom) for geom in pair.geoms)}: {reason}.")
-    (K, B), mu, impratio = coefficients(model, pair, depth), _friction(pair), _impratio(model)
+    (K, B), mu, impratio = coefficients(model, pair, math.inf), _friction(pair), _impratio(model)
     lead, pyramidal = 1.0 / _rates(model, pair.solref, pair.solimp)[1], _is_pyramidal(model, pair)
     slip_damping = B * (0.5 * mu**2 if pyramidal else impratio * (mu > 0.0))
     cone = "pyramidal" if pyramidal else "elliptic"
-    return ContactLaw(K, B, 0.0, 0.0, slip_damping, mu, impratio, 0.0, lead=lead, cone=cone)
+    rise = impedance_of(pair.solimp)
+    return ContactLaw(K, B, 0.0, 0.0, slip_damping, mu, impratio, 0.0, lead=lead, cone=cone, impedance=rise)
 
 
 def coefficients(model: Any, pair: Pair, depth: float) -> tuple[float, float]:
     """K, N/m, and B, N s/m, of a pair with the impedance of a depth, m: K depth is the normal force at rest there."""
-    d, (k, b) = impedance(pair.solimp, depth), _rates(model, pair.solref, pair.solimp)
+    d, (k, b) = impedance_at(pair.solimp, depth), _rates(model, pair.solref, pair.solimp)
     A = float(model.body_invweight0[model.geom_bodyid[list(pair.geoms)], 0].sum())
     edges, mu = 1, _friction(pair)
     if _is_pyramidal(model, pair):
-        edges, A = 2 * (pair.condim - 1), 2.0 * mu**2 / _impratio(model) * (1.0 + mu**2) * A
+        edges, A = 2 * (pair.condim - 1), edge_weight(mu, _impratio(model)) * A
     per = edges / max(A * (1.0 - d) / d, _TINY)
     return per * k * d, per * b
+
+
+def edge_weight(mu: float, impratio: float) -> float:
+    """How many times more inverse inertia an edge of a pyramidal cone has than a contact without friction."""
+    return 2.0 * mu**2 / impratio * (1.0 + mu**2)
 
 
 def file_law_reason(model: Any, pair: Pair) -> str:
@@ -85,16 +92,22 @@ def file_law_reason(model: Any, pair: Pair) -> str:
     return ""
 
 
-def impedance(solimp: np.ndarray, depth: float) -> float:
-    """The impedance d of a solimp (5,) at a depth, m."""
-    d0, dmax, midpoint = np.clip(solimp[[0, 1, 3]], _MIN_IMPEDANCE, _MAX_IMPEDANCE)
-    width, power = float(solimp[2]), max(float(solimp[4]), 1.0)
+def impedance_of(solimp: np.ndarray) -> tuple[float, float, float, float]:
+    """The impedance of a solimp (5,) at the surface and deep inside, the depth between, m, and the midpoint."""
+    d0, dmax, midpoint = (float(x) for x in np.clip(solimp[[0, 1, 3]], MIN_IMPEDANCE, MAX_IMPEDANCE))
+    width = float(solimp[2])
     if d0 == dmax or width <= _TINY:
-        return float(0.5 * (d0 + dmax))
-    x = min(depth / width, 1.0)
+        return 0.5 * (d0 + dmax), 0.5 * (d0 + dmax), 1.0, midpoint
+    return d0, dmax, width, midpoint
+
+
+def impedance_at(solimp: np.ndarray, depth: float) -> float:
+    """The impedance of a solimp (5,) at a depth, m."""
+    d0, dmax, width, midpoint = impedance_of(solimp)
+    x, power = min(depth / width, 1.0), max(float(solimp[4]), 1.0)
     if x <= midpoint:
-        return float(d0 + (dmax - d0) * x**power / midpoint ** (power - 1.0))
-    return float(dmax - (dmax - d0) * (1.0 - x) ** power / (1.0 - midpoint) ** (power - 1.0))
+        return d0 + (dmax - d0) * x**power / midpoint ** (power - 1.0)
+    return dmax - (dmax - d0) * (1.0 - x) ** power / (1.0 - midpoint) ** (power - 1.0)
 
 
 def _is_pyramidal(model: Any, pair: Pair) -> bool:
@@ -112,7 +125,7 @@ def _impratio(model: Any) -> float:
 def _rates(model: Any, solref: np.ndarray, solimp: np.ndarray) -> tuple[float, float]:
     """k, 1/s^2, and b, 1/s, of a solref (2,) in either format."""
     first, second = map(float, solref)
-    dmax = float(np.clip(solimp[1], _MIN_IMPEDANCE, _MAX_IMPEDANCE))
+    dmax = float(np.clip(solimp[1], MIN_IMPEDANCE, MAX_IMPEDANCE))
     if (first > 0.0) != (second > 0.0):  # MuJoCo warns and takes its default
         first, second = _DEFAULT_SOLREF
     if first <= 0.0:

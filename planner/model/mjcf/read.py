@@ -24,7 +24,14 @@ from planner.model.fluid import Drag, drags_of
 from planner.model.mechanism import BALL, BALL_NEXT, SCREW, Frame, Mechanism
 from planner.model.mjcf.attached import attachments, with_attached
 from planner.model.mjcf.contact_edits import give_law, let_float
-from planner.model.mjcf.contact_mode import MODES, ContactMode, ground_pairs, select_contact_mode, stationary_roots
+from planner.model.mjcf.contact_mode import (
+    MODES,
+    ContactMode,
+    file_pairs,
+    ground_pairs,
+    select_contact_mode,
+    stationary_roots,
+)
 from planner.model.mjcf.contacts import (
     CONTACT_RAMP,
     CONTACT_UNCERTAINTY,
@@ -35,6 +42,7 @@ from planner.model.mjcf.contacts import (
 )
 from planner.model.mjcf.equalities import harden, read_cams, read_couplings, read_loops, read_tendons
 from planner.model.mjcf.excluded import excluded_pairs, with_excluded
+from planner.model.mjcf.file_law import FILE_SMOOTHING, file_law
 from planner.model.mjcf.ground_law import laws_of_ground
 from planner.model.mjcf.joint_forces import actuators_of, armature_and_damping, joint_friction
 from planner.model.mjcf.model_file import ModelFile, open_model_file
@@ -53,6 +61,7 @@ from planner.model.mjcf.model_index import (
 )
 from planner.model.mjcf.obstacles import obstacles_of, with_obstacles
 from planner.model.mjcf.spec import mjcf_source
+from planner.model.mjcf.text import written
 from planner.model.mjcf.unsupported import (  # fmt: skip
     KINDS,
     UnsupportedElement,
@@ -115,18 +124,18 @@ def read_opened(
             if geom.get("name") in payloads:
                 geom.attrib.update(contype="0", conaffinity="0")
         survey = ModelIndex(compile_model(root, files, name))
-    mode, phrase = (
-        select_contact_mode(survey, asked) if asked in ("auto", "ground", "avoid", "model") else ContactMode(asked)
-    )
-    if asked == "ground" and mode != "ground":
-        words = f"contacts is 'ground', but nothing in {name} falls on a plane or box"
+    mode, phrase = ContactMode(asked) if asked in ("law", "off") else select_contact_mode(survey, asked)
+    if asked in ("file", "ground") and mode != asked:
+        meets = "falls on a plane or box" if asked == "ground" else "meets a plane, or the top of a box, that rests"
+        words = f"contacts is {asked!r}, but nothing in {name} {meets}"
         raise ModelError(f'{words}: write contacts = "avoid".')
     found = [*unsupported_elements(survey.model), *contact_refusals(survey, all_of_them=mode in ("off", "avoid"))]
     unmatched: list[Pair] = []
-    kept = stationary_roots(survey, mode) if mode in ("avoid", "ground") else []
-    if mode in ("law", "ground"):
+    kept = stationary_roots(survey, mode) if mode in ("avoid", "file", "ground") else []
+    if mode in ("law", "file", "ground"):
         found = [one for one in found if one.kind != "contacts"]
-        unmatched = give_law(root, survey, *_laws(survey, law))
+        laws = _file_laws(survey) if mode == "file" else _laws(survey, law)
+        unmatched = give_law(root, survey, *laws, own=mode == "file")
     taken_out = {*ignored, *(["contacts"] if mode != "model" else [])}
     _refuse([one for one in found if one.kind not in taken_out], name, survey)
     found += [one for one in modelled(survey.model) if one.kind in taken_out]
@@ -179,6 +188,12 @@ def _laws(
     one = next(iter(laws.values()))
     numbers = {CONTACT_RAMP: repr(one.ramp), CONTACT_UNCERTAINTY: repr(one.uncertainty)}
     return (lambda pair: laws.get(pair.geoms)), numbers, recesses
+
+
+def _file_laws(survey: ModelIndex) -> tuple[Callable[[Pair], ContactLaw | None], dict[str, str], None]:
+    """The file's own law of each pair with a plane, and the smoothing that they share, for give_law."""
+    laws = {pair.geoms: file_law(survey.model, pair) for pair in file_pairs(survey)}
+    return (lambda pair: laws.get(pair.geoms)), {CONTACT_RAMP: written(*FILE_SMOOTHING)}, None
 
 
 def _refuse(found: list[UnsupportedElement], name: str, survey: ModelIndex) -> None:

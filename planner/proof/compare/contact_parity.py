@@ -258,11 +258,12 @@ class _Bench:
         if not len(deeper):
             return
         place, below = pressing.place(x[None]), pressing.place(deeper)
-        n, e, further = place.n[0], float(place.e[0]) - law.surface_offset, float(below.e[0] - place.e[0])
+        n, further = place.n[0], float(below.e[0] - place.e[0])
         rest, more = self._both(pressing, shapes, x, place)[:2], self._both(pressing, shapes, deeper[0], below)[:2]
         K = [(f @ below.n[0] - f0 @ n) / further for f0, f in zip(rest, more, strict=True)]
         yield compared("contact_stiffness", name, K[1], K[0], law.stiffness)
-        yield _surface("contact_surface", name, e - float(rest[1] @ n) / K[1], depth, _bluntness(pressing.contact))
+        begins = float(rest[0] @ n) / K[0] - float(rest[1] @ n) / K[1]
+        yield _surface("contact_surface", name, begins, depth, _bluntness(pressing.contact))
         load = float(rest[0] @ n)
         closing = _CLOSING * load / law.damping if law.damping > 0.0 else pressing.speed
         *forces, v = self._both(pressing, shapes, x, place, -closing * n)
@@ -321,8 +322,13 @@ class _Bench:
         self._mujoco.mj_solveM(self._model, self._data, qacc, push * (place.J[0].T @ place.n[0])[None])
         change = rest - self._force(pressing, shapes, x, place, qacc[0])
         share = float(change @ place.n[0]) / push
-        sentence = f"{shapes.name} takes up {100.0 * share:.3g} % of the force that it gives, the plan's nothing"
-        return Coefficient("contact_inertia", shapes.name, share, 0.0, abs(share), sentence)
+        law = pressing.contact.law
+        ahead = place.v + law.lead * (place.J[0] @ qacc[0])
+        forces = [contact_force(law, place.n, place.e, v)[0][0] for v in (place.v, ahead)]
+        ours = float((forces[0] - forces[1]) @ place.n[0]) / push
+        both = f"{100.0 * share:.3g} % of the force that it gives, the plan's {100.0 * ours:.3g} %"
+        difference = abs(share - ours) / max(1.0, abs(ours))
+        return Coefficient("contact_inertia", shapes.name, share, ours, difference, f"{shapes.name} takes up {both}")
 
     def stops(self, x: np.ndarray) -> Iterator[Coefficient]:
         """Every coefficient of every joint stop, the other joints at their start."""
