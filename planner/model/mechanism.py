@@ -108,7 +108,7 @@ class Mechanism:
     couplings: tuple[Coupling, ...] = ()  # linear equations of hinge and slide coordinates, satisfied exactly
     loops: tuple[LoopClosure, ...] = ()  # pairs of frames that coincide
     polynomial_couplings: tuple[PolynomialCoupling, ...] = ()  # joint coordinates that are polynomials of others
-    contacts_mode: str = ""  # "model", "ground", "avoid", "off" or "law"; "" if no shapes can collide
+    contacts_mode: str = ""  # "model", "ground", "file", "avoid", "off" or "law"; "" if no shapes can collide
     contacts_choice: str = ""  # sentence that explains contacts_mode, without a full stop; or ""
 
     def __post_init__(self) -> None:
@@ -183,7 +183,9 @@ class Mechanism:
             contacts: Which contacts the plan models. "model": those whose MJCF parameters are a law of
                 planner.model.contact.laws (see planner.model.mjcf.contacts): spheres, capsules and corners of boxes
                 with planes, spheres and capsules with each other. "ground": bodies that can fall get
-                ContactLaw.resting for their mass on planes, all other contacts are omitted. "avoid" and "off": none.
+                ContactLaw.resting for their mass on planes, all other contacts are omitted. "file": contacts with
+                planes at rest get the law that MuJoCo computes from the file's numbers
+                (planner.model.mjcf.file_law), all others are omitted. "avoid" and "off": none.
                 "auto": the first of "model", "ground" and "avoid" that applies, see `contacts_choice`. A ContactLaw:
                 that law for all contacts of modelled shapes. The plan's own model replays the modelled contacts;
                 omitted ones are listed in `ignored` and checked in the user's file.

@@ -20,6 +20,7 @@ from planner.dynamics.stance import feet_move, goal_without_foot_slip
 from planner.dynamics.statics import lowered_to_ground, static_equilibrium
 from planner.model.contact.laws import ContactLaw
 from planner.model.mechanism import Mechanism
+from planner.model.mjcf.contact_mode import STANDING
 from planner.problem.tasks.goal import Goal, json_value
 
 MAX_PLACEMENT_SHIFT = 0.05  # m or rad: who writes a pose puts feet down to some centimetres
@@ -77,7 +78,7 @@ def stance_ramp(mechanism: Mechanism, table: dict[str, Any], start: np.ndarray, 
     if RESOLVED in table:  # a plan keeps the law that it was made with
         return table[RESOLVED].get(RAMP)
     qs = np.stack([start, goal])[:, : mechanism.nq]
-    if table["contacts"] != "ground" or not mechanism.contacts or feet_move(mechanism, qs):
+    if table["contacts"] not in STANDING or not mechanism.contacts or feet_move(mechanism, qs):
         return None
     loaded = contact_forces(mechanism, qs[0], np.zeros(mechanism.nv)).forces.any(axis=1)
     _, points = np.unique([mechanism.contacts[k].link for k in np.flatnonzero(loaded)], return_counts=True)
@@ -98,7 +99,7 @@ def with_ramp(mechanism: Mechanism, ramp: float | None) -> Mechanism:
 
 def _puts_down(mechanism: Mechanism, table: dict[str, Any]) -> bool:
     """Whether poses at rest are put on the ground without being asked to."""
-    return table["settle"] is not False and table["contacts"] == "ground" and bool(mechanism.contacts)
+    return table["settle"] is not False and table["contacts"] in STANDING and bool(mechanism.contacts)
 
 
 def _goal_on_ground(mechanism: Mechanism, goal: Goal) -> Goal:

@@ -37,10 +37,10 @@ KEYS = {
     "against gravity), zero; "
     "auto is collision-free where something is avoided, line where all joints have actuators, else the better of "
     "tracking and hold",
-    "contacts": "model (the file's own law), ground (a law for the mass of what stands), avoid, off, or a table of "
-    "their law, below; auto chooses",
+    "contacts": "model (the file's law, of springs and dampers), ground (a law for the mass of what stands), file "
+    "(planes with the law that MuJoCo computes), avoid, off, or a table of their law, below; auto chooses",
     "settle": "true to put start and goal on the ground: what no actuator drives moves until it carries them; auto "
-    "does so with contacts = 'ground', unless they are in the air",
+    "does so with contacts = 'ground' or 'file', unless they are in the air",
     "ignore": "list of what to take out of the model, e.g. frictionloss",
     "prescribed": "list of joints whose acceleration is a control instead of their force; none by default",
     "starts": "number of first guesses to try",

@@ -29,6 +29,7 @@ from planner.model.mjcf.unsupported import no_compensation
 from planner.model.mjcf.wrench_transmissions import has_wrenches, wrenches_of
 
 MODES = ("auto", "avoid", "file", "ground", "model", "off")
+STANDING = ("file", "ground")  # modes of machines that stand on planes
 LEVEL = 0.8  # of gravity, across a plane that carries
 MAX_NAMED = 3  # objects in a sentence
 _STEEP = 1e-6  # of gravity, along a slide that is not level

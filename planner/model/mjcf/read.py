@@ -26,6 +26,7 @@ from planner.model.mjcf.attached import attachments, with_attached
 from planner.model.mjcf.contact_edits import give_law, let_float
 from planner.model.mjcf.contact_mode import (
     MODES,
+    STANDING,
     ContactMode,
     file_pairs,
     ground_pairs,
@@ -125,14 +126,14 @@ def read_opened(
                 geom.attrib.update(contype="0", conaffinity="0")
         survey = ModelIndex(compile_model(root, files, name))
     mode, phrase = ContactMode(asked) if asked in ("law", "off") else select_contact_mode(survey, asked)
-    if asked in ("file", "ground") and mode != asked:
+    if asked in STANDING and mode != asked:
         meets = "falls on a plane or box" if asked == "ground" else "meets a plane, or the top of a box, that rests"
         words = f"contacts is {asked!r}, but nothing in {name} {meets}"
         raise ModelError(f'{words}: write contacts = "avoid".')
     found = [*unsupported_elements(survey.model), *contact_refusals(survey, all_of_them=mode in ("off", "avoid"))]
     unmatched: list[Pair] = []
-    kept = stationary_roots(survey, mode) if mode in ("avoid", "file", "ground") else []
-    if mode in ("law", "file", "ground"):
+    kept = stationary_roots(survey, mode) if mode in ("avoid", *STANDING) else []
+    if mode in ("law", *STANDING):
         found = [one for one in found if one.kind != "contacts"]
         laws = _file_laws(survey) if mode == "file" else _laws(survey, law)
         unmatched = give_law(root, survey, *laws, own=mode == "file")

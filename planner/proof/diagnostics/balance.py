@@ -10,6 +10,7 @@ from planner.dynamics.momentum import center_of_mass
 from planner.dynamics.stance import STRIDE
 from planner.dynamics.statics import static_equilibrium
 from planner.model.capabilities import capabilities_of, rolling_radii, stands_on_ground
+from planner.model.mjcf.contact_mode import STANDING
 from planner.problem.costs.tracking import tracking_of
 from planner.problem.plan import Plan
 from planner.problem.problem import Problem
@@ -26,7 +27,7 @@ def standing_goal(plan: Plan, problem: Problem, proof: Proof | None) -> list[Sug
     mechanism = capabilities_of(problem.dynamics).mechanism
     if not of_file(problem) or (proof is not None and proof.goal.passed and proof.your_file.passed):
         return []
-    if asked["settle"] != "auto" or asked["contacts"] != "ground" or cost is None or problem.goal_specs is not None:
+    if asked["settle"] != "auto" or asked["contacts"] not in STANDING or cost is None or problem.goal_specs is not None:
         return []
     goal = cost.x_ref[-1]
     if mechanism is None or not stands_on_ground(mechanism) or np.any(goal[mechanism.nq : mechanism.nq + mechanism.nv]):
