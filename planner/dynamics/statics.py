@@ -17,12 +17,11 @@ import numpy as np
 
 from planner.base.arguments import array
 from planner.base.errors import PlannerError
-from planner.dynamics.algorithms import mass_matrix
-from planner.dynamics.contacts import contact_forces, contact_jacobians
+from planner.dynamics.algorithms import bias
+from planner.dynamics.contacts import contact_forces, contact_jacobians, generalized_forces
 from planner.dynamics.kinematics import jacobian
 from planner.dynamics.momentum import center_of_mass
 from planner.dynamics.quasi_static import weight
-from planner.dynamics.rigid_body import RigidBodyDynamics
 from planner.model.capabilities import roots, unactuated_basis
 from planner.model.mechanism import Frame, Mechanism
 
@@ -186,17 +185,16 @@ def _newton(by_q: np.ndarray, uphill: np.ndarray, longest: float) -> np.ndarray:
 
 
 class _Steepness:
-    """Gradient and Hessian of the potential energy along the unactuated directions, from the compiled dynamics."""
+    """Gradient and Hessian of the potential energy along the unactuated directions, of gravity, springs, contacts and stops."""
 
     def __init__(self, mechanism: Mechanism, free: np.ndarray) -> None:
         self._mechanism, self._free = mechanism, free
-        self._dynamics = RigidBodyDynamics(mechanism, dt=1e-3)
 
     def uphill(self, xs: np.ndarray) -> np.ndarray:
-        """Energy gradient (K, n) at states xs (K, nx) at rest, N and N m: -free' M qdd."""
+        """Energy gradient (K, n) at states xs (K, nx) at rest, N and N m."""
         m = self._mechanism
-        rates = self._dynamics.rates(xs, np.zeros((len(xs), self._dynamics.nu)))[:, m.nv : 2 * m.nv]
-        return -np.einsum("kij,kj->ki", mass_matrix(m, xs[:, : m.nq]), rates) @ self._free
+        q, still = xs[:, : m.nq], np.zeros((len(xs), m.nv))
+        return (bias(m, q, still) - generalized_forces(m, q, still)) @ self._free
 
     def slopes(self, x: np.ndarray) -> np.ndarray:
         """Energy Hessian (n, n) at x (nx,) by central differences of uphill."""

@@ -35,6 +35,7 @@ from planner.kernels.tree.soft_contact import (
 
 MAX_ROUNDS = 30  # of Newton's method, which takes three or four
 CONVERGED = 1e-12  # of a force: what is left of the law when a lane has met it
+DIVERGED = 1e300
 HALVINGS = 12  # of the way to the next accelerations
 
 
@@ -91,6 +92,7 @@ def accelerate_in_rounds(m, r, q, v, tau, a):
         soft_moves(m, q, a, links, soft)
         error = maximum(error, first_soft_error(m, q, links, soft))
     for _ in range(MAX_ROUNDS):
+        error = select(error, DIVERGED, error, 0.0)  # not a number: a state that has none
         if not any_less(CONVERGED, error):
             break
         linearize_friction(m, v, tau, a, (own, armature), force, before)
