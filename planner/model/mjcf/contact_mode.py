@@ -23,6 +23,7 @@ import numpy as np
 from planner.base.gl import load_mujoco
 from planner.model.mjcf.contact_shapes import meets_plane, plane_of
 from planner.model.mjcf.contacts import is_modelled
+from planner.model.mjcf.file_law import file_law_reason
 from planner.model.mjcf.ground_law import mass_of
 from planner.model.mjcf.model_index import ModelIndex, Pair, disabled, named
 from planner.model.mjcf.unsupported import no_compensation
@@ -51,7 +52,8 @@ def select_contact_mode(survey: ModelIndex, asked: str = "auto") -> ContactMode:
     if asked == "auto":
         stands = standing and falling.keys() & machine_roots(survey)
         is_law = all(is_modelled(survey, pair) for pair in survey.pairs)
-        asked = "model" if is_law else "ground" if stands else "avoid"
+        of_file = not any(file_law_reason(survey.model, pair) for pair in standing)
+        asked = "model" if is_law else ("file" if of_file else "ground") if stands else "avoid"
     if asked == "model":
         return ContactMode(asked, f"contacts of {_pairs(len(survey.pairs))} are planned with the file's own law")
     kept = stationary_roots(survey, asked)
