@@ -19,7 +19,6 @@ from planner.kernels.tree.rounds import accelerate_in_rounds, accelerate_once, a
 from planner.kernels.tree.tendons import add_tendons
 
 
-
 @part
 def accelerations(m, r, q, v, u, act, a, external):
     """Accelerations a (nv lanes) under inputs u and activations act, and behind them the forces of closed chains.

@@ -16,6 +16,7 @@ from typing import Any
 
 import numpy as np
 
+from planner.base.errors import PlannerError
 from planner.kernels.numba.lanes import WIDTH
 from planner.kernels.numba.layout import Layout
 from planner.kernels.tree.actuator_arrays import actuator_arrays, law_arrays, wrench_arrays
@@ -91,6 +92,8 @@ class Model:
         soft = [contact for contact in contacts if contact.law.lead > 0.0]
         contacts = [contact for contact in contacts if contact.law.lead == 0.0]
         self.softs = len(soft)
+        for contact in (*(one for one in soft if one.plane.slide >= 0), *(one for one in pairs if one.law.lead > 0.0)):
+            raise PlannerError(f"{contact.name} has a law with a lead, expected a sphere and a plane at rest.")
         acts = contacts or soft or stops or pairs or curves or tendons or gravcomp or mechanism.drags or np.any(losses)
         acts = acts or self.coupled or implicit or self.loop_rows or wrenches or laws
         self.external = True if acts else None

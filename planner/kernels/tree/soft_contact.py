@@ -47,7 +47,7 @@ STIFFNESS, DAMPING, RAMP, PER_RAMP, FORCE, PER_FORCE, LEAD, FRICTION, ROOT, WIND
 FIRST_IMPEDANCE, LAST_IMPEDANCE, PER_WIDTH, MIDPOINT = range(11, 15)
 # In its memory: of the last linearization its force, C and x; the force that the accelerations ask for; the next x
 AT, SLOPES, WHERE, ASKED, NEXT, SOFT_MEMORY = 0, 3, 9, 12, 15, 18
-SOFT_SHARE = 0.01  # a contact's force has met the law with a hundred times the error that friction may have: it is larger
+SOFT_SHARE = 0.01  # of an error: a contact's force may be a hundred times as far from its law as that of friction
 RATES, REST = 81, 71  # of a link's record: its twist if the joints' rates were qdd, and the rest of its acceleration
 _MIN_SQUARE = 1e-40  # added to squares before their root, so that none is zero
 _MIN_FORCE = 1e-30  # N, of what forces are divided by
