@@ -272,7 +272,9 @@ def _built(table: dict[str, Any], mechanism: Mechanism, where: str, constraints:
     x0, goal, stops = _off_stops(mechanism, table, x0, goal)
     build = partial(again, mechanism, *constraints)
     ramp = None if tasked or steps_of(table) else stance_ramp(mechanism, table, x0, goal)
-    mechanism = with_ramp(mechanism, ramp)
+    if ramp is not None:
+        mechanism = with_ramp(mechanism, ramp)
+        x0, goal, _ = place_on_ground(mechanism, table, x0, goal)  # it stands elsewhere by a part of the ramp
     prescribed = prescribed_of(table, mechanism)
     table, substeps, reasons = with_step(table, mechanism, prescribed, (x0, goal))
     table, N = checked_values(table)
