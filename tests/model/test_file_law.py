@@ -7,8 +7,8 @@ from trees import mujoco
 from planner.base.errors import ModelError, PlannerError
 from planner.model.contact.laws import ContactLaw
 from planner.model.mechanism import Mechanism
-from planner.model.mjcf.file_law import file_law
-from planner.model.mjcf.ground_law import FILE_RAMP, FORCE_RAMP_SHARE, rest_penetration
+from planner.model.mjcf.file_law import FILE_SMOOTHING, file_law
+from planner.model.mjcf.ground_law import rest_penetration
 from planner.model.mjcf.model_index import ModelIndex, compile_model
 
 # A trunk on two legs with round feet, which may touch each other, and a can, whose rims are points.
@@ -54,9 +54,7 @@ def test_the_law_is_the_files_with_the_smoothing_of_plans():
     m, model = Mechanism.from_mjcf(standing(), contacts="file"), compile_model(standing())
     pair = next(one for one in ModelIndex(model).pairs if model.geom("left").id in one.geoms)
     law, files = m.contacts[0].law, file_law(model, pair)
-    weight = 8.0 * 9.81  # the trunk's and the legs', the heavier of the two that stand
-    assert (law.ramp, law.bend) == (FILE_RAMP, 0.5)
-    assert law.force_ramp == pytest.approx(FORCE_RAMP_SHARE * weight)
+    assert (law.ramp, law.force_ramp, law.bend) == FILE_SMOOTHING
     for name in ("stiffness", "damping", "friction", "impratio", "lead", "cone", "impedance"):
         assert getattr(law, name) == getattr(files, name)
     deep = 2.0 * files.impedance[2]  # where the impedance no longer rises

@@ -33,6 +33,7 @@ from planner.model.mjcf.model_index import Pair, disabled, field, named
 
 MIN_IMPEDANCE, MAX_IMPEDANCE = 1e-4, 0.9999  # mjMINIMP, mjMAXIMP
 _MIN_FRICTION, _TINY = 1e-5, 1e-15  # mjMINMU, mjMINVAL
+FILE_SMOOTHING = (1e-3, 0.0, 0.5)  # ramp, m, force ramp, N, and bend of a plan that has these laws
 _DEFAULT_SOLREF = (0.02, 1.0)
 
 

@@ -63,8 +63,6 @@ MAX_FRICTION = 1.0  # where the file has more, the plan keeps the rest as a marg
 FASTEST = 2000.0  # 1/s: what 16 substeps of a stage of 10 ms follow, and some to spare for other poses
 UNCERTAINTY = 4.0  # how many times softer a foot may find the file's contact; with 3 to 6 replays end nearly alike
 MAX_KEYFRAMES = 10
-FILE_RAMP = 2e-3  # m, of a plan's contacts with the file's law: a foot at 1 m/s crosses it in 2 ms, MuJoCo's usual step
-FORCE_RAMP_SHARE = 0.04  # of the weight, the ramp of each edge's force: with less a solve takes more iterations
 TOGETHER = 0.1  # of a foot's size: points that are no higher above its lowest one stand together
 
 
@@ -112,12 +110,6 @@ def _for_mass(survey: ModelIndex, pair: Pair) -> Ground:
         recess, slope = 0.0, min(LOAD * weight / depth, usual.stiffness)
     law = ContactLaw.resting(mass, gravity=gravity, sink=weight / slope, ramp=usual.ramp, **own)
     return Ground(replace(law, uncertainty=UNCERTAINTY), recess)
-
-
-def file_smoothing(survey: ModelIndex, pairs: Iterable[Pair]) -> tuple[float, float]:
-    """The ramp, m, and the ramp of the force, N, of a plan whose contacts have the file's own law (file_law)."""
-    weight = max(mass_of(survey, pair) for pair in pairs) * float(np.linalg.norm(survey.model.opt.gravity))
-    return FILE_RAMP, FORCE_RAMP_SHARE * weight
 
 
 def friction_of(pair: Pair) -> float:
