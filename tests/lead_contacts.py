@@ -9,7 +9,8 @@ import numpy as np
 from planner.dynamics import bias, mass_matrix
 from planner.dynamics.contacts import contact_force, contact_kinematics
 
-MAX_ITERATIONS, HALVINGS = 100, 60
+MAX_ITERATIONS, HALVINGS = 100, 40
+ROUNDING = 1e-13  # of the accelerations, what a step may be at the end
 
 
 def accelerations(mechanism, q, v, tau):
@@ -31,14 +32,13 @@ def accelerations(mechanism, q, v, tau):
         return r, H
 
     a = np.linalg.solve(M, free)
-    scale = np.abs(free).max() + np.abs(M).max()
     for _ in range(MAX_ITERATIONS):
         r, H = residual(a)
-        if np.abs(r).max() <= 1e-13 * scale:  # rounding
-            break
         step = -np.linalg.solve(H, r)
+        if np.abs(step).max() <= ROUNDING * (1.0 + np.abs(a).max()):
+            return a + step
         a = a + _length(residual, a, step) * step
-    return a
+    raise AssertionError("Newton's method has not converged")
 
 
 def _length(residual, a, step):

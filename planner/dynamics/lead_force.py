@@ -26,10 +26,8 @@ def contact_frames(n: np.ndarray) -> np.ndarray:
 
 
 def edges(law: ContactLaw, n: np.ndarray) -> np.ndarray:
-    """(K, E, 3) directions of the force of a pyramidal cone, or of a contact without friction."""
+    """(K, 4, 3) directions of the force of a pyramidal cone, which are all n without friction."""
     frames, mu = contact_frames(n), law.friction
-    if mu == 0.0:
-        return frames[:, :1]
     return np.stack([n + side * mu * frames[:, k] for k in (1, 2) for side in (1.0, -1.0)], axis=1)
 
 
@@ -47,7 +45,7 @@ def lead_force(
         x: (K, 3) m/s, the velocity relative to the surface a lead later.
     """
     (k, dk), (b, db) = spring, damping
-    if law.cone == "elliptic" and law.friction > 0.0:
+    if law.is_round:
         root = np.sqrt(law.impratio)
         W = root * np.eye(3) + (1.0 - root) * n[:, :, None] * n[:, None]
         Wx = np.einsum("kab,kb->ka", W, x)
@@ -56,7 +54,7 @@ def lead_force(
         by_e = np.einsum("kab,kb->ka", by, dk[:, None] * n - db[:, None] * Wx)
         return np.einsum("kab,kb->ka", W, g), by_e, -b[:, None, None] * (by @ W)
     d = edges(law, n)
-    share = 1.0 / d.shape[1]
+    share = 0.25
     along = np.einsum("kea,ka->ke", d, x)
     y, f = share * (k[:, None] - b[:, None] * along), float(law.force_ramp or 0.0)
     slope = np.clip(y / f, 0.0, 1.0) if f > 0.0 else (y > 0.0).astype(float)

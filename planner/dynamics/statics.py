@@ -185,7 +185,7 @@ def _newton(by_q: np.ndarray, uphill: np.ndarray, longest: float) -> np.ndarray:
 
 
 class _Steepness:
-    """Gradient and Hessian of the potential energy along the unactuated directions."""
+    """Gradient and Hessian of potential energy, that of contacts and stops too, along the unactuated directions."""
 
     def __init__(self, mechanism: Mechanism, free: np.ndarray) -> None:
         self._mechanism, self._free = mechanism, free

@@ -1,6 +1,7 @@
 """Contact laws with a lead: MuJoCo's accelerations of files with usual contacts, derivatives against differences."""
 
 import itertools
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -8,7 +9,8 @@ from contact_machines import moved
 from lead_contacts import accelerations
 from trees import mujoco
 
-from planner.dynamics.contacts import contact_force
+from planner.dynamics import RigidBodyDynamics
+from planner.dynamics.contacts import contact_force, contact_forces
 from planner.model.contact.laws import ContactLaw
 from planner.model.mechanism import Mechanism
 
@@ -28,7 +30,7 @@ LEGS = (
     HEAD
     + """<geom name="floor" type="plane" size="0 0 1"/>
   <body name="trunk" pos="0 0 .55"><freejoint/><geom type="box" size=".1 .15 .1" mass="6" contype="0" conaffinity="0"/>
-    <body pos="0 .1 -.1"><joint axis="0 1 0" ref=".5" damping=".2"/><joint axis="1 0 0"/>
+    <body pos="0 .1 -.1"><joint name="hip" axis="0 1 0" ref=".5" damping=".2"/><joint axis="1 0 0"/>
       <geom type="capsule" fromto="0 0 -.05 0 0 -.2" size=".03" mass="1" contype="0" conaffinity="0"/>
       <body pos="0 0 -.2"><joint axis="0 1 0" armature=".01"/><geom name="foot" pos="0 0 -.22" size=".03" mass=".2"/>
         </body></body>
@@ -36,6 +38,10 @@ LEGS = (
       <geom type="capsule" fromto="0 0 -.05 0 0 -.2" size=".03" mass="1" contype="0" conaffinity="0"/>
       <body pos="0 0 -.2"><joint axis="0 1 0"/><geom pos="0 0 -.22" size=".03" mass=".2"/></body></body></body>
   </worldbody></mujoco>"""
+)
+
+DRIVEN = LEGS.format(cone="pyramidal", impratio=1, condim=3, solref=".02 1", solimp=".9 .9 .001").replace(
+    "</mujoco>", '<actuator><motor joint="hip"/></actuator></mujoco>'
 )
 
 RAFT = (
@@ -177,3 +183,19 @@ def test_deep_inside_a_smoothed_law_presses_as_the_sharp_one():
     law, depth = LAWS["pyramid"], 0.03
     f = contact_force(law, np.array([[0.0, 0.0, 1.0]]), np.array([depth + law.surface_offset]), np.zeros((1, 3)))[0]
     assert f[0, 2] == pytest.approx(law.stiffness * depth, rel=1e-12)
+
+
+@pytest.mark.parametrize("law", LAWS.values(), ids=LAWS)
+def test_kernels_have_the_accelerations_of_the_reference(law):
+    m = Mechanism.from_mjcf(DRIVEN, contacts="model")
+    m = replace(m, contacts=tuple(replace(contact, law=law) for contact in m.contacts))
+    dynamics, hip = RigidBodyDynamics(m, 0.01), m.joint_links[m.joint_names.index("hip")].start
+    pressed = 0
+    for q, v, _ in moving(2, -0.006, 0.003)(m):
+        tau = np.zeros(m.nv)
+        tau[hip] = 3.0
+        ours = dynamics.rates(np.concatenate([q, v])[None], np.array([[3.0]]))[0, m.nv :]
+        expected = accelerations(m, q, v, tau)
+        np.testing.assert_allclose(ours, expected, atol=1e-8 * np.abs(expected).max())
+        pressed += np.count_nonzero(contact_forces(m, q, v).depths > 0.0)
+    assert pressed > 10

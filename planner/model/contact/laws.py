@@ -27,8 +27,8 @@ and s = s(e; a/2), a pyramidal cone has the sum over four edges d = n +- mu t1, 
 
     r(y; f) d,   y = (K depth - B s d'x) / 4,   r = ramp, r(y; 0) = max(y, 0)
 
-with t1, t2 of MuJoCo's contact frame; without friction it is one edge, r(K depth - B s x_n; f) n. An elliptic
-cone has, with i = impratio and (g_n, g_t) the point of |g_t| <= m g_n, m = mu / sqrt(i), that is nearest to (y_n, y_t),
+with t1, t2 of MuJoCo's contact frame; so has a contact without friction, whose edges are all n. An elliptic cone
+has, with i = impratio and (g_n, g_t) the point of |g_t| <= m g_n, m = mu / sqrt(i), that is nearest to (y_n, y_t),
 
     f_n = g_n,   f_t = sqrt(i) g_t,   y_n = K depth - B s x_n,   y_t = -B s sqrt(i) x_t.
 
@@ -129,14 +129,19 @@ class ContactLaw(Law):
         first, last, width, midpoint = self.impedance
         if not (0.0 < first < 1.0 and 0.0 < last < 1.0 and width > 0.0 and 0.0 < midpoint < 1.0):
             raise PlannerError(f"impedance is {self.impedance}, expected d_0, d_1, a width and a midpoint of 0 to 1.")
-        if self.lead > 0.0 and self.cone == "elliptic" and self.friction > 0.0 and self.impratio == math.inf:
+        if self.lead > 0.0 and self.is_round and self.impratio == math.inf:
             raise PlannerError("impratio is inf, expected a finite number for an elliptic cone with a lead.")
 
     @property
     def surface_offset(self) -> float:
-        """How far the law's surface is raised, m; each edge of a pyramidal cone has a ramp of its own."""
-        edges = 4 if self.lead > 0.0 and self.cone == "pyramidal" and self.friction > 0.0 else 1
-        return 0.5 * self.ramp + 0.5 * edges * float(self.force_ramp or 0.0) / self.stiffness
+        """How far the law's surface is raised, m: edges of a pyramid have ramps of their own, elliptic cones none."""
+        ramps = 1 if self.lead == 0.0 else 0 if self.is_round else 4
+        return 0.5 * self.ramp + 0.5 * ramps * float(self.force_ramp or 0.0) / self.stiffness
+
+    @property
+    def is_round(self) -> bool:
+        """Whether friction has an elliptic cone; a contact without friction is a pyramid of no width."""
+        return self.cone == "elliptic" and self.friction > 0.0
 
     @classmethod
     def resting(

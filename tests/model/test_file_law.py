@@ -1,0 +1,106 @@
+"""contacts = "file": planes keep the law that MuJoCo computes from the file's numbers, in plan and replay."""
+
+import numpy as np
+import pytest
+from trees import mujoco
+
+from planner.base.errors import ModelError, PlannerError
+from planner.model.contact.laws import ContactLaw
+from planner.model.mechanism import Mechanism
+from planner.model.mjcf.file_law import FILE_SMOOTHING, file_law
+from planner.model.mjcf.ground_law import rest_penetration
+from planner.model.mjcf.model_index import ModelIndex, compile_model
+
+# A trunk on two legs with round feet, which may touch each other, and a can, whose rims are points.
+STANDING = """<mujoco><option cone="{cone}" impratio="3"/>
+  <default><geom condim="{condim}" friction=".8 .02 .001"/></default>
+  <worldbody><geom name="floor" type="plane" size="0 0 1" {floor}/><body name="trunk" pos="0 0 .5"><freejoint/>
+    <geom type="box" size=".1 .1 .1" mass="6" contype="0" conaffinity="0"/>
+    <body name="left"><joint name="hip" axis="0 1 0"/><geom name="left" pos="0 .1 -.451" size=".05" mass="1"/></body>
+    <body name="right"><joint axis="0 1 0"/><geom name="right" pos="0 -.1 -.451" size=".05" mass="1"/></body></body>
+  <body name="can" pos="1 0 .0995"><freejoint/><geom name="can" type="cylinder" size=".05 .1" mass="1"/></body>
+  </worldbody><actuator><motor joint="hip"/></actuator></mujoco>"""
+
+
+def standing(cone="pyramidal", condim=3, floor=""):
+    return STANDING.format(cone=cone, condim=condim, floor=floor)
+
+
+def accelerations(text, assets, q, v):
+    """MuJoCo's qacc of a model, without the can."""
+    model = mujoco.MjModel.from_xml_string(text, assets)
+    data = mujoco.MjData(model)
+    data.qpos[:], data.qvel[:] = q, v
+    mujoco.mj_forward(model, data)
+    return data.qacc[:-6]
+
+
+@pytest.mark.parametrize("cone", ["pyramidal", "elliptic"])
+def test_the_replayed_model_has_the_accelerations_of_the_file(cone):
+    m = Mechanism.from_mjcf(standing(cone), contacts="file")
+    assert m.contacts_mode == "file"
+    assert m.contacts_choice.startswith("contacts of 3 pairs with planes are planned with the file's own law; 3 other")
+    rng = np.random.default_rng(0)
+    for _ in range(5):
+        q, v = m.home[: m.nq], rng.normal(size=m.nv) * 0.1
+        ours, files = accelerations(m.mjcf, m.assets, q, v), accelerations(standing(cone), {}, q, v)
+        np.testing.assert_allclose(ours, files, atol=1e-5 * np.abs(files).max())  # MuJoCo's tolerance is 1e-8
+    again = Mechanism.from_mjcf(m.mjcf)  # as a stored plan is read
+    assert again.contacts_mode == "model"
+    assert [one.law for one in again.contacts] == [one.law for one in m.contacts]
+
+
+def test_the_law_is_the_files_with_the_smoothing_of_plans():
+    m, model = Mechanism.from_mjcf(standing(), contacts="file"), compile_model(standing())
+    pair = next(one for one in ModelIndex(model).pairs if model.geom("left").id in one.geoms)
+    law, files = m.contacts[0].law, file_law(model, pair)
+    assert (law.ramp, law.force_ramp, law.bend) == FILE_SMOOTHING
+    for name in ("stiffness", "damping", "friction", "impratio", "lead", "cone", "impedance"):
+        assert getattr(law, name) == getattr(files, name)
+    deep = 2.0 * files.impedance[2]  # where the impedance no longer rises
+    assert rest_penetration(model, pair, files.stiffness * deep)[0] == pytest.approx(deep)
+
+
+def test_a_cone_of_four_or_six_dimensions_presses_as_in_mujoco():
+    """At rest all of its edges press; a box whose corners are equally deep neither turns nor slides."""
+    text = """<mujoco><default><geom condim="{}" solimp=".9 .9 .001"/></default><worldbody>
+      <geom type="plane" size="0 0 1"/><body pos="0 0 .0495"><freejoint/><geom type="box" size=".1 .1 .05" mass="2"/>
+      </body></worldbody></mujoco>"""
+    for condim in (1, 3, 4, 6):
+        model = compile_model(text.format(condim), name=f"condim {condim}")
+        data, law = mujoco.MjData(model), file_law(model, ModelIndex(model).pairs[0])
+        mujoco.mj_forward(model, data)
+        share = 1.0 + 4.0 * law.damping * law.lead / 2.0  # f = 4 (K depth - B lead a), 2 kg a = f - 2 kg g
+        expected = (4.0 * law.stiffness * 5e-4 / 2.0 - 9.81) / share
+        assert data.qacc[2] == pytest.approx(expected, rel=1e-6)
+
+
+@pytest.mark.parametrize("cone", ["pyramidal", "elliptic"])
+@pytest.mark.parametrize("friction", [0.0, 0.7])
+def test_a_law_with_a_lead_that_is_given_is_replayed(cone, friction):
+    law = ContactLaw(2e4, 200.0, 1e-3, 2.0, 0.0, friction, 5.0, lead=0.01, cone=cone)
+    m = Mechanism.from_mjcf(standing().replace('condim="3"', 'condim="1"'), contacts=law)
+    for contact in m.contacts:
+        for name in ("stiffness", "damping", "ramp", "force_ramp", "friction", "bend", "lead"):
+            assert getattr(contact.law, name) == pytest.approx(getattr(law, name), rel=1e-12)
+        assert friction == 0.0 or (contact.law.cone == cone and contact.law.impratio == law.impratio)
+
+
+@pytest.mark.parametrize(
+    ("text", "contacts", "sentence"),
+    [
+        (standing(floor='margin=".01"'), "file", "margin 0.01, expected 0"),
+        (standing(floor='solref="-1000 0" priority="1"'), "file", "solref -1000 0, expected stiffness and damping"),
+        (
+            standing().replace('type="plane" size="0 0 1"', 'type="sphere" size=".1"'),
+            "file",
+            "nothing in the model meets a plane",
+        ),
+        (standing(), ContactLaw(2e4, 2.0, lead=1e-9), "which MuJoCo has no impedance for"),
+        (standing(), ContactLaw(2e4, 2.0, lead=1.0, impedance=(0.1, 0.9, 1.0, 0.5)), "expected a constant one"),
+    ],
+)
+def test_what_has_no_such_law_is_refused(text, contacts, sentence):
+    with pytest.raises((ModelError, PlannerError)) as error:
+        Mechanism.from_mjcf(text, contacts=contacts)
+    assert sentence in str(error.value)
