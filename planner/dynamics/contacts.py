@@ -232,10 +232,9 @@ def _force(place: PlaneContactKinematics | BodyContactKinematics) -> tuple[np.nd
 
 def _spring_and_damper(law: ContactLaw, e: np.ndarray) -> tuple[_Sloped, _Sloped]:
     """Force of the spring and damping of a law with a lead, each (K,) with its derivative by the penetration."""
-    r, (s, ds) = e - 0.5 * law.ramp, smoothstep(e, 0.5 * law.ramp)
-    depth, t = np.maximum(r, 0.0), (r > 0.0).astype(float)
+    (depth, t), (s, ds) = ramp(e, law.ramp), smoothstep(e, 0.5 * law.ramp)
     first, last, width, midpoint = law.impedance
-    x = np.clip(r / width, 0.0, 1.0)
+    x = np.clip((e - 0.5 * law.ramp) / width, 0.0, 1.0)
     above = x > midpoint
     rise = np.where(above, 1.0 - (1.0 - x) ** 2 / (1.0 - midpoint), x**2 / midpoint)
     slope = 2.0 * np.where(above, (1.0 - x) / (1.0 - midpoint), x / midpoint) / width

@@ -149,11 +149,11 @@ def soft_force(value, k, e, x):
     """Force of soft contact k at penetrations and velocities ahead, its derivative by e, and C."""
     b = k * SOFT_SIZE
     o, n = b + LAW, load3(value, b + NORMAL)
-    per, K = load(value, o + PER_RAMP), load(value, o + STIFFNESS)
-    h, r = clamp(2.0 * per * e), e - 0.5 * load(value, o + RAMP)
-    depth, t = maximum(r, 0.0), select(0.0, r, 1.0, 0.0)
-    early, early_e = h * h * (3.0 - 2.0 * h), 12.0 * h * (1.0 - h) * per
-    d, d_e, gain, gain_e = _impedance(value, o, r)
+    a, per_a, K = load(value, o + RAMP), load(value, o + PER_RAMP), load(value, o + STIFFNESS)
+    depth, t = ramp(e, a, per_a)
+    h = clamp(2.0 * per_a * e)
+    early, early_e = h * h * (3.0 - 2.0 * h), 12.0 * h * (1.0 - h) * per_a
+    d, d_e, gain, gain_e = _impedance(value, o, e - 0.5 * a)
     s, ds = early * gain, early_e * gain + early * gain_e
     K = K / load(value, o + LAST_IMPEDANCE)
     pressed = K * (d * s * depth)

@@ -22,9 +22,8 @@ it slips MuJoCo's projection onto the friction cone raises the normal force to
 
 A law with a `lead` is the force of MuJoCo's usual contact, of any file (model.mjcf.file_law). There the damper feels
 the velocity that the contact will have `lead` seconds later, x = v + lead J qacc, relative to the surface and without
-the Jacobian's own change, so the force depends on the acceleration. Its ramp is a cushion in front of the surface:
-within a/2 of it the damper sets in, s = s(e; a/2), and the spring begins at the surface, with depth = max(0, e - a/2), so
-that what rests is as deep as in the file. With x_n = n'x and x_t the rest, a pyramidal cone has the sum over four edges d = n +- mu t1, n +- mu t2 of
+the Jacobian's own change, so the force depends on the acceleration. With x_n = n'x, x_t the rest, depth = ramp(e; a)
+and s = s(e; a/2), a pyramidal cone has the sum over four edges d = n +- mu t1, n +- mu t2 of
 
     r(y; f) d,   y = (K depth - B s d'x) / 4,   r = ramp, r(y; 0) = max(y, 0)
 
