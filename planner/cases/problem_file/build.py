@@ -271,7 +271,7 @@ def _built(table: dict[str, Any], mechanism: Mechanism, where: str, constraints:
     x0, goal, notes = place_on_ground(mechanism, table, x0, goal)
     x0, goal, stops = _off_stops(mechanism, table, x0, goal)
     build = partial(again, mechanism, *constraints)
-    ramp = None if tasked or steps_of(table) else stance_ramp(mechanism, table, x0, goal)
+    ramp = stance_ramp(mechanism, table, x0, None if tasked or steps_of(table) else goal)
     if ramp is not None:
         mechanism = with_ramp(mechanism, ramp)
         x0, goal, _ = place_on_ground(mechanism, table, x0, goal)  # it stands elsewhere by a part of the ramp
