@@ -233,12 +233,7 @@ def _force(place: PlaneContactKinematics | BodyContactKinematics) -> tuple[np.nd
 def _spring_and_damper(law: ContactLaw, e: np.ndarray) -> tuple[_Sloped, _Sloped]:
     """Force of the spring and damping of a law with a lead, each (K,) with its derivative by the penetration."""
     (depth, t), (s, ds) = ramp(e, law.ramp), smoothstep(e, 0.5 * law.ramp)
-    first, last, width, midpoint = law.impedance
-    x = np.clip((e - 0.5 * law.ramp) / width, 0.0, 1.0)
-    above = x > midpoint
-    rise = np.where(above, 1.0 - (1.0 - x) ** 2 / (1.0 - midpoint), x**2 / midpoint)
-    slope = 2.0 * np.where(above, (1.0 - x) / (1.0 - midpoint), x / midpoint) / width
-    d, dd = first + (last - first) * rise, (last - first) * slope
+    (d, dd), last = law.impedance_at(e - 0.5 * law.ramp), law.impedance[1]
     scale = (1.0 - last) / last
     w, dw = scale * d / (1.0 - d), scale * dd / (1.0 - d) ** 2
     w, dw, K = s * w, ds * w + s * dw, law.stiffness / last

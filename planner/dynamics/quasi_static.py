@@ -92,7 +92,7 @@ def _supported_controls(
 
     still, nu = np.zeros(mechanism.nv), reach.shape[1]
     law = contact_forces(mechanism, q, still)
-    near = np.flatnonzero(law.depths > [-weight(mechanism) / c.law.stiffness for c in mechanism.contacts])
+    near = np.flatnonzero(law.depths > [-c.law.rest_depth(weight(mechanism)) for c in mechanism.contacts])
     J, pushing = contact_jacobians(mechanism, q, near), np.flatnonzero(law.forces.any(axis=1))
     pushed = np.einsum("kaj,ka->j", contact_jacobians(mechanism, q, pushing), law.forces[pushing])
     tau = tau - generalized_forces(mechanism, q, still) + pushed  # minus stops and exponential torques

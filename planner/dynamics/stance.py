@@ -121,10 +121,11 @@ def carriers(mechanism: Mechanism, links: np.ndarray) -> np.ndarray:
 
 def contact_stiffness(mechanism: Mechanism, q: np.ndarray) -> np.ndarray:
     """(nv,) N/m or N m/rad of the loaded contacts at q (nq,), as each degree of freedom feels it: sum_k K_k |J_k|^2."""
-    carry = np.flatnonzero(contact_forces(mechanism, q, np.zeros(mechanism.nv)).forces.any(axis=1))
+    loads = np.linalg.norm(contact_forces(mechanism, q, np.zeros(mechanism.nv)).forces, axis=1)
+    carry = np.flatnonzero(loads)
     if not carry.size:
         return np.zeros(mechanism.nv)
-    K = np.array([mechanism.contacts[k].law.stiffness for k in carry])
+    K = np.array([loads[k] / mechanism.contacts[k].law.rest_depth(float(loads[k])) for k in carry])
     return np.einsum("k,kaj->j", K, contact_jacobians(mechanism, q, carry) ** 2)
 
 

@@ -99,7 +99,7 @@ def lowered_to_ground(mechanism: Mechanism, x: np.ndarray) -> np.ndarray:
             continue
         deepest = int(own[np.argmax(depths[own])])
         load = g * float(mechanism.mass[root == first].sum())
-        way = depths[deepest] - load / mechanism.contacts[deepest].law.stiffness
+        way = depths[deepest] - mechanism.contacts[deepest].law.rest_depth(load)
         x, moves = mechanism.space.integrate(x, _extended(ways @ (way * along), mechanism.space.ndx)), moves + 1
     if not moves:
         raise PlannerError("the machine cannot be lowered as a whole, expected a trunk on a slide or a free joint.")

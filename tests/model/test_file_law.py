@@ -57,8 +57,8 @@ def test_the_law_is_the_files_with_the_smoothing_of_plans():
     assert (law.ramp, law.force_ramp, law.bend) == FILE_SMOOTHING
     for name in ("stiffness", "damping", "friction", "impratio", "lead", "cone", "impedance"):
         assert getattr(law, name) == getattr(files, name)
-    deep = 2.0 * files.impedance[2]  # where the impedance no longer rises
-    assert rest_penetration(model, pair, files.stiffness * deep)[0] == pytest.approx(deep)
+    for load in (1.0, 20.0, 1e3):  # from where the impedance rises to where it no longer does
+        assert files.rest_depth(load) == pytest.approx(rest_penetration(model, pair, load)[0], rel=1e-6)
 
 
 def test_a_cone_of_four_or_six_dimensions_presses_as_in_mujoco():

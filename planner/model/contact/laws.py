@@ -88,6 +88,10 @@ class Law:
         """How far the law's surface is raised, m or rad, so that the force deep inside is stiffness times the depth."""
         return 0.5 * self.ramp + 0.5 * float(self.force_ramp or 0.0) / self.stiffness
 
+    def rest_depth(self, load: float) -> float:
+        """How deep a load, N or N m, presses at rest, m or rad, beyond the ramps."""
+        return load / self.stiffness
+
 
 @dataclass(frozen=True)
 class ContactLaw(Law):
@@ -137,6 +141,31 @@ class ContactLaw(Law):
         """How far the law's surface is raised, m: edges of a pyramid have ramps of their own, elliptic cones none."""
         ramps = 1 if self.lead == 0.0 else 0 if self.is_round else 4
         return 0.5 * self.ramp + 0.5 * ramps * float(self.force_ramp or 0.0) / self.stiffness
+
+    def impedance_at(self, depth: Any) -> tuple[Any, Any]:
+        """The impedance d at depths, m, and its derivative."""
+        first, last, width, midpoint = self.impedance
+        x = np.clip(depth / width, 0.0, 1.0)
+        above = x > midpoint
+        rise = np.where(above, 1.0 - (1.0 - x) ** 2 / (1.0 - midpoint), x**2 / midpoint)
+        slope = 2.0 * np.where(above, (1.0 - x) / (1.0 - midpoint), x / midpoint) / width
+        return first + (last - first) * rise, (last - first) * slope
+
+    def rest_depth(self, load: float) -> float:
+        """How deep a load, N, presses at rest, m, beyond the ramps: where the impedance still rises, deeper."""
+        last = self.impedance[1]
+
+        def carried(depth: float) -> float:
+            d = float(self.impedance_at(depth)[0])
+            return self.stiffness * depth * (d / last) * (d / (1.0 - d)) * (1.0 - last) / last
+
+        low = high = super().rest_depth(load)
+        while carried(high) < load * (1.0 - 1e-12):  # rounding
+            low, high = high, 2.0 * high
+        while high - low > 1e-9 * high:
+            middle = 0.5 * (low + high)
+            low, high = (low, middle) if carried(middle) > load else (middle, high)
+        return high
 
     @property
     def is_round(self) -> bool:

@@ -46,7 +46,7 @@ class ContactStateSampler:
         self.spacing = min((distance for distance in away if distance > _SLIGHT), default=np.inf)
         weight = self._mass() * float(np.linalg.norm(mechanism.gravity))
         radius = contact.radius if isinstance(contact, Contact) else contact.first.radius + contact.second.radius
-        wishes = [weight / contact.law.stiffness, _SHARE * radius if radius > 0.0 else _POINT * self.spacing]
+        wishes = [contact.law.rest_depth(weight), _SHARE * radius if radius > 0.0 else _POINT * self.spacing]
         self.depth = max(beyond_ramps(contact.law), min(wish for wish in wishes if wish > 0.0))
 
     def _beside(self, other: Contact) -> bool:
