@@ -179,6 +179,17 @@ def test_a_start_at_a_stop_is_put_off_it(tmp_path):
     refuse(problem_file(tmp_path, goal="{ turn = 1.02 }", text=stopped), "the goal has turn at 1.02 rad")
 
 
+def test_a_joint_that_others_follow_is_put_off_its_stop_with_them(tmp_path):
+    tied = REACH.replace(
+        "<actuator>", '<equality><joint joint1="turn" joint2="slide" polycoef="0.9 1 0 0 0"/></equality><actuator>'
+    )
+    tied = tied.replace('<motor name="twist" joint="turn" ctrlrange="-4 4"/>', "")
+    file = problem_file(tmp_path, goal="{ slide = 0.0 }", text=tied)
+    file.write_text(file.read_text().replace("[0.0, 0.0]", "[-0.5, 0.4]"), encoding="utf-8")
+    slide = -0.5 + START_OFFSET
+    np.testing.assert_allclose(load(file).problem.x0[:2], [slide, 0.9 + slide])
+
+
 PASSIVE = """
 <mujoco><compiler angle="radian"/><default><geom contype="0" conaffinity="0"/></default>
 <worldbody><body>
