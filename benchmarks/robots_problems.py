@@ -326,7 +326,7 @@ def _driven(model: mujoco.MjModel, qpos: np.ndarray) -> np.ndarray:
 
 
 def _tied(model: mujoco.MjModel, qpos: np.ndarray, driven: np.ndarray) -> np.ndarray:
-    """Positions where equalities between joints, and between tendons, take the joints that nothing drives."""
+    """Positions where equalities of joints, tendons and chains take the joints that nothing drives."""
     qpos, data = qpos.copy(), mujoco.MjData(model)
     kinds, active = mujoco.mjtEq, model.eq_active0 == 1
     for i in np.flatnonzero((model.eq_type == kinds.mjEQ_JOINT) & active):
@@ -336,7 +336,7 @@ def _tied(model: mujoco.MjModel, qpos: np.ndarray, driven: np.ndarray) -> np.nda
             way = qpos[model.jnt_qposadr[second]] - model.qpos0[model.jnt_qposadr[second]]
         address = model.jnt_qposadr[first]
         qpos[address] = model.qpos0[address] + np.polynomial.polynomial.polyval(way, model.eq_data[i, :5])
-    if not np.any((model.eq_type == kinds.mjEQ_TENDON) & active):
+    if not np.any(active & (model.eq_type != kinds.mjEQ_JOINT)):
         return qpos
     for _ in range(TIES):
         data.qpos[:] = qpos

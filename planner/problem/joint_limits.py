@@ -20,8 +20,8 @@ import numpy as np
 from planner.base.arguments import choice, number, short_repr, toml_key
 from planner.base.errors import PlannerError
 from planner.dynamics import Dynamics
+from planner.dynamics.assembly import assembled
 from planner.model.coordinates import ANGLE, LENGTH, Coordinate
-from planner.model.couplings import closed_state
 from planner.model.mechanism import SCREW, Mechanism
 from planner.model.space import space_of
 from planner.model.tendons import FixedTendon
@@ -99,8 +99,8 @@ def moved_inside_limits(
     """A state (nx,) whose joints outside of the model's ranges by at most a margin are moved to the limit.
 
     A start at the limit is moved inside by START_OFFSET, because coupling forces may first move the joint towards the
-    limit; a goal by GOAL_OFFSET. Joints that follow others go with them. Unchanged are those in `limited`, which have a
-    range from the user.
+    limit; a goal by GOAL_OFFSET. Joints that follow others go with them, and chains stay closed. Unchanged are those in
+    `limited`, which have a range from the user.
 
     Returns:
         The state, and a message about the moved joints; `what` is "start" or "goal". "" if none was moved.
@@ -121,7 +121,7 @@ def moved_inside_limits(
         return x, ""
     others = f" and {len(names) - 1} more" if len(names) > 1 else ""
     message = f"the {what} has {names[0]}{others} at a stop and is put off it, by up to {largest:.2g} rad or m."
-    return closed_state(mechanism, moved), message
+    return assembled(mechanism, moved, name=f"the {what} off its stops"), message
 
 
 def starts_at_limit(mechanism: Mechanism, what: str, x: np.ndarray, limited: Collection[str]) -> str:
