@@ -67,7 +67,9 @@ def test_a_start_at_a_stop_is_put_off_it_with_the_chain_closed(tmp_path):
     model = tmp_path / "four_bar.xml"
     text = model.read_text(encoding="utf-8")
     assert '<joint name="crank"' in text
-    model.write_text(text.replace('<joint name="crank"', '<joint name="crank" range="-68.75493541569878 170"'), encoding="utf-8")
+    model.write_text(
+        text.replace('<joint name="crank"', '<joint name="crank" range="-68.75493541569878 170"'), encoding="utf-8"
+    )
     problem = load(path).problem
     m = problem.dynamics.mechanism
     assert problem.x0[0] > -1.2
