@@ -46,7 +46,7 @@ WITH_GAINS = "path_with_gains_over_its_bound"
 PHYSICAL = (  # words of the reasons that lie in a machine or its file, and not in the planner
     "contradicts itself", "No plan stays at the goal", "does not balance by itself", "No duration lets the actuators",
     "overlap or lie flush at the start", "overlap by", "in the goal itself",
-    "equalities and ranges of the file together leave",
+    "equalities and ranges of the file together leave", "The equalities of your file give", "has the inertia of",
 )  # fmt: skip
 VERDICT = re.compile(r"^(PASS|FAIL)\b")
 CHILD = """

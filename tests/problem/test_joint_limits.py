@@ -190,6 +190,29 @@ def test_a_joint_that_others_follow_is_put_off_its_stop_with_them(tmp_path):
     np.testing.assert_allclose(load(file).problem.x0[:2], [slide, 0.9 + slide])
 
 
+SHARED = """
+<mujoco><default><geom size="0.05" contype="0" conaffinity="0"/><joint type="slide" axis="1 0 0" damping="1"/></default>
+<worldbody>
+  <body><joint name="a"/><geom/></body>
+  <body><joint name="b" range="0 1" limited="true"/><geom/></body>
+  <body><joint name="c" range="0 1" limited="true"/><geom/></body>
+</worldbody>
+<tendon><fixed name="sum">
+  <joint joint="a" coef="1"/><joint joint="b" coef="1"/><joint joint="c" coef="1"/>
+</fixed></tendon>
+<equality><tendon tendon1="sum" polycoef="1 0 0 0 0"/></equality>
+<actuator><motor joint="a"/><motor joint="b"/></actuator></mujoco>
+"""
+
+
+def test_a_joint_stays_at_its_stop_where_what_follows_it_would_leave_its_own(tmp_path):
+    """a + b + c = 1: b off its stop at 0 would take c below 0."""
+    (tmp_path / "shared.xml").write_text(SHARED)
+    text = 'model = "shared.xml"\nstart = [1, 0, 0]\ngoal = { a = 0.7, b = 0.2 }\nduration = 1.0\n'
+    (tmp_path / "shared.toml").write_text(text)
+    np.testing.assert_array_equal(load(tmp_path / "shared.toml").problem.x0[:3], [1.0, 0.0, 0.0])
+
+
 PASSIVE = """
 <mujoco><compiler angle="radian"/><default><geom contype="0" conaffinity="0"/></default>
 <worldbody><body>
