@@ -7,7 +7,10 @@ and a package that is not there is left out. The problem files follow one rule (
 child process of its own and 120 s. load: reading the files and building the problem, in a process that has imported the
 package. plan: the solve. verdict: from the start of the command to its first line of verdict, imports and compiled
 kernels that are read from the disk included; run twice after a change to the kernels. A verdict with "(physical)" has a
-reason that lies in the machine or its file: a pose that falls over, equalities and ranges without a pose.
+reason that lies in the machine or its file: a pose that falls over, equalities and ranges without a pose. peak: of the
+joints that move by at least MOVES of their range, the largest peak speed beside that of a minimum-jerk motion of the
+same displacement and duration. with gains: the largest error of the path in the machine's file with the plan's gains,
+over its bound.
 """
 
 from __future__ import annotations
@@ -26,6 +29,8 @@ import time
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
+import numpy as np
+
 ROOT = Path(__file__).resolve().parents[1]
 sys.path[:0] = [str(ROOT), str(ROOT / "benchmarks")]
 
@@ -34,10 +39,14 @@ from robots_problems import problem_text  # noqa: E402
 from robots_table import KINDS, MACHINES, Machine  # noqa: E402
 
 LIMIT = 120.0  # s for a machine
+MOVES = 0.05  # of a range
+MIN_JERK_PEAK = 1.875  # times displacement / duration
+MOST_PEAK = 3.0  # times that of minimum jerk: more needs a reason
+WITH_GAINS = "path_with_gains_over_its_bound"
 PHYSICAL = (  # words of the reasons that lie in a machine or its file, and not in the planner
     "contradicts itself", "No plan stays at the goal", "does not balance by itself", "No duration lets the actuators",
     "overlap or lie flush at the start", "overlap by", "in the goal itself",
-    "equalities and ranges of the file together leave",
+    "equalities and ranges of the file together leave", "The equalities of your file give", "has the inertia of",
 )  # fmt: skip
 VERDICT = re.compile(r"^(PASS|FAIL)\b")
 CHILD = """
@@ -49,6 +58,9 @@ if code != 2:
     from planner.cases.problem_file import load
     load(sys.argv[1])
 print(f"@load {time.perf_counter() - began:.4f}", file=sys.stderr)
+if code != 2:
+    from robots import peak
+    print(f"@peak {peak(sys.argv[2])}", file=sys.stderr)
 sys.exit(code)
 """
 
@@ -66,6 +78,8 @@ class Row:
     load: float | None = None
     plan: float | None = None
     verdict_seconds: float | None = None
+    peak: float | None = None  # speed, times that of a minimum-jerk motion
+    with_gains: float | None = None  # error of the path in the file, over its bound
     cure: str = ""  # the first that a FAIL names
 
     @property
@@ -90,7 +104,8 @@ def tried(machine: Machine, packages: Path, limit: float = LIMIT, goals: Goals |
 
 
 def _run(machine: Machine, folder: Path, limit: float) -> Row:
-    environment = os.environ | {"PYTHONPATH": str(ROOT), "PYTHONWARNINGS": "ignore"}
+    places = os.pathsep.join((str(ROOT), str(ROOT / "benchmarks")))
+    environment = os.environ | {"PYTHONPATH": places, "PYTHONWARNINGS": "ignore"}
     began = time.perf_counter()
     child = subprocess.Popen(
         [sys.executable, "-c", CHILD, str(folder / "problem.toml"), str(folder / "out")],
@@ -110,7 +125,7 @@ def _run(machine: Machine, folder: Path, limit: float) -> Row:
     child.stdout.close(), child.stderr.close()
     row = Row(*_words(machine), _joints(folder / "problem.toml"), "no verdict", "")
     verdicts = [(seconds, line) for seconds, line in lines if VERDICT.match(line)]
-    row.load = next((float(line.split()[1]) for _, line in lines if line.startswith("@load")), None)
+    row.load, row.peak = (_last_number(lines, mark) for mark in ("@load", "@peak"))
     row.verdict_seconds = verdicts[0][0] if verdicts else None
     try:
         document = json.loads(output)
@@ -127,6 +142,8 @@ def _run(machine: Machine, folder: Path, limit: float) -> Row:
             row.message = _line(next((line for _, line in reversed(lines) if not line.startswith("@")), ""))
         return row
     plan, proof = document["plan"], document["proof"]
+    figures = {} if proof is None else proof["your_file"].get("figures", {})
+    row.with_gains = figures.get(WITH_GAINS, {}).get("value")
     row.plan = document["solve_seconds"]
     row.verdict = "FAIL" if proof is None else proof["verdict"]
     row.message = _line(plan["message"] if proof is None else proof["reason"])
@@ -134,6 +151,25 @@ def _run(machine: Machine, folder: Path, limit: float) -> Row:
         row.verdict, row.message = "FAIL", _line(plan["message"])
     row.cure = next((_line(one["sentence"]) for one in document.get("cures", ())), "")
     return row
+
+
+def peak(folder: str) -> float | None:
+    """The largest peak speed over that of minimum jerk, of the joints of a plan in a folder that move by MOVES."""
+    from planner import load_plan
+
+    plan = load_plan(Path(folder) / "plan.npz")
+    assert plan.problem is not None  # planned from a problem file
+    mechanism = plan.problem.dynamics.mechanism
+    way = np.abs(plan.space.difference(plan.xs[-1], plan.xs[0]))[: mechanism.nv]
+    width = np.ptp(mechanism.joint_range, axis=1)
+    moves = np.isfinite(width) & (way > 0.0) & (way >= MOVES * width)
+    speeds = np.abs(plan.xs[:, mechanism.nq : mechanism.nq + mechanism.nv]).max(axis=0)
+    return float((speeds[moves] * plan.t[-1] / (MIN_JERK_PEAK * way[moves])).max()) if moves.any() else None
+
+
+def _last_number(lines: list[tuple[float, str]], mark: str) -> float | None:
+    words = next((line.split()[1] for _, line in reversed(lines) if line.startswith(mark)), "None")
+    return None if words == "None" else float(words)
 
 
 def _words(machine: Machine) -> tuple[str, str, str]:
@@ -158,11 +194,13 @@ def _cells(row: Row, most: int) -> list[str]:
     message = row.message if len(row.message) <= most else f"{row.message[: most - 3]}..."
     message += f" To pass: {row.cure}" if row.cure else ""
     verdict = f"{row.verdict} (physical)" if row.is_physical else row.verdict
-    return [row.package, row.machine, row.kind, str(row.joints or ""), verdict, _seconds(row.load),
-            _seconds(row.plan), _seconds(row.verdict_seconds), message.replace("|", "/")]  # fmt: skip
+    numbers = (row.load, row.plan, row.verdict_seconds, row.peak, row.with_gains)
+    words = [row.package, row.machine, row.kind, str(row.joints or ""), verdict]
+    return [*words, *map(_seconds, numbers), message.replace("|", "/")]
 
 
-HEADS = ["package", "machine", "kind", "positions", "verdict", "load, s", "plan, s", "verdict, s", "message"]
+HEADS = ["package", "machine", "kind", "positions", "verdict", "load, s", "plan, s", "verdict, s", "peak", "with gains",
+         "message"]  # fmt: skip
 
 
 def markdown(rows: list[Row]) -> str:
@@ -189,6 +227,12 @@ def summary(rows: list[Row]) -> str:
     ):
         known = [value for value in values if value is not None]
         text += f"; median {word} of arms {statistics.median(known):.2f} s" if known else ""
+    for word, values, most in (
+        (f"peak speed at most {MOST_PEAK:g} times minimum jerk's", [row.peak for row in passed], MOST_PEAK),
+        ("path with gains within its bound", [row.with_gains for row in passed], 1.0),
+    ):
+        known = [value for value in values if value is not None]
+        text += f"; {word} in {sum(value <= most for value in known)} of {len(known)} PASSes" if known else ""
     return text
 
 

@@ -283,14 +283,14 @@ def _meets(model: mujoco.MjModel, start: np.ndarray, way: np.ndarray, driven: np
 
 
 def _of_urdf(file: Path, kind: str, given: Goals) -> tuple[str, str]:
-    """The same, of the joints that a URDF gives an effort."""
+    """The same, of a URDF's joints: each that follows no other has a motor, without limits where the effort is 0."""
     starts, ways = {}, {}
     for joint in ElementTree.parse(file).getroot().findall("joint"):
         limit = joint.find("limit")
         moves = joint.get("type") in ("revolute", "prismatic", "continuous") and joint.find("mimic") is None
-        if not moves or limit is None or float(limit.get("effort", 0.0)) <= 0.0:
+        if not moves:
             continue
-        lower, upper = (float(limit.get(side, 0.0)) for side in ("lower", "upper"))
+        lower, upper = (0.0 if limit is None else float(limit.get(side, 0.0)) for side in ("lower", "upper"))
         limits = None if joint.get("type") == "continuous" or lower >= upper else np.array([lower, upper])
         starts[joint.get("name")] = 0.0 if limits is None else float(np.clip(0.0, *limits))
         ways[joint.get("name")] = given.way(starts[joint.get("name")], limits, kind)
@@ -326,7 +326,7 @@ def _driven(model: mujoco.MjModel, qpos: np.ndarray) -> np.ndarray:
 
 
 def _tied(model: mujoco.MjModel, qpos: np.ndarray, driven: np.ndarray) -> np.ndarray:
-    """Positions where equalities between joints, and between tendons, take the joints that nothing drives."""
+    """Positions where equalities of joints, tendons and chains take the joints that nothing drives."""
     qpos, data = qpos.copy(), mujoco.MjData(model)
     kinds, active = mujoco.mjtEq, model.eq_active0 == 1
     for i in np.flatnonzero((model.eq_type == kinds.mjEQ_JOINT) & active):
@@ -336,7 +336,7 @@ def _tied(model: mujoco.MjModel, qpos: np.ndarray, driven: np.ndarray) -> np.nda
             way = qpos[model.jnt_qposadr[second]] - model.qpos0[model.jnt_qposadr[second]]
         address = model.jnt_qposadr[first]
         qpos[address] = model.qpos0[address] + np.polynomial.polynomial.polyval(way, model.eq_data[i, :5])
-    if not np.any((model.eq_type == kinds.mjEQ_TENDON) & active):
+    if not np.any(active & (model.eq_type != kinds.mjEQ_JOINT)):
         return qpos
     for _ in range(TIES):
         data.qpos[:] = qpos

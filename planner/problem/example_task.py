@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 from typing import Any, NamedTuple
 
@@ -72,7 +73,11 @@ def conflict_as_drawn(mechanism: Mechanism) -> str:
             return f"{mechanism.joint_of(int(i))} is at {value:.4g}, outside of its range {low:.4g} to {high:.4g}"
     model = compile_model(mechanism.original or mechanism.mjcf, mechanism.assets)
     pairs = [one for one in overlaps(model, mechanism.qpos0) if "world" not in one.bodies]
-    return f"{pairs[0].shapes} overlap by {pairs[0].depth:.2g} m" if pairs else ""
+    if not pairs:
+        return ""
+    named = json.dumps([list(one.bodies) for one in pairs if all(one.bodies)], ensure_ascii=False)
+    advice = "" if named == "[]" else f", where the real ones do not touch write exclude = {named}"
+    return f"{pairs[0].shapes} overlap by {pairs[0].depth:.2g} m{advice}"
 
 
 def keyframe_within_ranges(mechanism: Mechanism) -> str:

@@ -20,7 +20,9 @@ import numpy as np
 from planner.base.arguments import choice, number, short_repr, toml_key
 from planner.base.errors import PlannerError
 from planner.dynamics import Dynamics
+from planner.dynamics.assembly import assembled
 from planner.model.coordinates import ANGLE, LENGTH, Coordinate
+from planner.model.couplings import closed_state
 from planner.model.mechanism import SCREW, Mechanism
 from planner.model.space import space_of
 from planner.model.tendons import FixedTendon
@@ -98,27 +100,40 @@ def moved_inside_limits(
     """A state (nx,) whose joints outside of the model's ranges by at most a margin are moved to the limit.
 
     A start at the limit is moved inside by START_OFFSET, because coupling forces may first move the joint towards the
-    limit; a goal by GOAL_OFFSET. Unchanged are coupled joints and those in `limited`, which have a range from the user.
+    limit; a goal by GOAL_OFFSET. Joints that follow others go with them, and chains stay closed. Unchanged are those in
+    `limited`, which have a range from the user, and those that would take what follows them out of its range.
 
     Returns:
         The state, and a message about the moved joints; `what` is "start" or "goal". "" if none was moved.
     """
-    coupled = {dof for coupling in mechanism.couplings for dof in coupling.dofs}
-    moved, names, largest = x.copy(), [], 0.0
-    for i, joint_range in model_ranges(mechanism, None).items():
+    following = () if mechanism.reduction is None else mechanism.reduction.dependent
+    result, names, largest = x.copy(), [], 0.0
+    ranges = model_ranges(mechanism, None)
+    for i, joint_range in ranges.items():
         name, address = mechanism.joint_names[_joint_index(mechanism, i)], int(mechanism.q_address[i])
         off = START_OFFSET if what == "start" else GOAL_OFFSET
         off = min(off, SHARE * (joint_range.model_upper - joint_range.model_lower))
         end = min(max(x[address], joint_range.model_lower + off), joint_range.model_upper - off)
         displacement = abs(end - x[address])
-        if 0.0 < displacement <= off + _margin(mechanism, name, i, None) and i not in coupled and name not in limited:
-            moved[address] = end
-            names.append(mechanism.joint_of(i))
-            largest = max(largest, float(displacement))
+        if 0.0 < displacement <= off + _margin(mechanism, name, i, None) and i not in following and name not in limited:
+            candidate = result.copy()
+            candidate[address] = end
+            candidate = closed_state(mechanism, candidate)
+            if _outside(mechanism, ranges, candidate) <= _outside(mechanism, ranges, result) + TENDON_ROUNDING:
+                result = candidate
+                names.append(mechanism.joint_of(i))
+                largest = max(largest, float(displacement))
     if not names:
         return x, ""
     others = f" and {len(names) - 1} more" if len(names) > 1 else ""
-    return moved, f"the {what} has {names[0]}{others} at a stop and is put off it, by up to {largest:.2g} rad or m."
+    message = f"the {what} has {names[0]}{others} at a stop and is put off it, by up to {largest:.2g} rad or m."
+    return assembled(mechanism, result, name=f"the {what} off its stops"), message
+
+
+def _outside(mechanism: Mechanism, ranges: Mapping[int, Range], x: np.ndarray) -> float:
+    """How far a state (nx,) is out of ranges, rad and m together."""
+    values = ((x[mechanism.q_address[i]], one) for i, one in ranges.items())
+    return float(sum(max(one.model_lower - value, value - one.model_upper, 0.0) for value, one in values))
 
 
 def starts_at_limit(mechanism: Mechanism, what: str, x: np.ndarray, limited: Collection[str]) -> str:

@@ -67,6 +67,7 @@ TITLE = "your file"
 OPEN_LOOP_MISSES = "open_loop_goals_missed"
 EQUALITY_RATE = "equality_rate"
 PATH_IN_FILE = "path_over_its_bound"  # above 1, its note is for the first line
+PATH_WITH_GAINS = "path_with_gains_over_its_bound"
 MAX_NAMED = 3  # pairs, joints or actuators in a sentence
 NEGLIGIBLE_FORCE = 1e-3  # of the machine's weight: smaller contact forces of flush shapes are ignored
 MAX_GAIN_EFFORT = 0.02  # of a control's largest value: larger corrections by the gains show unmodelled forces
@@ -304,12 +305,14 @@ def _path(run: Replay, without_gains: np.ndarray) -> list[Measurement]:
         how: list(worst_by_unit(plan, plan.space.difference(xs, run.plan_xs), allowed))
         for how, xs in (("with gains", run.xs), ("without gains", without_gains))
     }
-    how = min(errors, key=lambda how: max(one.share for one in errors[how]))
+    shares = {how: max(one.share for one in each) for how, each in errors.items()}
+    how = min(shares, key=lambda how: shares[how])
     worst = max(errors[how], key=lambda one: one.share)
     note = f"in your file {worst.value:.2g} {worst.unit} ({worst.name}) off its path {how}"
     bounds = [None if has_contacts(plan.problem) else one.bound for one in errors[how]]
     return [
         Measurement(PATH_IN_FILE, worst.share, "", None, note),
+        Measurement(PATH_WITH_GAINS, shares["with gains"], "", None, "the largest error at any step"),
         *(
             Measurement(f"largest_{one.word}_error", one.value, one.unit, bound,
                         f"of {one.name} from the plan, at any step, {how}")

@@ -6,8 +6,9 @@ converges as far from its goals as it began from slightly shaken controls.
 
 With contacts the easier problem has softer ones (solvers.softer_contacts): sinking ten times as deep, then less and
 less. Where objects are to be moved that nothing touches it has forces at a distance instead, from afar and then from
-nearer. Softer ones are also tried where a direct solve has not converged after MAX_QUICK_ITERATIONS; that goes on only
-where they lead to no plan that costs less. The last solve always has the contacts of the problem.
+nearer. Softer ones are also tried where a direct solve has not converged after MAX_QUICK_ITERATIONS, or twice as many
+where its plan meets the goals by then on feet that stay; that goes on only where they lead to no plan that costs less.
+The last solve always has the contacts of the problem.
 
 Bounds that act from the first iteration may trap a solve too. The free problem is easy; its plan is followed into the
 limits by a continuation (solvers.continuation) in the logarithm of the factor by which they are wider
@@ -39,7 +40,7 @@ from planner.problem.trajectory import Trajectory
 from planner.solvers.continuation import Continuation
 from planner.solvers.options import DEFAULT, SolverOptions
 from planner.solvers.other_guesses import other_guesses, shaken, swings
-from planner.solvers.softer_contacts import DistantContacts, SofterContacts, has_softer
+from planner.solvers.softer_contacts import DistantContacts, SofterContacts, has_softer, stays_on_feet
 from planner.solvers.warm_start import tracked_warm_start
 from planner.solvers.wider_limits import WiderLimits, at_limits, free_problem
 from planner.solvers.work import WorkBudget
@@ -204,6 +205,12 @@ class _Relaxation:
                 if not is_trapped(problem, direct, self.options):
                     return direct
         stopped = direct.status is Status.MAX_ITERATIONS and _look_iterations(problem) < limit
+        if (
+            stopped and stays_on_feet(problem, direct.xs) and _meets_goals(direct)
+        ):  # softer ones would find nothing else
+            direct = self._resumed(direct, direct.nit + int(MAX_QUICK_ITERATIONS))
+            if not is_trapped(problem, direct, self.options):
+                return direct
         plan = None
         if has_softer(problem):
             plan = self._by_forces_at_a_distance() if _failed(direct) else None

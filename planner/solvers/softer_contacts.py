@@ -22,7 +22,7 @@ from typing import Any
 
 import numpy as np
 
-from planner.dynamics.contacts import body_contact_forces
+from planner.dynamics.contacts import body_contact_forces, contact_forces
 from planner.dynamics.rigid_body import RigidBodyDynamics
 from planner.model.capabilities import roots
 from planner.model.contact.body_contact import BodyContact
@@ -109,3 +109,16 @@ def has_softer(problem: Problem) -> bool:
     return isinstance(dynamics, RigidBodyDynamics) and bool(
         dynamics.mechanism.contacts or dynamics.mechanism.body_contacts
     )
+
+
+def stays_on_feet(problem: Problem, xs: np.ndarray) -> bool:
+    """Whether each body that planes carry at some knot of xs (N+1, nx) is carried at all, and no bodies may touch."""
+    if not has_softer(problem):
+        return False
+    dynamics: Any = problem.dynamics
+    mechanism = dynamics.mechanism
+    q, qd = np.split(xs[:, : mechanism.nq + mechanism.nv], [mechanism.nq], axis=1)
+    pressed = np.any(contact_forces(mechanism, q, qd).forces, axis=2)  # (N+1, contacts)
+    links = np.array([contact.link for contact in mechanism.contacts])
+    loaded = np.array([pressed[:, links == link].any(axis=1) for link in np.unique(links)])
+    return not mechanism.body_contacts and bool(np.all(loaded.all(axis=1) == loaded.any(axis=1)))

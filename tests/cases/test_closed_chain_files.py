@@ -62,6 +62,20 @@ def four_bar(folder, **changed):
     return path
 
 
+def test_a_start_at_a_stop_is_put_off_it_with_the_chain_closed(tmp_path):
+    path = four_bar(tmp_path)
+    model = tmp_path / "four_bar.xml"
+    text = model.read_text(encoding="utf-8")
+    assert '<joint name="crank"' in text
+    model.write_text(
+        text.replace('<joint name="crank"', '<joint name="crank" range="-68.75493541569878 170"'), encoding="utf-8"
+    )
+    problem = load(path).problem
+    m = problem.dynamics.mechanism
+    assert problem.x0[0] > -1.2
+    assert np.abs(loops.misses(m, problem.x0[: m.nq])).max() < 1e-12
+
+
 def test_a_goal_is_reached_the_way_the_start_is_put_together():
     """In small steps of the crank: the rocker swings to and fro, and the coupler never turns over."""
     problem = load(FOLDER / "four_bar.toml").problem

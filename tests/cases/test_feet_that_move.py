@@ -123,7 +123,8 @@ def test_its_gains_stay_below_the_stiffness_of_its_ground(forward):
     ground = contact_stiffness(m, tracking_of(forward.cost).x_ref[-1][: m.nq])[2:]
     assert ground[1] == pytest.approx(m.contacts[0].law.stiffness)  # the leg presses straight on it
     gains = np.sqrt(np.array(weights_of(forward)["position"])[2:] / np.array(weights_of(forward)["effort"]))
-    np.testing.assert_allclose(gains, GAIN_SHARE * ground)
+    assert np.all(gains <= GAIN_SHARE * ground * (1.0 + 1e-12))
+    assert gains[1] == pytest.approx(GAIN_SHARE * ground[1])  # the hip's are lower, by what its range asks for
 
 
 def test_a_machine_whose_feet_stay_has_the_straight_line(tmp_path):
@@ -196,10 +197,10 @@ joints = {{ x = 0.0, hip = 0.0, leg = 0.15 }}
         # there 9.81 0.2 (1.4 - 0.2) / 2 = 1.18 m, and sqrt(8 1.36 / 9.81) = 1.05 s.
         (2.0, 0.2, 1.4, ("1.36 m higher", "allows 1.18 m at 0.2 s", "again at 1.4 s", "after 1.1 s or more")),
         # 300 N over 0.35 m and 60 N m over 120 degrees, less margins of 1 % at both ends, are 226 J for 6.2 kg:
-        # 8.54 m/s, or 3.7 m. Up to 5.36 m above its reach takes sqrt(2 9.81 5.36) = 10.25 m/s.
-        (6.0, 1.5, 3.0, ("leaves the ground at 10.3 m/s", "gives 8.54 m/s at most", "at most 3.7 m above")),
-        # In 0.1 s to 1.36 m: 1.36 / 0.1 + 9.81 0.1 / 2 m/s.
-        (2.0, 0.1, 30.0, ("leaves the ground at 14.1 m/s",)),
+        # 8.54 m/s, or 3.7 m. Up to 5.35 m above its reach takes sqrt(2 9.81 5.35) = 10.24 m/s.
+        (6.0, 1.5, 3.0, ("leaves the ground at 10.2 m/s", "gives 8.54 m/s at most", "at most 3.7 m above")),
+        # In 0.1 s to 1.35 m: 1.35 / 0.1 + 9.81 0.1 / 2 m/s.
+        (2.0, 0.1, 30.0, ("leaves the ground at 14 m/s",)),
     ],
 )
 def test_a_jump_that_cannot_be_is_refused(tmp_path, height, time, duration, fragments):

@@ -59,7 +59,7 @@ URDF = """
   <joint name="lift" type="prismatic"><parent link="base"/><child link="upper"/><axis xyz="0 0 1"/>
     <limit lower="0.1" upper="0.5" effort="10" velocity="1"/></joint>
   <joint name="turn" type="continuous"><parent link="upper"/><child link="tip"/><axis xyz="0 0 1"/>
-    <limit effort="10" velocity="1"/></joint>
+    <limit effort="0"/></joint>
 </robot>
 """
 
@@ -93,7 +93,7 @@ def test_a_machine_with_legs_gets_a_floor_below_its_lowest_point(tmp_path):
     assert table["goal"] == pytest.approx([*table["start"][:7], 0.03 * 2.0])
 
 
-def test_a_urdf_has_tables_of_the_joints_with_an_effort(tmp_path):
+def test_a_urdf_has_tables_of_its_joints_also_of_those_without_an_effort(tmp_path):
     table = table_of(tmp_path, URDF, "arm", "two.urdf")
     assert table["start"] == pytest.approx({"lift": 0.1, "turn": 0.0})
     assert table["goal"] == pytest.approx({"lift": 0.1 + 0.15 * 0.4, "turn": 0.5})

@@ -48,6 +48,14 @@ def test_the_rate_of_a_servo_is_its_frequency():
     assert fastest_mode(servo, m.home).joint == "slow"
 
 
+@pytest.mark.parametrize(("ratio", "lasts"), [(0.0, True), (0.1, True), (0.3, False)])
+def test_an_oscillation_lasts_below_a_damping_ratio_of_a_fifth(ratio, lasts):
+    """Of the slow slide alone: x'' = -2500 x - 2 ratio 50 x', at sqrt(1 - ratio^2) 50 rad/s."""
+    text = SLIDES.format(damping=1, first="a", second="b").replace('damping="3"', 'damping="0"')
+    swing = fastest_mode(Mechanism.from_mjcf(text.replace("-10", f"{-2.0 * ratio * 50.0 * 2.0}")), np.zeros(6)).swing
+    assert swing == pytest.approx(lasts * 50.0 * np.sqrt(1.0 - ratio**2), rel=1e-4)  # slopes by an Euler step of 1 us
+
+
 def test_two_that_are_alike_are_one_of_them():
     assert fastest_mode(slides(), slides().home).joint in ("left", "right")
 

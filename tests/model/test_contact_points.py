@@ -49,7 +49,7 @@ def test_points_lie_on_the_shape_and_span_it(shape):
 def test_the_plan_has_the_points_of_the_true_shape(shape):
     """The lowest point of the plan's machine is that of MuJoCo's shape, at poses all around."""
     m, model = Mechanism.from_mjcf(text(shape)), mujoco.MjModel.from_xml_string(text(shape))
-    assert m.contacts_mode == "ground"
+    assert m.contacts_mode == "file"
     assert {shape_of(contact.name.split("'")[1]) for contact in m.contacts} == {"shape"}
     data, rng, missing = mujoco.MjData(model), np.random.default_rng(0), shortfall(model, model.geom("shape").id)
     for _ in range(20):

@@ -20,8 +20,7 @@ HOPPER = """<mujoco><worldbody><geom name="floor" type="plane" size="0 0 1"/>
 
 
 def laws(foot, contact=""):
-    m = Mechanism.from_mjcf(HOPPER.format(foot=foot, contact=contact))
-    assert m.contacts_mode == "ground"
+    m = Mechanism.from_mjcf(HOPPER.format(foot=foot, contact=contact), contacts="ground")
     return m, m.contacts[-1].law
 
 

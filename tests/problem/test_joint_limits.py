@@ -179,6 +179,40 @@ def test_a_start_at_a_stop_is_put_off_it(tmp_path):
     refuse(problem_file(tmp_path, goal="{ turn = 1.02 }", text=stopped), "the goal has turn at 1.02 rad")
 
 
+def test_a_joint_that_others_follow_is_put_off_its_stop_with_them(tmp_path):
+    tied = REACH.replace(
+        "<actuator>", '<equality><joint joint1="turn" joint2="slide" polycoef="0.9 1 0 0 0"/></equality><actuator>'
+    )
+    tied = tied.replace('<motor name="twist" joint="turn" ctrlrange="-4 4"/>', "")
+    file = problem_file(tmp_path, goal="{ slide = 0.0 }", text=tied)
+    file.write_text(file.read_text().replace("[0.0, 0.0]", "[-0.5, 0.4]"), encoding="utf-8")
+    slide = -0.5 + START_OFFSET
+    np.testing.assert_allclose(load(file).problem.x0[:2], [slide, 0.9 + slide])
+
+
+SHARED = """
+<mujoco><default><geom size="0.05" contype="0" conaffinity="0"/><joint type="slide" axis="1 0 0" damping="1"/></default>
+<worldbody>
+  <body><joint name="a"/><geom/></body>
+  <body><joint name="b" range="0 1" limited="true"/><geom/></body>
+  <body><joint name="c" range="0 1" limited="true"/><geom/></body>
+</worldbody>
+<tendon><fixed name="sum">
+  <joint joint="a" coef="1"/><joint joint="b" coef="1"/><joint joint="c" coef="1"/>
+</fixed></tendon>
+<equality><tendon tendon1="sum" polycoef="1 0 0 0 0"/></equality>
+<actuator><motor joint="a"/><motor joint="b"/></actuator></mujoco>
+"""
+
+
+def test_a_joint_stays_at_its_stop_where_what_follows_it_would_leave_its_own(tmp_path):
+    """a + b + c = 1: b off its stop at 0 would take c below 0."""
+    (tmp_path / "shared.xml").write_text(SHARED)
+    text = 'model = "shared.xml"\nstart = [1, 0, 0]\ngoal = { a = 0.7, b = 0.2 }\nduration = 1.0\n'
+    (tmp_path / "shared.toml").write_text(text)
+    np.testing.assert_array_equal(load(tmp_path / "shared.toml").problem.x0[:3], [1.0, 0.0, 0.0])
+
+
 PASSIVE = """
 <mujoco><compiler angle="radian"/><default><geom contype="0" conaffinity="0"/></default>
 <worldbody><body>

@@ -7,10 +7,11 @@ import pytest
 
 import planner
 from planner.dynamics import RigidBodyDynamics, body_contact_forces
+from planner.problem.plan import Status
 from planner.solvers.engine import CompiledEngine, NumpyEngine, acquire_engine
 from planner.solvers.options import SolverOptions
-from planner.solvers.relaxation import MAX_QUICK_ITERATIONS
-from planner.solvers.softer_contacts import REACH, DistantContacts, SofterContacts, has_softer
+from planner.solvers.relaxation import MAX_QUICK_ITERATIONS, relax
+from planner.solvers.softer_contacts import REACH, DistantContacts, SofterContacts, has_softer, stays_on_feet
 
 DIRECT = SolverOptions(homotopy=False)
 
@@ -53,6 +54,32 @@ def test_a_slow_jump_costs_less_by_way_of_softer_ground(problem, jump):
     assert jump.problem is problem  # the ground of the file
     assert jump.total_iterations == sum(step[4] for step in steps)
     assert "relaxation" not in direct.options
+
+
+def test_feet_stay_that_are_loaded_at_all_knots(problem, push):
+    standing = np.tile(problem.x0, (3, 1))
+    hop = standing.copy()
+    hop[1, problem.dynamics.mechanism.joint("z").start] += 1.0
+    assert stays_on_feet(problem, standing)
+    assert not stays_on_feet(problem, hop)
+    assert not stays_on_feet(push, np.tile(push.x0, (3, 1)))  # an object
+    assert not stays_on_feet(planner.cases.two_link(horizon=10), np.zeros((3, 4)))  # no contact
+
+
+def test_a_solve_on_feet_that_stay_and_that_meets_its_goals_goes_on_before_softer_contacts_are_tried():
+    rise = planner.load_problem("quadruped")
+    plan = planner.solve(rise)
+    cut = replace(plan, status=Status.MAX_ITERATIONS)
+    asked = []
+
+    def solve_one(problem, options, states, penalties, us, iterations, callback):
+        asked.append(iterations)
+        return plan
+
+    found, record = relax(rise, cut, solve_one, SolverOptions(), None)
+    assert found.converged
+    assert [step[0] for step in record["steps"]] == ["direct", "resumed"]
+    assert asked == [MAX_QUICK_ITERATIONS]  # as many again
 
 
 @pytest.mark.slow  # a jump takes 10 s

@@ -254,7 +254,7 @@ def _built(table: dict[str, Any], mechanism: Mechanism, where: str, constraints:
         if key not in table:
             wanted = states_of(mechanism)
             if key == "start":
-                wanted += f": as drawn, {conflict_as_drawn(mechanism)}; `planner model FILE --write` has one"
+                wanted += f": as drawn, {conflict_as_drawn(mechanism)}; `planner model FILE --write` has a start"
             more = ", or tables [[goal]] or [follow] for its frames" if key == "goal" else ""
             raise PlannerError(f"{where} has no key {key!r}, expected {wanted}{more}.")
     tasked = is_task(table, mechanism)

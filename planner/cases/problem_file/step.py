@@ -25,6 +25,9 @@ from planner.model.mechanism import Mechanism
 
 USUAL, SHORTEST = 0.01, 5e-4  # s: shorter ones are asked for, because a plan of them takes long
 AUTO = "auto"
+SWING = (
+    1.0  # rad in a stage: gains for controls that are constant over a longer part of a swing excite it between knots
+)
 HALVINGS = 3  # of the stage, where damping is taken implicitly
 
 
@@ -38,8 +41,9 @@ def with_step(
     The states (nx,), with home where no ground is near, are where the machine's fastest motion is looked for. A stage
     is 0.01 s with RK4. Where 16 substeps cannot follow the machine's fastest motion, its damping is taken implicitly,
     at the stage or a half, a quarter or an eighth of it, by the Rosenbrock method; where that is too coarse, too, the
-    stage is what RK4 can follow, but never below SHORTEST, where damping of single joints is taken implicitly. It is a
-    little less than that: a whole number of stages is the duration.
+    stage is what RK4 can follow, but never below SHORTEST, where damping of single joints is taken implicitly. An
+    oscillation that lasts turns by at most SWING in a stage. It is a little less than that: a whole number of stages is
+    the duration.
 
     Raises:
         PlannerError: The duration is no number, or the dt that is asked for takes more than 16 substeps.
@@ -52,12 +56,13 @@ def with_step(
     if not mechanism.contacts:  # which may have home deep in the ground
         states = (*states, mechanism.home)
     found = FastestMode(0.0, "") if known else fastest_mode(mechanism, states, prescribed)
+    usual = USUAL if found.swing * USUAL <= SWING else max(SWING / found.swing, SHORTEST)
     reasons, dt, substeps, integrator = {}, table["dt"], table["substeps"], table["integrator"]
     most = substeps if isinstance(substeps, int) else MAX_SUBSTEPS
     closed = mechanism.has_closed_chains  # which the Rosenbrock method does not keep
     if integrator == AUTO:
         integrator, implicit = "rk4", ""
-        lengths = [USUAL * 0.5**k for k in range(HALVINGS + 1)] if dt == AUTO else [number("dt", dt, greater_than=0.0)]
+        lengths = [usual * 0.5**k for k in range(HALVINGS + 1)] if dt == AUTO else [number("dt", dt, greater_than=0.0)]
         for longest in lengths:
             if found.rate * longest <= most * MAX_RATE_STEP:
                 break
@@ -79,10 +84,12 @@ def with_step(
                 f"{found.rate:.4g} per s."
             )
     if dt == AUTO:
-        longest = min(USUAL, max(most * MAX_RATE_STEP / found.rate, SHORTEST)) if found.rate > 0.0 else USUAL
+        longest = min(usual, max(most * MAX_RATE_STEP / found.rate, SHORTEST)) if found.rate > 0.0 else usual
         dt = _whole(table["duration"], longest)
-        if longest < USUAL:
+        if longest < usual:
             reasons["dt"] = f"{dt:.4g} s: {found.joint} has a rate of {found.rate:.4g} per s"
+        elif longest < USUAL:
+            reasons["dt"] = f"{dt:.4g} s: the machine swings at {found.swing:.4g} rad/s, almost without damping"
     if substeps == AUTO:
         substeps = MAX_SUBSTEPS if integrator in able else 1
         if integrator in divided:
