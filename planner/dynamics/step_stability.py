@@ -79,15 +79,27 @@ def fastest_mode(
             values, right = np.linalg.eig(slopes)
             k = int(np.argmax(np.abs(values)))
             rate = float(abs(values[k]))
-            swings = np.abs(np.imag(values))[np.abs(np.real(values)) < LASTING * np.abs(values)]
-            found = found._replace(swing=max(found.swing, float(swings.max(initial=0.0))))
             if rate > found.rate:
                 found = found._replace(rate=rate, joint=_joint(mechanism, slopes, values[k], right[:, k]))
+        found = found._replace(swing=max(found.swing, _lasting_swing(dynamics, xs)))
     for contact in mechanism.contacts:
         rate = TARGET_RATE_STEP / (LEAD_SHARE * contact.law.lead) if contact.law.lead > 0.0 else 0.0
         if rate > found.rate:
             found = found._replace(rate=rate, joint=contact.name)
     return found
+
+
+def _lasting_swing(dynamics: RigidBodyDynamics, xs: np.ndarray) -> float:
+    """The fastest oscillation of little damping, rad/s, at states (K, nx) that the controls hold; 0 for none.
+
+    A servo that is told to be elsewhere presses, and what it presses swings as if it were stiffer.
+    """
+    us = np.array([quasi_static_controls(dynamics, x, contacts=False) for x in xs])
+    A, _ = dynamics.linearize(np.vstack([xs, xs[-1:]]), us)
+    slopes = (A - np.eye(dynamics.ndx)) / _PROBE_STEP
+    values = np.linalg.eigvals(slopes[np.isfinite(slopes).all(axis=(1, 2))])
+    swings = np.abs(np.imag(values))[np.abs(np.real(values)) < LASTING * np.abs(values)]
+    return float(swings.max(initial=0.0))
 
 
 def _rows(states: np.ndarray | Iterable[np.ndarray]) -> np.ndarray:

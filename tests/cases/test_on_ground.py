@@ -101,7 +101,7 @@ def test_a_goal_table_with_a_whole_pose_is_put_down_as_a_plain_goal_is(tmp_path,
     errors = {one.name: static_error(one, stands) for one in task.goal_specs or ()}
     assert errors.pop("position of sled") == pytest.approx(
         off, abs=2.5e-3 if off else 2e-4
-    )  # sinks in, by the long ramp
+    )  # by the long ramp
     assert max(errors.values()) < 1e-4  # rad: the end of a plain goal also has feet that do not slip
 
 
