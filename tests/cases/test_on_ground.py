@@ -99,9 +99,7 @@ def test_a_goal_table_with_a_whole_pose_is_put_down_as_a_plain_goal_is(tmp_path,
     stands = loaded(tmp_path, goal=pose).problem.cost.x_ref[-1]
     task = loaded(tmp_path, goal=f"[{{ joints = {pose} }}]", more=more).problem
     errors = {one.name: static_error(one, stands) for one in task.goal_specs or ()}
-    assert errors.pop("position of sled") == pytest.approx(
-        off, abs=2.5e-3 if off else 2e-4
-    )  # by the long ramp
+    assert errors.pop("position of sled") == pytest.approx(off, abs=2.5e-3 if off else 2e-4)  # by the long ramp
     assert max(errors.values()) < 1e-4  # rad: the end of a plain goal also has feet that do not slip
 
 

@@ -63,16 +63,31 @@ def test_the_law_is_the_files_with_the_smoothing_of_plans():
 
 def test_a_cone_of_four_or_six_dimensions_presses_as_in_mujoco():
     """At rest all of its edges press; a box whose corners are equally deep neither turns nor slides."""
-    text = """<mujoco><default><geom condim="{}" solimp=".9 .9 .001"/></default><worldbody>
+    text = """<mujoco><option cone="{}"/><default><geom condim="{}" solimp=".9 .9 .001"/></default><worldbody>
       <geom type="plane" size="0 0 1"/><body pos="0 0 .0495"><freejoint/><geom type="box" size=".1 .1 .05" mass="2"/>
       </body></worldbody></mujoco>"""
-    for condim in (1, 3, 4, 6):
-        model = compile_model(text.format(condim), name=f"condim {condim}")
+    for cone, condim in (("pyramidal", 1), ("pyramidal", 3), ("elliptic", 3), ("elliptic", 4), ("elliptic", 6)):
+        model = compile_model(text.format(cone, condim), name=f"{cone} {condim}")
         data, law = mujoco.MjData(model), file_law(model, ModelIndex(model).pairs[0])
         mujoco.mj_forward(model, data)
         share = 1.0 + 4.0 * law.damping * law.lead / 2.0  # f = 4 (K depth - B lead a), 2 kg a = f - 2 kg g
         expected = (4.0 * law.stiffness * 5e-4 / 2.0 - 9.81) / share
         assert data.qacc[2] == pytest.approx(expected, rel=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("contact", "reason"),
+    [
+        ('condim="6"', "condim 6 in a pyramidal cone"),
+        ('condim="3" solimp=".9 .95 .001 .5 3"', "a power of 3, expected 2"),
+    ],
+)
+def test_what_the_law_has_not_gets_a_law_of_the_ground(contact, reason):
+    text = standing().replace('condim="3"', contact)
+    with pytest.raises(ModelError, match=reason):
+        model = compile_model(text)
+        file_law(model, ModelIndex(model).pairs[0])
+    assert Mechanism.from_mjcf(text).contacts_mode == "ground"
 
 
 @pytest.mark.parametrize("cone", ["pyramidal", "elliptic"])

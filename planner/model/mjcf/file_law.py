@@ -15,8 +15,8 @@ E = 2 (condim - 1) edges of a pyramidal cone has R_py = 2 mu^2/impratio (1 + mu^
     B = E b/R_py,   K = E k d/R_py.
 
 K and B are of the impedance dmax of deep contacts, and the law's `impedance` says how d rises to it. What differs from
-MuJoCo's: a rise of a power (the last number of solimp) other than 2 is taken for one of 2, and a cone of condim 4 or 6
-has the friction of condim 3 and the normal force of all its edges.
+MuJoCo's: an elliptic cone of condim 4 or 6 has the friction of condim 3. A pyramidal one, whose edges for spinning and
+rolling press too, has no law, nor has a rise of another power (the last number of solimp) than 2.
 """
 
 from __future__ import annotations
@@ -84,6 +84,11 @@ def file_law_reason(model: Any, pair: Pair) -> str:
     k, b = _rates(model, pair.solref, pair.solimp)
     if not (k > 0.0 and b > 0.0):
         return f"solref {pair.solref[0]:g} {pair.solref[1]:g}, expected stiffness and damping"
+    first, last, _, _ = impedance_of(pair.solimp)
+    if first != last and pair.solimp[4] != 2.0:
+        return f"solimp whose impedance rises by a power of {pair.solimp[4]:g}, expected 2"
+    if pair.condim > 3 and _is_pyramidal(model, pair):  # its edges for spinning and rolling press, too
+        return f"condim {pair.condim} in a pyramidal cone, expected 1 or 3, or an elliptic cone"
     if pair.condim > 1 and pair.friction[0] != pair.friction[1]:
         return "other friction along than across, expected one number"
     own = pair.condim > 1 and not _is_pyramidal(model, pair) and np.any(pair.solreffriction)
