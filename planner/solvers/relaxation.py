@@ -211,6 +211,7 @@ class _Relaxation:
             direct = self._resumed(direct, direct.nit + int(MAX_QUICK_ITERATIONS))
             if not is_trapped(problem, direct, self.options):
                 return direct
+            stopped = direct.status is Status.MAX_ITERATIONS
         plan = None
         if has_softer(problem):
             plan = self._by_forces_at_a_distance() if _failed(direct) else None

@@ -84,8 +84,8 @@ def test_a_cone_of_four_or_six_dimensions_presses_as_in_mujoco():
 )
 def test_what_the_law_has_not_gets_a_law_of_the_ground(contact, reason):
     text = standing().replace('condim="3"', contact)
+    model = compile_model(text)
     with pytest.raises(ModelError, match=reason):
-        model = compile_model(text)
         file_law(model, ModelIndex(model).pairs[0])
     assert Mechanism.from_mjcf(text).contacts_mode == "ground"
 

@@ -6,7 +6,7 @@
     duration = 4.0                      # s
     dt = 0.02                           # s
 
-    contacts = "ground"               # optional: chosen by itself (see planner.model.mjcf.contact_mode), as is settle
+    contacts = "file"                 # optional: chosen by itself (see planner.model.mjcf.contact_mode), as is settle
 
     [weights]                           # numbers, or tables by joint (effort: by actuator)
     effort = 0.01
@@ -271,7 +271,7 @@ def _built(table: dict[str, Any], mechanism: Mechanism, where: str, constraints:
     x0, goal, notes = place_on_ground(mechanism, table, x0, goal)
     x0, goal, stops = _off_stops(mechanism, table, x0, goal)
     build = partial(again, mechanism, *constraints)
-    ramp = stance_ramp(mechanism, table, x0, None if tasked or steps_of(table) else goal)
+    ramp = None if tasked or steps_of(table) else stance_ramp(mechanism, table, x0, goal)
     if ramp is not None:
         mechanism = with_ramp(mechanism, ramp)
         x0, goal, _ = place_on_ground(mechanism, table, x0, goal)  # it stands elsewhere by a part of the ramp

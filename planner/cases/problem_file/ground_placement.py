@@ -16,7 +16,7 @@ from planner.base.errors import PlannerError
 from planner.cases.problem_file.keys import RAMP, RESOLVED
 from planner.cases.problem_file.states import state_of
 from planner.dynamics.contacts import contact_forces
-from planner.dynamics.stance import feet_move, goal_without_foot_slip, rolling_dofs
+from planner.dynamics.stance import feet_move, goal_without_foot_slip
 from planner.dynamics.statics import lowered_to_ground, static_equilibrium
 from planner.model.contact.laws import ContactLaw
 from planner.model.mechanism import Mechanism
@@ -25,11 +25,10 @@ from planner.problem.tasks.goal import Goal, json_value
 
 MAX_PLACEMENT_SHIFT = 0.05  # m or rad: who writes a pose puts feet down to some centimetres
 STANCE_RAMP = 6e-5
-"""m, of the ground's law. MuJoCo has no ramp: with the usual 0.6 mm, points of a foot that bear little tilt ankles of
+"""m. MuJoCo has no ramp: with the usual 0.6 mm of the ground's law, points of a foot that bear little tilt ankles of
 humanoids by 2 mrad, more than passes where joints move by less than 0.1 rad. Feet that have to move want the long one,
 for the gradient where they land and lift: with 0.06 mm for all, 13 of 20 tasks of benchmarks/moving.py passed, 16 with
 the long one."""
-WHEEL_RAMP = 2e-4  # m: wheels never land, but torques on them that change at once let them hop
 SAME_POSE_TOLERANCE = 1e-6  # m or rad: poses at rest are found as exactly as forces balance
 
 
@@ -71,23 +70,16 @@ def whole_poses_on_ground(mechanism: Mechanism, table: dict[str, Any], goals: Se
     return [_goal_on_ground(mechanism, goal) for goal in goals]
 
 
-def stance_ramp(
-    mechanism: Mechanism, table: dict[str, Any], start: np.ndarray, goal: np.ndarray | None
-) -> float | None:
+def stance_ramp(mechanism: Mechanism, table: dict[str, Any], start: np.ndarray, goal: np.ndarray) -> float | None:
     """The ramp of contacts with the ground, m, where feet of several points stay from the start to the goal (nx,).
 
-    Wheels have one of their own, since a machine that turns on them rises and sinks by less than the law's ramp.
-    None to keep the law's, and without a goal of the whole machine for all but wheels.
+    None to keep the law's.
     """
     if RESOLVED in table:  # a plan keeps the law that it was made with
         return table[RESOLVED].get(RAMP)
-    if table["contacts"] not in STANDING or not mechanism.contacts:
+    qs = np.stack([start, goal])[:, : mechanism.nq]
+    if table["contacts"] not in STANDING or not mechanism.contacts or feet_move(mechanism, qs):
         return None
-    if np.any(rolling_dofs(mechanism, start[: mechanism.nq])):
-        return WHEEL_RAMP
-    if goal is None or feet_move(mechanism, np.stack([start, goal])[:, : mechanism.nq]):
-        return None
-    qs = start[None, : mechanism.nq]
     loaded = contact_forces(mechanism, qs[0], np.zeros(mechanism.nv)).forces.any(axis=1)
     _, points = np.unique([mechanism.contacts[k].link for k in np.flatnonzero(loaded)], return_counts=True)
     return STANCE_RAMP if np.any(points > 1) else None  # a foot that is a ball does not tilt in its ramp

@@ -7,7 +7,7 @@ zero, and the accelerations are the minimum of a convex function. Newton's metho
     f_k - C_k (x - x_k),
 
 a force and, of the link, an inertia C_k lead at the contact, for which the recursion finds the next accelerations: see
-kernels.tree.friction, whose rounds these are. J qdd has neither Jdot qd nor gravity, as in MuJoCo.
+kernels.tree.rounds. J qdd has neither Jdot qd nor gravity, as in MuJoCo.
 
 J qdd is the velocity of a twist, that of the links if their rates were qdd. So x is the velocity of V + lead times that
 twist, and its derivatives are those of a velocity (kernels.tree.contact).

@@ -159,7 +159,7 @@ class ContactLaw(Law):
             d = float(self.impedance_at(depth)[0])
             return self.stiffness * depth * (d / last) * (d / (1.0 - d)) * (1.0 - last) / last
 
-        low = high = super().rest_depth(load)
+        low, high = 0.0, super().rest_depth(load)
         while carried(high) < load * (1.0 - 1e-12):  # rounding
             low, high = high, 2.0 * high
         while high - low > 1e-9 * high:

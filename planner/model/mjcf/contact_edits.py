@@ -24,6 +24,7 @@ from planner.base.gl import load_mujoco
 from planner.model.contact.laws import ContactLaw
 from planner.model.mjcf.contact_shapes import add_points, meets_plane
 from planner.model.mjcf.contacts import CONTACT_LAW, OF_FILE, law_attributes, shapes_fit
+from planner.model.mjcf.file_law import as_read
 from planner.model.mjcf.model_index import ModelIndex, Pair, compile_model
 from planner.model.mjcf.text import written
 
@@ -67,15 +68,15 @@ def give_law(
                 points[other, margin] = add_points(geoms[other], body, model, other, margin, len(points))
             names = [[geoms[flat].attrib["name"]], points[other, margin]]
             _exclude(root, section, *(body_names[body] for body in bodies))
-        impratio, cone, leads = law.impratio if np.isfinite(law.impratio) else IMPRATIO, law.cone, law.lead > 0.0
+        impratio, leads = law.impratio if np.isfinite(law.impratio) else IMPRATIO, law.lead > 0.0
+        cone = law.cone if leads else "elliptic"
         weight = float(np.sum(model.body_invweight0[bodies, 0]))
-        attributes = _attributes(pair) if own else law_attributes(law, weight, impratio)
+        attributes = _attributes(as_read(model, pair)) if own else law_attributes(law, weight, impratio)
         for one, other in itertools.product(*names):
             both = {"geom1": one, "geom2": other}
             ElementTree.SubElement(section, "pair", {**both, **attributes, "margin": "0", "gap": "0"})
-    if not own:
-        option = ElementTree.SubElement(root, "option", {"cone": cone, "impratio": repr(impratio)})
-        ElementTree.SubElement(option, "flag", {"refsafe": "disable"})
+    option = ElementTree.SubElement(root, "option", {} if own else {"cone": cone, "impratio": repr(impratio)})
+    ElementTree.SubElement(option, "flag", {"refsafe": "disable"})  # for steps of any length
     for custom in root.findall("custom"):
         for element in [one for one in custom if one.get("name") in {*numbers, CONTACT_LAW}]:
             custom.remove(element)

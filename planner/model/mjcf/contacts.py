@@ -87,7 +87,7 @@ def law_attributes(law: ContactLaw, invweight: float, impratio: float = 1000.0) 
         raise PlannerError(f"impedance is {law.impedance}, expected a constant one of a law with a lead that is given.")
     mu, pyramidal = law.friction, law.cone == "pyramidal" and law.friction > 0.0
     per = number("invweight", invweight, greater_than=0.0)
-    per *= edge_weight(mu, law.impratio) / 4.0 if pyramidal else 1.0
+    per *= edge_weight(mu, law.impratio if math.isfinite(law.impratio) else impratio) / 4.0 if pyramidal else 1.0
     share = per * law.damping * law.lead  # d/(1 - d)
     d = share / (1.0 + share)
     if not MIN_IMPEDANCE <= d <= MAX_IMPEDANCE:

@@ -51,7 +51,7 @@ def file_law(model: Any, pair: Pair) -> ContactLaw:
     if reason := file_law_reason(model, pair):
         raise ModelError(f"{' and '.join(named(model, 'geom', geom) for geom in pair.geoms)}: {reason}.")
     (K, B), mu, impratio = coefficients(model, pair, math.inf), _friction(pair), _impratio(model)
-    lead, pyramidal = 1.0 / _rates(model, pair.solref, pair.solimp)[1], _is_pyramidal(model, pair)
+    lead, pyramidal = 1.0 / _rates(model, pair.solref, pair.solimp)[1], is_pyramidal(model, pair)
     slip_damping = B * (0.5 * mu**2 if pyramidal else impratio * (mu > 0.0))
     cone = "pyramidal" if pyramidal else "elliptic"
     rise = impedance_of(pair.solimp)
@@ -63,7 +63,7 @@ def coefficients(model: Any, pair: Pair, depth: float) -> tuple[float, float]:
     d, (k, b) = impedance_at(pair.solimp, depth), _rates(model, pair.solref, pair.solimp)
     A = float(model.body_invweight0[model.geom_bodyid[list(pair.geoms)], 0].sum())
     edges, mu = 1, _friction(pair)
-    if _is_pyramidal(model, pair):
+    if is_pyramidal(model, pair):
         edges, A = 2 * (pair.condim - 1), edge_weight(mu, _impratio(model)) * A
     per = edges / max(A * (1.0 - d) / d, _TINY)
     return per * k * d, per * b
@@ -87,11 +87,11 @@ def file_law_reason(model: Any, pair: Pair) -> str:
     first, last, _, _ = impedance_of(pair.solimp)
     if first != last and pair.solimp[4] != 2.0:
         return f"solimp whose impedance rises by a power of {pair.solimp[4]:g}, expected 2"
-    if pair.condim > 3 and _is_pyramidal(model, pair):  # its edges for spinning and rolling press, too
+    if pair.condim > 3 and is_pyramidal(model, pair):  # its edges for spinning and rolling press, too
         return f"condim {pair.condim} in a pyramidal cone, expected 1 or 3, or an elliptic cone"
     if pair.condim > 1 and pair.friction[0] != pair.friction[1]:
         return "other friction along than across, expected one number"
-    own = pair.condim > 1 and not _is_pyramidal(model, pair) and np.any(pair.solreffriction)
+    own = pair.condim > 1 and not is_pyramidal(model, pair) and np.any(pair.solreffriction)
     if own and not np.isclose(_rates(model, pair.solreffriction, pair.solimp)[1], b, rtol=1e-9):
         return "solreffriction has another damping than solref, expected the same or none"
     return ""
@@ -115,7 +115,8 @@ def impedance_at(solimp: np.ndarray, depth: float) -> float:
     return dmax - (dmax - d0) * (1.0 - x) ** power / (1.0 - midpoint) ** (power - 1.0)
 
 
-def _is_pyramidal(model: Any, pair: Pair) -> bool:
+def is_pyramidal(model: Any, pair: Pair) -> bool:
+    """Whether a pair has friction by a pyramidal cone."""
     return pair.condim > 1 and model.opt.cone == int(load_mujoco().mjtCone.mjCONE_PYRAMIDAL)
 
 
@@ -125,6 +126,16 @@ def _friction(pair: Pair) -> float:
 
 def _impratio(model: Any) -> float:
     return max(float(model.opt.impratio), _TINY)
+
+
+def as_read(model: Any, pair: Pair) -> Pair:
+    """A pair whose time constants are what refsafe makes of them at the model's own timestep."""
+    least = 0.0 if disabled(model, "refsafe") else 2.0 * float(model.opt.timestep)
+
+    def safe(solref: np.ndarray) -> np.ndarray:
+        return np.array([max(float(solref[0]), least), solref[1]]) if solref[0] > 0.0 and solref[1] > 0.0 else solref
+
+    return pair._replace(solref=safe(pair.solref), solreffriction=safe(pair.solreffriction))
 
 
 def _rates(model: Any, solref: np.ndarray, solimp: np.ndarray) -> tuple[float, float]:

@@ -19,6 +19,7 @@ import numpy as np
 from planner.base.arguments import choice, short_repr
 from planner.base.errors import ModelError, PlannerError
 from planner.base.gl import load_mujoco
+from planner.model.capabilities import rolling_radii
 from planner.model.contact.laws import ContactLaw
 from planner.model.fluid import Drag, drags_of
 from planner.model.mechanism import BALL, BALL_NEXT, SCREW, Frame, Mechanism
@@ -157,6 +158,8 @@ def read_opened(
     harden(root, survey.model)
     text = ElementTree.tostring(root, encoding="unicode")
     mechanism = _mechanism(survey, text, files, (*phrases_left_out(survey.model), *phrases), name)
+    if asked == "auto" and mode == "file" and np.any(rolling_radii(mechanism)):  # see contact_mode
+        return read_opened(file, ignore=ignore, contacts="ground")
     mechanism = replace(mechanism, contacts_mode=mode, contacts_choice=phrase)
     return mechanism if text == original else replace(mechanism, original=original)
 
