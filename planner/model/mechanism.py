@@ -187,8 +187,8 @@ class Mechanism:
                 planes at rest get the law that MuJoCo computes from the file's numbers
                 (planner.model.mjcf.file_law), all others are omitted. "avoid" and "off": none.
                 "auto": the first of "model", "file", "ground" and "avoid" that applies, see `contacts_choice`.
-                A ContactLaw: that law for all contacts of modelled shapes. The plan's own model replays the modelled contacts;
-                omitted ones are listed in `ignored` and checked in the user's file.
+                A ContactLaw: that law for all contacts of modelled shapes. The plan's own model replays the modelled
+                contacts; omitted ones are listed in `ignored` and checked in the user's file.
             assets: Content of the files that the text refers to, by name; if given, nothing is read from disk.
             name: Name of the model in messages; by default that of its file.
             attach: A payload or a tool at a frame, or a list of them: {"frame": "hand", "mass": 2.0}, with `size`,

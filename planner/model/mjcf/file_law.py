@@ -130,10 +130,10 @@ def _impratio(model: Any) -> float:
 
 def as_read(model: Any, pair: Pair) -> Pair:
     """A pair whose time constants are what refsafe makes of them at the model's own timestep."""
-    least = 0.0 if disabled(model, "refsafe") else 2.0 * float(model.opt.timestep)
+    shortest = 0.0 if disabled(model, "refsafe") else 2.0 * float(model.opt.timestep)
 
     def safe(solref: np.ndarray) -> np.ndarray:
-        return np.array([max(float(solref[0]), least), solref[1]]) if solref[0] > 0.0 and solref[1] > 0.0 else solref
+        return np.array([max(float(solref[0]), shortest), solref[1]]) if solref[0] > 0.0 and solref[1] > 0.0 else solref
 
     return pair._replace(solref=safe(pair.solref), solreffriction=safe(pair.solreffriction))
 
