@@ -38,6 +38,8 @@ class ContactForces(NamedTuple):
 def contact_forces(mechanism: Mechanism, q: Any, qd: Any) -> ContactForces:
     """Points, depths and forces of a mechanism's contacts with planes, in the order of its contacts.
 
+    A law with a lead depends on the acceleration: its forces are those at none, which at rest are all there is.
+
     Args:
         mechanism: The machine.
         q: (..., nq) configurations, m and rad.

@@ -205,9 +205,7 @@ class _Relaxation:
                 if not is_trapped(problem, direct, self.options):
                     return direct
         stopped = direct.status is Status.MAX_ITERATIONS and _look_iterations(problem) < limit
-        if (
-            stopped and stays_on_feet(problem, direct.xs) and _meets_goals(direct)
-        ):  # softer ones would find nothing else
+        if stopped and stays_on_feet(problem, direct.xs) and _meets_goals(direct):  # softer ones find nothing else
             direct = self._resumed(direct, direct.nit + int(MAX_QUICK_ITERATIONS))
             if not is_trapped(problem, direct, self.options):
                 return direct

@@ -80,10 +80,11 @@ def test_a_cone_of_four_or_six_dimensions_presses_as_in_mujoco():
     [
         ('condim="6"', "condim 6 in a pyramidal cone"),
         ('condim="3" solimp=".9 .95 .001 .5 3"', "a power of 3, expected 2"),
+        ('noslip_iterations="2" impratio', "noslip_iterations 2, expected 0"),
     ],
 )
 def test_what_the_law_has_not_gets_a_law_of_the_ground(contact, reason):
-    text = standing().replace('condim="3"', contact)
+    text = standing().replace('condim="3"', contact) if "condim" in contact else standing().replace("impratio", contact)
     model = compile_model(text)
     with pytest.raises(ModelError, match=reason):
         file_law(model, ModelIndex(model).pairs[0])

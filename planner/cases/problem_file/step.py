@@ -42,8 +42,8 @@ def with_step(
     is 0.01 s with RK4. Where 16 substeps cannot follow the machine's fastest motion, its damping is taken implicitly,
     at the stage or a half, a quarter or an eighth of it, by the Rosenbrock method; where that is too coarse, too, the
     stage is what RK4 can follow, but never below SHORTEST, where damping of single joints is taken implicitly. An
-    oscillation that lasts turns by at most SWING in a stage. It is a little less than that: a whole number of stages is
-    the duration.
+    oscillation that lasts turns by at most SWING in a stage, unless that asks for less than SHORTEST. The stage is a
+    little shorter than all this: a whole number of stages is the duration.
 
     Raises:
         PlannerError: The duration is no number, or the dt that is asked for takes more than 16 substeps.

@@ -78,6 +78,10 @@ def file_law_reason(model: Any, pair: Pair) -> str:
     """The reason why a pair's force has no `file_law`; "" where it has one."""
     if pair.margin != 0.0:
         return f"margin {pair.margin:g}, expected 0"
+    if model.opt.noslip_iterations > 0:
+        return f"noslip_iterations {model.opt.noslip_iterations}, expected 0"
+    if model.opt.enableflags & int(load_mujoco().mjtEnableBit.mjENBL_OVERRIDE):
+        return "the flag override, expected it disabled"
     for name in ("adhesion", "surfacevel"):  # of MuJoCo 4
         if np.any(field(model, f"geom_{name}", model.ngeom)[list(pair.geoms)]):
             return f"{name}, expected none"
