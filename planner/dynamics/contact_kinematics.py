@@ -80,7 +80,7 @@ class BodyContactKinematics:
         self._s = [self._closest.s[:, k, None] * self._axes[k] for k in range(2)]  # from the midpoints
         self._distance = np.hypot(np.linalg.norm(self._closest.D, axis=1), _NO_DIRECTION)
         self.n = self._closest.D / self._distance[:, None]
-        self.e = parts[0].radius + parts[1].radius + contact.law.surface_offset - self._distance
+        self.e = parts[0].radius + parts[1].radius + contact.law.reach - self._distance
         self._shift = 0.5 * (parts[0].radius - parts[1].radius)
         x = [m[k] + self._s[k] for k in range(2)]
         self.p = 0.5 * (x[0] + x[1]) - self._shift * self.n

@@ -31,7 +31,7 @@ class ContactForces(NamedTuple):
     """Points, depths and forces of all plane contacts, or all body contacts, at each state."""
 
     points: np.ndarray  # (..., contacts, 3) m, points of application in the world
-    depths: np.ndarray  # (..., contacts) m, penetration of the geometric surfaces; negative if separated
+    depths: np.ndarray  # (..., contacts) m, how deep in where the force begins (at the surfaces, without a margin); negative before
     forces: np.ndarray  # (..., contacts, 3) N, on the mechanism or the first body, in the world
 
 
@@ -51,19 +51,20 @@ def contact_forces(mechanism: Mechanism, q: Any, qd: Any) -> ContactForces:
     q, qd, single = _states(mechanism, q, qd)
     contacts = mechanism.contacts
     centres, e = _penetrations(mechanism, q)
-    lifts, radii, normals = _numbers(mechanism)
-    points = centres + (0.5 * (e - lifts) - radii)[..., None] * normals
+    reaches, radii, normals = _numbers(mechanism)
+    points = centres + (0.5 * (e - reaches) - radii)[..., None] * normals
+    depths = e - np.array([one.law.surface_offset for one in contacts])
     forces = np.zeros_like(points)
     for k in np.flatnonzero((e > 0.0).any(axis=0)):  # skip contacts that are open at every state
         forces[:, k] = _force(PlaneContactKinematics(mechanism, contacts[k], q, qd))[0]
-    return ContactForces(*(value[0] if single else value for value in (points, e - lifts, forces)))
+    return ContactForces(*(value[0] if single else value for value in (points, depths, forces)))
 
 
 def _numbers(mechanism: Mechanism) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Surface offsets (P,), m, radii (P,), m, and normals (P, 3) of a mechanism's contacts with planes."""
+    """Reaches of the laws (P,), m, radii (P,), m, and normals (P, 3) of a mechanism's contacts with planes."""
     contacts = mechanism.contacts
-    lifts, radii = ([one.law.surface_offset for one in contacts], [one.radius for one in contacts])
-    return np.array(lifts), np.array(radii), np.array([one.plane.normal for one in contacts]).reshape(-1, 3)
+    reaches, radii = ([one.law.reach for one in contacts], [one.radius for one in contacts])
+    return np.array(reaches), np.array(radii), np.array([one.plane.normal for one in contacts]).reshape(-1, 3)
 
 
 def _penetrations(mechanism: Mechanism, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -73,9 +74,9 @@ def _penetrations(mechanism: Mechanism, q: np.ndarray) -> tuple[np.ndarray, np.n
         return np.zeros((len(q), 0, 3)), np.zeros((len(q), 0))
     links, offsets = np.array([one.link for one in contacts]), np.array([one.centre for one in contacts])
     centres, _ = kinematics.points_of(mechanism, q, links, offsets, moving=False)
-    lifts, radii, normals = _numbers(mechanism)
+    reaches, radii, normals = _numbers(mechanism)
     levels = np.array([one.plane.offset for one in contacts])
-    return centres, radii + lifts + levels - np.einsum("kpa,pa->kp", centres, normals)
+    return centres, radii + reaches + levels - np.einsum("kpa,pa->kp", centres, normals)
 
 
 def body_contact_forces(mechanism: Mechanism, q: Any, qd: Any) -> ContactForces:
@@ -170,8 +171,8 @@ class PlaneContactKinematics:
         self.mechanism, self.contact, self.frame = mechanism, contact, Frame(contact.link, T)
         n, law = contact.plane.normal, contact.law
         centre = kinematics.frame_pose(mechanism, q, self.frame)[:, :3, 3]
-        self.e = contact.radius + law.surface_offset + contact.plane.offset - centre @ n
-        self.arm = (0.5 * self.e - contact.radius - 0.5 * law.surface_offset)[:, None] * n  # from the centre
+        self.e = contact.radius + law.reach + contact.plane.offset - centre @ n
+        self.arm = (0.5 * self.e - contact.radius - 0.5 * law.reach)[:, None] * n  # from the centre
         self.p = centre + self.arm
         J = kinematics.jacobian(mechanism, q, self.frame)
         self.at_centre, self.angular = J[:, :3], J[:, 3:]

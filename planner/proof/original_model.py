@@ -29,7 +29,7 @@ from planner.base.gl import load_mujoco
 from planner.base.measured import Measurement, Section
 from planner.model.capabilities import capabilities_of, stationary_object_bodies, stationary_object_dofs
 from planner.model.mechanism import SCREW
-from planner.model.mjcf.contact_edits import watched_pairs
+from planner.model.mjcf.margins import watched_pairs
 from planner.model.mjcf.initial_overlaps import (
     MAX_EMBEDDED,
     OVERLAP_TOLERANCE,

@@ -132,13 +132,27 @@ def test_two_bodies_have_mujocos_accelerations(cone, shape):
     assert worst < BOUNDS["elliptic"]  # closest points of capsules are those of axis_regularization, to 1e-9
 
 
+@pytest.mark.parametrize(("text", "states", "count"), [(BOX, lying, 3), (LEGS, moving(2, -0.004, 0.005), 2)])
+def test_margins_press_before_surfaces_touch(text, states, count):
+    """Of the floor and of what stands on it; a gap is what contact is seen in without a force."""
+    text = text.format(cone="elliptic", impratio=10, condim=3, solref=".02 1", solimp=RUBBER)
+    text = text.replace("<geom condim", '<geom margin=".002" condim').replace('size="0 0 1"', 'size="0 0 1" gap=".001"')
+    worst, seen = beside_mujoco(text, states)
+    assert max(seen) >= count
+    assert worst < BOUNDS["elliptic"]
+    m = Mechanism.from_mjcf(text, contacts="model")
+    assert all(0.0 < contact.law.margin <= 0.004 for contact in m.contacts)
+
+
 LAWS = {
     "pyramid": ContactLaw(5e3, 60.0, 5e-3, 5.0, friction=0.6, lead=0.02, cone="pyramidal"),
     "sharp pyramid": ContactLaw(5e3, 60.0, force_ramp=0.0, friction=0.6, lead=0.02, cone="pyramidal"),
     "cone": ContactLaw(5e3, 60.0, 5e-3, friction=0.6, impratio=10.0, lead=0.02),
     "sharp cone": ContactLaw(5e3, 60.0, force_ramp=0.0, friction=0.6, impratio=10.0, bend=0.0, lead=0.02),
     "no friction": ContactLaw(5e3, 60.0, 5e-3, 5.0, lead=0.02),
-    "rising": ContactLaw(5e3, 60.0, 5e-3, 0.0, friction=0.6, impratio=2.0, lead=0.02, impedance=(0.1, 0.8, 0.01, 0.3)),
+    "rising": ContactLaw(
+        5e3, 60.0, 5e-3, 0.0, friction=0.6, impratio=2.0, lead=0.02, impedance=(0.1, 0.8, 0.01, 0.3), margin=2e-3
+    ),
 }
 
 

@@ -45,7 +45,7 @@ def accelerations(m, r, q, v, u, act, a, external):
         if r[MEMORY.integrator] == ROSENBROCK:
             _accelerate_implicitly(m, r, q, v, tau, a)
             return
-        if needs_rounds(m, q, links):
+        if needs_rounds(m, r, q, links):
             own_armature(m, r)
             accelerate_in_rounds(m, r, q, v, tau, a)
         else:
@@ -61,7 +61,7 @@ def _accelerate_implicitly(m, r, q, v, tau, a):
     for i in range(m[TREE.nv]):
         store(tau, i, load(tau, i) + load(behind, i))
     own_armature(m, r)
-    if needs_rounds(m, q, lanes(r, MEMORY.links)):
+    if needs_rounds(m, r, q, lanes(r, MEMORY.links)):
         accelerate_in_rounds(m, r, q, v, tau, a)
     else:
         accelerate_once(m, r, q, v, tau, a, lanes(r, MEMORY.links), lanes(r, MEMORY.own))

@@ -35,8 +35,8 @@ def _geometry(contact: Any, tree: dict[str, np.ndarray]) -> np.ndarray:
     """(11,) centre, normal, level, arm and surface velocity of a contact: see contact_arrays."""
     plane, i = contact.plane, contact.link
     centre = np.linalg.inv(tree["frames"][i]) @ np.append(contact.centre, 1.0)
-    level = contact.radius + contact.law.surface_offset + plane.offset - plane.normal @ tree["origin"][i]
-    arm = contact.radius + 0.5 * contact.law.surface_offset
+    level = contact.radius + contact.law.reach + plane.offset - plane.normal @ tree["origin"][i]
+    arm = contact.radius + 0.5 * contact.law.reach
     return np.concatenate([centre[:3], plane.normal, [level, arm], plane.velocity])
 
 
@@ -80,7 +80,7 @@ def pair_arrays(pairs: Any, parent: np.ndarray, tree: dict[str, np.ndarray]) -> 
     """Per contact of two bodies: both links, their last common one, where qpos has their floating trees' places.
 
     And of each part its middle (3), axis (3) and half length, then from the second's origin to the first's (3),
-    r_1 + r_2 + surface offset, (r_1 - r_2)/2, b, the determinant for parallel axes, eleven numbers of the force.
+    r_1 + r_2 + reach, (r_1 - r_2)/2, b, the determinant for parallel axes, eleven numbers of the force.
     """
     links = np.full((len(pairs), PAIR_LINKS_SIZE), -1, dtype=np.int64)
     value = np.zeros((len(pairs), PAIR_SIZE))
@@ -97,7 +97,7 @@ def pair_arrays(pairs: Any, parent: np.ndarray, tree: dict[str, np.ndarray]) -> 
             link[3:] = -1
         radii = [part.radius for part in parts]
         row[14:17] = origins[0] - origins[1]
-        reach = sum(radii) + pair.law.surface_offset
+        reach = sum(radii) + pair.law.reach
         row[17:21] = reach, 0.5 * (radii[0] - radii[1]), b, b * (2.0 + b) if b > 0.0 else 1.0
         row[21:] = _contact_law_numbers(pair.law)
     return {"pair_links": links, "pair_value": value}

@@ -16,7 +16,7 @@ MEMORY = Layout(
     "integrator stages ld columns first block substeps kept stride loop_width",
     "links x u tau scratch rates theta q_stage v_stages act_stage act_rates a trial_a accelerations M Dq Dv held "
     "by_stage turns direct chained Xa step product heavier pushed before asked rest "
-    "loop_J loop_WJ loop_N loop_least loop_c loop_f loop_D loop_Y implicit behind own behind_rows method soft",
+    "loop_J loop_WJ loop_N loop_least loop_c loop_f loop_D loop_Y implicit behind own behind_rows method soft near guess",
 )
 
 
@@ -48,7 +48,7 @@ class TreeMemory:
             "trial_a": N * kept, "M": (nv if model.coupled or rows else n) * ld, "Dq": n * ld, "Dv": n * ld,
             "held": n * nu,
             "heavier": nv, "pushed": nv, "before": nv, "asked": nv, "rest": nv, "implicit": nv, "behind": nv,
-            "own": nv, "soft": SOFT_MEMORY * model.softs,
+            "own": nv, "guess": nv, "soft": SOFT_MEMORY * model.softs,
             "loop_J": rows * ld, "loop_WJ": rows * ld, "loop_N": rows * rows, "loop_c": rows,
             "loop_f": rows,
             "loop_least": 3 if rows else 0, "loop_D": rows * loop_width, "loop_Y": rows * ld,
@@ -65,6 +65,7 @@ class TreeMemory:
         behind = WIDTH * ld * ld if linearizing and integrator.form == ROSENBROCK else 0
         self._arrays["behind_rows"] = lane_array(behind + slack)
         self._arrays["method"] = integrator.numbers
+        self._arrays["near"] = np.zeros(model.softs + 1)  # soft contacts that touch: how many, and which
         sizes = {
             "integrator": integrator.form, "stages": stages, "ld": ld, "columns": columns, "first": first,
             "block": block, "substeps": substeps, "kept": kept, "stride": stride, "loop_width": loop_width,

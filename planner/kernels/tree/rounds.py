@@ -67,30 +67,41 @@ def own_armature(m, r):
 
 
 @part
-def needs_rounds(m, q, links):
+def needs_rounds(m, r, q, links):
     """Whether any force has the acceleration in it, of links that move_links has seen."""
-    if m[TREE.losses] > 0:
-        return True
-    return m[TREE.softs] > 0 and any_soft_contact(m, q, links)
+    touches = m[TREE.softs] > 0 and any_soft_contact(m, q, links, floats(r, MEMORY.near))
+    return touches or m[TREE.losses] > 0
+
+
+@part
+def forget_guess(m, r):
+    """Let the rounds start at no acceleration, as those of a stage's begin do."""
+    for i in range(m[TREE.nv]):
+        store(lanes(r, MEMORY.guess), i, spread(0.0))
 
 
 @part
 def accelerate_in_rounds(m, r, q, v, tau, a):
-    """Accelerations of links that move_links has seen, with MEMORY.own as armature."""
+    """Accelerations of links that move_links has seen, with MEMORY.own as armature.
+
+    Rounds of contacts start at those of the step before in the same stage, MEMORY.guess.
+    """
     links, armature, force = lanes(r, MEMORY.links), lanes(r, MEMORY.heavier), lanes(r, MEMORY.pushed)
     before, asked, own = lanes(r, MEMORY.before), lanes(r, MEMORY.asked), lanes(r, MEMORY.own)
-    soft = lanes(r, MEMORY.soft)
+    soft, near = lanes(r, MEMORY.soft), floats(r, MEMORY.near)
     begin_friction(m, v, tau, own, armature, force)
-    if m[TREE.softs] > 0:
+    if m[TREE.softs] > 0 and load(near, 0) > 0.0:
+        guess = lanes(r, MEMORY.guess)
         for i in range(m[TREE.nv]):
             if load(integers(m, TREE.prescribed), i) < 0:
-                store(a, i, spread(0.0))
-        add_soft_contacts(m, q, a, links, soft)
+                store(a, i, load(guess, i))
+        add_soft_contacts(m, q, a, links, near, soft)
+        linearize_friction(m, v, tau, a, (own, armature), force, before)
     accelerate_once(m, r, q, v, force, a, links, armature)
     error = first_error(m, v, tau, a, (own, armature), force, asked)
     if m[TREE.softs] > 0:
-        soft_moves(m, q, a, links, soft)
-        error = maximum(error, first_soft_error(m, q, links, soft))
+        soft_moves(m, q, a, links, near, soft)
+        error = maximum(error, first_soft_error(m, q, links, near, soft))
     for _ in range(MAX_ROUNDS):
         error = select(error, DIVERGED, error, 0.0)  # not a number: a state that has none
         if not any_less(CONVERGED, error):
@@ -99,11 +110,13 @@ def accelerate_in_rounds(m, r, q, v, tau, a):
         move_links(m, q, v, links)
         add_wrenches(m, q, links)
         if m[TREE.softs] > 0:
-            add_soft_contacts(m, q, a, links, soft)
+            add_soft_contacts(m, q, a, links, near, soft)
         accelerate_once(m, r, q, v, force, a, links, armature)
         if m[TREE.softs] > 0:
-            soft_moves(m, q, a, links, soft)
+            soft_moves(m, q, a, links, near, soft)
         error = _next_error(m, r, q, v, tau, a, error)
+    for i in range(m[TREE.nv]):
+        store(lanes(r, MEMORY.guess), i, load(a, i))
 
 
 @part
@@ -113,7 +126,7 @@ def _uphill(m, r, q, v, tau, a, part_of_way):
     force, before, asked = lanes(r, MEMORY.pushed), lanes(r, MEMORY.before), lanes(r, MEMORY.asked)
     slope = friction_uphill(m, v, tau, a, armatures, force, before, asked, part_of_way)
     if m[TREE.softs] > 0:
-        slope += soft_uphill(m, q, lanes(r, MEMORY.links), lanes(r, MEMORY.soft), part_of_way)
+        slope += soft_uphill(m, q, lanes(r, MEMORY.links), floats(r, MEMORY.near), lanes(r, MEMORY.soft), part_of_way)
     return slope
 
 
@@ -133,5 +146,5 @@ def _next_error(m, r, q, v, tau, a, error):
     high = select(CONVERGED, error, high, 0.0)
     left = friction_error(m, v, tau, a, armatures, force, before, asked, high)
     if m[TREE.softs] > 0:
-        left = maximum(left, soft_error(m, q, lanes(r, MEMORY.links), lanes(r, MEMORY.soft), high))
+        left = maximum(left, soft_error(m, q, lanes(r, MEMORY.links), floats(r, MEMORY.near), lanes(r, MEMORY.soft), high))
     return left

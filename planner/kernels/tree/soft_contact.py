@@ -200,17 +200,20 @@ def set_rates(m, a, ws):
 
 
 @part
-def any_soft_contact(m, q, ws):
-    """Whether a sphere is in its plane in any lane, of links that move_links has seen."""
+def any_soft_contact(m, q, ws, near):
+    """Whether a sphere is in its plane in any lane, of links that move_links has seen; `near`: how many, and which."""
+    count = 0
     for k in range(m[TREE.softs]):
         _, e, _, _, _ = _met(m, k, q, ws)
         if any_less(0.0, e):
-            return True
-    return False
+            count += 1
+            store(near, count, float(k))
+    store(near, 0, float(count))
+    return count > 0
 
 
 @part
-def add_soft_contacts(m, q, a, ws, memory):
+def add_soft_contacts(m, q, a, ws, near, memory):
     """Linearize the soft contacts at accelerations a and add their forces and inertias to the links."""
     value, parent, g = floats(m, TREE.soft_value), integers(m, TREE.parent), floats(m, TREE.base_acceleration)
     zero = spread(0.0)
@@ -223,7 +226,8 @@ def add_soft_contacts(m, q, a, ws, memory):
             w, u = add(load3(ws, pb), load3(ws, b + CORIOLIS)), add(load3(ws, pb + 3), load3(ws, b + CORIOLIS + 3))
         store3(ws, b + REST, w)
         store3(ws, b + REST + 3, u)
-    for k in range(m[TREE.softs]):
+    for j in range(int(load(near, 0))):
+        k = int(load(near, 1 + j))
         link, e, _, p, _ = _met(m, k, q, ws)
         o, b = k * SOFT_MEMORY, link * RECORD
         x = _ahead(m, k, link, p, ws)
@@ -277,19 +281,21 @@ def _off(value, k, e, x, asked):
 
 
 @part
-def soft_moves(m, q, a, ws, memory):
+def soft_moves(m, q, a, ws, near, memory):
     """Keep the velocities ahead of new accelerations a."""
     set_rates(m, a, ws)
-    for k in range(m[TREE.softs]):
+    for j in range(int(load(near, 0))):
+        k = int(load(near, 1 + j))
         link, _, _, p, _ = _met(m, k, q, ws)
         store3(memory, k * SOFT_MEMORY + NEXT, _ahead(m, k, link, p, ws))
 
 
 @part
-def first_soft_error(m, q, ws, memory):
+def first_soft_error(m, q, ws, near, memory):
     """The largest error (lanes) of the first round, and what it asks for is kept."""
     error, value = spread(0.0), floats(m, TREE.soft_value)
-    for k in range(m[TREE.softs]):
+    for j in range(int(load(near, 0))):
+        k = int(load(near, 1 + j))
         _, e, _, _, _ = _met(m, k, q, ws)
         o = k * SOFT_MEMORY
         asked = _asked(memory, o)
@@ -299,10 +305,11 @@ def first_soft_error(m, q, ws, memory):
 
 
 @part
-def soft_uphill(m, q, ws, memory, part_of_way):
+def soft_uphill(m, q, ws, near, memory, part_of_way):
     """The slope of the convex function along the way to the new accelerations, a part of it gone."""
     slope, value = spread(0.0), floats(m, TREE.soft_value)
-    for k in range(m[TREE.softs]):
+    for j in range(int(load(near, 0))):
+        k = int(load(near, 1 + j))
         _, e, _, _, _ = _met(m, k, q, ws)
         o = k * SOFT_MEMORY
         x, before = load3(memory, o + WHERE), load3(memory, o + ASKED)
@@ -314,10 +321,11 @@ def soft_uphill(m, q, ws, memory, part_of_way):
 
 
 @part
-def soft_error(m, q, ws, memory, gone):
+def soft_error(m, q, ws, near, memory, gone):
     """The largest error (lanes) after a part of the way, where what is asked for there is kept."""
     error, value = spread(0.0), floats(m, TREE.soft_value)
-    for k in range(m[TREE.softs]):
+    for j in range(int(load(near, 0))):
+        k = int(load(near, 1 + j))
         _, e, _, _, _ = _met(m, k, q, ws)
         o = k * SOFT_MEMORY
         x, before = load3(memory, o + WHERE), load3(memory, o + ASKED)

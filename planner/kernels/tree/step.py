@@ -48,6 +48,7 @@ from planner.kernels.tree.rosenbrock import (
     forget_implicit,
     second_stage,
 )
+from planner.kernels.tree.rounds import forget_guess
 
 
 @inline
@@ -207,6 +208,8 @@ def close_state(m, r, x):
 def stage(m, r, x, u, a, dt, x_next, external):
     """The end x_next of a stage of length dt (a V4) from x under u, in equal substeps; a keeps all accelerations."""
     substeps = r[MEMORY.substeps]
+    if m[TREE.softs] > 0:
+        forget_guess(m, r)
     length = (1.0 / substeps) * dt
     _step(m, r, x, u, a, length, x_next, external)
     for i in range(1, substeps):
@@ -273,6 +276,7 @@ def rates(m, r, xs, us, out, external):
     for first in range(0, K, WIDTH):
         gather(doubles(xs), first, K, nx, x)
         gather(doubles(us), first, K, m[TREE.nu], u)
+        forget_guess(m, r)
         accelerations(m, r, x, at(x, nq), u, at(x, nq + nv), a, external)
         for k in range(nv):
             store(rate, k, load(x, nq + k))

@@ -110,6 +110,7 @@ class ContactLaw(Law):
         cone: "elliptic" or "pyramidal", the friction cone of a law with a lead.
         impedance: Of a law with a lead d_0, d_1, the width, m, and the midpoint of the rise as a part of the width;
             d_0 = d_1 for the same stiffness at all depths.
+        margin: m, how far before the surfaces touch the force begins. Depths count from there.
     """
 
     slip_damping: float = 0.0
@@ -120,10 +121,11 @@ class ContactLaw(Law):
     lead: float = 0.0
     cone: str = "elliptic"
     impedance: tuple[float, float, float, float] = (0.9, 0.9, 1.0, 0.5)
+    margin: float = 0.0
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        for name in ("slip_damping", "friction", "lead"):
+        for name in ("slip_damping", "friction", "lead", "margin"):
             set_fields(self, **{name: number(name, getattr(self, name), minimum=0.0)})
         set_fields(self, bend=number("bend", self.bend, minimum=0.0, maximum=1.0))
         set_fields(self, uncertainty=number("uncertainty", self.uncertainty, minimum=1.0))
@@ -141,6 +143,11 @@ class ContactLaw(Law):
         """How far the law's surface is raised, m: edges of a pyramid have ramps of their own, elliptic cones none."""
         ramps = 1 if self.lead == 0.0 else 0 if self.is_round else 4
         return 0.5 * self.ramp + 0.5 * ramps * float(self.force_ramp or 0.0) / self.stiffness
+
+    @property
+    def reach(self) -> float:
+        """How far apart the surfaces are where the smoothed force begins, m."""
+        return self.margin + self.surface_offset
 
     def impedance_at(self, depth: Any) -> tuple[Any, Any]:
         """The impedance d at depths, m, and its derivative."""

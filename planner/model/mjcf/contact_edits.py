@@ -5,30 +5,26 @@ that are not modelled (meshes, boxes of two bodies that both move) are excluded 
 
 Those numbers are relative to MuJoCo's body_invweight0, so a model whose inertias are changed needs others for the same
 law: `keep_law` writes them.
-
-A contact that is to make no force is watched: MuJoCo detects it and says how deep it is (`watch`).
 """
 
 from __future__ import annotations
 
 import itertools
 from collections.abc import Callable, Collection, Iterator, Mapping
-from functools import cache
 from typing import Any
 from xml.etree import ElementTree
 
 import numpy as np
 
 from planner.base.errors import ModelError
-from planner.base.gl import load_mujoco
 from planner.model.contact.laws import ContactLaw
 from planner.model.mjcf.contact_shapes import add_points, meets_plane
 from planner.model.mjcf.contacts import CONTACT_LAW, OF_FILE, law_attributes, shapes_fit
 from planner.model.mjcf.file_law import as_read
-from planner.model.mjcf.model_index import ModelIndex, Pair, compile_model
+from planner.model.mjcf.margins import force_begins, watch
+from planner.model.mjcf.model_index import ModelIndex, Pair
 from planner.model.mjcf.text import written
 
-WATCHED_MARGIN = -1e3  # m, where the force of a watched pair would begin
 IMPRATIO = 1000.0  # at which MuJoCo's friction is the law's to a thousandth; beyond, its own inertia shows
 
 
@@ -72,9 +68,10 @@ def give_law(
         cone = law.cone if leads else "elliptic"
         weight = float(np.sum(model.body_invweight0[bodies, 0]))
         attributes = _attributes(as_read(model, pair)) if own else law_attributes(law, weight, impratio)
+        extent = {"margin": written(law.margin), "gap": "0"}
         for one, other in itertools.product(*names):
             both = {"geom1": one, "geom2": other}
-            ElementTree.SubElement(section, "pair", {**both, **attributes, "margin": "0", "gap": "0"})
+            ElementTree.SubElement(section, "pair", {**both, **attributes, **extent})
     option = ElementTree.SubElement(root, "option", {} if own else {"cone": cone, "impratio": repr(impratio)})
     ElementTree.SubElement(option, "flag", {"refsafe": "disable"})  # for steps of any length
     for custom in root.findall("custom"):
@@ -86,33 +83,6 @@ def give_law(
     for name, data in numbers.items():
         ElementTree.SubElement(custom, "numeric", {"name": name, "data": data})
     return unmatched
-
-
-def force_begins(model: Any, pair: Pair) -> float:
-    """How far apart a pair's surfaces are where its force begins, m: of margins and gaps, as this MuJoCo has them."""
-    geoms = tuple(f'margin="{model.geom_margin[geom]}" gap="{model.geom_gap[geom]}"' for geom in pair.geoms)
-    for k in range(model.npair):
-        if {int(model.pair_geom1[k]), int(model.pair_geom2[k])} == set(pair.geoms):
-            return _begins("", "", f'margin="{model.pair_margin[k]}" gap="{model.pair_gap[k]}"')
-    return _begins(*geoms, "")
-
-
-@cache
-def _begins(first: str, second: str, pair: str) -> float:
-    """Where force begins between a plane and a ball with these margins: releases add them, or take the larger one."""
-    return max(float(_plane_and_ball(first, second, pair).contact[0].includemargin), 0.0)
-
-
-def _plane_and_ball(first: str = "", second: str = "", explicit: str = "") -> Any:
-    """MuJoCo's data of a ball 0.1 m deep in a plane, with attributes of both geoms and of their <pair>, if any."""
-    pair = f'<contact><pair geom1="a" geom2="b" {explicit}/></contact>' if explicit else ""
-    model = compile_model(
-        f'<mujoco><worldbody><geom name="a" type="plane" size="1 1 1" {first}/><body pos="0 0 .9"><freejoint/>'
-        f'<geom name="b" size="1" {second}/></body></worldbody>{pair}</mujoco>'
-    )
-    data = load_mujoco().MjData(model)
-    load_mujoco().mj_fwdPosition(model, data)
-    return data
 
 
 def _body_of(root: ElementTree.Element, element: ElementTree.Element) -> ElementTree.Element:
@@ -152,34 +122,6 @@ def keep_law(root: ElementTree.Element, survey: ModelIndex, weights: np.ndarray,
         geoms = {f"geom{i + 1}": geom_names[geom] for i, geom in enumerate(pair.geoms)}
         extent = {"margin": written(pair.margin), "gap": "0"}
         ElementTree.SubElement(section, "pair", {**geoms, **_attributes(pair, ratio), **extent})
-
-
-def watch(section: ElementTree.Element, first: str, second: str) -> None:
-    """Add a <pair> of two geoms whose contact MuJoCo detects and that makes no force; it replaces their own contact."""
-    margin, gap = _watched()
-    ElementTree.SubElement(section, "pair", {"geom1": first, "geom2": second, "margin": margin, "gap": gap})
-
-
-@cache
-def _watched() -> tuple[str, str]:
-    """Margin and gap with which MuJoCo detects contact at distance 0 without a force: before 4.0, or from it on."""
-    for margin in (0.0, WATCHED_MARGIN):
-        texts = written(margin), written(-WATCHED_MARGIN)
-        data = _plane_and_ball(explicit='margin="{}" gap="{}"'.format(*texts))
-        if data.ncon and not data.nefc:
-            return texts
-    raise AssertionError(f"MuJoCo {load_mujoco().__version__} has no contact without force")
-
-
-def is_watched(includemargin: np.ndarray) -> np.ndarray:
-    """Whether contacts with these margins, m, make no force at any depth: see `watch`."""
-    return includemargin <= 0.5 * WATCHED_MARGIN
-
-
-def watched_pairs(model: Any) -> set[frozenset[int]]:
-    """The pairs of geoms of a compiled model that are watched."""
-    none = (model.pair_margin <= 0.5 * WATCHED_MARGIN) | (model.pair_margin - model.pair_gap <= 0.5 * WATCHED_MARGIN)
-    return {frozenset((int(model.pair_geom1[k]), int(model.pair_geom2[k]))) for k in np.flatnonzero(none)}
 
 
 def _attributes(pair: Pair, ratio: float = 1.0) -> dict[str, str]:

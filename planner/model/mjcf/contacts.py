@@ -34,6 +34,7 @@ from planner.model.contact.body_contact import BodyContact
 from planner.model.contact.laws import BEND, Contact, ContactLaw, Law, Stop
 from planner.model.mjcf.contact_shapes import are_capsules, capsule_of, part_name, plane_and_spheres
 from planner.model.mjcf.file_law import MAX_IMPEDANCE, MIN_IMPEDANCE, edge_weight, file_law, file_law_reason
+from planner.model.mjcf.margins import force_begins
 from planner.model.mjcf.model_index import ModelIndex, Pair, disabled, named, texts_of
 from planner.model.mjcf.unsupported import UnsupportedElement
 
@@ -149,8 +150,6 @@ def _law_reason(model: Any, pair: Pair) -> str:
         return file_law_reason(model, pair)
     if pair.condim not in (1, 3):
         return f"condim {pair.condim}, expected 1 or 3"
-    if pair.margin != 0.0:
-        return f"margin {pair.margin:g}, expected 0"
     reason = _direct_reason(pair.solref, pair.solimp)
     if reason or pair.condim == 1:
         return reason
@@ -236,7 +235,7 @@ def _exact_law(model: Any, pair: Pair) -> ContactLaw:
     impratio = float(model.opt.impratio)
     slips = -pair.solreffriction[1] / weight if np.any(pair.solreffriction) else B
     mu, ct = (float(pair.friction[0]), impratio * slips) if pair.condim == 3 else (0.0, 0.0)
-    return ContactLaw.exact(K, B, ct, mu, impratio)
+    return replace(ContactLaw.exact(K, B, ct, mu, impratio), margin=force_begins(model, pair))
 
 
 def read_stops(model: Any) -> tuple[Stop, ...]:

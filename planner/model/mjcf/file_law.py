@@ -29,6 +29,7 @@ import numpy as np
 from planner.base.errors import ModelError
 from planner.base.gl import load_mujoco
 from planner.model.contact.laws import ContactLaw
+from planner.model.mjcf.margins import force_begins
 from planner.model.mjcf.model_index import Pair, disabled, field, named
 
 MIN_IMPEDANCE, MAX_IMPEDANCE = 1e-4, 0.9999  # mjMINIMP, mjMAXIMP
@@ -45,7 +46,7 @@ def file_law(model: Any, pair: Pair) -> ContactLaw:
         pair: Of ModelIndex.pairs.
 
     Raises:
-        ModelError: MuJoCo's force is not of this form: a margin, friction that differs along and across, friction with
+        ModelError: MuJoCo's force is not of this form: friction that differs along and across, friction with
             another rate than the normal force, or no damping.
     """
     if reason := file_law_reason(model, pair):
@@ -55,7 +56,10 @@ def file_law(model: Any, pair: Pair) -> ContactLaw:
     slip_damping = B * (0.5 * mu**2 if pyramidal else impratio * (mu > 0.0))
     cone = "pyramidal" if pyramidal else "elliptic"
     rise = impedance_of(pair.solimp)
-    return ContactLaw(K, B, 0.0, 0.0, slip_damping, mu, impratio, 0.0, lead=lead, cone=cone, impedance=rise)
+    return ContactLaw(
+        K, B, 0.0, 0.0, slip_damping, mu, impratio, 0.0, lead=lead, cone=cone, impedance=rise,
+        margin=force_begins(model, pair),
+    )  # fmt: skip
 
 
 def coefficients(model: Any, pair: Pair, depth: float) -> tuple[float, float]:
@@ -76,8 +80,6 @@ def edge_weight(mu: float, impratio: float) -> float:
 
 def file_law_reason(model: Any, pair: Pair) -> str:
     """The reason why a pair's force has no `file_law`; "" where it has one."""
-    if pair.margin != 0.0:
-        return f"margin {pair.margin:g}, expected 0"
     if model.opt.noslip_iterations > 0:
         return f"noslip_iterations {model.opt.noslip_iterations}, expected 0"
     if model.opt.enableflags & int(load_mujoco().mjtEnableBit.mjENBL_OVERRIDE):

@@ -20,7 +20,8 @@ from xml.etree import ElementTree
 import numpy as np
 
 from planner.base.gl import load_mujoco
-from planner.model.mjcf.contact_edits import elements_of_geoms, watch
+from planner.model.mjcf.contact_edits import elements_of_geoms
+from planner.model.mjcf.margins import watch
 from planner.model.mjcf.contact_mode import falling_trees
 from planner.model.mjcf.model_index import ModelIndex
 
