@@ -25,10 +25,11 @@ def contact_frames(n: np.ndarray) -> np.ndarray:
     return np.stack([n, t1, np.cross(n, t1)], axis=1)
 
 
-def edges(law: ContactLaw, n: np.ndarray) -> np.ndarray:
-    """(K, 4, 3) directions of the force of a pyramidal cone, which are all n without friction."""
-    frames, mu = contact_frames(n), law.friction
-    return np.stack([n + side * mu * frames[:, k] for k in (1, 2) for side in (1.0, -1.0)], axis=1)
+def edges(law: ContactLaw, n: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(K, 5, 3) directions of the force of a pyramidal cone, all n without friction, and their shares (5,)."""
+    frames, mu, p = contact_frames(n), law.friction, law.normal_share
+    around = [n + side * mu * frames[:, k] for k in (1, 2) for side in (1.0, -1.0)]
+    return np.stack([*around, n], axis=1), np.append(np.full(4, 0.25 * (1.0 - p)), p)
 
 
 def lead_force(
@@ -53,14 +54,13 @@ def lead_force(
         by = W @ slope
         by_e = np.einsum("kab,kb->ka", by, dk[:, None] * n - db[:, None] * Wx)
         return np.einsum("kab,kb->ka", W, g), by_e, -b[:, None, None] * (by @ W)
-    d = edges(law, n)
-    share = 0.25
+    d, share = edges(law, n)
     along = np.einsum("kea,ka->ke", d, x)
     y, f = share * (k[:, None] - b[:, None] * along), float(law.force_ramp or 0.0)
     slope = np.clip(y / f, 0.0, 1.0) if f > 0.0 else (y > 0.0).astype(float)
     force = slope * (y - 0.5 * f * slope)
     by_e = slope * share * (dk[:, None] - db[:, None] * along)
-    by_x = -share * b[:, None, None] * np.einsum("ke,kea,keb->kab", slope, d, d)
+    by_x = -b[:, None, None] * np.einsum("ke,kea,keb->kab", share * slope, d, d)
     return np.einsum("ke,kea->ka", force, d), np.einsum("ke,kea->ka", by_e, d), by_x
 
 

@@ -144,9 +144,27 @@ def test_margins_press_before_surfaces_touch(text, states, count):
     assert all(0.0 < contact.law.margin <= 0.004 for contact in m.contacts)
 
 
+SLED = (
+    HEAD
+    + """<geom type="plane" size="0 0 1"/><body pos="0 0 .1"><joint type="slide" axis="1 0 0"/>
+    <joint type="slide" axis="0 1 0"/><joint type="slide" axis="0 0 1"/><geom size=".1" mass="2"/></body></worldbody>
+  </mujoco>"""
+)
+
+
+@pytest.mark.parametrize("condim", [4, 6])
+def test_edges_for_spinning_and_rolling_press(condim):
+    """What does not turn has all of MuJoCo's force: nothing resists spinning and rolling, but the edges press."""
+    text = SLED.format(cone="pyramidal", impratio=2, condim=condim, solref=".02 1", solimp=USUAL)
+    worst, seen = beside_mujoco(text, moving(2, -0.004, 0.003))
+    assert set(seen) == {0, 1}
+    assert worst < BOUNDS["pyramidal"]
+
+
 LAWS = {
     "pyramid": ContactLaw(5e3, 60.0, 5e-3, 5.0, friction=0.6, lead=0.02, cone="pyramidal"),
     "sharp pyramid": ContactLaw(5e3, 60.0, force_ramp=0.0, friction=0.6, lead=0.02, cone="pyramidal"),
+    "condim 6": ContactLaw(5e3, 60.0, 5e-3, 5.0, friction=0.6, lead=0.02, cone="pyramidal", normal_share=0.6),
     "cone": ContactLaw(5e3, 60.0, 5e-3, friction=0.6, impratio=10.0, lead=0.02),
     "sharp cone": ContactLaw(5e3, 60.0, force_ramp=0.0, friction=0.6, impratio=10.0, bend=0.0, lead=0.02),
     "no friction": ContactLaw(5e3, 60.0, 5e-3, 5.0, lead=0.02),

@@ -11,7 +11,7 @@ from planner.model.contact.body_contact import common_carrier
 from planner.model.contact.laws import slide_direction
 
 CONTACT_SIZE, STOP_SIZE = 25, 8  # numbers of a contact and of a stop: see contact_arrays
-SOFT_SIZE = 32  # of a soft contact: see soft_arrays
+SOFT_SIZE = 34  # of a soft contact: see soft_arrays
 MIN_BEND = 1e-9  # of the elliptic cone, so that no number is divided by 0
 PAIR_SIZE, PAIR_LINKS_SIZE = 32, 5  # numbers and links of a contact of two bodies: see pair_arrays
 
@@ -41,10 +41,11 @@ def _geometry(contact: Any, tree: dict[str, np.ndarray]) -> np.ndarray:
 
 
 def soft_arrays(contacts: Any, tree: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """Per soft contact: centre (3), normal (3), level, arm, surface velocity (3), two tangents (3), fifteen of its law.
+    """Per soft contact: centre (3), normal (3), level, arm, surface velocity (3), two tangents (3), its law (17).
 
     The first eleven as in contact_arrays. Of the law: six of _law_numbers, lead, friction, the root of impratio, the
-    smoothing of the cone, whether the cone is elliptic, and the impedance: first, last, one over its width, midpoint.
+    smoothing of the cone, whether the cone is elliptic, the impedance: first, last, one over its width, midpoint, and
+    the shares of each edge and of the normal.
     """
     link = np.array([contact.link for contact in contacts], dtype=np.int64)
     value = np.zeros((len(contacts), SOFT_SIZE))
@@ -54,7 +55,8 @@ def soft_arrays(contacts: Any, tree: dict[str, np.ndarray]) -> dict[str, np.ndar
         row[:11], row[11:17] = _geometry(contact, tree), np.concatenate(tangents(contact.plane.normal))
         row[17:23] = _law_numbers(law)
         first, last, width, midpoint = law.impedance
-        row[28:] = first, last, 1.0 / width, midpoint
+        row[28:32] = first, last, 1.0 / width, midpoint
+        row[32:] = 0.25 * (1.0 - law.normal_share), law.normal_share
         row[23:28] = law.lead, law.friction, root, max(law.bend, MIN_BEND) * law.friction / root, float(elliptic)
     return {"soft_link": link, "soft_address": tree["floating_address"][link], "soft_value": value}
 

@@ -44,7 +44,7 @@ from planner.kernels.tree.sensitivity import Y
 # Offsets in a soft contact's numbers, as contact_tables lays them out
 CENTRE, NORMAL, LEVEL, ARM, SURFACE, FIRST, SECOND, LAW = 0, 3, 6, 7, 8, 11, 14, 17
 STIFFNESS, DAMPING, RAMP, PER_RAMP, FORCE, PER_FORCE, LEAD, FRICTION, ROOT, WINDOW, ELLIPTIC = range(11)
-FIRST_IMPEDANCE, LAST_IMPEDANCE, PER_WIDTH, MIDPOINT = range(11, 15)
+FIRST_IMPEDANCE, LAST_IMPEDANCE, PER_WIDTH, MIDPOINT, EDGE, ALONG_NORMAL = range(11, 17)
 # In its memory: of the last linearization its force, C and x; the force that the accelerations ask for; the next x
 AT, SLOPES, WHERE, ASKED, NEXT, SOFT_MEMORY = 0, 3, 9, 12, 15, 18
 SOFT_SHARE = 0.01  # of an error: a contact's force may be a hundred times as far from its law as that of friction
@@ -64,25 +64,29 @@ def _plus(C, s, d):
 
 
 @inline
-def _edge(value, o, d, pressed, pressed_e, s, ds, x):
-    """The force of an edge d of the pyramid, its derivative by e, and C along d."""
-    along, damping = dot(x, d), 0.25 * load(value, o + DAMPING)
-    y, y_e = 0.25 * pressed - damping * (s * along), 0.25 * pressed_e - damping * (ds * along)
+def _edge(value, o, d, share, pressed, pressed_e, s, ds, x):
+    """The force of an edge d of the pyramid that has a share of all, its derivative by e, and C along d."""
+    along, damping = dot(x, d), share * load(value, o + DAMPING)
+    y, y_e = share * pressed - damping * (s * along), share * pressed_e - damping * (ds * along)
     force, slope = ramp(y, load(value, o + FORCE), load(value, o + PER_FORCE))
     return force, slope * y_e, damping * (slope * s)
 
 
 @inline
 def _pyramid(value, o, n, first, second, pressed, pressed_e, s, ds, x):
-    """Force, its derivative by e and C of a pyramidal cone: four edges n +- mu t that push."""
-    mu, zero = load(value, o + FRICTION), spread(0.0)
+    """Force, its derivative by e and C of a pyramidal cone: four edges n +- mu t that push, and perhaps n itself."""
+    mu, zero, share = load(value, o + FRICTION), spread(0.0), load(value, o + EDGE)
     f, f_e, C = (zero, zero, zero), (zero, zero, zero), (zero, zero, zero, zero, zero, zero)
     for axis in range(2):
         t = first if axis == 0 else second
         for side in range(2):
             d = axpy(n, mu if side == 0 else -mu, t)
-            force, by_e, slope = _edge(value, o, d, pressed, pressed_e, s, ds, x)
+            force, by_e, slope = _edge(value, o, d, share, pressed, pressed_e, s, ds, x)
             f, f_e, C = axpy(f, force, d), axpy(f_e, by_e, d), _plus(C, slope, d)
+    share = load(value, o + ALONG_NORMAL)
+    if share > 0.0:
+        force, by_e, slope = _edge(value, o, n, share, pressed, pressed_e, s, ds, x)
+        f, f_e, C = axpy(f, force, n), axpy(f_e, by_e, n), _plus(C, slope, n)
     return f, f_e, C
 
 

@@ -27,7 +27,8 @@ and s = s(e; a/2), a pyramidal cone has the sum over four edges d = n +- mu t1, 
 
     r(y; f) d,   y = (K depth - B s d'x) / 4,   r = ramp, r(y; 0) = max(y, 0)
 
-with t1, t2 of MuJoCo's contact frame; so has a contact without friction, whose edges are all n. An elliptic cone
+with t1, t2 of MuJoCo's contact frame; so has a contact without friction, whose edges are all n. With a `normal_share`
+p there is a fifth edge n that has p in place of 1/4, and the others have (1 - p)/4. An elliptic cone
 has, with i = impratio and (g_n, g_t) the point of |g_t| <= m g_n, m = mu / sqrt(i), that is nearest to (y_n, y_t),
 
     f_n = g_n,   f_t = sqrt(i) g_t,   y_n = K depth - B s x_n,   y_t = -B s sqrt(i) x_t.
@@ -110,6 +111,8 @@ class ContactLaw(Law):
         cone: "elliptic" or "pyramidal", the friction cone of a law with a lead.
         impedance: Of a law with a lead d_0, d_1, the width, m, and the midpoint of the rise as a part of the width;
             d_0 = d_1 for the same stiffness at all depths.
+        normal_share: Of a pyramidal cone: the part of K and B that presses along the normal alone. That is how its
+            edges for spinning and rolling press, which resist neither here.
         margin: m, how far before the surfaces touch the force begins. Depths count from there.
     """
 
@@ -121,6 +124,7 @@ class ContactLaw(Law):
     lead: float = 0.0
     cone: str = "elliptic"
     impedance: tuple[float, float, float, float] = (0.9, 0.9, 1.0, 0.5)
+    normal_share: float = 0.0
     margin: float = 0.0
 
     def __post_init__(self) -> None:
@@ -132,6 +136,7 @@ class ContactLaw(Law):
         if self.impratio != math.inf:
             set_fields(self, impratio=number("impratio", self.impratio, greater_than=0.0))
         choice("cone", self.cone, CONES)
+        set_fields(self, normal_share=number("normal_share", self.normal_share, minimum=0.0, maximum=1.0))
         first, last, width, midpoint = self.impedance
         if not (0.0 < first < 1.0 and 0.0 < last < 1.0 and width > 0.0 and 0.0 < midpoint < 1.0):
             raise PlannerError(f"impedance is {self.impedance}, expected d_0, d_1, a width and a midpoint of 0 to 1.")
@@ -141,7 +146,7 @@ class ContactLaw(Law):
     @property
     def surface_offset(self) -> float:
         """How far the law's surface is raised, m: edges of a pyramid have ramps of their own, elliptic cones none."""
-        ramps = 1 if self.lead == 0.0 else 0 if self.is_round else 4
+        ramps = 1 if self.lead == 0.0 else 0 if self.is_round else 4 + (self.normal_share > 0.0)
         return 0.5 * self.ramp + 0.5 * ramps * float(self.force_ramp or 0.0) / self.stiffness
 
     @property

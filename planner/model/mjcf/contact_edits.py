@@ -20,7 +20,7 @@ from planner.base.errors import ModelError
 from planner.model.contact.laws import ContactLaw
 from planner.model.mjcf.contact_shapes import add_points, meets_plane
 from planner.model.mjcf.contacts import CONTACT_LAW, OF_FILE, law_attributes, shapes_fit
-from planner.model.mjcf.file_law import as_read
+from planner.model.mjcf.file_law import as_read, turns_edges
 from planner.model.mjcf.margins import force_begins, watch
 from planner.model.mjcf.model_index import ModelIndex, Pair
 from planner.model.mjcf.text import written
@@ -51,7 +51,7 @@ def give_law(
         bodies = [int(model.geom_bodyid[geom]) for geom in pair.geoms]
         law, names = law_of(pair), [[geoms[geom].attrib["name"]] for geom in pair.geoms]
         margin = 0.0 if recesses is None or law is None else force_begins(model, pair) - recesses[pair.geoms]
-        fits = margin == 0.0 and shapes_fit(survey, pair)
+        fits = margin == 0.0 and shapes_fit(survey, pair) and not (own and turns_edges(survey, pair))
         match = None if law is None or fits else meets_plane(survey, pair.geoms)
         if law is None or not (fits or match):
             unmatched.append(pair)

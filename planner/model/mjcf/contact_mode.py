@@ -23,7 +23,7 @@ import numpy as np
 from planner.base.gl import load_mujoco
 from planner.model.mjcf.contact_shapes import meets_plane, plane_of
 from planner.model.mjcf.contacts import is_modelled
-from planner.model.mjcf.file_law import file_law_reason, is_pyramidal
+from planner.model.mjcf.file_law import file_law_reason
 from planner.model.mjcf.ground_law import mass_of
 from planner.model.mjcf.model_index import ModelIndex, Pair, disabled, named
 from planner.model.mjcf.unsupported import no_compensation
@@ -33,7 +33,6 @@ MODES = ("auto", "avoid", "file", "ground", "model", "off")
 STANDING = ("file", "ground")  # modes of machines that stand on planes
 LEVEL = 0.8  # of gravity, across a plane that carries
 MAX_NAMED = 3  # objects in a sentence
-ALONG_AXIS = 1e-6  # of a hinge's axis, across an axis of the world
 _STEEP = 1e-6  # of gravity, along a slide that is not level
 
 
@@ -92,28 +91,9 @@ def ground_pairs(survey: ModelIndex) -> list[Pair]:
 
 def _has_file_law(survey: ModelIndex, standing: Sequence[Pair]) -> bool:
     """Whether the plan computes MuJoCo's law of all pairs with planes at rest, and what stands stands on these."""
-    model, capsule = survey.model, int(load_mujoco().mjtGeom.mjGEOM_CAPSULE)
     pairs = file_pairs(survey)
-    reasons = any(file_law_reason(model, pair) for pair in pairs)
-    pyramids = [pair for pair in pairs if is_pyramidal(model, pair) and capsule in model.geom_type[list(pair.geoms)]]
-    turns = any(_turns_edges(survey, pair) for pair in pyramids)
-    return not (reasons or turns) and {pair.geoms for pair in standing} <= {pair.geoms for pair in pairs}
-
-
-def _turns_edges(survey: ModelIndex, pair: Pair) -> bool:
-    """Whether a capsule can turn the edges of its pyramid, which MuJoCo lays along it, away from the world's axes."""
-    model, joints = survey.model, load_mujoco().mjtJoint
-    body = int(model.geom_bodyid[list(pair.geoms)].max())
-    while body > 0:
-        for joint in range(model.body_jntadr[body], model.body_jntadr[body] + model.body_jntnum[body]):
-            if model.jnt_type[joint] in (int(joints.mjJNT_FREE), int(joints.mjJNT_BALL)):
-                return True
-            level = np.sort(np.abs(survey.home.xaxis[joint]))[::-1]  # a planar machine's hinges are across its plane
-            hinge = model.jnt_type[joint] == int(joints.mjJNT_HINGE)
-            if hinge and (level[1] > ALONG_AXIS or abs(survey.home.xaxis[joint, 2]) > ALONG_AXIS):
-                return True
-        body = int(model.body_parentid[body])
-    return False
+    reasons = any(file_law_reason(survey.model, pair) for pair in pairs)
+    return not reasons and {pair.geoms for pair in standing} <= {pair.geoms for pair in pairs}
 
 
 def file_pairs(survey: ModelIndex) -> list[Pair]:

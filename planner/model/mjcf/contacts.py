@@ -88,13 +88,17 @@ def law_attributes(law: ContactLaw, invweight: float, impratio: float = 1000.0) 
         raise PlannerError(f"impedance is {law.impedance}, expected a constant one of a law with a lead that is given.")
     mu, pyramidal = law.friction, law.cone == "pyramidal" and law.friction > 0.0
     per = number("invweight", invweight, greater_than=0.0)
-    per *= edge_weight(mu, law.impratio if math.isfinite(law.impratio) else impratio) / 4.0 if pyramidal else 1.0
+    edges = 4.0 / (1.0 - law.normal_share) if law.normal_share < 1.0 else math.inf
+    if round(edges, 9) not in (4.0, 6.0, 10.0):  # condim 3, 4 and 6
+        raise PlannerError(f"normal_share is {law.normal_share:g}, expected 0, 1/3 or 0.6.")
+    per *= edge_weight(mu, law.impratio if math.isfinite(law.impratio) else impratio) / edges if pyramidal else 1.0
     share = per * law.damping * law.lead  # d/(1 - d)
     d = share / (1.0 + share)
     if not MIN_IMPEDANCE <= d <= MAX_IMPEDANCE:
         raise PlannerError(f"damping * lead is {law.damping * law.lead:g} kg, which MuJoCo has no impedance for.")
     solref = _text(-law.stiffness / law.damping / law.lead * d, -d / law.lead)
-    rubs = {"condim": "3", "friction": _text(mu, mu, 0.005, 0.0001, 0.0001)} if mu > 0.0 else {"condim": "1"}
+    cone = {"condim": f"{1 + edges / 2.0:.0f}", "friction": _text(mu, mu, 0.005, 0.0001, 0.0001)}
+    rubs = cone if mu > 0.0 else {"condim": "1"}
     return {**rubs, "solref": solref, "solimp": _text(d, d, 1.0, 0.5, 2.0)}
 
 

@@ -15,8 +15,8 @@ E = 2 (condim - 1) edges of a pyramidal cone has R_py = 2 mu^2/impratio (1 + mu^
     B = E b/R_py,   K = E k d/R_py.
 
 K and B are of the impedance dmax of deep contacts, and the law's `impedance` says how d rises to it. What differs from
-MuJoCo's: an elliptic cone of condim 4 or 6 has the friction of condim 3. A pyramidal one, whose edges for spinning and
-rolling press too, has no law, nor has a rise of another power (the last number of solimp) than 2.
+MuJoCo's: nothing resists spinning and rolling (condim 4 and 6); the edges of a pyramid that do press along the normal,
+`normal_share` of all. A rise of another power (the last number of solimp) than 2 has no law.
 """
 
 from __future__ import annotations
@@ -30,12 +30,13 @@ from planner.base.errors import ModelError
 from planner.base.gl import load_mujoco
 from planner.model.contact.laws import ContactLaw
 from planner.model.mjcf.margins import force_begins
-from planner.model.mjcf.model_index import Pair, disabled, field, named
+from planner.model.mjcf.model_index import ModelIndex, Pair, disabled, field, named
 
 MIN_IMPEDANCE, MAX_IMPEDANCE = 1e-4, 0.9999  # mjMINIMP, mjMAXIMP
 _MIN_FRICTION, _TINY = 1e-5, 1e-15  # mjMINMU, mjMINVAL
 FILE_SMOOTHING = (1e-3, 0.0, 0.5)  # ramp, m, force ramp, N, and bend of a plan that has these laws
 _DEFAULT_SOLREF = (0.02, 1.0)
+ALONG_AXIS = 1e-6  # of a hinge's axis, across an axis of the world
 
 
 def file_law(model: Any, pair: Pair) -> ContactLaw:
@@ -58,7 +59,7 @@ def file_law(model: Any, pair: Pair) -> ContactLaw:
     rise = impedance_of(pair.solimp)
     return ContactLaw(
         K, B, 0.0, 0.0, slip_damping, mu, impratio, 0.0, lead=lead, cone=cone, impedance=rise,
-        margin=force_begins(model, pair),
+        normal_share=1.0 - 2.0 / (pair.condim - 1) if pyramidal else 0.0, margin=force_begins(model, pair),
     )  # fmt: skip
 
 
@@ -93,8 +94,6 @@ def file_law_reason(model: Any, pair: Pair) -> str:
     first, last, _, _ = impedance_of(pair.solimp)
     if first != last and pair.solimp[4] != 2.0:
         return f"solimp whose impedance rises by a power of {pair.solimp[4]:g}, expected 2"
-    if pair.condim > 3 and is_pyramidal(model, pair):  # its edges for spinning and rolling press, too
-        return f"condim {pair.condim} in a pyramidal cone, expected 1 or 3, or an elliptic cone"
     if pair.condim > 1 and pair.friction[0] != pair.friction[1]:
         return "other friction along than across, expected one number"
     own = pair.condim > 1 and not is_pyramidal(model, pair) and np.any(pair.solreffriction)
@@ -124,6 +123,25 @@ def impedance_at(solimp: np.ndarray, depth: float) -> float:
 def is_pyramidal(model: Any, pair: Pair) -> bool:
     """Whether a pair has friction by a pyramidal cone."""
     return pair.condim > 1 and model.opt.cone == int(load_mujoco().mjtCone.mjCONE_PYRAMIDAL)
+
+
+def turns_edges(survey: ModelIndex, pair: Pair) -> bool:
+    """Whether a capsule can turn the edges of its pyramid, which MuJoCo lays along it, away from the world's axes."""
+    model, joints = survey.model, load_mujoco().mjtJoint
+    capsule = int(load_mujoco().mjtGeom.mjGEOM_CAPSULE)
+    if not is_pyramidal(model, pair) or capsule not in model.geom_type[list(pair.geoms)]:
+        return False
+    body = int(model.geom_bodyid[list(pair.geoms)].max())
+    while body > 0:
+        for joint in range(model.body_jntadr[body], model.body_jntadr[body] + model.body_jntnum[body]):
+            if model.jnt_type[joint] in (int(joints.mjJNT_FREE), int(joints.mjJNT_BALL)):
+                return True
+            level = np.sort(np.abs(survey.home.xaxis[joint]))[::-1]  # a planar machine's hinges are across its plane
+            hinge = model.jnt_type[joint] == int(joints.mjJNT_HINGE)
+            if hinge and (level[1] > ALONG_AXIS or abs(survey.home.xaxis[joint, 2]) > ALONG_AXIS):
+                return True
+        body = int(model.body_parentid[body])
+    return False
 
 
 def _friction(pair: Pair) -> float:
