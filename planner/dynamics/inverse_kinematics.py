@@ -48,11 +48,16 @@ class IKSolution(NamedTuple):
     q: np.ndarray  # (nq,)
     residual: float  # largest scaled residual
     short: float = 0.0  # violation of `missing` and `short`, 0 if satisfied
+    distance: float = 0.0  # rad and m, from where the search began
 
     @property
-    def rank(self) -> tuple[float, float, float]:
-        """Sort key, minimum is best: residual (those up to 1 are equal), then `short`, then residual."""
-        return max(self.residual, 1.0), self.short, self.residual
+    def rank(self) -> tuple[float, float, float, float]:
+        """Sort key, minimum is best: residual (those up to 1 are equal), then `short`, residual and distance.
+
+        Residuals that differ by less than REACHED are equal: of two ways to get there the one nearby is meant.
+        """
+        near = float(np.round(self.residual / REACHED)) if np.isfinite(self.residual) else np.inf
+        return max(self.residual, 1.0), self.short, near, self.distance
 
 
 def inverse_kinematics(
@@ -197,7 +202,7 @@ def _from(
         lambda y: np.concatenate([both(y)[0], POSTURE_WEIGHT * y]), y, lambda y: np.concatenate([both(y)[1], lean]),  # pyright: ignore
         bounds=(low, high), xtol=1e-9, ftol=1e-9, gtol=1e-9, max_nfev=100,
     )  # fmt: skip
-    return largest(done.x)
+    return largest(done.x)._replace(distance=float(np.linalg.norm(done.x)))
 
 
 def _bounds(

@@ -31,7 +31,7 @@ PROOF = 1.0, 80.0  # of a proof: work, and iterations of a solve that take as lo
 # Work of one stage in an iteration, measured on models of 2 to 76 states, to within a factor of 2 or so.
 CALL = 2e-6
 RATES = 4e-8  # times evaluations times (degrees of freedom and rows of closures)^2
-CONTACT = 1e-7  # times evaluations
+CONTACT = 3e-8  # times evaluations
 RICCATI = 8e-10  # times ndx^3
 PAIR = 3e-6  # of shapes that are kept apart
 IN_NUMPY = 5e-4  # of what no kernel computes: dynamics of the user's own, jerk
