@@ -91,7 +91,7 @@ class RelaxationStep(NamedTuple):
 
 def is_trapped(problem: Problem, plan: Plan, options: SolverOptions) -> bool:
     """Whether a direct solve ended without success, and not only because its weights are too small."""
-    if not (_is_relaxed(problem, options) and _failed(plan)):
+    if not (_is_relaxed(problem, options) and _failed(plan)) or plan.status is Status.NOT_FINITE:
         return False
     if at_limits(problem, plan) or _stays_away(problem, plan):
         return True
@@ -117,7 +117,7 @@ def _is_relaxed(problem: Problem, options: SolverOptions) -> bool:
 
 
 def _failed(plan: Plan) -> bool:
-    return plan.status in _UNSUCCESSFUL or bool(plan.missed_goals)
+    return plan.status in (*_UNSUCCESSFUL, Status.NOT_FINITE) or bool(plan.missed_goals)
 
 
 def _lacks_weight(problem: Problem, plan: Plan) -> bool:
