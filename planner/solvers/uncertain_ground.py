@@ -33,7 +33,7 @@ from planner.problem.plan import Plan
 from planner.problem.problem import Problem
 from planner.solvers import lq
 
-PERSISTENCE = 0.1  # s; with 0.05 to 0.2 bipeds on floors 5 mm too high or low end alike, with 0.025 a third fall
+PERSISTENCE = 0.1  # s; with 0.05 to 0.2 bipeds on floors 5 mm too high or low end alike, with 0.025 up to a third fall
 
 
 def has_uncertain_ground(problem: Problem) -> bool:
