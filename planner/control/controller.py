@@ -59,8 +59,9 @@ class Controller(StateMachine):
         latency: s, from a planning call until its control acts. It plans for that instant, from the state that the
             problem's dynamics predict for then under the present control.
         threaded: Whether a call only begins a plan, in a thread of its own, and returns the feedback of the last one.
-            The plan acts from `latency` on, or when it is ready. It begins in the state that the feedback of the last
-            one leads to by then. Results depend on the computer, except in simulate().
+            The plan begins in the state that this feedback leads to at `latency`, and acts then or when it is ready.
+            Results depend on the computer, except in simulate(). Without a thread the control is constant meanwhile.
+            By default threaded, unless there is a plan for each stage, at most a stage late.
 
     Attributes:
         plan: The first plan of the whole task, converged; solved again by reset(x0).
@@ -85,7 +86,7 @@ class Controller(StateMachine):
     def __init__(
         self, problem: Problem, horizon: int | None = None, rate: float | None = None, iterations: int = 1,
         budget: float | None = None, patience: int = PATIENCE, plan: Plan | None = None, latency: float = 0.0,
-        threaded: bool = False,
+        threaded: bool | None = None,
     ) -> None:  # fmt: skip
         H, rate = horizon_and_rate(problem, horizon, rate)
         self.problem, self.horizon, self.rate = problem, H, rate
@@ -93,13 +94,14 @@ class Controller(StateMachine):
         self.budget = None if budget is None else number("budget", budget, greater_than=0.0)
         patience = count("patience", patience)
         self._dt, self._space, self._bounds = problem.dynamics.dt, space_of(problem.dynamics), problem.bounds
-        self.latency, self.threaded = number("latency", latency, minimum=0.0, maximum=H * self._dt), bool(threaded)
+        self.latency = number("latency", latency, minimum=0.0, maximum=H * self._dt)
+        late = self.latency > 0.0 and max(1.0 / rate, self.latency) > self._dt * (1.0 + TIME_TOLERANCE)
+        self.threaded = late if threaded is None else bool(threaded)
         if plan is not None and (not isinstance(plan, Plan) or plan.us.shape != (problem.N, problem.dynamics.nu)):
             raise PlannerError(f"plan is {short_repr(plan)}, expected a Plan of the problem, or None.")
         self.plan = self._begun = self._solved(problem.x0) if plan is None else plan
         dynamics = window_dynamics(problem, self.plan.xs[:: max(problem.N // 4, 1)])
         self._model = problem if dynamics is problem.dynamics else replace(problem, dynamics=dynamics)
-        # The goal remains after the end of the task if some control makes it an equilibrium.
         self._replanner = Replanner(self._model, H, goal_stays(problem), self.iterations, self.budget, patience)
         self._window, self._holding = self._replanner.window, FallbackControl(problem)
         self.keeps_goal = self._window.keeps
@@ -124,11 +126,9 @@ class Controller(StateMachine):
         return plan
 
     def with_timing(self, rate: float, latency: float) -> Controller:
-        """One with another rate, Hz, and latency, s, and the same first plan; threaded if that is above a stage."""
-        return Controller(
-            self.problem, self.horizon, rate, self.iterations, self.budget, self.patience, self.plan, latency,
-            threaded=latency > self._dt * (1.0 + TIME_TOLERANCE),
-        )  # fmt: skip
+        """One with another rate, Hz, and latency, s, and the same first plan."""
+        own = self.horizon, rate, self.iterations, self.budget, self.patience, self.plan, latency
+        return Controller(self.problem, *own)
 
     def reset(self, x0: Any = None) -> None:
         """Restart the task with the next call. Leaves STOPPED.

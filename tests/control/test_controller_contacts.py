@@ -10,12 +10,9 @@ FORWARD = ROOT / "benchmarks" / "moving" / "monopod-forward.toml"  # half a metr
 
 
 @pytest.fixture(scope="module")
-def monopod(tmp_path_factory):
-    """On a softer ground than MuJoCo's, on which a few iterations a call are enough."""
-    path = tmp_path_factory.mktemp("monopod") / "forward.toml"
-    text = FORWARD.read_text(encoding="utf-8").replace('"monopod.xml"', f'"{FORWARD.with_name("monopod.xml")}"')
-    path.write_text(f'contacts = "ground"\n{text}', encoding="utf-8")
-    return planner.Controller(planner.load_problem(path), rate=50.0, latency=0.02)
+def monopod():
+    """A plan every other stage, as late: a control that were constant for so long would throw it off stiff ground."""
+    return planner.Controller(planner.load_problem(FORWARD), rate=50.0, latency=0.02)
 
 
 @pytest.mark.slow
@@ -27,7 +24,7 @@ def test_a_monopod_hops_on_from_where_it_landed_in_spite_of_pushes(monopod):
             monopod, latency=0.02, duration=1.5, start=x, pushes=[planner.Push("trunk", force, 0.4)]
         )
         assert planner.judge(loop).passed
-        assert (monopod.failures, monopod.plans) == (0, 75)
+        assert (monopod.failures, monopod.plans) == (0, 74)  # of 75 begun
         assert loop.contact_force.min() == 0.0 < loop.contact_force.max()  # it leaves the ground
         x = loop.xs[-1] - np.array([0.5, *np.zeros(7)])
     assert len(monopod.plan.history) < len(first.history)

@@ -165,6 +165,15 @@ def test_a_thread_plans_while_the_gains_control(problem):
     c.close()
 
 
+@pytest.mark.parametrize(
+    ("stages", "late", "threaded"), [(1, 0.0, False), (1, 1.0, False), (2, 0.0, False), (2, 0.5, True), (1, 1.5, True)]
+)
+def test_late_plans_for_less_than_each_stage_are_made_in_a_thread(problem, stages, late, threaded):
+    """Else the control would be constant where the plan's changes, or its gains act."""
+    dt, plan = problem.dynamics.dt, planner.solve(problem)
+    assert planner.Controller(problem, rate=1.0 / (stages * dt), latency=late * dt, plan=plan).threaded is threaded
+
+
 def test_a_threaded_loop_in_simulated_time_is_the_same_again_and_better_than_a_held_control(problem):
     """Plans are five stages late. Without a thread the last control is held for so long."""
     late, off = 5 * problem.dynamics.dt, {}

@@ -1,12 +1,14 @@
 """Step 5 of a proof: what is varied, and how a draw changes MuJoCo's model."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from planner.base.errors import PlannerError
 from planner.base.gl import load_mujoco
 from planner.model.mjcf.model_index import compile_model
-from planner.proof.robustness.perturbation import Nominal, Perturbation, draw, draw_masses
+from planner.proof.robustness.perturbation import Nominal, Perturbation, SampleShape, draw, draw_masses
 
 NONE = Perturbation(**dict.fromkeys(Perturbation().to_dict(), 0.0))
 
@@ -50,6 +52,21 @@ def test_a_draw_changes_masses_and_friction_of_the_model(arm):
     assert not np.allclose(other.dof_M0, model.dof_M0)  # mj_setConst has seen the masses
     signs = draw_masses(0.2, 0, 3, 1, nominal.sizes).mass
     np.testing.assert_allclose(np.abs(signs - 1.0), 0.2)
+
+
+def test_a_floor_is_higher_where_mujoco_finds_contacts():
+    """A plane at the origin is one whose place MuJoCo does not read, unless it is told to."""
+    mujoco = load_mujoco()
+    model = compile_model(
+        '<mujoco><worldbody><geom type="plane" size="0 0 1"/><body pos="0 0 0.09"><joint type="slide" axis="0 0 1"/>'
+        '<geom size="0.1"/></body></worldbody></mujoco>'
+    )
+    nominal = Nominal(model, np.zeros(1), np.zeros(0), SampleShape(model.nbody, 1, 2, 1, 0, 1))
+    errors = draw(replace(NONE, floor=0.005), 0, 0, nominal.sizes)
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(nominal.with_errors(errors, data), data)
+    assert 0.0 < abs(errors.floor) <= 0.005
+    assert data.contact.dist[0] == pytest.approx(-0.01 - errors.floor, abs=1e-12)  # m: 0.09 less the radius
 
 
 def test_free_joints_have_no_bearings(tree):

@@ -45,7 +45,7 @@ from planner.model.mjcf.contacts import (
 from planner.model.mjcf.equalities import harden, read_cams, read_couplings, read_loops, read_tendons
 from planner.model.mjcf.excluded import excluded_pairs, with_excluded
 from planner.model.mjcf.file_law import FILE_SMOOTHING, file_law
-from planner.model.mjcf.ground_law import laws_of_ground
+from planner.model.mjcf.ground_law import UNCERTAINTY, laws_of_ground
 from planner.model.mjcf.joint_forces import actuators_of, armature_and_damping, joint_friction
 from planner.model.mjcf.model_file import ModelFile, open_model_file
 from planner.model.mjcf.model_index import (
@@ -197,7 +197,8 @@ def _laws(
 def _file_laws(survey: ModelIndex) -> tuple[Callable[[Pair], ContactLaw | None], dict[str, str], None]:
     """The file's own law of each pair with a plane, and the smoothing that they share, for give_law."""
     laws = {pair.geoms: file_law(survey.model, pair) for pair in file_pairs(survey)}
-    return (lambda pair: laws.get(pair.geoms)), {CONTACT_RAMP: written(*FILE_SMOOTHING)}, None
+    numbers = {CONTACT_RAMP: written(*FILE_SMOOTHING), CONTACT_UNCERTAINTY: repr(UNCERTAINTY)}
+    return (lambda pair: laws.get(pair.geoms)), numbers, None
 
 
 def _refuse(found: list[UnsupportedElement], name: str, survey: ModelIndex) -> None:

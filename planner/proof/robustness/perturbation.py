@@ -27,7 +27,7 @@ from planner.proof.replays.simulation import set_state
 from planner.proof.robustness.pushes import bodies_of
 
 _FACTORS = ("mass", "inertia", "damping", "stiffness", "contact_friction", "common_mass", "common_stiffness")
-_LARGEST = {"drag": 1e6, "friction": 1e3, "start": 1e3, "noise": 1e3, "delay": 10.0}  # upper limits
+_LARGEST = {"floor": 1.0, "drag": 1e6, "friction": 1e3, "start": 1e3, "noise": 1e3, "delay": 10.0}  # upper limits
 _MAX_KNOTS = 200  # number of the plan's knots at which its largest forces are evaluated
 
 
@@ -47,6 +47,7 @@ class Perturbation:
         friction: Dry friction added to a joint, uniform in 0 to this times the plan's largest force at that joint
             (actuator, or weight with Coriolis forces). Free and prescribed joints have none.
         contact_friction: All friction coefficients of contacts are scaled by one factor uniform in 1 +- this.
+        floor: All planes of the world are higher by one number uniform in +- this, m. The start is that of the plan.
         start: Standard deviation of the start from the plan's, in each direction, in its unit.
         noise: Standard deviation of white noise on a control, constant over a stage, relative to the control's largest
             magnitude in the plan; of a servo, to its largest force over its gain.
@@ -67,6 +68,7 @@ class Perturbation:
     drag: float = 0.01
     friction: float = 0.002
     contact_friction: float = 0.2
+    floor: float = 0.005
     start: float = 0.002
     noise: float = 0.01
     delay: float = 0.002
@@ -91,7 +93,7 @@ class Perturbation:
         return asdict(self)
 
     def __str__(self) -> str:
-        units = {"drag": " 1/s", "start": " in each coordinate's unit", "delay": " s"}
+        units = {"drag": " 1/s", "floor": " m", "start": " in each coordinate's unit", "delay": " s"}
         parts = [
             f"{name.replace('_', ' ')} {value:.3g}{units[name]}" if name in units
             else f"{name.replace('_', ' ')} {100.0 * value:.3g} %"
@@ -114,6 +116,7 @@ class PerturbationSample:
     noise: np.ndarray  # (N, nu) fractions of the largest control
     delay: float  # s
     stiffness: np.ndarray  # (njnt,) factors
+    floor: float = 0.0  # m, by which planes are higher
 
 
 @dataclass(frozen=True)
@@ -144,7 +147,8 @@ def draw(perturbation: Perturbation, seed: int, k: int, sizes: SampleShape) -> P
         stiffness=1.0 + p.stiffness * rng.uniform(-1.0, 1.0, sizes.njnt),
     )
     heavier, stiffer = 1.0 + np.array([p.common_mass, p.common_stiffness]) * rng.uniform(-1.0, 1.0, 2)
-    return replace(own, mass=heavier * own.mass, stiffness=stiffer * own.stiffness)
+    floor = p.floor * rng.uniform(-1.0, 1.0)
+    return replace(own, mass=heavier * own.mass, stiffness=stiffer * own.stiffness, floor=floor)
 
 
 def draw_masses(error: float, seed: int, level: int, k: int, sizes: SampleShape) -> PerturbationSample:
@@ -205,6 +209,9 @@ class Nominal:
         model.jnt_stiffness[:] *= draw.stiffness
         model.geom_friction[:] *= draw.contact_friction
         model.pair_friction[:] *= draw.contact_friction
+        planes = (model.geom_type == mujoco.mjtGeom.mjGEOM_PLANE) & (model.geom_bodyid == 0)
+        model.geom_pos[planes, 2] += draw.floor
+        model.geom_sameframe[planes] = 0  # else MuJoCo takes a plane at the origin to be there still
         try:
             mujoco.mj_setConst(model, data)  # contact stiffness depends on inertias, which MuJoCo caches
         except (ValueError, RuntimeError, mujoco.FatalError) as error:

@@ -128,8 +128,8 @@ class SuccessRule:
         return succeeded
 
 
-def rule_of(plan: Plan) -> SuccessRule:
-    """The rule for a plan with its problem."""
+def rule_of(plan: Plan, tolerances: float = GOAL_TOLERANCES) -> SuccessRule:
+    """The rule for a plan with its problem, by which a goal may be missed by so many tolerances."""
     own, goals = (None, ()) if plan.problem is None else (plan.problem.requirements, goals_of(plan.problem, plan.xs))
     near = SuccessRule(
         f"ends within {100.0 * OF_RANGE:g} % of each coordinate's range of motion from the plan's end",
@@ -140,34 +140,34 @@ def rule_of(plan: Plan) -> SuccessRule:
     if own is not None and own.success is not None:
         return SuccessRule("by its own rule", own.success)
     if any(one.times is not None for one in goals):
-        return replace(_on_the_way(plan, goals), most=math.nan)
-    return within_goals(goals) if goals else near
+        return replace(_on_the_way(plan, goals, tolerances), most=math.nan)
+    return within_goals(goals, tolerances) if goals else near
 
 
-def _on_the_way(plan: Plan, goals: Sequence[GoalCheck]) -> SuccessRule:
+def _on_the_way(plan: Plan, goals: Sequence[GoalCheck], tolerances: float) -> SuccessRule:
     """The rule of goals at their times; between the stored knots deviations from the plan are interpolated linearly."""
     t, planned = plan.judged_motion
 
     def follows(xs: np.ndarray, _: np.ndarray, stages: np.ndarray) -> np.ndarray:
         away = plan.space.difference(xs, np.broadcast_to(plan.xs[stages], xs.shape))
         paths = (plan.space.integrate(planned, between(plan.t[stages], one, t)) for one in away)
-        return np.array([all(one.miss(t, x) <= GOAL_TOLERANCES * one.tolerance for one in goals) for x in paths])
+        return np.array([all(one.miss(t, x) <= tolerances * one.tolerance for one in goals) for x in paths])
 
-    words = f"is within {GOAL_TOLERANCES:g} tolerances of every goal at its time"
+    words = f"is within {tolerances:g} tolerances of every goal at its time"
     ends = [one for one in goals if one.times is None]
-    return replace(within_goals(ends), words=words, follows=follows)
+    return replace(within_goals(ends, tolerances), words=words, follows=follows)
 
 
-def within_goals(goals: Sequence[GoalCheck]) -> SuccessRule:
-    """Succeed by missing every goal by at most five times its tolerance."""
+def within_goals(goals: Sequence[GoalCheck], tolerances: float = GOAL_TOLERANCES) -> SuccessRule:
+    """Succeed by missing every goal by at most so many times its tolerance."""
 
     def succeeds(ends: np.ndarray) -> np.ndarray:
         succeeded = np.ones(len(ends), dtype=bool)
         for goal in goals:
-            succeeded &= goal.error(ends) <= GOAL_TOLERANCES * goal.tolerance
+            succeeded &= goal.error(ends) <= tolerances * goal.tolerance
         return succeeded
 
-    return SuccessRule(f"ends within {GOAL_TOLERANCES:g} tolerances of every goal", succeeds)
+    return SuccessRule(f"ends within {tolerances:g} tolerances of every goal", succeeds)
 
 
 def end_errors(plan: Plan, ends: np.ndarray) -> np.ndarray:
