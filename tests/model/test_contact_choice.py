@@ -48,7 +48,7 @@ def chosen(text, **reading):
     [
         (model(ARM), ""),
         (model(FLOOR, ARM), "avoid"),
-        (walker(), "ground"),
+        (walker(), "file"),
         (walker(option='<option gravity="0 0 0"/>'), "avoid"),  # nothing falls
         (walker().replace('type="plane" size="0 0 1"', 'type="plane" size="0 0 1" zaxis="1 0 0"'), "avoid"),  # a wall
         (leg(), "model"),
@@ -58,13 +58,13 @@ def chosen(text, **reading):
 def test_the_choice(text, mode):
     found, m = chosen(text)
     assert found == mode
-    assert bool(m.contacts) == (mode in ("ground", "model"))
+    assert bool(m.contacts) == (mode in ("file", "model"))
     assert bool(m.contacts_choice) == (mode != "")
-    assert (m.original != "") == (mode in ("ground", "avoid"))  # the user's text is kept
+    assert (m.original != "") == (mode in ("file", "avoid"))  # the user's text is kept
 
 
 def test_a_ground_is_for_the_mass_that_stands_on_it():
-    _, m = chosen(walker())
+    _, m = chosen(walker(), contacts="ground")
     law = ContactLaw.resting(8.0, sink=REST_PENETRATION, damping_ratio=DAMPING, slip=SLIP)
     assert len(m.contacts) == 4  # the ends of two legs
     assert m.body_contacts == ()  # the legs must not touch each other
@@ -79,7 +79,7 @@ def test_a_ground_is_for_the_mass_that_stands_on_it():
 
 def test_a_margin_raises_the_shape():
     """There the file's own force begins; margins of both shapes count as MuJoCo combines them."""
-    contacts = {c.name[:12]: c for c in chosen(walker())[1].contacts}
+    contacts = {c.name[:12]: c for c in chosen(walker(), contacts="ground")[1].contacts}
     assert contacts["geom 'left ("].radius == pytest.approx(0.04, abs=1e-12)  # 0.03 and a margin of 0.01
     assert contacts["geom 'right'"].radius == 0.03
 
@@ -101,7 +101,7 @@ def test_an_object_lies_on_what_is_under_it():
 
 
 def test_a_mode_that_does_not_fit_is_told_the_one_that_does():
-    with pytest.raises(ModelError, match=r'^contacts = "ground" loads the model without .*condim 4, expected 1 or 3'):
+    with pytest.raises(ModelError, match=r'^contacts = "file" loads the model without .*condim 4, expected 1 or 3'):
         Mechanism.from_mjcf(walker(), contacts="model")
     with pytest.raises(ModelError, match=r'^contacts = "avoid" loads the model'):
         Mechanism.from_mjcf(model(FLOOR, ARM), contacts="model")
