@@ -15,7 +15,9 @@ from planner.proof.diagnostics.solving import not_a_minimum
 from planner.proof.diagnostics.stage import rounded_step
 from planner.proof.diagnostics.suggested_fix import rounded_up
 from planner.proof.repair import Tools, repair
+from planner.proof.repair.fixes import FixTrial
 from planner.proof.repair.refinement import refine
+from planner.solvers.work import WorkBudget, work_of_proof, work_of_stage
 
 
 def passes_with(problem, *keys):
@@ -51,6 +53,20 @@ def test_position_and_velocity_that_are_missed_are_one_fix(tmp_path):
     assert set(first.value) == {"final_position", "final_velocity"}
     assert first.value["final_position"] > 20.0
     assert first.value["final_velocity"] > 2.0
+
+
+def test_no_trial_begins_that_could_not_solve_anything(tmp_path):
+    """What is left of the work is for a few iterations: less than a trial takes, and more than nothing."""
+    problem = arm(tmp_path, weights={"final_position": 20})
+    plan, proof = tried(problem)
+
+    def solve(problem, max_iterations, purpose, budget):
+        raise AssertionError("a trial began")
+
+    steps, judge = [], partial(planner.prove, rollouts=0)
+    work = WorkBudget(work_of_proof(problem) + 2 * 5 * problem.N * work_of_stage(problem))  # half of 10 iterations
+    repair(problem, plan, proof, (), Tools(solve, judge, {}, 1000, steps.append, lambda *_: None), budget=work)
+    assert [one.outcome for one in steps if isinstance(one, FixTrial)] == ["not tried"]
 
 
 def test_a_fix_whose_plan_then_has_too_long_a_step_goes_on_at_a_finer_one(tmp_path):

@@ -19,6 +19,7 @@ AUTOMATIC_KEYS = ("dt", "substeps", "integrator", "guess", "starts", "limits.mar
 """Keys about the computation, in addition to the weights. Keys that change the task itself are the user's to set."""
 NOT_TRIED = ("contacts", "gait", "ignore", "model", "start", "work")  # read the file again, or want another budget
 SHARE = 0.5  # of the work that is left, at most, for the trial of a fix
+MIN_ITERATIONS = 20  # of a trial: fewer solve nothing that failed
 MAX_DURATIONS = 6  # maximum number tried, each 1.5 times the last: up to 7.6 times
 _RESOLVED = "resolved"  # key of a problem file's table: default choices and their reasons
 
@@ -61,7 +62,11 @@ class FixTrials:
             if self.budget.before_proof(self.problem).exhausted:
                 self.report(FixTrial(one, "not tried"))
                 break
-            last, better = self._first_passing(one)
+            try:
+                last, better = self._first_passing(one)
+            except _OutOfWorkError:
+                self.report(FixTrial(one, "not tried"))
+                break
             if better is None:
                 failed.append(one)
             elif is_automatic(one.key):
@@ -84,7 +89,6 @@ class FixTrials:
         return one, None
 
     def _tried(self, one: SuggestedFix) -> Refined | None:
-        self.report(FixTrial(one, "begins"))
         problem, asked = self.problem, self.max_iterations
         if one.key == ITERATIONS:
             asked = one.value
@@ -94,9 +98,11 @@ class FixTrials:
             except PlannerError as error:
                 self.report(FixTrial(one, "refused", str(error)))
                 return None
-        plan = self.solve(
-            problem, asked, ", with a suggested fix", self.budget.part("suggested fixes", SHARE).before_proof(problem)
-        )
+        budget = self.budget.part("suggested fixes", SHARE).before_proof(problem)
+        if budget.iterations(problem, MIN_ITERATIONS) < MIN_ITERATIONS:
+            raise _OutOfWorkError
+        self.report(FixTrial(one, "begins"))
+        plan = self.solve(problem, asked, ", with a suggested fix", budget)
         if plan.status is Status.INTERRUPTED:
             raise KeyboardInterrupt
         if not plan.converged:
@@ -108,6 +114,10 @@ class FixTrials:
             self.report(FixTrial(one, "fails", done.proof.reason))
             return None
         return done
+
+
+class _OutOfWorkError(Exception):
+    """What is left of the budget is too little for a trial."""
 
 
 def with_fix(problem: Problem, one: SuggestedFix) -> Problem:
