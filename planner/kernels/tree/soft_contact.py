@@ -225,6 +225,8 @@ def add_soft_contacts(m, q, a, ws, memory):
         store3(ws, b + REST + 3, u)
     for k in range(m[TREE.softs]):
         link, e, _, p, _ = _met(m, k, q, ws)
+        if not any_less(0.0, e):  # no force in any lane
+            continue
         o, b = k * SOFT_MEMORY, link * RECORD
         x = _ahead(m, k, link, p, ws)
         store3(memory, o + WHERE, x)
@@ -281,7 +283,9 @@ def soft_moves(m, q, a, ws, memory):
     """Keep the velocities ahead of new accelerations a."""
     set_rates(m, a, ws)
     for k in range(m[TREE.softs]):
-        link, _, _, p, _ = _met(m, k, q, ws)
+        link, e, _, p, _ = _met(m, k, q, ws)
+        if not any_less(0.0, e):  # no force in any lane
+            continue
         store3(memory, k * SOFT_MEMORY + NEXT, _ahead(m, k, link, p, ws))
 
 
@@ -291,6 +295,8 @@ def first_soft_error(m, q, ws, memory):
     error, value = spread(0.0), floats(m, TREE.soft_value)
     for k in range(m[TREE.softs]):
         _, e, _, _, _ = _met(m, k, q, ws)
+        if not any_less(0.0, e):  # no force in any lane
+            continue
         o = k * SOFT_MEMORY
         asked = _asked(memory, o)
         store3(memory, o + ASKED, asked)
@@ -304,6 +310,8 @@ def soft_uphill(m, q, ws, memory, part_of_way):
     slope, value = spread(0.0), floats(m, TREE.soft_value)
     for k in range(m[TREE.softs]):
         _, e, _, _, _ = _met(m, k, q, ws)
+        if not any_less(0.0, e):  # no force in any lane
+            continue
         o = k * SOFT_MEMORY
         x, before = load3(memory, o + WHERE), load3(memory, o + ASKED)
         step = sub(load3(memory, o + NEXT), x)
@@ -319,6 +327,8 @@ def soft_error(m, q, ws, memory, gone):
     error, value = spread(0.0), floats(m, TREE.soft_value)
     for k in range(m[TREE.softs]):
         _, e, _, _, _ = _met(m, k, q, ws)
+        if not any_less(0.0, e):  # no force in any lane
+            continue
         o = k * SOFT_MEMORY
         x, before = load3(memory, o + WHERE), load3(memory, o + ASKED)
         asked = axpy(before, gone, sub(_asked(memory, o), before))
