@@ -18,7 +18,7 @@ from planner.cli.showing import refinement_row
 from planner.problem.plan import Plan
 from planner.proof import Proof
 from planner.proof.diagnostics import SuggestedFix
-from planner.proof.prove_plan import with_informative_sections, with_rollouts
+from planner.proof.prove_plan import with_informative_sections, with_rollouts, without_informative_sections
 from planner.solvers.work import WorkBudget
 from planner.view.plots import CASE_PICTURES, case_pictures, draw_case_picture, draw_plan, draw_proof, save
 from planner.view.report import NAME as REPORT
@@ -122,14 +122,16 @@ def _pictures(plan: Plan, proof: Proof | None, video: bool, console: Console) ->
     return pictures
 
 
-def completed(proof: Proof, rollouts: int, console: Console, **options: Any) -> Proof:
+def completed(proof: Proof, rollouts: int, console: Console, *, missing: str = "", **options: Any) -> Proof:
     """Note the verdict at once, then measure what does not change it, with so many rollouts.
 
-    `options` are those of planner.proof.prove_plan.with_rollouts(). No rollouts leave the proof as it is. show_proof()
-    is to follow: the verdict is printed there, once.
+    `missing` is why that is left out, said in the proof; `options` are those of prove_plan.with_rollouts().
+    No rollouts leave the proof as it is. show_proof() is to follow: the verdict is printed there, once.
     """
     if not rollouts:
         return proof
+    if missing:
+        return without_informative_sections(proof, missing)
     early = replace(proof, asked=proof.asked | {"rollouts": rollouts})  # robustness is not known yet
     console.write_progress(f"\nbefore the perturbed simulations: {early.headline}\n{early.reason}")
     console.write_progress("What is measured now does not change PASS or FAIL and is shown beside it:")

@@ -250,7 +250,7 @@ def _run(
                 drawn = BackgroundRender(proof, folder.path, folder.finished, console, looks, arguments.transparent)
                 films = drawing.enter_context(drawn)
             proof = results.completed(
-                proof, 0 if budget.out_of_time else arguments.rollouts, console, partial=folder.path / ROLLOUTS,
+                proof, arguments.rollouts, console, missing=_missing(plan, budget), partial=folder.path / ROLLOUTS,
                 budget=min(MAX_ROLLOUT_SECONDS, budget.seconds_left), executor=executor,
             )  # fmt: skip
             results.write_proof(plan, proof, folder.path, digest, fixes, path, budget)
@@ -274,6 +274,13 @@ def _run(
         "video_note": film_status, "cures": [one.to_dict() for one in fixes],
         "budget": budget.to_dict(),
     }  # fmt: skip
+
+
+def _missing(plan: Plan, budget: WorkBudget) -> str:
+    """Why a run does not measure what a plan bears, which can take minutes of a motion that diverges; or ""."""
+    if not plan.success:
+        return "the solve did not succeed; planner prove measures it"
+    return "no work was left; planner prove measures it" if budget.exhausted else ""
 
 
 def _flags(arguments: argparse.Namespace) -> dict[str, Any]:

@@ -52,6 +52,7 @@ from planner.proof.verdict import Proof
 ROLLOUTS = 512  # default maximum number of perturbed simulations in each mode
 _ROUNDING = 1e-9  # distance below which the start counts as equal to the goal
 _LATER = "it was not asked for: it follows the verdict, with rollouts"
+_SHOWN = {"perturbed": "robustness", "controller": "feedback rate", "another_ground": "contact sensitivity"}
 
 
 @np.errstate(all="ignore")  # a trajectory may diverge: NaN passes no bound
@@ -149,9 +150,7 @@ def prove(
         "your_file": given,
         # Shown, not judged, and after the verdict. Step 5: the success rate with other masses, friction,
         # starts, noise and delay. Then the effect of encoders and slow gains, and of other contact parameters.
-        "perturbed": Section("robustness", not_applicable=_LATER),
-        "controller": Section("feedback rate", not_applicable=_LATER),
-        "another_ground": Section("contact sensitivity", not_applicable=_LATER),
+        **_not_measured(_LATER),
     }
     asked = {
         "seed": seed, "rollouts": rollouts, "hold_seconds": hold_seconds, "optimal": optimal, "perturbation": None,
@@ -182,6 +181,15 @@ def prove(
         partial=partial,
         progress=progress, executor=executor,
     )  # fmt: skip
+
+
+def _not_measured(reason: str) -> dict[str, Section]:
+    return {name: Section(title, not_applicable=reason) for name, title in _SHOWN.items()}
+
+
+def without_informative_sections(proof: Proof, reason: str) -> Proof:
+    """A proof that says why the steps that are only shown were not run."""
+    return replace(proof, sections=proof.sections | _not_measured(reason))
 
 
 def with_informative_sections(proof: Proof, note: Callable[[str], object] = lambda _: None) -> Proof:

@@ -27,11 +27,12 @@ from planner.problem.problem import Problem
 
 DEFAULT_WORK = 60.0
 """Of `planner run`."""
-PROOF = 1.0, 80.0  # of a proof: work, and iterations of a solve that take as long as the rest
+PROOF = 1.0, 80.0, 10.0  # of a proof: work, and iterations of a solve that take as long as the rest, but for leads
 # Work of one stage in an iteration, measured on models of 2 to 76 states, to within a factor of 2 or so.
 CALL = 2e-6
 RATES = 4e-8  # times evaluations times (degrees of freedom and rows of closures)^2
 CONTACT = 1e-7  # times evaluations
+LEAD = 2e-6  # the same of a contact whose force has the acceleration in it: 84 and 253 of two quadrupeds gave 2.06e-6
 RICCATI = 8e-10  # times ndx^3
 PAIR = 3e-6  # of shapes that are kept apart
 IN_NUMPY = 5e-4  # of what no kernel computes: dynamics of the user's own, jerk
@@ -168,22 +169,34 @@ def budget_of(given: WorkBudget | float | None) -> WorkBudget | None:
 
 def work_of_proof(problem: Problem) -> float:
     """The work of a proof, without rollouts."""
-    return PROOF[0] + PROOF[1] * problem.N * work_of_stage(problem)
+    leads = _work_of_leads(problem)  # whose derivatives take most of an iteration, and a proof has few
+    return PROOF[0] + problem.N * (PROOF[1] * (work_of_stage(problem) - leads) + PROOF[2] * leads)
+
+
+def _work_of_leads(problem: Problem) -> float:
+    """The work of a stage's contacts whose force has the acceleration in it."""
+    mechanism = capabilities_of(problem.dynamics).mechanism
+    leads = 0 if mechanism is None else sum(one.law.lead > 0.0 for one in mechanism.contacts)
+    return LEAD * leads * _evaluations(problem)
+
+
+def _evaluations(problem: Problem) -> int:
+    return getattr(problem.dynamics, "substeps", 1) * integrator_of(problem.dynamics).evaluations
 
 
 def work_of_stage(problem: Problem) -> float:
     """The work of one stage in one iteration, by the sizes of the problem: derivatives, Riccati sweep, line search."""
     dynamics, ndx = problem.dynamics, space_of(problem.dynamics).ndx
     mechanism, pairs = capabilities_of(dynamics).mechanism, pair_clearance_of(problem.constraints)
-    evaluations = getattr(dynamics, "substeps", 1) * integrator_of(dynamics).evaluations
-    size, contacts = ndx // 2, 0
+    evaluations, size, contacts = _evaluations(problem), ndx // 2, 0
     if mechanism is not None:
         size = mechanism.nv + CLOSURE_ROWS * (len(mechanism.loops) + len(mechanism.polynomial_couplings))
         contacts = len(mechanism.contacts) + len(mechanism.body_contacts)
     rates = evaluations * (RATES * size**2 + CONTACT * contacts)
     jerk = problem.objective is not None and "jerk" in problem.objective.weights
     rates += IN_NUMPY if jerk or not isinstance(dynamics, CompiledDynamics) else 0.0
-    return CALL + rates + RICCATI * ndx**3 + PAIR * (0 if pairs is None else len(pairs.pairs))
+    pairs_work = PAIR * (0 if pairs is None else len(pairs.pairs))
+    return CALL + rates + _work_of_leads(problem) + RICCATI * ndx**3 + pairs_work
 
 
 def with_cut(plan: Plan, budget: WorkBudget, fewer: bool, recorded: dict[str, Any]) -> Plan:

@@ -233,6 +233,15 @@ def test_a_run_whose_time_is_over_draws_nothing_more(tmp_path, capsys):
     assert said["proof"]["asked"]["rollouts"] == 0
 
 
+def test_what_a_plan_bears_is_not_measured_of_one_that_was_not_solved(tmp_path, capsys):
+    words = [*ARM, "--json", "--no-video", "--work", "0.001"]
+    assert main([*words, "--out", str(tmp_path / "o")]) == 1
+    proof = json.loads((tmp_path / "o" / "proof.json").read_text())
+    for name in ("perturbed", "controller", "another_ground"):
+        assert "the solve did not succeed" in str(proof[name])
+    assert "perturbed simulations" not in capsys.readouterr().err
+
+
 def test_work_of_a_problem_file(tmp_path, capsys):
     words = ["run", str(write(tmp_path, work="0.001")), "--no-video", "--quiet", "--rollouts", "0", "--json"]
     assert main([*words, "--out", str(tmp_path / "o")]) == 1

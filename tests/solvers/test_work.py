@@ -114,6 +114,18 @@ def test_work_grows_with_what_a_machine_has():
     assert work_of_stage(own) > work_of_stage(cases.build("puma"))  # no kernel computes it
 
 
+def test_contacts_with_a_lead_are_counted_and_most_of_them_in_derivatives():
+    file = """<mujoco><worldbody><geom type="plane" size="0 0 1"/><body pos="0 0 .1"><joint name="z" type="slide"
+      axis="0 0 1"/><geom size=".1" mass="2"/></body></worldbody><actuator><motor joint="z"/></actuator></mujoco>"""
+    ball, other = (
+        Problem(planner.RigidBodyDynamics(m, dt=0.01), cost=Cost(), x0=m.home, horizon=3)
+        for m in (planner.Mechanism.from_mjcf(file, contacts=way) for way in ("file", "avoid"))
+    )
+    assert work_of_stage(ball) > 1.1 * work_of_stage(other)
+    added = work_of_stage(ball) - work_of_stage(other)
+    assert work_of_proof(ball) - work_of_proof(other) < 20 * 3 * added  # other parts of a proof: as of 80 iterations
+
+
 class Cost:
     def value(self, xs, us):
         return 0.5 * float(np.sum(us**2))
