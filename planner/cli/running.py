@@ -10,6 +10,7 @@ from __future__ import annotations
 import argparse
 import hashlib
 import json
+import math
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Executor
 from contextlib import ExitStack, contextmanager, suppress
@@ -222,7 +223,7 @@ def _run(
     else:
         console.write_progress(f"continuing {folder.path}, which holds {', '.join(sorted(folder.finished))}")
         resumed, plan, seconds = True, stored, float(folder.notes.get("seconds", 0.0))
-        path = tuple(Refinement(**{**row, "status": Status[row["status"]]}) for row in folder.notes.get("path", []))
+        path = tuple(map(_refinement_of, folder.notes.get("path", [])))
     showing.show_plan(plan, seconds, console)
     proof = prove(plan, rollouts=0, hold_seconds=arguments.hold) if results.is_finite(plan) else None
     if proof is not None and plan.problem is not None:
@@ -274,6 +275,13 @@ def _run(
         "video_note": film_status, "cures": [one.to_dict() for one in fixes],
         "budget": budget.to_dict(),
     }  # fmt: skip
+
+
+def _refinement_of(row: dict[str, Any]) -> Refinement:
+    """The step that showing.refinement_row() made a row of, back from a file, where what is no number is null."""
+    known: dict[str, Any] = row | {"status": Status[row["status"]]}
+    known |= {name: math.nan for name in ("cost", "end_error", "seconds") if row[name] is None}
+    return Refinement(**known)
 
 
 def _missing(plan: Plan, budget: WorkBudget) -> str:

@@ -1,6 +1,7 @@
 """`planner run` from end to end: refined where the step was too coarse, and resumed where it was interrupted."""
 
 import json
+import math
 
 import commands
 import pytest
@@ -8,10 +9,13 @@ from carts import write
 
 import planner
 from planner.__main__ import main
+from planner.base.json_files import json_text
 from planner.cases.plan_file import load_plan
 from planner.cases.problem_file import load
 from planner.cli import running as run_command
-from planner.cli.running import MARK, run_folder
+from planner.cli.running import MARK, _refinement_of, run_folder
+from planner.cli.showing import refinement_row
+from planner.proof.repair.refinement import Refinement
 
 ARM = ["run", *commands.ARM, "--no-video", "--quiet"]
 EULER = [*ARM, "--integrator", "semi-implicit-euler"]
@@ -231,6 +235,14 @@ def test_a_run_whose_time_is_over_draws_nothing_more(tmp_path, capsys):
     assert said["plan"]["status"] == said["budget"]["exhausted"] == "TIME_LIMIT"
     assert said["files"] == ["plan.npz", "proof.json", "report.html"]
     assert said["proof"]["asked"]["rollouts"] == 0
+
+
+def test_a_refinement_comes_back_from_the_notes_of_an_unfinished_run():
+    """The plan before it has no seconds of its own, and JSON has no such number."""
+    first = Refinement("rk4", 0.01, 100, 9, 0.02, planner.Status.CONVERGED, "FAIL", None, 4.0, math.nan)
+    row = json.loads(json_text(refinement_row(first)))
+    assert row["seconds"] is None
+    assert str(_refinement_of(row)) == str(first)
 
 
 def test_what_a_plan_bears_is_not_measured_of_one_that_was_not_solved(tmp_path, capsys):
