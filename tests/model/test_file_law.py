@@ -75,6 +75,28 @@ def test_a_cone_of_four_or_six_dimensions_presses_as_in_mujoco():
         assert data.qacc[2] == pytest.approx(expected, rel=1e-6)
 
 
+LYING = """<mujoco><worldbody><geom type="plane" size="0 0 1"/>
+  <body pos="0 0 .0495" euler="0 0 30"><freejoint/><geom type="capsule" fromto="-.2 0 0 .2 0 0" size=".05" mass="1"/>
+  <geom type="capsule" fromto="-.2 .2 0 .2 .2 0" size=".05" mass="1"/><body><joint axis="0 0 1" name="arm"/>
+  <geom size=".01" pos="0 .1 .2" mass="1" contype="0" conaffinity="0"/></body></body></worldbody>
+  <actuator><motor joint="arm"/></actuator></mujoco>"""
+
+
+def test_capsules_that_turn_have_the_accelerations_of_the_file():
+    """All edges of the pyramids press while nothing slips, and their sum does not know how they are turned."""
+    m = Mechanism.from_mjcf(LYING, contacts="file")
+    ours, files = (mujoco.MjModel.from_xml_string(one) for one in (m.mjcf, LYING))
+    found = []
+    for model in (ours, files):
+        data = mujoco.MjData(model)
+        mujoco.mj_resetData(model, data)
+        data.qvel[0] = 0.001  # m/s: far from slipping
+        mujoco.mj_forward(model, data)
+        assert data.ncon == 4
+        found.append(data.qacc.copy())
+    np.testing.assert_allclose(found[0], found[1], atol=1e-5 * np.abs(found[1]).max())  # MuJoCo's tolerance is 1e-8
+
+
 @pytest.mark.parametrize(
     ("contact", "reason"),
     [

@@ -24,7 +24,7 @@ from planner.base.gl import load_mujoco
 from planner.model.contact.laws import ContactLaw
 from planner.model.mjcf.contact_shapes import add_points, meets_plane
 from planner.model.mjcf.contacts import CONTACT_LAW, OF_FILE, law_attributes, shapes_fit
-from planner.model.mjcf.file_law import as_read
+from planner.model.mjcf.file_law import as_read, has_turned_edges
 from planner.model.mjcf.model_index import ModelIndex, Pair, compile_model
 from planner.model.mjcf.text import written
 
@@ -43,7 +43,8 @@ def give_law(
     (CONTACT_RAMP, CONTACT_UNCERTAINTY).
     With `recesses` of pairs by their geoms, m, shapes with a margin get points that are larger by it, since there the
     file's own force begins, and smaller by the recess. With `own` contacts keep the file's own numbers, of which the
-    laws are.
+    laws are, and capsules become points: MuJoCo lays the edges of a capsule's pyramid along it, those of a point along
+    the world's axes, and both press and hold alike until an edge lets go (sum of t t' over the edges).
     """
     if not survey.pairs:
         return []
@@ -55,7 +56,7 @@ def give_law(
         bodies = [int(model.geom_bodyid[geom]) for geom in pair.geoms]
         law, names = law_of(pair), [[geoms[geom].attrib["name"]] for geom in pair.geoms]
         margin = 0.0 if recesses is None or law is None else force_begins(model, pair) - recesses[pair.geoms]
-        fits = margin == 0.0 and shapes_fit(survey, pair)
+        fits = margin == 0.0 and shapes_fit(survey, pair) and not (own and has_turned_edges(model, pair))
         match = None if law is None or fits else meets_plane(survey, pair.geoms)
         if law is None or not (fits or match):
             unmatched.append(pair)

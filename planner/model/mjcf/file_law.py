@@ -124,6 +124,12 @@ def is_pyramidal(model: Any, pair: Pair) -> bool:
     return pair.condim > 1 and model.opt.cone == int(load_mujoco().mjtCone.mjCONE_PYRAMIDAL)
 
 
+def has_turned_edges(model: Any, pair: Pair) -> bool:
+    """Whether MuJoCo lays the edges of a pair's pyramid along a capsule, not along the world's axes."""
+    capsule = int(load_mujoco().mjtGeom.mjGEOM_CAPSULE)
+    return is_pyramidal(model, pair) and capsule in model.geom_type[list(pair.geoms)]
+
+
 def _friction(pair: Pair) -> float:
     return max(float(pair.friction[0]), _MIN_FRICTION) if pair.condim > 1 else 0.0
 
