@@ -144,7 +144,7 @@ def test_feet_move_by_slip_or_by_height(forward):
 
 
 JUMP = """duration = 1.4
-dt = 0.005
+substeps = 7
 [[goal]]
 frame = "trunk"
 position = [0, 0, 0.75]

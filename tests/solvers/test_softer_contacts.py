@@ -46,7 +46,7 @@ def test_a_slow_jump_costs_less_by_way_of_softer_ground(problem, jump):
     direct = planner.solve(problem, DIRECT)
     steps = jump.options["relaxation"]["steps"]
     assert [step[0] for step in steps[:2]] == ["direct", "contacts"]
-    assert steps[0][4] > MAX_QUICK_ITERATIONS  # else the direct plan would be the answer
+    assert steps[0][4] >= MAX_QUICK_ITERATIONS  # else the direct plan would be the answer
     assert steps[1][1] == 10.0
     assert steps[-1][1] == 1.0
     assert jump.success
