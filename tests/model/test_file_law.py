@@ -26,13 +26,13 @@ def standing(cone="pyramidal", condim=3, floor=""):
     return STANDING.format(cone=cone, condim=condim, floor=floor)
 
 
-def accelerations(text, assets, q, v):
-    """MuJoCo's qacc of a model, without the can."""
+def accelerations(text, assets, q, v, count=-6):
+    """MuJoCo's qacc of a model, by default without the can."""
     model = mujoco.MjModel.from_xml_string(text, assets)
     data = mujoco.MjData(model)
     data.qpos[:], data.qvel[:] = q, v
     mujoco.mj_forward(model, data)
-    return data.qacc[:-6]
+    return data.qacc[:count]
 
 
 @pytest.mark.parametrize("floor", ["", 'margin=".003" gap=".001"'])
@@ -89,6 +89,18 @@ def test_what_the_law_has_not_gets_a_law_of_the_ground(contact, reason):
     with pytest.raises(ModelError, match=reason):
         file_law(model, ModelIndex(model).pairs[0])
     assert Mechanism.from_mjcf(text).contacts_mode == "ground"
+
+
+@pytest.mark.parametrize("cone", ["pyramidal", "elliptic"])
+def test_nothing_resists_rolling_in_the_replayed_model(cone):
+    """A ball that rolls on rubber of condim 6 goes on in the plan and its replayed model, and stops in the file."""
+    text = f"""<mujoco><option cone="{cone}"/><default><geom condim="6" friction="1 .02 .01"/></default><worldbody>
+      <geom type="plane" size="0 0 1"/><body pos="0 0 .0999"><freejoint/><geom size=".1" mass="2"/></body></worldbody>
+    </mujoco>"""
+    m, v = Mechanism.from_mjcf(text, contacts="file"), np.array([0.1, 0.0, 0.0, 0.0, 1.0, 0.0])
+    rolls, brakes = (accelerations(one, {}, m.home[:7], v, 6)[0] for one in (m.mjcf, text))
+    assert brakes < -0.5  # m/s^2: rolling friction of 0.01 m against a radius of 0.1 m, at most 0.7
+    assert abs(rolls) < 0.01  # it slips by 0.1 mm/s
 
 
 def test_ends_stand_for_a_capsule_that_turns_the_edges_of_its_pyramid():

@@ -153,13 +153,20 @@ def _impratio(model: Any) -> float:
 
 
 def as_read(model: Any, pair: Pair) -> Pair:
-    """A pair whose time constants are what refsafe makes of them at the model's own timestep."""
+    """A pair as its law has it, for the replayed model.
+
+    Its time constants are what refsafe makes of them at the model's own timestep, and nothing resists spinning and
+    rolling: an elliptic cone has condim 3, the edges of a pyramid that do have next to no friction.
+    """
     shortest = 0.0 if disabled(model, "refsafe") else 2.0 * float(model.opt.timestep)
 
     def safe(solref: np.ndarray) -> np.ndarray:
         return np.array([max(float(solref[0]), shortest), solref[1]]) if solref[0] > 0.0 and solref[1] > 0.0 else solref
 
-    return pair._replace(solref=safe(pair.solref), solreffriction=safe(pair.solreffriction))
+    condim = pair.condim if is_pyramidal(model, pair) else min(pair.condim, 3)
+    friction = np.append(pair.friction[:2], np.full(3, _MIN_FRICTION)) if condim > 3 else pair.friction
+    solrefs = {"solref": safe(pair.solref), "solreffriction": safe(pair.solreffriction)}
+    return pair._replace(condim=condim, friction=friction, **solrefs)
 
 
 def _rates(model: Any, solref: np.ndarray, solimp: np.ndarray) -> tuple[float, float]:
