@@ -61,7 +61,7 @@ class Controller(StateMachine):
         threaded: Whether a call only begins a plan, in a thread of its own, and returns the feedback of the last one.
             The plan begins in the state that this feedback leads to at `latency`, and acts then or when it is ready.
             Results depend on the computer, except in simulate(). Without a thread the control is constant meanwhile.
-            By default threaded, unless there is a plan for each stage, at most a stage late.
+            By default where the latency is above 0 and it, or the time between two plans, is longer than a stage.
 
     Attributes:
         plan: The first plan of the whole task, converged; solved again by reset(x0).

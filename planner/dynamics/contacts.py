@@ -31,7 +31,7 @@ class ContactForces(NamedTuple):
     """Points, depths and forces of all plane contacts, or all body contacts, at each state."""
 
     points: np.ndarray  # (..., contacts, 3) m, points of application in the world
-    depths: np.ndarray  # (..., contacts) m, from where the force begins: the surfaces, less a margin
+    depths: np.ndarray  # (..., contacts) m, margin less the distance of the surfaces; negative apart
     forces: np.ndarray  # (..., contacts, 3) N, on the mechanism or the first body, in the world
 
 

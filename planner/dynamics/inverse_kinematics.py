@@ -48,13 +48,13 @@ class IKSolution(NamedTuple):
     q: np.ndarray  # (nq,)
     residual: float  # largest scaled residual
     short: float = 0.0  # violation of `missing` and `short`, 0 if satisfied
-    distance: float = 0.0  # rad and m, from where the search began
+    distance: float = 0.0  # rad and m, of the deviation from q
 
     @property
     def rank(self) -> tuple[float, float, float, float]:
-        """Sort key, minimum is best: residual (those up to 1 are equal), then `short`, residual and distance.
+        """Sort key, minimum is best: residual (up to 1 equal), `short`, residual rounded to REACHED, distance.
 
-        Residuals that differ by less than REACHED are equal: of two ways to get there the one nearby is meant.
+        Of two ways to get there that are as good the one nearby is meant.
         """
         near = float(np.round(self.residual / REACHED)) if np.isfinite(self.residual) else np.inf
         return max(self.residual, 1.0), self.short, near, self.distance

@@ -210,9 +210,10 @@ def test_the_force_is_minus_the_gradient_of_a_convex_function_and_stays_in_its_c
     assert np.any(normal == 0.0)
 
 
-def test_deep_inside_a_smoothed_law_presses_as_the_sharp_one():
+@pytest.mark.parametrize("name", ["pyramid", "condim 6"])
+def test_deep_inside_a_smoothed_law_presses_as_the_sharp_one(name):
     """surface_offset makes up for the ramps of the depth and of each edge: K (e - a/2) - 4 f/2 is K depth."""
-    law, depth = LAWS["pyramid"], 0.03
+    law, depth = LAWS[name], 0.03
     f = contact_force(law, np.array([[0.0, 0.0, 1.0]]), np.array([depth + law.surface_offset]), np.zeros((1, 3)))[0]
     assert f[0, 2] == pytest.approx(law.stiffness * depth, rel=1e-12)
 
@@ -231,3 +232,18 @@ def test_kernels_have_the_accelerations_of_the_reference(law):
         np.testing.assert_allclose(ours, expected, atol=1e-8 * np.abs(expected).max())
         pressed += np.count_nonzero(contact_forces(m, q, v).depths > 0.0)
     assert pressed > 10
+
+
+@pytest.mark.parametrize("cone", BOUNDS)
+def test_a_state_does_not_depend_on_those_beside_it(cone):
+    """One in the air, one that touches, friction in the joints: alone and together the same bits, in all substeps."""
+    text = LEGS.format(cone=cone, impratio=1, condim=3, solref=".02 1", solimp=USUAL)
+    text = text.replace('axis="0 1 0" ref', 'axis="0 1 0" frictionloss=".3" ref')
+    m = Mechanism.from_mjcf(text.replace("</mujoco>", '<actuator><motor joint="hip"/></actuator></mujoco>'))
+    m = replace(m, body_contacts=())
+    dynamics, states = RigidBodyDynamics(m, 0.01, substeps=5), [
+        np.concatenate([q, v]) for start in (moving(2, -0.004, -0.001), moving(2, 0.001, 0.02)) for q, v, _ in start(m)
+    ]  # fmt: skip
+    xs, us = np.array(states)[np.random.default_rng(4).permutation(len(states))], np.ones((len(states), 1))
+    alone = np.concatenate([dynamics.step(x[None], u[None]) for x, u in zip(xs, us, strict=True)])
+    np.testing.assert_array_equal(dynamics.step(xs, us), alone)

@@ -81,6 +81,7 @@ def test_a_cone_of_four_or_six_dimensions_presses_as_in_mujoco():
     [
         ('condim="3" solimp=".9 .95 .001 .5 3"', "a power of 3, expected 2"),
         ('noslip_iterations="2" impratio', "noslip_iterations 2, expected 0"),
+        ('condim="3" margin="-.2"', "margin -0.2, expected at least 0"),
     ],
 )
 def test_what_the_law_has_not_gets_a_law_of_the_ground(contact, reason):
@@ -108,8 +109,23 @@ def test_ends_stand_for_a_capsule_that_turns_the_edges_of_its_pyramid():
     text = standing().replace('name="right" pos="0 -.1 -.451" size=".05"', 'type="capsule" size=".05 .1"')
     names = [contact.name for contact in Mechanism.from_mjcf(text).contacts if "left" not in contact.name]
     assert names[:2] == ["geom 'geom number 3 (point 1)'", "geom 'geom number 3 (point 2)'"]
+    planar = text.replace("<freejoint/>", '<joint type="slide" axis="0 0 1"/>', 1)
+    for change, turns in (('euler="0 40 0"', False), ('euler="40 0 0"', True)):  # in the plane of its hinge, and not
+        capsule = planar.replace('type="capsule"', f'type="capsule" {change}')
+        rests = any("3' end" in one.name for one in Mechanism.from_mjcf(capsule).contacts)
+        assert rests != turns
     names = [one.name for one in Mechanism.from_mjcf(text.replace("pyramidal", "elliptic")).contacts]
     assert "geom 'geom number 3' end 1" in names
+
+
+def test_a_law_that_is_given_has_the_edges_of_its_share():
+    law = ContactLaw(2e4, 200.0, 1e-3, 2.0, 0.0, 0.6, 5.0, lead=0.01, cone="pyramidal", normal_share=0.6, margin=2e-3)
+    m = Mechanism.from_mjcf(standing(), contacts=law)
+    assert m.contacts[0].law.normal_share == pytest.approx(0.6, rel=1e-12)
+    assert m.contacts[0].law.margin == 2e-3
+    assert m.contacts[0].law.stiffness == pytest.approx(2e4, rel=1e-12)
+    assert compile_model(m.mjcf).pair_dim[0] == 6
+    assert compile_model(m.mjcf).pair_friction[0, 2] == 1e-5  # nothing resists spinning
 
 
 @pytest.mark.parametrize("cone", ["pyramidal", "elliptic"])

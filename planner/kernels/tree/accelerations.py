@@ -15,7 +15,14 @@ from planner.kernels.tree.joint_curves import add_curves
 from planner.kernels.tree.mechanism_table import TREE
 from planner.kernels.tree.memory import MEMORY
 from planner.kernels.tree.recursion import accelerate, move_links
-from planner.kernels.tree.rounds import accelerate_in_rounds, accelerate_once, add_wrenches, needs_rounds, own_armature
+from planner.kernels.tree.rounds import (
+    accelerate_in_rounds,
+    accelerate_once,
+    add_wrenches,
+    keep_guess,
+    needs_rounds,
+    own_armature,
+)
 from planner.kernels.tree.tendons import add_tendons
 
 
@@ -50,6 +57,8 @@ def accelerations(m, r, q, v, u, act, a, external):
             accelerate_in_rounds(m, r, q, v, tau, a)
         else:
             accelerate_once(m, r, q, v, tau, a, links, floats(m, TREE.armature))
+        if m[TREE.softs] > 0:
+            keep_guess(m, r, a)
         return
     accelerate(m, tau, a, links, floats(m, TREE.armature), False)
 
@@ -65,3 +74,5 @@ def _accelerate_implicitly(m, r, q, v, tau, a):
         accelerate_in_rounds(m, r, q, v, tau, a)
     else:
         accelerate_once(m, r, q, v, tau, a, lanes(r, MEMORY.links), lanes(r, MEMORY.own))
+    if m[TREE.softs] > 0:
+        keep_guess(m, r, a)

@@ -75,22 +75,30 @@ def needs_rounds(m, r, q, links):
 
 @part
 def forget_guess(m, r):
-    """Let the rounds start at no acceleration, as those of a stage's begin do."""
+    """Start the next rounds from zero acceleration, as at the beginning of a stage."""
     for i in range(m[TREE.nv]):
         store(lanes(r, MEMORY.guess), i, spread(0.0))
+
+
+@part
+def keep_guess(m, r, a):
+    """Start the next rounds at the accelerations a."""
+    for i in range(m[TREE.nv]):
+        store(lanes(r, MEMORY.guess), i, load(a, i))
 
 
 @part
 def accelerate_in_rounds(m, r, q, v, tau, a):
     """Accelerations of links that move_links has seen, with MEMORY.own as armature.
 
-    Rounds of contacts start at those of the step before in the same stage, MEMORY.guess.
+    Where a machine has contacts, rounds start at the accelerations of the step before in the same stage, MEMORY.guess.
+    That is so in every lane, whether it touches or not: a state's acceleration does not depend on those beside it.
     """
     links, armature, force = lanes(r, MEMORY.links), lanes(r, MEMORY.heavier), lanes(r, MEMORY.pushed)
     before, asked, own = lanes(r, MEMORY.before), lanes(r, MEMORY.asked), lanes(r, MEMORY.own)
     soft, near = lanes(r, MEMORY.soft), floats(r, MEMORY.near)
     begin_friction(m, v, tau, own, armature, force)
-    if m[TREE.softs] > 0 and load(near, 0) > 0.0:
+    if m[TREE.softs] > 0:
         guess = lanes(r, MEMORY.guess)
         for i in range(m[TREE.nv]):
             if load(integers(m, TREE.prescribed), i) < 0:
@@ -115,8 +123,6 @@ def accelerate_in_rounds(m, r, q, v, tau, a):
         if m[TREE.softs] > 0:
             soft_moves(m, q, a, links, near, soft)
         error = _next_error(m, r, q, v, tau, a, error)
-    for i in range(m[TREE.nv]):
-        store(lanes(r, MEMORY.guess), i, load(a, i))
 
 
 @part

@@ -14,9 +14,12 @@ is that of a plain spring whose surface lies lower by
 
     lift = a/2 + f/2K
 
-so the law's surface is raised by as much. `ContactLaw.exact` is the limit of no smoothing, in which MuJoCo's
-contact tends to the same force (see model.mjcf.contacts): friction is then c_t v_t, cut off at mu f_n, and where
-it slips MuJoCo's projection onto the friction cone raises the normal force to
+so the law's surface is raised by as much. With a margin it lies higher by that, too:
+
+    e = margin + lift - distance.
+
+`ContactLaw.exact` is the limit of no smoothing, in which MuJoCo's contact tends to the same force (see
+model.mjcf.contacts): friction is then c_t v_t, cut off at mu f_n, and where it slips MuJoCo's projection onto the friction cone raises the normal force to
 
     f_n = (K e - B v_n + mu c_t |v_t| / impratio) / (1 + mu^2 / impratio).
 
@@ -57,6 +60,7 @@ ALONG = 1e-9  # of a direction along a plane, its part across
 FORCE_SHARE = 0.2  # of stiffness * ramp: how much of the force the second ramp smooths, as the step study's 5 N of 25
 BEND = 0.5  # of the cone either way: less is hardly nearer to MuJoCo; the human step has its own
 CONES = ("elliptic", "pyramidal")
+MAX_NORMAL_SHARE = 0.9  # with 1 nothing would hold along the surfaces
 RAMP_SHARE = 0.2  # of how deep a machine at rest sinks in: then its feet stand where the law is that of a plain spring
 
 
@@ -111,9 +115,10 @@ class ContactLaw(Law):
         cone: "elliptic" or "pyramidal", the friction cone of a law with a lead.
         impedance: Of a law with a lead d_0, d_1, the width, m, and the midpoint of the rise as a part of the width;
             d_0 = d_1 for the same stiffness at all depths.
-        normal_share: Of a pyramidal cone: the part of K and B that presses along the normal alone. That is how its
-            edges for spinning and rolling press, which resist neither here.
-        margin: m, how far before the surfaces touch the force begins. Depths count from there.
+        normal_share: Of a pyramidal cone of a law with a lead: the share p of K and B that presses along the normal
+            without friction; 0 for condim 3, 1/3 for 4, 0.6 for 6. These edges stand for MuJoCo's spinning and rolling
+            ones, which resist neither here.
+        margin: m: the force begins where the surfaces are this far apart; depths count from there.
     """
 
     slip_damping: float = 0.0
@@ -136,7 +141,7 @@ class ContactLaw(Law):
         if self.impratio != math.inf:
             set_fields(self, impratio=number("impratio", self.impratio, greater_than=0.0))
         choice("cone", self.cone, CONES)
-        set_fields(self, normal_share=number("normal_share", self.normal_share, minimum=0.0, maximum=1.0))
+        set_fields(self, normal_share=number("normal_share", self.normal_share, minimum=0.0, maximum=MAX_NORMAL_SHARE))
         first, last, width, midpoint = self.impedance
         if not (0.0 < first < 1.0 and 0.0 < last < 1.0 and width > 0.0 and 0.0 < midpoint < 1.0):
             raise PlannerError(f"impedance is {self.impedance}, expected d_0, d_1, a width and a midpoint of 0 to 1.")

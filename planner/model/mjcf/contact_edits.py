@@ -50,7 +50,7 @@ def give_law(
     for pair in survey.pairs:
         bodies = [int(model.geom_bodyid[geom]) for geom in pair.geoms]
         law, names = law_of(pair), [[geoms[geom].attrib["name"]] for geom in pair.geoms]
-        margin = 0.0 if recesses is None or law is None else force_begins(model, pair) - recesses[pair.geoms]
+        margin = 0.0 if recesses is None or law is None else max(force_begins(model, pair), 0.0) - recesses[pair.geoms]
         fits = margin == 0.0 and shapes_fit(survey, pair) and not (own and turns_edges(survey, pair))
         match = None if law is None or fits else meets_plane(survey, pair.geoms)
         if law is None or not (fits or match):
@@ -120,7 +120,7 @@ def keep_law(root: ElementTree.Element, survey: ModelIndex, weights: np.ndarray,
             continue
         ratio = float(np.sum(weights[bodies]) / np.sum(model.body_invweight0[bodies, 0]))
         geoms = {f"geom{i + 1}": geom_names[geom] for i, geom in enumerate(pair.geoms)}
-        extent = {"margin": written(pair.margin), "gap": "0"}
+        extent = {"margin": written(force_begins(model, pair)), "gap": "0"}
         ElementTree.SubElement(section, "pair", {**geoms, **_attributes(pair, ratio), **extent})
 
 

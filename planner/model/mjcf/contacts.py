@@ -33,7 +33,14 @@ from planner.base.gl import load_mujoco
 from planner.model.contact.body_contact import BodyContact
 from planner.model.contact.laws import BEND, Contact, ContactLaw, Law, Stop
 from planner.model.mjcf.contact_shapes import are_capsules, capsule_of, part_name, plane_and_spheres
-from planner.model.mjcf.file_law import MAX_IMPEDANCE, MIN_IMPEDANCE, edge_weight, file_law, file_law_reason
+from planner.model.mjcf.file_law import (
+    MAX_IMPEDANCE,
+    MIN_FRICTION,
+    MIN_IMPEDANCE,
+    edge_weight,
+    file_law,
+    file_law_reason,
+)
 from planner.model.mjcf.margins import force_begins
 from planner.model.mjcf.model_index import ModelIndex, Pair, disabled, named, texts_of
 from planner.model.mjcf.unsupported import UnsupportedElement
@@ -80,7 +87,7 @@ def law_attributes(law: ContactLaw, invweight: float, impratio: float = 1000.0) 
     Of a law with a lead the option's cone and impratio are the law's, which file_law reads again from these numbers.
 
     Raises:
-        PlannerError: A law with a lead whose impedance rises, or is none of MuJoCo's.
+        PlannerError: A law with a lead whose impedance rises, or is none of MuJoCo's, or another normal_share.
     """
     if law.lead == 0.0:
         return contact_attributes(law.stiffness, law.damping, law.slip_damping, law.friction, invweight, impratio)
@@ -88,7 +95,7 @@ def law_attributes(law: ContactLaw, invweight: float, impratio: float = 1000.0) 
         raise PlannerError(f"impedance is {law.impedance}, expected a constant one of a law with a lead that is given.")
     mu, pyramidal = law.friction, law.cone == "pyramidal" and law.friction > 0.0
     per = number("invweight", invweight, greater_than=0.0)
-    edges = 4.0 / (1.0 - law.normal_share) if law.normal_share < 1.0 else math.inf
+    edges = 4.0 / (1.0 - law.normal_share) if pyramidal else 4.0
     if round(edges, 9) not in (4.0, 6.0, 10.0):  # condim 3, 4 and 6
         raise PlannerError(f"normal_share is {law.normal_share:g}, expected 0, 1/3 or 0.6.")
     per *= edge_weight(mu, law.impratio if math.isfinite(law.impratio) else impratio) / edges if pyramidal else 1.0
@@ -97,8 +104,8 @@ def law_attributes(law: ContactLaw, invweight: float, impratio: float = 1000.0) 
     if not MIN_IMPEDANCE <= d <= MAX_IMPEDANCE:
         raise PlannerError(f"damping * lead is {law.damping * law.lead:g} kg, which MuJoCo has no impedance for.")
     solref = _text(-law.stiffness / law.damping / law.lead * d, -d / law.lead)
-    cone = {"condim": f"{1 + edges / 2.0:.0f}", "friction": _text(mu, mu, 0.005, 0.0001, 0.0001)}
-    rubs = cone if mu > 0.0 else {"condim": "1"}
+    rubs = {"condim": f"{1 + edges / 2.0:.0f}", "friction": _text(mu, mu, *3 * [MIN_FRICTION])}
+    rubs = rubs if mu > 0.0 else {"condim": "1"}
     return {**rubs, "solref": solref, "solimp": _text(d, d, 1.0, 0.5, 2.0)}
 
 
@@ -154,6 +161,8 @@ def _law_reason(model: Any, pair: Pair) -> str:
         return file_law_reason(model, pair)
     if pair.condim not in (1, 3):
         return f"condim {pair.condim}, expected 1 or 3"
+    if force_begins(model, pair) < 0.0:
+        return f"margin {pair.margin:g}, expected at least 0"
     reason = _direct_reason(pair.solref, pair.solimp)
     if reason or pair.condim == 1:
         return reason

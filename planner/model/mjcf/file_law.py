@@ -33,7 +33,7 @@ from planner.model.mjcf.margins import force_begins
 from planner.model.mjcf.model_index import ModelIndex, Pair, disabled, field, named
 
 MIN_IMPEDANCE, MAX_IMPEDANCE = 1e-4, 0.9999  # mjMINIMP, mjMAXIMP
-_MIN_FRICTION, _TINY = 1e-5, 1e-15  # mjMINMU, mjMINVAL
+MIN_FRICTION, _TINY = 1e-5, 1e-15  # mjMINMU, mjMINVAL
 FILE_SMOOTHING = (1e-3, 0.0, 0.5)  # ramp, m, force ramp, N, and bend of a plan that has these laws
 _DEFAULT_SOLREF = (0.02, 1.0)
 ALONG_AXIS = 1e-6  # of a hinge's axis, across an axis of the world
@@ -54,12 +54,13 @@ def file_law(model: Any, pair: Pair) -> ContactLaw:
         raise ModelError(f"{' and '.join(named(model, 'geom', geom) for geom in pair.geoms)}: {reason}.")
     (K, B), mu, impratio = coefficients(model, pair, math.inf), _friction(pair), _impratio(model)
     lead, pyramidal = 1.0 / _rates(model, pair.solref, pair.solimp)[1], is_pyramidal(model, pair)
-    slip_damping = B * (0.5 * mu**2 if pyramidal else impratio * (mu > 0.0))
+    along = 1.0 - 2.0 / (pair.condim - 1) if pyramidal else 0.0  # the share of edges for spinning and rolling
+    slip_damping = B * (0.5 * (1.0 - along) * mu**2 if pyramidal else impratio * (mu > 0.0))
     cone = "pyramidal" if pyramidal else "elliptic"
     rise = impedance_of(pair.solimp)
     return ContactLaw(
         K, B, 0.0, 0.0, slip_damping, mu, impratio, 0.0, lead=lead, cone=cone, impedance=rise,
-        normal_share=1.0 - 2.0 / (pair.condim - 1) if pyramidal else 0.0, margin=force_begins(model, pair),
+        normal_share=along, margin=force_begins(model, pair),
     )  # fmt: skip
 
 
@@ -81,6 +82,8 @@ def edge_weight(mu: float, impratio: float) -> float:
 
 def file_law_reason(model: Any, pair: Pair) -> str:
     """The reason why a pair's force has no `file_law`; "" where it has one."""
+    if force_begins(model, pair) < 0.0:
+        return f"margin {pair.margin:g}, expected at least 0"
     if model.opt.noslip_iterations > 0:
         return f"noslip_iterations {model.opt.noslip_iterations}, expected 0"
     if model.opt.enableflags & int(load_mujoco().mjtEnableBit.mjENBL_OVERRIDE):
@@ -126,26 +129,31 @@ def is_pyramidal(model: Any, pair: Pair) -> bool:
 
 
 def turns_edges(survey: ModelIndex, pair: Pair) -> bool:
-    """Whether a capsule can turn the edges of its pyramid, which MuJoCo lays along it, away from the world's axes."""
+    """Whether a pair's pyramid has edges along a capsule, as MuJoCo lays them, and not along the world's axes."""
     model, joints = survey.model, load_mujoco().mjtJoint
-    capsule = int(load_mujoco().mjtGeom.mjGEOM_CAPSULE)
-    if not is_pyramidal(model, pair) or capsule not in model.geom_type[list(pair.geoms)]:
+    capsules = [geom for geom in pair.geoms if model.geom_type[geom] == int(load_mujoco().mjtGeom.mjGEOM_CAPSULE)]
+    if not is_pyramidal(model, pair) or not capsules:
         return False
-    body = int(model.geom_bodyid[list(pair.geoms)].max())
+    body, hinges = int(model.geom_bodyid[capsules[0]]), []
     while body > 0:
         for joint in range(model.body_jntadr[body], model.body_jntadr[body] + model.body_jntnum[body]):
             if model.jnt_type[joint] in (int(joints.mjJNT_FREE), int(joints.mjJNT_BALL)):
                 return True
-            level = np.sort(np.abs(survey.home.xaxis[joint]))[::-1]  # a planar machine's hinges are across its plane
-            hinge = model.jnt_type[joint] == int(joints.mjJNT_HINGE)
-            if hinge and (level[1] > ALONG_AXIS or abs(survey.home.xaxis[joint, 2]) > ALONG_AXIS):
-                return True
+            if model.jnt_type[joint] == int(joints.mjJNT_HINGE):
+                hinges.append(survey.home.xaxis[joint])
         body = int(model.body_parentid[body])
-    return False
+    along = survey.home.geom_xmat[capsules[0]].reshape(3, 3)[:, 2]
+    if not hinges:
+        return bool(np.sort(np.abs(along[:2]))[0] > ALONG_AXIS)
+    first = np.abs(hinges[0])  # a planar machine's hinges are across its plane, its capsules in it or across, too
+    planar = all(np.abs(np.abs(one) - first).max() <= ALONG_AXIS for one in hinges)
+    level = np.sort(first)[1] <= ALONG_AXIS and first[2] <= ALONG_AXIS
+    across = min(float(np.abs(along @ hinges[0])), float(np.linalg.norm(np.cross(along, hinges[0]))))
+    return not (planar and level and across <= ALONG_AXIS)
 
 
 def _friction(pair: Pair) -> float:
-    return max(float(pair.friction[0]), _MIN_FRICTION) if pair.condim > 1 else 0.0
+    return max(float(pair.friction[0]), MIN_FRICTION) if pair.condim > 1 else 0.0
 
 
 def _impratio(model: Any) -> float:
@@ -164,7 +172,7 @@ def as_read(model: Any, pair: Pair) -> Pair:
         return np.array([max(float(solref[0]), shortest), solref[1]]) if solref[0] > 0.0 and solref[1] > 0.0 else solref
 
     condim = pair.condim if is_pyramidal(model, pair) else min(pair.condim, 3)
-    friction = np.append(pair.friction[:2], np.full(3, _MIN_FRICTION)) if condim > 3 else pair.friction
+    friction = np.append(pair.friction[:2], np.full(3, MIN_FRICTION)) if condim > 3 else pair.friction
     solrefs = {"solref": safe(pair.solref), "solreffriction": safe(pair.solreffriction)}
     return pair._replace(condim=condim, friction=friction, **solrefs)
 

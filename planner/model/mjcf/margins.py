@@ -19,7 +19,10 @@ WATCHED_MARGIN = -1e3  # m, where the force of a watched pair would begin
 
 
 def force_begins(model: Any, pair: Pair) -> float:
-    """How far apart a pair's surfaces are where its force begins, m: of margins and gaps, as this MuJoCo has them."""
+    """How far apart a pair's surfaces are where its force begins, m: of margins and gaps, as this MuJoCo has them.
+
+    Below 0 where they press only once they are as deep in each other.
+    """
     geoms = tuple(f'margin="{model.geom_margin[geom]}" gap="{model.geom_gap[geom]}"' for geom in pair.geoms)
     for k in range(model.npair):
         if {int(model.pair_geom1[k]), int(model.pair_geom2[k])} == set(pair.geoms):
@@ -29,8 +32,12 @@ def force_begins(model: Any, pair: Pair) -> float:
 
 @cache
 def _begins(first: str, second: str, pair: str) -> float:
-    """Where force begins between a plane and a ball with these margins: releases add them, or take the larger one."""
-    return max(float(_plane_and_ball(first, second, pair).contact[0].includemargin), 0.0)
+    """Where force begins between a plane and a ball with these margins: releases add them, or take the larger one.
+
+    WATCHED_MARGIN where the ball is not seen at all.
+    """
+    data = _plane_and_ball(first, second, pair)
+    return float(data.contact[0].includemargin) if data.ncon else WATCHED_MARGIN
 
 
 def _plane_and_ball(first: str = "", second: str = "", explicit: str = "") -> Any:

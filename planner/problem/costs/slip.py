@@ -47,6 +47,6 @@ class SlipCost(ResidualCost):
         for one in mechanism.contacts if contacts is None else contacts:
             if np.any(one.plane.velocity) or one.plane.slide >= 0:
                 continue  # a belt, or a box that moves: slip is relative to it
-            constant = (*one.plane.normal, one.plane.offset + one.radius, one.radius, 1.0 / clearance)
+            constant = (*one.plane.normal, one.plane.offset + one.radius + one.law.margin, one.radius, 1.0 / clearance)
             terms.add(SLIP, [terms.point(one.link, one.centre)], (rows, 0.0), constant=constant)
         super().__init__(mechanism, terms.arrays(), None)

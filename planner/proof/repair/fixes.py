@@ -81,8 +81,13 @@ class FixTrials:
 
     def _first_passing(self, one: SuggestedFix) -> tuple[SuggestedFix, Refined | None]:
         """The fix, with a longer duration if the suggested one is too short; and the passing plan and proof or None."""
-        for _ in range(MAX_DURATIONS if one.key == "duration" else 1):
-            better = self._tried(one)
+        for k in range(MAX_DURATIONS if one.key == "duration" else 1):
+            try:
+                better = self._tried(one)
+            except _OutOfWorkError:
+                if k == 0:
+                    raise
+                return one, None
             if better is not None or one.key != "duration" or self.budget.exhausted:
                 return one, better
             one = longer(self.problem, one)
