@@ -19,7 +19,8 @@ so the law's surface is raised by as much. With a margin it lies higher by that,
     e = margin + lift - distance.
 
 `ContactLaw.exact` is the limit of no smoothing, in which MuJoCo's contact tends to the same force (see
-model.mjcf.contacts): friction is then c_t v_t, cut off at mu f_n, and where it slips MuJoCo's projection onto the friction cone raises the normal force to
+model.mjcf.contacts): friction is then c_t v_t, cut off at mu f_n, and where it slips MuJoCo's projection onto the
+friction cone raises the normal force to
 
     f_n = (K e - B v_n + mu c_t |v_t| / impratio) / (1 + mu^2 / impratio).
 

@@ -55,7 +55,7 @@ def file_law(model: Any, pair: Pair) -> ContactLaw:
     (K, B), mu, impratio = coefficients(model, pair, math.inf), _friction(pair), _impratio(model)
     lead, pyramidal = 1.0 / _rates(model, pair.solref, pair.solimp)[1], is_pyramidal(model, pair)
     along = 1.0 - 2.0 / (pair.condim - 1) if pyramidal else 0.0  # the share of edges for spinning and rolling
-    slip_damping = B * (0.5 * (1.0 - along) * mu**2 if pyramidal else impratio * (mu > 0.0))
+    slip_damping = B * (0.5 * mu**2 if pyramidal else impratio * (mu > 0.0))
     cone = "pyramidal" if pyramidal else "elliptic"
     rise = impedance_of(pair.solimp)
     return ContactLaw(
