@@ -55,6 +55,8 @@ SAME_COST = 1e-3  # relative difference of the costs below which two of them are
 LENGTHENING = 1.1  # ratio of successive durations
 MAX_DURATIONS = 8  # number of them: up to 2.1 times
 NEAR = 0.1  # of the largest error of a goal along a plan: what misses it by less needs weight, not another motion
+CLOSE = 2.0  # tolerances, likewise
+EASIER = 10.0  # times the cost of the direct plan: a problem of softer contacts whose plan costs more is none easier
 _UNSUCCESSFUL = (Status.MAX_ITERATIONS, Status.NO_DESCENT, Status.OUTSIDE_LIMITS)
 
 # One solve from states (N+1, nx) or None, penalties or None, and controls (N, nu), with an iteration limit.
@@ -126,7 +128,7 @@ def _lacks_weight(problem: Problem, plan: Plan) -> bool:
         return False
     for one in goals_of(problem, plan.xs):
         farthest = 0.0 if one.times is not None else NEAR * float(np.max(one.error(plan.xs)))
-        if not one.miss(plan.t, plan.xs) <= max(one.tolerance, farthest):
+        if not one.miss(plan.t, plan.xs) <= max(CLOSE * one.tolerance, farthest):
             return False
     return True
 
@@ -213,13 +215,13 @@ class _Relaxation:
         plan = None
         if has_softer(problem):
             plan = self._by_forces_at_a_distance() if _failed(direct) else None
-            plan = plan or self._by_softer_contacts()
+            plan = plan or self._by_softer_contacts(direct.cost)
         elif stopped or not _meets_goals(direct):
             plan = self._by_other_guesses(direct)
         if stopped and (plan is None or (has_softer(problem) and plan.cost >= direct.cost)):
             direct = self._resumed(direct, limit)
         if plan is not None and (_failed(direct) or plan.cost < direct.cost):
-            return replace(plan, starts=direct.starts)
+            direct = replace(plan, starts=direct.starts)
         if not (_failed(direct) and at_limits(problem, direct)):
             return direct
         free = self._solve(free_problem(problem), None, limit)
@@ -280,20 +282,26 @@ class _Relaxation:
         s, plan = steps.run(s, first)
         return plan if s == 0.0 else None
 
-    def _by_softer_contacts(self) -> Plan | None:
+    def _by_softer_contacts(self, direct_cost: float) -> Plan | None:
         """The plan of the problem that one of softer contacts leads to; None where its branch ends before.
 
-        What stands on softer ground stands lower, so that only the last plan has to meet the goals; the first one need
-        not have converged.
+        What stands on softer ground stands lower, so that only the last plan has to meet the goals; one that costs as
+        much as that before is on its branch, and lacks weight. The first one need not have converged.
         """
+        costs = list[float]()
 
         def is_kept(plan: Plan) -> bool:
-            return _meets_goals(plan) if plan.problem is self.problem else plan.status is Status.CONVERGED
+            followed = plan.status is Status.CONVERGED
+            if plan.problem is self.problem:
+                return _meets_goals(plan) or (followed and bool(costs) and plan.cost <= (1.0 + NEAR) * costs[-1])
+            costs.extend([plan.cost] if followed else [])
+            return followed
 
         family = SofterContacts(self.problem)
         continuation = replace(self._continuation("contacts", family), meets_goals=is_kept)
         soft = self._solve(family.at(family.factor), None, continuation.look_iterations)
-        if not self._report("contacts", family.factor, soft, bool(np.isfinite(soft.xs).all())):
+        easier = bool(np.isfinite(soft.xs).all()) and soft.cost <= EASIER * max(1.0, direct_cost)
+        if not self._report("contacts", family.factor, soft, easier):
             return None
         s, plan = continuation.run(math.log(family.factor), soft)
         return plan if s == 0.0 else None

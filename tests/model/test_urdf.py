@@ -164,6 +164,19 @@ def test_neighbours_do_not_touch_and_others_do():
         assert pairs == {frozenset({"base", "fore"}), frozenset({"mount", "fore"})}
 
 
+@pytest.mark.parametrize(("apart", "touch"), [(0.0, False), (0.098, False), (0.0995, True), (0.2, True)])
+def test_links_that_overlap_at_zero_do_not_touch_and_the_model_says_so(apart, touch):
+    """Two balls of 5 cm radius on links with one between them; 0.5 mm of overlap is how shapes were rounded."""
+    parts = [
+        link("base"), link("upper", inertial(), shape("collision", BALL)), link("middle", inertial()),
+        link("fore", inertial(), shape("collision", BALL, xyz=f"0 0 {apart - 0.6}")),
+        joint("1", "base", "upper"), joint("2", "upper", "middle"), joint("3", "middle", "fore"),
+    ]  # fmt: skip
+    told = "contact of upper and fore, whose shapes overlap with all joints at zero"
+    assert (told in text_of(robot(*parts))) is not touch
+    assert len(contact_pairs(compiled(robot(*parts)))) == touch
+
+
 def test_a_floor_is_added_on_request():
     floor = compiled(ARM, floor=True).geom("floor")
     assert floor.type == mujoco.mjtGeom.mjGEOM_PLANE

@@ -82,7 +82,9 @@ def proof(rate=14.7, mode=None, failures=(), contacts="ground", share=12.8):
     return SimpleNamespace(
         mode=mode, plan=SimpleNamespace(passed=True),
         replay=SimpleNamespace(plan=SimpleNamespace(problem=problem, t=np.array([0.0, 1.0]))),
-        refined_feedback=SimpleNamespace(failures=[SimpleNamespace(name=name) for name in failures]),
+        refined_feedback=SimpleNamespace(
+            failures=[SimpleNamespace(name=name) for name in failures], passed=not failures
+        ),
         growth=SimpleNamespace(measured=[SimpleNamespace(name="growth_rate_open_loop", value=rate)]),
         errors=SimpleNamespace(
             measured={"feedback": np.array([0.0, share])}
@@ -91,11 +93,13 @@ def proof(rate=14.7, mode=None, failures=(), contacts="ground", share=12.8):
 
 
 def test_a_machine_that_falls_is_no_matter_of_margins():
-    (found,) = falling(None, None, proof())
+    missed = ("end_angle_error",)
+    (found,) = falling(None, None, proof(failures=missed))
     assert (found.code, found.value) == ("falls", None)
     assert found.values == {"rate": 14.7, "share": 12.8}
-    (held,) = falling(None, None, proof(share=0.3))  # the gains hold it in the plan's model
+    (held,) = falling(None, None, proof(share=0.3, failures=missed))  # the gains hold it in the plan's model
     assert held.code == "ground_differs"
+    assert falling(None, None, proof(share=0.3)) == []  # and in MuJoCo: it misses its goal for another reason
     assert not loses_balance(proof(rate=0.5))  # what is steady does not fall
     assert not loses_balance(proof(mode="feedback"))  # gains hold it
     assert not loses_balance(proof(failures=("position_range_violation",)))  # gains lead it into its stops

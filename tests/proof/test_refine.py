@@ -183,12 +183,22 @@ def test_the_limit_of_refinements_ends_refinement(failed):
         judged.append(plan)
         return replace(proof, replay=proof.replay)
 
-    refined = refine(plan, proof, limit=2, prove=strict)
-    assert refined.reason == "The limit of 2 refinements was reached."
-    assert [line.horizon for line in refined.path] == [20, 20, 40]
-    assert [plan.N for plan in judged] == [20, 40]
+    refined = refine(plan, proof, limit=1, prove=strict)
+    assert refined.reason == "The limit of 1 refinement was reached."
+    assert [line.horizon for line in refined.path] == [20, 20]
+    assert [plan.N for plan in judged] == [20]
     assert refined.plan is judged[-1]
     assert refine(plan, proof, limit=0).reason == "The limit of 0 refinements was reached."
+
+
+@pytest.mark.parametrize(
+    ("errors", "ends"), [((2.3, 2.2, 2.15), True), ((4.0, 2.0, 1.5), False), ((0.9, 0.8, 0.8), False)]
+)
+def test_an_end_error_that_half_the_step_leaves_ends_refinement(failed, errors, ends):
+    """Within its bound it is not what fails; a step of first order halves it."""
+    path = [SimpleNamespace(end_error=error) for error in errors]
+    assert refinement._done(failed[1], path, 4).endswith("hardly changes the error of the end.") is ends
+    assert refinement._done(failed[1], path[:2], 4) == ""  # RK4 in place of Euler may be another plan
 
 
 def test_the_work_budget_ends_refinement(failed):

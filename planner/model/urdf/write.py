@@ -24,6 +24,7 @@ from planner.model.mjcf.equalities import HARD
 from planner.model.mjcf.model_index import LEFT_OUT, VELOCITY_LIMIT
 from planner.model.mjcf.text import is_text, written
 from planner.model.urdf.masses import inertials, listed, missing_inertia, without_idle
+from planner.model.urdf.overlaps import exclude_overlaps
 from planner.model.urdf.parse import robot_of
 from planner.model.urdf.robot import SCALAR, Inertial, Joint, Pose, Robot
 from planner.model.urdf.shape_inertia import WATER, with_shape_inertias
@@ -80,6 +81,7 @@ def mjcf_of(
     _add_followers(root, joints)
     _add_velocity_limits(root, {joint.name: joint.velocity for joint in joints if joint.kind in SCALAR})
     _add_left_out(root, [*idle, *shaped, *replaced, *shapes.missing_parts(), *_unclear(joints)])
+    exclude_overlaps(root, shapes.files, name)
     return ElementTree.tostring(root, encoding="unicode"), shapes.files
 
 

@@ -104,7 +104,7 @@ def repair(
     if resumed or (proof is not None and proof.passed):
         return Repaired(plan, proof, path, found)
     if of_file(problem):
-        trials = FixTrials(problem, tools.solve, tools.prove, refined, work, tools.max_iterations, tools.report)
+        trials = FixTrials(problem, plan, tools.solve, tools.prove, refined, work, tools.max_iterations, tools.report)
         better, found = trials.run(found)
         if better is not None:
             plan, proof, path = better.plan, better.proof, better.path if better.path[1:] else ()

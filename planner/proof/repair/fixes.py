@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 from planner.base.errors import PlannerError
 from planner.problem.plan import Plan, Status
 from planner.problem.problem import Problem
-from planner.proof.diagnostics import SuggestedFix, longer
+from planner.proof.diagnostics import SuggestedFix, longer, suggested_fixes
 from planner.proof.diagnostics.suggested_fix import ITERATIONS
 from planner.proof.repair.refinement import Refined
 from planner.proof.verdict import Proof
+from planner.solvers.warm_start import warm_start
 from planner.solvers.work import WorkBudget
 
 AUTOMATIC_KEYS = ("dt", "substeps", "integrator", "guess", "starts", "limits.margin", ITERATIONS)
@@ -21,6 +22,7 @@ NOT_TRIED = ("contacts", "gait", "ignore", "model", "start", "work")  # read the
 SHARE = 0.5  # of the work that is left, at most, for the trial of a fix
 MIN_ITERATIONS = 20  # of a trial: fewer solve nothing that failed
 MAX_DURATIONS = 6  # maximum number tried, each 1.5 times the last: up to 7.6 times
+MAX_WEIGHTS = 3  # maximum number tried, each what the plan before suggests
 _RESOLVED = "resolved"  # key of a problem file's table: default choices and their reasons
 
 Solve = Callable[[Problem, int, str, WorkBudget], Plan]
@@ -40,10 +42,11 @@ class FixTrials:
     """Trials of a problem file's suggested fixes.
 
     Fixes of AUTOMATIC_KEYS come first, and the first that passes is applied. Those of other keys are tried and only
-    reported.
+    reported. Other weights begin at the plan that has converged without them.
     """
 
     problem: Problem
+    failed: Plan
     solve: Solve
     prove: Callable[[Plan], Proof]
     refine: Callable[[Plan, Proof], Refined]
@@ -80,26 +83,37 @@ class FixTrials:
         return None, (*rest, *(replace(one, tried="fails") for one in found if one in failed))
 
     def _first_passing(self, one: SuggestedFix) -> tuple[SuggestedFix, Refined | None]:
-        """The fix, with a longer duration if the suggested one is too short; and the passing plan and proof or None."""
-        for k in range(MAX_DURATIONS if one.key == "duration" else 1):
+        """The fix, with a longer duration or other weights if need be; and the passing plan and proof or None."""
+        fixes, failed = [one], self.failed
+        for k in range({"duration": MAX_DURATIONS, "weights": MAX_WEIGHTS}.get(_kind(one), 1)):
             try:
-                better = self._tried(one)
+                done = self._tried(fixes, failed)
             except _OutOfWorkError:
                 if k == 0:
                     raise
-                return one, None
-            if better is not None or one.key != "duration" or self.budget.exhausted:
-                return one, better
-            one = longer(self.problem, one)
-        return one, None
+                break
+            if done is None or done.passed or self.budget.exhausted:
+                return fixes[-1], done if done is not None and done.passed else None
+            if one.key == "duration":
+                fixes = [longer(self.problem, fixes[-1])]
+            else:
+                failed = done.plan
+                again = [other for other in suggested_fixes(failed, done.proof) if _kind(other) == "weights"]
+                if not again:
+                    break
+                fixes = [*fixes, again[0]]
+        return fixes[-1], None
 
-    def _tried(self, one: SuggestedFix) -> Refined | None:
-        problem, asked = self.problem, self.max_iterations
+    def _tried(self, fixes: list[SuggestedFix], failed: Plan) -> Refined | None:
+        """The plan and proof of a trial of the last of some fixes, after finer steps; None where there is none."""
+        one, problem, asked = fixes[-1], self.problem, self.max_iterations
         if one.key == ITERATIONS:
             asked = one.value
         else:
             try:
-                problem = with_fix(problem, one)
+                problem = with_fixes(problem, fixes)
+                if _kind(one) == "weights" and failed.converged and failed.N == problem.N:
+                    problem = replace(problem, us=warm_start(failed, problem))
             except PlannerError as error:
                 self.report(FixTrial(one, "refused", str(error)))
                 return None
@@ -117,27 +131,32 @@ class FixTrials:
         done = self.refine(plan, self.prove(plan))
         if not done.passed:
             self.report(FixTrial(one, "fails", done.proof.reason))
-            return None
         return done
+
+
+def _kind(one: SuggestedFix) -> str:
+    """What a fix changes: its table, or its key."""
+    return one.key.partition(".")[0]
 
 
 class _OutOfWorkError(Exception):
     """What is left of the budget is too little for a trial."""
 
 
-def with_fix(problem: Problem, one: SuggestedFix) -> Problem:
-    """The problem of a file with a fix in its table, and the fix's reason among those of the defaults."""
+def with_fixes(problem: Problem, fixes: Sequence[SuggestedFix]) -> Problem:
+    """The problem of a file with fixes in its table, and their reasons among those of the defaults."""
     assert problem.recipe is not None  # of a problem file
     table = {name: value for name, value in problem.parameters.items() if name != _RESOLVED}
-    again = problem.recipe.build(**one.applied(table)) if problem.recipe.build else problem
+    for one in fixes:
+        table = one.applied(table)
+    again = problem.recipe.build(**table) if problem.recipe.build else problem
     assert again.recipe is not None
     resolved = again.parameters[_RESOLVED]
-    reasons = resolved["reasons"] | {one.key: f"applied automatically by planner run: {one.sentence}"}
+    reasons = resolved["reasons"] | {one.key: f"applied automatically by planner run: {one.sentence}" for one in fixes}
     table = again.parameters | {_RESOLVED: resolved | {"reasons": reasons}}
     return replace(again, recipe=replace(again.recipe, parameters=table))
 
 
 def is_automatic(key: str) -> bool:
     """Whether a repair may apply a fix of this key by itself."""
-    table, _, _ = key.rpartition(".")
-    return key in AUTOMATIC_KEYS or "weights" in (key, table)
+    return key in AUTOMATIC_KEYS or key.partition(".")[0] == "weights"

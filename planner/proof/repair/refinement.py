@@ -31,6 +31,8 @@ from planner.solvers.slq import solve
 from planner.solvers.warm_start import warm_start
 from planner.solvers.work import DEFAULT_WORK, WorkBudget, budget_of
 
+SAME = 0.1  # of an end error beyond its bound: where half the step changes it by less, it is not of the step
+
 
 class Refinement(NamedTuple):
     """One plan of a sequence of refinements.
@@ -151,7 +153,7 @@ def refine(
 
     interrupted = ended(_line(plan, proof, math.nan))
     while True:
-        reason = _done(proof, len(path) - 1, limit) or ("It was interrupted." if interrupted else "")
+        reason = _done(proof, path, limit) or ("It was interrupted." if interrupted else "")
         if reason or work.exhausted:
             reason = reason or work.end.value
             break
@@ -183,12 +185,17 @@ def refine(
     return Refined(plan, proof, tuple(path), reason)
 
 
-def _done(proof: Proof, refinements: int, limit: int) -> str:
+def _done(proof: Proof, path: list[Refinement], limit: int) -> str:
     """The reason to end with this plan; "" to go on."""
+    refinements = len(path) - 1
     if proof.passed:
         return f"It passed after {_counted(refinements)}." if refinements else "It passed as it was."
     if other := _other_cause(proof):
         return f"A finer step does not help where {other}"
+    if refinements > 1 and 1.0 < path[-1].end_error < math.inf:
+        before = path[-2].end_error
+        if abs(before - path[-1].end_error) <= SAME * before:
+            return "A finer step does not help where half of it hardly changes the error of the end."
     return f"The limit of {_counted(limit)} was reached." if refinements >= limit else ""
 
 
