@@ -291,11 +291,11 @@ class _Relaxation:
         costs = list[float]()
 
         def is_kept(plan: Plan) -> bool:
-            followed = plan.status is Status.CONVERGED
+            converged = plan.status is Status.CONVERGED
             if plan.problem is self.problem:
-                return _meets_goals(plan) or (followed and bool(costs) and plan.cost <= (1.0 + NEAR) * costs[-1])
-            costs.extend([plan.cost] if followed else [])
-            return followed
+                return _meets_goals(plan) or (converged and bool(costs) and plan.cost <= (1.0 + NEAR) * costs[-1])
+            costs.extend([plan.cost] if converged else [])
+            return converged
 
         family = SofterContacts(self.problem)
         continuation = replace(self._continuation("contacts", family), meets_goals=is_kept)
