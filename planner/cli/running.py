@@ -41,7 +41,7 @@ from planner.proof.repair.clearance import ClearanceRefinement
 from planner.proof.repair.fixes import FixTrial
 from planner.proof.repair.refinement import Refined, Refinement
 from planner.proof.repair.saddle import SaddleStep
-from planner.solvers.work import DEFAULT_WORK, WorkBudget
+from planner.solvers.work import DEFAULT_WORK, WorkBudget, work_of_proof
 from planner.sweeps.executors import executor_of
 
 MARK = ".planner-unfinished.json"
@@ -166,6 +166,7 @@ def _show_step(console: Console, step: Step) -> None:
 INTERRUPTED = 130
 FIRST_SHARE = 0.5  # of the work, at most, for the first solve: the rest is for the repair of a plan that fails
 MAX_ROLLOUT_SECONDS = 20.0  # time limit of the perturbed simulations; `planner prove` has none
+MEASURED_AFTER = 2.0  # proofs: what the steps after the verdict take that are only shown
 FLAGS = ("update", "line_search", "hessian", "max_iterations", "rank", "no_refine", "rollouts", "hold", "work",
          "budget", "objective", "durations", "control_limit", "exact_goal")  # fmt: skip
 """Flags that decide plan and proof, beside those of the problem, its starts and seed."""
@@ -288,7 +289,8 @@ def _missing(plan: Plan, budget: WorkBudget) -> str:
     """Why a run does not measure what a plan bears, which can take minutes of a motion that diverges; or ""."""
     if not plan.success:
         return "the solve did not succeed; planner prove measures it"
-    return "no work was left; planner prove measures it" if budget.exhausted else ""
+    needed = 0.0 if plan.problem is None else MEASURED_AFTER * work_of_proof(plan.problem)
+    return "no work was left; planner prove measures it" if budget.exhausted or budget.left < needed else ""
 
 
 def _flags(arguments: argparse.Namespace) -> dict[str, Any]:

@@ -24,8 +24,7 @@ from planner.base.gl import load_mujoco
 from planner.base.json_files import finite
 from planner.base.measured import Measurement, Section
 from planner.dynamics import kinematics
-from planner.model.contact.laws import Contact
-from planner.model.mechanism import Frame, Mechanism
+from planner.model.mechanism import Mechanism
 from planner.problem.plan import Plan
 from planner.proof.compare.rigid_parity import turns
 from planner.proof.replays.compiled_twin import CompiledTwin
@@ -180,16 +179,13 @@ def _feet(run: Replay) -> float:
     if not np.isfinite(run.xs).all():
         return np.inf
     rows = slice(None, None, max(1, run.substeps // _LOOKS_PER_STAGE))
-    qs = [xs[rows, : mechanism.nq] for xs in (run.xs, run.plan_xs)]
-    away = [kinematics.frame_pose(mechanism, qs[0], frame) - kinematics.frame_pose(mechanism, qs[1], frame)
-            for frame in map(_centre, mechanism.contacts)]  # fmt: skip
-    return max(float(np.linalg.norm(T[:, :3, 3], axis=1).max()) for T in away)
-
-
-def _centre(contact: Contact) -> Frame:
-    T = np.eye(4)
-    T[:3, 3] = contact.centre
-    return Frame(contact.link, T)
+    links = np.array([contact.link for contact in mechanism.contacts])
+    centres = np.array([contact.centre for contact in mechanism.contacts])
+    own, planned = (
+        kinematics.points_of(mechanism, xs[rows, : mechanism.nq], links, centres, moving=False)[0]
+        for xs in (run.xs, run.plan_xs)
+    )
+    return float(np.linalg.norm(own - planned, axis=-1).max())
 
 
 def _measured(row: ContactVariant) -> Iterator[Measurement]:

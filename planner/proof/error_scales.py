@@ -105,7 +105,7 @@ def contact_penetration(problem: Problem | None) -> float:
     if mechanism is None or not mechanism.contacts:
         return 0.0
     weight = float(mechanism.mass.sum() * np.linalg.norm(mechanism.gravity))
-    return min(contact.law.rest_depth(weight) for contact in mechanism.contacts)
+    return min(law.rest_depth(weight) for law in {contact.law for contact in mechanism.contacts})
 
 
 def has_contacts(problem: Problem | None) -> bool:

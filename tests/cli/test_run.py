@@ -16,6 +16,7 @@ from planner.cli import running as run_command
 from planner.cli.running import MARK, _refinement_of, run_folder
 from planner.cli.showing import refinement_row
 from planner.proof.repair.refinement import Refinement
+from planner.solvers.work import WorkBudget, work_of_proof
 
 ARM = ["run", *commands.ARM, "--no-video", "--quiet"]
 EULER = [*ARM, "--integrator", "semi-implicit-euler"]
@@ -252,6 +253,13 @@ def test_what_a_plan_bears_is_not_measured_of_one_that_was_not_solved(tmp_path, 
     for name in ("perturbed", "controller", "another_ground"):
         assert "the solve did not succeed" in str(proof[name])
     assert "perturbed simulations" not in capsys.readouterr().err
+
+
+def test_what_a_plan_bears_is_not_measured_where_the_work_does_not_reach():
+    """The steps after a verdict are some thirty replays, which a work of one proof does not pay."""
+    plan = planner.solve(planner.cases.two_link(horizon=50))
+    for proofs, said in ((0.0, True), (1.0, True), (3.0, False)):
+        assert bool(run_command._missing(plan, WorkBudget(proofs * work_of_proof(plan.problem)))) is said
 
 
 def test_work_of_a_problem_file(tmp_path, capsys):
