@@ -54,11 +54,14 @@ def test_a_draw_changes_masses_and_friction_of_the_model(arm):
     np.testing.assert_allclose(np.abs(signs - 1.0), 0.2)
 
 
-def test_a_floor_is_higher_where_mujoco_finds_contacts():
+@pytest.mark.parametrize("turn", ["", ' euler="90 0 0"'], ids=["of the world", "of a turned body at rest"])
+def test_a_floor_is_higher_where_mujoco_finds_contacts(turn):
     """A plane at the origin is one whose place MuJoCo does not read, unless it is told to."""
     mujoco = load_mujoco()
+    upright = ' euler="-90 0 0"' if turn else ""
+    floor = f'<body{turn}><geom type="plane" size="0 0 1"{upright}/></body>'
     model = compile_model(
-        '<mujoco><worldbody><geom type="plane" size="0 0 1"/><body pos="0 0 0.09"><joint type="slide" axis="0 0 1"/>'
+        f'<mujoco><worldbody>{floor}<body pos="0 0 0.09"><joint type="slide" axis="0 0 1"/>'
         '<geom size="0.1"/></body></worldbody></mujoco>'
     )
     nominal = Nominal(model, np.zeros(1), np.zeros(0), SampleShape(model.nbody, 1, 2, 1, 0, 1))

@@ -209,8 +209,10 @@ class Nominal:
         model.jnt_stiffness[:] *= draw.stiffness
         model.geom_friction[:] *= draw.contact_friction
         model.pair_friction[:] *= draw.contact_friction
-        planes = (model.geom_type == mujoco.mjtGeom.mjGEOM_PLANE) & (model.geom_bodyid == 0)
-        model.geom_pos[planes, 2] += draw.floor
+        rests = nominal.body_weldid[nominal.geom_bodyid] == 0
+        planes = np.flatnonzero((nominal.geom_type == mujoco.mjtGeom.mjGEOM_PLANE) & rests)
+        mujoco.mj_kinematics(nominal, data)  # z of the world in the frames of the bodies that carry the planes
+        model.geom_pos[planes] += draw.floor * data.xmat[nominal.geom_bodyid[planes], 6:]
         model.geom_sameframe[planes] = 0  # else MuJoCo takes a plane at the origin to be there still
         try:
             mujoco.mj_setConst(model, data)  # contact stiffness depends on inertias, which MuJoCo caches
