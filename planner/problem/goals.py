@@ -18,8 +18,7 @@ import numpy as np
 
 from planner.base.arguments import choice
 from planner.model.coordinates import coordinates_of
-from planner.problem.costs.goal_spec import GoalSpec
-from planner.problem.costs.terms import SumCost
+from planner.problem.costs.terms import GoalSpec, SumCost
 from planner.problem.problem import Problem
 
 SHARE = 0.02  # of the displacement, or of a velocity's peak: the default tolerance

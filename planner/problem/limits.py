@@ -25,7 +25,8 @@ from planner.model.couplings import contradiction
 from planner.model.mechanism import SCREW, Mechanism
 from planner.model.space import StateSpace, space_of
 from planner.problem.constraints.constraint import DEFAULT_TOLERANCE, Constraint
-from planner.problem.constraints.forces import ActuatorForce, JointForce
+from planner.problem.constraints.forces import ActuatorForce, JointForce, tendon_constraint, tendon_ranges
+from planner.problem.constraints.trajectory_constraints import StateBounds
 from planner.problem.control_bounds import (
     ControlBounds,
     Servos,
@@ -36,13 +37,15 @@ from planner.problem.control_bounds import (
     unbounded_actuators,
 )
 from planner.problem.costs.terms import Cost
-from planner.problem.costs.weights import places
-from planner.problem.joint_limits import Range, check_margin, model_ranges, tendon_constraint, tendon_ranges
-from planner.problem.limit_values import (
+from planner.problem.costs.tracking import places
+from planner.problem.joint_limits import (
     OFF,
+    Range,
+    check_margin,
     component_of,
     is_word,
     json_value,
+    model_ranges,
     pair_of,
     pairs_of_coordinates,
     sides_of,
@@ -50,7 +53,6 @@ from planner.problem.limit_values import (
     table_of,
     with_names,
 )
-from planner.problem.state_bounds import StateBounds
 
 TOLERANCE = 1e-4  # rad, m, rad/s, m/s
 MODEL, EXACT = "model", "exact"

@@ -27,9 +27,8 @@ from planner.problem.costs.terms import SumCost
 from planner.problem.costs.tracking import TrackingCost
 from planner.problem.default_appearance import default_appearance
 from planner.problem.goals import terms_of
-from planner.problem.periodicity import Periodic
 from planner.problem.problem import Problem
-from planner.problem.recipe import Recipe
+from planner.problem.problem_parts import Periodic, Recipe
 from planner.problem.residual import Residual
 
 NAME = "mechanism and tracking cost"

@@ -25,9 +25,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from planner.problem.constraints.trajectory_constraints import TrajectoryConstraints
+from planner.problem.constraints.trajectory_constraints import BoundPenalties, TrajectoryConstraints
 from planner.problem.plan import Iteration, Plan, Status
-from planner.problem.state_bounds import BoundPenalties
 from planner.solvers.options import DEFAULT, SolverOptions
 
 # One solve from first controls (N, nu) with penalties: an iteration limit, the number of the first line, and its

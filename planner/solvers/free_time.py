@@ -25,13 +25,12 @@ import numpy as np
 from planner.base.arguments import number, short_repr
 from planner.base.errors import PlannerError
 from planner.model.capabilities import capabilities_of
+from planner.problem.initial_guess import Trajectory
 from planner.problem.limits import EXACT, Limits
-from planner.problem.objective import checked_durations, durations_or_default, weights_of
-from planner.problem.objective_problem import base_problem, with_objective
+from planner.problem.objective import base_problem, checked_durations, durations_or_default, weights_of, with_objective
 from planner.problem.plan import Plan, Status
 from planner.problem.problem import Problem
 from planner.problem.rediscretize import retimed
-from planner.problem.trajectory import Trajectory
 from planner.solvers.options import single_start, with_overrides
 from planner.solvers.slq import as_user_plan, solve
 from planner.solvers.warm_start import warm_start

@@ -21,9 +21,9 @@ import numpy as np
 
 from planner.kernels.lq.active_set import MULTIPLIER_ROUNDING, ROUNDING
 from planner.kernels.lq.state_dependent_bounds import AT_BOUND
+from planner.problem.constraints.trajectory_constraints import BoundPenalties, StateBounds, sides_of
 from planner.problem.control_bounds import StepBounds
 from planner.problem.costs.terms import Quadratic
-from planner.problem.state_bounds import BoundPenalties, StateBounds, sides_of
 
 MAX_NEWTON_STEPS = 100  # of one box QP
 MIN_STEP = 1e-10  # of its line search: smaller steps only change rounding errors

@@ -25,9 +25,9 @@ import numpy as np
 from planner.base.arguments import choice, count, short_repr
 from planner.base.errors import PlannerError
 from planner.base.json_files import finite
-from planner.problem.periodicity import STEPS
 from planner.problem.plan import Plan, Status
 from planner.problem.problem import Problem
+from planner.problem.problem_parts import STEPS
 from planner.solvers.options import single_start
 from planner.solvers.periodic_boundary import (
     BoundaryStates,

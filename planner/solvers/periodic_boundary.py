@@ -29,10 +29,10 @@ from planner.base.errors import PlannerError
 from planner.model.space import space_of
 from planner.problem.costs.terms import SumCost
 from planner.problem.costs.tracking import TrackingCost, tracking_of
-from planner.problem.objective_problem import base_problem, with_objective
-from planner.problem.periodicity import Periodic
+from planner.problem.objective import base_problem, with_objective
 from planner.problem.plan import Plan
 from planner.problem.problem import Problem
+from planner.problem.problem_parts import Periodic
 from planner.solvers import lq
 from planner.solvers.warm_start import feedback_rollout
 

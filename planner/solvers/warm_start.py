@@ -16,11 +16,11 @@ from planner.base.arguments import short_repr
 from planner.base.errors import PlannerError
 from planner.dynamics.rollout import feedback_control, rollout
 from planner.model.space import space_of
+from planner.problem.constraints.trajectory_constraints import BoundPenalties
+from planner.problem.initial_guess import Trajectory
 from planner.problem.plan import Plan
 from planner.problem.problem import Problem
-from planner.problem.state_bounds import BoundPenalties
-from planner.problem.trajectory import Trajectory
-from planner.solvers.lqr import tracking_gains
+from planner.solvers.gains import tracking_gains
 
 _WEAKEST = 1e-6  # smallest tracking weight of a state, relative to the largest
 

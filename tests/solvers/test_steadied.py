@@ -11,7 +11,7 @@ import planner
 from planner import FunctionDynamics, Mechanism, Problem, RigidBodyDynamics, Status, TrackingCost
 from planner.dynamics.step_stability import FastestMode, fastest_mode, substeps_of
 from planner.problem.limits import Limits
-from planner.solvers.stabilizing_guess import has_diverged, stabilizing_guess
+from planner.solvers.other_guesses import has_diverged, stabilizing_guess
 from planner.solvers.warm_start import feedback_rollout
 
 CART = """

@@ -1,7 +1,17 @@
-"""Forces as residuals: what actuators do, and the force that holds a closed chain together."""
+"""Forces and tendons as residuals: what actuators do, what holds a closed chain together, lengths of fixed tendons.
+
+The constraint of a fixed tendon is
+
+    low <= c'q <= high    at every knot,
+
+with c'q divided by the largest |c|, so that margins and tolerances in rad or m mean the same as for joints. A tendon
+has no constraint if the ranges of its joints imply its own, or if equalities fix its length within its range:
+MuJoCo's equalities are soft, so the length varies slightly in any motion.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -12,10 +22,14 @@ from planner.base.errors import PlannerError
 from planner.dynamics import Dynamics, RigidBodyDynamics, constraint_forces
 from planner.dynamics.actuator_moments import force_derivatives_at, forces_at
 from planner.model.actuators import DIRECT
+from planner.model.coordinates import ANGLE, LENGTH, Coordinate
 from planner.model.mechanism import Mechanism
 from planner.model.space import space_of
+from planner.model.tendons import FixedTendon
+from planner.problem.constraints.constraint import Constraint
 from planner.problem.constraints.quantities import mechanism_of
-from planner.problem.costs.weights import places
+from planner.problem.costs.tracking import places
+from planner.problem.joint_limits import TENDON_ROUNDING, Range, margin_of
 from planner.problem.residual import PythonResidual, Residual
 
 __all__ = ["ChainForce", "Power"]
@@ -204,3 +218,125 @@ class ChainForce(Residual):
         if not known or not isinstance(dynamics, RigidBodyDynamics):
             raise PlannerError(f"the {self} needs a closed chain, expected a machine with a connect or a weld.")
         return known[choice("the equality of a force", self.equality, known)]
+
+
+def tendon_ranges(
+    mechanism: Mechanism, margin: Any, given: Mapping[str, Range], of_joints: Mapping[int, Range]
+) -> list[tuple[TendonLength, Range]]:
+    """The ranges of tendons that constrain a plan, less the margin.
+
+    Args:
+        mechanism: Of the plan.
+        margin: Of the limits: a number, a table by joints and tendons, or None.
+        given: Ranges by name of tendon, in place of the model's.
+        of_joints: Ranges of joints in the plan, by degree of freedom.
+    """
+    found = []
+    for tendon in mechanism.tendons:
+        length = TendonLength(tendon, mechanism)
+        if _is_fixed(length):
+            continue
+        joint_range = given.get(tendon.name) or _of_model(length, margin)
+        ends = [[(one.low, one.high) if (one := of_joints.get(i)) else (-np.inf, np.inf)] for i in tendon.dofs]
+        reached = np.sort(length.coefficients[:, None] * np.concatenate(ends), axis=1).sum(axis=0)
+        if reached[0] < joint_range.low or reached[1] > joint_range.high:
+            found.append((length, joint_range))
+    return found
+
+
+def _is_fixed(length: TendonLength) -> bool:
+    """Whether equalities alone fix a tendon's length, at a value within its range."""
+    reduction = length.mechanism.reduction
+    if reduction is None:
+        return False
+    c = np.zeros(length.mechanism.nv)
+    np.add.at(c, list(length.tendon.dofs), length.coefficients)
+    if np.any(np.abs(c @ reduction.G) > TENDON_ROUNDING):
+        return False
+    low, high = np.array(length.tendon.range) / length.scale
+    return bool(low - TENDON_ROUNDING <= c[reduction.dependent] @ reduction.offset <= high + TENDON_ROUNDING)
+
+
+def tendon_constraint(
+    length: TendonLength, joint_range: Range, start: np.ndarray, goal: np.ndarray | None, tolerance: float
+) -> Any:
+    """The constraint of a tendon, widened to a start or goal within the margin.
+
+    Raises:
+        PlannerError: A start, or a goal (nx,) if there is one, outside of the range.
+    """
+    for what, x in (("start", start), ("goal", goal)):
+        if x is None:
+            continue
+        value = float(length.of(x[None])[0])
+        widened = joint_range.widened_to(value)
+        if widened is None:
+            scaled = Range(*(end * length.scale for end in joint_range[:4]), of_model=joint_range.of_model)
+            own, message = value * length.scale, f"the {what} has {length} at {value * length.scale:.6g}"
+            raise PlannerError(message + scaled.refusal(Coordinate(length.tendon.name, ""), own))
+        joint_range = widened
+    lower, upper = (end if np.isfinite(end) else None for end in (joint_range.low, joint_range.high))
+    return Constraint(length, lower=lower, upper=upper, tolerance=tolerance, name=f"range of {length}")
+
+
+def _of_model(length: TendonLength, margin: Any) -> Range:
+    low, high = np.array(length.tendon.range) / length.scale
+    given = margin.get(length.tendon.name) if isinstance(margin, Mapping) else margin
+    keep = min(margin_of(high - low, length.unit, given), 0.5 * (high - low))
+    return Range(low + keep, high - keep, low, high, of_model=True)
+
+
+@dataclass(frozen=True, eq=False)
+class TendonLength:
+    """The length of a fixed tendon divided by its largest |coefficient|: a quantity for a constraint."""
+
+    tendon: FixedTendon
+    mechanism: Mechanism
+
+    def __str__(self) -> str:
+        return f"tendon {self.tendon.name!r}"
+
+    @property
+    def scale(self) -> float:
+        """The largest of its |coefficients|."""
+        return float(np.abs(self.tendon.coefficients).max())
+
+    @property
+    def coefficients(self) -> np.ndarray:
+        """(k,) scaled coefficients of its degrees of freedom; the largest is 1 or -1."""
+        return np.array(self.tendon.coefficients) / self.scale
+
+    @property
+    def unit(self) -> str:
+        """Unit, rad or m, of the joint with the largest |coefficient|."""
+        dof = self.tendon.dofs[int(np.argmax(np.abs(self.tendon.coefficients)))]
+        return ANGLE if np.any(self.mechanism.S[dof, :3]) else LENGTH
+
+    def of(self, xs: np.ndarray) -> np.ndarray:
+        """(K,) scaled lengths for states (K, nx)."""
+        return xs[:, self.mechanism.q_address[list(self.tendon.dofs)]] @ self.coefficients
+
+    def residual_function(self, dynamics: Dynamics, N: int) -> TendonFunction:
+        """The constraint function for a machine."""
+        mechanism_of(dynamics, self)
+        return TendonFunction(self, dynamics)
+
+
+class TendonFunction:
+    """Constraint function of a TendonLength: one component with a constant derivative."""
+
+    rows, of_controls = 1, False
+
+    def __init__(self, length: TendonLength, dynamics: Dynamics) -> None:
+        self._length, self.same = length, id(length)
+        self._ndx, self._nu = space_of(dynamics).ndx, dynamics.nu
+
+    def values(self, xs: np.ndarray, us: np.ndarray, n: np.ndarray) -> np.ndarray:
+        """(K, 1) scaled lengths."""
+        return self._length.of(xs)[:, None]
+
+    def derivatives(self, xs: np.ndarray, us: np.ndarray, n: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """(K, 1, ndx) and zeros (K, 1, nu)."""
+        by_x = np.zeros((len(xs), 1, self._ndx))
+        by_x[:, 0, list(self._length.tendon.dofs)] = self._length.coefficients
+        return by_x, np.zeros((len(xs), 1, self._nu))

@@ -164,7 +164,7 @@ class JerkDynamics:
         return search, *self.kernels[1:], residuals
 
     def residuals(self, measures: Any) -> ResidualTable:
-        """Kernel table of the cost residuals in a problem.costs.residuals.arrays.ResidualArrays."""
+        """Kernel table of the cost residuals in a problem.costs.residual_arrays.ResidualArrays."""
         return self.own.residuals(measures)
 
     def quadratize_nominal(self, w: Workspace, memory: TreeMemory) -> None:

@@ -22,13 +22,12 @@ from planner.model.capabilities import ballistic_dofs, rolling_radii
 from planner.model.coordinates import coordinates_of_mechanism
 from planner.model.mechanism import Mechanism
 from planner.problem.costs.frame import FrameCost
-from planner.problem.costs.goal_spec import GoalSpec
-from planner.problem.costs.terms import SumCost
+from planner.problem.costs.terms import GoalSpec, SumCost
 from planner.problem.costs.tracking import TrackingCost
-from planner.problem.default_weights import VELOCITY, staying_cost, with_slip
+from planner.problem.default_weights import VELOCITY, servos_of
 from planner.problem.goals import MIN_TOLERANCES
-from planner.problem.servo_reference import servo_reference, servos_of
-from planner.problem.tasks.follow import Follow
+from planner.problem.reaching_cost import servo_reference, staying_cost, with_slip
+from planner.problem.tasks.goal import Follow
 from planner.problem.tasks.timed_task import DEFAULT_TOLERANCES, Task, TimedGoal, unit_of
 
 WEIGHT = 4.0  # in 1 / tolerance^2

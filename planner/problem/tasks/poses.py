@@ -16,10 +16,9 @@ from planner.dynamics.statics import static_equilibrium
 from planner.model.capabilities import unreached_dofs
 from planner.model.mechanism import SCREW, Frame, Mechanism
 from planner.model.mjcf.prescribed_joints import prescribed_dofs_of
-from planner.problem.collision_checker import CollisionChecker
-from planner.problem.tasks.feet import FOOT_SCALE, Feet, feet_of
-from planner.problem.tasks.follow import Follow
-from planner.problem.tasks.pose_constraints import PoseConstraints, ResidualAndJacobian, both
+from planner.problem.collision_free_path import CollisionChecker
+from planner.problem.tasks.goal import Follow
+from planner.problem.tasks.pose_constraints import FOOT_SCALE, Feet, PoseConstraints, ResidualAndJacobian, both, feet_of
 from planner.problem.tasks.timed_task import Task, TimedGoal, unit_of
 
 MAX_CONFIGURATIONS = 60  # along a path; joints follow a spline between them

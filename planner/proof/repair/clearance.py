@@ -16,8 +16,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from planner.model.mjcf.initial_overlaps import MAX_MUJOCO_DISTANCE, distances_in
-from planner.problem.avoid import model_index_of
-from planner.problem.constraints.clearance import PairClearance, pair_clearance_of
+from planner.problem.constraints.clearance import PairClearance, model_index_of, pair_clearance_of
 from planner.problem.goals import goals_of
 from planner.problem.plan import Plan, Status
 from planner.problem.problem import Problem

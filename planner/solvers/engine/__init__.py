@@ -12,8 +12,8 @@ from planner.dynamics import CompiledDynamics, ResidualDynamics
 from planner.kernels.lq import line_search
 from planner.model.mechanism import Mechanism
 from planner.model.space import space_of
-from planner.problem.costs.residuals.arrays import ResidualArrays, joined
-from planner.problem.costs.residuals.cost import ResidualCost
+from planner.problem.costs.least_squares import ResidualCost
+from planner.problem.costs.residual_arrays import ResidualArrays, joined
 from planner.problem.costs.terms import Cost, SumCost
 from planner.problem.costs.tracking import TrackingCost
 from planner.problem.problem import Problem

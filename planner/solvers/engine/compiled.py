@@ -17,12 +17,20 @@ from planner.kernels.lq.second_order import costates
 from planner.kernels.lq.workspace import W, Workspace
 from planner.kernels.precompile import compile_together
 from planner.model.space import StateSpace, space_of
-from planner.problem.costs.residuals.arrays import ResidualArrays
+from planner.problem.constraints.trajectory_constraints import BoundPenalties
+from planner.problem.costs.residual_arrays import ResidualArrays
 from planner.problem.costs.tracking import TrackingCost
 from planner.problem.problem import Problem
-from planner.problem.state_bounds import BoundPenalties
-from planner.solvers.engine.protocol import MAX_SETS, ActiveSetSchedule, DefectStep, Direction, Engine, state_weights
-from planner.solvers.engine.tracked_trajectory import TrackedTrajectory, TrajectoryArrays
+from planner.solvers.engine.protocol import (
+    MAX_SETS,
+    ActiveSetSchedule,
+    DefectStep,
+    Direction,
+    Engine,
+    TrackedTrajectory,
+    TrajectoryArrays,
+    state_weights,
+)
 from planner.solvers.lq import MAX_GRADIENT
 
 _EXACT = W.exact

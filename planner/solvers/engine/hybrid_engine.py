@@ -18,11 +18,10 @@ import numpy as np
 from planner.kernels.lq import line_search
 from planner.kernels.lq.workspace import ALPHA, COSTS, SLOPES
 from planner.problem.constraints.quantities import KernelResidual, penalty_arrays
-from planner.problem.constraints.trajectory_constraints import TrajectoryConstraints
-from planner.problem.costs.residuals.arrays import ResidualArrays, joined
+from planner.problem.constraints.trajectory_constraints import BoundPenalties, TrajectoryConstraints
+from planner.problem.costs.residual_arrays import ResidualArrays, joined
 from planner.problem.costs.terms import Cost, SumCost
 from planner.problem.problem import Problem
-from planner.problem.state_bounds import BoundPenalties
 from planner.solvers.engine.compiled import CompiledEngine
 from planner.solvers.engine.protocol import check_shapes
 

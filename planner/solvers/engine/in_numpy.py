@@ -11,11 +11,11 @@ from planner.kernels.lq import line_search
 from planner.kernels.numba.jit import announce
 from planner.kernels.numba.lanes import WIDTH
 from planner.model.space import space_of
+from planner.problem.constraints.trajectory_constraints import BoundPenalties
 from planner.problem.control_bounds import StepBounds
 from planner.problem.costs.terms import Cost, Quadratic
 from planner.problem.costs.tracking import tracking_of
 from planner.problem.problem import Problem
-from planner.problem.state_bounds import BoundPenalties
 from planner.solvers import lq
 from planner.solvers.engine.protocol import (
     MAX_SETS,
@@ -23,10 +23,11 @@ from planner.solvers.engine.protocol import (
     DefectStep,
     Direction,
     Engine,
+    TrajectoryArrays,
     check_shapes,
+    shift_trajectory,
     state_weights,
 )
-from planner.solvers.engine.tracked_trajectory import TrajectoryArrays, shift_trajectory
 
 
 class NumpyEngine(Engine):
