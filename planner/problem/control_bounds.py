@@ -167,7 +167,7 @@ def model_bounds(mechanism: Mechanism, nu: int) -> tuple[np.ndarray, np.ndarray]
     lower, upper = np.full(nu, -np.inf), np.full(nu, np.inf)
     lower[: acts.nu], upper[: acts.nu] = acts.control_range.T
     for a in range(acts.nu):
-        if _bounds_control(mechanism, a) and not _depends_on_state(mechanism, a):
+        if _bounds_control(mechanism, a) and not acts.depends_on_state[a]:
             low, high = _control_range(mechanism, a)
             lower[a], upper[a] = max(lower[a], low), min(upper[a], high)
             if lower[a] > upper[a]:  # the nearest of ctrlrange
@@ -186,9 +186,7 @@ def servo_bounds(mechanism: Mechanism, dt: float, ndx: int, without: frozenset[i
     """
     acts, nv = mechanism.actuators, mechanism.nv
     which = [
-        a
-        for a in range(acts.nu)
-        if a not in without and _bounds_control(mechanism, a) and _depends_on_state(mechanism, a)
+        a for a in range(acts.nu) if a not in without and _bounds_control(mechanism, a) and acts.depends_on_state[a]
     ]
     if not which:
         return None
@@ -284,11 +282,6 @@ def _is_affine(mechanism: Mechanism, a: int) -> bool:
 def _bounds_control(mechanism: Mechanism, a: int) -> bool:
     """Whether clamps of an actuator's force bound its control."""
     return _is_affine(mechanism, a) and any(clamp.alone for clamp in _clamps(mechanism, a))
-
-
-def _depends_on_state(mechanism: Mechanism, a: int) -> bool:
-    """Whether an actuator's force depends on the state."""
-    return bool(mechanism.actuators.depends_on_state[a])
 
 
 def _control_range(mechanism: Mechanism, a: int) -> tuple[float, float]:

@@ -233,7 +233,7 @@ def _of_goals(problem: Problem, t: np.ndarray, motions: Sequence[StatesControls]
         curves = list(found.values())
         for first in range(0, len(curves), MAX_CURVES):
             few = curves[first : first + MAX_CURVES]
-            what, names = _shared([_joined(names) for names, _, _ in few])
+            what, names = _shared([_shared(names)[0] for names, _, _ in few])  # "speed of hand" at 1 s and at 2 s
             upper = np.stack([bound for _, _, bound in few], axis=1)
             displacement = np.stack([values for _, values, _ in few], axis=2)
             title = f"Goals: {what or _GOALS.get(unit, 'miss')}"
@@ -320,24 +320,14 @@ def _names(part: StackEntry) -> tuple[str, ...]:
     return own if len(own) == R else tuple(f"row {r}" for r in range(1, R + 1))
 
 
-def _joined(names: list[str]) -> str:
-    """The common name of several goals: "speed of hand" for those at 1 s and at 2 s."""
-    return names[0] if len(names) == 1 else _shared(names)[0]
-
-
 def _shared(names: Sequence[str]) -> tuple[str, tuple[str, ...]]:
     """The common first words of all names, and the remainder of each: "position of hand" and "at 1 s"."""
     if len(names) == 1:
         return names[0], tuple(names)
-    common = _beginning(names)
+    columns = zip(*(name.split() for name in names), strict=False)
+    common = [words[0] for words in takewhile(lambda words: len(set(words)) == 1, columns)]
     rest = [name.split()[len(common) :] for name in names]
     while common and common[-1] in ("of", "at"):
         if common.pop() == "at":
             rest = [["at", *words] for words in rest]
     return " ".join(common), tuple(" ".join(words) or "at the end" for words in rest)
-
-
-def _beginning(names: Sequence[str]) -> list[str]:
-    """The common first words of all names."""
-    columns = zip(*(name.split() for name in names), strict=False)
-    return [words[0] for words in takewhile(lambda words: len(set(words)) == 1, columns)]

@@ -174,13 +174,11 @@ def _planned(mechanism: Mechanism | None, joints: list[Record]) -> list[str]:
     ]  # fmt: skip
     phrases = [f"{count} {noun}{'s' * (count != 1)}{more}" for count, noun, more in counts if count]
     arrays = [(name.replace("_", " "), np.asarray(getattr(mechanism, name))) for name in _FORCES]
-    phrases += [f"{name} of {_joints(int(np.count_nonzero(values)))}" for name, values in arrays if np.any(values)]
+    phrases += [
+        f"{name} of {n} joint{'s' * (n != 1)}" for name, values in arrays if (n := int(np.count_nonzero(values)))
+    ]
     phrases += ["gravity compensation"] if np.any(mechanism.gravcomp_mass) else []
     return [*phrases, *(["drag of a fluid"] if mechanism.drags else [])]
-
-
-def _joints(number: int) -> str:
-    return f"{number} joint{'s' * (number != 1)}"
 
 
 def _left_out(file: ModelFile, mechanism: Mechanism | None) -> list[str]:

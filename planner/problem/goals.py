@@ -109,7 +109,8 @@ def goal_specs_of(problem: Problem) -> tuple[GoalSpec, ...]:
     if problem.goal_specs is not None:
         return problem.goal_specs
     coordinates = coordinates_of(problem.dynamics)
-    found = tuple(one for term in terms_of(problem.cost) for one in getattr(term, "goal_specs", _nothing)(coordinates))
+    terms = (term for term in terms_of(problem.cost) if hasattr(term, "goal_specs"))
+    found = tuple(one for term in terms for one in term.goal_specs(coordinates))
     if problem.periodic is None:
         return found
     # Periodic components have no goal: their final reference is a multiplier (planner.solvers.periodic).
@@ -150,10 +151,6 @@ def static_error(one: GoalSpec | GoalCheck, x: np.ndarray) -> float:
 def terms_of(cost: Any) -> tuple[Any, ...]:
     """The terms of a sum, or the one cost."""
     return cost.costs if isinstance(cost, SumCost) else (cost,)
-
-
-def _nothing(_: Any) -> tuple[GoalSpec, ...]:
-    return ()
 
 
 def tolerance_share(displacements: Iterable[tuple[float, str]]) -> float:

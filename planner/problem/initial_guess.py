@@ -44,10 +44,7 @@ def scaled_multipliers(
     """Scaled multipliers from trajectory constraints and a plan's last penalties; None without either."""
     if kept is None or penalties is None:
         return None
-    with np.errstate(invalid="ignore"):  # of bounds that are infinite
-        shifts = penalties.lower - kept.lower, kept.upper - penalties.upper
-    low, high = (np.nan_to_num(shift, nan=0.0) for shift in shifts)
-    return ScaledMultipliers(low, high, penalties.weight)
+    return ScaledMultipliers(*kept.inward_shifts(penalties), penalties.weight)
 
 
 @dataclass(frozen=True, eq=False)

@@ -29,6 +29,7 @@ from planner.base.files import printable
 from planner.model.space import StateSpace, euclidean, space_of
 from planner.model.twin import Twin
 from planner.problem.archive import FILE, HINGES, PART, digest_of, pack, plan_name, write_archive
+from planner.problem.constraints.clearance import states_between_knots
 from planner.problem.constraints.trajectory_constraints import BoundPenalties
 from planner.problem.costs.terms import stored_tolerance
 from planner.problem.export import Samples, frame_of, joint_trajectory, sampled, write_csv, write_keyframes
@@ -202,22 +203,15 @@ class Plan(Built, Plottable):
     def between_knots(self, parts: int) -> np.ndarray:
         """States (N * parts + 1, nx) at equal parts of each stage, integrated from each knot by the plan's dynamics."""
         assert self.problem is not None  # for its dynamics
-        N, nx = self.N, self.xs.shape[1]
-        times = np.tile(self.problem.dynamics.dt / parts * np.arange(parts), N)
-        xs, us = np.repeat(self.xs[:-1], parts, axis=0), np.repeat(self.us, parts, axis=0)
-        inside = self.problem.dynamics.step(xs, us, times).reshape(N, parts, nx)
-        inside[:, 0] = self.xs[:-1]
-        return np.concatenate([inside.reshape(-1, nx), self.xs[-1:]])
+        return states_between_knots(self.problem.dynamics, self.xs, self.us, parts)
 
     @property
     def motion(self) -> Trajectory:
         """The plan's trajectory, without its problem."""
-        rates, pulls = slice(0, 0), None
-        if self.problem is not None:
-            rates, pulls = (
-                rates_of(self.problem.dynamics),
-                scaled_multipliers(self.problem.trajectory_constraints, self.bound_penalties),
-            )
+        problem = self.problem
+        rates = rates_of(None if problem is None else problem.dynamics)
+        constraints = None if problem is None else problem.trajectory_constraints
+        pulls = scaled_multipliers(constraints, self.bound_penalties)
         return Trajectory(self.t, self.xs, self.us, self.K, self.space, rates, pulls)
 
     def shifted(self, seconds: float) -> Trajectory:

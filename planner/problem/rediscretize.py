@@ -27,11 +27,10 @@ import numpy as np
 from planner.base.errors import PlannerError
 from planner.dynamics import RigidBodyDynamics
 from planner.dynamics.protocol import integrator_of
-from planner.dynamics.step_stability import MAX_RATE_STEP, fastest_mode, reason, substeps_of
+from planner.dynamics.step_stability import MAX_RATE_STEP, fastest_mode, substeps_of
 from planner.model.coordinates import coordinates_of
 from planner.model.damping import damped_implicitly
 from planner.problem.costs.terms import call_if_supported
-from planner.problem.costs.tracking import tracking_of
 from planner.problem.objective import base_problem, with_objective
 from planner.problem.plan import Plan
 from planner.problem.problem import Problem
@@ -111,15 +110,6 @@ def rounded_duration(problem: Problem, ratio: float) -> float:
     if tenth and abs(tenth * dt - 0.1) < 1e-12 and tenth <= 0.1 * N:
         N = -(-N // tenth) * tenth
     return float(f"{N * dt:.6g}")
-
-
-def substeps_reason(problem: Problem) -> str:
-    """Message with the reason for the number of substeps; "" for dynamics without a mechanism or without RK4."""
-    dynamics, goal = problem.dynamics, tracking_of(problem.cost)
-    if not isinstance(dynamics, RigidBodyDynamics) or dynamics.integrator != "rk4":
-        return ""
-    states = [problem.x0, dynamics.mechanism.home, *([] if goal is None else [goal.x_ref[-1]])]
-    return reason(fastest_mode(dynamics.mechanism, states, dynamics.prescribed), dynamics.substeps)
 
 
 def stage_too_long(problem: Problem) -> str:

@@ -47,6 +47,7 @@ from planner.model.contact.body_contact import BodyContact
 from planner.problem.initial_guess import Trajectory
 from planner.problem.plan import Plan, Status
 from planner.problem.problem import Problem
+from planner.solvers.gains import with_contacts
 
 FALL_ITERATIONS, FALL_SHARE = 10, 0.02  # a solve whose cost falls by this share in so many iterations goes on
 BETTER_SHARE = 0.5  # of the cost of the plan before: a solve that is cheaper by it has found a better branch
@@ -259,7 +260,9 @@ class SofterContacts:
             own = {"stiffness": law.stiffness / factor, "damping": law.damping / math.sqrt(factor)}
             return replace(one, law=replace(law, **own, ramp=law.ramp * factor))
 
-        return self.problem if factor == 1.0 else _with_contacts(self.problem, softer, softer)
+        if factor == 1.0:
+            return self.problem
+        return replace(self.problem, dynamics=with_contacts(self.problem.dynamics, softer, softer), recipe=None)
 
 
 @dataclass(frozen=True, eq=False)
@@ -278,7 +281,10 @@ class DistantContacts:
             own = {"stiffness": law.stiffness / softer, "damping": law.damping / math.sqrt(softer)}
             return replace(pair, law=replace(law, **own, ramp=law.ramp * factor))
 
-        return self.problem if factor == 1.0 else _with_contacts(self.problem, lambda plane: plane, longer)
+        if factor == 1.0:
+            return self.problem
+        dynamics = with_contacts(self.problem.dynamics, lambda plane: plane, longer)
+        return replace(self.problem, dynamics=dynamics, recipe=None)
 
     @cached_property
     def factor(self) -> float:
@@ -301,18 +307,6 @@ class DistantContacts:
             if sorted(trees) == [False, True] and pair.law.ramp > 0.0:
                 pushing[pair] = max(0.0, -float(depth))
         return pushing
-
-
-def _with_contacts(problem: Problem, plane: Callable[[Any], Any], pair: Callable[[Any], Any]) -> Problem:
-    """The problem with each contact with a plane and each of two bodies replaced."""
-    dynamics: Any = problem.dynamics
-    mechanism = replace(
-        dynamics.mechanism,
-        contacts=tuple(map(plane, dynamics.mechanism.contacts)),
-        body_contacts=tuple(map(pair, dynamics.mechanism.body_contacts)),
-    )
-    other = RigidBodyDynamics(mechanism, dynamics.dt, dynamics.integrator, dynamics.prescribed, dynamics.substeps)
-    return replace(problem, dynamics=other, recipe=None)
 
 
 def has_softer(problem: Problem) -> bool:

@@ -31,9 +31,9 @@ from planner.problem.objective import base_problem, checked_durations, durations
 from planner.problem.plan import Plan, Status
 from planner.problem.problem import Problem
 from planner.problem.rediscretize import retimed
+from planner.solvers.gains import warm_start
 from planner.solvers.options import single_start, with_overrides
 from planner.solvers.slq import as_user_plan, solve
-from planner.solvers.warm_start import warm_start
 from planner.solvers.waypoints import best_waypoints, free_waypoints
 from planner.solvers.work import budget_of
 

@@ -1,4 +1,9 @@
-"""Gains: LQR along a trajectory and at an equilibrium, and gains for contacts whose stiffness is not known exactly.
+"""Gains that track a plan: LQR, warm starts by tracking, and gains for contacts whose stiffness is not known exactly.
+
+A warm start has first controls from a plan of another discretization. Along an unstable trajectory, the rollout of a
+plan's controls with another integrator diverges within a second, and SLQ from there ends in another local minimum, if
+at all. So the plan is tracked in the new dynamics, u = us + K (x - xs), with its own gains or with those of a Riccati
+sweep along its states in the new dynamics. The rollout of lowest cost is the first guess.
 
 A foot that stands lightly on stiff ground tells by its depth how hard it presses. The LQ problem uses this: gains of an
 ankle may have the wrong sign for a foot in the air, since the ground holds it. Where the file's contact is softer than
@@ -21,14 +26,21 @@ plan's states and controls are those of the plan's own law; the gains alone chan
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
+from planner.base.arguments import short_repr
+from planner.base.errors import PlannerError
 from planner.dynamics.rigid_body import RigidBodyDynamics
+from planner.dynamics.rollout import feedback_control, rollout
+from planner.model.space import space_of
+from planner.problem.constraints.trajectory_constraints import BoundPenalties
 from planner.problem.control_bounds import StepBounds
 from planner.problem.costs.terms import Quadratic
+from planner.problem.initial_guess import Trajectory
 from planner.problem.plan import Plan
 from planner.problem.problem import Problem
 from planner.solvers import lq
@@ -133,5 +145,92 @@ def _on_softer_ground(dynamics: Any) -> RigidBodyDynamics:
     def softer(contact: Any) -> Any:
         return replace(contact, law=replace(contact.law, stiffness=contact.law.stiffness / contact.law.uncertainty))
 
-    mechanism = replace(dynamics.mechanism, contacts=tuple(map(softer, dynamics.mechanism.contacts)))
+    return with_contacts(dynamics, softer)
+
+
+def with_contacts(
+    dynamics: Any, plane: Callable[[Any], Any], pair: Callable[[Any], Any] = lambda pair: pair
+) -> RigidBodyDynamics:
+    """RigidBodyDynamics with each contact with a plane, and each of two bodies, replaced."""
+    own = dynamics.mechanism
+    contacts, body_contacts = tuple(map(plane, own.contacts)), tuple(map(pair, own.body_contacts))
+    mechanism = replace(own, contacts=contacts, body_contacts=body_contacts)
     return RigidBodyDynamics(mechanism, dynamics.dt, dynamics.integrator, dynamics.prescribed, dynamics.substeps)
+
+
+_WEAKEST = 1e-6  # smallest tracking weight of a state, relative to the largest
+
+
+def warm_start(plan: Plan, problem: Problem) -> np.ndarray:
+    """First controls (N, nu): of lowest cost among the problem's own guess, the plan's and those that track the plan.
+
+    Args:
+        plan: Plan of the same duration with at most N stages.
+        problem: The new problem; its number of stages N is a multiple of the plan's.
+    """
+    parts = problem.N // plan.N
+    us, K = np.repeat(plan.us, parts, axis=0), np.repeat(plan.K, parts, axis=0)
+    xs = plan.xs if parts == 1 else plan.between_knots(parts)  # a discrete map has no states between knots
+    tries = [feedback_rollout(problem, problem.first_guess), feedback_rollout(problem, us)]
+    for gains in (K, _gains(problem, xs, us)):
+        tries += [] if gains is None else [feedback_rollout(problem, us, gains, xs)]
+    return min(tries, key=lambda one: one[0])[1]
+
+
+def tracked_warm_start(
+    problem: Problem, given: Plan | Trajectory, max_cost_ratio: float
+) -> tuple[np.ndarray, np.ndarray | None, BoundPenalties | None]:
+    """A first guess from a trajectory of any duration and step, sampled at the problem's knots.
+
+    Args:
+        problem: The problem.
+        given: The trajectory.
+        max_cost_ratio: Tracking fails if the rollout costs more than this multiple of the sampled trajectory.
+
+    Returns:
+        Controls (N, nu) of the cheapest tracking rollout, or the trajectory's own where tracking fails; the
+        trajectory's states (N+1, nx) where tracking fails, else None; its penalties, or None.
+
+    Raises:
+        PlannerError: Neither a Plan nor a Trajectory, or other dimensions of state or control.
+    """
+    motion = given.motion if isinstance(given, Plan) else given
+    if not isinstance(motion, Trajectory):
+        raise PlannerError(
+            f"warm_start is {short_repr(given)}, expected a Plan, or what plan.shifted(seconds) or "
+            "plan.stretched(duration) returns."
+        )
+    own, nx, nu = problem.dynamics, motion.xs.shape[1], motion.us.shape[1]
+    if (nx, nu, motion.space.ndx) != (own.nx, own.nu, space_of(own).ndx):
+        raise PlannerError(
+            f"warm_start has {nx} states and {nu} controls, expected {own.nx} and {own.nu}: a plan of the same machine."
+        )
+    there = motion.at(own.dt * np.arange(problem.N + 1))
+    pulls, kept = there.pulls, problem.trajectory_constraints
+    penalties = None if pulls is None or kept is None else pulls.penalties(kept)
+    xs, us, near = there.xs, there.us, max_cost_ratio * problem.cost.value(there.xs, there.us)
+    cost, found = min(feedback_rollout(problem, us), feedback_rollout(problem, us, there.K, xs), key=lambda one: one[0])
+    retuned = None if cost <= near else _gains(problem, xs, us)
+    if retuned is not None:
+        cost, found = feedback_rollout(problem, us, retuned, xs)
+    return (found, None, penalties) if cost <= near else (us, xs, penalties)
+
+
+def feedback_rollout(
+    problem: Problem, us: np.ndarray, K: np.ndarray | None = None, about: np.ndarray | None = None
+) -> tuple[float, np.ndarray]:
+    """Cost (inf if not finite) and clipped controls (N, nu) of the rollout u = us + K difference(x, about)."""
+    control = None if K is None or about is None else feedback_control(problem.dynamics, about, us, K)
+    with np.errstate(all="ignore"):  # a rollout may diverge
+        xs, us = rollout(problem.dynamics, problem.x0, us, control, bounds=problem.bounds)
+        cost = problem.cost.value(xs, us) if np.isfinite(xs[-1]).all() else math.inf
+    return (cost if math.isfinite(cost) else math.inf), us
+
+
+def _gains(problem: Problem, xs: np.ndarray, us: np.ndarray) -> np.ndarray | None:
+    """LQR gains (N, nu, ndx) along a trajectory: the cost's weights, plus dt times the final one at every knot."""
+    model = problem.cost.quadratize(xs, us)
+    Q = model.Q + problem.dynamics.dt * model.Q[-1]
+    Q = Q + _WEAKEST * np.abs(Q).max() * np.eye(Q.shape[1])
+    A, B = problem.dynamics.linearize(xs, us)
+    return tracking_gains(A, B, Q, model.R)

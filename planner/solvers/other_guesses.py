@@ -72,7 +72,9 @@ def tracking_controls(problem: Problem, xs: np.ndarray, us: np.ndarray | None = 
     of the states.
     """
     with np.errstate(all="ignore"):
-        return _written_down(problem, _leading(problem, lambda n: xs[n]) if us is None else _kept_to(problem, xs, us))
+        return _written_down(
+            problem, _leading(problem, lambda n, _: xs[n]) if us is None else _kept_to(problem, xs, us)
+        )
 
 
 def _written_down(problem: Problem, control: Control) -> np.ndarray | None:
@@ -113,7 +115,7 @@ def _holding(problem: Problem) -> Control:
     return lambda n, now: u + K @ space.difference(now, x)
 
 
-def _straight(problem: Problem, goal: np.ndarray) -> Callable[[int], np.ndarray]:
+def _straight(problem: Problem, goal: np.ndarray) -> Callable[[int, np.ndarray], np.ndarray]:
     """The state (nx,) at each knot of the straight line from the start to a goal (nx,), by a quintic in time.
 
     With loop closures it is projected onto them where that converges.
@@ -124,7 +126,7 @@ def _straight(problem: Problem, goal: np.ndarray) -> Callable[[int], np.ndarray]
     mechanism = capabilities_of(problem.dynamics).mechanism
     closed: Any = mechanism if mechanism is not None and mechanism.has_closed_chains else None
 
-    def state_on_line(n: int) -> np.ndarray:
+    def state_on_line(n: int, _: np.ndarray) -> np.ndarray:
         x = space.integrate(start, places[n] * way)
         if mechanism is not None:
             x[mechanism.nq : mechanism.nq + mechanism.nv] = speeds[n] * way[: mechanism.nv]
@@ -136,17 +138,17 @@ def _straight(problem: Problem, goal: np.ndarray) -> Callable[[int], np.ndarray]
     return state_on_line
 
 
-def _leading(problem: Problem, place: Callable[[int], np.ndarray], us: np.ndarray | None = None) -> Control:
-    """LQR about the state `place(n)` of each stage, updated every _AGAIN stages, with feedforward us (N, nu)."""
+def _leading(problem: Problem, place: Callable[[int, np.ndarray], np.ndarray]) -> Control:
+    """LQR about the state `place(n, now)` of each stage, updated every _AGAIN stages."""
     space = space_of(problem.dynamics)
     u, K = np.zeros(0), np.zeros(0)
 
     def control(n: int, now: np.ndarray) -> np.ndarray:
         nonlocal u, K
-        x = place(n)
+        x = place(n, now)
         if n % _AGAIN == 0:
             u, K = _regulator(problem, _at_rest(problem, x))
-        return (u if us is None else us[n]) + K @ space.difference(now, x)
+        return u + K @ space.difference(now, x)
 
     return control
 
@@ -172,17 +174,7 @@ def _weights(B: np.ndarray, dt: float) -> np.ndarray:
 
 def _braking(problem: Problem) -> Control:
     """LQR about the present state with zero velocities: brakes a robot that cannot be regulated at its start."""
-    space = space_of(problem.dynamics)
-    u, K = np.zeros(0), np.zeros(0)
-
-    def control(n: int, now: np.ndarray) -> np.ndarray:
-        nonlocal u, K
-        x = _at_rest(problem, now)
-        if n % _AGAIN == 0:
-            u, K = _regulator(problem, x)
-        return u + K @ space.difference(now, x)
-
-    return control
+    return _leading(problem, lambda _, now: _at_rest(problem, now))
 
 
 SHAKE = 0.01  # of each control's limit: to leave a saddle

@@ -28,6 +28,7 @@ from planner.base.json_files import finite
 from planner.problem.plan import Plan, Status
 from planner.problem.problem import Problem
 from planner.problem.problem_parts import STEPS
+from planner.solvers.gains import warm_start
 from planner.solvers.options import single_start
 from planner.solvers.periodic_boundary import (
     BoundaryStates,
@@ -40,7 +41,6 @@ from planner.solvers.periodic_boundary import (
     with_ends,
 )
 from planner.solvers.slq import solve
-from planner.solvers.warm_start import warm_start
 from planner.solvers.work import budget_of
 
 LEFT = 1e-4
@@ -170,22 +170,14 @@ class _PeriodicSearch:
         if not ran or (small_reduction and not open_):
             self.next = None
         else:
-            self.next = (
-                _followed(plan)
-                if answer is None
-                else improved_boundary(answer, close=steady or (open_ and self._is_late))
-            )
+            late = self.passes - len(self.lines) <= _TO_CLOSE
+            self.next = _followed(plan) if answer is None else improved_boundary(answer, steady or (open_ and late))
 
     @property
     def is_cut(self) -> bool:
         """Whether the budget of the passes is exhausted before they have converged."""
         budget = self.options.get("budget")
         return self.next is not None and budget is not None and bool(self.lines) and budget.exhausted
-
-    @property
-    def _is_late(self) -> bool:
-        """Whether the remaining passes only close the closure error."""
-        return self.passes - len(self.lines) <= _TO_CLOSE
 
     def best_plan(self, options: dict[str, Any]) -> Plan:
         """The best plan, with the record of the passes in its options."""

@@ -34,7 +34,7 @@ from planner.problem.plan import Plan
 from planner.problem.problem import Problem
 from planner.problem.problem_parts import Periodic
 from planner.solvers import lq
-from planner.solvers.warm_start import feedback_rollout
+from planner.solvers.gains import feedback_rollout
 
 PARAMETER = "ends"
 """Parameter of a built-in problem: start and terminal reference (2, nx), as lists; None for its own."""
@@ -237,6 +237,4 @@ def improved_boundary(found: BoundarySensitivity, close: bool = False) -> Proble
 
 def terminal_goal_cost(plan: Plan) -> float:
     """The terminal goal term of the plan's cost."""
-    cost = tracking(periodic_problem(plan)[0])
-    away = plan.space.difference(plan.xs[-1], cost.x_ref[-1])
-    return float(0.5 * away @ cost.Q[-1] @ away)
+    return tracking(periodic_problem(plan)[0]).final_cost(plan.xs[-1])

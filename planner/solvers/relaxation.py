@@ -47,9 +47,9 @@ from planner.solvers.continuation import (
     has_softer,
     stays_on_feet,
 )
+from planner.solvers.gains import tracked_warm_start
 from planner.solvers.options import DEFAULT, SolverOptions
 from planner.solvers.other_guesses import other_guesses, shaken, swings
-from planner.solvers.warm_start import tracked_warm_start
 from planner.solvers.work import WorkBudget
 
 MAX_QUICK_ITERATIONS = Continuation.look_iterations  # of a direct solve with contacts: then it crawls along their kinks

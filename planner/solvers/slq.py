@@ -42,14 +42,13 @@ from planner.problem.problem import Problem
 from planner.problem.rediscretize import is_unresolved, stage_too_long
 from planner.solvers.augmented_lagrangian import augmented_lagrangian
 from planner.solvers.engine import Engine, acquire_engine, release_engine
-from planner.solvers.gains import with_robust_gains
+from planner.solvers.gains import tracked_warm_start, with_robust_gains
 from planner.solvers.multiple_shooting import close_defects, guessed_states, line_to_the_end
 from planner.solvers.multistart import best_of
 from planner.solvers.options import SolverOptions, with_overrides
 from planner.solvers.other_guesses import has_diverged, stabilizing_guess
 from planner.solvers.relaxation import direct_iterations, is_trapped, relax
 from planner.solvers.step_control import AndersonAcceleration, Regularization, unregularized_sweep
-from planner.solvers.warm_start import tracked_warm_start
 from planner.solvers.work import UntilDeadline, WorkBudget, budget_of, with_cut
 
 

@@ -135,16 +135,13 @@ def _downhill(plan: Plan, stages: np.ndarray) -> np.ndarray:
     ways = np.zeros(len(stages), dtype=int)
     for i, stage in enumerate(stages):
         neighbors = plan.xs[[stage - 1, stage + 1]]
-        own = [one for one in problem.goal_specs or () if one.times is not None and _is_at(one.times, stage, plan.dt)]
+        known = (one for one in problem.goal_specs or () if one.times is not None and len(one.times) == 1)
+        own = [one for one in known if one.times is not None and round(one.times[0] / plan.dt) == stage]
         errors = sum(
             np.square(np.concatenate([one.error(x[None]) for x in neighbors]) / (one.tolerance or 1.0)) for one in own
         )
         ways[i] = int(np.sign(np.subtract(*np.broadcast_to(errors, 2))))
     return ways
-
-
-def _is_at(times: Sequence[float], stage: int, dt: float) -> bool:
-    return len(times) == 1 and round(times[0] / dt) == stage
 
 
 def _with_goals(problem: Problem, goals: Sequence[Goal]) -> Problem:

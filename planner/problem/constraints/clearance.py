@@ -22,7 +22,7 @@ from planner.dynamics import Dynamics
 from planner.dynamics.signed_distances import SignedDistances, distance_lower_bound
 from planner.model.capabilities import stationary_object_bodies
 from planner.model.mechanism import Mechanism
-from planner.model.mjcf.collision_pairs import CollisionPair, CollisionPairs, select_collision_pairs
+from planner.model.mjcf.collision_pairs import CollisionPair, select_collision_pairs
 from planner.model.mjcf.model_index import ModelIndex, compile_model
 from planner.model.mjcf.unmodelled_features import pairs_by_name
 from planner.problem.constraints.constraint import Constraint
@@ -112,11 +112,7 @@ class PairClearanceFunction(KernelResidual):
         It is checked at the ends of PARTS of the stage, by the plan's own integrator. Between these, a lower bound of
         the distance that follows from the motion of the shapes must not be negative.
         """
-        N = len(us)
-        times = np.tile(dynamics.dt / PARTS * np.arange(PARTS), N)
-        inside = dynamics.step(np.repeat(xs[:-1], PARTS, axis=0), np.repeat(us, PARTS, axis=0), times)
-        inside[::PARTS] = xs[:-1]
-        states = np.concatenate([inside, xs[-1:]])
+        N, states = len(us), states_between_knots(dynamics, xs, us, PARTS)
         values = self.values(states, us, np.arange(len(states)))
         displacement = self.mechanism.space.difference(states[1:, : self._nx], states[:-1, : self._nx])
         motion = self._distances.motion_bound(self._q(states[:-1]), displacement[:, : self.mechanism.nv])
@@ -126,6 +122,14 @@ class PairClearanceFunction(KernelResidual):
 
     def _q(self, xs: np.ndarray) -> np.ndarray:
         return xs[:, : self.mechanism.nq]
+
+
+def states_between_knots(dynamics: Dynamics, xs: np.ndarray, us: np.ndarray, parts: int) -> np.ndarray:
+    """States (N * parts + 1, nx) at equal parts of each stage of xs (N+1, nx), us (N, nu), by the dynamics."""
+    times = np.tile(dynamics.dt / parts * np.arange(parts), len(us))
+    inside = dynamics.step(np.repeat(xs[:-1], parts, axis=0), np.repeat(us, parts, axis=0), times)
+    inside[::parts] = xs[:-1]
+    return np.concatenate([inside, xs[-1:]])
 
 
 def pair_clearance_of(constraints: Sequence[object]) -> PairClearance | None:
@@ -209,7 +213,12 @@ class Avoid:
         )
         if not found.pairs:
             raise PlannerError("avoid has nothing to keep apart: no shapes of the model can touch; leave it out.")
-        return AvoidanceConstraint(_constraint(found, a.clearance, a.extra_clearance), found.notes)
+        extra = np.array([min(a.extra_clearance.get(one.names, 0.0), one.spare_clearance) for one in found.pairs])
+        pairs = PairClearance(found.pairs, extra, PENALTY_SHARE * a.clearance)
+        tolerance = TOLERANCE_SHARE * a.clearance
+        return AvoidanceConstraint(
+            Constraint(pairs, lower=pairs.lower, tolerance=tolerance, name="clearance"), found.notes
+        )
 
 
 def _positions(name: str, given: Any, mechanism: Mechanism) -> np.ndarray:
@@ -236,11 +245,3 @@ def _known(mechanism: Mechanism, index: ModelIndex) -> Collection[frozenset[int]
         own = pairs_by_name(compile_model(mechanism.mjcf, mechanism.assets))
     beside = (stationary_object_bodies(mechanism) | (model.body_weldid == 0))[model.geom_bodyid]
     return {frozenset(pair) for name, pair in named.items() if name in own or np.all(beside[list(pair)])}
-
-
-def _constraint(found: CollisionPairs, clearance: float, more: Mapping[str, float]) -> Constraint:
-    extra_clearance = np.array([min(more.get(pair.names, 0.0), pair.spare_clearance) for pair in found.pairs])
-    clearance_of_pairs = PairClearance(found.pairs, extra_clearance, PENALTY_SHARE * clearance)
-    return Constraint(
-        clearance_of_pairs, lower=clearance_of_pairs.lower, tolerance=TOLERANCE_SHARE * clearance, name="clearance"
-    )

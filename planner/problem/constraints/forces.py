@@ -65,6 +65,11 @@ class Power(Residual):
         return PowerFunction(mechanism, index, space_of(dynamics).ndx, dynamics.nu)
 
 
+def _acting(mechanism: Mechanism, xs: np.ndarray, us: np.ndarray) -> tuple[Mechanism, np.ndarray, np.ndarray]:
+    """Arguments of forces_at of states (K, nx) and controls (K, nu), which may have more than the mechanism's."""
+    return mechanism, xs[:, : mechanism.space.nx], us[:, : mechanism.nu]
+
+
 class PowerFunction:
     """The power of actuator a, whose force depends on its control, or on its activation where it has one."""
 
@@ -74,14 +79,10 @@ class PowerFunction:
         self._mechanism, self._a, self._ndx, self._nu = mechanism, a, ndx, nu
         self.of_controls, self.same = bool(mechanism.actuators.dynamics[a] == DIRECT), ("power", a)
 
-    def _at(self, xs: np.ndarray, us: np.ndarray) -> tuple[Mechanism, np.ndarray, np.ndarray]:
-        """Arguments of forces_at."""
-        return self._mechanism, xs[:, : self._mechanism.space.nx], us[:, : self._mechanism.nu]
-
     def _parts(self, xs: np.ndarray, us: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Force and speed (K,)."""
         m = self._mechanism
-        return forces_at(*self._at(xs, us))[:, self._a], xs[:, m.nq : m.nq + m.nv] @ m.actuators.moment[self._a]
+        return forces_at(*_acting(m, xs, us))[:, self._a], xs[:, m.nq : m.nq + m.nv] @ m.actuators.moment[self._a]
 
     def values(self, xs: np.ndarray, us: np.ndarray, n: np.ndarray) -> np.ndarray:
         """(K, 1) W."""
@@ -91,7 +92,7 @@ class PowerFunction:
     def derivatives(self, xs: np.ndarray, us: np.ndarray, n: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """(K, 1, ndx) and (K, 1, nu)."""
         (force, speed), a, nv = self._parts(xs, us), self._a, self._mechanism.nv
-        of_x, of_u = force_derivatives_at(*self._at(xs, us))
+        of_x, of_u = force_derivatives_at(*_acting(self._mechanism, xs, us))
         by_x, by_u = np.zeros((len(xs), 1, self._ndx)), np.zeros((len(xs), 1, self._nu))
         by_x[:, 0, : of_x.shape[2]] = speed[:, None] * of_x[:, a]
         by_x[:, 0, nv : 2 * nv] += force[:, None] * self._mechanism.actuators.moment[a]
@@ -119,21 +120,16 @@ class _SumOfForces(Residual):
 
     def value(self, dynamics: Any, xs: np.ndarray, us: np.ndarray) -> np.ndarray:
         """(K,)."""
-        mechanism, *at = self._at(dynamics, xs, us)
-        return forces_at(mechanism, *at) @ self.weights(mechanism)
+        mechanism = mechanism_of(dynamics, self)
+        return forces_at(*_acting(mechanism, xs, us)) @ self.weights(mechanism)
 
     def jacobian(self, dynamics: Any, xs: np.ndarray, us: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """(K, 1, ndx) and (K, 1, nu)."""
-        mechanism, *at = self._at(dynamics, xs, us)
-        weights, (of_x, of_u) = self.weights(mechanism), force_derivatives_at(mechanism, *at)
+        mechanism = mechanism_of(dynamics, self)
+        weights, (of_x, of_u) = self.weights(mechanism), force_derivatives_at(*_acting(mechanism, xs, us))
         by_x, by_u = np.zeros((len(xs), 1, space_of(dynamics).ndx)), np.zeros((len(xs), 1, dynamics.nu))
         by_x[:, 0, : of_x.shape[2]], by_u[:, 0, : len(weights)] = weights @ of_x, weights * of_u
         return by_x, by_u
-
-    def _at(self, dynamics: Any, xs: np.ndarray, us: np.ndarray) -> tuple[Mechanism, np.ndarray, np.ndarray]:
-        """Arguments of forces_at."""
-        mechanism = mechanism_of(dynamics, self)
-        return mechanism, xs[:, : mechanism.space.nx], us[:, : mechanism.nu]
 
 
 @dataclass(frozen=True)
@@ -268,7 +264,7 @@ def tendon_constraint(
     for what, x in (("start", start), ("goal", goal)):
         if x is None:
             continue
-        value = float(length.of(x[None])[0])
+        value = float(length.value(None, x[None], np.zeros((1, 0)))[0])
         widened = joint_range.widened_to(value)
         if widened is None:
             scaled = Range(*(end * length.scale for end in joint_range[:4]), of_model=joint_range.of_model)
@@ -287,8 +283,8 @@ def _of_model(length: TendonLength, margin: Any) -> Range:
 
 
 @dataclass(frozen=True, eq=False)
-class TendonLength:
-    """The length of a fixed tendon divided by its largest |coefficient|: a quantity for a constraint."""
+class TendonLength(Residual):
+    """The length of a fixed tendon divided by its largest |coefficient|."""
 
     tendon: FixedTendon
     mechanism: Mechanism
@@ -307,36 +303,17 @@ class TendonLength:
         return np.array(self.tendon.coefficients) / self.scale
 
     @property
-    def unit(self) -> str:
+    def unit(self) -> str:  # pyright: ignore[reportIncompatibleVariableOverride] - that of its joints
         """Unit, rad or m, of the joint with the largest |coefficient|."""
         dof = self.tendon.dofs[int(np.argmax(np.abs(self.tendon.coefficients)))]
         return ANGLE if np.any(self.mechanism.S[dof, :3]) else LENGTH
 
-    def of(self, xs: np.ndarray) -> np.ndarray:
+    def value(self, dynamics: Any, xs: np.ndarray, us: np.ndarray) -> np.ndarray:
         """(K,) scaled lengths for states (K, nx)."""
         return xs[:, self.mechanism.q_address[list(self.tendon.dofs)]] @ self.coefficients
 
-    def residual_function(self, dynamics: Dynamics, N: int) -> TendonFunction:
-        """The constraint function for a machine."""
-        mechanism_of(dynamics, self)
-        return TendonFunction(self, dynamics)
-
-
-class TendonFunction:
-    """Constraint function of a TendonLength: one component with a constant derivative."""
-
-    rows, of_controls = 1, False
-
-    def __init__(self, length: TendonLength, dynamics: Dynamics) -> None:
-        self._length, self.same = length, id(length)
-        self._ndx, self._nu = space_of(dynamics).ndx, dynamics.nu
-
-    def values(self, xs: np.ndarray, us: np.ndarray, n: np.ndarray) -> np.ndarray:
-        """(K, 1) scaled lengths."""
-        return self._length.of(xs)[:, None]
-
-    def derivatives(self, xs: np.ndarray, us: np.ndarray, n: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """(K, 1, ndx) and zeros (K, 1, nu)."""
-        by_x = np.zeros((len(xs), 1, self._ndx))
-        by_x[:, 0, list(self._length.tendon.dofs)] = self._length.coefficients
-        return by_x, np.zeros((len(xs), 1, self._nu))
+    def jacobian(self, dynamics: Any, xs: np.ndarray, us: np.ndarray) -> np.ndarray:
+        """(K, 1, nv)."""
+        by_q = np.zeros((len(xs), 1, self.mechanism.nv))
+        by_q[:, 0, list(self.tendon.dofs)] = self.coefficients
+        return by_q

@@ -101,7 +101,8 @@ class StateBounds:
 
     def value(self, penalties: BoundPenalties, xs: np.ndarray) -> float:
         """The cost that penalties add for states xs (N+1, nx)."""
-        above, below = self._violations(penalties, xs)
+        e = self.deviations(xs)
+        above, below = np.maximum(e - penalties.upper, 0.0), np.maximum(penalties.lower - e, 0.0)
         return 0.5 * float(np.sum(penalties.weight * (above**2 + below**2)))
 
     def with_penalties(self, penalties: BoundPenalties, model: Quadratic, xs: np.ndarray) -> Quadratic:
@@ -144,10 +145,6 @@ class StateBounds:
         rows = self.space.difference_jacobian(self.space.difference(xs, self.reference))[:, self.component]
         q = model.q + np.einsum("nhi,nh->ni", rows, slope)
         return model._replace(Q=model.Q + np.einsum("nhi,nh,nhj->nij", rows, curvature, rows), q=q)
-
-    def _violations(self, penalties: BoundPenalties, xs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        e = self.deviations(xs)
-        return np.maximum(e - penalties.upper, 0.0), np.maximum(penalties.lower - e, 0.0)
 
 
 def sides_of(penalties: BoundPenalties, e: np.ndarray) -> np.ndarray:
@@ -242,6 +239,12 @@ class TrajectoryConstraints:
         tightened.lower = np.where(fits, self.lower + more, self.lower)
         tightened.upper = np.where(fits, self.upper - less, self.upper)
         return tightened
+
+    def inward_shifts(self, penalties: BoundPenalties) -> tuple[np.ndarray, np.ndarray]:
+        """Inward shifts (N+1, H) of the lower and of the upper bounds: multipliers over weights."""
+        with np.errstate(invalid="ignore"):  # of bounds that are infinite
+            shifts = penalties.lower - self.lower, self.upper - penalties.upper
+        return np.nan_to_num(shifts[0], nan=0.0), np.nan_to_num(shifts[1], nan=0.0)
 
     def of_ranges(self, penalties: BoundPenalties) -> BoundPenalties:
         """The columns of state bounds."""

@@ -84,16 +84,14 @@ class FrameCost(ResidualCost):
             raise PlannerError("position and orientation are None, expected a target for the frame.")
         stages = StageData(dt)
         axis, direction = _pointing(pointing)
-        given = {
-            "position": stages.asked("position", position, position_weight, final_position_weight, 3),
-            "orientation": stages.asked("orientation", orientation, orientation_weight, final_orientation_weight, 3, 4),
-            "pose": stages.asked("pose", pose, pose_weight, final_pose_weight, 6, 7),
-            "pointing": stages.asked("pointing", direction, pointing_weight, final_pointing_weight, 3),
-            "velocity": stages.asked("velocity", velocity, velocity_weight, final_velocity_weight, 3),
-            "angular_velocity": stages.asked(
-                "angular_velocity", angular_velocity, angular_velocity_weight, final_angular_velocity_weight, 3
-            ),
-        }  # fmt: skip
+        given = {what: stages.asked(what, *asked) for what, asked in {
+            "position": (position, position_weight, final_position_weight, 3),
+            "orientation": (orientation, orientation_weight, final_orientation_weight, 3, 4),
+            "pose": (pose, pose_weight, final_pose_weight, 6, 7),
+            "pointing": (direction, pointing_weight, final_pointing_weight, 3),
+            "velocity": (velocity, velocity_weight, final_velocity_weight, 3),
+            "angular_velocity": (angular_velocity, angular_velocity_weight, final_angular_velocity_weight, 3),
+        }.items()}  # fmt: skip
         measures, goals = ResidualList(stages.horizon), []
         point = measures.point(self.frame.link, self.frame.T[:3, 3])
         for what, asked in given.items():

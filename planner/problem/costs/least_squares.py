@@ -34,7 +34,7 @@ from planner.model.mechanism import Mechanism
 from planner.model.space import StateSpace, space_of
 from planner.problem.costs.residual_arrays import ResidualArrays, arrays_of_terms, resampled
 from planner.problem.costs.residual_functions import RESIDUALS, KinematicsCache
-from planner.problem.costs.terms import GoalSpec, Quadratic, Term, per_stage
+from planner.problem.costs.terms import GoalSpec, Quadratic, Term, per_stage, where_finite
 from planner.problem.costs.tracking import mechanism_and_step
 from planner.problem.residual import Residual
 
@@ -115,10 +115,8 @@ class ResidualCost(Term):
 
     def _missed(self, goal: GoalRows, xs: np.ndarray) -> np.ndarray:
         """(K,) norm of the residual of the rows with a final weight; infinite for states that are not finite."""
-        known, missed = np.isfinite(xs).all(axis=1), np.full(len(xs), np.inf)
         rows, weighed = self._rows_of(goal)
-        missed[known] = np.linalg.norm(self._at_end(xs[known])[rows[weighed]], axis=0)
-        return missed
+        return where_finite(xs, lambda n: np.linalg.norm(self._at_end(xs[n])[rows[weighed]], axis=0))
 
     def final_cost(self, x: np.ndarray) -> float:
         """The final cost at the end state x (nx,)."""
@@ -339,9 +337,8 @@ class LeastSquares(Term):
 
     def _missed(self, xs: np.ndarray) -> np.ndarray:
         """(K,) norm of the weighed components at the end; infinite for states that are not finite."""
-        known, missed = np.isfinite(xs).all(axis=1), np.full(len(xs), np.inf)
-        missed[known] = np.linalg.norm(self._error_at_end(xs[known])[:, self.weight[-1] > 0.0], axis=1)
-        return missed
+        weighed = self.weight[-1] > 0.0
+        return where_finite(xs, lambda n: np.linalg.norm(self._error_at_end(xs[n])[:, weighed], axis=1))
 
     def final_cost(self, x: np.ndarray) -> float:
         """The final cost at the end state x (nx,)."""

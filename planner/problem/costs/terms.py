@@ -189,6 +189,14 @@ class GoalSpec(NamedTuple):
     tolerance: float | None = None  # in its unit; None for the problem's
 
 
+def where_finite(xs: np.ndarray, values_of: Callable[[np.ndarray], np.ndarray]) -> np.ndarray:
+    """(K,) values of a function of indices (k,) -> (k,); infinite at states (K, nx) that are not finite."""
+    finite, found = np.flatnonzero(np.isfinite(xs).all(axis=1)), np.full(len(xs), np.inf)
+    if len(finite):
+        found[finite] = values_of(finite)
+    return found
+
+
 def checked_tolerance(value: Any) -> float | dict[str, float] | None:
     """A problem's tolerance: a number above 0, "soft" or infinity for no check, or a table of these by name.
 

@@ -22,7 +22,7 @@ from planner.model.capabilities import ballistic_dofs, rolling_radii
 from planner.model.coordinates import coordinates_of_mechanism
 from planner.model.mechanism import Mechanism
 from planner.problem.costs.frame import FrameCost
-from planner.problem.costs.terms import GoalSpec, SumCost
+from planner.problem.costs.terms import GoalSpec, SumCost, where_finite
 from planner.problem.costs.tracking import TrackingCost
 from planner.problem.default_weights import VELOCITY, servos_of
 from planner.problem.goals import MIN_TOLERANCES
@@ -116,9 +116,9 @@ def task_goal_specs(task: Task, x0: np.ndarray) -> tuple[GoalSpec, ...]:
             error = partial(_path_error, mechanism, path.frame, points)
             found.append(GoalSpec(f"path of {path.what}", "m", error, times, task.tolerance(path)))
             continue
-        for k, address in enumerate(_addresses(mechanism, path)):  # each joint in its own unit
-            error = partial(_joint_error, np.array([address]), points[:, [k]])
-            found.append(GoalSpec(f"path of {path.joints[k]}", task.units(path)[k], error, times, task.tolerance(path)))
+        for k, name in enumerate(path.joints):  # each in its own unit
+            error = partial(_joint_error, mechanism.q_address[[mechanism.joint(name).start]], points[:, [k]])
+            found.append(GoalSpec(f"path of {name}", task.units(path)[k], error, times, task.tolerance(path)))
     if task.rests:
         nv, states = mechanism.nv, slice(mechanism.nq, mechanism.nq + mechanism.nv)
         stopped = np.flatnonzero(~ballistic_dofs(mechanism, x0))
@@ -181,10 +181,6 @@ def _moving_dofs(mechanism: Mechanism, one: TimedGoal) -> list[int]:
     return [] if link < 0 else list(chain_of(mechanism.parent, link))
 
 
-def _addresses(mechanism: Mechanism, path: Follow) -> np.ndarray:
-    return np.array([mechanism.q_address[mechanism.joint(name).start] for name in path.joints])
-
-
 def _joint_error(addresses: np.ndarray, points: np.ndarray, xs: np.ndarray) -> np.ndarray:
     """(K,) max difference of joint positions from points (1 or K, n), rad or m."""
     return np.abs(xs[:, addresses] - points).max(axis=1)
@@ -192,14 +188,6 @@ def _joint_error(addresses: np.ndarray, points: np.ndarray, xs: np.ndarray) -> n
 
 def _abs_velocity(address: int, size: float, xs: np.ndarray) -> np.ndarray:
     return size * np.abs(xs[:, address])
-
-
-def _where_finite(mechanism: Mechanism, xs: np.ndarray, error_of: Any) -> np.ndarray:
-    """(K,) values of a function (indices (k,)) -> (k,); infinite at states that are not finite."""
-    finite, found = np.flatnonzero(np.isfinite(xs).all(axis=1)), np.full(len(xs), np.inf)
-    if len(finite):
-        found[finite] = error_of(finite)
-    return found
 
 
 def _frame_error(mechanism: Mechanism, target: Target, xs: np.ndarray) -> np.ndarray:
@@ -219,7 +207,7 @@ def _frame_error(mechanism: Mechanism, target: Target, xs: np.ndarray) -> np.nda
         chord = np.linalg.norm(T[:, :3, :3] @ axis - direction, axis=1)
         return 2.0 * np.arcsin(np.minimum(0.5 * chord, 1.0))
 
-    return _where_finite(mechanism, xs, error_of)
+    return where_finite(xs, error_of)
 
 
 def _path_error(mechanism: Mechanism, frame: str, points: np.ndarray, xs: np.ndarray) -> np.ndarray:
@@ -227,7 +215,7 @@ def _path_error(mechanism: Mechanism, frame: str, points: np.ndarray, xs: np.nda
         here = frame_pose(mechanism, xs[finite, : mechanism.nq], frame)[:, :3, 3]
         return np.linalg.norm(here - points[finite], axis=1)
 
-    return _where_finite(mechanism, xs, error_of)
+    return where_finite(xs, error_of)
 
 
 def _speed(mechanism: Mechanism, frame: str, xs: np.ndarray) -> np.ndarray:
@@ -237,4 +225,4 @@ def _speed(mechanism: Mechanism, frame: str, xs: np.ndarray) -> np.ndarray:
         J = jacobian(mechanism, xs[finite, :nq], frame)[:, :3]
         return np.linalg.norm(np.einsum("kai,ki->ka", J, xs[finite, nq : nq + nv]), axis=1)
 
-    return _where_finite(mechanism, xs, error_of)
+    return where_finite(xs, error_of)

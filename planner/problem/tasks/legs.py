@@ -216,7 +216,7 @@ def check_flight(task: Task, poses: Poses, dynamics: RigidBodyDynamics, ranges: 
         g == 0.0
         or not stands_on_ground(mechanism)
         or mechanism.has_closed_chains
-        or not _is_loaded(mechanism, poses.q[0])
+        or not contact_forces(mechanism, poses.q[0], np.zeros(mechanism.nv)).forces.any()
     ):
         return
     gaps = [clearance(mechanism, q) for q in poses.q]  # it reads the positions alone
@@ -317,8 +317,3 @@ def _missing_with(
         for one in targets if one.position is not None
     ]  # fmt: skip
     return max(away)
-
-
-def _is_loaded(mechanism: Mechanism, q: np.ndarray) -> bool:
-    """Whether a contact with a plane bears load at q (nq,)."""
-    return bool(contact_forces(mechanism, q, np.zeros(mechanism.nv)).forces.any())

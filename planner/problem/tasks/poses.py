@@ -14,7 +14,7 @@ from planner.dynamics.inverse_kinematics import Target, inverse_kinematics, resi
 from planner.dynamics.kinematics import frame_pose
 from planner.dynamics.statics import static_equilibrium
 from planner.model.capabilities import unreached_dofs
-from planner.model.mechanism import SCREW, Frame, Mechanism
+from planner.model.mechanism import SCREW, Frame
 from planner.model.mjcf.prescribed_joints import prescribed_dofs_of
 from planner.problem.collision_free_path import CollisionChecker
 from planner.problem.tasks.goal import Follow
@@ -288,7 +288,8 @@ def _free_dofs(
         masks: list[tuple[np.ndarray, ResidualAndJacobian | None]] = [(actuated, None)]
         if feet is not None and feet.carry:
             masks.append((everything, feet.fixed))
-            targeted = np.isin(feet.links, [_link(mechanism, target.frame) for target in targets])
+            frames = [one.frame if isinstance(one.frame, Frame) else mechanism.frame(one.frame) for one in targets]
+            targeted = np.isin(feet.links, [frame.link for frame in frames])
             if targeted.any() and not targeted.all() and not passed:
                 masks = [(everything, feet.stepped(targeted)), (everything, feet.lifted(targeted)), *masks]
         if feet is not None:
@@ -297,10 +298,6 @@ def _free_dofs(
             masks.append((reached, None))
         masks = masks[:1] if actuated.all() else masks
     return [(mask & ~np.isin(np.arange(mechanism.nv), list(joints)), rows) for mask, rows in masks]
-
-
-def _link(mechanism: Mechanism, frame: str | Frame) -> int:
-    return (mechanism.frame(frame) if isinstance(frame, str) else frame).link
 
 
 def _on_ground(

@@ -23,8 +23,8 @@ from planner.problem.problem import Problem
 from planner.proof import Proof
 from planner.proof import prove as full_proof
 from planner.proof.original_model import your_file
+from planner.solvers.gains import warm_start
 from planner.solvers.slq import solve
-from planner.solvers.warm_start import warm_start
 from planner.solvers.work import DEFAULT_WORK, WorkBudget, budget_of
 
 MAX_REFINEMENTS = 3  # times

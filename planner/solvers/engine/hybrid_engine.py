@@ -23,7 +23,7 @@ from planner.problem.costs.residual_arrays import ResidualArrays, joined
 from planner.problem.costs.terms import Cost, SumCost
 from planner.problem.problem import Problem
 from planner.solvers.engine.compiled import CompiledEngine
-from planner.solvers.engine.protocol import check_shapes
+from planner.solvers.engine.protocol import check_quadratic
 
 
 class HybridEngine(CompiledEngine):
@@ -64,7 +64,7 @@ class HybridEngine(CompiledEngine):
             w.T[:] = 0.0
             if self._own is not None and math.isfinite(cost):
                 model = self._own.quadratize(w.xs.copy(), w.us.copy())
-                check_shapes(model, len(w.us), w.us.shape[1], w.ndx)
+                check_quadratic(model, len(w.us), w.us.shape[1], w.ndx)
                 self.largest_control_weight = float(np.abs(self._R + model.R).max()) or 1.0
         return cost
 

@@ -314,12 +314,16 @@ def state_weights(Q: np.ndarray, control_weight: float) -> np.ndarray:
     return np.where(mean > 0.0, mean, mean.max() or control_weight)
 
 
-def check_shapes(model: Quadratic, N: int, nu: int, ndx: int) -> None:
+def check_quadratic(model: Quadratic, N: int, nu: int, ndx: int) -> None:
     """Check the shapes of a user-defined quadratic model, which might broadcast to a wrong gradient."""
     expected = {"Q": (N + 1, ndx, ndx), "q": (N + 1, ndx), "R": (N, nu, nu), "r": (N, nu)}
     if getattr(model, "S", None) is not None:
         expected["S"] = (N, nu, ndx)
-    for name, shape in expected.items():
-        have = np.shape(getattr(model, name))
-        if have != shape:
-            raise PlannerError(f"the cost's quadratize gives {name} of shape {have}, expected {shape}.")
+    check_shapes("the cost's quadratize", {name: (getattr(model, name), shape) for name, shape in expected.items()})
+
+
+def check_shapes(what: str, parts: dict[str, tuple[np.ndarray, tuple[int, ...]]]) -> None:
+    """Check that a user's function `what` gives parts, by name, of the shape beside each."""
+    for name, (part, shape) in parts.items():
+        if np.shape(part) != shape:
+            raise PlannerError(f"{what} gives {name} of shape {np.shape(part)}, expected {shape}.")
