@@ -11,6 +11,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+Point = tuple[float, float, float]
+Colour = tuple[float, float, float]
+
 
 @dataclass(frozen=True)
 class Stick:
@@ -117,10 +120,6 @@ class BoundedPanel:
 
 
 CasePicture = StickFigures | Charts | Paths
-
-
-Point = tuple[float, float, float]
-Colour = tuple[float, float, float]
 
 
 @dataclass(frozen=True)

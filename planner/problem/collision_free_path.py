@@ -24,6 +24,15 @@ ROUNDED_SHARE = 0.1  # of the required clearance, the clearance at rounded corne
 
 _paths: WeakKeyDictionary[Mechanism, dict[bytes, np.ndarray | None]] = WeakKeyDictionary()
 """Cache of paths by ends, clearances and seed, since a problem is rebuilt for every finer discretization."""
+STEP = 0.05  # rad or m of the joint that moves most, between poses that are checked
+MAX_STEPS = 10  # by which a tree grows towards a sample
+MAX_SAMPLES = 600
+MIN_SPREAD, MAX_SPREAD = 0.1, 1.5  # rad or m, standard deviation of first and last samples about the straight line
+SHORTCUTS = 200  # random straight cuts that are tried
+SAMPLES = 200  # equal parts of a path
+ROUNDING_SHARES = (0.5, 0.4, 0.3, 0.2, 0.15, 0.1, 0.05)  # of a path's length over which corners are averaged, in order
+IsFree = Callable[[np.ndarray], np.ndarray]
+"""Poses (K, n) -> (K,) bool, whether each is free of collisions."""
 
 
 class CollisionChecker:
@@ -103,18 +112,6 @@ def collision_free_motion(
         return xs, inverse_dynamics_controls(mechanism, *along(path, duration, (np.arange(N) + 0.5) / N))
     except PlannerError:  # the actuators do not reach every joint
         return None
-
-
-STEP = 0.05  # rad or m of the joint that moves most, between poses that are checked
-MAX_STEPS = 10  # by which a tree grows towards a sample
-MAX_SAMPLES = 600
-MIN_SPREAD, MAX_SPREAD = 0.1, 1.5  # rad or m, standard deviation of first and last samples about the straight line
-SHORTCUTS = 200  # random straight cuts that are tried
-SAMPLES = 200  # equal parts of a path
-ROUNDING_SHARES = (0.5, 0.4, 0.3, 0.2, 0.15, 0.1, 0.05)  # of a path's length over which corners are averaged, in order
-
-IsFree = Callable[[np.ndarray], np.ndarray]
-"""Poses (K, n) -> (K,) bool, whether each is free of collisions."""
 
 
 def rrt_connect(

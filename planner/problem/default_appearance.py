@@ -38,6 +38,8 @@ _PARALLEL = 1e-6
 MAX_SEGMENTS = 64  # straight pieces of a path
 
 Curves = list[tuple[int, str]]
+_GOALS = {"m": "distance", "rad": "angle", "m/s": "speed"}
+StatesControls = tuple[np.ndarray, np.ndarray]  # states (N+1, nx) and controls (N, nu)
 
 
 def appearance_of(problem: Any) -> Appearance:
@@ -193,10 +195,6 @@ def _line(path: Follow, duration: float) -> np.ndarray:
 def _point(value: Any) -> tuple[float, float, float]:
     x, y, z = (float(part) for part in value)
     return x, y, z
-
-
-_GOALS = {"m": "distance", "rad": "angle", "m/s": "speed"}
-StatesControls = tuple[np.ndarray, np.ndarray]  # states (N+1, nx) and controls (N, nu)
 
 
 def task_panels(problem: Problem, t: np.ndarray, motions: Sequence[StatesControls]) -> list[BoundedPanel]:

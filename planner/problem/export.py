@@ -43,6 +43,11 @@ from planner.model.space import StateSpace
 from planner.model.twin import Twin
 
 _ROUNDING = 1e-9  # relative distance below which a time counts as a knot
+TIME = "time"
+POSITION = "position of "  # before a joint's name where an actuator is called the same
+PARTS = ("states", "controls")
+SUFFIXES = (".yaml", ".yml", ".json")
+MAX_KEYFRAMES = 10_000  # MuJoCo lists them all
 
 
 class ExportedMotion(Protocol):
@@ -111,11 +116,6 @@ def _states(plan: ExportedMotion, t: np.ndarray, stages: np.ndarray, dt: float) 
         ways = plan.space.difference(plan.xs[n + 1], plan.xs[n])
         xs[inside] = plan.space.integrate(plan.xs[n], parts[inside, None] * ways)
     return xs
-
-
-TIME = "time"
-POSITION = "position of "  # before a joint's name where an actuator is called the same
-PARTS = ("states", "controls")
 
 
 def write_csv(plan: ExportedMotion, path: PathLike, rate: float | None = None, only: str | None = None) -> Path:
@@ -208,9 +208,6 @@ def control_names(plan: ExportedMotion) -> tuple[Coordinate, ...]:
             axes = [""] if links.stop - links.start == 1 else [f" {i}" for i in range(links.stop - links.start)]
             controls += [Coordinate(f"acceleration of {joint}{axis}", "") for axis in axes]
     return tuple(controls) if len(controls) == nu else tuple(Coordinate(f"u[{i}]", "") for i in range(nu))
-
-
-SUFFIXES = (".yaml", ".yml", ".json")
 
 
 def joint_trajectory(plan: ExportedMotion, path: PathLike | None = None, rate: float | None = None) -> dict[str, Any]:
@@ -307,9 +304,6 @@ def _number(value: float) -> str:
 
 def _list(names: tuple[str, ...]) -> str:
     return f"{', '.join(names[:-1])} or {names[-1]}"
-
-
-MAX_KEYFRAMES = 10_000  # MuJoCo lists them all
 
 
 def write_keyframes(plan: ExportedMotion, path: PathLike, rate: float | None = None) -> Path:

@@ -22,6 +22,9 @@ from planner.model.mechanism import SCREW, Mechanism
 from planner.model.space import StateSpace
 from planner.problem.constraints.trajectory_constraints import BoundPenalties, TrajectoryConstraints
 
+_REDUNDANT = 1e-9  # relative rank tolerance of the closure Jacobian J, for dependent equations
+_WEAK_DIRECTION_RATIO = 1e-6  # relative rank tolerance of the map from controls to generalized forces
+
 
 class ScaledMultipliers(NamedTuple):
     """Scaled multipliers of state bounds and constraints: inward shifts of the penalized bounds; penalty weights."""
@@ -119,10 +122,6 @@ def rates_of(dynamics: Any) -> slice:
     """Indices of the velocities in a state; empty for dynamics without a mechanism."""
     mechanism = capabilities_of(dynamics).mechanism
     return slice(0, 0) if mechanism is None else slice(mechanism.nq, mechanism.nq + mechanism.nv)
-
-
-_REDUNDANT = 1e-9  # relative rank tolerance of the closure Jacobian J, for dependent equations
-_WEAK_DIRECTION_RATIO = 1e-6  # relative rank tolerance of the map from controls to generalized forces
 
 
 def inverse_dynamics_controls(mechanism: Mechanism, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray) -> np.ndarray:

@@ -24,6 +24,12 @@ Pair = tuple[float, float]
 
 
 TENDON_ROUNDING = 1e-9  # rad or m, rounding of a length that equalities fix
+SHARE = 0.01  # of a range, the default margin
+MIN_MARGINS = {ANGLE: 0.01, LENGTH: 1e-3}  # rad, m: a constant control overshoots by a dt^2 / 8 between knots
+MAX_SHARE = 0.1  # of a range, upper limit of the margin: the fingers of a gripper move by few millimetres
+START_OFFSET = 1e-3  # rad or m, by which a start at a limit is moved inside: a replay that errs meets no stop
+GOAL_OFFSET = 1e-4  # rad or m, the same of a goal, whose tolerance may be small: the tolerance of limits
+ROUNDING = 1e-6  # share of a range; a start outside by less is at the limit
 
 
 def with_names(mechanism: Mechanism | None, what: str) -> Mechanism:
@@ -134,14 +140,6 @@ def pairs_of_coordinates(what: str, value: Any, dynamics: Dynamics) -> dict[int,
             "state, state={1: (-4, 4)}, or of all of it, state=4."
         )
     return found
-
-
-SHARE = 0.01  # of a range, the default margin
-MIN_MARGINS = {ANGLE: 0.01, LENGTH: 1e-3}  # rad, m: a constant control overshoots by a dt^2 / 8 between knots
-MAX_SHARE = 0.1  # of a range, upper limit of the margin: the fingers of a gripper move by few millimetres
-START_OFFSET = 1e-3  # rad or m, by which a start at a limit is moved inside: a replay that errs meets no stop
-GOAL_OFFSET = 1e-4  # rad or m, the same of a goal, whose tolerance may be small: the tolerance of limits
-ROUNDING = 1e-6  # share of a range; a start outside by less is at the limit
 
 
 class Range(NamedTuple):

@@ -18,6 +18,7 @@ from planner.problem.costs.terms import Cost
 
 PROBLEM_FILE = "problem-file"  # the name of a problem.toml's recipe, whatever its machine
 ROUNDING = 1e-14  # quaternions that are normalized twice differ by as much
+STEPS = ("newton", "follow")
 
 
 class Built:
@@ -78,9 +79,6 @@ class Objective:
 
     weights: dict[str, float]
     base: Cost
-
-
-STEPS = ("newton", "follow")
 
 
 @dataclass(frozen=True, eq=False)

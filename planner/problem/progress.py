@@ -16,6 +16,11 @@ from planner.base.diagnostic import Diagnostic, Quantity
 from planner.model.capabilities import capabilities_of
 from planner.problem.problem import Problem
 
+_AT_BOUND_SHARE = 1e-6  # share of a range: distance below which a control is at its bound
+_MIN_SHARE_AT_BOUND = 0.1  # of the stages: lower limit to report a bound
+_MAX_NAMED = 3  # constraints that are named
+_MIN_REDUCTION = 1e-3  # relative cost reduction in the second half of a solve at or below which it has stalled
+
 
 class Status(StrEnum):
     """Outcome of a solve. The value is a sentence, which suggests a next action unless CONVERGED."""
@@ -123,11 +128,6 @@ class Start(NamedTuple):
         """The table header; str() puts it above start 0."""
         return f"{'start':>5}  {'cost':>15}  {'iterations':>10}  status"
 
-
-_AT_BOUND_SHARE = 1e-6  # share of a range: distance below which a control is at its bound
-_MIN_SHARE_AT_BOUND = 0.1  # of the stages: lower limit to report a bound
-_MAX_NAMED = 3  # constraints that are named
-_MIN_REDUCTION = 1e-3  # relative cost reduction in the second half of a solve at or below which it has stalled
 
 SENTENCES = {
     "control_at_bound": "{control} is at its bound in {stages} of {all} stages",

@@ -30,6 +30,8 @@ from planner.problem.costs.tracking import TrackingCost
 from planner.problem.default_weights import MOVING_SHARE, WAY_SHARE, default_weights, fully_actuated, servos_of
 from planner.problem.initial_guess import minimum_jerk
 
+LARGEST = 1e12  # upper limit of the entries of P; above it the cost is returned unchanged
+
 
 def default_cost(
     dynamics: RigidBodyDynamics, x0: Any, goal: Any, horizon: int, *,
@@ -142,9 +144,6 @@ def servo_reference(dynamics: RigidBodyDynamics, xs: np.ndarray) -> np.ndarray:
     slopes = force_slopes(actuators, own, actuator_lengths(mechanism, middle[:, :nq]), rates)
     own -= rates * (slopes.by_rate / np.where(slopes.gain == 0.0, 1.0, slopes.gain))
     return np.where(servos, us, 0.0)
-
-
-LARGEST = 1e12  # upper limit of the entries of P; above it the cost is returned unchanged
 
 
 def terminal_holding_cost(dynamics: RigidBodyDynamics, cost: TrackingCost, seconds: Any) -> TrackingCost:

@@ -37,6 +37,10 @@ from planner.problem.problem import Problem
 
 MAX_STAGES = 100_000
 FINEST = "rk4"  # of explicit integrators
+UNRESOLVED = 0.05  # of a range of motion: the loosest bound of a path in a proof, so no replay of such a plan passes
+COARSE = 1.0  # the same for methods of first order, which a proof judges: an error as large as the motion itself
+MIN_RANGE = 1e-3  # rad, m, rad/s, m/s, smallest range of motion, for a machine at rest
+OF_LARGEST = 0.1  # smallest range of motion, as a share of the largest of its unit
 
 
 def finer(problem: Problem) -> Problem:
@@ -139,12 +143,6 @@ def _with_step(dynamics: Any, dt: float, integrator: str | None) -> Any:
             "with_step(dt, integrator): nothing else can be given another stage."
         )
     return dynamics.with_step(dt, integrator)
-
-
-UNRESOLVED = 0.05  # of a range of motion: the loosest bound of a path in a proof, so no replay of such a plan passes
-COARSE = 1.0  # the same for methods of first order, which a proof judges: an error as large as the motion itself
-MIN_RANGE = 1e-3  # rad, m, rad/s, m/s, smallest range of motion, for a machine at rest
-OF_LARGEST = 0.1  # smallest range of motion, as a share of the largest of its unit
 
 
 def is_unresolved(plan: Plan) -> bool:

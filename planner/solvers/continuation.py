@@ -54,6 +54,9 @@ BETTER_SHARE = 0.5  # of the cost of the plan before: a solve that is cheaper by
 
 # One solve from a trajectory, or from the problem's first guess for None, with an iteration limit.
 SolveFrom = Callable[[Problem, Trajectory | None, int], Plan]
+MIN_FREE_FACTOR = 2.0  # factor at which bounds without an opposite one admit the free plan, if no other says more
+SOFT_FACTOR = 10.0  # of the depth that contacts sink in, at which a continuation in the contact begins
+REACH = 2.0  # distance at which a force at a distance begins, over the gap at the start
 
 
 @dataclass(frozen=True)
@@ -140,9 +143,6 @@ def _predicted(to: float, s: float, plan: Plan, before: tuple[float, Plan] | Non
     return replace(
         motion, xs=space.integrate(motion.xs, ahead * change), us=motion.us + ahead * (motion.us - before[1].us)
     )
-
-
-MIN_FREE_FACTOR = 2.0  # factor at which bounds without an opposite one admit the free plan, if no other says more
 
 
 @dataclass(frozen=True, eq=False)
@@ -239,10 +239,6 @@ def _wider(
         return np.full_like(lower, -np.inf), np.full_like(upper, np.inf)
     below, above = (0.0, 0.0) if excess is None else scale * excess
     return lower - room - below, upper + room + above
-
-
-SOFT_FACTOR = 10.0  # of the depth that contacts sink in, at which a continuation in the contact begins
-REACH = 2.0  # distance at which a force at a distance begins, over the gap at the start
 
 
 @dataclass(frozen=True, eq=False)

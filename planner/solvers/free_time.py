@@ -45,23 +45,14 @@ _SHRINK = 0.85  # ratio of successive durations: 15 per decade
 
 
 class DurationTrial(NamedTuple):
-    """One solve at a trial duration.
+    """One solve at a trial duration."""
 
-    Attributes:
-        number: Counted from 0.
-        duration: T, s.
-        cost: J*(T) without the time term.
-        violation: Largest violation of limits and constraints, rad, m, rad/s, m/s.
-        iterations: Number of iterations of the solve.
-        status: Status of the solve.
-    """
-
-    number: int
-    duration: float
-    cost: float
-    violation: float
-    iterations: int
-    status: Status
+    number: int  # Counted from 0
+    duration: float  # T, s
+    cost: float  # J*(T) without the time term
+    violation: float  # Largest violation of limits and constraints, rad, m, rad/s, m/s
+    iterations: int  # Number of iterations of the solve
+    status: Status  # Status of the solve
 
     def __str__(self) -> str:
         row = (

@@ -45,6 +45,9 @@ from planner.problem.plan import Plan
 from planner.problem.problem import Problem
 from planner.solvers import lq
 
+PERSISTENCE = 0.1  # s; with 0.05 to 0.2 bipeds on floors 5 mm too high or low end alike, with 0.025 up to a third fall
+_WEAKEST = 1e-6  # smallest tracking weight of a state, relative to the largest
+
 
 def tracking_gains(A: np.ndarray, B: np.ndarray, Q: np.ndarray, R: np.ndarray) -> np.ndarray | None:
     """Gains K (N, nu, ndx) of u = K[n] x for the sum of x'Qx/2 + u'Ru/2 over N stages and x'Qx/2 at the end.
@@ -77,9 +80,6 @@ def regulator_gains(A: np.ndarray, B: np.ndarray, Q: np.ndarray, R: np.ndarray) 
     except (LinAlgError, ValueError):
         return None
     return K if stable else None
-
-
-PERSISTENCE = 0.1  # s; with 0.05 to 0.2 bipeds on floors 5 mm too high or low end alike, with 0.025 up to a third fall
 
 
 def has_uncertain_ground(problem: Problem) -> bool:
@@ -156,9 +156,6 @@ def with_contacts(
     contacts, body_contacts = tuple(map(plane, own.contacts)), tuple(map(pair, own.body_contacts))
     mechanism = replace(own, contacts=contacts, body_contacts=body_contacts)
     return RigidBodyDynamics(mechanism, dynamics.dt, dynamics.integrator, dynamics.prescribed, dynamics.substeps)
-
-
-_WEAKEST = 1e-6  # smallest tracking weight of a state, relative to the largest
 
 
 def warm_start(plan: Plan, problem: Problem) -> np.ndarray:

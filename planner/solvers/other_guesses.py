@@ -39,6 +39,9 @@ DIVERGENCE_FACTOR = 1e10  # limit of a state, relative to max(1, largest of the 
 _STAGES = 100  # of the LQ problem, after which its gains are constant
 _AGAIN = 10  # stages between linearizations
 _WEAKEST = 1e-9  # smallest weight of a control, relative to the largest
+SHAKE = 0.01  # of each control's limit: to leave a saddle
+LARGE_SHAKE = 0.3  # of the same: to find another motion
+SAME = 1e-3  # relative difference below which a guess is the problem's own
 
 
 def has_diverged(xs: np.ndarray) -> np.ndarray:
@@ -175,11 +178,6 @@ def _weights(B: np.ndarray, dt: float) -> np.ndarray:
 def _braking(problem: Problem) -> Control:
     """LQR about the present state with zero velocities: brakes a robot that cannot be regulated at its start."""
     return _leading(problem, lambda _, now: _at_rest(problem, now))
-
-
-SHAKE = 0.01  # of each control's limit: to leave a saddle
-LARGE_SHAKE = 0.3  # of the same: to find another motion
-SAME = 1e-3  # relative difference below which a guess is the problem's own
 
 
 def other_guesses(problem: Problem) -> Iterator[tuple[str, np.ndarray | None, np.ndarray]]:

@@ -51,23 +51,14 @@ _TO_CLOSE = 2  # last passes, which only close the closure error
 
 
 class PeriodicPass(NamedTuple):
-    """One pass of solve_periodic.
+    """One pass of solve_periodic."""
 
-    Attributes:
-        number: Counted from 0.
-        cost: J without the terminal goal term.
-        miss: Largest closure error between end and start, as a multiple of its tolerance.
-        left: Expected reduction of the cost by the next undamped Newton step; nan for "follow" or after divergence.
-        iterations: Number of iterations of the solve.
-        status: Status of the solve.
-    """
-
-    number: int
-    cost: float
-    miss: float
-    left: float
-    iterations: int
-    status: Status
+    number: int  # Counted from 0
+    cost: float  # J without the terminal goal term
+    miss: float  # Largest closure error between end and start, as a multiple of its tolerance
+    left: float  # Expected reduction of the cost by the next undamped Newton step; nan for "follow" or after divergence
+    iterations: int  # Number of iterations of the solve
+    status: Status  # Status of the solve
 
     def __str__(self) -> str:
         row = (

@@ -63,33 +63,19 @@ class BoundaryStep(NamedTuple):
 
 
 class BoundarySensitivity(NamedTuple):
-    """Residuals of the two equations at a plan, and their derivatives by its boundary states; see the module.
+    """Residuals of the two equations at a plan, and their derivatives by its boundary states; see the module."""
 
-    Attributes:
-        plan: Solved, of a problem with `periodic`.
-        closes: (m,) indices of the periodic components.
-        W: (ndx, ndx) final weight of the TrackingCost.
-        gap: (ndx,) closure error x(N) - x(0), zero for components that need not be periodic.
-        costate: (ndx,) at the start.
-        nu: (ndx,) W (x(N) - r).
-        P: (ndx, ndx) Hessian of the cost-to-go at the start.
-        Phi: (ndx, ndx) d x(N) / d x(0) of the closed loop.
-        G: (ndx, ndx) sum over n of Phi_n B H^-1 B' Phi_n'.
-        K: (N, nu, ndx) d u / d x.
-        F: (N, nu, ndx) d u / d r.
-    """
-
-    plan: Plan
-    closes: np.ndarray
-    W: np.ndarray
-    gap: np.ndarray
-    costate: np.ndarray
-    nu: np.ndarray
-    P: np.ndarray
-    Phi: np.ndarray
-    G: np.ndarray
-    K: np.ndarray
-    F: np.ndarray
+    plan: Plan  # Solved, of a problem with `periodic`
+    closes: np.ndarray  # (m,) indices of the periodic components
+    W: np.ndarray  # (ndx, ndx) final weight of the TrackingCost
+    gap: np.ndarray  # (ndx,) closure error x(N) - x(0), zero for components that need not be periodic
+    costate: np.ndarray  # (ndx,) at the start
+    nu: np.ndarray  # (ndx,) W (x(N) - r)
+    P: np.ndarray  # (ndx, ndx) Hessian of the cost-to-go at the start
+    Phi: np.ndarray  # (ndx, ndx) d x(N) / d x(0) of the closed loop
+    G: np.ndarray  # (ndx, ndx) sum over n of Phi_n B H^-1 B' Phi_n'
+    K: np.ndarray  # (N, nu, ndx) d u / d x
+    F: np.ndarray  # (N, nu, ndx) d u / d r
 
     def step(self, mu: float, part: float = 1.0) -> BoundaryStep:
         """The step damped by mu, which closes a fraction `part` of the closure error."""

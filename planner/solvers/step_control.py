@@ -28,9 +28,11 @@ from planner.kernels.lq.workspace import CONVERGED
 from planner.model.space import space_of
 from planner.problem.problem import Problem
 from planner.solvers.engine import Engine, IterationResult
+from planner.solvers.engine.protocol import StatesAndControls
 from planner.solvers.options import DEFAULT, SolverOptions
 
 RETRY_SHARE = 0.1  # of the expected reduction at which a weight was set to zero in vain, before the next try
+RANK_TOLERANCE = 1e-12  # relative to the largest eigenvalue of Y'Y: smaller ones are rounding
 
 
 class Regularization:
@@ -165,11 +167,6 @@ def unregularized_sweep(engine: Engine, options: SolverOptions = DEFAULT) -> Ite
             return result
         regularization.increase()
         relinearize = False
-
-
-RANK_TOLERANCE = 1e-12  # relative to the largest eigenvalue of Y'Y: smaller ones are rounding
-
-StatesAndControls = tuple[np.ndarray, np.ndarray]  # xs (N+1, nx), us (N, nu)
 
 
 class AndersonAcceleration:

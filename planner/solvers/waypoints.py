@@ -26,6 +26,9 @@ from planner.problem.tasks.timed_task import Task
 from planner.solvers.work import WorkBudget
 
 WAYPOINTS = "waypoints"
+MAX_TRIALS = 60  # of stages; each costs a solve, and where it is better a search of the duration
+FIRST_STEP = 1.0 / 16.0  # of the stages
+LEAST_GAIN = 1e-4  # relative, of a trial that is better
 
 
 def undated_waypoints(goals: Sequence[Goal]) -> tuple[int, ...]:
@@ -72,11 +75,6 @@ def with_stages(goals: Sequence[Goal], waypoints: Sequence[int], stages: np.ndar
     for k, stage in zip(waypoints, np.minimum(stages, N - room[::-1]), strict=True):
         dated[k] = replace(goals[k], share=int(stage) / N)
     return dated
-
-
-MAX_TRIALS = 60  # of stages; each costs a solve, and where it is better a search of the duration
-FIRST_STEP = 1.0 / 16.0  # of the stages
-LEAST_GAIN = 1e-4  # relative, of a trial that is better
 
 
 def free_waypoints(problem: Problem) -> tuple[int, ...]:

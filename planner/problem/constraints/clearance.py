@@ -32,6 +32,9 @@ from planner.problem.costs.residual_arrays import arrays_of_terms
 
 EXACT_RANGE = 2.0  # of the required clearance, up to which distances are exact
 PARTS = 8  # of a stage, at whose ends clearance is checked between knots
+TOLERANCE_SHARE = 0.02  # of the clearance: the constraint's tolerance
+PENALTY_SHARE = 0.1  # of the clearance: PairClearance.penalty_length
+_indices: WeakKeyDictionary[Mechanism, ModelIndex] = WeakKeyDictionary()
 
 
 @dataclass(frozen=True, eq=False)
@@ -135,12 +138,6 @@ def states_between_knots(dynamics: Dynamics, xs: np.ndarray, us: np.ndarray, par
 def pair_clearance_of(constraints: Sequence[object]) -> PairClearance | None:
     """The PairClearance among constraints; None for none."""
     return next((one.of for one in constraints if isinstance(getattr(one, "of", None), PairClearance)), None)  # type: ignore[attr-defined]
-
-
-TOLERANCE_SHARE = 0.02  # of the clearance: the constraint's tolerance
-PENALTY_SHARE = 0.1  # of the clearance: PairClearance.penalty_length
-
-_indices: WeakKeyDictionary[Mechanism, ModelIndex] = WeakKeyDictionary()
 
 
 class AvoidanceConstraint(NamedTuple):

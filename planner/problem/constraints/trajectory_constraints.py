@@ -26,6 +26,7 @@ from planner.problem.costs.terms import Quadratic
 
 ROUNDING = 1e-9  # relative violation of a bound that counts as none
 PARTS = 4  # of a stage, at whose ends ranges are checked
+BETWEEN_KNOTS = 5.0  # tolerances by which a range may be violated between knots: half of what passes in a replay
 
 
 class BoundPenalties(NamedTuple):
@@ -47,10 +48,6 @@ class StateBounds:
     upper: np.ndarray  # (N+1, H)
     at_end: int  # Number of exact goals, for the end alone: the last components
     coordinates: tuple[Coordinate, ...]  # (H,) their names and units
-
-    def zero_penalties(self) -> BoundPenalties:
-        """Penalties with zero weights."""
-        return BoundPenalties(self.lower.copy(), self.upper.copy(), np.zeros_like(self.lower))
 
     def deviations(self, xs: np.ndarray) -> np.ndarray:
         """The components (N+1, H) of states xs (N+1, nx)."""
@@ -156,9 +153,6 @@ def _penalty_gradients(penalties: BoundPenalties, e: np.ndarray, sides: np.ndarr
     """First and second derivatives (N+1, H) of the parabolas of these sides at deviations e."""
     bound = np.where(sides > 0.0, penalties.upper, np.where(sides < 0.0, penalties.lower, e))
     return penalties.weight * (e - bound), penalties.weight * np.abs(sides)
-
-
-BETWEEN_KNOTS = 5.0  # tolerances by which a range may be violated between knots: half of what passes in a replay
 
 
 class TrajectoryConstraints:

@@ -19,6 +19,9 @@ from planner.problem.costs.residual_arrays import ResidualList
 from planner.problem.costs.residual_functions import rotation_of
 from planner.problem.costs.tracking import mechanism_and_step
 
+_ALL = slice(None)
+CLEARANCE = 0.06  # m: default of a foot that is lifted enough; a foot at 5 m/s crosses it in a stage, not unseen
+
 
 class FrameCost(ResidualCost):
     """Squared residuals of a frame, 1/2 w r^2 each, summed over the stages; Gauss-Newton Hessian.
@@ -113,7 +116,6 @@ class _Kind(NamedTuple):
     goals: tuple[tuple[str, str, slice], ...]
 
 
-_ALL = slice(None)
 _KINDS = {
     "position": _Kind(kinds.POSITION, (("position", "m", _ALL),)),
     "orientation": _Kind(kinds.ORIENTATION, (("orientation", "rad", _ALL),)),
@@ -268,9 +270,6 @@ class StageData:
                 raise PlannerError(f"{label} is {value.tolist()}, expected finite weights of at least 0.")
         running, end = (np.atleast_2d(np.broadcast_to(v, v.shape if v.ndim else (rows,))) for v in given)
         return self._dt * running, self._dt * running[-1:] if final is None else end
-
-
-CLEARANCE = 0.06  # m: default of a foot that is lifted enough; a foot at 5 m/s crosses it in a stage, not unseen
 
 
 class SlipCost(ResidualCost):

@@ -60,18 +60,11 @@ class Accelerations:
 
     def __call__(self, xs: np.ndarray, us: np.ndarray) -> np.ndarray:
         """(K, nv) at xs (K, nx) with us (K, nu)."""
-        return self.between(xs, self.dynamics.step(xs, us))
-
-    def between(self, xs: np.ndarray, ends: np.ndarray) -> np.ndarray:
-        """(K, nv) of stages from xs (K, nx) to ends (K, nx)."""
-        return (ends[:, self._velocities] - xs[:, self._velocities]) / self.dynamics.dt
+        return (self.dynamics.step(xs, us)[:, self._velocities] - xs[:, self._velocities]) / self.dynamics.dt
 
     def derivatives(self, xs: np.ndarray, us: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Derivatives by a deviation of x (K, nv, ndx), and by u (K, nv, nu)."""
-        return self.of_jacobians(*self.dynamics.linearize(np.concatenate([xs, xs[:1]]), us))
-
-    def of_jacobians(self, A: np.ndarray, B: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """The same of stages with Jacobians A (K, ndx, ndx) and B (K, ndx, nu)."""
+        A, B = self.dynamics.linearize(np.concatenate([xs, xs[:1]]), us)
         rows = slice(self.nv, 2 * self.nv)
         by_x = A[:, rows].copy()
         by_x[:, :, rows] -= np.eye(self.nv)

@@ -38,6 +38,8 @@ from planner.problem.costs.terms import GoalSpec, Quadratic, Term, per_stage, wh
 from planner.problem.costs.tracking import mechanism_and_step
 from planner.problem.residual import Residual
 
+TABLES = ("weight", "lower", "upper")
+
 
 def values_of(mechanism: Mechanism, arrays: ResidualArrays, xs: np.ndarray) -> np.ndarray:
     """(M, K) of all rows for states xs (K, nx), one for each stage of the arrays."""
@@ -125,18 +127,14 @@ class ResidualCost(Term):
     def _at_end(self, xs: np.ndarray) -> np.ndarray:
         """(M, K) residuals of states (K, nx), each with the targets of the end."""
         last = self.residual_arrays.along(np.full(len(xs), -1))
-        return _residuals(last, self._values(last, xs))[0]
-
-    def _values(self, arrays: ResidualArrays, xs: np.ndarray) -> np.ndarray:
-        """(M, K) of the rows for states xs (K, nx), one for each stage of the arrays."""
-        return values_of(self.mechanism, arrays, xs)
+        return _residuals(last, values_of(self.mechanism, last, xs))[0]
 
     def value(self, xs: np.ndarray, us: np.ndarray) -> float:
         """J of a trajectory xs (N+1, nx), us (N, nu)."""
         if not np.isfinite(xs).all():  # a rollout that diverged
             return float("inf")
         stages, arrays = self._weighing(len(us))
-        residuals, _ = _residuals(arrays, self._values(arrays, xs[stages]))
+        residuals, _ = _residuals(arrays, values_of(self.mechanism, arrays, xs[stages]))
         return 0.5 * float(np.sum(arrays.weight * residuals**2))
 
     def _weighing(self, N: int) -> tuple[np.ndarray, ResidualArrays]:
@@ -204,10 +202,7 @@ class PenaltyCost(ResidualCost):
 
     def values(self, xs: np.ndarray) -> np.ndarray:
         """(N+1, T) m or m/s, the values of the terms along xs (N+1, nx), also where they are off."""
-        return self._values(self.residual_arrays, xs).T
-
-
-TABLES = ("weight", "lower", "upper")
+        return values_of(self.mechanism, self.residual_arrays, xs).T
 
 
 class LeastSquares(Term):
@@ -300,8 +295,7 @@ class LeastSquares(Term):
 
     def _errors(self, xs: np.ndarray, us: np.ndarray) -> np.ndarray:
         """(N+1, R) signed distance of the residual from its bounds, 0 within."""
-        values = self.values(xs, us)
-        return np.maximum(values - self.upper, 0.0) - np.maximum(self.lower - values, 0.0)
+        return _beyond(self.values(xs, us), self.lower, self.upper)
 
     def value(self, xs: np.ndarray, us: np.ndarray) -> float:
         """J of a trajectory xs (N+1, nx), us (N, nu)."""
@@ -329,7 +323,7 @@ class LeastSquares(Term):
     def _error_at_end(self, xs: np.ndarray) -> np.ndarray:
         """(K, R) of end states (K, nx)."""
         values = self._function.values(xs, np.zeros((len(xs), self.nu)), np.zeros(len(xs), dtype=int))
-        return np.maximum(values - self.upper[-1], 0.0) - np.maximum(self.lower[-1] - values, 0.0)
+        return _beyond(values, self.lower[-1], self.upper[-1])
 
     def goal_specs(self, _: Sequence[Coordinate]) -> tuple[GoalSpec, ...]:
         """The residual at the end, where it has a final weight."""
@@ -345,3 +339,8 @@ class LeastSquares(Term):
         if self.of_controls:
             return 0.0
         return 0.5 * float(self.weight[-1] @ self._error_at_end(x[None])[0] ** 2)
+
+
+def _beyond(values: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> np.ndarray:
+    """Signed distances of values from bounds, 0 within."""
+    return np.maximum(values - upper, 0.0) - np.maximum(lower - values, 0.0)

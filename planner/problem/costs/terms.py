@@ -16,6 +16,8 @@ from planner.base.arguments import number, short_repr
 from planner.base.errors import PlannerError
 from planner.model.space import StateSpace
 
+SOFT = "soft"  # the word for an infinite tolerance in files, which know no infinity
+
 
 class Quadratic(NamedTuple):
     """Hessians and gradients of the stage costs; the last of Q and q belong to the end."""
@@ -170,9 +172,6 @@ class EmbeddedCost(Term):
             np.pad(model.Q, ((0, 0), (0, more), (0, more))), np.pad(model.q, ((0, 0), (0, more))), model.R, model.r,
             None if model.S is None else np.pad(model.S, ((0, 0), (0, 0), (0, more))),
         )  # fmt: skip
-
-
-SOFT = "soft"  # the word for an infinite tolerance in files, which know no infinity
 
 
 class GoalSpec(NamedTuple):

@@ -16,6 +16,9 @@ from planner.model.mechanism import Mechanism
 from planner.model.space import StateSpace, euclidean
 from planner.problem.costs.terms import Cost, GoalSpec, Quadratic, Term, per_stage
 
+_ROUNDING = 1e-20  # of the largest weight: what is left of none after the steps of a Riccati equation
+_RANK_TOLERANCE = 1e-9  # of a weight relative to the diagonal of its components
+
 
 def matrices(name: str, value: Any, stages: int, size: int) -> np.ndarray:
     """(stages, size, size) from a number, a diagonal (size,), a matrix, or one of these per stage."""
@@ -271,10 +274,6 @@ class TrackingCost(Term):
             Jt = np.swapaxes(J, 1, 2)
             Q, q = Jt @ Q @ J, np.einsum("nij,nj->ni", Jt, q)
         return Quadratic(Q, q, self.R, np.einsum("nij,nj->ni", self.R, us - self.u_ref))
-
-
-_ROUNDING = 1e-20  # of the largest weight: what is left of none after the steps of a Riccati equation
-_RANK_TOLERANCE = 1e-9  # of a weight relative to the diagonal of its components
 
 
 def _independent_rows(Q: np.ndarray) -> np.ndarray:

@@ -23,6 +23,8 @@ from planner.problem.recording import TIME, read_recording
 AXES = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
 PARTS = ("position", "orientation", "pointing", "velocity")
 """Keys of a table of tolerances."""
+COORDINATES = ("x", "y", "z")
+_OF_A_FILE = ("file", "part", "degrees")
 
 
 @dataclass(frozen=True)
@@ -59,10 +61,7 @@ class Goal:
     tolerance: Any = None
 
     def __post_init__(self) -> None:
-        if (self.frame is None) == (self.joints is None):
-            raise PlannerError("a goal has neither frame nor joints, or both: expected one of the two.")
-        if self.frame is not None and not isinstance(self.frame, str):
-            raise PlannerError(f"frame of a goal is {short_repr(self.frame)}, expected the name of a site or body.")
+        _check_subject("a goal", self.frame, self.joints)
         asked = [name for name in PARTS[:3] if getattr(self, name) is not None]
         if self.joints is not None and asked:
             raise PlannerError(f"a goal of joints has {asked[0]}, expected that beside a frame.")
@@ -147,16 +146,28 @@ def goal_of(value: Any, name: str) -> Goal:
     """
     if isinstance(value, Goal):
         return value
-    keys = [one.name for one in fields(Goal)]
-    if not isinstance(value, Mapping):
-        raise PlannerError(
-            f"{name} is {short_repr(value)}, expected a Goal or a table with some of: {', '.join(keys)}."
-        )
-    given = {choice(f"a key of {name}", key, keys): part for key, part in value.items()}
+    given = _table_of(Goal, value, name)
     try:
         return Goal(**given)
     except PlannerError as error:
         raise PlannerError(f"{name}: {error}") from None
+
+
+def _check_subject(what: str, frame: Any, joints: Any) -> None:
+    """Refuse a goal or path unless it is of a frame or of joints."""
+    if (frame is None) == (joints is None):
+        raise PlannerError(f"{what} has neither frame nor joints, or both: expected one of the two.")
+    if frame is not None and not isinstance(frame, str):
+        raise PlannerError(f"frame of {what} is {short_repr(frame)}, expected the name of a site or body.")
+
+
+def _table_of(kind: type[Goal | Follow], value: Any, name: str, more: tuple[str, ...] = ()) -> dict[str, Any]:
+    """The arguments of a Goal or Follow in a table; `more` keys are known too."""
+    keys = [one.name for one in fields(kind)]
+    if not isinstance(value, Mapping):
+        expected = f"expected a {kind.__name__} or a table with some of: {', '.join(keys)}"
+        raise PlannerError(f"{name} is {short_repr(value)}, {expected}.")
+    return {choice(f"a key of {name}", key, (*keys, *more)): part for key, part in value.items()}
 
 
 def json_value(value: Any) -> Any:
@@ -166,10 +177,6 @@ def json_value(value: Any) -> Any:
     if isinstance(value, (list, tuple, np.ndarray, np.number)):
         return numbers("a number of a goal", value).tolist()
     return value
-
-
-COORDINATES = ("x", "y", "z")
-_OF_A_FILE = ("file", "part", "degrees")
 
 
 @dataclass(frozen=True)
@@ -193,10 +200,7 @@ class Follow:
     tolerance: float | None = None
 
     def __post_init__(self) -> None:
-        if (self.frame is None) == (self.joints is None):
-            raise PlannerError("follow has neither frame nor joints, or both: expected one of the two.")
-        if self.frame is not None and not isinstance(self.frame, str):
-            raise PlannerError(f"frame of follow is {short_repr(self.frame)}, expected the name of a site or body.")
+        _check_subject("follow", self.frame, self.joints)
         if self.joints is not None and (
             not isinstance(self.joints, (list, tuple)) or not all(isinstance(name, str) for name in self.joints)
         ):
@@ -263,12 +267,7 @@ def follow_of(value: Any, name: str) -> Follow:
     """
     if isinstance(value, Follow):
         return value
-    keys = [one.name for one in fields(Follow)]
-    if not isinstance(value, Mapping):
-        raise PlannerError(
-            f"{name} is {short_repr(value)}, expected a Follow or a table with some of: {', '.join(keys)}."
-        )
-    given = {choice(f"a key of {name}", key, (*keys, *_OF_A_FILE)): part for key, part in value.items()}
+    given = _table_of(Follow, value, name, _OF_A_FILE)
     if "points" not in given:
         raise PlannerError(f'{name} has no points, expected points = [[t, x, y, z], ...] or file = "path.csv".')
     return Follow(**given)

@@ -45,6 +45,7 @@ LONGEST_STEP = 0.3  # rad or m: beyond it a leg that is nearly stretched turns o
 REACHED = 5e-3  # m: of a foot from its place; a sole that turns on its way is bent by less
 DAMPING = 1e-3  # m: of a singular leg, which is stretched
 RANGE_MARGIN = 1e-6  # rad or m: by which the search for a leg begins within its ranges
+GOAL_SCALE, FOOT_SCALE = 0.1, 1e-3  # m of residuals of 1: what the legs lack is left to the goal
 
 
 class Foot(NamedTuple):
@@ -193,9 +194,6 @@ def with_legs(
             "expected a smaller stride or lift, a lower trunk, or a longer duration."
         )
     return q
-
-
-GOAL_SCALE, FOOT_SCALE = 0.1, 1e-3  # m of residuals of 1: what the legs lack is left to the goal
 
 
 def check_flight(task: Task, poses: Poses, dynamics: RigidBodyDynamics, ranges: np.ndarray) -> None:

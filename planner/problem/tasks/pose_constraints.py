@@ -31,6 +31,8 @@ from planner.problem.costs.penalty_terms import Velocity
 POSE_TOLERANCE = 1e-3  # m or rad, violation of a constraint in addition to its tolerance at which the search ends
 ResidualAndJacobian = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
 """Of a configuration (nq,): r (R,) over its tolerances, and its Jacobian (R, nv)."""
+FOOT_SCALE = 1e-3  # m that a foot on the ground is targeted by a residual of 1: less than a plan's goals resolve
+BALANCE_SCALE = 0.01  # m that the centre of mass is off by a residual of 1: small beside a sole
 
 
 def both(one: ResidualAndJacobian, other: ResidualAndJacobian) -> ResidualAndJacobian:
@@ -95,10 +97,6 @@ class PoseConstraints:
         J = part.function.derivatives(x[None], np.zeros((1, 0)), n)[0][0][:, : self._mechanism.nv]
         scale = POSE_TOLERANCE + part.constraint.allowed()
         return r / scale, np.where(r[:, None] != 0.0, J, 0.0) / scale
-
-
-FOOT_SCALE = 1e-3  # m that a foot on the ground is targeted by a residual of 1: less than a plan's goals resolve
-BALANCE_SCALE = 0.01  # m that the centre of mass is off by a residual of 1: small beside a sole
 
 
 @dataclass(frozen=True, eq=False)

@@ -30,6 +30,9 @@ from planner.problem.tasks.timed_task import Task
 VIA_PARTS = 8  # equal parts of a collision-free path, at whose inner ends poses are passed on a spline
 _EVEN = np.linspace(0.0, 1.0, 1001)
 _FROM_REST = minimum_jerk(_EVEN)[0]
+STEP = 0.05  # rad or m of the joint that moves most, between projected states
+MIN_PARTS, MAX_PARTS = 25, 100  # between two poses at rest, and between any two
+MAX_JUMP = 10.0  # in STEP, between projected states: beyond it the chains were assembled in another branch
 
 
 def with_via_poses(poses: Poses, checker: CollisionChecker, seed: int = 0) -> Poses:
@@ -130,11 +133,6 @@ def joint_displacement(task: Task, poses: Poses) -> np.ndarray:
     xs = np.tile(task.mechanism.home, (len(poses.q), 1))
     xs[:, : task.mechanism.nq] = poses.q
     return np.abs(space.difference(xs[1:], xs[:-1])).sum(axis=0)[: task.mechanism.nv]
-
-
-STEP = 0.05  # rad or m of the joint that moves most, between projected states
-MIN_PARTS, MAX_PARTS = 25, 100  # between two poses at rest, and between any two
-MAX_JUMP = 10.0  # in STEP, between projected states: beyond it the chains were assembled in another branch
 
 
 class ClosedChainReference(NamedTuple):

@@ -20,6 +20,7 @@ from planner.model.space import StateSpace, space_of
 from planner.problem.constraints.trajectory_constraints import BoundPenalties
 from planner.problem.costs.residual_arrays import ResidualArrays
 from planner.problem.costs.tracking import TrackingCost
+from planner.problem.limits import origin_of
 from planner.problem.problem import Problem
 from planner.solvers.engine.protocol import (
     MAX_SETS,
@@ -48,9 +49,7 @@ class NoTracking:
 
     def __init__(self, N: int, space: StateSpace, nu: int) -> None:
         self.Q, self.R = np.zeros((N + 1, space.ndx, space.ndx)), np.zeros((N, nu, nu))
-        self.x_ref, self.u_ref = np.zeros((N + 1, space.nx)), np.zeros((N, nu))
-        for i, _ in space.quaternions:
-            self.x_ref[:, i] = 1.0
+        self.x_ref, self.u_ref = np.tile(origin_of(space), (N + 1, 1)), np.zeros((N, nu))
 
 
 class CompiledEngine(Engine):

@@ -23,6 +23,8 @@ StatesAndControls = tuple[np.ndarray, np.ndarray]  # xs (N+1, nx), us (N, nu)
 
 TIME_TOLERANCE = 1e-6  # of a stage: smaller differences of time are zero
 _STAGES = FOLLOWED.stages
+MAX_SETS = 20  # limit of the active-set sweeps of one iteration; convergence takes less than ten
+MAX_SKIPPED = 16  # upper limit of the iterations without an active-set search after searches that cycled
 
 
 def shift_trajectory(target: StatesAndControls, source: StatesAndControls, stages: float, space: StateSpace) -> int:
@@ -105,10 +107,6 @@ class TrackedTrajectory:
     def keep(self, w: Workspace) -> float:
         """Copy a solve's trajectory, whose gains are already in this memory; the squared norm of its last state."""
         return store_tracked(w.table, self._table)
-
-
-MAX_SETS = 20  # limit of the active-set sweeps of one iteration; convergence takes less than ten
-MAX_SKIPPED = 16  # upper limit of the iterations without an active-set search after searches that cycled
 
 
 class Direction(NamedTuple):
