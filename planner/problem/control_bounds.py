@@ -75,8 +75,7 @@ class ControlBounds:
         lower, upper = self.lower[stages], self.upper[stages]
         if self.servos is None or xs is None:
             return lower, upper
-        low, high, _, _ = self._sides(stages, xs)
-        return low, high
+        return self._sides(stages, xs)[:2]
 
     def clip(self, stages: Any, us: np.ndarray, xs: np.ndarray | None) -> np.ndarray:
         """Controls us (..., nu) clipped to the bounds at states xs (..., nx)."""
@@ -129,10 +128,7 @@ class ControlBounds:
         """
         lower, upper, by_low, by_high = self._sides(slice(None), xs[: len(us)])
         nearly = AT_BOUND * np.maximum(1.0, np.abs(us))
-        lower, upper = (
-            np.where(np.abs(us - lower) <= nearly, us, lower),
-            np.where(np.abs(us - upper) <= nearly, us, upper),
-        )
+        lower, upper = (np.where(np.abs(us - side) <= nearly, us, side) for side in (lower, upper))
         return lower, upper, by_low, by_high
 
     def _sides(self, stages: Any, xs: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:

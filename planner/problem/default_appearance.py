@@ -68,11 +68,9 @@ def default_appearance(mechanism: Mechanism, prescribed: Collection[str] = ()) -
         ("Joint angles", "angle, rad", angles), ("Positions", "position, m", lengths),
         ("Angular velocities", "angular velocity, rad/s", turning), ("Velocities", "velocity, m/s", moving),
     )  # fmt: skip
-    plots = [
-        Panel(words, unit, states=curves)
-        for title, unit, part in panels
-        for words, curves in small_multiples(title, part)
-    ]
+    plots = []
+    for title, unit, part in panels:
+        plots += [Panel(words, unit, states=curves) for words, curves in small_multiples(title, part)]
     for unit in dict.fromkeys(unit for _, _, unit in controls):
         of_unit = [(i, name) for i, name, own in controls if own == unit]
         title, label = _CONTROLS.get(unit, ("Controls", "control"))
@@ -235,18 +233,8 @@ def _of_goals(problem: Problem, t: np.ndarray, motions: Sequence[StatesControls]
             upper = np.stack([bound for _, _, bound in few], axis=1)
             displacement = np.stack([values for _, values, _ in few], axis=2)
             title = f"Goals: {what or _GOALS.get(unit, 'miss')}"
-            panels.append(
-                BoundedPanel(
-                    title,
-                    f"miss, {unit}",
-                    t,
-                    names,
-                    tuple(displacement),
-                    np.full_like(upper, -np.inf),
-                    upper,
-                    decades=True,
-                )
-            )
+            lower, label = np.full_like(upper, -np.inf), f"miss, {unit}"
+            panels.append(BoundedPanel(title, label, t, names, tuple(displacement), lower, upper, decades=True))
     return panels
 
 

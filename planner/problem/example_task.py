@@ -157,10 +157,8 @@ def _start(model: Any, mechanism: Mechanism, joints: list[Record]) -> tuple[str,
 
 
 def _room(model: Any, joint: Record) -> float:
-    usual = _TURN / _WAY if joint["unit"] == "rad" else _SLIDE / _WAY * float(model.stat.extent)
-    return (
-        usual if joint["range"] is None else min(joint["range"][1] - joint["range"][0], _MAX_DISPLACEMENT_RATIO * usual)
-    )
+    usual, ends = _TURN / _WAY if joint["unit"] == "rad" else _SLIDE / _WAY * float(model.stat.extent), joint["range"]
+    return usual if ends is None else min(ends[1] - ends[0], _MAX_DISPLACEMENT_RATIO * usual)
 
 
 def _allowed(
@@ -231,11 +229,8 @@ def _with_balance(mechanism: Mechanism, start: np.ndarray, goal: dict[int, float
         pull = bias(mechanism, pose, still)[loose]
         slope = bias_derivatives(mechanism, pose, still)[0][np.ix_(loose, loose)]
         pose[places] -= np.linalg.lstsq(slope, pull, rcond=_FLAT)[0]
-    displacement = np.abs(pose - start)[places]
-    if (
-        not (np.abs(bias(mechanism, pose, still)[loose]) <= 1e-9 * _scale(mechanism)).all()
-        or displacement.max() > _NEAR
-    ):
+    displacement, balanced = np.abs(pose - start)[places], np.abs(bias(mechanism, pose, still)[loose])
+    if not (balanced <= 1e-9 * _scale(mechanism)).all() or displacement.max() > _NEAR:
         return goal
     ends = {number[int(i)]: float(pose[mechanism.q_address[i]]) for i in loose[displacement > _ROUND]}
     return goal | {j: float(f"{end:.9g}") for j, end in ends.items()}  # to 9 digits, enough for an equilibrium

@@ -155,12 +155,8 @@ def terms_of(cost: Any) -> tuple[Any, ...]:
 
 def tolerance_share(displacements: Iterable[tuple[float, str]]) -> float:
     """The share of MIN_TOLERANCES for goals with these displacements and units: below 1 where no motion would pass."""
-    known = (
-        (displacement, unit)
-        for displacement, unit in displacements
-        if unit in MIN_TOLERANCES and ROUNDING < displacement < np.inf
-    )
-    largest = max((displacement / MIN_TOLERANCES[unit] for displacement, unit in known), default=0.0)
+    known = ((size, unit) for size, unit in displacements if unit in MIN_TOLERANCES and ROUNDING < size < np.inf)
+    largest = max((size / MIN_TOLERANCES[unit] for size, unit in known), default=0.0)
     return 0.1 * largest if 0.0 < largest <= 1.0 else 1.0
 
 

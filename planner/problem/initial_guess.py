@@ -139,12 +139,8 @@ def inverse_dynamics_controls(mechanism: Mechanism, q: np.ndarray, qd: np.ndarra
     reach = G.T @ (actuators.moment.T * gain[0])
     closed = mechanism.has_closed_chains
     by_wrenches = bool(actuators.wrenches)  # reach is that of joints and tendons, constant
-    if (
-        by_wrenches
-        or np.any(actuators.dynamics != DIRECT)
-        or np.any(gain != gain[0])
-        or (not closed and np.linalg.matrix_rank(reach) < len(reach))
-    ):
+    indirect = by_wrenches or np.any(actuators.dynamics != DIRECT) or np.any(gain != gain[0])
+    if indirect or (not closed and np.linalg.matrix_rank(reach) < len(reach)):
         raise PlannerError("the actuators do not reach every joint directly, expected a fully actuated machine.")
     force = passive_forces(actuators, lengths, rates)
     tree = replace(mechanism, loops=(), polynomial_couplings=()) if closed else mechanism
@@ -193,11 +189,7 @@ def quintic(start: np.ndarray, goal: np.ndarray, duration: float, N: int) -> tup
     """
     share, rate, acceleration = minimum_jerk((np.arange(N)[:, None] + 0.5) / N)
     displacement = goal - start
-    return (
-        start + share * displacement,
-        rate * displacement / duration,
-        acceleration * displacement / duration**2,
-    )
+    return start + share * displacement, rate * displacement / duration, acceleration * displacement / duration**2
 
 
 def minimum_jerk(s: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -122,12 +122,8 @@ def pairs_of_coordinates(what: str, value: Any, dynamics: Dynamics) -> dict[int,
         with_names(None, what)
     if isinstance(value, Mapping):
         places = {one.name: i for i, one in enumerate(coordinates)}
-        return {
-            places[choice(f"the coordinate in the limits' {what}", name, places)]: pair_of(
-                f"the {what} range of {name!r}", part
-            )
-            for name, part in value.items()
-        }
+        known = {name: places[choice(f"the coordinate in the limits' {what}", name, places)] for name in value}
+        return {known[name]: pair_of(f"the {what} range of {name!r}", part) for name, part in value.items()}
     pair = pair_of(f"the limits' {what}", value)
     halves = getattr(dynamics, "integrator", None) == "semi-implicit-euler"  # positions, then as many velocities
     last = [2 * i >= len(coordinates) if halves else None for i in range(len(coordinates))]

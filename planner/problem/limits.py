@@ -328,11 +328,7 @@ class Limits:
         for i, value in (state if isinstance(state, Mapping) else dict.fromkeys(range(ndx), state)).items():
             i = component_of("state", i, ndx)
             found[i] = Range.of(*pair_of(f"the range of component {i}", value))
-        return {
-            i: joint_range
-            for i, joint_range in sorted(found.items())
-            if np.isfinite([joint_range.low, joint_range.high]).any()
-        }
+        return {i: one for i, one in sorted(found.items()) if np.isfinite([one.low, one.high]).any()}
 
     def _velocities(self, machine: Mechanism) -> dict[int, Range]:
         """Ranges of velocities by component."""

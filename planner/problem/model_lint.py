@@ -195,15 +195,11 @@ def within(values: Any, low: Any, high: Any) -> Any:
 
 
 def _few(names: list[str]) -> str:
-    return ", ".join(names[:_MAX_PER_KIND]) + (
-        f" and {len(names) - _MAX_PER_KIND} more" if len(names) > _MAX_PER_KIND else ""
-    )
+    few, more = ", ".join(names[:_MAX_PER_KIND]), len(names) - _MAX_PER_KIND
+    return f"{few} and {more} more" if more > 0 else few
 
 
 def _listed(names: list[str]) -> str:
     """Names as a TOML list, the first few of them."""
-    return (
-        "["
-        + ", ".join(f'"{name}"' for name in names[:_MAX_PER_KIND])
-        + (", ...]" if len(names) > _MAX_PER_KIND else "]")
-    )
+    few = ", ".join(f'"{name}"' for name in names[:_MAX_PER_KIND])
+    return f"[{few}, ...]" if len(names) > _MAX_PER_KIND else f"[{few}]"

@@ -275,11 +275,8 @@ class _DurationSearch:
 
 def _outside(problem: Problem, plan: Plan) -> float:
     """Largest violation of limits and constraints by a plan, rad, m, rad/s, m/s."""
-    return (
-        0.0
-        if problem.trajectory_constraints is None
-        else float(np.max(problem.trajectory_constraints.violation(plan.xs, plan.us), initial=0.0))
-    )
+    kept = problem.trajectory_constraints
+    return 0.0 if kept is None else float(np.max(kept.violation(plan.xs, plan.us), initial=0.0))
 
 
 def _least(search: _DurationSearch, shortest: float, longest: float, tolerance: float) -> None:

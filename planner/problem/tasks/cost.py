@@ -78,12 +78,8 @@ def task_cost(
     for path in task.follows:
         terms += _of_path(task, path, factor, Q, x_ref)
     tracking = TrackingCost(Q, base.R, x_ref, base.u_ref, base.space)
-    return with_slip(
-        SumCost(tracking, *terms) if terms else tracking,
-        dynamics,
-        slip,
-        reference[[0, *(one.stage for one in task.goals), N]],
-    )
+    states = reference[[0, *(one.stage for one in task.goals), N]]
+    return with_slip(SumCost(tracking, *terms) if terms else tracking, dynamics, slip, states)
 
 
 def task_goal_specs(task: Task, x0: np.ndarray) -> tuple[GoalSpec, ...]:

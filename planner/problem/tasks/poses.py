@@ -202,11 +202,8 @@ def _pose(
                     for target, (distance, angle) in zip(asked.targets, target_errors, strict=True)]  # fmt: skip
             k = int(np.argmax(over))
             target, label, (distance, angle) = asked.targets[k], asked.labels[k], target_errors[k]
-            away = (
-                f"{distance:.3g} m"
-                if distance / target.metre_scale >= angle / target.turn_scale
-                else f"{angle:.3g} rad"
-            )
+            far = distance / target.metre_scale >= angle / target.turn_scale
+            away = f"{distance:.3g} m" if far else f"{angle:.3g} rad"
             raise PlannerError(
                 f"{label} contradicts {violated.constraint}: where that is kept {target.frame} is at best {away} away; "
                 "move the goal, or widen the constraint."

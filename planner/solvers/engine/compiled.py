@@ -108,9 +108,7 @@ class CompiledEngine(Engine):
         """Add penalties to the cost from the next start on; None for none."""
         w = self._w
         # Zero bounds with zero weights, since 0 * inf is NaN.
-        w.penalty_lower[:], w.penalty_upper[:], w.penalty_weight[:] = (
-            (0.0, 0.0, 0.0) if penalties is None else penalties
-        )
+        w.penalty_lower[:], w.penalty_upper[:], w.penalty_weight[:] = penalties or (0.0, 0.0, 0.0)
         self._has_penalties = bool(w.penalty_weight.any())
 
     def start_from_controls(self, x0: np.ndarray, us: np.ndarray, exact: bool = False) -> float:

@@ -92,9 +92,8 @@ class HybridEngine(CompiledEngine):
 
     def _value(self, xs: np.ndarray, us: np.ndarray) -> float:
         """The cost of the terms in NumPy."""
-        return (
-            0.0 if self._own is None else float(self._own.value(xs.copy(), us.copy()))
-        )  # copies: a user-defined cost may store them
+        # Copies: a user-defined cost may store them.
+        return 0.0 if self._own is None else float(self._own.value(xs.copy(), us.copy()))
 
     def _quadratize_own(self) -> None:
         """Add gradients and Hessians of the terms in NumPy along the trajectory."""

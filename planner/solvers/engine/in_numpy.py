@@ -63,12 +63,8 @@ class NumpyEngine(Engine):
         self._penalties = penalties
 
     def _value(self, xs: np.ndarray, us: np.ndarray) -> float:
-        J = self._cost.value(xs, us)
-        return (
-            J
-            if self._penalties is None or self._constraints is None
-            else J + self._constraints.value(self._penalties, xs, us)
-        )
+        J, penalties, constraints = self._cost.value(xs, us), self._penalties, self._constraints
+        return J if penalties is None or constraints is None else J + constraints.value(penalties, xs, us)
 
     def _quadratized(self, xs: np.ndarray, us: np.ndarray, A: np.ndarray, B: np.ndarray) -> Quadratic:
         model = self._cost.quadratize(xs, us)
