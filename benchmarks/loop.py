@@ -35,14 +35,14 @@ from serving import Worker  # noqa: E402
 
 import planner  # noqa: E402
 from planner.dynamics import rigid_body  # noqa: E402
-from planner.solvers.engine import compiled, tracked_trajectory  # noqa: E402
+from planner.solvers.engine import compiled, protocol  # noqa: E402
 
 REPEATS, ROUNDS = 60, 5
 SIZES = {"2r": 50, "cart-pole": 50, "arm7": 50, "humanoid": 40}
 # Where a plan's compiled calls are looked up.
 CALLED: list[tuple[Any, str]] = [
     (rigid_body.tree_search, "search_step"), (rigid_body.tree_linearize, "linearize_structured"),
-    (compiled, "gradients"), (tracked_trajectory, "load_tracked"), (tracked_trajectory, "store_tracked"),
+    (compiled, "gradients"), (protocol, "load_tracked"), (protocol, "store_tracked"),
 ]  # fmt: skip
 
 

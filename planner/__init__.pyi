@@ -20,7 +20,7 @@ from planner.model.mechanism import Mechanism as Mechanism
 from planner.model.twin import Twin as Twin
 from planner.problem.constraints.constraint import Constraint as Constraint
 from planner.problem.costs.frame import FrameCost as FrameCost
-from planner.problem.costs.penalty import PenaltyCost as PenaltyCost
+from planner.problem.costs.least_squares import PenaltyCost as PenaltyCost
 from planner.problem.costs.terms import Cost as Cost
 from planner.problem.costs.tracking import TrackingCost as TrackingCost
 from planner.problem.derivative_check import check_derivatives as check_derivatives
@@ -29,7 +29,7 @@ from planner.problem.plan import Plan as Plan
 from planner.problem.plan import Status as Status
 from planner.problem.problem import Problem as Problem
 from planner.problem.residual import Residual as Residual
-from planner.problem.tasks.follow import Follow as Follow
+from planner.problem.tasks.goal import Follow as Follow
 from planner.problem.tasks.goal import Goal as Goal
 from planner.proof.compare.model_parity import parity as parity
 from planner.proof.prove_plan import prove as prove

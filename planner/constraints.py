@@ -3,8 +3,8 @@
 Beside these the terms of planner.costs (Height, Distance, Gap, Velocity) and any function h(xs) or h(xs, us).
 """
 
-from planner.problem.avoid import Avoid
 from planner.problem.constraints import forces, quantities
+from planner.problem.constraints.clearance import Avoid
 from planner.problem.constraints.constraint import Constraint
 from planner.problem.constraints.forces import *  # noqa: F403
 from planner.problem.constraints.quantities import *  # noqa: F403

@@ -8,7 +8,7 @@ from planner.base.measured import Measurement, Section
 from planner.model.twin import Twin
 from planner.problem.appearance import Appearance, Panel
 from planner.problem.plan import Iteration, Plan, Status
-from planner.problem.recipe import Recipe
+from planner.problem.problem_parts import Recipe
 from planner.proof.error_propagation import ErrorPropagation
 from planner.proof.replays.compiled_twin import CompiledTwin
 from planner.proof.replays.replaying import Replay

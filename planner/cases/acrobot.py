@@ -36,7 +36,7 @@ from planner.dynamics.rollout import rollout_states
 from planner.model.mechanism import Mechanism
 from planner.model.twin import Twin
 from planner.problem.problem import Problem
-from planner.problem.recipe import Recipe
+from planner.problem.problem_parts import Recipe
 
 Start = Literal["paper", "hanging"]
 Guess = Literal["paper", "zero", "sine"]

@@ -37,7 +37,7 @@ from planner.problem.problem import Problem
 from planner.problem.recording import TIME, read_recording
 from planner.proof.replays.replaying import Replay
 from planner.solvers import lq
-from planner.solvers.lqr import tracking_gains
+from planner.solvers.gains import tracking_gains
 
 POSITION = "position of "
 EVEN = 0.01  # relative, of the spacing of times

@@ -35,7 +35,7 @@ from planner.model.twin import Twin
 from planner.problem.appearance import Appearance, Panel, Readout
 from planner.problem.costs.tracking import TrackingCost
 from planner.problem.problem import Problem, Requirements
-from planner.problem.recipe import Recipe
+from planner.problem.problem_parts import Recipe
 
 if TYPE_CHECKING:
     from planner.proof.replays.replaying import Replay

@@ -21,13 +21,13 @@ from planner.model.space import space_of
 from planner.model.twin import Twin
 from planner.problem import stored_problem
 from planner.problem.archive import FILE, HINGES, PART, read_archive
+from planner.problem.constraints.trajectory_constraints import BoundPenalties
 from planner.problem.limits import Limits
-from planner.problem.objective_problem import base_problem, with_objective
+from planner.problem.objective import base_problem, with_objective
 from planner.problem.plan import Iteration, Plan, Start, Status
 from planner.problem.problem import Problem
-from planner.problem.recipe import Recipe
+from planner.problem.problem_parts import Recipe
 from planner.problem.residual import Residual
-from planner.problem.state_bounds import BoundPenalties
 
 
 def load_plan(

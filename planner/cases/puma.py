@@ -44,7 +44,7 @@ from planner.problem.costs.tracking import TrackingCost
 from planner.problem.initial_guess import inverse_dynamics_controls, quintic
 from planner.problem.limits import Limits
 from planner.problem.problem import Problem, Requirements
-from planner.problem.recipe import Recipe
+from planner.problem.problem_parts import Recipe
 
 if TYPE_CHECKING:
     from planner.proof.replays.replaying import Replay

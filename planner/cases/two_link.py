@@ -30,7 +30,7 @@ from planner.cases.planar_arm import UPRIGHT, Links, arm_appearance, arm_cost, a
 from planner.model.twin import Twin
 from planner.problem.initial_guess import inverse_dynamics_controls, quintic
 from planner.problem.problem import Problem
-from planner.problem.recipe import Recipe
+from planner.problem.problem_parts import Recipe
 
 Guess = Literal["paper", "zero"]
 

@@ -195,7 +195,7 @@ def _report(parser: argparse.ArgumentParser) -> None:
 
 
 def _export(parser: argparse.ArgumentParser) -> None:
-    parts = value_of("planner.problem.export.table", "PARTS")
+    parts = value_of("planner.problem.export", "PARTS")
     add(
         parser, _PLAN,
         {"--to": {"choices": FORMATS, "required": True,

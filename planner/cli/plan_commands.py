@@ -15,8 +15,7 @@ from planner.cli.allowed_imports import load_allowed
 from planner.cli.console import Console
 from planner.cli.parser import FORMATS
 from planner.problem.archive import plan_digest
-from planner.problem.export.joint_trajectory import left_out
-from planner.problem.export.sampled import sampled
+from planner.problem.export import left_out, sampled
 from planner.problem.plan import Plan
 from planner.proof import Proof, prove
 from planner.proof.diagnostics import suggested_fixes

@@ -17,8 +17,7 @@ from planner.cases.problem_file import case_in, load
 from planner.cli.console import Console
 from planner.cli.flags import PROBLEM_FILE
 from planner.problem.limits import EXACT, Limits
-from planner.problem.objective import checked_durations, durations_or_default, weights_of
-from planner.problem.objective_problem import with_objective
+from planner.problem.objective import checked_durations, durations_or_default, weights_of, with_objective
 from planner.problem.plan import Plan
 from planner.problem.problem import Problem
 from planner.solvers.free_time import solve_for

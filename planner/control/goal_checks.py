@@ -19,7 +19,7 @@ from planner.model.capabilities import capabilities_of
 from planner.model.mechanism import SCREW, Mechanism
 from planner.problem.constraints.clearance import PairClearanceFunction
 from planner.problem.problem import Problem
-from planner.solvers.stabilizing_guess import DIVERGENCE_FACTOR
+from planner.solvers.other_guesses import DIVERGENCE_FACTOR
 
 
 def goal_fault(problem: Problem, goal: np.ndarray | Mapping[str, Any]) -> Fault | None:

@@ -30,13 +30,13 @@ from planner.control.window_parts import (
 from planner.dynamics import ResidualDynamics
 from planner.kernels.lq.workspace import W
 from planner.model.space import space_of
-from planner.problem.costs.residuals.arrays import ResidualArrays, joined
-from planner.problem.costs.residuals.cost import ResidualCost
+from planner.problem.constraints.trajectory_constraints import BoundPenalties
+from planner.problem.costs.least_squares import ResidualCost
+from planner.problem.costs.residual_arrays import ResidualArrays, joined
 from planner.problem.costs.terms import Cost, SumCost
 from planner.problem.costs.tracking import TrackingCost
 from planner.problem.plan import Plan
 from planner.problem.problem import Problem
-from planner.problem.state_bounds import BoundPenalties
 from planner.solvers.augmented_lagrangian import shifted_bounds
 from planner.solvers.engine import CompiledEngine, NumpyEngine, acquire_engine
 

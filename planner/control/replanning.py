@@ -23,9 +23,9 @@ from planner.kernels.lq.line_search import ARMIJO
 from planner.kernels.lq.workspace import ACCEPTED, CONVERGED, INDEFINITE
 from planner.problem.plan import Plan
 from planner.problem.problem import Problem
-from planner.solvers.engine.tracked_trajectory import TrajectoryArrays
+from planner.solvers.engine.protocol import TrajectoryArrays
 from planner.solvers.options import DEFAULT, EXPECTED_REDUCTION_TOLERANCE
-from planner.solvers.stabilizing_guess import DIVERGENCE_FACTOR
+from planner.solvers.other_guesses import DIVERGENCE_FACTOR
 
 SOLVED = 0.1  # upper limit of -slope / cost of a plan whose violations update the multipliers
 THROWN = 2.0  # ratio of rollout cost to planned cost above which the first plan is tried as warm start

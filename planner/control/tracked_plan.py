@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from planner.model.space import space_of
-from planner.solvers.engine.tracked_trajectory import TrajectoryArrays
+from planner.solvers.engine.protocol import TrajectoryArrays
 
 TIME_TOLERANCE = 1e-6  # of a stage: smaller differences of time are zero
 

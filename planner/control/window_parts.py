@@ -18,9 +18,8 @@ from planner.model.capabilities import capabilities_of
 from planner.model.space import space_of
 from planner.problem.constraints.clearance import PairClearanceFunction
 from planner.problem.constraints.constraint_stack import ConstraintStack
-from planner.problem.costs.least_squares import LeastSquares
-from planner.problem.costs.residuals.arrays import ResidualArrays
-from planner.problem.costs.residuals.cost import ResidualCost
+from planner.problem.costs.least_squares import LeastSquares, ResidualCost
+from planner.problem.costs.residual_arrays import ResidualArrays
 from planner.problem.costs.tracking import TrackingCost, states, tracking_of
 from planner.problem.goals import terms_of
 from planner.problem.limits import Limits

@@ -129,7 +129,7 @@ class ResidualDynamics(CompiledDynamics, Protocol):
         ...
 
     def residuals(self, measures: Any) -> Any:
-        """Kernel table of a planner.problem.costs.residuals.arrays.ResidualArrays, for Workspace.use_residuals."""
+        """Kernel table of a planner.problem.costs.residual_arrays.ResidualArrays, for Workspace.use_residuals."""
         ...
 
     def quadratize_nominal(self, w: Workspace, memory: Any) -> None:

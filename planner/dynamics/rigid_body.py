@@ -352,7 +352,7 @@ class RigidBodyDynamics:
         return by_x, by_u
 
     def residuals(self, measures: Any) -> ResidualTable:
-        """Kernel table of the cost residuals in a problem.costs.residuals.arrays.ResidualArrays."""
+        """Kernel table of the cost residuals in a problem.costs.residual_arrays.ResidualArrays."""
         return ResidualTable(self._model, measures)
 
     def quadratize_nominal(self, w: Workspace, memory: TreeMemory) -> None:

@@ -75,8 +75,7 @@ class ControlBounds:
         lower, upper = self.lower[stages], self.upper[stages]
         if self.servos is None or xs is None:
             return lower, upper
-        low, high, _, _ = self._sides(stages, xs)
-        return low, high
+        return self._sides(stages, xs)[:2]
 
     def clip(self, stages: Any, us: np.ndarray, xs: np.ndarray | None) -> np.ndarray:
         """Controls us (..., nu) clipped to the bounds at states xs (..., nx)."""
@@ -129,10 +128,7 @@ class ControlBounds:
         """
         lower, upper, by_low, by_high = self._sides(slice(None), xs[: len(us)])
         nearly = AT_BOUND * np.maximum(1.0, np.abs(us))
-        lower, upper = (
-            np.where(np.abs(us - lower) <= nearly, us, lower),
-            np.where(np.abs(us - upper) <= nearly, us, upper),
-        )
+        lower, upper = (np.where(np.abs(us - side) <= nearly, us, side) for side in (lower, upper))
         return lower, upper, by_low, by_high
 
     def _sides(self, stages: Any, xs: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
@@ -167,7 +163,7 @@ def model_bounds(mechanism: Mechanism, nu: int) -> tuple[np.ndarray, np.ndarray]
     lower, upper = np.full(nu, -np.inf), np.full(nu, np.inf)
     lower[: acts.nu], upper[: acts.nu] = acts.control_range.T
     for a in range(acts.nu):
-        if _bounds_control(mechanism, a) and not _depends_on_state(mechanism, a):
+        if _bounds_control(mechanism, a) and not acts.depends_on_state[a]:
             low, high = _control_range(mechanism, a)
             lower[a], upper[a] = max(lower[a], low), min(upper[a], high)
             if lower[a] > upper[a]:  # the nearest of ctrlrange
@@ -186,9 +182,7 @@ def servo_bounds(mechanism: Mechanism, dt: float, ndx: int, without: frozenset[i
     """
     acts, nv = mechanism.actuators, mechanism.nv
     which = [
-        a
-        for a in range(acts.nu)
-        if a not in without and _bounds_control(mechanism, a) and _depends_on_state(mechanism, a)
+        a for a in range(acts.nu) if a not in without and _bounds_control(mechanism, a) and acts.depends_on_state[a]
     ]
     if not which:
         return None
@@ -284,11 +278,6 @@ def _is_affine(mechanism: Mechanism, a: int) -> bool:
 def _bounds_control(mechanism: Mechanism, a: int) -> bool:
     """Whether clamps of an actuator's force bound its control."""
     return _is_affine(mechanism, a) and any(clamp.alone for clamp in _clamps(mechanism, a))
-
-
-def _depends_on_state(mechanism: Mechanism, a: int) -> bool:
-    """Whether an actuator's force depends on the state."""
-    return bool(mechanism.actuators.depends_on_state[a])
 
 
 def _control_range(mechanism: Mechanism, a: int) -> tuple[float, float]:

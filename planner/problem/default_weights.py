@@ -20,63 +20,50 @@ Every weight makes its term dimensionless and about 1:
                     effort is at least that at which the gains of the position weight are GAIN_SHARE of the stiffness
                     of its contacts: a foot that lands early or late meets gains that its ground bears
     slip            1 / SLIP_SPEED^2 of the speed of feet along the ground, or close to it, where feet have to move:
-                    they are lifted, not dragged (problem.costs.slip)
+                    they are lifted, not dragged (problem.costs.frame)
 
 Velocities refer to a minimum-jerk motion where every joint has an actuator: relative to rest, a joint with much damping
 and little inertia would move at constant velocity, and start and stop within a stage. The effort of machines that stand
 or fly is relative to the static control at the goal. That of servos, whose control is a position or a velocity, is
-relative to the controls of that motion (servo_reference): what costs is the force that a servo exerts beyond it, not
-the position that it is told.
+relative to the controls of that motion (reaching_cost.servo_reference): what costs is the force that a servo exerts
+beyond it, not the position that it is told.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
-from planner.base.arguments import number
 from planner.dynamics import RigidBodyDynamics
 from planner.dynamics.actuator_moments import actuator_lengths, actuator_moments, force_slopes, gains_at
 from planner.dynamics.algorithms import bias, mass_matrix
 from planner.dynamics.assembly import feasible_directions
-from planner.dynamics.contacts import contact_forces
 from planner.dynamics.quasi_static import quasi_static_controls
 from planner.dynamics.stance import carriers, contact_stiffness, feet_move, rolling_speeds, stance_inertia
-from planner.model.capabilities import (
-    ballistic_dofs,
-    flies,
-    rolling_radii,
-    stands_on_ground,
-    stationary_object_dofs,
-)
+from planner.model.capabilities import ballistic_dofs, flies, rolling_radii, stands_on_ground, stationary_object_dofs
 from planner.model.coordinates import coordinates_of_mechanism
 from planner.model.mechanism import Mechanism
 from planner.model.mjcf.prescribed_joints import prescribed_dofs_of
-from planner.problem.costs.goal_spec import checked_tolerance
-from planner.problem.costs.slip import SlipCost
-from planner.problem.costs.terms import SumCost
-from planner.problem.costs.tracking import TrackingCost
+from planner.problem.costs.terms import checked_tolerance
 from planner.problem.goals import MIN_TOLERANCES, tolerance_share
-from planner.problem.initial_guess import minimum_jerk
 from planner.problem.objective import VELOCITY_SHARE
-from planner.problem.servo_reference import servo_reference, servos_of
-from planner.problem.terminal_holding_cost import terminal_holding_cost
 
 MIN_SPEED = {"rad": 0.5, "m": 0.1}  # rad/s, m/s: speed of a joint without displacement whose cost is 1
 MIN_DISPLACEMENT = {"rad": 0.25, "m": 0.05}  # rad, m: lower limit in the force of a motor without limits
-MOVING_SHARE = 0.75  # of the duration, in which the reference of a standing machine moves; it rests afterwards
 STANCE_TOLERANCES = 2.0  # in tolerances of the goal: position error along the plan whose cost is 1
 HOLD_SECONDS = 1.0  # s: longer than a standing machine takes to come to rest
 MAX_CORRECTION_RATE = 60.0  # 1/s: faster gains amplify errors of the ground model and of stages of 10 ms
-WAY_SHARE = 0.01  # of the velocity weights, while feet that have to move are on the way
 GAIN_SHARE = 1.0 / 3.0  # of the stiffness of the contacts: the gains' limit where feet land
 POSITION, VELOCITY = 4.0, 10.0  # final weights times the squared tolerance of the goal
 SLIP_SPEED = 0.05  # m/s: of a foot on the ground, whose cost is 1; it slips by STRIDE in a second
 STILL = 1e-6  # rad: a wheel that no goal turns
 MIN_EFFORT = 1e-12  # lower limit of an effort weight: very large limits still leave it positive definite
+
+
+MOVING_SHARE = 0.75  # of the duration, in which the reference of a standing machine moves; it rests afterwards
+WAY_SHARE = 0.01  # of the velocity weights, while feet that have to move are on the way
 
 
 @dataclass(frozen=True, eq=False)
@@ -181,104 +168,6 @@ def min_jerk_cost(displacement: np.ndarray, duration: float) -> float:
     return 360.0 * float(np.sum(displacement**2)) / duration**5
 
 
-def default_cost(
-    dynamics: RigidBodyDynamics, x0: Any, goal: Any, horizon: int, *,
-    tolerance: float | Mapping[str, float] | None = None, **weights: Any,
-) -> TrackingCost | SumCost:  # fmt: skip
-    """A cost for reaching a goal (nx,) from x0 (nx,), with default weights.
-
-    Args:
-        dynamics: The machine.
-        x0: (nx,) start.
-        goal: (nx,) end.
-        horizon: N, number of stages.
-        tolerance: Of the goal, as of Problem.
-        **weights: Arguments of TrackingCost.joints that replace the default ones.
-
-    Raises:
-        PlannerError: As TrackingCost.joints.
-    """
-    x0, goal = np.asarray(x0, dtype=float), np.asarray(goal, dtype=float)
-    chosen: dict[str, Any] = default_weights(dynamics, x0, goal, horizon * dynamics.dt, tolerance=tolerance).weights
-    return weighed(dynamics, x0, goal, horizon, chosen | weights, straight=stands_on_ground(dynamics.mechanism))
-
-
-def weighed(
-    dynamics: RigidBodyDynamics, x0: np.ndarray, goal: np.ndarray, horizon: int, weights: Mapping[str, Any], *,
-    straight: bool,
-) -> TrackingCost | SumCost:  # fmt: skip
-    """The cost from x0 (nx,) to a goal (nx,), with weights by the arguments of TrackingCost.joints, hold, rest, slip.
-
-    The running weights refer to straight_reference if `straight`, and of machines whose joints all have actuators, or
-    that have servos; of others to the goal.
-
-    Raises:
-        PlannerError: As TrackingCost.joints and terminal_holding_cost.
-    """
-    chosen = dict(weights)
-    hold, rest, slip = (chosen.pop(name, 0.0) for name in ("hold", "rest", "slip"))
-    if straight:
-        chosen.setdefault("reference", straight_reference(dynamics, x0, goal, horizon))
-    elif fully_actuated(dynamics) or servos_of(dynamics).any():
-        reference = straight_reference(dynamics, x0, goal, horizon, moving_share=1.0)
-        chosen.setdefault("reference", reference)
-        if servos_of(dynamics).any():
-            chosen.setdefault("control", servo_reference(dynamics, reference))
-    cost = staying_cost(dynamics, TrackingCost.joints(dynamics, goal, horizon, **chosen), hold, rest)
-    return with_slip(cost, dynamics, slip, np.stack([x0, goal]))
-
-
-def with_slip(cost: Any, dynamics: RigidBodyDynamics, slip: Any, xs: np.ndarray) -> Any:
-    """A cost, and the one of feet that slide with a weight `slip`, 0 for none.
-
-    Feet are the bodies that bear load at one of the states xs (E, nx); all that may touch where none does. A contact
-    without friction is there to slide.
-
-    Raises:
-        PlannerError: A negative weight.
-    """
-    if number("weights.slip", slip, minimum=0.0) == 0.0:
-        return cost
-    mechanism = dynamics.mechanism
-    forces = contact_forces(mechanism, xs[:, : mechanism.nq], np.zeros((len(xs), mechanism.nv))).forces
-    loaded = {mechanism.contacts[k].link for k in np.flatnonzero(forces.any(axis=(0, 2)))}
-    feet = [one for one in mechanism.contacts if one.law.friction > 0.0 and (one.link in loaded or not loaded)]
-    return SumCost(cost, SlipCost(dynamics, slip, feet)) if feet else cost
-
-
-def staying_cost(dynamics: RigidBodyDynamics, cost: TrackingCost, hold: Any, rest: Any) -> TrackingCost:
-    """A cost at whose last reference the machine is to be for a share `rest` of its stages, and `hold` s after the end.
-
-    Raises:
-        PlannerError: rest is not from 0 to 1, or as terminal_holding_cost.
-    """
-    rest = number("rest", rest, minimum=0.0, maximum=1.0)
-    if rest > 0.0:
-        nv, N = dynamics.mechanism.nv, len(cost.Q) - 1
-        Q, first = cost.Q.copy(), N - round(rest * N)
-        Q[:first, :nv] = Q[:first, :, :nv] = 0.0
-        Q[:first, nv : 2 * nv, nv : 2 * nv] *= WAY_SHARE
-        cost = TrackingCost(Q, cost.R, np.tile(cost.x_ref[-1], (N + 1, 1)), cost.u_ref, cost.space)
-    return terminal_holding_cost(dynamics, cost, hold)
-
-
-def straight_reference(
-    dynamics: RigidBodyDynamics, x0: np.ndarray, goal: np.ndarray, N: int, moving_share: float = MOVING_SHARE
-) -> np.ndarray:
-    """States (N+1, nx) on the straight line from x0 to a goal, both (nx,), at the goal after `moving_share` of N."""
-    mechanism, space = dynamics.mechanism, dynamics.space
-    nq, nv = mechanism.nq, mechanism.nv
-    rest = [x.copy() for x in (x0, goal)]
-    for x in rest:
-        x[nq : nq + nv] = 0.0
-    displacement, s = space.difference(rest[1], rest[0]), np.minimum(np.arange(N + 1) / (moving_share * N), 1.0)
-    share, rate, _ = minimum_jerk(s)
-    xs = space.integrate(np.tile(rest[0], (N + 1, 1)), share[:, None] * displacement)
-    xs[:, nq : nq + nv] = rate[:, None] * displacement[:nv] / (moving_share * N * dynamics.dt)
-    xs[0], xs[N] = x0, goal
-    return xs
-
-
 def fully_actuated(dynamics: RigidBodyDynamics) -> bool:
     """Whether actuators and prescribed joints can give every joint any acceleration."""
     mechanism, prescribed = dynamics.mechanism, prescribed_dofs_of(dynamics)
@@ -379,3 +268,10 @@ def _tolerances(
         if given is not None:
             asked[i] = min(asked[i], given)
     return asked[: mechanism.nv], asked[mechanism.nv :]
+
+
+def servos_of(dynamics: RigidBodyDynamics) -> np.ndarray:
+    """(nu,) whether the force of each control depends on the state: position and velocity servos."""
+    found = np.zeros(dynamics.nu, dtype=bool)
+    found[: dynamics.mechanism.nu] = dynamics.mechanism.actuators.depends_on_state
+    return found

@@ -16,6 +16,7 @@ from planner.base.errors import PlannerError
 from planner.model.capabilities import capabilities_of
 from planner.model.coordinates import controls_of_mechanism, coordinates_of
 from planner.model.space import StateSpace, euclidean, space_of
+from planner.problem.limits import origin_of
 from planner.problem.problem import Problem
 
 DERIVATIVE_BOUND = 1e-3
@@ -126,11 +127,8 @@ def _trajectory(
     if xs is not None or us is not None:
         raise PlannerError("only one of xs and us is given, expected both or none.")
     N = problem.N if problem else STATES if cost is None else getattr(cost, "N", None) or STATES
-    rng, origin = np.random.default_rng(0), np.zeros(space.nx)
-    for i, _ in space.quaternions:
-        origin[i] = 1.0
-    mechanism = capabilities_of(dynamics).mechanism
-    start = problem.x0 if problem else origin if mechanism is None else mechanism.home
+    rng, mechanism = np.random.default_rng(0), capabilities_of(dynamics).mechanism
+    start = problem.x0 if problem else origin_of(space) if mechanism is None else mechanism.home
     xs = space.integrate(np.tile(start, (N + 1, 1)), SPREAD * rng.normal(size=(N + 1, space.ndx)))
     return xs, SPREAD * rng.normal(size=(N, nu)), space
 

@@ -39,40 +39,24 @@ class Loaded(NamedTuple):
 
 @dataclass(frozen=True)
 class Description:
-    """Facts about a model file.
+    """Facts about a model file."""
 
-    Attributes:
-        name: The model's own name.
-        joints: One record per joint.
-        bodies: One record per body with mass.
-        actuators: One record per actuator.
-        contacts: Pairs of shapes that may collide, those that the plan models, the contact mode and its description.
-        gravity: (3,) m/s^2.
-        mass: Total moving mass, kg.
-        free_bases: Names of bodies with a free joint.
-        degrees_of_freedom: nv.
-        planned: Features that the plan models, a phrase each.
-        left_out: Features that the plan omits, a phrase each.
-        loaded: The mechanism and the keys that it needs.
-        poses: qpos (nq,) by the keyframe's name; the home pose if the file has no keyframe.
-        troubles: Likely errors, with fixes.
-        frames: World positions, m, of sites and of bodies without children, at the first of the poses.
-    """
-
-    name: str
-    joints: list[Record]
-    bodies: list[Record]
-    actuators: list[Record]
+    name: str  # The model's own name
+    joints: list[Record]  # One record per joint
+    bodies: list[Record]  # One record per body with mass
+    actuators: list[Record]  # One record per actuator
+    # Pairs of shapes that may collide, those that the plan models, the contact mode and its description
     contacts: Record
-    gravity: list[float]
-    mass: float
-    free_bases: list[str]
-    degrees_of_freedom: int
-    planned: list[str]
-    left_out: list[str]
-    loaded: Loaded
-    poses: dict[str, np.ndarray]
-    troubles: list[ModelWarning]
+    gravity: list[float]  # (3,) m/s^2
+    mass: float  # Total moving mass, kg
+    free_bases: list[str]  # Names of bodies with a free joint
+    degrees_of_freedom: int  # nv
+    planned: list[str]  # Features that the plan models, a phrase each
+    left_out: list[str]  # Features that the plan omits, a phrase each
+    loaded: Loaded  # The mechanism and the keys that it needs
+    poses: dict[str, np.ndarray]  # qpos (nq,) by the keyframe's name; the home pose if the file has no keyframe
+    troubles: list[ModelWarning]  # Likely errors, with fixes
+    # World positions, m, of sites and of bodies without children, at the first of the poses
     frames: dict[str, list[float]]
 
     @property
@@ -174,13 +158,11 @@ def _planned(mechanism: Mechanism | None, joints: list[Record]) -> list[str]:
     ]  # fmt: skip
     phrases = [f"{count} {noun}{'s' * (count != 1)}{more}" for count, noun, more in counts if count]
     arrays = [(name.replace("_", " "), np.asarray(getattr(mechanism, name))) for name in _FORCES]
-    phrases += [f"{name} of {_joints(int(np.count_nonzero(values)))}" for name, values in arrays if np.any(values)]
+    phrases += [
+        f"{name} of {n} joint{'s' * (n != 1)}" for name, values in arrays if (n := int(np.count_nonzero(values)))
+    ]
     phrases += ["gravity compensation"] if np.any(mechanism.gravcomp_mass) else []
     return [*phrases, *(["drag of a fluid"] if mechanism.drags else [])]
-
-
-def _joints(number: int) -> str:
-    return f"{number} joint{'s' * (number != 1)}"
 
 
 def _left_out(file: ModelFile, mechanism: Mechanism | None) -> list[str]:

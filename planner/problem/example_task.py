@@ -93,11 +93,6 @@ def _within_ranges(mechanism: Mechanism, x: np.ndarray) -> bool:
     return bool(np.all(within(q, low, high)))
 
 
-def _overlap(model: Any, pose: np.ndarray) -> bool:
-    """Whether bodies that move are within each other at a pose (nq,)."""
-    return any("world" not in one.bodies for one in overlaps(model, pose))
-
-
 def actuated_joints(mechanism: Mechanism) -> list[int]:
     """Numbers of the hinges and slides with an actuator; of all hinges and slides if there is no actuator."""
     reached = mechanism.directly_actuated | (mechanism.nu == 0)
@@ -156,16 +151,14 @@ def _start(model: Any, mechanism: Mechanism, joints: list[Record]) -> tuple[str,
         return "", own
     for part in _TO_THE_MIDDLE:
         start = own if part == 0.0 else np.array([_short(x) for x in own + part * (middle - own)])
-        if not _overlap(model, start):
+        if all("world" in one.bodies for one in overlaps(model, start)):
             return "", start
     return "", own
 
 
 def _room(model: Any, joint: Record) -> float:
-    usual = _TURN / _WAY if joint["unit"] == "rad" else _SLIDE / _WAY * float(model.stat.extent)
-    return (
-        usual if joint["range"] is None else min(joint["range"][1] - joint["range"][0], _MAX_DISPLACEMENT_RATIO * usual)
-    )
+    usual, ends = _TURN / _WAY if joint["unit"] == "rad" else _SLIDE / _WAY * float(model.stat.extent), joint["range"]
+    return usual if ends is None else min(ends[1] - ends[0], _MAX_DISPLACEMENT_RATIO * usual)
 
 
 def _allowed(
@@ -236,13 +229,11 @@ def _with_balance(mechanism: Mechanism, start: np.ndarray, goal: dict[int, float
         pull = bias(mechanism, pose, still)[loose]
         slope = bias_derivatives(mechanism, pose, still)[0][np.ix_(loose, loose)]
         pose[places] -= np.linalg.lstsq(slope, pull, rcond=_FLAT)[0]
-    displacement = np.abs(pose - start)[places]
-    if (
-        not (np.abs(bias(mechanism, pose, still)[loose]) <= 1e-9 * _scale(mechanism)).all()
-        or displacement.max() > _NEAR
-    ):
+    displacement, balanced = np.abs(pose - start)[places], np.abs(bias(mechanism, pose, still)[loose])
+    if not (balanced <= 1e-9 * _scale(mechanism)).all() or displacement.max() > _NEAR:
         return goal
-    return goal | {number[int(i)]: _exact(float(pose[mechanism.q_address[i]])) for i in loose[displacement > _ROUND]}
+    ends = {number[int(i)]: float(pose[mechanism.q_address[i]]) for i in loose[displacement > _ROUND]}
+    return goal | {j: float(f"{end:.9g}") for j, end in ends.items()}  # to 9 digits, enough for an equilibrium
 
 
 def _scale(mechanism: Mechanism) -> float:
@@ -275,11 +266,6 @@ def strongest(mechanism: Mechanism) -> np.ndarray:
     moment = np.abs(actuators.moment)
     each = np.multiply(moment, force[:, None], out=np.zeros_like(moment), where=moment > 0.0)
     return each.sum(axis=0)
-
-
-def _exact(value: float) -> float:
-    """A position rounded to 9 digits, enough for an equilibrium."""
-    return float(f"{value:.9g}")
 
 
 def _short(value: float) -> float:

@@ -18,8 +18,7 @@ import numpy as np
 
 from planner.base.arguments import choice
 from planner.model.coordinates import coordinates_of
-from planner.problem.costs.goal_spec import GoalSpec
-from planner.problem.costs.terms import SumCost
+from planner.problem.costs.terms import GoalSpec, SumCost
 from planner.problem.problem import Problem
 
 SHARE = 0.02  # of the displacement, or of a velocity's peak: the default tolerance
@@ -110,7 +109,8 @@ def goal_specs_of(problem: Problem) -> tuple[GoalSpec, ...]:
     if problem.goal_specs is not None:
         return problem.goal_specs
     coordinates = coordinates_of(problem.dynamics)
-    found = tuple(one for term in terms_of(problem.cost) for one in getattr(term, "goal_specs", _nothing)(coordinates))
+    terms = (term for term in terms_of(problem.cost) if hasattr(term, "goal_specs"))
+    found = tuple(one for term in terms for one in term.goal_specs(coordinates))
     if problem.periodic is None:
         return found
     # Periodic components have no goal: their final reference is a multiplier (planner.solvers.periodic).
@@ -153,18 +153,10 @@ def terms_of(cost: Any) -> tuple[Any, ...]:
     return cost.costs if isinstance(cost, SumCost) else (cost,)
 
 
-def _nothing(_: Any) -> tuple[GoalSpec, ...]:
-    return ()
-
-
 def tolerance_share(displacements: Iterable[tuple[float, str]]) -> float:
     """The share of MIN_TOLERANCES for goals with these displacements and units: below 1 where no motion would pass."""
-    known = (
-        (displacement, unit)
-        for displacement, unit in displacements
-        if unit in MIN_TOLERANCES and ROUNDING < displacement < np.inf
-    )
-    largest = max((displacement / MIN_TOLERANCES[unit] for displacement, unit in known), default=0.0)
+    known = ((size, unit) for size, unit in displacements if unit in MIN_TOLERANCES and ROUNDING < size < np.inf)
+    largest = max((size / MIN_TOLERANCES[unit] for size, unit in known), default=0.0)
     return 0.1 * largest if 0.0 < largest <= 1.0 else 1.0
 
 

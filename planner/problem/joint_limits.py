@@ -1,41 +1,141 @@
-"""Bounds of a plan from ranges of joints and fixed tendons: those of the model less a margin.
+"""Limits as they may be written, and ranges of joints from them: those of the model less a margin.
 
-A start or goal within the margin widens the bound to it. The constraint of a fixed tendon is
-
-    low <= c'q <= high    at every knot,
-
-with c'q divided by the largest |c|, so that margins and tolerances in rad or m mean the same as for joints. A tendon
-has no constraint if the ranges of its joints imply its own, or if equalities fix its length within its range:
-MuJoCo's equalities are soft, so the length varies slightly in any motion.
+A limit is a pair, a number, None, infinity or a word; here it becomes arrays, or JSON values. A start or goal within
+the margin widens the bound to it.
 """
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
-from dataclasses import dataclass
+from collections.abc import Collection, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from planner.base.arguments import choice, number, short_repr, toml_key
+from planner.base.arguments import array, choice, number, numbers, short_repr, toml_key
 from planner.base.errors import PlannerError
 from planner.dynamics import Dynamics
 from planner.dynamics.assembly import assembled
-from planner.model.coordinates import ANGLE, LENGTH, Coordinate
+from planner.model.coordinates import ANGLE, LENGTH, Coordinate, coordinates_of
 from planner.model.couplings import closed_state
 from planner.model.mechanism import SCREW, Mechanism
-from planner.model.space import space_of
-from planner.model.tendons import FixedTendon
-from planner.problem.constraints.constraint import Constraint
-from planner.problem.constraints.quantities import mechanism_of
 
+OFF = "off"
+Pair = tuple[float, float]
+
+
+TENDON_ROUNDING = 1e-9  # rad or m, rounding of a length that equalities fix
 SHARE = 0.01  # of a range, the default margin
 MIN_MARGINS = {ANGLE: 0.01, LENGTH: 1e-3}  # rad, m: a constant control overshoots by a dt^2 / 8 between knots
 MAX_SHARE = 0.1  # of a range, upper limit of the margin: the fingers of a gripper move by few millimetres
 START_OFFSET = 1e-3  # rad or m, by which a start at a limit is moved inside: a replay that errs meets no stop
 GOAL_OFFSET = 1e-4  # rad or m, the same of a goal, whose tolerance may be small: the tolerance of limits
-TENDON_ROUNDING = 1e-9  # rad or m, rounding of a length that equalities fix
 ROUNDING = 1e-6  # share of a range; a start outside by less is at the limit
+
+
+def with_names(mechanism: Mechanism | None, what: str) -> Mechanism:
+    """The machine whose names a limit has; refuses dynamics without one."""
+    if mechanism is None:
+        raise PlannerError(f"the limits' {what} has names, but the dynamics have no mechanism: expected numbers.")
+    return mechanism
+
+
+def table_of(name: str, value: Any) -> Mapping[Any, Any]:
+    """A limit that must be a table."""
+    if not isinstance(value, Mapping):
+        raise PlannerError(f"the limits' {name} is {short_repr(value)}, expected a table of (lower, upper).")
+    return value
+
+
+def component_of(name: str, value: Any, ndx: int) -> int:
+    """The index of a component of the deviation, 0 to ndx - 1."""
+    value = int(value) if isinstance(value, str) and value.isdigit() else value  # a key of JSON
+    if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or not 0 <= value < ndx:
+        raise PlannerError(f"the limits' {name} has {short_repr(value)}, expected an index of 0 to {ndx - 1}.")
+    return int(value)
+
+
+def is_word(value: Any, word: str) -> bool:
+    """Whether a limit is this word; an array never is."""
+    return isinstance(value, str) and value == word
+
+
+def pair_of(name: str, value: Any) -> Pair:
+    """(lower, upper) from a pair, from a number b for -b to b, or "off" for none."""
+    if is_word(value, OFF):
+        return -np.inf, np.inf
+    if isinstance(value, (Sequence, np.ndarray)) and not isinstance(value, str):
+        if len(value) != 2:
+            raise PlannerError(f"{name} is {short_repr(value)}, expected (lower, upper).")
+        sides = sides_of(name, value)
+        if any(side.ndim for side in sides):
+            raise PlannerError(f"{name} is {short_repr(value)}, expected (lower, upper).")
+        low, high = map(float, sides)
+    else:
+        high = number(name, value, greater_than=0.0)
+        low = -high
+    if not low <= high or low == np.inf or high == -np.inf:
+        raise PlannerError(f"{name} is {short_repr(value)}, expected a lower bound below the upper.")
+    return low, high
+
+
+def json_value(value: Any) -> Any:
+    """A limit as JSON values: infinity is None. NaN stays what it is, to be refused."""
+    if isinstance(value, Mapping):
+        return {str(key): json_value(part) for key, part in value.items()}
+    if isinstance(value, np.ndarray):
+        return json_value(value.tolist())
+    if isinstance(value, (list, tuple)):
+        return [json_value(part) for part in value]
+    value = value.item() if isinstance(value, np.number) else value
+    if isinstance(value, float) and np.isinf(value):  # an int may be larger than any float
+        return None
+    return value
+
+
+def sides_of(name: str, pair: Any) -> list[np.ndarray]:
+    """Lower and upper bounds with infinity in the place of None; NaN is refused."""
+    sides = [numbers(name, _filled(part, none)) for part, none in zip(pair, (-np.inf, np.inf), strict=True)]
+    if any(np.isnan(side).any() for side in sides):
+        raise PlannerError(f"{name} has a bound that is not a number, expected numbers or None.")
+    return sides
+
+
+def _filled(value: Any, none: float) -> Any:
+    if value is None:
+        return none
+    return [_filled(part, none) for part in value] if isinstance(value, (list, tuple)) else value
+
+
+def spread(bound: np.ndarray, N: int, nu: int) -> np.ndarray:
+    """Bounds (N, nu) from a number, (nu,) or (N, nu)."""
+    if bound.ndim == 1:
+        bound = array("the limits' control", bound, (nu,), any_value=True)
+    if bound.ndim <= 1:
+        bound = np.broadcast_to(bound, (N, nu))
+    return array("the limits' control", bound, (N, nu), any_value=True)
+
+
+def pairs_of_coordinates(what: str, value: Any, dynamics: Dynamics) -> dict[int, Pair]:
+    """Limits by component, of dynamics whose coordinates have names and units instead of joints."""
+    coordinates = coordinates_of(dynamics)
+    if isinstance(value, str):
+        with_names(None, what)
+    if isinstance(value, Mapping):
+        places = {one.name: i for i, one in enumerate(coordinates)}
+        known = {name: places[choice(f"the coordinate in the limits' {what}", name, places)] for name in value}
+        return {known[name]: pair_of(f"the {what} range of {name!r}", part) for name, part in value.items()}
+    pair = pair_of(f"the limits' {what}", value)
+    halves = getattr(dynamics, "integrator", None) == "semi-implicit-euler"  # positions, then as many velocities
+    last = [2 * i >= len(coordinates) if halves else None for i in range(len(coordinates))]
+    rates = [one.is_rate if one.unit else known for one, known in zip(coordinates, last, strict=True)]
+    found = {i: pair for i, rate in enumerate(rates) if rate is (what == "velocity")}
+    if not found:
+        raise PlannerError(
+            f"the limits' {what} is {short_repr(value)}, but no coordinate of the dynamics has the unit of one: write "
+            'coordinates=[("angle", "rad"), ("speed", "rad/s"), ...] of the dynamics, or limits by the index of the '
+            "state, state={1: (-4, 4)}, or of all of it, state=4."
+        )
+    return found
 
 
 class Range(NamedTuple):
@@ -191,125 +291,3 @@ def margin_of(width: float, unit: str, given: float | None) -> float:
         width = 0.0
     min_margin = MIN_MARGINS[unit]
     return max(SHARE * width, min(min_margin, MAX_SHARE * width) if width else min_margin)
-
-
-def tendon_ranges(
-    mechanism: Mechanism, margin: Any, given: Mapping[str, Range], of_joints: Mapping[int, Range]
-) -> list[tuple[TendonLength, Range]]:
-    """The ranges of tendons that constrain a plan, less the margin.
-
-    Args:
-        mechanism: Of the plan.
-        margin: Of the limits: a number, a table by joints and tendons, or None.
-        given: Ranges by name of tendon, in place of the model's.
-        of_joints: Ranges of joints in the plan, by degree of freedom.
-    """
-    found = []
-    for tendon in mechanism.tendons:
-        length = TendonLength(tendon, mechanism)
-        if _is_fixed(length):
-            continue
-        joint_range = given.get(tendon.name) or _of_model(length, margin)
-        ends = [[(one.low, one.high) if (one := of_joints.get(i)) else (-np.inf, np.inf)] for i in tendon.dofs]
-        reached = np.sort(length.coefficients[:, None] * np.concatenate(ends), axis=1).sum(axis=0)
-        if reached[0] < joint_range.low or reached[1] > joint_range.high:
-            found.append((length, joint_range))
-    return found
-
-
-def _is_fixed(length: TendonLength) -> bool:
-    """Whether equalities alone fix a tendon's length, at a value within its range."""
-    reduction = length.mechanism.reduction
-    if reduction is None:
-        return False
-    c = np.zeros(length.mechanism.nv)
-    np.add.at(c, list(length.tendon.dofs), length.coefficients)
-    if np.any(np.abs(c @ reduction.G) > TENDON_ROUNDING):
-        return False
-    low, high = np.array(length.tendon.range) / length.scale
-    return bool(low - TENDON_ROUNDING <= c[reduction.dependent] @ reduction.offset <= high + TENDON_ROUNDING)
-
-
-def tendon_constraint(
-    length: TendonLength, joint_range: Range, start: np.ndarray, goal: np.ndarray | None, tolerance: float
-) -> Any:
-    """The constraint of a tendon, widened to a start or goal within the margin.
-
-    Raises:
-        PlannerError: A start, or a goal (nx,) if there is one, outside of the range.
-    """
-    for what, x in (("start", start), ("goal", goal)):
-        if x is None:
-            continue
-        value = float(length.of(x[None])[0])
-        widened = joint_range.widened_to(value)
-        if widened is None:
-            scaled = Range(*(end * length.scale for end in joint_range[:4]), of_model=joint_range.of_model)
-            own, message = value * length.scale, f"the {what} has {length} at {value * length.scale:.6g}"
-            raise PlannerError(message + scaled.refusal(Coordinate(length.tendon.name, ""), own))
-        joint_range = widened
-    lower, upper = (end if np.isfinite(end) else None for end in (joint_range.low, joint_range.high))
-    return Constraint(length, lower=lower, upper=upper, tolerance=tolerance, name=f"range of {length}")
-
-
-def _of_model(length: TendonLength, margin: Any) -> Range:
-    low, high = np.array(length.tendon.range) / length.scale
-    given = margin.get(length.tendon.name) if isinstance(margin, Mapping) else margin
-    keep = min(margin_of(high - low, length.unit, given), 0.5 * (high - low))
-    return Range(low + keep, high - keep, low, high, of_model=True)
-
-
-@dataclass(frozen=True, eq=False)
-class TendonLength:
-    """The length of a fixed tendon divided by its largest |coefficient|: a quantity for a constraint."""
-
-    tendon: FixedTendon
-    mechanism: Mechanism
-
-    def __str__(self) -> str:
-        return f"tendon {self.tendon.name!r}"
-
-    @property
-    def scale(self) -> float:
-        """The largest of its |coefficients|."""
-        return float(np.abs(self.tendon.coefficients).max())
-
-    @property
-    def coefficients(self) -> np.ndarray:
-        """(k,) scaled coefficients of its degrees of freedom; the largest is 1 or -1."""
-        return np.array(self.tendon.coefficients) / self.scale
-
-    @property
-    def unit(self) -> str:
-        """Unit, rad or m, of the joint with the largest |coefficient|."""
-        dof = self.tendon.dofs[int(np.argmax(np.abs(self.tendon.coefficients)))]
-        return ANGLE if np.any(self.mechanism.S[dof, :3]) else LENGTH
-
-    def of(self, xs: np.ndarray) -> np.ndarray:
-        """(K,) scaled lengths for states (K, nx)."""
-        return xs[:, self.mechanism.q_address[list(self.tendon.dofs)]] @ self.coefficients
-
-    def residual_function(self, dynamics: Dynamics, N: int) -> TendonFunction:
-        """The constraint function for a machine."""
-        mechanism_of(dynamics, self)
-        return TendonFunction(self, dynamics)
-
-
-class TendonFunction:
-    """Constraint function of a TendonLength: one component with a constant derivative."""
-
-    rows, of_controls = 1, False
-
-    def __init__(self, length: TendonLength, dynamics: Dynamics) -> None:
-        self._length, self.same = length, id(length)
-        self._ndx, self._nu = space_of(dynamics).ndx, dynamics.nu
-
-    def values(self, xs: np.ndarray, us: np.ndarray, n: np.ndarray) -> np.ndarray:
-        """(K, 1) scaled lengths."""
-        return self._length.of(xs)[:, None]
-
-    def derivatives(self, xs: np.ndarray, us: np.ndarray, n: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """(K, 1, ndx) and zeros (K, 1, nu)."""
-        by_x = np.zeros((len(xs), 1, self._ndx))
-        by_x[:, 0, list(self._length.tendon.dofs)] = self._length.coefficients
-        return by_x, np.zeros((len(xs), 1, self._nu))

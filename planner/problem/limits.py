@@ -25,7 +25,8 @@ from planner.model.couplings import contradiction
 from planner.model.mechanism import SCREW, Mechanism
 from planner.model.space import StateSpace, space_of
 from planner.problem.constraints.constraint import DEFAULT_TOLERANCE, Constraint
-from planner.problem.constraints.forces import ActuatorForce, JointForce
+from planner.problem.constraints.forces import ActuatorForce, JointForce, tendon_constraint, tendon_ranges
+from planner.problem.constraints.trajectory_constraints import StateBounds
 from planner.problem.control_bounds import (
     ControlBounds,
     Servos,
@@ -36,13 +37,15 @@ from planner.problem.control_bounds import (
     unbounded_actuators,
 )
 from planner.problem.costs.terms import Cost
-from planner.problem.costs.weights import places
-from planner.problem.joint_limits import Range, check_margin, model_ranges, tendon_constraint, tendon_ranges
-from planner.problem.limit_values import (
+from planner.problem.costs.tracking import places
+from planner.problem.joint_limits import (
     OFF,
+    Range,
+    check_margin,
     component_of,
     is_word,
     json_value,
+    model_ranges,
     pair_of,
     pairs_of_coordinates,
     sides_of,
@@ -50,7 +53,6 @@ from planner.problem.limit_values import (
     table_of,
     with_names,
 )
-from planner.problem.state_bounds import StateBounds
 
 TOLERANCE = 1e-4  # rad, m, rad/s, m/s
 MODEL, EXACT = "model", "exact"
@@ -234,15 +236,13 @@ class Limits:
             reference = np.tile(x0, (N + 1, 1))
         if not found and not at_end:
             return None
-        origin = _origin(space)
+        origin = origin_of(space)
         offset, start = space.difference(reference, origin), space.difference(x0, origin)
         lower, upper = np.full((2, N + 1, len(found) + len(at_end)), np.inf)
         lower = -lower
         exact = np.zeros(space.ndx, dtype=bool)
         exact[at_end] = True
-        weighed = np.zeros(space.ndx, dtype=bool)
-        if getattr(cost, "x_ref", None) is not None and getattr(cost, "Q", None) is not None:
-            weighed = np.abs(cost.Q[-1]).max(axis=0) > 0.0  # pyright: ignore
+        weighed = np.zeros(space.ndx, dtype=bool) if (largest := _final_weights(cost)) is None else largest > 0.0
         for h, (i, joint_range) in enumerate(found.items()):
             if i in rotations:
                 name = coordinates[i][0]
@@ -263,7 +263,7 @@ class Limits:
             PlannerError: As for the class; a start outside its range.
         """
         space, coordinates = space_of(dynamics), coordinates_of(dynamics)
-        start = space.difference(x0, _origin(space))
+        start = space.difference(x0, origin_of(space))
         for i, joint_range in self._found(dynamics).items():
             joint_range.with_state("start", coordinates[i], float(start[i]))
 
@@ -283,11 +283,11 @@ class Limits:
                 scale = float(np.abs(tendon.coefficients).max())
                 low, high = pair_of(f"the range of tendon {tendon.name!r}", table[tendon.name])
                 given[tendon.name] = Range.of(low / scale, high / scale)
-        Q, x_ref, found = getattr(cost, "Q", None), getattr(cost, "x_ref", None), []
-        weighed = np.abs(Q[-1]).max(axis=0) > 0.0 if Q is not None and x_ref is not None else np.zeros(0)
+        largest, found = _final_weights(cost), []
         for length, joint_range in tendon_ranges(mechanism, self.margin, given, self._found(dynamics)):
-            aims = x_ref is not None and len(weighed) and weighed[list(length.tendon.dofs)].all()
-            found.append(tendon_constraint(length, joint_range, x0, x_ref[-1] if aims else None, self.tolerance))  # pyright: ignore
+            aims = largest is not None and np.all(largest[list(length.tendon.dofs)] > 0.0)
+            goal = cost.x_ref[-1] if aims else None  # pyright: ignore - a cost with a reference
+            found.append(tendon_constraint(length, joint_range, x0, goal, self.tolerance))
         return tuple(found)
 
     def _found(self, dynamics: Dynamics) -> dict[int, Range]:
@@ -328,11 +328,7 @@ class Limits:
         for i, value in (state if isinstance(state, Mapping) else dict.fromkeys(range(ndx), state)).items():
             i = component_of("state", i, ndx)
             found[i] = Range.of(*pair_of(f"the range of component {i}", value))
-        return {
-            i: joint_range
-            for i, joint_range in sorted(found.items())
-            if np.isfinite([joint_range.low, joint_range.high]).any()
-        }
+        return {i: one for i, one in sorted(found.items()) if np.isfinite([one.low, one.high]).any()}
 
     def _velocities(self, machine: Mechanism) -> dict[int, Range]:
         """Ranges of velocities by component."""
@@ -356,13 +352,12 @@ class Limits:
         """The components with an exact goal."""
         if self.final is None:
             return []
-        Q = getattr(cost, "Q", None)
-        if Q is None or getattr(cost, "x_ref", None) is None:
+        if (largest := _final_weights(cost)) is None:
             raise PlannerError("the cost has no goal of its own to be met exactly, expected a TrackingCost.")
         if isinstance(self.final, str):
             choice("the limits' final", self.final, (EXACT,))
             own = ndx if mechanism is None else mechanism.space.ndx  # appended components are no goals
-            at_end = np.flatnonzero(np.abs(Q[-1]).max(axis=0)[:own]).tolist()
+            at_end = np.flatnonzero(largest[:own]).tolist()
             if not at_end:
                 raise PlannerError("no final weight is above 0, expected one where the goal is to be met exactly.")
             return at_end
@@ -382,7 +377,13 @@ class Limits:
         return sorted(set(at_end))
 
 
-def _origin(space: StateSpace) -> np.ndarray:
+def _final_weights(cost: Cost) -> np.ndarray | None:
+    """(ndx,) the largest magnitude of each component's final weights; None for a cost without weights and reference."""
+    Q = None if getattr(cost, "x_ref", None) is None else getattr(cost, "Q", None)
+    return None if Q is None else np.abs(Q[-1]).max(axis=0)
+
+
+def origin_of(space: StateSpace) -> np.ndarray:
     """(nx,) the state whose deviations are coordinates: zero, without rotation."""
     origin = np.zeros(space.nx)
     for i, _ in space.quaternions:

@@ -37,7 +37,9 @@ def lint_model(
     model: Any, mechanism: Mechanism | None, joints: list[Record], keyframes: dict[str, np.ndarray]
 ) -> list[ModelWarning]:
     """Warnings about a compiled model, in a fixed order, the most serious first."""
-    found = [*_actuation(model, joints), *_surroundings(model), *_narrow(joints), *_light(joints)]
+    found = [*_actuation(model, joints), *_surroundings(model)]
+    ranges = [joint["range"] for joint in joints if joint["unit"] == "rad" and joint["range"]]
+    found += [*ranges_in_degrees(np.reshape(ranges, (-1, 2))), *_light(joints)]
     found += _outside(joints, np.array(model.qpos0), "the start that the file describes", _to_start)
     for name, qpos in keyframes.items():
         found += _outside(joints, qpos, f"keyframe {name!r}", _to_key)
@@ -87,11 +89,6 @@ def ranges_in_degrees(ranges: np.ndarray) -> list[ModelWarning]:
     return [ModelWarning(words, '<compiler angle="radian"/>, if that is so')]
 
 
-def _narrow(joints: list[Record]) -> list[ModelWarning]:
-    ranges = [joint["range"] for joint in joints if joint["unit"] == "rad" and joint["range"]]
-    return ranges_in_degrees(np.reshape(ranges, (-1, 2)))
-
-
 def _light(joints: list[Record]) -> list[ModelWarning]:
     """Joints with much less inertia than the median of their kind."""
     found: list[ModelWarning] = []
@@ -122,7 +119,8 @@ def _outside(joints: list[Record], qpos: np.ndarray, whose: str, mend: Any) -> l
                 f"{high:.4g}",
                 mend(joint, nearest),
             ))  # fmt: skip
-    return [*found[:_MAX_PER_KIND], *_more(found[_MAX_PER_KIND:])]
+    more = len(found) - _MAX_PER_KIND
+    return found[:_MAX_PER_KIND] + ([ModelWarning(f"so have {more} more joints", "the same")] if more > 0 else [])
 
 
 def _to_start(joint: Record, nearest: float) -> str:
@@ -132,10 +130,6 @@ def _to_start(joint: Record, nearest: float) -> str:
 
 def _to_key(joint: Record, nearest: float) -> str:
     return f"{nearest:.4g} for it in the keyframe's qpos, or another start"
-
-
-def _more(rest: list[ModelWarning]) -> list[ModelWarning]:
-    return [ModelWarning(f"so have {len(rest)} more joints", "the same")] if rest else []
 
 
 def _overlapping(model: Any) -> list[ModelWarning]:
@@ -201,15 +195,11 @@ def within(values: Any, low: Any, high: Any) -> Any:
 
 
 def _few(names: list[str]) -> str:
-    return ", ".join(names[:_MAX_PER_KIND]) + (
-        f" and {len(names) - _MAX_PER_KIND} more" if len(names) > _MAX_PER_KIND else ""
-    )
+    few, more = ", ".join(names[:_MAX_PER_KIND]), len(names) - _MAX_PER_KIND
+    return f"{few} and {more} more" if more > 0 else few
 
 
 def _listed(names: list[str]) -> str:
     """Names as a TOML list, the first few of them."""
-    return (
-        "["
-        + ", ".join(f'"{name}"' for name in names[:_MAX_PER_KIND])
-        + (", ...]" if len(names) > _MAX_PER_KIND else "]")
-    )
+    few = ", ".join(f'"{name}"' for name in names[:_MAX_PER_KIND])
+    return f"[{few}, ...]" if len(names) > _MAX_PER_KIND else f"[{few}]"

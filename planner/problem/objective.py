@@ -1,7 +1,7 @@
-"""Objectives: effort, energy, jerk or time, or a weighted sum of these.
+"""Objectives: effort, energy, jerk or time, or a weighted sum of these; and a problem whose cost is made of them.
 
     effort    the problem's own weights of the controls, times this weight
-    energy    mechanical work of the motors, per J                              planner.problem.costs.energy
+    energy    mechanical work of the motors, per J                              planner.problem.costs.motors
     jerk      squared jerk of the joints / 2, per second                        planner.problem.costs.jerk
     time      the duration, per s: constant here, varied by planner.solvers.free_time
 
@@ -12,33 +12,27 @@ because controls without effect on the motion would otherwise be undetermined.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from planner.base.arguments import choice, number, short_repr
 from planner.base.errors import PlannerError
-from planner.problem.costs.terms import Cost
+from planner.model.capabilities import capabilities_of
+from planner.model.space import StateSpace, space_of
+from planner.problem.costs.jerk import JerkCost, with_acceleration
+from planner.problem.costs.motors import EnergyCost
+from planner.problem.costs.terms import Quadratic, SumCost, Term, call_if_supported
+from planner.problem.costs.tracking import tracking_of
+from planner.problem.problem import Problem
+from planner.problem.problem_parts import Objective
 
 OBJECTIVES = ("effort", "energy", "jerk", "time")
 EFFORT_SHARE = 0.01
 """Weight of the effort where an objective has none: relative to the problem's own."""
 VELOCITY_SHARE = 0.01
 """Of a file's default weights of velocities, where an objective is named: without any, joints swing for little."""
-
-
-@dataclass(frozen=True, eq=False)
-class Objective:
-    """The weights of a problem's objective, and its cost without them.
-
-    Attributes:
-        weights: Above 0, by names of OBJECTIVES: the arguments of with_objective, and the share of effort.
-        base: The problem's cost before with_objective.
-    """
-
-    weights: dict[str, float]
-    base: Cost
 
 
 def weights_of(objective: Any) -> dict[str, float]:
@@ -76,3 +70,72 @@ def checked_durations(durations: Any, weights: Mapping[str, float]) -> tuple[flo
     if not shortest < longest:
         raise PlannerError(f"durations are {shortest:g} and {longest:g} s, expected the shortest before the longest.")
     return shortest, longest
+
+
+class TimeCost(Term):
+    """weight N dt: the same for every motion of a duration (s)."""
+
+    def __init__(self, duration: float, weight: float, space: StateSpace) -> None:
+        self.duration, self.weight = duration, number("the time's weight", weight, minimum=0.0)
+        self.space, self.nx, self.ndx = space, space.nx, space.ndx
+
+    def value(self, xs: np.ndarray, us: np.ndarray) -> float:
+        """The weighted duration."""
+        return self.weight * self.duration
+
+    def quadratize(self, xs: np.ndarray, us: np.ndarray) -> Quadratic:
+        """Zeros."""
+        (N, nu), ndx = us.shape, self.ndx
+        return Quadratic(np.zeros((N + 1, ndx, ndx)), np.zeros((N + 1, ndx)), np.zeros((N, nu, nu)), np.zeros((N, nu)))
+
+
+def with_objective(problem: Problem, objective: str | Mapping[str, float]) -> Problem:
+    """The same task with another criterion, at its own duration.
+
+    Args:
+        problem: With a TrackingCost, alone or in a sum with DriveCosts, FrameCosts and PenaltyCosts; an objective that
+            it has is replaced.
+        objective: "effort", "energy", "jerk", "time", or weights by these names, e.g. {"effort": 1, "jerk": 1e-3}.
+
+    Raises:
+        PlannerError: An unknown name or a negative weight; a machine without actuators or joints to speak of.
+    """
+    weights = {"effort": EFFORT_SHARE} | weights_of(objective)
+    problem = base_problem(problem)
+    base, dynamics = problem.cost, problem.dynamics
+    terms = [base if weights["effort"] == 1.0 else call_if_supported(base, "with_effort", weights["effort"])]
+    if "energy" in weights:
+        terms.append(EnergyCost(dynamics, weights["energy"]))
+    if "jerk" in weights:
+        terms.append(_jerk(problem, weights["jerk"]))
+    if "time" in weights:
+        terms.append(TimeCost(problem.duration, weights["time"], space_of(dynamics)))
+    cost = terms[0] if len(terms) == 1 else SumCost(*terms)
+    return replace(problem, cost=cost, objective=Objective(weights, base))
+
+
+def _jerk(problem: Problem, weight: float) -> JerkCost:
+    """The jerk cost, with zero acceleration before a start at rest and after a goal at rest."""
+    mechanism, goal = capabilities_of(problem.dynamics).mechanism, tracking_of(problem.cost)
+    if mechanism is None or goal is None:
+        return JerkCost(problem.dynamics, problem.N, weight)
+    q, v = slice(mechanism.nq, mechanism.nq + mechanism.nv), slice(mechanism.nv, 2 * mechanism.nv)
+    at_rest = not goal.x_ref[-1, q].any() and bool(np.abs(goal.Q[-1, v]).max(axis=1).all())
+    return JerkCost(problem.dynamics, problem.N, weight, goal.R, from_rest=not problem.x0[q].any(), to_rest=at_rest)
+
+
+def base_problem(problem: Problem) -> Problem:
+    """The problem without an objective, with the cost that it had before."""
+    return problem if problem.objective is None else replace(problem, cost=problem.objective.base, objective=None)
+
+
+def solver_problem(problem: Problem) -> Problem:
+    """Drop cost terms that no control affects; for jerk, append the previous acceleration to the state."""
+    if problem.objective is None:
+        return problem
+    weights, terms = problem.objective.weights, getattr(problem.cost, "costs", (problem.cost,))
+    left = [term for term in terms if not isinstance(term, TimeCost)]
+    changed = replace(problem, cost=left[0] if len(left) == 1 else SumCost(*left), objective=None)
+    if "jerk" in weights:
+        return with_acceleration(changed)
+    return changed if "time" in weights else problem

@@ -29,7 +29,19 @@ from planner.base.files import printable
 from planner.model.space import StateSpace, euclidean, space_of
 from planner.model.twin import Twin
 from planner.problem.archive import FILE, HINGES, PART, digest_of, pack, plan_name, write_archive
-from planner.problem.bound_messages import (
+from planner.problem.constraints.clearance import states_between_knots
+from planner.problem.constraints.trajectory_constraints import BoundPenalties
+from planner.problem.costs.terms import stored_tolerance
+from planner.problem.export import Samples, frame_of, joint_trajectory, sampled, write_csv, write_keyframes
+from planner.problem.goals import missed_goal_message
+from planner.problem.initial_guess import Trajectory, rates_of, scaled_multipliers
+from planner.problem.objective import base_problem
+from planner.problem.problem import Problem
+from planner.problem.problem_parts import PROBLEM_FILE, Built, Recipe
+from planner.problem.progress import (
+    Iteration,
+    Start,
+    Status,
     constraints_broken,
     control_at_bound,
     infeasible_message,
@@ -37,19 +49,7 @@ from planner.problem.bound_messages import (
     stalled,
     state_outside,
 )
-from planner.problem.costs.goal_spec import stored_tolerance
-from planner.problem.export.joint_trajectory import joint_trajectory
-from planner.problem.export.keyframes import write_keyframes
-from planner.problem.export.sampled import Samples, sampled
-from planner.problem.export.table import frame_of, write_csv
-from planner.problem.goals import missed_goal_message
-from planner.problem.objective_problem import base_problem
-from planner.problem.problem import Problem
-from planner.problem.progress import Iteration, Start, Status
-from planner.problem.recipe import PROBLEM_FILE, Built, Recipe
-from planner.problem.state_bounds import BoundPenalties
 from planner.problem.stored_problem import to_arrays, unstorable_part
-from planner.problem.trajectory import Trajectory, rates_of, scaled_multipliers
 
 JUDGED_PARTS = 20  # of a stage, between whose ends a plan's states are interpolated linearly to judge its goals
 
@@ -203,22 +203,15 @@ class Plan(Built, Plottable):
     def between_knots(self, parts: int) -> np.ndarray:
         """States (N * parts + 1, nx) at equal parts of each stage, integrated from each knot by the plan's dynamics."""
         assert self.problem is not None  # for its dynamics
-        N, nx = self.N, self.xs.shape[1]
-        times = np.tile(self.problem.dynamics.dt / parts * np.arange(parts), N)
-        xs, us = np.repeat(self.xs[:-1], parts, axis=0), np.repeat(self.us, parts, axis=0)
-        inside = self.problem.dynamics.step(xs, us, times).reshape(N, parts, nx)
-        inside[:, 0] = self.xs[:-1]
-        return np.concatenate([inside.reshape(-1, nx), self.xs[-1:]])
+        return states_between_knots(self.problem.dynamics, self.xs, self.us, parts)
 
     @property
     def motion(self) -> Trajectory:
         """The plan's trajectory, without its problem."""
-        rates, pulls = slice(0, 0), None
-        if self.problem is not None:
-            rates, pulls = (
-                rates_of(self.problem.dynamics),
-                scaled_multipliers(self.problem.trajectory_constraints, self.bound_penalties),
-            )
+        problem = self.problem
+        rates = rates_of(None if problem is None else problem.dynamics)
+        constraints = None if problem is None else problem.trajectory_constraints
+        pulls = scaled_multipliers(constraints, self.bound_penalties)
         return Trajectory(self.t, self.xs, self.us, self.K, self.space, rates, pulls)
 
     def shifted(self, seconds: float) -> Trajectory:
@@ -307,17 +300,17 @@ class Plan(Built, Plottable):
         return sampled(self, rate)
 
     def to_csv(self, path: str | Path, rate: float | None = None, only: str | None = None) -> Path:
-        """Write time, states and controls (or `only` "states" or "controls") as CSV: see export.table.write_csv."""
+        """Write time, states and controls (or `only` "states" or "controls") as CSV: see export.write_csv."""
         return write_csv(self, path, rate, only)
 
     def to_pandas(self, rate: float | None = None, only: str | None = None) -> Any:
-        """The table of to_csv as a pandas DataFrame, indexed by time: see export.table.frame_of."""
+        """The table of to_csv as a pandas DataFrame, indexed by time: see export.frame_of."""
         return frame_of(self, rate, only)
 
     def to_joint_trajectory(self, path: str | Path | None = None, rate: float | None = None) -> dict[str, Any]:
-        """ROS 2's JointTrajectory, also written as .yaml or .json: see export.joint_trajectory.joint_trajectory."""
+        """ROS 2's JointTrajectory, also written as .yaml or .json: see export.joint_trajectory."""
         return joint_trajectory(self, path, rate)
 
     def to_keyframes(self, path: str | Path, rate: float | None = None) -> Path:
-        """Write an MJCF of keyframes that a model can include: see export.keyframes.write_keyframes."""
+        """Write an MJCF of keyframes that a model can include: see export.write_keyframes."""
         return write_keyframes(self, path, rate)

@@ -20,16 +20,12 @@ from planner.model.twin import Twin
 from planner.problem.appearance import Appearance
 from planner.problem.constraints.constraint import Constraint
 from planner.problem.constraints.constraint_stack import ConstraintStack
-from planner.problem.constraints.trajectory_constraints import TrajectoryConstraints
+from planner.problem.constraints.trajectory_constraints import StateBounds, TrajectoryConstraints
 from planner.problem.control_bounds import ControlBounds
-from planner.problem.costs.goal_spec import GoalSpec, checked_tolerance
-from planner.problem.costs.terms import Cost, check_cost
+from planner.problem.costs.terms import Cost, GoalSpec, check_cost, checked_tolerance
 from planner.problem.costs.tracking import states, tracking_of
 from planner.problem.limits import TOLERANCE, Limits
-from planner.problem.objective import Objective
-from planner.problem.periodicity import Periodic
-from planner.problem.recipe import Built, Recipe
-from planner.problem.state_bounds import StateBounds
+from planner.problem.problem_parts import Built, Objective, Periodic, Recipe
 
 
 @dataclass(frozen=True)

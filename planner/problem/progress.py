@@ -1,10 +1,25 @@
-"""How a solve goes and ends: a row of each iteration, a row of each start, and the status."""
+"""How a solve goes and ends: rows of iterations and starts, the status, and what a plan says of bounds and constraints.
+
+Diagnostics of a plan at bounds of its controls, or outside of ranges and constraints, have messages here.
+"""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping, Sequence
 from enum import StrEnum
-from typing import NamedTuple
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from planner.base.diagnostic import Diagnostic, Quantity
+from planner.model.capabilities import capabilities_of
+from planner.problem.problem import Problem
+
+_AT_BOUND_SHARE = 1e-6  # share of a range: distance below which a control is at its bound
+_MIN_SHARE_AT_BOUND = 0.1  # of the stages: lower limit to report a bound
+_MAX_NAMED = 3  # constraints that are named
+_MIN_REDUCTION = 1e-3  # relative cost reduction in the second half of a solve at or below which it has stalled
 
 
 class Status(StrEnum):
@@ -112,3 +127,102 @@ class Start(NamedTuple):
     def header() -> str:
         """The table header; str() puts it above start 0."""
         return f"{'start':>5}  {'cost':>15}  {'iterations':>10}  status"
+
+
+SENTENCES = {
+    "control_at_bound": "{control} is at its bound in {stages} of {all} stages",
+    "state_at_bound": "the {coordinate} is at its limit at {knots} of {all} knots",
+    "outside_range": "{coordinate} is {distance} outside of its range at t = {time}",
+    "off_exact_goal": "{coordinate} is {distance} from its exact goal at t = {time}",
+    "constraint_violated": "{constraint} is broken by {violation} at t = {time}",
+    "more_violated": "and {count} more",
+}
+
+
+def sentence_of(found: Diagnostic | None) -> str:
+    """The message of a diagnostic of this module; "" for None."""
+    return "" if found is None else found.text(SENTENCES)
+
+
+def control_name(problem: Problem, index: int) -> str:
+    """Name of a control in messages: its actuator's, else its index."""
+    mechanism = capabilities_of(problem.dynamics).mechanism
+    names = () if mechanism is None else mechanism.actuators.names
+    return f"actuator {names[index]!r}" if index < len(names) and names[index] else f"control {index}"
+
+
+def control_at_bound(problem: Problem, xs: np.ndarray, us: np.ndarray) -> Diagnostic | None:
+    """The control that is most often at a bound along xs (N+1, nx), us (N, nu), and in how many stages."""
+    if problem.bounds is None:
+        return None
+    lower, upper = problem.bounds.at(slice(None), xs[: len(us)])
+    with np.errstate(invalid="ignore"):
+        near = _AT_BOUND_SHARE * np.where(np.isfinite(upper - lower), upper - lower, 1.0)
+    stages = ((us <= lower + near) | (us >= upper - near)).sum(axis=0)
+    worst = int(np.argmax(stages))
+    if stages[worst] < max(1, _MIN_SHARE_AT_BOUND * len(us)):
+        return None
+    values = {"control": control_name(problem, worst), "stages": int(stages[worst]), "all": len(us)}
+    return Diagnostic("control_at_bound", values)
+
+
+def state_at_bound(problem: Problem, xs: np.ndarray) -> Diagnostic | None:
+    """The coordinate that is most often at a bound along the states xs (N+1, nx), and how often."""
+    ranges, limits = problem.ranges, problem.limits
+    if ranges is None or limits is None or not np.isfinite(xs).all():
+        return None
+    knots = ranges.at_bound(xs, limits.tolerance)[:, : len(ranges.component) - ranges.at_end].sum(axis=0)
+    worst = int(np.argmax(knots)) if len(knots) else -1
+    if worst < 0 or knots[worst] < max(1, _MIN_SHARE_AT_BOUND * len(xs)):
+        return None
+    values = {"coordinate": ranges.coordinates[worst].name, "knots": int(knots[worst]), "all": len(xs)}
+    return Diagnostic("state_at_bound", values)
+
+
+def state_outside(problem: Problem, xs: np.ndarray, t: np.ndarray) -> Diagnostic | None:
+    """The coordinate of the states xs (N+1, nx) that is furthest outside of its range, and when."""
+    limits, ranges = problem.limits, problem.ranges
+    if ranges is None or limits is None or not np.isfinite(xs).all():
+        return None
+    violation = ranges.violation(xs)
+    n, worst = np.unravel_index(int(np.argmax(violation)), violation.shape)
+    if violation[n, worst] <= limits.tolerance:
+        return None
+    name, unit = ranges.coordinates[worst]
+    code = "off_exact_goal" if worst >= len(ranges.component) - ranges.at_end else "outside_range"
+    values = {"coordinate": name, "distance": Quantity(violation[n, worst], unit), "time": Quantity(t[n], "s")}
+    return Diagnostic(code, values)
+
+
+def constraints_broken(problem: Problem, xs: np.ndarray, us: np.ndarray, t: np.ndarray) -> list[Diagnostic]:
+    """Violated constraints at states xs (N+1, nx) and controls us (N, nu), with violation and time; worst first."""
+    rows = None if problem.trajectory_constraints is None else problem.trajectory_constraints.rows
+    if rows is None or not np.isfinite(xs).all():
+        return []
+    broken = [one for one in rows.violations(xs, us) if not one.value <= one.constraint.allowed()]
+    broken.sort(key=lambda one: -one.value / one.constraint.allowed())
+    found = [
+        Diagnostic("constraint_violated", {
+            "constraint": str(one.constraint), "violation": Quantity(one.value, one.constraint.unit),
+            "time": Quantity(t[one.at], "s"),
+        })
+        for one in broken[:_MAX_NAMED]
+    ]  # fmt: skip
+    more = len(broken) - _MAX_NAMED
+    return [*found, Diagnostic("more_violated", {"count": more})] if more > 0 else found
+
+
+def infeasible_message(message: str, found: Mapping[str, Any]) -> str:
+    """A message about limits that no motion was found to keep, with the duration and the factor that pass."""
+    passes = []
+    if "duration" in found:
+        passes.append(f"in {found['duration']:.6g} s")
+    if "factor" in found:
+        passes.append(f"with limits {math.ceil(100.0 * found['factor']) / 100.0:.6g} times as wide")
+    return f"{message[:-1]}: it passes {', or '.join(passes)}." if passes else message
+
+
+def stalled(history: Sequence[Any], cost: float) -> bool:
+    """Whether the second half of a solve's iterations reduced the cost by at most _MIN_REDUCTION of it."""
+    half = history[len(history) // 2 :]
+    return len(half) > 2 and half[0].cost - cost <= _MIN_REDUCTION * abs(cost)

@@ -27,9 +27,8 @@ from planner.problem.costs.terms import SumCost
 from planner.problem.costs.tracking import TrackingCost
 from planner.problem.default_appearance import default_appearance
 from planner.problem.goals import terms_of
-from planner.problem.periodicity import Periodic
 from planner.problem.problem import Problem
-from planner.problem.recipe import Recipe
+from planner.problem.problem_parts import Periodic, Recipe
 from planner.problem.residual import Residual
 
 NAME = "mechanism and tracking cost"
@@ -87,7 +86,9 @@ def unstorable_part(problem: Problem) -> str:
     if other := [one.name for one in problem.constraints if not isinstance(one.of, Residual) or one.states is not None]:
         return f"its constraints ({', '.join(other)})"
     for residual in (*(term.residual for term in terms[1:]), *(one.of for one in problem.constraints)):
-        if _parameters_of(residual) is None:
+        try:
+            residual.parameters()
+        except PlannerError:
             return f"its residual {residual}, whose arguments are not all attributes and JSON values"
     own = twin_of(dynamics.mechanism, dynamics.prescribed)
     if twin is None or any(getattr(twin, part) != getattr(own, part) for part in ("mjcf", "source", "curves")):
@@ -142,11 +143,3 @@ def _stored(
         known = TABLES if use == "costs" else _BOUNDS
         tables = {name: arrays[key] for name in known if (key := f"{use}:{i}:{name}") in arrays}
         yield classes[fact["residual"]](**fact["parameters"]), fact, tables
-
-
-def _parameters_of(residual: Residual) -> dict[str, Any] | None:
-    """The parameters of a residual as JSON values; None where a file cannot hold them."""
-    try:
-        return residual.parameters()
-    except PlannerError:
-        return None

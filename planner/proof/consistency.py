@@ -25,12 +25,12 @@ from planner.problem.costs.tracking import TrackingCost
 from planner.problem.goals import terms_of
 from planner.problem.plan import Plan, Status
 from planner.problem.problem import Problem
+from planner.problem.rediscretize import step_error
 from planner.proof.error_scales import COST_BOUND, is_nonsmooth, judged_cost, limit_violations, planned_violations
 from planner.proof.stationarity import stationarity
 from planner.solvers import lq
+from planner.solvers.gains import has_uncertain_ground, robust_gains
 from planner.solvers.options import EXPECTED_REDUCTION_TOLERANCE
-from planner.solvers.resolution import step_error
-from planner.solvers.uncertain_ground import has_uncertain_ground, robust_gains
 
 BOUND = 1e-9  # relative; a plan and its file agree to rounding
 GAIN_BOUND = 1e-6  # relative; rounding error of a Riccati sweep over unstable stages

@@ -30,7 +30,7 @@ from planner.proof.replay_errors import costs_with_goals
 from planner.proof.replays.passive_torque_callback import curves_acting
 from planner.proof.replays.replaying import Replay
 from planner.proof.replays.simulation import MAX_STEPS, simulate
-from planner.solvers.lqr import regulator_gains
+from planner.solvers.gains import regulator_gains
 
 EQUILIBRIUM = 0.05  # of the smallest goal tolerance of a unit: largest distance from the goal to an equilibrium
 _UNKNOWN = 0.02  # that tolerance, for units without a goal

@@ -25,9 +25,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from planner.problem.constraints.trajectory_constraints import TrajectoryConstraints
+from planner.problem.constraints.trajectory_constraints import BoundPenalties, TrajectoryConstraints
 from planner.problem.plan import Iteration, Plan, Status
-from planner.problem.state_bounds import BoundPenalties
 from planner.solvers.options import DEFAULT, SolverOptions
 
 # One solve from first controls (N, nu) with penalties: an iteration limit, the number of the first line, and its
@@ -64,7 +63,8 @@ def augmented_lagrangian(
         if plan.status is Status.INTERRUPTED:
             return replace(plan, history=tuple(history), bound_penalties=penalties if round_ else first)
         if error.max(initial=0.0) <= tolerance:
-            more, less, through = _between_knots(constraints, plan)
+            assert plan.problem is not None  # set by solve()
+            more, less, through = constraints.violation_between_knots(plan.problem.dynamics, plan.xs, plan.us)
             if tightenings == options.max_tightenings or not (more.any() or less.any()):
                 status = Status.OUTSIDE_LIMITS if more[:, constraints.split :].any() else plan.status
                 return replace(
@@ -132,12 +132,6 @@ def _first_round(
     return plan, list(plan.history), first
 
 
-def _between_knots(constraints: TrajectoryConstraints, plan: Plan) -> tuple[np.ndarray, np.ndarray, bool]:
-    """Required shifts of the lower and upper bounds, (N+1, H), and whether a pair may touch between knots."""
-    assert plan.problem is not None  # set by solve()
-    return constraints.violation_between_knots(plan.problem.dynamics, plan.xs, plan.us)
-
-
 def _inexact_reduction(penalties: BoundPenalties, error: np.ndarray, options: SolverOptions) -> float:
     """The expected reduction below which a round may end, from the errors (N+1, H) of the round before.
 
@@ -148,16 +142,9 @@ def _inexact_reduction(penalties: BoundPenalties, error: np.ndarray, options: So
     return float(0.5 * part**2 * np.sum(penalties.weight * error**2))
 
 
-def _multipliers(constraints: TrajectoryConstraints, penalties: BoundPenalties) -> tuple[np.ndarray, np.ndarray]:
-    """Multipliers / weights (N+1, H) of the lower and of the upper bounds: the inward shifts of the bounds."""
-    with np.errstate(invalid="ignore"):
-        shifts = penalties.lower - constraints.lower, constraints.upper - penalties.upper
-    return np.nan_to_num(shifts[0], nan=0.0), np.nan_to_num(shifts[1], nan=0.0)
-
-
 def _error(constraints: TrajectoryConstraints, penalties: BoundPenalties, plan: Plan) -> np.ndarray:
     """(N+1, H) the violation, or without one the slack of a bound with a nonzero multiplier."""
-    e, (low, high) = constraints.deviations(plan.xs, plan.us), _multipliers(constraints, penalties)
+    e, (low, high) = constraints.deviations(plan.xs, plan.us), constraints.inward_shifts(penalties)
     lower, upper = constraints.lower, constraints.upper
     above, below = np.maximum(e - upper, -high), np.maximum(lower - e, -low)
     exact = lower == upper

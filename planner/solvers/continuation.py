@@ -1,29 +1,62 @@
 """Continuation: follow the plans of a family of problems from an easy member to the one that is asked for.
 
-A family is a function of s >= 0: problem_at(0) is the asked problem, a larger s an easier one, e.g. with wider limits
-or a softer ground. From a plan at some s, until s = 0:
+A family is a function of s >= 0: problem_at(0) is the asked problem, a larger s an easier one. From a plan at some s,
+until s = 0:
 
     predict    states and controls, linear in s through the last two plans
     correct    solve problem_at(s) from there, by multiple shooting where a rollout does not follow the prediction
     step       longer after a quick solve; shorter where the plan misses its goal: it fell off its branch
 
-(Allgower and Georg, Numerical Continuation Methods, 1990, sections 2 and 6).
+(Allgower and Georg, Numerical Continuation Methods, 1990, sections 2 and 6). The families have a factor f, the problem
+itself at f = 1.
+
+WiderLimits has
+
+    lower - (f - 1) room <= u <= upper + (f - 1) room
+
+of the bounds of controls, of servos' forces, and of the ranges of states. The room is half of the width between two
+bounds. A bound without an opposite one has room for the plan of the free problem at the factor at which all others have
+it. Exact goals and constraints stay as they are. At f = inf the problem is free.
+
+    SofterContacts      K / f,          B / sqrt(f),    f a        of every contact
+    DistantContacts     K min(1, 8/f),  as stiff,       f a        of what is driven with what is not
+
+of the stiffness, the damping and the ramp. A hard contact is nearly a switch, about which the LQ problem knows nothing
+until it happens. On softer ones a machine at rest sinks f times as deep, its bounces keep their damping ratio, and the
+force ramp is the same: there is a gradient over a longer part of the way, and the plan takes off and lands as the hard
+one does. An object that is never touched has no gradient at all. The law's surface is half a ramp above the body's, so
+a long ramp is a force at a distance: it begins at f a / 2, and is K a where the surfaces touch. (Mordatch, Todorov and
+Popovic 2012 have both; Posa, Cantu and Tedrake 2014 relax the complementarity instead.) Stops of joints and friction
+stay.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
 
+import numpy as np
+
+from planner.dynamics.contacts import body_contact_forces, contact_forces
+from planner.dynamics.rigid_body import RigidBodyDynamics
+from planner.model.capabilities import roots
+from planner.model.contact.body_contact import BodyContact
+from planner.problem.initial_guess import Trajectory
 from planner.problem.plan import Plan, Status
 from planner.problem.problem import Problem
-from planner.problem.trajectory import Trajectory
+from planner.solvers.gains import with_contacts
 
 FALL_ITERATIONS, FALL_SHARE = 10, 0.02  # a solve whose cost falls by this share in so many iterations goes on
 BETTER_SHARE = 0.5  # of the cost of the plan before: a solve that is cheaper by it has found a better branch
 
 # One solve from a trajectory, or from the problem's first guess for None, with an iteration limit.
 SolveFrom = Callable[[Problem, Trajectory | None, int], Plan]
+MIN_FREE_FACTOR = 2.0  # factor at which bounds without an opposite one admit the free plan, if no other says more
+SOFT_FACTOR = 10.0  # of the depth that contacts sink in, at which a continuation in the contact begins
+REACH = 2.0  # distance at which a force at a distance begins, over the gap at the start
 
 
 @dataclass(frozen=True)
@@ -110,3 +143,184 @@ def _predicted(to: float, s: float, plan: Plan, before: tuple[float, Plan] | Non
     return replace(
         motion, xs=space.integrate(motion.xs, ahead * change), us=motion.us + ahead * (motion.us - before[1].us)
     )
+
+
+@dataclass(frozen=True, eq=False)
+class WiderLimits:
+    """A problem, and how far its free plan is beyond its limits.
+
+    Attributes:
+        problem: With bounds of its controls or ranges of its states.
+        factor: At which the limits admit the free plan; 1 or less where it is within them.
+        controls: (2, N, nu) excess of the free plan's controls below their lower and above their upper bounds.
+        states: (2, N+1, H) the same of the ranges of its states.
+    """
+
+    problem: Problem
+    factor: float
+    controls: np.ndarray | None
+    states: np.ndarray | None
+
+    @classmethod
+    def around(cls, problem: Problem, free: Plan) -> WiderLimits:
+        """The family of a problem for its free plan."""
+        controls = states = None
+        factors = [0.0]
+        if problem.bounds is not None:
+            controls, factor = _beyond(free.us, *problem.bounds.at(slice(None), free.xs[:-1]))
+            factors.append(factor)
+        if problem.ranges is not None:
+            ways = slice(0, len(problem.ranges.component) - problem.ranges.at_end)  # without exact goals
+            sides = (side[:, ways] for side in (problem.ranges.lower, problem.ranges.upper))
+            states, factor = _beyond(problem.ranges.deviations(free.xs)[:, ways], *sides)
+            factors.append(factor)
+        one_sided = any(part is not None and part.any() for part in (controls, states))
+        return cls(problem, max(*factors, MIN_FREE_FACTOR if one_sided else 0.0), controls, states)
+
+    def at(self, factor: float) -> Problem:
+        """The problem with limits `factor` times as wide; the problem itself at 1."""
+        if factor == 1.0:
+            return self.problem
+        bounds, ranges, more = self.problem.bounds, self.problem.ranges, factor - 1.0
+        scale = more / max(self.factor - 1.0, 1.0)  # of excess, which is room at the free plan's factor
+        if bounds is not None:
+            lower, upper = _wider(bounds.lower, bounds.upper, more, self.controls, scale)
+            servos = bounds.servos
+            if servos is not None:
+                low, high = _wider(servos.low, servos.high, more, None, scale)
+                servos = replace(servos, low=low, high=high)
+            bounds = None if np.isinf(factor) else replace(bounds, lower=lower, upper=upper, servos=servos)
+        if ranges is not None:
+            ways = len(ranges.component) - ranges.at_end
+            lower, upper = ranges.lower.copy(), ranges.upper.copy()
+            lower[:, :ways], upper[:, :ways] = _wider(
+                ranges.lower[:, :ways], ranges.upper[:, :ways], more, self.states, scale
+            )
+            ranges = replace(ranges, lower=lower, upper=upper) if np.isfinite([lower, upper]).any() else None
+        return self.problem.with_bounds(bounds, ranges)
+
+
+def free_problem(problem: Problem) -> Problem:
+    """The problem without bounds of its controls and ranges of its states; exact goals and constraints stay."""
+    return WiderLimits(problem, 1.0, None, None).at(np.inf)
+
+
+def at_limits(problem: Problem, plan: Plan) -> bool:
+    """Whether a plan is at a bound of its controls or of a range of its states, or beyond."""
+    if problem.bounds is not None and problem.bounds.at_bound(plan.xs, plan.us).any():
+        return True
+    ranges = problem.ranges
+    if ranges is None:
+        return False
+    ways = len(ranges.component) - ranges.at_end
+    assert problem.trajectory_constraints is not None  # of the ranges
+    return bool(ranges.at_bound(plan.xs, problem.trajectory_constraints.tolerance)[1:, :ways].any())
+
+
+def _beyond(values: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> tuple[np.ndarray, float]:
+    """(2, M, K) excess of values (M, K) beyond bounds without an opposite one, and the factor of all others."""
+    with np.errstate(invalid="ignore", divide="ignore"):
+        half = 0.5 * (upper - lower)
+        two_sided = np.isfinite(half) & (half > 0.0)
+        factors = np.where(two_sided, np.abs(values - 0.5 * (lower + upper)) / half, 0.0)
+    excess = np.stack([lower - values, values - upper])
+    excess = np.where(two_sided, 0.0, excess.max(axis=1, initial=0.0)[:, None])
+    return excess, float(factors.max(initial=0.0))
+
+
+def _wider(
+    lower: np.ndarray, upper: np.ndarray, more: float, excess: np.ndarray | None, scale: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Bounds moved outwards by `more` times half of their width; those without an opposite by `scale` times excess."""
+    with np.errstate(invalid="ignore"):
+        half = 0.5 * (upper - lower)
+        room = np.where(np.isfinite(half), more * half, 0.0)
+    if np.isinf(more):
+        return np.full_like(lower, -np.inf), np.full_like(upper, np.inf)
+    below, above = (0.0, 0.0) if excess is None else scale * excess
+    return lower - room - below, upper + room + above
+
+
+@dataclass(frozen=True, eq=False)
+class SofterContacts:
+    """A problem of a rigid-body machine with contacts, which sink `factor` times as deep at first."""
+
+    problem: Problem
+    factor: float = SOFT_FACTOR
+
+    def at(self, factor: float) -> Problem:
+        """The problem with contacts that sink `factor` times as deep; the problem itself at 1."""
+
+        def softer(one: Any) -> Any:
+            law = one.law
+            own = {"stiffness": law.stiffness / factor, "damping": law.damping / math.sqrt(factor)}
+            return replace(one, law=replace(law, **own, ramp=law.ramp * factor))
+
+        if factor == 1.0:
+            return self.problem
+        return replace(self.problem, dynamics=with_contacts(self.problem.dynamics, softer, softer), recipe=None)
+
+
+@dataclass(frozen=True, eq=False)
+class DistantContacts:
+    """A problem whose machine is to move objects that no actuator drives, and begins apart from some of them."""
+
+    problem: Problem
+
+    def at(self, factor: float) -> Problem:
+        """The problem with ramps `factor` times as long between what is driven and objects; the problem itself at 1."""
+
+        def longer(pair: BodyContact) -> BodyContact:
+            if pair not in self._pushing:
+                return pair
+            law, softer = pair.law, max(1.0, factor / 8.0)  # half a ramp deep the force is an eighth of K a
+            own = {"stiffness": law.stiffness / softer, "damping": law.damping / math.sqrt(softer)}
+            return replace(pair, law=replace(law, **own, ramp=law.ramp * factor))
+
+        if factor == 1.0:
+            return self.problem
+        dynamics = with_contacts(self.problem.dynamics, lambda plane: plane, longer)
+        return replace(self.problem, dynamics=dynamics, recipe=None)
+
+    @cached_property
+    def factor(self) -> float:
+        """The factor at which every object feels what may push it at the start; 1 where all is in touch."""
+        return max((2.0 * REACH * gap / pair.law.ramp for pair, gap in self._pushing.items()), default=1.0)
+
+    @cached_property
+    def _pushing(self) -> dict[BodyContact, float]:
+        """Smooth contacts of a driven tree with one that is not, and their gaps at the start, m, 0 in touch."""
+        if not has_softer(self.problem):
+            return {}
+        dynamics: Any = self.problem.dynamics
+        mechanism, x0 = dynamics.mechanism, self.problem.x0
+        root = roots(mechanism)
+        driven = set(root[mechanism.directly_actuated].tolist())
+        depths = body_contact_forces(mechanism, *np.split(x0[: mechanism.nq + mechanism.nv], [mechanism.nq])).depths
+        pushing = {}
+        for pair, depth in zip(mechanism.body_contacts, depths, strict=True):
+            trees = [int(root[part.link]) in driven for part in (pair.first, pair.second) if part.link >= 0]
+            if sorted(trees) == [False, True] and pair.law.ramp > 0.0:
+                pushing[pair] = max(0.0, -float(depth))
+        return pushing
+
+
+def has_softer(problem: Problem) -> bool:
+    """Whether a problem has contacts that can be made softer."""
+    dynamics = problem.dynamics
+    return isinstance(dynamics, RigidBodyDynamics) and bool(
+        dynamics.mechanism.contacts or dynamics.mechanism.body_contacts
+    )
+
+
+def stays_on_feet(problem: Problem, xs: np.ndarray) -> bool:
+    """Whether each body that planes carry at some knot of xs (N+1, nx) is carried at all, and no bodies may touch."""
+    if not has_softer(problem):
+        return False
+    dynamics: Any = problem.dynamics
+    mechanism = dynamics.mechanism
+    q, qd = np.split(xs[:, : mechanism.nq + mechanism.nv], [mechanism.nq], axis=1)
+    pressed = np.any(contact_forces(mechanism, q, qd).forces, axis=2)  # (N+1, contacts)
+    links = np.array([contact.link for contact in mechanism.contacts])
+    loaded = np.array([pressed[:, links == link].any(axis=1) for link in np.unique(links)])
+    return not mechanism.body_contacts and bool(np.all(loaded.all(axis=1) == loaded.any(axis=1)))

@@ -25,16 +25,15 @@ import numpy as np
 from planner.base.arguments import number, short_repr
 from planner.base.errors import PlannerError
 from planner.model.capabilities import capabilities_of
+from planner.problem.initial_guess import Trajectory
 from planner.problem.limits import EXACT, Limits
-from planner.problem.objective import checked_durations, durations_or_default, weights_of
-from planner.problem.objective_problem import base_problem, with_objective
+from planner.problem.objective import base_problem, checked_durations, durations_or_default, weights_of, with_objective
 from planner.problem.plan import Plan, Status
 from planner.problem.problem import Problem
 from planner.problem.rediscretize import retimed
-from planner.problem.trajectory import Trajectory
+from planner.solvers.gains import warm_start
 from planner.solvers.options import single_start, with_overrides
 from planner.solvers.slq import as_user_plan, solve
-from planner.solvers.warm_start import warm_start
 from planner.solvers.waypoints import best_waypoints, free_waypoints
 from planner.solvers.work import budget_of
 
@@ -46,23 +45,14 @@ _SHRINK = 0.85  # ratio of successive durations: 15 per decade
 
 
 class DurationTrial(NamedTuple):
-    """One solve at a trial duration.
+    """One solve at a trial duration."""
 
-    Attributes:
-        number: Counted from 0.
-        duration: T, s.
-        cost: J*(T) without the time term.
-        violation: Largest violation of limits and constraints, rad, m, rad/s, m/s.
-        iterations: Number of iterations of the solve.
-        status: Status of the solve.
-    """
-
-    number: int
-    duration: float
-    cost: float
-    violation: float
-    iterations: int
-    status: Status
+    number: int  # Counted from 0
+    duration: float  # T, s
+    cost: float  # J*(T) without the time term
+    violation: float  # Largest violation of limits and constraints, rad, m, rad/s, m/s
+    iterations: int  # Number of iterations of the solve
+    status: Status  # Status of the solve
 
     def __str__(self) -> str:
         row = (
@@ -285,11 +275,8 @@ class _DurationSearch:
 
 def _outside(problem: Problem, plan: Plan) -> float:
     """Largest violation of limits and constraints by a plan, rad, m, rad/s, m/s."""
-    return (
-        0.0
-        if problem.trajectory_constraints is None
-        else float(np.max(problem.trajectory_constraints.violation(plan.xs, plan.us), initial=0.0))
-    )
+    kept = problem.trajectory_constraints
+    return 0.0 if kept is None else float(np.max(kept.violation(plan.xs, plan.us), initial=0.0))
 
 
 def _least(search: _DurationSearch, shortest: float, longest: float, tolerance: float) -> None:

@@ -15,15 +15,16 @@ dx(n+1) = A(n) dx(n) + B(n) du(n) + g(n). The value gradient before the defect i
 
 from __future__ import annotations
 
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
 
 from planner.kernels.lq.active_set import MULTIPLIER_ROUNDING, ROUNDING
 from planner.kernels.lq.state_dependent_bounds import AT_BOUND
+from planner.problem.constraints.trajectory_constraints import BoundPenalties, StateBounds, sides_of
 from planner.problem.control_bounds import StepBounds
 from planner.problem.costs.terms import Quadratic
-from planner.problem.state_bounds import BoundPenalties, StateBounds, sides_of
 
 MAX_NEWTON_STEPS = 100  # of one box QP
 MIN_STEP = 1e-10  # of its line search: smaller steps only change rounding errors
@@ -286,33 +287,21 @@ def solve_active_set(
         sweep = riccati(A, B, model, mu, bounds, second, active_bounds=active_bounds if bounds is not None else None)
         if sweep is None:
             return None, active_bounds
-        dxs, dus = _linear_rollout(A, B, sweep)
+        dxs, dus = direction(A, B, sweep)
         after = active_bounds if bounds is None else _next_active_bounds(sweep, bounds, active_bounds, dxs, dus)
         same = np.array_equal(after, active_bounds)
         if penalized is not None and e is not None and sides is not None:
             after_sides = penalized.ranges.next_sides(penalized.penalties, e, dxs, sides)
             same = same and np.array_equal(after_sides, sides)
-            _, more_cost, more_slope = penalized.ranges.with_active_sides(
-                penalized.penalties, quadratic, penalized.xs, sides, dxs
-            )
+            changed = partial(penalized.ranges.with_active_sides, penalized.penalties, quadratic, penalized.xs)
+            _, more_cost, more_slope = changed(sides, dxs)
             if not same:
                 sides = after_sides
-                model, _, _ = penalized.ranges.with_active_sides(
-                    penalized.penalties, quadratic, penalized.xs, sides, dxs
-                )
+                model, _, _ = changed(sides, dxs)
         if same:
             return sweep._replace(slope=sweep.slope + more_slope, value=sweep.value + more_cost), active_bounds
         active_bounds = after
     return None, active_bounds
-
-
-def _linear_rollout(A: np.ndarray, B: np.ndarray, sweep: Sweep) -> tuple[np.ndarray, np.ndarray]:
-    """The linear rollout dxs (N+1, ndx), dus (N, nu) of a sweep, without bounds."""
-    dxs, dus = np.zeros((len(A) + 1, A.shape[1])), np.empty(sweep.k.shape)
-    for n in range(len(A)):
-        dus[n] = sweep.k[n] + sweep.K[n] @ dxs[n]
-        dxs[n + 1] = A[n] @ dxs[n] + B[n] @ dus[n]
-    return dxs, dus
 
 
 def _next_active_bounds(

@@ -9,7 +9,7 @@ iteration solves the LQ problem with these defects (kernels.lq.defects). One of 
 a rollout with the sweep's gains, which closes all defects at once and ends this phase, if its cost is sufficiently
 below the merit and below that of a rollout of the first controls; else a step length alpha along the direction of
 states and controls, which leaves defects (1 - alpha) g to first order. Short steps increase state regularization (see
-solvers.regularization), up to a limit. Hessians are Gauss-Newton's.
+solvers.step_control), up to a limit. Hessians are Gauss-Newton's.
 """
 
 from __future__ import annotations
@@ -24,15 +24,15 @@ from planner.base.arguments import choice
 from planner.base.errors import PlannerError
 from planner.kernels.lq.line_search import ARMIJO_C1
 from planner.model.space import space_of
+from planner.problem.constraints.trajectory_constraints import BoundPenalties
 from planner.problem.costs.tracking import states as checked_states
 from planner.problem.costs.tracking import tracking_of
 from planner.problem.initial_guess import interpolated_states
 from planner.problem.plan import Iteration
 from planner.problem.problem import Problem
-from planner.problem.state_bounds import BoundPenalties
 from planner.solvers.engine import DefectStep, Engine
 from planner.solvers.options import DEFAULT, SolverOptions
-from planner.solvers.regularization import Regularization
+from planner.solvers.step_control import Regularization
 
 GROWTH_MARGIN = 1.1  # nu below this multiple of the largest multiplier is reset
 

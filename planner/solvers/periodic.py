@@ -25,9 +25,10 @@ import numpy as np
 from planner.base.arguments import choice, count, short_repr
 from planner.base.errors import PlannerError
 from planner.base.json_files import finite
-from planner.problem.periodicity import STEPS
 from planner.problem.plan import Plan, Status
 from planner.problem.problem import Problem
+from planner.problem.problem_parts import STEPS
+from planner.solvers.gains import warm_start
 from planner.solvers.options import single_start
 from planner.solvers.periodic_boundary import (
     BoundaryStates,
@@ -40,7 +41,6 @@ from planner.solvers.periodic_boundary import (
     with_ends,
 )
 from planner.solvers.slq import solve
-from planner.solvers.warm_start import warm_start
 from planner.solvers.work import budget_of
 
 LEFT = 1e-4
@@ -51,23 +51,14 @@ _TO_CLOSE = 2  # last passes, which only close the closure error
 
 
 class PeriodicPass(NamedTuple):
-    """One pass of solve_periodic.
+    """One pass of solve_periodic."""
 
-    Attributes:
-        number: Counted from 0.
-        cost: J without the terminal goal term.
-        miss: Largest closure error between end and start, as a multiple of its tolerance.
-        left: Expected reduction of the cost by the next undamped Newton step; nan for "follow" or after divergence.
-        iterations: Number of iterations of the solve.
-        status: Status of the solve.
-    """
-
-    number: int
-    cost: float
-    miss: float
-    left: float
-    iterations: int
-    status: Status
+    number: int  # Counted from 0
+    cost: float  # J without the terminal goal term
+    miss: float  # Largest closure error between end and start, as a multiple of its tolerance
+    left: float  # Expected reduction of the cost by the next undamped Newton step; nan for "follow" or after divergence
+    iterations: int  # Number of iterations of the solve
+    status: Status  # Status of the solve
 
     def __str__(self) -> str:
         row = (
@@ -170,22 +161,14 @@ class _PeriodicSearch:
         if not ran or (small_reduction and not open_):
             self.next = None
         else:
-            self.next = (
-                _followed(plan)
-                if answer is None
-                else improved_boundary(answer, close=steady or (open_ and self._is_late))
-            )
+            late = self.passes - len(self.lines) <= _TO_CLOSE
+            self.next = _followed(plan) if answer is None else improved_boundary(answer, steady or (open_ and late))
 
     @property
     def is_cut(self) -> bool:
         """Whether the budget of the passes is exhausted before they have converged."""
         budget = self.options.get("budget")
         return self.next is not None and budget is not None and bool(self.lines) and budget.exhausted
-
-    @property
-    def _is_late(self) -> bool:
-        """Whether the remaining passes only close the closure error."""
-        return self.passes - len(self.lines) <= _TO_CLOSE
 
     def best_plan(self, options: dict[str, Any]) -> Plan:
         """The best plan, with the record of the passes in its options."""

@@ -29,12 +29,12 @@ from planner.base.errors import PlannerError
 from planner.model.space import space_of
 from planner.problem.costs.terms import SumCost
 from planner.problem.costs.tracking import TrackingCost, tracking_of
-from planner.problem.objective_problem import base_problem, with_objective
-from planner.problem.periodicity import Periodic
+from planner.problem.objective import base_problem, with_objective
 from planner.problem.plan import Plan
 from planner.problem.problem import Problem
+from planner.problem.problem_parts import Periodic
 from planner.solvers import lq
-from planner.solvers.warm_start import feedback_rollout
+from planner.solvers.gains import feedback_rollout
 
 PARAMETER = "ends"
 """Parameter of a built-in problem: start and terminal reference (2, nx), as lists; None for its own."""
@@ -63,33 +63,19 @@ class BoundaryStep(NamedTuple):
 
 
 class BoundarySensitivity(NamedTuple):
-    """Residuals of the two equations at a plan, and their derivatives by its boundary states; see the module.
+    """Residuals of the two equations at a plan, and their derivatives by its boundary states; see the module."""
 
-    Attributes:
-        plan: Solved, of a problem with `periodic`.
-        closes: (m,) indices of the periodic components.
-        W: (ndx, ndx) final weight of the TrackingCost.
-        gap: (ndx,) closure error x(N) - x(0), zero for components that need not be periodic.
-        costate: (ndx,) at the start.
-        nu: (ndx,) W (x(N) - r).
-        P: (ndx, ndx) Hessian of the cost-to-go at the start.
-        Phi: (ndx, ndx) d x(N) / d x(0) of the closed loop.
-        G: (ndx, ndx) sum over n of Phi_n B H^-1 B' Phi_n'.
-        K: (N, nu, ndx) d u / d x.
-        F: (N, nu, ndx) d u / d r.
-    """
-
-    plan: Plan
-    closes: np.ndarray
-    W: np.ndarray
-    gap: np.ndarray
-    costate: np.ndarray
-    nu: np.ndarray
-    P: np.ndarray
-    Phi: np.ndarray
-    G: np.ndarray
-    K: np.ndarray
-    F: np.ndarray
+    plan: Plan  # Solved, of a problem with `periodic`
+    closes: np.ndarray  # (m,) indices of the periodic components
+    W: np.ndarray  # (ndx, ndx) final weight of the TrackingCost
+    gap: np.ndarray  # (ndx,) closure error x(N) - x(0), zero for components that need not be periodic
+    costate: np.ndarray  # (ndx,) at the start
+    nu: np.ndarray  # (ndx,) W (x(N) - r)
+    P: np.ndarray  # (ndx, ndx) Hessian of the cost-to-go at the start
+    Phi: np.ndarray  # (ndx, ndx) d x(N) / d x(0) of the closed loop
+    G: np.ndarray  # (ndx, ndx) sum over n of Phi_n B H^-1 B' Phi_n'
+    K: np.ndarray  # (N, nu, ndx) d u / d x
+    F: np.ndarray  # (N, nu, ndx) d u / d r
 
     def step(self, mu: float, part: float = 1.0) -> BoundaryStep:
         """The step damped by mu, which closes a fraction `part` of the closure error."""
@@ -237,6 +223,4 @@ def improved_boundary(found: BoundarySensitivity, close: bool = False) -> Proble
 
 def terminal_goal_cost(plan: Plan) -> float:
     """The terminal goal term of the plan's cost."""
-    cost = tracking(periodic_problem(plan)[0])
-    away = plan.space.difference(plan.xs[-1], cost.x_ref[-1])
-    return float(0.5 * away @ cost.Q[-1] @ away)
+    return tracking(periodic_problem(plan)[0]).final_cost(plan.xs[-1])

@@ -4,7 +4,7 @@ A guess may be a bad one, or a saddle: a car that is to go sideways gets nowhere
 from rest. So a solve without contacts begins again from other first guesses (solvers.other_guesses), and any that
 converges as far from its goals as it began from slightly shaken controls.
 
-With contacts the easier problem has softer ones (solvers.softer_contacts): sinking ten times as deep, then less and
+With contacts the easier problem has softer ones (solvers.continuation): sinking ten times as deep, then less and
 less. Where objects are to be moved that nothing touches it has forces at a distance instead, from afar and then from
 nearer. Softer ones are also tried where a direct solve has not converged after MAX_QUICK_ITERATIONS, or twice as many
 where its plan meets the goals by then on feet that stay; that goes on only where they lead to no plan that costs less.
@@ -12,7 +12,7 @@ The last solve always has the contacts of the problem.
 
 Bounds that act from the first iteration may trap a solve too. The free problem is easy; its plan is followed into the
 limits by a continuation (solvers.continuation) in the logarithm of the factor by which they are wider
-(solvers.wider_limits).
+(solvers.continuation).
 
 Where this branch ends above the factor 1, others begin at SWING_FACTOR from controls that swing between their bounds:
 with as many half periods as the slowest oscillation about the start has in the duration, with one less and with one
@@ -33,16 +33,23 @@ import numpy as np
 from planner.base.errors import PlannerError
 from planner.problem.constraints.clearance import pair_clearance_of
 from planner.problem.goals import goals_of, missed_goal_message
+from planner.problem.initial_guess import Trajectory
 from planner.problem.plan import Plan, Status
 from planner.problem.problem import Problem
 from planner.problem.rediscretize import lengthened, rounded_duration
-from planner.problem.trajectory import Trajectory
-from planner.solvers.continuation import Continuation
+from planner.solvers.continuation import (
+    Continuation,
+    DistantContacts,
+    SofterContacts,
+    WiderLimits,
+    at_limits,
+    free_problem,
+    has_softer,
+    stays_on_feet,
+)
+from planner.solvers.gains import tracked_warm_start
 from planner.solvers.options import DEFAULT, SolverOptions
 from planner.solvers.other_guesses import other_guesses, shaken, swings
-from planner.solvers.softer_contacts import DistantContacts, SofterContacts, has_softer, stays_on_feet
-from planner.solvers.warm_start import tracked_warm_start
-from planner.solvers.wider_limits import WiderLimits, at_limits, free_problem
 from planner.solvers.work import WorkBudget
 
 MAX_QUICK_ITERATIONS = Continuation.look_iterations  # of a direct solve with contacts: then it crawls along their kinks

@@ -9,7 +9,7 @@
 
 Two updates. "open-loop" is the paper's, U + alpha dU. "feedback" rolls out u = us + alpha k + K (x - xs): the same
 direction to first order, and its feedback stabilizes the rollout of unstable dynamics.
-With "feedback" and Armijo's rule, the default, slowly converging steps are accelerated (see solvers.anderson).
+With "feedback" and Armijo's rule, the default, slowly converging steps are accelerated (see solvers.step_control).
 
 With limits (see problem.limits) all iterates satisfy the bounds of the controls; bounds of the states and constraints
 (see problem.constraints) take several such solves (see solvers.augmented_lagrangian).
@@ -33,25 +33,22 @@ from planner.base.errors import PlannerError
 from planner.base.executors import checked_executor
 from planner.model.capabilities import capabilities_of
 from planner.model.space import space_of
+from planner.problem.constraints.trajectory_constraints import BoundPenalties
 from planner.problem.goals import has_tolerances
-from planner.problem.objective_problem import solver_problem
+from planner.problem.initial_guess import Trajectory
+from planner.problem.objective import solver_problem
 from planner.problem.plan import Iteration, Plan, Status
 from planner.problem.problem import Problem
-from planner.problem.rediscretize import stage_too_long
-from planner.problem.state_bounds import BoundPenalties
-from planner.problem.trajectory import Trajectory
-from planner.solvers.anderson import AndersonAcceleration
+from planner.problem.rediscretize import is_unresolved, stage_too_long
 from planner.solvers.augmented_lagrangian import augmented_lagrangian
 from planner.solvers.engine import Engine, acquire_engine, release_engine
+from planner.solvers.gains import tracked_warm_start, with_robust_gains
 from planner.solvers.multiple_shooting import close_defects, guessed_states, line_to_the_end
 from planner.solvers.multistart import best_of
 from planner.solvers.options import SolverOptions, with_overrides
-from planner.solvers.regularization import Regularization, unregularized_sweep
+from planner.solvers.other_guesses import has_diverged, stabilizing_guess
 from planner.solvers.relaxation import direct_iterations, is_trapped, relax
-from planner.solvers.resolution import is_unresolved
-from planner.solvers.stabilizing_guess import has_diverged, stabilizing_guess
-from planner.solvers.uncertain_ground import with_robust_gains
-from planner.solvers.warm_start import tracked_warm_start
+from planner.solvers.step_control import AndersonAcceleration, Regularization, unregularized_sweep
 from planner.solvers.work import UntilDeadline, WorkBudget, budget_of, with_cut
 
 

@@ -24,7 +24,7 @@ from planner.base.errors import PlannerError
 from planner.base.toml_table import read_table
 from planner.cases.problem_file import ProblemFile, case_in, loaded
 from planner.problem.limits import Limits
-from planner.problem.objective_problem import with_objective
+from planner.problem.objective import with_objective
 from planner.problem.plan import Plan, Status
 from planner.problem.problem import Problem
 from planner.proof import prove

@@ -19,7 +19,7 @@ from planner.base.gl import load_mujoco
 from planner.cases.problem_file.states import state_of
 from planner.dynamics import RigidBodyDynamics
 from planner.problem.plan import Plan
-from planner.problem.recipe import PROBLEM_FILE
+from planner.problem.problem_parts import PROBLEM_FILE
 from planner.proof import prove
 from planner.proof.replays.compiled_twin import CompiledTwin
 from planner.proof.replays.replaying import replay_in

@@ -10,16 +10,10 @@ from planner.base.errors import PlannerError
 from planner.cases.problem_file import load
 from planner.dynamics.contacts import contact_forces
 from planner.dynamics.stance import STRIDE, contact_stiffness, feet_move
-from planner.problem.costs.slip import CLEARANCE, SlipCost
+from planner.problem.costs.frame import CLEARANCE, SlipCost
 from planner.problem.costs.tracking import tracking_of
-from planner.problem.default_weights import (
-    GAIN_SHARE,
-    MOVING_SHARE,
-    SLIP_SPEED,
-    STANCE_TOLERANCES,
-    WAY_SHARE,
-    with_slip,
-)
+from planner.problem.default_weights import GAIN_SHARE, MOVING_SHARE, SLIP_SPEED, STANCE_TOLERANCES, WAY_SHARE
+from planner.problem.reaching_cost import with_slip
 
 MONOPOD = """<mujoco model="monopod"><option timestep="0.002"/>
 <worldbody><geom name="floor" type="plane" size="0 0 1"/>

@@ -383,7 +383,7 @@ def test_a_goal_over_times_counts_its_largest_miss():
 
 def test_orientations_are_given_by_quaternions_or_in_degrees():
     turned = planner.Goal(frame="hand", orientation={"roll": 180, "yaw": 90}).quaternion
-    x, y, z = (planner.problem.costs.residuals.functions.rotation_of(turned) @ e for e in np.eye(3))
+    x, y, z = (planner.problem.costs.residual_functions.rotation_of(turned) @ e for e in np.eye(3))
     np.testing.assert_allclose([x, y, z], [[0, 1, 0], [1, 0, 0], [0, 0, -1]], atol=1e-15)
     for given, one in itertools.product(([0, 1, 1, 0], [0, 2, 2, 0]), (turned,)):
         own = planner.Goal(frame="hand", orientation=given).quaternion

@@ -9,7 +9,8 @@ from planner.cases.problem_file import load
 from planner.dynamics.contacts import contact_forces
 from planner.dynamics.kinematics import points_of
 from planner.problem.costs.tracking import tracking_of
-from planner.problem.default_weights import MOVING_SHARE, straight_reference
+from planner.problem.default_weights import MOVING_SHARE
+from planner.problem.reaching_cost import straight_reference
 from planner.problem.tasks.gait import TURNS, Gait, gait_of
 
 SCENE = ROOT / "mjcf" / "quadruped" / "scene.xml"

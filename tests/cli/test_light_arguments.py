@@ -88,7 +88,7 @@ def test_signatures_read_from_the_sources_are_those_of_the_cases(name):
 
 
 def test_constants_read_from_the_sources_are_those_of_the_modules():
-    from planner.problem.export.table import PARTS
+    from planner.problem.export import PARTS
     from planner.problem.objective import OBJECTIVES
     from planner.proof.engines import ENGINES
     from planner.solvers import options
@@ -101,7 +101,7 @@ def test_constants_read_from_the_sources_are_those_of_the_modules():
     for name in ("KEYS", "WEIGHTS", "GOAL", "FOLLOW", "ATTACH", "OBSTACLE"):
         assert value_of("planner.cases.problem_file.keys", name) == getattr(keys, name)
     assert value_of("planner.proof.engines", "ENGINES") == ENGINES
-    assert value_of("planner.problem.export.table", "PARTS") == PARTS
+    assert value_of("planner.problem.export", "PARTS") == PARTS
 
 
 @pytest.mark.parametrize(

@@ -12,7 +12,7 @@ from corpus.asking import Rng, again, member, placed, reach, state, turned
 from corpus.machines import arm, between
 from planner import Limits, Mechanism, Plan, Problem, RigidBodyDynamics, TrackingCost
 from planner.dynamics.kinematics import frame_pose
-from planner.problem.costs.residuals.functions import quaternion_of
+from planner.problem.costs.residual_functions import quaternion_of
 
 
 @member("a planar arm of 1 joint", 1)

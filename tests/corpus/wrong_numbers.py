@@ -17,7 +17,7 @@ from corpus.planting import Rng, honest, member, of, soft_stopped
 from planner import Limits, Plan, TrackingCost
 from planner.model.mjcf.text import edited
 from planner.problem.archive import write_archive
-from planner.problem.periodicity import Periodic
+from planner.problem.problem_parts import Periodic
 
 # Numbers that are not what they say
 

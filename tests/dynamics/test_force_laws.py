@@ -18,7 +18,7 @@ from planner.model.actuators import ForceLaw
 from planner.model.mechanism import Mechanism
 from planner.problem.constraints.forces import ActuatorForce, JointForce
 from planner.problem.control_bounds import unbounded
-from planner.problem.costs.energy import EnergyCost
+from planner.problem.costs.motors import EnergyCost
 from planner.proof.compare.differences import differences
 
 mujoco = load_mujoco()

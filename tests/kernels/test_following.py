@@ -5,7 +5,7 @@ import pytest
 
 import planner
 from planner.solvers.engine import acquire_engine
-from planner.solvers.engine.tracked_trajectory import TrackedTrajectory
+from planner.solvers.engine.protocol import TrackedTrajectory
 
 FREE = """<mujoco><worldbody><body name="base"><freejoint/><inertial pos="0.1 0 0" mass="1" diaginertia="1 2 2.5"/>
 <body pos="0 0 0.2"><joint name="arm" axis="0 1 0"/><inertial pos="0 0 0.2" mass="0.5" diaginertia="0.1 0.1 0.02"/>

@@ -13,7 +13,7 @@ from planner import Limits, Mechanism, PenaltyCost, Problem, RigidBodyDynamics, 
 from planner.costs import Distance, Gap, Height, Point, Segment, Velocity
 from planner.dynamics.protocol import INTEGRATORS
 from planner.kernels.lq import line_search
-from planner.problem.costs.residuals.cost import ResidualCost
+from planner.problem.costs.least_squares import ResidualCost
 from planner.problem.rediscretize import finer
 from planner.solvers.engine import CompiledEngine, NumpyEngine, acquire_engine, compiled_costs
 

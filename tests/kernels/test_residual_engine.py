@@ -19,9 +19,9 @@ from planner.kernels.lq import line_search
 from planner.kernels.tree.residuals.kinds import KINDS as COMPILED
 from planner.model.contact.laws import Contact, ContactLaw, Plane
 from planner.model.space import log_jacobian
-from planner.problem.costs.residuals.cost import ResidualCost
-from planner.problem.costs.residuals.functions import RESIDUALS
-from planner.problem.costs.slip import SlipCost
+from planner.problem.costs.frame import SlipCost
+from planner.problem.costs.least_squares import ResidualCost
+from planner.problem.costs.residual_functions import RESIDUALS
 from planner.problem.rediscretize import finer
 from planner.solvers.engine import CompiledEngine, HybridEngine, NumpyEngine, acquire_engine, compiled_costs
 

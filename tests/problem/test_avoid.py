@@ -11,11 +11,9 @@ import planner
 from planner.base.errors import PlannerError
 from planner.cases.problem_file import load
 from planner.cases.problem_file.resolved_defaults import resolved_defaults
-from planner.problem.avoid import Avoid
-from planner.problem.collision_checker import CollisionChecker
-from planner.problem.constraints.clearance import PairClearance, pair_clearance_of
+from planner.problem.collision_free_path import CollisionChecker, rrt_connect
+from planner.problem.constraints.clearance import Avoid, PairClearance, pair_clearance_of
 from planner.problem.problem import Problem
-from planner.problem.rrt_connect import rrt_connect
 
 TOML = """model = "gantry.xml"
 start = "left"

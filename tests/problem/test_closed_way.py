@@ -10,8 +10,8 @@ from planner import Mechanism, Problem, RigidBodyDynamics, TrackingCost
 from planner.dynamics import assembled
 from planner.dynamics.loops import misses
 from planner.dynamics.rollout import rollout_states
-from planner.problem.closed_chain_reference import closed_chain_reference
-from planner.solvers.stabilizing_guess import tracking_controls
+from planner.problem.tasks.reference_motion import closed_chain_reference
+from planner.solvers.other_guesses import tracking_controls
 
 EXAMPLES = ROOT / "examples" / "closed_chains"
 MOVED = {"four_bar": {0: 1.0}, "two_arms": {0: 0.8}, "stewart": {0: 0.05, 2: 0.08}}

@@ -11,9 +11,9 @@ from swings import PENDULUM, discrete, strange, swing
 
 import planner
 from planner.cases.problem_file import load
-from planner.problem.costs.drive import DriveCost
+from planner.problem.costs.motors import DriveCost
 from planner.problem.rediscretize import finer
-from planner.solvers.warm_start import feedback_rollout, warm_start
+from planner.solvers.gains import feedback_rollout, warm_start
 
 
 @pytest.mark.parametrize("case", ["two-link", "acrobot", "hopper"])

@@ -15,10 +15,10 @@ from planner.dynamics.contacts import generalized_forces
 from planner.model.mjcf.model_index import compile_model
 from planner.model.mjcf.prescribed_joints import PRESCRIBED_ARMATURE, twin_of
 from planner.model.twin import Twin
-from planner.problem.costs.drive import DriveCost
 from planner.problem.costs.jerk import driven_by_jerk
+from planner.problem.costs.motors import DriveCost
 from planner.problem.costs.tracking import tracking_of
-from planner.problem.objective_problem import with_objective
+from planner.problem.objective import with_objective
 from planner.proof.robustness.perturbation import Nominal
 
 

@@ -13,7 +13,7 @@ from rolled_out_plans import problem_of, rolled_out
 import planner
 from planner.cases.given_controls import plan_of_controls
 from planner.model.mechanism import Mechanism
-from planner.problem.export.joint_trajectory import left_out
+from planner.problem.export import left_out
 
 FLYING = """
 <mujoco model="flying">

@@ -13,7 +13,7 @@ from planner import Mechanism, PlannerError, Problem, RigidBodyDynamics, Trackin
 from planner.base.gl import load_mujoco
 from planner.model.space import exp_quaternion, product
 from planner.problem.costs.frame import FrameCost
-from planner.problem.costs.residuals.functions import quaternion_of
+from planner.problem.costs.residual_functions import quaternion_of
 
 mujoco = load_mujoco()
 seeds = st.integers(0, 2**32 - 1)

@@ -127,7 +127,7 @@ def test_compiled_and_numpy_engines_take_the_same_steps(integrator, feedback):
     problem = two_link(Limits(control=(-5.0, 4.0), velocity=3.0, final="exact"), 50, integrator=integrator)
     engines = CompiledEngine(problem, problem.dynamics, problem.cost), NumpyEngine(problem)
     rng, N = np.random.default_rng(1), problem.N
-    hinges = problem.ranges.zero_penalties()
+    hinges = problem.trajectory_constraints.zero_penalties()  # of ranges alone
     hinges = hinges._replace(weight=rng.uniform(1.0, 100.0, hinges.weight.shape))
     costs, us = [], rng.normal(size=(N, 2)) * 4.0
     for engine in engines:
@@ -161,7 +161,7 @@ def test_the_hinge_and_its_derivatives():
     problem = two_link(Limits(velocity=1.0, position={"elbow": (-0.3, 0.2)}, final="exact"), 20)
     ranges, rng = problem.ranges, np.random.default_rng(3)
     xs = rng.normal(size=(21, 4))
-    hinges = ranges.zero_penalties()
+    hinges = problem.trajectory_constraints.zero_penalties()  # of ranges alone
     hinges = hinges._replace(weight=rng.uniform(1.0, 5.0, hinges.weight.shape))
     zero = problem.cost.quadratize(xs, np.zeros((20, 2)))
     model = ranges.with_penalties(hinges, zero._replace(Q=0.0 * zero.Q, q=0.0 * zero.q), xs)

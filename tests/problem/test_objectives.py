@@ -16,8 +16,14 @@ from planner.costs import EnergyCost, JerkCost, TrackingCost
 from planner.kernels.lq import line_search
 from planner.problem.costs.jerk import JerkDynamics
 from planner.problem.initial_guess import inverse_dynamics_controls, minimum_jerk
-from planner.problem.objective import EFFORT_SHARE, durations_or_default, weights_of
-from planner.problem.objective_problem import base_problem, solver_problem, with_objective
+from planner.problem.objective import (
+    EFFORT_SHARE,
+    base_problem,
+    durations_or_default,
+    solver_problem,
+    weights_of,
+    with_objective,
+)
 from planner.problem.problem import Problem
 from planner.proof.consistency import consistency, recomputed
 from planner.solvers import lq

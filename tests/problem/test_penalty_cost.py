@@ -12,7 +12,7 @@ import planner
 from planner import Mechanism, PenaltyCost, PlannerError, Problem, RigidBodyDynamics, TrackingCost
 from planner.costs import Distance, Gap, Height, Point, Segment, Velocity
 from planner.dynamics.contacts import contact_forces
-from planner.problem.costs.residuals.functions import nearest_on_segments
+from planner.problem.costs.residual_functions import nearest_on_segments
 
 seeds = st.integers(0, 2**32 - 1)
 

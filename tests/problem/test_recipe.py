@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import planner
-from planner.problem.objective_problem import base_problem, with_objective
+from planner.problem.objective import base_problem, with_objective
 
 
 @pytest.fixture

@@ -10,7 +10,7 @@ import pytest
 from planner.base.errors import FileError, PlannerError
 from planner.base.files import confined
 from planner.problem.recording import TIME, read_recording
-from planner.problem.tasks.follow import with_points
+from planner.problem.tasks.goal import with_points
 
 T = np.array([0.0, 0.011, 0.02, 0.031])  # uneven, as a recorder's
 Q = np.stack([np.sin(T), 1.0 + T, -T], axis=1)

@@ -6,7 +6,7 @@ import pytest
 import planner
 from planner.base.errors import PlannerError
 from planner.problem.costs.tracking import TrackingCost
-from planner.problem.terminal_holding_cost import terminal_holding_cost
+from planner.problem.reaching_cost import terminal_holding_cost
 from planner.solvers.slq import solve
 
 # A pendulum that stands on its head: unstable, so its end needs gains.

@@ -10,8 +10,7 @@ import planner
 from planner.dynamics.inverse_kinematics import Target, residuals
 from planner.problem.appearance import Appearance
 from planner.problem.constraints.quantities import FramePositionAlong
-from planner.problem.default_appearance import with_marks
-from planner.problem.task_panels import MAX_CURVES, task_panels
+from planner.problem.default_appearance import MAX_CURVES, task_panels, with_marks
 from planner.problem.tasks.cost import _frame_error
 
 N, DT = 40, 0.02

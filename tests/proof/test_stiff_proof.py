@@ -14,7 +14,7 @@ from planner.cases.problem_file import load
 from planner.dynamics.step_stability import IMPLICIT, MAX_RATE_STEP, fastest_mode, implicit_error, substeps_for
 from planner.problem.goals import goals_of
 from planner.problem.joint_limits import START_OFFSET
-from planner.problem.rediscretize import finer, stage_too_long, substeps_reason
+from planner.problem.rediscretize import finer, stage_too_long
 from planner.proof.error_scales import path_error_bounds
 from planner.proof.original_model import your_file
 from planner.proof.replay_errors import tracking
@@ -71,8 +71,6 @@ def test_perturbed_machines_take_at_most_half_a_substep(plan):
 def test_a_plan_of_shorter_stages_has_fewer_substeps(plan):
     problem = replace(plan.problem, us=plan.us)
     assert finer(problem).dynamics.substeps == -(-problem.dynamics.substeps // 2)
-    assert substeps_reason(problem).startswith(f"{problem.dynamics.substeps} substeps a stage, because finger has")
-    assert substeps_reason(planner.cases.hopper(horizon=20)) == ""
 
 
 HAND = """

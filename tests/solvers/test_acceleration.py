@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import planner
-from planner.solvers.anderson import AndersonAcceleration
+from planner.solvers.step_control import AndersonAcceleration
 
 CASES = ("two-link", "high-dive")
 

@@ -11,7 +11,7 @@ from planner.costs import Distance, Height, Point, Segment, Velocity
 from planner.dynamics.protocol import INTEGRATORS
 from planner.kernels.lq import line_search
 from planner.problem.constraints.constraint import residual_of
-from planner.problem.state_bounds import BoundPenalties
+from planner.problem.constraints.trajectory_constraints import BoundPenalties
 from planner.solvers.engine import ConstrainedEngine, NumpyEngine, acquire_engine
 
 TOLERANCE = {"tolerance": 1e-3}

@@ -11,7 +11,7 @@ from planner import Constraint, FunctionDynamics, Limits, PlannerError, Problem,
 from planner.cases import build
 from planner.constraints import FrameAxisAngle, FramePosition, Power
 from planner.costs import Height, Point, with_objective
-from planner.problem.objective_problem import solver_problem
+from planner.problem.objective import solver_problem
 from planner.problem.rediscretize import finer
 
 DT, N = 0.1, 15

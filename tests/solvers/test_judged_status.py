@@ -8,7 +8,7 @@ from corpus import wrong_optimality
 
 import planner
 from planner import Status, cases
-from planner.solvers.resolution import UNRESOLVED, step_error
+from planner.problem.rediscretize import UNRESOLVED, step_error
 
 
 def test_a_motion_that_its_steps_do_not_resolve_is_unresolved():

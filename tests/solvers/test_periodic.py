@@ -11,8 +11,7 @@ from planner import cases
 from planner.cli.parser import build, parse
 from planner.cli.problems import asked_problem
 from planner.model.space import StateSpace, euclidean
-from planner.problem.periodicity import Periodic
-from planner.problem.recipe import Recipe
+from planner.problem.problem_parts import Periodic, Recipe
 from planner.solvers.periodic import PeriodicPass, solve_periodic
 from planner.solvers.periodic_boundary import BoundaryStates, response, with_ends
 from planner.view.report.page import command

@@ -12,12 +12,10 @@ import planner
 from planner import Limits, PlannerError, Problem, RigidBodyDynamics, SolverOptions, Status, TrackingCost
 from planner.proof.diagnostics import suggested_fixes
 from planner.solvers import relaxation, slq
-from planner.solvers.continuation import FALL_ITERATIONS, Continuation
+from planner.solvers.continuation import FALL_ITERATIONS, Continuation, WiderLimits, at_limits, free_problem
 from planner.solvers.multistart import smooth
-from planner.solvers.other_guesses import other_guesses
+from planner.solvers.other_guesses import other_guesses, stabilizing_guess
 from planner.solvers.relaxation import RelaxationStep, relax
-from planner.solvers.stabilizing_guess import stabilizing_guess
-from planner.solvers.wider_limits import WiderLimits, at_limits, free_problem
 from planner.solvers.work import WorkBudget, work_of_stage
 
 EXAMPLES = Path(__file__).parents[2] / "examples"

@@ -11,7 +11,7 @@ from planner import Constraint, FunctionDynamics, Limits, Problem, Status, Track
 from planner.cases import two_link
 from planner.solvers import augmented_lagrangian
 from planner.solvers.options import SolverOptions
-from planner.solvers.regularization import Regularization
+from planner.solvers.step_control import Regularization
 
 N, DT = 15, 0.1
 

@@ -8,10 +8,10 @@ import pytest
 import planner
 from planner.dynamics import RigidBodyDynamics, body_contact_forces
 from planner.problem.plan import Status
+from planner.solvers.continuation import REACH, DistantContacts, SofterContacts, has_softer, stays_on_feet
 from planner.solvers.engine import CompiledEngine, NumpyEngine, acquire_engine
 from planner.solvers.options import SolverOptions
 from planner.solvers.relaxation import MAX_QUICK_ITERATIONS, relax
-from planner.solvers.softer_contacts import REACH, DistantContacts, SofterContacts, has_softer, stays_on_feet
 
 DIRECT = SolverOptions(homotopy=False)
 

@@ -6,8 +6,18 @@ from contact_machines import leg
 
 from planner.base.errors import FileError, PlannerError
 from planner.model.mechanism import Mechanism
-from planner.problem.appearance import View
-from planner.problem.pictures import Band, Chart, Charts, CurveData, Paths, PoseSequence, Stick, StickFigures, Trace
+from planner.problem.appearance import (
+    Band,
+    Chart,
+    Charts,
+    CurveData,
+    Paths,
+    PoseSequence,
+    Stick,
+    StickFigures,
+    Trace,
+    View,
+)
 from planner.view.plots import draw_charts, draw_paths, draw_stick_figures, save
 from planner.view.plots.stick_figures import FRONT, SIDE, TOP, axes_of, frame_points, projected
 

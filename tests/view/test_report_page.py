@@ -22,7 +22,7 @@ from planner.model.capabilities import Capabilities
 from planner.model.mechanism import Mechanism
 from planner.problem.appearance import Appearance
 from planner.problem.plan import Start, Status
-from planner.problem.recipe import Recipe
+from planner.problem.problem_parts import Recipe
 from planner.proof.repair.refinement import Refinement
 from planner.view.plots import draw_plan, draw_proof, save
 from planner.view.render.encode import Encoder

@@ -8,7 +8,7 @@ from planner.cases import human_step
 from planner.cases.human_step.measures import measures, robot_wrench, vertical_force
 from planner.cases.human_step.pictures import by_cycle
 from planner.cases.human_step.walker import LEG
-from planner.problem.pictures import Charts, Paths, StickFigures
+from planner.problem.appearance import Charts, Paths, StickFigures
 from planner.view.plots import CASE_PICTURES, case_pictures, draw_case_picture, save
 
 

@@ -11,8 +11,7 @@ from rolled_out_plans import LIMITED, problem_of, rolled_out
 
 import planner
 from planner.model.mechanism import Mechanism
-from planner.problem.appearance import Appearance, GoalMark
-from planner.problem.pictures import BoundedPanel
+from planner.problem.appearance import Appearance, BoundedPanel, GoalMark
 from planner.view.plots import draw_plan
 from planner.view.plots.bounded import draw_bounded
 from planner.view.plots.style import panels_of

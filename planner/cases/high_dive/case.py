@@ -39,7 +39,7 @@ from planner.model.space import conjugate, log_quaternion, product
 from planner.model.twin import Twin
 from planner.problem.appearance import Appearance, Panel, Readout
 from planner.problem.problem import Problem, Requirements
-from planner.problem.recipe import Recipe
+from planner.problem.problem_parts import Recipe
 
 if TYPE_CHECKING:
     from planner.model.mechanism import Mechanism

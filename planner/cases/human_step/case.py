@@ -51,9 +51,9 @@ from planner.cases.human_step.walker import FILE_MASS, PELVIS, SIDES, Walker
 from planner.dynamics import INTEGRATORS, RigidBodyDynamics
 from planner.dynamics.rollout import rollout_states
 from planner.problem.appearance import Appearance, Ghost, Panel, Readout, View
-from planner.problem.costs.drive import DriveCost
+from planner.problem.costs.motors import DriveCost
 from planner.problem.problem import Problem, Requirements
-from planner.problem.recipe import Recipe
+from planner.problem.problem_parts import Recipe
 from planner.problem.rediscretize import MAX_STAGES
 
 Pelvis = Literal["motion", "force"]

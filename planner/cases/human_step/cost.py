@@ -31,7 +31,7 @@ import numpy as np
 from planner.cases.human_step.phase import SWING, GaitPhase
 from planner.cases.human_step.walker import PELVIS
 from planner.dynamics import RigidBodyDynamics
-from planner.problem.costs.penalty import PenaltyCost
+from planner.problem.costs.least_squares import PenaltyCost
 from planner.problem.costs.penalty_terms import Distance, Height, Point, Segment, Velocity
 from planner.problem.costs.terms import SumCost
 from planner.problem.costs.tracking import TrackingCost

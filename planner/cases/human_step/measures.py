@@ -31,7 +31,7 @@ from planner.dynamics.kinematics import frame_pose, jacobian
 from planner.dynamics.rollout import rollout_states
 from planner.model.contact.laws import ContactLaw, Law
 from planner.model.mechanism import Frame, Mechanism
-from planner.problem.periodicity import Periodic
+from planner.problem.problem_parts import Periodic
 
 if TYPE_CHECKING:
     from planner.problem.plan import Plan

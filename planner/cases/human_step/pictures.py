@@ -17,7 +17,7 @@ from planner.cases.human_step.phase import SWING, GaitPhase
 from planner.cases.human_step.walker import LEG, PELVIS
 from planner.dynamics import RigidBodyDynamics
 from planner.dynamics.kinematics import frame_pose
-from planner.problem.pictures import (
+from planner.problem.appearance import (
     Band,
     CasePicture,
     Chart,

@@ -31,7 +31,7 @@ In place of one goal of the joints there may be goals of frames, at times, and p
 
 A plan keeps the table with its defaults filled in and the model's text, so it is rebuilt without either file.
 
-    [avoid]                             # optional: what is kept apart, see planner.problem.avoid
+    [avoid]                             # optional: what is kept apart, see planner.problem.constraints.clearance
     self = true                         # the machine from itself
     world = true                        # and from what is at rest
     clearance = 0.02                    # m
@@ -92,19 +92,19 @@ from planner.model.mjcf.attached import attachments, stored_records
 from planner.model.mjcf.obstacles import obstacles_of
 from planner.model.robot_collections import model_location
 from planner.model.twin import Twin
-from planner.problem.avoid import Avoid
+from planner.problem.constraints.clearance import Avoid
 from planner.problem.constraints.constraint import Constraint
 from planner.problem.default_appearance import default_appearance, with_marks
-from planner.problem.default_weights import default_weights, straight_reference, weighed
+from planner.problem.default_weights import default_weights
 from planner.problem.example_task import conflict_as_drawn, start_of_model
 from planner.problem.joint_limits import moved_inside_limits, starts_at_limit
 from planner.problem.limits import Limits
 from planner.problem.model_lint import ranges_in_degrees
-from planner.problem.objective import durations_or_default
-from planner.problem.objective_problem import with_objective
+from planner.problem.objective import durations_or_default, with_objective
 from planner.problem.problem import Problem
-from planner.problem.recipe import PROBLEM_FILE, Recipe
-from planner.problem.tasks.waypoints import WAYPOINTS
+from planner.problem.problem_parts import PROBLEM_FILE, Recipe
+from planner.problem.reaching_cost import straight_reference, weighed
+from planner.solvers.waypoints import WAYPOINTS
 
 NAME = PROBLEM_FILE
 GAIN = 1e-4  # of the cost, by an iteration at kinks of contact, where more are worth nothing

@@ -12,12 +12,11 @@ from planner.base.errors import PlannerError
 from planner.cases.problem_file.build import again
 from planner.cases.problem_file.table import with_model_limits
 from planner.model.mechanism import Mechanism
-from planner.problem.avoid import Avoid
+from planner.problem.constraints.clearance import Avoid
 from planner.problem.constraints.constraint import Constraint
 from planner.problem.limits import Limits
 from planner.problem.problem import Problem
-from planner.problem.tasks.follow import Follow, follow_of
-from planner.problem.tasks.goal import Goal, goal_of
+from planner.problem.tasks.goal import Follow, Goal, follow_of, goal_of
 
 OWN = ("model", "goal", "follow", "attach", "obstacle", "exclude")
 

@@ -21,13 +21,13 @@ from planner.base.errors import PlannerError
 from planner.dynamics.quasi_static import quasi_static_controls
 from planner.dynamics.rollout import rollout_states
 from planner.model.space import space_of
-from planner.problem.avoid import collision_free_motion
-from planner.problem.closed_chain_reference import closed_chain_reference
+from planner.problem.collision_free_path import collision_free_motion
 from planner.problem.constraints.clearance import pair_clearance_of
 from planner.problem.initial_guess import interpolated_states, straight_line
 from planner.problem.problem import Problem
+from planner.problem.tasks.reference_motion import closed_chain_reference
+from planner.solvers.other_guesses import line_tracking_controls, tracking_controls
 from planner.solvers.slq import solve
-from planner.solvers.stabilizing_guess import line_tracking_controls, tracking_controls
 
 SHOTS = 6  # iterations along a gait: a rollout closes the defects after one to three, then the solver is as good
 STRAYS = 0.1  # of the largest motion: from there on gains keep a guess on its way

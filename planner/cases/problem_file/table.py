@@ -10,13 +10,13 @@ from planner.base.toml_table import check_keys
 from planner.cases.problem_file.keys import AVOID, DEFAULTS, KEYS, LIMITS, MODEL_LIMITS, RAMP, RESOLVED, WEIGHTS
 from planner.cases.problem_file.reference_guess import GUESSES
 from planner.dynamics.rigid_body import MAX_SUBSTEPS
-from planner.problem.costs.goal_spec import checked_tolerance, stored_tolerance
-from planner.problem.limit_values import OFF
+from planner.problem.costs.terms import checked_tolerance, stored_tolerance
+from planner.problem.joint_limits import OFF
 from planner.problem.limits import Limits
 from planner.problem.objective import checked_durations, weights_of
 from planner.problem.rediscretize import MAX_STAGES
-from planner.problem.tasks.waypoints import WAYPOINTS
 from planner.solvers.options import MAX_STARTS
+from planner.solvers.waypoints import WAYPOINTS
 
 
 def with_defaults(table: dict[str, Any], where: str, stored: bool = False) -> dict[str, Any]:

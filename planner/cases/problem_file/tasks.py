@@ -18,12 +18,10 @@ from planner.dynamics import RigidBodyDynamics
 from planner.dynamics.stance import feet_move, rolling_dofs
 from planner.model.capabilities import stands_on_ground
 from planner.model.mechanism import Mechanism
-from planner.problem.avoid import Avoid, AvoidanceConstraint
-from planner.problem.closed_chain_reference import closed_chain_reference
-from planner.problem.collision_checker import CollisionChecker
+from planner.problem.collision_free_path import CollisionChecker
+from planner.problem.constraints.clearance import Avoid, AvoidanceConstraint
 from planner.problem.constraints.constraint import Constraint
-from planner.problem.costs.goal_spec import GoalSpec
-from planner.problem.costs.terms import Cost
+from planner.problem.costs.terms import Cost, GoalSpec
 from planner.problem.default_weights import (
     MOVING_SHARE,
     STANCE_TOLERANCES,
@@ -34,13 +32,13 @@ from planner.problem.default_weights import (
 from planner.problem.goals import ROUNDING, static_error
 from planner.problem.limits import Limits
 from planner.problem.tasks.cost import WEIGHT, task_cost, task_goal_specs
-from planner.problem.tasks.flight import check_flight
-from planner.problem.tasks.follow import Follow, follow_of, with_points
 from planner.problem.tasks.gait import Gait, gait_of
-from planner.problem.tasks.goal import Goal, goal_of
+from planner.problem.tasks.goal import Follow, Goal, follow_of, goal_of, with_points
+from planner.problem.tasks.legs import check_flight
 from planner.problem.tasks.pose_constraints import PoseConstraints
 from planner.problem.tasks.poses import Poses, is_screws, poses_of
 from planner.problem.tasks.reference_motion import (
+    closed_chain_reference,
     controls,
     joint_displacement,
     reference_states,
@@ -48,7 +46,7 @@ from planner.problem.tasks.reference_motion import (
     with_via_poses,
 )
 from planner.problem.tasks.timed_task import Task, task_of
-from planner.problem.tasks.waypoints import dated_by_way, dated_evenly, undated_waypoints
+from planner.solvers.waypoints import dated_by_way, dated_evenly, undated_waypoints
 
 MAX_GOALS = 1000  # goals
 _OF_GOALS = ("final_position", "hold")  # weights of an end in joints, which a task's goals take the place of

@@ -110,7 +110,7 @@ class ContactLaw(Law):
         bend: b, how gradually friction turns from viscous to Coulomb's, 0 (at once) to 1. In an MJCF it goes with a
             ramp: without one friction is cut off at once.
         uncertainty: How many times softer a plane may be; at least 1. A plan's gains allow for it
-            (solvers.uncertain_ground); nothing else depends on it.
+            (solvers.gains); nothing else depends on it.
         lead: s, how much later the contact has the velocity that is damped; 0 for now. Friction of a law with a lead
             follows from damping, friction, impratio and cone; slip_damping says it and does not change it.
         cone: "elliptic" or "pyramidal", the friction cone of a law with a lead.

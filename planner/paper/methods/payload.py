@@ -35,8 +35,8 @@ from planner.cases.puma import (
 from planner.cases.puma import torque_limits as puma_limits
 from planner.dynamics.algorithms import bias
 from planner.problem.plan import Plan, Status
+from planner.solvers.gains import warm_start
 from planner.solvers.slq import solve
-from planner.solvers.warm_start import warm_start
 
 FOLLOWED = "followed"  # the guess of an attempt that follows the last payload's motion
 _STRIDE = 1.3  # from one payload to the next while all are lifted

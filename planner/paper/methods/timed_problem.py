@@ -18,7 +18,7 @@ from planner.base.errors import PlannerError
 from planner.control.window_parts import at_stages, parts_of
 from planner.kernels.numba.lanes import padded
 from planner.paper.methods.adjoint import ContinuousDynamics, Partials
-from planner.problem.costs.residuals.cost import ResidualCost
+from planner.problem.costs.least_squares import ResidualCost
 from planner.problem.costs.terms import SumCost
 from planner.problem.costs.tracking import TrackingCost
 from planner.problem.problem import Problem

@@ -19,8 +19,8 @@ from planner import cases
 from planner.dynamics import RigidBodyDynamics
 from planner.model.mechanism import Mechanism
 from planner.paper.studies.study import Row, Study, plan_record, table
-from planner.problem.costs.energy import EnergyCost
 from planner.problem.costs.jerk import JerkCost
+from planner.problem.costs.motors import EnergyCost
 from planner.problem.costs.tracking import TrackingCost
 from planner.problem.limits import Limits
 from planner.problem.plan import Plan

@@ -21,8 +21,8 @@ from planner.paper.methods.payload import LargestPayload, largest_payload, stati
 from planner.paper.studies.study import Row, Study, plan_record, table, timed
 from planner.problem.plan import Plan
 from planner.proof import prove
+from planner.solvers.gains import warm_start
 from planner.solvers.slq import solve
-from planner.solvers.warm_start import warm_start
 from planner.view.plots.style import HUES, INK, RED, SOFT, dress, grid_of, save
 
 DURATIONS = (1.5, 2.0, 2.5)  # s

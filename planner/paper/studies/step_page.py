@@ -22,7 +22,7 @@ from planner.paper.studies.step_run import (
     step_results,
 )
 from planner.paper.studies.study import Row, Study, row_of, table
-from planner.problem.pictures import PoseSequence, Stick, StickFigures
+from planner.problem.appearance import PoseSequence, Stick, StickFigures
 from planner.view.plots.stick_figures import draw_stick_figures
 from planner.view.plots.style import DASHED, HUES, SOFT, dress, panels_of, save
 

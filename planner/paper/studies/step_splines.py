@@ -23,7 +23,7 @@ from planner.paper.methods.control_spline import SplineCost, solve_by_splines
 from planner.paper.methods.splines import SplineSpace, bfgs, nearest_amplitudes
 from planner.paper.methods.timed_problem import TimedProblem
 from planner.paper.studies.study import Row, Study, draw_errors, errors_at, errors_table, plan_record, table
-from planner.problem.costs.residuals.cost import ResidualCost
+from planner.problem.costs.least_squares import ResidualCost
 from planner.problem.costs.terms import SumCost
 from planner.problem.problem import Problem
 from planner.solvers.slq import solve

@@ -24,11 +24,10 @@ from planner.kernels.tree.residuals.kinds import HEIGHT, MASS_CENTRE, ORIENTATIO
 from planner.model.capabilities import capabilities_of
 from planner.model.mechanism import Frame, Mechanism
 from planner.model.space import space_of
-from planner.problem.costs.penalty import arrays_of_terms
+from planner.problem.costs.least_squares import values_and_jacobians, values_of
 from planner.problem.costs.penalty_terms import Penalty
-from planner.problem.costs.residuals.arrays import ResidualArrays, ResidualList
-from planner.problem.costs.residuals.cost import values_and_jacobians, values_of
-from planner.problem.costs.residuals.functions import KinematicsCache, rotation_of, tilt_curvature
+from planner.problem.costs.residual_arrays import ResidualArrays, ResidualList, arrays_of_terms
+from planner.problem.costs.residual_functions import KinematicsCache, rotation_of, tilt_curvature
 from planner.problem.residual import Residual
 
 __all__ = ["CenterOfMass", "FrameAxisAngle", "FrameOrientation", "FramePosition", "FramePositionAlong"]

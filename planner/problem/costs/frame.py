@@ -1,19 +1,26 @@
-"""FrameCost and CenterOfMassCost: squared errors of a frame (a hand, a foot, a trunk) and of the centre of mass."""
+"""FrameCost, CenterOfMassCost and SlipCost: squared errors of frames and of the centre of mass, and feet that slide."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from planner.base.arguments import array, numbers, short_repr
+from planner.base.arguments import array, number, numbers, short_repr
 from planner.base.errors import PlannerError
 from planner.kernels.tree.residuals import kinds
+from planner.kernels.tree.residuals.kinds import SLIP
+from planner.model.contact.laws import Contact
 from planner.model.mechanism import Frame
-from planner.problem.costs.residuals.arrays import ResidualList, StageData, WeightedTarget
-from planner.problem.costs.residuals.cost import GoalRows, ResidualCost
-from planner.problem.costs.residuals.functions import rotation_of
+from planner.problem.costs.least_squares import GoalRows, ResidualCost
+from planner.problem.costs.residual_arrays import ResidualList
+from planner.problem.costs.residual_functions import rotation_of
 from planner.problem.costs.tracking import mechanism_and_step
+
+_ALL = slice(None)
+CLEARANCE = 0.06  # m: default of a foot that is lifted enough; a foot at 5 m/s crosses it in a stage, not unseen
 
 
 class FrameCost(ResidualCost):
@@ -80,16 +87,14 @@ class FrameCost(ResidualCost):
             raise PlannerError("position and orientation are None, expected a target for the frame.")
         stages = StageData(dt)
         axis, direction = _pointing(pointing)
-        given = {
-            "position": stages.asked("position", position, position_weight, final_position_weight, 3),
-            "orientation": stages.asked("orientation", orientation, orientation_weight, final_orientation_weight, 3, 4),
-            "pose": stages.asked("pose", pose, pose_weight, final_pose_weight, 6, 7),
-            "pointing": stages.asked("pointing", direction, pointing_weight, final_pointing_weight, 3),
-            "velocity": stages.asked("velocity", velocity, velocity_weight, final_velocity_weight, 3),
-            "angular_velocity": stages.asked(
-                "angular_velocity", angular_velocity, angular_velocity_weight, final_angular_velocity_weight, 3
-            ),
-        }  # fmt: skip
+        given = {what: stages.asked(what, *asked) for what, asked in {
+            "position": (position, position_weight, final_position_weight, 3),
+            "orientation": (orientation, orientation_weight, final_orientation_weight, 3, 4),
+            "pose": (pose, pose_weight, final_pose_weight, 6, 7),
+            "pointing": (direction, pointing_weight, final_pointing_weight, 3),
+            "velocity": (velocity, velocity_weight, final_velocity_weight, 3),
+            "angular_velocity": (angular_velocity, angular_velocity_weight, final_angular_velocity_weight, 3),
+        }.items()}  # fmt: skip
         measures, goals = ResidualList(stages.horizon), []
         point = measures.point(self.frame.link, self.frame.T[:3, 3])
         for what, asked in given.items():
@@ -111,7 +116,6 @@ class _Kind(NamedTuple):
     goals: tuple[tuple[str, str, slice], ...]
 
 
-_ALL = slice(None)
 _KINDS = {
     "position": _Kind(kinds.POSITION, (("position", "m", _ALL),)),
     "orientation": _Kind(kinds.ORIENTATION, (("orientation", "rad", _ALL),)),
@@ -186,3 +190,118 @@ class CenterOfMassCost(ResidualCost):
         residual_arrays.add(kinds.MASS_CENTRE, [], asked.weight, bound=stages.rows(asked.target).T)
         goals = [GoalRows("position of the centre of mass", "m", 0)] if asked.final else []
         super().__init__(mechanism, residual_arrays.arrays(), stages.N, goals)
+
+
+@dataclass(frozen=True, eq=False)
+class WeightedTarget:
+    """A target and its weights."""
+
+    target: np.ndarray  # (1 or N+1, size)
+    stage_weight: np.ndarray  # (1 or N+1, rows) running weights, times dt
+    end: np.ndarray  # (1, rows) final weights
+    final: bool  # whether a final weight was given; a target with a running weight alone is no goal
+    stages: StageData
+
+    @property
+    def weight(self) -> np.ndarray:
+        """(rows, N+1) running weights, the last column the final ones."""
+        weight = np.array(self.stages.rows(self.stage_weight))
+        weight[-1] = self.end[0]
+        return weight.T
+
+
+class StageData:
+    """The common horizon N of arguments per stage, None while there are none.
+
+    Args:
+        dt: s, factor of running weights.
+    """
+
+    def __init__(self, dt: float) -> None:
+        self.N: int | None = None
+        self._dt = dt
+
+    @property
+    def horizon(self) -> int:
+        """Number of stages of the arrays: N, or 1 for any horizon."""
+        return 1 if self.N is None else self.N
+
+    def rows(self, given: np.ndarray) -> np.ndarray:
+        """(1 or N+1, size) broadcast to (N+1, size)."""
+        return np.broadcast_to(given, (self.horizon + 1, given.shape[1]))
+
+    def asked(
+        self, name: str, target: Any, way: Any, final: Any, rows: int, size: int | None = None
+    ) -> WeightedTarget | None:
+        """Checked target of `size` entries (`rows` by default) and its weights; None without both."""
+        checked = None if target is None else self._target(name, target, size or rows)
+        running, end = self._weights(f"{name}_weight", way, final, rows)
+        weighs = bool(running.any() or end.any())
+        if weighs and checked is None:
+            raise PlannerError(f"{name}_weight has no target, expected {name}=.")
+        if checked is None:
+            return None
+        if not weighs:
+            raise PlannerError(f"{name} has no weight, expected {name}_weight or final_{name}_weight above 0.")
+        return WeightedTarget(checked, running, end, final is not None, self)
+
+    def _agree(self, name: str, given: np.ndarray) -> None:
+        if given.ndim == 2:
+            if self.N is not None and len(given) != self.N + 1:
+                raise PlannerError(f"{name} has {len(given)} rows, expected N+1 = {self.N + 1} as the others.")
+            self.N = len(given) - 1
+
+    def _target(self, name: str, value: Any, size: int) -> np.ndarray:
+        given = numbers(name, value)
+        given = array(name, given, ("N+1", size) if given.ndim == 2 else (size,))
+        self._agree(name, given)
+        return np.atleast_2d(given)
+
+    def _weights(self, name: str, way: Any, final: Any, rows: int) -> tuple[np.ndarray, np.ndarray]:
+        """(1 or N+1, rows) running weights times dt, and (1, rows) final weights."""
+        given = [numbers(name, way), numbers(f"final_{name}", 0.0 if final is None else final)]
+        for label, value in zip((name, f"final_{name}"), given, strict=True):
+            if value.ndim == 2 and label == name:
+                array(label, value, ("N+1", rows))
+                self._agree(label, value)
+            elif value.ndim:
+                array(label, value, (rows,))
+            if not (np.isfinite(value).all() and value.min() >= 0.0):
+                raise PlannerError(f"{label} is {value.tolist()}, expected finite weights of at least 0.")
+        running, end = (np.atleast_2d(np.broadcast_to(v, v.shape if v.ndim else (rows,))) for v in given)
+        return self._dt * running, self._dt * running[-1:] if final is None else end
+
+
+class SlipCost(ResidualCost):
+    """Slip of contacts with planes at rest, for any horizon; feet that slide, or swing close to the ground.
+
+        J = sum over stages and contacts of dt w |s(h) v_t|^2 / 2
+
+    with v_t the tangential velocity of a contact's lowest point, h its height and s the share of kernels.tree.residuals
+    .foot_slip, 1 on the ground and 0 from the clearance on. A foot may stand, roll, or swing higher than the clearance;
+    sliding, landing with tangential speed and shuffling cost. Friction alone does not tell these apart: a foot that is
+    dragged with little load loses nothing in the plan, and is elsewhere when another ground has another friction.
+    (Kim et al. 2023, "Contact-implicit model predictive control: controlling diverse quadruped motions without
+    pre-planned contact modes or trajectories", foot slip and clearance cost.) With RigidBodyDynamics it is part of the
+    compiled solver.
+
+    Args:
+        machine: RigidBodyDynamics or a Mechanism.
+        weight: w, per second and (m/s)^2.
+        contacts: By default all of the machine with planes at rest.
+        dt: s; that of the dynamics by default.
+        clearance: Height from which a foot costs nothing, m.
+    """
+
+    def __init__(
+        self, machine: Any, weight: float, contacts: Sequence[Contact] | None = None, dt: float | None = None,
+        clearance: float = CLEARANCE,
+    ) -> None:  # fmt: skip
+        mechanism, dt = mechanism_and_step(machine, dt)
+        rows, terms = dt * number("weight", weight, minimum=0.0), ResidualList(1)
+        for one in mechanism.contacts if contacts is None else contacts:
+            if np.any(one.plane.velocity) or one.plane.slide >= 0:
+                continue  # a belt, or a box that moves: slip is relative to it
+            constant = (*one.plane.normal, one.plane.offset + one.radius + one.law.margin, one.radius, 1.0 / clearance)
+            terms.add(SLIP, [terms.point(one.link, one.centre)], (rows, 0.0), constant=constant)
+        super().__init__(mechanism, terms.arrays(), None)

@@ -37,7 +37,6 @@ from planner.base.errors import PlannerError
 from planner.dynamics import RigidBodyDynamics
 from planner.kernels.lq.workspace import Workspace
 from planner.kernels.tree.memory import TreeMemory
-from planner.kernels.tree.residuals.table import ResidualTable
 from planner.model.mechanism import Mechanism
 from planner.model.mjcf.model_index import compile_model
 from planner.model.mjcf.prescribed_joints import heavy_joints, in_order, prescribe_joints, twin_of
@@ -61,18 +60,11 @@ class Accelerations:
 
     def __call__(self, xs: np.ndarray, us: np.ndarray) -> np.ndarray:
         """(K, nv) at xs (K, nx) with us (K, nu)."""
-        return self.between(xs, self.dynamics.step(xs, us))
-
-    def between(self, xs: np.ndarray, ends: np.ndarray) -> np.ndarray:
-        """(K, nv) of stages from xs (K, nx) to ends (K, nx)."""
-        return (ends[:, self._velocities] - xs[:, self._velocities]) / self.dynamics.dt
+        return (self.dynamics.step(xs, us)[:, self._velocities] - xs[:, self._velocities]) / self.dynamics.dt
 
     def derivatives(self, xs: np.ndarray, us: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Derivatives by a deviation of x (K, nv, ndx), and by u (K, nv, nu)."""
-        return self.of_jacobians(*self.dynamics.linearize(np.concatenate([xs, xs[:1]]), us))
-
-    def of_jacobians(self, A: np.ndarray, B: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """The same of stages with Jacobians A (K, ndx, ndx) and B (K, ndx, nu)."""
+        A, B = self.dynamics.linearize(np.concatenate([xs, xs[:1]]), us)
         rows = slice(self.nv, 2 * self.nv)
         by_x = A[:, rows].copy()
         by_x[:, :, rows] -= np.eye(self.nv)
@@ -94,6 +86,9 @@ class JerkDynamics:
         self.nx, self.ndx, self.nu, self.dt = self.space.nx, self.space.ndx, dynamics.nu, dynamics.dt
         self.batched = True
         self.kernels = dynamics.dense_kernels
+        # The line search and the residuals are the machine's own; see CompiledDynamics and ResidualDynamics.
+        self.search, self.take, self.residuals = dynamics.search, dynamics.take, dynamics.residuals
+        self.quadratize_nominal = dynamics.quadratize_nominal
         nv, ndx = self.mechanism.nv, dynamics.ndx
         self._velocities = slice(nv, 2 * nv)  # rows of A and B
         self._accelerations, self._rates = slice(ndx, ndx + nv), slice(ndx + nv, ndx + 2 * nv)
@@ -144,16 +139,6 @@ class JerkDynamics:
         ends = self.own.stage_ends(w, memory)[:, : self.own.nx]
         return self._appended(w.xs[:-1], ends, ends)
 
-    def search(
-        self, w: Workspace, memory: TreeMemory, rule: int, feedback: bool, cost: float, slope: float
-    ) -> tuple[float, float]:
-        """Line search from w.xs, w.us; see CompiledDynamics.search."""
-        return self.own.search(w, memory, rule, feedback, cost, slope)
-
-    def take(self, w: Workspace, memory: TreeMemory, lane: int) -> None:
-        """Make candidate `lane` of a rejected line search the nominal trajectory."""
-        self.own.take(w, memory, lane)
-
     def nominal_jacobians(self, w: Workspace) -> tuple[np.ndarray, np.ndarray]:
         """A (N, ndx, ndx) and B (N, ndx, nu) of Eq. 35, from the last linearize_nominal."""
         return w.F[:, :, w.first : w.first + self.ndx], w.F[:, :, : self.nu]
@@ -162,14 +147,6 @@ class JerkDynamics:
         """Names of the kernels used with residuals, in place of `kernels`."""
         search, *_, residuals = self.own.residual_kernels(solids)
         return search, *self.kernels[1:], residuals
-
-    def residuals(self, measures: Any) -> ResidualTable:
-        """Kernel table of the cost residuals in a problem.costs.residuals.arrays.ResidualArrays."""
-        return self.own.residuals(measures)
-
-    def quadratize_nominal(self, w: Workspace, memory: TreeMemory) -> None:
-        """Add the residuals' gradients along w.xs to w.l, and store their Hessians for the backward sweep."""
-        self.own.quadratize_nominal(w, memory)
 
     def second_order_memory(self) -> Any:
         """PlannerError: there are none."""

@@ -1,4 +1,4 @@
-"""Costs: J = phi(x(N)) + sum of L(x(n), u(n), n) (Eq. 9), and their quadratic models.
+"""Costs: J = phi(x(N)) + sum of L(x(n), u(n), n) (Eq. 9), their quadratic models, and the goals of their terms.
 
 Every quadratic term has a factor 1/2, also the control's: Eq. 11 as printed has none there, but Eq. 16 and 18 imply
 it. Gradients and Hessians of states are with respect to a deviation dx (ndx,) of model.space, for plain vectors the
@@ -7,13 +7,16 @@ difference of states.
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
-from planner.base.arguments import short_repr
+from planner.base.arguments import number, short_repr
 from planner.base.errors import PlannerError
 from planner.model.space import StateSpace
+
+SOFT = "soft"  # the word for an infinite tolerance in files, which know no infinity
 
 
 class Quadratic(NamedTuple):
@@ -169,3 +172,57 @@ class EmbeddedCost(Term):
             np.pad(model.Q, ((0, 0), (0, more), (0, more))), np.pad(model.q, ((0, 0), (0, more))), model.R, model.r,
             None if model.S is None else np.pad(model.S, ((0, 0), (0, 0), (0, more))),
         )  # fmt: skip
+
+
+class GoalSpec(NamedTuple):
+    """One goal: of a cost's term with a final weight at the end, or of a task at its times.
+
+    A term has `goal_specs(coordinates) -> tuple of GoalSpec`, with the planner.model.coordinates.Coordinate of every
+    component of a deviation, and `final_cost(x) -> float`, its cost at the end.
+    """
+
+    name: str  # of the coordinate, or of a frame's part: "position of hand"
+    unit: str
+    error: Callable[[np.ndarray], np.ndarray]  # states (K, nx) -> (K,) distances from the goal; K = T with times
+    times: tuple[float, ...] | None = None  # (T,) s; None for the end
+    tolerance: float | None = None  # in its unit; None for the problem's
+
+
+def where_finite(xs: np.ndarray, values_of: Callable[[np.ndarray], np.ndarray]) -> np.ndarray:
+    """(K,) values of a function of indices (k,) -> (k,); infinite at states (K, nx) that are not finite."""
+    finite, found = np.flatnonzero(np.isfinite(xs).all(axis=1)), np.full(len(xs), np.inf)
+    if len(finite):
+        found[finite] = values_of(finite)
+    return found
+
+
+def checked_tolerance(value: Any) -> float | dict[str, float] | None:
+    """A problem's tolerance: a number above 0, "soft" or infinity for no check, or a table of these by name.
+
+    Raises:
+        PlannerError: It is something else.
+    """
+    if value is None:
+        return None
+    if isinstance(value, Mapping):
+        return {str(name): _one(f"the tolerance of {short_repr(name)}", one) for name, one in value.items()}
+    return _one("tolerance", value)
+
+
+def stored_tolerance(tolerance: float | Mapping[str, float] | None) -> Any:
+    """A checked tolerance as JSON values, which know no infinity."""
+    if isinstance(tolerance, Mapping):
+        return {name: stored_tolerance(one) for name, one in tolerance.items()}
+    return SOFT if tolerance == np.inf else tolerance
+
+
+def _one(name: str, value: Any) -> float:
+    if value == SOFT or (isinstance(value, float) and value == np.inf):
+        return float("inf")
+    try:
+        return number(name, value, greater_than=0.0)
+    except PlannerError:
+        raise PlannerError(
+            f"{name} is {short_repr(value)}, expected a number above 0, 'soft' for a goal that is not judged, or a "
+            "table such as {position = 0.02, velocity = 0.1}."
+        ) from None

@@ -22,13 +22,12 @@ from planner.model.capabilities import ballistic_dofs, rolling_radii
 from planner.model.coordinates import coordinates_of_mechanism
 from planner.model.mechanism import Mechanism
 from planner.problem.costs.frame import FrameCost
-from planner.problem.costs.goal_spec import GoalSpec
-from planner.problem.costs.terms import SumCost
+from planner.problem.costs.terms import GoalSpec, SumCost, where_finite
 from planner.problem.costs.tracking import TrackingCost
-from planner.problem.default_weights import VELOCITY, staying_cost, with_slip
+from planner.problem.default_weights import VELOCITY, servos_of
 from planner.problem.goals import MIN_TOLERANCES
-from planner.problem.servo_reference import servo_reference, servos_of
-from planner.problem.tasks.follow import Follow
+from planner.problem.reaching_cost import servo_reference, staying_cost, with_slip
+from planner.problem.tasks.goal import Follow
 from planner.problem.tasks.timed_task import DEFAULT_TOLERANCES, Task, TimedGoal, unit_of
 
 WEIGHT = 4.0  # in 1 / tolerance^2
@@ -79,12 +78,8 @@ def task_cost(
     for path in task.follows:
         terms += _of_path(task, path, factor, Q, x_ref)
     tracking = TrackingCost(Q, base.R, x_ref, base.u_ref, base.space)
-    return with_slip(
-        SumCost(tracking, *terms) if terms else tracking,
-        dynamics,
-        slip,
-        reference[[0, *(one.stage for one in task.goals), N]],
-    )
+    states = reference[[0, *(one.stage for one in task.goals), N]]
+    return with_slip(SumCost(tracking, *terms) if terms else tracking, dynamics, slip, states)
 
 
 def task_goal_specs(task: Task, x0: np.ndarray) -> tuple[GoalSpec, ...]:
@@ -117,9 +112,9 @@ def task_goal_specs(task: Task, x0: np.ndarray) -> tuple[GoalSpec, ...]:
             error = partial(_path_error, mechanism, path.frame, points)
             found.append(GoalSpec(f"path of {path.what}", "m", error, times, task.tolerance(path)))
             continue
-        for k, address in enumerate(_addresses(mechanism, path)):  # each joint in its own unit
-            error = partial(_joint_error, np.array([address]), points[:, [k]])
-            found.append(GoalSpec(f"path of {path.joints[k]}", task.units(path)[k], error, times, task.tolerance(path)))
+        for k, name in enumerate(path.joints):  # each in its own unit
+            error = partial(_joint_error, mechanism.q_address[[mechanism.joint(name).start]], points[:, [k]])
+            found.append(GoalSpec(f"path of {name}", task.units(path)[k], error, times, task.tolerance(path)))
     if task.rests:
         nv, states = mechanism.nv, slice(mechanism.nq, mechanism.nq + mechanism.nv)
         stopped = np.flatnonzero(~ballistic_dofs(mechanism, x0))
@@ -182,10 +177,6 @@ def _moving_dofs(mechanism: Mechanism, one: TimedGoal) -> list[int]:
     return [] if link < 0 else list(chain_of(mechanism.parent, link))
 
 
-def _addresses(mechanism: Mechanism, path: Follow) -> np.ndarray:
-    return np.array([mechanism.q_address[mechanism.joint(name).start] for name in path.joints])
-
-
 def _joint_error(addresses: np.ndarray, points: np.ndarray, xs: np.ndarray) -> np.ndarray:
     """(K,) max difference of joint positions from points (1 or K, n), rad or m."""
     return np.abs(xs[:, addresses] - points).max(axis=1)
@@ -193,14 +184,6 @@ def _joint_error(addresses: np.ndarray, points: np.ndarray, xs: np.ndarray) -> n
 
 def _abs_velocity(address: int, size: float, xs: np.ndarray) -> np.ndarray:
     return size * np.abs(xs[:, address])
-
-
-def _where_finite(mechanism: Mechanism, xs: np.ndarray, error_of: Any) -> np.ndarray:
-    """(K,) values of a function (indices (k,)) -> (k,); infinite at states that are not finite."""
-    finite, found = np.flatnonzero(np.isfinite(xs).all(axis=1)), np.full(len(xs), np.inf)
-    if len(finite):
-        found[finite] = error_of(finite)
-    return found
 
 
 def _frame_error(mechanism: Mechanism, target: Target, xs: np.ndarray) -> np.ndarray:
@@ -220,7 +203,7 @@ def _frame_error(mechanism: Mechanism, target: Target, xs: np.ndarray) -> np.nda
         chord = np.linalg.norm(T[:, :3, :3] @ axis - direction, axis=1)
         return 2.0 * np.arcsin(np.minimum(0.5 * chord, 1.0))
 
-    return _where_finite(mechanism, xs, error_of)
+    return where_finite(xs, error_of)
 
 
 def _path_error(mechanism: Mechanism, frame: str, points: np.ndarray, xs: np.ndarray) -> np.ndarray:
@@ -228,7 +211,7 @@ def _path_error(mechanism: Mechanism, frame: str, points: np.ndarray, xs: np.nda
         here = frame_pose(mechanism, xs[finite, : mechanism.nq], frame)[:, :3, 3]
         return np.linalg.norm(here - points[finite], axis=1)
 
-    return _where_finite(mechanism, xs, error_of)
+    return where_finite(xs, error_of)
 
 
 def _speed(mechanism: Mechanism, frame: str, xs: np.ndarray) -> np.ndarray:
@@ -238,4 +221,4 @@ def _speed(mechanism: Mechanism, frame: str, xs: np.ndarray) -> np.ndarray:
         J = jacobian(mechanism, xs[finite, :nq], frame)[:, :3]
         return np.linalg.norm(np.einsum("kai,ki->ka", J, xs[finite, nq : nq + nv]), axis=1)
 
-    return _where_finite(mechanism, xs, error_of)
+    return where_finite(xs, error_of)

@@ -31,10 +31,10 @@ from planner.base.arguments import choice, number, short_repr
 from planner.base.errors import PlannerError
 from planner.dynamics.momentum import center_of_mass
 from planner.model.mechanism import Mechanism
-from planner.problem.costs.slip import CLEARANCE
-from planner.problem.tasks.flight import check_flight_time
-from planner.problem.tasks.footsteps import (
+from planner.problem.costs.frame import CLEARANCE
+from planner.problem.tasks.legs import (
     Foot,
+    check_flight_time,
     longest_step,
     over_support,
     points_of_feet,

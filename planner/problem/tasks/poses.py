@@ -14,12 +14,11 @@ from planner.dynamics.inverse_kinematics import Target, inverse_kinematics, resi
 from planner.dynamics.kinematics import frame_pose
 from planner.dynamics.statics import static_equilibrium
 from planner.model.capabilities import unreached_dofs
-from planner.model.mechanism import SCREW, Frame, Mechanism
+from planner.model.mechanism import SCREW, Frame
 from planner.model.mjcf.prescribed_joints import prescribed_dofs_of
-from planner.problem.collision_checker import CollisionChecker
-from planner.problem.tasks.feet import FOOT_SCALE, Feet, feet_of
-from planner.problem.tasks.follow import Follow
-from planner.problem.tasks.pose_constraints import PoseConstraints, ResidualAndJacobian, both
+from planner.problem.collision_free_path import CollisionChecker
+from planner.problem.tasks.goal import Follow
+from planner.problem.tasks.pose_constraints import FOOT_SCALE, Feet, PoseConstraints, ResidualAndJacobian, both, feet_of
 from planner.problem.tasks.timed_task import Task, TimedGoal, unit_of
 
 MAX_CONFIGURATIONS = 60  # along a path; joints follow a spline between them
@@ -203,11 +202,8 @@ def _pose(
                     for target, (distance, angle) in zip(asked.targets, target_errors, strict=True)]  # fmt: skip
             k = int(np.argmax(over))
             target, label, (distance, angle) = asked.targets[k], asked.labels[k], target_errors[k]
-            away = (
-                f"{distance:.3g} m"
-                if distance / target.metre_scale >= angle / target.turn_scale
-                else f"{angle:.3g} rad"
-            )
+            far = distance / target.metre_scale >= angle / target.turn_scale
+            away = f"{distance:.3g} m" if far else f"{angle:.3g} rad"
             raise PlannerError(
                 f"{label} contradicts {violated.constraint}: where that is kept {target.frame} is at best {away} away; "
                 "move the goal, or widen the constraint."
@@ -289,7 +285,8 @@ def _free_dofs(
         masks: list[tuple[np.ndarray, ResidualAndJacobian | None]] = [(actuated, None)]
         if feet is not None and feet.carry:
             masks.append((everything, feet.fixed))
-            targeted = np.isin(feet.links, [_link(mechanism, target.frame) for target in targets])
+            frames = [one.frame if isinstance(one.frame, Frame) else mechanism.frame(one.frame) for one in targets]
+            targeted = np.isin(feet.links, [frame.link for frame in frames])
             if targeted.any() and not targeted.all() and not passed:
                 masks = [(everything, feet.stepped(targeted)), (everything, feet.lifted(targeted)), *masks]
         if feet is not None:
@@ -298,10 +295,6 @@ def _free_dofs(
             masks.append((reached, None))
         masks = masks[:1] if actuated.all() else masks
     return [(mask & ~np.isin(np.arange(mechanism.nv), list(joints)), rows) for mask, rows in masks]
-
-
-def _link(mechanism: Mechanism, frame: str | Frame) -> int:
-    return (mechanism.frame(frame) if isinstance(frame, str) else frame).link
 
 
 def _on_ground(

@@ -11,8 +11,7 @@ from planner.base.arguments import array, choice, number
 from planner.base.errors import PlannerError
 from planner.model.mechanism import SCREW, Mechanism
 from planner.problem.goals import MIN_TOLERANCES
-from planner.problem.tasks.follow import Follow
-from planner.problem.tasks.goal import PARTS, Goal
+from planner.problem.tasks.goal import PARTS, Follow, Goal
 
 DEFAULT_TOLERANCES = {
     "position": MIN_TOLERANCES["m"],

@@ -14,7 +14,7 @@ from planner.model.mjcf.contact_mode import STANDING
 from planner.problem.costs.tracking import tracking_of
 from planner.problem.plan import Plan
 from planner.problem.problem import Problem
-from planner.problem.tasks.footsteps import standing_feet
+from planner.problem.tasks.legs import standing_feet
 from planner.proof.diagnostics.suggested_fix import SuggestedFix, fix, no_fix, of_file
 from planner.proof.verdict import Proof
 

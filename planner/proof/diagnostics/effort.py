@@ -24,10 +24,10 @@ import numpy as np
 from planner.base.diagnostic import Quantity
 from planner.model.coordinates import coordinates_of
 from planner.model.mechanism import Mechanism
-from planner.problem.bound_messages import control_at_bound, control_name, sentence_of, state_at_bound, state_outside
 from planner.problem.costs.tracking import tracking_of
 from planner.problem.plan import Plan, Status
 from planner.problem.problem import Problem
+from planner.problem.progress import control_at_bound, control_name, sentence_of, state_at_bound, state_outside
 from planner.problem.rediscretize import rounded_duration
 from planner.proof.diagnostics.min_jerk import MinJerkMotion, machine_of, smooth_motion
 from planner.proof.diagnostics.suggested_fix import SuggestedFix, fix, no_fix

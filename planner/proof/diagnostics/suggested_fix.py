@@ -11,7 +11,7 @@ from typing import Any
 from planner.base.diagnostic import Diagnostic, Quantity
 from planner.base.json_files import finite
 from planner.problem.problem import Problem
-from planner.problem.recipe import PROBLEM_FILE
+from planner.problem.problem_parts import PROBLEM_FILE
 from planner.proof.diagnostics.sentences import SENTENCES, TRIED
 
 ITERATIONS = "max_iterations"

@@ -16,16 +16,15 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from planner.model.mjcf.initial_overlaps import MAX_MUJOCO_DISTANCE, distances_in
-from planner.problem.avoid import model_index_of
-from planner.problem.constraints.clearance import PairClearance, pair_clearance_of
+from planner.problem.constraints.clearance import PairClearance, model_index_of, pair_clearance_of
 from planner.problem.goals import goals_of
 from planner.problem.plan import Plan, Status
 from planner.problem.problem import Problem
 from planner.proof import Proof
 from planner.proof import prove as full_proof
 from planner.proof.original_model import your_file
+from planner.solvers.gains import warm_start
 from planner.solvers.slq import solve
-from planner.solvers.warm_start import warm_start
 from planner.solvers.work import DEFAULT_WORK, WorkBudget, budget_of
 
 MAX_REFINEMENTS = 3  # times

@@ -27,8 +27,8 @@ from planner.proof import prove as full_proof
 from planner.proof.error_propagation import FACTOR
 from planner.proof.error_scales import shares_of_bounds
 from planner.proof.replays.replaying import reached_by_plan
+from planner.solvers.gains import warm_start
 from planner.solvers.slq import solve
-from planner.solvers.warm_start import warm_start
 from planner.solvers.work import DEFAULT_WORK, WorkBudget, budget_of
 
 SAME = 0.1  # of an end error beyond its bound: where half the step changes it by less, it is not of the step

@@ -12,8 +12,8 @@ from planner.dynamics import CompiledDynamics, ResidualDynamics
 from planner.kernels.lq import line_search
 from planner.model.mechanism import Mechanism
 from planner.model.space import space_of
-from planner.problem.costs.residuals.arrays import ResidualArrays, joined
-from planner.problem.costs.residuals.cost import ResidualCost
+from planner.problem.costs.least_squares import ResidualCost
+from planner.problem.costs.residual_arrays import ResidualArrays, joined
 from planner.problem.costs.terms import Cost, SumCost
 from planner.problem.costs.tracking import TrackingCost
 from planner.problem.problem import Problem
@@ -74,9 +74,7 @@ def _has(dynamics: CompiledDynamics, problem: Problem, rule: int, own: bool) -> 
     """Whether compiled dynamics support the problem's state bounds, user-defined costs (`own`) and line search."""
     if problem.ranges is not None and not getattr(dynamics, "has_ranges", True):
         return False
-    if own and (
-        rule == line_search.WOLFE or not hasattr(dynamics, "take")
-    ):  # user-defined costs have no slope at a candidate
+    if own and (rule == line_search.WOLFE or not hasattr(dynamics, "take")):  # such costs have no slope at a candidate
         return False
     # The kernels' slopes ignore that a clipped control does not change with the step length.
     return rule != line_search.WOLFE or (dynamics.has_slopes and problem.bounds is None)
@@ -104,12 +102,12 @@ def _compiled(problem: Problem, terms: list[Cost]) -> tuple[TrackingCost | NoTra
         return None
     if not residuals:
         return tracking[0], None
-    if isinstance(dynamics, ResidualDynamics) and all(
-        _moves_alike(term.mechanism, dynamics.mechanism) for term in residuals
-    ):
-        quadratic = tracking[0] if tracking else NoTracking(problem.N, space_of(dynamics), problem.dynamics.nu)
-        return quadratic, joined([term.residual_arrays_for(problem.N) for term in residuals])
-    return None
+    if not isinstance(dynamics, ResidualDynamics):
+        return None
+    if not all(_moves_alike(term.mechanism, dynamics.mechanism) for term in residuals):
+        return None
+    quadratic = tracking[0] if tracking else NoTracking(problem.N, space_of(dynamics), problem.dynamics.nu)
+    return quadratic, joined([term.residual_arrays_for(problem.N) for term in residuals])
 
 
 def _moves_alike(one: Mechanism, other: Mechanism) -> bool:

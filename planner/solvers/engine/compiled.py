@@ -17,12 +17,21 @@ from planner.kernels.lq.second_order import costates
 from planner.kernels.lq.workspace import W, Workspace
 from planner.kernels.precompile import compile_together
 from planner.model.space import StateSpace, space_of
-from planner.problem.costs.residuals.arrays import ResidualArrays
+from planner.problem.constraints.trajectory_constraints import BoundPenalties
+from planner.problem.costs.residual_arrays import ResidualArrays
 from planner.problem.costs.tracking import TrackingCost
+from planner.problem.limits import origin_of
 from planner.problem.problem import Problem
-from planner.problem.state_bounds import BoundPenalties
-from planner.solvers.engine.protocol import MAX_SETS, ActiveSetSchedule, DefectStep, Direction, Engine, state_weights
-from planner.solvers.engine.tracked_trajectory import TrackedTrajectory, TrajectoryArrays
+from planner.solvers.engine.protocol import (
+    MAX_SETS,
+    ActiveSetSchedule,
+    DefectStep,
+    Direction,
+    Engine,
+    TrackedTrajectory,
+    TrajectoryArrays,
+    state_weights,
+)
 from planner.solvers.lq import MAX_GRADIENT
 
 _EXACT = W.exact
@@ -40,9 +49,7 @@ class NoTracking:
 
     def __init__(self, N: int, space: StateSpace, nu: int) -> None:
         self.Q, self.R = np.zeros((N + 1, space.ndx, space.ndx)), np.zeros((N, nu, nu))
-        self.x_ref, self.u_ref = np.zeros((N + 1, space.nx)), np.zeros((N, nu))
-        for i, _ in space.quaternions:
-            self.x_ref[:, i] = 1.0
+        self.x_ref, self.u_ref = np.tile(origin_of(space), (N + 1, 1)), np.zeros((N, nu))
 
 
 class CompiledEngine(Engine):
@@ -101,9 +108,7 @@ class CompiledEngine(Engine):
         """Add penalties to the cost from the next start on; None for none."""
         w = self._w
         # Zero bounds with zero weights, since 0 * inf is NaN.
-        w.penalty_lower[:], w.penalty_upper[:], w.penalty_weight[:] = (
-            (0.0, 0.0, 0.0) if penalties is None else penalties
-        )
+        w.penalty_lower[:], w.penalty_upper[:], w.penalty_weight[:] = penalties or (0.0, 0.0, 0.0)
         self._has_penalties = bool(w.penalty_weight.any())
 
     def start_from_controls(self, x0: np.ndarray, us: np.ndarray, exact: bool = False) -> float:

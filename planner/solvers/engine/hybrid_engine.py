@@ -18,13 +18,12 @@ import numpy as np
 from planner.kernels.lq import line_search
 from planner.kernels.lq.workspace import ALPHA, COSTS, SLOPES
 from planner.problem.constraints.quantities import KernelResidual, penalty_arrays
-from planner.problem.constraints.trajectory_constraints import TrajectoryConstraints
-from planner.problem.costs.residuals.arrays import ResidualArrays, joined
+from planner.problem.constraints.trajectory_constraints import BoundPenalties, TrajectoryConstraints
+from planner.problem.costs.residual_arrays import ResidualArrays, joined
 from planner.problem.costs.terms import Cost, SumCost
 from planner.problem.problem import Problem
-from planner.problem.state_bounds import BoundPenalties
 from planner.solvers.engine.compiled import CompiledEngine
-from planner.solvers.engine.protocol import check_shapes
+from planner.solvers.engine.protocol import check_quadratic
 
 
 class HybridEngine(CompiledEngine):
@@ -65,7 +64,7 @@ class HybridEngine(CompiledEngine):
             w.T[:] = 0.0
             if self._own is not None and math.isfinite(cost):
                 model = self._own.quadratize(w.xs.copy(), w.us.copy())
-                check_shapes(model, len(w.us), w.us.shape[1], w.ndx)
+                check_quadratic(model, len(w.us), w.us.shape[1], w.ndx)
                 self.largest_control_weight = float(np.abs(self._R + model.R).max()) or 1.0
         return cost
 
@@ -93,9 +92,8 @@ class HybridEngine(CompiledEngine):
 
     def _value(self, xs: np.ndarray, us: np.ndarray) -> float:
         """The cost of the terms in NumPy."""
-        return (
-            0.0 if self._own is None else float(self._own.value(xs.copy(), us.copy()))
-        )  # copies: a user-defined cost may store them
+        # Copies: a user-defined cost may store them.
+        return 0.0 if self._own is None else float(self._own.value(xs.copy(), us.copy()))
 
     def _quadratize_own(self) -> None:
         """Add gradients and Hessians of the terms in NumPy along the trajectory."""

@@ -11,11 +11,11 @@ from planner.kernels.lq import line_search
 from planner.kernels.numba.jit import announce
 from planner.kernels.numba.lanes import WIDTH
 from planner.model.space import space_of
+from planner.problem.constraints.trajectory_constraints import BoundPenalties
 from planner.problem.control_bounds import StepBounds
 from planner.problem.costs.terms import Cost, Quadratic
 from planner.problem.costs.tracking import tracking_of
 from planner.problem.problem import Problem
-from planner.problem.state_bounds import BoundPenalties
 from planner.solvers import lq
 from planner.solvers.engine.protocol import (
     MAX_SETS,
@@ -23,10 +23,12 @@ from planner.solvers.engine.protocol import (
     DefectStep,
     Direction,
     Engine,
+    TrajectoryArrays,
+    check_quadratic,
     check_shapes,
+    shift_trajectory,
     state_weights,
 )
-from planner.solvers.engine.tracked_trajectory import TrajectoryArrays, shift_trajectory
 
 
 class NumpyEngine(Engine):
@@ -61,12 +63,8 @@ class NumpyEngine(Engine):
         self._penalties = penalties
 
     def _value(self, xs: np.ndarray, us: np.ndarray) -> float:
-        J = self._cost.value(xs, us)
-        return (
-            J
-            if self._penalties is None or self._constraints is None
-            else J + self._constraints.value(self._penalties, xs, us)
-        )
+        J, penalties, constraints = self._cost.value(xs, us), self._penalties, self._constraints
+        return J if penalties is None or constraints is None else J + constraints.value(penalties, xs, us)
 
     def _quadratized(self, xs: np.ndarray, us: np.ndarray, A: np.ndarray, B: np.ndarray) -> Quadratic:
         model = self._cost.quadratize(xs, us)
@@ -94,8 +92,8 @@ class NumpyEngine(Engine):
         xs, J = self._rollout(x0, first, None, us)  # no gains yet
         self._nominal = xs[:, 0].copy(), first[:, 0].copy()
         if np.isfinite(J[0]):
-            check_shapes(self._cost.quadratize(*self._nominal), *self._gains)
             model = self._cost.quadratize(*self._nominal)
+            check_quadratic(model, *self._gains)
             self.largest_control_weight = float(np.abs(model.R).max()) or 1.0
             tracking = tracking_of(self._cost)
             Q = model.Q if tracking is None else tracking.Q  # as in the kernels, in no rotated frame
@@ -175,9 +173,7 @@ class NumpyEngine(Engine):
         N, nu, ndx = self._gains
         dynamics: Any = self._dynamics
         T = np.asarray(dynamics.second_order(xs, us, lq.costates(self._A, self._model)))
-        if T.shape != (N, ndx + nu, ndx + nu):
-            expected = (N, ndx + nu, ndx + nu)
-            raise PlannerError(f"the dynamics' second_order gives an array of shape {T.shape}, expected {expected}.")
+        check_shapes("the dynamics' second_order", {"an array": (T, (N, ndx + nu, ndx + nu))})
         return T
 
     def compute_direction(self, mu: float, relinearize: bool, active_set: bool = True) -> Direction:
@@ -245,7 +241,8 @@ class NumpyEngine(Engine):
     def _linearize(self) -> None:
         xs0, us0 = self._nominal
         self._A, self._B = self._dynamics.linearize(xs0, us0)  # Eq. 35
-        _check_jacobians(self._A, self._B, *self._gains)
+        N, nu, ndx = self._gains  # with quaternions ndx differs from nx
+        check_shapes("the dynamics' linearize", {"A": (self._A, (N, ndx, ndx)), "B": (self._B, (N, ndx, nu))})
         self._model = self._quadratized(xs0, us0, self._A, self._B)
         bounds = self._step_bounds(xs0, us0)
         with np.errstate(
@@ -319,10 +316,3 @@ class NumpyEngine(Engine):
         """Copies of the trajectory and its gains; None unless the norm of its last state is below `max_norm`."""
         xs, us = self.trajectory()
         return (xs, us, self.gains()) if xs[-1] @ xs[-1] < max_norm**2 else None
-
-
-def _check_jacobians(A: np.ndarray, B: np.ndarray, N: int, nu: int, ndx: int) -> None:
-    """Check the shapes of user-defined derivatives: with quaternions ndx differs from nx."""
-    for name, have, shape in (("A", np.shape(A), (N, ndx, ndx)), ("B", np.shape(B), (N, ndx, nu))):
-        if have != shape:
-            raise PlannerError(f"the dynamics' linearize gives {name} of shape {have}, expected {shape}.")

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from planner.problem.pictures import BoundedPanel
+from planner.problem.appearance import BoundedPanel
 from planner.proof.replays.replaying import Replay
 from planner.view.plots.style import DASHED, HUES, INK, RED, drawable, dress, positive
 from planner.view.plots.time_series import line_of, name_curves, range_of, until_astray, view_limits

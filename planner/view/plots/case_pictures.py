@@ -9,8 +9,8 @@ import numpy as np
 from planner.base.arguments import array
 from planner.base.errors import PlannerError
 from planner.model.coordinates import coordinates_of
+from planner.problem.appearance import Band, CasePicture, Chart, Charts, CurveData, Paths, StickFigures
 from planner.problem.default_appearance import appearance_of
-from planner.problem.pictures import Band, CasePicture, Chart, Charts, CurveData, Paths, StickFigures
 from planner.view.plots.stick_figures import draw_paths, draw_stick_figures
 from planner.view.plots.style import DASHED, HUES, INK, SOFT, drawable, dress, legend_below, panels_of, title_above
 

@@ -14,8 +14,7 @@ from planner.base.arguments import array, count, number
 from planner.base.errors import PlannerError
 from planner.dynamics.kinematics import frame_pose
 from planner.model.mechanism import Frame, Mechanism
-from planner.problem.appearance import View
-from planner.problem.pictures import Paths, PoseSequence, Stick, StickFigures
+from planner.problem.appearance import Paths, PoseSequence, Stick, StickFigures, View
 from planner.view.plots.style import DASHED, HUES, INK, SOFT, blank, dress, legend_below, title_above
 from planner.view.render.camera import directions
 

@@ -16,12 +16,10 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from planner.model.coordinates import Coordinate, coordinates_of
-from planner.problem.appearance import Panel
-from planner.problem.default_appearance import appearance_of, small_multiples
-from planner.problem.pictures import BoundedPanel
+from planner.problem.appearance import BoundedPanel, Panel
+from planner.problem.default_appearance import appearance_of, small_multiples, task_panels
 from planner.problem.plan import Plan
 from planner.problem.problem import Problem
-from planner.problem.task_panels import task_panels
 from planner.proof.replays.replaying import Replay
 from planner.view.plots.style import HUES, drawable
 

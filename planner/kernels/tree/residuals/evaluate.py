@@ -1,6 +1,6 @@
 """Residuals on lanes: their cost over four candidates, their gradients and Hessians over four knots.
 
-The twin is problem.costs.residuals.cost. With the value e of a row, its bound b and its weight w, the cost is
+The twin is problem.costs.least_squares. With the value e of a row, its bound b and its weight w, the cost is
 
     1/2 w r^2,    r = e - b for a target, ramp(e - b) for at most b, ramp(b - e) for at least b,
 

@@ -10,7 +10,7 @@ all of the slip of a foot that stands, none of one that is lifted by d. The arm 
     d V_p / dq_i = Y_i(c) + w_i x V + (W_base x w_i + w_i x W) x a,    d V_p / dqd_i = v_i + w_i x p,
     d h / dq_i   = n'(v_i + w_i x c),                                  Y_i = V_base x S_i    (see frames).
 
-The twin is in problem.costs.residuals.functions.
+The twin is in problem.costs.residual_functions.
 """
 
 from __future__ import annotations

@@ -13,7 +13,7 @@ With the screw (w_i, v_i) of a dof that moves the frame, its origin p, moving at
 A tilt has a second row, which has no value: how far the axis moves across the arc from b to d, w_i'(b x n). Along it
 theta has the second derivative 1 / tan(theta), which is large where theta is small (the axis is on a narrow cone).
 
-The twin is in problem.costs.residuals.functions.
+The twin is in problem.costs.residual_functions.
 """
 
 from __future__ import annotations

@@ -3,7 +3,7 @@
     c = sum m_i c_i / M,      d c / dq_i = (m v_i + w_i x h) / M,    h = sum of m_k c_k and m = sum of m_k
 
 over the links k that i carries, i included, about the origin of i's tree. The twin is in
-problem.costs.residuals.functions.
+problem.costs.residual_functions.
 """
 
 from __future__ import annotations

@@ -7,7 +7,7 @@
     Jr^-1(phi) = 1 + hat(phi)/2 + f hat(phi)^2,    Jl^-1 = 1 - hat(phi)/2 + f hat(phi)^2,
     f = (1 - (a/2) cot(a/2)) / a^2,   a = |phi|      (Barfoot, State Estimation for Robotics, section 7.1)
 
-for the screws (w_i, v_i) of the dofs that move the frame. The twin is in problem.costs.residuals.functions.
+for the screws (w_i, v_i) of the dofs that move the frame. The twin is in problem.costs.residual_functions.
 """
 
 from __future__ import annotations

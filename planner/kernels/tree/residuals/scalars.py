@@ -10,7 +10,7 @@ tree's origin. The velocity V of a point, along d, has by q_i and v_i the deriva
 
     d'(Y_i(p) + w_i x V),   d'(v_i + w_i x p),   Y_i = V_base x S_i    (see kernels.tree.contact, where p is the link's)
 
-The twin is in problem.costs.residuals.functions.
+The twin is in problem.costs.residual_functions.
 """
 
 from __future__ import annotations

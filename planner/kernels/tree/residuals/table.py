@@ -20,7 +20,7 @@ from planner.kernels.tree.residuals.solids import FIRST_AXES, SECOND_AXES
 
 
 class ResidualTable:
-    """The ResidualArrays of a solve (problem.costs.residuals.arrays) of a Model, and scratch for one evaluation.
+    """The ResidualArrays of a solve (problem.costs.residual_arrays) of a Model, and scratch for one evaluation.
 
     Bounds and weights may change between iterations of a solve; `changed` says so to the kernels.
 

@@ -22,7 +22,7 @@ from planner.model.contact import signed_distance
 from planner.model.contact.signed_distance import PlacedShapes
 from planner.model.mechanism import Frame, Mechanism
 from planner.model.space import cross, hat, log_jacobian, log_quaternion
-from planner.problem.costs.residuals.arrays import ResidualArrays
+from planner.problem.costs.residual_arrays import ResidualArrays
 
 _SERIES_THRESHOLD = 0.04  # rad^2, squared angle below which a series is used: its next term is below rounding
 

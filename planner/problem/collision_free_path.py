@@ -1,4 +1,4 @@
-"""RRT-Connect: a collision-free path in joint space, as a first guess (Kuffner and LaValle 2000).
+"""Collision-free paths: the clearance of poses, and RRT-Connect, as a first guess (Kuffner and LaValle 2000).
 
 Two trees grow from start and goal towards random poses and towards each other. Samples spread from near the straight
 line outwards. The path is then shortened and its corners are rounded. A solver changes a motion a little at a time: it
@@ -8,11 +8,22 @@ improves the path, but it does not find on which side to pass an obstacle.
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
+from weakref import WeakKeyDictionary
 
 import numpy as np
 
-from planner.problem.initial_guess import minimum_jerk
+from planner.base.errors import PlannerError
+from planner.dynamics.signed_distances import SignedDistances
+from planner.model.mechanism import SCREW, Mechanism
+from planner.problem.constraints.clearance import PairClearance
+from planner.problem.initial_guess import inverse_dynamics_controls, minimum_jerk
 
+EXTRA_SHARE = 0.5  # of the required clearance, in addition to it, in the first search of a path
+ROUNDED_SHARE = 0.1  # of the required clearance, the clearance at rounded corners of a path
+
+_paths: WeakKeyDictionary[Mechanism, dict[bytes, np.ndarray | None]] = WeakKeyDictionary()
+"""Cache of paths by ends, clearances and seed, since a problem is rebuilt for every finer discretization."""
 STEP = 0.05  # rad or m of the joint that moves most, between poses that are checked
 MAX_STEPS = 10  # by which a tree grows towards a sample
 MAX_SAMPLES = 600
@@ -20,9 +31,87 @@ MIN_SPREAD, MAX_SPREAD = 0.1, 1.5  # rad or m, standard deviation of first and l
 SHORTCUTS = 200  # random straight cuts that are tried
 SAMPLES = 200  # equal parts of a path
 ROUNDING_SHARES = (0.5, 0.4, 0.3, 0.2, 0.15, 0.1, 0.05)  # of a path's length over which corners are averaged, in order
-
 IsFree = Callable[[np.ndarray], np.ndarray]
 """Poses (K, n) -> (K,) bool, whether each is free of collisions."""
+
+
+class CollisionChecker:
+    """Distances of the pairs of a clearance constraint at poses of a mechanism.
+
+    Args:
+        clearance: The pairs, and the required distance of each.
+        mechanism: The machine.
+    """
+
+    def __init__(self, clearance: PairClearance, mechanism: Mechanism) -> None:
+        self._lower, self._mechanism = clearance.lower, mechanism
+        self._distances = SignedDistances(mechanism, [pair[:2] for pair in clearance.pairs])
+        self._offset = np.array([pair.distance_offset for pair in clearance.pairs])
+
+    def distances(self, q: np.ndarray, exact_below: np.ndarray | float = np.inf) -> np.ndarray:
+        """(K, P) m at poses (K, nq); above `exact_below` (P,) a lower bound of the distance."""
+        return self._distances.values(q, exact_below - self._offset) + self._offset
+
+    def clearance_violation(self, q: np.ndarray) -> float:
+        """The largest violation of a required distance at a pose (nq,), m; 0 for none."""
+        return float(np.max(self._lower - self.distances(q[None], self._lower)[0], initial=0.0))
+
+    def find_path(self, start: np.ndarray, goal: np.ndarray, seed: int = 0) -> np.ndarray | None:
+        """Poses (K, nq) of a collision-free path from start to goal (nq,); None where none was found.
+
+        The search requires EXTRA_SHARE more clearance first, then the required one; never more than at the ends.
+        """
+        paths = _paths.setdefault(self._mechanism, {})
+        key = b"".join([start.tobytes(), goal.tobytes(), self._lower.tobytes(), seed.to_bytes(8, "little")])
+        if key not in paths:
+            paths[key] = self._search(start, goal, seed)
+        return paths[key]
+
+    def _search(self, start: np.ndarray, goal: np.ndarray, seed: int) -> np.ndarray | None:
+        at_ends = self.distances(np.stack([start, goal])).min(axis=0)
+        low, high = self._mechanism.joint_range.T
+        first, last = np.minimum(start, goal), np.maximum(start, goal)
+        low = np.minimum(np.where(np.isfinite(low), low, first - np.pi), first)
+        high = np.maximum(np.where(np.isfinite(high), high, last + np.pi), last)
+        for extra in (EXTRA_SHARE, 0.0):
+            lower = np.minimum(self._lower * (1.0 + extra), at_ends - 1e-9)
+
+            def is_free(q: np.ndarray, lower: np.ndarray = lower) -> np.ndarray:
+                return np.all(self.distances(q, lower) >= lower, axis=1)
+
+            is_nearly_free = partial(is_free, lower=np.minimum(ROUNDED_SHARE * self._lower, lower))
+            path = rrt_connect(is_free, start, goal, low, high, seed, is_nearly_free)
+            if path is not None:
+                return path
+        return None
+
+
+def collision_free_motion(
+    clearance_of_pairs: PairClearance,
+    mechanism: Mechanism,
+    x0: np.ndarray,
+    goal: np.ndarray,
+    duration: float,
+    N: int,
+    seed: int = 0,
+) -> tuple[np.ndarray, np.ndarray] | None:
+    """States (N+1, nx) along a collision-free path, and controls (N, nu) by inverse dynamics.
+
+    None where no path is found, or unless the machine is fully actuated, of hinges and slides, and from rest to rest.
+    """
+    nq, nv = mechanism.nq, mechanism.nv
+    moving = np.concatenate([x0[nq : nq + nv], goal[nq : nq + nv]])
+    if np.any(mechanism.kind != SCREW) or mechanism.contacts or mechanism.body_contacts or np.any(moving):
+        return None
+    path = CollisionChecker(clearance_of_pairs, mechanism).find_path(x0[:nq], goal[:nq], seed)
+    if path is None:
+        return None
+    xs = np.tile(x0, (N + 1, 1))
+    xs[:, :nq], xs[:, nq : nq + nv], _ = along(path, duration, np.arange(N + 1) / N)
+    try:
+        return xs, inverse_dynamics_controls(mechanism, *along(path, duration, (np.arange(N) + 0.5) / N))
+    except PlannerError:  # the actuators do not reach every joint
+        return None
 
 
 def rrt_connect(

@@ -13,7 +13,7 @@ from planner.proof.robustness.perturbation import Perturbation, draw
 from planner.proof.robustness.rollouts import Rollouts
 from planner.proof.robustness.success import rule_of
 from planner.solvers import lq
-from planner.solvers.uncertain_ground import PERSISTENCE, has_uncertain_ground, robust_gains, with_robust_gains
+from planner.solvers.gains import PERSISTENCE, has_uncertain_ground, robust_gains, with_robust_gains
 
 STEP = Path(__file__).parents[2] / "benchmarks" / "moving" / "biped-step.toml"
 LEG = """<mujoco><option timestep="0.001"/><worldbody><geom name="floor" type="plane" size="0 0 1"/>

@@ -10,17 +10,24 @@ with a target or bound b at each stage and costs w r^2 / 2:
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import numpy as np
 
-from planner.base.arguments import array, numbers
+from planner.base.arguments import choice, short_repr
 from planner.base.errors import PlannerError
-from planner.kernels.tree.residuals.kinds import KINDS
+from planner.kernels.tree.residuals.kinds import BOXES, DISTANCE, HEIGHT, KINDS, LINE_BOX, OVER_PLANE, VELOCITY
+from planner.model.contact.laws import Contact
+from planner.model.contact.signed_distance import BOX, CAPSULE, PLANE
+from planner.model.mechanism import Frame, Mechanism
+from planner.problem.costs.penalty_terms import Clearance, Distance, Gap, Height, Penalty, Point, Segment, Velocity
 
 CONSTANTS = 26  # max number of constants of a term: those of two collision shapes
+
+
+_SIDES = {"lower": -1.0, "upper": 1.0, "target": 0.0}
 
 
 @dataclass(frozen=True, eq=False)
@@ -143,81 +150,95 @@ class ResidualList:
         )  # fmt: skip
 
 
-@dataclass(frozen=True, eq=False)
-class WeightedTarget:
-    """A target and its weights."""
-
-    target: np.ndarray  # (1 or N+1, size)
-    stage_weight: np.ndarray  # (1 or N+1, rows) running weights, times dt
-    end: np.ndarray  # (1, rows) final weights
-    final: bool  # whether a final weight was given; a target with a running weight alone is no goal
-    stages: StageData
-
-    @property
-    def weight(self) -> np.ndarray:
-        """(rows, N+1) running weights, the last column the final ones."""
-        weight = np.array(self.stages.rows(self.stage_weight))
-        weight[-1] = self.end[0]
-        return weight.T
+def arrays_of_terms(mechanism: Mechanism, N: int, terms: Sequence[Any], dt: float) -> ResidualArrays:
+    """Terms of planner.problem.costs.penalty_terms as arrays for N stages of length dt."""
+    residual_arrays = ResidualList(N)
+    for t, term in enumerate(terms):
+        name = f"terms[{t}]"
+        kind, points, constant = _measured(residual_arrays, mechanism, term, name)
+        bound, weight = _wanted(name, term, N, dt)
+        residual_arrays.add(
+            kind, points, weight, bound=bound, constant=constant, side=_SIDES[term.side], ramp=term.ramp
+        )
+    return residual_arrays.arrays()
 
 
-class StageData:
-    """The common horizon N of arguments per stage, None while there are none.
+def _measured(
+    measures: ResidualList, mechanism: Mechanism, term: Any, name: str
+) -> tuple[int, list[int], tuple[float, ...]]:
+    """Kind, points and constants (direction, level) of a term."""
 
-    Args:
-        dt: s, factor of running weights.
-    """
+    def number(point: Point) -> int:
+        return _point(measures, mechanism, point, name)
 
-    def __init__(self, dt: float) -> None:
-        self.N: int | None = None
-        self._dt = dt
+    if isinstance(term, Height):
+        return HEIGHT, 4 * [number(term.point)], (*term.normal, 0.0)
+    if isinstance(term, Velocity):
+        return VELOCITY, 2 * [number(term.point), number(term.relative)], (*term.direction, 0.0)
+    if isinstance(term, Gap):
+        contact = _contact(mechanism, term.contact, name)
+        plane, T_centre = contact.plane, np.eye(4)
+        T_centre[:3, 3] = contact.centre
+        point = number(Point(Frame(contact.link, T_centre)))
+        return HEIGHT, 4 * [point], (*plane.normal, contact.radius + plane.offset)
+    if isinstance(term, Distance):
+        lines = [Segment(part, part) if isinstance(part, Point) else part for part in (term.a, term.b)]
+        points = [number(end) for line in lines for end in (line.start, line.end)]
+        return DISTANCE, points, (0.0, 0.0, 0.0, sum(line.radius for line in lines))
+    if isinstance(term, Clearance):
+        return _of_solids(term, number)
+    raise PlannerError(f"{name} is {short_repr(term)}, expected a Height, Distance, Gap, Velocity or Clearance.")
 
-    @property
-    def horizon(self) -> int:
-        """Number of stages of the arrays: N, or 1 for any horizon."""
-        return 1 if self.N is None else self.N
 
-    def rows(self, given: np.ndarray) -> np.ndarray:
-        """(1 or N+1, size) broadcast to (N+1, size)."""
-        return np.broadcast_to(given, (self.horizon + 1, given.shape[1]))
+def _of_solids(term: Clearance, number: Callable[[Point], int]) -> tuple[int, list[int], tuple[float, ...]]:
+    """Kind, points and constants of the distance of two solids; of two lines those of a Distance."""
+    a, b = term.a, term.b
+    level = a.radius + b.radius - term.lift
+    if b.kind == CAPSULE:
+        ends = [(solid, solid.T[:3, 3] + side * solid.half[2] * solid.T[:3, 2]) for solid in (a, b) for side in (-1, 1)]
+        return DISTANCE, [number(Point(Frame(solid.link, np.eye(4)), at)) for solid, at in ends], (0.0, 0.0, 0.0, level)
+    kind = OVER_PLANE if b.kind == PLANE else BOXES if a.kind == BOX else LINE_BOX
+    sizes = [np.linalg.norm(a.half), 0.0 if b.plane else np.linalg.norm(b.half)]
+    parts = (a.T[:3, :3].ravel(), a.half, b.T[:3, :3].ravel(), b.half, [level, sum(sizes)])
+    return kind, [number(Point(Frame(solid.link, solid.T))) for solid in (a, b)], tuple(np.concatenate(parts))
 
-    def asked(
-        self, name: str, target: Any, way: Any, final: Any, rows: int, size: int | None = None
-    ) -> WeightedTarget | None:
-        """Checked target of `size` entries (`rows` by default) and its weights; None without both."""
-        checked = None if target is None else self._target(name, target, size or rows)
-        running, end = self._weights(f"{name}_weight", way, final, rows)
-        weighs = bool(running.any() or end.any())
-        if weighs and checked is None:
-            raise PlannerError(f"{name}_weight has no target, expected {name}=.")
-        if checked is None:
-            return None
-        if not weighs:
-            raise PlannerError(f"{name} has no weight, expected {name}_weight or final_{name}_weight above 0.")
-        return WeightedTarget(checked, running, end, final is not None, self)
 
-    def _agree(self, name: str, given: np.ndarray) -> None:
-        if given.ndim == 2:
-            if self.N is not None and len(given) != self.N + 1:
-                raise PlannerError(f"{name} has {len(given)} rows, expected N+1 = {self.N + 1} as the others.")
-            self.N = len(given) - 1
+def _point(measures: ResidualList, mechanism: Mechanism, point: Point, name: str) -> int:
+    """The index of a point."""
+    frame = Frame(-1, np.eye(4)) if point.frame is None else point.frame
+    if isinstance(frame, str):
+        known = [*mechanism.sites, *filter(None, mechanism.body_names)]
+        frame = mechanism.frame(choice(f"{name}'s frame", frame, known))
+    if frame.link >= mechanism.nv:
+        raise PlannerError(f"{name}'s frame is on link {frame.link}, expected one below {mechanism.nv}.")
+    offset = frame.T[:3, :3] @ point.offset + frame.T[:3, 3]
+    return measures.point(frame.link, offset, point.share, _stages(f"{name}'s world", point.world, measures.N, 1))
 
-    def _target(self, name: str, value: Any, size: int) -> np.ndarray:
-        given = numbers(name, value)
-        given = array(name, given, ("N+1", size) if given.ndim == 2 else (size,))
-        self._agree(name, given)
-        return np.atleast_2d(given)
 
-    def _weights(self, name: str, way: Any, final: Any, rows: int) -> tuple[np.ndarray, np.ndarray]:
-        """(1 or N+1, rows) running weights times dt, and (1, rows) final weights."""
-        given = [numbers(name, way), numbers(f"final_{name}", 0.0 if final is None else final)]
-        for label, value in zip((name, f"final_{name}"), given, strict=True):
-            if value.ndim == 2 and label == name:
-                array(label, value, ("N+1", rows))
-                self._agree(label, value)
-            elif value.ndim:
-                array(label, value, (rows,))
-            if not (np.isfinite(value).all() and value.min() >= 0.0):
-                raise PlannerError(f"{label} is {value.tolist()}, expected finite weights of at least 0.")
-        running, end = (np.atleast_2d(np.broadcast_to(v, v.shape if v.ndim else (rows,))) for v in given)
-        return self._dt * running, self._dt * running[-1:] if final is None else end
+def _stages(name: str, value: np.ndarray, N: int, rest: int = 0) -> np.ndarray:
+    """A value given once or per stage, as (N+1, ...) with `rest` axes in addition to that of the stages."""
+    if value.ndim > rest and len(value) != N + 1:
+        raise PlannerError(f"{name} has {len(value)} rows, expected N+1 = {N + 1}.")
+    return np.array(np.broadcast_to(value, (N + 1, *value.shape[value.ndim - rest :])))
+
+
+def _contact(mechanism: Mechanism, name: Any, term: str) -> Contact:
+    """A contact by its name, or by that of its geom alone."""
+    known = {contact.name: contact for contact in mechanism.contacts}
+    if not known:
+        raise PlannerError(f"{term}'s contact is {short_repr(name)}, but the mechanism has no contacts.")
+    if len(known) < len(mechanism.contacts):
+        raise PlannerError(f"{term}'s contact is {short_repr(name)}, but contacts of the mechanism share a name.")
+    for full, contact in list(known.items()):
+        known.setdefault(full.removeprefix("geom '").replace("'", ""), contact)
+    return known[choice(f"{term}'s contact", name, known)]
+
+
+def _wanted(name: str, term: Penalty, N: int, dt: float) -> tuple[np.ndarray, np.ndarray]:
+    """Bound and weight (N+1,) of a term, both 0 where it is off."""
+    bound = _stages(f"{name}.{term.side}", getattr(term, term.side), N)
+    weight = dt * _stages(f"{name}.weight", term.weight, N)
+    if term.final_weight is not None:
+        weight[N] = term.final_weight
+    off = np.isnan(bound)
+    return np.where(off, 0.0, bound), np.where(off, 0.0, weight / term.tolerance**2)
