@@ -1,7 +1,7 @@
-"""Contact point, normal and relative velocity of two bodies, in NumPy, with exact derivatives.
+"""Contact point, normal and relative velocity of a sphere and a plane, or of two bodies, in NumPy, with derivatives.
 
-The geometry is that of model.contact.body_contact. The positions s = (s_1, s_2) of the closest points along the axes
-solve g = 0, unless clamped to an end, with
+The geometry of two bodies is that of model.contact.body_contact. The positions s = (s_1, s_2) of the closest points
+along the axes solve g = 0, unless clamped to an end, with
 
     D = m_1 - m_2 + s_1 a_1 - s_2 a_2,   g = (a_1'D + b s_1, -a_2'D + b s_2),   G = dg/ds = (1 + b, -c; -c, 1 + b)
 
@@ -18,9 +18,39 @@ import numpy as np
 
 from planner.dynamics import kinematics
 from planner.model.contact.body_contact import BodyContact, Capsule
+from planner.model.contact.laws import Contact, slide_direction
 from planner.model.mechanism import Frame, Mechanism
 
 _NO_DIRECTION = 1e-12  # m, distance of closest points below which the normal is undefined
+
+
+class PlaneContactKinematics:
+    """Contact geometry and relative velocity of a sphere and a plane at K states; see BodyContactKinematics."""
+
+    def __init__(self, mechanism: Mechanism, contact: Contact, q: np.ndarray, qd: np.ndarray) -> None:
+        T = np.eye(4)
+        T[:3, 3] = contact.centre
+        self.mechanism, self.contact, self.frame = mechanism, contact, Frame(contact.link, T)
+        n, law = contact.plane.normal, contact.law
+        centre = kinematics.frame_pose(mechanism, q, self.frame)[:, :3, 3]
+        self.e = contact.radius + law.reach + contact.plane.offset - centre @ n
+        self.arm = (0.5 * self.e - contact.radius - 0.5 * law.reach)[:, None] * n  # from the centre
+        self.p = centre + self.arm
+        J = kinematics.jacobian(mechanism, q, self.frame)
+        self.at_centre, self.angular = J[:, :3], J[:, 3:]
+        self.J = self.at_centre + np.cross(self.angular, self.arm[:, :, None], axis=1)
+        if contact.plane.slide >= 0:  # relative to a plane on a slide joint
+            self.J[:, :, contact.plane.slide] -= slide_direction(mechanism, contact.plane)
+        self.n = np.broadcast_to(n, centre.shape)
+        self.v = np.einsum("kaj,kj->ka", self.J, qd) - contact.plane.velocity
+
+    def derivatives(self, q: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Derivatives with respect to q of e (K, nv), n (K, 3, nv) and J (K, 3, nv, nv)."""
+        D, n = kinematics.jacobian_derivatives(self.mechanism, q, self.frame), self.contact.plane.normal
+        de = -np.einsum("a,kaj->kj", n, self.at_centre)
+        darm = 0.5 * n[:, None] * de[:, None, :]  # (K, 3, nv)
+        dJ = D[:, :3] + np.cross(D[:, 3:], self.arm[:, :, None, None], axis=1)
+        return de, np.zeros_like(darm), dJ + np.cross(self.angular[:, :, :, None], darm[:, :, None, :], axis=1)
 
 
 class ClosestPoints(NamedTuple):
@@ -121,6 +151,14 @@ class BodyContactKinematics:
         D = kinematics.jacobian_derivatives(self.mechanism, q, self._frames[k])
         point_jacobians = D[:, :3] + np.cross(D[:, 3:], self._arms[k][:, :, None, None], axis=1)
         return point_jacobians + np.cross(self._angular[k][:, :, :, None], darm[:, :, None, :], axis=1)
+
+
+def contact_kinematics(
+    mechanism: Mechanism, contact: Contact | BodyContact, q: np.ndarray, qd: np.ndarray
+) -> PlaneContactKinematics | BodyContactKinematics:
+    """Kinematics of a contact at K states, q (K, nq) and qd (K, nv)."""
+    kind = PlaneContactKinematics if isinstance(contact, Contact) else BodyContactKinematics
+    return kind(mechanism, contact, q, qd)  # type: ignore[arg-type]
 
 
 def _frame(part: Capsule) -> Frame:

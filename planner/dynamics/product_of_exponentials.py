@@ -257,14 +257,6 @@ def forward_dynamics(mechanism: Mechanism, q: np.ndarray, qd: np.ndarray, tau: n
     return hybrid_dynamics(mechanism, q, qd, tau, np.zeros(mechanism.nv, dtype=bool))[0]
 
 
-def coupled_dynamics(mechanism: Mechanism, q: np.ndarray, qd: np.ndarray, tau: np.ndarray) -> np.ndarray:
-    """Accelerations qdd (nv,) = G (G' M G)^-1 G' (tau - h) under tau (nv,) of a mechanism with couplings."""
-    assert mechanism.reduction is not None  # it has couplings
-    G = mechanism.reduction.G
-    M = G.T @ mass_matrix(mechanism, q) @ G
-    return G @ np.linalg.solve(M, G.T @ (tau - bias(mechanism, q, qd)))
-
-
 def world_poses(mechanism: Mechanism, q: np.ndarray) -> np.ndarray:
     """Pose (nv+1, 4, 4) of each link in the world; section 1.2, the product of exponentials."""
     T = link_poses(mechanism, q)

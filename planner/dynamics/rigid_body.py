@@ -263,46 +263,26 @@ class RigidBodyDynamics:
 
     def second_order_memory(self) -> tree_second.SecondOrderMemory:
         """Scratch memory of second_order_nominal; PlannerError for features without second derivatives."""
-        if self.substeps > 1:
-            raise PlannerError(
-                f'hessian="exact" has no second derivatives of substeps and a stage has {self.substeps}, expected '
-                f'hessian="gauss-newton", or stages of dt = {self.dt / self.substeps:.3g} and substeps=1.'
-            )
-        if self._known.form == ROSENBROCK:
-            raise PlannerError(
-                f'hessian="exact" has no second derivatives of the integrator "{self.integrator}", expected '
-                'hessian="gauss-newton".'
-            )
-        if self.space.quaternions:
-            raise PlannerError(
-                'hessian="exact" is for machines of hinges and slides and this one has a ball or free joint, expected '
-                'hessian="gauss-newton".'
-            )
-        if self.mechanism.contacts or self.mechanism.body_contacts or self.mechanism.stops:
-            raise PlannerError(
-                'hessian="exact" has no second derivatives of contacts and stops and this machine has some, expected '
-                'hessian="gauss-newton".'
-            )
-        if self.mechanism.couplings:
-            raise PlannerError(
-                'hessian="exact" has no second derivatives of coupled joints and this machine has '
-                f'{self.mechanism.couplings[0].name}, expected hessian="gauss-newton".'
-            )
-        if self.mechanism.has_closed_chains:
-            raise PlannerError(
-                'hessian="exact" has no second derivatives of closed chains and this machine has some, expected '
-                'hessian="gauss-newton".'
-            )
-        if self.mechanism.curves:
-            raise PlannerError(
-                'hessian="exact" has no second derivatives of exponential torques and this machine has some, expected '
-                'hessian="gauss-newton".'
-            )
-        if self._model.external:
-            raise PlannerError(
-                'hessian="exact" has no second derivatives of friction loss, tendons, gravity compensation, drag, '
-                'actuators at sites and force laws, and this machine has some, expected hessian="gauss-newton".'
-            )
+        m, of = self.mechanism, "has no second derivatives of"
+        refusals = (
+            (self.substeps > 1, f"{of} substeps and a stage has {self.substeps}"),
+            (self._known.form == ROSENBROCK, f'{of} the integrator "{self.integrator}"'),
+            (self.space.quaternions, "is for machines of hinges and slides and this one has a ball or free joint"),
+            (m.contacts or m.body_contacts or m.stops, f"{of} contacts and stops and this machine has some"),
+            *((True, f"{of} coupled joints and this machine has {coupling.name}") for coupling in m.couplings),
+            (m.has_closed_chains, f"{of} closed chains and this machine has some"),
+            (m.curves, f"{of} exponential torques and this machine has some"),
+            (
+                self._model.external,
+                f"{of} friction loss, tendons, gravity compensation, drag, actuators at sites and force laws, and this "
+                "machine has some",
+            ),
+        )
+        for applies, reason in refusals:
+            if applies:
+                stages = f", or stages of dt = {self.dt / self.substeps:.3g} and substeps=1"
+                instead = stages if self.substeps > 1 else ""
+                raise PlannerError(f'hessian="exact" {reason}, expected hessian="gauss-newton"{instead}.')
         return tree_second.SecondOrderMemory(self._model, self._known)
 
     def linearize_nominal(self, w: Workspace, memory: TreeMemory) -> None:

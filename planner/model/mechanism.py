@@ -17,7 +17,7 @@ The applied force tau excludes the passive forces, which are part of the bias:
     M(q) qdd + bias(q, qd) = tau,   bias = Coriolis + gravity + damping qd + stiffness (q - spring_rest)
                                            - forces of tendons - gravity compensation - drag.
 
-Friction loss is not part of the bias, since it depends on qdd (planner.dynamics.friction).
+Friction loss is not part of the bias, since it depends on qdd (planner.dynamics.joint_forces).
 """
 
 from __future__ import annotations
@@ -85,9 +85,9 @@ class Mechanism:
     joint_range: np.ndarray  # (nv, 2) rad or m, infinite if unlimited
     joint_force_range: np.ndarray  # (nv, 2) N m or N, of the sum of actuator forces (actuatorfrcrange)
     velocity_limit: np.ndarray  # (nv,) rad/s or m/s, infinite if unlimited
-    friction_loss: np.ndarray  # (nv,) N m or N, MuJoCo's frictionloss; see planner.dynamics.friction
-    friction_inertia: np.ndarray  # (nv,) kg m^2 or kg, D in planner.dynamics.friction
-    friction_rate: np.ndarray  # (nv,) 1/s, beta in planner.dynamics.friction
+    friction_loss: np.ndarray  # (nv,) N m or N, MuJoCo's frictionloss; see planner.dynamics.joint_forces
+    friction_inertia: np.ndarray  # (nv,) kg m^2 or kg, D in planner.dynamics.joint_forces
+    friction_rate: np.ndarray  # (nv,) 1/s, beta in planner.dynamics.joint_forces
     gravcomp_mass: np.ndarray  # (nv,) kg, gravity-compensated mass of each link
     gravcomp_first_moment: np.ndarray  # (nv, 3) kg m, first moment of gravcomp_mass in the link's frame
     body_names: tuple[str, ...]  # MuJoCo's bodies in order, the world first

@@ -39,12 +39,12 @@ import numpy as np
 
 from planner.base.arguments import number
 from planner.dynamics import RigidBodyDynamics
-from planner.dynamics.actuator_moments import actuator_lengths, actuator_moments, force_slopes, gains_at
 from planner.dynamics.algorithms import bias, mass_matrix
 from planner.dynamics.assembly import feasible_directions
 from planner.dynamics.contacts import contact_forces
+from planner.dynamics.joint_forces import actuator_lengths, actuator_moments, force_slopes, gains_at
 from planner.dynamics.quasi_static import quasi_static_controls
-from planner.dynamics.stance import carriers, contact_stiffness, feet_move, rolling_speeds, stance_inertia
+from planner.dynamics.statics import carriers, contact_stiffness, feet_move, rolling_speeds, stance_inertia
 from planner.model.capabilities import (
     ballistic_dofs,
     flies,

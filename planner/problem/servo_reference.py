@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from planner.dynamics import RigidBodyDynamics
-from planner.dynamics.actuator_moments import actuator_lengths, force_slopes
+from planner.dynamics.joint_forces import actuator_lengths, force_slopes
 from planner.dynamics.quasi_static import quasi_static_controls
 
 

@@ -14,7 +14,7 @@ import numpy as np
 
 from planner.base.arguments import short_repr
 from planner.base.errors import PlannerError
-from planner.dynamics.rollout import feedback_control, rollout
+from planner.dynamics.protocol import feedback_control, rollout
 from planner.model.space import space_of
 from planner.problem.plan import Plan
 from planner.problem.problem import Problem

@@ -14,7 +14,7 @@ from planner.dynamics import RigidBodyDynamics, product_of_exponentials
 from planner.dynamics import algorithms as rigid_body
 from planner.dynamics.contact_kinematics import BodyContactKinematics, closest_points
 from planner.dynamics.contacts import body_contact_forces, generalized_force_derivatives, generalized_forces
-from planner.dynamics.momentum import angular_momentum, center_of_mass
+from planner.dynamics.kinematics import angular_momentum, center_of_mass
 from planner.model.contact.body_contact import BodyContact, Capsule
 from planner.model.contact.laws import ContactLaw
 from planner.model.mechanism import SCREW, Mechanism

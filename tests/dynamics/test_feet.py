@@ -8,7 +8,7 @@ import planner
 from planner.base.errors import PlannerError
 from planner.cases.problem_file import load
 from planner.dynamics.contacts import contact_forces, contact_jacobians
-from planner.dynamics.momentum import center_of_mass
+from planner.dynamics.kinematics import center_of_mass
 from planner.dynamics.quasi_static import quasi_static_controls
 from planner.dynamics.statics import static_equilibrium
 from planner.model.contact.laws import ContactLaw

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import planner
-from planner.dynamics.stance import stance_inertia
+from planner.dynamics.statics import stance_inertia
 from planner.model.mechanism import Mechanism
 from planner.problem.default_weights import MAX_CORRECTION_RATE, STANCE_TOLERANCES, default_weights
 from planner.problem.goals import MIN_TOLERANCES

@@ -2,8 +2,8 @@
 
 MuJoCo's constraint of friction loss has the regularization R = (1 - d) w / d, with d the impedance of `solimpfriction`
 at 0 and w the inverse inertia of the joint at qpos0, and the damping beta of `solreffriction`: 2 / (dmax timeconst), or
--damping / dmax in the direct format. So planner.dynamics.friction has the inertia D = 1 / R, and a joint that slides
-alone decays at d beta per s, 95 by default.
+-damping / dmax in the direct format. So planner.dynamics.joint_forces has the inertia D = 1 / R, and a joint that
+slides alone decays at d beta per s, 95 by default.
 """
 
 from __future__ import annotations

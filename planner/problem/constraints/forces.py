@@ -10,7 +10,7 @@ import numpy as np
 from planner.base.arguments import choice
 from planner.base.errors import PlannerError
 from planner.dynamics import Dynamics, RigidBodyDynamics, constraint_forces
-from planner.dynamics.actuator_moments import force_derivatives_at, forces_at
+from planner.dynamics.joint_forces import force_derivatives_at, forces_at
 from planner.model.actuators import DIRECT
 from planner.model.mechanism import Mechanism
 from planner.model.space import space_of

@@ -25,7 +25,7 @@ import numpy as np
 from planner.base.arguments import number, short_repr
 from planner.base.errors import PlannerError
 from planner.dynamics import RigidBodyDynamics
-from planner.dynamics.actuator_moments import force_derivatives_at, forces_at
+from planner.dynamics.joint_forces import force_derivatives_at, forces_at
 from planner.model.mjcf.prescribed_joints import heavy_joints
 from planner.problem.costs.terms import Quadratic, Term
 

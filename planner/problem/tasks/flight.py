@@ -23,8 +23,7 @@ from planner.dynamics import RigidBodyDynamics
 from planner.dynamics.contacts import contact_forces
 from planner.dynamics.inverse_kinematics import Target, inverse_kinematics
 from planner.dynamics.kinematics import frame_pose, jacobian
-from planner.dynamics.stance import STRIDE
-from planner.dynamics.statics import clearance
+from planner.dynamics.statics import STRIDE, clearance
 from planner.model.capabilities import stands_on_ground, unreached_dofs
 from planner.model.mechanism import Frame, Mechanism
 from planner.problem.example_task import strongest

@@ -14,8 +14,7 @@ import numpy as np
 
 from planner.base.errors import PlannerError
 from planner.dynamics.contacts import contact_forces
-from planner.dynamics.kinematics import points_of
-from planner.dynamics.momentum import center_of_mass, center_of_mass_jacobian
+from planner.dynamics.kinematics import center_of_mass, center_of_mass_jacobian, points_of
 from planner.kernels.tree.mechanism_table import chain_of
 from planner.model.mechanism import Mechanism
 from planner.problem.initial_guess import minimum_jerk

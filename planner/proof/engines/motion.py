@@ -11,7 +11,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from planner.dynamics.actuator_moments import actuator_forces, actuator_moments
+from planner.dynamics.joint_forces import actuator_forces, actuator_moments
 from planner.model.actuators import DIRECT, INTEGRATOR
 from planner.model.exponential_torques import exponential_joint_torques
 from planner.model.mechanism import SCREW, Mechanism
