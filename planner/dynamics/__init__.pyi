@@ -24,11 +24,11 @@ from planner.dynamics.kinematics import jacobian_derivatives as jacobian_derivat
 from planner.dynamics.loops import closed_dynamics as closed_dynamics
 from planner.dynamics.loops import constraint_forces as constraint_forces
 from planner.dynamics.loops import constraint_names as constraint_names
-from planner.dynamics.protocol import INTEGRATORS as INTEGRATORS
 from planner.dynamics.protocol import CompiledDynamics as CompiledDynamics
 from planner.dynamics.protocol import Dynamics as Dynamics
 from planner.dynamics.protocol import ResidualDynamics as ResidualDynamics
 from planner.dynamics.quasi_static import quasi_static_controls as quasi_static_controls
 from planner.dynamics.rigid_body import RigidBodyDynamics as RigidBodyDynamics
 from planner.dynamics.statics import static_equilibrium as static_equilibrium
+from planner.kernels.integrators import INTEGRATORS as INTEGRATORS
 from planner.model.space import StateSpace as StateSpace

@@ -86,11 +86,6 @@ def frame_pose(mechanism: Mechanism, q: Any, frame: str | Frame) -> np.ndarray:
     return b.out(link_places(b)[0][:, f.link] @ f.T)
 
 
-def _moving(mechanism: Mechanism, link: int) -> list[int]:
-    """Indices of a link and its ancestors, from the root to the link."""
-    return chain_of(mechanism.parent, link)[::-1]
-
-
 def jacobian(mechanism: Mechanism, q: Any, frame: str | Frame) -> np.ndarray:
     """Geometric Jacobian of a site or body.
 
@@ -110,7 +105,7 @@ def jacobian(mechanism: Mechanism, q: Any, frame: str | Frame) -> np.ndarray:
     J = np.zeros((b.K, 6, mechanism.nv))
     if f.link >= 0:
         p = (T[:, f.link] @ f.T)[:, None, :3, 3] - origin[:, None, f.link]
-        chain = _moving(mechanism, f.link)
+        chain = chain_of(mechanism.parent, f.link)
         angular, linear = screws[:, chain, :3], screws[:, chain, 3:]
         J[:, 3:, chain] = np.swapaxes(angular, 1, 2)
         J[:, :3, chain] = np.swapaxes(linear + cross(angular, p), 1, 2)
@@ -138,7 +133,7 @@ def points_of(
         return b.out(places), np.empty(0)
     J = np.zeros((b.K, len(links), mechanism.nv, 3))
     for p, link in enumerate(links):
-        chain = _moving(mechanism, int(link))
+        chain = chain_of(mechanism.parent, int(link))
         arm = places[:, p] - origin[:, link]
         J[:, p, chain] = screws[:, chain, 3:] + cross(screws[:, chain, :3], arm[:, None])
     return b.out(places), b.out(np.swapaxes(J, 2, 3))
@@ -181,7 +176,7 @@ def jacobian_derivatives(mechanism: Mechanism, q: Any, frame: str | Frame) -> np
     if f.link < 0:
         return b.out(D)
     J = jacobian(mechanism, b["q"], f)
-    chain = _moving(mechanism, f.link)
+    chain = chain_of(mechanism.parent, f.link)
     block = np.array(mechanism.base)  # axes of one ball rotate together
     for k in chain:
         turn = hat(J[:, 3:, k])

@@ -10,7 +10,7 @@ from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 
-from planner.kernels.integrators import INTEGRATORS, KNOWN_INTEGRATORS, Integrator
+from planner.kernels.integrators import KNOWN_INTEGRATORS, Integrator
 from planner.kernels.lq.workspace import Workspace
 from planner.model.space import space_of
 
@@ -18,9 +18,6 @@ from planner.model.space import space_of
 def integrator_of(dynamics: Any) -> Integrator:
     """What is known of the integrator of some dynamics, which may be discrete or Python of their own."""
     return KNOWN_INTEGRATORS.get(getattr(dynamics, "integrator", ""), Integrator(None))
-
-
-__all__ = ["INTEGRATORS", "CompiledDynamics", "Dynamics", "ResidualDynamics"]
 
 
 class Dynamics(Protocol):

@@ -120,14 +120,9 @@ _ROUNDS = 50
 _SLIGHT = 1e-6  # rad or m, tolerance of a contradiction
 
 
-def narrowed(mechanism: Any, ranges: np.ndarray) -> np.ndarray:
-    """The part (nv, 2) of `ranges` (nv, 2) that the couplings allow: lower and upper limits, rad or m."""
-    return _narrowed(mechanism, ranges)[0]
-
-
 def fixed_dofs(mechanism: Any, ranges: np.ndarray) -> np.ndarray:
     """(nv,) whether couplings and `ranges` (nv, 2) together leave a degree of freedom one value, and its range more."""
-    return (np.ptp(narrowed(mechanism, ranges), axis=1) < _SLIGHT) & (np.ptp(ranges, axis=1) > _SLIGHT)
+    return (np.ptp(narrowed(mechanism, ranges)[0], axis=1) < _SLIGHT) & (np.ptp(ranges, axis=1) > _SLIGHT)
 
 
 class Contradiction(NamedTuple):
@@ -142,7 +137,7 @@ class Contradiction(NamedTuple):
 
 def contradiction(mechanism: Any, ranges: np.ndarray) -> Contradiction | None:
     """A coupling that no pose within the ranges (nv, 2) satisfies, and its fix; None if there is none."""
-    left, at = _narrowed(mechanism, ranges)
+    left, at = narrowed(mechanism, ranges)
     if at is None:
         return None
     coupling = mechanism.couplings[at]
@@ -161,7 +156,8 @@ def contradiction(mechanism: Any, ranges: np.ndarray) -> Contradiction | None:
     )
 
 
-def _narrowed(mechanism: Any, ranges: np.ndarray) -> tuple[np.ndarray, int | None]:
+def narrowed(mechanism: Any, ranges: np.ndarray) -> tuple[np.ndarray, int | None]:
+    """The part (nv, 2) of `ranges` (nv, 2) that the couplings allow, rad or m, and the coupling that none allows."""
     left = np.array(ranges, dtype=float)
     for _ in range(_ROUNDS):
         before = left.copy()
@@ -230,7 +226,9 @@ def check_closed(name: str, x: np.ndarray, mechanism: Any, most: float = CLOSED)
         return
     worst = int(np.nanargmax(missed))
     dof = int(dependent[worst % len(dependent)])
-    others = [mechanism.joint_of(int(i)) for i in mechanism.reduction.independent[_followed(mechanism, dof)]]
+    others = [
+        mechanism.joint_of(int(i)) for i in mechanism.reduction.independent[np.flatnonzero(mechanism.reduction.G[dof])]
+    ]
     turns = bool(np.any(mechanism.S[dof, :3] != 0.0))
     unit = ("rad" if turns else "m") + ("/s" if worst >= len(dependent) else "")
     what = "velocity" if worst >= len(dependent) else "position"
@@ -239,8 +237,3 @@ def check_closed(name: str, x: np.ndarray, mechanism: Any, most: float = CLOSED)
         f"{name} has the {what} {given[worst]:.6g} {unit} of {mechanism.joint_of(dof)}, which {why}: expected "
         f"{wanted[worst]:.9g}, {missed[worst]:.3g} {unit} away."
     )
-
-
-def _followed(mechanism: Any, dof: int) -> np.ndarray:
-    assert mechanism.reduction is not None  # called only with couplings
-    return np.flatnonzero(mechanism.reduction.G[dof])

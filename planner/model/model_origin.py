@@ -13,9 +13,8 @@ from typing import Any
 from xml.etree import ElementTree
 
 from planner.model.mjcf.attached import attachments, stored_records, with_attached
-from planner.model.mjcf.excluded import excluded_pairs, with_excluded
 from planner.model.mjcf.model_file import open_model_file
-from planner.model.mjcf.obstacles import obstacles_of, with_obstacles
+from planner.model.mjcf.obstacles import excluded_pairs, obstacles_of, with_excluded, with_obstacles
 from planner.model.mjcf.text import is_text
 from planner.model.urdf.write import as_mjcf, is_urdf
 

@@ -16,7 +16,7 @@ import numpy as np
 from planner.base.files import printable
 from planner.cases import CASES
 from planner.model.capabilities import capabilities_of
-from planner.model.mjcf.model_changes import model_changes
+from planner.model.mjcf.facts import model_changes
 from planner.model.mjcf.prescribed_joints import heavy_joints
 from planner.model.model_origin import read_again
 from planner.model.twin import model_digest

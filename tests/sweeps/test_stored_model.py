@@ -10,7 +10,7 @@ import pytest
 import planner
 from planner.__main__ import main
 from planner.base.errors import ModelError
-from planner.model.mjcf.model_changes import model_changes
+from planner.model.mjcf.facts import model_changes
 from planner.model.mjcf.text import edited
 from planner.problem.archive import FORMAT_VERSION, digests, read_archive, write_archive
 from planner.problem.plan import Iteration

@@ -17,7 +17,7 @@ import numpy as np
 
 from planner.base.errors import PlannerError
 from planner.base.gl import load_mujoco
-from planner.model.contact.bounding_fit import BoundingFit, fit_bounding_shape, rim_points, round_points
+from planner.model.contact.bounding_fit import fit_bounding_shape, rim_points, round_points
 from planner.model.contact.signed_distance import MEASURES, CollisionShape, in_order, kind_of, placed
 from planner.model.mjcf.initial_overlaps import (
     OVERLAP_TOLERANCE,
@@ -27,7 +27,7 @@ from planner.model.mjcf.initial_overlaps import (
     may_collide,
     min_distance_over_ranges,
 )
-from planner.model.mjcf.model_index import ModelIndex, contact_pairs
+from planner.model.mjcf.model_index import ModelIndex, contact_pairs, mesh_vertices
 
 NO_SOLID = ("hfield", "sdf")
 
@@ -64,14 +64,11 @@ def solids_of(survey: ModelIndex, geoms: list[int]) -> dict[int, CollisionShape]
             found[geom] = CollisionShape(*given, T, size, 0.0)
         else:
             key = (kind, int(model.geom_dataid[geom]), size.tobytes() if kind != int(kinds.mjGEOM_MESH) else b"")
-            fit = fits.setdefault(key, None) or fit_bounding_shape(_points(model, geom))
-            fits[key] = fit
-            found[geom] = _fit_at(given, T, fit)
+            if key not in fits:
+                fits[key] = fit_bounding_shape(_points(model, geom))
+            fit = fits[key]
+            found[geom] = CollisionShape(*given, T @ fit.T, fit.half, fit.radius, overestimate=fit.overestimate)
     return found
-
-
-def _fit_at(given: tuple[str, int, int], T: np.ndarray, fit: BoundingFit) -> CollisionShape:
-    return CollisionShape(*given, T @ fit.T, fit.half, fit.radius, overestimate=fit.overestimate)
 
 
 def _points(model: Any, geom: int) -> np.ndarray:
@@ -81,9 +78,7 @@ def _points(model: Any, geom: int) -> np.ndarray:
         return rim_points(float(size[0]), float(size[1]))
     if model.geom_type[geom] == int(kinds.mjGEOM_ELLIPSOID):
         return round_points(size)
-    mesh = int(model.geom_dataid[geom])
-    first = int(model.mesh_vertadr[mesh])
-    return np.array(model.mesh_vert[first : first + int(model.mesh_vertnum[mesh])], dtype=float)
+    return mesh_vertices(model, int(model.geom_dataid[geom]))
 
 
 MAX_NAMED = 3

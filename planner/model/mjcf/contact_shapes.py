@@ -22,8 +22,9 @@ import numpy as np
 
 from planner.base.gl import load_mujoco
 from planner.model.contact.body_contact import Capsule
+from planner.model.contact.bounding_fit import sphere
 from planner.model.contact.laws import ALONG, Plane
-from planner.model.mjcf.model_index import ModelIndex, pose
+from planner.model.mjcf.model_index import ModelIndex, mesh_vertices, pose
 from planner.model.mjcf.text import written
 
 
@@ -223,11 +224,8 @@ def shape_of(name: str) -> str:
 
 
 def sphere_of_directions() -> np.ndarray:
-    """(D, 3) unit vectors spread evenly (a Fibonacci sphere), the axes first."""
-    k = np.arange(_DIRECTIONS) + 0.5
-    z, turn = 1.0 - 2.0 * k / _DIRECTIONS, np.pi * (1.0 + 5.0**0.5) * k
-    r = np.sqrt(1.0 - z**2)
-    return np.concatenate([np.eye(3), -np.eye(3), np.stack([r * np.cos(turn), r * np.sin(turn), z], axis=1)])
+    """(D, 3) unit vectors spread evenly, the axes first."""
+    return np.concatenate([np.eye(3), -np.eye(3), sphere(_DIRECTIONS)])
 
 
 def _surface(model: Any, geom: int) -> np.ndarray:
@@ -236,9 +234,7 @@ def _surface(model: Any, geom: int) -> np.ndarray:
         directions, size = sphere_of_directions(), model.geom_size[geom]
         scaled = directions * size
         return scaled * size / np.linalg.norm(scaled, axis=1, keepdims=True)
-    mesh = int(model.geom_dataid[geom])
-    first = int(model.mesh_vertadr[mesh])
-    return np.array(model.mesh_vert[first : first + int(model.mesh_vertnum[mesh])], dtype=float)
+    return mesh_vertices(model, int(model.geom_dataid[geom]))
 
 
 def _spanning(vertices: np.ndarray) -> np.ndarray:
