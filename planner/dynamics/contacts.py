@@ -26,8 +26,8 @@ from planner.base.arguments import array
 from planner.dynamics import kinematics
 from planner.dynamics.contact_kinematics import BodyContactKinematics, PlaneContactKinematics, contact_kinematics
 from planner.model.contact.laws import ContactLaw, Law
-from planner.model.exponential_torques import curve_torque_derivatives, exponential_joint_torques
 from planner.model.mechanism import Mechanism
+from planner.model.passive_forces import curve_torque_derivatives, exponential_joint_torques
 
 _MIN_BEND = 1e-9  # so that no number is divided by 0
 _Sloped = tuple[np.ndarray, np.ndarray]  # a value and its derivative by the penetration

@@ -1,8 +1,8 @@
 """Loop closures: closure error, Jacobian and constrained accelerations of one state, constraint forces along a plan.
 
 The first three are a reference implementation of kernels.tree.loop_accelerations with the recursions of Fig. 2
-(planner.dynamics.product_of_exponentials) and the equations of planner.model.loops. It is analytic: q, qd and tau may
-be complex. Rows are those of the loops in order, then of the polynomial couplings.
+(planner.dynamics.product_of_exponentials) and the equations of planner.model.couplings. It is analytic: q, qd and tau
+may be complex. Rows are those of the loops in order, then of the polynomial couplings.
 
 Constraint forces along states and controls, e.g. the load of a pin or the grip of two hands, are compiled. With qdd the
 accelerations, M qdd + h - tau - friction = J'f + coupling forces, which W = G (G' M G)^-1 G' eliminates:
@@ -26,7 +26,7 @@ from planner.dynamics.joint_forces import friction_forces
 from planner.dynamics.product_of_exponentials import Ad, ad, bias, mass_matrix, twists, world_poses
 from planner.dynamics.rigid_body import RigidBodyDynamics
 from planner.model.coordinates import Coordinate
-from planner.model.loops import BAUMGARTE_RATE, LoopClosure, PolynomialCoupling
+from planner.model.couplings import BAUMGARTE_RATE, LoopClosure, PolynomialCoupling
 from planner.model.mechanism import Frame, Mechanism
 
 _RANK_TOLERANCE = 1e-9  # relative to the largest singular value, or eigenvalue of J W J': redundant equations

@@ -23,10 +23,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from planner.model.fluid import drag_wrenches
 from planner.model.mechanism import BALL, SCREW, Frame, Mechanism
+from planner.model.passive_forces import drag_wrenches, tendon_forces
 from planner.model.space import conjugate, hat, product
-from planner.model.tendons import tendon_forces
 
 
 def exp6(S: np.ndarray, q: complex) -> np.ndarray:

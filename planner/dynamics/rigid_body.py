@@ -24,8 +24,8 @@ from planner.kernels.tree.memory import TreeMemory
 from planner.kernels.tree.residuals.evaluate import quadratize_residuals
 from planner.kernels.tree.residuals.table import ResidualTable
 from planner.model.capabilities import Capabilities
-from planner.model.damping import damped_implicitly
 from planner.model.mechanism import Mechanism
+from planner.model.passive_forces import damped_implicitly
 from planner.model.space import StateSpace
 
 MAX_SUBSTEPS = 16  # largest number in a stage; shorter stages should replace more

@@ -25,8 +25,8 @@ from planner.base.errors import PlannerError
 from planner.dynamics.quasi_static import quasi_static_controls
 from planner.dynamics.rigid_body import MAX_SUBSTEPS, RigidBodyDynamics
 from planner.model.coordinates import coordinates_of_mechanism
-from planner.model.damping import damped_implicitly
 from planner.model.mechanism import Mechanism
+from planner.model.passive_forces import damped_implicitly
 
 # Target |lambda| h of a substep: RK4 then reproduces the decay exp(-0.7) to 0.3 %, so that a replay at finer steps
 # differs by a fraction of the tolerance. At 1 the error is 2 %; at 2 the decay is 0.33 instead of 0.14.

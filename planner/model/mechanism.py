@@ -35,14 +35,11 @@ from planner.base.errors import ModelError, PlannerError
 from planner.model.actuators import Actuators
 from planner.model.contact.body_contact import BodyContact, check_body_contact
 from planner.model.contact.laws import Contact, ContactLaw, Stop, slide_direction
-from planner.model.couplings import Coupling, Reduction, reduce
-from planner.model.exponential_torques import ExponentialTorque, check_curve
-from planner.model.fluid import Drag
-from planner.model.loops import LoopClosure, PolynomialCoupling
+from planner.model.couplings import Coupling, LoopClosure, PolynomialCoupling, Reduction, reduce
 from planner.model.model_origin import origin_of
+from planner.model.passive_forces import Drag, ExponentialTorque, FixedTendon, check_curve
 from planner.model.robot_collections import model_location
 from planner.model.space import StateSpace
-from planner.model.tendons import FixedTendon
 from planner.model.urdf.write import as_mjcf
 
 SCREW, BALL, BALL_NEXT = 0, 1, 2

@@ -26,8 +26,8 @@ import numpy as np
 from planner.base.arguments import array
 from planner.base.errors import PlannerError
 from planner.base.files import digest_of
-from planner.model.exponential_torques import ExponentialTorque
 from planner.model.model_origin import is_origin, moved
+from planner.model.passive_forces import ExponentialTorque
 
 if TYPE_CHECKING:
     from planner.model.mechanism import Mechanism

@@ -24,8 +24,8 @@ from planner.dynamics.assembly import assembled
 from planner.model.coordinates import ANGLE, LENGTH, Coordinate
 from planner.model.couplings import closed_state
 from planner.model.mechanism import SCREW, Mechanism
+from planner.model.passive_forces import FixedTendon
 from planner.model.space import space_of
-from planner.model.tendons import FixedTendon
 from planner.problem.constraints.constraint import Constraint
 from planner.problem.constraints.quantities import mechanism_of
 

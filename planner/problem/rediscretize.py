@@ -16,7 +16,7 @@ from planner.base.errors import PlannerError
 from planner.dynamics import RigidBodyDynamics
 from planner.dynamics.protocol import integrator_of
 from planner.dynamics.step_stability import MAX_RATE_STEP, fastest_mode, reason, substeps_of
-from planner.model.damping import damped_implicitly
+from planner.model.passive_forces import damped_implicitly
 from planner.problem.costs.terms import call_if_supported
 from planner.problem.costs.tracking import tracking_of
 from planner.problem.objective_problem import base_problem, with_objective

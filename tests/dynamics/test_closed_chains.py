@@ -21,8 +21,7 @@ from planner.dynamics import (
 )
 from planner.dynamics.assembly import check_assembled, feasible_directions, relative_min_singular_value
 from planner.dynamics.joint_forces import friction_forces
-from planner.model.couplings import Coupling, closed_state
-from planner.model.loops import BAUMGARTE_RATE
+from planner.model.couplings import BAUMGARTE_RATE, Coupling, closed_state
 from planner.model.mechanism import SCREW, Mechanism
 from planner.model.mjcf.equalities import set_hard
 from planner.proof.compare.rigid_parity import rigid_parity

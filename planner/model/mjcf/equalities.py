@@ -19,10 +19,9 @@ from xml.etree import ElementTree
 import numpy as np
 
 from planner.base.gl import load_mujoco
-from planner.model.couplings import Coupling
-from planner.model.loops import LoopClosure, PolynomialCoupling
+from planner.model.couplings import Coupling, LoopClosure, PolynomialCoupling
 from planner.model.mjcf.model_index import disabled, kind_word, named, pose
-from planner.model.tendons import FixedTendon
+from planner.model.passive_forces import FixedTendon
 
 
 def fixed(model: Any, tendon: int) -> bool:

@@ -21,7 +21,6 @@ from planner.base.errors import ModelError, PlannerError
 from planner.base.gl import load_mujoco
 from planner.model.capabilities import rolling_radii
 from planner.model.contact.laws import ContactLaw
-from planner.model.fluid import drags_of
 from planner.model.mechanism import BALL, BALL_NEXT, SCREW, Frame, Mechanism
 from planner.model.mjcf.attached import attachments, with_attached
 from planner.model.mjcf.contact_edits import give_law, let_float
@@ -73,6 +72,7 @@ from planner.model.mjcf.unsupported import (  # fmt: skip
     unsupported_elements,
 )
 from planner.model.model_origin import origin_of
+from planner.model.passive_forces import drags_of
 from planner.model.space import unit
 
 MAX_PHRASES = 30  # in one sentence
