@@ -4,9 +4,7 @@ Reference implementation of the kernels, used for equilibrium poses, pictures an
 
 The contact law is that of model.contact.laws. A contact acts at p, halfway between the surfaces, which depends on the
 penetration; its generalized force is J'f with J the (3, nv) Jacobian of the material point of the link at p.
-Between two bodies J is the difference of both Jacobians and the normal rotates; the law is isotropic, so
-
-    df = w x f + f_e de + f_v (dv - w x v),   w = n x dn.
+Between two bodies J is the difference of both Jacobians.
 
 A law with a lead depends on x = v + lead J qacc, the velocity that the contact has a lead later,
 relative to the surface. With W = n n' + sqrt(impratio) (1 - n n') an elliptic cone's force is
@@ -27,7 +25,7 @@ from planner.dynamics import kinematics
 from planner.dynamics.contact_kinematics import BodyContactKinematics, PlaneContactKinematics, contact_kinematics
 from planner.model.contact.laws import ContactLaw, Law
 from planner.model.mechanism import Mechanism
-from planner.model.passive_forces import curve_torque_derivatives, exponential_joint_torques
+from planner.model.passive_forces import exponential_joint_torques
 
 _MIN_BEND = 1e-9  # so that no number is divided by 0
 _Sloped = tuple[np.ndarray, np.ndarray]  # a value and its derivative by the penetration
@@ -121,27 +119,6 @@ def generalized_forces(mechanism: Mechanism, q: Any, qd: Any) -> np.ndarray:
         e, opening = stop_state(mechanism, stop, q, qd)
         tau[:, stop.dof] -= stop.side * unilateral_force(stop.law, e, opening)[0]
     return tau[0] if single else tau
-
-
-def generalized_force_derivatives(mechanism: Mechanism, q: Any, qd: Any) -> tuple[np.ndarray, np.ndarray]:
-    """Exact derivatives (..., nv, nv) of generalized_forces with respect to q (tangent space) and qd."""
-    q, qd, single = _states(mechanism, q, qd)
-    by_q = curve_torque_derivatives(mechanism, q)
-    by_qd = np.zeros_like(by_q)
-    for place in _places(mechanism, q, qd):
-        J, (de, dn, dJ) = place.J, place.derivatives(q)
-        f, f_e, f_v = _force(place)
-        turn = np.cross(place.n[:, :, None], dn, axis=1)
-        dv = np.einsum("kaji,kj->kai", dJ, qd) - np.cross(turn, place.v[:, :, None], axis=1)
-        df = np.cross(turn, f[:, :, None], axis=1) + f_e[:, :, None] * de[:, None] + f_v @ dv
-        by_q += np.einsum("kaji,ka->kji", dJ, f) + np.swapaxes(J, 1, 2) @ df
-        by_qd += np.swapaxes(J, 1, 2) @ f_v @ J
-    for stop in mechanism.stops:
-        e, opening = stop_state(mechanism, stop, q, qd)
-        _, by_e, by_opening = unilateral_force(stop.law, e, opening)
-        by_q[:, stop.dof, stop.dof] -= by_e
-        by_qd[:, stop.dof, stop.dof] += by_opening
-    return (by_q[0], by_qd[0]) if single else (by_q, by_qd)
 
 
 def _states(mechanism: Mechanism, q: Any, qd: Any) -> tuple[np.ndarray, np.ndarray, bool]:

@@ -204,16 +204,6 @@ def exponential_joint_torques(mechanism: Any, q: np.ndarray) -> np.ndarray:
     return tau
 
 
-def curve_torque_derivatives(mechanism: Any, q: np.ndarray) -> np.ndarray:
-    """Exact derivative (..., nv, nv) of exponential_joint_torques with respect to q (tangent space)."""
-    by_q = np.zeros((*np.shape(q)[:-1], mechanism.nv, mechanism.nv))
-    for curve in mechanism.curves:
-        torque = one_torque(curve, mechanism.q_address, q)
-        for j, slope in curve.slopes:
-            by_q[..., curve.dof, j] += slope * torque
-    return by_q
-
-
 def damping_matrix(mechanism: Any) -> np.ndarray:
     """Damping matrix (nv, nv) = -d(tau)/d(qd) of dampers, actuators and tendons, N m s/rad and N s/m.
 
