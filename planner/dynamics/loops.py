@@ -28,6 +28,7 @@ from planner.dynamics.rigid_body import RigidBodyDynamics
 from planner.model.coordinates import Coordinate
 from planner.model.couplings import BAUMGARTE_RATE, LoopClosure, PolynomialCoupling
 from planner.model.mechanism import Frame, Mechanism
+from planner.model.space import cross
 
 _RANK_TOLERANCE = 1e-9  # relative to the largest singular value, or eigenvalue of J W J': redundant equations
 
@@ -37,7 +38,7 @@ def misses(mechanism: Mechanism, q: np.ndarray) -> np.ndarray:
     G = world_poses(mechanism, q)
     parts = [_miss(loop, G) for loop in mechanism.loops]
     parts += [
-        np.array([_follower(mechanism, cam, q) - _polynomial(mechanism, cam, q)[0]])
+        np.array([q[mechanism.q_address[cam.follower]] - cam.offsets[0] - _polynomial(mechanism, cam, q)[0]])
         for cam in mechanism.polynomial_couplings
     ]
     return np.concatenate(parts)
@@ -48,16 +49,8 @@ def _miss(loop: LoopClosure, G: np.ndarray) -> np.ndarray:
     place = first[:3, 3] - second[:3, 3]
     if not loop.rigid:
         return place
-    turn = sum(_cross(second[:3, c], first[:3, c]) for c in range(3))
+    turn = sum(cross(second[:3, c], first[:3, c]) for c in range(3))
     return np.concatenate([place, 0.5 * turn])
-
-
-def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    return np.array([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])
-
-
-def _follower(mechanism: Mechanism, cam: PolynomialCoupling, q: np.ndarray) -> Any:
-    return q[mechanism.q_address[cam.follower]] - cam.offsets[0]
 
 
 def _polynomial(mechanism: Mechanism, cam: PolynomialCoupling, q: np.ndarray) -> tuple[Any, Any, Any]:
@@ -88,7 +81,7 @@ def _moves(mechanism: Mechanism, G: np.ndarray, screws: np.ndarray, link: int, T
     J, i = np.zeros((6, mechanism.nv), dtype=G.dtype), link
     while i >= 0:
         angular, linear = screws[i, :3], screws[i, 3:]
-        J[:, i] = *(linear + _cross(angular, place)), *angular
+        J[:, i] = *(linear + cross(angular, place)), *angular
         i = int(mechanism.parent[i])
     return J
 
@@ -114,7 +107,7 @@ def closure_bias(mechanism: Mechanism, q: np.ndarray, qd: np.ndarray) -> np.ndar
 def _acceleration(G: np.ndarray, V: np.ndarray, Vd: np.ndarray, T: np.ndarray) -> np.ndarray:
     """Acceleration (6,) of a frame's origin, linear then angular, in the world's axes, from a link's V and Vd."""
     R, p = G[:3, :3], T[:3, 3]
-    linear = Vd[3:] + _cross(Vd[:3], p) + _cross(V[:3], V[3:] + _cross(V[:3], p))
+    linear = Vd[3:] + cross(Vd[:3], p) + cross(V[:3], V[3:] + cross(V[:3], p))
     return np.concatenate([R @ linear, R @ Vd[:3]])
 
 

@@ -36,10 +36,10 @@ from planner.model.actuators import Actuators
 from planner.model.contact.body_contact import BodyContact, check_body_contact
 from planner.model.contact.laws import Contact, ContactLaw, Stop, slide_direction
 from planner.model.couplings import Coupling, LoopClosure, PolynomialCoupling, Reduction, reduce
-from planner.model.model_origin import origin_of
 from planner.model.passive_forces import Drag, ExponentialTorque, FixedTendon, check_curve
 from planner.model.robot_collections import model_location
 from planner.model.space import StateSpace
+from planner.model.twin import origin_of
 from planner.model.urdf.write import as_mjcf
 
 SCREW, BALL, BALL_NEXT = 0, 1, 2
@@ -97,7 +97,7 @@ class Mechanism:
     assets: dict[str, bytes] = field(default_factory=dict)  # content of the files that mjcf refers to, by name
     ignored: tuple[str, ...] = ()  # elements removed from the file, one phrase each
     original: str = ""  # XML text of the file, includes resolved, if `mjcf` was edited; else ""
-    origin: dict[str, Any] = field(default_factory=dict)  # where it was read from: planner.model.model_origin
+    origin: dict[str, Any] = field(default_factory=dict)  # where it was read from: planner.model.twin
     body_contacts: tuple[BodyContact, ...] = ()  # contacts between spheres and capsules
     curves: tuple[ExponentialTorque, ...] = ()  # exponential torques; not in the MJCF
     tendons: tuple[FixedTendon, ...] = ()  # fixed tendons with a force or a range

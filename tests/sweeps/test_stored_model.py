@@ -110,7 +110,7 @@ def test_a_model_that_is_absent_or_outside_is_not_looked_at(folder, tmp_path, ca
     (folder / "arm.xml").symlink_to(tmp_path / "arm.xml")
     assert one(folder).model.state is ModelState.UNREAD  # a link leads outside
     with pytest.raises(ModelError):
-        planner.model.model_origin.read_again({}, tmp_path / "none.xml")
+        planner.model.twin.read_again({}, tmp_path / "none.xml")
 
 
 def test_a_plan_of_a_mechanism_with_a_payload_remembers_how_it_was_read(tmp_path):

@@ -224,7 +224,9 @@ def _changes(old: Any, new: Any) -> Iterator[str]:
                 one, other = (_value(m, prefix, field, i) for m, i in ((old, before[name]), (new, now[name])))
                 yield from _difference(f"{_WORDS.get(field, field)} of {name}", one, other)
             for field in _OF_DOFS if kind == "joint" else ():
-                one, other = (_of_dofs(m, field, i) for m, i in ((old, before[name]), (new, now[name])))
+                one, other = (
+                    getattr(m, f"dof_{field}")[m.dof_jntid == i] for m, i in ((old, before[name]), (new, now[name]))
+                )
                 yield from _difference(f"{_WORDS.get(field, field)} of {name}", one, other)
     for what, one, other in _structures(old, new):
         yield from _difference(what, one, other)
@@ -246,10 +248,6 @@ def _by_name(model: Any, kind: str) -> dict[str, int]:
 def _value(model: Any, prefix: str, field: str, index: int) -> np.ndarray:
     values = getattr(model, f"{prefix}_{field}", None)  # releases of MuJoCo have different fields
     return np.zeros(0) if values is None else np.atleast_1d(values[index]).astype(float)
-
-
-def _of_dofs(model: Any, field: str, joint: int) -> np.ndarray:
-    return np.asarray(getattr(model, f"dof_{field}"))[model.dof_jntid == joint]
 
 
 def _structures(old: Any, new: Any) -> Iterator[tuple[str, Any, Any]]:

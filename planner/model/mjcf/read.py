@@ -71,9 +71,9 @@ from planner.model.mjcf.unsupported import (  # fmt: skip
     take_out,
     unsupported_elements,
 )
-from planner.model.model_origin import origin_of
 from planner.model.passive_forces import drags_of
 from planner.model.space import unit
+from planner.model.twin import origin_of
 
 MAX_PHRASES = 30  # in one sentence
 MAX_DOFS = 1000  # gains of a stage have as many rows as columns, and a plan has hundreds of stages
