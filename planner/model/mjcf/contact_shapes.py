@@ -6,8 +6,7 @@ which jump from edge to edge while the geom rolls. A plan wants points that stay
 of POINT_RADIUS there, which touch planes and nothing else. MuJoCo replays the plan's text with the same spheres, and
 "your file" judges the true shape. A cylinder has RIM of them at each rim, a mesh and an ellipsoid up to MAX_POINTS that
 nearly span the hull. A wheel, a round shape that a hinge turns about its own axis, rolls on two spheres of its radius
-in the planes of its rims: on a level axis they touch where it does. `shortfall` is the distance by which the shape
-reaches beyond its points.
+in the planes of its rims: on a level axis they touch where it does.
 """
 
 from __future__ import annotations
@@ -186,17 +185,6 @@ def points_of(model: Any, geom: int) -> np.ndarray:
         rim = np.stack([size[0] * np.cos(angles), size[0] * np.sin(angles), np.full(RIM, size[1])], axis=1)
         return np.concatenate([rim, rim * (1.0, 1.0, -1.0)])
     return _spanning(_surface(model, geom))
-
-
-def shortfall(model: Any, geom: int) -> float:
-    """How far the shape reaches beyond its points, in the direction where that is most, m."""
-    directions = sphere_of_directions()
-    kinds, size = load_mujoco().mjtGeom, model.geom_size[geom]
-    if model.geom_type[geom] == int(kinds.mjGEOM_CYLINDER):
-        reach = size[0] * np.hypot(directions[:, 0], directions[:, 1]) + size[1] * np.abs(directions[:, 2])
-    else:
-        reach = (_surface(model, geom) @ directions.T).max(axis=0)
-    return float((reach - (points_of(model, geom) @ directions.T).max(axis=0)).max())
 
 
 def add_points(
