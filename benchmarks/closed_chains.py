@@ -110,7 +110,7 @@ def beside_crocoddyl(python: str) -> bool:
     from planner import Mechanism
     from planner.dynamics import assembled
     from planner.dynamics.quasi_static import quasi_static_controls
-    from planner.model.loops import BAUMGARTE_RATE
+    from planner.model.couplings import BAUMGARTE_RATE
 
     m, rng = Mechanism.from_mjcf(arm()), np.random.default_rng(0)
     x0 = assembled(m, m.home + np.append(0.2 * rng.normal(size=7), np.zeros(7)))

@@ -53,7 +53,7 @@ class Ours:
     def judge(self, us: np.ndarray) -> Answer:
         """Whether anybody's controls, within their bounds, end at the goal and stay within the bounds of the states."""
         from planner.dynamics.kinematics import frame_pose
-        from planner.dynamics.rollout import rollout_states
+        from planner.dynamics.protocol import rollout_states
 
         stated, dynamics = self.stated, self.problem.dynamics
         assert stated is not None

@@ -7,8 +7,8 @@ BodyContact, Capsule, Stop and its Law are read from an MJCF.
 
 from planner.model.contact.body_contact import BodyContact, Capsule
 from planner.model.contact.laws import Contact, ContactLaw, Law, Plane, Stop
-from planner.model.exponential_torques import ExponentialTorque
 from planner.model.mjcf.contacts import contact_attributes, stop_attributes
+from planner.model.passive_forces import ExponentialTorque
 
 __all__ = [
     "BodyContact",

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from planner import Mechanism
-from planner.model.loops import LoopClosure, PolynomialCoupling
+from planner.model.couplings import LoopClosure, PolynomialCoupling
 from planner.model.mechanism import SCREW
 from planner.model.space import exp_quaternion
 from tests.trees import actuated

@@ -7,7 +7,8 @@ so a is where the convex function (a - a0)'M (a - a0)/2 + sum_k Phi_k(x_k)/lead_
 import numpy as np
 
 from planner.dynamics import bias, mass_matrix
-from planner.dynamics.contacts import contact_force, contact_kinematics
+from planner.dynamics.contact_kinematics import contact_kinematics
+from planner.dynamics.contacts import contact_force
 
 MAX_ITERATIONS, HALVINGS = 100, 40
 ROUNDING = 1e-13  # of the accelerations, what a step may be at the end

@@ -32,7 +32,7 @@ from planner.cases.horizon import stages
 from planner.cases.planar_arm import Links, arm_appearance, arm_cost, arm_dynamics
 from planner.dynamics import RigidBodyDynamics
 from planner.dynamics.algorithms import rnea
-from planner.dynamics.rollout import rollout_states
+from planner.dynamics.protocol import rollout_states
 from planner.model.mechanism import Mechanism
 from planner.model.twin import Twin
 from planner.problem.problem import Problem

@@ -25,7 +25,7 @@ from planner.base.errors import FileError, ModelError, PlannerError
 from planner.base.files import printable
 from planner.cases.problem_file.states import state_of
 from planner.dynamics import RigidBodyDynamics
-from planner.dynamics.rollout import feedback_control, rollout, rollout_states
+from planner.dynamics.protocol import feedback_control, rollout, rollout_states
 from planner.model.coordinates import coordinates_of
 from planner.model.mechanism import SCREW, Mechanism
 from planner.model.mjcf.unsupported import KINDS

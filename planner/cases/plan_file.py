@@ -16,9 +16,8 @@ from planner.base.arguments import choice, short_repr
 from planner.base.errors import FileError, PlannerError
 from planner.base.files import printable
 from planner.cases import problem_file
-from planner.model.model_origin import moved
 from planner.model.space import space_of
-from planner.model.twin import Twin
+from planner.model.twin import Twin, moved
 from planner.problem import stored_problem
 from planner.problem.archive import FILE, HINGES, PART, read_archive
 from planner.problem.constraints.trajectory_constraints import BoundPenalties

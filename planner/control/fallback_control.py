@@ -18,8 +18,8 @@ import numpy as np
 from planner.base.errors import PlannerError
 from planner.control.tracked_plan import TIME_TOLERANCE, TrackedPlan
 from planner.dynamics import RigidBodyDynamics
-from planner.dynamics.actuator_moments import actuator_lengths, actuator_moments, force_slopes, gains_at
 from planner.dynamics.algorithms import mass_matrix
+from planner.dynamics.joint_forces import actuator_lengths, actuator_moments, force_slopes, gains_at
 from planner.dynamics.quasi_static import equilibrium, quasi_static_controls
 from planner.model.space import space_of
 from planner.problem.plan import Plan

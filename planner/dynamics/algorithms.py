@@ -3,7 +3,7 @@
 q, qd and qdd are MuJoCo's qpos, qvel and qacc in its order and frames (free joint: world linear, then body angular;
 quaternion w first). tau (nv,) is the applied generalized force; gravity and its compensation, springs, damping, tendons
 and armature are the mechanism's own. Actuators, contacts, stops and exponential torques are excluded, as is
-friction loss, which depends on qdd (planner.dynamics.friction):
+friction loss, which depends on qdd (planner.dynamics.joint_forces):
 
     M(q) qdd + bias(q, qd) = tau                                                            (Eq. 6)
 

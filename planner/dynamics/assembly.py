@@ -165,17 +165,9 @@ def check_assembled(name: str, x: np.ndarray, mechanism: Mechanism, most: float 
 
 def _apart(mechanism: Mechanism, miss: np.ndarray) -> str:
     """Predicate of a message: the equality with the largest closure error, and that error."""
-    owners = [loop.name for loop in mechanism.loops for _ in range(loop.rows)] + [
-        cam.name for cam in mechanism.polynomial_couplings
-    ]
+    rows = [(loop.name, "m" if k < 3 else "rad") for loop in mechanism.loops for k in range(loop.rows)]
+    for cam in mechanism.polynomial_couplings:
+        rows.append((cam.name, "rad" if np.any(mechanism.S[cam.follower, :3] != 0.0) else "m"))
     worst = int(np.argmax(np.abs(miss)))
-    return f"misses {owners[worst]} by {abs(miss[worst]):.3g} {_unit(mechanism, worst)}"
-
-
-def _unit(mechanism: Mechanism, row: int) -> str:
-    """Unit of a component of the closure error."""
-    for loop in mechanism.loops:
-        if row < loop.rows:
-            return "m" if row < 3 else "rad"
-        row -= loop.rows
-    return "rad" if np.any(mechanism.S[mechanism.polynomial_couplings[row].follower, :3] != 0.0) else "m"
+    name, unit = rows[worst]
+    return f"misses {name} by {abs(miss[worst]):.3g} {unit}"

@@ -4,9 +4,14 @@ Reference implementation of the kernels, used for equilibrium poses, pictures an
 
 The contact law is that of model.contact.laws. A contact acts at p, halfway between the surfaces, which depends on the
 penetration; its generalized force is J'f with J the (3, nv) Jacobian of the material point of the link at p.
-Between two bodies J is the difference of both Jacobians and the normal rotates; the law is isotropic, so
+Between two bodies J is the difference of both Jacobians.
 
-    df = w x f + f_e de + f_v (dv - w x v),   w = n x dn.
+A law with a lead depends on x = v + lead J qacc, the velocity that the contact has a lead later,
+relative to the surface. With W = n n' + sqrt(impratio) (1 - n n') an elliptic cone's force is
+
+    f = W P(y),   y = K depth n - B s W x,   df/dx = -B s W DP W
+
+P the smoothed projection onto the cone |g_t| <= mu g_n / sqrt(impratio) and DP its derivative.
 """
 
 from __future__ import annotations
@@ -17,13 +22,12 @@ import numpy as np
 
 from planner.base.arguments import array
 from planner.dynamics import kinematics
-from planner.dynamics.contact_kinematics import BodyContactKinematics
-from planner.dynamics.lead_force import lead_force
-from planner.model.contact.body_contact import BodyContact
-from planner.model.contact.laws import Contact, ContactLaw, Law, slide_direction
-from planner.model.exponential_torques import curve_torque_derivatives, exponential_joint_torques
-from planner.model.mechanism import Frame, Mechanism
+from planner.dynamics.contact_kinematics import BodyContactKinematics, PlaneContactKinematics, contact_kinematics
+from planner.model.contact.laws import ContactLaw, Law
+from planner.model.mechanism import Mechanism
+from planner.model.passive_forces import exponential_joint_torques
 
+_MIN_BEND = 1e-9  # so that no number is divided by 0
 _Sloped = tuple[np.ndarray, np.ndarray]  # a value and its derivative by the penetration
 
 
@@ -117,27 +121,6 @@ def generalized_forces(mechanism: Mechanism, q: Any, qd: Any) -> np.ndarray:
     return tau[0] if single else tau
 
 
-def generalized_force_derivatives(mechanism: Mechanism, q: Any, qd: Any) -> tuple[np.ndarray, np.ndarray]:
-    """Exact derivatives (..., nv, nv) of generalized_forces with respect to q (tangent space) and qd."""
-    q, qd, single = _states(mechanism, q, qd)
-    by_q = curve_torque_derivatives(mechanism, q)
-    by_qd = np.zeros_like(by_q)
-    for place in _places(mechanism, q, qd):
-        J, (de, dn, dJ) = place.J, place.derivatives(q)
-        f, f_e, f_v = _force(place)
-        turn = np.cross(place.n[:, :, None], dn, axis=1)
-        dv = np.einsum("kaji,kj->kai", dJ, qd) - np.cross(turn, place.v[:, :, None], axis=1)
-        df = np.cross(turn, f[:, :, None], axis=1) + f_e[:, :, None] * de[:, None] + f_v @ dv
-        by_q += np.einsum("kaji,ka->kji", dJ, f) + np.swapaxes(J, 1, 2) @ df
-        by_qd += np.swapaxes(J, 1, 2) @ f_v @ J
-    for stop in mechanism.stops:
-        e, opening = stop_state(mechanism, stop, q, qd)
-        _, by_e, by_opening = unilateral_force(stop.law, e, opening)
-        by_q[:, stop.dof, stop.dof] -= by_e
-        by_qd[:, stop.dof, stop.dof] += by_opening
-    return (by_q[0], by_qd[0]) if single else (by_q, by_qd)
-
-
 def _states(mechanism: Mechanism, q: Any, qd: Any) -> tuple[np.ndarray, np.ndarray, bool]:
     single = np.ndim(q) <= 1
     shape = () if single else ("K",)
@@ -152,43 +135,6 @@ def _places(
     touching = (_penetrations(mechanism, q)[1] > 0.0).any(axis=0)
     near = [mechanism.contacts[k] for k in np.flatnonzero(touching)]
     return [contact_kinematics(mechanism, contact, q, qd) for contact in (*near, *mechanism.body_contacts)]
-
-
-def contact_kinematics(
-    mechanism: Mechanism, contact: Contact | BodyContact, q: np.ndarray, qd: np.ndarray
-) -> PlaneContactKinematics | BodyContactKinematics:
-    """Kinematics of a contact at K states, q (K, nq) and qd (K, nv)."""
-    kind = PlaneContactKinematics if isinstance(contact, Contact) else BodyContactKinematics
-    return kind(mechanism, contact, q, qd)  # type: ignore[arg-type]
-
-
-class PlaneContactKinematics:
-    """Contact geometry and relative velocity of a sphere and a plane at K states; see BodyContactKinematics."""
-
-    def __init__(self, mechanism: Mechanism, contact: Contact, q: np.ndarray, qd: np.ndarray) -> None:
-        T = np.eye(4)
-        T[:3, 3] = contact.centre
-        self.mechanism, self.contact, self.frame = mechanism, contact, Frame(contact.link, T)
-        n, law = contact.plane.normal, contact.law
-        centre = kinematics.frame_pose(mechanism, q, self.frame)[:, :3, 3]
-        self.e = contact.radius + law.reach + contact.plane.offset - centre @ n
-        self.arm = (0.5 * self.e - contact.radius - 0.5 * law.reach)[:, None] * n  # from the centre
-        self.p = centre + self.arm
-        J = kinematics.jacobian(mechanism, q, self.frame)
-        self.at_centre, self.angular = J[:, :3], J[:, 3:]
-        self.J = self.at_centre + np.cross(self.angular, self.arm[:, :, None], axis=1)
-        if contact.plane.slide >= 0:  # relative to a plane on a slide joint
-            self.J[:, :, contact.plane.slide] -= slide_direction(mechanism, contact.plane)
-        self.n = np.broadcast_to(n, centre.shape)
-        self.v = np.einsum("kaj,kj->ka", self.J, qd) - contact.plane.velocity
-
-    def derivatives(self, q: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Derivatives with respect to q of e (K, nv), n (K, 3, nv) and J (K, 3, nv, nv)."""
-        D, n = kinematics.jacobian_derivatives(self.mechanism, q, self.frame), self.contact.plane.normal
-        de = -np.einsum("a,kaj->kj", n, self.at_centre)
-        darm = 0.5 * n[:, None] * de[:, None, :]  # (K, 3, nv)
-        dJ = D[:, :3] + np.cross(D[:, 3:], self.arm[:, :, None, None], axis=1)
-        return de, np.zeros_like(darm), dJ + np.cross(self.angular[:, :, :, None], darm[:, :, None, :], axis=1)
 
 
 def stop_state(mechanism: Mechanism, stop: Any, q: np.ndarray, qd: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -257,7 +203,7 @@ def contact_force(
     """
     n = np.broadcast_to(n, v.shape)
     if law.lead > 0.0:
-        return lead_force(law, n, *_spring_and_damper(law, e), v)
+        return _lead_force(law, n, *_spring_and_damper(law, e), v)
     mu, across = law.friction, np.eye(3) - n[:, :, None] * n[:, None]
     opening, vt = np.einsum("ka,ka->k", v, n), np.einsum("ka,kab->kb", v, across)
     speed = np.linalg.norm(vt, axis=1)
@@ -288,3 +234,77 @@ def contact_force(
     along = across - d[:, :, None] * d[:, None, :]  # derivative of the direction d, except at zero speed
     by[:, :, 1:] -= turning[:, None, None] * along
     return force, by[:, :, 0], by[:, :, 1:]
+
+
+def _contact_frames(n: np.ndarray) -> np.ndarray:
+    """(K, 3, 3) MuJoCo's frames of contacts with normals n (K, 3): rows n, t1 and t2 (mju_makeFrame)."""
+    start = np.where(np.abs(n[:, 1:2]) < 0.5, np.eye(3)[1], np.eye(3)[2])
+    t1 = start - n * np.einsum("ka,ka->k", n, start)[:, None]
+    t1 /= np.linalg.norm(t1, axis=1, keepdims=True)
+    return np.stack([n, t1, np.cross(n, t1)], axis=1)
+
+
+def _edges(law: ContactLaw, n: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(K, 5, 3) directions of the force of a pyramidal cone, all n without friction, and their shares (5,)."""
+    frames, mu, p = _contact_frames(n), law.friction, law.normal_share
+    around = [n + side * mu * frames[:, k] for k in (1, 2) for side in (1.0, -1.0)]
+    return np.stack([*around, n], axis=1), np.append(np.full(4, 0.25 * (1.0 - p)), p)
+
+
+def _lead_force(
+    law: ContactLaw, n: np.ndarray, spring: tuple[np.ndarray, np.ndarray], damping: tuple[np.ndarray, np.ndarray],
+    x: np.ndarray,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:  # fmt: skip
+    """Contact force (K, 3), N, and its derivatives by penetration (K, 3) and by x (K, 3, 3).
+
+    Args:
+        law: With a lead.
+        n: (K, 3) unit normal.
+        spring: (K,) K depth, N, and its derivative by the penetration.
+        damping: (K,) B s, N s/m, and its derivative by the penetration.
+        x: (K, 3) m/s, the velocity relative to the surface a lead later.
+    """
+    (k, dk), (b, db) = spring, damping
+    if law.is_round:
+        root = np.sqrt(law.impratio)
+        W = root * np.eye(3) + (1.0 - root) * n[:, :, None] * n[:, None]
+        Wx = np.einsum("kab,kb->ka", W, x)
+        g, slope = _projection(law.friction / root, law.bend, n, k[:, None] * n - b[:, None] * Wx)
+        by = W @ slope
+        by_e = np.einsum("kab,kb->ka", by, dk[:, None] * n - db[:, None] * Wx)
+        return np.einsum("kab,kb->ka", W, g), by_e, -b[:, None, None] * (by @ W)
+    d, share = _edges(law, n)
+    along = np.einsum("kea,ka->ke", d, x)
+    y, f = share * (k[:, None] - b[:, None] * along), float(law.force_ramp or 0.0)
+    slope = np.clip(y / f, 0.0, 1.0) if f > 0.0 else (y > 0.0).astype(float)
+    force = slope * (y - 0.5 * f * slope)
+    by_e = slope * share * (dk[:, None] - db[:, None] * along)
+    by_x = -b[:, None, None] * np.einsum("ke,kea,keb->kab", share * slope, d, d)
+    return np.einsum("ke,kea->ka", force, d), np.einsum("ke,kea->ka", by_e, d), by_x
+
+
+def _projection(mu: float, bend: float, n: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The point of the cone |g_t| <= mu g_n nearest to y (K, 3), smoothed by bend, and its derivative (K, 3, 3)."""
+    y_n = np.einsum("ka,ka->k", y, n)
+    y_t = y - y_n[:, None] * n
+    slip = np.linalg.norm(y_t, axis=1)
+    size = np.where(slip > 0.0, slip, 1.0)
+    u, w, per = y_t / size[:, None], max(bend, _MIN_BEND) * mu, 1.0 / np.sqrt(1.0 + mu**2)
+    p, c = per * (y_n + mu * slip), per * (mu * y_n - slip)
+    presses = p > 0.0  # else y is in the polar cone
+    t = np.divide(c, p, out=np.zeros_like(c), where=presses)
+    z, beyond = np.clip((t + w) / (2.0 * w), 0.0, 1.0), np.maximum(t - w, 0.0)
+    psi = w**2 * (2.0 / 3.0 * z**3 - 1.0 / 6.0) + beyond * (w + 0.5 * beyond)
+    by_t = w * z**2 + beyond  # psi'; its own derivative is z
+    along, across = presses * p * (1.0 + 2.0 * psi - t * by_t), presses * p * by_t
+    g_n, g_t = per * (along + mu * across), per * (mu * along - across)
+    H = [[1.0 + 2.0 * psi - 2.0 * t * by_t + t**2 * z, by_t - t * z], [by_t - t * z, z]]
+    edge, inwards = per * (n + mu * u), per * (mu * n - u)
+    slope = sum(
+        H[i][j][:, None, None] * one[:, :, None] * other[:, None]
+        for i, one in enumerate((edge, inwards)) for j, other in enumerate((edge, inwards))
+    )  # fmt: skip
+    turning = np.where(t >= w, 1.0, g_t / size)
+    around = np.eye(3) - n[:, :, None] * n[:, None] - u[:, :, None] * u[:, None]
+    slope = presses[:, None, None] * (slope + turning[:, None, None] * around)
+    return g_n[:, None] * n + g_t[:, None] * u, slope

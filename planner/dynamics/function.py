@@ -8,7 +8,7 @@ import numpy as np
 
 from planner.base.arguments import array, choice, count, number
 from planner.base.errors import PlannerError
-from planner.dynamics.protocol import INTEGRATORS
+from planner.kernels.integrators import INTEGRATORS
 
 Function = Callable[[np.ndarray, np.ndarray], np.ndarray]
 Jacobian = Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]

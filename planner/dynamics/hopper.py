@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from planner.base.arguments import array, choice, number
-from planner.dynamics.protocol import INTEGRATORS
 from planner.kernels.hopper import second as hopper_second
 from planner.kernels.hopper import step as kernel
+from planner.kernels.integrators import INTEGRATORS
 from planner.kernels.lq.workspace import Workspace
 from planner.kernels.numba.lanes import WIDTH, lane_array
 from planner.model.capabilities import Capabilities

@@ -150,14 +150,17 @@ def _from(
     """The minimum from `begin` (nq,). `closed`: degrees of freedom fixed in loop closure, None without loops."""
     space, pad = mechanism.space, np.zeros(mechanism.space.ndx - mechanism.nv)
 
+    def of_targets(at: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Errors of all targets, their Jacobian, and the errors of a residual of 1."""
+        parts = [residuals(mechanism, at, target) for target in targets]
+        size = [np.where(part[2], one.turn_scale, one.metre_scale) for part, one in zip(parts, targets, strict=True)]
+        r, J = (np.concatenate([part[k] for part in parts]) for k in (0, 1))
+        return r, J, np.concatenate(size)
+
     def stacked(y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         e = B @ y
         at = integrate_base(mechanism, q, e)
-        parts = [residuals(mechanism, at, target) for target in targets]
-        r, J = (np.concatenate([part[k] for part in parts]) for k in (0, 1))
-        size = np.concatenate(
-            [np.where(part[2], one.turn_scale, one.metre_scale) for part, one in zip(parts, targets, strict=True)]
-        )
+        r, J, size = of_targets(at)
         if closed is not None:
             r, J = np.append(r, loops.misses(mechanism, at)), np.vstack([J, loops.jacobian(mechanism, at)])
             size = np.append(size, np.full(len(r) - len(size), CLOSED))
@@ -169,17 +172,13 @@ def _from(
 
     def largest(y: np.ndarray) -> IKSolution:
         at = integrate_base(mechanism, q, B @ y)
-        if closed is None and missing is None:
-            return IKSolution(at, float(np.abs(stacked(y)[0]).max()))
-        try:
-            if closed is not None:
+        if closed is not None:
+            try:
                 at = assembled(mechanism, np.concatenate([at, pad, np.zeros(mechanism.nv)])[: space.nx], closed)
-                at = at[: mechanism.nq]
-        except PlannerError:
-            return IKSolution(at, np.inf)
-        rows = [residuals(mechanism, at, target) for target in targets]
-        scales = [np.where(row[2], one.turn_scale, one.metre_scale) for row, one in zip(rows, targets, strict=True)]
-        return IKSolution(at, float(max(np.abs(row[0] / size).max() for row, size in zip(rows, scales, strict=True))))
+            except PlannerError:
+                return IKSolution(at, np.inf)
+        r, _, size = of_targets(at[: mechanism.nq])
+        return IKSolution(at[: mechanism.nq], float(np.abs(r / size).max()))
 
     if not len(dofs):
         return largest(np.zeros(0))

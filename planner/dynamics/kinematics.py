@@ -1,6 +1,10 @@
-"""Kinematics of a Mechanism as compiled functions of one state or a batch, with NumPy arrays.
+"""Kinematics of a Mechanism as compiled functions of one state or a batch: poses, Jacobians, momentum.
 
-Conventions are those of planner.dynamics.algorithms.
+Conventions are those of planner.dynamics.algorithms. Internal forces cannot change the momentum: in flight only gravity
+acts, so the centre of mass follows a parabola and the angular momentum about it is constant, whatever the joints do; a
+plan satisfies both to the order of its integrator.
+
+    m c = sum m_i c_i,    L = sum R_i I_i R_i' w_i + m_i (c_i - c) x (v_i - v)    over the links i, in the world's axes.
 """
 
 from __future__ import annotations
@@ -9,6 +13,8 @@ from typing import Any
 
 import numpy as np
 
+from planner.base.arguments import short_repr
+from planner.base.errors import PlannerError
 from planner.dynamics.batch import KernelCall, kernel_model
 from planner.kernels.tree import batch as tree_batch
 from planner.kernels.tree.mechanism_table import chain_of
@@ -80,11 +86,6 @@ def frame_pose(mechanism: Mechanism, q: Any, frame: str | Frame) -> np.ndarray:
     return b.out(link_places(b)[0][:, f.link] @ f.T)
 
 
-def _moving(mechanism: Mechanism, link: int) -> list[int]:
-    """Indices of a link and its ancestors, from the root to the link."""
-    return chain_of(mechanism.parent, link)[::-1]
-
-
 def jacobian(mechanism: Mechanism, q: Any, frame: str | Frame) -> np.ndarray:
     """Geometric Jacobian of a site or body.
 
@@ -104,7 +105,7 @@ def jacobian(mechanism: Mechanism, q: Any, frame: str | Frame) -> np.ndarray:
     J = np.zeros((b.K, 6, mechanism.nv))
     if f.link >= 0:
         p = (T[:, f.link] @ f.T)[:, None, :3, 3] - origin[:, None, f.link]
-        chain = _moving(mechanism, f.link)
+        chain = chain_of(mechanism.parent, f.link)
         angular, linear = screws[:, chain, :3], screws[:, chain, 3:]
         J[:, 3:, chain] = np.swapaxes(angular, 1, 2)
         J[:, :3, chain] = np.swapaxes(linear + cross(angular, p), 1, 2)
@@ -132,7 +133,7 @@ def points_of(
         return b.out(places), np.empty(0)
     J = np.zeros((b.K, len(links), mechanism.nv, 3))
     for p, link in enumerate(links):
-        chain = _moving(mechanism, int(link))
+        chain = chain_of(mechanism.parent, int(link))
         arm = places[:, p] - origin[:, link]
         J[:, p, chain] = screws[:, chain, 3:] + cross(screws[:, chain, :3], arm[:, None])
     return b.out(places), b.out(np.swapaxes(J, 2, 3))
@@ -175,7 +176,7 @@ def jacobian_derivatives(mechanism: Mechanism, q: Any, frame: str | Frame) -> np
     if f.link < 0:
         return b.out(D)
     J = jacobian(mechanism, b["q"], f)
-    chain = _moving(mechanism, f.link)
+    chain = chain_of(mechanism.parent, f.link)
     block = np.array(mechanism.base)  # axes of one ball rotate together
     for k in chain:
         turn = hat(J[:, 3:, k])
@@ -188,3 +189,67 @@ def jacobian_derivatives(mechanism: Mechanism, q: Any, frame: str | Frame) -> np
             else:
                 D[:, :3, j, k] = cross(J[:, 3:, j], J[:, :3, k])
     return b.out(D)
+
+
+def center_of_mass(mechanism: Mechanism, q: Any) -> np.ndarray:
+    """Position of the centre of mass in the world, (..., 3), m.
+
+    Args:
+        mechanism: The machine; bodies fixed to the world do not count.
+        q: (..., nq) configurations, m and rad.
+
+    Raises:
+        PlannerError: A wrong shape, a number that is not finite, or a machine without mass.
+    """
+    masses, offsets, links = _massive(mechanism)
+    places, _ = points_of(mechanism, q, links, offsets, moving=False)
+    return np.einsum("l,...li->...i", masses, places) / masses.sum()
+
+
+def center_of_mass_jacobian(mechanism: Mechanism, q: Any) -> np.ndarray:
+    """Derivative of center_of_mass by the velocities at q (..., nq): (..., 3, nv), in m per unit of each.
+
+    Raises:
+        PlannerError: As center_of_mass.
+    """
+    masses, offsets, links = _massive(mechanism)
+    _, J = points_of(mechanism, q, links, offsets)
+    return np.einsum("l,...lij->...ij", masses, J) / masses.sum()
+
+
+def angular_momentum(mechanism: Mechanism, q: Any, qd: Any) -> np.ndarray:
+    """Angular momentum about the centre of mass, in the world's axes, (..., 3), kg m^2/s.
+
+    Args:
+        mechanism: The machine; bodies fixed to the world do not count.
+        q: (..., nq) configurations, m and rad.
+        qd: (..., nv) velocities, m/s and rad/s.
+
+    Raises:
+        PlannerError: A wrong shape, a number that is not finite, or a machine without mass.
+    """
+    masses, offsets, links = _massive(mechanism)
+    b = KernelCall(mechanism, q=q, qd=qd)
+    T, screws, origin = link_places(b)
+    twists = screws * b["qd"][:, :, None]  # of each link, relative to its parent
+    for i, parent in enumerate(mechanism.parent):
+        if parent >= 0:
+            twists[:, i] += twists[:, parent]
+    T, origin, spin, moving = T[:, links], origin[:, links], twists[:, links, :3], twists[:, links, 3:]
+    R = T[..., :3, :3]
+    places = np.einsum("klij,lj->kli", R, offsets) + T[..., :3, 3]
+    speeds = moving + np.cross(spin, places - origin)
+    own = np.einsum("klji,klj->kli", R, spin)  # angular velocity in the link's own axes
+    spins = np.einsum("klij,ljm,klm->ki", R, mechanism.inertia[links], own)
+    c, v = (np.einsum("l,kli->ki", masses, values)[:, None] / masses.sum() for values in (places, speeds))
+    return b.out(spins + np.einsum("l,kli->ki", masses, np.cross(places - c, speeds - v)))
+
+
+def _massive(mechanism: Mechanism) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Links with mass: mass (L,), kg, centre of mass (L, 3) in the link's frame, m, and indices (L,)."""
+    if not isinstance(mechanism, Mechanism):
+        raise PlannerError(f"mechanism is {short_repr(mechanism)}, expected a Mechanism.")
+    links = np.flatnonzero(mechanism.mass > 0.0)
+    if not len(links):
+        raise PlannerError("the mechanism has no mass, expected at least one link that has.")
+    return mechanism.mass[links], mechanism.com[links], links

@@ -23,10 +23,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from planner.model.fluid import drag_wrenches
 from planner.model.mechanism import BALL, SCREW, Frame, Mechanism
+from planner.model.passive_forces import drag_wrenches, tendon_forces
 from planner.model.space import conjugate, hat, product
-from planner.model.tendons import tendon_forces
 
 
 def exp6(S: np.ndarray, q: complex) -> np.ndarray:
@@ -255,14 +254,6 @@ def hybrid_dynamics(
 def forward_dynamics(mechanism: Mechanism, q: np.ndarray, qd: np.ndarray, tau: np.ndarray) -> np.ndarray:
     """Accelerations qdd (nv,) under tau (nv,): the hybrid dynamics in which no joint is prescribed."""
     return hybrid_dynamics(mechanism, q, qd, tau, np.zeros(mechanism.nv, dtype=bool))[0]
-
-
-def coupled_dynamics(mechanism: Mechanism, q: np.ndarray, qd: np.ndarray, tau: np.ndarray) -> np.ndarray:
-    """Accelerations qdd (nv,) = G (G' M G)^-1 G' (tau - h) under tau (nv,) of a mechanism with couplings."""
-    assert mechanism.reduction is not None  # it has couplings
-    G = mechanism.reduction.G
-    M = G.T @ mass_matrix(mechanism, q) @ G
-    return G @ np.linalg.solve(M, G.T @ (tau - bias(mechanism, q, qd)))
 
 
 def world_poses(mechanism: Mechanism, q: np.ndarray) -> np.ndarray:

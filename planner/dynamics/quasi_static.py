@@ -15,10 +15,10 @@ import numpy as np
 
 from planner.base.arguments import array, short_repr
 from planner.base.errors import PlannerError
-from planner.dynamics.actuator_moments import actuator_lengths, actuator_moments, gains_at, passive_forces
 from planner.dynamics.algorithms import bias
 from planner.dynamics.assembly import feasible_directions, tangent_basis
 from planner.dynamics.contacts import contact_forces, contact_jacobians, generalized_forces
+from planner.dynamics.joint_forces import actuator_lengths, actuator_moments, gains_at, passive_forces
 from planner.model.actuators import INTEGRATOR
 from planner.model.capabilities import capabilities_of
 from planner.model.mechanism import Mechanism

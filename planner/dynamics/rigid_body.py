@@ -24,8 +24,8 @@ from planner.kernels.tree.memory import TreeMemory
 from planner.kernels.tree.residuals.evaluate import quadratize_residuals
 from planner.kernels.tree.residuals.table import ResidualTable
 from planner.model.capabilities import Capabilities
-from planner.model.damping import damped_implicitly
 from planner.model.mechanism import Mechanism
+from planner.model.passive_forces import damped_implicitly
 from planner.model.space import StateSpace
 
 MAX_SUBSTEPS = 16  # largest number in a stage; shorter stages should replace more
@@ -200,7 +200,7 @@ class RigidBodyDynamics:
             F, transport = self._derivative_rows(N, self.mechanism.nv), np.zeros((N, len(self.space.quaternions), 18))
             tree_linearize.linearize_structured(m, memory.table, self.dt, xs, us, F, transport, self._model.external)
             by_u, by_x = self._blocks(F)
-            return self._semi_implicit(by_x, transport), self._semi_implicit_inputs(by_u, transport)
+            return self._semi_implicit(by_x, by_u, transport)
         B, A = self.linearize_dense(xs, us, memory)
         return A.copy(), B.copy()
 
@@ -235,27 +235,21 @@ class RigidBodyDynamics:
         order = np.r_[first : first + ndx, : self.nu]
         return (np.triu(T) + np.triu(T, 1).swapaxes(1, 2))[:, order[:, None], order]
 
-    def _turns(self, transport: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """T and J (N, nv, nv) of dq+ = T dq + dt J dv+, the identity except for quaternions."""
+    def _semi_implicit(
+        self, by_x: np.ndarray, by_u: np.ndarray, transport: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """A and B from the derivatives of the accelerations; dq+ = T dq + dt J dv+, both 1 except for quaternions."""
         nv = self.mechanism.nv
         T, J = (np.tile(np.eye(nv), (len(transport), 1, 1)) for _ in range(2))
         for b, (_, i) in enumerate(self.space.quaternions):
             T[:, i : i + 3, i : i + 3] = transport[:, b, :9].reshape(-1, 3, 3)
             J[:, i : i + 3, i : i + 3] = transport[:, b, 9:].reshape(-1, 3, 3)
-        return T, J
-
-    def _semi_implicit(self, by_x: np.ndarray, transport: np.ndarray) -> np.ndarray:
-        nv = self.mechanism.nv
-        T, J = self._turns(transport)
-        rate = self.dt * by_x
+        rate, rate_by_u = self.dt * by_x, self.dt * by_u
         rate[:, :, nv:] += np.eye(nv)
         place = self.dt * (J @ rate)
         place[:, :, :nv] += T
-        return np.concatenate([place, rate], axis=1)
-
-    def _semi_implicit_inputs(self, by_u: np.ndarray, transport: np.ndarray) -> np.ndarray:
-        rate = self.dt * by_u
-        return np.concatenate([self.dt * (self._turns(transport)[1] @ rate), rate], axis=1)
+        A = np.concatenate([place, rate], axis=1)
+        return A, np.concatenate([self.dt * (J @ rate_by_u), rate_by_u], axis=1)
 
     def memory(self, N: int, appended: int = 0) -> TreeMemory:
         """Scratch memory of a solve of N stages, of states with `appended` components behind the machine's own."""
@@ -263,46 +257,26 @@ class RigidBodyDynamics:
 
     def second_order_memory(self) -> tree_second.SecondOrderMemory:
         """Scratch memory of second_order_nominal; PlannerError for features without second derivatives."""
-        if self.substeps > 1:
-            raise PlannerError(
-                f'hessian="exact" has no second derivatives of substeps and a stage has {self.substeps}, expected '
-                f'hessian="gauss-newton", or stages of dt = {self.dt / self.substeps:.3g} and substeps=1.'
-            )
-        if self._known.form == ROSENBROCK:
-            raise PlannerError(
-                f'hessian="exact" has no second derivatives of the integrator "{self.integrator}", expected '
-                'hessian="gauss-newton".'
-            )
-        if self.space.quaternions:
-            raise PlannerError(
-                'hessian="exact" is for machines of hinges and slides and this one has a ball or free joint, expected '
-                'hessian="gauss-newton".'
-            )
-        if self.mechanism.contacts or self.mechanism.body_contacts or self.mechanism.stops:
-            raise PlannerError(
-                'hessian="exact" has no second derivatives of contacts and stops and this machine has some, expected '
-                'hessian="gauss-newton".'
-            )
-        if self.mechanism.couplings:
-            raise PlannerError(
-                'hessian="exact" has no second derivatives of coupled joints and this machine has '
-                f'{self.mechanism.couplings[0].name}, expected hessian="gauss-newton".'
-            )
-        if self.mechanism.has_closed_chains:
-            raise PlannerError(
-                'hessian="exact" has no second derivatives of closed chains and this machine has some, expected '
-                'hessian="gauss-newton".'
-            )
-        if self.mechanism.curves:
-            raise PlannerError(
-                'hessian="exact" has no second derivatives of exponential torques and this machine has some, expected '
-                'hessian="gauss-newton".'
-            )
-        if self._model.external:
-            raise PlannerError(
-                'hessian="exact" has no second derivatives of friction loss, tendons, gravity compensation, drag, '
-                'actuators at sites and force laws, and this machine has some, expected hessian="gauss-newton".'
-            )
+        m, of = self.mechanism, "has no second derivatives of"
+        refusals = (
+            (self.substeps > 1, f"{of} substeps and a stage has {self.substeps}"),
+            (self._known.form == ROSENBROCK, f'{of} the integrator "{self.integrator}"'),
+            (self.space.quaternions, "is for machines of hinges and slides and this one has a ball or free joint"),
+            (m.contacts or m.body_contacts or m.stops, f"{of} contacts and stops and this machine has some"),
+            *((True, f"{of} coupled joints and this machine has {coupling.name}") for coupling in m.couplings),
+            (m.has_closed_chains, f"{of} closed chains and this machine has some"),
+            (m.curves, f"{of} exponential torques and this machine has some"),
+            (
+                self._model.external,
+                f"{of} friction loss, tendons, gravity compensation, drag, actuators at sites and force laws, and this "
+                "machine has some",
+            ),
+        )
+        for applies, reason in refusals:
+            if applies:
+                stages = f", or stages of dt = {self.dt / self.substeps:.3g} and substeps=1"
+                instead = stages if self.substeps > 1 else ""
+                raise PlannerError(f'hessian="exact" {reason}, expected hessian="gauss-newton"{instead}.')
         return tree_second.SecondOrderMemory(self._model, self._known)
 
     def linearize_nominal(self, w: Workspace, memory: TreeMemory) -> None:
@@ -348,7 +322,7 @@ class RigidBodyDynamics:
         """A (N, ndx, ndx) and B (N, ndx, nu) of Eq. 35, from the last linearize_nominal."""
         by_u, by_x = w.F[:, :, : self.nu], w.F[:, :, w.first : w.first + self.ndx]
         if self.structured:
-            return self._semi_implicit(by_x, w.transport), self._semi_implicit_inputs(by_u, w.transport)
+            return self._semi_implicit(by_x, by_u, w.transport)
         return by_x, by_u
 
     def residuals(self, measures: Any) -> ResidualTable:

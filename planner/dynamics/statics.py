@@ -1,4 +1,4 @@
-"""Static equilibrium of a machine on the ground.
+"""Static equilibrium of a machine on the ground, and its feet: the goal without slip, and whether they have to move.
 
 At rest the bias force of a pose (gravity and springs) is that of actuators, contacts and stops together,
 
@@ -7,6 +7,11 @@ At rest the bias force of a pose (gravity and springs) is that of actuators, con
 where the contact law of model.contact.laws gives f_k by the penetration of contact k. `static_equilibrium` moves the
 unactuated degrees of freedom, with the actuated joints fixed, by descent in potential energy until their equations
 hold. planner.dynamics.quasi_static computes the controls u.
+
+A goal of leg joints leaves the position of the trunk open, and a trunk that stays would drag the feet. At rest on level
+ground horizontal displacements are free, so the goal pose is displaced by the dq of the unactuated degrees of freedom
+that minimizes sum_k f_k |J_k dq|^2 without lifting or tilting links in contact: f_k are the normal forces at rest, J_k
+dq the slip of contact k, with J_k at the midpoint of start and goal.
 """
 
 from __future__ import annotations
@@ -17,12 +22,11 @@ import numpy as np
 
 from planner.base.arguments import array
 from planner.base.errors import PlannerError
-from planner.dynamics.algorithms import bias
+from planner.dynamics.algorithms import bias, mass_matrix
 from planner.dynamics.contacts import contact_forces, contact_jacobians, generalized_forces
-from planner.dynamics.kinematics import jacobian
-from planner.dynamics.momentum import center_of_mass
+from planner.dynamics.kinematics import center_of_mass, jacobian
 from planner.dynamics.quasi_static import weight
-from planner.model.capabilities import roots, unactuated_basis
+from planner.model.capabilities import rolling_radii, roots, unactuated_basis
 from planner.model.mechanism import Frame, Mechanism
 
 STEPS = 200  # largest number of iterations
@@ -30,10 +34,13 @@ FIRST_STEP, LONGEST_STEP = 0.02, 0.2  # m or rad, step lengths: contacts open an
 SHORTEST_STEP = 1e-9  # m or rad: the search fails if no longer step lowers the energy
 MAX_SHIFT = 0.5  # m or rad, from the initial pose: a larger displacement counts as a fall
 AT_REST = 1e-9  # relative to the weight: largest residual force at convergence
-FLAT = 1e-6  # relative to the largest singular value: lift and tilt of directions along the ground
+RANK = 1e-6  # relative to the largest singular value: of contact Jacobians, of lift and tilt along the ground
 DIFFERENCE = 1e-6  # m or rad, of central differences of forces; affects only the number of iterations
 MANY = 20  # largest number of contacts of a tree that determine its vertical displacement
 UPWARDS = 0.8  # cosine of a plane's normal to the vertical: planes below it are walls
+TURNS = 5  # largest number of iterations of the midpoint Jacobian
+POSE_TOLERANCE = 1e-9  # m or rad, largest change of the goal at convergence
+STRIDE = 0.05  # m: feet that slip or rise by less on the way roll or deform, and need not leave the ground
 
 
 def static_equilibrium(mechanism: Mechanism, x: Any) -> np.ndarray:
@@ -123,17 +130,17 @@ def _downhill(mechanism: Mechanism, x: np.ndarray, free: np.ndarray) -> tuple[np
     energy decreases (trapezoidal rule on the forces at both ends), or the largest force does.
     """
     space = mechanism.space
-    steep, enough, longest = _Steepness(mechanism, free), AT_REST * weight(mechanism), FIRST_STEP
-    start, uphill = x, steep.uphill(x[None])[0]
+    enough, longest = AT_REST * weight(mechanism), FIRST_STEP
+    start, uphill = x, _uphill(mechanism, free, x[None])[0]
     for _ in range(STEPS):
         if np.abs(uphill).max() < enough:
             return x, True
         ways = _across(mechanism, x[: mechanism.nq], free)
-        by_q = ways @ ways.T @ steep.slopes(x) @ ways @ ways.T
+        by_q = ways @ ways.T @ _slopes(mechanism, free, x) @ ways @ ways.T
         while longest > SHORTEST_STEP:
             step = _newton(by_q, ways @ (ways.T @ uphill), longest)
             there = space.integrate(x, _extended(free @ step, space.ndx))
-            further = steep.uphill(there[None])[0]
+            further = _uphill(mechanism, free, there[None])[0]
             expected, found = step @ uphill + 0.5 * step @ by_q @ step, 0.5 * step @ (uphill + further)
             if found < 0.0 or np.abs(further).max() < np.abs(uphill).max():
                 break
@@ -155,7 +162,8 @@ def _across(mechanism: Mechanism, q: np.ndarray, free: np.ndarray) -> np.ndarray
     rotation mixes coordinates, so residual torques would cause spurious displacements along the ground.
     """
     links = sorted({contact.link for contact in mechanism.contacts})
-    return _complement(along_ground(mechanism, q, free, np.array(links)))
+    level = along_ground(mechanism, q, free, np.array(links))
+    return np.linalg.svd(level)[0][:, level.shape[1] :] if level.shape[1] else np.eye(len(level))
 
 
 def along_ground(mechanism: Mechanism, q: np.ndarray, free: np.ndarray, links: np.ndarray) -> np.ndarray:
@@ -168,11 +176,7 @@ def along_ground(mechanism: Mechanism, q: np.ndarray, free: np.ndarray, links: n
         J = jacobian(mechanism, q, Frame(int(link), np.eye(4)))
         rows += [up[None] @ J[:3], J[3:] - np.outer(up, up @ J[3:])]
     _, sizes, directions = np.linalg.svd(np.vstack(rows) @ free)
-    return directions[int(np.sum(sizes > FLAT * sizes.max(initial=0.0))) :].T
-
-
-def _complement(basis: np.ndarray) -> np.ndarray:
-    return np.linalg.svd(basis)[0][:, basis.shape[1] :] if basis.shape[1] else np.eye(len(basis))
+    return directions[int(np.sum(sizes > RANK * sizes.max(initial=0.0))) :].T
 
 
 def _newton(by_q: np.ndarray, uphill: np.ndarray, longest: float) -> np.ndarray:
@@ -184,29 +188,143 @@ def _newton(by_q: np.ndarray, uphill: np.ndarray, longest: float) -> np.ndarray:
     return step * min(1.0, longest / max(float(np.abs(step).max()), 1e-300))
 
 
-class _Steepness:
-    """Gradient and Hessian of potential energy, that of contacts and stops too, along the unactuated directions."""
+def _uphill(mechanism: Mechanism, free: np.ndarray, xs: np.ndarray) -> np.ndarray:
+    """Gradient (K, n) of potential energy, that of contacts and stops too, at states xs (K, nx) at rest, N and N m."""
+    q, still = xs[:, : mechanism.nq], np.zeros((len(xs), mechanism.nv))
+    return (bias(mechanism, q, still) - generalized_forces(mechanism, q, still)) @ free
 
-    def __init__(self, mechanism: Mechanism, free: np.ndarray) -> None:
-        self._mechanism, self._free = mechanism, free
 
-    def uphill(self, xs: np.ndarray) -> np.ndarray:
-        """Energy gradient (K, n) at states xs (K, nx) at rest, N and N m."""
-        m = self._mechanism
-        q, still = xs[:, : m.nq], np.zeros((len(xs), m.nv))
-        return (bias(m, q, still) - generalized_forces(m, q, still)) @ self._free
-
-    def slopes(self, x: np.ndarray) -> np.ndarray:
-        """Energy Hessian (n, n) at x (nx,) by central differences of uphill."""
-        n, space = self._free.shape[1], self._mechanism.space
-        change = np.zeros((2 * n, space.ndx))
-        change[:n, : len(self._free)], change[n:, : len(self._free)] = (
-            DIFFERENCE * self._free.T,
-            -DIFFERENCE * self._free.T,
-        )
-        uphill = self.uphill(space.integrate(np.tile(x, (2 * n, 1)), change))
-        return (uphill[:n] - uphill[n:]).T / (2.0 * DIFFERENCE)
+def _slopes(mechanism: Mechanism, free: np.ndarray, x: np.ndarray) -> np.ndarray:
+    """Hessian (n, n) of potential energy at x (nx,) by central differences of _uphill."""
+    n, space = free.shape[1], mechanism.space
+    change = np.zeros((2 * n, space.ndx))
+    change[:, : len(free)] = DIFFERENCE * np.concatenate([free.T, -free.T])
+    uphill = _uphill(mechanism, free, space.integrate(np.tile(x, (2 * n, 1)), change))
+    return (uphill[:n] - uphill[n:]).T / (2.0 * DIFFERENCE)
 
 
 def _at(place: np.ndarray) -> str:
     return f"({place[0]:.3g}, {place[1]:.3g})"
+
+
+def goal_without_foot_slip(mechanism: Mechanism, start: np.ndarray, goal: np.ndarray, kept: np.ndarray) -> np.ndarray:
+    """The goal (nx,) displaced along the ground so that the feet slip least from the start (nx,).
+
+    Args:
+        mechanism: A mechanism with contacts; start and goal are at rest on the ground.
+        start: (nx,) state.
+        goal: (nx,) state, at its height of static equilibrium.
+        kept: (nv,) bool, degrees of freedom that the user's goal specifies; they do not change.
+
+    Returns:
+        (nx,); the unchanged goal if no degree of freedom may change, or no contact bears load at start and goal.
+    """
+    space, nq, nv = mechanism.space, mechanism.nq, mechanism.nv
+    still = np.zeros(nv)
+    normals = np.array([contact.plane.normal for contact in mechanism.contacts])
+    loads = [np.einsum("ka,ka->k", normals, contact_forces(mechanism, x[:nq], still).forces) for x in (start, goal)]
+    carry = np.flatnonzero((loads[0] > 0.0) & (loads[1] > 0.0))
+    free = unactuated_basis(mechanism)
+    free = free[:, ~np.any(free[kept] != 0.0, axis=0)]
+    if not carry.size or not free.shape[1]:
+        return goal
+    n, root = normals[carry], np.sqrt(loads[0][carry] + loads[1][carry])
+    links = np.unique([mechanism.contacts[k].link for k in carry])
+    for _ in range(TURNS):
+        way = space.difference(goal, start)
+        q = space.integrate(start, 0.5 * way)[:nq]
+        J = contact_jacobians(mechanism, q, carry)
+        along = free @ along_ground(mechanism, q, free, links)
+        if not along.shape[1]:
+            return goal
+        slides = (J - n[:, :, None] * np.einsum("ka,kaj->kj", n, J)[:, None]) * root[:, None, None]
+        slides = slides.reshape(-1, nv)
+        part = np.linalg.lstsq(slides @ along, -slides @ way[:nv], rcond=1e-9)[0]
+        step = np.zeros(space.ndx)
+        step[:nv] = along @ part
+        goal = space.integrate(goal, step)
+        if np.abs(step).max() < POSE_TOLERANCE:
+            break
+    return goal
+
+
+def feet_move(mechanism: Mechanism, qs: np.ndarray) -> bool:
+    """Whether a foot that bears load at the first of configurations (E, nq) has moved by more than STRIDE at another.
+
+    Along the ground it is the slip J dq, which is zero where the foot rolls; away from it the distance.
+    """
+    space, nq, nv = mechanism.space, mechanism.nq, mechanism.nv
+    xs = np.hstack([qs, np.zeros((len(qs), space.nx - nq))])
+    states = contact_forces(mechanism, qs, np.zeros((len(qs), nv)))
+    carry = np.flatnonzero(states.forces[0].any(axis=1))
+    slip = np.zeros((len(carry), 3))
+    for k in range(1, len(qs)):
+        if not carry.size or np.any(states.depths[k, carry] < -STRIDE):
+            break
+        way = space.difference(xs[k], xs[k - 1])
+        J = contact_jacobians(mechanism, space.integrate(xs[k - 1], 0.5 * way)[:nq], carry)
+        n = np.array([mechanism.contacts[c].plane.normal for c in carry])
+        shift = J @ way[:nv]
+        slip += shift - n * np.einsum("ka,ka->k", n, shift)[:, None]
+        if np.linalg.norm(slip, axis=1).max() > STRIDE:
+            break
+    else:
+        return False
+    return bool(carry.size)
+
+
+def rolling_dofs(mechanism: Mechanism, q: np.ndarray) -> np.ndarray:
+    """(nv,) bool, degrees of freedom along the ground, not driven, of a machine that stands on wheels at q (nq,)."""
+    found = np.zeros(mechanism.nv, dtype=bool)
+    carry = contact_forces(mechanism, q, np.zeros(mechanism.nv)).forces.any(axis=1)
+    links = np.unique([mechanism.contacts[k].link for k in np.flatnonzero(carry)])
+    free = unactuated_basis(mechanism)
+    if np.any(rolling_radii(mechanism)[links.astype(int)]) and free.shape[1]:
+        found = np.any(np.abs(free @ along_ground(mechanism, q, free, links)) > RANK, axis=1)
+    return found
+
+
+def rolling_speeds(mechanism: Mechanism, q: np.ndarray, radii: np.ndarray, speed: np.ndarray) -> np.ndarray:
+    """(nv,) rad/s of wheels of radii (nv,) m, 0 of others, at q (nq,) on a machine that moves at speeds (nv,)."""
+    found = np.zeros(mechanism.nv)
+    for k, contact in enumerate(mechanism.contacts):
+        if radii[contact.link] > 0.0:
+            J = np.abs(contact_jacobians(mechanism, q, np.array([k]))[0])
+            J[:, contact.link] = 0.0
+            found[contact.link] = max(found[contact.link], float(np.linalg.norm(J @ speed)) / radii[contact.link])
+    return found
+
+
+def carriers(mechanism: Mechanism, links: np.ndarray) -> np.ndarray:
+    """(nv,) bool, degrees of freedom between the base and some links (nv,) bool: those that steer wheels."""
+    found = np.zeros(mechanism.nv, dtype=bool)
+    for i in np.flatnonzero(links):
+        while (i := int(mechanism.parent[i])) >= 0:
+            found[i] = True
+    return found
+
+
+def contact_stiffness(mechanism: Mechanism, q: np.ndarray) -> np.ndarray:
+    """(nv,) N/m or N m/rad of the loaded contacts at q (nq,), as each degree of freedom feels it: sum_k K_k |J_k|^2."""
+    loads = np.linalg.norm(contact_forces(mechanism, q, np.zeros(mechanism.nv)).forces, axis=1)
+    carry = np.flatnonzero(loads)
+    if not carry.size:
+        return np.zeros(mechanism.nv)
+    K = np.array([loads[k] / mechanism.contacts[k].law.rest_depth(float(loads[k])) for k in carry])
+    return np.einsum("k,kaj->j", K, contact_jacobians(mechanism, q, carry) ** 2)
+
+
+def stance_inertia(mechanism: Mechanism, q: np.ndarray) -> np.ndarray:
+    """Effective inertia (nv,) of each degree of freedom at q (nq,) with the loaded contacts fixed, kg m^2 or kg.
+
+    1 / A_ii of A = Z (Z' M Z)^-1 Z', Z a basis of the velocities with J Z = 0: at an ankle, the foot in the air, but
+    the whole robot on the ground. 0 without loaded contacts, or where the contacts allow no velocity.
+    """
+    still = np.zeros(mechanism.nv)
+    carry = np.flatnonzero(contact_forces(mechanism, q, still).forces.any(axis=1))
+    if not carry.size:
+        return still
+    _, sizes, rows = np.linalg.svd(contact_jacobians(mechanism, q, carry).reshape(-1, mechanism.nv))
+    Z = rows[int(np.sum(sizes > RANK * sizes.max(initial=0.0))) :].T
+    A = np.diagonal(Z @ np.linalg.solve(Z.T @ mass_matrix(mechanism, q) @ Z, Z.T))
+    return np.divide(1.0, A, out=still, where=np.linalg.norm(Z, axis=1) > RANK)

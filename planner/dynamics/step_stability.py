@@ -25,8 +25,8 @@ from planner.base.errors import PlannerError
 from planner.dynamics.quasi_static import quasi_static_controls
 from planner.dynamics.rigid_body import MAX_SUBSTEPS, RigidBodyDynamics
 from planner.model.coordinates import coordinates_of_mechanism
-from planner.model.damping import damped_implicitly
 from planner.model.mechanism import Mechanism
+from planner.model.passive_forces import damped_implicitly
 
 # Target |lambda| h of a substep: RK4 then reproduces the decay exp(-0.7) to 0.3 %, so that a replay at finer steps
 # differs by a fraction of the tolerance. At 1 the error is 2 %; at 2 the decay is 0.33 instead of 0.14.
@@ -124,27 +124,14 @@ def _joint(mechanism: Mechanism, slopes: np.ndarray, value: complex, right: np.n
     return coordinates_of_mechanism(mechanism)[k if k < nv else k + nv].name
 
 
-def substeps_for(
-    mechanism: Mechanism, dt: float, states: np.ndarray | Iterable[np.ndarray], prescribed: Collection[str] = ()
-) -> int:
-    """Number of RK4 substeps, 1 to 16, that a stage of dt s needs for a machine's largest rate.
+def substeps_of(found: FastestMode, dt: float) -> int:
+    """Number of RK4 substeps, 1 to 16, that a stage of dt s needs for a largest rate.
 
     Substeps meet TARGET_RATE_STEP, or are 16 if these meet MAX_RATE_STEP.
-
-    Args:
-        mechanism: A mechanism with actuators.
-        dt: Length of a stage, s.
-        states: (K, nx) or (nx,), e.g. the start, the goal and home.
-        prescribed: Names of joints whose accelerations are inputs.
 
     Raises:
         PlannerError: It needs more than 16; the message has the joint, its rate and the required stage.
     """
-    return substeps_of(fastest_mode(mechanism, states, prescribed), dt)
-
-
-def substeps_of(found: FastestMode, dt: float) -> int:
-    """Number of RK4 substeps, 1 to 16, of a stage of dt s for a largest rate; PlannerError if it needs more."""
     if found.rate * dt > MAX_SUBSTEPS * MAX_RATE_STEP * (1.0 + _ROUNDING):
         substeps = math.ceil(found.rate * dt / MAX_RATE_STEP)
         longest = MAX_SUBSTEPS * MAX_RATE_STEP / found.rate

@@ -6,7 +6,7 @@ length rate, affine in what it is given. It is a function of these three and of 
     force, d force/d given, d force/d length, d force/d rate
 
 by arithmetic alone, so that one source is compiled for lanes and called with arrays. A new law is such a function, its
-entry of LAWS and its branch in `evaluate`; planner.model.mjcf.force_laws reads it from a model.
+entry of LAWS and its branch in `evaluate`; planner.model.mjcf.joint_forces reads it from a model.
 """
 
 from __future__ import annotations

@@ -8,7 +8,7 @@ An actuator may have a force law beside that, a force that is added to it (plann
 
 The moment of an actuator at a site (a thruster), or of one in the axes of a ball's parent, depends on the pose: it is
 that of its `wrenches`, in place of a row of `moment`, and its force is gain u + bias[0] alone.
-`planner.dynamics.actuator_moments` gives all moments at a pose, and all forces with their derivatives at a state.
+`planner.dynamics.joint_forces` gives all moments at a pose, and all forces with their derivatives at a state.
 """
 
 from __future__ import annotations

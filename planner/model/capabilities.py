@@ -23,7 +23,6 @@ class Capabilities:
 
     Attributes:
         mechanism: The machine, or None.
-        floating_base: Whether a kinematic tree has a free joint at its root.
         actuated: (nv,) bool, the degrees of freedom that an actuator moves, directly or through a coupling.
         contacts: Whether the plan models contacts of bodies with the ground or each other.
         stops: Whether the plan models joint limits as compliant forces.
@@ -33,7 +32,6 @@ class Capabilities:
     """
 
     mechanism: Mechanism | None = None
-    floating_base: bool = False
     actuated: np.ndarray = field(default_factory=lambda: np.zeros(0, dtype=bool))
     contacts: bool = False
     stops: bool = False
@@ -54,7 +52,6 @@ class Capabilities:
         actuated = np.any(_independent_directions(mechanism, actuated=True) != 0.0, axis=1)
         return cls(
             mechanism=mechanism,
-            floating_base=any(dofs.stop - dofs.start == 6 for dofs in mechanism.joint_links),
             actuated=actuated if prescribed is None else actuated | prescribed,
             contacts=bool(mechanism.contacts or mechanism.body_contacts),
             stops=bool(mechanism.stops),

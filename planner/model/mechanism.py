@@ -17,7 +17,7 @@ The applied force tau excludes the passive forces, which are part of the bias:
     M(q) qdd + bias(q, qd) = tau,   bias = Coriolis + gravity + damping qd + stiffness (q - spring_rest)
                                            - forces of tendons - gravity compensation - drag.
 
-Friction loss is not part of the bias, since it depends on qdd (planner.dynamics.friction).
+Friction loss is not part of the bias, since it depends on qdd (planner.dynamics.joint_forces).
 """
 
 from __future__ import annotations
@@ -35,14 +35,11 @@ from planner.base.errors import ModelError, PlannerError
 from planner.model.actuators import Actuators
 from planner.model.contact.body_contact import BodyContact, check_body_contact
 from planner.model.contact.laws import Contact, ContactLaw, Stop, slide_direction
-from planner.model.couplings import Coupling, Reduction, reduce
-from planner.model.exponential_torques import ExponentialTorque, check_curve
-from planner.model.fluid import Drag
-from planner.model.loops import LoopClosure, PolynomialCoupling
-from planner.model.model_origin import origin_of
+from planner.model.couplings import Coupling, LoopClosure, PolynomialCoupling, Reduction, reduce
+from planner.model.passive_forces import Drag, ExponentialTorque, FixedTendon, check_curve
 from planner.model.robot_collections import model_location
 from planner.model.space import StateSpace
-from planner.model.tendons import FixedTendon
+from planner.model.twin import origin_of
 from planner.model.urdf.write import as_mjcf
 
 SCREW, BALL, BALL_NEXT = 0, 1, 2
@@ -85,9 +82,9 @@ class Mechanism:
     joint_range: np.ndarray  # (nv, 2) rad or m, infinite if unlimited
     joint_force_range: np.ndarray  # (nv, 2) N m or N, of the sum of actuator forces (actuatorfrcrange)
     velocity_limit: np.ndarray  # (nv,) rad/s or m/s, infinite if unlimited
-    friction_loss: np.ndarray  # (nv,) N m or N, MuJoCo's frictionloss; see planner.dynamics.friction
-    friction_inertia: np.ndarray  # (nv,) kg m^2 or kg, D in planner.dynamics.friction
-    friction_rate: np.ndarray  # (nv,) 1/s, beta in planner.dynamics.friction
+    friction_loss: np.ndarray  # (nv,) N m or N, MuJoCo's frictionloss; see planner.dynamics.joint_forces
+    friction_inertia: np.ndarray  # (nv,) kg m^2 or kg, D in planner.dynamics.joint_forces
+    friction_rate: np.ndarray  # (nv,) 1/s, beta in planner.dynamics.joint_forces
     gravcomp_mass: np.ndarray  # (nv,) kg, gravity-compensated mass of each link
     gravcomp_first_moment: np.ndarray  # (nv, 3) kg m, first moment of gravcomp_mass in the link's frame
     body_names: tuple[str, ...]  # MuJoCo's bodies in order, the world first
@@ -100,7 +97,7 @@ class Mechanism:
     assets: dict[str, bytes] = field(default_factory=dict)  # content of the files that mjcf refers to, by name
     ignored: tuple[str, ...] = ()  # elements removed from the file, one phrase each
     original: str = ""  # XML text of the file, includes resolved, if `mjcf` was edited; else ""
-    origin: dict[str, Any] = field(default_factory=dict)  # where it was read from: planner.model.model_origin
+    origin: dict[str, Any] = field(default_factory=dict)  # where it was read from: planner.model.twin
     body_contacts: tuple[BodyContact, ...] = ()  # contacts between spheres and capsules
     curves: tuple[ExponentialTorque, ...] = ()  # exponential torques; not in the MJCF
     tendons: tuple[FixedTendon, ...] = ()  # fixed tendons with a force or a range

@@ -1,4 +1,4 @@
-"""Twin: the MuJoCo model of a plan, and the maps between both states. Data only, stored in every plan.npz.
+"""Twin: the MuJoCo model of a plan, where it was read from, and the maps between both states; stored in every plan.npz.
 
 The simulator's physical state is w = (qpos, qvel, act), nw numbers. The plan's state is an affine function of it,
 
@@ -11,27 +11,35 @@ lesser of its spring's rest length and the distance to the ground),
 
 The control is MuJoCo's ctrl. Replay and render need only the XML text and these maps. For a Mechanism both states are
 the same, so the maps are identities.
+
+The origin of a model lets a stored plan be compared with the model on disk. It is a table of JSON values: the `path` of
+the file, and what reading it took besides (attach, obstacles, exclude, keys of a URDF). Paths are absolute in memory
+and relative to the plan's folder in its file. A text has none.
 """
 
 from __future__ import annotations
 
 import os
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property, partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
+from xml.etree import ElementTree
 
 import numpy as np
 
 from planner.base.arguments import array
 from planner.base.errors import PlannerError
 from planner.base.files import digest_of
-from planner.model.exponential_torques import ExponentialTorque
-from planner.model.model_origin import is_origin, moved
+from planner.model.mjcf.attached import attachments, stored_records, with_attached
+from planner.model.mjcf.model_file import open_model_file
+from planner.model.mjcf.obstacles import excluded_pairs, obstacles_of, with_excluded, with_obstacles
+from planner.model.mjcf.text import is_text
+from planner.model.passive_forces import ExponentialTorque
+from planner.model.urdf.write import as_mjcf, is_urdf
 
-if TYPE_CHECKING:
-    from planner.model.mechanism import Mechanism
-
+URDF_KEYS = ("base", "floor", "package_path", "inertia")
 _MAPS: dict[str, tuple[int | str, ...]] = {
     "to_x": ("nx", "nw"), "to_x_offset": ("nx",), "to_sim": ("K", "nw", "nx"), "to_sim_offset": ("K", "nw"),
 }  # fmt: skip
@@ -52,7 +60,7 @@ class Twin:
         source: The XML text that the plan's mechanism was read from, if it differs from mjcf, else ""; see
             model.mjcf.prescribed_joints.
         original: The user's XML text, if it was edited before planning, else "".
-        origin: The file that the text was read from, and how (planner.model.model_origin); empty for a text.
+        origin: The file that the text was read from, and how; empty for a text.
         curves: Exponential torques in addition to the MJCF; see planner.proof.replays.passive_torque_callback.
     """
 
@@ -78,7 +86,7 @@ class Twin:
                 raise PlannerError(f"Twin: {name} has shape {getattr(self, name).shape}, expected {shape}.")
 
     @classmethod
-    def of(cls, mechanism: Mechanism) -> Twin:
+    def of(cls, mechanism: Any) -> Twin:
         """The twin of a mechanism with identity maps: the plan's state is MuJoCo's, x = (qpos, qvel, act)."""
         same, none = np.eye(mechanism.space.nx), np.zeros(mechanism.space.nx)
         return cls(
@@ -161,3 +169,72 @@ def _relative(folder: Path, path: str) -> str:
         return Path(os.path.relpath(path, folder)).as_posix()
     except ValueError:
         return path
+
+
+def origin_of(
+    model: str | Path, attach: Any = None, obstacles: Any = None, exclude: Any = None, **of_urdf: Any
+) -> dict[str, Any]:
+    """The origin of a file; empty for a text. Keys of a URDF without a value are left out."""
+    if is_text(model):
+        return {}
+    origin = {"path": str(model), "attach": stored_records(attachments(attach), "model", Path())}
+    origin["obstacles"] = stored_records(obstacles_of(obstacles), "file", Path())
+    origin["exclude"] = [list(pair) for pair in excluded_pairs(exclude)]
+    origin |= {key: list(value) if isinstance(value, tuple) else value for key, value in of_urdf.items()}
+    return moved({key: value for key, value in origin.items() if value}, os.path.abspath)
+
+
+def is_origin(value: Any) -> bool:
+    """Whether a JSON value is an origin as a plan's file has it, with a `digest` of the user's model, or empty."""
+    kinds = {
+        "path": str,
+        "digest": str,
+        "base": str,
+        "inertia": (str, dict),
+        "floor": bool,
+        "package_path": list,
+        "attach": list,
+        "obstacles": list,
+        "exclude": list,
+    }
+    return (
+        isinstance(value, dict) and all(isinstance(part, kinds.get(key, ())) for key, part in value.items())
+        and all(isinstance(one, str) for one in value.get("package_path", ()))
+        and all(isinstance(one, dict) for key in ("attach", "obstacles") for one in value.get(key, ()))
+        and all(isinstance(one, list) and [*map(type, one)] == [str, str] for one in value.get("exclude", ()))
+    )  # fmt: skip
+
+
+def moved(origin: dict[str, Any], place: Callable[[str], str]) -> dict[str, Any]:
+    """The origin with all its paths changed by a function."""
+    found = dict(origin)
+    if "path" in found:
+        found["path"] = place(found["path"])
+    if "package_path" in found:
+        folders = found["package_path"]
+        found["package_path"] = [place(one) for one in ([folders] if isinstance(folders, str) else folders)]
+    for key, file in (("attach", "model"), ("obstacles", "file")):
+        if key in found:
+            found[key] = [
+                one | ({file: place(one[file])} if isinstance(one.get(file), str) and not is_text(one[file]) else {})
+                for one in found[key]
+            ]
+    return found
+
+
+def read_again(origin: dict[str, Any], file: str | Path | None = None) -> tuple[str, dict[str, bytes]]:
+    """The user's text and its files as they are on disk now, or of another MJCF or URDF file, read in the same way.
+
+    Raises:
+        PlannerError: A file cannot be read, or MuJoCo refuses it.
+    """
+    model = origin["path"] if file is None else file
+    if is_urdf(model):
+        of_urdf = {key: origin[key] for key in URDF_KEYS if key in origin}
+        file_now = open_model_file(*as_mjcf(model, **of_urdf))
+    else:
+        file_now = open_model_file(model)
+    file_now = with_attached(file_now, attachments(origin.get("attach")))
+    file_now = with_obstacles(file_now, obstacles_of(origin.get("obstacles")))
+    file_now = with_excluded(file_now, excluded_pairs(origin.get("exclude")))
+    return ElementTree.tostring(file_now.root, encoding="unicode"), file_now.files

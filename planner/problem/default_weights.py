@@ -37,11 +37,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from planner.dynamics import RigidBodyDynamics
-from planner.dynamics.actuator_moments import actuator_lengths, actuator_moments, force_slopes, gains_at
 from planner.dynamics.algorithms import bias, mass_matrix
 from planner.dynamics.assembly import feasible_directions
+from planner.dynamics.joint_forces import actuator_lengths, actuator_moments, force_slopes, gains_at
 from planner.dynamics.quasi_static import quasi_static_controls
-from planner.dynamics.stance import carriers, contact_stiffness, feet_move, rolling_speeds, stance_inertia
+from planner.dynamics.statics import carriers, contact_stiffness, feet_move, rolling_speeds, stance_inertia
 from planner.model.capabilities import ballistic_dofs, flies, rolling_radii, stands_on_ground, stationary_object_dofs
 from planner.model.coordinates import coordinates_of_mechanism
 from planner.model.mechanism import Mechanism

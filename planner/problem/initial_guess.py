@@ -12,10 +12,9 @@ import numpy as np
 
 from planner.base.arguments import number
 from planner.base.errors import PlannerError
-from planner.dynamics.actuator_moments import actuator_lengths, gains_at, passive_forces
 from planner.dynamics.algorithms import rnea
-from planner.dynamics.closure_forces import constraint_jacobians
-from planner.dynamics.friction import friction_forces
+from planner.dynamics.joint_forces import actuator_lengths, friction_forces, gains_at, passive_forces
+from planner.dynamics.loops import constraint_jacobians
 from planner.model.actuators import DIRECT
 from planner.model.capabilities import capabilities_of, stationary_object_dofs
 from planner.model.mechanism import SCREW, Mechanism

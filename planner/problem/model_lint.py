@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from planner.base.arguments import toml_key
-from planner.dynamics.actuator_moments import actuator_forces, actuator_lengths
+from planner.dynamics.joint_forces import actuator_forces, actuator_lengths
 from planner.dynamics.quasi_static import quasi_static_controls
 from planner.model.actuators import INTEGRATOR
 from planner.model.couplings import contradiction, fixed_dofs

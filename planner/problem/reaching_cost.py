@@ -20,8 +20,8 @@ import numpy as np
 
 from planner.base.arguments import number
 from planner.dynamics import RigidBodyDynamics
-from planner.dynamics.actuator_moments import actuator_lengths, force_slopes
 from planner.dynamics.contacts import contact_forces
+from planner.dynamics.joint_forces import actuator_lengths, force_slopes
 from planner.dynamics.quasi_static import quasi_static_controls
 from planner.model.capabilities import stands_on_ground
 from planner.problem.costs.frame import SlipCost

@@ -29,7 +29,7 @@ from planner.dynamics import RigidBodyDynamics
 from planner.dynamics.protocol import integrator_of
 from planner.dynamics.step_stability import MAX_RATE_STEP, fastest_mode, substeps_of
 from planner.model.coordinates import coordinates_of
-from planner.model.damping import damped_implicitly
+from planner.model.passive_forces import damped_implicitly
 from planner.problem.costs.terms import call_if_supported
 from planner.problem.objective import base_problem, with_objective
 from planner.problem.plan import Plan

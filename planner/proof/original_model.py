@@ -29,6 +29,7 @@ from planner.base.gl import load_mujoco
 from planner.base.measured import Measurement, Section
 from planner.model.capabilities import capabilities_of, stationary_object_bodies, stationary_object_dofs
 from planner.model.mechanism import SCREW
+from planner.model.mjcf.file_law import watched_pairs
 from planner.model.mjcf.initial_overlaps import (
     MAX_EMBEDDED,
     OVERLAP_TOLERANCE,
@@ -38,7 +39,6 @@ from planner.model.mjcf.initial_overlaps import (
     starts_inside,
     watching,
 )
-from planner.model.mjcf.margins import watched_pairs
 from planner.model.mjcf.model_index import ModelIndex, named
 from planner.model.mjcf.prescribed_joints import in_order, prescribe_joints
 from planner.model.mjcf.unmodelled_features import names_of

@@ -9,9 +9,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from planner.dynamics.contacts import PlaneContactKinematics, contact_forces
-from planner.dynamics.momentum import center_of_mass
-from planner.dynamics.stance import STRIDE
+from planner.dynamics.contact_kinematics import PlaneContactKinematics
+from planner.dynamics.contacts import contact_forces
+from planner.dynamics.kinematics import center_of_mass
+from planner.dynamics.statics import STRIDE
 from planner.model.capabilities import capabilities_of, stands_on_ground
 from planner.problem.plan import Plan
 from planner.problem.problem import Problem

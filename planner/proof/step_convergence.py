@@ -19,7 +19,7 @@ from planner.base.measured import Measurement, Section
 from planner.dynamics.protocol import integrator_of
 from planner.kernels.integrators import KNOWN_INTEGRATORS
 from planner.model.capabilities import capabilities_of
-from planner.model.tendons import slack_tendons
+from planner.model.passive_forces import slack_tendons
 from planner.problem.plan import Plan
 from planner.problem.problem import Problem
 from planner.proof.error_scales import COST_BOUND, judged_cost, shares_of_bounds

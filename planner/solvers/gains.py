@@ -34,8 +34,8 @@ import numpy as np
 
 from planner.base.arguments import short_repr
 from planner.base.errors import PlannerError
+from planner.dynamics.protocol import feedback_control, rollout
 from planner.dynamics.rigid_body import RigidBodyDynamics
-from planner.dynamics.rollout import feedback_control, rollout
 from planner.model.space import space_of
 from planner.problem.constraints.trajectory_constraints import BoundPenalties
 from planner.problem.control_bounds import StepBounds

@@ -22,8 +22,8 @@ import numpy as np
 
 from planner.base.errors import PlannerError
 from planner.dynamics.assembly import assembled
+from planner.dynamics.protocol import Control, feedback_control, rollout
 from planner.dynamics.quasi_static import equilibrium
-from planner.dynamics.rollout import Control, feedback_control, rollout
 from planner.model.capabilities import capabilities_of
 from planner.model.space import space_of
 from planner.problem.collision_free_path import collision_free_motion

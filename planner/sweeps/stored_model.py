@@ -16,10 +16,9 @@ import numpy as np
 from planner.base.files import printable
 from planner.cases import CASES
 from planner.model.capabilities import capabilities_of
-from planner.model.mjcf.model_changes import model_changes
+from planner.model.mjcf.facts import model_changes
 from planner.model.mjcf.prescribed_joints import heavy_joints
-from planner.model.model_origin import read_again
-from planner.model.twin import model_digest
+from planner.model.twin import model_digest, read_again
 from planner.problem.goals import MIN_TOLERANCES, given_tolerance, goal_specs_of
 from planner.problem.plan import Plan
 

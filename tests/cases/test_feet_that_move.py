@@ -9,7 +9,7 @@ import planner
 from planner.base.errors import PlannerError
 from planner.cases.problem_file import load
 from planner.dynamics.contacts import contact_forces
-from planner.dynamics.stance import STRIDE, contact_stiffness, feet_move
+from planner.dynamics.statics import STRIDE, contact_stiffness, feet_move
 from planner.problem.costs.frame import CLEARANCE, SlipCost
 from planner.problem.costs.tracking import tracking_of
 from planner.problem.default_weights import GAIN_SHARE, MOVING_SHARE, SLIP_SPEED, STANCE_TOLERANCES, WAY_SHARE

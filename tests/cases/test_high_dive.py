@@ -9,7 +9,7 @@ from planner.cases import anthropometry
 from planner.cases.high_dive import flight
 from planner.cases.high_dive.case import enters, misses, momentum_drift, rotated_up
 from planner.cases.high_dive.flight import Diver
-from planner.dynamics.momentum import angular_momentum, center_of_mass
+from planner.dynamics.kinematics import angular_momentum, center_of_mass
 from planner.model.mechanism import Mechanism
 from planner.model.mjcf.text import model_path
 from planner.view.render.film import Film

@@ -9,8 +9,8 @@ from commands import refused, run
 
 import planner
 from planner.base.packaged import problem_files
-from planner.dynamics.contacts import PlaneContactKinematics
-from planner.dynamics.stance import STRIDE
+from planner.dynamics.contact_kinematics import PlaneContactKinematics
+from planner.dynamics.statics import STRIDE
 from planner.problem.goals import goals_of
 
 FILES = problem_files()

@@ -15,7 +15,7 @@ from planner.cases.problem_file import load, of_table
 from planner.cases.problem_file.keys import ATTACH, DEFAULTS, FOLLOW, GOAL, KEYS, PHASE, WEIGHTS
 from planner.cases.problem_file.starter_file import write_first_problem
 from planner.dynamics.quasi_static import quasi_static_controls
-from planner.dynamics.step_stability import substeps_for
+from planner.dynamics.step_stability import fastest_mode, substeps_of
 from planner.model.mjcf.model_file import open_model_file
 from planner.problem.description import describe
 from planner.problem.initial_guess import inverse_dynamics_controls
@@ -278,8 +278,9 @@ def stiff(folder, **keys):
 def test_stages_have_the_substeps_that_the_machine_needs(tmp_path):
     problem = stiff(tmp_path)
     mechanism, states = problem.dynamics.mechanism, [problem.x0, problem.cost.x_ref[-1]]
-    assert problem.dynamics.substeps == substeps_for(mechanism, 0.02, states) > 4
-    assert finer(problem).dynamics.substeps == substeps_for(mechanism, 0.01, states) < problem.dynamics.substeps
+    found = fastest_mode(mechanism, states)
+    assert problem.dynamics.substeps == substeps_of(found, 0.02) > 4
+    assert finer(problem).dynamics.substeps == substeps_of(found, 0.01) < problem.dynamics.substeps
     back = planner.load_plan(planner.solve(problem).save(tmp_path / "plan.npz"))
     assert back.problem.dynamics.substeps == problem.dynamics.substeps
     assert stiff(tmp_path, integrator='"semi-implicit-euler"').dynamics.substeps == 1

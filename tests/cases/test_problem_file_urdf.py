@@ -7,7 +7,7 @@ from urdfs import ARM, BALL, UNCLEAR, inertial, joint, link, robot, shape
 from planner import PlannerError, load_plan, solve
 from planner.cases.problem_file import load
 from planner.cli.parser import parse
-from planner.model.model_origin import read_again
+from planner.model.twin import read_again
 from planner.model.urdf.meshes import stl
 from planner.model.urdf.read import opened_model
 from planner.problem.description import describe

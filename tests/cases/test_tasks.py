@@ -13,7 +13,7 @@ from places import ROOT
 import planner
 from planner.base.gl import load_mujoco
 from planner.cases.problem_file import load
-from planner.dynamics.rollout import rollout_states
+from planner.dynamics.protocol import rollout_states
 from planner.problem.goals import GoalCheck as Judged
 from planner.problem.goals import between, goals_of, static_error
 from planner.problem.rediscretize import finer

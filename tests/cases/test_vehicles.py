@@ -7,7 +7,7 @@ from trees import mujoco
 import planner
 from planner.cases.problem_file import load
 from planner.dynamics.contacts import contact_forces
-from planner.dynamics.stance import rolling_dofs
+from planner.dynamics.statics import rolling_dofs
 from planner.model.capabilities import rolling_radii
 from planner.model.mjcf.contact_shapes import ROUND, wheel_of
 from planner.problem.costs.tracking import tracking_of

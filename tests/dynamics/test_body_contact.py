@@ -13,11 +13,12 @@ from planner.base.errors import PlannerError
 from planner.dynamics import RigidBodyDynamics, product_of_exponentials
 from planner.dynamics import algorithms as rigid_body
 from planner.dynamics.contact_kinematics import BodyContactKinematics, closest_points
-from planner.dynamics.contacts import body_contact_forces, generalized_force_derivatives, generalized_forces
-from planner.dynamics.momentum import angular_momentum, center_of_mass
+from planner.dynamics.contacts import body_contact_forces, generalized_forces
+from planner.dynamics.kinematics import angular_momentum, center_of_mass
 from planner.model.contact.body_contact import BodyContact, Capsule
 from planner.model.contact.laws import ContactLaw
 from planner.model.mechanism import SCREW, Mechanism
+from tests.contact_derivatives import generalized_force_derivatives
 
 HINGES = """<mujoco><worldbody>
   <body><joint name="one" axis="0 1 0"/><geom type="capsule" fromto="0 0 0 0 0 -.3" size=".03"/></body>

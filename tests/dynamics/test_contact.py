@@ -12,9 +12,10 @@ from trees import CHAINS, actuated, driven, machines, random_state, relative_err
 from planner import dynamics as rigid_body
 from planner.base.errors import PlannerError
 from planner.dynamics import RigidBodyDynamics, product_of_exponentials
-from planner.dynamics.contacts import contact_force, contact_forces, generalized_force_derivatives, generalized_forces
+from planner.dynamics.contacts import contact_force, contact_forces, generalized_forces
 from planner.model.contact.laws import Contact, ContactLaw, Law, Plane, Stop
 from planner.model.mechanism import SCREW, Frame, Mechanism
+from tests.contact_derivatives import generalized_force_derivatives
 
 UP = np.array([0.0, 0.0, 1.0])
 

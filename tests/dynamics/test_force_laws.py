@@ -12,7 +12,7 @@ from planner.base.errors import PlannerError
 from planner.base.gl import load_mujoco
 from planner.constraints import Power
 from planner.dynamics import RigidBodyDynamics
-from planner.dynamics.actuator_moments import actuator_forces, actuator_lengths, force_slopes
+from planner.dynamics.joint_forces import actuator_forces, actuator_lengths, force_slopes
 from planner.kernels.force_laws import LAW_SIZE, LAWS
 from planner.model.actuators import ForceLaw
 from planner.model.mechanism import Mechanism

@@ -3,12 +3,13 @@
 import numpy as np
 import pytest
 from machines import FRICTION_ARM
+from scipy.optimize import root_scalar
 
 import planner
 from planner.base.errors import PlannerError
 from planner.base.gl import load_mujoco
 from planner.dynamics import algorithms
-from planner.dynamics.friction import BEND, friction_forces, with_friction
+from planner.dynamics.joint_forces import BEND, friction_forces
 from planner.model.mechanism import Mechanism
 
 mujoco = load_mujoco()
@@ -30,6 +31,35 @@ def test_the_decay_of_what_slides_alone_is_mujocos():
     assert free[0] == pytest.approx(0.9 * 2.0 / (0.95 * 0.02), rel=1e-12)
     assert free[1] == pytest.approx(0.9 * 60.0 / 0.95, rel=1e-12)  # the direct format
     assert free[2] == pytest.approx(0.8 * 2.0 / (0.9 * 0.02), rel=1e-12)
+
+
+def with_friction(mechanism, M, tau, qd):
+    """Accelerations (nv,) that solve M qdd = tau + friction(qd, qdd), by Newton's method.
+
+    They minimize a convex function; an exact line search limits every Newton step.
+
+    Args:
+        mechanism: A mechanism with friction loss.
+        M: (nv, nv) mass matrix.
+        tau: (nv,) all applied forces but friction, minus the bias, N m and N.
+        qd: (nv,) velocities, rad/s and m/s.
+    """
+    qdd = np.where(mechanism.friction_loss > 0.0, -mechanism.friction_rate * qd, 0.0)  # initial guess: all stick
+    force, slope = friction_forces(mechanism, qd, qdd)
+    qdd = np.linalg.solve(M - np.diag(slope), tau + force - slope * qdd)
+    for _ in range(30):
+        force, slope = friction_forces(mechanism, qd, qdd)
+        size = mechanism.friction_loss + mechanism.friction_inertia * np.abs(qdd)
+        if np.all(np.abs(M @ qdd - tau - force) <= 1e-13 * (size + np.abs(tau).max())):
+            break
+        step = np.linalg.solve(M - np.diag(slope), tau + force - M @ qdd)
+
+        def uphill(part, qdd=qdd, step=step):
+            there = qdd + part * step
+            return float(step @ (M @ there - tau - friction_forces(mechanism, qd, there)[0]))
+
+        qdd = qdd + step * (1.0 if uphill(1.0) <= 0.0 else root_scalar(uphill, bracket=(0.0, 1.0)).root)
+    return qdd
 
 
 def test_kernels_solve_the_law_that_numpy_has():

@@ -17,14 +17,15 @@ from planner import Mechanism, RigidBodyDynamics, Twin
 from planner.base.errors import ModelError, PlannerError
 from planner.contact import ExponentialTorque
 from planner.dynamics.algorithms import forward_dynamics
-from planner.dynamics.contacts import generalized_force_derivatives, generalized_forces
+from planner.dynamics.contacts import generalized_forces
 from planner.kernels.tree import joint_curves as kernels
-from planner.model import exponential_torques
+from planner.model import passive_forces
 from planner.model.mjcf.model_index import compile_model
 from planner.proof.replays.compiled_twin import CompiledTwin
 from planner.proof.replays.passive_torque_callback import curves_acting
 from planner.proof.robustness.perturbation import Perturbation, draw
 from planner.proof.robustness.rollouts import Rollouts
+from tests.contact_derivatives import generalized_force_derivatives
 
 # Two arms on a cart that slides: curves couple all three, as muscles do that span several joints.
 ARMS = """
@@ -63,7 +64,7 @@ def states(m, K=7):
 
 
 def test_the_kernels_bound_of_an_exponent_is_the_models():
-    assert kernels.LARGEST == exponential_torques.LARGEST
+    assert kernels.LARGEST == passive_forces.LARGEST
 
 
 def test_a_torque_is_its_formula(arms):

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from trees import CHAINS, actuated, data_at, driven, machines, mujoco, random_state, relative_error
 
 from planner.dynamics import RigidBodyDynamics, product_of_exponentials
-from planner.dynamics.protocol import INTEGRATORS
+from planner.kernels.integrators import INTEGRATORS
 from planner.model.actuators import FILTER
 from planner.model.mechanism import SCREW, Mechanism
 from planner.model.space import conjugate, log_quaternion, product

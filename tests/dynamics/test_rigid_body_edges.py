@@ -8,7 +8,7 @@ from trees import CHAINS, actuated, driven, machines, random_state, relative_err
 
 from planner.base.errors import PlannerError
 from planner.dynamics import RigidBodyDynamics
-from planner.dynamics.protocol import INTEGRATORS
+from planner.kernels.integrators import INTEGRATORS
 from planner.model.mechanism import Mechanism
 
 

@@ -16,7 +16,7 @@ from planner.base.errors import PlannerError
 from planner.dynamics import product_of_exponentials
 from planner.dynamics.step_stability import IMPLICIT, follows_all_but_damping, implicit_error
 from planner.model.couplings import Coupling
-from planner.model.damping import damping_matrix, implicit_damping
+from planner.model.passive_forces import damping_matrix, implicit_damping
 from planner.proof.replays.simulation import implicit_step
 
 GAMMA = 1.0 - np.sqrt(0.5)

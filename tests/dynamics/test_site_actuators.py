@@ -7,7 +7,7 @@ from thrusters import EVERY_WAY, QUADROTOR, random_states
 from planner.base.errors import PlannerError
 from planner.base.gl import load_mujoco
 from planner.dynamics import RigidBodyDynamics
-from planner.dynamics.actuator_moments import actuator_moments
+from planner.dynamics.joint_forces import actuator_moments
 from planner.dynamics.quasi_static import quasi_static_controls
 from planner.model.mechanism import Mechanism
 from planner.proof.compare.differences import differences

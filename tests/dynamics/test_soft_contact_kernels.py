@@ -12,8 +12,9 @@ from planner import Mechanism
 from planner.base.errors import PlannerError
 from planner.dynamics import RigidBodyDynamics, mass_matrix
 from planner.dynamics.assembly import feasible_directions
-from planner.dynamics.contacts import contact_force, contact_kinematics
-from planner.dynamics.friction import friction_forces
+from planner.dynamics.contact_kinematics import contact_kinematics
+from planner.dynamics.contacts import contact_force
+from planner.dynamics.joint_forces import friction_forces
 from planner.dynamics.kinematics import frame_pose
 from planner.model.contact.body_contact import BodyContact, Capsule
 from planner.model.contact.laws import Contact, ContactLaw, Plane

@@ -14,7 +14,6 @@ from planner.dynamics.step_stability import (
     FastestMode,
     fastest_mode,
     reason,
-    substeps_for,
     substeps_of,
 )
 
@@ -83,10 +82,10 @@ def test_rates_are_eigenvalues_of_the_differences_of_the_rates(text, seed):
 
 def test_substeps_keep_the_fastest_motion_stable():
     m = Mechanism.from_mjcf(FAST_FINGER)
-    rate = fastest_mode(m, m.home).rate
+    found = fastest_mode(m, m.home)
     for dt in (1e-4, 1e-3, 5e-3):
-        substeps = substeps_for(m, dt, m.home)
-        assert (substeps - 1) * TARGET_RATE_STEP < rate * dt <= substeps * TARGET_RATE_STEP
+        substeps = substeps_of(found, dt)
+        assert (substeps - 1) * TARGET_RATE_STEP < found.rate * dt <= substeps * TARGET_RATE_STEP
         A, _ = RigidBodyDynamics(m, dt, substeps=substeps).linearize(np.stack([m.home, m.home]), np.zeros((1, 2)))
         assert np.abs(np.linalg.eigvals(A[0])).max() <= 1.0
 
@@ -94,8 +93,8 @@ def test_substeps_keep_the_fastest_motion_stable():
 def test_what_needs_more_has_the_joint_its_rate_and_the_stage():
     m = slides(damping=2000)
     with pytest.raises(PlannerError, match=r"right has a rate of 4000 per s.* expected dt = 0.005"):
-        substeps_for(m, 0.02, m.home)
-    assert substeps_for(m, 0.005, m.home) == 16
+        substeps_of(fastest_mode(m, m.home), 0.02)
+    assert substeps_of(fastest_mode(m, m.home), 0.005) == 16
 
 
 @pytest.mark.parametrize(("rate", "dt"), [(4000.0, 0.005), (3200.0, 0.01), (1e6, 2e-5), (32.0, 1.0), (31.9, 1.0)])

@@ -6,7 +6,8 @@ from trees import mujoco
 
 import planner
 from planner import Mechanism, Problem, RigidBodyDynamics, TrackingCost
-from planner.model.mjcf.contact_shapes import MAX_POINTS, RADIUS, RIM, points_of, shape_of, shortfall
+from planner.model.mjcf import contact_shapes
+from planner.model.mjcf.contact_shapes import MAX_POINTS, RADIUS, RIM, points_of, shape_of, sphere_of_directions
 from planner.proof.compare.contact_parity import contact_parity
 from planner.proof.replays.compiled_twin import CompiledTwin, pairs_left_out
 
@@ -25,6 +26,17 @@ def text(shape, more=""):
         <frame pos=".1 0 0" euler="20 0 0"><geom name="shape" {SHAPES[shape]} mass="2" pos="0 .05 0" {more}/></frame>
         <body pos="0 0 .3"><joint name="hinge" axis="0 1 0"/><geom size=".02" pos=".2 0 0" contype="0" conaffinity="0"/>
         </body></body></worldbody><actuator><motor joint="hinge"/></actuator></mujoco>"""
+
+
+def shortfall(model, geom):
+    """How far the shape reaches beyond its points, in the direction where that is most, m."""
+    directions = sphere_of_directions()
+    kinds, size = mujoco.mjtGeom, model.geom_size[geom]
+    if model.geom_type[geom] == int(kinds.mjGEOM_CYLINDER):
+        reach = size[0] * np.hypot(directions[:, 0], directions[:, 1]) + size[1] * np.abs(directions[:, 2])
+    else:
+        reach = (contact_shapes._surface(model, geom) @ directions.T).max(axis=0)
+    return float((reach - (points_of(model, geom) @ directions.T).max(axis=0)).max())
 
 
 @pytest.mark.parametrize("shape", SHAPES)

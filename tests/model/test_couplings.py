@@ -210,7 +210,7 @@ def two(a: str, b: str, c: float, k: float) -> str:
 
 def test_ranges_are_narrowed_to_what_the_other_joint_allows():
     machine = Mechanism.from_mjcf(two("-1 0.5", "0 2", 0.1, 0.5))
-    left = narrowed(machine, machine.joint_range)
+    left = narrowed(machine, machine.joint_range)[0]
     np.testing.assert_allclose(left, [[0.1, 0.5], [0.0, 0.8]], atol=1e-12)
     assert contradiction(machine, machine.joint_range) is None
 

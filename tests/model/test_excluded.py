@@ -5,7 +5,7 @@ import pytest
 import planner
 from planner.base.gl import load_mujoco
 from planner.cases.problem_file import load
-from planner.model.model_origin import read_again
+from planner.model.twin import read_again
 from planner.proof.diagnostics import suggested_fixes
 
 mujoco = load_mujoco()

@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from planner.base.errors import PlannerError
 from planner.base.gl import load_mujoco
-from planner.dynamics.actuator_moments import actuator_forces, actuator_moments
+from planner.dynamics.joint_forces import actuator_forces, actuator_moments
 from planner.model.actuators import FILTER, INTEGRATOR
 from planner.model.mechanism import BALL, BALL_NEXT, SCREW, Mechanism
 from planner.model.space import hat

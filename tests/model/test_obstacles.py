@@ -8,7 +8,7 @@ import planner
 from planner.base.gl import load_mujoco
 from planner.cases.problem_file import load
 from planner.model.mjcf.obstacles import SIZES
-from planner.model.model_origin import read_again
+from planner.model.twin import read_again
 from planner.proof.diagnostics import suggested_fixes
 from planner.proof.original_model import as_given
 

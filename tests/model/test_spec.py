@@ -101,7 +101,7 @@ def test_a_plan_of_a_spec_is_proved_in_a_spec():
 
 def test_what_the_written_text_would_change_is_refused(monkeypatch):
     """As of a MuJoCo without its function for all digits: six of them are another model."""
-    from planner.model.mjcf import spec as module
+    from planner.model.mjcf import model_file as module
 
     monkeypatch.setattr(module, "DIGITS", 6)
     with pytest.raises(ModelError, match=r"has another .* than the spec itself: pass the text or the path"):

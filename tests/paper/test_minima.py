@@ -7,7 +7,7 @@ import pytest
 
 import planner
 from planner import TrackingCost, cases
-from planner.dynamics.rollout import rollout_states
+from planner.dynamics.protocol import rollout_states
 from planner.paper.studies.many_starts import curvature, from_many, hamiltonian_hessians, is_minimum
 from planner.solvers import lq
 from planner.solvers.slq import solve

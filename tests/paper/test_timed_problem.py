@@ -5,7 +5,7 @@ import pytest
 
 import planner
 from planner.cases.human_step.case import human_step
-from planner.dynamics.rollout import rollout_states
+from planner.dynamics.protocol import rollout_states
 from planner.paper.methods.adjoint import AdjointCost, Integration
 from planner.paper.methods.splines import SplineSpace
 from planner.paper.methods.timed_problem import TimedProblem

@@ -9,7 +9,7 @@ from places import ROOT
 from planner import Mechanism, Problem, RigidBodyDynamics, TrackingCost
 from planner.dynamics import assembled
 from planner.dynamics.loops import misses
-from planner.dynamics.rollout import rollout_states
+from planner.dynamics.protocol import rollout_states
 from planner.problem.tasks.reference_motion import closed_chain_reference
 from planner.solvers.other_guesses import tracking_controls
 

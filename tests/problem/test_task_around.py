@@ -5,7 +5,7 @@ from machines import gantry
 
 import planner
 from planner.base.errors import PlannerError
-from planner.dynamics.rollout import rollout_states
+from planner.dynamics.protocol import rollout_states
 from planner.proof.diagnostics import suggested_fixes
 
 # There, beside the wall, and back: each straight way leads through it.

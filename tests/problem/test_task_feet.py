@@ -7,7 +7,7 @@ from places import ROOT
 import planner
 from planner.dynamics.contacts import contact_forces
 from planner.dynamics.inverse_kinematics import integrate_base
-from planner.dynamics.momentum import center_of_mass, center_of_mass_jacobian
+from planner.dynamics.kinematics import center_of_mass, center_of_mass_jacobian
 from planner.problem.costs.tracking import tracking_of
 from planner.problem.tasks.pose_constraints import BALANCE_SCALE, FOOT_SCALE, feet_of
 

@@ -10,7 +10,7 @@ from planner.base.errors import PlannerError
 from planner.cases.problem_file import load
 from planner.constraints import FrameAxisAngle, FramePosition, FramePositionAlong
 from planner.dynamics.kinematics import frame_pose
-from planner.dynamics.rollout import rollout_states
+from planner.dynamics.protocol import rollout_states
 from planner.problem.tasks.pose_constraints import PoseConstraints
 
 GOAL = '[[goal]]\nframe = "hand"\nposition = [0.3, 0.0, -0.2]\n'

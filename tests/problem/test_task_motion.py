@@ -5,7 +5,7 @@ import pytest
 from arms import START, mechanism
 
 import planner
-from planner.dynamics.rollout import rollout_states
+from planner.dynamics.protocol import rollout_states
 from planner.problem.initial_guess import quintic
 from planner.problem.tasks.goal import Goal
 from planner.problem.tasks.poses import Poses, poses_of

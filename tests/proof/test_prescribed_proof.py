@@ -16,7 +16,7 @@ from planner.cases.problem_file import load
 from planner.dynamics.contacts import contact_forces, generalized_forces
 from planner.model.mechanism import Mechanism
 from planner.model.mjcf import prescribed_joints as driven_twin
-from planner.model.mjcf.margins import watched_pairs
+from planner.model.mjcf.file_law import watched_pairs
 from planner.model.mjcf.model_index import compile_model
 from planner.model.mjcf.prescribed_joints import PRESCRIBED_ARMATURE, twin_of
 from planner.model.mjcf.text import edited

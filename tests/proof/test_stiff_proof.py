@@ -11,7 +11,7 @@ from machines import FAST_FINGER
 import planner
 from planner import Mechanism, RigidBodyDynamics
 from planner.cases.problem_file import load
-from planner.dynamics.step_stability import IMPLICIT, MAX_RATE_STEP, fastest_mode, implicit_error, substeps_for
+from planner.dynamics.step_stability import IMPLICIT, MAX_RATE_STEP, fastest_mode, implicit_error, substeps_of
 from planner.problem.goals import goals_of
 from planner.problem.joint_limits import START_OFFSET
 from planner.problem.rediscretize import finer, stage_too_long
@@ -33,7 +33,7 @@ MIN_RATE = 2.78 / DT  # 1/s, above which one step a stage is unstable
 def plan():
     m = Mechanism.from_mjcf(FAST_FINGER)
     assert fastest_mode(m, m.home).rate > 3.0 * MIN_RATE
-    dynamics = RigidBodyDynamics(m, DT, substeps=substeps_for(m, DT, m.home))
+    dynamics = RigidBodyDynamics(m, DT, substeps=substeps_of(fastest_mode(m, m.home), DT))
     goal = np.array([0.8, 0.4, 0.0, 0.0])
     cost = planner.TrackingCost.joints(dynamics, goal, N, effort=0.01, final_position=1e3, final_velocity=1e3)
     plan = planner.solve(planner.Problem(dynamics, cost, np.zeros(4)))

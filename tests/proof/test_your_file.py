@@ -7,7 +7,7 @@ import planner
 from planner import Mechanism, Problem, RigidBodyDynamics, TrackingCost
 from planner.cases.plan_file import load_plan
 from planner.contact import ContactLaw
-from planner.model.mjcf.margins import watched_pairs
+from planner.model.mjcf.file_law import watched_pairs
 from planner.model.mjcf.model_index import contact_pairs
 from planner.model.mjcf.text import edited
 from planner.problem.goals import GoalCheck

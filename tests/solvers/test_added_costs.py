@@ -11,7 +11,7 @@ from trees import drawn, machines, relative_error
 import planner
 from planner import Constraint, FrameCost, Limits, Problem
 from planner.costs import Quadratic
-from planner.dynamics.protocol import INTEGRATORS
+from planner.kernels.integrators import INTEGRATORS
 from planner.kernels.lq import line_search
 from planner.solvers.engine import ConstrainedEngine, HybridEngine, NumpyEngine, acquire_engine
 from planner.solvers.options import LINE_SEARCHES

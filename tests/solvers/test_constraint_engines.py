@@ -8,7 +8,7 @@ from trees import drawn, machines, relative_error
 from planner import Constraint, Limits, Mechanism, Problem, RigidBodyDynamics
 from planner.constraints import CenterOfMass, FrameAxisAngle, FrameOrientation, FramePosition, Power
 from planner.costs import Distance, Height, Point, Segment, Velocity
-from planner.dynamics.protocol import INTEGRATORS
+from planner.kernels.integrators import INTEGRATORS
 from planner.kernels.lq import line_search
 from planner.problem.constraints.constraint import residual_of
 from planner.problem.constraints.trajectory_constraints import BoundPenalties

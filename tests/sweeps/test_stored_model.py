@@ -10,7 +10,7 @@ import pytest
 import planner
 from planner.__main__ import main
 from planner.base.errors import ModelError
-from planner.model.mjcf.model_changes import model_changes
+from planner.model.mjcf.facts import model_changes
 from planner.model.mjcf.text import edited
 from planner.problem.archive import FORMAT_VERSION, digests, read_archive, write_archive
 from planner.problem.plan import Iteration
@@ -110,7 +110,7 @@ def test_a_model_that_is_absent_or_outside_is_not_looked_at(folder, tmp_path, ca
     (folder / "arm.xml").symlink_to(tmp_path / "arm.xml")
     assert one(folder).model.state is ModelState.UNREAD  # a link leads outside
     with pytest.raises(ModelError):
-        planner.model.model_origin.read_again({}, tmp_path / "none.xml")
+        planner.model.twin.read_again({}, tmp_path / "none.xml")
 
 
 def test_a_plan_of_a_mechanism_with_a_payload_remembers_how_it_was_read(tmp_path):

@@ -2,7 +2,7 @@
 
 The paper mentions a human high dive (its ref. [16]) beside its four cases and gives no numbers: all of these are ours.
 A diver of 10 bodies and 14 motors leaves the tower with a given angular momentum, which stays constant in flight
-(dynamics.momentum). By changing his moments of inertia he must turn the right number of times before he reaches the
+(dynamics.kinematics). By changing his moments of inertia he must turn the right number of times before he reaches the
 water; unequal motions of the arms make the twist, because he takes off without one.
 
     number                  value    why (all ours)
@@ -34,7 +34,7 @@ from planner.base.measured import Measurement, Section
 from planner.cases.high_dive.flight import Dive, Diver, Weights
 from planner.cases.horizon import LARGEST, stages
 from planner.dynamics import INTEGRATORS, RigidBodyDynamics
-from planner.dynamics.momentum import angular_momentum
+from planner.dynamics.kinematics import angular_momentum
 from planner.model.space import conjugate, log_quaternion, product
 from planner.model.twin import Twin
 from planner.problem.appearance import Appearance, Panel, Readout

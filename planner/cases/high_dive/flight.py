@@ -31,8 +31,8 @@ from planner.base.arguments import number
 from planner.cases import anthropometry as winter
 from planner.dynamics import RigidBodyDynamics
 from planner.dynamics.algorithms import rnea
-from planner.dynamics.momentum import center_of_mass
-from planner.dynamics.rollout import rollout_states
+from planner.dynamics.kinematics import center_of_mass
+from planner.dynamics.protocol import rollout_states
 from planner.model.mechanism import Mechanism
 from planner.model.mjcf.text import edited, model_path, model_text, written
 from planner.model.space import exp_quaternion, product

@@ -49,7 +49,7 @@ from planner.cases.human_step.phase import SWING, GaitPhase
 from planner.cases.human_step.pictures import step_pictures
 from planner.cases.human_step.walker import FILE_MASS, PELVIS, SIDES, Walker
 from planner.dynamics import INTEGRATORS, RigidBodyDynamics
-from planner.dynamics.rollout import rollout_states
+from planner.dynamics.protocol import rollout_states
 from planner.problem.appearance import Appearance, Ghost, Panel, Readout, View
 from planner.problem.costs.motors import DriveCost
 from planner.problem.problem import Problem, Requirements

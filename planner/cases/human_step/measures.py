@@ -28,7 +28,7 @@ from planner.dynamics import RigidBodyDynamics
 from planner.dynamics.algorithms import rnea
 from planner.dynamics.contacts import contact_forces, generalized_forces
 from planner.dynamics.kinematics import frame_pose, jacobian
-from planner.dynamics.rollout import rollout_states
+from planner.dynamics.protocol import rollout_states
 from planner.model.contact.laws import ContactLaw, Law
 from planner.model.mechanism import Frame, Mechanism
 from planner.problem.problem_parts import Periodic

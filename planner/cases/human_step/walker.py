@@ -50,10 +50,10 @@ from planner.cases.human_step.gait import COLUMNS, LEG
 from planner.dynamics.algorithms import mass_matrix
 from planner.dynamics.kinematics import jacobian
 from planner.model.contact.laws import ContactLaw, Law
-from planner.model.exponential_torques import ExponentialTorque
 from planner.model.mechanism import Frame, Mechanism
 from planner.model.mjcf.contacts import contact_attributes, stop_attributes
 from planner.model.mjcf.text import edited, model_path, model_text, written
+from planner.model.passive_forces import ExponentialTorque
 from planner.problem.costs.jerk import driven_by_jerk
 
 CURVED = ("hip_flexion", "knee", "ankle")

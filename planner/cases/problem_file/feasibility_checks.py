@@ -8,8 +8,8 @@ import numpy as np
 
 from planner.base.errors import PlannerError
 from planner.dynamics import RigidBodyDynamics
-from planner.dynamics.momentum import center_of_mass, center_of_mass_jacobian
-from planner.dynamics.rollout import rollout_states
+from planner.dynamics.kinematics import center_of_mass, center_of_mass_jacobian
+from planner.dynamics.protocol import rollout_states
 from planner.model.capabilities import floating_dofs, unreached_dofs
 from planner.model.coordinates import coordinates_of
 from planner.model.mjcf.prescribed_joints import prescribed_dofs_of

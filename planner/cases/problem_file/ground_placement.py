@@ -16,8 +16,7 @@ from planner.base.errors import PlannerError
 from planner.cases.problem_file.keys import RAMP, RESOLVED
 from planner.cases.problem_file.states import state_of
 from planner.dynamics.contacts import contact_forces
-from planner.dynamics.stance import feet_move, goal_without_foot_slip
-from planner.dynamics.statics import lowered_to_ground, static_equilibrium
+from planner.dynamics.statics import feet_move, goal_without_foot_slip, lowered_to_ground, static_equilibrium
 from planner.model.contact.laws import ContactLaw
 from planner.model.mechanism import Mechanism
 from planner.model.mjcf.contact_mode import STANDING

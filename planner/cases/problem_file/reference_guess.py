@@ -18,8 +18,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from planner.base.errors import PlannerError
+from planner.dynamics.protocol import rollout_states
 from planner.dynamics.quasi_static import quasi_static_controls
-from planner.dynamics.rollout import rollout_states
 from planner.model.space import space_of
 from planner.problem.collision_free_path import collision_free_motion
 from planner.problem.constraints.clearance import pair_clearance_of

@@ -15,7 +15,7 @@ from planner.cases.problem_file.ground_placement import whole_poses_on_ground
 from planner.cases.problem_file.keys import GOAL, RESOLVED
 from planner.cases.problem_file.reference_guess import ReferenceTrajectory
 from planner.dynamics import RigidBodyDynamics
-from planner.dynamics.stance import feet_move, rolling_dofs
+from planner.dynamics.statics import feet_move, rolling_dofs
 from planner.model.capabilities import stands_on_ground
 from planner.model.mechanism import Mechanism
 from planner.problem.collision_free_path import CollisionChecker

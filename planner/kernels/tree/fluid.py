@@ -1,4 +1,4 @@
-"""Drag of a fluid (planner.model.fluid) on the joints of a tree, and its derivatives, on lanes.
+"""Drag of a fluid (planner.model.passive_forces) on the joints of a tree, and its derivatives, on lanes.
 
 With g a term's direction moved to the tree's origin and x = g' V, the term's wrench and its slope by the twist are
 

@@ -1,4 +1,4 @@
-"""Friction loss of joints (planner.dynamics.friction) in forward dynamics, and derivatives, on lanes.
+"""Friction loss of joints (planner.dynamics.joint_forces) in forward dynamics, and derivatives, on lanes.
 
 The force f(a, v) = -loss s(x), x = inertia (a + rate v) / loss, has the acceleration in it. Newton's method takes it
 for
@@ -18,7 +18,7 @@ from planner.kernels.tree.mechanism_table import TREE
 from planner.kernels.tree.passive_force_arrays import LOSS_SIZE
 
 FRICTION_SMOOTHING = (
-    0.08  # as in planner.dynamics.friction; here too, because the cache's key covers the kernels' sources alone
+    0.08  # as in planner.dynamics.joint_forces; here too, because the cache's key covers the kernels' sources alone
 )
 LOSS, INERTIA, RATE = range(LOSS_SIZE)  # offsets in the numbers of a joint's friction
 

@@ -1,4 +1,4 @@
-"""Torques that are exponentials of joint coordinates (model.exponential_torques), with derivatives, in lanes."""
+"""Torques that are exponentials of joint coordinates (model.passive_forces), with derivatives, in lanes."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from planner.kernels.numba.lane_math import exp
 from planner.kernels.numba.lanes import floats, integers, load, maximum, minimum, spread, store
 from planner.kernels.tree.mechanism_table import TREE
 
-# as in planner.model.exponential_torques; here too, because the cache's key covers the kernels' sources alone
+# as in planner.model.passive_forces; here too, because the cache's key covers the kernels' sources alone
 LARGEST = 700.0
 
 

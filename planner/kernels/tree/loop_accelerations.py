@@ -1,4 +1,4 @@
-"""Accelerations of a tree with closed chains (planner.model.loops), four knots at a time.
+"""Accelerations of a tree with closed chains (planner.model.couplings), four knots at a time.
 
 With W in place of M^-1 (kernels.tree.couplings), the accelerations a0 that the tree would have, and c = J a0 + Jdot qd
 + 2 rate phidot + rate^2 phi what they lack of the constraints,

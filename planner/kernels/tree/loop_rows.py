@@ -1,4 +1,4 @@
-"""The constraints of a tree's closed chains (planner.model.loops): their frames, couplings, rows J and J W J'."""
+"""The constraints of a tree's closed chains (planner.model.couplings): their frames, couplings, rows J and J W J'."""
 
 from __future__ import annotations
 

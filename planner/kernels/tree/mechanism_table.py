@@ -24,8 +24,7 @@ from planner.kernels.tree.contact_tables import contact_arrays, pair_arrays, sof
 from planner.kernels.tree.loop_arrays import loop_arrays, triples_of
 from planner.kernels.tree.passive_force_arrays import drag_arrays, gravcomp_arrays, loss_arrays, tendon_arrays
 from planner.model.contact.body_contact import common_carrier
-from planner.model.damping import implicit_damping
-from planner.model.tendons import acting_tendons
+from planner.model.passive_forces import acting_tendons, implicit_damping
 
 HOME_SIZE = 15  # of a link's constants: H by rows (9) and its place (3), turn, shift, and shift of the place
 INERTIA_SIZE = 11  # its mass, its centre of mass (3), its inertia about that in seven numbers (see _inertias)

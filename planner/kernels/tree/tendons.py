@@ -1,4 +1,4 @@
-"""Forces of fixed tendons (planner.model.tendons), and their derivatives, on lanes."""
+"""Forces of fixed tendons (planner.model.passive_forces), and their derivatives, on lanes."""
 
 from __future__ import annotations
 

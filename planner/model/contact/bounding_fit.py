@@ -46,11 +46,11 @@ def round_points(sizes: np.ndarray) -> np.ndarray:
     return 1.01 * np.asarray(sizes) * sphere(2 * DIRECTIONS)
 
 
-def rim_points(radius: float, half: float, count: int = 32) -> np.ndarray:
-    """Points (2 count, 3) whose hull holds a cylinder along z."""
-    angle = 2.0 * np.pi * np.arange(count) / count
-    out = radius / np.cos(np.pi / count)
-    rim = np.column_stack([out * np.cos(angle), out * np.sin(angle), np.zeros(count)])
+def rim_points(radius: float, half: float) -> np.ndarray:
+    """Points (64, 3) whose hull holds a cylinder along z."""
+    angle = 2.0 * np.pi * np.arange(32) / 32
+    out = radius / np.cos(np.pi / 32)
+    rim = np.column_stack([out * np.cos(angle), out * np.sin(angle), np.zeros(32)])
     up = np.array([0.0, 0.0, half])
     return np.concatenate([rim + up, rim - up])
 
@@ -76,6 +76,8 @@ def _corners(points: np.ndarray) -> np.ndarray:
 
 def _starts(corners: np.ndarray, lines: bool) -> list[np.ndarray]:
     """Cores to begin with: a turn (3,), a centre (3,) and half lengths, along the axes of the file and the spread."""
+    from scipy.spatial.transform import Rotation
+
     frames = [np.eye(3), np.linalg.svd(corners - corners.mean(axis=0), full_matrices=True)[2].T]
     found = []
     for axes in frames:
@@ -85,18 +87,12 @@ def _starts(corners: np.ndarray, lines: bool) -> list[np.ndarray]:
         order = np.argsort(size)
         order = order if np.linalg.det(np.eye(3)[:, order]) > 0.0 else order[[1, 0, 2]]
         axes, size, middle = axes[:, order], size[order], middle[order]
-        turn, centre = _turn_of(axes), axes @ middle
+        turn, centre = Rotation.from_matrix(axes).as_rotvec(), axes @ middle
         if lines:
             found.append(np.concatenate([turn, centre, [max(size[2] - size[1], 0.05 * size[2])]]))
         else:
             found.append(np.concatenate([turn, centre, np.maximum(size - 0.5 * size[0], 0.02 * size[2])]))
     return found
-
-
-def _turn_of(axes: np.ndarray) -> np.ndarray:
-    from scipy.spatial.transform import Rotation
-
-    return Rotation.from_matrix(axes).as_rotvec()
 
 
 def _search(corners: np.ndarray, start: np.ndarray) -> BoundingFit:

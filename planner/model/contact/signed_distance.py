@@ -96,7 +96,8 @@ def _signed(
     touching = np.flatnonzero(length <= TOUCHING)
     if len(touching):
         length[touching], n[touching], p[touching] = within(touching)
-    return DistanceResult(length - a.radius - b.radius, *_out_of(b, n, p))
+    n, p = (np.einsum("nij,nj->ni", b.axes, v) for v in (n, p))  # from the axes of b to those of the world
+    return DistanceResult(length - a.radius - b.radius, n, p + b.centre)
 
 
 def from_plane(a: PlacedShapes, b: PlacedShapes) -> DistanceResult:
@@ -115,11 +116,6 @@ def _along(line: PlacedShapes) -> np.ndarray:
 def _into(b: PlacedShapes, v: np.ndarray) -> np.ndarray:
     """Vectors of the world (K, 3) in the axes of b."""
     return np.einsum("nji,nj->ni", b.axes, v)
-
-
-def _out_of(b: PlacedShapes, n: np.ndarray, p: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """A direction and a point in the axes of b as those of the world."""
-    return np.einsum("nij,nj->ni", b.axes, n), np.einsum("nij,nj->ni", b.axes, p) + b.centre
 
 
 def _line_from_box(x: np.ndarray, d: np.ndarray, h: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

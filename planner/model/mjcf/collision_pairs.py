@@ -17,7 +17,7 @@ import numpy as np
 
 from planner.base.errors import PlannerError
 from planner.base.gl import load_mujoco
-from planner.model.contact.bounding_fit import BoundingFit, fit_bounding_shape, rim_points, round_points
+from planner.model.contact.bounding_fit import fit_bounding_shape, rim_points, round_points
 from planner.model.contact.signed_distance import MEASURES, CollisionShape, in_order, kind_of, placed
 from planner.model.mjcf.initial_overlaps import (
     OVERLAP_TOLERANCE,
@@ -27,7 +27,7 @@ from planner.model.mjcf.initial_overlaps import (
     may_collide,
     min_distance_over_ranges,
 )
-from planner.model.mjcf.model_index import ModelIndex, contact_pairs
+from planner.model.mjcf.model_index import ModelIndex, contact_pairs, mesh_vertices
 
 NO_SOLID = ("hfield", "sdf")
 
@@ -38,6 +38,11 @@ def shape_name(model: Any, geom: int) -> str:
         return f"geom {name!r}"
     body = model.body(int(model.geom_bodyid[geom])).name
     return f"body {body!r}" if body else f"geom number {geom}"
+
+
+def pair_name(model: Any, pair: tuple[int, int]) -> str:
+    """Two geoms for a sentence."""
+    return " and ".join(shape_name(model, geom) for geom in pair)
 
 
 def has_solid(model: Any, geom: int) -> bool:
@@ -64,14 +69,11 @@ def solids_of(survey: ModelIndex, geoms: list[int]) -> dict[int, CollisionShape]
             found[geom] = CollisionShape(*given, T, size, 0.0)
         else:
             key = (kind, int(model.geom_dataid[geom]), size.tobytes() if kind != int(kinds.mjGEOM_MESH) else b"")
-            fit = fits.setdefault(key, None) or fit_bounding_shape(_points(model, geom))
-            fits[key] = fit
-            found[geom] = _fit_at(given, T, fit)
+            if key not in fits:
+                fits[key] = fit_bounding_shape(_points(model, geom))
+            fit = fits[key]
+            found[geom] = CollisionShape(*given, T @ fit.T, fit.half, fit.radius, overestimate=fit.overestimate)
     return found
-
-
-def _fit_at(given: tuple[str, int, int], T: np.ndarray, fit: BoundingFit) -> CollisionShape:
-    return CollisionShape(*given, T @ fit.T, fit.half, fit.radius, overestimate=fit.overestimate)
 
 
 def _points(model: Any, geom: int) -> np.ndarray:
@@ -81,9 +83,7 @@ def _points(model: Any, geom: int) -> np.ndarray:
         return rim_points(float(size[0]), float(size[1]))
     if model.geom_type[geom] == int(kinds.mjGEOM_ELLIPSOID):
         return round_points(size)
-    mesh = int(model.geom_dataid[geom])
-    first = int(model.mesh_vertadr[mesh])
-    return np.array(model.mesh_vert[first : first + int(model.mesh_vertnum[mesh])], dtype=float)
+    return mesh_vertices(model, int(model.geom_dataid[geom]))
 
 
 MAX_NAMED = 3
@@ -193,7 +193,7 @@ def _check(
     if not distances:
         return
     pair = min(distances, key=lambda pair: distances[pair])
-    names = " and ".join(shape_name(model, geom) for geom in pair)
+    names = pair_name(model, pair)
     if distances[pair] <= 0.0:
         raise PlannerError(
             f"{name} is in collision: {names} overlap by {-distances[pair]:.3g} m, expected a pose where nothing "
@@ -203,7 +203,7 @@ def _check(
            if distance < clearance and can_separate(survey, pair, qpos, clearance)}  # fmt: skip
     if met:
         pair = min(met, key=lambda pair: met[pair])
-        names = " and ".join(shape_name(model, geom) for geom in pair)
+        names = pair_name(model, pair)
         raise PlannerError(
             f"{name} has {names} {met[pair]:.3g} m apart, expected at least the clearance {clearance:g} m: write "
             f"clearance = {_shorter(met[pair])} in [avoid], or move one of the two."
@@ -222,7 +222,6 @@ def _notes(
 ) -> tuple[str, ...]:  # fmt: skip
     """One sentence about what is kept apart, in numbers, then the names of what is not, or not so far."""
     model = survey.model
-    names = [" and ".join(shape_name(model, geom) for geom in pair) for pair in drawn]
     fits = {solid.geom: solid for pair in pairs for solid in pair[:2] if solid.overestimate > 0.0}
     left = len(drawn) + len(model.exclude_signature) + len(unknown)
     counted = {"nearer at the start or goal": len(close), "fits that overlap there": len(lifted), "left out": left}
@@ -236,24 +235,21 @@ def _notes(
             f"{shapes} fitted by capsules or round boxes, which reach up to {most.overestimate:.2g} m beyond them "
             f"({most.name})."
         )
-    if drawn:
-        notes.append(f"Not kept apart, since they overlap at the start: {_some(names)}.")
-    if len(model.exclude_signature):
-        bodies = [f"{model.body(int(s) >> 16).name} and {model.body(int(s) & 0xFFFF).name}"
-                  for s in model.exclude_signature]  # fmt: skip
-        notes.append(f"Not kept apart, since the model excludes them: {_some(bodies)}.")
-    if unknown:
-        kinds = [" and ".join(shape_name(model, geom) for geom in pair) for pair in unknown]
-        notes.append(f"Not kept apart, since one is a height field or an SDF: {_some(kinds)}.")
-    if close:
-        notes.append(
-            f"Nearer than the clearance at the start or goal, and to come no nearer: {_some([p.names for p in close])}."
-        )
+    bodies = [
+        f"{model.body(int(s) >> 16).name} and {model.body(int(s) & 0xFFFF).name}" for s in model.exclude_signature
+    ]
+    for words, names in (
+        ("Not kept apart, since they overlap at the start", [pair_name(model, pair) for pair in drawn]),
+        ("Not kept apart, since the model excludes them", bodies),
+        ("Not kept apart, since one is a height field or an SDF", [pair_name(model, pair) for pair in unknown]),
+        ("Nearer than the clearance at the start or goal, and to come no nearer", [pair.names for pair in close]),
+    ):
+        notes += [f"{words}: {_some(names)}."] if names else []
     if lifted:
         offset = max(pair.distance_offset for pair in lifted)
         notes.append(
             f"Fits overlap at the start or goal where shapes do not, which is let pass, by up to {offset:.2g} m: "
-            f"{_some([p.names for p in lifted])}."
+            f"{_some([pair.names for pair in lifted])}."
         )
     return tuple(notes)
 

@@ -20,8 +20,7 @@ from planner.base.errors import ModelError
 from planner.model.contact.laws import ContactLaw
 from planner.model.mjcf.contact_shapes import add_points, meets_plane
 from planner.model.mjcf.contacts import CONTACT_LAW, OF_FILE, law_attributes, shapes_fit
-from planner.model.mjcf.file_law import as_read, turns_edges
-from planner.model.mjcf.margins import force_begins, watch
+from planner.model.mjcf.file_law import as_read, force_begins, turns_edges, watch
 from planner.model.mjcf.model_index import ModelIndex, Pair
 from planner.model.mjcf.text import written
 

@@ -25,9 +25,9 @@ from planner.model.mjcf.contact_shapes import meets_plane, plane_of
 from planner.model.mjcf.contacts import is_modelled
 from planner.model.mjcf.file_law import file_law_reason
 from planner.model.mjcf.ground_law import mass_of
+from planner.model.mjcf.joint_forces import has_wrenches, wrenches_of
 from planner.model.mjcf.model_index import ModelIndex, Pair, disabled, named
 from planner.model.mjcf.unsupported import no_compensation
-from planner.model.mjcf.wrench_transmissions import has_wrenches, wrenches_of
 
 MODES = ("auto", "avoid", "file", "ground", "model", "off")
 STANDING = ("file", "ground")  # modes of machines that stand on planes

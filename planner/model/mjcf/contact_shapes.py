@@ -6,8 +6,7 @@ which jump from edge to edge while the geom rolls. A plan wants points that stay
 of POINT_RADIUS there, which touch planes and nothing else. MuJoCo replays the plan's text with the same spheres, and
 "your file" judges the true shape. A cylinder has RIM of them at each rim, a mesh and an ellipsoid up to MAX_POINTS that
 nearly span the hull. A wheel, a round shape that a hinge turns about its own axis, rolls on two spheres of its radius
-in the planes of its rims: on a level axis they touch where it does. `shortfall` is the distance by which the shape
-reaches beyond its points.
+in the planes of its rims: on a level axis they touch where it does.
 """
 
 from __future__ import annotations
@@ -22,8 +21,9 @@ import numpy as np
 
 from planner.base.gl import load_mujoco
 from planner.model.contact.body_contact import Capsule
+from planner.model.contact.bounding_fit import sphere
 from planner.model.contact.laws import ALONG, Plane
-from planner.model.mjcf.model_index import ModelIndex, pose
+from planner.model.mjcf.model_index import ModelIndex, mesh_vertices, pose
 from planner.model.mjcf.text import written
 
 
@@ -187,17 +187,6 @@ def points_of(model: Any, geom: int) -> np.ndarray:
     return _spanning(_surface(model, geom))
 
 
-def shortfall(model: Any, geom: int) -> float:
-    """How far the shape reaches beyond its points, in the direction where that is most, m."""
-    directions = sphere_of_directions()
-    kinds, size = load_mujoco().mjtGeom, model.geom_size[geom]
-    if model.geom_type[geom] == int(kinds.mjGEOM_CYLINDER):
-        reach = size[0] * np.hypot(directions[:, 0], directions[:, 1]) + size[1] * np.abs(directions[:, 2])
-    else:
-        reach = (_surface(model, geom) @ directions.T).max(axis=0)
-    return float((reach - (points_of(model, geom) @ directions.T).max(axis=0)).max())
-
-
 def add_points(
     element: ElementTree.Element, body: ElementTree.Element, model: Any, geom: int, margin: float = 0.0, before: int = 0
 ) -> list[str]:
@@ -223,11 +212,8 @@ def shape_of(name: str) -> str:
 
 
 def sphere_of_directions() -> np.ndarray:
-    """(D, 3) unit vectors spread evenly (a Fibonacci sphere), the axes first."""
-    k = np.arange(_DIRECTIONS) + 0.5
-    z, turn = 1.0 - 2.0 * k / _DIRECTIONS, np.pi * (1.0 + 5.0**0.5) * k
-    r = np.sqrt(1.0 - z**2)
-    return np.concatenate([np.eye(3), -np.eye(3), np.stack([r * np.cos(turn), r * np.sin(turn), z], axis=1)])
+    """(D, 3) unit vectors spread evenly, the axes first."""
+    return np.concatenate([np.eye(3), -np.eye(3), sphere(_DIRECTIONS)])
 
 
 def _surface(model: Any, geom: int) -> np.ndarray:
@@ -236,9 +222,7 @@ def _surface(model: Any, geom: int) -> np.ndarray:
         directions, size = sphere_of_directions(), model.geom_size[geom]
         scaled = directions * size
         return scaled * size / np.linalg.norm(scaled, axis=1, keepdims=True)
-    mesh = int(model.geom_dataid[geom])
-    first = int(model.mesh_vertadr[mesh])
-    return np.array(model.mesh_vert[first : first + int(model.mesh_vertnum[mesh])], dtype=float)
+    return mesh_vertices(model, int(model.geom_dataid[geom]))
 
 
 def _spanning(vertices: np.ndarray) -> np.ndarray:

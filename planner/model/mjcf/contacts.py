@@ -40,8 +40,8 @@ from planner.model.mjcf.file_law import (
     edge_weight,
     file_law,
     file_law_reason,
+    force_begins,
 )
-from planner.model.mjcf.margins import force_begins
 from planner.model.mjcf.model_index import ModelIndex, Pair, disabled, named, texts_of
 from planner.model.mjcf.unsupported import UnsupportedElement
 

@@ -19,10 +19,9 @@ from xml.etree import ElementTree
 import numpy as np
 
 from planner.base.gl import load_mujoco
-from planner.model.couplings import Coupling
-from planner.model.loops import LoopClosure, PolynomialCoupling
-from planner.model.mjcf.model_index import disabled, named, pose
-from planner.model.tendons import FixedTendon
+from planner.model.couplings import Coupling, LoopClosure, PolynomialCoupling
+from planner.model.mjcf.model_index import disabled, kind_word, named, pose
+from planner.model.passive_forces import FixedTendon
 
 
 def fixed(model: Any, tendon: int) -> bool:
@@ -86,9 +85,9 @@ def is_linear(model: Any, i: int) -> bool:
 
 def kind_of(model: Any, i: int) -> str:
     """An equality's kind for a sentence, and why it is not linear where its kind may be."""
-    kind = load_mujoco().mjtEq(int(model.eq_type[i])).name.split("_")[-1].lower()
+    kind = kind_word(load_mujoco().mjtEq, model.eq_type[i])
     why = {"joint": "of joints, by a polynomial", "tendon": "of tendons, spatial or by a polynomial"}
-    return why[kind] if kind in why else str(kind)
+    return why.get(kind, kind)
 
 
 def read_couplings(model: Any) -> tuple[Coupling, ...]:

@@ -22,7 +22,7 @@ import numpy as np
 from planner.base.gl import load_mujoco
 from planner.model.mjcf.contact_edits import elements_of_geoms
 from planner.model.mjcf.contact_mode import falling_trees
-from planner.model.mjcf.margins import watch
+from planner.model.mjcf.file_law import watch
 from planner.model.mjcf.model_index import ModelIndex
 
 GRIDS = {1: 65, 2: 17}  # poses of each joint, by the number of joints between two shapes

@@ -2,23 +2,27 @@
 
 MuJoCo's constraint of friction loss has the regularization R = (1 - d) w / d, with d the impedance of `solimpfriction`
 at 0 and w the inverse inertia of the joint at qpos0, and the damping beta of `solreffriction`: 2 / (dmax timeconst), or
--damping / dmax in the direct format. So planner.dynamics.friction has the inertia D = 1 / R, and a joint that slides
-alone decays at d beta per s, 95 by default.
+-damping / dmax in the direct format. So planner.dynamics.joint_forces has the inertia D = 1 / R, and a joint that
+slides alone decays at d beta per s, 95 by default.
+
+Moments of actuators that depend on the pose are MuJoCo's (mj_transmission). At a site the gear is a force there and a
+torque, along the site's axes. With a refsite both are along the refsite's axes and act between the two: opposite on
+what carries the refsite, and on nothing that carries both. At a ball or free joint "in parent" they are along the axes
+of what carries the joint. What an actuator exerts beside gain and affine bias is a law of kernels.force_laws.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
 
 from planner.base.gl import load_mujoco
-from planner.model.actuators import DIRECT, FILTER, INTEGRATOR, Actuators
+from planner.model.actuators import DIRECT, FILTER, INTEGRATOR, Actuators, ActuatorWrench, ForceLaw
 from planner.model.mjcf.equalities import row_of
-from planner.model.mjcf.force_laws import affine_force, law_of
-from planner.model.mjcf.model_index import ModelIndex, disabled, field, gear_of, names_of, ranges_of
-from planner.model.mjcf.unsupported import actuator_disabled, adheres_to_nothing
-from planner.model.mjcf.wrench_transmissions import has_wrenches, wrenches_of
+from planner.model.mjcf.file_law import MAX_IMPEDANCE, MIN_IMPEDANCE
+from planner.model.mjcf.model_index import ModelIndex, disabled, field, gear_of, kind_word, names_of, pose, ranges_of
 
 
 def actuators_of(survey: ModelIndex) -> Actuators:
@@ -86,7 +90,6 @@ def armature_and_damping(model: Any) -> tuple[np.ndarray, np.ndarray]:
     return armature, damping * (not disabled(model, "damper", "passive"))
 
 
-MIN_IMPEDANCE, MAX_IMPEDANCE = 1e-4, 0.9999  # MuJoCo's mjMINIMP, mjMAXIMP
 _MUJOCO_MIN_VALUE = 1e-15  # MuJoCo's mjMINVAL
 _DEFAULT = 0.02  # s, MuJoCo's time constant where solref has numbers of both formats
 
@@ -106,3 +109,108 @@ def joint_friction(model: Any) -> dict[str, Any]:
         "friction_loss": np.array(loss, dtype=float), "friction_inertia": np.where(loss > 0.0, inertia, 0.0),
         "friction_rate": np.where(loss > 0.0, rate, 0.0),
     }  # fmt: skip
+
+
+def actuator_disabled(model: Any, i: int) -> bool:
+    """Whether a flag or its group keeps an actuator from acting."""
+    group = int(model.actuator_group[i])
+    return disabled(model, "actuation") or bool(0 <= group <= 30 and model.opt.disableactuator & (1 << group))
+
+
+def adheres_to_nothing(model: Any, i: int) -> bool:
+    """Whether it is an adhesion actuator, which acts through contacts, of a model that has none."""
+    return model.actuator_trntype[i] == load_mujoco().mjtTrn.mjTRN_BODY and disabled(model, "contact", "constraint")
+
+
+def affine_force(model: Any, i: int) -> tuple[float, np.ndarray]:
+    """Gain, and bias (3,) by 1, length and length rate, of an actuator whose force is known."""
+    affine = model.actuator_biastype[i] == int(load_mujoco().mjtBias.mjBIAS_AFFINE)
+    return float(model.actuator_gainprm[i, 0]), model.actuator_biasprm[i, :3] * affine
+
+
+def law_of(model: Any, i: int) -> ForceLaw | None:
+    """What an actuator exerts beside that; None for nothing."""
+    by_state = model.actuator_gainprm[i, 1:3]
+    if model.actuator_gaintype[i] == int(load_mujoco().mjtGain.mjGAIN_AFFINE) and np.any(by_state):
+        return ForceLaw(i, "affine gain", tuple(by_state.tolist()))
+    return None
+
+
+def unknown_force(model: Any, i: int) -> Iterator[str]:
+    """What of an actuator's force is not modelled."""
+    gains, biases = load_mujoco().mjtGain, load_mujoco().mjtBias
+    for kinds, kind, known in (
+        (gains, model.actuator_gaintype[i], (gains.mjGAIN_FIXED, gains.mjGAIN_AFFINE)),
+        (biases, model.actuator_biastype[i], (biases.mjBIAS_NONE, biases.mjBIAS_AFFINE)),
+    ):
+        if int(kind) not in map(int, known):
+            yield f"{kind_word(kinds, kind)} {'gain' if kinds is gains else 'bias'}"
+
+
+def has_wrenches(model: Any, actuator: int) -> bool:
+    """Whether the moment of an actuator depends on the pose."""
+    kinds, joints, kind = load_mujoco().mjtTrn, load_mujoco().mjtJoint, model.actuator_trntype[actuator]
+    if kind == int(kinds.mjTRN_JOINTINPARENT):
+        target = model.jnt_type[model.actuator_trnid[actuator, 0]]
+        return bool(target == int(joints.mjJNT_BALL) or target == int(joints.mjJNT_FREE))
+    return bool(kind == int(kinds.mjTRN_SITE))
+
+
+def wrenches_of(survey: ModelIndex, actuator: int) -> list[ActuatorWrench]:
+    """The wrenches of an actuator that has_wrenches."""
+    model, links = survey.model, survey.carriers[0]
+    gear, none = gear_of(model, actuator), np.zeros(0, dtype=np.int64)
+    if model.actuator_trntype[actuator] != int(load_mujoco().mjtTrn.mjTRN_SITE):
+        return [_in_parent(survey, actuator, gear)]
+    site, refsite = map(int, model.actuator_trnid[actuator])
+    at, its_chain = _place(survey, site), _chain(model, links, site)
+    if refsite < 0:
+        R = at[1][:3, :3]
+        return [_wrench(actuator, at, at[0], R @ gear[:3], R @ gear[3:], its_chain, none)]
+    origin, other_chain = _place(survey, refsite), _chain(model, links, refsite)
+    own, other = np.setdiff1d(its_chain, other_chain), np.setdiff1d(other_chain, its_chain)
+    R = origin[1][:3, :3]
+    force, torque = R @ gear[:3], R @ gear[3:]
+    found = [_wrench(actuator, at, origin[0], force, torque, own, other)] if len(own) else []
+    return found + ([_wrench(actuator, origin, origin[0], -force, -torque, other, none)] if len(other) else [])
+
+
+def _in_parent(survey: ModelIndex, actuator: int, gear: np.ndarray) -> ActuatorWrench:
+    """Of a ball a torque, of a free joint a force and a torque in the world's axes."""
+    model = survey.model
+    joint = int(model.actuator_trnid[actuator, 0])
+    body, dofs = int(model.jnt_bodyid[joint]), np.flatnonzero(model.dof_jntid == joint)
+    if len(dofs) == 6:
+        return _wrench(actuator, (int(dofs[-1]), np.eye(4)), -1, gear[:3], gear[3:], dofs, dofs[:0])
+    before = int(model.dof_parentid[dofs[0]])
+    R = pose(model.body_pos[body], model.body_quat[body])[:3, :3]
+    if before < 0 or model.dof_bodyid[before] != body:  # the first joint of its body
+        parent = int(model.body_parentid[body])
+        R = survey.carriers[1][parent][:3, :3] @ R
+    else:
+        R = np.eye(3)
+    return _wrench(actuator, (int(dofs[-1]), np.eye(4)), before, np.zeros(3), R @ gear[:3], dofs, dofs[:0])
+
+
+def _wrench(
+    actuator: int, at: tuple[int, np.ndarray], frame: int, force: np.ndarray, torque: np.ndarray, dofs: np.ndarray,
+    frame_dofs: np.ndarray,
+) -> ActuatorWrench:  # fmt: skip
+    link, T = at
+    return ActuatorWrench(actuator, link, T[:3, 3].copy(), frame, force, torque, dofs, frame_dofs)
+
+
+def _place(survey: ModelIndex, site: int) -> tuple[int, np.ndarray]:
+    """The link that carries a site, -1 for the world, and its pose (4, 4) there."""
+    model, (links, poses) = survey.model, survey.carriers
+    body = int(model.site_bodyid[site])
+    return int(links[body]), poses[body] @ pose(model.site_pos[site], model.site_quat[site])
+
+
+def _chain(model: Any, links: np.ndarray, site: int) -> np.ndarray:
+    """The degrees of freedom that move a site, ascending."""
+    dof, found = int(links[model.site_bodyid[site]]), []
+    while dof >= 0:
+        found.append(dof)
+        dof = int(model.dof_parentid[dof])
+    return np.array(found[::-1], dtype=np.int64)

@@ -82,6 +82,11 @@ def field(model: Any, name: str, count: int) -> np.ndarray:
     return np.asarray(getattr(model, name, np.zeros(count)))
 
 
+def kind_word(kinds: Any, value: int) -> str:
+    """The last word of the name of one of MuJoCo's enumerated values, in lower case: "hinge" of mjJNT_HINGE."""
+    return kinds(int(value)).name.split("_")[-1].lower()
+
+
 def gear_of(model: Any, actuator: int) -> np.ndarray:
     """(6,) of an actuator; MuJoCo 4 keeps it by force rather than by actuator."""
     return model.actuator_gear[model.actuator_outadr[actuator] if hasattr(model, "actuator_outadr") else actuator]
@@ -93,6 +98,12 @@ def pose(position: np.ndarray, quaternion: np.ndarray) -> np.ndarray:
     load_mujoco().mju_quat2Mat(rotation, quaternion)
     T[:3, :3], T[:3, 3] = rotation.reshape(3, 3), position
     return T
+
+
+def mesh_vertices(model: Any, mesh: int) -> np.ndarray:
+    """(V, 3) m, vertices of a mesh in the frame of its geoms."""
+    first = int(model.mesh_vertadr[mesh])
+    return np.array(model.mesh_vert[first : first + int(model.mesh_vertnum[mesh])], dtype=float)
 
 
 class Pair(NamedTuple):
@@ -255,11 +266,6 @@ def velocity_limits(model: Any) -> np.ndarray:
                 raise ModelError(f"{named(model, 'joint', joint)} has the velocity limit {limit:g}, expected above 0.")
             limits[model.jnt_dofadr[joint]] = limit
     return limits
-
-
-def phrases_left_out(model: Any) -> tuple[str, ...]:
-    """The phrases that a compiled model carries."""
-    return texts_of(model, LEFT_OUT)
 
 
 def texts_of(model: Any, prefix: str) -> tuple[str, ...]:

@@ -1,10 +1,14 @@
-"""Obstacles: shapes at rest that are added to a model's file, so plan, replay and pictures all have them.
+"""Obstacles that are added to a model's file, and pairs of its bodies that are not to touch each other.
 
     {shape = "box", size = [0.1, 0.4, 0.5], position = [0.5, 0, 0.25]}      edges, m
     {shape = "mesh", file = "crate.stl", orientation = {yaw = 30}}
 
 They are geoms of the world that collide with whatever can collide in the file; a mesh is its convex hull, with which
-MuJoCo collides. After the file is opened nothing distinguishes them from geoms that it had before.
+MuJoCo collides. Plan, replay and pictures all have them: after the file is opened nothing distinguishes them from geoms
+that it had before.
+
+Bodies of `exclude = [["palm", "thumb"]]` do not touch each other in planning, replay and film, in any format; the
+verdict names them. Shapes of a file often overlap where the real robot's do not.
 """
 
 from __future__ import annotations
@@ -18,11 +22,11 @@ from xml.etree.ElementTree import SubElement
 
 import numpy as np
 
-from planner.base.arguments import array, choice, numbers, quaternion, short_repr
+from planner.base.arguments import array, choice, did_you_mean, numbers, quaternion, short_repr
 from planner.base.errors import ModelError, PlannerError
 from planner.model.mjcf.attached import records_of
 from planner.model.mjcf.model_file import ModelFile
-from planner.model.mjcf.model_index import ModelIndex, compile_model
+from planner.model.mjcf.model_index import NEVER_REPLAYED, ModelIndex, compile_model
 from planner.model.mjcf.text import written
 from planner.model.urdf.meshes import hull, mesh_triangles, stl
 
@@ -148,3 +152,55 @@ def with_obstacles(file: ModelFile, given: Sequence[Obstacle]) -> ModelFile:
         SubElement(world, "geom", attributes)
     survey = ModelIndex(compile_model(root, files, file.name))
     return file._replace(root=root, files=files, survey=survey, is_compiled=True)
+
+
+BodyPair = tuple[str, str]
+
+
+def excluded_pairs(value: Any) -> tuple[BodyPair, ...]:
+    """Pairs of names from a list of them; none for None.
+
+    Raises:
+        PlannerError: It is no list of pairs of two names.
+    """
+    pairs = [] if value is None else value
+    if not isinstance(pairs, list | tuple) or not all(
+        isinstance(pair, list | tuple) and len(pair) == 2 and all(isinstance(name, str) and name for name in pair)
+        and pair[0] != pair[1] for pair in pairs
+    ):  # fmt: skip
+        raise PlannerError(
+            f'exclude is {short_repr(value)}, expected a list of pairs of two bodies or shapes: [["palm", "thumb"]].'
+        )
+    return tuple((str(first), str(second)) for first, second in pairs)
+
+
+def with_excluded(file: ModelFile, given: Sequence[BodyPair]) -> ModelFile:
+    """A file in which the bodies of each pair do not touch, compiled again; a shape stands for its body.
+
+    Raises:
+        ModelError: A name that the model does not have, two shapes of one body, or a shape of a body without a name.
+    """
+    if not given:
+        return file
+    root, model = copy.deepcopy(file.root), file.survey.model
+    bodies = {model.body(i).name: i for i in range(model.nbody)}
+    shapes = {model.geom(i).name: int(model.geom_bodyid[i]) for i in range(model.ngeom)}
+    places = {name: place for name, place in (shapes | bodies).items() if name}
+    section, texts = SubElement(root, "contact"), SubElement(root, "custom")
+    for k, pair in enumerate(given, 1):
+        for name in pair:
+            if name not in places:
+                hint = did_you_mean(name, list(places))
+                raise ModelError(f"exclude names {name!r}, expected a body or a shape of {file.name}.{hint}")
+        first, second = (model.body(places[name]).name for name in pair)
+        if not (first and second):
+            raise ModelError(
+                f"exclude names {pair[0]!r} and {pair[1]!r}, of a body without a name: expected one with it."
+            )
+        if first == second:
+            raise ModelError(f"exclude names {pair[0]!r} and {pair[1]!r}, which belong to one body: they never touch.")
+        SubElement(section, "exclude", {"body1": first, "body2": second})
+        phrase = f"contact of {first} and {second}, which `exclude` names"
+        SubElement(texts, "text", {"name": f"{NEVER_REPLAYED}exclude {k}", "data": phrase})
+    survey = ModelIndex(compile_model(root, file.files, file.name))
+    return file._replace(root=root, survey=survey, is_compiled=True)

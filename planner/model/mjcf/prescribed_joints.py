@@ -27,12 +27,12 @@ import numpy as np
 from planner.base.errors import ModelError
 from planner.base.gl import load_mujoco
 from planner.model.actuators import DIRECT, Actuators
-from planner.model.exponential_torques import ExponentialTorque
 from planner.model.mechanism import BALL, Mechanism
 from planner.model.mjcf.contact_edits import joints_of, keep_law
 from planner.model.mjcf.model_index import ModelIndex, compile_model, disabled
 from planner.model.mjcf.text import parsed, written
 from planner.model.mjcf.unsupported import actuators_of
+from planner.model.passive_forces import ExponentialTorque
 from planner.model.twin import Twin
 
 # kg or kg m^2. A machine that pushes with 1000 N is felt as 1e-5 m/s^2. From about 1e11 on MuJoCo's solver, whose

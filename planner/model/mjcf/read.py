@@ -21,7 +21,6 @@ from planner.base.errors import ModelError, PlannerError
 from planner.base.gl import load_mujoco
 from planner.model.capabilities import rolling_radii
 from planner.model.contact.laws import ContactLaw
-from planner.model.fluid import Drag, drags_of
 from planner.model.mechanism import BALL, BALL_NEXT, SCREW, Frame, Mechanism
 from planner.model.mjcf.attached import attachments, with_attached
 from planner.model.mjcf.contact_edits import give_law, let_float
@@ -43,26 +42,25 @@ from planner.model.mjcf.contacts import (
     read_stops,
 )
 from planner.model.mjcf.equalities import harden, read_cams, read_couplings, read_loops, read_tendons
-from planner.model.mjcf.excluded import excluded_pairs, with_excluded
 from planner.model.mjcf.file_law import FILE_SMOOTHING, file_law
 from planner.model.mjcf.ground_law import UNCERTAINTY, laws_of_ground
 from planner.model.mjcf.joint_forces import actuators_of, armature_and_damping, joint_friction
-from planner.model.mjcf.model_file import ModelFile, open_model_file
+from planner.model.mjcf.model_file import ModelFile, mjcf_source, open_model_file
 from planner.model.mjcf.model_index import (
     EDITED,
+    LEFT_OUT,
     ModelIndex,
     Pair,
     compile_model,
     disabled,
     field,
     names_of,
-    phrases_left_out,
     pose,
     ranges_of,
+    texts_of,
     velocity_limits,
 )
-from planner.model.mjcf.obstacles import obstacles_of, with_obstacles
-from planner.model.mjcf.spec import mjcf_source
+from planner.model.mjcf.obstacles import excluded_pairs, obstacles_of, with_excluded, with_obstacles
 from planner.model.mjcf.text import written
 from planner.model.mjcf.unsupported import (  # fmt: skip
     KINDS,
@@ -73,8 +71,9 @@ from planner.model.mjcf.unsupported import (  # fmt: skip
     take_out,
     unsupported_elements,
 )
-from planner.model.model_origin import origin_of
+from planner.model.passive_forces import drags_of
 from planner.model.space import unit
+from planner.model.twin import origin_of
 
 MAX_PHRASES = 30  # in one sentence
 MAX_DOFS = 1000  # gains of a stage have as many rows as columns, and a plan has hundreds of stages
@@ -157,7 +156,7 @@ def read_opened(
         _refuse([*unsupported_elements(survey.model), *contact_refusals(survey)], name, survey)
     harden(root, survey.model)
     text = ElementTree.tostring(root, encoding="unicode")
-    mechanism = _mechanism(survey, text, files, (*phrases_left_out(survey.model), *phrases), name)
+    mechanism = _mechanism(survey, text, files, (*texts_of(survey.model, LEFT_OUT), *phrases), name)
     if asked == "auto" and mode == "file" and np.any(rolling_radii(mechanism)):  # see contact_mode
         return read_opened(file, ignore=ignore, contacts="ground")
     mechanism = replace(mechanism, contacts_mode=mode, contacts_choice=phrase)
@@ -276,7 +275,8 @@ def _mechanism(
         bodies=tuple(Frame(int(link), T) for link, T in zip(links, poses, strict=True)),
         contacts=contacts, body_contacts=body_contacts, stops=read_stops(model), tendons=read_tendons(model),
         sites=sites, keyframes=keyframes, mjcf=text, assets=files, ignored=ignored, couplings=read_couplings(model),
-        drags=_drags(model, links, poses), loops=read_loops(model, links, poses), polynomial_couplings=read_cams(model),
+        drags=() if passive_off(model) else drags_of(model, links, _inertial_frames(model, poses)),
+        loops=read_loops(model, links, poses), polynomial_couplings=read_cams(model),
     )  # fmt: skip
 
 
@@ -336,10 +336,6 @@ def _masses(model: Any, links: np.ndarray, poses: np.ndarray) -> dict[str, Any]:
 def _inertial_frames(model: Any, poses: np.ndarray) -> np.ndarray:
     """(nbody, 4, 4) frames of the bodies' inertias in the frames of their links."""
     return poses @ np.array([pose(model.body_ipos[b], model.body_iquat[b]) for b in range(model.nbody)])
-
-
-def _drags(model: Any, links: np.ndarray, poses: np.ndarray) -> tuple[Drag, ...]:
-    return () if passive_off(model) else drags_of(model, links, _inertial_frames(model, poses))
 
 
 def _lifted(model: Any, links: np.ndarray, poses: np.ndarray) -> dict[str, Any]:

@@ -24,9 +24,15 @@ from planner.model.mjcf.equalities import (
     kind_of,
     read_couplings,
 )
-from planner.model.mjcf.force_laws import affine_force, law_of, unknown_force
-from planner.model.mjcf.model_index import disabled, field, flag_bit, named
-from planner.model.mjcf.wrench_transmissions import has_wrenches
+from planner.model.mjcf.joint_forces import (
+    actuator_disabled,
+    adheres_to_nothing,
+    affine_force,
+    has_wrenches,
+    law_of,
+    unknown_force,
+)
+from planner.model.mjcf.model_index import disabled, field, flag_bit, kind_word, named
 
 # Kinds that `ignore` may name.
 KINDS = (
@@ -175,17 +181,6 @@ def _of_tendons(model: Any, modelled: bool) -> Iterator[UnsupportedElement]:
             yield _feature(model, "tendon", ", ".join(has), "tendon", i)
 
 
-def actuator_disabled(model: Any, i: int) -> bool:
-    """Whether a flag or its group keeps an actuator from acting."""
-    group = int(model.actuator_group[i])
-    return disabled(model, "actuation") or bool(0 <= group <= 30 and model.opt.disableactuator & (1 << group))
-
-
-def adheres_to_nothing(model: Any, i: int) -> bool:
-    """Whether it is an adhesion actuator, which acts through contacts, of a model that has none."""
-    return model.actuator_trntype[i] == load_mujoco().mjtTrn.mjTRN_BODY and disabled(model, "contact", "constraint")
-
-
 def _actuators(model: Any, i: int) -> Iterator[UnsupportedElement]:
     """An actuator's refusals. One that is disabled keeps its control, if it has one control and one state at most."""
     mujoco = load_mujoco()
@@ -220,16 +215,12 @@ def _is(value: int, *kinds: Any) -> bool:
     return any(value == kind for kind in kinds)  # MuJoCo's enumerations do not equal NumPy's integers from the left
 
 
-def _lower(kinds: Any, value: int) -> str:
-    return kinds(int(value)).name.split("_")[-1].lower()
-
-
 def _dynamics(model: Any, i: int) -> Iterator[str]:
     kinds = load_mujoco().mjtDyn
     # filterexact is the same differential equation as filter, solved better by MuJoCo's Euler steps
     modelled = (kinds.mjDYN_NONE, kinds.mjDYN_INTEGRATOR, kinds.mjDYN_FILTER, kinds.mjDYN_FILTEREXACT)
     if not _is(model.actuator_dyntype[i], *modelled):
-        yield f"{_lower(kinds, model.actuator_dyntype[i])} dynamics"
+        yield f"{kind_word(kinds, model.actuator_dyntype[i])} dynamics"
 
 
 def _transmission(model: Any, i: int) -> Iterator[str]:
@@ -253,7 +244,7 @@ def _transmission(model: Any, i: int) -> Iterator[str]:
         if first != mujoco.mjtWrap.mjWRAP_JOINT:
             yield "spatial tendon"
     elif not adheres_to_nothing(model, i):
-        yield f"{_lower(kinds, kind)} transmission"
+        yield f"{kind_word(kinds, kind)} transmission"
 
 
 # Options and flags that switch a kind off.

@@ -4,21 +4,28 @@ MuJoCo refuses a moving body without mass or inertia. A link may have none where
 then it gets LEAST of both, far below the rounding of what it carries. MuJoCo also refuses a tensor that no body has. On
 a link that is fixed to others, it is added to theirs: only the sum moves. Else it is refused, or on request replaced by
 the nearest that a body can have.
+
+On request links without <inertial> get one from their shapes and a density. MuJoCo's compiler integrates it: of the
+collision shapes, of a link without any of the visual ones, and of a mesh the convex hull.
 """
 
 from __future__ import annotations
 
 from dataclasses import replace
+from xml.etree.ElementTree import Element, SubElement
 
 import numpy as np
 
 from planner.base.errors import ModelError
+from planner.model.mjcf.model_index import compile_model, pose
+from planner.model.mjcf.text import written
 from planner.model.urdf.robot import SCALAR, Inertial, Joint, Robot
+from planner.model.urdf.shapes import GeomWriter, Packages
 
 MIN_MASS = 1e-14
 """kg and kg m^2; MuJoCo refuses less than 1e-15."""
 _NOTHING = 1e-11  # kg or kg m^2 that a joint moves: what it moves is lost in rounding
-_WATER = 1000.0  # kg/m^3, for a suggestion
+WATER = 1000.0  # kg/m^3, for a suggestion, and of inertia = "from shapes"
 _ROUNDING = 1e-9  # of a tensor whose principal moments fulfil the triangle inequality as an equation
 _NAMED = 3  # links in a sentence
 
@@ -192,9 +199,32 @@ def missing_inertia(robot: Robot, joint: Joint, mass: float, name: str) -> str:
             + ('or inertia = "from shapes" in the problem file, ' if _has_shapes(robot, joint) else "")
             + 'or make the joint type="fixed".'
         )
-    ball = 0.4 * mass * (3.0 * mass / (4.0 * np.pi * _WATER)) ** (2.0 / 3.0)
+    ball = 0.4 * mass * (3.0 * mass / (4.0 * np.pi * WATER)) ** (2.0 / 3.0)
     weighs = f"its {own.mass:g} kg" if own is not None and own.mass > 0.0 else f"the {mass:g} kg that it carries"
     return (
         f"{where}, which has no inertia about the joint's axis: write its <inertia>; {weighs} as a ball of water would "
         f'have ixx="{ball:.3g}" iyy="{ball:.3g}" izz="{ball:.3g}".'
     )
+
+
+def with_shape_inertias(
+    robot: Robot, anchored: set[str], packages: Packages, density: float, name: str
+) -> tuple[Robot, list[str]]:  # fmt: skip
+    """The robot with an inertial for each link that moves and has none but has shapes, and a phrase about them."""
+    root, links = Element("mujoco"), dict(robot.links)
+    SubElement(root, "compiler", {"angle": "radian", "eulerseq": "XYZ", "inertiafromgeom": "true"})
+    SubElement(SubElement(root, "default"), "geom", {"density": written(density)})
+    world, shapes = SubElement(root, "worldbody"), GeomWriter(root, packages)
+    for link in (one for one in links.values() if one.inertial is None and one.name not in anchored):
+        visuals = () if link.collisions else link.visuals
+        shapes.add(SubElement(world, "body", {"name": link.name}), replace(link, visuals=visuals))
+    for mesh in root.iter("mesh"):
+        mesh.set("inertia", "convex")
+    model, given = compile_model(root, shapes.files, name), list[str]()
+    for i in np.flatnonzero(model.body_mass):
+        link, R = model.body(i).name, pose(np.zeros(3), model.body_iquat[i])[:3, :3]
+        own = Inertial(float(model.body_mass[i]), model.body_ipos[i].copy(), R @ np.diag(model.body_inertia[i]) @ R.T)
+        links[link] = replace(links[link], inertial=own)
+        given.append(link)
+    phrase = f"the inertia of {listed(given)} (the file has none: that of the shapes at {density:g} kg/m^3)"
+    return replace(robot, links=links), [phrase] if given else []

@@ -23,11 +23,10 @@ from planner.base.files import printable, read_text
 from planner.model.mjcf.equalities import HARD
 from planner.model.mjcf.model_index import LEFT_OUT, VELOCITY_LIMIT
 from planner.model.mjcf.text import is_text, written
-from planner.model.urdf.masses import inertials, listed, missing_inertia, without_idle
+from planner.model.urdf.masses import WATER, inertials, listed, missing_inertia, with_shape_inertias, without_idle
 from planner.model.urdf.overlaps import exclude_overlaps
 from planner.model.urdf.parse import robot_of
 from planner.model.urdf.robot import SCALAR, Inertial, Joint, Pose, Robot
-from planner.model.urdf.shape_inertia import WATER, with_shape_inertias
 from planner.model.urdf.shapes import GeomWriter, Packages, packages_of, placed
 
 _UNBOUNDED_RANGE = 1e10

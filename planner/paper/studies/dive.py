@@ -16,8 +16,8 @@ import numpy as np
 from planner.cases.high_dive.case import high_dive, misses, momentum_drift
 from planner.cases.high_dive.flight import Diver
 from planner.dynamics import RigidBodyDynamics
-from planner.dynamics.momentum import angular_momentum
-from planner.dynamics.rollout import rollout_states
+from planner.dynamics.kinematics import angular_momentum
+from planner.dynamics.protocol import rollout_states
 from planner.paper.studies.study import Row, Study, plan_record, table, timed
 from planner.problem.plan import Plan
 from planner.proof.replays.replaying import replay

@@ -23,7 +23,7 @@ import numpy as np
 from planner import cases
 from planner.cases.hopper import PAPER
 from planner.dynamics import Dynamics
-from planner.dynamics.rollout import rollout_states
+from planner.dynamics.protocol import rollout_states
 from planner.paper.studies.study import Row, Study, plan_record, table
 from planner.problem.costs.terms import Quadratic
 from planner.problem.problem import Problem

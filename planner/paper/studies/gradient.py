@@ -16,7 +16,7 @@ import numpy as np
 
 from planner import cases
 from planner.cases.hopper import PAPER
-from planner.dynamics.rollout import rollout_states
+from planner.dynamics.protocol import rollout_states
 from planner.paper.methods.gradient_methods import Descended, cost_and_gradient, minimize_by_gradient
 from planner.paper.studies.study import Row, Study, row_of, table
 from planner.problem.plan import Iteration, Plan

@@ -25,7 +25,7 @@ from planner.cases.human_step.measures import Measures, measures, normal_height,
 from planner.cases.human_step.measures import height as height_of
 from planner.cases.human_step.phase import SWING, GaitPhase
 from planner.cases.human_step.walker import PELVIS, Walker
-from planner.dynamics.rollout import rollout_states
+from planner.dynamics.protocol import rollout_states
 from planner.paper.methods.control_spline import solve_by_splines
 from planner.paper.studies.study import descent_record, plan_record, timed
 from planner.problem.plan import Plan

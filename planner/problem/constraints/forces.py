@@ -20,12 +20,12 @@ import numpy as np
 from planner.base.arguments import choice
 from planner.base.errors import PlannerError
 from planner.dynamics import Dynamics, RigidBodyDynamics, constraint_forces
-from planner.dynamics.actuator_moments import force_derivatives_at, forces_at
+from planner.dynamics.joint_forces import force_derivatives_at, forces_at
 from planner.model.actuators import DIRECT
 from planner.model.coordinates import ANGLE, LENGTH, Coordinate
 from planner.model.mechanism import Mechanism
+from planner.model.passive_forces import FixedTendon
 from planner.model.space import space_of
-from planner.model.tendons import FixedTendon
 from planner.problem.constraints.constraint import Constraint
 from planner.problem.constraints.quantities import mechanism_of
 from planner.problem.costs.tracking import places

@@ -40,7 +40,7 @@ import numpy as np
 from planner.base.arguments import LONGEST_HORIZON, array, count, number, numbers, short_repr
 from planner.base.errors import PlannerError
 from planner.dynamics import RigidBodyDynamics
-from planner.dynamics.actuator_moments import force_derivatives_at, forces_at
+from planner.dynamics.joint_forces import force_derivatives_at, forces_at
 from planner.model.mjcf.prescribed_joints import PRESCRIBED_ARMATURE, heavy_joints, prescribed_dofs, with_force_inputs
 from planner.problem.costs.jerk import Accelerations
 from planner.problem.costs.terms import Quadratic, Term

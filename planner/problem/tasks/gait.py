@@ -29,7 +29,7 @@ import numpy as np
 
 from planner.base.arguments import choice, number, short_repr
 from planner.base.errors import PlannerError
-from planner.dynamics.momentum import center_of_mass
+from planner.dynamics.kinematics import center_of_mass
 from planner.model.mechanism import Mechanism
 from planner.problem.costs.frame import CLEARANCE
 from planner.problem.tasks.legs import (

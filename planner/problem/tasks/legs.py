@@ -28,10 +28,8 @@ from planner.base.errors import PlannerError
 from planner.dynamics import RigidBodyDynamics
 from planner.dynamics.contacts import contact_forces
 from planner.dynamics.inverse_kinematics import Target, inverse_kinematics
-from planner.dynamics.kinematics import frame_pose, jacobian, points_of
-from planner.dynamics.momentum import center_of_mass, center_of_mass_jacobian
-from planner.dynamics.stance import STRIDE
-from planner.dynamics.statics import clearance
+from planner.dynamics.kinematics import center_of_mass, center_of_mass_jacobian, frame_pose, jacobian, points_of
+from planner.dynamics.statics import STRIDE, clearance
 from planner.kernels.tree.mechanism_table import chain_of
 from planner.model.capabilities import stands_on_ground, unreached_dofs
 from planner.model.mechanism import Frame, Mechanism

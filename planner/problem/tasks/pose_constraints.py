@@ -18,8 +18,7 @@ import numpy as np
 
 from planner.dynamics import RigidBodyDynamics
 from planner.dynamics.contacts import contact_forces
-from planner.dynamics.kinematics import frame_pose, jacobian
-from planner.dynamics.momentum import center_of_mass, center_of_mass_jacobian
+from planner.dynamics.kinematics import center_of_mass, center_of_mass_jacobian, frame_pose, jacobian
 from planner.model.capabilities import stands_on_ground
 from planner.model.mechanism import Frame, Mechanism
 from planner.problem.constraints.clearance import PairClearanceFunction

@@ -4,8 +4,8 @@ MuJoCo's equalities are soft. With its M, forces, Jacobians and their rates, the
 
     qdd = W qfrc + W J'f,   J qdd + Jdot qd + 2 rate J qd + rate^2 phi = 0,   W = G (G'MG)^-1 G'
 
-G of the couplings (planner.model.couplings), J, Jdot qd and phi of connects, welds and cams (planner.model.loops), all
-by MuJoCo's mj_jac and mj_jacDot at the anchors in the compiled model.
+G of the couplings, J, Jdot qd and phi of connects, welds and cams (both of planner.model.couplings), all by MuJoCo's
+mj_jac and mj_jacDot at the anchors in the compiled model.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from planner.base.gl import load_mujoco
-from planner.model.loops import BAUMGARTE_RATE, PolynomialCoupling
+from planner.model.couplings import BAUMGARTE_RATE, PolynomialCoupling
 from planner.model.mechanism import Mechanism
 from planner.model.mjcf.equalities import joined, joins
 from planner.model.space import cross

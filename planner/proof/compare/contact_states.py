@@ -9,8 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from planner.base.gl import load_mujoco
-from planner.dynamics.contact_kinematics import BodyContactKinematics
-from planner.dynamics.contacts import contact_kinematics
+from planner.dynamics.contact_kinematics import BodyContactKinematics, contact_kinematics
 from planner.model.contact.body_contact import BodyContact
 from planner.model.contact.laws import Contact, Law, slide_direction
 from planner.model.mechanism import Mechanism

@@ -11,7 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from planner.model.loops import LoopClosure, PolynomialCoupling
+from planner.model.couplings import LoopClosure, PolynomialCoupling
 from planner.model.mechanism import Mechanism
 
 _ROUNDING = 1e-12  # relative, of parameters after compilation

@@ -2,9 +2,9 @@
 
 A mechanism is compared term by term (rigid_parity), then its friction loss and its contacts.
 
-Friction loss is the same function of velocity and acceleration in both (planner.dynamics.friction), but the plan's is
-smoothed where MuJoCo's saturates. So at MuJoCo's acceleration they agree to rounding in all joints that clearly stick
-or slip; in the smoothed range the difference is reported, not judged.
+Friction loss is the same function of velocity and acceleration in both (planner.dynamics.joint_forces), but the plan's
+is smoothed where MuJoCo's saturates. So at MuJoCo's acceleration they agree to rounding in all joints that clearly
+stick or slip; in the smoothed range the difference is reported, not judged.
 
 A machine with prescribed joints is compared twice. First with a moderate armature in place of the large armature H
 of its prescribed joints (planner.model.mjcf.prescribed_joints), which would hide a wrong mass. Then as in a replay:
@@ -31,7 +31,7 @@ from planner.base.errors import ModelError, PlannerError
 from planner.base.gl import load_mujoco
 from planner.base.measured import Measurement, Section
 from planner.dynamics import algorithms as rigid_body
-from planner.dynamics.friction import BEND, friction_forces
+from planner.dynamics.joint_forces import BEND, friction_forces
 from planner.dynamics.rigid_body import RigidBodyDynamics
 from planner.model.capabilities import capabilities_of
 from planner.model.mechanism import Mechanism

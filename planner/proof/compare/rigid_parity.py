@@ -28,12 +28,12 @@ from planner.base.measured import Measurement, Section
 from planner.dynamics import algorithms as rigid_body
 from planner.dynamics.assembly import assembled, feasible_directions
 from planner.dynamics.rigid_body import RigidBodyDynamics
-from planner.model.exponential_torques import exponential_joint_torques, one_torque
 from planner.model.mechanism import SCREW, Mechanism
 from planner.model.mjcf.equalities import set_hard
 from planner.model.mjcf.model_index import field
 from planner.model.mjcf.read import mechanism_of_model
 from planner.model.mjcf.unsupported import no_compensation, unsupported_elements
+from planner.model.passive_forces import exponential_joint_torques, one_torque
 from planner.model.space import unit
 from planner.proof.compare.constrained import closure_rounding, constrained_acceleration
 from planner.proof.compare.differences import actuator_of, differences, joint_of

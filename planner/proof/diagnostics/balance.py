@@ -6,9 +6,8 @@ import numpy as np
 
 from planner.base.diagnostic import Quantity
 from planner.base.errors import PlannerError
-from planner.dynamics.momentum import center_of_mass
-from planner.dynamics.stance import STRIDE
-from planner.dynamics.statics import static_equilibrium
+from planner.dynamics.kinematics import center_of_mass
+from planner.dynamics.statics import STRIDE, static_equilibrium
 from planner.model.capabilities import capabilities_of, rolling_radii, stands_on_ground
 from planner.model.mjcf.contact_mode import STANDING
 from planner.problem.costs.tracking import tracking_of

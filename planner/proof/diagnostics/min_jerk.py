@@ -10,8 +10,8 @@ from typing import NamedTuple
 import numpy as np
 
 from planner.dynamics import RigidBodyDynamics
-from planner.dynamics.actuator_moments import gains_at, passive_forces
 from planner.dynamics.algorithms import rnea
+from planner.dynamics.joint_forces import gains_at, passive_forces
 from planner.model.actuators import DIRECT
 from planner.model.mechanism import SCREW, Mechanism
 from planner.problem.costs.tracking import tracking_of

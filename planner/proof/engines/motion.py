@@ -11,12 +11,11 @@ from collections.abc import Callable
 
 import numpy as np
 
-from planner.dynamics.actuator_moments import actuator_forces, actuator_moments
+from planner.dynamics.joint_forces import actuator_forces, actuator_moments
 from planner.model.actuators import DIRECT, INTEGRATOR
-from planner.model.exponential_torques import exponential_joint_torques
 from planner.model.mechanism import SCREW, Mechanism
+from planner.model.passive_forces import exponential_joint_torques, tendon_forces
 from planner.model.space import conjugate, log_quaternion, product, unit
-from planner.model.tendons import tendon_forces
 from planner.problem.plan import Plan
 
 PARTS = 4  # samples per stage at which trajectories are compared

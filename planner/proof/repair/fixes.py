@@ -13,7 +13,7 @@ from planner.proof.diagnostics import SuggestedFix, longer, suggested_fixes
 from planner.proof.diagnostics.suggested_fix import ITERATIONS
 from planner.proof.repair.refinement import Refined
 from planner.proof.verdict import Proof
-from planner.solvers.warm_start import warm_start
+from planner.solvers.gains import warm_start
 from planner.solvers.work import WorkBudget
 
 AUTOMATIC_KEYS = ("dt", "substeps", "integrator", "guess", "starts", "limits.margin", ITERATIONS)

@@ -22,14 +22,13 @@ from planner.model.capabilities import capabilities_of
 from planner.model.mechanism import Mechanism
 from planner.model.mjcf.contacts import contact_refusals
 from planner.model.mjcf.equalities import set_hard
+from planner.model.mjcf.model_file import mjcf_source
 from planner.model.mjcf.model_index import ModelIndex, compile_model
 from planner.model.mjcf.prescribed_joints import prescribed_twin
-from planner.model.mjcf.spec import mjcf_source
 from planner.model.mjcf.text import is_text, model_tree
 from planner.model.mjcf.unmodelled_features import UnmodelledFeatures, unmodelled_features
 from planner.model.mjcf.unsupported import modelled, take_out, unsupported_elements
-from planner.model.model_origin import URDF_KEYS
-from planner.model.twin import Twin
+from planner.model.twin import URDF_KEYS, Twin
 from planner.model.urdf.write import as_mjcf, is_urdf
 from planner.problem.problem import Problem
 from planner.proof.replays.simulation import NATIVE_IMPLICIT, ROSENBROCK

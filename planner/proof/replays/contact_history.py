@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from planner.base.gl import load_mujoco
-from planner.model.mjcf.margins import is_watched
+from planner.model.mjcf.file_law import is_watched
 from planner.model.mjcf.model_index import named
 
 MAX_SAMPLES = 20_000  # 10 MB of arrays with a dozen pairs in contact

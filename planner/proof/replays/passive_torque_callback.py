@@ -1,4 +1,4 @@
-"""Add exponential torques (planner.model.exponential_torques), which MJCF does not have, to MuJoCo's passive forces.
+"""Add exponential torques (planner.model.passive_forces), which MJCF does not have, to MuJoCo's passive forces.
 
 MuJoCo calls its one global callback at every stage of its integrators, so a replay has no error of its own from it. The
 callback is set only inside `curves_acting`, and acts on the models named there alone. Where the data of the models are
@@ -27,7 +27,7 @@ import numpy as np
 
 from planner.base.errors import ModelError
 from planner.base.gl import load_mujoco
-from planner.model.exponential_torques import LARGEST, ExponentialTorque
+from planner.model.passive_forces import LARGEST, ExponentialTorque
 from planner.model.twin import Twin
 
 _lock = threading.RLock()  # one owner of the callback at a time

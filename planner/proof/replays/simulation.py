@@ -17,8 +17,8 @@ import numpy as np
 from planner.base.gl import load_mujoco, load_rollout
 from planner.dynamics.protocol import integrator_of
 from planner.model.capabilities import capabilities_of
-from planner.model.damping import implicit_damping
 from planner.model.mjcf.model_index import named
+from planner.model.passive_forces import implicit_damping
 from planner.proof.replays.contact_history import ContactRecorder
 
 MAX_STEPS = 5_000_000  # some minutes and 1 GB

@@ -1,7 +1,15 @@
-"""Moments of the actuators at a pose, as MuJoCo's actuator_moment, and their forces at a state, with derivatives.
+"""Forces at the joints, with derivatives: of the actuators, with their moments at a pose, and of friction loss.
 
 Forces at a state, and their slopes, are asked here, so that nothing outside knows the force laws. Actuators.by_law and
-depends_on_state say where gain u + bias does not suffice.
+depends_on_state say where gain u + bias does not suffice. Moments are as MuJoCo's actuator_moment.
+
+MuJoCo's friction loss is a constraint, the force -clip(D (a + beta v), loss) on a joint with velocity v and
+acceleration a. Below the loss it acts like an armature D with a damper beta D. The plan smooths the same force:
+
+    f = -loss s(x),   x = D (a + beta v) / loss,   s(x) = x up to 1 - b, 1 from 1 + b, a parabola between, and odd
+
+f depends on the acceleration, so it is not part of the bias: a solves M a + bias = tau + f(a).
+The kernels repeat it.
 """
 
 from __future__ import annotations
@@ -14,6 +22,12 @@ from planner.dynamics.product_of_exponentials import jacobian, world_poses
 from planner.kernels.force_laws import law_terms
 from planner.model.actuators import DIRECT, Actuators
 from planner.model.mechanism import SCREW, Frame, Mechanism
+
+BEND = 0.08
+"""Half width b of the smoothing, relative to the loss; the force error is at most b/4.
+
+Replay errors over their tolerances: fingers at breakaway 1.4 with b = 0.5, a light damped wrist 2.4 with 0.2; 0.5 here.
+"""
 
 
 def actuator_moments(mechanism: Mechanism, q: np.ndarray) -> np.ndarray:
@@ -111,3 +125,19 @@ def _inputs(mechanism: Mechanism, xs: np.ndarray, us: np.ndarray) -> tuple[np.nd
     own = np.flatnonzero(acts.dynamics != DIRECT)
     given[:, own] = xs[:, nq + nv + acts.activation[own]]
     return given, actuator_lengths(mechanism, xs[:, :nq]), xs[:, nq : nq + nv] @ acts.moment.T
+
+
+def saturation(x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Smoothed saturation s(x) and its derivative."""
+    x = np.clip(x, -1.0 - BEND, 1.0 + BEND)
+    bent = np.maximum(np.abs(x) - (1.0 - BEND), 0.0)
+    return x - np.sign(x) * bent**2 / (4.0 * BEND), 1.0 - bent / (2.0 * BEND)
+
+
+def friction_forces(mechanism: Mechanism, qd: np.ndarray, qdd: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Friction (..., nv), N m and N, at qd and qdd (..., nv), and its derivative by qdd (..., nv), at most 0."""
+    loss, inertia = mechanism.friction_loss, mechanism.friction_inertia
+    rubs = loss > 0.0
+    x = inertia * (qdd + mechanism.friction_rate * qd) / np.where(rubs, loss, 1.0)
+    force, slope = saturation(x)
+    return -loss * force, np.where(rubs, -inertia * slope, 0.0)
