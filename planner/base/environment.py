@@ -5,22 +5,28 @@ from __future__ import annotations
 import functools
 import os
 import platform
-from importlib import import_module, metadata
+from importlib import import_module
 
 VARIABLE = "PLANNER_THREADS"
 """Environment variable: largest number of threads for several starts or rollouts. Results do not depend on it."""
 
 
+def available_processors() -> int:
+    """How many processors this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
 def processors() -> int:
     """Number of threads: the processors available to this process, at most PLANNER_THREADS."""
-    here = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    asked = os.environ.get(VARIABLE, "")
+    here, asked = available_processors(), os.environ.get(VARIABLE, "")
     return min(here, max(1, int(asked))) if asked.isdecimal() else here
 
 
 @functools.cache
 def installed_versions() -> dict[str, str]:
     """Version by package name; "not installed" if missing."""
+    from importlib import metadata  # local: slow, and few processes ask
+
     own = import_module("planner").__version__  # version of the running code; metadata may be of an older installation
     versions = {"python": platform.python_version(), "planner": own}
     for name in ("mujoco", "numpy", "numba", "scipy"):

@@ -16,8 +16,18 @@ from typing import Any, get_args, get_type_hints
 from planner.base.arguments import choice
 from planner.base.packaged import problem_files, problem_summary
 from planner.cli.console import Console
-from planner.cli.flags import COMMON, PROBLEM_FILE, Flags, add, boolean_flag, choice_flag, number, value_flag, whole
-from planner.cli.source_values import value_of
+from planner.cli.flags import (
+    COMMON,
+    PROBLEM_FILE,
+    Flags,
+    add,
+    boolean_flag,
+    choice_flag,
+    number,
+    value_flag,
+    value_of,
+    whole,
+)
 
 CASES: dict[str, Callable[..., Any]] = value_of("planner.cases", "CASES")
 """The cases, with their signatures and docstrings alone."""

@@ -35,9 +35,9 @@ from planner.cli.flags import (
     boolean_flag,
     number,
     value_flag,
+    value_of,
     whole,
 )
-from planner.cli.source_values import value_of
 from planner.model.robot_collections import PREFIX
 
 SHELLS = ("bash", "zsh", "tcsh")

@@ -25,10 +25,10 @@ from planner.base.errors import PlannerError
 from planner.base.files import PathLike, file_error, folder_lock, open_folder, remove_empty, write_atomically
 from planner.base.json_files import finite, json_text
 from planner.cases.plan_file import load_plan
-from planner.cli import results, showing
-from planner.cli.background_render import BackgroundRender, checked_looks
+from planner.cli import results, solving
 from planner.cli.console import Console
-from planner.cli.problems import ProblemOf, asked_problem, name_of, solved
+from planner.cli.results import BackgroundRender, checked_looks
+from planner.cli.solving import ProblemOf, asked_problem, name_of, solved
 from planner.problem.archive import plan_digest
 from planner.problem.plan import Plan, Status
 from planner.problem.problem import Problem
@@ -138,7 +138,7 @@ def auto_repair(
 
     def keep(plan: Plan, which: str, path: tuple[Refinement, ...]) -> None:
         store(plan, path)
-        showing.show_plan(plan, None, console, which)
+        solving.show_plan(plan, None, console, which)
 
     options = {name: getattr(arguments, name) for name in ("update", "line_search", "hessian")}
     judge = partial(prove, rollouts=0, hold_seconds=arguments.hold)
@@ -224,13 +224,13 @@ def _run(
         console.write_progress(f"continuing {folder.path}, which holds {', '.join(sorted(folder.finished))}")
         resumed, plan, seconds = True, stored, float(folder.notes.get("seconds", 0.0))
         path = tuple(map(_refinement_of, folder.notes.get("path", [])))
-    showing.show_plan(plan, seconds, console)
+    solving.show_plan(plan, seconds, console)
     proof = prove(plan, rollouts=0, hold_seconds=arguments.hold) if results.is_finite(plan) else None
     if proof is not None and plan.problem is not None:
         budget.charge_proof(plan.problem)
 
     def store(better: Plan, path: tuple[Refinement, ...]) -> None:
-        notes = {"path": [showing.refinement_row(line) for line in path]} if path else {}
+        notes = {"path": [results.refinement_row(line) for line in path]} if path else {}
         folder.begin("plan.npz", better.save, seconds=seconds, **notes)
 
     if not (arguments.no_refine or plan.status is Status.INTERRUPTED or (proof is not None and proof.passed)):
@@ -240,7 +240,7 @@ def _run(
         plan, proof, path, fixes = repaired
     else:
         fixes = suggested_fixes(plan, proof)
-    showing.show_work(budget, console)
+    results.show_work(budget, console)
     digest = plan_digest(folder.path / "plan.npz")
     results.write_proof(plan, proof, folder.path, digest, fixes, path, budget)  # rollouts may be interrupted
     films = None
@@ -255,9 +255,9 @@ def _run(
                 budget=min(MAX_ROLLOUT_SECONDS, budget.seconds_left), executor=executor,
             )  # fmt: skip
             results.write_proof(plan, proof, folder.path, digest, fixes, path, budget)
-            showing.show_proof(proof, fixes, console)
+            results.show_proof(proof, fixes, console)
         else:
-            showing.show_fixes(fixes, console)
+            solving.show_fixes(fixes, console)
         film_status = results.draw_results(
             plan, proof, folder.path, fixes, not arguments.no_video, console, path=path, keep=folder.finished,
             options=_flags(arguments), films=films, budget=budget,
@@ -270,15 +270,15 @@ def _run(
     if film_status and not arguments.no_video:
         console.write_result(f"no video: {film_status}")
     return 0 if plan.success and proof is not None and proof.passed else 1, {
-        "plan": showing.plan_facts(plan), "solve_seconds": seconds, "proof": None if proof is None else proof.to_dict(),
-        "refinement": [showing.refinement_row(line) for line in path], "resumed": resumed, "files": files,
+        "plan": solving.plan_facts(plan), "solve_seconds": seconds, "proof": None if proof is None else proof.to_dict(),
+        "refinement": [results.refinement_row(line) for line in path], "resumed": resumed, "files": files,
         "video_note": film_status, "cures": [one.to_dict() for one in fixes],
         "budget": budget.to_dict(),
     }  # fmt: skip
 
 
 def _refinement_of(row: dict[str, Any]) -> Refinement:
-    """The step that showing.refinement_row() made a row of, back from a file, where what is no number is null."""
+    """The step that results.refinement_row() made a row of, back from a file, where what is no number is null."""
     known: dict[str, Any] = row | {"status": Status[row["status"]]}
     known |= {name: math.nan for name in ("cost", "end_error", "seconds") if row[name] is None}
     return Refinement(**known)

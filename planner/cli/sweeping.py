@@ -6,12 +6,11 @@ import argparse
 from pathlib import Path
 from typing import Any
 
-from planner.base.arguments import count, number
+from planner.base.arguments import count
 from planner.base.errors import PlannerError
 from planner.cli.console import Console
 from planner.cli.flags import PROBLEM_FILE
-from planner.cli.problems import durations_of, name_of, objective_of
-from planner.problem.limits import EXACT, Limits
+from planner.cli.solving import absolute, durations_of, flags_of_case, limits_of, name_of, objective_of
 from planner.sweeps.executors import executor_of
 from planner.sweeps.store import read_head
 from planner.sweeps.sweeping import sweep
@@ -45,9 +44,8 @@ def _swept(arguments: argparse.Namespace, out: Path, console: Console) -> int:
             out=out, executor=executor, workers=arguments.workers, fixed=_fixed(arguments),
             prove={"rollouts": count("rollouts", arguments.rollouts, minimum=0)} if arguments.prove else False,
             continued=arguments.along, timeout=arguments.timeout, resume=arguments.resume,
-            objective=None if arguments.objective is None else objective_of(arguments.objective),
-            durations=None if arguments.durations is None else durations_of(arguments.durations),
-            limits=_limits(arguments), progress=console.progress(f"planning {name}"), **_options(arguments),
+            objective=objective_of(arguments.objective), durations=durations_of(arguments.durations),
+            limits=limits_of(arguments), progress=console.progress(f"planning {name}"), **_options(arguments),
         )  # fmt: skip
     page = done.folder / NAME
     console.table(("status", "tasks"), [(status, str(tasks)) for status, tasks in done.statuses.items()])
@@ -64,17 +62,8 @@ def _swept(arguments: argparse.Namespace, out: Path, console: Console) -> int:
 
 def _fixed(arguments: argparse.Namespace) -> dict[str, Any]:
     """Flags of the case that are the same for all tasks."""
-    fixed = {name[5:]: value for name, value in vars(arguments).items() if name.startswith("case_")}
-    folder = getattr(arguments, "package_path", None)
-    return fixed if folder is None else fixed | {"package_path": str(Path(folder).absolute())}
-
-
-def _limits(arguments: argparse.Namespace) -> Limits | None:
-    bound = arguments.control_limit
-    if bound is None and not arguments.exact_goal:
-        return None
-    bound = None if bound is None else number("control-limit", bound, greater_than=0.0)
-    return Limits(control=bound, final=EXACT if arguments.exact_goal else None)
+    folder = absolute(getattr(arguments, "package_path", None))
+    return flags_of_case(arguments) | ({} if folder is None else {"package_path": folder})
 
 
 def _options(arguments: argparse.Namespace) -> dict[str, Any]:

@@ -8,8 +8,18 @@ from planner.base.errors import FileError, PlannerError
 from planner.model.mechanism import Mechanism
 from planner.problem.appearance import View
 from planner.problem.pictures import Band, Chart, Charts, CurveData, Paths, PoseSequence, Stick, StickFigures, Trace
-from planner.view.plots import draw_charts, draw_paths, draw_stick_figures, save
-from planner.view.plots.stick_figures import FRONT, SIDE, TOP, axes_of, frame_points, projected
+from planner.view.plots.case_pictures import (
+    FRONT,
+    SIDE,
+    TOP,
+    axes_of,
+    draw_charts,
+    draw_paths,
+    draw_stick_figures,
+    frame_points,
+    projected,
+)
+from planner.view.plots.style import save
 
 LEG = Stick((0, 1), "leg", hue=0)
 

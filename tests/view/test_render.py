@@ -17,10 +17,10 @@ from planner.base.errors import FileError, PlannerError, RenderingUnavailable
 from planner.problem.appearance import Appearance
 from planner.view.render import encode
 from planner.view.render import video as render
+from planner.view.render.camera import Window
 from planner.view.render.film import Film
 from planner.view.render.overlay import decimals, number, speed_words
 from planner.view.render.scene import Scene
-from planner.view.render.window import Window
 
 # What a film is made of, without drawing.
 

@@ -34,7 +34,7 @@ from planner.proof.replays.replaying import replay
 from planner.solvers import lq
 from planner.solvers.engine import acquire_engine, release_engine
 from planner.solvers.slq import solve
-from planner.view.plots.stick_figures import frame_points
+from planner.view.plots.case_pictures import frame_points
 
 CYCLE_TIME = 1.2  # s, of the case's default cadence
 DEGREE = 3  # of the splines: with quintics 32 parameters for 6 controls are too few

@@ -28,6 +28,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from planner.base import errors, gl
+from planner.base.environment import available_processors
 from planner.base.errors import PlannerError, RenderingUnavailable
 from planner.view.render import overlay
 from planner.view.render.encode import Encoder
@@ -81,7 +82,7 @@ def carry_out(films: Sequence[Film], job: Job, progress: Progress | None = None)
 
 def _frames(films: Sequence[Film], job: Job) -> Generator[np.ndarray]:
     """All frames of a video: by several processes where there are many, or here."""
-    children = min(usable_processors(), _MAX_CHILDREN, len(films[0]) // _WORTH_A_CHILD)
+    children = min(available_processors(), _MAX_CHILDREN, len(films[0]) // _WORTH_A_CHILD)
     if children > 1 or not gl.can_render_here():
         return drawn_by_children(films, job, max(1, children))
     return draw_frames(films, job)
@@ -216,11 +217,6 @@ def _draw_poses(film: Film, width: int, height: int, transparent: bool) -> np.nd
             picture = overlay.write_below(picture, words, band, unit, marks, bad=t >= film.unstable)
             strip[row : row + high, column : column + tile] = picture
     return strip
-
-
-def usable_processors() -> int:
-    """How many processors this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def drawn_by_children(films: Sequence[Any], job: Any, children: int) -> Generator[np.ndarray]:

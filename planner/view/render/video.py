@@ -23,7 +23,7 @@ from planner.view.plots.style import MODE_WORDS
 from planner.view.render.camera import angles_of_camera, scenery_of, swept_points
 from planner.view.render.drawing import Job, Progress, carry_out
 from planner.view.render.film import Caption, Film
-from planner.view.render.ghost import screen_difference
+from planner.view.render.marks import screen_difference
 
 if TYPE_CHECKING:
     from planner.model.mechanism import Mechanism
