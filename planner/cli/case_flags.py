@@ -14,7 +14,7 @@ from collections.abc import Callable
 from typing import Any, get_args, get_type_hints
 
 from planner.base.arguments import choice
-from planner.base.packaged import problem_files, problem_summary
+from planner.base.data_files import problem_files, problem_summary
 from planner.cli.console import Console
 from planner.cli.flags import (
     COMMON,

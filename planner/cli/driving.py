@@ -9,15 +9,14 @@ from pathlib import Path
 from typing import Any
 
 from planner.base.arguments import count, number, short_repr
+from planner.base.data_files import write_json
 from planner.base.errors import PlannerError, RenderingUnavailable
 from planner.base.files import open_folder, remove_empty
-from planner.base.json_files import write_json
 from planner.cli.console import Console
 from planner.cli.solving import asked_problem, name_of, show_plan, solved
-from planner.control.call_times import CallTimes, fitting_rate, measured_calls
 from planner.control.controller import Controller
-from planner.control.judging import LoopVerdict, judge
-from planner.control.robustness_map import margins
+from planner.control.judging import CallTimes, LoopVerdict, judge
+from planner.control.loop_margins import fitting_rate, margins, measured_calls
 from planner.control.simulating import simulate
 from planner.control.window_parts import horizon_and_rate
 from planner.problem.goals import goals_of

@@ -18,9 +18,9 @@ from typing import Any
 import numpy as np
 
 from planner.base.arguments import choice, count, short_repr
+from planner.base.data_files import json_text
 from planner.base.errors import PlannerError
 from planner.base.files import write_atomically
-from planner.base.json_files import json_text
 from planner.cases.given_controls import plan_of_controls, recording_errors
 from planner.cases.plan_file import load_plan
 from planner.cli.console import Console, shown

@@ -18,10 +18,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from planner.base.data_files import write_json
 from planner.base.errors import RenderingUnavailable
 from planner.base.files import file_error
 from planner.base.gl import backend
-from planner.base.json_files import write_json
 from planner.cli.console import Console
 from planner.cli.solving import show_fixes
 from planner.model.mjcf.model_index import compile_model

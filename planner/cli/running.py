@@ -20,10 +20,10 @@ from pathlib import Path
 from typing import Any
 
 from planner.base.arguments import count, number
+from planner.base.data_files import finite, json_text
 from planner.base.environment import installed_versions
 from planner.base.errors import PlannerError
 from planner.base.files import PathLike, file_error, folder_lock, open_folder, remove_empty, write_atomically
-from planner.base.json_files import finite, json_text
 from planner.cases.plan_file import load_plan
 from planner.cli import results, solving
 from planner.cli.console import Console

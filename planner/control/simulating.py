@@ -18,9 +18,9 @@ import numpy as np
 
 from planner.base.arguments import count, number, short_repr
 from planner.base.errors import PlannerError
+from planner.control.control_laws import FixedPlanController
 from planner.control.controller import Controller
 from planner.control.controller_states import Event
-from planner.control.fallback_control import FixedPlanController
 from planner.control.receding_horizon import RecedingHorizonProblem
 from planner.problem.plan import Plan, Status
 from planner.problem.problem import Problem

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from planner.base.diagnostic import Diagnostic, Quantity
+from planner.base.measured import Diagnostic, Quantity
 from planner.model.capabilities import capabilities_of
 from planner.problem.problem import Problem
 

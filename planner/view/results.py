@@ -1,4 +1,4 @@
-"""How results look: a figure, the HTML of a notebook, a film, a page. planner.base.display_mixins calls this."""
+"""How results look: a figure, the HTML of a notebook, a film, a page. planner.base.late_imports calls this."""
 
 from __future__ import annotations
 

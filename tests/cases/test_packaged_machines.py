@@ -8,7 +8,7 @@ import pytest
 from commands import refused, run
 
 import planner
-from planner.base.packaged import problem_files
+from planner.base.data_files import problem_files
 from planner.dynamics.contacts import PlaneContactKinematics
 from planner.dynamics.stance import STRIDE
 from planner.problem.goals import goals_of

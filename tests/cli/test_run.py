@@ -9,7 +9,7 @@ from carts import write
 
 import planner
 from planner.__main__ import main
-from planner.base.json_files import json_text
+from planner.base.data_files import json_text
 from planner.cases.plan_file import load_plan
 from planner.cases.problem_file import load
 from planner.cli import running as run_command

@@ -14,8 +14,7 @@ from troubled_problems import troubled
 
 import planner
 from planner.sweeps.grid import Grid
-from planner.sweeps.shards import Shards, plan_place
-from planner.sweeps.store import TIMES
+from planner.sweeps.store import TIMES, Shards, plan_place
 from planner.sweeps.sweeping import read_sweep, sweep
 from planner.sweeps.work import Work, run_batch
 

@@ -27,7 +27,7 @@ from planner.proof.repair.refinement import Refinement
 from planner.view.plots.plan import draw_plan
 from planner.view.plots.proof import draw_proof
 from planner.view.plots.style import save
-from planner.view.render.encode import Encoder
+from planner.view.render.video import Encoder
 from planner.view.report.page import command, problem_text, write_report
 
 BROWSER = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)

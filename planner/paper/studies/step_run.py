@@ -26,7 +26,7 @@ from planner.cases.human_step.measures import height as height_of
 from planner.cases.human_step.phase import SWING, GaitPhase
 from planner.cases.human_step.walker import PELVIS, Walker
 from planner.dynamics.rollout import rollout_states
-from planner.paper.methods.control_spline import solve_by_splines
+from planner.paper.methods.spline_inputs import solve_by_splines
 from planner.paper.studies.study import descent_record, plan_record, timed
 from planner.problem.plan import Plan
 from planner.problem.problem import Problem

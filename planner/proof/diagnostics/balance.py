@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from planner.base.diagnostic import Quantity
 from planner.base.errors import PlannerError
+from planner.base.measured import Quantity
 from planner.dynamics.momentum import center_of_mass
 from planner.dynamics.stance import STRIDE
 from planner.dynamics.statics import static_equilibrium

@@ -17,10 +17,9 @@ from typing import Any
 
 import numpy as np
 
-from planner.base.json_files import finite
+from planner.base.data_files import finite
 from planner.sweeps.grid import Grid
-from planner.sweeps.store import CSV, PARQUET
-from planner.sweeps.sweeping import Sweep
+from planner.sweeps.sweeping import CSV, PARQUET, Sweep
 from planner.view.report.markup import asset, number, script, table, write_page
 
 MAX_MAPS = 12
