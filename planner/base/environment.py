@@ -1,14 +1,31 @@
-"""Environment of this process: available processors, versions of the packages that affect results."""
+"""Environment of this process: its variables, available processors, versions of the packages that affect results."""
 
 from __future__ import annotations
 
 import functools
 import os
 import platform
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from importlib import import_module
 
 VARIABLE = "PLANNER_THREADS"
 """Environment variable: largest number of threads for several starts or rollouts. Results do not depend on it."""
+
+
+@contextmanager
+def variables_set(values: Mapping[str, str]) -> Iterator[None]:
+    """Variables of the environment have these values; afterwards those from before, or none."""
+    before = {name: os.environ.get(name) for name in values}
+    os.environ.update(values)
+    try:
+        yield
+    finally:
+        for name, value in before.items():
+            if value is None:
+                os.environ.pop(name, None)
+            else:
+                os.environ[name] = value
 
 
 def available_processors() -> int:

@@ -25,10 +25,11 @@ from planner.base.environment import installed_versions
 from planner.base.errors import PlannerError
 from planner.base.files import PathLike, file_error, folder_lock, open_folder, remove_empty, write_atomically
 from planner.cases.plan_file import load_plan
+from planner.cases.problem_file import ProblemFile
 from planner.cli import results, solving
 from planner.cli.console import Console
 from planner.cli.results import BackgroundRender, checked_looks
-from planner.cli.solving import ProblemOf, asked_problem, name_of, solved
+from planner.cli.solving import INTERRUPTED, asked_problem, name_of, solved
 from planner.problem.archive import plan_digest
 from planner.problem.plan import Plan, Status
 from planner.problem.problem import Problem
@@ -126,7 +127,7 @@ _OUTCOMES = {
 
 
 def auto_repair(
-    asked: ProblemOf, plan: Plan, proof: Proof | None, path: tuple[Refinement, ...], arguments: argparse.Namespace,
+    asked: ProblemFile, plan: Plan, proof: Proof | None, path: tuple[Refinement, ...], arguments: argparse.Namespace,
     console: Console, *, resumed: bool, store: Store, budget: WorkBudget,
 ) -> Repaired:  # fmt: skip
     """The plan that passes or that is best known; `store` gets each plan that takes the place of the one before."""
@@ -163,7 +164,6 @@ def _show_step(console: Console, step: Step) -> None:
         console.write_result(f"{_OUTCOMES[step.outcome]}{reason}: {step.fix}")
 
 
-INTERRUPTED = 130
 FIRST_SHARE = 0.5  # of the work, at most, for the first solve: the rest is for the repair of a plan that fails
 MAX_ROLLOUT_SECONDS = 20.0  # time limit of the perturbed simulations; `planner prove` has none
 FLAGS = ("update", "line_search", "hessian", "max_iterations", "rank", "no_refine", "rollouts", "hold", "work",
@@ -198,7 +198,7 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
     return console.finish("run", code, **document, folder=str(place))
 
 
-def _identity(asked: ProblemOf, arguments: argparse.Namespace) -> dict[str, Any]:
+def _identity(asked: ProblemFile, arguments: argparse.Namespace) -> dict[str, Any]:
     """JSON values that are equal for two runs with the same plan and proof."""
     problem = asked.problem
     return {
@@ -209,7 +209,7 @@ def _identity(asked: ProblemOf, arguments: argparse.Namespace) -> dict[str, Any]
 
 
 def _run(
-    asked: ProblemOf, arguments: argparse.Namespace, folder: RunFolder, console: Console, executor: Executor | None,
+    asked: ProblemFile, arguments: argparse.Namespace, folder: RunFolder, console: Console, executor: Executor | None,
     budget: WorkBudget,
 ) -> tuple[int, dict[str, Any]]:  # fmt: skip
     stored = load_plan(folder.path / "plan.npz") if "plan.npz" in folder.finished else None

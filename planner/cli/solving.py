@@ -1,4 +1,4 @@
-"""Build and solve the problem that a command line names, and print the plan; the commands `solve` and `warmup`."""
+"""Build and solve the problem that a command line names, and print the plan: commands `solve`, `sweep`, `warmup`."""
 
 from __future__ import annotations
 
@@ -8,13 +8,13 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import Executor
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 from planner import cases
 from planner.base.arguments import count, number, short_repr
 from planner.base.errors import PlannerError
 from planner.base.files import write_atomically
-from planner.cases.problem_file import case_in, load
+from planner.cases.problem_file import ProblemFile, case_in, load
 from planner.cli.console import Console
 from planner.cli.flags import PROBLEM_FILE
 from planner.kernels.numba.jit import is_warm
@@ -24,7 +24,6 @@ from planner.problem.limits import EXACT, Limits
 from planner.problem.objective import checked_durations, durations_or_default, weights_of
 from planner.problem.objective_problem import with_objective
 from planner.problem.plan import Plan, Status
-from planner.problem.problem import Problem
 from planner.proof.diagnostics import SuggestedFix, suggested_fixes
 from planner.solvers.free_time import solve_for
 from planner.solvers.options import MAX_STARTS
@@ -33,20 +32,10 @@ from planner.solvers.slq import solve
 from planner.solvers.work import WorkBudget
 from planner.sweeps.executors import executor_of
 
-
-class ProblemOf(NamedTuple):
-    """The problem of a command line and how to solve it."""
-
-    problem: Problem
-    starts: int
-    seed: int
-    objective: dict[str, float] | None
-    durations: list[float] | None
-    notes: tuple[str, ...] = ()  # sentences about what was chosen by itself
-    work: float | None = None  # of the file, for its budget
+INTERRUPTED = 130  # exit code
 
 
-def asked_problem(arguments: argparse.Namespace) -> ProblemOf:
+def asked_problem(arguments: argparse.Namespace) -> ProblemFile:
     """The problem of a case or a file, its number of starts, objective and durations."""
     count("max_iterations", arguments.max_iterations)
     objective, durations = objective_of(arguments.objective), durations_of(arguments.durations)
@@ -54,7 +43,7 @@ def asked_problem(arguments: argparse.Namespace) -> ProblemOf:
     if arguments.case == PROBLEM_FILE and named is None:
         given = {"starts": arguments.starts, "seed": arguments.seed, "package_path": absolute(arguments.package_path)}
         file = load(arguments.problem, **given, objective=objective, durations=durations)
-        return _with_durations(ProblemOf(*file))
+        return _with_durations(file)
     case, given, starts, seed = named or (arguments.case, flags_of_case(arguments), 1, 0)
     starts = starts if arguments.starts is None else count("starts", arguments.starts, maximum=MAX_STARTS)
     seed = seed if arguments.seed is None else count("seed", arguments.seed, minimum=0)
@@ -69,10 +58,10 @@ def asked_problem(arguments: argparse.Namespace) -> ProblemOf:
     if objective is not None:
         problem = with_objective(problem, objective)
     checked_durations(durations, objective or {})
-    return _with_durations(ProblemOf(problem, starts, seed, objective, durations))
+    return _with_durations(ProblemFile(problem, starts, seed, objective, durations))
 
 
-def _with_durations(asked: ProblemOf) -> ProblemOf:
+def _with_durations(asked: ProblemFile) -> ProblemFile:
     """With the durations that an objective with time chooses between, which are said where nobody gave them."""
     own = asked.problem.N * asked.problem.dynamics.dt
     between = durations_or_default(asked.durations, asked.objective or {}, own)
@@ -136,7 +125,7 @@ def name_of(arguments: argparse.Namespace) -> str:
 
 
 def solved(
-    asked: ProblemOf, arguments: argparse.Namespace, console: Console, executor: Executor | None = None,
+    asked: ProblemFile, arguments: argparse.Namespace, console: Console, executor: Executor | None = None,
     purpose: str = "", budget: WorkBudget | None = None,
 ) -> tuple[Plan, float]:  # fmt: skip
     """The plan and the time of its solve, s; `purpose` of a solve after the first is printed with its table."""
@@ -247,3 +236,52 @@ def warmup(arguments: argparse.Namespace, console: Console) -> int:
     if cold:
         console.write_result(f"compiled in {seconds:.1f} s")
     return console.finish("warmup", 0, compiled=cold, seconds=seconds)
+
+
+def sweep_case(arguments: argparse.Namespace, console: Console) -> int:
+    """Plan a case or a problem file at every point of a grid."""
+    out = Path(arguments.out or f"renders/sweep-{name_of(arguments)}")
+    try:
+        return _swept(arguments, out, console)
+    except KeyboardInterrupt:  # a second time, while processes ended or tables were written
+        from planner.sweeps.store import read_head
+
+        if read_head(out) is None:
+            raise
+        console.write_error(
+            f"interrupted; what is done is in {out}, and --resume goes on with it and writes its tables."
+        )
+        return INTERRUPTED
+
+
+def _swept(arguments: argparse.Namespace, out: Path, console: Console) -> int:
+    if arguments.rank != "cost":
+        raise PlannerError("--rank is for one problem, expected a sweep without it: its starts are ranked by cost.")
+    from planner.sweeps.sweeping import sweep  # local, so that `solve` does not import what proves and draws
+    from planner.view.report.sweep_page import NAME
+
+    name, folder = name_of(arguments), absolute(getattr(arguments, "package_path", None))
+    fixed = flags_of_case(arguments) | ({} if folder is None else {"package_path": folder})
+    passed_on = ("update", "line_search", "hessian", "max_iterations", "starts", "seed")
+    options = {name: getattr(arguments, name) for name in passed_on}
+    local = arguments.scheduler is None  # sweep() starts processes of its own, which load the problem's kernels first
+    with executor_of(None if local else arguments.workers, arguments.scheduler) as executor:
+        done = sweep(
+            Path(arguments.problem) if arguments.case == PROBLEM_FILE else arguments.case, arguments.set,
+            out=out, executor=executor, workers=arguments.workers, fixed=fixed,
+            prove={"rollouts": count("rollouts", arguments.rollouts, minimum=0)} if arguments.prove else False,
+            continued=arguments.along, timeout=arguments.timeout, resume=arguments.resume,
+            objective=objective_of(arguments.objective), durations=durations_of(arguments.durations),
+            limits=limits_of(arguments), progress=console.progress(f"planning {name}"), **options,
+        )  # fmt: skip
+    page = done.folder / NAME
+    console.table(("status", "tasks"), [(status, str(tasks)) for status, tasks in done.statuses.items()])
+    console.write_result(str(page))
+    if done.interrupted:
+        console.write_error(
+            f"interrupted; {done.finished} of {len(done.grid)} are done, and --resume goes on with them."
+        )
+    converged = done.statuses.get("CONVERGED", 0)
+    code = INTERRUPTED if done.interrupted else 0 if converged == len(done.grid) else 1
+    facts = {"tasks": len(done.grid), "finished": done.finished, "statuses": done.statuses, "folder": str(out)}
+    return console.finish("sweep", code, **facts)

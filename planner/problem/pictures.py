@@ -68,7 +68,7 @@ class Chart:
 
 @dataclass(frozen=True, eq=False)
 class StickFigures:
-    """A picture of poses, see view.plots.stick_figures."""
+    """A picture of poses, see view.plots.case_pictures."""
 
     caption: str  # Under it, on a page
     motions: Sequence[PoseSequence]  # Over the same time
@@ -101,7 +101,7 @@ class Paths:
 
 @dataclass(frozen=True, eq=False)
 class BoundedPanel:
-    """Quantities over time with their bounds: one panel of plots.png, see view.plots.bounded."""
+    """Quantities over time with their bounds: one panel of plots.png, see view.plots.time_series."""
 
     title: str  # Above it
     ylabel: str  # With the unit

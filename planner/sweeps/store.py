@@ -25,7 +25,6 @@ from typing import IO, Any
 
 import numpy as np
 
-from planner.base.data_files import write_json
 from planner.base.errors import FileError
 from planner.base.files import file_error, read_text, write_atomically
 from planner.cases.plan_file import load_plan
@@ -281,19 +280,6 @@ class Store:
         self.statuses[row["status"]] = self.statuses.get(row["status"], 0) + 1
         for name, value in row.items():
             self.kinds.setdefault(name, set()).add(type(value).__name__)
-
-
-def write_head(folder: Path, head: dict[str, Any]) -> None:
-    """Write what is swept.
-
-    Raises:
-        FileError: It cannot be written.
-    """
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise file_error(error, folder, expected="folder") from error
-    write_json(folder / HEAD, {"format_version": FORMAT, **head})
 
 
 def read_head(folder: Path) -> dict[str, Any] | None:

@@ -21,6 +21,7 @@ from pathlib import Path
 from typing import Any
 
 from planner.base.arguments import choice, count, number
+from planner.base.data_files import write_json
 from planner.base.environment import installed_versions, processors
 from planner.base.errors import FileError
 from planner.base.executors import checked_executor
@@ -34,7 +35,7 @@ from planner.sweeps.executors import MAX_WORKERS
 from planner.sweeps.grid import Grid, check_names, grid_of
 from planner.sweeps.processes import LocalProcesses
 from planner.sweeps.running import ContinuationChains, IndependentTasks, Queue, run
-from planner.sweeps.store import HEAD, TIMES, Store, read_head, write_head
+from planner.sweeps.store import FORMAT, HEAD, TIMES, Store, read_head
 from planner.sweeps.work import LOST, TIMEOUT, Work, known_parameters, source_of, warm
 
 _TOLERANCE = partial(number, minimum=0.0)
@@ -148,7 +149,7 @@ def sweep(
     before = _claim(folder, head, resume)
     with folder_lock(folder):
         if before != head:
-            write_head(folder, head)
+            write_json(folder / HEAD, {"format_version": FORMAT, **head})
         store = Store(folder, len(grid))
         store.read()
         if before is not None and (again := _again(store, grid, continued, _is_longer(timeout, before["timeout"]))):
@@ -172,21 +173,6 @@ def sweep(
     done = Sweep(store, grid, interrupted)
     done.page()
     return done
-
-
-def read_sweep(folder: str | Path) -> Sweep:
-    """What a sweep has written into a folder.
-
-    Raises:
-        FileError: There is none.
-    """
-    head = read_head(Path(folder))
-    if head is None:
-        raise FileError(f"{folder} holds no sweep, expected a folder that planner sweep wrote.")
-    grid = grid_of(head["grid"])
-    store = Store(Path(folder), len(grid))
-    store.read()
-    return Sweep(store, grid)
 
 
 def _checked(options: dict[str, Any]) -> dict[str, Any]:
@@ -284,16 +270,11 @@ def write_tables(store: Store, parameters: Iterable[str]) -> list[Path]:
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(columns)
         writer.writerows([_text(row.get(name)) for name in columns] for row in store.rows())
-    if has_parquet():
+    if importlib.util.find_spec("pyarrow") is not None:
         paths.append(store.folder / PARQUET)
         with write_atomically(paths[1]) as hidden:
             _write_parquet(hidden, store, columns)
     return paths
-
-
-def has_parquet() -> bool:
-    """Whether pyarrow is installed."""
-    return importlib.util.find_spec("pyarrow") is not None
 
 
 def _text(value: Any) -> Any:
@@ -308,7 +289,8 @@ def _write_parquet(path: Path, store: Store, columns: list[str]) -> None:
     kinds = {name: _kind(store.kinds.get(name, {"str"})) for name in columns}
     schema = arrow.schema([(name, types.get(kind, arrow.string())) for name, kind in kinds.items()])
     with parquet.ParquetWriter(path, schema) as writer:
-        for rows in _parts(store.rows()):
+        left = store.rows()
+        while rows := list(islice(left, _ROWS)):
             cast = [{name: _cast(row.get(name), kind) for name, kind in kinds.items()} for row in rows]
             writer.write_table(arrow.Table.from_pylist(cast, schema=schema))
 
@@ -323,8 +305,3 @@ def _kind(names: set[str]) -> str:
 
 def _cast(value: Any, kind: str) -> Any:
     return None if value is None else float(value) if kind == "float" else str(value) if kind == "str" else value
-
-
-def _parts(rows: Iterator[dict[str, Any]]) -> Iterator[list[dict[str, Any]]]:
-    while part := list(islice(rows, _ROWS)):
-        yield part

@@ -116,21 +116,13 @@ def solve_by_splines(
     basis = SplineSpace(coefficients - degree, degree).basis(problem.duration)
     exact = SplineCost(problem, basis)
     first = np.linalg.lstsq(exact.b, problem.first_guess, rcond=None)[0].ravel()
-    shape = (coefficients, problem.dynamics.nu)
     cost: Callable[[np.ndarray], tuple[float, np.ndarray]] = exact
     if choice("gradient", gradient, GRADIENTS) == "continuous":
-        integral = AdjointCost(ContinuousProblem(problem), basis, problem.x0, Integration(tolerance))
-
-        def continuous(free: np.ndarray) -> tuple[float, np.ndarray]:
-            J, by_P = integral(free.reshape(shape))
-            return J, by_P.ravel()
-
-        cost = continuous
-
+        cost = AdjointCost(ContinuousProblem(problem), basis, problem.x0, Integration(tolerance))
     free, facts = bfgs(cost, first, gradient_tolerance, max_iterations, scale=max(1.0, abs(cost(first)[0])))
     discrete_cost = exact(free)[0]
     exact.close()
-    P = free.reshape(shape)
+    P = free.reshape(coefficients, -1)
     return SplineControls(spline=curve(basis, P), us=exact.b @ P, discrete_cost=discrete_cost, **facts)
 
 

@@ -154,13 +154,8 @@ def _at(factor: float, tolerances: tuple[float, ...], reference: float, iteratio
     shape = (COEFFICIENTS, problem.dynamics.nu)
     middle = problem.dynamics.dt * (np.arange(problem.N) + 0.5)
     first = nearest_amplitudes(basis(middle), problem.first_guess, np.zeros(shape), slice(None)).reshape(shape)
-
-    def cost(free: np.ndarray) -> tuple[float, np.ndarray]:
-        J, gradient = by_tolerance[DESCENT](free.reshape(shape))
-        return J, gradient.ravel()
-
-    scale = abs(cost(first.ravel())[0])
-    free, facts = bfgs(cost, first.ravel(), 1e-6, iterations, scale=scale)
+    cost = by_tolerance[DESCENT]
+    free, facts = bfgs(cost, first.ravel(), 1e-6, iterations, scale=abs(cost(first)[0]))
     whole = SplineCost(problem, basis)
     points = [
         errors_at(f"x {factor:g}, {name}", by_tolerance[reference](P), [by_tolerance[t](P) for t in tolerances])

@@ -283,13 +283,14 @@ def draw_loop(verdict: LoopVerdict) -> Figure:
     t, coordinates = run.t[few], coordinates_of(run.controller.problem.dynamics)
     zero = run.controller.problem.x0
     simulated, expected = (run.plan.space.difference(xs[few], zero) for xs in (run.xs, run.plan_xs))
+    pushed = [(push["time"], push["time"] + push["duration"]) for push in run.errors["pushes"]]
     charts = []
     for unit in dict.fromkeys(one.unit for one in coordinates):
         rows = [i for i, one in enumerate(coordinates) if one.unit == unit][:most]
         curves = [CurveData(coordinates[i].name.removeprefix("velocity of "), simulated[:, i]) for i in rows]
         curves += [CurveData("expected", expected[:, i], dashed=True, of=curves[k].label) for k, i in enumerate(rows)]
         title = "Speeds" if unit.endswith("/s") else "Positions"
-        charts.append(Chart(f"{title}, from the start", unit or "state", curves, spans=_pushes(verdict)))
+        charts.append(Chart(f"{title}, from the start", unit or "state", curves, spans=pushed))
     us = run.ctrl[np.minimum(few, len(run.ctrl) - 1)]
     charts.append(Chart("Controls", "control", [CurveData(f"u{a}", us[:, a]) for a in range(min(us.shape[1], most))]))
     if verdict.robustness_maps:
@@ -300,10 +301,6 @@ def draw_loop(verdict: LoopVerdict) -> Figure:
         ]
         charts.append(Chart("Largest push that is survived, by the time at which it begins", "N", curves))
     return draw_charts(Charts("", t, charts, title=verdict.headline, span_label="pushed"))
-
-
-def _pushes(verdict: LoopVerdict) -> list[tuple[float, float]]:
-    return [(push["time"], push["time"] + push["duration"]) for push in verdict.loop.errors["pushes"]]
 
 
 CASE_PICTURES = {StickFigures: "poses.png", Charts: "measures.png", Paths: "paths.png"}

@@ -89,7 +89,7 @@ class Film:
             points=points,
             readings=np.stack([xs[:, indices], plan_xs[:, indices]], axis=-1),
             largest=np.abs(np.concatenate([replay.xs[:known], replay.plan_xs])[:, indices]).max(axis=0),
-            shift=_shift(appearance, xs),
+            shift=np.zeros((len(xs), 3)) if appearance.accompany is None else xs[:, list(appearance.accompany)],
             path_t=path,
             path_qpos=interpolate(path, sampled, replay.qpos[:known]),
             path_ghost_qpos=_positions(replay, interpolate(path, ghost_t, ghost)),
@@ -147,11 +147,6 @@ def _arrows(contacts: ContactHistory, t: np.ndarray) -> tuple[np.ndarray, np.nda
         for axis in range(3):
             forces[:, c, axis] = _exposed(t, contacts.t, contacts.forces[:, c, axis], exposure)
     return forces, points
-
-
-def _shift(appearance: Appearance, xs: np.ndarray) -> np.ndarray:
-    """Displacement (F, 3) of the camera's point at states (F, nx)."""
-    return np.zeros((len(xs), 3)) if appearance.accompany is None else xs[:, list(appearance.accompany)]
 
 
 def _known(replay: Replay) -> int:

@@ -140,7 +140,8 @@ class LinkCapsules:
         self._model = model
         self.capsules = tuple(_link_capsules(model, data))
         spread = float(np.ptp(data.xanchor, axis=0).max()) if model.njnt else 0.0
-        self.radius = _LINK_RADIUS * (spread + _longest(self.capsules))
+        lengths = (float(np.linalg.norm(stick.end - stick.start)) for stick in self.capsules)
+        self.radius = _LINK_RADIUS * (spread + max(lengths, default=0.0))
 
     def ends(self, data: Any) -> np.ndarray:
         """(2 S, 3) the ends of the sticks where MuJoCo's data puts the bodies."""
@@ -161,10 +162,6 @@ class LinkCapsules:
                 mujoco.mjv_connector(geom, mujoco.mjtGeom.mjGEOM_CAPSULE, self.radius, *ends)
             geom.category = mujoco.mjtCatBit.mjCAT_DYNAMIC
             scene.ngeom += 1
-
-
-def _longest(sticks: tuple[LinkCapsule, ...]) -> float:
-    return max((float(np.linalg.norm(stick.end - stick.start)) for stick in sticks), default=0.0)
 
 
 def _link_capsules(model: Any, data: Any) -> list[LinkCapsule]:

@@ -147,7 +147,8 @@ def _short(value: float) -> float:
 
 
 def _figure(number: int, chart: InteractiveChart, start: float, end: float) -> str:
-    low, high = _limits(chart)
+    certain = [line.values for line in chart.lines if line.kind in ("plan", "bound")]
+    low, high = view_limits(certain, [line.values for line in chart.lines], _PADDING)
     across, up = WIDTH - LEFT - RIGHT, HEIGHT - TOP - BOTTOM
 
     def x(t: float) -> float:
@@ -193,12 +194,6 @@ def _path(xs: Sequence[float], ys: Sequence[float], stepwise: bool) -> str:
             points.append(f"{x:.1f},{ys[i - 1]:.1f}")
         points.append(f"{x:.1f},{y:.1f}")
     return " ".join(points)
-
-
-def _limits(chart: InteractiveChart) -> tuple[float, float]:
-    """Smallest and largest value of the axis."""
-    certain = [line.values for line in chart.lines if line.kind in ("plan", "bound")]
-    return view_limits(certain, [line.values for line in chart.lines], _PADDING)
 
 
 def _ticks(low: float, high: float) -> list[float]:
