@@ -6,7 +6,7 @@ proof = planner.prove(plan)
 planner.render_video(proof.replay, "hopper.mp4")
 """
 
-from planner.base.lazy import public_names
+from planner.base.late_imports import public_names
 
 __version__ = "0.2.0"
 

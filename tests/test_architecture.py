@@ -142,7 +142,7 @@ def test_public_names_exist_and_are_documented():
 
 
 def test_stubs_write_each_public_name_on_a_line_of_its_own():
-    """planner/base/lazy.py reads them line by line."""
+    """planner/base/late_imports.py reads them line by line."""
     for stub in PACKAGE.rglob("__init__.pyi"):
         lines = [node for node in ast.parse(stub.read_text(encoding="utf-8")).body if isinstance(node, ast.ImportFrom)]
         names = [alias for line in lines for alias in line.names]

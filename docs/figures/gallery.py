@@ -9,7 +9,7 @@ import sys
 from pathlib import Path
 
 import planner
-from planner.base.packaged import problem_files
+from planner.base.data_files import problem_files
 from planner.proof.replays.replaying import replay
 
 ROOT = Path(__file__).parents[2]

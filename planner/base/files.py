@@ -19,6 +19,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from planner.base.arguments import short_repr
+from planner.base.environment import variables_set
 from planner.base.errors import FileError, PlannerError
 
 PathLike = str | os.PathLike[str]
@@ -67,16 +68,8 @@ def confined(folder: PathLike | None) -> Iterator[None]:
     """
     if folder is not None and not os.path.isdir(folder):
         raise FileError(f"--confine is {printable(folder)}, expected an existing folder.")
-    before = os.environ.get(CONFINE)
-    if folder is not None:
-        os.environ[CONFINE] = os.path.realpath(folder)
-    try:
+    with variables_set({} if folder is None else {CONFINE: os.path.realpath(folder)}):
         yield
-    finally:
-        if before is None:
-            os.environ.pop(CONFINE, None)
-        else:
-            os.environ[CONFINE] = before
 
 
 def check_confined(path: PathLike, what: str, raises: type[PlannerError] = FileError) -> None:

@@ -14,6 +14,7 @@ import os
 import sys
 from typing import Any
 
+from planner.base.environment import variables_set
 from planner.base.errors import RenderingUnavailable
 
 _log = logging.getLogger("planner")
@@ -44,18 +45,10 @@ def load_mujoco() -> Any:
     """Import mujoco with a usable OpenGL library; without one everything but rendering works."""
     if "mujoco" in sys.modules:
         return sys.modules["mujoco"]
-    before = os.environ.get("MUJOCO_GL")
-    if sys.platform.startswith("linux"):
-        os.environ["MUJOCO_GL"] = "disable"
-    try:
+    linux = sys.platform.startswith("linux")
+    with variables_set({"MUJOCO_GL": "disable"} if linux else {}):  # child processes choose for themselves
         mujoco: Any = importlib.import_module("mujoco")
-    finally:
-        # Restore the variable, so that child processes choose for themselves.
-        if before is None:
-            os.environ.pop("MUJOCO_GL", None)
-        else:
-            os.environ["MUJOCO_GL"] = before
-    if sys.platform.startswith("linux") and backend() is not None:
+    if linux and backend() is not None:
         mujoco.GLContext = sys.modules[mujoco.Renderer.__module__].gl_context.GLContext = _context
     if mujoco.get_mju_user_warning() is None:  # MuJoCo's own handler writes a file into the user's folder
         mujoco.set_mju_user_warning(lambda message: _log.info("MuJoCo: %s", message))

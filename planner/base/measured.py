@@ -1,13 +1,13 @@
-"""Measured values with their bounds: the content of a proof."""
+"""Measured values with their bounds, the content of a proof; and findings as codes with values."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple
 
-from planner.base.json_files import finite
+from planner.base.data_files import finite
 
 
 @dataclass(frozen=True)
@@ -130,3 +130,30 @@ def rows_of(sections: Mapping[str, Section]) -> list[tuple[str, str, str, str, s
 def dicts_of(sections: Mapping[str, Section]) -> dict[str, Any]:
     """Sections as JSON values, by their names."""
     return {name: section.to_dict() for name, section in sections.items()}
+
+
+class Quantity(NamedTuple):
+    """A number with its unit; {depth:.2g} in a template gives "0.02 m"."""
+
+    value: float
+    unit: str = ""
+
+    def __format__(self, spec: str) -> str:
+        return f"{self.value:{spec or '.3g'}} {self.unit}".rstrip()
+
+
+@dataclass(frozen=True)
+class Diagnostic:
+    """A finding: a code and the values of its message.
+
+    Attributes:
+        code: Key of a message template.
+        values: Template fields by name: quantities, names of parts, words.
+    """
+
+    code: str
+    values: Mapping[str, Any] = field(default_factory=dict)
+
+    def text(self, templates: Mapping[str, str]) -> str:
+        """The message, from templates by code."""
+        return templates[self.code].format(**self.values)

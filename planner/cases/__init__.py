@@ -7,8 +7,8 @@ from collections.abc import Callable
 from typing import Any
 
 from planner.base.arguments import choice
+from planner.base.data_files import problem_files
 from planner.base.errors import PlannerError
-from planner.base.packaged import problem_files
 from planner.cases.acrobot import acrobot
 from planner.cases.high_dive.case import high_dive
 from planner.cases.hopper import hopper

@@ -14,10 +14,20 @@ from collections.abc import Callable
 from typing import Any, get_args, get_type_hints
 
 from planner.base.arguments import choice
-from planner.base.packaged import problem_files, problem_summary
+from planner.base.data_files import problem_files, problem_summary
 from planner.cli.console import Console
-from planner.cli.flags import COMMON, PROBLEM_FILE, Flags, add, boolean_flag, choice_flag, number, value_flag, whole
-from planner.cli.source_values import value_of
+from planner.cli.flags import (
+    COMMON,
+    PROBLEM_FILE,
+    Flags,
+    add,
+    boolean_flag,
+    choice_flag,
+    number,
+    value_flag,
+    value_of,
+    whole,
+)
 
 CASES: dict[str, Callable[..., Any]] = value_of("planner.cases", "CASES")
 """The cases, with their signatures and docstrings alone."""
@@ -97,10 +107,8 @@ def summary(case: Callable[..., Any]) -> str:
 
 def _add_case(parser: argparse.ArgumentParser, case: Callable[..., Any]) -> None:
     texts, hints = documented_arguments(case), get_type_hints(case)
-    for name, parameter in inspect.signature(case).parameters.items():
-        if not has_flag(hints[name]):
-            continue
-        flag, default = f"--{name.replace('_', '-')}", parameter.default
+    for parameter in _flags(case):
+        name, default = parameter.name, parameter.default
         words = [word for word in _leaves(hints[name]) if isinstance(word, str)]
         options: dict[str, Any] = {"default": argparse.SUPPRESS, "help": texts.get(name, "")}
         if default is not None:
@@ -115,12 +123,7 @@ def _add_case(parser: argparse.ArgumentParser, case: Callable[..., Any]) -> None
             options |= {"type": whole, "metavar": "N"}
         else:
             options |= {"type": number, "metavar": "X"}
-        parser.add_argument(flag, dest=f"case_{name}", **options)
-
-
-def has_flag(hint: Any) -> bool:
-    """Whether one word can hold a parameter of this type; arrays have no flag."""
-    return ... not in _leaves(hint)
+        parser.add_argument(f"--{name.replace('_', '-')}", dest=f"case_{name}", **options)
 
 
 def _leaves(hint: Any) -> tuple[Any, ...]:
@@ -170,8 +173,9 @@ def _described(name: str, case: Any) -> dict[str, Any]:
 
 
 def _flags(case: Any) -> list[inspect.Parameter]:
-    hints = get_type_hints(case)
-    return [parameter for parameter in inspect.signature(case).parameters.values() if has_flag(hints[parameter.name])]
+    """The parameters of a case that one word can hold; arrays have no flag."""
+    hints, parameters = get_type_hints(case), inspect.signature(case).parameters
+    return [parameter for name, parameter in parameters.items() if ... not in _leaves(hints[name])]
 
 
 def _show_flags(name: str, console: Console) -> None:

@@ -10,7 +10,7 @@ import time
 from collections.abc import Callable, Iterable, Sequence
 from typing import TYPE_CHECKING, Any
 
-from planner.base.json_files import finite
+from planner.base.data_files import finite
 
 if TYPE_CHECKING:
     from planner.problem.plan import Iteration, Start

@@ -9,23 +9,22 @@ from pathlib import Path
 from typing import Any
 
 from planner.base.arguments import count, number, short_repr
+from planner.base.data_files import write_json
 from planner.base.errors import PlannerError, RenderingUnavailable
 from planner.base.files import open_folder, remove_empty
-from planner.base.json_files import write_json
 from planner.cli.console import Console
-from planner.cli.problems import asked_problem, name_of, solved
-from planner.cli.showing import show_plan
-from planner.control.call_times import CallTimes, fitting_rate, measured_calls
+from planner.cli.solving import asked_problem, name_of, show_plan, solved
 from planner.control.controller import Controller
-from planner.control.judging import LoopVerdict, judge
-from planner.control.robustness_map import margins
+from planner.control.judging import CallTimes, LoopVerdict, judge
+from planner.control.loop_margins import fitting_rate, margins, measured_calls
 from planner.control.simulating import simulate
 from planner.control.window_parts import horizon_and_rate
 from planner.problem.goals import goals_of
 from planner.problem.problem import Problem
 from planner.proof.replays.compiled_twin import CompiledTwin
 from planner.proof.robustness.pushes import Push, pushed_step
-from planner.view.plots import draw_loop, save
+from planner.view.plots.case_pictures import draw_loop
+from planner.view.plots.style import save
 from planner.view.report.page import write_loop_page
 
 OUTPUTS = ("drive.json", "plan.npz", "loop.png", "video.mp4", "report.html")

@@ -13,10 +13,10 @@ from pathlib import Path
 from types import FrameType
 from typing import Any
 
+from planner.base.data_files import json_text
 from planner.base.environment import processors
 from planner.base.errors import PlannerError
 from planner.base.files import read_text, staged_folder
-from planner.base.json_files import json_text
 from planner.cli.console import Console
 from planner.paper.studies.page import STUDIES, Finished, Store, chosen, complete, page, run_studies, table_rows
 from planner.paper.studies.proof_table import proofs, proofs_markdown

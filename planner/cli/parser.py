@@ -16,9 +16,9 @@ from pathlib import Path
 from typing import Any, NoReturn
 
 from planner.base.arguments import choice, short_repr
+from planner.base.data_files import check_file, read_table
 from planner.base.errors import PlannerError
 from planner.base.files import PLANS, check_confined, check_exists, read_input
-from planner.base.toml_table import check_file, read_table
 from planner.cli.console import Console
 from planner.cli.flags import (
     BUDGET,
@@ -35,9 +35,9 @@ from planner.cli.flags import (
     boolean_flag,
     number,
     value_flag,
+    value_of,
     whole,
 )
-from planner.cli.source_values import value_of
 from planner.model.robot_collections import PREFIX
 
 SHELLS = ("bash", "zsh", "tcsh")

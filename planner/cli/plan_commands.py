@@ -11,9 +11,9 @@ from planner.base.arguments import count, number
 from planner.base.errors import PlannerError
 from planner.base.files import staged_folder
 from planner.base.gl import require_backend
-from planner.cli.allowed_imports import load_allowed
 from planner.cli.console import Console
 from planner.cli.parser import FORMATS
+from planner.cli.proving import load_allowed
 from planner.problem.archive import plan_digest
 from planner.problem.export import left_out, sampled
 from planner.problem.plan import Plan
@@ -23,8 +23,8 @@ from planner.proof.diagnostics import suggested_fixes
 
 def render_plan(arguments: argparse.Namespace, console: Console) -> int:
     """Film both replays of a stored plan, or one perturbed simulation."""
-    from planner.cli.background_render import checked_looks
     from planner.cli.proving import rollout_of
+    from planner.cli.results import checked_looks
     from planner.view.render.video import FILMS, render_strip, render_video
 
     out = Path(arguments.out)
@@ -72,9 +72,16 @@ def view_plan(arguments: argparse.Namespace, console: Console) -> int:
 
 def report_plan(arguments: argparse.Namespace, console: Console) -> int:
     """Prove a stored plan again and write all its files."""
-    from planner.cli.background_render import BackgroundRender, checked_looks
-    from planner.cli.results import OUTPUTS, completed, draw_results, is_finite, write_proof
-    from planner.cli.showing import show_proof
+    from planner.cli.results import (
+        OUTPUTS,
+        BackgroundRender,
+        checked_looks,
+        completed,
+        draw_results,
+        is_finite,
+        show_proof,
+        write_proof,
+    )
 
     plan = load_allowed(arguments.plan, arguments)
     if arguments.files:

@@ -1,26 +1,34 @@
-"""The command `prove`: replay a stored plan in MuJoCo and judge it, or show one perturbed simulation of it."""
+"""The commands `prove` and `check`: judge a stored plan, or show a perturbed simulation of it; prove many plans again.
+
+Both load plans with the residuals of modules that --allow-import names.
+"""
 
 from __future__ import annotations
 
 import argparse
+import importlib
+import importlib.util
+import sys
+from collections import Counter
 from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from planner.base.arguments import choice, count
-from planner.base.arguments import short_repr as quoted
+from planner.base.arguments import choice, count, short_repr
+from planner.base.data_files import json_text
 from planner.base.errors import PlannerError
 from planner.base.files import write_atomically
-from planner.base.json_files import json_text
 from planner.cases.given_controls import plan_of_controls, recording_errors
-from planner.cli.allowed_imports import load_allowed
+from planner.cases.plan_file import load_plan
 from planner.cli.console import Console, shown
-from planner.cli.results import completed
-from planner.cli.showing import plan_facts, show_proof
+from planner.cli.results import completed, show_proof
+from planner.cli.solving import plan_facts
 from planner.problem.archive import plan_digest
 from planner.problem.plan import Plan
+from planner.problem.residual import Residual
 from planner.proof import prove
 from planner.proof.diagnostics import suggested_fixes
 from planner.proof.engines.section import NOTES, another_engine, require
@@ -31,7 +39,52 @@ from planner.proof.robustness.perturbation import Perturbation
 from planner.proof.robustness.perturbed import replay_rollout
 from planner.proof.robustness.success import end_errors
 from planner.sweeps.executors import executor_of
+from planner.sweeps.regression import check
 from planner.sweeps.stored_model import stated
+
+
+def load_allowed(path: str | Path, arguments: argparse.Namespace) -> Plan:
+    """The plan of a file, with the residuals of the modules that --allow-import names."""
+    return load_plan(path, residuals=allowed_residuals(arguments))
+
+
+def allowed_residuals(arguments: argparse.Namespace) -> dict[str, type[Residual]]:
+    """Classes of residuals by name, of the modules that --allow-import names.
+
+    Raises:
+        PlannerError: A module that cannot be imported, or has no residual.
+    """
+    found: dict[str, type[Residual]] = {}
+    for name in arguments.allow_import:
+        named = f"--allow-import {short_repr(name)}"
+        try:
+            module = _imported(name)
+        except Exception as error:  # a module may raise anything
+            raise PlannerError(
+                f"{named} cannot be imported ({type(error).__name__}: {short_repr(str(error))}), expected a module, or "
+                "a file MODULE.py."
+            ) from None
+        own = {key: one for key, one in vars(module).items() if isinstance(one, type) and issubclass(one, Residual)}
+        found |= {one.__name__: one for one in own.values() if one is not Residual}
+        if not found:
+            raise PlannerError(f"{named} has no residual, expected a class that derives from planner.Residual.")
+    return found
+
+
+def _imported(name: str) -> Any:
+    if not name.endswith(".py"):
+        if "" not in sys.path and str(Path.cwd()) not in sys.path:  # as python -m has it
+            sys.path.insert(0, str(Path.cwd()))
+        return importlib.import_module(name)
+    module_name = Path(name).stem
+    spec = importlib.util.spec_from_file_location(module_name, name)
+    if spec is None or spec.loader is None:
+        raise ImportError(name)
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[module_name] = module  # dataclasses and pickle look it up there
+    spec.loader.exec_module(module)
+    return module
+
 
 _PICTURES = (".png", ".svg", ".pdf")
 
@@ -92,7 +145,8 @@ def prove_plan(arguments: argparse.Namespace, console: Console) -> int:
     if digest is not None and (states := stated(plan)):
         console.write_result(f"as the plan's file states: {', '.join(states)}")
     if arguments.plot is not None:
-        from planner.view.plots import draw_plan, save  # local: Matplotlib takes a second
+        from planner.view.plots.plan import draw_plan  # local: Matplotlib takes a second
+        from planner.view.plots.style import save
 
         save(draw_plan(plan, proof), arguments.plot)
     for file in (arguments.out, arguments.plot):
@@ -131,7 +185,9 @@ def _state(words: str) -> str | list[float] | dict[str, float]:
         return [float(part) for part in words.split(",")]
     except ValueError:
         if "=" in words or "," in words:
-            raise PlannerError(f"the state is {quoted(words)}, expected numbers 0,1.57 or joints elbow=0.3.") from None
+            raise PlannerError(
+                f"the state is {short_repr(words)}, expected numbers 0,1.57 or joints elbow=0.3."
+            ) from None
         return words
 
 
@@ -154,7 +210,9 @@ def _perturbation(plan: Plan, arguments: argparse.Namespace) -> Perturbation:
         try:
             given[name] = float(value)
         except ValueError:
-            raise PlannerError(f"--perturb {name} is {quoted(value)}, expected a number, e.g. {name}=0.05.") from None
+            raise PlannerError(
+                f"--perturb {name} is {short_repr(value)}, expected a number, e.g. {name}=0.05."
+            ) from None
     return Perturbation.usual(plan.problem, **given)
 
 
@@ -177,3 +235,35 @@ def _show_rollout(plan: Plan, arguments: argparse.Namespace, console: Console) -
         f"film: planner render {arguments.plan} --replay-rollout {arguments.replay_rollout} --mode {arguments.mode}"
     )
     return console.finish("prove", 0, replay_rollout=facts)
+
+
+def check_plans(arguments: argparse.Namespace, console: Console) -> int:
+    """Prove stored plans again and print a table of the numbers that changed."""
+    with executor_of(arguments.workers, arguments.scheduler) as executor:
+        done = check(
+            *arguments.paths, tolerance=arguments.tolerance, update=arguments.update, model=arguments.model,
+            callback=lambda one: console.write_progress(f"{one.plan}: {one.word}"), executor=executor,
+            residuals=allowed_residuals(arguments),
+        )  # fmt: skip
+    for one in done:
+        console.write_result(one.line)
+    rows = [
+        (str(one.plan), f"{change.step} {change.name}".replace("_", " ").strip(),
+         shown(change.stored), shown(change.now), shown(change.bound), change.word)
+        for one in done for change in one.changes
+    ]  # fmt: skip
+    if rows:
+        console.table(("plan", "measured", "stored", "now", "bound", ""), rows)
+    counts = Counter(one.word for one in done)
+    console.write_result(f"plans checked: {len(done)}, {', '.join(f'{word}: {counts[word]}' for word in counts)}")
+    plans = [
+        {
+            "plan": str(one.plan), "passed": one.passed, "word": one.word, "problem": one.problem,
+            "model": None if one.model is None else {"state": one.model.state, "details": list(one.model.details)},
+            "stated": list(one.stated),
+            "verdict": None if one.proof is None else one.proof.verdict,
+            "changes": [change._asdict() for change in one.changes],
+        }
+        for one in done
+    ]  # fmt: skip
+    return console.finish("check", int(not all(one.passed for one in done)), plans=plans)

@@ -20,15 +20,16 @@ from pathlib import Path
 from typing import Any
 
 from planner.base.arguments import count, number
+from planner.base.data_files import finite, json_text
 from planner.base.environment import installed_versions
 from planner.base.errors import PlannerError
 from planner.base.files import PathLike, file_error, folder_lock, open_folder, remove_empty, write_atomically
-from planner.base.json_files import finite, json_text
 from planner.cases.plan_file import load_plan
-from planner.cli import results, showing
-from planner.cli.background_render import BackgroundRender, checked_looks
+from planner.cases.problem_file import ProblemFile
+from planner.cli import results, solving
 from planner.cli.console import Console
-from planner.cli.problems import ProblemOf, asked_problem, name_of, solved
+from planner.cli.results import BackgroundRender, checked_looks
+from planner.cli.solving import INTERRUPTED, asked_problem, name_of, solved
 from planner.problem.archive import plan_digest
 from planner.problem.plan import Plan, Status
 from planner.problem.problem import Problem
@@ -126,7 +127,7 @@ _OUTCOMES = {
 
 
 def auto_repair(
-    asked: ProblemOf, plan: Plan, proof: Proof | None, path: tuple[Refinement, ...], arguments: argparse.Namespace,
+    asked: ProblemFile, plan: Plan, proof: Proof | None, path: tuple[Refinement, ...], arguments: argparse.Namespace,
     console: Console, *, resumed: bool, store: Store, budget: WorkBudget,
 ) -> Repaired:  # fmt: skip
     """The plan that passes or that is best known; `store` gets each plan that takes the place of the one before."""
@@ -138,7 +139,7 @@ def auto_repair(
 
     def keep(plan: Plan, which: str, path: tuple[Refinement, ...]) -> None:
         store(plan, path)
-        showing.show_plan(plan, None, console, which)
+        solving.show_plan(plan, None, console, which)
 
     options = {name: getattr(arguments, name) for name in ("update", "line_search", "hessian")}
     judge = partial(prove, rollouts=0, hold_seconds=arguments.hold)
@@ -163,7 +164,6 @@ def _show_step(console: Console, step: Step) -> None:
         console.write_result(f"{_OUTCOMES[step.outcome]}{reason}: {step.fix}")
 
 
-INTERRUPTED = 130
 FIRST_SHARE = 0.5  # of the work, at most, for the first solve: the rest is for the repair of a plan that fails
 MAX_ROLLOUT_SECONDS = 20.0  # time limit of the perturbed simulations; `planner prove` has none
 MEASURED_AFTER = 2.0  # proofs: what the steps after the verdict take that are only shown
@@ -199,7 +199,7 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
     return console.finish("run", code, **document, folder=str(place))
 
 
-def _identity(asked: ProblemOf, arguments: argparse.Namespace) -> dict[str, Any]:
+def _identity(asked: ProblemFile, arguments: argparse.Namespace) -> dict[str, Any]:
     """JSON values that are equal for two runs with the same plan and proof."""
     problem = asked.problem
     return {
@@ -210,7 +210,7 @@ def _identity(asked: ProblemOf, arguments: argparse.Namespace) -> dict[str, Any]
 
 
 def _run(
-    asked: ProblemOf, arguments: argparse.Namespace, folder: RunFolder, console: Console, executor: Executor | None,
+    asked: ProblemFile, arguments: argparse.Namespace, folder: RunFolder, console: Console, executor: Executor | None,
     budget: WorkBudget,
 ) -> tuple[int, dict[str, Any]]:  # fmt: skip
     stored = load_plan(folder.path / "plan.npz") if "plan.npz" in folder.finished else None
@@ -225,13 +225,13 @@ def _run(
         console.write_progress(f"continuing {folder.path}, which holds {', '.join(sorted(folder.finished))}")
         resumed, plan, seconds = True, stored, float(folder.notes.get("seconds", 0.0))
         path = tuple(map(_refinement_of, folder.notes.get("path", [])))
-    showing.show_plan(plan, seconds, console)
+    solving.show_plan(plan, seconds, console)
     proof = prove(plan, rollouts=0, hold_seconds=arguments.hold) if results.is_finite(plan) else None
     if proof is not None and plan.problem is not None:
         budget.charge_proof(plan.problem)
 
     def store(better: Plan, path: tuple[Refinement, ...]) -> None:
-        notes = {"path": [showing.refinement_row(line) for line in path]} if path else {}
+        notes = {"path": [results.refinement_row(line) for line in path]} if path else {}
         folder.begin("plan.npz", better.save, seconds=seconds, **notes)
 
     if not (arguments.no_refine or plan.status is Status.INTERRUPTED or (proof is not None and proof.passed)):
@@ -241,7 +241,7 @@ def _run(
         plan, proof, path, fixes = repaired
     else:
         fixes = suggested_fixes(plan, proof)
-    showing.show_work(budget, console)
+    results.show_work(budget, console)
     digest = plan_digest(folder.path / "plan.npz")
     results.write_proof(plan, proof, folder.path, digest, fixes, path, budget)  # rollouts may be interrupted
     films = None
@@ -256,9 +256,9 @@ def _run(
                 budget=min(MAX_ROLLOUT_SECONDS, budget.seconds_left), executor=executor,
             )  # fmt: skip
             results.write_proof(plan, proof, folder.path, digest, fixes, path, budget)
-            showing.show_proof(proof, fixes, console)
+            results.show_proof(proof, fixes, console)
         else:
-            showing.show_fixes(fixes, console)
+            solving.show_fixes(fixes, console)
         film_status = results.draw_results(
             plan, proof, folder.path, fixes, not arguments.no_video, console, path=path, keep=folder.finished,
             options=_flags(arguments), films=films, budget=budget,
@@ -271,15 +271,15 @@ def _run(
     if film_status and not arguments.no_video:
         console.write_result(f"no video: {film_status}")
     return 0 if plan.success and proof is not None and proof.passed else 1, {
-        "plan": showing.plan_facts(plan), "solve_seconds": seconds, "proof": None if proof is None else proof.to_dict(),
-        "refinement": [showing.refinement_row(line) for line in path], "resumed": resumed, "files": files,
+        "plan": solving.plan_facts(plan), "solve_seconds": seconds, "proof": None if proof is None else proof.to_dict(),
+        "refinement": [results.refinement_row(line) for line in path], "resumed": resumed, "files": files,
         "video_note": film_status, "cures": [one.to_dict() for one in fixes],
         "budget": budget.to_dict(),
     }  # fmt: skip
 
 
 def _refinement_of(row: dict[str, Any]) -> Refinement:
-    """The step that showing.refinement_row() made a row of, back from a file, where what is no number is null."""
+    """The step that results.refinement_row() made a row of, back from a file, where what is no number is null."""
     known: dict[str, Any] = row | {"status": Status[row["status"]]}
     known |= {name: math.nan for name in ("cost", "end_error", "seconds") if row[name] is None}
     return Refinement(**known)

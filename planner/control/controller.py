@@ -22,12 +22,11 @@ import numpy as np
 
 from planner.base.arguments import array, count, number, short_repr
 from planner.base.errors import PlannerError
+from planner.control.control_laws import TIME_TOLERANCE, FallbackControl, TrackedPlan, equilibrium_control
 from planner.control.controller_states import PATIENCE, ControllerStatus, Fault, StateMachine
-from planner.control.fallback_control import FallbackControl, equilibrium_control
-from planner.control.goal_checks import goal_fault
 from planner.control.replanning import Replanner
-from planner.control.tracked_plan import TIME_TOLERANCE, TrackedPlan
 from planner.control.window_parts import (
+    goal_fault,
     goal_states,
     goal_stays,
     horizon_and_rate,
@@ -166,7 +165,7 @@ class Controller(StateMachine):
 
         A keyframe's name, positions (nq,), a state (nx,) or its trajectory over the horizon (horizon + 1, nx); or a
         table of frames with world positions, m, (3,) or (horizon + 1, 3): {"hand": [0.4, 0, 0.6]}. One that cannot be
-        met (planner.control.goal_checks) is an event, and the machine is held until the next goal.
+        met (planner.control.window_parts) is an event, and the machine is held until the next goal.
         """
         return self._window.x_ref[-1].copy() if self._goal is None else self._goal
 

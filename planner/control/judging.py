@@ -1,4 +1,4 @@
-"""The verdict of a closed loop: does it arrive and stay? Its robustness margins are in planner.control.robustness_map.
+"""The verdict of a closed loop: does it arrive and stay? Its robustness margins are in planner.control.loop_margins.
 
     arrives    every goal within its tolerance in time; paths and waypoints at their times
     stays      every final goal within its tolerance over the last second
@@ -11,16 +11,16 @@ Results are Sections of Measurements, as in a proof.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from planner.base.arguments import short_repr
 from planner.base.errors import PlannerError
 from planner.base.measured import Measurement, Section, dicts_of, rows_of
-from planner.control.call_times import times_of
 from planner.control.simulating import LATE, STAYS, ClosedLoopRun
 from planner.control.window_parts import goal_states
 from planner.dynamics.kinematics import frame_pose
@@ -232,6 +232,29 @@ def _constraints(loop: ClosedLoopRun) -> Section:
             note = f"{one.constraint.name}: largest at any step of the task"
             found.append(Measurement("constraint_violation", one.value, one.constraint.unit, None, note))
     return Section("constraints", tuple(found))
+
+
+_ROUND = (1.0, 2.0, 5.0, 10.0)  # latencies are rounded up to these numbers, so that most runs on a computer are equal
+
+
+class CallTimes(NamedTuple):
+    """Times of planning calls, s."""
+
+    median: float
+    percentile_99: float
+    maximum: float
+    calls: int
+
+    @property
+    def latency(self) -> float:
+        """The 99th percentile, rounded up to 1, 2 or 5 times a power of ten, s."""
+        scale = 10.0 ** math.floor(math.log10(self.percentile_99))
+        return next(one * scale for one in _ROUND if one * scale >= self.percentile_99)
+
+
+def times_of(seconds: np.ndarray) -> CallTimes:
+    """The times of calls (M,), M > 0."""
+    return CallTimes(float(np.median(seconds)), float(np.percentile(seconds, 99.0)), float(seconds.max()), len(seconds))
 
 
 def _calls(loop: ClosedLoopRun) -> Section:

@@ -279,10 +279,6 @@ class RecedingHorizonProblem:
                     side[-1, : len(away)] -= away
             engine.set_penalties(hinges)
 
-    def _weight_at_end(self, stage: int) -> np.ndarray:
-        """Final weight (ndx, ndx) of the window that begins at a stage."""
-        return self._final if self.keeps or stage + self.H <= self.N else self._last
-
     def _slide_residuals(self, stage: int) -> None:
         H, here = self.H, slice(stage, stage + self.H + 1)
         table, source, end = self._table, self._source, self._end_rows
@@ -303,7 +299,8 @@ class RecedingHorizonProblem:
     def cost_at(self, stage: int) -> Cost:
         """The cost of the window that begins at a stage, for the NumPy engine and for the cost of a closed loop."""
         H, here = self.H, slice(stage, stage + self.H)
-        Q = np.concatenate([self._Q[here], self._weight_at_end(stage)[None]])
+        ends = self.keeps or stage + H <= self.N  # with the problem's final weight
+        Q = np.concatenate([self._Q[here], (self._final if ends else self._last)[None]])
         cost = object.__new__(TrackingCost)  # checked when the window was made
         cost.Q, cost.R, cost.N, cost.nu = Q, self._R[here], H, self._R.shape[1]
         cost.x_ref, cost.u_ref, cost.space = self.x_ref[stage : stage + H + 1], self.u_ref[here], self._space
@@ -315,7 +312,7 @@ class RecedingHorizonProblem:
         bound, weight = np.array(parts.bound), np.array(parts.weight)
         for frame, places in self._points.items():
             bound[self._frames[frame]] = places.T
-        if self.keeps or stage + H <= self.N:
+        if ends:
             weight[:, -1] = self._end_rows.weight[:, -1]
         parts = replace(parts, bound=bound, weight=weight)
         return SumCost(cost, _Measured(self._residual_costs, parts), *python)

@@ -12,15 +12,15 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
 from planner.base.arguments import count, number, short_repr
 from planner.base.errors import PlannerError
+from planner.control.control_laws import FixedPlanController
 from planner.control.controller import Controller
 from planner.control.controller_states import Event
-from planner.control.fallback_control import FixedPlanController
 from planner.control.receding_horizon import RecedingHorizonProblem
 from planner.problem.plan import Plan, Status
 from planner.problem.problem import Problem
@@ -36,23 +36,6 @@ from planner.proof.robustness.pushes import Push, pushed_step
 
 Goal = Callable[[float], Any]
 LATE, STAYS = 1.0, 1.0  # s after the task: allowed delay of arrival, and duration of the check that it stays
-
-
-class ControllerProtocol(Protocol):
-    """The interface that simulate() calls: of Controller and FixedPlanController."""
-
-    problem: Problem
-    plan: Plan
-    planned: bool
-    seconds: float
-    processor_seconds: float
-    threaded: bool
-    simulated: bool
-    latency: float
-
-    def __call__(self, t: float, x: np.ndarray) -> np.ndarray: ...  # noqa: D102
-    def expected(self, t: float) -> np.ndarray: ...  # noqa: D102
-    def reset(self, x0: Any = None) -> None: ...  # noqa: D102
 
 
 @dataclass(frozen=True, eq=False)
@@ -131,7 +114,7 @@ def simulate(
     Raises:
         PlannerError: A body that does not exist, a number out of range, a problem without a MuJoCo model.
     """
-    asked: ControllerProtocol = FixedPlanController(controller) if isinstance(controller, Plan) else controller
+    asked = FixedPlanController(controller) if isinstance(controller, Plan) else controller
     if not isinstance(asked, (Controller, FixedPlanController)):
         raise PlannerError(f"controller is {short_repr(controller)}, expected a planner.Controller or a Plan.")
     problem = asked.problem
@@ -209,9 +192,8 @@ class _Asking:
     """The control callback of the simulator: measurement errors, controller call and latency at each tick."""
 
     def __init__(
-        self, asked: ControllerProtocol, compiled: CompiledTwin, step: float, held: int, latency: float | None, noise:
-        float,
-        seed: int, goal: Goal | None, encoders: float | None,
+        self, asked: Controller | FixedPlanController, compiled: CompiledTwin, step: float, held: int,
+        latency: float | None, noise: float, seed: int, goal: Goal | None, encoders: float | None,
     ) -> None:  # fmt: skip
         self._asked, self._compiled, self._step, self._held = asked, compiled, step, held
         self._latency, self._noise, self._goal = latency, noise, goal
@@ -236,17 +218,14 @@ class _Asking:
         if self._coming is not None and self._coming[0] <= i:
             self._u, self._coming = self._coming[1], None
         self._times.append(t)
-        self._expected.append(self._compiled_expectation(t))
+        # What the controller expects before its call; at first the plan's start.
+        self._expected.append(self._asked.expected(t) if self._expected else self._asked.plan.xs[0].copy())
         if self._coming is None:
             self._ask(i, t, x)
         rows[:] = self._u
         if self._coming is not None and self._coming[0] < i + self._held:
             rows[max(self._coming[0] - i, 0) :] = self._coming[1]
         return self._compiled.commands(rows)
-
-    def _compiled_expectation(self, t: float) -> np.ndarray:
-        """The state (nx,) that the controller expects at time t, s, before its call; at first the plan's start."""
-        return self._asked.expected(t) if self._expected else self._asked.plan.xs[0].copy()
 
     def _ask(self, i: int, t: float, x: np.ndarray) -> None:
         if self._goal is not None:

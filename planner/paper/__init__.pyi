@@ -1,6 +1,4 @@
 from planner.paper.methods.adjoint import Integration as Integration
-from planner.paper.methods.control_spline import SplineControls as SplineControls
-from planner.paper.methods.control_spline import solve_by_splines as solve_by_splines
 from planner.paper.methods.gradient_methods import Descended as Descended
 from planner.paper.methods.gradient_methods import cost_and_gradient as cost_and_gradient
 from planner.paper.methods.gradient_methods import minimize_by_gradient as minimize_by_gradient
@@ -8,10 +6,12 @@ from planner.paper.methods.payload import largest_payload as largest_payload
 from planner.paper.methods.payload import static_limit as static_limit
 from planner.paper.methods.shooting import Extremal as Extremal
 from planner.paper.methods.shooting import shoot as shoot
+from planner.paper.methods.spline_inputs import DrivenMotion as DrivenMotion
+from planner.paper.methods.spline_inputs import DrivenWeights as DrivenWeights
+from planner.paper.methods.spline_inputs import SplineControls as SplineControls
+from planner.paper.methods.spline_inputs import minimize_effort_underactuated as minimize_effort_underactuated
+from planner.paper.methods.spline_inputs import solve_by_splines as solve_by_splines
 from planner.paper.methods.splines import Boundary as Boundary
 from planner.paper.methods.splines import SplineMotion as SplineMotion
 from planner.paper.methods.splines import SplineSpace as SplineSpace
 from planner.paper.methods.splines import minimize_effort as minimize_effort
-from planner.paper.methods.underactuated import DrivenMotion as DrivenMotion
-from planner.paper.methods.underactuated import DrivenWeights as DrivenWeights
-from planner.paper.methods.underactuated import minimize_effort_underactuated as minimize_effort_underactuated

@@ -19,9 +19,9 @@ from typing import IO, Any
 
 import numpy as np
 
+from planner.base.data_files import finite
 from planner.base.errors import FileError, ModelError
 from planner.base.files import check_confined, digest_of, printable, read_input, write_atomically
-from planner.base.json_files import finite
 from planner.model.mjcf.text import check_stored
 from planner.model.space import StateSpace
 

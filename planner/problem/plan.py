@@ -23,9 +23,9 @@ from typing import Any
 
 import numpy as np
 
-from planner.base.display_mixins import Plottable
 from planner.base.environment import installed_versions
 from planner.base.files import printable
+from planner.base.late_imports import Plottable
 from planner.model.space import StateSpace, euclidean, space_of
 from planner.model.twin import Twin
 from planner.problem.archive import FILE, HINGES, PART, digest_of, pack, plan_name, write_archive

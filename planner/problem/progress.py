@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from planner.base.diagnostic import Diagnostic, Quantity
+from planner.base.measured import Diagnostic, Quantity
 from planner.model.capabilities import capabilities_of
 from planner.problem.problem import Problem
 

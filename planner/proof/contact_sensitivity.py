@@ -20,8 +20,8 @@ from typing import Any
 
 import numpy as np
 
+from planner.base.data_files import finite
 from planner.base.gl import load_mujoco
-from planner.base.json_files import finite
 from planner.base.measured import Measurement, Section
 from planner.dynamics import kinematics
 from planner.model.mechanism import Mechanism

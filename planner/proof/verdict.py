@@ -21,8 +21,8 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Any
 
-from planner.base.display_mixins import Renderable
 from planner.base.gl import load_mujoco
+from planner.base.late_imports import Renderable
 from planner.base.measured import Measurement, Section, dicts_of, rows_of
 from planner.proof.error_propagation import ErrorPropagation
 from planner.proof.goal_regulator import RegulatedRun

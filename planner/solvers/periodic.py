@@ -23,8 +23,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from planner.base.arguments import choice, count, short_repr
+from planner.base.data_files import finite
 from planner.base.errors import PlannerError
-from planner.base.json_files import finite
 from planner.problem.plan import Plan, Status
 from planner.problem.problem import Problem
 from planner.problem.problem_parts import STEPS

@@ -13,16 +13,16 @@ import signal
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from concurrent.futures import BrokenExecutor, Executor, Future, ProcessPoolExecutor
-from contextlib import contextmanager, suppress
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
 from multiprocessing import connection
 from queue import SimpleQueue
 from typing import Any
 
-from planner.base.environment import VARIABLE
+from planner.base.environment import VARIABLE, variables_set
 from planner.base.errors import PlannerError
 
 ONE_THREAD = (VARIABLE, "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
@@ -176,7 +176,7 @@ class _Worker:
         self.calls: deque[_Call] = deque()
         self.ended = False  # in the middle of a call
         self.pool = ProcessPoolExecutor(1, multiprocessing.get_context("spawn"), _prepared)
-        with _one_thread():
+        with _environment, variables_set(dict.fromkeys(ONE_THREAD, "1")):  # it works with one thread
             self.ready = self.pool.submit(_began, first)
         self.ready.add_done_callback(self._close_writer)
 
@@ -231,19 +231,3 @@ def _end_with_parent() -> None:
     if parent is not None:
         connection.wait([parent.sentinel])
         os._exit(1)
-
-
-@contextmanager
-def _one_thread() -> Iterator[None]:
-    """Processes that start here work with one thread each."""
-    with _environment:
-        before = {name: os.environ.get(name) for name in ONE_THREAD}
-        os.environ.update(dict.fromkeys(ONE_THREAD, "1"))
-        try:
-            yield
-        finally:
-            for name, value in before.items():
-                if value is None:
-                    del os.environ[name]
-                else:
-                    os.environ[name] = value

@@ -25,10 +25,10 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from planner.base.arguments import count, number
+from planner.base.data_files import write_json
 from planner.base.errors import FileError, PlannerError
 from planner.base.executors import checked_executor, ordered_map
 from planner.base.files import PLANS, check_exists, read_text
-from planner.base.json_files import write_json
 from planner.cases.plan_file import load_plan
 from planner.problem.archive import plan_digest
 from planner.problem.plan import Plan

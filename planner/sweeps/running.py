@@ -16,7 +16,7 @@ from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, CancelledError, 
 from contextlib import suppress
 from dataclasses import dataclass
 from itertools import islice
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -40,24 +40,6 @@ class QueuedBatch(NamedTuple):
     controls: np.ndarray | None = None
     alone: bool = False
     ends: int = 0
-
-
-class Queue(Protocol):
-    """The order of a sweep."""
-
-    continued: bool  # whether each task starts from the one before it in its batch
-
-    def take(self, size: int) -> QueuedBatch | None:
-        """At most so many tasks; None where there are none at the moment."""
-        ...
-
-    def ended(self, batch: QueuedBatch, controls: np.ndarray | None) -> None:
-        """A batch is done; `controls` are of its last task."""
-        ...
-
-    def lost(self, batch: QueuedBatch) -> None:
-        """A batch is to be done again, one task at a time."""
-        ...
 
 
 class IndependentTasks:
@@ -135,6 +117,9 @@ class ContinuationChains:
         ends = batch.ends + batch.alone
         self._ready.appendleft((batch.tasks + rest, batch.controls, len(batch.tasks) + alone, ends))
 
+
+Queue = IndependentTasks | ContinuationChains
+"""The order of a sweep; `continued` says whether each task starts from the one before it in its batch."""
 
 SECONDS = 0.5  # that a batch should take
 MAX_BATCH = 500  # tasks of a batch

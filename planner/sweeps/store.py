@@ -2,22 +2,24 @@
 
     sweep.json     what is swept: the grid and how its tasks are done
     rows.jsonl     a line a finished task, in the order in which they ended
-    plans/         the plans, see shards
-    table.csv      a row a task, by its number; table.parquet too, where pyarrow is installed
+    plans/         the plans in shards, a few archives: 000.zip has those of tasks 0 to 999, and so on
 
 A plan is written before its row, and a row counts when its line is complete. So a task has a row and its plan, or
 neither; where the disk is full, the unfinished line is cut off.
+
+The name of a plan follows from the number of its task, so no index is needed, and planner.load_plan reads
+DIR/plans/000.zip/000017.npz. While a sweep runs its archives have no directory yet, which a zip file has at its end. A
+killed process leaves them so: then whole entries are found again by their own headers, and the rest is cut off.
 """
 
 from __future__ import annotations
 
-import csv
-import importlib
-import importlib.util
 import json
 import os
+import struct
+import zipfile
+import zlib
 from collections.abc import Collection, Iterable, Iterator
-from itertools import islice
 from pathlib import Path
 from typing import IO, Any
 
@@ -25,11 +27,98 @@ import numpy as np
 
 from planner.base.errors import FileError
 from planner.base.files import file_error, read_text, write_atomically
-from planner.base.json_files import write_json
 from planner.cases.plan_file import load_plan
 from planner.problem.plan import Plan, Status
-from planner.sweeps.shards import Shards, plan_place
 from planner.sweeps.work import Done
+
+PER_SHARD = 1000
+_OPEN = 8  # archives open at the same time
+_HEADER = struct.Struct("<4s5H3I2H")  # of an entry of a zip file
+_EPOCH = (1980, 1, 1, 0, 0, 0)  # the same content gives the same bytes
+
+
+def plan_place(task: int) -> str:
+    """Where the plan of a task is, relative to the sweep's folder."""
+    return f"plans/{task // PER_SHARD:03d}.zip/{_name(task)}"
+
+
+def _name(task: int) -> str:
+    return f"{task:06d}.npz"
+
+
+class Shards:
+    """Archives of plans that grow.
+
+    Args:
+        folder: Theirs, which exists.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+        self._open: dict[int, zipfile.ZipFile] = {}
+
+    def add(self, task: int, content: bytes) -> None:
+        """Append a plan; OSError where it cannot be written."""
+        self._archive(task // PER_SHARD).writestr(_entry(task), content)
+
+    def flush(self) -> None:
+        """Give what was added to the system, so that it outlives this process."""
+        for archive in self._open.values():
+            assert archive.fp is not None  # it is open
+            archive.fp.flush()
+
+    def close(self) -> None:
+        """Write the directories of all archives; OSError where one cannot be written."""
+        while self._open:
+            self._open.pop(next(iter(self._open))).close()
+
+    def retain(self, tasks: set[int]) -> None:
+        """Remove plans of other tasks from the archives, and repair archives that a killed process left."""
+        for path in sorted(self._folder.glob("*.zip")):
+            names = {_name(task) for task in tasks if task // PER_SHARD == int(path.stem)}
+            if _plan_names(path) != sorted(names):
+                entries = {name: content for name, content in _entries(path) if name in names}
+                with write_atomically(path) as hidden, zipfile.ZipFile(hidden, "w") as archive:
+                    for name, content in entries.items():
+                        archive.writestr(_entry(int(name[:-4])), content)
+
+    def _archive(self, number: int) -> zipfile.ZipFile:
+        if number not in self._open:
+            if len(self._open) >= _OPEN:
+                self._open.pop(next(iter(self._open))).close()
+            self._open[number] = zipfile.ZipFile(self._folder / f"{number:03d}.zip", "a")
+        return self._open[number]
+
+
+def _entry(task: int) -> zipfile.ZipInfo:
+    """The name of a plan; what it holds is compressed already."""
+    return zipfile.ZipInfo(_name(task), _EPOCH)
+
+
+def _plan_names(path: Path) -> list[str] | None:
+    """Sorted names in an archive; None where it has no directory."""
+    try:
+        with zipfile.ZipFile(path) as archive:
+            return sorted(archive.namelist())
+    except (zipfile.BadZipFile, ValueError, OSError):
+        return None
+
+
+def _entries(path: Path) -> Iterator[tuple[str, bytes]]:
+    """Whole entries of an archive, by their own headers, up to the first that is not whole."""
+    size = os.path.getsize(path)
+    with open(path, "rb") as file:
+        while len(head := file.read(_HEADER.size)) == _HEADER.size:
+            mark, _, _, method, _, _, crc, packed, unpacked, name, extra = _HEADER.unpack(head)
+            if mark != b"PK\3\4" or method != zipfile.ZIP_STORED or packed != unpacked or packed > size:
+                return
+            named = file.read(name).decode("ascii", errors="replace")
+            file.seek(extra, os.SEEK_CUR)
+            content = file.read(packed)
+            if len(content) < packed or zlib.crc32(content) != crc:
+                return
+            yield named, content
+
 
 HEAD, ROWS, PLANS = "sweep.json", "rows.jsonl", "plans"
 FORMAT = 1
@@ -193,19 +282,6 @@ class Store:
             self.kinds.setdefault(name, set()).add(type(value).__name__)
 
 
-def write_head(folder: Path, head: dict[str, Any]) -> None:
-    """Write what is swept.
-
-    Raises:
-        FileError: It cannot be written.
-    """
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise file_error(error, folder, expected="folder") from error
-    write_json(folder / HEAD, {"format_version": FORMAT, **head})
-
-
 def read_head(folder: Path) -> dict[str, Any] | None:
     """What is swept in a folder; None where nothing is.
 
@@ -233,78 +309,3 @@ def _row(line: bytes) -> dict[str, Any] | None:
         return None
     whole = isinstance(row, dict) and isinstance(row.get("task"), int) and isinstance(row.get("status"), str)
     return row if whole else None
-
-
-CSV, PARQUET = "table.csv", "table.parquet"
-_FIRST = ("status", "cost", "iterations", "gradient_norm", "guess", "start")
-_PROOF = ("verdict", "mode", "feasible", "optimal", "robustness")
-_LAST = ("reason", "proof_reason", "plan")
-_HIDDEN = {"print"}
-_ROWS = 10_000  # of a part of the Parquet file
-
-
-def columns_of(store: Store, parameters: Iterable[str]) -> list[str]:
-    """The names of all columns, in order."""
-    first = ["task", *parameters, *_FIRST]
-    here = [name for name in _PROOF if name in store.kinds]
-    last = [*(name for name in _LAST if name in store.kinds or name != "proof_reason"), *TIMES[: 1 + bool(here)]]
-    figures = sorted(set(store.kinds) - set(first) - set(_PROOF) - set(_LAST) - set(TIMES) - _HIDDEN)
-    return [*first, *here, *figures, *last]
-
-
-def write_tables(store: Store, parameters: Iterable[str]) -> list[Path]:
-    """Write the tables of what is finished; the files written.
-
-    Raises:
-        FileError: One cannot be written.
-    """
-    columns = columns_of(store, parameters)
-    paths = [store.folder / CSV]
-    with write_atomically(paths[0]) as hidden, open(hidden, "w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(columns)
-        writer.writerows([_text(row.get(name)) for name in columns] for row in store.rows())
-    if has_parquet():
-        paths.append(store.folder / PARQUET)
-        with write_atomically(paths[1]) as hidden:
-            _write_parquet(hidden, store, columns)
-    return paths
-
-
-def has_parquet() -> bool:
-    """Whether pyarrow is installed."""
-    return importlib.util.find_spec("pyarrow") is not None
-
-
-def _text(value: Any) -> Any:
-    """A value of the CSV: numbers with all their digits."""
-    return repr(value) if isinstance(value, float) else "" if value is None else value
-
-
-def _write_parquet(path: Path, store: Store, columns: list[str]) -> None:
-    arrow: Any = importlib.import_module("pyarrow")
-    parquet: Any = importlib.import_module("pyarrow.parquet")
-    types = {"bool": arrow.bool_(), "int": arrow.int64(), "float": arrow.float64()}
-    kinds = {name: _kind(store.kinds.get(name, {"str"})) for name in columns}
-    schema = arrow.schema([(name, types.get(kind, arrow.string())) for name, kind in kinds.items()])
-    with parquet.ParquetWriter(path, schema) as writer:
-        for rows in _parts(store.rows()):
-            cast = [{name: _cast(row.get(name), kind) for name, kind in kinds.items()} for row in rows]
-            writer.write_table(arrow.Table.from_pylist(cast, schema=schema))
-
-
-def _kind(names: set[str]) -> str:
-    """The one type that holds values of some."""
-    names = names - {"NoneType"}
-    if len(names) == 1:
-        return next(iter(names))
-    return "float" if names == {"int", "float"} else "str"
-
-
-def _cast(value: Any, kind: str) -> Any:
-    return None if value is None else float(value) if kind == "float" else str(value) if kind == "str" else value
-
-
-def _parts(rows: Iterator[dict[str, Any]]) -> Iterator[list[dict[str, Any]]]:
-    while part := list(islice(rows, _ROWS)):
-        yield part

@@ -7,24 +7,26 @@ DIR/sweep.json, rows.jsonl      what is swept and what is finished, for resume
 
 from __future__ import annotations
 
+import csv
+import importlib
+import importlib.util
 import inspect
 import json
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor
 from contextlib import ExitStack
 from functools import partial
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
-from planner import cases
 from planner.base.arguments import choice, count, number
-from planner.base.display_mixins import Reportable
+from planner.base.data_files import write_json
 from planner.base.environment import installed_versions, processors
 from planner.base.errors import FileError
 from planner.base.executors import checked_executor
-from planner.base.files import file_error, folder_lock
-from planner.cases.problem_file import case_in
-from planner.cases.problem_file.keys import KEYS
+from planner.base.files import file_error, folder_lock, write_atomically
+from planner.base.late_imports import Reportable
 from planner.problem.limits import Limits
 from planner.problem.plan import Plan
 from planner.problem.problem import Problem
@@ -33,9 +35,8 @@ from planner.sweeps.executors import MAX_WORKERS
 from planner.sweeps.grid import Grid, check_names, grid_of
 from planner.sweeps.processes import LocalProcesses
 from planner.sweeps.running import ContinuationChains, IndependentTasks, Queue, run
-from planner.sweeps.shards import plan_place
-from planner.sweeps.store import HEAD, Store, read_head, write_head, write_tables
-from planner.sweeps.work import LOST, TIMEOUT, Work, warm
+from planner.sweeps.store import FORMAT, HEAD, TIMES, Store, read_head
+from planner.sweeps.work import LOST, TIMEOUT, Work, known_parameters, source_of, warm
 
 _TOLERANCE = partial(number, minimum=0.0)
 SOLVE: dict[str, Callable[[str, Any], Any]] = {
@@ -136,10 +137,10 @@ def sweep(
     """
     grid = grid_of(grid)
     work = Work(
-        grid, _source(build), dict(fixed or {}), _checked(options), objective, durations, limits, _proof_options(prove),
-        None if timeout is None else number("timeout", timeout, greater_than=0.0),
+        grid, source_of(build), dict(fixed or {}), _checked(options), objective, durations, limits,
+        _proof_options(prove), None if timeout is None else number("timeout", timeout, greater_than=0.0),
     )  # fmt: skip
-    check_names(grid, *_known(work))
+    check_names(grid, *known_parameters(work))
     if continued is not None:
         choice("the parameter to continue along", continued, tuple(grid.values))
     checked_executor(executor)
@@ -148,7 +149,7 @@ def sweep(
     before = _claim(folder, head, resume)
     with folder_lock(folder):
         if before != head:
-            write_head(folder, head)
+            write_json(folder / HEAD, {"format_version": FORMAT, **head})
         store = Store(folder, len(grid))
         store.read()
         if before is not None and (again := _again(store, grid, continued, _is_longer(timeout, before["timeout"]))):
@@ -172,53 +173,6 @@ def sweep(
     done = Sweep(store, grid, interrupted)
     done.page()
     return done
-
-
-def read_sweep(folder: str | Path) -> Sweep:
-    """What a sweep has written into a folder.
-
-    Raises:
-        FileError: There is none.
-    """
-    head = read_head(Path(folder))
-    if head is None:
-        raise FileError(f"{folder} holds no sweep, expected a folder that planner sweep wrote.")
-    grid = grid_of(head["grid"])
-    store = Store(Path(folder), len(grid))
-    store.read()
-    return Sweep(store, grid)
-
-
-def _source(build: Any) -> Any:
-    """What builds the problems: a case's name, a function, or the whole path of a problem file."""
-    for name, case in cases.CASES.items():
-        if case is build:
-            return name
-    if callable(build):
-        return build
-    if isinstance(build, Path) or (isinstance(build, str) and build.lower().endswith(".toml")):
-        return Path(build).absolute()
-    return choice("build", build, tuple(cases.CASES))
-
-
-def _known(work: Work) -> tuple[list[str], str]:
-    """The names of the parameters that exist, and whose they are."""
-    source = work.source
-    if isinstance(source, Path):
-        named = case_in(source)
-        if named is None:
-            dotted = [name for name in work.grid.values if name.partition(".")[0] in KEYS]
-            return [*KEYS, *dotted], source.name
-        return list(inspect.signature(cases.CASES[named[0]]).parameters), named[0]
-    if isinstance(source, str):
-        return list(inspect.signature(cases.CASES[source]).parameters), source
-    try:
-        signature = inspect.signature(source).parameters
-    except (TypeError, ValueError):
-        return list(work.grid.values), ""
-    if any(parameter.kind is parameter.VAR_KEYWORD for parameter in signature.values()):
-        return list(work.grid.values), ""
-    return list(signature), getattr(source, "__name__", "the function")
 
 
 def _checked(options: dict[str, Any]) -> dict[str, Any]:
@@ -287,4 +241,67 @@ def _queue(store: Store, grid: Grid, continued: str | None) -> Queue:
     return ContinuationChains(grid.chains(continued), finished, store.controls)
 
 
-__all__ = ["SOLVE", "Sweep", "plan_place", "read_sweep", "sweep"]
+CSV, PARQUET = "table.csv", "table.parquet"
+_FIRST = ("status", "cost", "iterations", "gradient_norm", "guess", "start")
+_PROOF = ("verdict", "mode", "feasible", "optimal", "robustness")
+_LAST = ("reason", "proof_reason", "plan")
+_HIDDEN = {"print"}
+_ROWS = 10_000  # of a part of the Parquet file
+
+
+def columns_of(store: Store, parameters: Iterable[str]) -> list[str]:
+    """The names of all columns, in order."""
+    first = ["task", *parameters, *_FIRST]
+    here = [name for name in _PROOF if name in store.kinds]
+    last = [*(name for name in _LAST if name in store.kinds or name != "proof_reason"), *TIMES[: 1 + bool(here)]]
+    figures = sorted(set(store.kinds) - set(first) - set(_PROOF) - set(_LAST) - set(TIMES) - _HIDDEN)
+    return [*first, *here, *figures, *last]
+
+
+def write_tables(store: Store, parameters: Iterable[str]) -> list[Path]:
+    """Write the tables of what is finished; the files written.
+
+    Raises:
+        FileError: One cannot be written.
+    """
+    columns = columns_of(store, parameters)
+    paths = [store.folder / CSV]
+    with write_atomically(paths[0]) as hidden, open(hidden, "w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(columns)
+        writer.writerows([_text(row.get(name)) for name in columns] for row in store.rows())
+    if importlib.util.find_spec("pyarrow") is not None:
+        paths.append(store.folder / PARQUET)
+        with write_atomically(paths[1]) as hidden:
+            _write_parquet(hidden, store, columns)
+    return paths
+
+
+def _text(value: Any) -> Any:
+    """A value of the CSV: numbers with all their digits."""
+    return repr(value) if isinstance(value, float) else "" if value is None else value
+
+
+def _write_parquet(path: Path, store: Store, columns: list[str]) -> None:
+    arrow: Any = importlib.import_module("pyarrow")
+    parquet: Any = importlib.import_module("pyarrow.parquet")
+    types = {"bool": arrow.bool_(), "int": arrow.int64(), "float": arrow.float64()}
+    kinds = {name: _kind(store.kinds.get(name, {"str"})) for name in columns}
+    schema = arrow.schema([(name, types.get(kind, arrow.string())) for name, kind in kinds.items()])
+    with parquet.ParquetWriter(path, schema) as writer:
+        left = store.rows()
+        while rows := list(islice(left, _ROWS)):
+            cast = [{name: _cast(row.get(name), kind) for name, kind in kinds.items()} for row in rows]
+            writer.write_table(arrow.Table.from_pylist(cast, schema=schema))
+
+
+def _kind(names: set[str]) -> str:
+    """The one type that holds values of some."""
+    names = names - {"NoneType"}
+    if len(names) == 1:
+        return next(iter(names))
+    return "float" if names == {"int", "float"} else "str"
+
+
+def _cast(value: Any, kind: str) -> Any:
+    return None if value is None else float(value) if kind == "float" else str(value) if kind == "str" else value

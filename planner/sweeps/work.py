@@ -8,6 +8,7 @@ controls of the neighbour before it too.
 from __future__ import annotations
 
 import copy
+import inspect
 import threading
 import time
 from collections.abc import Callable
@@ -19,10 +20,11 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from planner import cases
-from planner.base.arguments import short_repr
+from planner.base.arguments import choice, short_repr
+from planner.base.data_files import read_table
 from planner.base.errors import PlannerError
-from planner.base.toml_table import read_table
 from planner.cases.problem_file import ProblemFile, case_in, loaded
+from planner.cases.problem_file.keys import KEYS
 from planner.problem.limits import Limits
 from planner.problem.objective import with_objective
 from planner.problem.plan import Plan, Status
@@ -87,6 +89,38 @@ class Work:
         if self.objective is not None:
             file = file._replace(problem=with_objective(file.problem, self.objective), objective=self.objective)
         return file if self.durations is None else file._replace(durations=self.durations)
+
+
+def source_of(build: Any) -> Any:
+    """What builds the problems: a case's name, a function, or the whole path of a problem file."""
+    for name, case in cases.CASES.items():
+        if case is build:
+            return name
+    if callable(build):
+        return build
+    if isinstance(build, Path) or (isinstance(build, str) and build.lower().endswith(".toml")):
+        return Path(build).absolute()
+    return choice("build", build, tuple(cases.CASES))
+
+
+def known_parameters(work: Work) -> tuple[list[str], str]:
+    """The names of the parameters that exist, and whose they are."""
+    source = work.source
+    if isinstance(source, Path):
+        named = case_in(source)
+        if named is None:
+            dotted = [name for name in work.grid.values if name.partition(".")[0] in KEYS]
+            return [*KEYS, *dotted], source.name
+        return list(inspect.signature(cases.CASES[named[0]]).parameters), named[0]
+    if isinstance(source, str):
+        return list(inspect.signature(cases.CASES[source]).parameters), source
+    try:
+        signature = inspect.signature(source).parameters
+    except (TypeError, ValueError):
+        return list(work.grid.values), ""
+    if any(parameter.kind is parameter.VAR_KEYWORD for parameter in signature.values()):
+        return list(work.grid.values), ""
+    return list(signature), getattr(source, "__name__", "the function")
 
 
 class Done(NamedTuple):

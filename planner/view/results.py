@@ -1,4 +1,4 @@
-"""How results look: a figure, the HTML of a notebook, a film, a page. planner.base.display_mixins calls this."""
+"""How results look: a figure, the HTML of a notebook, a film, a page. planner.base.late_imports calls this."""
 
 from __future__ import annotations
 
@@ -18,8 +18,7 @@ from planner.sweeps.sweeping import Sweep
 from planner.view.plots.case_pictures import draw_loop
 from planner.view.plots.plan import draw_plan
 from planner.view.plots.proof import draw_proof
-from planner.view.report.sweep_maps import word
-from planner.view.report.sweep_page import write_sweep_page
+from planner.view.report.sweep_page import word, write_sweep_page
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

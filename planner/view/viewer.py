@@ -28,9 +28,8 @@ from planner.proof.replays.replaying import replay_in
 from planner.proof.robustness.perturbed import replay_rollout
 from planner.view.render.camera import directions, scenery_of, whole_motion
 from planner.view.render.environment import visible_model
-from planner.view.render.film import Film
-from planner.view.render.ghost import GhostDrawer, Outline, ghost_paint, screen_difference
-from planner.view.render.marks import Marks
+from planner.view.render.film import Film, interpolate
+from planner.view.render.marks import GhostDrawer, Marks, Outline, ghost_paint, screen_difference
 from planner.view.render.shapes import LinkCapsules, Paint, SceneGeoms
 
 SPACE, RIGHT, LEFT, DOWN, UP, HOME, END = 32, 262, 263, 264, 265, 268, 269  # GLFW's numbers of keys
@@ -201,17 +200,17 @@ class ViewerScene:
         """Pose the machine at the player's time, and fill the window's own `scene` with all that is beside it."""
         mujoco, film, marks = load_mujoco(), self._films[player.gains], self._marks[player.gains]
         t = film.t[0] + player.t
-        self._pose(self.data, _at(t, film.t, film.qpos))
+        self._pose(self.data, interpolate(t, film.t, film.qpos))
         scene.ngeom = 0
         self._link_capsules.add(self.data, scene)
         eye = camera.lookat - camera.distance * directions(camera.azimuth, camera.elevation)[0]
         if player.ghost:
             offset = np.asarray(film.appearance.ghost_offset)
-            self._add(scene, eye, _at(t, film.t, film.ghost_qpos), self._paint, offset)
+            self._add(scene, eye, interpolate(t, film.t, film.ghost_qpos), self._paint, offset)
         if player.rollouts:
             self._rollouts += [poses for poses in [next(self._perturbed, None)] if poses is not None]  # one a picture
             for poses in self._rollouts:
-                self._add(scene, eye, _at(t, film.t, poses), _ROLLOUT, np.zeros(3))
+                self._add(scene, eye, interpolate(t, film.t, poses), _ROLLOUT, np.zeros(3))
         marks.add(SceneGeoms(scene, eye, self._distance, self._pixel), self.data, float(t))
         mujoco.mj_comPos(self.model, self.data)
 
@@ -234,13 +233,8 @@ class ViewerScene:
             geom.category = mujoco.mjtCatBit.mjCAT_DECOR
 
 
-def _at(t: float, times: np.ndarray, poses: np.ndarray) -> np.ndarray:
-    """The pose (nq,) of those (F, nq) at the times (F,), linearly; between quaternions the difference is small."""
-    return np.array([np.interp(t, times, column) for column in poses.T])
-
-
 def _perturbed(plan: Plan, compiled: CompiledTwin, t: np.ndarray, number: int) -> Iterator[np.ndarray]:
     """Poses (F, nq) of perturbed simulations with gains, at times t (F,), s, each computed when it is asked for."""
     for k in range(number):
         run = replay_rollout(plan, compiled, k)
-        yield np.stack([np.interp(t, run.t, column) for column in run.qpos.T], axis=-1)
+        yield interpolate(t, run.t, run.qpos)

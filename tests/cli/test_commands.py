@@ -11,7 +11,7 @@ from commands import ARM, launch, refused, run
 from places import ROOT
 
 import planner
-from planner.base.packaged import problem_files
+from planner.base.data_files import problem_files
 from planner.cli.results import OUTPUTS
 
 EXAMPLES = ROOT / "examples"

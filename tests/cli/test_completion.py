@@ -7,7 +7,7 @@ import pytest
 from commands import refused, run
 
 import planner
-from planner.base.packaged import problem_files
+from planner.base.data_files import problem_files
 
 ASK = """
 source script.bash

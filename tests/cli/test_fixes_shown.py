@@ -8,7 +8,7 @@ from carts import cart
 import planner
 from planner.cli.console import Console
 from planner.cli.results import draw_results, write_proof
-from planner.cli.showing import show_fixes
+from planner.cli.solving import show_fixes
 from planner.problem.progress import control_at_bound
 from planner.proof.diagnostics import suggested_fixes
 

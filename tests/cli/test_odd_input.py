@@ -12,9 +12,9 @@ from carts import write as write_problem
 
 from planner.__main__ import main
 from planner.base.arguments import did_you_mean
+from planner.base.data_files import LONGEST, read_table
 from planner.base.errors import FileError, PlannerError
 from planner.base.gl import load_mujoco
-from planner.base.toml_table import LONGEST, read_table
 from planner.cases.human_step.gait_file import LARGEST as MAX_OF_GAIT
 from planner.cases.human_step.gait_file import read_gait
 from planner.cli import case_flags, parser

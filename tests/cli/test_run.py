@@ -9,12 +9,12 @@ from carts import write
 
 import planner
 from planner.__main__ import main
-from planner.base.json_files import json_text
+from planner.base.data_files import json_text
 from planner.cases.plan_file import load_plan
 from planner.cases.problem_file import load
 from planner.cli import running as run_command
+from planner.cli.results import refinement_row
 from planner.cli.running import MARK, _refinement_of, run_folder
-from planner.cli.showing import refinement_row
 from planner.proof.repair.refinement import Refinement
 from planner.solvers.work import WorkBudget, work_of_proof
 
@@ -54,7 +54,7 @@ def test_interrupted_pictures_are_drawn_by_the_next_run(tmp_path, capsys, monkey
         assert main(words) == 130
         assert "the same command continues from there" in capsys.readouterr().err
     assert {"plan.npz", "proof.json", MARK} == {file.name for file in (tmp_path / "o").iterdir()}
-    monkeypatch.setattr("planner.cli.problems.solve", lambda *_, **__: pytest.fail("it solved again"))
+    monkeypatch.setattr("planner.cli.solving.solve", lambda *_, **__: pytest.fail("it solved again"))
     assert main(words) == 0
     assert document(capsys)["resumed"]
     assert (tmp_path / "o" / "report.html").is_file()

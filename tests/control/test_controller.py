@@ -8,8 +8,8 @@ from scipy.integrate import solve_ivp
 from scipy.linalg import solve_discrete_are
 
 import planner
+from planner.control.control_laws import FallbackControl, equilibrium_control
 from planner.control.controller_states import ControllerStatus
-from planner.control.fallback_control import FallbackControl, equilibrium_control
 from planner.control.judging import judge
 from planner.control.window_parts import SETTLING_TIME, holding_stage_weights, state_after
 

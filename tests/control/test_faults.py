@@ -8,8 +8,7 @@ from places import ROOT
 
 import planner
 from planner.control.controller_states import BLIND, ControllerStatus, EventCode, Fault
-from planner.control.goal_checks import goal_fault, reach
-from planner.control.window_parts import goal_states
+from planner.control.window_parts import goal_fault, goal_states, reach
 from planner.dynamics.kinematics import frame_pose
 
 MOST = 14.0  # N m, about the plan's largest control of conftest.py's problem

@@ -13,9 +13,8 @@ from places import ROOT
 import planner
 from planner.base.errors import PlannerError
 from planner.cli.driving import _advice, latency_of
-from planner.control.call_times import CallTimes, fitting_rate
-from planner.control.judging import judge, passes_disturbed
-from planner.control.robustness_map import margins
+from planner.control.judging import CallTimes, judge, passes_disturbed
+from planner.control.loop_margins import fitting_rate, margins
 from planner.model.mjcf.model_index import compile_model
 from planner.proof.robustness.pushes import Push, pushed_step
 

@@ -9,7 +9,7 @@ from swings import mechanism
 import planner
 from planner import cases
 from planner.cli.parser import build, parse
-from planner.cli.problems import asked_problem
+from planner.cli.solving import asked_problem
 from planner.model.space import StateSpace, euclidean
 from planner.problem.problem_parts import Periodic, Recipe
 from planner.solvers.periodic import PeriodicPass, solve_periodic

@@ -14,9 +14,8 @@ from troubled_problems import troubled
 
 import planner
 from planner.sweeps.grid import Grid
-from planner.sweeps.shards import Shards, plan_place
-from planner.sweeps.store import TIMES
-from planner.sweeps.sweeping import read_sweep, sweep
+from planner.sweeps.store import TIMES, Shards, plan_place
+from planner.sweeps.sweeping import sweep
 from planner.sweeps.work import Work, run_batch
 
 GRID = {"height": [1, 2, 3, 4, 5], "horizon": [50, 60]}
@@ -118,7 +117,7 @@ def test_resume_does_what_is_missing_and_nothing_twice(done, tmp_path):
     assert len(rows) == 10
     with zipfile.ZipFile(archive) as file:
         assert sorted(file.namelist()) == [f"{k:06d}.npz" for k in range(10)]
-    assert read_sweep(tmp_path / "out").plan(9).cost == done.plan(9).cost
+    assert planner.load_plan(tmp_path / "out" / plan_place(9)).cost == done.plan(9).cost
 
 
 def changed_rows(folder, status, tasks):

@@ -10,7 +10,7 @@ from planner.base.errors import RenderingUnavailable
 from planner.view.render import drawing
 from planner.view.render.drawing import Job, carry_out, draw_frames, drawn_by_children
 from planner.view.render.film import Film
-from planner.view.render.ghost import SAME_PICTURE_PIXELS, depth_offset, screen_difference, visibility
+from planner.view.render.marks import SAME_PICTURE_PIXELS, depth_offset, screen_difference, visibility
 from planner.view.render.overlay import distance_words
 from planner.view.render.scene import Scene
 

@@ -9,8 +9,8 @@ from PIL import Image
 
 import planner
 from planner.base.errors import PlannerError
-from planner.cli.background_render import BackgroundRender
 from planner.cli.console import Console
+from planner.cli.results import BackgroundRender
 from planner.model.mjcf.model_index import compile_model
 from planner.view.render.camera import angles_of_camera, directions
 from planner.view.render.scene import matted

@@ -18,8 +18,18 @@ from planner.problem.appearance import (
     Trace,
     View,
 )
-from planner.view.plots import draw_charts, draw_paths, draw_stick_figures, save
-from planner.view.plots.stick_figures import FRONT, SIDE, TOP, axes_of, frame_points, projected
+from planner.view.plots.case_pictures import (
+    FRONT,
+    SIDE,
+    TOP,
+    axes_of,
+    draw_charts,
+    draw_paths,
+    draw_stick_figures,
+    frame_points,
+    projected,
+)
+from planner.view.plots.style import save
 
 LEG = Stick((0, 1), "leg", hue=0)
 

@@ -14,7 +14,9 @@ from planner.base.measured import Measurement, Section
 from planner.proof.error_scales import path_error_bounds
 from planner.proof.goal_regulator import GoalRegulator, RegulatedRun
 from planner.proof.replays.sampled_gains import Sampling
-from planner.view.plots import draw_plan, draw_proof, save
+from planner.view.plots.plan import draw_plan
+from planner.view.plots.proof import draw_proof
+from planner.view.plots.style import save
 
 
 @pytest.fixture

@@ -15,12 +15,11 @@ from places import ROOT
 from planner.base import gl
 from planner.base.errors import FileError, PlannerError, RenderingUnavailable
 from planner.problem.appearance import Appearance
-from planner.view.render import encode
 from planner.view.render import video as render
+from planner.view.render.camera import Window
 from planner.view.render.film import Film
 from planner.view.render.overlay import decimals, number, speed_words
 from planner.view.render.scene import Scene
-from planner.view.render.window import Window
 
 # What a film is made of, without drawing.
 
@@ -352,7 +351,7 @@ def test_failed_encoder_leaves_nothing_behind(tmp_path, monkeypatch, script):
     fake = tmp_path / "ffmpeg"
     fake.write_text(f"#!/bin/sh\n{script}\n")
     fake.chmod(0o755)
-    monkeypatch.setattr(encode, "_ffmpeg", lambda shown: str(fake))
+    monkeypatch.setattr(render, "_ffmpeg", lambda shown: str(fake))
     folder = tmp_path / "out"
     folder.mkdir()
     (folder / "film.mp4").write_bytes(b"older")

@@ -13,10 +13,10 @@ from fake_plans import make_plan, make_proof
 
 import planner
 from planner.view.plots.time_series import sides_of
-from planner.view.render.encode import Encoder
+from planner.view.render.video import Encoder
 from planner.view.report import page as page_module
-from planner.view.report import write_report
 from planner.view.report.curves import HEIGHT, WIDTH, interactive, thinned
+from planner.view.report.page import write_report
 
 BROWSER = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
 with_browser = pytest.mark.skipif(BROWSER is None, reason="no Chromium: apt-get install chromium")

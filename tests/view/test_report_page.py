@@ -24,10 +24,11 @@ from planner.problem.appearance import Appearance
 from planner.problem.plan import Start, Status
 from planner.problem.problem_parts import Recipe
 from planner.proof.repair.refinement import Refinement
-from planner.view.plots import draw_plan, draw_proof, save
-from planner.view.render.encode import Encoder
-from planner.view.report import write_report
-from planner.view.report.page import command, problem_text
+from planner.view.plots.plan import draw_plan
+from planner.view.plots.proof import draw_proof
+from planner.view.plots.style import save
+from planner.view.render.video import Encoder
+from planner.view.report.page import command, problem_text, write_report
 
 BROWSER = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
 with_browser = pytest.mark.skipif(BROWSER is None, reason="no Chromium: apt-get install chromium")

@@ -10,7 +10,7 @@ from planner.base.errors import FileError, RenderingUnavailable
 from planner.cli import results
 from planner.cli.console import Console
 from planner.cli.results import INTERRUPTED, OUTPUTS, draw_results, write_proof
-from planner.view.plots import CASE_PICTURES
+from planner.view.plots.case_pictures import CASE_PICTURES
 from planner.view.plots.style import blank
 
 QUIET = Console(quiet=True)

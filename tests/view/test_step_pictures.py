@@ -9,7 +9,8 @@ from planner.cases.human_step.measures import measures, robot_wrench, vertical_f
 from planner.cases.human_step.pictures import by_cycle
 from planner.cases.human_step.walker import LEG
 from planner.problem.appearance import Charts, Paths, StickFigures
-from planner.view.plots import CASE_PICTURES, case_pictures, draw_case_picture, save
+from planner.view.plots.case_pictures import CASE_PICTURES, case_pictures, draw_case_picture
+from planner.view.plots.style import save
 
 
 @pytest.fixture(scope="module", params=["swing", "cycle"])

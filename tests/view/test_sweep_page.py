@@ -10,8 +10,7 @@ from commands import run
 
 import planner
 from planner.sweeps.grid import grid_of
-from planner.view.report.sweep_maps import Map, maps_of, mark_jumps
-from planner.view.report.sweep_page import write_sweep_page
+from planner.view.report.sweep_page import Map, maps_of, mark_jumps, write_sweep_page
 
 
 def rows_of(costs):

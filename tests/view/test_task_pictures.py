@@ -12,9 +12,9 @@ from rolled_out_plans import LIMITED, problem_of, rolled_out
 import planner
 from planner.model.mechanism import Mechanism
 from planner.problem.appearance import Appearance, BoundedPanel, GoalMark
-from planner.view.plots import draw_plan
-from planner.view.plots.bounded import draw_bounded
+from planner.view.plots.plan import draw_plan
 from planner.view.plots.style import panels_of
+from planner.view.plots.time_series import draw_bounded
 from planner.view.render.film import Film
 from planner.view.render.scene import Scene
 from planner.view.render.video import render_strip

@@ -54,9 +54,8 @@ import numpy as np
 
 from planner import cases
 from planner.base.arguments import choice, count, short_repr
+from planner.base.data_files import check_file, problem_files, read_table
 from planner.base.errors import PlannerError
-from planner.base.packaged import problem_files
-from planner.base.toml_table import check_file, read_table
 from planner.cases.problem_file.constraints import constraints_of
 from planner.cases.problem_file.feasibility_checks import (
     check_goal_controllable,

@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 
 from planner.base.arguments import choice, number, short_repr
+from planner.base.data_files import check_keys
 from planner.base.errors import ModelError, PlannerError
-from planner.base.toml_table import check_keys
 from planner.cases.problem_file.keys import GROUND, LAW, URDF
 from planner.model.contact.laws import ContactLaw
 from planner.model.mechanism import Mechanism

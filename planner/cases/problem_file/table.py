@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import Any
 
 from planner.base.arguments import choice, count, number, numbers, short_repr
+from planner.base.data_files import check_keys
 from planner.base.errors import PlannerError
-from planner.base.toml_table import check_keys
 from planner.cases.problem_file.keys import AVOID, DEFAULTS, KEYS, LIMITS, MODEL_LIMITS, RAMP, RESOLVED, WEIGHTS
 from planner.cases.problem_file.reference_guess import GUESSES
 from planner.dynamics.rigid_body import MAX_SUBSTEPS

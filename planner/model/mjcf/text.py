@@ -16,9 +16,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from planner.base.arguments import short_repr
+from planner.base.data_files import MODEL_FOLDERS
 from planner.base.errors import ModelError
 from planner.base.files import printable, read_input, read_text
-from planner.base.packaged import MODEL_FOLDERS
 
 MAX_ELEMENTS = 200_000  # written, includes resolved
 MAX_FILES = 1000  # read for them

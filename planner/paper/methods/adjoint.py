@@ -127,20 +127,20 @@ class AdjointCost:
         y0 = np.append(self._z0, 0.0)
         return solve_ivp(rates, (0.0, self._end), y0, dense_output=True, t_eval=times, **self._options)
 
-    def __call__(self, P: np.ndarray) -> tuple[float, np.ndarray]:
-        """J of amplitudes (n, inputs), infinite where the states run away, and its gradient (n, inputs)."""
+    def __call__(self, amplitudes: np.ndarray) -> tuple[float, np.ndarray]:
+        """J of amplitudes, (n, inputs) or in a row, infinite where states run away; and its gradient in their shape."""
         from scipy.integrate import solve_ivp
 
-        system = self._system
+        system, P = self._system, amplitudes.reshape(-1, self._system.inputs)
         nz, shape = system.nz, (system.orders, system.inputs)
         states = self.forward(P)
         if not states.success or not np.all(np.isfinite(states.y)):
-            return np.inf, np.zeros_like(P)
+            return np.inf, np.zeros_like(amplitudes)
         last = states.y[:, -1]
         phi, phi_z, phi_w = system.final(last[:-1], self.inputs(self._end, P))
         J = float(phi + last[-1])
         if not np.isfinite(J):
-            return J, np.zeros_like(P)
+            return J, np.zeros_like(amplitudes)
         direct = self._D(self._end).T @ phi_w.reshape(shape)
 
         def backward(t: float, y: np.ndarray) -> np.ndarray:
@@ -152,7 +152,7 @@ class AdjointCost:
 
         end = np.concatenate([phi_z, direct.ravel()])
         found = solve_ivp(backward, (self._end, 0.0), end, **self._options)
-        return J, found.y[nz:, -1].reshape(P.shape)
+        return J, found.y[nz:, -1].reshape(amplitudes.shape)
 
 
 class ContinuousProblem:

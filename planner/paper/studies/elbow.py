@@ -19,8 +19,8 @@ from planner.cases.acrobot import acrobot
 from planner.cases.planar_arm import UPRIGHT
 from planner.dynamics import RigidBodyDynamics
 from planner.paper.methods.adjoint import Integration
+from planner.paper.methods.spline_inputs import DrivenProblem, minimize_effort_underactuated
 from planner.paper.methods.splines import Boundary, curve
-from planner.paper.methods.underactuated import DrivenProblem, minimize_effort_underactuated
 from planner.paper.studies.study import (
     Row,
     Study,

@@ -91,14 +91,14 @@ def with_curvature(model: Quadratic, W: np.ndarray) -> Quadratic:
     return model._replace(Q=Q, R=model.R + W[:, nx:, nx:], S=W[:, nx:, :nx])
 
 
-def quasilinearize(problem: Problem, limit: int = LIMIT) -> dict[str, Any]:
+def quasilinearize(problem: Problem) -> dict[str, Any]:
     """Newton's method on Eq. 10, 16, 18 from the problem's first guess, with full steps; the size of every one."""
     dynamics, us = problem.dynamics, problem.first_guess.copy()
     xs = rollout_states(dynamics, problem.x0, us)
     A, B = dynamics.linearize(xs, us)
     costates, sizes = lq.costates(A, problem.cost.quadratize(xs, us)), list[float]()
     with np.errstate(all="ignore"):
-        while len(sizes) < limit and (not sizes or CONVERGED < sizes[-1] < np.inf):
+        while len(sizes) < LIMIT and (not sizes or CONVERGED < sizes[-1] < np.inf):
             A, B = dynamics.linearize(xs, us)
             model = with_curvature(problem.cost.quadratize(xs, us), curvature(dynamics, xs, us, costates))
             defects = dynamics.step(xs[:-1], us) - xs[1:]

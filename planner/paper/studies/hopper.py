@@ -118,10 +118,6 @@ def _cells(cells: Sequence[Any]) -> list[str]:
     return ["failed" if cell is None else str(cell) for cell in cells]
 
 
-def _heights(results: dict[str, Any], chosen: Sequence[bool]) -> str:
-    return ", ".join(f"{h:g}" for h, c in zip(results["heights"], chosen, strict=True) if c) or "none"
-
-
 def _rises(cells: Sequence[int | None]) -> bool:
     known = [LIMIT if cell is None else cell for cell in cells]
     return all(a <= b for a, b in pairwise(known))
@@ -148,11 +144,6 @@ def _fails_at(cells: Sequence[int | None], alphas: Sequence[float]) -> str:
     good = [f"{alpha:g} ({cell})" for alpha, cell in zip(alphas, cells, strict=True) if cell is not None]
     bad = [f"{alpha:g}" for alpha, cell in zip(alphas, cells, strict=True) if cell is None]
     return f"down to {good[-1] if good else 'none'}" + (f", fails at {', '.join(bad)}" if bad else "")
-
-
-def _on_alpha(results: dict[str, Any]) -> str:
-    ways = (f"{way}: {_fails_at(cells, results['alphas'])}" for way, cells in results["small_alpha"].items())
-    return f"at {results['heights'][-1]:g} in (iterations), " + "; ".join(ways)
 
 
 def _page(results: dict[str, Any]) -> list[str]:
@@ -208,6 +199,7 @@ def _rows(results: dict[str, Any]) -> list[Row]:
     stances = f"{len(first['touchdowns_s'])} touchdowns within 1 s at height {first['height']:g}, "
     stances += f"{len(longest['touchdowns_s'])} within {longest['duration']:g} s at height {longest['height']:g}"
     r = ", ".join(f"{value:g}" for value in SWEPT["flow_weight"])
+    ways = (f"{way}: {_fails_at(cells, results['alphas'])}" for way, cells in results["small_alpha"].items())
     return [
         Row("2.4, Eq. 8", "A weight q_fin on the final height, of which no value is given; the final rate has none",
             "1000 taken; " + "; ".join(
@@ -224,7 +216,7 @@ def _rows(results: dict[str, Any]) -> list[Row]:
             f"at {high:g} in for r = {r}: "
             + "; ".join(f"{one['name']} {', '.join(_cells(one['by_r']))}" for one in results["readings"][:2]),
             "it does not differ where every larger r needs fewer; low hops take a few iterations at any r"),
-        Row("4", "Failed to converge for alpha < 1e-5", _on_alpha(results),
+        Row("4", "Failed to converge for alpha < 1e-5", f"at {high:g} in (iterations), {'; '.join(ways)}",
             f"failed is not within {LIMIT} iterations: slow, not divergent. The paper's update from zero fails sooner "
             "than printed, continuation by the feedback update near where it is printed, and exact Hessians, which "
             "see the spring's curvature, lift the limit"),

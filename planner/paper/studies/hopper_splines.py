@@ -15,7 +15,7 @@ import numpy as np
 
 from planner.cases.hopper import PAPER, hopper
 from planner.paper.methods.adjoint import AdjointCost, ContinuousProblem, Integration
-from planner.paper.methods.control_spline import SplineControls, SplineCost, solve_by_splines
+from planner.paper.methods.spline_inputs import SplineControls, SplineCost, solve_by_splines
 from planner.paper.methods.splines import DEGREE, SplineSpace
 from planner.paper.studies.study import (
     Row,

@@ -27,7 +27,7 @@ from planner.model.mechanism import Mechanism
 from planner.paper.studies.step_run import FRAMES as POINTS
 from planner.paper.studies.study import Row, Study, plan_record, table, timed
 from planner.solvers.slq import solve
-from planner.view.plots.stick_figures import frame_points
+from planner.view.plots.case_pictures import frame_points
 from planner.view.plots.style import INK, SOFT, grid_of, save
 
 FRAMES = 14  # as many as Fig. 3 has

@@ -20,10 +20,10 @@ from typing import Any
 
 import planner
 from planner.base.arguments import choice
+from planner.base.data_files import json_text, write_json
 from planner.base.errors import PlannerError
 from planner.base.executors import ordered_map
 from planner.base.files import digest_of
-from planner.base.json_files import json_text, write_json
 from planner.paper.studies import (
     dive,
     elbow,

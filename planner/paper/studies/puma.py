@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from planner.base.json_files import finite
+from planner.base.data_files import finite
 from planner.cases.puma import JOINTS, RATED, puma, puma_mechanism, straight_lift, torque_limits
 from planner.dynamics.algorithms import bias
 from planner.dynamics.kinematics import frame_pose

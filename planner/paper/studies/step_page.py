@@ -23,7 +23,7 @@ from planner.paper.studies.step_run import (
 )
 from planner.paper.studies.study import Row, Study, row_of, table
 from planner.problem.appearance import PoseSequence, Stick, StickFigures
-from planner.view.plots.stick_figures import draw_stick_figures
+from planner.view.plots.case_pictures import draw_stick_figures
 from planner.view.plots.style import DASHED, HUES, SOFT, dress, panels_of, save
 
 PAPERS = 32  # parameters

@@ -26,7 +26,7 @@ from planner.cases.human_step.measures import height as height_of
 from planner.cases.human_step.phase import SWING, GaitPhase
 from planner.cases.human_step.walker import PELVIS, Walker
 from planner.dynamics.protocol import rollout_states
-from planner.paper.methods.control_spline import solve_by_splines
+from planner.paper.methods.spline_inputs import solve_by_splines
 from planner.paper.studies.study import descent_record, plan_record, timed
 from planner.problem.plan import Plan
 from planner.problem.problem import Problem
@@ -34,7 +34,7 @@ from planner.proof.replays.replaying import replay
 from planner.solvers import lq
 from planner.solvers.engine import acquire_engine, release_engine
 from planner.solvers.slq import solve
-from planner.view.plots.stick_figures import frame_points
+from planner.view.plots.case_pictures import frame_points
 
 CYCLE_TIME = 1.2  # s, of the case's default cadence
 DEGREE = 3  # of the splines: with quintics 32 parameters for 6 controls are too few

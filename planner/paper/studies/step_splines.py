@@ -5,6 +5,13 @@ integrated by an adaptive rule with the penalties on the way, its gradient is Eq
 paper: "not numerically stable", and the penalties "exacerbated the problem since they effectively created a stiff
 system". So the weights of the penalties are multiplied and their ramps shortened. Beside it stand the same splines with
 the exact gradient of the sum over stages (Eq. 16-19), and SLQ.
+
+The cost changes on the way. With time a state, z = (x, t), the methods of adjoint.py need no more. The costs of stages,
+which hold the factor dt, are divided by it and interpolated between knots:
+
+    L(x, u, t) = ((1 - s) l_n(x, u) + s l_n+1(x, u)) / dt        n + s = t / dt
+
+No control moves time, so the costate of time adds nothing to the gradient: it is left zero.
 """
 
 from __future__ import annotations
@@ -16,18 +23,103 @@ from typing import Any
 
 import numpy as np
 
+from planner.base.errors import PlannerError
 from planner.cases.human_step.case import human_step
-from planner.control.window_parts import parts_of
-from planner.paper.methods.adjoint import AdjointCost, Integration
-from planner.paper.methods.control_spline import SplineCost, solve_by_splines
+from planner.control.window_parts import at_stages, parts_of
+from planner.kernels.numba.lanes import padded
+from planner.paper.methods.adjoint import AdjointCost, ContinuousDynamics, Integration, Partials
+from planner.paper.methods.spline_inputs import SplineCost, solve_by_splines
 from planner.paper.methods.splines import SplineSpace, bfgs, nearest_amplitudes
-from planner.paper.methods.timed_problem import TimedProblem
 from planner.paper.studies.study import Row, Study, draw_errors, errors_at, errors_table, plan_record, table
 from planner.problem.costs.least_squares import ResidualCost
 from planner.problem.costs.terms import SumCost
+from planner.problem.costs.tracking import TrackingCost
 from planner.problem.problem import Problem
+from planner.solvers.engine import acquire_engine
+from planner.solvers.engine.compiled import CompiledEngine
 from planner.solvers.slq import solve
 from planner.view.plots.style import HUES, dress, panels_of, save
+
+
+class TimedProblem:
+    """A System (see adjoint.py) of a Problem with a TrackingCost and compiled residuals, which may change on the way.
+
+    Raises:
+        PlannerError: Terms of another kind, or states with quaternions.
+    """
+
+    orders = 1  # the control alone is the input, without derivatives
+
+    def __init__(self, problem: Problem) -> None:
+        self.f, self._dt, self._N = ContinuousDynamics(problem.dynamics), problem.dynamics.dt, problem.N
+        self.nx, self.inputs = self.f.nx, self.f.nu
+        self.nz, self.z0 = self.nx + 1, np.append(problem.x0, 0.0)
+        self._engines = [_engine(problem, n) for n in range(problem.N)]
+        zero = np.zeros((1, self.inputs, self.nx))  # no gains: a start that checks nothing, which thousands are
+        self._held = np.zeros((2, self.nx)), np.zeros((1, self.inputs)), zero
+        self._end = _one_stage(problem, problem.N - 1, at_end=True)
+
+    def _costs(self, z: np.ndarray, u: np.ndarray) -> list[tuple[CompiledEngine, float, float]]:
+        """The engines of both stages about a time, with their shares over dt and their costs at x, u."""
+        at = min(z[-1] / self._dt, self._N - 1.0)
+        n = min(int(at), self._N - 2) if self._N > 1 else 0
+        found = []
+        for engine, share in ((self._engines[n], n + 1.0 - at), (self._engines[min(n + 1, self._N - 1)], at - n)):
+            self._held[1][0] = u
+            found.append((engine, share / self._dt, engine.start_from_trajectory(z[:-1], self._held)))
+        return found
+
+    def rates(self, z: np.ndarray, w: np.ndarray) -> tuple[np.ndarray, float]:
+        """dz/dt (nz,) and L."""
+        return np.append(self.f(z[:-1], w), 1.0), sum(share * cost for _, share, cost in self._costs(z, w))
+
+    def partials(self, z: np.ndarray, w: np.ndarray) -> Partials:
+        """Derivatives of both, those by time left zero."""
+        L_z, L_w = np.zeros(self.nz), np.zeros(self.inputs)
+        f_z, f_w = np.zeros((self.nz, self.nz)), np.zeros((self.nz, self.inputs))
+        first = padded(self.inputs)
+        f_z[:-1, :-1], f_w[:-1] = self.f.partials(z[:-1], w)
+        for engine, share, _ in self._costs(z, w):
+            engine.compute_direction(0.0, relinearize=True)
+            by = engine.cost_arrays()["l"]  # (L_u | L_x), each padded, then those of the end
+            L_w += share * by[: self.inputs]
+            L_z[:-1] += share * by[first : first + self.nx]
+        return Partials(f_z, f_w, L_z, L_w)
+
+    def final(self, z: np.ndarray, w: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
+        """Phi, and its derivatives by z (nz,) and by u, which are zero."""
+        xs, us = np.stack([z[:-1], z[:-1]]), np.zeros((1, self.inputs))
+        phi_z = sum(term.quadratize(xs, us).q[1] for term in self._end)
+        return sum(term.final_cost(z[:-1]) for term in self._end), np.append(phi_z, 0.0), np.zeros(len(w))
+
+
+def _engine(problem: Problem, n: int) -> CompiledEngine:
+    """An engine of stage n alone, whose end costs nothing."""
+    cost, us = SumCost(*_one_stage(problem, n, at_end=False)), np.zeros((1, problem.dynamics.nu))
+    engine = acquire_engine(Problem(problem.dynamics, cost, problem.x0, us))
+    if not isinstance(engine, CompiledEngine):
+        raise PlannerError(f"the dynamics is a {type(problem.dynamics).__name__}, expected compiled ones.")
+    if n == 0:
+        engine.start_from_controls(problem.x0, us)  # which compiles what is not
+    return engine
+
+
+def _one_stage(problem: Problem, n: int, at_end: bool) -> list[TrackingCost | ResidualCost]:
+    """The cost of stage n without that of the next knot, or the other way round."""
+    tracking, residuals, python = parts_of(problem)
+    if python:
+        raise PlannerError(f"the cost has a {type(python[0]).__name__}, expected a TrackingCost and compiled terms.")
+    keep = np.array([not at_end, at_end], dtype=float)
+    alone = TrackingCost(
+        keep[:, None, None] * tracking.Q[n : n + 2], tracking.R[n : n + 1],
+        tracking.x_ref[n : n + 2], tracking.u_ref[n : n + 1],
+    )  # fmt: skip
+    parts: list[TrackingCost | ResidualCost] = [alone]
+    for term in residuals:
+        arrays = at_stages(term.residual_arrays_for(problem.N), slice(n, n + 2))
+        parts.append(ResidualCost(term.mechanism, replace(arrays, weight=keep * arrays.weight), 1))
+    return parts
+
 
 COEFFICIENTS, DEGREE = 5, 3  # of each of six accelerations: 30 parameters; the paper has 32 of other controls
 WEIGHTS = (1.0, 100.0, 1e4)  # of the penalties, times those of the case
@@ -62,13 +154,8 @@ def _at(factor: float, tolerances: tuple[float, ...], reference: float, iteratio
     shape = (COEFFICIENTS, problem.dynamics.nu)
     middle = problem.dynamics.dt * (np.arange(problem.N) + 0.5)
     first = nearest_amplitudes(basis(middle), problem.first_guess, np.zeros(shape), slice(None)).reshape(shape)
-
-    def cost(free: np.ndarray) -> tuple[float, np.ndarray]:
-        J, gradient = by_tolerance[DESCENT](free.reshape(shape))
-        return J, gradient.ravel()
-
-    scale = abs(cost(first.ravel())[0])
-    free, facts = bfgs(cost, first.ravel(), 1e-6, iterations, scale=scale)
+    cost = by_tolerance[DESCENT]
+    free, facts = bfgs(cost, first.ravel(), 1e-6, iterations, scale=abs(cost(first)[0]))
     whole = SplineCost(problem, basis)
     points = [
         errors_at(f"x {factor:g}, {name}", by_tolerance[reference](P), [by_tolerance[t](P) for t in tolerances])

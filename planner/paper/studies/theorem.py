@@ -106,9 +106,9 @@ def identity_errors(A: np.ndarray, B: np.ndarray, model: Quadratic, step: Record
     return right, abs(left - right) / scale, abs(step.slope - right) / scale  # Eq. 42
 
 
-def random_identity(problems: int, seed: int = 0) -> dict[str, Any]:
+def random_identity(problems: int) -> dict[str, Any]:
     """Eq. 42 on random LQ problems (see random_lq)."""
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(0)
     errors = []
     for _ in range(problems):
         A, B, model = random_lq(rng)
@@ -145,19 +145,16 @@ def _few(values: list[int]) -> str:
     return f"{min(values)} / {np.median(values):.0f} / {max(values)}" if values else "none"
 
 
-def _minima(entry: dict[str, Any], most: int = 2) -> str:
-    """The number of local minima, and the most frequent of them."""
-    often = sorted(entry["minima"], key=lambda one: -one["count"])[:most]
+def _minima(entry: dict[str, Any]) -> str:
+    """The number of local minima, and the two most frequent of them."""
+    often = sorted(entry["minima"], key=lambda one: -one["count"])[:2]
     listed = ", ".join(f"{one['cost']:.4g} ({one['count']:.0f})" for one in often)
     return f"{len(entry['minima'])}: {listed}" if often else "none"
 
 
-def _share(entry: dict[str, Any]) -> str:
-    return f"{entry['converged']} of {entry['starts']}"
-
-
-def _run_of(case: dict[str, Any], update: str, search: str = "armijo") -> dict[str, Any]:
-    return next(run for run in case["runs"] if (run["update"], run["search"]) == (update, search))
+def _run_of(case: dict[str, Any], update: str) -> dict[str, Any]:
+    """The starts by Armijo's rule."""
+    return next(run for run in case["runs"] if (run["update"], run["search"]) == (update, "armijo"))
 
 
 def _counted(case: dict[str, Any], update: str) -> str:
@@ -246,8 +243,8 @@ def _draw(results: dict[str, Any], path: Path) -> None:
         top.semilogy(np.maximum(along["errors"], 1e-17), ".", color="#0b5aa6", ms=4)
         top.set_ylim(1e-17, 1.0)  # from rounding to nothing in common
         top.locator_params(axis="x", integer=True)
-        limit = f"iterations (limit {results['limit']})"
-        dress(middle, f"{_share(entry)} random starts converged", "starts" if first else "", limit)
+        share, limit = f"{entry['converged']} of {entry['starts']}", f"iterations (limit {results['limit']})"
+        dress(middle, f"{share} random starts converged", "starts" if first else "", limit)
         if entry["iterations"]:
             middle.hist(entry["iterations"], bins=40, range=(0, max(entry["iterations"])), color="#0b5aa6")
         finite = [cost for cost in (*entry["costs"], *entry["failed_costs"]) if cost > 0.0]

@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from planner.base.diagnostic import Quantity
 from planner.base.errors import PlannerError
 from planner.base.gl import load_mujoco
+from planner.base.measured import Quantity
 from planner.model.capabilities import capabilities_of
 from planner.model.mechanism import Mechanism
 from planner.model.mjcf.initial_overlaps import TOUCH_ROUNDING, can_separate

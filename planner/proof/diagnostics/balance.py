@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from planner.base.diagnostic import Quantity
 from planner.base.errors import PlannerError
+from planner.base.measured import Quantity
 from planner.dynamics.kinematics import center_of_mass
 from planner.dynamics.statics import STRIDE, static_equilibrium
 from planner.model.capabilities import capabilities_of, rolling_radii, stands_on_ground

@@ -21,7 +21,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from planner.base.diagnostic import Quantity
+from planner.base.measured import Quantity
 from planner.model.coordinates import coordinates_of
 from planner.model.mechanism import Mechanism
 from planner.problem.costs.tracking import tracking_of

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from planner.base.diagnostic import Quantity
+from planner.base.measured import Quantity
 from planner.model.capabilities import capabilities_of
 from planner.model.coordinates import coordinates_of
 from planner.problem.costs.tracking import TrackingCost, tracking_of

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from planner.base.diagnostic import Quantity
+from planner.base.measured import Quantity
 from planner.model.capabilities import capabilities_of
 from planner.model.coordinates import ANGLE
 from planner.model.couplings import fixed_dofs

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from planner.base.diagnostic import Quantity
+from planner.base.measured import Quantity
 from planner.dynamics.protocol import integrator_of
 from planner.problem.plan import Plan
 from planner.problem.problem import Problem

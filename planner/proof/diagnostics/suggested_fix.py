@@ -8,8 +8,8 @@ import math
 from dataclasses import dataclass
 from typing import Any
 
-from planner.base.diagnostic import Diagnostic, Quantity
-from planner.base.json_files import finite
+from planner.base.data_files import finite
+from planner.base.measured import Diagnostic, Quantity
 from planner.problem.problem import Problem
 from planner.problem.problem_parts import PROBLEM_FILE
 from planner.proof.diagnostics.sentences import SENTENCES, TRIED

@@ -1,6 +1,6 @@
 """Other engines than MuJoCo: their parser, their dynamics and SciPy's integrator repeat a plan. One file an engine."""
 
-from planner.base.lazy import public_names
+from planner.base.late_imports import public_names
 
 ENGINES = ("pinocchio", "drake")
 

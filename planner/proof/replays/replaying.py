@@ -14,9 +14,9 @@ from typing import Any
 import numpy as np
 
 from planner.base.arguments import count, number, short_repr
-from planner.base.display_mixins import Renderable
 from planner.base.errors import PlannerError
 from planner.base.gl import load_mujoco
+from planner.base.late_imports import Renderable
 from planner.model.twin import Twin
 from planner.problem.plan import Plan
 from planner.problem.problem import Problem

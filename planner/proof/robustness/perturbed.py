@@ -18,8 +18,8 @@ from typing import Any
 import numpy as np
 
 from planner.base.arguments import count, number
+from planner.base.data_files import finite
 from planner.base.gl import load_mujoco
-from planner.base.json_files import finite
 from planner.base.measured import Measurement, Section
 from planner.problem.plan import Plan
 from planner.proof.replays.compiled_twin import CompiledTwin

@@ -17,7 +17,6 @@ from planner.problem.appearance import Panel
 from planner.problem.default_appearance import appearance_of
 from planner.problem.plan import Plan
 from planner.proof.replays.replaying import Replay
-from planner.view.plots.bounded import OWN, SHARED, draw_bounded
 from planner.view.plots.style import (
     DASHED,
     GREYS,
@@ -38,9 +37,12 @@ from planner.view.plots.style import (
 from planner.view.plots.time_series import (
     BESIDE,
     LABEL,
+    OWN,
     SHADE,
+    SHARED,
     TimeSeries,
     curves_of,
+    draw_bounded,
     draw_bounds,
     limited,
     line_of,

@@ -1,4 +1,4 @@
-"""Draw films: a video of one or of two side by side, from one camera or several, a strip of poses, a still.
+"""Draw films: the frames of one or of two side by side, from one camera or several, a strip of poses, a still.
 
 Pictures of one film from several cameras form a row; of two films, each has a column of them.
 
@@ -19,7 +19,7 @@ import pickle
 import subprocess
 import sys
 import tempfile
-from collections.abc import Callable, Generator, Iterator, Sequence
+from collections.abc import Generator, Sequence
 from contextlib import ExitStack, closing
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -28,16 +28,13 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from planner.base import errors, gl
+from planner.base.environment import available_processors
 from planner.base.errors import PlannerError, RenderingUnavailable
 from planner.view.render import overlay
-from planner.view.render.encode import Encoder
 from planner.view.render.environment import visible_model
 from planner.view.render.film import Film
 from planner.view.render.scene import Scene, best_rows
 
-Progress = Callable[[int, int], object]
-
-_HOLD = 1.0  # s, how long the last frame stays
 _VIDEO_OVERSIZE = 1.25  # pixels drawn over pixels written, each way: a third of the time of 2, which looks the same
 _LEGIBLE = 0.8  # of the words under a pose in a strip of 540 rows: 14 pixels, which a page may show smaller
 _MAX_CHILDREN = 8  # more would wait for the process that encodes
@@ -49,27 +46,21 @@ _ROOT = Path(__file__).parents[3]
 
 @dataclass(frozen=True)
 class Job:
-    """A video, strip or still to make of films. Sizes are pixels of the whole picture."""
+    """Frames of a video, a strip or a still to make of films. Sizes are pixels of the whole picture."""
 
     kind: str  # "video", "strip" or "frame"
     width: int
     height: int
     fps: float = 0.0  # of a video
     speed: float | None = None  # of a video; None for stills
-    output: str = ""  # the file of a video
-    target: str = ""  # the path in errors, where output is a temporary file
     transparent: bool = False  # a strip or still with an alpha channel, without sky, floor and panels of words
 
 
-def carry_out(films: Sequence[Film], job: Job, progress: Progress | None = None) -> np.ndarray:
-    """Do the job, here or in child processes. Returns the picture; of a video, the last frame.
+def carry_out(films: Sequence[Film], job: Job) -> np.ndarray:
+    """The picture of a strip or still, drawn here or in a child process.
 
-    `films` is one, or for a video or a still two of the same plan and times, shown side by side. `progress` is called
-    with (frames done, frames in all) of a video.
+    `films` is one, or for a still two of the same plan and times, shown side by side.
     """
-    if job.kind == "video":
-        with closing(_frames(films, job)) as frames:
-            return _encode(frames, len(films[0]), job, progress)
     if not gl.can_render_here():
         with closing(drawn_by_children(films, job, 1)) as pictures:
             return next(pictures)
@@ -79,9 +70,9 @@ def carry_out(films: Sequence[Film], job: Job, progress: Progress | None = None)
         return next(pictures)
 
 
-def _frames(films: Sequence[Film], job: Job) -> Generator[np.ndarray]:
-    """All frames of a video: by several processes where there are many, or here."""
-    children = min(usable_processors(), _MAX_CHILDREN, len(films[0]) // _WORTH_A_CHILD)
+def frames_of(films: Sequence[Film], job: Job) -> Generator[np.ndarray]:
+    """All frames of a video of one film, or of two side by side: by several processes where there are many, or here."""
+    children = min(available_processors(), _MAX_CHILDREN, len(films[0]) // _WORTH_A_CHILD)
     if children > 1 or not gl.can_render_here():
         return drawn_by_children(films, job, max(1, children))
     return draw_frames(films, job)
@@ -101,17 +92,6 @@ def _draw_row(row: Sequence[_Tile], frame: int, *, alike: bool) -> np.ndarray:
     first, *others = row
     pictures = [first.draw(frame), *(tile.draw(frame, first.scene if alike else None) for tile in others)]
     return np.concatenate(pictures, axis=1)
-
-
-def _encode(frames: Iterator[np.ndarray], total: int, job: Job, progress: Progress | None) -> np.ndarray:
-    """Write the frames of a video; the last of them stays for a second."""
-    with Encoder(Path(job.output), job.width, job.height, job.fps, job.target, _HOLD) as encoder:
-        image = np.empty(0)
-        for done, image in enumerate(frames, 1):
-            encoder.write(image)
-            if progress is not None:
-                progress(done, total)
-    return image
 
 
 def _tiles(films: Sequence[Film], job: Job, scenes: ExitStack) -> list[list[_Tile]]:
@@ -216,11 +196,6 @@ def _draw_poses(film: Film, width: int, height: int, transparent: bool) -> np.nd
             picture = overlay.write_below(picture, words, band, unit, marks, bad=t >= film.unstable)
             strip[row : row + high, column : column + tile] = picture
     return strip
-
-
-def usable_processors() -> int:
-    """How many processors this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def drawn_by_children(films: Sequence[Any], job: Any, children: int) -> Generator[np.ndarray]:

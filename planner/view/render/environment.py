@@ -75,13 +75,6 @@ def _furnished(film: Film) -> tuple[Any, int]:
     return model, ours
 
 
-def is_directional(model: Any, light: int) -> bool:
-    """Whether all rays of a light are parallel, as the sun's."""
-    if hasattr(model, "light_type"):  # since MuJoCo 3.3.3
-        return model.light_type[light] == gl.load_mujoco().mjtLightType.mjLIGHT_DIRECTIONAL
-    return bool(model.light_directional[light])
-
-
 def _part(root: ElementTree.Element, name: str) -> ElementTree.Element:
     found = root.find(name)
     return ElementTree.SubElement(root, name) if found is None else found

@@ -73,8 +73,8 @@ class Film:
             raise PlannerError(f"the replay: {name} holds infinite or undefined numbers; there is nothing to draw.")
         appearance = appearance_of(replay.plan.problem)
         sampled = replay.t[:known]  # beyond, the last pose stays
-        xs = _interpolate(t, sampled, replay.xs[:known])
-        plan_xs = _interpolate(t, replay.t, replay.plan_xs)
+        xs = interpolate(t, sampled, replay.xs[:known])
+        plan_xs = interpolate(t, replay.t, replay.plan_xs)
         indices = [readout.index for readout in appearance.readouts]
         path = np.linspace(replay.t[0], replay.t[-1], _PATH)
         ghost_t, ghost = _ghost(replay, appearance.ghost)
@@ -83,16 +83,16 @@ class Film:
             mjcf=replay.twin.mjcf,
             appearance=replace(appearance, plots=(), pictures=None),  # functions cannot be pickled
             t=t,
-            qpos=_interpolate(t, sampled, replay.qpos[:known]),
-            ghost_qpos=_positions(replay, _interpolate(t, ghost_t, ghost)),
+            qpos=interpolate(t, sampled, replay.qpos[:known]),
+            ghost_qpos=_positions(replay, interpolate(t, ghost_t, ghost)),
             forces=forces,
             points=points,
             readings=np.stack([xs[:, indices], plan_xs[:, indices]], axis=-1),
             largest=np.abs(np.concatenate([replay.xs[:known], replay.plan_xs])[:, indices]).max(axis=0),
-            shift=_shift(appearance, xs),
+            shift=np.zeros((len(xs), 3)) if appearance.accompany is None else xs[:, list(appearance.accompany)],
             path_t=path,
-            path_qpos=_interpolate(path, sampled, replay.qpos[:known]),
-            path_ghost_qpos=_positions(replay, _interpolate(path, ghost_t, ghost)),
+            path_qpos=interpolate(path, sampled, replay.qpos[:known]),
+            path_ghost_qpos=_positions(replay, interpolate(path, ghost_t, ghost)),
             unstable=float(replay.t[known]) if known < len(replay.t) else math.inf,
             caption=caption,
             assets=replay.twin.assets,
@@ -149,21 +149,16 @@ def _arrows(contacts: ContactHistory, t: np.ndarray) -> tuple[np.ndarray, np.nda
     return forces, points
 
 
-def _shift(appearance: Appearance, xs: np.ndarray) -> np.ndarray:
-    """Displacement (F, 3) of the camera's point at states (F, nx)."""
-    return np.zeros((len(xs), 3)) if appearance.accompany is None else xs[:, list(appearance.accompany)]
-
-
 def _known(replay: Replay) -> int:
     """Number of samples before the first that is not finite."""
     finite = np.isfinite(replay.qpos).all(axis=1) & np.isfinite(replay.xs).all(axis=1)
     return finite.size if finite.all() else int(np.argmin(finite))
 
 
-def _interpolate(t: np.ndarray, knots: np.ndarray, values: np.ndarray) -> np.ndarray:
-    """The values (M+1, k) at the knots (M+1,), linearly at t (F,): (F, k)."""
+def interpolate(t: np.ndarray | float, knots: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """The values (M+1, k) at the knots (M+1,), linearly at t (F,), or at one time: (F, k) or (k,)."""
     columns = [np.interp(t, knots, column) for column in values.T]
-    return np.stack(columns, axis=-1) if columns else np.zeros((len(t), 0))
+    return np.stack(columns, axis=-1) if columns else np.zeros((*np.shape(t), 0))
 
 
 def _exposed(t: np.ndarray, knots: np.ndarray, force: np.ndarray, exposure: float) -> np.ndarray:

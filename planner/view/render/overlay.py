@@ -16,8 +16,7 @@ from PIL import Image, ImageDraw, ImageFont
 
 from planner.problem.appearance import Appearance
 from planner.view.render.film import Caption
-from planner.view.render.ghost import ghost_paint
-from planner.view.render.marks import GOAL, PATH
+from planner.view.render.marks import GOAL, PATH, ghost_paint
 from planner.view.render.scene import FORCE, Label
 
 _Part = tuple[str, ImageFont.FreeTypeFont, tuple[int, ...]]

@@ -12,13 +12,11 @@ from PIL import Image
 
 from planner.base import gl
 from planner.problem.appearance import Appearance
-from planner.view.render.camera import directions, scenery_of, whole_motion
+from planner.view.render.camera import Window, directions, moving_points, moving_window, scenery_of, whole_motion
 from planner.view.render.environment import visible_model
 from planner.view.render.film import Film
-from planner.view.render.ghost import SAME_PICTURE_PIXELS, GhostDrawer, Outline, ghost_paint, screen_difference
-from planner.view.render.marks import Marks
+from planner.view.render.marks import SAME_PICTURE_PIXELS, GhostDrawer, Marks, Outline, ghost_paint, screen_difference
 from planner.view.render.shapes import LinkCapsules, SceneGeoms, without_shadow
-from planner.view.render.window import Window, moving_window, swept
 
 FORCE = (0.89, 0.12, 0.14, 1.0)
 GOAL = (0.16, 0.17, 0.20, 1.0)
@@ -174,10 +172,10 @@ class Scene:
         if self._fixed and np.any(np.ptp(film.shift, axis=0)):
             return Window(0, 0, self._width, self._height)
         forces = film.points + np.asarray(seen.force_offset)
-        machine = swept(self._model, film.qpos)
+        machine = moving_points(self._model, film.qpos)
         parts = [forces, forces + seen.force_scale * film.forces]
         if self._ghost:
-            parts.append(swept(self._ghost_model, film.ghost_qpos) + np.asarray(seen.ghost_offset))
+            parts.append(moving_points(self._ghost_model, film.ghost_qpos) + np.asarray(seen.ghost_offset))
         parts += [points for points, _ in self._marks.lines] + self._marks.goals
         others = np.concatenate([np.reshape(part, (-1, 3)) for part in parts])
         if not hasattr(self._mujoco.MjvGeom, "castshadow"):  # before MuJoCo 4 ghosts and arrows cast shadows, too

@@ -24,6 +24,7 @@ _SLIM = 0.045  # largest radius of an arrow's shaft, in parts of its length: a t
 _MIN_ARROW = 0.015  # length of the shortest arrow that can be seen
 _DASHES = 24
 _MIN_BALL = 7.0  # pixels of the picture before it is shrunk: radius of the smallest ball
+_CORNERS = np.stack(np.meshgrid([-1.0, 1.0], [-1.0, 1.0], [-1.0, 1.0]), axis=-1).reshape(8, 3)
 _AXES = ((0.83, 0.16, 0.15), (0.16, 0.58, 0.22), (0.13, 0.36, 0.82))  # x, y and z
 
 
@@ -139,7 +140,8 @@ class LinkCapsules:
         self._model = model
         self.capsules = tuple(_link_capsules(model, data))
         spread = float(np.ptp(data.xanchor, axis=0).max()) if model.njnt else 0.0
-        self.radius = _LINK_RADIUS * (spread + _longest(self.capsules))
+        lengths = (float(np.linalg.norm(stick.end - stick.start)) for stick in self.capsules)
+        self.radius = _LINK_RADIUS * (spread + max(lengths, default=0.0))
 
     def ends(self, data: Any) -> np.ndarray:
         """(2 S, 3) the ends of the sticks where MuJoCo's data puts the bodies."""
@@ -160,10 +162,6 @@ class LinkCapsules:
                 mujoco.mjv_connector(geom, mujoco.mjtGeom.mjGEOM_CAPSULE, self.radius, *ends)
             geom.category = mujoco.mjtCatBit.mjCAT_DYNAMIC
             scene.ngeom += 1
-
-
-def _longest(sticks: tuple[LinkCapsule, ...]) -> float:
-    return max((float(np.linalg.norm(stick.end - stick.start)) for stick in sticks), default=0.0)
 
 
 def _link_capsules(model: Any, data: Any) -> list[LinkCapsule]:
@@ -269,6 +267,19 @@ def geom_boxes(model: Any, data: Any, geoms: np.ndarray) -> tuple[np.ndarray, np
     centre = data.geom_xpos[geoms] + np.einsum("gij,gj->gi", R, model.geom_aabb[geoms, :3])
     half = np.einsum("gij,gj->gi", np.abs(R), model.geom_aabb[geoms, 3:])
     return centre - half, centre + half
+
+
+class BoxCorners:
+    """Corners of the boxes around some geoms of a model, wherever these are."""
+
+    def __init__(self, model: Any, geoms: np.ndarray) -> None:
+        self._geoms = geoms
+        self._local = model.geom_aabb[geoms, None, :3] + model.geom_aabb[geoms, None, 3:] * _CORNERS  # (G, 8, 3)
+
+    def at(self, data: Any) -> np.ndarray:
+        """(8 G, 3) where MuJoCo's data puts them."""
+        R = data.geom_xmat[self._geoms].reshape(-1, 3, 3)
+        return (data.geom_xpos[self._geoms, None] + np.einsum("gij,gcj->gci", R, self._local)).reshape(-1, 3)
 
 
 def paint_links(model: Any) -> None:

@@ -24,11 +24,11 @@ from planner.cases.problem_file.resolved_defaults import resolved_defaults
 from planner.problem.default_appearance import appearance_of
 from planner.problem.plan import Plan
 from planner.solvers.options import SolverOptions
-from planner.view.plots import case_pictures
+from planner.view.plots.case_pictures import case_pictures
 from planner.view.render.video import one_replay_shows_both
 from planner.view.report.assessment import assessment
-from planner.view.report.curves import SCRIPT, interactive
-from planner.view.report.markup import measured_table, number, table, verdict_box, video_player, write_page
+from planner.view.report.curves import interactive
+from planner.view.report.markup import measured_table, number, script, table, verdict_box, video_player, write_page
 from planner.view.report.view_3d import view_3d
 
 if TYPE_CHECKING:
@@ -93,7 +93,7 @@ def write_report(
         _folded("Proof", "" if proof is None else assessment(plan, proof)),
         _folded("How it was made", *made),
     ]
-    return write_page(folder / NAME, f"{_word(proof)}: {title}", [*parts, f"<script>{SCRIPT}</script>"])
+    return write_page(folder / NAME, f"{_word(proof)}: {title}", [*parts, script("curves.js")])
 
 
 def _folded(title: str, *parts: str) -> str:

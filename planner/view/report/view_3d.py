@@ -10,7 +10,6 @@ from __future__ import annotations
 import base64
 import json
 from html import escape
-from importlib.resources import files
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -19,9 +18,9 @@ from planner.base.gl import load_mujoco
 from planner.view.render.camera import scenery_of, whole_motion
 from planner.view.render.environment import visible_model
 from planner.view.render.film import Film
-from planner.view.render.ghost import ghost_paint
-from planner.view.render.marks import Marks
+from planner.view.render.marks import Marks, ghost_paint
 from planner.view.render.shapes import LinkCapsules
+from planner.view.report.markup import asset
 
 if TYPE_CHECKING:
     from planner.proof.replays.replaying import Replay
@@ -41,9 +40,8 @@ def view_3d(replay: Replay, ghost: str = "plan") -> str:
     Raises:
         PlannerError: There is nothing to draw (see Film.of).
     """
-    assets = files("planner.view") / "assets"
     data = json.dumps(view_data(film_of(replay)), separators=(",", ":"))
-    three, script = ((assets / name).read_text(encoding="utf-8") for name in ("three.min.js", "view.js"))
+    three, script = asset("three.min.js"), asset("view.js")
     return (
         '<figure id="view" hidden><canvas tabindex="0" aria-label="3-D view of the motion"></canvas><p class="bar">'
         '<button type="button" data-do="play" aria-label="play or pause">&#9654;</button>'

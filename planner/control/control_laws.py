@@ -1,9 +1,10 @@
-"""Fallback control without a plan, gravity compensation and damping; and the equilibrium control of a state.
+"""Control laws: the feedback of a plan, gravity compensation and damping without one, and a plan with its gains alone.
 
-    u = gravity compensation at q, less M(q) qd / TIME,      within the bounds of the problem
+    TrackedPlan          u = us[n] + K[n] (x - xs(t))                             from the time on that it was made for
+    FallbackControl      u = gravity compensation at q, less M(q) qd / TIME       within the bounds of the problem
 
-Velocities decay with the time constant TIME if the robot is fully actuated, else in the actuated directions. Dynamics
-without a mechanism keep the last control of the plan.
+Without a plan velocities decay with the time constant TIME if the robot is fully actuated, else in the actuated
+directions. Dynamics without a mechanism keep the last control of the plan.
 
 A plan with its gains alone, FixedPlanController, is the baseline of a Controller. After its end it regulates the goal
 as a proof does (planner.proof.goal_regulator), or by the fallback control where there is no regulator.
@@ -11,12 +12,12 @@ as a proof does (planner.proof.goal_regulator), or by the fallback control where
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import numpy as np
 
 from planner.base.errors import PlannerError
-from planner.control.tracked_plan import TIME_TOLERANCE, TrackedPlan
 from planner.dynamics import RigidBodyDynamics
 from planner.dynamics.algorithms import mass_matrix
 from planner.dynamics.joint_forces import actuator_lengths, actuator_moments, force_slopes, gains_at
@@ -26,6 +27,51 @@ from planner.problem.plan import Plan
 from planner.problem.problem import Problem
 from planner.proof.goal_regulator import GoalRegulator, hold_gain
 from planner.proof.replays.replaying import problem_of
+from planner.solvers.engine.protocol import TrajectoryArrays
+
+TIME_TOLERANCE = 1e-6  # of a stage: smaller differences of time are zero
+
+
+class TrackedPlan:
+    """A plan that feedback tracks.
+
+    Attributes:
+        xs: (N+1, nx).
+        us: (N, nu).
+        K: (N, nu, ndx).
+        made: Time of its first state, s; nan before the task begins.
+    """
+
+    def __init__(self, dynamics: Any, trajectory: TrajectoryArrays, made: float) -> None:
+        self._dynamics, self._dt, self._space = dynamics, dynamics.dt, space_of(dynamics)
+        (self.xs, self.us, self.K), self.made = trajectory, made
+
+    def _stages(self, t: float) -> tuple[int, float]:
+        """Whole stages from its begin to t, s, and the part of the next one."""
+        stages = 0.0 if math.isnan(self.made) else max((t - self.made) / self._dt, 0.0)
+        n = int(stages + TIME_TOLERANCE)
+        return n, stages - n
+
+    def ended(self, t: float) -> bool:
+        """Whether it has no stage at t, s."""
+        return self._stages(t)[0] >= len(self.us)
+
+    def feedforward(self, t: float) -> np.ndarray:
+        """The planned control (nu,) at t, s; after the end the last one."""
+        return self.us[min(self._stages(t)[0], len(self.us) - 1)]
+
+    def control(self, t: float, x: np.ndarray) -> np.ndarray:
+        """The control (nu,) with feedback at t, s, and x (nx,), before bounds."""
+        n = min(self._stages(t)[0], len(self.us) - 1)
+        return self.us[n] + self.K[n] @ self._space.single_difference(x, self.expected(t))
+
+    def expected(self, t: float) -> np.ndarray:
+        """The planned state (nx,) at t, s, integrated from the knot before; after the end the last one."""
+        n, part = self._stages(t)
+        if n >= len(self.us) or part <= TIME_TOLERANCE:
+            return self.xs[min(n, len(self.us))].copy()  # the next plan overwrites the memory
+        return self._dynamics.step(self.xs[n : n + 1], self.us[n : n + 1], np.array([part * self._dt]))[0]
+
 
 TIME = 0.1  # s, time constant of the velocities
 KEEPS = 1e-3  # upper limit of the state change per stage at an equilibrium, relative to that of zero control

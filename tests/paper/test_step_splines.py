@@ -8,8 +8,7 @@ from planner.cases.human_step.case import human_step
 from planner.dynamics.protocol import rollout_states
 from planner.paper.methods.adjoint import AdjointCost, Integration
 from planner.paper.methods.splines import SplineSpace
-from planner.paper.methods.timed_problem import TimedProblem
-from planner.paper.studies.step_splines import stiffened
+from planner.paper.studies.step_splines import TimedProblem, stiffened
 from tests.solves import hopper, numpy_twin
 
 

@@ -1,7 +1,12 @@
-"""Read a table of TOML and check its keys, with what is needed for nothing else: a wrong file is answered at once."""
+"""Data files: problem files (TOML) are found and read and their keys checked, JSON is written as JSON allows it.
+
+Nothing slow is imported, so a wrong problem file is answered at once.
+"""
 
 from __future__ import annotations
 
+import json
+import math
 import re
 import tomllib
 from collections.abc import Collection, Mapping
@@ -10,7 +15,22 @@ from typing import Any
 
 from planner.base.arguments import did_you_mean, number, short_repr
 from planner.base.errors import FileError, PlannerError
-from planner.base.files import printable, read_text
+from planner.base.files import printable, read_text, write_atomically
+
+# In the wheel mjcf/ lies inside the package, in a checkout beside it.
+MODEL_FOLDERS = (Path(__file__).parents[1] / "mjcf", Path(__file__).parents[2] / "mjcf")
+
+
+def problem_files() -> dict[str, Path]:
+    """Problem files by the names of their machines, e.g. "quadrotor"; mjcf/quadrotor/quadrotor.toml."""
+    files = (folder / f"{folder.name}.toml" for root in MODEL_FOLDERS for folder in sorted(root.glob("*")))
+    return {file.stem: file for file in files if file.is_file()}
+
+
+def problem_summary(file: Path) -> str:
+    """What a problem file says of itself: the comment that it begins with."""
+    return file.read_text(encoding="utf-8").split("\n", 1)[0].lstrip("# ")
+
 
 _FEW = 8  # keys that are listed before the nearest one is suggested
 LONGEST = 2**20  # characters; guesses and weights are short, models are files of their own
@@ -108,3 +128,25 @@ def check_file(table: dict[str, Any], keys: Collection[str], parts: Mapping[str,
         number("duration", table["duration"], greater_than=0.0)
     elif "durations" not in table:
         raise PlannerError(f"{where} has no key 'duration', expected a number of seconds, e.g. duration = 2.0.")
+
+
+def finite(value: Any) -> Any:
+    """Replace nonfinite floats by None, since JSON has no NaN and no infinity."""
+    if isinstance(value, dict):
+        return {key: finite(entry) for key, entry in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [finite(entry) for entry in value]
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value
+
+
+def json_text(content: dict[str, Any]) -> str:
+    """The text of a JSON file."""
+    return json.dumps(finite(content), indent=2, allow_nan=False) + "\n"
+
+
+def write_json(path: Path, content: dict[str, Any]) -> None:
+    """Write a JSON document atomically."""
+    with write_atomically(path) as unfinished:
+        unfinished.write_text(json_text(content), encoding="utf-8")

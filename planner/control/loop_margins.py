@@ -1,25 +1,31 @@
-"""Robustness margins of a closed loop and of its plan's fixed gains: push at each time of the task, latency, mass.
+"""Margins of a closed loop: pushes at each time of the task, latency and mass that it bears; the rate its calls allow.
 
 A margin is the largest of some levels with which the loop still succeeds (passes_disturbed), assuming that success is
 monotonic in the level. The search at one push time starts from the margin at the previous time: two runs then often
-suffice where bisection takes four.
+suffice where bisection takes four. The same margins of the plan's fixed gains stand beside them.
+
+Latency and rate that a computer allows follow from processor time: what else runs on it now is not in it. The wall time
+that it takes from a call, too, is counted as overruns.
 """
 
 from __future__ import annotations
 
+import math
+import time
 from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
 
+from planner.base.errors import PlannerError
 from planner.base.measured import Measurement, Section
 from planner.control.controller import Controller
-from planner.control.judging import passes_disturbed
+from planner.control.judging import CallTimes, passes_disturbed, times_of
 from planner.control.simulating import LATE, STAYS, simulate
 from planner.problem.plan import Plan
 from planner.proof.replays.compiled_twin import CompiledTwin
 from planner.proof.robustness.monte_carlo import LEVELS, largest_survived
-from planner.proof.robustness.pushes import DURATION, Push
+from planner.proof.robustness.pushes import Push
 
 PUSHES = (1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0, 200.0, 500.0, 1000.0)  # N
 LATENCIES = (0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2)  # s
@@ -28,20 +34,16 @@ FIXED_PLAN = "plan with its gains alone"
 
 
 def margins(
-    controller: Controller, body: str, *, times: int = TIMES, latency: float = 0.0, direction: Any = (1.0, 0.0, 0.0),
-    duration: float | None = None, push_duration: float = DURATION,
+    controller: Controller, body: str, *, times: int = TIMES, latency: float = 0.0,
     progress: Callable[[int, int], object] | None = None,
 ) -> tuple[Section, dict[str, np.ndarray], np.ndarray]:  # fmt: skip
     """Largest push at each time, latency and mass error that the loop, and the plan's fixed gains, survive.
 
     Args:
         controller: Reset for each run.
-        body: The pushed body.
+        body: The pushed body, along x.
         times: Number of push times, uniform over the task.
         latency: s, of the runs with pushes and mass errors. A controller with `latency` > 0 gets that of each run.
-        direction: (3,) of the push force in the world.
-        duration: s, of each run; by default that of the task plus 2 s.
-        push_duration: s.
         progress: Called with (searches done, all searches).
 
     Returns:
@@ -49,8 +51,7 @@ def margins(
     """
     T = controller.problem.duration
     compiled = CompiledTwin(controller.problem.twin)  # type: ignore[arg-type]
-    at, duration = np.linspace(0.0, T, times), T + LATE + STAYS if duration is None else duration
-    along = np.asarray(direction, dtype=float) / np.linalg.norm(direction)
+    at, duration = np.linspace(0.0, T, times), T + LATE + STAYS
     parties: dict[str, Controller | Plan] = {"loop": controller, "gains": controller.plan}
     maps = {who: np.zeros(times) for who in parties}
     measured, done, total, known = [], 0, len(parties) * (times + 2), controller.latency
@@ -73,7 +74,7 @@ def margins(
         for k, t in enumerate(at.tolist()):
 
             def stands(level: int, t: float = t, run: Callable[..., bool] = run) -> bool:
-                return run(pushes=[Push(body, PUSHES[level] * along, t, push_duration)])
+                return run(pushes=[Push(body, PUSHES[level], t)])
 
             near = largest_survived(len(PUSHES), stands, near)
             maps[who][k] = PUSHES[near] if near >= 0 else 0.0
@@ -100,3 +101,40 @@ def _largest(levels: Sequence[float], survived: Callable[[float], bool]) -> floa
     """The largest survived level; 0 where the lowest one fails."""
     most = largest_survived(len(levels), lambda level: survived(levels[level]))
     return levels[most] if most >= 0 else 0.0
+
+
+CALLS, SECONDS = 100, 2.0  # measured calls at most, and the wall time of all of them, s, after the first FEWEST
+FEWEST = 10
+
+
+def measured_calls(controller: Controller) -> CallTimes:
+    """Processor times of planning calls, one per period, in the problem's own dynamics; resets the controller."""
+    controller.reset()
+    controller.simulated = True
+    dynamics, x, taken, began = controller.problem.dynamics, controller.problem.x0, list[float](), time.perf_counter()
+    period = 1.0 / controller.rate
+    for k in range(CALLS):
+        u = controller(k * period, x)
+        taken.append(controller.processor_seconds)
+        if len(taken) >= FEWEST and time.perf_counter() - began > SECONDS:
+            break
+        for part in np.full(max(round(period / dynamics.dt), 1), dynamics.dt):
+            x = dynamics.step(x[None], u[None], np.array([part]))[0]
+    controller.reset()
+    return times_of(np.array(taken))
+
+
+def fitting_rate(controller: Controller, latency: float) -> float:
+    """The highest rate, Hz, of one plan every whole number of stages, whose period is not shorter than a latency, s.
+
+    Raises:
+        PlannerError: No plan of the controller's horizon lasts that long.
+    """
+    dt, H = controller.problem.dynamics.dt, controller.horizon
+    stages = max(math.ceil(latency / dt - 1e-9), 1)
+    if stages > H:
+        raise PlannerError(
+            f"a call takes {1e3 * latency:.3g} ms and a plan ends after {1e3 * H * dt:.3g} ms, expected a longer "
+            "horizon, or a faster computer."
+        )
+    return 1.0 / (stages * dt)
