@@ -31,8 +31,6 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from planner.base.errors import PlannerError
-from planner.problem.constraints.clearance import pair_clearance_of
-from planner.problem.goals import goals_of, missed_goal_message
 from planner.problem.initial_guess import Trajectory
 from planner.problem.plan import Plan, Status
 from planner.problem.problem import Problem
@@ -48,23 +46,28 @@ from planner.solvers.continuation import (
     stays_on_feet,
 )
 from planner.solvers.gains import tracked_warm_start
-from planner.solvers.options import DEFAULT, SolverOptions
+from planner.solvers.options import SolverOptions
 from planner.solvers.other_guesses import other_guesses, shaken, swings
+from planner.solvers.trapped import (
+    FIRST_ITERATIONS,
+    MAX_QUICK_ITERATIONS,
+    NEAR,
+    failed,
+    is_trapped,
+    look_iterations,
+    meets_goals,
+    stays_away,
+)
 from planner.solvers.work import WorkBudget
 
-MAX_QUICK_ITERATIONS = Continuation.look_iterations  # of a direct solve with contacts: then it crawls along their kinks
 DISTANT_ITERATIONS = 100  # after which a solve with forces at a distance goes on only if its plan meets the goals
 SWING_FACTOR = 2.0  # of the limits, at which branches with other numbers of swings begin
-FIRST_ITERATIONS = 300  # limit of the first solve of a branch, and of a direct one past obstacles
 MAX_REPEATS = 2  # number of swings that lead to a branch that was followed, after which no others are tried
 GUESS_WORK = 10.0  # limit of the work of a solve from the first other guess (solvers.work), half of it for each next
 SAME_COST = 1e-3  # relative difference of the costs below which two of them are the same branch, or its mirror image
 LENGTHENING = 1.1  # ratio of successive durations
 MAX_DURATIONS = 8  # number of them: up to 2.1 times
-NEAR = 0.1  # of the largest error of a goal along a plan: what misses it by less needs weight, not another motion
-CLOSE = 2.0  # tolerances, likewise
 EASIER = 10.0  # times the cost of the direct plan: a problem of softer contacts whose plan costs more is none easier
-_UNSUCCESSFUL = (Status.MAX_ITERATIONS, Status.NO_DESCENT, Status.OUTSIDE_LIMITS)
 
 # One solve from states (N+1, nx) or None, penalties or None, and controls (N, nu), with an iteration limit.
 SolveOne = Callable[..., Plan]
@@ -98,60 +101,6 @@ class RelaxationStep(NamedTuple):
         return f"{'relax':>5}  stage           {columns}"
 
 
-def is_trapped(problem: Problem, plan: Plan, options: SolverOptions) -> bool:
-    """Whether a direct solve ended without success, and not only because its weights are too small."""
-    if not (_is_relaxed(problem, options) and _failed(plan)) or plan.status is Status.NOT_FINITE:
-        return False
-    if at_limits(problem, plan) or _stays_away(problem, plan):
-        return True
-    return not _lacks_weight(problem, plan)
-
-
-def direct_iterations(problem: Problem, options: SolverOptions) -> int:
-    """Limit of the iterations of a direct solve, after which softer contacts or ways around obstacles are tried."""
-    most = options.max_iterations
-    return int(min(most, _look_iterations(problem))) if _is_relaxed(problem, options) else most
-
-
-def _look_iterations(problem: Problem) -> float:
-    """Iterations after which a direct solve waits for other ones; infinite where it does not."""
-    if has_softer(problem):
-        return MAX_QUICK_ITERATIONS
-    return math.inf if pair_clearance_of(problem.constraints) is None else FIRST_ITERATIONS
-
-
-def _is_relaxed(problem: Problem, options: SolverOptions) -> bool:
-    """Not where an iteration limit below the default cuts a solve: who asks for little work gets little."""
-    return options.homotopy and options.max_iterations >= DEFAULT.max_iterations and problem.periodic is None
-
-
-def _failed(plan: Plan) -> bool:
-    return plan.status in (*_UNSUCCESSFUL, Status.NOT_FINITE) or bool(plan.missed_goals)
-
-
-def _lacks_weight(problem: Problem, plan: Plan) -> bool:
-    """Whether a converged plan misses its goals by so little that weights are missing, and no other motion."""
-    if plan.status is not Status.CONVERGED:
-        return False
-    for one in goals_of(problem, plan.xs):
-        farthest = 0.0 if one.times is not None else NEAR * float(np.max(one.error(plan.xs)))
-        if not one.miss(plan.t, plan.xs) <= max(CLOSE * one.tolerance, farthest):
-            return False
-    return True
-
-
-def _stays_away(problem: Problem, plan: Plan) -> bool:
-    """Whether a converged plan ends as far from a goal as it begins."""
-    if plan.status is not Status.CONVERGED:
-        return False
-    for one in goals_of(problem, plan.xs):
-        if one.times is None and np.isfinite(one.tolerance):
-            begins, ends = (float(one.error(x[None])[0]) for x in plan.xs[[0, -1]])
-            if begins > one.tolerance and ends >= (1.0 - NEAR) * begins:
-                return True
-    return False
-
-
 def relax(
     problem: Problem,
     direct: Plan,
@@ -178,7 +127,7 @@ def relax(
     try:
         plan = work.run(direct)
     except _OutOfWorkError as end:
-        plan = replace(direct, status=end.status) if _failed(direct) else direct
+        plan = replace(direct, status=end.status) if failed(direct) else direct
     except (KeyboardInterrupt, StopIteration):
         plan = replace(direct, status=Status.INTERRUPTED)
     return plan, work.record()
@@ -203,37 +152,37 @@ class _Relaxation:
 
     def run(self, direct: Plan) -> Plan:
         problem, limit = self.problem, self.options.max_iterations
-        self._report("direct", 1.0, direct, not _failed(direct))
-        if _stays_away(problem, direct) and not self._distant():
+        self._report("direct", 1.0, direct, not failed(direct))
+        if stays_away(problem, direct) and not self._distant():
             allowed = self._allowed(problem, limit)
             plan = self.solve_one(problem, self.options, None, None, shaken(problem), allowed, None)
-            if self._report("shaken", 1.0, plan, not _failed(plan)) or (
+            if self._report("shaken", 1.0, plan, not failed(plan)) or (
                 plan.status in (Status.CONVERGED, Status.MAX_ITERATIONS) and plan.cost < direct.cost
             ):
                 direct = replace(plan, starts=direct.starts)
                 if not is_trapped(problem, direct, self.options):
                     return direct
-        stopped = direct.status is Status.MAX_ITERATIONS and _look_iterations(problem) < limit
-        if stopped and stays_on_feet(problem, direct.xs) and _meets_goals(direct):  # softer ones find nothing else
+        stopped = direct.status is Status.MAX_ITERATIONS and look_iterations(problem) < limit
+        if stopped and stays_on_feet(problem, direct.xs) and meets_goals(direct):  # softer ones find nothing else
             direct = self._resumed(direct, direct.nit + int(MAX_QUICK_ITERATIONS))
             if not is_trapped(problem, direct, self.options):
                 return direct
             stopped = direct.status is Status.MAX_ITERATIONS
         plan = None
         if has_softer(problem):
-            plan = self._by_forces_at_a_distance() if _failed(direct) else None
+            plan = self._by_forces_at_a_distance() if failed(direct) else None
             plan = plan or self._by_softer_contacts(direct.cost)
-        elif stopped or not _meets_goals(direct):
+        elif stopped or not meets_goals(direct):
             plan = self._by_other_guesses(direct)
         if stopped and (plan is None or (has_softer(problem) and plan.cost >= direct.cost)):
             direct = self._resumed(direct, limit)
-        if plan is not None and (_failed(direct) or plan.cost < direct.cost):
+        if plan is not None and (failed(direct) or plan.cost < direct.cost):
             direct = replace(plan, starts=direct.starts)
-        if not (_failed(direct) and at_limits(problem, direct)):
+        if not (failed(direct) and at_limits(problem, direct)):
             return direct
         free = self._solve(free_problem(problem), None, limit)
-        self._report("free", math.inf, free, _meets_goals(free))
-        if not _meets_goals(free):
+        self._report("free", math.inf, free, meets_goals(free))
+        if not meets_goals(free):
             return direct
         family = WiderLimits.around(problem, free)
         lowest: tuple[float, Plan] | None = None
@@ -243,7 +192,7 @@ class _Relaxation:
                 return replace(plan, starts=direct.starts)
             if lowest is None or s < lowest[0]:
                 lowest = s, plan
-        if lowest is None or _meets_goals(direct):
+        if lowest is None or meets_goals(direct):
             return direct  # slow, but not infeasible
         self.passing["factor"] = math.exp(lowest[0])
         duration = self._passing_duration(*lowest)
@@ -278,7 +227,7 @@ class _Relaxation:
             return None
         family = DistantContacts(self.problem)
         first = self._solve(family.at(family.factor), None, FIRST_ITERATIONS)
-        if not self._report("distance", family.factor, first, _meets_goals(first)):
+        if not self._report("distance", family.factor, first, meets_goals(first)):
             return None
         # Beyond the reach of the force there is no gradient, so each step halves it, and no step is longer.
         s, halvings = math.log(family.factor), math.ceil(math.log2(family.factor))
@@ -300,7 +249,7 @@ class _Relaxation:
         def is_kept(plan: Plan) -> bool:
             converged = plan.status is Status.CONVERGED
             if plan.problem is self.problem:
-                return _meets_goals(plan) or (converged and bool(costs) and plan.cost <= (1.0 + NEAR) * costs[-1])
+                return meets_goals(plan) or (converged and bool(costs) and plan.cost <= (1.0 + NEAR) * costs[-1])
             costs.extend([plan.cost] if converged else [])
             return converged
 
@@ -320,7 +269,7 @@ class _Relaxation:
         allowed = self._allowed(self.problem, limit - direct.nit)
         plan = self.solve_one(self.problem, self.options, None, direct.bound_penalties, direct.us, allowed, None)
         plan = replace(plan, starts=direct.starts)
-        self._report("resumed", 1.0, plan, not _failed(plan))
+        self._report("resumed", 1.0, plan, not failed(plan))
         return plan
 
     def _branches(self, family: WiderLimits, free: Plan) -> Iterator[tuple[float, Plan]]:
@@ -331,7 +280,7 @@ class _Relaxation:
         for us in swings(self.problem):
             plan = self.solve_one(wider, self.options, None, None, us, self._allowed(wider, FIRST_ITERATIONS), None)
             same = any(math.isclose(plan.cost, cost, rel_tol=SAME_COST) for cost in seen)
-            kept, again = _meets_goals(plan) and not same, again + same
+            kept, again = meets_goals(plan) and not same, again + same
             seen.append(plan.cost)
             if self._report("swing", factor, plan, kept):
                 yield max(math.log(factor), Continuation.min_step), plan
@@ -346,11 +295,11 @@ class _Relaxation:
             except PlannerError:  # parts that cannot have another duration
                 return None
             direct = self._solve(longer, None, FIRST_ITERATIONS)
-            if self._report("duration", 1.0, direct, direct.converged and _meets_goals(direct)):
+            if self._report("duration", 1.0, direct, direct.converged and meets_goals(direct)):
                 return rounded_duration(longer, 1.0)
             family = WiderLimits(longer, 1.0, None, None)
             wider = self._solve(family.at(math.exp(s)), plan.motion.stretched(longer.duration), FIRST_ITERATIONS)
-            if self._report("duration", math.exp(s), wider, _meets_goals(wider)):
+            if self._report("duration", math.exp(s), wider, meets_goals(wider)):
                 s, plan = self._continuation("duration", family).run(s, wider)
             if s == 0.0:
                 return rounded_duration(longer, 1.0)
@@ -361,7 +310,7 @@ class _Relaxation:
             self._report(stage, math.exp(s), plan, kept)
 
         return Continuation(
-            lambda s: family.at(math.exp(s)), self._solve, _meets_goals, report,
+            lambda s: family.at(math.exp(s)), self._solve, meets_goals, report,
             max_iterations=self.options.max_iterations,
         )  # fmt: skip
 
@@ -398,10 +347,3 @@ class _Relaxation:
             for step, factor in zip(self.steps, factors, strict=True)
         ]
         return {"steps": rows, **self.passing}
-
-
-def _meets_goals(plan: Plan) -> bool:
-    """Whether a plan, converged or not, meets its goals within its limits."""
-    if plan.problem is None or not np.isfinite(plan.xs).all() or plan.status is Status.OUTSIDE_LIMITS:
-        return False
-    return not missed_goal_message(plan.problem, *plan.judged_motion)

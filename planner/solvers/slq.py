@@ -47,8 +47,9 @@ from planner.solvers.multiple_shooting import close_defects, guessed_states, lin
 from planner.solvers.multistart import best_of
 from planner.solvers.options import SolverOptions, with_overrides
 from planner.solvers.other_guesses import has_diverged, stabilizing_guess
-from planner.solvers.relaxation import direct_iterations, is_trapped, relax
+from planner.solvers.relaxation import relax
 from planner.solvers.step_control import AndersonAcceleration, Regularization, unregularized_sweep
+from planner.solvers.trapped import direct_iterations, is_trapped
 from planner.solvers.work import UntilDeadline, WorkBudget, budget_of, with_cut
 
 

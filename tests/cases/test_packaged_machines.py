@@ -9,7 +9,7 @@ from commands import refused, run
 
 import planner
 from planner.base.data_files import problem_files
-from planner.dynamics.contacts import PlaneContactKinematics
+from planner.dynamics.contact_kinematics import PlaneContactKinematics
 from planner.dynamics.statics import STRIDE
 from planner.problem.goals import goals_of
 

@@ -11,7 +11,7 @@ from trees import drawn, machines, relative_error
 import planner
 from planner import Limits, Mechanism, PenaltyCost, Problem, RigidBodyDynamics, Status, TrackingCost
 from planner.costs import Distance, Gap, Height, Point, Segment, Velocity
-from planner.dynamics.protocol import INTEGRATORS
+from planner.dynamics import INTEGRATORS
 from planner.kernels.lq import line_search
 from planner.problem.costs.least_squares import ResidualCost
 from planner.problem.rediscretize import finer

@@ -13,8 +13,7 @@ from trees import drawn, machines, relative_error
 import planner
 from planner import Limits, Mechanism, PlannerError, Problem, RigidBodyDynamics, Status, TrackingCost
 from planner.costs import CenterOfMassCost, FrameCost, Height, PenaltyCost, Point
-from planner.dynamics import center_of_mass
-from planner.dynamics.protocol import INTEGRATORS
+from planner.dynamics import INTEGRATORS, center_of_mass
 from planner.kernels.lq import line_search
 from planner.kernels.tree.residuals.kinds import KINDS as COMPILED
 from planner.model.contact.laws import Contact, ContactLaw, Plane

@@ -15,8 +15,7 @@ from trees import CHAINS, actuated, chain, drawn, machines, problem, relative_er
 
 import planner
 from planner import Problem, Status, TrackingCost
-from planner.dynamics import RigidBodyDynamics
-from planner.dynamics.protocol import INTEGRATORS
+from planner.dynamics import INTEGRATORS, RigidBodyDynamics
 from planner.kernels.lq import line_search
 from planner.kernels.lq.workspace import ACCEPTED, CONVERGED, INDEFINITE
 from planner.model.mechanism import Mechanism

@@ -11,7 +11,8 @@ from planner.problem.plan import Status
 from planner.solvers.continuation import REACH, DistantContacts, SofterContacts, has_softer, stays_on_feet
 from planner.solvers.engine import CompiledEngine, NumpyEngine, acquire_engine
 from planner.solvers.options import SolverOptions
-from planner.solvers.relaxation import MAX_QUICK_ITERATIONS, relax
+from planner.solvers.relaxation import relax
+from planner.solvers.trapped import MAX_QUICK_ITERATIONS
 
 DIRECT = SolverOptions(homotopy=False)
 

@@ -1,0 +1,82 @@
+"""Whether a direct solve is trapped: it ended without success, and larger weights would not mend it."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from planner.problem.constraints.clearance import pair_clearance_of
+from planner.problem.goals import goals_of, missed_goal_message
+from planner.problem.plan import Plan, Status
+from planner.problem.problem import Problem
+from planner.solvers.continuation import Continuation, at_limits, has_softer
+from planner.solvers.options import DEFAULT, SolverOptions
+
+MAX_QUICK_ITERATIONS = Continuation.look_iterations  # of a direct solve with contacts: then it crawls along their kinks
+FIRST_ITERATIONS = 300  # limit of the first solve of a branch, and of a direct one past obstacles
+NEAR = 0.1  # of the largest error of a goal along a plan: what misses it by less needs weight, not another motion
+CLOSE = 2.0  # tolerances, likewise
+_UNSUCCESSFUL = (Status.MAX_ITERATIONS, Status.NO_DESCENT, Status.OUTSIDE_LIMITS)
+
+
+def is_trapped(problem: Problem, plan: Plan, options: SolverOptions) -> bool:
+    """Whether a direct solve ended without success, and not only because its weights are too small."""
+    if not (_is_relaxed(problem, options) and failed(plan)) or plan.status is Status.NOT_FINITE:
+        return False
+    if at_limits(problem, plan) or stays_away(problem, plan):
+        return True
+    return not _lacks_weight(problem, plan)
+
+
+def direct_iterations(problem: Problem, options: SolverOptions) -> int:
+    """Limit of the iterations of a direct solve, after which softer contacts or ways around obstacles are tried."""
+    most = options.max_iterations
+    return int(min(most, look_iterations(problem))) if _is_relaxed(problem, options) else most
+
+
+def look_iterations(problem: Problem) -> float:
+    """Iterations after which a direct solve waits for other ones; infinite where it does not."""
+    if has_softer(problem):
+        return MAX_QUICK_ITERATIONS
+    return math.inf if pair_clearance_of(problem.constraints) is None else FIRST_ITERATIONS
+
+
+def _is_relaxed(problem: Problem, options: SolverOptions) -> bool:
+    """Not where an iteration limit below the default cuts a solve: who asks for little work gets little."""
+    return options.homotopy and options.max_iterations >= DEFAULT.max_iterations and problem.periodic is None
+
+
+def failed(plan: Plan) -> bool:
+    """Whether a plan has no success, or misses a goal."""
+    return plan.status in (*_UNSUCCESSFUL, Status.NOT_FINITE) or bool(plan.missed_goals)
+
+
+def _lacks_weight(problem: Problem, plan: Plan) -> bool:
+    """Whether a converged plan misses its goals by so little that weights are missing, and no other motion."""
+    if plan.status is not Status.CONVERGED:
+        return False
+    for one in goals_of(problem, plan.xs):
+        farthest = 0.0 if one.times is not None else NEAR * float(np.max(one.error(plan.xs)))
+        if not one.miss(plan.t, plan.xs) <= max(CLOSE * one.tolerance, farthest):
+            return False
+    return True
+
+
+def stays_away(problem: Problem, plan: Plan) -> bool:
+    """Whether a converged plan ends as far from a goal as it begins."""
+    if plan.status is not Status.CONVERGED:
+        return False
+    for one in goals_of(problem, plan.xs):
+        if one.times is None and np.isfinite(one.tolerance):
+            begins, ends = (float(one.error(x[None])[0]) for x in plan.xs[[0, -1]])
+            if begins > one.tolerance and ends >= (1.0 - NEAR) * begins:
+                return True
+    return False
+
+
+def meets_goals(plan: Plan) -> bool:
+    """Whether a plan, converged or not, meets its goals within its limits."""
+    if plan.problem is None or not np.isfinite(plan.xs).all() or plan.status is Status.OUTSIDE_LIMITS:
+        return False
+    return not missed_goal_message(plan.problem, *plan.judged_motion)
