@@ -51,6 +51,11 @@ BAUMGARTE_RATE = 20.0
 """Decay rate of a closure error, 1/s: to 1 % within 0.33 s; RK4 is stable with stages of up to 0.1 s."""
 
 
+def baumgarte_rate() -> float:
+    """BAUMGARTE_RATE for the kernels' tables, 1/s: kernels import no constants from outside."""
+    return BAUMGARTE_RATE
+
+
 @dataclass(frozen=True)
 class Coupling:
     """Linear equation sum_k coefficients[k] q[dofs[k]] = constant of hinge and slide coordinates.

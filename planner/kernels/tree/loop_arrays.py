@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from planner.kernels.numba.lanes import WIDTH
-from planner.model.couplings import BAUMGARTE_RATE, Reduction
+from planner.model.couplings import Reduction, baumgarte_rate
 from planner.model.mechanism import Mechanism
 
 JOINED_SIZE = 15  # of one of two frames that are joined: its place (3), its tree's origin (3), its three axes
@@ -36,7 +36,7 @@ def loop_arrays(
         "joined_link": link, "joined_value": value,
         "joined_address": np.where(link >= 0, tree["floating_address"][link], -1) if len(link) else link,
         "loop_rigid": np.array([loop.rigid for loop in loops], dtype=np.int64), "loop_rate":
-        np.array([BAUMGARTE_RATE]),
+        np.array([baumgarte_rate()]),
         "coupling_dof": np.array([(one.follower, one.leader) for one in couplings], dtype=np.int64),
         "coupling_value": np.array([(*one.offsets, *one.coefficients) for one in couplings], dtype=float),
         **_triples(loops, couplings, chains, mechanism),
