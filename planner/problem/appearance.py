@@ -29,7 +29,7 @@ class PoseSequence:
     """A motion of points."""
 
     label: str  # For the legend
-    points: np.ndarray  # (K, P, 3) m, at equal times; see view.plots.projection
+    points: np.ndarray  # (K, P, 3) m, at equal times; see view.plots.case_pictures
     dashed: bool = False  # Drawn thin and dashed: a reference of the others
 
 
@@ -74,7 +74,7 @@ class Chart:
 
 @dataclass(frozen=True, eq=False)
 class StickFigures:
-    """A picture of poses, see view.plots.stick_figures."""
+    """A picture of poses, see view.plots.case_pictures."""
 
     caption: str  # Under it, on a page
     motions: Sequence[PoseSequence]  # Over the same time
@@ -86,7 +86,7 @@ class StickFigures:
 
 @dataclass(frozen=True, eq=False)
 class Charts:
-    """Panels, see view.plots.charts."""
+    """Panels, see view.plots.case_pictures."""
 
     caption: str  # Under them, on a page
     t: np.ndarray  # (K,) of all curves without times of their own
@@ -98,7 +98,7 @@ class Charts:
 
 @dataclass(frozen=True, eq=False)
 class Paths:
-    """Paths in space from the side, from the front and from above, see view.plots.paths."""
+    """Paths in space from the side, from the front and from above, see view.plots.case_pictures."""
 
     caption: str  # Under them, on a page
     traces: Sequence[Trace]  # The paths
@@ -107,7 +107,7 @@ class Paths:
 
 @dataclass(frozen=True, eq=False)
 class BoundedPanel:
-    """Quantities over time with their bounds: one panel of plots.png, see view.plots.bounded."""
+    """Quantities over time with their bounds: one panel of plots.png, see view.plots.time_series."""
 
     title: str  # Above it
     ylabel: str  # With the unit

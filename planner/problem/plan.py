@@ -308,7 +308,7 @@ class Plan(Built, Plottable):
         return frame_of(self, rate, only)
 
     def to_joint_trajectory(self, path: str | Path | None = None, rate: float | None = None) -> dict[str, Any]:
-        """ROS 2's JointTrajectory, also written as .yaml or .json: see export.joint_trajectory."""
+        """ROS 2's JointTrajectory, also written as .yaml or .json: see problem.export."""
         return joint_trajectory(self, path, rate)
 
     def to_keyframes(self, path: str | Path, rate: float | None = None) -> Path:

@@ -8,11 +8,11 @@ With contacts the easier problem has softer ones (solvers.continuation): sinking
 less. Where objects are to be moved that nothing touches it has forces at a distance instead, from afar and then from
 nearer. Softer ones are also tried where a direct solve has not converged after MAX_QUICK_ITERATIONS, or twice as many
 where its plan meets the goals by then on feet that stay; that goes on only where they lead to no plan that costs less.
-The last solve always has the contacts of the problem.
+They are given up where the first plan on them costs EASIER times the direct one. The last solve always has the
+contacts of the problem; its plan is taken, too, where it costs less and lacks weight for its goals.
 
 Bounds that act from the first iteration may trap a solve too. The free problem is easy; its plan is followed into the
-limits by a continuation (solvers.continuation) in the logarithm of the factor by which they are wider
-(solvers.continuation).
+limits by a continuation in the logarithm of the factor by which they are wider.
 
 Where this branch ends above the factor 1, others begin at SWING_FACTOR from controls that swing between their bounds:
 with as many half periods as the slowest oscillation about the start has in the duration, with one less and with one
@@ -85,7 +85,7 @@ class RelaxationStep(NamedTuple):
     cost: float
     iterations: int
     status: Status
-    meets_goal: bool  # Whether it meets the goal, so that the next solve starts from it
+    meets_goal: bool  # Whether it was kept, so that the next solve starts from it
 
     def __str__(self) -> str:
         row = (
@@ -120,16 +120,17 @@ def relax(
         budget: That the solves after the direct one are charged to, and that ends them.
 
     Returns:
-        The direct plan has the status INFEASIBLE where the free problem is solved, and this one is not; and the one of
-        the budget where that ended the search.
+        The direct plan, or a better one, has the status INFEASIBLE where the free problem is solved, and this one is
+        not; and the one of the budget where that ended the search.
     """
     work = _Relaxation(problem, solve_one, options, callback, budget)
     try:
         plan = work.run(direct)
     except _OutOfWorkError as end:
-        plan = replace(direct, status=end.status) if failed(direct) else direct
+        best = work.best or direct
+        plan = replace(best, status=end.status) if failed(best) else best
     except (KeyboardInterrupt, StopIteration):
-        plan = replace(direct, status=Status.INTERRUPTED)
+        plan = replace(work.best or direct, status=Status.INTERRUPTED)
     return plan, work.record()
 
 
@@ -149,9 +150,11 @@ class _Relaxation:
     budget: WorkBudget | None
     steps: list[RelaxationStep] = field(default_factory=list)
     passing: dict[str, float] = field(default_factory=dict)  # the factor and the duration that pass
+    best: Plan | None = None  # of the problem itself, for a relaxation that is cut
 
     def run(self, direct: Plan) -> Plan:
         problem, limit = self.problem, self.options.max_iterations
+        self.best = direct
         self._report("direct", 1.0, direct, not failed(direct))
         if stays_away(problem, direct) and not self._distant():
             allowed = self._allowed(problem, limit)
@@ -171,13 +174,14 @@ class _Relaxation:
         plan = None
         if has_softer(problem):
             plan = self._by_forces_at_a_distance() if failed(direct) else None
-            plan = plan or self._by_softer_contacts(direct.cost)
+            plan = plan or self._by_softer_contacts(direct)
         elif stopped or not meets_goals(direct):
             plan = self._by_other_guesses(direct)
         if stopped and (plan is None or (has_softer(problem) and plan.cost >= direct.cost)):
             direct = self._resumed(direct, limit)
-        if plan is not None and (failed(direct) or plan.cost < direct.cost):
-            direct = replace(plan, starts=direct.starts)
+        useless = failed(direct) and ((plan is not None and meets_goals(plan)) or not math.isfinite(direct.cost))
+        if plan is not None and (useless or plan.cost < direct.cost):
+            self.best = direct = replace(plan, starts=direct.starts)
         if not (failed(direct) and at_limits(problem, direct)):
             return direct
         free = self._solve(free_problem(problem), None, limit)
@@ -238,7 +242,7 @@ class _Relaxation:
         s, plan = steps.run(s, first)
         return plan if s == 0.0 else None
 
-    def _by_softer_contacts(self, direct_cost: float) -> Plan | None:
+    def _by_softer_contacts(self, direct: Plan) -> Plan | None:
         """The plan of the problem that one of softer contacts leads to; None where its branch ends before.
 
         What stands on softer ground stands lower, so that only the last plan has to meet the goals; one that costs as
@@ -249,15 +253,17 @@ class _Relaxation:
         def is_kept(plan: Plan) -> bool:
             converged = plan.status is Status.CONVERGED
             if plan.problem is self.problem:
-                return meets_goals(plan) or (converged and bool(costs) and plan.cost <= (1.0 + NEAR) * costs[-1])
+                same_branch = bool(costs) and plan.cost <= costs[-1] + NEAR * abs(costs[-1])
+                return meets_goals(plan) or (converged and same_branch)
             costs.extend([plan.cost] if converged else [])
             return converged
 
         family = SofterContacts(self.problem)
         continuation = replace(self._continuation("contacts", family), meets_goals=is_kept)
         soft = self._solve(family.at(family.factor), None, continuation.look_iterations)
-        easier = bool(np.isfinite(soft.xs).all()) and soft.cost <= EASIER * max(1.0, direct_cost)
-        if not self._report("contacts", family.factor, soft, easier):
+        comparable = direct.status is not Status.OUTSIDE_LIMITS and math.isfinite(direct.cost)
+        harder = comparable and soft.cost > EASIER * max(1.0, direct.cost) and not meets_goals(soft)
+        if not self._report("contacts", family.factor, soft, bool(np.isfinite(soft.xs).all()) and not harder):
             return None
         s, plan = continuation.run(math.log(family.factor), soft)
         return plan if s == 0.0 else None

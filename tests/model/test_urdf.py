@@ -177,6 +177,23 @@ def test_links_that_overlap_at_zero_do_not_touch_and_the_model_says_so(apart, to
     assert len(contact_pairs(compiled(robot(*parts)))) == touch
 
 
+def test_what_rests_is_left_out_near_the_base_alone():
+    """A ball on the base overlaps with all links: the third one passes through it, the fourth meets it as a table."""
+    ball = shape("collision", BALL)
+    parts = [link("world", ball), link("base", ball), joint("0", "world", "base", "fixed", more="")]
+    for k, parent in enumerate(("base", "a", "b", "c"), 1):
+        child = "abcd"[k - 1]
+        parts += [
+            link(child, inertial(), *([ball] if child in "cd" else [])),
+            joint(str(k), parent, child, xyz="0 0 0"),
+        ]
+    model = compiled(robot(*parts))
+    pairs = {frozenset(model.geom(geom).name for geom in pair) for pair in contact_pairs(model)}
+    assert frozenset({"base", "c"}) not in pairs
+    assert frozenset({"base", "d"}) in pairs
+    assert frozenset({"world", "c"}) in pairs  # of MuJoCo's own body, which carries floors and obstacles, too
+
+
 def test_a_floor_is_added_on_request():
     floor = compiled(ARM, floor=True).geom("floor")
     assert floor.type == mujoco.mjtGeom.mjGEOM_PLANE

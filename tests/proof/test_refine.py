@@ -1,5 +1,6 @@
 """Refinement: plans that their own step has deceived become plans that MuJoCo repeats, and nothing else is refined."""
 
+import math
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -192,7 +193,14 @@ def test_the_limit_of_refinements_ends_refinement(failed):
 
 
 @pytest.mark.parametrize(
-    ("errors", "ends"), [((2.3, 2.2, 2.15), True), ((4.0, 2.0, 1.5), False), ((0.9, 0.8, 0.8), False)]
+    ("errors", "ends"),
+    [
+        ((2.3, 2.2, 2.15), True),
+        ((4.0, 2.0, 1.5), False),
+        ((0.9, 0.8, 0.8), False),
+        ((math.inf, math.inf, 2.0), False),
+        ((4e3, 4e3, 4e3), False),
+    ],
 )
 def test_an_end_error_that_half_the_step_leaves_ends_refinement(failed, errors, ends):
     """Within its bound it is not what fails; a step of first order halves it."""

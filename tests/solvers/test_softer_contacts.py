@@ -1,5 +1,6 @@
 """Continuation in the contact: softer ground first, and the last solve on the ground of the file."""
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -146,3 +147,43 @@ def test_other_contacts_keep_the_compiled_engine_and_other_masses_do_not(problem
     heavier = replace(dynamics.mechanism, mass=2.0 * dynamics.mechanism.mass)
     other = replace(problem, dynamics=RigidBodyDynamics(heavier, dynamics.dt), recipe=None)
     assert isinstance(acquire_engine(other), NumpyEngine)
+
+
+@pytest.fixture(scope="module")
+def unfinished(problem):
+    """A plan of two iterations whose end is 1 m beside its goal."""
+    plan = planner.solve(problem, DIRECT, max_iterations=2)
+    xs = plan.xs.copy()
+    xs[-1, 0] += 1.0
+    return replace(plan, xs=xs)
+
+
+def relaxed(problem, direct, cost_at):
+    """relax() with solves that return the direct plan's motion as one that has converged, at a cost by the factor."""
+    stiffness = problem.dynamics.mechanism.contacts[0].law.stiffness
+
+    def solve_one(asked, *_):
+        factor = stiffness / asked.dynamics.mechanism.contacts[0].law.stiffness
+        return replace(direct, problem=asked, cost=cost_at(factor), status=Status.CONVERGED)
+
+    plan, record = relax(problem, direct, solve_one, SolverOptions(), None)
+    return plan, [(stage, round(factor or math.inf, 2), kept) for stage, factor, *_, kept in record["steps"]]
+
+
+def test_softer_contacts_whose_first_plan_costs_far_more_are_given_up(problem, unfinished):
+    assert replace(unfinished, status=Status.CONVERGED).missed_goals
+    most = 10.0 * max(1.0, unfinished.cost)
+    for cost, kept in ((0.99 * most, True), (1.01 * most, False)):
+        _, steps = relaxed(problem, unfinished, lambda _, cost=cost: cost)
+        assert steps[1] == ("contacts", 10.0, kept)
+        assert any(stage == "contacts" for stage, *_ in steps[2:]) is kept
+
+
+def test_a_plan_on_the_branch_that_lacks_weight_ends_the_continuation(problem, unfinished):
+    """Its goals are missed as on softer ground, at the same cost: shorter steps would lead to it again."""
+    plan, steps = relaxed(problem, unfinished, lambda factor: 0.5 * unfinished.cost * (1.0 + 0.01 * factor))
+    assert [step for step in steps if step[0] == "contacts"] == [("contacts", f, True) for f in (10.0, 3.16, 1.0)]
+    assert plan.cost == 0.505 * unfinished.cost
+    assert plan.problem is problem
+    dearer = relaxed(problem, unfinished, lambda factor: (0.5 if factor > 1.0 else 0.9) * unfinished.cost)[1]
+    assert ("contacts", 1.0, False) in dearer  # it fell off its branch

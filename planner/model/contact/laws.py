@@ -143,6 +143,7 @@ class ContactLaw(Law):
             set_fields(self, impratio=number("impratio", self.impratio, greater_than=0.0))
         choice("cone", self.cone, CONES)
         set_fields(self, normal_share=number("normal_share", self.normal_share, minimum=0.0, maximum=MAX_NORMAL_SHARE))
+        set_fields(self, impedance=tuple(map(float, self.impedance)))  # a list could not be hashed
         first, last, width, midpoint = self.impedance
         if not (0.0 < first < 1.0 and 0.0 < last < 1.0 and width > 0.0 and 0.0 < midpoint < 1.0):
             raise PlannerError(f"impedance is {self.impedance}, expected d_0, d_1, a width and a midpoint of 0 to 1.")

@@ -42,7 +42,7 @@ class FixTrials:
     """Trials of a problem file's suggested fixes.
 
     Fixes of AUTOMATIC_KEYS come first, and the first that passes is applied. Those of other keys are tried and only
-    reported. Other weights begin at the plan that has converged without them.
+    reported. Other weights begin at the plan that has converged without them, if its stage is the problem's.
     """
 
     problem: Problem
@@ -92,16 +92,18 @@ class FixTrials:
                 if k == 0:
                     raise
                 break
-            if done is None or done.passed or self.budget.exhausted:
-                return fixes[-1], done if done is not None and done.passed else None
+            if done is not None and done.passed:
+                return fixes[-1], done
+            if self.budget.exhausted:
+                break
             if one.key == "duration":
                 fixes = [longer(self.problem, fixes[-1])]
-            else:
-                failed = done.plan
-                again = [other for other in suggested_fixes(failed, done.proof) if _kind(other) == "weights"]
-                if not again:
-                    break
-                fixes = [*fixes, again[0]]
+                continue
+            again = [] if done is None else suggested_fixes(done.plan, done.proof)
+            more = next((other for other in again if _kind(other) == "weights"), None)
+            if done is None or more is None:
+                break
+            fixes, failed = [*fixes, more], done.plan
         return fixes[-1], None
 
     def _tried(self, fixes: list[SuggestedFix], failed: Plan) -> Refined | None:

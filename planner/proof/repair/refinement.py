@@ -31,6 +31,7 @@ from planner.solvers.gains import warm_start
 from planner.solvers.slq import solve
 from planner.solvers.work import DEFAULT_WORK, WorkBudget, budget_of
 
+FALLEN = 100.0  # bounds: a machine that has fallen open loop says nothing of its gains
 SAME = 0.1  # of an end error beyond its bound: where half the step changes it by less, it is not of the step
 
 
@@ -192,11 +193,16 @@ def _done(proof: Proof, path: list[Refinement], limit: int) -> str:
         return f"It passed after {_counted(refinements)}." if refinements else "It passed as it was."
     if other := _other_cause(proof):
         return f"A finer step does not help where {other}"
-    if refinements > 1 and 1.0 < path[-1].end_error < math.inf:
-        before = path[-2].end_error
-        if abs(before - path[-1].end_error) <= SAME * before:
-            return "A finer step does not help where half of it hardly changes the error of the end."
+    if refinements > 1 and proof.replay.plan.status is not Status.UNRESOLVED and _same(path[-2], path[-1]):
+        return "A finer step does not help where half of it hardly changes the error of the end."
     return f"The limit of {_counted(limit)} was reached." if refinements >= limit else ""
+
+
+def _same(before: Refinement, now: Refinement) -> bool:
+    """Whether half the step leaves an error of the end beyond its bound as it was, at which nothing has fallen."""
+    if not (1.0 < now.end_error < FALLEN and before.end_error < FALLEN):
+        return False
+    return abs(before.end_error - now.end_error) <= SAME * before.end_error
 
 
 def _counted(refinements: int) -> str:
