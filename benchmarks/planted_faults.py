@@ -122,8 +122,8 @@ FAULTS = (
     Fault(
         "multiplier-side",
         "sign",
-        "kept.upper - penalties.upper",
-        "penalties.upper - kept.upper",
+        "penalties.lower - self.lower, self.upper - penalties.upper",
+        "penalties.lower - self.lower, penalties.upper - self.upper",
         "tests/solvers tests/problem/test_limits.py",
     ),
     Fault(
