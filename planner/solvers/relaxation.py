@@ -179,8 +179,9 @@ class _Relaxation:
             plan = self._by_other_guesses(direct)
         if stopped and (plan is None or (has_softer(problem) and plan.cost >= direct.cost)):
             direct = self._resumed(direct, limit)
-        useless = failed(direct) and ((plan is not None and meets_goals(plan)) or not math.isfinite(direct.cost))
-        if plan is not None and (useless or plan.cost < direct.cost):
+        if plan is not None and (
+            plan.cost < direct.cost or (failed(direct) and (meets_goals(plan) or not math.isfinite(direct.cost)))
+        ):
             self.best = direct = replace(plan, starts=direct.starts)
         if not (failed(direct) and at_limits(problem, direct)):
             return direct

@@ -34,7 +34,7 @@ def exclude_overlaps(root: Element, files: dict[str, bytes], name: str) -> None:
             data.qpos[i] = np.clip(data.qpos[i], *model.jnt_range[j])
     mujoco.mj_fwdPosition(model, data)
     deep = data.contact.geom[data.contact.dist < -DEEP]
-    solid = model.geom_type[deep].min(axis=1, initial=model.ngeom) > int(mujoco.mjtGeom.mjGEOM_PLANE)
+    solid = np.all(model.geom_type[deep] != int(mujoco.mjtGeom.mjGEOM_PLANE), axis=1)
     found = {(min(pair), max(pair)) for pair in map(tuple, model.geom_bodyid[deep[solid]].tolist())}
     pairs = sorted(pair for pair in found if pair[0] > 0 and _are_near(model, *pair))
     if not pairs:

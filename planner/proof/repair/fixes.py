@@ -85,26 +85,32 @@ class FixTrials:
     def _first_passing(self, one: SuggestedFix) -> tuple[SuggestedFix, Refined | None]:
         """The fix, with a longer duration or other weights if need be; and the passing plan and proof or None."""
         fixes, failed = [one], self.failed
-        for k in range({"duration": MAX_DURATIONS, "weights": MAX_WEIGHTS}.get(_kind(one), 1)):
+        for left in reversed(range({"duration": MAX_DURATIONS, "weights": MAX_WEIGHTS}.get(_kind(one), 1))):
             try:
                 done = self._tried(fixes, failed)
             except _OutOfWorkError:
-                if k == 0:
+                if fixes == [one]:
                     raise
                 break
             if done is not None and done.passed:
                 return fixes[-1], done
-            if self.budget.exhausted:
+            if self.budget.exhausted or not left:
                 break
             if one.key == "duration":
                 fixes = [longer(self.problem, fixes[-1])]
-                continue
-            again = [] if done is None else suggested_fixes(done.plan, done.proof)
-            more = next((other for other in again if _kind(other) == "weights"), None)
-            if done is None or more is None:
+            elif (more := self._more_weight(done)) is not None:
+                fixes, failed = [*fixes, more[0]], more[1]
+            else:
                 break
-            fixes, failed = [*fixes, more], done.plan
         return fixes[-1], None
+
+    @staticmethod
+    def _more_weight(done: Refined | None) -> tuple[SuggestedFix, Plan] | None:
+        """Larger weights that a failed trial asks for, and its plan."""
+        if done is None:
+            return None
+        found = suggested_fixes(done.plan, done.proof)
+        return next(((one, done.plan) for one in found if _kind(one) == "weights"), None)
 
     def _tried(self, fixes: list[SuggestedFix], failed: Plan) -> Refined | None:
         """The plan and proof of a trial of the last of some fixes, after finer steps; None where there is none."""
