@@ -110,7 +110,10 @@ def contact_jacobians(mechanism: Mechanism, q: Any, which: Any = None) -> np.nda
 
 
 def generalized_forces(mechanism: Mechanism, q: Any, qd: Any) -> np.ndarray:
-    """Generalized force tau (..., nv) of all contacts, stops and exponential torques at q (..., nq), qd (..., nv)."""
+    """Generalized force tau (..., nv) of all contacts, stops and exponential torques at q (..., nq), qd (..., nv).
+
+    Laws with a lead depend on the acceleration: their forces are those at none.
+    """
     q, qd, single = _states(mechanism, q, qd)
     tau = exponential_joint_torques(mechanism, q)
     for place in _places(mechanism, q, qd):
@@ -168,8 +171,15 @@ def _unclamped_force(law: Law, e: np.ndarray, opening: np.ndarray) -> tuple[np.n
 
 
 def unilateral_force(law: Law, e: np.ndarray, opening: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Nonnegative normal force of the law, N or N m, and its derivatives by penetration e and opening velocity v_n."""
-    g, by_e, by_opening = _unclamped_force(law, e, opening)
+    """Nonnegative normal force of the law, N or N m, and its derivatives by penetration e and opening velocity v_n.
+
+    Of a law with a lead v_n is the velocity a lead later.
+    """
+    if law.lead > 0.0:
+        (spring, by_e), (damping, damping_e) = _spring_and_damper(law, e)
+        g, by_e, by_opening = spring - damping * opening, by_e - damping_e * opening, -damping
+    else:
+        g, by_e, by_opening = _unclamped_force(law, e, opening)
     force, slope = ramp(g, float(law.force_ramp or 0.0))
     return force, slope * by_e, slope * by_opening
 
@@ -179,7 +189,7 @@ def _force(place: PlaneContactKinematics | BodyContactKinematics) -> tuple[np.nd
     return contact_force(place.contact.law, place.n, place.e, place.v)
 
 
-def _spring_and_damper(law: ContactLaw, e: np.ndarray) -> tuple[_Sloped, _Sloped]:
+def _spring_and_damper(law: Law, e: np.ndarray) -> tuple[_Sloped, _Sloped]:
     """Force of the spring and damping of a law with a lead, each (K,) with its derivative by the penetration."""
     (depth, t), (s, ds) = ramp(e, law.ramp), smoothstep(e, 0.5 * law.ramp)
     (d, dd), last = law.impedance_at(e - 0.5 * law.ramp), law.impedance[1]

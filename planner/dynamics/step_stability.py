@@ -24,6 +24,7 @@ import numpy as np
 from planner.base.errors import PlannerError
 from planner.dynamics.quasi_static import quasi_static_controls
 from planner.dynamics.rigid_body import MAX_SUBSTEPS, RigidBodyDynamics
+from planner.model.contact.laws import Contact, Stop
 from planner.model.coordinates import coordinates_of_mechanism
 from planner.model.mechanism import Mechanism
 from planner.model.passive_forces import damped_implicitly
@@ -37,6 +38,7 @@ MAX_RATE_STEP = 2.0
 # Of a contact's lead: a substep. Contacts begin and slip abruptly, so that steps as short as their rate alone asks for,
 # a third of this number, leave replays at finer steps centimetres off; shorter ones change little.
 LEAD_SHARE = 0.2
+NEAR = 0.05  # of a range: a joint that starts or ends as close to a stop is likely to meet it
 IMPLICIT = 1e-3
 """Largest implicit_error for which damping is integrated implicitly, no unit: a tenth of the path tolerance."""
 LASTING = 0.2  # damping ratio: an oscillation that keeps a quarter of its amplitude, exp(-2 pi 0.2), after a turn
@@ -59,7 +61,7 @@ def fastest_mode(
     """The largest rate, 1/s, of a machine at states (K, nx) or (nx,), its joint, and its fastest lasting oscillation.
 
     Friction loss acts on a sticking joint like an armature; a slipping light joint is faster, so both are evaluated. A
-    contact with a lead counts with the rate that substeps of LEAD_SHARE of it follow.
+    contact with a lead, or a stop that a joint is near, counts with the rate that substeps of LEAD_SHARE of it follow.
 
     Args:
         mechanism: A mechanism with actuators.
@@ -82,11 +84,19 @@ def fastest_mode(
             if rate > found.rate:
                 found = found._replace(rate=rate, joint=_joint(mechanism, slopes, values[k], right[:, k]))
         found = found._replace(swing=max(found.swing, _lasting_swing(dynamics, xs)))
-    for contact in mechanism.contacts:
-        rate = TARGET_RATE_STEP / (LEAD_SHARE * contact.law.lead) if contact.law.lead > 0.0 else 0.0
+    met = [stop for stop in mechanism.stops if _is_near(mechanism, stop, xs)]
+    for one in (*mechanism.contacts, *met):
+        rate = TARGET_RATE_STEP / (LEAD_SHARE * one.law.lead) if one.law.lead > 0.0 else 0.0
         if rate > found.rate:
-            found = found._replace(rate=rate, joint=contact.name)
+            name = one.name if isinstance(one, Contact) else mechanism.joint_of(one.dof)
+            found = found._replace(rate=rate, joint=name)
     return found
+
+
+def _is_near(mechanism: Mechanism, stop: Stop, xs: np.ndarray) -> bool:
+    """Whether a joint is near a stop in any of the states (K, nx)."""
+    beyond = stop.side * (xs[:, mechanism.q_address[stop.dof]] - stop.end)
+    return bool(beyond.max() >= -NEAR * np.ptp(mechanism.joint_range[stop.dof]))
 
 
 def _lasting_swing(dynamics: RigidBodyDynamics, xs: np.ndarray) -> float:

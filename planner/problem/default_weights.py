@@ -13,7 +13,8 @@ Every weight makes its term dimensionless and about 1:
                     machines that stand on the ground; none for others
     final_position  4 / tolerance^2, so that an error of the tolerance costs 2, more than the whole effort
     final_velocity  10 / tolerance^2; both times the cost of the minimum-jerk motion, where jerk is the objective. None
-                    of both for translations of a free base that nothing from outside can stop
+                    of both for translations of a free base that nothing from outside can stop, and for joints of
+                    closed chains that lean on a stop: they are where the driven ones take them
     hold            for standing machines, in place of these two: the cost of staying at the goal for HOLD_SECONDS
     rest            share of the duration, at the end, in which a machine whose feet have to move is to be at its goal.
                     Before, positions have no weight and velocities WAY_SHARE of theirs: it may hop, step or crawl. Its
@@ -105,13 +106,15 @@ def default_weights(
     radii = np.where(displacement < STILL, rolling_radii(mechanism), 0.0)  # of wheels, which turn as far as they like
     speed = np.maximum(2.0 * displacement / duration, [MIN_SPEED[unit] for unit in units[:nv]])
     velocity = np.zeros(nv)
-    actuated = fully_actuated(dynamics)
+    ends_of = np.stack([x0, goal])
+    actuated = fully_actuated(dynamics, ends_of)
+    free = ~_decided_by_stops(mechanism, ends_of)
     carried = stands_on_ground(mechanism)
     between = np.stack([x0, goal])[:, : mechanism.nq] if way is None else way
     steps = carried and (stays or way is not None) and feet_move(mechanism, between)
     stands = carried and (stays or steps)
     if actuated or carried:
-        velocity = (VELOCITY_SHARE if named else 1.0) / speed**2
+        velocity = (VELOCITY_SHARE if named else 1.0) * free / speed**2
     share = tolerance_share(zip(displacement.tolist(), units, strict=False))
     position, rate = _tolerances(mechanism, [share * MIN_TOLERANCES[unit] for unit in units], tolerance)
     stance_error = STANCE_TOLERANCES * position if stands else None
@@ -125,7 +128,7 @@ def default_weights(
     )
     jerk_cost = max(1.0, jerk * min_jerk_cost(displacement, duration))
     falling = ballistic_dofs(mechanism, x0)
-    ends = jerk_cost * (not stands) * ~stationary * ~falling
+    ends = jerk_cost * (not stands) * ~stationary * ~falling * free
     placed = np.ones(nv) if carried_along is None else 1.0 * ~carried_along
     weights = {
         "effort": effort, **({} if control is None else {"control": control}), "velocity": velocity,
@@ -168,12 +171,31 @@ def min_jerk_cost(displacement: np.ndarray, duration: float) -> float:
     return 360.0 * float(np.sum(displacement**2)) / duration**5
 
 
-def fully_actuated(dynamics: RigidBodyDynamics) -> bool:
-    """Whether actuators and prescribed joints can give every joint any acceleration."""
+def _leaning(mechanism: Mechanism, xs: np.ndarray) -> np.ndarray:
+    """(nv,) bool, degrees of freedom that a stop with a lead presses on at all states xs (K, nx)."""
+    found = np.zeros(mechanism.nv, dtype=bool)
+    for stop in mechanism.stops:
+        beyond = stop.side * (xs[:, mechanism.q_address[stop.dof]] - stop.end)
+        found[stop.dof] |= bool(stop.law.lead > 0.0 and np.all(beyond > 0.0))
+    return found
+
+
+def _decided_by_stops(mechanism: Mechanism, xs: np.ndarray) -> np.ndarray:
+    """(nv,) bool, undriven degrees of freedom of closed chains that lean on stops at all states xs (K, nx)."""
+    if not (mechanism.has_closed_chains and _leaning(mechanism, xs).any()):
+        return np.zeros(mechanism.nv, dtype=bool)
+    Z, leading = feasible_directions(mechanism, mechanism.qpos0)
+    moved = np.any(Z[:, ~mechanism.directly_actuated[leading]] != 0.0, axis=1)
+    return moved & ~mechanism.directly_actuated
+
+
+def fully_actuated(dynamics: RigidBodyDynamics, xs: np.ndarray) -> bool:
+    """Whether actuators, prescribed joints and stops leant on at all states xs (K, nx) decide every acceleration."""
     mechanism, prescribed = dynamics.mechanism, prescribed_dofs_of(dynamics)
     gain = gains_at(mechanism.actuators, actuator_lengths(mechanism, mechanism.qpos0))
     moment = actuator_moments(mechanism, mechanism.qpos0) * (gain[:, None] != 0.0)
-    own, Z = np.eye(mechanism.nv)[prescribed], feasible_directions(mechanism, mechanism.qpos0)[0]
+    given = np.isin(np.arange(mechanism.nv), prescribed) | _leaning(mechanism, xs)
+    own, Z = np.eye(mechanism.nv)[given], feasible_directions(mechanism, mechanism.qpos0)[0]
     lies = stationary_object_dofs(mechanism)  # separate from the machine, and needs no actuator
     Z = Z[:, ~np.any(Z[lies], axis=0)]
     return bool(np.linalg.matrix_rank(np.vstack([moment, own]) @ Z) == Z.shape[1])
@@ -211,7 +233,7 @@ def _effort(
     borne = np.zeros(mechanism.nv)  # N or N m: the control whose weight 1 / u^2 has the gain sqrt(Q / R) in the limit
     if gained is not None:
         borne = GAIN_SHARE * contact_stiffness(mechanism, goal[:nq]) / np.sqrt(gained)
-    swings = not (fully_actuated(dynamics) or stands_on_ground(mechanism))
+    swings = not (fully_actuated(dynamics, np.stack([x0, goal])) or stands_on_ground(mechanism))
     steers = carriers(mechanism, rolling > 0.0)
     swing = np.minimum([MIN_DISPLACEMENT[unit] for unit in units], 0.5 * np.ptp(mechanism.joint_range, axis=1))
     limits, known, moment = np.empty(dynamics.nu), [], actuator_moments(mechanism, x0[:nq])

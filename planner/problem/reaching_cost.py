@@ -71,7 +71,7 @@ def weighed(
     hold, rest, slip = (chosen.pop(name, 0.0) for name in ("hold", "rest", "slip"))
     if straight:
         chosen.setdefault("reference", straight_reference(dynamics, x0, goal, horizon))
-    elif fully_actuated(dynamics) or servos_of(dynamics).any():
+    elif fully_actuated(dynamics, np.stack([x0, goal])) or servos_of(dynamics).any():
         reference = straight_reference(dynamics, x0, goal, horizon, moving_share=1.0)
         chosen.setdefault("reference", reference)
         if servos_of(dynamics).any():

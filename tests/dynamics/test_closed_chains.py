@@ -345,6 +345,19 @@ def test_a_parallelogram_that_folds_flat_goes_through():
     assert last < 1e-9
 
 
+@pytest.mark.parametrize("angle", [-1e-2, -1e-4, -1e-6, 1e-6, 1e-4, 1e-2, 0.8])
+def test_a_planar_chain_on_a_turntable_is_pulled_closed_at_every_angle(angle):
+    """Two rows hold it. The third, along its axis, is next to zero and must not stand in for one of them."""
+    text = PARALLELOGRAM.replace("0 1 0", "1 0 0").replace(".6 0 0", "0 .6 0").replace(".3 0 0", "0 .3 0")
+    head, tail = '<worldbody><body name="table"><joint axis="0 0 1"/><geom size=".1" mass="9"/>', "</body></worldbody>"
+    m = Mechanism.from_mjcf(text.replace("<worldbody>", head).replace("</worldbody>", tail))
+    dynamics = RigidBodyDynamics(m, 1e-7, "euler")
+    x = assembled(m, np.array([angle, 0.3, -0.3, 0.3, 1.0, 0.0, 0.0, 0.0]))
+    A, _ = dynamics.linearize(np.array([x, x]), np.zeros((1, 1)))
+    rates = np.linalg.eigvals((A[0] - np.eye(8)) / 1e-7).real
+    assert rates.max() < 10.0  # 1/s, a falling parallelogram's are 4; two times speed over angle with the third row
+
+
 @pytest.mark.parametrize("example", ["four_bar", "two_arms", "stewart"])
 def test_mujoco_as_hard_as_it_gets_accelerates_alike(example):
     """At random closed states in motion. 3.3.0 has no Jdot qd; 4.0.0 has."""

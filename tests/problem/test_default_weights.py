@@ -62,11 +62,12 @@ def test_speed_is_twice_the_mean_one():
 
 def test_a_machine_with_a_free_joint_keeps_its_swing():
     one_motor = arm(actuators='<motor name="two" joint="elbow"/>')
-    assert not fully_actuated(one_motor)
+    home = one_motor.mechanism.home[None]
+    assert not fully_actuated(one_motor, home)
     found = chosen(one_motor, [1.0, 0.0])
     assert not np.any(found.weights["velocity"])
     assert "swing" in found.reasons["velocity"]
-    assert fully_actuated(planner.RigidBodyDynamics(one_motor.mechanism, 0.01, prescribed=["shoulder"]))
+    assert fully_actuated(planner.RigidBodyDynamics(one_motor.mechanism, 0.01, prescribed=["shoulder"]), home)
 
 
 def test_an_objective_keeps_a_small_weight_of_velocities():

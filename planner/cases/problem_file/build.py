@@ -69,6 +69,7 @@ from planner.cases.problem_file.machine import folders_of, machine_of, prescribe
 from planner.cases.problem_file.reference_guess import ReferenceTrajectory, first_guess
 from planner.cases.problem_file.states import carried_along, state_of, states_of
 from planner.cases.problem_file.step import with_step
+from planner.cases.problem_file.stops import at_rest_on_stops, off_stops
 from planner.cases.problem_file.table import checked_starts, checked_values, with_defaults, with_model_limits
 from planner.cases.problem_file.tasks import (
     ResolvedTask,
@@ -96,7 +97,6 @@ from planner.problem.constraints.constraint import Constraint
 from planner.problem.default_appearance import default_appearance, with_marks
 from planner.problem.default_weights import default_weights
 from planner.problem.example_task import conflict_as_drawn, start_of_model
-from planner.problem.joint_limits import moved_inside_limits, starts_at_limit
 from planner.problem.limits import Limits
 from planner.problem.model_lint import ranges_in_degrees
 from planner.problem.objective import durations_or_default, with_objective
@@ -246,6 +246,8 @@ def _problem(
 
 def _built(table: dict[str, Any], mechanism: Mechanism, where: str, constraints: tuple[Constraint, ...]) -> Problem:
     told, rebuilt = "", RESOLVED in table
+    if table.get("prescribed"):  # joints that are made heavy change what MuJoCo's stops are relative to
+        mechanism = replace(mechanism, stops=tuple(stop for stop in mechanism.stops if stop.law.lead == 0.0))
     if "start" not in table and (own := start_of_model(mechanism)) is not None:
         table = table | {"start": own}
         told = f"start is {f'the keyframe {own!r}' if own else 'the pose in which the file draws it'}: none is given."
@@ -268,7 +270,8 @@ def _built(table: dict[str, Any], mechanism: Mechanism, where: str, constraints:
     if table["contacts"] == "auto" and mechanism.contacts_mode:
         table = table | {"contacts": mechanism.contacts_mode}  # a stored model has but one mode left
     x0, goal, notes = place_on_ground(mechanism, table, x0, goal)
-    x0, goal, stops = _off_stops(mechanism, table, x0, goal)
+    x0, goal, stops = off_stops(mechanism, table, x0, goal)
+    x0, goal, notes = at_rest_on_stops(mechanism, x0, goal, notes)
     build = partial(again, mechanism, *constraints)
     ramp = None if tasked or steps_of(table) else stance_ramp(mechanism, table, x0, goal)
     if ramp is not None:
@@ -352,21 +355,6 @@ def _built(table: dict[str, Any], mechanism: Mechanism, where: str, constraints:
         check_task_departure(x0, wanted, way.task)
         check_goal_controllable(problem, way.rows)
     return with_objective(problem, table["objective"]) if "objective" in table else problem
-
-
-def _off_stops(
-    mechanism: Mechanism, table: dict[str, Any], x0: np.ndarray, goal: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, tuple[str, ...]]:
-    """Start and goal off the stops whose ranges hold, and sentences about it."""
-    kept = (table.get("limits") or {}).get("position")
-    if stands_on_ground(mechanism) or not (kept == "model" or isinstance(kept, dict)):  # what stands has been put down
-        return x0, goal, ()
-    limited = kept if isinstance(kept, dict) else {}
-    (x0, first), (goal, second) = (
-        moved_inside_limits(mechanism, what, x, limited) for what, x in (("start", x0), ("goal", goal))
-    )
-    leans = "" if table.get("prescribed") else starts_at_limit(mechanism, "start", x0, limited)
-    return x0, goal, tuple(filter(None, (first, second, leans)))
 
 
 def _resolved(

@@ -12,6 +12,7 @@ from planner.model.contact.laws import slide_direction
 
 CONTACT_SIZE, STOP_SIZE = 25, 8  # numbers of a contact and of a stop: see contact_arrays
 SOFT_SIZE = 34  # of a soft contact: see soft_arrays
+LEAD_LAW_SIZE = 11  # of a law with a lead: see lead_numbers
 MIN_BEND = 1e-9  # of the elliptic cone, so that no number is divided by 0
 PAIR_SIZE, PAIR_LINKS_SIZE = 32, 5  # numbers and links of a contact of two bodies: see pair_arrays
 
@@ -43,9 +44,8 @@ def _geometry(contact: Any, tree: dict[str, np.ndarray]) -> np.ndarray:
 def soft_arrays(contacts: Any, tree: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
     """Per soft contact: centre (3), normal (3), level, arm, surface velocity (3), two tangents (3), its law (17).
 
-    The first eleven as in contact_arrays. Of the law: six of _law_numbers, lead, friction, the root of impratio, the
-    smoothing of the cone, whether the cone is elliptic, the impedance: first, last, one over its width, midpoint, and
-    the shares of each edge and of the normal.
+    The first eleven as in contact_arrays. Of the law: eleven of lead_numbers, friction, the root of impratio, the
+    smoothing of the cone, whether the cone is elliptic, and the shares of each edge and of the normal.
     """
     link = np.array([contact.link for contact in contacts], dtype=np.int64)
     value = np.zeros((len(contacts), SOFT_SIZE))
@@ -53,11 +53,9 @@ def soft_arrays(contacts: Any, tree: dict[str, np.ndarray]) -> dict[str, np.ndar
         law, elliptic = contact.law, contact.law.cone == "elliptic" and contact.law.friction > 0.0
         root = math.sqrt(law.impratio) if elliptic else 1.0
         row[:11], row[11:17] = _geometry(contact, tree), np.concatenate(tangents(contact.plane.normal))
-        row[17:23] = _law_numbers(law)
-        first, last, width, midpoint = law.impedance
-        row[28:32] = first, last, 1.0 / width, midpoint
-        row[32:] = 0.25 * (1.0 - law.normal_share), law.normal_share
-        row[23:28] = law.lead, law.friction, root, max(law.bend, MIN_BEND) * law.friction / root, float(elliptic)
+        row[17:28] = lead_numbers(law)
+        bend = max(law.bend, MIN_BEND) * law.friction / root
+        row[28:] = law.friction, root, bend, float(elliptic), 0.25 * (1.0 - law.normal_share), law.normal_share
     return {"soft_link": link, "soft_address": tree["floating_address"][link], "soft_value": value}
 
 
@@ -110,6 +108,12 @@ def _contact_law_numbers(law: Any) -> list[float]:
     raised = law.friction / law.impratio  # MuJoCo's projection, see planner.model.contact.laws
     share = 1.0 / (1.0 + law.friction * raised)
     return [*_law_numbers(law), law.slip_damping, law.friction, raised, share, law.bend]
+
+
+def lead_numbers(law: Any) -> list[float]:
+    """(11,) of a law with a lead: those of _law_numbers, lead, and impedance: first, last, 1/width, midpoint."""
+    first, last, width, midpoint = law.impedance
+    return [*_law_numbers(law), law.lead, first, last, 1.0 / width, midpoint]
 
 
 def _law_numbers(law: Any) -> list[float]:

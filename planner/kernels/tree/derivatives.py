@@ -15,9 +15,9 @@ from planner.kernels.tree.contact import add_stop_derivatives, subtract_contact_
 from planner.kernels.tree.couplings import invert_coupled
 from planner.kernels.tree.fluid import subtract_drag_derivatives
 from planner.kernels.tree.forces import add_actuator_derivatives, add_passive_derivatives
-from planner.kernels.tree.friction import add_friction_derivatives
 from planner.kernels.tree.gravity_compensation import subtract_compensation_derivatives
 from planner.kernels.tree.joint_curves import subtract_curve_derivatives
+from planner.kernels.tree.joint_rows import add_row_derivatives
 from planner.kernels.tree.loop_derivatives import close, close_derivatives, less_bound
 from planner.kernels.tree.mechanism_table import TREE
 from planner.kernels.tree.memory import MEMORY
@@ -80,7 +80,7 @@ def acceleration_derivatives(m, r, q, v, act, a, dA, external):
         add_tendon_derivatives(m, q, Dq, Dv, ld)
         if m[TREE.laws] > 0:
             subtract_law_derivatives(m, q, v, lanes(r, MEMORY.u), act, Dq, Dv, ld)
-        add_friction_derivatives(m, v, a, M, Dv, ld)
+        add_row_derivatives(m, q, v, a, M, Dq, Dv, ld)
         if r[MEMORY.integrator] == ROSENBROCK:
             add_implicit(m, r, M, ld)
         if m[TREE.gravcomp] > 0:

@@ -5,6 +5,8 @@ With N = A B' of rows A and B, such as J W J' or J J': its lower half (`gram`), 
 
 Equations that say the same twice, as those of a planar machine do, make N singular. Elimination leaves out a row whose
 pivot falls below a share of the largest diagonal entry of its kind: its force is zero, and the others keep it too.
+Which row of three that is follows from their pivots: a row that is nearly along a planar chain's axis would bind the
+chain by a small part of itself, which is slow to close it, or opens it, where the axis turns.
 """
 
 from __future__ import annotations
@@ -60,42 +62,78 @@ def _store_three(p, o, x, y, z):
 
 
 @inline
-def _factors(m, N, o, least, k):
-    """Block k of N on the diagonal, at o, as L D L': what lies below L's diagonal, and the inverse of D."""
+def _swapped(swap, x, y):
+    """(y, x) in lanes where `swap` is above zero, and (x, y) in the others."""
+    return select(0.0, swap, y, x), select(0.0, swap, x, y)
+
+
+@inline
+def _block_inverse(m, N, o, least, k):
+    """The inverse of block k of N on the diagonal, at o: its entries 00, 10, 11, 20, 21, 22.
+
+    By elimination from the largest pivot on; what remains at the end is left out where it is too small. So it is the
+    row that says least: in a planar chain the one nearest to its axis, whichever way the chain is turned.
+    """
     rows, e = m[TREE.loop_rows], load(least, load(integers(m, TREE.triple_kind), k))
-    a, b, c = load(N, o), load(N, o + rows), load(N, o + 2 * rows)
+    a, b, d = load(N, o), load(N, o + rows), load(N, o + rows + 1)
+    c, g, f = load(N, o + 2 * rows), load(N, o + 2 * rows + 1), load(N, o + 2 * rows + 2)
+    first = d - a
+    a, d = _swapped(first, a, d)
+    c, g = _swapped(first, c, g)
+    second = f - a
+    a, f = _swapped(second, a, f)
+    b, g = _swapped(second, b, g)
     p = select(e, a, 1.0 / a, 0.0)
     x, y = b * p, c * p
-    d, g = load(N, o + rows + 1) - x * b, load(N, o + 2 * rows + 1) - y * b
+    d, g, f = d - x * b, g - y * b, f - y * c
+    third = f - d
+    d, f = _swapped(third, d, f)
+    x, y = _swapped(third, x, y)
     q = select(e, d, 1.0 / d, 0.0)
     z = g * q
-    f = load(N, o + 2 * rows + 2) - y * c - z * g
-    return x, y, z, p, q, select(e, f, 1.0 / f, 0.0)
+    f = f - z * g
+    s = select(e, f, 1.0 / f, 0.0)
+    w = x * z - y  # the rows of L^-1 are (1, 0, 0), (-x, 1, 0), (w, -z, 1)
+    n00, n10, n20 = p + q * x * x + s * w * w, 0.0 - q * x - s * w * z, s * w
+    n11, n21, n22 = q + s * z * z, 0.0 - s * z, s
+    n11, n22 = _swapped(third, n11, n22)
+    n10, n20 = _swapped(third, n10, n20)
+    n00, n22 = _swapped(second, n00, n22)
+    n10, n21 = _swapped(second, n10, n21)
+    n00, n11 = _swapped(first, n00, n11)
+    n20, n21 = _swapped(first, n20, n21)
+    return n00, n10, n11, n20, n21, n22
+
+
+@inline
+def _store_block(N, rows, o, block):
+    """The lower half of a block on the diagonal."""
+    store(N, o, block[0])
+    store(N, o + rows, block[1])
+    store(N, o + rows + 1, block[2])
+    _store_three(N, o + 2 * rows, block[3], block[4], block[5])
+
+
+@inline
+def _times(block, x, y, z):
+    """A symmetric block, entries as in _block_inverse, times a vector."""
+    n00, n10, n11, n20, n21, n22 = block
+    return n00 * x + n10 * y + n20 * z, n10 * x + n11 * y + n21 * z, n20 * x + n21 * y + n22 * z
 
 
 @inline
 def solve(m, r, c, f):
-    """F = -N^-1 c (rows) by L D L', in place of the lower half of N and of c; dependent rows have no force."""
+    """F = -N^-1 c (rows) by block elimination, in place of N's lower half and of c; dependent rows have no force."""
     N, rows, least = lanes(r, MEMORY.loop_N), m[TREE.loop_rows], lanes(r, MEMORY.loop_least)
     for k in range(m[TREE.triples]):
         first, after = 3 * k, 3 * k + 3
         o = first * (rows + 1)
-        x, y, z, p, q, s = _factors(m, N, o, least, k)
-        c0 = load(c, first)
-        c1 = load(c, first + 1) - x * c0
-        c2 = load(c, first + 2) - y * c0 - z * c1
-        _store_three(f, first, p * c0, q * c1, s * c2)
-        store(N, o, p)
-        _store_three(N, o + rows, x, q, q)
-        _store_three(N, o + 2 * rows, y, z, s)
-        for i in range(after, rows):  # row by row: entries in the block's columns become L D
+        block = _block_inverse(m, N, o, least, k)
+        _store_block(N, rows, o, block)
+        c0, c1, c2 = load(c, first), load(c, first + 1), load(c, first + 2)
+        for i in range(after, rows):
             t = i * rows
-            u0 = load(N, t + first)
-            u1 = load(N, t + first + 1) - x * u0
-            u2 = load(N, t + first + 2) - y * u0 - z * u1
-            store(N, t + first + 1, u1)
-            store(N, t + first + 2, u2)
-            u0, u1, u2 = u0 * p, u1 * q, u2 * s
+            u0, u1, u2 = _times(block, load(N, t + first), load(N, t + first + 1), load(N, t + first + 2))
             store(c, i, load(c, i) - (u0 * c0 + u1 * c1 + u2 * c2))
             for j in range(after, i + 1):
                 b = j * rows + first
@@ -103,18 +141,18 @@ def solve(m, r, c, f):
                 store(N, t + j, load(N, t + j) - total)
     for k in range(m[TREE.triples] - 1, -1, -1):
         first = 3 * k
-        o, t0, t1, t2 = first * (rows + 1), spread(0.0), spread(0.0), spread(0.0)
+        o, t0, t1, t2 = first * (rows + 1), load(c, first), load(c, first + 1), load(c, first + 2)
         for i in range(first + 3, rows):
             t, g = i * rows + first, load(f, i)
             t0 += load(N, t) * g
             t1 += load(N, t + 1) * g
             t2 += load(N, t + 2) * g
-        p, x, q = load(N, o), load(N, o + rows), load(N, o + rows + 1)
-        y, z, s = load(N, o + 2 * rows), load(N, o + 2 * rows + 1), load(N, o + 2 * rows + 2)
-        f2 = 0.0 - load(f, first + 2) - s * t2
-        f1 = 0.0 - load(f, first + 1) - q * t1 - z * f2
-        f0 = 0.0 - load(f, first) - p * t0 - x * f1 - y * f2
-        _store_three(f, first, f0, f1, f2)
+        block = (
+            load(N, o), load(N, o + rows), load(N, o + rows + 1),
+            load(N, o + 2 * rows), load(N, o + 2 * rows + 1), load(N, o + 2 * rows + 2),
+        )  # fmt: skip
+        t0, t1, t2 = _times(block, t0, t1, t2)
+        _store_three(f, first, 0.0 - t0, 0.0 - t1, 0.0 - t2)
 
 
 @inline
@@ -133,13 +171,11 @@ def invert_independent(m, r):
     for k in range(m[TREE.triples]):
         first, after = 3 * k, 3 * k + 3
         o = first * (rows + 1)
-        x, y, z, p, q, s = _factors(m, N, o, least, k)
-        w = x * z - y  # the rows of L^-1 are (1, 0, 0), (-x, 1, 0), (w, -z, 1)
-        a, b, c, d, e = p + q * x * x + s * w * w, 0.0 - q * x - s * w * z, s * w, q + s * z * z, 0.0 - s * z
+        block = _block_inverse(m, N, o, least, k)
         for i in range(rows):
             if i < first or i >= after:
                 _, _, u0, u1, u2 = _column(N, rows, i, first)
-                f0, f1, f2 = a * u0 + b * u1 + c * u2, b * u0 + d * u1 + e * u2, c * u0 + e * u1 + s * u2
+                f0, f1, f2 = _times(block, u0, u1, u2)
                 t = i * rows
                 for j in range(min(i + 1, first)):
                     n = first * rows + j
@@ -152,13 +188,12 @@ def invert_independent(m, r):
         for i in range(rows):
             if i < first or i >= after:
                 n, step, u0, u1, u2 = _column(N, rows, i, first)
-                store(N, n, a * u0 + b * u1 + c * u2)
-                store(N, n + step, b * u0 + d * u1 + e * u2)
-                store(N, n + 2 * step, c * u0 + e * u1 + s * u2)
-        store(N, o, 0.0 - a)
-        store(N, o + rows, 0.0 - b)
-        store(N, o + rows + 1, 0.0 - d)
-        _store_three(N, o + 2 * rows, 0.0 - c, 0.0 - e, 0.0 - s)
+                u0, u1, u2 = _times(block, u0, u1, u2)
+                store(N, n, u0)
+                store(N, n + step, u1)
+                store(N, n + 2 * step, u2)
+        n00, n10, n11, n20, n21, n22 = block
+        _store_block(N, rows, o, (0.0 - n00, 0.0 - n10, 0.0 - n11, 0.0 - n20, 0.0 - n21, 0.0 - n22))
     for i in range(rows):
         for j in range(i + 1):
             n = 0.0 - load(N, i * rows + j)

@@ -21,8 +21,9 @@ from planner.kernels.numba.lanes import WIDTH
 from planner.kernels.numba.layout import Layout
 from planner.kernels.tree.actuator_arrays import actuator_arrays, law_arrays, wrench_arrays
 from planner.kernels.tree.contact_tables import contact_arrays, pair_arrays, soft_arrays, stop_arrays
+from planner.kernels.tree.joint_row_arrays import joint_row_arrays
 from planner.kernels.tree.loop_arrays import loop_arrays, triples_of
-from planner.kernels.tree.passive_force_arrays import drag_arrays, gravcomp_arrays, loss_arrays, tendon_arrays
+from planner.kernels.tree.passive_force_arrays import drag_arrays, gravcomp_arrays, tendon_arrays
 from planner.model.contact.body_contact import common_carrier
 from planner.model.passive_forces import acting_tendons, implicit_damping
 
@@ -32,14 +33,14 @@ SCREW, BALL, BALL_NEXT, FLOATING = 0, 1, 2, 3  # as in planner.model.mechanism, 
 
 TREE = Layout(
     "nv nq nballs nu na inputs position_terms velocity_terms contacts stops pairs curves tendons gravcomp drags losses "
-    "dependents loops polynomial_couplings loop_rows triples wrenches laws softs",
+    "rows dependents loops polynomial_couplings loop_rows triples wrenches laws softs",
     "parent base kind first q_address home inertia subtree_mass armature base_acceleration damping stiffness rest "
     "ball_q ball_v ball_stiffness ball_rest constant input_dof input_index input_value position_row position_column "
     "position_value velocity_row velocity_column velocity_value activation_input activation_gain activation_rate "
     "prescribed related_start related_rows contact_link contact_address contact_slide contact_value stop_dof "
     "stop_value pair_links pair_value curve_dof curve_value curve_start curve_slope_dof curve_slope "
-    "tendon_start tendon_dof tendon_factor tendon_value gravcomp_value gravcomp_mass drag_link drag_value loss_dof "
-    "loss_value dependent_dof dependent_start dependent_column dependent_value joined_link joined_address joined_value "
+    "tendon_start tendon_dof tendon_factor tendon_value gravcomp_value gravcomp_mass drag_link drag_value row_dof "
+    "row_value dependent_dof dependent_start dependent_column dependent_value joined_link joined_address joined_value "
     "loop_rigid loop_rate coupling_dof coupling_value triple_kind moved_start moved_dof reach_start reach_dof "
     "shared_start shared_dof bound_start bound_rows block_start block_stop implicit_damping "
     "wrench_link wrench_frame wrench_input wrench_start wrench_dof wrench_frame_start wrench_frame_dof wrench_value "
@@ -88,12 +89,23 @@ class Model:
         laws = mechanism.actuators.laws if actuated else ()
         loops, polynomial_couplings = (mechanism.loops, mechanism.polynomial_couplings) if actuated else ((), ())
         self.loop_rows = 3 * triples_of(loops, polynomial_couplings)
-        soft = [contact for contact in contacts if contact.law.lead > 0.0]
-        contacts = [contact for contact in contacts if contact.law.lead == 0.0]
+        soft, contacts = _by_lead(contacts)
+        met, stops = _by_lead(stops)
         self.softs = len(soft)
         for contact in (*(one for one in soft if one.plane.slide >= 0), *(one for one in pairs if one.law.lead > 0.0)):
             raise PlannerError(f"{contact.name} has a law with a lead, expected a sphere and a plane at rest.")
-        acts = contacts or soft or stops or pairs or curves or tendons or gravcomp or mechanism.drags or np.any(losses)
+        acts = (
+            contacts
+            or soft
+            or stops
+            or met
+            or pairs
+            or curves
+            or tendons
+            or gravcomp
+            or mechanism.drags
+            or np.any(losses)
+        )
         acts = acts or self.coupled or implicit or self.loop_rows or wrenches or laws
         self.external = True if acts else None
         for tendon in tendons:
@@ -125,7 +137,7 @@ class Model:
         )
         arrays |= _curves(curves) | tendon_arrays(tendons) | gravcomp_arrays(mechanism, arrays["frames"])
         arrays |= drag_arrays(mechanism.drags, arrays["frames"])
-        arrays |= loss_arrays(mechanism, losses) | _dependents(reduction)
+        arrays |= joint_row_arrays(mechanism, losses, met) | _dependents(reduction)
         chains = [{i for link in loop.links for i in chain_of(mechanism.parent, link)} for loop in loops]
         arrays |= loop_arrays(loops, polynomial_couplings, chains, mechanism, arrays)
         arrays["implicit_damping"] = implicit_damping(mechanism)
@@ -136,7 +148,7 @@ class Model:
             "inputs": len(arrays["input_dof"]), "position_terms": len(arrays["position_row"]),
             "velocity_terms": len(arrays["velocity_row"]), "contacts": len(contacts), "stops": len(stops),
             "pairs": len(pairs), "curves": len(curves), "tendons": len(tendons), "gravcomp": int(gravcomp),
-            "drags": len(mechanism.drags), "losses": len(arrays["loss_dof"]),
+            "drags": len(mechanism.drags), "losses": int(np.count_nonzero(losses)), "rows": len(arrays["row_dof"]),
             "dependents": len(arrays["dependent_dof"]),
             "loops": len(loops), "polynomial_couplings": len(polynomial_couplings),
             "loop_rows": self.loop_rows, "triples": self.loop_rows // 3, "wrenches": len(wrenches), "laws": len(laws),
@@ -148,6 +160,11 @@ class Model:
         self.origin = arrays["origin"]  # (nv, 3) what world positions are relative to, but for floating trees
         self.floating = arrays["kind"] == FLOATING
         self.floating_address = arrays["floating_address"]  # (nv,) where qpos holds a floating tree's place, or -1
+
+
+def _by_lead(parts: Any) -> tuple[list[Any], list[Any]]:
+    """Contacts or stops whose law has a lead, and the others."""
+    return [one for one in parts if one.law.lead > 0.0], [one for one in parts if one.law.lead == 0.0]
 
 
 def chain_of(parent: np.ndarray, link: int, end: int = -1) -> list[int]:

@@ -1,4 +1,4 @@
-"""The arrays of kernels.tree.mechanism_table for fixed tendons, gravity compensation, drag and friction loss."""
+"""The arrays of kernels.tree.mechanism_table for fixed tendons, gravity compensation and drag."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-TENDON_SIZE, LIFTED_SIZE, LOSS_SIZE, DRAG_SIZE = 4, 4, 3, 8  # numbers of a tendon, a link, a joint that rubs, a drag
+TENDON_SIZE, LIFTED_SIZE, DRAG_SIZE = 4, 4, 8  # numbers of a tendon, a link, a drag
 
 
 def tendon_arrays(tendons: Any) -> dict[str, np.ndarray]:
@@ -18,13 +18,6 @@ def tendon_arrays(tendons: Any) -> dict[str, np.ndarray]:
         "tendon_factor": np.array([factor for tendon in tendons for factor in tendon.coefficients], dtype=float),
         "tendon_value": np.array(numbers, dtype=float).reshape(-1, TENDON_SIZE),
     }
-
-
-def loss_arrays(mechanism: Any, losses: np.ndarray) -> dict[str, np.ndarray]:
-    """Per joint that rubs: its degree of freedom, and loss, inertia and rate of its friction."""
-    dof = np.flatnonzero(losses)
-    value = np.column_stack([losses, mechanism.friction_inertia, mechanism.friction_rate])[dof]
-    return {"loss_dof": dof, "loss_value": value}
 
 
 def gravcomp_arrays(mechanism: Any, frames: np.ndarray) -> dict[str, np.ndarray]:

@@ -1,7 +1,7 @@
-"""Accelerations under forces that have the acceleration in them: friction loss of joints, and soft contacts.
+"""Accelerations under forces that have the acceleration in them: of friction loss, joint stops and soft contacts.
 
 They are the minimum of a convex function. Newton's method linearizes each force, which is then a force and an inertia
-(kernels.tree.friction, kernels.tree.soft_contact), the recursion finds the next accelerations, and the way to them is
+(kernels.tree.joint_rows, kernels.tree.soft_contact), the recursion finds the next accelerations, and the way to them is
 cut where the function is least on it. Lanes that have met the laws keep their numbers, so that a state's acceleration
 does not depend on the states beside it.
 """
@@ -12,12 +12,13 @@ from planner.kernels.numba.jit import part
 from planner.kernels.numba.lanes import any_less, at, floats, integers, lanes, load, maximum, select, spread, store
 from planner.kernels.tree.contact import add_contact_wrenches
 from planner.kernels.tree.couplings import accelerate_coupled
-from planner.kernels.tree.friction import (
-    begin_friction,
-    first_error,
-    friction_error,
-    friction_uphill,
-    linearize_friction,
+from planner.kernels.tree.joint_rows import (
+    any_stop,
+    begin_rows,
+    first_row_error,
+    linearize_rows,
+    row_error,
+    row_uphill,
 )
 from planner.kernels.tree.loop_accelerations import accelerate_closed
 from planner.kernels.tree.mechanism_table import TREE
@@ -60,7 +61,7 @@ def accelerate_once(m, r, q, v, tau, a, links, armature):
 
 @part
 def own_armature(m, r):
-    """MEMORY.own (nv lanes): armatures without friction."""
+    """MEMORY.own (nv lanes): armatures without rows."""
     own, implicit = lanes(r, MEMORY.own), lanes(r, MEMORY.implicit)
     for i in range(m[TREE.nv]):
         store(own, i, load(implicit, i) + load(floats(m, TREE.armature), i))
@@ -70,7 +71,7 @@ def own_armature(m, r):
 def needs_rounds(m, r, q, links):
     """Whether any force has the acceleration in it, of links that move_links has seen."""
     touches = m[TREE.softs] > 0 and any_soft_contact(m, q, links, floats(r, MEMORY.near))
-    return touches or m[TREE.losses] > 0
+    return touches or m[TREE.losses] > 0 or any_stop(m, q)
 
 
 @part
@@ -97,16 +98,16 @@ def accelerate_in_rounds(m, r, q, v, tau, a):
     links, armature, force = lanes(r, MEMORY.links), lanes(r, MEMORY.heavier), lanes(r, MEMORY.pushed)
     before, asked, own = lanes(r, MEMORY.before), lanes(r, MEMORY.asked), lanes(r, MEMORY.own)
     soft, near = lanes(r, MEMORY.soft), floats(r, MEMORY.near)
-    begin_friction(m, v, tau, own, armature, force)
+    begin_rows(m, q, v, tau, own, armature, force)
     if m[TREE.softs] > 0:
         guess = lanes(r, MEMORY.guess)
         for i in range(m[TREE.nv]):
             if load(integers(m, TREE.prescribed), i) < 0:
                 store(a, i, load(guess, i))
         add_soft_contacts(m, q, a, links, near, soft)
-        linearize_friction(m, v, tau, a, (own, armature), force, before)
+        linearize_rows(m, q, v, tau, a, (own, armature), force, before)
     accelerate_once(m, r, q, v, force, a, links, armature)
-    error = first_error(m, v, tau, a, (own, armature), force, asked)
+    error = first_row_error(m, q, v, tau, a, (own, armature), force, asked)
     if m[TREE.softs] > 0:
         soft_moves(m, q, a, links, near, soft)
         error = maximum(error, first_soft_error(m, q, links, near, soft))
@@ -114,7 +115,7 @@ def accelerate_in_rounds(m, r, q, v, tau, a):
         error = select(error, DIVERGED, error, 0.0)  # not a number: a state that has none
         if not any_less(CONVERGED, error):
             break
-        linearize_friction(m, v, tau, a, (own, armature), force, before)
+        linearize_rows(m, q, v, tau, a, (own, armature), force, before)
         move_links(m, q, v, links)
         add_wrenches(m, q, links)
         if m[TREE.softs] > 0:
@@ -130,7 +131,7 @@ def _uphill(m, r, q, v, tau, a, part_of_way):
     """The slope of the convex function along the way from MEMORY.before to a, a part of it gone."""
     armatures = lanes(r, MEMORY.own), lanes(r, MEMORY.heavier)
     force, before, asked = lanes(r, MEMORY.pushed), lanes(r, MEMORY.before), lanes(r, MEMORY.asked)
-    slope = friction_uphill(m, v, tau, a, armatures, force, before, asked, part_of_way)
+    slope = row_uphill(m, q, v, tau, a, armatures, force, before, asked, part_of_way)
     if m[TREE.softs] > 0:
         slope += soft_uphill(m, q, lanes(r, MEMORY.links), floats(r, MEMORY.near), lanes(r, MEMORY.soft), part_of_way)
     return slope
@@ -150,7 +151,7 @@ def _next_error(m, r, q, v, tau, a, error):
             low, high = select(0.0, slope, low, middle), select(0.0, slope, middle, high)
         high = select(0.0, whole, high, 1.0)
     high = select(CONVERGED, error, high, 0.0)
-    left = friction_error(m, v, tau, a, armatures, force, before, asked, high)
+    left = row_error(m, q, v, tau, a, armatures, force, before, asked, high)
     if m[TREE.softs] > 0:
         left = maximum(
             left, soft_error(m, q, lanes(r, MEMORY.links), floats(r, MEMORY.near), lanes(r, MEMORY.soft), high)

@@ -36,15 +36,15 @@ from planner.kernels.algebra.spatial import (  # fmt: skip
 from planner.kernels.numba.jit import inline, part
 from planner.kernels.numba.lane_math import sqrt
 from planner.kernels.numba.lanes import any_less, floats, integers, load, maximum, select, spread, store
-from planner.kernels.tree.contact_tables import SOFT_SIZE
+from planner.kernels.tree.contact_tables import LEAD_LAW_SIZE, SOFT_SIZE
+from planner.kernels.tree.lead_law import DAMPING, FORCE, LEAD, PER_FORCE, STIFFNESS, pressing
 from planner.kernels.tree.mechanism_table import TREE
 from planner.kernels.tree.recursion import ARTICULATED, BIAS, CORIOLIS, PLACE, RECORD, SCREW_AXIS, TWIST
 from planner.kernels.tree.sensitivity import Y
 
 # Offsets in a soft contact's numbers, as contact_tables lays them out
 CENTRE, NORMAL, LEVEL, ARM, SURFACE, FIRST, SECOND, LAW = 0, 3, 6, 7, 8, 11, 14, 17
-STIFFNESS, DAMPING, RAMP, PER_RAMP, FORCE, PER_FORCE, LEAD, FRICTION, ROOT, WINDOW, ELLIPTIC = range(11)
-FIRST_IMPEDANCE, LAST_IMPEDANCE, PER_WIDTH, MIDPOINT, EDGE, ALONG_NORMAL = range(11, 17)
+FRICTION, ROOT, WINDOW, ELLIPTIC, EDGE, ALONG_NORMAL = range(LEAD_LAW_SIZE, LEAD_LAW_SIZE + 6)  # behind the law's
 # In its memory: of the last linearization its force, C and x; the force that the accelerations ask for; the next x
 AT, SLOPES, WHERE, ASKED, NEXT, SOFT_MEMORY = 0, 3, 9, 12, 15, 18
 SOFT_SHARE = 0.01  # of an error: a contact's force may be a hundred times as far from its law as that of friction
@@ -135,33 +135,11 @@ def _cone(value, o, n, pressed, pressed_e, s, ds, x):
 
 
 @inline
-def _impedance(value, o, r):
-    """MuJoCo's impedance d at a depth r and d / (1 - d) over its last value, each with its derivative by r."""
-    first, last = load(value, o + FIRST_IMPEDANCE), load(value, o + LAST_IMPEDANCE)
-    midpoint, per_width = load(value, o + MIDPOINT), load(value, o + PER_WIDTH)
-    x = clamp(per_width * r)
-    left = 1.0 - x
-    rise = select(midpoint, x, 1.0 - left * left / (1.0 - midpoint), x * x / midpoint)
-    slope = 2.0 * per_width * select(midpoint, x, left / (1.0 - midpoint), x / midpoint)
-    d, d_r = first + (last - first) * rise, (last - first) * slope
-    per, scale = 1.0 / (1.0 - d), (1.0 - last) / last
-    return d, d_r, scale * (d * per), scale * (per * per * d_r)
-
-
-@inline
 def soft_force(value, k, e, x):
     """Force of soft contact k at penetrations and velocities ahead, its derivative by e, and C."""
     b = k * SOFT_SIZE
     o, n = b + LAW, load3(value, b + NORMAL)
-    a, per_a, K = load(value, o + RAMP), load(value, o + PER_RAMP), load(value, o + STIFFNESS)
-    depth, t = ramp(e, a, per_a)
-    h = clamp(2.0 * per_a * e)
-    early, early_e = h * h * (3.0 - 2.0 * h), 12.0 * h * (1.0 - h) * per_a
-    d, d_e, gain, gain_e = _impedance(value, o, e - 0.5 * a)
-    s, ds = early * gain, early_e * gain + early * gain_e
-    K = K / load(value, o + LAST_IMPEDANCE)
-    pressed = K * (d * s * depth)
-    pressed_e = K * (d_e * s * depth + d * ds * depth + d * s * t)
+    pressed, pressed_e, s, ds = pressing(value, o, e)
     if load(value, o + ELLIPTIC) > 0.0:
         return _cone(value, o, n, pressed, pressed_e, s, ds, x)
     return _pyramid(value, o, n, load3(value, b + FIRST), load3(value, b + SECOND), pressed, pressed_e, s, ds, x)

@@ -24,10 +24,11 @@ friction cone raises the normal force to
 
     f_n = (K e - B v_n + mu c_t |v_t| / impratio) / (1 + mu^2 / impratio).
 
-A law with a `lead` is the force of MuJoCo's usual contact, of any file (model.mjcf.file_law). There the damper feels
-the velocity that the contact will have `lead` seconds later, x = v + lead J qacc, relative to the surface and without
-the Jacobian's own change, so the force depends on the acceleration. With x_n = n'x, x_t the rest, depth = ramp(e; a)
-and s = s(e; a/2), a pyramidal cone has the sum over four edges d = n +- mu t1, n +- mu t2 of
+A law with a `lead` is the force of MuJoCo's usual constraints, of any file (model.mjcf.file_law, model.mjcf.stops).
+There the damper feels the velocity that the contact or the joint will have `lead` seconds later, x = v + lead J qacc,
+relative to the surface and without the Jacobian's own change, so the force depends on the acceleration. With x_n = n'x,
+x_t the rest, depth = ramp(e; a) and s = s(e; a/2), a pyramidal cone has the sum over four edges d = n +- mu t1, n +- mu
+t2 of
 
     r(y; f) d,   y = (K depth - B s d'x) / 4,   r = ramp, r(y; 0) = max(y, 0)
 
@@ -75,17 +76,26 @@ class Law:
         ramp: a, m or rad: how far in the force grows to its full slope; 0 for no smoothing.
         force_ramp: f, N or N m: the same for the force where damping would make it pull; by default a share of
             stiffness * ramp.
+        lead: s, how much later the contact has the velocity that is damped; 0 for now.
+        impedance: Of a law with a lead d_0, d_1, the width, m or rad, and the midpoint of the rise as a part of the
+            width; d_0 = d_1 for the same stiffness at all depths.
     """
 
     stiffness: float
     damping: float = 0.0
     ramp: float = 0.0
     force_ramp: float | None = None
+    lead: float = field(default=0.0, kw_only=True)
+    impedance: tuple[float, float, float, float] = field(default=(0.9, 0.9, 1.0, 0.5), kw_only=True)
 
     def __post_init__(self) -> None:
         set_fields(self, stiffness=number("stiffness", self.stiffness, greater_than=0.0))
-        for name in ("damping", "ramp"):
+        for name in ("damping", "ramp", "lead"):
             set_fields(self, **{name: number(name, getattr(self, name), minimum=0.0)})
+        set_fields(self, impedance=tuple(map(float, self.impedance)))  # a list could not be hashed
+        first, last, width, midpoint = self.impedance
+        if not (0.0 < first < 1.0 and 0.0 < last < 1.0 and width > 0.0 and 0.0 < midpoint < 1.0):
+            raise PlannerError(f"impedance is {self.impedance}, expected d_0, d_1, a width and a midpoint of 0 to 1.")
         share = FORCE_SHARE * self.stiffness * self.ramp if self.force_ramp is None else self.force_ramp
         set_fields(self, force_ramp=number("force_ramp", share, minimum=0.0))
 
@@ -94,9 +104,35 @@ class Law:
         """How far the law's surface is raised, m or rad, so that the force deep inside is stiffness times the depth."""
         return 0.5 * self.ramp + 0.5 * float(self.force_ramp or 0.0) / self.stiffness
 
+    def impedance_at(self, depth: Any) -> tuple[Any, Any]:
+        """The impedance d at depths, m or rad, and its derivative."""
+        first, last, width, midpoint = self.impedance
+        x = np.clip(depth / width, 0.0, 1.0)
+        above = x > midpoint
+        rise = np.where(above, 1.0 - (1.0 - x) ** 2 / (1.0 - midpoint), x**2 / midpoint)
+        slope = 2.0 * np.where(above, (1.0 - x) / (1.0 - midpoint), x / midpoint) / width
+        return first + (last - first) * rise, (last - first) * slope
+
     def rest_depth(self, load: float) -> float:
-        """How deep a load, N or N m, presses at rest, m or rad, beyond the ramps."""
-        return load / self.stiffness
+        """How deep a load, N or N m, presses at rest, m or rad, beyond the ramps.
+
+        Where the impedance still rises, deeper than a plain spring's.
+        """
+        last = self.impedance[1]
+
+        def carried(depth: float) -> float:
+            d = float(self.impedance_at(depth)[0])
+            return self.stiffness * depth * (d / last) * (d / (1.0 - d)) * (1.0 - last) / last
+
+        low, high = 0.0, load / self.stiffness
+        if self.lead == 0.0:
+            return high
+        while carried(high) < load * (1.0 - 1e-12):  # rounding
+            low, high = high, 2.0 * high
+        while high - low > 1e-9 * high:
+            middle = 0.5 * (low + high)
+            low, high = (low, middle) if carried(middle) > load else (middle, high)
+        return high
 
 
 @dataclass(frozen=True)
@@ -111,11 +147,8 @@ class ContactLaw(Law):
             ramp: without one friction is cut off at once.
         uncertainty: How many times softer a plane may be; at least 1. A plan's gains allow for it
             (solvers.gains); nothing else depends on it.
-        lead: s, how much later the contact has the velocity that is damped; 0 for now. Friction of a law with a lead
-            follows from damping, friction, impratio and cone; slip_damping says it and does not change it.
-        cone: "elliptic" or "pyramidal", the friction cone of a law with a lead.
-        impedance: Of a law with a lead d_0, d_1, the width, m, and the midpoint of the rise as a part of the width;
-            d_0 = d_1 for the same stiffness at all depths.
+        cone: "elliptic" or "pyramidal", the friction cone of a law with a lead. Its friction follows from damping,
+            friction, impratio and cone; slip_damping says it and does not change it.
         normal_share: Of a pyramidal cone of a law with a lead: the share p of K and B that presses along the normal
             without friction; 0 for condim 3, 1/3 for 4, 0.6 for 6. These edges stand for MuJoCo's spinning and rolling
             ones, which resist neither here.
@@ -127,15 +160,13 @@ class ContactLaw(Law):
     impratio: float = math.inf
     bend: float = BEND
     uncertainty: float = 1.0
-    lead: float = 0.0
     cone: str = "elliptic"
-    impedance: tuple[float, float, float, float] = (0.9, 0.9, 1.0, 0.5)
     normal_share: float = 0.0
     margin: float = 0.0
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        for name in ("slip_damping", "friction", "lead", "margin"):
+        for name in ("slip_damping", "friction", "margin"):
             set_fields(self, **{name: number(name, getattr(self, name), minimum=0.0)})
         set_fields(self, bend=number("bend", self.bend, minimum=0.0, maximum=1.0))
         set_fields(self, uncertainty=number("uncertainty", self.uncertainty, minimum=1.0))
@@ -143,10 +174,6 @@ class ContactLaw(Law):
             set_fields(self, impratio=number("impratio", self.impratio, greater_than=0.0))
         choice("cone", self.cone, CONES)
         set_fields(self, normal_share=number("normal_share", self.normal_share, minimum=0.0, maximum=MAX_NORMAL_SHARE))
-        set_fields(self, impedance=tuple(map(float, self.impedance)))  # a list could not be hashed
-        first, last, width, midpoint = self.impedance
-        if not (0.0 < first < 1.0 and 0.0 < last < 1.0 and width > 0.0 and 0.0 < midpoint < 1.0):
-            raise PlannerError(f"impedance is {self.impedance}, expected d_0, d_1, a width and a midpoint of 0 to 1.")
         if self.lead > 0.0 and self.is_round and self.impratio == math.inf:
             raise PlannerError("impratio is inf, expected a finite number for an elliptic cone with a lead.")
 
@@ -160,31 +187,6 @@ class ContactLaw(Law):
     def reach(self) -> float:
         """How far apart the surfaces are where the smoothed force begins, m."""
         return self.margin + self.surface_offset
-
-    def impedance_at(self, depth: Any) -> tuple[Any, Any]:
-        """The impedance d at depths, m, and its derivative."""
-        first, last, width, midpoint = self.impedance
-        x = np.clip(depth / width, 0.0, 1.0)
-        above = x > midpoint
-        rise = np.where(above, 1.0 - (1.0 - x) ** 2 / (1.0 - midpoint), x**2 / midpoint)
-        slope = 2.0 * np.where(above, (1.0 - x) / (1.0 - midpoint), x / midpoint) / width
-        return first + (last - first) * rise, (last - first) * slope
-
-    def rest_depth(self, load: float) -> float:
-        """How deep a load, N, presses at rest, m, beyond the ramps: where the impedance still rises, deeper."""
-        last = self.impedance[1]
-
-        def carried(depth: float) -> float:
-            d = float(self.impedance_at(depth)[0])
-            return self.stiffness * depth * (d / last) * (d / (1.0 - d)) * (1.0 - last) / last
-
-        low, high = 0.0, super().rest_depth(load)
-        while carried(high) < load * (1.0 - 1e-12):  # rounding
-            low, high = high, 2.0 * high
-        while high - low > 1e-9 * high:
-            middle = 0.5 * (low + high)
-            low, high = (low, middle) if carried(middle) > load else (middle, high)
-        return high
 
     @property
     def is_round(self) -> bool:

@@ -1,4 +1,4 @@
-"""Read the contacts and joint stops of an MJCF in which MuJoCo computes the law of model.contact.laws.
+"""Read the contacts of an MJCF in which MuJoCo computes the law of model.contact.laws.
 
 MuJoCo's constraints tend to plain springs and dampers when their impedance d is next to nothing (solimp="1e-4 1e-4"):
 then R >> A in its problem, and with solref in the direct format and A the constant invweight0 of the two bodies
@@ -31,7 +31,7 @@ from planner.base.arguments import number
 from planner.base.errors import ModelError, PlannerError
 from planner.base.gl import load_mujoco
 from planner.model.contact.body_contact import BodyContact
-from planner.model.contact.laws import BEND, Contact, ContactLaw, Law, Stop
+from planner.model.contact.laws import BEND, Contact, ContactLaw, Law
 from planner.model.mjcf.contact_shapes import are_capsules, capsule_of, part_name, plane_and_spheres
 from planner.model.mjcf.file_law import (
     MAX_IMPEDANCE,
@@ -42,7 +42,7 @@ from planner.model.mjcf.file_law import (
     file_law_reason,
     force_begins,
 )
-from planner.model.mjcf.model_index import ModelIndex, Pair, disabled, named, texts_of
+from planner.model.mjcf.model_index import ModelIndex, Pair, named, texts_of
 from planner.model.mjcf.unsupported import UnsupportedElement
 
 SOFT = 1e-4  # the impedance d, the least that MuJoCo knows
@@ -163,7 +163,7 @@ def _law_reason(model: Any, pair: Pair) -> str:
         return f"condim {pair.condim}, expected 1 or 3"
     if force_begins(model, pair) < 0.0:
         return f"margin {pair.margin:g}, expected at least 0"
-    reason = _direct_reason(pair.solref, pair.solimp)
+    reason = direct_reason(pair.solref, pair.solimp)
     if reason or pair.condim == 1:
         return reason
     if pair.friction[0] != pair.friction[1]:
@@ -172,13 +172,14 @@ def _law_reason(model: Any, pair: Pair) -> str:
         return "a pyramidal cone, expected cone='elliptic'"
     if np.any(pair.solreffriction) and not np.all(pair.solreffriction <= 0.0):
         return "solreffriction is a time constant, expected the direct format"
-    ramp = _smoothing(model, CONTACT_RAMP)[0]
+    ramp = smoothing_of(model, CONTACT_RAMP)[0]
     if ramp > 0.0 and model.opt.impratio < MIN_IMPRATIO:
         return f"impratio {model.opt.impratio:g}, expected at least {MIN_IMPRATIO:g} for smoothed friction"
     return ""
 
 
-def _direct_reason(solref: np.ndarray, solimp: np.ndarray) -> str:
+def direct_reason(solref: np.ndarray, solimp: np.ndarray) -> str:
+    """The reason why these numbers do not make a plain spring and damper; "" where they do."""
     if not (solref[0] < 0.0 and solref[1] <= 0.0):
         return "solref is a time constant, expected the direct format of contact_attributes()"
     if not (solimp[0] == solimp[1] <= SOFTEST):
@@ -231,7 +232,7 @@ def has_file_laws(model: Any) -> bool:
 
 def _law_of(model: Any, pair: Pair) -> ContactLaw:
     law = file_law(model, pair) if has_file_laws(model) else _exact_law(model, pair)
-    ramp, force_ramp, bend = _smoothing(model, CONTACT_RAMP)
+    ramp, force_ramp, bend = smoothing_of(model, CONTACT_RAMP)
     uncertainty, *_ = _numbers(model, CONTACT_UNCERTAINTY) or [1.0]
     if not 1.0 <= uncertainty < math.inf:
         raise ModelError(f"numeric {CONTACT_UNCERTAINTY!r} is {uncertainty:g}, expected a factor of at least 1.")
@@ -251,25 +252,7 @@ def _exact_law(model: Any, pair: Pair) -> ContactLaw:
     return replace(ContactLaw.exact(K, B, ct, mu, impratio), margin=force_begins(model, pair))
 
 
-def read_stops(model: Any) -> tuple[Stop, ...]:
-    """The ends of ranges at which MuJoCo computes the law; a plan knows no other limits."""
-    if disabled(model, "constraint", "limit"):
-        return ()
-    joints, found = load_mujoco().mjtJoint, []
-    for j in np.flatnonzero(model.jnt_limited):
-        screw = model.jnt_type[j] in (int(joints.mjJNT_HINGE), int(joints.mjJNT_SLIDE))
-        solref, solimp = model.jnt_solref[j], model.jnt_solimp[j]
-        if not screw or _direct_reason(solref, solimp) or model.jnt_margin[j] != 0.0:
-            continue
-        dof = int(model.jnt_dofadr[j])
-        weight = float(model.dof_invweight0[dof]) * (1.0 - solimp[0])
-        K, B = -solref / weight
-        law = Law(K, B, *_smoothing(model, STOP_RAMP)[:2])
-        found += [Stop(dof, float(end), side, law) for end, side in zip(model.jnt_range[j], (-1, 1), strict=True)]
-    return tuple(found)
-
-
-def _smoothing(model: Any, name: str) -> tuple[float, float | None, float]:
+def smoothing_of(model: Any, name: str) -> tuple[float, float | None, float]:
     """Read the smoothing from the file's <numeric> of that name: ramp, force ramp (None by default) and bend."""
     data = _numbers(model, name)
     if data is None:

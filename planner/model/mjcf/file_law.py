@@ -58,7 +58,7 @@ def file_law(model: Any, pair: Pair) -> ContactLaw:
     if reason := file_law_reason(model, pair):
         raise ModelError(f"{' and '.join(named(model, 'geom', geom) for geom in pair.geoms)}: {reason}.")
     (K, B), mu, impratio = coefficients(model, pair, math.inf), _friction(pair), _impratio(model)
-    lead, pyramidal = 1.0 / _rates(model, pair.solref, pair.solimp)[1], is_pyramidal(model, pair)
+    lead, pyramidal = 1.0 / rates(model, pair.solref, pair.solimp)[1], is_pyramidal(model, pair)
     along = 1.0 - 2.0 / (pair.condim - 1) if pyramidal else 0.0  # the share of edges for spinning and rolling
     slip_damping = B * (0.5 * mu**2 if pyramidal else impratio * (mu > 0.0))
     cone = "pyramidal" if pyramidal else "elliptic"
@@ -71,7 +71,7 @@ def file_law(model: Any, pair: Pair) -> ContactLaw:
 
 def coefficients(model: Any, pair: Pair, depth: float) -> tuple[float, float]:
     """K, N/m, and B, N s/m, of a pair with the impedance of a depth, m: K depth is the normal force at rest there."""
-    d, (k, b) = impedance_at(pair.solimp, depth), _rates(model, pair.solref, pair.solimp)
+    d, (k, b) = impedance_at(pair.solimp, depth), rates(model, pair.solref, pair.solimp)
     A = float(model.body_invweight0[model.geom_bodyid[list(pair.geoms)], 0].sum())
     edges, mu = 1, _friction(pair)
     if is_pyramidal(model, pair):
@@ -96,16 +96,15 @@ def file_law_reason(model: Any, pair: Pair) -> str:
     for name in ("adhesion", "surfacevel"):  # of MuJoCo 4
         if np.any(field(model, f"geom_{name}", model.ngeom)[list(pair.geoms)]):
             return f"{name}, expected none"
-    k, b = _rates(model, pair.solref, pair.solimp)
+    k, b = rates(model, pair.solref, pair.solimp)
     if not (k > 0.0 and b > 0.0):
         return f"solref {pair.solref[0]:g} {pair.solref[1]:g}, expected stiffness and damping"
-    first, last, _, _ = impedance_of(pair.solimp)
-    if first != last and pair.solimp[4] != 2.0:
+    if not has_square_rise(pair.solimp):
         return f"solimp whose impedance rises by a power of {pair.solimp[4]:g}, expected 2"
     if pair.condim > 1 and pair.friction[0] != pair.friction[1]:
         return "other friction along than across, expected one number"
     own = pair.condim > 1 and not is_pyramidal(model, pair) and np.any(pair.solreffriction)
-    if own and not np.isclose(_rates(model, pair.solreffriction, pair.solimp)[1], b, rtol=1e-9):
+    if own and not np.isclose(rates(model, pair.solreffriction, pair.solimp)[1], b, rtol=1e-9):
         return "solreffriction has another damping than solref, expected the same or none"
     return ""
 
@@ -117,6 +116,12 @@ def impedance_of(solimp: np.ndarray) -> tuple[float, float, float, float]:
     if d0 == dmax or width <= _TINY:
         return 0.5 * (d0 + dmax), 0.5 * (d0 + dmax), 1.0, midpoint
     return d0, dmax, width, midpoint
+
+
+def has_square_rise(solimp: np.ndarray) -> bool:
+    """Whether the impedance of a solimp (5,) is constant or rises by a power of 2, as in a law with a lead."""
+    first, last, _, _ = impedance_of(solimp)
+    return first == last or float(solimp[4]) == 2.0
 
 
 def impedance_at(solimp: np.ndarray, depth: float) -> float:
@@ -182,7 +187,7 @@ def as_read(model: Any, pair: Pair) -> Pair:
     return pair._replace(condim=condim, friction=friction, **solrefs)
 
 
-def _rates(model: Any, solref: np.ndarray, solimp: np.ndarray) -> tuple[float, float]:
+def rates(model: Any, solref: np.ndarray, solimp: np.ndarray) -> tuple[float, float]:
     """k, 1/s^2, and b, 1/s, of a solref (2,) in either format."""
     first, second = map(float, solref)
     dmax = float(np.clip(solimp[1], MIN_IMPEDANCE, MAX_IMPEDANCE))

@@ -39,7 +39,6 @@ from planner.model.mjcf.contacts import (
     contact_refusals,
     phrase_of,
     read_contacts,
-    read_stops,
 )
 from planner.model.mjcf.equalities import harden, read_cams, read_couplings, read_loops, read_tendons
 from planner.model.mjcf.file_law import FILE_SMOOTHING, file_law
@@ -61,6 +60,7 @@ from planner.model.mjcf.model_index import (
     velocity_limits,
 )
 from planner.model.mjcf.obstacles import excluded_pairs, obstacles_of, with_excluded, with_obstacles
+from planner.model.mjcf.stops import read_stops
 from planner.model.mjcf.text import written
 from planner.model.mjcf.unsupported import (  # fmt: skip
     KINDS,
@@ -254,6 +254,7 @@ def _mechanism(
     armature, damping = armature_and_damping(model)
     dofs = [int(address) for address in model.jnt_dofadr] + [int(model.nv)]
     contacts, body_contacts = read_contacts(survey)
+    actuators = actuators_of(survey)
     sites = {
         site: Frame(int(links[body]), poses[body] @ pose(model.site_pos[i], model.site_quat[i]))
         for i, (site, body) in enumerate(zip(names_of(model, "site", model.nsite), model.site_bodyid, strict=True))
@@ -266,18 +267,26 @@ def _mechanism(
         **_masses(model, links, poses), armature=armature, damping=damping,
         stiffness=np.where(kind == SCREW, stiffness, 0.0), spring_rest=rest, ball_stiffness=stiffness[balls],
         ball_rest=unit(np.array([model.qpos_spring[a : a + 4] for a in screws["q_address"][balls]]).reshape(-1, 4)),
-        gravity=np.array(model.opt.gravity) * (not disabled(model, "gravity")), actuators=actuators_of(survey),
+        gravity=np.array(model.opt.gravity) * (not disabled(model, "gravity")), actuators=actuators,
         joint_names=names_of(model, "joint", model.njnt), joint_range=_joint_ranges(model),
         joint_links=tuple(slice(a, b) for a, b in itertools.pairwise(dofs)),
         joint_force_range=ranges_of(model.jnt_actfrclimited, model.jnt_actfrcrange)[model.dof_jntid],
         velocity_limit=velocity_limits(model), **joint_friction(model), **_lifted(model, links, poses),
         body_names=("world", *names_of(model, "body", model.nbody)[1:]),
         bodies=tuple(Frame(int(link), T) for link, T in zip(links, poses, strict=True)),
-        contacts=contacts, body_contacts=body_contacts, stops=read_stops(model), tendons=read_tendons(model),
-        sites=sites, keyframes=keyframes, mjcf=text, assets=files, ignored=ignored, couplings=read_couplings(model),
+        contacts=contacts, body_contacts=body_contacts, tendons=read_tendons(model),
+        stops=read_stops(model, _undriven(model, actuators)), sites=sites, keyframes=keyframes,
+        mjcf=text, assets=files, ignored=ignored, couplings=read_couplings(model),
         drags=() if passive_off(model) else drags_of(model, links, _inertial_frames(model, poses)),
         loops=read_loops(model, links, poses), polynomial_couplings=read_cams(model),
     )  # fmt: skip
+
+
+def _undriven(model: Any, actuators: Any) -> set[int]:
+    """The degrees of freedom that neither an actuator moves nor an equality ties to another."""
+    tied = {dof for coupling in read_couplings(model) for dof in coupling.dofs}
+    tied |= {dof for cam in read_cams(model) for dof in cam.dofs}
+    return set(range(model.nv)) - tied - {*map(int, np.flatnonzero(actuators.acts_on.any(axis=0)))}
 
 
 def _check_sizes(model: Any, name: str) -> None:

@@ -339,14 +339,17 @@ class _Bench:
     def _stop(self, stop: Stop, x: np.ndarray) -> Iterator[Coefficient]:
         m, law = self._mechanism, stop.law
         name = f"the stop of {joint_of(m, stop.dof)} at {stop.end:.4g}"
-        depth = max(beyond_ramps(law), _REST)
+        depth = max(beyond_ramps(law), _REST, law.impedance[2] if law.lead > 0.0 else 0.0)  # K is that beyond the rise
 
-        def both(deep: float, closing: float) -> tuple[float, float]:
+        def both(deep: float, closing: float, speeding: float = 0.0) -> tuple[float, float]:
             x[m.q_address[stop.dof]] = stop.end + stop.side * deep
             x[m.nq : m.nq + m.nv] = 0.0
             x[m.nq + stop.dof] = stop.side * closing
-            ours = unilateral_force(law, *stop_state(m, stop, x[None, : m.nq], x[None, m.nq : m.nq + m.nv]))[0]
-            return ours[0], self._limit(x, stop)
+            qacc = np.zeros(m.nv)
+            qacc[stop.dof] = stop.side * speeding
+            e, opening = stop_state(m, stop, x[None, : m.nq], x[None, m.nq : m.nq + m.nv])
+            ours = unilateral_force(law, e, opening - law.lead * speeding)[0]
+            return ours[0], self._limit(x, stop, qacc)
 
         held, deeper = both(depth, 0.0), both(2.0 * depth, 0.0)
         K = [(two - one) / depth for one, two in zip(held, deeper, strict=True)]
@@ -355,10 +358,14 @@ class _Bench:
         closing = _CLOSING * held[0] / law.damping if law.damping > 0.0 else 1.0
         B = [(moved - one) / closing for one, moved in zip(held, both(depth, closing), strict=True)]
         yield compared("stop_damping", name, B[1], B[0], held[0] / closing)
+        if law.lead > 0.0:
+            speeding = closing / law.lead
+            inertia = [(pushed - one) / speeding for one, pushed in zip(held, both(depth, 0.0, speeding), strict=True)]
+            yield compared("stop_inertia", name, inertia[1], inertia[0], held[0] / speeding)
 
-    def _limit(self, x: np.ndarray, stop: Stop) -> float:
-        """MuJoCo's joint-limit force at a state beyond the range."""
-        self._hold(x)
+    def _limit(self, x: np.ndarray, stop: Stop, qacc: np.ndarray) -> float:
+        """MuJoCo's joint-limit force at a state beyond the range and accelerations (nv,)."""
+        self._hold(x, qacc)
         data, kind = self._data, int(self._mujoco.mjtConstraint.mjCNSTR_LIMIT_JOINT)
         joint = self._model.dof_jntid[stop.dof]
         rows = (np.asarray(data.efc_type) == kind) & (np.asarray(data.efc_id) == joint)

@@ -1,0 +1,46 @@
+"""Start and goal at the stops of their joints: off those that are bounds, at rest on those that press."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from planner.cases.problem_file.ground_placement import SAME_POSE_TOLERANCE
+from planner.dynamics.rest_on_stops import rest_on_stops
+from planner.model.capabilities import stands_on_ground
+from planner.model.mechanism import Mechanism
+from planner.problem.joint_limits import moved_inside_limits, starts_at_limit
+
+
+def off_stops(
+    mechanism: Mechanism, table: dict[str, Any], x0: np.ndarray, goal: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, tuple[str, ...]]:
+    """Start and goal off the stops whose ranges hold, and sentences about it."""
+    kept = (table.get("limits") or {}).get("position")
+    if stands_on_ground(mechanism) or not (kept == "model" or isinstance(kept, dict)):  # what stands has been put down
+        return x0, goal, ()
+    limited = kept if isinstance(kept, dict) else {}
+    (x0, first), (goal, second) = (
+        moved_inside_limits(mechanism, what, x, limited) for what, x in (("start", x0), ("goal", goal))
+    )
+    leans = "" if table.get("prescribed") else starts_at_limit(mechanism, "start", x0, limited)
+    return x0, goal, tuple(filter(None, (first, second, leans)))
+
+
+def at_rest_on_stops(
+    mechanism: Mechanism, x0: np.ndarray, goal: np.ndarray, notes: dict[str, str]
+) -> tuple[np.ndarray, np.ndarray, dict[str, str]]:
+    """Start and goal with closed chains at rest on the stops that they lean on; sentences, with one about each."""
+    found = []
+    for name, x in (("start", x0), ("goal", goal)):
+        moving = bool(np.any(x[mechanism.nq : mechanism.nq + mechanism.nv]))
+        found.append(x if moving else rest_on_stops(mechanism, x))
+        change = mechanism.space.difference(found[-1], x)[: mechanism.nv]
+        if np.abs(change).max() > SAME_POSE_TOLERANCE:
+            i = int(np.argmax(np.abs(change)))
+            said = (
+                f"{mechanism.joint_of(i)} of the {name} goes {abs(change[i]):.2g} rad or m to where it leans on a stop."
+            )
+            notes = notes | {name: f"{notes.get(name, '')} {said}".strip()}
+    return found[0], found[1], notes

@@ -1,0 +1,59 @@
+"""Read the joint stops that a plan has forces of: those in which MuJoCo computes a law of model.contact.laws.
+
+A joint whose numbers are those of `contacts.stop_attributes` has a plain spring and damper at the ends of its range,
+smoothed by the file's <numeric name="stop_ramp">. A joint that nothing drives leans on its stop: no control keeps it
+off. It has the force that MuJoCo computes from the file's numbers, a law with a lead, with
+model.mjcf.file_law's formulas, A = dof_invweight0 and a surface that lies deeper in the range by the margin. All other
+ranges are bounds of a plan.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from typing import Any
+
+import numpy as np
+
+from planner.base.gl import load_mujoco
+from planner.model.contact.laws import Law, Stop
+from planner.model.mjcf.contacts import STOP_RAMP, direct_reason, smoothing_of
+from planner.model.mjcf.file_law import FILE_SMOOTHING, has_square_rise, impedance_of, rates
+from planner.model.mjcf.model_index import disabled
+
+
+def read_stops(model: Any, undriven: Collection[int]) -> tuple[Stop, ...]:
+    """The ends of ranges that press in the plan; `undriven`: the degrees of freedom that nothing drives."""
+    if disabled(model, "constraint", "limit"):
+        return ()
+    joints, found = load_mujoco().mjtJoint, []
+    for j in np.flatnonzero(model.jnt_limited):
+        if model.jnt_type[j] not in (int(joints.mjJNT_HINGE), int(joints.mjJNT_SLIDE)):
+            continue
+        dof, margin, law = int(model.jnt_dofadr[j]), float(model.jnt_margin[j]), None
+        if margin == 0.0 and not direct_reason(model.jnt_solref[j], model.jnt_solimp[j]):
+            law = _plain_law(model, j)
+        elif dof in undriven:
+            law = _lead_law(model, j)
+        if law is not None:
+            ends = zip(model.jnt_range[j], (-1, 1), strict=True)
+            found += [Stop(dof, float(end) - side * margin, side, law) for end, side in ends]
+    return tuple(found)
+
+
+def _plain_law(model: Any, joint: int) -> Law:
+    weight = float(model.dof_invweight0[model.jnt_dofadr[joint]]) * (1.0 - model.jnt_solimp[joint, 0])
+    K, B = -model.jnt_solref[joint] / weight
+    return Law(K, B, *smoothing_of(model, STOP_RAMP)[:2])
+
+
+def _lead_law(model: Any, joint: int) -> Law | None:
+    """MuJoCo's law of a joint's range; None where it is not of this form."""
+    solimp, A = model.jnt_solimp[joint], float(model.dof_invweight0[model.jnt_dofadr[joint]])
+    k, b = rates(model, model.jnt_solref[joint], solimp)
+    if not (k > 0.0 and b > 0.0 and A > 0.0 and has_square_rise(solimp)):
+        return None
+    rise = impedance_of(solimp)
+    d = rise[1]
+    per = d / (A * (1.0 - d))
+    ramp, force_ramp, _ = FILE_SMOOTHING
+    return Law(per * k * d, per * b, ramp, force_ramp, lead=1.0 / b, impedance=rise)

@@ -1,0 +1,101 @@
+"""Stops of joints that nothing drives: MuJoCo's accelerations of any file, derivatives, and which joints have them."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from trees import mujoco
+
+from planner.dynamics import RigidBodyDynamics
+from planner.model.mechanism import Mechanism
+
+ARM = """<mujoco><compiler angle="radian"/><option tolerance="1e-15" iterations="200"/>
+  <default><joint axis="0 1 0" solreflimit="{solref}" solimplimit="{solimp}" margin="{margin}"/></default><worldbody>
+  <body><joint name="driven" range="-1 1" armature=".01"/><geom size=".05" pos=".2 0 0" mass="1"/>
+    <body pos=".4 0 0"><joint name="wrist" range="-.2 .3" frictionloss="{loss}"/>
+      <geom size=".05" pos=".2 0 0" mass=".5"/>
+      <body pos=".3 0 0"><joint name="drawer" type="slide" axis="1 0 .2" range="-.01 .02"/><geom size=".03" mass=".1"/>
+      </body></body></body></worldbody><actuator><motor joint="driven"/></actuator></mujoco>"""
+
+FLAT, USUAL, RISING = ".9 .9 .001", ".9 .95 .001", ".015 .99 .01 .4 2"  # solimp: constant, the default, and rising far
+
+
+def arm(solref=".02 1", solimp=USUAL, margin=0, loss=0):
+    """The text of an arm with two undriven joints."""
+    return ARM.format(solref=solref, solimp=solimp, margin=margin, loss=loss)
+
+
+def states(m, number=40):
+    """States (K, nx) near the ends of the undriven ranges and beyond, slow and fast, and controls (K, 1)."""
+    rng = np.random.default_rng(0)
+    xs = np.zeros((number, 2 * m.nv))
+    for i in (1, 2):
+        low, high = m.stops[2 * i - 2].end, m.stops[2 * i - 1].end
+        share = rng.choice([-0.1, -0.003, 0.003, 0.5, 0.997, 1.003, 1.1], number)
+        xs[:, i] = low + share * (high - low)
+    xs[:, 0] = rng.uniform(-0.5, 0.5, number)
+    xs[:, 3:] = rng.normal(size=(number, 3)) * rng.choice([0.01, 0.3, 3.0], (number, 1))
+    return xs, rng.normal(size=(number, 1)) * 5.0
+
+
+def accelerations(m, xs, us):
+    """Accelerations (K, nv) of the kernels: a step of explicit Euler of 1 s."""
+    return RigidBodyDynamics(m, 1.0, "euler").step(xs, us)[:, 3:] - xs[:, 3:]
+
+
+def sharp(m):
+    """The mechanism without the smoothing of its stops."""
+    return replace(m, stops=tuple(replace(one, law=replace(one.law, ramp=0.0, force_ramp=0.0)) for one in m.stops))
+
+
+@pytest.mark.parametrize("margin", [0, 0.004])
+@pytest.mark.parametrize("solimp", [FLAT, USUAL, RISING])
+@pytest.mark.parametrize("solref", [".02 1", ".005 .7", "-4000 -60"])
+def test_stops_have_mujocos_accelerations(solref, solimp, margin):
+    text = arm(solref, solimp, margin)
+    m, model = sharp(Mechanism.from_mjcf(text)), mujoco.MjModel.from_xml_string(text)
+    data, met = mujoco.MjData(model), 0
+    xs, us = states(m)
+    for x, u, ours in zip(xs, us, accelerations(m, xs, us), strict=True):
+        data.qpos[:], data.qvel[:], data.ctrl[:], data.qacc_warmstart[:] = x[:3], x[3:], u, 0.0
+        mujoco.mj_forward(model, data)
+        met += data.nefc > 0
+        assert np.abs(ours - data.qacc).max() <= 1e-10 * max(
+            1.0, np.abs(data.qacc).max()
+        )  # Newton's of both ends at 1e-12
+    assert met > 20
+
+
+def test_only_what_nothing_drives_has_stops():
+    text = arm().replace("</worldbody>", '</worldbody><equality><joint joint1="drawer" joint2="driven"/></equality>')
+    assert [(one.dof, one.side, one.end) for one in Mechanism.from_mjcf(arm()).stops] == [
+        (1, -1, -0.2), (1, 1, 0.3), (2, -1, -0.01), (2, 1, 0.02),
+    ]  # fmt: skip
+    assert {one.dof for one in Mechanism.from_mjcf(text).stops} == {1}  # the drawer goes where the driven joint does
+    fourth = arm(solimp=".9 .95 .001 .5 3")  # a rise that no law has
+    assert Mechanism.from_mjcf(fourth).stops == ()
+
+
+@pytest.mark.parametrize("loss", [0, 0.05])
+def test_derivatives_are_those_of_differences(loss):
+    m = Mechanism.from_mjcf(arm(loss=loss))
+    m = replace(m, stops=tuple(replace(one, law=replace(one.law, ramp=2e-2, force_ramp=2.0)) for one in m.stops))
+    dynamics = RigidBodyDynamics(m, 1e-3, "euler")
+    xs, us = states(m)
+    A, B = dynamics.linearize(np.vstack([xs, xs[-1:]]), us)
+    h = 1e-6
+    slopes = [(dynamics.step(xs + h * e, us) - dynamics.step(xs - h * e, us)) / (2.0 * h) for e in np.eye(6)]
+    slopes.append((dynamics.step(xs, us + h) - dynamics.step(xs, us - h)) / (2.0 * h))
+    exact = np.concatenate([A[: len(xs)], B[: len(xs)]], axis=2)
+    error = np.abs(np.stack(slopes, axis=2) - exact).max(axis=(1, 2))
+    assert np.all(error < 1e-6 * np.abs(exact).max(axis=(1, 2)))  # central differences; the ramps' curvature is 1/ramp
+
+
+def test_a_state_does_not_depend_on_those_beside_it():
+    m = Mechanism.from_mjcf(arm(loss=0.05))
+    dynamics = RigidBodyDynamics(m, 2e-3, "rk4")
+    xs, us = states(m)
+    together, _ = dynamics.linearize(np.vstack([xs, xs[-1:]]), us)
+    order = np.random.default_rng(1).permutation(len(xs))
+    again, _ = dynamics.linearize(np.vstack([xs[order], xs[-1:]]), us[order])
+    assert np.array_equal(again, together[order])
