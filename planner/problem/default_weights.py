@@ -108,13 +108,13 @@ def default_weights(
     velocity = np.zeros(nv)
     ends_of = np.stack([x0, goal])
     actuated = fully_actuated(dynamics, ends_of)
-    free = ~_decided_by_stops(mechanism, ends_of)
+    decided = _decided_by_stops(mechanism, ends_of)
     carried = stands_on_ground(mechanism)
     between = np.stack([x0, goal])[:, : mechanism.nq] if way is None else way
     steps = carried and (stays or way is not None) and feet_move(mechanism, between)
     stands = carried and (stays or steps)
     if actuated or carried:
-        velocity = (VELOCITY_SHARE if named else 1.0) * free / speed**2
+        velocity = (VELOCITY_SHARE if named else 1.0) * ~decided / speed**2
     share = tolerance_share(zip(displacement.tolist(), units, strict=False))
     position, rate = _tolerances(mechanism, [share * MIN_TOLERANCES[unit] for unit in units], tolerance)
     stance_error = STANCE_TOLERANCES * position if stands else None
@@ -128,7 +128,7 @@ def default_weights(
     )
     jerk_cost = max(1.0, jerk * min_jerk_cost(displacement, duration))
     falling = ballistic_dofs(mechanism, x0)
-    ends = jerk_cost * (not stands) * ~stationary * ~falling * free
+    ends = jerk_cost * (not stands) * ~stationary * ~falling * ~decided
     placed = np.ones(nv) if carried_along is None else 1.0 * ~carried_along
     weights = {
         "effort": effort, **({} if control is None else {"control": control}), "velocity": velocity,
@@ -175,8 +175,8 @@ def _leaning(mechanism: Mechanism, xs: np.ndarray) -> np.ndarray:
     """(nv,) bool, degrees of freedom that a stop with a lead presses on at all states xs (K, nx)."""
     found = np.zeros(mechanism.nv, dtype=bool)
     for stop in mechanism.stops:
-        beyond = stop.side * (xs[:, mechanism.q_address[stop.dof]] - stop.end)
-        found[stop.dof] |= bool(stop.law.lead > 0.0 and np.all(beyond > 0.0))
+        depth = stop.side * (xs[:, mechanism.q_address[stop.dof]] - stop.end)
+        found[stop.dof] |= bool(stop.law.lead > 0.0 and np.all(depth > 0.0))
     return found
 
 
@@ -185,8 +185,8 @@ def _decided_by_stops(mechanism: Mechanism, xs: np.ndarray) -> np.ndarray:
     if not (mechanism.has_closed_chains and _leaning(mechanism, xs).any()):
         return np.zeros(mechanism.nv, dtype=bool)
     Z, leading = feasible_directions(mechanism, mechanism.qpos0)
-    moved = np.any(Z[:, ~mechanism.directly_actuated[leading]] != 0.0, axis=1)
-    return moved & ~mechanism.directly_actuated
+    loose = np.any(Z[:, ~mechanism.directly_actuated[leading]] != 0.0, axis=1)
+    return loose & ~mechanism.directly_actuated
 
 
 def fully_actuated(dynamics: RigidBodyDynamics, xs: np.ndarray) -> bool:

@@ -15,7 +15,7 @@ from planner.base.arguments import array, choice, number, numbers, short_repr, t
 from planner.base.errors import PlannerError
 from planner.dynamics import Dynamics
 from planner.dynamics.assembly import assembled
-from planner.model.coordinates import ANGLE, LENGTH, Coordinate, coordinates_of
+from planner.model.coordinates import ANGLE, LENGTH, Coordinate, coordinates_of, coordinates_of_mechanism
 from planner.model.couplings import closed_state
 from planner.model.mechanism import SCREW, Mechanism
 
@@ -27,6 +27,7 @@ TENDON_ROUNDING = 1e-9  # rad or m, rounding of a length that equalities fix
 SHARE = 0.01  # of a range, the default margin
 MIN_MARGINS = {ANGLE: 0.01, LENGTH: 1e-3}  # rad, m: a constant control overshoots by a dt^2 / 8 between knots
 MAX_SHARE = 0.1  # of a range, upper limit of the margin: the fingers of a gripper move by few millimetres
+YIELDS = 0.1  # of a range: how far beyond a stop that gives a joint may lean
 START_OFFSET = 1e-3  # rad or m, by which a start at a limit is moved inside: a replay that errs meets no stop
 GOAL_OFFSET = 1e-4  # rad or m, the same of a goal, whose tolerance may be small: the tolerance of limits
 ROUNDING = 1e-6  # share of a range; a start outside by less is at the limit
@@ -236,28 +237,18 @@ def _outside(mechanism: Mechanism, ranges: Mapping[int, Range], x: np.ndarray) -
     return float(sum(max(one.model_lower - value, value - one.model_upper, 0.0) for value, one in values))
 
 
-def starts_at_limit(mechanism: Mechanism, what: str, x: np.ndarray, limited: Collection[str]) -> str:
-    """A message about unactuated joints at a limit in a state (nx,); "" for none.
+def check_stops(mechanism: Mechanism, what: str, values: np.ndarray) -> None:
+    """Refuse a start or goal `what` (nv,) far beyond stops that the mechanism models: they give by less than YIELDS.
 
-    Coupling forces of other joints press them against the stop, whose reaction MuJoCo has and the plan has not.
+    Raises:
+        PlannerError: A joint is there.
     """
-    coupled = {dof for coupling in mechanism.couplings for dof in coupling.dofs}
-    driven, names = mechanism.directly_actuated, []
-    for i, joint_range in model_ranges(mechanism, None).items():
-        value, name = float(x[mechanism.q_address[i]]), mechanism.joint_names[_joint_index(mechanism, i)]
-        is_free = not driven[i] and i not in coupled and name not in limited and not mechanism.has_closed_chains
-        if is_free and min(value - joint_range.model_lower, joint_range.model_upper - value) <= _margin(
-            mechanism, name, i, None
-        ):
-            names.append(mechanism.joint_of(i))
-    if not names:
-        return ""
-    others, them = (f" and {len(names) - 1} more", "them") if len(names) > 1 else ("", "it")
-    return (
-        f"nothing drives {names[0]}{others}, which the {what} has at a stop: what moves beside {them} pushes {them} "
-        "into it, where MuJoCo has a force and a plan has none. A solve that takes long or misses its limits needs "
-        f"a `start` and a `goal` with {them} off the stop, by 0.1 rad or more."
-    )
+    coordinates = coordinates_of_mechanism(mechanism)
+    for i in sorted({stop.dof for stop in mechanism.stops}):
+        low, high = map(float, mechanism.joint_range[i])
+        value, give = float(values[i]), YIELDS * (high - low)
+        if not low - give <= value <= high + give:
+            Range(low, high, low, high, of_model=True).with_state(what, coordinates[i], value)
 
 
 def _joint_index(mechanism: Mechanism, dof: int) -> int:

@@ -42,6 +42,7 @@ from planner.problem.joint_limits import (
     OFF,
     Range,
     check_margin,
+    check_stops,
     component_of,
     is_word,
     json_value,
@@ -234,15 +235,18 @@ class Limits:
         at_end = self._at_end(mechanism, cost, space.ndx)
         if reference is None:
             reference = np.tile(x0, (N + 1, 1))
-        if not found and not at_end:
-            return None
         origin = origin_of(space)
         offset, start = space.difference(reference, origin), space.difference(x0, origin)
-        lower, upper = np.full((2, N + 1, len(found) + len(at_end)), np.inf)
-        lower = -lower
         exact = np.zeros(space.ndx, dtype=bool)
         exact[at_end] = True
         weighed = np.zeros(space.ndx, dtype=bool) if (largest := _final_weights(cost)) is None else largest > 0.0
+        if mechanism is not None and not (self.position is None or is_word(self.position, OFF)):
+            check_stops(mechanism, "start", start)
+            check_stops(mechanism, "goal", np.where(exact | weighed, offset[-1], start))
+        if not found and not at_end:
+            return None
+        lower, upper = np.full((2, N + 1, len(found) + len(at_end)), np.inf)
+        lower = -lower
         for h, (i, joint_range) in enumerate(found.items()):
             if i in rotations:
                 name = coordinates[i][0]

@@ -47,7 +47,7 @@ each = pytest.mark.parametrize("name", [*WHOLE, *REFUSED])
 def machine(name):
     """The mechanism and MuJoCo's model: of the file itself, unless something had to be taken out of it.
 
-    Without couplings and friction loss: MuJoCo's constraints are off here, and tests/dynamics has those.
+    Without couplings, stops and friction loss: MuJoCo's constraints are off here, and tests/dynamics has those.
     """
     ignore = REFUSED[name][0] if name in REFUSED else ()
     mechanism = Mechanism.from_mjcf(path(name), ignore=ignore, contacts="off")
@@ -57,7 +57,7 @@ def machine(name):
         model = mujoco.MjModel.from_xml_path(str(path(name)))
     bits = mujoco.mjtDisableBit
     model.opt.disableflags |= bits.mjDSBL_CONSTRAINT | bits.mjDSBL_EULERDAMP  # contacts, limits; damping as elsewhere
-    return replace(mechanism, couplings=(), friction_loss=np.zeros(mechanism.nv)), model
+    return replace(mechanism, couplings=(), stops=(), friction_loss=np.zeros(mechanism.nv)), model
 
 
 def drawn(name):

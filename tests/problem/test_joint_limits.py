@@ -225,10 +225,11 @@ PASSIVE = """
 """
 
 
-@pytest.mark.parametrize(("far", "said"), [("0.0", True), ("0.3", False)])
-def test_a_joint_that_nothing_drives_and_that_begins_at_its_stop_is_told_at_once(tmp_path, far, said):
+def test_a_goal_far_beyond_a_stop_that_the_plan_models_is_refused(tmp_path):
     (tmp_path / "finger.xml").write_text(PASSIVE)
-    text = f'model = "finger.xml"\nstart = {{ far = {far} }}\ngoal = {{ near = 0.3 }}\nduration = 1.0\n'
-    (tmp_path / "finger.toml").write_text(text)
-    reasons = planner.load_problem(tmp_path / "finger.toml").parameters["resolved"]["reasons"]
-    assert ("nothing drives joint 'far', which the start has at a stop" in reasons.get("stops", "")) is said
+    text = 'model = "finger.xml"\ngoal = {{ near = 0.3, far = {} }}\nduration = 1.0\n'
+    (tmp_path / "finger.toml").write_text(text.format(-0.3))  # a stop gives by less than a tenth of its range
+    with pytest.raises(planner.PlannerError, match=r"the goal has far at -0.3 rad, expected 0 ... 1.5 rad: write 0"):
+        planner.load_problem(tmp_path / "finger.toml")
+    (tmp_path / "finger.toml").write_text(text.format(-0.1))
+    assert planner.load_problem(tmp_path / "finger.toml").ranges is None

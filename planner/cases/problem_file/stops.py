@@ -10,7 +10,7 @@ from planner.cases.problem_file.ground_placement import SAME_POSE_TOLERANCE
 from planner.dynamics.rest_on_stops import rest_on_stops
 from planner.model.capabilities import stands_on_ground
 from planner.model.mechanism import Mechanism
-from planner.problem.joint_limits import moved_inside_limits, starts_at_limit
+from planner.problem.joint_limits import moved_inside_limits
 
 
 def off_stops(
@@ -24,8 +24,7 @@ def off_stops(
     (x0, first), (goal, second) = (
         moved_inside_limits(mechanism, what, x, limited) for what, x in (("start", x0), ("goal", goal))
     )
-    leans = "" if table.get("prescribed") else starts_at_limit(mechanism, "start", x0, limited)
-    return x0, goal, tuple(filter(None, (first, second, leans)))
+    return x0, goal, tuple(filter(None, (first, second)))
 
 
 def at_rest_on_stops(
@@ -34,8 +33,8 @@ def at_rest_on_stops(
     """Start and goal with closed chains at rest on the stops that they lean on; sentences, with one about each."""
     found = []
     for name, x in (("start", x0), ("goal", goal)):
-        moving = bool(np.any(x[mechanism.nq : mechanism.nq + mechanism.nv]))
-        found.append(x if moving else rest_on_stops(mechanism, x))
+        moves = bool(np.any(x[mechanism.nq : mechanism.nq + mechanism.nv]))
+        found.append(x if moves else rest_on_stops(mechanism, x))
         change = mechanism.space.difference(found[-1], x)[: mechanism.nv]
         if np.abs(change).max() > SAME_POSE_TOLERANCE:
             i = int(np.argmax(np.abs(change)))

@@ -71,8 +71,8 @@ def _row(m, k, q, v, a):
     if load(value, o + LOSS) > 0.0:
         f, by_a = _friction(value, o, vi, a)
         by_v = load(value, o + RATE) * by_a
-        held = load(value, o + INERTIA) * a
-        size = load(value, o + LOSS) + maximum(held, -1.0 * held)
+        sticking = load(value, o + INERTIA) * a
+        size = load(value, o + LOSS) + maximum(sticking, -1.0 * sticking)
     for end in range(2):
         b, side = o + LOWER + STOP_SIZE * end, 2.0 * end - 1.0
         if load(value, b + STOP_LAW + STIFFNESS) > 0.0:

@@ -43,24 +43,6 @@ def _joints(problem: Problem, proof: Proof) -> list[SuggestedFix]:
     return [fix(problem, "limits.position", MODEL, "range_unknown", **_excess(worst, run.t))]
 
 
-def no_actuator(plan: Plan, problem: Problem, proof: Proof | None) -> list[SuggestedFix]:
-    """A joint without actuator that the plan moves beyond its joint stop, which only MuJoCo has."""
-    mechanism, ranges, limits = capabilities_of(problem.dynamics).mechanism, problem.ranges, problem.limits
-    if mechanism is None or ranges is None or limits is None or not mechanism.nu:
-        return []
-    if not np.isfinite(plan.xs).all():
-        return []
-    if getattr(problem.dynamics, "prescribed", ()) or mechanism.couplings or mechanism.loops:
-        return []
-    beyond, driven = ranges.violation(plan.xs).max(axis=0), mechanism.directly_actuated
-    dofs = ranges.component[: len(ranges.component) - ranges.at_end]
-    left = [h for h, dof in enumerate(dofs) if dof < mechanism.nv and not driven[dof] and beyond[h] > limits.tolerance]
-    if not left:
-        return []
-    h = max(left, key=lambda h: beyond[h])
-    return [no_fix("start", "no_actuator", joint=mechanism.joint_of(int(dofs[h])), excess=float(beyond[h]))]
-
-
 def fixed_joints(plan: Plan, problem: Problem, proof: Proof | None) -> list[SuggestedFix]:
     """Joints that equalities and ranges of the file leave one value: they lean on stops, and only MuJoCo has those."""
     mechanism = capabilities_of(problem.dynamics).mechanism

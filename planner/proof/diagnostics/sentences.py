@@ -45,9 +45,6 @@ SENTENCES = {
     "range_unknown": "the plan does not know that {joint} goes {excess} beyond {limit:.4g} at t = {time}",
     "range_exceeded": "{joint} goes {excess} beyond {limit:.4g} at t = {time}, between the knots or in MuJoCo",
     "clamp_unknown": "{actuator} {what}: {most:.3g} of {lower:.3g} to {upper:.3g}",
-    "no_actuator": "{joint} has no actuator and leaves its range by {excess:.3g}: in MuJoCo its stop holds it, and a "
-    "plan has no force there; couple it to an actuated joint in the file, or write a `start` and a `goal` in which it "
-    "is off its stop, by 0.1 rad or more",
     "fixed_joints": "equalities and ranges of the file together leave {joint}{others} one value, at which they lean on "
     "their stops, which only MuJoCo has: write wider ranges in the file, or another equality.",
     "equality_gives": "The equalities of your file give: they are springs of {rate:.3g} rad/s there, and exact in the "
