@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from planner.base.errors import PlannerError
 from planner.dynamics.algorithms import bias
 from planner.dynamics.assembly import assembled, feasible_directions
 from planner.dynamics.contacts import generalized_forces
@@ -24,28 +25,38 @@ def rest_on_stops(mechanism: Mechanism, x: np.ndarray) -> np.ndarray:
     """The state (nx,) at rest nearest down the energy from x (nx,); x where no chain has a stop, or none is found."""
     if not (mechanism.has_closed_chains and any(stop.law.lead > 0.0 for stop in mechanism.stops)):
         return x
+    try:
+        found = _downhill(mechanism, x)
+    except PlannerError:  # a step opens the chain
+        found = None
+    return x if found is None else found
+
+
+def _downhill(mechanism: Mechanism, x: np.ndarray) -> np.ndarray | None:
     there, force = x.copy(), _uphill(mechanism, x)
     enough = AT_REST * max(1.0, float(np.abs(force).max(initial=0.0)))
     for _ in range(STEPS):
         if np.abs(force).max(initial=0.0) <= enough:
             return there
-        n = len(force)
-        slopes = np.array([
-            _uphill(mechanism, _moved(mechanism, there, DIFFERENCE * side)) - force for side in np.eye(n)
-        ]).T / DIFFERENCE  # fmt: skip
+        near = [_uphill(mechanism, _moved(mechanism, there, DIFFERENCE * one)) for one in np.eye(len(force))]
+        if any(len(one) != len(force) for one in near):  # where a chain is flat it moves in more directions
+            return None
+        slopes = (np.array(near) - force).T / DIFFERENCE
         values, vectors = np.linalg.eigh(0.5 * (slopes + slopes.T))
         step = -vectors @ (vectors.T @ force / np.maximum(np.abs(values), 1e-8 * np.abs(values).max()))
         step *= min(1.0, LONGEST / float(np.abs(step).max()))
         for _ in range(HALVINGS):
             candidate = _moved(mechanism, there, step)
             further = _uphill(mechanism, candidate)
+            if len(further) != len(force):
+                return None
             if step @ (force + further) < 0.0 or np.abs(further).max() < np.abs(force).max():
                 break
             step = 0.5 * step
         else:
-            return x
+            return None
         there, force = candidate, further
-    return x
+    return None
 
 
 def _free(mechanism: Mechanism, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
