@@ -172,7 +172,7 @@ def optimality(plan: Plan, problem: Problem, now: Recomputed) -> Section:
             left <= EXPECTED_REDUCTION_TOLERANCE * max(1.0, abs(plan.cost)) and done
         ):  # the cost of a light machine may be 1e-10
             left, note = 0.0, f"{note}; {left:.3g} of {plan.cost:.3g} is less than what a solve goes on for"
-        if 100.0 * left > COST_BOUND * scale and (is_nonsmooth(problem) or _approximate(problem)):
+        if 100.0 * left > COST_BOUND * scale and (is_nonsmooth(plan) or _approximate(problem)):
             note = f"of the cost: what {STEPS} more steps of SLQ gain; the next promises {100.0 * left / scale:.3g} %"
             left = remaining_decrease(plan, problem)
         left *= 100.0 / scale

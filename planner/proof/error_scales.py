@@ -21,6 +21,7 @@ import numpy as np
 from planner.base.measured import Measurement
 from planner.model.capabilities import capabilities_of, constrained_dofs, stationary_object_dofs
 from planner.model.coordinates import ANGLE, LENGTH, RATES, Coordinate, coordinates_of
+from planner.model.mechanism import Mechanism
 from planner.problem.constraints.constraint import Constraint
 from planner.problem.constraints.constraint_stack import ConstraintStack
 from planner.problem.control_bounds import AT_BOUND
@@ -46,7 +47,7 @@ WORDS = {
 
 def path_error_bounds(plan: Plan) -> np.ndarray:
     """(ndx,) upper bound of each coordinate's path error, in its unit."""
-    return (SMOOTHED if is_nonsmooth(plan.problem) else SHARE) * ranges_of_motion(plan)
+    return (SMOOTHED if is_nonsmooth(plan) else SHARE) * ranges_of_motion(plan)
 
 
 def resolutions(plan: Plan) -> np.ndarray:
@@ -56,7 +57,7 @@ def resolutions(plan: Plan) -> np.ndarray:
     """
     own, still = _own_and_still(plan)
     ranges = np.minimum(np.maximum(own, still), _of_still(plan, own))
-    return (SMOOTHED if is_nonsmooth(plan.problem) else SHARE) * ranges
+    return (SMOOTHED if is_nonsmooth(plan) else SHARE) * ranges
 
 
 def ranges_of_motion(plan: Plan) -> np.ndarray:
@@ -108,16 +109,26 @@ def contact_penetration(problem: Problem | None) -> float:
     return min(law.rest_depth(weight) for law in {contact.law for contact in mechanism.contacts})
 
 
-def has_contacts(problem: Problem | None) -> bool:
-    """Whether a plan's mechanism models contacts or joint stops."""
-    mechanism = getattr(getattr(problem, "dynamics", None), "mechanism", None)
-    return mechanism is not None and bool(mechanism.contacts or mechanism.body_contacts or mechanism.stops)
+def has_contacts(plan: Plan) -> bool:
+    """Whether a plan's mechanism models contacts, or joint stops that the plan reaches."""
+    mechanism = getattr(getattr(plan.problem, "dynamics", None), "mechanism", None)
+    return mechanism is not None and bool(
+        mechanism.contacts or mechanism.body_contacts or reaches_stops(mechanism, plan.xs)
+    )
 
 
-def is_nonsmooth(problem: Problem | None) -> bool:
+def reaches_stops(mechanism: Mechanism, xs: np.ndarray) -> bool:
+    """Whether states (K, nx) reach a joint stop of the plan, which is smoothed there and not in MuJoCo."""
+    return any(
+        bool(np.any(stop.side * (xs[:, mechanism.q_address[stop.dof]] - stop.end) > -stop.law.surface_offset))
+        for stop in mechanism.stops
+    )
+
+
+def is_nonsmooth(plan: Plan) -> bool:
     """Whether contact or friction forces of a plan's mechanism are too steep for the LQ model."""
-    mechanism = getattr(getattr(problem, "dynamics", None), "mechanism", None)
-    return has_contacts(problem) or (mechanism is not None and bool(np.any(mechanism.friction_loss)))
+    mechanism = getattr(getattr(plan.problem, "dynamics", None), "mechanism", None)
+    return has_contacts(plan) or (mechanism is not None and bool(np.any(mechanism.friction_loss)))
 
 
 def by_unit(problem: Problem) -> Iterator[tuple[str, str, np.ndarray, list[str]]]:
@@ -158,7 +169,7 @@ def bounds_in_file(plan: Plan, spring_rate: float) -> np.ndarray:
     held = np.concatenate([constrained_dofs(mechanism)] * 2)
     widths = np.clip(np.ptp(mechanism.joint_range, axis=1), 0.0, STILL)
     still = SHARE * np.concatenate([widths, widths * spring_rate])
-    if np.any(held) and not is_nonsmooth(problem):  # whose bounds are SMOOTHED already
+    if np.any(held) and not is_nonsmooth(plan):  # whose bounds are SMOOTHED already
         bounds = bounds * SMOOTHED / SHARE  # of all: the joints beside move with those that are held
     bounds[: len(held)] = np.where(held, np.maximum(bounds[: len(held)], still), bounds[: len(held)])
     return bounds

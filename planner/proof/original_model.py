@@ -309,7 +309,7 @@ def _path(run: Replay, without_gains: np.ndarray) -> list[Measurement]:
     how = min(shares, key=lambda how: shares[how])
     worst = max(errors[how], key=lambda one: one.share)
     note = f"in your file {worst.value:.2g} {worst.unit} ({worst.name}) off its path {how}"
-    bounds = [None if has_contacts(plan.problem) else one.bound for one in errors[how]]
+    bounds = [None if has_contacts(plan) else one.bound for one in errors[how]]
     return [
         Measurement(PATH_IN_FILE, worst.share, "", None, note),
         Measurement(PATH_WITH_GAINS, shares["with gains"], "", None, "the largest error at any step"),

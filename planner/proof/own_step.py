@@ -105,7 +105,7 @@ def _errors(
     errors = list(worst_by_unit(plan, plan.space.difference(xs, planned)))
     if problem.requirements is not None:
         return errors, ""  # a rule of its own judges replays alone
-    judged = [one for one in errors if not (has_contacts(problem) and one.unit.endswith("/s"))]
+    judged = [one for one in errors if not (has_contacts(plan) and one.unit.endswith("/s"))]
     unmet = [one for one in misses("replayed", t, xs, tuple(goals)) if not one.passed]
     worst = max(judged, key=lambda one: one.share)
     if worst.share > 1.0:

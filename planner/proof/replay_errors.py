@@ -51,7 +51,7 @@ def tracking(run: Replay, problem: Problem) -> Section:
 
 def path_errors(run: Replay, problem: Problem) -> tuple[Measurement, ...]:
     """The errors at the end and over the path by unit, each the largest relative to its bound."""
-    error, bounds, measured, smoothed = np.abs(run.error), path_error_bounds(run.plan), [], is_nonsmooth(problem)
+    error, bounds, measured, smoothed = np.abs(run.error), path_error_bounds(run.plan), [], is_nonsmooth(run.plan)
     share = f"{100.0 * (SMOOTHED if smoothed else SHARE):g} %"
     for part, along in (("end", error[-1:]), ("path", error)):
         for word, unit, which, names in by_unit(problem):
@@ -59,7 +59,7 @@ def path_errors(run: Replay, problem: Problem) -> tuple[Measurement, ...]:
             worst = int(np.argmax(np.where(np.isfinite(most), most / bounds[which], np.inf)))
             value, bound = float(most[worst]), float(bounds[which[worst]])
             when = f" at t = {run.t[int(np.argmax(along[:, which[worst]]))]:.4g} s" if part == "path" else ""
-            jumps = part == "path" and has_contacts(problem) and unit.endswith("/s")
+            jumps = part == "path" and has_contacts(run.plan) and unit.endswith("/s")
             why = "velocities jump at contacts: not judged" if jumps else f"the bound is {share} of its range of motion"
             note = f"of {names[worst]}{when}; {why}"
             measured.append(Measurement(f"{part}_{word}_error", value, unit, None if jumps else bound, note))
@@ -79,7 +79,7 @@ def cost_error(run: Replay, problem: Problem) -> Measurement:
     if scale > abs(planned):
         note += f"; relative to {scale:.3g}, what errors at their bounds cost"
     bound, by_errors = COST_BOUND, 100.0 * cost.change_by_errors(plan, problem) / scale
-    if is_nonsmooth(problem):
+    if is_nonsmooth(run.plan):
         bound = 100.0 * SMOOTHED
     elif by_errors > COST_BOUND:
         bound, note = by_errors, f"{note}; the bound is what path errors at theirs change"

@@ -33,6 +33,7 @@ from planner.model.twin import Twin
 from planner.problem.plan import Plan
 from planner.problem.problem import Problem
 from planner.proof.compare.constrained import constrained_acceleration, steps_back
+from planner.proof.error_scales import reaches_stops
 from planner.proof.replays.compiled_twin import CompiledTwin
 from planner.proof.replays.passive_torque_callback import curves_acting
 from planner.proof.replays.simulation import damping_of, implicit_step, set_state, state_of
@@ -56,7 +57,7 @@ def same_step(plan: Plan, problem: Problem, compiled: CompiledTwin) -> Section:
     if problem.requirements is not None and problem.requirements.no_same_step:
         return Section("same step", not_applicable=problem.requirements.no_same_step)
     machine = capabilities_of(problem.dynamics)
-    if machine.contacts or machine.stops:
+    if machine.contacts or (machine.mechanism is not None and reaches_stops(machine.mechanism, plan.xs)):
         return Section("same step", not_applicable=_LIMIT)
     if machine.friction_loss:
         return Section("same step", not_applicable=_FRICTION)

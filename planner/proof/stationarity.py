@@ -50,9 +50,9 @@ def stationarity(plan: Plan, problem: Problem, sweep: lq.Sweep, scale: float) ->
     """What a vanishing gradient does not show, of a plan with the sweep at its trajectory and the scale of its cost."""
     A, B = problem.dynamics.linearize(plan.xs, plan.us)
     measured = list(_derivatives(plan, problem, sweep, A, B))
-    if has_contacts(problem):
+    if has_contacts(plan):
         measured.append(_unreached(plan, problem, A, B, scale))
-    if is_nonsmooth(problem):
+    if is_nonsmooth(plan):
         return [*measured, Measurement("negative_curvature", np.nan, "", None, NOT_SMOOTH)]
     return [*measured, _ReducedHessian(plan, problem, sweep, A, B, scale).measured()]
 

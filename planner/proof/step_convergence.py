@@ -22,7 +22,7 @@ from planner.model.capabilities import capabilities_of
 from planner.model.passive_forces import slack_tendons
 from planner.problem.plan import Plan
 from planner.problem.problem import Problem
-from planner.proof.error_scales import COST_BOUND, judged_cost, shares_of_bounds
+from planner.proof.error_scales import COST_BOUND, judged_cost, reaches_stops, shares_of_bounds
 from planner.proof.replays.contact_history import may_touch
 from planner.proof.replays.passive_torque_callback import curves_acting
 from planner.proof.replays.replaying import Replay
@@ -150,16 +150,8 @@ def _unjudged(run: Replay, problem: Problem) -> str:
         return "friction loss is cut off: the motion is not smooth"
     if machine.mechanism is not None and any(slack_tendons(machine.mechanism)):
         return "the spring of a tendon goes slack: the motion is not smooth"
-    return "a range is reached: the motion is not smooth" if run.reached or _stopped(problem, run.xs) else ""
-
-
-def _stopped(problem: Problem, xs: np.ndarray) -> bool:
-    """Whether states (M+1, nx) reach a joint stop of the plan, which is smoothed there and not in MuJoCo."""
-    mechanism = capabilities_of(problem.dynamics).mechanism
-    return mechanism is not None and any(
-        bool(np.any(stop.side * (xs[:, mechanism.q_address[stop.dof]] - stop.end) > -stop.law.surface_offset))
-        for stop in mechanism.stops
-    )
+    stopped = machine.mechanism is not None and reaches_stops(machine.mechanism, run.xs)
+    return "a range is reached: the motion is not smooth" if run.reached or stopped else ""
 
 
 def _observed_between(plan: Plan, levels: list[tuple[np.ndarray, float]]) -> tuple[np.ndarray, float | None]:

@@ -236,12 +236,18 @@ def _problem(
     try:
         return _built(table, mechanism, where, constraints)
     except PlannerError as error:
-        read = [f"The model is read without {' and '.join(mechanism.ignored)}."] if mechanism.ignored else []
+        left_out = _left_out(mechanism)
+        read = [f"The model is read without {' and '.join(left_out)}."] if left_out else []
         hinges = mechanism.joint_range[np.any(mechanism.S[:, :3], axis=1)]
         read += [f"Mind that {one.problem}: {one.fix}." for one in ranges_in_degrees(hinges)]
         if not read:
             raise
         raise type(error)(" ".join([str(error), *read])) from None
+
+
+def _left_out(mechanism: Mechanism) -> list[str]:
+    """What the model is read without, but for contacts, of which a line of their own tells."""
+    return [phrase for phrase in mechanism.ignored if phrase != "contacts"]
 
 
 def _built(table: dict[str, Any], mechanism: Mechanism, where: str, constraints: tuple[Constraint, ...]) -> Problem:
@@ -289,7 +295,7 @@ def _built(table: dict[str, Any], mechanism: Mechanism, where: str, constraints:
         notes.pop("goal", None)  # it has none of the whole machine
     elif table["goal"] == {}:
         reasons["goal"] = "goal names no joint, so that the machine is to end where it starts."
-    if left_out := [phrase for phrase in mechanism.ignored if phrase != "contacts"]:
+    if left_out := _left_out(mechanism):
         reasons["model"] = f"The model is read without {', '.join(left_out)}."
     if closed:
         reasons["closed"] = " ".join(closed)

@@ -2,8 +2,8 @@
 
 MuJoCo refuses a moving body without mass or inertia. A link may have none where others that it carries have some:
 then it gets LEAST of both, far below the rounding of what it carries. MuJoCo also refuses a tensor that no body has. On
-a link that is fixed to others, it is added to theirs: only the sum moves. Else it is refused, or on request replaced by
-the nearest that a body can have.
+a link that is fixed to others, it is added to theirs: only the sum moves. Else it is replaced by the nearest that a
+body can have where that is SLIGHT, what exports and rounding leave, or on request; it is refused where it is not.
 
 On request links without <inertial> get one from their shapes and a density. MuJoCo's compiler integrates it: of the
 collision shapes, of a link without any of the visual ones, and of a mesh the convex hull.
@@ -27,6 +27,7 @@ MIN_MASS = 1e-14
 _NOTHING = 1e-11  # kg or kg m^2 that a joint moves: what it moves is lost in rounding
 WATER = 1000.0  # kg/m^3, for a suggestion, and of inertia = "from shapes"
 _ROUNDING = 1e-9  # of a tensor whose principal moments fulfil the triangle inequality as an equation
+SLIGHT = 0.02  # of a tensor, in the Frobenius norm
 _NAMED = 3  # links in a sentence
 
 
@@ -36,7 +37,7 @@ def inertials(
     """The inertial of every link that moves and has one, and phrases about those that are replaced.
 
     Raises:
-        ModelError: A tensor that no body has, unless `nearest`, or a joint that moves no inertia.
+        ModelError: A tensor that no body nearly has, unless `nearest`, or a joint that moves no inertia.
     """
     _check_moved(robot, joints, name)
     poses, groups = {link: np.eye(4) for link in robot.links}, {}
@@ -62,9 +63,10 @@ def inertials(
         found |= {link: _accepted(body) for link, body in ({head: nothing} | own).items()}
     if not wrong:
         return found, []
-    if not nearest:
-        raise ModelError(_refusal(robot, wrong, name))
-    change = max(_change(body) for link in wrong if (body := robot.links[link].inertial) is not None)
+    changes = {link: _change(body) for link in wrong if (body := robot.links[link].inertial) is not None}
+    change = max(changes.values())
+    if change > SLIGHT and not nearest:
+        raise ModelError(_refusal(robot, [link for link in wrong if changes[link] > SLIGHT], name))
     return found, [f"the inertia of {listed(wrong)} (no body has it; by {100 * change:.2g} % another is the nearest)"]
 
 

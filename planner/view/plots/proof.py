@@ -200,7 +200,7 @@ _GROUND = re.compile(r"(.+)_path_((?:.+_)?error)_(open_loop|feedback)")
 
 def draw_path_errors(axes: Axes, run: Replay) -> None:
     """The errors of a replay over time, of each unit the coordinate that is nearest to its bound."""
-    sampling, jumps = run.sampling, has_contacts(run.plan.problem)
+    sampling, jumps = run.sampling, has_contacts(run.plan)
     how = "" if sampling is None else f" at {sampling_words(sampling)}"
     words = MODE_WORDS["feedback" if run.feedback else "open-loop"]
     label = f"{SHARE}\n(dashed: not judged)" if jumps else SHARE

@@ -69,12 +69,12 @@ def _parts(plan: Plan, proof: Proof) -> Iterator[_Part]:
         "Solution verification",
         "How large is the numerical error of this plan? Its numbers are computed again from its states and controls. "
         f"MuJoCo then repeats the controls at a refined step, open loop and with {_gains(proof)}; an error passes up "
-        f"to {100.0 * (SMOOTHED if is_nonsmooth(plan.problem) else SHARE):g} % of its coordinate's range of motion. "
+        f"to {100.0 * (SMOOTHED if is_nonsmooth(plan) else SHARE):g} % of its coordinate's range of motion. "
         "The growth of errors is predicted from the plan alone, and cost and end are extrapolated to a step of zero.",
         tuple(_chosen(sections, _SOLUTION, code=False)),
         "Other minima: the solver finds a local one, and another may cost less. Errors of the model itself."
         + (" Velocities along the path are shown and not judged, since they jump at contacts."
-           if has_contacts(plan.problem) else ""),
+           if has_contacts(plan) else ""),
         "To trust that this motion is the model's under these controls, within the bounds above.",
     )  # fmt: skip
     yield _Part(
