@@ -26,7 +26,7 @@ def read_stops(model: Any, undriven: Collection[int]) -> tuple[Stop, ...]:
     if disabled(model, "constraint", "limit"):
         return ()
     joints, found = load_mujoco().mjtJoint, []
-    for j in np.flatnonzero(model.jnt_limited):
+    for j in map(int, np.flatnonzero(model.jnt_limited)):
         if model.jnt_type[j] not in (int(joints.mjJNT_HINGE), int(joints.mjJNT_SLIDE)):
             continue
         dof, margin, law = int(model.jnt_dofadr[j]), float(model.jnt_margin[j]), None
