@@ -59,8 +59,8 @@ FAULTS = (
     Fault(
         "friction-rate",
         "sign",
-        "store(force, i, load(force, i) - inertia * load(value, LOSS_SIZE * k + RATE) * load(v, i))",
-        "store(force, i, load(force, i) + inertia * load(value, LOSS_SIZE * k + RATE) * load(v, i))",
+        "store(force, i, load(force, i) - inertia * load(value, o + RATE) * load(v, i))",
+        "store(force, i, load(force, i) + inertia * load(value, o + RATE) * load(v, i))",
         "tests/dynamics/test_friction.py",
     ),
     Fault(

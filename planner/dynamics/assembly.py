@@ -12,6 +12,7 @@ import numpy as np
 
 from planner.base.errors import PlannerError
 from planner.dynamics.loops import jacobian, misses
+from planner.kernels.tree.mechanism_table import chain_of
 from planner.model.couplings import CLOSED, check_closed, closed_state
 from planner.model.mechanism import Mechanism
 
@@ -98,6 +99,22 @@ def _free(mechanism: Mechanism, given: Collection[int]) -> np.ndarray:
     G = np.eye(mechanism.nv) if mechanism.reduction is None else mechanism.reduction.G
     stay = np.array([*given], dtype=int)
     return G[:, ~np.any(G[stay] != 0.0, axis=0)]
+
+
+def closed_chains(mechanism: Mechanism) -> list[np.ndarray]:
+    """(nv,) bool each: the degrees of freedom of every closed chain, of those that share some together.
+
+    A chain is what moves one of two places that a loop holds together, and not the other, or a polynomial coupling.
+    """
+    chains = [{*coupling.dofs} for coupling in mechanism.polynomial_couplings]
+    for loop in mechanism.loops:
+        first, second = ({*chain_of(mechanism.parent, link)} for link in loop.links)
+        chains.append(first ^ second)
+    found: list[set[int]] = []
+    for chain in chains:
+        apart = [one for one in found if not one & chain]
+        found = [*apart, chain.union(*(one for one in found if one & chain))]
+    return [np.isin(np.arange(mechanism.nv), sorted(chain)) for chain in found]
 
 
 def feasible_directions(mechanism: Mechanism, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

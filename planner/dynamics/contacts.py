@@ -141,8 +141,8 @@ def _places(
 
 
 def stop_state(mechanism: Mechanism, stop: Any, q: np.ndarray, qd: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Violation (K,) of a joint stop, rad or m, and its opening velocity (K,), rad/s or m/s."""
-    e = stop.side * (q[:, mechanism.q_address[stop.dof]] - stop.end) + stop.law.surface_offset
+    """Penetration (K,) of a joint stop, rad or m, and its opening velocity (K,), rad/s or m/s."""
+    e = stop.side * (q[:, mechanism.q_address[stop.dof]] - stop.end) + stop.law.reach
     return e, -stop.side * qd[:, stop.dof]
 
 

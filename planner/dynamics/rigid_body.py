@@ -58,6 +58,7 @@ class RigidBodyDynamics:
     ) -> None:  # fmt: skip
         if not isinstance(mechanism, Mechanism):
             raise PlannerError(f"mechanism is {short_repr(mechanism)}, expected a Mechanism.")
+        mechanism = mechanism.without_lead_stops() if prescribed else mechanism
         self.mechanism, self.dt = mechanism, number("dt", dt, greater_than=0.0)
         self.integrator = choice("integrator", integrator, KNOWN_INTEGRATORS)
         self.substeps = count("substeps", substeps, maximum=MAX_SUBSTEPS)

@@ -35,8 +35,8 @@ TARGET_RATE_STEP = 0.7
 # Largest |lambda| h of a substep, allowed only with 16 substeps. It leaves a margin of a quarter to the 2.61 above for
 # states of the trajectory with higher rates than the given ones.
 MAX_RATE_STEP = 2.0
-# Of a contact's lead: a substep. Contacts begin and slip abruptly, so that steps as short as their rate alone asks for,
-# a third of this number, leave replays at finer steps centimetres off; shorter ones change little.
+# Of the lead of a contact or a stop: a substep. Contacts begin and slip abruptly, so that steps as short as their rate
+# alone asks for, a third of this number, leave replays at finer steps centimetres off; shorter ones change little.
 LEAD_SHARE = 0.2
 NEAR = 0.05  # of a range: a joint that starts or ends as close to a stop is likely to meet it
 IMPLICIT = 1e-3
@@ -95,7 +95,7 @@ def fastest_mode(
 
 def _is_near(mechanism: Mechanism, stop: Stop, xs: np.ndarray) -> bool:
     """Whether a joint is near a stop in any of the states (K, nx)."""
-    beyond = stop.side * (xs[:, mechanism.q_address[stop.dof]] - stop.end)
+    beyond = stop.side * (xs[:, mechanism.q_address[stop.dof]] - stop.end) + stop.law.margin
     return bool(beyond.max() >= -NEAR * np.ptp(mechanism.joint_range[stop.dof]))
 
 

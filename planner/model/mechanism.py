@@ -248,6 +248,14 @@ class Mechanism:
         of_urdf = {"base": base, "floor": floor, "package_path": package_path, "inertia": inertia}
         return replace(mechanism, origin=origin_of(model, attach, obstacles, exclude, **of_urdf))
 
+    def without_lead_stops(self) -> Mechanism:
+        """The mechanism without stops with a lead, whose ranges are then bounds.
+
+        Of prescribed joints: those are heavy in MuJoCo, and what its stops are relative to changes with them.
+        """
+        stops = tuple(stop for stop in self.stops if stop.law.lead == 0.0)
+        return self if len(stops) == len(self.stops) else replace(self, stops=stops)
+
     def with_curves(self, curves: Iterable[ExponentialTorque]) -> Mechanism:
         """The same machine with these exponential torques in place of its own.
 

@@ -39,9 +39,10 @@ import numpy as np
 
 from planner.dynamics import RigidBodyDynamics
 from planner.dynamics.algorithms import bias, mass_matrix
-from planner.dynamics.assembly import feasible_directions
+from planner.dynamics.assembly import closed_chains, feasible_directions
 from planner.dynamics.joint_forces import actuator_lengths, actuator_moments, force_slopes, gains_at
 from planner.dynamics.quasi_static import quasi_static_controls
+from planner.dynamics.rest_on_stops import leaning_dofs
 from planner.dynamics.statics import carriers, contact_stiffness, feet_move, rolling_speeds, stance_inertia
 from planner.model.capabilities import ballistic_dofs, flies, rolling_radii, stands_on_ground, stationary_object_dofs
 from planner.model.coordinates import coordinates_of_mechanism
@@ -106,11 +107,10 @@ def default_weights(
     radii = np.where(displacement < STILL, rolling_radii(mechanism), 0.0)  # of wheels, which turn as far as they like
     speed = np.maximum(2.0 * displacement / duration, [MIN_SPEED[unit] for unit in units[:nv]])
     velocity = np.zeros(nv)
-    ends_of = np.stack([x0, goal])
-    actuated = fully_actuated(dynamics, ends_of)
-    decided = _decided_by_stops(mechanism, ends_of)
+    both = np.stack([x0, goal])
+    actuated, decided = fully_actuated(dynamics, both), _decided_by_stops(mechanism, both)
     carried = stands_on_ground(mechanism)
-    between = np.stack([x0, goal])[:, : mechanism.nq] if way is None else way
+    between = both[:, : mechanism.nq] if way is None else way
     steps = carried and (stays or way is not None) and feet_move(mechanism, between)
     stands = carried and (stays or steps)
     if actuated or carried:
@@ -140,6 +140,7 @@ def default_weights(
     held = "none: the weight is that of staying at the goal"
     falls = ", none where the machine falls or drifts freely" if falling.any() else ""
     follows = "" if np.all(placed) else ", none of a base that no goal names and nothing holds"
+    leans = ", none of closed chains that lean on a stop" if decided.any() else ""
     times = f", times {jerk_cost:.3g}, the cost of the minimum-jerk motion" if jerk_cost > 1.0 else ""
     return DefaultWeights(weights, {
         "effort": "1 / limit^2 of each control" + ("" if all(known) else ", where the model has no limit from the "
@@ -153,8 +154,8 @@ def default_weights(
                     "none: not every joint has an actuator, and a swing must be free",
         "position": f"1 / ({STANCE_TOLERANCES:g} tolerances)^2 from the straight line: the machine stands"
                     if stands else "none on the way",
-        "final_position": held if stands else f"{POSITION:g} / tolerance^2{times}{falls}{follows}",
-        "final_velocity": held if stands else f"{VELOCITY:g} / tolerance^2{times}{falls}",
+        "final_position": held if stands else f"{POSITION:g} / tolerance^2{times}{falls}{follows}{leans}",
+        "final_velocity": held if stands else f"{VELOCITY:g} / tolerance^2{times}{falls}{leans}",
         "hold": f"the cost of staying at the goal for {HOLD_SECONDS:g} s" if stands else
                 "none: the machine does not stand",
         **({"rest": f"feet have to move: the machine is at its goal for the last {1.0 - MOVING_SHARE:g} of the time "
@@ -171,30 +172,21 @@ def min_jerk_cost(displacement: np.ndarray, duration: float) -> float:
     return 360.0 * float(np.sum(displacement**2)) / duration**5
 
 
-def _leaning(mechanism: Mechanism, xs: np.ndarray) -> np.ndarray:
-    """(nv,) bool, degrees of freedom that a stop with a lead presses on at all states xs (K, nx)."""
-    found = np.zeros(mechanism.nv, dtype=bool)
-    for stop in mechanism.stops:
-        depth = stop.side * (xs[:, mechanism.q_address[stop.dof]] - stop.end)
-        found[stop.dof] |= bool(stop.law.lead > 0.0 and np.all(depth > 0.0))
-    return found
-
-
 def _decided_by_stops(mechanism: Mechanism, xs: np.ndarray) -> np.ndarray:
-    """(nv,) bool, undriven degrees of freedom of closed chains that lean on stops at all states xs (K, nx)."""
-    if not (mechanism.has_closed_chains and _leaning(mechanism, xs).any()):
-        return np.zeros(mechanism.nv, dtype=bool)
-    Z, leading = feasible_directions(mechanism, mechanism.qpos0)
-    loose = np.any(Z[:, ~mechanism.directly_actuated[leading]] != 0.0, axis=1)
-    return loose & ~mechanism.directly_actuated
+    """(nv,) bool, undriven degrees of freedom of the closed chains that lean on a stop at all states xs (K, nx)."""
+    leaning, found = leaning_dofs(mechanism, xs), np.zeros(mechanism.nv, dtype=bool)
+    for chain in closed_chains(mechanism) if leaning.any() else ():
+        found |= chain & (leaning & chain).any()
+    return found & ~mechanism.directly_actuated
 
 
 def fully_actuated(dynamics: RigidBodyDynamics, xs: np.ndarray) -> bool:
-    """Whether actuators, prescribed joints and stops leant on at all states xs (K, nx) decide every acceleration."""
+    """Whether actuators, prescribed joints and the stops of _decided_by_stops decide every acceleration."""
     mechanism, prescribed = dynamics.mechanism, prescribed_dofs_of(dynamics)
     gain = gains_at(mechanism.actuators, actuator_lengths(mechanism, mechanism.qpos0))
     moment = actuator_moments(mechanism, mechanism.qpos0) * (gain[:, None] != 0.0)
-    given = np.isin(np.arange(mechanism.nv), prescribed) | _leaning(mechanism, xs)
+    leaning = leaning_dofs(mechanism, xs) & _decided_by_stops(mechanism, xs)
+    given = np.isin(np.arange(mechanism.nv), prescribed) | leaning
     own, Z = np.eye(mechanism.nv)[given], feasible_directions(mechanism, mechanism.qpos0)[0]
     lies = stationary_object_dofs(mechanism)  # separate from the machine, and needs no actuator
     Z = Z[:, ~np.any(Z[lies], axis=0)]

@@ -237,17 +237,26 @@ def _outside(mechanism: Mechanism, ranges: Mapping[int, Range], x: np.ndarray) -
     return float(sum(max(one.model_lower - value, value - one.model_upper, 0.0) for value, one in values))
 
 
-def check_stops(mechanism: Mechanism, what: str, values: np.ndarray) -> None:
-    """Refuse a start or goal `what` (nv,) far beyond stops that the mechanism models: they give by less than YIELDS.
+def check_stops(mechanism: Mechanism, what: str, values: np.ndarray, unlimited: Collection[str]) -> None:
+    """Refuse a start or goal `what` (nv,) beyond stops with a lead by more than YIELDS of the file's range.
+
+    Args:
+        mechanism: The machine.
+        what: "start" or "goal".
+        values: (nv,) rad or m.
+        unlimited: Names of joints whose range the user turned off.
 
     Raises:
         PlannerError: A joint is there.
     """
-    coordinates = coordinates_of_mechanism(mechanism)
-    for i in sorted({stop.dof for stop in mechanism.stops}):
-        low, high = map(float, mechanism.joint_range[i])
+    coordinates, ends = coordinates_of_mechanism(mechanism), dict[int, list[float]]()
+    for stop in mechanism.stops:
+        if stop.law.lead > 0.0:
+            ends.setdefault(stop.dof, []).append(stop.end)
+    for i, both in sorted(ends.items()):
+        low, high, name = min(both), max(both), mechanism.joint_names[_joint_index(mechanism, i)]
         value, give = float(values[i]), YIELDS * (high - low)
-        if not low - give <= value <= high + give:
+        if not low - give <= value <= high + give and name not in unlimited:
             Range(low, high, low, high, of_model=True).with_state(what, coordinates[i], value)
 
 

@@ -241,8 +241,10 @@ class Limits:
         exact[at_end] = True
         weighed = np.zeros(space.ndx, dtype=bool) if (largest := _final_weights(cost)) is None else largest > 0.0
         if mechanism is not None and not (self.position is None or is_word(self.position, OFF)):
-            check_stops(mechanism, "start", start)
-            check_stops(mechanism, "goal", np.where(exact | weighed, offset[-1], start))
+            table = self.position if isinstance(self.position, Mapping) else {}
+            off = {joint for joint, value in table.items() if is_word(value, OFF)}
+            check_stops(mechanism, "start", start, off)
+            check_stops(mechanism, "goal", np.where(exact | weighed, offset[-1], start), off)
         if not found and not at_end:
             return None
         lower, upper = np.full((2, N + 1, len(found) + len(at_end)), np.inf)

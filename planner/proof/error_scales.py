@@ -120,7 +120,7 @@ def has_contacts(plan: Plan) -> bool:
 def reaches_stops(mechanism: Mechanism, xs: np.ndarray) -> bool:
     """Whether states (K, nx) reach a joint stop of the plan, which is smoothed there and not in MuJoCo."""
     return any(
-        bool(np.any(stop.side * (xs[:, mechanism.q_address[stop.dof]] - stop.end) > -stop.law.surface_offset))
+        bool(np.any(stop.side * (xs[:, mechanism.q_address[stop.dof]] - stop.end) > -stop.law.reach))
         for stop in mechanism.stops
     )
 

@@ -55,7 +55,7 @@ from planner.proof.error_scales import (
     worst_by_unit,
 )
 from planner.proof.own_step import own_step
-from planner.proof.reached_limits import clamps_hit, stops_hit
+from planner.proof.reached_limits import clamps_hit, largest_excess, stops_hit
 from planner.proof.replay_errors import misses
 from planner.proof.replays.compiled_twin import CompiledTwin, unmodelled_of, with_model
 from planner.proof.replays.passages import passages
@@ -68,6 +68,7 @@ OPEN_LOOP_MISSES = "open_loop_goals_missed"
 EQUALITY_RATE = "equality_rate"
 PATH_IN_FILE = "path_over_its_bound"  # above 1, its note is for the first line
 PATH_WITH_GAINS = "path_with_gains_over_its_bound"
+RANGE_EXCESS = "range_excess"
 MAX_NAMED = 3  # pairs, joints or actuators in a sentence
 NEGLIGIBLE_FORCE = 1e-3  # of the machine's weight: smaller contact forces of flush shapes are ignored
 MAX_GAIN_EFFORT = 0.02  # of a control's largest value: larger corrections by the gains show unmodelled forces
@@ -155,8 +156,16 @@ def _measured(run: Replay, problem: Problem, goals: Sequence[GoalCheck]) -> list
         *kept,
         *_objects(run, problem),
         *_forces(run, overlaps),
+        *_range_excess(run),
         step,
     ]
+
+
+def _range_excess(run: Replay) -> list[Measurement]:
+    """How far the replay moves a joint beyond its range: nothing where no joint is."""
+    worst = largest_excess(run)
+    note = "" if worst is None else f"of {worst.name}"
+    return [] if worst is None else [Measurement(RANGE_EXCESS, float(worst.beyond.max()), worst.unit, None, note)]
 
 
 def as_given(problem: Problem, twin: Twin, mjcf: Any = None) -> CompiledTwin:

@@ -71,6 +71,14 @@ def stops_hit(run: Replay) -> list[str]:
     return found
 
 
+def largest_excess(run: Replay) -> Excess | None:
+    """The joint that the replay moves farthest beyond a range without a modelled stop; None where none is."""
+    found = [
+        one for one in joints_in(run.compiled.model, _states(run), stopped_dofs(run.plan)) if one.beyond.max() > 0.0
+    ]
+    return max(found, key=lambda one: one.beyond.max(), default=None)
+
+
 def _at_end(planned: Excess) -> np.ndarray:
     """Whether the plan starts, and ends, at an end of a range."""
     values = planned.values[[0, -1]]

@@ -55,6 +55,7 @@ BETTER_SHARE = 0.5  # of the cost of the plan before: a solve that is cheaper by
 # One solve from a trajectory, or from the problem's first guess for None, with an iteration limit.
 SolveFrom = Callable[[Problem, Trajectory | None, int], Plan]
 MIN_FREE_FACTOR = 2.0  # factor at which bounds without an opposite one admit the free plan, if no other says more
+SMOOTHER = 100.0  # of friction loss, which of legs is full from 0.02 rad/s on, where a leap has 20
 SOFT_FACTOR = 10.0  # of the depth that contacts sink in, at which a continuation in the contact begins
 REACH = 2.0  # distance at which a force at a distance begins, over the gap at the start
 
@@ -259,6 +260,14 @@ class SofterContacts:
         if factor == 1.0:
             return self.problem
         return replace(self.problem, dynamics=with_contacts(self.problem.dynamics, softer, softer), recipe=None)
+
+
+def with_smoother_friction(problem: Problem) -> Problem:
+    """The problem with friction loss that is full only at SMOOTHER times the speed: a damper, not a kink, below."""
+    dynamics: Any = problem.dynamics
+    mechanism = replace(dynamics.mechanism, friction_inertia=np.array(dynamics.mechanism.friction_inertia) / SMOOTHER)
+    own = (dynamics.dt, dynamics.integrator, dynamics.prescribed, dynamics.substeps)
+    return replace(problem, dynamics=RigidBodyDynamics(mechanism, *own), recipe=None)
 
 
 @dataclass(frozen=True, eq=False)

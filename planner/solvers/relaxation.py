@@ -11,6 +11,9 @@ where its plan meets the goals by then on feet that stay; that goes on only wher
 They are given up where the first plan on them costs EASIER times the direct one. The last solve always has the
 contacts of the problem; its plan is taken, too, where it costs less and lacks weight for its goals.
 
+Before, where joints have friction loss, the easier problem is one whose loss is full only at SMOOTHER times the speed:
+a joint that reverses then meets a damper and no kink. Its plan is the first guess of the asked problem.
+
 Bounds that act from the first iteration may trap a solve too. The free problem is easy; its plan is followed into the
 limits by a continuation in the logarithm of the factor by which they are wider.
 
@@ -31,11 +34,13 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from planner.base.errors import PlannerError
+from planner.model.capabilities import capabilities_of
 from planner.problem.initial_guess import Trajectory
 from planner.problem.plan import Plan, Status
 from planner.problem.problem import Problem
 from planner.problem.rediscretize import lengthened, rounded_duration
 from planner.solvers.continuation import (
+    SMOOTHER,
     Continuation,
     DistantContacts,
     SofterContacts,
@@ -44,6 +49,7 @@ from planner.solvers.continuation import (
     free_problem,
     has_softer,
     stays_on_feet,
+    with_smoother_friction,
 )
 from planner.solvers.gains import tracked_warm_start
 from planner.solvers.options import SolverOptions
@@ -78,7 +84,7 @@ class RelaxationStep(NamedTuple):
 
     number: int  # Counted from 0
     # "direct", "collision-free", "tracked", "held", "line", "shaken" (see solvers.other_guesses), "distance",
-    # "contacts", "resumed", "free", "limits", "swing" or "duration"
+    # "friction", "contacts", "resumed", "free", "limits", "swing" or "duration"
     stage: str
     factor: float  # By which contacts sink deeper, or limits are wider; inf without limits
     duration: float  # s
@@ -174,7 +180,7 @@ class _Relaxation:
         plan = None
         if has_softer(problem):
             plan = self._by_forces_at_a_distance() if failed(direct) else None
-            plan = plan or self._by_softer_contacts(direct)
+            plan = plan or self._by_smoother_friction(direct) or self._by_softer_contacts(direct)
         elif stopped or not meets_goals(direct):
             plan = self._by_other_guesses(direct)
         if stopped and (plan is None or (has_softer(problem) and plan.cost >= direct.cost)):
@@ -242,6 +248,16 @@ class _Relaxation:
         )  # fmt: skip
         s, plan = steps.run(s, first)
         return plan if s == 0.0 else None
+
+    def _by_smoother_friction(self, direct: Plan) -> Plan | None:
+        """The plan of the problem from that of one whose friction loss has no kink, where both meet their goals."""
+        if not capabilities_of(self.problem.dynamics).friction_loss:
+            return None
+        smooth = self._solve(with_smoother_friction(self.problem), None, int(MAX_QUICK_ITERATIONS))
+        if not self._report("friction", SMOOTHER, smooth, meets_goals(smooth) and smooth.cost < direct.cost):
+            return None
+        plan = self._solve(self.problem, smooth.motion, self.options.max_iterations)
+        return plan if self._report("friction", 1.0, plan, plan.converged and meets_goals(plan)) else None
 
     def _by_softer_contacts(self, direct: Plan) -> Plan | None:
         """The plan of the problem that one of softer contacts leads to; None where its branch ends before.

@@ -91,11 +91,37 @@ def test_derivatives_are_those_of_differences(loss):
     assert np.all(error < 1e-6 * np.abs(exact).max(axis=(1, 2)))  # central differences; the ramps' curvature is 1/ramp
 
 
-def test_a_state_does_not_depend_on_those_beside_it():
-    m = Mechanism.from_mjcf(arm(loss=0.05))
-    dynamics = RigidBodyDynamics(m, 2e-3, "rk4")
-    xs, us = states(m)
+@pytest.mark.parametrize("loss", [0, 0.05])
+def test_a_state_does_not_depend_on_those_beside_it(loss):
+    """Without friction loss rounds are taken where any of four states is at a stop: the others are not to feel it."""
+    dynamics = RigidBodyDynamics(Mechanism.from_mjcf(arm(loss=loss)), 2e-3, "rk4")
+    xs, us = states(dynamics.mechanism)
     together, _ = dynamics.linearize(np.vstack([xs, xs[-1:]]), us)
     order = np.random.default_rng(1).permutation(len(xs))
     again, _ = dynamics.linearize(np.vstack([xs[order], xs[-1:]]), us[order])
     assert np.array_equal(again, together[order])
+    alone = [dynamics.step(x[None], u[None])[0] for x, u in zip(xs, us, strict=True)]
+    assert np.array_equal(dynamics.step(xs, us), alone)
+
+
+def test_both_ends_press_where_margins_meet():
+    text = arm(margin=0.02)  # the drawer's range is 0.03 m wide
+    m, model = sharp(Mechanism.from_mjcf(text)), mujoco.MjModel.from_xml_string(text)
+    x, data = np.array([[0.1, 0.05, 0.004, 0.2, -0.3, 0.1]]), mujoco.MjData(model)
+    data.qpos[:], data.qvel[:] = x[0, :3], x[0, 3:]
+    mujoco.mj_forward(model, data)
+    assert data.nefc == 2
+    np.testing.assert_allclose(accelerations(m, x, np.zeros((1, 1)))[0], data.qacc, rtol=1e-9)
+
+
+def test_prescribed_joints_leave_ranges_as_bounds():
+    """MuJoCo's joints are then heavy, and so would be what its stops are relative to."""
+    assert RigidBodyDynamics(Mechanism.from_mjcf(arm()), 0.01, prescribed=["driven"]).mechanism.stops == ()
+
+
+def test_a_time_constant_below_two_steps_is_written_as_mujoco_takes_it():
+    """The default timestep is 2 ms; a replay with a shorter one would take another."""
+    m = Mechanism.from_mjcf(arm(solref=".001 1"))
+    model = mujoco.MjModel.from_xml_string(m.mjcf)
+    np.testing.assert_array_equal(model.jnt_solref, [[0.001, 1.0], [0.004, 1.0], [0.004, 1.0]])
+    assert m.stops[0].law.lead == pytest.approx(0.5 * 0.95 * 0.004)  # 1/b = dmax timeconst / 2

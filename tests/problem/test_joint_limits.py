@@ -233,3 +233,13 @@ def test_a_goal_far_beyond_a_stop_that_the_plan_models_is_refused(tmp_path):
         planner.load_problem(tmp_path / "finger.toml")
     (tmp_path / "finger.toml").write_text(text.format(-0.1))
     assert planner.load_problem(tmp_path / "finger.toml").ranges is None
+    (tmp_path / "finger.toml").write_text(text.format(-0.3) + 'limits = { position = { far = "off" } }\n')
+    assert planner.load_problem(tmp_path / "finger.toml").ranges is None  # as the refusal says
+
+
+def test_the_allowance_at_a_stop_is_a_share_of_the_files_range(tmp_path):
+    """Margins that nearly meet leave a plan's range next to nothing, and the file's as wide as it is."""
+    (tmp_path / "finger.xml").write_text(PASSIVE.replace('range="0 1.5"', 'range="0 1.5" margin="0.74"'))
+    text = 'model = "finger.xml"\nstart = { far = 0.1 }\ngoal = { near = 0.3 }\nduration = 1.0\n'
+    (tmp_path / "finger.toml").write_text(text)
+    assert planner.load_problem(tmp_path / "finger.toml").x0[1] == 0.1

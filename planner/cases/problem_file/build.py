@@ -252,8 +252,8 @@ def _left_out(mechanism: Mechanism) -> list[str]:
 
 def _built(table: dict[str, Any], mechanism: Mechanism, where: str, constraints: tuple[Constraint, ...]) -> Problem:
     told, rebuilt = "", RESOLVED in table
-    if table.get("prescribed"):  # joints that are made heavy change what MuJoCo's stops are relative to
-        mechanism = replace(mechanism, stops=tuple(stop for stop in mechanism.stops if stop.law.lead == 0.0))
+    if table.get("prescribed"):
+        mechanism = mechanism.without_lead_stops()
     if "start" not in table and (own := start_of_model(mechanism)) is not None:
         table = table | {"start": own}
         told = f"start is {f'the keyframe {own!r}' if own else 'the pose in which the file draws it'}: none is given."
@@ -277,7 +277,7 @@ def _built(table: dict[str, Any], mechanism: Mechanism, where: str, constraints:
         table = table | {"contacts": mechanism.contacts_mode}  # a stored model has but one mode left
     x0, goal, notes = place_on_ground(mechanism, table, x0, goal)
     x0, goal, stops = off_stops(mechanism, table, x0, goal)
-    x0, goal, notes = at_rest_on_stops(mechanism, x0, goal, notes)
+    x0, goal, notes = at_rest_on_stops(mechanism, table, x0, goal, notes)
     build = partial(again, mechanism, *constraints)
     ramp = None if tasked or steps_of(table) else stance_ramp(mechanism, table, x0, goal)
     if ramp is not None:

@@ -28,13 +28,19 @@ def off_stops(
 
 
 def at_rest_on_stops(
-    mechanism: Mechanism, x0: np.ndarray, goal: np.ndarray, notes: dict[str, str]
+    mechanism: Mechanism, table: dict[str, Any], x0: np.ndarray, goal: np.ndarray, notes: dict[str, str]
 ) -> tuple[np.ndarray, np.ndarray, dict[str, str]]:
-    """Start and goal with closed chains at rest on the stops that they lean on; sentences, with one about each."""
+    """Start and goal (nx,) with closed chains at rest on the stops that they lean on, and the notes with one of each.
+
+    A chain of whose undriven joints the table names one stays where that is asked for.
+    """
     found = []
     for name, x in (("start", x0), ("goal", goal)):
         moves = bool(np.any(x[mechanism.nq : mechanism.nq + mechanism.nv]))
-        found.append(x if moves else rest_on_stops(mechanism, x))
+        asked = table.get(name)
+        names = asked if isinstance(asked, dict) else {}
+        given = {dof for joint in names for dof in range(*mechanism.joint(joint).indices(mechanism.nv))}
+        found.append(x if moves else rest_on_stops(mechanism, x, given))
         change = mechanism.space.difference(found[-1], x)[: mechanism.nv]
         if np.abs(change).max() > SAME_POSE_TOLERANCE:
             i = int(np.argmax(np.abs(change)))

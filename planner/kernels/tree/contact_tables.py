@@ -69,7 +69,7 @@ def tangents(normal: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 def stop_arrays(stops: Any) -> dict[str, np.ndarray]:
     """Per stop: its side, where it begins, and the six numbers of its force."""
-    rows = [[stop.side, stop.end - stop.side * stop.law.surface_offset, *_law_numbers(stop.law)] for stop in stops]
+    rows = [[stop.side, stop.end - stop.side * stop.law.reach, *_law_numbers(stop.law)] for stop in stops]
     return {
         "stop_dof": np.array([stop.dof for stop in stops], dtype=np.int64),
         "stop_value": np.array(rows, dtype=float).reshape(-1, STOP_SIZE),

@@ -25,5 +25,5 @@ def joint_row_arrays(mechanism: Any, losses: np.ndarray, stops: Any) -> dict[str
     for stop in stops:
         o = LOWER + STOP_SIZE * (stop.side > 0)
         own = value[dofs.index(stop.dof), o : o + STOP_SIZE]
-        own[:] = stop.end - stop.side * stop.law.surface_offset, *lead_numbers(stop.law)
+        own[:] = stop.end - stop.side * stop.law.reach, *lead_numbers(stop.law)
     return {"row_dof": np.array(dofs, dtype=np.int64), "row_value": value}

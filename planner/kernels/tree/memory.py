@@ -17,7 +17,7 @@ MEMORY = Layout(
     "links x u tau scratch rates theta q_stage v_stages act_stage act_rates a trial_a accelerations M Dq Dv held "
     "by_stage turns direct chained Xa step product heavier pushed before asked rest "
     "loop_J loop_WJ loop_N loop_least loop_c loop_f loop_D loop_Y implicit behind own behind_rows method soft near "
-    "guess",
+    "guess loop_before",
 )
 
 
@@ -51,7 +51,7 @@ class TreeMemory:
             "heavier": nv, "pushed": nv, "before": nv, "asked": nv, "rest": nv, "implicit": nv, "behind": nv,
             "own": nv, "guess": nv, "soft": SOFT_MEMORY * model.softs,
             "loop_J": rows * ld, "loop_WJ": rows * ld, "loop_N": rows * rows, "loop_c": rows,
-            "loop_f": rows,
+            "loop_f": rows, "loop_before": rows,
             "loop_least": 3 if rows else 0, "loop_D": rows * loop_width, "loop_Y": rows * ld,
             "by_stage": n * columns, "turns": (MAX_STAGES + 1) * 18 * len(model.arrays["ball_v"]),
         }  # fmt: skip

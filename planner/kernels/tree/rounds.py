@@ -120,6 +120,8 @@ def accelerate_in_rounds(m, r, q, v, tau, a):
         add_wrenches(m, q, links)
         if m[TREE.softs] > 0:
             add_soft_contacts(m, q, a, links, near, soft)
+        for k in range(m[TREE.loop_rows]):
+            store(lanes(r, MEMORY.loop_before), k, load(a, m[TREE.nv] + k))
         accelerate_once(m, r, q, v, force, a, links, armature)
         if m[TREE.softs] > 0:
             soft_moves(m, q, a, links, near, soft)
@@ -151,6 +153,9 @@ def _next_error(m, r, q, v, tau, a, error):
             low, high = select(0.0, slope, low, middle), select(0.0, slope, middle, high)
         high = select(0.0, whole, high, 1.0)
     high = select(CONVERGED, error, high, 0.0)
+    for k in range(m[TREE.loop_rows]):  # the forces of closed chains stay with the accelerations
+        i = m[TREE.nv] + k
+        store(a, i, select(0.0, high, load(a, i), load(lanes(r, MEMORY.loop_before), k)))
     left = row_error(m, q, v, tau, a, armatures, force, before, asked, high)
     if m[TREE.softs] > 0:
         left = maximum(

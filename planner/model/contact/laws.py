@@ -79,6 +79,8 @@ class Law:
         lead: s, how much later the contact has the velocity that is damped; 0 for now.
         impedance: Of a law with a lead d_0, d_1, the width, m or rad, and the midpoint of the rise as a part of the
             width; d_0 = d_1 for the same stiffness at all depths.
+        margin: m or rad: the force begins so far before the surfaces touch, or the end of a range; depths count from
+            there.
     """
 
     stiffness: float
@@ -87,10 +89,11 @@ class Law:
     force_ramp: float | None = None
     lead: float = field(default=0.0, kw_only=True)
     impedance: tuple[float, float, float, float] = field(default=(0.9, 0.9, 1.0, 0.5), kw_only=True)
+    margin: float = field(default=0.0, kw_only=True)
 
     def __post_init__(self) -> None:
         set_fields(self, stiffness=number("stiffness", self.stiffness, greater_than=0.0))
-        for name in ("damping", "ramp", "lead"):
+        for name in ("damping", "ramp", "lead", "margin"):
             set_fields(self, **{name: number(name, getattr(self, name), minimum=0.0)})
         set_fields(self, impedance=tuple(map(float, self.impedance)))  # a list could not be hashed
         first, last, width, midpoint = self.impedance
@@ -103,6 +106,11 @@ class Law:
     def surface_offset(self) -> float:
         """How far the law's surface is raised, m or rad, so that the force deep inside is stiffness times the depth."""
         return 0.5 * self.ramp + 0.5 * float(self.force_ramp or 0.0) / self.stiffness
+
+    @property
+    def reach(self) -> float:
+        """How far before the surfaces touch, or the end of a range, the smoothed force begins, m or rad."""
+        return self.margin + self.surface_offset
 
     def impedance_at(self, depth: Any) -> tuple[Any, Any]:
         """The impedance d at depths, m or rad, and its derivative."""
@@ -152,7 +160,6 @@ class ContactLaw(Law):
         normal_share: Of a pyramidal cone of a law with a lead: the share p of K and B that presses along the normal
             without friction; 0 for condim 3, 1/3 for 4, 0.6 for 6. These edges stand for MuJoCo's spinning and rolling
             ones, which resist neither here.
-        margin: m: the force begins where the surfaces are this far apart; depths count from there.
     """
 
     slip_damping: float = 0.0
@@ -162,11 +169,10 @@ class ContactLaw(Law):
     uncertainty: float = 1.0
     cone: str = "elliptic"
     normal_share: float = 0.0
-    margin: float = 0.0
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        for name in ("slip_damping", "friction", "margin"):
+        for name in ("slip_damping", "friction"):
             set_fields(self, **{name: number(name, getattr(self, name), minimum=0.0)})
         set_fields(self, bend=number("bend", self.bend, minimum=0.0, maximum=1.0))
         set_fields(self, uncertainty=number("uncertainty", self.uncertainty, minimum=1.0))
@@ -182,11 +188,6 @@ class ContactLaw(Law):
         """How far the law's surface is raised, m: edges of a pyramid have ramps of their own, elliptic cones none."""
         ramps = 1 if self.lead == 0.0 else 0 if self.is_round else 4 + (self.normal_share > 0.0)
         return 0.5 * self.ramp + 0.5 * ramps * float(self.force_ramp or 0.0) / self.stiffness
-
-    @property
-    def reach(self) -> float:
-        """How far apart the surfaces are where the smoothed force begins, m."""
-        return self.margin + self.surface_offset
 
     @property
     def is_round(self) -> bool:

@@ -39,7 +39,8 @@ from planner.model.mjcf.text import written
 
 MIN_IMPEDANCE, MAX_IMPEDANCE = 1e-4, 0.9999  # mjMINIMP, mjMAXIMP
 MIN_FRICTION, _TINY = 1e-5, 1e-15  # mjMINMU, mjMINVAL
-FILE_SMOOTHING = (2e-4, 0.0, 0.5)  # ramp, m, force ramp, N, and bend of a plan: most machines sink in 0.3 to 5 mm
+# Ramp, m or rad, force ramp, N or N m, and bend of a plan: most machines sink in 0.3 to 5 mm.
+FILE_SMOOTHING = (2e-4, 0.0, 0.5)
 _DEFAULT_SOLREF = (0.02, 1.0)
 ALONG_AXIS = 1e-6  # of a hinge's axis, across an axis of the world
 

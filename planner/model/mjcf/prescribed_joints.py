@@ -185,7 +185,7 @@ def _motor(joint: str, axis: int, dofs: int) -> str:
 def _keep_stops(elements: list[ElementTree.Element], model: Any, heavy: Any) -> None:
     """Rescale the stops whose numbers are relative to the inertia behind them, so that their force stays."""
     for j in map(int, np.flatnonzero(heavy.jnt_limited)):
-        if heavy.jnt_solref[j, 0] >= 0.0:  # a time constant is none of a plan's stops
+        if heavy.jnt_solref[j, 0] >= 0.0:  # see Mechanism.without_lead_stops
             continue
         dof = int(model.jnt_dofadr[j])
         ratio = float(heavy.dof_invweight0[dof] / model.dof_invweight0[dof])

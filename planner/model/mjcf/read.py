@@ -60,7 +60,7 @@ from planner.model.mjcf.model_index import (
     velocity_limits,
 )
 from planner.model.mjcf.obstacles import excluded_pairs, obstacles_of, with_excluded, with_obstacles
-from planner.model.mjcf.stops import read_stops
+from planner.model.mjcf.stops import keep_time_constants, read_stops
 from planner.model.mjcf.text import written
 from planner.model.mjcf.unsupported import (  # fmt: skip
     KINDS,
@@ -155,6 +155,7 @@ def read_opened(
         survey = ModelIndex(compile_model(root, files, name))
         _refuse([*unsupported_elements(survey.model), *contact_refusals(survey)], name, survey)
     harden(root, survey.model)
+    keep_time_constants(root, survey.model, read_stops(survey.model, _undriven(survey.model, actuators_of(survey))))
     text = ElementTree.tostring(root, encoding="unicode")
     mechanism = _mechanism(survey, text, files, (*texts_of(survey.model, LEFT_OUT), *phrases), name)
     if asked == "auto" and mode == "file" and np.any(rolling_radii(mechanism)):  # see contact_mode
@@ -283,7 +284,7 @@ def _mechanism(
 
 
 def _undriven(model: Any, actuators: Any) -> set[int]:
-    """The degrees of freedom that neither an actuator moves nor an equality ties to another."""
+    """The degrees of freedom that neither an actuator moves nor an equality of joints ties to another."""
     tied = {dof for coupling in read_couplings(model) for dof in coupling.dofs}
     tied |= {dof for cam in read_cams(model) for dof in cam.dofs}
     return set(range(model.nv)) - tied - {*map(int, np.flatnonzero(actuators.acts_on.any(axis=0)))}

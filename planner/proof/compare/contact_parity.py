@@ -342,7 +342,7 @@ class _Bench:
         depth = max(beyond_ramps(law), _REST, law.impedance[2] if law.lead > 0.0 else 0.0)  # K is that beyond the rise
 
         def both(deep: float, closing: float, speeding: float = 0.0) -> tuple[float, float]:
-            x[m.q_address[stop.dof]] = stop.end + stop.side * deep
+            x[m.q_address[stop.dof]] = stop.end + stop.side * (deep - law.margin)
             x[m.nq : m.nq + m.nv] = 0.0
             x[m.nq + stop.dof] = stop.side * closing
             qacc = np.zeros(m.nv)

@@ -60,8 +60,11 @@ def loses_balance(proof: Proof) -> bool:
     mechanism = None if problem is None else capabilities_of(problem.dynamics).mechanism
     if mechanism is None or not stands_on_ground(mechanism) or proof.mode is not None or not proof.plan.passed:
         return False
-    in_range = not any(one.name == "position_range_violation" for one in proof.refined_feedback.failures)
-    return in_range and _growth_rate(proof) * proof.replay.plan.t[-1] > MAX_ERROR_GROWTH
+    if any(one.name == "position_range_violation" for one in proof.refined_feedback.failures):
+        return False
+    if proof.refined_feedback.passed and _error_share(proof) <= 1.0:  # it stands in MuJoCo as in the plan
+        return False
+    return _growth_rate(proof) * proof.replay.plan.t[-1] > MAX_ERROR_GROWTH
 
 
 def _growth_rate(proof: Proof) -> float:
@@ -69,11 +72,14 @@ def _growth_rate(proof: Proof) -> float:
     return next((one.value for one in proof.growth.measured if one.name == "growth_rate_open_loop"), float("nan"))
 
 
+def _error_share(proof: Proof) -> float:
+    """The largest error with the plan's gains, of what passes."""
+    return float(proof.errors.measured["feedback"].max())
+
+
 def falling(plan: Plan, problem: Problem, proof: Proof | None) -> list[SuggestedFix]:
     """The finding that the machine loses its balance, by itself or where MuJoCo's ground differs; after its fixes."""
     if proof is None or not loses_balance(proof):
         return []
-    share = float(proof.errors.measured["feedback"].max())
-    if share <= 1.0 and proof.refined_feedback.passed:  # it stands in MuJoCo as in the plan
-        return []
+    share = _error_share(proof)
     return [no_fix("goal", "falls" if share > 1.0 else "ground_differs", rate=_growth_rate(proof), share=share)]

@@ -16,6 +16,7 @@ from planner.problem.plan import Plan
 from planner.problem.problem import Problem
 from planner.proof.diagnostics.balance import loses_balance
 from planner.proof.diagnostics.suggested_fix import SuggestedFix, fix, no_fix, rounded_up
+from planner.proof.original_model import RANGE_EXCESS
 from planner.proof.reached_limits import OVERLAP, ROUNDING
 from planner.proof.replays.ranges import Excess, efforts_in, joints_in
 from planner.proof.replays.replaying import Replay, stopped_dofs
@@ -65,10 +66,22 @@ def wider_margin(plan: Plan, problem: Problem, proof: Proof | None) -> list[Sugg
     states = np.concatenate([run.qpos, run.qvel, run.act], axis=1)
     found = [*_planned(run), *joints_in(run.compiled.model, states, stopped_dofs(plan))]
     worst = max(found, key=lambda one: one.beyond.max(), default=None)
-    if worst is None or worst.beyond.max() <= 0.0 or not np.isfinite(states).all():
+    if not np.isfinite(states).all():
         return []
+    if worst is None or worst.beyond.max() <= 0.0:
+        return _for_file(problem, proof, found)
     value = rounded_up(_margin(limits, worst) + MARGIN_FACTOR * float(worst.beyond.max()))
     return [fix(problem, "limits.margin", value, "range_exceeded", **_excess(worst, run.t))]
+
+
+def _for_file(problem: Problem, proof: Proof, joints: list[Excess]) -> list[SuggestedFix]:
+    """A margin for what the user's file alone moves beyond a range."""
+    excess = next((one for one in proof.your_file.measured if one.name == RANGE_EXCESS), None)
+    if excess is None:
+        return []
+    margin = max((_margin(problem.limits, one) for one in joints if one.unit == excess.unit), default=0.0)
+    value = rounded_up(margin + MARGIN_FACTOR * float(excess.value))
+    return [fix(problem, "limits.margin", value, "range_exceeded_in_file", excess=Quantity(excess.value, excess.unit))]
 
 
 def _margin(limits: Limits | None, one: Excess) -> float:

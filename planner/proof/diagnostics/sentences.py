@@ -44,6 +44,7 @@ SENTENCES = {
     # Ranges
     "range_unknown": "the plan does not know that {joint} goes {excess} beyond {limit:.4g} at t = {time}",
     "range_exceeded": "{joint} goes {excess} beyond {limit:.4g} at t = {time}, between the knots or in MuJoCo",
+    "range_exceeded_in_file": "a joint goes {excess} beyond its range in your file, and not in the plan's model",
     "clamp_unknown": "{actuator} {what}: {most:.3g} of {lower:.3g} to {upper:.3g}",
     "fixed_joints": "equalities and ranges of the file together leave {joint}{others} one value, at which they lean on "
     "their stops, which only MuJoCo has: write wider ranges in the file, or another equality.",

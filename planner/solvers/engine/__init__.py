@@ -37,6 +37,7 @@ __all__ = [
 
 # Idle engines: a repeated solve allocates only its result. They must not refer to their problem, which could then not
 # be freed.
+_WITHOUT_RESIDUALS = {"contacts", "body_contacts", "friction_loss", "friction_inertia", "friction_rate"}
 _idle: WeakKeyDictionary[Problem, dict[bool, list[Engine]]] = WeakKeyDictionary()
 
 
@@ -111,8 +112,8 @@ def _compiled(problem: Problem, terms: list[Cost]) -> tuple[TrackingCost | NoTra
 
 
 def _moves_alike(one: Mechanism, other: Mechanism) -> bool:
-    """Whether two mechanisms have the same parts but for the laws of their contacts, which no residual depends on."""
-    parts = {part.name for part in fields(one)} - {"contacts", "body_contacts"}
+    """Whether two mechanisms have the same parts but for contacts and friction, which no residual depends on."""
+    parts = {part.name for part in fields(one)} - _WITHOUT_RESIDUALS
     return all(getattr(one, part) is getattr(other, part) for part in parts)
 
 
