@@ -42,7 +42,7 @@ class FixTrials:
     """Trials of a problem file's suggested fixes.
 
     Fixes of AUTOMATIC_KEYS come first, and the first that passes is applied. Those of other keys are tried and only
-    reported. Other weights begin at the plan that has converged without them, if its stage is the problem's.
+    reported. Other weights and limits begin at the plan that has converged without them, if its stage is the problem's.
     """
 
     problem: Problem
@@ -120,7 +120,7 @@ class FixTrials:
         else:
             try:
                 problem = with_fixes(problem, fixes)
-                if _kind(one) == "weights" and failed.converged and failed.N == problem.N:
+                if _kind(one) in ("weights", "limits") and failed.converged and failed.N == problem.N:
                     problem = replace(problem, us=warm_start(failed, problem))
             except PlannerError as error:
                 self.report(FixTrial(one, "refused", str(error)))
