@@ -97,7 +97,8 @@ def contact_parity(problem: Problem, compiled: CompiledTwin, seed: int = 0) -> t
         seed: Seed of the random states.
 
     Returns:
-        One value per coefficient, the largest difference in %, whose note names the pair; empty where the plan's
+        One value per coefficient, the largest difference in %, whose note names the pair; of a stop with a lead also
+        the inertia that it adds to its joint's; empty where the plan's
         dynamics have no contacts and joint stops.
     """
     dynamics = problem.dynamics
