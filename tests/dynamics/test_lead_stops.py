@@ -76,19 +76,20 @@ def test_only_what_nothing_drives_has_stops():
     assert Mechanism.from_mjcf(fourth).stops == ()
 
 
+@pytest.mark.parametrize("integrator", ["euler", "rk4", "rosenbrock"])
 @pytest.mark.parametrize("loss", [0, 0.05])
-def test_derivatives_are_those_of_differences(loss):
+def test_derivatives_are_those_of_differences(loss, integrator):
     m = Mechanism.from_mjcf(arm(loss=loss))
     m = replace(m, stops=tuple(replace(one, law=replace(one.law, ramp=2e-2, force_ramp=2.0)) for one in m.stops))
-    dynamics = RigidBodyDynamics(m, 1e-3, "euler")
+    dynamics = RigidBodyDynamics(m, 1e-3, integrator)
     xs, us = states(m)
     A, B = dynamics.linearize(np.vstack([xs, xs[-1:]]), us)
-    h = 1e-6
+    h = 1e-7  # rounding then leaves 1e-9, and no state is as near to where a ramp begins
     slopes = [(dynamics.step(xs + h * e, us) - dynamics.step(xs - h * e, us)) / (2.0 * h) for e in np.eye(6)]
     slopes.append((dynamics.step(xs, us + h) - dynamics.step(xs, us - h)) / (2.0 * h))
     exact = np.concatenate([A[: len(xs)], B[: len(xs)]], axis=2)
     error = np.abs(np.stack(slopes, axis=2) - exact).max(axis=(1, 2))
-    assert np.all(error < 1e-6 * np.abs(exact).max(axis=(1, 2)))  # central differences; the ramps' curvature is 1/ramp
+    assert np.all(error < 1e-6 * np.abs(exact).max(axis=(1, 2)))
 
 
 @pytest.mark.parametrize("loss", [0, 0.05])
@@ -112,6 +113,30 @@ def test_both_ends_press_where_margins_meet():
     mujoco.mj_forward(model, data)
     assert data.nefc == 2
     np.testing.assert_allclose(accelerations(m, x, np.zeros((1, 1)))[0], data.qacc, rtol=1e-9)
+
+
+TOE = """<mujoco><worldbody><geom name="floor" type="plane" size="0 0 1"/>
+  <body pos="0 0 .25"><joint type="slide" axis="0 0 1"/><geom size=".05" mass="4" contype="0" conaffinity="0"/>
+    <body><joint name="leg" type="slide" axis="0 0 1"/><geom size=".02" mass=".3" contype="0" conaffinity="0"/>
+      <body pos="0 0 -.2"><joint name="toe" axis="0 1 0" range="-20 20"/><geom pos=".05 0 0" size=".03" mass=".2"/>
+    </body></body></body></worldbody><actuator><motor joint="leg"/></actuator></mujoco>"""
+
+
+def test_a_toe_at_its_stop_and_on_the_ground_accelerates_as_mujocos():
+    m = sharp(Mechanism.from_mjcf(TOE))
+    none = {"ramp": 0.0, "force_ramp": 0.0, "bend": 0.0}
+    m = replace(m, contacts=tuple(replace(one, law=replace(one.law, **none)) for one in m.contacts))
+    model, rng, met = mujoco.MjModel.from_xml_string(m.mjcf), np.random.default_rng(0), set()
+    model.opt.tolerance, model.opt.iterations, data = 1e-15, 200, mujoco.MjData(model)
+    for _ in range(40):
+        q = np.array([rng.uniform(-0.03, 0.0), rng.uniform(-0.01, 0.01), rng.choice([-0.36, 0.36, 0.1])])
+        v, u = rng.normal(size=3) * rng.choice([0.01, 1.0]), rng.normal(size=1) * 20.0
+        data.qpos[:], data.qvel[:], data.ctrl[:], data.qacc_warmstart[:] = q, v, u, 0.0
+        mujoco.mj_forward(model, data)
+        met.add(int(data.nefc))
+        ours = accelerations(m, np.concatenate([q, v])[None], u[None])[0]
+        assert np.abs(ours - data.qacc).max() < 1e-11 * max(1.0, np.abs(data.qacc).max())
+    assert met == {0, 1, 4, 5}  # rows of neither, of the stop, of the contact, of both
 
 
 def test_prescribed_joints_leave_ranges_as_bounds():
