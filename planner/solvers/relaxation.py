@@ -254,7 +254,8 @@ class _Relaxation:
         if not capabilities_of(self.problem.dynamics).friction_loss:
             return None
         smooth = self._solve(with_smoother_friction(self.problem), None, int(MAX_QUICK_ITERATIONS))
-        if not self._report("friction", SMOOTHER, smooth, meets_goals(smooth) and smooth.cost < direct.cost):
+        better = smooth.cost < direct.cost or not meets_goals(direct)
+        if not self._report("friction", SMOOTHER, smooth, meets_goals(smooth) and better):
             return None
         plan = self._solve(self.problem, smooth.motion, self.options.max_iterations)
         return plan if self._report("friction", 1.0, plan, plan.converged and meets_goals(plan)) else None
