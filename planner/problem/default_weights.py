@@ -174,9 +174,9 @@ def min_jerk_cost(displacement: np.ndarray, duration: float) -> float:
 
 def _decided_by_stops(mechanism: Mechanism, xs: np.ndarray) -> np.ndarray:
     """(nv,) bool, undriven degrees of freedom of the closed chains that lean on a stop at all states xs (K, nx)."""
-    leaning, found = leaning_dofs(mechanism, xs), np.zeros(mechanism.nv, dtype=bool)
-    for chain in closed_chains(mechanism) if leaning.any() else ():
-        found |= chain & (leaning & chain).any()
+    pressed, found = leaning_dofs(mechanism, xs), np.zeros(mechanism.nv, dtype=bool)
+    for chain in closed_chains(mechanism) if pressed.any() else ():
+        found |= chain & (pressed & chain).any()
     return found & ~mechanism.directly_actuated
 
 
@@ -185,8 +185,8 @@ def fully_actuated(dynamics: RigidBodyDynamics, xs: np.ndarray) -> bool:
     mechanism, prescribed = dynamics.mechanism, prescribed_dofs_of(dynamics)
     gain = gains_at(mechanism.actuators, actuator_lengths(mechanism, mechanism.qpos0))
     moment = actuator_moments(mechanism, mechanism.qpos0) * (gain[:, None] != 0.0)
-    leaning = leaning_dofs(mechanism, xs) & _decided_by_stops(mechanism, xs)
-    given = np.isin(np.arange(mechanism.nv), prescribed) | leaning
+    pressed = leaning_dofs(mechanism, xs) & _decided_by_stops(mechanism, xs)
+    given = np.isin(np.arange(mechanism.nv), prescribed) | pressed
     own, Z = np.eye(mechanism.nv)[given], feasible_directions(mechanism, mechanism.qpos0)[0]
     lies = stationary_object_dofs(mechanism)  # separate from the machine, and needs no actuator
     Z = Z[:, ~np.any(Z[lies], axis=0)]
