@@ -62,12 +62,12 @@ from planner.proof.replays.passages import passages
 from planner.proof.replays.passive_torque_callback import curves_acting
 from planner.proof.replays.replaying import Replay, replay_in, step_of
 from planner.proof.replays.simulation import NATIVE_IMPLICIT, ROSENBROCK, damping_of, simulate
+from planner.proof.verdict import PATH_WITH_GAINS
 
 TITLE = "your file"
 OPEN_LOOP_MISSES = "open_loop_goals_missed"
 EQUALITY_RATE = "equality_rate"
 PATH_IN_FILE = "path_over_its_bound"  # above 1, its note is for the first line
-PATH_WITH_GAINS = "path_with_gains_over_its_bound"
 RANGE_EXCESS = "range_excess"
 MAX_NAMED = 3  # pairs, joints or actuators in a sentence
 NEGLIGIBLE_FORCE = 1e-3  # of the machine's weight: smaller contact forces of flush shapes are ignored

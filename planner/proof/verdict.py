@@ -8,6 +8,7 @@ feasible: MuJoCo reproduces the plan and ends at its goal, in the mode in bracke
 direction lowers the cost. Then what the plan may be used for:
 
     robust with its gains                           run it with its gains on the machine
+    robust at its goals                             its gains bring it there; on the way it leaves its path's bound
     fragile with its gains: 50 % succeed            with its gains so many machines with small errors still succeed
     open loop only: with its gains ...              its gains lead astray: apply its controls alone
     robustness: pending                             not known yet
@@ -33,7 +34,8 @@ from planner.proof.stationarity import curvature_unknown
 from planner.proof.step_convergence import StepConvergence
 
 TESTED = "tested in your file"
-OPEN_LOOP_ONLY = "open loop only"
+OPEN_LOOP_ONLY, AT_GOALS = "open loop only", "robust at its goals"
+PATH_WITH_GAINS = "path_with_gains_over_its_bound"  # of the section of the user's file
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,7 +88,7 @@ class Proof(Renderable):
 
     @property
     def robustness(self) -> str:
-        """The grade: "open loop only", "robust", "fragile"; "robustness: pending"; "" without rollouts."""
+        """The grade: "open loop only", "robust", "robust at its goals", "fragile"; "robustness: pending"; or ""."""
         return self._graded("", "")
 
     @property
@@ -94,6 +96,11 @@ class Proof(Renderable):
         """Whether it passed, though the plan is fragile or for open loop only: a PASS with a warning."""
         fragile = self.monte_carlo is not None and self.monte_carlo.robustness == "fragile"
         return self.passed and (fragile or bool(self.lost_with_gains))
+
+    @property
+    def leaves_path(self) -> bool:
+        """Whether the path with the plan's gains leaves its bound in the user's file."""
+        return any(one.name == PATH_WITH_GAINS and one.value > 1.0 for one in self.sections["your_file"].measured)
 
     def _graded(self, judged: str, share: str) -> str:
         """The grade; of rollouts followed by the judged mode, and if fragile by the share of successes."""
@@ -103,6 +110,8 @@ class Proof(Renderable):
             return "robustness: pending" if self.asked.get("rollouts") else ""
         word, drawn = self.monte_carlo.robustness, self.monte_carlo.perturbation
         other = "" if drawn == Perturbation.usual(self.replay.plan.problem) else " at other than the standard errors"
+        if word == "robust" and self.leaves_path:
+            word, judged = AT_GOALS, ""
         share = share if word == "fragile" else ""
         return f"robustness: {word}{other}" if word == "pending" else f"{word}{judged}{other}{share}"
 
