@@ -9,6 +9,7 @@ from rolled_out_plans import LIMITED, coarse, ends, problem_of, rolled_out
 import planner
 from planner.base.errors import PlannerError
 from planner.base.gl import load_mujoco
+from planner.base.measured import Measurement
 from planner.model.mechanism import Mechanism
 from planner.problem.goals import GoalCheck
 from planner.problem.problem import Requirements
@@ -19,6 +20,7 @@ from planner.proof.robustness.perturbation import Perturbation, draw
 from planner.proof.robustness.perturbed import MonteCarloSettings, perturbed, replay_rollout
 from planner.proof.robustness.rollouts import MODES, Rollouts
 from planner.proof.robustness.success import end_errors, ranges_of_motion, rule_of, within_goals
+from planner.proof.verdict import PATH_WITH_GAINS
 
 NOTHING = dict.fromkeys(Perturbation().to_dict(), 0.0)
 NONE = Perturbation(**NOTHING)
@@ -233,6 +235,9 @@ def test_what_is_robust_says_with_what_and_how_many_rollouts_it_took(calm, robus
     proof = replace(planner.prove(calm, rollouts=0), monte_carlo=found)
     assert proof.headline.endswith("; feasible, optimal, robust with its gains")
     assert proof.robustness == "robust"
+    astray = Measurement(PATH_WITH_GAINS, 1.1, "", None)  # of its bound, in the user's file
+    strays = {**proof.sections, "your_file": replace(proof.your_file, measured=(astray,))}
+    assert replace(proof, sections=strays).headline.endswith("; feasible, optimal, robust at its goals")
     few = perturbed(calm, coarse(calm), MonteCarloSettings(4))
     assert few.notes == ()
     assert "robustness: pending" in few.lines()
