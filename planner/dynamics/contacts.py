@@ -23,7 +23,7 @@ import numpy as np
 from planner.base.arguments import array
 from planner.dynamics import kinematics
 from planner.dynamics.contact_kinematics import BodyContactKinematics, PlaneContactKinematics, contact_kinematics
-from planner.model.contact.laws import ContactLaw, Law
+from planner.model.contact.laws import ContactLaw, Law, Stop
 from planner.model.mechanism import Mechanism
 from planner.model.passive_forces import exponential_joint_torques
 
@@ -142,8 +142,12 @@ def _places(
 
 def stop_state(mechanism: Mechanism, stop: Any, q: np.ndarray, qd: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Penetration (K,) of a joint stop, rad or m, and its opening velocity (K,), rad/s or m/s."""
-    e = stop.side * (q[:, mechanism.q_address[stop.dof]] - stop.end) + stop.law.reach
-    return e, -stop.side * qd[:, stop.dof]
+    return stop_depth(mechanism, stop, q) + stop.law.surface_offset, -stop.side * qd[:, stop.dof]
+
+
+def stop_depth(mechanism: Mechanism, stop: Stop, q: np.ndarray) -> np.ndarray:
+    """How far (K,) a joint is beyond where its stop begins to press without smoothing, rad or m, at q (K, nq)."""
+    return stop.side * (q[:, mechanism.q_address[stop.dof]] - stop.end) + stop.law.margin
 
 
 def ramp(e: np.ndarray, a: float | np.ndarray) -> tuple[np.ndarray, np.ndarray]:

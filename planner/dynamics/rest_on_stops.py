@@ -14,7 +14,8 @@ import numpy as np
 from planner.base.errors import PlannerError
 from planner.dynamics.algorithms import bias
 from planner.dynamics.assembly import assembled, closed_chains, feasible_directions
-from planner.dynamics.contacts import generalized_forces
+from planner.dynamics.contacts import generalized_forces, stop_depth
+from planner.dynamics.statics import newton_step
 from planner.model.mechanism import Mechanism
 
 STEPS, HALVINGS = 100, 20
@@ -47,8 +48,7 @@ def leaning_dofs(mechanism: Mechanism, xs: np.ndarray) -> np.ndarray:
     """(nv,) bool, degrees of freedom that a stop with a lead presses on at all states xs (K, nx)."""
     found = np.zeros(mechanism.nv, dtype=bool)
     for stop in mechanism.stops:
-        depth = stop.side * (xs[:, mechanism.q_address[stop.dof]] - stop.end) + stop.law.margin
-        found[stop.dof] |= bool(stop.law.lead > 0.0 and np.all(depth > 0.0))
+        found[stop.dof] |= bool(stop.law.lead > 0.0 and np.all(stop_depth(mechanism, stop, xs) > 0.0))
     return found
 
 
@@ -65,12 +65,7 @@ def _downhill(mechanism: Mechanism, x: np.ndarray, chain: np.ndarray) -> np.ndar
         if any(len(one) != len(force) for one in near):  # where a chain is flat it moves in more directions
             return None
         slopes = (np.array(near) - force).T / DIFFERENCE
-        values, vectors = np.linalg.eigh(0.5 * (slopes + slopes.T))
-        least = 1e-8 * float(np.abs(values).max())
-        if not least > 0.0:  # nothing says how far
-            return None
-        step = -vectors @ (vectors.T @ force / np.maximum(np.abs(values), least))
-        step *= min(1.0, LONGEST / float(np.abs(step).max()))
+        step = newton_step(slopes, force, LONGEST)
         for _ in range(HALVINGS):
             candidate = _moved(mechanism, there, step, chain)
             further = _uphill(mechanism, candidate, chain)

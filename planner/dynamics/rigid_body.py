@@ -149,6 +149,10 @@ class RigidBodyDynamics:
                 )
         return RigidBodyDynamics(self.mechanism, dt, integrator, self.prescribed, substeps)
 
+    def with_mechanism(self, mechanism: Mechanism) -> RigidBodyDynamics:
+        """The same stages and prescribed joints of another mechanism."""
+        return RigidBodyDynamics(mechanism, self.dt, self.integrator, self.prescribed, self.substeps)
+
     def _checked(self, xs: np.ndarray, us: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         ready = _are_floats(xs) and _are_floats(us) and us.ndim == 2
         if ready and us.shape[1] == self.nu and xs.shape == (len(us), self.nx):

@@ -138,7 +138,7 @@ def _downhill(mechanism: Mechanism, x: np.ndarray, free: np.ndarray) -> tuple[np
         ways = _across(mechanism, x[: mechanism.nq], free)
         by_q = ways @ ways.T @ _slopes(mechanism, free, x) @ ways @ ways.T
         while longest > SHORTEST_STEP:
-            step = _newton(by_q, ways @ (ways.T @ uphill), longest)
+            step = newton_step(by_q, ways @ (ways.T @ uphill), longest)
             there = space.integrate(x, _extended(free @ step, space.ndx))
             further = _uphill(mechanism, free, there[None])[0]
             expected, found = step @ uphill + 0.5 * step @ by_q @ step, 0.5 * step @ (uphill + further)
@@ -179,7 +179,8 @@ def along_ground(mechanism: Mechanism, q: np.ndarray, free: np.ndarray, links: n
     return directions[int(np.sum(sizes > RANK * sizes.max(initial=0.0))) :].T
 
 
-def _newton(by_q: np.ndarray, uphill: np.ndarray, longest: float) -> np.ndarray:
+def newton_step(by_q: np.ndarray, uphill: np.ndarray, longest: float) -> np.ndarray:
+    """The step (n,) down an energy with gradient (n,) and Hessian (n, n), no component longer than `longest`."""
     values, vectors = np.linalg.eigh(0.5 * (by_q + by_q.T))
     along = vectors.T @ uphill
     floor = 1e-8 * np.abs(values).max()

@@ -22,6 +22,7 @@ from typing import NamedTuple
 import numpy as np
 
 from planner.base.errors import PlannerError
+from planner.dynamics.contacts import stop_depth
 from planner.dynamics.quasi_static import quasi_static_controls
 from planner.dynamics.rigid_body import MAX_SUBSTEPS, RigidBodyDynamics
 from planner.model.contact.laws import Contact, Stop
@@ -95,8 +96,7 @@ def fastest_mode(
 
 def _is_near(mechanism: Mechanism, stop: Stop, xs: np.ndarray) -> bool:
     """Whether a joint is near a stop in any of the states (K, nx)."""
-    beyond = stop.side * (xs[:, mechanism.q_address[stop.dof]] - stop.end) + stop.law.margin
-    return bool(beyond.max() >= -NEAR * np.ptp(mechanism.joint_range[stop.dof]))
+    return bool(stop_depth(mechanism, stop, xs).max() >= -NEAR * np.ptp(mechanism.joint_range[stop.dof]))
 
 
 def _lasting_swing(dynamics: RigidBodyDynamics, xs: np.ndarray) -> float:

@@ -19,6 +19,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from planner.base.measured import Measurement
+from planner.dynamics.contacts import stop_depth
 from planner.model.capabilities import capabilities_of, constrained_dofs, stationary_object_dofs
 from planner.model.coordinates import ANGLE, LENGTH, RATES, Coordinate, coordinates_of
 from planner.model.mechanism import Mechanism
@@ -119,10 +120,7 @@ def has_contacts(plan: Plan) -> bool:
 
 def reaches_stops(mechanism: Mechanism, xs: np.ndarray) -> bool:
     """Whether states (K, nx) reach a joint stop of the plan, which is smoothed there and not in MuJoCo."""
-    return any(
-        bool(np.any(stop.side * (xs[:, mechanism.q_address[stop.dof]] - stop.end) > -stop.law.reach))
-        for stop in mechanism.stops
-    )
+    return any(bool(np.any(stop_depth(mechanism, stop, xs) > -stop.law.surface_offset)) for stop in mechanism.stops)
 
 
 def is_nonsmooth(plan: Plan) -> bool:

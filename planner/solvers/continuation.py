@@ -266,8 +266,7 @@ def with_smoother_friction(problem: Problem) -> Problem:
     """The problem with friction loss that is full only at SMOOTHER times the speed: a damper, not a kink, below."""
     dynamics: Any = problem.dynamics
     mechanism = replace(dynamics.mechanism, friction_inertia=np.array(dynamics.mechanism.friction_inertia) / SMOOTHER)
-    own = (dynamics.dt, dynamics.integrator, dynamics.prescribed, dynamics.substeps)
-    return replace(problem, dynamics=RigidBodyDynamics(mechanism, *own), recipe=None)
+    return replace(problem, dynamics=dynamics.with_mechanism(mechanism), recipe=None)
 
 
 @dataclass(frozen=True, eq=False)

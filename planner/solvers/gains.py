@@ -155,7 +155,7 @@ def with_contacts(
     own = dynamics.mechanism
     contacts, body_contacts = tuple(map(plane, own.contacts)), tuple(map(pair, own.body_contacts))
     mechanism = replace(own, contacts=contacts, body_contacts=body_contacts)
-    return RigidBodyDynamics(mechanism, dynamics.dt, dynamics.integrator, dynamics.prescribed, dynamics.substeps)
+    return dynamics.with_mechanism(mechanism)
 
 
 def warm_start(plan: Plan, problem: Problem) -> np.ndarray:

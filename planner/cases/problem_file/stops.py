@@ -44,8 +44,7 @@ def at_rest_on_stops(
         change = mechanism.space.difference(found[-1], x)[: mechanism.nv]
         if np.abs(change).max() > SAME_POSE_TOLERANCE:
             i = int(np.argmax(np.abs(change)))
-            said = (
-                f"{mechanism.joint_of(i)} of the {name} goes {abs(change[i]):.2g} rad or m to where it leans on a stop."
-            )
+            far = f"{abs(change[i]):.2g} rad or m"
+            said = f"{mechanism.joint_of(i)} of the {name} goes {far} to where its closed chain leans on a stop."
             notes = notes | {name: f"{notes.get(name, '')} {said}".strip()}
     return found[0], found[1], notes
