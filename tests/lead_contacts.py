@@ -8,7 +8,10 @@ import numpy as np
 
 from planner.dynamics import bias, mass_matrix
 from planner.dynamics.contact_kinematics import contact_kinematics
-from planner.dynamics.contacts import contact_force
+from planner.dynamics.contacts import contact_wrench
+from planner.dynamics.kinematics import jacobian
+from planner.model.contact.laws import Contact
+from planner.model.mechanism import Frame
 
 MAX_ITERATIONS, HALVINGS = 100, 40
 ROUNDING = 1e-13  # of the accelerations, what a step may be at the end
@@ -26,8 +29,10 @@ def accelerations(mechanism, q, v, tau):
         """M a - tau + bias - J'f, the function's gradient, and its derivative by a."""
         r, H = M @ a - free, M.copy()
         for place in places:
-            law, J = place.contact.law, place.J[0]
-            f, _, by_x = contact_force(law, place.n, place.e, place.v + law.lead * (J @ a))
+            law = place.contact.law
+            J = np.vstack([place.J[0], turning(mechanism, place.contact, q)])
+            x = np.append(place.v[0], J[3:] @ v) + law.lead * (J @ a)
+            f, _, by_x = contact_wrench(law, place.n, place.e, x[None, :3], x[None, 3:])
             r -= J.T @ f[0]
             H -= law.lead * J.T @ by_x[0] @ J
         return r, H
@@ -40,6 +45,13 @@ def accelerations(mechanism, q, v, tau):
             return a + step
         a = a + _length(residual, a, step) * step
     raise AssertionError("Newton's method has not converged")
+
+
+def turning(mechanism, contact, q):
+    """The Jacobian (3, nv) of the angular velocity that spinning and rolling friction resist: those of planes have it."""
+    if not isinstance(contact, Contact):
+        return np.zeros((3, mechanism.nv))
+    return jacobian(mechanism, q, Frame(contact.link, np.eye(4)))[3:]
 
 
 def _length(residual, a, step):

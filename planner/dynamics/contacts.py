@@ -6,12 +6,14 @@ The contact law is that of model.contact.laws. A contact acts at p, halfway betw
 penetration; its generalized force is J'f with J the (3, nv) Jacobian of the material point of the link at p.
 Between two bodies J is the difference of both Jacobians.
 
-A law with a lead depends on x = v + lead J qacc, the velocity that the contact has a lead later,
-relative to the surface. With W = n n' + sqrt(impratio) (1 - n n') an elliptic cone's force is
+A law with a lead depends on x = v + lead J qacc, the velocity that the contact has a lead later, relative to the
+surface, and with spinning and rolling friction on the angular velocity, too: x has six components then, n three zeros,
+and the force a torque behind it. With W = n n' + sqrt(impratio) (1 - n n') an elliptic cone's force is
 
     f = W P(y),   y = K depth n - B s W x,   df/dx = -B s W DP W
 
-P the smoothed projection onto the cone |g_t| <= mu g_n / sqrt(impratio) and DP its derivative.
+P the smoothed projection onto the cone |g_t| <= mu g_n / sqrt(impratio) and DP its derivative; W's rows of rotations
+are times the arms of spinning and rolling.
 """
 
 from __future__ import annotations
@@ -213,11 +215,13 @@ def contact_force(
         law: Parameters of the contact law.
         n: (3,) or (K, 3) unit normal.
         e: (K,) penetration into the law's surface, m.
-        v: (K, 3) velocity relative to the surface, m/s; of a law with a lead that which it has a lead later.
+        v: (K, 3) velocity relative to the surface, m/s; of a law with a lead that which it has a lead later. What
+            spinning and rolling friction resist is zero, see contact_wrench.
     """
     n = np.broadcast_to(n, v.shape)
     if law.lead > 0.0:
-        return _lead_force(law, n, *_spring_and_damper(law, e), v)
+        f, by_e, by_v = contact_wrench(law, n, e, v, np.zeros_like(v))
+        return f[:, :3], by_e[:, :3], by_v[:, :3, :3]
     mu, across = law.friction, np.eye(3) - n[:, :, None] * n[:, None]
     opening, vt = np.einsum("ka,ka->k", v, n), np.einsum("ka,kab->kb", v, across)
     speed = np.linalg.norm(vt, axis=1)
@@ -258,38 +262,43 @@ def _contact_frames(n: np.ndarray) -> np.ndarray:
     return np.stack([n, t1, np.cross(n, t1)], axis=1)
 
 
-def _edges(law: ContactLaw, n: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """(K, 5, 3) directions of the force of a pyramidal cone, all n without friction, and their shares (5,)."""
-    frames, mu, p = _contact_frames(n), law.friction, law.normal_share
-    around = [n + side * mu * frames[:, k] for k in (1, 2) for side in (1.0, -1.0)]
-    return np.stack([*around, n], axis=1), np.append(np.full(4, 0.25 * (1.0 - p)), p)
+def _edges(law: ContactLaw, n: np.ndarray) -> np.ndarray:
+    """(K, edges, 6) force and torque of each edge of a pyramidal cone; all are n without friction."""
+    frames, mu, still = _contact_frames(n), law.friction, np.zeros_like(n)
+    around = [np.hstack([n + side * mu * frames[:, k], still]) for k in (1, 2) for side in (1.0, -1.0)]
+    arms = [law.spinning, law.rolling, law.rolling][: max(law.condim - 3, 0)]
+    turning = [np.hstack([n, side * arm * frames[:, k]]) for k, arm in enumerate(arms) for side in (1.0, -1.0)]
+    return np.stack([*around, *turning], axis=1)
 
 
-def _lead_force(
-    law: ContactLaw, n: np.ndarray, spring: tuple[np.ndarray, np.ndarray], damping: tuple[np.ndarray, np.ndarray],
-    x: np.ndarray,
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:  # fmt: skip
-    """Contact force (K, 3), N, and its derivatives by penetration (K, 3) and by x (K, 3, 3).
+def contact_wrench(
+    law: ContactLaw, n: np.ndarray, e: np.ndarray, v: np.ndarray, w: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Force and torque (K, 6) of a law with a lead, N and N m, and derivatives by e (K, 6) and (v, w) (K, 6, 6).
 
     Args:
         law: With a lead.
         n: (K, 3) unit normal.
-        spring: (K,) K depth, N, and its derivative by the penetration.
-        damping: (K,) B s, N s/m, and its derivative by the penetration.
-        x: (K, 3) m/s, the velocity relative to the surface a lead later.
+        e: (K,) penetration into the law's surface, m.
+        v: (K, 3) m/s, the velocity relative to the surface a lead later.
+        w: (K, 3) rad/s, the angular velocity a lead later.
     """
-    (k, dk), (b, db) = spring, damping
+    (k, dk), (b, db) = _spring_and_damper(law, e)
+    x, across = np.hstack([v, w]), n[:, :, None] * n[:, None]
     if law.is_round:
-        root = np.sqrt(law.impratio)
-        W = root * np.eye(3) + (1.0 - root) * n[:, :, None] * n[:, None]
+        root, N = np.sqrt(law.impratio), np.hstack([n, np.zeros_like(n)])
+        spin, roll = law.spinning / law.friction, law.rolling / law.friction
+        W = np.zeros((len(n), 6, 6))
+        W[:, :3, :3] = root * np.eye(3) + (1.0 - root) * across
+        W[:, 3:, 3:] = root * (roll * np.eye(3) + (spin - roll) * across)
         Wx = np.einsum("kab,kb->ka", W, x)
-        g, slope = _projection(law.friction / root, law.bend, n, k[:, None] * n - b[:, None] * Wx)
+        g, slope = _projection(law.friction / root, law.bend, N, k[:, None] * N - b[:, None] * Wx)
         by = W @ slope
-        by_e = np.einsum("kab,kb->ka", by, dk[:, None] * n - db[:, None] * Wx)
+        by_e = np.einsum("kab,kb->ka", by, dk[:, None] * N - db[:, None] * Wx)
         return np.einsum("kab,kb->ka", W, g), by_e, -b[:, None, None] * (by @ W)
-    d, share = _edges(law, n)
+    d, share, f = _edges(law, n), 1.0 / law.edges, float(law.force_ramp or 0.0)
     along = np.einsum("kea,ka->ke", d, x)
-    y, f = share * (k[:, None] - b[:, None] * along), float(law.force_ramp or 0.0)
+    y = share * (k[:, None] - b[:, None] * along)
     slope = np.clip(y / f, 0.0, 1.0) if f > 0.0 else (y > 0.0).astype(float)
     force = slope * (y - 0.5 * f * slope)
     by_e = slope * share * (dk[:, None] - db[:, None] * along)
@@ -298,7 +307,7 @@ def _lead_force(
 
 
 def _projection(mu: float, bend: float, n: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The point of the cone |g_t| <= mu g_n nearest to y (K, 3), smoothed by bend, and its derivative (K, 3, 3)."""
+    """The point of the cone |g_t| <= mu g_n nearest to y (K, m), smoothed by bend, and its derivative (K, m, m)."""
     y_n = np.einsum("ka,ka->k", y, n)
     y_t = y - y_n[:, None] * n
     slip = np.linalg.norm(y_t, axis=1)
@@ -319,6 +328,6 @@ def _projection(mu: float, bend: float, n: np.ndarray, y: np.ndarray) -> tuple[n
         for i, one in enumerate((edge, inwards)) for j, other in enumerate((edge, inwards))
     )  # fmt: skip
     turning = np.where(t >= w, 1.0, g_t / size)
-    around = np.eye(3) - n[:, :, None] * n[:, None] - u[:, :, None] * u[:, None]
+    around = np.eye(n.shape[1]) - n[:, :, None] * n[:, None] - u[:, :, None] * u[:, None]
     slope = presses[:, None, None] * (slope + turning[:, None, None] * around)
     return g_n[:, None] * n + g_t[:, None] * u, slope

@@ -10,7 +10,7 @@ from lead_contacts import accelerations
 from trees import mujoco
 
 from planner.dynamics import RigidBodyDynamics
-from planner.dynamics.contacts import contact_force, contact_forces
+from planner.dynamics.contacts import contact_force, contact_forces, contact_wrench
 from planner.model.contact.laws import ContactLaw
 from planner.model.mechanism import Mechanism
 
@@ -18,7 +18,7 @@ HEAD = """<mujoco><compiler angle="radian"/>
   <option cone="{cone}" impratio="{impratio}" tolerance="1e-15" iterations="200" ls_iterations="100"
     ls_tolerance="1e-10"/>
   <custom><text name="contact_law" data="file"/></custom>
-  <default><geom condim="{condim}" friction=".6" solref="{solref}" solimp="{solimp}"/></default><worldbody>"""
+  <default><geom condim="{condim}" friction=".6 .02 .01" solref="{solref}" solimp="{solimp}"/></default><worldbody>"""
 
 BOX = (
     HEAD
@@ -62,6 +62,7 @@ every_law = pytest.mark.parametrize(
     [
         *itertools.product(BOUNDS, (1, 10, 100), (3,), (".02 1", "-4000 -60"), (FLAT,)),
         *itertools.product(BOUNDS, (10,), (3,), (".02 1",), (USUAL, RUBBER)),
+        *itertools.product(BOUNDS, (1, 100), (4, 6), (".02 1",), (USUAL, RUBBER)),
         ("pyramidal", 1, 1, ".02 1", USUAL),
         ("elliptic", 1, 1, ".003 .7", FLAT),  # below twice the step: refsafe
     ],
@@ -154,7 +155,7 @@ SLED = (
 
 @pytest.mark.parametrize("condim", [4, 6])
 def test_edges_for_spinning_and_rolling_press(condim):
-    """What does not turn has all of MuJoCo's force: nothing resists spinning and rolling, but the edges press."""
+    """What does not turn has all of MuJoCo's force: edges that resist spinning and rolling press as the others do."""
     text = SLED.format(cone="pyramidal", impratio=2, condim=condim, solref=".02 1", solimp=USUAL)
     worst, seen = beside_mujoco(text, moving(2, -0.004, 0.003))
     assert set(seen) == {0, 1}
@@ -164,7 +165,9 @@ def test_edges_for_spinning_and_rolling_press(condim):
 LAWS = {
     "pyramid": ContactLaw(5e3, 60.0, 5e-3, 5.0, friction=0.6, lead=0.02, cone="pyramidal"),
     "sharp pyramid": ContactLaw(5e3, 60.0, force_ramp=0.0, friction=0.6, lead=0.02, cone="pyramidal"),
-    "condim 6": ContactLaw(5e3, 60.0, 5e-3, 5.0, friction=0.6, lead=0.02, cone="pyramidal", normal_share=0.6),
+    "condim 6": ContactLaw(5e3, 60.0, 5e-3, 5.0, friction=0.6, lead=0.02, cone="pyramidal", spinning=0.02, rolling=0.05),
+    "condim 4 round": ContactLaw(5e3, 60.0, 5e-3, friction=0.6, impratio=3.0, lead=0.02, spinning=0.04),
+    "condim 6 round": ContactLaw(5e3, 60.0, 5e-3, friction=0.6, impratio=3.0, lead=0.02, spinning=0.1, rolling=0.05),
     "cone": ContactLaw(5e3, 60.0, 5e-3, friction=0.6, impratio=10.0, lead=0.02),
     "sharp cone": ContactLaw(5e3, 60.0, force_ramp=0.0, friction=0.6, impratio=10.0, bend=0.0, lead=0.02),
     "no friction": ContactLaw(5e3, 60.0, 5e-3, 5.0, lead=0.02),
@@ -175,38 +178,46 @@ LAWS = {
 
 
 def states_of_a_law(law):
-    """Normals (K, 3), penetrations (K,) and velocities (K, 3) in which a contact sticks, slides, or is open."""
+    """Normals (K, 3), penetrations (K,) and velocities (K, 6) in which a contact sticks, slides, or is open."""
     rng = np.random.default_rng(3)
     n = rng.normal(size=(400, 3))
     n /= np.linalg.norm(n, axis=1, keepdims=True)
-    return n, rng.uniform(-0.2, 3.0, size=400) * (law.ramp or 5e-3), rng.normal(size=(400, 3)) * 0.3
+    return n, rng.uniform(-0.2, 3.0, size=400) * (law.ramp or 5e-3), rng.normal(size=(400, 6)) * [0.3, 0.3, 0.3, 3.0, 3.0, 3.0]
+
+
+def wrench(law, n, e, x):
+    """contact_wrench of velocities x (K, 6)."""
+    return contact_wrench(law, n, e, x[:, :3], x[:, 3:])
 
 
 @pytest.mark.parametrize("law", LAWS.values(), ids=LAWS)
 def test_derivatives_of_a_law_with_a_lead(law):
     n, e, x = states_of_a_law(law)
-    f, by_e, by_x = contact_force(law, n, e, x)
+    f, by_e, by_x = wrench(law, n, e, x)
     assert np.max(np.abs(f)) > 10.0
     h = 1e-7
-    slope = (contact_force(law, n, e + h, x)[0] - contact_force(law, n, e - h, x)[0]) / (2 * h)
+    slope = (wrench(law, n, e + h, x)[0] - wrench(law, n, e - h, x)[0]) / (2 * h)
     away = np.abs(slope - by_e).max(axis=1) < 1e-5 * law.stiffness
     assert np.mean(away) > 0.99  # but where a kink lies between the two
-    for axis in range(3):
-        d = h * np.eye(3)[axis]
-        slope = (contact_force(law, n, e, x + d)[0] - contact_force(law, n, e, x - d)[0]) / (2 * h)
+    for axis in range(6):
+        d = h * np.eye(6)[axis]
+        slope = (wrench(law, n, e, x + d)[0] - wrench(law, n, e, x - d)[0]) / (2 * h)
         assert np.mean(np.abs(slope - by_x[:, :, axis]).max(axis=1) < 1e-5 * law.damping) > 0.99
 
 
 @pytest.mark.parametrize("law", LAWS.values(), ids=LAWS)
 def test_the_force_is_minus_the_gradient_of_a_convex_function_and_stays_in_its_cone(law):
     n, e, x = states_of_a_law(law)
-    f, _, by_x = contact_force(law, n, e, x)
+    f, _, by_x = wrench(law, n, e, x)
     np.testing.assert_allclose(by_x, np.swapaxes(by_x, 1, 2), atol=1e-10 * law.damping)
     assert np.linalg.eigvalsh(by_x).max() <= 1e-10 * law.damping
-    normal = np.einsum("ka,ka->k", f, n)
-    along = np.linalg.norm(f - normal[:, None] * n, axis=1)
+    normal, spin = np.einsum("ka,ka->k", f[:, :3], n), np.einsum("ka,ka->k", f[:, 3:], n)
+    along = np.linalg.norm(f[:, :3] - normal[:, None] * n, axis=1)
+    rolling = np.linalg.norm(f[:, 3:] - spin[:, None] * n, axis=1)
     assert np.all(normal >= 0.0)
-    assert np.all(along <= law.friction * normal + 1e-9)
+    for part, most in ((along, law.friction), (np.abs(spin), law.spinning), (rolling, law.rolling)):
+        assert np.all(part <= most * normal + 1e-9)
+        assert most == 0.0 or part.max() > 0.1 * most * normal.max()
     assert np.any(normal == 0.0)
 
 

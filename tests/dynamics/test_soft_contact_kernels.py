@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from closed_chains import four_bar
+from lead_contacts import turning
 from machines import FRICTION_ARM
 from trees import driven, machines, random_state
 
@@ -13,7 +14,7 @@ from planner.base.errors import PlannerError
 from planner.dynamics import RigidBodyDynamics, mass_matrix
 from planner.dynamics.assembly import feasible_directions
 from planner.dynamics.contact_kinematics import contact_kinematics
-from planner.dynamics.contacts import contact_force
+from planner.dynamics.contacts import contact_wrench
 from planner.dynamics.joint_forces import friction_forces
 from planner.dynamics.kinematics import frame_pose
 from planner.model.contact.body_contact import BodyContact, Capsule
@@ -25,6 +26,13 @@ LAWS = {
     "pyramidal": ContactLaw(2e3, 80.0, friction=0.7, lead=0.02, cone="pyramidal", **RISING),
     "elliptic": ContactLaw(2e3, 80.0, friction=0.7, impratio=10.0, lead=0.02, bend=0.5, **RISING),
     "sharp": ContactLaw(2e3, 80.0, force_ramp=0.0, friction=0.7, impratio=1.0, lead=0.02, bend=0.0),
+    "pyramidal, rolling": ContactLaw(
+        2e3, 80.0, friction=0.7, lead=0.02, cone="pyramidal", spinning=0.05, rolling=0.02, **RISING
+    ),
+    "elliptic, rolling": ContactLaw(
+        2e3, 80.0, friction=0.7, impratio=10.0, lead=0.02, bend=0.5, spinning=0.05, rolling=0.02, **RISING
+    ),
+    "elliptic, spinning": ContactLaw(2e3, 80.0, friction=0.7, impratio=2.0, lead=0.02, spinning=0.05, **RISING),
     "no friction": ContactLaw(2e3, 80.0, lead=0.02, **RISING),
 }
 BELT = """<mujoco><worldbody><body><joint name="belt" type="slide" axis="1 0 0"/><geom size=".1"/></body>
@@ -56,8 +64,9 @@ def residual(m, x, u, a):
     r -= friction_forces(m, v, a)[0]
     for contact in m.contacts:
         place = contact_kinematics(m, contact, q[None], v[None])
-        J = place.J[0]
-        f = contact_force(contact.law, place.n, place.e, place.v + contact.law.lead * (J @ a))[0][0]
+        J, lead = np.vstack([place.J[0], turning(m, contact, q)]), contact.law.lead
+        ahead = np.append(place.v[0], J[3:] @ v) + lead * (J @ a)
+        f = contact_wrench(contact.law, place.n, place.e, ahead[None, :3], ahead[None, 3:])[0][0]
         r, size = r - J.T @ f, max(size, np.abs(f).max())
     return feasible_directions(m, q)[0].T @ r / size
 
@@ -97,7 +106,7 @@ def differences(dynamics, x, u, h):
 
 
 @pytest.mark.parametrize("integrator", ["semi-implicit-euler", "rk4", "rosenbrock"])
-@pytest.mark.parametrize("name", ["pyramidal", "elliptic", "no friction"])
+@pytest.mark.parametrize("name", ["pyramidal", "elliptic", "pyramidal, rolling", "elliptic, rolling", "no friction"])
 def test_derivatives_of_a_stage(name, integrator):
     rng, errors = np.random.default_rng(1), []
     text = """<mujoco><worldbody><body><freejoint/><geom size=".1" mass="3"/><body pos=".1 0 0"><joint type="ball"/>

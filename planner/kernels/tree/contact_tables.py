@@ -11,7 +11,7 @@ from planner.model.contact.body_contact import common_carrier
 from planner.model.contact.laws import slide_direction
 
 CONTACT_SIZE, STOP_SIZE = 25, 8  # numbers of a contact and of a stop: see contact_arrays
-SOFT_SIZE = 34  # of a soft contact: see soft_arrays
+SOFT_SIZE = 36  # of a soft contact: see soft_arrays
 LEAD_LAW_SIZE = 11  # of a law with a lead: see lead_numbers
 MIN_BEND = 1e-9  # of the elliptic cone, so that no number is divided by 0
 PAIR_SIZE, PAIR_LINKS_SIZE = 32, 5  # numbers and links of a contact of two bodies: see pair_arrays
@@ -42,10 +42,11 @@ def _geometry(contact: Any, tree: dict[str, np.ndarray]) -> np.ndarray:
 
 
 def soft_arrays(contacts: Any, tree: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """Per soft contact: centre (3), normal (3), level, arm, surface velocity (3), two tangents (3), its law (17).
+    """Per soft contact: centre (3), normal (3), level, arm, surface velocity (3), two tangents (3), its law (19).
 
     The first eleven as in contact_arrays. Of the law: eleven of lead_numbers, friction, the root of impratio, the
-    smoothing of the cone, whether the cone is elliptic, and the shares of each edge and of the normal.
+    smoothing of the cone, whether the cone is elliptic, the share of each edge, the arms at which spinning and rolling
+    count as sliding, of a pyramid times friction, m, and the inverse of the longer one, 0 without any.
     """
     link = np.array([contact.link for contact in contacts], dtype=np.int64)
     value = np.zeros((len(contacts), SOFT_SIZE))
@@ -55,7 +56,9 @@ def soft_arrays(contacts: Any, tree: dict[str, np.ndarray]) -> dict[str, np.ndar
         row[:11], row[11:17] = _geometry(contact, tree), np.concatenate(tangents(contact.plane.normal))
         row[17:28] = lead_numbers(law)
         bend = max(law.bend, MIN_BEND) * law.friction / root
-        row[28:] = law.friction, root, bend, float(elliptic), 0.25 * (1.0 - law.normal_share), law.normal_share
+        arms = np.array([law.spinning, law.rolling]) / (law.friction if elliptic else 1.0)
+        longest = arms.max()
+        row[28:] = law.friction, root, bend, elliptic, 1.0 / law.edges, *arms, 1.0 / longest if longest > 0.0 else 0.0
     return {"soft_link": link, "soft_address": tree["floating_address"][link], "soft_value": value}
 
 

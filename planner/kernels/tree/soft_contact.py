@@ -1,12 +1,13 @@
 """Soft contacts of spheres with planes on lanes: MuJoCo's law, which has the acceleration in it, with its derivatives.
 
-The law is model.contact.laws's with `lead`: a force f(e, x), e the penetration and x = v + lead (J qdd) the velocity
-that the contact has `lead` later. It is the gradient of a convex function of x, so C = -df/dx is symmetric and at least
-zero, and the accelerations are the minimum of a convex function. Newton's method takes f for
+The law is model.contact.laws's with `lead`: a force and torque f(e, x), e the penetration and x = v + lead (J qdd) the
+velocity and the angular velocity that the contact has `lead` later (kernels.tree.soft_contact_law). It is the gradient
+of a convex function of x, so C = -df/dx is symmetric and at least zero, and the accelerations are the minimum of a
+convex function. Newton's method takes f for
 
     f_k - C_k (x - x_k),
 
-a force and, of the link, an inertia C_k lead at the contact, for which the recursion finds the next accelerations: see
+a wrench and, of the link, an inertia C_k lead at the contact, for which the recursion finds the next accelerations: see
 kernels.tree.rounds. J qdd has neither Jdot qd nor gravity, as in MuJoCo.
 
 J qdd is the velocity of a twist, that of the links if their rates were qdd. So x is the velocity of V + lead times that
@@ -15,7 +16,6 @@ twist, and its derivatives are those of a velocity (kernels.tree.contact).
 
 from __future__ import annotations
 
-from planner.kernels.algebra.ramp import clamp, ramp
 from planner.kernels.algebra.spatial import (  # fmt: skip
     add,
     add3,
@@ -31,118 +31,63 @@ from planner.kernels.algebra.spatial import (  # fmt: skip
     store3,
     store6,
     sub,
-    symmetric,
 )
 from planner.kernels.numba.jit import inline, part
 from planner.kernels.numba.lane_math import sqrt
 from planner.kernels.numba.lanes import any_less, floats, integers, load, maximum, select, spread, store
-from planner.kernels.tree.contact_tables import LEAD_LAW_SIZE, SOFT_SIZE
-from planner.kernels.tree.lead_law import DAMPING, FORCE, LEAD, PER_FORCE, STIFFNESS, pressing
+from planner.kernels.tree.contact_tables import SOFT_SIZE
+from planner.kernels.tree.lead_law import DAMPING, LEAD, STIFFNESS
 from planner.kernels.tree.mechanism_table import TREE
 from planner.kernels.tree.recursion import ARTICULATED, BIAS, CORIOLIS, PLACE, RECORD, SCREW_AXIS, TWIST
 from planner.kernels.tree.sensitivity import Y
+from planner.kernels.tree.soft_contact_law import (
+    ARM,
+    CENTRE,
+    LAW,
+    LEVEL,
+    MIN_FORCE,
+    NORMAL,
+    PER_LENGTH,
+    ROOT,
+    SURFACE,
+    slopes_times,
+    soft_law,
+)
 
-# Offsets in a soft contact's numbers, as contact_tables lays them out
-CENTRE, NORMAL, LEVEL, ARM, SURFACE, FIRST, SECOND, LAW = 0, 3, 6, 7, 8, 11, 14, 17
-FRICTION, ROOT, WINDOW, ELLIPTIC, EDGE, ALONG_NORMAL = range(LEAD_LAW_SIZE, LEAD_LAW_SIZE + 6)  # behind the law's
-# In its memory: of the last linearization its force, C and x; the force that the accelerations ask for; the next x
-AT, SLOPES, WHERE, ASKED, NEXT, SOFT_MEMORY = 0, 3, 9, 12, 15, 18
+# In its memory: of the last linearization its force, torque, slopes (18), x and w; the force and torque that the
+# accelerations ask for; the next x and w
+AT, SLOPES, WHERE, ASKED, NEXT, SOFT_MEMORY = 0, 6, 24, 30, 36, 42
 SOFT_SHARE = 0.01  # of an error: a contact's force may be a hundred times as far from its law as that of friction
 RATES, REST = 81, 71  # of a link's record: its twist if the joints' rates were qdd, and the rest of its acceleration
-_MIN_SQUARE = 1e-40  # added to squares before their root, so that none is zero
-_MIN_FORCE = 1e-30  # N, of what forces are divided by
 
 
 @inline
-def _plus(C, s, d):
-    """C and s times d d'."""
-    a = scaled(s, d)
-    return (
-        C[0] + a[0] * d[0], C[1] + a[0] * d[1], C[2] + a[0] * d[2],
-        C[3] + a[1] * d[1], C[4] + a[1] * d[2], C[5] + a[2] * d[2],
-    )  # fmt: skip
+def _store_both(memory, o, x, w):
+    """Keep a pair of vectors."""
+    store3(memory, o, x)
+    store3(memory, o + 3, w)
 
 
 @inline
-def _edge(value, o, d, share, pressed, pressed_e, s, ds, x):
-    """The force of an edge d of the pyramid that has a share of all, its derivative by e, and C along d."""
-    along, damping = dot(x, d), share * load(value, o + DAMPING)
-    y, y_e = share * pressed - damping * (s * along), share * pressed_e - damping * (ds * along)
-    force, slope = ramp(y, load(value, o + FORCE), load(value, o + PER_FORCE))
-    return force, slope * y_e, damping * (slope * s)
+def _load_both(memory, o):
+    """A pair of vectors."""
+    return load3(memory, o), load3(memory, o + 3)
 
 
 @inline
-def _pyramid(value, o, n, first, second, pressed, pressed_e, s, ds, x):
-    """Force, its derivative by e and C of a pyramidal cone: four edges n +- mu t that push, and perhaps n itself."""
-    mu, zero, share = load(value, o + FRICTION), spread(0.0), load(value, o + EDGE)
-    f, f_e, C = (zero, zero, zero), (zero, zero, zero), (zero, zero, zero, zero, zero, zero)
-    for axis in range(2):
-        t = first if axis == 0 else second
-        for side in range(2):
-            d = axpy(n, mu if side == 0 else -mu, t)
-            force, by_e, slope = _edge(value, o, d, share, pressed, pressed_e, s, ds, x)
-            f, f_e, C = axpy(f, force, d), axpy(f_e, by_e, d), _plus(C, slope, d)
-    share = load(value, o + ALONG_NORMAL)
-    if share > 0.0:
-        force, by_e, slope = _edge(value, o, n, share, pressed, pressed_e, s, ds, x)
-        f, f_e, C = axpy(f, force, n), axpy(f_e, by_e, n), _plus(C, slope, n)
-    return f, f_e, C
+def _store_slopes(memory, o, slopes):
+    """Keep C, a, b and D."""
+    C, a, b, D = slopes
+    store6(memory, o, C)
+    store3(memory, o + 6, a)
+    store3(memory, o + 9, b)
+    store6(memory, o + 12, D)
 
 
 @inline
-def _cone(value, o, n, pressed, pressed_e, s, ds, x):
-    """The same of an elliptic cone: y projected onto it, smoothed where it begins to slip.
-
-    Along the edge c of the cone next to y and across it, a = y'c and b = y'c_: the potential is a^2 (1/2 + psi(b/a)),
-    with psi(t) = t^2/2 for t > w, where the contact sticks, constant for t < -w, where it slips, and cubic between.
-    """
-    mu, root, w = load(value, o + FRICTION), load(value, o + ROOT), load(value, o + WINDOW)
-    B = load(value, o + DAMPING)
-    opening = dot(x, n)
-    xt = axpy(x, spread(0.0) - opening, n)
-    yn, yn_e = pressed - B * (s * opening), pressed_e - B * (ds * opening)
-    size = sqrt(dot(xt, xt) + _MIN_SQUARE)
-    u = scaled(-1.0 / size, xt)  # y_t's direction
-    yt, yt_e = B * root * (s * size), B * root * (ds * size)
-    cone = mu / root
-    per = 1.0 / sqrt(spread(1.0 + cone * cone))
-    a, b = per * (yn + cone * yt), per * (cone * yn - yt)
-    whole = select(0.0, a, 1.0, 0.0)
-    t = b / maximum(a, _MIN_FORCE)
-    z = clamp((t + w) / (2.0 * w))
-    beyond = maximum(t - w, 0.0)
-    psi = w * w * (0.6666666666666667 * z * z * z - 0.16666666666666666) + beyond * (w + 0.5 * beyond)
-    psi_1, psi_2 = w * z * z + beyond, z
-    g_a, g_b = whole * a * (1.0 + 2.0 * psi - t * psi_1), whole * a * psi_1
-    h_aa, h_ab, h_bb = (
-        whole * (1.0 + 2.0 * psi - 2.0 * t * psi_1 + t * t * psi_2), whole * (psi_1 - t * psi_2), whole * psi_2,
-    )  # fmt: skip
-    gn, gs = per * (g_a + cone * g_b), per * (cone * g_a - g_b)
-    h_nn = per * per * (h_aa + 2.0 * cone * h_ab + cone * cone * h_bb)
-    h_ns = per * per * (cone * h_aa + (cone * cone - 1.0) * h_ab - cone * h_bb)
-    h_ss = per * per * (cone * cone * h_aa - 2.0 * cone * h_ab + h_bb)
-    turning = select(t, w, gs / maximum(yt, _MIN_FORCE), whole)  # g_t / y_t, one where it sticks
-    f = axpy(scaled(gn, n), (0.0 - root) * B * root * (s * turning), xt)
-    f_e = axpy(scaled(h_nn * yn_e + h_ns * yt_e, n), root * (h_ns * yn_e + h_ss * yt_e), u)
-    scale = s * B
-    zero = spread(0.0)
-    C = _plus((zero, zero, zero, zero, zero, zero), scale * (h_nn - root * root * turning - root * h_ns), n)
-    C = _plus(C, scale * (root * root * (h_ss - turning) - root * h_ns), u)
-    C = _plus(C, scale * root * h_ns, add(n, u))
-    along = scale * (root * root * turning)
-    return f, f_e, (C[0] + along, C[1], C[2], C[3] + along, C[4], C[5] + along)
-
-
-@inline
-def soft_force(value, k, e, x):
-    """Force of soft contact k at penetrations and velocities ahead, its derivative by e, and C."""
-    b = k * SOFT_SIZE
-    o, n = b + LAW, load3(value, b + NORMAL)
-    pressed, pressed_e, s, ds = pressing(value, o, e)
-    if load(value, o + ELLIPTIC) > 0.0:
-        return _cone(value, o, n, pressed, pressed_e, s, ds, x)
-    return _pyramid(value, o, n, load3(value, b + FIRST), load3(value, b + SECOND), pressed, pressed_e, s, ds, x)
+def _load_slopes(memory, o):
+    """C, a, b and D."""
+    return load6(memory, o), load3(memory, o + 6), load3(memory, o + 9), load6(memory, o + 12)
 
 
 @inline
@@ -160,12 +105,12 @@ def _met(m, k, q, ws):
 
 @inline
 def _ahead(m, k, link, p, ws):
-    """The velocity ahead x of the link at p, relative to the surface."""
+    """The velocity ahead of the link at p, relative to the surface, and its angular velocity ahead."""
     value, o, b = floats(m, TREE.soft_value), k * SOFT_SIZE, link * RECORD
     lead = load(value, o + LAW + LEAD)
     w = axpy(load3(ws, b + TWIST), lead, load3(ws, b + RATES))
     u = axpy(load3(ws, b + TWIST + 3), lead, load3(ws, b + RATES + 3))
-    return sub(add(u, cross(w, p)), load3(value, o + SURFACE))
+    return sub(add(u, cross(w, p)), load3(value, o + SURFACE)), w
 
 
 @part
@@ -212,54 +157,77 @@ def add_soft_contacts(m, q, a, ws, near, memory):
         k = int(load(near, 1 + j))
         link, e, _, p, _ = _met(m, k, q, ws)
         o, b = k * SOFT_MEMORY, link * RECORD
-        x = _ahead(m, k, link, p, ws)
-        store3(memory, o + WHERE, x)
-        f, _, C = soft_force(value, k, e, x)
-        store3(memory, o + AT, f)
-        store6(memory, o + SLOPES, C)
+        x, w = _ahead(m, k, link, p, ws)
+        _store_both(memory, o + WHERE, x, w)
+        f, torque, _, _, slopes = soft_law(value, k, e, x, w, SOFT_SIZE)
+        _store_both(memory, o + AT, f, torque)
+        _store_slopes(memory, o + SLOPES, slopes)
         lead = load(value, k * SOFT_SIZE + LAW + LEAD)
         aw = add(load3(ws, b + RATES), load3(ws, b + REST))
         av = add(load3(ws, b + RATES + 3), load3(ws, b + REST + 3))
-        f = axpy(f, lead, symmetric(C, add(av, cross(aw, p))))
-        add3(ws, b + BIAS, scaled(-1.0, cross(p, f)))
+        df, dt = slopes_times(slopes, add(av, cross(aw, p)), aw)
+        f, torque = axpy(f, lead, df), axpy(torque, lead, dt)
+        add3(ws, b + BIAS, scaled(-1.0, add(torque, cross(p, f))))
         add3(ws, b + BIAS + 3, scaled(-1.0, f))
-        _add_point_inertia(ws, b + ARTICULATED, p, (
-            lead * C[0], lead * C[1], lead * C[2], lead * C[3], lead * C[4], lead * C[5],
-        ))  # fmt: skip
+        _add_inertia(ws, b + ARTICULATED, p, lead, slopes)
 
 
 @inline
-def _add_point_inertia(ws, k, p, C):
-    """An inertia C (xx, xy, xz, yy, yz, zz) of the point p onto the one at k: J (6) | H (9) | the linear block (6).
+def _add_inertia(ws, k, p, lead, slopes):
+    """lead times the slopes of the point p onto the inertia at k: J (6) | H (9) | the linear block (6).
 
-    With P = hat(p) and W = P C, the wrench of a twist (w, v) is (W v - W P w, C v - C P w).
+    With P = hat(p), W = P C and c = P a, the wrench of a twist (w, v) has the moment J w + H v and the force H'w + C v,
+    J = D - W P + b c' + c b' and H = W + b a'.
     """
-    c0, c1, c2 = (C[0], C[1], C[2]), (C[1], C[3], C[4]), (C[2], C[4], C[5])
-    w0, w1, w2 = cross(p, c0), cross(p, c1), cross(p, c2)  # columns of W
+    C, a, b, D = slopes
+    (xx, xy, xz), (yy, yz, zz) = scaled(lead, (C[0], C[1], C[2])), scaled(lead, (C[3], C[4], C[5]))
+    a = scaled(lead, a)
+    w0, w1, w2 = cross(p, (xx, xy, xz)), cross(p, (xy, yy, yz)), cross(p, (xz, yz, zz))  # columns of W
     r0, r1, r2 = (w0[0], w1[0], w2[0]), (w0[1], w1[1], w2[1]), (w0[2], w1[2], w2[2])  # its rows
     j0, j1, j2 = cross(p, r0), cross(p, r1), cross(p, r2)  # rows of -W P: r x p negated
-    add6(ws, k, (j0[0], j0[1], j0[2], j1[1], j1[2], j2[2]))
-    add3(ws, k + 6, r0)
-    add3(ws, k + 9, r1)
-    add3(ws, k + 12, r2)
-    add6(ws, k + 15, C)
+    c = cross(p, a)
+    add6(ws, k, (
+        j0[0] + lead * D[0] + 2.0 * b[0] * c[0], j0[1] + lead * D[1] + b[0] * c[1] + b[1] * c[0],
+        j0[2] + lead * D[2] + b[0] * c[2] + b[2] * c[0], j1[1] + lead * D[3] + 2.0 * b[1] * c[1],
+        j1[2] + lead * D[4] + b[1] * c[2] + b[2] * c[1], j2[2] + lead * D[5] + 2.0 * b[2] * c[2],
+    ))  # fmt: skip
+    add3(ws, k + 6, axpy(r0, b[0], a))
+    add3(ws, k + 9, axpy(r1, b[1], a))
+    add3(ws, k + 12, axpy(r2, b[2], a))
+    add6(ws, k + 15, (xx, xy, xz, yy, yz, zz))
 
 
 @inline
 def _asked(memory, o):
-    """The force that the new accelerations ask of the contact whose memory begins at o."""
-    moved = sub(load3(memory, o + NEXT), load3(memory, o + WHERE))
-    return sub(load3(memory, o + AT), symmetric(load6(memory, o + SLOPES), moved))
+    """The force and torque that the new accelerations ask of the contact whose memory begins at o."""
+    (x, w), (next_x, next_w) = _load_both(memory, o + WHERE), _load_both(memory, o + NEXT)
+    df, dt = slopes_times(_load_slopes(memory, o + SLOPES), sub(next_x, x), sub(next_w, w))
+    return sub(load3(memory, o + AT), df), sub(load3(memory, o + AT + 3), dt)
 
 
 @inline
-def _off(value, k, e, x, asked):
-    """How far a force is from the law's, relative to it or to what rounding leaves."""
-    f, _, _ = soft_force(value, k, e, x)
-    off, o = sub(asked, f), k * SOFT_SIZE + LAW
-    root = load(value, o + ROOT)
-    size = load(value, o + STIFFNESS) * maximum(e, 0.0) + load(value, o + DAMPING) * root * root * sqrt(dot(x, x))
-    return SOFT_SHARE * sqrt(dot(off, off)) / (size + sqrt(dot(f, f)) + _MIN_FORCE)
+def _part_of_way(memory, o, gone):
+    """x and w a part of the way to the new accelerations, and the force and torque that are asked for there."""
+    (x, w), (next_x, next_w) = _load_both(memory, o + WHERE), _load_both(memory, o + NEXT)
+    (f, torque), (next_f, next_torque) = _load_both(memory, o + ASKED), _asked(memory, o)
+    x, w = axpy(x, gone, sub(next_x, x)), axpy(w, gone, sub(next_w, w))
+    return x, w, axpy(f, gone, sub(next_f, f)), axpy(torque, gone, sub(next_torque, torque))
+
+
+@inline
+def _off(value, k, e, x, w, asked, asked_torque):
+    """How far a force and torque are from the law's, relative to it or to what rounding leaves."""
+    f, torque, _, _, _ = soft_law(value, k, e, x, w, SOFT_SIZE)
+    o = k * SOFT_SIZE + LAW
+    root, per_length = load(value, o + ROOT), load(value, o + PER_LENGTH)
+    off, off_torque = sub(asked, f), scaled(per_length, sub(asked_torque, torque))
+    torque = scaled(per_length, torque)
+    speed = dot(x, x)
+    if per_length > 0.0:
+        speed += dot(w, w) / (per_length * per_length)
+    size = load(value, o + STIFFNESS) * maximum(e, 0.0) + load(value, o + DAMPING) * root * root * sqrt(speed)
+    far = sqrt(dot(off, off) + dot(off_torque, off_torque))
+    return SOFT_SHARE * far / (size + sqrt(dot(f, f) + dot(torque, torque)) + MIN_FORCE)
 
 
 @part
@@ -269,7 +237,8 @@ def soft_moves(m, q, a, ws, near, memory):
     for j in range(int(load(near, 0))):
         k = int(load(near, 1 + j))
         link, _, _, p, _ = _met(m, k, q, ws)
-        store3(memory, k * SOFT_MEMORY + NEXT, _ahead(m, k, link, p, ws))
+        x, w = _ahead(m, k, link, p, ws)
+        _store_both(memory, k * SOFT_MEMORY + NEXT, x, w)
 
 
 @part
@@ -280,9 +249,9 @@ def first_soft_error(m, q, ws, near, memory):
         k = int(load(near, 1 + j))
         _, e, _, _, _ = _met(m, k, q, ws)
         o = k * SOFT_MEMORY
-        asked = _asked(memory, o)
-        store3(memory, o + ASKED, asked)
-        error = maximum(error, _off(value, k, e, load3(memory, o + NEXT), asked))
+        (f, torque), (x, w) = _asked(memory, o), _load_both(memory, o + NEXT)
+        _store_both(memory, o + ASKED, f, torque)
+        error = maximum(error, _off(value, k, e, x, w, f, torque))
     return error
 
 
@@ -294,11 +263,11 @@ def soft_uphill(m, q, ws, near, memory, part_of_way):
         k = int(load(near, 1 + j))
         _, e, _, _, _ = _met(m, k, q, ws)
         o = k * SOFT_MEMORY
-        x, before = load3(memory, o + WHERE), load3(memory, o + ASKED)
-        step = sub(load3(memory, o + NEXT), x)
-        f, _, _ = soft_force(value, k, e, axpy(x, part_of_way, step))
-        now = axpy(before, part_of_way, sub(_asked(memory, o), before))
-        slope += dot(step, sub(now, f)) / load(value, k * SOFT_SIZE + LAW + LEAD)
+        x, w, asked, asked_torque = _part_of_way(memory, o, part_of_way)
+        f, torque, _, _, _ = soft_law(value, k, e, x, w, SOFT_SIZE)
+        (x, w), (next_x, next_w) = _load_both(memory, o + WHERE), _load_both(memory, o + NEXT)
+        power = dot(sub(next_x, x), sub(asked, f)) + dot(sub(next_w, w), sub(asked_torque, torque))
+        slope += power / load(value, k * SOFT_SIZE + LAW + LEAD)
     return slope
 
 
@@ -310,10 +279,9 @@ def soft_error(m, q, ws, near, memory, gone):
         k = int(load(near, 1 + j))
         _, e, _, _, _ = _met(m, k, q, ws)
         o = k * SOFT_MEMORY
-        x, before = load3(memory, o + WHERE), load3(memory, o + ASKED)
-        asked = axpy(before, gone, sub(_asked(memory, o), before))
-        store3(memory, o + ASKED, asked)
-        error = maximum(error, _off(value, k, e, axpy(x, gone, sub(load3(memory, o + NEXT), x)), asked))
+        x, w, f, torque = _part_of_way(memory, o, gone)
+        _store_both(memory, o + ASKED, f, torque)
+        error = maximum(error, _off(value, k, e, x, w, f, torque))
     return error
 
 
@@ -328,8 +296,8 @@ def subtract_soft_derivatives(m, q, a, M, Dq, Dv, ld, ws):
         if not any_less(0.0, e):
             continue
         lead, lb = load(value, k * SOFT_SIZE + LAW + LEAD), link * RECORD
-        f, f_e, C = soft_force(value, k, e, _ahead(m, k, link, p, ws))
-        w = axpy(load3(ws, lb + TWIST), lead, load3(ws, lb + RATES))
+        x, w = _ahead(m, k, link, p, ws)
+        f, torque, f_e, torque_e, slopes = soft_law(value, k, e, x, w, SOFT_SIZE)
         V = add(axpy(load3(ws, lb + TWIST + 3), lead, load3(ws, lb + RATES + 3)), cross(w, p))
         i = link
         while i >= 0:
@@ -345,13 +313,14 @@ def subtract_soft_derivatives(m, q, a, M, Dq, Dv, ld, ws):
             rise = dot(dc, n)
             dp = axpy(dc, -0.5 * rise, n)
             dV = add(sub(add(add(yv, cross(yw, p)), cross(sw, V)), cross(w, Ji)), cross(w, dp))
-            df = sub(scaled(zero - rise, f_e), symmetric(C, dV))
-            moment = add(cross(p, df), cross(dp, f))
+            damped, damped_torque = slopes_times(slopes, dV, add(yw, cross(sw, w)))
+            df, dt = sub(scaled(zero - rise, f_e), damped), sub(scaled(zero - rise, torque_e), damped_torque)
+            moment = add(dt, add(cross(p, df), cross(dp, f)))
             turning = cross(f, sw)
             carried_force = add(df, turning)
-            carried_moment = add(moment, sub(cross(p, turning), cross(Ji, f)))
-            dh = symmetric(C, Ji)
-            damping_moment = cross(p, dh)
+            carried_moment = add(moment, add(cross(torque, sw), sub(cross(p, turning), cross(Ji, f))))
+            dh, dh_torque = slopes_times(slopes, Ji, sw)
+            damping_moment = add(dh_torque, cross(p, dh))
             start = load(first, i)
             j = link
             while j >= 0:
@@ -362,8 +331,8 @@ def subtract_soft_derivatives(m, q, a, M, Dq, Dv, ld, ws):
                     store(Dq, ji, load(Dq, ji) - dot(rw, carried_moment) - dot(rv, carried_force))
                 else:
                     store(Dq, ji, load(Dq, ji) - dot(rw, moment) - dot(rv, df))
-                damped = dot(rw, damping_moment) + dot(rv, dh)
-                store(Dv, ji, load(Dv, ji) + damped)
-                store(M, ji, load(M, ji) + lead * damped)
+                by_rate = dot(rw, damping_moment) + dot(rv, dh)
+                store(Dv, ji, load(Dv, ji) + by_rate)
+                store(M, ji, load(M, ji) + lead * by_rate)
                 j = load(parent, j)
             i = load(parent, i)

@@ -32,11 +32,15 @@ t2 of
 
     r(y; f) d,   y = (K depth - B s d'x) / 4,   r = ramp, r(y; 0) = max(y, 0)
 
-with t1, t2 of MuJoCo's contact frame; so has a contact without friction, whose edges are all n. With a `normal_share`
-p there is a fifth edge n that has p in place of 1/4, and the others have (1 - p)/4. An elliptic cone
+with t1, t2 of MuJoCo's contact frame; so has a contact without friction, whose edges are all n. An elliptic cone
 has, with i = impratio and (g_n, g_t) the point of |g_t| <= m g_n, m = mu / sqrt(i), that is nearest to (y_n, y_t),
 
     f_n = g_n,   f_t = sqrt(i) g_t,   y_n = K depth - B s x_n,   y_t = -B s sqrt(i) x_t.
+
+`spinning` and `rolling` are lengths: torques about n and across it of up to so many times the normal force resist the
+angular velocity w a lead later. A pyramid with spinning has two edges more, n with the torque +- spinning n, with
+rolling another four, +- rolling t1 and +- rolling t2, all with an equal share; in an elliptic cone spinning/mu w_n and
+rolling/mu w_t stand beside x_t, and the torque is g's part there times as much.
 
 It slips gradually: with p and c the parts of y along the edge of the cone beside it and across, inwards, g is the
 gradient of p^2 (1/2 + psi(c/p)), psi(t) = t^2/2 for t > b m, psi'' = 0 for t < -b m, and a line between. Both forces
@@ -62,7 +66,6 @@ ALONG = 1e-9  # of a direction along a plane, its part across
 FORCE_SHARE = 0.2  # of stiffness * ramp: how much of the force the second ramp smooths, as the step study's 5 N of 25
 BEND = 0.5  # of the cone either way: less is hardly nearer to MuJoCo; the human step has its own
 CONES = ("elliptic", "pyramidal")
-MAX_NORMAL_SHARE = 0.9  # with 1 nothing would hold along the surfaces
 RAMP_SHARE = 0.2  # of how deep a machine at rest sinks in: then its feet stand where the law is that of a plain spring
 
 
@@ -157,9 +160,8 @@ class ContactLaw(Law):
             (solvers.gains); nothing else depends on it.
         cone: "elliptic" or "pyramidal", the friction cone of a law with a lead. Its friction follows from damping,
             friction, impratio and cone; slip_damping says it and does not change it.
-        normal_share: Of a pyramidal cone of a law with a lead: the share p of K and B that presses along the normal
-            without friction; 0 for condim 3, 1/3 for 4, 0.6 for 6. These edges stand for MuJoCo's spinning and rolling
-            ones, which resist neither here.
+        spinning: m, the torque about the normal of a law with a lead, as a multiple of the normal force.
+        rolling: m, the torque across the normal likewise.
     """
 
     slip_damping: float = 0.0
@@ -168,26 +170,40 @@ class ContactLaw(Law):
     bend: float = BEND
     uncertainty: float = 1.0
     cone: str = "elliptic"
-    normal_share: float = 0.0
+    spinning: float = 0.0
+    rolling: float = 0.0
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        for name in ("slip_damping", "friction"):
+        for name in ("slip_damping", "friction", "spinning", "rolling"):
             set_fields(self, **{name: number(name, getattr(self, name), minimum=0.0)})
         set_fields(self, bend=number("bend", self.bend, minimum=0.0, maximum=1.0))
         set_fields(self, uncertainty=number("uncertainty", self.uncertainty, minimum=1.0))
         if self.impratio != math.inf:
             set_fields(self, impratio=number("impratio", self.impratio, greater_than=0.0))
         choice("cone", self.cone, CONES)
-        set_fields(self, normal_share=number("normal_share", self.normal_share, minimum=0.0, maximum=MAX_NORMAL_SHARE))
+        if (self.spinning > 0.0 or self.rolling > 0.0) and not (self.lead > 0.0 and self.friction > 0.0):
+            raise PlannerError("spinning and rolling are above 0, expected a law with a lead and friction.")
+        if self.rolling > 0.0 and self.spinning == 0.0:
+            raise PlannerError(f"rolling is {self.rolling:g} and spinning 0, expected spinning above 0 beside it.")
         if self.lead > 0.0 and self.is_round and self.impratio == math.inf:
             raise PlannerError("impratio is inf, expected a finite number for an elliptic cone with a lead.")
 
     @property
     def surface_offset(self) -> float:
         """How far the law's surface is raised, m: edges of a pyramid have ramps of their own, elliptic cones none."""
-        ramps = 1 if self.lead == 0.0 else 0 if self.is_round else 4 + (self.normal_share > 0.0)
+        ramps = 1 if self.lead == 0.0 else 0 if self.is_round else self.edges
         return 0.5 * self.ramp + 0.5 * ramps * float(self.force_ramp or 0.0) / self.stiffness
+
+    @property
+    def condim(self) -> int:
+        """MuJoCo's number of dimensions: 6 with rolling, 4 with spinning, 3 with friction, else 1."""
+        return 6 if self.rolling > 0.0 else 4 if self.spinning > 0.0 else 3 if self.friction > 0.0 else 1
+
+    @property
+    def edges(self) -> int:
+        """How many edges a pyramidal cone has; four without friction, which are all the normal."""
+        return max(4, 2 * (self.condim - 1))
 
     @property
     def is_round(self) -> bool:

@@ -87,7 +87,7 @@ def law_attributes(law: ContactLaw, invweight: float, impratio: float = 1000.0) 
     Of a law with a lead the option's cone and impratio are the law's, which file_law reads again from these numbers.
 
     Raises:
-        PlannerError: A law with a lead whose impedance rises, or is none of MuJoCo's, or another normal_share.
+        PlannerError: A law with a lead whose impedance rises, or is none of MuJoCo's.
     """
     if law.lead == 0.0:
         return contact_attributes(law.stiffness, law.damping, law.slip_damping, law.friction, invweight, impratio)
@@ -95,18 +95,15 @@ def law_attributes(law: ContactLaw, invweight: float, impratio: float = 1000.0) 
         raise PlannerError(f"impedance is {law.impedance}, expected a constant one of a law with a lead that is given.")
     mu, pyramidal = law.friction, law.cone == "pyramidal" and law.friction > 0.0
     per = number("invweight", invweight, greater_than=0.0)
-    edges = 4.0 / (1.0 - law.normal_share) if pyramidal else 4.0
-    if round(edges, 9) not in (4.0, 6.0, 10.0):  # condim 3, 4 and 6
-        raise PlannerError(f"normal_share is {law.normal_share:g}, expected 0, 1/3 or 0.6.")
-    per *= edge_weight(mu, law.impratio if math.isfinite(law.impratio) else impratio) / edges if pyramidal else 1.0
+    per *= edge_weight(mu, law.impratio if math.isfinite(law.impratio) else impratio) / law.edges if pyramidal else 1.0
     share = per * law.damping * law.lead  # d/(1 - d)
     d = share / (1.0 + share)
     if not MIN_IMPEDANCE <= d <= MAX_IMPEDANCE:
         raise PlannerError(f"damping * lead is {law.damping * law.lead:g} kg, which MuJoCo has no impedance for.")
     solref = _text(-law.stiffness / law.damping / law.lead * d, -d / law.lead)
-    rubs = {"condim": f"{1 + edges / 2.0:.0f}", "friction": _text(mu, mu, *3 * [MIN_FRICTION])}
-    rubs = rubs if mu > 0.0 else {"condim": "1"}
-    return {**rubs, "solref": solref, "solimp": _text(d, d, 1.0, 0.5, 2.0)}
+    spinning, rolling = max(law.spinning, MIN_FRICTION), max(law.rolling, MIN_FRICTION)
+    rubs = {"friction": _text(mu, mu, spinning, rolling, rolling)} if mu > 0.0 else {}
+    return {"condim": str(law.condim), **rubs, "solref": solref, "solimp": _text(d, d, 1.0, 0.5, 2.0)}
 
 
 def stop_attributes(stiffness: float, damping: float, invweight: float) -> dict[str, str]:

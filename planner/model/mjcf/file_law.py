@@ -14,9 +14,8 @@ E = 2 (condim - 1) edges of a pyramidal cone has R_py = 2 mu^2/impratio (1 + mu^
 
     B = E b/R_py,   K = E k d/R_py.
 
-K and B are of the impedance dmax of deep contacts, and the law's `impedance` says how d rises to it. What differs from
-MuJoCo's: nothing resists spinning and rolling (condim 4 and 6); the edges of a pyramid that do press along the normal,
-`normal_share` of all. A rise of another power (the last number of solimp) than 2 has no law.
+K and B are of the impedance dmax of deep contacts, and the law's `impedance` says how d rises to it. A rise of another
+power (the last number of solimp) than 2 has no law.
 
 Where the force begins is a matter of margins and gaps, which releases of MuJoCo combine in different ways. A contact
 that is to make no force is watched: MuJoCo detects it and says how deep it is (`watch`).
@@ -60,13 +59,14 @@ def file_law(model: Any, pair: Pair) -> ContactLaw:
         raise ModelError(f"{' and '.join(named(model, 'geom', geom) for geom in pair.geoms)}: {reason}.")
     (K, B), mu, impratio = coefficients(model, pair, math.inf), _friction(pair), _impratio(model)
     lead, pyramidal = 1.0 / rates(model, pair.solref, pair.solimp)[1], is_pyramidal(model, pair)
-    along = 1.0 - 2.0 / (pair.condim - 1) if pyramidal else 0.0  # the share of edges for spinning and rolling
-    slip_damping = B * (0.5 * mu**2 if pyramidal else impratio * (mu > 0.0))
+    slip_damping = B * (mu**2 / (pair.condim - 1) if pyramidal else impratio * (mu > 0.0))
     cone = "pyramidal" if pyramidal else "elliptic"
     rise = impedance_of(pair.solimp)
+    spinning, rolling = (max(float(pair.friction[i]), MIN_FRICTION) for i in (2, 3))
     return ContactLaw(
         K, B, 0.0, 0.0, slip_damping, mu, impratio, 0.0, lead=lead, cone=cone, impedance=rise,
-        normal_share=along, margin=force_begins(model, pair),
+        spinning=spinning if pair.condim > 3 else 0.0, rolling=rolling if pair.condim > 4 else 0.0,
+        margin=force_begins(model, pair),
     )  # fmt: skip
 
 
@@ -104,6 +104,8 @@ def file_law_reason(model: Any, pair: Pair) -> str:
         return f"solimp whose impedance rises by a power of {pair.solimp[4]:g}, expected 2"
     if pair.condim > 1 and pair.friction[0] != pair.friction[1]:
         return "other friction along than across, expected one number"
+    if pair.condim > 4 and pair.friction[3] != pair.friction[4]:
+        return "other rolling friction along than across, expected one number"
     own = pair.condim > 1 and not is_pyramidal(model, pair) and np.any(pair.solreffriction)
     if own and not np.isclose(rates(model, pair.solreffriction, pair.solimp)[1], b, rtol=1e-9):
         return "solreffriction has another damping than solref, expected the same or none"
@@ -172,20 +174,13 @@ def _impratio(model: Any) -> float:
 
 
 def as_read(model: Any, pair: Pair) -> Pair:
-    """A pair as its law has it, for the replayed model.
-
-    Its time constants are what refsafe makes of them at the model's own timestep, and nothing resists spinning and
-    rolling: an elliptic cone has condim 3, the edges of a pyramid that do have next to no friction.
-    """
+    """A pair as its law has it, for the replayed model: what refsafe makes of its time constants at its own timestep."""
     shortest = 0.0 if disabled(model, "refsafe") else 2.0 * float(model.opt.timestep)
 
     def safe(solref: np.ndarray) -> np.ndarray:
         return np.array([max(float(solref[0]), shortest), solref[1]]) if solref[0] > 0.0 and solref[1] > 0.0 else solref
 
-    condim = pair.condim if is_pyramidal(model, pair) else min(pair.condim, 3)
-    friction = np.append(pair.friction[:2], np.full(3, MIN_FRICTION)) if condim > 3 else pair.friction
-    solrefs = {"solref": safe(pair.solref), "solreffriction": safe(pair.solreffriction)}
-    return pair._replace(condim=condim, friction=friction, **solrefs)
+    return pair._replace(solref=safe(pair.solref), solreffriction=safe(pair.solreffriction))
 
 
 def rates(model: Any, solref: np.ndarray, solimp: np.ndarray) -> tuple[float, float]:
