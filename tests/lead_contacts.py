@@ -9,9 +9,6 @@ import numpy as np
 from planner.dynamics import bias, mass_matrix
 from planner.dynamics.contact_kinematics import contact_kinematics
 from planner.dynamics.contacts import contact_wrench
-from planner.dynamics.kinematics import jacobian
-from planner.model.contact.laws import Contact
-from planner.model.mechanism import Frame
 
 MAX_ITERATIONS, HALVINGS = 100, 40
 ROUNDING = 1e-13  # of the accelerations, what a step may be at the end
@@ -30,7 +27,7 @@ def accelerations(mechanism, q, v, tau):
         r, H = M @ a - free, M.copy()
         for place in places:
             law = place.contact.law
-            J = np.vstack([place.J[0], turning(mechanism, place.contact, q)])
+            J = np.vstack([place.J[0], turning(place)])
             x = np.append(place.v[0], J[3:] @ v) + law.lead * (J @ a)
             f, _, by_x = contact_wrench(law, place.n, place.e, x[None, :3], x[None, 3:])
             r -= J.T @ f[0]
@@ -47,11 +44,9 @@ def accelerations(mechanism, q, v, tau):
     raise AssertionError("Newton's method has not converged")
 
 
-def turning(mechanism, contact, q):
-    """The Jacobian (3, nv) of the angular velocity that spinning and rolling friction resist: those of planes have it."""
-    if not isinstance(contact, Contact):
-        return np.zeros((3, mechanism.nv))
-    return jacobian(mechanism, q, Frame(contact.link, np.eye(4)))[3:]
+def turning(place):
+    """The Jacobian (3, nv) of the angular velocity that friction resists; contacts with planes alone have it."""
+    return getattr(place, "turning", np.zeros_like(place.J))[0]
 
 
 def _length(residual, a, step):

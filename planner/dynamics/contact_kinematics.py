@@ -21,7 +21,10 @@ _NO_DIRECTION = 1e-12  # m, distance of closest points below which the normal is
 
 
 class PlaneContactKinematics:
-    """Contact geometry and relative velocity of a sphere and a plane at K states; see BodyContactKinematics."""
+    """Contact geometry and relative velocity of a sphere and a plane at K states; see BodyContactKinematics.
+
+    `turning` (K, 3, nv) is the Jacobian of the angular velocity that spinning and rolling friction resist.
+    """
 
     def __init__(self, mechanism: Mechanism, contact: Contact, q: np.ndarray, qd: np.ndarray) -> None:
         T = np.eye(4)
@@ -33,6 +36,7 @@ class PlaneContactKinematics:
         arm = (0.5 * self.e - contact.radius - 0.5 * law.reach)[:, None] * n  # from the centre
         self.p = centre + arm
         J = kinematics.jacobian(mechanism, q, frame)
+        self.turning = J[:, 3:]
         self.J = J[:, :3] + np.cross(J[:, 3:], arm[:, :, None], axis=1)
         if contact.plane.slide >= 0:  # relative to a plane on a slide joint
             self.J[:, :, contact.plane.slide] -= slide_direction(mechanism, contact.plane)

@@ -64,7 +64,7 @@ def residual(m, x, u, a):
     r -= friction_forces(m, v, a)[0]
     for contact in m.contacts:
         place = contact_kinematics(m, contact, q[None], v[None])
-        J, lead = np.vstack([place.J[0], turning(m, contact, q)]), contact.law.lead
+        J, lead = np.vstack([place.J[0], turning(place)]), contact.law.lead
         ahead = np.append(place.v[0], J[3:] @ v) + lead * (J @ a)
         f = contact_wrench(contact.law, place.n, place.e, ahead[None, :3], ahead[None, 3:])[0][0]
         r, size = r - J.T @ f, max(size, np.abs(f).max())

@@ -1,5 +1,7 @@
 """Points in place of cylinders, meshes and ellipsoids: where they are, what is missing, and that MuJoCo agrees."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from trees import mujoco
@@ -82,5 +84,15 @@ def test_mujoco_computes_the_same_forces_and_nothing_is_left_out(shape):
     problem = Problem(dynamics, TrackingCost.joints(dynamics, m.home, 5, effort=1.0), m.home, twin=planner.Twin.of(m))
     assert pairs_left_out(problem) == ()
     measured = {one.name: one for one in contact_parity(problem, CompiledTwin(problem.twin))}
-    for name in ("contact_stiffness_error", "contact_surface_error", "friction_error"):
+    for name in ("contact_stiffness_error", "contact_surface_error", "friction_error", "contact_turning_error"):
         assert measured[name].value < 1e-6  # %: the same formula on both sides, to rounding over differences
+
+
+@pytest.mark.parametrize("friction", ["spinning", "rolling"])
+def test_another_torque_of_friction_is_seen(friction):
+    m = Mechanism.from_mjcf(text("ellipsoid", 'condim="6"'))
+    other = tuple(replace(c, law=replace(c.law, **{friction: 1.1 * getattr(c.law, friction)})) for c in m.contacts)
+    dynamics = RigidBodyDynamics(replace(m, contacts=other), 0.01)
+    problem = Problem(dynamics, TrackingCost.joints(dynamics, m.home, 5, effort=1.0), m.home, twin=planner.Twin.of(m))
+    measured = {one.name: one for one in contact_parity(problem, CompiledTwin(problem.twin))}
+    assert measured["contact_turning_error"].value > 5.0  # %, of a tenth more

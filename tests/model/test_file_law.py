@@ -1,10 +1,13 @@
 """contacts = "file": planes keep the law that MuJoCo computes from the file's numbers, in plan and replay."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from trees import mujoco
 
 from planner.base.errors import ModelError, PlannerError
+from planner.dynamics import RigidBodyDynamics
 from planner.model.contact.laws import ContactLaw
 from planner.model.mechanism import Mechanism
 from planner.model.mjcf.file_law import FILE_SMOOTHING, file_law
@@ -93,15 +96,19 @@ def test_what_the_law_has_not_gets_a_law_of_the_ground(contact, reason):
 
 
 @pytest.mark.parametrize("cone", ["pyramidal", "elliptic"])
-def test_nothing_resists_rolling_in_the_replayed_model(cone):
-    """A ball that rolls on rubber of condim 6 goes on in the plan and its replayed model, and stops in the file."""
+def test_rolling_is_resisted_alike_in_the_plan_its_replayed_model_and_the_file(cone):
+    """A ball that rolls on rubber of condim 6 is braked: at most 0.7 m/s^2, by 0.01 m of it and a radius of 0.1 m."""
     text = f"""<mujoco><option cone="{cone}"/><default><geom condim="6" friction="1 .02 .01"/></default><worldbody>
-      <geom type="plane" size="0 0 1"/><body pos="0 0 .0999"><freejoint/><geom size=".1" mass="2"/></body></worldbody>
-    </mujoco>"""
-    m, v = Mechanism.from_mjcf(text, contacts="file"), np.array([0.1, 0.0, 0.0, 0.0, 1.0, 0.0])
-    rolls, brakes = (accelerations(one, {}, m.home[:7], v, 6)[0] for one in (m.mjcf, text))
-    assert brakes < -0.1  # m/s^2: at most 0.7, by 0.01 m of rolling friction and a radius of 0.1 m
-    assert abs(rolls) < 0.01  # it slips by 0.1 mm/s
+      <geom type="plane" size="0 0 1"/><body pos="0 0 .0999"><freejoint/><geom size=".1" mass="2"/></body>
+      <body pos="0 0 2"><joint name="fan"/><geom size=".1" mass="1"/></body></worldbody>
+      <actuator><motor joint="fan"/></actuator></mujoco>"""
+    m, v = Mechanism.from_mjcf(text, contacts="file"), np.array([0.1, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0])
+    sharp = replace(m, contacts=tuple(replace(c, law=replace(c.law, ramp=0.0, bend=0.0)) for c in m.contacts))
+    plan = RigidBodyDynamics(sharp, 0.01).rates(np.append(m.home[:8], v)[None], np.zeros((1, 1)))[0, 7]
+    replayed, brakes = (accelerations(one, {}, m.home[:8], v, 7)[0] for one in (m.mjcf, text))
+    assert -0.7 < brakes < -0.1
+    assert replayed == pytest.approx(brakes, rel=1e-9)
+    assert plan == pytest.approx(brakes, rel=1e-6)
 
 
 def test_ends_stand_for_a_capsule_that_turns_the_edges_of_its_pyramid():
@@ -118,14 +125,17 @@ def test_ends_stand_for_a_capsule_that_turns_the_edges_of_its_pyramid():
     assert "geom 'geom number 3' end 1" in names
 
 
-def test_a_law_that_is_given_has_the_edges_of_its_share():
-    law = ContactLaw(2e4, 200.0, 1e-3, 2.0, 0.0, 0.6, 5.0, lead=0.01, cone="pyramidal", normal_share=0.6, margin=2e-3)
+@pytest.mark.parametrize("cone", ["pyramidal", "elliptic"])
+def test_a_law_that_is_given_has_its_spinning_and_rolling_friction(cone):
+    law = ContactLaw(
+        2e4, 200.0, 1e-3, 2.0, 0.0, 0.6, 5.0, lead=0.01, cone=cone, spinning=0.02, rolling=0.01, margin=2e-3
+    )
     m = Mechanism.from_mjcf(standing(), contacts=law)
-    assert m.contacts[0].law.normal_share == pytest.approx(0.6, rel=1e-12)
+    assert (m.contacts[0].law.spinning, m.contacts[0].law.rolling) == (0.02, 0.01)
     assert m.contacts[0].law.margin == 2e-3
     assert m.contacts[0].law.stiffness == pytest.approx(2e4, rel=1e-12)
     assert compile_model(m.mjcf).pair_dim[0] == 6
-    assert compile_model(m.mjcf).pair_friction[0, 2] == 1e-5  # nothing resists spinning
+    np.testing.assert_array_equal(compile_model(m.mjcf).pair_friction[0], [0.6, 0.6, 0.02, 0.01, 0.01])
 
 
 @pytest.mark.parametrize("cone", ["pyramidal", "elliptic"])

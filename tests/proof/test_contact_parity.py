@@ -18,7 +18,8 @@ from planner.model.capabilities import Capabilities
 from planner.model.contact.laws import ContactLaw
 from planner.model.mechanism import Mechanism
 from planner.model.twin import Twin
-from planner.proof.compare.contact_parity import BOUND, contact_parity
+from planner.proof.compare.coefficients import BOUND
+from planner.proof.compare.contact_parity import contact_parity
 from planner.proof.replays.compiled_twin import CompiledTwin, with_model
 
 BALL = """<mujoco><worldbody><geom name="floor" {floor}/><body name="ball" pos="0 0 .3">

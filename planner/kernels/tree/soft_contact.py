@@ -34,7 +34,7 @@ from planner.kernels.algebra.spatial import (  # fmt: skip
 )
 from planner.kernels.numba.jit import inline, part
 from planner.kernels.numba.lane_math import sqrt
-from planner.kernels.numba.lanes import any_less, floats, integers, load, maximum, select, spread, store
+from planner.kernels.numba.lanes import any_less, floats, integers, load, maximum, spread, store
 from planner.kernels.tree.contact_tables import SOFT_SIZE
 from planner.kernels.tree.lead_law import DAMPING, LEAD, STIFFNESS
 from planner.kernels.tree.mechanism_table import TREE
@@ -174,7 +174,7 @@ def add_soft_contacts(m, q, a, ws, near, memory):
 
 @inline
 def _add_inertia(ws, k, p, lead, slopes):
-    """lead times the slopes of the point p onto the inertia at k: J (6) | H (9) | the linear block (6).
+    """Lead times the slopes of the point p onto the inertia at k: J (6) | H (9) | the linear block (6).
 
     With P = hat(p), W = P C and c = P a, the wrench of a twist (w, v) has the moment J w + H v and the force H'w + C v,
     J = D - W P + b c' + c b' and H = W + b a'.
@@ -207,7 +207,7 @@ def _asked(memory, o):
 
 @inline
 def _part_of_way(memory, o, gone):
-    """x and w a part of the way to the new accelerations, and the force and torque that are asked for there."""
+    """X and w a part of the way to the new accelerations, and the force and torque that are asked for there."""
     (x, w), (next_x, next_w) = _load_both(memory, o + WHERE), _load_both(memory, o + NEXT)
     (f, torque), (next_f, next_torque) = _load_both(memory, o + ASKED), _asked(memory, o)
     x, w = axpy(x, gone, sub(next_x, x)), axpy(w, gone, sub(next_w, w))

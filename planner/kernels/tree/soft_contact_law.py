@@ -96,7 +96,7 @@ def _pyramid(value, o, n, first, second, pressed, pressed_e, s, ds, x, w):
 
 @inline
 def _turned(spin, roll, n, w):
-    """w about n times spin, the rest of it times roll."""
+    """W about n times spin, the rest of it times roll."""
     return axpy(scaled(roll, w), (spin - roll) * dot(w, n), n)
 
 

@@ -174,7 +174,7 @@ def _impratio(model: Any) -> float:
 
 
 def as_read(model: Any, pair: Pair) -> Pair:
-    """A pair as its law has it, for the replayed model: what refsafe makes of its time constants at its own timestep."""
+    """A pair as its law has it, for the replayed model: with what refsafe makes of its time constants."""
     shortest = 0.0 if disabled(model, "refsafe") else 2.0 * float(model.opt.timestep)
 
     def safe(solref: np.ndarray) -> np.ndarray:

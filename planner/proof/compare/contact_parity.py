@@ -7,6 +7,7 @@ The plan's law is linear outside its smoothing (model.contact.laws), so each coe
     damping       (f_n(closing) - f_n(at rest)) / speed   pressed to e_1
     friction      f_t / f_n                               sliding at three times the slip speed
     slip damping  f_t / |v_t|                             sliding at a thousandth of that
+    turning       torque / f_n                            turning at three times the speed of spinning and rolling
 
 Both models use the same formulas at the same states. MuJoCo's forces are from its inverse dynamics with qacc = 0,
 where each contact force is independent of other contacts. Accelerations change a contact force by the share A/R, A the
@@ -18,13 +19,13 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterator
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
 from planner.base.gl import load_mujoco
 from planner.base.measured import Measurement
-from planner.dynamics.contacts import contact_force, stop_state, unilateral_force
+from planner.dynamics.contacts import contact_force, contact_wrench, stop_state, unilateral_force
 from planner.dynamics.hopper import HopperDynamics
 from planner.model.capabilities import capabilities_of
 from planner.model.contact.laws import Contact, Stop
@@ -33,14 +34,15 @@ from planner.model.mjcf.contact_shapes import shape_of
 from planner.model.mjcf.model_index import ModelIndex
 from planner.model.mjcf.prescribed_joints import prescribed_dofs_of
 from planner.problem.problem import Problem
+from planner.proof.compare.coefficients import Coefficient, compared, measured_of, missing, surface_difference
 from planner.proof.compare.contact_states import (
     AnyContact,
     ContactGeoms,
     ContactStateSampler,
     beyond_ramps,
     contact_name,
-    force_between,
     shapes_of,
+    wrench_between,
 )
 from planner.proof.compare.differences import joint_of
 from planner.proof.compare.hopper_ground import hopper_ground
@@ -48,8 +50,6 @@ from planner.proof.compare.rigid_parity import random_states
 from planner.proof.replays.compiled_twin import CompiledTwin
 from planner.proof.replays.simulation import set_state
 
-BOUND = 1.0  # %
-INERTIA_BOUND = 5.0  # %: impedances are read up to 1e-3, where it is 0.1 % of A over MuJoCo's estimate of A
 STATES = 3  # per contact
 POINTS = 2  # contact points tested per shape with several equal ones
 _STATES_NEAR_START = 4  # initial states near the start, and as many at random, before moving to depth
@@ -57,34 +57,7 @@ _CLOSING = 0.5  # closing speed: damper force relative to the spring's
 _FAST, _SLOW = 3.0, 1e-3  # sliding speeds relative to the speed at which friction saturates
 _STUCK = 0.05  # minimum share of the requested sliding velocity that is attainable; below it no friction is tested
 _POSITION_TOLERANCE = 1e-9  # m
-_NOTHING = 1e-6  # relative to the significant size: a smaller coefficient counts as zero
 _REST = 1e-2  # rad or m, depth at which joint stops are tested, unless their smoothing needs more
-
-
-class Coefficient(NamedTuple):
-    """One coefficient of one pair, in MuJoCo and in the plan."""
-
-    kind: str
-    pair: str
-    theirs: float
-    ours: float
-    error: float  # relative
-    sentence: str = ""  # replaces the default sentence
-
-    def __str__(self) -> str:
-        return self.sentence or (
-            f"{self.kind.replace('_', ' ')} of {self.pair} is {self.theirs:.4g}, the plan has {self.ours:.4g}"
-        )
-
-
-def compared(kind: str, pair: str, theirs: float, ours: float, matters: float) -> Coefficient:
-    """A coefficient's difference relative to the plan's, or to MuJoCo's where the plan has none.
-
-    `matters` is a significant size: below a millionth of it, a coefficient counts as zero.
-    """
-    least = _NOTHING * matters
-    scale = abs(ours) if abs(ours) > least else max(abs(theirs), least)
-    return Coefficient(kind, pair, theirs, ours, abs(theirs - ours) / scale if np.isfinite(theirs) else np.inf)
 
 
 @np.errstate(all="ignore")  # NaN fails
@@ -103,31 +76,14 @@ def contact_parity(problem: Problem, compiled: CompiledTwin, seed: int = 0) -> t
     """
     dynamics = problem.dynamics
     if isinstance(dynamics, HopperDynamics):
-        return _measured([compared(*row) for row in hopper_ground(dynamics, compiled, seed)], seed)
+        return measured_of([compared(*row) for row in hopper_ground(dynamics, compiled, seed)], seed)
     machine = capabilities_of(dynamics)
     mechanism = machine.mechanism
     if mechanism is None or not (machine.contacts or machine.stops):
         return ()
     bench = _Bench(mechanism, compiled, prescribed_dofs_of(dynamics))
     found = [*bench.contacts(*_starts(problem, mechanism, seed)), *bench.stops(problem.x0)]
-    return _measured(found, seed, bench.unreached)
-
-
-def _measured(found: list[Coefficient], seed: int, unreached: list[str] | None = None) -> tuple[Measurement, ...]:
-    measured, pairs = [], {}
-    for one in found:
-        pairs.setdefault(one.kind, set()).add(one.pair)
-    for kind, names in pairs.items():
-        worst = max((one for one in found if one.kind == kind), key=lambda one: np.nan_to_num(one.error, nan=np.inf))
-        error = 100.0 * float(np.nan_to_num(worst.error, nan=np.inf))
-        bound = INERTIA_BOUND if kind == "contact_inertia" else BOUND
-        note = f"largest of {len(names)}, at {worst.pair}" if error <= bound else str(worst)
-        note += f", at seeded states outside the ramps (seed {seed}), relative to the plan's"
-        measured.append(Measurement(f"{kind}_error", error, "%", bound, note))
-    if unreached:
-        note = f"not compared, since no state that was tried brings them together: {', '.join(unreached)}"
-        measured.append(Measurement("contacts_not_reached", float(len(unreached)), "", None, note))
-    return tuple(measured)
+    return measured_of(found, seed, bench.unreached)
 
 
 def _starts(problem: Problem, mechanism: Mechanism, seed: int) -> tuple[np.ndarray, np.ndarray]:
@@ -170,7 +126,7 @@ class _Bench:
                 continue
             if shapes is None:
                 name = contact_name(contact)
-                yield _missing(name, f"{name} touches nothing in the model, the plan has a contact")
+                yield missing(name, f"{name} touches nothing in the model, the plan has a contact")
                 continue
             if self._is_like_others(contact, shapes):
                 continue
@@ -194,7 +150,7 @@ class _Bench:
                 self._seen[shapes.own, shapes.other] = ""
                 yield from found
             elif ought_to and not touching:
-                yield _missing(shapes.name, f"{shapes.name} does not touch in the model where it does in the plan")
+                yield missing(shapes.name, f"{shapes.name} does not touch in the model where it does in the plan")
             else:
                 self._seen.setdefault((shapes.own, shapes.other), shapes.name)
 
@@ -226,11 +182,11 @@ class _Bench:
         place: Any,
         qacc: np.ndarray | None = None,
     ) -> np.ndarray:
-        """MuJoCo's force (3,) on the contact's first or only body."""
+        """MuJoCo's force and torque (6,) on the contact's first or only body."""
         self._hold(x, qacc)
         if not isinstance(pressing.contact, Contact):
-            return force_between(self._model, self._data, shapes)
-        return force_between(self._model, self._data, shapes, place.p[0], 0.25 * pressing.spacing)
+            return wrench_between(self._model, self._data, shapes)
+        return wrench_between(self._model, self._data, shapes, place.p[0], 0.25 * pressing.spacing)
 
     def _touches(self, pressing: ContactStateSampler, shapes: ContactGeoms, x: np.ndarray) -> bool:
         return bool(np.isfinite(self._force(pressing, shapes, x, pressing.place(x[None]))).all())
@@ -248,8 +204,8 @@ class _Bench:
         if velocity is not None:
             x = x.copy()
             x[m.nq : m.nq + m.nv], v = pressing.moving(place, velocity)
-        ours = contact_force(pressing.contact.law, place.n, place.e, v[None])[0][0]
-        return ours, self._force(pressing, shapes, x, place), v
+        ours = _planned(place, v, x[m.nq : m.nq + m.nv])
+        return ours[:3], self._force(pressing, shapes, x, place)[:3], v
 
     def _coefficients(
         self, pressing: ContactStateSampler, shapes: ContactGeoms, x: np.ndarray
@@ -264,7 +220,7 @@ class _Bench:
         K = [(f @ below.n[0] - f0 @ n) / further for f0, f in zip(rest, more, strict=True)]
         yield compared("contact_stiffness", name, K[1], K[0], law.stiffness)
         begins = float(rest[0] @ n) / K[0] - float(rest[1] @ n) / K[1]
-        yield _surface("contact_surface", name, begins, depth, _bluntness(pressing.contact))
+        yield surface_difference("contact_surface", name, begins, depth, _bluntness(pressing.contact))
         load = float(rest[0] @ n)
         closing = _CLOSING * load / law.damping if law.damping > 0.0 else pressing.speed
         *forces, v = self._both(pressing, shapes, x, place, -closing * n)
@@ -272,6 +228,7 @@ class _Bench:
             B = [float((f - f0) @ n) / float(-v @ n) for f0, f in zip(rest, forces, strict=True)]
             yield compared("contact_damping", name, B[1], B[0], load / closing)
         yield from self._friction(pressing, shapes, x, place, rest)
+        yield from self._turning(pressing, shapes, x, place, load)
         yield self._inertia(pressing, shapes, x, place, rest[1])
 
     def _friction(
@@ -313,6 +270,27 @@ class _Bench:
                 friction, _, speed = rubbed(way, _SLOW * slips)
                 yield compared("slip_damping", shapes.name, friction[1] / speed, friction[0] / speed, law.slip_damping)
 
+    def _turning(
+        self, pressing: ContactStateSampler, shapes: ContactGeoms, x: np.ndarray, place: Any, load: float
+    ) -> Iterator[Coefficient]:
+        """Torques of spinning and rolling friction; nothing where the contact cannot turn."""
+        m, law, n = self._mechanism, pressing.contact.law, place.n[0]
+        across = max(np.eye(3) - np.outer(n, n), key=lambda way: float(np.linalg.norm(way)))
+        for arm, way in ((law.spinning, n), (law.rolling, across / np.linalg.norm(across))):
+            if arm == 0.0:
+                continue
+            speed = _FAST * (1.0 + law.bend) * law.friction**2 * load / (law.slip_damping * arm)
+            rows = np.vstack([place.J[0], place.turning[0]])
+            qd = np.linalg.pinv(rows, rcond=1e-6) @ np.append(np.zeros(3), speed * way)
+            w, v = place.turning[0] @ qd, place.J[0] @ qd
+            if w @ way < _STUCK * speed:
+                continue
+            moving = x.copy()
+            moving[m.nq : m.nq + m.nv] = qd
+            ours, theirs = _planned(place, v, qd), self._force(pressing, shapes, moving, place)
+            torques = [-float(one[3:] @ way) / float(one[:3] @ n) for one in (theirs, ours)]
+            yield compared("contact_turning", shapes.name, *torques, arm)
+
     def _inertia(
         self, pressing: ContactStateSampler, shapes: ContactGeoms, x: np.ndarray, place: Any, rest: np.ndarray
     ) -> Coefficient:
@@ -321,12 +299,12 @@ class _Bench:
         self._hold(x)
         qacc = np.empty((1, self._mechanism.nv))
         self._mujoco.mj_solveM(self._model, self._data, qacc, push * (place.J[0].T @ place.n[0])[None])
-        change = rest - self._force(pressing, shapes, x, place, qacc[0])
+        change = rest - self._force(pressing, shapes, x, place, qacc[0])[:3]
         share = float(change @ place.n[0]) / push
         law = pressing.contact.law
-        ahead = place.v + law.lead * (place.J[0] @ qacc[0])
-        forces = [contact_force(law, place.n, place.e, v)[0][0] for v in (place.v, ahead)]
-        ours = float((forces[0] - forces[1]) @ place.n[0]) / push
+        ahead = place.v[0] + law.lead * (place.J[0] @ qacc[0])
+        forces = [_planned(place, v, qd) for v, qd in ((place.v[0], 0.0 * qacc[0]), (ahead, law.lead * qacc[0]))]
+        ours = float((forces[0] - forces[1])[:3] @ place.n[0]) / push
         both = f"{100.0 * share:.3g} % of the force that it gives, the plan's {100.0 * ours:.3g} %"
         difference = abs(share - ours) / max(1.0, abs(ours))
         return Coefficient("contact_inertia", shapes.name, share, ours, difference, f"{shapes.name} takes up {both}")
@@ -355,7 +333,7 @@ class _Bench:
         held, deeper = both(depth, 0.0), both(2.0 * depth, 0.0)
         K = [(two - one) / depth for one, two in zip(held, deeper, strict=True)]
         yield compared("stop_stiffness", name, K[1], K[0], law.stiffness)
-        yield _surface("stop_end", name, depth - held[1] / K[1], depth)
+        yield surface_difference("stop_end", name, depth - held[1] / K[1], depth)
         closing = _CLOSING * held[0] / law.damping if law.damping > 0.0 else 1.0
         B = [(moved - one) / closing for one, moved in zip(held, both(depth, closing), strict=True)]
         yield compared("stop_damping", name, B[1], B[0], held[0] / closing)
@@ -373,19 +351,16 @@ class _Bench:
         return np.asarray(data.efc_force)[rows].sum()  # a NumPy scalar, so that dividing by 0 gives inf
 
 
+def _planned(place: Any, v: np.ndarray, qd: np.ndarray) -> np.ndarray:
+    """The plan's force and torque (6,) at a contact velocity (3,) and joint velocities (nv,)."""
+    law = place.contact.law
+    if law.condim <= 3:
+        return np.append(contact_force(law, place.n, place.e, v[None])[0][0], np.zeros(3))
+    return contact_wrench(law, place.n, place.e, v[None], (place.turning[0] @ qd)[None])[0][0]
+
+
 def _bluntness(contact: AnyContact) -> float:
     """Upper limit of the error of the plan's closest points of two capsules, m: see contact.between_bodies."""
     if isinstance(contact, Contact) or contact.axis_regularization == 0.0:
         return 0.0
     return 0.5 * contact.law.ramp**2 / (contact.first.radius + contact.second.radius)
-
-
-def _surface(kind: str, name: str, begins: float, depth: float, blunt: float = 0.0) -> Coefficient:
-    """Depth at which MuJoCo's force begins, below the plan's surface, relative to `depth`."""
-    error = max(abs(begins) - blunt, 0.0) / depth
-    sentence = f"{name} begins {abs(begins):.3g} {'later' if begins > 0.0 else 'earlier'} than in the plan"
-    return Coefficient(kind, name, begins, 0.0, error if np.isfinite(begins) else np.inf, sentence)
-
-
-def _missing(name: str, sentence: str) -> Coefficient:
-    return Coefficient("contact_stiffness", name, 0.0, np.inf, 1.0, sentence)

@@ -230,12 +230,12 @@ def contact_name(contact: Contact | BodyContact) -> str:
     return re.sub(r"geom '([^']*)'", r"\1", contact.name) or "a contact"
 
 
-def force_between(
+def wrench_between(
     model: Any, data: Any, shapes: ContactGeoms, at: np.ndarray | None = None, within: float = np.inf
 ) -> np.ndarray:
-    """(3,) N on the geom `shapes.own`, from the contacts in `data`; NaN where the two geoms are not in contact.
+    """(6,) force, N, and torque, N m, on the geom `shapes.own` from the contacts in `data`; NaN where they are apart.
 
-    The force of their contact nearest to the point `at` (3,), if within `within` m; without a point, the sum over
+    Those of their contact nearest to the point `at` (3,), if within `within` m; without a point, the sum over
     all their contacts, since two bodies in contact at several points have one contact in the plan.
     """
     mujoco, wrench = load_mujoco(), np.empty(6)
@@ -248,8 +248,8 @@ def force_between(
             continue
         mujoco.mj_contactForce(model, data, int(c), wrench)
         sign = 1.0 if int(contact.geom[1]) == shapes.own else -1.0
-        forces.append(sign * contact.frame.reshape(3, 3).T @ wrench[:3])
+        forces.append(sign * (wrench.reshape(2, 3) @ contact.frame.reshape(3, 3)).ravel())
         distances.append(distance)
     if not forces:
-        return np.full(3, np.nan)
+        return np.full(6, np.nan)
     return np.sum(forces, axis=0) if at is None else forces[int(np.argmin(distances))]
