@@ -69,6 +69,7 @@ OPEN_LOOP_MISSES = "open_loop_goals_missed"
 EQUALITY_RATE = "equality_rate"
 PATH_IN_FILE = "path_over_its_bound"  # above 1, its note is for the first line
 RANGE_EXCESS = "range_excess"
+OVERLAPS_THAT_PUSH = "overlaps_at_the_start_that_push"
 MAX_NAMED = 3  # pairs, joints or actuators in a sentence
 NEGLIGIBLE_FORCE = 1e-3  # of the machine's weight: smaller contact forces of flush shapes are ignored
 MAX_GAIN_EFFORT = 0.02  # of a control's largest value: larger corrections by the gains show unmodelled forces
@@ -135,7 +136,7 @@ def your_file(
 
 def _measured(run: Replay, problem: Problem, goals: Sequence[GoalCheck]) -> list[Measurement]:
     """Everything that is judged and shown of a replay with gains."""
-    touching, overlaps = _touches(run, problem)
+    touching, at_start, overlaps = _touches(run, problem)
     sentences = {
         "unknown_contacts": (touching, "touches of pairs that the plan's model lacks"),
         "passages_between_steps": (passages(run), "shapes that pass through each other between two steps"),
@@ -157,6 +158,7 @@ def _measured(run: Replay, problem: Problem, goals: Sequence[GoalCheck]) -> list
         *_objects(run, problem),
         *_forces(run, overlaps),
         *_range_excess(run),
+        *([Measurement(OVERLAPS_THAT_PUSH, float(at_start), "", None, "of the unknown contacts")] if at_start else []),
         step,
     ]
 
@@ -227,9 +229,11 @@ def _same_model(one: Twin, other: Twin) -> bool:
     return one.mjcf == other.mjcf and one.assets == other.assets and one.curves == other.curves
 
 
-def _touches(run: Replay, problem: Problem) -> tuple[list[str], list[str]]:
-    """Sentences about unmodelled pairs in contact, and about pairs that overlap at the start and go no deeper."""
-    model, wrong, overlaps = run.compiled.model, [], []
+def _touches(run: Replay, problem: Problem) -> tuple[list[str], int, list[str]]:
+    """Sentences about unmodelled pairs in contact, how many of them overlap at the start, and about pairs that go no
+    deeper than they overlap there.
+    """
+    model, wrong, at_start, overlaps = run.compiled.model, [], 0, []
     beside = bodies_at_rest(problem, model)
     known, watched, index = unmodelled_of(problem, run.compiled).known, watched_pairs(model), ModelIndex(model)
     scale = min(1.0, float(model.stat.extent))
@@ -262,7 +266,9 @@ def _touches(run: Replay, problem: Problem) -> tuple[list[str], list[str]]:
             wrong.append(f"{pair} touch at the start, part, and meet again by up to {touch.met_again:.3g} m.")
         else:
             overlaps.append(f"{pair} touch at the start by {touch.at_start:.3g} m and go no deeper.")
-    return wrong, overlaps
+            continue
+        at_start += overlap
+    return wrong, at_start, overlaps
 
 
 def bodies_at_rest(problem: Problem, model: Any) -> np.ndarray:

@@ -26,6 +26,7 @@ from planner.proof import Proof
 from planner.proof import prove as full_proof
 from planner.proof.error_propagation import FACTOR
 from planner.proof.error_scales import shares_of_bounds
+from planner.proof.original_model import OVERLAPS_THAT_PUSH
 from planner.proof.replays.replaying import reached_by_plan
 from planner.solvers.gains import warm_start
 from planner.solvers.slq import solve
@@ -226,6 +227,8 @@ def _other_cause(proof: Proof) -> str:
         return f"the plan itself misses its goal: {goal_failures[0]}."
     if proof.replay.plan.status is Status.UNRESOLVED:
         return ""
+    if any(one.name == OVERLAPS_THAT_PUSH for one in proof.your_file.measured):
+        return f"shapes of the file overlap at the start: {proof.your_file.failures[0]}."
     for mode, section in (("open-loop", proof.refined_open_loop), ("feedback", proof.refined_feedback)):
         if section.passed:
             return f"MuJoCo repeats the plan ({mode}): {proof.reason}"
