@@ -230,8 +230,9 @@ def _same_model(one: Twin, other: Twin) -> bool:
 
 
 def _touches(run: Replay, problem: Problem) -> tuple[list[str], int, list[str]]:
-    """Sentences about unmodelled pairs in contact, how many of them overlap at the start, and about pairs that go no
-    deeper than they overlap there.
+    """Sentences about unmodelled pairs in contact, how many of these overlap at the start, and sentences about others.
+
+    The others overlap at the start and go no deeper.
     """
     model, wrong, at_start, overlaps = run.compiled.model, [], 0, []
     beside = bodies_at_rest(problem, model)
