@@ -242,7 +242,7 @@ def test_a_start_that_nobody_names_is_the_models_and_said(tmp_path, range, more,
 
 
 def test_every_key_is_described_and_documented():
-    page = "".join((ROOT / "docs" / name).read_text(encoding="utf-8") for name in ("own-machine.md", "tasks.md"))
+    page = "".join((ROOT / "docs" / name).read_text(encoding="utf-8") for name in ("problem-file.md", "tasks.md"))
     assert set(DEFAULTS) < set(KEYS)
     for key in (*KEYS, *WEIGHTS, *GOAL, *FOLLOW, *ATTACH, *PHASE):
         assert f"`{key}`" in page or f"`[{key}]`" in page, key
