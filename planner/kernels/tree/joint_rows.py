@@ -99,36 +99,13 @@ def any_stop(m, q):
 
 
 @part
-def begin_rows(m, q, v, tau, own, armature, force):
-    """Armature and force (nv lanes each) of the first round; own: the armature without rows.
-
-    As if friction held every joint, and every stop that is met pushed with its spring and damper.
-    """
-    dof, value = integers(m, TREE.row_dof), floats(m, TREE.row_value)
-    for i in range(m[TREE.nv]):
-        store(armature, i, load(own, i))
-        store(force, i, load(tau, i))
-    for k in range(m[TREE.rows]):
-        i, o = load(dof, k), ROW_SIZE * k
-        inertia = load(value, o + INERTIA)
-        store(armature, i, load(armature, i) + inertia)
-        store(force, i, load(force, i) - inertia * load(value, o + RATE) * load(v, i))
-        for end in range(2):
-            b, side = o + LOWER + STOP_SIZE * end, 2.0 * end - 1.0
-            e = _stop(value, b, side, load(q, load(integers(m, TREE.q_address), i)))
-            if load(value, b + STOP_LAW + STIFFNESS) > 0.0 and any_less(0.0, e):
-                pressed, _, s, _ = pressing(value, b + STOP_LAW, e)
-                damping = load(value, b + STOP_LAW + DAMPING) * s
-                store(armature, i, load(armature, i) + load(value, b + STOP_LAW + LEAD) * damping)
-                store(force, i, load(force, i) - (side * pressed + damping * load(v, i)))
-
-
-@part
 def linearize_rows(m, q, v, tau, a, armatures, force, before):
     """Armature and force of the next round; `before` keeps a. Armatures: without rows, and with them."""
     own, armature = armatures
     for i in range(m[TREE.nv]):
         store(before, i, load(a, i))
+        store(armature, i, load(own, i))
+        store(force, i, load(tau, i))
     for k in range(m[TREE.rows]):
         i, f, inertia, _, _, _ = _row(m, k, q, v, load(a, load(integers(m, TREE.row_dof), k)))
         store(armature, i, load(own, i) + inertia)

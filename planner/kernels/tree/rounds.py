@@ -14,7 +14,6 @@ from planner.kernels.tree.contact import add_contact_wrenches
 from planner.kernels.tree.couplings import accelerate_coupled
 from planner.kernels.tree.joint_rows import (
     any_stop,
-    begin_rows,
     first_row_error,
     linearize_rows,
     row_error,
@@ -92,20 +91,19 @@ def keep_guess(m, r, a):
 def accelerate_in_rounds(m, r, q, v, tau, a):
     """Accelerations of links that move_links has seen, with MEMORY.own as armature.
 
-    Where a machine has contacts, rounds start at the accelerations of the step before in the same stage, MEMORY.guess.
-    That is so in every lane, whether it touches or not: a state's acceleration does not depend on those beside it.
+    Rounds start at the accelerations of the step before in the same stage, MEMORY.guess, in every lane, whether it
+    touches or not: a state's acceleration does not depend on those beside it.
     """
     links, armature, force = lanes(r, MEMORY.links), lanes(r, MEMORY.heavier), lanes(r, MEMORY.pushed)
     before, asked, own = lanes(r, MEMORY.before), lanes(r, MEMORY.asked), lanes(r, MEMORY.own)
     soft, near = lanes(r, MEMORY.soft), floats(r, MEMORY.near)
-    begin_rows(m, q, v, tau, own, armature, force)
+    guess = lanes(r, MEMORY.guess)
+    for i in range(m[TREE.nv]):
+        if load(integers(m, TREE.prescribed), i) < 0:
+            store(a, i, load(guess, i))
     if m[TREE.softs] > 0:
-        guess = lanes(r, MEMORY.guess)
-        for i in range(m[TREE.nv]):
-            if load(integers(m, TREE.prescribed), i) < 0:
-                store(a, i, load(guess, i))
         add_soft_contacts(m, q, a, links, near, soft)
-        linearize_rows(m, q, v, tau, a, (own, armature), force, before)
+    linearize_rows(m, q, v, tau, a, (own, armature), force, before)
     accelerate_once(m, r, q, v, force, a, links, armature)
     error = first_row_error(m, q, v, tau, a, (own, armature), force, asked)
     if m[TREE.softs] > 0:
