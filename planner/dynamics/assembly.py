@@ -96,7 +96,7 @@ def assembled_along(
 
 def _free(mechanism: Mechanism, given: Collection[int]) -> np.ndarray:
     """(nv, n) basis of the velocities that satisfy the couplings with the joints in `given` fixed."""
-    G = np.eye(mechanism.nv) if mechanism.reduction is None else mechanism.reduction.G
+    G = mechanism.independent_directions
     stay = np.array([*given], dtype=int)
     return G[:, ~np.any(G[stay] != 0.0, axis=0)]
 
@@ -122,9 +122,7 @@ def feasible_directions(mechanism: Mechanism, q: np.ndarray) -> tuple[np.ndarray
 
     Z[leading] is the identity: a velocity that satisfies couplings and loop closures is Z qd[leading].
     """
-    reduction = mechanism.reduction
-    G = np.eye(mechanism.nv) if reduction is None else reduction.G
-    leading = np.arange(mechanism.nv) if reduction is None else reduction.independent
+    G, leading = mechanism.independent_directions, mechanism.independent_dofs
     if not mechanism.has_closed_chains:
         return G, leading
     from scipy.linalg import null_space, qr  # a fifth of a second that `import planner` does not pay

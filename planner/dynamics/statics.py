@@ -26,6 +26,7 @@ from planner.dynamics.algorithms import bias, mass_matrix
 from planner.dynamics.contacts import contact_forces, contact_jacobians, generalized_forces
 from planner.dynamics.kinematics import center_of_mass, jacobian
 from planner.dynamics.quasi_static import weight
+from planner.kernels.tree.mechanism_table import chain_of
 from planner.model.capabilities import rolling_radii, roots, unactuated_basis
 from planner.model.mechanism import Frame, Mechanism
 
@@ -300,8 +301,7 @@ def carriers(mechanism: Mechanism, links: np.ndarray) -> np.ndarray:
     """(nv,) bool, degrees of freedom between the base and some links (nv,) bool: those that steer wheels."""
     found = np.zeros(mechanism.nv, dtype=bool)
     for i in np.flatnonzero(links):
-        while (i := int(mechanism.parent[i])) >= 0:
-            found[i] = True
+        found[chain_of(mechanism.parent, i)[1:]] = True
     return found
 
 

@@ -68,7 +68,7 @@ def unactuated_basis(mechanism: Mechanism) -> np.ndarray:
 
 def _independent_directions(mechanism: Mechanism, *, actuated: bool) -> np.ndarray:
     """(nv, n) columns of G (identity without couplings) that an actuator moves, or that none moves."""
-    G = np.eye(mechanism.nv) if mechanism.reduction is None else mechanism.reduction.G
+    G = mechanism.independent_directions
     acts_on = np.where(
         mechanism.actuators.by_wrenches[:, None], mechanism.actuators.acts_on, mechanism.actuators.moment
     )

@@ -301,6 +301,16 @@ class Mechanism:
             return None
         return reduce(self.couplings, self.nv, self.directly_actuated)
 
+    @property
+    def independent_directions(self) -> np.ndarray:
+        """G (nv, nr), velocities qd = G z that satisfy the couplings; the identity without couplings."""
+        return np.eye(self.nv) if self.reduction is None else self.reduction.G
+
+    @property
+    def independent_dofs(self) -> np.ndarray:
+        """(nr,) indices of the independent degrees of freedom z; all without couplings."""
+        return np.arange(self.nv) if self.reduction is None else self.reduction.independent
+
     @cached_property
     def space(self) -> StateSpace:
         """The space of states x = (qpos, qvel, act)."""

@@ -131,7 +131,7 @@ def inverse_dynamics_controls(mechanism: Mechanism, q: np.ndarray, qd: np.ndarra
     are G' tau; closure forces f balance the constrained directions. Redundant actuators get minimum-norm controls.
     """
     actuators = mechanism.actuators
-    G = np.eye(mechanism.nv) if mechanism.reduction is None else mechanism.reduction.G
+    G = mechanism.independent_directions
     G = G[:, ~np.any(G[stationary_object_dofs(mechanism)], axis=0)]
     lengths, rates = actuator_lengths(mechanism, q), qd @ actuators.moment.T
     gain = gains_at(actuators, lengths, rates)

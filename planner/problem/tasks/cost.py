@@ -173,8 +173,7 @@ def _moving_dofs(mechanism: Mechanism, one: TimedGoal) -> list[int]:
     """The degrees of freedom that move a goal's frame, or its joints."""
     if one.goal.frame is None:
         return list(one.joints)
-    link = mechanism.frame(one.goal.frame).link
-    return [] if link < 0 else list(chain_of(mechanism.parent, link))
+    return chain_of(mechanism.parent, mechanism.frame(one.goal.frame).link)
 
 
 def _joint_error(addresses: np.ndarray, points: np.ndarray, xs: np.ndarray) -> np.ndarray:
