@@ -32,9 +32,9 @@ import numpy as np
 from planner.base.arguments import array
 from planner.base.errors import PlannerError
 from planner.base.files import digest_of
-from planner.model.mjcf.attached import attachments, stored_records, with_attached
+from planner.model.mjcf.attached import attachments, stored_records
 from planner.model.mjcf.model_file import open_model_file
-from planner.model.mjcf.obstacles import excluded_pairs, obstacles_of, with_excluded, with_obstacles
+from planner.model.mjcf.obstacles import edits_of, excluded_pairs, obstacles_of
 from planner.model.mjcf.text import is_text
 from planner.model.passive_forces import ExponentialTorque
 from planner.model.urdf.write import as_mjcf, is_urdf
@@ -229,12 +229,8 @@ def read_again(origin: dict[str, Any], file: str | Path | None = None) -> tuple[
         PlannerError: A file cannot be read, or MuJoCo refuses it.
     """
     model = origin["path"] if file is None else file
-    if is_urdf(model):
-        of_urdf = {key: origin[key] for key in URDF_KEYS if key in origin}
-        file_now = open_model_file(*as_mjcf(model, **of_urdf))
-    else:
-        file_now = open_model_file(model)
-    file_now = with_attached(file_now, attachments(origin.get("attach")))
-    file_now = with_obstacles(file_now, obstacles_of(origin.get("obstacles")))
-    file_now = with_excluded(file_now, excluded_pairs(origin.get("exclude")))
+    of_urdf = {key: origin[key] for key in URDF_KEYS if key in origin}
+    source = as_mjcf(model, **of_urdf) if is_urdf(model) else (model,)
+    edited = edits_of(**{key: origin.get(key) for key in ("attach", "obstacles", "exclude")})
+    file_now = edited(open_model_file(*source))
     return ElementTree.tostring(file_now.root, encoding="unicode"), file_now.files

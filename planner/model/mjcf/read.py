@@ -22,7 +22,6 @@ from planner.base.gl import load_mujoco
 from planner.model.capabilities import rolling_radii
 from planner.model.contact.laws import ContactLaw
 from planner.model.mechanism import BALL, BALL_NEXT, SCREW, Frame, Mechanism
-from planner.model.mjcf.attached import attachments, with_attached
 from planner.model.mjcf.contact_edits import give_law, let_float
 from planner.model.mjcf.contact_mode import (
     MODES,
@@ -59,7 +58,7 @@ from planner.model.mjcf.model_index import (
     texts_of,
     velocity_limits,
 )
-from planner.model.mjcf.obstacles import excluded_pairs, obstacles_of, with_excluded, with_obstacles
+from planner.model.mjcf.obstacles import edits_of
 from planner.model.mjcf.stops import keep_time_constants, read_stops
 from planner.model.mjcf.text import written
 from planner.model.mjcf.unsupported import (  # fmt: skip
@@ -96,13 +95,9 @@ def read(
 
     With `assets` nothing is read from disk. Messages call the model `name`, by default after its file.
     """
-    given, around, apart = attachments(attach), obstacles_of(obstacles), excluded_pairs(exclude)
+    edited = edits_of(attach, obstacles, exclude)
     model, assets = mjcf_source(model, assets)
-    mechanism = read_opened(
-        lambda: with_excluded(
-            with_obstacles(with_attached(open_model_file(model, assets, name), given), around), apart
-        ), ignore=ignore, contacts=contacts,
-    )  # fmt: skip
+    mechanism = read_opened(lambda: edited(open_model_file(model, assets, name)), ignore=ignore, contacts=contacts)
     return mechanism if assets is not None else replace(mechanism, origin=origin_of(model, attach, obstacles, exclude))
 
 
