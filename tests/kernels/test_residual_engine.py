@@ -244,7 +244,7 @@ def test_bounds_and_weights_may_change_between_iterations(arm):
 def test_rows_may_be_one_sided_and_without_a_ramp(arm):
     """Rows of an inequality cost nothing within it; without a ramp they are the squares of an augmented Lagrangian."""
     task = reach(arm)
-    arrays = task.cost.costs[1].residual_arrays
+    arrays = task.cost.costs[1].residual_arrays_for(N)
     side = np.array(arrays.side)
     side[0], side[2] = 1.0, -1.0  # x at most 0.9, z at least -1.2
     arrays = replace(arrays, side=side)
