@@ -187,16 +187,9 @@ def origin_of(
 def is_origin(value: Any) -> bool:
     """Whether a JSON value is an origin as a plan's file has it, with a `digest` of the user's model, or empty."""
     kinds = {
-        "path": str,
-        "digest": str,
-        "base": str,
-        "inertia": (str, dict),
-        "floor": bool,
-        "package_path": list,
-        "attach": list,
-        "obstacles": list,
-        "exclude": list,
-    }
+        "path": str, "digest": str, "base": str, "inertia": (str, dict), "floor": bool, "package_path": list,
+        "attach": list, "obstacles": list, "exclude": list,
+    }  # fmt: skip
     return (
         isinstance(value, dict) and all(isinstance(part, kinds.get(key, ())) for key, part in value.items())
         and all(isinstance(one, str) for one in value.get("package_path", ()))

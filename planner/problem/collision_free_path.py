@@ -87,13 +87,7 @@ class CollisionChecker:
 
 
 def collision_free_motion(
-    clearance_of_pairs: PairClearance,
-    mechanism: Mechanism,
-    x0: np.ndarray,
-    goal: np.ndarray,
-    duration: float,
-    N: int,
-    seed: int = 0,
+    apart: PairClearance, mechanism: Mechanism, x0: np.ndarray, goal: np.ndarray, duration: float, N: int
 ) -> tuple[np.ndarray, np.ndarray] | None:
     """States (N+1, nx) along a collision-free path, and controls (N, nu) by inverse dynamics.
 
@@ -103,7 +97,7 @@ def collision_free_motion(
     moving = np.concatenate([x0[nq : nq + nv], goal[nq : nq + nv]])
     if np.any(mechanism.kind != SCREW) or mechanism.contacts or mechanism.body_contacts or np.any(moving):
         return None
-    path = CollisionChecker(clearance_of_pairs, mechanism).find_path(x0[:nq], goal[:nq], seed)
+    path = CollisionChecker(apart, mechanism).find_path(x0[:nq], goal[:nq])
     if path is None:
         return None
     xs = np.tile(x0, (N + 1, 1))

@@ -165,9 +165,7 @@ def optimality(plan: Plan, problem: Problem, now: Recomputed) -> Section:
         scale = max(abs(plan.cost), judged_cost(problem).scale(plan, problem), _unseen(plan, problem))
         left = max(0.0, -now.sweep.value)
         note = "of the cost: what one more step of SLQ promises"
-        if (
-            left <= EXPECTED_REDUCTION_TOLERANCE * max(1.0, abs(plan.cost)) and done
-        ):  # the cost of a light machine may be 1e-10
+        if left <= EXPECTED_REDUCTION_TOLERANCE * max(1.0, abs(plan.cost)) and done:  # a light machine may cost 1e-10
             left, note = 0.0, f"{note}; {left:.3g} of {plan.cost:.3g} is less than what a solve goes on for"
         if 100.0 * left > COST_BOUND * scale and (is_nonsmooth(plan) or _approximate(problem)):
             note = f"of the cost: what {STEPS} more steps of SLQ gain; the next promises {100.0 * left / scale:.3g} %"

@@ -50,15 +50,9 @@ _PICTURES = (
 
 
 def write_report(
-    plan: Plan,
-    proof: Proof | None,
-    folder: PathLike,
-    video_note: str = "",
-    *,
-    path: Sequence[Refinement] = (),
-    options: Mapping[str, Any] | None = None,
-    fixes: Sequence[SuggestedFix] = (),
-) -> Path:
+    plan: Plan, proof: Proof | None, folder: PathLike, video_note: str = "", *, path: Sequence[Refinement] = (),
+    options: Mapping[str, Any] | None = None, fixes: Sequence[SuggestedFix] = (),
+) -> Path:  # fmt: skip
     """Write report.html into `folder` and return its path.
 
     The first screen has the verdict, what was not checked, and the film; the rest is folded. The page embeds strip.png,
@@ -75,14 +69,9 @@ def write_report(
     title = appearance_of(plan.problem).title or plan.case or "Plan"
     curves = interactive(plan, proof)
     made = [
-        _refinement(path),
-        _solver(plan),
-        _parameters(plan),
-        _chosen(plan),
-        _again(plan, proof, path, options or {}),
-        "<h2>Made with</h2>\n" + table(plan.versions),
-        _model(plan),
-    ]
+        _refinement(path), _solver(plan), _parameters(plan), _chosen(plan), _again(plan, proof, path, options or {}),
+        "<h2>Made with</h2>\n" + table(plan.versions), _model(plan),
+    ]  # fmt: skip
     parts = [
         f"<h1>{escape(title)}</h1>",
         _verdict(plan, proof, fixes),
