@@ -18,11 +18,11 @@ from planner.model.mjcf.facts import (
     actuator_records,
     body_records,
     free_bases,
-    gravity_of,
     joint_records,
     moving_mass,
 )
 from planner.model.mjcf.model_file import ModelFile
+from planner.model.mjcf.model_index import gravity_of
 from planner.model.mjcf.read import read_opened
 from planner.model.mjcf.unmodelled_features import UnmodelledFeatures
 from planner.model.mjcf.unsupported import KINDS, unsupported_elements

@@ -14,8 +14,8 @@ from planner.model.actuators import INTEGRATOR
 from planner.model.couplings import contradiction, fixed_dofs
 from planner.model.mechanism import Mechanism
 from planner.model.mjcf.contact_mode import machine_roots
-from planner.model.mjcf.facts import Record, free_bases, gravity_of, has_ground, overlaps
-from planner.model.mjcf.model_index import ModelIndex
+from planner.model.mjcf.facts import Record, free_bases, has_ground, overlaps
+from planner.model.mjcf.model_index import ModelIndex, gravity_of
 
 _LIGHT = 1e-4  # share of the median inertia of joints of a kind; a joint with less makes the dynamics stiff
 _MENDED = 1e-2  # share of that median: the proposed armature

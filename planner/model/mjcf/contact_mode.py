@@ -26,7 +26,7 @@ from planner.model.mjcf.contacts import is_modelled
 from planner.model.mjcf.file_law import file_law_reason
 from planner.model.mjcf.ground_law import mass_of
 from planner.model.mjcf.joint_forces import has_wrenches, wrenches_of
-from planner.model.mjcf.model_index import ModelIndex, Pair, disabled, named
+from planner.model.mjcf.model_index import ModelIndex, Pair, gravity_of, named
 from planner.model.mjcf.unsupported import no_compensation
 
 MODES = ("auto", "avoid", "file", "ground", "model", "off")
@@ -162,7 +162,7 @@ def _pairs(number: int) -> str:
 def falling_trees(survey: ModelIndex) -> dict[int, bool]:
     """The root bodies of trees that can fall, and whether an actuator drives anything in them."""
     model, home, joints = survey.model, survey.home, load_mujoco().mjtJoint
-    gravity = np.array(model.opt.gravity) * (not disabled(model, "gravity"))
+    gravity = gravity_of(model)
     if not np.any(gravity):
         return {}
     actuated = actuated_dofs(survey)
