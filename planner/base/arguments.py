@@ -161,6 +161,12 @@ def quaternion(name: str, value: Any) -> np.ndarray:
     return Rotation.from_euler("xyz", angles, degrees=True).as_quat()[[3, 0, 1, 2]]
 
 
+def first_of(phrases: Sequence[str], most: int) -> str:
+    """At most so many phrases for a sentence: "a, b and 3 more"."""
+    more = len(phrases) - most
+    return ", ".join(phrases[:most]) + (f" and {more} more" if more > 0 else "")
+
+
 def toml_key(name: str) -> str:
     """A name as a key of a TOML table."""
     return name if re.fullmatch(r"[A-Za-z0-9_-]+", name) else json.dumps(name, ensure_ascii=False)

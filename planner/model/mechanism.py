@@ -30,7 +30,7 @@ from typing import Any
 
 import numpy as np
 
-from planner.base.arguments import choice
+from planner.base.arguments import choice, first_of
 from planner.base.errors import ModelError, PlannerError
 from planner.model.actuators import Actuators
 from planner.model.contact.body_contact import BodyContact, check_body_contact
@@ -360,11 +360,10 @@ class Mechanism:
 
     def __str__(self) -> str:
         names = [name or "unnamed" for name in self.joint_names]
-        joints = ", ".join(names[:10]) + (f" and {len(names) - 10} more" if len(names) > 10 else "")
         bodies = len(self.bodies) - 1
         return (
             f"Mechanism({self.nv} degree{'s' * (self.nv != 1)} of freedom, {self.nu} actuator{'s' * (self.nu != 1)}, "
-            f"{bodies} bod{'y' if bodies == 1 else 'ies'}, joints: {joints})"
+            f"{bodies} bod{'y' if bodies == 1 else 'ies'}, joints: {first_of(names, 10)})"
         )
 
     __repr__ = __str__

@@ -20,6 +20,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from planner.base.arguments import first_of
 from planner.base.gl import load_mujoco
 from planner.model.mjcf.contact_shapes import meets_plane, plane_of
 from planner.model.mjcf.contacts import is_modelled
@@ -137,9 +138,8 @@ def _of_lying(survey: ModelIndex, kept: Sequence[int]) -> str:
     names = [named(survey.model, "body", body) for body in kept]
     if not names:
         return ""
-    more = f" and {len(names) - MAX_NAMED} more" if len(names) > MAX_NAMED else ""
     stays = "stays" if len(names) == 1 else "stay"
-    words = f"{', '.join(names[:MAX_NAMED])}{more} {stays} at the start, since nothing drives it and what it lies on"
+    words = f"{first_of(names, MAX_NAMED)} {stays} at the start, since nothing drives it and what it lies on"
     return f"; {words} has no law in the plan"
 
 

@@ -16,7 +16,7 @@ from xml.etree import ElementTree
 
 import numpy as np
 
-from planner.base.arguments import choice, short_repr
+from planner.base.arguments import choice, first_of, short_repr
 from planner.base.errors import ModelError, PlannerError
 from planner.base.gl import load_mujoco
 from planner.model.capabilities import rolling_radii
@@ -202,12 +202,11 @@ def _refuse(found: list[UnsupportedElement], name: str, survey: ModelIndex) -> N
     if not found:
         return
     kinds = dict.fromkeys(refusal.kind for refusal in found)
-    more = f" and {len(found) - MAX_PHRASES} more" if len(found) > MAX_PHRASES else ""
     options = [f'"{kind}"' for kind in kinds if kind in KINDS]
     ways = [f"ignore = [{', '.join(options)}]"] if options else []
     ways += [f'contacts = "{select_contact_mode(survey).mode}"'] if "contacts" in kinds else []
     firm = [kind for kind in kinds if kind not in KINDS and kind != "contacts"]
-    what = ", ".join(refusal.phrase for refusal in found[:MAX_PHRASES]) + more
+    what = first_of([refusal.phrase for refusal in found], MAX_PHRASES)
     if firm:
         advice = f"nothing takes a {' or '.join(firm)} out"
         raise ModelError(f"{name} has what changes its motion and is not modelled: {what}; {advice}.")
