@@ -60,8 +60,8 @@ def assembled(mechanism: Mechanism, x: np.ndarray, given: Collection[int] = (), 
             'that does, or active="false" for the equality in the file.'
         )
     J = jacobian(mechanism, x[:nq]) @ free
-    qd = x[nq : nq + nv]
-    x[nq : nq + nv] = qd - free @ np.linalg.lstsq(J, jacobian(mechanism, x[:nq]) @ qd, rcond=_RANK_TOLERANCE)[0]
+    qd = x[mechanism.velocities]
+    x[mechanism.velocities] = qd - free @ np.linalg.lstsq(J, jacobian(mechanism, x[:nq]) @ qd, rcond=_RANK_TOLERANCE)[0]
     return x
 
 
@@ -163,7 +163,7 @@ def check_assembled(name: str, x: np.ndarray, mechanism: Mechanism, most: float 
     check_closed(name, x, mechanism, most)
     if not mechanism.has_closed_chains:
         return
-    q, qd = x[: mechanism.nq], x[mechanism.nq : mechanism.nq + mechanism.nv]
+    q, qd = x[: mechanism.nq], x[mechanism.velocities]
     miss = misses(mechanism, q)
     if np.abs(miss).max() > most:
         raise PlannerError(

@@ -149,7 +149,7 @@ def constraint_forces(dynamics: RigidBodyDynamics, xs: Any, us: Any) -> np.ndarr
     us = array("us", us, ("K", dynamics.nu))
     xs = array("xs", xs, (len(us), dynamics.nx))
     m = dynamics.mechanism
-    q, qd = xs[:, : m.nq], xs[:, m.nq : m.nq + m.nv]
+    q, qd = xs[:, : m.nq], xs[:, m.velocities]
     tree = replace(m, loops=(), polynomial_couplings=(), friction_loss=np.zeros(m.nv))
     free = RigidBodyDynamics(replace(tree, couplings=()), dynamics.dt, dynamics.integrator, dynamics.prescribed)
     qdd = dynamics.rates(xs, us)[:, m.nv : 2 * m.nv]

@@ -64,8 +64,7 @@ def static_equilibrium(mechanism: Mechanism, x: Any) -> np.ndarray:
     x = np.array(x, dtype=float) if np.shape(x) == (space.nx,) else np.concatenate(
         [array("x", x, (nq,)), np.zeros(space.nx - nq)]
     )  # fmt: skip
-    x = array("x", x, (space.nx,))
-    x[nq : nq + nv] = 0.0
+    x = mechanism.at_rest(array("x", x, (space.nx,)))
     if not mechanism.contacts:
         raise PlannerError(
             "the mechanism has no contacts, expected some: Mechanism.from_mjcf(..., contacts=ContactLaw(...))."

@@ -270,6 +270,17 @@ class Mechanism:
         return len(self.parent)
 
     @property
+    def velocities(self) -> slice:
+        """Where a state (qpos, qvel, act) has qvel."""
+        return slice(self.nq, self.nq + self.nv)
+
+    def at_rest(self, xs: np.ndarray) -> np.ndarray:
+        """A copy of states (..., nx) with velocities of zero."""
+        xs = np.array(xs)
+        xs[..., self.velocities] = 0.0
+        return xs
+
+    @property
     def nu(self) -> int:
         """Number of actuators."""
         return self.actuators.nu

@@ -71,7 +71,7 @@ class Measures:
 def measures(step: GaitPhase, xs: np.ndarray) -> Measures:
     """Measure states (N+1, nx) at the knots."""
     m = step.walker.mechanism
-    q, qd, sides = xs[:, : m.nq], xs[:, m.nq : m.nq + m.nv], step.walker.legs
+    q, qd, sides = xs[:, : m.nq], xs[:, m.velocities], step.walker.legs
     deviation = q - step.states[:, : m.nq]
     legs, pelvis = places(step)
     standing = {side: _stands(step, side) for side in sides}
@@ -148,7 +148,7 @@ def slip(step: GaitPhase, q: np.ndarray, qd: np.ndarray) -> float:
 def robot_wrench(dynamics: RigidBodyDynamics, xs: np.ndarray, us: np.ndarray) -> np.ndarray:
     """Forces and moments (N, 6) of the robot on the pelvis along xs (N+1, nx), us (N, nu), in N and N m."""
     m, N = dynamics.mechanism, len(us)
-    q, qd = xs[:N, : m.nq], xs[:N, m.nq : m.nq + m.nv]
+    q, qd = xs[:N, : m.nq], xs[:N, m.velocities]
     qdd = dynamics.rates(xs[:N], us)[:, m.nv : 2 * m.nv]
     # a pelvis whose jerk is the control has an artificial armature
     tau = rnea(m, q, qd, qdd) - m.armature * qdd - generalized_forces(m, q, qd)

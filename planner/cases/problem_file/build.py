@@ -112,19 +112,8 @@ from planner.solvers.waypoints import WAYPOINTS
 
 NAME = PROBLEM_FILE
 GAIN = 1e-4  # of the cost, by an iteration at kinks of contact, where more are worth nothing
-TOLD = (
-    "model",
-    "start",
-    "contacts",
-    "goal",
-    "closed",
-    "settle",
-    "stops",
-    "gait",
-    "avoid",
-    "dt",
-    "substeps",
-)  # of what is done by itself: told at once
+# What is done by itself and told at once.
+TOLD = ("model", "start", "contacts", "goal", "closed", "settle", "stops", "gait", "avoid", "dt", "substeps")
 # Of the cost, which is about 1: what an iteration gains below it shows in no picture of the motion. Of closed chains it
 # counts what is gained, not only what is promised: towards the end less than a hundredth of the promise comes, perhaps
 # because Gauss-Newton leaves out how the forces of chains turn.

@@ -32,13 +32,7 @@ from planner.model.mjcf.contact_mode import (
     select_contact_mode,
     stationary_roots,
 )
-from planner.model.mjcf.contacts import (
-    CONTACT_RAMP,
-    CONTACT_UNCERTAINTY,
-    contact_refusals,
-    phrase_of,
-    read_contacts,
-)
+from planner.model.mjcf.contacts import CONTACT_RAMP, CONTACT_UNCERTAINTY, contact_refusals, phrase_of, read_contacts
 from planner.model.mjcf.equalities import harden, read_cams, read_couplings, read_loops, read_tendons
 from planner.model.mjcf.file_law import FILE_SMOOTHING, file_law
 from planner.model.mjcf.ground_law import UNCERTAINTY, laws_of_ground

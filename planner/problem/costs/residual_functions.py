@@ -46,7 +46,7 @@ class KinematicsCache:
 
     def __init__(self, mechanism: Mechanism, arrays: ResidualArrays, xs: np.ndarray) -> None:
         self.mechanism, self.arrays, self.nv = mechanism, arrays, mechanism.nv
-        self.q, self.v = xs[:, : mechanism.nq], xs[:, mechanism.nq : mechanism.nq + mechanism.nv]
+        self.q, self.v = xs[:, : mechanism.nq], xs[:, mechanism.velocities]
 
     @cached_property
     def positions(self) -> np.ndarray:

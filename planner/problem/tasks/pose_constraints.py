@@ -90,7 +90,7 @@ class PoseConstraints:
 
     def _violation(self, part: StackEntry, stage: int, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         (low, high), x, n = self._bounds(part, stage), self._x0.copy(), np.array([stage])
-        x[: self._mechanism.nq], x[self._mechanism.nq : self._mechanism.nq + self._mechanism.nv] = q, 0.0
+        x[: self._mechanism.nq], x[self._mechanism.velocities] = q, 0.0
         value = part.function.values(x[None], np.zeros((1, 0)), n)[0]
         r = np.maximum(value - high, 0.0) - np.maximum(low - value, 0.0)
         J = part.function.derivatives(x[None], np.zeros((1, 0)), n)[0][0][:, : self._mechanism.nv]
