@@ -52,6 +52,15 @@ class Frame:
     link: int
     T: np.ndarray
 
+    @classmethod
+    def at(cls, link: int, point: Any, rotation: np.ndarray | None = None) -> Frame:
+        """The frame at a point (3,) of a link, with the link's axes or with a rotation (3, 3) in them."""
+        T = np.eye(4)
+        T[:3, 3] = point
+        if rotation is not None:
+            T[:3, :3] = rotation
+        return cls(link, T)
+
 
 @dataclass(frozen=True, eq=False)
 class Mechanism:

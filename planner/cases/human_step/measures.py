@@ -137,9 +137,7 @@ def slip(step: GaitPhase, q: np.ndarray, qd: np.ndarray) -> float:
         return 0.0
     speeds = np.zeros(forces.shape)
     for k, contact in enumerate(m.contacts):
-        T = np.eye(4)
-        T[:3, 3] = contact.centre
-        v = np.einsum("kaj,kj->ka", jacobian(m, q, Frame(contact.link, T))[:, :2], qd)
+        v = np.einsum("kaj,kj->ka", jacobian(m, q, Frame.at(contact.link, contact.centre))[:, :2], qd)
         v[:, 0] -= qd[:, m.joint("belt").start]
         speeds[:, k] = np.linalg.norm(v, axis=1)
     return float(np.sum(forces * speeds) / np.sum(forces))

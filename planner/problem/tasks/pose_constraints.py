@@ -166,11 +166,7 @@ def feet_of(mechanism: Mechanism, q: np.ndarray) -> Feet | None:
     loaded = np.flatnonzero(contact_forces(mechanism, q, np.zeros(mechanism.nv)).forces.any(axis=1))
     if not loaded.size:
         return None
-    frames = []
-    for k in loaded:
-        T = np.eye(4)
-        T[:3, 3] = mechanism.contacts[k].centre
-        frames.append(Frame(mechanism.contacts[k].link, T))
+    frames = [Frame.at(mechanism.contacts[k].link, mechanism.contacts[k].centre) for k in loaded]
     return Feet(
         mechanism, np.array([frame.link for frame in frames]), tuple(frames),
         np.array([frame_pose(mechanism, q, frame)[:3, 3] for frame in frames]),
