@@ -300,7 +300,7 @@ def carriers(mechanism: Mechanism, links: np.ndarray) -> np.ndarray:
     """(nv,) bool, degrees of freedom between the base and some links (nv,) bool: those that steer wheels."""
     found = np.zeros(mechanism.nv, dtype=bool)
     for i in np.flatnonzero(links):
-        found[chain_of(mechanism.parent, i)[1:]] = True
+        found[chain_of(mechanism.parent, int(i))[1:]] = True
     return found
 
 
